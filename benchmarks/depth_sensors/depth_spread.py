@@ -73,7 +73,7 @@ def collect(folder: Path, case: str, seed: int, data: Path, seconds: float = 2.0
     m = as_curved(result.motion, "depth")
     assert m.angle_sd is not None and result.audit is not None and result.one_by_one is not None
     features = clip_features(m, result.body.joints(result.one_by_one), result.audit)
-    odds = doubt_models()["silhouettes"].log_odds(features, _GROUP)
+    odds = doubt_models()["depth"].log_odds(features, _GROUP)
     off = angles_of(m) - true_angles(scene)[: len(m)]
     off = (off + np.pi) % (2 * np.pi) - np.pi
     away = scene.joints[: len(m)] - aligned(m, scene)

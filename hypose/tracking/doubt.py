@@ -31,9 +31,21 @@ AROUND_S = 0.25
 _HIDDEN_S = 1.0
 _CLEAR = 0.05
 """IoU by which the body turned around, or with its legs exchanged, is worse where there is no doubt about it"""
+_LITTLE = 3e-4  # m^2 of bare mask
 _SEEN = 0.25  # share of a part that is exposed in two views at least
 FEATURES = (
-    *("log_sd", "moved", "accel", "bare", "bare_more", "bare_second", "bare_reach", "bare_body"),
+    *(
+        "log_sd",
+        "sd_around",
+        "moved",
+        "accel",
+        "bare",
+        "bare_more",
+        "bare_second",
+        "bare_beside",
+        "bare_reach",
+        "bare_body",
+    ),
     *("exposed", "exposed_second", "hidden", "outside", "outside_body", "rival", "rival_around", "cost", "cost_more"),
     *("elsewhere", "elsewhere_by", "exchanged"),
     *("points", "points_worst", "points_around", "points_few", "points_unseen", "points_all"),
@@ -51,13 +63,15 @@ def group_of(name: str) -> int:
 def clip_features(motion: Motion, raw_joints: Array, audit: ArrayLike) -> Array:
     """(T, J, len(FEATURES)) of a motion whose frames were tracked as raw_joints (T, J, 3) m and audited (T, J, A).
 
-    log_sd: of the joint's sd; moved: largest distance of the frame's own joint from the clip's, nearby in time; accel:
-    the largest of its accelerations nearby; bare*: of mask without body, near the joint, beyond what is usual in the
-    clip, in the second-barest view, in the limb's reach, over the whole body; exposed*: how much of its part nothing
-    else covers, smoothed; hidden: s from when it was last seen, or to the next time; outside*: of the joint's part and
-    of the body outside the masks; rival*: what else was believed; cost*: 1 - IoU, and beyond the usual; points*:
-    distance of its key points and of the frame's, how few views have it, and for how long, how many agree or do not,
-    and how far those that do not outweigh those that do: one against one tells nothing, two against one does, and which
+    log_sd: of the joint's sd; sd_around: its mean nearby in time; moved: largest distance of the frame's own joint from
+    the clip's, nearby in time; accel: the largest of its accelerations nearby; bare*: of mask without body, near the
+    joint, beyond what is usual in the clip, in the second-barest view, there beside what is usual of all joints of the
+    clip (masks of one camera are worse than another's), in the limb's reach, over the whole body; exposed*: how much of
+    its part nothing else covers, smoothed; hidden: s from when it was last seen, or to the next time; outside*: of the
+    joint's part and of the body outside the masks; rival*: what else was believed; cost*: 1 - IoU, and beyond the
+    usual; points*: distance of its key points and of the frame's, how few views have it, and for how long, how many
+    agree or do not, and how far those that do not outweigh those that do: one against one tells nothing, two against
+    one does, and which
     share of the views calls its limb by the other side's name; apart: by how much the views contradict each other in
     this clip."""
     a = {n: np.asarray(audit, dtype=np.float64)[..., k] for k, n in enumerate(AUDITED)}
@@ -71,17 +85,20 @@ def clip_features(motion: Motion, raw_joints: Array, audit: ArrayLike) -> Array:
     accel = np.zeros(count)
     if len(motion) > 2:
         accel[1:-1] = np.linalg.norm(np.diff(raw_joints, 2, axis=0), axis=-1) * rate**2
-    sd = np.nan_to_num(motion.joint_sd, nan=1.0)
+    log_sd = np.log(np.clip(np.nan_to_num(motion.joint_sd, nan=1.0), 0.001, 1.0))
     cost = np.nan_to_num(motion.cost)[:, None] * np.ones(count)
     seen = np.where(masks, a["exposed_second"] > _SEEN, False)
     two = a["points_views"] >= 2
+    second = _mean(a["bare_second"], around)
     found = {
-        "log_sd": np.log(np.clip(sd, 0.001, 1.0)),
+        "log_sd": log_sd,
+        "sd_around": np.asarray(uniform_filter1d(log_sd, around, axis=0, mode="nearest")),
         "moved": np.sqrt(_highest(moved, around)),
         "accel": np.log1p(_highest(accel, around)),
         "bare": np.sqrt(a["bare"]),
         "bare_more": np.sqrt(_beyond(a["bare"])),
-        "bare_second": np.sqrt(_mean(a["bare_second"], around)),
+        "bare_second": np.sqrt(second),
+        "bare_beside": np.log((second + _LITTLE) / (np.median(a["bare_second"].mean(1)) + _LITTLE)),
         "bare_reach": np.sqrt(a["bare_reach"]),
         "bare_body": np.sqrt(a["bare"].mean(1, keepdims=True)) * np.ones(count),
         "exposed": _mean(a["exposed"], around),
@@ -175,7 +192,7 @@ class DoubtModel:
 
 @cache
 def doubt_models() -> Mapping[str, DoubtModel]:
-    """The fitted models by evidence."""
+    """The fitted models by evidence; that of depth is what `DepthDoubt` was fitted to: masks' as they were then."""
     kept = json.loads(files("hypose.assets").joinpath("doubt.json").read_text(encoding="utf-8"))
     if kept["features"] != list(FEATURES) or kept["groups"] != list(GROUPS):
         raise ValueError("assets/doubt.json belongs to other features; run scripts/train_doubt.py")
@@ -204,7 +221,7 @@ def judged(
     names = motion.skeleton.joint_names
     groups = np.array([group_of(n) for n in names])
     evidence = evidence_of(audit)
-    model = doubt_models()[evidence]
+    model = doubt_models()[known if known == "depth" else evidence]
     odds = model.log_odds(clip_features(motion, raw_joints, audit), groups)
     threshold = model.threshold[groups]
     if known == "depth":
@@ -228,8 +245,9 @@ def probability(odds: Array) -> Array:
 
 @dataclass(frozen=True)
 class DepthDoubt:
-    """What the log-odds by silhouettes are worth where depth cameras saw, which keep little else wrong than what they
-    do not see: level (S, G) of a group's joint before one sensor, two, S or more; slope (G,)."""
+    """What the log-odds of the model of depth, which is one of silhouettes, are worth where depth cameras saw, which
+    keep little else wrong than what they do not see: level (S, G) of a group's joint before one sensor, two, S or more;
+    slope (G,)."""
 
     level: Array
     slope: Array

@@ -8,9 +8,11 @@ import pytest
 from benchmarks.robustness.small_recordings import small_scene
 from hypose.body.motion import Motion, isotropic
 from hypose.body.ready_bodies import human
-from hypose.evidence.frame import Keypoints
-from hypose.pipeline.doubts import find_doubts, with_repeated_points
+from hypose.evidence.frame import Expected, Keypoints
+from hypose.pipeline.doubts import find_doubts, what_was_seen, with_repeated_points
 from hypose.pipeline.strangers import strangers_share
+from hypose.tracking.pose_covariance import PoseUncertainty
+from hypose.tracking.tracker import FrameEstimate
 
 T, C, RATE = 150, 4, 25.0
 NAMES = ("a", "b", "c", "d")
@@ -152,6 +154,24 @@ def test_parts_that_the_body_does_not_touch():
     assert share[1] == share[2] == 0 and np.isnan(share[3])
     assert strangers_share(with_corner(second), first, skeleton, joints)[0] == 0  # it was not there before
     assert np.isnan(strangers_share(second, first, skeleton, joints + (30.0, 0.0, 0.0))).all()
+
+
+def test_a_view_in_which_others_hide_the_person_is_not_compared_with_the_rest():
+    frame = next(iter(small_scene(1, 1).mask_frames()))
+    s = frame.silhouettes
+    rows = [np.flatnonzero(m.any(1)) for m in s.masks]
+    h, w = s.masks.shape[1:]
+    ignored = np.zeros_like(s.masks)
+    ignored[0, : rows[0][len(rows[0]) // 2]] = 1  # half of the person
+    ignored[1, : rows[1][3]] = 1  # a little
+    boxes = np.tile([0, h, 0, w], (len(s.masks), 1))
+    hidden = replace(s, ignored=ignored, expected=Expected(boxes, s.masks.sum((1, 2)).astype(np.int64)))
+    overlap = np.full(len(s.masks), 0.5)
+    nothing = PoseUncertainty(np.zeros(1), np.zeros((1, 3, 3)))
+    estimate = FrameEstimate(np.zeros(human().skeleton.dof), nothing, 0.1, False, False, 4, overlap)
+    seen = what_was_seen(estimate, human(), replace(frame, silhouettes=hidden), None)
+    assert np.isnan(seen[0, 0]) and np.allclose(seen[1:, 0], 0.5)
+    assert np.allclose(what_was_seen(estimate, human(), frame, None)[:, 0], 0.5)
 
 
 def points_that_move(rng, frames=75):

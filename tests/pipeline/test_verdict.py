@@ -9,11 +9,11 @@ from hypose.pipeline.verdict import GOOD, LOOK, UNTRUSTED, Verdict, verdict_of
 BODY = human()
 
 
-def motion(p=None, lost=0, frames=50):
+def motion(p=None, lost=0, frames=50, doubtful=0.2):
     joints = BODY.joints(np.zeros((frames, BODY.skeleton.dof)))
     p = np.zeros(joints.shape[:2], np.float32) if p is None else p
     gone = np.arange(frames) < lost
-    flagged = p > 0.2
+    flagged = p > doubtful
     return Motion(
         *(BODY.skeleton, np.arange(frames) / 25, joints, None, isotropic(np.full(joints.shape[:2], 0.01))),
         *(gone, np.zeros(frames, bool), np.full(frames, 4), np.full(frames, 0.1), {}),
@@ -43,6 +43,15 @@ def test_a_single_frame_is_no_reason_to_look_and_named_all_the_same():
     found = verdict_of(motion(probabilities(["right_wrist"], slice(10, 11))))
     assert found.word == GOOD and found.frames == (range(10, 11),)
     assert found.sentence == "Good but for frame 10: right wrist may be wrong there."
+
+
+def test_what_is_a_little_likely_wrong_is_named_and_no_reason_to_look_or_to_distrust():
+    found = verdict_of(motion(probabilities(["right_wrist"], slice(10, 30), 0.15), doubtful=0.1))
+    assert found.word == GOOD and found.sentence.startswith("Good but for frames 10-29: right wrist")
+    found = verdict_of(motion(probabilities(["right_wrist", "left_wrist"], slice(10, 30), 0.15), doubtful=0.1))
+    assert found.word == LOOK
+    found = verdict_of(motion(probabilities(["right_wrist"], slice(0, 40), 0.15), doubtful=0.1))
+    assert found.word == LOOK and found.frames == (range(40),)  # most of the clip
 
 
 def test_a_body_that_the_evidence_speaks_against_is_not_to_be_trusted():

@@ -56,7 +56,9 @@ def test_a_clean_clip_is_not_doubted_and_an_arm_that_disagrees_is(masks, points,
     assert not doubtful.any() and p.max() < 0.05
     wrist = NAMES.index("right_wrist")
     bad = audit.copy()
-    for name, value in (("bare", 0.2), ("bare_second", 0.08), ("bare_reach", 0.4), ("outside", 1.5), ("rival", 0.15)):
+    shown = {"bare": 0.2, "bare_second": 0.08, "bare_reach": 0.4, "outside": 1.5}
+    shown |= {"rival": 0.15, "elsewhere": 0.2, "elsewhere_by": 0.3}
+    for name, value in shown.items():
         if masks:
             bad[10:20, wrist, AUDITED.index(name)] = value
     for name, value in (("points_median", 0.3), ("points_worst", 0.4), ("points_views", 2), ("points_agree", 0)):
