@@ -17,7 +17,7 @@ from scipy.stats import chi2
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
 from benchmarks.depth_sensors.depth_live import live_depth
-from benchmarks.depth_sensors.depth_people import people_apart
+from benchmarks.depth_sensors.depth_passing import people_apart
 from benchmarks.multiview.action_scenes import captured, subject_of_seed
 from benchmarks.multiview.doubt_fit import auroc, ece
 from hypose.body.motion import Motion
