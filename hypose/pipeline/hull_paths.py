@@ -112,12 +112,12 @@ def _apart(people: Sequence[HullPerson]) -> int:
 
 
 def count_people(frame_at: Callable[[int], Frame], total: int, looks: int = 5) -> int:
-    """How many people stand in the masks of a recording: the median over instants spread over it. Fewer than three
-    usable views tell of nobody."""
+    """How many people stand in the masks of a recording: the median over instants spread over it, without children
+    below a metre, whom a thing may look like. Fewer than three usable views tell of nobody."""
     found = []
     for t in np.unique(np.linspace(0, total - 1, min(total, looks)).astype(int)).tolist():
         with contextlib.suppress(HyposeError):
             frame = frame_at(t)
             if frame.silhouettes is not None and int(frame.silhouettes.usable.sum()) >= 3:
-                found.append(_apart(people_in_hull(frame.silhouettes)))
+                found.append(_apart([p for p in people_in_hull(frame.silhouettes) if p.tall]))
     return int(np.median(found)) if found else 0
