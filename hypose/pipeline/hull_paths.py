@@ -113,13 +113,13 @@ def _apart(people: Sequence[HullPerson]) -> int:
 
 
 def count_people(frame_at: Callable[[int], Frame], total: int, looks: int = 5) -> int:
-    """How many people stand in the masks of a recording: the median over instants spread over it. Fewer than three
-    usable views tell of nobody, but depth cameras do."""
+    """How many people stand in the masks of a recording: the median over instants spread over it, without children
+    below a metre, whom a thing may look like. Fewer than three usable views tell of nobody, but depth cameras do."""
     found = []
     for t in np.unique(np.linspace(0, total - 1, min(total, looks)).astype(int)).tolist():
         with contextlib.suppress(HyposeError):
             frame = frame_at(t)
             views = 0 if frame.silhouettes is None else int(frame.silhouettes.usable.sum())
             if views >= 3 or (views and frame.depth is not None):
-                found.append(_apart(people_seen(frame)))
+                found.append(_apart([p for p in people_seen(frame) if p.tall]))
     return int(np.median(found)) if found else 0

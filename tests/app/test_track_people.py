@@ -78,6 +78,18 @@ def test_of_one_at_most_it_is_the_first_who_is_named(hypose, two, tmp_path):
     assert people_in(results) == ["Anna"] and np.linalg.norm(where(results / "Anna") - PLACES["Anna"]) < 0.1
 
 
+@pytest.mark.slow
+def test_of_who_is_not_at_their_place_it_is_said(hypose, two, tmp_path):
+    recording = shutil.copytree(two, tmp_path / "two")
+    toml = (recording / "recording.toml").read_text(encoding="utf-8")
+    (recording / "recording.toml").write_text(
+        toml.replace("place = [0.8, 0.2]", "place = [9.0, 9.0]"), encoding="utf-8"
+    )
+    code, out, err = hypose("track", recording, "--people", "Anna", "--out", tmp_path / "out", *LIGHT)
+    assert code == 3 and "nobody was found who is Anna at [9, 9] m" in out + err
+    assert "Bert" in people_in(tmp_path / "out")
+
+
 @pytest.mark.parametrize("who", ["Carl", "0", "two"])
 def test_who_is_nobody_is_refused_with_the_names_there_are(hypose, two, who):
     code, _, err = hypose("track", two, "--people", who)

@@ -36,8 +36,8 @@ def seen(shapes, rig):
 def boxes(*corners):
     """Vertices and faces of boxes from one corner to the other, m."""
     parts = [trimesh.creation.box(bounds=c) for c in corners]
-    mesh = trimesh.util.concatenate(parts)
-    return np.asarray(mesh.vertices), np.asarray(mesh.faces, np.int32)
+    faces = [part.faces + 8 * k for k, part in enumerate(parts)]
+    return np.concatenate([part.vertices for part in parts]), np.concatenate(faces).astype(np.int32)
 
 
 CHAIR = boxes(

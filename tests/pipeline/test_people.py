@@ -68,6 +68,18 @@ def test_two_people_who_pass_each_other_are_tracked_each_by_their_name(rig):
         assert p.present.all()
 
 
+def test_a_view_that_shows_nobody_takes_nobody_away(rig):
+    frames, truth = two_people(rig, 8)
+    for f in frames:
+        f.silhouettes.masks[2], f.silhouettes.usable[2] = 0, False  # as frames of recordings have it
+    found = both(frames)()
+    assert [p.name for p in found.people] == ["anna", "bert"]
+    for p, q in zip(found.people, truth, strict=True):
+        away = np.linalg.norm(p.result.motion.joints - human().joints(q), axis=-1)
+        assert p.present.all() and away.mean() < 0.06
+        assert p.result.motion.n_views.max() == 3
+
+
 def test_one_of_two_is_the_one_asked_for_and_the_others_are_told(rig):
     frames, truth = two_people(rig, 6)
     found = replace(both(frames), count=1, wanted=(Wanted("bert", body=human(), place=(0.45, 0.4)),))()

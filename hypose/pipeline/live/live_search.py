@@ -207,6 +207,7 @@ def _each_alone(looks: Sequence[_Look], most: int) -> list[list[Frame]]:
     for look in looks:
         assert look.frame.silhouettes is not None
         found = people_in_hull(look.frame.silhouettes, look.others)
+        found = [p for p in found if p.tall or not look.others]  # beside somebody it may be a limb of theirs
         if not own:
             axes = [p.axis for p in found[:most]]
             own = [[] for _ in axes]
