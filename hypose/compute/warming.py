@@ -144,7 +144,7 @@ PARTS: dict[str, Callable[[Any], None]] = {
 points, points and depth; scorer: silhouettes of many poses; outlines: what is followed of masks; pictures: masks from
 pictures; clip: all frames solved together, which comes last, but for key points alone; monocular: one camera."""
 
-_COST = {"depth": 8, "solver": 30, "scorer": 19, "outlines": 2, "pictures": 11, "clip": 5, "monocular": 30}
+_COST = {"depth": 8, "solver": 30, "scorer": 27, "outlines": 2, "pictures": 11, "clip": 5, "monocular": 30}
 """Compiling them, in any unit."""
 
 

@@ -83,51 +83,48 @@ def limb_energies(poses, slack, tree, mesh, prepared, boxes, drawn, drawn_counts
     the first poses and of all that cost at most `slack` times as much as the first one. cells: zero; other arguments as
     for silhouette_xor."""
     n, views, n_dof = poses.shape[0], prepared.bits.shape[0], poses.shape[1]
-    areas, usable, norm = prepared.areas, prepared.usable, prepared.norm
-    silhouette_xor(poses, 0, 1, tree, mesh, prepared, usable, boxes, areas, drawn, drawn_counts, scratch, counts)
-    first = min(n, LANES)  # as much work as one alone
-    limit = 0.0
-    for c in range(views):
-        if usable[c]:
-            limit += counts[0, c, 0] / norm[c]
-    limit *= slack * (1 + 1e-9)  # sums may round otherwise
-    for i in range(first):
-        told[i] = True
-    uncovered(prepared, drawn, cells)
-    some, least, total = np.empty((n - first, n_dof)), np.zeros((n - first, views)), np.zeros(n - first)
-    for i in range(n - first):
-        for d in range(n_dof):
-            some[i, d] = poses[first + i, d]
-    least_energies(
-        some, 0, (n - first + LANES - 1) // LANES, tree, mesh, prepared, boxes, drawn_counts, cells, scratch, least
-    )
-    alive, n_alive = np.empty(n - first, np.int64), 0
-    for i in range(n - first):
-        for c in range(views):
-            total[i] += least[i, c]
-        alive[n_alive] = i
-        n_alive += total[i] <= limit
-    left = usable.copy()
-    while n_alive > 0:
-        c = view_that_tells(cells, norm, left)
-        if c < 0:
-            break
-        left[c] = False
-        only, tried = np.zeros(views, np.bool_), np.empty((n_alive, n_dof))
-        only[c] = True
+    norm, left, limit, view = prepared.norm, prepared.usable.copy(), 0.0, -1
+    alive, n_alive = np.arange(n), min(n, LANES)  # the first block is as much work as the first pose alone
+    least, total, only = np.zeros((n, views)), np.zeros(n), prepared.usable
+    while True:
+        tried, out = np.empty((n_alive, n_dof)), np.zeros((n_alive, views, 3), np.int64)
         for i in range(n_alive):
             for d in range(n_dof):
-                tried[i, d] = some[alive[i], d]
-        out, blocks = np.empty((n_alive, views, 3), np.int64), (n_alive + LANES - 1) // LANES
-        silhouette_xor(tried, 0, blocks, tree, mesh, prepared, only, boxes, areas, drawn, drawn_counts, scratch, out)
+                tried[i, d] = poses[alive[i], d]
+        blocks = (n_alive + LANES - 1) // LANES
+        silhouette_xor(
+            tried, 0, blocks, tree, mesh, prepared, only, boxes, prepared.areas, drawn, drawn_counts, scratch, out
+        )
         kept = 0
         for i in range(n_alive):
             a = alive[i]
-            for k in range(3):
-                counts[first + a, c, k] = out[i, c, k]
-            total[a] += out[i, c, 0] / norm[c] - least[a, c]
+            for c in range(views):
+                if only[c]:
+                    for k in range(3):
+                        counts[a, c, k] = out[i, c, k]
+                    if view >= 0:
+                        total[a] += out[i, c, 0] / norm[c] - least[a, c]
+                    elif a == 0:
+                        limit += out[i, c, 0] / norm[c] * slack * (1 + 1e-9)  # sums may round otherwise
+            told[a] = view < 0
             alive[kept] = a
             kept += total[a] <= limit
         n_alive = kept
+        if view < 0:
+            uncovered(prepared, drawn, cells)
+            blocks = (n + LANES - 1) // LANES
+            least_energies(poses, 1, blocks, tree, mesh, prepared, boxes, drawn_counts, cells, scratch, least)
+            n_alive = 0
+            for a in range(min(n, LANES), n):
+                for c in range(views):
+                    total[a] += least[a, c]
+                alive[n_alive] = a
+                n_alive += total[a] <= limit
+        view = view_that_tells(cells, norm, left) if n_alive > 0 else -1
+        if view < 0:
+            break
+        only = np.zeros(views, np.bool_)
+        only[view] = True
+        left[view] = False
     for i in range(n_alive):
-        told[first + alive[i]] = True
+        told[alive[i]] = True
