@@ -24,10 +24,12 @@ from hypose.tracking.keypoint_evidence import KeypointModel
 from hypose.tracking.keypoint_offsets import Residuals, residual_rows, solved_frames, triangulated_starts
 from hypose.tracking.refinement import anatomical_prior
 
-OUTLINES_M = 0.012
+OUTLINES_M = 0.015
 """m: points that scatter by no more weigh in full beside masks, whatever these say."""
 LEAST = 0.03
 """Share of their weight that points keep beside masks that are right."""
+CLEARLY = 2.0
+"""So many times further from the outlines' solve than in half of the views are points that are wrong in a view."""
 FRAMES = 8
 """frames in which the two are compared"""
 _PARTS = (("elbow", "wrist"), ("knee", "ankle", "toe", "heel"), ("shoulder", "hip", "neck"), ("",))
@@ -40,8 +42,8 @@ def weighed_beside_masks(body: Body, model: KeypointModel, frames: Sequence[Fram
     than three of the frames (of one person) tell.
 
     Of the points of each part of the body, noise: variance per axis about the body that is solved for by them, which
-    takes up a part of it; away (C,): about the body that is solved for by the outlines. What is more of it in half of
-    the views is the outlines' fault, what is more of it in single views is that of the points there."""
+    takes up a part of it; away (C,): about the body that is solved for by the outlines. What is more of it in
+    most views is the outlines' fault, what is clearly more of it in others is that of the points there."""
     both = [f for f in frames if f.keypoints is not None and f.silhouettes is not None]
     both = [both[int(n)] for n in np.unique(np.linspace(0, len(both) - 1, min(FRAMES, len(both))).astype(int))]
     seen, by_points, by_masks = _solved_either_way(body, model, both)
@@ -58,8 +60,11 @@ def weighed_beside_masks(body: Body, model: KeypointModel, frames: Sequence[Fram
         if not tell.any():
             continue
         noise = max(float(usual * np.median(scatter[tell])) / left, 1e-8)
-        wrong = max(float(np.sort(away[tell])[(tell.sum() - 1) // 2]) - noise, 0.0)
-        beside[:, members] = (OUTLINES_M**2 + wrong) / np.fmax(noise, away - wrong)[:, None]
+        # half of the views are right, or the outlines are not
+        alike = tell & (away <= CLEARLY**2 * max(float(np.sort(away[tell])[(tell.sum() - 1) // 2]), noise))
+        wrong = max(float(np.median(away[alike])) - noise, 0.0)
+        theirs = np.where(tell & ~alike, np.fmax(away - wrong, noise), noise)
+        beside[:, members] = ((OUTLINES_M**2 + wrong) / theirs)[:, None]
     return replace(model, beside=np.clip(beside, LEAST, 1.0))
 
 
