@@ -42,6 +42,8 @@ def against_the_clip(audit: ArrayLike, n_views: ArrayLike, evidence: str) -> tup
             "the masks show more than the body from beginning to end (a chair, wide clothes, a bag, somebody else?), "
             "and limbs may have been put there: compare the overlay with the images"
         )
+    if len(look) > 1:  # things in the masks do not set views apart; late or wrong cameras do both (seeds 600 to 617)
+        wrong, look = look, []
     return tuple(wrong), tuple(look)
 
 

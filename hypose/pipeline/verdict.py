@@ -20,12 +20,12 @@ WRONG_SHARE = 0.12
 LIMB_SHARE = 0.5
 """Share of the frames in which one and the same joint is doubtful, from which on nothing is trusted: who looks at the
 rest does not know what to believe of it."""
-LIMB_P, LOOK_P = 0.3, 0.25
+LIMB_P, LOOK_P = 0.35, 0.25
 """How likely it must be wrong in those frames, in the mean; and how many joints must be wrong to be expected in a frame
 of a doubtful stretch for it to be worth a look: joints are doubtful long before they are likely wrong, so that little
-is missed. On scenes (seeds 600 to 617) joints had .11 to .23 where fewer than a third of the frames was wrong, and .35
-to .74 where more was; of 98 clips without a wrong joint ten are worth a look by this, and 22 were by the length of the
-stretch alone."""
+is missed. On scenes (seeds 600 to 617) joints doubtful in half of the frames had .14 to .31 where the clip was never
+wrong, .19 to .40 where it was for some frames, and .28 to .91 where a limb was wrong all along; of 98 clips without a
+wrong joint eleven are worth a look by this, and 23 were by the length of the stretch alone."""
 _ALONE = ("neck", "head")
 """joints on which no other depends: key points without a head leave the rest to be looked at"""
 LOST_SHARE = 0.3
