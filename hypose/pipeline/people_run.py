@@ -44,6 +44,7 @@ from hypose.pipeline.tracked_people import (
     names_at_places,
     said_of,
     save_people,
+    seen_by_themselves,
 )
 from hypose.pipeline.wardrobe import exchange, look_at_clothes
 from hypose.tracking.several import Member, nobody_in, shape_of, step_together, visible_share
@@ -355,10 +356,10 @@ class PeopleRun:
                 since = len(p.present) - p.gone + 1
                 p.present[since:] = [False] * len(p.present[since:])
                 p.hidden[since:] = [False] * len(p.hidden[since:])
-            p.member = member
+            p.member, shown = member, visible_share(own)
             p.estimates.append(estimate)
             p.present.append(there)
-            p.hidden.append(bool(there and len(s := visible_share(own)) and (s > HIDDEN).sum() < least))
+            p.hidden.append(bool(there and len(shown) and (shown > HIDDEN).sum() < least))
         if t % self._look_every == 0:
             for p, q, since in look_at_clothes(people, seen):
                 exchange(p, q, since)
@@ -441,7 +442,8 @@ class PeopleRun:
     # ---- the end -----------------------------------------------------------------------------------------------
 
     def _finished(self, p: Followed, people: Sequence[Followed], complete: bool) -> OnePerson:
-        tracked = Tracked(range(len(p.estimates)), p.estimates, p.member.state, complete)
+        found = seen_by_themselves(p, people, 3 * self._look_every)
+        tracked = Tracked(range(len(found)), found, p.member.state, complete)
         present, hidden = np.array(p.present, dtype=np.bool_), np.array(p.hidden, dtype=np.bool_)
         source = _OwnFrames(self.source, p, people, self._points)
         out = finish(

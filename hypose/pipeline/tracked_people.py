@@ -150,6 +150,22 @@ class Followed:
         del self.estimates[frames:], self.present[frames:], self.hidden[frames:]
 
 
+def seen_by_themselves(p: Followed, people: Sequence[Followed], late: int) -> list[FrameEstimate]:
+    """The estimates of a person without what others do to the masks: where somebody comes, or leaves, the masks change
+    all at once, and time has not jumped. late: frames after which somebody who comes may have been found."""
+    comes = np.zeros(len(p.estimates), dtype=np.bool_)
+    for q in people:
+        for t in (np.flatnonzero(np.diff(np.array(q.present, dtype=np.int8))) + 1).tolist():
+            comes[max(0, t - late) : t + 2] = True
+    out = list(p.estimates)
+    for t in np.flatnonzero(comes).tolist():
+        if len(out[t].seen):
+            seen = out[t].seen.copy()
+            seen[:, 1] = np.nan
+            out[t] = replace(out[t], seen=seen)
+    return out
+
+
 def save_people(
     results: ResultsFolder, record: Mapping[str, Any], people: Sequence[Followed], coming: Sequence[Array]
 ) -> None:

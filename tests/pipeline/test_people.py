@@ -16,7 +16,14 @@ from hypose.pipeline.people_points import KeypointPeople, padded
 from hypose.pipeline.people_run import PeopleRun
 from hypose.pipeline.run import TrackOptions, TrackResult
 from hypose.pipeline.track_loop import FrameList
-from hypose.pipeline.tracked_people import OnePerson, Wanted, free_name, names_at_places, while_present
+from hypose.pipeline.tracked_people import (
+    OnePerson,
+    Wanted,
+    free_name,
+    names_at_places,
+    seen_by_themselves,
+    while_present,
+)
 from hypose.synthetic.scenes import make_scene
 from hypose.tracking.several import shape_of
 from hypose.tracking.starts import known_pose
@@ -66,6 +73,23 @@ def test_two_people_who_pass_each_other_are_tracked_each_by_their_name(rig):
         away = np.linalg.norm(p.result.motion.joints - true, axis=-1)
         assert away.mean() < 0.03 and away.mean(1).max() < 0.06
         assert p.present.all()
+
+
+def test_what_others_do_to_the_masks_is_no_doubt(rig):
+    frames, _ = two_people(rig, 12, away=range(8, 12))
+    run = both(frames)
+    people = run._begin()
+    run._track(people, [])
+    one = people[0]
+    assert one.present == [True] * 12 and np.isfinite(one.estimates[6].seen[:, 1]).all()
+    people[1].present[:] = [t < 6 for t in range(12)]
+    own = seen_by_themselves(one, people, 2)
+    gone = [bool(np.isnan(e.seen[:, 1]).all()) for e in own]
+    assert gone[4:8] == [True] * 4 and not any(gone[1:4]) and not any(gone[8:])
+    assert all(
+        np.array_equal(a.seen[:, [0, 2]], b.seen[:, [0, 2]], equal_nan=True)
+        for a, b in zip(own, one.estimates, strict=True)
+    )
 
 
 def test_a_view_that_shows_nobody_takes_nobody_away(rig):
