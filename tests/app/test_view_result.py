@@ -159,7 +159,7 @@ def test_flags_gaps_and_missing_parts_are_told(folder):
     poses = motion.poses.copy()
     poses[2] = np.nan
     unknown = np.full_like(motion.joint_covariance, np.nan)
-    bad = replace(motion, poses=poses, joint_covariance=unknown, lost=n >= 6, extrapolated=n >= 5)
+    bad = replace(motion, poses=poses, joint_covariance=unknown, lost=n >= 6, extrapolated=n >= 5, doubtful=n < 0)
     result = replace(load_view(folder), motion=bad, truth=None, rig=None, pictures=(), body=None)
     header, arrays = read_bundle(view_bundle(result))
     assert arrays["flags"].tolist() == [0, 0, 0, 0, 0, 2, 1, 1]

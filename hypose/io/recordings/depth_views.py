@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections import OrderedDict
 from functools import cached_property
 from pathlib import Path
@@ -113,7 +114,11 @@ class DepthSource:
         if room is None or self._people:
             return room, 0.0
         chosen = np.unique(np.linspace(0, count - 1, min(_STILL_FRAMES, count)).round().astype(int))
-        maps = [m for k in chosen if (m := self._prepared(self._read(self._files[k]))).shape == room.depth.shape]
+        maps = list[DepthMap]()
+        for k in chosen:
+            with contextlib.suppress(InputError):  # a damaged map is named where its frame is asked for
+                maps.append(self._prepared(self._read(self._files[k])))
+        maps = [m for m in maps if m.shape == room.depth.shape]
         return with_still_things(room, maps, self._small) if len(maps) > 4 else (room, 0.0)
 
     def _read(self, file: Path) -> DepthMap:
