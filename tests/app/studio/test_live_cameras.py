@@ -64,7 +64,7 @@ def test_a_person_is_followed_recorded_and_shown(served_live):
         assert len(person["joints"]) == 19 and person["sensors"] and frame["latency_ms"] > 0
         status = until(socket, "status", lambda m: m["poses"] > 0)
         assert status["phase"] == "following" and all(s["alive"] for s in status["sensors"])
-        pictures = until(socket, "pictures")["cameras"]
+        pictures = until(socket, "pictures", lambda m: all(c["jpeg"] for c in m["cameras"]))["cameras"]
         shown = Shot(0.0, None, base64.b64decode(pictures[0]["jpeg"])).picture()
         assert shown is not None and shown.shape[1] == 320
         socket.send(json.dumps({"t": "start", "recording": recording}))
