@@ -8,14 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.body.ready_bodies import human
-from hypose.io.motions.bodies import save_body
-from hypose.io.motions.results import load_motion
 from hypose.synthetic.depth_scenes import depth_scene
 from hypose.synthetic.motions import act
-from hypose.synthetic.performance import moved
 from hypose.synthetic.subjects import load_subjects
 from hypose.synthetic.write_depth import write_depth_scene
+from tests.standing_people import name_people, standing_at, where
 
 PLACES = {"Anna": (0.5, 0.2), "Bert": (-0.5, 0.0)}
 LIGHT = ("--no-overlay", "--formats", "trc")
@@ -27,23 +24,10 @@ def two(tmp_path_factory):
     folder = tmp_path_factory.mktemp("two") / "two"
     subject = load_subjects()["neutral"]
     bert, anna = (act("wave", subject, 0.2, 25.0, np.random.default_rng(3 + k)) for k in range(2))
-    bert, anna = _at(bert, PLACES["Bert"]), _at(anna, PLACES["Anna"])
+    bert, anna = standing_at(bert, PLACES["Bert"]), standing_at(anna, PLACES["Anna"])
     write_depth_scene(replace(depth_scene(bert, subject, "depth-2"), others=((subject, anna),)), folder)
-    save_body(human(), folder / "body.npz")
-    with (folder / "recording.toml").open("a", encoding="utf-8") as file:
-        for name, (x, y) in PLACES.items():
-            file.write(f'\n[[person]]\nname = "{name}"\nbody = "body.npz"\nplace = [{x}, {y}]\ntime = 0.0\n')
+    name_people(folder, PLACES)
     return folder
-
-
-def _at(performance, place):
-    now = performance.root[:, :2].mean(0)
-    return moved(performance, 0.0, (place[0] - now[0], place[1] - now[1]))
-
-
-def where(folder):
-    """(2,) m: the mean place of a result's person."""
-    return load_motion(folder / "motion.npz").joints[:, 0, :2].mean(0)
 
 
 def test_everybody_before_depth_cameras_has_a_folder(hypose, two, tmp_path):

@@ -8,13 +8,10 @@ import cv2
 import numpy as np
 import pytest
 
-from hypose.body.ready_bodies import human
-from hypose.io.motions.bodies import save_body
-from hypose.io.motions.results import load_motion
-from hypose.synthetic.performance import moved
 from hypose.synthetic.rigs import rig
 from hypose.synthetic.scenes import make_scene
 from hypose.synthetic.write_recording import write_scene
+from tests.standing_people import name_people, standing_at, where
 
 PLACES = {"Anna": (0.8, 0.2), "Bert": (-0.8, 0.0)}
 LIGHT = ("--no-overlay", "--formats", "trc")
@@ -26,27 +23,11 @@ def two(tmp_path_factory):
     folder = tmp_path_factory.mktemp("two") / "two"
     cameras = rig("humaneva-4", distorted=True).scaled(0.4)
     bert, anna = (make_scene("wave", "neutral", cameras, seconds=0.2, seed=3 + k) for k in range(2))
-    bert = replace(bert, performance=_at(bert.performance, PLACES["Bert"]))
-    anna = replace(anna, performance=_at(anna.performance, PLACES["Anna"]))
+    bert = replace(bert, performance=standing_at(bert.performance, PLACES["Bert"]))
+    anna = replace(anna, performance=standing_at(anna.performance, PLACES["Anna"]))
     write_scene(replace(bert, others=((anna.subject, anna.performance),)), folder, background_frames=10)
-    save_body(human(), folder / "body.npz")
-    tables = [
-        f'\n[[person]]\nname = "{name}"\nbody = "body.npz"\nplace = [{x}, {y}]\ntime = 0.0\n'
-        for name, (x, y) in PLACES.items()
-    ]
-    with (folder / "recording.toml").open("a", encoding="utf-8") as file:
-        file.writelines(tables)
+    name_people(folder, PLACES)
     return folder
-
-
-def _at(performance, place):
-    now = performance.root[:, :2].mean(0)
-    return moved(performance, 0.0, (place[0] - now[0], place[1] - now[1]))
-
-
-def where(folder):
-    """(2,) m: the mean place of a result's person."""
-    return load_motion(folder / "motion.npz").joints[:, 0, :2].mean(0)
 
 
 def people_in(out):
