@@ -108,7 +108,8 @@ const cutOff = (page) =>
       if (!e.matches("button, a, select, input") || e.disabled || style.pointerEvents === "none" || style.opacity === "0") continue;
       const [x, y] = [(box.left + box.right) / 2, (box.top + box.bottom) / 2];
       if (x < 0 || y < 0 || x >= innerWidth || y >= innerHeight) continue;
-      const away = (p) => { const b = p.getBoundingClientRect(); return x < b.left || x > b.right || y < b.top || y > b.bottom; };
+      // elementFromPoint looks at whole pixels: what the edge of a scrolled place runs through counts as scrolled away
+      const away = (p) => { const b = p.getBoundingClientRect(); return x < b.left + 1 || x > b.right - 1 || y < b.top + 1 || y > b.bottom - 1; };
       let scrolledAway = false;
       for (let p = e.parentElement; p; p = p.parentElement) if (/auto|scroll/.test(getComputedStyle(p).overflow) && away(p)) scrolledAway = true;
       if (scrolledAway) continue;
