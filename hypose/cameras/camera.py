@@ -229,3 +229,19 @@ def triangulate(
     with np.errstate(divide="ignore", invalid="ignore"):
         points = v[..., :3] / v[..., 3:]
     return np.where((n >= min_views)[..., None], points, np.nan), n
+
+
+PARALLEL = 0.26
+"""Sine of the angle between two rays (15 degrees) below which they hardly tell how far away their point is."""
+
+
+def widest_angle(rig: CameraRig, pixels: ArrayLike, confidence: ArrayLike) -> Array:
+    """(...) sine of the angle between those two rays through pixels (C, ..., 2) with confidence (C, ...) > 0 that are
+    least parallel; undistorted px of the rig's pinhole cameras; 0 with fewer than two."""
+    uv, seen = np.nan_to_num(np.asarray(pixels, dtype=np.float64)), np.asarray(confidence) > 0
+    one = np.concatenate([uv, np.ones((*uv.shape[:-1], 1))], -1)
+    rays = np.stack([p @ np.linalg.inv(c.K).T @ c.camera_from_world[:3, :3] for c, p in zip(rig, one, strict=True)])
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    sine = np.linalg.norm(np.cross(rays[:, None], rays[None]), axis=-1)
+    widest: Array = np.where(seen[:, None] & seen[None], sine, 0.0).max((0, 1))
+    return widest

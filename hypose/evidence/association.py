@@ -24,6 +24,7 @@ from hypose.evidence.ray_matching import FAR, Views, between_rays, distances, me
 from hypose.geometry import Array
 
 _MEASURED, _REMEMBERED = 10, 50  # frames after which a bone's length is known, and over which it is averaged
+_WRUNG = -0.5  # cosine of the angle between the lines of the shoulders and of the hips that no trunk reaches
 _LEAST = 4  # key points that a candidate needs to be somebody, fewer are parts that can complete one
 _GROUPS = (
     ("shoulder", "elbow", "wrist"),
@@ -88,7 +89,8 @@ def people_of(
     pixels of the pinhole `rig`, confidence 0 where missing; None or none: nobody is seen. Further columns are carried
     along. A candidate with fewer than four points is a part that may complete a person. names: of the K points. With
     one view alone, or two that do not agree, there is nobody: see `hypose.evidence.one_person`."""
-    at = Association(names, rig, frame_rate, settings)
+    given = (view.shape[2] for frame in candidates for view in frame if view is not None and len(view))
+    at = Association(names, rig, frame_rate, settings, columns=max(given, default=3))
     for frame in candidates:
         at.step(frame)
     return at.people()
@@ -117,7 +119,8 @@ class _Followed:
 
 
 class Association:
-    """The association of a clip frame by frame: `step` with every frame, then `people`; `now` is who is followed."""
+    """The association of a clip frame by frame: `step` with every frame, then `people`; `now` is who is followed.
+    columns: of all candidates."""
 
     def __init__(
         self,
@@ -125,8 +128,10 @@ class Association:
         rig: CameraRig,
         frame_rate: float = 25.0,
         settings: AssociationSettings | None = None,
+        *,
+        columns: int = 3,
     ) -> None:
-        self.names, self.settings = tuple(names), settings or AssociationSettings()
+        self.names, self.settings, self._columns = tuple(names), settings or AssociationSettings(), columns
         self._views, self._k = Views(rig), len(names)
         column = {n: i for i, n in enumerate(names)}
         self._twin = np.array([column.get(_other_side(n), i) for i, n in enumerate(names)], dtype=np.int64)
@@ -140,6 +145,8 @@ class Association:
         ends = ("elbow", "wrist", "knee", "ankle")
         limbs = [(column[a], column[b]) for a, b, _, _ in _BONES if a in column and b in column and b.endswith(ends)]
         self._limbs = np.array(limbs, dtype=np.int64).reshape(-1, 2)
+        girdles = ("left_shoulder", "right_shoulder", "left_hip", "right_hip")
+        self._girdles = [column[n] for n in girdles] if all(n in column for n in girdles) else None
         o = self.settings
         self._patience = max(3, round(o.patience * frame_rate))
         self._stale = max(2, round(o.stale * frame_rate))
@@ -149,7 +156,7 @@ class Association:
         self._ended: list[_Followed] = []
 
     def step(self, views: Sequence[Array | None], /) -> None:
-        """One frame: per view the candidates (P, K, 3), None for none."""
+        """One frame: per view the candidates (P, K, columns), None for none."""
         found = self._stacked(views)
         count = np.count_nonzero(found[..., 2] > 0.1, axis=-1)
         somebody, free = count >= _LEAST, count > 0
@@ -193,8 +200,7 @@ class Association:
     def _stacked(self, views: Sequence[Array | None]) -> Array:
         """(C, P, K, 3), at least one candidate per view, empty ones with confidence 0."""
         some = [v for v in views if v is not None and len(v)]
-        most, columns = max((len(v) for v in some), default=1), max((v.shape[2] for v in some), default=3)
-        out = np.zeros((len(self._views), most, self._k, columns))
+        out = np.zeros((len(self._views), max((len(v) for v in some), default=1), self._k, self._columns))
         for c, v in enumerate(views):
             if v is not None and len(v):
                 out[c, : len(v)] = v
@@ -276,8 +282,13 @@ class Association:
         exchange = exchange.copy()
         for n in np.unique(who):
             t, of = self._alive[n], who == n
+            says = exchange[of].sum(0) > np.maximum(1, kept[of].sum(0))
             for g in range(len(_GROUPS)):
-                most = int(exchange[of, g].sum()) > max(1, int(kept[of, g].sum()))
+                for_it, against = int(exchange[of, g].sum()), int(kept[of, g].sum())
+                if g < 2 and self._wrung(t):  # as many views as say the opposite are enough
+                    most = for_it >= max(1, against)
+                else:  # shoulders without hips, or hips without shoulders, would wring the trunk
+                    most = for_it > max(1, against) and (g > 1 or self._girdles is None or says[1 - g])
                 t.otherwise[g] = t.otherwise[g] + 1 if most else 0
                 if t.otherwise[g] > self._trial:
                     self._turn(t, g)
@@ -288,6 +299,14 @@ class Association:
         points = seen[views, who]
         out[views, who] = np.where(exchange[:, self._group][..., None], points[:, self._twin], points)
         return out
+
+    def _wrung(self, t: _Followed) -> bool:
+        """Whether somebody's left shoulder lies above the right hip."""
+        if self._girdles is None:
+            return False
+        a, b, c, d = t.points[self._girdles]
+        size = float(np.linalg.norm(a - b) * np.linalg.norm(c - d))
+        return bool((a - b) @ (c - d) < _WRUNG * size)
 
     def _mended_births(self, seen: Array, which: NDArray[np.int64], expected: Array) -> Array:
         """Points (C, B, K, 3) of those born, left and right as most of their views say: `expected` (B, K, 3)."""
@@ -303,7 +322,8 @@ class Association:
         of = self._group == group
         t.points[of], t.motion[of] = t.points[self._twin][of], t.motion[self._twin][of]
         t.stale[of] = t.stale[self._twin][of]
-        for back in range(1, min(int(t.otherwise[group]), len(t.seen) + 1)):
+        known = int(t.otherwise[group])  # the frame of birth cannot say
+        for back in range(1, known if known < len(t.seen) else len(t.seen) + 1):
             t.seen[-back][:, of] = t.seen[-back][:, self._twin][:, of]
             t.world[-back][of] = t.world[-back][self._twin][of]
         t.otherwise[group] = 0

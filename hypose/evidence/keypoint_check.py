@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from hypose.cameras.camera import CameraRig, triangulate
+from hypose.cameras.camera import PARALLEL, CameraRig, triangulate, widest_angle
 from hypose.evidence.keypoints import tallest
 from hypose.geometry import Array
 
@@ -64,7 +64,7 @@ def misread(people: Sequence[Sequence[Array | None]], names: Sequence[str], rig:
                 one[c] = change(points)[c]
                 if _residual(one, rig) < limit:
                     return f"in view {name} {what}"
-    world = _triangulated(points, rig)[0]
+    world = _well_known(points, rig)
     if plain < 2 * _FINE and _disproportion(world, names) > _NO_BODY:
         return "the bones between them have lengths that no body has, so that their order must be another"
     mirrored = _mirrored(world, names)
@@ -125,6 +125,13 @@ def _triangulated(points: Array, rig: CameraRig) -> tuple[Array, Array, Array]:
     weights = np.where(np.isfinite(uv).all(-1), weights, 0.0)
     x, _ = triangulate(rig.pinhole(), np.nan_to_num(uv), weights)
     return x.reshape(*points.shape[1:3], 3), uv, weights
+
+
+def _well_known(points: Array, rig: CameraRig) -> Array:
+    """World points (T, K, 3), NaN where all rays are nearly parallel, as those of two cameras that face each other."""
+    x, uv, weights = _triangulated(points, rig)
+    met = widest_angle(rig, uv, weights) > PARALLEL
+    return np.where(met.reshape(x.shape[:2])[..., None], x, np.nan)
 
 
 def _residual(points: Array, rig: CameraRig) -> float:

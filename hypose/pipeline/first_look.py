@@ -21,7 +21,7 @@ from hypose.calibration.doctor_points import best_trial, disagreement
 from hypose.calibration.doctor_report import height_findings
 from hypose.calibration.doctor_silhouettes import gross_silhouettes
 from hypose.calibration.sync_motion import mask_tracks
-from hypose.cameras.camera import triangulate
+from hypose.cameras.camera import PARALLEL, triangulate, widest_angle
 from hypose.errors import EvidenceError, HyposeError
 from hypose.evidence.depth_evidence import Depth, in_world
 from hypose.evidence.depth_floor import camera_on_floor
@@ -94,6 +94,10 @@ def _by_depth(depth: Depth) -> Iterator[Finding]:
             yield Finding("floor", (camera.name,), text, cure, size, size > PLAINLY)
 
 
+MOST_PARALLEL = 1 / 3
+"""Share of the key points up to which all rays may be parallel."""
+
+
 def _by_points(keypoints: Sequence[Keypoints], height: float | None, o: Limits) -> Iterator[Finding]:
     """Of the key points of some frames."""
     rig, names = keypoints[0].rig, keypoints[0].names
@@ -116,7 +120,16 @@ def _by_points(keypoints: Sequence[Keypoints], height: float | None, o: Limits) 
             text = f"All cameras: the views' key points disagree by {100 * apart:.0f} % of the person's size"
             yield Finding("scatter", (), text, "run hypose check, which looks for the cause camera by camera", apart)
     flat = pixels.reshape(len(rig), -1, 3)
-    points, _ = triangulate(rig, flat[..., :2], np.where(flat[..., 2] > 0.3, flat[..., 2], 0.0))
+    seen = np.where(flat[..., 2] > 0.3, flat[..., 2], 0.0)
+    points, views = triangulate(rig, flat[..., :2], seen)
+    parallel = (widest_angle(rig, flat[..., :2], seen) < PARALLEL)[views > 1]
+    if len(parallel) and parallel.mean() > MOST_PARALLEL:
+        text = (
+            "All cameras: they stand side by side, or face each other: how far away "
+            f"{100 * parallel.mean():.0f} % of the key points are cannot be told, since the rays to them are parallel"
+        )
+        yield Finding("parallel", (), text, "add a camera that looks from the side", 1.0)
+        return
     world = points.reshape(*pixels.shape[1:3], 3)
     other = wrong_set(world, names)
     if other is not None and (agreed or "keypoint_set = " in other.cure):

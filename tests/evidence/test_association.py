@@ -125,6 +125,32 @@ def test_sides_that_were_wrong_at_the_start_are_turned():
     assert error(person, A) < 0.06
 
 
+def test_where_as_many_views_say_the_opposite_the_trunk_tells_the_sides():
+    near, far = ring(4, radius=4.0, start=0.0), ring(4, 25.0, 1.2, focal=1600.0, target=(0, 0, 1.2), start=0.0)
+    rig = CameraRig(tuple((far if i % 2 else near)[i] for i in range(4)))  # those at the side see both shoulders as one
+    truth = walking((-1.0, 0.0), (0.05, 0.0))[4:]
+    for i, name in enumerate(BODY_25):
+        if name.endswith(("elbow", "wrist")):
+            truth[:, i, 0] = truth[:, BODY_25.index("left_shoulder"), 0] + 0.05
+    arms = [t if BODY_25[i].endswith(("shoulder", "elbow", "wrist")) else i for i, t in enumerate(TWIN)]
+    frames = seen_by(rig, [truth], np.random.default_rng(0))
+    for t, views in enumerate(frames):
+        if t < 2:
+            views[0], views[2] = views[0][:, arms], views[2][:, arms]
+        else:
+            views[2] = views[2][:, TWIN]
+    (person,) = people_of(frames, BODY_25, rig)
+    assert np.nanmax(np.linalg.norm(person.world - truth, axis=-1)[4:]) < 0.08
+
+
+def test_frames_in_which_nobody_is_seen_have_the_columns_of_the_others():
+    frames = [[np.concatenate([v, v[..., :2]], -1) for v in f] for f in seen_by(RIG, [A], np.random.default_rng(0))]
+    frames[7] = [None] * len(RIG)
+    (person,) = people_of(frames, BODY_25, RIG)
+    assert person.points.shape == (FRAMES, len(RIG), 25, 5)
+    assert error(person, A) < 0.02
+
+
 def test_another_cameras_key_points_are_left_out_and_said():
     frames = seen_by(RIG, [A], np.random.default_rng(4))
     for f in frames:

@@ -8,7 +8,7 @@ import pytest
 
 from hypose.calibration.common_focal import focal_by_points, focal_findings
 from hypose.calibration.doctor_points import mirrored_names
-from hypose.cameras.camera import CameraRig
+from hypose.cameras.camera import CameraRig, triangulate
 from hypose.evidence.frame import Keypoints, Silhouettes
 from hypose.evidence.keypoints import BODY_25, BODY_25B, COCO_18
 from hypose.geometry import se3
@@ -265,3 +265,23 @@ def moved_away(rig, factor):
     """The same cameras in a world whose unit is another one."""
     places = [se3(c.camera_from_world[:3, :3], factor * c.camera_from_world[:3, 3]) for c in rig]
     return CameraRig(tuple(replace(c, camera_from_world=p) for c, p in zip(rig, places, strict=True)))
+
+
+def test_two_cameras_that_stand_side_by_side_or_face_each_other(frames):
+    def of_angle(degrees):
+        rig = frames[0].keypoints.rig
+        points, _ = triangulate(rig, frames[0].keypoints.points[..., :2], frames[0].keypoints.points[..., 2])
+        first, middle = rig[0], np.nanmedian(points, 0)
+        turn = np.deg2rad(degrees)
+        c, s = np.cos(turn), np.sin(turn)
+        around = se3(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]), np.zeros(3))
+        around[:3, 3] = middle - around[:3, :3] @ middle
+        there = around @ np.linalg.inv(first.camera_from_world)
+        return CameraRig((first, replace(first, name="other", camera_from_world=np.linalg.inv(there)))), points
+
+    for degrees, told in ((6.0, True), (90.0, False), (176.0, True)):
+        two, points = of_angle(degrees)
+        seen = np.stack([np.concatenate([c.project(points), np.ones((len(points), 1))], -1) for c in two])
+        seen = np.where(np.isfinite(seen).all(-1, keepdims=True), seen, 0.0)
+        shown = [replace(alone(f, seen), keypoints=Keypoints(seen, f.keypoints.names, two)) for f in frames]
+        assert ("parallel" in kinds(shown)) == told, degrees
