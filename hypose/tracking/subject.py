@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from hypose.body.body import Body, Shape, deform
 from hypose.errors import EvidenceError
@@ -107,21 +106,22 @@ def shape_from_keypoints(body: Body, points_world: Array, names: tuple[str, ...]
     skeleton, rest = body.skeleton, body.skeleton.rest_joints
     column = {name: k for k, name in enumerate(names) if name in skeleton.joint_names}  # limbs: key point = joint name
 
-    def measured(a: str, b: str) -> float:
+    def factor(a: str, b: str) -> tuple[float, float]:
+        """of the bone's length, and by what share of it that changes from frame to frame"""
         if a not in column or b not in column:
-            return float("nan")
+            return float("nan"), float("nan")
         d = np.linalg.norm(points_world[:, column[a]] - points_world[:, column[b]], axis=-1)
-        return float(np.nanmedian(d)) if np.isfinite(d).any() else float("nan")
+        if not np.isfinite(d).any():
+            return float("nan"), float("nan")
+        middle = float(np.nanmedian(d))
+        changes = float(np.nanmedian(np.abs(d - middle))) / max(middle, 1e-9)
+        return middle / float(np.linalg.norm(rest[skeleton.joint(a)] - rest[skeleton.joint(b)])), changes
 
-    def factor(a: str, b: str) -> float:
-        own = float(np.linalg.norm(rest[skeleton.joint(a)] - rest[skeleton.joint(b)]))
-        return measured(a, b) / own
-
-    limbs = {}
-    for segment, (a, b) in PAIRED.items():
-        sides = np.array([factor(f"{side}_{a}", f"{side}_{b}") for side in ("left", "right")])
-        limbs[segment] = _mean_seen(sides)
-    trunk = _mean_seen([factor(f"{side}_shoulder", f"{side}_hip") for side in ("left", "right")])
+    limbs = {
+        segment: _of_sides(factor(f"left_{a}", f"left_{b}"), factor(f"right_{a}", f"right_{b}"))
+        for segment, (a, b) in PAIRED.items()
+    }
+    trunk = _of_sides(*(factor(f"{side}_shoulder", f"{side}_hip") for side in ("left", "right")))
     unseen = [segment for segment, value in limbs.items() if np.isnan(value)]
     if unseen:  # legs below a desk: in proportion to what is seen
         seen = [v for v in (*limbs.values(), trunk) if v > 0]
@@ -131,7 +131,7 @@ def shape_from_keypoints(body: Body, points_world: Array, names: tuple[str, ...]
             )
         limbs |= dict.fromkeys(unseen, float(np.mean(seen)))
     scale = float(np.nanmean([limbs["thigh"], limbs["shank"], trunk]))
-    shoulders = factor("left_shoulder", "right_shoulder")
+    shoulders, _ = factor("left_shoulder", "right_shoulder")
     shoulders = scale if np.isnan(shoulders) else float(np.clip(shoulders, 0.8 * scale, 1.2 * scale))
     trunk = scale if np.isnan(trunk) else float(trunk)
     length: dict[str, float] = {j: trunk / scale for j in TRUNK}
@@ -146,10 +146,17 @@ def shape_from_keypoints(body: Body, points_world: Array, names: tuple[str, ...]
     return Shape(scale=scale, length=length, offset=offset)
 
 
-def _mean_seen(values: ArrayLike) -> float:
-    """The mean of the finite values; NaN without any."""
-    v = np.asarray(values, dtype=np.float64)
-    return float(v[np.isfinite(v)].mean()) if np.isfinite(v).any() else float("nan")
+_UNLIKE = 1.25
+"""Times by which a left bone may differ from the right one; more is a key point that is not where its name says."""
+
+
+def _of_sides(left: tuple[float, float], right: tuple[float, float]) -> float:
+    """The mean of the left and the right bone's factors, of those that are seen; of two that are unlike the one whose
+    length changes less; NaN without any."""
+    seen = [side for side in (left, right) if np.isfinite(side[0])]
+    if len(seen) == 2 and max(seen)[0] > _UNLIKE * min(seen)[0]:
+        return min(seen, key=lambda side: side[1])[0]
+    return float(np.mean([factor for factor, _ in seen])) if seen else float("nan")
 
 
 def _solve_frames(body: Body, points: Array, model: KeypointModel, frames: np.ndarray, poses: Array) -> None:

@@ -58,6 +58,20 @@ def test_lengths_from_keypoints_of_another_body(body, standing, rng):
     assert np.nanmedian(fitted.residual) < 0.015
 
 
+def test_an_arm_whose_wrist_is_taken_for_the_other_does_not_stretch_both(body, standing, rng):
+    names = keypoint_names("BODY_25")
+    model = keypoint_model(body, names)
+    poses = np.repeat(standing[None], 12, 0)
+    poses[:, 6:] += rng.normal(0, 0.25, (12, poses.shape[1] - 6))
+    points = model.positions(body, body.skeleton.clamp(poses))
+    points[:, ~model.known] = np.nan
+    points[:, names.index("left_wrist")] = points[:, names.index("right_wrist")]
+    fitted = subject_from_keypoints(body, points, names)
+    want, got = body.segment_lengths(), fitted.body.segment_lengths()
+    for side in ("left", "right"):
+        assert got[f"{side}_forearm"] == pytest.approx(want[f"{side}_forearm"], abs=0.02)
+
+
 def test_feet_that_point_outwards_do_not_turn_the_leg(body, standing):
     """A person whose feet point 15 degrees further out: the knees are where they are, the points of the feet differ."""
     names = keypoint_names("BODY_25")
