@@ -20,9 +20,10 @@ from hypose.calibration.doctor_masks import Alignment, align, tangency, tangency
 from hypose.calibration.doctor_points import best_trial, disagreement, sizes, undistorted
 from hypose.calibration.doctor_report import Report, ViewReport, clip_findings, person_findings
 from hypose.calibration.doctor_silhouettes import examine_silhouettes
-from hypose.calibration.in_step import point_sd, points_at
+from hypose.calibration.doctor_timing import late_views, timing_findings
+from hypose.calibration.in_step import points_at
 from hypose.calibration.refine_points import left_out_residual, point_residual
-from hypose.calibration.sync_motion import Offsets, keypoint_curves, mask_tracks, solve_offsets
+from hypose.calibration.sync_motion import mask_tracks
 from hypose.cameras.camera import CameraRig
 from hypose.errors import EvidenceError
 from hypose.evidence.frame import Silhouettes
@@ -94,7 +95,10 @@ def examine_and_cure(observed: Observed, limits: Limits | None = None) -> tuple[
     gross = {f.kind for f in state.findings}
     findings += state.findings
     alignments, lag, shift = _against_masks(observed, state, findings, o)
-    late = _timing(state, findings, o) if not gross & {"inverted"} else np.zeros(n)
+    late = np.zeros(n)
+    if not gross & {"inverted"}:
+        late, sd = late_views(state.rig, state.pixels, o)
+        findings += timing_findings(state.rig, late, sd)
     pixels = np.stack([points_at(p, x) for p, x in zip(state.pixels, late, strict=True)])
     extrinsics = None
     focal = list(focal_findings(focal_by_points(state.rig, pixels))) if n > 1 and not gross else []
@@ -226,31 +230,6 @@ def _common_lag(made: Sequence[Alignment | None], o: Limits) -> tuple[int, int]:
     if lag == 0 or abs(middle) < o.keypoint_lag_sd * off or votes * 2 <= len(known):
         return 0, 0
     return lag, votes
-
-
-def _timing(state: _State, findings: list[Finding], o: Limits) -> Array:
-    """(C,) frames by which each view is late, 0 where that is not certain."""
-    n, frames = state.pixels.shape[:2]
-    late = np.zeros(n)
-    if n < 2 or frames < 24:
-        return late
-    uv, confidence = undistorted(state.rig, state.pixels)
-    try:
-        curves = keypoint_curves(state.rig, uv, confidence, o.largest_lag, point_sd(uv, confidence), step=0.5)
-        offsets: Offsets = solve_offsets(curves, n)
-    except EvidenceError:
-        return late
-    frames_late = offsets.frames - (offsets.frames[0] if n == 2 else 0.0)
-    if offsets.gain < o.late_gain:
-        return late
-    for c, (x, sd) in enumerate(zip(frames_late, offsets.sd, strict=True)):
-        if abs(x) < o.late or abs(x) < o.late_sd * sd:
-            continue
-        late[c] = x
-        name = state.rig.names[c]
-        text = f"{name}: {abs(x):.1f} frames {'late' if x > 0 else 'early'} against the other views (sd {sd:.2f})"
-        findings.append(Finding("late", (name,), text, "run hypose sync, and track what it writes", abs(x)))
-    return late
 
 
 def _views(

@@ -115,7 +115,7 @@ class ChunkRun:
     def whole(self, progress: Progress) -> TrackResult:
         """All chunks, those that are missing tracked one after the other, joined, smoothed, and written."""
         o = self.options
-        seen = () if o.of_picture else first_look(self.source, o.looks_at, o.height)
+        seen = () if o.of_picture else first_look(self.source, o.looks_at, o.height, self.frame_rate)
         subject = self.subject(progress)
         chunks: list[Tracked] = []
         total, done = len(self.source), 0

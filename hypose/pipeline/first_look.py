@@ -20,13 +20,14 @@ from hypose.calibration.doctor_person import up_by_cameras, wrong_set, wrong_way
 from hypose.calibration.doctor_points import best_trial, disagreement
 from hypose.calibration.doctor_report import height_findings
 from hypose.calibration.doctor_silhouettes import gross_silhouettes
+from hypose.calibration.doctor_timing import late_views, timing_findings
 from hypose.calibration.sync_motion import mask_tracks
 from hypose.cameras.camera import PARALLEL, triangulate, widest_angle
 from hypose.errors import EvidenceError, HyposeError
 from hypose.evidence.depth_evidence import Depth, in_world
 from hypose.evidence.depth_floor import camera_on_floor
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
-from hypose.pipeline.track_loop import FrameSource
+from hypose.pipeline.track_loop import FrameList, FrameSource
 from hypose.tracking.subject import shape_from_keypoints
 
 FRAMES = 12
@@ -35,7 +36,18 @@ SCATTER = 0.035
 another camera's calibration 0.1 and more."""
 
 
-def first_look(source: FrameSource, evidence: str, height: float | None = None) -> tuple[Finding, ...]:
+LATE_S = 0.08
+"""s by which views' key points may be out of step before the result is not to be trusted: somebody who walks is 10 cm
+further by then"""
+_OUTVOTE = 3
+"""views in step that show where the person is whatever another one says"""
+_IN_STEP = 600
+"""frames, those in the middle, by which it is told whether views are in step"""
+
+
+def first_look(
+    source: FrameSource, evidence: str, height: float | None = None, frame_rate: float = 25.0
+) -> tuple[Finding, ...]:
     """What is plainly wrong with the calibration, or the key points, of a source of frames that will be tracked from
     `evidence`; height of the person, m, when known. Nothing of one camera."""
     total = len(source)
@@ -54,6 +66,9 @@ def first_look(source: FrameSource, evidence: str, height: float | None = None) 
     found: list[Finding] = []
     if evidence != "silhouettes" and points and len(points[0].rig) > 1:
         found += _by_points(points, height, limits)
+        held = [f.keypoints for f in source.frames] if isinstance(source, FrameList) else doubted
+        if held is not None and not any(f.fault for f in found):
+            found += _in_step(held, frame_rate, limits)
     elif masks and len(masks[0].rig) > 1:
         found += _by_masks(masks, frames, limits)
     depth = next((f.depth for f in frames if f.depth is not None), None)
@@ -92,6 +107,18 @@ def _by_depth(depth: Depth) -> Iterator[Finding]:
                 "hypose depth-import finds the cameras' places anew"
             )
             yield Finding("floor", (camera.name,), text, cure, size, size > PLAINLY)
+
+
+def _in_step(keypoints: Sequence[Keypoints | None], frame_rate: float, o: Limits) -> Iterator[Finding]:
+    """Of the key points of consecutive frames: a view that is late, or early."""
+    begin = max(0, (len(keypoints) - _IN_STEP) // 2)
+    some = keypoints[begin : begin + _IN_STEP]
+    first = next(k for k in some if k is not None)
+    none = np.zeros((len(first.rig), len(first.names), 3))
+    pixels = np.stack([none if k is None else np.nan_to_num(k.points) for k in some], 1)
+    late, sd = late_views(first.rig, pixels, o)
+    fault = np.ptp(late) > LATE_S * frame_rate and (late == 0).sum() < _OUTVOTE
+    yield from timing_findings(first.rig, late, sd, fault=bool(fault))
 
 
 MOST_PARALLEL = 1 / 3

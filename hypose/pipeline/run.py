@@ -183,7 +183,7 @@ def track_source(
         raise InputError("The recording has no frame to track; check the frame range and the videos.")
     key = identity(record or {})
     report("look", 0, 1)
-    found = () if options.of_picture else first_look(source, options.looks_at, options.height)
+    found = () if options.of_picture else first_look(source, options.looks_at, options.height, frame_rate)
     faults, noticed = sentences(found), sentences(found, fault=False)
     report("look", 1, 1)
     if subject is None:

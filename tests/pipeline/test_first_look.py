@@ -285,3 +285,17 @@ def test_two_cameras_that_stand_side_by_side_or_face_each_other(frames):
         seen = np.where(np.isfinite(seen).all(-1, keepdims=True), seen, 0.0)
         shown = [replace(alone(f, seen), keypoints=Keypoints(seen, f.keypoints.names, two)) for f in frames]
         assert ("parallel" in kinds(shown)) == told, degrees
+
+
+@pytest.mark.parametrize(("late", "fault"), [((0, 1), True), ((2,), False)])
+def test_views_that_are_late_are_told_before_tracking(late, fault):
+    """As a fault, unless three others show where the person is."""
+    scene = make_scene("walk", rig="humaneva-4", seconds=2.4, seed=41, corruption=())
+    frames = list(scene.mask_frames(0.5, keypoints=True))
+    assert first_look(FrameList(frames), "keypoints", None, scene.frame_rate) == ()
+    points = np.stack([f.keypoints.points for f in frames])
+    points[3:, late] = points[:-3, late]
+    shifted = [alone(f, p) for f, p in zip(frames, points, strict=True)]
+    found = first_look(FrameList(shifted), "keypoints", None, scene.frame_rate)
+    assert {f.kind for f in found} == {"late"} and all(f.fault == fault for f in found)
+    assert {scene.given_rig.names[c] for c in late} <= {v for f in found for v in f.views}
