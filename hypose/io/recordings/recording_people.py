@@ -4,12 +4,13 @@ about."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.frame import Keypoints
+from hypose.evidence.held_points import without_held
 from hypose.evidence.keypoints import keypoint_names
 from hypose.evidence.objects import object_points, people_of_objects
 from hypose.evidence.one_person import OnePerson, one_person
@@ -67,7 +68,16 @@ def load_person(recording: Recording, small: CameraRig, *, doubting: bool = Fals
     if candidates is None or recording.keypoint_set is None:
         return None
     names = keypoint_names(recording.keypoint_set)
+    views = [without_held([frame[c] for frame in candidates], first=3) for c in range(len(small))]
+    candidates = [list(frame) for frame in zip(*(column for column, _ in views), strict=True)]
     one = one_person(candidates, names, small, recording.frame_rate, doubting=doubting)
+    held = {name: count for name, (_, count) in zip(small.names, views, strict=True) if count}
+    if held:
+        said = (
+            f"{sum(held.values())} key points ({', '.join(held)}) stay where they are to the last digit while the "
+            "others move: they were held over gaps, and are left out"
+        )
+        one = replace(one, notes=(*one.notes, said), of_all=(*one.of_all, said))
     points = one.points if one.points.shape[-1] == 5 else np.zeros((*one.points.shape[:3], 5))
     keypoints = [Keypoints(points[t, ..., :3].copy(), names, small) for t in range(len(points))]
     raw = points[..., [3, 4, 2]].transpose(1, 0, 2, 3).copy()
