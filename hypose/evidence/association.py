@@ -99,7 +99,8 @@ def people_of(
 @dataclass(eq=False)  # two of the same frame are two
 class _Followed:
     """Somebody who is followed: points (K, 3) m (the last known), their motion per frame, for how many frames each has
-    not been seen, in which views (C, G + 1) which group's sides are exchanged, lengths (B,) m of the limbs' bones and
+    not been seen, in which views (C, G + 1) which group's sides are exchanged, for how many frames most views had all
+    sides reversed, lengths (B,) m of the limbs' bones and
     how often each was measured."""
 
     first: int
@@ -112,6 +113,7 @@ class _Followed:
     needed: int
     hits: int = 0
     missed: int = 0
+    reversed: int = 0
     otherwise: NDArray[np.int64] = field(default_factory=lambda: np.zeros(len(_GROUPS), dtype=np.int64))
     seen: list[Array] = field(default_factory=list)
     world: list[Array] = field(default_factory=list)
@@ -272,7 +274,9 @@ class Association:
     ) -> Array:
         """Points (C, N, K, 3) with left and right as expected. views, who (M,): of those that a view sees; plain,
         turned (M, K), exchange (M, G + 1): as `_both` and `_better_exchanged` tell. Where most views say otherwise for
-        some frames, it is the person's own sides that had been taken for each other."""
+        some frames, it is the person's own sides that had been taken for each other. Arms and legs are not taken for
+        each other in the same frame: where both are said to be otherwise it is the names that are wrong, before that
+        frame or since, whichever are the fewer."""
         if not exchange.any():
             for n in np.unique(who):
                 self._alive[n].otherwise[:] = 0
@@ -283,6 +287,8 @@ class Association:
         for n in np.unique(who):
             t, of = self._alive[n], who == n
             says = exchange[of].sum(0) > np.maximum(1, kept[of].sum(0))
+            whole = bool(says[0] and says[1])
+            t.reversed += whole
             for g in range(len(_GROUPS)):
                 for_it, against = int(exchange[of, g].sum()), int(kept[of, g].sum())
                 if g < 2 and self._wrung(t):  # as many views as say the opposite are enough
@@ -290,9 +296,15 @@ class Association:
                 else:  # shoulders without hips, or hips without shoulders, would wring the trunk
                     most = for_it > max(1, against) and (g > 1 or self._girdles is None or says[1 - g])
                 t.otherwise[g] = t.otherwise[g] + 1 if most else 0
-                if t.otherwise[g] > self._trial:
+                if t.otherwise[g] > self._trial and not whole:
                     self._turn(t, g)
                     exchange[of, g] = kept[of, g]
+            if whole and 2 * t.reversed > len(t.seen):
+                for g in np.flatnonzero(says[: len(_GROUPS)]):
+                    t.otherwise[g] = len(t.seen) + 1
+                    self._turn(t, int(g))
+                    exchange[of, g] = kept[of, g]
+                t.reversed = len(t.seen) - t.reversed
             t.exchanged[:] = False
             t.exchanged[views[of]] = exchange[of]
         out = seen.copy()

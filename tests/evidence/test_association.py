@@ -143,6 +143,14 @@ def test_where_as_many_views_say_the_opposite_the_trunk_tells_the_sides():
     assert np.nanmax(np.linalg.norm(person.world - truth, axis=-1)[4:]) < 0.08
 
 
+def test_names_that_all_views_exchange_for_a_while_are_mended():
+    frames = seen_by(RIG, [A], np.random.default_rng(5))
+    for f in frames[14:28]:
+        f[:] = [v[:, TWIN] for v in f]
+    (person,) = people_of(frames, BODY_25, RIG)
+    assert np.nanmax(np.linalg.norm(person.world - A, axis=-1)) < 0.1
+
+
 def test_frames_in_which_nobody_is_seen_have_the_columns_of_the_others():
     frames = [[np.concatenate([v, v[..., :2]], -1) for v in f] for f in seen_by(RIG, [A], np.random.default_rng(0))]
     frames[7] = [None] * len(RIG)
