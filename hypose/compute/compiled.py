@@ -57,7 +57,7 @@ def kernel(function: Callable[..., Any] | None = None, *, inline: bool = False) 
     options: dict[str, Any] = dict(nogil=True, boundscheck=False, error_model="numpy", no_cfunc_wrapper=True)
     options["inline"] = "always" if inline else "never"
     compiled = numba.njit(**options, pipeline_class=_Compiler)(function)
-    inner = numba.njit(**options, pipeline_class=_InnerCompiler, no_cpython_wrapper=True)(function)
+    inner = numba.njit(**options, no_cpython_wrapper=True)(function)
     compiled._cache = KernelCache(function)
     ask = compiled.get_call_template
 
@@ -88,7 +88,14 @@ class _Code(JITCodeLibrary):
 
 
 class _InnerCode(_Code):
-    """What kernels take into their own code, so that no machine code is made of it."""
+    """What kernels take into their own code: no machine code is made of it, in which numba could set anything."""
+
+    @property
+    def codegen(self) -> Any:
+        return self
+
+    def set_env(self, env_name: str, env: Any) -> None:
+        pass
 
     def _optimize_final_module(self) -> None:
         pass
@@ -99,23 +106,16 @@ class _InnerCode(_Code):
 
 
 class _Compiler(Compiler):
-    _code: type[_Code] = _Code
-
     def compile_extra(self, func: Callable[..., Any]) -> CompileResult:
-        """Compile a Python function."""
-        self.state.library = self._code(self.state.targetctx.codegen(), func.__qualname__)
+        """Compile a Python function; all that it calls, numba's own functions too, becomes a part of it."""
+        codegen = self.state.targetctx.codegen()
+        before, codegen._library_class = codegen._library_class, _InnerCode
+        self.state.library = _Code(codegen, func.__qualname__)
         self.state.library.enable_object_caching()
-        return super().compile_extra(func)
-
-
-class _InnerCompiler(_Compiler):
-    _code = _InnerCode
-
-    def __init__(self, *args: Any) -> None:
-        super().__init__(*args)
-        # numba knows a function by its way in, of which there is none: by something like it that equals no other
-        way_in = object().__reduce__
-        self.state.targetctx = self.state.targetctx.subtarget(get_executable=lambda *_: way_in)
+        try:
+            return super().compile_extra(func)
+        finally:
+            codegen._library_class = before
 
 
 class KernelCache(NullCache):
