@@ -292,26 +292,8 @@ def evaluate(
     coarse: bool = False,
 ) -> Evaluation:
     """Cost and derivatives of all evidence at one pose (D,); the numba kernel, on either back end."""
-    d = len(pose)
-    gradient, hessian = np.empty(d), np.empty((d, d))
-    counts = np.zeros((len(contours.sdf) + 3, 2), dtype=np.int64)
-    scale = float(contours.coarse_scale if coarse else contours.scale)
-    cost = native("solver.solver").evaluate(
-        plain(pose, np.float64),
-        tree,
-        mesh,
-        contours,
-        scale,
-        keypoints,
-        points,
-        depth,
-        priors,
-        ws,
-        hessian,
-        gradient,
-        counts,
-    )
-    return Evaluation(float(cost), gradient, hessian, counts)
+    evidence = tree, mesh, contours, keypoints, points, depth, priors
+    return _solve(np.array(pose, dtype=np.float64), evidence, SolveLimits(0, int(coarse), 0.0, 0.0, 0), ws)[0]
 
 
 class Solution(NamedTuple):
@@ -337,19 +319,22 @@ def solve(
     ws: Workspace,
 ) -> Solution:
     """Bounded damped Gauss-Newton from pose start (D,); the numba kernel, on either back end. Releases the GIL."""
-    q = np.array(start, dtype=np.float64)
-    d = len(q)
-    gradient, hessian, info = np.zeros(d), np.zeros((d, d)), np.zeros(4)
-    counts = np.zeros((len(contours.sdf) + 3, 2), dtype=np.int64)
-    ok = native("solver.solver").solve(
-        q, tree, mesh, contours, keypoints, points, depth, priors, settings, ws, hessian, gradient, counts, info
-    )
-    if not ok:
+    q = np.clip(np.asarray(start, dtype=np.float64), priors.lower, priors.upper)
+    evaluation, info = _solve(q, (tree, mesh, contours, keypoints, points, depth, priors), settings, ws)
+    if info[2] == 0:
         raise SolverError(
             "The cost at the start pose is not finite; check the start pose, the key points and the masks for NaN."
         )
-    evaluation = Evaluation(float(info[0]), gradient, hessian, counts)
     return Solution(q, evaluation, int(info[1]), int(info[2]), bool(info[3]))
+
+
+def _solve(q: Array, evidence: tuple[Any, ...], settings: SolveLimits, ws: Workspace) -> tuple[Evaluation, Array]:
+    """What the solver finds from pose q, which it moves, and its info (4,)."""
+    d = len(q)
+    gradient, hessian, info = np.zeros(d), np.zeros((d, d)), np.zeros(4)
+    counts = np.zeros((len(evidence[2].sdf) + 3, 2), dtype=np.int64)
+    native("solver.solver").solve(q, *evidence, settings, ws, hessian, gradient, counts, info)
+    return Evaluation(float(info[0]), gradient, hessian, counts), info
 
 
 def row_sums(
@@ -391,7 +376,7 @@ def warm_up(*parts: str, load: bool = True) -> float:
     from hypose.compute.warming import warm
 
     began = time.perf_counter()
-    warm(sys.modules[__name__], parts or ("depth", "solver", "scorer", "outlines", "pictures"), load)
+    warm(sys.modules[__name__], parts or ("solver", "scorer", "outlines", "pictures"), load)
     return time.perf_counter() - began
 
 

@@ -31,7 +31,8 @@ os.environ.setdefault("NUMBA_DISABLE_INTEL_SVML", "1")
 import llvmlite  # noqa: E402
 import numba  # noqa: E402
 from numba.core.caching import NullCache  # noqa: E402
-from numba.core.compiler import CompileResult  # noqa: E402
+from numba.core.codegen import JITCodeLibrary  # noqa: E402
+from numba.core.compiler import Compiler, CompileResult  # noqa: E402
 from numba.core.registry import cpu_target  # noqa: E402
 from numba.core.runtime.nrt import rtsys  # noqa: E402
 from numba.core.serialize import dumps  # noqa: E402
@@ -55,8 +56,9 @@ def kernel(function: Callable[..., Any] | None = None, *, inline: bool = False) 
         return partial(kernel, inline=inline)
     options: dict[str, Any] = dict(nogil=True, boundscheck=False, error_model="numpy", no_cfunc_wrapper=True)
     options["inline"] = "always" if inline else "never"
-    compiled, inner = numba.njit(**options)(function), numba.njit(**options, no_cpython_wrapper=True)(function)
-    compiled._cache, inner._cache = KernelCache(function), KernelCache(function, "inner")
+    compiled = numba.njit(**options, pipeline_class=_Compiler)(function)
+    inner = numba.njit(**options, no_cpython_wrapper=True)(function)
+    compiled._cache = KernelCache(function)
     ask = compiled.get_call_template
 
     def for_kernels(args: Any, kws: Any) -> Any:
@@ -74,9 +76,46 @@ def kernel(function: Callable[..., Any] | None = None, *, inline: bool = False) 
     return compiled
 
 
-def compile_for_kernels(function: Any, *examples: Any) -> None:
-    """Compile a kernel as another one calls it with arguments like these."""
-    function.get_call_template(tuple(numba.typeof(e) for e in examples), {})
+class _Code(JITCodeLibrary):
+    """A kernel's code, with that of all it calls, made better once, as a whole; numba would begin with each piece."""
+
+    def _optimize_functions(self, ll_module: Any) -> None:
+        ll_module.data_layout = self._codegen._data_layout
+
+    def _optimize_final_module(self) -> None:
+        passes, builder = self._codegen._module_pass_manager()
+        passes.run(self._final_module, builder)
+
+
+class _InnerCode(_Code):
+    """What kernels take into their own code: no machine code is made of it, in which numba could set anything."""
+
+    @property
+    def codegen(self) -> Any:
+        return self
+
+    def set_env(self, env_name: str, env: Any) -> None:
+        pass
+
+    def _optimize_final_module(self) -> None:
+        pass
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()
+        self._finalized = True
+
+
+class _Compiler(Compiler):
+    def compile_extra(self, func: Callable[..., Any]) -> CompileResult:
+        """Compile a Python function; all that it calls, numba's own functions too, becomes a part of it."""
+        codegen = self.state.targetctx.codegen()
+        before, codegen._library_class = codegen._library_class, _InnerCode
+        self.state.library = _Code(codegen, func.__qualname__)
+        self.state.library.enable_object_caching()
+        try:
+            return super().compile_extra(func)
+        finally:
+            codegen._library_class = before
 
 
 class KernelCache(NullCache):
@@ -85,8 +124,8 @@ class KernelCache(NullCache):
     Nothing here raises: what cannot be read is compiled, what cannot be written is compiled again the next time.
     """
 
-    def __init__(self, function: Callable[..., Any], kind: str = "") -> None:
-        self._function, self._kind = function, kind
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._function = function
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The kernel compiled for a signature, or None."""
@@ -146,7 +185,7 @@ class KernelCache(NullCache):
             return None
         name = f"{self._function.__module__.rpartition('.')[2]}.{self._function.__qualname__}"
         line = self._function.__code__.co_firstlineno
-        key = repr((sources, name, line, self._kind, sig, codegen.magic_tuple(), sys.byteorder, sys.maxsize))
+        key = repr((sources, name, line, sig, codegen.magic_tuple(), sys.byteorder, sys.maxsize))
         return place / _VERSIONS / f"{name}-{hashlib.sha256(key.encode()).hexdigest()[:24]}.kernel"
 
 

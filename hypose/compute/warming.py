@@ -19,10 +19,10 @@ from typing import Any
 import numpy as np
 
 from hypose.compute.arrays import BALL, FIXED, MeshArrays, TreeArrays
-from hypose.compute.compiled import can_keep, compile_for_kernels, not_kept, ready
+from hypose.compute.compiled import can_keep, not_kept, ready
 from hypose.compute.monocular import mono
-from hypose.compute.native import native
 from hypose.compute.pictures import picture_to_mask
+from hypose.compute.pictures.parts import parts_against_mask
 from hypose.compute.selection import default_threads, use
 from hypose.compute.silhouettes import glance, reach
 from hypose.compute.solver.terms import (
@@ -87,15 +87,11 @@ def _pictures(compute: Any) -> None:
 
 
 def _outlines(compute: Any) -> None:
-    mask, sizes = _mask()
+    (_, mesh, _, _), (mask, sizes) = _toy(), _mask()
     compute.outline_points(compute.signed_distance(mask, sizes)[0], (32, 32), 16)
-
-
-def _depth(compute: Any) -> None:
-    tree, mesh, q, _ = _toy()
-    ws = compute.workspace(tree, mesh, 32, 32)
-    given = (q, mesh, no_depth(), 1.0, ws, np.zeros(1, np.int64), np.zeros(2, np.int64))
-    compile_for_kernels(native("solver.depth_rows").depth_rows, *given)
+    picture_to_mask.warm_up_masks()
+    uv, z, part = mesh.vertices[:, :2], mesh.vertices[:, 2], np.zeros(len(mesh.faces), np.uint16)
+    parts_against_mask(mask[0], uv, z, mesh.faces, part, 1, uv, z)
 
 
 def _evidence(compute: Any) -> tuple[np.ndarray, tuple[Any, ...], Any]:
@@ -121,30 +117,22 @@ def _solver(compute: Any) -> None:
     compute.joint_covariances(q, given[0], np.eye(6))
 
 
-def _clip(compute: Any) -> None:
-    q, given, ws = _evidence(compute)
-    compute.evaluate(q, *given, ws)
-
-
 def _monocular(compute: Any) -> None:
     tree, mesh, q, projection = _toy()
     mono.warm_up(tree, mesh, q, projection[0])
 
 
 PARTS: dict[str, Callable[[Any], None]] = {
-    "depth": _depth,
     "solver": _solver,
     "scorer": _scorer,
     "outlines": _outlines,
     "pictures": _pictures,
-    "clip": _clip,
     "monocular": _monocular,
 }
-"""By name; depth: rows of depth maps, a piece of the solver that compiles by itself; solver: poses from contours, key
-points, points and depth; scorer: silhouettes of many poses; outlines: what is followed of masks; pictures: masks from
-pictures; clip: all frames solved together, which comes last, but for key points alone; monocular: one camera."""
+"""By name; solver: poses from contours, key points, points and depth; scorer: silhouettes of many poses; outlines: what
+is followed of masks, and a body's parts against them; pictures: masks from pictures; monocular: one camera."""
 
-_COST = {"depth": 8, "solver": 30, "scorer": 27, "outlines": 2, "pictures": 11, "clip": 5, "monocular": 30}
+_COST = {"solver": 30, "scorer": 24, "outlines": 7, "pictures": 8, "monocular": 30}
 """Compiling them, in any unit."""
 
 

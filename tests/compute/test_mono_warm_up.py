@@ -23,7 +23,7 @@ KERNELS = {
 
 @pytest.mark.slow
 def test_nothing_is_compiled_again() -> None:
-    compute.warm_up("depth", "solver", "scorer", "pictures", "monocular")
+    compute.warm_up("solver", "scorer", "pictures", "monocular")
     body = human()
     view, pose = camera(body), body.skeleton.rest_pose()
     image, shape = picture(body, pose, view, wall()), mask(body, pose, view)

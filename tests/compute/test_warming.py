@@ -50,12 +50,12 @@ def test_a_process_that_fails_leaves_its_parts_to_whoever_asked(parts):
     here, others = parts
     compute.warm_up(load=False)
     assert others == [["scorer", "pictures"]]
-    assert here == ["depth", "solver", "outlines", *others[0]]
+    assert here == ["solver", "outlines", *others[0]]
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4])
 def test_shares_hold_every_part_once_the_dearest_first(count):
-    names = ["depth", "solver", "scorer", "outlines", "pictures", "clip"]
+    names = ["solver", "scorer", "outlines", "pictures", "monocular"]
     shares = warming._shared_out(names, count)
     assert len(shares) == count and "solver" in shares[0]
     assert sorted(n for share in shares for n in share) == sorted(names)
@@ -137,7 +137,7 @@ def test_a_program_that_python_is_embedded_in_is_not_started_again(monkeypatch):
     began = []
     monkeypatch.setattr(subprocess, "Popen", lambda *a, **k: began.append(a))
     monkeypatch.setattr(sys, "executable", "/opt/studio/bin/studio")
-    with warming._processes([["depth"]]) as done:
+    with warming._processes([["solver"]]) as done:
         pass
     assert not done and not began
 
@@ -146,24 +146,13 @@ def called(a, b):
     return a[0] * b
 
 
-def test_kernels_that_kernels_call_are_compiled_once_for_all_constants():
+def test_kernels_that_kernels_call_are_compiled_once_for_all_constants(monkeypatch):
+    kept = []
+    monkeypatch.setattr(compiled.KernelCache, "save_overload", lambda self, sig, _: kept.append(self._function))
     inner = compiled.kernel(called)
     outer = compiled.kernel(lambda a: inner(a, 2) + inner(a, 3) + inner(a, a.shape[0]))
     a = np.array([1.5, 0, 0, 0])
     assert outer(a) == 1.5 * 9
-    assert inner.signatures == []  # no way in from Python was compiled
-    assert inner(a, 5) == 7.5 and len(inner.signatures) == 1
+    assert inner.signatures == [] and called not in kept  # no way in from Python was compiled
+    assert inner(a, 5) == 7.5 and len(inner.signatures) == 1 and kept[-1] is called
     assert compiled.kernel(lambda a: inner(a, 4))(a) == 6.0 and len(inner.signatures) == 1
-
-
-@pytest.mark.slow
-def test_processes_leave_what_the_solver_takes(tmp_path):
-    program = (
-        "import sys; from hypose import compute; from hypose.compute.warming import run; run(compute, sys.argv[1:])"
-    )
-    environment = {**os.environ, "HYPOSE_CACHE_DIR": str(tmp_path)}
-    rows = []
-    for part in ("depth", "solver"):
-        subprocess.run([sys.executable, "-c", program, part], env=environment, check=True)
-        rows.append({f.name: f.stat().st_mtime_ns for f in tmp_path.glob("*/cpu_depth_rows.depth_rows-*")})
-    assert len(rows[0]) == 1 and rows[0].keys() == rows[1].keys()

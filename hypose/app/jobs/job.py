@@ -155,10 +155,10 @@ def run_job(job: Job, progress: ProgressCall = ignore, seconds: Mapping[str, flo
 def _kernels(recording: Recording, options: TrackOptions) -> tuple[str, ...]:
     """The parts of compute that a run needs until its first poses are there."""
     if options.of_picture:
-        return ("depth", "solver", "scorer", "outlines", "pictures", "monocular")
+        return ("solver", "scorer", "outlines", "pictures", "monocular")
     if options.looks_at == "keypoints":
-        return ("depth", "solver", "clip")
-    masks = ("depth", "solver", "scorer", "outlines")
+        return ("solver",)
+    masks = ("solver", "scorer", "outlines")
     return masks if all(view.masks is not None for view in recording.views) else (*masks, "pictures")
 
 

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hypose.compute.native import native
+from hypose.compute.native import native, plain
 
 _CROSS = np.ones((3, 3), np.uint8)
 
@@ -45,7 +45,7 @@ def parts_against_mask(
     drawn = np.zeros(mask.shape, np.uint16)
     bit = (np.uint16(1) << part.astype(np.uint16)).astype(np.uint16)
     kernels = native("pictures.parts")
-    kernels.draw(np.asarray(uv, np.float64), np.asarray(z, np.float64), faces, bit, drawn)
+    kernels.draw(plain(uv, np.float64), plain(z, np.float64), faces, bit, drawn)
     body = (drawn > 0).astype(np.uint8)
     open_mask = mask
     if ignored is not None:
@@ -63,5 +63,5 @@ def parts_against_mask(
             out.exposed,
             np.zeros_like(out.area),
         )
-    kernels.near(bare, np.asarray(points, np.float64), np.asarray(radius, np.float64) ** 2, out.bare)
+    kernels.near(bare, plain(points, np.float64), np.asarray(radius, np.float64) ** 2, out.bare)
     return out

@@ -282,6 +282,12 @@ def order_statistic(stack: NDArray[np.uint8], hidden: NDArray[np.bool_] | None, 
     return np.where((rank >= count)[:, None], 255, picked).astype(np.uint8)
 
 
+def warm_up_masks() -> None:
+    """Compile (or load from disk) what masks from files need on a toy mask."""
+    picture, (x, y) = np.zeros((24, 30, 3), np.uint8), np.meshgrid(np.arange(15.0), np.arange(12.0))
+    clean_regions(shrink_undistort(picture, make_lens((30, 24), x, y))[..., 0], 1, 0.5, 1.0)
+
+
 def warm_up() -> None:
     """Compile (or load from disk) every kernel of this module on a toy picture."""
     picture, (x, y) = np.zeros((24, 30, 3), np.uint8), np.meshgrid(np.arange(15.0), np.arange(12.0))

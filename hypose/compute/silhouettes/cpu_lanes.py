@@ -134,6 +134,15 @@ def bone_maps(poses, first, tree, needed, frames, centres, axis, scratch, maps):
 
 
 @kernel
+def skin_lanes(poses, first, tree, mesh, frames, centres, axis, scratch, maps, points):
+    """points (V, 3, LANES) f4: the mesh about each pose's root; the other arguments as for `bone_maps`."""
+    bone_maps(poses, first, tree, mesh.needed, frames, centres, axis, scratch, maps)
+    for i in range(points.shape[0]):
+        x, y, z = mesh.vertices[i, 0], mesh.vertices[i, 1], mesh.vertices[i, 2]
+        skin_vertex(maps, mesh.joint, mesh.weight, mesh.start[i], mesh.start[i + 1], x, y, z, points, i)
+
+
+@kernel
 def camera_lanes(projection, poses, first, p):
     """Projection (3, 4) f8 for points in the world -> p (12, LANES) f4 for points about each pose's root."""
     last = poses.shape[0] - 1
@@ -282,10 +291,7 @@ def silhouette_xor(
     for block in range(first, last):
         begin = block * LANES
         lanes = min(LANES, poses.shape[0] - begin)
-        bone_maps(poses, begin, tree, mesh.needed, frames, centres, axis, turn, maps)
-        for i in range(points.shape[0]):
-            x, y, z = mesh.vertices[i, 0], mesh.vertices[i, 1], mesh.vertices[i, 2]
-            skin_vertex(maps, mesh.joint, mesh.weight, mesh.start[i], mesh.start[i + 1], x, y, z, points, i)
+        skin_lanes(poses, begin, tree, mesh, frames, centres, axis, turn, maps, points)
         for c in range(views):
             if not usable[c]:
                 continue

@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 
 from hypose.compute.compiled import kernel
-from hypose.compute.silhouettes.cpu_lanes import bone_maps, camera_lanes, lane_windows, silhouette_xor
-from hypose.compute.silhouettes.cpu_vectors import LANES, project_vertices, skin_vertex
+from hypose.compute.silhouettes.cpu_lanes import camera_lanes, lane_windows, silhouette_xor, skin_lanes
+from hypose.compute.silhouettes.cpu_vectors import LANES, project_vertices
 
 CELL = 8
 """rows that are counted together, and columns: those of a byte"""
@@ -47,10 +47,7 @@ def least_energies(poses, first, last, tree, mesh, prepared, boxes, drawn_counts
     for block in range(first, last):
         begin = block * LANES
         lanes = min(LANES, poses.shape[0] - begin)
-        bone_maps(poses, begin, tree, mesh.needed, frames, centres, axis, turn, maps)
-        for i in range(points.shape[0]):
-            x, y, z = mesh.vertices[i, 0], mesh.vertices[i, 1], mesh.vertices[i, 2]
-            skin_vertex(maps, mesh.joint, mesh.weight, mesh.start[i], mesh.start[i + 1], x, y, z, points, i)
+        skin_lanes(poses, begin, tree, mesh, frames, centres, axis, turn, maps, points)
         for c in range(prepared.bits.shape[0]):
             if not prepared.usable[c]:
                 continue

@@ -187,34 +187,25 @@ def normal_equations(q, kept, tree, priors, ws, hessian, gradient):
 
 
 @kernel
-def evaluate(q, tree, mesh, contours, scale, keypoints, points, depth, priors, ws, hessian, gradient, counts):
-    """Cost, hessian, gradient and counts at pose q; see `cost_at` and `normal_equations`."""
-    cost, kept = cost_at(q, tree, mesh, contours, scale, keypoints, points, depth, priors, ws, counts)
-    normal_equations(q, kept, tree, priors, ws, hessian, gradient)
-    return cost
-
-
-@kernel
 def solve(q, tree, mesh, contours, keypoints, points, depth, priors, settings, ws, hessian, gradient, counts, info):
-    """Bounded Levenberg-Marquardt from pose q (D,), which is overwritten; hessian and gradient are those at the result.
+    """Bounded Levenberg-Marquardt from pose q (D,) within its bounds, which is overwritten; hessian and gradient are
+    those at the result. Without iterations: what the cost is at q, coarse where coarse ones were asked for.
 
-    info (4,): cost, iterations, evaluations, converged (1 when the last step was below the tolerance). Returns False
-    when the cost at the start is not finite. The first coarse_iterations use the coarse contour scale. A step that
+    info (4,), zero: cost, iterations, evaluations, converged (1 when the last step was below the tolerance); the cost
+    alone where it is not finite at the start. The first coarse_iterations use the coarse contour scale. A step that
     raises the cost is retried with 6 times the damping, `tries` times in all; near the end the cost jitters with the
     outline, so a rejected step below the tolerance stops."""
     n = q.shape[0]
     step, trial = np.empty(n), np.empty(n)
     new_counts = np.empty_like(counts)
-    for d in range(n):
-        q[d] = min(max(q[d], priors.lower[d]), priors.upper[d])
     damping = settings.damping
     coarse = settings.coarse_iterations if contours.sdf.shape[0] > 0 else 0
     scale, evaluated = contours.coarse_scale if coarse > 0 else contours.scale, False
     cost, evaluations, done, used, converged = 0.0, 0, 0, 0, 0.0
     while True:
         ends = done >= settings.iterations
-        # a fine cost is reported all the same where no fine iteration was asked for
-        if coarse > 0 and (ends or done >= coarse):
+        # a fine cost is reported all the same where only coarse iterations were asked for
+        if coarse > 0 and done > 0 and (ends or done >= coarse):
             coarse, scale, evaluated = 0, contours.scale, False
         if not evaluated:
             cost, kept = cost_at(q, tree, mesh, contours, scale, keypoints, points, depth, priors, ws, counts)
@@ -222,7 +213,8 @@ def solve(q, tree, mesh, contours, keypoints, points, depth, priors, settings, w
             evaluations += 1
             evaluated = True
             if evaluations == 1 and not math.isfinite(cost):
-                return False
+                info[0] = cost
+                return
         if ends:
             break
         accepted = False
@@ -266,4 +258,3 @@ def solve(q, tree, mesh, contours, keypoints, points, depth, priors, settings, w
                 break
             done = coarse
     info[0], info[1], info[2], info[3] = cost, used, evaluations, converged
-    return True
