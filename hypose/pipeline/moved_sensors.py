@@ -25,11 +25,12 @@ from hypose.pipeline.subject_from_motion import different_poses
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.refinement import refine
 
-OFF_DEGREES, OFF_M = 1.0, 0.025
-"""from which on a sensor stands elsewhere than is told"""
+OFF_DEGREES, OFF_M = 4.0, 0.025
+"""from which on a sensor stands elsewhere than is told, m where the person is: how it turns about somebody who does not
+turn is hardly told (2.4 degrees before right cameras, in 1 s), and matters as little"""
 _FRAMES, _LEAST_S = 12, 0.6
 """poses that tell where sensors stand; s of a stretch in which they are known to stand still, at least"""
-_NEAR = SolveSettings(iterations=4, coarse_iterations=0)
+_FAR = SolveSettings(iterations=12, coarse_iterations=6)
 
 
 @dataclass(frozen=True)
@@ -150,7 +151,7 @@ def _changes(source: FrameSource, body: Body, poses: Array, first: Array, last: 
         if frame.depth is None or frame.depth.usable.sum() < 2:
             continue
         costs = [
-            refine(body, pose[None], prepare(placed(frame, places), body, pose), _NEAR)[0].cost
+            refine(body, pose[None], prepare(placed(frame, places), body, pose), _FAR)[0].cost
             for places in (first, last)
         ]
         gain[t] = costs[1] - costs[0]
