@@ -17,11 +17,13 @@ from scipy.stats import chi2
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
 from benchmarks.depth_sensors.depth_live import live_depth
+from benchmarks.depth_sensors.depth_moved import moved_sensor
 from benchmarks.depth_sensors.depth_passing import people_apart
 from benchmarks.multiview.action_scenes import captured, subject_of_seed
 from benchmarks.multiview.doubt_fit import auroc, ece
 from hypose.body.motion import Motion
 from hypose.body.ready_bodies import human
+from hypose.calibration.depth_registration import place_error
 from hypose.cameras.camera import CameraRig
 from hypose.compute import silhouette
 from hypose.errors import HyposeError
@@ -33,7 +35,7 @@ from hypose.fusion import joints as jt
 from hypose.fusion.fuse import FusionSettings, fuse_clip
 from hypose.fusion.point_motion import common_positions
 from hypose.geometry import Array, se3_inverse, transform
-from hypose.pipeline.register_depth import place_error, register_depth
+from hypose.pipeline.register_depth import register_depth
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.track_loop import FrameList
 from hypose.synthetic.corruptions import corrupt_mask, corruptions
@@ -57,6 +59,8 @@ SENSORS = {"one": "depth-1", "two": "depth-2", "three": "depth-3"}
 _CLOCK = (5.0, 3)
 """s that the second sensor's clock is ahead, and frames by which it begins later"""
 _COVERED, _TIMED = 0.9, 30
+_MOVED, _MOVED_S = {"start": 0.0, "middle": 0.5}, 4.0
+"""share of the frames before the second sensor moves, and s"""
 _FEW = 3
 """seeds of which two sensors are brought together, and frames timed: the first takes as long as four of the others"""
 
@@ -84,8 +88,10 @@ def depth(options: BenchOptions) -> BenchReport:
     are wrong by more than 100 mm, and how likely. ms_per_frame, ms_mean: processor time of one sensor's frame, from the
     map to the pose, median and mean over a clip's frames: that of an instant over its sensors. together_mm, alone_mm,
     exchanged, invented: two people who walk past each other, 0.8 m apart, tracked together and each alone; share of the
-    frames in which a track is not its person's; people beyond the two. latency_*: from the
-    later map's arrival to the pose, of two simulated sensors whose maps the live engine plays at their pace."""
+    frames in which a track is not its person's; people beyond the two. place_deg, place_mm, moved_mm, told_mm: of two
+    sensors the second is turned by 2 degrees and moved by 40 mm, at the start or in the middle of 4 s; how far off its
+    place is at the end, mean_mm then, and as it is told. latency_*: from the later map's arrival to the pose, of two
+    simulated sensors whose maps the live engine plays at their pace."""
     seeds = options.seed_range(10, first=FRESH_SEED, quick=1)
     seconds = 1.2 if options.quick else 2.0
     found: dict[tuple[str, str, str], list[float]] = {}
@@ -96,6 +102,7 @@ def depth(options: BenchOptions) -> BenchReport:
 
     jobs = [(seed, case) for seed in seeds for case in (*SENSORS, "one+colour")]
     jobs += [(seed, what) for what in ("registration", "speed") for seed in seeds[:_FEW]]
+    jobs += [(seed, f"moved/{when}") for seed, when in zip(seeds, _MOVED, strict=False)]
     jobs += [(seed, f"people/{case}") for seed, case in zip(seeds, SENSORS, strict=False)]
     jobs.append((seeds[0], "live"))
     inside: dict[str, list[float]] = {}
@@ -114,6 +121,9 @@ def depth(options: BenchOptions) -> BenchReport:
             if name in part:
                 keep(name, "two", unit, part[name])
         for name, unit in (("together_mm", "mm"), ("alone_mm", "mm"), ("exchanged", "1"), ("invented", "1")):
+            if name in part:
+                keep(name, case, unit, part[name])
+        for name, unit in (("place_deg", "degrees"), ("place_mm", "mm"), ("moved_mm", "mm"), ("told_mm", "mm")):
             if name in part:
                 keep(name, case, unit, part[name])
         for name in ("latency_p50_ms", "latency_p99_ms"):
@@ -157,6 +167,9 @@ def _measured(seed: int, case: str, seconds: float, options: BenchOptions) -> di
         if case.startswith("people/"):
             sensors = SENSORS[case.removeprefix("people/")]
             return people_apart(seed, sensors, seconds, RATE, aligned)
+        if case.startswith("moved/"):
+            scene = scene_of(seed, "depth-2", 1.6 if options.quick else _MOVED_S, options, action=-1)
+            return moved_sensor(scene, _MOVED[case.removeprefix("moved/")], RATE, seed, aligned)
         if case == "live":
             return live_depth(seed, options.quick)
         if case == "one+colour":

@@ -193,3 +193,12 @@ def in_camera(surface: SurfacePoints, camera_from_world: Array) -> SurfacePoints
     """The points of a surface of the world in a camera's frame."""
     points = transform(camera_from_world, surface.points)
     return replace(surface, points=points, normals=surface.normals @ camera_from_world[:3, :3].T)
+
+
+def place_error(found: Array, true: Array, at: Array) -> tuple[float, float]:
+    """(degrees, m): how far a sensor found at camera_from_world (4, 4) in the first one's world turns and stands off
+    its true place; m: of a point (3,) where the person is, which is what matters for bringing measurements together."""
+    difference = found @ se3_inverse(true)
+    angle = np.degrees(np.arccos(np.clip((np.trace(difference[:3, :3]) - 1) / 2, -1, 1)))
+    moved = transform(se3_inverse(found), transform(true, at[None])) - at
+    return float(angle), float(np.linalg.norm(moved))

@@ -73,13 +73,14 @@ def over_chunks(work: Callable[[int, int], None], n: int, threads: int | None, s
     Python threads around serial kernels instead of numba's own parallel loops: nothing is compiled twice, there is no
     process-wide thread count, and numba's default layer may not be entered from two Python threads at once.
     """
-    count = max(1, min(threads if threads is not None else default_threads(), n // max(smallest, 1)))
-    if count == 1:
+    most = n // max(smallest, 1)
+    count = min(threads if threads is not None else default_threads(), most) if most > 1 else 1
+    if count <= 1:
         if n:
             work(0, n)
         return
     # more chunks than threads, taken as they come: a core may be busy with the evidence of the next frame
-    pieces = min(3 * count, n // max(smallest, 1))
+    pieces = min(3 * count, most)
     cuts = [n * k // pieces for k in range(pieces + 1)]
     chunks = iter(zip(cuts[:-1], cuts[1:], strict=True))  # next() on it is atomic
 

@@ -239,7 +239,10 @@ def _one_thing(before: Mask, depth: DepthMap, solid: NDArray[np.bool_], focal_px
     left, areas = about[:, cv2.CC_STAT_LEFT], about[:, cv2.CC_STAT_AREA].copy()
     right, areas[0] = left + about[:, cv2.CC_STAT_WIDTH], 0
     main = int(areas.argmax())
-    usual = float(np.median(depth[(labels == main) & (depth > 0)]))
+    seen = depth[(labels == main) & (depth > 0)]
+    if not len(seen):  # a speck of holes
+        return np.zeros(depth.shape, np.uint8)
+    usual = float(np.median(seen))
     beside = _APART_M / usual * (np.inf if focal_px is None else focal_px)
     keep = np.zeros(n, dtype=np.bool_)
     for k in np.flatnonzero(areas >= max(12, 0.01 * areas[main])):  # specks are many, and each costs a look

@@ -71,8 +71,11 @@ def first_look(
             found += _in_step(held, frame_rate, limits)
     elif masks and len(masks[0].rig) > 1:
         found += _by_masks(masks, frames, limits)
-    depth = next((f.depth for f in frames if f.depth is not None), None)
-    return tuple(found) if depth is None else (*found, *_by_depth(depth))
+    depths = [f.depth for f in frames if f.depth is not None]
+    told: dict[tuple[str, ...], Finding] = {}
+    for depth, when in zip(depths[:1] + depths[-1:], ("", " at the end"), strict=False):
+        told = {f.views: f for f in _by_depth(depth, when)} | told
+    return (*found, *told.values())
 
 
 def sentences(found: Sequence[Finding], *, fault: bool = True) -> tuple[str, ...]:
@@ -86,7 +89,7 @@ on its maps are not to be trusted. Through the right cameras it was 4 mm and 0.1
 5); a scale that is 5 % off makes 60 mm."""
 
 
-def _by_depth(depth: Depth) -> Iterator[Finding]:
+def _by_depth(depth: Depth, when: str) -> Iterator[Finding]:
     """Of the floor that each depth camera sees: one camera's maps in another scale, or another place, contradict
     nothing else."""
     for c in np.flatnonzero(depth.usable):
@@ -101,7 +104,7 @@ def _by_depth(depth: Depth) -> Iterator[Finding]:
         size = max(abs(away) / FLOOR_M, tilt / FLOOR_DEGREES)
         if size > 1:
             where = f"{1e3 * abs(away):.0f} mm {'above' if away > 0 else 'below'} z = 0, tilted by {tilt:.1f} degrees"
-            text = f"{camera.name} sees the floor {where}"
+            text = f"{camera.name} sees the floor{when} {where}"
             cure = (
                 "look whether its maps are in millimetres and whether it has been moved since it was calibrated; "
                 "hypose depth-import finds the cameras' places anew"

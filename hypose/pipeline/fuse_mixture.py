@@ -83,7 +83,7 @@ def fuse_mixture(
     A sensor that moves otherwise than the person before the cameras is left out. An InputError when their
     numbers differ, or when no sensor is left. What is interrupted gives the motion of the cameras until then."""
     made = None if callable(skeletons) else _checked(skeletons, len(source))
-    first = track_source(source, frame_rate, options, progress=progress)
+    first = track_source(source, frame_rate, options, progress=progress, find_places=False)
     if not first.complete:
         return first
     if made is None:

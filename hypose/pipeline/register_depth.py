@@ -22,7 +22,7 @@ from hypose.errors import HyposeError, InputError
 from hypose.evidence.depth_evidence import Depth, SurfacePoints
 from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes
-from hypose.geometry import Array, se3_inverse, transform
+from hypose.geometry import Array, se3_inverse
 from hypose.pipeline.first_frame import Subject
 from hypose.pipeline.run import TrackOptions, TrackResult, track_source
 from hypose.pipeline.subject_from_motion import AnthropometryOptions, different_poses, estimate_subject
@@ -92,7 +92,8 @@ def register_depth(
         estimate = estimate_subject(lambda i, f=frames: f[i], len(frames), frame_rate, human(), how)
         body = estimate.body
         subject = Subject(body, None, estimate.start, ())
-        tracked = _whole(track_source(FrameList(frames, frame_rate), frame_rate, options, subject=subject))
+        source = FrameList(frames, frame_rate)
+        tracked = _whole(track_source(source, frame_rate, options, subject=subject, find_places=False))
         poses = tracked.poses
         assert poses is not None
         chosen = different_poses(body, poses, 1 - tracked.cost, _FRAMES)
@@ -155,12 +156,3 @@ def _together(clips: Sequence[Sequence[Frame]], row: Sequence[int], rig: CameraR
     silhouettes = make_silhouettes(masks, rig)
     first = clips[0][row[0]]
     return Frame(first.time, first.index, silhouettes, depth=Depth(maps, silhouettes.masks, rig, silhouettes.usable))
-
-
-def place_error(found: Array, true: Array, at: Array) -> tuple[float, float]:
-    """(degrees, m): how far a sensor found at camera_from_world (4, 4) in the first one's world turns and stands off
-    its true place; m: of a point (3,) where the person is, which is what matters for bringing measurements together."""
-    difference = found @ se3_inverse(true)
-    angle = np.degrees(np.arccos(np.clip((np.trace(difference[:3, :3]) - 1) / 2, -1, 1)))
-    moved = transform(se3_inverse(found), transform(true, at[None])) - at
-    return float(angle), float(np.linalg.norm(moved))

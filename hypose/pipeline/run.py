@@ -31,6 +31,7 @@ from hypose.pipeline.first_look import first_look, sentences
 from hypose.pipeline.kept_findings import SUBJECT, keep_subject, kept_subject
 from hypose.pipeline.keypoint_track import track_keypoints, with_named_sides
 from hypose.pipeline.mend_sides import look_back, look_back_notes, mend_sides, sides_notes
+from hypose.pipeline.moved_sensors import PlacedSource, Places, moved_sensors
 from hypose.pipeline.picture_start import picture_options, subject_in_picture
 from hypose.pipeline.pictures import depth_note, one_view
 from hypose.pipeline.track_loop import FrameSource, Keep, Progress, Tracked, track_frames, tracked_before
@@ -136,7 +137,7 @@ class TrackResult:
     frame allows, where the recipe tells them. one_by_one (T, D): the poses as each frame was tracked, audit (T, J, A):
     what spoke for and against each joint (hypose.tracking.audit), None where that was not kept; faults: sentences on
     what was found wrong before tracking, or with the clip as a whole; looks: on what makes the whole clip worth a look;
-    beside: on who else is there."""
+    beside: on who else is there; places: of depth cameras that stand elsewhere than the source says."""
 
     motion: Motion
     body: Body
@@ -148,6 +149,7 @@ class TrackResult:
     faults: tuple[str, ...] = ()
     looks: tuple[str, ...] = ()
     beside: tuple[str, ...] = ()
+    places: tuple[Places, ...] = ()
 
     @property
     def verdict(self) -> Verdict:
@@ -168,14 +170,16 @@ def track_source(
     progress: Progress | None = None,
     method: Recipe | None = None,
     own: Sequence[OwnEvidence] = (),
+    find_places: bool = True,
 ) -> TrackResult:
     """Tracks the frames of a source.
 
     body: the subject's own, of which only the start is looked for (default: the human template, fitted); subject: a
     known subject and start, which skips both. method: a recipe of the caller's own instead of the options'; own:
-    evidence beside that of the frames. With `results` a checkpoint is written every `checkpoint_every` frames (later
-    every twentieth of what is done), and motion.npz at the end or when interrupted. `record` is the provenance; its
-    identity must match for `resume`.
+    evidence beside that of the frames. find_places: depth cameras that turn out to stand elsewhere than the source says
+    are put right, and everything is tracked again, where there is no such evidence. With `results` a checkpoint is
+    written every `checkpoint_every` frames (later every twentieth of what is done), and motion.npz at the end or when
+    interrupted. `record` is the provenance; its identity must match for `resume`.
     """
     report = progress or (lambda stage, done, total: None)
     total = len(source)
@@ -183,9 +187,10 @@ def track_source(
         raise InputError("The recording has no frame to track; check the frame range and the videos.")
     key = identity(record or {})
     report("look", 0, 1)
-    found = () if options.of_picture else first_look(source, options.looks_at, options.height, frame_rate)
-    faults, noticed = sentences(found), sentences(found, fault=False)
+    looked = () if options.of_picture else first_look(source, options.looks_at, options.height, frame_rate)
+    faults, noticed = sentences(looked), sentences(looked, fault=False)
     report("look", 1, 1)
+    given = subject is not None
     if subject is None:
         try:
             subject = subject_of(source, frame_rate, options, body, results if resume else None, key, report)
@@ -219,8 +224,20 @@ def track_source(
         raise type(done.error)(
             f"{done.error} The {len(done.estimates)} frames before are kept in {results.path}; see --resume."
         ) from done.error
+    places: tuple[Places, ...] = ()
     try:
-        return finish(source, subject, tracker, done, options, results, record, report, faults, noticed)
+        if find_places and done.complete and not own and not options.of_picture:
+            poses, costs = np.stack([e.pose for e in done.estimates]), np.array([e.cost for e in done.estimates])
+            places, moved = moved_sensors(source, subject.body, poses, 1 - costs, frame_rate)
+            if places:
+                source, noticed = PlacedSource(source, places), (*noticed, *moved)
+                if places[0].since == 0 and not given:  # the body was found before cameras that stood elsewhere
+                    subject = subject_of(source, frame_rate, options, body, None, key, report)
+                tracker = tracker_of(subject, options, frame_rate, method)
+                begin = tracker.start(subject.start if subject.rivals is None else subject.rivals)
+                done = track_frames(source, range(total), tracker, begin, subject, progress=report)
+        found = finish(source, subject, tracker, done, options, results, record, report, faults, noticed)
+        return replace(found, places=places)
     except KeyboardInterrupt:
         return _written(_tracked(subject, done.estimates, frame_rate, record), results)
 

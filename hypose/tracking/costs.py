@@ -50,14 +50,9 @@ def evidence_energy(
     moving: NDArray[np.bool_] | None = None,
     rest: compute.Standing | None = None,
 ) -> Array:
-    """(N,) the same of any body, without the user's own evidence. With depth, of many poses of a limb only the best by
-    a rough look are measured, the last one too, and the others are infinite."""
+    """(N,) the same of any body, without the user's own evidence."""
     cost = xor_energy(body, poses, frame, moving, rest)
-    if frame.depth is None:
-        return cost
-    if moving is None or len(poses) <= MEASURED:
-        return cost + depth_cost(body, poses, frame)
-    return with_limb_depth(body, poses, frame, moving, cost)
+    return cost if frame.depth is None else cost + depth_cost(body, poses, frame)
 
 
 def limb_energy(
@@ -69,10 +64,17 @@ def limb_energy(
 ) -> Array:
     """`frame_energy` where only what costs at most `slack` times as much as the first pose counts: others may be
     infinite."""
-    if frame.masks is None or frame.depth is not None or frame.own:
+    if frame.masks is None or frame.own or (frame.depth is not None and len(poses) <= MEASURED):
         return frame_energy(poses, frame, moving, rest)
-    s, mesh = frame.body.skeleton, frame.body.coarse.arrays
-    return compute.limb_energies(poses, s.tree, mesh, frame.masks, moving, rest, slack)
+    body, masks = frame.body, frame.masks
+
+    def outlines(most: float) -> Array:
+        return compute.limb_energies(poses, body.skeleton.tree, body.coarse.arrays, masks, moving, rest, most)
+
+    if frame.depth is None:
+        return outlines(slack)
+    here = float(xor_energy(body, poses[[0, -1]], frame, moving, rest)[0])
+    return with_limb_depth(body, poses, frame, moving, here, lambda most: outlines(most / max(here, 1e-9)))
 
 
 def xor_energy(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,7 +22,7 @@ MOST_M = 0.15
 TALL = 60
 """px: how tall a person is in the pictures that are compared, at least"""
 MEASURED, HOPEFUL = 32, 1.1
-"""of many poses of a limb so many are drawn, and none that costs so much more than the last one by a rough look.
+"""of many poses of a limb so many are drawn, and none that costs so much more than the limb as it is by a rough look.
 Chosen on the seeds 0 to 29 (benchmark `depth`)."""
 _SEEN, _COSTS = "seen depth", "depth costs"
 _FEW = 12
@@ -44,26 +46,35 @@ def depth_cost(body: Body, poses: Array, frame: PreparedFrame) -> Array:
     return memory.all(body, poses, measured)
 
 
-def with_limb_depth(body: Body, poses: Array, frame: PreparedFrame, moving: NDArray[np.bool_], before: Array) -> Array:
-    """(N,) the costs `before` (N,) of poses (N, D) that differ in the joints `moving` (J,) from the last one, with
-    `depth_cost` added; infinite for those that are not worth a measurement: only the best by a rough look are measured,
-    and the last one."""
+def with_limb_depth(
+    body: Body,
+    poses: Array,
+    frame: PreparedFrame,
+    moving: NDArray[np.bool_],
+    here: float,
+    outlines: Callable[[float], Array],
+) -> Array:
+    """(N,) what poses (N, D) cost whose joints `moving` (J,) alone differ, everything else as in the last one; infinite
+    for those that are not worth a measurement: the first one is the limb as it is, and beside it only the best by a
+    rough look are measured. here: what the first one costs without depth; outlines(most): what all of them do, (N,),
+    infinite where that is certainly above `most`."""
     assert frame.frame.depth is not None
     seen = _seen(frame, frame.frame.depth)
     given = body.skeleton.tree, body.coarse.arrays, seen, MOST_M
     standing = compute.standing_depth(poses[-1], *given, moving)
 
-    def limb(chosen: NDArray[np.intp], rough: bool = False) -> Array:
-        return before[chosen] + SHARE * compute.limb_depth_energy(poses[chosen], *given, standing, rough).sum(1)
+    def limb(chosen: NDArray[np.intp], before: Array, rough: bool = False) -> Array:
+        return before + SHARE * compute.limb_depth_energy(poses[chosen], *given, standing, rough).sum(1)
 
     out = np.full(len(poses), np.inf)
-    out[-1:] = limb(np.array([len(poses) - 1]))
-    most = HOPEFUL * out[-1]
-    alone = before[:-1] + SHARE * float((standing.cost / np.maximum(seen.counts, 1)).sum())
-    chosen = np.flatnonzero(alone <= most)
-    rough = limb(chosen, rough=True)
+    out[:1] = limb(np.array([0]), np.array([here]))
+    most = HOPEFUL * out[0]
+    alone = SHARE * float((standing.cost / np.maximum(seen.counts, 1)).sum())
+    before = outlines(most - alone)
+    chosen = 1 + np.flatnonzero(before[1:] + alone <= most)
+    rough = limb(chosen, before[chosen], rough=True)
     chosen = chosen[np.argsort(rough, kind="stable")[: min(MEASURED - 1, int((rough <= most).sum()))]]
-    out[chosen] = limb(chosen)
+    out[chosen] = limb(chosen, before[chosen])
     return out
 
 

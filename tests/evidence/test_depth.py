@@ -8,7 +8,13 @@ import pytest
 from hypose.body.ready_bodies import human
 from hypose.cameras.camera import CameraRig
 from hypose.errors import EvidenceError, InputError
-from hypose.evidence.depth_background import learn_background, person_before, person_on_floor, with_still_things
+from hypose.evidence.depth_background import (
+    DepthBackground,
+    learn_background,
+    person_before,
+    person_on_floor,
+    with_still_things,
+)
 from hypose.evidence.depth_evidence import Depth, DepthNoise, back_projected, in_world, surface_points
 from hypose.evidence.depth_floor import camera_on_floor
 from hypose.evidence.depth_space import space_behind
@@ -111,6 +117,14 @@ def test_the_person_before_a_room_that_was_learnt(scene):
         found = person_before(scene.depth_map(view, 4), rooms[view])
         assert overlap(found, scene.clean_map(view, 4)[1]) > 0.9
         assert person_before(scene.empty_map(view, 99), rooms[view]).sum() < 60
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_hole_among_specks_before_the_room_is_nobody():
+    room = DepthBackground(np.full((24, 24), 4.0, np.float32), np.full((24, 24), 0.01, np.float32))
+    depth = np.zeros((24, 24), np.float32)
+    depth[[8, 8, 8, 10, 10], [8, 9, 10, 8, 10]] = 2.0
+    assert person_before(depth, room, 250.0).sum() == 0
 
 
 def test_the_person_on_the_floor_where_the_room_is_not_known(scene):

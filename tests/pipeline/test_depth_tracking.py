@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hypose.body.ready_bodies import human
-from hypose.calibration.depth_registration import in_camera, refine_registration, rough_registration
+from hypose.calibration.depth_registration import in_camera, place_error, refine_registration, rough_registration
 from hypose.cameras.camera import CameraRig
 from hypose.errors import CalibrationError, InputError
 from hypose.evidence.depth_evidence import Depth
@@ -15,7 +15,7 @@ from hypose.evidence.silhouettes import make_silhouettes
 from hypose.geometry import se3, se3_inverse, so3_exp, transform
 from hypose.pipeline.first_frame import Subject
 from hypose.pipeline.first_look import first_look
-from hypose.pipeline.register_depth import place_error, register_depth
+from hypose.pipeline.register_depth import register_depth
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.track_loop import FrameList
 from hypose.synthetic.depth_scenes import depth_scene, seen_before, to_profile, turning
@@ -121,6 +121,16 @@ def test_maps_of_another_scale_and_moved_cameras_are_told_by_the_floor(scale, lo
     found = first_look(FrameList([seen_before(rooms, maps, rig, 0.0, 0)]), "silhouettes")
     assert [f.fault for f in found if f.kind == "floor"] == ([] if fault is None else [fault])
     assert all("sees the floor" in f.sentence and "depth-import" in f.sentence for f in found)
+
+
+def test_a_camera_that_is_lowered_while_it_records_is_told_by_the_floor_of_the_end():
+    scene = scene_of("walk", "depth-1", 0.2)
+    maps, rooms = [scene.depth_map(0, 0)], scene.backgrounds(3)
+    down = se3(np.eye(3), np.array([0, 0, 0.2]))
+    lowered = CameraRig((replace(scene.rig[0], camera_from_world=scene.rig[0].camera_from_world @ down),))
+    frames = [seen_before(rooms, maps, rig, k / 25, k) for k, rig in enumerate((scene.rig, scene.rig, lowered))]
+    found = first_look(FrameList(frames), "silhouettes")
+    assert [f.kind for f in found] == ["floor"] and "sees the floor at the end" in found[0].sentence
 
 
 # ---- registration ----

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hypose.body.ready_bodies import human
-from hypose.tracking.costs import evidence_energy, xor_energy
+from hypose.tracking.costs import frame_energy, limb_energy
 from hypose.tracking.depth_costs import MEASURED, depth_cost
 from hypose.tracking.doubt import GROUPS, depth_doubt
 from hypose.tracking.frame_evidence import prepare
@@ -25,14 +25,23 @@ def test_of_many_arms_those_that_may_win_are_measured_and_the_best_is_the_best_o
     s = BODY.skeleton
     moving = np.isin(np.arange(len(s.joint_names)), [s.joint("left_shoulder"), s.joint("left_elbow")])
     own = moving[s.tree.joint_of_dof]
-    last = s.clamp(frame.prediction + 0.3 * own * rng.normal(size=s.dof))
-    poses = np.stack([s.clamp(last + 0.4 * own * rng.normal(size=s.dof)) for _ in range(150)] + [last])
-    found = evidence_energy(BODY, poses, frame, moving)
-    whole = xor_energy(BODY, poses, frame, moving) + depth_cost(BODY, poses, frame)
+    here = s.clamp(frame.prediction + 0.3 * own * rng.normal(size=s.dof))
+    poses = np.stack([here] + [s.clamp(here + 0.4 * own * rng.normal(size=s.dof)) for _ in range(150)])
+    found = limb_energy(poses, frame, moving)
+    whole = frame_energy(poses, frame)
     known = np.isfinite(found)
-    assert known[-1] and 1 < known.sum() <= MEASURED
+    assert known[0] and 1 < known.sum() <= MEASURED
     assert found[known] == pytest.approx(whole[known], abs=1e-5)
     assert found.argmin() == whole.argmin()
+
+
+def test_where_the_limb_is_right_hardly_another_is_measured(frame, rng):
+    s = BODY.skeleton
+    moving = np.isin(np.arange(len(s.joint_names)), [s.joint("left_shoulder"), s.joint("left_elbow")])
+    steps = rng.normal(size=(150, s.dof)) * moving[s.tree.joint_of_dof]
+    poses = np.stack([frame.prediction, *s.clamp(frame.prediction + 0.6 * steps)])
+    found = limb_energy(poses, frame, moving)
+    assert found.argmin() == 0 and np.isfinite(found).sum() < MEASURED / 2
 
 
 def test_the_same_pose_is_looked_at_once(frame, monkeypatch):

@@ -1,0 +1,158 @@
+"""Depth cameras that stand elsewhere than is told, or are knocked while they record: the person tells, and they are put
+right.
+
+Where a sensor stands shows in how what it measures fits the body that all of them see. The first one keeps its place,
+the others turn about the vertical and move along the floor, as when they are brought together at first
+(`calibration.depth_registration`); one instant is looked for at which places change.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.body.body import Body
+from hypose.calibration.depth_registration import in_camera, place_error, refine_registration
+from hypose.evidence.depth_evidence import Depth, SurfacePoints
+from hypose.evidence.frame import Frame
+from hypose.fitting.articulated import SolveSettings
+from hypose.geometry import Array
+from hypose.pipeline.pictures import FrameSource
+from hypose.pipeline.subject_from_motion import different_poses
+from hypose.tracking.frame_evidence import prepare
+from hypose.tracking.refinement import refine
+
+OFF_DEGREES, OFF_M = 4.0, 0.025
+"""from which on a sensor stands elsewhere than is told, m where the person is: how it turns about somebody who does not
+turn is hardly told (2.4 degrees before right cameras, in 1 s), and matters as little"""
+_FRAMES, _LEAST_S = 12, 0.6
+"""poses that tell where sensors stand; s of a stretch in which they are known to stand still, at least"""
+_FAR = SolveSettings(iterations=12, coarse_iterations=6)
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where the cameras stand, camera_from_world (C, 4, 4), from frame number `since` on."""
+
+    since: int
+    camera_from_world: Array
+
+
+@dataclass(frozen=True)
+class PlacedSource:
+    """A source whose cameras stand elsewhere than it says: the last of the places that have begun."""
+
+    source: FrameSource
+    places: Sequence[Places]
+
+    def __len__(self) -> int:
+        return len(self.source)
+
+    def frame(self, index: int, /) -> Frame:
+        """Frame number index."""
+        now = [p for p in self.places if p.since <= index]
+        found = self.source.frame(index)
+        return placed(found, now[-1].camera_from_world) if now else found
+
+
+def moved_sensors(
+    source: FrameSource, body: Body, poses: Array, iou: Array, frame_rate: float
+) -> tuple[tuple[Places, ...], tuple[str, ...]]:
+    """Where depth cameras stand that are not where the source says, and sentences on it; nothing where all are, or with
+    fewer than two. poses (T, D), as tracked; iou (T,): how well each agrees with what was seen, NaN: it does not
+    tell."""
+    depth = source.frame(0).depth
+    count, least = len(poses), max(round(_LEAST_S * frame_rate), 3)
+    if depth is None or depth.usable.sum() < 2 or count < least:
+        return (), ()
+    told = _cameras(depth)
+
+    def places(frames: range) -> Array:
+        known = np.flatnonzero(np.isfinite(iou[frames.start : frames.stop])) + frames.start
+        if len(known) < least:
+            return told
+        chosen = known[different_poses(body, poses[known], iou[known], _FRAMES)]
+        return _refined(source, body, poses[chosen], chosen, told)
+
+    third = max(count // 3, least)
+    first, last = places(range(third)), places(range(count - third, count))
+    change = 0
+    if count >= 2 * least and _off(first, last, poses[count // 2]):
+        change = _changes(source, body, poses, first, last)
+    stretches = [s for s in (range(change), range(change, count)) if len(s) >= least]
+    found, said = list[Places](), list[str]()
+    before = told
+    for stretch in stretches:
+        now = places(stretch)
+        off = _off(told, now, poses[stretch[len(stretch) // 2]])
+        for c, (degrees, metres) in off.items():
+            when = "" if len(stretches) < 2 else f" from frame {stretch.start} to {stretch.stop - 1}"
+            off_by = f"{1e3 * metres:.0f} mm off and turned by {degrees:.1f} degrees{when}"
+            said.append(
+                f"{depth.rig.names[c]} stood {off_by}, by the person before all depth cameras: its place was found "
+                "anew for this run, and is to be corrected in the calibration"
+            )
+        now = np.where(np.isin(np.arange(len(told)), list(off))[:, None, None], now, told)
+        if not np.array_equal(now, before):
+            found.append(Places(stretch.start if len(found) or stretch.start >= least else 0, now))
+        before = now
+    return tuple(found), tuple(said)
+
+
+def _cameras(depth: Depth) -> Array:
+    return np.stack([c.camera_from_world for c in depth.rig])
+
+
+def placed(frame: Frame, camera_from_world: Array) -> Frame:
+    """The frame of cameras that stand there, (C, 4, 4)."""
+    depth, silhouettes = frame.depth, frame.silhouettes
+    assert depth is not None and silhouettes is not None
+    cameras = (replace(c, camera_from_world=e) for c, e in zip(depth.rig, camera_from_world, strict=True))
+    rig = type(depth.rig)(tuple(cameras))
+    return replace(frame, silhouettes=replace(silhouettes, rig=rig), depth=replace(depth, rig=rig))
+
+
+def _off(told: Array, found: Array, pose: Array) -> dict[int, tuple[float, float]]:
+    """Degrees, and m where the person stands (pose (D,)), by which cameras are off: those that are."""
+    errors = [place_error(f, t, pose[:3]) for f, t in zip(found, told, strict=True)]
+    return {c: e for c, e in enumerate(errors) if e[0] > OFF_DEGREES or e[1] > OFF_M}
+
+
+def _refined(source: FrameSource, body: Body, poses: Array, frames: NDArray[np.intp], told: Array) -> Array:
+    """The cameras' places (C, 4, 4) by some frames and the poses (F, D) in them."""
+    depths = [source.frame(int(t)).depth for t in frames]
+    usable = np.stack([np.zeros(len(told), np.bool_) if d is None else d.usable for d in depths])
+    views = np.flatnonzero(usable.any(0))
+    seen = [[_surface(d, int(c), told[c]) for d in depths] for c in views]
+    out = told.copy()
+    out[views] = refine_registration(body, poses, seen, told[views]).camera_from_world
+    return out
+
+
+def _surface(depth: Depth | None, view: int, camera_from_world: Array) -> SurfacePoints:
+    """What one camera of a frame shows, in its own frame."""
+    if depth is None:
+        none = np.zeros((0, 3))
+        return SurfacePoints(none, none, np.zeros(0), np.zeros(2, np.int64))
+    s = depth.surface
+    own = slice(int(s.first[view]), int(s.first[view + 1]))
+    alone = SurfacePoints(s.points[own], s.normals[own], s.sd[own], np.array([0, own.stop - own.start]))
+    return in_camera(alone, camera_from_world)
+
+
+def _changes(source: FrameSource, body: Body, poses: Array, first: Array, last: Array) -> int:
+    """The frame at which cameras went from their first places to the last ones: where both explain most."""
+    gain = np.zeros(len(poses))
+    for t, pose in enumerate(poses):
+        frame = source.frame(t)
+        if frame.depth is None or frame.depth.usable.sum() < 2:
+            continue
+        costs = [
+            refine(body, pose[None], prepare(placed(frame, places), body, pose), _FAR)[0].cost
+            for places in (first, last)
+        ]
+        gain[t] = costs[1] - costs[0]
+    return int(np.argmin(np.r_[0.0, -np.cumsum(gain)]))

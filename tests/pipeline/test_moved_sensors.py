@@ -1,0 +1,71 @@
+"""Depth cameras that stand elsewhere than is told, from some frame on or all along, are found and put right."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hypose.body.ready_bodies import human
+from hypose.calibration.depth_registration import place_error
+from hypose.cameras.camera import CameraRig
+from hypose.geometry import se3, so3_exp
+from hypose.pipeline.moved_sensors import OFF_M, PlacedSource, moved_sensors, placed
+from hypose.pipeline.track_loop import FrameList
+from hypose.tracking.starts import known_pose
+from tests.depth_pictures import frame_of, sensors
+
+BODY, RIG, RATE = human(), sensors(2), 15.0
+HERE = np.array([0, 0, 1.0])
+
+
+def elsewhere(degrees=2.0, metres=0.04):
+    """The rig with its second camera turned about the vertical where it stands, and moved along the floor."""
+    own = RIG[1].camera_from_world
+    turned = se3(so3_exp(np.radians([0, 0, degrees])), np.zeros(3))
+    about = se3(np.eye(3), -RIG[1].position), se3(np.eye(3), RIG[1].position + [metres, 0, 0])
+    return CameraRig((RIG[0], replace(RIG[1], camera_from_world=own @ about[1] @ turned @ about[0])))
+
+
+def recording(change, count=24):
+    """Frames before the rig, from frame `change` on before the other one, all said to be before the rig; the poses."""
+    frames, poses = [], []
+    for t in range(count):
+        pose = known_pose(BODY, "standing")
+        pose[:3] = 0.15 * np.sin(0.5 * t), 0.15 * np.cos(0.3 * t), 0.95
+        pose[3:6] = 0, 0, 0.2 * t
+        frame = frame_of(BODY, pose, elsewhere() if t >= change else RIG, t)
+        frames.append(placed(frame, np.stack([c.camera_from_world for c in RIG])))
+        poses.append(pose)
+    return FrameList(frames, RATE), np.stack(poses)
+
+
+def test_nothing_is_said_of_cameras_that_stand_where_they_should():
+    source, poses = recording(24)
+    assert moved_sensors(source, BODY, poses, np.full(24, 0.9), RATE) == ((), ())
+
+
+@pytest.mark.parametrize("change", [0, 14])
+def test_a_camera_that_stands_elsewhere_is_found_and_put_right(change):
+    source, poses = recording(change)
+    places, said = moved_sensors(source, BODY, poses, np.full(24, 0.9), RATE)
+    assert [abs(p.since - change) <= 1 for p in places] == [True]
+    degrees, metres = place_error(places[0].camera_from_world[1], elsewhere()[1].camera_from_world, HERE)
+    assert degrees < 0.5 and metres < OFF_M / 2
+    assert np.array_equal(places[0].camera_from_world[0], RIG[0].camera_from_world)
+    assert len(said) == 1 and said[0].startswith("d1 stood") and ("from frame" in said[0]) == (change > 0)
+    right = PlacedSource(source, places)
+    last = right.frame(23)
+    assert last.depth is not None and last.silhouettes is not None
+    assert last.depth.rig[1].camera_from_world == pytest.approx(places[0].camera_from_world[1])
+    assert last.silhouettes.rig is last.depth.rig and len(right) == 24
+    assert (right.frame(0) is source.frame(0)) == (change > 0)
+
+
+def test_one_depth_camera_alone_and_few_frames_tell_nothing():
+    source, poses = recording(0, 4)
+    assert moved_sensors(source, BODY, poses, np.full(4, 0.9), RATE) == ((), ())
+    alone = []
+    for frame in recording(0)[0].frames:
+        assert frame.depth is not None
+        alone.append(replace(frame, depth=replace(frame.depth, usable=np.array([True, False]))))
+    assert moved_sensors(FrameList(alone, RATE), BODY, recording(0)[1], np.full(24, 0.9), RATE) == ((), ())
