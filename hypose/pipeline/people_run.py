@@ -21,10 +21,10 @@ from hypose.evidence.ahead import pack_once
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.hull import common_view_bounds
 from hypose.evidence.hull_people import VIEWS, HullPerson
-from hypose.evidence.shared_masks import SOLVED, Other
 from hypose.geometry import Array
 from hypose.io.motions.results import ResultsFolder, save_motion
 from hypose.io.recordings.provenance import identity
+from hypose.pipeline.bodies_again import fitted_again
 from hypose.pipeline.doubts import as_now, in_words, looked_at, mask_change, runs
 from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
 from hypose.pipeline.hull_paths import Path, follow_places, lasting
@@ -37,6 +37,7 @@ from hypose.pipeline.track_loop import FrameSource, Progress, Tracked
 from hypose.pipeline.tracked_people import (
     Followed,
     OnePerson,
+    OwnFrames,
     PeopleResult,
     Wanted,
     free_name,
@@ -47,7 +48,7 @@ from hypose.pipeline.tracked_people import (
     seen_by_themselves,
 )
 from hypose.pipeline.wardrobe import exchange, look_at_clothes
-from hypose.tracking.several import Member, nobody_in, shape_of, step_together, visible_share
+from hypose.tracking.several import Member, nobody_in, step_together, visible_share
 from hypose.tracking.tracker import Tracker
 
 START_S = 0.5
@@ -198,6 +199,9 @@ class PeopleRun:
             people.append(one)
         if not people:
             raise unclear[0]
+        if self._points is None:
+            for k, subject in fitted_again(people, self.source.frame, numbers, self._known).items():
+                people[k] = self._placed(people[k].name, subject, people[k].asked_for)
         return people
 
     def _places(self, numbers: Sequence[int]) -> list[Path]:
@@ -288,10 +292,14 @@ class PeopleRun:
                 tracker = self._tracker(replace(subject, keypoints=None))
                 *_, (state, _) = tracker.follow(tracker.start(subject.start), earlier)
                 subject = replace(subject, start=state.pose)
-            if results is not None:
-                keep_subject(subject, results, key)
-        tracker = self._tracker(subject)
-        return Followed(name, subject, Member(tracker, tracker.start(subject.start)), results)
+        return self._placed(name, subject)
+
+    def _placed(self, name: str, subject: Subject, asked_for: bool = True) -> Followed:
+        """A person at their start, whose subject is kept."""
+        tracker, results = self._tracker(subject), self._results_of(name)
+        if results is not None:
+            keep_subject(subject, results, identity(self.record))
+        return Followed(name, subject, Member(tracker, tracker.start(subject.start)), results, asked_for)
 
     # ---- the loop ----------------------------------------------------------------------------------------------
 
@@ -445,7 +453,7 @@ class PeopleRun:
         found = seen_by_themselves(p, people, 3 * self._look_every)
         tracked = Tracked(range(len(found)), found, p.member.state, complete)
         present, hidden = np.array(p.present, dtype=np.bool_), np.array(p.hidden, dtype=np.bool_)
-        source = _OwnFrames(self.source, p, people, self._points)
+        source = OwnFrames(self.source, p, people, self._points)
         out = finish(
             source,
             p.subject,
@@ -466,34 +474,3 @@ class PeopleRun:
         if p.results is not None:
             save_motion(motion, p.results.motion)
         return OnePerson(p.name, replace(out, motion=motion, notes=tuple(notes)), present, hidden)
-
-
-class _OwnFrames:
-    """The frames of a source as evidence for one of the people, now that all have been tracked."""
-
-    def __init__(
-        self, source: FrameSource, who: Followed, people: Sequence[Followed], points: KeypointPeople | None
-    ) -> None:
-        self._source, self._who, self._people, self._points = source, who, people, points
-
-    def __len__(self) -> int:
-        return len(self._who.estimates)
-
-    def frame(self, index: int, /) -> Frame:
-        """Frame number index with the silhouettes, and key points, of this person."""
-        frame, who = replace(self._source.frame(index), keypoints=None), self._who
-        s = frame.silhouettes
-        if self._points is not None:
-            found = self._points.at(index, who.estimates[index].pose[:2], (), who.track)
-            frame = replace(frame, keypoints=self._points.nothing if found is None else found[1])
-        if s is None:
-            return frame
-        if not self._who.present[index]:
-            return nobody_in(frame)
-        own = shape_of(self._who.subject.body, self._who.estimates[index].pose, s.rig)
-        others = [
-            Other(shape_of(p.subject.body, p.estimates[index].pose, s.rig), SOLVED)
-            for p in self._people
-            if p is not self._who and p.present[index] and not p.estimates[index].lost
-        ]
-        return depth_people.own_frame(frame, own, others)
