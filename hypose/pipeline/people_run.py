@@ -29,7 +29,16 @@ from hypose.pipeline.doubts import as_now, in_words, looked_at, mask_change, run
 from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
 from hypose.pipeline.hull_paths import Path, follow_places, lasting
 from hypose.pipeline.kept_findings import keep_subject, kept_subject
-from hypose.pipeline.newcomers import evidence_of, explained_by, not_parts, returned, somebody_more, unfollowed
+from hypose.pipeline.newcomers import (
+    ONE_PLACE_M,
+    evidence_of,
+    explained_by,
+    not_parts,
+    returned,
+    somebody_more,
+    unfollowed,
+    without_doubles,
+)
 from hypose.pipeline.people_points import KeypointPeople, PointFrames, padded
 from hypose.pipeline.rough_bodies import HIDDEN, Rough, least_hidden, own_frame, rough_bodies
 from hypose.pipeline.run import TrackOptions, finish, track_source, tracker_of
@@ -61,8 +70,8 @@ FEWEST = 6
 """frames in which somebody new must be found to be fitted"""
 GONE_S = 0.4
 """s without evidence after which a person has left."""
-TOGETHER_M, TOGETHER_S = 0.2, 0.3
-"""m, s: two bodies whose roots stay so near to each other for so long are one person."""
+TOGETHER_S = 0.3
+"""s: two bodies that stay in one place for so long are one person."""
 
 
 @dataclass(frozen=True)
@@ -191,14 +200,16 @@ class PeopleRun:
         unclear: list[HyposeError] = []
         for k in order:
             try:
-                one = self._fitted(str(names[k]), followed, k, numbers, rough, alone=len(paths) == 1)
+                people.append(self._fitted(str(names[k]), followed, k, numbers, rough, alone=len(paths) == 1))
             except HyposeError as error:  # the others may be seen well; who becomes so later is found later
                 unclear.append(error)
-                continue
-            one.asked_for = self.count is None or len(people) < self.count
-            people.append(one)
         if not people:
             raise unclear[0]
+        subjects = without_doubles(people, self.source.frame(numbers[0]))
+        if len(subjects) < len(people):
+            people = [self._placed(name, subject) for name, subject in subjects.items()]
+        for k, p in enumerate(people):
+            p.asked_for = self.count is None or k < self.count
         if self._points is None:
             for k, subject in fitted_again(people, self.source.frame, numbers, self._known).items():
                 people[k] = self._placed(people[k].name, subject, people[k].asked_for)
@@ -385,7 +396,7 @@ class PeopleRun:
                 if not (a.member.present and b.member.present) or min(len(a.estimates), len(b.estimates)) < need:
                     continue
                 poses = [np.stack([e.pose[:3] for e in p.estimates[-need:]]) for p in (a, b)]
-                if (np.linalg.norm(poses[0] - poses[1], axis=1) < TOGETHER_M).all():
+                if (np.linalg.norm(poses[0] - poses[1], axis=1) < ONE_PLACE_M).all():
                     costs = [np.mean([np.nan_to_num(e.cost, nan=1.0) for e in p.estimates[-need:]]) for p in (a, b)]
                     worse = a if costs[0] >= costs[1] else b
                     worse.member = replace(worse.member, present=False)

@@ -10,6 +10,7 @@ from hypose.body.ready_bodies import human
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.pipeline.bodies_again import AGAIN, fitted_again
 from hypose.pipeline.first_frame import Subject
+from hypose.pipeline.newcomers import without_doubles
 from hypose.pipeline.run import TrackOptions, tracker_of
 from hypose.pipeline.tracked_people import Followed, Wanted
 from hypose.synthetic.scenes import make_scene
@@ -78,3 +79,16 @@ def test_a_given_body_and_who_is_alone_stay_as_they_are(passing):
     given = {"a": Wanted("a", body=human()), "b": Wanted("b", body=human())}
     assert not fitted_again(people, frames.__getitem__, range(FRAMES), given.__getitem__)
     assert not fitted_again(people[:1], frames.__getitem__, range(FRAMES), Wanted)
+
+
+@pytest.mark.parametrize("away", [(0.05, 0.0, 0.0), (0.35, 0.05, 0.0)], ids=["in one place", "between people"])
+def test_of_two_who_are_one_the_better_one_stays_by_the_first_name(passing, away):
+    people, frames = passing
+    turned = people[0].subject.start.copy()
+    turned[:3] += away
+    turned[5] += np.pi / 2  # about the vertical
+    double = replace(people[0], name="c", subject=replace(people[0].subject, start=turned))
+    found = without_doubles([double, people[1], people[0]], frames[0])
+    assert list(found) == ["c", "b"]
+    assert found["c"] is people[0].subject and found["b"] is people[1].subject
+    assert list(without_doubles(people, frames[0])) == ["a", "b"]
