@@ -30,7 +30,7 @@ SHORTER_M, TALLER_M = 0.35, 0.5
 ONE_PLACE_M = 0.2
 """m: two bodies whose roots are so near to each other are one person"""
 NOTHING = 0.2
-"""Mean IoU below which a body explains nothing: a double had .01 (sitting of seed 450), people .6 and more (440 to 444)"""
+"""Mean IoU below which a body explains nothing: a double had .01 (seed 450), people .78 and more (431, 441 to 444)"""
 WALKING, BESIDE = 3.0, 0.6
 """m/s, and m: how fast, and how much further, somebody who returns may have come from where they left."""
 
