@@ -24,7 +24,7 @@ from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.layer import Memory
 from hypose.inference.paths import likeliest_path
-from hypose.pipeline.doubts import looked_at
+from hypose.pipeline.doubts import looked_again
 from hypose.pipeline.mend_sides import FrameRange, backwards, pace_of, read_once
 from hypose.tracking.costs import agreement, silhouette_iou
 from hypose.tracking.frame_evidence import PreparedFrame
@@ -250,4 +250,4 @@ def _estimate(tracker: Tracker, old: FrameEstimate, seen: _Seen, best: int, weig
         rivals=rivals,
         rival_weights=shares,
     )
-    return looked_at(tracker, found, prepared.frame, seen.last)
+    return looked_again(tracker, found, old, prepared.frame, seen.last)

@@ -73,6 +73,13 @@ def looked_at(
     return replace(estimate, seen=seen, audit=audit)
 
 
+def looked_again(
+    tracker: Tracker, estimate: FrameEstimate, old: FrameEstimate, frame: Frame, last: Frame | None
+) -> FrameEstimate:
+    """`looked_at` for another estimate of a frame than the old one: how the masks change depends on neither."""
+    return looked_at(tracker, estimate, frame, last, old.seen[:, 1] if len(old.seen) else None)
+
+
 def what_was_seen(
     estimate: FrameEstimate, body: Body, frame: Frame, last: Frame | None, change: NDArray[np.float32] | None = None
 ) -> NDArray[np.float32]:

@@ -16,7 +16,7 @@ import numpy as np
 from hypose.body.body import Body
 from hypose.evidence.frame import Frame
 from hypose.inference.layer import Memory
-from hypose.pipeline.doubts import in_words, looked_at, runs
+from hypose.pipeline.doubts import in_words, looked_again, runs
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState
 
 FrameRange = Callable[[range], Iterable[Frame]]
@@ -144,7 +144,7 @@ def _while_better(
     pace = pace_of(tracker)
     for t, (frame, before) in zip(numbers, frames, strict=False):
         state, estimate = tracker.step(state, frame)
-        new.append(looked_at(tracker, estimate, frame, before))
+        new.append(looked_again(tracker, estimate, old[t], frame, before))
         won += float(np.nan_to_num(old[t].cost - estimate.cost))
         if won > best:
             best, kept = won, len(new)

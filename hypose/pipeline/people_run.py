@@ -21,15 +21,24 @@ from hypose.evidence.ahead import pack_once
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.hull import common_view_bounds
 from hypose.evidence.hull_people import VIEWS, HullPerson
-from hypose.evidence.shared_masks import SOLVED, Other
 from hypose.geometry import Array
 from hypose.io.motions.results import ResultsFolder, save_motion
 from hypose.io.recordings.provenance import identity
+from hypose.pipeline.bodies_again import fitted_again
 from hypose.pipeline.doubts import as_now, in_words, looked_at, mask_change, runs
 from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
 from hypose.pipeline.hull_paths import Path, follow_places, lasting
 from hypose.pipeline.kept_findings import keep_subject, kept_subject
-from hypose.pipeline.newcomers import evidence_of, explained_by, not_parts, returned, somebody_more, unfollowed
+from hypose.pipeline.newcomers import (
+    ONE_PLACE_M,
+    evidence_of,
+    explained_by,
+    not_parts,
+    returned,
+    somebody_more,
+    unfollowed,
+    without_doubles,
+)
 from hypose.pipeline.people_points import KeypointPeople, PointFrames, padded
 from hypose.pipeline.rough_bodies import HIDDEN, Rough, least_hidden, own_frame, rough_bodies
 from hypose.pipeline.run import TrackOptions, finish, track_source, tracker_of
@@ -37,6 +46,7 @@ from hypose.pipeline.track_loop import FrameSource, Progress, Tracked
 from hypose.pipeline.tracked_people import (
     Followed,
     OnePerson,
+    OwnFrames,
     PeopleResult,
     Wanted,
     free_name,
@@ -47,7 +57,7 @@ from hypose.pipeline.tracked_people import (
     seen_by_themselves,
 )
 from hypose.pipeline.wardrobe import exchange, look_at_clothes
-from hypose.tracking.several import Member, nobody_in, shape_of, step_together, visible_share
+from hypose.tracking.several import Member, nobody_in, step_together, visible_share
 from hypose.tracking.tracker import Tracker
 
 START_S = 0.5
@@ -60,8 +70,8 @@ FEWEST = 6
 """frames in which somebody new must be found to be fitted"""
 GONE_S = 0.4
 """s without evidence after which a person has left."""
-TOGETHER_M, TOGETHER_S = 0.2, 0.3
-"""m, s: two bodies whose roots stay so near to each other for so long are one person."""
+TOGETHER_S = 0.3
+"""s: two bodies that stay in one place for so long are one person."""
 
 
 @dataclass(frozen=True)
@@ -190,14 +200,19 @@ class PeopleRun:
         unclear: list[HyposeError] = []
         for k in order:
             try:
-                one = self._fitted(str(names[k]), followed, k, numbers, rough, alone=len(paths) == 1)
+                people.append(self._fitted(str(names[k]), followed, k, numbers, rough, alone=len(paths) == 1))
             except HyposeError as error:  # the others may be seen well; who becomes so later is found later
                 unclear.append(error)
-                continue
-            one.asked_for = self.count is None or len(people) < self.count
-            people.append(one)
         if not people:
             raise unclear[0]
+        subjects = without_doubles(people, self.source.frame(numbers[0]))
+        if len(subjects) < len(people):
+            people = [self._placed(name, subject) for name, subject in subjects.items()]
+        for k, p in enumerate(people):
+            p.asked_for = self.count is None or k < self.count
+        if self._points is None:
+            for k, subject in fitted_again(people, self.source.frame, numbers, self._known).items():
+                people[k] = self._placed(people[k].name, subject, people[k].asked_for)
         return people
 
     def _places(self, numbers: Sequence[int]) -> list[Path]:
@@ -288,10 +303,14 @@ class PeopleRun:
                 tracker = self._tracker(replace(subject, keypoints=None))
                 *_, (state, _) = tracker.follow(tracker.start(subject.start), earlier)
                 subject = replace(subject, start=state.pose)
-            if results is not None:
-                keep_subject(subject, results, key)
-        tracker = self._tracker(subject)
-        return Followed(name, subject, Member(tracker, tracker.start(subject.start)), results)
+        return self._placed(name, subject)
+
+    def _placed(self, name: str, subject: Subject, asked_for: bool = True) -> Followed:
+        """A person at their start, whose subject is kept."""
+        tracker, results = self._tracker(subject), self._results_of(name)
+        if results is not None:
+            keep_subject(subject, results, identity(self.record))
+        return Followed(name, subject, Member(tracker, tracker.start(subject.start)), results, asked_for)
 
     # ---- the loop ----------------------------------------------------------------------------------------------
 
@@ -377,7 +396,7 @@ class PeopleRun:
                 if not (a.member.present and b.member.present) or min(len(a.estimates), len(b.estimates)) < need:
                     continue
                 poses = [np.stack([e.pose[:3] for e in p.estimates[-need:]]) for p in (a, b)]
-                if (np.linalg.norm(poses[0] - poses[1], axis=1) < TOGETHER_M).all():
+                if (np.linalg.norm(poses[0] - poses[1], axis=1) < ONE_PLACE_M).all():
                     costs = [np.mean([np.nan_to_num(e.cost, nan=1.0) for e in p.estimates[-need:]]) for p in (a, b)]
                     worse = a if costs[0] >= costs[1] else b
                     worse.member = replace(worse.member, present=False)
@@ -445,7 +464,7 @@ class PeopleRun:
         found = seen_by_themselves(p, people, 3 * self._look_every)
         tracked = Tracked(range(len(found)), found, p.member.state, complete)
         present, hidden = np.array(p.present, dtype=np.bool_), np.array(p.hidden, dtype=np.bool_)
-        source = _OwnFrames(self.source, p, people, self._points)
+        source = OwnFrames(self.source, p, people, self._points)
         out = finish(
             source,
             p.subject,
@@ -466,34 +485,3 @@ class PeopleRun:
         if p.results is not None:
             save_motion(motion, p.results.motion)
         return OnePerson(p.name, replace(out, motion=motion, notes=tuple(notes)), present, hidden)
-
-
-class _OwnFrames:
-    """The frames of a source as evidence for one of the people, now that all have been tracked."""
-
-    def __init__(
-        self, source: FrameSource, who: Followed, people: Sequence[Followed], points: KeypointPeople | None
-    ) -> None:
-        self._source, self._who, self._people, self._points = source, who, people, points
-
-    def __len__(self) -> int:
-        return len(self._who.estimates)
-
-    def frame(self, index: int, /) -> Frame:
-        """Frame number index with the silhouettes, and key points, of this person."""
-        frame, who = replace(self._source.frame(index), keypoints=None), self._who
-        s = frame.silhouettes
-        if self._points is not None:
-            found = self._points.at(index, who.estimates[index].pose[:2], (), who.track)
-            frame = replace(frame, keypoints=self._points.nothing if found is None else found[1])
-        if s is None:
-            return frame
-        if not self._who.present[index]:
-            return nobody_in(frame)
-        own = shape_of(self._who.subject.body, self._who.estimates[index].pose, s.rig)
-        others = [
-            Other(shape_of(p.subject.body, p.estimates[index].pose, s.rig), SOLVED)
-            for p in self._people
-            if p is not self._who and p.present[index] and not p.estimates[index].lost
-        ]
-        return depth_people.own_frame(frame, own, others)

@@ -161,14 +161,14 @@ def estimate_subject(
     x[0] = np.log(body.stature / template.stature)
     by_template, iou = _both_ways(body, start_pose, at, seen, rate, options, tick)
     chosen, tracked = different_poses(body, by_template, iou, options.frames), by_template
-    contours, depths = _contours(seen, chosen), _depths(seen, chosen)
+    contours, depths = contours_of(seen, chosen), depths_of(seen, chosen)
     fit = refine_shape(template, tracked[chosen], contours, known=known, options=options.shape, start=x, depths=depths)
     for _ in range(options.passes - 1):
         # the fitted body loses fewer limbs, so other frames and better poses are there to be fitted
         tracked, iou = _both_ways(fit.body, tracked[at], at, seen, rate, options, tick)
         chosen = different_poses(fit.body, tracked, iou, options.frames)
         again = replace(options.shape, iterations=(0, *options.shape.iterations[1:]))
-        contours, depths, x = _contours(seen, chosen), _depths(seen, chosen), fit.log_factors
+        contours, depths, x = contours_of(seen, chosen), depths_of(seen, chosen), fit.log_factors
         fit = refine_shape(template, tracked[chosen], contours, known=known, options=again, start=x, depths=depths)
     if progress is not None:
         progress(total, total)
@@ -237,12 +237,14 @@ def different_poses(body: Body, poses: Array, iou: Array, count: int) -> list[in
     return sorted(chosen)
 
 
-def _contours(frames: Sequence[Frame], chosen: Sequence[int]) -> list[ContourTerm]:
+def contours_of(frames: Sequence[Frame], chosen: Sequence[int]) -> list[ContourTerm]:
+    """The contour terms of the chosen frames that have silhouettes."""
     found = [frames[k].silhouettes for k in chosen]
     return [contour_term(f) for f in found if f is not None]
 
 
-def _depths(frames: Sequence[Frame], chosen: Sequence[int]) -> list[DepthTerm | None]:
+def depths_of(frames: Sequence[Frame], chosen: Sequence[int]) -> list[DepthTerm | None]:
+    """The depth terms of the chosen frames, None where there is no depth."""
     found = [frames[k].depth for k in chosen]
     return [None if d is None else depth_term(d) for d in found]
 

@@ -12,17 +12,21 @@ from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.body.motion import Motion
+from hypose.evidence import depth_people
+from hypose.evidence.frame import Frame
+from hypose.evidence.shared_masks import SOLVED, Other
 from hypose.geometry import Array
 from hypose.io.motions.results import Checkpoint, ResultsFolder
 from hypose.io.recordings.provenance import identity
 from hypose.pipeline.doubts import runs
 from hypose.pipeline.first_frame import Subject
 from hypose.pipeline.kept_findings import kept_subject
-from hypose.pipeline.people_points import per_frame
+from hypose.pipeline.people_points import KeypointPeople, per_frame
 from hypose.pipeline.run import TrackResult
+from hypose.pipeline.track_loop import FrameSource
 from hypose.pipeline.verdict import Verdict, verdict_of
 from hypose.tracking.clothes import Wardrobe
-from hypose.tracking.several import Member
+from hypose.tracking.several import Member, nobody_in, shape_of
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState, estimates_from_arrays, estimates_to_arrays
 
 _PLACED_M = 1.0
@@ -217,3 +221,34 @@ def kept_people(
         kept.wardrobe, kept.said = Wardrobe.of_arrays(own, about["clothes"]), list(about["said"])
         people.append(kept)
     return people, list(saved.arrays.get("coming", ()))
+
+
+class OwnFrames:
+    """The frames of a source as evidence for one of the people, now that all have been tracked."""
+
+    def __init__(
+        self, source: FrameSource, who: Followed, people: Sequence[Followed], points: KeypointPeople | None
+    ) -> None:
+        self._source, self._who, self._people, self._points = source, who, people, points
+
+    def __len__(self) -> int:
+        return len(self._who.estimates)
+
+    def frame(self, index: int, /) -> Frame:
+        """Frame number index with the silhouettes, and key points, of this person."""
+        frame, who = replace(self._source.frame(index), keypoints=None), self._who
+        s = frame.silhouettes
+        if self._points is not None:
+            found = self._points.at(index, who.estimates[index].pose[:2], (), who.track)
+            frame = replace(frame, keypoints=self._points.nothing if found is None else found[1])
+        if s is None:
+            return frame
+        if not self._who.present[index]:
+            return nobody_in(frame)
+        own = shape_of(self._who.subject.body, self._who.estimates[index].pose, s.rig)
+        others = [
+            Other(shape_of(p.subject.body, p.estimates[index].pose, s.rig), SOLVED)
+            for p in self._people
+            if p is not self._who and p.present[index] and not p.estimates[index].lost
+        ]
+        return depth_people.own_frame(frame, own, others)

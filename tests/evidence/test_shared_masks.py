@@ -174,3 +174,15 @@ def test_without_hides_everybody_else(pair):
         assert not left.told[c, y0:y1, x0:x1][shapes[1].drawn(c) > 0].any()
     assert without(silhouettes, []) is silhouettes
     assert isinstance(Expected(shapes[0].boxes, np.ones(4, int)), Expected)
+
+
+def test_the_faces_of_one_side_cover_as_much_as_all(body, pair):
+    s, rig = body.skeleton, pair[2].rig
+    rng = np.random.default_rng(0)
+    for _ in range(4):  # folded as no person is, so that the surface cuts itself
+        wild = s.clamp(np.r_[0.1, -0.2, 0.9, rng.normal(0, 0.5, s.dof - 3)])
+        shape = shape_of(body, wild, rig)
+        for c, (y0, y1, x0, x1) in enumerate(shape.boxes):
+            x = np.c_[shape.vertices, np.ones(len(shape.vertices))] @ rig.projections[c].T
+            every = compute.silhouette(x[:, :2] / x[:, 2:] - (x0, y0), x[:, 2], shape.faces, (x1 - x0, y1 - y0))
+            assert every.any() and np.array_equal(shape.drawn(c), every)

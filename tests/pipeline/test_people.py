@@ -11,6 +11,7 @@ from hypose.errors import InputError
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.person_tracks import PersonTrack
 from hypose.io.motions.results import ResultsFolder
+from hypose.pipeline.doubts import looked_again
 from hypose.pipeline.hull_paths import Path, count_people, lasting
 from hypose.pipeline.people_points import KeypointPeople, padded
 from hypose.pipeline.people_run import PeopleRun
@@ -90,6 +91,10 @@ def test_what_others_do_to_the_masks_is_no_doubt(rig):
         np.array_equal(a.seen[:, [0, 2]], b.seen[:, [0, 2]], equal_nan=True)
         for a, b in zip(own, one.estimates, strict=True)
     )
+    seen = [looked_again(one.member.tracker, own[t], own[t], frames[t], frames[t - 1]).seen[:, 1] for t in (2, 5)]
+    assert (
+        np.isfinite(seen[0]).all() and np.isnan(seen[1]).all()
+    )  # what is known of a change stays, whoever looks again
 
 
 def test_a_view_that_shows_nobody_takes_nobody_away(rig):

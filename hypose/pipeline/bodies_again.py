@@ -1,0 +1,105 @@
+"""Bodies of people in each other's masks, fitted once more when everybody's body is known.
+
+The first fit of each sees the others as hulls, or as bodies of the template's shape, and what these hide too much or
+too little becomes arms and legs that are too long or too short. So everybody is tracked together through the same
+frames, and each body is fitted to what the fitted bodies of the others leave of the masks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from hypose.body.anthropometry import prior_mean
+from hypose.body.body import Body
+from hypose.body.ready_bodies import human
+from hypose.errors import HyposeError
+from hypose.evidence.depth_people import own_frame
+from hypose.evidence.frame import Frame
+from hypose.evidence.shared_masks import SOLVED, Other
+from hypose.fitting.articulated import SolveSettings
+from hypose.geometry import Array
+from hypose.pipeline.first_frame import Subject
+from hypose.pipeline.rough_bodies import seen_well
+from hypose.pipeline.subject_from_motion import contours_of, depths_of, different_poses
+from hypose.pipeline.tracked_people import Followed, Wanted
+from hypose.tracking.costs import mean_overlap
+from hypose.tracking.frame_evidence import prepare
+from hypose.tracking.refinement import refine
+from hypose.tracking.several import shape_of, step_together, visible_share
+from hypose.tracking.shape_refinement import Known, refine_shape
+from hypose.tracking.tracker import FrameEstimate
+
+AGAIN = "the body was fitted again beside those of the others"
+POSES = 12
+"""Poses to which a body is fitted: with 8 and 20 arms and legs were as far off (seeds 440 and 441)."""
+
+
+def fitted_again(
+    people: Sequence[Followed],
+    frame_at: Callable[[int], Frame],
+    numbers: Sequence[int],
+    known: Callable[[str], Wanted],
+) -> dict[int, Subject]:
+    """Of people who stand at their starts in the first of the frames `numbers`: the subjects of those whose bodies were
+    fitted to shared masks once, by their place among the people, with bodies and starts fitted again; as they were but
+    for a note where that explains the masks no better. known: what is known of somebody of that name."""
+    once = [k for k, p in enumerate(people) if known(p.name).body is None and AGAIN not in p.subject.notes]
+    if len(people) < 2 or not once:
+        return {}
+    ways: list[dict[int, FrameEstimate]] = [{} for _ in people]
+    shown: list[dict[int, Array]] = [{} for _ in people]
+    members = [p.member for p in people]
+    for t in numbers:
+        members, estimates, seen = step_together(members, frame_at(t))
+        for k, (estimate, own) in enumerate(zip(estimates, seen, strict=True)):
+            if not estimate.lost and np.isfinite(estimate.cost):
+                ways[k][t], shown[k][t] = estimate, visible_share(own)
+
+    def own_at(who: int, t: int) -> Frame:
+        frame = frame_at(t)
+        assert frame.silhouettes is not None
+        rig = frame.silhouettes.rig
+        shapes = {k: shape_of(p.subject.body, ways[k][t].pose, rig) for k, p in enumerate(people) if t in ways[k]}
+        return own_frame(frame, shapes[who], [Other(s, SOLVED) for k, s in shapes.items() if k != who])
+
+    return {
+        k: _again(people[k].subject, ways[k], seen_well(shown[k]), own_at, k, known(people[k].name).height)
+        for k in once
+        if numbers[0] in ways[k]
+    }
+
+
+def _again(
+    subject: Subject,
+    way: dict[int, FrameEstimate],
+    seen: Sequence[int],
+    own_at: Callable[[int, int], Frame],
+    who: int,
+    height: float | None,
+) -> Subject:
+    """One of them, the person `who`; way: their estimates by frame number, the first one that of the start."""
+    template, noted = human(), replace(subject, notes=(*subject.notes, AGAIN))
+    poses, iou = np.stack([way[t].pose for t in seen]), np.array([1 - way[t].cost for t in seen])
+    chosen = different_poses(subject.body, poses, iou, POSES)
+    frames, every = [own_at(who, seen[k]) for k in chosen], range(len(chosen))
+    x = prior_mean()
+    x[0] = np.log(subject.body.stature / template.stature)
+    try:
+        contours, depths = contours_of(frames, every), depths_of(frames, every)
+        fit = refine_shape(template, poses[chosen], contours, known=Known(height), start=x, depths=depths)
+    except HyposeError:
+        return noted
+    if _overlap(fit.body, fit.poses, frames) <= _overlap(subject.body, poses[chosen], frames):
+        return noted
+    first = min(way)
+    begin, pose = own_at(who, first), way[first].pose
+    start = refine(fit.body, pose[None], prepare(begin, fit.body, pose), SolveSettings())[0].pose
+    return replace(noted, body=fit.body, start=start)
+
+
+def _overlap(body: Body, poses: Array, frames: Sequence[Frame]) -> float:
+    """Mean IoU of a body with frames in which it stands in poses (F, D)."""
+    return float(np.mean([mean_overlap(body, q, prepare(f, body, q)) for q, f in zip(poses, frames, strict=True)]))
