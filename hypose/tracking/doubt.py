@@ -33,6 +33,7 @@ _CLEAR = 0.05
 """IoU by which the body turned around, or with its legs exchanged, is worse where there is no doubt about it"""
 _SLOW, _USUAL_PACE = 0.05, 0.35
 """m/s about the pelvis: what is slower is at rest; the pace of limbs of which one frame alone is known"""
+_USUAL_LOOSE_M = 0.01  # of arms that were not looked at
 _LITTLE = 3e-4  # m^2 of bare mask
 _SEEN = 0.25  # share of a part that is exposed in two views at least
 FEATURES = (
@@ -81,6 +82,7 @@ def clip_features(motion: Motion, raw_joints: Array, audit: ArrayLike) -> Array:
     masks, points = np.isfinite(a["bare"]), np.isfinite(a["points_all"])
     known = np.isfinite(a["exchanged"]).any()
     a |= {n: _carried(a[n]) for n in ("elsewhere", "elsewhere_by", "loose", "exchanged")}
+    a["loose"] = np.where(np.isnan(a["loose"]), _USUAL_LOOSE_M, a["loose"])
     a = {n: np.nan_to_num(v) for n, v in a.items()}
     rate, count = motion.frame_rate, motion.joints.shape[:2]
     around = 2 * max(1, round(AROUND_S * rate)) + 1
