@@ -12,7 +12,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from benchmarks.multiview.doubt_scenes import PLANTED, cases_of, collect, load_all
+from benchmarks.multiview.doubt_scenes import cases_of, collect, load_all
 
 
 def main() -> None:
@@ -35,7 +35,6 @@ def main() -> None:
 
     clips = load_all(given.folder)
     report_fit(clips)
-    clips = [c for c in clips if c.kind != PLANTED]
     write_spread(clips)
     for evidence, by in judged_by_seed(clips).items():
         print(evidence, {g: (round(c, 3), round(e, 3)) for g, (c, e) in by.items()})

@@ -32,8 +32,10 @@ from hypose.geometry import Array, nearest_branch, so3_exp, so3_left_jacobian, s
 
 @dataclass(frozen=True)
 class Gaussian:
-    """What is known of one frame's pose, summed up: 1/2 (q - centre)' information (q - centre). centre (D,);
-    information (D, D): an inverse covariance, as the Hessian of a solved frame is."""
+    """What is known of one frame's pose, summed up: 1/2 off' information off. centre (D,); information (D, D): an
+    inverse covariance, as the Hessian of a solved frame is; off (D,): from the centre, for balls along the turn from
+    there, log(R0' R), in the coordinates at the centre. So what is left open of a stretched arm, how it is turned about
+    itself, is open however far it turns: along a line of rotation vectors its elbow would be carried away."""
 
     centre: Array
     information: Array
@@ -99,7 +101,7 @@ def _moved(q: Array, step: Array) -> Array:
 
 
 def _turns(r: Array) -> Array:
-    """(T, 3, 3): how rotation vectors (T, 3) of up to half a turn change with a small turn in the world."""
+    """(..., 3, 3): how rotation vectors (..., 3) of less than a full turn change with a small turn that comes after."""
     return np.asarray(np.linalg.inv(so3_left_jacobian(r)), dtype=np.float64)
 
 
@@ -157,6 +159,33 @@ def _by_turn(by_v: Array, v: Array) -> Array:
     return out
 
 
+class _Around:
+    """How far poses (T, D) are from the centres of the frames' Gaussians. The root's rotation, which no evidence leaves
+    open, counts by its rotation vector."""
+
+    def __init__(self, body: Body, gaussians: Sequence[Gaussian | None]) -> None:
+        self.balls, dof = body.skeleton.ball_starts[1:, None] + np.arange(3), body.skeleton.dof
+        self.known = np.array([g is not None for g in gaussians])
+        self.centres = np.array([g.centre for g in gaussians if g is not None]).reshape(-1, dof)
+        self.information = np.array([g.information for g in gaussians if g is not None]).reshape(-1, dof, dof)
+        own = self.centres[:, self.balls]
+        self.back, self.flat = so3_exp(-own), _turns(-own)
+
+    def __call__(self, q: Array) -> tuple[float, Array, Array]:
+        """Cost of poses, its gradient (T, D) and Gauss-Newton Hessian (T, D, D)."""
+        gradient, hessian = np.zeros_like(q), np.zeros((*q.shape, q.shape[1]))
+        now, b = q[self.known], self.balls
+        off, slope = now - self.centres, np.tile(np.eye(q.shape[1]), (len(now), 1, 1))
+        off[:, 3:6] = now[:, 3:6] - nearest_branch(self.centres[:, 3:6], now[:, 3:6])
+        turned = so3_log(self.back @ so3_exp(now[:, b]))
+        off[:, b] = (self.flat @ turned[..., None])[..., 0]
+        slope[:, b[:, :, None], b[:, None, :]] = self.flat @ _turns(-turned) @ so3_left_jacobian(-now[:, b])
+        pull = (self.information @ off[..., None])[..., 0]
+        gradient[self.known] = (pull[:, None] @ slope)[:, 0]
+        hessian[self.known] = np.swapaxes(slope, 1, 2) @ self.information @ slope
+        return 0.5 * float((off * pull).sum()), gradient, hessian
+
+
 class _Clip:
     """Evidence of all frames as flat arrays; cost, gradient (T, D) and diagonal blocks (T, D, D) of the whole clip."""
 
@@ -186,12 +215,12 @@ class _Clip:
         self.centre, self.weight = prior_arrays(priors, body.skeleton.dof)
         self.lower = np.ascontiguousarray(body.skeleton.lower, dtype=np.float64)
         self.upper = np.ascontiguousarray(body.skeleton.upper, dtype=np.float64)
-        self.coupling, self.gaussians = coupling, gaussians or none
+        self.coupling, self.around = coupling, _Around(body, gaussians or none)
         largest = max((t for t in contours or none if t is not None), key=lambda t: t.sizes.max(0).prod(), default=None)
         self.ws = workspace_for(body, largest)
 
     def evaluate(self, q: Array, coarse: bool) -> tuple[float, Callable[[], tuple[Array, Array]]]:
-        cost, (t, d) = 0.0, q.shape
+        (cost, by_known, curved), (t, d) = self.around(q), q.shape
         gradient, hessian = np.empty((t, d)), np.empty((t, d, d))
         turns = _turns(q[:, 3:6])
         for k in range(t):
@@ -211,14 +240,8 @@ class _Clip:
             )
             cost += e.cost
             gradient[k], hessian[k] = e.gradient, e.hessian
-            known = self.gaussians[k]
-            if known is not None:
-                off = q[k] - known.centre
-                off[3:6] = q[k, 3:6] - nearest_branch(known.centre[3:6], q[k, 3:6])
-                pull = known.information @ off
-                cost += 0.5 * float(off @ pull)
-                gradient[k] += pull
-                hessian[k] += known.information
+            gradient[k] += by_known[k]
+            hessian[k] += curved[k]
             gradient[k, 3:6] = turns[k].T @ gradient[k, 3:6]
             hessian[k, 3:6] = turns[k].T @ hessian[k, 3:6]
             hessian[k, :, 3:6] = hessian[k, :, 3:6] @ turns[k]

@@ -24,15 +24,26 @@ from hypose.tracking.view_shifts import apart, shift_of_mask
 
 AUDITED = (
     *("bare", "bare_second", "bare_reach", "exposed", "exposed_second", "outside"),
-    *("rival", "elsewhere", "elsewhere_by", "exchanged", "points_median", "points_worst", "points_views", "points_all"),
+    *(
+        "rival",
+        "elsewhere",
+        "elsewhere_by",
+        "loose",
+        "exchanged",
+        "points_median",
+        "points_worst",
+        "points_views",
+        "points_all",
+    ),
     *("points_agree", "points_against", "renamed", "named", "apart"),
 )
 """Columns of an audit: m^2 of bare mask within NEAR_M of the joint, summed over the views, and in the second-barest
 one; within the limb's reach of its root, summed; share of the joint's part that no other part covers, summed over the
 views, and in the second-best; share of the part outside the masks, summed; m, spread of the rivals; m, spread of
 the arms elsewhere that fit the masks about as well as the one that is believed, over its whole reach (0 of other
-joints, NaN in frames in which it is not its turn), and by how much of its energy the best of them fits better than one
-that is plainly worse; by how much the body with its sides exchanged overlaps the
+joints, NaN in frames in which it is not its turn, and without depth), and by how much of its energy the best of them
+fits better than one that is plainly worse; m, how far elbow and wrist may move with hardly any change of the masks (as
+before, and NaN with depth); by how much the body with its sides exchanged overlaps the
 masks better (NaN: not looked at in this frame); m, distance of the joint's key points from it, median and largest over
 the views; views with one; m, median over all points of the frame; views with one, as it was detected, that agrees with
 the joint, and with one that speaks against it; views whose points of both its legs, or arms, are called by the other
@@ -98,12 +109,16 @@ def audit_frame(
     out = np.full((len(names), len(AUDITED)), np.nan, np.float32)
     rotations, joints = body.skeleton.forward(pose)
     if frame.silhouettes is not None and frame.silhouettes.usable.any():
-        out[:, :6], out[:, -1] = _masks(body, pose, joints, frame.silhouettes, frame.index % _EVERY == 0)
-        out[:, 7:9] = _elsewhere(body, pose, prepared_masks(frame.silhouettes), frame.index)
+        out[:, :6], out[:, -1] = _masks(body, pose, joints, frame.silhouettes, frame.index % _RARELY == 0)
+        masks = prepared_masks(frame.silhouettes)
+        if frame.depth is not None:
+            out[:, 7:9] = _elsewhere(body, pose, masks, frame.index)
+        else:
+            out[:, 9] = _loose(body, pose, masks, frame.index)
     out[:, 6] = _rivals(body, joints, rivals)
-    out[:, 9] = exchanged
+    out[:, 10] = exchanged
     if frame.keypoints is not None and model is not None and model.names == frame.keypoints.names:
-        out[:, 10:-1] = _points(names, rotations, joints, frame.keypoints, model)
+        out[:, 11:-1] = _points(names, rotations, joints, frame.keypoints, model)
     return out
 
 
@@ -174,6 +189,39 @@ def _rivals(body: Body, joints: Array, rivals: tuple[ArrayLike, ArrayLike] | Non
     return np.sqrt(weights[known] @ away)
 
 
+def _loose(body: Body, pose: Array, masks: PreparedMasks, index: int) -> Array:
+    """(J,) what turns of an arm leave nearly as it is, each arm in its turn; see AUDITED."""
+    s, mesh, out = body.skeleton, body.coarse.arrays, np.zeros(len(body.skeleton.joint_names))
+    for k, arm in enumerate(_arms(body)):
+        if (index - 2 * k) % _EVERY:
+            out[list(arm.chain)] = np.nan
+            continue
+        poses = np.repeat(pose[None], _TURNS + 1, 0)  # the last one stands
+        poses[:-1, arm.own] += _turns(len(arm.own))
+        poses = s.clamp(poses)
+        away = np.linalg.norm(ends(arm.here(poses[:-1])) - ends(arm.here(pose[None])), axis=-1)  # elbow, wrist, hand
+        rest = reach.standing(pose, s.tree, mesh, masks, arm.moving)
+        counts = silhouette_xor(poses, s.tree, mesh, masks, moving=arm.moving, rest=rest)
+        energy = (counts[:, masks.usable, 0] / masks.norm[masks.usable]).sum(1)
+        weight = np.exp(-np.maximum((energy[:-1] - energy[-1]) / _HARDLY, -1.0))
+        out[list(arm.chain[1:])] = np.sqrt(weight @ away[:, :2] ** 2 / (1 + weight.sum()))
+    return out
+
+
+@lru_cache(4)
+def _turns(count: int) -> Array:
+    """(_TURNS, d) rad: of an arm's coordinates, small ones and large ones."""
+    rng = np.random.default_rng(0)
+    return rng.standard_normal((_TURNS, count)) * rng.choice(_TURNS_RAD, (_TURNS, 1))
+
+
+_TURNS, _TURNS_RAD = 64, (0.12, 0.3, 0.6)
+"""so many, and sd"""
+_HARDLY = 0.005
+"""of the masks' areas, summed over the views: turns that change so much more count by 1 / e. Chosen, as the turns, on
+scenes of the seeds 600 to 617"""
+
+
 def _elsewhere(body: Body, pose: Array, masks: PreparedMasks, index: int) -> Array:
     """(J, 2): what the reach of the arms allows, each in its turn, for it is dear; see AUDITED."""
     out = np.zeros((len(body.skeleton.joint_names), 2))
@@ -205,7 +253,7 @@ def _elsewhere(body: Body, pose: Array, masks: PreparedMasks, index: int) -> Arr
     return out
 
 
-_EVERY = 4
+_EVERY, _RARELY = 4, 8
 """frames between two looks at the same arm, and at what the views contradict each other"""
 _CUTOFF, _TRIED, _POOL = 0.1, 2048, 64
 """m^2 by which an arm's points may lie worse; so many arms are looked up, and so many drawn"""

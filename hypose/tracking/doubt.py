@@ -31,6 +31,9 @@ AROUND_S = 0.25
 _HIDDEN_S = 1.0
 _CLEAR = 0.05
 """IoU by which the body turned around, or with its legs exchanged, is worse where there is no doubt about it"""
+_SLOW, _USUAL_PACE = 0.05, 0.35
+"""m/s about the pelvis: what is slower is at rest; the pace of limbs of which one frame alone is known"""
+_USUAL_LOOSE_M = 0.01  # of arms that were not looked at
 _LITTLE = 3e-4  # m^2 of bare mask
 _SEEN = 0.25  # share of a part that is exposed in two views at least
 FEATURES = (
@@ -39,6 +42,7 @@ FEATURES = (
         "sd_around",
         "moved",
         "accel",
+        "still",
         "bare",
         "bare_more",
         "bare_second",
@@ -47,7 +51,7 @@ FEATURES = (
         "bare_body",
     ),
     *("exposed", "exposed_second", "hidden", "outside", "outside_body", "rival", "rival_around", "cost", "cost_more"),
-    *("elsewhere", "elsewhere_by", "exchanged"),
+    *("elsewhere", "elsewhere_by", "loose", "exchanged"),
     *("points", "points_worst", "points_around", "points_few", "points_unseen", "points_all"),
     *("points_agree", "points_against", "points_contested", "points_renamed", "apart"),
 )
@@ -64,20 +68,21 @@ def clip_features(motion: Motion, raw_joints: Array, audit: ArrayLike) -> Array:
     """(T, J, len(FEATURES)) of a motion whose frames were tracked as raw_joints (T, J, 3) m and audited (T, J, A).
 
     log_sd: of the joint's sd; sd_around: its mean nearby in time; moved: largest distance of the frame's own joint from
-    the clip's, nearby in time; accel: the largest of its accelerations nearby; bare*: of mask without body, near the
-    joint, beyond what is usual in the clip, in the second-barest view, there beside what is usual of all joints of the
-    clip (masks of one camera are worse than another's), in the limb's reach, over the whole body; exposed*: how much of
-    its part nothing else covers, smoothed; hidden: s from when it was last seen, or to the next time; outside*: of the
-    joint's part and of the body outside the masks; rival*: what else was believed; cost*: 1 - IoU, and beyond the
-    usual; points*: distance of its key points and of the frame's, how few views have it, and for how long, how many
-    agree or do not, and how far those that do not outweigh those that do: one against one tells nothing, two against
-    one does, and which
-    share of the views calls its limb by the other side's name; apart: by how much the views contradict each other in
-    this clip."""
+    the clip's, nearby in time; accel: the largest of its accelerations nearby; still: how slowly it moves about the
+    pelvis, since all frames of a limb at rest err alike and make each other too sure; bare*: of mask without body, near
+    the joint, beyond what is usual in the clip, in the second-barest view, there beside what is usual of all joints of
+    the clip (masks of one camera are worse than another's), in the limb's reach, over the whole body; exposed*: how
+    much of its part nothing else covers, smoothed; hidden: s from when it was last seen, or to the next time; outside*:
+    of the joint's part and of the body outside the masks; rival*: what else was believed; elsewhere*, loose: how far an
+    arm may be elsewhere for all that the masks show; cost*: 1 - IoU, and beyond the usual; points*: distance of its key
+    points and of the frame's, how few views have it, and for how long, how many agree or do not, and how far those that
+    do not outweigh those that do: one against one tells nothing, two against one does, and which share of the views
+    calls its limb by the other side's name; apart: by how much the views contradict each other in this clip."""
     a = {n: np.asarray(audit, dtype=np.float64)[..., k] for k, n in enumerate(AUDITED)}
     masks, points = np.isfinite(a["bare"]), np.isfinite(a["points_all"])
     known = np.isfinite(a["exchanged"]).any()
-    a |= {n: _carried(a[n]) for n in ("elsewhere", "elsewhere_by", "exchanged")}
+    a |= {n: _carried(a[n]) for n in ("elsewhere", "elsewhere_by", "loose", "exchanged")}
+    a["loose"] = np.where(np.isnan(a["loose"]), _USUAL_LOOSE_M, a["loose"])
     a = {n: np.nan_to_num(v) for n, v in a.items()}
     rate, count = motion.frame_rate, motion.joints.shape[:2]
     around = 2 * max(1, round(AROUND_S * rate)) + 1
@@ -95,6 +100,7 @@ def clip_features(motion: Motion, raw_joints: Array, audit: ArrayLike) -> Array:
         "sd_around": np.asarray(uniform_filter1d(log_sd, around, axis=0, mode="nearest")),
         "moved": np.sqrt(_highest(moved, around)),
         "accel": np.log1p(_highest(accel, around)),
+        "still": -np.log(np.maximum(_pace(motion.joints, rate, around), _SLOW)),
         "bare": np.sqrt(a["bare"]),
         "bare_more": np.sqrt(_beyond(a["bare"])),
         "bare_second": np.sqrt(second),
@@ -112,6 +118,7 @@ def clip_features(motion: Motion, raw_joints: Array, audit: ArrayLike) -> Array:
         "cost_more": _beyond(cost),
         "elsewhere": np.sqrt(_mean(a["elsewhere"], around)),
         "elsewhere_by": _mean(a["elsewhere_by"], around),
+        "loose": _mean(a["loose"], around),
         "exchanged": np.where(known, np.maximum(a["exchanged"] + _CLEAR, 0.0) / _CLEAR, 0.0),
         "points": np.log(0.005 + a["points_median"]) * points,
         "points_worst": np.log(0.005 + a["points_worst"]) * points,
@@ -139,6 +146,14 @@ def _highest(values: Array, size: int) -> Array:
 
 def _mean(values: Array, size: int) -> Array:
     return np.maximum(uniform_filter1d(values, size, axis=0, mode="nearest"), 0.0)
+
+
+def _pace(joints: Array, rate: float, size: int) -> Array:
+    """(T, J) m/s about the pelvis, mean over so many frames; _USUAL_PACE of a single frame."""
+    about = joints - joints[:, :1]
+    if len(about) < 2:
+        return np.full(about.shape[:2], _USUAL_PACE)
+    return _mean(np.linalg.norm(np.gradient(about, axis=0), axis=-1) * rate, size)
 
 
 def _beyond(values: Array) -> Array:

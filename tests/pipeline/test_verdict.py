@@ -69,6 +69,16 @@ def test_one_limb_that_is_never_known_and_a_person_who_is_never_there():
     assert found.word == UNTRUSTED and "not found in 50 %" in found.sentence
 
 
+def test_a_limb_doubtful_all_along_in_a_clip_worth_a_look_is_not_to_be_trusted():
+    looks = ("the views contradict each other by 11 mm.",)
+    limb = motion(probabilities(["left_wrist"], slice(0, 40), 0.25))
+    assert verdict_of(limb).word == verdict_of(motion(probabilities()), looks=looks).word == LOOK
+    found = verdict_of(limb, looks=looks)
+    assert found.word == UNTRUSTED and "left wrist" in found.sentence and "11 mm" in found.sentence
+    few = motion(probabilities(["left_wrist"], slice(0, 20), 0.25))
+    assert verdict_of(few, looks=looks).word == LOOK
+
+
 def test_what_was_found_before_tracking_decides():
     found = verdict_of(motion(probabilities()), ("cam1: its images are mirrored. Next: mirror them back.",))
     assert found.word == UNTRUSTED and "mirrored" in found.sentence

@@ -94,6 +94,19 @@ def test_features_are_finite_whatever_is_missing():
     assert found.shape == (2, len(NAMES), len(FEATURES)) and np.isfinite(found).all()
 
 
+def test_a_limb_at_rest_is_surer_than_it_may_be():
+    motion, joints, audit = clip()
+    wrist, still = NAMES.index("right_wrist"), FEATURES.index("still")
+    moving = joints.copy()
+    moving[:, wrist, 0] += 0.5 * np.sin(np.arange(len(joints)))
+    moved = clip_features(replace(motion, joints=moving), moving, audit)[..., still]
+    rest = clip_features(motion, joints, audit)[..., still]
+    assert (moved[:, wrist] < rest[:, wrist] - 2).all() and moved[0, 3] == rest[0, 3]
+    one = clip_features(*clip(frames=1))[..., still]
+    assert moved[:, wrist].max() < one.min() and one.max() < rest.min()  # how it moves is not known
+    assert (doubt_models()["silhouettes"].weights[:, still] >= 0).all()
+
+
 def test_more_bare_mask_never_speaks_for_a_joint():
     for model in doubt_models().values():
         for g in range(len(GROUPS)):

@@ -14,7 +14,7 @@ from hypose.synthetic.spoilt_keypoints import spoilt
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.keypoint_evidence import keypoint_model
 from hypose.tracking.keypoint_offsets import calibrate_keypoints
-from hypose.tracking.points_beside_masks import weighed_beside_masks
+from hypose.tracking.points_beside_masks import LEAST, weighed_beside_masks
 from hypose.tracking.subject import scaled_to_height
 
 N = 6
@@ -46,6 +46,12 @@ def test_the_more_points_scatter_the_less_they_weigh(clip, model):
     )
     assert plain.shape == (4, len(BODY_25)) and (plain <= 1).all() and (noisy > 0).all()
     assert np.median(noisy[:, model.known]) < 0.5 * np.median(plain[:, model.known])
+
+
+def test_points_that_scatter_beyond_the_outlines_keep_little_weight(clip, model):
+    frames, body = clip
+    beside = weighed_beside_masks(body, model, frames).beside[:, model.known]
+    assert LEAST <= np.median(beside) < 0.2  # they scatter by twice what the outlines may be off
 
 
 def test_points_weigh_in_full_beside_masks_that_are_elsewhere(clip, model):
