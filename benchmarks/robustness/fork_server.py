@@ -115,7 +115,7 @@ def serve(warm: bool) -> None:
     for name in _MODULES:
         importlib.import_module(f"hypose.app.{name}")
     if warm:
-        compute.warm_up("depth", "solver", "scorer", "pictures", "monocular")
+        compute.warm_up("solver", "scorer", "outlines", "pictures", "monocular")
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
     print("ready", file=answers, flush=True)
