@@ -366,7 +366,7 @@ BODIES = (
         lines=tuple(
             Line(f"{metric}, {case}", f"8 scans, pose {case}, noise 3 mm", metric=metric)
             for metric in ("joints, mean error", "joints, largest error", "whole rigging")
-            for case in ("t", "a", "down")
+            for case in ("t", "a", "standing")
         ),
         notebook="anthropometry.md",
     ),
@@ -377,7 +377,7 @@ BODIES = (
         [anthropometry.md](anthropometry.md).""",
         lines=(
             Line("segment lengths, motion", "motion", (most(2),), "segment_error_cm"),
-            Line("segment lengths, one pose", "pose", (most(2.5),), "segment_error_cm"),
+            Line("segment lengths, one pose", "one_pose", (most(2.5),), "segment_error_cm"),
             Line("shoulder height, all", "all", (most(1.5),), "shoulder_height_error_cm"),
             Line("girths, all", "all", (most(10),), "girth_error_pct"),
             Line("IoU, least view, all", "all", (least(0.9),), "min_view_iou"),
