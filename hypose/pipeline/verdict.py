@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from hypose.body.motion import Motion
 from hypose.pipeline.doubts import in_words, runs
+from hypose.tracking.doubt import AROUND_S
 
 GOOD, LOOK, UNTRUSTED = "good", "look", "not to be trusted"
 EXIT_UNTRUSTED = 3
@@ -20,6 +21,9 @@ WRONG_SHARE = 0.12
 LIMB_SHARE = 0.5
 """Share of the frames in which one and the same joint is doubtful, from which on nothing is trusted: who looks at the
 rest does not know what to believe of it."""
+LIMB_S = 2 * AROUND_S
+"""s that a limb must be doubtful for it: a joint is judged by what is nearby in time, so that a few bad frames make
+all of a shorter clip doubtful; they are worth a look"""
 LIMB_P, LOOK_P = 0.35, 0.25
 """How likely it must be wrong in those frames, in the mean; and how many joints must be wrong to be expected in a frame
 of a doubtful stretch for it to be worth a look: joints are doubtful long before they are likely wrong, so that little
@@ -133,7 +137,8 @@ def _too_doubtful(motion: Motion, doubtful: NDArray[np.bool_], seen: NDArray[np.
             "with the images, and give key points, --start with the first pose, or other masks"
         ]
     likely = np.where(doubtful, motion.p_wrong, 0.0)[seen].sum(0) / np.maximum(doubtful[seen].sum(0), 1)
-    found = np.flatnonzero((often > LIMB_SHARE) & (likely >= least))
+    lasting = doubtful[seen].sum(0) >= LIMB_S * motion.frame_rate
+    found = np.flatnonzero((often > LIMB_SHARE) & lasting & (likely >= least))
     bad = np.array([j for j in found if names[j] not in _ALONE], dtype=np.int64)
     if len(bad):
         which = ", ".join(names[j].replace("_", " ") for j in bad)

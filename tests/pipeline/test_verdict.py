@@ -69,6 +69,11 @@ def test_one_limb_that_is_never_known_and_a_person_who_is_never_there():
     assert found.word == UNTRUSTED and "not found in 50 %" in found.sentence
 
 
+def test_a_third_of_a_second_is_too_short_to_distrust_a_limb():
+    found = verdict_of(motion(probabilities(["left_wrist"])[:8], frames=8))
+    assert found.word == LOOK and "left wrist may be wrong" in found.sentence
+
+
 def test_a_limb_doubtful_all_along_in_a_clip_worth_a_look_is_not_to_be_trusted():
     looks = ("the views contradict each other by 11 mm.",)
     limb = motion(probabilities(["left_wrist"], slice(0, 40), 0.25))
