@@ -40,6 +40,7 @@ await walk(
       await route.fulfill({ response });
     });
 
+    await page.reload(); // a page that was open before now and then sends past what is to hold its uploads up
     await page.getByRole("heading", { name: "Set up a recording" }).waitFor();
     const seen = new Set();
     for (let round = 0; round < ORDERS; round++) {
