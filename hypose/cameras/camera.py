@@ -239,9 +239,7 @@ def widest_angle(rig: CameraRig, pixels: ArrayLike, confidence: ArrayLike) -> Ar
     """(...) sine of the angle between those two rays through pixels (C, ..., 2) with confidence (C, ...) > 0 that are
     least parallel; undistorted px of the rig's pinhole cameras; 0 with fewer than two."""
     uv, seen = np.nan_to_num(np.asarray(pixels, dtype=np.float64)), np.asarray(confidence) > 0
-    one = np.concatenate([uv, np.ones((*uv.shape[:-1], 1))], -1)
-    rays = np.stack([p @ np.linalg.inv(c.K).T @ c.camera_from_world[:3, :3] for c, p in zip(rig, one, strict=True)])
-    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    rays = np.stack([camera.rays(p)[1] for camera, p in zip(rig.pinhole(), uv, strict=True)])
     sine = np.linalg.norm(np.cross(rays[:, None], rays[None]), axis=-1)
     widest: Array = np.where(seen[:, None] & seen[None], sine, 0.0).max((0, 1))
     return widest

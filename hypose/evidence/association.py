@@ -100,8 +100,7 @@ def people_of(
 class _Followed:
     """Somebody who is followed: points (K, 3) m (the last known), their motion per frame, for how many frames each has
     not been seen, in which views (C, G + 1) which group's sides are exchanged, for how many frames most views had all
-    sides reversed, lengths (B,) m of the limbs' bones and
-    how often each was measured."""
+    sides reversed, lengths (B,) m of the limbs' bones and how often each was measured."""
 
     first: int
     points: Array
@@ -290,11 +289,10 @@ class Association:
             whole = bool(says[0] and says[1])
             t.reversed += whole
             for g in range(len(_GROUPS)):
-                for_it, against = int(exchange[of, g].sum()), int(kept[of, g].sum())
                 if g < 2 and self._wrung(t):  # as many views as say the opposite are enough
-                    most = for_it >= max(1, against)
+                    most = exchange[of, g].sum() >= max(1, kept[of, g].sum())
                 else:  # shoulders without hips, or hips without shoulders, would wring the trunk
-                    most = for_it > max(1, against) and (g > 1 or self._girdles is None or says[1 - g])
+                    most = says[g] and (g > 1 or self._girdles is None or says[1 - g])
                 t.otherwise[g] = t.otherwise[g] + 1 if most else 0
                 if t.otherwise[g] > self._trial and not whole:
                     self._turn(t, g)
