@@ -78,6 +78,11 @@ def first_look(
     return (*found, *told.values())
 
 
+def of_measured(stature: float) -> tuple[Finding, ...]:
+    """What the height, m, of a person says who was measured in masks or depth, after the first look."""
+    return tuple(height_findings(stature, None, Limits()))
+
+
 def sentences(found: Sequence[Finding], *, fault: bool = True) -> tuple[str, ...]:
     """The faults among the findings, each with its next step; or else what only has to be looked at."""
     return tuple(f.sentence for f in found if f.fault == fault)

@@ -27,7 +27,7 @@ from hypose.pipeline.colour_detections import tracked_frames
 from hypose.pipeline.contradictions import against_the_clip
 from hypose.pipeline.doubts import with_doubts, with_repeated_points
 from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
-from hypose.pipeline.first_look import first_look, sentences
+from hypose.pipeline.first_look import first_look, of_measured, sentences
 from hypose.pipeline.kept_findings import SUBJECT, keep_subject, kept_subject
 from hypose.pipeline.keypoint_track import track_keypoints, with_named_sides
 from hypose.pipeline.mend_sides import look_back, look_back_notes, mend_sides, sides_notes
@@ -198,6 +198,9 @@ def track_source(
             if not faults:
                 raise
             raise type(error)(f"{' '.join(faults)} That may be why: {error}") from error
+        if subject.keypoints is None and options.height is None and body is None and not options.of_picture:
+            of_height = of_measured(subject.body.stature)
+            faults, noticed = (*faults, *sentences(of_height)), (*noticed, *sentences(of_height, fault=False))
     keep = None
     if results is not None:  # before the motion, so that what is kept of an interrupted run can be looked at
         keep_subject(subject, results, key)
