@@ -81,6 +81,10 @@ def so3_left_jacobian(rotation_vector: ArrayLike) -> Array:
     return np.eye(3) + b * k + c * (k @ k)
 
 
+_FEW = 4
+"""rotation vectors that are looked at one by one, which is sooner than together"""
+
+
 def nearest_branch(rotation_vector: ArrayLike, reference: ArrayLike) -> Array:
     """The rotation vector of the same rotation that lies nearest to `reference`; both (..., 3).
 
@@ -96,6 +100,8 @@ def nearest_branch(rotation_vector: ArrayLike, reference: ArrayLike) -> Array:
         if not (angle > 1e-9 and x * a + y * b + z * c < squared - math.pi * angle):
             return r.copy()
         return r - 2 * np.pi * r / max(angle, 1e-12)
+    if r.ndim == 2 and ref.ndim == 1 and len(r) <= _FEW:
+        return np.array([nearest_branch(one, ref) for one in r]).reshape(r.shape)
     squared = (r * r).sum(-1, keepdims=True)
     # the other branch is r - 2 pi r / |r|: nearer when r.ref lies more than pi |r| below |r|^2
     angle = np.sqrt(squared)

@@ -136,6 +136,13 @@ def test_procrustes_of_a_mirror_image_is_still_a_rotation(rng):
     assert np.linalg.det(m[:3, :3]) == pytest.approx(1)
 
 
+def test_nearest_branch_of_few_vectors_is_that_of_many(rng):
+    vectors, reference = rng.normal(size=(40, 3)) * 4, rng.normal(size=3) * 2
+    few = np.concatenate([nearest_branch(vectors[k : k + 4], reference) for k in range(0, 40, 4)])
+    assert np.array_equal(few, nearest_branch(vectors, reference)) and not np.array_equal(few, vectors)
+    assert nearest_branch(np.zeros((0, 3)), reference).shape == (0, 3)
+
+
 def test_nearest_branch_of_one_vector_is_that_of_many():
     rng = np.random.default_rng(0)
     vectors, references = rng.normal(0, 3, (200, 3)), rng.normal(0, 3, (200, 3))

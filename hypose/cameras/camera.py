@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -172,17 +173,23 @@ class CameraRig:
     @property
     def projections(self) -> Array:
         """(C, 3, 4) pinhole projection matrices."""
-        return np.stack([c.projection for c in self.cameras])
+        return self._made[0].copy()
 
     @property
     def positions(self) -> Array:
         """(C, 3) camera centres in the world, m."""
-        return np.stack([c.position for c in self.cameras])
+        return self._made[1].copy()
 
     @property
     def sizes(self) -> NDArray[np.int64]:
         """(C, 2) image width and height, px."""
-        return np.array([c.size for c in self.cameras], dtype=np.int64)
+        return self._made[2].copy()
+
+    @cached_property
+    def _made(self) -> tuple[Array, Array, NDArray[np.int64]]:
+        """Projections, positions and sizes, which every frame asks for several times."""
+        sizes = np.array([c.size for c in self.cameras], dtype=np.int64)
+        return np.stack([c.projection for c in self.cameras]), np.stack([c.position for c in self.cameras]), sizes
 
     def select(self, names: Sequence[str]) -> CameraRig:
         """The rig of the named cameras in that order; a CalibrationError lists what exists."""

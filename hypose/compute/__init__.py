@@ -27,8 +27,19 @@ from hypose.compute.depth_forests.forest_arrays import (
     ScanPlan,
     TreeArraysOffline,
 )
-from hypose.compute.depth_maps.depth_energy import SeenDepth, depth_energy, limb_depth_energy, standing_depth
-from hypose.compute.depth_maps.depth_points import before_room, points_of_surface
+from hypose.compute.depth_maps.depth_energy import (
+    SeenDepth,
+    depth_energy,
+    limb_depth_energy,
+    standing_depth,
+)
+from hypose.compute.depth_maps.depth_points import (
+    before_room,
+    middle,
+    middle_of_piece,
+    points_of_surface,
+    things_before,
+)
 from hypose.compute.monocular import mono
 from hypose.compute.monocular.mono_terms import (
     GAUSSIAN,
@@ -165,6 +176,8 @@ __all__ = [
     "lorentzian",
     "lorentzian_weight",
     "make_lens",
+    "middle",
+    "middle_of_piece",
     "mono",
     "nearest_visible",
     "no_depth",
@@ -191,6 +204,7 @@ __all__ = [
     "solve",
     "solve_coupled",
     "stored_pixels",
+    "things_before",
     "use",
     "warm_up",
     "weighted_squares",

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.cameras.camera import Camera
-from hypose.compute import before_room
+from hypose.compute import before_room, middle_of_piece, things_before
 from hypose.errors import InputError
 from hypose.evidence.depth_evidence import JUMP_M, Depth, back_projected, in_world
 from hypose.evidence.frame import Expected, Silhouettes
@@ -177,31 +177,30 @@ def behind_things(
     behind it or not; the same ones where nothing does. rooms: of each view, None: not known."""
     if depth is None:
         return silhouettes
-    ignored = np.zeros_like(silhouettes.masks)
+    ignored: Mask | None = None
     boxes, areas = np.zeros((len(rooms), 4), np.int64), np.array(silhouettes.areas)
     for c in np.flatnonzero(depth.usable):
         room, camera, (x0, y0, x1, y1) = rooms[int(c)], depth.rig[int(c)], depth.boxes[int(c)]
         boxes[c] = y0, y1, x0, x1
         own = depth.person[c, y0:y1, x0:x1] > 0
-        seen = depth.maps[c, y0:y1, x0:x1][own]
-        if room is None or not (seen > 0).any():
+        away = middle_of_piece(own.view(np.uint8), 1, depth.maps[c, y0:y1, x0:x1])
+        if room is None or np.isnan(away):
             continue
-        away, (h, w) = float(np.median(seen[seen > 0])), room.depth.shape
+        h, w = room.depth.shape
         metre = camera.K[0, 0] / away
         whole = int(_SPAN_M * metre)
         # what is seen may be all but the legs, or all but the head
         top, low = max(min(y0, y1 - whole), 0), min(max(y1, y0 + whole), h)
         left, right = max(int(x0 - _BESIDE_M * metre), 0), min(int(x1 + _BESIDE_M * metre), w)
-        near, free = room.depth[top:low, left:right], depth.person[c, top:low, left:right] == 0
-        before = _calm(((near > 0) & (near < away - _BEFORE_M) & free).astype(np.uint8))
-        v, u = np.nonzero(before)
-        world = in_world(camera, back_projected(camera, u + left, v + top, near[v, u]))
-        on_floor = world[:, 2] < _ABOVE_FLOOR_M
-        before[v[on_floor], u[on_floor]] = 0
-        if cv2.countNonZero(before) > _HIDES * _AREA_M2 * metre**2:
+        part = slice(top, low), slice(left, right)
+        where = (left, top), (camera.K, camera.camera_from_world), away - _BEFORE_M, _ABOVE_FLOOR_M
+        before, count = things_before(room.depth[part], depth.person[c][part], *where, _calm)
+        if count > _HIDES * _AREA_M2 * metre**2:
+            if ignored is None:
+                ignored = np.zeros_like(silhouettes.masks)
             ignored[c, top:low, left:right] = before
             boxes[c], areas[c] = (top, low, x0, x1), max(int(areas[c]), int(_AREA_M2 * metre**2))
-    if not ignored.any():
+    if ignored is None:
         return silhouettes
     return replace(silhouettes, ignored=ignored, expected=Expected(boxes, areas))
 
@@ -239,17 +238,15 @@ def _one_thing(before: Mask, depth: DepthMap, solid: NDArray[np.bool_], focal_px
     left, areas = about[:, cv2.CC_STAT_LEFT], about[:, cv2.CC_STAT_AREA].copy()
     right, areas[0] = left + about[:, cv2.CC_STAT_WIDTH], 0
     main = int(areas.argmax())
-    seen = depth[(labels == main) & (depth > 0)]
-    if not len(seen):  # a speck of holes
+    usual = middle_of_piece(labels, main, depth)
+    if np.isnan(usual):  # a speck of holes
         return np.zeros(depth.shape, np.uint8)
-    usual = float(np.median(seen))
     beside = _APART_M / usual * (np.inf if focal_px is None else focal_px)
     keep = np.zeros(n, dtype=np.bool_)
     for k in np.flatnonzero(areas >= max(12, 0.01 * areas[main])):  # specks are many, and each costs a look
         if left[k] - right[main] > beside or left[main] - right[k] > beside:
             continue
-        own = depth[(labels == k) & (depth > 0)]
-        keep[k] = len(own) > 0 and abs(np.median(own) - usual) < 0.8
+        keep[k] = k == main or abs(middle_of_piece(labels, int(k), depth) - usual) < 0.8  # never where all are holes
     keep[main] = True
     return _holes_filled(keep[labels].astype(np.uint8), depth, solid)
 

@@ -211,6 +211,8 @@ def _equal_log_weights(values: FloatArray) -> FloatArray:
 
 
 def _taken(column: NDArray[Any], chosen: NDArray[np.intp]) -> NDArray[Any]:
+    if chosen.ndim == 1:  # one population, as nearly always: the same, sooner
+        return column[chosen]
     index = chosen.reshape(*chosen.shape, *(1,) * (column.ndim - chosen.ndim))
     return np.take_along_axis(column, index, chosen.ndim - 1)
 

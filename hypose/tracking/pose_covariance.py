@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -81,10 +82,14 @@ def _less_sure(information: Array, step: Array, weight: float) -> Array:
 def joint_covariance_of(body: Body, pose: Array, hessian: Array, evidence: str) -> NDArray[np.float32]:
     """(J, 3, 3) m^2: covariances of the joint centres at a solved pose (D,) from the cost's Hessian (D, D) there;
     evidence: what the cost was made of, one of CURVATURE_FACTOR."""
-    factors = CURVATURE_FACTOR[evidence]
-    factor = np.array([factors[joint_group(name)] for name in body.skeleton.joint_names])
+    factor = _factors(evidence, tuple(body.skeleton.joint_names))
     curvature = compute.joint_covariances(pose, body.skeleton.tree, hessian)
     return (factor[:, None, None] ** 2 * curvature + FLOOR**2 * np.eye(3)).astype(np.float32)
+
+
+@lru_cache(8)
+def _factors(evidence: str, joint_names: tuple[str, ...]) -> Array:
+    return np.array([CURVATURE_FACTOR[evidence][joint_group(name)] for name in joint_names])
 
 
 def joint_group(name: str) -> str:
@@ -114,13 +119,18 @@ def nothing_known(joint_covariance: NDArray[np.float32], dof: int) -> PoseUncert
 
 def packed(information: Array) -> NDArray[np.float32]:
     """(D (D + 1) / 2,) float32: the lower triangle of a symmetric matrix (D, D)."""
-    return information[np.tril_indices(len(information))].astype(np.float32)
+    return information[_triangle(len(information))].astype(np.float32)
+
+
+@lru_cache(8)
+def _triangle(dof: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    return np.tril_indices(dof)
 
 
 def unpacked(triangles: ArrayLike, dof: int) -> Array:
     """(T, D, D) from triangles (T, D (D + 1) / 2)."""
     triangles = np.asarray(triangles, dtype=np.float64)
-    rows, columns = np.tril_indices(dof)
+    rows, columns = _triangle(dof)
     out = np.zeros((len(triangles), dof, dof))
     out[:, rows, columns] = out[:, columns, rows] = triangles
     return out

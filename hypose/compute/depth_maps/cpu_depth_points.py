@@ -110,3 +110,43 @@ def before_room(depth, room, sd, sds, least, out):
         for x in range(depth.shape[1]):
             near = (empty[x] - own[x] > max(sds * wide[x], least)) | (empty[x] <= f4(0))
             to[x] = near & (own[x] > f4(0))
+
+
+@kernel
+def free_before(room, person, limit, out):
+    """out (h, w) u1 = 1 where a room (h, w) f4 m is known and nearer than `limit`, and no person (h, w) is."""
+    for y in range(room.shape[0]):
+        empty, own, to = room[y], person[y], out[y]
+        for x in range(room.shape[1]):
+            to[x] = np.uint8((empty[x] > f4(0)) & (empty[x] < limit) & (own[x] == 0))
+
+
+@kernel
+def without_floor(before, room, left, top, lens, up, floor):
+    """Clears the pixels of before (h, w) u1 at which a room (h, w) f4 m lies lower than `floor` m; returns how many
+    are left.
+
+    left, top: px of the map at which the arrays begin; lens: fx, fy, cx, cy; up (4,): height of a point x, y, z of the
+    camera's frame is up[0] x + up[1] y + up[2] z + up[3]."""
+    count = 0
+    for y in range(before.shape[0]):
+        for x in range(before.shape[1]):
+            if before[y, x] != 0:
+                z = np.float64(room[y, x])
+                across, down = (x + left - lens[2]) / lens[0] * z, (y + top - lens[3]) / lens[1] * z
+                before[y, x] = up[0] * across + up[1] * down + up[2] * z + up[3] >= floor
+                count += before[y, x]
+    return count
+
+
+@kernel
+def measured(labels, label, depth, out):
+    """out (M,) f4: the values of depth (h, w) f4 m that are known at the pixels with a label, of labels (h, w) i4;
+    returns how many."""
+    n = 0
+    for y in range(depth.shape[0]):
+        own, values = labels[y], depth[y]
+        for x in range(depth.shape[1]):
+            out[n] = values[x]
+            n += (own[x] == label) & (values[x] > f4(0))
+    return n

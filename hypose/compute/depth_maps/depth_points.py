@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -37,3 +39,41 @@ def before_room(
     given = plain(depth, np.float32), plain(room, np.float32), plain(sd, np.float32)
     native("depth_maps.depth_points").before_room(*given, np.float32(sds), np.float32(least_m), out)
     return out
+
+
+def things_before(
+    room: NDArray[np.float32],
+    person: NDArray[np.uint8],
+    corner: tuple[int, int],
+    camera: tuple[ArrayLike, ArrayLike],
+    limit_m: float,
+    floor_m: float,
+    calm: Callable[[NDArray[np.uint8]], NDArray[np.uint8]],
+) -> tuple[NDArray[np.uint8], int]:
+    """(h, w) 1 where a room (h, w) m is known and nearer than limit_m, higher than floor_m and not the person's (h, w),
+    and how many pixels these are. corner: px x, y of the map at which the arrays begin; camera: K (3, 3) and
+    camera_from_world (4, 4); calm: takes single pixels away, before the floor is."""
+    kernels, out = native("depth_maps.depth_points"), np.empty(room.shape, np.uint8)
+    empty = plain(room, np.float32)
+    kernels.free_before(empty, plain(person, np.uint8), np.float32(limit_m), out)
+    out = plain(calm(out), np.uint8)
+    lens = np.asarray(camera[0], dtype=np.float64)[[0, 1, 0, 1], [0, 1, 2, 2]]
+    pose = np.asarray(camera[1], dtype=np.float64)
+    up = np.append(pose[:3, 2], -(pose[:3, 3] @ pose[:3, 2]))
+    return out, int(kernels.without_floor(out, empty, *corner, lens, up, float(floor_m)))
+
+
+def middle_of_piece(labels: NDArray[np.integer], label: int, depth: NDArray[np.float32]) -> float:
+    """m: median of what a depth map (h, w) m shows at the pixels of a label (h, w); NaN where all are holes."""
+    values = np.empty(depth.size + 1, np.float32)
+    n = native("depth_maps.depth_points").measured(plain(labels, np.int32), label, plain(depth, np.float32), values)
+    return middle(values[:n])
+
+
+def middle(values: NDArray[np.float32]) -> float:
+    """np.median of finite values (N,), sooner; NaN of none."""
+    n = len(values)
+    if not n:
+        return float("nan")
+    ordered = np.partition(values, ((n - 1) // 2, n // 2))
+    return float((ordered[(n - 1) // 2] + ordered[n // 2]) / np.float32(2)) if n % 2 == 0 else float(ordered[n // 2])

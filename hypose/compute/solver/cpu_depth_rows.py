@@ -19,6 +19,8 @@ _TURNED = 0.0036
 _BAND_M, _BANDS, _REACH = 0.12, 24, 2
 """m: a point looks for its place in a band of height and so many on either side of it: what is further off pulls
 nowhere. The last band holds what is higher"""
+_NEXT_BAND = 0.99 * _BAND_M**2 * _PER_M2
+"""a squared distance, packed, that no place has which lies a whole band or more above or below"""
 _ON_SURFACE = 0.004
 """m: nearer points pull along the surface's normal, for their own direction is noise"""
 _FARTHEST_BEFORE = 0.5
@@ -229,10 +231,14 @@ def depth_rows(q, mesh, depth, factor, ws, kept, count):
             px, py, pz = f4(depth.points[m, 0] - q[0]), f4(depth.points[m, 1] - q[1]), f4(depth.points[m, 2] - q[2])
             ox, oy, oz = f4(depth.normals[m, 0]), f4(depth.normals[m, 1]), f4(depth.normals[m, 2])
             band = int(math.floor((pz - low) * f4(1 / _BAND_M)))
-            # whole vectors, for what is left of them takes as long
-            begin = place[min(max(band - _REACH, 0), _BANDS)] // 8 * 8
-            end = (place[min(max(band + _REACH + 1, 0), _BANDS)] + 7) // 8 * 8
-            best = _nearest(fx, fy, fz, nx, ny, nz, begin, end, px, py, pz, ox, oy, oz)
+            best = i4(2147483647)
+            for reach in range(1, _REACH + 1):
+                if (best >> 11) < i4(_NEXT_BAND):  # all that was not looked at lies further off
+                    break
+                # whole vectors, for what is left of them takes as long
+                begin = place[min(max(band - reach, 0), _BANDS)] // 8 * 8
+                end = (place[min(max(band + reach + 1, 0), _BANDS)] + 7) // 8 * 8
+                best = _nearest(fx, fy, fz, nx, ny, nz, begin, end, px, py, pz, ox, oy, oz)
             if (best >> 11) >= i4(_MOST) - 1:
                 cost += 0.5 * w  # nothing near: it costs what it costs at infinite distance
                 continue
