@@ -30,6 +30,9 @@ OFF_DEGREES, OFF_M = 4.0, 0.025
 turn is hardly told (2.4 degrees before right cameras, in 1 s), and matters as little"""
 _FRAMES, _LEAST_S = 12, 0.6
 """poses that tell where sensors stand; s of a stretch in which they are known to stand still, at least"""
+_ROUGH, _SURE = (6, 3), 0.5
+"""poses and steps of a rough look, and share of OFF_DEGREES and OFF_M that it must see before all is looked at: sensors
+that stand where they should, as nearly always, cost a fifth so"""
 _FAR = SolveSettings(iterations=12, coarse_iterations=6)
 
 
@@ -70,15 +73,18 @@ def moved_sensors(
         return (), ()
     told = _cameras(depth)
 
-    def places(frames: range) -> Array:
+    def places(frames: range, count: int = _FRAMES, iterations: int = 12) -> Array:
         known = np.flatnonzero(np.isfinite(iou[frames.start : frames.stop])) + frames.start
         if len(known) < least:
             return told
-        chosen = known[different_poses(body, poses[known], iou[known], _FRAMES)]
-        return _refined(source, body, poses[chosen], chosen, told)
+        chosen = known[different_poses(body, poses[known], iou[known], count)]
+        return _refined(source, body, poses[chosen], chosen, told, iterations)
 
     third = max(count // 3, least)
-    first, last = places(range(third)), places(range(count - third, count))
+    ends = range(third), range(count - third, count)
+    if not any(_off(told, places(end, *_ROUGH), poses[end[len(end) // 2]], _SURE) for end in ends):
+        return (), ()
+    first, last = places(ends[0]), places(ends[1])
     change = 0
     if count >= 2 * least and _off(first, last, poses[count // 2]):
         change = _changes(source, body, poses, first, last)
@@ -115,20 +121,23 @@ def placed(frame: Frame, camera_from_world: Array) -> Frame:
     return replace(frame, silhouettes=replace(silhouettes, rig=rig), depth=replace(depth, rig=rig))
 
 
-def _off(told: Array, found: Array, pose: Array) -> dict[int, tuple[float, float]]:
-    """Degrees, and m where the person stands (pose (D,)), by which cameras are off: those that are."""
+def _off(told: Array, found: Array, pose: Array, share: float = 1.0) -> dict[int, tuple[float, float]]:
+    """Degrees, and m where the person stands (pose (D,)), by which cameras are off: those that are, by more than a
+    share of what counts."""
     errors = [place_error(f, t, pose[:3]) for f, t in zip(found, told, strict=True)]
-    return {c: e for c, e in enumerate(errors) if e[0] > OFF_DEGREES or e[1] > OFF_M}
+    return {c: e for c, e in enumerate(errors) if e[0] > share * OFF_DEGREES or e[1] > share * OFF_M}
 
 
-def _refined(source: FrameSource, body: Body, poses: Array, frames: NDArray[np.intp], told: Array) -> Array:
+def _refined(
+    source: FrameSource, body: Body, poses: Array, frames: NDArray[np.intp], told: Array, iterations: int
+) -> Array:
     """The cameras' places (C, 4, 4) by some frames and the poses (F, D) in them."""
     depths = [source.frame(int(t)).depth for t in frames]
     usable = np.stack([np.zeros(len(told), np.bool_) if d is None else d.usable for d in depths])
     views = np.flatnonzero(usable.any(0))
     seen = [[_surface(d, int(c), told[c]) for d in depths] for c in views]
     out = told.copy()
-    out[views] = refine_registration(body, poses, seen, told[views]).camera_from_world
+    out[views] = refine_registration(body, poses, seen, told[views], iterations).camera_from_world
     return out
 
 
