@@ -61,20 +61,20 @@ def limb_energy(
     moving: NDArray[np.bool_],
     rest: compute.Standing | None = None,
     slack: float = 1.0,
+    rest_depth: compute.StandingDepth | None = None,
 ) -> Array:
     """`frame_energy` where only what costs at most `slack` times as much as the first pose counts: others may be
-    infinite."""
+    infinite. rest_depth: as rest, before depth cameras."""
     if frame.masks is None or frame.own or (frame.depth is not None and len(poses) <= MEASURED):
         return frame_energy(poses, frame, moving, rest)
     body, masks = frame.body, frame.masks
 
-    def outlines(most: float) -> Array:
-        return compute.limb_energies(poses, body.skeleton.tree, body.coarse.arrays, masks, moving, rest, most)
+    def outlines(slack: float, more: float = 0.0) -> Array:
+        return compute.limb_energies(poses, body.skeleton.tree, body.coarse.arrays, masks, moving, rest, slack, more)
 
     if frame.depth is None:
         return outlines(slack)
-    here = float(xor_energy(body, poses[[0, -1]], frame, moving, rest)[0])
-    return with_limb_depth(body, poses, frame, moving, here, lambda most: outlines(most / max(here, 1e-9)))
+    return with_limb_depth(body, poses, frame, moving, outlines, rest_depth)
 
 
 def xor_energy(

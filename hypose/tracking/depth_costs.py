@@ -51,30 +51,33 @@ def with_limb_depth(
     poses: Array,
     frame: PreparedFrame,
     moving: NDArray[np.bool_],
-    here: float,
-    outlines: Callable[[float], Array],
+    outlines: Callable[[float, float], Array],
+    standing: compute.StandingDepth | None = None,
 ) -> Array:
     """(N,) what poses (N, D) cost whose joints `moving` (J,) alone differ, everything else as in the last one; infinite
     for those that are not worth a measurement: the first one is the limb as it is, and beside it only the best by a
-    rough look are measured. here: what the first one costs without depth; outlines(most): what all of them do, (N,),
-    infinite where that is certainly above `most`."""
+    rough look are measured. outlines(slack, more): what all of them cost without depth, (N,), infinite where that is
+    certainly above `slack` times what the first one costs, and `more`; standing: what does not move, where it has been
+    drawn."""
     assert frame.frame.depth is not None
     seen = _seen(frame, frame.frame.depth)
     given = body.skeleton.tree, body.coarse.arrays, seen, MOST_M
-    standing = compute.standing_depth(poses[-1], *given, moving)
+    if standing is None:
+        standing = compute.standing_depth(poses[-1], *given, moving)
 
-    def limb(chosen: NDArray[np.intp], before: Array, rough: bool = False) -> Array:
-        return before + SHARE * compute.limb_depth_energy(poses[chosen], *given, standing, rough).sum(1)
+    def limb(chosen: NDArray[np.intp], rough: bool = False) -> Array:
+        return SHARE * compute.limb_depth_energy(poses[chosen], *given, standing, rough).sum(1)
 
     out = np.full(len(poses), np.inf)
-    out[:1] = limb(np.array([0]), np.array([here]))
-    most = HOPEFUL * out[0]
+    here = limb(np.zeros(1, np.intp))
     alone = SHARE * float((standing.cost / np.maximum(seen.counts, 1)).sum())
-    before = outlines(most - alone)
+    before = outlines(HOPEFUL, HOPEFUL * float(here[0]) - alone)
+    out[:1] = before[:1] + here
+    most = HOPEFUL * out[0]
     chosen = 1 + np.flatnonzero(before[1:] + alone <= most)
-    rough = limb(chosen, before[chosen], rough=True)
+    rough = before[chosen] + limb(chosen, rough=True)
     chosen = chosen[np.argsort(rough, kind="stable")[: min(MEASURED - 1, int((rough <= most).sum()))]]
-    out[chosen] = limb(chosen, before[chosen])
+    out[chosen] = before[chosen] + limb(chosen)
     return out
 
 

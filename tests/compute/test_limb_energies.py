@@ -99,3 +99,12 @@ def test_the_definition_measures_everybody(body, rng):
         slow = energies(body, poses, moving, prepared)
     found = energies(body, poses, moving, prepared, slack=100.0)
     np.testing.assert_allclose(found, slow, atol=0.05)
+
+
+@pytest.mark.parametrize("more", [-0.01, 0.02])
+def test_what_may_be_added_to_the_first_ones_energy_counts(body, rng, more):
+    poses, moving, prepared = scene(body, rng)
+    found, known = energies(body, poses, moving, prepared, more=more), all_energies(body, poses, moving, prepared)
+    told = np.isfinite(found)
+    np.testing.assert_array_equal(found[told], known[told])
+    assert told[0] and (known[~told] > known[0] + more).all() and (~told).sum() > 20

@@ -75,12 +75,12 @@ def view_that_tells(cells, norm, left):
 
 
 @kernel
-def limb_energies(poses, slack, tree, mesh, prepared, boxes, drawn, drawn_counts, cells, scratch, counts, told):
+def limb_energies(poses, slack, more, tree, mesh, prepared, boxes, drawn, drawn_counts, cells, scratch, counts, told):
     """counts (N, C, 3), zero, as of silhouette_xor, and told (N,), False: whether they are those of all views, as of
-    the first poses and of all that cost at most `slack` times as much as the first one. cells: zero; other arguments as
-    for silhouette_xor."""
+    the first poses and of all that cost at most `slack` times as much as the first one, and `more`. cells: zero; other
+    arguments as for silhouette_xor."""
     n, views, n_dof = poses.shape[0], prepared.bits.shape[0], poses.shape[1]
-    norm, left, limit, view = prepared.norm, prepared.usable.copy(), 0.0, -1
+    norm, left, limit, view = prepared.norm, prepared.usable.copy(), more + 1e-9 * abs(more), -1
     alive, n_alive = np.arange(n), min(n, LANES)  # the first block is as much work as the first pose alone
     least, total, only = np.zeros((n, views)), np.zeros(n), prepared.usable
     while True:

@@ -102,9 +102,10 @@ def limb_energies(
     moving: ArrayLike,
     rest: Standing | None = None,
     slack: float = 1.0,
+    more: float = 0.0,
 ) -> Array:
     """(N,) energies (eq. 2.8) of poses (N, D) in which only the joints `moving` (J,) turn; infinite where they are
-    certainly above `slack` times the energy of the first pose. moving, rest: as for `silhouette_xor`.
+    certainly above `slack` times the energy of the first pose, and `more`. moving, rest: as for `silhouette_xor`.
 
     Most poses of a limb are worse than the one that it is in, and a view or two tell: a limb cannot explain more of a
     mask than what lies uncovered in its window. The others have the energies that `silhouette_xor` gives them.
@@ -123,7 +124,7 @@ def limb_energies(
     cells = np.zeros((len(use), -(-drawn.shape[1] // limbs.CELL) + 1, drawn.shape[2] + 1), dtype=np.int32)
     counts, told = np.zeros((len(q), len(use), 3), dtype=np.int64), np.zeros(len(q), dtype=np.bool_)
     given = tidy(tree), m, prepared, reach.whole_images(prepared), drawn, drawn_counts, cells, scratch
-    limbs.limb_energies(q, float(slack), *given, counts, told)
+    limbs.limb_energies(q, float(slack), float(more), *given, counts, told)
     return np.where(told, (counts[:, use, 0] / prepared.norm[use]).sum(1), np.inf)
 
 
