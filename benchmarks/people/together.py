@@ -207,7 +207,8 @@ def run(name: str, views: str, seed: int, options: BenchOptions) -> dict[str, An
     return {
         **_judged(tracked.people, scenes, present[:, :count], setting),
         "alone": [e for e, _ in alone],
-        "time": clock.seconds("track"),
+        "time": clock.track - clock.starts,
+        "time_of_late_starts": clock.starts,
         "time_alone": [t for _, t in alone],
         "near": min(nearest(a.performance, b.performance) for k, a in enumerate(scenes) for b in scenes[:k]),
     }
@@ -234,20 +235,22 @@ def _out_of_view(p: Performance, away: NDArray[np.bool_]) -> Performance:
 
 
 class _Clock:
-    """A progress call that measures the processor's time of each stage: what else runs on the machine does not
-    count."""
+    """A progress call that measures the processor's time of tracking: what else runs on the machine does not count."""
 
     def __init__(self) -> None:
-        self._from: dict[str, tuple[float, float]] = {}
+        self._since: dict[str, float] = {}
+        self.track = self.starts = 0.0
+        """s, from the first frame to the last, and, of these, of starts: of whoever is found later"""
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         now = time.process_time()
-        self._from[stage] = self._from.get(stage, (now, now))[0], now
-
-    def seconds(self, stage: str) -> float:
-        """How long a stage took."""
-        begin, end = self._from.get(stage, (0.0, 0.0))
-        return end - begin
+        if done == 0:
+            self._since[stage] = now
+        took = now - self._since.get(stage, now)
+        if stage == "track":
+            self.track = took
+        elif stage == "subject" and done == total and "track" in self._since:
+            self.starts += took
 
 
 def _alone(scene: Scene, count: int, points: bool) -> tuple[float, float]:
@@ -265,7 +268,7 @@ def _alone(scene: Scene, count: int, points: bool) -> tuple[float, float]:
         return float("nan"), float("nan")
     errors = _errors(found.motion, scene)
     seen = scene.performance.root[: len(errors), 2] > -100
-    return float(errors[seen].mean()), clock.seconds("track")
+    return float(errors[seen].mean()), clock.track
 
 
 def _errors(motion: Motion, scene: Scene) -> Array:

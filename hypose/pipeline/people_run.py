@@ -418,9 +418,14 @@ class PeopleRun:
             tries, again = (0, t) if seen is None else (int(seen[2]), int(seen[3]))
             if seen is not None:
                 own = evidence_of(person, frame, known, found)
-                if self._back(people, person, own) or (t >= again and self._new(people, person, frame, t)):
+                if self._back(people, person, own):
                     return []
                 if t >= again:  # a fit is dear, and who cannot be told now may not be for long
+                    self.progress("subject", 0, 1)
+                    new = self._new(people, person, frame, t)
+                    self.progress("subject", 1, 1)
+                    if new:
+                        return []
                     tries, again = tries + 1, t + self._look_every * 2 ** min(tries, 3)
             coming.append(np.array([*person.axis, tries, again], dtype=np.float64))
         return coming
