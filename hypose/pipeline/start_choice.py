@@ -105,8 +105,12 @@ class BestWays:
     ways: tuple[Way, ...] = ()
 
     def check(self, frames: Sequence[Frame]) -> None:
-        """An EvidenceError when the best one does not explain its frame, of those that it was looked for in."""
-        check_start(_overlap(self.starts.best, frames[self.at]), frames[self.at].index)
+        """An EvidenceError when the best one does not explain its frame, of those that it was looked for in. Where its
+        way is known, that tells: a start that was found in another frame stands beside, and is put right at once."""
+        best = self.starts.best
+        if self.ways:
+            best = replace(best, pose=self.ways[0].poses[self.at])
+        check_start(_overlap(best, frames[self.at]), frames[self.at].index)
 
 
 def best_ways(

@@ -7,10 +7,10 @@ from benchmarks.robustness.small_recordings import small_scene
 from hypose.body.ready_bodies import human
 from hypose.errors import EvidenceError
 from hypose.evidence.frame import Frame
-from hypose.pipeline.start_choice import best_ways, way_of
+from hypose.pipeline.start_choice import BestWays, Way, best_ways, way_of
 from hypose.tracking.exchanged_sides import turned_around
 from hypose.tracking.frame_evidence import prepare
-from hypose.tracking.start_search import Start
+from hypose.tracking.start_search import Start, by_their_ways
 from hypose.tracking.starts import KNOWN_POSES, start_in_pose
 from hypose.tracking.subject import scaled_to_height
 
@@ -56,6 +56,17 @@ def test_the_right_start_is_taken_whatever_is_tried_first(walk):
     assert np.linalg.norm(joints - scene.joints[:24:2][found.at], axis=-1).mean() < 0.08
     costs = [w.cost for w in found.ways]
     assert costs == sorted(costs) and found.starts.weights.sum() == pytest.approx(1)
+
+
+def test_a_start_of_another_frame_is_judged_by_where_its_way_has_it(walk):
+    _, frames, right, _ = walk
+    good, beside = way_of(right, 0, frames, RATE), right.pose.copy()
+    beside[:2] += 0.4
+    moved = Start(right.body, beside, 0.2)
+    starts, _ = by_their_ways([moved], [good.poses], np.array([good.cost]))
+    with pytest.raises(EvidenceError):
+        BestWays(starts, 0).check(frames)
+    BestWays(starts, 0, (Way(moved, 0, good.poses, good.costs),)).check(frames)
 
 
 def test_frames_without_a_hull_have_no_start(walk):
