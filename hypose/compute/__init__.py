@@ -29,8 +29,10 @@ from hypose.compute.depth_forests.forest_arrays import (
 )
 from hypose.compute.depth_maps.depth_energy import (
     SeenDepth,
+    StandingDepth,
     depth_energy,
     limb_depth_energy,
+    limb_shown,
     standing_depth,
 )
 from hypose.compute.depth_maps.depth_points import (
@@ -141,6 +143,7 @@ __all__ = [
     "PriorArrays",
     "ScanPlan",
     "SeenDepth",
+    "StandingDepth",
     "SharedEquations",
     "Solution",
     "SolveLimits",
@@ -172,6 +175,7 @@ __all__ = [
     "joint_covariances",
     "kept",
     "limb_depth_energy",
+    "limb_shown",
     "limb_energies",
     "lorentzian",
     "lorentzian_weight",

@@ -24,6 +24,11 @@ TALL = 60
 MEASURED, HOPEFUL = 32, 1.1
 """of many poses of a limb so many are drawn, and none that costs so much more than the limb as it is by a rough look.
 Chosen on the seeds 0 to 29 (benchmark `depth`)."""
+ARM_M2, ARM_REACH_M, EXPLAINED_M = 0.055, 0.75, 0.08
+"""m^2 of an arm that is seen from its side; m from the shoulder; m between what was drawn and seen"""
+LEAST_SHOWN, AGREED, BESIDE = 0.7, 0.8, 0.4
+"""shares of an arm: in sight; of what is in sight, where it was seen; seen in its reach, but no part of the body. An
+arm that is so much in sight is looked for nowhere else. Chosen on the seeds 0 to 15 (benchmark `depth`)."""
 _SEEN, _COSTS = "seen depth", "depth costs"
 _FEW = 12
 """sets of no more poses are remembered: the same pose is judged several times in a frame"""
@@ -79,6 +84,25 @@ def with_limb_depth(
     chosen = chosen[np.argsort(rough, kind="stable")[: min(MEASURED - 1, int((rough <= most).sum()))]]
     out[chosen] = before[chosen] + limb(chosen)
     return out
+
+
+def without_limb(body: Body, pose: Array, frame: PreparedFrame, moving: NDArray[np.bool_]) -> compute.StandingDepth:
+    """What depth cameras would see of a body at a pose (D,) without what the joints `moving` (J,) move."""
+    assert frame.frame.depth is not None
+    seen = _seen(frame, frame.frame.depth)
+    return compute.standing_depth(pose, body.skeleton.tree, body.coarse.arrays, seen, MOST_M, moving)
+
+
+def arm_is_seen(body: Body, frame: PreparedFrame, standing: compute.StandingDepth, shoulder: int) -> bool:
+    """Whether depth cameras show an arm where it is in the pose that the rest of the body stands in (`without_limb`),
+    and nothing in its reach that the body does not explain. shoulder: its joint."""
+    assert frame.frame.depth is not None
+    seen = _seen(frame, frame.frame.depth)
+    at = standing.pose[:3] + standing.centres[shoulder]
+    given = body.skeleton.tree, body.coarse.arrays, seen, standing, at, ARM_REACH_M, EXPLAINED_M
+    in_sight, agreed, beside = compute.limb_shown(*given).T
+    shown = (in_sight >= LEAST_SHOWN * ARM_M2) & (agreed >= AGREED * in_sight)
+    return bool(shown.any() and (beside <= BESIDE * ARM_M2).all())
 
 
 def depth_views(frame: PreparedFrame) -> int:

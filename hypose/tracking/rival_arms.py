@@ -20,6 +20,7 @@ from hypose.fitting.articulated import PoseFit, SolveSettings
 from hypose.geometry import Array
 from hypose.inference.hypotheses import BEFORE, Hypotheses
 from hypose.tracking.costs import frame_energy, limb_energy
+from hypose.tracking.depth_costs import arm_is_seen, without_limb
 from hypose.tracking.frame_evidence import PoseMemory, PreparedFrame
 from hypose.tracking.part_colours import ColourSettings, colour_scores, known_colours
 from hypose.tracking.pictured_arms import pictured_arms
@@ -239,8 +240,11 @@ def rival_arms(
     arm: ArmReach, pose: Array, frame: PreparedFrame, look: LookedUp, known: Array | None = None
 ) -> list[Array]:
     """Poses (D,) that differ from a pose in one arm, which lies in the masks where the body is not, elsewhere than in
-    the pose and in those that are known (K, D)."""
+    the pose and in those that are known (K, D). Nowhere else where depth cameras show the arm as it is in the pose."""
     assert frame.masks is not None
+    standing = None if frame.depth is None else without_limb(frame.body, pose, frame, arm.moving)
+    if standing is not None and arm_is_seen(frame.body, frame, standing, arm.chain[0]):
+        return []
     body, there = frame.body, arm.here(pose[None] if known is None else np.concatenate([pose[None], known]))
     here = there[:1]
     rest = reach.standing(pose, body.skeleton.tree, body.coarse.arrays, frame.masks, arm.moving)
@@ -252,7 +256,7 @@ def rival_arms(
         return []
     poses = np.repeat(pose[None], len(good) + 1, 0)
     poses[1:, arm.own] = arm.poses[good]  # the first one stands
-    energy = limb_energy(poses, frame, arm.moving, rest, look.ratio)
+    energy = limb_energy(poses, frame, arm.moving, rest, look.ratio, standing)
     at, chosen = arm.ends[good], list[int]()
     for n in np.argsort(energy[1:], kind="stable"):
         if energy[1 + n] > look.ratio * energy[0] or len(chosen) == look.most:

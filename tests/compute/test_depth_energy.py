@@ -96,3 +96,23 @@ def test_small_maps_rank_poses_as_large_ones_do(case, rng):
     poses = some_poses(pose, rng, 60)
     a, b = energy(poses, seen).sum(1), energy(poses, small).sum(1)
     assert np.corrcoef(a.argsort().argsort(), b.argsort().argsort())[0, 1] > 0.95
+
+
+def shown(pose, seen, moving):
+    given = BODY.skeleton.tree, BODY.coarse.arrays, seen
+    standing = compute.standing_depth(pose, *given, MOST, moving)
+    shoulder = pose[:3] + standing.centres[BODY.skeleton.joint("left_shoulder")]
+    return compute.limb_shown(*given, standing, shoulder, 0.75, 0.08)
+
+
+def test_an_arm_is_shown_where_it_is_and_beside_it_where_it_is_not(case):
+    pose, _, seen = case
+    moving = limb("left_shoulder", "left_elbow")
+    found = shown(pose, seen, moving)
+    in_sight, agreed, beside = found.T
+    assert found.shape == (len(seen.maps), 3) and in_sight[0] == pytest.approx(0.055, abs=0.03)
+    assert (agreed > 0.9 * in_sight).all() and (beside < 0.01).all()
+    other = pose.copy()
+    other[BODY.skeleton.dofs_of("left_shoulder")] -= (0, 1.2, 0)
+    in_sight, agreed, beside = shown(other, seen, moving).T
+    assert agreed[0] < 0.7 * in_sight[0] and beside[0] > 0.02

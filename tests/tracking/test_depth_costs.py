@@ -5,9 +5,11 @@ import pytest
 
 from hypose.body.ready_bodies import human
 from hypose.tracking.costs import frame_energy, limb_energy
-from hypose.tracking.depth_costs import MEASURED, depth_cost
+from hypose.tracking.depth_costs import MEASURED, arm_is_seen, depth_cost, without_limb
 from hypose.tracking.doubt import GROUPS, depth_doubt
 from hypose.tracking.frame_evidence import prepare
+from hypose.tracking.reach_table import arm_reach, in_practice
+from hypose.tracking.rival_arms import LookedUp, rival_arms
 from hypose.tracking.starts import known_pose
 from tests.depth_pictures import frame_of, sensors
 
@@ -42,6 +44,21 @@ def test_where_the_limb_is_right_hardly_another_is_measured(frame, rng):
     poses = np.stack([frame.prediction, *s.clamp(frame.prediction + 0.6 * steps)])
     found = limb_energy(poses, frame, moving)
     assert found.argmin() == 0 and np.isfinite(found).sum() < MEASURED / 2
+
+
+def test_an_arm_that_is_seen_where_it_is_is_looked_for_nowhere_else(frame, monkeypatch):
+    s = BODY.skeleton
+    arm = arm_reach(BODY, ("left_clavicle", "left_shoulder", "left_elbow"), *in_practice(s))
+
+    def is_seen(pose):
+        return arm_is_seen(BODY, frame, without_limb(BODY, pose, frame, arm.moving), s.joint("left_shoulder"))
+
+    other = frame.prediction.copy()
+    other[s.dofs_of("left_shoulder")] -= (0, 1.2, 0)
+    assert is_seen(frame.prediction) and not is_seen(other)
+    assert len(rival_arms(arm, other, frame, LookedUp()))
+    monkeypatch.setattr("hypose.tracking.rival_arms.limb_energy", None)
+    assert rival_arms(arm, frame.prediction, frame, LookedUp()) == []
 
 
 def test_the_same_pose_is_looked_at_once(frame, monkeypatch):

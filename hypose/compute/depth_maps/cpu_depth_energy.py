@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from hypose.compute.arrays import BALL
@@ -222,3 +224,43 @@ def limb_energies(poses, first, last, tree, mesh, standing, seen, projections, s
                 for y in range(height):
                     for x in range(width):
                         drawn[c, y, x] = standing.drawn[c, y, x]
+
+
+@kernel
+def limb_shown(tree, mesh, standing, seen, projections, sizes, centre, reach, apart, out):
+    """out (C, 3), zero, of the limb that was left out of what stands, in the pose that this was drawn at, in m^2 at the
+    distance of a centre (3,), from the root: what of it is in sight; what of that lies within `apart` m of what the
+    sensor saw; and what the sensor saw, no further than `reach` m from the centre, that lies more than `apart` before
+    all of the body, or beside it."""
+    n_vertices = mesh.vertices.shape[0]
+    maps, vertices = np.empty((tree.parents.shape[0], 12), np.float32), np.empty((n_vertices, 3), np.float32)
+    u, v, z = np.empty(n_vertices, np.float32), np.empty(n_vertices, np.float32), np.empty(n_vertices, np.float32)
+    nothing, count, p = np.empty(0, np.int64), np.zeros(1, np.int64), np.empty((3, 4), np.float32)
+    for j in range(tree.parents.shape[0]):
+        bone_map(standing.rotations[j], standing.centres[j], tree.joints[j], maps[j])
+    _skin(maps, mesh, standing.vertices, vertices)
+    for c in range(seen.shape[0]):
+        whole, width, height = standing.drawn[c].copy(), sizes[c, 0], sizes[c, 1]
+        camera_about_root(projections[c], standing.pose, p)
+        _project(p, vertices, standing.vertices, u, v, z)
+        _draw(mesh.faces, standing.faces, u, v, z, seen[c], apart, whole, sizes[c], nothing, count)
+        away = p[2, 0] * centre[0] + p[2, 1] * centre[1] + p[2, 2] * centre[2] + p[2, 3]
+        across = p[0, 0] * centre[0] + p[0, 1] * centre[1] + p[0, 2] * centre[2] + p[0, 3]
+        down = p[1, 0] * centre[0] + p[1, 1] * centre[1] + p[1, 2] * centre[2] + p[1, 3]
+        away = max(away, 0.05)
+        left, top = across / away, down / away
+        beside = p[0, 0] * p[2, 0] + p[0, 1] * p[2, 1] + p[0, 2] * p[2, 2]  # the last row has unit length
+        squared = p[0, 0] * p[0, 0] + p[0, 1] * p[0, 1] + p[0, 2] * p[0, 2] - beside * beside
+        metre = math.sqrt(squared) / away
+        within = reach * reach * metre * metre
+        for y in range(height):
+            for x in range(width):
+                other = seen[c, y, x]
+                if whole[y, x] < standing.drawn[c, y, x]:
+                    out[c, 0] += 1
+                    out[c, 1] += other > f4(0) and abs(whole[y, x] - other) < apart
+                dx, dy = x - left, y - top
+                if other > f4(0) and whole[y, x] - other > apart and dx * dx + dy * dy < within:
+                    out[c, 2] += 1
+        for k in range(3):
+            out[c, k] /= metre * metre

@@ -97,6 +97,27 @@ def limb_depth_energy(
     return out / np.maximum(seen.counts, 1)
 
 
+def limb_shown(
+    tree: TreeArrays,
+    mesh: MeshArrays,
+    seen: SeenDepth,
+    standing: StandingDepth,
+    centre: ArrayLike,
+    reach_m: float,
+    apart_m: float,
+) -> NDArray[np.float64]:
+    """(C, 3) m^2, at the distance of a centre (3,) m, world, of the limb that was left out of what stands, in the pose
+    that this was drawn at: what of it is in sight; what of that lies within apart_m of what the sensor saw; and what
+    the sensor saw, no further than reach_m from the centre, that lies more than apart_m before all of the body, or
+    beside it."""
+    out = np.zeros((len(seen.maps), 3))
+    maps, projections, sizes, apart = _against(seen, apart_m)
+    at = plain(np.asarray(centre, dtype=np.float64) - standing.pose[:3], np.float64)
+    show = native("depth_maps.depth_energy").limb_shown
+    show(tidy(tree), tidy(mesh), standing, maps, projections, sizes, at, float(reach_m), apart, out)
+    return out
+
+
 def _against(
     seen: SeenDepth, most_m: float
 ) -> tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.int64], np.float32]:
