@@ -69,7 +69,9 @@ def looked_at(
         keypoints=frame.keypoints if wanted != "silhouettes" else None,
     )
     rivals = estimate.rivals, estimate.rival_weights
-    audit = audit_frame(tracker.body, estimate.pose, own, tracker.keypoints_on_body, rivals, estimate.exchanged)
+    # key points tell which way round the body is; that masks alone may not is no doubt then
+    exchanged = estimate.exchanged if own.keypoints is None else float("nan")
+    audit = audit_frame(tracker.body, estimate.pose, own, tracker.keypoints_on_body, rivals, exchanged)
     return replace(estimate, seen=seen, audit=audit)
 
 

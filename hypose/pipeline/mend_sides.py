@@ -9,7 +9,7 @@ frame the better one is kept.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -35,7 +35,7 @@ _MET_M, _MET_FRAMES = 0.02, 8
 """m, frames: both tracks are one where their joints lie so near for so long."""
 _ELSEWHERE_M = 0.15
 """m: a body whose joints lie so far off in the mean had been lost."""
-_LEG = ("hip", "knee", "ankle")
+_LIMBS = ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
 _BLOCK = 25
 """Frames read at once to go backwards: videos are read forwards."""
 
@@ -119,6 +119,7 @@ def _tracked_anew(
 ) -> _Anew:
     """What is won over the old estimates around frame `at`, from the body with its sides exchanged there, or from where
     it was found."""
+    frames = as_named(frames, [range(len(old))])
     start = tracker.start(tracker.rival(old[at].pose, next(iter(frames(range(at, at + 1))))), memory)
     ahead, back = range(at, len(old)), range(at - 1, -1, -1)
     later, won, after = _while_better(tracker, start, old, ahead, _forwards(frames, at, len(old)))
@@ -182,6 +183,19 @@ def backwards(frames: FrameRange, stop: int) -> Iterator[tuple[Frame, Frame | No
         stop = begin
 
 
+def as_named(frames: FrameRange, within: Sequence[range]) -> FrameRange:
+    """The same frames, in which nothing but their names tells the sides of the key points within these ranges."""
+
+    def of(numbers: range) -> Iterator[Frame]:
+        for t, frame in zip(numbers, frames(numbers), strict=True):
+            points = frame.keypoints
+            if points is not None and any(t in r for r in within):
+                frame = replace(frame, keypoints=replace(points, really=None))
+            yield frame
+
+    return of
+
+
 def read_once(frames: FrameRange) -> FrameRange:
     """The same frames, of which those of the last block are kept with what has been made of them: who goes backwards
     asks for them again from the next place on."""
@@ -200,10 +214,10 @@ def read_once(frames: FrameRange) -> FrameRange:
 
 
 def _much_the_same(body: Body, a: FrameEstimate, b: FrameEstimate) -> bool:
-    """Do hips, knees and ankles lie on the same sides of each other in both, and all joints near?"""
+    """Do the joints of legs and arms lie on the same sides of each other in both, and all joints near?"""
     s = body.skeleton
     joints = body.joints(np.stack([a.pose, b.pose]))
-    left, right = (joints[:, [s.joint(f"{side}_{name}") for name in _LEG]] for side in ("left", "right"))
+    left, right = (joints[:, [s.joint(f"{side}_{name}") for name in _LIMBS]] for side in ("left", "right"))
     across = left - right
     return bool(((across[0] * across[1]).sum(-1) > 0).all()) and _apart(body, a, b) < _ELSEWHERE_M
 

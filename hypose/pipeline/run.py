@@ -30,7 +30,7 @@ from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
 from hypose.pipeline.first_look import first_look, of_measured, sentences
 from hypose.pipeline.kept_findings import SUBJECT, keep_subject, kept_subject
 from hypose.pipeline.keypoint_track import track_keypoints, with_named_sides
-from hypose.pipeline.mend_sides import look_back, look_back_notes, mend_sides, sides_notes
+from hypose.pipeline.mend_sides import FrameRange, as_named, look_back, look_back_notes, mend_sides, sides_notes
 from hypose.pipeline.moved_sensors import PlacedSource, Places, moved_sensors
 from hypose.pipeline.picture_start import picture_options, subject_in_picture
 from hypose.pipeline.pictures import depth_note, one_view
@@ -288,26 +288,29 @@ def finish(
     def again(frames: range) -> Iterator[Frame]:
         return tracked_frames(source, frames, recipe.needs, subject)
 
+    seen: FrameRange = again
     if done.complete:
         progress("sides", 0, 1)
         estimates, exchanged = mend_sides(
-            tracker, estimates, again, sure_start=options.sure_start, memory=done.state.memory
+            tracker, estimates, seen, sure_start=options.sure_start, memory=done.state.memory
         )
         notes = (*notes, *sides_notes(exchanged))
+        if exchanged:  # there, what the clip took the key points' sides for is refuted
+            seen = as_named(again, exchanged)
         if shared and not options.sure_start:
-            estimates, anew = look_back(tracker, estimates, again, memory=done.state.memory)
+            estimates, anew = look_back(tracker, estimates, seen, memory=done.state.memory)
             notes = (*notes, *look_back_notes(anew))
         progress("sides", 1, 1)
         if options.smooth and recipe.smooth is not None:
             estimates, moved = look_both_ways(
-                tracker, estimates, again, memory=done.state.memory, progress=partial(progress, "both ways")
+                tracker, estimates, seen, memory=done.state.memory, progress=partial(progress, "both ways")
             )
             notes = (*notes, *both_ways_notes(moved))
             progress("both ways", len(estimates), len(estimates))
     tracked = _tracked(subject, estimates, tracker.settings.frame_rate, record)
     motion = tracked.motion
     if options.smooth and recipe.smooth is not None and done.complete:
-        clip = Clip(tracker, motion, estimates, done.state, again, partial(progress, "smooth"))
+        clip = Clip(tracker, motion, estimates, done.state, seen, partial(progress, "smooth"))
         motion, said = recipe.smooth(clip)
         notes = (*notes, *said)
     motion, doubts = with_doubts(motion, [e.seen for e in estimates])

@@ -9,7 +9,9 @@ compared.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -19,7 +21,7 @@ from hypose.compute import over_chunks
 from hypose.fitting.articulated import PointTerm, SolveSettings, fit_pose
 from hypose.geometry import Array
 from hypose.tracking.costs import agreement
-from hypose.tracking.frame_evidence import PreparedFrame
+from hypose.tracking.frame_evidence import PoseMemory, PreparedFrame
 from hypose.tracking.refinement import anatomical_prior, refine
 from hypose.tracking.starts import turned
 
@@ -39,15 +41,16 @@ def turned_around(body: Body, pose: Array) -> Array:
     return _with_joints_at(body, wanted, start)
 
 
-def limbs_exchanged(body: Body, pose: Array, limb: str = "legs") -> Array:
+def limbs_exchanged(body: Body, pose: Array, limb: str = "legs", *, roots: bool = False) -> Array:
     """(D,) the pose in which each knee and ankle, or each elbow and wrist ("arms"), lies where the other one lies in
-    `pose` (D,), all else as it is, as far as anatomy allows."""
+    `pose` (D,), with roots each hip or shoulder as well, all else as it is, as far as anatomy allows."""
     s = body.skeleton
-    root, *below = _PARTS[limb]
+    parts = _PARTS[limb]
+    moved = parts if roots else parts[1:]
     joints = body.joints(pose[None])[0]
-    wanted = joints[[s.joint(_other_side(n) if n.endswith(tuple(below)) else n) for n in s.joint_names]]
+    wanted = joints[[s.joint(_other_side(n) if n.endswith(moved) else n) for n in s.joint_names]]
     start = pose.copy()
-    for part in (root, *below):
+    for part in parts:
         left, right = (s.dofs_of(f"{side}_{part}") for side in ("left", "right"))
         start[left], start[right] = pose[right], pose[left]
     return _with_joints_at(body, wanted, s.clamp(start))
@@ -74,13 +77,21 @@ _STRAIN = 0.02
 def look_for_exchange(pose: Array, frame: PreparedFrame, /) -> tuple[float, Array]:
     """By how much the body turned around, or with its legs exchanged, overlaps the masks better than in `pose` (D,),
     mean IoU over the views less what it strains more (`strain`), and that pose (D,), solved on the frame. Below zero:
-    `pose` is the better one."""
-    body = frame.body
+    `pose` is the better one.
+
+    Where there are key points, arms are tried as well, on either girdle: a detector exchanges their names. Judged by
+    the masks alone, `pose` solved on them, too: points follow the sides that they were named by."""
+    body, named = frame.body, frame.keypoints is not None
+    if named:
+        frame = replace(frame, keypoints=None, beside_masks=None, hessians=PoseMemory())
 
     def worth(q: Array) -> float:
         return agreement(body, q, frame) - float(strain(body.skeleton, q[None])[0])
 
-    ways, tried = (turned_around, limbs_exchanged), [pose, pose]
+    ways: list[Callable[[Body, Array], Array]] = [turned_around, limbs_exchanged]
+    if named:
+        ways += [partial(limbs_exchanged, limb="arms"), partial(limbs_exchanged, limb="arms", roots=True), _as_it_is]
+    tried = [pose] * len(ways)
 
     def work(first: int, last: int) -> None:
         for n in range(first, last):
@@ -88,12 +99,16 @@ def look_for_exchange(pose: Array, frame: PreparedFrame, /) -> tuple[float, Arra
             tried[n] = refine(body, start[None], replace(frame, prediction=start), _TO_MASKS)[0].pose
 
     over_chunks(work, len(ways), None)
-    now, best = worth(pose), (-1.0, pose)
+    now, best = worth(tried.pop() if named else pose), (-1.0, pose)
     for found in tried:
         gain = worth(found) - now
         if gain > best[0]:
             best = (gain, found)
     return best
+
+
+def _as_it_is(body: Body, pose: Array) -> Array:
+    return pose
 
 
 def _with_joints_at(body: Body, wanted: Array, start: Array) -> Array:

@@ -54,9 +54,9 @@ _LIMBS = [
     for a, b in (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"))
 ]
 _LOOK_EVERY = 5  # frames; looking everywhere is dear
-AROUND_S, CLEAR_NAMES = 0.5, 0.3
-"""s, and by which share more views must call limbs by their own side's name than by the other's, for the clip's word to
-go for more than what masks say."""
+AROUND_S, CLEAR_NAMES = 0.5, 0.5
+"""s, and by which share more views must call limbs by their own side's name than by the other's, before it as
+well as after it, for the clip's word to go for more than what masks say."""
 LEAST_POINTS = 6
 """A frame with fewer points (in all views together) says nothing of the pose by itself."""
 _QUICK = SolveSettings(iterations=6, coarse_iterations=0, tolerance=3e-3)
@@ -144,11 +144,12 @@ def real_names(
     names agree with it in most views nearby in time, and the pose (D,) in the first frame by them; start (D,): what it
     was taken for, with sure_start for good."""
     poses, _ = _on_named_sides(body, model, keypoints, start, frame_rate, sure_start=sure_start)
-    size, clear = 2 * max(1, round(AROUND_S * frame_rate)) + 1, np.ones(len(poses), np.bool_)
+    half, clear = max(1, round(0.5 * AROUND_S * frame_rate)), np.ones(len(poses), np.bool_)
     for limb in LIMBS:
         votes = votes_by_names(body, model, poses, keypoints, limb)
-        renamed, kept = uniform_filter1d(votes, size, axis=0, mode="nearest").T
-        clear &= kept - renamed >= CLEAR_NAMES * (kept + renamed)
+        for side in (-half, half):  # before and after: limbs may change places here
+            renamed, kept = uniform_filter1d(votes, 2 * half + 1, axis=0, mode="nearest", origin=side).T
+            clear &= kept - renamed >= CLEAR_NAMES * (kept + renamed)
     out = [
         _named_by(body, model, q, k) if k is not None and sure else k
         for q, k, sure in zip(poses, keypoints, clear, strict=True)

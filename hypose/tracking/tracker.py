@@ -284,9 +284,9 @@ class Tracker:
         return tried[int(np.argmax([_mean_iou(self.body, q, prepared) for q in tried]))]
 
     def _rival_gain(self, state: TrackerState, pose: Array, prepared: PreparedFrame) -> float:
-        """Looked for now and then, where silhouettes alone tell left from right."""
+        """Looked for now and then, where there are silhouettes."""
         look = self.recipe.recover.rival if self.recipe.recover is not None else None
-        if look is None or prepared.masks is None or prepared.keypoints is not None or not self._has_look(state):
+        if look is None or prepared.masks is None or not self._has_look(state):
             return float("nan")
         return look(pose, prepared)[0]
 

@@ -1,10 +1,15 @@
 """Sides exchanged: where the joints come to lie, and which of the two the silhouettes prefer."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from hypose.evidence.frame import Keypoints
+from hypose.evidence.keypoints import BODY_25
 from hypose.tracking.exchanged_sides import limbs_exchanged, look_for_exchange, turned_around
 from hypose.tracking.frame_evidence import prepare
+from hypose.tracking.keypoint_evidence import keypoint_model
 
 
 def striding(body, standing):
@@ -69,3 +74,29 @@ def test_silhouettes_prefer_each_leg_in_its_place(body, standing, frame_of):
     joints, back = body.joints(np.stack([pose, found]))
     for side in ("left", "right"):
         assert np.linalg.norm((joints - back)[s.joint(f"{side}_ankle")]) < 0.06
+
+
+def test_beside_key_points_arms_are_tried_as_well(body, standing, frame_of):
+    s, pose = body.skeleton, standing.copy()
+    pose[s.dofs_of("left_shoulder")[0]] -= 1.0  # one arm forwards, the other bent aside
+    pose[s.dofs_of("right_elbow")[0]] += 1.4
+    pose = s.clamp(pose)
+    frame = frame_of(body, pose, 0)
+    model = keypoint_model(body, BODY_25)
+    rig = frame.silhouettes.rig
+    uv = np.stack([camera.project_pinhole(model.positions(body, pose)) for camera in rig])
+    points = np.concatenate([uv, np.broadcast_to(np.where(model.known, 0.9, 0.0), uv.shape[:-1])[..., None]], -1)
+    for part in ("shoulder", "elbow", "wrist"):  # called by the other side's names in all views
+        a, b = (BODY_25.index(f"{side}_{part}") for side in ("left", "right"))
+        points[:, [a, b]] = points[:, [b, a]]
+    frame = replace(frame, keypoints=Keypoints(points, BODY_25, rig))
+    wrists = [s.joint("left_wrist"), s.joint("right_wrist")]
+    wrong = limbs_exchanged(body, pose, "arms")
+    there, crossed = body.joints(np.stack([pose, wrong]))[:, wrists]
+    assert np.linalg.norm(crossed - there, axis=-1).min() > 0.15
+    prepared = prepare(frame, body, wrong, use_keypoints=True, keypoints_on_body=model)
+    gain, found = look_for_exchange(wrong, prepared)
+    assert gain > 0.01
+    assert np.linalg.norm(body.joints(found[None])[0, wrists] - there, axis=-1).max() < 0.06
+    prepared = prepare(frame, body, pose, use_keypoints=True, keypoints_on_body=model)
+    assert look_for_exchange(pose, prepared)[0] < 0.0
