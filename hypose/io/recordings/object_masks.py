@@ -36,13 +36,20 @@ Objects = Mapping[str, Mask]
 
 
 class ObjectMasks:
-    """Masks of several objects of one view, frame by frame. Of the stored size (width, height); objects: their names.
-    It can be read as pictures like a `VideoReader`: all objects white."""
+    """Masks of several objects of one view, frame by frame. Of the stored size (width, height); objects: their names;
+    first: the number of the first frame's files, None where order alone counts. It can be read as pictures like a
+    `VideoReader`: all objects white."""
 
     def __init__(
-        self, path: Path, size: tuple[int, int], frames: int, objects: tuple[str, ...], load: Callable[[int], Objects]
+        self,
+        path: Path,
+        size: tuple[int, int],
+        frames: int,
+        objects: tuple[str, ...],
+        load: Callable[[int], Objects],
+        first: int | None = None,
     ) -> None:
-        self.path, self.size, self.objects, self._load = path, size, objects, load
+        self.path, self.size, self.objects, self._load, self.first = path, size, objects, load, first
         self.n_frames = self.stated_frames = frames
         self.frame_rate: float | None = None
         self.is_sequence, self.truncated = True, False
@@ -75,31 +82,32 @@ class ObjectMasks:
         pass
 
 
-def open_masks(path: Path) -> ObjectMasks | VideoReader:
-    """Masks of objects, or a video or images of one kind of mask; an InputError says what is wrong."""
+def open_masks(path: Path, first: int | None = None) -> ObjectMasks | VideoReader:
+    """Masks of objects, or a video or images of one kind of mask; an InputError says what is wrong. first: the number
+    of the first frame, of files of one folder per object; None: the least there is."""
     if path.is_file() and path.suffix.lower() == ".json":
         return _of_coco(path)
     if path.is_dir():
         images = list_images(path)
         inside = [p for p in sorted(path.iterdir(), key=lambda p: natural_key(p.name)) if p.is_dir() and list_images(p)]
         if not images and inside:
-            return _of_folders(path, inside)
+            return _of_folders(path, inside, first)
         found = _of_labels(path, images)
         if found is not None:
             return found
     return open_video(path)
 
 
-def _of_folders(path: Path, folders: list[Path]) -> ObjectMasks:
+def _of_folders(path: Path, folders: list[Path], first: int | None) -> ObjectMasks:
     """One folder per object. Files of the same number are of the same frame; without numbers their order counts."""
     listed = {p.name: list_images(p) for p in folders}
     numbers = {name: [_number(f) for f in files] for name, files in listed.items()}
     known = [n for found in numbers.values() for n in found]
     by_frame: dict[str, dict[int, Path]]
     if None in known or any(len(set(n)) < len(n) for n in numbers.values()):
-        by_frame = {name: dict(enumerate(files)) for name, files in listed.items()}
+        by_frame, first = {name: dict(enumerate(files)) for name, files in listed.items()}, None
     else:
-        first = min(n for n in known if n is not None)
+        first = min([n for n in known if n is not None] if first is None else [first])
         by_frame = {
             name: {n - first: f for n, f in zip(numbers[name], files, strict=True) if n is not None}
             for name, files in listed.items()
@@ -118,7 +126,7 @@ def _of_folders(path: Path, folders: list[Path]) -> ObjectMasks:
         return out
 
     frames = 1 + max(max(files) for files in by_frame.values())
-    return ObjectMasks(path, (shape[1], shape[0]), frames, tuple(listed), load)
+    return ObjectMasks(path, (shape[1], shape[0]), frames, tuple(listed), load, first)
 
 
 def _number(path: Path) -> int | None:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -45,7 +44,14 @@ from hypose.io.recordings.recording_keys import (
     read_toml,
     silhouette_options,
 )
-from hypose.io.recordings.recording_views import View, check_background, check_size, common_frames, frame_rate_of, look
+from hypose.io.recordings.recording_views import (
+    View,
+    check_background,
+    check_size,
+    common_frames,
+    frame_rate_of,
+    look_together,
+)
 from hypose.io.videos.video import frame_size
 
 _UP = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1), "-x": (-1, 0, 0), "-y": (0, -1, 0), "-z": (0, 0, -1)}
@@ -228,8 +234,7 @@ def _build(folder: Path, origin: Path, settings: Mapping[str, Any], notes: list[
     calibration, rig = _calibration(folder, where, settings, notes)
     rig = _match_cameras(rig, calibration, views, [t.get("camera") for t in tables], notes)
 
-    with ThreadPoolExecutor(len(views)) as pool:  # finding out how many frames can be decoded takes its time
-        clips = list(pool.map(look, views))
+    views, clips = look_together(views, notes)
     for view, camera, found in zip(views, rig, clips, strict=True):
         for clip in found:
             check_size(view, camera, clip.path, clip.size, notes)
@@ -346,7 +351,7 @@ def _reason(problem: Exception) -> str:
 def _view(folder: Path, where: str, table: Mapping[str, Any], index: int) -> View:
     name = table.get("name") or f"view{index + 1}"
     where = f"{where}, view {name}"
-    paths: dict[str, Path] = {}
+    paths: dict[str, Any] = {}
     for key in PATH_KEYS:
         if key not in table:
             continue

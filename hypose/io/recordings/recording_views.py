@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,8 @@ SIDECAR = "hypose-masks.json"
 
 @dataclass(frozen=True)
 class View:
-    """What one camera delivered. Paths exist; None = not given. See the module for the meaning of each."""
+    """What one camera delivered. Paths exist; None = not given. See the module for the meaning of each. first_mask: the
+    number of the first frame, of masks in one folder per object, None: the view's own least."""
 
     name: str
     video: Path | None = None
@@ -30,6 +32,7 @@ class View:
     depth: Path | None = None
     image_shift: tuple[float, float] = (0.0, 0.0)
     accept_scaled: bool = False
+    first_mask: int | None = None
 
     @property
     def source(self) -> Path | None:
@@ -39,13 +42,14 @@ class View:
 
 @dataclass(frozen=True)
 class Clip:
-    """What a look into one video, image folder or mask source gave."""
+    """What a look into one video, image folder or mask source gave; first: as ObjectMasks have it."""
 
     path: Path
     size: tuple[int, int]
     n_frames: int
     stated_frames: int
     frame_rate: float | None
+    first: int | None = None
 
 
 def look(view: View) -> list[Clip]:
@@ -57,9 +61,30 @@ def look(view: View) -> list[Clip]:
         made_here = (path / SIDECAR).is_file()
         if path.is_dir() and not made_here:
             check_numbers(path)
-        with open_masks(path) if path == view.masks and not made_here else open_video(path) as reader:
-            out.append(Clip(path, reader.size, reader.n_frames, reader.stated_frames, reader.frame_rate))
+        of_masks = path == view.masks and not made_here
+        with open_masks(path, view.first_mask) if of_masks else open_video(path) as reader:
+            first = reader.first if isinstance(reader, ObjectMasks) else None
+            out.append(Clip(path, reader.size, reader.n_frames, reader.stated_frames, reader.frame_rate, first))
     return out
+
+
+def look_together(views: Sequence[View], notes: list[str]) -> tuple[list[View], list[list[Clip]]]:
+    """The views, and what a look into each gave. Where files of one folder per object begin with different numbers,
+    these are the frames' of all views: whoever is not seen at first has no masks then."""
+    with ThreadPoolExecutor(len(views)) as pool:  # finding out how many frames can be decoded takes its time
+        clips = list(pool.map(look, views))
+    numbered = {k: c for k, found in enumerate(clips) for c in found if c.first is not None}
+    begin = [c.first for c in numbered.values() if c.first is not None]
+    spans = [c.n_frames for c in numbered.values()]
+    if not begin or not 0 < max(begin) - min(begin) < min(spans):  # cameras that count on their own are further apart
+        return list(views), clips
+    same = [replace(v, first_mask=min(begin)) if k in numbered else v for k, v in enumerate(views)]
+    late = ", ".join(f"{views[k].name} {c.first}" for k, c in numbered.items() if c.first != min(begin))
+    notes.append(
+        f"Files of masks begin with different numbers ({min(begin)}, but {late}): they are taken as the numbers of all "
+        "views' frames."
+    )
+    return same, [look(v) if k in numbered else clips[k] for k, v in enumerate(same)]
 
 
 def open_pictures(view: View) -> VideoReader | ObjectMasks:
@@ -68,7 +93,8 @@ def open_pictures(view: View) -> VideoReader | ObjectMasks:
         return open_video(view.source)
     if view.masks is None:
         raise InputError(f"View {view.name} has neither video, images nor masks.")
-    return open_video(view.masks) if (view.masks / SIDECAR).is_file() else open_masks(view.masks)
+    made_here = (view.masks / SIDECAR).is_file()
+    return open_video(view.masks) if made_here else open_masks(view.masks, view.first_mask)
 
 
 def check_size(view: View, camera: Camera, path: Path, size: tuple[int, int], notes: list[str] | None) -> None:

@@ -66,9 +66,9 @@ def mask_in(image: Image, prepare: Preparer, segment: Segmenter, band: Mask | No
 
 class _MaskSource:
     """Masks made elsewhere: a video, a folder of images in order, masks of several objects, or a folder written by
-    write_masks. chosen: the objects that are the person, None: all."""
+    write_masks. chosen: the objects that are the person, None: all; first: as for `open_masks`."""
 
-    def __init__(self, path: Path, prepare: Preparer, size: tuple[int, int]) -> None:
+    def __init__(self, path: Path, prepare: Preparer, size: tuple[int, int], first: int | None = None) -> None:
         self.path, self._prepare, self._size = path, prepare, size
         self._numbered: dict[int, Path] | None = None
         self._reader: VideoReader | None = None
@@ -77,7 +77,7 @@ class _MaskSource:
         if (path / SIDECAR).is_file():
             self._numbered = {int(p.stem): p for p in list_images(path) if p.stem.isdigit()}
         else:
-            opened = open_masks(path)
+            opened = open_masks(path, first)
             if isinstance(opened, ObjectMasks):
                 self.objects = opened
             else:
@@ -110,7 +110,8 @@ class ViewSource:
     def __init__(self, view: View, camera: Camera, small: Camera, people: bool = False) -> None:
         self.view = view
         self._prepare = Preparer(camera, small, view.image_shift)
-        self._masks = None if view.masks is None else _MaskSource(view.masks, self._prepare, small.size)
+        masks = view.masks
+        self._masks = None if masks is None else _MaskSource(masks, self._prepare, small.size, view.first_mask)
         self.depth = None if view.depth is None else DepthSource(view, camera, small, people)
         self._reader: VideoReader | None = None
         self.segment: Segmenter | None = None
