@@ -27,7 +27,7 @@ from hypose.pipeline.people_run import PeopleRun
 from hypose.pipeline.run import TrackOptions, TrackResult
 from hypose.pipeline.subject_from_motion import load_subject
 from hypose.pipeline.track_loop import FrameSource, Progress
-from hypose.pipeline.tracked_people import Wanted
+from hypose.pipeline.tracked_people import Wanted, said_of_places
 
 _EVERYBODY = "everybody"
 _LOOKS = 7
@@ -43,7 +43,7 @@ def wanted_of(recording: Recording) -> list[Wanted]:
             p.height,
             None if p.body is None else load_subject(p.body),
             p.place,
-            max(p.time - first, 0.0),
+            p.time - first,
         )
         for p in recording.people
     ]
@@ -174,6 +174,7 @@ def track_one_of(
     if more:
         who = "another person is" if more == 1 else f"{more} other people are"
         said = (f"Note: {who} in the masks and left out; {command} tracks everybody.",)
+    said = (*said, *(f"Note: {n}." for n in said_of_places(wanted, 1 + more)))
     out = replace(one.result, beside=said, complete=found.complete)
     if results is not None:
         save_motion(out.motion, results.motion)

@@ -42,7 +42,7 @@ from hypose.pipeline.newcomers import (
 from hypose.pipeline.people_points import KeypointPeople, PointFrames, padded
 from hypose.pipeline.rough_bodies import HIDDEN, Rough, least_hidden, own_frame, rough_bodies
 from hypose.pipeline.run import TrackOptions, finish, track_source, tracker_of
-from hypose.pipeline.track_loop import FrameSource, Progress, Tracked
+from hypose.pipeline.track_loop import Deferred, FrameSource, Progress, Tracked
 from hypose.pipeline.tracked_people import (
     Followed,
     OnePerson,
@@ -53,6 +53,7 @@ from hypose.pipeline.tracked_people import (
     kept_people,
     names_at_places,
     said_of,
+    said_of_places,
     save_people,
     seen_by_themselves,
 )
@@ -119,7 +120,7 @@ class PeopleRun:
         done = [self._finished(p, people, complete) for p in asked]
         if complete and self.results is not None:
             self.results.checkpoint.unlink(missing_ok=True)
-        said = (*said_of(done, self.frame_rate), *unfollowed(coming))
+        said = (*said_of(done, self.frame_rate), *unfollowed(coming), *said_of_places(self.wanted, len(people)))
         return PeopleResult(tuple(done), complete, said, len(people) - len(asked))
 
     def _rank(self, name: str | None) -> int:
@@ -167,7 +168,8 @@ class PeopleRun:
             if not out.complete:
                 break
         complete = all(p.result.complete for p in done)
-        return PeopleResult(tuple(done), complete, said_of(done, self.frame_rate), len(tracks) - len(done))
+        said = (*said_of(done, self.frame_rate), *said_of_places(self.wanted, len(tracks)))
+        return PeopleResult(tuple(done), complete, said, len(tracks) - len(done))
 
     # ---- who is there ------------------------------------------------------------------------------------------
 
@@ -326,7 +328,9 @@ class PeopleRun:
                 self._step(people, frame, before, t)
                 before = frame
                 if t % look == 0:
-                    coming[:] = self._look(people, frame, t, coming)
+                    told = Deferred(self.progress)
+                    coming[:] = self._look(people, frame, t, coming, told)
+                    told.settle()
                 if self.results is not None and t + 1 - saved >= max(self.options.checkpoint_every, saved // 20):
                     save_people(self.results, self.record, people, coming)
                     saved = t + 1
@@ -401,7 +405,9 @@ class PeopleRun:
                     worse = a if costs[0] >= costs[1] else b
                     worse.member = replace(worse.member, present=False)
 
-    def _look(self, people: list[Followed], frame: Frame, t: int, before: Sequence[Array]) -> list[Array]:
+    def _look(
+        self, people: list[Followed], frame: Frame, t: int, before: Sequence[Array], progress: Progress
+    ) -> list[Array]:
         """Looks for somebody whom nobody explains; who was there at the last look as well is tracked from now on.
         Returns of everybody new (4,): where they stand, how often no body could be fitted, and the frame from which
         that is tried again; before: of the last look."""
@@ -421,9 +427,9 @@ class PeopleRun:
                 if self._back(people, person, own):
                     return []
                 if t >= again:  # a fit is dear, and who cannot be told now may not be for long
-                    self.progress("subject", 0, 1)
+                    progress("subject", 0, 1)
                     new = self._new(people, person, frame, t)
-                    self.progress("subject", 1, 1)
+                    progress("subject", 1, 1)
                     if new:
                         return []
                     tries, again = tries + 1, t + self._look_every * 2 ** min(tries, 3)

@@ -47,6 +47,26 @@ Progress = Callable[[str, int, int], None]
 """progress(stage, done, total) is called often; raising KeyboardInterrupt in it stops the run with its work kept."""
 
 
+class Deferred:
+    """A progress call whose interruption waits until `settle`: what is begun is done before, and a run that goes on
+    later goes on to the same."""
+
+    def __init__(self, progress: Progress) -> None:
+        self._progress, self._stopped = progress, False
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        """The progress of a stage; see Progress."""
+        try:
+            self._progress(stage, done, total)
+        except KeyboardInterrupt:
+            self._stopped = True
+
+    def settle(self) -> None:
+        """The KeyboardInterrupt, if there was one."""
+        if self._stopped:
+            raise KeyboardInterrupt
+
+
 @dataclass(frozen=True)
 class Keep:
     """Where a run keeps its state: the checkpoint's path; the identity of the run; every: frames between two writings,

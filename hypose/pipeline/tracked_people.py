@@ -29,20 +29,26 @@ from hypose.tracking.clothes import Wardrobe
 from hypose.tracking.several import Member, nobody_in, shape_of
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState, estimates_from_arrays, estimates_to_arrays
 
-_PLACED_M = 1.0
-"""m: a person who is wanted at a place stands no further from it."""
+_PLACED_M, _EARLY_S = 1.0, 0.5
+"""m: a person who is wanted at a place stands no further from it; s: a place of so long before the first frame still
+tells of it."""
 
 
 @dataclass(frozen=True)
 class Wanted:
     """What is known of a person beforehand, [[person]] of recording.toml: height m; body: their own; place (2,) m:
-    where they stand at `time`, s from the first frame that is tracked."""
+    where they stand at `time`, s from the first frame that is tracked, negative before it."""
 
     name: str
     height: float | None = None
     body: Body | None = None
     place: tuple[float, float] | None = None
     time: float = 0.0
+
+    @property
+    def early(self) -> bool:
+        """The place is of too long before the first frame to tell who they are."""
+        return self.place is not None and self.time < -_EARLY_S
 
 
 @dataclass(frozen=True)
@@ -96,20 +102,33 @@ def said_of(people: Sequence[OnePerson], frame_rate: float) -> tuple[str, ...]:
     return tuple(said)
 
 
+def said_of_places(wanted: Sequence[Wanted], count: int) -> tuple[str, ...]:
+    """Whose places do not tell who of so many people they are, in words."""
+    early = [w for w in wanted if w.early]
+    if not early or count < 2:
+        return ()
+    of = ", ".join(f"{w.name} {-w.time:.1f} s" for w in early)
+    return (
+        f"places of before the frames that are tracked ({of}) do not tell who is who there: give a place and time "
+        "within them in recording.toml",
+    )
+
+
 def names_at_places(
     wanted: Sequence[Wanted], count: int, place: Callable[[int, int], Array], frame_rate: float
 ) -> list[str | None]:
     """Which of so many people are the wanted ones, None for somebody else; place(k, frame) (2,) m: where the k-th
-    stands, NaN where not known. Those who are wanted at no place are whoever is left, in their order."""
+    stands, NaN where not known. Those who are wanted at no place, or an early one, are whoever is left, in their
+    order."""
     names: list[str | None] = [None] * count
     for one in wanted:
-        if one.place is not None:
-            t = round(one.time * frame_rate)
+        if one.place is not None and not one.early:
+            t = max(0, round(one.time * frame_rate))
             away = [float(np.linalg.norm(place(k, t) - np.array(one.place))) for k in range(count)]
             free = [k for k in range(count) if names[k] is None and away[k] < _PLACED_M]
             if free:
                 names[min(free, key=lambda k: away[k])] = one.name
-    rest = [one.name for one in wanted if one.place is None]
+    rest = [one.name for one in wanted if one.place is None or one.early]
     for k in range(count):
         if names[k] is None and rest:
             names[k] = rest.pop(0)

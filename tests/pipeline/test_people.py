@@ -22,6 +22,7 @@ from hypose.pipeline.tracked_people import (
     Wanted,
     free_name,
     names_at_places,
+    said_of_places,
     seen_by_themselves,
     while_present,
 )
@@ -163,7 +164,7 @@ def test_a_place_at_a_later_time_names_who_will_stand_there(rig):
     assert found.people[0].result.motion.joints[0, 0, 0] < 0
 
 
-def test_who_comes_later_is_not_taken_for_somebody_who_stands_elsewhere(rig):
+def test_who_comes_later_is_not_taken_for_somebody_who_stands_elsewhere(rig, tmp_path):
     frames, _ = two_people(rig, 24, away=range(12))
     given = [Wanted("anna", body=human(), place=(-0.45, -0.4)), Wanted("carl", body=human(), place=(9.0, 9.0))]
     given.append(Wanted("bert", body=human(), place=(0.05, 0.4), time=20 / RATE))
@@ -172,6 +173,18 @@ def test_who_comes_later_is_not_taken_for_somebody_who_stands_elsewhere(rig):
     assert "subject" in told[told.index("track") :]  # the start of who comes is told as a start
     assert [p.name for p in found.people] == ["anna", "bert"]
     assert not found.people[1].present[:10].any() and found.people[1].present[-4:].all()
+
+    def stop(stage, done, total):
+        if stage == "subject":
+            raise KeyboardInterrupt
+
+    # an interruption waits for the start that has been begun
+    kept = ResultsFolder(tmp_path)
+    half = replace(both(frames, progress=stop, results=kept), wanted=tuple(given))()
+    assert not half.complete and [p.name for p in half.people] == ["anna", "bert"]
+    rest = replace(both(frames, results=kept, resume=True), wanted=tuple(given))()
+    for a, b in zip(found.people, rest.people, strict=True):
+        np.testing.assert_array_equal(a.result.motion.poses, b.result.motion.poses)
 
 
 def test_whoever_is_found_in_half_of_the_looks_is_there():
@@ -184,6 +197,15 @@ def test_wanted_people_are_those_who_stand_at_their_places():
     wanted = [Wanted("b", place=(1.1, 0.9)), Wanted("far", place=(9.0, 9.0)), Wanted("any")]
     assert names_at_places(wanted, 3, lambda k, t: places[k], RATE) == ["any", "b", None]
     assert free_name(["person-1"], [Wanted("person-2")]) == "person-3"
+
+
+def test_a_place_of_before_the_frames_tells_nothing_and_that_is_said():
+    places = np.array([[0.0, 0.0], [1.0, 1.0]])
+    early, late = Wanted("b", place=(1.0, 1.0), time=-20.0), Wanted("c", place=(1.0, 1.0), time=-0.2)
+    assert names_at_places([early], 2, lambda k, t: places[k], RATE) == ["b", None]
+    assert names_at_places([late], 2, lambda k, t: places[k], RATE) == [None, "c"]
+    assert "b 20.0 s" in said_of_places([early, late], 2)[0]
+    assert not said_of_places([early, late], 1) and not said_of_places([late], 2)
 
 
 def track(first, places):

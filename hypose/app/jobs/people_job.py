@@ -29,7 +29,7 @@ from hypose.pipeline.doubts import in_words, runs
 from hypose.pipeline.one_of_several import chosen_people, keypoint_people, people_frames, wanted_of
 from hypose.pipeline.people_run import PeopleRun
 from hypose.pipeline.run import check_views
-from hypose.pipeline.tracked_people import OnePerson, Wanted
+from hypose.pipeline.tracked_people import OnePerson, Wanted, said_of_places
 from hypose.pipeline.verdict import UNTRUSTED, Verdict
 from hypose.tracking.recipes import citation_of
 
@@ -77,6 +77,8 @@ def run_people(job: Job, people: str, progress: ProgressCall = ignore) -> Outcom
         )()
         shown = [p for p in found.people if only is None or p.name == only]
         absent = "" if shown else _nobody_called(str(only), wanted, found.people)
+        for why in said_of_places([w for w in wanted if w.name == only], len(found.people) + found.others):
+            absent = f"who of several people is {only} is not known: {why}"
         shown = shown or list(found.people)
         notes = [*recording.notes, *source.notes, *found.notes]
         files: list[Path] = []
