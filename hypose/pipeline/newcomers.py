@@ -16,10 +16,10 @@ from hypose.geometry import Array
 from hypose.pipeline.first_frame import Subject
 from hypose.pipeline.hull_paths import OTHERS_WIDENED
 from hypose.pipeline.tracked_people import Followed
-from hypose.pipeline.wardrobe import UNLIKE, same_clothes
+from hypose.pipeline.wardrobe import UNLIKE, exchange, same_clothes
 from hypose.tracking.clothes import clothes_in
 from hypose.tracking.costs import mean_overlap
-from hypose.tracking.frame_evidence import prepare
+from hypose.tracking.frame_evidence import PreparedFrame, prepare
 from hypose.tracking.several import shape_of
 from hypose.tracking.start_search import start_from_hull
 
@@ -33,6 +33,8 @@ NOTHING = 0.2
 """Mean IoU below which a body explains nothing: a double had .01 (seed 450), people .78 and more (431, 441 to 444)"""
 WALKING, BESIDE = 3.0, 0.6
 """m/s, and m: how fast, and how much further, somebody who returns may have come from where they left."""
+DRAWN_S = 0.4
+"""s: somebody who comes is found within that, by the next looks"""
 
 
 def explained_by(people: Sequence[Followed], silhouettes: Silhouettes) -> list[Other]:
@@ -98,6 +100,14 @@ def evidence_of(person: HullPerson, frame: Frame, known: Sequence[Other], beside
     return own_frame(frame, person.shape(s.rig), [*known, *rest])
 
 
+def found_again(p: Followed, own: Frame) -> tuple[PreparedFrame, Array]:
+    """The evidence for somebody as their tracker sees it, and the pose (D,) that it shows; an EvidenceError where it
+    shows nobody."""
+    body = p.subject.body
+    prepared = prepare(own, body, np.zeros(body.skeleton.dof))
+    return prepared, start_from_hull(body, prepared).pose
+
+
 def returned(
     person: HullPerson, own: Frame, people: Sequence[Followed], frame_rate: float
 ) -> tuple[Followed, Array] | None:
@@ -115,18 +125,48 @@ def returned(
             reach = BESIDE + WALKING * max(1, seen[1]) / frame_rate
             if np.linalg.norm(seen[0][:2] - person.axis) > reach:
                 continue
-        body = p.subject.body
         with contextlib.suppress(EvidenceError):
-            prepared = prepare(own, body, np.zeros(body.skeleton.dof))
-            pose = start_from_hull(body, prepared).pose
-            like = same_clothes(p, clothes_in(body, pose, own))
-            score = mean_overlap(body, pose, prepared) + like
+            prepared, pose = found_again(p, own)
+            like = same_clothes(p, clothes_in(p.subject.body, pose, own))
+            score = mean_overlap(p.subject.body, pose, prepared) + like
             if like > UNLIKE and (best is None or score > best[0]):
                 best = (score, p, pose)
     if best is None:
         return None
     higher = person.hull.height - best[1].subject.body.stature
     return (best[1], best[2]) if -SHORTER_M < higher < TALLER_M else None
+
+
+def drawn_away(person: HullPerson, people: Sequence[Followed], frame_rate: float) -> tuple[Followed, int] | None:
+    """Who stood where somebody is found now, and the frame from which they were tracked elsewhere, faster than anybody
+    walks: they stand there still, and were drawn to whoever came beside them before that one was found. None: nobody.
+    """
+    for q in people:
+        if not q.member.sure:
+            continue
+        at = np.array([e.pose[:2] for e in q.estimates[-max(2, round(DRAWN_S * frame_rate)) :]])
+        near = np.flatnonzero(np.linalg.norm(at - person.axis, axis=1) < BESIDE / 2)
+        frames = len(at) - 1 - near[-1] if len(near) else 0
+        if frames and np.linalg.norm(at[-1] - at[near[-1]]) > max(BESIDE, WALKING * frames / frame_rate):
+            return q, len(q.estimates) - int(frames)
+    return None
+
+
+def back_again(
+    person: HullPerson, own: Frame, people: Sequence[Followed], frame_rate: float
+) -> tuple[Followed, Array] | None:
+    """Who it is that `returned`, with their pose (D,); where another one stands there still, who was drawn to the one
+    who came back: that one, and both go on as who they are from where they were exchanged."""
+    back = returned(person, own, people, frame_rate)
+    drawn = None if back is None else drawn_away(person, people, frame_rate)
+    if back is None or drawn is None:
+        return back
+    who, since = drawn
+    with contextlib.suppress(EvidenceError):
+        pose = found_again(who, own)[1]
+        exchange(back[0], who, since, "as told by who was found where the other one had stood")
+        return who, pose
+    return back
 
 
 def unfollowed(coming: Sequence[Array]) -> tuple[str, ...]:

@@ -31,10 +31,10 @@ from hypose.pipeline.hull_paths import Path, follow_places, lasting
 from hypose.pipeline.kept_findings import keep_subject, kept_subject
 from hypose.pipeline.newcomers import (
     ONE_PLACE_M,
+    back_again,
     evidence_of,
     explained_by,
     not_parts,
-    returned,
     somebody_more,
     unfollowed,
     without_doubles,
@@ -438,7 +438,7 @@ class PeopleRun:
 
     def _back(self, people: list[Followed], person: HullPerson, own: Frame) -> bool:
         """Whether somebody who was away is back."""
-        back = returned(person, own, people, self.frame_rate)
+        back = back_again(person, own, people, self.frame_rate)
         if back is None:
             return False
         p, pose = back

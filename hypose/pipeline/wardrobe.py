@@ -72,8 +72,9 @@ def _exchanged(there: Sequence[Followed]) -> list[tuple[Followed, Followed, int]
     return out
 
 
-def exchange(p: Followed, q: Followed, since: int) -> None:
-    """Each goes on as the other, from a frame on; what was estimated since then is the other's, and doubtful."""
+def exchange(p: Followed, q: Followed, since: int, told: str = "as their clothes told afterwards") -> None:
+    """Each goes on as the other, from a frame on; what was estimated since then is the other's, and doubtful. told: by
+    what, in words."""
     now = len(p.estimates)
     for name in ("estimates", "present"):
         mine, theirs = getattr(p, name), getattr(q, name)
@@ -84,7 +85,7 @@ def exchange(p: Followed, q: Followed, since: int) -> None:
     p.gone, q.gone, p.track, q.track = q.gone, p.gone, q.track, p.track
     for one, other in ((p, q), (q, p)):
         one.hidden[since:] = [True] * (now - since)
-        one.said.append(f"taken for {other.name} from frame {since} to {now - 1}, as their clothes told afterwards")
+        one.said.append(f"taken for {other.name} from frame {since} to {now - 1}, {told}")
 
 
 def same_clothes(p: Followed, seen: Clothes) -> float:

@@ -1,0 +1,90 @@
+"""Who came back, where those who were tracked may have been drawn to them."""
+
+from dataclasses import replace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from hypose.body.ready_bodies import human
+from hypose.evidence.hull_people import HullPerson
+from hypose.pipeline import newcomers
+from hypose.pipeline.first_frame import Subject
+from hypose.pipeline.newcomers import back_again, drawn_away
+from hypose.pipeline.tracked_people import Followed
+from hypose.synthetic.scenes import make_scene
+from hypose.tracking.recipes import recipe
+from hypose.tracking.several import Member, nobody_in
+from hypose.tracking.starts import known_pose
+from hypose.tracking.tracker import Tracker, TrackerSettings
+
+RATE, FRAMES, SINCE = 25.0, 40, 34
+
+
+class FoundAt:
+    """Somebody in the hull, as far as it is asked here."""
+
+    def __init__(self, x: float) -> None:
+        self.axis = np.array([x, 0.0])
+
+
+def found_at(x: float) -> HullPerson:
+    return cast(Any, FoundAt(x))
+
+
+def followed(name: str, x: np.ndarray, present: np.ndarray) -> Followed:
+    """Somebody who was tracked along x (T,) m, in the frames in which they were there."""
+    body = human()
+    tracker = Tracker(body, recipe("default", body, frame_rate=RATE), TrackerSettings(frame_rate=RATE))
+    frame = nobody_in(next(iter(make_scene("walk", seconds=0.1).mask_frames(0.2))))
+    pose = known_pose(body, "standing")
+    pose[0] = x[-1]
+    member = Member(tracker, tracker.start(pose), bool(present[-1]))
+    estimate = tracker.step(member.state, frame)[1]
+    poses = np.repeat(pose[None], len(x), 0)
+    poses[:, 0] = x
+    estimates = [replace(estimate, pose=p) for p in poses]
+    subject = Subject(body, None, pose, ())
+    return Followed(name, subject, member, None, True, estimates, present.tolist(), [False] * len(x))
+
+
+@pytest.fixture
+def anna() -> Followed:
+    """Stands at 0 and is tracked 1.2 m beside it within a few frames."""
+    x = np.zeros(FRAMES)
+    x[SINCE:] = np.linspace(0.7, 1.2, FRAMES - SINCE)
+    return followed("anna", x, np.ones(FRAMES, dtype=bool))
+
+
+@pytest.fixture
+def bert() -> Followed:
+    """Went away at 2 m."""
+    return followed("bert", np.full(FRAMES, 2.0), np.arange(FRAMES) < 10)
+
+
+def test_who_moves_faster_than_anybody_from_where_somebody_is_found_was_drawn_away(anna, bert):
+    assert drawn_away(found_at(0.05), [bert, anna], RATE) == (anna, SINCE)
+    assert drawn_away(found_at(1.2), [bert, anna], RATE) is None  # the one who came beside them
+    walks = followed("carl", np.linspace(-1.0, 0.8, FRAMES), np.ones(FRAMES, dtype=bool))
+    assert drawn_away(found_at(0.4), [walks], RATE) is None  # 1.2 m/s: came past there
+
+
+def test_both_go_on_as_who_they_are(anna, bert, monkeypatch):
+    again = known_pose(human(), "standing")
+    monkeypatch.setattr(newcomers, "returned", lambda *_: (bert, again + 1.0))
+    monkeypatch.setattr(newcomers, "found_again", lambda *_: (None, again))
+    was = [e.pose[0] for e in anna.estimates]
+    frame = next(iter(make_scene("walk", seconds=0.1).mask_frames(0.2)))
+    back = back_again(found_at(0.05), frame, [anna, bert], RATE)
+    assert back is not None and back[0] is anna and back[1] is again
+    assert [e.pose[0] for e in bert.estimates[SINCE:]] == was[SINCE:] and all(bert.present[SINCE:])
+    assert bert.member.present and bert.member.state.pose[0] == pytest.approx(1.2)
+    assert not any(anna.present[SINCE:]) and all(anna.present[:SINCE])
+    assert "taken for bert from frame 34 to 39" in anna.said[0]
+
+
+def test_who_comes_back_where_nobody_was_is_just_back(anna, bert, monkeypatch):
+    monkeypatch.setattr(newcomers, "returned", lambda *_: (bert, np.ones(3)))
+    frame = next(iter(make_scene("walk", seconds=0.1).mask_frames(0.2)))
+    back = back_again(found_at(-2.0), frame, [anna, bert], RATE)
+    assert back is not None and back[0] is bert and not anna.said
