@@ -8,6 +8,7 @@ await walk(
   async ({ page, folder, picture }) => {
     const results = join(folder, "walk", "results");
     for (const name of ["first", "second"]) cpSync(join(results, "default"), join(results, name), { recursive: true });
+    await page.locator(".result").first().waitFor(); // a page that is still on its way cannot be loaded anew
     await page.reload({ waitUntil: "commit" });
     const rows = page.locator(".result");
     const names = () => page.locator(".result b").allInnerTexts();

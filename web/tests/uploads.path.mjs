@@ -19,6 +19,9 @@ await walk(
         const camera = row.querySelector("[aria-label=Camera]");
         return camera ? [[row.dataset.file, camera.value]] : [];
       })));
+    // a video that is removed while its picture is on its way leaves an error in the console
+    const pictures = () =>
+      page.waitForFunction(() => [...document.querySelectorAll(".dropped-picture img")].filter((i) => i.naturalWidth > 0).length === 4);
     const remove = async () => {
       await page.evaluate(() => {
         for (;;) {
@@ -40,8 +43,10 @@ await walk(
       await route.fulfill({ response });
     });
 
+    const setUp = page.getByRole("heading", { name: "Set up a recording" });
+    await setUp.waitFor(); // a page that is still on its way cannot be loaded anew
     await page.reload(); // a page that was open before now and then sends past what is to hold its uploads up
-    await page.getByRole("heading", { name: "Set up a recording" }).waitFor();
+    await setUp.waitFor();
     const seen = new Set();
     for (let round = 0; round < ORDERS; round++) {
       answered = [];
@@ -50,10 +55,10 @@ await walk(
       await make.and(page.locator(":enabled")).waitFor();
       seen.add(answered.join());
       assert.deepEqual(await cameras(), { "cam_01.mp4": "cam1", "cam_02.mp4": "cam2", "cam_03.mp4": "cam3", "cam_04.mp4": "cam4" }, answered.join());
+      await pictures();
       if (round < ORDERS - 1) await remove();
     }
     assert.ok(seen.size > 10, `the uploads ended in ${seen.size} orders only: ${[...seen].join("|")}`);
-    await page.waitForFunction(() => [...document.querySelectorAll(".dropped-picture img")].filter((i) => i.naturalWidth > 0).length === 4);
 
     // the same files again, a photo of the board, and a video of a camera that has one already
     const photo = { name: "ext_cam1.png", mimeType: "image/png", buffer: await page.screenshot() };
