@@ -198,9 +198,6 @@ def track_source(
             if not faults:
                 raise
             raise type(error)(f"{' '.join(faults)} That may be why: {error}") from error
-        if subject.keypoints is None and options.height is None and body is None and not options.of_picture:
-            of_height = of_measured(subject.body.stature)
-            faults, noticed = (*faults, *sentences(of_height)), (*noticed, *sentences(of_height, fault=False))
     keep = None
     if results is not None:  # before the motion, so that what is kept of an interrupted run can be looked at
         keep_subject(subject, results, key)
@@ -239,6 +236,10 @@ def track_source(
                 tracker = tracker_of(subject, options, frame_rate, method)
                 begin = tracker.start(subject.start if subject.rivals is None else subject.rivals)
                 done = track_frames(source, range(total), tracker, begin, subject, progress=report)
+        measured = not given and subject.keypoints is None and options.height is None and body is None
+        if measured and not options.of_picture:
+            of_height = of_measured(subject.body.stature)
+            faults, noticed = (*faults, *sentences(of_height)), (*noticed, *sentences(of_height, fault=False))
         found = finish(source, subject, tracker, done, options, results, record, report, faults, noticed)
         return replace(found, places=places)
     except KeyboardInterrupt:
