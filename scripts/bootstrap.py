@@ -372,12 +372,21 @@ def prepare_page(python: str) -> None:
         print(f"hypose: NOTE the studio's page will not be tested in a browser: {log[-1].strip()}", flush=True)
 
 
+def at_once(arguments: List[str]) -> List[str]:
+    """pytest's options for several processes, as many as processors may be used, at most four, for each takes about a
+    gigabyte; each takes whole files, which share what they make. None where the arguments say how, or want to ask."""
+    if any(a.startswith(("-n", "--numprocesses", "--dist", "--pdb", "--trace", "-p")) or a == "-s" for a in arguments):
+        return []
+    mine = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return ["-n", str(min(mine, 4)), "--dist", "loadfile"] if mine > 1 else []
+
+
 def commands_of(name: str, arguments: List[str], folder: str, python: str) -> List[List[str]]:
     """The command lines behind a command; all of them are run."""
     if name == "setup":
         return []
     if name == "test":
-        return [[python, "-m", "pytest"] + arguments]
+        return [[python, "-m", "pytest"] + at_once(arguments) + arguments]
     if name == "lint":
         return [
             [program(folder, "ruff"), "format", "--check", "."],

@@ -208,10 +208,16 @@ def test_bootstrap_is_readable_by_an_old_python_and_needs_no_package():
     assert top_level <= set(sys.stdlib_module_names) - {"__future__", "dataclasses", "tomllib"}
 
 
-def test_unknown_commands_go_to_hypose_and_test_to_pytest():
+def test_unknown_commands_go_to_hypose_and_test_to_pytest(monkeypatch):
+    monkeypatch.setattr(bootstrap.os, "sched_getaffinity", lambda process: set(range(16)), raising=False)
+    several = ["-n", "4", "--dist", "loadfile"]
     assert bootstrap.commands_of("test", ["-k", "x"], "/e", "/e/bin/python") == [
-        ["/e/bin/python", "-m", "pytest", "-k", "x"]
+        ["/e/bin/python", "-m", "pytest", *several, "-k", "x"]
     ]
+    assert bootstrap.commands_of("test", ["-n0"], "/e", "p") == [["p", "-m", "pytest", "-n0"]]
+    assert bootstrap.commands_of("test", ["--pdb"], "/e", "p") == [["p", "-m", "pytest", "--pdb"]]
+    monkeypatch.setattr(bootstrap.os, "sched_getaffinity", lambda process: {3}, raising=False)
+    assert bootstrap.commands_of("test", [], "/e", "p") == [["p", "-m", "pytest"]]
     assert [command[1:] for command in bootstrap.commands_of("track", ["rec"], "/e", "p")] == [["track", "rec"]]
     assert len(bootstrap.commands_of("lint", [], "/e", "p")) == 4
 
