@@ -7,7 +7,7 @@ depth, the piece that is most like a person is kept.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from hypose.cameras.camera import Camera
 from hypose.compute import before_room, middle_of_piece, things_before
 from hypose.errors import InputError
-from hypose.evidence.depth_evidence import JUMP_M, Depth, back_projected, in_world
+from hypose.evidence.depth_evidence import JUMP_M, Depth, DepthNoise, back_projected, in_world
 from hypose.evidence.frame import Expected, Silhouettes
 
 DepthMap = NDArray[np.float32]
@@ -29,6 +29,17 @@ _ABOVE_FLOOR_M = 0.05
 _TALL_M, _SMALL_M, _WIDE_M = 2.4, 0.5, 2.2
 """m: what a person's visible surface spans upwards, at most and at least, and across"""
 _LEAST_PX, _REACH_M = 15, 0.6
+_LIKE = 0.1
+"""how much like a person a piece is from which it may be one, or half of one behind another: 0.12 to 2.5 m^2 of it"""
+_TOP_M, _HEAD_M = 0.2, 0.35
+"""m from the top of somebody down, and how much they fill there across: a head .13 to .2, with hands beside it .34 at
+most (eight motions, seeds 1 to 17)"""
+STILL_FRAMES = 16
+"""maps, spread over a recording, that are looked at, at most, for things that stand still"""
+_SEEN_SHARE = 0.5
+"""share of the maps in which a pixel must be measured to be known"""
+_FARTHER_SHARE, _WHOLE = 0.15, 0.7
+"""share of the maps that may show something behind what stands still, and share of a thing that does"""
 _SPAN_M, _AREA_M2 = 1.75, 0.55
 """m, m^2: how tall somebody is, and shows"""
 _BEFORE_M, _BESIDE_M, _HIDES = 0.25, 0.4, 0.03
@@ -135,39 +146,112 @@ def people_before(depth: DepthMap, background: DepthBackground) -> Mask:
     return _holes_filled(keep[labels].astype(np.uint8), depth, background.depth > 0)
 
 
-def person_on_floor(depth: DepthMap, camera: Camera) -> Mask:
+def person_on_floor(depth: DepthMap, camera: Camera, room: DepthMap | None = None) -> Mask:
     """(h, w) 0/1: of what stands on the floor (z = 0 in the world), cut apart at jumps of depth, what is most like a
-    person; nobody when nothing is of a person's size."""
+    person; nobody when nothing is of a person's size. room (h, w) m: what is none, 0 = not known (`unlike_people`)."""
+    found = _standing(_without(depth, room), camera)
+    best = max(found.pieces, key=lambda k: found.pieces[k].like, default=0)
+    if not best or not found.pieces[best].like:
+        return np.zeros(depth.shape, np.uint8)
+    own = found.with_limbs([best], found.pieces)
+    return _one_thing(_calm(own), depth, np.zeros(depth.shape, dtype=np.bool_), camera.K[0, 0])
+
+
+def people_on_floor(depth: DepthMap, camera: Camera, room: DepthMap | None = None) -> Mask:
+    """(h, w) 0/1: the same of everything that may be a person, or what of one is seen beside another."""
+    own = _standing(_without(depth, room), camera).people()
+    return _holes_filled(_calm(own), depth, np.zeros(depth.shape, dtype=np.bool_))
+
+
+def unlike_people(maps: Sequence[DepthMap], camera: Camera) -> DepthMap:
+    """(h, w) m: what stands still in maps spread over a recording and is not like a person, 0 elsewhere: walls, also
+    where somebody passes before them, what is small, and what is as wide at its top as a box. Whoever stands still the
+    whole time is none of it."""
+    stack = np.stack(maps)
+    known = (stack > 0).mean(0) >= _SEEN_SHARE
+    values = np.where(known, np.where(stack > 0, stack, np.nan), 0.0)
+    middle = np.asarray(np.nanmedian(values, axis=0), dtype=np.float32)
+    apart = _tolerance(middle)
+    still = known & (1.4826 * np.nanmedian(np.abs(values - middle), axis=0) < apart)
+    still &= (values > middle + apart).mean(0) < _FARTHER_SHARE  # else somebody stood there, and went
+    found = _standing(middle, camera)
+    nobody = found.above & (found.people(_HEAD_M) == 0)
+    count = int(found.labels.max()) + 1
+    share = np.bincount(found.labels[still], minlength=count) / np.maximum(np.bincount(found.labels.ravel()), 1)
+    whole = (share > _WHOLE)[found.labels] & (found.labels > 0)  # not the middle of where somebody passed
+    rim = cv2.dilate(whole.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    return np.where(still & nobody & rim, middle, 0).astype(np.float32)
+
+
+def _tolerance(depth: DepthMap) -> DepthMap:
+    """(h, w) m: so far apart two values of one surface may lie."""
+    return np.asarray(np.maximum(_LEAST_M, _SDS * DepthNoise().sd(depth)), dtype=np.float32)
+
+
+def _without(depth: DepthMap, room: DepthMap | None) -> DepthMap:
+    """The map without what is known to be of the room."""
+    if room is None:
+        return depth
+    return np.where((room > 0) & (depth > room - _tolerance(room)), 0, depth).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """middle on the floor (2,) m; wide, on the floor, and top, its height, m; head: how much across its uppermost part
+    fills, m; like: how much it is like a person, 0 where it is not of that size."""
+
+    middle: NDArray[np.float64]
+    wide: float
+    top: float
+    head: float
+    like: float
+
+
+@dataclass(frozen=True)
+class _Standing:
+    """What stands on the floor of a map: above (h, w), what is higher than the floor; labels (h, w) of the pieces."""
+
+    above: NDArray[np.bool_]
+    labels: NDArray[np.int32]
+    pieces: dict[int, _Piece]
+
+    def people(self, head: float = np.inf) -> Mask:
+        """(h, w) 0/1: everything that may be a person, or half of one behind another, and is no wider at its top."""
+        low = {k: p for k, p in self.pieces.items() if p.top < _TALL_M}  # walls and ceilings reach higher
+        return self.with_limbs([k for k, p in low.items() if p.like > _LIKE and p.head < head], low)
+
+    def with_limbs(self, people: Sequence[int], among: Mapping[int, _Piece]) -> Mask:
+        """(h, w) 0/1: these pieces, and those among others that may be limbs of theirs, before or behind the trunk."""
+        middles = [self.pieces[k].middle for k in people]
+
+        def beside(p: _Piece) -> bool:
+            return p.wide < 1 and any(np.linalg.norm(p.middle - m) < _REACH_M for m in middles)
+
+        own = np.isin(self.labels, [*people, *(k for k, p in among.items() if beside(p))]).astype(np.uint8)
+        rim = cv2.dilate(own, np.ones((3, 3), np.uint8)) > 0  # which no piece has
+        return (rim & self.above).astype(np.uint8)
+
+
+def _standing(depth: DepthMap, camera: Camera) -> _Standing:
     v, u = np.indices(depth.shape)
     world = in_world(camera, back_projected(camera, u, v, depth))
     above = (depth > 0) & (world[..., 2] > _ABOVE_FLOOR_M)
     labels, n = _pieces(above, depth)
-    best, kept = 0.0, 0
-    at: dict[int, tuple[NDArray[np.float64], float]] = {}
+    pieces: dict[int, _Piece] = {}
     areas = np.bincount(labels.ravel(), minlength=n + 1)
     per_px = (depth / camera.K[0, 0]) * (depth / camera.K[1, 1])
     for k in np.flatnonzero(areas[1:] >= _LEAST_PX) + 1:
         own = labels == k
-        points = world[own]
-        tall = float(np.ptp(np.percentile(points[:, 2], (1, 99))))
+        points, sizes = world[own], per_px[own]
+        low, high = np.percentile(points[:, 2], (1, 99))
         wide = float(np.linalg.norm(np.ptp(np.percentile(points[:, :2], (2, 98), axis=0), axis=0)))
-        at[int(k)] = np.median(points[:, :2], axis=0), wide
-        if not _SMALL_M < tall < _TALL_M or wide > _WIDE_M or own[0].any():
-            continue
-        area = float(per_px[own].sum())  # m^2; a person shows some 0.4 to 0.8
-        value = np.exp(-(np.log(area / _AREA_M2) ** 2)) * min(tall / 1.2, 1.0)
-        if value > best:
-            best, kept = value, int(k)
-    everywhere = np.zeros(depth.shape, dtype=np.bool_)
-    # a limb before or behind the trunk is a piece of its own
-    near = [k for k, (p, wide) in at.items() if kept and wide < 1 and np.linalg.norm(p - at[kept][0]) < _REACH_M]
-    own = np.isin(labels, [kept, *near]).astype(np.uint8)
-    own = (cv2.dilate(own, np.ones((3, 3), np.uint8)) > 0) & above  # the rim, which no piece has
-    return (
-        _one_thing(_calm(own.astype(np.uint8)), depth, everywhere, camera.K[0, 0])
-        if kept
-        else np.zeros(depth.shape, np.uint8)
-    )
+        tall, like = float(high - low), 0.0
+        if _SMALL_M < tall < _TALL_M and wide <= _WIDE_M and not own[0].any():
+            area = float(sizes.sum())  # m^2; a person shows some 0.4 to 0.8
+            like = float(np.exp(-(np.log(area / _AREA_M2) ** 2)) * min(tall / 1.2, 1.0))
+        head = float(sizes[points[:, 2] > high - _TOP_M].sum()) / _TOP_M
+        pieces[int(k)] = _Piece(np.median(points[:, :2], axis=0), wide, float(high), head, like)
+    return _Standing(above, labels, pieces)
 
 
 def behind_things(

@@ -14,12 +14,15 @@ from numpy.typing import NDArray
 from hypose.cameras.camera import Camera
 from hypose.errors import InputError
 from hypose.evidence.depth_background import (
+    STILL_FRAMES,
     DepthBackground,
     DepthMap,
     learn_background,
     people_before,
+    people_on_floor,
     person_before,
     person_on_floor,
+    unlike_people,
     with_still_things,
 )
 from hypose.io.recordings.recording_views import View
@@ -27,8 +30,8 @@ from hypose.io.sensors.depth import read_depth_png
 from hypose.io.videos.video import frame_size, list_images
 
 _KEPT = 8
-_ROOM_FRAMES, _STILL_FRAMES = 30, 16
-"""maps that are looked at, at most, of the empty room and of the recording, for things that stand still"""
+_ROOM_FRAMES = 30
+"""maps of the empty room that are looked at, at most"""
 
 
 class DepthPreparer:
@@ -60,17 +63,12 @@ class DepthPreparer:
 
 class DepthSource:
     """Depth maps of a view whose `depth` is a folder of 16-bit PNG in millimetres; `background`: one of the empty room.
-    people: several are to be seen, who stand before the empty room. Used by one thread at a time, but for maps that
+    people: several are to be seen. Used by one thread at a time, but for maps that
     are kept."""
 
     def __init__(self, view: View, camera: Camera, small: Camera, people: bool = False) -> None:
         if view.depth is None:
             raise InputError(f"View {view.name} has no depth; give its folder of 16-bit PNG in millimetres.")
-        if people and view.background is None:
-            raise InputError(
-                f"Several people before the depth camera {view.name} are told from the room by the recording of the "
-                "empty room; add background = ... to its view in recording.toml, or leave --people out."
-            )
         self.view, self._small, self._people = view, small, people
         self._files = list_images(view.depth)
         self._prepared = DepthPreparer(camera, small, view.image_shift)
@@ -91,11 +89,11 @@ class DepthSource:
     def person(self, frame: int) -> NDArray[np.uint8]:
         """(h, w) 0/1: who stands before the empty room, or on the floor where that is not known; everybody, if several
         are to be seen."""
-        room = self.furnished[0]
+        room, camera = self.furnished[0], self._small
         depth = self.map(frame)
-        if self._people and room is not None:
-            return people_before(depth, room)
-        return person_on_floor(depth, self._small) if room is None else person_before(depth, room, self._small.K[0, 0])
+        if room is None:
+            return (people_on_floor if self._people else person_on_floor)(depth, camera, self._unlike_people)
+        return people_before(depth, room) if self._people else person_before(depth, room, camera.K[0, 0])
 
     @cached_property
     def room(self) -> DepthBackground | None:
@@ -110,16 +108,25 @@ class DepthSource:
     def furnished(self) -> tuple[DepthBackground | None, float]:
         """The room with things that stand still in the recording and were not there when it was empty, and how much of
         them is seen, m^2; as it was where several people are to be seen, who may stand still."""
-        room, count = self.room, len(self._files)
+        room = self.room
         if room is None or self._people:
             return room, 0.0
-        chosen = np.unique(np.linspace(0, count - 1, min(_STILL_FRAMES, count)).round().astype(int))
-        maps = list[DepthMap]()
-        for k in chosen:
+        maps = [m for m in self._spread() if m.shape == room.depth.shape]
+        return with_still_things(room, maps, self._small) if len(maps) > 4 else (room, 0.0)
+
+    @cached_property
+    def _unlike_people(self) -> DepthMap | None:
+        """(h, w) m: what of the recording stands still and is not like a person; None when no map can be read."""
+        maps = self._spread()
+        return unlike_people(maps, self._small) if maps else None
+
+    def _spread(self) -> list[DepthMap]:
+        """Some maps, evenly over the recording."""
+        count, maps = len(self._files), list[DepthMap]()
+        for k in np.unique(np.linspace(0, count - 1, min(STILL_FRAMES, count)).round().astype(int)):
             with contextlib.suppress(InputError):  # a damaged map is named where its frame is asked for
                 maps.append(self._prepared(self._read(self._files[k])))
-        maps = [m for m in maps if m.shape == room.depth.shape]
-        return with_still_things(room, maps, self._small) if len(maps) > 4 else (room, 0.0)
+        return maps
 
     def _read(self, file: Path) -> DepthMap:
         """A map as it is stored; an InputError when it has not the size of the view's first."""

@@ -1,0 +1,67 @@
+"""People in depth maps of a room that was not recorded empty: what stands on the floor, and what is none."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.depth_sensors.depth_passing import passing
+from hypose.evidence.depth_background import people_on_floor, person_on_floor, unlike_people
+from hypose.synthetic.depth_scenes import depth_scene
+from hypose.synthetic.motions import act
+from hypose.synthetic.performance import assemble
+from hypose.synthetic.subjects import load_subjects
+from tests.standing_people import standing_at
+
+FRAMES = 20
+
+
+def overlap(a, b):
+    return ((a > 0) & (b > 0)).sum() / ((a > 0) | (b > 0)).sum()
+
+
+@pytest.fixture(scope="module")
+def company():
+    """Somebody who walks, somebody beside them who does not move at all, and a box that reaches to their chests."""
+    subject = load_subjects()["neutral"]
+    walk, wave = (act(name, subject, 0.8, 25.0, np.random.default_rng(4)) for name in ("walk", "wave"))
+    still = [np.repeat(a[:1], FRAMES, axis=0) for a in (wave.rotations, wave.root)]
+    stays = standing_at(assemble("stays", subject, walk.times, *still), (0.9, 0.4))
+    scene = depth_scene(standing_at(walk, (-0.4, 0.0)), subject, "depth-2", seed=3)
+    return replace(scene, others=((subject, stays),), furniture=((-1.2, 1.3, 0.6, 0.6, 1.1),))
+
+
+@pytest.mark.parametrize("view", [0, 1])
+def test_everybody_is_found_where_the_room_is_not_known(company, view):
+    camera, maps = company.rig[view], [company.depth_map(view, t) for t in range(0, FRAMES, 2)]
+    whole, walks = company.clean_map(view, 8)
+    stands = whole < replace(company, others=()).clean_map(view, 8)[0] - 0.01
+    room = unlike_people(maps, camera)
+    people = (walks > 0) | stands
+    assert overlap(people_on_floor(maps[4], camera, room), people) > 0.85
+    # who does not move is no part of the room; walls are
+    assert stands.sum() > 1500 and (room[stands] > 0).mean() < 0.1
+    walls = ((maps[4] > 0) & ~people)[: camera.size[1] // 4]
+    assert (room[: len(walls)][walls] > 0).mean() > 0.8
+
+
+def test_a_box_that_stands_still_is_nobody(company):
+    camera = company.rig[0]
+    maps = [company.depth_map(0, t) for t in range(0, FRAMES, 2)]
+    box = company.clean_map(0, 8)[0] < replace(company, furniture=()).clean_map(0, 8)[0] - 0.01
+    found = [people_on_floor(maps[4], camera, room)[box] for room in (None, unlike_people(maps, camera))]
+    assert box.sum() > 800 and found[0].mean() > 0.5 and found[1].mean() < 0.1
+
+
+def test_one_person_is_not_taken_for_what_stands_still():
+    """What stands beside the one who walks is more like a person than they are."""
+    scene = passing(0, "depth-1", 1.4, 25.0)[1]
+    camera, maps = scene.rig[0], {t: scene.depth_map(0, t) for t in range(0, len(scene), 4)}
+    room = unlike_people(list(maps.values()), camera)
+    before, since = np.array(
+        [
+            [overlap(person_on_floor(m, camera, r), scene.clean_map(0, t)[1]) for t, m in maps.items()]
+            for r in (None, room)
+        ]
+    )
+    assert since.min() > 0.85 and before.min() < 0.1
