@@ -40,14 +40,17 @@ def passing(seed: int, sensors: str, seconds: float, rate: float) -> list[DepthS
     return scenes
 
 
-def people_apart(seed: int, sensors: str, seconds: float, rate: float, joints_of: JointsOf) -> dict[str, float]:
+def people_apart(
+    seed: int, sensors: str, seconds: float, rate: float, joints_of: JointsOf, empty: bool = True
+) -> dict[str, float]:
     """together_mm, alone_mm: mean error of both when they are tracked together, and each alone; exchanged: share of
-    the frames in which a track is not its person's; invented: people beyond the two."""
+    the frames in which a track is not its person's; invented: people beyond the two. empty: the empty room was
+    recorded."""
     alone = passing(seed, sensors, seconds, rate)
     first, second = alone
     both = replace(first, others=((second.subject, second.performance),))
     options = TrackOptions(seed=seed)
-    found = PeopleRun(FrameList(list(both.frames(people=True)), rate), rate, options)().people
+    found = PeopleRun(FrameList(list(both.frames(True, empty)), rate), rate, options)().people
     out = {"invented": float(max(len(found) - 2, 0)), "together_mm": 1000.0, "exchanged": 1.0}
     errors = np.array([[_away(p.result.motion, s, joints_of) for p in found] for s in alone])
     if len(found) >= 2:
@@ -55,7 +58,7 @@ def people_apart(seed: int, sensors: str, seconds: float, rate: float, joints_of
         own = errors[[0, 1], mine]
         if mine[0] != mine[1]:
             out |= {"together_mm": 1e3 * float(own.mean()), "exchanged": float((own > _LOST_M).mean())}
-    by_themselves = [track_source(FrameList(list(s.frames()), rate), rate, options).motion for s in alone]
+    by_themselves = [track_source(FrameList(list(s.frames(empty=empty)), rate), rate, options).motion for s in alone]
     out["alone_mm"] = 1e3 * float(np.mean([_away(m, s, joints_of) for m, s in zip(by_themselves, alone, strict=True)]))
     return out
 

@@ -127,7 +127,7 @@ def with_everybody(source: FrameStream, options: TrackOptions) -> FrameStream | 
         return None
     if any(view.depth is not None for view in views):
         # one depth camera keeps whoever is largest; several may take different people for that
-        if any(view.depth is None or view.background is None for view in views) or options.looks_at != "silhouettes":
+        if any(view.depth is None for view in views) or options.looks_at != "silhouettes":
             return None
     elif len(views) < 3:
         return None
