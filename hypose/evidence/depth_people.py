@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -96,13 +97,35 @@ def own_frame(frame: Frame, own: Shape, others: Sequence[Other], anywhere: bool 
     if frame.depth is None:
         return replace(frame, silhouettes=own_silhouettes(frame.silhouettes, own, others, anywhere))
     silhouettes, depth = own_depth(frame.silhouettes, frame.depth, own, others, anywhere)
+    colour = frame.silhouettes.usable & ~frame.depth.usable
+    if colour.any():
+        alone = replace(frame.silhouettes, usable=colour)
+        silhouettes = _beside(silhouettes, own_silhouettes(alone, own, others, anywhere), colour)
     return replace(frame, silhouettes=silhouettes, depth=depth)
+
+
+def _beside(of_depth: Silhouettes, of_colour: Silhouettes, colour: NDArray[np.bool_]) -> Silhouettes:
+    """The outlines of depth cameras with those of colour cameras, where `colour` (C,)."""
+
+    def merged(a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:
+        return np.where(colour.reshape(-1, *(1,) * (a.ndim - 1)), b, a)
+
+    reasons = tuple(b if c else a for a, b, c in zip(of_depth.reasons, of_colour.reasons, colour, strict=True))
+    masks, usable = merged(of_depth.masks, of_colour.masks), merged(of_depth.usable, of_colour.usable)
+    ignored, expected = of_depth.ignored, of_depth.expected
+    if of_colour.ignored is not None and of_colour.expected is not None:
+        ignored = merged(np.zeros_like(masks) if ignored is None else ignored, of_colour.ignored)
+        boxes, areas = of_colour.expected.boxes, of_colour.expected.areas
+        if expected is not None:
+            boxes, areas = merged(expected.boxes, boxes), merged(expected.areas, areas)
+        expected = Expected(boxes, areas)
+    return Silhouettes(masks, of_depth.rig, usable, reasons, ignored, expected)
 
 
 def own_depth(
     silhouettes: Silhouettes, depth: Depth, own: Shape, others: Sequence[Other], anywhere: bool = False
 ) -> tuple[Silhouettes, Depth]:
-    """What of maps that show several people is one person's, and the outlines to it; all views are depth cameras."""
+    """What of maps that show several people is one person's, and the outlines to it; nothing of other cameras."""
     at, points = depth.pixels
     mine_m = _away(own, at, points)
     theirs_m = np.full(len(points), np.inf)

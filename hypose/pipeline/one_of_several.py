@@ -82,13 +82,13 @@ def chosen_people(text: str, wanted: Sequence[Wanted]) -> tuple[int | None, str 
 
 
 def people_frames(recording: Recording, options: TrackOptions) -> FrameStream:
-    """The frames of a recording with all people in the masks, if masks are wanted. An InputError for depth cameras
-    beside others."""
+    """The frames of a recording with all people in the masks, if masks are wanted. An InputError for key points beside
+    depth cameras."""
     depth = [v.name for v in recording.views if v.depth is not None]
-    if depth and (len(depth) < len(recording.views) or options.looks_at != "silhouettes"):
+    if depth and options.looks_at != "silhouettes":
         raise InputError(
-            f"Several people before depth cameras ({', '.join(depth)}) are told apart by these alone; leave --people "
-            "out, or take the other views and key points out of recording.toml."
+            f"Several people before depth cameras ({', '.join(depth)}) are told apart by what these measure, and not "
+            f"by key points; leave out --evidence {options.looks_at}, or --people."
         )
     silhouettes = None if options.looks_at == "keypoints" else recording.silhouettes
     return FrameStream(recording, FrameSettings(silhouettes=silhouettes, people=True, colours=True))
@@ -98,11 +98,16 @@ def frames_to_examine(recording: Recording) -> tuple[FrameStream, bool]:
     """The frames of a recording whose calibration is in doubt, with all people in the masks when several stand beside
     each other there, and whether they do: what a view shows of whom cannot be told before the calibration is right."""
     one = FrameStream(recording)
-    depth = any(view.depth is not None for view in recording.views)  # where people are told apart by distance
-    if one.options.silhouettes is None or not recording.has_pictures or one.tells_apart or depth:
+    depth = any(view.depth is not None for view in recording.views)
+    alone = depth and len(recording.views) == 1
+    if one.options.silhouettes is None or not recording.has_pictures or one.tells_apart or alone:
         return one, False
     whole = replace(one.options, people=True)
     everybody = FrameStream(recording, whole, one.backgrounds or None)
+    if depth:  # each of which would show whoever is largest, or most like a person
+        several = count_people(everybody.frame, len(everybody)) > 1
+        (one if several else everybody).close()
+        return (everybody, True) if several else (one, False)
     rows = np.unique(np.linspace(0, len(everybody) - 1, _LOOKS).astype(int)).tolist()
     masks = [s for i in rows if (s := everybody.frame(i).silhouettes) is not None]
     several = several_apart(masks)
@@ -126,8 +131,9 @@ def with_everybody(source: FrameStream, options: TrackOptions) -> FrameStream | 
     if settings.silhouettes is None or options.of_picture or len(source.rig) < 2 or source.tells_apart:
         return None
     if any(view.depth is not None for view in views):
-        # one depth camera keeps whoever is largest; several may take different people for that
-        if any(view.depth is None for view in views) or options.looks_at != "silhouettes":
+        # one depth camera keeps whoever is largest; several, and pictures beside them, may show somebody else; masks
+        # that were made elsewhere may be of one person
+        if any(view.masks is not None for view in views) or options.looks_at != "silhouettes":
             return None
     elif len(views) < 3:
         return None

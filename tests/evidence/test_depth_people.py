@@ -87,6 +87,30 @@ def test_others_before_a_person_say_nothing_of_them_and_others_behind_do():
     assert hidden.sum() > 300 and behind.ignored[0][hidden].mean() > 0.97
 
 
+@pytest.mark.parametrize("who", [0, 1])
+def test_a_colour_camera_beside_shows_what_the_other_body_leaves(who):
+    """The second view has a mask of both and no map."""
+    body, rig = human(), sensors(2)
+    poses = [standing(body, p) for p in ((-0.5, -0.2), (0.45, 0.2))]
+    alone = np.stack([drawn(body, q, rig)[0] for q in poses])
+    maps, owners = alone.min(0), alone < WALL_M
+    silhouettes = make_silhouettes(list((maps < WALL_M).astype(np.uint8)), rig)
+    maps[1] = 0
+    depth = Depth(maps, silhouettes.masks * np.array([1, 0], np.uint8)[:, None, None], rig, np.array([True, False]))
+    frame = Frame(0.0, 0, silhouettes, depth=depth)
+    shapes = [BodyShape(body.skin(q), body.coarse.faces, rig) for q in poses]
+    own = own_frame(frame, shapes[who], [Other(shapes[1 - who])])
+    told, mine, theirs = own.silhouettes.told[1] > 0, owners[who, 1], owners[1 - who, 1]
+    assert own.silhouettes.usable.all() and own.depth.usable.tolist() == [True, False]
+    assert told[mine & ~theirs].mean() > 0.8 and told[theirs].sum() == 0
+    blind = replace(frame, silhouettes=replace(silhouettes, usable=depth.usable))
+    without_colour = own_frame(blind, shapes[who], [Other(shapes[1 - who])]).silhouettes
+    assert np.array_equal(own.silhouettes.told[0], without_colour.told[0])
+    # whoever is only known by what depth cameras measure is not looked for in pictures
+    seen = own_frame(frame, people_seen(frame)[0].shape(rig), [])
+    assert seen.silhouettes.usable.tolist() == [True, False]
+
+
 def test_who_is_not_there_gets_no_evidence(scene):
     body, _, rig, frame, _ = scene
     nowhere = BodyShape(body.skin(standing(body, (2.5, 2.5))), body.coarse.faces, rig)
