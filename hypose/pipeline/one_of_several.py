@@ -159,7 +159,8 @@ def track_one_of(
     command: str = "--people all",
 ) -> TrackResult:
     """The person who is wanted first, or stands nearest to where the cameras look; of the others it is said that they
-    are there, and that the `command` tracks them. Everything else as for `track_source`."""
+    are there, and that the `command` tracks them. Not to be trusted where nobody was found at the place of who is
+    wanted. Everything else as for `track_source`."""
     report = progress or (lambda stage, done, total: None)
     found = PeopleRun(
         source,
@@ -181,7 +182,14 @@ def track_one_of(
         who = "another person is" if more == 1 else f"{more} other people are"
         said = (f"Note: {who} in the masks and left out; {command} tracks everybody.",)
     said = (*said, *(f"Note: {n}." for n in said_of_places(wanted, 1 + more)))
-    out = replace(one.result, beside=said, complete=found.complete)
+    faults = one.result.faults
+    if wanted and wanted[0].place is not None and one.name != wanted[0].name:
+        faults = (
+            *faults,
+            f"{wanted[0].not_found}; the result is that of somebody else instead: correct place and time of the "
+            "[[person]] in recording.toml",
+        )
+    out = replace(one.result, faults=faults, beside=said, complete=found.complete)
     if results is not None:
         save_motion(out.motion, results.motion)
         if found.complete:

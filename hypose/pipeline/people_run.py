@@ -50,6 +50,7 @@ from hypose.pipeline.tracked_people import (
     PeopleResult,
     Wanted,
     free_name,
+    has_room,
     kept_people,
     names_at_places,
     said_of,
@@ -120,7 +121,9 @@ class PeopleRun:
         done = [self._finished(p, people, complete) for p in asked]
         if complete and self.results is not None:
             self.results.checkpoint.unlink(missing_ok=True)
-        said = (*said_of(done, self.frame_rate), *unfollowed(coming), *said_of_places(self.wanted, len(people)))
+        absent = [w.not_found for w in self.wanted if all(w.name != p.name for p in people)]
+        said = (*said_of(done, self.frame_rate), *absent, *unfollowed(coming))
+        said = (*said, *said_of_places(self.wanted, len(people)))
         return PeopleResult(tuple(done), complete, said, len(people) - len(asked))
 
     def _rank(self, name: str | None) -> int:
@@ -465,7 +468,7 @@ class PeopleRun:
         blank = looked_at(new.member.tracker, new.member.tracker.step(new.member.state, nobody)[1], nobody, None)
         new.estimates = [replace(blank, lost=True) for _ in range(done)]
         new.present, new.hidden = [False] * done, [False] * done
-        new.asked_for = self.count is None or len(people) < self.count
+        new.asked_for = has_room(self.count, name, people, self.wanted)
         people.append(new)
         return True
 

@@ -50,6 +50,13 @@ class Wanted:
         """The place is of too long before the first frame to tell who they are."""
         return self.place is not None and self.time < -_EARLY_S
 
+    @property
+    def not_found(self) -> str:
+        """That nobody is them, in words."""
+        at = self.place
+        where = "" if at is None else f" at [{at[0]:g}, {at[1]:g}] m, {self.time:g} s from the first frame"
+        return f"nobody was found who is {self.name}{where}"
+
 
 @dataclass(frozen=True)
 class OnePerson:
@@ -171,6 +178,19 @@ class Followed:
     def cut(self, frames: int) -> None:
         """Forgets what came after so many frames."""
         del self.estimates[frames:], self.present[frames:], self.hidden[frames:]
+
+
+def has_room(count: int | None, name: str | None, people: Sequence[Followed], wanted: Sequence[Wanted]) -> bool:
+    """Whether somebody new, who is wanted by that name or by none, is among so many at most who are asked for; who is
+    wanted takes the place of one who is not."""
+    if count is None or len(people) < count:
+        return True
+    names = {w.name for w in wanted}
+    others = [p for p in people if p.asked_for and p.name not in names]
+    if name is None or not others:
+        return False
+    others[-1].asked_for = False
+    return True
 
 
 def seen_by_themselves(p: Followed, people: Sequence[Followed], late: int) -> list[FrameEstimate]:

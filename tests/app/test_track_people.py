@@ -69,6 +69,8 @@ def test_of_who_is_not_at_their_place_it_is_said(hypose, two, tmp_path):
     code, out, err = hypose("track", recording, "--people", "Anna", "--out", tmp_path / "out", *LIGHT)
     assert code == 3 and "nobody was found who is Anna at [9, 9] m" in out + err
     assert "Bert" in people_in(tmp_path / "out")
+    code, out, err = hypose("track", recording, "--out", tmp_path / "one", *LIGHT)  # the first who is named
+    assert code == 3 and "nobody was found who is Anna at [9, 9] m" in out + err
 
 
 @pytest.mark.parametrize("who", ["Carl", "0", "two"])

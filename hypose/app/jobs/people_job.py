@@ -100,11 +100,8 @@ def run_people(job: Job, people: str, progress: ProgressCall = ignore) -> Outcom
 def _nobody_called(name: str, wanted: Sequence[Wanted], people: Sequence[OnePerson]) -> str:
     """That the one who was asked for is not there, and who is."""
     one = next(w for w in wanted if w.name == name)
-    where = (
-        "" if one.place is None else f" at [{one.place[0]:g}, {one.place[1]:g}] m, {one.time:g} s from the first frame"
-    )
     return (
-        f"nobody was found who is {name}{where}; the results are those of {', '.join(p.name for p in people)} instead: "
+        f"{one.not_found}; the results are those of {', '.join(p.name for p in people)} instead: "
         "correct place and time of the [[person]] in recording.toml"
     )
 

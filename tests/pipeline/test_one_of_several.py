@@ -1,0 +1,48 @@
+"""One result of several people: whose it is, and what is said when it is somebody else's."""
+
+import numpy as np
+import pytest
+
+from hypose.pipeline import one_of_several
+from hypose.pipeline.one_of_several import track_one_of
+from hypose.pipeline.run import TrackOptions, TrackResult
+from hypose.pipeline.tracked_people import Followed, OnePerson, PeopleResult, Wanted, has_room
+
+ANNA, BERT = Wanted("Anna", place=(1.0, 2.5), time=0.5), Wanted("Bert")
+
+
+def found(name, monkeypatch, wanted):
+    there = np.ones(3, dtype=bool)
+    one = OnePerson(name, TrackResult(None, None, True, (), faults=("a fault",)), there, ~there)  # type: ignore[arg-type]
+    monkeypatch.setattr(one_of_several, "PeopleRun", lambda *_, **__: lambda: PeopleResult((one,), True, (), 1))
+    return track_one_of(None, 25.0, TrackOptions(), wanted=wanted)  # type: ignore[arg-type]
+
+
+def test_who_is_found_in_place_of_the_one_at_a_place_is_not_to_be_trusted(monkeypatch):
+    out = found("person-1", monkeypatch, [ANNA])
+    assert out.faults[0] == "a fault" and len(out.faults) == 2
+    assert "nobody was found who is Anna at [1, 2.5] m, 0.5 s from the first frame" in out.faults[1]
+
+
+@pytest.mark.parametrize(("name", "wanted"), [("Anna", [ANNA]), ("person-1", [BERT]), ("person-1", [])])
+def test_who_is_wanted_and_who_is_wanted_at_no_place_is_as_good_as_tracked(monkeypatch, name, wanted):
+    out = found(name, monkeypatch, wanted)
+    assert out.faults == ("a fault",) and "another person is in the masks" in out.beside[0]
+
+
+def followed(*names):
+    return [Followed(name, None, None) for name in names]  # type: ignore[arg-type]
+
+
+def test_who_is_wanted_and_comes_later_takes_the_place_of_one_who_is_not():
+    people = followed("Bert", "person-1")
+    assert has_room(2, "Anna", people, [ANNA, BERT])
+    assert [p.asked_for for p in people] == [True, False]
+    assert not has_room(2, "Anna", people, [ANNA, BERT])  # all are wanted
+
+
+def test_who_is_not_wanted_has_room_only_while_there_are_few():
+    people = followed("Bert", "person-1")
+    assert has_room(None, None, people, [ANNA]) and has_room(3, None, people, [ANNA])
+    assert not has_room(2, None, people, [ANNA])
+    assert all(p.asked_for for p in people)
