@@ -140,7 +140,8 @@ def returned(
 def drawn_away(person: HullPerson, people: Sequence[Followed], frame_rate: float) -> tuple[Followed, int] | None:
     """Who stood where somebody is found now, and the frame from which they were tracked elsewhere, faster than anybody
     walks: they stand there still, and were drawn to whoever came beside them before that one was found. None: nobody.
-    """
+
+    To solve who leaps in a frame again, without looking for them anew, puts that off by one frame only (seed 451)."""
     for q in people:
         if not q.member.sure:
             continue
