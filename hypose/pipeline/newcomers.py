@@ -157,15 +157,18 @@ def back_again(
     person: HullPerson, own: Frame, people: Sequence[Followed], frame_rate: float
 ) -> tuple[Followed, Array] | None:
     """Who it is that `returned`, with their pose (D,); where another one stands there still, who was drawn to the one
-    who came back: that one, and both go on as who they are from where they were exchanged."""
-    back = returned(person, own, people, frame_rate)
-    drawn = None if back is None else drawn_away(person, people, frame_rate)
-    if back is None or drawn is None:
+    who came: that one, and both go on as who they are from where they were exchanged, or whoever is new there is found
+    by the next looks."""
+    back, drawn = returned(person, own, people, frame_rate), drawn_away(person, people, frame_rate)
+    if drawn is None:
         return back
     who, since = drawn
     with contextlib.suppress(EvidenceError):
         pose = found_again(who, own)[1]
-        exchange(back[0], who, since, "as told by who was found where the other one had stood")
+        if back is None:
+            who.was_not(since, "as told by who was found where they had stood")
+        else:
+            exchange(back[0], who, since, "as told by who was found where the other one had stood")
         return who, pose
     return back
 

@@ -175,6 +175,13 @@ class Followed:
                 return estimate.pose, since
         return None
 
+    def was_not(self, since: int, told: str) -> None:
+        """From a frame on somebody else was tracked in their place; told: by what that is known."""
+        last = len(self.estimates)
+        self.estimates[since:] = [replace(e, lost=True) for e in self.estimates[since:]]
+        self.hidden[since:] = [True] * (last - since)
+        self.said.append(f"somebody else was taken for them from frame {since} to {last - 1}, {told}")
+
     def cut(self, frames: int) -> None:
         """Forgets what came after so many frames."""
         del self.estimates[frames:], self.present[frames:], self.hidden[frames:]

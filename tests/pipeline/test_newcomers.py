@@ -88,3 +88,16 @@ def test_who_comes_back_where_nobody_was_is_just_back(anna, bert, monkeypatch):
     frame = next(iter(make_scene("walk", seconds=0.1).mask_frames(0.2)))
     back = back_again(found_at(-2.0), frame, [anna, bert], RATE)
     assert back is not None and back[0] is bert and not anna.said
+
+
+def test_who_was_drawn_to_somebody_new_goes_on_where_they_had_stood(anna, monkeypatch):
+    again = known_pose(human(), "standing")
+    monkeypatch.setattr(newcomers, "returned", lambda *_: None)
+    monkeypatch.setattr(newcomers, "found_again", lambda *_: (None, again))
+    frame = next(iter(make_scene("walk", seconds=0.1).mask_frames(0.2)))
+    back = back_again(found_at(0.05), frame, [anna], RATE)
+    assert back is not None and back[0] is anna and back[1] is again
+    assert all(e.lost for e in anna.estimates[SINCE:]) and not any(e.lost for e in anna.estimates[:SINCE])
+    assert all(anna.present) and all(anna.hidden[SINCE:]) and not any(anna.hidden[:SINCE])
+    assert "somebody else was taken for them from frame 34 to 39" in anna.said[0]
+    assert back_again(found_at(-2.0), frame, [anna], RATE) is None
