@@ -1,5 +1,5 @@
 // Live cameras: a recording's videos are played, the person is found and followed, what is wrong is said in words, and the
-// page tells when it is over. (The server's folder holds one recording with videos of about half a minute.)
+// page tells when it is over. (The server's folder holds one recording with videos of a minute.)
 import assert from "node:assert/strict";
 import { barriers, staysCutOff, walk } from "./harness.mjs";
 

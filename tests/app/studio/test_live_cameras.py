@@ -27,11 +27,11 @@ from tests.app.studio.conftest import serving
 
 @pytest.fixture(scope="module")
 def served_live(tmp_path_factory):
-    """A studio whose folder holds a recording of 30 s by four small cameras."""
+    """A studio whose folder holds a recording by four small cameras, of a minute: a busy computer looks for long."""
     root = tmp_path_factory.mktemp("live")
     rig = CameraRig(tuple(circle((35, 145, 215, 325), 4.1, (1.2, 1.6, 2.0, 1.4), 240, (256, 192))))
     write_scene(
-        make_scene("walk", rig=rig, seconds=30.0, frame_rate=10.0, seed=644), root / "walk", background_frames=12
+        make_scene("walk", rig=rig, seconds=60.0, frame_rate=10.0, seed=644), root / "walk", background_frames=12
     )
     with serving(root) as client:
         yield client
