@@ -11,7 +11,7 @@ _PEOPLE = Page(
     round somebody who stands, 1.0 m side by side, 0.7 m past somebody who sits down, or who stays while the other
     is away for a second, 0.75 m among three, 0.55 m, arms that touch. Chosen on the seeds below 10, 200, 201,
     310, 420, touching of 430, hulls of children of 430, 431, the second fit on 431, 432, 440 to 444, sitting of
-    450, returning of 451. Time: processor's, without the start.""",
+    450, returning and beside of 451. Time: processor's, without the start.""",
     (
         Column("mean, mm", "mean_mm", spread=True),
         Column("p95, mm", "p95_mm"),

@@ -50,8 +50,8 @@ from hypose.pipeline.tracked_people import (
     PeopleResult,
     Wanted,
     free_name,
-    has_room,
     kept_people,
+    makes_room,
     names_at_places,
     said_of,
     said_of_places,
@@ -122,8 +122,8 @@ class PeopleRun:
         if complete and self.results is not None:
             self.results.checkpoint.unlink(missing_ok=True)
         absent = [w.not_found for w in self.wanted if all(w.name != p.name for p in people)]
-        said = (*said_of(done, self.frame_rate), *absent, *unfollowed(coming))
-        said = (*said, *said_of_places(self.wanted, len(people)))
+        said = (*said_of(done, self.frame_rate), *unfollowed(coming), *absent)
+        said += said_of_places(self.wanted, len(people))
         return PeopleResult(tuple(done), complete, said, len(people) - len(asked))
 
     def _rank(self, name: str | None) -> int:
@@ -468,7 +468,7 @@ class PeopleRun:
         blank = looked_at(new.member.tracker, new.member.tracker.step(new.member.state, nobody)[1], nobody, None)
         new.estimates = [replace(blank, lost=True) for _ in range(done)]
         new.present, new.hidden = [False] * done, [False] * done
-        new.asked_for = has_room(self.count, name, people, self.wanted)
+        new.asked_for = makes_room(self.count, name, people, self.wanted)
         people.append(new)
         return True
 

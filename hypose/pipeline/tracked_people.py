@@ -187,9 +187,9 @@ class Followed:
         del self.estimates[frames:], self.present[frames:], self.hidden[frames:]
 
 
-def has_room(count: int | None, name: str | None, people: Sequence[Followed], wanted: Sequence[Wanted]) -> bool:
-    """Whether somebody new, who is wanted by that name or by none, is among so many at most who are asked for; who is
-    wanted takes the place of one who is not."""
+def makes_room(count: int | None, name: str | None, people: Sequence[Followed], wanted: Sequence[Wanted]) -> bool:
+    """Whether somebody new, who is wanted by that name or by none, is among so many at most who are asked for; for who
+    is wanted one who is not makes room, and is asked for no longer."""
     if count is None or len(people) < count:
         return True
     names = {w.name for w in wanted}

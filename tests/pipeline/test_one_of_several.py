@@ -6,7 +6,7 @@ import pytest
 from hypose.pipeline import one_of_several
 from hypose.pipeline.one_of_several import track_one_of
 from hypose.pipeline.run import TrackOptions, TrackResult
-from hypose.pipeline.tracked_people import Followed, OnePerson, PeopleResult, Wanted, has_room
+from hypose.pipeline.tracked_people import Followed, OnePerson, PeopleResult, Wanted, makes_room
 
 ANNA, BERT = Wanted("Anna", place=(1.0, 2.5), time=0.5), Wanted("Bert")
 
@@ -36,13 +36,13 @@ def followed(*names):
 
 def test_who_is_wanted_and_comes_later_takes_the_place_of_one_who_is_not():
     people = followed("Bert", "person-1")
-    assert has_room(2, "Anna", people, [ANNA, BERT])
+    assert makes_room(2, "Anna", people, [ANNA, BERT])
     assert [p.asked_for for p in people] == [True, False]
-    assert not has_room(2, "Anna", people, [ANNA, BERT])  # all are wanted
+    assert not makes_room(2, "Anna", people, [ANNA, BERT])  # all are wanted
 
 
 def test_who_is_not_wanted_has_room_only_while_there_are_few():
     people = followed("Bert", "person-1")
-    assert has_room(None, None, people, [ANNA]) and has_room(3, None, people, [ANNA])
-    assert not has_room(2, None, people, [ANNA])
+    assert makes_room(None, None, people, [ANNA]) and makes_room(3, None, people, [ANNA])
+    assert not makes_room(2, None, people, [ANNA])
     assert all(p.asked_for for p in people)
