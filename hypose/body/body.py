@@ -78,10 +78,10 @@ class Mesh:
 
     def dense_weights(self, n_joints: int) -> Array:
         """(V, J) weights."""
-        out = np.zeros((len(self.vertices), n_joints))
-        for k in range(4):
-            np.add.at(out, (np.arange(len(out)), self.skin_index[:, k]), self.skin_weight[:, k])
-        return out
+        v = len(self.vertices)
+        place = n_joints * np.arange(v)[:, None] + self.skin_index
+        weights = np.bincount(place.ravel(), self.skin_weight.ravel(), v * n_joints)
+        return np.asarray(weights, dtype=np.float64).reshape(v, n_joints)
 
     @property
     def volume(self) -> float:
@@ -208,31 +208,32 @@ def deform(body: Body, shape: Shape, name: str | None = None) -> Body:
     skeleton = _with_offsets(s, offsets)
     new = skeleton.rest_joints
 
-    def move(points: Array, j: int) -> Array:
-        x = (points - old[j]) * shape.scale
-        girth = np.broadcast_to(np.asarray(shape.girth.get(names[j], 1.0), dtype=np.float64), (3,))
-        stretch = shape.length.get(names[j], 1.0)
-        end = BONE_END.get(names[j])
-        if end is not None:
-            axis = old[names.index(end)] - old[j]
-            axis = axis / np.linalg.norm(axis)
-            along = (x @ axis)[..., None] * axis
-            return new[j] + along * stretch + (x - along) * girth
-        return new[j] + x * np.array([girth[0], girth[1], stretch])
+    # what is about a joint stretches along an axis and widens across it
+    girths, stretch, axes = np.ones((len(names), 3)), np.ones(len(names)), np.tile([0.0, 0.0, 1.0], (len(names), 1))
+    for joint, girth in shape.girth.items():
+        girths[names.index(joint)] = girth
+    for joint, length in shape.length.items():
+        stretch[names.index(joint)] = length
+    for joint, end in BONE_END.items():
+        if joint in known:
+            axes[names.index(joint)] = old[names.index(end)] - old[names.index(joint)]
+    along = axes[:, :, None] * axes[:, None] / (axes**2).sum(1)[:, None, None]
+    change = shape.scale * (along * stretch[:, None, None] + girths[:, :, None] * (np.eye(3) - along))
 
     def deform_mesh(mesh: Mesh) -> Mesh:
-        w = mesh.dense_weights(len(names))
-        moved = np.zeros_like(mesh.vertices, dtype=np.float64)
-        for j in np.flatnonzero(w.any(0)):
-            moved += w[:, j : j + 1] * move(mesh.vertices.astype(np.float64), int(j))
+        # in fixed order: no threaded BLAS
+        w, v = mesh.dense_weights(len(names)), np.asarray(mesh.vertices, dtype=np.float64)
+        turned = np.einsum("vj,jk->vk", w, change.reshape(-1, 9)).reshape(-1, 3, 3)
+        moved = np.einsum("vab,vb->va", turned, v) + np.einsum(
+            "vj,ja->va", w, new - np.einsum("jab,jb->ja", change, old)
+        )
         out = replace(mesh, vertices=moved)
         if "edges" in mesh.__dict__:  # the topology is the same; building it again would dominate a shape search
             out.__dict__["edges"] = mesh.edges
         return out
 
     marks = body.landmarks
-    rest = old[marks.joint] + marks.offset
-    moved_marks = np.stack([move(rest[i], int(j)) - new[j] for i, j in enumerate(marks.joint)]) if len(rest) else rest
+    moved_marks = np.einsum("lab,lb->la", change[marks.joint], marks.offset)
     coarse = deform_mesh(body.coarse)
     fine = coarse if body.fine is body.coarse else deform_mesh(body.fine)  # searches leave the display mesh out
     return Body(name or body.name, skeleton, coarse, fine, replace(marks, offset=moved_marks))
@@ -240,4 +241,8 @@ def deform(body: Body, shape: Shape, name: str | None = None) -> Body:
 
 def _with_offsets(skeleton: Skeleton, offsets: Array) -> Skeleton:
     # dataclasses.replace builds a new object, so cached properties of the old shape are not carried over
-    return replace(skeleton, rest_offsets=offsets)
+    out = replace(skeleton, rest_offsets=offsets)
+    if "tree" in skeleton.__dict__:  # but for where its joints are, it stays what it is
+        joints = np.ascontiguousarray(out.rest_joints - out.rest_joints[0])
+        out.__dict__["tree"] = skeleton.tree._replace(joints=joints)
+    return out

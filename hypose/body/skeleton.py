@@ -153,31 +153,31 @@ class Skeleton:
         j = len(self.joint_names)
         return r.reshape(*q.shape[:-1], j, 3, 3), p.reshape(*q.shape[:-1], j, 3)
 
-    def world_twists(self, pose: ArrayLike) -> Array:
-        """(D, 6) twists S = (w, v) in the world at pose q (D,): a point x moves with w x x + v per unit of the dof.
+    def world_twists(self, poses: ArrayLike) -> Array:
+        """(..., D, 6) twists S = (w, v) in the world at q (..., D): a point x moves with w x x + v per unit of the dof.
 
         For ball joints these are columns of the left Jacobian, so they are derivatives with respect to the rotation
         vector's components, not angular velocities about fixed axes.
         """
-        q = np.asarray(pose, dtype=np.float64)
+        q = np.asarray(poses, dtype=np.float64)
         rotations, centres = self.forward(q)
-        out = np.zeros((self.dof, 6))
-        out[:3, 3:] = np.eye(3)
+        out = np.zeros((*q.shape, 6))
+        out[..., :3, 3:] = np.eye(3)
         tree = self.tree
         for j in range(len(self.joint_names)):
             n, s = tree.dof_count[j], tree.dof_start[j]
             if tree.kind[j] == FIXED:
                 continue
-            parent = rotations[tree.parents[j]] if tree.parents[j] >= 0 else np.eye(3)
+            parent = rotations[..., tree.parents[j], :, :] if tree.parents[j] >= 0 else np.eye(3)
             if tree.kind[j] == BALL:
-                w = (parent @ so3_left_jacobian(q[s : s + 3])).T
+                w = np.swapaxes(parent @ so3_left_jacobian(q[..., s : s + 3]), -1, -2)
             else:
-                w, frame = np.zeros((n, 3)), parent
+                w, frame = np.zeros((*q.shape[:-1], n, 3)), parent
                 for k in range(n):
-                    w[k] = frame @ self.axes[s + k]
-                    frame = frame @ so3_exp(q[s + k] * self.axes[s + k])
-            out[s : s + n, :3] = w
-            out[s : s + n, 3:] = np.cross(centres[j], w)
+                    w[..., k, :] = frame @ self.axes[s + k]
+                    frame = frame @ so3_exp(q[..., s + k, None] * self.axes[s + k])
+            out[..., s : s + n, :3] = w
+            out[..., s : s + n, 3:] = np.cross(centres[..., j, None, :], w)
         return out
 
     @cached_property

@@ -26,7 +26,7 @@ from hypose.fitting.articulated import ContourTerm, KeypointTerm
 from hypose.fitting.least_squares import Rule, descend
 from hypose.geometry import Array, transform
 from hypose.tracking.refinement import anatomical_prior
-from hypose.tracking.shape_refinement import outline_rows, rows_by_pose
+from hypose.tracking.shape_refinement import outlines_of
 
 _State = tuple[list[Camera], Array]
 """cameras, poses (F, D)"""
@@ -151,15 +151,14 @@ class _BodyProblem:
         twists = self.body.skeleton.world_twists(pose)
         scale, out = term.scale_px * factor, []
         for c in np.flatnonzero(term.usable):
-            made = outline_rows(self.body.coarse, vertices, term, int(c), term.row_spacing_px, self.o.normals)
+            made = outlines_of(self.body.coarse, vertices, term, int(c), term.row_spacing_px, self.o.normals)
             if made is None:
                 continue
-            a, b, t, r, g, weight = made
-            point, by_pose = rows_by_pose(twists, self.moves, vertices, a, b, t, g)
+            r, point, by_pose = made.residual, made.points(vertices), made.jacobian(vertices, twists, self.moves)
             camera = cameras[c]
             turn = camera.camera_from_world[:3, :3]
-            by_cam = by_camera(transform(camera.camera_from_world, point), g @ turn.T, self.unknowns)
-            w0 = self.o.contour_weight * weight
+            by_cam = by_camera(transform(camera.camera_from_world, point), made.gradient @ turn.T, self.unknowns)
+            w0 = self.o.contour_weight * made.weight
             rho, slope, _ = geman_mcclure((r / scale) ** 2, w0 / scale**2)
             cost = 0.5 * float((w0 * rho).sum())
             out.append(_Rows(r, slope, np.full(len(r), c), by_pose, by_cam, cost))

@@ -73,6 +73,7 @@ from hypose.compute.silhouettes.scorer import limb_energies, silhouette_xor
 from hypose.compute.solver.banded import frame_covariances, solve_coupled
 from hypose.compute.solver.losses import geman_mcclure, huber, lorentzian, lorentzian_weight
 from hypose.compute.solver.normal import SharedEquations, bounded_step, weighted_squares
+from hypose.compute.solver.outlines import OutlineRows, joined_rows, outline_rows
 from hypose.compute.solver.terms import (
     NOT_KNOWN,
     ContourArrays,
@@ -132,6 +133,7 @@ __all__ = [
     "MaskArrays",
     "MeshArrays",
     "MonoModel",
+    "OutlineRows",
     "MonoPriors",
     "MonoProblem",
     "MonoWorkspace",
@@ -172,6 +174,7 @@ __all__ = [
     "glance_at",
     "huber",
     "interpolate",
+    "joined_rows",
     "joint_covariances",
     "kept",
     "limb_depth_energy",
@@ -187,6 +190,7 @@ __all__ = [
     "no_depth",
     "order_statistic",
     "outline_points",
+    "outline_rows",
     "over_chunks",
     "parts_against_mask",
     "points_of_surface",

@@ -25,6 +25,7 @@ from hypose.compute.pictures import picture_to_mask
 from hypose.compute.pictures.parts import parts_against_mask
 from hypose.compute.selection import default_threads, use
 from hypose.compute.silhouettes import glance, reach
+from hypose.compute.solver import outlines
 from hypose.compute.solver.terms import (
     ContourArrays,
     KeypointArrays,
@@ -92,6 +93,7 @@ def _outlines(compute: Any) -> None:
     picture_to_mask.warm_up_masks()
     uv, z, part = mesh.vertices[:, :2], mesh.vertices[:, 2], np.zeros(len(mesh.faces), np.uint16)
     parts_against_mask(mask[0], uv, z, mesh.faces, part, 1, uv, z)
+    outlines.warm_up(mesh)
 
 
 def _evidence(compute: Any) -> tuple[np.ndarray, tuple[Any, ...], Any]:
@@ -130,9 +132,9 @@ PARTS: dict[str, Callable[[Any], None]] = {
     "monocular": _monocular,
 }
 """By name; solver: poses from contours, key points, points and depth; scorer: silhouettes of many poses; outlines: what
-is followed of masks, and a body's parts against them; pictures: masks from pictures; monocular: one camera."""
+is followed of masks, a body's parts and outline against them; pictures: masks from pictures; monocular: one camera."""
 
-_COST = {"solver": 30, "scorer": 24, "outlines": 7, "pictures": 8, "monocular": 30}
+_COST = {"solver": 30, "scorer": 24, "outlines": 11, "pictures": 8, "monocular": 30}
 """Compiling them, in any unit."""
 
 

@@ -27,19 +27,18 @@ _CORNERS /= _CORNERS.sum(1, keepdims=True)
 
 
 class ShapeRows(NamedTuple):
-    """residual (R,) m, weight (R,), derivatives by shape (R, K) and pose (R, D), and the robust cost."""
+    """jacobian (R, D + K) by pose and shape, weight (R,), residual (R,) m, and the robust cost."""
 
-    residual: Array
+    jacobian: Array
     weight: Array
-    by_shape: Array
-    by_pose: Array
+    residual: Array
     cost: float
 
 
 def depth_shape_rows(
     mesh: Mesh, vertices: Array, slopes: Array, twists: Array, moves: Array, term: DepthTerm, factor: float, gain: float
 ) -> ShapeRows:
-    """Rows of one frame. vertices (V, 3) m of the posed mesh; slopes (K, V, 3) by the shape; twists (D, 6); moves (V,
+    """Rows of one frame. vertices (V, 3) m of the posed mesh; slopes (V, K, 3) by the shape; twists (D, 6); moves (V,
     D): share of a dof's motion at a vertex; factor: of the robust scale; gain: of the weights."""
     faces = np.asarray(mesh.faces)
     corner = vertices[faces]  # (F, 3, 3)
@@ -68,7 +67,7 @@ def depth_shape_rows(
         found.append((front[at // len(_CORNERS)], _CORNERS[at % len(_CORNERS)], points[near], weight[near]))
     if not found:
         none = np.zeros(0)
-        return ShapeRows(none, none, np.zeros((0, len(slopes))), np.zeros((0, len(twists))), lost)
+        return ShapeRows(np.zeros((0, len(twists) + slopes.shape[1])), none, none, lost)
     three = faces[np.concatenate([f[0] for f in found])]
     share, seen, w = (np.concatenate([f[k] for f in found]) for k in (1, 2, 3))
     point = np.einsum("rc,rcd->rd", share, vertices[three])
@@ -81,7 +80,7 @@ def depth_shape_rows(
     r = np.where(off, far, r)
     scale = term.scale_m * factor
     rho, slope, _ = geman_mcclure((r / scale) ** 2, w / scale**2)
-    by_shape = np.einsum("rc,rd,krcd->rk", share, gradient, slopes[:, three])
+    by_shape = np.einsum("rc,rd,rckd->rk", share, gradient, slopes[three])
     wrench = np.concatenate([np.cross(point, gradient), gradient], 1)
     by_pose = np.einsum("rk,dk->rd", wrench, twists) * np.einsum("rc,rcd->rd", share, moves[three])
-    return ShapeRows(r, slope, by_shape, by_pose, lost + 0.5 * float((w * rho).sum()))
+    return ShapeRows(np.concatenate([by_pose, by_shape], 1), slope, r, lost + 0.5 * float((w * rho).sum()))

@@ -16,13 +16,20 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hypose.body.anthropometry import body_of, length_rows, prior_covariance, prior_mean
 from hypose.body.body import Body, Landmarks, Mesh
-from hypose.compute import NOT_KNOWN, SharedEquations, geman_mcclure, silhouette, weighted_squares
+from hypose.compute import (
+    OutlineRows,
+    SharedEquations,
+    geman_mcclure,
+    joined_rows,
+    outline_rows,
+    weighted_squares,
+)
 from hypose.errors import EvidenceError
 from hypose.fitting import DepthTerm
 from hypose.fitting.articulated import ContourTerm
@@ -31,8 +38,6 @@ from hypose.geometry import Array
 from hypose.tracking.depth_shape_rows import ShapeRows, depth_shape_rows
 from hypose.tracking.refinement import anatomical_prior
 
-BORDER = 3
-"""px along the image border where the image cuts the person off"""
 EFFECTIVE = 9.0
 """Rows per independent observation: neighbours err together, and so do all rows where the template is another person.
 Measured on the subjects of the anthropometry benchmark, where the errors are about three times the formal ones."""
@@ -79,23 +84,12 @@ class ShapeFit:
     cost: float
 
 
-OutlineRows = tuple[NDArray[np.int64], NDArray[np.int64], Array, Array, Array, Array]
-"""What `outline_rows` returns."""
+class _Rows(NamedTuple):
+    """Linearised rows of one frame: jacobian (R, D + K) over pose and shape, weight (R,), residual (R,) px or m."""
 
-
-@dataclass(frozen=True)
-class _Rows:
-    """Linearised rows of one frame: residual (R,) px, weight (R,), jacobian over shape (R, K) and pose (R, D)."""
-
-    residual: Array
+    jacobian: Array
     weight: Array
-    by_shape: Array
-    by_pose: Array
-
-    def and_those(self, more: ShapeRows) -> _Rows:
-        """With the rows of depth after them."""
-        pairs = zip((self.residual, self.weight, self.by_shape, self.by_pose), more[:4], strict=True)
-        return _Rows(*(np.concatenate(p) for p in pairs))
+    residual: Array
 
 
 def refine_shape(
@@ -157,30 +151,26 @@ class _Place:
         self.outlines = [problem.outlines(self.body, v, term) for v, term in zip(self.vertices, terms, strict=True)]
 
     @cached_property
+    def twists(self) -> Array:
+        """(F, D, 6) in the world."""
+        return self.body.skeleton.world_twists(self.q)
+
+    @cached_property
     def varied(self) -> list[Body]:
         """The body with each factor changed by STEP."""
         return [self._problem.deformed(self.x + self.STEP * e) for e in np.eye(len(self.x))]
 
     @cached_property
     def slopes(self) -> Array:
-        """(F, K, V, 3) of the vertices by the shape."""
-        skins = np.stack([b.skin(self.q) for b in self.varied], 1)
-        return (skins - self.vertices[:, None]) / self.STEP
+        """(F, V, K, 3) of the vertices by the shape."""
+        skins = np.stack([b.skin(self.q) for b in self.varied], 2)
+        return (skins - self.vertices[:, :, None]) / self.STEP
 
     @cached_property
-    def derivatives(self) -> list[tuple[Array, Array]]:
-        """Of the outlines' rows of each frame, by shape (R, K) and pose (R, D)."""
-        return [self._derivatives(f) for f in range(len(self.q))]
-
-    def _derivatives(self, frame: int) -> tuple[Array, Array]:
-        made, slopes = self.outlines[frame], self.slopes[frame]
-        if made is None:
-            return np.zeros((0, len(self.x))), np.zeros((0, self.q.shape[1]))
-        a, b, t, _, g, _ = made
-        s, e = (1 - t)[:, None], t[:, None]
-        by_shape = np.einsum("rc,krc->rk", s * g, slopes[:, a]) + np.einsum("rc,krc->rk", e * g, slopes[:, b])
-        twists = self.body.skeleton.world_twists(self.q[frame])
-        return by_shape, rows_by_pose(twists, self._problem.moves, self.vertices[frame], a, b, t, g)[1]
+    def jacobians(self) -> list[Array]:
+        """(R, D + K) of the outlines' rows of each frame, by pose and shape."""
+        about = zip(self.outlines, self.vertices, self.twists, self.slopes, strict=True)
+        return [made.jacobian(v, twists, self._problem.moves, slopes) for made, v, twists, slopes in about]
 
 
 class _ShapeProblem:
@@ -266,7 +256,7 @@ class _ShapeProblem:
         (n, dof), shape = q.shape, len(gradient)
         own, own_gradient, cross = np.empty((n, dof, dof)), np.empty((n, dof)), np.empty((n, dof, shape))
         for f, r in enumerate(system.rows()):
-            h, g = weighted_squares(np.concatenate([r.by_pose, r.by_shape], 1), r.weight, r.residual)
+            h, g = weighted_squares(*r)
             own[f], cross[f] = h[:dof, :dof] + np.diag(self.pose_weight + self.anchor_weight), h[:dof, dof:]
             own_gradient[f] = g[:dof] + self.pose_weight * q[f] + self.anchor_weight * (q[f] - self.anchor[f])
             hessian += h[dof:, dof:]
@@ -299,162 +289,37 @@ class _ShapeProblem:
         term = self.depths[frame]
         if term is None:
             return None
-        twists = place.body.skeleton.world_twists(place.q[frame])
         gain = self.options.weight / CONTOUR_WEIGHT
-        about = place.vertices[frame], place.slopes[frame], twists, self.moves
+        about = place.vertices[frame], place.slopes[frame], place.twists[frame], self.moves
         return depth_shape_rows(place.body.coarse, *about, term, factor, gain)
 
-    def outlines(self, shaped: Body, vertices: Array, term: ContourTerm) -> OutlineRows | None:
+    def outlines(self, shaped: Body, vertices: Array, term: ContourTerm) -> OutlineRows:
         """The rows of all views of one frame, with the body's vertices (V, 3)."""
-        spacing, normals = self.options.row_spacing_px, self.options.normals
         views = np.flatnonzero(term.usable).tolist()
-        parts = [outline_rows(shaped.coarse, vertices, term, c, spacing, normals) for c in views]
-        seen = [p for p in parts if p is not None]
-        if not seen:
-            return None
-        a, b, t, r, g, weight = (np.concatenate(column) for column in zip(*seen, strict=True))
-        return a, b, t, r, g, weight
+        spacing, normals = self.options.row_spacing_px, self.options.normals
+        parts = [outlines_of(shaped.coarse, vertices, term, c, spacing, normals) for c in views]
+        return joined_rows([p for p in parts if p is not None])
 
-    def _robust(self, made: OutlineRows | None, term: ContourTerm, factor: float) -> tuple[Array, float]:
+    def _robust(self, made: OutlineRows, term: ContourTerm, factor: float) -> tuple[Array, float]:
         """(R,) what the rows of one frame weigh, and what they cost."""
-        if made is None:
-            return np.zeros(0), 0.0
-        *_, r, _, weight = made
         scale = term.scale_px * factor
-        w0 = self.options.weight * weight
-        rho, slope, _ = geman_mcclure((r / scale) ** 2, w0 / scale**2)
+        w0 = self.options.weight * made.weight
+        rho, slope, _ = geman_mcclure((made.residual / scale) ** 2, w0 / scale**2)
         return slope, 0.5 * float((w0 * rho).sum())
 
     def _rows(self, place: _Place, weights: Sequence[Array], deep: Sequence[ShapeRows | None]) -> list[_Rows]:
         out = []
-        for made, weight, own, (by_shape, by_pose) in zip(
-            place.outlines, weights, deep, place.derivatives, strict=True
-        ):
-            rows = _Rows(np.zeros(0) if made is None else made[3], weight, by_shape, by_pose)
-            out.append(rows if own is None else rows.and_those(own))
+        for made, weight, own, jacobian in zip(place.outlines, weights, deep, place.jacobians, strict=True):
+            rows = _Rows(jacobian, weight, made.residual)
+            if own is not None:
+                rows = _Rows(*(np.concatenate(p) for p in zip(rows, own[:3], strict=True)))
+            out.append(rows)
         return out
 
 
-def _product(a: Array, b: Array) -> Array:
-    """a^T b (I, J) of a (R, I), b (R, J) in fixed order: no threaded BLAS, whose result (and, on a busy machine, time)
-    depends on the threads."""
-    return np.einsum("ri,rj->ij", a, b)
-
-
-def rows_by_pose(
-    twists: Array,
-    moves: Array,
-    vertices: Array,
-    a: NDArray[np.int64],
-    b: NDArray[np.int64],
-    t: Array,
-    gradient: Array,
-) -> tuple[Array, Array]:
-    """Points (R, 3) m of `outline_rows` and the rows' derivatives (R, D) by a pose with these twists (D, 6); moves (V,
-    D): share of a dof's motion at a vertex."""
-    s, e = (1 - t)[:, None], t[:, None]
-    point = s * vertices[a] + e * vertices[b]
-    wrench = np.concatenate([np.cross(point, gradient), gradient], 1)
-    return point, np.einsum("rk,dk->rd", wrench, twists) * (s * moves[a] + e * moves[b])
-
-
-def outline_rows(
+def outlines_of(
     mesh: Mesh, vertices: Array, term: ContourTerm, view: int, spacing_px: float, least_cosine: float
 ) -> OutlineRows | None:
-    """Two-way contour rows of one view with the body's vertices (V, 3) m.
-
-    Returns (a (R,), b (R,), t (R,)): the row's point is (1 - t) a + t b of two mesh vertices; residual (R,) px;
-    gradient (R, 3) of the residual with respect to the point, px/m; weight (R,): rows per reference row. None when the
-    body is not in the view. Rows whose outlines have normals with a cosine below least_cosine are left out.
-    """
-    p = term.projections[view]
-    h = vertices @ p[:, :3].T + p[:, 3]
-    if not (h[:, 2] > 0.05).all():
-        return None
-    uv = h[:, :2] / h[:, 2:]
-    width, height = (int(n) for n in term.sizes[view])
-    f = mesh.faces
-    e1, e2 = uv[f[:, 1]] - uv[f[:, 0]], uv[f[:, 2]] - uv[f[:, 0]]
-    front = e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0] < 0  # image y grows downwards
-    edges = mesh.edges
-    fa, fb = front[edges[:, 2]], front[edges[:, 3]]
-    contour = np.flatnonzero(fa != fb)
-    ea = np.where(fa[contour], edges[contour, 0], edges[contour, 1])
-    eb = np.where(fa[contour], edges[contour, 1], edges[contour, 0])
-    d = uv[eb] - uv[ea]
-    length = np.linalg.norm(d, axis=1)
-    keep = length > 1e-3
-    ea, eb, d, length = ea[keep], eb[keep], d[keep], length[keep]
-    if len(length) < 8:
-        return None
-    # samples evenly along each edge, each standing for its share of the arc length
-    count = np.maximum(np.ceil(length / spacing_px).astype(int), 1)
-    edge = np.repeat(np.arange(len(length)), count)
-    t = (np.arange(len(edge)) - np.repeat(np.cumsum(count) - count, count) + 0.5) / count[edge]
-    share = (length / count)[edge]
-    normal = np.stack([-d[:, 1], d[:, 0]], 1) / length[:, None]  # outward: the front face lies on the other side
-    xy = uv[ea[edge]] + t[:, None] * d[edge]
-    n = normal[edge]
-    inside = (
-        (xy[:, 0] >= BORDER) & (xy[:, 1] >= BORDER) & (xy[:, 0] < width - 1 - BORDER) & (xy[:, 1] < height - 1 - BORDER)
-    )
-    edge, t, share, xy, n = edge[inside], t[inside], share[inside], xy[inside], n[inside]
-    own = silhouette(uv, h[:, 2], f, (width, height))
-    out = np.rint(xy + 1.2 * n).astype(int)
-    visible = own[np.clip(out[:, 1], 0, height - 1), np.clip(out[:, 0], 0, width - 1)] == 0
-    edge, t, share, xy, n = edge[visible], t[visible], share[visible], xy[visible], n[visible]
-    if len(edge) < 8:
-        return None
-    a, b = ea[edge], eb[edge]
-    sdf = term.sdf[view]
-    # forward: body outline in the mask's distance transform
-    r, slope = _bilinear(sdf, xy)
-    agree = (slope * n).sum(1) > least_cosine * np.linalg.norm(slope, axis=1)
-    agree |= np.linalg.norm(slope, axis=1) < 0.3
-    agree &= _known(sdf, xy)
-    reference = max(6 / 260 * term.height_px, 1.0)
-    forward = np.flatnonzero(agree)
-    rows = [(a[forward], b[forward], t[forward], r[forward], slope[forward], share[forward] / reference)]
-    # reverse: mask outline to the body's nearest outline that looks the same way
-    mark = term.outline[view].astype(np.float64)
-    mark = mark[(mark > -1e5).all(1)]
-    if len(mark):
-        _, look = _bilinear(sdf, mark)
-        look = look / np.maximum(np.linalg.norm(look, axis=1, keepdims=True), 1e-6)
-        gap = ((mark[:, None] - xy[None]) ** 2).sum(-1)
-        gap = np.where(_product(look.T, n.T) > least_cosine, gap, 1e9)
-        near = gap.argmin(1)
-        good = gap[np.arange(len(mark)), near] < (0.25 * term.height_px) ** 2
-        near, mark = near[good], mark[good]
-        # distance along the body's normal: sliding along the outline costs nothing
-        across = ((xy[near] - mark) * n[near]).sum(1)
-        weight = np.full(len(near), 130 / term.outline_count)
-        rows.append((a[near], b[near], t[near], across, n[near], weight))
-    ra, rb = (np.concatenate([x[k] for x in rows]).astype(np.int64) for k in (0, 1))
-    rt, rr, rg, rw = (np.concatenate([x[k] for x in rows]) for k in (2, 3, 4, 5))
-    point = (1 - rt)[:, None] * vertices[ra] + rt[:, None] * vertices[rb]
-    hp = point @ p[:, :3].T + p[:, 3]
-    u = hp[:, :2] / hp[:, 2:]
-    g = (rg[:, :1] * (p[0, :3] - u[:, :1] * p[2, :3]) + rg[:, 1:] * (p[1, :3] - u[:, 1:] * p[2, :3])) / hp[:, 2:]
-    return ra, rb, rt, rr, g, rw
-
-
-def _known(sdf: NDArray[np.float32], xy: Array) -> NDArray[np.bool_]:
-    """(N,) where the four pixels around points (N, 2) px have a distance."""
-    x = np.clip(np.floor(xy[:, 0]).astype(int), 0, sdf.shape[1] - 2)
-    y = np.clip(np.floor(xy[:, 1]).astype(int), 0, sdf.shape[0] - 2)
-    return np.max([sdf[y + dy, x + dx] for dy in (0, 1) for dx in (0, 1)], axis=0) < NOT_KNOWN
-
-
-def _bilinear(sdf: NDArray[np.float32], xy: Array) -> tuple[Array, Array]:
-    """Values (N,) and gradients (N, 2) of an image at points (N, 2) px inside it."""
-    i = np.floor(xy).astype(int)
-    i[:, 0] = np.clip(i[:, 0], 0, sdf.shape[1] - 2)
-    i[:, 1] = np.clip(i[:, 1], 0, sdf.shape[0] - 2)
-    fx, fy = (xy - i).T
-    x, y = i.T
-    s00, s01, s10, s11 = (sdf[y + dy, x + dx].astype(np.float64) for dy in (0, 1) for dx in (0, 1))
-    value = (s00 * (1 - fx) + s01 * fx) * (1 - fy) + (s10 * (1 - fx) + s11 * fx) * fy
-    gx = (s01 - s00) * (1 - fy) + (s11 - s10) * fy
-    gy = (s10 - s00) * (1 - fx) + (s11 - s01) * fx
-    return value, np.stack([gx, gy], 1)
+    """`hypose.compute.outline_rows` of one view with the body's vertices (V, 3) m."""
+    seen = term.projections[view], term.sizes[view].tolist(), term.sdf[view], term.outline[view], term.height_px
+    return outline_rows(vertices, mesh.faces, mesh.edges, *seen, spacing_px, least_cosine)

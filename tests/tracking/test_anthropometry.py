@@ -30,11 +30,11 @@ from hypose.tracking.layered_anthropometry import (
     powell_start,
     shape_energy,
 )
-from hypose.tracking.shape_refinement import Known, ShapeSettings, outline_rows, refine_shape
+from hypose.tracking.shape_refinement import Known, ShapeSettings, outlines_of, refine_shape
 
 
 def rows_of(*arguments):
-    rows = outline_rows(*arguments)
+    rows = outlines_of(*arguments)
     assert rows is not None
     return rows
 
@@ -115,20 +115,52 @@ def test_no_frame_is_refused(body):
 def test_rows_vanish_on_the_truth_and_point_outwards(body, standing, frame_of):
     contours = contour_term(frame_of(body, standing).silhouettes)
     vertices = body.skin(standing)
-    a, b, t, r, g, w = rows_of(body.coarse, vertices, contours, 0, 4.0, 0.5)
-    assert len(r) > 100 and np.abs(r).mean() < 0.5 and (w > 0).all() and ((t >= 0) & (t <= 1)).all()
+    rows = rows_of(body.coarse, vertices, contours, 0, 4.0, 0.5)
+    t, r = rows.values[:, 0], rows.residual
+    assert len(r) > 100 and np.abs(r).mean() < 0.5 and (rows.weight > 0).all() and ((t >= 0) & (t <= 1)).all()
     # a fatter body has its outline outside the mask: positive residuals, both ways
     fat = body_of(body, shape(clothing=0.3))
-    r = rows_of(fat.coarse, fat.skin(standing), contours, 0, 4.0, 0.5)[3]
+    r = rows_of(fat.coarse, fat.skin(standing), contours, 0, 4.0, 0.5).residual
     assert np.mean(r) > 0.3
     # the gradient is that of the residual: moving the body along it changes the forward rows as told
     shift = np.array([0.002, -0.001, 0.0015])
     moved = rows_of(body.coarse, vertices + shift, contours, 0, 4.0, 0.5)
     first = rows_of(body.coarse, vertices, contours, 0, 4.0, 0.5)
-    forward = min(len(first[0]), len(moved[0])) // 3
-    same = (first[0][:forward] == moved[0][:forward]) & (first[2][:forward] == moved[2][:forward])
-    told = (first[4][:forward] @ shift)[same]
-    assert np.corrcoef(told, (moved[3][:forward] - first[3][:forward])[same])[0, 1] > 0.9
+    forward = min(len(first.ends), len(moved.ends)) // 3
+    same = (first.ends[:forward] == moved.ends[:forward]).all(1)
+    same &= first.values[:forward, 0] == moved.values[:forward, 0]
+    told = (first.gradient[:forward] @ shift)[same]
+    assert np.corrcoef(told, (moved.residual[:forward] - first.residual[:forward])[same])[0, 1] > 0.9
+
+
+def test_rows_of_an_outline_by_pose_and_sizes(body, standing, frame_of):
+    """The derivatives are those of each row's point along the residual's gradient, by differences; for a joint that
+    moves a part of a blended vertex they are near."""
+    contours = contour_term(frame_of(body, standing).silhouettes)
+    vertices, step = body.skin(standing), 1e-5
+    rows = rows_of(body.coarse, vertices, contours, 0, 4.0, 0.5)
+    moves = body.coarse.dense_weights(len(body.skeleton.joint_names)) @ body.skeleton.moves.T.astype(float)
+    slopes = np.stack([(body_of(body, step * e).skin(standing) - vertices) / step for e in np.eye(len(ENTITIES))], 1)
+    found = rows.jacobian(vertices, body.skeleton.world_twists(standing), moves, slopes)
+    dof = len(standing)
+    assert found.shape == (len(rows.ends), dof + len(ENTITIES))
+    at = rows.points(vertices)
+    for d in (0, 4, 5, int(body.skeleton.dofs_of("left_elbow")[0])):
+        there = rows.points(body.skin(standing + step * np.eye(dof)[d]))
+        share = moves[rows.ends, d]
+        whole = (np.abs(share - np.rint(share)) < 1e-5).all(1)
+        assert whole.mean() > 0.9
+        told = (rows.gradient * (there - at)).sum(1) / step
+        np.testing.assert_allclose(found[whole, d], told[whole], rtol=1e-3, atol=0.05)
+    k = entity("thigh length")
+    by_size = (rows.gradient * (rows.points(vertices + slopes[:, k]) - at)).sum(1)
+    np.testing.assert_allclose(found[:, dof + k], by_size, rtol=1e-6, atol=1e-6)
+
+
+def test_a_body_beside_the_view_has_no_rows(body, standing, frame_of):
+    contours = contour_term(frame_of(body, standing).silhouettes)
+    beside = body.skin(standing) + [0.0, 0.0, 50.0]
+    assert outlines_of(body.coarse, beside, contours, 0, 4.0, 0.5) is None
 
 
 def test_different_poses_are_chosen(body, standing):
