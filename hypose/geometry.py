@@ -100,8 +100,9 @@ def nearest_branch(rotation_vector: ArrayLike, reference: ArrayLike) -> Array:
         if not (angle > 1e-9 and x * a + y * b + z * c < squared - math.pi * angle):
             return r.copy()
         return r - 2 * np.pi * r / max(angle, 1e-12)
-    if r.ndim == 2 and ref.ndim == 1 and len(r) <= _FEW:
-        return np.array([nearest_branch(one, ref) for one in r]).reshape(r.shape)
+    if r.ndim == 2 and len(r) <= _FEW and ref.shape in (r.shape, r.shape[1:]):
+        rows = np.broadcast_to(ref, r.shape)
+        return np.array([nearest_branch(*one) for one in zip(r, rows, strict=True)]).reshape(r.shape)
     squared = (r * r).sum(-1, keepdims=True)
     # the other branch is r - 2 pi r / |r|: nearer when r.ref lies more than pi |r| below |r|^2
     angle = np.sqrt(squared)

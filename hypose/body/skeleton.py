@@ -78,8 +78,8 @@ class Skeleton:
 
     def dofs_of(self, *names: str) -> NDArray[np.int64]:
         """Indices of the rotational dof of the named joints (for the root: all six)."""
-        joints = [self.joint(n) for n in names]
-        return np.flatnonzero(np.isin(self.joint_of_dof, joints))
+        joints = np.array([self.joint(n) for n in names], dtype=np.int64)
+        return np.flatnonzero((self.joint_of_dof[:, None] == joints).any(1))
 
     def descendants(self, name: str) -> NDArray[np.int64]:
         """Joint indices of the sub-tree that starts at the named joint."""

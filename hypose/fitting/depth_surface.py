@@ -111,8 +111,9 @@ _RINGS: dict[int, tuple[Body, NDArray[np.int64], NDArray[np.int32]]] = {}
 
 
 def rings(body: Body) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-    """The faces around each vertex of the scoring mesh: first (V + 1,), and their other corners (3 F, 2) in the face's
-    order; kept for the last bodies."""
+    """The faces around each vertex of the scoring mesh: first (V + 1,), and (3 F, 3) their other corners in the face's
+    order and the row of the face around this vertex that shares the edge to the first of them (its own where none
+    does); kept for the last bodies."""
     kept = _RINGS.get(id(body.coarse))
     if kept is None or kept[0].coarse is not body.coarse:
         while len(_RINGS) > 15:
@@ -120,9 +121,15 @@ def rings(body: Body) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
         faces = np.asarray(body.coarse.faces)
         corners = faces.ravel()
         order = np.argsort(corners, kind="stable")
-        first = np.searchsorted(corners[order], np.arange(len(body.coarse.vertices) + 1)).astype(np.int64)
-        others = np.stack([np.roll(faces, -k, axis=1)[:, 1:] for k in range(3)], 1).reshape(-1, 2)
-        kept = _RINGS[id(body.coarse)] = body, first, np.ascontiguousarray(others[order], dtype=np.int32)
+        count = len(body.coarse.vertices)
+        first = np.searchsorted(corners[order], np.arange(count + 1)).astype(np.int64)
+        others = np.stack([np.roll(faces, -k, axis=1)[:, 1:] for k in range(3)], 1).reshape(-1, 2)[order]
+        begins, ends = (corners[order] * count + others[:, k] for k in (0, 1))
+        by_end = np.argsort(ends, kind="stable")
+        beside = by_end[np.minimum(np.searchsorted(ends[by_end], begins), len(ends) - 1)]
+        beside = np.where(ends[beside] == begins, beside, np.arange(len(ends)))
+        ring = np.column_stack([others, beside])
+        kept = _RINGS[id(body.coarse)] = body, first, np.ascontiguousarray(ring, dtype=np.int32)
     return kept[1], kept[2]
 
 

@@ -140,6 +140,8 @@ class Hypotheses:
         is lost.
         """
         usable = _usable(self.log_weights)
+        if usable.all():  # as nearly always
+            return self.log_weights - self.log_weights.max(axis=-1, keepdims=True)
         log_weights = np.where(usable, self.log_weights, -np.inf)
         peak = log_weights.max(axis=-1, keepdims=True)
         lost = np.isneginf(peak)

@@ -5,8 +5,10 @@ resumed.
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
+from numpy.random.bit_generator import ISeedSequence
 
 _WORD = 2**64
 
@@ -23,10 +25,20 @@ def stream(seed: int, frame: int, layer: int, particle: int | None = None) -> np
     (layer -1 is free for what happens between two frames).
     """
     counter = np.array([0, 0 if particle is None else particle + 1, layer % _WORD, frame % _WORD], dtype=np.uint64)
-    return np.random.Generator(np.random.Philox(counter=counter, key=np.array(_key(seed % 2**128), dtype=np.uint64)))
+    return np.random.Generator(np.random.Philox(_key(seed % 2**128), counter=counter))
+
+
+class _Key(ISeedSequence):
+    """A key as a generator asks for it: given as such, numpy first asks the system for chance that it then leaves."""
+
+    def __init__(self, seed: int) -> None:
+        self._words = np.random.SeedSequence(seed).generate_state(2, np.uint64)
+
+    def generate_state(self, n_words: int, dtype: Any = np.uint32) -> Any:
+        """The key, two words of 64 bits."""
+        return self._words
 
 
 @lru_cache(16)
-def _key(seed: int) -> tuple[int, int]:
-    first, second = np.random.SeedSequence(seed).generate_state(2, np.uint64).tolist()
-    return first, second
+def _key(seed: int) -> Any:  # numpy takes a sequence of one's own, its stubs do not say so
+    return _Key(seed)

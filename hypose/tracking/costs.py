@@ -13,7 +13,7 @@ from hypose.fitting.articulated import KeypointTerm
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.depth_costs import MEASURED, depth_cost, depth_views, with_limb_depth
-from hypose.tracking.frame_evidence import PreparedFrame
+from hypose.tracking.frame_evidence import PoseMemory, PreparedFrame
 
 
 @dataclass(frozen=True)
@@ -111,12 +111,18 @@ def silhouette_iou(body: Body, pose: Array, frame: PreparedFrame) -> Array:
     which others hide nearly all of the body. Over the pixels that say something."""
     if frame.masks is None:
         return np.full(0, np.nan)
+    memory: PoseMemory[Array] = frame.shared.setdefault(_OVERLAPS, PoseMemory())
+    known = memory.get(body, pose)
+    return memory.keep(body, pose, _overlap(body, pose, frame, frame.masks)) if known is None else known
+
+
+def _overlap(body: Body, pose: Array, frame: PreparedFrame, masks: compute.PreparedMasks) -> Array:
     counts = _counts(body, pose[None], frame)[0]
     union = counts[:, 0] + counts[:, 2]  # XOR and intersection are disjoint
     with np.errstate(invalid="ignore", divide="ignore"):
-        use = frame.masks.usable
-        if frame.masks.hidden.size:
-            use = use & (counts[:, 1] > VISIBLE * frame.masks.norm)
+        use = masks.usable
+        if masks.hidden.size:
+            use = use & (counts[:, 1] > VISIBLE * masks.norm)
         return np.where(use, counts[:, 2] / union, np.nan)
 
 
@@ -141,6 +147,8 @@ def agreement(body: Body, pose: Array, frame: PreparedFrame) -> float:
 
 VISIBLE = 0.2
 """Share of a body that must be visible in a view which is to tell of its overlap."""
+_OVERLAPS = "overlaps"
+"""What is kept in a frame's `shared`: the overlap of single poses, asked for several times."""
 _FEW = 12
 """sets of no more poses are looked up, and remembered: the same pose is judged several times in a frame"""
 

@@ -88,13 +88,11 @@ def ends_of(arms: Sequence[ArmReach], poses: Array) -> Array:
     if not arms:
         return np.zeros((len(poses), 0, 3, 3))
     rotations, centres = arms[0].body.skeleton.forward(poses)
-    out = []
-    for arm in arms:
-        _, elbow, wrist = (centres[:, j] for j in arm.chain)
-        hand = wrist + _ALONG[2][1] * np.einsum("nij,j->ni", rotations[:, arm.chain[2]], arm.tip)
-        apart = np.stack([elbow, wrist, hand], 1) - centres[:, None, arm.parent]
-        out.append(np.einsum("nji,nkj->nki", rotations[:, arm.parent], apart))
-    return np.stack(out, 1)
+    parents = [arm.parent for arm in arms]
+    wrists = [arm.chain[2] for arm in arms]
+    at = centres[:, [arm.chain[1:] + arm.chain[2:] for arm in arms]]  # elbow, wrist, and from there on the hand
+    at[:, :, 2] += _ALONG[2][1] * np.einsum("naij,aj->nai", rotations[:, wrists], np.stack([a.tip for a in arms]))
+    return np.einsum("naji,nakj->naki", rotations[:, parents], at - centres[:, parents, None])
 
 
 def arm_reach(body: Body, joints: tuple[str, ...], lower: Array, upper: Array, count: int = POSES) -> ArmReach:

@@ -96,9 +96,17 @@ def test_every_vertex_knows_its_faces():
     faces = np.asarray(BODY.coarse.faces)
     assert len(ring) == 3 * len(faces)
     for v in (0, 7, len(first) - 2):
-        own = [(v, *others) for others in ring[first[v] : first[v + 1]].tolist()]
+        own = [(v, *others) for others in ring[first[v] : first[v + 1], :2].tolist()]
         expected = [tuple(np.roll(f, -int(np.flatnonzero(f == v)[0])).tolist()) for f in faces if v in f]
         assert sorted(own) == sorted(expected)
+
+
+def test_every_face_around_a_vertex_knows_the_one_beside_it():
+    first, ring = rings(BODY)
+    around = np.repeat(np.arange(len(first) - 1), np.diff(first))
+    beside = ring[:, 2]
+    assert (around[beside] == around).all()
+    assert (ring[beside, 1] == ring[:, 0]).all()
 
 
 def test_a_frame_without_depth_costs_nothing():

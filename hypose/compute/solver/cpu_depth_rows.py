@@ -25,6 +25,8 @@ _ON_SURFACE = 0.004
 """m: nearer points pull along the surface's normal, for their own direction is noise"""
 _FARTHEST_BEFORE = 0.5
 """m: body further before what was seen than that is the outline's affair"""
+_LANES = 16
+"""triangles that are looked at together"""
 
 
 @kernel
@@ -48,40 +50,12 @@ def vertex_normals(vertices, faces, normals):
 
 
 @kernel
-def closest_on_triangle(ux, uy, uz, vx, vy, vz, px, py, pz):
-    """Shares (s, t) of the corners u and v at the point of a triangle nearest to p, all relative to its third corner.
-    Source: Ericson 2005, Real-Time Collision Detection, section 5.1.5."""
-    d1, d2 = ux * px + uy * py + uz * pz, vx * px + vy * py + vz * pz
-    if d1 <= 0 and d2 <= 0:
-        return f4(0), f4(0)
-    uu, uv, vv = ux * ux + uy * uy + uz * uz, ux * vx + uy * vy + uz * vz, vx * vx + vy * vy + vz * vz
-    d3, d4, d5, d6 = d1 - uu, d2 - uv, d1 - uv, d2 - vv
-    if d3 >= 0 and d4 <= d3:
-        return f4(1), f4(0)
-    if d6 >= 0 and d5 <= d6:
-        return f4(0), f4(1)
-    va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
-    if vc <= 0 and d1 >= 0 and d3 <= 0:
-        return d1 / uu, f4(0)
-    if vb <= 0 and d2 >= 0 and d6 <= 0:
-        return f4(0), d2 / vv
-    if va <= 0 and d4 - d3 >= 0 and d5 - d6 >= 0:
-        t = (d4 - d3) / ((d4 - d3) + (d5 - d6))
-        return f4(1) - t, t
-    whole = va + vb + vc
-    if whole > f4(1e-20):
-        return vb / whole, vc / whole
-    return f4(0), f4(0)
-
-
-@kernel
-def _nearest(fx, fy, fz, nx, ny, nz, first, last, px, py, pz, ox, oy, oz):
-    """The nearest of the points first to last to p, those with other normals than o counting as further off: squared
-    distance and index packed into one integer, as in cpu_rows.nearest. Its own kernel, for all stays in single
-    precision here."""
+def _nearest(fx, fy, fz, nx, ny, nz, px, py, pz, ox, oy, oz):
+    """The nearest of the given points to p, those with other normals than o counting as further off: squared distance
+    and index packed into one integer, as in cpu_rows.nearest. Its own kernel, for all stays in single precision here,
+    and the arrays begin at the first point that counts: an index from elsewhere takes half as long again."""
     best = i4(2147483647)
-    for k in range(last - first):
-        i = np.uint64(first) + np.uint64(k)  # of a signed number it would be asked whether it counts from the end
+    for i in range(fx.shape[0]):
         dx, dy, dz = fx[i] - px, fy[i] - py, fz[i] - pz
         turned = f4(1) - (nx[i] * ox + ny[i] * oy + nz[i] * oz)
         far = (dx * dx + dy * dy + dz * dz + f4(_TURNED * 0.5) * turned) * f4(_PER_M2)
@@ -90,11 +64,9 @@ def _nearest(fx, fy, fz, nx, ny, nz, first, last, px, py, pz, ox, oy, oz):
 
 
 @kernel
-def _nearest_face(vertices, ring, first, last, a, qx, qy, qz):
-    """Which of the faces first to last of the ring around vertex a holds the place nearest to q, which is relative to
-    a: its number and the shares of its two other corners there. It is one of the two beside the edge that is nearest
-    to q."""
-    ax, ay, az = vertices[a, 0], vertices[a, 1], vertices[a, 2]
+def _nearest_edge(vertices, ring, first, last, ax, ay, az, qx, qy, qz):
+    """Which of the rows first to last of the ring around a begins with the edge that is nearest to q, which is relative
+    to a."""
     nearest, edge = f4(1e9), first
     for k in range(first, last):
         b = ring[k, 0]
@@ -102,21 +74,75 @@ def _nearest_face(vertices, ring, first, last, a, qx, qy, qz):
         along, length = x * qx + y * qy + z * qz, x * x + y * y + z * z
         t = min(max(along, f4(0)), length) / max(length, f4(1e-12))
         away = t * (t * length - f4(2) * along)
-        if away < nearest:
-            nearest, edge = away, k
-    side, u, v, nearest = edge, f4(0), f4(0), f4(1e9)
-    for k in range(first, last):
-        if k != edge and ring[k, 1] != ring[edge, 0]:
-            continue
-        b, d = ring[k, 0], ring[k, 1]
-        bx, by, bz = vertices[b, 0] - ax, vertices[b, 1] - ay, vertices[b, 2] - az
-        dx, dy, dz = vertices[d, 0] - ax, vertices[d, 1] - ay, vertices[d, 2] - az
-        s, t = closest_on_triangle(bx, by, bz, dx, dy, dz, qx, qy, qz)
-        x, y, z = s * bx + t * dx - qx, s * by + t * dy - qy, s * bz + t * dz - qz
-        away = x * x + y * y + z * z
-        if away < nearest:
-            nearest, side, u, v = away, k, s, t
-    return side, u, v, nearest
+        nearer = away < nearest
+        nearest, edge = away if nearer else nearest, k if nearer else edge
+    return edge
+
+
+@kernel
+def closest_on_triangles(work):
+    """Lines 9 to 11 of work (12 _LANES,) f4: shares s and t of the corners u and v at the points of triangles that are
+    nearest to points p, and their squared distances; lines 0 to 8: u, v and p (x, y, z), relative to the third corner.
+    In vector lanes: which part of a triangle is the nearest cannot be foreseen, and a wrong guess takes as long as all
+    cases. Source: Ericson 2005, Real-Time Collision Detection, section 5.1.5."""
+    for i in range(_LANES):
+        ux, uy, uz = work[i], work[_LANES + i], work[2 * _LANES + i]
+        vx, vy, vz = work[3 * _LANES + i], work[4 * _LANES + i], work[5 * _LANES + i]
+        px, py, pz = work[6 * _LANES + i], work[7 * _LANES + i], work[8 * _LANES + i]
+        none, one = f4(0), f4(1)
+        d1, d2 = ux * px + uy * py + uz * pz, vx * px + vy * py + vz * pz
+        uu, uv, vv = ux * ux + uy * uy + uz * uz, ux * vx + uy * vy + uz * vz, vx * vx + vy * vy + vz * vz
+        d3, d4, d5, d6 = d1 - uu, d2 - uv, d1 - uv, d2 - vv
+        va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
+        whole, across = va + vb + vc, (d4 - d3) / ((d4 - d3) + (d5 - d6))
+        inside = whole > f4(1e-20)
+        s, t = vb / whole if inside else none, vc / whole if inside else none
+        opposite = (va <= none) & (d4 - d3 >= none) & (d5 - d6 >= none)
+        s, t = one - across if opposite else s, across if opposite else t
+        along = (vb <= none) & (d2 >= none) & (d6 <= none)
+        s, t = none if along else s, d2 / vv if along else t
+        along = (vc <= none) & (d1 >= none) & (d3 <= none)
+        s, t = d1 / uu if along else s, none if along else t
+        corner = (d6 >= none) & (d5 <= d6)
+        s, t = none if corner else s, one if corner else t
+        corner = (d3 >= none) & (d4 <= d3)
+        s, t = one if corner else s, none if corner else t
+        corner = (d1 <= none) & (d2 <= none)
+        s, t = none if corner else s, none if corner else t
+        x, y, z = s * ux + t * vx - px, s * uy + t * vy - py, s * uz + t * vz - pz
+        work[9 * _LANES + i], work[10 * _LANES + i] = s, t
+        work[11 * _LANES + i] = x * x + y * y + z * z
+
+
+@kernel
+def _nearest_places(n, vertices, ring_first, ring, corners, found):
+    """The places on the faces around n vertices that are nearest to points: corners (N, 3) gets the faces' vertices,
+    beginning with the one that corners[:, 0] has, and found (N, 8) f4 their shares and, in its fourth column, the
+    squared distance; in columns 3 to 5 it has the points, relative to that vertex. Each is in one of the two faces
+    beside the edge that is nearest to the point."""
+    work, sides = np.zeros(12 * _LANES, np.float32), np.empty(_LANES, np.int64)
+    for begin in range(0, n, _LANES // 2):
+        some = min(n - begin, _LANES // 2)
+        for i in range(some):
+            a, q = corners[begin + i, 0], found[begin + i]
+            ax, ay, az = vertices[a, 0], vertices[a, 1], vertices[a, 2]
+            edge = _nearest_edge(vertices, ring, ring_first[a], ring_first[a + 1], ax, ay, az, q[3], q[4], q[5])
+            other = np.int64(ring[edge, 2])
+            sides[2 * i], sides[2 * i + 1] = min(edge, other), max(edge, other)
+            for k in range(2 * i, 2 * i + 2):
+                for corner in range(2):
+                    b = ring[sides[k], corner]
+                    work[3 * corner * _LANES + k] = vertices[b, 0] - ax
+                    work[(3 * corner + 1) * _LANES + k] = vertices[b, 1] - ay
+                    work[(3 * corner + 2) * _LANES + k] = vertices[b, 2] - az
+                for axis in range(3):
+                    work[(6 + axis) * _LANES + k] = q[3 + axis]
+        closest_on_triangles(work)
+        for i in range(some):
+            k = 2 * i + (work[11 * _LANES + 2 * i + 1] < work[11 * _LANES + 2 * i])
+            own, u, v = found[begin + i], work[9 * _LANES + k], work[10 * _LANES + k]
+            own[0], own[1], own[2], own[3] = f4(1) - u - v, u, v, work[11 * _LANES + k]
+            corners[begin + i, 1], corners[begin + i, 2] = ring[sides[k], 0], ring[sides[k], 1]
 
 
 @kernel
@@ -204,6 +230,7 @@ def depth_rows(q, mesh, depth, factor, ws, kept, count):
     which, place = np.empty(room, np.int32), np.empty(_BANDS + 1, np.int64)
     most = depth.points.shape[0] + n_vertices
     corners, found = np.empty((most, 3), np.int32), np.empty((most, 8), np.float32)
+    owner = np.empty(depth.points.shape[0], np.int64)
     cost = 0.0
     scale = depth.scale * factor
     i2, free_i2 = 1.0 / (scale * scale), 1.0 / (depth.free_scale * depth.free_scale)
@@ -227,34 +254,37 @@ def depth_rows(q, mesh, depth, factor, ws, kept, count):
             nx[i], ny[i], nz[i] = f4(0), f4(0), f4(0)
         n_found = 0
         for m in range(first, last):
-            w = depth.weight[m]
             px, py, pz = f4(depth.points[m, 0] - q[0]), f4(depth.points[m, 1] - q[1]), f4(depth.points[m, 2] - q[2])
             ox, oy, oz = f4(depth.normals[m, 0]), f4(depth.normals[m, 1]), f4(depth.normals[m, 2])
             band = int(math.floor((pz - low) * f4(1 / _BAND_M)))
             best = i4(2147483647)
+            begin = np.int64(0)
             for reach in range(1, _REACH + 1):
                 if (best >> 11) < i4(_NEXT_BAND):  # all that was not looked at lies further off
                     break
                 # whole vectors, for what is left of them takes as long
                 begin = place[min(max(band - reach, 0), _BANDS)] // 8 * 8
                 end = (place[min(max(band + reach + 1, 0), _BANDS)] + 7) // 8 * 8
-                best = _nearest(fx, fy, fz, nx, ny, nz, begin, end, px, py, pz, ox, oy, oz)
+                best = _nearest(
+                    *(fx[begin:end], fy[begin:end], fz[begin:end], nx[begin:end], ny[begin:end], nz[begin:end]),
+                    *(px, py, pz, ox, oy, oz),
+                )
             if (best >> 11) >= i4(_MOST) - 1:
-                cost += 0.5 * w  # nothing near: it costs what it costs at infinite distance
+                cost += 0.5 * depth.weight[m]  # nothing near: it costs what it costs at infinite distance
                 continue
-            a = which[best & 2047]
-            ax, ay, az = vertices[a, 0], vertices[a, 1], vertices[a, 2]
-            qx, qy, qz = px - ax, py - ay, pz - az
-            begin, end = depth.ring_first[a], depth.ring_first[a + 1]
-            side, u, v, nearest = _nearest_face(vertices, depth.ring, begin, end, a, qx, qy, qz)
-            b, d = depth.ring[side, 0], depth.ring[side, 1]
-            own = found[n_found]
-            own[0], own[1], own[2] = f4(1) - u - v, u, v
-            corners[n_found, 0], corners[n_found, 1], corners[n_found, 2] = a, b, d
-            r = math.sqrt(nearest)
-            dx = own[0] * ax + u * vertices[b, 0] + v * vertices[d, 0] - px
-            dy = own[0] * ay + u * vertices[b, 1] + v * vertices[d, 1] - py
-            dz = own[0] * az + u * vertices[b, 2] + v * vertices[d, 2] - pz
+            a = which[begin + (best & 2047)]
+            owner[n_found], corners[n_found, 0], own = m, a, found[n_found]
+            own[3], own[4], own[5] = px - vertices[a, 0], py - vertices[a, 1], pz - vertices[a, 2]
+            n_found += 1
+        _nearest_places(n_found, vertices, depth.ring_first, depth.ring, corners, found)
+        for i in range(n_found):
+            m, a, b, d, own = owner[i], corners[i, 0], corners[i, 1], corners[i, 2], found[i]
+            px, py, pz = f4(depth.points[m, 0] - q[0]), f4(depth.points[m, 1] - q[1]), f4(depth.points[m, 2] - q[2])
+            u, v, w = own[1], own[2], depth.weight[m]
+            r = math.sqrt(own[3])
+            dx = own[0] * vertices[a, 0] + u * vertices[b, 0] + v * vertices[d, 0] - px
+            dy = own[0] * vertices[a, 1] + u * vertices[b, 1] + v * vertices[d, 1] - py
+            dz = own[0] * vertices[a, 2] + u * vertices[b, 2] + v * vertices[d, 2] - pz
             if r > f4(_ON_SURFACE):
                 gx, gy, gz = dx / r, dy / r, dz / r
             else:
@@ -267,7 +297,6 @@ def depth_rows(q, mesh, depth, factor, ws, kept, count):
             rho, slope, _ = geman_mcclure(r * r * i2, w * i2, 1.0)
             cost += 0.5 * w * rho
             own[3], own[4], own[5], own[6], own[7] = gx, gy, gz, slope, r
-            n_found += 1
         count[0] += n_found
         # body before what was seen
         p = depth.projections[c]

@@ -25,6 +25,10 @@ BORDER = 3
 """px along the image border where outlines are cut off by the image and are no evidence"""
 RIM = 2032
 """most outline points of the body in one view (indices must fit 11 bits)"""
+_BAND, _BANDS = 8, 64
+"""rows of a band in which a point of the mask's outline is looked for first, and so many of them"""
+_NEXT_BAND = int(0.98 * 64 * _BAND**2)
+"""a squared distance, packed, that no point has which lies a whole band or more above or below"""
 
 
 @kernel
@@ -153,15 +157,53 @@ def form_rows(n, ends, found, n_rows, vertices, skin_index, skin_weight, skin_co
 
 
 @kernel
-def nearest(rim_u, rim_v, blocks, x, y):
-    """Index of the nearest of 16 * blocks points: squared distance in 1/64 px^2 and the index are packed into one
-    integer, so that the minimum needs no branch and vectorises (a float arg-min does not). Casts keep it in 32 bits,
-    which takes a third of the time."""
+def _nearest(u, v, number, x, y):
+    """The nearest of points (N,): squared distance in 1/64 px^2 and the point's number are packed into one integer, so
+    that the minimum needs no branch and vectorises (a float arg-min does not). Casts keep it in 32 bits, which takes a
+    third of the time."""
     best = i4(2147483647)
-    for i in range(blocks * 16):
-        dx, dy = rim_u[i] - x, rim_v[i] - y
+    for i in range(u.shape[0]):
+        dx, dy = u[i] - x, v[i] - y
         distance = i4(min((dx * dx + dy * dy) * f4(64), f4(1e6)))
-        best = min(best, i4(i4(distance << i4(11)) | i4(i)))
+        best = min(best, i4(i4(distance << i4(11)) | number[i]))
+    return best
+
+
+@kernel
+def _by_row(n, rim_u, rim_v, low, u, v, number, place):
+    """The first n points of the rim in the order of their bands of _BAND rows, which begin at row `low`, and their
+    numbers: u, v (R,) f4, number (R,) i4, far away beyond the last point; place (B + 1,): where each band begins. The
+    last band holds what is below."""
+    bands = place.shape[0] - 1
+    place[:] = 0
+    for i in range(n):
+        place[min(int((rim_v[i] - low) * f4(1 / _BAND)), bands - 1) + 1] += 1
+    for b in range(bands):
+        place[b + 1] += place[b]
+    for i in range(n):
+        b = min(int((rim_v[i] - low) * f4(1 / _BAND)), bands - 1)
+        to = place[b]
+        u[to], v[to], number[to] = rim_u[i], rim_v[i], i
+        place[b] = to + 1
+    for b in range(bands - 1, 0, -1):  # filled: each has moved to its end
+        place[b] = place[b - 1]
+    place[0] = 0
+    for i in range(n, min((n + 7) // 8 * 8, u.shape[0])):
+        u[i], v[i], number[i] = f4(1e8), f4(1e8), i4(2047)
+
+
+@kernel
+def nearest(n, u, v, number, place, low, x, y):
+    """The number of the nearest of n points in the order of `_by_row`: one in the bands beside (x, y) where that lies
+    nearer than all others can."""
+    band, bands = int(math.floor((y - low) * f4(1 / _BAND))), place.shape[0] - 1
+    # whole vectors, for what is left of them takes as long
+    begin = place[min(max(band - 1, 0), bands)] // 8 * 8
+    end = (place[min(max(band + 2, 0), bands)] + 7) // 8 * 8
+    best = _nearest(u[begin:end], v[begin:end], number[begin:end], x, y)
+    if (best >> 11) >= i4(_NEXT_BAND):
+        end = (n + 7) // 8 * 8
+        best = _nearest(u[:end], v[:end], number[:end], x, y)
     return best & 2047
 
 
@@ -226,7 +268,7 @@ def contour_rows(c, p, mesh, contours, scale, ws, kept, count):
     # Points of the body's outline, evenly spaced along the contour edges: the pixel just outside must not be the
     # body's.
     ends, found, n_found = ws.ends, ws.found, 0
-    n_rim = 0
+    n_rim = next_row = 0
     position = spacing * f4(0.5)
     for e in range(n):
         a, b = ws.start[e], ws.end[e]
@@ -245,7 +287,8 @@ def contour_rows(c, p, mesh, contours, scale, ws, kept, count):
             if 0 <= tx < width and 0 <= ty < height and ws.own[ty, tx] != 0:
                 continue
             ws.rim_u[n_rim], ws.rim_v[n_rim], ws.rim_edge[n_rim] = x, y, e
-            if n_rim % stride == 0:
+            if n_rim == next_row:
+                next_row += stride
                 xi, yi = int(x), int(y)
                 fx, fy = x - f4(xi), y - f4(yi)
                 xi -= left
@@ -273,16 +316,15 @@ def contour_rows(c, p, mesh, contours, scale, ws, kept, count):
         position -= edge
     if n_rim == 0:
         return unseen
-    blocks = (n_rim + 15) // 16
-    for i in range(n_rim, blocks * 16):
-        ws.rim_u[i] = f4(1e8)
-        ws.rim_v[i] = f4(1e8)
+    rim_u, rim_v, number = np.empty(RIM, np.float32), np.empty(RIM, np.float32), np.empty(RIM, np.int32)
+    place, low = np.empty(_BANDS + 1, np.int64), f4(y0)
+    _by_row(n_rim, ws.rim_u, ws.rim_v, low, rim_u, rim_v, number, place)
     reverse = f4(contours.reverse_weight)
     for m in range(n_outline):
         x, y = outline[m, 0], outline[m, 1]
         if x < f4(-1e5):  # marked: it may be somebody else's outline
             continue
-        e = ws.rim_edge[nearest(ws.rim_u, ws.rim_v, blocks, x, y)]
+        e = ws.rim_edge[nearest(n_rim, rim_u, rim_v, number, place, low, x, y)]
         a, b = ws.start[e], ws.end[e]
         dx, dy = u[b] - u[a], v[b] - v[a]
         # onto the edge itself: the nearest sample alone would leave false residuals of half the spacing

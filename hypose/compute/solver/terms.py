@@ -132,7 +132,7 @@ class DepthArrays(NamedTuple):
     ring_first: NDArray[np.int64]
     """(V + 1,): ring[ring_first[v]] and on, to that of v + 1, are the faces around vertex v"""
     ring: NDArray[np.int32]
-    """(3 F, 2) their other corners, in the face's order"""
+    """(3 F, 3) their other corners, in the face's order, and the row of the face beside the edge to the first"""
     scale: float
     """m, Geman-McClure scale of the points"""
     free_weight: float
@@ -145,7 +145,7 @@ class DepthArrays(NamedTuple):
 
 def no_depth() -> DepthArrays:
     """Of a frame without depth maps."""
-    none, nobody = np.zeros((0, 3)), np.zeros((0, 2), np.int32)
+    none, nobody = np.zeros((0, 3)), np.zeros((0, 3), np.int32)
     maps, sizes = np.zeros((0, 1, 1), np.float32), np.zeros((0, 2), np.int64)
     first = np.zeros(1, np.int64)
     return DepthArrays(
