@@ -12,7 +12,7 @@ from hypose.body.body import Body
 from hypose.fitting.articulated import KeypointTerm
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
-from hypose.tracking.depth_costs import MEASURED, depth_cost, depth_views, with_limb_depth
+from hypose.tracking.depth_costs import DEPTH_COSTS, MEASURED, depth_cost, depth_views, with_limb_depth
 from hypose.tracking.frame_evidence import PoseMemory, PreparedFrame
 
 
@@ -124,6 +124,13 @@ def _overlap(body: Body, pose: Array, frame: PreparedFrame, masks: compute.Prepa
         if masks.hidden.size:
             use = use & (counts[:, 1] > VISIBLE * masks.norm)
         return np.where(use, counts[:, 2] / union, np.nan)
+
+
+def same_cost(body: Body, pose: Array, other: Array, frame: PreparedFrame) -> None:
+    """What has been found out about a pose (D,) holds for another, which differs from it in the last digits alone."""
+    for memory in (frame.counts, frame.shared.get(_OVERLAPS), frame.shared.get(DEPTH_COSTS)):
+        if memory is not None:
+            memory.same(body, pose, other)
 
 
 def mean_overlap(body: Body, pose: Array, frame: PreparedFrame) -> float:

@@ -29,7 +29,7 @@ ARM_M2, ARM_REACH_M, EXPLAINED_M = 0.055, 0.75, 0.08
 LEAST_SHOWN, AGREED, BESIDE = 0.7, 0.8, 0.4
 """shares of an arm: in sight; of what is in sight, where it was seen; seen in its reach, but no part of the body. An
 arm that is so much in sight is looked for nowhere else. Chosen on the seeds 0 to 15 (benchmark `depth`)."""
-_SEEN, _COSTS = "seen depth", "depth costs"
+_SEEN, DEPTH_COSTS = "seen depth", "depth costs"
 _FEW = 12
 """sets of no more poses are remembered: the same pose is judged several times in a frame"""
 
@@ -47,7 +47,7 @@ def depth_cost(body: Body, poses: Array, frame: PreparedFrame) -> Array:
 
     if len(poses) > _FEW:
         return measured(poses)
-    memory: PoseMemory[float] = frame.shared.setdefault(_COSTS, PoseMemory())
+    memory: PoseMemory[float] = frame.shared.setdefault(DEPTH_COSTS, PoseMemory())
     return memory.all(body, poses, measured)
 
 

@@ -62,6 +62,12 @@ class PoseMemory(Generic[_Found]):
         self._found[id(body), pose.tobytes()] = body, found
         return found
 
+    def same(self, body: Body, pose: Array, other: Array) -> None:
+        """What is kept of a pose (D,) is kept of another, too."""
+        known = self.get(body, pose)
+        if known is not None:
+            self.keep(body, other, known)
+
     def all(self, body: Body, poses: Array, find: Callable[[Array], NDArray[Any]]) -> NDArray[Any]:
         """What is kept of all the poses (N, D), row by row; `find` finds it for those of which nothing is."""
         found = [self.get(body, pose) for pose in poses]

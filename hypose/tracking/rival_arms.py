@@ -19,7 +19,7 @@ from hypose.compute import beside, over_chunks, reach
 from hypose.fitting.articulated import PoseFit, SolveSettings
 from hypose.geometry import Array
 from hypose.inference.hypotheses import BEFORE, Hypotheses
-from hypose.tracking.costs import frame_energy, limb_energy
+from hypose.tracking.costs import frame_energy, limb_energy, same_cost
 from hypose.tracking.depth_costs import arm_is_seen, without_limb
 from hypose.tracking.frame_evidence import PoseMemory, PreparedFrame
 from hypose.tracking.part_colours import ColourSettings, colour_scores, known_colours
@@ -114,7 +114,9 @@ class RefineRivals:
         for row, (k, n) in enumerate(whose, start=1 + len(composite) + len(looked_up)):
             before[row, self.arms[n][0].own] = last[1 + k, self.arms[n][0].own]
         found = Hypotheses(s.clamp(poses), -scores / c.softness, parents, columns={BEFORE: before})
-        return _roles(found.take(self._living(scores, costs, at.reshape(len(poses), -1, 3), frame)))
+        living = self._living(scores, costs, at.reshape(len(poses), -1, 3), frame)
+        same_cost(frame.body, poses[living[0]], found.values[living[0]], frame)  # the estimate is asked about again
+        return _roles(found.take(living))
 
     def before_solve(self, frame: PreparedFrame, /) -> None:
         """Begins with solving the rivals of the last frame."""
