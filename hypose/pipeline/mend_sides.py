@@ -1,9 +1,9 @@
 """Stretches of a tracked clip in which left and right had been exchanged, or the body lost, tracked again.
 
 While a person is tracked, the body turned around and the body with its legs exchanged are compared with the tracked one
-twice a second, and a body that is lost is looked for (`FrameEstimate.exchanged`). Where one of them is better, tracking
-begins anew from it, forwards and backwards in time, as long as that explains the evidence better than before; frame by
-frame the better one is kept.
+twice a second (before depth cameras once), and a body that is lost is looked for (`FrameEstimate.exchanged`). Where one
+of them is better, tracking begins anew from it, forwards and backwards in time, as long as that explains the evidence
+better than before; frame by frame the better one is kept.
 """
 
 from __future__ import annotations
