@@ -37,6 +37,8 @@ from hypose.compute.depth_maps.depth_energy import (
 )
 from hypose.compute.depth_maps.depth_points import (
     before_room,
+    extents_of_pieces,
+    holes_filled,
     middle,
     middle_of_piece,
     points_of_surface,
@@ -184,6 +186,8 @@ __all__ = [
     "lorentzian_weight",
     "make_lens",
     "middle",
+    "extents_of_pieces",
+    "holes_filled",
     "middle_of_piece",
     "mono",
     "nearest_visible",

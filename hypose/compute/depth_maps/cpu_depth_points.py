@@ -150,3 +150,75 @@ def measured(labels, label, depth, out):
             out[n] = values[x]
             n += (own[x] == label) & (values[x] > f4(0))
     return n
+
+
+@kernel
+def extents(labels, areas, left, right):
+    """Of each label of labels (h, w) i4, 0 left out: areas (n,), its pixels, and left, right (n,), its first column and
+    the one after its last."""
+    areas[:] = 0
+    left[:] = labels.shape[1]
+    right[:] = 0
+    for y in range(labels.shape[0]):
+        own = labels[y]
+        for x in range(labels.shape[1]):
+            k = own[x]
+            if k != 0:
+                areas[k] += 1
+                left[k] = min(left[k], x)
+                right[k] = max(right[k], x + 1)
+
+
+@kernel
+def _largest_beside(mask, across, out):
+    """out (h, w) u1: the largest of the 3 x 3 px of mask (h, w) u1, all but the rim, which stays; across: scratch."""
+    h, w = mask.shape
+    for y in range(h):
+        own, to = mask[y], across[y]
+        for x in range(1, w - 1):
+            to[x] = own[x - 1] | own[x] | own[x + 1]
+    for y in range(1, h - 1):
+        above, own, below, to = across[y - 1], across[y], across[y + 1], out[y]
+        for x in range(1, w - 1):
+            to[x] = above[x] | own[x] | below[x]
+
+
+@kernel
+def _least_beside(mask, across, out):
+    """The same with the least."""
+    h, w = mask.shape
+    for y in range(h):
+        own, to = mask[y], across[y]
+        for x in range(1, w - 1):
+            to[x] = own[x - 1] & own[x] & own[x + 1]
+    for y in range(1, h - 1):
+        above, own, below, to = across[y - 1], across[y], across[y + 1], out[y]
+        for x in range(1, w - 1):
+            to[x] = above[x] & own[x] & below[x]
+
+
+@kernel
+def holes_filled(mask, depth, solid, out):
+    """out (h, w) u1 = 1 at the pixels of mask (h, w) u1, and at the holes of depth (h, w) f4 m that it closes over: of
+    5 px where solid (h, w) u1 says so, else of 3 px. What lies outside of the picture says nothing."""
+    h, w = mask.shape
+    wide, narrow = np.zeros((h + 2, w + 2), np.uint8), np.ones((h + 2, w + 2), np.uint8)
+    once, twice = np.zeros((h + 2, w + 2), np.uint8), np.ones((h + 2, w + 2), np.uint8)
+    across = np.empty((h + 2, w + 2), np.uint8)
+    for y in range(h):
+        own, to = mask[y], wide[y + 1]
+        for x in range(w):
+            to[x + 1] = own[x] != 0
+    _largest_beside(wide, across, once)
+    _largest_beside(once, across, twice)  # twice of 3 px are 5
+    for a in (once, twice):
+        a[0, :], a[h + 1, :], a[:, 0], a[:, w + 1] = 1, 1, 1, 1
+    _least_beside(once, across, narrow)
+    _least_beside(twice, across, once)
+    _least_beside(once, across, twice)
+    for y in range(h):
+        own, seen, whole, to = wide[y + 1], depth[y], solid[y], out[y]
+        five, three = twice[y + 1], narrow[y + 1]
+        for x in range(w):
+            closed = five[x + 1] if whole[x] != 0 else three[x + 1]
+            to[x] = own[x + 1] | (closed & np.uint8(seen[x] <= f4(0)))

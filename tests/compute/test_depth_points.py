@@ -1,0 +1,40 @@
+"""Pieces of a mask and the holes that it closes over, against OpenCV's."""
+
+import cv2
+import numpy as np
+import pytest
+
+from hypose import compute
+
+
+@pytest.fixture(params=[(1, 1), (3, 40), (40, 3), (61, 47)])
+def mask(request):
+    rng = np.random.default_rng(sum(request.param))
+    return (cv2.blur(rng.random(request.param), (3, 3)) > 0.5).astype(np.uint8)
+
+
+def test_extents_are_those_of_the_labels(mask):
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
+    areas, left, right = compute.extents_of_pieces(labels, count)
+    assert areas[0] == 0
+    assert areas[1:].tolist() == stats[1:, cv2.CC_STAT_AREA].tolist()
+    assert left[1:].tolist() == stats[1:, cv2.CC_STAT_LEFT].tolist()
+    assert (right - left)[1:].tolist() == stats[1:, cv2.CC_STAT_WIDTH].tolist()
+
+
+def test_holes_that_a_mask_closes_over_are_filled(mask):
+    rng = np.random.default_rng(1)
+    depth = (rng.random(mask.shape) > 0.5).astype(np.float32)
+    solid = rng.random(mask.shape) > 0.5
+    narrow, wide = (cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((k, k), np.uint8)) for k in (3, 5))
+    expected = mask | (np.where(solid, wide, narrow) & (depth == 0))
+    np.testing.assert_array_equal(compute.holes_filled(mask, depth, solid), expected)
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 100])
+def test_the_middle_of_a_piece_is_the_median(count):
+    depth = np.random.default_rng(count).random((1, count + 3)).astype(np.float32) + 0.1
+    labels = np.ones_like(depth, dtype=np.int32)
+    labels[0, :2] = 2
+    depth[0, 2] = 0  # a hole
+    assert compute.middle_of_piece(labels, 1, depth) == np.median(depth[0, 3:])
