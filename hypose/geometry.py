@@ -85,6 +85,14 @@ _FEW = 4
 """rotation vectors that are looked at one by one, which is sooner than together"""
 
 
+def _other_branch(r: list[float], reference: list[float]) -> float:
+    """The angle of a rotation vector (3,) whose other branch is nearer to a reference (3,), else 0."""
+    (x, y, z), (a, b, c) = r, reference
+    squared = x * x + y * y + z * z
+    angle = math.sqrt(squared)
+    return angle if angle > 1e-9 and x * a + y * b + z * c < squared - math.pi * angle else 0.0
+
+
 def nearest_branch(rotation_vector: ArrayLike, reference: ArrayLike) -> Array:
     """The rotation vector of the same rotation that lies nearest to `reference`; both (..., 3).
 
@@ -94,15 +102,12 @@ def nearest_branch(rotation_vector: ArrayLike, reference: ArrayLike) -> Array:
     r = np.asarray(rotation_vector, dtype=np.float64)
     ref = np.asarray(reference, dtype=np.float64)
     if r.ndim == ref.ndim == 1:  # the same, many times sooner
-        (x, y, z), (a, b, c) = r.tolist(), ref.tolist()
-        squared = x * x + y * y + z * z
-        angle = math.sqrt(squared)
-        if not (angle > 1e-9 and x * a + y * b + z * c < squared - math.pi * angle):
-            return r.copy()
-        return r - 2 * np.pi * r / max(angle, 1e-12)
+        angle = _other_branch(r.tolist(), ref.tolist())
+        return r - 2 * np.pi * r / angle if angle else r.copy()
     if r.ndim == 2 and len(r) <= _FEW and ref.shape in (r.shape, r.shape[1:]):
-        rows = np.broadcast_to(ref, r.shape)
-        return np.array([nearest_branch(*one) for one in zip(r, rows, strict=True)]).reshape(r.shape)
+        rows = ref.tolist() if ref.ndim == 2 else [ref.tolist()] * len(r)
+        if not any(map(_other_branch, r.tolist(), rows)):
+            return r.copy()
     squared = (r * r).sum(-1, keepdims=True)
     # the other branch is r - 2 pi r / |r|: nearer when r.ref lies more than pi |r| below |r|^2
     angle = np.sqrt(squared)
