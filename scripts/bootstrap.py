@@ -456,7 +456,10 @@ def main(arguments: List[str]) -> int:
         for command in commands_of(name, rest, folder, python):
             if name == "lint":
                 print("$ " + " ".join([os.path.basename(command[0])] + command[1:]), flush=True)
-            status = run(command, place, contained(dict(os.environ)))
+            environment = contained(dict(os.environ))
+            if name == "test":  # where several processes share the processors, threads of BLAS wait for each other
+                environment.setdefault("OPENBLAS_NUM_THREADS", "1")
+            status = run(command, place, environment)
             if name == "test" and status < 0:
                 print(ended_by_a_signal(-status), flush=True)
             worst = worst or status

@@ -135,14 +135,14 @@ class _Problem:
             x = vertices[t]
             zero = np.zeros(len(x))
             turns = [[zero, x[:, 2], -x[:, 1]], [-x[:, 2], zero, x[:, 0]], [x[:, 1], -x[:, 0], zero]]
-            fields = np.stack([*(np.stack(r, 1) for r in turns), *(np.tile(-e, (len(x), 1)) for e in np.eye(3))])
+            fields = np.stack([*(np.stack(r, 1) for r in turns), *(np.tile(-e, (len(x), 1)) for e in np.eye(3))], 1)
             for s in range(c):
                 term = _term(self.seen[s][t], cameras[s])
                 if term is None:
                     continue
                 r = depth_shape_rows(self.body.coarse, x, fields, twists, self.moves, term, 1.0, _WEIGHT)
                 cost += r.cost
-                h, g = weighted_squares(np.concatenate([r.by_pose, r.by_shape], 1), r.weight, r.residual)
+                h, g = weighted_squares(*r[:3])
                 own[t] += h[:d, :d]
                 own_gradient[t] += g[:d]
                 if s > 0:

@@ -75,7 +75,7 @@ from hypose.compute.silhouettes.scorer import limb_energies, silhouette_xor
 from hypose.compute.solver.banded import frame_covariances, solve_coupled
 from hypose.compute.solver.losses import geman_mcclure, huber, lorentzian, lorentzian_weight
 from hypose.compute.solver.normal import SharedEquations, bounded_step, weighted_squares
-from hypose.compute.solver.outlines import OutlineRows, joined_rows, outline_rows
+from hypose.compute.solver.outline_rows import OutlineRows, joined_rows, outline_rows
 from hypose.compute.solver.terms import (
     NOT_KNOWN,
     ContourArrays,

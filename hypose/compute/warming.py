@@ -25,7 +25,7 @@ from hypose.compute.pictures import picture_to_mask
 from hypose.compute.pictures.parts import parts_against_mask
 from hypose.compute.selection import default_threads, use
 from hypose.compute.silhouettes import glance, reach
-from hypose.compute.solver import outlines
+from hypose.compute.solver import outline_rows
 from hypose.compute.solver.terms import (
     ContourArrays,
     KeypointArrays,
@@ -93,7 +93,7 @@ def _outlines(compute: Any) -> None:
     picture_to_mask.warm_up_masks()
     uv, z, part = mesh.vertices[:, :2], mesh.vertices[:, 2], np.zeros(len(mesh.faces), np.uint16)
     parts_against_mask(mask[0], uv, z, mesh.faces, part, 1, uv, z)
-    outlines.warm_up(mesh)
+    outline_rows.warm_up(mesh)
 
 
 def _evidence(compute: Any) -> tuple[np.ndarray, tuple[Any, ...], Any]:

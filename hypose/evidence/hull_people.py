@@ -132,23 +132,28 @@ def people_of_hull(hull: Hull, floor: float, most: int, surface: float = 0.0) ->
 def _axes(hull: Hull, floor: float, most: int, surface: float) -> list[tuple[Array, NDArray[np.bool_]]]:
     """Where people stand (2,) m, by how much of the hull is near, and which of its voxels (M,) are theirs."""
     litre, points = 1e3 * hull.voxel**3, hull.points
-    filled = hull.occupancy.sum(2)
-    plan = np.pad(filled.astype(np.float64), _RIM) * litre
-    density = np.asarray(ndimage.gaussian_filter(plan, _SPREAD / hull.voxel))
-    x, y = (hull.origin[k] + np.arange(hull.occupancy.shape[k]) * hull.voxel for k in (0, 1))
+    filled = np.pad(hull.occupancy.sum(2), _RIM)
+    density = np.asarray(ndimage.gaussian_filter(filled * litre, _SPREAD / hull.voxel))
+    disc, small, wide = (_disc(r / hull.voxel) for r in (ABOUT, _FINE, APART))
+    free = np.pad(density > 0, wide.shape[0] // 2)  # so that no disc ends at the plan's border
+    beyond = wide.shape[0] // 2
     axes: list[Array] = []
-    while len(axes) < most and density.max() > 0:
-        peak = np.array(np.unravel_index(int(density.argmax()), density.shape))
-        axis = hull.origin[:2] + (peak - _RIM) * hull.voxel
+    for cell in np.argsort(-density, axis=None, kind="stable").tolist():
+        i, j = divmod(cell, density.shape[1])
+        if len(axes) == most or density[i, j] <= 0:
+            break
+        if not free[i + beyond, j + beyond]:
+            continue
+        taken = small
         # most places have too little around them for anybody
-        part = np.ix_(*(np.flatnonzero(np.abs(at - axis[k]) < ABOUT) for k, at in enumerate((x, y))))
-        near = np.sqrt((x[part[0]] - axis[0]) ** 2 + (y[part[1]] - axis[1]) ** 2) < ABOUT
-        if int(filled[part][near].sum()) * litre > (surface or CHILD_LITRES):
+        if _within(filled, i, j, disc) * litre > (surface or CHILD_LITRES):
+            axis = hull.origin[:2] + (np.array([i, j]) - _RIM) * hull.voxel
             away = np.linalg.norm(points[:, :2] - axis, axis=1)
             if _stands(points[away < ABOUT], np.count_nonzero(away < BESIDE) * litre, litre, floor, surface):
                 axes.append(axis)
-                _taken(density, peak, APART / hull.voxel)
-        _taken(density, peak, _FINE / hull.voxel)
+                taken = wide  # nobody else stands so near
+        r = taken.shape[0] // 2
+        free[i + beyond - r : i + beyond + r + 1, j + beyond - r : j + beyond + r + 1] &= ~taken
     if not axes:
         return []
     # judged again by what is nearest to each: knees and arms before a trunk are nobody
@@ -164,12 +169,20 @@ def _axes(hull: Hull, floor: float, most: int, surface: float) -> list[tuple[Arr
         del axes[worst]
 
 
-def _taken(density: Array, peak: NDArray[np.int64], radius: float) -> None:
-    """Nobody else stands within a radius, cells, of a peak of the density: it is 0 there, in place."""
-    low = np.maximum(peak - int(radius) - 1, 0)
-    part = density[low[0] : peak[0] + int(radius) + 2, low[1] : peak[1] + int(radius) + 2]
-    u, v = np.ogrid[: part.shape[0], : part.shape[1]]
-    part[np.hypot(u + low[0] - peak[0], v + low[1] - peak[1]) < radius] = 0
+def _disc(radius: float) -> NDArray[np.bool_]:
+    """(2 r + 1, 2 r + 1) of the cells nearer to the middle one than so many."""
+    r = int(radius)
+    u, v = np.ogrid[-r : r + 1, -r : r + 1]
+    return np.hypot(u, v) < radius
+
+
+def _within(filled: NDArray[np.integer], i: int, j: int, disc: NDArray[np.bool_]) -> int:
+    """What a plan holds within a disc about one of its cells."""
+    r = disc.shape[0] // 2
+    low, left = max(i - r, 0), max(j - r, 0)
+    part = filled[low : i + r + 1, left : j + r + 1]
+    own = disc[low - i + r :, left - j + r :][: part.shape[0], : part.shape[1]]
+    return int(part[own].sum())
 
 
 def _stands(near: Array, beside: float, litre: float, floor: float, surface: float) -> bool:

@@ -61,7 +61,7 @@ class OutlineRows:
         by_size = np.zeros((len(vertices), 0, 3)) if slopes is None else slopes
         out = np.empty((len(self.ends), twists.shape[0] + by_size.shape[1]))
         given = (plain(x, np.float64) for x in (self.values, vertices, twists, moves, by_size))
-        native("solver.outlines").row_jacobian(plain(self.ends, np.int64), *given, out)
+        native("solver.outline_rows").row_jacobian(plain(self.ends, np.int64), *given, out)
         return out
 
 
@@ -101,7 +101,7 @@ def outline_rows(
     n = -_USUAL
     while n < -1:
         ends, values = np.empty((-n, 2), np.int64), np.empty((-n, 6))
-        find = native("solver.outlines").outline_rows
+        find = native("solver.outline_rows").outline_rows
         n = find(*given, float(spacing_px), float(least_cosine), lengths, ends, values)
     return None if n < 0 else OutlineRows(ends[:n], values[:n])
 

@@ -1,4 +1,4 @@
-"""numba: rows of a body's outline whose sizes may change as well (outlines.py)."""
+"""numba: rows of a body's outline whose sizes may change as well (outline_rows.py)."""
 
 from __future__ import annotations
 
