@@ -23,7 +23,7 @@ TALL = 60
 """px: how tall a person is in the pictures that are compared, at least"""
 MEASURED, HOPEFUL = 16, 1.1
 """of many poses of a limb so many are drawn, and none that costs so much more than the limb as it is by a rough look.
-Chosen on the seeds 0 to 19, and 0 to 29 (benchmark `depth`)."""
+Chosen on the seeds 0 to 15, and 0 to 29 (benchmark `depth`)."""
 ARM_M2, ARM_REACH_M, EXPLAINED_M = 0.055, 0.75, 0.08
 """m^2 of an arm that is seen from its side; m from the shoulder; m between what was drawn and seen"""
 LEAST_SHOWN, AGREED, BESIDE = 0.7, 0.8, 0.4

@@ -48,7 +48,7 @@ _TURNS = (0, 1, 0, 1)
 """the frames (modulo 2) in which each of LIMB_LAYERS is searched: one leg and one arm in every frame; one limb per
 frame costs a tenth of the accuracy where the body is not the person's own"""
 _SELDOM = 8
-"""How many times seldomer limbs are searched with depth. Chosen on the seeds 0 to 19 (benchmark `depth`)."""
+"""How many times seldomer limbs are searched with depth. Chosen on the seeds 0 to 15 (benchmark `depth`)."""
 
 
 def default(
