@@ -135,8 +135,8 @@ def _axes(hull: Hull, floor: float, most: int, surface: float) -> list[tuple[Arr
     filled = np.pad(hull.occupancy.sum(2), _RIM)
     density = np.asarray(ndimage.gaussian_filter(filled * litre, _SPREAD / hull.voxel))
     disc, small, wide = (_disc(r / hull.voxel) for r in (ABOUT, _FINE, APART))
-    free = np.pad(density > 0, wide.shape[0] // 2)  # so that no disc ends at the plan's border
     beyond = wide.shape[0] // 2
+    free = np.pad(density > 0, beyond)  # so that no disc ends at the plan's border
     axes: list[Array] = []
     for cell in np.argsort(-density, axis=None, kind="stable").tolist():
         i, j = divmod(cell, density.shape[1])
