@@ -170,31 +170,18 @@ def extents(labels, areas, left, right):
 
 
 @kernel
-def _largest_beside(mask, across, out):
-    """out (h, w) u1: the largest of the 3 x 3 px of mask (h, w) u1, all but the rim, which stays; across: scratch."""
+def _grown(mask, across, other, out):
+    """out (h, w) u1: mask (h, w) u1 of 0 and 1 with what is not `other` grown by a pixel each way, all but the rim, which
+    stays; across: scratch."""
     h, w = mask.shape
     for y in range(h):
         own, to = mask[y], across[y]
         for x in range(1, w - 1):
-            to[x] = own[x - 1] | own[x] | own[x + 1]
+            to[x] = (own[x - 1] ^ other) | (own[x] ^ other) | (own[x + 1] ^ other)
     for y in range(1, h - 1):
         above, own, below, to = across[y - 1], across[y], across[y + 1], out[y]
         for x in range(1, w - 1):
-            to[x] = above[x] | own[x] | below[x]
-
-
-@kernel
-def _least_beside(mask, across, out):
-    """The same with the least."""
-    h, w = mask.shape
-    for y in range(h):
-        own, to = mask[y], across[y]
-        for x in range(1, w - 1):
-            to[x] = own[x - 1] & own[x] & own[x + 1]
-    for y in range(1, h - 1):
-        above, own, below, to = across[y - 1], across[y], across[y + 1], out[y]
-        for x in range(1, w - 1):
-            to[x] = above[x] & own[x] & below[x]
+            to[x] = (above[x] | own[x] | below[x]) ^ other
 
 
 @kernel
@@ -209,13 +196,13 @@ def holes_filled(mask, depth, solid, out):
         own, to = mask[y], wide[y + 1]
         for x in range(w):
             to[x + 1] = own[x] != 0
-    _largest_beside(wide, across, once)
-    _largest_beside(once, across, twice)  # twice of 3 px are 5
+    _grown(wide, across, np.uint8(0), once)
+    _grown(once, across, np.uint8(0), twice)  # twice of 3 px are 5
     for a in (once, twice):
         a[0, :], a[h + 1, :], a[:, 0], a[:, w + 1] = 1, 1, 1, 1
-    _least_beside(once, across, narrow)
-    _least_beside(twice, across, once)
-    _least_beside(once, across, twice)
+    _grown(once, across, np.uint8(1), narrow)
+    _grown(twice, across, np.uint8(1), once)
+    _grown(once, across, np.uint8(1), twice)
     for y in range(h):
         own, seen, whole, to = wide[y + 1], depth[y], solid[y], out[y]
         five, three = twice[y + 1], narrow[y + 1]
