@@ -77,6 +77,9 @@ from hypose.compute.solver.losses import geman_mcclure, huber, lorentzian, loren
 from hypose.compute.solver.normal import SharedEquations, bounded_step, weighted_squares
 from hypose.compute.solver.outline_rows import OutlineRows, joined_rows, outline_rows
 from hypose.compute.solver.terms import (
+    NO_CONTOURS,
+    NO_KEYPOINTS,
+    NO_POINTS,
     NOT_KNOWN,
     ContourArrays,
     DepthArrays,
@@ -140,6 +143,9 @@ __all__ = [
     "MonoProblem",
     "MonoWorkspace",
     "NOT_KNOWN",
+    "NO_CONTOURS",
+    "NO_KEYPOINTS",
+    "NO_POINTS",
     "Packed",
     "PaddedDepth",
     "PointArrays",

@@ -27,9 +27,9 @@ from hypose.compute.selection import default_threads, use
 from hypose.compute.silhouettes import glance, reach
 from hypose.compute.solver import outline_rows
 from hypose.compute.solver.terms import (
+    NO_KEYPOINTS,
+    NO_POINTS,
     ContourArrays,
-    KeypointArrays,
-    PointArrays,
     PriorArrays,
     SolveLimits,
     no_depth,
@@ -105,11 +105,8 @@ def _evidence(compute: Any) -> tuple[np.ndarray, tuple[Any, ...], Any]:
     contours = ContourArrays(
         sdf, outline, np.array([True]), sizes, projection, 1.0, 1.0, 2.0, 4.0, 2.0, 2, np.ones(1), 0 * sizes, sizes
     )
-    none = np.zeros((0, 3))
-    keypoints = KeypointArrays(np.zeros((0, 0, 3)), np.zeros((0, 3, 4)), np.zeros(0, dtype=np.int64), none, 1.0)
-    points = PointArrays(none, np.zeros(0), np.zeros(0, dtype=np.int64), none, 1.0)
     priors = PriorArrays(np.zeros((1, 6)), np.ones((1, 6)), np.full(6, -np.inf), np.full(6, np.inf))
-    given = (tree, mesh, contours, keypoints, points, no_depth(), priors)
+    given = (tree, mesh, contours, NO_KEYPOINTS, NO_POINTS, no_depth(), priors)
     return q, given, compute.workspace(tree, mesh, 32, 32)
 
 

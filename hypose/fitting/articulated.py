@@ -420,22 +420,10 @@ def _fits(ws: Workspace, body: Body, contours: ContourTerm | None) -> bool:
     )
 
 
-def _no_contours() -> ContourArrays:
-    f4 = np.float32
-    empty = np.zeros((0, 2, 2), f4), np.zeros((0, 0, 2), f4), np.zeros(0, np.bool_), np.zeros((0, 2), np.int64)
-    return ContourArrays(*empty, np.zeros((0, 3, 4)), 0.0, 0.0, 1.0, 1.0, 1.0, 1, np.ones(0), empty[3], empty[3])
-
-
-# without a row there is nothing that anybody could change
-_NO_CONTOURS = _no_contours()
-_NO_KEYPOINTS = KeypointArrays(np.zeros((0, 0, 3)), np.zeros((0, 3, 4)), np.zeros(0, np.int64), np.zeros((0, 3)), 1.0)
-_NO_POINTS = PointArrays(np.zeros((0, 3)), np.zeros(0), np.zeros(0, np.int64), np.zeros((0, 3)), 1.0)
-
-
 def contour_arrays(term: ContourTerm | None) -> ContourArrays:
     """Flat arrays of a contour term (no views when None)."""
     if term is None:
-        return _NO_CONTOURS
+        return compute.NO_CONTOURS
     stride = 2 if term.row_spacing_px >= 2 else 1
     sizes = np.require(term.sizes, np.int64, ["C", "W"])
     return ContourArrays(
@@ -468,7 +456,7 @@ def _joints(joint: ArrayLike, n_joints: int, what: str) -> NDArray[np.int64]:
 def keypoint_arrays(term: KeypointTerm | None, n_joints: int) -> KeypointArrays:
     """Flat arrays of a key-point term (none when None); rows to leave out get weight 0."""
     if term is None:
-        return _NO_KEYPOINTS
+        return compute.NO_KEYPOINTS
     points = np.array(term.points, dtype=np.float64)
     seen = np.isfinite(points).all(-1) & (points[..., 2] > max(term.min_confidence, 0.0))
     points[..., 2] *= term.weight
@@ -485,7 +473,7 @@ def keypoint_arrays(term: KeypointTerm | None, n_joints: int) -> KeypointArrays:
 def point_arrays(term: PointTerm | None, n_joints: int) -> PointArrays:
     """Flat arrays of a 3D point term (none when None); missing points get weight 0."""
     if term is None:
-        return _NO_POINTS
+        return compute.NO_POINTS
     points, weight = np.array(term.points_world, dtype=np.float64), np.array(term.weight, dtype=np.float64)
     missing = ~(np.isfinite(points).all(1) & np.isfinite(weight))
     points[missing], weight[missing] = 0, 0

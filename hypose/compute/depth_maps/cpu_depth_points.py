@@ -171,8 +171,8 @@ def extents(labels, areas, left, right):
 
 @kernel
 def _grown(mask, across, other, out):
-    """out (h, w) u1: mask (h, w) u1 of 0 and 1 with what is not `other` grown by a pixel each way, all but the rim, which
-    stays; across: scratch."""
+    """out (h, w) u1: mask (h, w) u1 of 0 and 1 with what is not `other` grown by a pixel each way; its rim stays;
+    across: scratch."""
     h, w = mask.shape
     for y in range(h):
         own, to = mask[y], across[y]

@@ -143,6 +143,18 @@ class DepthArrays(NamedTuple):
     """m before what was seen that cost nothing"""
 
 
+def _no_contours() -> ContourArrays:
+    f4 = np.float32
+    empty = np.zeros((0, 2, 2), f4), np.zeros((0, 0, 2), f4), np.zeros(0, np.bool_), np.zeros((0, 2), np.int64)
+    return ContourArrays(*empty, np.zeros((0, 3, 4)), 0.0, 0.0, 1.0, 1.0, 1.0, 1, np.ones(0), empty[3], empty[3])
+
+
+NO_CONTOURS = _no_contours()
+"""Of a frame without silhouettes; shared by all, for without a row there is nothing that anybody could change."""
+NO_KEYPOINTS = KeypointArrays(np.zeros((0, 0, 3)), np.zeros((0, 3, 4)), np.zeros(0, np.int64), np.zeros((0, 3)), 1.0)
+NO_POINTS = PointArrays(np.zeros((0, 3)), np.zeros(0), np.zeros(0, np.int64), np.zeros((0, 3)), 1.0)
+
+
 def no_depth() -> DepthArrays:
     """Of a frame without depth maps."""
     none, nobody = np.zeros((0, 3)), np.zeros((0, 3), np.int32)
