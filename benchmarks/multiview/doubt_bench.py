@@ -30,7 +30,7 @@ from benchmarks.multiview.doubt_scenes import (
 )
 from benchmarks.multiview.real_recordings import balancing_recording, uu4cam_recording
 from benchmarks.multiview.real_regions import errors_of_points, regions_of_balancing
-from benchmarks.multiview.spread_fit import angle_squares, beyond, covered, joint_squares, level_error, plain_enough
+from benchmarks.multiview.spread_fit import as_told, covered, level_error, plain_enough, squares
 from hypose.body.joint_angles import ANGLE_NAMES, joint_angles
 from hypose.body.motion import Motion
 from hypose.body.ready_bodies import JOINT_NAMES, human
@@ -48,7 +48,6 @@ from hypose.pipeline.verdict import GOOD, UNTRUSTED, verdict_of
 from hypose.synthetic.metrics import EVALUATED
 from hypose.tracking.audit import audit_frame
 from hypose.tracking.doubt import WRONG_M, doubt_models, group_of, judged
-from hypose.tracking.fitted_spread import apart_factors, fitted
 from hypose.tracking.keypoint_evidence import keypoint_model
 from hypose.tracking.pose_covariance import joint_group
 
@@ -164,22 +163,27 @@ def _regions(judges: Sequence[Tracked], family: str) -> list[Row]:
         if not own:
             continue
         found: dict[str, list[Array]] = {}
-        usual, by_joint, by_angle = apart_factors(evidence)
+        told = [as_told(c) for c in own]
         for j in EVALUATED:
-            for c in own:
-                m2 = joint_squares(c, j, fitted()["joints"][evidence], by_joint * beyond(c, usual))
+            for c, m in zip(own, told, strict=True):
+                m2 = squares(c.away[:, j], m.joint_covariance[:, j].astype(np.float64), 1.0, 0.0)
                 for group in (joint_group(JOINT_NAMES[j]), "all"):
                     found.setdefault(group, []).append(m2)
         for group in (*_GROUPS, "all"):
             m2 = np.concatenate(found[group])
             rows.append(Row("coverage_90", f"{evidence}/{family}/{group}", covered(m2, 3), "1", n=len(m2)))
             rows.append(Row("ece", f"{evidence}/{family}/{group}", level_error(m2, 3), "1", n=len(m2)))
-        m2 = np.concatenate([angle_squares(c, fitted()["angles"][evidence], by_angle * beyond(c, usual)) for c in own])
+        m2 = np.concatenate([_angle_squares(c.angles, m.angle_sd) for c, m in zip(own, told, strict=True)])
         if len(m2):
             case = f"{evidence}/angles/all" if family == "scenes" else f"{evidence}/{family}/angles"
             rows.append(Row("coverage_90", case, covered(m2, 1), "1", n=len(m2)))
             rows.append(Row("ece", case, level_error(m2, 1), "1", n=len(m2)))
     return rows
+
+
+def _angle_squares(off: Array | None, sd: NDArray[np.float32] | None) -> Array:
+    """(T * A,) distances squared of angles that are off by so much (T, A) rad; none where they are not known."""
+    return np.zeros(0) if off is None or sd is None else (off**2 / sd.astype(np.float64) ** 2).ravel()
 
 
 def _clip(options: BenchOptions) -> list[Row]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +13,13 @@ from scipy.stats import chi2
 
 from benchmarks.multiview.doubt_scenes import CAMERAS, EVIDENCE, Tracked
 from hypose.body.joint_angles import ANGLE_NAMES
+from hypose.body.motion import Motion
 from hypose.body.ready_bodies import JOINT_NAMES
 from hypose.geometry import Array
 from hypose.synthetic.metrics import EVALUATED
 from hypose.tracking.audit import views_apart
-from hypose.tracking.fitted_spread import apart_factors, kind_of
+from hypose.tracking.doubt import as_mixture, judged
+from hypose.tracking.fitted_spread import apart_factors, beyond_usual, fitted, kind_of, with_fitted_joints
 from hypose.tracking.pose_covariance import joint_group
 from hypose.tracking.refinement import LUMBAR_SD
 
@@ -152,6 +155,19 @@ def _apart(clips: Sequence[Tracked], usual: float, joints: Pairs, angles: Pairs)
         return np.concatenate([angle_squares(c, angles, factor * beyond(c, usual)) for c in clips])
 
     return best(_C_M, of_joints, 3), best(_C_RAD, of_angles, 1)
+
+
+def as_told(c: Tracked) -> Motion:
+    """The clip's motion with the covariances, and the sd of its angles, that a user is told."""
+    p, joints = judged(c.motion, c.body.joints(c.one_by_one), c.audit)
+    beyond = beyond_usual(c.audit, c.evidence)
+    m = with_fitted_joints(replace(c.motion, p_wrong=p, doubtful_joints=joints), c.evidence, beyond)
+    if m.angle_sd is not None:
+        pairs = fitted()["angles"][c.evidence]
+        a, b = np.array([pairs.get(kind_of(n), (1.0, 0.0)) for n in ANGLE_NAMES]).T
+        floor = b**2 + (apart_factors(c.evidence)[2] * beyond) ** 2
+        m = replace(m, angle_sd=np.sqrt(a**2 * m.angle_sd.astype(np.float64) ** 2 + floor).astype(np.float32))
+    return as_mixture(m)
 
 
 def joint_squares(c: Tracked, joint: int, pairs: Pairs, more: float) -> Array:

@@ -6,11 +6,9 @@ chair in the masks are there from the first frame to the last.
 
 from __future__ import annotations
 
-import numpy as np
 from numpy.typing import ArrayLike
 
-from hypose.geometry import Array
-from hypose.tracking.audit import AUDITED
+from hypose.tracking.audit import more_than_body
 from hypose.tracking.fitted_spread import beyond_usual
 
 LOOK_APART_M, WRONG_APART_M = 0.006, 0.015
@@ -37,7 +35,7 @@ def against_the_clip(audit: ArrayLike, n_views: ArrayLike, evidence: str) -> tup
             "synchronisation or the body is wrong: run hypose check"
         )
         (wrong if beyond > WRONG_APART_M else look).append(said)
-    if _bare(np.asarray(audit, dtype=np.float64), np.asarray(n_views, dtype=np.float64)) > MORE_M2:
+    if more_than_body(audit, n_views) > MORE_M2:
         look.append(
             "the masks show more than the body from beginning to end (a chair, wide clothes, a bag, somebody else?), "
             "and limbs may have been put there: compare the overlay with the images"
@@ -45,10 +43,3 @@ def against_the_clip(audit: ArrayLike, n_views: ArrayLike, evidence: str) -> tup
     if len(look) > 1:  # things in the masks do not set views apart; late or wrong cameras do both (seeds 600 to 617)
         wrong, look = look, []
     return tuple(wrong), tuple(look)
-
-
-def _bare(audit: Array, n_views: Array) -> float:
-    """m^2 of bare mask about a joint, per view; 0 where no masks were seen."""
-    bare = audit[..., AUDITED.index("bare")].mean(1) / np.maximum(n_views, 1)
-    bare = bare[np.isfinite(bare)]
-    return float(np.median(bare)) if len(bare) else 0.0

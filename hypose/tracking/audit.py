@@ -87,6 +87,15 @@ def views_apart(audit: ArrayLike) -> float:
     return float(np.median(apart)) if len(apart) else 0.0
 
 
+def more_than_body(audit: ArrayLike, n_views: ArrayLike) -> float:
+    """m^2 of bare mask about a joint in one of n_views (T,), of a clip with this audit (T, J, A): mean over the joints,
+    median over the frames; 0 where no masks were seen."""
+    bare = np.asarray(audit, dtype=np.float64)[..., AUDITED.index("bare")].mean(1)
+    bare = bare / np.maximum(np.asarray(n_views, dtype=np.float64), 1)
+    bare = bare[np.isfinite(bare)]
+    return float(np.median(bare)) if len(bare) else 0.0
+
+
 def _face_parts(body: Body) -> NDArray[np.uint16]:
     part, _, _ = _layout(tuple(body.skeleton.joint_names))
     corner = part[body.coarse.main_joint][body.coarse.faces]

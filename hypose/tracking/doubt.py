@@ -21,7 +21,7 @@ from scipy.special import ndtr
 from hypose.body.joint_angles import ANGLE_NAMES
 from hypose.body.motion import Motion
 from hypose.geometry import Array
-from hypose.tracking.audit import AUDITED, views_apart
+from hypose.tracking.audit import AUDITED, more_than_body, views_apart
 from hypose.tracking.fitted_spread import beyond_usual, with_fitted_joints
 from hypose.tracking.pose_covariance import joint_group
 
@@ -35,6 +35,7 @@ _SLOW, _USUAL_PACE = 0.05, 0.35
 """m/s about the pelvis: what is slower is at rest; the pace of limbs of which one frame alone is known"""
 _USUAL_LOOSE_M = 0.01  # of arms that were not looked at
 _LITTLE = 3e-4  # m^2 of bare mask
+_MORE_M2 = 0.0022  # m^2 of it about a joint in a view, median over a clip, that there is of bodies alone in usual masks
 _SEEN = 0.25  # share of a part that is exposed in two views at least
 FEATURES = (
     *(
@@ -53,7 +54,7 @@ FEATURES = (
     *("exposed", "exposed_second", "hidden", "outside", "outside_body", "rival", "rival_around", "cost", "cost_more"),
     *("elsewhere", "elsewhere_by", "loose", "exchanged"),
     *("points", "points_worst", "points_around", "points_few", "points_unseen", "points_all"),
-    *("points_agree", "points_against", "points_contested", "points_renamed", "apart"),
+    *("points_agree", "points_against", "points_contested", "points_renamed", "apart", "more_mask"),
 )
 """What a joint is judged by, see `clip_features`."""
 GROUPS = ("trunk", "arms", "legs")
@@ -77,7 +78,8 @@ def clip_features(motion: Motion, raw_joints: Array, audit: ArrayLike) -> Array:
     arm may be elsewhere for all that the masks show; cost*: 1 - IoU, and beyond the usual; points*: distance of its key
     points and of the frame's, how few views have it, and for how long, how many agree or do not, and how far those that
     do not outweigh those that do: one against one tells nothing, two against one does, and which share of the views
-    calls its limb by the other side's name; apart: by how much the views contradict each other in this clip."""
+    calls its limb by the other side's name; apart: by how much the views contradict each other in this clip; more_mask:
+    log of how many times more its masks show beside the body than of a body alone: limbs may have been put into it."""
     a = {n: np.asarray(audit, dtype=np.float64)[..., k] for k, n in enumerate(AUDITED)}
     masks, points = np.isfinite(a["bare"]), np.isfinite(a["points_all"])
     known = np.isfinite(a["exchanged"]).any()
@@ -136,6 +138,7 @@ def clip_features(motion: Motion, raw_joints: Array, audit: ArrayLike) -> Array:
         / np.maximum(_mean(a["renamed"] + a["named"], around), 0.5)
         * points,
         "apart": np.full(count, np.sqrt(views_apart(audit))),
+        "more_mask": np.full(count, np.log(max(more_than_body(audit, motion.n_views) / _MORE_M2, 1.0))),
     }
     return np.stack([found[n] for n in FEATURES], -1)
 

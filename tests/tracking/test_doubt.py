@@ -115,6 +115,21 @@ def test_more_bare_mask_never_speaks_for_a_joint():
             assert model.weights[g, FEATURES.index("exposed_second")] <= 0
 
 
+def test_where_masks_show_more_than_the_body_arms_are_doubted():
+    motion, joints, audit = clip()
+    more, bare = FEATURES.index("more_mask"), AUDITED.index("bare")
+    alone, chair = audit.copy(), audit.copy()
+    alone[..., bare] = 0.001 * motion.n_views[:, None]
+    chair[..., bare] = 0.006 * motion.n_views[:, None]
+    assert (clip_features(motion, joints, alone)[..., more] == 0).all()
+    assert np.allclose(clip_features(motion, joints, chair)[..., more], np.log(0.006 / 0.0022))
+    arms = np.array([GROUPS[group_of(n)] == "arms" for n in NAMES])
+    before, now = (judged(motion, joints, a)[0] for a in (alone, chair))
+    assert (now[:, arms] > 3 * before[:, arms]).all()
+    # whether a trunk or a leg is wrong, it does not tell
+    assert (doubt_models()["silhouettes"].weights[[0, 2], more] == 0).all()
+
+
 def test_who_is_lost_is_not_believed():
     motion, joints, audit = clip()
     motion.lost[5:8] = True
