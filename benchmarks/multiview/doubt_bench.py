@@ -47,7 +47,7 @@ from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.verdict import GOOD, UNTRUSTED, verdict_of
 from hypose.synthetic.metrics import EVALUATED
 from hypose.tracking.audit import audit_frame
-from hypose.tracking.doubt import WRONG_M, doubt_models, group_of, judged
+from hypose.tracking.doubt import WRONG_M, doubt_models, judged
 from hypose.tracking.keypoint_evidence import keypoint_model
 from hypose.tracking.pose_covariance import joint_group
 
@@ -89,36 +89,33 @@ def doubt(options: BenchOptions) -> BenchReport:
 
 def _told(clips: Sequence[Tracked], judges: Sequence[Tracked]) -> list[Row]:
     rows: list[Row] = []
-    groups = np.array([group_of(JOINT_NAMES[j]) for j in EVALUATED])
     scenes = [c for c in judges if c.evidence == "silhouettes"]
     usual = [c for c in scenes if ALL[c.case].usual]
     sets = {"scenes": scenes, "scenes, usual": usual, "scenes, roughly right": [c for c in scenes if plain_enough(c)]}
     for name, own in sets.items():
-        model, r = doubt_models()["silhouettes"], rows_of(own, "silhouettes")
-        p = model.probability(r.x, groups)
-        f = figures(p, r.error, model.threshold)
+        p, error = _told_of(own)
+        f = figures(p, error, doubt_models()["silhouettes"].threshold)
         sd = np.concatenate([c.motion.joint_sd[:, EVALUATED] for c in own])
-        n = r.error.size
+        n = error.size
         rows += [
             Row("auroc", name, f["auroc"], "1", n=n),
             Row("auroc", f"{name}/arms", f["auroc arms"], "1", n=n),
             Row("recall_150", f"{name}/arms", f["recall_150 arms"], "1", n=n),
             Row("flagged_good", f"{name}/arms", f["flagged good arms"], "1", n=n),
-            Row("frames_caught", name, f["frames caught"], "1", n=len(r.error)),
-            Row("frames_flagged_good", name, f["good frames flagged"], "1", n=len(r.error)),
+            Row("frames_caught", name, f["frames caught"], "1", n=len(error)),
+            Row("frames_flagged_good", name, f["good frames flagged"], "1", n=len(error)),
             Row("ece_p", name, f["ece"], "1", n=n),
-            Row("spearman", name, _ranked(sd, r.error), "1", n=n),
-            Row("spearman", f"{name}, P", _ranked(p, r.error), "1", n=n),
+            Row("spearman", name, _ranked(sd, error), "1", n=n),
+            Row("spearman", f"{name}, P", _ranked(p, error), "1", n=n),
         ]
     scores, wrong = list[Array](), list[NDArray[np.bool_]]()
     for evidence in ("keypoints", "both"):
         spoiled = [c for c in judges if c.evidence == evidence and c.kind != "plain"]
         if spoiled:
-            r = rows_of(spoiled, evidence)
-            p = doubt_models()[evidence].probability(r.x, groups)
-            rows.append(Row("auroc", f"spoilt/{evidence}", auroc(p, r.error > 0.1), "1", n=r.error.size))
+            p, error = _told_of(spoiled)
+            rows.append(Row("auroc", f"spoilt/{evidence}", auroc(p, error > WRONG_M), "1", n=error.size))
             scores.append(p.ravel())
-            wrong.append(r.error.ravel() > 0.1)
+            wrong.append(error.ravel() > WRONG_M)
     if scores:
         value = auroc(np.concatenate(scores), np.concatenate(wrong))
         rows.append(Row("auroc", "spoilt", value, "1", n=sum(map(len, scores))))
@@ -128,6 +125,12 @@ def _told(clips: Sequence[Tracked], judges: Sequence[Tracked]) -> list[Row]:
         p = left_out(r, "silhouettes")
         rows.append(Row("auroc", "left-out/arms", auroc(*of_arms(p[at], r.error[at])), "1", n=int(at.sum())))
     return rows
+
+
+def _told_of(clips: Sequence[Tracked]) -> tuple[Array, Array]:
+    """(N, J) how likely joints are wrong, as a user is told, and m by which they are off."""
+    p = [judged(c.motion, c.body.joints(c.one_by_one), c.audit)[0][:, EVALUATED] for c in clips]
+    return np.concatenate(p).astype(np.float64), np.concatenate([c.error[:, EVALUATED] for c in clips])
 
 
 def _words(judges: Sequence[Tracked]) -> list[Row]:

@@ -130,6 +130,20 @@ def test_where_masks_show_more_than_the_body_arms_are_doubted():
     assert (doubt_models()["silhouettes"].weights[[0, 2], more] == 0).all()
 
 
+def test_legs_that_masks_alone_cross_are_doubted():
+    motion, joints, audit = clip()
+    below = [NAMES.index(f"{side}_{n}") for side in ("left", "right") for n in ("knee", "ankle")]
+    crossed = joints.copy()
+    crossed[:, below] = joints[:, [*below[2:], *below[:2]]]  # each leg stands where the other one stood
+    p, doubtful = judged(replace(motion, joints=crossed), crossed, audit)
+    assert (p[:, below] > 0.45).all() and doubtful[:, below].all()
+    others = np.setdiff1d(np.arange(len(NAMES)), below)
+    usual = judged(motion, joints, audit)
+    assert not usual[1].any() and not doubtful[:, others].any()
+    by_depth, _ = judged(replace(motion, joints=crossed), crossed, audit, known="depth")
+    assert (by_depth[:, below] < 0.45).all()  # which leg is which, depth shows
+
+
 def test_who_is_lost_is_not_believed():
     motion, joints, audit = clip()
     motion.lost[5:8] = True
