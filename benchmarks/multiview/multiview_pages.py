@@ -125,7 +125,7 @@ _DOUBT = Page(
     """P(joint wrong by more than 100 mm): areas under the curve; share of arm joints more than 150 mm off, of frames
     with a wrong arm, and of good frames that are told as doubtful; calibration error; share of clips that do not end
     as good. Seeds that judge (993 on; nothing was fitted on them; 1000 to 1003, 1020 to 1023 and 1114 to 1123 were
-    looked at, 1150 to 1153 were not before these figures), from silhouettes. Usual: the person alone, the right
+    looked at, 1150 to 1161 were not before these figures), from silhouettes. Usual: the person alone, the right
     cameras, in time. The JSON holds regions, the clip's solve, both against its parts, verdicts.""",
     (
         Column("all", "auroc"),
