@@ -22,6 +22,7 @@ from hypose.body.joint_angles import ANGLE_NAMES
 from hypose.body.motion import Motion
 from hypose.geometry import Array
 from hypose.tracking.audit import AUDITED, more_than_body, views_apart
+from hypose.tracking.exchanged_sides import legs_crossed
 from hypose.tracking.fitted_spread import beyond_usual, with_fitted_joints
 from hypose.tracking.pose_covariance import joint_group
 
@@ -346,19 +347,11 @@ wrong: skirts and coats hide which leg is which. Who walks, runs, boxes or balan
 
 def _by_crossed_legs(motion: Motion) -> Array:
     """(T, J) CROSSED_P of the knees and ankles of crossed legs, mean nearby in time; else 0."""
-    names, at = motion.skeleton.joint_names, motion.joints.astype(np.float64)
-    out = np.zeros(at.shape[:2])
-    below = [f"{side}_{n}" for n in ("knee", "ankle") for side in ("left", "right")]
-    if not {"left_hip", "right_hip", *below} <= set(names):
-        return out
-    across = at[:, names.index("left_hip")] - at[:, names.index("right_hip")]
-    across /= np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-6)
-    pairs = (at[:, [names.index(n) for n in side]] for side in (below[::2], below[1::2]))
-    apart = np.einsum("tkx,tx->tk", np.subtract(*pairs), across).min(1)
-    crossed = np.clip((-apart - CROSSED_M[0]) / (CROSSED_M[1] - CROSSED_M[0]), 0.0, 1.0)
+    crossed = legs_crossed(motion.skeleton, motion.joints.astype(np.float64))
+    share = np.clip((crossed - CROSSED_M[0]) / (CROSSED_M[1] - CROSSED_M[0]), 0.0, 1.0)
     around = 2 * max(1, round(AROUND_S * motion.frame_rate)) + 1
-    out[:, [names.index(n) for n in below]] = CROSSED_P * _mean(crossed[:, None], around)
-    return out
+    below = [n.endswith(("knee", "ankle")) for n in motion.skeleton.joint_names]
+    return CROSSED_P * _mean(share[:, None], around) * np.array(below)
 
 
 ELSEWHERE_M, ELSEWHERE_RAD = 0.2, 0.5

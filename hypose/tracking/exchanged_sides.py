@@ -57,14 +57,26 @@ def limbs_exchanged(body: Body, pose: Array, limb: str = "legs", *, roots: bool 
 
 
 def strain(skeleton: Skeleton, poses: Array) -> Array:
-    """(N,) what it costs to turn hips and spine further than people do in poses (N, D): the limits of balls leave room
-    for a body that sits back to front, its thighs behind it."""
+    """(N,) what it costs to turn hips and spine further than people do in poses (N, D), and to cross the legs: the
+    limits of balls leave room for a body that sits back to front, its thighs behind it."""
     out = np.zeros(len(poses))
     for name, (back, aside) in _NATURAL.items():
         v = poses[:, skeleton.dofs_of(name)]
         over = np.stack([v[:, 0] * _BACKWARD[name] - back, np.abs(v[:, 1]) - aside, np.abs(v[:, 2]) - aside])
         out += _STRAIN * (np.maximum(over, 0.0) ** 2).sum(0)
-    return out
+    return out + _CROSSED * np.maximum(legs_crossed(skeleton, skeleton.forward(poses)[1]) - _FREE_M, 0.0)
+
+
+def legs_crossed(skeleton: Skeleton, joints: Array) -> Array:
+    """(N,) m by which knees or ankles lie on the other leg's side, along the axis of the hips, of joints (N, J, 3) m;
+    negative where the legs stand apart."""
+
+    def between(part: str) -> Array:
+        return joints[:, skeleton.joint(f"left_{part}")] - joints[:, skeleton.joint(f"right_{part}")]
+
+    across = between("hip")
+    across /= np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-6)
+    return -np.minimum(*((between(part) * across).sum(-1) for part in ("knee", "ankle")))
 
 
 _NATURAL = {"left_hip": (0.5, 0.9), "right_hip": (0.5, 0.9), "spine": (0.4, 0.6)}
@@ -72,6 +84,8 @@ _NATURAL = {"left_hip": (0.5, 0.9), "right_hip": (0.5, 0.9), "spine": (0.4, 0.6)
 _BACKWARD = {"left_hip": 1.0, "right_hip": 1.0, "spine": -1.0}
 _STRAIN = 0.02
 """for a radian more"""
+_CROSSED, _FREE_M = 0.15, 0.05
+"""for a metre by which legs are crossed, and the m that cost nothing"""
 
 
 def look_for_exchange(pose: Array, frame: PreparedFrame, /) -> tuple[float, Array]:
