@@ -18,7 +18,7 @@ from hypose.calibration.doctor_findings import Finding, Limits
 from hypose.calibration.doctor_masks import tangency, tangency_by_view
 from hypose.calibration.doctor_report import ViewReport, height_findings
 from hypose.calibration.refine_camera import changed, changes
-from hypose.calibration.sync_motion import MaskTrack, mask_tracks, silhouette_curves, solve_offsets
+from hypose.calibration.sync_motion import MaskTrack, mask_tracks, silhouette_curves, solve_widely
 from hypose.cameras.camera import CameraRig
 from hypose.errors import EvidenceError
 from hypose.evidence.frame import Silhouettes
@@ -28,6 +28,10 @@ from hypose.geometry import Array, se3_inverse
 SCATTER = 0.08
 """Share of the person's size by which tangent planes may disagree: tables and treadmills cut masks, too."""
 _JUDGED = 40  # frames on which poses are judged
+_LOOK_AT_MASKS = (
+    "look at the masks in check.png; if they outline the same person in every view, run hypose check --refine, else "
+    "give a photo or clip of the empty room as background, masks of your own, or key points"
+)
 
 
 @dataclass(frozen=True)
@@ -56,15 +60,23 @@ def examine_silhouettes(
     if n < 2:
         return findings, _reports(rig, np.full(n, np.nan), size * ratio), late
     residual = tangency_by_view(tangency(small, tracks), n) * ratio
+    reports = _reports(rig, residual, size * ratio)
     small, tracks = _gross(small, tracks, size, findings, o)
+    placed = _displaced(rig, small, tracks, size, silhouettes, o) if not findings else None
+    if placed is not None:  # a camera that stands elsewhere sees the person move at other times: told in its own place
+        findings.append(placed[0])
+        small = placed[1]
     late = _timing(rig, small, tracks, size, findings, o)
     tracks = [_delayed(t, round(x)) for t, x in zip(tracks, late, strict=True)]
     if not findings or all(f.kind == "late" for f in findings):
         findings += focal_findings(focal_by_masks(small, _few(tracks, _JUDGED)))
     if not findings or all(f.kind == "late" for f in findings):
-        findings += _poses(rig, small, tracks, size, silhouettes, late, o)
+        poses = _poses(rig, small, tracks, size, silhouettes, o)
+        if any(f.kind == "scatter" for f in poses):  # no lag is told by masks that do not show one person
+            return poses, reports, np.zeros(n)
+        findings += poses
         findings += _unit(small, size, o)
-    return findings, _reports(rig, residual, size * ratio), late
+    return findings, reports, late
 
 
 def gross_silhouettes(rig: CameraRig, silhouettes: Sequence[Silhouettes | None], o: Limits) -> tuple[Finding, ...]:
@@ -127,7 +139,7 @@ def _gross(
             break
         scored = [(_score(t.rig, t.tracks, size), k) for k, t in enumerate(_trials(rig, few))]
         after, k = min(scored)
-        if after > o.gross_cured * before:
+        if after > min(o.gross_cured * before, SCATTER):
             break
         trial = next(itertools.islice(_trials(rig, tracks), k, None))
         names = tuple(rig.names[v] for v in trial.views)
@@ -197,7 +209,7 @@ def _timing(
         return late
     try:
         scale = max(float(np.median(size)) / 130, 0.5)
-        offsets = solve_offsets(silhouette_curves(small, tracks, o.largest_lag, scale), n)
+        offsets, _ = solve_widely(lambda x: silhouette_curves(small, tracks, x, scale), n, o.largest_lag)
     except EvidenceError:
         return late
     if offsets.gain < 2 * o.late_gain:
@@ -211,42 +223,74 @@ def _timing(
     return late
 
 
+def _displaced(
+    rig: CameraRig,
+    small: CameraRig,
+    tracks: list[MaskTrack],
+    size: Array,
+    silhouettes: Sequence[Silhouettes | None],
+    o: Limits,
+) -> tuple[Finding, CameraRig] | None:
+    """A camera whose other place alone cures the disagreement of the tangent planes, and the rig with it there."""
+    few = _few(tracks, _JUDGED)
+    before = _score(small, few, size)
+    if before < o.tangency or len(rig) < 3:
+        return None
+    value, c, moved = _best_moved(small, few, size)
+    if value > o.gross_cured * before or value > o.tangency:
+        return None
+    return _elsewhere(rig, small, moved, c, before, value, silhouettes), moved
+
+
 def _poses(
     rig: CameraRig,
     small: CameraRig,
     tracks: list[MaskTrack],
     size: Array,
     silhouettes: Sequence[Silhouettes | None],
-    late: Array,
     o: Limits,
 ) -> list[Finding]:
     """Whether one camera alone, moved, makes the tangent planes agree."""
-    n = len(rig)
     few = _few(tracks, _JUDGED)
     before = _score(small, few, size)
-    if before < o.tangency or n < 3:
+    if before < o.tangency or len(rig) < 3:
         return []
-    points = _person(silhouettes)
-    best: tuple[float, int, CameraRig] | None = None
-    for c in range(n):
-        moved = _moved_alone(small, few, size, c)
-        value = _score(moved, few, size)
-        if best is None or value < best[0]:
-            best = value, c, moved
-    assert best is not None
-    value, c, moved = best
+    value, c, moved = _best_moved(small, few, size)
+    disagree = f"All cameras: the silhouettes' tangent planes disagree by {100 * before:.1f} % of the person's size"
+    if min(before, value) > SCATTER:
+        text = f"{disagree}, and no lag and no other place of one camera cures that"
+        return [Finding("scatter", (), text, _LOOK_AT_MASKS, before)]
     if value > o.extrinsics * before:
-        text = f"All cameras: the silhouettes' tangent planes disagree by {100 * before:.1f} % of the person's size"
-        return [Finding("extrinsics", (), text, "run hypose check --refine", before)]
-    change = changes(small, moved, points)[c]
+        return [Finding("extrinsics", (), disagree, "run hypose check --refine", before)]
+    return [_elsewhere(rig, small, moved, c, before, value, silhouettes)]
+
+
+def _best_moved(small: CameraRig, few: list[MaskTrack], size: Array) -> tuple[float, int, CameraRig]:
+    """What disagreement is left when the camera that helps most is moved, which that is, and the rig with it there."""
+    tried = [_moved_alone(small, few, size, c) for c in range(len(small))]
+    left = [_score(moved, few, size) for moved in tried]
+    c = int(np.argmin(left))
+    return left[c], c, tried[c]
+
+
+def _elsewhere(
+    rig: CameraRig,
+    small: CameraRig,
+    moved: CameraRig,
+    c: int,
+    before: float,
+    after: float,
+    silhouettes: Sequence[Silhouettes | None],
+) -> Finding:
+    change = changes(small, moved, _person(silhouettes))[c]
     ratio = rig.sizes[c, 0] / small.sizes[c, 0]
     text = (
         f"{rig.names[c]}: {change.turn_deg:.1f} degrees and {1000 * change.move_m:.0f} mm off, which moves the person "
         f"{change.image_px * ratio:.0f} px in its image; the silhouettes' tangent planes disagree by "
-        f"{100 * before:.1f} % of the person's size, after moving this camera by {100 * value:.1f} %"
+        f"{100 * before:.1f} % of the person's size, after moving this camera by {100 * after:.1f} %"
     )
     cure = "run hypose check --refine and use the calibration that it writes"
-    return [Finding("extrinsics", (rig.names[c],), text, cure, change.image_px * ratio)]
+    return Finding("extrinsics", (rig.names[c],), text, cure, change.image_px * ratio)
 
 
 def _moved_alone(rig: CameraRig, tracks: list[MaskTrack], size: Array, c: int) -> CameraRig:

@@ -15,7 +15,7 @@ along the pencil is an addition: arms that move in front of the trunk touch no f
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -287,6 +287,24 @@ def solve_offsets(curves: Curves, n_views: int) -> Offsets:
     return Offsets(frames, sd, total(np.zeros(n_views)) - total(found))
 
 
+def solve_widely(curves_of: Callable[[float], Curves], n_views: int, largest: float) -> tuple[Offsets, float]:
+    """`solve_offsets` of curves_of(largest), with twice the largest offset (frames) again while two views are found as
+    far apart as was looked for; and how far was looked in the end: views that are as far apart even then may be farther
+    (`at_the_end`)."""
+    while True:
+        curves = curves_of(largest)
+        found, reach = solve_offsets(curves, n_views), float(curves.lags[-1])
+        if not at_the_end(found, reach) or reach < largest - 1:  # the clip is too short to look farther
+            return found, reach
+        largest *= 2
+
+
+def at_the_end(found: Offsets, reach: float) -> bool:
+    """Are two views as far apart as was looked for, reach frames?"""
+    sure = found.frames[np.isfinite(found.sd)]
+    return len(sure) > 1 and float(np.ptp(sure)) > reach - 0.5
+
+
 def _starts(splines: dict[tuple[int, int], CubicSpline], lags: Array, n: int) -> list[Array]:
     """All zero, and every view as a reference to which the others are put by their pair's best offset."""
     out = [np.zeros(n)]
@@ -310,8 +328,13 @@ def _middle(e: Array, known: NDArray[np.bool_], scale: float) -> Array:
     return np.asarray(middle, dtype=np.float64)
 
 
+def offsets_within(largest: float, frames: int) -> float:
+    """The largest offset that can be looked for in so many frames, when `largest` is wanted."""
+    return min(float(largest), (frames - 12) / 3)
+
+
 def _lags(largest: float, frames: int, step: float = _STEP) -> Array:
-    largest = min(float(largest), (frames - 12) / 3)
+    largest = offsets_within(largest, frames)
     if largest < 1:
         raise EvidenceError(
             f"{frames} frames are too few to find how late the cameras are; at least 16 consecutive frames are needed."

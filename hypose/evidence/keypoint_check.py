@@ -7,13 +7,15 @@ far better than the plain one is named.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from hypose.cameras.camera import PARALLEL, CameraRig, triangulate, widest_angle
 from hypose.evidence.keypoints import tallest
-from hypose.geometry import Array
+from hypose.geometry import Array, se3_inverse
 
 _FRAMES = 24
 _FINE = 0.06  # median distance from the other views' triangulation, in sizes of the person in that picture
@@ -47,8 +49,14 @@ def misread(people: Sequence[Sequence[Array | None]], names: Sequence[str], rig:
     if points is None:
         return None
     plain = _residual(points, rig)
-    if not np.isfinite(plain):
-        return None
+    wrong = _misread(points, plain, names, rig) if np.isfinite(plain) else None
+    if wrong is not None and _other_cameras(points, rig) < min(_FINE, _BETTER * plain):
+        return None  # it is the calibration that is wrong, and whoever looks at the cameras says how
+    return wrong
+
+
+def _misread(points: Array, plain: float, names: Sequence[str], rig: CameraRig) -> str | None:
+    """As `misread`, of one person's points (C, T, K, 3) whose views disagree by `plain`."""
     if plain > _DOUBTFUL:
         limit = min(_FINE, _BETTER * plain)
         found = min(((_residual(change(points), rig), what) for what, change in _readings(rig)), default=None)
@@ -71,6 +79,17 @@ def misread(people: Sequence[Sequence[Array | None]], names: Sequence[str], rig:
     if mirrored and plain < 2 * _FINE:
         return "the person is mirrored: their y counts upwards, or left and right are exchanged in their names"
     return None
+
+
+def _other_cameras(points: Array, rig: CameraRig) -> float:
+    """What distance is left by the cameras that would fit best: those of two views exchanged, or all poses inverted."""
+    inverted = CameraRig(tuple(replace(c, camera_from_world=se3_inverse(c.camera_from_world)) for c in rig))
+    found = [_residual(points, inverted)]
+    for a, b in itertools.combinations(range(len(rig)), 2):
+        order = np.arange(len(rig))
+        order[[a, b]] = b, a
+        found.append(_residual(points[order], rig))
+    return min((f for f in found if np.isfinite(f)), default=float("inf"))
 
 
 def _readings(rig: CameraRig) -> list[tuple[str, Callable[[Array], Array]]]:

@@ -13,6 +13,7 @@ from hypose.calibration.doctor_extrinsics import judge_extrinsics
 from hypose.calibration.doctor_findings import Limits
 from hypose.calibration.doctor_masks import align
 from hypose.calibration.doctor_points import disagreement, mirrored_names
+from hypose.calibration.doctor_timing import late_views, timing_findings
 from hypose.cameras.camera import CameraRig
 from hypose.errors import EvidenceError
 from hypose.evidence.keypoints import BODY_25
@@ -108,6 +109,51 @@ def test_silhouettes_alone_tell_a_mirrored_view():
     fault = planted(base, "mirrored", SEED)
     report = examine(fault.observed)
     assert judged(fault, report.findings) == (True, 0), [f.sentence for f in report.findings]
+
+
+def test_a_camera_that_stands_elsewhere_is_not_called_late():
+    base = healthy(SEED, keypoints=False).observed
+    turn = se3(so3_exp(np.radians([3.0, 9.5, 1.0])), np.zeros(3))  # 10 degrees
+
+    def turned(rig):
+        other = replace(rig[1], camera_from_world=turn @ rig[1].camera_from_world)
+        return CameraRig((rig[0], other, *rig[2:]))
+
+    masks = [replace(s, rig=turned(s.rig)) for s in base.silhouettes]
+    found = examine(replace(base, rig=turned(base.rig), silhouettes=masks)).findings
+    assert [(f.kind, f.views) for f in found] == [("extrinsics", ("cam2",))]
+
+
+def test_masks_that_do_not_show_one_person_accuse_no_camera():
+    # as of a background that has the person in it: in each view another part of them, and another one later
+    base = healthy(SEED, keypoints=False).observed
+    rng, parts = np.random.default_rng(0), []
+    phase = rng.uniform(0, 2 * np.pi, len(base.rig))
+    for t, s in enumerate(base.silhouettes):
+        masks = np.zeros_like(s.masks)
+        for c, mask in enumerate(s.masks):
+            rows = np.nonzero(mask)[0]
+            if len(rows):
+                low, high = np.quantile(rows, np.clip(0.5 + 0.45 * np.sin(phase[c] + t / 9) + np.array([-0.25, 0.25]), 0, 1))
+                masks[c, int(low) : int(high)] = mask[int(low) : int(high)]
+        parts.append(replace(s, masks=masks))
+    report, cured = examine_and_cure(replace(base, silhouettes=parts))
+    (finding,) = report.findings
+    assert finding.kind == "scatter" and not finding.views and "look at the masks" in finding.cure
+    assert not cured.late.any()
+
+
+def test_a_camera_that_is_later_than_is_looked_for_is_looked_for_farther(walk):
+    o = walk.observed
+    points = o.keypoints.copy()
+    late = 15
+    points[1, late:], points[1, :late] = o.keypoints[1, :-late], 0
+    found, sd = late_views(o.rig, points, Limits())
+    assert found[1] == pytest.approx(late, abs=0.6) and np.isfinite(sd).all() and np.count_nonzero(found) == 1
+    found, sd = late_views(o.rig, points[:, late : late + 44], Limits())  # too short for so much
+    assert found[1] > 9 and np.isinf(sd[1])
+    (told,) = timing_findings(o.rig, found, sd)
+    assert "or more" in told.text and "more frames" in told.cure
 
 
 def test_the_known_height_shows_a_wrong_scale(walk):

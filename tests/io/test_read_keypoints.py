@@ -16,6 +16,7 @@ from benchmarks.robustness.keypoint_layouts import (
     write_keypoints,
 )
 from hypose.errors import InputError
+from hypose.evidence.keypoint_check import misread
 from hypose.evidence.keypoint_sets import bone_excess, common_name
 from hypose.evidence.keypoints import KEYPOINT_SETS, keypoint_names
 from hypose.io.keypoints.keypoint_csv import clock_file
@@ -348,3 +349,13 @@ def test_two_models_are_refused(tmp_path):
     a[0].write_text(json.dumps(mixed))
     with pytest.raises(InputError, match=r"people have 10, 17 key points; export those of one model"):
         read_keypoints(a[0])
+
+
+@pytest.mark.parametrize(("a", "b"), [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)])
+@pytest.mark.parametrize("kind", ["BODY_25", "COCO_17"])
+def test_of_exchanged_cameras_the_points_are_not_accused(kind, a, b):
+    # their bones have lengths that no body has, or the person is mirrored, and yet every point is right
+    points = detections(kind, RIG, FRAMES)
+    points[[a, b]] = points[[b, a]]
+    people = [[view[t][None] for t in range(FRAMES)] for view in points]
+    assert misread(people, keypoint_names(kind), RIG) is None

@@ -100,6 +100,7 @@ def _by_motion(
 ) -> tuple[list[float], list[str]]:
     from hypose.calibration.doctor_points import undistorted
     from hypose.calibration.in_step import offsets_from_motion
+    from hypose.calibration.sync_motion import at_the_end, offsets_within
     from hypose.pipeline.examine import observe
 
     seen = observe(recording, frames, progress)
@@ -117,6 +118,11 @@ def _by_motion(
         f"sd {s:.2f}" if known else "no motion in common with the others"
         for s, known in zip(found.sd, told, strict=True)
     ]
+    total = points[0].shape[1] if points is not None else len(seen.silhouettes or ())
+    reach = offsets_within(largest, total)
+    if at_the_end(found, reach):
+        what = "a larger --largest" if reach >= largest - 0.5 else "more frames, and a larger --largest"
+        words = [f"{w}; views are {reach:.1f} frames apart or more: give {what}" for w in words]
     return [float(x) for x in found.frames], words
 
 
