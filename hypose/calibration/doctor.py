@@ -108,7 +108,11 @@ def examine_and_cure(observed: Observed, limits: Limits | None = None) -> tuple[
         if extrinsics is not None:
             state.rig = extrinsics.lens_cured
             findings += extrinsics.findings
-    findings += person_findings(state.rig, pixels, observed.names, observed.height, o)
+    if any(f.kind == "scatter" for f in findings):  # what never meets tells no time, and says nothing of a body
+        findings = [f for f in findings if f.kind != "late"]
+        late = np.zeros(n)
+    else:
+        findings += person_findings(state.rig, pixels, observed.names, observed.height, o)
     report = Report(tuple(findings), _views(observed, pixels, alignments, extrinsics), extrinsics, alignments)
     return report, Cured(state.rig, pixels, late, shift, lag)
 

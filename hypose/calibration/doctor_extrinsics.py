@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.calibration.doctor_findings import Finding, Limits
-from hypose.calibration.doctor_points import sizes, undistorted
+from hypose.calibration.doctor_points import disagreement, sizes, undistorted
 from hypose.calibration.refine_camera import CameraChange, changes, gauge, in_world
 from hypose.calibration.refine_points import (
     PointAdjustment,
@@ -21,6 +21,11 @@ from hypose.cameras.camera import Camera, CameraRig, triangulate
 from hypose.errors import EvidenceError
 from hypose.geometry import Array, transform
 
+AGREE = 0.02
+"""Share of the person's size to which the views of one person agree through the right cameras (`disagreement`)"""
+FAR_DEG, FAR_M = 10.0, 0.5
+"""a refinement that moves a camera farther comes more often from key points of something else than from a calibration
+so wrong"""
 _MOST_FRAMES = 30
 _COMMON = 60  # points that two views have to see together to judge each other
 
@@ -65,6 +70,10 @@ def judge_extrinsics(rig: CameraRig, pixels: Array, o: Limits) -> Extrinsics | N
     moved = changes(ideal, refined, points)
     findings: list[Finding] = []
     radial, radial_sd = np.zeros(c), np.full(c, np.inf)
+    far = any(m.turn_deg > FAR_DEG or m.move_m > FAR_M for m in moved)
+    if min(before, after) > o.scatter * person or (far and after > AGREE * person):
+        scatter = (_no_one_person(rig, pixels, before, after),)
+        return Extrinsics(scatter, moved, before, after, radial, radial_sd, rig, _with_lenses(refined, rig))
     if lens is not None:
         radial, radial_sd = lens.radial, lens.radial_sd
         findings += _lenses(rig, ideal, lens, uv, confidence, rest, found, person, o)
@@ -87,6 +96,29 @@ def judge_extrinsics(rig: CameraRig, pixels: Array, o: Limits) -> Extrinsics | N
         if unsure and not any(f.fault for f in findings):
             findings.append(_undecided(rig, unsure, confidence, before, after, max(moved[k].image_px for k in unsure)))
     return Extrinsics(tuple(findings), moved, before, after, radial, radial_sd, rig, _with_lenses(refined, rig))
+
+
+def _no_one_person(rig: CameraRig, pixels: Array, before: float, after: float) -> Finding:
+    """What disagrees however all cameras are moved: of one view, where the others agree without it."""
+    views = range(len(rig)) if len(rig) > 3 else ()
+    rest = [np.delete(np.arange(len(rig)), c) for c in views]
+    without = [disagreement(CameraRig(tuple(rig[int(k)] for k in r)), pixels[r]) for r in rest]
+    said = (
+        f"the key points miss each other by {before:.1f} px, and by {after:.1f} px still when every camera is moved "
+        "(frames not used)"
+    )
+    c = int(np.argmin(without)) if without else -1
+    if c < 0 or not without[c] < AGREE or sum(w < max(AGREE, 2 * without[c]) for w in without) > 1:
+        cure = "look whether video and key points of every view are of this recording and show the same person"
+        return Finding("scatter", (), f"All cameras: {said}", cure, before)
+    text = (
+        f"{rig.names[c]}: {said}; without this view the others agree to {100 * without[c]:.1f} % of the person's size"
+    )
+    cure = (
+        "look whether its video and key points are of this recording, of the same person, and not mirrored or turned; "
+        "else calibrate this camera anew, or leave the view out"
+    )
+    return Finding("scatter", (rig.names[c],), text, cure, before)
 
 
 def _witnesses(confidence: Array) -> NDArray[np.int64]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from hypose.body.body import Body
 from hypose.body.ready_bodies import human
 from hypose.calibration.doctor import Clip, Cured, Observed
+from hypose.calibration.doctor_extrinsics import FAR_DEG, FAR_M
 from hypose.calibration.doctor_masks import tangency, tangency_by_view
 from hypose.calibration.doctor_points import undistorted
 from hypose.calibration.in_step import Resampled, points_at
@@ -44,7 +45,6 @@ from hypose.tracking.subject import fit_girths, shape_from_keypoints, subject_fr
 Progress = Callable[[str, int, int], None]
 METHODS = ("keypoints", "silhouettes", "both")
 _AROUND = 0.3  # of the person's size, around the key points, in which a mask is the person's when others are there
-_FAR_DEG, _FAR_M = 10.0, 0.5  # a refinement that moves a camera farther is more often wrong than the calibration
 _USED = 17  # frames that a refinement looks at, as the rest has to judge it
 
 
@@ -75,7 +75,7 @@ class Refinement:
     def far(self) -> tuple[str, ...]:
         """Cameras that were turned by more than 10 degrees or moved by more than 0.5 m: rather the evidence is another
         person's than the calibration so wrong."""
-        return tuple(c.name for c in self.changes if c.turn_deg > _FAR_DEG or c.move_m > _FAR_M)
+        return tuple(c.name for c in self.changes if c.turn_deg > FAR_DEG or c.move_m > FAR_M)
 
 
 def window(recording: Recording, most: int) -> Recording:

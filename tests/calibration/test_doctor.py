@@ -55,6 +55,18 @@ def test_a_bystander_is_no_fault_and_hides_none(walk, kind):
     assert any(f.kind == "people" and not f.fault for f in findings)
 
 
+def test_key_points_of_something_else_accuse_no_camera_of_its_place(walk):
+    o = walk.observed
+    points = o.keypoints.copy()
+    points[1] = points[3]  # a file that was given twice
+    found = [f for f in examine(replace(o, keypoints=points)).findings if f.fault]
+    assert [(f.kind, f.views) for f in found] == [("scatter", ("cam2",))] and "cam2: the key points miss" in found[0].text
+    strange = np.stack([np.roll(p, 7 * c, 0) for c, p in enumerate(points)])
+    strange[:, :, :, 0] = np.where(strange[..., 2] > 0, 500 - strange[..., 0], 0)  # every view shows something else
+    found = [f for f in examine(replace(o, keypoints=strange)).findings if f.fault]
+    assert "extrinsics" not in {f.kind for f in found} and ("scatter", ()) in {(f.kind, f.views) for f in found}
+
+
 def test_of_two_cameras_that_disagree_neither_is_accused(walk):
     o = walk.observed
     turn = se3(so3_exp([0.08, 0.03, 0.05]), np.zeros(3))

@@ -220,7 +220,8 @@ def _hull_warnings(recording: Recording, heights: np.ndarray, ious: np.ndarray) 
                 "calibration, its synchronisation and its mask."
             )
     height = float(np.median(heights))
-    if not _HEIGHTS[0] <= height <= _HEIGHTS[1]:
+    agree = bool(np.isfinite(ious).any()) and float(np.nanmedian(ious)) >= _LOW_IOU
+    if agree and not _HEIGHTS[0] <= height <= _HEIGHTS[1]:
         out.append(
             f"The common volume is {height:.2f} m high, which no person is; check the unit of the calibration "
             "(calibration_unit) and which of its axes points up (world_up)."
