@@ -24,9 +24,9 @@ class Limits:
     conventions, gross_cured: what must be left of it at most. largest_lag: frames; late: frames, late_sd: in sd,
     late_gain: half log likelihood. keypoint_lag_sd, own_lag_sd: of all and of one view's key points against the masks,
     in sd. shift: share, shift_sd: in sd, shift_spread: in the spread of the other views' shifts,
-    shift_px: least, px of the masks. extrinsics: share of
-    the residual that may be left after refinement, scatter: share of the person's size of which nothing more is left when
-    cameras are refined that were only off (detectors reach 0.01 to 0.02), moved: share by which a camera's image of the person moves, gain:
+    shift_px: least, px of the masks. extrinsics: share of the residual that may be left after refinement, scatter:
+    share of the person's size of which no more is left when cameras were only off and are refined (detectors reach 0.01
+    to 0.02), moved: share by which a camera's image of the person moves, gain:
     least fall of the residual. lens_z: sd of a radial term, lens_gain: share of the residual that may be left after
     freeing it, lens_px: its effect on the person. heights: of a person, m, usual_heights: of nearly all;
     height_share: against the known height, height_doubt: worth a look;

@@ -90,8 +90,8 @@ def gross_silhouettes(rig: CameraRig, silhouettes: Sequence[Silhouettes | None],
     cured, tracks = _gross(rig, tracks, size, findings, o)
     left = _score(cured, tracks, size)
     if not findings and left > SCATTER:
-        text = f"All cameras: the silhouettes' tangent planes disagree by {100 * left:.0f} % of the person's size"
-        findings.append(Finding("scatter", (), text, "run hypose check, which looks for the cause", left))
+        found = _scattered(cured, tracks, size, left)
+        findings.append(replace(found, cure="run hypose check, which looks for the cause"))
     findings += _unit(cured, size, o)
     return tuple(findings)
 
@@ -258,11 +258,25 @@ def _poses(
     value, c, moved = _best_moved(small, few, size)
     disagree = f"All cameras: the silhouettes' tangent planes disagree by {100 * before:.1f} % of the person's size"
     if min(before, value) > SCATTER:
-        text = f"{disagree}, and no lag and no other place of one camera cures that"
-        return [Finding("scatter", (), text, _LOOK_AT_MASKS, before)]
+        found = _scattered(small, few, size, before)
+        text = f"{found.text}, and no lag and no other place of one camera cures that"
+        return [replace(found, text=text)]
     if value > o.extrinsics * before:
         return [Finding("extrinsics", (), disagree, "run hypose check --refine", before)]
     return [_elsewhere(rig, small, moved, c, before, value, silhouettes)]
+
+
+def _scattered(small: CameraRig, tracks: Sequence[MaskTrack], size: Array, before: float) -> Finding:
+    """Masks that do not show one person: those of one view, where the others agree without it."""
+    disagree = f"the silhouettes' tangent planes disagree by {100 * before:.0f} % of the person's size"
+    seen = np.flatnonzero(size > 0)
+    for c in seen if len(seen) > 3 else ():
+        rest = [int(k) for k in seen if k != c]
+        left = _score(small.select([small.names[k] for k in rest]), [tracks[k] for k in rest], size[rest])
+        if left < min(0.5 * SCATTER, 0.25 * before):
+            text = f"{small.names[c]}: {disagree}, by {100 * left:.0f} % without this view"
+            return Finding("scatter", (small.names[c],), text, _LOOK_AT_MASKS, before)
+    return Finding("scatter", (), f"All cameras: {disagree}", _LOOK_AT_MASKS, before)
 
 
 def _best_moved(small: CameraRig, few: list[MaskTrack], size: Array) -> tuple[float, int, CameraRig]:

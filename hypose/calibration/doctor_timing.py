@@ -49,6 +49,8 @@ def timing_findings(rig: CameraRig, late: Array, sd: Array, fault: bool = True) 
             way, cure = "late" if x > 0 else "early", "run hypose sync, and track what it writes"
             text = f"{name}: {abs(x):.1f} frames {way} against the other views (sd {s:.2f})"
             if not np.isfinite(s):
-                text = f"{name}: {abs(x):.1f} frames {way} against the other views, or more: the clip is too short to tell"
+                text = (
+                    f"{name}: {abs(x):.1f} frames {way} against the other views, or more: the clip is too short to tell"
+                )
                 cure = "run hypose sync on more frames, with a larger --largest"
             yield Finding("late", (name,), text, cure, abs(x), fault)

@@ -60,7 +60,9 @@ def test_key_points_of_something_else_accuse_no_camera_of_its_place(walk):
     points = o.keypoints.copy()
     points[1] = points[3]  # a file that was given twice
     found = [f for f in examine(replace(o, keypoints=points)).findings if f.fault]
-    assert [(f.kind, f.views) for f in found] == [("scatter", ("cam2",))] and "cam2: the key points miss" in found[0].text
+    assert [(f.kind, f.views) for f in found] == [("scatter", ("cam2",))] and "cam2: the key points miss" in found[
+        0
+    ].text
     strange = np.stack([np.roll(p, 7 * c, 0) for c, p in enumerate(points)])
     strange[:, :, :, 0] = np.where(strange[..., 2] > 0, 500 - strange[..., 0], 0)  # every view shows something else
     found = [f for f in examine(replace(o, keypoints=strange)).findings if f.fault]
@@ -146,13 +148,21 @@ def test_masks_that_do_not_show_one_person_accuse_no_camera():
         for c, mask in enumerate(s.masks):
             rows = np.nonzero(mask)[0]
             if len(rows):
-                low, high = np.quantile(rows, np.clip(0.5 + 0.45 * np.sin(phase[c] + t / 9) + np.array([-0.25, 0.25]), 0, 1))
+                low, high = np.quantile(
+                    rows, np.clip(0.5 + 0.45 * np.sin(phase[c] + t / 9) + np.array([-0.25, 0.25]), 0, 1)
+                )
                 masks[c, int(low) : int(high)] = mask[int(low) : int(high)]
         parts.append(replace(s, masks=masks))
     report, cured = examine_and_cure(replace(base, silhouettes=parts))
     (finding,) = report.findings
     assert finding.kind == "scatter" and not finding.views and "look at the masks" in finding.cure
     assert not cured.late.any()
+    alone = [
+        replace(s, masks=np.stack([m if c == 2 else w for c, (w, m) in enumerate(zip(s.masks, p.masks, strict=True))]))
+        for s, p in zip(base.silhouettes, parts, strict=True)
+    ]
+    (finding,) = examine(replace(base, silhouettes=alone)).findings
+    assert finding.kind == "scatter" and finding.views == ("cam3",)
 
 
 def test_a_camera_that_is_later_than_is_looked_for_is_looked_for_farther(walk):
