@@ -14,6 +14,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from hypose.calibration.common_focal import focal_by_masks, focal_findings
+from hypose.calibration.doctor_extrinsics import FAR_DEG, FAR_M
 from hypose.calibration.doctor_findings import Finding, Limits
 from hypose.calibration.doctor_masks import tangency, tangency_by_view
 from hypose.calibration.doctor_report import ViewReport, height_findings
@@ -257,7 +258,9 @@ def _poses(
         return []
     value, c, moved = _best_moved(small, few, size)
     disagree = f"All cameras: the silhouettes' tangent planes disagree by {100 * before:.1f} % of the person's size"
-    if min(before, value) > SCATTER:
+    change = changes(small, moved, _person(silhouettes))[c]
+    far = change.turn_deg > FAR_DEG or change.move_m > FAR_M
+    if min(before, value) > SCATTER or (far and value > o.tangency):
         found = _scattered(small, few, size, before)
         text = f"{found.text}, and no lag and no other place of one camera cures that"
         return [replace(found, text=text)]

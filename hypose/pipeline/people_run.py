@@ -191,7 +191,7 @@ class PeopleRun:
             raise EvidenceError(
                 "Nobody stands in the masks at the beginning: no part of the visual hull is as large and tall as a "
                 "person; begin with --frames where people are seen by three cameras, and check the masks with "
-                "`hypose silhouettes`."
+                f"`hypose silhouettes`. {getattr(self.source, 'guessed_rooms', '')}".rstrip()
             )
         middle = self._middle()
         paths = sorted(paths, key=lambda p: float(np.linalg.norm(p.axis(0) - middle)))

@@ -195,9 +195,11 @@ def track_source(
         try:
             subject = subject_of(source, frame_rate, options, body, results if resume else None, key, report)
         except HyposeError as error:
-            if not faults:
+            guessed = getattr(source, "guessed_rooms", "") if options.looks_at == "silhouettes" else ""
+            why = [*([guessed] if guessed else []), *faults]  # masks of no person speak against cameras, too
+            if not why:
                 raise
-            raise type(error)(f"{' '.join(faults)} That may be why: {error}") from error
+            raise type(error)(f"{' '.join(why)} That may be why: {error}") from error
     keep = None
     if results is not None:  # before the motion, so that what is kept of an interrupted run can be looked at
         keep_subject(subject, results, key)

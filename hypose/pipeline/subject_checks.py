@@ -114,7 +114,8 @@ def check_start(value: float, frame: int) -> None:
     if value < LEAST_OVERLAP:
         raise EvidenceError(
             f"Frame {frame}: no body in a known pose explains the silhouettes, the best overlaps {value:.0%} of them; "
-            "check the masks and the calibration, or begin with --frames where the person stands apart from others."
+            "run hypose check, which looks at masks, calibration and synchronisation, or begin with --frames where the "
+            "person stands apart from others."
         )
 
 

@@ -152,3 +152,29 @@ def test_where_check_cannot_write_its_sheet(hypose, masks, tmp_path, name, said)
 
 def test_batch_with_a_folder_of_recordings_says_what_to_write(hypose, masks):
     fails(hypose("batch", masks.parent), "is a folder without a recording", f'recordings = ["{masks.parent.name}/*"]')
+
+
+@pytest.fixture
+def without_room(recording):
+    """A recording without backgrounds, too short for the person to leave their place."""
+    toml = recording / "recording.toml"
+    lines = toml.read_text().splitlines()
+    kept = [line for line in lines if not line.startswith("background")]
+    assert len(kept) < len(lines)
+    toml.write_text("\n".join(kept) + "\n")
+    return recording
+
+
+@pytest.mark.parametrize("command", [("track",), ("track", "--people", "all")])
+def test_who_gave_no_empty_room_is_told_so_when_nobody_is_found(hypose, without_room, command):
+    fails(
+        hypose(command[0], without_room, *command[1:]),
+        "No view has a picture of the empty room",
+        "Give a photo or clip of the empty room",
+    )
+
+
+def test_check_says_first_that_there_is_no_empty_room(hypose, without_room):
+    code, out, _ = hypose("check", without_room)
+    assert code == 1 and " ".join(out.split()).count("warning: No view has a picture of the empty room") == 1
+    assert "or the other way round" not in out and "degrees and" not in out

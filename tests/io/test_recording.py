@@ -169,6 +169,16 @@ def test_stretched_images_on_request(tmp_path):
     assert "taken as scaled" in load_recording(make_recording(tmp_path, views)).notes[0]
 
 
+def test_a_camera_that_went_out_is_named_with_what_the_others_have(tmp_path):
+    for n, frames in enumerate((18, 10, 20), 1):
+        make_video(tmp_path / f"cam_{n}.avi", frames)
+    cameras = [f"cam_{n}" for n in (1, 2, 3)]
+    views = [{"name": n, "video": f"{n}.avi"} for n in cameras]
+    recording = load_recording(make_recording(tmp_path, views, names=cameras))
+    assert recording.n_frames == 10
+    assert recording.notes[0].endswith(" Without cam_2, the others' 18 frames could be tracked.")
+
+
 def test_different_lengths_use_the_common_part(tmp_path):
     make_video(tmp_path / "cam_1.avi", 12)
     make_video(tmp_path / "cam_2.avi", 18)

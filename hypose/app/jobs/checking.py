@@ -117,14 +117,17 @@ def check_recording(recording: Recording, sheet: Path, samples: int, progress: P
                 heights.append(found[0])
                 ious.append(found[1])
         progress("check", len(rows), len(rows))
+        guessed = source.guessed_rooms
         if ious:
-            warnings += _hull_warnings(recording, np.array(heights), np.array(ious))
+            contradicted = _hull_warnings(recording, np.array(heights), np.array(ious))
+            warnings = [*([guessed] if guessed and contradicted else []), *warnings, *contradicted]
         facts += _keypoint_facts(source)
         write_sheet(recording, source, sheet, min(len(rows), 3))
     if not shown:
         raise EvidenceError(
             f"{recording.name}: nobody is seen in any of {len(rows)} frames ({why or 'no evidence'}), so there "
             f"is nothing to check; see whether masks and backgrounds belong to this recording (contact sheet: {sheet})."
+            + (f" {guessed}" if guessed else "")
         )
     if len(recording.views) == 1:
         facts.append("There is one camera, so that no views can be compared; look at its masks in the contact sheet.")

@@ -305,6 +305,21 @@ class FrameStream:
         return any(s.objects is not None and len(s.objects.objects) > 1 for s in self._sources)
 
     @property
+    def guessed_rooms(self) -> str:
+        """A sentence on views whose background is that of the recording itself, where nothing says where the person is;
+        empty when there are none."""
+        views = zip(self.recording.views, self.backgrounds, strict=False)
+        guessed = [v.name for v, b in views if b is not None and v.background is None]
+        guessed = guessed if self.keypoints is None and self._covers is None else []
+        if not guessed:
+            return ""
+        which = "No view" if len(guessed) == len(self.recording.views) else f"{', '.join(guessed)}: no view of these"
+        return (
+            f"{which} has a picture of the empty room: it is taken from the recording itself, in which whoever hardly "
+            "leaves their place vanishes. Give a photo or clip of the empty room (background), masks, or key points."
+        )
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """Sentences with the view's name about doubtful backgrounds, and frames that could not be read so far."""
         named = zip(self.recording.views, self.backgrounds, strict=False)

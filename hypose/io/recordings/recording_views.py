@@ -197,4 +197,8 @@ def common_frames(views: Sequence[View], clips: Sequence[list[Clip]], notes: lis
             f"The views have different numbers of frames ({said}); the first {low} frames, which all have, "
             "are used. Check that all cameras start at the same instant."
         )
+        next_low = sorted(counts.values())[1]
+        if len(views) > 2 and next_low > 1.05 * low:  # one camera went out before the others
+            first = min(counts, key=lambda n: counts[n])
+            notes[-1] += f" Without {first}, the others' {next_low} frames could be tracked."
     return low
