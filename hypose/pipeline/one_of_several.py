@@ -28,6 +28,7 @@ from hypose.pipeline.run import TrackOptions, TrackResult
 from hypose.pipeline.subject_from_motion import load_subject
 from hypose.pipeline.track_loop import FrameSource, Progress
 from hypose.pipeline.tracked_people import Wanted, said_of_places
+from hypose.pipeline.verdict import left_out
 
 _EVERYBODY = "everybody"
 _LOOKS = 7
@@ -177,10 +178,7 @@ def track_one_of(
     )()
     one = found.people[0]
     more = found.others
-    said = ()
-    if more:
-        who = "another person is" if more == 1 else f"{more} other people are"
-        said = (f"Note: {who} in the masks and left out; {command} tracks everybody.",)
+    said = (left_out(more, "masks", command),) if more else ()
     said = (*said, *(f"Note: {n}." for n in said_of_places(wanted, 1 + more)))
     faults = one.result.faults
     if wanted and wanted[0].place is not None and one.name != wanted[0].name:

@@ -35,7 +35,7 @@ from hypose.pipeline.moved_sensors import PlacedSource, Places, moved_sensors
 from hypose.pipeline.picture_start import picture_options, subject_in_picture
 from hypose.pipeline.pictures import depth_note, one_view
 from hypose.pipeline.track_loop import FrameSource, Keep, Progress, Tracked, track_frames, tracked_before
-from hypose.pipeline.verdict import Verdict, verdict_of
+from hypose.pipeline.verdict import Verdict, left_out, verdict_of
 from hypose.tracking.doubt import as_mixture, evidence_of, judged
 from hypose.tracking.fitted_spread import beyond_usual, pose_covariance, with_fitted_angles, with_fitted_joints
 from hypose.tracking.frame_evidence import OwnEvidence
@@ -213,7 +213,7 @@ def track_source(
         motion = _doubted(motion, subject, solved.one_by_one, audit, solved.covariance)
         result = TrackResult(motion, subject.body, True, notes)
         wrong, looks = against_the_clip(audit, motion.n_views, evidence_of(audit))
-        said = {"faults": (*faults, *wrong), "looks": (*noticed, *looks)}
+        said = {"faults": (*faults, *wrong), "looks": (*noticed, *looks), "beside": _who_else(source)}
         return _written(replace(result, one_by_one=solved.one_by_one, audit=audit, **said), results)
     if method is None and not options.of_picture:
         source, subject = with_named_sides(source, frame_rate, subject, sure_start=options.sure_start)
@@ -326,9 +326,15 @@ def finish(
     depth = source.frame(0).depth is not None
     motion = _doubted(motion, subject, own, audit, covariance, "depth" if depth else None)
     wrong, looks = against_the_clip(audit, motion.n_views, evidence_of(audit))
-    said = (*faults, *wrong), (*noticed, *looks)
+    said = (*faults, *wrong), (*noticed, *looks), _who_else(source)
     out = TrackResult(motion, subject.body, done.complete, notes, None, own, audit, *said)
     return _written(out, results)
+
+
+def _who_else(source: FrameSource) -> tuple[str, ...]:
+    """Sentences on whom the key points of a source show beside the one who is followed."""
+    others = getattr(source, "others", 0)
+    return (left_out(others, "key points", "--people all"),) if others else ()
 
 
 def _doubted(

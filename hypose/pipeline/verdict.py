@@ -90,6 +90,12 @@ class Verdict:
         return Verdict(str(kept["verdict"]), tuple(str(b) for b in kept["because"]), frames, beside)
 
 
+def left_out(more: int, where: str, command: str) -> str:
+    """A sentence on so many other people in the masks, or the key points, and the command that tracks them."""
+    who = "another person is" if more == 1 else f"{more} other people are"
+    return f"Note: {who} in the {where} and left out; {command} tracks everybody."
+
+
 def verdict_of(motion: Motion, faults: Sequence[str] = (), looks: Sequence[str] = ()) -> Verdict:
     """The verdict on a motion; faults: sentences of what was found wrong with it as a whole; looks: of what makes the
     whole of it worth a look."""

@@ -10,6 +10,7 @@ import pytest
 
 from hypose.synthetic.rigs import rig
 from hypose.synthetic.scenes import make_scene
+from hypose.synthetic.simulated_keypoints import keypoint_detections
 from hypose.synthetic.write_recording import write_scene
 from tests.standing_people import name_people, standing_at, where
 
@@ -77,6 +78,30 @@ def test_of_who_is_not_at_their_place_it_is_said(hypose, two, tmp_path):
 def test_who_is_nobody_is_refused_with_the_names_there_are(hypose, two, who):
     code, _, err = hypose("track", two, "--people", who)
     assert code == 2 and "Anna, Bert" in err
+
+
+def test_who_else_key_points_show_is_said_at_the_end(hypose, two, tmp_path):
+    recording = shutil.copytree(two, tmp_path / "two")
+    cameras = rig("humaneva-4", distorted=True).scaled(0.4)
+    seen = []
+    for k, place in enumerate((PLACES["Bert"], PLACES["Anna"])):
+        scene = make_scene("wave", "neutral", cameras, seconds=0.2, seed=3 + k)
+        scene = replace(scene, performance=standing_at(scene.performance, place))
+        seen.append([keypoint_detections(scene, c) for c in range(len(cameras))])
+    text = (recording / "recording.toml").read_text(encoding="utf-8").split("[[person]]")[0]
+    for c, name in enumerate(cameras.names):
+        folder = recording / f"points-{name}"
+        folder.mkdir()
+        for t in range(len(seen[0][c])):
+            people = [{"pose_keypoints_2d": np.ravel(one[c][t]).tolist()} for one in seen]
+            (folder / f"{t:06d}.json").write_text(json.dumps({"people": people}))
+        text = text.replace(f'name = "{name}"', f'name = "{name}"\nkeypoints = "{folder.name}"')
+    (recording / "recording.toml").write_text('keypoint_set = "BODY_25"\n' + text, encoding="utf-8")
+    code, out, err = hypose("track", recording, "--evidence", "keypoints", "--out", tmp_path / "out", *LIGHT)
+    assert code in (0, 3), out + err
+    said = json.loads((tmp_path / "out" / "verdict.json").read_text(encoding="utf-8"))
+    assert "another person is in the key points and left out; --people all tracks everybody" in said["beside"][0]
+    assert "another person is in the key points" in out + err
 
 
 def test_masks_that_are_brought_in_step_show_everybody_and_check_says_so(hypose, two, tmp_path):
