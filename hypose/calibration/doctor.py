@@ -95,7 +95,7 @@ def examine_and_cure(observed: Observed, limits: Limits | None = None) -> tuple[
     gross = {f.kind for f in state.findings}
     findings += state.findings
     alignments, lag, shift = _against_masks(observed, state, findings, o)
-    late = np.zeros(n)
+    late, sd = np.zeros(n), np.zeros(n)
     if not gross & {"inverted"}:
         late, sd = late_views(state.rig, state.pixels, o)
         findings += timing_findings(state.rig, late, sd)
@@ -103,15 +103,18 @@ def examine_and_cure(observed: Observed, limits: Limits | None = None) -> tuple[
     extrinsics = None
     focal = list(focal_findings(focal_by_points(state.rig, pixels))) if n > 1 and not gross else []
     findings += focal
+    later = bool((np.isinf(sd) & (late != 0)).any())  # by how much is not known: cameras would take the blame for it
     if not focal and n > 1 and not gross & {"inverted"}:
         extrinsics = judge_extrinsics(state.rig, pixels, o)
-        if extrinsics is not None:
+        if extrinsics is not None and later:
+            findings += [f for f in extrinsics.findings if f.kind == "scatter"]
+        elif extrinsics is not None:
             state.rig = extrinsics.lens_cured
             findings += extrinsics.findings
     if any(f.kind == "scatter" for f in findings):  # what never meets tells no time, and says nothing of a body
         findings = [f for f in findings if f.kind != "late"]
-        late = np.zeros(n)
-    else:
+        late, pixels = np.zeros(n), state.pixels
+    elif not later:
         findings += person_findings(state.rig, pixels, observed.names, observed.height, o)
     report = Report(tuple(findings), _views(observed, pixels, alignments, extrinsics), extrinsics, alignments)
     return report, Cured(state.rig, pixels, late, shift, lag)

@@ -18,8 +18,9 @@ from hypose.calibration.doctor_extrinsics import FAR_DEG, FAR_M
 from hypose.calibration.doctor_findings import Finding, Limits
 from hypose.calibration.doctor_masks import tangency, tangency_by_view
 from hypose.calibration.doctor_report import ViewReport, height_findings
+from hypose.calibration.doctor_timing import timing_findings
 from hypose.calibration.refine_camera import changed, changes
-from hypose.calibration.sync_motion import MaskTrack, mask_tracks, silhouette_curves, solve_widely
+from hypose.calibration.sync_motion import MaskTrack, farther, mask_tracks, silhouette_curves, solve_widely
 from hypose.cameras.camera import CameraRig
 from hypose.errors import EvidenceError
 from hypose.evidence.frame import Silhouettes
@@ -63,12 +64,19 @@ def examine_silhouettes(
     residual = tangency_by_view(tangency(small, tracks), n) * ratio
     reports = _reports(rig, residual, size * ratio)
     small, tracks = _gross(small, tracks, size, findings, o)
-    placed = _displaced(rig, small, tracks, size, silhouettes, o) if not findings else None
-    if placed is not None:  # a camera that stands elsewhere sees the person move at other times: told in its own place
+    timed = list(findings)
+    late = _timing(rig, small, tracks, size, timed, o)
+    in_step = [_delayed(t, round(x)) for t, x in zip(tracks, late, strict=True)]
+    # somebody who walks straight on looks through a late camera as through one that stands elsewhere
+    left = _score(small, _few(in_step, _JUDGED), size)
+    placed = _displaced(rig, small, tracks, size, silhouettes, left, o) if not findings else None
+    if placed is None:
+        findings, tracks = timed, in_step
+    else:  # a camera that stands elsewhere sees the person move at other times: told in its own place
         findings.append(placed[0])
         small = placed[1]
-    late = _timing(rig, small, tracks, size, findings, o)
-    tracks = [_delayed(t, round(x)) for t, x in zip(tracks, late, strict=True)]
+        late = _timing(rig, small, tracks, size, findings, o)
+        tracks = [_delayed(t, round(x)) for t, x in zip(tracks, late, strict=True)]
     if not findings or all(f.kind == "late" for f in findings):
         findings += focal_findings(focal_by_masks(small, _few(tracks, _JUDGED)))
     if not findings or all(f.kind == "late" for f in findings):
@@ -210,17 +218,15 @@ def _timing(
         return late
     try:
         scale = max(float(np.median(size)) / 130, 0.5)
-        offsets, _ = solve_widely(lambda x: silhouette_curves(small, tracks, x, scale), n, o.largest_lag)
+        offsets, reach = solve_widely(lambda x: silhouette_curves(small, tracks, x, scale), n, o.largest_lag)
     except EvidenceError:
         return late
     if offsets.gain < 2 * o.late_gain:
         return late
     frames = offsets.frames - (offsets.frames[0] if n == 2 else 0.0)
-    for c, (x, sd) in enumerate(zip(frames, offsets.sd, strict=True)):
-        if abs(x) >= max(o.late, 0.6) and abs(x) >= o.late_sd * sd:
-            late[c] = x
-            text = f"{rig.names[c]}: {abs(x):.1f} frames {'late' if x > 0 else 'early'} against the other views"
-            findings.append(Finding("late", (rig.names[c],), text, "run hypose sync, and track what it writes", abs(x)))
+    certain = (np.abs(frames) >= max(o.late, 0.6)) & (np.abs(frames) >= o.late_sd * offsets.sd)
+    late = np.where(certain, frames, 0.0)
+    findings += timing_findings(rig, late, np.where(farther(offsets, frames, reach), np.inf, offsets.sd))
     return late
 
 
@@ -230,15 +236,17 @@ def _displaced(
     tracks: list[MaskTrack],
     size: Array,
     silhouettes: Sequence[Silhouettes | None],
+    in_step: float,
     o: Limits,
 ) -> tuple[Finding, CameraRig] | None:
-    """A camera whose other place alone cures the disagreement of the tangent planes, and the rig with it there."""
+    """A camera whose other place alone cures the disagreement of the tangent planes, far better than what is left of it
+    when the views are brought in step, and the rig with it there."""
     few = _few(tracks, _JUDGED)
     before = _score(small, few, size)
     if before < o.tangency or len(rig) < 3:
         return None
     value, c, moved = _best_moved(small, few, size)
-    if value > o.gross_cured * before or value > o.tangency:
+    if value > o.gross_cured * min(before, in_step) or value > o.tangency:
         return None
     return _elsewhere(rig, small, moved, c, before, value, silhouettes), moved
 
@@ -261,8 +269,10 @@ def _poses(
     change = changes(small, moved, _person(silhouettes))[c]
     far = change.turn_deg > FAR_DEG or change.move_m > FAR_M
     if min(before, value) > SCATTER or (far and value > o.tangency):
+        if before <= SCATTER and value <= SCATTER:  # the views show one person, and it is not told what is wrong
+            return [Finding("extrinsics", (), disagree, "run hypose check --refine, and hypose sync", before)]
         found = _scattered(small, few, size, before)
-        text = f"{found.text}, and no lag and no other place of one camera cures that"
+        text = f"{found.text}, and no lag that these frames can tell and no other place of one camera cures that"
         return [replace(found, text=text)]
     if value > o.extrinsics * before:
         return [Finding("extrinsics", (), disagree, "run hypose check --refine", before)]

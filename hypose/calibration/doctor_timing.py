@@ -9,7 +9,7 @@ import numpy as np
 from hypose.calibration.doctor_findings import Finding, Limits
 from hypose.calibration.doctor_points import undistorted
 from hypose.calibration.in_step import point_sd
-from hypose.calibration.sync_motion import Curves, at_the_end, keypoint_curves, solve_widely
+from hypose.calibration.sync_motion import Curves, farther, keypoint_curves, solve_widely
 from hypose.cameras.camera import CameraRig
 from hypose.errors import EvidenceError
 from hypose.geometry import Array
@@ -38,8 +38,8 @@ def late_views(rig: CameraRig, pixels: Array, o: Limits) -> tuple[Array, Array]:
         return late, sd
     found = offsets.frames - (offsets.frames[0] if n == 2 else 0.0)
     certain = (np.abs(found) >= o.late) & (np.abs(found) >= o.late_sd * offsets.sd)
-    farther = certain & at_the_end(offsets, reach) & (np.abs(found) > 0.5 * reach)
-    return np.where(certain, found, 0.0), np.where(farther, np.inf, offsets.sd)
+    later = certain & farther(offsets, found, reach)
+    return np.where(certain, found, 0.0), np.where(later, np.inf, offsets.sd)
 
 
 def timing_findings(rig: CameraRig, late: Array, sd: Array, fault: bool = True) -> Iterator[Finding]:

@@ -291,9 +291,18 @@ def solve_widely(curves_of: Callable[[float], Curves], n_views: int, largest: fl
     """`solve_offsets` of curves_of(largest), with twice the largest offset (frames) again while two views are found as
     far apart as was looked for; and how far was looked in the end: views that are as far apart even then may be farther
     (`at_the_end`)."""
+    found, reach = None, 0.0
     while True:
-        curves = curves_of(largest)
-        found, reach = solve_offsets(curves, n_views), float(curves.lags[-1])
+        try:
+            curves = curves_of(largest)
+            wider = solve_offsets(curves, n_views)
+        except EvidenceError:
+            if found is None:
+                raise
+            return found, reach
+        if found is not None and not at_the_end(wider, reach):  # no farther: the more frames told it better
+            return found, float(curves.lags[-1])
+        found, reach = wider, float(curves.lags[-1])
         if not at_the_end(found, reach) or reach < largest - 1:  # the clip is too short to look farther
             return found, reach
         largest *= 2
@@ -303,6 +312,11 @@ def at_the_end(found: Offsets, reach: float) -> bool:
     """Are two views as far apart as was looked for, reach frames?"""
     sure = found.frames[np.isfinite(found.sd)]
     return len(sure) > 1 and float(np.ptp(sure)) > reach - 0.5
+
+
+def farther(found: Offsets, frames: Array, reach: float) -> NDArray[np.bool_]:
+    """(C,) views late by frames (C,) that may be later still, when reach frames were looked for."""
+    return np.asarray(at_the_end(found, reach) & (np.abs(frames) > 0.5 * reach))
 
 
 def _starts(splines: dict[tuple[int, int], CubicSpline], lags: Array, n: int) -> list[Array]:

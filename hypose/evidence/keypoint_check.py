@@ -49,19 +49,23 @@ def misread(people: Sequence[Sequence[Array | None]], names: Sequence[str], rig:
     if points is None:
         return None
     plain = _residual(points, rig)
-    wrong = _misread(points, plain, names, rig) if np.isfinite(plain) else None
-    if wrong is not None and _other_cameras(points, rig) < min(_FINE, _BETTER * plain):
+    found = _misread(points, plain, names, rig) if np.isfinite(plain) else None
+    if found is None:
+        return None
+    left, wrong = found
+    if _other_cameras(points, rig) < min(_FINE, _BETTER * plain, left):
         return None  # it is the calibration that is wrong, and whoever looks at the cameras says how
     return wrong
 
 
-def _misread(points: Array, plain: float, names: Sequence[str], rig: CameraRig) -> str | None:
-    """As `misread`, of one person's points (C, T, K, 3) whose views disagree by `plain`."""
+def _misread(points: Array, plain: float, names: Sequence[str], rig: CameraRig) -> tuple[float, str] | None:
+    """As `misread`, of one person's points (C, T, K, 3) whose views disagree by `plain`, and by how much they still do
+    when they are read otherwise."""
     if plain > _DOUBTFUL:
         limit = min(_FINE, _BETTER * plain)
         found = min(((_residual(change(points), rig), what) for what, change in _readings(rig)), default=None)
         if found is not None and found[0] < limit:
-            return found[1]
+            return found
         # one view alone?
         for c, name in enumerate(rig.names):
             others = np.delete(np.arange(len(rig)), c)
@@ -70,14 +74,15 @@ def _misread(points: Array, plain: float, names: Sequence[str], rig: CameraRig) 
             for what, change in _readings(rig):
                 one = points.copy()
                 one[c] = change(points)[c]
-                if _residual(one, rig) < limit:
-                    return f"in view {name} {what}"
+                left = _residual(one, rig)
+                if left < limit:
+                    return left, f"in view {name} {what}"
     world = _well_known(points, rig)
     if plain < 2 * _FINE and _disproportion(world, names) > _NO_BODY:
-        return "the bones between them have lengths that no body has, so that their order must be another"
+        return plain, "the bones between them have lengths that no body has, so that their order must be another"
     mirrored = _mirrored(world, names)
     if mirrored and plain < 2 * _FINE:
-        return "the person is mirrored: their y counts upwards, or left and right are exchanged in their names"
+        return plain, "the person is mirrored: their y counts upwards, or left and right are exchanged in their names"
     return None
 
 

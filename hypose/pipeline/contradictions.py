@@ -16,7 +16,7 @@ LOOK_APART_M, WRONG_APART_M = 0.006, 0.015
 On scenes (seeds 600 to 607) it was less than 5.5 mm through the right cameras, with things in the masks as well, 9 to
 16 mm with a calibration that is 1 % off, which costs 20 mm, 17 to 23 with one that is 3 % off, 12 to 14 with cameras
 that are a frame or two late."""
-MORE_M2 = 0.003
+LOOK_MORE_M2 = 0.003
 """m^2 of bare mask about a joint in a view, mean over the joints, median over the clip, from which on the masks show
 more than the body. Bodies alone had 0.0005 to 0.0019, and 0.0026 in bad masks of three views; with a chair, a skirt, a
 bag or a backpack there were 0.0034 to 0.009, in a coat 0.0024 to 0.008 (the same scenes)."""
@@ -35,7 +35,7 @@ def against_the_clip(audit: ArrayLike, n_views: ArrayLike, evidence: str) -> tup
             "synchronisation or the body is wrong: run hypose check"
         )
         (wrong if beyond > WRONG_APART_M else look).append(said)
-    if more_than_body(audit, n_views) > MORE_M2:
+    if more_than_body(audit, n_views) > LOOK_MORE_M2:
         look.append(
             "the masks show more than the body from beginning to end (a chair, wide clothes, a bag, somebody else?), "
             "and limbs may have been put there: compare the overlay with the images"

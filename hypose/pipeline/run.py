@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.body.motion import Modes, Motion
-from hypose.errors import HyposeError, InputError
+from hypose.errors import EvidenceError, HyposeError, InputError
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array
 from hypose.inference.layer import Recipe
@@ -195,7 +195,8 @@ def track_source(
         try:
             subject = subject_of(source, frame_rate, options, body, results if resume else None, key, report)
         except HyposeError as error:
-            guessed = getattr(source, "guessed_rooms", "") if options.looks_at == "silhouettes" else ""
+            masks = options.looks_at == "silhouettes" and isinstance(error, EvidenceError)
+            guessed = getattr(source, "guessed_rooms", "") if masks else ""
             why = [*([guessed] if guessed else []), *faults]  # masks of no person speak against cameras, too
             if not why:
                 raise

@@ -36,7 +36,7 @@ _SLOW, _USUAL_PACE = 0.05, 0.35
 """m/s about the pelvis: what is slower is at rest; the pace of limbs of which one frame alone is known"""
 _USUAL_LOOSE_M = 0.01  # of arms that were not looked at
 _LITTLE = 3e-4  # m^2 of bare mask
-_MORE_M2 = 0.0022  # m^2 of it about a joint in a view, median over a clip, that there is of bodies alone in usual masks
+_OF_BODIES_M2 = 0.0022  # m^2 of it about a joint in a view, median over a clip, that bodies alone in usual masks have
 _SEEN = 0.25  # share of a part that is exposed in two views at least
 FEATURES = (
     *(
@@ -139,7 +139,7 @@ def clip_features(motion: Motion, raw_joints: Array, audit: ArrayLike) -> Array:
         / np.maximum(_mean(a["renamed"] + a["named"], around), 0.5)
         * points,
         "apart": np.full(count, np.sqrt(views_apart(audit))),
-        "more_mask": np.full(count, np.log(max(more_than_body(audit, motion.n_views) / _MORE_M2, 1.0))),
+        "more_mask": np.full(count, np.log(max(more_than_body(audit, motion.n_views) / _OF_BODIES_M2, 1.0))),
     }
     return np.stack([found[n] for n in FEATURES], -1)
 
@@ -341,8 +341,9 @@ def _by_one_view(motion: Motion, audit: ArrayLike) -> Array:
 
 CROSSED_P, CROSSED_M = 0.5, (0.05, 0.12)
 """How likely knees and ankles are wrong that lie on the other leg's side, by m along the hips' axis from which it
-counts, and counts fully. People cross their legs, but of 163 frames of scenes in which masks alone said so all were
-wrong: skirts and coats hide which leg is which. Who walks, runs, boxes or balances keeps the ankles 2 cm apart."""
+counts, and counts fully. People cross their legs, but of 11 600 frames of scenes those 276 were all wrong in which
+masks alone had an ankle 6 cm across: skirts and coats hide which leg is which. Who walks, runs, boxes or balances keeps
+the ankles 1.5 to 9 cm apart, on their own sides."""
 
 
 def _by_crossed_legs(motion: Motion) -> Array:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.cameras import planted_faults
 from benchmarks.cameras.planted_faults import FAULTS, healthy, judged, planted, with_bystander
 from hypose.calibration.doctor import Clip, Observed, examine, examine_and_cure
 from hypose.calibration.doctor_extrinsics import judge_extrinsics
@@ -59,10 +60,10 @@ def test_key_points_of_something_else_accuse_no_camera_of_its_place(walk):
     o = walk.observed
     points = o.keypoints.copy()
     points[1] = points[3]  # a file that was given twice
-    found = [f for f in examine(replace(o, keypoints=points)).findings if f.fault]
-    assert [(f.kind, f.views) for f in found] == [("scatter", ("cam2",))] and "cam2: the key points miss" in found[
-        0
-    ].text
+    report, cured = examine_and_cure(replace(o, keypoints=points))
+    (finding,) = [f for f in report.findings if f.fault]
+    assert (finding.kind, finding.views) == ("scatter", ("cam2",)) and "cam2: the key points miss" in finding.text
+    assert not cured.late.any() and np.array_equal(cured.keypoints, points)
     strange = np.stack([np.roll(p, 7 * c, 0) for c, p in enumerate(points)])
     strange[:, :, :, 0] = np.where(strange[..., 2] > 0, 500 - strange[..., 0], 0)  # every view shows something else
     found = [f for f in examine(replace(o, keypoints=strange)).findings if f.fault]
@@ -136,6 +137,14 @@ def test_a_camera_that_stands_elsewhere_is_not_called_late():
     masks = [replace(s, rig=turned(s.rig)) for s in base.silhouettes]
     found = examine(replace(base, rig=turned(base.rig), silhouettes=masks)).findings
     assert [(f.kind, f.views) for f in found] == [("extrinsics", ("cam2",))]
+
+
+@pytest.mark.parametrize(("late", "told"), [(8, "8.1 frames late"), (20, "or more: the clip is too short")])
+def test_a_late_camera_that_sees_a_straight_walk_is_not_called_off(monkeypatch, late, told):
+    # somebody who walks straight on looks through it as through one that stands elsewhere
+    monkeypatch.setattr(planted_faults, "_LEAD", 30)
+    (finding,) = examine(healthy(14, late=(0, late, 0), keypoints=False).observed).findings
+    assert (finding.kind, finding.views) == ("late", ("cam2",)) and told in finding.text
 
 
 def test_masks_that_do_not_show_one_person_accuse_no_camera():

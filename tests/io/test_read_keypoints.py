@@ -351,6 +351,17 @@ def test_two_models_are_refused(tmp_path):
         read_keypoints(a[0])
 
 
+@pytest.mark.parametrize("name", ["humaneva-4", "ring-3", "ring-4"])
+def test_mirrored_pictures_are_told_where_cameras_stand_evenly(name):
+    # such cameras, two of them exchanged, fit mirrored points nearly as well
+    cameras = rig(name)
+    points = detections("BODY_25", cameras, FRAMES)
+    width = cameras.sizes[:, 0, None, None]
+    points[..., 0] = np.where(points[..., 2] > 0, width - 1 - points[..., 0], 0)
+    people = [[view[t][None] for t in range(FRAMES)] for view in points]
+    assert "mirrored" in str(misread(people, keypoint_names("BODY_25"), cameras))
+
+
 @pytest.mark.parametrize(("a", "b"), [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)])
 @pytest.mark.parametrize("kind", ["BODY_25", "COCO_17"])
 def test_of_exchanged_cameras_the_points_are_not_accused(kind, a, b):

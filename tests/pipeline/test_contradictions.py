@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hypose.pipeline.contradictions import LOOK_APART_M, MORE_M2, WRONG_APART_M, against_the_clip
+from hypose.pipeline.contradictions import LOOK_APART_M, LOOK_MORE_M2, WRONG_APART_M, against_the_clip
 from hypose.tracking.audit import AUDITED
 from hypose.tracking.fitted_spread import apart_factors
 
@@ -22,7 +22,7 @@ def said(what, views=4):
 
 
 def test_nothing_is_said_of_a_clip_that_is_right():
-    assert said(audit(0.7 * LOOK_APART_M, 4 * 0.7 * MORE_M2)) == ((), ())
+    assert said(audit(0.7 * LOOK_APART_M, 4 * 0.7 * LOOK_MORE_M2)) == ((), ())
     assert said(np.full((FRAMES, JOINTS, len(AUDITED)), np.nan)) == ((), ())
 
 
@@ -35,13 +35,13 @@ def test_views_that_contradict_each_other_are_told():
 
 @pytest.mark.parametrize("views", [3, 8])
 def test_masks_that_show_more_than_the_body_are_told_whatever_the_number_of_views(views):
-    assert said(audit(bare=0.7 * views * MORE_M2), views) == ((), ())
-    wrong, look = said(audit(bare=1.5 * views * MORE_M2), views)
+    assert said(audit(bare=0.7 * views * LOOK_MORE_M2), views) == ((), ())
+    wrong, look = said(audit(bare=1.5 * views * LOOK_MORE_M2), views)
     assert not wrong and "chair" in look[0]
 
 
 def test_views_apart_and_masks_that_show_more_are_together_not_to_be_trusted():
-    wrong, look = said(audit(1.1 * LOOK_APART_M, 1.5 * 4 * MORE_M2))
+    wrong, look = said(audit(1.1 * LOOK_APART_M, 1.5 * 4 * LOOK_MORE_M2))
     assert not look and "contradict" in wrong[0] and "chair" in wrong[1]
 
 

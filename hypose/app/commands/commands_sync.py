@@ -122,7 +122,7 @@ def _by_motion(
     reach = offsets_within(largest, total)
     if at_the_end(found, reach):
         what = "a larger --largest" if reach >= largest - 0.5 else "more frames, and a larger --largest"
-        words = [f"{w}; views are {reach:.1f} frames apart or more: give {what}" for w in words]
+        words[0] += f"; views are {reach:.1f} frames apart or more: give {what}"
     return [float(x) for x in found.frames], words
 
 
