@@ -408,7 +408,7 @@ def warm_up(*parts: str, load: bool = True) -> float:
     from hypose.compute.warming import warm
 
     began = time.perf_counter()
-    warm(sys.modules[__name__], parts or ("solver", "scorer", "outlines", "pictures"), load)
+    warm(sys.modules[__name__], parts or ("solver", "scorer", "outlines", "shape", "pictures"), load)
     return time.perf_counter() - began
 
 

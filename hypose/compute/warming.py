@@ -93,7 +93,10 @@ def _outlines(compute: Any) -> None:
     picture_to_mask.warm_up_masks()
     uv, z, part = mesh.vertices[:, :2], mesh.vertices[:, 2], np.zeros(len(mesh.faces), np.uint16)
     parts_against_mask(mask[0], uv, z, mesh.faces, part, 1, uv, z)
-    outline_rows.warm_up(mesh)
+
+
+def _shape(compute: Any) -> None:
+    outline_rows.warm_up(_toy()[1])
 
 
 def _evidence(compute: Any) -> tuple[np.ndarray, tuple[Any, ...], Any]:
@@ -125,13 +128,15 @@ PARTS: dict[str, Callable[[Any], None]] = {
     "solver": _solver,
     "scorer": _scorer,
     "outlines": _outlines,
+    "shape": _shape,
     "pictures": _pictures,
     "monocular": _monocular,
 }
 """By name; solver: poses from contours, key points, points and depth; scorer: silhouettes of many poses; outlines: what
-is followed of masks, a body's parts and outline against them; pictures: masks from pictures; monocular: one camera."""
+is followed of masks, and a body's parts against them; shape: what a body is fitted to outlines with; pictures: masks
+from pictures; monocular: one camera."""
 
-_COST = {"solver": 30, "scorer": 24, "outlines": 11, "pictures": 8, "monocular": 30}
+_COST = {"solver": 30, "scorer": 24, "outlines": 7, "shape": 4, "pictures": 8, "monocular": 30}
 """Compiling them, in any unit."""
 
 

@@ -158,7 +158,8 @@ def _kernels(recording: Recording, options: TrackOptions) -> tuple[str, ...]:
         return ("solver", "scorer", "outlines", "pictures", "monocular")
     if options.looks_at == "keypoints":
         return ("solver",)
-    masks = ("solver", "scorer", "outlines")
+    # a body that is given is not fitted to outlines
+    masks = ("solver", "scorer", "outlines", *(() if options.subject else ("shape",)))
     return masks if all(view.masks is not None for view in recording.views) else (*masks, "pictures")
 
 
