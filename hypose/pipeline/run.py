@@ -216,6 +216,7 @@ def track_source(
         wrong, looks = against_the_clip(audit, motion.n_views, evidence_of(audit))
         said = {"faults": (*faults, *wrong), "looks": (*noticed, *looks), "beside": _who_else(source)}
         return _written(replace(result, one_by_one=solved.one_by_one, audit=audit, **said), results)
+    others = _who_else(source)
     if method is None and not options.of_picture:
         source, subject = with_named_sides(source, frame_rate, subject, sure_start=options.sure_start)
     before = tracked_before(results.checkpoint, key, total) if resume and results is not None else None
@@ -244,7 +245,7 @@ def track_source(
             of_height = of_measured(subject.body.stature)
             faults, noticed = (*faults, *sentences(of_height)), (*noticed, *sentences(of_height, fault=False))
         found = finish(source, subject, tracker, done, options, results, record, report, faults, noticed)
-        return replace(found, places=places)
+        return replace(found, places=places, beside=others)
     except KeyboardInterrupt:
         return _written(_tracked(subject, done.estimates, frame_rate, record), results)
 
@@ -327,7 +328,7 @@ def finish(
     depth = source.frame(0).depth is not None
     motion = _doubted(motion, subject, own, audit, covariance, "depth" if depth else None)
     wrong, looks = against_the_clip(audit, motion.n_views, evidence_of(audit))
-    said = (*faults, *wrong), (*noticed, *looks), _who_else(source)
+    said = (*faults, *wrong), (*noticed, *looks)
     out = TrackResult(motion, subject.body, done.complete, notes, None, own, audit, *said)
     return _written(out, results)
 
