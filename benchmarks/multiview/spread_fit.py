@@ -19,7 +19,13 @@ from hypose.geometry import Array
 from hypose.synthetic.metrics import EVALUATED
 from hypose.tracking.audit import views_apart
 from hypose.tracking.doubt import as_mixture, judged
-from hypose.tracking.fitted_spread import apart_factors, beyond_usual, fitted, kind_of, with_fitted_joints
+from hypose.tracking.fitted_spread import (
+    apart_factors,
+    beyond_usual,
+    kind_of,
+    with_angle_variance,
+    with_fitted_joints,
+)
 from hypose.tracking.pose_covariance import joint_group
 from hypose.tracking.refinement import LUMBAR_SD
 
@@ -163,10 +169,7 @@ def as_told(c: Tracked) -> Motion:
     beyond = beyond_usual(c.audit, c.evidence)
     m = with_fitted_joints(replace(c.motion, p_wrong=p, doubtful_joints=joints), c.evidence, beyond)
     if m.angle_sd is not None:
-        pairs = fitted()["angles"][c.evidence]
-        a, b = np.array([pairs.get(kind_of(n), (1.0, 0.0)) for n in ANGLE_NAMES]).T
-        floor = b**2 + (apart_factors(c.evidence)[2] * beyond) ** 2
-        m = replace(m, angle_sd=np.sqrt(a**2 * m.angle_sd.astype(np.float64) ** 2 + floor).astype(np.float32))
+        m = with_angle_variance(m, m.angle_sd.astype(np.float64) ** 2, c.evidence, beyond)
     return as_mixture(m)
 
 

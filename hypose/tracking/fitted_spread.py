@@ -92,9 +92,13 @@ def with_fitted_joints(motion: Motion, evidence: str, beyond: float = 0.0) -> Mo
 def with_fitted_angles(motion: Motion, covariance: Array, evidence: str, beyond: float = 0.0) -> Motion:
     """The motion with the sd of its angles, from the covariances (T, D, D) of its poses; beyond: as for joints."""
     assert motion.poses is not None
+    return with_angle_variance(motion, angle_variance(motion.skeleton, motion.poses, covariance), evidence, beyond)
+
+
+def with_angle_variance(motion: Motion, variance: Array, evidence: str, beyond: float = 0.0) -> Motion:
+    """The same from the variances (T, A) rad^2 that the curvature says."""
     own = fitted()["angles"][evidence]
     pairs = np.array([own.get(kind_of(n), (1.0, 0.0)) for n in ANGLE_NAMES])
-    variance = angle_variance(motion.skeleton, motion.poses, covariance)
     floor = pairs[:, 1] ** 2 + (apart_factors(evidence)[2] * beyond) ** 2
     return replace(motion, angle_sd=np.sqrt(pairs[:, 0] ** 2 * variance + floor).astype(np.float32))
 
