@@ -7,8 +7,10 @@ import multiprocessing
 import os
 import threading
 from collections.abc import Callable, Sequence
-from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
 from typing import Any, TypeVar
 
 import cv2
@@ -98,11 +100,16 @@ def offsets_of(kept: Sequence[KeptMasks], rig: CameraRig, rate: float) -> Array 
 
 class BackgroundWork:
     """One process, while there is something to do: it takes as much memory as all the rest. `body` and `offsets` return
-    at once, with a future."""
+    at once, with a future; None of work whose process was ended meanwhile, as systems do that are out of memory:
+    whoever is followed goes on being followed.
+
+    A thread and a pipe, not a pool of processes: in Python 3.11.2 the program never ends when a pool's process is ended
+    while it is being sent masks."""
 
     def __init__(self) -> None:
-        self._pool: ProcessPoolExecutor | None = None
-        self._going, self._changing = 0, threading.RLock()
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="background")
+        self._process: tuple[BaseProcess, Connection] | None = None
+        self._going, self._closed, self._changing = 0, False, threading.Lock()
 
     def body(
         self, kept: Sequence[KeptMasks], rig: CameraRig, rate: float, height: float | None, seed: int
@@ -114,51 +121,64 @@ class BackgroundWork:
         """See `offsets_of`."""
         return self._submit(offsets_of, list(kept), rig, rate)
 
-    def _submit(self, work: Callable[..., T], *arguments: Any) -> Future[T]:
-        with self._changing, deaf_to_ctrl_c():  # the first work starts the process
-            self._pool = self._pool or _one_process()
-            try:
-                future = self._pool.submit(work, *arguments)
-            except BrokenExecutor:  # it was ended: see `outcome`
-                self._pool = _one_process()
-                future = self._pool.submit(work, *arguments)
+    def close(self) -> None:
+        """End the process, whatever it does: a fit that nobody waits for takes seconds."""
+        with self._changing:
+            self._closed = True
+            if self._process is not None:
+                self._process[0].terminate()
+        self._thread.shutdown(wait=False)
+
+    def _submit(self, work: Callable[..., T | None], *arguments: Any) -> Future[T | None]:
+        with self._changing:
             self._going += 1
-            future.add_done_callback(self._done)
-            return future
+        future = self._thread.submit(self._elsewhere, work, *arguments)
+        future.add_done_callback(self._done)
+        return future
+
+    def _elsewhere(self, work: Callable[..., T | None], *arguments: Any) -> T | None:
+        with self._changing:
+            if self._closed:
+                return None
+            self._process = process, pipe = self._process or _begun()
+        try:
+            pipe.send((work, arguments))
+            found = pipe.recv()
+        except (EOFError, OSError):
+            self._end()
+            return None
+        if isinstance(found, Exception):
+            raise found
+        return found
 
     def _done(self, work: Future[Any]) -> None:
         with self._changing:
             self._going -= 1
-            if self._going == 0 and self._pool is not None:
-                self._pool.shutdown(wait=False)
-                self._pool = None
+            if self._going:
+                return
+        self._end()
 
-    def close(self) -> None:
-        """End the process, whatever it does."""
+    def _end(self) -> None:
+        """To be called where work is done, so that nobody uses the process."""
         with self._changing:
-            pool, self._pool = self._pool, None
-        if pool is None:
-            return
-        running = list((pool._processes or {}).values())  # a fit that nobody waits for takes seconds
-        pool.shutdown(wait=False, cancel_futures=True)
-        for process in running:
-            process.terminate()
+            ended, self._process = self._process, None
+        if ended is not None:
+            process, pipe = ended
+            pipe.close()  # with which it ends
+            process.join()
 
 
-def outcome(work: Future[T | None]) -> T | None:
-    """What was found; None where the process was ended meanwhile, as systems do that are out of memory: whoever is
-    followed goes on being followed."""
-    try:
-        return work.result()
-    except BrokenExecutor:
-        return None
+def _begun() -> tuple[BaseProcess, Connection]:
+    context = multiprocessing.get_context("spawn")
+    here, there = context.Pipe()
+    process = context.Process(target=_work, args=(there,), daemon=True)
+    with deaf_to_ctrl_c():
+        process.start()
+    there.close()  # so that who sends or waits hears of its end
+    return process, here
 
 
-def _one_process() -> ProcessPoolExecutor:
-    return ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), initializer=_begin)
-
-
-def _begin() -> None:
+def _work(pipe: Connection) -> None:
     belong_to_parent()
     os.environ["NUMBA_NUM_THREADS"] = "1"  # it has time, and whoever is followed needs the other cores
     cv2.setNumThreads(1)
@@ -166,3 +186,11 @@ def _begin() -> None:
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
     elif hasattr(os, "nice"):
         os.nice(15)
+    with contextlib.suppress(EOFError, OSError):  # nobody asks any more
+        while True:
+            work, arguments = pipe.recv()
+            try:
+                found = work(*arguments)
+            except Exception as error:  # told by whoever asked
+                found = error
+            pipe.send(found)

@@ -18,7 +18,7 @@ from hypose.body.motion import Motion
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array
-from hypose.pipeline.live.background_work import BackgroundWork, KeptMasks, outcome
+from hypose.pipeline.live.background_work import BackgroundWork, KeptMasks
 from hypose.pipeline.live.live_doubt import LiveDoubt
 from hypose.pipeline.live.live_search import GAP_S, SLOWLY_HZ, Found, LivePersonOptions, paced
 from hypose.tracking.costs import mean_overlap
@@ -221,7 +221,7 @@ class LivePerson:
         if self._work is None:
             return
         if self._sync is not None and self._sync.done() and self.offsets is None:
-            found = outcome(self._sync)
+            found = self._sync.result()
             self.offsets = np.zeros(len(self.rig)) if found is None else found
         wants_body, wants_sync = self.body is None and self._fit is None, self._sync_wanted and self._sync is None
         if not wants_body and not wants_sync:
@@ -248,7 +248,7 @@ class LivePerson:
         """Go on with the fitted body where it explains the frame as well as the one before."""
         if self._fit is None or not self._fit.done():
             return
-        body, self._fit = outcome(self._fit), None
+        body, self._fit = self._fit.result(), None
         if body is None or self.state.lost:
             return  # fitted again from what comes
         old, expected = self.tracker.body, self.expected(frame.time)

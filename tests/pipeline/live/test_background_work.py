@@ -12,7 +12,7 @@ import pytest
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes
-from hypose.pipeline.live.background_work import BackgroundWork, KeptMasks, fitted_body, offsets_of, outcome
+from hypose.pipeline.live.background_work import BackgroundWork, KeptMasks, fitted_body, offsets_of
 from hypose.synthetic.corruptions import Corruptions
 from hypose.synthetic.rigs import rig
 from hypose.synthetic.scenes import make_scene
@@ -76,10 +76,12 @@ def test_a_process_that_is_killed_costs_what_it_was_doing_and_no_more():
     work = BackgroundWork()
     try:
         under_way = work._submit(time.sleep, 60)
-        (number,) = work._pool._processes  # asked for by work of its own it could end before this begins
+        while work._process is None:
+            time.sleep(0.01)
+        number = work._process[0].pid
         os.kill(number, signal.SIGKILL)
-        assert outcome(under_way) is None
-        assert outcome(work._submit(os.getpid)) not in (None, number)
+        assert under_way.result() is None
+        assert work._submit(os.getpid).result() not in (None, number)
     finally:
         work.close()
 
@@ -98,5 +100,25 @@ def test_the_process_is_there_while_there_is_something_to_do():
             assert time.monotonic() < end
             time.sleep(0.05)
         assert work._submit(os.getpid).result() != number
+    finally:
+        work.close()
+
+
+def test_what_is_closed_while_the_process_is_sent_something_ends():
+    work = BackgroundWork()
+    large, next_one = work._submit(len, bytes(30_000_000)), work._submit(os.getpid)
+    while work._process is None:
+        time.sleep(0.01)
+    work.close()  # it is importing, and has read nothing
+    assert large.result(timeout=20) is None and next_one.result(timeout=20) is None
+    work._thread.shutdown(wait=True)
+
+
+def test_what_fails_there_fails_here():
+    work = BackgroundWork()
+    try:
+        with pytest.raises(ZeroDivisionError):
+            work._submit(divmod, 1, 0).result()
+        assert work._submit(divmod, 7, 2).result() == (3, 1)
     finally:
         work.close()
