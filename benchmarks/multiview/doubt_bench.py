@@ -47,7 +47,7 @@ from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.verdict import GOOD, UNTRUSTED, verdict_of
 from hypose.synthetic.metrics import EVALUATED
 from hypose.tracking.audit import audit_frame
-from hypose.tracking.doubt import WRONG_M, doubt_models, judged
+from hypose.tracking.doubt import WRONG_M, doubt_models, judged, worth_a_look
 from hypose.tracking.keypoint_evidence import keypoint_model
 from hypose.tracking.pose_covariance import joint_group
 
@@ -94,7 +94,7 @@ def _told(clips: Sequence[Tracked], judges: Sequence[Tracked]) -> list[Row]:
     sets = {"scenes": scenes, "scenes, usual": usual, "scenes, roughly right": [c for c in scenes if plain_enough(c)]}
     for name, own in sets.items():
         p, error = _told_of(own)
-        f = figures(p, error, doubt_models()["silhouettes"].threshold)
+        f = figures(p, error, doubt_models()["silhouettes"].threshold, "silhouettes")
         sd = np.concatenate([c.motion.joint_sd[:, EVALUATED] for c in own])
         n = error.size
         rows += [
@@ -145,7 +145,7 @@ def _words(judges: Sequence[Tracked]) -> list[Row]:
             continue
         name = "nothing wrong" if case.usual else "things in the masks" if case.thing else "wrong cameras"
         p, joints = judged(c.motion, c.body.joints(c.one_by_one), c.audit)
-        motion = replace(c.motion, p_wrong=p, doubtful_joints=joints, doubtful=joints.any(1))
+        motion = replace(c.motion, p_wrong=p, doubtful_joints=joints, doubtful=worth_a_look(p, joints, c.evidence))
         word = verdict_of(motion, *against_the_clip(c.audit, motion.n_views, c.evidence)).word
         families.setdefault(name, []).append(word != GOOD)
     return [Row("not_good", name, float(np.mean(some)), "1", n=len(some)) for name, some in families.items()]

@@ -21,7 +21,16 @@ from hypose.body.motion import Motion
 from hypose.body.ready_bodies import JOINT_NAMES
 from hypose.geometry import Array
 from hypose.synthetic.metrics import EVALUATED
-from hypose.tracking.doubt import FEATURES, GROUPS, WRONG_M, DoubtModel, clip_features, doubt_models, group_of
+from hypose.tracking.doubt import (
+    FEATURES,
+    GROUPS,
+    WRONG_M,
+    DoubtModel,
+    clip_features,
+    doubt_models,
+    group_of,
+    worth_a_look,
+)
 
 ASSET = Path(__file__).parents[2] / "hypose" / "assets" / "doubt.json"
 _GROUP = np.array([group_of(JOINT_NAMES[j]) for j in EVALUATED])
@@ -235,11 +244,11 @@ def ece(p: ArrayLike, wrong: ArrayLike, bins: int = 15) -> float:
     return float(sum(abs(y[at == b].mean() - p[at == b].mean()) * (at == b).mean() for b in np.unique(at)))
 
 
-def figures(p: Array, error: Array, threshold: Array) -> dict[str, float]:
-    """What P (N, J) says of errors (N, J) m at the committed thresholds (G,)."""
+def figures(p: Array, error: Array, threshold: Array, evidence: str) -> dict[str, float]:
+    """What P (N, J) says of errors (N, J) m at the committed thresholds (G,) of an evidence."""
     wrong, flagged = error > WRONG_M, p > threshold[_GROUP]
     arm, far = _ARMS, error > 0.15
-    frame_wrong, frame_flagged = wrong[:, arm].any(1), flagged.any(1)
+    frame_wrong, frame_flagged = wrong[:, arm].any(1), worth_a_look(p, flagged, evidence)
     good_frames = ~wrong.any(1)
 
     def share(of: ArrayLike, where: ArrayLike) -> float:
@@ -287,11 +296,11 @@ def report_fit(clips: Sequence[Tracked], write: bool = True) -> None:
         print(f"\n{evidence}: {len(train.x)} frames trained on, {len(judge.x)} judge", model.threshold.round(3))
         for name, some in (("trained on", train), ("other seeds", judge)):
             if len(some.x):
-                found = figures(model.probability(some.x, _GROUP), some.error, model.threshold)
+                found = figures(model.probability(some.x, _GROUP), some.error, model.threshold, evidence)
                 print(f"  {name}:", {k: round(v, 4) for k, v in found.items()})
         out = left_out(rows, evidence)
         rest = rows.seed >= JUDGES if (rows.seed >= JUDGES).any() else np.ones(len(out), bool)
-        found = figures(out[rest], rows.error[rest], model.threshold)
+        found = figures(out[rest], rows.error[rest], model.threshold, evidence)
         print("  motion left out:", {k: round(v, 4) for k, v in found.items()})
         for g, name in enumerate(GROUPS):
             order = np.argsort(-np.abs(model.weights[g]))[:9]

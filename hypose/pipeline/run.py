@@ -36,7 +36,7 @@ from hypose.pipeline.picture_start import picture_options, subject_in_picture
 from hypose.pipeline.pictures import depth_note, one_view
 from hypose.pipeline.track_loop import FrameSource, Keep, Progress, Tracked, track_frames, tracked_before
 from hypose.pipeline.verdict import Verdict, left_out, verdict_of
-from hypose.tracking.doubt import as_mixture, evidence_of, judged
+from hypose.tracking.doubt import as_mixture, evidence_of, judged, worth_a_look
 from hypose.tracking.fitted_spread import beyond_usual, pose_covariance, with_fitted_angles, with_fitted_joints
 from hypose.tracking.frame_evidence import OwnEvidence
 from hypose.tracking.pose_covariance import unpacked
@@ -355,7 +355,8 @@ def _doubted(
     p, joints = judged(motion, subject.body.joints(one_by_one), audit, subject.unsure, known)
     beyond = beyond_usual(audit, evidence)
     motion = with_fitted_angles(with_fitted_joints(motion, evidence, beyond), covariance, evidence, beyond)
-    frames = joints.any(1) if motion.doubtful is None else motion.doubtful | joints.any(1)
+    look = worth_a_look(p, joints, evidence)
+    frames = look if motion.doubtful is None else motion.doubtful | look
     told = replace(motion, p_wrong=p, doubtful_joints=joints, doubtful=frames)
     return told if evidence == "depth" else as_mixture(told)  # regions of depth hold what is elsewhere, too
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hypose.body.motion import Motion
 from hypose.pipeline.doubts import in_words, runs
-from hypose.tracking.doubt import AROUND_S
+from hypose.tracking.doubt import AROUND_S, LOOK_P
 
 GOOD, LOOK, UNTRUSTED = "good", "look", "not to be trusted"
 EXIT_UNTRUSTED = 3
@@ -24,14 +24,12 @@ rest does not know what to believe of it."""
 LIMB_S = 2 * AROUND_S
 """s that a limb must be doubtful for it: a joint is judged by what is nearby in time, so that a few bad frames make
 all of a shorter clip doubtful; they are worth a look"""
-LIMB_P, LOOK_P = 0.35, 0.25
-"""How likely it must be wrong in those frames, in the mean; and how many joints must be wrong to be expected in a frame
-of a doubtful stretch for it to be worth a look: joints are doubtful long before they are likely wrong, so that little
-is missed. On scenes (seeds 600 to 617) joints doubtful in half of the frames had .14 to .31 where the clip was never
-wrong, .19 to .40 where it was for some frames, and .28 to .91 where a limb was wrong all along; of 98 clips without a
-wrong joint eleven are worth a look by this, and 23 were by the length of the stretch alone. Where something else makes
-the whole clip worth a look, to be doubtful in half of the frames is enough: that is so in no usual clip of these seeds,
-and in three others, whose joints are off by 34 to 70 mm."""
+LIMB_P = 0.35
+"""How likely it must be wrong in those frames, in the mean: joints are doubtful long before they are likely wrong. On
+scenes (seeds 600 to 617) joints doubtful in half of the frames had .14 to .31 where the clip was never wrong, .19 to
+.40 where it was for some frames, and .28 to .91 where a limb was wrong all along. Where something else makes the whole
+clip worth a look, to be doubtful in half of the frames is enough: that is so in no usual clip of these seeds, and in
+three others, whose joints are off by 34 to 70 mm."""
 _ALONE = ("neck", "head")
 """joints on which no other depends: key points without a head leave the rest to be looked at"""
 LOST_SHARE = 0.3

@@ -10,6 +10,7 @@ from hypose.body.motion import Motion, isotropic
 from hypose.body.ready_bodies import human
 from hypose.tracking.audit import AUDITED
 from hypose.tracking.doubt import (
+    AROUND_S,
     ELSEWHERE_M,
     FEATURES,
     GROUPS,
@@ -20,6 +21,7 @@ from hypose.tracking.doubt import (
     group_of,
     judged,
     without_mixture,
+    worth_a_look,
 )
 
 NAMES = human().skeleton.joint_names
@@ -80,7 +82,13 @@ def test_what_one_view_alone_shows_is_doubted_unless_a_second_one_is_near_in_tim
     p, doubtful = judged(motion, joints, audit)
     assert doubtful[:, ankle].all() and p[:, ankle].min() >= 0.4 - 1e-6
     assert not np.delete(doubtful, ankle, 1).any()
-    audit[::6, ankle, views] = 2  # a limb is where it was a tenth of a second ago
+    audit[::6, ankle, views] = 2
+    p, doubtful = judged(motion, joints, audit)
+    assert doubtful[:, ankle].all() and np.allclose(p[:, ankle], 0.3)  # one of the two may have guessed it
+    cut = audit.copy()
+    cut[..., views] = np.minimum(cut[..., views], 2)  # two cameras see nobody's limbs more than twice
+    assert not judged(motion, joints, cut)[1].any()
+    audit[::6, ankle, views] = 3  # a limb is where it was a tenth of a second ago
     assert not judged(motion, joints, audit)[1].any()
     both = clip(points=True)
     both[2][:, ankle, views] = 1
@@ -142,6 +150,31 @@ def test_legs_that_masks_alone_cross_are_doubted():
     assert not usual[1].any() and not doubtful[:, others].any()
     by_depth, _ = judged(replace(motion, joints=crossed), crossed, audit, known="depth")
     assert (by_depth[:, below] < 0.45).all()  # which leg is which, depth shows
+
+
+@pytest.mark.parametrize(("masks", "points"), [(True, False), (False, True), (True, True)])
+def test_who_is_turned_as_far_as_a_trunk_goes_has_limbs_on_the_wrong_side(masks, points):
+    motion, joints, audit = clip(points=points, masks=masks)
+    assert motion.poses is not None
+    turn = motion.skeleton.dof_names.index("spine_rz")
+    limbs = np.array([n.startswith(("left_", "right_")) for n in NAMES])
+    poses = motion.poses.copy()
+    poses[4:6, turn] = -motion.skeleton.upper[turn]
+    p, doubtful = judged(replace(motion, poses=poses), joints, audit)
+    near = slice(0, 6 + int(AROUND_S * 25))
+    assert (p[near][:, limbs] >= 0.5).all() and doubtful[near][:, limbs].all()
+    assert not doubtful[:, ~limbs].any() and not doubtful[-8:].any()
+    poses[4:6, turn] = np.radians(40)  # as a boxer may
+    assert not judged(replace(motion, poses=poses), joints, audit)[1].any()
+
+
+def test_a_frame_is_worth_a_look_where_wrong_joints_are_to_be_expected():
+    p = np.full((4, len(NAMES)), 0.02, np.float32)
+    joints = np.zeros(p.shape, bool)
+    p[1, :3], p[2, 0], p[3, 0] = 0.1, 0.3, 0.1
+    joints[1, :3] = joints[2, 0] = joints[3, 0] = True
+    assert worth_a_look(p, joints, "silhouettes").tolist() == [False, True, True, False]
+    assert worth_a_look(p, joints, "both").tolist() == [False, True, True, True]
 
 
 def test_who_is_lost_is_not_believed():
