@@ -5,11 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hypose.calibration.doctor_findings import Finding, Limits
 from hypose.calibration.doctor_points import undistorted
 from hypose.calibration.in_step import point_sd
-from hypose.calibration.sync_motion import Curves, farther, keypoint_curves, solve_widely
+from hypose.calibration.sync_motion import (
+    Curves,
+    farther,
+    keypoint_curves,
+    offsets_within,
+    solve_offsets,
+    solve_widely,
+)
 from hypose.cameras.camera import CameraRig
 from hypose.errors import EvidenceError
 from hypose.geometry import Array
@@ -36,10 +44,38 @@ def late_views(rig: CameraRig, pixels: Array, o: Limits) -> tuple[Array, Array]:
         return late, sd
     if offsets.gain < o.late_gain:
         return late, sd
-    found = offsets.frames - (offsets.frames[0] if n == 2 else 0.0)
+    found = _by_first_of_two(offsets.frames)
     certain = (np.abs(found) >= o.late) & (np.abs(found) >= o.late_sd * offsets.sd)
+    if certain.any():
+        certain &= ~_contradicted(rig, uv, confidence, scatter, found, o)
     later = certain & farther(offsets, found, reach)
     return np.where(certain, found, 0.0), np.where(later, np.inf, offsets.sd)
+
+
+def _contradicted(
+    rig: CameraRig, uv: Array, confidence: Array, scatter: float, found: Array, o: Limits
+) -> NDArray[np.bool_]:
+    """(C,) views that one half of the clip, where it tells, puts elsewhere than the whole, found (C,) frames late. Who
+    stands and waves moves few points, whose errors last and look like motion that comes late; they are others in the
+    other half."""
+    out, half = np.zeros(len(rig), np.bool_), uv.shape[1] // 2
+    if half < _LEAST_FRAMES:
+        return out
+    for part in (slice(None, half), slice(half, None)):
+        curves = keypoint_curves(rig, uv[:, part], confidence[:, part], o.largest_lag, scatter, step=0.5)
+        try:
+            offsets = solve_offsets(curves, len(rig))
+        except EvidenceError:
+            continue
+        size = np.abs(found)
+        away = np.abs(_by_first_of_two(offsets.frames) - found)
+        out |= (offsets.sd < size / 3) & (away > np.maximum(size / 2, 0.5))
+    return out & (np.abs(found) < offsets_within(o.largest_lag, half) - 1)
+
+
+def _by_first_of_two(frames: Array) -> Array:
+    """(C,) frames by which views are late; of two views, against the first one."""
+    return frames - (frames[0] if len(frames) == 2 else 0.0)
 
 
 def timing_findings(rig: CameraRig, late: Array, sd: Array, fault: bool = True) -> Iterator[Finding]:
