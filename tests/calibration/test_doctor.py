@@ -187,6 +187,15 @@ def test_a_camera_that_is_later_than_is_looked_for_is_looked_for_farther(walk):
     assert "or more" in told.text and "more frames" in told.cure
 
 
+def test_who_stands_and_waves_tells_of_no_late_camera_what_half_of_the_clip_denies(walk):
+    o = healthy(940).observed  # before six cameras: 1.7 and 4.7 frames by the whole clip
+    assert not late_views(o.rig, o.keypoints, Limits())[0].any()
+    points = walk.observed.keypoints.copy()
+    points[1, 2:], points[1, :2] = walk.observed.keypoints[1, :-2], 0
+    found, _ = late_views(walk.observed.rig, points, Limits())
+    assert found[1] == pytest.approx(2, abs=0.4) and np.count_nonzero(found) == 1
+
+
 def test_the_known_height_shows_a_wrong_scale(walk):
     assert not examine(walk.observed).findings
     found = examine(replace(walk.observed, height=1.3)).findings
