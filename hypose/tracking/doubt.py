@@ -264,9 +264,10 @@ def worth_a_look(p: ArrayLike, joints: NDArray[np.bool_], evidence: str) -> NDAr
     """(T,) the doubtful frames, of how likely joints are wrong (T, J) and which are doubtful (T, J): those with a
     doubtful joint; from masks alone, in which many joints are a little doubtful, those with LOOK_P wrong ones to be
     expected among them."""
+    any_joint = np.asarray(joints.any(1), dtype=np.bool_)
     if evidence != "silhouettes":
-        return joints.any(1)
-    return joints.any(1) & (np.where(joints, p, 0.0).sum(1) >= LOOK_P)
+        return any_joint
+    return np.asarray(any_joint & (np.where(joints, p, 0.0).sum(1) >= LOOK_P), dtype=np.bool_)
 
 
 LOOK_P = 0.25
@@ -378,7 +379,8 @@ def _by_twisted_trunk(motion: Motion) -> Array:
     if motion.poses is None or "spine_rz" not in s.dof_names:
         return np.zeros((len(motion), len(limbs)))
     twisted = np.abs(motion.poses[:, s.dof_names.index("spine_rz")]) >= TWISTED_RAD
-    return TWISTED_P * (_away(twisted[:, None], motion.frame_rate) <= AROUND_S) * limbs
+    near = _away(twisted[:, None], motion.frame_rate) <= AROUND_S
+    return np.where(near & limbs, TWISTED_P, 0.0)
 
 
 CROSSED_P, CROSSED_M = 0.5, (0.05, 0.12)
