@@ -20,7 +20,7 @@ from hypose.evidence.frame import Frame, Keypoints
 from hypose.fitting import SolveSettings, fit_pose
 from hypose.geometry import Array
 from hypose.tracking.frame_evidence import prepare
-from hypose.tracking.keypoint_evidence import KeypointModel
+from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, KeypointModel
 from hypose.tracking.keypoint_offsets import Residuals, residual_rows, solved_frames, triangulated_starts
 from hypose.tracking.refinement import anatomical_prior
 
@@ -35,8 +35,8 @@ LEAST = 0.03
 """Share of their weight that points keep beside masks that are right."""
 CLEARLY = 2.0
 """So many times further from the outlines' solve than in half of the views are points that are wrong in a view."""
-FRAMES = 8
-"""frames in which the two are compared"""
+FRAMES, _SPARSE, _MOST = 8, 0.5, 3
+"""frames in which the two are compared, and so many times more, at most, where fewer points than this share are seen"""
 _PARTS = (("elbow", "wrist"), ("knee", "ankle", "toe", "heel"), ("shoulder", "hip", "neck"), ("",))
 _LEAST_FRAMES, _LEAST_ROWS, _LEAST_LEFT = 3, 8, 0.2
 _SOLVE = SolveSettings(iterations=12, coarse_iterations=4)
@@ -50,14 +50,15 @@ def weighed_beside_masks(body: Body, model: KeypointModel, frames: Sequence[Fram
     takes up a part of it; away (C,): about the body that is solved for by the outlines. What is more of it in
     most views is the outlines' fault, what is clearly more of it in others is that of the points there."""
     both = [f for f in frames if f.keypoints is not None and f.silhouettes is not None]
-    both = [both[int(n)] for n in np.unique(np.linspace(0, len(both) - 1, min(FRAMES, len(both))).astype(int))]
+    count = min(FRAMES * _times(model, both), len(both))
+    both = [both[int(n)] for n in np.unique(np.linspace(0, len(both) - 1, count).astype(int))]
     seen, by_points, by_masks = _solved_either_way(body, model, both)
     if len(seen) < _LEAST_FRAMES:
         return model
     own, other = (residual_rows(body, model, seen, poses) for poses in (by_points, by_masks))
     rows = 2 * np.median((own.confidence[:, :, model.known] > 0).sum((1, 2)))
     left = max(1 - body.skeleton.dof / max(float(rows), 1.0), _LEAST_LEFT)
-    usual, beside = np.nanmedian(_scatter(own, model.known)), np.ones((len(seen[0].rig), len(model.names)))
+    usual, beside = np.nanmedian(_scatter(own, model.known)), np.full((len(seen[0].rig), len(model.names)), np.nan)
     for members in _parts(model.names):
         told = members & model.known
         scatter, away = _scatter(own, told), _scatter(other, told) ** 2
@@ -70,7 +71,17 @@ def weighed_beside_masks(body: Body, model: KeypointModel, frames: Sequence[Fram
         wrong = max(float(np.median(away[alike])) - noise, 0.0)
         theirs = np.where(tell & ~alike, np.fmax(away - wrong, noise), noise)
         beside[:, members] = (((OUTLINES_M**2 + wrong) / theirs) ** STEEP)[:, None]
+    known = np.isfinite(beside).any(0)
+    # limbs of which too little is seen to tell are no better known than the others
+    beside[:, ~known] = np.median(beside[:, known], axis=1, keepdims=True) if known.any() else 1.0
     return replace(model, beside=np.clip(beside, LEAST, 1.0))
+
+
+def _times(model: KeypointModel, frames: Sequence[Frame]) -> int:
+    """How many times as many frames are compared for so few points."""
+    seen = [np.nan_to_num(f.keypoints.points[:, model.known, 2]) > MIN_CONFIDENCE for f in frames if f.keypoints]
+    share = float(np.mean([s.mean() for s in seen])) if seen else 1.0
+    return int(np.clip(np.ceil(_SPARSE / max(share, 1e-3)), 1, _MOST))
 
 
 def _solved_either_way(

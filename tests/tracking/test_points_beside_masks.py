@@ -63,6 +63,18 @@ def test_points_weigh_in_full_beside_masks_that_are_elsewhere(clip, model):
     assert np.median(right) < 0.6 and np.median(wrong) == 1 and (wrong > right).mean() > 0.9
 
 
+def test_limbs_that_are_hardly_seen_weigh_as_the_others_do(clip, model):
+    frames, body = clip
+    arms = np.array([n.endswith(("elbow", "wrist")) for n in BODY_25])
+    points = [f.keypoints.points.copy() for f in frames]
+    for p in points[1:]:
+        p[:, arms] = 0.0
+    seldom = [replace(f, keypoints=replace(f.keypoints, points=p)) for f, p in zip(frames, points, strict=True)]
+    beside = weighed_beside_masks(body, model, seldom).beside
+    others = np.unique(beside[:, model.known & ~arms], axis=1)
+    assert (beside[:, arms] < 0.5).all() and (beside[:, arms] >= others.min(1, keepdims=True)).all()
+
+
 def test_without_masks_nothing_is_measured(clip, model):
     frames, body = clip
     assert weighed_beside_masks(body, model, [replace(f, silhouettes=None) for f in frames]) is model
