@@ -47,7 +47,7 @@ from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.verdict import GOOD, UNTRUSTED, verdict_of
 from hypose.synthetic.metrics import EVALUATED
 from hypose.tracking.audit import audit_frame
-from hypose.tracking.doubt import WRONG_M, doubt_models, judged, worth_a_look
+from hypose.tracking.doubt import WRONG_M, doubt_models, worth_a_look
 from hypose.tracking.keypoint_evidence import keypoint_model
 from hypose.tracking.pose_covariance import joint_group
 
@@ -129,7 +129,7 @@ def _told(clips: Sequence[Tracked], judges: Sequence[Tracked]) -> list[Row]:
 
 def _told_of(clips: Sequence[Tracked]) -> tuple[Array, Array]:
     """(N, J) how likely joints are wrong, as a user is told, and m by which they are off."""
-    p = [judged(c.motion, c.body.joints(c.one_by_one), c.audit)[0][:, EVALUATED] for c in clips]
+    p = [c.judged()[0][:, EVALUATED] for c in clips]
     return np.concatenate(p).astype(np.float64), np.concatenate([c.error[:, EVALUATED] for c in clips])
 
 
@@ -144,7 +144,7 @@ def _words(judges: Sequence[Tracked]) -> list[Row]:
         if case.usual and float((c.error > WRONG_M).mean(0).max()) > _WRONG_FRAMES:
             continue
         name = "nothing wrong" if case.usual else "things in the masks" if case.thing else "wrong cameras"
-        p, joints = judged(c.motion, c.body.joints(c.one_by_one), c.audit)
+        p, joints = c.judged()
         motion = replace(c.motion, p_wrong=p, doubtful_joints=joints, doubtful=worth_a_look(p, joints, c.evidence))
         word = verdict_of(motion, *against_the_clip(c.audit, motion.n_views, c.evidence)).word
         families.setdefault(name, []).append(word != GOOD)

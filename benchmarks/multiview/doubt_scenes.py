@@ -35,7 +35,7 @@ from hypose.synthetic.retarget import retarget
 from hypose.synthetic.scenes import Scene, make_scene
 from hypose.synthetic.simulated_keypoints import keypoint_detections
 from hypose.synthetic.spoilt_keypoints import SPOILS, moved_camera, spoilt
-from hypose.tracking.doubt import without_mixture
+from hypose.tracking.doubt import judged, without_mixture
 from hypose.tracking.fitted_spread import as_curved, beyond_usual
 
 
@@ -121,7 +121,7 @@ DATA = Path(__file__).parents[3] / "shared" / "data"
 class Tracked:
     """One scene tracked from one evidence. error (T, 19) m of the final joints, error_raw as tracked frame by frame;
     motion: with the covariances that the curvature says, see `spread_fit.as_told`; away (T, 19, 3) m from the estimate
-    to the truth; angles (T, A) rad, estimate less truth;
+    to the truth; angles (T, A) rad, estimate less truth; unsure (J,): what the start left open;
     kind: 'plain', or what was spoilt. With key points and cameras that are not where they are said to be, errors are
     those that a rigid motion of the clip leaves: such cameras have another world, in which the pose may be right."""
 
@@ -137,6 +137,11 @@ class Tracked:
     error_raw: Array
     away: Array
     angles: Array | None = None
+    unsure: Array | None = None
+
+    def judged(self) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        """(T, J) how likely joints are wrong, and which are doubtful, as a user is told."""
+        return judged(self.motion, self.body.joints(self.one_by_one), self.audit, self.unsure)
 
 
 def cases_of(seed: int) -> list[str]:
@@ -294,8 +299,8 @@ def tracked(name: str, scene: Scene, frames: Sequence[Frame], seed: int, evidenc
     error = np.linalg.norm(joints - truth, axis=-1)
     off = angles_of(m) - true_angles(scene)[: len(m)]
     off = (off + np.pi) % (2 * np.pi) - np.pi
-    audit, own_poses = result.audit, result.one_by_one
-    return Tracked(name, seed, evidence, kind, m, result.body, audit, own_poses, error, error_raw, truth - joints, off)
+    given = name, seed, evidence, kind, m, result.body, result.audit, result.one_by_one
+    return Tracked(*given, error, error_raw, truth - joints, off, result.unsure)
 
 
 def moves_the_world(case: Case) -> bool:

@@ -18,7 +18,7 @@ from hypose.body.ready_bodies import JOINT_NAMES
 from hypose.geometry import Array
 from hypose.synthetic.metrics import EVALUATED
 from hypose.tracking.audit import views_apart
-from hypose.tracking.doubt import as_mixture, judged
+from hypose.tracking.doubt import as_mixture
 from hypose.tracking.fitted_spread import (
     apart_factors,
     beyond_usual,
@@ -165,7 +165,7 @@ def _apart(clips: Sequence[Tracked], usual: float, joints: Pairs, angles: Pairs)
 
 def as_told(c: Tracked) -> Motion:
     """The clip's motion with the covariances, and the sd of its angles, that a user is told."""
-    p, joints = judged(c.motion, c.body.joints(c.one_by_one), c.audit)
+    p, joints = c.judged()
     beyond = beyond_usual(c.audit, c.evidence)
     m = with_fitted_joints(replace(c.motion, p_wrong=p, doubtful_joints=joints), c.evidence, beyond)
     if m.angle_sd is not None:

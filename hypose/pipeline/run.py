@@ -137,7 +137,8 @@ class TrackResult:
     frame allows, where the recipe tells them. one_by_one (T, D): the poses as each frame was tracked, audit (T, J, A):
     what spoke for and against each joint (hypose.tracking.audit), None where that was not kept; faults: sentences on
     what was found wrong before tracking, or with the clip as a whole; looks: on what makes the whole clip worth a look;
-    beside: on who else is there; places: of depth cameras that stand elsewhere than the source says."""
+    beside: on who else is there; places: of depth cameras that stand elsewhere than the source says; unsure (J,): as of
+    a `Subject`."""
 
     motion: Motion
     body: Body
@@ -150,6 +151,7 @@ class TrackResult:
     looks: tuple[str, ...] = ()
     beside: tuple[str, ...] = ()
     places: tuple[Places, ...] = ()
+    unsure: Array | None = None
 
     @property
     def verdict(self) -> Verdict:
@@ -329,7 +331,7 @@ def finish(
     motion = _doubted(motion, subject, own, audit, covariance, "depth" if depth else None)
     wrong, looks = against_the_clip(audit, motion.n_views, evidence_of(audit))
     said = (*faults, *wrong), (*noticed, *looks)
-    out = TrackResult(motion, subject.body, done.complete, notes, None, own, audit, *said)
+    out = TrackResult(motion, subject.body, done.complete, notes, None, own, audit, *said, unsure=subject.unsure)
     return _written(out, results)
 
 
