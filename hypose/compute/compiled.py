@@ -30,6 +30,7 @@ os.environ.setdefault("NUMBA_DISABLE_INTEL_SVML", "1")
 
 import llvmlite  # noqa: E402
 import numba  # noqa: E402
+from llvmlite.binding import Linkage  # noqa: E402
 from numba.core.caching import NullCache  # noqa: E402
 from numba.core.codegen import JITCodeLibrary  # noqa: E402
 from numba.core.compiler import Compiler, CompileResult  # noqa: E402
@@ -38,6 +39,8 @@ from numba.core.runtime.nrt import rtsys  # noqa: E402
 from numba.core.serialize import dumps  # noqa: E402
 from numba.core.sigutils import normalize_signature  # noqa: E402
 from numba.core.types import unliteral  # noqa: E402
+
+from hypose.compute.lean_numba import lean, passes  # noqa: E402
 
 _MAGIC = b"hypose kernel 1\n"
 _DIGEST = 32
@@ -57,7 +60,7 @@ def kernel(function: Callable[..., Any] | None = None, *, inline: bool = False) 
     options: dict[str, Any] = dict(nogil=True, boundscheck=False, error_model="numpy", no_cfunc_wrapper=True)
     options["inline"] = "always" if inline else "never"
     compiled = numba.njit(**options, pipeline_class=_Compiler)(function)
-    inner = numba.njit(**options, no_cpython_wrapper=True)(function)
+    inner = numba.njit(**options, no_cpython_wrapper=True, pipeline_class=_InnerCompiler)(function)
     compiled._cache = KernelCache(function)
     ask = compiled.get_call_template
 
@@ -86,6 +89,11 @@ class _Code(JITCodeLibrary):
         passes, builder = self._codegen._module_pass_manager()
         passes.run(self._final_module, builder)
 
+    def finalize(self) -> None:
+        """Take in all that is called, directly or not, each once; numba would copy it into each of its callers."""
+        self._linking_libraries = _callers_first(self)
+        super().finalize()
+
 
 class _InnerCode(_Code):
     """What kernels take into their own code: no machine code is made of it, in which numba could set anything."""
@@ -97,15 +105,42 @@ class _InnerCode(_Code):
     def set_env(self, env_name: str, env: Any) -> None:
         pass
 
-    def _optimize_final_module(self) -> None:
-        pass
-
-    def _finalize_final_module(self) -> None:
+    def finalize(self) -> None:
+        """Nothing is taken in here: kernels take what this calls, too."""
+        for function in self._final_module.functions:
+            if not function.is_declaration and function.linkage == Linkage.external:
+                function.linkage = "linkonce_odr"
         self._finalize_dynamic_globals()
         self._finalized = True
 
+    def _get_module_for_linking(self) -> Any:
+        self._ensure_finalized()
+        return self._final_module
 
-class _Compiler(Compiler):
+
+def _callers_first(code: _Code) -> list[Any]:
+    """All code that a kernel calls, directly or not; what is called after whoever calls it, or LLVM would leave it
+    out."""
+    found: dict[Any, None] = {}
+
+    def look(library: Any) -> None:
+        for called in library._linking_libraries:
+            if called not in found:
+                if isinstance(called, _InnerCode):
+                    look(called)
+                found[called] = None
+
+    look(code)
+    return list(reversed(found))
+
+
+class _InnerCompiler(Compiler):
+    def define_pipelines(self) -> list[Any]:
+        """How a kernel is made, and each function that it calls, but for numba's own."""
+        return [passes(self.state)]
+
+
+class _Compiler(_InnerCompiler):
     def compile_extra(self, func: Callable[..., Any]) -> CompileResult:
         """Compile a Python function; all that it calls, numba's own functions too, becomes a part of it."""
         codegen = self.state.targetctx.codegen()
@@ -113,7 +148,8 @@ class _Compiler(Compiler):
         self.state.library = _Code(codegen, func.__qualname__)
         self.state.library.enable_object_caching()
         try:
-            return super().compile_extra(func)
+            with lean(lambda library: isinstance(library, _InnerCode)):
+                return super().compile_extra(func)
         finally:
             codegen._library_class = before
 
