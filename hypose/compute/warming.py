@@ -1,7 +1,8 @@
 """Compiling before it is needed: every kernel of a part of the room is called once, on a toy body before a toy camera.
 
 What is on disk already is found there. What is not is compiled by several processes at once: numba compiles one kernel
-at a time in each. They leave what they made in the cache, and whoever asked takes it from there.
+at a time in each. Each takes the next piece of work when it has done one, leaves what it made in the cache, and whoever
+asked takes it from there.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import gc
 import os
+import queue
 import subprocess
 import sys
 import threading
@@ -32,13 +34,14 @@ from hypose.compute.solver.terms import (
     ContourArrays,
     PriorArrays,
     SolveLimits,
+    Standing,
     no_depth,
 )
 
 # imports what this process would, nothing of the folder that it happens to stand in
 _PROGRAM = (
     "import sys; sys.path[:] = sys.argv[1].split('\\n'); from hypose import compute; "
-    "from hypose.compute.warming import run_for_another; sys.exit(run_for_another(compute, sys.argv[2:]))"
+    "from hypose.compute.warming import run_for_another; run_for_another(compute)"
 )
 
 
@@ -78,19 +81,35 @@ def _scorer(compute: Any) -> None:
     limb = np.array([False, True])
     compute.silhouette_xor(q[None], tree, mesh, prepared, np.array([[0, 32, 0, 32]]), moving=limb)
     compute.limb_energies(np.repeat(q[None], 40, 0), tree, mesh, prepared, limb)
-    rest = reach.standing(q, tree, mesh, prepared, limb)
+
+
+def _points(compute: Any) -> None:
+    _, _, q, projection = _toy()
+    mask, sizes = _mask()
+    prepared = compute.prepare_masks(mask, np.array([True]), sizes, projection)
+    rest = Standing(np.zeros_like(prepared.bits), np.zeros((1, 2), dtype=np.int64))
     reach.score_points(np.zeros((1, 1, 3)), np.ones(1), np.eye(3), q[:3], prepared, rest)
 
 
 def _pictures(compute: Any) -> None:
     picture_to_mask.warm_up()
+
+
+def _glance(compute: Any) -> None:
     glance.warm_up()
 
 
 def _outlines(compute: Any) -> None:
-    (_, mesh, _, _), (mask, sizes) = _toy(), _mask()
+    mask, sizes = _mask()
     compute.outline_points(compute.signed_distance(mask, sizes)[0], (32, 32), 16)
+
+
+def _masks(compute: Any) -> None:
     picture_to_mask.warm_up_masks()
+
+
+def _parts(compute: Any) -> None:
+    (_, mesh, _, _), (mask, _) = _toy(), _mask()
     uv, z, part = mesh.vertices[:, :2], mesh.vertices[:, 2], np.zeros(len(mesh.faces), np.uint16)
     parts_against_mask(mask[0], uv, z, mesh.faces, part, 1, uv, z)
 
@@ -103,7 +122,7 @@ def _evidence(compute: Any) -> tuple[np.ndarray, tuple[Any, ...], Any]:
     """A pose, and all that the solver takes beside it."""
     tree, mesh, q, projection = _toy()
     mask, sizes = _mask()
-    sdf = compute.signed_distance(mask, sizes)
+    sdf = np.zeros(mask.shape, dtype=np.float32)
     outline = np.zeros((1, 16, 2), dtype=np.float32)
     contours = ContourArrays(
         sdf, outline, np.array([True]), sizes, projection, 1.0, 1.0, 2.0, 4.0, 2.0, 2, np.ones(1), 0 * sizes, sizes
@@ -124,39 +143,63 @@ def _monocular(compute: Any) -> None:
     mono.warm_up(tree, mesh, q, projection[0])
 
 
-PARTS: dict[str, Callable[[Any], None]] = {
-    "solver": _solver,
-    "scorer": _scorer,
-    "outlines": _outlines,
-    "shape": _shape,
-    "pictures": _pictures,
-    "monocular": _monocular,
+PARTS: dict[str, tuple[Callable[[Any], None], ...]] = {
+    "solver": (_solver,),
+    "scorer": (_scorer, _points),
+    "outlines": (_outlines, _masks, _parts),
+    "shape": (_shape,),
+    "pictures": (_pictures, _glance),
+    "monocular": (_monocular,),
 }
-"""By name; solver: poses from contours, key points, points and depth; scorer: silhouettes of many poses; outlines: what
-is followed of masks, and a body's parts against them; shape: what a body is fitted to outlines with; pictures: masks
-from pictures; monocular: one camera."""
+"""By name, in pieces that share little; solver: poses from contours, key points, points and depth; scorer: silhouettes
+of many poses; outlines: what is followed of masks, and a body's parts against them; shape: what a body is fitted to
+outlines with; pictures: masks from pictures; monocular: one camera."""
 
-_COST = {"solver": 30, "scorer": 24, "outlines": 7, "shape": 4, "pictures": 8, "monocular": 30}
-"""Compiling them, in any unit."""
+_COST = {
+    "solver": (30,),
+    "scorer": (24, 3),
+    "outlines": (3, 3, 2),
+    "shape": (4,),
+    "pictures": (7, 1),
+    "monocular": (30,),
+}
+"""Compiling their pieces, in any unit."""
+
+_Piece = tuple[str, int]
 
 
 def run(compute: Any, names: Sequence[str]) -> None:
     """Call all kernels of these parts in this process; compute: the room."""
+    for name in names:
+        for number in range(len(PARTS[name])):
+            _run(compute, (name, number))
+
+
+def _run(compute: Any, piece: _Piece) -> None:
     with use("numba"), _no_collection():
-        for name in names:
-            PARTS[name](compute)
+        PARTS[piece[0]][piece[1]](compute)
 
 
-def run_for_another(compute: Any, names: Sequence[str]) -> int:
-    """`run` for the process at the other end of standard input, with which this one ends; 1: not all is on disk."""
+def run_for_another(compute: Any) -> None:
+    """Run the pieces whose names come in by standard input, and say of each whether it is on disk; without end: this
+    process ends when its input does, in the middle of whatever it does."""
+    asked: queue.SimpleQueue[str] = queue.SimpleQueue()
 
-    def end_with_it() -> None:
-        os.read(0, 1)
-        os._exit(1)
+    def listen() -> None:
+        for line in sys.stdin:
+            asked.put(line)
+        os._exit(0)
 
-    threading.Thread(target=end_with_it, daemon=True).start()
-    run(compute, names)
-    return int(not_kept() > 0)
+    threading.Thread(target=listen, daemon=True).start()
+    while True:
+        name, number = asked.get().split()
+        before = not_kept()
+        _run(compute, (name, int(number)))
+        sys.stdout.write(f"{_KEPT if not_kept() == before else 'not kept'}\n")
+        sys.stdout.flush()
+
+
+_KEPT = "kept"
 
 
 def warm(compute: Any, names: Sequence[str], load: bool) -> None:
@@ -164,14 +207,20 @@ def warm(compute: Any, names: Sequence[str], load: bool) -> None:
     missing = [n for n in PARTS if n in names and not _is_ready(n)]
     if missing:
         before = not_kept()
+        left = _dearest_first(missing)
         # nobody could take from others what they cannot keep
-        shares = _shared_out(missing, min(default_threads(), len(missing)) if can_keep() else 1)
-        with _processes(shares[1:]) as made:
-            run(compute, shares[0])
-        run(compute, [n for n in (names if load else missing) if load or n not in (*shares[0], *made)])
+        others = min(default_threads(), _worth(left)) - 1 if can_keep() else 0
+        mine = left.pop(0)
+        with _processes(others, left) as undone:
+            _run(compute, mine)
+            while left:
+                with contextlib.suppress(IndexError):  # another has taken it
+                    _run(compute, left.pop(0))
+        for piece in undone:
+            _run(compute, piece)
         for name in missing if not_kept() == before else ():
             _note_ready(name)
-    elif load:
+    if load:
         run(compute, names)
 
 
@@ -180,12 +229,17 @@ def kept(names: Sequence[str]) -> bool:
     return all(map(_is_ready, names))
 
 
-def _shared_out(names: Sequence[str], count: int) -> list[list[str]]:
-    """The parts in `count` shares of about the same cost, the dearest part in the first; in the order of PARTS."""
-    shares: list[list[str]] = [[] for _ in range(count)]
-    for name in sorted(names, key=lambda n: -_COST[n]):
-        min(shares, key=lambda share: sum(_COST[n] for n in share)).append(name)
-    return [[n for n in PARTS if n in share] for share in shares]
+def _dearest_first(names: Sequence[str]) -> list[_Piece]:
+    return sorted(((n, k) for n in names for k in range(len(PARTS[n]))), key=lambda piece: -_cost(piece))
+
+
+def _cost(piece: _Piece) -> int:
+    return _COST[piece[0]][piece[1]]
+
+
+def _worth(pieces: Sequence[_Piece]) -> int:
+    """How many processes have something to do while one of them makes the dearest piece, the first."""
+    return -(-sum(map(_cost, pieces)) // _cost(pieces[0]))
 
 
 def _is_ready(name: str) -> bool:
@@ -212,28 +266,53 @@ def _no_collection() -> Iterator[None]:
             gc.enable()
 
 
-def _command(share: Sequence[str]) -> list[str]:
-    return [sys.executable, "-c", _PROGRAM, "\n".join(map(str, sys.path)), *share]
+def _command() -> list[str]:
+    return [sys.executable, "-c", _PROGRAM, "\n".join(map(str, sys.path))]
 
 
 @contextlib.contextmanager
-def _processes(shares: Sequence[Sequence[str]]) -> Iterator[list[str]]:
-    """A process for each share of parts; they have ended afterwards, and the list holds the parts that were done. What
-    one of them could not do is no error here: whoever asked compiles it."""
-    began: list[tuple[subprocess.Popen[bytes], Sequence[str]]] = []
-    done: list[str] = []
-    quiet = {"stdin": subprocess.PIPE, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+def _processes(count: int, left: list[_Piece]) -> Iterator[list[_Piece]]:
+    """Other processes, which take from what is left to do as long as there is something. They have ended afterwards,
+    and the list holds what they took and could not do, which is no error here: whoever asked compiles it."""
+    began: list[tuple[subprocess.Popen[str], threading.Thread]] = []
+    undone: list[_Piece] = []
     try:
         # in a program that Python is embedded in or frozen into, this is that program
         if Path(sys.executable or "").name.lower().startswith("python") and not getattr(sys, "frozen", False):
-            for share in shares:
+            for _ in range(count):
                 with contextlib.suppress(OSError):
-                    environment = {**os.environ, "NUMBA_NUM_THREADS": "1"}
-                    began.append((subprocess.Popen(_command(share), env=environment, **quiet), share))
-        yield done
-        for process, share in began:
-            done += share if process.wait() == 0 else []
+                    process = subprocess.Popen(
+                        _command(),
+                        env={**os.environ, "NUMBA_NUM_THREADS": "1"},
+                        stdin=subprocess.PIPE,
+                        stdout=subprocess.PIPE,
+                        stderr=subprocess.DEVNULL,
+                        text=True,
+                    )
+                    began.append((process, threading.Thread(target=_keep_busy, args=(process, left, undone))))
+                    began[-1][1].start()
+        yield undone
+        for _, thread in began:
+            thread.join()
     finally:
-        for process, _ in began:
+        for process, thread in began:
             process.kill()
+            thread.join()
             process.communicate()
+
+
+def _keep_busy(process: subprocess.Popen[str], left: list[_Piece], undone: list[_Piece]) -> None:
+    """Have a process do what is left, one piece after the other, until nothing is, or one is not done."""
+    assert process.stdin is not None and process.stdout is not None
+    while True:
+        try:
+            piece = left.pop(0)
+        except IndexError:
+            return
+        with contextlib.suppress(OSError):
+            process.stdin.write(f"{piece[0]} {piece[1]}\n")
+            process.stdin.flush()
+            if process.stdout.readline().strip() == _KEPT:
+                continue
+        undone.append(piece)
+        return

@@ -14,53 +14,65 @@ from hypose.compute import compiled, warming
 
 @pytest.fixture
 def parts(tmp_path, monkeypatch):
-    """(the parts that ran in this process, the shares of others) with a cache of its own and two cores."""
+    """(the pieces that ran in this process, those that another took) with a cache of its own and two cores; the other
+    takes whatever is left at once, and fails with what fits a body."""
     here, others = [], []
-    made = {name: lambda _, name=name: here.append(name) for name in warming.PARTS}
+    made = {
+        name: tuple(lambda _, piece=(name, k): here.append(piece) for k in range(len(pieces)))
+        for name, pieces in warming.PARTS.items()
+    }
     monkeypatch.setattr(warming, "PARTS", made)
     monkeypatch.setattr(warming, "default_threads", lambda: 2)
     monkeypatch.setattr(compiled, "cache_folder", lambda: tmp_path)
     (tmp_path / compiled._VERSIONS).mkdir()
 
     @contextlib.contextmanager
-    def processes(shares):
-        done = []
-        yield done
-        for share in shares:
-            others.append(share)
-            done += share if "shape" not in share else []  # the one that makes this ends with an error
+    def processes(count, left):
+        undone = []
+        taken = [left.pop(0) for _ in range(count * len(left))]
+        others.extend(taken)
+        yield undone
+        undone += [piece for piece in taken if piece[0] == "shape"]
 
     monkeypatch.setattr(warming, "_processes", processes)
     return here, others
 
 
-def test_what_another_process_could_not_do_is_done_here_and_nothing_twice(parts):
+def test_what_is_there_is_not_done_again_and_nothing_twice(parts):
     here, others = parts
     compute.warm_up("solver", "scorer", load=False)
-    assert (here, others) == (["solver"], [["scorer"]])
-    compute.warm_up("solver", "pictures", load=False)  # nothing to share out
-    assert (here, others) == (["solver", "pictures"], [["scorer"]])
-    compute.warm_up("solver", "scorer", "pictures", load=False)
-    assert len(here) == 2 and len(others) == 1
+    assert (here, others) == ([("solver", 0)], [("scorer", 0), ("scorer", 1)])
+    compute.warm_up("solver", "shape", load=False)  # nothing to share out
+    assert here == [("solver", 0), ("shape", 0)] and len(others) == 2
+    compute.warm_up("solver", "scorer", "shape", load=False)
+    assert len(here) == 2 and len(others) == 2
     compute.warm_up("scorer")
-    assert here[2:] == ["scorer"]
+    assert here[2:] == [("scorer", 0), ("scorer", 1)]
 
 
-def test_a_process_that_fails_leaves_its_parts_to_whoever_asked(parts):
+def test_a_process_that_fails_leaves_its_piece_to_whoever_asked(parts):
     here, others = parts
     compute.warm_up(load=False)
-    assert others == [["scorer", "shape", "pictures"]]
-    assert here == ["solver", "outlines", *others[0]]
+    assert here == [("solver", 0), ("shape", 0)]
+    costs = [warming._cost(piece) for piece in others]
+    assert costs == sorted(costs, reverse=True) and len(set(others)) == 8
 
 
-@pytest.mark.parametrize("count", [1, 2, 3, 4])
-def test_shares_hold_every_part_once_the_dearest_first(count):
-    names = ["solver", "scorer", "outlines", "pictures", "monocular"]
-    shares = warming._shared_out(names, count)
-    assert len(shares) == count and "solver" in shares[0]
-    assert sorted(n for share in shares for n in share) == sorted(names)
-    costs = [sum(warming._COST[n] for n in share) for share in shares]
-    assert max(costs) <= max(warming._COST["solver"], 1.2 * sum(costs) / count)
+def test_no_more_processes_than_have_something_to_do():
+    for names, count in ((["solver"], 1), (["solver", "scorer"], 2), (["shape", "outlines"], 3)):
+        assert warming._worth(warming._dearest_first(names)) == count
+    assert {name: len(pieces) for name, pieces in warming.PARTS.items()} == {
+        name: len(costs) for name, costs in warming._COST.items()
+    }
+
+
+def test_a_process_takes_pieces_until_none_is_left_and_leaves_the_one_it_ends_in(tmp_path, monkeypatch):
+    program = "import sys\nfor line in sys.stdin:\n    if 'scorer' in line: break\n    print('kept', flush=True)\n"
+    monkeypatch.setattr(warming, "_command", lambda: [sys.executable, "-c", program])
+    left = [("solver", 0), ("outlines", 0), ("scorer", 0), ("shape", 0)]
+    with warming._processes(1, left) as undone:
+        pass
+    assert (left, undone) == ([("shape", 0)], [("scorer", 0)])
 
 
 def test_other_sources_are_not_ready(tmp_path, monkeypatch):
@@ -93,17 +105,17 @@ def test_a_folder_that_cannot_be_looked_into_is_compiled_for(parts, monkeypatch)
     here, others = parts
     monkeypatch.setattr(os, "stat", refused)
     compute.warm_up("solver", "scorer", load=False)
-    assert (here, others) == (["solver", "scorer"], [])  # nobody compiles what cannot be kept
+    assert (here, others) == ([("solver", 0), ("scorer", 0), ("scorer", 1)], [])  # nobody compiles what cannot be kept
 
 
 def test_what_could_not_be_kept_is_not_said_to_be_there(parts, monkeypatch):
     here, _ = parts
-    monkeypatch.setitem(warming.PARTS, "solver", lambda _: compiled._not_kept.append("solve"))
+    monkeypatch.setitem(warming.PARTS, "solver", (lambda _: compiled._not_kept.append("solve"),))
     monkeypatch.setattr(compiled, "_not_kept", [])
     compute.warm_up("solver", load=False)
     assert not compute.kept("solver")
-    compute.warm_up("pictures", load=False)
-    assert compute.kept("pictures") and here == ["pictures"]
+    compute.warm_up("shape", load=False)
+    assert compute.kept("shape") and here == [("shape", 0)]
 
 
 def test_what_nobody_used_for_long_goes_with_that_of_older_versions(tmp_path, monkeypatch):
@@ -120,16 +132,13 @@ def test_what_nobody_used_for_long_goes_with_that_of_older_versions(tmp_path, mo
 
 def test_a_compiling_process_imports_nothing_of_the_folder_it_stands_in(tmp_path):
     (tmp_path / "numpy.py").write_text("raise SystemExit('not the numpy of this installation')")
-    with subprocess.Popen(warming._command([]), cwd=tmp_path, stdin=subprocess.PIPE) as process:
-        assert process.wait() == 0
+    answer = subprocess.run(warming._command(), cwd=tmp_path, input=b"", capture_output=True, check=True)
+    assert answer.stdout == answer.stderr == b""
 
 
 def test_a_compiling_process_ends_with_whoever_asked(tmp_path):
     environment = {**os.environ, "HYPOSE_CACHE_DIR": str(tmp_path)}
-    with subprocess.Popen(warming._command(["solver"]), env=environment, stdin=subprocess.PIPE) as process:
-        assert process.stdin is not None
-        process.stdin.close()
-        assert process.wait() == 1
+    subprocess.run(warming._command(), env=environment, input=b"solver 0\nscorer 0\n", check=True)
     assert len(list(tmp_path.glob("*/*.kernel"))) < 5  # of some tens
 
 
@@ -137,9 +146,10 @@ def test_a_program_that_python_is_embedded_in_is_not_started_again(monkeypatch):
     began = []
     monkeypatch.setattr(subprocess, "Popen", lambda *a, **k: began.append(a))
     monkeypatch.setattr(sys, "executable", "/opt/studio/bin/studio")
-    with warming._processes([["solver"]]) as done:
+    left = [("solver", 0)]
+    with warming._processes(1, left) as undone:
         pass
-    assert not done and not began
+    assert not undone and not began and left == [("solver", 0)]
 
 
 def called(a, b):
