@@ -17,7 +17,7 @@ import sys
 import tempfile
 import time
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache, partial
 from pathlib import Path
 from pickle import loads
@@ -40,12 +40,10 @@ from numba.core.serialize import dumps  # noqa: E402
 from numba.core.sigutils import normalize_signature  # noqa: E402
 from numba.core.types import unliteral  # noqa: E402
 
-from hypose.compute.lean_numba import lean, passes  # noqa: E402
-
-_MAGIC = b"hypose kernel 1\n"
+_MAGIC = b"hypose kernel 2\n"
 _DIGEST = 32
 _UNUSED_DAYS = 60
-_IMPORT = re.compile(r"^from (hypose\.compute\.[\w.]+) import", re.MULTILINE)
+_IMPORT = re.compile(r"^ *from (hypose\.compute\.[\w.]+) import", re.MULTILINE)
 
 
 def kernel(function: Callable[..., Any] | None = None, *, inline: bool = False) -> Any:
@@ -68,12 +66,17 @@ def kernel(function: Callable[..., Any] | None = None, *, inline: bool = False) 
         """What a kernel calls: of constants their types alone, and, unless there is one, without the way in from
         Python, each of which would be compiled."""
         plain = tuple(map(unliteral, args)), {k: unliteral(v) for k, v in kws.items()}
-        known = tuple(compiled._compiler.fold_argument_types(*plain)[1]) in compiled.overloads
+        known = made_here(tuple(compiled._compiler.fold_argument_types(*plain)[1]))
         return (ask if known else inner.get_call_template)(*plain)
 
     def overload(sig: Any) -> Any:
         args = tuple(normalize_signature(sig)[0])
-        return (compiled if args in compiled.overloads else inner).overloads[args].entry_point
+        return (compiled if made_here(args) else inner).overloads[args].entry_point
+
+    def made_here(args: tuple[Any, ...]) -> bool:
+        """What comes from disk is machine code alone, which cannot become a part of a caller."""
+        found = compiled.overloads.get(args)
+        return found is not None and isinstance(found.library, _Code)
 
     compiled.get_call_template, compiled.get_overload = for_kernels, overload
     return compiled
@@ -89,10 +92,32 @@ class _Code(JITCodeLibrary):
         passes, builder = self._codegen._module_pass_manager()
         passes.run(self._final_module, builder)
 
+    def serialize_using_object_code(self) -> Any:
+        """Machine code and the names of what is in it; numba would keep LLVM's language, too, which takes longest to
+        read."""
+        self._ensure_finalized()
+        everything = (*self._final_module.functions, *self._final_module.global_variables)
+        names = [one.name for one in everything if not one.is_declaration]
+        return self.name, "object", (self._get_compiled_object(), names)
+
     def finalize(self) -> None:
         """Take in all that is called, directly or not, each once; numba would copy it into each of its callers."""
         self._linking_libraries = _callers_first(self)
         super().finalize()
+
+
+class _KeptCode(JITCodeLibrary):
+    """The machine code of a kernel, as `_Code` gives it away."""
+
+    @classmethod
+    def _unserialize(cls, codegen: Any, state: Any) -> _KeptCode:
+        name, _, (code, names) = state
+        made = cls(codegen, name)
+        made.enable_object_caching()
+        made._set_compiled_object(code)
+        made._finalize_final_module()
+        codegen._engine._defined_symbols.update(names)
+        return made
 
 
 class _InnerCode(_Code):
@@ -137,21 +162,31 @@ def _callers_first(code: _Code) -> list[Any]:
 class _InnerCompiler(Compiler):
     def define_pipelines(self) -> list[Any]:
         """How a kernel is made, and each function that it calls, but for numba's own."""
+        from hypose.compute.lean_numba import passes  # which takes much of numba that is not needed to load kernels
+
         return [passes(self.state)]
 
 
 class _Compiler(_InnerCompiler):
     def compile_extra(self, func: Callable[..., Any]) -> CompileResult:
         """Compile a Python function; all that it calls, numba's own functions too, becomes a part of it."""
+        from hypose.compute.lean_numba import lean
+
         codegen = self.state.targetctx.codegen()
-        before, codegen._library_class = codegen._library_class, _InnerCode
         self.state.library = _Code(codegen, func.__qualname__)
         self.state.library.enable_object_caching()
-        try:
-            with lean(lambda library: isinstance(library, _InnerCode)):
-                return super().compile_extra(func)
-        finally:
-            codegen._library_class = before
+        with _libraries(codegen, _InnerCode), lean(lambda library: isinstance(library, _InnerCode)):
+            return super().compile_extra(func)
+
+
+@contextlib.contextmanager
+def _libraries(codegen: Any, kind: type[JITCodeLibrary]) -> Iterator[None]:
+    """Have numba make its libraries of this kind."""
+    before, codegen._library_class = codegen._library_class, kind
+    try:
+        yield
+    finally:
+        codegen._library_class = before
 
 
 class KernelCache(NullCache):
@@ -182,7 +217,8 @@ class KernelCache(NullCache):
             return self._damaged(path)
         try:
             # numba keeps kernels in no other form than as pickles; a private folder and the checksum vouch for this one
-            found = CompileResult._rebuild(target_context, *loads(payload))  # noqa: S301
+            with _libraries(target_context.codegen(), _KeptCode):
+                found = CompileResult._rebuild(target_context, *loads(payload))  # noqa: S301
         except Exception:  # sound, but not what this numba makes of it
             return self._damaged(path)
         with contextlib.suppress(OSError):
@@ -200,7 +236,7 @@ class KernelCache(NullCache):
         temporary = path.with_name(f"{uuid.uuid4().hex[:16]}.tmp")
         try:
             _folder_for_writing(path.parent)
-            temporary.write_bytes(_sealed(dumps(cres._reduce())))
+            temporary.write_bytes(_sealed(dumps(cres._replace(type_annotation="")._reduce())))
             os.replace(temporary, path)
         except OSError as error:
             with contextlib.suppress(OSError):
