@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import ConvexHull, QhullError
 
 from hypose.body.body import Body, Mesh, Shape, deform
 from hypose.body.ready_bodies import JOINT_NAMES
@@ -313,6 +312,8 @@ def _winding(flat: Array) -> float:
 
 
 def _tape(flat: Array) -> float:
+    from scipy.spatial import ConvexHull, QhullError  # takes long to import
+
     try:
         return float(ConvexHull(flat).area)  # in two dimensions the "area" is the perimeter
     except QhullError:

@@ -14,7 +14,6 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import KDTree
 
 from hypose.body.body import Body, Landmarks, Mesh, Shape, deform
 from hypose.body.skin_weights import vertex_normals
@@ -134,6 +133,8 @@ def find_stances(surface: Surface, template: Body, pose: str = "auto", up: str =
 
     pose: one of SCAN_POSES or 'auto'. up: '+z', '-y', ... or 'auto': any axis, z and then y preferred when the scores
     are near each other."""
+    from scipy.spatial import KDTree  # takes long to import
+
     step = max(1, len(surface.points) // 700)
     points, normals = surface.points[::step], surface.normals[::step]
     arms = SCAN_POSES if pose == "auto" else (pose,)
@@ -276,6 +277,8 @@ class _Search:
     """Damped Gauss-Newton on the vector x = (pose, logarithms of the factors)."""
 
     def __init__(self, body: Body, surface: Surface) -> None:
+        from scipy.spatial import KDTree  # takes long to import
+
         self.body, self.surface = body, surface
         self.tree = KDTree(surface.points)
         self.faces = body.coarse.faces
@@ -334,6 +337,8 @@ class _Search:
     def match(self, v: Array) -> tuple[NDArray[np.int64], Array, Array, Array, Array]:
         """Pairs of points of the body and the scan: face (M,), barycentric (M, 3), target (M, 3), normal (M, 3) and how
         far apart (M,) they are."""
+        from scipy.spatial import KDTree  # takes long to import
+
         corner, faces, s = _corners(), self.faces, self.surface
         points = np.einsum("sc,fcd->fsd", corner, v[faces]).reshape(-1, 3)
         normals = np.cross(v[faces[:, 1]] - v[faces[:, 0]], v[faces[:, 2]] - v[faces[:, 0]])

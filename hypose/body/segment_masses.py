@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from hypose.body.body import Body, Mesh
 from hypose.geometry import Array
@@ -37,6 +36,8 @@ def segment_masses(
     mass: kg of the whole body, where it is known; else that of its volume. A segment without volume (a body of one's
     own may have no hands) is one cube at its first joint, for a body without mass stops simulations.
     """
+    from scipy.spatial import KDTree  # takes long to import
+
     points = _inside(body.fine)
     carrier = body.fine.main_joint[KDTree(body.fine.vertices).query(points)[1]]
     density = DENSITY if mass is None else mass / (len(points) * _CUBE**3)

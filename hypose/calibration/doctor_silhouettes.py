@@ -11,7 +11,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from hypose.calibration.common_focal import focal_by_masks, focal_findings
 from hypose.calibration.doctor_extrinsics import FAR_DEG, FAR_M
@@ -322,6 +321,8 @@ def _elsewhere(
 
 def _moved_alone(rig: CameraRig, tracks: list[MaskTrack], size: Array, c: int) -> CameraRig:
     """The rig with camera c where its tangent planes agree best with the others'."""
+    from scipy.optimize import least_squares  # takes long to import
+
     mine = [k for k in range(len(rig)) if k != c]
     scale = 0.01 * max(float(size[c]), 1.0)
 

@@ -23,7 +23,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
-from scipy.optimize import minimize
 
 from hypose.cameras.camera import CameraRig
 from hypose.compute import lorentzian, lorentzian_weight
@@ -236,6 +235,8 @@ def solve_offsets(curves: Curves, n_views: int) -> Offsets:
 
     Coordinate descent on whole frames from several starts, then a continuous search. An EvidenceError when no pair of
     views has motion in common."""
+    from scipy.optimize import minimize  # takes long to import
+
     lags = curves.lags
     known = [p for p in range(len(curves.pairs)) if np.isfinite(curves.cost[p]).all()]
     if not known:

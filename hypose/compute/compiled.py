@@ -236,7 +236,9 @@ class KernelCache(NullCache):
         temporary = path.with_name(f"{uuid.uuid4().hex[:16]}.tmp")
         try:
             _folder_for_writing(path.parent)
-            temporary.write_bytes(_sealed(dumps(cres._replace(type_annotation="")._reduce())))
+            # no listing of types, and no environments of what it calls: a kernel has none when it is compiled either
+            *all_else, _ = cres._replace(type_annotation="")._reduce()
+            temporary.write_bytes(_sealed(dumps((*all_else, ()))))
             os.replace(temporary, path)
         except OSError as error:
             with contextlib.suppress(OSError):

@@ -16,7 +16,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.person_tracks import PersonTrack
@@ -217,6 +216,8 @@ class Association:
         self, found: Array, somebody: NDArray[np.bool_], free: NDArray[np.bool_], expected: Array
     ) -> tuple[Array, NDArray[np.int64]]:
         """What those followed see of themselves: points (C, N, K, 3) and candidates (C, N); `free` loses them."""
+        from scipy.optimize import linear_sum_assignment  # takes long to import
+
         n = len(expected)
         seen, which = np.zeros((len(found), n, *found.shape[2:])), np.full((len(found), n), -1)
         if n == 0:

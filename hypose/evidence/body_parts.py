@@ -13,10 +13,6 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
-from scipy.optimize import linear_sum_assignment
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import KDTree
 
 from hypose.body.body import Body
 from hypose.cameras.camera import CameraRig
@@ -130,6 +126,10 @@ def likely_clusters(
     Points within the tolerance of each other belong together (single linkage on a kd-tree).
     Source: Alcoverro 2014, eq. 2.18 and the clustering after it.
     """
+    from scipy.sparse import coo_matrix  # takes long to import
+    from scipy.sparse.csgraph import connected_components  # takes long to import
+    from scipy.spatial import KDTree  # takes long to import
+
     scale = stature / 1.75
     likely = np.flatnonzero(probability >= settings.threshold)
     if len(likely) == 0:
@@ -155,6 +155,8 @@ def assign_ends(points: ArrayLike, ends: ArrayLike, limits: ArrayLike) -> NDArra
     one point. Source: Alcoverro 2014, eq. 2.19. Deviation: printed is the least mean distance of an assignment, which
     one close pair alone would have; taken is what the text says of it. Deviation: solved exactly instead of greedily.
     """
+    from scipy.optimize import linear_sum_assignment  # takes long to import
+
     p, q = np.asarray(points, dtype=np.float64).reshape(-1, 3), np.asarray(ends, dtype=np.float64).reshape(-1, 3)
     limit = np.asarray(limits, dtype=np.float64)
     out = np.full(len(p), UNNAMED, dtype=np.int64)

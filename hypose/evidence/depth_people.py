@@ -14,7 +14,6 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from hypose.evidence.depth_evidence import JUMP_M, Depth
 from hypose.evidence.frame import Expected, Frame, Silhouettes
@@ -164,6 +163,8 @@ def own_depth(
 def _away(shape: Shape, at: NDArray[np.int64], points: Array) -> Array:
     """(N,) m: how far measured pixels (N, 3), at points (N, 3) m, lie from somebody; inf where it is too far to
     matter."""
+    from scipy.spatial import KDTree  # takes long to import
+
     if isinstance(shape, DrawnShape):
         return np.where(shape.masks[tuple(at.T)] > 0, _CLUSTER_M, np.inf)
     out = np.full(len(points), np.inf)

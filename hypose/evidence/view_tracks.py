@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from hypose.geometry import Array
 
@@ -40,6 +39,8 @@ def view_tracks(frames: Sequence[Array | None], patience: int) -> list[ViewTrack
 
     patience: frames after which somebody who is not seen is followed no more. In each frame candidates and people are
     assigned exactly, so that two do not take each other's place."""
+    from scipy.optimize import linear_sum_assignment  # takes long to import
+
     tracks: list[NDArray[np.int64]] = []
     last: list[Array] = []
     at: list[int] = []

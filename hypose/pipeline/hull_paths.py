@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from hypose.errors import HyposeError
 from hypose.evidence.depth_people import people_seen
@@ -71,6 +70,8 @@ def follow_places(
 ) -> list[Path]:
     """The paths of people through the frames `numbers` (ascending), the largest first. known(number): who is explained
     already."""
+    from scipy.optimize import linear_sum_assignment  # takes long to import
+
     paths: list[Path] = []
     for t in numbers:
         frame = frame_at(t)

@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from hypose.body.body import Mesh
 from hypose.compute import geman_mcclure
@@ -40,6 +39,8 @@ def depth_shape_rows(
 ) -> ShapeRows:
     """Rows of one frame. vertices (V, 3) m of the posed mesh; slopes (V, K, 3) by the shape; twists (D, 6); moves (V,
     D): share of a dof's motion at a vertex; factor: of the robust scale; gain: of the weights."""
+    from scipy.spatial import KDTree  # takes long to import
+
     faces = np.asarray(mesh.faces)
     corner = vertices[faces]  # (F, 3, 3)
     across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])

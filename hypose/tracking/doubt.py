@@ -16,7 +16,6 @@ from importlib.resources import files
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
-from scipy.special import ndtr
 
 from hypose.body.joint_angles import ANGLE_NAMES
 from hypose.body.motion import Motion
@@ -340,6 +339,8 @@ def _with_other_case(motion: Motion, times: float) -> Motion:
 def _by_spread(motion: Motion) -> Array:
     """(T, J) how likely joints are further than WRONG_M off along the least certain axis of their covariance alone:
     what no evidence shows is not told by what speaks against it."""
+    from scipy.special import ndtr  # takes long to import
+
     around = np.nan_to_num(motion.joint_covariance.astype(np.float64), nan=1.0, posinf=1.0)
     return 2 * ndtr(-WRONG_M / np.sqrt(np.maximum(np.linalg.eigvalsh(around)[..., -1], 1e-8)))
 

@@ -15,13 +15,11 @@ from hypose.io.motions.amass import write_amass
 from hypose.io.motions.angles import write_angles_csv, write_joints_csv
 from hypose.io.motions.bvh import write_bvh
 from hypose.io.motions.c3d import write_c3d
-from hypose.io.motions.gltf import write_glb
 from hypose.io.motions.opensim import write_mot, write_sd_sto
 from hypose.io.motions.opensim_ik import write_ik_markers, write_ik_setup
 from hypose.io.motions.opensim_model import shoulder_places, write_osim
 from hypose.io.motions.rerun_file import rerun_module, write_rrd
 from hypose.io.motions.trc import write_trc
-from hypose.io.motions.vrm import write_vrma
 
 
 def _trc(motion: Motion, body: Body, folder: Path) -> list[Path]:
@@ -47,6 +45,8 @@ def _bvh(motion: Motion, body: Body, folder: Path) -> list[Path]:
 
 
 def _glb(motion: Motion, body: Body, folder: Path) -> list[Path]:
+    from hypose.io.motions.gltf import write_glb  # takes long to import
+
     path = folder / "motion.glb"
     write_glb(path, motion, body)
     return [path]
@@ -90,6 +90,8 @@ def _amass(motion: Motion, body: Body, folder: Path) -> list[Path]:
 
 
 def _vrma(motion: Motion, body: Body, folder: Path) -> list[Path]:
+    from hypose.io.motions.vrm import write_vrma  # takes long to import
+
     path = folder / "motion.vrma"
     write_vrma(path, motion, body)
     return [path]

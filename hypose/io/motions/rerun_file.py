@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.special import gammaincinv
 
 from hypose.body.body import Body
 from hypose.body.motion import Motion
@@ -24,6 +23,8 @@ _RADIUS = 0.012
 
 def write_rrd(path: str | Path, motion: Motion, body: Body) -> None:
     """Write a motion; the body's surface where it has poses. An InputError when rerun-sdk is not installed."""
+    from scipy.special import gammaincinv  # takes long to import
+
     rr = rerun_module()
     skeleton = motion.skeleton
     bones = [(int(p), j) for j, p in enumerate(skeleton.parents) if p >= 0]
