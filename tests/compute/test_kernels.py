@@ -47,6 +47,25 @@ def test_a_kernel_is_compiled_once_and_found_again(place, caplog):
     assert not caplog.records
 
 
+def test_what_calls_a_kernel_from_disk_has_a_copy_of_its_own(place):
+    compiled_anew()
+    found = compiled.kernel(add)
+    assert found(2.0, 3.0) == 5.0 and not found.stats.cache_misses
+    caller = compiled.kernel(lambda a: found(a, 1.0) + found(a, a))
+    assert caller(2.0) == 7.0 and not found.stats.cache_misses
+    again = compiled.kernel(caller.py_func)
+    assert again(2.0) == 7.0 and not again.stats.cache_misses
+
+
+def test_a_file_holds_machine_code_alone(place):
+    compiled_anew()
+    (path,) = files(place)
+    (name, kind, (code, names)), *_, environments = compiled.loads(path.read_bytes()[len(compiled._MAGIC) + 32 :])
+    assert (name, kind, environments) == ("add", "object", ()) and isinstance(code, bytes)
+    assert sum("cpython" in one for one in names) == 1
+    assert path.stat().st_size < len(code) + 8000
+
+
 def _flip(data):
     changed = bytearray(data)
     changed[len(data) // 2] ^= 1
