@@ -45,7 +45,7 @@ def lean(is_inner: Callable[[Any], bool]) -> Iterator[None]:
 
 @register_pass(mutates_CFG=False, analysis_only=False)
 class Borrowed(AnalysisPass):
-    """Counts no references in a function that makes no array: all that it has are its caller's."""
+    """Counts no references in a function that neither makes arrays nor gives one back: all are its caller's."""
 
     _name = "hypose_borrowed"
 
@@ -68,7 +68,10 @@ class Borrowed(AnalysisPass):
             operation = line.value
             return operation.op not in _LOOKED_UP or (operation.op == "getitem" and counted(operation.index.name))
 
-        if state.library is None and not any(makes(line) for b in state.func_ir.blocks.values() for line in b.body):
+        lines = (line for block in state.func_ir.blocks.values() for line in block.body)
+        # what is given back is one reference more, whoever made it
+        gives = models[state.return_type].contains_nrt_meminfo()
+        if state.library is None and not gives and not any(map(makes, lines)):
             state.targetctx = state.targetctx.subtarget(enable_nrt=False)
         return False
 
