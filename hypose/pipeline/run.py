@@ -33,6 +33,12 @@ from hypose.pipeline.keypoint_track import track_keypoints, with_named_sides
 from hypose.pipeline.mend_sides import FrameRange, as_named, look_back, look_back_notes, mend_sides, sides_notes
 from hypose.pipeline.moved_sensors import PlacedSource, Places, moved_sensors
 from hypose.pipeline.picture_start import picture_options, subject_in_picture
+from hypose.pipeline.picture_verdict import (
+    BESIDE_FRAME,
+    against_the_picture,
+    beside_the_picture,
+    doubt_of_depth,
+)
 from hypose.pipeline.pictures import depth_note, one_view
 from hypose.pipeline.track_loop import FrameSource, Keep, Progress, Tracked, track_frames, tracked_before
 from hypose.pipeline.verdict import Verdict, left_out, verdict_of
@@ -321,7 +327,13 @@ def finish(
     motion, doubts = with_doubts(motion, [e.seen for e in estimates])
     notes = (*notes, *doubts, *tracked.notes[len(subject.notes) :])
     if tracked.modes is not None:  # one camera: its modes say what else may be
-        return _written(replace(tracked, motion=motion, complete=done.complete, notes=notes), results)
+        assert motion.poses is not None
+        beside = beside_the_picture(subject.body, motion.poses, seen(range(len(motion))))
+        doubtful = beside > BESIDE_FRAME
+        motion = replace(motion, doubtful=doubtful if motion.doubtful is None else motion.doubtful | doubtful)
+        said = (*faults, *against_the_picture(beside)), (*noticed, doubt_of_depth(tracked.modes))
+        out = replace(tracked, motion=motion, complete=done.complete, notes=notes, faults=said[0], looks=said[1])
+        return _written(out, results)
     own, audit = np.stack([e.pose for e in estimates]), np.stack([e.audit for e in estimates])
     information = np.stack([e.uncertainty.information for e in estimates])
     covariance = pose_covariance(unpacked(information, subject.body.skeleton.dof))
