@@ -40,6 +40,7 @@ from hypose.pipeline.picture_verdict import (
     doubt_of_depth,
 )
 from hypose.pipeline.pictures import depth_note, one_view
+from hypose.pipeline.subject_from_motion import HEIGHT_DOUBT, HEIGHT_WRONG, height_sentence, height_told
 from hypose.pipeline.track_loop import FrameSource, Keep, Progress, Tracked, track_frames, tracked_before
 from hypose.pipeline.verdict import Verdict, left_out, verdict_of
 from hypose.tracking.doubt import as_mixture, evidence_of, judged
@@ -250,10 +251,29 @@ def track_source(
         if measured and not options.of_picture:
             of_height = of_measured(subject.body.stature)
             faults, noticed = (*faults, *sentences(of_height)), (*noticed, *sentences(of_height, fault=False))
+        asked = options.height if body is None else body.stature
+        if asked is not None and not given and subject.keypoints is None and method is None and done.complete:
+            wrong, doubted = _of_height(source, subject, done, asked, options)
+            faults, noticed = (*faults, *wrong), (*noticed, *doubted)
         found = finish(source, subject, tracker, done, options, results, record, report, faults, noticed)
         return replace(found, places=places, beside=others)
     except KeyboardInterrupt:
         return _written(_tracked(subject, done.estimates, frame_rate, record), results)
+
+
+def _of_height(
+    source: FrameSource, subject: Subject, done: Tracked, asked: float, options: TrackOptions
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """What makes a motion not to be trusted, or worth a look, when masks or depth tell another height than `asked`."""
+    if options.of_picture or options.looks_at == "keypoints":
+        return (), ()
+    poses, iou = np.stack([e.pose for e in done.estimates]), 1 - np.array([e.cost for e in done.estimates])
+    told = height_told(source.frame, subject.body, poses, iou)
+    off = 0.0 if told is None else abs(told / asked - 1)
+    if told is None or off <= HEIGHT_DOUBT:
+        return (), ()
+    sentence = (height_sentence(told, asked),)
+    return (sentence, ()) if off > HEIGHT_WRONG else ((), sentence)
 
 
 def subject_of(
