@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hypose.calibration.common_focal import focal_by_points, focal_findings
+from hypose.calibration.doctor_depth import depth_findings
 from hypose.calibration.doctor_extrinsics import Extrinsics, judge_extrinsics
 from hypose.calibration.doctor_findings import Clip, Finding, Limits
 from hypose.calibration.doctor_masks import Alignment, align, tangency, tangency_by_view, view_masks
@@ -26,6 +27,7 @@ from hypose.calibration.refine_points import left_out_residual, point_residual
 from hypose.calibration.sync_motion import mask_tracks
 from hypose.cameras.camera import CameraRig
 from hypose.errors import EvidenceError
+from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.frame import Silhouettes
 from hypose.geometry import Array
 
@@ -37,7 +39,7 @@ class Observed:
     rig: as calibrated, with lens distortion; keypoints (C, T, K, 3) in px of the calibrated, distorted images
     (confidence 0: missing) and their names; silhouettes: T, undistorted, at any working size, made without the key
     points (else they agree with them whatever is wrong); clips: one per view; height: of the person, m, when known;
-    people: sentences about who else is there."""
+    people: sentences about who else is there; depths: of some frames, where there are depth cameras."""
 
     rig: CameraRig
     keypoints: Array | None = None
@@ -47,6 +49,7 @@ class Observed:
     frame_rate: float = 25.0
     height: float | None = None
     people: tuple[str, ...] = ()
+    depths: Sequence[Depth] = ()
 
 
 @dataclass(frozen=True)
@@ -79,6 +82,8 @@ def examine_and_cure(observed: Observed, limits: Limits | None = None) -> tuple[
     n = len(observed.rig)
     findings = list(clip_findings(observed.rig, observed.clips, observed.frame_rate))
     findings += [Finding("people", (), text, "nothing, if that is right", 0.0, fault=False) for text in observed.people]
+    by_depth = depth_findings(observed.depths)
+    findings += by_depth
     if observed.keypoints is None or (observed.keypoints[..., 2] > 0.3).any((1, 2)).sum() < 2:
         if observed.silhouettes is None:
             raise EvidenceError(
@@ -86,7 +91,8 @@ def examine_and_cure(observed: Observed, limits: Limits | None = None) -> tuple[
                 "its calibration."
             )
         found, views, late = examine_silhouettes(observed.rig, observed.silhouettes, o)
-        findings += found
+        # of cameras that measure, masks tell nothing better: their faults are those of the depth maps, guessed
+        findings += [] if any(f.fault for f in by_depth) else found
         return Report(tuple(findings), views, None, None), Cured(
             observed.rig, observed.keypoints, late, np.zeros((n, 2)), 0
         )

@@ -27,6 +27,7 @@ from hypose.calibration.refine_points import (
 from hypose.calibration.sync_motion import mask_tracks
 from hypose.cameras.camera import CameraRig, triangulate
 from hypose.errors import EvidenceError, InputError
+from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.evidence.keypoints import triangulate_keypoints
 from hypose.fitting.articulated import contour_term
@@ -43,6 +44,8 @@ from hypose.tracking.keypoint_evidence import KeypointModel, keypoint_model, key
 from hypose.tracking.subject import fit_girths, shape_from_keypoints, subject_from_keypoints
 
 Progress = Callable[[str, int, int], None]
+LOOKS = 12
+"""frames whose depth maps are looked at"""
 METHODS = ("keypoints", "silhouettes", "both")
 _AROUND = 0.3  # of the person's size, around the key points, in which a mask is the person's when others are there
 _USED = 17  # frames that a refinement looks at, as the rest has to judge it
@@ -93,6 +96,7 @@ def observe(recording: Recording, most: int = 100, progress: Progress = _ignore)
     person = raw_person(few)
     points, names = (None, ()) if person is None else (person.raw, person.keypoints[0].names)
     silhouettes: list[Silhouettes | None] | None = None
+    depths: list[Depth] = []
     together = False
     blind = replace(few, views=tuple(replace(v, keypoints=None) for v in few.views), keypoint_set=None)
     if all(v.source is not None or v.masks is not None for v in few.views):
@@ -103,7 +107,9 @@ def observe(recording: Recording, most: int = 100, progress: Progress = _ignore)
             silhouettes = []
             for i in range(len(stream)):
                 progress("masks", i, len(stream))
-                silhouettes.append(stream.frame(i).silhouettes)
+                frame = stream.frame(i)
+                silhouettes.append(frame.silhouettes)
+                depths += [frame.depth] if frame.depth is not None else []
             progress("masks", len(stream), len(stream))
         if person is not None and (together or person.one.several):
             silhouettes = [
@@ -113,7 +119,8 @@ def observe(recording: Recording, most: int = 100, progress: Progress = _ignore)
     notes = () if person is None else person.one.notes
     if together and person is None:
         notes = ("several people stand in the masks, and are looked at together",)
-    return Observed(few.rig, points, names, silhouettes, clips, recording.frame_rate, recording.subject_height, notes)
+    about = recording.frame_rate, recording.subject_height, notes
+    return Observed(few.rig, points, names, silhouettes, clips, *about, depths[:: max(1, len(depths) // LOOKS)])
 
 
 def _near(silhouettes: Silhouettes, keypoints: Keypoints) -> Silhouettes:

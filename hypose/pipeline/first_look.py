@@ -12,9 +12,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hypose.body.ready_bodies import human
 from hypose.calibration.common_focal import focal_by_masks, focal_by_points, focal_findings
+from hypose.calibration.doctor_depth import depth_findings
 from hypose.calibration.doctor_findings import Finding, Limits
 from hypose.calibration.doctor_person import up_by_cameras, wrong_set, wrong_way_up
 from hypose.calibration.doctor_points import best_trial, disagreement
@@ -24,8 +26,6 @@ from hypose.calibration.doctor_timing import late_views, timing_findings
 from hypose.calibration.sync_motion import mask_tracks
 from hypose.cameras.camera import PARALLEL, triangulate, widest_angle
 from hypose.errors import EvidenceError, HyposeError
-from hypose.evidence.depth_evidence import Depth, in_world
-from hypose.evidence.depth_floor import camera_on_floor
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.pipeline.track_loop import FrameList, FrameSource
 from hypose.tracking.subject import shape_from_keypoints
@@ -50,12 +50,7 @@ def first_look(
 ) -> tuple[Finding, ...]:
     """What is plainly wrong with the calibration, or the key points, of a source of frames that will be tracked from
     `evidence`; height of the person, m, when known. Nothing of one camera."""
-    total = len(source)
-    rows = np.unique(np.linspace(0, total - 1, min(total, FRAMES)).round().astype(int))
-    frames: list[Frame] = []
-    for i in rows.tolist():
-        with contextlib.suppress(HyposeError):  # what cannot be read is told when its turn comes
-            frames.append(source.frame(i))
+    rows, frames = _rows(len(source)), _some(source)
     doubted: Sequence[Keypoints] | None = getattr(source, "doubted", None)  # those that did not fit are the question
     points = [f.keypoints for f in frames if f.keypoints is not None]
     if doubted is not None:
@@ -71,11 +66,25 @@ def first_look(
             found += _in_step(held, frame_rate, limits)
     elif masks and len(masks[0].rig) > 1:
         found += _by_masks(masks, frames, limits)
-    depths = [f.depth for f in frames if f.depth is not None]
-    told: dict[tuple[str, ...], Finding] = {}
-    for depth, when in zip(depths[:1] + depths[-1:], ("", " at the end"), strict=False):
-        told = {f.views: f for f in _by_depth(depth, when)} | told
-    return (*found, *told.values())
+    return (*found, *depth_findings([f.depth for f in frames if f.depth is not None]))
+
+
+def look_at_depth(source: FrameSource) -> tuple[Finding, ...]:
+    """What the depth maps alone say, of frames with several people in them, too."""
+    return depth_findings([f.depth for f in _some(source) if f.depth is not None])
+
+
+def _some(source: FrameSource) -> list[Frame]:
+    """FRAMES frames from all over a source."""
+    frames = list[Frame]()
+    for i in _rows(len(source)).tolist():
+        with contextlib.suppress(HyposeError):  # what cannot be read is told when its turn comes
+            frames.append(source.frame(i))
+    return frames
+
+
+def _rows(total: int) -> NDArray[np.int64]:
+    return np.unique(np.linspace(0, total - 1, min(total, FRAMES)).round().astype(np.int64))
 
 
 def of_measured(stature: float) -> tuple[Finding, ...]:
@@ -86,35 +95,6 @@ def of_measured(stature: float) -> tuple[Finding, ...]:
 def sentences(found: Sequence[Finding], *, fault: bool = True) -> tuple[str, ...]:
     """The faults among the findings, each with its next step; or else what only has to be looked at."""
     return tuple(f.sentence for f in found if f.fault == fault)
-
-
-FLOOR_M, FLOOR_DEGREES, PLAINLY = 0.03, 1.5, 4.0
-"""m and degrees by which the floor may lie beside z = 0, or be tilted, before a depth camera; from so many times that
-on its maps are not to be trusted. Through the right cameras it was 4 mm and 0.1 degrees at most (simulated, seeds 0 to
-5); a scale that is 5 % off makes 60 mm."""
-
-
-def _by_depth(depth: Depth, when: str) -> Iterator[Finding]:
-    """Of the floor that each depth camera sees: one camera's maps in another scale, or another place, contradict
-    nothing else."""
-    for c in np.flatnonzero(depth.usable):
-        camera = depth.rig[int(c)]
-        w, h = camera.size
-        try:
-            own = camera_on_floor(np.where(depth.person[c, :h, :w] > 0, 0.0, depth.maps[c, :h, :w]), camera)
-        except EvidenceError:  # it need not see the floor
-            continue
-        away = float(in_world(camera, own[:3, 3])[2])
-        tilt = float(np.degrees(np.arccos(np.clip(own[:3, 2] @ camera.camera_from_world[:3, 2], -1, 1))))
-        size = max(abs(away) / FLOOR_M, tilt / FLOOR_DEGREES)
-        if size > 1:
-            where = f"{1e3 * abs(away):.0f} mm {'above' if away > 0 else 'below'} z = 0, tilted by {tilt:.1f} degrees"
-            text = f"{camera.name} sees the floor{when} {where}"
-            cure = (
-                "look whether its maps are in millimetres and whether it has been moved since it was calibrated; "
-                "hypose depth-import finds the cameras' places anew"
-            )
-            yield Finding("floor", (camera.name,), text, cure, size, size > PLAINLY)
 
 
 def _in_step(keypoints: Sequence[Keypoints | None], frame_rate: float, o: Limits) -> Iterator[Finding]:

@@ -10,11 +10,13 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from hypose.body.ready_bodies import human
+from hypose.calibration.doctor_findings import Finding
 from hypose.errors import EvidenceError, HyposeError, InputError
 from hypose.evidence import depth_people
 from hypose.evidence.ahead import pack_once
@@ -27,6 +29,7 @@ from hypose.io.recordings.provenance import identity
 from hypose.pipeline.bodies_again import fitted_again
 from hypose.pipeline.doubts import as_now, in_words, looked_at, mask_change, runs
 from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
+from hypose.pipeline.first_look import look_at_depth, sentences
 from hypose.pipeline.hull_paths import Path, follow_places, lasting
 from hypose.pipeline.kept_findings import keep_subject, kept_subject
 from hypose.pipeline.newcomers import (
@@ -112,7 +115,7 @@ class PeopleRun:
             people, coming = kept_people(self.results, self.under, self.record, self._tracker)
         if not people:
             self.progress("look", 0, 1)
-            people = self._begin()
+            people = self._begun()
             self.progress("look", 1, 1)
         complete = self._track(people, coming)
         if not people[0].estimates:
@@ -175,6 +178,21 @@ class PeopleRun:
         return PeopleResult(tuple(done), complete, said, len(tracks) - len(done))
 
     # ---- who is there ------------------------------------------------------------------------------------------
+
+    @cached_property
+    def _looked(self) -> tuple[Finding, ...]:
+        """What depth cameras say of their own places."""
+        return look_at_depth(self.source)
+
+    def _begun(self) -> list[Followed]:
+        """The people of the first frames; when there are none, what is wrong with the cameras may be why."""
+        try:
+            return self._begin()
+        except HyposeError as error:
+            why = sentences(self._looked)
+            if not why:
+                raise
+            raise type(error)(f"{' '.join(why)} That may be why: {error}") from error
 
     def _begin(self) -> list[Followed]:
         """The people of the first frames: first those who are wanted, then whoever stands nearest to where the cameras
@@ -481,7 +499,8 @@ class PeopleRun:
         source = OwnFrames(self.source, p, people, self._points)
         shared = len(people) > 1 and p.present[0]
         given = p.subject, p.member.tracker, tracked, self.options, p.results, self.record, self.progress
-        out = finish(source, *given, shared=shared)
+        said = sentences(self._looked), sentences(self._looked, fault=False)
+        out = finish(source, *given, *said, shared=shared)
         motion, notes = replace(out.motion, lost=out.motion.lost | ~present), [*out.notes, *p.said]
         if hidden.any():
             motion = replace(motion, doubtful=hidden if motion.doubtful is None else motion.doubtful | hidden)

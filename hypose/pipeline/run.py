@@ -33,7 +33,14 @@ from hypose.pipeline.keypoint_track import track_keypoints, with_named_sides
 from hypose.pipeline.mend_sides import FrameRange, as_named, look_back, look_back_notes, mend_sides, sides_notes
 from hypose.pipeline.moved_sensors import PlacedSource, Places, moved_sensors
 from hypose.pipeline.picture_start import picture_options, subject_in_picture
+from hypose.pipeline.picture_verdict import (
+    BESIDE_FRAME,
+    against_the_picture,
+    beside_the_picture,
+    doubt_of_depth,
+)
 from hypose.pipeline.pictures import depth_note, one_view
+from hypose.pipeline.subject_from_motion import HEIGHT_DOUBT, HEIGHT_WRONG, height_sentence, height_told
 from hypose.pipeline.track_loop import FrameSource, Keep, Progress, Tracked, track_frames, tracked_before
 from hypose.pipeline.verdict import Verdict, left_out, verdict_of
 from hypose.tracking.doubt import as_mixture, evidence_of, judged, worth_a_look
@@ -246,10 +253,29 @@ def track_source(
         if measured and not options.of_picture:
             of_height = of_measured(subject.body.stature)
             faults, noticed = (*faults, *sentences(of_height)), (*noticed, *sentences(of_height, fault=False))
+        asked = options.height if body is None else body.stature
+        if asked is not None and not given and subject.keypoints is None and method is None and done.complete:
+            wrong, doubted = _of_height(source, subject, done, asked, options)
+            faults, noticed = (*faults, *wrong), (*noticed, *doubted)
         found = finish(source, subject, tracker, done, options, results, record, report, faults, noticed)
         return replace(found, places=places, beside=others)
     except KeyboardInterrupt:
         return _written(_tracked(subject, done.estimates, frame_rate, record), results)
+
+
+def _of_height(
+    source: FrameSource, subject: Subject, done: Tracked, asked: float, options: TrackOptions
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """What makes a motion not to be trusted, or worth a look, when masks or depth tell another height than `asked`."""
+    if options.of_picture or options.looks_at == "keypoints":
+        return (), ()
+    poses, iou = np.stack([e.pose for e in done.estimates]), 1 - np.array([e.cost for e in done.estimates])
+    told = height_told(source.frame, subject.body, poses, iou)
+    off = 0.0 if told is None else abs(told / asked - 1)
+    if told is None or off <= HEIGHT_DOUBT:
+        return (), ()
+    sentence = (height_sentence(told, asked),)
+    return (sentence, ()) if off > HEIGHT_WRONG else ((), sentence)
 
 
 def subject_of(
@@ -323,7 +349,13 @@ def finish(
     motion, doubts = with_doubts(motion, [e.seen for e in estimates])
     notes = (*notes, *doubts, *tracked.notes[len(subject.notes) :])
     if tracked.modes is not None:  # one camera: its modes say what else may be
-        return _written(replace(tracked, motion=motion, complete=done.complete, notes=notes), results)
+        assert motion.poses is not None
+        beside = beside_the_picture(subject.body, motion.poses, seen(range(len(motion))))
+        doubtful = beside > BESIDE_FRAME
+        motion = replace(motion, doubtful=doubtful if motion.doubtful is None else motion.doubtful | doubtful)
+        said = (*faults, *against_the_picture(beside)), (*noticed, doubt_of_depth(tracked.modes))
+        out = replace(tracked, motion=motion, complete=done.complete, notes=notes, faults=said[0], looks=said[1])
+        return _written(out, results)
     own, audit = np.stack([e.pose for e in estimates]), np.stack([e.audit for e in estimates])
     information = np.stack([e.uncertainty.information for e in estimates])
     covariance = pose_covariance(unpacked(information, subject.body.skeleton.dof))

@@ -47,6 +47,7 @@ def test_depth_maps_are_brought_in_step(hypose, tmp_path):
     [
         (("--by", "smell"), "choose motion, sound or flash"),
         (("--offsets", "1,2"), "4 numbers of frames are needed"),
+        (("--offsets", "0,40,0,0"), "have no frame in common"),
         (("--offsets", "1,a,2,3"), "are no numbers"),
         (("--largest", "0"), "is not possible"),
         ((), "at least 16 consecutive frames"),

@@ -1,11 +1,12 @@
 """`hypose fuse` of recordings, through the command line."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from hypose.fusion.joints import COMMON, joint_sets
+from hypose.fusion.joints import COMMON, MIRROR, joint_sets
 from hypose.geometry import transform
 from hypose.io.motions.results import load_motion
 from hypose.io.motions.trc import read_trc
@@ -47,7 +48,7 @@ def test_a_recording_becomes_a_motion_and_its_files(hypose, rng, tmp_path):
     code, out, err = hypose("fuse", tmp_path / "rec", "--diagnose")
     assert code == 0, err
     results = tmp_path / "rec" / "results" / "fuse-fit"
-    names = {"motion.npz", "motion.trc", "motion.c3d", "joints.csv", "sensors.csv", "provenance.json"}
+    names = {"motion.npz", "motion.trc", "motion.c3d", "joints.csv", "sensors.csv", "provenance.json", "verdict.json"}
     assert {p.name for p in results.iterdir()} == names
     motion = load_motion(results / "motion.npz")
     assert len(motion) == 150 and motion.frame_rate == pytest.approx(30)
@@ -63,6 +64,73 @@ def test_a_recording_becomes_a_motion_and_its_files(hypose, rng, tmp_path):
     header = (results / "sensors.csv").read_text().splitlines()[0]
     assert "left_hand:s1" in header and "swarm:left_hand:s1" in header
     assert "150 frames of 3 sensors at 30 Hz" in out
+    assert "Verdict: Good" in out and json.loads((results / "verdict.json").read_text())["verdict"] == "good"
+
+
+def changed(recording, number, change):
+    """The recording with the joints (T, P, J, 3) of one sensor, or of all (None), as `change` makes them."""
+    streams = [
+        replace(s, positions=change(s.positions)) if number in (k, None) else s for k, s in enumerate(recording.streams)
+    ]
+    return replace(recording, streams=tuple(streams))
+
+
+def beside(joints):
+    """Arms are named the wrong way round, and legs lie 0.2 m apart from where they are."""
+    out = joints.copy()
+    out[:, :, 2:8] = joints[:, :, MIRROR[2:8]]
+    out[:, :, 9:15] += np.where(np.arange(9, 15) < 12, 0.2, -0.2)[:, None] * [1, 0, 0]
+    return out
+
+
+@pytest.mark.parametrize(
+    "number, change, words",
+    [
+        (None, lambda p: 3.2808 * p, "m tall, by their legs: the lengths are feet"),
+        (None, lambda p: 0.1 * p, "m tall, by their legs: centimetres and millimetres are mixed up"),
+        (2, beside, "s2 and s0 see the joints 2"),
+    ],
+)
+def test_what_is_no_person_or_not_the_same_is_not_to_be_trusted(hypose, rng, tmp_path, number, change, words):
+    write_folder(changed(recorded(rng, seconds=6), number, change), tmp_path / "rec")
+    code, out, err = hypose("fuse", tmp_path / "rec", "--formats", "csv")
+    assert code == 3, err
+    assert words in out.split("Verdict: Not to be trusted")[1]
+    kept = json.loads((tmp_path / "rec" / "results" / "fuse-fit" / "verdict.json").read_text())
+    assert kept["verdict"] == "not to be trusted"
+
+
+def test_a_sensor_that_is_somewhat_too_large_is_worth_a_look(hypose, rng, tmp_path):
+    write_folder(changed(recorded(rng, seconds=6), 1, lambda p: 1.2 * p), tmp_path / "rec")
+    code, out, err = hypose("fuse", tmp_path / "rec", "--formats", "csv")
+    assert code == 0, err
+    assert "Verdict: Look at frames 0-" in out and "s1 and s0 see the joints" in out
+
+
+def test_a_clock_that_is_off_is_told_by_the_movement(hypose, rng, tmp_path):
+    write_folder(recorded(rng, seconds=12, starts=(0.0, 0.0, 0.6)), tmp_path / "rec")
+    code, out, err = hypose("fuse", tmp_path / "rec", "--formats", "csv")
+    assert code == 3, err
+    assert "s2 reports the movements of s0 0.6" in out and "s late" in out and "s1 reports" not in out
+
+
+def test_lines_of_sensors_that_were_never_on_together_have_clocks_of_their_own(hypose, rng, tmp_path):
+    path = tmp_path / "rec.jsonl"
+    made = recorded(rng, seconds=12, starts=(0.0, 5000.0, 9000.0))
+    rows = [
+        {
+            "sensor": s.name,
+            "time": float(t),
+            "joints": {n: [*p, 2] for n, p in zip(s.joint_names, s.positions[k, 0].tolist(), strict=True)},
+        }
+        for s in made.streams
+        for k, t in enumerate(s.times)
+    ]
+    path.write_text("".join(json.dumps(row) + "\n" for row in rows))
+    code, out, err = hypose("fuse", path, "--formats", "csv", "--out", tmp_path / "out")
+    assert code == 0, err
+    assert err.count("clock was set by the movement") == 2 and "Verdict: Good" in out
+    assert len(load_motion(tmp_path / "out" / "motion.npz")) < 400
 
 
 @pytest.mark.parametrize("method", ["swarm", "weighted_mean", "dbscan_kalman"])
@@ -110,8 +178,6 @@ def test_sensors_of_different_joint_sets(hypose, rng, tmp_path):
     wide[:, :, known.common] = first.positions
     state = np.zeros(wide.shape[:3], np.uint8)
     state[:, :, known.common] = first.state
-    from dataclasses import replace
-
     kinect = replace(first, positions=wide, state=state, joint_names=known.joint_names)
     write_folder(replace(made, streams=(kinect, *made.streams[1:])), tmp_path / "rec")
     code, _, err = hypose("fuse", tmp_path / "rec", "--formats", "csv")

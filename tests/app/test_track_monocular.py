@@ -50,10 +50,17 @@ def one_camera(tiny, clicks, tracked, tmp_path_factory):
 
 
 def test_every_file_is_written(one_camera) -> None:
-    several = {"verdict.json", "motion_sd.sto"}  # of several cameras only
+    several = {"motion_sd.sto"}  # of several cameras only
     assert {p.name for p in one_camera.iterdir()} == set(DESCRIPTIONS) - several
     with open_video(one_camera / "overlay.mp4") as video:
         assert len(video) == 8
+
+
+def test_the_best_verdict_on_one_camera_is_a_look(one_camera) -> None:
+    verdict = json.loads((one_camera / "verdict.json").read_text())
+    assert verdict["verdict"] == "look" and verdict["frames"] == [[0, 8]]
+    assert "one camera does not measure depth" in verdict["sentence"] and "other people" not in verdict["sentence"]
+    assert "Verdict: Look at frames 0-7" in (one_camera / "report.html").read_text(encoding="utf-8")
 
 
 def test_the_modes_can_be_read(one_camera) -> None:

@@ -7,6 +7,7 @@ import numpy as np
 
 import hypose as package
 from hypose import CameraRig
+from hypose.pipeline.verdict import UNTRUSTED, Verdict
 
 LIGHT = ("--evidence", "keypoints", "--no-overlay", "--formats", "csv")
 
@@ -28,3 +29,19 @@ def test_a_world_upside_down_ends_as_not_to_be_trusted(hypose, keypoint_recordin
     assert "Not to be trusted, because" in out and "up" in out
     assert json.loads((tmp_path / "out" / "verdict.json").read_text())["verdict"] == "not to be trusted"
     assert (tmp_path / "out" / "motion.npz").is_file()
+
+
+def test_who_goes_on_with_a_result_is_told_when_it_is_not_to_be_trusted(hypose, tracked, tmp_path):
+    for name in ("motion.npz", "body.npz"):
+        (tmp_path / name).write_bytes((tracked / name).read_bytes())
+    doubted = Verdict(UNTRUSTED, ("the cameras are exchanged",))
+    for kept, told in (
+        ("{", False),
+        (json.dumps(Verdict("good").document()), False),
+        (json.dumps(doubted.document()), True),
+    ):
+        (tmp_path / "verdict.json").write_text(kept, encoding="utf-8")
+        for command in (("export", "--formats", "trc"), ("gait",), ("compare", tracked, "--out", tmp_path / "table")):
+            code, _, err = hypose(command[0], tmp_path, *command[1:])
+            assert code == 0, err
+            assert ("Not to be trusted, because: the cameras are exchanged." in " ".join(err.split())) == told

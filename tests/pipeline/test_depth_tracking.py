@@ -8,16 +8,18 @@ import pytest
 from hypose.body.ready_bodies import human
 from hypose.calibration.depth_registration import in_camera, place_error, refine_registration, rough_registration
 from hypose.cameras.camera import CameraRig
-from hypose.errors import CalibrationError, InputError
+from hypose.errors import CalibrationError, EvidenceError, InputError
 from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.geometry import se3, se3_inverse, so3_exp, transform
 from hypose.pipeline.first_frame import Subject
 from hypose.pipeline.first_look import first_look
+from hypose.pipeline.people_run import PeopleRun
 from hypose.pipeline.register_depth import register_depth
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.verdict import UNTRUSTED
 from hypose.synthetic.depth_scenes import depth_scene, seen_before, to_profile, turning
 from hypose.synthetic.metrics import EVALUATED, population_offsets, with_offsets
 from hypose.synthetic.motions import act
@@ -131,6 +133,33 @@ def test_a_camera_that_is_lowered_while_it_records_is_told_by_the_floor_of_the_e
     frames = [seen_before(rooms, maps, rig, k / 25, k) for k, rig in enumerate((scene.rig, scene.rig, lowered))]
     found = first_look(FrameList(frames), "silhouettes")
     assert [f.kind for f in found] == ["floor"] and "sees the floor at the end" in found[0].sentence
+
+
+def lowered(scene, lower, nobody=False):
+    """Frames with everybody in them, before cameras that are told to hang so many m lower than they do."""
+    down = se3(np.eye(3), np.array([0, 0, lower]))
+    rig = CameraRig(tuple(replace(c, camera_from_world=c.camera_from_world @ down) for c in scene.rig))
+    for f in scene.frames(people=True):
+        person = f.depth.person * (0 if nobody else 1)
+        yield replace(
+            f,
+            depth=replace(f.depth, rig=rig, person=person),
+            silhouettes=replace(f.silhouettes, rig=rig, masks=f.silhouettes.masks * (0 if nobody else 1)),
+        )
+
+
+@pytest.mark.parametrize("lower", [0.0, 0.13])
+def test_where_everybody_is_tracked_the_floor_tells_the_same(lower):
+    frames = list(lowered(scene_of("walk", "depth-2", 0.4), lower))
+    verdict = PeopleRun(FrameList(frames), 25.0, TrackOptions(seed=1))().people[0].verdict
+    assert ("depth1 sees the floor 1" in verdict.sentence) == (lower > 0)
+    assert verdict.word == UNTRUSTED or not lower
+
+
+def test_where_nobody_is_found_the_floor_may_say_why():
+    frames = list(lowered(scene_of("walk", "depth-2", 0.2), 0.3, nobody=True))
+    with pytest.raises(EvidenceError, match="depth1 sees the floor .* That may be why: Nobody stands"):
+        PeopleRun(FrameList(frames), 25.0, TrackOptions(seed=1))()
 
 
 # ---- registration ----

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from hypose.app.commands.console import Stages, note, say
+from hypose.app.commands.kept_verdicts import tell_untrusted
 from hypose.app.commands.options import number
 from hypose.errors import InputError
 
@@ -73,6 +74,8 @@ def compare(
     failed = compare_job.exceeded(compared, compare_job.Limits(max_mm, max_degrees, min_coverage))
     compare_job.write_csv(folder / "compare.csv", compared)
     compare_job.write_page(folder / "compare.html", compared, failed)
+    for file in dict.fromkeys(files):
+        tell_untrusted(file)
     for c in compared:
         for text in c.found.notes:
             note(f"note: {text}")

@@ -15,10 +15,11 @@ from hypose.app.commands.options import Seed, Threads, number
 from hypose.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from hypose.app.jobs.fuse_job import FuseOutcome
     from hypose.io.sensors.skeleton_streams import SkeletonRecording
+    from hypose.pipeline.verdict import Verdict
 
 _RECORDED, _LIVE = "Recorded", "Live"
 
@@ -98,7 +99,10 @@ def fuse(
     threads: Threads = None,
 ) -> None:
     """Fuse the skeletons of several depth sensors, and what cameras saw beside: one skeleton per person with its
-    uncertainty. See docs/fusion.md, docs/live.md."""
+    uncertainty. See docs/fusion.md, docs/live.md.
+
+    It ends with a verdict: good, worth a look, or not to be trusted, and why; the last with exit code 3.
+    """
     set_threads(threads)
     if live:
         if recording is not None:
@@ -153,6 +157,18 @@ def fuse(
         raise typer.Exit(130)
     if all(p.motion.lost.all() for p in outcome.people):
         require_found(outcome.people[0].motion, loaded.name, results.path)
+    names = [f"person-{n + 1}" if len(outcome.people) > 1 else "" for n in range(len(outcome.people))]
+    _judge({name: p.verdict for name, p in zip(names, outcome.people, strict=True)})
+
+
+def _judge(verdicts: Mapping[str, Verdict]) -> None:
+    """The verdict on everybody by their names (none of one person); exit code 3 when one is not to be trusted."""
+    from hypose.pipeline.verdict import EXIT_UNTRUSTED, UNTRUSTED
+
+    for name, verdict in verdicts.items():
+        say(f"Verdict{' on ' if name else ''}{name}: {verdict.sentence}", "bold")
+    if any(verdict.word == UNTRUSTED for verdict in verdicts.values()):
+        raise typer.Exit(EXIT_UNTRUSTED)
 
 
 def _with_cameras(
@@ -188,6 +204,8 @@ def _with_cameras(
     say(f"{recording.name}: {len(m)} frames of {sensors} at {m.frame_rate:g} Hz, {int(m.lost.sum())} lost")
     say(f"Results: {results.path}")
     require_found(m, recording.name, results.path)
+    if outcome.verdict is not None:
+        _judge({"": outcome.verdict})
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:

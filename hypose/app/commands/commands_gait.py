@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from hypose.app.commands.console import say
+from hypose.app.commands.kept_verdicts import tell_untrusted
 
 
 def gait(
@@ -22,6 +23,7 @@ def gait(
 
     motion, body = load_result_body(results)
     source = results if results.is_dir() else results.parent
+    tell_untrusted(results)
     found = gait_of(motion, body)
     with claimed(out or source):
         written = write_gait(out or source, motion, found)

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from hypose.app.commands.console import say
+from hypose.app.commands.kept_verdicts import tell_untrusted
 from hypose.app.commands.options import number
 
 
@@ -29,6 +30,7 @@ def play(
         body, motion = pose_fused(motion)
     else:
         motion, body = load_result_body(results)
+    tell_untrusted(results)
     target = OscTarget(vmc, "--vmc")
     say(f"{len(motion)} frames at {motion.frame_rate:g} Hz to {vmc}" + (", until Ctrl-C." if loop else "."))
     try:

@@ -9,6 +9,7 @@ import typer
 
 from hypose.app.commands.commands_track import set_threads, split_names
 from hypose.app.commands.console import Stages, note, say
+from hypose.app.commands.kept_verdicts import tell_untrusted
 from hypose.app.commands.options import Threads
 from hypose.errors import InputError
 
@@ -26,6 +27,7 @@ def export(
     from hypose.io.motions.export import export_motion
 
     motion, body = load_result_body(results)
+    tell_untrusted(results)
     target = out or (results if results.is_dir() else results.parent)
     names = split_names(formats)
     with claimed(target), Stages() as progress:

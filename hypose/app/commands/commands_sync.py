@@ -47,7 +47,7 @@ def sync(
         check_writable(to)
     with Stages() as progress:
         if offsets is not None:
-            late, words = _given(offsets, len(loaded.views)), ["as given"] * len(loaded.views)
+            late, words = _given(offsets, loaded), ["as given"] * len(loaded.views)
         elif by == "motion":
             late, words = _by_motion(loaded, largest * loaded.frame_rate, frames, progress)
         elif by == "sound":
@@ -83,7 +83,8 @@ def _unfinished(folder: Path) -> bool:
     )
 
 
-def _given(text: str, count: int) -> list[float]:
+def _given(text: str, recording: Recording) -> list[float]:
+    count = len(recording.views)
     try:
         out = [float(x) for x in text.split(",")]
     except ValueError:
@@ -92,6 +93,11 @@ def _given(text: str, count: int) -> list[float]:
         ) from None
     if len(out) != count or any(abs(x) > 1e5 or x != x for x in out):
         raise InputError(f"--offsets {text}: {count} numbers of frames are needed, one per view.")
+    if max(out) - min(out) >= len(recording.frames):
+        raise InputError(
+            f"--offsets {text}: views so far apart have no frame in common, since the recording has "
+            f"{len(recording.frames)}; give frames, not milliseconds or frame numbers."
+        )
     return out
 
 

@@ -143,7 +143,7 @@ def examine_recording(
     progress: ProgressCall = ignore,
 ) -> tuple[Report | None, Cured | None]:
     """The doctor on `frames` consecutive frames; writes the page. None when there is nothing to examine."""
-    if len(recording.views) < 2:
+    if len(recording.views) < 2 and all(view.depth is None for view in recording.views):
         return None, None
     observed = observe(recording, frames, progress)
     progress("doctor", 0, 1)

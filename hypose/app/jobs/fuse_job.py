@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.app.commands.console import ProgressCall, ignore
+from hypose.app.jobs.job import VERDICT
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.errors import InputError
@@ -37,6 +38,8 @@ from hypose.io.sensors.skeleton_streams import (
     resample,
     shifted,
 )
+from hypose.pipeline.fused_verdict import fused_verdict
+from hypose.pipeline.verdict import Verdict
 
 POINT_FORMATS = ("trc", "c3d", "csv")
 """Formats that need no poses."""
@@ -82,11 +85,13 @@ class FuseJob:
 
 @dataclass(frozen=True)
 class PersonResult:
-    """One person: fused (in the reference sensor's frame), motion (world, z up), the written files."""
+    """One person: fused (in the reference sensor's frame), motion (world, z up), the written files; verdict: whether it
+    is to be trusted."""
 
     fused: Fused
     motion: Motion
     files: tuple[Path, ...]
+    verdict: Verdict
 
 
 @dataclass(frozen=True)
@@ -144,7 +149,8 @@ def run_fuse(job: FuseJob, progress: ProgressCall = ignore) -> FuseOutcome:
             fused.append(replace(made, motion=replace(made.motion, times=when)))
             if world is None:
                 world = world_from_sensor(fused[0].motion, job.up)
-            done.append(_write(job, fused[-1], world, folders[n], notes))
+            verdict = fused_verdict(fused[-1].motion, clip, registration, [s.name for s in streams])
+            done.append(_write(job, fused[-1], world, folders[n], notes, verdict))
         progress("fuse", len(people) * len(times), len(people) * len(times))
         for n, person in enumerate(done):
             files = list(person.files)
@@ -331,7 +337,9 @@ def world_from_sensor(motion: Motion, up: str) -> Array:
     return se3(upright_axes(z), np.array([0.0, 0.0, -floor]))
 
 
-def _write(job: FuseJob, fused: Fused, world: Array, folder: ResultsFolder, notes: Sequence[str]) -> PersonResult:
+def _write(
+    job: FuseJob, fused: Fused, world: Array, folder: ResultsFolder, notes: Sequence[str], verdict: Verdict
+) -> PersonResult:
     settings = {
         "method": job.method,
         "rate": fused.motion.frame_rate,
@@ -346,9 +354,10 @@ def _write(job: FuseJob, fused: Fused, world: Array, folder: ResultsFolder, note
     motion = replace(fused.motion, joints=transform(world, fused.motion.joints), provenance=_plain(record))
     save_motion(motion, folder.motion)
     files = [folder.motion, folder.write_json("provenance.json", record)]
+    files.append(folder.write_json(VERDICT, verdict.document()))
     path = folder.file("sensors.csv")
     write_text(path, sensors_csv(fused))
-    return PersonResult(fused, motion, (*files, path))
+    return PersonResult(fused, motion, (*files, path), verdict)
 
 
 def _plain(value: Any) -> Any:

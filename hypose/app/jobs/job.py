@@ -136,16 +136,15 @@ def run_job(job: Job, progress: ProgressCall = ignore, seconds: Mapping[str, flo
             tracked = finished
         notes = (*recording.notes, *source.notes, *tracked.notes)
         files = [results.motion, results.file("body.npz"), results.file("provenance.json")]
-        verdict = None if options.of_picture else _verdict(tracked, results, finished is not None)
-        if verdict is not None:
-            files.append(results.file(VERDICT))
+        verdict = _verdict(tracked, results, finished is not None)
+        files.append(results.file(VERDICT))
         if tracked.modes is not None:
             files.insert(1, results.file(MODES))
         truth = job.truth(tracked.motion, tracked.body) if job.truth is not None else None
         if not tracked.complete:
             return Outcome(tracked.motion, tracked.body, False, tuple(files), notes, truth)
         files += export_all(job, tracked.motion, tracked.body, progress)
-        said = notes if verdict is None else (f"Verdict: {verdict.sentence}", *notes)
+        said = (f"Verdict: {verdict.sentence}", *notes)
         files += _draw(job, options, tracked, source, said, truth, files, progress, seconds or {})
     remove_stale(results, files)
     shutil.rmtree(results.path / CHUNKS, ignore_errors=True)  # of a run that was killed when they were joined

@@ -426,6 +426,9 @@ def load_result(path: Path) -> Motion:
                 f"{path} holds the results of {', '.join(p.name for p in people)}; give one of them, for example "
                 f"{people[0]}."
             )
+        runs = sorted(p.parent for p in path.glob("results/*/motion.npz"))
+        if runs:
+            raise InputError(f"{path} is a recording, not a result; give one of its results, for example {runs[0]}.")
     if file.suffix.lower() != ".npz":
         raise InputError(f"{path} is no result of hypose; give the results folder, or its motion.npz, first.")
     return load_motion(file)

@@ -259,7 +259,7 @@ class FrameStream:
         whose = None if person is None else person.one
         self.people_notes = () if whose is None else whose.of_all if self.options.people else whose.notes
         # whom key points show beside the one who is followed
-        self.others = 0 if whose is None or self.options.people or whose.of_all else len(whose.people) - 1
+        self.others = 0 if whose is None or self.options.people or whose.of_all else max(len(whose.people) - 1, 0)
         self.doubted = self.keypoints
         if person is not None and person.one.apart:
             doubted = load_person(recording, self.rig, doubting=True)

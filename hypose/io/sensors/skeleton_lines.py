@@ -15,7 +15,7 @@ import json
 import math
 import re
 from functools import lru_cache
-from itertools import chain
+from itertools import accumulate, chain
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -160,8 +160,8 @@ def format_line(line: SensorReport, token: str = "", digits: int = 5) -> str:
 def read_lines(path: str | Path) -> SkeletonRecording:
     """Read a file of such lines (.jsonl or .jsonl.gz), in the order in which they arrived.
 
-    When every line says when it was received, the sensors' clocks need not agree (`common_clock` False tells that
-    they may differ).
+    Lines carry their sensor's own time, of any origin: sensors that by it were never on together have clocks of their
+    own (`common_clock` False).
     """
     p = Path(path)
     sensors: dict[str, StreamRows] = {}
@@ -195,4 +195,7 @@ def read_lines(path: str | Path) -> SkeletonRecording:
             positions, state = positions[order], state[order]
         rows.add(line.time, line.person, positions, state)
     title = p.name.removesuffix(".gz").rsplit(".", 1)[0]
-    return checked_recording(title, list(sensors.values()), str(p), {p.name: p})
+    spans = sorted((min(t), max(t)) for rows in sensors.values() if (t := [*rows.times, *rows.empty]))
+    ends = accumulate((end for _, end in spans), max)
+    together = all(begin <= end for (begin, _), end in zip(spans[1:], ends, strict=False))
+    return checked_recording(title, list(sensors.values()), str(p), {p.name: p}, common_clock=together)

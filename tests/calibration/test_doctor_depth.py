@@ -1,0 +1,105 @@
+"""Depth cameras of which one sees past the person whom another one sees are told, with what may be the cause."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hypose.calibration.doctor import Observed, examine
+from hypose.calibration.doctor_depth import depth_findings, seen_past
+from hypose.cameras.camera import CameraRig
+from hypose.geometry import se3, so3_exp
+from hypose.synthetic.depth_scenes import depth_scene, seen_before, to_profile, turning
+from hypose.synthetic.motions import act
+from hypose.synthetic.subjects import load_subjects
+
+SUBJECTS = [subject for _, subject in sorted(load_subjects().items())]
+
+
+def frames_of(sensors="depth-2", seed=24, count=5, others=False):
+    """A few frames of somebody who walks before depth cameras; others: beside somebody else, who walks 0.9 m away."""
+    subject, other = SUBJECTS[seed % len(SUBJECTS)], SUBJECTS[(seed + 3) % len(SUBJECTS)]
+    p = act("walk", subject, 3.0, 25.0, np.random.default_rng(seed))
+    scene = depth_scene(turning(p, subject, 0.7 * to_profile(len(p), seed)), subject, sensors, seed=seed)
+    if others:
+        q = act("walk", other, 3.0, 25.0, np.random.default_rng(seed + 100))
+        scene = replace(scene, others=((other, replace(q, root=q.root + np.array([0.9, 0.2, 0]))),))
+    rooms, out = scene.backgrounds(3), []
+    for t in np.linspace(0, len(scene) - 1, count).round().astype(int).tolist():
+        maps = [scene.depth_map(c, t) for c in range(len(scene.rig))]
+        out.append(seen_before(rooms, maps, scene.rig, t / 25, t, people=others))
+    return out
+
+
+@pytest.fixture(scope="module")
+def depths():
+    return [f.depth for f in frames_of()]
+
+
+def exchanged(rig):
+    a, b = rig
+    return CameraRig((replace(b, name=a.name), replace(a, name=b.name)))
+
+
+def mirrored(depth, views):
+    maps, person = depth.maps.copy(), depth.person.copy()
+    for c in views:
+        maps[c], person[c] = maps[c, :, ::-1], person[c, :, ::-1]
+    return replace(depth, maps=maps, person=person)
+
+
+@pytest.mark.parametrize("sensors, others", [("depth-2", False), ("depth-3", False), ("depth-2", True)])
+def test_of_right_cameras_nothing_is_said(sensors, others):
+    found = [f.depth for f in frames_of(sensors, others=others)]
+    assert depth_findings(found) == ()
+    counted = np.array([seen_past(d) for d in found])
+    assert counted[:, 0].min() > 100 and (counted[:, 1] / counted[:, 0]).max() < 0.25
+
+
+def test_a_camera_that_was_moved_a_little_is_not_told_by_it(depths):
+    rig = depths[0].rig
+    own = rig[1].camera_from_world @ se3(np.eye(3), np.array([0.1, 0, 0]))
+    moved = CameraRig((rig[0], replace(rig[1], camera_from_world=own @ se3(so3_exp([0, 0, 0.04]), np.zeros(3)))))
+    assert depth_findings([replace(d, rig=moved) for d in depths]) == ()
+
+
+def test_maps_of_two_cameras_that_are_exchanged_are_told(depths):
+    (found,) = depth_findings([replace(d, rig=exchanged(d.rig)) for d in depths])
+    assert found.fault and found.views == ("depth1", "depth2")
+    assert "the maps of depth1 are those of depth2 and the other way round" in found.text
+    assert 'exchange camera = "depth1" and camera = "depth2"' in found.cure
+
+
+@pytest.mark.parametrize("views, words", [([0, 1], "all maps are mirrored"), ([1], "the maps of depth2 are mirrored")])
+def test_mirrored_maps_are_told(depths, views, words):
+    (found,) = depth_findings([mirrored(d, views) for d in depths])
+    assert found.fault and words in found.text and "mirror the maps of" in found.cure
+
+
+def test_cameras_of_other_trials_are_told_without_a_cause(depths):
+    other = [f.depth for f in frames_of(seed=30)]
+    mixed = [replace(a, maps=np.stack([a.maps[0], b.maps[1]]), person=np.stack([a.person[0], b.person[1]]))
+             for a, b in zip(depths, reversed(other), strict=True)]  # fmt: skip
+    (found,) = depth_findings(mixed)
+    assert found.fault and found.kind == "places" and "one and the same recording" in found.cure
+
+
+def test_the_doctor_names_what_depth_says_and_not_what_its_masks_make_of_it():
+    frames = frames_of(count=8)
+    wrong = [mirrored(f.depth, [0, 1]) for f in frames]
+    masks = [replace(f.silhouettes, masks=f.silhouettes.masks[:, :, ::-1].copy()) for f in frames]
+    report = examine(Observed(frames[0].depth.rig, silhouettes=masks, depths=wrong))
+    assert not report.healthy and len(report.findings) == 1 and "mirrored" in report.findings[0].text
+    right = examine(Observed(frames[0].depth.rig, silhouettes=[f.silhouettes for f in frames]))
+    assert "mirrored" not in str(right.findings)
+
+
+def test_one_camera_is_examined_by_its_floor():
+    frames = frames_of("depth-1", count=2)
+    rig = frames[0].depth.rig
+    lower = se3(np.eye(3), np.array([0, 0, 0.9]))
+    low = CameraRig((replace(rig[0], camera_from_world=rig[0].camera_from_world @ lower),))
+    silhouettes = [f.silhouettes for f in frames]
+    found = examine(Observed(low, silhouettes=silhouettes, depths=[replace(f.depth, rig=low) for f in frames])).findings
+    assert [f.kind for f in found] == ["floor"] and found[0].fault
+    assert examine(Observed(rig, silhouettes=silhouettes, depths=[f.depth for f in frames])).healthy

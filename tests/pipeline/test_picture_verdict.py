@@ -1,0 +1,83 @@
+"""A motion from one camera that does not lie where the picture shows the person is not to be trusted."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hypose.body.ready_bodies import human
+from hypose.cameras.camera import CameraRig
+from hypose.evidence.frame import Frame, Keypoints
+from hypose.evidence.keypoints import BODY_25
+from hypose.pipeline.picture_verdict import BESIDE, BESIDE_FRAME, against_the_picture, beside_the_picture
+from hypose.synthetic.rigs import rig
+from hypose.tracking.keypoint_evidence import keypoint_model
+from hypose.tracking.starts import known_pose
+from tests.depth_pictures import frame_of
+
+BODY = human()
+RIG = CameraRig((rig("humaneva-4", distorted=False)[0],))
+
+
+def poses(count=10):
+    pose = known_pose(BODY, "standing")
+    pose[:3] = 0, 0, 0.95
+    out = np.tile(pose, (count, 1))
+    out[:, 0] += 0.02 * np.arange(count)
+    return out
+
+
+def frames_of(poses, noise=0.0, names=BODY_25):
+    model, rng = keypoint_model(BODY, names), np.random.default_rng(0)
+    for t, pose in enumerate(poses):
+        uv = RIG[0].project_pinhole(model.positions(BODY, pose)) + noise * rng.normal(size=(len(names), 2))
+        seen = np.concatenate([uv, np.where(model.known, 0.9, 0.0)[:, None]], 1)
+        yield Frame(t / 25, t, keypoints=Keypoints(seen[None], names, RIG))
+
+
+def with_arms_elsewhere(poses):
+    out = poses.copy()
+    for side in ("left", "right"):
+        shoulder = BODY.skeleton.dofs_of(f"{side}_shoulder")
+        out[:, shoulder] = BODY.skeleton.upper[shoulder]
+    return BODY.skeleton.clamp(out)
+
+
+@pytest.mark.parametrize("noise", [0.0, 6.0])
+def test_a_body_that_lies_on_its_key_points_is_not_accused(noise):
+    share = beside_the_picture(BODY, poses(), frames_of(poses(), noise))
+    assert share.max() < 0.1 and against_the_picture(share) == ()
+
+
+def test_limbs_elsewhere_in_the_picture_are_told_with_their_frames():
+    wrong = poses()
+    wrong[2:] = with_arms_elsewhere(wrong[2:])
+    share = beside_the_picture(BODY, wrong, frames_of(poses()))
+    assert (share[:2] == 0).all() and (share[2:] > BESIDE).all()
+    (sentence,) = against_the_picture(share)
+    assert "frames 2-9" in sentence and "overlay" in sentence and "--start" in sentence
+
+
+def test_another_persons_key_points_make_every_frame_doubtful():
+    moved = poses()
+    moved[:, 0] += 0.8
+    share = beside_the_picture(BODY, poses(), frames_of(moved))
+    assert (share > BESIDE_FRAME).all() and against_the_picture(share)
+
+
+def test_what_shows_nothing_says_nothing():
+    lost = poses()
+    lost[2] = np.nan
+    frames = [replace(f, keypoints=None) if f.index < 2 else f for f in frames_of(poses())]
+    share = beside_the_picture(BODY, lost, frames)
+    assert np.isnan(share[:3]).all() and (share[3:] == 0).all()
+    assert against_the_picture(np.full(5, np.nan)) == ()
+
+
+def test_without_key_points_the_mask_tells():
+    frames = [frame_of(BODY, pose, RIG, t) for t, pose in enumerate(poses(4))]
+    assert (beside_the_picture(BODY, poses(4), frames) == 0).all()
+    moved = poses(4)
+    moved[:, 1] += 0.8
+    share = beside_the_picture(BODY, moved, frames)
+    assert (share > BESIDE_FRAME).all() and len(against_the_picture(share)) == 1
