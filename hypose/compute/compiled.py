@@ -102,7 +102,7 @@ class _Code(JITCodeLibrary):
 
     def finalize(self) -> None:
         """Take in all that is called, directly or not, each once; numba would copy it into each of its callers."""
-        self._linking_libraries = _callers_first(self)
+        self._linking_libraries = list(map(_alone, _callers_first(self)))
         super().finalize()
 
 
@@ -139,8 +139,29 @@ class _InnerCode(_Code):
         self._finalized = True
 
     def _get_module_for_linking(self) -> Any:
-        self._ensure_finalized()
-        return self._final_module
+        """With all that it calls: numba's own functions are known to it from now on, and code that is no kernel takes
+        what it calls itself and nothing beyond."""
+        if self._shared_module is None:
+            self._ensure_finalized()
+            self._shared_module = self._final_module.clone()
+            for called in map(_alone, _callers_first(self)):
+                self._shared_module.link_in(called._get_module_for_linking(), preserve=True)
+        return self._shared_module
+
+
+class _Alone:
+    """An _InnerCode without what it calls."""
+
+    def __init__(self, code: _InnerCode) -> None:
+        self._code, self._reload_init = code, code._reload_init
+
+    def _get_module_for_linking(self) -> Any:
+        self._code._ensure_finalized()
+        return self._code._final_module
+
+
+def _alone(code: Any) -> Any:
+    return _Alone(code) if isinstance(code, _InnerCode) else code
 
 
 def _callers_first(code: _Code) -> list[Any]:

@@ -97,3 +97,11 @@ def test_numba_is_as_it_was_outside_of_kernels():
         kernel(lambda a: a.no_such_thing)(1.0)
     assert all(getattr(*place) is was for place, was in replaced.items())
     assert numba.njit(_turned)(np.ones((1, 2))).tolist() == [[2.0], [2.0]]
+
+
+@pytest.mark.parametrize("options", [{}, {"boundscheck": False, "error_model": "numpy"}])
+def test_what_a_kernel_made_numba_compile_serves_others_too(options):
+    kernel(lambda n: np.empty((n, 3), np.float32).size)(2)  # numba keeps what it made of np.empty for such options
+    assert numba.njit(lambda n: np.empty((n, 3), np.float32).size, **options)(5) == 15
+    assert numba.njit(lambda n: np.zeros((n, n)).sum(), **options)(4) == 0
+    assert numba.njit(_turned, **options)(np.ones((1, 2))).tolist() == [[2.0], [2.0]]
