@@ -29,6 +29,8 @@ recordings of one person and of two, 0.32 with a camera 150 mm and 3 degrees off
 exchanged before who walks about (simulated, seeds 20 to 31; who stays in the middle stands there before them, too: 0.26
 at most); what is left of it at most once the cause is undone, and how much more of it still makes a cause as likely"""
 _POINTS, _FRAMES = 20, 3
+REFUTED_PLACES = frozenset({"places", "swapped", "mirrored"})
+"""kinds of findings by which the cameras do not stand where they are said to, so that one person may seem to be two"""
 """points before another camera that tell, and frames with so many"""
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from hypose.body.ready_bodies import human
 from hypose.calibration.common_focal import focal_by_masks, focal_by_points, focal_findings
-from hypose.calibration.doctor_depth import depth_findings
+from hypose.calibration.doctor_depth import REFUTED_PLACES, depth_findings
 from hypose.calibration.doctor_findings import Finding, Limits
 from hypose.calibration.doctor_person import up_by_cameras, wrong_set, wrong_way_up
 from hypose.calibration.doctor_points import best_trial, disagreement
@@ -93,6 +93,11 @@ def of_measured(stature: float) -> tuple[Finding, ...]:
 
 
 def sentences(found: Sequence[Finding], *, fault: bool = True) -> tuple[str, ...]:
+def places_refuted(found: Sequence[Finding]) -> bool:
+    """Do the cameras not stand where they are said to? Then nobody can be told from somebody else."""
+    return any(f.fault and f.kind in REFUTED_PLACES for f in found)
+
+
     """The faults among the findings, each with its next step; or else what only has to be looked at."""
     return tuple(f.sentence for f in found if f.fault == fault)
 
