@@ -59,13 +59,14 @@ class Depth:
 
     maps (C, h, w) float32 m along the optical axis, 0 = hole, undistorted; person (C, h, w) uint8, 1 = the person;
     views of different size are padded with 0, `rig.sizes` tells each view's own size. usable (C,): False for a view
-    without a map. noise: of the sensors."""
+    without a map. noise: of the sensors. blank (C,): depth cameras whose whole map is a hole; None = none is."""
 
     maps: NDArray[np.float32]
     person: NDArray[np.uint8]
     rig: CameraRig
     usable: NDArray[np.bool_]
     noise: DepthNoise = DepthNoise()
+    blank: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
         if self.maps.ndim != 3 or self.maps.shape != self.person.shape or len(self.maps) != len(self.rig):

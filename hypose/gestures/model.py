@@ -56,6 +56,10 @@ class GestureModel:
         for name in self.names:
             check_gesture_name(name)
 
+    def learned(self, content: str) -> bool:
+        """Has it learned from the session with this content?"""
+        return bool(content) and any(entry.get("content") == content for entry in self.history)
+
     def with_thresholds(self, *thresholds: float | None) -> GestureModel:
         """The model with other thresholds."""
         return replace(self, thresholds=thresholds)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from hypose.body.ready_bodies import human
 from hypose.calibration.common_focal import focal_by_masks, focal_by_points, focal_findings
-from hypose.calibration.doctor_depth import depth_findings
+from hypose.calibration.doctor_depth import REFUTED_PLACES, depth_findings
 from hypose.calibration.doctor_findings import Finding, Limits
 from hypose.calibration.doctor_person import up_by_cameras, wrong_set, wrong_way_up
 from hypose.calibration.doctor_points import best_trial, disagreement
@@ -58,15 +58,16 @@ def first_look(
     shown = [f.silhouettes for f in frames if f.silhouettes is not None] if evidence != "keypoints" else []
     masks = [s for s in shown if s.ignored is None]  # half of a person tells nothing of cameras
     limits = Limits()
+    by_depth = depth_findings([f.depth for f in frames if f.depth is not None])
     found: list[Finding] = []
     if evidence != "silhouettes" and points and len(points[0].rig) > 1:
         found += _by_points(points, height, limits)
         held = [f.keypoints for f in source.frames] if isinstance(source, FrameList) else doubted
         if held is not None and not any(f.fault for f in found):
             found += _in_step(held, frame_rate, limits)
-    elif masks and len(masks[0].rig) > 1:
+    elif masks and len(masks[0].rig) > 1 and not any(f.kind == "holes" for f in by_depth):  # masks have them, too
         found += _by_masks(masks, frames, limits)
-    return (*found, *depth_findings([f.depth for f in frames if f.depth is not None]))
+    return (*found, *by_depth)
 
 
 def look_at_depth(source: FrameSource) -> tuple[Finding, ...]:
@@ -90,6 +91,11 @@ def _rows(total: int) -> NDArray[np.int64]:
 def of_measured(stature: float) -> tuple[Finding, ...]:
     """What the height, m, of a person says who was measured in masks or depth, after the first look."""
     return tuple(height_findings(stature, None, Limits()))
+
+
+def places_refuted(found: Sequence[Finding]) -> bool:
+    """Do the cameras not stand where they are said to? Then nobody can be told from somebody else."""
+    return any(f.fault and f.kind in REFUTED_PLACES for f in found)
 
 
 def sentences(found: Sequence[Finding], *, fault: bool = True) -> tuple[str, ...]:

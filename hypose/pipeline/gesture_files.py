@@ -9,6 +9,7 @@ takes segment N back); depth/ with 16-bit PNG in millimetres. It can be learned 
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
@@ -28,6 +29,7 @@ from hypose.gestures.pixels import Example
 from hypose.io.files import RecordingFolder, text_lines
 from hypose.io.motions.results import load_archive, to_json, write_archive
 from hypose.io.sensors.depth import read_depth_png, write_millimetres_png
+from hypose.io.videos.video import list_images
 from hypose.json_text import parse_json
 
 FORMAT = "hypose-gesture-session"
@@ -36,6 +38,8 @@ _FRAMES = ["frame", "time", "file", "phase", "segment", "gesture", "x", "y"]
 MAX_FRAMES = 1_000_000
 MAX_GESTURES = 16
 _WAITING = 4
+_TELLING = 10
+"""pictures by which a session is known"""
 
 
 def save_model(model: GestureModel, path: str | Path) -> None:
@@ -53,6 +57,16 @@ def load_model(path: str | Path) -> GestureModel:
     except (ValueError, InputError) as error:
         reason = str(error).rstrip(".")
         raise InputError(f"{path} is not a gesture model of hypose, or is damaged: {reason}; {step}.") from None
+
+
+def content_of(folder: Path) -> str:
+    """What tells a session from others, whatever its folder is called, as soon as it has begun: the hash of its first
+    pictures, "" where there are none."""
+    pictures = list_images(folder / "depth")[:_TELLING] if (folder / "depth").is_dir() else []
+    digest = hashlib.sha256()
+    for picture in pictures:
+        digest.update(picture.read_bytes())
+    return digest.hexdigest() if pictures else ""
 
 
 @dataclass(frozen=True)
@@ -90,6 +104,11 @@ class GestureRecording:
         if name not in self.gestures:
             raise InputError(f"{self.folder} has no gesture {name!r}; it has {', '.join(self.gestures)}.")
         return self.gestures.index(name) + 1
+
+    @property
+    def content(self) -> str:
+        """See `content_of`."""
+        return content_of(self.folder)
 
     def learned(self) -> list[RecordedFrame]:
         """Frames of learning segments that were not taken back."""

@@ -67,6 +67,8 @@ def import_depth(
     cannot be used; then, as when it is interrupted, nothing of it is left in the folder."""
     if empty and len(empty) != len(sources):
         raise InputError(f"Give the empty room of every camera, in the same order: {len(sources)}, not {len(empty)}.")
+    _all_different(sources)
+    _all_different(empty)
     folder = Path(folder)
     if there := [name for name in _MADE if os.path.lexists(folder / name)]:
         raise InputError(f"{folder} holds {', '.join(there)} already; give a new folder.")
@@ -78,6 +80,15 @@ def import_depth(
             with contextlib.suppress(OSError):
                 (folder / name).unlink(missing_ok=True)
         raise
+
+
+def _all_different(given: Sequence[str | Path]) -> None:
+    """An InputError for a recording that is given twice: two cameras would be one."""
+    seen = set[Path]()
+    for one in given:
+        if (real := Path(one).resolve()) in seen:
+            raise InputError(f"{one} is given twice; give the recording of every camera once.")
+        seen.add(real)
 
 
 def _imported(

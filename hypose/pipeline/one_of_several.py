@@ -21,6 +21,7 @@ from hypose.io.motions.results import ResultsFolder, save_motion
 from hypose.io.recordings.frames import FrameSettings, FrameStream
 from hypose.io.recordings.recording import Recording
 from hypose.io.recordings.recording_people import load_person
+from hypose.pipeline.first_look import places_refuted
 from hypose.pipeline.hull_paths import count_people
 from hypose.pipeline.people_points import KeypointPeople
 from hypose.pipeline.people_run import PeopleRun
@@ -163,7 +164,7 @@ def track_one_of(
     are there, and that the `command` tracks them. Not to be trusted where nobody was found at the place of who is
     wanted. Everything else as for `track_source`."""
     report = progress or (lambda stage, done, total: None)
-    found = PeopleRun(
+    run = PeopleRun(
         source,
         frame_rate,
         options,
@@ -175,10 +176,11 @@ def track_one_of(
         report,
         points,
         under=_EVERYBODY,
-    )()
+    )
+    found = run()
     one = found.people[0]
     more = found.others
-    said = (left_out(more, "masks", command),) if more else ()
+    said = (left_out(more, "masks", command),) if more and not places_refuted(run.looked) else ()
     said = (*said, *(f"Note: {n}." for n in said_of_places(wanted, 1 + more)))
     faults = one.result.faults
     if wanted and wanted[0].place is not None and one.name != wanted[0].name:

@@ -180,7 +180,7 @@ class PeopleRun:
     # ---- who is there ------------------------------------------------------------------------------------------
 
     @cached_property
-    def _looked(self) -> tuple[Finding, ...]:
+    def looked(self) -> tuple[Finding, ...]:
         """What depth cameras say of their own places."""
         return look_at_depth(self.source)
 
@@ -189,7 +189,7 @@ class PeopleRun:
         try:
             return self._begin()
         except HyposeError as error:
-            why = sentences(self._looked)
+            why = sentences(self.looked)
             if not why:
                 raise
             raise type(error)(f"{' '.join(why)} That may be why: {error}") from error
@@ -499,7 +499,7 @@ class PeopleRun:
         source = OwnFrames(self.source, p, people, self._points)
         shared = len(people) > 1 and p.present[0]
         given = p.subject, p.member.tracker, tracked, self.options, p.results, self.record, self.progress
-        said = sentences(self._looked), sentences(self._looked, fault=False)
+        said = sentences(self.looked), sentences(self.looked, fault=False)
         out = finish(source, *given, *said, shared=shared)
         motion, notes = replace(out.motion, lost=out.motion.lost | ~present), [*out.notes, *p.said]
         if hidden.any():

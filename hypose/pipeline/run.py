@@ -27,7 +27,7 @@ from hypose.pipeline.colour_detections import tracked_frames
 from hypose.pipeline.contradictions import against_the_clip
 from hypose.pipeline.doubts import with_doubts, with_repeated_points
 from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
-from hypose.pipeline.first_look import first_look, of_measured, sentences
+from hypose.pipeline.first_look import first_look, of_measured, places_refuted, sentences
 from hypose.pipeline.kept_findings import SUBJECT, keep_subject, kept_subject
 from hypose.pipeline.keypoint_track import track_keypoints, with_named_sides
 from hypose.pipeline.mend_sides import FrameRange, as_named, look_back, look_back_notes, mend_sides, sides_notes
@@ -198,6 +198,7 @@ def track_source(
     report("look", 0, 1)
     looked = () if options.of_picture else first_look(source, options.looks_at, options.height, frame_rate)
     faults, noticed = sentences(looked), sentences(looked, fault=False)
+    others = () if places_refuted(looked) else _who_else(source)  # of one person wrong cameras make two
     report("look", 1, 1)
     given = subject is not None
     if subject is None:
@@ -223,9 +224,8 @@ def track_source(
         motion = _doubted(motion, subject, solved.one_by_one, audit, solved.covariance)
         result = TrackResult(motion, subject.body, True, notes)
         wrong, looks = against_the_clip(audit, motion.n_views, evidence_of(audit))
-        said = {"faults": (*faults, *wrong), "looks": (*noticed, *looks), "beside": _who_else(source)}
+        said = {"faults": (*faults, *wrong), "looks": (*noticed, *looks), "beside": others}
         return _written(replace(result, one_by_one=solved.one_by_one, audit=audit, **said), results)
-    others = _who_else(source)
     if method is None and not options.of_picture:
         source, subject = with_named_sides(source, frame_rate, subject, sure_start=options.sure_start)
     before = tracked_before(results.checkpoint, key, total) if resume and results is not None else None

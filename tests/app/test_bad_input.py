@@ -196,6 +196,13 @@ def test_a_folder_with_other_files_is_left_alone(hypose, tmp_path, command):
     assert (tmp_path / "thesis.txt").read_text() == "years of work"
 
 
+def test_a_depth_camera_that_is_given_twice_ends_in_a_sentence_and_leaves_no_folder(hypose, tmp_path):
+    (tmp_path / "maps").mkdir()
+    twice = hypose("depth-import", tmp_path / "maps", tmp_path / "maps", "--out", tmp_path / "rec")
+    fails(twice, "maps is given twice", "every camera once")
+    assert not (tmp_path / "rec").exists()
+
+
 def test_debug_shows_where_the_error_came_from(hypose, tmp_path):
     code, _, err = hypose("track", tmp_path / "nowhere", "--debug")
     assert code == 2

@@ -115,6 +115,13 @@ def test_a_dry_run_counts_and_touches_nothing(hypose, study, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+def test_a_dry_run_with_recordings_that_cannot_be_tracked_ends_as_the_batch_would(hypose, study, tmp_path):
+    path = tmp_path / "sweep.toml"
+    path.write_text(f'recordings = ["nowhere"]\nresults = "{tmp_path}/out"')
+    code, out, _ = hypose("batch", path, "--dry-run")
+    assert code == 1 and "1 refused" in out and "nowhere, " in out
+
+
 # ---- the table -------------------------------------------------------------------------------------------------
 
 

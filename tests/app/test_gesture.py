@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import shutil
 import socket
 import threading
 
@@ -15,6 +16,7 @@ from hypose.gestures.forest import ForestSettings
 from hypose.gestures.localise import LocaliseSettings
 from hypose.gestures.model import GestureModel
 from hypose.gestures.online import Learner
+from hypose.io.sensors.depth import write_millimetres_png
 from hypose.pipeline.gesture_files import SessionWriter, read_recording, save_model
 
 
@@ -97,6 +99,39 @@ def test_growing_goes_on_and_offline_learns_the_same_frames(folder, tmp_path):
     hypose("gesture", "train", tmp_path / "off.npz", "--gesture", "pause", "--recording", session, "--offline")
     with np.load(folder / "pause.npz") as a, np.load(tmp_path / "more.npz") as b:
         assert b["seen"].sum() > a["seen"].sum()
+
+
+def test_a_model_that_is_replaced_is_told_and_that_of_another_gesture_refused(folder, tmp_path, capsys):
+    model = tmp_path / "pause.npz"
+    train = "gesture", "train", model, "--gesture"
+    hypose(*train, "pause", "--recording", folder / "session")
+    assert "will be replaced" not in capsys.readouterr().err
+    hypose(*train, "pause", "--recording", folder / "session")
+    said = capsys.readouterr().err
+    assert "holds a model of pause already, which will be replaced" in said and f"--resume {model}" in said
+    hypose(*train, "pause", "--recording", folder / "session", "--resume", model)
+    assert "will be replaced" not in capsys.readouterr().err
+    before = model.read_bytes()
+    assert "is the model of pause, not of wave" in refused(capsys, *train, "wave", "--recording", folder / "session")
+    assert model.read_bytes() == before
+    model.write_bytes(before[:2000])
+    assert "no model that can be read" in refused(capsys, *train, "pause", "--recording", folder / "session")
+
+
+def test_a_session_that_was_learned_judges_nothing_and_that_is_said(folder, tmp_path, capsys):
+    copied = shutil.copytree(folder / "session", tmp_path / "other name")
+    hypose("gesture", "train", tmp_path / "b.npz", "--gesture", "pause", "--recording", folder / "session")
+    more = "--recording", folder / "session", "--resume", folder / "pause.npz"
+    hypose("gesture", "train", tmp_path / "c.npz", "--gesture", "pause", *more)
+    capsys.readouterr()
+    for model in (folder / "pause.npz", tmp_path / "b.npz", tmp_path / "c.npz"):  # live, recorded, both
+        hypose("gesture", "eval", model, copied)
+        heard = capsys.readouterr()
+        assert "has learned from" in heard.err and json.loads(heard.out)["positives"] > 0
+    first = read_recording(copied).frames[0]
+    write_millimetres_png(first.file, np.roll(first.depth(), 1, 0))
+    hypose("gesture", "eval", tmp_path / "b.npz", copied)
+    assert "has learned from" not in capsys.readouterr().err
 
 
 def refused(capsys, *arguments):

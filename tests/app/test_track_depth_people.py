@@ -11,6 +11,7 @@ import pytest
 from hypose.evidence.depth_people import people_seen
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import load_recording
+from hypose.io.sensors.depth import read_depth_png, write_depth_png
 from hypose.pipeline.one_of_several import frames_to_examine, people_frames, with_everybody
 from hypose.pipeline.run import TrackOptions
 from hypose.synthetic.depth_scenes import depth_scene
@@ -96,3 +97,28 @@ def test_key_points_do_not_tell_people_before_depth_cameras_apart(hypose, two):
     code, _, err = hypose("track", two, "--people", "all", "--evidence", "both", *LIGHT)
     assert code == 2
     assert re.search(r"depth cameras \(depth1, depth2\) .* not by key points", " ".join(err.split())), err
+
+
+@pytest.mark.slow
+def test_cameras_that_are_exchanged_are_told_and_make_nobody_of_two(hypose, tmp_path):
+    """Whether somebody else is there cannot be said before they stand where they are said to."""
+    subject = load_subjects()["neutral"]
+    bert, anna = (act("walk", subject, 0.4, 25.0, np.random.default_rng(3 + k)) for k in range(2))
+    bert, anna = standing_at(bert, (-0.9, 0.0)), standing_at(anna, (0.8, 0.4))
+    write_depth_scene(replace(depth_scene(bert, subject, "depth-2"), others=((subject, anna),)), tmp_path / "two")
+    swapped = [(f'camera = "depth{a}"', f'camera = "{b}"') for a, b in ((1, "x"), (2, "depth1"))]
+    swapped.append(('camera = "x"', 'camera = "depth2"'))
+    code, out, err = hypose("track", changed(tmp_path / "two", tmp_path, *swapped), "--out", tmp_path / "out", *LIGHT)
+    assert code == 3 and "do not see the person at one place" in out, out + err
+    assert "tracks everybody" not in out
+
+
+def test_a_depth_camera_that_measures_nothing_is_named_and_not_counted(hypose, tmp_path):
+    subject = load_subjects()["neutral"]
+    walk = act("walk", subject, 0.3, 25.0, np.random.default_rng(3))
+    write_depth_scene(depth_scene(walk, subject, "depth-2"), tmp_path / "rec")
+    for file in (tmp_path / "rec/depth/depth2").iterdir():
+        write_depth_png(file, np.zeros_like(read_depth_png(file)))
+    code, out, err = hypose("track", tmp_path / "rec", "--out", tmp_path / "out", *LIGHT)
+    assert code == 0 and "frames in 1 of 2 views" in out, out + err
+    assert "depth2 measures nothing in all frames that were looked at" in out and "Verdict: Look at" in out

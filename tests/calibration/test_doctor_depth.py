@@ -9,6 +9,8 @@ from hypose.calibration.doctor import Observed, examine
 from hypose.calibration.doctor_depth import depth_findings, seen_past
 from hypose.cameras.camera import CameraRig
 from hypose.geometry import se3, so3_exp
+from hypose.pipeline.first_look import first_look
+from hypose.pipeline.track_loop import FrameList
 from hypose.synthetic.depth_scenes import depth_scene, seen_before, to_profile, turning
 from hypose.synthetic.motions import act
 from hypose.synthetic.subjects import load_subjects
@@ -103,3 +105,28 @@ def test_one_camera_is_examined_by_its_floor():
     found = examine(Observed(low, silhouettes=silhouettes, depths=[replace(f.depth, rig=low) for f in frames])).findings
     assert [f.kind for f in found] == ["floor"] and found[0].fault
     assert examine(Observed(rig, silhouettes=silhouettes, depths=[f.depth for f in frames])).healthy
+
+
+@pytest.mark.parametrize("often", [1.0, 0.8])
+def test_a_camera_that_measures_nothing_is_named_and_a_fault_where_no_other_is_left(depths, often):
+    def gone(k, depth, views):
+        blank = np.zeros(2, bool)
+        blank[views] = k >= len(depths) * (1 - often)
+        return replace(depth, blank=blank, usable=depth.usable & ~blank)
+
+    (found,) = depth_findings([gone(k, d, [1]) for k, d in enumerate(depths)])
+    when = "in all frames" if often == 1 else "in 80 % of the frames"
+    assert f"depth2 measures nothing {when}" in found.sentence and "[[view]]" in found.cure and not found.fault
+    both = depth_findings([gone(k, d, [0, 1]) for k, d in enumerate(depths)])
+    assert [f.views for f in both if f.kind == "blank"] == [("depth1",), ("depth2",)]
+    assert all(f.fault == (often == 1) for f in both)
+
+
+@pytest.mark.parametrize("lost, told", [(0.25, False), (0.5, True)])
+def test_maps_that_are_riddled_with_holes_are_told_and_their_cameras_not_accused(lost, told):
+    rng, frames = np.random.default_rng(0), frames_of()
+    holes = [replace(f, depth=replace(f.depth, maps=f.depth.maps * (rng.random(f.depth.maps.shape) > lost)))
+             for f in frames]  # fmt: skip
+    found = first_look(FrameList(holes), "silhouettes")
+    assert [(f.kind, f.views) for f in found] == ([("holes", ("depth1",)), ("holes", ("depth2",))] if told else [])
+    assert all(f.fault and "holes all over its depth maps" in f.sentence for f in found)

@@ -183,6 +183,16 @@ def test_what_cannot_be_used_is_named(tmp_path, monkeypatch):
         import_depth([small], tmp_path / "rec")
 
 
+def test_a_recording_that_is_given_twice_is_named(tmp_path):
+    own = camera()
+    source = folder(tmp_path / "maps", own, [seen_in_room(own)])
+    again = tmp_path / "again" / ".." / "maps"
+    (tmp_path / "again").mkdir()
+    for sources, empty in (([source, again], []), (["a", "b"], [source, again])):
+        with pytest.raises(InputError, match="maps is given twice"):
+            import_depth(sources, tmp_path / "rec", empty=empty)
+
+
 def test_several_people_are_named_as_the_reason_when_cameras_cannot_be_brought_together(tmp_path, monkeypatch):
     sources, empty = two_cameras(monkeypatch)
 

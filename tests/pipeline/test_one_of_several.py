@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from hypose.calibration.doctor_findings import Finding
 from hypose.pipeline import one_of_several
 from hypose.pipeline.one_of_several import track_one_of
 from hypose.pipeline.run import TrackOptions, TrackResult
@@ -11,10 +12,20 @@ from hypose.pipeline.tracked_people import Followed, OnePerson, PeopleResult, Wa
 ANNA, BERT = Wanted("Anna", place=(1.0, 2.5), time=0.5), Wanted("Bert")
 
 
-def found(name, monkeypatch, wanted):
+class Run:
+    """What is asked of a `PeopleRun`."""
+
+    def __init__(self, result, looked):
+        self.result, self.looked = result, looked
+
+    def __call__(self):
+        return self.result
+
+
+def found(name, monkeypatch, wanted, looked=()):
     there = np.ones(3, dtype=bool)
     one = OnePerson(name, TrackResult(None, None, True, (), faults=("a fault",)), there, ~there)  # type: ignore[arg-type]
-    monkeypatch.setattr(one_of_several, "PeopleRun", lambda *_, **__: lambda: PeopleResult((one,), True, (), 1))
+    monkeypatch.setattr(one_of_several, "PeopleRun", lambda *_, **__: Run(PeopleResult((one,), True, (), 1), looked))
     return track_one_of(None, 25.0, TrackOptions(), wanted=wanted)  # type: ignore[arg-type]
 
 
@@ -28,6 +39,14 @@ def test_who_is_found_in_place_of_the_one_at_a_place_is_not_to_be_trusted(monkey
 def test_who_is_wanted_and_who_is_wanted_at_no_place_is_as_good_as_tracked(monkeypatch, name, wanted):
     out = found(name, monkeypatch, wanted)
     assert out.faults == ("a fault",) and "another person is in the masks" in out.beside[0]
+
+
+@pytest.mark.parametrize(
+    ("kind", "fault", "told"), [("mirrored", True, False), ("floor", True, True), ("blank", False, True)]
+)
+def test_nobody_else_is_told_where_cameras_make_one_person_two(monkeypatch, kind, fault, told):
+    out = found("person-1", monkeypatch, [], (Finding(kind, (), "wrong", "correct it", 1.0, fault),))
+    assert any("another person" in text for text in out.beside) == told
 
 
 def followed(*names):

@@ -71,6 +71,8 @@ def batch(
                 say(f"{len(tasks)} tasks: {done} finished, {len(tasks) - done} to do, {len(refused)} refused")
                 for one in refused:
                     say(f"{one.recording}, {one.set_name}: {one.reason}")
+                if refused:  # as the batch itself would end
+                    raise typer.Exit(1)
                 return
             with claimed(wanted.results):
                 figures = run_batch(tasks, place, wanted.results, progress, lambda link: note(f"Dashboard: {link}"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import shlex
 from pathlib import Path
 from typing import Annotated
@@ -36,6 +37,7 @@ def depth_import(
 
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"{out} is not empty; give a new folder.")
+    new = not out.exists()
     units = FolderUnits(frame_rate, millimetres)
     try:
         with claimed(out, "--out"), Stages() as progress:
@@ -43,6 +45,10 @@ def depth_import(
     except KeyboardInterrupt:
         say(f"Stopped; nothing is kept in {out}. Start again with the same command.")
         raise typer.Exit(130) from None
+    finally:
+        if new:
+            with contextlib.suppress(OSError):  # the recording is in it
+                out.rmdir()
     for text in notes:
         note(f"note: {text}")
     say(f"{path}: {len(sources)} depth cameras; track it with: hypose track {shlex.quote(str(out))}")

@@ -66,7 +66,14 @@ def train(
     seed: Seed = 0,
 ) -> None:
     """Teach a gesture: a live session that learns while you watch, or recorded sessions again."""
-    from hypose.app.jobs.gesture_job import growing_model, in_cm2, learn_offline, learn_recordings, new_learner
+    from hypose.app.jobs.gesture_job import (
+        growing_model,
+        in_cm2,
+        learn_offline,
+        learn_recordings,
+        new_learner,
+        replaced_model,
+    )
     from hypose.gestures.model import check_gesture_name
     from hypose.io.motions.results import check_writable
     from hypose.pipeline.gesture_files import read_recording, save_model
@@ -82,13 +89,15 @@ def train(
     check_writable(out.parent)
     check_gesture_name(gesture)
     old = growing_model(resume, gesture) if resume is not None else None
+    if out.exists() and not (resume is not None and resume.exists() and out.samefile(resume)):
+        replaced_model(out, gesture, note)
     learner = old.learner if old is not None and old.learner is not None else new_learner(seed)
     if recording:
         loaded = [read_recording(r) for r in recording]
         if offline:
             model = learn_offline(loaded, gesture, seed)
         else:
-            model = learn_recordings(loaded, gesture, learner, passes, note)
+            model = learn_recordings(loaded, gesture, learner, passes, note, old)
     else:
         model = _session(source, gesture, record_to, rounds, learner, seed, old)
     if old is not None and model.thresholds == (None,):  # only the gesture, or only movement, was seen this time
@@ -254,6 +263,11 @@ def evaluate(
     from hypose.pipeline.gesture_files import load_model, read_recording
 
     loaded, session = load_model(model), read_recording(recording)
+    if loaded.learned(session.content):
+        note(
+            f"note: {model} has learned from {recording}: the figures say how well it remembers that, and not how well "
+            "it finds the gesture elsewhere; give a session that was not learned."
+        )
     with Stages() as progress:
         progress("check", 0, 1)
         values = gesture_job.evaluate(loaded, session)

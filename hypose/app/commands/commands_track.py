@@ -218,7 +218,9 @@ def report_outcome(job: Job, finished: tuple[Outcome, dict[str, float]]) -> None
     s = summarize(outcome.motion)
     for text in outcome.notes:
         note(f"note: {text}")
-    parts = [f"{s.frames} frames in {len(job.recording.rig)} views", f"{s.lost} lost", f"{s.extrapolated} extrapolated"]
+    views, told = len(job.recording.rig), int(outcome.motion.n_views.max(initial=0))
+    of = f"{told} of {views}" if 0 < told < views else f"{views}"  # a view that never told anything is none
+    parts = [f"{s.frames} frames in {of} views", f"{s.lost} lost", f"{s.extrapolated} extrapolated"]
     if s.iou == s.iou:
         parts.append(f"mean IoU {s.iou:.3f}")
     if s.sd_mm == s.sd_mm:

@@ -25,7 +25,7 @@ from hypose.gestures.online import Learner
 from hypose.gestures.pixels import LearnSettings
 from hypose.gestures.session import Command, Instruction, SessionSettings
 from hypose.gestures.trainer import Feedback, Trainer, half_way
-from hypose.pipeline.gesture_files import GestureRecording, SessionWriter, load_model
+from hypose.pipeline.gesture_files import GestureRecording, SessionWriter, content_of, load_model
 from hypose.synthetic.gesture_metrics import average_precision
 
 Say = Callable[[str], None]
@@ -74,6 +74,19 @@ def growing_model(path: Path, gesture: str) -> GestureModel:
     return model
 
 
+def replaced_model(path: Path, gesture: str, say: Say) -> None:
+    """Say, before anything is learned, that a model will be replaced; an InputError when the file is another gesture's
+    or no model."""
+    try:
+        old = load_model(path)
+    except InputError:
+        raise InputError(f"{path} is there already, and no model that can be read; give another file.") from None
+    if old.names != (gesture,):
+        raise InputError(f"{path} is the model of {', '.join(old.names)}, not of {gesture}; give another file.")
+    how = "" if old.learner is None else f"; to go on with it, stop and add --resume {path}"
+    say(f"note: {path} holds a model of {gesture} already, which will be replaced{how}.")
+
+
 def run_session(
     source: Source,
     gesture: str,
@@ -97,6 +110,8 @@ def run_session(
     if 2 * counts.learned < counts.asked:
         say(f"Only {counts.learned} of {counts.asked} frames of the gesture had depth {where} in the box.")
     entry = {"session": source.name, "frames_learned": counts.taught, "computing_s": round(counts.seconds, 3)}
+    if record is not None:
+        entry["content"] = content_of(record)
     history = (*(model.history if model is not None else ()), entry)
     threshold = trainer.final_threshold()
     return GestureModel((gesture,), trainer.learner.forest, (threshold,), LocaliseSettings(), trainer.learner, history)
@@ -192,9 +207,15 @@ def _detail(f: Feedback) -> str:
 
 
 def learn_recordings(
-    recordings: Sequence[GestureRecording], gesture: str, learner: Learner, passes: int, say: Say
+    recordings: Sequence[GestureRecording],
+    gesture: str,
+    learner: Learner,
+    passes: int,
+    say: Say,
+    old: GestureModel | None = None,
 ) -> GestureModel:
-    """A forest taught with recorded sessions in the order of time, as the live session would have."""
+    """A forest taught with recorded sessions in the order of time, as the live session would have; old: the model that
+    goes on growing."""
     trainer, seen, asked, shown = Trainer(learner), 0, 0, 0
     for k in range(passes):
         for r in recordings:
@@ -207,7 +228,8 @@ def learn_recordings(
         say(f"pass {k + 1} of {passes}: {seen} frames learned")
     if not shown and (asked or not learner.strength):
         raise InputError(_NOTHING.format(gesture=gesture, where=_range(learner.settings.look.plan)))
-    history = tuple({"recording": r.folder.name, "passes": passes} for r in recordings)
+    history = tuple({"recording": r.folder.name, "passes": passes, "content": r.content} for r in recordings)
+    history = (*(old.history if old is not None else ()), *history)
     threshold = trainer.final_threshold()
     return GestureModel((gesture,), learner.forest, (threshold,), LocaliseSettings(), learner, history)
 
@@ -230,7 +252,9 @@ def learn_offline(recordings: Sequence[GestureRecording], gesture: str, seed: in
     scores: tuple[list[float], list[float]] = ([], [])
     for e in every:
         scores[e.gesture].append(localise(e.depth, e.lens, [forest])[0].score)
-    history = tuple({"recording": r.folder.name, "learning": "offline boosted"} for r in recordings)
+    history = tuple(
+        {"recording": r.folder.name, "learning": "offline boosted", "content": r.content} for r in recordings
+    )
     threshold = half_way(scores[1], scores[0])
     return GestureModel((gesture,), forest, (threshold,), LocaliseSettings(), None, history)
 

@@ -23,7 +23,7 @@ from hypose.gestures.model import GestureModel
 from hypose.gestures.session import Command, Instruction
 from hypose.gestures.session import step as peek
 from hypose.gestures.trainer import Feedback, Trainer
-from hypose.pipeline.gesture_files import SessionWriter, save_model
+from hypose.pipeline.gesture_files import SessionWriter, content_of, save_model
 
 BOX_M = 0.1
 """Half side of the box that is shown, at the surface in it."""
@@ -221,6 +221,7 @@ class Training:
             "session": self.folder.name,
             "frames_learned": sum(self._frames.values()),
             "computing_s": round(self._seconds, 3),
+            "content": content_of(self.folder),
         }
         learner = self.trainer.learner
         model = GestureModel(

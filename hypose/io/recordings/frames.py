@@ -386,13 +386,21 @@ class FrameStream:
             return None
         maps = np.zeros(silhouettes.masks.shape, np.float32)
         usable = silhouettes.usable & np.array([s is not None for s in sources])
-        for c in np.flatnonzero(usable):
-            source = sources[int(c)]
-            assert source is not None
-            found = self._lanes[int(c)].submit(source.map, number).result()
-            maps[c, : found.shape[0], : found.shape[1]] = found
+        blank = np.zeros(len(sources), dtype=np.bool_)
+        for c, source in enumerate(sources):
+            if source is None:
+                continue
+            try:
+                found = self._lanes[c].submit(source.map, number).result()
+            except InputError:  # its mask could not be made either, and says so
+                if usable[c]:
+                    raise
+                continue
+            blank[c] = not found.any()
+            if usable[c]:
+                maps[c, : found.shape[0], : found.shape[1]] = found
         person = silhouettes.masks * usable.astype(np.uint8)[:, None, None]
-        return Depth(maps, person, silhouettes.rig, usable)
+        return Depth(maps, person, silhouettes.rig, usable, blank=blank)
 
     def image(self, view: int, index: int) -> Image:
         """The undistorted working-size picture (h, w, 3) BGR of a view, for overlays."""
