@@ -23,6 +23,8 @@ from hypose.errors import EvidenceError
 from hypose.geometry import Array
 
 _LEAST_FRAMES = 24
+_PART = 0.62
+"""share of a clip that tells by itself what the whole does: of a half too little is left once it is moved by a lag"""
 
 
 def late_views(rig: CameraRig, pixels: Array, o: Limits) -> tuple[Array, Array]:
@@ -55,13 +57,13 @@ def late_views(rig: CameraRig, pixels: Array, o: Limits) -> tuple[Array, Array]:
 def _contradicted(
     rig: CameraRig, uv: Array, confidence: Array, scatter: float, found: Array, o: Limits
 ) -> NDArray[np.bool_]:
-    """(C,) views that one half of the clip, where it tells, puts elsewhere than the whole, found (C,) frames late. Who
-    stands and waves moves few points, whose errors last and look like motion that comes late; they are others in the
-    other half."""
-    out, half = np.zeros(len(rig), np.bool_), uv.shape[1] // 2
-    if half < _LEAST_FRAMES:
+    """(C,) views that the earlier or the later part of the clip, where it tells, puts elsewhere than the whole, found
+    (C,) frames late. Who stands and waves moves few points, whose errors last and look like motion that comes late;
+    they are others in another part."""
+    out, long = np.zeros(len(rig), np.bool_), round(_PART * uv.shape[1])
+    if long < _LEAST_FRAMES:
         return out
-    for part in (slice(None, half), slice(half, None)):
+    for part in (slice(None, long), slice(-long, None)):
         curves = keypoint_curves(rig, uv[:, part], confidence[:, part], o.largest_lag, scatter, step=0.5)
         try:
             offsets = solve_offsets(curves, len(rig))
@@ -70,7 +72,7 @@ def _contradicted(
         size = np.abs(found)
         away = np.abs(_by_first_of_two(offsets.frames) - found)
         out |= (offsets.sd < size / 3) & (away > np.maximum(size / 2, 0.5))
-    return out & (np.abs(found) < offsets_within(o.largest_lag, half) - 1)
+    return out & (np.abs(found) < offsets_within(o.largest_lag, long) - 1)
 
 
 def _by_first_of_two(frames: Array) -> Array:

@@ -187,7 +187,7 @@ def test_a_camera_that_is_later_than_is_looked_for_is_looked_for_farther(walk):
     assert "or more" in told.text and "more frames" in told.cure
 
 
-def test_who_stands_and_waves_tells_of_no_late_camera_what_half_of_the_clip_denies(walk):
+def test_who_stands_and_waves_tells_of_no_late_camera_that_a_part_of_the_clip_denies(walk):
     o = healthy(940).observed  # before six cameras: 1.7 and 4.7 frames by the whole clip
     assert not late_views(o.rig, o.keypoints, Limits())[0].any()
     points = walk.observed.keypoints.copy()
