@@ -117,13 +117,14 @@ def seen_past(depth: Depth) -> tuple[int, int]:
     for a, b in permutations(np.flatnonzero(depth.usable).tolist(), 2):
         camera = depth.rig[b]
         w, h = camera.size
-        there = transform(camera.camera_from_world, surface.points[surface.first[a] : surface.first[a + 1]])
-        there = there[there[:, 2] > 0.1]
-        u, v = np.rint(there[:, :2] / there[:, 2:] * camera.K[[0, 1], [0, 1]] + camera.K[:2, 2]).astype(int).T
+        points = surface.points[surface.first[a] : surface.first[a + 1]]
+        z = transform(camera.camera_from_world, points)[:, 2]
+        points, z = points[z > 0.1], z[z > 0.1]
+        u, v = np.rint(camera.project_pinhole(points)).astype(int).T
         inside = (u >= 0) & (u < w) & (v >= 0) & (v < h)
         seen = depth.maps[b, v[inside], u[inside]]
         looked += int((seen > 0).sum())
-        past += int((seen > there[inside, 2] + _BEHIND_M).sum())
+        past += int((seen > z[inside] + _BEHIND_M).sum())
     return looked, past
 
 

@@ -72,6 +72,9 @@ def first_look(
 
 def look_at_depth(source: FrameSource) -> tuple[Finding, ...]:
     """What the depth maps alone say, of frames with several people in them, too."""
+    with contextlib.suppress(HyposeError):
+        if source.frame(0).depth is None:  # frames from all over videos take long to read
+            return ()
     return depth_findings([f.depth for f in _some(source) if f.depth is not None])
 
 

@@ -12,12 +12,9 @@ from hypose.io.motions.bodies import load_body
 from hypose.io.motions.results import load_motion
 from hypose.io.motions.trc import read_trc
 from hypose.io.videos.video import open_video
-from hypose.pipeline.verdict import EXIT_UNTRUSTED
 from hypose.synthetic.metrics import joint_errors
 
 LIGHT = ("--no-overlay", "--formats", "trc")
-TOLD = (0, EXIT_UNTRUSTED)
-"""Of two frames of somebody 60 px tall, whose arms may be anywhere: what it is worth is asked elsewhere."""
 
 
 def interrupt_at(monkeypatch, stage, done):
@@ -71,21 +68,21 @@ def test_the_closing_lines_tell_what_came_out(hypose, tiny, tmp_path):
 
 
 def test_results_go_into_the_recording_by_default(hypose, recording):
-    code, _, err = hypose("track", recording, "--frames", ":2", *LIGHT)
-    assert code in TOLD, err
+    code, _, err = hypose("track", recording, "--frames", "2:5", *LIGHT)
+    assert code == 0, err
     assert (recording / "results" / "default" / "motion.npz").is_file()
 
 
 def test_another_calibration_file_can_be_given(hypose, recording, tmp_path):
     other = tmp_path / "other.toml"
     (recording / "calibration.toml").rename(other)
-    code, _, err = hypose("track", recording, "--frames", ":2", "--calibration", other, *LIGHT)
-    assert code in TOLD, err
+    code, _, err = hypose("track", recording, "--frames", "2:5", "--calibration", other, *LIGHT)
+    assert code == 0, err
 
 
 def test_a_published_recipe_with_refinement(hypose, tiny, tmp_path):
-    code, _, err = hypose("track", tiny, "--recipe", "hpf", "--refine", "--frames", ":2", "--out", tmp_path, *LIGHT)
-    assert code in TOLD, err
+    code, _, err = hypose("track", tiny, "--recipe", "hpf", "--refine", "--frames", "2:5", "--out", tmp_path, *LIGHT)
+    assert code == 0, err
     assert load_motion(tmp_path / "motion.npz").provenance["recipe"] == "hpf"
 
 

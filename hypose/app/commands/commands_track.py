@@ -219,7 +219,7 @@ def report_outcome(job: Job, finished: tuple[Outcome, dict[str, float]]) -> None
     for text in outcome.notes:
         note(f"note: {text}")
     views, told = len(job.recording.rig), int(outcome.motion.n_views.max(initial=0))
-    of = f"{told} of {views}" if 0 < told < views else f"{views}"  # a view that never told anything is none
+    of = f"{told} of {views}" if 0 < told < views else f"{views}"  # as many as ever told anything at once
     parts = [f"{s.frames} frames in {of} views", f"{s.lost} lost", f"{s.extrapolated} extrapolated"]
     if s.iou == s.iou:
         parts.append(f"mean IoU {s.iou:.3f}")
