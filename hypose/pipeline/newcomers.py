@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -53,6 +54,19 @@ def somebody_more(known: Sequence[Other], silhouettes: Silhouettes, least: int =
     usual = float(np.median(sizes[sizes > 0])) if (sizes > 0).any() else 0.0
     views = thin.usable & (without(thin, known).areas > LEFT_SHARE * usual)
     return int(views.sum()) >= min(least, int(thin.usable.sum()))
+
+
+def part_doubles(people: Sequence[Followed], frames: int) -> None:
+    """Of two bodies in one place for so many frames, the one that explains less has left."""
+    for i, a in enumerate(people):
+        for b in people[:i]:
+            if not (a.member.present and b.member.present) or min(len(a.estimates), len(b.estimates)) < frames:
+                continue
+            poses = [np.stack([e.pose[:3] for e in p.estimates[-frames:]]) for p in (a, b)]
+            if (np.linalg.norm(poses[0] - poses[1], axis=1) < ONE_PLACE_M).all():
+                costs = [np.mean([np.nan_to_num(e.cost, nan=1.0) for e in p.estimates[-frames:]]) for p in (a, b)]
+                worse = a if costs[0] >= costs[1] else b
+                worse.member = replace(worse.member, present=False)
 
 
 def without_doubles(people: Sequence[Followed], frame: Frame) -> dict[str, Subject]:

@@ -33,11 +33,11 @@ from hypose.pipeline.first_look import look_at_depth, sentences
 from hypose.pipeline.hull_paths import Path, follow_places, lasting
 from hypose.pipeline.kept_findings import keep_subject, kept_subject
 from hypose.pipeline.newcomers import (
-    ONE_PLACE_M,
     back_again,
     evidence_of,
     explained_by,
     not_parts,
+    part_doubles,
     somebody_more,
     unfollowed,
     without_doubles,
@@ -407,24 +407,11 @@ class PeopleRun:
         if t % self._look_every == 0:
             for p, q, since in look_at_clothes(people, seen):
                 exchange(p, q, since)
-        self._one_of_two(people)
+        part_doubles(people, max(2, round(TOGETHER_S * self.frame_rate)))
 
     @property
     def _look_every(self) -> int:
         return max(1, round(LOOK_S * self.frame_rate))
-
-    def _one_of_two(self, people: Sequence[Followed]) -> None:
-        """Of two bodies in one place for long, the one that explains less has left."""
-        need = max(2, round(TOGETHER_S * self.frame_rate))
-        for i, a in enumerate(people):
-            for b in people[:i]:
-                if not (a.member.present and b.member.present) or min(len(a.estimates), len(b.estimates)) < need:
-                    continue
-                poses = [np.stack([e.pose[:3] for e in p.estimates[-need:]]) for p in (a, b)]
-                if (np.linalg.norm(poses[0] - poses[1], axis=1) < ONE_PLACE_M).all():
-                    costs = [np.mean([np.nan_to_num(e.cost, nan=1.0) for e in p.estimates[-need:]]) for p in (a, b)]
-                    worse = a if costs[0] >= costs[1] else b
-                    worse.member = replace(worse.member, present=False)
 
     def _look(
         self, people: list[Followed], frame: Frame, t: int, before: Sequence[Array], progress: Progress
