@@ -69,7 +69,7 @@ from hypose.compute.pictures.visibility import nearest_visible
 from hypose.compute.selection import beside, default_threads, over_chunks, require_cuda, use
 from hypose.compute.silhouettes import reach
 from hypose.compute.silhouettes.glance import Glance, differing_box, glance_at, stored_pixels
-from hypose.compute.silhouettes.mask_distance import signed_distance
+from hypose.compute.silhouettes.mask_distance import shrink_mask, signed_distance
 from hypose.compute.silhouettes.packed_masks import prepare_masks
 from hypose.compute.silhouettes.scorer import limb_energies, silhouette_xor
 from hypose.compute.solver.banded import frame_covariances, solve_coupled
@@ -214,6 +214,7 @@ __all__ = [
     "selection",
     "shown_parts",
     "shrink_undistort",
+    "shrink_mask",
     "signed_distance",
     "silhouette",
     "silhouette_xor",
@@ -280,9 +281,9 @@ def workspace(tree: TreeArrays, mesh: MeshArrays, height: int, width: int) -> Wo
         np.zeros(f, np.uint8),
         np.zeros(e, np.int32),
         np.zeros(e, np.int32),
-        np.zeros((height + 1, width), np.int16),
+        np.zeros((height + 1, width), np.int8),
         np.zeros((height, width), np.uint8),
-        np.zeros(width, np.int16),
+        np.zeros(width, np.int8),
         np.zeros(2048, f4),
         np.zeros(2048, f4),
         np.zeros(2048, np.int32),

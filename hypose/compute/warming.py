@@ -102,6 +102,7 @@ def _glance(compute: Any) -> None:
 def _outlines(compute: Any) -> None:
     mask, sizes = _mask()
     compute.outline_points(compute.signed_distance(mask, sizes)[0], (32, 32), 16)
+    compute.shrink_mask(mask[0, :30, :30], 3)
 
 
 def _masks(compute: Any) -> None:

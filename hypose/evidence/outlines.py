@@ -18,22 +18,22 @@ OUTLINE_POINTS = 130
 SMALLEST = 8
 """px: masks no longer than this have no outline worth following"""
 WORKING_HEIGHT = 170
-"""px: a person this tall is outlined well enough for tracking; larger masks may be shrunk by a whole factor"""
+"""px: a person this tall is outlined well enough for tracking; larger masks may be shrunk by 1.5, 2, 2.5..."""
 
 
 @dataclass(frozen=True)
 class ViewOutline:
     """Of one mask: distance (h, w) float32 px to its edge, negative inside (compute.signed_distance), in the part of
     the image that begins at corner (x, y); points (K, 2) float32 px on the edge, away from the image border
-    (compute.outline_points); found: how many edge pixels there are; shrunk: the whole factor by which the mask was
-    shrunk before, so that all these are in shrunk pixels; extent: longer side of the mask's box in its own pixels;
-    working_height: as asked for. A mask that is too small has no outline: zeros."""
+    (compute.outline_points); found: how many edge pixels there are; shrunk: the factor, a multiple of 1/2, by which the
+    mask was shrunk before, so that all these are in shrunk pixels; extent: longer side of the mask's box in its own
+    pixels; working_height: as asked for. A mask that is too small has no outline: zeros."""
 
     distance: NDArray[np.float32]
     points: NDArray[np.float32]
     found: int
     extent: int
-    shrunk: int = 1
+    shrunk: float = 1.0
     corner: tuple[int, int] = (0, 0)
     working_height: int | None = None
 
@@ -47,34 +47,35 @@ class Outlines:
     points: NDArray[np.float32]
     found: NDArray[np.int64]
     extent: NDArray[np.int64]
-    shrunk: NDArray[np.int64]
+    shrunk: Array
     sizes: NDArray[np.int64]
     corners: NDArray[np.int64]
 
 
 def view_outline(mask: Mask, count: int = OUTLINE_POINTS, working_height: int | None = None) -> ViewOutline:
     """Outline of a mask (h, w), in its own size, without padding. working_height px: for tracking; a taller mask is
-    shrunk by the largest whole factor that leaves it at least as tall, and distances are made around the person only
+    shrunk by the largest multiple of 1/2 that leaves it at least as tall, and distances are made around the person only
     (a sixth of its size, at least 32 px): further out rows weigh nothing."""
     box = bounding_box(mask)
     extent = 0 if box is None else max(box[1] - box[0], box[3] - box[2])
-    factor = _factor(extent, working_height)
+    halves = _halves(extent, working_height)
     if extent <= SMALLEST:
         return ViewOutline(
             np.zeros(mask.shape, np.float32), np.zeros((count, 2), np.float32), 0, extent, 1, (0, 0), working_height
         )
     x0 = y0 = 0
     if working_height is not None and box is not None:
-        h, w = (side // factor * factor for side in mask.shape)
-        margin = max(32 * factor, extent // 6)
-        y0, x0 = (max(box[k] - margin, 0) // factor * factor for k in (0, 2))
+        h, w = (side // halves * halves for side in mask.shape)
+        margin = max(16 * halves, extent // 6)
+        y0, x0 = (max(box[k] - margin, 0) // halves * halves for k in (0, 2))
         mask = mask[y0 : min(box[1] + margin, h), x0 : min(box[3] + margin, w)]
-    small = _shrink(mask, factor) if factor > 1 else mask
+    small = _shrink(mask, halves) if halves > 2 else mask
     size = (small.shape[1], small.shape[0])
     distance = compute.signed_distance(small[None], np.array([size]), None if working_height is None else max(size))[0]
     points, found = compute.outline_points(distance, size, count)
-    corner = (x0 // factor, y0 // factor)
-    return ViewOutline(distance, points + np.array(corner, np.float32), found, extent, factor, corner, working_height)
+    corner = (2 * x0 // halves, 2 * y0 // halves)
+    points += np.array(corner, np.float32)
+    return ViewOutline(distance, points, found, extent, halves / 2, corner, working_height)
 
 
 KNOWN_PX = 0.75
@@ -95,18 +96,18 @@ def shared_outline(
     nothing = ViewOutline(
         np.zeros((2, 2), np.float32), np.zeros((count, 2), np.float32), 0, extent, 1, (0, 0), working_height
     )
-    factor, left, top = _factor(extent, working_height), 0, 0
+    halves, left, top = _halves(extent, working_height), 0, 0
     if working_height is not None:
-        h, w = (side // factor * factor for side in mask.shape)
-        margin = max(32 * factor, extent // 6)
-        top, left = (max(n - margin, 0) // factor * factor for n in (y0, x0))
+        h, w = (side // halves * halves for side in mask.shape)
+        margin = max(16 * halves, extent // 6)
+        top, left = (max(n - margin, 0) // halves * halves for n in (y0, x0))
         part = (slice(top, min(y1 + margin, h)), slice(left, min(x1 + margin, w)))
         mask, ignored = mask[part], ignored[part]
-    if min(mask.shape) <= SMALLEST * factor or extent <= SMALLEST:
+    if 2 * min(mask.shape) <= SMALLEST * halves or extent <= SMALLEST:
         return nothing
     least, most = np.greater(mask, ignored).view(np.uint8), mask | ignored
-    if factor > 1:
-        least, most = _shrink(least, factor), _shrink(most, factor)
+    if halves > 2:
+        least, most = _shrink(least, halves), _shrink(most, halves)
     size = (least.shape[1], least.shape[0])
     reach = None if working_height is None else max(size)
     low = compute.signed_distance(least[None], np.array([size]), reach)[0]
@@ -114,9 +115,10 @@ def shared_outline(
     if not found:
         return nothing
     open_pixels = most - least
+    corner = (2 * left // halves, 2 * top // halves)
     if not cv2.countNonZero(open_pixels):  # nobody is ignored so near to the person
-        corner = (left // factor, top // factor)
-        return ViewOutline(low, points + np.array(corner, np.float32), found, extent, factor, corner, working_height)
+        points += np.array(corner, np.float32)
+        return ViewOutline(low, points, found, extent, halves / 2, corner, working_height)
     high = compute.signed_distance(most[None], np.array([size]), reach)[0]
     distance = np.where(low - high > KNOWN_PX, np.float32(compute.NOT_KNOWN), low)  # as it is in all open pixels
     beside = cv2.dilate(open_pixels, _BESIDE)
@@ -124,19 +126,23 @@ def shared_outline(
     own = beside[at[:, 1], at[:, 0]] == 0
     if own.sum() < _FEW:
         return nothing
-    corner = (left // factor, top // factor)
     points = np.where(own[:, None], points + np.array(corner, np.float32), np.float32(-1e6))
-    return ViewOutline(distance, points, found, extent, factor, corner, working_height)
+    return ViewOutline(distance, points, found, extent, halves / 2, corner, working_height)
 
 
-def _factor(extent: int, working_height: int | None) -> int:
-    return 1 if working_height is None else max(1, extent // working_height)
+def _halves(extent: int, working_height: int | None) -> int:
+    """Twice the factor by which to shrink, so that 2 pixels are made of so many."""
+    return 2 if working_height is None else max(2, 2 * extent // working_height)
 
 
-def _shrink(mask: Mask, factor: int) -> Mask:
-    """Mask in blocks of factor x factor pixels: a pixel is set when at least half of its block is."""
-    h, w = mask.shape[0] // factor, mask.shape[1] // factor
-    share = cv2.resize(mask[: h * factor, : w * factor] * np.uint8(254), (w, h), interpolation=cv2.INTER_AREA)
+def _shrink(mask: Mask, halves: int) -> Mask:
+    """Mask in blocks of halves x halves pixels, of which 2 x 2 are made: a pixel is set when at least half of its area
+    is."""
+    h, w = 2 * (mask.shape[0] // halves), 2 * (mask.shape[1] // halves)
+    mask = mask[: h * halves // 2, : w * halves // 2]
+    if halves % 2:
+        return compute.shrink_mask(mask, halves)
+    share = cv2.resize(mask * np.uint8(254), (w, h), interpolation=cv2.INTER_AREA)  # faster, for whole factors only
     return np.asarray(share >= 127).view(np.uint8)
 
 
@@ -153,7 +159,7 @@ def stack_outlines(views: Sequence[ViewOutline | None], count: int = OUTLINE_POI
     n = len(views)
     distance = np.zeros((n, rows, columns), dtype=np.float32)
     points = np.zeros((n, count, 2), dtype=np.float32)
-    found, extent, shrunk = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64), np.ones(n, dtype=np.int64)
+    found, extent, shrunk = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64), np.ones(n)
     sizes, corners = np.zeros((n, 2), dtype=np.int64), np.zeros((n, 2), dtype=np.int64)
     for c, view in enumerate(views):
         if view is not None:

@@ -73,7 +73,7 @@ class ContourTerm:
     row_spacing_px: float
     outline_count: int
     height_px: float = 260.0
-    shrunk: NDArray[np.int64] | None = None
+    shrunk: Array | None = None
     corners: NDArray[np.int64] | None = None
     sdf_sizes: NDArray[np.int64] | None = None
 
@@ -201,11 +201,11 @@ def contour_term(
 
     weight: of one row at the reference density. scale_px: Geman-McClure scale; default 2.5 px for a person 260 px
     tall, in proportion (10 px in a 1080p image). coarse_factor: scale of the first iterations relative to it.
-    working_height px: for tracking; views in which the person is at least twice as tall are worked on in shrunk pixels,
+    working_height px: for tracking; views in which the person is 1.5 times as tall are worked on in shrunk pixels,
     and distances are made around the person only. Views that are not usable, or whose mask has no outline away from the
     image border, are left out; an EvidenceError when none is left."""
     made = outlines(silhouettes, outline_count, working_height)
-    sizes = silhouettes.rig.sizes // made.shrunk[:, None]
+    sizes = (silhouettes.rig.sizes // made.shrunk[:, None]).astype(np.int64)
     projections = np.stack(
         [shrunk_projection(p, f) for p, f in zip(silhouettes.rig.projections, made.shrunk, strict=True)]
     )

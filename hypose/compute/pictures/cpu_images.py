@@ -305,40 +305,6 @@ def clean_regions(mask, hole_px, keep_share, keep_gap, out):
 
 
 @kernel
-def spread_distance(outside, inside, x0, y0, own_x, own_y, filled, out):
-    """out (h, w) f4 = signed distance from the chamfer distances to the mask, outside (bh, bw) f4 of the box at
-    (x0, y0), and to the background, inside (ih, iw) f4 of the box at (own_x, own_y) in that box; filled > 0: the
-    latter box is all mask, and that is the distance. Beyond the box rows and columns to it are added."""
-    h, w = out.shape
-    bh, bw = outside.shape
-    ih, iw = inside.shape
-    for y in range(bh):
-        line, made = outside[y], out[y0 + y, x0 : x0 + bw]
-        for x in range(bw):
-            made[x] = line[x] - f4(0.5)
-        if own_y <= y < own_y + ih:
-            depth, part = inside[y - own_y], made[own_x : own_x + iw]
-            for x in range(iw):
-                d = f4(filled) if filled > 0 else depth[x]
-                part[x] = part[x] + (f4(1) - d if d > 0 else f4(0))
-        made = out[y0 + y]
-        edge = made[x0]
-        for x in range(x0):
-            made[x] = edge + f4(x0 - x)
-        edge = made[x0 + bw - 1]
-        for x in range(x0 + bw, w):
-            made[x] = edge + f4(x - x0 - bw + 1)
-    for y in range(y0):
-        made, line = out[y], out[y0]
-        for x in range(w):
-            made[x] = line[x] + f4(y0 - y)
-    for y in range(y0 + bh, h):
-        made, line = out[y], out[y0 + bh - 1]
-        for x in range(w):
-            made[x] = line[x] + f4(y - y0 - bh + 1)
-
-
-@kernel
 def order_statistic(stack, hidden, rank, out):
     """out (P, 3) u1 of stack (N, P, 3) u1: see images.order_statistic; hidden (N or 0, P) bool, rank (P,) u2.
 

@@ -40,7 +40,7 @@ def stamp(mask, x0, y0, width, height, difference, running, own, bits, counts):
         d, m, line = difference[r, :width], mask[y0 + r, x0 : x0 + width], bits[y0 + r]
         n_model, n_hit = np.uint32(0), np.uint32(0)
         for x in range(width):
-            acc[x] = np.int16(acc[x] + d[x])
+            acc[x] = np.int8(acc[x] + d[x])
             inside[x] = np.uint8(acc[x] > 0)
             n_model += np.uint32(inside[x])
             n_hit += np.uint32(inside[x] & np.uint8(m[x] != 0))
@@ -67,7 +67,7 @@ def draw_standing(pose, tree, mesh, faces, standing, prepared, boxes, bits, coun
     front = np.empty(mesh.faces.shape[0], np.uint8)
     start, end = np.empty(mesh.edges.shape[0], np.int32), np.empty(mesh.edges.shape[0], np.int32)
     views, _, columns = prepared.masks.shape
-    running, own = np.empty(columns, np.int16), np.zeros(8 * (bits.shape[2] + 1), np.uint8)
+    running, own = np.empty(columns, np.int8), np.zeros(8 * (bits.shape[2] + 1), np.uint8)
     joint_frames(pose, tree, rotations, centres, twists)
     skin_about_root(rotations, centres, tree, mesh, vertices)
     for c in range(views):
@@ -84,7 +84,7 @@ def draw_standing(pose, tree, mesh, faces, standing, prepared, boxes, bits, coun
             y1 = int(max(min(f4(y1), math.ceil(bounds[3]) + f4(1)), f4(y0)))
         if x0 >= x1 or y0 >= y1:
             continue
-        difference = np.zeros((y1 - y0 + 1, x1 - x0), np.int16)  # no larger: pages of memory touched first cost most
+        difference = np.zeros((y1 - y0 + 1, x1 - x0), np.int8)  # no larger: pages of memory touched first cost most
         if near:
             emit_clipped_faces(vertices, faces, p, x0, y0, x1 - x0, y1 - y0, difference, True)
         else:
