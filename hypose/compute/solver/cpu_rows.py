@@ -209,8 +209,8 @@ def nearest(n, u, v, number, place, low, x, y):
 
 @kernel
 def own_silhouette(x0, y0, width, height, difference, running, own):
-    """own (h, w) u1 = the body's silhouette in the window, from its winding differences, which are cleared. i1 takes half
-    the time of i2; sums wrap, and no pixel of a body has more than 127 layers."""
+    """own (h, w) u1 = the body's silhouette in the window, from its winding differences, which are cleared. i1 takes
+    half the time of i2; sums wrap, and no pixel of a body has more than 127 layers."""
     acc = running[:width]
     acc[:] = 0
     for r in range(height):
@@ -220,6 +220,31 @@ def own_silhouette(x0, y0, width, height, difference, running, own):
             d[x] = 0
             m[x] = np.uint8(acc[x] > 0)
     difference[height, :width] = 0
+
+
+@kernel
+def _lengths(start, end, u, v, out):
+    """out (N,) f4 px: lengths of edges between points (u, v); by itself it vectorises."""
+    for e in range(out.shape[0]):
+        dx, dy = u[end[e]] - u[start[e]], v[end[e]] - v[start[e]]
+        out[e] = math.sqrt(dx * dx + dy * dy)
+
+
+@kernel
+def _onto_edges(edge, outline, start, end, u, v, i2, weight, out):
+    """out (6, K) f4: what `form_rows` wants found of outline points (K, 2), each on its edge, and its loss; i2: 1 /
+    scale^2. By itself it vectorises."""
+    for m in range(edge.shape[0]):
+        x, y = outline[m, 0], outline[m, 1]
+        a, b = start[edge[m]], end[edge[m]]
+        dx, dy = u[b] - u[a], v[b] - v[a]
+        # onto the edge itself: the nearest sample alone would leave false residuals of half the spacing
+        t = min(max(((x - u[a]) * dx + (y - v[a]) * dy) / (dx * dx + dy * dy), f4(0)), f4(1))
+        dx, dy = u[a] + t * dx - x, v[a] + t * dy - y
+        d2 = dx * dx + dy * dy
+        r = math.sqrt(d2)
+        rho, slope, _ = geman_mcclure(d2 * i2, weight, f4(1))
+        out[0, m], out[1, m], out[2, m], out[3, m], out[4, m], out[5, m] = t, dx / r, dy / r, slope, r, rho
 
 
 @kernel
@@ -253,10 +278,10 @@ def contour_rows(c, p, mesh, contours, scale, ws, kept, count):
     n = contour_edges(mesh.edges, ws.front, ws.start, ws.end)
     emit_contours(n, ws.start, ws.end, u, v, x0, y0, width, height, ws.difference)
     own_silhouette(x0, y0, width, height, ws.difference, ws.running, ws.own)
-    length = f4(0)
+    lengths, length = np.empty(n, np.float32), f4(0)
+    _lengths(ws.start[:n], ws.end[:n], u, v, lengths)
     for e in range(n):
-        dx, dy = u[ws.end[e]] - u[ws.start[e]], v[ws.end[e]] - v[ws.start[e]]
-        length += math.sqrt(dx * dx + dy * dy)
+        length += lengths[e]
     wanted = f4(contours.spacing / contours.shrunk[c])
     spacing = max(wanted, length / f4(RIM - 16))
     thinned = spacing / wanted  # weight is per arc length
@@ -272,11 +297,14 @@ def contour_rows(c, p, mesh, contours, scale, ws, kept, count):
     n_rim = next_row = 0
     position = spacing * f4(0.5)
     for e in range(n):
-        a, b = ws.start[e], ws.end[e]
-        dx, dy = u[b] - u[a], v[b] - v[a]
-        edge = math.sqrt(dx * dx + dy * dy)
+        edge = lengths[e]
         if edge < f4(1e-6):
             continue
+        if position >= edge:  # as most: they are short
+            position -= edge
+            continue
+        a, b = ws.start[e], ws.end[e]
+        dx, dy = u[b] - u[a], v[b] - v[a]
         nx, ny = -dy / edge, dx / edge
         while position < edge and n_rim < RIM:
             t = position / edge
@@ -321,24 +349,19 @@ def contour_rows(c, p, mesh, contours, scale, ws, kept, count):
     place, low = np.empty(_BANDS + 1, np.int64), f4(y0)
     _by_row(n_rim, ws.rim_u, ws.rim_v, low, rim_u, rim_v, number, place)
     reverse = f4(contours.reverse_weight)
+    edge_of, beside = np.zeros(n_outline, np.int32), np.empty((6, n_outline), np.float32)
     for m in range(n_outline):
-        x, y = outline[m, 0], outline[m, 1]
-        if x < f4(-1e5):  # marked: it may be somebody else's outline
+        if outline[m, 0] >= f4(-1e5):  # else marked: it may be somebody else's outline
+            edge_of[m] = ws.rim_edge[nearest(n_rim, rim_u, rim_v, number, place, low, outline[m, 0], outline[m, 1])]
+    _onto_edges(edge_of, outline, ws.start, ws.end, u, v, i2, reverse * i2, beside)
+    for m in range(n_outline):
+        if outline[m, 0] < f4(-1e5):
             continue
-        e = ws.rim_edge[nearest(n_rim, rim_u, rim_v, number, place, low, x, y)]
-        a, b = ws.start[e], ws.end[e]
-        dx, dy = u[b] - u[a], v[b] - v[a]
-        # onto the edge itself: the nearest sample alone would leave false residuals of half the spacing
-        t = min(max(((x - u[a]) * dx + (y - v[a]) * dy) / (dx * dx + dy * dy), f4(0)), f4(1))
-        dx, dy = u[a] + t * dx - x, v[a] + t * dy - y
-        d2 = dx * dx + dy * dy
-        r = math.sqrt(d2)
-        rho, slope, _ = geman_mcclure(d2 * i2, reverse * i2, f4(1))
-        cost_reverse += rho
-        if r > f4(0.05) and n_found < ends.shape[0]:
-            ends[n_found, 0], ends[n_found, 1] = a, b
-            point = found[n_found]
-            point[0], point[1], point[2], point[3], point[4] = t, dx / r, dy / r, slope, r
+        cost_reverse += beside[5, m]
+        if beside[4, m] > f4(0.05) and n_found < ends.shape[0]:
+            ends[n_found, 0], ends[n_found, 1] = ws.start[edge_of[m]], ws.end[edge_of[m]]
+            for k in range(5):
+                found[n_found, k] = beside[k, m]
             n_found += 1
         count[1] += 1
     if kept[0] + 2 * mesh.skin_index.shape[1] * n_found > ws.rows.shape[0]:
