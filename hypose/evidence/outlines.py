@@ -53,29 +53,49 @@ class Outlines:
 
 
 def view_outline(mask: Mask, count: int = OUTLINE_POINTS, working_height: int | None = None) -> ViewOutline:
-    """Outline of a mask (h, w), in its own size, without padding. working_height px: for tracking; a taller mask is
-    shrunk by the largest multiple of 1/2 that leaves it at least as tall, and distances are made around the person only
-    (a sixth of its size, at least 32 px): further out rows weigh nothing."""
-    box = bounding_box(mask)
-    extent = 0 if box is None else max(box[1] - box[0], box[3] - box[2])
-    halves = _halves(extent, working_height)
+    """Outline of a mask (h, w), in its own size, without padding. working_height px: for tracking, see
+    `outline_in_box`."""
+    box = bounding_box(mask) or (0, 0, 0, 0)
+    if working_height is not None:
+        return outline_in_box(mask[box[0] : box[1], box[2] : box[3]], box, mask.shape, count, working_height)
+    extent = max(box[1] - box[0], box[3] - box[2])
     if extent <= SMALLEST:
-        return ViewOutline(
-            np.zeros(mask.shape, np.float32), np.zeros((count, 2), np.float32), 0, extent, 1, (0, 0), working_height
-        )
-    x0 = y0 = 0
-    if working_height is not None and box is not None:
-        h, w = (side // halves * halves for side in mask.shape)
-        margin = max(16 * halves, extent // 6)
-        y0, x0 = (max(box[k] - margin, 0) // halves * halves for k in (0, 2))
-        mask = mask[y0 : min(box[1] + margin, h), x0 : min(box[3] + margin, w)]
+        return _no_outline(mask.shape, count, extent, None)
+    size = (mask.shape[1], mask.shape[0])
+    distance = compute.signed_distance(mask[None], np.array([size]))[0]
+    points, found = compute.outline_points(distance, size, count)
+    return ViewOutline(distance, points, found, extent)
+
+
+def outline_in_box(
+    part: Mask, box: tuple[int, int, int, int], shape: tuple[int, ...], count: int, working_height: int
+) -> ViewOutline:
+    """Outline of a mask (h, w) = shape that is the part in the box (y0, y1, x0, x1), and zero beside it, for tracking:
+    one that is taller than working_height px is shrunk by the largest multiple of 1/2 that leaves it at least as tall,
+    and distances are made around the person only (a sixth of its size, at least 32 px): further out rows weigh
+    nothing."""
+    extent = max(box[1] - box[0], box[3] - box[2])
+    if extent <= SMALLEST:
+        return _no_outline(shape, count, extent, working_height)
+    halves = _halves(extent, working_height)
+    h, w = (side // halves * halves for side in shape)
+    margin = max(16 * halves, extent // 6)
+    y0, x0 = (max(box[k] - margin, 0) // halves * halves for k in (0, 2))
+    y1, x1 = min(box[1] + margin, h), min(box[3] + margin, w)
+    mask = np.zeros((y1 - y0, x1 - x0), np.uint8)
+    mask[box[0] - y0 : box[1] - y0, box[2] - x0 : box[3] - x0] = part[: y1 - box[0], : x1 - box[2]]
     small = _shrink(mask, halves) if halves > 2 else mask
     size = (small.shape[1], small.shape[0])
-    distance = compute.signed_distance(small[None], np.array([size]), None if working_height is None else max(size))[0]
+    distance = compute.signed_distance(small[None], np.array([size]), max(size))[0]
     points, found = compute.outline_points(distance, size, count)
     corner = (2 * x0 // halves, 2 * y0 // halves)
     points += np.array(corner, np.float32)
     return ViewOutline(distance, points, found, extent, halves / 2, corner, working_height)
+
+
+def _no_outline(shape: tuple[int, ...], count: int, extent: int, working_height: int | None) -> ViewOutline:
+    nothing = np.zeros(shape, np.float32), np.zeros((count, 2), np.float32)
+    return ViewOutline(*nothing, 0, extent, working_height=working_height)
 
 
 KNOWN_PX = 0.75
@@ -87,15 +107,13 @@ def shared_outline(
     mask: Mask, ignored: Mask, box: ArrayLike, count: int = OUTLINE_POINTS, working_height: int | None = None
 ) -> ViewOutline:
     """Outline of a mask (h, w) in which the pixels `ignored` (h, w) say nothing, of a person expected in box (y0, y1,
-    x0, x1) px; working_height as for `view_outline`.
+    x0, x1) px; working_height as for `outline_in_box`.
 
     Distances that depend on ignored pixels are compute.NOT_KNOWN, outline points beside them are marked (-1e6): the
     outline there may be somebody else's."""
     y0, y1, x0, x1 = (int(n) for n in np.asarray(box))
     extent = max(y1 - y0, x1 - x0)
-    nothing = ViewOutline(
-        np.zeros((2, 2), np.float32), np.zeros((count, 2), np.float32), 0, extent, 1, (0, 0), working_height
-    )
+    nothing = _no_outline((2, 2), count, extent, working_height)
     halves, left, top = _halves(extent, working_height), 0, 0
     if working_height is not None:
         h, w = (side // halves * halves for side in mask.shape)

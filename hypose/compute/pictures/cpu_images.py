@@ -129,6 +129,20 @@ def remap(small, corner, parts, y0, y1, x0, x1, out):
 
 
 @kernel
+def _darker(picture, room, square, darkest, lightest, chroma, made):
+    """made (n,) u1: ones become 2 where the picture (3 n,) is the room (3 n,), darker; by itself it vectorises."""
+    for x in range(made.shape[0]):
+        a, b, c = f4(picture[3 * x]), f4(picture[3 * x + 1]), f4(picture[3 * x + 2])
+        p, q, r = room[3 * x], room[3 * x + 1], room[3 * x + 2]
+        s = (a * p + b * q + c * r) / square[x]
+        a -= s * p
+        b -= s * q
+        c -= s * r
+        dark = (s > darkest) & (s < lightest) & (a * a + b * b + c * c < chroma)
+        made[x] = np.uint8(made[x] << np.uint8(dark & (made[x] == 1)))
+
+
+@kernel
 def differ(image, low, high, mean, square, shadow, darkest, lightest, chroma, y0, y1, x0, x1, out):
     """out (h, w) u1 in the box: 0 = the room, 1 = something else, 2 = the room, darker. image (h, w, 3) u1 between
     low and high (same type) is the room. For the shadow test (if shadow): mean (h, w, 3) f4, square (h, w) f4."""
@@ -152,21 +166,21 @@ def differ(image, low, high, mean, square, shadow, darkest, lightest, chroma, y0
                 made[u8(x)] = bad[i] | bad[i + u8(1)] | bad[i + u8(2)]
         if not shadow:
             continue
-        room = mean[y].reshape(-1)
-        for x in range(width):
-            if made[u8(x)] == 0:
-                continue
-            i = u8(3 * (x0 + x))
-            j, k = i + u8(1), i + u8(2)
-            a, b, c = f4(picture[i]), f4(picture[j]), f4(picture[k])
-            p, q, r = room[i], room[j], room[k]
-            s = (a * p + b * q + c * r) / square[y, x0 + x]
-            if s > darkest and s < lightest:
-                a -= s * p
-                b -= s * q
-                c -= s * r
-                if a * a + b * b + c * c < chroma:
-                    made[u8(x)] = 2
+        room = mean[y].reshape(-1)[3 * x0 : 3 * x1]
+        first, last = 0, width
+        while first < last and made[first] == 0:
+            first += 1
+        while last > first and made[last - 1] == 0:
+            last -= 1
+        _darker(
+            part[3 * first : 3 * last],
+            room[3 * first : 3 * last],
+            square[y, x0 + first : x0 + last],
+            darkest,
+            lightest,
+            chroma,
+            made[first:last],
+        )
 
 
 @kernel

@@ -32,7 +32,6 @@ from hypose.evidence.keypoints import person_size, thick_skeleton
 from hypose.evidence.silhouettes import (
     Mask,
     SilhouetteSettings,
-    bounding_box,
     flag_collapsed,
     make_segmenter,
     make_silhouettes,
@@ -455,10 +454,10 @@ class FrameStream:
     def _made(self, view: int, index: int) -> PackedMask:
         mask, reason = self._mask(view, self.frames[index])
         packed = packed_mask(mask, reason)
-        box = None if mask is None or not self.options.colours else bounding_box(mask)
-        image = None if box is None else self._sources[view].image_of_mask(self.frames[index])
-        if box is None or image is None:
+        wanted = self.options.colours and packed.area > 0
+        image = self._sources[view].image_of_mask(self.frames[index]) if wanted else None
+        if image is None:
             return packed
-        y0, y1, x0, x1 = box
+        y0, y1, x0, x1 = packed.box
         image = image[y0:y1, x0:x1]
-        return replace(packed, colours=(colour_codes(image), colour_edges(image)), box=box)
+        return replace(packed, colours=(colour_codes(image), colour_edges(image)))

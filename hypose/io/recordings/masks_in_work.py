@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.evidence.frame import Colours
-from hypose.evidence.outlines import WORKING_HEIGHT, ViewOutline, view_outline
-from hypose.evidence.silhouettes import Mask
+from hypose.evidence.outlines import OUTLINE_POINTS, WORKING_HEIGHT, ViewOutline, outline_in_box
+from hypose.evidence.silhouettes import Mask, bounding_box
 
 KEPT_BYTES = 64 << 20
 """of masks that are kept: ten minutes of four cameras"""
@@ -21,30 +21,44 @@ KEPT_BYTES = 64 << 20
 
 @dataclass(frozen=True)
 class PackedMask:
-    """A mask (h, w) = shape, its bits deflated to about a thousand bytes, its area, or why there is none; its colours,
-    where they are wanted and known, and their edges in the box (y0, y1, x0, x1) around it."""
+    """A mask (h, w) = shape, its bits in the box (y0, y1, x0, x1) around it deflated to about a thousand bytes, its
+    area, or why there is none; its colours, where they are wanted and known, and their edges in that box."""
 
     bits: bytes | None
     shape: tuple[int, ...]
     area: int
     reason: str
-    colours: tuple[NDArray[np.uint16], NDArray[np.uint8]] | None = None
     box: tuple[int, int, int, int] = (0, 0, 0, 0)
+    colours: tuple[NDArray[np.uint16], NDArray[np.uint8]] | None = None
 
     def mask(self) -> Mask | None:
         """The mask (h, w) again, or None."""
         if self.bits is None:
             return None
-        rows = np.frombuffer(zlib.decompress(self.bits), np.uint8).reshape(self.shape[0], -1)
-        return np.unpackbits(rows, axis=1, count=self.shape[1])
+        y0, y1, x0, x1 = self.box
+        out = np.zeros(self.shape, np.uint8)
+        out[y0:y1, x0:x1] = self._part(self.bits)
+        return out
+
+    def outline(self) -> ViewOutline | None:
+        """Of the mask, for tracking, or None."""
+        if self.bits is None:
+            return None
+        return outline_in_box(self._part(self.bits), self.box, self.shape, OUTLINE_POINTS, WORKING_HEIGHT)
+
+    def _part(self, bits: bytes) -> Mask:
+        y0, y1, x0, x1 = self.box
+        rows = np.frombuffer(zlib.decompress(bits), np.uint8).reshape(y1 - y0, -1)
+        return np.unpackbits(rows, axis=1, count=x1 - x0)
 
 
 def packed_mask(mask: Mask | None, reason: str) -> PackedMask:
     """A mask (h, w), or why there is none."""
     if mask is None:
         return PackedMask(None, (0, 0), 0, reason)
-    bits = zlib.compress(np.packbits(mask, axis=1).tobytes(), 1)
-    return PackedMask(bits, mask.shape, cv2.countNonZero(mask), reason)
+    y0, y1, x0, x1 = box = bounding_box(mask) or (0, 1, 0, 1)
+    bits = zlib.compress(np.packbits(mask[y0:y1, x0:x1], axis=1).tobytes(), 1)
+    return PackedMask(bits, mask.shape, cv2.countNonZero(mask), reason, box)
 
 
 class KeptMasks:
@@ -115,5 +129,4 @@ class PendingMasks:
 
 
 def _outline(mask: Future[PackedMask]) -> ViewOutline | None:
-    found = mask.result().mask()
-    return None if found is None else view_outline(found, working_height=WORKING_HEIGHT)
+    return mask.result().outline()
