@@ -38,9 +38,8 @@ def reflect(values: FloatArray, lower: ArrayLike | None, upper: ArrayLike | None
     """
     low = -np.inf if lower is None else np.asarray(lower, np.float64)
     high = np.inf if upper is None else np.asarray(upper, np.float64)
-    with np.errstate(invalid="ignore"):
-        mirrored = np.where(values > high, 2 * high - values, np.where(values < low, 2 * low - values, values))
-    return np.clip(mirrored, low, high)
+    mirrored = np.maximum(np.minimum(values, 2 * high - values), 2 * low - values)
+    return np.minimum(np.maximum(mirrored, low), high)
 
 
 def stay(h: Hypotheses, frame: Any, rng: np.random.Generator, /) -> Hypotheses:

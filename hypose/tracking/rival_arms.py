@@ -282,7 +282,9 @@ def _apart(at: Array, order: NDArray[np.intp], known: Array, look: LookedUp) -> 
 
 def _farthest(ends: Array, other: Array) -> Array:
     """(N,) m: by how much the farthest of ends (N, E, 3) is off the other (E, 3)."""
-    return np.linalg.norm(ends - other, axis=-1).max(-1)
+    d = ends - other
+    d *= d  # numpy's reductions of three numbers take five times as long
+    return np.sqrt((d[..., 0] + d[..., 1] + d[..., 2]).max(-1))
 
 
 def _best_first(frame: PreparedFrame) -> tuple[Hypotheses, Array]:
