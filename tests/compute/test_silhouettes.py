@@ -206,6 +206,27 @@ def test_signed_distance_and_outline_of_a_disc():
     assert abs(r.mean() - 24.9) < 0.15
 
 
+@pytest.mark.parametrize("margin", [None, 5, 200])
+def test_signed_distances_are_those_of_the_definition(margin):
+    rng = np.random.default_rng(3)
+    for _ in range(5):
+        mask = np.zeros((70, 90), np.uint8)
+        for _ in range(3):
+            y, x, h, w = rng.integers([0, 0, 1, 1], [60, 80, 40, 40])
+            mask[y : y + h, x : x + w] = 1
+        made = compute.signed_distance(mask[None], [(90, 70)], margin)
+        with compute.use("reference"):
+            np.testing.assert_array_equal(made, compute.signed_distance(mask[None], [(90, 70)], margin))
+
+
+@pytest.mark.parametrize("halves", [3, 4, 5, 6, 7])
+def test_a_mask_made_smaller_is_set_where_half_of_the_pixel_is(halves):
+    mask = (np.random.default_rng(halves).random((4 * halves, 7 * halves)) < 0.5).astype(np.uint8)
+    quarters = mask.repeat(2, 0).repeat(2, 1).reshape(8, halves, 14, halves)
+    share = quarters.astype(int).sum((1, 3)) / halves**2
+    np.testing.assert_array_equal(compute.shrink_mask(mask, halves), share >= 0.5)
+
+
 def test_outlines_cut_by_the_image_border_are_left_out():
     mask = np.zeros((1, 60, 80), np.uint8)
     mask[0, 20:40, :50] = 1
