@@ -33,7 +33,7 @@ class Ranges:
 
 
 cameras = hypose.make_scene("box", "neutral", seconds=0.1).rig.cameras[::3]
-scene = hypose.make_scene("box", "neutral", hypose.CameraRig(cameras), seconds=1.6)
+scene = hypose.make_scene("box", "neutral", hypose.CameraRig(cameras), seconds=3.2)
 frames, body = hypose.FrameList(list(scene.mask_frames(0.5))), hypose.human()
 names = ["left_elbow", "left_wrist", "right_elbow", "right_wrist"]
 true = np.linalg.norm(scene.joints[:, [body.skeleton.joint(n) for n in names], None] - ANCHORS, axis=-1)

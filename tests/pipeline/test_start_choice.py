@@ -35,7 +35,7 @@ def test_who_stands_back_to_front_costs_more_on_the_way_and_is_given_up(walk):
     assert away.mean() < 0.06
     assert way_of(right, 0, frames, RATE, best=good) is not None
     elsewhere = right.pose.copy()
-    elsewhere[:2] += 0.5
+    elsewhere[:2] += 1.5  # from half a metre a person is found
     assert way_of(Start(right.body, elsewhere, 0.0), 0, frames, RATE, best=good) is None
 
 

@@ -14,7 +14,7 @@ from hypose.synthetic.rigs import rig
 from hypose.synthetic.scenes import make_scene
 from tests.live_scenes import RATE, Beside, at
 
-TOGETHER, ALONE = 40, 60
+TOGETHER, ALONE = 40, 75
 """frames in which both are there, and in which one is"""
 
 
