@@ -75,10 +75,10 @@ def outline_in_box(
     and distances are made around the person only (a sixth of its size, at least 32 px): further out rows weigh
     nothing."""
     extent = max(box[1] - box[0], box[3] - box[2])
-    if extent <= SMALLEST:
-        return _no_outline(shape, count, extent, working_height)
     halves = _halves(extent, working_height)
     h, w = (side // halves * halves for side in shape)
+    if extent <= SMALLEST or box[0] >= h or box[2] >= w:  # a sliver in rows or columns that are left over
+        return _no_outline((2, 2), count, extent, working_height)
     margin = max(16 * halves, extent // 6)
     y0, x0 = (max(box[k] - margin, 0) // halves * halves for k in (0, 2))
     y1, x1 = min(box[1] + margin, h), min(box[3] + margin, w)

@@ -4,7 +4,8 @@ solver needs, and the safe way of the block-wise scorer (cpu_lanes.py).
 A pixel is model when at least one front face covers its centre. The number of front faces along an image column changes
 only where a contour edge (front on exactly one side) crosses it, so +-1 at every crossing and one running sum down the
 rows give the silhouette, without rasterizing a triangle. Sampling is half open as in reference.py; float32 against
-float64 moves 1-2 pixels of a silhouette at most. Running counts are int16: 32767 layers.
+float64 moves 1-2 pixels of a silhouette at most. Running counts are int16, 32767 layers, or, for the solver and what
+stands, int8: differences may wrap, the counts of up to 127 layers are the same.
 """
 
 from __future__ import annotations
