@@ -103,7 +103,8 @@ JUDGES = 993
 """Seeds from here on judge; those below are trained on. 950 to 952, 980 to 992, 1000 to 1003 and 1020 to 1023
 were looked at when features, thresholds and counts were chosen, 1110 to 1123 once all was fitted, and 1120 to
 1123 when it was chosen how sides are told beside key points; the verdicts of 1140 to 1143 were read, 1150 to 1161
-looked at once things in the masks counted, and 1170 to 1181 once few views, twisted trunks and frames did."""
+looked at once things in the masks counted, 1170 to 1181 once few views, twisted trunks and frames did, and
+1182 to 1205 once outlines were made of masks shrunk by halves."""
 CAMERAS: dict[str, Case] = {
     "walk-cameras": Case("02_01", "balancing"),
     "run-cameras": Case("02_03", "balancing"),

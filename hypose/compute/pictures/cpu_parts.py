@@ -52,19 +52,21 @@ def draw(uv, z, faces, bit, out):
 @kernel
 def tally(parts, outside, area, exposed, over):
     """Pixels of each part; those that it alone covers; those that lie outside."""
-    n = area.shape[0]
     for r in range(parts.shape[0]):
-        for x in range(parts.shape[1]):
-            p = parts[r, x]
-            if p == 0:
-                continue
-            for k in range(n):
-                if p & (np.uint16(1) << np.uint16(k)):
-                    area[k] += 1
-                    if p == (np.uint16(1) << np.uint16(k)):
-                        exposed[k] += 1
-                    if outside[r, x]:
-                        over[k] += 1
+        line, beside = parts[r], outside[r]
+        for x in range(line.shape[0]):
+            left = np.uint32(line[x])
+            alone, out = (left & (left - np.uint32(1))) == 0, beside[x] != 0
+            k = 0
+            while left != 0:  # most pixels have one part or two
+                while (left & np.uint32(1)) == 0:
+                    left >>= np.uint32(1)
+                    k += 1
+                area[k] += 1
+                exposed[k] += alone
+                over[k] += out
+                left >>= np.uint32(1)
+                k += 1
 
 
 @kernel
