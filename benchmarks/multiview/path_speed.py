@@ -68,7 +68,7 @@ def multiview_speed(options: BenchOptions) -> BenchReport:
     With --data also the balancing clip, whose videos are 1080p.
     """
     seconds = 0.6 if options.quick else 4.0
-    repeats = 2 if options.quick else 3
+    repeats = 2 if options.quick else 6  # the first warms up, and others share the machine
     scene = action_scene("walk", 0, seconds, options)
     known = known_subject(scene)
     frames = list(scene.mask_frames(1.0))

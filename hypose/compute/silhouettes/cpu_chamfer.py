@@ -12,7 +12,7 @@ STRAIGHT, DIAGONAL, KNIGHT = 5, 7, 11
 """Steps to the next pixel, across a corner and by a knight's move, in fifths of a pixel (Borgefors, G. (1986). Distance
 transformations in digital images. CVGIP 34: within 2 % of Euclid)."""
 FAR = 16000
-"""fifths of a pixel: farther than anything"""
+"""fifths of a pixel, 3200 px: what is farther counts as that far"""
 
 
 @kernel
