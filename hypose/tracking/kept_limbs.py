@@ -11,10 +11,8 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hypose.body.motion import Motion
-from hypose.body.skeleton import Skeleton
 from hypose.evidence.frame import Frame
 from hypose.tracking.published_recipes import LIMB_LAYERS
 from hypose.tracking.refinement import mismatch
@@ -39,7 +37,8 @@ def with_tracked_limbs(
     body, poses = tracker.body, solved.poses.copy()
     known = ~(np.asarray(solved.lost) | np.asarray(solved.extrapolated))
     moved = np.linalg.norm(solved.joints - tracked.joints, axis=-1) > MOVED_M
-    limbs = [_limb(body.skeleton, joints) for _, joints in LIMB_LAYERS]
+    s = body.skeleton
+    limbs = [(s.dofs_of(*joints), s.descendants(joints[0])[1:]) for _, joints in LIMB_LAYERS]
     for t in np.flatnonzero(moved.any(1) & known).tolist():
         far = [own for own, below in limbs if moved[t, below].any()]
         frame = next(iter(frames(range(t, t + 1)))) if far else None
@@ -55,13 +54,3 @@ def with_tracked_limbs(
     if np.array_equal(poses, solved.poses):
         return solved
     return replace(solved, poses=poses, joints=body.joints(poses))
-
-
-def _limb(skeleton: Skeleton, joints: tuple[str, ...]) -> tuple[NDArray[np.int64], list[int]]:
-    """The coordinates of a limb's joints, and the joints that they move."""
-    below = {skeleton.joint(name) for name in joints}
-    first = min(below)
-    for j, parent in enumerate(skeleton.parents):
-        if parent in below:
-            below.add(j)
-    return skeleton.dofs_of(*joints), sorted(below - {first})
