@@ -76,12 +76,9 @@ def outline_in_box(
     nothing."""
     extent = max(box[1] - box[0], box[3] - box[2])
     halves = _halves(extent, working_height)
-    h, w = (side // halves * halves for side in shape)
-    if extent <= SMALLEST or box[0] >= h or box[2] >= w:  # a sliver in rows or columns that are left over
+    y0, y1, x0, x1 = _around(box, shape, halves)
+    if extent <= SMALLEST or box[0] >= y1 or box[2] >= x1:  # a sliver in rows or columns that are left over
         return _no_outline((2, 2), count, extent, working_height)
-    margin = max(16 * halves, extent // 6)
-    y0, x0 = (max(box[k] - margin, 0) // halves * halves for k in (0, 2))
-    y1, x1 = min(box[1] + margin, h), min(box[3] + margin, w)
     mask = np.zeros((y1 - y0, x1 - x0), np.uint8)
     mask[box[0] - y0 : box[1] - y0, box[2] - x0 : box[3] - x0] = part[: y1 - box[0], : x1 - box[2]]
     small = _shrink(mask, halves) if halves > 2 else mask
@@ -91,6 +88,15 @@ def outline_in_box(
     corner = (2 * x0 // halves, 2 * y0 // halves)
     points += np.array(corner, np.float32)
     return ViewOutline(distance, points, found, extent, halves / 2, corner, working_height)
+
+
+def _around(box: tuple[int, ...], shape: tuple[int, ...], halves: int) -> tuple[int, int, int, int]:
+    """(y0, y1, x0, x1) px, whole blocks of halves from the upper left on, in which distances are made for a person in a
+    box (y0, y1, x0, x1) of a mask (h, w) = shape."""
+    h, w = (side // halves * halves for side in shape)
+    margin = max(16 * halves, max(box[1] - box[0], box[3] - box[2]) // 6)
+    y0, x0 = (max(box[k] - margin, 0) // halves * halves for k in (0, 2))
+    return y0, min(box[1] + margin, h), x0, min(box[3] + margin, w)
 
 
 def _no_outline(shape: tuple[int, ...], count: int, extent: int, working_height: int | None) -> ViewOutline:
@@ -111,16 +117,13 @@ def shared_outline(
 
     Distances that depend on ignored pixels are compute.NOT_KNOWN, outline points beside them are marked (-1e6): the
     outline there may be somebody else's."""
-    y0, y1, x0, x1 = (int(n) for n in np.asarray(box))
-    extent = max(y1 - y0, x1 - x0)
+    whose = tuple(int(n) for n in np.asarray(box))
+    extent = max(whose[1] - whose[0], whose[3] - whose[2])
     nothing = _no_outline((2, 2), count, extent, working_height)
     halves, left, top = _halves(extent, working_height), 0, 0
     if working_height is not None:
-        h, w = (side // halves * halves for side in mask.shape)
-        margin = max(16 * halves, extent // 6)
-        top, left = (max(n - margin, 0) // halves * halves for n in (y0, x0))
-        part = (slice(top, min(y1 + margin, h)), slice(left, min(x1 + margin, w)))
-        mask, ignored = mask[part], ignored[part]
+        top, bottom, left, right = _around(whose, mask.shape, halves)
+        mask, ignored = mask[top:bottom, left:right], ignored[top:bottom, left:right]
     if 2 * min(mask.shape) <= SMALLEST * halves or extent <= SMALLEST:
         return nothing
     least, most = np.greater(mask, ignored).view(np.uint8), mask | ignored
