@@ -62,7 +62,7 @@ from hypose.compute.monocular.mono_terms import (
 )
 from hypose.compute.native import native, plain, tidy
 from hypose.compute.pictures import picture_to_mask
-from hypose.compute.pictures.parts import parts_against_mask
+from hypose.compute.pictures.parts import draw_parts, mask_of_bits, parts_against_mask, projected
 from hypose.compute.pictures.picture_to_mask import Box, Lens, make_lens, order_statistic, shrink_undistort
 from hypose.compute.pictures.shown_parts import colour_sums, rim_edges, shown_parts
 from hypose.compute.pictures.visibility import nearest_visible
@@ -173,6 +173,7 @@ __all__ = [
     "default_threads",
     "depth_energy",
     "differing_box",
+    "draw_parts",
     "evaluate",
     "expose",
     "forest_arrays",
@@ -191,6 +192,7 @@ __all__ = [
     "lorentzian",
     "lorentzian_weight",
     "make_lens",
+    "mask_of_bits",
     "middle",
     "extents_of_pieces",
     "holes_filled",
@@ -206,6 +208,7 @@ __all__ = [
     "points_of_surface",
     "picture_to_mask",
     "prepare_masks",
+    "projected",
     "rasterize",
     "reach",
     "require_cuda",

@@ -24,7 +24,7 @@ from hypose.compute.arrays import BALL, FIXED, MeshArrays, TreeArrays
 from hypose.compute.compiled import can_keep, not_kept, ready
 from hypose.compute.monocular import mono
 from hypose.compute.pictures import picture_to_mask
-from hypose.compute.pictures.parts import parts_against_mask
+from hypose.compute.pictures.parts import draw_parts, parts_against_mask, projected
 from hypose.compute.selection import default_threads, use
 from hypose.compute.silhouettes import glance, reach
 from hypose.compute.solver import outline_rows
@@ -110,9 +110,10 @@ def _masks(compute: Any) -> None:
 
 
 def _parts(compute: Any) -> None:
-    (_, mesh, _, _), (mask, _) = _toy(), _mask()
-    uv, z, part = mesh.vertices[:, :2], mesh.vertices[:, 2], np.zeros(len(mesh.faces), np.uint16)
-    parts_against_mask(mask[0], uv, z, mesh.faces, part, 1, uv, z)
+    (_, mesh, _, projection), (mask, _) = _toy(), _mask()
+    (uv, z, _), shape = projected(mesh.vertices, projection[0]), mask[0].shape
+    drawn = draw_parts(uv, z, mesh.faces, np.zeros(len(mesh.faces), np.uint8), 1, shape)
+    parts_against_mask(mask[0], drawn, (0, shape[1], 0, shape[0]), 1, uv, z)
 
 
 def _shape(compute: Any) -> None:

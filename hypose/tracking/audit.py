@@ -13,7 +13,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.body.body import Body
-from hypose.compute import PreparedMasks, parts_against_mask, reach, silhouette_xor
+from hypose.compute import (
+    PreparedMasks,
+    draw_parts,
+    mask_of_bits,
+    parts_against_mask,
+    projected,
+    reach,
+    silhouette_xor,
+)
 from hypose.evidence.ahead import prepared_masks
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.geometry import Array
@@ -96,10 +104,10 @@ def more_than_body(audit: ArrayLike, n_views: ArrayLike) -> float:
     return float(np.median(bare)) if len(bare) else 0.0
 
 
-def _face_parts(body: Body) -> NDArray[np.uint16]:
+def _face_parts(body: Body) -> NDArray[np.uint8]:
     part, _, _ = _layout(tuple(body.skeleton.joint_names))
     corner = part[body.coarse.main_joint][body.coarse.faces]
-    return np.where(corner[:, 1] == corner[:, 2], corner[:, 1], corner[:, 0]).astype(np.uint16)
+    return np.where(corner[:, 1] == corner[:, 2], corner[:, 1], corner[:, 0]).astype(np.uint8)
 
 
 def audit_frame(
@@ -134,35 +142,33 @@ def audit_frame(
 def _masks(body: Body, pose: Array, joints: Array, silhouettes: Silhouettes, apart_too: bool) -> tuple[Array, float]:
     """(J, 6), and by how much the views are apart, NaN where that is not wanted; see AUDITED."""
     part, limb, roots = _layout(tuple(body.skeleton.joint_names))
-    vertices, face_part = body.skin(pose), _face_parts(body)
-    points = np.concatenate([joints, joints[roots]])
+    points, part_of_face = np.concatenate([body.skin(pose), joints, joints[roots]]), _face_parts(body)
     reach = np.r_[np.full(len(joints), NEAR_M), [r for _, r in _ROOTS]]
-    views = np.flatnonzero(silhouettes.usable)
+    views, marks = np.flatnonzero(silhouettes.usable), len(points) - len(reach)
     shifts = np.full((len(views), 2), np.nan)
-    bare, exposed, outside = (np.zeros((len(views), n)) for n in (len(points), len(_PARTS), len(_PARTS)))
+    bare, exposed, outside = (np.zeros((len(views), n)) for n in (len(reach), len(_PARTS), len(_PARTS)))
     for k, c in enumerate(views.tolist()):
         p, (w, h) = silhouettes.rig.projections[c], silhouettes.rig.sizes[c]
         depth = float(p[2, :3] @ joints[0] + p[2, 3])
         per_metre = float(silhouettes.rig[c].K[0, 0]) / max(depth, 0.1)
         step = max(1, int(1.7 * per_metre / _TALL))
-        uv, z = _projected(np.concatenate([vertices, points]), p)
+        uv, z, reaches = projected(points, p)
         # what lies further from the body says nothing of its joints
-        (x0, x1), (y0, y1) = (_span(uv[:, k], _BESIDE_M * per_metre, most) for k, most in ((0, w), (1, h)))
-        mask = np.ascontiguousarray(silhouettes.masks[c, y0:y1:step, x0:x1:step])
-        if not mask.size:
+        (x0, x1), (y0, y1) = (_span(r, _BESIDE_M * per_metre, int(n)) for r, n in zip(reaches, (w, h), strict=True))
+        if x0 >= x1 or y0 >= y1:
             continue
-        ignored = silhouettes.ignored
-        if ignored is not None:
-            ignored = np.ascontiguousarray(ignored[c, y0:y1:step, x0:x1:step])
-        uv = (uv - (x0, y0)) / step
-        n, size = len(vertices), per_metre / step
-        faces, marks = body.coarse.faces, (uv[n:], reach * size)
-        seen = parts_against_mask(mask, uv[:n], z[:n], faces, face_part, len(_PARTS), *marks, ignored)
+        mask, ignored = silhouettes.masks[c], None if silhouettes.ignored is None else silhouettes.ignored[c]
+        uv, small = (uv - (x0, y0)) / step, (slice(y0, y1, step), slice(x0, x1, step))
+        shape, size = mask[small].shape, per_metre / step
+        drawn = draw_parts(uv, z, body.coarse.faces, part_of_face, len(_PARTS), shape)
+        seen = parts_against_mask(mask, drawn, (x0, x1, y0, y1), step, uv[marks:], reach * size, ignored)
         bare[k] = seen.bare / size**2
         exposed[k] = seen.exposed / np.maximum(seen.area, 1)
         outside[k] = seen.outside / np.maximum(seen.area, 1)
         if apart_too:
-            shifts[k] = shift_of_mask(mask, seen.body, size, ignored)
+            ignored = None if ignored is None else ignored[small]
+            thin, drawn_on = np.ascontiguousarray(mask[small]), mask_of_bits(seen.bits, shape[1])
+            shifts[k] = shift_of_mask(thin, drawn_on, size, ignored)
     second = -2 if len(views) > 1 else -1
     near, limbs = bare[:, : len(joints)], bare[:, len(joints) :].sum(0)
     best = np.sort(exposed, 0)
@@ -180,21 +186,11 @@ def _masks(body: Body, pose: Array, joints: Array, silhouettes: Silhouettes, apa
     return found, apart(shifts)
 
 
-def _projected(points_world: Array, projection: Array) -> tuple[Array, Array]:
-    """(N, 2) px, NaN behind the camera, and (N,) m along its axis."""
-    x = points_world @ projection[:, :3].T + projection[:, 3]
-    z = np.ascontiguousarray(x[:, 2])
-    uv = np.full((len(x), 2), np.nan)
-    before = z > 0.05
-    for k in range(2):  # by columns: rows of two are slow
-        np.divide(x[:, k], z, out=uv[:, k], where=before)
-    return uv, z
-
-
-def _span(at: Array, beside: float, most: int) -> tuple[int, int]:
-    """The pixels 0 to `most` from the first to the last of those at (N,), and so many beside them; none of NaN."""
-    low, high = float(np.fmin.reduce(at)) - beside, float(np.fmax.reduce(at)) + beside
-    return (0, 0) if np.isnan(low) else (int(min(max(low, 0), most)), int(min(max(high, 0), most)))
+def _span(reach: Array, beside: float, most: int) -> tuple[int, int]:
+    """The pixels 0 to `most` from the first to the last that are reached (2,), and so many beside them; none where
+    nothing is."""
+    low, high = reach[0] - beside, reach[1] + beside
+    return (int(min(max(low, 0.0), most)), int(min(max(high, 0.0), most))) if low <= high else (0, 0)
 
 
 def _rivals(body: Body, joints: Array, rivals: tuple[ArrayLike, ArrayLike] | None) -> Array:

@@ -4,64 +4,85 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.compute.native import native, plain
 
-_CROSS = np.ones((3, 3), np.uint8)
+Array = NDArray[np.float64]
+_NONE = np.zeros((0, 0), np.uint8)
 
 
 class PartView(NamedTuple):
     """A body's parts against one mask, in pixels: area, exposed (covered by no other part) and outside (of the mask,
-    less its rim) of each part (P,); bare (N,): pixels of the mask without body within a radius of each point; body
-    (h, w): 1 where it is drawn."""
+    less its rim) of each part (P,); bare (N,): pixels of the mask without body within a radius of each point; bits (h,
+    W): where it is drawn, as `mask_of_bits` takes it."""
 
     area: NDArray[np.int64]
     exposed: NDArray[np.int64]
     outside: NDArray[np.int64]
     bare: NDArray[np.int64]
-    body: NDArray[np.uint8]
+    bits: NDArray[np.uint64]
+
+
+def projected(points_world: ArrayLike, projection: ArrayLike) -> tuple[Array, Array, Array]:
+    """(N, 2) px, NaN behind the camera, (N,) m along its axis, and (2, 2) px, the least and the most across and down,
+    infinite where nothing is before it, of points (N, 3) m through a projection (3, 4)."""
+    points = plain(points_world, np.float64)
+    uv, z, reach = np.empty((len(points), 2)), np.empty(len(points)), np.empty((2, 2))
+    native("pictures.parts").place(points, plain(projection, np.float64), uv, z, reach)
+    return uv, z, reach
+
+
+def draw_parts(
+    uv: ArrayLike,
+    z: ArrayLike,
+    faces: NDArray[np.int32],
+    part: NDArray[np.uint8],
+    n_parts: int,
+    shape: tuple[int, int],
+) -> NDArray[np.uint64]:
+    """(n_parts, h, W) bits of what faces (F, 3) of the part (F,) cover of a picture of shape (h, w); uv (V, 2) px, z
+    (V,) m."""
+    h, w = shape
+    out = np.zeros((n_parts, h, -(-w // 64)), np.uint64)
+    native("pictures.parts").draw(plain(uv, np.float64), plain(z, np.float64), faces, part, w, out)
+    return out
+
+
+def mask_of_bits(bits: NDArray[np.uint64], width: int) -> NDArray[np.uint8]:
+    """(h, width) of 0 and 1 of the bits (h, W) of a picture."""
+    flat = bits.astype("<u8", copy=False).view(np.uint8)
+    return np.ascontiguousarray(np.unpackbits(flat, axis=1, bitorder="little")[:, :width])
+
+
+def covered(uv: ArrayLike, z: ArrayLike, faces: NDArray[np.int32], shape: tuple[int, int]) -> NDArray[np.uint8]:
+    """(h, w) = shape: 1 where faces (F, 3) cover a pixel's centre, else 0; uv (V, 2) px, z (V,) m."""
+    f = plain(faces, np.int32)
+    return mask_of_bits(draw_parts(uv, z, f, np.zeros(len(f), np.uint8), 1, shape)[0], shape[1])
 
 
 def parts_against_mask(
     mask: NDArray[np.uint8],
-    uv: ArrayLike,
-    z: ArrayLike,
-    faces: NDArray[np.int32],
-    part: NDArray[np.uint16],
-    n_parts: int,
+    drawn: NDArray[np.uint64],
+    box: tuple[int, int, int, int],
+    step: int,
     points: ArrayLike,
     radius: ArrayLike,
     ignored: NDArray[np.uint8] | None = None,
 ) -> PartView:
-    """A mesh with vertices at uv (V, 2) px and depths z (V,) m against a mask (h, w) of 0 and 1.
+    """Parts of a body against every step-th row and column of a mask (H, B), non-zero = person, in a box.
 
-    part (F,): each face's part, below n_parts (16 at most); points (N, 2) px, radius (N,) px: around which bare mask is
-    counted. ignored (h, w): 1 = a pixel that says nothing: neither bare nor outside, and nothing is exposed there. Rims
-    of one pixel count neither as bare nor as outside, nor does what is thinner than three pixels.
+    drawn (P, h, W): each part in that small picture, as `draw_parts` gives it; it is used up. box: columns, rows, half
+    open, of the mask; points (N, 2) px, radius (N,) px of the small picture: around which bare mask is counted. ignored
+    (H, B): non-zero = a pixel that says nothing: neither bare nor outside, and nothing is exposed there. Rims of one
+    pixel count neither as bare nor as outside, nor does what is thinner than three pixels.
     """
-    drawn = np.zeros(mask.shape, np.uint16)
-    bit = (np.uint16(1) << part.astype(np.uint16)).astype(np.uint16)
-    kernels = native("pictures.parts")
-    kernels.draw(plain(uv, np.float64), plain(z, np.float64), faces, bit, drawn)
-    body = (drawn > 0).astype(np.uint8)
-    open_mask = mask
-    if ignored is not None:
-        mask, open_mask = mask & (1 - ignored), mask | ignored
-    outside = cv2.morphologyEx(1 - cv2.dilate(open_mask, _CROSS), cv2.MORPH_OPEN, _CROSS)
-    bare = cv2.morphologyEx(mask & (1 - cv2.dilate(body, _CROSS)), cv2.MORPH_OPEN, _CROSS)
-    out = PartView(*(np.zeros(n_parts, np.int64) for _ in range(3)), np.zeros(len(np.asarray(points)), np.int64), body)
-    kernels.tally(drawn, outside, out.area, out.exposed, out.outside)
-    if ignored is not None:  # what is seen of the parts; their areas stay the whole ones
-        out.exposed[:] = 0
-        kernels.tally(
-            np.where(ignored > 0, np.uint16(0), drawn),
-            outside,
-            np.zeros_like(out.area),
-            out.exposed,
-            np.zeros_like(out.area),
-        )
-    kernels.near(bare, plain(points, np.float64), np.asarray(radius, np.float64) ** 2, out.bare)
-    return out
+    x0, x1, y0, _ = box
+    uv, square = plain(points, np.float64), np.asarray(radius, np.float64) ** 2
+    counts = tuple(np.zeros(n, np.int64) for n in (*(len(drawn),) * 3, len(uv)))
+    hidden = _NONE if ignored is None else plain(ignored, np.uint8)
+    first, width = np.array([y0, x0]), -(-(x1 - x0) // step)
+    shown = plain(mask, np.uint8), hidden, first, step, width
+    native("pictures.parts").against_mask(*shown, drawn, uv, square, *counts)
+    return PartView(*counts, drawn[0])

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.compute.compiled import kernel
-from hypose.compute.pictures.cpu_parts import NEAR, draw
+from hypose.compute.pictures.cpu_parts import NEAR
+from hypose.compute.pictures.parts import covered
 
 
 @kernel
@@ -119,9 +120,7 @@ def silhouette(
     p = np.ascontiguousarray(uv, dtype=np.float64)
     if s > 1:
         p = (p + 0.5) * s - 0.5
-    mask = np.zeros((h * s, w * s), dtype=np.uint8)
-    f = np.ascontiguousarray(faces, dtype=np.int32)
-    draw(p, np.ascontiguousarray(z, dtype=np.float64), f, np.ones(len(f), np.uint8), mask)
+    mask = covered(p, z, faces, (h * s, w * s))
     if s == 1:
         return mask
     return cv2.resize(mask.astype(np.float32), (w, h), interpolation=cv2.INTER_AREA)

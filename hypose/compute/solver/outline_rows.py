@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hypose.compute.arrays import MeshArrays
 from hypose.compute.native import native, plain
+from hypose.compute.pictures.parts import covered
 
 Array = NDArray[np.float64]
 _REFERENCE_PX, _HEIGHT_PX, _OUTLINE = 6.0, 260.0, 130
@@ -95,8 +96,8 @@ def outline_rows(
     seen = np.einsum("vc,rc->vr", v, p[:, :3]) + p[:, 3]
     if not (seen[:, 2] > _NEAR_M).all():
         return None
-    uv, f, own = seen[:, :2] / seen[:, 2:], plain(faces, np.int32), np.zeros((size[1], size[0]), np.uint8)
-    native("pictures.parts").draw(uv, plain(seen[:, 2], np.float64), f, np.ones(len(f), np.uint8), own)
+    uv, f = seen[:, :2] / seen[:, 2:], plain(faces, np.int32)
+    own = covered(uv, seen[:, 2], f, (size[1], size[0]))
     given = v, uv, f, plain(edges, np.int32), p, own, plain(sdf, np.float32), plain(outline, np.float32)
     n = -_USUAL
     while n < -1:

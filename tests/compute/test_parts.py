@@ -1,0 +1,101 @@
+"""Parts of a body against a mask, in words of 64 pixels, as OpenCV and counting pixel by pixel have it."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike
+
+from hypose.compute import draw_parts, mask_of_bits, parts_against_mask, projected
+from hypose.compute.pictures.render import silhouette
+
+PARTS = 5
+
+
+def scene(rng: np.random.Generator, w: int, h: int) -> tuple[np.ndarray, ...]:
+    """Triangles of PARTS parts about a picture, some of them behind the camera or nowhere, and a mask of blobs."""
+    uv = rng.uniform(-10, [w + 10, h + 10], (60, 2))
+    z = rng.uniform(0.5, 3, 60)
+    z[3], uv[5] = -1.0, np.nan
+    uv[7:9] = np.rint(uv[7:9])
+    faces = rng.integers(0, 60, (40, 3)).astype(np.int32)
+    faces = np.where(rng.random((40, 1)) < 0.5, faces, faces[:, :1] + np.arange(3))  # slivers too
+    part = rng.integers(0, PARTS, 40).astype(np.uint8)
+    mask = (cv2.GaussianBlur(rng.random((h, w)).astype(np.float32), (0, 0), 2) > 0.5).astype(np.uint8)
+    return uv, z, (faces % 60).astype(np.int32), part, mask
+
+
+def opened(bits: ArrayLike) -> np.ndarray:
+    return cv2.morphologyEx(np.asarray(bits, np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+
+
+def grown(bits: ArrayLike) -> np.ndarray:
+    return cv2.dilate(np.asarray(bits, np.uint8), np.ones((3, 3), np.uint8))
+
+
+def counted(planes: np.ndarray, mask: np.ndarray, points: np.ndarray, radius: np.ndarray, ignored: np.ndarray):
+    """Area, exposed, outside and bare, by their definitions."""
+    body = planes.any(0).astype(np.uint8)
+    outside = opened(1 - grown(np.maximum(mask, ignored))) > 0
+    bare = opened(mask * (1 - ignored) * (1 - grown(body))) > 0
+    alone = (planes.sum(0) == 1) & (ignored == 0)
+    y, x = np.nonzero(bare)
+    near = [int(((x - u) ** 2 + (y - v) ** 2 < r**2).sum()) for (u, v), r in zip(points, radius, strict=True)]
+    of_parts = [[int((p & where).sum()) for p in planes] for where in (np.ones_like(alone), alone, outside)]
+    return (*of_parts, near)
+
+
+@pytest.mark.parametrize("width", [1, 2, 63, 64, 65, 127, 128, 150])
+def test_counts_are_those_of_their_definitions(width: int, rng: np.random.Generator) -> None:
+    for trial in range(6):
+        h = int(rng.integers(1, 90))
+        uv, z, faces, part, mask = scene(rng, width, h)
+        ignored = None if trial % 2 else (rng.random((h, width)) < 0.2).astype(np.uint8)
+        points, radius = rng.uniform(0, [width, h], (4, 2)), rng.uniform(1, 30, 4)
+        drawn = draw_parts(uv, z, faces, part, PARTS, (h, width))
+        planes = np.stack([mask_of_bits(p, width) for p in drawn]).astype(bool)
+        for p in range(PARTS):
+            np.testing.assert_array_equal(planes[p], silhouette(uv, z, faces[part == p], (width, h)))
+        seen = parts_against_mask(mask, drawn, (0, width, 0, h), 1, points, radius, ignored)
+        nothing = np.zeros_like(mask)
+        expected = counted(planes, mask, points, radius, nothing if ignored is None else ignored)
+        for found, right in zip(seen[:4], expected, strict=True):
+            assert found.tolist() == right
+        np.testing.assert_array_equal(mask_of_bits(seen.bits, width), planes.any(0))
+
+
+def test_a_box_is_looked_at_in_steps(rng: np.random.Generator) -> None:
+    *_, mask = scene(rng, 200, 150)
+    hidden = (rng.random(mask.shape) < 0.1).astype(np.uint8)
+    for step, box in ((1, (3, 190, 5, 140)), (2, (1, 198, 0, 150)), (3, (0, 200, 7, 149)), (7, (50, 51, 20, 120))):
+        x0, x1, y0, y1 = box
+        small, ignored = mask[y0:y1:step, x0:x1:step], hidden[y0:y1:step, x0:x1:step]
+        (h, w), points, radius = small.shape, rng.uniform(0, 50, (3, 2)), np.full(3, 20.0)
+        uv, z, faces, part, _ = scene(rng, w, h)
+        drawn = draw_parts(uv, z, faces, part, PARTS, (h, w))
+        planes = np.stack([mask_of_bits(p, w) for p in drawn]).astype(bool)
+        seen = parts_against_mask(mask, drawn, box, step, points, radius, hidden)
+        for found, right in zip(seen[:4], counted(planes, small, points, radius, ignored), strict=True):
+            assert found.tolist() == right
+
+
+def test_faces_cover_the_pixels_whose_centres_they_hold(rng: np.random.Generator) -> None:
+    x, y = np.meshgrid(np.arange(70), np.arange(40))
+    for _ in range(30):
+        a, b, c = uv = rng.uniform(-5, [75, 45], (3, 2))
+        side = [(q[0] - p[0]) * (y - p[1]) - (q[1] - p[1]) * (x - p[0]) for p, q in ((a, b), (b, c), (c, a))]
+        inside = np.all(np.array(side) >= 0, axis=0) | np.all(np.array(side) <= 0, axis=0)
+        face = np.array([[0, 1, 2]], np.int32)
+        np.testing.assert_array_equal(silhouette(uv, np.ones(3), face, (70, 40)), inside)
+
+
+def test_points_through_a_camera_and_what_they_reach() -> None:
+    projection = np.array([[500.0, 0, 320, 0], [0, 500, 240, 0], [0, 0, 1, 0]])
+    uv, z, reach = projected(np.array([[0.1, 0.2, 2], [-0.4, 0, 4], [0, 0, -1]]), projection)
+    np.testing.assert_allclose(uv[:2], [[345, 290], [270, 240]])
+    np.testing.assert_allclose(z, [2, 4, -1])
+    np.testing.assert_allclose(reach, [[270, 345], [240, 290]])
+    assert np.isnan(uv[2]).all()
+    nothing = projected(np.array([[0.0, 0, -1]]), projection)[2]
+    assert (nothing[:, 0] > nothing[:, 1]).all()
