@@ -64,6 +64,7 @@ from hypose.compute.native import native, plain, tidy
 from hypose.compute.pictures import picture_to_mask
 from hypose.compute.pictures.parts import draw_parts, mask_of_bits, parts_against_mask, projected
 from hypose.compute.pictures.picture_to_mask import Box, Lens, make_lens, order_statistic, shrink_undistort
+from hypose.compute.pictures.pieces import touched_area
 from hypose.compute.pictures.shown_parts import colour_sums, rim_edges, shown_parts
 from hypose.compute.pictures.visibility import nearest_visible
 from hypose.compute.selection import beside, default_threads, over_chunks, require_cuda, use
@@ -227,6 +228,7 @@ __all__ = [
     "solve_coupled",
     "stored_pixels",
     "things_before",
+    "touched_area",
     "use",
     "warm_up",
     "weighted_squares",

@@ -25,6 +25,7 @@ from hypose.compute.compiled import can_keep, not_kept, ready
 from hypose.compute.monocular import mono
 from hypose.compute.pictures import picture_to_mask
 from hypose.compute.pictures.parts import draw_parts, parts_against_mask, projected
+from hypose.compute.pictures.pieces import touched_area
 from hypose.compute.selection import default_threads, use
 from hypose.compute.silhouettes import glance, reach
 from hypose.compute.solver import outline_rows
@@ -111,9 +112,11 @@ def _masks(compute: Any) -> None:
 
 def _parts(compute: Any) -> None:
     (_, mesh, _, projection), (mask, _) = _toy(), _mask()
-    (uv, z, _), shape = projected(mesh.vertices, projection[0]), mask[0].shape
-    drawn = draw_parts(uv, z, mesh.faces, np.zeros(len(mesh.faces), np.uint8), 1, shape)
-    parts_against_mask(mask[0], drawn, (0, shape[1], 0, shape[0]), 1, uv, z)
+    (uv, z, _), (h, w) = projected(mesh.vertices, projection[0]), mask[0].shape
+    drawn = draw_parts(uv, z, mesh.faces, np.zeros(len(mesh.faces), np.uint8), 1, (h, w))
+    bits = np.zeros((h, w // 8), np.uint8)
+    parts_against_mask(bits, drawn, (0, w, 0, h), 1, uv, z)
+    touched_area(bits, bits, (w, h), 1, uv)
 
 
 def _shape(compute: Any) -> None:

@@ -126,8 +126,8 @@ def audit_frame(
     out = np.full((len(names), len(AUDITED)), np.nan, np.float32)
     rotations, joints = body.skeleton.forward(pose)
     if frame.silhouettes is not None and frame.silhouettes.usable.any():
-        out[:, :6], out[:, -1] = _masks(body, pose, joints, frame.silhouettes, frame.index % _RARELY == 0)
         masks = prepared_masks(frame.silhouettes)
+        out[:, :6], out[:, -1] = _masks(body, pose, joints, frame.silhouettes, masks, frame.index % _RARELY == 0)
         if frame.depth is not None:
             out[:, 7:9] = _elsewhere(body, pose, masks, frame.index)
         else:
@@ -139,7 +139,9 @@ def audit_frame(
     return out
 
 
-def _masks(body: Body, pose: Array, joints: Array, silhouettes: Silhouettes, apart_too: bool) -> tuple[Array, float]:
+def _masks(
+    body: Body, pose: Array, joints: Array, silhouettes: Silhouettes, masks: PreparedMasks, apart_too: bool
+) -> tuple[Array, float]:
     """(J, 6), and by how much the views are apart, NaN where that is not wanted; see AUDITED."""
     part, limb, roots = _layout(tuple(body.skeleton.joint_names))
     points, part_of_face = np.concatenate([body.skin(pose), joints, joints[roots]]), _face_parts(body)
@@ -157,18 +159,17 @@ def _masks(body: Body, pose: Array, joints: Array, silhouettes: Silhouettes, apa
         (x0, x1), (y0, y1) = (_span(r, _BESIDE_M * per_metre, int(n)) for r, n in zip(reaches, (w, h), strict=True))
         if x0 >= x1 or y0 >= y1:
             continue
-        mask, ignored = silhouettes.masks[c], None if silhouettes.ignored is None else silhouettes.ignored[c]
-        uv, small = (uv - (x0, y0)) / step, (slice(y0, y1, step), slice(x0, x1, step))
-        shape, size = mask[small].shape, per_metre / step
+        uv, size, shape = (uv - (x0, y0)) / step, per_metre / step, (-((y0 - y1) // step), -((x0 - x1) // step))
         drawn = draw_parts(uv, z, body.coarse.faces, part_of_face, len(_PARTS), shape)
-        seen = parts_against_mask(mask, drawn, (x0, x1, y0, y1), step, uv[marks:], reach * size, ignored)
+        hidden, box = masks.hidden[c] if len(masks.hidden) else None, (x0, x1, y0, y1)
+        seen = parts_against_mask(masks.bits[c], drawn, box, step, uv[marks:], reach * size, hidden)
         bare[k] = seen.bare / size**2
         exposed[k] = seen.exposed / np.maximum(seen.area, 1)
         outside[k] = seen.outside / np.maximum(seen.area, 1)
         if apart_too:
-            ignored = None if ignored is None else ignored[small]
-            thin, drawn_on = np.ascontiguousarray(mask[small]), mask_of_bits(seen.bits, shape[1])
-            shifts[k] = shift_of_mask(thin, drawn_on, size, ignored)
+            small, ignored = (c, slice(y0, y1, step), slice(x0, x1, step)), silhouettes.ignored
+            mask, ignored = silhouettes.masks[small], None if ignored is None else ignored[small]
+            shifts[k] = shift_of_mask(mask, mask_of_bits(seen.bits, shape[1]), size, ignored)
     second = -2 if len(views) > 1 else -1
     near, limbs = bare[:, : len(joints)], bare[:, len(joints) :].sum(0)
     best = np.sort(exposed, 0)

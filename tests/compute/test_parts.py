@@ -26,6 +26,11 @@ def scene(rng: np.random.Generator, w: int, h: int) -> tuple[np.ndarray, ...]:
     return uv, z, (faces % 60).astype(np.int32), part, mask
 
 
+def packed(mask: np.ndarray, ignored: np.ndarray | None = None) -> np.ndarray:
+    """As `prepare_masks` has them."""
+    return np.packbits(mask if ignored is None else mask * (1 - ignored), axis=1, bitorder="little")
+
+
 def opened(bits: ArrayLike) -> np.ndarray:
     return cv2.morphologyEx(np.asarray(bits, np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
 
@@ -57,7 +62,8 @@ def test_counts_are_those_of_their_definitions(width: int, rng: np.random.Genera
         planes = np.stack([mask_of_bits(p, width) for p in drawn]).astype(bool)
         for p in range(PARTS):
             np.testing.assert_array_equal(planes[p], silhouette(uv, z, faces[part == p], (width, h)))
-        seen = parts_against_mask(mask, drawn, (0, width, 0, h), 1, points, radius, ignored)
+        hidden = None if ignored is None else packed(ignored)
+        seen = parts_against_mask(packed(mask, ignored), drawn, (0, width, 0, h), 1, points, radius, hidden)
         nothing = np.zeros_like(mask)
         expected = counted(planes, mask, points, radius, nothing if ignored is None else ignored)
         for found, right in zip(seen[:4], expected, strict=True):
@@ -75,7 +81,7 @@ def test_a_box_is_looked_at_in_steps(rng: np.random.Generator) -> None:
         uv, z, faces, part, _ = scene(rng, w, h)
         drawn = draw_parts(uv, z, faces, part, PARTS, (h, w))
         planes = np.stack([mask_of_bits(p, w) for p in drawn]).astype(bool)
-        seen = parts_against_mask(mask, drawn, box, step, points, radius, hidden)
+        seen = parts_against_mask(packed(mask, hidden), drawn, box, step, points, radius, packed(hidden))
         for found, right in zip(seen[:4], counted(planes, small, points, radius, ignored), strict=True):
             assert found.tolist() == right
 

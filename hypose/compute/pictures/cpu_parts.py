@@ -98,8 +98,8 @@ def _last(k, words, width):
 
 
 @kernel
-def _thin(picture, first, step, width, out):
-    """Every step-th pixel of a picture (H, W) from first (row, column) on that is set, as a picture of bits out (h,
+def _thin(packed, first, step, width, out):
+    """Every step-th pixel of a mask, eight to a byte (H, B), from first (row, column) on, as a picture of bits out (h,
     words)."""
     h, words = out.shape
     line = np.zeros(64 * words, np.uint8)
@@ -107,7 +107,7 @@ def _thin(picture, first, step, width, out):
     for r in range(h):
         y, x = first[0] + r * step, first[1]
         for i in range(width):
-            line[i] = picture[y, x] != 0
+            line[i] = (packed[y, x >> 3] >> (x & 7)) & 1
             x += step
         for k in range(words):
             word = np.uint64(0)
@@ -156,16 +156,16 @@ def _opened(covered, within, width, space, out):
 
 
 @kernel
-def against_mask(mask, ignored, first, step, width, parts, points, square, area, exposed, outside, bare):
-    """Counts of `parts.PartView`: of parts (P, h, W) drawn where every step-th pixel of mask (H, B), from first (row,
-    column) on, is a pixel; ignored (H, B), (0, 0): none. points (N, 2) in those pixels, square (N,) of radii. parts[0]
-    holds all of them afterwards."""
+def against_mask(mask, hidden, first, step, width, parts, points, square, area, exposed, outside, bare):
+    """Counts of `parts.PartView`: of parts (P, h, W) drawn where every step-th pixel of a packed mask (H, B), from
+    first (row, column) on, is a pixel; hidden (H, B), (0, 0): none. points (N, 2) in those pixels, square (N,) of
+    radii. parts[0] holds all of them afterwards."""
     n, h, words = parts.shape
     seen, shown = np.empty((h, words), np.uint64), np.empty((h, words), np.uint64)
     space, found, everything = np.empty_like(seen), np.empty_like(seen), np.full((h, words), _ALL)
     _thin(mask, first, step, width, seen)
-    if ignored.shape[0]:
-        _thin(ignored, first, step, width, shown)
+    if hidden.shape[0]:
+        _thin(hidden, first, step, width, shown)
     else:
         shown[:] = np.uint64(0)
     for r in range(h):

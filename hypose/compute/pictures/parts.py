@@ -63,26 +63,26 @@ def covered(uv: ArrayLike, z: ArrayLike, faces: NDArray[np.int32], shape: tuple[
 
 
 def parts_against_mask(
-    mask: NDArray[np.uint8],
+    bits: NDArray[np.uint8],
     drawn: NDArray[np.uint64],
     box: tuple[int, int, int, int],
     step: int,
     points: ArrayLike,
     radius: ArrayLike,
-    ignored: NDArray[np.uint8] | None = None,
+    hidden: NDArray[np.uint8] | None = None,
 ) -> PartView:
-    """Parts of a body against every step-th row and column of a mask (H, B), non-zero = person, in a box.
+    """Parts of a body against every step-th row and column of a mask in a box of it, packed as `prepare_masks` does (H,
+    B).
 
     drawn (P, h, W): each part in that small picture, as `draw_parts` gives it; it is used up. box: columns, rows, half
-    open, of the mask; points (N, 2) px, radius (N,) px of the small picture: around which bare mask is counted. ignored
-    (H, B): non-zero = a pixel that says nothing: neither bare nor outside, and nothing is exposed there. Rims of one
-    pixel count neither as bare nor as outside, nor does what is thinner than three pixels.
+    open, of the mask; points (N, 2) px, radius (N,) px of the small picture: around which bare mask is counted. hidden
+    (H, B): what says nothing: it is neither bare nor outside, and nothing is exposed there. Rims of one pixel count
+    neither as bare nor as outside, nor does what is thinner than three pixels.
     """
     x0, x1, y0, _ = box
     uv, square = plain(points, np.float64), np.asarray(radius, np.float64) ** 2
     counts = tuple(np.zeros(n, np.int64) for n in (*(len(drawn),) * 3, len(uv)))
-    hidden = _NONE if ignored is None else plain(ignored, np.uint8)
     first, width = np.array([y0, x0]), -(-(x1 - x0) // step)
-    shown = plain(mask, np.uint8), hidden, first, step, width
+    shown = plain(bits, np.uint8), _NONE if hidden is None else plain(hidden, np.uint8), first, step, width
     native("pictures.parts").against_mask(*shown, drawn, uv, square, *counts)
     return PartView(*counts, drawn[0])
