@@ -24,6 +24,7 @@ from hypose.synthetic.metrics import EVALUATED
 from hypose.tracking.doubt import (
     FEATURES,
     GROUPS,
+    OF_CLIP,
     WRONG_M,
     DoubtModel,
     clip_features,
@@ -38,16 +39,17 @@ _ARMS = _GROUP == GROUPS.index("arms")
 _NEGATIVE = ("exposed", "exposed_second", "points_agree")
 _POINTS = tuple(n for n in FEATURES if n.startswith("points"))
 _NEUTRAL = ("log_sd", "moved", "accel")
+_CLIP = ("apart", "more_mask", *(f"{n}_of_clip" for n in OF_CLIP))
+"""The same for all joints of a clip: neither sign speaks for itself beside what is told of the joint."""
 _MASKED = (
     *("sd_around", "moved", "accel", "still", "bare_beside", "exposed", "exposed_second", "hidden", "outside"),
-    *("rival_around", "cost_more", "loose", "exchanged", "apart", "more_mask"),
+    *("rival_around", "cost_more", "loose", "exchanged", *_CLIP),
 )
 """What masks alone are judged by. With the rest, which tells much the same by other measures, motions left out are told
 worse: the AUROC of their arms in usual scenes was .71 with them, and is .93 (seeds 600 to 617)."""
 _RIDGE = 30.0
-_HELD = 100.0
-"""Ridge about weights that are known: other clips than these have taught them. Of 10 to 1000 the areas under the curve
-of trunk, arms and legs hardly differ (42 clips of the seeds 1000 to 1003 and 1020 to 1023)."""
+_RIDGE_CLIP = 100.0
+"""Of _CLIP, which are as many as there are clips, however many their frames."""
 _FEW = 100
 """Clips: fewer than that move the slope and the level of known weights only; 42 clips made their ranking worse."""
 _WHOLE, _LESS = 0.1, 0.25
@@ -121,19 +123,19 @@ def _features(c: Tracked, at: slice) -> Array:
     return clip_features(m, c.body.joints(c.one_by_one[at]), c.audit[at])[:, EVALUATED]
 
 
-def used_by(evidence: str, group: int) -> list[str]:
-    """The features that there are for an evidence and a group of joints."""
-    if evidence == "silhouettes":  # arms are put into things; trunks and legs of other seeds were told worse by them
-        return [n for n in _MASKED if n != "more_mask" or GROUPS[group] == "arms"]
+def used_by(evidence: str) -> list[str]:
+    """The features that there are for an evidence."""
+    if evidence == "silhouettes":
+        return list(_MASKED)
     if evidence == "keypoints":
         return [*_NEUTRAL, *_POINTS]
     # sides are looked at with masks alone, and key points tell which view is wrong
-    return [n for n in FEATURES if n not in ("log_sd", "sd_around", "exchanged", "apart", "bare_beside", "more_mask")]
+    return [n for n in FEATURES if n not in ("log_sd", "sd_around", "exchanged", "bare_beside", *_CLIP)]
 
 
 def fit(rows: Rows, evidence: str, known: DoubtModel | None = None) -> DoubtModel:
-    """The model of an evidence, fitted to all rows given. known: weights that were found on other scenes, about which
-    it stays, and whose slope and level alone are fitted where the clips are few. Thresholds come from what is said of
+    """The model of an evidence, fitted to all rows given. known: weights that were found on other scenes, whose slope
+    and level alone are fitted where the clips are few. Thresholds come from what is said of
     each seed when it is fitted to the others: of its own rows a fit is surer than it may be. They come from clips
     through the right cameras without things in the masks: what else there is says so itself, and may be flagged more
     often."""
@@ -157,15 +159,11 @@ def fit(rows: Rows, evidence: str, known: DoubtModel | None = None) -> DoubtMode
 
 
 def _weights(rows: Rows, evidence: str, known: DoubtModel | None) -> DoubtModel:
-    used = [np.isin(FEATURES, used_by(evidence, g)) for g in range(len(GROUPS))]
-    on, flat = np.any(used, axis=0), rows.x.reshape(-1, len(FEATURES))
+    on, flat = np.isin(FEATURES, used_by(evidence)), rows.x.reshape(-1, len(FEATURES))
     middle, scale = np.where(on, flat.mean(0), 0.0), np.where(on, np.maximum(flat.std(0), 1e-3), 1.0)
-    before, ridge = np.zeros((len(GROUPS), len(FEATURES))), np.full(len(FEATURES), _RIDGE)
     few = len(np.unique(np.stack([rows.case, rows.seed.astype(str)]), axis=1).T) < _FEW
-    if known is not None:
-        middle, scale, before = known.middle, known.scale, known.weights
-        ridge = np.where((before != 0).any(0), _HELD, _RIDGE)  # what is new is free
-    sign = np.array([-1.0 if n in _NEGATIVE else 1.0 for n in FEATURES])
+    if known is not None and few:
+        middle, scale = known.middle, known.scale
     wrong = rows.error > WRONG_M
     weights, offset = np.zeros((len(GROUPS), len(FEATURES))), np.zeros(len(GROUPS))
     count = np.where(_wholly_wrong(rows), _LESS, 1.0)
@@ -178,7 +176,7 @@ def _weights(rows: Rows, evidence: str, known: DoubtModel | None) -> DoubtModel:
             weights[g] = slope * known.weights[g]
             offset[g] += slope * known.offset[g]
             continue
-        weights[g], offset[g] = _logistic(z, y, counts, used[g], sign, before[g], ridge)
+        weights[g], offset[g] = _logistic(z, y, counts, on)
     return DoubtModel(middle, scale, weights, offset, np.full(len(GROUPS), LEAST_P[evidence]))
 
 
@@ -201,30 +199,28 @@ def _level(odds: Array, y: Array, count: Array) -> tuple[float, float]:
     return float(slope), float(offset)
 
 
-def _logistic(
-    z: Array, y: Array, count: Array, on: NDArray[np.bool_], sign: Array, known: Array, ridge: Array
-) -> tuple[Array, float]:
-    """Weights (F,) of held signs, zero where not on, and the offset: ridge (F,) about known weights (F,) against noise,
-    by L-BFGS-B."""
-    columns = np.flatnonzero(on)
-    s, held = sign[columns], ridge[columns]
-    a, middle = z[:, columns] * s, known[columns] * s
+def _logistic(z: Array, y: Array, count: Array, on: NDArray[np.bool_]) -> tuple[Array, float]:
+    """Weights (F,), of held signs but those of _CLIP, zero where not on, and the offset: ridge against noise, by
+    L-BFGS-B."""
+    names = [n for n, used in zip(FEATURES, on, strict=True) if used]
+    s = np.array([-1.0 if n in _NEGATIVE else 1.0 for n in names])
+    ridge = np.array([_RIDGE_CLIP if n in _CLIP else _RIDGE for n in names])
+    a = z[:, on] * s
 
     def value(x: Array) -> tuple[float, Array]:
         odds = a @ x[:-1] + x[-1]
         p = 1 / (1 + np.exp(-np.clip(odds, -40, 40)))
         loss = np.logaddexp(0, odds) - y * odds
         slope = count * (p - y)
-        away = x[:-1] - middle
-        down = np.r_[a.T @ slope + held * away, slope.sum()]
-        return float((count * loss).sum() + 0.5 * (held * away**2).sum()), down
+        down = np.r_[a.T @ slope + ridge * x[:-1], slope.sum()]
+        return float((count * loss).sum() + 0.5 * (ridge * x[:-1] ** 2).sum()), down
 
     rate = np.clip(y.mean(), 1e-4, 0.5)
-    begin = np.r_[np.maximum(middle, 0.05), np.log(rate / (1 - rate))]
-    bounds = [(0.0, None)] * len(columns) + [(None, None)]
+    begin = np.r_[np.full(len(names), 0.05), np.log(rate / (1 - rate))]
+    bounds = [(None if n in _CLIP else 0.0, None) for n in names] + [(None, None)]
     found = minimize(value, begin, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 500}).x
     out = np.zeros(len(on))
-    out[columns] = found[:-1] * s
+    out[on] = found[:-1] * s
     return out, float(found[-1])
 
 

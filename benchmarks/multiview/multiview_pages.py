@@ -124,8 +124,7 @@ _DOUBT = Page(
     "doubt",
     """P(joint wrong by more than 100 mm): areas under the curve; share of arm joints more than 150 mm off, of frames
     with a wrong arm, and of good frames that are told as doubtful; calibration error; share of clips that do not end
-    as good. Seeds that judge (993 on; nothing was fitted on them; 1000 to 1003, 1020 to 1023, 1114 to 1123, 1150 to
-    1161 and 1170 to 1205 were looked at, 1206 to 1217 were not before these figures), from silhouettes. Usual:
+    as good. Seeds that judge (1218 on: nothing was fitted or chosen on them), from silhouettes. Usual:
     the person alone, the right cameras, in time. The JSON holds regions, the clip's solve, both against its parts,
     verdicts.""",
     (

@@ -37,6 +37,9 @@ _USUAL_LOOSE_M = 0.01  # of arms that were not looked at
 _LITTLE = 3e-4  # m^2 of bare mask
 _OF_BODIES_M2 = 0.0022  # m^2 of it about a joint in a view, median over a clip, that bodies alone in usual masks have
 _SEEN = 0.25  # share of a part that is exposed in two views at least
+OF_CLIP = ("cost", "outside_body", "bare_body", "log_sd", "loose", "outside", "bare_second", "rival")
+"""Features whose mean over a clip tells what kind of clip it is: the same patch of bare mask tells much in one that
+fits well, and little where somebody wears a coat."""
 FEATURES = (
     *(
         "log_sd",
@@ -55,6 +58,7 @@ FEATURES = (
     *("elsewhere", "elsewhere_by", "loose", "exchanged"),
     *("points", "points_worst", "points_around", "points_few", "points_unseen", "points_all"),
     *("points_agree", "points_against", "points_contested", "points_renamed", "apart", "more_mask"),
+    *(f"{n}_of_clip" for n in OF_CLIP),
 )
 """What a joint is judged by, see `clip_features`."""
 GROUPS = ("trunk", "arms", "legs")
@@ -79,7 +83,8 @@ def clip_features(motion: Motion, raw_joints: Array, audit: ArrayLike) -> Array:
     points and of the frame's, how few views have it, and for how long, how many agree or do not, and how far those that
     do not outweigh those that do: one against one tells nothing, two against one does, and which share of the views
     calls its limb by the other side's name; apart: by how much the views contradict each other in this clip; more_mask:
-    log of how many times more its masks show beside the body than of a body alone: limbs may have been put into it."""
+    log of how many times more its masks show beside the body than of a body alone: limbs may have been put into it;
+    *_of_clip: mean over all joints, and the frames in which the person was found."""
     a = {n: np.asarray(audit, dtype=np.float64)[..., k] for k, n in enumerate(AUDITED)}
     masks, points = np.isfinite(a["bare"]), np.isfinite(a["points_all"])
     known = np.isfinite(a["exchanged"]).any()
@@ -140,6 +145,8 @@ def clip_features(motion: Motion, raw_joints: Array, audit: ArrayLike) -> Array:
         "apart": np.full(count, np.sqrt(views_apart(audit))),
         "more_mask": np.full(count, np.log(max(more_than_body(audit, motion.n_views) / _OF_BODIES_M2, 1.0))),
     }
+    there = ~motion.lost if not motion.lost.all() else motion.lost
+    found |= {f"{n}_of_clip": np.full(count, found[n][there].mean()) for n in OF_CLIP}
     return np.stack([found[n] for n in FEATURES], -1)
 
 
@@ -271,8 +278,8 @@ def worth_a_look(p: ArrayLike, joints: NDArray[np.bool_], evidence: str) -> NDAr
 
 LOOK_P = 0.25
 """wrong joints to be expected in a frame for it to be worth a look: joints are doubtful long before they are likely
-wrong, so that little is missed. On the scenes that the weights were fitted to it is so in one of ten good frames,
-where two have a doubtful joint, and in 92 % of those with a wrong arm (97 % have a doubtful joint)."""
+wrong, so that little is missed. On the scenes that the weights were fitted to it is so in 6 % of the good frames, where
+16 % have a doubtful joint, and in 91 % of those with a wrong arm (95 % have a doubtful joint)."""
 
 
 def probability(odds: Array) -> Array:

@@ -72,7 +72,9 @@ def test_a_clean_clip_is_not_doubted_and_an_arm_that_disagrees_is(masks, points,
     assert again[15, wrist] > 5 * p[15, wrist]
     # detectors err alone so often that a key point far from a joint says little when nothing else does
     assert flagged[15, wrist] or not masks
-    assert again[28, NAMES.index("left_knee")] == pytest.approx(p[28, NAMES.index("left_knee")], abs=1e-6)
+    # a second later a leg is told by no arm; from masks alone it is by what kind of clip it is in
+    knee = NAMES.index("left_knee")
+    assert again[28, knee] == pytest.approx(p[28, knee], abs=1e-6 if points else 0.005)
 
 
 def test_what_one_view_alone_shows_is_doubted_unless_a_second_one_is_near_in_time():
@@ -125,17 +127,28 @@ def test_more_bare_mask_never_speaks_for_a_joint():
 
 def test_where_masks_show_more_than_the_body_arms_are_doubted():
     motion, joints, audit = clip()
-    more, bare = FEATURES.index("more_mask"), AUDITED.index("bare")
+    more, bare, second = FEATURES.index("more_mask"), AUDITED.index("bare"), AUDITED.index("bare_second")
     alone, chair = audit.copy(), audit.copy()
-    alone[..., bare] = 0.001 * motion.n_views[:, None]
-    chair[..., bare] = 0.006 * motion.n_views[:, None]
+    for masks, m2 in ((alone, 0.001), (chair, 0.006)):  # of a view, and in the second-barest one as well
+        masks[..., bare], masks[..., second] = m2 * motion.n_views[:, None], m2
     assert (clip_features(motion, joints, alone)[..., more] == 0).all()
     assert np.allclose(clip_features(motion, joints, chair)[..., more], np.log(0.006 / 0.0022))
     arms = np.array([GROUPS[group_of(n)] == "arms" for n in NAMES])
     before, now = (judged(motion, joints, a)[0] for a in (alone, chair))
     assert (now[:, arms] > 3 * before[:, arms]).all()
-    # whether a trunk or a leg is wrong, it does not tell
-    assert (doubt_models()["silhouettes"].weights[[0, 2], more] == 0).all()
+
+
+def test_means_of_a_clip_are_of_the_frames_in_which_somebody_was_found():
+    motion, joints, audit = clip()
+    cost, bare = (FEATURES.index(f"{n}_of_clip") for n in ("cost", "bare_body"))
+    found = clip_features(motion, joints, audit)
+    assert np.ptp(found[..., [cost, bare]], axis=(0, 1)).max() == 0  # the same for all joints and frames
+    assert np.allclose(found[..., cost], motion.cost.mean())
+    lost, worse = motion.lost.copy(), motion.cost.copy()
+    lost[:4], worse[:4] = True, 1.0
+    again = clip_features(replace(motion, lost=lost, cost=worse), joints, audit)
+    assert np.allclose(again[..., cost], motion.cost[4:].mean())
+    assert np.isfinite(clip_features(replace(motion, lost=np.ones_like(lost)), joints, audit)).all()
 
 
 def test_legs_that_masks_alone_cross_are_doubted():
