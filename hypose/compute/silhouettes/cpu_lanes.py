@@ -134,9 +134,10 @@ def bone_maps(poses, first, tree, needed, frames, centres, axis, scratch, maps):
 
 
 @kernel
-def skin_lanes(poses, first, tree, mesh, frames, centres, axis, scratch, maps, points):
-    """points (V, 3, LANES) f4: the mesh about each pose's root; the other arguments as for `bone_maps`."""
-    bone_maps(poses, first, tree, mesh.needed, frames, centres, axis, scratch, maps)
+def skin_lanes(poses, first, tree, mesh, turning, frames, centres, axis, scratch, maps, points):
+    """points (V, 3, LANES) f4: the mesh about each pose's root; turning (J,): the joints that are not where they were
+    the last time, the other arguments as for `bone_maps`."""
+    bone_maps(poses, first, tree, turning, frames, centres, axis, scratch, maps)
     for i in range(points.shape[0]):
         x, y, z = mesh.vertices[i, 0], mesh.vertices[i, 1], mesh.vertices[i, 2]
         skin_vertex(maps, mesh.joint, mesh.weight, mesh.start[i], mesh.start[i + 1], x, y, z, points, i)
@@ -168,10 +169,10 @@ def lane_windows(bounds, box, lanes, window, origin):
     for k in range(lanes):
         x0, x1, y0, y1 = box[0], box[1], box[2], box[3]
         if bounds[4, k] >= NEAR:  # half-open sampling: first pixel ceil(minimum), one past the last ceil(maximum)
-            x0 = int(min(max(f4(x0), math.ceil(bounds[0, k])), f4(x1)))
-            x1 = int(max(min(f4(x1), math.ceil(bounds[1, k])), f4(x0)))
-            y0 = int(min(max(f4(y0), math.ceil(bounds[2, k])), f4(y1)))
-            y1 = int(max(min(f4(y1), math.ceil(bounds[3, k])), f4(y0)))
+            x0 = int(min(max(f4(x0), np.ceil(bounds[0, k])), f4(x1)))
+            x1 = int(max(min(f4(x1), np.ceil(bounds[1, k])), f4(x0)))
+            y0 = int(min(max(f4(y0), np.ceil(bounds[2, k])), f4(y1)))
+            y1 = int(max(min(f4(y1), np.ceil(bounds[3, k])), f4(y0)))
         if x0 < x1 and y0 < y1:
             if bounds[4, k] >= NEAR:
                 some |= np.uint32(1) << np.uint32(k)
@@ -276,11 +277,12 @@ def score_safely(mesh, points, u, v, p, lane, near, mask, drawn, origin, first_c
 
 @kernel
 def silhouette_xor(
-    poses, first, last, tree, mesh, prepared, usable, boxes, box_areas, drawn, drawn_counts, scratch, out
+    poses, first, last, tree, mesh, anew, turning, prepared, usable, boxes, box_areas, drawn, drawn_counts, scratch, out
 ):
     """Blocks first..last (of LANES poses) of out (N, C, 3) = (xor, model, intersection) pixels inside boxes (C, 4),
     of the views that are usable (C,).
 
+    anew (J,): joints that must be placed for the first block, turning (J,): those that are elsewhere in the others.
     drawn (C, h, B) packed as the masks, drawn_counts (C, 2) model, intersection: pixels that belong to the body in
     every pose. scratch: of lane_scratch.py, for this mesh and these images."""
     views, image_rows, _ = prepared.masks.shape
@@ -291,7 +293,8 @@ def silhouette_xor(
     for block in range(first, last):
         begin = block * LANES
         lanes = min(LANES, poses.shape[0] - begin)
-        skin_lanes(poses, begin, tree, mesh, frames, centres, axis, turn, maps, points)
+        moved = anew if block == first else turning
+        skin_lanes(poses, begin, tree, mesh, moved, frames, centres, axis, turn, maps, points)
         for c in range(views):
             if not usable[c]:
                 continue

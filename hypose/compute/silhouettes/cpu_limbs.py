@@ -40,14 +40,14 @@ def uncovered(prepared, drawn, cells):
 
 
 @kernel
-def least_energies(poses, first, last, tree, mesh, prepared, boxes, drawn_counts, cells, scratch, out):
+def least_energies(poses, first, last, tree, mesh, turning, prepared, boxes, drawn_counts, cells, scratch, out):
     """Blocks first..last (of LANES poses) of out (N, C): no view costs less; cells as `uncovered` makes them, the other
-    arguments as for cpu_lanes.silhouette_xor."""
+    arguments as for cpu_lanes.silhouette_xor, which has placed the joints that are not turning."""
     frames, centres, axis, turn, maps, points, u, v, p, bounds, window, origin = scratch[:12]
     for block in range(first, last):
         begin = block * LANES
         lanes = min(LANES, poses.shape[0] - begin)
-        skin_lanes(poses, begin, tree, mesh, frames, centres, axis, turn, maps, points)
+        skin_lanes(poses, begin, tree, mesh, turning, frames, centres, axis, turn, maps, points)
         for c in range(prepared.bits.shape[0]):
             if not prepared.usable[c]:
                 continue
@@ -75,14 +75,16 @@ def view_that_tells(cells, norm, left):
 
 
 @kernel
-def limb_energies(poses, slack, more, tree, mesh, prepared, boxes, drawn, drawn_counts, cells, scratch, counts, told):
+def limb_energies(
+    poses, slack, more, tree, mesh, turning, prepared, boxes, drawn, drawn_counts, cells, scratch, counts, told
+):
     """counts (N, C, 3), zero, as of silhouette_xor, and told (N,), False: whether they are those of all views, as of
     the first poses and of all that cost at most `slack` times as much as the first one, and `more`. cells: zero; other
     arguments as for silhouette_xor."""
     n, views, n_dof = poses.shape[0], prepared.bits.shape[0], poses.shape[1]
     norm, left, limit, view = prepared.norm, prepared.usable.copy(), more + 1e-9 * abs(more), -1
     alive, n_alive = np.arange(n), min(n, LANES)  # the first block is as much work as the first pose alone
-    least, total, only = np.zeros((n, views)), np.zeros(n), prepared.usable
+    least, total, only, anew = np.zeros((n, views)), np.zeros(n), prepared.usable, mesh.needed
     while True:
         tried, out = np.empty((n_alive, n_dof)), np.zeros((n_alive, views, 3), np.int64)
         for i in range(n_alive):
@@ -90,7 +92,8 @@ def limb_energies(poses, slack, more, tree, mesh, prepared, boxes, drawn, drawn_
                 tried[i, d] = poses[alive[i], d]
         blocks = (n_alive + LANES - 1) // LANES
         silhouette_xor(
-            tried, 0, blocks, tree, mesh, prepared, only, boxes, prepared.areas, drawn, drawn_counts, scratch, out
+            *(tried, 0, blocks, tree, mesh, anew, turning),
+            *(prepared, only, boxes, prepared.areas, drawn, drawn_counts, scratch, out),
         )
         kept = 0
         for i in range(n_alive):
@@ -110,7 +113,7 @@ def limb_energies(poses, slack, more, tree, mesh, prepared, boxes, drawn, drawn_
         if view < 0:
             uncovered(prepared, drawn, cells)
             blocks = (n + LANES - 1) // LANES
-            least_energies(poses, 1, blocks, tree, mesh, prepared, boxes, drawn_counts, cells, scratch, least)
+            least_energies(poses, 1, blocks, tree, mesh, turning, prepared, boxes, drawn_counts, cells, scratch, least)
             n_alive = 0
             for a in range(min(n, LANES), n):
                 for c in range(views):
@@ -123,5 +126,6 @@ def limb_energies(poses, slack, more, tree, mesh, prepared, boxes, drawn, drawn_
         only = np.zeros(views, np.bool_)
         only[view] = True
         left[view] = False
+        anew = turning
     for i in range(n_alive):
         told[alive[i]] = True

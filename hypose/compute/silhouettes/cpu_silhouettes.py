@@ -10,8 +10,6 @@ stands, int8: differences may wrap, the counts of up to 127 layers are the same.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from hypose.compute.compiled import kernel
@@ -65,8 +63,8 @@ def cross_columns(xa, ya, xb, yb, sign, width, height, difference):
         xa, xb, ya, yb = xb, xa, yb, ya
         s = np.int16(sign)
     # clip as floats: far outside the image the numbers do not fit an integer
-    c0 = int(math.ceil(max(xa, f4(0))))
-    c1 = int(math.ceil(min(xb, f4(width))))
+    c0 = int(np.ceil(max(xa, f4(0))))
+    c1 = int(np.ceil(min(xb, f4(width))))
     if c0 < c1:
         slope = (yb - ya) / (xb - xa)
         for c in range(c0, c1):

@@ -6,8 +6,6 @@ silhouettes of its parts, each drawn by its own front faces.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from hypose.compute.compiled import kernel
@@ -78,10 +76,10 @@ def draw_standing(pose, tree, mesh, faces, standing, prepared, boxes, bits, coun
         x0, x1, y0, y1 = boxes[c, 0], boxes[c, 1], boxes[c, 2], boxes[c, 3]
         near = not (bounds[4] >= NEAR)
         if not near:
-            x0 = int(min(max(f4(x0), math.floor(bounds[0])), f4(x1)))
-            x1 = int(max(min(f4(x1), math.ceil(bounds[1]) + f4(1)), f4(x0)))
-            y0 = int(min(max(f4(y0), math.floor(bounds[2])), f4(y1)))
-            y1 = int(max(min(f4(y1), math.ceil(bounds[3]) + f4(1)), f4(y0)))
+            x0 = int(min(max(f4(x0), np.floor(bounds[0])), f4(x1)))
+            x1 = int(max(min(f4(x1), np.ceil(bounds[1]) + f4(1)), f4(x0)))
+            y0 = int(min(max(f4(y0), np.floor(bounds[2])), f4(y1)))
+            y1 = int(max(min(f4(y1), np.ceil(bounds[3]) + f4(1)), f4(y0)))
         if x0 >= x1 or y0 >= y1:
             continue
         difference = np.zeros((y1 - y0 + 1, x1 - x0), np.int8)  # no larger: pages of memory touched first cost most

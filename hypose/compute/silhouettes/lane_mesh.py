@@ -112,6 +112,8 @@ class MovingParts(NamedTuple):
     """(F,) the others"""
     corners: NDArray[np.int32]
     """(K, 3) the others"""
+    turning: NDArray[np.bool_]
+    """(J,) such joints, and those below them"""
 
 
 _moving: list[tuple[NDArray[np.int32], bytes, MovingParts]] = []
@@ -133,7 +135,7 @@ def moving_parts(
     moved = np.asarray((below[mesh.skin_index] & own).any(1)[mesh.faces].any(1))
     chosen = np.ones_like(moved) if faces is None else faces
     standing = chosen & ~moved
-    made = MovingParts(chosen & moved, standing, np.ascontiguousarray(mesh.faces[standing]))
+    made = MovingParts(chosen & moved, standing, np.ascontiguousarray(mesh.faces[standing]), below)
     with _lock:
         _moving.insert(0, (mesh.skin_index, wanted, made))
         del _moving[_KEPT:]

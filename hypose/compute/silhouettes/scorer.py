@@ -67,9 +67,9 @@ def silhouette_xor(
         from hypose.compute.silhouettes import cuda
 
         return cuda.silhouette_xor(q, t, lane_mesh.prepare(mesh, tree, wanted), prepared, b, areas)
-    drawn, drawn_counts = _nothing(prepared.bits.shape), np.zeros((c, 2), dtype=np.int64)
+    drawn, drawn_counts, turned = _nothing(prepared.bits.shape), np.zeros((c, 2), dtype=np.int64), None
     if turning is not None and n:
-        wanted, standing, corners = lane_mesh.moving_parts(mesh, tree, turning, wanted)
+        wanted, standing, corners, turned = lane_mesh.moving_parts(mesh, tree, turning, wanted)
         if rest is not None:
             drawn, drawn_counts = rest
         else:
@@ -81,13 +81,15 @@ def silhouette_xor(
     elif prepared.hidden.size:
         drawn = prepared.hidden  # one more standing part, of somebody else: it counts nowhere
     m = lane_mesh.prepare(mesh, tree, wanted)
+    turned = m.needed if turned is None else m.needed & turned
     kernels = native("silhouettes.lanes")
     out = np.zeros((n, c, 3), dtype=np.int64)
 
     def score(first: int, last: int) -> None:
         scratch = lane_scratch(m, prepared.masks.shape[1:], kernels.LANES, kernels.STRIP)
         kernels.silhouette_xor(
-            q, first, last, t, m, prepared, prepared.usable, b, areas, drawn, drawn_counts, scratch, out
+            *(q, first, last, t, m, m.needed, turned),
+            *(prepared, prepared.usable, b, areas, drawn, drawn_counts, scratch, out),
         )
 
     over_chunks(score, -(-n // kernels.LANES), threads)
@@ -118,13 +120,14 @@ def limb_energies(
     q = np.where(turning[tree.joint_of_dof], q, q[-1:])
     prepared = tidy(prepared)
     drawn, drawn_counts = reach.standing(q[-1], tree, mesh, prepared, turning) if rest is None else rest
-    m = lane_mesh.prepare(mesh, tree, lane_mesh.moving_parts(mesh, tree, turning, None).moved)
+    parts = lane_mesh.moving_parts(mesh, tree, turning, None)
+    m = lane_mesh.prepare(mesh, tree, parts.moved)
     lanes, limbs = native("silhouettes.lanes"), native("silhouettes.limbs")
     scratch = lane_scratch(m, prepared.masks.shape[1:], lanes.LANES, lanes.STRIP)
     cells = np.zeros((len(use), -(-drawn.shape[1] // limbs.CELL) + 1, drawn.shape[2] + 1), dtype=np.int32)
     counts, told = np.zeros((len(q), len(use), 3), dtype=np.int64), np.zeros(len(q), dtype=np.bool_)
-    given = tidy(tree), m, prepared, reach.whole_images(prepared), drawn, drawn_counts, cells, scratch
-    limbs.limb_energies(q, float(slack), float(more), *given, counts, told)
+    given = tidy(tree), m, m.needed & parts.turning, prepared, reach.whole_images(prepared), drawn, drawn_counts
+    limbs.limb_energies(q, float(slack), float(more), *given, cells, scratch, counts, told)
     return np.where(told, (counts[:, use, 0] / prepared.norm[use]).sum(1), np.inf)
 
 

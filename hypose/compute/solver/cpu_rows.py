@@ -196,7 +196,7 @@ def _by_row(n, rim_u, rim_v, low, u, v, number, place):
 def nearest(n, u, v, number, place, low, x, y):
     """The number of the nearest of n points in the order of `_by_row`: one in the bands beside (x, y) where that lies
     nearer than all others can."""
-    band, bands = int(math.floor((y - low) * f4(1 / _BAND))), place.shape[0] - 1
+    band, bands = int(np.floor((y - low) * f4(1 / _BAND))), place.shape[0] - 1
     # whole vectors, for what is left of them takes as long
     begin = place[min(max(band - 1, 0), bands)] // 8 * 8
     end = (place[min(max(band + 2, 0), bands)] + 7) // 8 * 8
@@ -267,10 +267,10 @@ def contour_rows(c, p, mesh, contours, scale, ws, kept, count):
     project(ws.vertices, p, u, v, bounds)
     if not (bounds[4] >= NEAR):
         return unseen
-    x0 = int(max(f4(0), math.floor(bounds[0]) - f4(1)))
-    x1 = int(min(f4(w), math.ceil(bounds[1]) + f4(2)))
-    y0 = int(max(f4(0), math.floor(bounds[2]) - f4(1)))
-    y1 = int(min(f4(h), math.ceil(bounds[3]) + f4(2)))
+    x0 = int(max(f4(0), np.floor(bounds[0]) - f4(1)))
+    x1 = int(min(f4(w), np.ceil(bounds[1]) + f4(2)))
+    y0 = int(max(f4(0), np.floor(bounds[2]) - f4(1)))
+    y1 = int(min(f4(h), np.ceil(bounds[3]) + f4(2)))
     width, height = x1 - x0, y1 - y0
     if width < 3 or height < 3:
         return unseen
