@@ -214,6 +214,7 @@ __all__ = [
     "reach",
     "require_cuda",
     "rim_edges",
+    "row_bytes",
     "row_sums",
     "selection",
     "shown_parts",
@@ -274,33 +275,42 @@ def outline_points(sdf: NDArray[np.float32], size: tuple[int, int], k: int) -> t
     return out, int(n)
 
 
+def row_bytes(width: int) -> int:
+    """Bytes of a row of winding differences of a window: see cpu_lanes.row_stride."""
+    return 64 * (-(-width // 64) | 1)
+
+
 def workspace(tree: TreeArrays, mesh: MeshArrays, height: int, width: int) -> Workspace:
     """Scratch memory for `solve` and `evaluate` on images up to (height, width); one per thread."""
     v, f, e, j, d = len(mesh.vertices), len(mesh.faces), len(mesh.edges), len(tree.parents), len(tree.axes)
-    f4 = np.float32
-    rows = 2 * mesh.skin_index.shape[1] * MOST_FOUND
+    f4, i4 = np.float32, np.int32
+    rows, views, rim = 2 * mesh.skin_index.shape[1] * MOST_FOUND, 4, 2048
     return Workspace(
         np.zeros((v, 3), f4),
-        np.zeros(v, f4),
-        np.zeros(v, f4),
+        np.zeros((v, 2, views), f4),
         np.zeros(f, np.uint8),
-        np.zeros(e, np.int32),
-        np.zeros(e, np.int32),
-        np.zeros((height + 1, width), np.int8),
-        np.zeros((height, width), np.uint8),
-        np.zeros(width, np.int8),
-        np.zeros(2048, f4),
-        np.zeros(2048, f4),
-        np.zeros(2048, np.int32),
+        np.zeros(e, i4),
+        np.zeros(e, i4),
+        np.zeros(e, i4),
+        np.zeros((5, e), f4),
+        np.zeros((height + 1) * row_bytes(width), np.int8),
+        np.zeros(height * row_bytes(width) // 8, np.uint8),
+        np.zeros((8, rim), f4),
+        np.zeros(rim, i4),
+        np.zeros(rim, i4),
+        np.zeros((2, rim), f4),
+        np.zeros(rim, i4),
+        np.zeros(65, np.int64),
         np.zeros((j, 3, 3)),
         np.zeros((j, 3)),
         np.zeros((d, 6)),
         np.zeros((j, 21)),
         np.zeros((j, 6)),
-        np.empty((MOST_FOUND, 2), np.int32),
-        np.empty((MOST_FOUND, 5), f4),
+        np.empty((2, 2 * MOST_FOUND), i4),
+        np.empty((5, 2 * MOST_FOUND), f4),
+        np.empty((6, 2 * MOST_FOUND), f4),
         np.empty((rows, 8)),
-        np.empty(rows, np.int32),
+        np.empty(rows, i4),
         np.empty((9, rows)),
         np.empty(j + 1, np.int64),
     )

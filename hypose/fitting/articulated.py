@@ -415,8 +415,7 @@ def _fits(ws: Workspace, body: Body, contours: ContourTerm | None) -> bool:
         and len(ws.start) == len(mesh.edges)
         and len(ws.centres) == len(tree.parents)
         and len(ws.twists) == len(tree.axes)
-        and ws.own.shape[0] >= h
-        and ws.own.shape[1] >= w
+        and len(ws.difference) >= (h + 1) * compute.row_bytes(w)
     )
 
 

@@ -9,86 +9,66 @@ from __future__ import annotations
 import numpy as np
 
 from hypose.compute.compiled import kernel
-from hypose.compute.cpu_kinematics import camera_about_root, joint_frames, skin_about_root
-from hypose.compute.silhouettes.cpu_silhouettes import (
-    NEAR,
-    contour_edges,
-    emit_clipped_faces,
-    emit_contours,
-    front_faces,
-    project,
+from hypose.compute.cpu_kinematics import joint_frames, skin_about_root
+from hypose.compute.silhouettes.cpu_lanes import row_stride
+from hypose.compute.silhouettes.cpu_silhouettes import NEAR, emit_clipped_faces
+from hypose.compute.silhouettes.cpu_vectors import STRIP, fill_strip
+from hypose.compute.silhouettes.cpu_views import (
+    VIEWS,
+    contours_of_any,
+    contours_of_view,
+    emit_lines,
+    front_views,
+    project_views,
 )
 
 f4 = np.float32
-_GATHER = np.uint64(0x0102040810204080)
-"""times eight bytes of 0 or 1: their bits in the highest byte, the first one lowest"""
-
-
-@kernel
-def stamp(mask, x0, y0, width, height, difference, running, own, bits, counts):
-    """Sets the bits (h, B) of the silhouette whose winding differences are given in the window with corner (x0, y0);
-    counts (2,): pixels set, those of them in the mask (h, w); running, own: scratch, own (8 (B + 1),) all zero."""
-    shift = x0 & 7
-    acc, inside = running[:width], own[shift : shift + width]
-    words, first = own.view(np.uint64), x0 >> 3
-    n_words = (shift + width + 7) >> 3
-    acc[:] = 0
-    model, hit = 0, 0
-    for r in range(height):
-        d, m, line = difference[r, :width], mask[y0 + r, x0 : x0 + width], bits[y0 + r]
-        n_model, n_hit = np.uint32(0), np.uint32(0)
-        for x in range(width):
-            acc[x] = np.int8(acc[x] + d[x])
-            inside[x] = np.uint8(acc[x] > 0)
-            n_model += np.uint32(inside[x])
-            n_hit += np.uint32(inside[x] & np.uint8(m[x] != 0))
-        model += n_model
-        hit += n_hit
-        if n_model > 0:
-            for w in range(n_words):
-                line[first + w] |= np.uint8((words[w] * _GATHER) >> np.uint64(56))
-    inside[:] = 0
-    counts[0] = model
-    counts[1] = hit
 
 
 @kernel
 def draw_standing(pose, tree, mesh, faces, standing, prepared, boxes, bits, counts):
     """Silhouettes of the faces (K, 3) of the mesh at a pose (D,), inside boxes (C, 4): bits (C, h, B), counts (C, 2)
-    model and intersection pixels; standing (F,) tells the same faces among all."""
-    n_joints, n_vertices = tree.parents.shape[0], mesh.vertices.shape[0]
+    model and intersection pixels, both zero before; standing (F,) tells the same faces among all."""
+    n_joints, n_vertices, n_edges = tree.parents.shape[0], mesh.vertices.shape[0], mesh.edges.shape[0]
     rotations, centres = np.empty((n_joints, 3, 3)), np.empty((n_joints, 3))
     twists = np.empty((pose.shape[0], 6))
-    vertices = np.empty((n_vertices, 3), np.float32)
-    u, v = np.empty(n_vertices, np.float32), np.empty(n_vertices, np.float32)
-    p, bounds = np.empty((3, 4), np.float32), np.empty(5, np.float32)
-    front = np.empty(mesh.faces.shape[0], np.uint8)
-    start, end = np.empty(mesh.edges.shape[0], np.int32), np.empty(mesh.edges.shape[0], np.int32)
-    views, _, columns = prepared.masks.shape
-    running, own = np.empty(columns, np.int8), np.zeros(8 * (bits.shape[2] + 1), np.uint8)
+    vertices, uv = np.empty((n_vertices, 3), np.float32), np.empty((n_vertices, 2, VIEWS), np.float32)
+    cameras, bounds = np.empty((VIEWS, 3, 4), np.float32), np.empty((5, VIEWS), np.float32)
+    front, union = np.empty(mesh.faces.shape[0], np.uint8), np.empty(n_edges, np.int32)
+    start, end, lines = np.empty(n_edges, np.int32), np.empty(n_edges, np.int32), np.empty((4, n_edges), np.float32)
+    n_union, flat, line = 0, bits.reshape(-1), bits.shape[2]
+    mask = prepared.bits.reshape(-1)
     joint_frames(pose, tree, rotations, centres, twists)
     skin_about_root(rotations, centres, tree, mesh, vertices)
-    for c in range(views):
+    for c in range(prepared.masks.shape[0]):
+        k = c % VIEWS
+        if k == 0:
+            project_views(vertices, prepared.projections, c, pose, cameras, uv, bounds)
+            front_views(mesh.faces, uv, front)
+            for f in range(front.shape[0]):
+                front[f] = front[f] if standing[f] else np.uint8(0)
+            n_union = contours_of_any(mesh.edges, front, union)
         if not prepared.usable[c]:
             continue
-        camera_about_root(prepared.projections[c], pose, p)
-        project(vertices, p, u, v, bounds)
         x0, x1, y0, y1 = boxes[c, 0], boxes[c, 1], boxes[c, 2], boxes[c, 3]
-        near = not (bounds[4] >= NEAR)
+        near = not (bounds[4, k] >= NEAR)
         if not near:
-            x0 = int(min(max(f4(x0), np.floor(bounds[0])), f4(x1)))
-            x1 = int(max(min(f4(x1), np.ceil(bounds[1]) + f4(1)), f4(x0)))
-            y0 = int(min(max(f4(y0), np.floor(bounds[2])), f4(y1)))
-            y1 = int(max(min(f4(y1), np.ceil(bounds[3]) + f4(1)), f4(y0)))
+            x0 = int(min(max(f4(x0), np.floor(bounds[0, k])), f4(x1)))
+            x1 = int(max(min(f4(x1), np.ceil(bounds[1, k]) + f4(1)), f4(x0)))
+            y0 = int(min(max(f4(y0), np.floor(bounds[2, k])), f4(y1)))
+            y1 = int(max(min(f4(y1), np.ceil(bounds[3, k]) + f4(1)), f4(y0)))
         if x0 >= x1 or y0 >= y1:
             continue
-        difference = np.zeros((y1 - y0 + 1, x1 - x0), np.int8)  # no larger: pages of memory touched first cost most
+        width, height, aside = x1 - x0, y1 - y0, x0 & 7
+        stride = row_stride(aside + width)
+        # no larger: pages of memory touched first cost most
+        begun = np.zeros((height + 1) * stride + aside, np.int8)
+        difference = begun[aside:].reshape(height + 1, stride)
         if near:
-            emit_clipped_faces(vertices, faces, p, x0, y0, x1 - x0, y1 - y0, difference, True)
+            emit_clipped_faces(vertices, faces, cameras[k], x0, y0, width, height, difference, True)
         else:
-            front_faces(mesh.faces, u, v, front)
-            for f in range(front.shape[0]):
-                front[f] &= standing[f]
-            n = contour_edges(mesh.edges, front, start, end)
-            emit_contours(n, start, end, u, v, x0, y0, x1 - x0, y1 - y0, difference)
-        stamp(prepared.masks[c], x0, y0, x1 - x0, y1 - y0, difference, running, own, bits[c], counts[c])
+            n = contours_of_view(k, n_union, union, mesh.edges, front, uv, start, end, lines)
+            emit_lines(n, lines, x0, y0, width, height, difference)
+        for s in range(0, aside + width, STRIP):
+            place = (c * bits.shape[1] + y0) * line + ((x0 + s) >> 3)
+            fill_strip(begun, s, stride, height, mask, flat, place, line, counts[c])

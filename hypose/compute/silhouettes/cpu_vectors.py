@@ -27,7 +27,7 @@ _INTS = ir.VectorType(_I32, LANES)
 _BYTES = ir.VectorType(_BYTE, STRIP)
 
 
-class _V:
+class Vector:
     """A vector in the code being written, with the operators that the formulas below need."""
 
     def __init__(self, builder: Any, value: Any) -> None:
@@ -36,71 +36,71 @@ class _V:
     def _float(self) -> bool:
         return self.v.type.element == _FLOAT
 
-    def _do(self, name: str, other: _V) -> _V:
-        return _V(self.b, getattr(self.b, ("f" if self._float() else "") + name)(self.v, other.v))
+    def _do(self, name: str, other: Vector) -> Vector:
+        return Vector(self.b, getattr(self.b, ("f" if self._float() else "") + name)(self.v, other.v))
 
-    def __add__(self, other: _V) -> _V:
+    def __add__(self, other: Vector) -> Vector:
         return self._do("add", other)
 
-    def __sub__(self, other: _V) -> _V:
+    def __sub__(self, other: Vector) -> Vector:
         return self._do("sub", other)
 
-    def __mul__(self, other: _V) -> _V:
+    def __mul__(self, other: Vector) -> Vector:
         return self._do("mul", other)
 
-    def __truediv__(self, other: _V) -> _V:
-        return _V(self.b, self.b.fdiv(self.v, other.v))
+    def __truediv__(self, other: Vector) -> Vector:
+        return Vector(self.b, self.b.fdiv(self.v, other.v))
 
-    def __lt__(self, other: _V) -> _V:
+    def __lt__(self, other: Vector) -> Vector:
         compare = self.b.fcmp_ordered if self._float() else self.b.icmp_signed
-        return _V(self.b, compare("<", self.v, other.v))
+        return Vector(self.b, compare("<", self.v, other.v))
 
-    def __gt__(self, other: _V) -> _V:
+    def __gt__(self, other: Vector) -> Vector:
         return other < self
 
-    def __and__(self, other: _V) -> _V:
-        return _V(self.b, self.b.and_(self.v, other.v))
+    def __and__(self, other: Vector) -> Vector:
+        return Vector(self.b, self.b.and_(self.v, other.v))
 
-    def __or__(self, other: _V) -> _V:
-        return _V(self.b, self.b.or_(self.v, other.v))
+    def __or__(self, other: Vector) -> Vector:
+        return Vector(self.b, self.b.or_(self.v, other.v))
 
-    def where(self, yes: _V, no: _V) -> _V:
-        return _V(self.b, self.b.select(self.v, yes.v, no.v))
+    def where(self, yes: Vector, no: Vector) -> Vector:
+        return Vector(self.b, self.b.select(self.v, yes.v, no.v))
 
-    def at_least(self, low: _V) -> _V:
+    def at_least(self, low: Vector) -> Vector:
         return (self > low).where(self, low)  # not a number gives low
 
-    def at_most(self, high: _V) -> _V:
+    def at_most(self, high: Vector) -> Vector:
         return (self < high).where(self, high)
 
-    def times_plus(self, factor: _V, term: _V) -> _V:
+    def times_plus(self, factor: Vector, term: Vector) -> Vector:
         return self._call("llvm.fmuladd", factor, term)
 
-    def ceil(self) -> _V:
+    def ceil(self) -> Vector:
         return self._call("llvm.ceil")
 
-    def _call(self, name: str, *others: _V) -> _V:
+    def _call(self, name: str, *others: Vector) -> Vector:
         kind = self.v.type
         signature = ir.FunctionType(kind, [kind] * (1 + len(others)))
         f = cgutils.get_or_insert_function(self.b.module, signature, f"{name}.v{kind.count}f32")
-        return _V(self.b, self.b.call(f, [self.v, *(o.v for o in others)]))
+        return Vector(self.b, self.b.call(f, [self.v, *(o.v for o in others)]))
 
     def bits(self, kind: Any) -> Any:
         """A vector of truth values as one integer, first lane lowest."""
         return self.b.bitcast(self.v, kind)
 
 
-def _constant(builder: Any, kind: Any, values: list) -> _V:
-    return _V(builder, ir.Constant(kind, values))
+def constant(builder: Any, kind: Any, values: list) -> Vector:
+    return Vector(builder, ir.Constant(kind, values))
 
 
-def _splat(builder: Any, scalar: Any, kind: Any) -> _V:
+def splat(builder: Any, scalar: Any, kind: Any) -> Vector:
     one = builder.insert_element(ir.Constant(kind, ir.Undefined), scalar, _I32(0))
     zeros = ir.Constant(ir.VectorType(_I32, kind.count), [0] * kind.count)
-    return _V(builder, builder.shuffle_vector(one, ir.Constant(kind, ir.Undefined), zeros))
+    return Vector(builder, builder.shuffle_vector(one, ir.Constant(kind, ir.Undefined), zeros))
 
 
-class _Arrays:
+class Arrays:
     """Element addresses of the arrays among an intrinsic's arguments."""
 
     def __init__(self, context: Any, builder: Any, signature: Any, args: Any) -> None:
@@ -114,10 +114,10 @@ class _Arrays:
         """Address of a vector that starts at a flat index."""
         return self.builder.bitcast(self.builder.gep(self.data[argument], [index]), kind.as_pointer())
 
-    def load(self, argument: int, index: Any, kind: Any, align: int = 4) -> _V:
-        return _V(self.builder, self.builder.load(self.vector(argument, index, kind), align=align))
+    def load(self, argument: int, index: Any, kind: Any, align: int = 4) -> Vector:
+        return Vector(self.builder, self.builder.load(self.vector(argument, index, kind), align=align))
 
-    def store(self, value: _V, argument: int, index: Any, align: int = 4) -> None:
+    def store(self, value: Vector, argument: int, index: Any, align: int = 4) -> None:
         self.builder.store(value.v, self.vector(argument, index, value.v.type), align=align)
 
     def scalar(self, argument: int, index: Any) -> Any:
@@ -130,22 +130,22 @@ def skin_vertex(typingctx: Any, maps, joint, weight, first, end, x, y, z, out, v
     maps (J, 12, LANES) f4 rows of the (3, 4) maps; into row vertex of out (V, 3, LANES) f4."""
 
     def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        at = _Arrays(context, builder, signature, args)
-        zero = _constant(builder, _FLOATS, [0.0] * LANES)
+        at = Arrays(context, builder, signature, args)
+        zero = constant(builder, _FLOATS, [0.0] * LANES)
         sums = [cgutils.alloca_once_value(builder, zero.v) for _ in range(3)]
         with cgutils.for_range_slice(builder, args[3], args[4], _I64(1), intp=_I64) as (k, _):
             w = at.scalar(2, k)
-            factors = [_splat(builder, builder.fmul(w, p), _FLOATS) for p in args[5:8]] + [_splat(builder, w, _FLOATS)]
+            factors = [splat(builder, builder.fmul(w, p), _FLOATS) for p in args[5:8]] + [splat(builder, w, _FLOATS)]
             base = builder.mul(builder.sext(at.scalar(1, k), _I64), _I64(12 * LANES))
             for i, total in enumerate(sums):
-                value = _V(builder, builder.load(total))
+                value = Vector(builder, builder.load(total))
                 for c, factor in enumerate(factors):
                     m = at.load(0, builder.add(base, _I64((4 * i + c) * LANES)), _FLOATS)
                     value = m.times_plus(factor, value)
                 builder.store(value.v, total)
         row = builder.mul(args[9], _I64(3 * LANES))
         for i, total in enumerate(sums):
-            at.store(_V(builder, builder.load(total)), 8, builder.add(row, _I64(i * LANES)))
+            at.store(Vector(builder, builder.load(total)), 8, builder.add(row, _I64(i * LANES)))
         return context.get_dummy_value()
 
     i8, f4 = types.int64, types.float32
@@ -158,11 +158,11 @@ def project_vertices(typingctx: Any, points, p, u, v, bounds):
     x0, x1, y0, y1 and the nearest depth."""
 
     def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        at = _Arrays(context, builder, signature, args)
+        at = Arrays(context, builder, signature, args)
         m = [at.load(1, _I64(k * LANES), _FLOATS) for k in range(12)]
-        far = [_constant(builder, _FLOATS, [s * 1e9] * LANES) for s in (1, -1, 1, -1, 1)]
+        far = [constant(builder, _FLOATS, [s * 1e9] * LANES) for s in (1, -1, 1, -1, 1)]
         extremes = [cgutils.alloca_once_value(builder, f.v) for f in far]
-        one = _constant(builder, _FLOATS, [1.0] * LANES)
+        one = constant(builder, _FLOATS, [1.0] * LANES)
         count = context.make_array(signature.args[0])(context, builder, args[0])
         vertices = builder.extract_value(count.shape, 0)
         with cgutils.for_range(builder, vertices, intp=_I64) as loop:
@@ -178,11 +178,11 @@ def project_vertices(typingctx: Any, points, p, u, v, bounds):
             at.store(a, 2, place)
             at.store(b, 3, place)
             for k, value in enumerate((a, a, b, b, depth)):
-                old = _V(builder, builder.load(extremes[k]))
+                old = Vector(builder, builder.load(extremes[k]))
                 new = value.at_least(old) if k in (1, 3) else value.at_most(old)
                 builder.store(new.v, extremes[k])
         for k, extreme in enumerate(extremes):
-            at.store(_V(builder, builder.load(extreme)), 4, _I64(k * LANES))
+            at.store(Vector(builder, builder.load(extreme)), 4, _I64(k * LANES))
         return context.get_dummy_value()
 
     return types.none(points, p, u, v, bounds), code
@@ -193,7 +193,7 @@ def front_lanes(typingctx: Any, u, v, a, b, c):
     """Bit l of the result: the triangle of vertices a, b, c (rows of u, v (V, LANES)) is clockwise in lane l."""
 
     def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        at = _Arrays(context, builder, signature, args)
+        at = Arrays(context, builder, signature, args)
         rows = [builder.mul(r, _I64(LANES)) for r in args[2:]]
         (ua, ub, uc), (va, vb, vc) = ([at.load(k, r, _FLOATS) for r in rows] for k in (0, 1))
         return ((ub - ua) * (vc - va) < (uc - ua) * (vb - va)).bits(_I16)
@@ -211,7 +211,7 @@ def prepare_edge(typingctx: Any, u, v, a, b, window, edge, columns):
     """
 
     def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        at = _Arrays(context, builder, signature, args)
+        at = Arrays(context, builder, signature, args)
         left, top, low, high, rows = (at.load(4, _I64(k * LANES), _FLOATS) for k in range(5))
         ra, rb = builder.mul(args[2], _I64(LANES)), builder.mul(args[3], _I64(LANES))
         xa, xb = at.load(0, ra, _FLOATS) - left, at.load(0, rb, _FLOATS) - left
@@ -220,11 +220,11 @@ def prepare_edge(typingctx: Any, u, v, a, b, window, edge, columns):
         x0, x1, y0, y1 = swap.where(xb, xa), swap.where(xa, xb), swap.where(yb, ya), swap.where(ya, yb)
         first, end = x0.at_least(low).ceil(), x1.at_most(high).ceil()
         active = (first < end) & ((y0 < rows) | (y1 < rows))
-        zero = _constant(builder, _FLOATS, [0.0] * LANES)
+        zero = constant(builder, _FLOATS, [0.0] * LANES)
         for k, value in enumerate((x0, y0, (y1 - y0) / (x1 - x0), first)):
             at.store(value, 5, _I64(k * LANES))
         count = active.where(end - first, zero)
-        at.store(_V(builder, builder.fptosi(count.v, _INTS)), 6, _I64(0))
+        at.store(Vector(builder, builder.fptosi(count.v, _INTS)), 6, _I64(0))
         masks = (builder.zext(m.bits(_I16), _I32) for m in (active, swap))
         return builder.or_(next(masks), builder.shl(next(masks), _I32(16)))
 
@@ -238,19 +238,19 @@ def write_crossings(typingctx: Any, edge, lane, skip, rows, stride, out, place):
     crosses its columns, from the skip-th on. Those past its end are rubbish, for the next edge to overwrite."""
 
     def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        at = _Arrays(context, builder, signature, args)
+        at = Arrays(context, builder, signature, args)
         _, lane, skip, rows, stride, _, place = args
         x0, y0, slope, first = (
-            _splat(builder, at.scalar(0, builder.add(lane, _I64(k * LANES))), _FLOATS) for k in range(4)
+            splat(builder, at.scalar(0, builder.add(lane, _I64(k * LANES))), _FLOATS) for k in range(4)
         )
-        steps = _constant(builder, _FLOATS, [float(k) for k in range(LANES)])
-        column = first + _splat(builder, skip, _FLOATS) + steps
+        steps = constant(builder, _FLOATS, [float(k) for k in range(LANES)])
+        column = first + splat(builder, skip, _FLOATS) + steps
         y = y0 + (column - x0) * slope
-        zero = _constant(builder, _FLOATS, [0.0] * LANES)
+        zero = constant(builder, _FLOATS, [0.0] * LANES)
         # the last clamp: rubbish past the image must convert too
-        row = y.at_least(zero).at_most(_splat(builder, rows, _FLOATS)).ceil()
-        r, c = (_V(builder, builder.fptosi(w.v, _INTS)) for w in (row, column))
-        at.store(r * _splat(builder, stride, _INTS) + c, 5, place)
+        row = y.at_least(zero).at_most(splat(builder, rows, _FLOATS)).ceil()
+        r, c = (Vector(builder, builder.fptosi(w.v, _INTS)) for w in (row, column))
+        at.store(r * splat(builder, stride, _INTS) + c, 5, place)
         return context.get_dummy_value()
 
     kinds = (types.int64, types.float32, types.float32, types.int32)
@@ -264,19 +264,19 @@ def count_strip(typingctx: Any, difference, start, stride, rows, bits, drawn, ma
     flat index mask_start), and the strips whose sums came near the end of int8. Clears what it read."""
 
     def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        at = _Arrays(context, builder, signature, args)
+        at = Arrays(context, builder, signature, args)
         _, start, stride, rows, _, _, mask_start, mask_stride, _ = args
-        zero = _constant(builder, _BYTES, [0] * STRIP)
+        zero = constant(builder, _BYTES, [0] * STRIP)
         running, highest, lowest = (cgutils.alloca_once_value(builder, zero.v) for _ in range(3))
         model, hit = (cgutils.alloca_once_value(builder, _I64(0)) for _ in range(2))
         popcount = builder.module.declare_intrinsic("llvm.ctpop", [_I64])
         with cgutils.for_range(builder, rows, intp=_I64) as loop:
             here = builder.add(start, builder.mul(loop.index, stride))
-            acc = _V(builder, builder.load(running)) + at.load(0, here, _BYTES, 1)
+            acc = Vector(builder, builder.load(running)) + at.load(0, here, _BYTES, 1)
             at.store(zero, 0, here, 1)
             builder.store(acc.v, running)
-            builder.store(acc.at_least(_V(builder, builder.load(highest))).v, highest)
-            builder.store(acc.at_most(_V(builder, builder.load(lowest))).v, lowest)
+            builder.store(acc.at_least(Vector(builder, builder.load(highest))).v, highest)
+            builder.store(acc.at_most(Vector(builder, builder.load(lowest))).v, lowest)
             where = builder.add(mask_start, builder.mul(loop.index, mask_stride))
             mask, already = (
                 builder.load(builder.bitcast(builder.gep(at.data[k], [where]), _I64.as_pointer()), align=1)
@@ -285,8 +285,8 @@ def count_strip(typingctx: Any, difference, start, stride, rows, bits, drawn, ma
             inside = builder.and_((acc > zero).bits(_I64), builder.not_(already))
             for total, word in ((model, inside), (hit, builder.and_(inside, mask))):
                 builder.store(builder.add(builder.load(total), builder.call(popcount, [word])), total)
-        high, low = (_constant(builder, _BYTES, [k] * STRIP) for k in (GUARD - 1, -GUARD))
-        beyond = (_V(builder, builder.load(highest)) > high) | (_V(builder, builder.load(lowest)) < low)
+        high, low = (constant(builder, _BYTES, [k] * STRIP) for k in (GUARD - 1, -GUARD))
+        beyond = (Vector(builder, builder.load(highest)) > high) | (Vector(builder, builder.load(lowest)) < low)
         flag = builder.zext(builder.icmp_unsigned("!=", beyond.bits(_I64), _I64(0)), _I64)
         for k, value in enumerate((builder.load(model), builder.load(hit), flag)):
             place = builder.gep(at.data[8], [_I64(k)])
@@ -295,6 +295,39 @@ def count_strip(typingctx: Any, difference, start, stride, rows, bits, drawn, ma
 
     i8 = types.int64
     return types.none(difference, i8, i8, i8, bits, drawn, i8, i8, counts), code
+
+
+@intrinsic
+def fill_strip(typingctx: Any, difference, start, stride, rows, mask, out, place, line, counts):
+    """Running sums down STRIP columns of difference (i1, flat, from index start), which are cleared: in out (u1, packed,
+    low bit first, flat index `place`, `line` bytes a row) the pixels where the sum is positive are set and no others;
+    counts (2,) i8 are added to: those pixels, and those of them that were set in mask, packed alike."""
+
+    def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        at = Arrays(context, builder, signature, args)
+        _, start, stride, rows, _, _, place, line, _ = args
+        zero = constant(builder, _BYTES, [0] * STRIP)
+        running = cgutils.alloca_once_value(builder, zero.v)
+        totals = [cgutils.alloca_once_value(builder, _I64(0)) for _ in range(2)]
+        popcount = builder.module.declare_intrinsic("llvm.ctpop", [_I64])
+        with cgutils.for_range(builder, rows, intp=_I64) as loop:
+            here = builder.add(start, builder.mul(loop.index, stride))
+            acc = Vector(builder, builder.load(running)) + at.load(0, here, _BYTES, 1)
+            at.store(zero, 0, here, 1)
+            builder.store(acc.v, running)
+            inside, where = (acc > zero).bits(_I64), builder.add(place, builder.mul(loop.index, line))
+            seen, own = (builder.bitcast(builder.gep(at.data[k], [where]), _I64.as_pointer()) for k in (4, 5))
+            hit = builder.and_(inside, builder.load(seen, align=1))
+            builder.store(inside, own, align=1)
+            for total, word in zip(totals, (inside, hit), strict=True):
+                builder.store(builder.add(builder.load(total), builder.call(popcount, [word])), total)
+        for k, total in enumerate(totals):
+            where = builder.gep(at.data[8], [_I64(k)])
+            builder.store(builder.add(builder.load(where), builder.load(total)), where)
+        return context.get_dummy_value()
+
+    i8 = types.int64
+    return types.none(difference, i8, i8, i8, mask, out, i8, i8, counts), code
 
 
 @intrinsic

@@ -7,15 +7,19 @@ import math
 import numpy as np
 
 from hypose.compute.compiled import kernel
-from hypose.compute.cpu_kinematics import camera_about_root, joint_frames, skin_about_root
+from hypose.compute.cpu_kinematics import joint_frames, skin_about_root
+from hypose.compute.silhouettes.cpu_views import VIEWS, contours_of_any, front_views, project_views
 from hypose.compute.solver.cpu_cholesky import backward, factorise, forward
+from hypose.compute.solver.cpu_contours import contour_rows
 from hypose.compute.solver.cpu_depth_rows import depth_rows
-from hypose.compute.solver.cpu_rows import add_row, contour_rows, keypoint_rows, point_rows, sum_rows
+from hypose.compute.solver.cpu_rows import add_row, form_rows, keypoint_rows, point_rows, sum_rows
+from hypose.compute.solver.terms import RIM
 
 LARGEST_TURN = 0.35
 """rad: steps that turn a joint further are shortened"""
 ACCEPT = 1.002
 """a step may raise the cost by this factor: contour costs jump when the outline changes"""
+_ROWS, _VIEWS, _FORMED = 0, 1, 2
 
 
 @kernel
@@ -136,47 +140,83 @@ def bounded_step(hessian, gradient, q, lower, upper, damping, step):
 
 
 @kernel
-def cost_at(q, tree, mesh, contours, scale, keypoints, points, depth, priors, ws, counts):
-    """Cost at pose q (D,), and how many rows of contours and depth wait in the workspace for `normal_equations`; counts
-    (C + 3, 2): forward and reverse rows of each view, then the key points, the points, and those of depth."""
+def form_found(found_of, mesh, ws):
+    """Makes rows of all that was found and is no row yet; found_of: see cost_at."""
+    cameras, first, state = found_of
+    for c in range(state[_FORMED], state[_VIEWS]):
+        n_rows, n_points = state[_ROWS], first[c + 1] - first[c]
+        if n_rows + 2 * mesh.skin_index.shape[1] * n_points > ws.rows.shape[0]:
+            sum_rows(n_rows, ws.rows, ws.row_joints, ws.lanes, ws.place, ws.wrench_hessian, ws.wrench_gradient)
+            n_rows = 0
+        ends, found, p = ws.ends, ws.found, cameras[c]
+        state[_ROWS] = form_rows(
+            *(first[c], first[c + 1], ends, found, ws.wrenches, n_rows, ws.vertices, mesh, p, ws.rows, ws.row_joints)
+        )
+    state[_FORMED] = state[_VIEWS]
+
+
+@kernel
+def cost_at(q, tree, mesh, contours, scale, keypoints, points, depth, priors, ws, found_of, limit, counts):
+    """Cost at pose q (D,), or some number above the limit when it is above; counts (C + 3, 2): forward and reverse rows
+    of each view, then the key points, the points, and those of depth.
+
+    found_of: what waits in the workspace for `normal_equations`: cameras (C + VIEWS, 3, 4) f4 about the root, first
+    (C + 1,) point found of each view, and state (3,): rows, views looked at, views whose rows are made."""
+    cameras, first, state = found_of
     joint_frames(q, tree, ws.rotations, ws.centres, ws.twists)
     ws.wrench_hessian[:] = 0.0
     ws.wrench_gradient[:] = 0.0
     n_views = contours.sdf.shape[0]
     counts[n_views:] = 0
-    cost = 0.0
-    kept = np.zeros(1, np.int64)
+    cost, n_found, n_union = 0.0, 0, 0
+    state[:] = 0
+    first[0] = 0
     n_points = depth.points.shape[0]
     if n_views > 0 or n_points > 0:
         skin_about_root(ws.rotations, ws.centres, tree, mesh, ws.vertices)
-    if n_views > 0:
-        p = np.empty((3, 4), np.float32)
-        for c in range(n_views):
-            counts[c, 0] = 0
-            counts[c, 1] = 0
-            if contours.usable[c]:
-                camera_about_root(contours.projections[c], q, p)
-                cost += contour_rows(c, p, mesh, contours, scale, ws, kept, counts[c])
+    bounds = np.empty((5, VIEWS), np.float32)
+    for c in range(n_views):
+        k = c % VIEWS
+        if k == 0:
+            project_views(ws.vertices, contours.projections, c, q, cameras[c : c + VIEWS], ws.uv, bounds)
+            front_views(mesh.faces, ws.uv, ws.front)
+            n_union = contours_of_any(mesh.edges, ws.front, ws.union)
+        counts[c, 0] = 0
+        counts[c, 1] = 0
+        if contours.usable[c]:
+            if n_found + RIM + contours.outline.shape[1] > ws.found.shape[1]:
+                form_found(found_of, mesh, ws)
+                n_found = 0
+                first[c] = 0
+            view_cost, n_found = contour_rows(c, k, n_union, bounds, mesh, contours, scale, ws, n_found, counts[c])
+            cost += view_cost
+        first[c + 1] = n_found
+        state[_VIEWS] = c + 1
+        if cost > limit:
+            return cost
     cost += keypoint_rows(
         q, keypoints, ws.rotations, ws.centres, ws.wrench_hessian, ws.wrench_gradient, counts[n_views]
     )
     cost += point_rows(q, points, ws.rotations, ws.centres, ws.wrench_hessian, ws.wrench_gradient, counts[n_views + 1])
     if n_points > 0:
+        form_found(found_of, mesh, ws)
         factor = scale / contours.scale
-        cost += depth_rows(q, mesh, depth, factor, ws, kept, counts[n_views + 2])
+        cost += depth_rows(q, mesh, depth, factor, ws, state, counts[n_views + 2])
     for i in range(priors.centre.shape[0]):
         for d in range(q.shape[0]):
             w = priors.weight[i, d]
             if w > 0:  # a centre without weight may be anything, NaN included
                 e = q[d] - priors.centre[i, d]
                 cost += 0.5 * w * e * e
-    return cost, kept[0]
+    return cost
 
 
 @kernel
-def normal_equations(q, kept, tree, priors, ws, hessian, gradient):
+def normal_equations(q, found_of, tree, mesh, priors, ws, hessian, gradient):
     """hessian (D, D) and gradient (D,), overwritten, of the cost that `cost_at` has just found at q."""
-    sum_rows(kept, ws.rows, ws.row_joints, ws.lanes, ws.place, ws.wrench_hessian, ws.wrench_gradient)
+    form_found(found_of, mesh, ws)
+    rows = found_of[2][_ROWS]
+    sum_rows(rows, ws.rows, ws.row_joints, ws.lanes, ws.place, ws.wrench_hessian, ws.wrench_gradient)
     fold(tree, ws.twists, ws.wrench_hessian, ws.wrench_gradient, hessian, gradient)
     for i in range(priors.centre.shape[0]):
         for d in range(q.shape[0]):
@@ -197,9 +237,10 @@ def solve(q, tree, mesh, contours, keypoints, points, depth, priors, settings, w
     outline, so a rejected step below the tolerance stops."""
     n = q.shape[0]
     step, trial = np.empty(n), np.empty(n)
-    new_counts = np.empty_like(counts)
+    new_counts, n_views = np.empty_like(counts), contours.sdf.shape[0]
+    found_of = (np.empty((n_views + VIEWS, 3, 4), np.float32), np.empty(n_views + 1, np.int64), np.empty(3, np.int64))
     damping = settings.damping
-    coarse = settings.coarse_iterations if contours.sdf.shape[0] > 0 else 0
+    coarse = settings.coarse_iterations if n_views > 0 else 0
     scale, evaluated = contours.coarse_scale if coarse > 0 else contours.scale, False
     cost, evaluations, done, used, converged = 0.0, 0, 0, 0, 0.0
     while True:
@@ -208,8 +249,10 @@ def solve(q, tree, mesh, contours, keypoints, points, depth, priors, settings, w
         if coarse > 0 and done > 0 and (ends or done >= coarse):
             coarse, scale, evaluated = 0, contours.scale, False
         if not evaluated:
-            cost, kept = cost_at(q, tree, mesh, contours, scale, keypoints, points, depth, priors, ws, counts)
-            normal_equations(q, kept, tree, priors, ws, hessian, gradient)
+            cost = cost_at(
+                *(q, tree, mesh, contours, scale, keypoints, points, depth, priors, ws, found_of, math.inf, counts)
+            )
+            normal_equations(q, found_of, tree, mesh, priors, ws, hessian, gradient)
             evaluations += 1
             evaluated = True
             if evaluations == 1 and not math.isfinite(cost):
@@ -231,14 +274,15 @@ def solve(q, tree, mesh, contours, keypoints, points, depth, priors, settings, w
             for d in range(n):
                 trial[d] = min(max(q[d] + shorten * step[d], priors.lower[d]), priors.upper[d])
                 moved = max(moved, abs(shorten * step[d]) * (1.0 if d > 2 else 2.0))
-            new_cost, kept = cost_at(
-                trial, tree, mesh, contours, scale, keypoints, points, depth, priors, ws, new_counts
+            limit = cost * ACCEPT
+            new_cost = cost_at(
+                *(trial, tree, mesh, contours, scale, keypoints, points, depth, priors, ws, found_of, limit, new_counts)
             )
             evaluations += 1
-            if math.isfinite(new_cost) and new_cost < cost * ACCEPT:
+            if math.isfinite(new_cost) and new_cost < limit:
                 accepted = True
                 cost = new_cost
-                normal_equations(trial, kept, tree, priors, ws, hessian, gradient)
+                normal_equations(trial, found_of, tree, mesh, priors, ws, hessian, gradient)
                 break
             damping = min(damping * 6, 1e4)
             if coarse == 0 and moved < settings.tolerance:

@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 NOT_KNOWN = 1e5
 """px, in a signed distance: here nobody knows how far the mask's edge is, and rows that fall there are left out"""
 
+RIM = 2032
+"""most outline points of the body in one view (their numbers must fit 11 bits)"""
+
 
 class PreparedMasks(NamedTuple):
     """The masks of one frame, ready for `silhouette_xor`."""
@@ -196,17 +199,26 @@ class Workspace(NamedTuple):
     """Scratch memory of one thread for one body and one image size; contents mean nothing between calls."""
 
     vertices: NDArray[np.float32]
-    u: NDArray[np.float32]
-    v: NDArray[np.float32]
+    uv: NDArray[np.float32]
+    """(V, 2, VIEWS) px, and so on: see cpu_views"""
     front: NDArray[np.uint8]
+    union: NDArray[np.int32]
     start: NDArray[np.int32]
     end: NDArray[np.int32]
+    lines: NDArray[np.float32]
+    """(5, E) the edges start, end in one view: u, v, u, v, and their lengths px"""
     difference: NDArray[np.int8]
+    """flat, zero between calls"""
     own: NDArray[np.uint8]
-    running: NDArray[np.int8]
-    rim_u: NDArray[np.float32]
-    rim_v: NDArray[np.float32]
+    """flat, packed"""
+    rim: NDArray[np.float32]
+    """(8, R) points of the body's outline in one view: share of the edge, u, v px, and what is found there"""
     rim_edge: NDArray[np.int32]
+    rim_place: NDArray[np.int32]
+    sorted: NDArray[np.float32]
+    """(2, R) the same points in bands of rows: u, v px"""
+    sorted_number: NDArray[np.int32]
+    bands: NDArray[np.int64]
     rotations: NDArray[np.float64]
     centres: NDArray[np.float64]
     twists: NDArray[np.float64]
@@ -215,9 +227,11 @@ class Workspace(NamedTuple):
     wrench_gradient: NDArray[np.float64]
     """(J, 6)"""
     ends: NDArray[np.int32]
-    """(R, 2) mesh edges on which outline points of one view were found"""
+    """(2, M) vertices of the mesh edges on which outline points were found"""
     found: NDArray[np.float32]
-    """(R, 5) what was found there, see cpu_rows.form_rows"""
+    """(5, M) what was found there, see cpu_contours.contour_rows"""
+    wrenches: NDArray[np.float32]
+    """(6, M)"""
     rows: NDArray[np.float64]
     """(M, 8) rows of contours and depth that wait to be summed"""
     row_joints: NDArray[np.int32]

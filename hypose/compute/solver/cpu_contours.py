@@ -1,0 +1,295 @@
+"""numba: two-way contour distances of a body in one view, as residuals on edges of its mesh; cpu_rows.py makes rows of
+them.
+
+What is long is in loops of its own without branches, which the compiler makes vectors of; what is chosen is written
+where the next one goes, and the place moves on when it counts.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+from hypose.compute.compiled import kernel
+from hypose.compute.silhouettes.cpu_lanes import row_stride
+from hypose.compute.silhouettes.cpu_silhouettes import NEAR
+from hypose.compute.silhouettes.cpu_vectors import STRIP, Arrays, Vector, constant, fill_strip, splat
+from hypose.compute.silhouettes.cpu_views import contours_of_view, emit_lines
+from hypose.compute.solver.cpu_losses import geman_mcclure
+from hypose.compute.solver.cpu_rows import BORDER
+from hypose.compute.solver.terms import NOT_KNOWN, RIM
+
+f4, i4 = np.float32, np.int32
+_BAND, _BANDS = 8, 64
+"""rows of a band in which a point of the mask's outline is looked for first, and so many of them"""
+_NEXT_BAND = int(0.98 * 64 * _BAND**2)
+"""a squared distance, packed, that no point has which lies a whole band or more above or below"""
+_EIGHT = 8
+_OUT, _OPEN = -2, -1
+"""places of points that are no evidence, and of those that look out of the window"""
+_I32, _I64 = ir.IntType(32), ir.IntType(64)
+_FLOATS, _INTS = ir.VectorType(ir.FloatType(), _EIGHT), ir.VectorType(_I32, _EIGHT)
+
+
+@intrinsic
+def _nearest(typingctx: Any, u, v, number, begin, end, x, y):
+    """The nearest to (x, y) of points u, v (N,) f4 from begin to end, multiples of 8: squared distance in 1/64 px^2 and
+    the point's number (i4) are packed into one integer, so that the minimum needs no branch."""
+
+    def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        at = Arrays(context, builder, signature, args)
+        x, y = (splat(builder, a, _FLOATS) for a in args[5:])
+        finest, limit = (constant(builder, _FLOATS, [a] * _EIGHT) for a in (64.0, 1e6))
+        best = cgutils.alloca_once_value(builder, ir.Constant(_INTS, [2147483647] * _EIGHT))
+        with cgutils.for_range_slice(builder, args[3], args[4], _I64(_EIGHT), intp=_I64) as (i, _):
+            dx, dy = at.load(0, i, _FLOATS) - x, at.load(1, i, _FLOATS) - y
+            distance = ((dx * dx + dy * dy) * finest).at_most(limit)
+            packed = builder.shl(builder.fptosi(distance.v, _INTS), ir.Constant(_INTS, [11] * _EIGHT))
+            one = Vector(builder, packed) | at.load(2, i, _INTS)
+            builder.store(one.at_most(Vector(builder, builder.load(best))).v, best)
+        least = Vector(builder, builder.load(best))
+        for width in (4, 2, 1):
+            order = [(k + width) % _EIGHT for k in range(_EIGHT)]
+            turned = builder.shuffle_vector(least.v, least.v, ir.Constant(_INTS, order))
+            least = least.at_most(Vector(builder, turned))
+        return builder.extract_element(least.v, _I32(0))
+
+    i8, single = types.int64, types.float32
+    return types.int32(u, v, number, i8, i8, single, single), code
+
+
+@kernel
+def _by_row(n, rim_u, rim_v, low, u, v, number, place):
+    """The first n points of the rim in the order of their bands of _BAND rows, which begin at row `low`, and their
+    numbers: u, v (R,) f4, number (R,) i4, far away beyond the last point; place (B + 1,): where each band begins. The
+    last band holds what is below."""
+    bands = place.shape[0] - 1
+    place[:] = 0
+    for i in range(n):
+        place[min(int((rim_v[i] - low) * f4(1 / _BAND)), bands - 1) + 1] += 1
+    for b in range(bands):
+        place[b + 1] += place[b]
+    for i in range(n):
+        b = min(int((rim_v[i] - low) * f4(1 / _BAND)), bands - 1)
+        to = place[b]
+        u[to], v[to], number[to] = rim_u[i], rim_v[i], i
+        place[b] = to + 1
+    for b in range(bands - 1, 0, -1):  # filled: each has moved to its end
+        place[b] = place[b - 1]
+    place[0] = 0
+    for i in range(n, min((n + 7) // 8 * 8, u.shape[0])):
+        u[i], v[i], number[i] = f4(1e8), f4(1e8), i4(2047)
+
+
+@kernel
+def nearest(n, u, v, number, place, low, points, found):
+    """found (K,) i4: the numbers of the nearest of n points in the order of `_by_row` to points (K, 2) f4, each looked
+    for in the bands beside it first, where that lies nearer than all others can; 0 for points that are left out."""
+    bands = place.shape[0] - 1
+    for m in range(points.shape[0]):
+        x, y = points[m, 0], points[m, 1]
+        found[m] = 0
+        if x < f4(-1e5):
+            continue
+        band = int(np.floor((y - low) * f4(1 / _BAND)))
+        # whole vectors, for what is left of them takes as long
+        begin = place[min(max(band - 1, 0), bands)] // 8 * 8
+        end = (place[min(max(band + 2, 0), bands)] + 7) // 8 * 8
+        best = _nearest(u, v, number, begin, end, x, y)
+        if (best >> 11) >= i4(_NEXT_BAND):
+            best = _nearest(u, v, number, 0, (n + 7) // 8 * 8, x, y)
+        found[m] = best & 2047
+
+
+@kernel
+def _lengths(n, lines):
+    """lines (5, E) f4 px: the lengths of n lines into the last row; by itself it vectorises."""
+    for e in range(n):
+        dx, dy = lines[2, e] - lines[0, e], lines[3, e] - lines[1, e]
+        lines[4, e] = math.sqrt(dx * dx + dy * dy)
+
+
+@kernel
+def _spread(n, lengths, spacing, edge, along):
+    """Points every `spacing` px along n edges of these lengths, one after the other: edge (R,) i4 and px along it (R,)
+    f4; returns how many."""
+    found, position = 0, spacing * f4(0.5)
+    for e in range(n):
+        length = lengths[e]
+        if length < f4(1e-6):
+            continue
+        while position < length and found < edge.shape[0]:
+            edge[found], along[found] = e, position
+            found += 1
+            position += spacing
+        position -= length
+    return found
+
+
+@kernel
+def _place_rim(n, edge, lines, w, h, x0, y0, width, height, line, rim, place):
+    """Of n points on edges: rim (3, R) f4: px along it becomes the share of the edge; u, v px. place (R,) i4: the bit
+    of the own silhouette, of `line` bits a row, in the pixel just outside; else _OUT or _OPEN."""
+    right, bottom = f4(w - 1 - BORDER), f4(h - 1 - BORDER)
+    for k in range(n):
+        e = edge[k]
+        xa, ya, length = lines[0, e], lines[1, e], lines[4, e]
+        dx, dy = lines[2, e] - xa, lines[3, e] - ya
+        t = rim[0, k] / length
+        x, y = xa + t * dx, ya + t * dy
+        rim[0, k], rim[1, k], rim[2, k] = t, x, y
+        beside, below = x + -dy / length + f4(0.5), y + dx / length + f4(0.5)
+        # as whole numbers only what fits them
+        tx = i4(min(max(beside, f4(-2)), f4(1e6))) - i4(x0)
+        ty = i4(min(max(below, f4(-2)), f4(1e6))) - i4(y0)
+        at = ty * i4(line) + tx
+        at = at if tx >= i4(0) else i4(_OPEN)
+        at = at if tx < i4(width) else i4(_OPEN)
+        at = at if ty >= i4(0) else i4(_OPEN)
+        at = at if ty < i4(height) else i4(_OPEN)
+        at = i4(_OUT) if x < f4(BORDER) else at
+        at = i4(_OUT) if y < f4(BORDER) else at
+        at = i4(_OUT) if x > right else at
+        place[k] = i4(_OUT) if y > bottom else at
+
+
+@kernel
+def _seen_rim(n, place, own, edge, rim):
+    """Moves those of n points on the rim to its beginning beside which the own silhouette ends; returns how many."""
+    seen = 0
+    for k in range(n):
+        at = place[k]
+        covered = (own[max(at, i4(0)) >> 3] >> (at & 7)) & 1
+        edge[seen], rim[0, seen], rim[1, seen], rim[2, seen] = edge[k], rim[0, k], rim[1, k], rim[2, k]
+        seen += (at == _OPEN) | ((at >= 0) & (covered == 0))
+    return seen
+
+
+@kernel
+def _look_ahead(n, stride, rim, sdf, left, top, across, down, i2, weight, out, kind):
+    """out (5, N) f4: what is found (as in `contour_rows`) at every stride-th of n points of the rim, but for the
+    place on the edge, and its loss; kind (N,) i4: 1 where there is a row, 0 where the distance is not known, 2 outside,
+    where it counts as infinite."""
+    for m in range((n + stride - 1) // stride):
+        x, y = rim[1, m * stride], rim[2, m * stride]
+        xi, yi = i4(x), i4(y)
+        fx, fy = x - f4(xi), y - f4(yi)
+        xi -= i4(left)
+        yi -= i4(top)
+        inside = (xi >= 0) & (xi < across) & (yi >= 0) & (yi < down)
+        xi, yi = xi if inside else i4(0), yi if inside else i4(0)
+        s00, s01, s10, s11 = sdf[yi, xi], sdf[yi, xi + 1], sdf[yi + 1, xi], sdf[yi + 1, xi + 1]
+        known = max(max(s00, s01), max(s10, s11)) < f4(NOT_KNOWN)
+        r = (s00 * (f4(1) - fx) + s01 * fx) * (f4(1) - fy) + (s10 * (f4(1) - fx) + s11 * fx) * fy
+        gx = (s01 - s00) * (f4(1) - fy) + (s11 - s10) * fy
+        gy = (s10 - s00) * (f4(1) - fx) + (s11 - s01) * fx
+        rho, slope, _ = geman_mcclure(r * r * i2, weight, f4(1))
+        out[0, m], out[1, m], out[2, m], out[3, m] = gx, gy, slope, r
+        out[4, m] = rho if inside else f4(1)
+        kind[m] = i4(known) if inside else i4(2)
+
+
+@kernel
+def _onto_edges(edge, outline, lines, i2, weight, out):
+    """out (6, K) f4: what is found (as in `contour_rows`) of outline points (K, 2), each on its edge, and its loss; i2:
+    1 / scale^2. By itself it vectorises."""
+    for m in range(edge.shape[0]):
+        e, x, y = edge[m], outline[m, 0], outline[m, 1]
+        xa, ya = lines[0, e], lines[1, e]
+        dx, dy = lines[2, e] - xa, lines[3, e] - ya
+        # onto the edge itself: the nearest sample alone would leave false residuals of half the spacing
+        t = min(max(((x - xa) * dx + (y - ya) * dy) / (dx * dx + dy * dy), f4(0)), f4(1))
+        dx, dy = xa + t * dx - x, ya + t * dy - y
+        d2 = dx * dx + dy * dy
+        r = math.sqrt(d2)
+        rho, slope, _ = geman_mcclure(d2 * i2, weight, f4(1))
+        out[0, m], out[1, m], out[2, m], out[3, m], out[4, m], out[5, m] = t, dx / r, dy / r, slope, r, rho
+
+
+@kernel
+def contour_rows(c, k, n_union, bounds, mesh, contours, scale, ws, n_found, count):
+    """What is found of view c, lane k of those in the workspace, from ws.found[:, n_found] on; count[0] forward and
+    count[1] reverse rows are added; returns the view's cost and how many have been found then.
+
+    ws.ends (2, M): the vertices of the edge; ws.found (5, M) f4: place on the edge 0..1, gradient of the residual along
+    u and v per px, weight, residual. bounds (5, VIEWS): of the body. Cost of a row: 1/2 w e^2 / (1 + e^2), e = r /
+    scale (Geman & McClure 1985), weight in the normal equations w / (1 + e^2)^2. A view in which the body is not to be
+    seen costs what its outline points cost at infinite distance. Which points are the outline, and which is nearest, is
+    held fixed in the derivatives.
+    """
+    w, h = contours.sizes[c, 0], contours.sizes[c, 1]
+    sdf, outline = contours.sdf[c], contours.outline[c]
+    n_outline = outline.shape[0]
+    unseen = 0.5 * contours.reverse_weight * n_outline
+    if not (bounds[4, k] >= NEAR):
+        return unseen, n_found
+    x0 = int(max(f4(0), np.floor(bounds[0, k]) - f4(1)))
+    x1 = int(min(f4(w), np.ceil(bounds[1, k]) + f4(2)))
+    y0 = int(max(f4(0), np.floor(bounds[2, k]) - f4(1)))
+    y1 = int(min(f4(h), np.ceil(bounds[3, k]) + f4(2)))
+    width, height = x1 - x0, y1 - y0
+    if width < 3 or height < 3:
+        return unseen, n_found
+    start, end, lines, rim, rim_edge, place = ws.start, ws.end, ws.lines, ws.rim, ws.rim_edge, ws.rim_place
+    n = contours_of_view(k, n_union, ws.union, mesh.edges, ws.front, ws.uv, start, end, lines)
+    stride = row_stride(width)
+    emit_lines(n, lines, x0, y0, width, height, ws.difference[: (height + 1) * stride].reshape(height + 1, stride))
+    own = ws.own
+    for s in range(0, width, STRIP):
+        fill_strip(ws.difference, s, stride, height, own, own, s >> 3, stride >> 3, ws.bands)  # which counts nothing
+    ws.difference[height * stride : (height + 1) * stride] = 0
+    _lengths(n, lines)
+    length = f4(0)
+    for e in range(n):
+        length += lines[4, e]
+    wanted = f4(contours.spacing / contours.shrunk[c])
+    spacing = max(wanted, length / f4(RIM - 16))
+    thinned = spacing / wanted  # weight is per arc length
+    own_scale = scale / contours.shrunk[c]
+    i2 = f4(1) / f4(own_scale * own_scale)
+    forward, reverse = f4(contours.forward_weight) * thinned, f4(contours.reverse_weight)
+    # Points of the body's outline, evenly spaced along the contour edges: the pixel just outside must not be the
+    # body's.
+    n_rim = _spread(n, lines[4], spacing, rim_edge, rim[0])
+    _place_rim(n_rim, rim_edge, lines, w, h, x0, y0, width, height, stride, rim, place)
+    n_rim = _seen_rim(n_rim, place, own, rim_edge, rim)
+    if n_rim == 0:
+        return unseen, n_found
+    left, top, ends, found = contours.corners[c, 0], contours.corners[c, 1], ws.ends, ws.found
+    across, down = contours.sdf_sizes[c, 0] - 1, contours.sdf_sizes[c, 1] - 1
+    kind, seen = place, rim[3:]
+    _look_ahead(n_rim, contours.stride, rim, sdf, left, top, across, down, i2, forward * i2, seen, kind)
+    cost_forward = cost_reverse = 0.0
+    last = ends.shape[1] - 1
+    for m in range((n_rim + contours.stride - 1) // contours.stride):
+        if kind[m] == 0:
+            continue
+        cost_forward += seen[4, m]
+        count[0] += 1
+        e = rim_edge[m * contours.stride]
+        ends[0, n_found], ends[1, n_found], found[0, n_found] = start[e], end[e], rim[0, m * contours.stride]
+        for i in range(4):
+            found[i + 1, n_found] = seen[i, m]
+        n_found += (kind[m] == 1) & (n_found < last)
+    low, edge_of, beside = f4(y0), np.empty(n_outline, np.int32), np.empty((6, n_outline), np.float32)
+    _by_row(n_rim, rim[1], rim[2], low, ws.sorted[0], ws.sorted[1], ws.sorted_number, ws.bands)
+    nearest(n_rim, ws.sorted[0], ws.sorted[1], ws.sorted_number, ws.bands, low, outline, edge_of)
+    for m in range(n_outline):
+        edge_of[m] = rim_edge[edge_of[m]]
+    _onto_edges(edge_of, outline, lines, i2, reverse * i2, beside)
+    for m in range(n_outline):
+        if outline[m, 0] < f4(-1e5):  # marked: it may be somebody else's outline
+            continue
+        cost_reverse += beside[5, m]
+        count[1] += 1
+        ends[0, n_found], ends[1, n_found] = start[edge_of[m]], end[edge_of[m]]
+        for i in range(5):
+            found[i, n_found] = beside[i, m]
+        n_found += (beside[4, m] > f4(0.05)) & (n_found < last)
+    return 0.5 * (forward * cost_forward + reverse * cost_reverse), n_found
