@@ -214,7 +214,6 @@ __all__ = [
     "reach",
     "require_cuda",
     "rim_edges",
-    "row_bytes",
     "row_sums",
     "selection",
     "shown_parts",
@@ -275,29 +274,28 @@ def outline_points(sdf: NDArray[np.float32], size: tuple[int, int], k: int) -> t
     return out, int(n)
 
 
-def row_bytes(width: int) -> int:
-    """Bytes of a row of winding differences of a window: see cpu_lanes.row_stride."""
-    return 64 * (-(-width // 64) | 1)
-
-
 def workspace(tree: TreeArrays, mesh: MeshArrays, height: int, width: int) -> Workspace:
     """Scratch memory for `solve` and `evaluate` on images up to (height, width); one per thread."""
     v, f, e, j, d = len(mesh.vertices), len(mesh.faces), len(mesh.edges), len(tree.parents), len(tree.axes)
     f4, i4 = np.float32, np.int32
-    rows, views, rim = 2 * mesh.skin_index.shape[1] * MOST_FOUND, 4, 2048
+    line = 64 * (-(-width // 64) | 1)  # as cpu_lanes.row_stride
+    rows, views, lanes, rim = 2 * mesh.skin_index.shape[1] * MOST_FOUND, 4, 16, 2048
     return Workspace(
         np.zeros((v, 3), f4),
+        np.zeros((12, views), f4),
         np.zeros((v, 2, views), f4),
+        np.zeros((5, views), f4),
         np.zeros(f, np.uint8),
         np.zeros(e, i4),
         np.zeros(e, i4),
         np.zeros(e, i4),
         np.zeros((5, e), f4),
-        np.zeros((height + 1) * row_bytes(width), np.int8),
-        np.zeros(height * row_bytes(width) // 8, np.uint8),
-        np.zeros((8, rim), f4),
+        np.zeros((height + 1, line), np.int8),
+        np.zeros(height * line // 8, np.uint8),
+        np.zeros((3, rim), f4),
         np.zeros(rim, i4),
-        np.zeros(rim, i4),
+        np.zeros(9 * lanes, f4),
+        np.zeros(lanes, i4),
         np.zeros((2, rim), f4),
         np.zeros(rim, i4),
         np.zeros(65, np.int64),
@@ -308,7 +306,6 @@ def workspace(tree: TreeArrays, mesh: MeshArrays, height: int, width: int) -> Wo
         np.zeros((j, 6)),
         np.empty((2, 2 * MOST_FOUND), i4),
         np.empty((5, 2 * MOST_FOUND), f4),
-        np.empty((6, 2 * MOST_FOUND), f4),
         np.empty((rows, 8)),
         np.empty(rows, i4),
         np.empty((9, rows)),

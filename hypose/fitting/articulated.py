@@ -415,7 +415,8 @@ def _fits(ws: Workspace, body: Body, contours: ContourTerm | None) -> bool:
         and len(ws.start) == len(mesh.edges)
         and len(ws.centres) == len(tree.parents)
         and len(ws.twists) == len(tree.axes)
-        and len(ws.difference) >= (h + 1) * compute.row_bytes(w)
+        and ws.difference.shape[0] > h
+        and ws.difference.shape[1] >= w
     )
 
 

@@ -34,6 +34,7 @@ def draw_standing(pose, tree, mesh, faces, standing, prepared, boxes, bits, coun
     twists = np.empty((pose.shape[0], 6))
     vertices, uv = np.empty((n_vertices, 3), np.float32), np.empty((n_vertices, 2, VIEWS), np.float32)
     cameras, bounds = np.empty((VIEWS, 3, 4), np.float32), np.empty((5, VIEWS), np.float32)
+    turned = np.empty((12, VIEWS), np.float32)
     front, union = np.empty(mesh.faces.shape[0], np.uint8), np.empty(n_edges, np.int32)
     start, end, lines = np.empty(n_edges, np.int32), np.empty(n_edges, np.int32), np.empty((4, n_edges), np.float32)
     n_union, flat, line = 0, bits.reshape(-1), bits.shape[2]
@@ -43,7 +44,7 @@ def draw_standing(pose, tree, mesh, faces, standing, prepared, boxes, bits, coun
     for c in range(prepared.masks.shape[0]):
         k = c % VIEWS
         if k == 0:
-            project_views(vertices, prepared.projections, c, pose, cameras, uv, bounds)
+            project_views(vertices, prepared.projections, c, pose, cameras, turned, uv, bounds)
             front_views(mesh.faces, uv, front)
             for f in range(front.shape[0]):
                 front[f] = front[f] if standing[f] else np.uint8(0)

@@ -22,7 +22,7 @@ from hypose.compute.silhouettes.cpu_vectors import Arrays, Vector, constant, spl
 VIEWS = 4
 """views that are looked at together: a register of every processor"""
 
-f4 = np.float32
+f4, u4 = np.float32, np.uint32
 _FLOAT, _BYTE, _I64 = ir.FloatType(), ir.IntType(8), ir.IntType(64)
 _FLOATS = ir.VectorType(_FLOAT, VIEWS)
 
@@ -76,11 +76,10 @@ def _front_views(typingctx: Any, uv, a, b, c):
 
 
 @kernel
-def project_views(vertices, projections, first, q, p, uv, bounds):
+def project_views(vertices, projections, first, q, p, turned, uv, bounds):
     """Pixels uv (V, 2, VIEWS) of vertices (V, 3) f4, about the root of pose q, in the views from `first` on (the last
     one repeated) of projections (C, 3, 4) f8, which become p (VIEWS, 3, 4) f4; bounds (5, VIEWS) as in
-    cpu_silhouettes.project."""
-    turned = np.empty((12, VIEWS), np.float32)
+    cpu_silhouettes.project; turned (12, VIEWS) f4: scratch."""
     for k in range(VIEWS):
         camera_about_root(projections[min(first + k, projections.shape[0] - 1)], q, p[k])
         for r in range(3):
@@ -102,7 +101,7 @@ def contours_of_any(edges, front, union):
     n = 0
     for e in range(edges.shape[0]):
         union[n] = e
-        n += front[edges[e, 2]] != front[edges[e, 3]]
+        n += front[u4(edges[e, 2])] != front[u4(edges[e, 3])]
     return n
 
 
@@ -110,17 +109,17 @@ def contours_of_any(edges, front, union):
 def contours_of_view(k, n_union, union, edges, front, uv, start, end, lines):
     """Directed contour edges of view k as in cpu_silhouettes.contour_edges, and lines (4, E) f4: where they start and
     end, u, v, u, v px; returns how many."""
-    n = 0
+    n, bit = 0, np.uint8(1 << k)
     for i in range(n_union):
-        e = union[i]
-        left, right = (front[edges[e, 2]] >> k) & 1, (front[edges[e, 3]] >> k) & 1
+        e = u4(union[i])
+        left, right = front[u4(edges[e, 2])] & bit, front[u4(edges[e, 3])] & bit
         a, b = edges[e, 0], edges[e, 1]
         start[n] = a if left else b
         end[n] = b if left else a
         n += left != right
     for i in range(n):
-        lines[0, i], lines[1, i] = uv[start[i], 0, k], uv[start[i], 1, k]
-        lines[2, i], lines[3, i] = uv[end[i], 0, k], uv[end[i], 1, k]
+        a, b = u4(start[i]), u4(end[i])
+        lines[0, i], lines[1, i], lines[2, i], lines[3, i] = uv[a, 0, k], uv[a, 1, k], uv[b, 0, k], uv[b, 1, k]
     return n
 
 

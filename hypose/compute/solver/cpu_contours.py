@@ -17,15 +17,14 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 from hypose.compute.compiled import kernel
-from hypose.compute.silhouettes.cpu_lanes import row_stride
 from hypose.compute.silhouettes.cpu_silhouettes import NEAR
-from hypose.compute.silhouettes.cpu_vectors import STRIP, Arrays, Vector, constant, fill_strip, splat
+from hypose.compute.silhouettes.cpu_vectors import LANES, STRIP, Arrays, Vector, constant, fill_strip, splat
 from hypose.compute.silhouettes.cpu_views import contours_of_view, emit_lines
 from hypose.compute.solver.cpu_losses import geman_mcclure
 from hypose.compute.solver.cpu_rows import BORDER
 from hypose.compute.solver.terms import NOT_KNOWN, RIM
 
-f4, i4 = np.float32, np.int32
+f4, i4, u4 = np.float32, np.int32, np.uint32
 _BAND, _BANDS = 8, 64
 """rows of a band in which a point of the mask's outline is looked for first, and so many of them"""
 _NEXT_BAND = int(0.98 * 64 * _BAND**2)
@@ -133,83 +132,151 @@ def _spread(n, lengths, spacing, edge, along):
 
 
 @kernel
-def _place_rim(n, edge, lines, w, h, x0, y0, width, height, line, rim, place):
-    """Of n points on edges: rim (3, R) f4: px along it becomes the share of the edge; u, v px. place (R,) i4: the bit
-    of the own silhouette, of `line` bits a row, in the pixel just outside; else _OUT or _OPEN."""
+def _place_rim(work, spot, w, h, x0, y0, width, height, line):
+    """work (6 x LANES,) f4: px along an edge, its ends u, v, u, v, its length px; become the share of the edge, u, v.
+    spot (LANES,) i4: the bit of the own silhouette, of `line` bits a row, in the pixel just outside; else _OUT, _OPEN."""
     right, bottom = f4(w - 1 - BORDER), f4(h - 1 - BORDER)
-    for k in range(n):
-        e = edge[k]
-        xa, ya, length = lines[0, e], lines[1, e], lines[4, e]
-        dx, dy = lines[2, e] - xa, lines[3, e] - ya
-        t = rim[0, k] / length
+    left, top, wide, high, row = i4(x0), i4(y0), i4(width), i4(height), i4(line)
+    for k in range(LANES):
+        xa, ya, length = work[LANES + k], work[2 * LANES + k], work[5 * LANES + k]
+        dx, dy = work[3 * LANES + k] - xa, work[4 * LANES + k] - ya
+        t = work[k] / length
         x, y = xa + t * dx, ya + t * dy
-        rim[0, k], rim[1, k], rim[2, k] = t, x, y
+        work[k], work[LANES + k], work[2 * LANES + k] = t, x, y
         beside, below = x + -dy / length + f4(0.5), y + dx / length + f4(0.5)
         # as whole numbers only what fits them
-        tx = i4(min(max(beside, f4(-2)), f4(1e6))) - i4(x0)
-        ty = i4(min(max(below, f4(-2)), f4(1e6))) - i4(y0)
-        at = ty * i4(line) + tx
+        tx = i4(i4(min(max(beside, f4(-2)), f4(1e6))) - left)
+        ty = i4(i4(min(max(below, f4(-2)), f4(1e6))) - top)
+        at = i4(ty * row + tx)
         at = at if tx >= i4(0) else i4(_OPEN)
-        at = at if tx < i4(width) else i4(_OPEN)
+        at = at if tx < wide else i4(_OPEN)
         at = at if ty >= i4(0) else i4(_OPEN)
-        at = at if ty < i4(height) else i4(_OPEN)
+        at = at if ty < high else i4(_OPEN)
         at = i4(_OUT) if x < f4(BORDER) else at
         at = i4(_OUT) if y < f4(BORDER) else at
         at = i4(_OUT) if x > right else at
-        place[k] = i4(_OUT) if y > bottom else at
+        spot[k] = i4(_OUT) if y > bottom else at
 
 
 @kernel
-def _seen_rim(n, place, own, edge, rim):
-    """Moves those of n points on the rim to its beginning beside which the own silhouette ends; returns how many."""
+def _rim(n, lines, own, w, h, x0, y0, width, height, line, edge, rim, work, spot):
+    """Of n points on edges: edge (R,), rim (3, R) f4: share of the edge (px along it before), u, v px of those that are
+    to be seen: beside them the own silhouette, of `line` bits a row, ends. Returns how many."""
     seen = 0
-    for k in range(n):
-        at = place[k]
-        covered = (own[max(at, i4(0)) >> 3] >> (at & 7)) & 1
-        edge[seen], rim[0, seen], rim[1, seen], rim[2, seen] = edge[k], rim[0, k], rim[1, k], rim[2, k]
-        seen += (at == _OPEN) | ((at >= 0) & (covered == 0))
+    for first in range(0, n, LANES):
+        some = min(LANES, n - first)
+        for k in range(some):
+            e = u4(edge[first + k])
+            work[k] = rim[0, first + k]
+            for r in range(5):
+                work[(r + 1) * LANES + k] = lines[r, e]
+        _place_rim(work, spot, w, h, x0, y0, width, height, line)
+        for k in range(some):
+            at = spot[k]
+            bit = u4(max(at, i4(0)))
+            covered = (own[bit >> u4(3)] >> (bit & u4(7))) & u4(1)
+            edge[seen] = edge[first + k]
+            for r in range(3):
+                rim[r, seen] = work[r * LANES + k]
+            seen += (at == _OPEN) | ((at >= 0) & (covered == u4(0)))
     return seen
 
 
 @kernel
-def _look_ahead(n, stride, rim, sdf, left, top, across, down, i2, weight, out, kind):
-    """out (5, N) f4: what is found (as in `contour_rows`) at every stride-th of n points of the rim, but for the
-    place on the edge, and its loss; kind (N,) i4: 1 where there is a row, 0 where the distance is not known, 2 outside,
-    where it counts as infinite."""
-    for m in range((n + stride - 1) // stride):
-        x, y = rim[1, m * stride], rim[2, m * stride]
-        xi, yi = i4(x), i4(y)
-        fx, fy = x - f4(xi), y - f4(yi)
-        xi -= i4(left)
-        yi -= i4(top)
-        inside = (xi >= 0) & (xi < across) & (yi >= 0) & (yi < down)
-        xi, yi = xi if inside else i4(0), yi if inside else i4(0)
-        s00, s01, s10, s11 = sdf[yi, xi], sdf[yi, xi + 1], sdf[yi + 1, xi], sdf[yi + 1, xi + 1]
-        known = max(max(s00, s01), max(s10, s11)) < f4(NOT_KNOWN)
+def _interpolate(work, i2, weight):
+    """work (6 x LANES,) f4: how far points lie right of and below a pixel, and distances in it and right of, below and
+    right below it; become the gradient along u and v, weight, distance, and loss."""
+    for k in range(LANES):
+        fx, fy, s00, s01 = work[k], work[LANES + k], work[2 * LANES + k], work[3 * LANES + k]
+        s10, s11 = work[4 * LANES + k], work[5 * LANES + k]
         r = (s00 * (f4(1) - fx) + s01 * fx) * (f4(1) - fy) + (s10 * (f4(1) - fx) + s11 * fx) * fy
         gx = (s01 - s00) * (f4(1) - fy) + (s11 - s10) * fy
         gy = (s10 - s00) * (f4(1) - fx) + (s11 - s01) * fx
         rho, slope, _ = geman_mcclure(r * r * i2, weight, f4(1))
-        out[0, m], out[1, m], out[2, m], out[3, m] = gx, gy, slope, r
-        out[4, m] = rho if inside else f4(1)
-        kind[m] = i4(known) if inside else i4(2)
+        work[k], work[LANES + k], work[2 * LANES + k], work[3 * LANES + k], work[4 * LANES + k] = gx, gy, slope, r, rho
 
 
 @kernel
-def _onto_edges(edge, outline, lines, i2, weight, out):
-    """out (6, K) f4: what is found (as in `contour_rows`) of outline points (K, 2), each on its edge, and its loss; i2:
-    1 / scale^2. By itself it vectorises."""
-    for m in range(edge.shape[0]):
-        e, x, y = edge[m], outline[m, 0], outline[m, 1]
-        xa, ya = lines[0, e], lines[1, e]
-        dx, dy = lines[2, e] - xa, lines[3, e] - ya
+def _forward_rows(n, stride, rim, edge, ws, sdf, corner, size, i2, weight, n_found, count):
+    """Adds to what is found, as contour_rows does, every stride-th of n points of the rim; returns their cost in
+    forward weights, and how many have been found then. corner, size (2,): of sdf in the image; weight: / scale^2."""
+    left, top, across, down = corner[0], corner[1], size[0] - 1, size[1] - 1
+    work, spot, ends, found = ws.work, ws.spot, ws.ends, ws.found
+    cost, last = 0.0, ends.shape[1] - 1
+    for first in range(0, n, LANES * stride):
+        some = min(LANES, (n - first + stride - 1) // stride)
+        for k in range(some):
+            x, y = rim[1, first + k * stride], rim[2, first + k * stride]
+            xi, yi = int(x), int(y)
+            work[k], work[LANES + k] = x - f4(xi), y - f4(yi)
+            xi -= left
+            yi -= top
+            inside = (xi >= 0) & (xi < across) & (yi >= 0) & (yi < down)
+            xi, yi = xi if inside else 0, yi if inside else 0
+            i, j = u4(xi), u4(yi)
+            s00, s01, s10, s11 = sdf[j, i], sdf[j, i + u4(1)], sdf[j + u4(1), i], sdf[j + u4(1), i + u4(1)]
+            work[2 * LANES + k], work[3 * LANES + k], work[4 * LANES + k], work[5 * LANES + k] = s00, s01, s10, s11
+            known = max(max(s00, s01), max(s10, s11)) < f4(NOT_KNOWN)
+            spot[k] = i4(known) if inside else i4(_OUT)
+        _interpolate(work, i2, weight)
+        for k in range(some):
+            if spot[k] == 0:
+                continue
+            cost += work[4 * LANES + k] if spot[k] == 1 else f4(1)  # outside the distance counts as infinite
+            count[0] += 1
+            m = first + k * stride
+            e = u4(edge[m])
+            ends[0, n_found], ends[1, n_found], found[0, n_found] = ws.start[e], ws.end[e], rim[0, m]
+            for i in range(4):
+                found[i + 1, n_found] = work[i * LANES + k]
+            n_found += (spot[k] == 1) & (n_found < last)
+    return cost, n_found
+
+
+@kernel
+def _onto_edges(work, i2, weight):
+    """work (6 x LANES,) f4: points u, v and the ends of an edge u, v, u, v px; become what is found (as in contour_rows)
+    of the points on the edges, and their loss; i2: 1 / scale^2, weight: / scale^2."""
+    for k in range(LANES):
+        x, y, xa, ya = work[k], work[LANES + k], work[2 * LANES + k], work[3 * LANES + k]
+        dx, dy = work[4 * LANES + k] - xa, work[5 * LANES + k] - ya
         # onto the edge itself: the nearest sample alone would leave false residuals of half the spacing
         t = min(max(((x - xa) * dx + (y - ya) * dy) / (dx * dx + dy * dy), f4(0)), f4(1))
         dx, dy = xa + t * dx - x, ya + t * dy - y
         d2 = dx * dx + dy * dy
         r = math.sqrt(d2)
         rho, slope, _ = geman_mcclure(d2 * i2, weight, f4(1))
-        out[0, m], out[1, m], out[2, m], out[3, m], out[4, m], out[5, m] = t, dx / r, dy / r, slope, r, rho
+        work[k], work[LANES + k], work[2 * LANES + k] = t, dx / r, dy / r
+        work[3 * LANES + k], work[4 * LANES + k], work[5 * LANES + k] = slope, r, rho
+
+
+@kernel
+def _reverse_rows(n, low, outline, edge, lines, ws, i2, weight, n_found, count):
+    """Adds to what is found, as contour_rows does, the mask's outline (K, 2) on the nearest of n points of the rim, in
+    bands from row `low` on; returns its cost in reverse weights, and how many have been found then."""
+    work, spot, ends, found = ws.work, ws.spot, ws.ends, ws.found
+    cost, last = 0.0, ends.shape[1] - 1
+    u, v = ws.sorted[0], ws.sorted[1]
+    for first in range(0, outline.shape[0], LANES):
+        some = min(LANES, outline.shape[0] - first)
+        nearest(n, u, v, ws.sorted_number, ws.bands, low, outline[first : first + some], spot)
+        for k in range(some):
+            e = edge[u4(spot[k])]
+            work[k], work[LANES + k] = outline[first + k, 0], outline[first + k, 1]
+            for r in range(4):
+                work[(r + 2) * LANES + k] = lines[r, e]
+        _onto_edges(work, i2, weight)
+        for k in range(some):
+            if outline[first + k, 0] < f4(-1e5):  # marked: it may be somebody else's outline
+                continue
+            cost += work[5 * LANES + k]
+            count[1] += 1
+            e = u4(edge[u4(spot[k])])
+            ends[0, n_found], ends[1, n_found] = ws.start[e], ws.end[e]
+            for i in range(5):
+                found[i, n_found] = work[i * LANES + k]
+            n_found += (work[4 * LANES + k] > f4(0.05)) & (n_found < last)
+    return cost, n_found
 
 
 @kernel
@@ -236,14 +303,14 @@ def contour_rows(c, k, n_union, bounds, mesh, contours, scale, ws, n_found, coun
     width, height = x1 - x0, y1 - y0
     if width < 3 or height < 3:
         return unseen, n_found
-    start, end, lines, rim, rim_edge, place = ws.start, ws.end, ws.lines, ws.rim, ws.rim_edge, ws.rim_place
-    n = contours_of_view(k, n_union, ws.union, mesh.edges, ws.front, ws.uv, start, end, lines)
-    stride = row_stride(width)
-    emit_lines(n, lines, x0, y0, width, height, ws.difference[: (height + 1) * stride].reshape(height + 1, stride))
-    own = ws.own
+    lines, rim, edge = ws.lines, ws.rim, ws.rim_edge
+    n = contours_of_view(k, n_union, ws.union, mesh.edges, ws.front, ws.uv, ws.start, ws.end, lines)
+    emit_lines(n, lines, x0, y0, width, height, ws.difference)
+    own, stride = ws.own, ws.difference.shape[1]
     for s in range(0, width, STRIP):
         fill_strip(ws.difference, s, stride, height, own, own, s >> 3, stride >> 3, ws.bands)  # which counts nothing
-    ws.difference[height * stride : (height + 1) * stride] = 0
+    for x in range(width):
+        ws.difference[height, x] = 0
     _lengths(n, lines)
     length = f4(0)
     for e in range(n):
@@ -256,40 +323,15 @@ def contour_rows(c, k, n_union, bounds, mesh, contours, scale, ws, n_found, coun
     forward, reverse = f4(contours.forward_weight) * thinned, f4(contours.reverse_weight)
     # Points of the body's outline, evenly spaced along the contour edges: the pixel just outside must not be the
     # body's.
-    n_rim = _spread(n, lines[4], spacing, rim_edge, rim[0])
-    _place_rim(n_rim, rim_edge, lines, w, h, x0, y0, width, height, stride, rim, place)
-    n_rim = _seen_rim(n_rim, place, own, rim_edge, rim)
+    n_rim = _spread(n, lines[4], spacing, edge, rim[0])
+    n_rim = _rim(n_rim, lines, own, w, h, x0, y0, width, height, stride, edge, rim, ws.work, ws.spot)
     if n_rim == 0:
         return unseen, n_found
-    left, top, ends, found = contours.corners[c, 0], contours.corners[c, 1], ws.ends, ws.found
-    across, down = contours.sdf_sizes[c, 0] - 1, contours.sdf_sizes[c, 1] - 1
-    kind, seen = place, rim[3:]
-    _look_ahead(n_rim, contours.stride, rim, sdf, left, top, across, down, i2, forward * i2, seen, kind)
-    cost_forward = cost_reverse = 0.0
-    last = ends.shape[1] - 1
-    for m in range((n_rim + contours.stride - 1) // contours.stride):
-        if kind[m] == 0:
-            continue
-        cost_forward += seen[4, m]
-        count[0] += 1
-        e = rim_edge[m * contours.stride]
-        ends[0, n_found], ends[1, n_found], found[0, n_found] = start[e], end[e], rim[0, m * contours.stride]
-        for i in range(4):
-            found[i + 1, n_found] = seen[i, m]
-        n_found += (kind[m] == 1) & (n_found < last)
-    low, edge_of, beside = f4(y0), np.empty(n_outline, np.int32), np.empty((6, n_outline), np.float32)
+    corner, size = contours.corners[c], contours.sdf_sizes[c]
+    cost_forward, n_found = _forward_rows(
+        *(n_rim, contours.stride, rim, edge, ws, sdf, corner, size, i2, forward * i2, n_found, count)
+    )
+    low = f4(y0)
     _by_row(n_rim, rim[1], rim[2], low, ws.sorted[0], ws.sorted[1], ws.sorted_number, ws.bands)
-    nearest(n_rim, ws.sorted[0], ws.sorted[1], ws.sorted_number, ws.bands, low, outline, edge_of)
-    for m in range(n_outline):
-        edge_of[m] = rim_edge[edge_of[m]]
-    _onto_edges(edge_of, outline, lines, i2, reverse * i2, beside)
-    for m in range(n_outline):
-        if outline[m, 0] < f4(-1e5):  # marked: it may be somebody else's outline
-            continue
-        cost_reverse += beside[5, m]
-        count[1] += 1
-        ends[0, n_found], ends[1, n_found] = start[edge_of[m]], end[edge_of[m]]
-        for i in range(5):
-            found[i, n_found] = beside[i, m]
-        n_found += (beside[4, m] > f4(0.05)) & (n_found < last)
+    cost_reverse, n_found = _reverse_rows(n_rim, low, outline, edge, lines, ws, i2, reverse * i2, n_found, count)
     return 0.5 * (forward * cost_forward + reverse * cost_reverse), n_found

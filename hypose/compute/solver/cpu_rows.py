@@ -15,10 +15,11 @@ import math
 import numpy as np
 
 from hypose.compute.compiled import kernel
+from hypose.compute.silhouettes.cpu_vectors import LANES
 from hypose.compute.solver.cpu_losses import lorentzian
-from hypose.compute.solver.cpu_sums import EIGHT, SUMS, wrench_sums
+from hypose.compute.solver.cpu_sums import EIGHT, wrench_sums
 
-f4, i4 = np.float32, np.int32
+f4, u4 = np.float32, np.uint32
 BORDER = 3
 """px along the image border where outlines are cut off by the image and are no evidence"""
 
@@ -61,7 +62,7 @@ def add_row(hessian, gradient, j, w, r, px, py, pz, gx, gy, gz):
 @kernel
 def sum_rows(n, rows, joints, lanes, place, hessian, gradient):
     """hessian (J, 21), gradient (J, 6) += n contour rows, all of a joint at once in vector lanes, which is
-    faster than adding each to its joint; lanes (9, M) and place (J + 1,) are scratch."""
+    faster than adding each to its joint; lanes (9, M), with M of SUMS at least, and place (J + 1,) are scratch."""
     n_joints = hessian.shape[0]
     for j in range(n_joints + 1):
         place[j] = 0
@@ -75,7 +76,7 @@ def sum_rows(n, rows, joints, lanes, place, hessian, gradient):
             lanes[k, to] = line[k]
         place[joints[i]] = to + 1
     first = 0
-    sums = np.empty(SUMS)
+    sums = lanes[8]
     for j in range(n_joints):
         last = place[j]  # filled: place[j] has moved to the joint's end
         if last > first:
@@ -98,17 +99,17 @@ def sum_rows(n, rows, joints, lanes, place, hessian, gradient):
 
 
 @kernel
-def _wrenches(first, last, ends, found, vertices, p, out):
-    """out (6, M) f4: the wrenches of found points first to last, of which form_rows makes rows."""
+def _wrenches(work, p):
+    """work (9 x LANES,) f4: x, y, z of the ends of an edge, place on it, gradient along u and v; become wrenches."""
     p00, p01, p02, p03 = p[0, 0], p[0, 1], p[0, 2], p[0, 3]
     p10, p11, p12, p13 = p[1, 0], p[1, 1], p[1, 2], p[1, 3]
     p20, p21, p22, p23 = p[2, 0], p[2, 1], p[2, 2], p[2, 3]
-    for i in range(first, last):
-        a, b, t, gx, gy = ends[0, i], ends[1, i], found[0, i], found[1, i], found[2, i]
+    for m in range(LANES):
+        t, gx, gy = work[6 * LANES + m], work[7 * LANES + m], work[8 * LANES + m]
         s = f4(1) - t
-        x = s * vertices[a, 0] + t * vertices[b, 0]
-        y = s * vertices[a, 1] + t * vertices[b, 1]
-        z = s * vertices[a, 2] + t * vertices[b, 2]
+        x = s * work[m] + t * work[3 * LANES + m]
+        y = s * work[LANES + m] + t * work[4 * LANES + m]
+        z = s * work[2 * LANES + m] + t * work[5 * LANES + m]
         iz = f4(1) / (p20 * x + p21 * y + p22 * z + p23)
         u = (p00 * x + p01 * y + p02 * z + p03) * iz
         v = (p10 * x + p11 * y + p12 * z + p13) * iz
@@ -118,38 +119,46 @@ def _wrenches(first, last, ends, found, vertices, p, out):
         g0 = gx * p00 + gy * p10 + k * p20
         g1 = gx * p01 + gy * p11 + k * p21
         g2 = gx * p02 + gy * p12 + k * p22
-        out[0, i], out[1, i], out[2, i] = y * g2 - z * g1, z * g0 - x * g2, x * g1 - y * g0
-        out[3, i], out[4, i], out[5, i] = g0, g1, g2
+        work[m], work[LANES + m], work[2 * LANES + m] = y * g2 - z * g1, z * g0 - x * g2, x * g1 - y * g0
+        work[3 * LANES + m], work[4 * LANES + m], work[5 * LANES + m] = g0, g1, g2
 
 
 @kernel
-def form_rows(first, last, ends, found, wrenches, n_rows, vertices, mesh, p, rows, joints):
+def form_rows(first, last, ends, found, work, n_rows, vertices, mesh, p, rows, joints):
     """Appends the rows of found points first to last, all of one view with the camera p (3, 4) f4, to rows (M, 8) =
     wrench, weight, residual, and joints (M,), from row n_rows on, one for each joint that moves the point; returns the
-    number of rows then. ends, found: as in cpu_contours.contour_rows; wrenches (6, M) f4: scratch."""
-    _wrenches(first, last, ends, found, vertices, p, wrenches)
+    number of rows then. ends, found: as in cpu_contours.contour_rows; work (9 x LANES,) f4: scratch."""
     skin_index, skin_weight, skin_count = mesh.skin_index, mesh.skin_weight, mesh.skin_count
-    for i in range(first, last):
-        a, b, t, w, r = ends[0, i], ends[1, i], found[0, i], found[3, i], found[4, i]
-        s, begin = f4(1) - t, n_rows
-        for m in range(skin_count[a]):
-            joints[n_rows] = skin_index[a, m]
-            rows[n_rows, 6] = s * skin_weight[a, m] * w
-            n_rows += 1
-        for m in range(skin_count[b]):
-            at = begin  # the ends of an edge mostly hang on the same joints
-            while at < n_rows and joints[at] != skin_index[b, m]:
-                at += 1
-            if at == n_rows:
-                joints[at] = skin_index[b, m]
-                rows[at, 6] = 0.0
+    for block in range(first, last, LANES):
+        some = min(LANES, last - block)
+        for m in range(some):
+            a, b = u4(ends[0, block + m]), u4(ends[1, block + m])
+            for k in range(3):
+                work[k * LANES + m], work[(3 + k) * LANES + m] = vertices[a, k], vertices[b, k]
+                work[(6 + k) * LANES + m] = found[k, block + m]
+        _wrenches(work, p)
+        for m in range(some):
+            i = block + m
+            a, b, t, w, r = u4(ends[0, i]), u4(ends[1, i]), found[0, i], found[3, i], found[4, i]
+            s, begin = f4(1) - t, n_rows
+            for k in range(skin_count[a]):
+                joints[n_rows] = skin_index[a, k]
+                rows[n_rows, 6] = s * skin_weight[a, k] * w
                 n_rows += 1
-            rows[at, 6] += t * skin_weight[b, m] * w
-        for m in range(begin, n_rows):
-            line = rows[m]
-            for k in range(6):
-                line[k] = wrenches[k, i]
-            line[7] = r
+            for k in range(skin_count[b]):
+                at = begin  # the ends of an edge mostly hang on the same joints
+                while at < n_rows and joints[at] != skin_index[b, k]:
+                    at += 1
+                if at == n_rows:
+                    joints[at] = skin_index[b, k]
+                    rows[at, 6] = 0.0
+                    n_rows += 1
+                rows[at, 6] += t * skin_weight[b, k] * w
+            for at in range(begin, n_rows):
+                line = rows[at]
+                for k in range(6):
+                    line[k] = work[k * LANES + m]
+                line[7] = r
     return n_rows
 
 

@@ -150,7 +150,7 @@ def form_found(found_of, mesh, ws):
             n_rows = 0
         ends, found, p = ws.ends, ws.found, cameras[c]
         state[_ROWS] = form_rows(
-            *(first[c], first[c + 1], ends, found, ws.wrenches, n_rows, ws.vertices, mesh, p, ws.rows, ws.row_joints)
+            *(first[c], first[c + 1], ends, found, ws.work, n_rows, ws.vertices, mesh, p, ws.rows, ws.row_joints)
         )
     state[_FORMED] = state[_VIEWS]
 
@@ -174,11 +174,11 @@ def cost_at(q, tree, mesh, contours, scale, keypoints, points, depth, priors, ws
     n_points = depth.points.shape[0]
     if n_views > 0 or n_points > 0:
         skin_about_root(ws.rotations, ws.centres, tree, mesh, ws.vertices)
-    bounds = np.empty((5, VIEWS), np.float32)
     for c in range(n_views):
         k = c % VIEWS
         if k == 0:
-            project_views(ws.vertices, contours.projections, c, q, cameras[c : c + VIEWS], ws.uv, bounds)
+            p = cameras[c : c + VIEWS]
+            project_views(ws.vertices, contours.projections, c, q, p, ws.turned, ws.uv, ws.bounds)
             front_views(mesh.faces, ws.uv, ws.front)
             n_union = contours_of_any(mesh.edges, ws.front, ws.union)
         counts[c, 0] = 0
@@ -188,7 +188,7 @@ def cost_at(q, tree, mesh, contours, scale, keypoints, points, depth, priors, ws
                 form_found(found_of, mesh, ws)
                 n_found = 0
                 first[c] = 0
-            view_cost, n_found = contour_rows(c, k, n_union, bounds, mesh, contours, scale, ws, n_found, counts[c])
+            view_cost, n_found = contour_rows(c, k, n_union, ws.bounds, mesh, contours, scale, ws, n_found, counts[c])
             cost += view_cost
         first[c + 1] = n_found
         state[_VIEWS] = c + 1

@@ -199,8 +199,10 @@ class Workspace(NamedTuple):
     """Scratch memory of one thread for one body and one image size; contents mean nothing between calls."""
 
     vertices: NDArray[np.float32]
+    turned: NDArray[np.float32]
     uv: NDArray[np.float32]
     """(V, 2, VIEWS) px, and so on: see cpu_views"""
+    bounds: NDArray[np.float32]
     front: NDArray[np.uint8]
     union: NDArray[np.int32]
     start: NDArray[np.int32]
@@ -208,13 +210,16 @@ class Workspace(NamedTuple):
     lines: NDArray[np.float32]
     """(5, E) the edges start, end in one view: u, v, u, v, and their lengths px"""
     difference: NDArray[np.int8]
-    """flat, zero between calls"""
+    """(h + 1, B) zero between calls"""
     own: NDArray[np.uint8]
-    """flat, packed"""
+    """flat, packed, B bits a row"""
     rim: NDArray[np.float32]
-    """(8, R) points of the body's outline in one view: share of the edge, u, v px, and what is found there"""
+    """(3, R) points of the body's outline in one view: share of the edge, u, v px"""
     rim_edge: NDArray[np.int32]
-    rim_place: NDArray[np.int32]
+    work: NDArray[np.float32]
+    """flat, of LANES points at a time: what is worked out of them in vector lanes"""
+    spot: NDArray[np.int32]
+    """(LANES,)"""
     sorted: NDArray[np.float32]
     """(2, R) the same points in bands of rows: u, v px"""
     sorted_number: NDArray[np.int32]
@@ -230,8 +235,6 @@ class Workspace(NamedTuple):
     """(2, M) vertices of the mesh edges on which outline points were found"""
     found: NDArray[np.float32]
     """(5, M) what was found there, see cpu_contours.contour_rows"""
-    wrenches: NDArray[np.float32]
-    """(6, M)"""
     rows: NDArray[np.float64]
     """(M, 8) rows of contours and depth that wait to be summed"""
     row_joints: NDArray[np.int32]
