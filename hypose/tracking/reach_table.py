@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from hypose import compute
 from hypose.body.body import Body
 from hypose.body.skeleton import Skeleton
-from hypose.compute import reach
+from hypose.compute import FIXED, TreeArrays, reach
 from hypose.geometry import Array
 from hypose.tracking.frame_evidence import PreparedFrame
 
@@ -23,10 +23,13 @@ POSES = 4096
 """of an arm; twice as many find nothing more"""
 _ALONG = ((0.4, 0.7, 1.0), (0.33, 0.67, 1.0), (0.5, 0.9))
 """where the points of upper arm, forearm and hand lie on their axes: at the shoulder an arm is never alone"""
+_PART = np.repeat(np.arange(len(_ALONG)), [len(at) for at in _ALONG])
+_SHARE = np.concatenate(_ALONG)[:, None]
 _WIDTH = (0.09, 0.07, 0.06)
 """m, of upper arm, forearm and hand: what a point stands for is its share of the part's area"""
 _ENDS = [2, 5, 7]
 """the points at elbow, wrist, and near the tip of the hand"""
+_Way = tuple[list[int], TreeArrays]
 
 
 @dataclass(frozen=True)
@@ -52,7 +55,11 @@ class ArmReach:
 
     def here(self, poses: Array) -> Array:
         """(N, 8, 3) m: the arm's points in poses (N, D), as its parent sees them."""
-        return _points(self.body, poses[:, self.own], self.own, self.parent, self.chain, self.tip)
+        return _points(self._way, poses[:, self.own], self.own, self.parent, self.chain, self.tip)
+
+    @cached_property
+    def _way(self) -> _Way:
+        return _way_to(self.chain[2], self.own, self.body.skeleton.tree)
 
     def score(self, points: Array, pose: Array, frame: PreparedFrame, rest: compute.Standing, cutoff: float) -> Array:
         """(N,) m^2: what of an arm at points (N, 8, 3) of a body at a pose (D,) lies outside the masks, less what of it
@@ -109,10 +116,11 @@ def arm_reach(body: Body, joints: tuple[str, ...], lower: Array, upper: Array, c
     lengths = [*np.linalg.norm(bones, axis=1), np.linalg.norm(tip)]
     area = [width * length / len(at) for width, length, at in zip(_WIDTH, lengths, _ALONG, strict=True) for _ in at]
     moving = np.isin(np.arange(len(s.joint_names)), [s.joint(name) for name in joints])
-    points = _points(body, poses, own, parent, (a, b, c), tip)
+    points = _points(_way_to(c, own, s.tree), poses, own, parent, (a, b, c), tip)
     return ArmReach(body, own, parent, (a, b, c), tip, moving, poses, points, np.array(area))
 
 
+@lru_cache(4)
 def _evenly_spread(count: int, dimension: int) -> Array:
     """(N, d) in [0, 1): the Halton sequence, whose n-th number of the k-th coordinate is n mirrored at the point in the
     base of the k-th prime. Source: Halton 1960."""
@@ -128,15 +136,27 @@ def _evenly_spread(count: int, dimension: int) -> Array:
 
 
 def _points(
-    body: Body, values: Array, own: NDArray[np.int64], parent: int, chain: tuple[int, int, int], tip: Array
+    the_way: _Way, values: Array, own: NDArray[np.int64], parent: int, chain: tuple[int, int, int], tip: Array
 ) -> Array:
     """(N, 8, 3) m: an arm's points with its coordinates at values (N, d), as its parent sees them."""
-    poses = np.zeros((len(values), body.skeleton.dof))
+    way, tree = the_way
+    poses = np.zeros((len(values), len(tree.axes)))
     poses[:, own] = values
     # nothing else is turned, so the parent's frame is that of the world
-    rotations, centres = compute.forward_kinematics(poses, body.skeleton.tree)
-    a, b, c = (centres[:, j] for j in chain)
-    tips = c + np.einsum("nij,j->ni", rotations[:, chain[2]], tip)
-    axes = zip(((a, b), (b, c), (c, tips)), _ALONG, strict=True)
-    found = [x + f * (y - x) for (x, y), at in axes for f in at]
-    return np.ascontiguousarray(np.stack(found, 1) - centres[:, None, parent])
+    rotations, centres = compute.forward_kinematics(poses, tree)
+    at = centres[:, [*map(way.index, chain), -1]]
+    at[:, 3] += np.einsum("nij,j->ni", rotations[:, -1], tip)
+    begin = at[:, _PART]
+    found = begin + _SHARE * (at[:, _PART + 1] - begin) - centres[:, None, way.index(parent)]
+    return np.ascontiguousarray(found)
+
+
+def _way_to(joint: int, own: NDArray[np.int64], tree: TreeArrays) -> _Way:
+    """The joints from the root to a joint, and the tree of them alone, in which only the coordinates own (d,) turn."""
+    way = [joint]
+    while (parent := int(tree.parents[way[0]])) >= 0:
+        way.insert(0, parent)
+    kind = np.where(np.isin(way, tree.joint_of_dof[own]), tree.kind[way], FIXED)
+    parents = np.arange(-1, len(way) - 1)
+    given = tree._replace(parents=parents, kind=kind, dof_start=tree.dof_start[way], dof_count=tree.dof_count[way])
+    return way, given._replace(joints=tree.joints[way])
