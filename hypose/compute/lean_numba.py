@@ -64,7 +64,8 @@ class Borrowed(AnalysisPass):
                 return counted(line.value.name)
             if not isinstance(line, Assign) or not isinstance(line.value, Expr) or not counted(line.target.name):
                 return False
-            # what is looked up in an array is a part of it, but for what an array of places picks out
+            # what is looked up in an array is a part of it, but for what an array of places picks out; a tuple of
+            # what is the caller's is as good as that
             operation = line.value
             return operation.op not in _LOOKED_UP or (operation.op == "getitem" and counted(operation.index.name))
 
@@ -76,7 +77,7 @@ class Borrowed(AnalysisPass):
         return False
 
 
-_LOOKED_UP = frozenset({"getattr", "getitem", "static_getitem", "cast"})
+_LOOKED_UP = frozenset({"getattr", "getitem", "static_getitem", "cast", "build_tuple", "exhaust_iter"})
 
 
 class _Passes(PassManager):
