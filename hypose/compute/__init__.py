@@ -308,7 +308,7 @@ def workspace(tree: TreeArrays, mesh: MeshArrays, height: int, width: int) -> Wo
         np.empty((5, 2 * MOST_FOUND), f4),
         np.empty((rows, 8)),
         np.empty(rows, i4),
-        np.empty((9, rows)),
+        np.empty((9, rows + 24)),  # else all of a row would fall on the same few places of the cache
         np.empty(j + 1, np.int64),
     )
 

@@ -288,7 +288,6 @@ def silhouette_xor(
     views, image_rows, _ = prepared.masks.shape
     frames, centres, axis, turn, maps, points, u, v, p, bounds, window, origin = scratch[:12]
     front, union, edge, columns, lists, ends, difference, counts, single = scratch[12:]
-    mask_bits, drawn_bits = prepared.bits.reshape(-1), drawn.reshape(-1)
     mask_stride = prepared.bits.shape[2]
     for block in range(first, last):
         begin = block * LANES
@@ -316,7 +315,7 @@ def silhouette_xor(
                         corner = (c * image_rows + origin[k, 1]) * mask_stride + (origin[k, 0] >> 3)
                         for s in range(0, origin[k, 2], STRIP):
                             place = corner + (s >> 3)
-                            count_strip(difference, s, stride, rows, mask_bits, drawn_bits, place, mask_stride, counts)
+                            count_strip(difference, s, stride, rows, prepared.bits, drawn, place, mask_stride, counts)
                             for x in range(s, s + STRIP):
                                 difference[rows * stride + x] = 0
                         again = counts[2] != 0

@@ -37,8 +37,7 @@ def draw_standing(pose, tree, mesh, faces, standing, prepared, boxes, bits, coun
     turned = np.empty((12, VIEWS), np.float32)
     front, union = np.empty(mesh.faces.shape[0], np.uint8), np.empty(n_edges, np.int32)
     start, end, lines = np.empty(n_edges, np.int32), np.empty(n_edges, np.int32), np.empty((4, n_edges), np.float32)
-    n_union, flat, line = 0, bits.reshape(-1), bits.shape[2]
-    mask = prepared.bits.reshape(-1)
+    n_union, line = 0, bits.shape[2]
     joint_frames(pose, tree, rotations, centres, twists)
     skin_about_root(rotations, centres, tree, mesh, vertices)
     for c in range(prepared.masks.shape[0]):
@@ -72,4 +71,4 @@ def draw_standing(pose, tree, mesh, faces, standing, prepared, boxes, bits, coun
             emit_lines(n, lines, x0, y0, width, height, difference)
         for s in range(0, aside + width, STRIP):
             place = (c * bits.shape[1] + y0) * line + ((x0 + s) >> 3)
-            fill_strip(begun, s, stride, height, mask, flat, place, line, counts[c])
+            fill_strip(begun, s, stride, height, prepared.bits, bits, place, line, counts[c])

@@ -200,9 +200,9 @@ def _interpolate(work, i2, weight):
 def _forward_rows(n, stride, rim, edge, ws, sdf, corner, size, i2, weight, n_found, count):
     """Adds to what is found, as contour_rows does, every stride-th of n points of the rim; returns their cost in
     forward weights, and how many have been found then. corner, size (2,): of sdf in the image; weight: / scale^2."""
-    left, top, across, down = corner[0], corner[1], size[0] - 1, size[1] - 1
+    left, top, across, down, row = corner[0], corner[1], size[0] - 1, size[1] - 1, u4(sdf.shape[1])
     work, spot, ends, found = ws.work, ws.spot, ws.ends, ws.found
-    cost, last = 0.0, ends.shape[1] - 1
+    cost, last, flat = 0.0, ends.shape[1] - 1, sdf[0]
     for first in range(0, n, LANES * stride):
         some = min(LANES, (n - first + stride - 1) // stride)
         for k in range(some):
@@ -212,24 +212,25 @@ def _forward_rows(n, stride, rim, edge, ws, sdf, corner, size, i2, weight, n_fou
             xi -= left
             yi -= top
             inside = (xi >= 0) & (xi < across) & (yi >= 0) & (yi < down)
-            xi, yi = xi if inside else 0, yi if inside else 0
-            i, j = u4(xi), u4(yi)
-            s00, s01, s10, s11 = sdf[j, i], sdf[j, i + u4(1)], sdf[j + u4(1), i], sdf[j + u4(1), i + u4(1)]
+            spot[k] = yi * row + xi if inside else _OPEN
+        for k in range(some):  # by itself: memory is waited for in many places at once
+            at = u4(max(spot[k], i4(0)))
+            s00, s01, s10, s11 = flat[at], flat[at + u4(1)], flat[at + row], flat[at + row + u4(1)]
             work[2 * LANES + k], work[3 * LANES + k], work[4 * LANES + k], work[5 * LANES + k] = s00, s01, s10, s11
             known = max(max(s00, s01), max(s10, s11)) < f4(NOT_KNOWN)
-            spot[k] = i4(known) if inside else i4(_OUT)
+            spot[k] = spot[k] if known | (spot[k] < 0) else i4(_OUT)
         _interpolate(work, i2, weight)
         for k in range(some):
-            if spot[k] == 0:
+            if spot[k] == _OUT:
                 continue
-            cost += work[4 * LANES + k] if spot[k] == 1 else f4(1)  # outside the distance counts as infinite
+            cost += work[4 * LANES + k] if spot[k] >= 0 else f4(1)  # outside the distance counts as infinite
             count[0] += 1
             m = first + k * stride
             e = u4(edge[m])
             ends[0, n_found], ends[1, n_found], found[0, n_found] = ws.start[e], ws.end[e], rim[0, m]
             for i in range(4):
                 found[i + 1, n_found] = work[i * LANES + k]
-            n_found += (spot[k] == 1) & (n_found < last)
+            n_found += (spot[k] >= 0) & (n_found < last)
     return cost, n_found
 
 
