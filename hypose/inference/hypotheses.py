@@ -11,7 +11,7 @@ Asteriadis et al. 2013.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any
 
@@ -87,9 +87,12 @@ class Hypotheses:
 
     def equal(self, values: FloatArray | None = None) -> Hypotheses:
         """The same hypotheses, or other values (*B, N, D) for them, with equal weights 1/N."""
-        if values is not None:
-            return replace(self, values=values, log_weights=_equal_log_weights(values))
-        return self._with(log_weights=_equal_log_weights(self.values))
+        return (self if values is None else self.at(values))._with(log_weights=_equal_log_weights(self.values))
+
+    def at(self, values: FloatArray) -> Hypotheses:
+        """The same hypotheses at other values (*B, N, D)."""
+        assert values.shape == self.values.shape and values.dtype == np.float64
+        return self._with(values=values)
 
     def _with(self, **changed: Any) -> Hypotheses:
         """`dataclasses.replace` where shapes and types are known to be right: it is called often in every frame."""

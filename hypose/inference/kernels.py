@@ -72,8 +72,12 @@ class HeavyTail:
 
     def stretch(self, steps: FloatArray, own: NDArray[np.intp], dimension: int) -> None:
         """`gain` of the coordinates own (d,) times steps (*B, N, d), in place."""
-        columns = np.flatnonzero(_mask(self.coordinates, dimension)[own])
-        steps[..., every(self.share, steps.shape[-2])[:, None], columns] *= self.factor
+        chosen = _mask(self.coordinates, dimension)[own]
+        count = steps.shape[-2]
+        if chosen.all():
+            steps *= _stretch(self.share, self.factor, count)
+        else:
+            steps[..., every(self.share, count)[:, None], np.flatnonzero(chosen)] *= self.factor
 
 
 @dataclass(frozen=True)
@@ -307,6 +311,14 @@ def semidefinite_cholesky(covariance: ArrayLike) -> FloatArray:
 def every(share: float, count: int) -> NDArray[np.intp]:
     """The numbers of a share of `count` rows, spread evenly; which of the first rows does not depend on count."""
     return np.flatnonzero(np.diff(np.floor(np.arange(count + 1) * share)) > 0)
+
+
+@lru_cache(64)
+def _stretch(share: float, factor: float, count: int) -> FloatArray:
+    """(N, 1) the factor in the rows of `every`, else 1."""
+    out = np.ones((count, 1))
+    out[every(share, count)] = factor
+    return out
 
 
 def _mask(coordinates: ArrayLike, dimension: int) -> NDArray[np.bool_]:

@@ -62,10 +62,11 @@ class Estimate(Protocol):
 
 @dataclass(frozen=True)
 class Layer:
-    """One turn of the cycle. needed(h, frame) False: the layer is left out of this frame; None: it never is."""
+    """One turn of the cycle. weigh None: it moves without weighing. needed(h, frame) False: the layer is left out of
+    this frame; None: it never is."""
 
     propose: Kernel
-    weigh: Weigh
+    weigh: Weigh | None
     select: Select
     name: str = ""
     needed: Callable[[Hypotheses, Any], bool] | None = None
@@ -197,9 +198,10 @@ def search(h: Hypotheses, recipe: Recipe, frame: Any, rng_of_layer: RngOfLayer) 
         if layer.needed is not None and not layer.needed(h, frame):
             continue
         rng = rng_of_layer(index)
-        proposed = layer.propose(h, frame, rng)
-        log_likelihood, beta = _measure(layer.weigh, proposed, frame)
-        weighted = proposed.reweighted(log_likelihood)
+        weighted, beta = layer.propose(h, frame, rng), np.full(h.log_weights.shape[:-1], np.nan)
+        if layer.weigh is not None:
+            log_likelihood, beta = _measure(layer.weigh, weighted, frame)
+            weighted = weighted.reweighted(log_likelihood)
         reports.append(LayerReport(layer.name, weighted, beta))
         h = layer.select(weighted, rng)
     return SearchResult(recipe.estimate(weighted), weighted, h, tuple(reports))

@@ -135,19 +135,24 @@ def same_cost(body: Body, pose: Array, other: Array, frame: PreparedFrame) -> No
 
 def mean_overlap(body: Body, pose: Array, frame: PreparedFrame) -> float:
     """Mean IoU over the views that tell; 0 when none does."""
-    overlap = silhouette_iou(body, pose, frame)
-    return float(np.nanmean(overlap)) if np.isfinite(overlap).any() else 0.0
+    return _mean_of_known(silhouette_iou(body, pose, frame), 0.0)
+
+
+def _mean_of_known(overlap: Array, otherwise: float) -> float:
+    """np.nanmean of a few numbers, many times sooner."""
+    total, count = 0.0, 0
+    for one in overlap.tolist():
+        if one == one:  # a number
+            total, count = total + one, count + 1
+    return total / count if count else otherwise
 
 
 def agreement(body: Body, pose: Array, frame: PreparedFrame) -> float:
     """How well a pose (D,) agrees with the masks: mean IoU over the views, less half of what it is off in depth where
     depth cameras see; NaN when no view tells. Who stands back to front has nearly the same outline, but other
     depths."""
-    overlap = silhouette_iou(body, pose, frame)
-    if not np.isfinite(overlap).any():
-        return float("nan")
-    mean = float(np.nanmean(overlap))
-    if frame.depth is None:
+    mean = _mean_of_known(silhouette_iou(body, pose, frame), float("nan"))
+    if frame.depth is None or np.isnan(mean):
         return mean
     return mean - 0.5 * float(depth_cost(body, pose[None], frame)[0]) / depth_views(frame)
 
@@ -177,8 +182,3 @@ def _count(
 ) -> NDArray[np.int64]:
     flat = np.ascontiguousarray(poses, dtype=np.float64)
     return compute.silhouette_xor(flat, body.skeleton.tree, body.coarse.arrays, masks, moving=moving, rest=rest)
-
-
-def no_evidence(h: Hypotheses, frame: PreparedFrame, /) -> Array:
-    """Log-likelihood 0 for every hypothesis: a layer that moves without weighing."""
-    return np.zeros(h.log_weights.shape)

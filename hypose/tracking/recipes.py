@@ -17,7 +17,6 @@ from hypose.fitting.articulated import SolveSettings
 from hypose.inference.layer import GoOn, Layer, Recipe, Recovery
 from hypose.inference.selectors import keep
 from hypose.tracking import published_recipes as published
-from hypose.tracking.costs import no_evidence
 from hypose.tracking.exchanged_sides import look_for_exchange
 from hypose.tracking.limb_search import LimbSearch
 from hypose.tracking.monocular.recipe import PICTURE_CUES, TRIGGS, monocular
@@ -78,11 +77,11 @@ def default(
     options = SolveSettings(iterations=iterations, coarse_iterations=iterations // 2)
     turns = _turns(frame_rate)
     rival_arms = _rivals(body, turns, rivals, options)
-    rows = [Layer(SolvePrediction(options, rival_arms), no_evidence, keep, "contours")]
+    rows = [Layer(SolvePrediction(options, rival_arms), None, keep, "contours")]
     for (name, joints), turn in zip(LIMB_LAYERS, turns, strict=True):
         search = LimbSearch(s, joints, sigma, *in_practice(s), anew=0.25 if name.endswith("arm") else 0.0)
-        rows.append(Layer(search, no_evidence, keep, name, turn))
-    rows.append(Layer(rival_arms, no_evidence, keep, "rivals"))
+        rows.append(Layer(search, None, keep, name, turn))
+    rows.append(Layer(rival_arms, None, keep, "rivals"))
     base = Recipe("default", rows, particles, rivals=rivals)
     return _solving(replace(base, learn=LearnColours(), likes=("colours",)) if colours else base)
 
@@ -106,7 +105,7 @@ def _turns(frame_rate: float) -> list[InTurn]:
 
 def refined(base: Recipe, name: str | None = None) -> Recipe:
     """A recipe with contour refinement after its last layer, whose result is the estimate and moves the set."""
-    layer = Layer(ContourRefinement(), no_evidence, keep, "refinement")
+    layer = Layer(ContourRefinement(), None, keep, "refinement")
     return _solving(replace(base, name=name or f"{base.name}+refine", layers=(*base.layers, layer)))
 
 
@@ -121,8 +120,8 @@ def dd_hpf_rivals(body: Body, particles: int = 500, frame_rate: float = 25.0, ri
     base = published.dd_hpf_plus(body, particles, frame_rate=frame_rate)
     layers = (
         *base.layers,
-        Layer(ContourRefinement(), no_evidence, keep, "refinement"),
-        Layer(_rivals(body, _turns(frame_rate), rivals, SolveSettings()), no_evidence, keep, "rivals"),
+        Layer(ContourRefinement(), None, keep, "refinement"),
+        Layer(_rivals(body, _turns(frame_rate), rivals, SolveSettings()), None, keep, "rivals"),
     )
     return _solving(replace(base, name="dd-hpf+rivals", layers=layers, rivals=rivals))
 

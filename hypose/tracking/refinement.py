@@ -178,7 +178,7 @@ def member(h: Hypotheses, role: str) -> Array:
 
 
 def _all_at(pose: Array, h: Hypotheses) -> Hypotheses:
-    return replace(h, values=np.repeat(pose[None], h.count, 0)).marked(SOLVED, [0])
+    return h.at(np.repeat(pose[None], h.count, 0)).marked(SOLVED, [0])
 
 
 def mismatch(poses: Array, frame: PreparedFrame, step_penalty: float = 0.002, expected: Array | None = None) -> Array:

@@ -340,7 +340,7 @@ class Tracker:
             state,
             pose=pose,
             previous=s.on_branch(state.previous, pose),
-            hypotheses=replace(state.hypotheses, values=values),
+            hypotheses=state.hypotheses.at(values),
         )
 
     def prepare_frame(self, frame: Frame, prediction: Array, state: TrackerState | None = None) -> PreparedFrame:

@@ -20,21 +20,6 @@ NEAR = 0.05
 
 
 @kernel
-def project(vertices, p, u, v, bounds):
-    """Pixels of vertices (V, 3) under p (3, 4), all f4, into u, v (V,); bounds gets x0, x1, y0, y1, nearest depth."""
-    x0, x1, y0, y1, z0 = f4(1e9), f4(-1e9), f4(1e9), f4(-1e9), f4(1e9)
-    for i in range(vertices.shape[0]):
-        x, y, z = vertices[i, 0], vertices[i, 1], vertices[i, 2]
-        depth = p[2, 0] * x + p[2, 1] * y + p[2, 2] * z + p[2, 3]
-        inverse = f4(1) / depth
-        a = (p[0, 0] * x + p[0, 1] * y + p[0, 2] * z + p[0, 3]) * inverse
-        b = (p[1, 0] * x + p[1, 1] * y + p[1, 2] * z + p[1, 3]) * inverse
-        u[i], v[i] = a, b
-        x0, x1, y0, y1, z0 = min(x0, a), max(x1, a), min(y0, b), max(y1, b), min(z0, depth)
-    bounds[0], bounds[1], bounds[2], bounds[3], bounds[4] = x0, x1, y0, y1, z0
-
-
-@kernel
 def front_faces(faces, u, v, front):
     """front (F,) u1 = 1 where a face turns its outside to the camera (clockwise in an image with y down)."""
     for f in range(faces.shape[0]):

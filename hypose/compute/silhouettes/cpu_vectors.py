@@ -14,6 +14,8 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
+from hypose.compute.vector_code import Arrays, Vector, constant, splat
+
 LANES = 16
 """Particles per block; one AVX-512 register of float32."""
 STRIP = 64
@@ -25,103 +27,6 @@ _FLOAT, _BYTE, _I16, _I32, _I64 = ir.FloatType(), ir.IntType(8), ir.IntType(16),
 _FLOATS = ir.VectorType(_FLOAT, LANES)
 _INTS = ir.VectorType(_I32, LANES)
 _BYTES = ir.VectorType(_BYTE, STRIP)
-
-
-class Vector:
-    """A vector in the code being written, with the operators that the formulas below need."""
-
-    def __init__(self, builder: Any, value: Any) -> None:
-        self.b, self.v = builder, value
-
-    def _float(self) -> bool:
-        return self.v.type.element == _FLOAT
-
-    def _do(self, name: str, other: Vector) -> Vector:
-        return Vector(self.b, getattr(self.b, ("f" if self._float() else "") + name)(self.v, other.v))
-
-    def __add__(self, other: Vector) -> Vector:
-        return self._do("add", other)
-
-    def __sub__(self, other: Vector) -> Vector:
-        return self._do("sub", other)
-
-    def __mul__(self, other: Vector) -> Vector:
-        return self._do("mul", other)
-
-    def __truediv__(self, other: Vector) -> Vector:
-        return Vector(self.b, self.b.fdiv(self.v, other.v))
-
-    def __lt__(self, other: Vector) -> Vector:
-        compare = self.b.fcmp_ordered if self._float() else self.b.icmp_signed
-        return Vector(self.b, compare("<", self.v, other.v))
-
-    def __gt__(self, other: Vector) -> Vector:
-        return other < self
-
-    def __and__(self, other: Vector) -> Vector:
-        return Vector(self.b, self.b.and_(self.v, other.v))
-
-    def __or__(self, other: Vector) -> Vector:
-        return Vector(self.b, self.b.or_(self.v, other.v))
-
-    def where(self, yes: Vector, no: Vector) -> Vector:
-        return Vector(self.b, self.b.select(self.v, yes.v, no.v))
-
-    def at_least(self, low: Vector) -> Vector:
-        return (self > low).where(self, low)  # not a number gives low
-
-    def at_most(self, high: Vector) -> Vector:
-        return (self < high).where(self, high)
-
-    def times_plus(self, factor: Vector, term: Vector) -> Vector:
-        return self._call("llvm.fmuladd", factor, term)
-
-    def ceil(self) -> Vector:
-        return self._call("llvm.ceil")
-
-    def _call(self, name: str, *others: Vector) -> Vector:
-        kind = self.v.type
-        signature = ir.FunctionType(kind, [kind] * (1 + len(others)))
-        f = cgutils.get_or_insert_function(self.b.module, signature, f"{name}.v{kind.count}f32")
-        return Vector(self.b, self.b.call(f, [self.v, *(o.v for o in others)]))
-
-    def bits(self, kind: Any) -> Any:
-        """A vector of truth values as one integer, first lane lowest."""
-        return self.b.bitcast(self.v, kind)
-
-
-def constant(builder: Any, kind: Any, values: list) -> Vector:
-    return Vector(builder, ir.Constant(kind, values))
-
-
-def splat(builder: Any, scalar: Any, kind: Any) -> Vector:
-    one = builder.insert_element(ir.Constant(kind, ir.Undefined), scalar, _I32(0))
-    zeros = ir.Constant(ir.VectorType(_I32, kind.count), [0] * kind.count)
-    return Vector(builder, builder.shuffle_vector(one, ir.Constant(kind, ir.Undefined), zeros))
-
-
-class Arrays:
-    """Element addresses of the arrays among an intrinsic's arguments."""
-
-    def __init__(self, context: Any, builder: Any, signature: Any, args: Any) -> None:
-        self.builder = builder
-        self.data = [
-            context.make_array(t)(context, builder, a).data if isinstance(t, types.Array) else a
-            for t, a in zip(signature.args, args, strict=True)
-        ]
-
-    def vector(self, argument: int, index: Any, kind: Any) -> Any:
-        """Address of a vector that starts at a flat index."""
-        return self.builder.bitcast(self.builder.gep(self.data[argument], [index]), kind.as_pointer())
-
-    def load(self, argument: int, index: Any, kind: Any, align: int = 4) -> Vector:
-        return Vector(self.builder, self.builder.load(self.vector(argument, index, kind), align=align))
-
-    def store(self, value: Vector, argument: int, index: Any, align: int = 4) -> None:
-        self.builder.store(value.v, self.vector(argument, index, value.v.type), align=align)
-
-    def scalar(self, argument: int, index: Any) -> Any:
-        return self.builder.load(self.builder.gep(self.data[argument], [index]))
 
 
 @intrinsic
@@ -299,9 +204,9 @@ def count_strip(typingctx: Any, difference, start, stride, rows, bits, drawn, ma
 
 @intrinsic
 def fill_strip(typingctx: Any, difference, start, stride, rows, mask, out, place, line, counts):
-    """Running sums down STRIP columns of difference (i1, flat, from index start), which are cleared: in out (u1, packed,
+    """Running sums down STRIP columns of difference (i1, flat, from index start), cleared with it. In out (u1, packed,
     low bit first, flat index `place`, `line` bytes a row) the pixels where the sum is positive are set and no others;
-    counts (2,) i8 are added to: those pixels, and those of them that were set in mask, packed alike."""
+    adds to counts (2,) i8 those pixels, and those of them that were set in mask, packed alike."""
 
     def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         at = Arrays(context, builder, signature, args)

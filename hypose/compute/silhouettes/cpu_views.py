@@ -17,7 +17,7 @@ from numba.extending import intrinsic
 from hypose.compute.compiled import kernel
 from hypose.compute.cpu_kinematics import camera_about_root
 from hypose.compute.silhouettes.cpu_silhouettes import cross_columns
-from hypose.compute.silhouettes.cpu_vectors import Arrays, Vector, constant, splat
+from hypose.compute.vector_code import Arrays, Vector, constant, splat
 
 VIEWS = 4
 """views that are looked at together: a register of every processor"""
@@ -78,8 +78,8 @@ def _front_views(typingctx: Any, uv, a, b, c):
 @kernel
 def project_views(vertices, projections, first, q, p, turned, uv, bounds):
     """Pixels uv (V, 2, VIEWS) of vertices (V, 3) f4, about the root of pose q, in the views from `first` on (the last
-    one repeated) of projections (C, 3, 4) f8, which become p (VIEWS, 3, 4) f4; bounds (5, VIEWS) as in
-    cpu_silhouettes.project; turned (12, VIEWS) f4: scratch."""
+    one repeated) of projections (C, 3, 4) f8, which become p (VIEWS, 3, 4) f4; bounds (5, VIEWS) gets x0, x1, y0, y1
+    and the nearest depth; turned (12, VIEWS) f4: scratch."""
     for k in range(VIEWS):
         camera_about_root(projections[min(first + k, projections.shape[0] - 1)], q, p[k])
         for r in range(3):

@@ -62,7 +62,7 @@ def prepare(mesh: MeshArrays, tree: TreeArrays, faces: NDArray[np.bool_] | None)
 
 
 def _with_vertices(plan: _Plan, mesh: MeshArrays) -> LaneMesh:
-    return plan.mesh._replace(vertices=np.ascontiguousarray(mesh.vertices[plan.used], dtype=np.float32))
+    return plan.mesh._replace(vertices=np.asarray(mesh.vertices.take(plan.used, axis=0), dtype=np.float32))
 
 
 def _plan(mesh: MeshArrays, tree: TreeArrays, faces: NDArray[np.bool_] | None, wanted: bytes | None) -> _Plan:

@@ -18,11 +18,12 @@ from numba.extending import intrinsic
 
 from hypose.compute.compiled import kernel
 from hypose.compute.silhouettes.cpu_silhouettes import NEAR
-from hypose.compute.silhouettes.cpu_vectors import LANES, STRIP, Arrays, Vector, constant, fill_strip, splat
+from hypose.compute.silhouettes.cpu_vectors import LANES, STRIP, fill_strip
 from hypose.compute.silhouettes.cpu_views import contours_of_view, emit_lines
 from hypose.compute.solver.cpu_losses import geman_mcclure
 from hypose.compute.solver.cpu_rows import BORDER
 from hypose.compute.solver.terms import NOT_KNOWN, RIM
+from hypose.compute.vector_code import Arrays, Vector, constant, splat
 
 f4, i4, u4 = np.float32, np.int32, np.uint32
 _BAND, _BANDS = 8, 64
@@ -134,7 +135,7 @@ def _spread(n, lengths, spacing, edge, along):
 @kernel
 def _place_rim(work, spot, w, h, x0, y0, width, height, line):
     """work (6 x LANES,) f4: px along an edge, its ends u, v, u, v, its length px; become the share of the edge, u, v.
-    spot (LANES,) i4: the bit of the own silhouette, of `line` bits a row, in the pixel just outside; else _OUT, _OPEN."""
+    spot (LANES,) i4: the bit of the own silhouette, `line` bits a row, in the pixel just outside; else _OUT, _OPEN."""
     right, bottom = f4(w - 1 - BORDER), f4(h - 1 - BORDER)
     left, top, wide, high, row = i4(x0), i4(y0), i4(width), i4(height), i4(line)
     for k in range(LANES):
@@ -236,8 +237,8 @@ def _forward_rows(n, stride, rim, edge, ws, sdf, corner, size, i2, weight, n_fou
 
 @kernel
 def _onto_edges(work, i2, weight):
-    """work (6 x LANES,) f4: points u, v and the ends of an edge u, v, u, v px; become what is found (as in contour_rows)
-    of the points on the edges, and their loss; i2: 1 / scale^2, weight: / scale^2."""
+    """work (6 x LANES,) f4: points u, v and the ends of an edge u, v, u, v px; become what contour_rows finds of the
+    points on the edges, and their loss; i2: 1 / scale^2, weight: / scale^2."""
     for k in range(LANES):
         x, y, xa, ya = work[k], work[LANES + k], work[2 * LANES + k], work[3 * LANES + k]
         dx, dy = work[4 * LANES + k] - xa, work[5 * LANES + k] - ya

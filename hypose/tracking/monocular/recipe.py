@@ -10,7 +10,6 @@ from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.layer import Layer, Recipe
 from hypose.inference.selectors import keep
-from hypose.tracking.costs import no_evidence
 from hypose.tracking.monocular.clip import solve_clip
 from hypose.tracking.monocular.models import body_dofs
 from hypose.tracking.monocular.picture_search import PictureSearch
@@ -40,8 +39,8 @@ def picture_recipe(search: PictureSearch) -> Recipe:
     Evidence is accumulated over frames, mirrored limbs are an option; see also pool.py and compute's cpu_mono_cues.py.
     """
     layers = (
-        Layer(search.predicted, no_evidence, keep, "edges"),
-        Layer(search.carried, no_evidence, keep, "flow"),
+        Layer(search.predicted, None, keep, "edges"),
+        Layer(search.carried, None, keep, "flow"),
         Layer(search.optimised, accumulated, keep, "optimise"),
         Layer(search.mirror, accumulated, keep, "mirror", search.mirror_now),
         Layer(search.sampled, accumulated, search.pruned, "sample"),
