@@ -218,8 +218,8 @@ def _forward_rows(n, stride, rim, edge, ws, sdf, corner, size, i2, weight, n_fou
             at = u4(max(spot[k], i4(0)))
             s00, s01, s10, s11 = flat[at], flat[at + u4(1)], flat[at + row], flat[at + row + u4(1)]
             work[2 * LANES + k], work[3 * LANES + k], work[4 * LANES + k], work[5 * LANES + k] = s00, s01, s10, s11
-            known = max(max(s00, s01), max(s10, s11)) < f4(NOT_KNOWN)
-            spot[k] = spot[k] if known | (spot[k] < 0) else i4(_OUT)
+            unknown = max(max(s00, s01), max(s10, s11)) >= f4(NOT_KNOWN)
+            spot[k] = i4(_OUT) if unknown & (spot[k] >= 0) else spot[k]
         _interpolate(work, i2, weight)
         for k in range(some):
             if spot[k] == _OUT:
