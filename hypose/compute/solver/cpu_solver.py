@@ -156,9 +156,9 @@ def form_found(found_of, mesh, ws):
 
 
 @kernel
-def cost_at(q, tree, mesh, contours, scale, keypoints, points, depth, priors, ws, found_of, limit, counts):
-    """Cost at pose q (D,), or some number above the limit when it is above; counts (C + 3, 2): forward and reverse rows
-    of each view, then the key points, the points, and those of depth.
+def cost_at(q, tree, mesh, contours, scale, keypoints, points, depth, priors, ws, found_of, counts):
+    """Cost at pose q (D,); counts (C + 3, 2): forward and reverse rows of each view, then the key points, the points,
+    and those of depth.
 
     found_of: what waits in the workspace for `normal_equations`: cameras (C + VIEWS, 3, 4) f4 about the root, first
     (C + 1,) point found of each view, and state (3,): rows, views looked at, views whose rows are made."""
@@ -192,8 +192,6 @@ def cost_at(q, tree, mesh, contours, scale, keypoints, points, depth, priors, ws
             cost += view_cost
         first[c + 1] = n_found
         state[_VIEWS] = c + 1
-        if cost > limit:
-            return cost
     cost += keypoint_rows(
         q, keypoints, ws.rotations, ws.centres, ws.wrench_hessian, ws.wrench_gradient, counts[n_views]
     )
@@ -249,9 +247,7 @@ def solve(q, tree, mesh, contours, keypoints, points, depth, priors, settings, w
         if coarse > 0 and done > 0 and (ends or done >= coarse):
             coarse, scale, evaluated = 0, contours.scale, False
         if not evaluated:
-            cost = cost_at(
-                *(q, tree, mesh, contours, scale, keypoints, points, depth, priors, ws, found_of, math.inf, counts)
-            )
+            cost = cost_at(q, tree, mesh, contours, scale, keypoints, points, depth, priors, ws, found_of, counts)
             normal_equations(q, found_of, tree, mesh, priors, ws, hessian, gradient)
             evaluations += 1
             evaluated = True
@@ -274,12 +270,11 @@ def solve(q, tree, mesh, contours, keypoints, points, depth, priors, settings, w
             for d in range(n):
                 trial[d] = min(max(q[d] + shorten * step[d], priors.lower[d]), priors.upper[d])
                 moved = max(moved, abs(shorten * step[d]) * (1.0 if d > 2 else 2.0))
-            limit = cost * ACCEPT
             new_cost = cost_at(
-                *(trial, tree, mesh, contours, scale, keypoints, points, depth, priors, ws, found_of, limit, new_counts)
+                trial, tree, mesh, contours, scale, keypoints, points, depth, priors, ws, found_of, new_counts
             )
             evaluations += 1
-            if math.isfinite(new_cost) and new_cost < limit:
+            if math.isfinite(new_cost) and new_cost < cost * ACCEPT:
                 accepted = True
                 cost = new_cost
                 normal_equations(trial, found_of, tree, mesh, priors, ws, hessian, gradient)
