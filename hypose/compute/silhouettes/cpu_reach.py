@@ -11,8 +11,8 @@ _BLOCK = 128
 
 
 @kernel
-def pixels(m, x, y, z, n, width, height, place):
-    """place (n,) i4: 65536 row + column of the pixels in which points x, y, z (n,) lie under a projection m (3, 4); -1
+def pixels(m, x, y, z, n, width, height, line, place):
+    """place (n,) i4: line x row + column of the pixels in which points x, y, z (n,) lie under a projection m (3, 4); -1
     outside the image, and nearer than 0.05 m."""
     m00, m01, m02, m03 = m[0, 0], m[0, 1], m[0, 2], m[0, 3]
     m10, m11, m12, m13 = m[1, 0], m[1, 1], m[1, 2], m[1, 3]
@@ -28,7 +28,7 @@ def pixels(m, x, y, z, n, width, height, place):
         u = u if v < h else -1.0
         v = v if u >= 0 else 0.0
         u = u if u >= 0 else -1.0
-        place[i] = np.int32(v) * np.int32(65536) + np.int32(u)
+        place[i] = np.int32(v) * np.int32(line) + np.int32(u)
 
 
 @kernel
@@ -55,7 +55,7 @@ def score_points(points, weights, rotation, centre, prepared, bits, cutoff, out)
         worth += weights[p] * seen
     x, y, z = np.empty(_BLOCK), np.empty(_BLOCK), np.empty(_BLOCK)
     place, total, alive = np.empty(_BLOCK, np.int32), np.empty(_BLOCK), np.empty(_BLOCK, np.int64)
-    worth_of, hidden = np.zeros(3), prepared.hidden.size > 0
+    worth_of, hidden, line = np.zeros(3), prepared.hidden.size > 0, 8 * bits.shape[2]
     for first in range(0, points.shape[0], _BLOCK):
         n_alive = min(_BLOCK, points.shape[0] - first)
         for n in range(n_alive):
@@ -74,15 +74,15 @@ def score_points(points, weights, rotation, centre, prepared, bits, cutoff, out)
                 x[i], y[i], z[i] = point[0], point[1], point[2]
             for c in range(views):
                 if prepared.usable[c]:
-                    pixels(m[c], x, y, z, n_alive, prepared.sizes[c, 0], prepared.sizes[c, 1], place)
-                    mask, drawn = prepared.bits[c], bits[c]
+                    pixels(m[c], x, y, z, n_alive, prepared.sizes[c, 0], prepared.sizes[c, 1], line, place)
+                    mask, drawn = prepared.bits[c, 0], bits[c, 0]  # and on, as if the view were one row
                     for i in range(n_alive):  # without branches, which nobody could foretell
-                        at = max(place[i], np.int32(0))
-                        row, byte, bit = at >> 16, (at & 0xFFFF) >> 3, np.uint8(at & 7)
-                        told = mask[row, byte]
+                        at = place[i]
+                        byte, bit = np.uint32(max(at, np.int32(0))) >> np.uint32(3), np.uint8(at & 7)
+                        told = mask[byte]
                         if hidden:
-                            told |= prepared.hidden[c, row, byte]
-                        kind = ((told >> bit) & 1) + (((told & drawn[row, byte]) >> bit) & 1)
-                        total[alive[i]] += worth_of[kind if place[i] >= 0 else 2]
+                            told |= prepared.hidden[c, 0, byte]
+                        kind = ((told >> bit) & 1) + (((told & drawn[byte]) >> bit) & 1)
+                        total[alive[i]] += worth_of[np.uint8(kind) if at >= 0 else np.uint8(2)]
         for n in range(n_block):
             out[first + n] = total[n]
