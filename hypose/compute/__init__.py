@@ -364,7 +364,7 @@ def solve(
     ws: Workspace,
 ) -> Solution:
     """Bounded damped Gauss-Newton from pose start (D,); the numba kernel, on either back end. Releases the GIL."""
-    q = np.clip(np.asarray(start, dtype=np.float64), priors.lower, priors.upper)
+    q = np.minimum(np.maximum(np.asarray(start, dtype=np.float64), priors.lower), priors.upper)  # sooner than np.clip
     evaluation, info = _solve(q, (tree, mesh, contours, keypoints, points, depth, priors), settings, ws)
     if info[2] == 0:
         raise SolverError(

@@ -15,7 +15,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -207,7 +207,10 @@ def contour_term(
     made = outlines(silhouettes, outline_count, working_height)
     sizes = (silhouettes.rig.sizes // made.shrunk[:, None]).astype(np.int64)
     projections = np.stack(
-        [shrunk_projection(p, f) for p, f in zip(silhouettes.rig.projections, made.shrunk, strict=True)]
+        [
+            _shrunk_projection(p.tobytes(), f)
+            for p, f in zip(silhouettes.rig.projections, made.shrunk.tolist(), strict=True)
+        ]
     )
     usable = np.array(silhouettes.usable, dtype=np.bool_) & (made.extent > SMALLEST) & (made.found >= 20)
     if not usable.any():
@@ -234,6 +237,11 @@ def contour_term(
         made.corners,
         made.sizes,
     )
+
+
+@lru_cache(64)
+def _shrunk_projection(projection: bytes, factor: float) -> Array:
+    return shrunk_projection(np.frombuffer(projection).reshape(3, 4), factor)
 
 
 def _median(values: NDArray[np.int64]) -> float:
@@ -492,7 +500,7 @@ def prior_arrays(priors: Sequence[Quadratic], dof: int) -> tuple[Array, Array]:
     for i, p in enumerate(priors):
         if np.shape(p.centre) != (dof,) or np.shape(p.weight) != (dof,):
             raise InputError(f"A Quadratic prior needs centre and weight of shape {(dof,)}, got {np.shape(p.centre)}.")
-        if not (np.asarray(p.weight) >= 0).all():
-            raise InputError("The weights of a Quadratic prior must not be negative or NaN.")
         centre[i], weight[i] = p.centre, p.weight
+    if not (weight >= 0).all():
+        raise InputError("The weights of a Quadratic prior must not be negative or NaN.")
     return centre, weight

@@ -174,7 +174,7 @@ class InTurn:
 
 def member(h: Hypotheses, role: str) -> Array:
     """(D,) the value of the hypothesis in a role that one of h has."""
-    return h.values[np.flatnonzero(h.has(role))[0]]
+    return h.values[h.has(role).argmax()]
 
 
 def _all_at(pose: Array, h: Hypotheses) -> Hypotheses:

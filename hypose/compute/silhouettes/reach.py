@@ -47,7 +47,7 @@ def standing(
 def whole_images(prepared: PreparedMasks) -> NDArray[np.int64]:
     """(C, 4) the boxes x0, x1, y0, y1 of whole views."""
     boxes = np.zeros((len(prepared.sizes), 4), dtype=np.int64)
-    boxes[:, 1], boxes[:, 3] = prepared.sizes[:, 0], prepared.sizes[:, 1]
+    boxes[:, 1::2] = prepared.sizes
     return boxes
 
 
