@@ -15,7 +15,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -207,10 +207,7 @@ def contour_term(
     made = outlines(silhouettes, outline_count, working_height)
     sizes = (silhouettes.rig.sizes // made.shrunk[:, None]).astype(np.int64)
     projections = np.stack(
-        [
-            _shrunk_projection(p.tobytes(), f)
-            for p, f in zip(silhouettes.rig.projections, made.shrunk.tolist(), strict=True)
-        ]
+        [shrunk_projection(p, f) for p, f in zip(silhouettes.rig.projections, made.shrunk, strict=True)]
     )
     usable = np.array(silhouettes.usable, dtype=np.bool_) & (made.extent > SMALLEST) & (made.found >= 20)
     if not usable.any():
@@ -237,11 +234,6 @@ def contour_term(
         made.corners,
         made.sizes,
     )
-
-
-@lru_cache(64)
-def _shrunk_projection(projection: bytes, factor: float) -> Array:
-    return shrunk_projection(np.frombuffer(projection).reshape(3, 4), factor)
 
 
 def _median(values: NDArray[np.int64]) -> float:

@@ -232,6 +232,19 @@ def test_heading_beyond_half_a_turn_is_kept_on_the_branch_of_the_start(rng):
     np.testing.assert_allclose(fit.pose[3:6], pose[3:6], atol=1e-2)
 
 
+@pytest.mark.parametrize("views", [3, 6])
+def test_views_cost_what_each_of_them_costs_alone(views, rng):
+    pose = random_pose(BODY, rng)
+    term = fitting.contour_term(silhouettes_of(pose, ring(views, f=420.0, size=(400, 460))))
+    start = start_near(pose, rng)
+    whole = evaluate(start, contours=term)
+    alone = [evaluate(start, contours=replace(term, usable=np.arange(views) == c)) for c in range(views)]
+    assert whole.cost == pytest.approx(sum(one.cost for one in alone), rel=1e-12)
+    np.testing.assert_allclose(whole.gradient, sum(one.gradient for one in alone), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(whole.hessian, sum(one.hessian for one in alone), rtol=1e-9, atol=1e-9)
+    np.testing.assert_array_equal(whole.counts[:views], [one.counts[c] for c, one in enumerate(alone)])
+
+
 def test_a_lost_view_is_left_out(scene, rig):
     pose, term = scene
     masks = silhouettes_of(pose, rig)
