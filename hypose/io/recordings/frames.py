@@ -432,14 +432,15 @@ class FrameStream:
         wanted = sorted({*missing, *range(index, max([ahead, *missing]) + 1)})
         for other in [i for i in self._ahead if not index <= i <= index + _SAMPLES * _SAMPLE_STEP]:
             self._ahead.pop(other).cancel()
+        outlined = self._given is not None and self._given.asked
         for i in wanted:
             if i not in self._ahead:
-                self._ahead[i] = PendingMasks([lane.submit(self._packed, c, i) for c, lane in enumerate(self._lanes)])
+                self._ahead[i] = PendingMasks(self._lanes, self._packed, i, outlined)
         for i in missing:
             self._areas[i] = self._ahead[i].areas()
             if i < index:
                 del self._ahead[i]
-        if self._given is not None and self._given.asked:
+        if outlined:
             for i in range(index, ahead + 1):
                 self._ahead[i].begin_outlines(self._lanes)
         for old in [s for s in self._areas if s < samples[0] - 500 or s > samples[-1] + 500]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from collections.abc import Callable, Sequence
+from concurrent.futures import CancelledError, Executor, Future
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,52 +55,65 @@ class KeptMasks:
 
 
 class PendingMasks:
-    """The masks and outlines of one frame, in the making: a task per view in that view's lane."""
+    """The masks and outlines of one frame, in the making: a task per view in that view's lane, or two, where it is not
+    known from the beginning that there shall be outlines."""
 
-    def __init__(self, masks: list[Future[PackedMask]]) -> None:
-        self._masks = masks
+    def __init__(
+        self, lanes: Sequence[Executor], make: Callable[[int, int], PackedMask], index: int, outlined: bool
+    ) -> None:
+        def task(view: int) -> tuple[PackedMask, ViewOutline | None]:
+            mask = make(view, index)
+            return mask, mask.outline() if outlined else None
+
+        self._done = [lane.submit(task, c) for c, lane in enumerate(lanes)]
+        self._outlined = outlined
         self._outlines: list[Future[ViewOutline | None]] | None = None
         self.asked = False  # for the outlines, which a picture of the masks does without
 
+    def _masks(self) -> list[PackedMask]:
+        return [f.result()[0] for f in self._done]
+
     def masks(self) -> tuple[list[MaskRuns | None], list[str]]:
         """Of all views, and why there is none; waits for them."""
-        done = [f.result() for f in self._masks]
+        done = self._masks()
         return [d.runs for d in done], [d.reason for d in done]
 
     def areas(self) -> NDArray[np.int64]:
         """(C,) px; waits for them."""
-        return np.array([f.result().area for f in self._masks])
+        return np.array([d.area for d in self._masks()])
 
     def colours(self, shape: tuple[int, ...]) -> Colours | None:
         """Of masks (C, h, w) = shape; None when no view has any."""
         codes, seen = np.zeros(shape, np.uint16), np.zeros(shape[0], np.bool_)
         edges = np.zeros((shape[0], 2, *shape[1:]), np.uint8)
-        for c, future in enumerate(self._masks):
-            found = future.result()
+        for c, found in enumerate(self._masks()):
             if found.colours is not None and found.runs is not None:
                 y0, y1, x0, x1 = found.runs.box
                 codes[c, y0:y1, x0:x1], edges[c, :, y0:y1, x0:x1] = found.colours
                 seen[c] = True
         return Colours(codes, seen, edges) if seen.any() else None
 
-    def begin_outlines(self, lanes: Sequence[ThreadPoolExecutor]) -> None:
+    def begin_outlines(self, lanes: Sequence[Executor]) -> None:
         """In the lane of each view, behind its mask, which is therefore done by then."""
-        if self._outlines is None:
-            self._outlines = [lane.submit(_outline, f) for lane, f in zip(lanes, self._masks, strict=True)]
+        if not self._outlined:
+            self._outlined = True
+            self._outlines = [lane.submit(_outline, f) for lane, f in zip(lanes, self._done, strict=True)]
 
     def outlines(self) -> list[ViewOutline | None] | None:
         """Those that were begun; None when they are not made, or no more."""
         self.asked = True
         try:
-            return None if self._outlines is None else [f.result() for f in self._outlines]
+            if self._outlines is not None:
+                return [f.result() for f in self._outlines]
+            return [f.result()[1] for f in self._done] if self._outlined else None
         except CancelledError:  # the stream was closed
             return None
 
     def cancel(self) -> None:
         """Nobody wants them any more."""
-        for future in [*self._masks, *(self._outlines or [])]:
+        for future in [*self._done, *(self._outlines or [])]:
             future.cancel()
 
 
-def _outline(mask: Future[PackedMask]) -> ViewOutline | None:
-    return mask.result().outline()
+def _outline(done: Future[tuple[PackedMask, ViewOutline | None]]) -> ViewOutline | None:
+    return done.result()[0].outline()
