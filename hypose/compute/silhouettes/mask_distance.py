@@ -26,7 +26,7 @@ def signed_distance(masks: ArrayLike, sizes: ArrayLike, margin: int | None = Non
         out[c, :, w:] = 0
         view = m[c, :h, :w]
         x, y, bw, bh = cv2.boundingRect(view)
-        if bw == 0 or cv2.countNonZero(view) == w * h:
+        if bw == 0 or (bw * bh == w * h and cv2.countNonZero(view) == w * h):
             diagonal = float(np.hypot(w, h))
             out[c, :h, :w] = diagonal if bw == 0 else -diagonal
             continue
