@@ -19,6 +19,7 @@ from benchmarks.multiview.action_scenes import action_scene, known_subject
 from benchmarks.multiview.clip_speed import keypoint_clip_rows
 from benchmarks.multiview.real_recordings import balancing_recording
 from hypose.cameras.camera import CameraRig
+from hypose.compute import default_threads
 from hypose.evidence.ahead import look_ahead
 from hypose.evidence.background import BackgroundModel
 from hypose.evidence.frame import Frame
@@ -162,10 +163,11 @@ def _videos_in(case: str, recording: Recording, subject: Subject, repeats: int) 
 
 
 def _decode(recording: Recording) -> int:
-    """Every view in its own thread, as in the stream of frames."""
+    """Every view in its own thread, as in the stream of frames, and as sparingly."""
+    threads = max(1, default_threads() // len(recording.views))
 
     def read(path: Path) -> None:
-        with open_video(path) as reader:
+        with open_video(path, threads, in_place=True) as reader:
             for i in recording.frames:
                 reader.read(i)
 

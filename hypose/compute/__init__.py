@@ -61,9 +61,9 @@ from hypose.compute.monocular.mono_terms import (
     SphereArrays,
 )
 from hypose.compute.native import native, plain, tidy
-from hypose.compute.pictures import picture_to_mask
+from hypose.compute.pictures import mask_runs, picture_to_mask
 from hypose.compute.pictures.parts import draw_parts, mask_of_bits, parts_against_mask, projected
-from hypose.compute.pictures.picture_to_mask import Box, Lens, make_lens, order_statistic, shrink_undistort
+from hypose.compute.pictures.picture_to_mask import Box, Lens, make_lens, new_picture, order_statistic, shrink_undistort
 from hypose.compute.pictures.pieces import touched_area
 from hypose.compute.pictures.shown_parts import colour_sums, rim_edges, shown_parts
 from hypose.compute.pictures.visibility import nearest_visible
@@ -194,12 +194,14 @@ __all__ = [
     "lorentzian_weight",
     "make_lens",
     "mask_of_bits",
+    "mask_runs",
     "middle",
     "extents_of_pieces",
     "holes_filled",
     "middle_of_piece",
     "mono",
     "nearest_visible",
+    "new_picture",
     "no_depth",
     "order_statistic",
     "outline_points",

@@ -23,7 +23,7 @@ import numpy as np
 from hypose.compute.arrays import BALL, FIXED, MeshArrays, TreeArrays
 from hypose.compute.compiled import can_keep, not_kept, ready
 from hypose.compute.monocular import mono
-from hypose.compute.pictures import picture_to_mask
+from hypose.compute.pictures import mask_runs, picture_to_mask
 from hypose.compute.pictures.parts import draw_parts, parts_against_mask, projected
 from hypose.compute.pictures.pieces import touched_area
 from hypose.compute.selection import default_threads, use
@@ -94,6 +94,7 @@ def _points(compute: Any) -> None:
 
 def _pictures(compute: Any) -> None:
     picture_to_mask.warm_up()
+    mask_runs.warm_up()
 
 
 def _glance(compute: Any) -> None:
@@ -108,6 +109,7 @@ def _outlines(compute: Any) -> None:
 
 def _masks(compute: Any) -> None:
     picture_to_mask.warm_up_masks()
+    mask_runs.warm_up()
 
 
 def _parts(compute: Any) -> None:
@@ -163,9 +165,9 @@ outlines with; pictures: masks from pictures; monocular: one camera."""
 _COST = {
     "solver": (30,),
     "scorer": (24, 3),
-    "outlines": (3, 3, 2),
+    "outlines": (3, 5, 2),
     "shape": (4,),
-    "pictures": (7, 1),
+    "pictures": (6, 1),
     "monocular": (30,),
 }
 """Compiling their pieces, in any unit."""

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose import compute
-from hypose.evidence.silhouettes import Mask, bounding_box
+from hypose.evidence.silhouettes import Mask, MaskRuns, bounding_box
 from hypose.geometry import Array
 
 OUTLINE_POINTS = 130
@@ -74,13 +75,36 @@ def outline_in_box(
     one that is taller than working_height px is shrunk by the largest multiple of 1/2 that leaves it at least as tall,
     and distances are made around the person only (a sixth of its size, at least 32 px): further out rows weigh
     nothing."""
+
+    def put(mask: Mask, corner: tuple[int, int]) -> None:
+        y, x = box[0] - corner[0], box[2] - corner[1]
+        part_in = part[: mask.shape[0] - y, : mask.shape[1] - x]
+        mask[y : y + part_in.shape[0], x : x + part_in.shape[1]] = part_in
+
+    return _outline_around(put, box, shape, count, working_height)
+
+
+def outline_of_runs(runs: MaskRuns, count: int, working_height: int) -> ViewOutline:
+    """The same of a packed mask."""
+    draw = partial(compute.mask_runs.draw, runs)
+    return _outline_around(draw, runs.box, runs.shape, count, working_height)
+
+
+def _outline_around(
+    put: Callable[[Mask, tuple[int, int]], object],
+    box: tuple[int, int, int, int],
+    shape: tuple[int, ...],
+    count: int,
+    working_height: int,
+) -> ViewOutline:
+    """put: sets the person in an empty part of the mask, which begins at a corner (y, x)."""
     extent = max(box[1] - box[0], box[3] - box[2])
     halves = _halves(extent, working_height)
     y0, y1, x0, x1 = _around(box, shape, halves)
     if extent <= SMALLEST or box[0] >= y1 or box[2] >= x1:  # a sliver in rows or columns that are left over
         return _no_outline((2, 2), count, extent, working_height)
     mask = np.zeros((y1 - y0, x1 - x0), np.uint8)
-    mask[box[0] - y0 : box[1] - y0, box[2] - x0 : box[3] - x0] = part[: y1 - box[0], : x1 - box[2]]
+    put(mask, (y0, x0))
     small = _shrink(mask, halves) if halves > 2 else mask
     size = (small.shape[1], small.shape[0])
     distance = compute.signed_distance(small[None], np.array([size]), max(size))[0]
@@ -178,13 +202,14 @@ def stack_outlines(views: Sequence[ViewOutline | None], count: int = OUTLINE_POI
     shapes = [v.distance.shape for v in views if v is not None]
     rows, columns = (max([shape[a] for shape in shapes], default=2) for a in (0, 1))
     n = len(views)
-    distance = np.zeros((n, rows, columns), dtype=np.float32)
+    distance = np.empty((n, rows, columns), dtype=np.float32)
     points = np.zeros((n, count, 2), dtype=np.float32)
     found, extent, shrunk = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64), np.ones(n)
     sizes, corners = np.zeros((n, 2), dtype=np.int64), np.zeros((n, 2), dtype=np.int64)
     for c, view in enumerate(views):
+        h, w = (0, 0) if view is None else view.distance.shape
+        distance[c, h:], distance[c, :h, w:] = 0, 0
         if view is not None:
-            h, w = view.distance.shape
             distance[c, :h, :w], points[c], found[c], extent[c] = view.distance, view.points, view.found, view.extent
             shrunk[c], sizes[c], corners[c] = view.shrunk, (w, h), view.corner
     return Outlines(distance, points, found, extent, shrunk, sizes, corners)

@@ -16,12 +16,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.cameras.camera import CameraRig
-from hypose.compute import Glance, glance_at, picture_to_mask
+from hypose.compute import Glance, glance_at, mask_runs, picture_to_mask
 from hypose.errors import InputError
 from hypose.evidence.background import BackgroundModel, Image
 from hypose.evidence.frame import Silhouettes
 
 Mask = NDArray[np.uint8]
+MaskRuns = mask_runs.MaskRuns
 _RANGES = {
     "threshold": (1e-3, 1e3),
     "min_sd": (1e-3, 255.0),
@@ -44,9 +45,12 @@ class Segmenter(Protocol):
     glance: Glance | None
     """how to tell from a stored picture where there is anything at all; None: the whole image is needed"""
 
-    def __call__(self, image: Image, band: Mask | None = None, box: picture_to_mask.Box | None = None, /) -> Mask:
-        """image (h, w, 3) -> mask (h, w). band (h, w): where the person can be; box: what of the image is given, and
-        where the person is, if no band is given."""
+    def __call__(self, image: Image, band: Mask | None = None, /) -> Mask:
+        """image (h, w, 3) -> mask (h, w). band (h, w): where the person can be."""
+        ...
+
+    def runs(self, image: Image, band: Mask | None = None, box: picture_to_mask.Box | None = None, /) -> MaskRuns:
+        """The same, packed. box: what of the image is given, and where the person is, if no band is given."""
         ...
 
 
@@ -81,6 +85,11 @@ class SilhouetteSettings:
     rim_px: int = 3
 
     @property
+    def cleaning(self) -> mask_runs.Cleaning:
+        """How masks are cleaned."""
+        return mask_runs.Cleaning(self.open_px, self.close_px, self.hole_px, self.keep_share, self.keep_gap)
+
+    @property
     def of_everybody(self) -> SilhouetteSettings:
         """The same for several people, who may be anywhere in the picture."""
         return replace(self, keep_gap=_RANGES["keep_gap"][1])
@@ -112,35 +121,38 @@ def make_segmenter(background: BackgroundModel, options: SilhouetteSettings | No
 class _Segmenter:
     def __init__(self, background: BackgroundModel, options: SilhouetteSettings) -> None:
         self._options, self._shape = options, background.valid.shape
-        self._unseen = (~background.valid).astype(np.uint8) if not background.valid.all() else None
+        self._unseen = None if background.valid.all() else mask_runs.bits_of((~background.valid).view(np.uint8))
         self.glance: Glance | None = None
         if options.method == "gaussian":
             room = _room(background, options)
-            self._differ = _outside_of(room)
+            self._differ: _Differ = lambda image, box: picture_to_mask.not_the_room(image, room, box)
             self.glance = None if options.grabcut else glance_at(room)
         else:
             self._differ = _mog2(background, options)
 
-    def __call__(self, image: Image, band: Mask | None = None, box: picture_to_mask.Box | None = None, /) -> Mask:
+    def __call__(self, image: Image, band: Mask | None = None, /) -> Mask:
+        return mask_runs.draw(self.runs(image, band))
+
+    def runs(self, image: Image, band: Mask | None = None, box: picture_to_mask.Box | None = None, /) -> MaskRuns:
         h, w = self._shape
         if image.shape != (h, w, 3):
             raise InputError(f"An image of {image.shape[1::-1]} px does not fit a background of {(w, h)} px.")
         box = bounding_box(band) if band is not None else box or (0, h, 0, w)
-        mask = np.zeros((h, w), np.uint8)
         if box is None or box[0] == box[1]:
-            return mask
-        y0, y1, x0, x1 = box
-        raw = self._differ(image, box)
-        if self._unseen is not None:
-            # the room is unknown there: the person if anything says so, else nothing
-            hidden = self._unseen[y0:y1, x0:x1]
-            raw = np.where(hidden > 0, 0 if band is None else band[y0:y1, x0:x1], raw).astype(np.uint8)
-        if band is not None:
-            raw &= (band[y0:y1, x0:x1] > 0).astype(np.uint8)
-        mask[y0:y1, x0:x1] = raw
+            return mask_runs.clean(mask_runs.no_bits(h, w), (h, w), mask_runs.Cleaning())
+        bits = self._differ(image, box)
+        allowed = None if band is None else mask_runs.bits_of(band)
+        if self._unseen is not None:  # the room is unknown there: the person if anything says so, else nothing
+            bits &= ~self._unseen
+            if allowed is not None:
+                bits |= self._unseen & allowed
+        if allowed is not None:
+            bits &= allowed
         o = self._options
-        mask = clean(mask, o)
-        return refine_rim(image, mask, o.rim_px, band) if o.grabcut else mask
+        runs = mask_runs.clean(bits, (h, w), o.cleaning)
+        if not o.grabcut:
+            return runs
+        return mask_runs.runs_of(refine_rim(image, mask_runs.draw(runs), o.rim_px, band))
 
 
 def _room(background: BackgroundModel, options: SilhouetteSettings) -> picture_to_mask.Room:
@@ -158,23 +170,14 @@ def _room(background: BackgroundModel, options: SilhouetteSettings) -> picture_t
         np.clip(np.ceil(mean - reach), 0, 255).astype(np.uint8),
         np.clip(np.floor(mean + reach), 0, 255).astype(np.uint8),
         mean,
-        np.maximum(mean[..., 0] ** 2 + mean[..., 1] ** 2 + mean[..., 2] ** 2, np.float32(1)),
         options.shadow,
         *options.shadow_range,
         options.shadow_chroma**2,
     )
 
 
-_Differ = Callable[[Image, picture_to_mask.Box], Mask]
-
-
-def _outside_of(room: picture_to_mask.Room) -> _Differ:
-    def differ(image: Image, box: picture_to_mask.Box) -> Mask:
-        y0, y1, x0, x1 = box
-        found = picture_to_mask.differences(image, room, box)[y0:y1, x0:x1]
-        return picture_to_mask.without_shadows(found) if room.shadow else found
-
-    return differ
+_Differ = Callable[[Image, picture_to_mask.Box], mask_runs.Bits]
+"""Bits of what is not the room in a box of the image."""
 
 
 def _mog2(background: BackgroundModel, options: SilhouetteSettings) -> _Differ:
@@ -194,9 +197,10 @@ def _mog2(background: BackgroundModel, options: SilhouetteSettings) -> _Differ:
         picture = background.mean + np.float32(level) * background.sd
         model.apply(np.clip(np.rint(picture), 0, 255).astype(np.uint8))
 
-    def differ(image: Image, box: picture_to_mask.Box) -> Mask:
-        y0, y1, x0, x1 = box
-        return (model.apply(image, None, 0)[y0:y1, x0:x1] == 255).astype(np.uint8)
+    def differ(image: Image, box: picture_to_mask.Box) -> mask_runs.Bits:
+        part, found = np.s_[box[0] : box[1], box[2] : box[3]], np.zeros(image.shape[:2], np.uint8)
+        found[part] = model.apply(image, None, 0)[part] == 255
+        return mask_runs.bits_of(found)
 
     return differ
 
@@ -218,26 +222,17 @@ def _disc(size: int) -> Mask:
 
 def clean(mask: Mask, options: SilhouetteSettings | None = None) -> Mask:
     """Opening, closing, small holes filled, small parts dropped."""
-    o = options or SilhouetteSettings()
-    box = bounding_box(mask, o.close_px + 1)
-    if box is None:
-        return mask
-    y0, y1, x0, x1 = box
-    part = np.ascontiguousarray(mask[y0:y1, x0:x1])
-    if o.open_px > 1:
-        part = cv2.morphologyEx(part, cv2.MORPH_OPEN, np.ones((o.open_px, o.open_px), np.uint8))
-    if o.close_px > 1:
-        part = cv2.morphologyEx(part, cv2.MORPH_CLOSE, _disc(o.close_px))
-    out = np.zeros_like(mask)
-    part = np.asarray(part, dtype=np.uint8)
-    out[y0:y1, x0:x1] = picture_to_mask.clean_regions(part, o.hole_px, o.keep_share, o.keep_gap)
-    return out
+    return _cleaned(mask, (options or SilhouetteSettings()).cleaning)
 
 
 def biggest_parts(mask: Mask, keep_share: float, keep_gap: float = np.inf) -> Mask:
     """The biggest connected part of mask (h, w), and those of at least keep_share times its area whose
     boxes are not farther from its box than keep_gap times the longer side of that."""
-    return picture_to_mask.clean_regions(mask, 0, keep_share, keep_gap)
+    return _cleaned(mask, mask_runs.Cleaning(keep_share=keep_share, keep_gap=keep_gap))
+
+
+def _cleaned(mask: Mask, how: mask_runs.Cleaning) -> Mask:
+    return mask_runs.draw(mask_runs.clean(mask_runs.bits_of(mask), (mask.shape[0], mask.shape[1]), how))
 
 
 def refine_rim(image: Image, mask: Mask, rim_px: int = 3, band: Mask | None = None, core: Mask | None = None) -> Mask:
@@ -327,10 +322,10 @@ def flag_collapsed(
     now = np.asarray(areas, dtype=np.float64)
     past = np.asarray(history, dtype=np.float64).reshape(len(now), -1)
     reasons = []
-    for c, (area, name) in enumerate(zip(now, names, strict=True)):
-        seen = past[c][past[c] > 0]
-        usual = float(np.median(seen)) if len(seen) else 0.0
-        smallest = float(np.partition(seen, min(1, len(seen) - 1))[min(1, len(seen) - 1)]) if len(seen) else 0.0
+    for area, before, name in zip(now.tolist(), past.tolist(), names, strict=True):
+        seen = sorted(a for a in before if a > 0)
+        usual = (seen[(len(seen) - 1) // 2] + seen[len(seen) // 2]) / 2 if seen else 0.0
+        smallest = seen[min(1, len(seen) - 1)] if seen else 0.0
         least = max(lowest * smallest, 0.5 * lowest * usual)
         if area <= 0:
             reasons.append(f"{name}, frame {frame}: the mask is empty")
@@ -342,8 +337,10 @@ def flag_collapsed(
     return tuple(reasons)
 
 
-def make_silhouettes(masks: Sequence[Mask | None], rig: CameraRig, reasons: Sequence[str] | None = None) -> Silhouettes:
-    """Silhouettes of one instant: masks (h_c, w_c) per view padded with 0 to the common size.
+def make_silhouettes(
+    masks: Sequence[Mask | MaskRuns | None], rig: CameraRig, reasons: Sequence[str] | None = None
+) -> Silhouettes:
+    """Silhouettes of one instant: masks (h_c, w_c) per view, packed or not, padded with 0 to the common size.
 
     A view without a mask, with an empty one, or with a reason is not usable.
     """
@@ -360,7 +357,12 @@ def make_silhouettes(masks: Sequence[Mask | None], rig: CameraRig, reasons: Sequ
                 f"Camera {rig.names[c]}: the mask is {mask.shape[1]} x {mask.shape[0]} px, the camera "
                 f"{sizes[c, 0]} x {sizes[c, 1]} px."
             )
-        np.not_equal(mask, 0, out=out[c, : mask.shape[0], : mask.shape[1]].view(np.bool_))
-        if not why[c] and not mask.any():
+        if isinstance(mask, MaskRuns):
+            mask_runs.draw(mask, out[c])
+            empty = mask.area == 0
+        else:
+            np.not_equal(mask, 0, out=out[c, : mask.shape[0], : mask.shape[1]].view(np.bool_))
+            empty = not mask.any()
+        if not why[c] and empty:
             why[c] = f"{rig.names[c]}: the mask is empty"
     return Silhouettes(out, rig, np.array([not r for r in why]), tuple(why))

@@ -12,8 +12,7 @@ SIZE = (160, 120)
 
 def room_of(mean, slack=12):
     low, high = (np.clip(mean.astype(int) + s, 0, 255).astype(np.uint8) for s in (-slack, slack))
-    real = mean.astype(np.float32)
-    return Room(low, high, real, (real * real).sum(2) + 1, False, 0.5, 0.9, 100.0)
+    return Room(low, high, mean.astype(np.float32), False, 0.5, 0.9, 100.0)
 
 
 def maps():

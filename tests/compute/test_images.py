@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from hypose import compute
-from hypose.compute.pictures import picture_to_mask
+from hypose.compute.pictures import mask_runs, picture_to_mask
 from hypose.errors import InputError
 
 
@@ -17,7 +17,7 @@ def lens_of(stored, working, bend=0.1, shift=0.3):
     ), (x, y, r2)
 
 
-@pytest.mark.parametrize("stored", [(240, 180), (160, 120), (108, 121), (80, 60), (97, 60)])
+@pytest.mark.parametrize("stored", [(240, 180), (160, 120), (108, 121), (80, 60), (97, 60), (960, 61), (85, 660)])
 @pytest.mark.parametrize("bend", [0.0, 0.1, -0.3])
 def test_undistorted_pictures_are_those_of_the_definition(rng, stored, bend):
     lens, _ = lens_of(stored, (80, 60), bend, 0.0 if bend == 0 else 0.3)
@@ -52,41 +52,58 @@ def test_pictures_of_another_size_are_refused():
         lens_of((60, 60), (80, 60))
 
 
-@pytest.mark.parametrize("shadow", [True, False])
-def test_differences_and_shadows_are_those_of_the_definition(rng, shadow):
-    mean = rng.integers(40, 220, (50, 70, 3)).astype(np.float32)
-    dark = rng.random((50, 70, 1)) * 0.7 + 0.4
-    picture = np.clip(mean * dark + rng.normal(0, 3, mean.shape), 0, 255).astype(np.uint8)
-    picture[20:35, 10:60] = rng.integers(0, 256, (15, 50, 3))
-    low, high = np.clip(mean - 20, 0, 255).astype(np.uint8), np.clip(mean + 20, 0, 255).astype(np.uint8)
-    room = picture_to_mask.Room(low, high, mean, (mean * mean).sum(2), shadow, 0.45, 0.97, 144.0)
-    fast, box = picture_to_mask.differences(picture, room), (3, 44, 5, 61)
-    part = picture_to_mask.differences(picture, room, box)
-    foreground = picture_to_mask.without_shadows(fast)
+def test_pictures_narrower_than_a_vector_are_those_of_the_definition(rng):
+    lens, _ = lens_of((9, 8), (7, 5), 0.1)
+    picture = rng.integers(0, 256, (8, 9, 3), dtype=np.uint8)
+    fast = picture_to_mask.shrink_undistort(picture, lens)
     with compute.use("numpy"):
-        plain = picture_to_mask.differences(picture, room)
-        assert np.array_equal(picture_to_mask.without_shadows(fast), foreground)
-    assert (plain != fast).mean() < 1e-3  # the shadow test is in floating point
-    assert set(np.unique(fast)) == ({0, 1, 2} if shadow else {0, 1})
-    assert np.array_equal(part[3:44, 5:61], fast[3:44, 5:61]) and part.sum() == part[3:44, 5:61].sum()
+        assert np.array_equal(fast, picture_to_mask.shrink_undistort(picture, lens))
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.002, 0.05, 0.5])
-@pytest.mark.parametrize("rule", [(60, 0.02, 0.1), (0, 1.0, np.inf), (10, 0.001, 0.3), (5, 0.0, np.inf)])
-def test_regions_are_those_of_opencv(rng, noise, rule):
-    for _ in range(5):
-        mask = np.zeros((70, 90), np.uint8)
-        for _ in range(8):
-            centre, axes = rng.integers(0, 90, 2).tolist(), rng.integers(2, 30, 2).tolist()
-            cv2.ellipse(mask, centre, axes, 0, 0, 360, int(rng.integers(0, 2)), -1)
-        mask ^= (rng.random(mask.shape) < noise).astype(np.uint8)
-        before = mask.copy()
-        fast = picture_to_mask.clean_regions(mask, *rule)
-        assert np.array_equal(mask, before)
+@pytest.mark.parametrize("straight", [True, False])
+def test_memory_for_pictures_can_be_used_again(rng, straight):
+    lens, _ = lens_of((97, 60), (80, 60), 0.0 if straight else 0.1, 0.0)
+    memory = picture_to_mask.new_picture(60, 80)
+    for _ in range(2):
+        picture = rng.integers(0, 256, (60, 97, 3), dtype=np.uint8)
+        made = picture_to_mask.shrink_undistort(picture, lens, None, memory)
+        assert np.shares_memory(made, memory)
+        assert np.array_equal(made, picture_to_mask.shrink_undistort(picture, lens))
+
+
+@pytest.mark.parametrize("shadow", [True, False])
+@pytest.mark.parametrize("size", [(70, 50), (64, 40), (129, 33), (15, 9)])
+def test_what_is_not_the_room_is_that_of_the_definition(rng, shadow, size):
+    w, h = size
+    mean = cv2.blur(rng.integers(40, 220, (h, w, 3)).astype(np.float32), (5, 5))
+    light = 0.1 + 1.7 * cv2.blur(rng.random((h, w)), (7, 7))[..., None]
+    picture = np.clip(mean * light + rng.normal(0, 3, mean.shape), 0, 255).astype(np.uint8)
+    picture[h // 3 : h // 2, w // 5 : w // 2] = rng.integers(0, 256, (h // 2 - h // 3, w // 2 - w // 5, 3))
+    low, high = np.clip(mean - 20, 0, 255).astype(np.uint8), np.clip(mean + 20, 0, 255).astype(np.uint8)
+    room = picture_to_mask.Room(low, high, mean, shadow, 0.45, 0.97, 144.0)
+    other = ((picture < low) | (picture > high)).any(2)
+    for box in (None, (h // 9, 2 * h // 3, w // 6, 4 * w // 5)):
+        fast = picture_to_mask.not_the_room(picture, room, box)
         with compute.use("numpy"):
-            assert np.array_equal(fast, picture_to_mask.clean_regions(mask, *rule))
-    for whole in (0, 1):
-        assert (picture_to_mask.clean_regions(np.full((9, 11), whole, np.uint8), *rule) == whole).all()
+            assert np.array_equal(picture_to_mask.not_the_room(picture, room, box), fast)
+        y0, y1, x0, x1 = box or (0, h, 0, w)
+        inside = np.zeros((h, w), np.bool_)
+        inside[y0:y1, x0:x1] = other[y0:y1, x0:x1]
+        mask = mask_runs.draw(mask_runs.clean(fast, (h, w), mask_runs.Cleaning()))
+        if shadow:
+            assert (mask <= inside).all() and 0 < mask.sum()
+            assert mask.sum() < inside.sum() or size == (15, 9)  # too small for an area of shadow
+        else:
+            assert np.array_equal(mask, inside)
+
+
+def test_the_room_in_a_picture_of_a_few_pixels():
+    mean = np.full((3, 4, 3), 100, np.uint8)
+    room = picture_to_mask.Room(mean - 9, mean + 9, mean.astype(np.float32), True, 0.45, 0.97, 144.0)
+    picture = mean.copy()
+    picture[1, 2] = 0, 0, 255
+    mask = mask_runs.draw(mask_runs.clean(picture_to_mask.not_the_room(picture, room), (3, 4), mask_runs.Cleaning()))
+    assert np.argwhere(mask).tolist() == [[1, 2]]
 
 
 @pytest.mark.parametrize("hide", [False, True])

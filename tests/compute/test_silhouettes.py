@@ -207,16 +207,17 @@ def test_signed_distance_and_outline_of_a_disc():
 
 
 @pytest.mark.parametrize("margin", [None, 5, 200])
-def test_signed_distances_are_those_of_the_definition(margin):
+@pytest.mark.parametrize("width", [90, 12, 31, 32, 33, 64, 65])
+def test_signed_distances_are_those_of_the_definition(margin, width):
     rng = np.random.default_rng(3)
     for _ in range(5):
-        mask = np.zeros((70, 90), np.uint8)
+        mask = np.zeros((70, width), np.uint8)
         for _ in range(3):
-            y, x, h, w = rng.integers([0, 0, 1, 1], [60, 80, 40, 40])
+            y, x, h, w = rng.integers([0, 0, 1, 1], [60, width - 10, 40, 40])
             mask[y : y + h, x : x + w] = 1
-        made = compute.signed_distance(mask[None], [(90, 70)], margin)
+        made = compute.signed_distance(mask[None], [(width, 70)], margin)
         with compute.use("reference"):
-            np.testing.assert_array_equal(made, compute.signed_distance(mask[None], [(90, 70)], margin))
+            np.testing.assert_array_equal(made, compute.signed_distance(mask[None], [(width, 70)], margin))
 
 
 @pytest.mark.parametrize("halves", [3, 4, 5, 6, 7])

@@ -51,6 +51,21 @@ def test_seeking_is_exact(tmp_path, ending, rng):
         reader.read(60)
 
 
+def test_frames_in_place_are_the_same_and_share_their_memory(tmp_path, rng):
+    path = tmp_path / "video.avi"
+    with VideoWriter(path, 25.0, (96, 64)) as writer:
+        for _ in range(5):
+            writer.write(rng.integers(0, 256, (8, 12, 3), dtype=np.uint8).repeat(8, 0).repeat(8, 1))
+    with open_video(path) as usual, open_video(path, 1, in_place=True) as sparing:
+        kept = [usual.read(i) for i in range(5)]
+        assert len({picture.tobytes() for picture in kept}) == 5
+        shown = [sparing.read(1)]
+        for i in (2, 4, 0, 3):
+            shown.append(sparing.read(i))
+            assert np.array_equal(shown[-1], kept[i])
+        assert all(np.shares_memory(a, b) for a, b in zip(shown[:-3], shown[1:-2], strict=True))
+
+
 def test_a_folder_of_images_behaves_like_a_video(tmp_path):
     for i in range(12):
         cv2.imwrite(str(tmp_path / f"f{i}.png"), frame(i))

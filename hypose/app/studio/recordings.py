@@ -20,6 +20,7 @@ from hypose.app.studio.memory_cache import Kept
 from hypose.app.studio.mending import left_out, refined
 from hypose.app.studio.view_pictures import AnyFrame
 from hypose.cameras.camera import Camera
+from hypose.compute import mask_runs
 from hypose.errors import HyposeError, InputError
 from hypose.evidence.background import BackgroundModel, Image
 from hypose.evidence.silhouettes import Mask, SilhouetteSettings, make_segmenter
@@ -209,10 +210,10 @@ class Recordings:
             return make_segmenter(background, options)(opened.image(view, frame, small))
         if view not in opened.masks:  # made elsewhere: there is nothing to set
             opened.masks[view] = ViewSource(r.views[view], r.rig[view], small)
-        mask, reason = opened.masks[view].mask(frame, None)
-        if mask is None:
+        runs, reason = opened.masks[view].mask(frame, None)
+        if runs is None:
             raise InputError(reason)
-        return mask
+        return mask_runs.draw(runs)
 
 
 def camera_info(camera: Camera, pictures: bool) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hypose.compute.compiled import kernel
+from hypose.compute.silhouettes.cpu_vectors import STEPS, nearest_from_left, nearest_from_right
 
 f4 = np.float32
 i2 = np.int16
@@ -31,6 +32,15 @@ def _by_other_rows(line, near, far):
 
 
 @kernel
+def _along(line, first, last):
+    """Shortens the distances first..last of a row (w,) i2 by way of its pixels on the left."""
+    d = line[first - 1] if first > 0 else i2(FAR)
+    for x in range(first, last):
+        d = min(line[x], i2(d + i2(STRAIGHT)))
+        line[x] = d
+
+
+@kernel
 def distances(mask, target, out):
     """out (h, w + 4) i2, from column 2 on = distance of each pixel of the mask (h, w) to the nearest that is (target 1)
     or is not (0) set, in fifths of a pixel; FAR where there is none."""
@@ -42,17 +52,13 @@ def distances(mask, target, out):
         for x in range(w):
             inside[x] = i2(0) if (m[x] != 0) == (target != 0) else i2(FAR)
         _by_other_rows(inside, out[y - 1] if y > 0 else beyond, out[y - 2] if y > 1 else beyond)
-        d = i2(FAR)
-        for x in range(w):
-            d = min(inside[x], i2(d + i2(STRAIGHT)))
-            inside[x] = d
+        nearest_from_left(inside, STRAIGHT, FAR)
+        _along(inside, w // STEPS * STEPS, w)
     for y in range(h - 1, -1, -1):
         inside = out[y, 2 : w + 2]
         _by_other_rows(inside, out[y + 1] if y < h - 1 else beyond, out[y + 2] if y < h - 2 else beyond)
-        d = i2(FAR)
-        for x in range(w - 1, -1, -1):
-            d = min(inside[x], i2(d + i2(STRAIGHT)))
-            inside[x] = d
+        nearest_from_right(inside, STRAIGHT, FAR)
+        _along(inside[::-1], w // STEPS * STEPS, w)
 
 
 @kernel

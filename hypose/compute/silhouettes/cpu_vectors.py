@@ -243,3 +243,46 @@ def lowest_bit(typingctx: Any, x):
         return builder.zext(builder.cttz(args[0], ir.Constant(ir.IntType(1), 1)), _I64)
 
     return types.int64(types.uint32), code
+
+
+STEPS = 32
+"""Numbers of int16 that are compared at once along a row"""
+
+
+def _nearest(sign: int) -> Any:
+    def nearest(typingctx: Any, line, step, far):
+        def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            at = _Arrays(context, builder, signature, args)
+            kind = ir.VectorType(_I16, STEPS)
+            count = builder.extract_value(context.make_array(signature.args[0])(context, builder, args[0]).shape, 0)
+            step, far = (builder.trunc(v, _I16) for v in args[1:])
+            steps, beyond = _splat(builder, step, kind), _splat(builder, far, kind)
+            carry = cgutils.alloca_once(builder, _I16)
+            builder.store(far, carry)
+
+            def along(lanes: list[int]) -> _V:
+                return steps * _constant(builder, kind, lanes)
+
+            with cgutils.for_range(builder, builder.sdiv(count, _I64(STEPS)), intp=_I64) as loop:
+                first = builder.mul(loop.index, _I64(STEPS))
+                first = first if sign > 0 else builder.sub(builder.sub(count, first), _I64(STEPS))
+                value = at.load(0, first, kind, 2)
+                for away in (1, 2, 4, 8, 16):
+                    order = range(STEPS - away, 2 * STEPS - away) if sign > 0 else range(away, STEPS + away)
+                    pair = (beyond.v, value.v) if sign > 0 else (value.v, beyond.v)
+                    lanes = ir.Constant(ir.VectorType(_I32, STEPS), list(order))
+                    value = value.at_most(_V(builder, builder.shuffle_vector(*pair, lanes)) + along([away] * STEPS))
+                away = list(range(1, STEPS + 1))[::sign]
+                value = value.at_most(_splat(builder, builder.load(carry), kind) + along(away))
+                at.store(value, 0, first, 2)
+                builder.store(builder.extract_element(value.v, _I32(STEPS - 1 if sign > 0 else 0)), carry)
+            return context.get_dummy_value()
+
+        return types.none(line, types.int64, types.int64), code
+
+    return intrinsic(nearest)
+
+
+nearest_from_left, nearest_from_right = _nearest(1), _nearest(-1)
+"""(line, step, far): of line (n,) i2, the n // STEPS * STEPS numbers at that end become the least of line[k] +
+step |i - k| over all k on that side, and i itself; `far`, and as much, may lie beyond. All of it fits into 16 bits."""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.compute import selection
-from hypose.compute.native import native
+from hypose.compute.native import native, plain
 from hypose.compute.pictures.picture_to_mask import Box, Image, Room
 
 STEP = 4
@@ -23,8 +23,9 @@ AMONG = 3
 
 
 class Glance(NamedTuple):
-    """What the pixels looked at should be. low, high (m, n, 3) u1: the grey levels that are still the room there, or
-    one pixel of the working size beside it, for a sharp edge in the room lies elsewhere in every 2 x 2 pixels."""
+    """What the pixels looked at should be. low, high (m, n, 4) u1: the grey levels that are still the room there, or
+    one pixel of the working size beside it, for a sharp edge in the room lies elsewhere in every 2 x 2 pixels; the
+    fourth number says nothing."""
 
     low: Image
     high: Image
@@ -34,7 +35,7 @@ def glance_at(room: Room) -> Glance:
     """The pixels of a room that are looked at."""
     around = np.ones((3, 3), np.uint8)
     low, high = cv2.erode(room.low, around), cv2.dilate(room.high, around)
-    return Glance(*(np.ascontiguousarray(a[::STEP, ::STEP], dtype=np.uint8) for a in (low, high)))
+    return Glance(*(np.pad(a[::STEP, ::STEP], ((0, 0), (0, 0), (0, 1))) for a in (low, high)))
 
 
 def stored_pixels(stored: tuple[int, int], map_x: ArrayLike, map_y: ArrayLike) -> NDArray[np.int32]:
@@ -54,14 +55,21 @@ def differing_box(image: Image, at: NDArray[np.int32], glance: Glance, size: tup
     (H, W, 3), with a margin; None when there is nothing. at: of `stored_pixels`."""
     if selection.backend() == "numpy":
         found = _differ_sparsely(image, at, glance)
+        company = cv2.boxFilter(found, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
+        x, y, w, h = cv2.boundingRect((found & (company >= AMONG)).astype(np.uint8))
+        y0, y1, x0, x1 = y, y + h, x, x + w
     else:
-        found = np.empty(at.shape, np.uint8)
-        native("silhouettes.glance").differ_sparsely(np.require(image, np.uint8, ["C", "W"]), at, *glance, found)
-    company = cv2.boxFilter(found, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
-    x, y, w, h = (STEP * k for k in cv2.boundingRect((found & (company >= AMONG)).astype(np.uint8)))
-    if w == 0:
+        box = np.zeros(4, np.int64)
+        native("silhouettes.glance").differing_box(plain(image, np.uint8), at, *glance, AMONG, box)
+        y0, y1, x0, x1 = box.tolist()
+    if y1 == 0:
         return None
-    return max(y - MARGIN, 0), min(y + h + MARGIN, size[1]), max(x - MARGIN, 0), min(x + w + MARGIN, size[0])
+    return (
+        max(STEP * y0 - MARGIN, 0),
+        min(STEP * y1 + MARGIN, size[1]),
+        max(STEP * x0 - MARGIN, 0),
+        min(STEP * x1 + MARGIN, size[0]),
+    )
 
 
 def _differ_sparsely(image: Image, at: NDArray[np.int32], glance: Glance) -> Image:
@@ -69,7 +77,7 @@ def _differ_sparsely(image: Image, at: NDArray[np.int32], glance: Glance) -> Ima
     y, x = first // image.shape[1], first % image.shape[1]
     total = sum(image[y + i, x + j].astype(np.uint32) for i in (0, 1) for j in (0, 1))
     value = (total + np.uint32(2)) >> np.uint32(2)
-    other = ((value < glance.low) | (value > glance.high)).any(2)
+    other = ((value < glance.low[..., :3]) | (value > glance.high[..., :3])).any(2)
     return (other & (at >= 0)).astype(np.uint8)
 
 
@@ -77,5 +85,5 @@ def warm_up() -> None:
     """Compile (or load from disk) the kernel."""
     picture, (x, y) = np.zeros((24, 30, 3), np.uint8), np.meshgrid(np.arange(15.0), np.arange(12.0))
     low = np.zeros((12, 15, 3), np.uint8)
-    room = Room(low, low, low.astype(np.float32), np.ones((12, 15), np.float32), False, 0.5, 0.9, 100.0)
+    room = Room(low, low, low.astype(np.float32), False, 0.5, 0.9, 100.0)
     differing_box(picture, stored_pixels((30, 24), x, y), glance_at(room), (15, 12))

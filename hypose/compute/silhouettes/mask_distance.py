@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.compute import selection
-from hypose.compute.native import native
+from hypose.compute.native import native, plain
 
 
 def signed_distance(masks: ArrayLike, sizes: ArrayLike, margin: int | None = None) -> NDArray[np.float32]:
@@ -19,19 +19,20 @@ def signed_distance(masks: ArrayLike, sizes: ArrayLike, margin: int | None = Non
     upper bound. An empty (full) mask gives the image's diagonal (minus it) everywhere. Distances are those of a 5 x 5
     chamfer mask (within 2 % of Euclid, cpu_chamfer)."""
     m = np.asarray(masks)
+    m = m if m.dtype == np.uint8 else (m != 0).view(np.uint8)
     out = np.empty(m.shape, dtype=np.float32)
     for c, (w, h) in enumerate(np.asarray(sizes, dtype=np.int64).tolist()):
         out[c, h:] = 0
         out[c, :, w:] = 0
-        view = (m[c, :h, :w] != 0).view(np.uint8)
+        view = m[c, :h, :w]
         x, y, bw, bh = cv2.boundingRect(view)
-        if bw == 0 or cv2.countNonZero(view) == w * h:
+        if bw == 0 or (bw * bh == w * h and cv2.countNonZero(view) == w * h):
             diagonal = float(np.hypot(w, h))
             out[c, :h, :w] = diagonal if bw == 0 else -diagonal
             continue
         pad = max(32, max(bw, bh) // 6) if margin is None else margin
         x0, x1, y0, y1 = max(x - pad, 0), min(x + bw + pad, w), max(y - pad, 0), min(y + bh + pad, h)
-        box = np.ascontiguousarray(view[y0:y1, x0:x1])
+        box = plain(view[y0:y1, x0:x1], np.uint8)
         # the inside needs the mask's own box only, and one background pixel around it where there is one
         own_x, own_y = max(x - 1 - x0, 0), max(y - 1 - y0, 0)
         own_w, own_h = min(x + bw + 1, x1) - x0 - own_x, min(y + bh + 1, y1) - y0 - own_y

@@ -31,13 +31,14 @@ from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.evidence.keypoints import person_size, thick_skeleton
 from hypose.evidence.silhouettes import (
     Mask,
+    MaskRuns,
     SilhouetteSettings,
     flag_collapsed,
     make_segmenter,
     make_silhouettes,
 )
 from hypose.geometry import Array
-from hypose.io.recordings.masks_in_work import KeptMasks, PackedMask, PendingMasks, packed_mask
+from hypose.io.recordings.masks_in_work import KeptMasks, PackedMask, PendingMasks
 from hypose.io.recordings.recording import Recording
 from hypose.io.recordings.recording_people import load_person, persons_objects
 from hypose.io.recordings.view_source import Preparer, ViewSource
@@ -199,7 +200,7 @@ def build_backgrounds(
                 if reader.n_frames >= _CLIP:
                     return from_frames(images)
                 plate = from_plates(images)
-        source = ViewSource(view, recording.rig[c], small[c])
+        source = ViewSource(view, recording.rig[c], small[c], beside=len(recording.views))
         try:
             frames, hidden = [], []
             for frame in _spread(recording.frames, o.background_frames):
@@ -285,7 +286,7 @@ class FrameStream:
             else tuple(backgrounds)
         )
         for view, camera, small, background in zip(r.views, r.rig, self.rig, self.backgrounds, strict=True):
-            source = ViewSource(view, camera, small, self.options.people)
+            source = ViewSource(view, camera, small, self.options.people, len(r.views))
             if background is not None:
                 source.segment = make_segmenter(background, self.options.silhouettes)
             self._sources.append(source)
@@ -363,7 +364,7 @@ class FrameStream:
         if self._lanes:
             history, pending = self._look(index)
             masks, reasons = pending.masks()
-            areas = np.array([0 if m is None else cv2.countNonZero(m) for m in masks])
+            areas = pending.areas()
             if self.options.people:  # who comes or goes changes the area, and nothing has collapsed
                 history = history[:, :0]
             collapsed = flag_collapsed(areas, history, self.rig.names, number)
@@ -407,7 +408,7 @@ class FrameStream:
             raise InputError("This stream was opened without silhouettes and decodes no images.")
         return self._lanes[view].submit(self._sources[view].image, self.frames[index]).result()
 
-    def _mask(self, view: int, frame: int) -> tuple[Mask | None, str]:
+    def _mask(self, view: int, frame: int) -> tuple[MaskRuns | None, str]:
         band = None
         if self.options.band:
             cover = _cover(self._covers, self._skeletons, view, frame, self.rig[view])
@@ -431,14 +432,15 @@ class FrameStream:
         wanted = sorted({*missing, *range(index, max([ahead, *missing]) + 1)})
         for other in [i for i in self._ahead if not index <= i <= index + _SAMPLES * _SAMPLE_STEP]:
             self._ahead.pop(other).cancel()
+        outlined = self._given is not None and self._given.asked
         for i in wanted:
             if i not in self._ahead:
-                self._ahead[i] = PendingMasks([lane.submit(self._packed, c, i) for c, lane in enumerate(self._lanes)])
+                self._ahead[i] = PendingMasks(self._lanes, self._packed, i, outlined)
         for i in missing:
             self._areas[i] = self._ahead[i].areas()
             if i < index:
                 del self._ahead[i]
-        if self._given is not None and self._given.asked:
+        if outlined:
             for i in range(index, ahead + 1):
                 self._ahead[i].begin_outlines(self._lanes)
         for old in [s for s in self._areas if s < samples[0] - 500 or s > samples[-1] + 500]:
@@ -452,12 +454,11 @@ class FrameStream:
         return self._kept.get(view, index) or self._kept.keep(view, index, self._made(view, index))
 
     def _made(self, view: int, index: int) -> PackedMask:
-        mask, reason = self._mask(view, self.frames[index])
-        packed = packed_mask(mask, reason)
-        wanted = self.options.colours and packed.area > 0
+        runs, reason = self._mask(view, self.frames[index])
+        wanted = self.options.colours and runs is not None and runs.area > 0
         image = self._sources[view].image_of_mask(self.frames[index]) if wanted else None
-        if image is None:
-            return packed
-        y0, y1, x0, x1 = packed.box
+        if image is None or runs is None:
+            return PackedMask(runs, reason)
+        y0, y1, x0, x1 = runs.box
         image = image[y0:y1, x0:x1]
-        return replace(packed, colours=(colour_codes(image), colour_edges(image)))
+        return PackedMask(runs, reason, (colour_codes(image), colour_edges(image)))

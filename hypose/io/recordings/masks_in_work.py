@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import zlib
-from collections.abc import Sequence
-from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from collections.abc import Callable, Sequence
+from concurrent.futures import CancelledError, Executor, Future
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from hypose.evidence.frame import Colours
-from hypose.evidence.outlines import OUTLINE_POINTS, WORKING_HEIGHT, ViewOutline, outline_in_box
-from hypose.evidence.silhouettes import Mask, bounding_box
+from hypose.evidence.outlines import OUTLINE_POINTS, WORKING_HEIGHT, ViewOutline, outline_of_runs
+from hypose.evidence.silhouettes import MaskRuns
 
 KEPT_BYTES = 64 << 20
 """of masks that are kept: ten minutes of four cameras"""
@@ -21,44 +19,20 @@ KEPT_BYTES = 64 << 20
 
 @dataclass(frozen=True)
 class PackedMask:
-    """A mask (h, w) = shape, its bits in the box (y0, y1, x0, x1) around it deflated to about a thousand bytes, its
-    area, or why there is none; its colours, where they are wanted and known, and their edges in that box."""
+    """A mask, or why there is none; its colours, where they are wanted and known, and their edges in its box."""
 
-    bits: bytes | None
-    shape: tuple[int, ...]
-    area: int
+    runs: MaskRuns | None
     reason: str
-    box: tuple[int, int, int, int] = (0, 0, 0, 0)
     colours: tuple[NDArray[np.uint16], NDArray[np.uint8]] | None = None
 
-    def mask(self) -> Mask | None:
-        """The mask (h, w) again, or None."""
-        if self.bits is None:
-            return None
-        y0, y1, x0, x1 = self.box
-        out = np.zeros(self.shape, np.uint8)
-        out[y0:y1, x0:x1] = self._part(self.bits)
-        return out
+    @property
+    def area(self) -> int:
+        """px, 0 where there is no mask."""
+        return 0 if self.runs is None else self.runs.area
 
     def outline(self) -> ViewOutline | None:
         """Of the mask, for tracking, or None."""
-        if self.bits is None:
-            return None
-        return outline_in_box(self._part(self.bits), self.box, self.shape, OUTLINE_POINTS, WORKING_HEIGHT)
-
-    def _part(self, bits: bytes) -> Mask:
-        y0, y1, x0, x1 = self.box
-        rows = np.frombuffer(zlib.decompress(bits), np.uint8).reshape(y1 - y0, -1)
-        return np.unpackbits(rows, axis=1, count=x1 - x0)
-
-
-def packed_mask(mask: Mask | None, reason: str) -> PackedMask:
-    """A mask (h, w), or why there is none."""
-    if mask is None:
-        return PackedMask(None, (0, 0), 0, reason)
-    y0, y1, x0, x1 = box = bounding_box(mask) or (0, 1, 0, 1)
-    bits = zlib.compress(np.packbits(mask[y0:y1, x0:x1], axis=1).tobytes(), 1)
-    return PackedMask(bits, mask.shape, cv2.countNonZero(mask), reason, box)
+        return None if self.runs is None else outline_of_runs(self.runs, OUTLINE_POINTS, WORKING_HEIGHT)
 
 
 class KeptMasks:
@@ -73,7 +47,7 @@ class KeptMasks:
 
     def keep(self, view: int, index: int, mask: PackedMask) -> PackedMask:
         """Keeps a mask, and returns it."""
-        size = 0 if mask.bits is None else len(mask.bits)
+        size = 0 if mask.runs is None else len(mask.runs.code)
         if mask.colours is None and self._bytes + size <= KEPT_BYTES:
             self._masks[view, index] = mask
             self._bytes += size
@@ -81,52 +55,65 @@ class KeptMasks:
 
 
 class PendingMasks:
-    """The masks and outlines of one frame, in the making: a task per view in that view's lane."""
+    """The masks and outlines of one frame, in the making: a task per view in that view's lane, or two, where it is not
+    known from the beginning that there shall be outlines."""
 
-    def __init__(self, masks: list[Future[PackedMask]]) -> None:
-        self._masks = masks
+    def __init__(
+        self, lanes: Sequence[Executor], make: Callable[[int, int], PackedMask], index: int, outlined: bool
+    ) -> None:
+        def task(view: int) -> tuple[PackedMask, ViewOutline | None]:
+            mask = make(view, index)
+            return mask, mask.outline() if outlined else None
+
+        self._done = [lane.submit(task, c) for c, lane in enumerate(lanes)]
+        self._outlined = outlined
         self._outlines: list[Future[ViewOutline | None]] | None = None
         self.asked = False  # for the outlines, which a picture of the masks does without
 
-    def masks(self) -> tuple[list[Mask | None], list[str]]:
+    def _masks(self) -> list[PackedMask]:
+        return [f.result()[0] for f in self._done]
+
+    def masks(self) -> tuple[list[MaskRuns | None], list[str]]:
         """Of all views, and why there is none; waits for them."""
-        done = [f.result() for f in self._masks]
-        return [d.mask() for d in done], [d.reason for d in done]
+        done = self._masks()
+        return [d.runs for d in done], [d.reason for d in done]
 
     def areas(self) -> NDArray[np.int64]:
         """(C,) px; waits for them."""
-        return np.array([f.result().area for f in self._masks])
+        return np.array([d.area for d in self._masks()])
 
     def colours(self, shape: tuple[int, ...]) -> Colours | None:
         """Of masks (C, h, w) = shape; None when no view has any."""
         codes, seen = np.zeros(shape, np.uint16), np.zeros(shape[0], np.bool_)
         edges = np.zeros((shape[0], 2, *shape[1:]), np.uint8)
-        for c, future in enumerate(self._masks):
-            found = future.result()
-            if found.colours is not None:
-                y0, y1, x0, x1 = found.box
+        for c, found in enumerate(self._masks()):
+            if found.colours is not None and found.runs is not None:
+                y0, y1, x0, x1 = found.runs.box
                 codes[c, y0:y1, x0:x1], edges[c, :, y0:y1, x0:x1] = found.colours
                 seen[c] = True
         return Colours(codes, seen, edges) if seen.any() else None
 
-    def begin_outlines(self, lanes: Sequence[ThreadPoolExecutor]) -> None:
+    def begin_outlines(self, lanes: Sequence[Executor]) -> None:
         """In the lane of each view, behind its mask, which is therefore done by then."""
-        if self._outlines is None:
-            self._outlines = [lane.submit(_outline, f) for lane, f in zip(lanes, self._masks, strict=True)]
+        if not self._outlined:
+            self._outlined = True
+            self._outlines = [lane.submit(_outline, f) for lane, f in zip(lanes, self._done, strict=True)]
 
     def outlines(self) -> list[ViewOutline | None] | None:
         """Those that were begun; None when they are not made, or no more."""
         self.asked = True
         try:
-            return None if self._outlines is None else [f.result() for f in self._outlines]
+            if self._outlines is not None:
+                return [f.result() for f in self._outlines]
+            return [f.result()[1] for f in self._done] if self._outlined else None
         except CancelledError:  # the stream was closed
             return None
 
     def cancel(self) -> None:
         """Nobody wants them any more."""
-        for future in [*self._masks, *(self._outlines or [])]:
+        for future in [*self._done, *(self._outlines or [])]:
             future.cancel()
 
 
-def _outline(mask: Future[PackedMask]) -> ViewOutline | None:
-    return mask.result().outline()
+def _outline(done: Future[tuple[PackedMask, ViewOutline | None]]) -> ViewOutline | None:
+    return done.result()[0].outline()

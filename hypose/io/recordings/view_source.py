@@ -10,10 +10,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.cameras.camera import Camera
-from hypose.compute import Box, Glance, Lens, differing_box, make_lens, shrink_undistort, stored_pixels
+from hypose.compute import (
+    Box,
+    Glance,
+    Lens,
+    default_threads,
+    differing_box,
+    make_lens,
+    mask_runs,
+    new_picture,
+    shrink_undistort,
+    stored_pixels,
+)
 from hypose.errors import InputError
 from hypose.evidence.background import Image
-from hypose.evidence.silhouettes import Mask, Segmenter, as_mask, bounding_box
+from hypose.evidence.silhouettes import Mask, MaskRuns, Segmenter, as_mask, bounding_box
 from hypose.io.recordings.depth_views import DepthSource
 from hypose.io.recordings.object_masks import ObjectMasks, open_masks
 from hypose.io.recordings.recording_views import SIDECAR, View
@@ -30,15 +41,24 @@ class Preparer:
         scale = self.size[0] / camera.size[0], self.size[1] / camera.size[1]
         self._maps = mx - np.float32(shift[0] * scale[0]), my - np.float32(shift[1] * scale[1])
         self._lenses: dict[tuple[int, int], Lens] = {}
+        self._memory = new_picture(self.size[1], self.size[0])
         self._pixels: dict[tuple[int, int], NDArray[np.int32]] = {}
 
-    def __call__(self, image: Image, box: Box | None = None) -> Image:
-        """The undistorted image; outside the box (y0, y1, x0, x1), if given, undefined."""
+    def __call__(self, image: Image) -> Image:
+        """The undistorted image."""
         image = self._enlarged(image)
+        return shrink_undistort(image, self._lens(image))
+
+    def within(self, image: Image, box: Box | None) -> Image:
+        """The same until the next call, which uses its memory; undefined outside the box (y0, y1, x0, x1), if any."""
+        image = self._enlarged(image)
+        return shrink_undistort(image, self._lens(image), box, self._memory)
+
+    def _lens(self, image: Image) -> Lens:
         stored = (image.shape[1], image.shape[0])
         if stored not in self._lenses:
             self._lenses[stored] = make_lens(stored, *self._maps)
-        return shrink_undistort(image, self._lenses[stored], box)
+        return self._lenses[stored]
 
     def differing_box(self, image: Image, glance: Glance) -> Box | None:
         """The box of the working size that holds what is not the room; None when there is nothing."""
@@ -54,14 +74,15 @@ class Preparer:
         return np.asarray(cv2.resize(image, self.size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
-def mask_in(image: Image, prepare: Preparer, segment: Segmenter, band: Mask | None = None) -> tuple[Mask, Image]:
-    """The mask of a stored image, and the undistorted image, known within it; band: where the person can be."""
+def mask_in(image: Image, prepare: Preparer, segment: Segmenter, band: Mask | None = None) -> tuple[MaskRuns, Image]:
+    """The mask of a stored image, and the undistorted image, known within it, until the next call with this Preparer;
+    band: where the person can be."""
     box: Box | None = None
     if segment.glance is not None:  # then nothing outside the person's box is looked at
         found = prepare.differing_box(image, segment.glance) if band is None else bounding_box(band)
         box = found or (0, 0, 0, 0)
-    prepared = prepare(image, box)
-    return segment(prepared, band, box), prepared
+    prepared = prepare.within(image, box)
+    return segment.runs(prepared, band, box), prepared
 
 
 class _MaskSource:
@@ -92,11 +113,11 @@ class _MaskSource:
                 mask = np.asarray(cv2.resize(mask, self._size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
         elif self.objects is not None:
             whole = self.objects.union(frame, self.chosen) * np.uint8(255)
-            mask = self._prepare(np.repeat(whole[..., None], 3, 2), None)[..., 0]
+            mask = self._prepare(np.repeat(whole[..., None], 3, 2))[..., 0]
         else:
             assert self._reader is not None
             whole = as_mask(self._reader.read(frame), f"{self.path}, frame {frame},") * np.uint8(255)
-            mask = self._prepare(np.repeat(whole[..., None], 3, 2), None)[..., 0]
+            mask = self._prepare(np.repeat(whole[..., None], 3, 2))[..., 0]
         return (mask > 127).astype(np.uint8)
 
     def close(self) -> None:
@@ -105,10 +126,12 @@ class _MaskSource:
 
 
 class ViewSource:
-    """Masks of one view by frame number; used by one thread at a time. people: of all in a depth camera's maps."""
+    """Masks of one view by frame number; used by one thread at a time. people: of all in a depth camera's maps;
+    beside: how many videos are decoded at once, which share the cores: more threads cost more in all."""
 
-    def __init__(self, view: View, camera: Camera, small: Camera, people: bool = False) -> None:
+    def __init__(self, view: View, camera: Camera, small: Camera, people: bool = False, beside: int = 1) -> None:
         self.view = view
+        self._threads = max(1, default_threads() // beside)
         self._prepare = Preparer(camera, small, view.image_shift)
         masks = view.masks
         self._masks = None if masks is None else _MaskSource(masks, self._prepare, small.size, view.first_mask)
@@ -146,14 +169,14 @@ class ViewSource:
         if self._reader is None:
             if self.view.source is None:
                 raise InputError(f"View {self.view.name} has neither video nor images, only masks.")
-            self._reader = open_video(self.view.source)
+            self._reader = open_video(self.view.source, self._threads, in_place=True)
         return self._reader.read(frame)
 
     def mask(
         self, frame: int, band: Mask | None, widened: Callable[[Mask], Mask | None] | None = None
-    ) -> tuple[Mask | None, str]:
-        """The mask, or None and why there is none. widened: a wider band for a mask, with which it is made again, or
-        None when it may stay."""
+    ) -> tuple[MaskRuns | None, str]:
+        """The mask, packed, or None and why there is none. widened: a wider band for a mask, with which it is made
+        again, or None when it may stay."""
         if self._broken is not None and frame >= self._broken[0]:
             return None, f"{self.view.name}, frame {frame}: {self._broken[1]}"
         try:
@@ -162,16 +185,16 @@ class ViewSource:
                 mask = given(frame)
                 within = mask if band is None else mask & band
                 wide = None if widened is None else widened(within)
-                return (within if wide is None else mask & wide), ""
+                return mask_runs.runs_of(within if wide is None else mask & wide), ""
             if self.segment is None:
                 return None, f"{self.view.name}, frame {frame}: it has no pictures"
             image = self._stored(frame)
-            within, prepared = mask_in(image, self._prepare, self.segment, band)
-            wide = None if widened is None else widened(within)
+            runs, prepared = mask_in(image, self._prepare, self.segment, band)
+            wide = None if widened is None else widened(mask_runs.draw(runs))
             if wide is not None:
-                within, prepared = mask_in(image, self._prepare, self.segment, wide)
+                runs, prepared = mask_in(image, self._prepare, self.segment, wide)
             self._shown = frame, prepared
-            return within, ""
+            return runs, ""
         except InputError as problem:
             self._problems[frame] = str(problem)
             # a damaged video stays damaged: do not decode it from its start again and again

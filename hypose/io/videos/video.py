@@ -121,15 +121,17 @@ class VideoReader:
 
     Iterating gives the frames from the present position (0 after opening) to the end. path; size (width,
     height) px; frame_rate (frames/s, None for images); n_frames that can be decoded; stated_frames what the
-    container says. Opened by `open_video`; usable as a context manager.
+    container says. Opened by `open_video`; usable as a context manager. threads: that may decode a video (None: all);
+    in_place: frames of a video are good until the next one is read, which takes their memory.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, path: Path, threads: int | None = None, in_place: bool = False) -> None:
+        self.path, self._threads, self._in_place = path, threads, in_place
         self._images: list[Path] | None = None
         self._capture: cv2.VideoCapture | None = None
         self._next = 0
         self._first: Image | None = None  # frame 0, decoded when the file was opened, until the reading goes on
+        self._memory: Image | None = None  # of the last frame
         if path.is_dir():
             self._images = list_images(path)
             if not self._images:
@@ -143,7 +145,7 @@ class VideoReader:
             self.frame_rate: float | None = None
             self.n_frames = self.stated_frames = len(self._images)
         else:
-            self._capture = open_capture(path)
+            self._capture = open_capture(path, threads)
             rate = float(self._capture.get(cv2.CAP_PROP_FPS))
             self.frame_rate = rate if np.isfinite(rate) and 0 < rate < 100_000 else None
             self.stated_frames = max(0, int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)))
@@ -232,17 +234,18 @@ class VideoReader:
             if self._first is not None:
                 image, self._first = self._first, None
             else:
-                ok, frame = self._capture.read()
+                # new memory for each frame costs a tenth of decoding it
+                ok, frame = self._capture.read(self._memory if self._in_place else None)
                 if not ok:
                     raise self._broken()
-                image = np.asarray(frame, dtype=np.uint8)
+                image = self._memory = np.asarray(frame, dtype=np.uint8)
         self._next += 1
         return image
 
     def _restart(self) -> None:
         assert self._capture is not None
         self._capture.release()
-        self._capture = open_capture(self.path)
+        self._capture = open_capture(self.path, self._threads)
         self._next, self._first = 0, None
 
     def _broken(self) -> InputError:
@@ -253,13 +256,13 @@ class VideoReader:
         )
 
 
-def open_video(path: str | Path) -> VideoReader:
-    """Open a video file, a folder of images (natural order) or one image; an InputError names what is
-    wrong."""
+def open_video(path: str | Path, threads: int | None = None, in_place: bool = False) -> VideoReader:
+    """Open a video file, a folder of images (natural order) or one image, as a `VideoReader`; an InputError names what
+    is wrong."""
     path = Path(path)
     if not path.exists():
         raise InputError(f"{path} does not exist; check the file name in recording.toml.")
-    return VideoReader(path)
+    return VideoReader(path, threads, in_place)
 
 
 def frame_size(path: str | Path) -> tuple[int, int]:
@@ -327,8 +330,9 @@ def _undecodable(path: Path) -> InputError:
     )
 
 
-def open_capture(path: Path) -> cv2.VideoCapture:
-    """OpenCV's own reader of a video; an InputError when it cannot be opened.
+def open_capture(path: Path, threads: int | None = None) -> cv2.VideoCapture:
+    """OpenCV's own reader of a video, which decodes with so many threads (None: one per core); an InputError when it
+    cannot be opened.
 
     FFmpeg only: OpenCV's other back ends take numbers in file names for image sequences.
     """
@@ -338,7 +342,8 @@ def open_capture(path: Path) -> cv2.VideoCapture:
         raise InputError(f"The video {path} is empty (0 bytes); record or copy it again.")
     with quiet(), utf8_path(path) as name:
         try:
-            capture = cv2.VideoCapture(name, cv2.CAP_FFMPEG)
+            how = [] if threads is None else [cv2.CAP_PROP_N_THREADS, threads]
+            capture = cv2.VideoCapture(name, cv2.CAP_FFMPEG, how)
         except cv2.error:
             capture = None
     if capture is None or not capture.isOpened():

@@ -13,8 +13,9 @@ import cv2
 import numpy as np
 
 from hypose.cameras.camera import Camera
+from hypose.compute import mask_runs
 from hypose.evidence.background import BackgroundModel, Image, from_frames, gain_between
-from hypose.evidence.outlines import WORKING_HEIGHT, ViewOutline, view_outline
+from hypose.evidence.outlines import OUTLINE_POINTS, WORKING_HEIGHT, ViewOutline, outline_of_runs
 from hypose.evidence.silhouettes import Mask, Segmenter, SilhouetteSettings, bounding_box, make_segmenter
 from hypose.io.recordings.view_source import Preparer, mask_in
 
@@ -56,8 +57,8 @@ class ViewRoom:
         """What is not the room in a stored picture, (h, w), and its outline for tracking (None: it is empty). The room
         must be known."""
         assert self._segment is not None
-        mask, _ = mask_in(image, self._prepare, self._segment)
-        return mask, view_outline(mask, working_height=WORKING_HEIGHT) if mask.any() else None
+        runs, _ = mask_in(image, self._prepare, self._segment)
+        return mask_runs.draw(runs), outline_of_runs(runs, OUTLINE_POINTS, WORKING_HEIGHT) if runs.area else None
 
     def due(self, time: float) -> bool:
         """Whether it is time to look at what has changed."""
@@ -72,7 +73,7 @@ class ViewRoom:
         if self.background is None or not np.isfinite(passed):
             return
         assert self._segment is not None
-        found, picture = mask_in(image, self._prepare, self._segment)[0], self._prepare(image)
+        found, picture = mask_runs.draw(mask_in(image, self._prepare, self._segment)[0]), self._prepare(image)
         sparse, before = np.s_[::_SPARSE, ::_SPARSE], self.background.mean
         gain = gain_between(before[sparse], picture[sparse].astype(np.float32))
         mean = np.clip(before * gain, 0, 255)
