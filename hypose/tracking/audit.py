@@ -16,7 +16,7 @@ from hypose.body.body import Body
 from hypose.compute import (
     PreparedMasks,
     draw_parts,
-    mask_of_bits,
+    mask_of,
     parts_against_mask,
     projected,
     reach,
@@ -169,7 +169,7 @@ def _masks(
         if apart_too:
             small, ignored = (c, slice(y0, y1, step), slice(x0, x1, step)), silhouettes.ignored
             mask, ignored = silhouettes.masks[small], None if ignored is None else ignored[small]
-            shifts[k] = shift_of_mask(mask, mask_of_bits(seen.bits, shape[1]), size, ignored)
+            shifts[k] = shift_of_mask(mask, mask_of(seen.bits, shape[1]), size, ignored)
     second = -2 if len(views) > 1 else -1
     near, limbs = bare[:, : len(joints)], bare[:, len(joints) :].sum(0)
     best = np.sort(exposed, 0)

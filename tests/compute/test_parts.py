@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
-from hypose.compute import draw_parts, mask_of_bits, parts_against_mask, projected
+from hypose.compute import draw_parts, mask_of, parts_against_mask, projected
 from hypose.compute.pictures.render import silhouette
 
 PARTS = 5
@@ -59,7 +59,7 @@ def test_counts_are_those_of_their_definitions(width: int, rng: np.random.Genera
         ignored = None if trial % 2 else (rng.random((h, width)) < 0.2).astype(np.uint8)
         points, radius = rng.uniform(0, [width, h], (4, 2)), rng.uniform(1, 30, 4)
         drawn = draw_parts(uv, z, faces, part, PARTS, (h, width))
-        planes = np.stack([mask_of_bits(p, width) for p in drawn]).astype(bool)
+        planes = np.stack([mask_of(p, width) for p in drawn]).astype(bool)
         for p in range(PARTS):
             np.testing.assert_array_equal(planes[p], silhouette(uv, z, faces[part == p], (width, h)))
         hidden = None if ignored is None else packed(ignored)
@@ -68,7 +68,7 @@ def test_counts_are_those_of_their_definitions(width: int, rng: np.random.Genera
         expected = counted(planes, mask, points, radius, nothing if ignored is None else ignored)
         for found, right in zip(seen[:4], expected, strict=True):
             assert found.tolist() == right
-        np.testing.assert_array_equal(mask_of_bits(seen.bits, width), planes.any(0))
+        np.testing.assert_array_equal(mask_of(seen.bits, width), planes.any(0))
 
 
 def test_a_box_is_looked_at_in_steps(rng: np.random.Generator) -> None:
@@ -80,7 +80,7 @@ def test_a_box_is_looked_at_in_steps(rng: np.random.Generator) -> None:
         (h, w), points, radius = small.shape, rng.uniform(0, 50, (3, 2)), np.full(3, 20.0)
         uv, z, faces, part, _ = scene(rng, w, h)
         drawn = draw_parts(uv, z, faces, part, PARTS, (h, w))
-        planes = np.stack([mask_of_bits(p, w) for p in drawn]).astype(bool)
+        planes = np.stack([mask_of(p, w) for p in drawn]).astype(bool)
         seen = parts_against_mask(packed(mask, hidden), drawn, box, step, points, radius, packed(hidden))
         for found, right in zip(seen[:4], counted(planes, small, points, radius, ignored), strict=True):
             assert found.tolist() == right

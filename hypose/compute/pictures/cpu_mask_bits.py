@@ -53,7 +53,7 @@ def close_to(bits, box):
 
 
 @kernel
-def _grown(bits, spans, box, flip, out):
+def grown(bits, spans, box, flip, out):
     """out = bits, grown by the spans, in the box, out of which nothing comes. flip: 0, or ALL: what is not set grows,
     and out is what is left."""
     begin, words, n = box[2] >> 6, ((box[3] + 63) >> 6) - (box[2] >> 6), box[1] - box[0]
@@ -91,15 +91,15 @@ def opened(bits, spans, box, out):
     """out = bits in the box, eroded and dilated by the spans; beyond the box all is set to erode, and nothing to
     dilate."""
     less = np.zeros_like(bits)
-    _grown(bits, spans, box, ALL, less)
-    _grown(less, spans, box, u8(0), out)
+    grown(bits, spans, box, ALL, less)
+    grown(less, spans, box, u8(0), out)
 
 
 @kernel
 def _closed(bits, spans, box, out):
     more = np.zeros_like(bits)
-    _grown(bits, spans, box, u8(0), more)
-    _grown(more, spans, box, ALL, out)
+    grown(bits, spans, box, u8(0), more)
+    grown(more, spans, box, ALL, out)
 
 
 @kernel

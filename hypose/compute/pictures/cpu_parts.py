@@ -1,5 +1,4 @@
-"""numba: which parts of a body a picture shows (parts.py). A picture is rows of 64 pixels to a word, lowest bit first,
-and what lies beyond its last column is never set."""
+"""numba: which parts of a body a picture shows (parts.py), as bits (cpu_mask_bits.py)."""
 
 from __future__ import annotations
 
@@ -8,12 +7,13 @@ import math
 import numpy as np
 
 from hypose.compute.compiled import kernel
+from hypose.compute.pictures.cpu_mask_bits import ALL, grown, opened, u8
+from hypose.compute.pictures.cpu_pixels import lowest_bit, ones
 
 NEAR = 0.05
 """Triangles with a corner nearer than this (m) are not drawn."""
-_ONE, _ALL = np.uint64(1), np.uint64(0xFFFFFFFFFFFFFFFF)
-_PAIRS, _QUADS, _BYTES = np.uint64(0x5555555555555555), np.uint64(0x3333333333333333), np.uint64(0x0F0F0F0F0F0F0F0F)
-_SUM, _GATHER = np.uint64(0x0101010101010101), np.uint64(0x0102040810204080)
+_GATHER = u8(0x0102040810204080)
+"""The lowest bits of eight bytes, times this, become the highest byte."""
 
 
 @kernel
@@ -36,9 +36,9 @@ def place(points, projection, uv, z, reach):
 
 @kernel
 def draw(uv, z, faces, part, width, out):
-    """Set the pixels in out[part[f]] (P, h, W), width columns wide, whose centres face f of faces (F, 3) covers, of
+    """Set the pixels in out[part[f]] (P, W, h), width columns wide, whose centres face f of faces (F, 3) covers, of
     either orientation. uv (V, 2) px, z (V,) m."""
-    h = out.shape[1]
+    h = out.shape[2]
     for f in range(faces.shape[0]):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
         if not (z[a] > NEAR and z[b] > NEAR and z[c] > NEAR):
@@ -71,37 +71,22 @@ def draw(uv, z, faces, part, width, out):
 
 @kernel(inline=True)
 def _set(bits, p, r, first, last):
-    """The pixels first to last of row r of picture p of bits (P, h, W); none when the last comes before the first."""
+    """The pixels first to last of row r of picture p of bits (P, W, h); none when the last comes before the first."""
     i, j = first >> 6, last >> 6
-    begin, end = _ALL << np.uint64(first & 63), _ALL >> np.uint64(63 - (last & 63))
+    begin, end = ALL << u8(first & 63), ALL >> u8(63 - (last & 63))
     if i == j:  # most often, which is told easily by the processor; whether the row is empty is not
-        bits[p, r, i] |= begin & end
+        bits[p, i, r] |= begin & end
     elif i < j:
-        bits[p, r, i] |= begin
+        bits[p, i, r] |= begin
         for k in range(i + 1, j):
-            bits[p, r, k] = _ALL
-        bits[p, r, j] |= end
-
-
-@kernel(inline=True)
-def _count(word):
-    """How many bits are set."""
-    word = word - ((word >> _ONE) & _PAIRS)
-    word = (word & _QUADS) + ((word >> np.uint64(2)) & _QUADS)
-    return np.int64((((word + (word >> np.uint64(4))) & _BYTES) * _SUM) >> np.uint64(56))
-
-
-@kernel(inline=True)
-def _last(k, words, width):
-    """Which bits of word k of a row lie in the picture."""
-    return _ALL if k < words - 1 else _ALL >> np.uint64(64 * words - width)
+            bits[p, k, r] = ALL
+        bits[p, j, r] |= end
 
 
 @kernel
 def _thin(packed, first, step, width, out):
-    """Every step-th pixel of a mask, eight to a byte (H, B), from first (row, column) on, as a picture of bits out (h,
-    words)."""
-    h, words = out.shape
+    """Every step-th pixel of a mask, eight to a byte (H, B), from first (row, column) on, as bits out (W, h)."""
+    words, h = out.shape
     line = np.zeros(64 * words, np.uint8)
     eights = line.view(np.uint64)
     for r in range(h):
@@ -110,96 +95,63 @@ def _thin(packed, first, step, width, out):
             line[i] = (packed[y, x >> 3] >> (x & 7)) & 1
             x += step
         for k in range(words):
-            word = np.uint64(0)
+            word = u8(0)
             for b in range(8):
-                word |= (eights[8 * k + b] * _GATHER >> np.uint64(56)) << np.uint64(8 * b)
-            out[r, k] = word
+                word |= (eights[8 * k + b] * _GATHER >> u8(56)) << u8(8 * b)
+            out[k, r] = word
 
 
 @kernel
-def _grow(bits, width, out):
-    """A picture (h, W) of bits, and what touches it, corners too."""
-    h, words = bits.shape
-    for k in range(words):
-        within = _last(k, words, width)
-        above, here = np.uint64(0), _beside(bits, 0, k) & within
-        for r in range(h):
-            below = _beside(bits, r + 1, k) & within if r + 1 < h else np.uint64(0)
-            out[r, k] = above | here | below
-            above, here = here, below
-
-
-@kernel(inline=True)
-def _beside(bits, r, k):
-    """Word k of row r of bits (h, W), with the pixels left and right of what is set."""
-    word = bits[r, k] | bits[r, k] << _ONE | bits[r, k] >> _ONE
-    if k:
-        word |= bits[r, k - 1] >> np.uint64(63)
-    if k + 1 < bits.shape[1]:
-        word |= bits[r, k + 1] << np.uint64(63)
-    return word
-
-
-@kernel
-def _opened(covered, within, width, space, out):
-    """What of `within` (h, W) lies further than a pixel from `covered`, less what is thinner than three pixels; beyond
-    the border lies more of the same. space (h, W)."""
-    _grow(covered, width, out)
-    for r in range(out.shape[0]):
-        for k in range(out.shape[1]):
-            out[r, k] |= ~within[r, k] & _last(k, out.shape[1], width)
-    _grow(out, width, space)
-    for r in range(out.shape[0]):
-        for k in range(out.shape[1]):
-            space[r, k] = ~space[r, k] & _last(k, out.shape[1], width)
-    _grow(space, width, out)
-
-
-@kernel
-def against_mask(mask, hidden, first, step, width, parts, points, square, area, exposed, outside, bare):
-    """Counts of `parts.PartView`: of parts (P, h, W) drawn where every step-th pixel of a packed mask (H, B), from
+def against_mask(mask, hidden, first, step, width, parts, points, square, block, area, exposed, outside, bare):
+    """Counts of `parts.PartView`: of parts (P, W, h) drawn where every step-th pixel of a packed mask (H, B), from
     first (row, column) on, is a pixel; hidden (H, B), (0, 0): none. points (N, 2) in those pixels, square (N,) of
-    radii. parts[0] holds all of them afterwards."""
-    n, h, words = parts.shape
-    seen, shown = np.empty((h, words), np.uint64), np.empty((h, words), np.uint64)
-    space, found, everything = np.empty_like(seen), np.empty_like(seen), np.full((h, words), _ALL)
+    radii; block: spans of three by three pixels. parts[0] holds all of them afterwards."""
+    n, words, h = parts.shape
+    box = np.array([0, h, 0, width])
+    room = np.empty((5, words, h), np.uint64)
+    seen, shown, made, beside, found = room[0], room[1], room[2], room[3], room[4]
     _thin(mask, first, step, width, seen)
     if hidden.shape[0]:
         _thin(hidden, first, step, width, shown)
     else:
-        shown[:] = np.uint64(0)
-    for r in range(h):
-        for k in range(words):
-            space[r, k] = seen[r, k] | shown[r, k]
-            seen[r, k], shown[r, k] = seen[r, k] & ~shown[r, k], ~shown[r, k]
-    body = space  # in turn what covers the mask, then what the body covers
-    _opened(body, everything, width, np.empty_like(seen), found)
-    for r in range(h):
-        for k in range(words):
-            once, twice = np.uint64(0), np.uint64(0)
+        shown[:] = u8(0)
+    for k in range(words):
+        for r in range(h):
+            made[k, r] = seen[k, r] | shown[k, r]
+            seen[k, r], shown[k, r] = seen[k, r] & ~shown[k, r], ~shown[k, r]
+    grown(made, block, box, u8(0), beside)
+    for k in range(words):
+        for r in range(h):
+            beside[k, r] = ~beside[k, r]
+    opened(beside, block, box, found)
+    for k in range(words):
+        for r in range(h):
+            once, twice = u8(0), u8(0)
             for p in range(n):
-                twice |= once & parts[p, r, k]
-                once |= parts[p, r, k]
-            body[r, k] = once
-            if once == 0:
+                twice |= once & parts[p, k, r]
+                once |= parts[p, k, r]
+            made[k, r] = once
+            if once == u8(0):
                 continue
-            alone, out = shown[r, k] & ~twice, found[r, k]
+            alone, out = shown[k, r] & ~twice, found[k, r]
             for p in range(n):
-                word = parts[p, r, k]
+                word = parts[p, k, r]
                 if word:
-                    area[p] += _count(word)
-                    exposed[p] += _count(word & alone)
-                    outside[p] += _count(word & out)
-    _opened(body, seen, width, np.empty_like(seen), found)
-    for r in range(h):
-        for k in range(words):
-            word, x = found[r, k], 64 * k
+                    area[p] += ones(word)
+                    exposed[p] += ones(word & alone)
+                    outside[p] += ones(word & out)
+    parts[0] = made
+    grown(made, block, box, u8(0), beside)
+    for k in range(words):
+        for r in range(h):
+            beside[k, r] = seen[k, r] & ~beside[k, r]
+    opened(beside, block, box, found)
+    for k in range(words):
+        for r in range(h):
+            word = found[k, r]
             while word:
-                if word & _ONE:
-                    for i in range(points.shape[0]):
-                        dx, dy = x - points[i, 0], r - points[i, 1]
-                        if dx * dx + dy * dy < square[i]:
-                            bare[i] += 1
-                word >>= _ONE
-                x += 1
-            parts[0, r, k] = body[r, k]
+                x = 64 * k + lowest_bit(word)
+                word &= word - u8(1)
+                for i in range(points.shape[0]):
+                    dx, dy = x - points[i, 0], r - points[i, 1]
+                    bare[i] += dx * dx + dy * dy < square[i]

@@ -15,6 +15,8 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
+from hypose.compute.vector_code import Arrays, Vector, splat
+
 STRIP = 32
 """Bytes of rows that are added at once"""
 GROUP = 16
@@ -27,37 +29,33 @@ _COLOURS = ir.VectorType(_I32, 4)  # blue, green, red, and what comes after
 _i8, _f4 = types.int64, types.float32
 
 
+def _size(element: Any) -> int:
+    """Bytes of an element."""
+    return 4 if element == _FLOAT else element.width // 8
+
+
 class _Code:
     """The code being written: the arrays among an intrinsic's arguments by number, and what is done with vectors."""
 
     def __init__(self, context: Any, builder: Any, signature: Any, args: Any) -> None:
-        self.b = builder
-        self._data = [
-            context.make_array(t)(context, builder, a).data if isinstance(t, types.Array) else a
-            for t, a in zip(signature.args, args, strict=True)
-        ]
+        self.b, self._at = builder, Arrays(context, builder, signature, args)
 
     def number(self, array: int, index: Any) -> Any:
         """One element of an array."""
-        return self.b.load(self.b.gep(self._data[array], [index]))
+        return self._at.scalar(array, index)
 
     def load(self, array: int, index: Any, count: int) -> Any:
         """`count` elements from a place in an array on."""
-        place = self.b.gep(self._data[array], [index])
-        element = place.type.pointee
-        place = self.b.bitcast(place, ir.VectorType(element, count).as_pointer())
-        return self.b.load(place, align=4 if element == _FLOAT else element.width // 8)
+        element = self._at.data[array].type.pointee
+        return self._at.load(array, index, ir.VectorType(element, count), _size(element)).v
 
     def store(self, value: Any, array: int, index: Any) -> None:
         """The elements of a vector, from a place in an array on."""
-        place = self.b.gep(self._data[array], [index])
-        size = place.type.pointee.width // 8
-        self.b.store(value, self.b.bitcast(place, value.type.as_pointer()), align=size)
+        self._at.store(Vector(self.b, value), array, index, _size(value.type.element))
 
     def all(self, scalar: Any, count: int) -> Any:
         """A vector of the same value."""
-        one = self.b.insert_element(ir.Constant(ir.VectorType(scalar.type, count), ir.Undefined), scalar, _I32(0))
-        return self.pick(one, [0] * count)
+        return splat(self.b, scalar, ir.VectorType(scalar.type, count)).v
 
     def pick(self, value: Any, lanes: Sequence[int]) -> Any:
         """Some lanes of a vector."""

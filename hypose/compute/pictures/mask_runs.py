@@ -60,12 +60,16 @@ def bits_of(mask: Mask) -> Bits:
     return bits
 
 
+def mask_of(bits: Bits, width: int) -> Mask:
+    """The mask (h, width) of bits, 0 and 1."""
+    rows = np.ascontiguousarray(bits.T).view(np.uint8)
+    return np.unpackbits(rows, axis=1, count=width, bitorder="little")
+
+
 def clean(bits: Bits, shape: tuple[int, int], how: Cleaning) -> MaskRuns:
     """The mask (h, w) = shape of bits (which are changed), cleaned, as runs."""
     if selection.backend() == "numpy" and how != Cleaning():
-        rows = np.ascontiguousarray(bits.T).view(np.uint8)
-        mask = np.unpackbits(rows, axis=1, count=shape[1], bitorder="little")
-        return runs_of(_cleaned(mask, how))
+        return runs_of(_cleaned(mask_of(bits, shape[1]), how))
     about = np.zeros(5, np.int64)
     spans = square_spans(how.open_px), disc_spans(how.close_px)
     rules = how.close_px + 1, int(how.hole_px), float(how.keep_share), float(min(how.keep_gap, 1e9))

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.compute.native import native, plain
+from hypose.compute.pictures.mask_runs import Bits, mask_of, no_bits, square_spans
 
 Array = NDArray[np.float64]
 _NONE = np.zeros((0, 0), np.uint8)
@@ -15,14 +16,14 @@ _NONE = np.zeros((0, 0), np.uint8)
 
 class PartView(NamedTuple):
     """A body's parts against one mask, in pixels: area, exposed (covered by no other part) and outside (of the mask,
-    less its rim) of each part (P,); bare (N,): pixels of the mask without body within a radius of each point; bits (h,
-    W): where it is drawn, as `mask_of_bits` takes it."""
+    less its rim) of each part (P,); bare (N,): pixels of the mask without body within a radius of each point; bits (W,
+    h): where it is drawn."""
 
     area: NDArray[np.int64]
     exposed: NDArray[np.int64]
     outside: NDArray[np.int64]
     bare: NDArray[np.int64]
-    bits: NDArray[np.uint64]
+    bits: Bits
 
 
 def projected(points_world: ArrayLike, projection: ArrayLike) -> tuple[Array, Array, Array]:
@@ -41,30 +42,24 @@ def draw_parts(
     part: NDArray[np.uint8],
     n_parts: int,
     shape: tuple[int, int],
-) -> NDArray[np.uint64]:
-    """(n_parts, h, W) bits of what faces (F, 3) of the part (F,) cover of a picture of shape (h, w); uv (V, 2) px, z
+) -> Bits:
+    """(n_parts, W, h) bits of what faces (F, 3) of the part (F,) cover of a picture of shape (h, w); uv (V, 2) px, z
     (V,) m."""
     h, w = shape
-    out = np.zeros((n_parts, h, -(-w // 64)), np.uint64)
+    out = np.stack([no_bits(h, w)] * n_parts)
     native("pictures.parts").draw(plain(uv, np.float64), plain(z, np.float64), faces, part, w, out)
     return out
-
-
-def mask_of_bits(bits: NDArray[np.uint64], width: int) -> NDArray[np.uint8]:
-    """(h, width) of 0 and 1 of the bits (h, W) of a picture."""
-    flat = bits.astype("<u8", copy=False).view(np.uint8)
-    return np.ascontiguousarray(np.unpackbits(flat, axis=1, bitorder="little")[:, :width])
 
 
 def covered(uv: ArrayLike, z: ArrayLike, faces: NDArray[np.int32], shape: tuple[int, int]) -> NDArray[np.uint8]:
     """(h, w) = shape: 1 where faces (F, 3) cover a pixel's centre, else 0; uv (V, 2) px, z (V,) m."""
     f = plain(faces, np.int32)
-    return mask_of_bits(draw_parts(uv, z, f, np.zeros(len(f), np.uint8), 1, shape)[0], shape[1])
+    return mask_of(draw_parts(uv, z, f, np.zeros(len(f), np.uint8), 1, shape)[0], shape[1])
 
 
 def parts_against_mask(
     bits: NDArray[np.uint8],
-    drawn: NDArray[np.uint64],
+    drawn: Bits,
     box: tuple[int, int, int, int],
     step: int,
     points: ArrayLike,
@@ -74,7 +69,7 @@ def parts_against_mask(
     """Parts of a body against every step-th row and column of a mask in a box of it, packed as `prepare_masks` does (H,
     B).
 
-    drawn (P, h, W): each part in that small picture, as `draw_parts` gives it; it is used up. box: columns, rows, half
+    drawn (P, W, h): each part in that small picture, as `draw_parts` gives it; it is used up. box: columns, rows, half
     open, of the mask; points (N, 2) px, radius (N,) px of the small picture: around which bare mask is counted. hidden
     (H, B): what says nothing: it is neither bare nor outside, and nothing is exposed there. Rims of one pixel count
     neither as bare nor as outside, nor does what is thinner than three pixels.
@@ -84,5 +79,5 @@ def parts_against_mask(
     counts = tuple(np.zeros(n, np.int64) for n in (*(len(drawn),) * 3, len(uv)))
     first, width = np.array([y0, x0]), -(-(x1 - x0) // step)
     shown = plain(bits, np.uint8), _NONE if hidden is None else plain(hidden, np.uint8), first, step, width
-    native("pictures.parts").against_mask(*shown, drawn, uv, square, *counts)
+    native("pictures.parts").against_mask(*shown, drawn, uv, square, square_spans(3), *counts)
     return PartView(*counts, drawn[0])

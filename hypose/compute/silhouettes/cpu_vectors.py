@@ -252,16 +252,16 @@ STEPS = 32
 def _nearest(sign: int) -> Any:
     def nearest(typingctx: Any, line, step, far):
         def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-            at = _Arrays(context, builder, signature, args)
+            at = Arrays(context, builder, signature, args)
             kind = ir.VectorType(_I16, STEPS)
             count = builder.extract_value(context.make_array(signature.args[0])(context, builder, args[0]).shape, 0)
             step, far = (builder.trunc(v, _I16) for v in args[1:])
-            steps, beyond = _splat(builder, step, kind), _splat(builder, far, kind)
+            steps, beyond = splat(builder, step, kind), splat(builder, far, kind)
             carry = cgutils.alloca_once(builder, _I16)
             builder.store(far, carry)
 
-            def along(lanes: list[int]) -> _V:
-                return steps * _constant(builder, kind, lanes)
+            def along(lanes: list[int]) -> Vector:
+                return steps * constant(builder, kind, lanes)
 
             with cgutils.for_range(builder, builder.sdiv(count, _I64(STEPS)), intp=_I64) as loop:
                 first = builder.mul(loop.index, _I64(STEPS))
@@ -271,9 +271,9 @@ def _nearest(sign: int) -> Any:
                     order = range(STEPS - away, 2 * STEPS - away) if sign > 0 else range(away, STEPS + away)
                     pair = (beyond.v, value.v) if sign > 0 else (value.v, beyond.v)
                     lanes = ir.Constant(ir.VectorType(_I32, STEPS), list(order))
-                    value = value.at_most(_V(builder, builder.shuffle_vector(*pair, lanes)) + along([away] * STEPS))
+                    value = value.at_most(Vector(builder, builder.shuffle_vector(*pair, lanes)) + along([away] * STEPS))
                 away = list(range(1, STEPS + 1))[::sign]
-                value = value.at_most(_splat(builder, builder.load(carry), kind) + along(away))
+                value = value.at_most(splat(builder, builder.load(carry), kind) + along(away))
                 at.store(value, 0, first, 2)
                 builder.store(builder.extract_element(value.v, _I32(STEPS - 1 if sign > 0 else 0)), carry)
             return context.get_dummy_value()
