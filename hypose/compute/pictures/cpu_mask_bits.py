@@ -97,6 +97,7 @@ def opened(bits, spans, box, out):
 
 @kernel
 def _closed(bits, spans, box, out):
+    """The same, dilated first."""
     more = np.zeros_like(bits)
     grown(bits, spans, box, u8(0), more)
     grown(more, spans, box, ALL, out)
