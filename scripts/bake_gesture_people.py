@@ -22,7 +22,7 @@ OUT = Path(__file__).resolve().parent.parent / "hypose/assets/gesture_people.npz
 PEOPLE = 18
 VERTICES = 5600
 SCALE = 1e-4
-"""Metres per unit of vertices_q."""
+"""Metres per unit of vertices_step."""
 FINGERS = ("thumb", "index", "middle", "ring", "pinky")
 HAND_IMPORTANCE, HEAD_IMPORTANCE = 60.0, 4.0
 
@@ -97,12 +97,13 @@ def main() -> None:
     _, faces, mirror = mirrored(mean[left], faces)
     index = np.concatenate([left, human.mirror[left][mirror[: len(left)] != np.arange(len(left))]])
     skin_index, skin_weight = four_influences(weights[index])
+    vertices = np.round((np.array(skins)[:, index] - np.array(centres)[:, None, 0]) / SCALE).astype(np.int16)
     np.savez_compressed(
         args.out,
         names=np.array(labels),
         joint_names=np.array(names),
         parents=np.array(parents, np.int8),
-        vertices_q=np.round((np.array(skins)[:, index] - np.array(centres)[:, None, 0]) / SCALE).astype(np.int16),
+        vertices_step=np.diff(vertices, axis=0, prepend=0 * vertices[:1]),  # from one to the next: a fifth smaller
         vertex_scale=np.array(SCALE),
         joints=np.round(np.array(centres) - np.array(centres)[:, :1], 5).astype(np.float32),
         finger_ends=np.round(np.array(tips) - np.array(centres)[:, None, :1], 5).astype(np.float32),

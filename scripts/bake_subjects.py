@@ -22,7 +22,7 @@ from makehuman import JOINT_NAMES, MIRROR_JOINT, PARENTS, MakeHuman, Phenotype, 
 OUT = Path(__file__).resolve().parent.parent / "hypose/assets/subjects.npz"
 VERTICES = 3000
 SCALE = 1e-4
-"""Metres per unit of vertices_q."""
+"""Metres per unit of vertices_step."""
 SEED = 20
 IMPORTANCE = {"head": 0.4, "wrist": 0.6, "ankle": 0.6}
 # Cloth: full weight where it is worn, none on head, hands and feet; the blend of skinning weights makes cuffs soft.
@@ -133,7 +133,9 @@ def main() -> None:
         **{k: np.array([getattr(p, k) for _, _, p in people]) for k in ("age", "muscle", "weight", "proportions")},
         "joint_names": np.array(JOINT_NAMES),
         "parents": PARENTS,
-        "vertices_q": np.array(quantised),
+        "vertices_step": np.diff(
+            quantised, axis=0, prepend=[np.zeros_like(quantised[0])]
+        ),  # from one to the next: smaller
         "vertex_scale": np.array(SCALE),
         "joints": np.array(centres),
         "faces": faces.astype(np.uint16),

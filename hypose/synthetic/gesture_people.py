@@ -180,9 +180,9 @@ def load_people(cloth_m: float = 0.008) -> tuple[Person, ...]:
     bare = [i for i, n in enumerate(names) if n == "head" or n.endswith(("_wrist", "_1", "_2", "_3"))]
     dressed = np.clip(1 - 1.5 * weights[:, bare].sum(1), 0, 1)
     faces = data["faces"].astype(np.int32)
-    out = []
+    out, vertices = [], np.cumsum(data["vertices_step"], axis=0) * float(data["vertex_scale"])
     for k, name in enumerate(data["names"].tolist()):
-        v = data["vertices_q"][k].astype(np.float64) * float(data["vertex_scale"])
+        v = vertices[k]
         thickness = cloth_m * (0.4 + 1.1 * ((k * 7) % 18) / 17)
         v = v + (thickness * dressed)[:, None] * vertex_normals(v, faces)
         out.append(

@@ -103,7 +103,7 @@ def load_subjects() -> dict[str, Subject]:
             "The synthetic subjects (hypose/assets/subjects.npz) are missing from this installation; "
             "install hypose again, or use a procedural subject."
         ) from None
-    vertices = data["vertices_q"].astype(np.float64) * float(data["vertex_scale"])
+    vertices = np.cumsum(data["vertices_step"], axis=0) * float(data["vertex_scale"])  # kept as what people differ by
     out = {}
     for k, name in enumerate(data["names"].tolist()):
         joints = data["joints"][k].astype(np.float64)
