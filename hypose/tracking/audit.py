@@ -7,6 +7,7 @@ weighs them.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -144,8 +145,8 @@ def _masks(
 ) -> tuple[Array, float]:
     """(J, 6), and by how much the views are apart, NaN where that is not wanted; see AUDITED."""
     part, limb, roots = _layout(tuple(body.skeleton.joint_names))
-    points, part_of_face = np.concatenate([body.skin(pose), joints, joints[roots]]), _face_parts(body)
-    reach = np.r_[np.full(len(joints), NEAR_M), [r for _, r in _ROOTS]]
+    points, part_of_face = np.concatenate([body.skin(pose), joints, joints[roots]]), _kept(body).part_of_face
+    reach = np.concatenate([np.full(len(joints), NEAR_M), [r for _, r in _ROOTS]])
     views, marks = np.flatnonzero(silhouettes.usable), len(points) - len(reach)
     shifts = np.full((len(views), 2), np.nan)
     bare, exposed, outside = (np.zeros((len(views), n)) for n in (len(reach), len(_PARTS), len(_PARTS)))
@@ -207,14 +208,15 @@ def _rivals(body: Body, joints: Array, rivals: tuple[ArrayLike, ArrayLike] | Non
 def _loose(body: Body, pose: Array, masks: PreparedMasks, index: int) -> Array:
     """(J,) what turns of an arm leave nearly as it is, each arm in its turn; see AUDITED."""
     s, mesh, out = body.skeleton, body.coarse.arrays, np.zeros(len(body.skeleton.joint_names))
-    for k, arm in enumerate(_arms(body)):
+    for k, arm in enumerate(_kept(body).arms):
         if (index - 2 * k) % _EVERY:
             out[list(arm.chain)] = np.nan
             continue
         poses = np.repeat(pose[None], _TURNS + 1, 0)  # the last one stands
         poses[:-1, arm.own] += _turns(len(arm.own))
         poses = s.clamp(poses)
-        away = np.linalg.norm(ends(arm.here(poses[:-1])) - ends(arm.here(pose[None])), axis=-1)  # elbow, wrist, hand
+        at = ends(arm.here(poses))  # elbow, wrist, hand
+        away = np.linalg.norm(at[:-1] - at[-1:], axis=-1)
         rest = reach.standing(pose, s.tree, mesh, masks, arm.moving)
         counts = silhouette_xor(poses, s.tree, mesh, masks, moving=arm.moving, rest=rest)
         energy = (counts[:, masks.usable, 0] / masks.norm[masks.usable]).sum(1)
@@ -241,7 +243,7 @@ def _elsewhere(body: Body, pose: Array, masks: PreparedMasks, index: int) -> Arr
     """(J, 2): what the reach of the arms allows, each in its turn, for it is dear; see AUDITED."""
     out = np.zeros((len(body.skeleton.joint_names), 2))
     s, mesh = body.skeleton, body.coarse.arrays
-    for k, arm in enumerate(_arms(body)):
+    for k, arm in enumerate(_kept(body).arms):
         out[list(arm.chain)] = 0.0 if (index - 2 * k) % _EVERY == 0 else np.nan
         if np.isnan(out[arm.chain[0], 0]):
             continue
@@ -275,23 +277,34 @@ _CUTOFF, _TRIED, _POOL = 0.1, 2048, 64
 _ELSEWHERE_M = 0.1
 _RATIO, _SOFT = 0.15, 0.02
 """of energies: arms that fit worse by more do not count, and by so much they count by 1 / e"""
-_ARMS: dict[int, tuple[Body, tuple[ArmReach, ...]]] = {}
 
 
-def _arms(body: Body) -> tuple[ArmReach, ...]:
-    """The tables of reach of a body, made once."""
-    kept = _ARMS.get(id(body))
-    if kept is None or kept[0] is not body:
-        while len(_ARMS) > 3:
-            _ARMS.pop(next(iter(_ARMS)))
+@dataclass(frozen=True)
+class _Kept:
+    """What is made of a body once: its arms' tables of reach, and the part of each face (F,)."""
+
+    body: Body
+    arms: tuple[ArmReach, ...]
+    part_of_face: NDArray[np.uint8]
+
+
+_KEPT: dict[int, _Kept] = {}
+
+
+def _kept(body: Body) -> _Kept:
+    """Of a body."""
+    kept = _KEPT.get(id(body))
+    if kept is None or kept.body is not body:
+        while len(_KEPT) > 3:
+            _KEPT.pop(next(iter(_KEPT)))
         s = body.skeleton
         found = []
         for side in ("left", "right"):
             joints = tuple(f"{side}_{n}" for n in ("clavicle", "shoulder", "elbow"))
             if all(f"{side}_{n}" in s.joint_names for n in ("clavicle", "shoulder", "elbow", "wrist")):
                 found.append(arm_reach(body, joints, *in_practice(s)))
-        kept = _ARMS[id(body)] = body, tuple(found)
-    return kept[1]
+        kept = _KEPT[id(body)] = _Kept(body, tuple(found), _face_parts(body))
+    return kept
 
 
 def _points(names: tuple[str, ...], rotations: Array, joints: Array, seen: Keypoints, model: KeypointModel) -> Array:
