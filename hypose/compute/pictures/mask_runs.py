@@ -54,7 +54,7 @@ def bits_of(mask: Mask) -> Bits:
     bits = no_bits(*mask.shape)
     if selection.backend() == "numpy":
         wide = np.pad(mask, ((0, 0), (0, 64 * len(bits) - mask.shape[1])))
-        bits[:] = np.packbits(wide, axis=1, bitorder="little").view(np.uint64).T
+        bits[:] = np.ascontiguousarray(np.packbits(wide, axis=1, bitorder="little")).view(np.uint64).T
         return bits
     native("pictures.mask_bits").bits_of(plain(mask, np.uint8), bits)
     return bits
