@@ -100,10 +100,11 @@ def square_spans(size: int) -> NDArray[np.int64]:
 @lru_cache(maxsize=256)
 def disc_spans(size: int) -> NDArray[np.int64]:
     """The same of OpenCV's disc."""
-    return _spans(_disc(size)) if size > 1 else _spans(np.ones((size, size), np.uint8))
+    return _spans(disc(size)) if size > 1 else _spans(np.ones((size, size), np.uint8))
 
 
-def _disc(size: int) -> Mask:
+def disc(size: int) -> Mask:
+    """(size, size) OpenCV's disc, 1 where it is."""
     return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), dtype=np.uint8)
 
 
@@ -131,7 +132,7 @@ def _cleaned(mask: Mask, how: Cleaning) -> Mask:
         square = np.ones((how.open_px, how.open_px), np.uint8)
         made = np.asarray(cv2.morphologyEx(made, cv2.MORPH_OPEN, square), dtype=np.uint8)
     if how.close_px > 1:
-        made = np.asarray(cv2.morphologyEx(made, cv2.MORPH_CLOSE, _disc(how.close_px)), dtype=np.uint8)
+        made = np.asarray(cv2.morphologyEx(made, cv2.MORPH_CLOSE, disc(how.close_px)), dtype=np.uint8)
     out[part] = _regions(made, how)
     return out
 
