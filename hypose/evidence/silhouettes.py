@@ -216,10 +216,6 @@ def bounding_box(mask: ArrayLike, margin: int = 0) -> tuple[int, int, int, int] 
     return max(y - margin, 0), min(y + height + margin, h), max(x - margin, 0), min(x + width + margin, w)
 
 
-def _disc(size: int) -> Mask:
-    return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), dtype=np.uint8)
-
-
 def clean(mask: Mask, options: SilhouetteSettings | None = None) -> Mask:
     """Opening, closing, small holes filled, small parts dropped."""
     return _cleaned(mask, (options or SilhouetteSettings()).cleaning)
@@ -250,8 +246,8 @@ def refine_rim(image: Image, mask: Mask, rim_px: int = 3, band: Mask | None = No
     y0, y1, x0, x1 = box
     m, part = mask[y0:y1, x0:x1], np.ascontiguousarray(image[y0:y1, x0:x1])
     label = np.where(m > 0, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
-    label[cv2.erode(m, _disc(2 * rim_px + 1)) > 0] = cv2.GC_FGD
-    label[cv2.dilate(m, _disc(2 * rim_px + 1)) == 0] = cv2.GC_BGD
+    label[cv2.erode(m, mask_runs.disc(2 * rim_px + 1)) > 0] = cv2.GC_FGD
+    label[cv2.dilate(m, mask_runs.disc(2 * rim_px + 1)) == 0] = cv2.GC_BGD
     if core is not None:
         label[(core[y0:y1, x0:x1] > 0) & (label != cv2.GC_FGD)] = cv2.GC_PR_FGD
     if band is not None:

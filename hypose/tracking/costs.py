@@ -133,13 +133,19 @@ def same_cost(body: Body, pose: Array, other: Array, frame: PreparedFrame) -> No
             memory.same(body, pose, other)
 
 
+_IN_LANES = 8
+"""From so many numbers on numpy adds them in another order."""
+
+
 def mean_overlap(body: Body, pose: Array, frame: PreparedFrame) -> float:
     """Mean IoU over the views that tell; 0 when none does."""
     return _mean_of_known(silhouette_iou(body, pose, frame), 0.0)
 
 
 def _mean_of_known(overlap: Array, otherwise: float) -> float:
-    """np.nanmean of a few numbers, many times sooner."""
+    """np.nanmean, bit by bit; of a few numbers, which numpy adds one after the other as well, many times sooner."""
+    if len(overlap) >= _IN_LANES:
+        return float(np.nanmean(overlap)) if np.isfinite(overlap).any() else otherwise
     total, count = 0.0, 0
     for one in overlap.tolist():
         if one == one:  # a number

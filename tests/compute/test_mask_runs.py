@@ -51,6 +51,17 @@ def test_masks_come_back(rng, size):
         assert np.array_equal(beyond, np.pad(mask, ((2, 1), (1, 4))))
 
 
+@pytest.mark.parametrize("size", SIZES)
+def test_bits_are_the_same_however_a_mask_lies_in_memory(rng, size):
+    for mask in masks(rng, size):
+        locked = mask.copy()
+        locked.flags.writeable = False
+        for other in (np.asfortranarray(mask), mask[::-1, ::-1].copy()[::-1, ::-1], mask.astype(bool), locked):
+            for backend in ("numba", "numpy"):
+                with compute.use(backend):
+                    assert np.array_equal(bits_of(other), bits_of(mask))
+
+
 @pytest.mark.parametrize("how", RULES)
 @pytest.mark.parametrize("size", SIZES)
 def test_cleaned_masks_are_those_of_opencv(rng, size, how):

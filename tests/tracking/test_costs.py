@@ -5,7 +5,7 @@ import pytest
 
 from hypose.body.body import Shape, deform
 from hypose.inference.hypotheses import Hypotheses
-from hypose.tracking.costs import SilhouetteXor, silhouette_iou, xor_energy
+from hypose.tracking.costs import SilhouetteXor, _mean_of_known, silhouette_iou, xor_energy
 from hypose.tracking.frame_evidence import prepare, view_count
 
 
@@ -64,3 +64,13 @@ def test_counts_are_remembered_per_body(body, standing, frame_of):
         assert xor_energy(tried, standing[None], frame)[0] == energies[-1]
         del tried
     assert (np.diff(energies) > 0).all()
+
+
+@pytest.mark.parametrize("views", [1, 4, 7, 8, 9, 17, 31])
+def test_means_over_views_are_those_of_numpy_bit_by_bit(views, rng):
+    overlap = rng.random((300, views))
+    overlap[rng.random(overlap.shape) < 0.2] = np.nan
+    overlap[0] = np.nan
+    for row in overlap:
+        expected = float(np.nanmean(row)) if np.isfinite(row).any() else 0.5
+        assert _mean_of_known(row, 0.5) == expected

@@ -95,7 +95,7 @@ def differ(image, low, high, mean, shadow, darkest, lightest, chroma, y0, y1, x0
 
 @kernel
 def order_statistic(stack, hidden, rank, out):
-    """out (P, 3) u1 of stack (N, P, 3) u1: see images.order_statistic; hidden (N or 0, P) bool, rank (P,) u2.
+    """out (P, 3) u1 of stack (N, P, 3) u1: see picture_to_mask.order_statistic; hidden (N or 0, P) bool, rank (P,) u2.
 
     The value is found bit by bit: how many are smaller than it would be with this bit? All in vector lanes."""
     n, pixels = stack.shape[0], stack.shape[1]

@@ -17,6 +17,15 @@ u8 = np.uint64
 ALL = u8(0xFFFFFFFFFFFFFFFF)
 
 
+@kernel(inline=True)
+def word_of(eights, k):
+    """Word k of a row of zeros and ones, a byte each, eight to a number of eights (8 words,) u8."""
+    word = u8(0)
+    for i in range(8):  # the lowest bits of eight bytes, times this, become the highest byte
+        word |= ((eights[8 * k + i] * u8(0x0102040810204080)) >> u8(56)) << u8(8 * i)
+    return word
+
+
 @kernel
 def bits_of(mask, bits):
     """bits (words, h) u8 of a mask (h, w) u1, non-zero = set."""
@@ -28,10 +37,7 @@ def bits_of(mask, bits):
         for x in range(w):
             padded[x] = row[x] != 0
         for k in range(bits.shape[0]):
-            word = u8(0)
-            for i in range(8):  # the lowest bits of eight bytes become one byte
-                word |= ((eights[8 * k + i] * u8(0x0102040810204080)) >> u8(56)) << u8(8 * i)
-            bits[k, y] = word
+            bits[k, y] = word_of(eights, k)
 
 
 @kernel

@@ -7,13 +7,11 @@ import math
 import numpy as np
 
 from hypose.compute.compiled import kernel
-from hypose.compute.pictures.cpu_mask_bits import ALL, grown, opened, u8
+from hypose.compute.pictures.cpu_mask_bits import ALL, grown, opened, u8, word_of
 from hypose.compute.pictures.cpu_pixels import lowest_bit, ones
 
 NEAR = 0.05
 """Triangles with a corner nearer than this (m) are not drawn."""
-_GATHER = u8(0x0102040810204080)
-"""The lowest bits of eight bytes, times this, become the highest byte."""
 
 
 @kernel
@@ -95,10 +93,7 @@ def _thin(packed, first, step, width, out):
             line[i] = (packed[y, x >> 3] >> (x & 7)) & 1
             x += step
         for k in range(words):
-            word = u8(0)
-            for b in range(8):
-                word |= (eights[8 * k + b] * _GATHER >> u8(56)) << u8(8 * b)
-            out[k, r] = word
+            out[k, r] = word_of(eights, k)
 
 
 @kernel

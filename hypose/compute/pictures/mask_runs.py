@@ -54,7 +54,7 @@ def bits_of(mask: Mask) -> Bits:
     bits = no_bits(*mask.shape)
     if selection.backend() == "numpy":
         wide = np.pad(mask, ((0, 0), (0, 64 * len(bits) - mask.shape[1])))
-        bits[:] = np.packbits(wide, axis=1, bitorder="little").view(np.uint64).T
+        bits[:] = np.ascontiguousarray(np.packbits(wide, axis=1, bitorder="little")).view(np.uint64).T
         return bits
     native("pictures.mask_bits").bits_of(plain(mask, np.uint8), bits)
     return bits
@@ -100,10 +100,11 @@ def square_spans(size: int) -> NDArray[np.int64]:
 @lru_cache(maxsize=256)
 def disc_spans(size: int) -> NDArray[np.int64]:
     """The same of OpenCV's disc."""
-    return _spans(_disc(size)) if size > 1 else _spans(np.ones((size, size), np.uint8))
+    return _spans(disc(size)) if size > 1 else _spans(np.ones((size, size), np.uint8))
 
 
-def _disc(size: int) -> Mask:
+def disc(size: int) -> Mask:
+    """(size, size) OpenCV's disc, 1 where it is."""
     return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), dtype=np.uint8)
 
 
@@ -131,7 +132,7 @@ def _cleaned(mask: Mask, how: Cleaning) -> Mask:
         square = np.ones((how.open_px, how.open_px), np.uint8)
         made = np.asarray(cv2.morphologyEx(made, cv2.MORPH_OPEN, square), dtype=np.uint8)
     if how.close_px > 1:
-        made = np.asarray(cv2.morphologyEx(made, cv2.MORPH_CLOSE, _disc(how.close_px)), dtype=np.uint8)
+        made = np.asarray(cv2.morphologyEx(made, cv2.MORPH_CLOSE, disc(how.close_px)), dtype=np.uint8)
     out[part] = _regions(made, how)
     return out
 

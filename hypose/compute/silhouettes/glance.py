@@ -40,7 +40,7 @@ def glance_at(room: Room) -> Glance:
 
 def stored_pixels(stored: tuple[int, int], map_x: ArrayLike, map_y: ArrayLike) -> NDArray[np.int32]:
     """(m, n) number of the pixel of a stored picture (width, height), up and left of where each pixel looked at lies,
-    from the maps (h, w) of `images.make_lens`; -1 where that is outside the picture."""
+    from the maps (h, w) of `picture_to_mask.make_lens`; -1 where that is outside the picture."""
     mx, my = (np.asarray(m, dtype=np.float64) for m in (map_x, map_y))
     h, w = mx.shape
     x = np.floor((mx[::STEP, ::STEP] + 0.5) * stored[0] / w - 0.5)

@@ -52,7 +52,7 @@ def vertex_normals(vertices, faces, normals):
 @kernel
 def _nearest(fx, fy, fz, nx, ny, nz, px, py, pz, ox, oy, oz):
     """The nearest of the given points to p, those with other normals than o counting as further off: squared distance
-    and index packed into one integer, as in cpu_rows.nearest. Its own kernel, for all stays in single precision here,
+    and index packed into one integer, as in cpu_contours.nearest. Its own kernel: all stays in single precision here,
     and the arrays begin at the first point that counts: an index from elsewhere takes half as long again."""
     best = i4(2147483647)
     for i in range(fx.shape[0]):

@@ -240,6 +240,6 @@ class Workspace(NamedTuple):
     row_joints: NDArray[np.int32]
     """(M,)"""
     lanes: NDArray[np.float64]
-    """(13, M) the same in the order of their joints"""
+    """(9, M + 24) the same in the order of their joints, a number of a row to a line; the last line is scratch"""
     place: NDArray[np.int64]
     """(J + 1,)"""

@@ -435,7 +435,8 @@ class FrameStream:
         outlined = self._given is not None and self._given.asked
         for i in wanted:
             if i not in self._ahead:
-                self._ahead[i] = PendingMasks(self._lanes, self._packed, i, outlined)
+                # of what lies behind the areas alone are wanted
+                self._ahead[i] = PendingMasks(self._lanes, self._packed, i, outlined and i >= index)
         for i in missing:
             self._areas[i] = self._ahead[i].areas()
             if i < index:

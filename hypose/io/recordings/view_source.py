@@ -82,7 +82,14 @@ def mask_in(image: Image, prepare: Preparer, segment: Segmenter, band: Mask | No
         found = prepare.differing_box(image, segment.glance) if band is None else bounding_box(band)
         box = found or (0, 0, 0, 0)
     prepared = prepare.within(image, box)
-    return segment.runs(prepared, band, box), prepared
+    runs = segment.runs(prepared, band, box)
+    if box is not None and runs.area and not _holds(box, runs.box):  # what is closed or filled may reach beyond it
+        prepared = prepare.within(image, None)
+    return runs, prepared
+
+
+def _holds(box: Box, other: Box) -> bool:
+    return box[0] <= other[0] and other[1] <= box[1] and box[2] <= other[2] and other[3] <= box[3]
 
 
 class _MaskSource:
