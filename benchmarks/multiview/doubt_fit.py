@@ -24,6 +24,7 @@ from hypose.synthetic.metrics import EVALUATED
 from hypose.tracking.doubt import (
     FEATURES,
     GROUPS,
+    MOST_SD,
     OF_CLIP,
     WRONG_M,
     DoubtModel,
@@ -39,11 +40,11 @@ _ARMS = _GROUP == GROUPS.index("arms")
 _NEGATIVE = ("exposed", "exposed_second", "points_agree")
 _POINTS = tuple(n for n in FEATURES if n.startswith("points"))
 _NEUTRAL = ("log_sd", "moved", "accel")
-_CLIP = ("apart", "more_mask", *(f"{n}_of_clip" for n in OF_CLIP))
+_CLIP = tuple(f"{n}_of_clip" for n in OF_CLIP)
 """The same for all joints of a clip: neither sign speaks for itself beside what is told of the joint."""
 _MASKED = (
     *("sd_around", "moved", "accel", "still", "bare_beside", "exposed", "exposed_second", "hidden", "outside"),
-    *("rival_around", "cost_more", "loose", "exchanged", *_CLIP),
+    *("rival_around", "cost_more", "loose", "exchanged", "apart", "more_mask", *_CLIP),
 )
 """What masks alone are judged by. With the rest, which tells much the same by other measures, motions left out are told
 worse: the AUROC of their arms in usual scenes was .71 with them, and is .93 (seeds 600 to 617)."""
@@ -130,7 +131,11 @@ def used_by(evidence: str) -> list[str]:
     if evidence == "keypoints":
         return [*_NEUTRAL, *_POINTS]
     # sides are looked at with masks alone, and key points tell which view is wrong
-    return [n for n in FEATURES if n not in ("log_sd", "sd_around", "exchanged", "bare_beside", *_CLIP)]
+    return [
+        n
+        for n in FEATURES
+        if n not in ("log_sd", "sd_around", "exchanged", "apart", "bare_beside", "more_mask", *_CLIP)
+    ]
 
 
 def fit(rows: Rows, evidence: str, known: DoubtModel | None = None) -> DoubtModel:
@@ -169,7 +174,7 @@ def _weights(rows: Rows, evidence: str, known: DoubtModel | None) -> DoubtModel:
     count = np.where(_wholly_wrong(rows), _LESS, 1.0)
     for g in range(len(GROUPS)):
         own = g == _GROUP
-        z = np.clip((rows.x[:, own] - middle) / scale, -6, 6).reshape(-1, len(FEATURES))
+        z = np.clip((rows.x[:, own] - middle) / scale, -MOST_SD, MOST_SD).reshape(-1, len(FEATURES))
         counts, y = np.repeat(count, np.count_nonzero(own)), wrong[:, own].ravel().astype(float)
         if known is not None and few:
             slope, offset[g] = _level((z * known.weights[g]).sum(1) + known.offset[g], y, counts)
