@@ -82,9 +82,29 @@ def _set(bits, p, r, first, last):
 
 
 @kernel
+def _moved(packed, first, width, out):
+    """`_thin` of every pixel."""
+    words, h = out.shape
+    shift, size = np.uint8(first[1] & 7), packed.shape[1]
+    for r in range(h):
+        y = first[0] + r
+        for k in range(words):
+            word, x = u8(0), (first[1] >> 3) + 8 * k
+            for b in range(8):
+                here = u8(packed[y, x + b] if x + b < size else 0)
+                after = u8(packed[y, x + b + 1] if x + b + 1 < size else 0)
+                word |= (((here | after << u8(8)) >> u8(shift)) & u8(255)) << u8(8 * b)
+            left = width - 64 * k
+            out[k, r] = word if left >= 64 else word & (ALL >> u8(64 - left))
+
+
+@kernel
 def _thin(packed, first, step, width, out):
     """Every step-th pixel of a mask, eight to a byte (H, B), from first (row, column) on, as bits out (W, h)."""
     words, h = out.shape
+    if step == 1:  # then bits only move
+        _moved(packed, first, width, out)
+        return
     line = np.zeros(64 * words, np.uint8)
     eights = line.view(np.uint64)
     for r in range(h):
