@@ -165,7 +165,7 @@ outlines with; pictures: masks from pictures; monocular: one camera."""
 _COST = {
     "solver": (30,),
     "scorer": (24, 3),
-    "outlines": (3, 5, 2),
+    "outlines": (5, 8, 5),
     "shape": (4,),
     "pictures": (6, 1),
     "monocular": (30,),

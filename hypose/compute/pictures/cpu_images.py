@@ -69,7 +69,8 @@ def differ(image, low, high, mean, shadow, darkest, lightest, chroma, y0, y1, x0
             n = y * w + x
             at = min(n, last)
             bits[x >> 6, y] |= (outside(picture, least, most, 3 * at) >> u8(n - at)) << u8(x & 63)
-    box = np.array([y0, y1, x0, x1])
+    box = np.empty(4, np.int64)
+    box[0], box[1], box[2], box[3] = y0, y1, x0, x1
     close_to(bits, box)
     if not shadow:
         return

@@ -234,7 +234,9 @@ def _regions_near(n, runs, parent, keep_share, keep_gap, kept, about):
         if area[i] > area[main]:
             main = i
     side = max(box[main, 1] - box[main, 0], box[main, 3] - box[main, 2])
-    about[:] = box[main, 0], box[main, 1], box[main, 2], box[main, 3], 0
+    for i in range(4):  # one by one: a tuple at once takes half a second to compile
+        about[i] = box[main, i]
+    about[4] = 0
     for i in range(n):
         k = _root(parent, i)
         if k == i:

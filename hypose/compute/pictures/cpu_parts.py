@@ -19,7 +19,8 @@ def place(points, projection, uv, z, reach):
     """Pixels uv (N, 2), NaN behind the camera, and z (N,) m along the axis of it, of points (N, 3) m; projection
     (3, 4); reach (2, 2): the least and the most of u and of v, infinite without any."""
     p = projection
-    reach[:, 0], reach[:, 1] = np.inf, -np.inf
+    for k in range(2):
+        reach[k, 0], reach[k, 1] = np.inf, -np.inf
     for i in range(points.shape[0]):
         x, y, t = points[i, 0], points[i, 1], points[i, 2]
         far = p[2, 0] * x + p[2, 1] * y + p[2, 2] * t + p[2, 3]
@@ -122,7 +123,8 @@ def against_mask(mask, hidden, first, step, width, parts, points, square, block,
     first (row, column) on, is a pixel; hidden (H, B), (0, 0): none. points (N, 2) in those pixels, square (N,) of
     radii; block: spans of three by three pixels. parts[0] holds all of them afterwards."""
     n, words, h = parts.shape
-    box = np.array([0, h, 0, width])
+    box = np.zeros(4, np.int64)
+    box[1], box[3] = h, width
     room = np.empty((5, words, h), np.uint64)
     seen, shown, made, beside, found = room[0], room[1], room[2], room[3], room[4]
     _thin(mask, first, step, width, seen)
@@ -155,7 +157,9 @@ def against_mask(mask, hidden, first, step, width, parts, points, square, block,
                     area[p] += ones(word)
                     exposed[p] += ones(word & alone)
                     outside[p] += ones(word & out)
-    parts[0] = made
+    for k in range(words):
+        for r in range(h):
+            parts[0, k, r] = made[k, r]
     grown(made, block, box, u8(0), beside)
     for k in range(words):
         for r in range(h):
