@@ -62,8 +62,8 @@ FEATURES = (
 )
 """What a joint is judged by, see `clip_features`."""
 MOST_SD = np.array([2.0 if n.endswith("_of_clip") else 6.0 for n in FEATURES])
-"""(F,) from where on a feature tells no more. What kind of clip it is tells how much the rest says, and nothing by
-itself: that somebody fits badly all the time must not make a plainly wrong arm a good one."""
+"""(F,) sd from where on a feature speaks no more for a joint. What kind of clip it is tells how much the rest says:
+that somebody fits badly all the time must not make a plainly wrong arm a good one."""
 GROUPS = ("trunk", "arms", "legs")
 
 
@@ -210,8 +210,9 @@ class DoubtModel:
 
     def log_odds(self, features: Array, groups: NDArray[np.int64]) -> Array:
         """(T, J) of features (T, J, F) of joints in groups (J,)."""
-        z = np.clip((features - self.middle) / self.scale, -MOST_SD, MOST_SD)
-        return np.einsum("tjf,jf->tj", z, self.weights[groups]) + self.offset[groups]
+        z = np.clip((features - self.middle) / self.scale, -6.0, 6.0)
+        weights = self.weights[groups]
+        return np.maximum(z * weights, -MOST_SD * np.abs(weights)).sum(-1) + self.offset[groups]
 
     def probability(self, features: Array, groups: NDArray[np.int64]) -> Array:
         """(T, J) that the joint is wrong by more than WRONG_M."""
