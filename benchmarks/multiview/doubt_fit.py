@@ -174,6 +174,7 @@ def _weights(rows: Rows, evidence: str, known: DoubtModel | None) -> DoubtModel:
     count = np.where(_wholly_wrong(rows), _LESS, 1.0)
     for g in range(len(GROUPS)):
         own = g == _GROUP
+        # on both sides here, so that no clip far from the others turns a weight; told, it holds where it calms alone
         z = np.clip((rows.x[:, own] - middle) / scale, -MOST_SD, MOST_SD).reshape(-1, len(FEATURES))
         counts, y = np.repeat(count, np.count_nonzero(own)), wrong[:, own].ravel().astype(float)
         if known is not None and few:
