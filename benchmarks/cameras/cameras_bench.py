@@ -23,7 +23,7 @@ from benchmarks.cameras.captured_motion import (
     without_one,
 )
 from benchmarks.multiview.pose2sim_method import pose2sim_points
-from benchmarks.multiview.spread_fit import covered, level_error, squares
+from benchmarks.multiview.spread_fit import held_rows, squares
 from hypose.body.motion import Motion
 from hypose.body.ready_bodies import human
 from hypose.cameras.camera import CameraRig
@@ -62,8 +62,8 @@ def cameras(options: BenchOptions) -> BenchReport:
     """mean_mm: 12 limb joints, a constant offset per joint taken off in the segment that carries it (offsets_mm), by
     action, rig and all. triangulation_mm: the same points, each by itself, weighted, as given and with left and right
     mended as for tracking; pose2sim_mm: Pose2Sim's method on those given; these against the key points' own places, so
-    that no definitions differ. coverage_90, ece: of the stated regions, where the subject's definitions are known
-    (those of HUMAN4D's run are not). The body is found in the clip itself."""
+    that no definitions differ. coverage_90, ece, ece_normal (see `held_rows`): of the stated regions, where the
+    subject's definitions are known (those of HUMAN4D's run are not). The body is found in the clip itself."""
     seeds = options.seed_range(3)
     seconds = 1.0 if options.quick else SECONDS
     rigs = {name: make(options) for name, make in RIGS.items()}
@@ -102,8 +102,7 @@ def _rows(found: dict[str, list[_Measured]]) -> Iterator[Row]:
         yield Row("pose2sim_mm", case, filtered, "mm", n=len(means))
         inside = np.concatenate([m.inside for m in found[case]])
         if len(inside):
-            yield Row("coverage_90", case, covered(inside, 3), "1", n=len(inside))
-            yield Row("ece", case, level_error(inside, 3), "1", n=len(inside))
+            yield from held_rows(inside, 3, case)
     offsets = np.array([m.offsets for m in found["all"]])
     for part in dict.fromkeys(n.split("_")[1] for n in LIMBS):
         which = [k for k, n in enumerate(LIMBS) if n.endswith(part)]

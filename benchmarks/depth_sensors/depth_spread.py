@@ -94,6 +94,7 @@ def fit(clips: Sequence[DepthClip]) -> dict[str, dict[str, tuple[float, float]]]
                 (
                     np.concatenate([c.away[:, own].reshape(-1, 3) for c in f]),
                     np.concatenate([c.around[:, own].reshape(-1, 3, 3) for c in f]),
+                    np.zeros(sum(c.away[:, own, 0].size for c in f)),
                 )
                 for f in families
             ]
@@ -107,6 +108,7 @@ def fit(clips: Sequence[DepthClip]) -> dict[str, dict[str, tuple[float, float]]]
                 (
                     np.concatenate([c.angles[:, own].ravel() for c in f]),
                     np.concatenate([c.sd[:, own].ravel() for c in f]),
+                    np.zeros(sum(c.sd[:, own].size for c in f)),
                 )
                 for f in families
             ]

@@ -30,7 +30,7 @@ from benchmarks.multiview.doubt_scenes import (
 )
 from benchmarks.multiview.real_recordings import balancing_recording, uu4cam_recording
 from benchmarks.multiview.real_regions import errors_of_points, regions_of_balancing
-from benchmarks.multiview.spread_fit import as_told, covered, level_error, plain_enough, squares
+from benchmarks.multiview.spread_fit import as_told, held_rows, plain_enough, squares
 from hypose.body.joint_angles import ANGLE_NAMES, joint_angles
 from hypose.body.motion import Motion
 from hypose.body.ready_bodies import JOINT_NAMES, human
@@ -173,14 +173,11 @@ def _regions(judges: Sequence[Tracked], family: str) -> list[Row]:
                 for group in (joint_group(JOINT_NAMES[j]), "all"):
                     found.setdefault(group, []).append(m2)
         for group in (*_GROUPS, "all"):
-            m2 = np.concatenate(found[group])
-            rows.append(Row("coverage_90", f"{evidence}/{family}/{group}", covered(m2, 3), "1", n=len(m2)))
-            rows.append(Row("ece", f"{evidence}/{family}/{group}", level_error(m2, 3), "1", n=len(m2)))
+            rows += held_rows(np.concatenate(found[group]), 3, f"{evidence}/{family}/{group}")
         m2 = np.concatenate([_angle_squares(c.angles, m.angle_sd) for c, m in zip(own, told, strict=True)])
         if len(m2):
             case = f"{evidence}/angles/all" if family == "scenes" else f"{evidence}/{family}/angles"
-            rows.append(Row("coverage_90", case, covered(m2, 1), "1", n=len(m2)))
-            rows.append(Row("ece", case, level_error(m2, 1), "1", n=len(m2)))
+            rows += held_rows(m2, 1, case)
     return rows
 
 

@@ -7,6 +7,7 @@ import time
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from benchmarks.multiview.product import aligned_joints, body_by_keypoints, esti
 from benchmarks.multiview.real_recordings import balancing_recording
 from benchmarks.multiview.things_in_masks import with_thing
 from hypose.body.body import Body
-from hypose.body.joint_angles import angles_of_frames, joint_angles
+from hypose.body.joint_angles import ANGLE_NAMES, angles_of_frames, joint_angles
 from hypose.body.motion import Motion
 from hypose.body.ready_bodies import human
 from hypose.cameras.camera import CameraRig
@@ -35,7 +36,7 @@ from hypose.synthetic.retarget import retarget
 from hypose.synthetic.scenes import Scene, make_scene
 from hypose.synthetic.simulated_keypoints import keypoint_detections
 from hypose.synthetic.spoilt_keypoints import SPOILS, moved_camera, spoilt
-from hypose.tracking.doubt import judged, without_mixture
+from hypose.tracking.doubt import as_mixture, judged, without_mixture
 from hypose.tracking.fitted_spread import as_curved, beyond_usual
 
 
@@ -140,6 +141,21 @@ class Tracked:
     def judged(self) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         """(T, J) how likely joints are wrong, and which are doubtful, as a user is told."""
         return judged(self.motion, self.body.joints(self.one_by_one), self.audit, self.unsure)
+
+    @cached_property
+    def elsewhere(self) -> tuple[Array, Array]:
+        """(T, J) m^2 and (T, A) rad^2: what `as_mixture` adds to variances of joints and angles."""
+        p, joints = self.judged()
+        nothing = replace(
+            self.motion,
+            p_wrong=p,
+            doubtful_joints=joints,
+            joint_covariance=np.zeros_like(self.motion.joint_covariance),
+            angle_sd=np.zeros((len(p), len(ANGLE_NAMES)), np.float32),
+        )
+        added = as_mixture(nothing)
+        assert added.angle_sd is not None
+        return added.joint_covariance[..., 0, 0].astype(np.float64), added.angle_sd.astype(np.float64) ** 2
 
 
 def cases_of(seed: int) -> list[str]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.bench_report import Row
 from benchmarks.multiview.real_recordings import LIMBS
-from benchmarks.multiview.spread_fit import covered, level_error, squares
+from benchmarks.multiview.spread_fit import held_rows, squares
 from hypose.body.motion import Motion
 from hypose.evidence.frame import Frame
 from hypose.evidence.keypoints import BODY_25B
@@ -39,13 +39,9 @@ def regions_of_balancing(motion: Motion, evidence: str, reference: Array, refere
         m2 = squares(away[known], around[known], 1.0, 0.0)
         for group in (joint_group(name), "all"):
             found.setdefault(group, []).append(m2)
-    rows = []
+    rows: list[Row] = []
     for group, parts in found.items():
-        m2, case = np.concatenate(parts), f"{evidence}/balancing/{group}"
-        rows += [
-            Row("coverage_90", case, covered(m2, 3), "1", n=len(m2)),
-            Row("ece", case, level_error(m2, 3), "1", n=len(m2)),
-        ]
+        rows += held_rows(np.concatenate(parts), 3, f"{evidence}/balancing/{group}")
     return rows
 
 

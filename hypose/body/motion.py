@@ -20,18 +20,18 @@ class Motion:
     """A tracked motion in the world frame (metres, seconds, radians; z up).
 
     skeleton: the joint tree. times: (T,) s. joints: (T, J, 3) joint centres, world. poses: (T, D) or None when only
-    points are known. joint_covariance: (T, J, 3, 3) covariance of each joint's position, world, m^2; NaN where
-    unknown; in 32 bit, since long recordings have many frames. lost: (T,) the person was not found. extrapolated:
-    (T,) no evidence, prediction only. n_views: (T,) number of views that carried evidence. cost: (T,) remaining
-    cost of the method's own measure (NaN when none). provenance: recipe, versions, seed, inputs' hashes: plain JSON
-    values. doubtful: (T,) the evidence speaks against itself (pictures that repeat or jump, views that disagree), or
-    against a joint, or None: not looked at. p_wrong: (T, J) probability that the joint is wrong by more than 100 mm,
-    and doubtful_joints: (T, J) where that is more than may be passed over, or None: not looked at. rivals: (T, K, D)
-    other poses that the evidence of a frame allows as well, best first, NaN where there are fewer, and rival_weights:
-    (T, K) what each of them has of the certainty, of which the pose has the rest (0: there is none); both None when
-    the method keeps none. angle_sd: (T, A) rad, of the joint angles (body.joint_angles; m for positions), None: not
-    known. definition_sd: (J,) m, how far the anatomical joint may lie from the body's, all along; part of the
-    covariance; None: not known.
+    points are known. joint_covariance: (T, J, 3, 3) covariance of each joint's position, world, m^2; NaN where unknown;
+    in 32 bit, since long recordings have many frames; `hypose.body.regions` tells how far regions reach. lost: (T,) the
+    person was not found. extrapolated: (T,) no evidence, prediction only. n_views: (T,) number of views that carried
+    evidence. cost: (T,) remaining cost of the method's own measure (NaN when none). provenance: recipe, versions, seed,
+    inputs' hashes: plain JSON values. doubtful: (T,) the evidence speaks against itself (pictures that repeat or jump,
+    views that disagree), or against a joint, or None: not looked at. p_wrong: (T, J) probability that the joint is
+    wrong by more than 100 mm, and doubtful_joints: (T, J) where that is more than may be passed over, or None: not
+    looked at. rivals: (T, K, D) other poses that the evidence of a frame allows as well, best first, NaN where there
+    are fewer, and rival_weights: (T, K) what each of them has of the certainty, of which the pose has the rest (0:
+    there is none); both None when the method keeps none. angle_sd: (T, A) rad, of the joint angles (body.joint_angles;
+    m for positions), None: not known. definition_sd: (J,) m, how far the anatomical joint may lie from the body's, all
+    along; part of the covariance; None: not known.
     """
 
     skeleton: Skeleton

@@ -19,10 +19,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import gammaincinv
 
 from hypose.body.body import Body
 from hypose.body.ready_bodies import JOINT_NAMES, PARENTS
+from hypose.body.regions import region_reach
 from hypose.errors import InputError
 from hypose.geometry import Array, rotation_between, so3_log
 from hypose.synthetic.subjects import load_subjects
@@ -194,8 +194,7 @@ def coverage(
     """Share of the frames in which the true joint lies in the reported region, per level: {level: (J,)}.
 
     estimated, truth (T, J, 3) m; joint_sd (T, J) m per axis, or covariances (T, J, 3, 3) m^2. The region of a
-    level is the sphere (ellipsoid) that holds that share of a 3D normal distribution: squared Mahalanobis
-    distance below the chi-square quantile with 3 degrees of freedom. A well calibrated method has coverage =
+    level is the sphere (ellipsoid) of `hypose.body.regions.region_reach`. A well calibrated method has coverage =
     level. NaN where no sd is known.
     """
     d = np.asarray(truth, dtype=np.float64) - np.asarray(estimated, dtype=np.float64)
@@ -210,8 +209,7 @@ def coverage(
     known &= np.isfinite(squared)
     out = {}
     for level in levels:
-        # the quantile without scipy.stats, whose import would cost every start 20 MB
-        inside = (squared <= 2 * gammaincinv(1.5, level)) & known
+        inside = (squared <= region_reach(level) ** 2) & known
         with np.errstate(invalid="ignore", divide="ignore"):
             out[level] = inside.sum(0) / known.sum(0)
     return out

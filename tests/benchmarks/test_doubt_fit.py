@@ -5,6 +5,7 @@ import pytest
 
 from benchmarks.multiview.doubt_fit import auroc, ece
 from benchmarks.multiview.spread_fit import UNSEEN, covered, fit_angle, fit_joint, level_error, pelvis_floor, squares
+from tests.tailed import tailed
 
 
 def test_area_under_the_curve():
@@ -26,24 +27,28 @@ def test_a_spread_of_two_parts_is_found():
     rng = np.random.default_rng(1)
     sd = rng.uniform(0.005, 0.03, 4000)
     covariance = sd[:, None, None] ** 2 * np.eye(3)
-    away = rng.standard_normal((4000, 3)) * np.sqrt((0.7 * sd) ** 2 + 0.012**2)[:, None]
-    a, b = fit_joint([(away, covariance)])
+    away = tailed(rng, (4000, 3)) * np.sqrt((0.7 * sd) ** 2 + 0.012**2)[:, None]
+    a, b = fit_joint([(away, covariance, np.zeros(4000))])
     m2 = squares(away, covariance, a / UNSEEN, b / UNSEEN)
     assert covered(m2, 3) == pytest.approx(0.9, abs=0.02) and level_error(m2, 3) < 0.03
+    assert level_error(m2, 3, normal=True) > 0.05
+    c, d = (x / UNSEEN for x in fit_joint([(away, covariance, np.full(4000, 0.01**2))]))
+    m2 = squares(away, covariance + (0.01 / c) ** 2 * np.eye(3), c, d)
+    assert covered(m2, 3) == pytest.approx(0.9, abs=0.02) and d < b
 
 
 def test_an_angle_that_is_always_off_by_as_much_is_a_matter_of_its_definition():
     rng = np.random.default_rng(2)
-    off, sd = np.radians(5) * rng.standard_normal(3000), np.full(3000, np.radians(0.5))
-    a, b = fit_angle([(off, sd)])
+    off, sd = np.radians(5) * tailed(rng, (3000, 1))[:, 0], np.full(3000, np.radians(0.5))
+    a, b = fit_angle([(off, sd, np.zeros(3000))])
     assert np.hypot(a * sd[0], b) == pytest.approx(UNSEEN * np.radians(5), rel=0.12)
 
 
 def test_no_family_pays_for_another():
     rng = np.random.default_rng(3)
     covariance = np.full(3000, 0.01**2)[:, None, None] * np.eye(3)
-    small, large = (scale * 0.01 * rng.standard_normal((3000, 3)) for scale in (0.9, 1.2))
-    a, b = fit_joint([(small, covariance), (large, covariance)])
+    small, large = (scale * 0.01 * tailed(rng, (3000, 3)) for scale in (0.9, 1.2))
+    a, b = fit_joint([(away, covariance, np.zeros(3000)) for away in (small, large)])
     held = [covered(squares(away, covariance, a / UNSEEN, b / UNSEEN), 3) for away in (small, large)]
     assert held[0] > 0.9 > held[1] and abs(sum(held) / 2 - 0.9) < 0.03
 

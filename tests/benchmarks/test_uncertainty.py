@@ -6,6 +6,7 @@ import pytest
 from benchmarks.multiview.uncertainty import GROUPS, covered, rows_of
 from hypose.body.ready_bodies import JOINT_NAMES
 from hypose.tracking.pose_covariance import joint_group
+from tests.tailed import tailed
 
 
 def test_groups_of_joints():
@@ -17,7 +18,7 @@ def test_groups_of_joints():
 def test_a_calibrated_estimate_covers_what_it_says(rng):
     truth = np.zeros((4000, len(JOINT_NAMES), 3))
     sd = np.full(truth.shape[:2], 0.02)
-    estimate = truth + 0.02 * rng.normal(size=truth.shape)
+    estimate = truth + 0.02 * tailed(rng, truth.shape)
     found = covered(estimate, sd, truth)
     for group in GROUPS:
         np.testing.assert_allclose(found[group], (0.5, 0.9, 0.95), atol=0.02)

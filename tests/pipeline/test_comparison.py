@@ -19,6 +19,7 @@ from hypose.io.motions.opensim import read_mot, write_mot
 from hypose.io.motions.results import save_motion
 from hypose.io.motions.trc import read_trc, write_trc
 from hypose.pipeline.comparison import CompareOptions, compare_motions, resampled
+from tests.tailed import tailed
 
 NAMES = ("left_hip", "left_knee", "left_ankle", "right_knee", "left_elbow", "right_wrist")
 
@@ -115,7 +116,7 @@ def test_figures_are_those_of_an_independent_script(tmp_path, rng):
 
 def test_coverage_of_regions_that_are_right(tmp_path, rng):
     ours = motion(frames=600, sd=0.01)
-    points = {n: ours.joints[:, ours.skeleton.joint(n)] + rng.normal(0, 0.01, (600, 3)) for n in NAMES}
+    points = {n: ours.joints[:, ours.skeleton.joint(n)] + 0.01 * tailed(rng, (600, 3)) for n in NAMES}
     found = compare_motions(ours, OtherMotion(tmp_path, ours.times, points), CompareOptions(0.0, align=False))
     for level, wanted in enumerate((0.5, 0.9, 0.95)):
         assert np.mean([a.covered[level] for a in found.joints]) == pytest.approx(wanted, abs=0.02)

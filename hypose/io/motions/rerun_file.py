@@ -13,6 +13,7 @@ import numpy as np
 
 from hypose.body.body import Body
 from hypose.body.motion import Motion
+from hypose.body.regions import region_reach
 from hypose.errors import extra
 from hypose.io.motions.results import atomic_path
 
@@ -23,15 +24,12 @@ _RADIUS = 0.012
 
 def write_rrd(path: str | Path, motion: Motion, body: Body) -> None:
     """Write a motion; the body's surface where it has poses. An InputError when rerun-sdk is not installed."""
-    from scipy.special import gammaincinv  # takes long to import
-
     rr = rerun_module()
     skeleton = motion.skeleton
     bones = [(int(p), j) for j, p in enumerate(skeleton.parents) if p >= 0]
     unsure = (motion.lost | motion.extrapolated).astype(bool)
     values, axes = np.linalg.eigh(np.nan_to_num(np.asarray(motion.joint_covariance, dtype=np.float64)))
-    within = 2 * gammaincinv(1.5, 0.9)  # chi-square quantile with 3 degrees of freedom
-    reach = np.sqrt(within * np.maximum(values, 0.0))
+    reach = region_reach(0.9) * np.sqrt(np.maximum(values, 0.0))
     axes[np.linalg.det(axes) < 0, :, 0] *= -1  # rotations, not reflections
     with atomic_path(path) as temporary:
         stream = rr.RecordingStream("hypose", recording_id=Path(path).stem)
