@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from hypose.compute.arrays import BALL, FIXED, MeshArrays, TreeArrays
-from hypose.compute.compiled import can_keep, not_kept, ready
+from hypose.compute.compiled import can_keep, is_ready, not_kept, note_ready
 from hypose.compute.monocular import mono
 from hypose.compute.pictures import mask_runs, picture_to_mask
 from hypose.compute.pictures.parts import draw_parts, parts_against_mask, projected
@@ -211,7 +211,7 @@ _KEPT = "kept"
 
 def warm(compute: Any, names: Sequence[str], load: bool) -> None:
     """See `compute.warm_up`."""
-    missing = [n for n in PARTS if n in names and not _is_ready(n)]
+    missing = [n for n in PARTS if n in names and not is_ready(n)]
     if missing:
         before = not_kept()
         left = _dearest_first(missing)
@@ -226,14 +226,14 @@ def warm(compute: Any, names: Sequence[str], load: bool) -> None:
         for piece in undone:
             _run(compute, piece)
         for name in missing if not_kept() == before else ():
-            _note_ready(name)
+            note_ready(name)
     if load:
         run(compute, names)
 
 
 def kept(names: Sequence[str]) -> bool:
     """See `compute.kept`."""
-    return all(map(_is_ready, names))
+    return all(map(is_ready, names))
 
 
 def _dearest_first(names: Sequence[str]) -> list[_Piece]:
@@ -247,18 +247,6 @@ def _cost(piece: _Piece) -> int:
 def _worth(pieces: Sequence[_Piece]) -> int:
     """How many processes have something to do while one of them makes the dearest piece, the first."""
     return -(-sum(map(_cost, pieces)) // _cost(pieces[0]))
-
-
-def _is_ready(name: str) -> bool:
-    file = ready(name)
-    return file is not None and os.path.exists(file)  # which is False where we may not look
-
-
-def _note_ready(name: str) -> None:
-    file = ready(name)
-    if file is not None:
-        with contextlib.suppress(OSError):
-            file.touch()
 
 
 @contextlib.contextmanager
