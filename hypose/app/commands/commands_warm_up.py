@@ -24,7 +24,7 @@ def warm_up(threads: Threads = None) -> None:
     from hypose.synthetic.scenes import make_scene
     from hypose.synthetic.write_recording import write_scene
 
-    folder, parts = compute.cache_folder(), ("solver", "scorer", "outlines", "shape", "pictures", "monocular")
+    folder, parts = compute.cache_folder(), (*compute.FOLLOWING, "monocular", "depth")
     if folder is None:
         raise InputError(f"There is no place for what is compiled; name a folder with {compute.VARIABLE}.")
     with tempfile.TemporaryDirectory(prefix="hypose-warm-up-") as temporary, Stages() as progress:
