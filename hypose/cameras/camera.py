@@ -76,8 +76,10 @@ class Camera:
         if self.fisheye or len(self.distortion) > 8:  # thin prisms and tilted sensors
             points, zero = np.column_stack([directions, np.ones(len(directions))])[:, None], np.zeros(3)
             if self.fisheye:
-                return cv2.fisheye.projectPoints(points, zero, zero, self.K, self.distortion[:4])[0].reshape(-1, 2)
-            return cv2.projectPoints(points, zero, zero, self.K, self.distortion)[0].reshape(-1, 2)
+                uv = cv2.fisheye.projectPoints(points, zero, zero, self.K, self.distortion[:4])[0]
+            else:
+                uv = cv2.projectPoints(points, zero, zero, self.K, self.distortion)[0]
+            return np.asarray(uv, dtype=np.float64).reshape(-1, 2)
         # as OpenCV's projectPoints, which works out derivatives that nobody asks for and takes ten times as long
         x, y = u, v = np.ascontiguousarray(directions.T)
         if self.distortion.any():
