@@ -67,6 +67,7 @@ from hypose.io.motions.results import ResultsFolder
 from hypose.io.recordings.recording import load_recording
 from hypose.pipeline.run import TrackOptions
 
+sys.setswitchinterval(5e-4)  # as the command's
 with Stages(quiet=True) as stages:
     run_job(Job(load_recording(Path(sys.argv[1])), TrackOptions(), ResultsFolder(Path(sys.argv[2]))), stages)
 print(json.dumps(stages.seconds))
