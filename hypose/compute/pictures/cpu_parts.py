@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from hypose.compute.compiled import kernel
-from hypose.compute.pictures.cpu_mask_bits import ALL, grown, opened, u8, word_of
+from hypose.compute.pictures.cpu_mask_bits import ALL, u8
 from hypose.compute.pictures.cpu_pixels import lowest_bit, ones
 
 NEAR = 0.05
@@ -83,88 +83,99 @@ def _set(bits, p, r, first, last):
 
 
 @kernel
-def _moved(packed, first, width, out):
-    """`_thin` of every pixel."""
-    words, h = out.shape
-    shift, size = np.uint8(first[1] & 7), packed.shape[1]
-    for r in range(h):
-        y = first[0] + r
-        for k in range(words):
-            word, x = u8(0), (first[1] >> 3) + 8 * k
-            for b in range(8):
-                here = u8(packed[y, x + b] if x + b < size else 0)
-                after = u8(packed[y, x + b + 1] if x + b + 1 < size else 0)
-                word |= (((here | after << u8(8)) >> u8(shift)) & u8(255)) << u8(8 * b)
-            left = width - 64 * k
-            out[k, r] = word if left >= 64 else word & (ALL >> u8(64 - left))
+def _columns(k, words, width):
+    """The bits of word k that are columns of a picture."""
+    return ALL if k < words - 1 else ALL >> u8(64 * words - width)
 
 
 @kernel
 def _thin(packed, first, step, width, out):
     """Every step-th pixel of a mask, eight to a byte (H, B), from first (row, column) on, as bits out (W, h)."""
     words, h = out.shape
-    if step == 1:  # then bits only move
-        _moved(packed, first, width, out)
-        return
-    line = np.zeros(64 * words, np.uint8)
-    eights = line.view(np.uint64)
-    for r in range(h):
-        y, x = first[0] + r * step, first[1]
-        for i in range(width):
-            line[i] = (packed[y, x >> 3] >> (x & 7)) & 1
-            x += step
-        for k in range(words):
-            out[k, r] = word_of(eights, k)
+    size, shift = packed.shape[1], u8(first[1] & 7)
+    for k in range(words):
+        begin, columns = (first[1] >> 3) + 8 * k, _columns(k, words, width)
+        for r in range(h):
+            word, y = u8(0), first[0] + r * step
+            if step == 1:  # then bits only move
+                for i in range(min(8, size - begin)):
+                    word |= u8(packed[y, begin + i]) << u8(8 * i)
+                word >>= shift
+                if begin + 8 < size:
+                    word |= (u8(packed[y, begin + 8]) << u8(1)) << (u8(63) - shift)
+            else:
+                x = u8(first[1] + 64 * k * step)
+                for i in range(min(width - 64 * k, 64)):
+                    word |= u8((packed[y, x >> u8(3)] >> np.uint8(x & u8(7))) & np.uint8(1)) << u8(i)
+                    x += u8(step)
+            out[k, r] = word & columns
 
 
 @kernel
-def against_mask(mask, hidden, first, step, width, parts, points, square, block, area, exposed, outside, bare):
+def _grown(bits, width, wide, out):
+    """out = bits, grown by three by three pixels, both (W + 2, h): the first and the last word of each row are 0; wide
+    (h + 2,): scratch, which begins and ends with 0."""
+    words, h = bits.shape[0] - 2, bits.shape[1]
+    above, middle, below = wide[:h], wide[1 : h + 1], wide[2:]
+    for k in range(words):
+        before, here, after, made = bits[k], bits[k + 1], bits[k + 2], out[k + 1]
+        inside = _columns(k, words, width)
+        for r in range(h):
+            left, right = (here[r] << u8(1)) | (before[r] >> u8(63)), (here[r] >> u8(1)) | (after[r] << u8(63))
+            middle[r] = left | here[r] | right
+        for r in range(h):
+            made[r] = (above[r] | middle[r] | below[r]) & inside
+
+
+@kernel
+def against_mask(mask, hidden, first, step, width, parts, points, square, area, exposed, outside, bare):
     """Counts of `parts.PartView`: of parts (P, W, h) drawn where every step-th pixel of a packed mask (H, B), from
     first (row, column) on, is a pixel; hidden (H, B), (0, 0): none. points (N, 2) in those pixels, square (N,) of
-    radii; block: spans of three by three pixels. parts[0] holds all of them afterwards."""
+    radii. parts[0] holds all of them afterwards."""
     n, words, h = parts.shape
-    box = np.zeros(4, np.int64)
-    box[1], box[3] = h, width
-    room = np.empty((5, words, h), np.uint64)
-    seen, shown, made, beside, found = room[0], room[1], room[2], room[3], room[4]
-    _thin(mask, first, step, width, seen)
-    if hidden.shape[0]:
-        _thin(hidden, first, step, width, shown)
-    else:
-        shown[:] = u8(0)
+    room, wide = np.zeros((5, words + 2, h), np.uint64), np.zeros(h + 2, np.uint64)
+    inner = room[:, 1 : words + 1]
+    no, shut, made, beside, found = inner[0], inner[1], inner[2], inner[3], inner[4]
+    for k in range(2):
+        packed = hidden if k else mask
+        if packed.shape[0]:
+            _thin(packed, first, step, width, inner[k])
     for k in range(words):
+        columns = _columns(k, words, width)
         for r in range(h):
-            made[k, r] = seen[k, r] | shown[k, r]
-            seen[k, r], shown[k, r] = seen[k, r] & ~shown[k, r], ~shown[k, r]
-    grown(made, block, box, u8(0), beside)
-    for k in range(words):
-        for r in range(h):
-            beside[k, r] = ~beside[k, r]
-    opened(beside, block, box, found)
-    for k in range(words):
-        for r in range(h):
-            once, twice = u8(0), u8(0)
-            for p in range(n):
-                twice |= once & parts[p, k, r]
-                once |= parts[p, k, r]
-            made[k, r] = once
-            if once == u8(0):
-                continue
-            alone, out = shown[k, r] & ~twice, found[k, r]
-            for p in range(n):
-                word = parts[p, k, r]
-                if word:
-                    area[p] += ones(word)
-                    exposed[p] += ones(word & alone)
-                    outside[p] += ones(word & out)
-    for k in range(words):
-        for r in range(h):
-            parts[0, k, r] = made[k, r]
-    grown(made, block, box, u8(0), beside)
-    for k in range(words):
-        for r in range(h):
-            beside[k, r] = seen[k, r] & ~beside[k, r]
-    opened(beside, block, box, found)
+            made[k, r] = no[k, r] | shut[k, r]
+            no[k, r] = (~no[k, r] & columns) | shut[k, r]  # where no mask may be bare
+    for last in range(2):  # what is far from the mask; then, of the mask, what is far from the body
+        _grown(room[2], width, wide, room[3])
+        if last:
+            for k in range(words):
+                for r in range(h):
+                    beside[k, r] |= no[k, r]
+        _grown(room[3], width, wide, room[2])  # eroded, beyond the picture all is set
+        for k in range(words):
+            columns = _columns(k, words, width)
+            for r in range(h):
+                made[k, r] = ~made[k, r] & columns
+        _grown(room[2], width, wide, room[4])
+        if last:
+            break
+        for k in range(words):
+            for r in range(h):
+                once, twice = u8(0), u8(0)
+                for p in range(n):
+                    twice |= once & parts[p, k, r]
+                    once |= parts[p, k, r]
+                made[k, r] = once
+                if once == u8(0):
+                    continue
+                alone, out = ~(shut[k, r] | twice), found[k, r]
+                for p in range(n):
+                    word = parts[p, k, r]
+                    if word:
+                        area[p] += ones(word)
+                        exposed[p] += ones(word & alone)
+                        outside[p] += ones(word & out)
+                parts[0, k, r] = once
     for k in range(words):
         for r in range(h):
             word = found[k, r]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.compute.native import native, plain
-from hypose.compute.pictures.mask_runs import Bits, mask_of, no_bits, square_spans
+from hypose.compute.pictures.mask_runs import Bits, mask_of, no_bits
 
 Array = NDArray[np.float64]
 _NONE = np.zeros((0, 0), np.uint8)
@@ -46,7 +46,7 @@ def draw_parts(
     """(n_parts, W, h) bits of what faces (F, 3) of the part (F,) cover of a picture of shape (h, w); uv (V, 2) px, z
     (V,) m."""
     h, w = shape
-    out = np.stack([no_bits(h, w)] * n_parts)
+    out = np.zeros((n_parts, *no_bits(h, w).shape), np.uint64)
     native("pictures.parts").draw(plain(uv, np.float64), plain(z, np.float64), faces, part, w, out)
     return out
 
@@ -79,5 +79,5 @@ def parts_against_mask(
     counts = tuple(np.zeros(n, np.int64) for n in (*(len(drawn),) * 3, len(uv)))
     first, width = np.array([y0, x0]), -(-(x1 - x0) // step)
     shown = plain(bits, np.uint8), _NONE if hidden is None else plain(hidden, np.uint8), first, step, width
-    native("pictures.parts").against_mask(*shown, drawn, uv, square, square_spans(3), *counts)
+    native("pictures.parts").against_mask(*shown, drawn, uv, square, *counts)
     return PartView(*counts, drawn[0])
