@@ -10,8 +10,10 @@ from hypose.compute.compiled import kernel
 from hypose.compute.pictures.cpu_mask_bits import ALL, u8
 from hypose.compute.pictures.cpu_pixels import lowest_bit, ones
 
-NEAR = 0.05
-"""Triangles with a corner nearer than this (m) are not drawn."""
+i4 = np.int32
+
+NEAR, ROWS = 0.05, 8
+"""Triangles with a corner nearer than this (m) are not drawn; so many of their rows are at once."""
 
 
 @kernel
@@ -34,12 +36,12 @@ def place(points, projection, uv, z, reach):
 
 
 @kernel
-def draw(uv, z, faces, part, width, out):
-    """Set the pixels in out[part[f]] (P, W, h), width columns wide, whose centres face f of faces (F, 3) covers, of
-    either orientation. uv (V, 2) px, z (V,) m."""
-    h = out.shape[2]
+def draw(uv, z, faces, part, width, h, bits):
+    """Set the pixels in the picture part[f] of bits (P W h + ROWS - 1,), each (W, h) and width columns wide, whose
+    centres face f of faces (F, 3) covers, of either orientation; the last ones stay. uv (V, 2) px, z (V,) m."""
+    words, most, high = (width + 63) >> 6, float(width - 1), float(h)
     for f in range(faces.shape[0]):
-        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        a, b, c = u8(faces[f, 0]), u8(faces[f, 1]), u8(faces[f, 2])
         if not (z[a] > NEAR and z[b] > NEAR and z[c] > NEAR):
             continue
         xa, ya, xb, yb, xc, yc = uv[a, 0], uv[a, 1], uv[b, 0], uv[b, 1], uv[c, 0], uv[c, 1]
@@ -51,35 +53,38 @@ def draw(uv, z, faces, part, width, out):
             xa, ya, xc, yc = xc, yc, xa, ya
         if yb > yc:
             xb, yb, xc, yc = xc, yc, xb, yb
-        r0 = max(0, int(math.ceil(max(ya, -1.0))))
-        r1 = min(h - 1, int(math.floor(min(yc, h + 1.0))))
-        if r0 > r1 or yc <= ya:
+        begin = int(math.ceil(min(max(ya, 0.0), high)))
+        end = int(math.floor(max(min(yc, high - 1.0), -1.0))) + 1
+        if begin >= end or yc <= ya:
             continue
-        slope, plane = (xc - xa) / (yc - ya), part[f]
-        middle = min(max(int(math.ceil(min(max(yb, -1.0), h + 1.0))), r0), r1 + 1)
-        for below in range(2):  # the side with b, from a on and to c
-            x, y, begin, end = (xb, yb, middle, r1 + 1) if below else (xa, ya, r0, middle)
-            height = (yc - yb) if below else (yb - ya)
-            other = ((xc - xb) if below else (xb - xa)) / height if height > 0.0 else 0.0
-            for r in range(begin, end):
-                p, q = xa + (r - ya) * slope, x + (r - y) * other
-                first = max(0, int(math.ceil(max(min(p, q), -1.0))))
-                last = min(width - 1, int(math.floor(min(max(p, q), width + 1.0))))
-                _set(out, plane, r, first, last)
+        # the side from a to c, and the two with b, of which the lower one begins at this row
+        middle = i4(math.ceil(min(max(yb, 0.0), high)))
+        long = (xc - xa) / (yc - ya)
+        upper = (xb - xa) / (yb - ya) if yb > ya else 0.0
+        lower = (xc - xb) / (yc - yb) if yc > yb else 0.0
+        left = int(min(max(min(xa, min(xb, xc)) - 1.0, 0.0), most)) >> 6
+        right = int(max(min(max(xa, max(xb, xc)) + 1.0, most), 0.0)) >> 6
+        for k in range(left, right + 1):
+            x0, x1 = float(64 * k), min(float(64 * k + 63), most)
+            for row in range(begin, end, ROWS):
+                at = (part[f] * words + k) * h + row
+                _set(bits, at, i4(row), i4(end), i4(64 * k), x0, x1, xa, ya, long, xb, yb, upper, lower, middle)
 
 
-@kernel(inline=True)
-def _set(bits, p, r, first, last):
-    """The pixels first to last of row r of picture p of bits (P, W, h); none when the last comes before the first."""
-    i, j = first >> 6, last >> 6
-    begin, end = ALL << u8(first & 63), ALL >> u8(63 - (last & 63))
-    if i == j:  # most often, which is told easily by the processor; whether the row is empty is not
-        bits[p, i, r] |= begin & end
-    elif i < j:
-        bits[p, i, r] |= begin
-        for k in range(i + 1, j):
-            bits[p, k, r] = ALL
-        bits[p, j, r] |= end
+@kernel
+def _set(bits, at, row, end, column, x0, x1, xa, ya, long, xb, yb, upper, lower, middle):
+    """Sets the pixels of a face in ROWS rows of a word of columns, from number `at` of the bits (N,) on: what lies
+    between its side from a and the one from a or, from the row `middle` on, from b. It becomes vectors by itself."""
+    for i in range(ROWS):
+        r = row + i4(i)
+        y, under = float(r), r >= middle
+        p = xa + (y - ya) * long
+        q = (xb if under else xa) + (y - (yb if under else ya)) * (lower if under else upper)
+        first = u8(i4(np.ceil(min(max(min(p, q), x0), x1 + 1.0))) - column)
+        count = u8(i4(np.floor(max(min(max(p, q), x1), x0 - 1.0))) + i4(1) - column)
+        after = ALL << (first & u8(63)) if first < u8(64) else u8(0)
+        before = ALL >> ((u8(64) - count) & u8(63)) if count > u8(0) else u8(0)
+        bits[u8(at + i)] |= after & before if r < end else u8(0)
 
 
 @kernel

@@ -45,10 +45,11 @@ def draw_parts(
 ) -> Bits:
     """(n_parts, W, h) bits of what faces (F, 3) of the part (F,) cover of a picture of shape (h, w); uv (V, 2) px, z
     (V,) m."""
-    h, w = shape
-    out = np.zeros((n_parts, *no_bits(h, w).shape), np.uint64)
-    native("pictures.parts").draw(plain(uv, np.float64), plain(z, np.float64), faces, part, w, out)
-    return out
+    (h, w), kernels = shape, native("pictures.parts")
+    size = n_parts * no_bits(h, w).size
+    flat = np.zeros(size + kernels.ROWS - 1, np.uint64)
+    kernels.draw(plain(uv, np.float64), plain(z, np.float64), faces, part, w, h, flat)
+    return flat[:size].reshape(n_parts, -1, h)
 
 
 def covered(uv: ArrayLike, z: ArrayLike, faces: NDArray[np.int32], shape: tuple[int, int]) -> NDArray[np.uint8]:
