@@ -94,14 +94,15 @@ def _columns(k, words, width):
 
 
 @kernel
-def _thin(packed, first, step, width, out):
-    """Every step-th pixel of a mask, eight to a byte (H, B), from first (row, column) on, as bits out (W, h)."""
+def _thin(packed, top, left, step, width, out):
+    """Every step-th pixel of a mask, eight to a byte (H, B), from row top and column left on, as
+    bits out (W, h)."""
     words, h = out.shape
-    size, shift = packed.shape[1], u8(first[1] & 7)
+    size, shift = packed.shape[1], u8(left & 7)
     for k in range(words):
-        begin, columns = (first[1] >> 3) + 8 * k, _columns(k, words, width)
+        begin, columns = (left >> 3) + 8 * k, _columns(k, words, width)
         for r in range(h):
-            word, y = u8(0), first[0] + r * step
+            word, y = u8(0), top + r * step
             if step == 1:  # then bits only move
                 for i in range(min(8, size - begin)):
                     word |= u8(packed[y, begin + i]) << u8(8 * i)
@@ -109,7 +110,7 @@ def _thin(packed, first, step, width, out):
                 if begin + 8 < size:
                     word |= (u8(packed[y, begin + 8]) << u8(1)) << (u8(63) - shift)
             else:
-                x = u8(first[1] + 64 * k * step)
+                x = u8(left + 64 * k * step)
                 for i in range(min(width - 64 * k, 64)):
                     word |= u8((packed[y, x >> u8(3)] >> np.uint8(x & u8(7))) & np.uint8(1)) << u8(i)
                     x += u8(step)
@@ -133,10 +134,10 @@ def _grown(bits, width, wide, out):
 
 
 @kernel
-def against_mask(mask, hidden, first, step, width, parts, points, square, area, exposed, outside, bare):
+def against_mask(mask, hidden, top, left, step, width, parts, points, radius, counts, bare):
     """Counts of `parts.PartView`: of parts (P, W, h) drawn where every step-th pixel of a packed mask (H, B), from
-    first (row, column) on, is a pixel; hidden (H, B), (0, 0): none. points (N, 2) in those pixels, square (N,) of
-    radii. parts[0] holds all of them afterwards."""
+    row top and column left on, is a pixel; hidden (H, B), (0, 0): none. points (N, 2) and radius (N,) in those pixels.
+    counts (3, P): area, exposed and outside. parts[0] holds all of them afterwards."""
     n, words, h = parts.shape
     room, wide = np.zeros((5, words + 2, h), np.uint64), np.zeros(h + 2, np.uint64)
     inner = room[:, 1 : words + 1]
@@ -144,7 +145,7 @@ def against_mask(mask, hidden, first, step, width, parts, points, square, area, 
     for k in range(2):
         packed = hidden if k else mask
         if packed.shape[0]:
-            _thin(packed, first, step, width, inner[k])
+            _thin(packed, top, left, step, width, inner[k])
     for k in range(words):
         columns = _columns(k, words, width)
         for r in range(h):
@@ -177,9 +178,9 @@ def against_mask(mask, hidden, first, step, width, parts, points, square, area, 
                 for p in range(n):
                     word = parts[p, k, r]
                     if word:
-                        area[p] += ones(word)
-                        exposed[p] += ones(word & alone)
-                        outside[p] += ones(word & out)
+                        counts[0, p] += ones(word)
+                        counts[1, p] += ones(word & alone)
+                        counts[2, p] += ones(word & out)
                 parts[0, k, r] = once
     for k in range(words):
         for r in range(h):
@@ -189,4 +190,4 @@ def against_mask(mask, hidden, first, step, width, parts, points, square, area, 
                 word &= word - u8(1)
                 for i in range(points.shape[0]):
                     dx, dy = x - points[i, 0], r - points[i, 1]
-                    bare[i] += dx * dx + dy * dy < square[i]
+                    bare[i] += dx * dx + dy * dy < radius[i] * radius[i]
