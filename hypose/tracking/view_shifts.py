@@ -57,7 +57,7 @@ def shift_of_mask(
         last, found = found, -np.linalg.solve(weighted.T @ across + 1e-3 * np.eye(2), weighted.T @ residual)
         if np.abs(found - last).max() < _SETTLED_PX:
             break
-    return found / metre
+    return np.asarray(found / metre, dtype=np.float64)
 
 
 def apart(shifts: Array) -> float:

@@ -95,8 +95,7 @@ def _columns(k, words, width):
 
 @kernel
 def _thin(packed, top, left, step, width, out):
-    """Every step-th pixel of a mask, eight to a byte (H, B), from row top and column left on, as
-    bits out (W, h)."""
+    """Every step-th pixel of a mask, eight to a byte (H, B), from row top and column left on, as bits out (W, h)."""
     words, h = out.shape
     size, shift = packed.shape[1], u8(left & 7)
     for k in range(words):
