@@ -61,26 +61,33 @@ class Camera:
         p = np.asarray(points_world, dtype=np.float64)
         flat = p.reshape(-1, 3) @ self.camera_from_world[:3, :3].T + self.camera_from_world[:3, 3]
         front = flat[:, 2] > 1e-6
-        safe = np.where(front[:, None], flat, [0.0, 0.0, 1.0])
-        zero = np.zeros(3)
-        if len(safe) == 0:
-            return np.zeros((*p.shape[:-1], 2))
-        if self.fisheye:
-            uv = cv2.fisheye.projectPoints(safe[:, None], zero, zero, self.K, self.distortion[:4])[0]
-        elif len(self.distortion) > 8:  # thin prisms and tilted sensors
-            uv = cv2.projectPoints(safe[:, None], zero, zero, self.K, self.distortion)[0]
-        else:
-            uv = self._through_lens(safe[:, 0] / safe[:, 2], safe[:, 1] / safe[:, 2])
-        return np.where(front[:, None], uv.reshape(-1, 2), np.nan).reshape(*p.shape[:-1], 2)
+        behind = not front.all()
+        if behind:
+            flat[~front] = 0.0, 0.0, 1.0
+        uv = self.through_lens(flat[:, :2] / flat[:, 2:])
+        if behind:
+            uv[~front] = np.nan
+        return uv.reshape(*p.shape[:-1], 2)
 
-    def _through_lens(self, x: Array, y: Array) -> Array:
-        """Pixels (N, 2) of points (x, y) at depth 1: as OpenCV's projectPoints, which works out derivatives that nobody
-        asks for and takes ten times as long."""
-        k1, k2, p1, p2, k3, k4, k5, k6 = np.concatenate([np.ravel(self.distortion), np.zeros(8)])[:8]
-        r2 = x * x + y * y
-        radial = (1 + ((k3 * r2 + k2) * r2 + k1) * r2) / (1 + ((k6 * r2 + k5) * r2 + k4) * r2)
-        u = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
-        v = y * radial + 2 * p2 * x * y + p1 * (r2 + 2 * y * y)
+    def through_lens(self, directions: Array) -> Array:
+        """Pixels (N, 2) of points (N, 2) at depth 1 before the camera, with lens distortion."""
+        if len(directions) == 0:
+            return np.zeros((0, 2))
+        if self.fisheye or len(self.distortion) > 8:  # thin prisms and tilted sensors
+            points, zero = np.column_stack([directions, np.ones(len(directions))])[:, None], np.zeros(3)
+            if self.fisheye:
+                uv = cv2.fisheye.projectPoints(points, zero, zero, self.K, self.distortion[:4])[0]
+            else:
+                uv = cv2.projectPoints(points, zero, zero, self.K, self.distortion)[0]
+            return np.asarray(uv, dtype=np.float64).reshape(-1, 2)
+        # as OpenCV's projectPoints, which works out derivatives that nobody asks for and takes ten times as long
+        x, y = u, v = np.ascontiguousarray(directions.T)
+        if self.distortion.any():
+            k1, k2, p1, p2, k3, k4, k5, k6 = np.concatenate([np.ravel(self.distortion), np.zeros(8)])[:8]
+            r2 = x * x + y * y
+            radial = (1 + ((k3 * r2 + k2) * r2 + k1) * r2) / (1 + ((k6 * r2 + k5) * r2 + k4) * r2)
+            u = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+            v = y * radial + 2 * p2 * x * y + p1 * (r2 + 2 * y * y)
         return np.stack([self.K[0, 0] * u + self.K[0, 2], self.K[1, 1] * v + self.K[1, 2]], axis=1)
 
     def project_pinhole(self, points_world: ArrayLike) -> Array:

@@ -92,7 +92,6 @@ from hypose.compute.solver.terms import (
     SolveLimits,
     Standing,
     Workspace,
-    no_depth,
 )
 from hypose.errors import SolverError
 
@@ -126,6 +125,7 @@ __all__ = [
     "EdgeArrays",
     "Evaluation",
     "FIXED",
+    "FOLLOWING",
     "FloorArrays",
     "FlowArrays",
     "GAUSSIAN",
@@ -203,7 +203,6 @@ __all__ = [
     "mono",
     "nearest_visible",
     "new_picture",
-    "no_depth",
     "order_statistic",
     "outline_points",
     "outline_rows",
@@ -333,7 +332,7 @@ def evaluate(
     contours: ContourArrays,
     keypoints: KeypointArrays,
     points: PointArrays,
-    depth: DepthArrays,
+    depth: DepthArrays | None,
     priors: PriorArrays,
     ws: Workspace,
     *,
@@ -361,7 +360,7 @@ def solve(
     contours: ContourArrays,
     keypoints: KeypointArrays,
     points: PointArrays,
-    depth: DepthArrays,
+    depth: DepthArrays | None,
     priors: PriorArrays,
     settings: SolveLimits,
     ws: Workspace,
@@ -414,9 +413,13 @@ def joint_covariances(pose: Array, tree: TreeArrays, hessian: Array, ridge: floa
     return out
 
 
+FOLLOWING = ("solver", "scorer", "outlines", "shape", "pictures")
+"""The parts of the room that following a person in silhouettes needs."""
+
+
 def warm_up(*parts: str, load: bool = True) -> float:
-    """Compile what these parts of the room need (`warming.PARTS`; default: what following a person in silhouettes
-    needs), in one process per core where that is worth it; returns the seconds it took.
+    """Compile what these parts of the room need (`warming.PARTS`; default: FOLLOWING), in one process per core where
+    that is worth it; returns the seconds it took.
 
     The first time on a machine this takes some tens of seconds; afterwards the compiled code is on disk. load: have it
     in this process as well when it was on disk; without, kernels are read when they are first called.
@@ -424,7 +427,7 @@ def warm_up(*parts: str, load: bool = True) -> float:
     from hypose.compute.warming import warm
 
     began = time.perf_counter()
-    warm(sys.modules[__name__], parts or ("solver", "scorer", "outlines", "shape", "pictures"), load)
+    warm(sys.modules[__name__], parts or FOLLOWING, load)
     return time.perf_counter() - began
 
 

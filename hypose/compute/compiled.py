@@ -3,7 +3,8 @@
 numba's own cache takes its files on trust: without a folder that can be written nothing runs at all, a damaged file
 ends the process, and after an edit of a kernel that another file calls the caller goes on running the old one. Here a
 cache that cannot be written, read or trusted costs time, never a run. The files are keyed by the sources of the kernel
-and of all it calls, by numba, Python and the processor, and are read only when their checksum holds.
+and of all it calls, by numba, Python and the family of processors, and are read only when their checksum holds; what a
+wheel brings along (`ready_made`) is found by the same names.
 """
 
 from __future__ import annotations
@@ -24,9 +25,11 @@ from pickle import loads
 from typing import Any
 
 from hypose.compute.cache_place import cache_folder, note
+from hypose.compute.ready_made import compile_for_family, ready_made
 
 # Intel's vector mathematics is there on some machines only, and its last digits differ from the C library's
 os.environ.setdefault("NUMBA_DISABLE_INTEL_SVML", "1")
+compile_for_family()
 
 import llvmlite  # noqa: E402
 import numba  # noqa: E402
@@ -211,7 +214,7 @@ def _libraries(codegen: Any, kind: type[JITCodeLibrary]) -> Iterator[None]:
 
 
 class KernelCache(NullCache):
-    """numba's interface of a cache, for one kernel: one file per signature and processor.
+    """numba's interface of a cache, for one kernel: one file per signature and family of processors.
 
     Nothing here raises: what cannot be read is compiled, what cannot be written is compiled again the next time.
     """
@@ -223,15 +226,11 @@ class KernelCache(NullCache):
         """The kernel compiled for a signature, or None."""
         # what is loaded needs no more of numba; the rest, a tenth of a second, whoever compiles loads by himself
         rtsys.initialize(target_context)
-        path = self._path(sig, target_context.codegen())
-        if path is None:
+        name = self._name(sig, target_context.codegen())
+        if name is None:
             return None
-        try:
-            data = path.read_bytes()
-        except FileNotFoundError:
-            return None
-        except OSError as error:
-            note(f"Compiled code in {path.parent} cannot be read ({error.strerror}); it is compiled again.")
+        data, path = _found(name)
+        if data is None:
             return None
         payload = data[len(_MAGIC) + _DIGEST :]
         if data != _sealed(payload):
@@ -242,18 +241,20 @@ class KernelCache(NullCache):
                 found = CompileResult._rebuild(target_context, *loads(payload))  # noqa: S301
         except Exception:  # sound, but not what this numba makes of it
             return self._damaged(path)
-        with contextlib.suppress(OSError):
-            os.utime(path)
+        if path is not None:
+            with contextlib.suppress(OSError):
+                os.utime(path)
         return found
 
     def save_overload(self, sig: Any, cres: Any) -> None:
         """Keep a compiled kernel, unless it holds what is true in this process only."""
         if cres.library.has_dynamic_globals or any(not lifted.can_cache for lifted in cres.lifted):
             return
-        path = self._path(sig, cres.codegen)
-        if path is None:
+        place, name = cache_folder(), self._name(sig, cres.codegen)
+        if place is None or name is None:
             _not_kept.append(self._function.__name__)
             return
+        path = place / name
         temporary = path.with_name(f"{uuid.uuid4().hex[:16]}.tmp")
         try:
             _folder_for_writing(path.parent)
@@ -268,30 +269,57 @@ class KernelCache(NullCache):
             reason = (error.strerror or str(error)).lower()
             note(f"Compiled code cannot be kept in {path.parent} ({reason}); the next start compiles it again.")
 
-    def _damaged(self, path: Path) -> None:
+    def _damaged(self, path: Path | None) -> None:
+        if path is None:
+            return  # in what came with the wheel
         note(f"Damaged files of compiled code in {path.parent} are thrown away and compiled again.")
         with contextlib.suppress(OSError):
             path.unlink()
 
-    def _path(self, sig: Any, codegen: Any) -> Path | None:
-        place = cache_folder()
+    def _name(self, sig: Any, codegen: Any) -> str | None:
+        """In a cache; None without sources."""
         sources = _digest_of_sources(self._function.__module__)
-        if place is None or sources is None:
+        if sources is None:
             return None
         name = f"{self._function.__module__.rpartition('.')[2]}.{self._function.__qualname__}"
         line = self._function.__code__.co_firstlineno
         key = repr((sources, name, line, sig, codegen.magic_tuple(), sys.byteorder, sys.maxsize))
-        return place / _VERSIONS / f"{name}-{hashlib.sha256(key.encode()).hexdigest()[:24]}.kernel"
+        return f"{_VERSIONS}/{name}-{hashlib.sha256(key.encode()).hexdigest()[:24]}.kernel"
 
 
-def ready(part: str) -> Path | None:
-    """The file that tells, by being there, that all kernels of a part of the room have been kept."""
+def _found(name: str) -> tuple[bytes | None, Path | None]:
+    """What is in a file of compiled code, and which file of the cache it is, if it is there."""
     place = cache_folder()
-    if place is None:
-        return None
+    if place is not None:
+        path = place / name
+        try:
+            return path.read_bytes(), path
+        except FileNotFoundError:
+            pass
+        except OSError as error:
+            note(f"Compiled code in {path.parent} cannot be read ({error.strerror}); it is compiled again.")
+    return ready_made().get(name), None
+
+
+def is_ready(part: str) -> bool:
+    """Whether all kernels of a part of the room have been kept, or came along: a file tells, by being there."""
+    place, name = cache_folder(), _mark(part)
+    # os.path.exists is False where we may not look
+    return place is not None and os.path.exists(place / name) or name in ready_made()
+
+
+def note_ready(part: str) -> None:
+    """Leave that file, for who comes later."""
+    place = cache_folder()
+    if place is not None:
+        with contextlib.suppress(OSError):
+            (place / _mark(part)).touch()
+
+
+def _mark(part: str) -> str:
     processor = cpu_target.target_context.codegen().magic_tuple()
     key = repr((_digest_of_room(Path(__file__).parent), part, processor))
-    return place / _VERSIONS / f"{part}-{hashlib.sha256(key.encode()).hexdigest()[:24]}.ready"
+    return f"{_VERSIONS}/{part}-{hashlib.sha256(key.encode()).hexdigest()[:24]}.ready"
 
 
 def can_keep() -> bool:

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from hypose.compute.arrays import BALL, FIXED, MeshArrays, TreeArrays
-from hypose.compute.compiled import can_keep, not_kept, ready
+from hypose.compute.compiled import can_keep, is_ready, not_kept, note_ready
 from hypose.compute.monocular import mono
 from hypose.compute.pictures import mask_runs, picture_to_mask
 from hypose.compute.pictures.parts import draw_parts, parts_against_mask, projected
@@ -33,10 +33,10 @@ from hypose.compute.solver.terms import (
     NO_KEYPOINTS,
     NO_POINTS,
     ContourArrays,
+    DepthArrays,
     PriorArrays,
     SolveLimits,
     Standing,
-    no_depth,
 )
 
 # imports what this process would, nothing of the folder that it happens to stand in
@@ -125,7 +125,7 @@ def _shape(compute: Any) -> None:
     outline_rows.warm_up(_toy()[1])
 
 
-def _evidence(compute: Any) -> tuple[np.ndarray, tuple[Any, ...], Any]:
+def _evidence(compute: Any, depth: DepthArrays | None = None) -> tuple[np.ndarray, tuple[Any, ...], Any]:
     """A pose, and all that the solver takes beside it."""
     tree, mesh, q, projection = _toy()
     mask, sizes = _mask()
@@ -135,7 +135,7 @@ def _evidence(compute: Any) -> tuple[np.ndarray, tuple[Any, ...], Any]:
         sdf, outline, np.array([True]), sizes, projection, 1.0, 1.0, 2.0, 4.0, 2.0, 2, np.ones(1), 0 * sizes, sizes
     )
     priors = PriorArrays(np.zeros((1, 6)), np.ones((1, 6)), np.full(6, -np.inf), np.full(6, np.inf))
-    given = (tree, mesh, contours, NO_KEYPOINTS, NO_POINTS, no_depth(), priors)
+    given = (tree, mesh, contours, NO_KEYPOINTS, NO_POINTS, depth, priors)
     return q, given, compute.workspace(tree, mesh, 32, 32)
 
 
@@ -145,6 +145,15 @@ def _solver(compute: Any) -> None:
     compute.joint_covariances(q, given[0], np.eye(6))
 
 
+def _depth(compute: Any) -> None:
+    """The solver, of no sensor."""
+    none, first, sizes = np.zeros((0, 3)), np.zeros(1, np.int64), np.zeros((0, 2), np.int64)
+    maps, ring = np.zeros((0, 1, 1), np.float32), np.zeros((0, 3), np.int32)
+    surface = none, none, np.zeros(0), first, none, maps, sizes, np.zeros((0, 3, 4))
+    q, given, ws = _evidence(compute, DepthArrays(*surface, first, ring, 1.0, 0.0, 1.0, 0.0))
+    compute.solve(q, *given, SolveLimits(1, 0, 1e-3, 1e-2, 4), ws)
+
+
 def _monocular(compute: Any) -> None:
     tree, mesh, q, projection = _toy()
     mono.warm_up(tree, mesh, q, projection[0])
@@ -152,18 +161,21 @@ def _monocular(compute: Any) -> None:
 
 PARTS: dict[str, tuple[Callable[[Any], None], ...]] = {
     "solver": (_solver,),
+    "depth": (_depth,),
     "scorer": (_scorer, _points),
     "outlines": (_outlines, _masks, _parts),
     "shape": (_shape,),
     "pictures": (_pictures, _glance),
     "monocular": (_monocular,),
 }
-"""By name, in pieces that share little; solver: poses from contours, key points, points and depth; scorer: silhouettes
+"""By name, in pieces that share little; solver: poses from contours, key points and points; depth: those
+from depth as well; scorer: silhouettes
 of many poses; outlines: what is followed of masks, and a body's parts against them; shape: what a body is fitted to
 outlines with; pictures: masks from pictures; monocular: one camera."""
 
 _COST = {
-    "solver": (30,),
+    "solver": (27,),
+    "depth": (30,),
     "scorer": (24, 3),
     "outlines": (5, 8, 5),
     "shape": (4,),
@@ -211,7 +223,7 @@ _KEPT = "kept"
 
 def warm(compute: Any, names: Sequence[str], load: bool) -> None:
     """See `compute.warm_up`."""
-    missing = [n for n in PARTS if n in names and not _is_ready(n)]
+    missing = [n for n in PARTS if n in names and not is_ready(n)]
     if missing:
         before = not_kept()
         left = _dearest_first(missing)
@@ -226,14 +238,14 @@ def warm(compute: Any, names: Sequence[str], load: bool) -> None:
         for piece in undone:
             _run(compute, piece)
         for name in missing if not_kept() == before else ():
-            _note_ready(name)
+            note_ready(name)
     if load:
         run(compute, names)
 
 
 def kept(names: Sequence[str]) -> bool:
     """See `compute.kept`."""
-    return all(map(_is_ready, names))
+    return all(map(is_ready, names))
 
 
 def _dearest_first(names: Sequence[str]) -> list[_Piece]:
@@ -247,18 +259,6 @@ def _cost(piece: _Piece) -> int:
 def _worth(pieces: Sequence[_Piece]) -> int:
     """How many processes have something to do while one of them makes the dearest piece, the first."""
     return -(-sum(map(_cost, pieces)) // _cost(pieces[0]))
-
-
-def _is_ready(name: str) -> bool:
-    file = ready(name)
-    return file is not None and os.path.exists(file)  # which is False where we may not look
-
-
-def _note_ready(name: str) -> None:
-    file = ready(name)
-    if file is not None:
-        with contextlib.suppress(OSError):
-            file.touch()
 
 
 @contextlib.contextmanager

@@ -210,7 +210,6 @@ class _Clip:
         self.points = [point_arrays(t, joints) for t in points or none]
         self.keypoints = [keypoint_arrays(t, joints) for t in keypoints or none]
         self.contours = [contour_arrays(t) for t in contours or none]
-        self.depth = compute.no_depth()  # clips know it by their frames' Gaussians
         self.has_contours = any(len(c.sdf) for c in self.contours)
         self.centre, self.weight = prior_arrays(priors, body.skeleton.dof)
         self.lower = np.ascontiguousarray(body.skeleton.lower, dtype=np.float64)
@@ -233,7 +232,7 @@ class _Clip:
                 self.contours[k],
                 self.keypoints[k],
                 self.points[k],
-                self.depth,
+                None,  # clips know depth by their frames' Gaussians
                 PriorArrays(centre, self.weight, self.lower, self.upper),
                 self.ws,
                 coarse=coarse,

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.body import Body
-from hypose.compute import DepthArrays, no_depth
+from hypose.compute import DepthArrays
 from hypose.errors import InputError
 from hypose.evidence.depth_evidence import Depth
 from hypose.geometry import Array
@@ -133,8 +133,8 @@ def rings(body: Body) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
     return kept[1], kept[2]
 
 
-def depth_arrays(term: DepthTerm | None, body: Body) -> DepthArrays:
-    """Flat arrays of a depth term for a body (nothing when None)."""
-    if term is None:
-        return no_depth()
+def depth_arrays(term: DepthTerm | None, body: Body) -> DepthArrays | None:
+    """Flat arrays of a depth term for a body; None where it has no points."""
+    if term is None or not len(term.flat[0]):
+        return None
     return DepthArrays._make((*term.flat, *rings(body), *term.scales))

@@ -22,6 +22,7 @@ from hypose.compute import (
     projected,
     reach,
     silhouette_xor,
+    skin,
 )
 from hypose.evidence.ahead import prepared_masks
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
@@ -77,15 +78,17 @@ _FAR_M = 0.5  # key points further away are no worse
 
 
 @lru_cache(8)
-def _layout(names: tuple[str, ...]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Part and limb (-1: none) of each joint, and the joints that are limbs' roots."""
+def _layout(names: tuple[str, ...]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], Array]:
+    """Part and limb (-1: none) of each joint, the joints that are limbs' roots, and m about the joints and about those
+    roots in which bare mask counts."""
     part = np.array([next((k for k, p in enumerate(_PARTS) if n in p), 8) for n in names])
     limb = np.full(len(names), -1)
     for j, name in enumerate(names):
         if name.endswith(("shoulder", "elbow", "wrist", "hip", "knee", "ankle")):
             arm = name.endswith(("shoulder", "elbow", "wrist"))
             limb[j] = (0 if arm else 2) + name.startswith("right")
-    return part, limb, np.array([names.index(n) for n, _ in _ROOTS if n in names])
+    roots = np.array([names.index(n) for n, _ in _ROOTS if n in names])
+    return part, limb, roots, np.concatenate([np.full(len(names), NEAR_M), [r for _, r in _ROOTS]])
 
 
 def views_apart(audit: ArrayLike) -> float:
@@ -106,7 +109,7 @@ def more_than_body(audit: ArrayLike, n_views: ArrayLike) -> float:
 
 
 def _face_parts(body: Body) -> NDArray[np.uint8]:
-    part, _, _ = _layout(tuple(body.skeleton.joint_names))
+    part, *_ = _layout(tuple(body.skeleton.joint_names))
     corner = part[body.coarse.main_joint][body.coarse.faces]
     return np.where(corner[:, 1] == corner[:, 2], corner[:, 1], corner[:, 0]).astype(np.uint8)
 
@@ -128,7 +131,7 @@ def audit_frame(
     rotations, joints = body.skeleton.forward(pose)
     if frame.silhouettes is not None and frame.silhouettes.usable.any():
         masks = prepared_masks(frame.silhouettes)
-        out[:, :6], out[:, -1] = _masks(body, pose, joints, frame.silhouettes, masks, frame.index % _RARELY == 0)
+        _masks(body, rotations, joints, frame.silhouettes, masks, frame.index % _RARELY == 0, out)
         if frame.depth is not None:
             out[:, 7:9] = _elsewhere(body, pose, masks, frame.index)
         else:
@@ -141,63 +144,69 @@ def audit_frame(
 
 
 def _masks(
-    body: Body, pose: Array, joints: Array, silhouettes: Silhouettes, masks: PreparedMasks, apart_too: bool
-) -> tuple[Array, float]:
-    """(J, 6), and by how much the views are apart, NaN where that is not wanted; see AUDITED."""
-    part, limb, roots = _layout(tuple(body.skeleton.joint_names))
-    points, part_of_face = np.concatenate([body.skin(pose), joints, joints[roots]]), _kept(body).part_of_face
-    reach = np.concatenate([np.full(len(joints), NEAR_M), [r for _, r in _ROOTS]])
-    views, marks = np.flatnonzero(silhouettes.usable), len(points) - len(reach)
-    shifts = np.full((len(views), 2), np.nan)
+    body: Body,
+    rotations: Array,
+    joints: Array,
+    silhouettes: Silhouettes,
+    masks: PreparedMasks,
+    apart_too: bool,
+    out: NDArray[np.float32],
+) -> None:
+    """Fills all columns of out (J, A) that masks tell but for "loose", and "apart" where that is wanted, of a body
+    whose joints are turned by rotations (J, 3, 3) and lie at joints (J, 3)."""
+    part, limb, roots, reach = _layout(tuple(body.skeleton.joint_names))
+    vertices = skin(rotations[None], joints[None], body.skeleton.tree, body.coarse.arrays)[0]
+    points, part_of_face = np.concatenate([vertices, joints, joints[roots]]), _kept(body).part_of_face
+    views = np.flatnonzero(silhouettes.usable)
+    shifts, square = np.full((len(views), 2), np.nan), np.ones((len(views), 1))
     bare, exposed, outside = (np.zeros((len(views), n)) for n in (len(reach), len(_PARTS), len(_PARTS)))
+    area = np.ones((len(views), len(_PARTS)), np.int64)
     for k, c in enumerate(views.tolist()):
-        p, (w, h) = silhouettes.rig.projections[c], silhouettes.rig.sizes[c]
+        p, (w, h) = masks.projections[c], masks.sizes[c].tolist()
         depth = float(p[2, :3] @ joints[0] + p[2, 3])
         per_metre = float(silhouettes.rig[c].K[0, 0]) / max(depth, 0.1)
         step = max(1, int(1.7 * per_metre / _TALL))
-        uv, z, reaches = projected(points, p)
+        uv, z, (across, down) = projected(points, p)
         # what lies further from the body says nothing of its joints
-        (x0, x1), (y0, y1) = (_span(r, _BESIDE_M * per_metre, int(n)) for r, n in zip(reaches, (w, h), strict=True))
+        (x0, x1), (y0, y1) = _span(across, _BESIDE_M * per_metre, w), _span(down, _BESIDE_M * per_metre, h)
         if x0 >= x1 or y0 >= y1:
             continue
-        uv, size, shape = (uv - (x0, y0)) / step, per_metre / step, (-((y0 - y1) // step), -((x0 - x1) // step))
+        size, shape = per_metre / step, (-((y0 - y1) // step), -((x0 - x1) // step))
+        uv[:, 0] -= x0
+        uv[:, 1] -= y0
+        uv /= step
         drawn = draw_parts(uv, z, body.coarse.faces, part_of_face, len(_PARTS), shape)
         hidden, box = masks.hidden[c] if len(masks.hidden) else None, (x0, x1, y0, y1)
-        seen = parts_against_mask(masks.bits[c], drawn, box, step, uv[marks:], reach * size, hidden)
-        bare[k] = seen.bare / size**2
-        exposed[k] = seen.exposed / np.maximum(seen.area, 1)
-        outside[k] = seen.outside / np.maximum(seen.area, 1)
+        seen = parts_against_mask(masks.bits[c], drawn, box, step, uv[-len(reach) :], reach * size, hidden)
+        area[k], exposed[k], outside[k], bare[k], square[k] = seen.area, seen.exposed, seen.outside, seen.bare, size**2
         if apart_too:
             small, ignored = (c, slice(y0, y1, step), slice(x0, x1, step)), silhouettes.ignored
             mask, ignored = silhouettes.masks[small], None if ignored is None else ignored[small]
             shifts[k] = shift_of_mask(mask, mask_of(seen.bits, shape[1]), size, ignored)
     second = -2 if len(views) > 1 else -1
-    near, limbs = bare[:, : len(joints)], bare[:, len(joints) :].sum(0)
-    best = np.sort(exposed, 0)
-    found = np.stack(
-        [
-            near.sum(0),
-            np.sort(near, 0)[second],
-            np.where(limb >= 0, limbs[limb], limbs.max()),
-            exposed.sum(0)[part],
-            best[second][part],
-            outside.sum(0)[part],
-        ],
-        1,
-    )
-    return found, apart(shifts)
+    bare, area = bare / square, np.maximum(area, 1)
+    near, limbs, exposed = bare[:, : len(joints)], bare[:, len(joints) :].sum(0), exposed / area
+    out[:, 0], out[:, 1] = near.sum(0), np.sort(near, 0)[second]
+    out[:, 2] = np.where(limb >= 0, limbs[limb], limbs.max())
+    out[:, 3], out[:, 4] = exposed.sum(0)[part], np.sort(exposed, 0)[second][part]
+    out[:, 5] = (outside / area).sum(0)[part]
+    if apart_too:
+        out[:, -1] = apart(shifts)
 
 
 def _span(reach: Array, beside: float, most: int) -> tuple[int, int]:
     """The pixels 0 to `most` from the first to the last that are reached (2,), and so many beside them; none where
     nothing is."""
-    low, high = reach[0] - beside, reach[1] + beside
+    first, last = reach.tolist()  # plain numbers take a tenth of the time
+    low, high = first - beside, last + beside
     return (int(min(max(low, 0.0), most)), int(min(max(high, 0.0), most))) if low <= high else (0, 0)
 
 
 def _rivals(body: Body, joints: Array, rivals: tuple[ArrayLike, ArrayLike] | None) -> Array:
     """(J,) m: spread of the joints over the rivals around the estimate, weighted."""
-    poses, weights = (np.asarray(a, dtype=np.float64) for a in rivals or (np.zeros((0, 0)), np.zeros(0)))
+    if rivals is None:
+        return np.zeros(len(joints))
+    poses, weights = (np.asarray(a, dtype=np.float64) for a in rivals)
     known = weights > 0
     if not known.any():
         return np.zeros(len(joints))

@@ -77,13 +77,17 @@ def test_a_process_takes_pieces_until_none_is_left_and_leaves_the_one_it_ends_in
 
 def test_other_sources_are_not_ready(tmp_path, monkeypatch):
     monkeypatch.setattr(compiled, "cache_folder", lambda: tmp_path)
-    file = compiled.ready("solver")
-    assert file != compiled.ready("scorer") and file == compiled.ready("solver")
+    (tmp_path / compiled._VERSIONS).mkdir()
+    compiled.note_ready("solver")
+    assert compiled.is_ready("solver") and not compiled.is_ready("scorer")
     (tmp_path / "own.py").write_text("x = 1")
     monkeypatch.setattr(compiled, "__file__", str(tmp_path / "compiled.py"))
-    assert compiled.ready("solver") != file
+    assert not compiled.is_ready("solver")
+    compiled.note_ready("solver")
+    assert compiled.is_ready("solver")
     monkeypatch.setattr(compiled, "cache_folder", lambda: None)
-    assert compiled.ready("solver") is None
+    compiled.note_ready("solver")
+    assert not compiled.is_ready("solver")
 
 
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="rights as on POSIX")

@@ -76,7 +76,7 @@ def evaluate(pose, contours=None, keypoints=None, points=None, forward=None):
         rows,
         keypoint_arrays(keypoints, JOINTS),
         point_arrays(points, JOINTS),
-        compute.no_depth(),
+        None,
         priors,
         ws,
     )

@@ -1,9 +1,11 @@
 """Depth maps in the articulated solver: derivatives, recovery of a pose, empty space."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from hypose import compute, fitting
+from hypose import fitting
 from hypose.body.ready_bodies import human
 from hypose.errors import InputError
 from hypose.fitting.depth_surface import DepthTerm, depth_arrays, depth_term, rings
@@ -70,10 +72,8 @@ def test_a_body_before_what_was_seen_is_pushed_back(truth, term):
     )  # fmt: skip
     assert cost(toward, alone).rows == 0  # without points nothing counts
     full = cost(toward, term)
-    without = depth_arrays(term, BODY)._replace(free_weight=0.0)
     assert full.gradient[1] < 0  # downhill is +y, away from the sensor
     assert cost(toward, term).cost > cost(truth, term).cost
-    assert without.free_weight == 0.0
 
 
 def test_points_that_nothing_is_near_cost_and_pull_nowhere(truth, term):
@@ -109,6 +109,8 @@ def test_every_face_around_a_vertex_knows_the_one_beside_it():
     assert (ring[beside, 1] == ring[:, 0]).all()
 
 
-def test_a_frame_without_depth_costs_nothing():
-    assert len(compute.no_depth().points) == 0
-    assert len(depth_arrays(None, BODY).eyes) == 0
+def test_a_frame_without_depth_is_solved_without(term):
+    assert depth_arrays(None, BODY) is None and depth_arrays(term, BODY) is not None
+    none = np.zeros((0, 3))
+    empty = replace(term, points=none, normals=none, weight=np.zeros(0), first=np.zeros_like(term.first))
+    assert depth_arrays(empty, BODY) is None

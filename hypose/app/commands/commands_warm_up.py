@@ -24,9 +24,10 @@ def warm_up(threads: Threads = None) -> None:
     from hypose.synthetic.scenes import make_scene
     from hypose.synthetic.write_recording import write_scene
 
-    folder, parts = compute.cache_folder(), ("solver", "scorer", "outlines", "shape", "pictures", "monocular")
+    folder, parts = compute.cache_folder(), (*compute.FOLLOWING, "monocular", "depth")
     if folder is None:
         raise InputError(f"There is no place for what is compiled; name a folder with {compute.VARIABLE}.")
+    before = compute.kept(*parts)
     with tempfile.TemporaryDirectory(prefix="hypose-warm-up-") as temporary, Stages() as progress:
         progress("compile", 0, 1)
         compute.warm_up(*parts, load=False)
@@ -40,4 +41,4 @@ def warm_up(threads: Threads = None) -> None:
             f"What was compiled could not all be kept in {folder}; make space there, see that it can be written, or "
             f"name another folder with {compute.VARIABLE}, and run this again."
         )
-    say(f"Compiled; kept in {folder}")
+    say("All of it had been compiled." if before else f"Compiled; kept in {folder}")

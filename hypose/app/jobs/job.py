@@ -155,10 +155,11 @@ def _kernels(recording: Recording, options: TrackOptions) -> tuple[str, ...]:
     """The parts of compute that a run needs until its first poses are there."""
     if options.of_picture:
         return ("solver", "scorer", "outlines", "pictures", "monocular")
+    depth = ("depth",) if any(view.depth is not None for view in recording.views) else ()
     if options.looks_at == "keypoints":
-        return ("solver",)
+        return ("solver", *depth)
     # a body that is given is not fitted to outlines
-    masks = ("solver", "scorer", "outlines", *(() if options.subject else ("shape",)))
+    masks = ("solver", *depth, "scorer", "outlines", *(() if options.subject else ("shape",)))
     return masks if all(view.masks is not None for view in recording.views) else (*masks, "pictures")
 
 

@@ -105,21 +105,24 @@ def open_images(recording: Recording) -> list[ViewImages]:
 
 def image_points(view: View, camera: Camera, points_world: Array, size: tuple[int, int]) -> Array:
     """Pixels (..., 2) of points (..., 3) m in the recorded image shown at `size`; NaN behind the camera."""
-    uv = camera.project(points_world) - np.asarray(view.image_shift)
+    return _as_recorded(camera.project(points_world), view, camera, size)
+
+
+def _as_recorded(uv: Array, view: View, camera: Camera, size: tuple[int, int]) -> Array:
+    """Pixels (..., 2) of the calibrated camera -> those of the recorded image shown at `size`."""
     scale = np.array([size[0] / camera.size[0], size[1] / camera.size[1]])
-    return (uv + 0.5) * scale - 0.5
+    return uv * scale + ((0.5 - np.asarray(view.image_shift)) * scale - 0.5)
 
 
 def mask_outline(
     view: View, camera: Camera, working: Camera, mask: NDArray[np.uint8], size: tuple[int, int]
 ) -> list[NDArray[np.int32]]:
-    """Outlines of an undistorted mask (h, w) of the camera `working` as polygons in the recorded image at `size`."""
+    """Outlines of a mask (h, w) as polygons in the recorded image at `size`; working: the camera, undistorted and at
+    another size, whose pixels the mask has."""
     w, h = working.size
-    out = []
+    centre, focal, out = working.K[:2, 2], np.diag(working.K)[:2], []
     for contour in _edges(mask[:h, :w], cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE):
-        _, directions = working.rays(contour[:, 0].astype(np.float64))
-        # 10 m along the ray: the distance does not matter, only the direction is projected again
-        uv = image_points(view, camera, working.position + 10.0 * directions, size)
+        uv = _as_recorded(camera.through_lens((contour[:, 0] - centre) / focal), view, camera, size)
         if len(uv) > 2 and np.isfinite(uv).all():
             out.append(_fixed(uv))
     return out

@@ -7,11 +7,13 @@ import math
 import numpy as np
 
 from hypose.compute.compiled import kernel
-from hypose.compute.pictures.cpu_mask_bits import ALL, grown, opened, u8, word_of
+from hypose.compute.pictures.cpu_mask_bits import ALL, u8
 from hypose.compute.pictures.cpu_pixels import lowest_bit, ones
 
-NEAR = 0.05
-"""Triangles with a corner nearer than this (m) are not drawn."""
+i4 = np.int32
+
+NEAR, ROWS = 0.05, 8
+"""Triangles with a corner nearer than this (m) are not drawn; so many of their rows are at once."""
 
 
 @kernel
@@ -34,12 +36,12 @@ def place(points, projection, uv, z, reach):
 
 
 @kernel
-def draw(uv, z, faces, part, width, out):
-    """Set the pixels in out[part[f]] (P, W, h), width columns wide, whose centres face f of faces (F, 3) covers, of
-    either orientation. uv (V, 2) px, z (V,) m."""
-    h = out.shape[2]
+def draw(uv, z, faces, part, width, h, bits):
+    """Set the pixels in the picture part[f] of bits (P W h + ROWS - 1,), each (W, h) and width columns wide, whose
+    centres face f of faces (F, 3) covers, of either orientation; the last ones stay. uv (V, 2) px, z (V,) m."""
+    words, most, high = (width + 63) >> 6, float(width - 1), float(h)
     for f in range(faces.shape[0]):
-        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        a, b, c = u8(faces[f, 0]), u8(faces[f, 1]), u8(faces[f, 2])
         if not (z[a] > NEAR and z[b] > NEAR and z[c] > NEAR):
             continue
         xa, ya, xb, yb, xc, yc = uv[a, 0], uv[a, 1], uv[b, 0], uv[b, 1], uv[c, 0], uv[c, 1]
@@ -51,120 +53,134 @@ def draw(uv, z, faces, part, width, out):
             xa, ya, xc, yc = xc, yc, xa, ya
         if yb > yc:
             xb, yb, xc, yc = xc, yc, xb, yb
-        r0 = max(0, int(math.ceil(max(ya, -1.0))))
-        r1 = min(h - 1, int(math.floor(min(yc, h + 1.0))))
-        if r0 > r1 or yc <= ya:
+        begin = int(math.ceil(min(max(ya, 0.0), high)))
+        end = int(math.floor(max(min(yc, high - 1.0), -1.0))) + 1
+        if begin >= end or yc <= ya:
             continue
-        slope, plane = (xc - xa) / (yc - ya), part[f]
-        middle = min(max(int(math.ceil(min(max(yb, -1.0), h + 1.0))), r0), r1 + 1)
-        for below in range(2):  # the side with b, from a on and to c
-            x, y, begin, end = (xb, yb, middle, r1 + 1) if below else (xa, ya, r0, middle)
-            height = (yc - yb) if below else (yb - ya)
-            other = ((xc - xb) if below else (xb - xa)) / height if height > 0.0 else 0.0
-            for r in range(begin, end):
-                p, q = xa + (r - ya) * slope, x + (r - y) * other
-                first = max(0, int(math.ceil(max(min(p, q), -1.0))))
-                last = min(width - 1, int(math.floor(min(max(p, q), width + 1.0))))
-                _set(out, plane, r, first, last)
-
-
-@kernel(inline=True)
-def _set(bits, p, r, first, last):
-    """The pixels first to last of row r of picture p of bits (P, W, h); none when the last comes before the first."""
-    i, j = first >> 6, last >> 6
-    begin, end = ALL << u8(first & 63), ALL >> u8(63 - (last & 63))
-    if i == j:  # most often, which is told easily by the processor; whether the row is empty is not
-        bits[p, i, r] |= begin & end
-    elif i < j:
-        bits[p, i, r] |= begin
-        for k in range(i + 1, j):
-            bits[p, k, r] = ALL
-        bits[p, j, r] |= end
+        # the side from a to c, and the two with b, of which the lower one begins at this row
+        middle = i4(math.ceil(min(max(yb, 0.0), high)))
+        long = (xc - xa) / (yc - ya)
+        upper = (xb - xa) / (yb - ya) if yb > ya else 0.0
+        lower = (xc - xb) / (yc - yb) if yc > yb else 0.0
+        left = int(min(max(min(xa, min(xb, xc)) - 1.0, 0.0), most)) >> 6
+        right = int(max(min(max(xa, max(xb, xc)) + 1.0, most), 0.0)) >> 6
+        for k in range(left, right + 1):
+            x0, x1 = float(64 * k), min(float(64 * k + 63), most)
+            for row in range(begin, end, ROWS):
+                at = (part[f] * words + k) * h + row
+                _set(bits, at, i4(row), i4(end), i4(64 * k), x0, x1, xa, ya, long, xb, yb, upper, lower, middle)
 
 
 @kernel
-def _moved(packed, first, width, out):
-    """`_thin` of every pixel."""
+def _set(bits, at, row, end, column, x0, x1, xa, ya, long, xb, yb, upper, lower, middle):
+    """Sets the pixels of a face in ROWS rows of a word of columns, from number `at` of the bits (N,) on: what lies
+    between its side from a and the one from a or, from the row `middle` on, from b. It becomes vectors by itself."""
+    for i in range(ROWS):
+        r = row + i4(i)
+        y, under = float(r), r >= middle
+        p = xa + (y - ya) * long
+        q = (xb if under else xa) + (y - (yb if under else ya)) * (lower if under else upper)
+        first = u8(i4(np.ceil(min(max(min(p, q), x0), x1 + 1.0))) - column)
+        count = u8(i4(np.floor(max(min(max(p, q), x1), x0 - 1.0))) + i4(1) - column)
+        after = ALL << (first & u8(63)) if first < u8(64) else u8(0)
+        before = ALL >> ((u8(64) - count) & u8(63)) if count > u8(0) else u8(0)
+        bits[u8(at + i)] |= after & before if r < end else u8(0)
+
+
+@kernel
+def _columns(k, words, width):
+    """The bits of word k that are columns of a picture."""
+    return ALL if k < words - 1 else ALL >> u8(64 * words - width)
+
+
+@kernel
+def _thin(packed, top, left, step, width, out):
+    """Every step-th pixel of a mask, eight to a byte (H, B), from row top and column left on, as bits out (W, h)."""
     words, h = out.shape
-    shift, size = np.uint8(first[1] & 7), packed.shape[1]
-    for r in range(h):
-        y = first[0] + r
-        for k in range(words):
-            word, x = u8(0), (first[1] >> 3) + 8 * k
-            for b in range(8):
-                here = u8(packed[y, x + b] if x + b < size else 0)
-                after = u8(packed[y, x + b + 1] if x + b + 1 < size else 0)
-                word |= (((here | after << u8(8)) >> u8(shift)) & u8(255)) << u8(8 * b)
-            left = width - 64 * k
-            out[k, r] = word if left >= 64 else word & (ALL >> u8(64 - left))
+    size, shift = packed.shape[1], u8(left & 7)
+    for k in range(words):
+        begin, columns = (left >> 3) + 8 * k, _columns(k, words, width)
+        for r in range(h):
+            word, y = u8(0), top + r * step
+            if step == 1:  # then bits only move
+                for i in range(min(8, size - begin)):
+                    word |= u8(packed[y, begin + i]) << u8(8 * i)
+                word >>= shift
+                if begin + 8 < size:
+                    word |= (u8(packed[y, begin + 8]) << u8(1)) << (u8(63) - shift)
+            else:
+                x = u8(left + 64 * k * step)
+                for i in range(min(width - 64 * k, 64)):
+                    word |= u8((packed[y, x >> u8(3)] >> np.uint8(x & u8(7))) & np.uint8(1)) << u8(i)
+                    x += u8(step)
+            out[k, r] = word & columns
 
 
 @kernel
-def _thin(packed, first, step, width, out):
-    """Every step-th pixel of a mask, eight to a byte (H, B), from first (row, column) on, as bits out (W, h)."""
-    words, h = out.shape
-    if step == 1:  # then bits only move
-        _moved(packed, first, width, out)
-        return
-    line = np.zeros(64 * words, np.uint8)
-    eights = line.view(np.uint64)
-    for r in range(h):
-        y, x = first[0] + r * step, first[1]
-        for i in range(width):
-            line[i] = (packed[y, x >> 3] >> (x & 7)) & 1
-            x += step
-        for k in range(words):
-            out[k, r] = word_of(eights, k)
+def _grown(bits, width, wide, out):
+    """out = bits, grown by three by three pixels, both (W + 2, h): the first and the last word of each row are 0; wide
+    (h + 2,): scratch, which begins and ends with 0."""
+    words, h = bits.shape[0] - 2, bits.shape[1]
+    above, middle, below = wide[:h], wide[1 : h + 1], wide[2:]
+    for k in range(words):
+        before, here, after, made = bits[k], bits[k + 1], bits[k + 2], out[k + 1]
+        inside = _columns(k, words, width)
+        for r in range(h):
+            left, right = (here[r] << u8(1)) | (before[r] >> u8(63)), (here[r] >> u8(1)) | (after[r] << u8(63))
+            middle[r] = left | here[r] | right
+        for r in range(h):
+            made[r] = (above[r] | middle[r] | below[r]) & inside
 
 
 @kernel
-def against_mask(mask, hidden, first, step, width, parts, points, square, block, area, exposed, outside, bare):
+def against_mask(mask, hidden, top, left, step, width, parts, points, radius, counts, bare):
     """Counts of `parts.PartView`: of parts (P, W, h) drawn where every step-th pixel of a packed mask (H, B), from
-    first (row, column) on, is a pixel; hidden (H, B), (0, 0): none. points (N, 2) in those pixels, square (N,) of
-    radii; block: spans of three by three pixels. parts[0] holds all of them afterwards."""
+    row top and column left on, is a pixel; hidden (H, B), (0, 0): none. points (N, 2) and radius (N,) in those pixels.
+    counts (3, P): area, exposed and outside. parts[0] holds all of them afterwards."""
     n, words, h = parts.shape
-    box = np.zeros(4, np.int64)
-    box[1], box[3] = h, width
-    room = np.empty((5, words, h), np.uint64)
-    seen, shown, made, beside, found = room[0], room[1], room[2], room[3], room[4]
-    _thin(mask, first, step, width, seen)
-    if hidden.shape[0]:
-        _thin(hidden, first, step, width, shown)
-    else:
-        shown[:] = u8(0)
+    room, wide = np.zeros((5, words + 2, h), np.uint64), np.zeros(h + 2, np.uint64)
+    inner = room[:, 1 : words + 1]
+    no, shut, made, beside, found = inner[0], inner[1], inner[2], inner[3], inner[4]
+    for k in range(2):
+        packed = hidden if k else mask
+        if packed.shape[0]:
+            _thin(packed, top, left, step, width, inner[k])
     for k in range(words):
+        columns = _columns(k, words, width)
         for r in range(h):
-            made[k, r] = seen[k, r] | shown[k, r]
-            seen[k, r], shown[k, r] = seen[k, r] & ~shown[k, r], ~shown[k, r]
-    grown(made, block, box, u8(0), beside)
-    for k in range(words):
-        for r in range(h):
-            beside[k, r] = ~beside[k, r]
-    opened(beside, block, box, found)
-    for k in range(words):
-        for r in range(h):
-            once, twice = u8(0), u8(0)
-            for p in range(n):
-                twice |= once & parts[p, k, r]
-                once |= parts[p, k, r]
-            made[k, r] = once
-            if once == u8(0):
-                continue
-            alone, out = shown[k, r] & ~twice, found[k, r]
-            for p in range(n):
-                word = parts[p, k, r]
-                if word:
-                    area[p] += ones(word)
-                    exposed[p] += ones(word & alone)
-                    outside[p] += ones(word & out)
-    for k in range(words):
-        for r in range(h):
-            parts[0, k, r] = made[k, r]
-    grown(made, block, box, u8(0), beside)
-    for k in range(words):
-        for r in range(h):
-            beside[k, r] = seen[k, r] & ~beside[k, r]
-    opened(beside, block, box, found)
+            made[k, r] = no[k, r] | shut[k, r]
+            no[k, r] = (~no[k, r] & columns) | shut[k, r]  # where no mask may be bare
+    for last in range(2):  # what is far from the mask; then, of the mask, what is far from the body
+        _grown(room[2], width, wide, room[3])
+        if last:
+            for k in range(words):
+                for r in range(h):
+                    beside[k, r] |= no[k, r]
+        _grown(room[3], width, wide, room[2])  # eroded, beyond the picture all is set
+        for k in range(words):
+            columns = _columns(k, words, width)
+            for r in range(h):
+                made[k, r] = ~made[k, r] & columns
+        _grown(room[2], width, wide, room[4])
+        if last:
+            break
+        for k in range(words):
+            for r in range(h):
+                once, twice = u8(0), u8(0)
+                for p in range(n):
+                    twice |= once & parts[p, k, r]
+                    once |= parts[p, k, r]
+                made[k, r] = once
+                if once == u8(0):
+                    continue
+                alone, out = ~(shut[k, r] | twice), found[k, r]
+                for p in range(n):
+                    word = parts[p, k, r]
+                    if word:
+                        counts[0, p] += ones(word)
+                        counts[1, p] += ones(word & alone)
+                        counts[2, p] += ones(word & out)
+                parts[0, k, r] = once
     for k in range(words):
         for r in range(h):
             word = found[k, r]
@@ -173,4 +189,4 @@ def against_mask(mask, hidden, first, step, width, parts, points, square, block,
                 word &= word - u8(1)
                 for i in range(points.shape[0]):
                     dx, dy = x - points[i, 0], r - points[i, 1]
-                    bare[i] += dx * dx + dy * dy < square[i]
+                    bare[i] += dx * dx + dy * dy < radius[i] * radius[i]

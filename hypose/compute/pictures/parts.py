@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.compute.native import native, plain
-from hypose.compute.pictures.mask_runs import Bits, mask_of, no_bits, square_spans
+from hypose.compute.pictures.mask_runs import Bits, mask_of
 
 Array = NDArray[np.float64]
 _NONE = np.zeros((0, 0), np.uint8)
@@ -45,10 +45,11 @@ def draw_parts(
 ) -> Bits:
     """(n_parts, W, h) bits of what faces (F, 3) of the part (F,) cover of a picture of shape (h, w); uv (V, 2) px, z
     (V,) m."""
-    h, w = shape
-    out = np.stack([no_bits(h, w)] * n_parts)
-    native("pictures.parts").draw(plain(uv, np.float64), plain(z, np.float64), faces, part, w, out)
-    return out
+    (h, w), kernels = shape, native("pictures.parts")
+    size = n_parts * h * -(-w // 64)
+    flat = np.zeros(size + kernels.ROWS - 1, np.uint64)
+    kernels.draw(plain(uv, np.float64), plain(z, np.float64), faces, part, w, h, flat)
+    return flat[:size].reshape(n_parts, -1, h)
 
 
 def covered(uv: ArrayLike, z: ArrayLike, faces: NDArray[np.int32], shape: tuple[int, int]) -> NDArray[np.uint8]:
@@ -75,9 +76,8 @@ def parts_against_mask(
     neither as bare nor as outside, nor does what is thinner than three pixels.
     """
     x0, x1, y0, _ = box
-    uv, square = plain(points, np.float64), np.asarray(radius, np.float64) ** 2
-    counts = tuple(np.zeros(n, np.int64) for n in (*(len(drawn),) * 3, len(uv)))
-    first, width = np.array([y0, x0]), -(-(x1 - x0) // step)
-    shown = plain(bits, np.uint8), _NONE if hidden is None else plain(hidden, np.uint8), first, step, width
-    native("pictures.parts").against_mask(*shown, drawn, uv, square, square_spans(3), *counts)
-    return PartView(*counts, drawn[0])
+    uv, r, width = plain(points, np.float64), plain(radius, np.float64), -(-(x1 - x0) // step)
+    counts, bare = np.zeros((3, len(drawn)), np.int64), np.zeros(len(uv), np.int64)
+    shown = plain(bits, np.uint8), _NONE if hidden is None else plain(hidden, np.uint8)
+    native("pictures.parts").against_mask(*shown, y0, x0, step, width, drawn, uv, r, counts, bare)
+    return PartView(*counts, bare, drawn[0])

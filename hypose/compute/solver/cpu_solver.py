@@ -158,7 +158,7 @@ def form_found(found_of, mesh, ws):
 @kernel
 def cost_at(q, tree, mesh, contours, scale, keypoints, points, depth, priors, ws, found_of, counts):
     """Cost at pose q (D,); counts (C + 3, 2): forward and reverse rows of each view, then the key points, the points,
-    and those of depth.
+    and those of depth; depth: None is compiled by itself, without what only depth needs.
 
     found_of: what waits in the workspace for `normal_equations`: cameras (C + VIEWS, 3, 4) f4 about the root, first
     (C + 1,) point found of each view, and state (3,): rows, views looked at, views whose rows are made."""
@@ -171,8 +171,7 @@ def cost_at(q, tree, mesh, contours, scale, keypoints, points, depth, priors, ws
     cost, n_found, n_union = 0.0, 0, 0
     state[:] = 0
     first[0] = 0
-    n_points = depth.points.shape[0]
-    if n_views > 0 or n_points > 0:
+    if n_views > 0 or depth is not None:
         skin_about_root(ws.rotations, ws.centres, tree, mesh, ws.vertices)
     for c in range(n_views):
         k = c % VIEWS
@@ -196,7 +195,7 @@ def cost_at(q, tree, mesh, contours, scale, keypoints, points, depth, priors, ws
         q, keypoints, ws.rotations, ws.centres, ws.wrench_hessian, ws.wrench_gradient, counts[n_views]
     )
     cost += point_rows(q, points, ws.rotations, ws.centres, ws.wrench_hessian, ws.wrench_gradient, counts[n_views + 1])
-    if n_points > 0:
+    if depth is not None:
         form_found(found_of, mesh, ws)
         factor = scale / contours.scale
         cost += depth_rows(q, mesh, depth, factor, ws, state, counts[n_views + 2])

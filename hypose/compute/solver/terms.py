@@ -158,16 +158,6 @@ NO_KEYPOINTS = KeypointArrays(np.zeros((0, 0, 3)), np.zeros((0, 3, 4)), np.zeros
 NO_POINTS = PointArrays(np.zeros((0, 3)), np.zeros(0), np.zeros(0, np.int64), np.zeros((0, 3)), 1.0)
 
 
-def no_depth() -> DepthArrays:
-    """Of a frame without depth maps."""
-    none, nobody = np.zeros((0, 3)), np.zeros((0, 3), np.int32)
-    maps, sizes = np.zeros((0, 1, 1), np.float32), np.zeros((0, 2), np.int64)
-    first = np.zeros(1, np.int64)
-    return DepthArrays(
-        none, none, np.zeros(0), first, none, maps, sizes, np.zeros((0, 3, 4)), first, nobody, 1.0, 0.0, 1.0, 0.0
-    )
-
-
 class PriorArrays(NamedTuple):
     """Sum of quadratics 1/2 weight (q - centre)^2 and the limits."""
 

@@ -155,8 +155,9 @@ class LiveEngine:
 
     def start(self) -> None:
         """Open the cameras and begin; an InputError when one cannot be opened."""
-        compute.warm_up(load=False)  # what is compiled here the other process finds
-        warm = self._beside.submit(compute.warm_up)
+        parts = (*compute.FOLLOWING, *(("depth",) if any_depth(self.views) else ()))
+        compute.warm_up(*parts, load=False)  # what is compiled here the other process finds
+        warm = self._beside.submit(compute.warm_up, *parts)
         self._eyes = EyesProcess(self.rig, self.views, self.options.eyes, self._stop)
         if self._stop.is_set():
             self._eyes.close()
