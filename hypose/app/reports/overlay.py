@@ -14,7 +14,6 @@ from hypose.app.commands.console import ProgressCall, ignore
 from hypose.app.reports.result_pictures import Drawing, Image, draw_all, draw_close_ups, layout, open_images
 from hypose.body.body import Body
 from hypose.body.motion import Motion
-from hypose.compute import default_threads
 from hypose.errors import InputError
 from hypose.io.recordings.recording import Recording
 from hypose.io.videos.video import VideoWriter
@@ -52,22 +51,20 @@ def write_overlay(
         writer = None
         if video:
             writer = stack.enter_context(VideoWriter(path, motion.frame_rate if len(motion) > 1 else 25.0, plan.size))
-        threads = default_threads()
-        pool = stack.enter_context(ThreadPoolExecutor(threads))
-        drawn: deque[Future[Image]] = deque()
+        writing = stack.enter_context(ThreadPoolExecutor(1))
+        written: deque[Future[None]] = deque()
         for done, i in enumerate(rows):
             progress("overlay", done, len(rows))
             what = _drawing(source, motion, body, i, numbers[i])
             pictures = [v.read(numbers[i]) for v in images]
             if i in stills:
                 kept[i] = draw_close_ups(pictures, recording, body, what)
-            if writer is not None:  # the coming frames are read and drawn while this one is written
-                drawn.append(pool.submit(draw_all, pictures, recording, plan, body, what))
-                if len(drawn) > threads:
-                    writer.write(drawn.popleft().result())
-        if writer is not None:
-            for picture in drawn:
-                writer.write(picture.result())
+            if writer is not None:  # the next frame is read and drawn while this one is written
+                written.append(writing.submit(writer.write, draw_all(pictures, recording, plan, body, what)))
+                if len(written) > 1:
+                    written.popleft().result()
+        for one in written:
+            one.result()
         progress("overlay", len(rows), len(rows))
     return kept
 
