@@ -17,7 +17,7 @@ def scene(rng: np.random.Generator, w: int, h: int) -> tuple[np.ndarray, ...]:
     """Triangles of PARTS parts about a picture, some of them behind the camera or nowhere, and a mask of blobs."""
     uv = rng.uniform(-10, [w + 10, h + 10], (60, 2))
     z = rng.uniform(0.5, 3, 60)
-    z[3], uv[5] = -1.0, np.nan
+    z[3], uv[5], uv[6, 0], uv[9, 1] = -1.0, np.nan, np.inf, np.nan
     uv[7:9] = np.rint(uv[7:9])
     faces = rng.integers(0, 60, (40, 3)).astype(np.int32)
     faces = np.where(rng.random((40, 1)) < 0.5, faces, faces[:, :1] + np.arange(3))  # slivers too
