@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2, f
+from scipy.stats import chi2
+from scipy.stats import f as fisher
 
 from benchmarks.bench_report import Row
 from benchmarks.multiview.doubt_scenes import CAMERAS, EVIDENCE, Tracked
@@ -138,7 +139,7 @@ def _least(families: Families, tried: Array, slack: float, least_a: float = 0.0)
 def _surprise(m2: Array, variances: Array) -> float:
     """Mean negative log-likelihood, but for a constant, by the law of `region_reach`."""
     d = variances.shape[1]
-    share = (d / TAILS) * f.ppf(0.9, d, TAILS) / chi2.ppf(0.9, d)
+    share = (d / TAILS) * fisher.ppf(0.9, d, TAILS) / chi2.ppf(0.9, d)
     return float(0.5 * (np.log(variances).sum(1) + (TAILS + d) * np.log1p(share * m2)).mean())
 
 

@@ -7,11 +7,9 @@ the cache). Elsewhere nobody looks them up, and kernels are compiled as from the
 from __future__ import annotations
 
 import io
-import lzma
 import os
 import platform
 import sys
-import tarfile
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
@@ -47,11 +45,14 @@ def compile_for_family() -> None:
 @cache
 def ready_made() -> Mapping[str, bytes]:
     """What came with the wheel, by its name in the cache; nothing where nothing came, or cannot be read."""
+    if not os.path.exists(FILE):  # as from the sources
+        return _NOTHING
+    import lzma  # these two take long to import
+    import tarfile
+
     try:
         with tarfile.open(FILE, "r:xz") as packed:
             return {m.name: f.read() for m in packed if (f := packed.extractfile(m)) is not None}
-    except FileNotFoundError:
-        return _NOTHING
     except (OSError, EOFError, tarfile.TarError, lzma.LZMAError) as error:
         note(f"The compiled code in {FILE} cannot be read ({error}); it is compiled again.")
         return _NOTHING
@@ -59,6 +60,9 @@ def ready_made() -> Mapping[str, bytes]:
 
 def pack(cache_folder: Path, file: Path) -> int:
     """Write all compiled code of a cache into a file; how many files went in."""
+    import lzma
+    import tarfile
+
     found = sorted(p for p in cache_folder.glob("kernels-*/*") if p.suffix in (".kernel", ".ready"))
     raw = io.BytesIO()
     with tarfile.open(fileobj=raw, mode="w", format=tarfile.USTAR_FORMAT) as packed:

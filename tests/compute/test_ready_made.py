@@ -18,7 +18,6 @@ from hypose.compute import ready_made
 ready_made.FILE = Path(sys.argv[1])
 from hypose import compute
 from hypose.compute import compiled
-from numba.core.compiler import CompilerBase
 
 def compile_extra(self, function):
     raise AssertionError(f"{function} was compiled")
