@@ -80,8 +80,8 @@ def multiview_speed(options: BenchOptions) -> BenchReport:
         small = load_recording(write_scene(scene, Path(folder) / "480p").parent)
         # first: peaks are those of the process, and larger pictures would hide any growth
         rows += _twice_as_long(small, Path(folder) / "long", known)
-        rows += _videos_in("480p", small, known, repeats)
-        rows += _videos_in("1080p", _enlarged(small, Path(folder) / "1080p", 2.25), known, repeats)
+        rows += videos_in("480p", small, known, repeats)
+        rows += videos_in("1080p", enlarged(small, Path(folder) / "1080p", 2.25), known, repeats)
     if options.data is not None and (options.data / "pose2sim_balancing").exists():
         options.progress("balancing", 0, 1)
         real = balancing_recording(options.folder("pose2sim_balancing"))
@@ -89,7 +89,7 @@ def multiview_speed(options: BenchOptions) -> BenchReport:
             chosen = SubjectOptions("keypoints", frame_rate=real.frame_rate, girths=False)
             person = find_subject(points.frame, len(points), chosen)
         without = balancing_recording(options.folder("pose2sim_balancing"), keypoints=False)
-        rows += _videos_in("balancing 1080p", without, person, repeats)
+        rows += videos_in("balancing 1080p", without, person, repeats)
     rows.append(Row("peak_memory_mib", "all", _peak_mib(), "MiB"))
     return BenchReport(tuple(rows), {"views": 4, "seconds": seconds, "repeats": repeats})
 
@@ -98,19 +98,19 @@ def _masks_in(options: BenchOptions, scene: Scene, subject: Subject, frames: lis
     rows = []
     for preset in _PRESETS[:1] if options.quick else _PRESETS:
         options.progress(preset, 0, 1)
-        cost = _cost(lambda p=preset: _track(look_ahead(_anew(frames)), subject, scene.frame_rate, p), repeats)
+        cost = _cost(lambda p=preset: follow(look_ahead(anew(frames)), subject, scene.frame_rate, p), repeats)
         rows.append(Row("frames_per_second", f"masks:{preset}/4", 1 / cost.wall, "1/s", n=len(frames)))
         rows.append(Row("cpu_ms_per_frame", f"masks:{preset}/4", 1e3 * cost.cpu, "ms", n=len(frames)))
     few = frames[: 10 if options.quick else 25]
-    one = _cost(lambda: _track(few, subject, scene.frame_rate, "hpf"), 2)
-    more = _cost(lambda: _track(few, subject, scene.frame_rate, "hpf", particles=2), 2)
-    fewer = _cost(lambda: _track([_two_views(f) for f in few], subject, scene.frame_rate, "hpf"), 2)
+    one = _cost(lambda: follow(few, subject, scene.frame_rate, "hpf"), 2)
+    more = _cost(lambda: follow(few, subject, scene.frame_rate, "hpf", particles=2), 2)
+    fewer = _cost(lambda: follow([_two_views(f) for f in few], subject, scene.frame_rate, "hpf"), 2)
     rows.append(Row("growth", "particles x 2", more.cpu / one.cpu, "1", n=len(few)))
     rows.append(Row("growth", "views x 2", one.cpu / fewer.cpu, "1", n=len(few)))
     return rows
 
 
-def _anew(frames: Iterable[Frame]) -> Iterator[Frame]:
+def anew(frames: Iterable[Frame]) -> Iterator[Frame]:
     """The same frames as new objects: what is made ahead is kept with the silhouettes."""
     for frame in frames:
         assert frame.silhouettes is not None
@@ -124,14 +124,15 @@ def _two_views(frame: Frame) -> Frame:
     return replace(frame, silhouettes=make_silhouettes(masks, rig))
 
 
-def _track(frames: Iterable[Frame], subject: Subject, rate: float, preset: str, particles: int = 1) -> int:
+def follow(frames: Iterable[Frame], subject: Subject, rate: float, preset: str, particles: int = 1) -> int:
+    """Track the frames by a preset with so many times its particles; how many frames there were."""
     made = recipe(preset, subject.body, frame_rate=rate)
     made = replace(made, particles=particles * made.particles)
     tracker = Tracker(subject.body, made, TrackerSettings(frame_rate=rate), subject.keypoints)
     return sum(1 for _ in tracker.follow(tracker.start(subject.start), frames))
 
 
-def _videos_in(case: str, recording: Recording, subject: Subject, repeats: int) -> list[Row]:
+def videos_in(case: str, recording: Recording, subject: Subject, repeats: int) -> list[Row]:
     """Rows of one recording: opening, decoding, evidence, and all of it with the tracker."""
     begin = time.perf_counter(), time.process_time()
     backgrounds = build_backgrounds(recording)
@@ -143,7 +144,7 @@ def _videos_in(case: str, recording: Recording, subject: Subject, repeats: int) 
     decoding = _cost(lambda: _decode(recording), repeats)
     evidence = _cost(lambda: _prepare(recording, backgrounds), repeats)
     rate = recording.frame_rate
-    whole = _cost(lambda: _track(look_ahead(_frames(recording, backgrounds)), subject, rate, "default"), repeats)
+    whole = _cost(lambda: follow(look_ahead(frames_of(recording, backgrounds)), subject, rate, "default"), repeats)
     n = len(recording.frames)
     against = {"baseline": "decoding the videos alone", "baseline_value": 1 / decoding.wall}
     rows = [
@@ -176,19 +177,20 @@ def _decode(recording: Recording) -> int:
     return len(recording.frames)
 
 
-def _frames(recording: Recording, backgrounds: tuple[BackgroundModel | None, ...]) -> Iterator[Frame]:
+def frames_of(recording: Recording, backgrounds: tuple[BackgroundModel | None, ...]) -> Iterator[Frame]:
+    """The frames with their silhouettes, from the videos."""
     with FrameStream(recording, None, backgrounds) as stream:
         yield from stream
 
 
 def _prepare(recording: Recording, backgrounds: tuple[BackgroundModel | None, ...]) -> int:
-    for frame in _frames(recording, backgrounds):
+    for frame in frames_of(recording, backgrounds):
         if frame.silhouettes is not None and frame.silhouettes.usable.any():
             contour_term(frame.silhouettes, working_height=WORKING_HEIGHT)
     return len(recording.frames)
 
 
-def _enlarged(recording: Recording, folder: Path, factor: float) -> Recording:
+def enlarged(recording: Recording, folder: Path, factor: float) -> Recording:
     """The same recording with videos enlarged by a factor."""
     folder.mkdir(parents=True)
     views = []
@@ -212,7 +214,7 @@ def _twice_as_long(recording: Recording, folder: Path, subject: Subject) -> list
     costs, peaks = [], []
     for rounds in (1, 2):
         clip = _repeated(recording, folder / str(rounds), rounds)
-        costs.append(_cost(lambda c=clip: _track(_frames(c, backgrounds), subject, c.frame_rate, "default"), 1))
+        costs.append(_cost(lambda c=clip: follow(frames_of(c, backgrounds), subject, c.frame_rate, "default"), 1))
         peaks.append(_peak_mib())
     frames = len(recording.frames)
     return [

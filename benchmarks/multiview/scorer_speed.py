@@ -32,8 +32,8 @@ def silhouette_scorer(options: BenchOptions) -> BenchReport:
     masks = prepared_masks(frame.silhouettes)
     tree, mesh = body.skeleton.tree, body.coarse.arrays
     n = 96 if options.quick else 500
-    poses = _around(body, subject.start, 2 * body.skeleton.sigma, n)
-    modes = _modes(body, masks)
+    poses = around(body, subject.start, 2 * body.skeleton.sigma, n)
+    modes = ways_to_count(body, masks)
     views, repeats = len(masks.masks), 7 if options.quick else 25
     compute.silhouette_xor(poses[:8], tree, mesh, masks)
     opencv = best(_opencv_call(body, poses[:4], masks), 5) / (4 * views) * 1e6
@@ -48,7 +48,7 @@ def silhouette_scorer(options: BenchOptions) -> BenchReport:
         arrays = body.fine.arrays if case == "fine" else mesh
         seconds = best(lambda m=more, a=arrays: compute.silhouette_xor(poses, tree, a, masks, threads=1, **m), repeats)
         rows.append(Row("us_per_silhouette", f"1t,{case}", seconds / (n * views) * 1e6, "us", n=n))
-    checked = _around(body, subject.start, 4 * body.skeleton.sigma, 8 if options.quick else 500)
+    checked = around(body, subject.start, 4 * body.skeleton.sigma, 8 if options.quick else 500)
     worst = 0
     for k, more in enumerate(modes.values()):
         options.progress("counts against the rasterizer", k, len(modes))
@@ -70,14 +70,15 @@ def opencv_unit(frame: Frame, body: Body, pose: Array) -> float:
     """Seconds that OpenCV needs for one silhouette: what the speed of other things is divided by on a noisy machine."""
     assert frame.silhouettes is not None
     masks = prepared_masks(frame.silhouettes)
-    return best(_opencv_call(body, _around(body, pose, body.skeleton.sigma, 4), masks), 5) / (4 * len(masks.masks))
+    return best(_opencv_call(body, around(body, pose, body.skeleton.sigma, 4), masks), 5) / (4 * len(masks.masks))
 
 
-def _around(body: Body, pose: Array, sd: Array, n: int) -> Array:
+def around(body: Body, pose: Array, sd: Array, n: int) -> Array:
+    """(N, D) poses about one, within the limits."""
     return body.skeleton.clamp(pose + np.random.default_rng(0).standard_normal((n, len(pose))) * sd)
 
 
-def _modes(body: Body, masks: compute.PreparedMasks) -> dict[str, dict]:
+def ways_to_count(body: Body, masks: compute.PreparedMasks) -> dict[str, dict]:
     """Whole images, a box per view (half the person's), only head and trunk, both, and one arm over the rest."""
     boxes = []
     for mask in masks.masks:
@@ -104,7 +105,7 @@ def _ranking(body: Body, pose: Array, masks: compute.PreparedMasks, n: int) -> f
     ]
     prepared = compute.prepare_masks(np.stack(own), np.ones(len(own), bool), masks.sizes, masks.projections)
     sd = np.where(np.arange(len(pose)) < 3, 0.01, np.deg2rad(2))
-    poses = _around(body, pose, sd, n)
+    poses = around(body, pose, sd, n)
 
     def energies(level: Mesh) -> Array:
         counts = compute.silhouette_xor(poses, body.skeleton.tree, level.arrays, prepared)

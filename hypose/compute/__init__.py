@@ -71,6 +71,7 @@ from hypose.compute.pictures.visibility import nearest_visible
 from hypose.compute.selection import beside, default_threads, over_chunks, require_cuda, use
 from hypose.compute.silhouettes import reach
 from hypose.compute.silhouettes.glance import Glance, differing_box, glance_at, stored_pixels
+from hypose.compute.silhouettes.layers import SearchLayers, WeightedSets, layered_search, on_device
 from hypose.compute.silhouettes.mask_distance import shrink_mask, signed_distance
 from hypose.compute.silhouettes.packed_masks import prepare_masks
 from hypose.compute.silhouettes.scorer import limb_energies, silhouette_xor
@@ -154,6 +155,7 @@ __all__ = [
     "PreparedMasks",
     "PriorArrays",
     "ScanPlan",
+    "SearchLayers",
     "SeenDepth",
     "StandingDepth",
     "SharedEquations",
@@ -164,6 +166,7 @@ __all__ = [
     "TreeArrays",
     "TreeArraysOffline",
     "VARIABLE",
+    "WeightedSets",
     "Workspace",
     "before_room",
     "beside",
@@ -188,6 +191,7 @@ __all__ = [
     "joined_rows",
     "joint_covariances",
     "kept",
+    "layered_search",
     "limb_depth_energy",
     "limb_shown",
     "limb_energies",
@@ -203,6 +207,7 @@ __all__ = [
     "mono",
     "nearest_visible",
     "new_picture",
+    "on_device",
     "order_statistic",
     "outline_points",
     "outline_rows",

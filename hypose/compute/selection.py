@@ -10,6 +10,8 @@ from contextvars import ContextVar, copy_context
 from functools import cache
 from typing import TypeVar
 
+import numpy as np
+
 from hypose.errors import InputError
 
 BACKENDS = ("auto", "cpu", "cuda", "reference", "numba", "numpy")
@@ -20,8 +22,9 @@ _backend: ContextVar[str] = ContextVar("hypose_backend", default="auto")
 
 
 def backend() -> str:
-    """The back end in force: "numba" (also what "auto" and "cpu" mean), "numpy" (the reference, slow) or "cuda" (the
-    silhouette scorer on the device, all else as numba). "auto" does not choose the device: its speed is not known."""
+    """The back end in force: "numba" (also what "auto" and "cpu" mean), "numpy" (the reference, slow) or "cuda" (sets
+    of silhouettes, and the layers of a particle filter, on the device, all else as numba). "auto" does not choose the
+    device: on it a silhouette may count a pixel otherwise."""
     name = _backend.get()
     return _MEANING.get(name, name)
 
@@ -38,19 +41,23 @@ def use(name: str) -> Iterator[None]:
         _backend.reset(token)
 
 
-def require_cuda() -> None:
-    """An InputError when numba finds no NVIDIA device that it can use."""
+@cache
+def require_cuda() -> str:
+    """The name of the NVIDIA device that is used; an InputError when there is none that numba can use."""
     from importlib import import_module
+    from importlib.util import find_spec
 
-    try:
-        found = bool(import_module("numba.cuda").is_available())
-    except ImportError:
-        found = False
-    if not found:
+    if find_spec("numba_cuda") is None:
+        raise InputError("An NVIDIA device needs numba-cuda: pip install 'hypose[cuda]'; or use --compute auto.")
+    name = import_module("hypose.compute.silhouettes.cuda").device_name()
+    if not name:
+        raise InputError("There is no usable NVIDIA device, or no driver for it; use --compute auto.")
+    if np.lib.NumpyVersion(np.__version__) >= "2.5.0" and not os.environ.get("NUMBA_ENABLE_CUDASIM"):
         raise InputError(
-            "There is no usable NVIDIA device (or numba-cuda is not installed: pip install 'hypose[cuda]'); "
-            "use --compute auto."
+            f"numba-cuda, which the NVIDIA device is used with, does not work with numpy {np.__version__}: "
+            "pip install 'numpy<2.5', or use --compute auto."
         )
+    return name
 
 
 def default_threads() -> int:

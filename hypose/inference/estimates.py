@@ -33,16 +33,16 @@ class TangentMean:
         mean = h.mean()
         if not self.rotations:
             return mean
-        columns, weights = self._columns(), h.weights
+        columns, weights = self._columns(), h.weights[..., None]
         best = h.best()[..., columns]
-        quaternions, centre = _quaternion(h.values[..., columns]), _quaternion(best)
+        quaternions, centre = _quaternion(_first(h.values[..., columns])), _quaternion(_first(best))
         for _ in range(self.iterations):
-            deviation = _log(_times_inverse(quaternions, centre[..., None, :, :]))
-            step = np.einsum("...n,...nrd->...rd", weights, deviation)
-            centre = _times_inverse(_quaternion(step), centre * [1.0, -1.0, -1.0, -1.0])
+            deviation = _log(_times_inverse(quaternions, centre[..., None, :]))
+            step = (weights * deviation).sum(-2)
+            centre = _times_inverse(_quaternion(step), _inverse(centre))
             if np.abs(step).max() < 1e-10:
                 break
-        mean[..., columns] = nearest_branch(_log(centre), best)
+        mean[..., columns] = nearest_branch(np.moveaxis(_log(centre), 0, -1), best)
         return mean
 
     def deviations(self, h: Hypotheses, centre: FloatArray) -> FloatArray:
@@ -50,8 +50,9 @@ class TangentMean:
         out = h.values - centre[..., None, :]
         if self.rotations:
             columns = self._columns()
-            middle = _quaternion(centre[..., columns])[..., None, :, :]
-            out[..., columns] = _log(_times_inverse(_quaternion(h.values[..., columns]), middle))
+            middle = _quaternion(_first(centre[..., columns]))[..., None, :]
+            away = _log(_times_inverse(_quaternion(_first(h.values[..., columns])), middle))
+            out[..., columns] = np.moveaxis(away, 0, -1)
         return out
 
     def covariance(self, h: Hypotheses, centre: FloatArray) -> FloatArray:
@@ -64,23 +65,45 @@ class TangentMean:
         return np.asarray(self.rotations, dtype=np.intp)[:, None] + np.arange(3)
 
 
-# Unit quaternions (w, x, y, z) rather than matrices: whole populations are averaged in every frame, and their
-# products are a few array operations where those of small matrices are a call each.
-def _quaternion(rotation_vector: FloatArray) -> FloatArray:
-    half = 0.5 * np.linalg.norm(rotation_vector, axis=-1, keepdims=True)
-    return np.concatenate([np.cos(half), 0.5 * np.sinc(half / np.pi) * rotation_vector], axis=-1)
+# Unit quaternions (w, x, y, z) rather than matrices, each component an array of its own: whole populations are averaged
+# in every frame, and their products are a few operations on long arrays.
+def _first(vectors: FloatArray) -> FloatArray:
+    """(..., 3) -> (3, ...), contiguous."""
+    return np.ascontiguousarray(np.moveaxis(vectors, -1, 0))
+
+
+def _length(vectors: FloatArray) -> FloatArray:
+    x, y, z = vectors
+    return np.sqrt(x * x + y * y + z * z)
+
+
+def _quaternion(rotation_vectors: FloatArray) -> FloatArray:
+    """(3, ...) -> (4, ...)"""
+    half = 0.5 * _length(rotation_vectors)
+    return np.concatenate([np.cos(half)[None], 0.5 * np.sinc(half / np.pi) * rotation_vectors])
+
+
+def _inverse(quaternions: FloatArray) -> FloatArray:
+    return np.concatenate([quaternions[:1], -quaternions[1:]])
 
 
 def _times_inverse(a: FloatArray, b: FloatArray) -> FloatArray:
-    """The product of a with the inverse of b, both (..., 4)."""
-    aw, av, bw, bv = a[..., :1], a[..., 1:], b[..., :1], b[..., 1:]
-    w = aw * bw + np.sum(av * bv, axis=-1, keepdims=True)
-    return np.concatenate([w, bw * av - aw * bv - np.cross(av, bv)], axis=-1)
+    """The product of a with the inverse of b, both (4, ...)."""
+    aw, ax, ay, az = a
+    bw, bx, by, bz = b
+    return np.stack(
+        [
+            aw * bw + ax * bx + ay * by + az * bz,
+            bw * ax - aw * bx - (ay * bz - az * by),
+            bw * ay - aw * by - (az * bx - ax * bz),
+            bw * az - aw * bz - (ax * by - ay * bx),
+        ]
+    )
 
 
-def _log(quaternion: FloatArray) -> FloatArray:
-    """Rotation vector (..., 3) of norm at most pi."""
-    q = np.where(quaternion[..., :1] < 0, -quaternion, quaternion)
-    length = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
+def _log(quaternions: FloatArray) -> FloatArray:
+    """(4, ...) -> rotation vectors (3, ...) of length at most pi."""
+    q = np.where(quaternions[:1] < 0, -quaternions, quaternions)
+    length = _length(q[1:])
     small = length < 1e-12
-    return np.where(small, 2.0, 2 * np.arctan2(length, q[..., :1]) / np.where(small, 1.0, length)) * q[..., 1:]
+    return np.where(small, 2.0, 2 * np.arctan2(length, q[0]) / np.where(small, 1.0, length)) * q[1:]

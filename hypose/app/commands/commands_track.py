@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 Compute = Annotated[
     str,
-    typer.Option(help="auto, cpu, cuda (silhouettes scored on an NVIDIA device) or reference (slow, for comparison)."),
+    typer.Option(help="auto, cpu, cuda (particle filters on an NVIDIA device) or reference (slow, for comparison)."),
 ]
 
 

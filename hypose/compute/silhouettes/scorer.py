@@ -63,10 +63,11 @@ def silhouette_xor(
     if boxes is not None:
         areas = np.empty(c, dtype=np.int64)
         native("silhouettes.silhouettes").areas_in_boxes(prepared.masks, b, areas)
-    if selection.backend() == "cuda" and not prepared.hidden.size:  # the device knows of no pixels that say nothing
-        from hypose.compute.silhouettes import cuda
+    if selection.backend() == "cuda" and turning is None and not prepared.hidden.size:
+        from hypose.compute.silhouettes import cuda  # it knows neither what stands still nor pixels that say nothing
 
-        return cuda.silhouette_xor(q, t, lane_mesh.prepare(mesh, tree, wanted), prepared, b, areas)
+        if n > cuda.FEW:
+            return cuda.silhouette_xor(q, t, lane_mesh.prepare(mesh, tree, wanted), mesh.vertices, prepared, b, areas)
     drawn, drawn_counts, turned = _nothing(prepared.bits.shape), np.zeros((c, 2), dtype=np.int64), None
     if turning is not None and n:
         wanted, standing, corners, turned = lane_mesh.moving_parts(mesh, tree, turning, wanted)
@@ -113,7 +114,7 @@ def limb_energies(
     mask than what lies uncovered in its window. The others have the energies that `silhouette_xor` gives them.
     """
     use = prepared.usable
-    if selection.backend() != "numba":
+    if selection.backend() == "numpy":
         counts = silhouette_xor(poses, tree, mesh, prepared, moving=moving, rest=rest)
         return (counts[:, use, 0] / prepared.norm[use]).sum(1)
     q, turning = _finite(poses), plain(moving, np.bool_)
