@@ -317,6 +317,33 @@ _SPEED = Page(
     picture=Panels(("frames_per_second", "growth")),
 )
 
+_DEVICE = Page(
+    "device",
+    """Particle filters on an NVIDIA device (`--compute cuda`) against the processor of the same machine, with all its
+    cores, in the same run: speed, and how far apart the two are. A frame's search from the same set with the same
+    random numbers is the same but for pixels that are counted otherwise; over a clip, paths part.""",
+    lines=(
+        Line("silhouettes, 500 poses in 4 views", "cuda", metric="us_per_silhouette"),
+        Line("silhouettes, 4000 poses", "cuda, 4000 poses", metric="us_per_silhouette"),
+        Line("largest difference from the rasterizer", "all", (most(2),), "max_count_difference_px"),
+        Line("masks in, hpf 7 x 572", "cuda:hpf/4", metric="frames_per_second"),
+        Line("masks in, hpf 7 x 4576", "cuda:hpf x 8/4", metric="frames_per_second"),
+        Line("masks in, sir 4000", "cuda:sir/4", metric="frames_per_second"),
+        Line("masks in, apf 15 x 240", "cuda:apf/4", metric="frames_per_second"),
+        Line("masks in, default", "cuda:default/4", metric="frames_per_second"),
+        Line("videos of 1440 x 1080, hpf", "cuda:1080p:hpf/4", metric="frames_per_second"),
+        Line("videos of 1440 x 1080, default", "cuda:1080p:default/4", metric="frames_per_second"),
+        Line("a frame of hpf by either, median", "cuda:hpf, median", metric="difference_mm"),
+        Line("a frame of hpf by either, 95 %", "cuda:hpf, p95", metric="difference_mm"),
+        *(
+            Line(f"hpf, {action}, mean error", f"cuda:hpf/{action}", metric="mean_error_mm")
+            for action in ("walk", "box", "run", "combo")
+        ),
+    ),
+    notebook="speed.md#on-a-device",
+    picture=Panels(("frames_per_second",)),
+)
+
 _FRONT_BACK = Page(
     "front-back",
     """Front and back look alike in silhouettes: walk, jog and combo of 6 s, rig at half size, the body from the same
@@ -354,6 +381,7 @@ SEVERAL_CAMERAS = (
     _SCORER,
     _SOLVE,
     _SPEED,
+    _DEVICE,
     _FRONT_BACK,
     _STARTS,
 )
