@@ -103,7 +103,8 @@ def searched(body, rig, masks, particles):
 def found(request, tmp_path_factory):
     """What `run` finds, in a process where numba simulates the device, or without, where there is one."""
     path = tmp_path_factory.mktemp("cuda") / "found.npz"
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    found_in = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
+    environment = {**os.environ, "PYTHONPATH": found_in}
     if request.param == "simulator":
         environment[SIMULATOR] = "1"
     else:
