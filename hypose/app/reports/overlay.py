@@ -44,12 +44,12 @@ def write_overlay(
     rows = range(min(len(motion), len(numbers))) if video else sorted(set(stills))
     if motion.poses is None:
         raise InputError("The motion holds joint positions only, and the overlay needs poses; track again.")
-    plan = layout(_sizes(recording))
     kept: dict[int, Image] = {}
     with ExitStack() as stack:
         images = open_images(recording)
         for one in images:
             stack.callback(one.close)
+        plan = layout([v.size for v in images])
         writer = None
         if video:
             writer = stack.enter_context(VideoWriter(path, motion.frame_rate if len(motion) > 1 else 25.0, plan.size))
@@ -78,14 +78,6 @@ def still_rows(motion: Motion, count: int = 4) -> list[int]:
     if np.isfinite(motion.cost).any():
         rows.add(int(np.nanargmax(motion.cost)))
     return sorted(rows)
-
-
-def _sizes(recording: Recording) -> list[tuple[int, int]]:
-    images = open_images(recording)
-    sizes = [v.size for v in images]
-    for v in images:
-        v.close()
-    return sizes
 
 
 def _drawing(source: FrameSource, motion: Motion, body: Body, row: int, number: int) -> Drawing:
