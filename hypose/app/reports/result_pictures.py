@@ -32,6 +32,7 @@ LEFT, RIGHT, MIDDLE = (40, 130, 240), (225, 140, 40), (235, 235, 235)
 BODY, MASK, ALARM = (200, 190, 60), (190, 90, 230), (40, 40, 230)
 MAX_TILE, MAX_WIDTH = 960, 1920
 _BAR, _GREY = 26, 24
+_SMALL = 640 * 480
 
 
 @dataclass(frozen=True)
@@ -79,7 +80,9 @@ class ViewImages:
     def __init__(self, view: View, camera: Camera) -> None:
         self.view, self.camera = view, camera
         shown = view.source is not None or view.masks is not None
-        self._reader: VideoReader | ObjectMasks | None = open_pictures(view) if shown else None
+        # several threads are no faster with small pictures, and in the way of the one that writes a film
+        threads = 1 if math.prod(camera.size) <= _SMALL else None
+        self._reader: VideoReader | ObjectMasks | None = open_pictures(view, threads) if shown else None
         self.size: tuple[int, int] = self._reader.size if self._reader is not None else camera.size
         self._memory: Image | None = None
 
