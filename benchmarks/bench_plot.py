@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from hypose.app.reports.figures import Axes, Patch, plt
+from hypose.app.reports.figures import Axes, Figure, Patch, rc_context
 from hypose.app.reports.plots import STYLE
 from hypose.errors import InputError
 from hypose.io.motions.results import atomic_path
@@ -54,28 +54,24 @@ def plot_report(report: Mapping[str, Any], path: Path, panels: Panels | None = N
     colours = {name: f"C{k % 10}" for k, name in enumerate(names)}
     columns = min(2, len(drawn))
     lines = -(-len(drawn) // columns)
-    with plt.rc_context(STYLE):
-        figure, axes = plt.subplots(
-            lines, columns, figsize=(_WIDTH * columns, _HEIGHT * lines), squeeze=False, layout="constrained"
-        )
-        try:
-            for axis in axes.flat[len(drawn) :]:
-                axis.set_visible(False)
-            for axis, (metric, chosen) in zip(axes.flat, drawn, strict=False):
-                line = (known.lines or {}).get(metric)
-                if in_groups:
-                    _bars(axis, metric, chosen, known.plain, colours, line)
-                else:
-                    _list(axis, metric, chosen, line)
-            handles = [Patch(color=colour, label=name) for name, colour in colours.items()]
-            if in_groups and len(handles) > 1:
-                figure.legend(handles=handles, loc="outside lower center", ncols=min(5, len(handles)), fontsize=8)
-            with atomic_path(path) as temporary:
-                figure.savefig(temporary, format=path.suffix[1:].lower(), dpi=_DPI)
-                if path.suffix.lower() == ".png":  # few colours: a third of the bytes in every clone
-                    Image.open(temporary).convert("RGB").quantize(64).save(temporary, "png", optimize=True)
-        finally:
-            plt.close(figure)
+    with rc_context(STYLE):
+        figure = Figure(figsize=(_WIDTH * columns, _HEIGHT * lines), layout="constrained")
+        axes = figure.subplots(lines, columns, squeeze=False)
+        for axis in axes.flat[len(drawn) :]:
+            axis.set_visible(False)
+        for axis, (metric, chosen) in zip(axes.flat, drawn, strict=False):
+            line = (known.lines or {}).get(metric)
+            if in_groups:
+                _bars(axis, metric, chosen, known.plain, colours, line)
+            else:
+                _list(axis, metric, chosen, line)
+        handles = [Patch(color=colour, label=name) for name, colour in colours.items()]
+        if in_groups and len(handles) > 1:
+            figure.legend(handles=handles, loc="outside lower center", ncols=min(5, len(handles)), fontsize=8)
+        with atomic_path(path) as temporary:
+            figure.savefig(temporary, format=path.suffix[1:].lower(), dpi=_DPI)
+            if path.suffix.lower() == ".png":  # few colours: a third of the bytes in every clone
+                Image.open(temporary).convert("RGB").quantize(64).save(temporary, "png", optimize=True)
 
 
 def grouped(cases: Sequence[str], plain: str) -> dict[str, tuple[str, str]]:

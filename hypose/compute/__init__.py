@@ -63,7 +63,7 @@ from hypose.compute.monocular.mono_terms import (
 from hypose.compute.native import native, plain, tidy
 from hypose.compute.pictures import mask_runs, picture_to_mask
 from hypose.compute.pictures.mask_runs import mask_of
-from hypose.compute.pictures.parts import draw_parts, parts_against_mask, projected
+from hypose.compute.pictures.parts import covered, draw_parts, parts_against_mask, projected
 from hypose.compute.pictures.picture_to_mask import Box, Lens, make_lens, new_picture, order_statistic, shrink_undistort
 from hypose.compute.pictures.pieces import touched_area
 from hypose.compute.pictures.shown_parts import colour_sums, rim_edges, shown_parts
@@ -174,6 +174,7 @@ __all__ = [
     "bounded_step",
     "cache_folder",
     "colour_sums",
+    "covered",
     "darken",
     "default_threads",
     "depth_energy",

@@ -24,7 +24,7 @@ from hypose.compute.arrays import BALL, FIXED, MeshArrays, TreeArrays
 from hypose.compute.compiled import can_keep, is_ready, not_kept, note_ready
 from hypose.compute.monocular import mono
 from hypose.compute.pictures import mask_runs, picture_to_mask
-from hypose.compute.pictures.parts import draw_parts, parts_against_mask, projected
+from hypose.compute.pictures.parts import covered, draw_parts, parts_against_mask, projected
 from hypose.compute.pictures.pieces import touched_area
 from hypose.compute.selection import default_threads, use
 from hypose.compute.silhouettes import glance, reach
@@ -116,6 +116,7 @@ def _parts(compute: Any) -> None:
     (_, mesh, _, projection), (mask, _) = _toy(), _mask()
     (uv, z, _), (h, w) = projected(mesh.vertices, projection[0]), mask[0].shape
     drawn = draw_parts(uv, z, mesh.faces, np.zeros(len(mesh.faces), np.uint8), 1, (h, w))
+    covered(uv, z, mesh.faces, (h, w), closed=True)
     bits = np.zeros((h, w // 8), np.uint8)
     parts_against_mask(bits, drawn, (0, w, 0, h), 1, uv, z)
     touched_area(bits, bits, (w, h), 1, uv)

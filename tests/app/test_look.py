@@ -9,7 +9,19 @@ import pytest
 
 from hypose.app import __main__ as module_entry
 from hypose.app.reports.report import ReportInput, report_html
-from hypose.app.reports.result_pictures import Drawing, draw_all, draw_view, image_points, layout, mask_outline
+from hypose.app.reports.result_pictures import (
+    BODY,
+    Canvas,
+    Drawing,
+    as_shown,
+    draw_all,
+    draw_body,
+    draw_view,
+    image_points,
+    layout,
+    mask_outline,
+    open_images,
+)
 from hypose.app.reports.summary import summarize
 from hypose.body.ready_bodies import human
 from hypose.cameras.camera import Camera
@@ -184,6 +196,40 @@ def test_a_body_behind_the_camera_is_left_out_of_the_picture():
     what = Drawing(vertices, body.joints(np.zeros(body.skeleton.dof)), None, "")
     shown = draw_view(grey, View("v"), looking_up, 0, size, body, what)
     assert shown.shape == grey.shape  # it did not fail; the skeleton's visible part may be drawn
+
+
+def test_a_body_is_tinted_within_its_outline(rng):
+    body, view = human(), View("v", image_shift=(2.0, 1.0))
+    size = (320, 240)
+    camera = as_shown(view, wide(), size)
+    pose = np.zeros(body.skeleton.dof)
+    pose[:3] = 0.3, -0.6, 0.95
+    vertices = body.skin(pose, body.fine)
+    before = rng.integers(0, 256, (240, 320, 3)).astype(np.uint8)
+    after = before.copy()
+    draw_body(after, camera, vertices, body.fine)
+    depth = vertices @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
+    covered = silhouette(image_points(view, wide(), vertices, size), depth, body.fine.faces, size)
+    inside = cv2.erode(covered, np.ones((5, 5), np.uint8)) == 1
+    outside = cv2.dilate(covered, np.ones((5, 5), np.uint8)) == 0
+    assert inside.sum() > 300
+    np.testing.assert_array_equal(after[outside], before[outside])
+    np.testing.assert_array_equal(after[inside], (65 * before[inside].astype(int) + 35 * np.array(BODY)) // 100)
+
+
+@pytest.mark.parametrize("size", [(160, 120), (80, 60), (200, 150)])  # of the videos, smaller, larger
+def test_a_canvas_is_drawn_on_again(tiny, size):
+    recording = load_recording(tiny)
+    plan = layout([size] * 4)
+    canvas, read, again = Canvas(recording, plan), open_images(recording), open_images(recording)
+    for number in (1, 2, 5):
+        what = Drawing(None, None, None, f"frame {number}", alarm=number == 1)
+        picture = canvas.draw(canvas.read(read, number), None, what)
+        expected = draw_all([v.read(number) for v in again], recording, plan, None, what)
+        np.testing.assert_array_equal(picture, expected)
+        assert expected[26:].std() > 10
+    for view in (*read, *again):
+        view.close()
 
 
 def test_missing_frames_are_said_to_be_missing(tiny):

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
-from hypose.compute import draw_parts, mask_of, parts_against_mask, projected
+from hypose.body.ready_bodies import human
+from hypose.compute import covered, draw_parts, mask_of, parts_against_mask, projected
 from hypose.compute.pictures.render import silhouette
 
 PARTS = 5
@@ -105,3 +106,15 @@ def test_points_through_a_camera_and_what_they_reach() -> None:
     assert np.isnan(uv[2]).all()
     nothing = projected(np.array([[0.0, 0, -1]]), projection)[2]
     assert (nothing[:, 0] > nothing[:, 1]).all()
+
+
+def test_of_a_closed_mesh_the_faces_that_turn_to_the_camera_cover_all(rng):
+    body = human()
+    for _ in range(8):
+        pose = np.zeros(body.skeleton.dof)
+        pose[6:] = rng.uniform(-0.6, 0.6, len(pose) - 6)
+        vertices = body.skin(pose, body.fine) @ np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        uv, z = 160 * vertices[:, :2] / (vertices[:, 2:] + 4) + [50, 45], vertices[:, 2] + 4
+        every = covered(uv, z, body.fine.faces, (90, 100))
+        assert every.sum() > 200
+        np.testing.assert_array_equal(covered(uv, z, body.fine.faces, (90, 100), closed=True), every)

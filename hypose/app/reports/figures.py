@@ -11,12 +11,10 @@ if "MPLCONFIGDIR" not in os.environ and (_folder := cache_folder()) is not None:
     os.environ["MPLCONFIGDIR"] = str(_folder / "matplotlib")
 logging.getLogger("matplotlib").setLevel(logging.ERROR)  # where it keeps its fonts is nothing to warn of
 
-import matplotlib  # noqa: E402
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt  # noqa: E402
+from matplotlib import rc_context  # noqa: E402
 from matplotlib.axes import Axes  # noqa: E402
+from matplotlib.backends.backend_svg import FigureCanvasSVG  # noqa: E402
 from matplotlib.figure import Figure  # noqa: E402
 from matplotlib.patches import Patch  # noqa: E402
 
-__all__ = ["Axes", "Figure", "Patch", "plt"]
+__all__ = ["Axes", "Figure", "FigureCanvasSVG", "Patch", "rc_context"]

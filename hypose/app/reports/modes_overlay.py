@@ -13,7 +13,16 @@ import cv2
 import numpy as np
 
 from hypose.app.commands.console import ProgressCall, ignore
-from hypose.app.reports.result_pictures import Image, bones, draw_body, draw_skeleton, layout, open_images, write_text
+from hypose.app.reports.result_pictures import (
+    Image,
+    as_shown,
+    bones,
+    draw_body,
+    draw_skeleton,
+    layout,
+    open_images,
+    write_text,
+)
 from hypose.body.body import Body
 from hypose.body.motion import Modes, Motion
 from hypose.cameras.camera import Camera
@@ -49,6 +58,7 @@ def write_modes_overlay(
         (images,) = open_images(recording)
         stack.callback(images.close)
         size = layout([images.size]).tiles[0].size
+        seen = as_shown(view, camera, size)
         whole = ((size[0] + size[1]) // 2 * 2, (size[1] + _BAR) // 2 * 2)
         writer = stack.enter_context(VideoWriter(path, motion.frame_rate, whole)) if video else None
         for done, i in enumerate(rows):
@@ -57,12 +67,12 @@ def write_modes_overlay(
             recorded = images.read(recording.frames[i])
             if recorded is not None:
                 shown = np.asarray(cv2.resize(recorded, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-                draw_body(shown, view, camera, body.skin(motion.poses[i], body.fine), body.fine.faces)
+                draw_body(shown, seen, body.skin(motion.poses[i], body.fine), body.fine)
                 faint = shown.copy()
                 for k in range(int(modes.alive[i]) - 1, -1, -1):
-                    draw_skeleton(faint, view, camera, body, modes.joints[i, k])
+                    draw_skeleton(faint, seen, body, modes.joints[i, k])
                 shown = np.asarray(cv2.addWeighted(faint, _FAINT, shown, 1 - _FAINT, 0), dtype=np.uint8)
-                draw_skeleton(shown, view, camera, body, motion.joints[i])
+                draw_skeleton(shown, seen, body, motion.joints[i])
                 picture[_BAR : _BAR + size[1], : size[0]] = shown[: whole[1] - _BAR]
             picture[_BAR : _BAR + size[1], size[0] : size[0] + size[1]] = side_view(
                 camera, body, motion.joints[i], modes.joints[i, : modes.alive[i]], size[1]

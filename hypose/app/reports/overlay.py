@@ -11,13 +11,15 @@ from pathlib import Path
 import numpy as np
 
 from hypose.app.commands.console import ProgressCall, ignore
-from hypose.app.reports.result_pictures import Drawing, Image, draw_all, draw_close_ups, layout, open_images
+from hypose.app.reports.result_pictures import Canvas, Drawing, Image, draw_close_ups, layout, open_images
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.io.recordings.recording import Recording
 from hypose.io.videos.video import VideoWriter
 from hypose.pipeline.track_loop import FrameSource
+
+_AHEAD = 2  # frames that are drawn and not yet written
 
 
 def write_overlay(
@@ -42,27 +44,28 @@ def write_overlay(
     rows = range(min(len(motion), len(numbers))) if video else sorted(set(stills))
     if motion.poses is None:
         raise InputError("The motion holds joint positions only, and the overlay needs poses; track again.")
-    plan = layout(_sizes(recording))
     kept: dict[int, Image] = {}
     with ExitStack() as stack:
         images = open_images(recording)
         for one in images:
             stack.callback(one.close)
+        plan = layout([v.size for v in images])
         writer = None
         if video:
             writer = stack.enter_context(VideoWriter(path, motion.frame_rate if len(motion) > 1 else 25.0, plan.size))
+        canvases = [Canvas(recording, plan) for _ in range(_AHEAD + 1)]
         writing = stack.enter_context(ThreadPoolExecutor(1))
         written: deque[Future[None]] = deque()
         for done, i in enumerate(rows):
             progress("overlay", done, len(rows))
-            what = _drawing(source, motion, body, i, numbers[i])
-            pictures = [v.read(numbers[i]) for v in images]
+            if len(written) > _AHEAD:
+                written.popleft().result()
+            what, canvas = _drawing(source, motion, body, i, numbers[i]), canvases[done % len(canvases)]
+            pictures = canvas.read(images, numbers[i])
             if i in stills:
                 kept[i] = draw_close_ups(pictures, recording, body, what)
-            if writer is not None:  # the next frame is read and drawn while this one is written
-                written.append(writing.submit(writer.write, draw_all(pictures, recording, plan, body, what)))
-                if len(written) > 1:
-                    written.popleft().result()
+            if writer is not None:  # the next frames are read and drawn while this one is written
+                written.append(writing.submit(writer.write, canvas.draw(pictures, body, what)))
         for one in written:
             one.result()
         progress("overlay", len(rows), len(rows))
@@ -75,14 +78,6 @@ def still_rows(motion: Motion, count: int = 4) -> list[int]:
     if np.isfinite(motion.cost).any():
         rows.add(int(np.nanargmax(motion.cost)))
     return sorted(rows)
-
-
-def _sizes(recording: Recording) -> list[tuple[int, int]]:
-    images = open_images(recording)
-    sizes = [v.size for v in images]
-    for v in images:
-        v.close()
-    return sizes
 
 
 def _drawing(source: FrameSource, motion: Motion, body: Body, row: int, number: int) -> Drawing:

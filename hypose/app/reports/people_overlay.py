@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from hypose.app.commands.console import ProgressCall, ignore
-from hypose.app.reports.result_pictures import ALARM, Drawing, Image, draw_all, draw_close_ups, layout, open_images
+from hypose.app.reports.result_pictures import ALARM, Canvas, Drawing, Image, draw_close_ups, layout, open_images
 from hypose.io.recordings.recording import Recording
 from hypose.io.videos.video import VideoWriter
 from hypose.pipeline.track_loop import FrameSource
@@ -44,18 +44,19 @@ def write_people_overlay(
         for one in images:
             stack.callback(one.close)
         plan = layout([v.size for v in images])
+        canvas = Canvas(recording, plan)
         writer = stack.enter_context(VideoWriter(path, first.motion.frame_rate, plan.size)) if video else None
         for done, i in enumerate(rows):
             progress("overlay", done, len(rows))
             what = _drawing(source, people, i, recording.frames[i])
-            pictures = [v.read(recording.frames[i]) for v in images]
+            pictures = canvas.read(images, recording.frames[i])
             if i in stills:
                 poses = first.motion.poses
                 assert poses is not None
                 own = replace(what, vertices=first.body.skin(poses[i], first.body.fine), joints=first.motion.joints[i])
                 kept[i] = draw_close_ups(pictures, recording, first.body, own)
             if writer is not None:
-                writer.write(draw_all(pictures, recording, plan, None, what))
+                writer.write(canvas.draw(pictures, None, what))
         progress("overlay", len(rows), len(rows))
     return kept
 

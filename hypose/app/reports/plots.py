@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from hypose.app.jobs.truth import Truth
-from hypose.app.reports.figures import Axes, Figure, plt
+from hypose.app.reports.figures import Axes, Figure, FigureCanvasSVG, rc_context
 from hypose.body.joint_angles import joint_angles
 from hypose.body.motion import Motion
 from hypose.cameras.camera import Camera, CameraRig
@@ -42,16 +42,12 @@ STYLE: dict[Any, Any] = {
 
 def svg(draw: Callable[[Figure], None], size: tuple[float, float]) -> str:
     """What `draw` puts on an empty figure of `size` inches, as SVG text that loads nothing and steers nothing."""
-    with plt.rc_context(STYLE), warnings.catch_warnings():
+    with rc_context(STYLE), warnings.catch_warnings():
         # a name may have letters that matplotlib's font lacks; a browser takes them from another
         warnings.filterwarnings("ignore", r"Glyph \d+", UserWarning)
-        figure = plt.figure(figsize=size, layout="constrained")
-        try:
-            draw(figure)
-            buffer = io.StringIO()
-            figure.savefig(buffer, format="svg", metadata={"Date": None})
-        finally:
-            plt.close(figure)
+        figure, buffer = Figure(figsize=size, layout="constrained"), io.StringIO()
+        draw(figure)
+        FigureCanvasSVG(figure).print_svg(buffer, metadata={"Date": None})  # savefig would draw everything twice
     text = buffer.getvalue()
     # the block of metadata names web addresses; nothing else in the file would be fetched, so nothing shall look so
     return visible(re.sub(r"<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.DOTALL))

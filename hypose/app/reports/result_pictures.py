@@ -14,9 +14,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.body.body import Body
+from hypose import compute
+from hypose.body.body import Body, Mesh
 from hypose.cameras.camera import Camera
-from hypose.compute import silhouette
 from hypose.errors import InputError, visible
 from hypose.evidence.frame import Silhouettes
 from hypose.geometry import Array
@@ -31,7 +31,8 @@ Image = NDArray[np.uint8]
 LEFT, RIGHT, MIDDLE = (40, 130, 240), (225, 140, 40), (235, 235, 235)
 BODY, MASK, ALARM = (200, 190, 60), (190, 90, 230), (40, 40, 230)
 MAX_TILE, MAX_WIDTH = 960, 1920
-_BAR = 26
+_BAR, _GREY = 26, 24
+_SMALL = 640 * 480
 
 
 @dataclass(frozen=True)
@@ -79,15 +80,24 @@ class ViewImages:
     def __init__(self, view: View, camera: Camera) -> None:
         self.view, self.camera = view, camera
         shown = view.source is not None or view.masks is not None
-        self._reader: VideoReader | ObjectMasks | None = open_pictures(view) if shown else None
+        # several threads are no faster with small pictures, and in the way of the one that writes a film
+        threads = 1 if math.prod(camera.size) <= _SMALL else None
+        self._reader: VideoReader | ObjectMasks | None = open_pictures(view, threads) if shown else None
         self.size: tuple[int, int] = self._reader.size if self._reader is not None else camera.size
+        self._memory: Image | None = None
 
-    def read(self, index: int) -> Image | None:
-        """Frame `index`, or None when the view ends before it or is damaged there."""
+    def read(self, index: int, out: Image | None = None) -> Image | None:
+        """Frame `index`, or None when the view ends before it or is damaged there. With an `out` it is good until the
+        next one is read, and in `out` itself where that has its size and saves copying."""
         if self._reader is None or index >= self._reader.n_frames:
             return None
         try:
-            image = self._reader.read(index)
+            if out is None or not isinstance(self._reader, VideoReader):
+                image = self._reader.read(index)
+            elif out.shape[1::-1] == self.size:
+                image = self._reader.read(index, out)
+            else:
+                image = self._memory = self._reader.read(index, self._memory)
         except InputError:  # tracking has left this frame of the view out, and says so
             return None
         return image if self.view.source is not None else (image // 3 + 40).astype(np.uint8)
@@ -103,15 +113,16 @@ def open_images(recording: Recording) -> list[ViewImages]:
     return [ViewImages(v, c) for v, c in zip(recording.views, recording.rig, strict=True)]
 
 
+def as_shown(view: View, camera: Camera, size: tuple[int, int]) -> Camera:
+    """The camera, with its lens, whose pixels are those of the recorded image shown at `size`."""
+    shown = camera.scaled(size)
+    shown.K[:2, 2] -= np.asarray(view.image_shift) * size / camera.size
+    return shown
+
+
 def image_points(view: View, camera: Camera, points_world: Array, size: tuple[int, int]) -> Array:
     """Pixels (..., 2) of points (..., 3) m in the recorded image shown at `size`; NaN behind the camera."""
-    return _as_recorded(camera.project(points_world), view, camera, size)
-
-
-def _as_recorded(uv: Array, view: View, camera: Camera, size: tuple[int, int]) -> Array:
-    """Pixels (..., 2) of the calibrated camera -> those of the recorded image shown at `size`."""
-    scale = np.array([size[0] / camera.size[0], size[1] / camera.size[1]])
-    return uv * scale + ((0.5 - np.asarray(view.image_shift)) * scale - 0.5)
+    return as_shown(view, camera, size).project(points_world)
 
 
 def mask_outline(
@@ -119,21 +130,22 @@ def mask_outline(
 ) -> list[NDArray[np.int32]]:
     """Outlines of a mask (h, w) as polygons in the recorded image at `size`; working: the camera, undistorted and at
     another size, whose pixels the mask has."""
+    return _outline(as_shown(view, camera, size), working, mask)
+
+
+def _outline(camera: Camera, working: Camera, mask: NDArray[np.uint8]) -> list[NDArray[np.int32]]:
+    """The same in the pixels of a camera with the same place."""
     w, h = working.size
+    x, y, width, height = cv2.boundingRect(mask[:h, :w])  # what is empty costs OpenCV as much
+    if not width:
+        return []
+    window = np.ascontiguousarray(mask[y : y + height, x : x + width])
     centre, focal, out = working.K[:2, 2], np.diag(working.K)[:2], []
-    for contour in _edges(mask[:h, :w], cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE):
-        uv = _as_recorded(camera.through_lens((contour[:, 0] - centre) / focal), view, camera, size)
+    for contour in cv2.findContours(window, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE, offset=(x, y))[0]:
+        uv = camera.through_lens((contour[:, 0] - centre) / focal)
         if len(uv) > 2 and np.isfinite(uv).all():
             out.append(_fixed(uv))
     return out
-
-
-def _edges(mask: NDArray[np.uint8], which: int, points: int) -> Sequence[NDArray[np.int32]]:
-    """Contours of a mask (h, w), looked for no further than it reaches: what is empty costs OpenCV as much."""
-    x, y, width, height = cv2.boundingRect(mask)
-    window = np.ascontiguousarray(mask[y : y + height, x : x + width])
-    found = cv2.findContours(window, which, points, offset=(x, y))[0] if width else ()
-    return [np.asarray(contour, dtype=np.int32) for contour in found]
 
 
 _SHIFT = 4  # OpenCV draws at 1/16 px
@@ -148,32 +160,25 @@ def draw_mask(image: Image, outlines: Sequence[NDArray[np.int32]]) -> None:
     cv2.polylines(image, list(outlines), True, MASK, 1, cv2.LINE_AA, _SHIFT)
 
 
-def draw_body(
-    image: Image,
-    view: View,
-    camera: Camera,
-    vertices: Array,
-    faces: NDArray[np.int32],
-    colour: tuple[int, int, int] = BODY,
-) -> None:
-    """The silhouette of vertices (V, 3) m, world, as a tint with a bright edge."""
-    h, w = image.shape[:2]
-    uv = image_points(view, camera, vertices, (w, h))
-    depth = vertices @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
-    if not np.isfinite(uv).all():
+def draw_body(image: Image, camera: Camera, vertices: Array, mesh: Mesh, colour: tuple[int, int, int] = BODY) -> None:
+    """The silhouette of a mesh with vertices (V, 3) m, world, as a tint with a bright edge; the camera's pixels are
+    those of the image."""
+    directions, depth, _ = compute.projected(vertices, camera.camera_from_world[:3])
+    uv = camera.through_lens(directions)
+    across, down = np.ascontiguousarray(uv.T)
+    reach = np.array([[across.min(), down.min()], [across.max(), down.max()]])
+    if not np.isfinite(reach).all():
         return  # the body reaches behind the camera: nothing sensible to draw
-    u, v = np.ascontiguousarray(uv.T, dtype=np.float32)
-    a, b, c = faces.T
-    turned = (u[b] - u[a]) * (v[c] - v[a]) <= (u[c] - u[a]) * (v[b] - v[a])
-    front = faces[turned]  # the mesh is closed: they cover what all of them cover
-    shape = np.ascontiguousarray(silhouette(uv, depth, front, (w, h)), dtype=np.uint8)
-    x, y, width, height = cv2.boundingRect(shape)
-    if not width:
+    (x, y), (right, bottom) = np.clip(np.floor(reach) + [[0], [2]], 0, camera.size).astype(int).tolist()
+    if x == right or y == bottom:
         return
-    window = np.s_[y : y + height, x : x + width]
-    tint = (0.65 * np.arange(256)[:, None] + 0.35 * np.array(colour)).astype(np.uint8)
-    cv2.copyTo(cv2.LUT(image[window], tint[None]), shape[window], image[window])
-    cv2.polylines(image, _edges(shape, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE), True, colour, 1, cv2.LINE_AA)
+    shape = compute.covered(uv - [x, y], depth, mesh.faces, (bottom - y, right - x), closed=True)
+    window = image[y:bottom, x:right]
+    plain = cv2.repeat(np.array([[colour]], np.uint8), bottom - y, right - x)
+    # sums of twentieths, rounded down; looking them up (cv2.LUT) takes three times as long
+    cv2.copyTo(cv2.addWeighted(window, 0.65, plain, 0.35, -0.475), shape, window)
+    edges = cv2.findContours(shape, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE, offset=(x, y))[0]
+    cv2.polylines(image, edges, True, colour, 1, cv2.LINE_AA)
 
 
 def bones(body: Body) -> Iterator[tuple[int, int, tuple[int, int, int]]]:
@@ -184,13 +189,14 @@ def bones(body: Body) -> Iterator[tuple[int, int, tuple[int, int, int]]]:
             yield p, j, LEFT if name.startswith("left") else RIGHT if name.startswith("right") else MIDDLE
 
 
-def draw_skeleton(image: Image, view: View, camera: Camera, body: Body, joints: Array) -> None:
-    """Bones between joint centres (J, 3) m, world: the left side orange, the right side blue."""
-    h, w = image.shape[:2]
-    uv = image_points(view, camera, joints, (w, h))
-    width = 2 if max(w, h) > 480 else 1
+def draw_skeleton(image: Image, camera: Camera, body: Body, joints: Array) -> None:
+    """Bones between joint centres (J, 3) m, world: the left side orange, the right side blue; the camera's pixels are
+    those of the image."""
+    uv = camera.project(joints)
+    width = 2 if max(camera.size) > 480 else 1
     seen = np.isfinite(uv.sum(1))
-    at = np.rint(np.clip(np.nan_to_num(uv), -1e5, 1e5) * 2**_SHIFT).astype(int).tolist()
+    uv[~seen] = 0
+    at = _fixed(uv)[:, 0].tolist()
     for a, b, colour in bones(body):
         if seen[a] and seen[b]:
             cv2.line(image, at[a], at[b], (20, 20, 20), width + 2, cv2.LINE_AA, _SHIFT)
@@ -223,26 +229,30 @@ def draw_view(
     image: Image | None, view: View, camera: Camera, index: int, size: tuple[int, int], body: Body | None, what: Drawing
 ) -> Image:
     """One view at `size` with everything drawn on."""
+    out = np.empty((size[1], size[0], 3), np.uint8)
+    _draw_view(out, image, as_shown(view, camera, size), index, body, what)
+    return out
+
+
+def _draw_view(out: Image, image: Image | None, camera: Camera, index: int, body: Body | None, what: Drawing) -> None:
+    """Fills `out`, which may be the very image; the camera's pixels are those of `out`."""
     if image is None:
-        shown = np.full((size[1], size[0], 3), 40, np.uint8)
-        write_text(shown, "no image", 8, size[1] // 2)
-    elif (image.shape[1], image.shape[0]) == size:
-        shown = image.copy()
-    else:
-        smaller = size[0] < image.shape[1]
-        shown = np.asarray(
-            cv2.resize(image, size, interpolation=cv2.INTER_AREA if smaller else cv2.INTER_LINEAR), np.uint8
-        )
+        out[:] = 40
+        write_text(out, "no image", 8, len(out) // 2)
+    elif image.shape != out.shape:
+        how = cv2.INTER_AREA if out.shape[1] < image.shape[1] else cv2.INTER_LINEAR
+        cv2.resize(image, camera.size, out, interpolation=how)
+    elif image is not out:
+        out[:] = image
     if body is not None and what.vertices is not None:
-        draw_body(shown, view, camera, what.vertices, body.fine.faces, ALARM if what.alarm else BODY)
+        draw_body(out, camera, what.vertices, body.fine, ALARM if what.alarm else BODY)
     for other, vertices, colour in what.others:
-        draw_body(shown, view, camera, vertices, other.fine.faces, colour)
+        draw_body(out, camera, vertices, other.fine, colour)
     s = what.silhouettes
     if s is not None:
-        draw_mask(shown, mask_outline(view, camera, s.rig[index], s.masks[index], size))
+        draw_mask(out, _outline(camera, s.rig[index], s.masks[index]))
     if body is not None and what.joints is not None:
-        draw_skeleton(shown, view, camera, body, what.joints)
-    return shown
+        draw_skeleton(out, camera, body, what.joints)
 
 
 def _write_labels(shown: Image, view: View, index: int, what: Drawing) -> None:
@@ -253,21 +263,40 @@ def _write_labels(shown: Image, view: View, index: int, what: Drawing) -> None:
         write_text(shown, f"left out: {reason}"[:70], 6, shown.shape[0] - 8, (120, 140, 255))
 
 
+class Canvas:
+    """Memory for a picture of all views, tiled under a title bar, which is good until the next one is drawn."""
+
+    def __init__(self, recording: Recording, plan: Layout) -> None:
+        views = list(zip(recording.views, recording.rig, plan.tiles, strict=True))
+        self._views, self._size = recording.views, plan.size
+        self._cameras = [as_shown(view, camera, tile.size) for view, camera, tile in views]
+        (w, h), columns = plan.cell, max(tile.column for tile in plan.tiles) + 1
+        # the size of the picture may be a pixel less than all of them take
+        self._whole = np.full((_BAR + (plan.tiles[-1].row + 1) * h, columns * w, 3), _GREY, np.uint8)
+        self._tiles = []
+        for tile in plan.tiles:
+            x, y = plan.origin(tile)
+            self._tiles.append(self._whole[y : y + tile.size[1], x : x + tile.size[0]])
+
+    def read(self, images: Sequence[ViewImages], index: int) -> list[Image | None]:
+        """Frame `index` of every view, in the tiles where it fits them: before anything is drawn."""
+        return [view.read(index, tile) for view, tile in zip(images, self._tiles, strict=True)]
+
+    def draw(self, images: Sequence[Image | None], body: Body | None, what: Drawing) -> Image:
+        """The picture of one frame."""
+        for c, (image, tile, camera) in enumerate(zip(images, self._tiles, self._cameras, strict=True)):
+            _draw_view(tile, image, camera, c, body, what)
+            _write_labels(tile, self._views[c], c, what)
+        self._whole[:_BAR] = (30, 30, 150) if what.alarm else _GREY
+        write_text(self._whole, what.title, 8, 18)
+        return self._whole[: self._size[1], : self._size[0]]
+
+
 def draw_all(
     images: Sequence[Image | None], recording: Recording, plan: Layout, body: Body | None, what: Drawing
 ) -> Image:
     """All views of one frame, tiled, under a title bar."""
-    picture = np.full((plan.size[1], plan.size[0], 3), 24, np.uint8)
-    for c, (image, tile) in enumerate(zip(images, plan.tiles, strict=True)):
-        x, y = plan.origin(tile)
-        shown = draw_view(image, recording.views[c], recording.rig[c], c, tile.size, body, what)
-        _write_labels(shown, recording.views[c], c, what)
-        bottom, right = min(y + tile.size[1], plan.size[1]), min(x + tile.size[0], plan.size[0])
-        picture[y:bottom, x:right] = shown[: bottom - y, : right - x]
-    if what.alarm:
-        picture[:_BAR] = (30, 30, 150)
-    write_text(picture, what.title, 8, 18)
-    return picture
+    return Canvas(recording, plan).draw(images, body, what)
 
 
 def draw_close_ups(

@@ -10,7 +10,9 @@ import math
 import struct
 import threading
 from collections import OrderedDict
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 
 import cv2
@@ -122,7 +124,8 @@ class ViewPictures:
             if key in self._cache:
                 self._cache.move_to_end(key)
                 return self._cache[key]
-            files = [self._jpeg(v, row, width) for v in self._views]
+            with ThreadPoolExecutor(len(self._views)) as pool:
+                files = list(pool.map(partial(self._jpeg, row=row, width=width), self._views))
             data = struct.pack(f"<{1 + len(files)}I", len(files), *map(len, files)) + b"".join(files)
             self._cache[key] = data
             self._cached += len(data)

@@ -36,6 +36,19 @@ def place(points, projection, uv, z, reach):
 
 
 @kernel
+def turned(uv, faces, out):
+    """Puts those of faces (F, 3) that turn their outside to the camera, of corners at uv (V, 2) px, first into out (F,
+    3); returns how many."""
+    n = 0
+    for f in range(faces.shape[0]):
+        a, b, c = u8(faces[f, 0]), u8(faces[f, 1]), u8(faces[f, 2])
+        out[n, 0], out[n, 1], out[n, 2] = a, b, c
+        x, y = uv[a, 0], uv[a, 1]
+        n += (uv[b, 0] - x) * (uv[c, 1] - y) <= (uv[c, 0] - x) * (uv[b, 1] - y)
+    return n
+
+
+@kernel
 def draw(uv, z, faces, part, width, h, bits):
     """Set the pixels in the picture part[f] of bits (P W h + ROWS - 1,), each (W, h) and width columns wide, whose
     centres face f of faces (F, 3) covers, of either orientation; the last ones stay. uv (V, 2) px, z (V,) m."""

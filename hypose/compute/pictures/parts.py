@@ -52,9 +52,15 @@ def draw_parts(
     return flat[:size].reshape(n_parts, -1, h)
 
 
-def covered(uv: ArrayLike, z: ArrayLike, faces: NDArray[np.int32], shape: tuple[int, int]) -> NDArray[np.uint8]:
-    """(h, w) = shape: 1 where faces (F, 3) cover a pixel's centre, else 0; uv (V, 2) px, z (V,) m."""
+def covered(
+    uv: ArrayLike, z: ArrayLike, faces: NDArray[np.int32], shape: tuple[int, int], closed: bool = False
+) -> NDArray[np.uint8]:
+    """(h, w) = shape: 1 where faces (F, 3) cover a pixel's centre, else 0; uv (V, 2) px, z (V,) m. closed: those of a
+    mesh without holes, of which the ones that turn to the camera, drawn alone, cover what all of them cover."""
     f = plain(faces, np.int32)
+    if closed:
+        front = np.empty_like(f)
+        f = front[: native("pictures.parts").turned(plain(uv, np.float64), f, front)]
     return mask_of(draw_parts(uv, z, f, np.zeros(len(f), np.uint8), 1, shape)[0], shape[1])
 
 

@@ -36,7 +36,7 @@ def write_angles_csv(
     if sd is not None:
         header += [f"{n}_sd_{'m' if is_length(n) else 'deg'}" for n in names]
         table = np.concatenate([table, np.asarray(sd, dtype=np.float64) * scale], axis=1)
-    rows = [[_cell(time, 6), *(_cell(x, 6) for x in row)] for time, row in zip(t.tolist(), table.tolist(), strict=True)]
+    rows = [_cells([time, *row]) for time, row in zip(t.tolist(), table.tolist(), strict=True)]
     _write(path, header, rows)
 
 
@@ -55,20 +55,21 @@ def write_joints_csv(path: str | Path, motion: Motion) -> None:
     data = np.concatenate(series, axis=2).reshape(len(motion), -1)
     rows = [
         [
-            _cell(float(motion.times[t]), 6),
+            *_cells([float(motion.times[t])]),
             str(int(motion.lost[t])),
             str(int(motion.extrapolated[t])),
             str(int(motion.n_views[t])),
             "" if motion.doubtful is None else str(int(motion.doubtful[t])),
-            *(_cell(x, 6) for x in data[t].tolist()),
+            *_cells(data[t].tolist()),
         ]
         for t in range(len(motion))
     ]
     _write(path, header, rows)
 
 
-def _cell(value: float, digits: int) -> str:
-    return f"{value:.{digits}f}" if math.isfinite(value) else ""
+def _cells(values: Sequence[float]) -> list[str]:
+    """With six digits; empty where a value is not finite."""
+    return [f"{v:.6f}" if math.isfinite(v) else "" for v in values]
 
 
 def _write(path: str | Path, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

@@ -87,10 +87,11 @@ def look_together(views: Sequence[View], notes: list[str]) -> tuple[list[View], 
     return same, [look(v) if k in numbered else clips[k] for k, v in enumerate(same)]
 
 
-def open_pictures(view: View) -> VideoReader | ObjectMasks:
-    """What shows a view: its video or images, else its masks; an InputError when it has neither."""
+def open_pictures(view: View, threads: int | None = None) -> VideoReader | ObjectMasks:
+    """What shows a view: its video or images, else its masks; an InputError when it has neither. threads: that may
+    decode a video (None: all)."""
     if view.source is not None:
-        return open_video(view.source)
+        return open_video(view.source, threads)
     if view.masks is None:
         raise InputError(f"View {view.name} has neither video, images nor masks.")
     made_here = (view.masks / SIDECAR).is_file()

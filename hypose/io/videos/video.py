@@ -198,8 +198,8 @@ class VideoReader:
                 self._next += 1
         self._next = index
 
-    def read(self, index: int | None = None) -> Image:
-        """Frame `index`, or the next one."""
+    def read(self, index: int | None = None, out: Image | None = None) -> Image:
+        """Frame `index`, or the next one. out (h, w, 3): where a frame of a video may be put."""
         if index is not None:
             self.seek(index)
         if self._next >= self.n_frames:
@@ -207,7 +207,7 @@ class VideoReader:
                 f"{self.path} ends with frame {self.n_frames - 1}, frame {self._next} was asked for; choose "
                 "a frame range inside."
             )
-        return self._advance()
+        return self._advance(out)
 
     def close(self) -> None:
         """Release the file."""
@@ -220,7 +220,7 @@ class VideoReader:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _advance(self) -> Image:
+    def _advance(self, out: Image | None = None) -> Image:
         if self._images is not None:
             image = read_image(self._images[self._next])
             if (image.shape[1], image.shape[0]) != self.size:
@@ -235,7 +235,7 @@ class VideoReader:
                 image, self._first = self._first, None
             else:
                 # new memory for each frame costs a tenth of decoding it
-                ok, frame = self._capture.read(self._memory if self._in_place else None)
+                ok, frame = self._capture.read(self._memory if self._in_place else out)
                 if not ok:
                     raise self._broken()
                 image = self._memory = np.asarray(frame, dtype=np.uint8)
