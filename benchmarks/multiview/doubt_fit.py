@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +30,9 @@ from hypose.tracking.doubt import (
     DoubtModel,
     clip_features,
     doubt_models,
+    doubt_of_clip,
     group_of,
+    probability,
     worth_a_look,
 )
 
@@ -53,9 +55,12 @@ _RIDGE_CLIP = 100.0
 """Of _CLIP, which are as many as there are clips, however many their frames."""
 _FEW = 100
 """Clips: fewer than that move the slope and the level of known weights only; 42 clips made their ranking worse."""
+_PARTS = 8
+"""of the seeds, each left out once"""
 _WHOLE, _LESS = 0.1, 0.25
 """Clips in which more than the share _WHOLE of the joint-frames is wrong weigh less: a body that is wrong as a whole is
-easily told, and its frames are many. Chosen, as _RIDGE, by motions left out of the seeds trained on."""
+easily told, and its frames are many. Chosen, as _RIDGE, by motions left out of the seeds trained on. What joints are
+worth in such clips is told by `in_clip`, where all weigh the same."""
 GOOD_FLAGGED = {
     "silhouettes": (0.01, 0.045, 0.015),
     "keypoints": (0.005, 0.03, 0.01),
@@ -63,20 +68,22 @@ GOOD_FLAGGED = {
 }
 """Share of good joint-frames of trunk, arms and legs that may be flagged on seeds that were left out. Of key points
 half of the clips are spoilt, so that of good ones far fewer are."""
-LEAST_P = {"silhouettes": 0.08, "keypoints": 0.08, "both": 0.02}
+LEAST_P = {"silhouettes": 0.1, "keypoints": 0.08, "both": 0.02}
 """What is less likely wrong than that is not doubtful, however few are flagged; of both, joints are wrong a tenth as
 often as from silhouettes."""
 
 
 @dataclass(frozen=True)
 class Rows:
-    """Joint-frames of one evidence. x (N, J, F) features, error (N, J) m, case (N,) and seed (N,) they are of; plain
-    (N,): nothing was spoilt; whole (N,): of a whole clip, and not a frame by itself."""
+    """Joint-frames of one evidence. x (N, J, F) features, error (N, J) m, case (N,) and seed (N,) they are of; clip
+    (N,): the number of the clip that they are judged in; plain (N,): nothing was spoilt; whole (N,): of a whole clip,
+    and not a frame by itself."""
 
     x: Array
     error: Array
     case: NDArray[np.str_]
     seed: NDArray[np.int64]
+    clip: NDArray[np.int64]
     plain: NDArray[np.bool_]
     whole: NDArray[np.bool_]
 
@@ -87,9 +94,7 @@ class Rows:
 
     def take(self, rows: NDArray[np.bool_]) -> Rows:
         """Some of them."""
-        return Rows(
-            *(self.x[rows], self.error[rows], self.case[rows], self.seed[rows], self.plain[rows], self.whole[rows])
-        )
+        return Rows(*(getattr(self, f.name)[rows] for f in fields(self)))
 
 
 ALONE = (7, 22)
@@ -108,6 +113,7 @@ def rows_of(clips: Sequence[Tracked], evidence: str, alone: Sequence[int] = ()) 
         np.concatenate([c.error[at, EVALUATED] for c, at, _ in parts]),
         np.repeat([c.case for c, _, _ in parts], count),
         np.repeat([c.seed for c, _, _ in parts], count),
+        np.repeat(np.arange(len(parts)), count),
         np.repeat([c.kind == "plain" for c, _, _ in parts], count),
         np.repeat([whole for _, _, whole in parts], count),
     )
@@ -145,11 +151,11 @@ def fit(rows: Rows, evidence: str, known: DoubtModel | None = None) -> DoubtMode
     through the right cameras without things in the masks: what else there is says so itself, and may be flagged more
     often."""
     model = _weights(rows, evidence, known)
-    p, seeds = model.probability(rows.x, _GROUP), np.unique(rows.seed)
+    p, seeds = said(model, rows), np.unique(rows.seed)
     if len(seeds) > 2:
-        for seed in seeds:
-            own = rows.seed == seed
-            p[own] = _weights(rows.take(~own), evidence, known).probability(rows.x[own], _GROUP)
+        for k in range(min(_PARTS, len(seeds))):
+            own = np.isin(rows.seed, seeds[k::_PARTS])
+            p[own] = said(_weights(rows.take(~own), evidence, known), rows.take(own))
     # what of a body that is wrong as a whole is right by chance may be flagged as well
     some = rows.whole & ~_wholly_wrong(rows) & rows.usual
     p, good = p[some], rows.error[some] <= WRONG_M
@@ -183,7 +189,36 @@ def _weights(rows: Rows, evidence: str, known: DoubtModel | None) -> DoubtModel:
             offset[g] += slope * known.offset[g]
             continue
         weights[g], offset[g] = _logistic(z, y, counts, on)
-    return DoubtModel(middle, scale, weights, offset, np.full(len(GROUPS), LEAST_P[evidence]))
+    alone = np.tile([0.0, 1.0, 0.0], (len(GROUPS), 1))
+    model = DoubtModel(middle, scale, weights, offset, alone, np.full(len(GROUPS), LEAST_P[evidence]))
+    return replace(model, in_clip=in_clip(model, rows)) if evidence == "silhouettes" and not few else model
+
+
+def said(model: DoubtModel, rows: Rows) -> Array:
+    """(N, J) P of joints in their clips."""
+    odds = model.of_joints(rows.x, _GROUP)
+    return probability(model.within(odds, _GROUP, _doubt_of_clips(odds, rows.clip)))
+
+
+def _doubt_of_clips(odds: Array, clip: NDArray[np.int64]) -> Array:
+    """(N,) of the clip that each row is of."""
+    begin = np.flatnonzero(np.r_[True, np.diff(clip) != 0])  # rows of a clip follow each other
+    found = [doubt_of_clip(o, _GROUP) for o in np.split(odds, begin[1:])]
+    return np.repeat(found, np.diff(np.r_[begin, len(clip)]))
+
+
+def in_clip(model: DoubtModel, rows: Rows) -> Array:
+    """(G, 3) `DoubtModel.in_clip`, by likelihood of whole clips that all weigh the same: a slope that falls where a
+    clip is doubtful as a whole. From masks alone: with key points motions left out are told worse by it."""
+    rows = rows.take(rows.whole)
+    odds = model.of_joints(rows.x, _GROUP)
+    clip = _doubt_of_clips(odds, rows.clip)[:, None] * np.ones(len(_GROUP))
+    out = np.zeros((len(GROUPS), 3))
+    for g in range(len(GROUPS)):
+        o, y = odds[:, g == _GROUP].ravel(), rows.error[:, g == _GROUP].ravel() > WRONG_M
+        a = np.stack([np.ones(len(o)), o, o * clip[:, g == _GROUP].ravel()], 1)
+        out[g] = _held(a, y.astype(float), np.ones(len(o)), [(-9, 9), (0.2, 2), (-0.5, 0)], np.array([0.0, 1.0, 0.0]))
+    return out
 
 
 def _wholly_wrong(rows: Rows) -> NDArray[np.bool_]:
@@ -195,14 +230,20 @@ def _wholly_wrong(rows: Rows) -> NDArray[np.bool_]:
 
 def _level(odds: Array, y: Array, count: Array) -> tuple[float, float]:
     """Slope and offset that make known log-odds (N,) those of y (N,), as Platt (1999) does; the slope at most 1."""
+    a = np.stack([odds, np.ones(len(odds))], 1)
+    slope, offset = _held(a, y, count, [(0.2, 1), (-9, 9)], np.array([1.0, 0.0]))
+    return float(slope), float(offset)
+
+
+def _held(a: Array, y: Array, count: Array, bounds: list[tuple[float, float]], begin: Array) -> Array:
+    """(K,) the likeliest weights, within bounds, of a (N, K), whose sum is the log-odds of y (N,)."""
 
     def value(x: Array) -> tuple[float, Array]:
-        told = x[0] * odds + x[1]
-        gap = count * (1 / (1 + np.exp(-np.clip(told, -40, 40))) - y)
-        return float((count * (np.logaddexp(0, told) - y * told)).sum()), np.array([gap @ odds, gap.sum()])
+        told = a @ x
+        gap = count * (probability(told) - y)
+        return float((count * (np.logaddexp(0, told) - y * told)).sum()), a.T @ gap
 
-    slope, offset = minimize(value, np.array([1.0, 0.0]), jac=True, method="L-BFGS-B", bounds=[(0.2, 1), (-9, 9)]).x
-    return float(slope), float(offset)
+    return np.asarray(minimize(value, begin, jac=True, method="L-BFGS-B", bounds=bounds).x)
 
 
 def _logistic(z: Array, y: Array, count: Array, on: NDArray[np.bool_]) -> tuple[Array, float]:
@@ -282,7 +323,7 @@ def left_out(rows: Rows, evidence: str) -> Array:
     for case in np.unique(rows.case):
         own = rows.case == case
         model = _weights(rows.take(~own & (rows.seed < JUDGES)), evidence, None)
-        out[own] = model.probability(rows.x[own], _GROUP)
+        out[own] = said(model, rows.take(own))
     return out
 
 
@@ -298,7 +339,7 @@ def report_fit(clips: Sequence[Tracked], write: bool = True) -> None:
         print(f"\n{evidence}: {len(train.x)} frames trained on, {len(judge.x)} judge", model.threshold.round(3))
         for name, some in (("trained on", train), ("other seeds", judge)):
             if len(some.x):
-                found = figures(model.probability(some.x, _GROUP), some.error, model.threshold, evidence)
+                found = figures(said(model, some), some.error, model.threshold, evidence)
                 print(f"  {name}:", {k: round(v, 4) for k, v in found.items()})
         out = left_out(rows, evidence)
         rest = rows.seed >= JUDGES if (rows.seed >= JUDGES).any() else np.ones(len(out), bool)
@@ -313,13 +354,6 @@ def report_fit(clips: Sequence[Tracked], write: bool = True) -> None:
 
 def _document(models: dict[str, DoubtModel]) -> dict[str, object]:
     def plain(m: DoubtModel) -> dict[str, object]:
-        named = {
-            "middle": m.middle,
-            "scale": m.scale,
-            "weights": m.weights,
-            "offset": m.offset,
-            "threshold": m.threshold,
-        }
-        return {k: np.round(v, 4).tolist() for k, v in named.items()}
+        return {f.name: np.round(getattr(m, f.name), 4).tolist() for f in fields(m)}
 
     return {"features": FEATURES, "groups": GROUPS, "models": {e: plain(m) for e, m in models.items()}}

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cache
 from importlib.resources import files
 
@@ -200,23 +200,43 @@ def _away(seen: NDArray[np.bool_], rate: float) -> Array:
 @dataclass(frozen=True)
 class DoubtModel:
     """Of one kind of evidence. middle, scale (F,) of the features; weights (G, F), offset (G,): log-odds of a group's
-    joint; threshold (G,): from which probability on a joint is doubtful."""
+    joint by itself; in_clip (G, 3): what is added to them, their slope, and how it changes with `doubt_of_clip`;
+    threshold (G,): from which probability on a joint is doubtful."""
 
     middle: Array
     scale: Array
     weights: Array
     offset: Array
+    in_clip: Array
     threshold: Array
 
-    def log_odds(self, features: Array, groups: NDArray[np.int64]) -> Array:
-        """(T, J) of features (T, J, F) of joints in groups (J,)."""
+    def of_joints(self, features: Array, groups: NDArray[np.int64]) -> Array:
+        """(T, J) log-odds of joints by themselves, from features (T, J, F) of joints in groups (J,)."""
         z = np.clip((features - self.middle) / self.scale, -6.0, 6.0)
         weights = self.weights[groups]
         return np.maximum(z * weights, -MOST_SD * np.abs(weights)).sum(-1) + self.offset[groups]
 
-    def probability(self, features: Array, groups: NDArray[np.int64]) -> Array:
-        """(T, J) that the joint is wrong by more than WRONG_M."""
-        return probability(self.log_odds(features, groups))
+    def within(self, odds: Array, groups: NDArray[np.int64], clip: ArrayLike) -> Array:
+        """(T, J) those of joints in their clip, from `of_joints` and the clip's doubt, one number or (T,)."""
+        more, slope, change = self.in_clip[groups].T
+        return more + odds * (slope + change * np.asarray(clip)[..., None])
+
+    def log_odds(self, features: Array, groups: NDArray[np.int64]) -> Array:
+        """(T, J) of features (T, J, F) of joints in groups (J,) of one clip."""
+        odds = self.of_joints(features, groups)
+        return self.within(odds, groups, doubt_of_clip(odds, groups))
+
+
+CALM_P = 0.06
+"""Mean probability over a clip up to which its joints are judged by themselves."""
+
+
+def doubt_of_clip(odds: Array, groups: NDArray[np.int64]) -> float:
+    """Log of how many times CALM_P the mean probability of a clip is, 0 at least, from its joints' log-odds (T, J): the
+    mean of the means over the groups that there are. Where the body as a whole is wrong, joints are right by chance,
+    and what speaks for or against one of them is worth less."""
+    p = probability(odds)
+    return float(np.log(max(np.mean([p[:, groups == g].mean() for g in np.unique(groups)]) / CALM_P, 1.0)))
 
 
 @cache
@@ -226,7 +246,7 @@ def doubt_models() -> Mapping[str, DoubtModel]:
     if kept["features"] != list(FEATURES) or kept["groups"] != list(GROUPS):
         raise ValueError("assets/doubt.json belongs to other features; run scripts/train_doubt.py")
     return {
-        evidence: DoubtModel(*(np.array(m[k]) for k in ("middle", "scale", "weights", "offset", "threshold")))
+        evidence: DoubtModel(*(np.array(m[k]) for k in (f.name for f in fields(DoubtModel))))
         for evidence, m in kept["models"].items()
     }
 

@@ -1,10 +1,14 @@
 """The measures of doubt have their known values, and the fits find what was put in."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from benchmarks.multiview.doubt_fit import auroc, ece
+from benchmarks.multiview.doubt_fit import Rows, auroc, ece, in_clip, said
 from benchmarks.multiview.spread_fit import UNSEEN, covered, fit_angle, fit_joint, level_error, pelvis_floor, squares
+from hypose.synthetic.metrics import EVALUATED
+from hypose.tracking.doubt import FEATURES, GROUPS, DoubtModel
 from tests.tailed import tailed
 
 
@@ -21,6 +25,29 @@ def test_probabilities_that_hold_have_no_error():
     wrong = rng.random(40_000) < p
     assert ece(p, wrong) < 0.02
     assert ece(np.full(1000, 0.5), np.zeros(1000)) == pytest.approx(0.5)
+
+
+def test_what_joints_are_worth_in_a_doubtful_clip_is_found():
+    rng, clips, frames = np.random.default_rng(4), 60, 40
+    x = np.zeros((clips * frames, len(EVALUATED), len(FEATURES)))
+    clip = np.repeat(np.arange(clips), frames)
+    bad = clip % 2 == 1
+    odds = rng.normal(np.where(bad, 1.0, -5.0)[:, None], 2.0, x.shape[:2])
+    x[..., 0] = odds
+    wrong = rng.random(odds.shape) < 1 / (1 + np.exp(-np.where(bad, 0.3, 1.0)[:, None] * odds))
+    yes = np.ones(len(x), bool)
+    rows = Rows(x, np.where(wrong, 0.2, 0.0), np.full(len(x), "walk"), clip, clip, yes, yes)
+    weights, shape = np.eye(len(FEATURES))[[0] * len(GROUPS)], (len(GROUPS), len(FEATURES))
+    alone = np.tile([0.0, 1.0, 0.0], (len(GROUPS), 1))
+    model = DoubtModel(
+        np.zeros(shape[1]), np.ones(shape[1]), weights, np.zeros(shape[0]), alone, np.full(shape[0], 0.1)
+    )
+    found = replace(model, in_clip=in_clip(model, rows))
+    assert found.in_clip[:, 2].max() < -0.1  # the slope falls
+    before, now = (said(m, rows) for m in (model, found))
+    assert ece(before[bad], wrong[bad]) > 0.1 and ece(now[bad], wrong[bad]) < 0.03
+    assert ece(now[~bad], wrong[~bad]) < 0.03
+    assert np.allclose(said(found, rows.take(clip == 7)), now[clip == 7])  # of no other clip
 
 
 def test_a_spread_of_two_parts_is_found():

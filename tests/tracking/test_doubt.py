@@ -11,12 +11,14 @@ from hypose.body.ready_bodies import human
 from hypose.tracking.audit import AUDITED
 from hypose.tracking.doubt import (
     AROUND_S,
+    CALM_P,
     ELSEWHERE_M,
     FEATURES,
     GROUPS,
     as_mixture,
     clip_features,
     doubt_models,
+    doubt_of_clip,
     evidence_of,
     group_of,
     judged,
@@ -140,6 +142,23 @@ def test_more_bare_mask_never_speaks_for_a_joint():
             for name in ("bare", "bare_more", "bare_second", "bare_reach", "rival", "outside", "points", "moved"):
                 assert model.weights[g, FEATURES.index(name)] >= 0
             assert model.weights[g, FEATURES.index("exposed_second")] <= 0
+
+
+def test_in_a_clip_that_is_doubtful_as_a_whole_joints_are_told_less_surely_in_the_same_order():
+    groups = np.array([group_of(n) for n in NAMES])
+    sure = np.full((10, len(NAMES)), -6.0)
+    assert doubt_of_clip(sure, groups) == 0.0 and doubt_of_clip(sure[:1, :3], groups[:3]) == 0.0
+    assert doubt_of_clip(np.zeros((10, len(NAMES))), groups) == pytest.approx(np.log(0.5 / CALM_P))
+    sure[:, groups == GROUPS.index("arms")] = 40.0  # every group counts the same, however many its joints are
+    assert doubt_of_clip(sure, groups) == pytest.approx(np.log(1 / 3 / CALM_P), abs=0.02)
+    odds = np.linspace(-6, 6, 25)[:, None] * np.ones(len(NAMES))
+    for evidence, model in doubt_models().items():
+        calm, wrong = (model.within(odds, groups, clip) for clip in (0.0, np.log(1 / CALM_P)))
+        assert (np.diff(calm, axis=0) > 0).all() and (np.diff(wrong, axis=0) > 0).all()
+        if evidence == "silhouettes":
+            assert (np.ptp(wrong, axis=0) < 0.5 * np.ptp(calm, axis=0)).all()
+        each = model.within(odds, groups, np.linspace(0, 1, 25))  # a clip's doubt for each row
+        assert np.allclose(each[-1], model.within(odds[-1:], groups, 1.0))
 
 
 def test_where_masks_show_more_than_the_body_arms_are_doubted():
