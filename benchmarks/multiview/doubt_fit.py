@@ -68,7 +68,7 @@ GOOD_FLAGGED = {
 }
 """Share of good joint-frames of trunk, arms and legs that may be flagged on seeds that were left out. Of key points
 half of the clips are spoilt, so that of good ones far fewer are."""
-LEAST_P = {"silhouettes": 0.1, "keypoints": 0.08, "both": 0.02}
+LEAST_P = {"silhouettes": 0.1, "keypoints": 0.08, "both": 0.04}
 """What is less likely wrong than that is not doubtful, however few are flagged; of both, joints are wrong a tenth as
 often as from silhouettes."""
 
