@@ -68,13 +68,13 @@ from hypose.compute.pictures.picture_to_mask import Box, Lens, make_lens, new_pi
 from hypose.compute.pictures.pieces import touched_area
 from hypose.compute.pictures.shown_parts import colour_sums, rim_edges, shown_parts
 from hypose.compute.pictures.visibility import nearest_visible
-from hypose.compute.selection import beside, default_threads, over_chunks, require_cuda, use
+from hypose.compute.selection import beside, default_threads, on_device, over_chunks, require_cuda, use
 from hypose.compute.silhouettes import reach
 from hypose.compute.silhouettes.glance import Glance, differing_box, glance_at, stored_pixels
-from hypose.compute.silhouettes.layers import SearchLayers, WeightedSets, layered_search, on_device
+from hypose.compute.silhouettes.layers import SearchLayers, WeightedSets
 from hypose.compute.silhouettes.mask_distance import shrink_mask, signed_distance
 from hypose.compute.silhouettes.packed_masks import prepare_masks
-from hypose.compute.silhouettes.scorer import limb_energies, silhouette_xor
+from hypose.compute.silhouettes.scorer import layered_search, limb_energies, silhouette_xor
 from hypose.compute.solver.banded import frame_covariances, solve_coupled
 from hypose.compute.solver.losses import geman_mcclure, huber, lorentzian, lorentzian_weight
 from hypose.compute.solver.normal import SharedEquations, bounded_step, weighted_squares

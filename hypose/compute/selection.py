@@ -29,6 +29,11 @@ def backend() -> str:
     return _MEANING.get(name, name)
 
 
+def on_device() -> bool:
+    """Whether silhouettes are scored on a device in this context, where whole searches run as well."""
+    return backend() == "cuda"
+
+
 @contextlib.contextmanager
 def use(name: str) -> Iterator[None]:
     """Run the enclosed block on another back end: "auto", "cpu", "cuda" or "reference"."""

@@ -7,13 +7,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.compute import selection
-from hypose.compute.arrays import MeshArrays, TreeArrays
-from hypose.compute.native import plain, tidy
-from hypose.compute.silhouettes import lane_mesh
-from hypose.compute.solver.terms import PreparedMasks
-from hypose.errors import InputError
-
 Array = NDArray[np.float64]
 
 
@@ -48,26 +41,3 @@ class WeightedSets(NamedTuple):
     """(L,)"""
     ancestors: NDArray[np.intp]
     """(L, N)"""
-
-
-def on_device() -> bool:
-    """Whether silhouettes are scored on a device in this context, where whole searches run as well."""
-    return selection.backend() == "cuda"
-
-
-def layered_search(
-    poses: Array, tree: TreeArrays, mesh: MeshArrays, prepared: PreparedMasks, layers: SearchLayers
-) -> WeightedSets:
-    """Runs the layers on the device, from equally weighted poses (N, D), against masks all of whose pixels tell.
-
-    The same numbers from run to run; those of the processor but for rounding, which now and then counts a pixel of a
-    silhouette otherwise, and so chooses other ancestors.
-    """
-    if not on_device() or prepared.hidden.size:
-        raise InputError("Layers run as a whole on a CUDA device only, against whole masks; choose the back end cuda.")
-    from hypose.compute.silhouettes import cuda_search
-
-    whole = lane_mesh.prepare(mesh, tree, None)
-    return cuda_search.layered_search(
-        plain(poses, np.float64), tidy(tree), whole, mesh.vertices, tidy(prepared), layers
-    )
