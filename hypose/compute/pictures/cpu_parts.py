@@ -58,8 +58,6 @@ def draw(uv, z, faces, part, width, h, bits):
         if not (z[a] > NEAR and z[b] > NEAR and z[c] > NEAR):
             continue
         xa, ya, xb, yb, xc, yc = uv[a, 0], uv[a, 1], uv[b, 0], uv[b, 1], uv[c, 0], uv[c, 1]
-        if not 0.0 * (xa + ya + xb + yb + xc + yc) == 0.0:  # not a number somewhere, which is no place in the picture
-            continue
         if not np.isfinite(xa + ya + xb + yb + xc + yc):
             continue
         if ya > yb:
