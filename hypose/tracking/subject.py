@@ -48,6 +48,11 @@ GIRTHS: dict[str, tuple[tuple[str, int | None], ...]] = {
 }
 
 
+ACROSS, _SD_OF_MAD, _SHORTEST = 2, 1.4826, 0.7
+"""Directions across a bone; standard deviations in a median distance from the median; and the least share of a length
+as measured that scatter leaves of it."""
+
+
 @dataclass(frozen=True)
 class KeypointSubject:
     """A body fitted to key points: body, where the key points sit on it, poses (T, D) (NaN where not solved), residual
@@ -74,10 +79,10 @@ def subject_from_keypoints(
 ) -> KeypointSubject:
     """Segment lengths, shoulder width and the key points' offsets from triangulated points (T, K, 3) m, NaN = missing.
 
-    Lengths are medians over the frames, left and right averaged. Then poses and offsets are found in turn: offsets
-    within 5 cm for joints, 12 cm for the face and 8 cm for the feet, since what a detector calls a hip is not the
-    joint's centre. Segments that are never seen are in proportion to the others; an EvidenceError
-    when hardly any is seen.
+    Lengths are medians over the frames, less what scatter adds to them, left and right averaged. Then poses and offsets
+    are found in turn: offsets within 5 cm for joints, 12 cm for the face and 8 cm for the feet, since what a detector
+    calls a hip is not the joint's centre. Segments that are never seen are in proportion to the others; an
+    EvidenceError when hardly any is seen.
     """
     deformed = deform(body, shape_from_keypoints(body, points_world, names))
     model = keypoint_model(deformed, names)
@@ -114,7 +119,10 @@ def shape_from_keypoints(body: Body, points_world: Array, names: tuple[str, ...]
         if not np.isfinite(d).any():
             return float("nan"), float("nan")
         middle = float(np.nanmedian(d))
-        changes = float(np.nanmedian(np.abs(d - middle))) / max(middle, 1e-9)
+        scatter = _SD_OF_MAD * float(np.nanmedian(np.abs(d - middle)))
+        changes = scatter / max(middle, 1e-9)
+        # points scatter across a bone as they do along it, which its length tells, and make it longer by that
+        middle = np.sqrt(max(middle**2 - ACROSS * scatter**2, (_SHORTEST * middle) ** 2))
         return middle / float(np.linalg.norm(rest[skeleton.joint(a)] - rest[skeleton.joint(b)])), changes
 
     limbs = {

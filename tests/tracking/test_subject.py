@@ -11,7 +11,7 @@ from hypose.evidence.keypoints import keypoint_names
 from hypose.geometry import so3_exp
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.keypoint_evidence import keypoint_model
-from hypose.tracking.subject import fit_girths, scaled_to_height, subject_from_keypoints
+from hypose.tracking.subject import fit_girths, scaled_to_height, shape_from_keypoints, subject_from_keypoints
 
 
 def test_height_scales_everything(body):
@@ -56,6 +56,19 @@ def test_lengths_from_keypoints_of_another_body(body, standing, rng):
     for segment in ("upper_arm", "forearm", "thigh", "shank"):
         assert got[f"left_{segment}"] == pytest.approx(want[f"left_{segment}"], abs=0.008)
     assert np.nanmedian(fitted.residual) < 0.015
+
+
+def test_points_that_scatter_make_nobody_longer(body, standing, rng):
+    names = keypoint_names("BODY_25")
+    model = keypoint_model(body, names)
+    poses = np.repeat(standing[None], 200, 0)
+    poses[:, 6:] += rng.normal(0, 0.2, (200, poses.shape[1] - 6))
+    points = model.positions(body, body.skeleton.clamp(poses)) + rng.normal(0, 0.03, (200, len(names), 3))
+    points[:, ~model.known] = np.nan
+    got = deform(body, shape_from_keypoints(body, points, names)).segment_lengths()
+    for segment, length in body.segment_lengths().items():
+        if segment.startswith("left_") and segment.endswith(("arm", "thigh", "shank")):
+            assert got[segment] == pytest.approx(length, rel=0.02)  # forearms 4 % longer as measured
 
 
 def test_an_arm_whose_wrist_is_taken_for_the_other_does_not_stretch_both(body, standing, rng):
