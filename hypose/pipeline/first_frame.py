@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from hypose.tracking.frame_evidence import PreparedFrame, prepare
 from hypose.tracking.keypoint_clip import LEAST_POINTS
 from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, KeypointModel, keypoint_model, keypoint_term
 from hypose.tracking.keypoint_offsets import calibrate_keypoints
-from hypose.tracking.points_beside_masks import start_beside_masks, weighed_beside_masks
+from hypose.tracking.points_beside_masks import LEAST, start_beside_masks, weighed_beside_masks
 from hypose.tracking.refinement import anatomical_prior
 from hypose.tracking.start_search import Start, start_from_hull
 from hypose.tracking.starts import KNOWN_POSES, hull_of, start_from_keypoints
@@ -108,10 +108,27 @@ def _from_keypoints(
     template: Body, frame_at: FrameAt, sampled: np.ndarray, n_frames: int, options: SubjectOptions
 ) -> Subject:
     seen = [f for f in (frame_at(int(i)) for i in sampled) if f.keypoints is not None]
+    body, model, ways, notes = _fitted_to_points(template, seen, options)
+    told = _without_guesses(seen, model)
+    if told is not None:  # a limb whose points are a guess has the length that others tell
+        body, _, _, notes = _fitted_to_points(template, told, options)
+        model, ways = _weighed(body, seen)
+    notes.append(_noise_note(model))
+    start, at = first_start(body, model, frame_at, min(n_frames, 1 + int(options.frame_rate)))
+    start = start_beside_masks(body, model, frame_at(at), start, ways)
+    if at:
+        notes.append(f"the start is the pose of frame {at}, the first with enough key points")
+    return Subject(body, model, start, tuple(notes))
+
+
+def _fitted_to_points(
+    template: Body, seen: Sequence[Frame], options: SubjectOptions
+) -> tuple[Body, KeypointModel, Array, list[str]]:
+    """The body, its points, poses (N, D) by outlines alone, as `weighed_beside_masks`, and notes."""
     keypoints = [f.keypoints for f in seen if f.keypoints is not None]
     points, _, _ = triangulate_keypoints(keypoints, worse=view_factors(keypoints))
     fitted = subject_from_keypoints(template, points, keypoints[0].names)
-    body, model, poses = fitted.body, fitted.keypoints, fitted.poses
+    body, poses = fitted.body, fitted.poses
     notes = [f"segment lengths from the key points of {len(points)} frames"]
     if options.height is not None:
         notes.append("the given height is not used: lengths come from the key points")
@@ -121,14 +138,21 @@ def _from_keypoints(
         body, note = _with_girths(body, poses[few], [seen[n] for n in few])
         notes.append(note)
     # the landmarks on the skin moved with the girths: where the key points sit is measured on the body as it is now
-    model = calibrate_keypoints(body, keypoint_model(body, model.names), keypoints, poses)
-    model, ways = weighed_beside_masks(body, model, seen)
-    notes.append(_noise_note(model))
-    start, at = first_start(body, model, frame_at, min(n_frames, 1 + int(options.frame_rate)))
-    start = start_beside_masks(body, model, frame_at(at), start, ways)
-    if at:
-        notes.append(f"the start is the pose of frame {at}, the first with enough key points")
-    return Subject(body, model, start, tuple(notes))
+    return body, *_weighed(body, seen, poses), notes
+
+
+def _weighed(body: Body, seen: Sequence[Frame], poses: Array | None = None) -> tuple[KeypointModel, Array]:
+    keypoints = [f.keypoints for f in seen if f.keypoints is not None]
+    model = calibrate_keypoints(body, keypoint_model(body, keypoints[0].names), keypoints, poses)
+    return weighed_beside_masks(body, model, seen)
+
+
+def _without_guesses(seen: Sequence[Frame], model: KeypointModel) -> list[Frame] | None:
+    """The frames without the points that masks have refuted in a view; None where there are none."""
+    if model.beside is None or (model.beside >= LEAST).all():
+        return None
+    told = (model.beside >= LEAST)[..., None] * np.ones(3)
+    return [replace(f, keypoints=replace(f.keypoints, points=f.keypoints.points * told)) for f in seen if f.keypoints]
 
 
 def _known_by_points(
@@ -137,9 +161,7 @@ def _known_by_points(
     seen = [f for f in (frame_at(int(i)) for i in sampled) if f.keypoints is not None]
     if not seen:
         raise EvidenceError("No frame has key points to start from; use the start 'hull'.")
-    keypoints = [f.keypoints for f in seen if f.keypoints is not None]
-    model = calibrate_keypoints(body, keypoint_model(body, keypoints[0].names), keypoints)
-    model, ways = weighed_beside_masks(body, model, seen)
+    model, ways = _weighed(body, seen)
     start, at = first_start(body, model, frame_at, min(n_frames, 1 + int(options.frame_rate)))
     start = start_beside_masks(body, model, frame_at(at), start, ways)
     notes = [GIVEN, _noise_note(model)]
