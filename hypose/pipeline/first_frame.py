@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -111,8 +112,9 @@ def _from_keypoints(
     body, model, ways, notes = _fitted_to_points(template, seen, options)
     told = _without_guesses(seen, model)
     if told is not None:  # a limb whose points are a guess has the length that others tell
-        body, _, _, notes = _fitted_to_points(template, told, options)
-        model, ways = _weighed(body, seen)
+        with suppress(EvidenceError):  # unless nothing is left to tell
+            body, _, _, notes = _fitted_to_points(template, told, options)
+            model, ways = _weighed(body, seen)
     notes.append(_noise_note(model))
     start, at = first_start(body, model, frame_at, min(n_frames, 1 + int(options.frame_rate)))
     start = start_beside_masks(body, model, frame_at(at), start, ways)
