@@ -109,11 +109,12 @@ def _from_keypoints(
     template: Body, frame_at: FrameAt, sampled: np.ndarray, n_frames: int, options: SubjectOptions
 ) -> Subject:
     seen = [f for f in (frame_at(int(i)) for i in sampled) if f.keypoints is not None]
-    body, model, ways, notes = _fitted_to_points(template, seen, options)
+    body, poses, notes = _fitted_to_points(template, seen, options)
+    model, ways = _weighed(body, seen, poses)
     told = _without_guesses(seen, model)
     if told is not None:  # a limb whose points are a guess has the length that others tell
         with suppress(EvidenceError):  # unless nothing is left to tell
-            body, _, _, notes = _fitted_to_points(template, told, options)
+            body, _, notes = _fitted_to_points(template, told, options)
             model, ways = _weighed(body, seen)
     notes.append(_noise_note(model))
     start, at = first_start(body, model, frame_at, min(n_frames, 1 + int(options.frame_rate)))
@@ -123,10 +124,8 @@ def _from_keypoints(
     return Subject(body, model, start, tuple(notes))
 
 
-def _fitted_to_points(
-    template: Body, seen: Sequence[Frame], options: SubjectOptions
-) -> tuple[Body, KeypointModel, Array, list[str]]:
-    """The body, its points, poses (N, D) by outlines alone, as `weighed_beside_masks`, and notes."""
+def _fitted_to_points(template: Body, seen: Sequence[Frame], options: SubjectOptions) -> tuple[Body, Array, list[str]]:
+    """The body, its poses (N, D) in the frames, NaN where not found, and notes."""
     keypoints = [f.keypoints for f in seen if f.keypoints is not None]
     points, _, _ = triangulate_keypoints(keypoints, worse=view_factors(keypoints))
     fitted = subject_from_keypoints(template, points, keypoints[0].names)
@@ -139,11 +138,12 @@ def _fitted_to_points(
         few = [solved[k] for k in np.unique(np.linspace(0, len(solved) - 1, min(10, len(solved))).astype(int))]
         body, note = _with_girths(body, poses[few], [seen[n] for n in few])
         notes.append(note)
-    # the landmarks on the skin moved with the girths: where the key points sit is measured on the body as it is now
-    return body, *_weighed(body, seen, poses), notes
+    return body, poses, notes
 
 
 def _weighed(body: Body, seen: Sequence[Frame], poses: Array | None = None) -> tuple[KeypointModel, Array]:
+    """Where the key points sit on the body as it is now, for landmarks on the skin move with its girths, and what they
+    weigh beside masks; and poses, as of `weighed_beside_masks`."""
     keypoints = [f.keypoints for f in seen if f.keypoints is not None]
     model = calibrate_keypoints(body, keypoint_model(body, keypoints[0].names), keypoints, poses)
     return weighed_beside_masks(body, model, seen)

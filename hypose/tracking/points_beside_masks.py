@@ -25,6 +25,7 @@ from hypose.tracking.frame_evidence import PreparedFrame, prepare
 from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, KeypointModel
 from hypose.tracking.keypoint_offsets import Residuals, residual_rows, solved_frames, triangulated_starts
 from hypose.tracking.postures import postures
+from hypose.tracking.published_recipes import LIMB_LAYERS
 from hypose.tracking.refinement import SETTLING, mismatch, solve
 
 OUTLINES_M = 0.015
@@ -44,11 +45,9 @@ wrong; else it may be the outlines that are."""
 FRAMES, _SPARSE, _MOST = 8, 0.5, 3
 """frames in which the two are compared, and so many times more, at most, where fewer points than this share are seen"""
 _PARTS = (("elbow", "wrist"), ("knee", "ankle", "toe", "heel"), ("shoulder", "hip", "neck"), ("",))
-_LEG, _ARM = ("hip", "knee", "ankle"), ("shoulder", "elbow")
-_LIMBS = (
-    (*(f"left_{j}" for j in _LEG), *(f"right_{j}" for j in _LEG)),
-    *(tuple(f"{side}_{j}" for j in limb) for limb in (_LEG, _ARM) for side in ("left", "right")),
-)
+_EACH = tuple(tuple(j for j in joints if not j.endswith("clavicle")) for _, joints in LIMB_LAYERS)
+_LIMBS = (_EACH[0] + _EACH[1], *_EACH)
+"""Joints of what is looked for elsewhere: both legs, then each limb."""
 WORTH, CLEAR = 0.1, 0.01
 """mismatch by which a limb may be worse before it is solved for, and must be better then: outlines alone hardly tell
 where an arm is that they hide. Chosen, as APART, on close_up (benchmark `doubt`) of the seeds 1254 to 1268."""
