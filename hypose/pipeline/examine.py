@@ -39,9 +39,9 @@ from hypose.io.recordings.recording_views import View, open_pictures
 from hypose.pipeline.first_frame import SubjectOptions, find_subject
 from hypose.pipeline.one_of_several import frames_to_examine
 from hypose.pipeline.run import TrackOptions, track_source
-from hypose.tracking.frame_evidence import prepare
+from hypose.pipeline.subject_from_motion import with_outlines
 from hypose.tracking.keypoint_evidence import KeypointModel, keypoint_model, keypoint_term
-from hypose.tracking.subject import fit_girths, shape_from_keypoints, subject_from_keypoints
+from hypose.tracking.subject import shape_from_keypoints, subject_from_keypoints
 
 Progress = Callable[[str, int, int], None]
 LOOKS = 12
@@ -369,17 +369,12 @@ def _mark_scale(keypoints: Keypoints) -> float:
 def _start_from_points(frames: Sequence[Frame], keypoints: Sequence) -> tuple[Body, KeypointModel, Array, list[str]]:
     points, _, _ = triangulate_keypoints(keypoints)
     fitted = subject_from_keypoints(human(), points, keypoints[0].names)
-    poses = fitted.poses
-    solved = [i for i in range(len(poses)) if np.isfinite(poses[i]).all() and frames[i].silhouettes is not None]
-    few = solved[:: max(1, len(solved) // 8)]
-    prepared = [prepare(frames[i], fitted.body, poses[i]) for i in few]
-    few = [i for i, p in zip(few, prepared, strict=True) if p.masks is not None]
-    prepared = [p for p in prepared if p.masks is not None]
-    if not prepared:
+    shaped = with_outlines(fitted, frames)
+    if shaped is None:
         raise EvidenceError("No frame has usable silhouettes; refine from key points.")
-    body, _, _, _ = fit_girths(fitted.body, poses[few], prepared)
+    body, _ = shaped
     model = replace(keypoint_model(body, fitted.keypoints.names), offset=fitted.keypoints.offset)
-    return body, model, poses, ["lengths of the body and start poses from the key points"]
+    return body, model, fitted.poses, ["lengths of the body and start poses from the key points"]
 
 
 def _start_from_masks(

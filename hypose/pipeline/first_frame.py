@@ -17,8 +17,8 @@ from hypose.fitting import SolveSettings, fit_pose
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
 from hypose.pipeline.start_choice import best_ways
-from hypose.pipeline.subject_from_motion import AnthropometryOptions, estimate_subject
-from hypose.tracking.frame_evidence import PreparedFrame, prepare
+from hypose.pipeline.subject_from_motion import AnthropometryOptions, estimate_subject, with_outlines
+from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.keypoint_clip import LEAST_POINTS
 from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, KeypointModel, keypoint_model, keypoint_term
 from hypose.tracking.keypoint_offsets import calibrate_keypoints
@@ -26,7 +26,7 @@ from hypose.tracking.points_beside_masks import LEAST, start_beside_masks, weigh
 from hypose.tracking.refinement import anatomical_prior
 from hypose.tracking.start_search import Start, start_from_hull
 from hypose.tracking.starts import KNOWN_POSES, hull_of, start_from_keypoints
-from hypose.tracking.subject import fit_girths, scaled_to_height, subject_from_keypoints
+from hypose.tracking.subject import scaled_to_height, subject_from_keypoints
 from hypose.tracking.view_noise import view_factors
 
 FrameAt = Callable[[int], Frame]
@@ -129,16 +129,14 @@ def _fitted_to_points(template: Body, seen: Sequence[Frame], options: SubjectOpt
     keypoints = [f.keypoints for f in seen if f.keypoints is not None]
     points, _, _ = triangulate_keypoints(keypoints, worse=view_factors(keypoints))
     fitted = subject_from_keypoints(template, points, keypoints[0].names)
-    body, poses = fitted.body, fitted.poses
-    notes = [f"segment lengths from the key points of {len(points)} frames"]
+    body, notes = fitted.body, [f"segment lengths from the key points of {len(points)} frames"]
     if options.height is not None:
         notes.append("the given height is not used: lengths come from the key points")
     if options.girths:
-        solved = [n for n in range(len(points)) if np.isfinite(poses[n]).all()]
-        few = [solved[k] for k in np.unique(np.linspace(0, len(solved) - 1, min(10, len(solved))).astype(int))]
-        body, note = _with_girths(body, poses[few], [seen[n] for n in few])
+        shaped = with_outlines(fitted, seen)
+        body, note = shaped or (body, "girths of the template: no frame has a usable silhouette")
         notes.append(note)
-    return body, poses, notes
+    return body, fitted.poses, notes
 
 
 def _weighed(body: Body, seen: Sequence[Frame], poses: Array | None = None) -> tuple[KeypointModel, Array]:
@@ -251,19 +249,6 @@ def _from_hull(
     body = scaled_to_height(template, height)
     prepared = prepare(first, body, np.zeros(body.skeleton.dof))
     return Subject(body, None, start_from_hull(body, prepared, poses).pose, (note,))
-
-
-def _with_girths(body: Body, poses: Array, frames: Sequence[Frame]) -> tuple[Body, str]:
-    prepared = [_prepared(f, body, p) for f, p in zip(frames, poses, strict=True)]
-    usable = [n for n, f in enumerate(prepared) if f is not None and f.masks is not None]
-    if not usable:
-        return body, "girths of the template: no frame has a usable silhouette"
-    fitted, _, before, after = fit_girths(body, poses[usable], [f for f in (prepared[n] for n in usable) if f])
-    return fitted, f"girths from {len(usable)} frames: silhouette mismatch {before:.3f} -> {after:.3f}"
-
-
-def _prepared(frame: Frame, body: Body, pose: Array) -> PreparedFrame | None:
-    return prepare(frame, body, pose) if frame.silhouettes is not None else None
 
 
 def _hull_height(frame_at: FrameAt, sampled: np.ndarray) -> tuple[float, int]:

@@ -17,10 +17,24 @@ from hypose.fitting.articulated import PointTerm, SolveSettings, fit_pose
 from hypose.geometry import Array, so3_log
 from hypose.synthetic.subjects import Subject
 from hypose.tracking.refinement import anatomical_prior
-from hypose.tracking.subject import GIRTHS, PAIRED, shape_from_keypoints
+from hypose.tracking.subject import PAIRED, shape_from_keypoints
 
 LIMBS = tuple(f"{side}_{a}" for side in ("left", "right") for pair in PAIRED.values() for a in pair)
 """The joints whose distances are the measured lengths."""
+_TRUNK = ("pelvis", "spine", "chest")
+GIRTHS: dict[str, tuple[tuple[str, int | None], ...]] = {
+    "torso width": tuple((j, 0) for j in _TRUNK),
+    "torso depth": tuple((j, 1) for j in _TRUNK),
+    "upper arms": (("left_shoulder", None), ("right_shoulder", None)),
+    "forearms": (("left_elbow", None), ("right_elbow", None)),
+    "thighs": (("left_hip", None), ("right_hip", None)),
+    "shanks": (("left_knee", None), ("right_knee", None)),
+    "hands": (("left_wrist", None), ("right_wrist", None)),
+    "feet": (("left_ankle", None), ("right_ankle", None)),
+    "head": (("head", None),),
+    "neck": (("neck", None),),
+}
+"""Girths that are wrong together: (joint, model axis or None for all three)."""
 
 
 @dataclass(frozen=True)

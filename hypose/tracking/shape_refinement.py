@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hypose.body.anthropometry import body_of, length_rows, prior_covariance, prior_mean
+from hypose.body.anthropometry import body_of, entity, length_rows, prior_covariance, prior_mean
 from hypose.body.body import Body, Landmarks, Mesh
 from hypose.compute import (
     OutlineRows,
@@ -47,12 +47,21 @@ DENSITY = 1000.0
 """kg/m^3 of a person with air in the lungs, with the mesh's volume"""
 
 
+BONES = (
+    *("torso length", "upper arm length", "forearm length", "thigh length", "shank length"),
+    *("shoulder width", "hip width"),
+)
+"""The entities that key points tell; hips, which no detector shows, are as wide as the trunk is long."""
+
+
 @dataclass(frozen=True)
 class Known:
-    """What is known of the subject: height m (sd 1 cm), mass kg (sd 6 %: the mesh is not the body); None = unknown."""
+    """What is known of the subject: height m (sd 1 cm), mass kg (sd 6 %: the mesh is not the body); bones: the BONES of
+    the body given, by what share they may differ (1 sd). None = unknown."""
 
     height: float | None = None
     mass: float | None = None
+    bones: float | None = None
 
 
 @dataclass(frozen=True)
@@ -194,6 +203,10 @@ class _ShapeProblem:
         )
         self.precision = np.linalg.inv(prior_covariance()) * options.prior
         self.mean = prior_mean()
+        if known.bones is not None:
+            sure = np.zeros((len(BONES), len(self.mean)))
+            sure[:, entity("scale")] = sure[np.arange(len(BONES)), [entity(n) for n in BONES]] = 1 / known.bones
+            self.precision = self.precision + sure.T @ sure
         self.height_ratio = height_ratio
         rows, _, sd = length_rows(body)
         self.precision = self.precision + options.prior * (rows / sd[:, None]).T @ (rows / sd[:, None])

@@ -1,15 +1,13 @@
-"""The subject's body: height from the hull, segment lengths from key points, girths from silhouettes.
+"""The subject's body by key points: segment lengths, and where the key points sit on it.
 
-A tracker is as good as its body. Lengths come from medians over the clip, so they are constant; girths
-are searched on the silhouette XOR at known poses, within bounds and with a prior, because views that are not spread
-trade the torso's width against its depth.
+A tracker is as good as its body. Lengths come from medians over the clip, so they are constant; girths, and the sizes
+that no key point shows, come from outlines (`hypose.pipeline.subject_from_motion.with_outlines`).
 Source: Alcoverro 2014, section 2.3 (entities, grouped symmetrically); the fitting from key points is an addition.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,8 +16,6 @@ from hypose.body.body import Body, Shape, deform
 from hypose.errors import EvidenceError
 from hypose.fitting.articulated import PointTerm, SolveSettings, fit_pose
 from hypose.geometry import Array
-from hypose.tracking.costs import xor_energy
-from hypose.tracking.frame_evidence import PreparedFrame
 from hypose.tracking.keypoint_evidence import KeypointModel, keypoint_model
 from hypose.tracking.keypoint_offsets import leg_weights, offset_limits
 from hypose.tracking.refinement import anatomical_prior
@@ -32,21 +28,6 @@ PAIRED = {
     "shank": ("knee", "ankle"),
 }
 TRUNK = ("pelvis", "spine", "chest")
-
-# groups of girth factors that vary together: (joint, model axis or None for all three)
-GIRTHS: dict[str, tuple[tuple[str, int | None], ...]] = {
-    "torso width": tuple((j, 0) for j in TRUNK),
-    "torso depth": tuple((j, 1) for j in TRUNK),
-    "upper arms": (("left_shoulder", None), ("right_shoulder", None)),
-    "forearms": (("left_elbow", None), ("right_elbow", None)),
-    "thighs": (("left_hip", None), ("right_hip", None)),
-    "shanks": (("left_knee", None), ("right_knee", None)),
-    "hands": (("left_wrist", None), ("right_wrist", None)),
-    "feet": (("left_ankle", None), ("right_ankle", None)),
-    "head": (("head", None),),
-    "neck": (("neck", None),),
-}
-
 
 ACROSS, _SD_OF_MAD, _SHORTEST = 2, 1.4826, 0.7
 """Directions across a bone; standard deviations in a median distance from the median; and the least share of a length
@@ -194,58 +175,3 @@ def _in_joint_frames(body: Body, points: Array, model: KeypointModel, poses: Arr
     r, p = rotations[:, model.joint], centres[:, model.joint]
     out[done] = np.einsum("tkba,tkb->tka", r, points[done] - p)
     return out
-
-
-def fit_girths(
-    body: Body,
-    poses: Array,
-    frames: Sequence[PreparedFrame],
-    *,
-    bounds: tuple[float, float] = (0.75, 1.35),
-    prior: float = 0.02,
-    rounds: int = 3,
-) -> tuple[Body, Shape, float, float]:
-    """Girths of the body from the silhouettes at known poses (F, D).
-
-    Coordinate search over symmetric groups; cost = mean XOR share + prior x mean squared log factor. Returns the body,
-    the shape, and the mean XOR share before and after.
-    """
-    light = replace(body, fine=body.coarse)  # the display mesh would only cost time in the search
-
-    def shape_of(factors: dict[str, float]) -> Shape:
-        girth: dict[str, list[float]] = {}
-        for group, members in GIRTHS.items():
-            for joint, axis in members:
-                row = girth.setdefault(joint, [1.0, 1.0, 1.0])
-                for k in range(3) if axis is None else (axis,):
-                    row[k] = factors[group]
-        return Shape(girth={j: (r[0], r[1], r[2]) for j, r in girth.items()})
-
-    def share(factors: dict[str, float]) -> float:
-        shaped = deform(light, shape_of(factors))
-        total = [
-            xor_energy(shaped, pose[None], f)[0] / max(int(f.masks.usable.sum()), 1)
-            for pose, f in zip(poses, frames, strict=True)
-            if f.masks is not None
-        ]
-        return float(np.mean(total))
-
-    def cost(factors: dict[str, float]) -> float:
-        return share(factors) + prior * float(np.mean(np.log(list(factors.values())) ** 2))
-
-    factors = dict.fromkeys(GIRTHS, 1.0)
-    light.coarse.arrays  # noqa: B018 - builds the edges once, before the copies
-    before, best, step = share(factors), cost(factors), 0.08
-    for _ in range(rounds):
-        for group in GIRTHS:
-            for sign in (1, -1):
-                while True:
-                    trial = dict(factors)
-                    trial[group] = float(np.clip(trial[group] * (1 + sign * step), *bounds))
-                    value = cost(trial)
-                    if value >= best - 1e-5:
-                        break
-                    factors, best = trial, value
-        step /= 2
-    shape = shape_of(factors)
-    return deform(body, shape), shape, before, share(factors)

@@ -9,9 +9,9 @@ from hypose.body.body import Shape, deform
 from hypose.errors import EvidenceError
 from hypose.evidence.keypoints import keypoint_names
 from hypose.geometry import so3_exp
-from hypose.tracking.frame_evidence import prepare
+from hypose.pipeline.subject_from_motion import with_outlines
 from hypose.tracking.keypoint_evidence import keypoint_model
-from hypose.tracking.subject import fit_girths, scaled_to_height, shape_from_keypoints, subject_from_keypoints
+from hypose.tracking.subject import KeypointSubject, scaled_to_height, shape_from_keypoints, subject_from_keypoints
 
 
 def test_height_scales_everything(body):
@@ -119,13 +119,46 @@ def test_missing_limb_is_named(body):
         subject_from_keypoints(body, points, names)
 
 
-def test_girths_recover_a_wider_body(body, standing, frame_of):
+@pytest.fixture(scope="module")
+def different(body, standing):
+    """Three poses: standing, an arm lifted, a step with bent elbows; turned."""
+    poses = np.repeat(standing[None], 3, 0)
+    d = body.skeleton.dofs_of
+    poses[1, d("left_shoulder")[1]] -= 0.6
+    poses[2, [d("left_hip")[0], d("right_elbow")[0], d("left_elbow")[0]]] -= 0.5
+    poses[:, 5] += [0.0, 0.8, 1.6]
+    return body.skeleton.clamp(poses)
+
+
+def _as_fitted(body, poses, residual):
+    names = keypoint_names("BODY_25")
+    return KeypointSubject(body, keypoint_model(body, names), poses, np.full((len(poses), len(names)), residual))
+
+
+def test_outlines_tell_the_girths_beside_the_bones(body, different, frame_of):
     wide = {j: 1.15 for j in ("left_hip", "right_hip", "left_knee", "right_knee")}
     true = deform(body, Shape(girth={**wide, **{j: (1.12, 1.12, 1.0) for j in ("pelvis", "spine", "chest")}}))
-    lifted = standing.copy()
-    lifted[body.skeleton.dofs_of("left_shoulder")[1]] -= 0.5
-    poses = np.stack([standing, lifted])
-    frames = [prepare(frame_of(true, p, i), body, p) for i, p in enumerate(poses)]
-    fitted, _, before, after = fit_girths(body, poses, frames)
-    assert after < 0.6 * before
+    frames = [frame_of(true, p, i) for i, p in enumerate(different)]
+    fitted, note = with_outlines(_as_fitted(body, different, 0.01), frames)
     assert fitted.coarse.volume == pytest.approx(true.coarse.volume, rel=0.06)
+    assert fitted.coarse.volume > 1.05 * body.coarse.volume
+    for segment, length in body.segment_lengths().items():
+        assert fitted.segment_lengths()[segment] == pytest.approx(length, rel=0.03), segment
+    assert "3 poses" in note
+
+
+def test_bones_are_believed_as_far_as_key_points_scatter(body, different, frame_of):
+    longer = {f"{side}_{joint}": 1.1 for side in ("left", "right") for joint in ("hip", "knee")}
+    wrong = deform(body, Shape(length=longer))
+    frames = [frame_of(body, p, i) for i, p in enumerate(different)]
+    off = {
+        residual: abs(with_outlines(_as_fitted(wrong, different, residual), frames)[0].stature - body.stature)
+        for residual in (0.005, 0.03)
+    }
+    assert off[0.03] < 0.3 * (wrong.stature - body.stature)
+    assert off[0.005] > 2 * off[0.03]
+
+
+def test_no_outlines_no_body(body, different, frame_of):
+    frames = [replace(frame_of(body, p, i), silhouettes=None) for i, p in enumerate(different)]
+    assert with_outlines(_as_fitted(body, different, 0.01), frames) is None
