@@ -29,20 +29,21 @@ from hypose.pipeline.track_loop import FrameList
 from hypose.synthetic.metrics import EVALUATED
 from hypose.tracking.doubt import (
     GROUPS,
+    TRUNK,
     WRONG_M,
     DepthDoubt,
-    clip_features,
     doubt_models,
-    group_of,
+    groups_of,
     probability,
 )
+from hypose.tracking.doubt_features import clip_features
 from hypose.tracking.fitted_spread import as_curved, kind_of
 
 TRAINED = range(100)
 """seeds that may be trained on; the benchmark reports others"""
 CASES = ("one", "two", "three")
 _FEW = 5
-_GROUP = np.array([group_of(n) for n in JOINT_NAMES])
+_GROUP = groups_of(JOINT_NAMES)
 DOUBT_ASSET = ASSET.with_name("depth_doubt.json")
 _LIKE = (("spine", "pelvis"), ("chest", "neck"), ("clavicle", "shoulder"))
 
@@ -73,7 +74,7 @@ def collect(folder: Path, case: str, seed: int, data: Path, seconds: float = 2.0
     m = as_curved(result.motion, "depth")
     assert m.angle_sd is not None and result.audit is not None and result.one_by_one is not None
     features = clip_features(m, result.body.joints(result.one_by_one), result.audit)
-    odds = doubt_models()["depth"].log_odds(features, _GROUP)
+    odds = doubt_models()["depth"].log_odds(features, JOINT_NAMES)
     off = angles_of(m) - true_angles(scene)[: len(m)]
     off = (off + np.pi) % (2 * np.pi) - np.pi
     away = scene.joints[: len(m)] - aligned(m, scene)
@@ -154,7 +155,7 @@ def fit_doubt(clips: Sequence[DepthClip]) -> DepthDoubt:
     """Level of each case and group, and slope of each group, by maximum likelihood; every case weighs the same. Of
     joints of the trunk, of which hardly one is ever wrong, what silhouettes say is left as it is."""
     level, slope = np.zeros((len(CASES), len(GROUPS))), np.ones(len(GROUPS))
-    for g in range(1, len(GROUPS)):
+    for g in range(TRUNK, len(GROUPS)):
         families = [_odds_and_wrong([c for c in clips if c.case == case], g) for case in CASES]
 
         def unlikely(v: Array, families: Sequence[tuple[Array, Array]] = families) -> float:
@@ -181,7 +182,7 @@ def told_and_true(clips: Sequence[DepthClip], fitted: DepthDoubt) -> dict[str, t
     of what silhouettes say as well, after what the fit says."""
     out = {}
     for row, case in enumerate(CASES):
-        for g in range(1, len(GROUPS)):
+        for g in range(TRUNK, len(GROUPS)):
             odds, wrong = _odds_and_wrong([c for c in clips if c.case == case], g)
             said = [wrong.mean()]
             for p in (probability(fitted.level[row, g] + fitted.slope[g] * odds), probability(odds)):

@@ -22,23 +22,23 @@ from hypose.body.ready_bodies import JOINT_NAMES
 from hypose.geometry import Array
 from hypose.synthetic.metrics import EVALUATED
 from hypose.tracking.doubt import (
-    FEATURES,
+    BY_ITSELF,
     GROUPS,
-    MOST_SD,
-    OF_CLIP,
     WRONG_M,
     DoubtModel,
-    clip_features,
     doubt_models,
     doubt_of_clip,
-    group_of,
+    groups_of,
     probability,
+    within_clip,
     worth_a_look,
 )
+from hypose.tracking.doubt_features import FEATURES, MOST_SD, OF_CLIP, clip_features
 
 ASSET = Path(__file__).parents[2] / "hypose" / "assets" / "doubt.json"
-_GROUP = np.array([group_of(JOINT_NAMES[j]) for j in EVALUATED])
-_ARMS = _GROUP == GROUPS.index("arms")
+_NAMES = tuple(JOINT_NAMES[j] for j in EVALUATED)
+_GROUP = groups_of(_NAMES)
+_ARMS = np.isin(_GROUP, [GROUPS.index("elbows"), GROUPS.index("wrists")])
 _NEGATIVE = ("exposed", "exposed_second", "points_agree")
 _POINTS = tuple(n for n in FEATURES if n.startswith("points"))
 _NEUTRAL = ("log_sd", "moved", "accel")
@@ -68,6 +68,7 @@ GOOD_FLAGGED = {
 }
 """Share of good joint-frames of trunk, arms and legs that may be flagged on seeds that were left out. Of key points
 half of the clips are spoilt, so that of good ones far fewer are."""
+_AS = (0, 0, 0, 1, 1, 2, 2)  # trunk, arms or legs by the group
 LEAST_P = {"silhouettes": 0.1, "keypoints": 0.08, "both": 0.04}
 """What is less likely wrong than that is not doubtful, however few are flagged; of both, joints are wrong a tenth as
 often as from silhouettes."""
@@ -162,7 +163,7 @@ def fit(rows: Rows, evidence: str, known: DoubtModel | None = None) -> DoubtMode
     threshold = [
         max(
             LEAST_P[evidence],
-            float(np.quantile(p[:, g == _GROUP][good[:, g == _GROUP]], 1 - GOOD_FLAGGED[evidence][g])),
+            float(np.quantile(p[:, g == _GROUP][good[:, g == _GROUP]], 1 - GOOD_FLAGGED[evidence][_AS[g]])),
         )
         for g in range(len(GROUPS))
     ]
@@ -189,36 +190,39 @@ def _weights(rows: Rows, evidence: str, known: DoubtModel | None) -> DoubtModel:
             offset[g] += slope * known.offset[g]
             continue
         weights[g], offset[g] = _logistic(z, y, counts, on)
-    alone = np.tile([0.0, 1.0, 0.0], (len(GROUPS), 1))
+    alone = np.tile(BY_ITSELF, (len(GROUPS), 1))
     model = DoubtModel(middle, scale, weights, offset, alone, np.full(len(GROUPS), LEAST_P[evidence]))
     return replace(model, in_clip=in_clip(model, rows)) if evidence == "silhouettes" and not few else model
 
 
 def said(model: DoubtModel, rows: Rows) -> Array:
     """(N, J) P of joints in their clips."""
-    odds = model.of_joints(rows.x, _GROUP)
-    return probability(model.within(odds, _GROUP, _doubt_of_clips(odds, rows.clip)))
+    odds = model.of_joints(rows.x, _NAMES)
+    return probability(model.within(odds, _NAMES, _doubt_of_clips(odds, rows.clip)))
 
 
 def _doubt_of_clips(odds: Array, clip: NDArray[np.int64]) -> Array:
     """(N,) of the clip that each row is of."""
     begin = np.flatnonzero(np.r_[True, np.diff(clip) != 0])  # rows of a clip follow each other
-    found = [doubt_of_clip(o, _GROUP) for o in np.split(odds, begin[1:])]
+    found = [doubt_of_clip(o, _NAMES) for o in np.split(odds, begin[1:])]
     return np.repeat(found, np.diff(np.r_[begin, len(clip)]))
 
 
 def in_clip(model: DoubtModel, rows: Rows) -> Array:
-    """(G, 3) `DoubtModel.in_clip`, by likelihood of whole clips that all weigh the same: a slope that falls where a
-    clip is doubtful as a whole. From masks alone: with key points motions left out are told worse by it."""
+    """(G, 6) `DoubtModel.in_clip`, by likelihood of whole clips that all weigh the same: a slope that falls where a
+    clip is doubtful as a whole, and neighbours, which make a joint no likelier right than they are."""
     rows = rows.take(rows.whole)
-    odds = model.of_joints(rows.x, _GROUP)
-    clip = _doubt_of_clips(odds, rows.clip)[:, None] * np.ones(len(_GROUP))
-    out = np.zeros((len(GROUPS), 3))
+    odds = model.of_joints(rows.x, _NAMES)
+    told, wrong = within_clip(odds, _NAMES, _doubt_of_clips(odds, rows.clip)), rows.error > WRONG_M
+    out = np.zeros((len(GROUPS), told.shape[-1]))
     for g in range(len(GROUPS)):
-        o, y = odds[:, g == _GROUP].ravel(), rows.error[:, g == _GROUP].ravel() > WRONG_M
-        a = np.stack([np.ones(len(o)), o, o * clip[:, g == _GROUP].ravel()], 1)
-        out[g] = _held(a, y.astype(float), np.ones(len(o)), [(-9, 9), (0.2, 2), (-0.5, 0)], np.array([0.0, 1.0, 0.0]))
+        a, y = (x[:, g == _GROUP].reshape(-1, *x.shape[2:]).astype(float) for x in (told, wrong))
+        out[g] = _held(a, y, np.ones(len(y)), _IN_CLIP, np.array(BY_ITSELF))
     return out
+
+
+_IN_CLIP = [(-9.0, 9.0), (-9.0, 9.0), (0.1, 2.0), (-0.5, 0.0), (0.0, 2.0), (-0.3, 0.3)]
+"""Bounds of `DoubtModel.in_clip`."""
 
 
 def _wholly_wrong(rows: Rows) -> NDArray[np.bool_]:

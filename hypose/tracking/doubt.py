@@ -15,193 +15,64 @@ from importlib.resources import files
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from hypose.body.joint_angles import ANGLE_NAMES
 from hypose.body.motion import Motion
 from hypose.geometry import Array
-from hypose.tracking.audit import AUDITED, more_than_body, views_apart
+from hypose.tracking.audit import AUDITED
+from hypose.tracking.doubt_features import AROUND_S, FEATURES, MOST_SD, clip_features, mean_nearby, seconds_away
 from hypose.tracking.exchanged_sides import legs_crossed
 from hypose.tracking.fitted_spread import beyond_usual, with_fitted_joints
-from hypose.tracking.pose_covariance import joint_group
 
 WRONG_M = 0.1
-AROUND_S = 0.25
-"""s before and after that a joint is judged by as well: what is wrong lasts"""
-_HIDDEN_S = 1.0
-_CLEAR = 0.05
-"""IoU by which the body turned around, or with its legs exchanged, is worse where there is no doubt about it"""
-_SLOW, _USUAL_PACE = 0.05, 0.35
-"""m/s about the pelvis: what is slower is at rest; the pace of limbs of which one frame alone is known"""
-_USUAL_LOOSE_M = 0.01  # of arms that were not looked at
-_LITTLE = 3e-4  # m^2 of bare mask
-_OF_BODIES_M2 = 0.0022  # m^2 of it about a joint in a view, median over a clip, that bodies alone in usual masks have
-_SEEN = 0.25  # share of a part that is exposed in two views at least
-OF_CLIP = ("cost", "outside_body", "bare_body", "log_sd", "loose", "outside", "bare_second", "rival")
-"""Features whose mean over a clip tells what kind of clip it is: the same patch of bare mask tells much in one that
-fits well, and little where somebody wears a coat."""
-FEATURES = (
-    *(
-        "log_sd",
-        "sd_around",
-        "moved",
-        "accel",
-        "still",
-        "bare",
-        "bare_more",
-        "bare_second",
-        "bare_beside",
-        "bare_reach",
-        "bare_body",
-    ),
-    *("exposed", "exposed_second", "hidden", "outside", "outside_body", "rival", "rival_around", "cost", "cost_more"),
-    *("elsewhere", "elsewhere_by", "loose", "exchanged"),
-    *("points", "points_worst", "points_around", "points_few", "points_unseen", "points_all"),
-    *("points_agree", "points_against", "points_contested", "points_renamed", "apart", "more_mask"),
-    *(f"{n}_of_clip" for n in OF_CLIP),
+GROUPS = ("head", "shoulders", "hips", "elbows", "wrists", "knees", "ankles")
+TRUNK = 3
+"""Joints that are judged by the same weights; so many of the groups are of the trunk, whose joints are seldom wrong."""
+_PARTS = (
+    *(("neck", "head"), ("shoulder", "clavicle", "chest"), ("hip", "pelvis", "spine")),
+    *(("elbow",), ("wrist",), ("knee",), ("ankle",)),
 )
-"""What a joint is judged by, see `clip_features`."""
-MOST_SD = np.array([2.0 if n.endswith("_of_clip") else 6.0 for n in FEATURES])
-"""(F,) sd from where on a feature speaks no more for a joint. What kind of clip it is tells how much the rest says:
-that somebody fits badly all the time must not make a plainly wrong arm a good one."""
-GROUPS = ("trunk", "arms", "legs")
+_NEXT: dict[str, tuple[str, ...]] = {
+    "pelvis": ("left_hip", "right_hip"),
+    "spine": ("pelvis",),
+    "chest": ("neck",),
+    "neck": ("head", "left_shoulder", "right_shoulder"),
+    "head": ("neck",),
+    "clavicle": ("shoulder",),
+    "shoulder": ("neck", "elbow"),
+    "elbow": ("shoulder", "wrist"),
+    "wrist": ("elbow",),
+    "hip": ("pelvis", "knee"),
+    "knee": ("hip", "ankle"),
+    "ankle": ("knee",),
+}
+"""Joints beside a joint, by their names, or those of the same side."""
 
 
-def group_of(name: str) -> int:
-    """Index in GROUPS of a joint by its name."""
-    return {"arms": 1, "legs": 2}.get(joint_group(name), 0)
+@cache
+def groups_of(names: tuple[str, ...]) -> NDArray[np.int64]:
+    """(J,) indices in GROUPS of joints by their names."""
+    parts = [name.rpartition("_")[2] for name in names]
+    return np.array([next(g for g, own in enumerate(_PARTS) if part in own) for part in parts])
 
 
-def clip_features(motion: Motion, raw_joints: Array, audit: ArrayLike) -> Array:
-    """(T, J, len(FEATURES)) of a motion whose frames were tracked as raw_joints (T, J, 3) m and audited (T, J, A).
-
-    log_sd: of the joint's sd; sd_around: its mean nearby in time; moved: largest distance of the frame's own joint from
-    the clip's, nearby in time; accel: the largest of its accelerations nearby; still: how slowly it moves about the
-    pelvis, since all frames of a limb at rest err alike and make each other too sure; bare*: of mask without body, near
-    the joint, beyond what is usual in the clip, in the second-barest view, there beside what is usual of all joints of
-    the clip (masks of one camera are worse than another's), in the limb's reach, over the whole body; exposed*: how
-    much of its part nothing else covers, smoothed; hidden: s from when it was last seen, or to the next time; outside*:
-    of the joint's part and of the body outside the masks; rival*: what else was believed; elsewhere*, loose: how far an
-    arm may be elsewhere for all that the masks show; cost*: 1 - IoU, and beyond the usual; points*: distance of its key
-    points and of the frame's, how few views have it, and for how long, how many agree or do not, and how far those that
-    do not outweigh those that do: one against one tells nothing, two against one does, and which share of the views
-    calls its limb by the other side's name; apart: by how much the views contradict each other in this clip; more_mask:
-    log of how many times more its masks show beside the body than of a body alone: limbs may have been put into it;
-    *_of_clip: mean over all joints, and the frames in which the person was found."""
-    a = {n: np.asarray(audit, dtype=np.float64)[..., k] for k, n in enumerate(AUDITED)}
-    masks, points = np.isfinite(a["bare"]), np.isfinite(a["points_all"])
-    known = np.isfinite(a["exchanged"]).any()
-    a |= {n: _carried(a[n]) for n in ("elsewhere", "elsewhere_by", "loose", "exchanged")}
-    a["loose"] = np.where(np.isnan(a["loose"]), _USUAL_LOOSE_M, a["loose"])
-    a = {n: np.nan_to_num(v) for n, v in a.items()}
-    rate, count = motion.frame_rate, motion.joints.shape[:2]
-    around = 2 * max(1, round(AROUND_S * rate)) + 1
-    moved = np.linalg.norm(raw_joints - motion.joints, axis=-1)
-    accel = np.zeros(count)
-    if len(motion) > 2:
-        accel[1:-1] = np.linalg.norm(np.diff(raw_joints, 2, axis=0), axis=-1) * rate**2
-    log_sd = np.log(np.clip(np.nan_to_num(motion.joint_sd, nan=1.0), 0.001, 1.0))
-    cost = np.nan_to_num(motion.cost)[:, None] * np.ones(count)
-    seen = np.where(masks, a["exposed_second"] > _SEEN, False)
-    two = a["points_views"] >= 2
-    second = _mean(a["bare_second"], around)
-    found = {
-        "log_sd": log_sd,
-        "sd_around": np.asarray(uniform_filter1d(log_sd, around, axis=0, mode="nearest")),
-        "moved": np.sqrt(_highest(moved, around)),
-        "accel": np.log1p(_highest(accel, around)),
-        "still": -np.log(np.maximum(_pace(motion.joints, rate, around), _SLOW)),
-        "bare": np.sqrt(a["bare"]),
-        "bare_more": np.sqrt(_beyond(a["bare"])),
-        "bare_second": np.sqrt(second),
-        "bare_beside": np.log((second + _LITTLE) / (np.median(a["bare_second"].mean(1)) + _LITTLE)),
-        "bare_reach": np.sqrt(a["bare_reach"]),
-        "bare_body": np.sqrt(a["bare"].mean(1, keepdims=True)) * np.ones(count),
-        "exposed": _mean(a["exposed"], around),
-        "exposed_second": _mean(a["exposed_second"], around),
-        "hidden": _away(seen, rate) * masks,
-        "outside": np.sqrt(a["outside"]),
-        "outside_body": np.sqrt(a["outside"].mean(1, keepdims=True)) * np.ones(count),
-        "rival": a["rival"],
-        "rival_around": _mean(a["rival"], around),
-        "cost": cost,
-        "cost_more": _beyond(cost),
-        "elsewhere": np.sqrt(_mean(a["elsewhere"], around)),
-        "elsewhere_by": _mean(a["elsewhere_by"], around),
-        "loose": _mean(a["loose"], around),
-        "exchanged": np.where(known, np.maximum(a["exchanged"] + _CLEAR, 0.0) / _CLEAR, 0.0),
-        "points": np.log(0.005 + a["points_median"]) * points,
-        "points_worst": np.log(0.005 + a["points_worst"]) * points,
-        "points_around": np.log(0.005 + _highest(a["points_median"], around)) * points,
-        "points_few": (1 - np.minimum(a["points_views"], 3) / 3) * points,
-        "points_unseen": _away(two, rate) * points,
-        "points_all": np.log(0.005 + a["points_all"]) * points,
-        "points_agree": np.minimum(_mean(a["points_agree"], around), 3) * points,
-        "points_against": np.sqrt(_mean(a["points_against"], around)) * points,
-        "points_contested": _mean(
-            a["points_against"] / np.maximum(a["points_agree"] ** 2 + a["points_against"], 1.0), around
-        )
-        * points,
-        "points_renamed": _mean(a["renamed"], around)
-        / np.maximum(_mean(a["renamed"] + a["named"], around), 0.5)
-        * points,
-        "apart": np.full(count, np.sqrt(views_apart(audit))),
-        "more_mask": np.full(count, np.log(max(more_than_body(audit, motion.n_views) / _OF_BODIES_M2, 1.0))),
-    }
-    there = ~motion.lost if not motion.lost.all() else motion.lost
-    found |= {f"{n}_of_clip": np.full(count, found[n][there].mean()) for n in OF_CLIP}
-    return np.stack([found[n] for n in FEATURES], -1)
-
-
-def _highest(values: Array, size: int) -> Array:
-    return np.asarray(maximum_filter1d(values, size, axis=0, mode="nearest"))
-
-
-def _mean(values: Array, size: int) -> Array:
-    return np.maximum(uniform_filter1d(values, size, axis=0, mode="nearest"), 0.0)
-
-
-def _pace(joints: Array, rate: float, size: int) -> Array:
-    """(T, J) m/s about the pelvis, mean over so many frames; _USUAL_PACE of a single frame."""
-    about = joints - joints[:, :1]
-    if len(about) < 2:
-        return np.full(about.shape[:2], _USUAL_PACE)
-    return _mean(np.linalg.norm(np.gradient(about, axis=0), axis=-1) * rate, size)
-
-
-def _beyond(values: Array) -> Array:
-    """Above the lower quartile over the clip."""
-    return np.maximum(values - np.percentile(values, 25, axis=0), 0.0)
-
-
-def _carried(values: Array) -> Array:
-    """(T, J) with each joint's unknown frames filled from the nearest known one before and after, in equal shares by
-    distance; NaN where nothing is known."""
-    out = values.copy()
-    for j in range(values.shape[1]):
-        at = np.flatnonzero(np.isfinite(values[:, j]))
-        if 0 < len(at) < len(values):
-            out[:, j] = np.interp(np.arange(len(values)), at, values[at, j])
+@cache
+def _beside(names: tuple[str, ...]) -> Array:
+    """(J, J) what each joint's neighbours count in their mean."""
+    out = np.zeros((len(names), len(names)))
+    for j, name in enumerate(names):
+        side, _, part = name.rpartition("_")
+        near = [names.index(n) for p in _NEXT[part] for n in (p, f"{side}_{p}") if n in names]
+        out[j, near] = 1 / max(len(near), 1)
     return out
-
-
-def _away(seen: NDArray[np.bool_], rate: float) -> Array:
-    """s to the nearest frame in which a joint is seen, at most _HIDDEN_S."""
-    most = _HIDDEN_S * rate
-    out = np.full(seen.shape, most)
-    for order in (range(len(seen)), range(len(seen) - 1, -1, -1)):
-        gap = np.full(seen.shape[1], most)
-        for t in order:
-            gap = np.where(seen[t], 0.0, np.minimum(gap + 1, most))
-            out[t] = np.minimum(out[t], gap)
-    return out / rate
 
 
 @dataclass(frozen=True)
 class DoubtModel:
     """Of one kind of evidence. middle, scale (F,) of the features; weights (G, F), offset (G,): log-odds of a group's
-    joint by itself; in_clip (G, 3): what is added to them, their slope, and how it changes with `doubt_of_clip`;
-    threshold (G,): from which probability on a joint is doubtful."""
+    joint by itself; in_clip (G, 6): what those in the clip are made of, a constant and `doubt_of_clip`, the joint's own
+    and how they change with that, the mean of its neighbours' and how they change; threshold (G,): from which
+    probability on a joint is doubtful. Joints (J,) are given by their names."""
 
     middle: Array
     scale: Array
@@ -210,32 +81,43 @@ class DoubtModel:
     in_clip: Array
     threshold: Array
 
-    def of_joints(self, features: Array, groups: NDArray[np.int64]) -> Array:
-        """(T, J) log-odds of joints by themselves, from features (T, J, F) of joints in groups (J,)."""
-        z = np.clip((features - self.middle) / self.scale, -6.0, 6.0)
+    def of_joints(self, features: Array, names: tuple[str, ...]) -> Array:
+        """(T, J) log-odds of joints by themselves, from features (T, J, F)."""
+        z, groups = np.clip((features - self.middle) / self.scale, -6.0, 6.0), groups_of(names)
         weights = self.weights[groups]
         return np.maximum(z * weights, -MOST_SD * np.abs(weights)).sum(-1) + self.offset[groups]
 
-    def within(self, odds: Array, groups: NDArray[np.int64], clip: ArrayLike) -> Array:
+    def within(self, odds: Array, names: tuple[str, ...], clip: ArrayLike) -> Array:
         """(T, J) those of joints in their clip, from `of_joints` and the clip's doubt, one number or (T,)."""
-        more, slope, change = self.in_clip[groups].T
-        return more + odds * (slope + change * np.asarray(clip)[..., None])
+        return (within_clip(odds, names, clip) * self.in_clip[groups_of(names)]).sum(-1)
 
-    def log_odds(self, features: Array, groups: NDArray[np.int64]) -> Array:
-        """(T, J) of features (T, J, F) of joints in groups (J,) of one clip."""
-        odds = self.of_joints(features, groups)
-        return self.within(odds, groups, doubt_of_clip(odds, groups))
+    def log_odds(self, features: Array, names: tuple[str, ...]) -> Array:
+        """(T, J) of features (T, J, F) of joints of one clip."""
+        odds = self.of_joints(features, names)
+        return self.within(odds, names, doubt_of_clip(odds, names))
+
+
+BY_ITSELF = (0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+"""`DoubtModel.in_clip` of joints that are judged by themselves."""
+_SUREST = 9.0  # log-odds of a neighbour
+
+
+def within_clip(odds: Array, names: tuple[str, ...], clip: ArrayLike) -> Array:
+    """(T, J, 6) what `DoubtModel.in_clip` weighs, from log-odds (T, J) of joints by themselves and the clip's doubt."""
+    doubt = np.broadcast_to(np.asarray(clip)[..., None], odds.shape)
+    near = np.clip(odds, -_SUREST, _SUREST) @ _beside(names).T
+    return np.stack([np.ones(odds.shape), doubt, odds, odds * doubt, near, near * doubt], -1)
 
 
 CALM_P = 0.06
 """Mean probability over a clip up to which its joints are judged by themselves."""
 
 
-def doubt_of_clip(odds: Array, groups: NDArray[np.int64]) -> float:
+def doubt_of_clip(odds: Array, names: tuple[str, ...]) -> float:
     """Log of how many times CALM_P the mean probability of a clip is, 0 at least, from its joints' log-odds (T, J): the
     mean of the means over the groups that there are. Where the body as a whole is wrong, joints are right by chance,
     and what speaks for or against one of them is worth less."""
-    p = probability(odds)
+    p, groups = probability(odds), groups_of(names)
     return float(np.log(max(np.mean([p[:, groups == g].mean() for g in np.unique(groups)]) / CALM_P, 1.0)))
 
 
@@ -268,10 +150,9 @@ def judged(
     what the evidence was, where the audit does not tell (depth is one). With key points nothing is surer than its
     covariance says. Of frames in which the person was lost nothing is believed: 0.5 at least, and doubtful."""
     names = motion.skeleton.joint_names
-    groups = np.array([group_of(n) for n in names])
-    evidence = evidence_of(audit)
+    groups, evidence = groups_of(names), evidence_of(audit)
     model = doubt_models()[known if known == "depth" else evidence]
-    odds = model.log_odds(clip_features(motion, raw_joints, audit), groups)
+    odds = model.log_odds(clip_features(motion, raw_joints, audit), names)
     threshold = model.threshold[groups]
     if known == "depth":
         odds = depth_doubt().log_odds(odds, groups, motion.n_views)
@@ -392,7 +273,7 @@ def _by_few_views(motion: Motion, audit: ArrayLike) -> Array:
     trunk = np.median(views[:, [n.endswith(("hip", "shoulder")) for n in names]], axis=1)
     out = np.zeros(views.shape)
     for most, how, where in ((1, ONE_VIEW, True), (2, TWO_VIEWS, trunk[:, None] >= _MANY_VIEWS)):
-        alone = (views > 0) & where & (_away(views > most, motion.frame_rate) > AROUND_S)
+        alone = (views > 0) & where & (seconds_away(views > most, motion.frame_rate) > AROUND_S)
         out = np.maximum(out, alone * np.array([how.get(n.partition("_")[2], 0.0) for n in names]))
     return out
 
@@ -411,7 +292,7 @@ def _by_twisted_trunk(motion: Motion) -> Array:
     if motion.poses is None or "spine_rz" not in s.dof_names:
         return np.zeros((len(motion), len(limbs)))
     twisted = np.abs(motion.poses[:, s.dof_names.index("spine_rz")]) >= TWISTED_RAD
-    near = _away(twisted[:, None], motion.frame_rate) <= AROUND_S
+    near = seconds_away(twisted[:, None], motion.frame_rate) <= AROUND_S
     return np.where(near & limbs, TWISTED_P, 0.0)
 
 
@@ -428,7 +309,7 @@ def _by_crossed_legs(motion: Motion) -> Array:
     share = np.clip((crossed - CROSSED_M[0]) / (CROSSED_M[1] - CROSSED_M[0]), 0.0, 1.0)
     around = 2 * max(1, round(AROUND_S * motion.frame_rate)) + 1
     below = [n.endswith(("knee", "ankle")) for n in motion.skeleton.joint_names]
-    return CROSSED_P * _mean(share[:, None], around) * np.array(below)
+    return CROSSED_P * mean_nearby(share[:, None], around) * np.array(below)
 
 
 ELSEWHERE_M, ELSEWHERE_RAD = 0.2, 0.5

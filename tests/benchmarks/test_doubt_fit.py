@@ -8,7 +8,12 @@ import pytest
 from benchmarks.multiview.doubt_fit import Rows, auroc, ece, in_clip, said
 from benchmarks.multiview.spread_fit import UNSEEN, covered, fit_angle, fit_joint, level_error, pelvis_floor, squares
 from hypose.synthetic.metrics import EVALUATED
-from hypose.tracking.doubt import FEATURES, GROUPS, DoubtModel
+from hypose.tracking.doubt import (
+    BY_ITSELF,
+    GROUPS,
+    DoubtModel,
+)
+from hypose.tracking.doubt_features import FEATURES
 from tests.tailed import tailed
 
 
@@ -38,12 +43,12 @@ def test_what_joints_are_worth_in_a_doubtful_clip_is_found():
     yes = np.ones(len(x), bool)
     rows = Rows(x, np.where(wrong, 0.2, 0.0), np.full(len(x), "walk"), clip, clip, yes, yes)
     weights, shape = np.eye(len(FEATURES))[[0] * len(GROUPS)], (len(GROUPS), len(FEATURES))
-    alone = np.tile([0.0, 1.0, 0.0], (len(GROUPS), 1))
+    alone = np.tile(BY_ITSELF, (len(GROUPS), 1))
     model = DoubtModel(
         np.zeros(shape[1]), np.ones(shape[1]), weights, np.zeros(shape[0]), alone, np.full(shape[0], 0.1)
     )
     found = replace(model, in_clip=in_clip(model, rows))
-    assert found.in_clip[:, 2].max() < -0.1  # the slope falls
+    assert found.in_clip[:, 3].max() < -0.1  # the slope falls
     before, now = (said(m, rows) for m in (model, found))
     assert ece(before[bad], wrong[bad]) > 0.1 and ece(now[bad], wrong[bad]) < 0.03
     assert ece(now[~bad], wrong[~bad]) < 0.03

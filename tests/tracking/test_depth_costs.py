@@ -71,10 +71,10 @@ def test_the_same_pose_is_looked_at_once(frame, monkeypatch):
 
 
 def test_before_one_sensor_the_same_signs_make_arms_more_doubtful_than_before_two():
-    fitted, arms = depth_doubt(), GROUPS.index("arms")
+    fitted, arms = depth_doubt(), GROUPS.index("wrists")
     odds, groups = np.full((3, 1), -4.0), np.array([arms])
     told = fitted.log_odds(odds, groups, [1, 2, 5])
     assert told.shape == (3, 1) and told[0] > told[1]
     assert (fitted.log_odds(odds + 1, groups, [1, 2, 5]) > told).all()
-    trunk = fitted.log_odds(odds, np.array([GROUPS.index("trunk")]), [1, 1, 1])
+    trunk = fitted.log_odds(odds, np.array([GROUPS.index("shoulders")]), [1, 1, 1])
     assert np.array_equal(trunk, odds)

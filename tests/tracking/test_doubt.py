@@ -10,21 +10,20 @@ from hypose.body.motion import Motion, isotropic
 from hypose.body.ready_bodies import human
 from hypose.tracking.audit import AUDITED
 from hypose.tracking.doubt import (
-    AROUND_S,
+    BY_ITSELF,
     CALM_P,
     ELSEWHERE_M,
-    FEATURES,
     GROUPS,
     as_mixture,
-    clip_features,
     doubt_models,
     doubt_of_clip,
     evidence_of,
-    group_of,
+    groups_of,
     judged,
     without_mixture,
     worth_a_look,
 )
+from hypose.tracking.doubt_features import AROUND_S, FEATURES, clip_features
 
 NAMES = human().skeleton.joint_names
 
@@ -145,20 +144,20 @@ def test_more_bare_mask_never_speaks_for_a_joint():
 
 
 def test_in_a_clip_that_is_doubtful_as_a_whole_joints_are_told_less_surely_in_the_same_order():
-    groups = np.array([group_of(n) for n in NAMES])
+    groups = groups_of(NAMES)
     sure = np.full((10, len(NAMES)), -6.0)
-    assert doubt_of_clip(sure, groups) == 0.0 and doubt_of_clip(sure[:1, :3], groups[:3]) == 0.0
-    assert doubt_of_clip(np.zeros((10, len(NAMES))), groups) == pytest.approx(np.log(0.5 / CALM_P))
-    sure[:, groups == GROUPS.index("arms")] = 40.0  # every group counts the same, however many its joints are
-    assert doubt_of_clip(sure, groups) == pytest.approx(np.log(1 / 3 / CALM_P), abs=0.02)
+    assert doubt_of_clip(sure, NAMES) == 0.0 and doubt_of_clip(sure[:1, :3], NAMES[:3]) == 0.0
+    assert doubt_of_clip(np.zeros((10, len(NAMES))), NAMES) == pytest.approx(np.log(0.5 / CALM_P))
+    sure[:, groups == GROUPS.index("wrists")] = 40.0  # every group counts the same, however many its joints are
+    assert doubt_of_clip(sure, NAMES) == pytest.approx(np.log(1 / 7 / CALM_P), abs=0.02)
     odds = np.linspace(-6, 6, 25)[:, None] * np.ones(len(NAMES))
     for evidence, model in doubt_models().items():
-        calm, wrong = (model.within(odds, groups, clip) for clip in (0.0, np.log(1 / CALM_P)))
+        calm, wrong = (model.within(odds, NAMES, clip) for clip in (0.0, np.log(1 / CALM_P)))
         assert (np.diff(calm, axis=0) > 0).all() and (np.diff(wrong, axis=0) > 0).all()
         if evidence == "silhouettes":
             assert (np.ptp(wrong, axis=0) < 0.5 * np.ptp(calm, axis=0)).all()
-        each = model.within(odds, groups, np.linspace(0, 1, 25))  # a clip's doubt for each row
-        assert np.allclose(each[-1], model.within(odds[-1:], groups, 1.0))
+        each = model.within(odds, NAMES, np.linspace(0, 1, 25))  # a clip's doubt for each row
+        assert np.allclose(each[-1], model.within(odds[-1:], NAMES, 1.0))
 
 
 def test_where_masks_show_more_than_the_body_arms_are_doubted():
@@ -169,7 +168,7 @@ def test_where_masks_show_more_than_the_body_arms_are_doubted():
         masks[..., bare], masks[..., second] = m2 * motion.n_views[:, None], m2
     assert (clip_features(motion, joints, alone)[..., more] == 0).all()
     assert np.allclose(clip_features(motion, joints, chair)[..., more], np.log(0.006 / 0.0022))
-    arms = np.array([GROUPS[group_of(n)] == "arms" for n in NAMES])
+    arms = np.isin(groups_of(NAMES), [GROUPS.index("elbows"), GROUPS.index("wrists")])
     before, now = (judged(motion, joints, a)[0] for a in (alone, chair))
     assert (now[:, arms] > 3 * before[:, arms]).all()
 
@@ -234,12 +233,23 @@ def test_who_is_lost_is_not_believed():
 
 
 def test_every_joint_belongs_to_a_group():
-    assert [GROUPS[group_of(n)] for n in ("left_wrist", "right_knee", "head", "left_hip")] == [
-        "arms",
-        "legs",
-        "trunk",
-        "trunk",
-    ]
+    names = ("left_wrist", "right_knee", "head", "left_hip", "spine", "right_clavicle")
+    assert [GROUPS[g] for g in groups_of(names)] == ["wrists", "knees", "head", "hips", "hips", "shoulders"]
+    assert set(groups_of(NAMES)) == set(range(len(GROUPS)))
+
+
+def test_a_joint_beside_wrong_ones_is_told_less_surely_right():
+    model = doubt_models()["silhouettes"]
+    odds = np.full((1, len(NAMES)), -4.0)
+    near = odds.copy()
+    near[0, [NAMES.index(f"right_{n}") for n in ("shoulder", "wrist")]] = 2.0
+    told, beside = (model.within(x, NAMES, 0.5)[0] for x in (odds, near))
+    elbow, other = NAMES.index("right_elbow"), NAMES.index("left_elbow")
+    assert beside[elbow] > told[elbow] + 0.5 and beside[other] == pytest.approx(told[other])
+    assert beside[NAMES.index("right_knee")] == told[NAMES.index("right_knee")]
+    # of what is asked of joints by themselves, neighbours change nothing
+    alone = replace(model, in_clip=np.tile(BY_ITSELF, (len(GROUPS), 1)))
+    assert np.array_equal(alone.within(near, NAMES, 0.5), near)
 
 
 def test_a_doubtful_joint_may_be_elsewhere_and_its_sd_says_so():
