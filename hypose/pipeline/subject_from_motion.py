@@ -28,7 +28,7 @@ from hypose.io.motions.bodies import load_body, save_body
 from hypose.pipeline.mend_sides import mend_sides
 from hypose.pipeline.start_choice import best_ways, follow
 from hypose.pipeline.subject_checks import check_borders, check_size, no_two_views
-from hypose.tracking.costs import silhouette_iou
+from hypose.tracking.costs import mean_overlap, silhouette_iou
 from hypose.tracking.frame_evidence import PreparedFrame, prepare
 from hypose.tracking.recipes import default
 from hypose.tracking.refinement import refine
@@ -276,21 +276,22 @@ def with_outlines(fitted: KeypointSubject, frames: Sequence[Frame]) -> tuple[Bod
     girths, clothes, and the sizes that no key point shows; and a sentence. None where no frame has usable masks."""
     solved = np.flatnonzero(np.isfinite(fitted.poses).all(1))
     looked_at = solved[np.unique(np.linspace(0, len(solved) - 1, min(_LOOKED_AT, len(solved))).astype(int))]
-    views = {
-        n: _prepared(frames[n], fitted.body, fitted.poses[n]) for n in looked_at if frames[n].silhouettes is not None
-    }
-    usable = [n for n, view in views.items() if view.masks is not None]
+    shown = [n for n in looked_at.tolist() if frames[n].silhouettes is not None]
+    views = {n: _prepared(frames[n], fitted.body, fitted.poses[n]) for n in shown}
+    found = {n: mean_overlap(fitted.body, fitted.poses[n], views[n]) for n in shown}
+    usable = [n for n in shown if found[n] > 0]
     if not usable:
         return None
-    poses = fitted.poses[usable]
-    overlap = np.nanmean(_ious(fitted.body, poses, [views[n] for n in usable]), 1)
+    poses, overlap = fitted.poses[usable], np.array([found[n] for n in usable])
     chosen = different_poses(fitted.body, poses, overlap, _POSES)
     seen = [usable[k] for k in chosen]
     known = Known(bones=float(np.clip(_BONES * float(np.nanmedian(fitted.residual)) ** 2, *_SURE_BONES)))
     contours, depths = contours_of(frames, seen), depths_of(frames, seen)
     fit = refine_shape(fitted.body, poses[chosen], contours, known=known, depths=depths)
-    after = np.nanmean(_ious(fit.body, fit.poses, [views[n] for n in seen]))
-    before = np.nanmean(overlap[chosen])
+    after = np.mean([mean_overlap(fit.body, q, views[n]) for q, n in zip(fit.poses, seen, strict=True)])
+    before = overlap[chosen].mean()
+    if after < before:  # the masks are not of this body
+        return fitted.body, f"girths of the template: outlines explain the masks no better (mean IoU {before:.3f})"
     return fit.body, f"girths from the silhouettes of {len(seen)} poses: mean IoU {before:.3f} -> {after:.3f}"
 
 

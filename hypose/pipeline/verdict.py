@@ -11,9 +11,7 @@ from numpy.typing import NDArray
 
 from hypose.body.motion import Motion
 from hypose.pipeline.doubts import in_words, runs
-from hypose.tracking.doubt import (
-    LOOK_P,
-)
+from hypose.tracking.doubt import LOOK_P
 from hypose.tracking.doubt_features import AROUND_S
 
 GOOD, LOOK, UNTRUSTED = "good", "look", "not to be trusted"

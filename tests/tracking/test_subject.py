@@ -162,3 +162,10 @@ def test_bones_are_believed_as_far_as_key_points_scatter(body, different, frame_
 def test_no_outlines_no_body(body, different, frame_of):
     frames = [replace(frame_of(body, p, i), silhouettes=None) for i, p in enumerate(different)]
     assert with_outlines(_as_fitted(body, different, 0.01), frames) is None
+
+
+def test_masks_of_somebody_else_change_no_body(body, different, frame_of):
+    elsewhere = different.copy()
+    elsewhere[:, :2] += 1.5
+    frames = [frame_of(body, p, i) for i, p in enumerate(elsewhere)]
+    assert with_outlines(_as_fitted(body, different, 0.01), frames) is None  # nothing overlaps
