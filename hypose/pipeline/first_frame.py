@@ -134,7 +134,7 @@ def _fitted_to_points(template: Body, seen: Sequence[Frame], options: SubjectOpt
         notes.append("the given height is not used: lengths come from the key points")
     if options.girths:
         shaped = with_outlines(fitted, seen)
-        body, note = shaped or (body, "girths of the template: no frame has a usable silhouette")
+        body, note = shaped or (body, "girths of the template: no frame has a usable silhouette of the person")
         notes.append(note)
     return body, fitted.poses, notes
 

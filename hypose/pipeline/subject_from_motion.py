@@ -265,6 +265,8 @@ def _ious(body: Body, poses: Array, frames: Sequence[PreparedFrame]) -> Array:
 
 _POSES, _LOOKED_AT = 8, 24
 """How many poses the outlines are fitted in, and among how many frames they are chosen"""
+_THE_PERSON = 0.3
+"""Mean IoU of the template's girths up to which masks are not of the person whose key points these are"""
 _BONES, _SURE_BONES = 50.0, (0.005, 0.05)
 """per m^2: by what share (1 sd) bones may differ from those that key points give, of the squared median distance of key
 points from the body fitted to them, for what scatter does to a length grows so; and between which shares. Chosen on
@@ -273,13 +275,14 @@ bodies from plain, detector-like and thinned out key points (combo, seeds 1248 t
 
 def with_outlines(fitted: KeypointSubject, frames: Sequence[Frame]) -> tuple[Body, str] | None:
     """The body of the key points of frames, with what the outlines of a few different poses tell beside its bones:
-    girths, clothes, and the sizes that no key point shows; and a sentence. None where no frame has usable masks."""
+    girths, clothes, and the sizes that no key point shows; and a sentence. None where no frame has masks of that
+    person."""
     solved = np.flatnonzero(np.isfinite(fitted.poses).all(1))
     looked_at = solved[np.unique(np.linspace(0, len(solved) - 1, min(_LOOKED_AT, len(solved))).astype(int))]
     shown = [n for n in looked_at.tolist() if frames[n].silhouettes is not None]
     views = {n: _prepared(frames[n], fitted.body, fitted.poses[n]) for n in shown}
     found = {n: mean_overlap(fitted.body, fitted.poses[n], views[n]) for n in shown}
-    usable = [n for n in shown if found[n] > 0]
+    usable = [n for n in shown if found[n] > _THE_PERSON]
     if not usable:
         return None
     poses, overlap = fitted.poses[usable], np.array([found[n] for n in usable])

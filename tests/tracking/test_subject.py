@@ -168,4 +168,4 @@ def test_masks_of_somebody_else_change_no_body(body, different, frame_of):
     elsewhere = different.copy()
     elsewhere[:, :2] += 1.5
     frames = [frame_of(body, p, i) for i, p in enumerate(elsewhere)]
-    assert with_outlines(_as_fitted(body, different, 0.01), frames) is None  # nothing overlaps
+    assert with_outlines(_as_fitted(body, different, 0.01), frames) is None
