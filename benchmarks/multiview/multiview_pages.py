@@ -126,8 +126,8 @@ _DOUBT = Page(
     with a wrong arm, and of good frames that are told as doubtful; calibration error; share of clips that do not end
     as good. Seeds that judge (1294 on: nothing was fitted or chosen on them), from silhouettes. Usual:
     the person alone, the right cameras, in time. Cameras that are not where or when they are said to be have a world of
-    their own: errors are what a rigid motion of the clip leaves. The JSON holds regions, the clip's solve, both against its parts,
-    verdicts.""",
+    their own: errors are what a rigid motion of the clip leaves. The JSON holds regions, the clip's solve, both against
+    its parts, verdicts.""",
     (
         Column("all", "auroc"),
         Column("arms", "auroc", "{}/arms"),
