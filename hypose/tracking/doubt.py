@@ -51,19 +51,19 @@ _NEXT: dict[str, tuple[str, ...]] = {
 
 @cache
 def groups_of(names: tuple[str, ...]) -> NDArray[np.int64]:
-    """(J,) indices in GROUPS of joints by their names."""
+    """(J,) indices in GROUPS of joints by their names; what is none of them is of the trunk."""
     parts = [name.rpartition("_")[2] for name in names]
-    return np.array([next(g for g, own in enumerate(_PARTS) if part in own) for part in parts])
+    return np.array([next((g for g, own in enumerate(_PARTS) if part in own), TRUNK - 1) for part in parts])
 
 
 @cache
 def _beside(names: tuple[str, ...]) -> Array:
-    """(J, J) what each joint's neighbours count in their mean."""
+    """(J, J) what each joint's neighbours count in their mean, of who has none the joint itself."""
     out = np.zeros((len(names), len(names)))
     for j, name in enumerate(names):
         side, _, part = name.rpartition("_")
-        near = [names.index(n) for p in _NEXT[part] for n in (p, f"{side}_{p}") if n in names]
-        out[j, near] = 1 / max(len(near), 1)
+        near = [names.index(n) for p in _NEXT.get(part, ()) for n in (p, f"{side}_{p}") if n in names] or [j]
+        out[j, near] = 1 / len(near)
     return out
 
 

@@ -236,6 +236,9 @@ def test_every_joint_belongs_to_a_group():
     names = ("left_wrist", "right_knee", "head", "left_hip", "spine", "right_clavicle")
     assert [GROUPS[g] for g in groups_of(names)] == ["wrists", "knees", "head", "hips", "hips", "shoulders"]
     assert set(groups_of(NAMES)) == set(range(len(GROUPS)))
+    assert [GROUPS[g] for g in groups_of(("tail",))] == ["hips"]
+    odds = doubt_models()["silhouettes"].within(np.full((1, 1), -4.0), ("tail",), 0.0)
+    assert odds.shape == (1, 1) and odds[0, 0] < 0
 
 
 def test_a_joint_beside_wrong_ones_is_told_less_surely_right():
