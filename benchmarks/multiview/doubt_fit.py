@@ -210,7 +210,8 @@ def _doubt_of_clips(odds: Array, clip: NDArray[np.int64]) -> Array:
 
 def in_clip(model: DoubtModel, rows: Rows) -> Array:
     """(G, 6) `DoubtModel.in_clip`, by likelihood of whole clips that all weigh the same: a slope that falls where a
-    clip is doubtful as a whole, and neighbours, which make a joint no likelier right than they are."""
+    clip is doubtful as a whole, and what the neighbours' say. From masks alone: with key points motions left out are
+    told worse by it."""
     rows = rows.take(rows.whole)
     odds = model.of_joints(rows.x, _NAMES)
     told, wrong = within_clip(odds, _NAMES, _doubt_of_clips(odds, rows.clip)), rows.error > WRONG_M
