@@ -23,7 +23,8 @@ from hypose.pipeline.live.eyes import Eyes, Question, Sight
 from hypose.pipeline.live.live_people import LivePeople
 from hypose.pipeline.live.live_person import LivePose
 from hypose.pipeline.live.live_search import LOOKING, LivePersonOptions
-from hypose.synthetic.scenes import Scene
+from hypose.synthetic.rigs import rig
+from hypose.synthetic.scenes import Scene, make_scene
 from hypose.synthetic.virtual_cameras import there_and_back
 
 HANG_S = 1500.0
@@ -136,6 +137,12 @@ class Clock:
             self._passes.notify_all()
 
 
+def slow_walk() -> Scene:
+    """3 s at 8 Hz by four cameras of 160 x 120 px, slow enough to be played forwards and backwards."""
+    cameras = rig("humaneva-4").scaled(0.25)
+    return make_scene("walk", "neutral", cameras, seconds=3.0, frame_rate=8.0, seed=1, speed=0.3)
+
+
 class Stage:
     """Cameras that show pictures of the empty room, and from `begin` (s) on a clip, over and over, forwards and
     backwards. gone: of a camera the span (s) in which it is unplugged."""
@@ -189,7 +196,8 @@ class StageCamera:
 
 class EyesInStep:
     """In place of `EyesProcess`: in this process, and half a picture's time passes with each answer, when all that was
-    begun is done: searches, and what the cameras are about to show. pause s: of the true clock, for what listens."""
+    begun is done: searches, and what the cameras are about to show. Then looking at it takes a millisecond. pause s: of
+    the true clock, for what listens."""
 
     def __init__(self, clock: Clock, searches: Sequence[Future[Any]], pause: float, *given: Any) -> None:
         self._clock, self._searches, self._pause = clock, searches, pause
@@ -205,6 +213,7 @@ class EyesInStep:
         while not self._stop.wait(self._pause) and not all(map(self._has_come, self._eyes._feeds)):
             time.sleep(0.001)
         sight = self._eyes.look(self._question, 0.0)
+        self._clock.advance(1e-3)
         self._eyes.keep_up()
         over = self._eyes.ended and not np.isfinite(sight.time)
         return None if over or self._stop.is_set() else sight

@@ -1,4 +1,4 @@
-"""Live, all of it: virtual cameras, an empty room, somebody who walks, and a camera that is unplugged meanwhile."""
+"""Live, all of it: virtual cameras, an empty room, a person who walks, and a camera that is unplugged meanwhile."""
 
 import multiprocessing
 
@@ -10,8 +10,7 @@ from hypose.pipeline.live.engine import EMPTY_ROOM, LiveEngine, LiveOptions
 from hypose.pipeline.live.eyes import EyesOptions, LiveView
 from hypose.pipeline.live.live_people import FOLLOWING
 from hypose.synthetic.rigs import rig
-from hypose.synthetic.scenes import make_scene
-from tests.live_scenes import Stage, in_step, until
+from tests.live_scenes import Stage, in_step, slow_walk, until
 
 RATE = 8.0
 AWAY_S = 3.0
@@ -31,10 +30,7 @@ class Kept:
 
 
 def test_cameras_in_and_poses_out_while_one_is_unplugged(monkeypatch):
-    # slowly: the clip is played forwards and backwards
-    scene = make_scene(
-        "walk", "neutral", rig("humaneva-4").scaled(0.25), seconds=3.0, frame_rate=RATE, seed=1, speed=0.3
-    )
+    scene = slow_walk()
     stage, kept, names = Stage(scene, RATE, 8), Kept(), scene.given_rig.names
     in_step(monkeypatch, stage)
     options = LiveOptions(EyesOptions(RATE, countdown=0.0), measure=False)
