@@ -26,9 +26,8 @@ from hypose.pipeline.live.live_search import LOOKING, LivePersonOptions
 from hypose.synthetic.rigs import rig
 from hypose.synthetic.scenes import Scene, make_scene
 from hypose.synthetic.virtual_cameras import there_and_back
+from tests.conftest import HANG_S
 
-HANG_S = 1500.0
-"""s after which a live test ends that waits for what never comes; no test is judged by it"""
 RATE = 25.0
 
 

@@ -18,14 +18,14 @@ from hypose.app.sweeps.sweep import read_sweep
 from hypose.io.calibrations.calibration_toml import write_calibration
 from hypose.io.sensors.skeleton_lines import format_line
 from scripts.api_page import api_page
-from tests.conftest import ROOT
+from tests.conftest import HANG_S, ROOT
 from tests.depth_sensors import reports
 
 PAGES = sorted([*ROOT.glob("docs/*.md"), ROOT / "README.md"])
 
 
 def run(path, *arguments):
-    done = subprocess.run([sys.executable, path, *arguments], capture_output=True, text=True, timeout=300)
+    done = subprocess.run([sys.executable, path, *arguments], capture_output=True, text=True, timeout=HANG_S)
     assert done.returncode == 0, done.stderr
     return done.stdout
 

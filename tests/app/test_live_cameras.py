@@ -18,8 +18,8 @@ from hypose.io.recordings.recording import load_recording
 from hypose.synthetic.rigs import rig
 from hypose.synthetic.scenes import make_scene
 from hypose.synthetic.write_recording import write_scene
-from tests.conftest import ROOT
-from tests.live_scenes import HANG_S, in_step
+from tests.conftest import HANG_S, ROOT
+from tests.live_scenes import in_step
 
 
 def said(result, *fragments):

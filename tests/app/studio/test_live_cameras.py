@@ -21,7 +21,8 @@ from hypose.pipeline.live.eyes import EyesOptions
 from hypose.synthetic.write_recording import write_scene
 from tests.app.studio.browser import WEB, go
 from tests.app.studio.conftest import serving
-from tests.live_scenes import HANG_S, Clock, Stage, in_step, slow_walk
+from tests.conftest import HANG_S
+from tests.live_scenes import Clock, Stage, in_step, slow_walk
 
 RATE = 8.0
 

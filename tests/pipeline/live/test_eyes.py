@@ -12,6 +12,7 @@ from hypose.evidence.background import from_frames
 from hypose.io.videos.camera_sources import Shot
 from hypose.pipeline.live.eyes import Eyes, EyesOptions, EyesProcess, LiveView, Question
 from hypose.synthetic.rigs import rig
+from tests.conftest import HANG_S
 
 RATE = 20.0
 
@@ -36,8 +37,8 @@ def room(camera):
     return from_frames([np.full((h, w, 3), 100 + n, np.uint8) for n in range(3)])
 
 
-def looked(eyes, met, seconds=30.0):
-    end = time.monotonic() + seconds
+def looked(eyes, met):
+    end = time.monotonic() + HANG_S
     while not met(sight := eyes.look(Question())):
         assert time.monotonic() < end, sight
     return sight

@@ -16,6 +16,7 @@ from hypose.pipeline.live.live_search import LOOKING, NOBODY, paced
 from hypose.pipeline.run import TrackOptions, tracker_of
 from hypose.tracking.exchanged_sides import turned_around
 from hypose.tracking.subject import scaled_to_height
+from tests.conftest import HANG_S
 from tests.live_scenes import RATE, at, follow, nobody, people_for
 
 
@@ -134,7 +135,7 @@ def test_a_known_body_is_followed_as_it_is(walk, frames, beside):
 
 def step_with_duels(people, frame):
     """A step, and what there is to do beside, so that nothing depends on how fast this computer is."""
-    stepped, end = people.step(frame), time.monotonic() + 60
+    stepped, end = people.step(frame), time.monotonic() + HANG_S
     if people._search._search is not None:
         people._search._search.result(60)
     duel = people.people[0]._duel if people.people else None
