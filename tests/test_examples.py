@@ -37,10 +37,12 @@ def example(name):
     return path, sum(bool(line.strip()) for line in code.splitlines())
 
 
+@pytest.mark.slow
 def test_own_masks():
     assert run(ROOT / "examples/python/own_masks.py").count("right wrist at") == 5
 
 
+@pytest.mark.slow
 def test_own_evidence_improves_a_scene():
     path, lines = example("own_evidence.py")
     without, with_it = (float(x) for x in re.findall(r"arms (\d+) mm", run(path)))
@@ -61,6 +63,7 @@ def test_bearings_only():
     assert len(off) == 90 and off[0] > 1000 > 250 > max(off[-10:]) and lines <= 30
 
 
+@pytest.mark.slow
 def test_live_fusion(tmp_path, rng):
     path, lines = example("live_fusion.py")
     told = reports(rng, 1.5, epochs={k: [(0.0, 0.0)] for k in range(3)})

@@ -53,10 +53,18 @@ def tracked(tiny, tmp_path_factory):
     return out
 
 
-@pytest.fixture
-def keypoint_recording(tmp_path):
-    """A recording of 1.2 s with key points, that a test may spoil."""
+@pytest.fixture(scope="session")
+def walk_by_points(tmp_path_factory):
+    """A recording of 1.2 s with key points; read only."""
     cameras = rig("humaneva-4", distorted=True).scaled(0.25)
-    scene = make_scene("walk", "neutral", cameras, seconds=1.2, seed=3)
-    write_scene(scene, tmp_path / "points", background_frames=10, keypoints=True)
-    return tmp_path / "points"
+    folder = tmp_path_factory.mktemp("points") / "points"
+    write_scene(
+        make_scene("walk", "neutral", cameras, seconds=1.2, seed=3), folder, background_frames=10, keypoints=True
+    )
+    return folder
+
+
+@pytest.fixture
+def keypoint_recording(walk_by_points, tmp_path):
+    """A copy of it that a test may spoil."""
+    return shutil.copytree(walk_by_points, tmp_path / "points")

@@ -142,6 +142,7 @@ def test_the_table_has_every_task_and_no_formula(study, tmp_path):
 # ---- running ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_task_is_stopped_in_order_and_goes_on(study, tmp_path):
     tasks, _ = plan(read_sweep(sweep_file(study, tmp_path, 'formats = ["trc"]')))
     task, stop = tasks[0], tmp_path / "stop"

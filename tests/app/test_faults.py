@@ -78,6 +78,7 @@ def test_a_damaged_mask_is_left_out(hypose, masks, tmp_path):
     assert load_motion(tmp_path / "motion.npz").n_views.tolist() == [4, 4, 4, 3, 4, 4]
 
 
+@pytest.mark.slow
 def test_masks_that_are_all_foreground_are_no_evidence(hypose, masks, tmp_path):
     import cv2
 

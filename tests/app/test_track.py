@@ -142,6 +142,7 @@ def test_resume_with_other_settings_is_refused(hypose, tiny, tmp_path, monkeypat
     assert "belongs to another run: seed" in err and "run again without --resume" in err
 
 
+@pytest.mark.slow
 def test_the_number_of_threads_does_not_change_the_bytes(hypose, tiny, tmp_path, monkeypatch):
     for count in ("1", "2"):
         monkeypatch.setenv("NUMBA_NUM_THREADS", count)

@@ -98,6 +98,7 @@ def test_given_lenses_are_kept(folder):
         calibrate_from_boards(find_sources([folder]), BOARD, CalibrateOptions(lenses=rig.select(["cam1", "cam2"])))
 
 
+@pytest.mark.slow
 def test_wrong_pattern_size_is_named(folder):
     wrong = Board("chessboard", 7, 6, 0.06)
     sources = [Source("cam2", folder / "cam2")]
@@ -145,6 +146,7 @@ def test_sources(folder, tmp_path):
         find_sources([tmp_path / "a.txt"])
 
 
+@pytest.mark.slow
 def test_real_floor_board(shared_data):
     """Four cameras, one lying board of 20 x 10 px per square, overexposed, the same turned by 180 degrees."""
     from benchmarks.cameras.board_accuracy import fit_of_poses

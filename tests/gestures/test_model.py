@@ -48,6 +48,7 @@ def taught():
     return one
 
 
+@pytest.mark.slow
 def test_growth_goes_on_bit_for_bit_after_loading(tmp_path):
     straight, halves = learner(), learner()
     first, second = toy_examples(40, 1), toy_examples(40, 2)

@@ -111,6 +111,7 @@ def test_nothing_is_installed_without_being_asked(tmp_path, monkeypatch, capsys)
     assert not (tmp_path / "cache").exists()
 
 
+@pytest.mark.slow
 def test_a_set_up_that_fails_leaves_nothing(tmp_path, monkeypatch):
     target = tmp_path / "cache" / "mediapipe"
     monkeypatch.setattr(environment, "environment_folder", lambda: target)

@@ -64,6 +64,7 @@ def root(tmp_path):
     return tmp_path / "root"
 
 
+@pytest.mark.slow
 def test_a_closed_page_loses_nothing_and_resuming_grows_the_same_forest(root, monkeypatch):
     with serving(root) as client:
         with client.socket("/ws/gesture") as socket:

@@ -66,6 +66,7 @@ def test_a_demo_says_where_its_result_will_be(folder):
     assert made.result == catalog.id_of("result", folder / "demo" / "results" / "default")
 
 
+@pytest.mark.slow
 def test_what_an_input_error_ends_is_not_to_be_gone_on_with(own_studio, folder):
     """The same input is the same error again; what was stopped, or has a checkpoint, goes on."""
     ask = {"kind": "track", "recording": recording_of(own_studio), "options": {"recipe": "no-such"}}

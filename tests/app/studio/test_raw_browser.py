@@ -23,6 +23,8 @@ SOME = 36
 """Frames of a real recording that are enough to find out by how many its key points are late, and to track."""
 BALANCING = Path(__file__).resolve().parents[4] / "shared" / "data" / "pose2sim_balancing"
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory):

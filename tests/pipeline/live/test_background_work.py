@@ -41,6 +41,7 @@ def kept_of(desync, seconds=6.0, seed=2):
     return [KeptMasks.of(f) for f in frames], frames[0].silhouettes.rig, scene.frame_rate
 
 
+@pytest.mark.slow
 def test_a_camera_that_is_late_is_found():
     kept, cameras, rate = kept_of((0, 0, 2, 0))
     found = offsets_of(kept, cameras, rate)
@@ -48,6 +49,7 @@ def test_a_camera_that_is_late_is_found():
     assert found - np.median(found) == pytest.approx([0, 0, 2 / rate, 0], abs=0.25 / rate)
 
 
+@pytest.mark.slow
 def test_cameras_that_are_in_step_have_no_offsets():
     assert offsets_of(*kept_of((0,))) is None
 

@@ -64,6 +64,7 @@ def test_who_comes_and_goes_again_is_not_searched_in_frames_that_have_nothing_to
     assert not beside.waiting
 
 
+@pytest.mark.slow
 def test_masks_that_are_nobody_are_searched_and_left(frames, beside):
     people = people_for(frames, beside)
 
