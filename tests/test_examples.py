@@ -50,6 +50,7 @@ def test_own_evidence_improves_a_scene():
     assert with_it < 24 and with_it < 0.5 * without and lines <= 40
 
 
+@pytest.mark.slow
 def test_own_recipe(tmp_path):
     path, lines = example("own_recipe.py")
     write_masks(small_scene(1, 3), tmp_path / "walk")

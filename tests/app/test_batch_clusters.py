@@ -75,6 +75,7 @@ def test_a_chunk_is_stopped_in_order(long, tmp_path):
     assert not Path(task.results).exists()
 
 
+@pytest.mark.slow
 def test_a_running_scheduler(long, tmp_path):
     from distributed import LocalCluster
 

@@ -80,6 +80,7 @@ def test_another_calibration_file_can_be_given(hypose, recording, tmp_path):
     assert code == 0, err
 
 
+@pytest.mark.slow
 def test_a_published_recipe_with_refinement(hypose, tiny, tmp_path):
     code, _, err = hypose("track", tiny, "--recipe", "hpf", "--refine", "--frames", "2:5", "--out", tmp_path, *LIGHT)
     assert code == 0, err
@@ -94,6 +95,7 @@ def test_export_writes_the_chosen_formats_again(hypose, tracked, tmp_path):
     assert str(tmp_path / "motion.bvh") in out
 
 
+@pytest.mark.slow
 def test_resume_after_ctrl_c_gives_the_same_bytes(hypose, tiny, tracked, tmp_path, monkeypatch):
     frame = 5
     arguments = ("track", tiny, "--out", tmp_path / "out", *LIGHT)
@@ -116,6 +118,7 @@ def test_ctrl_c_before_the_first_frame_keeps_nothing_and_says_so(hypose, tiny, t
     assert "nothing was kept" in out
 
 
+@pytest.mark.slow
 def test_ctrl_c_after_tracking_keeps_the_motion_and_resume_writes_the_rest(
     hypose, tiny, tracked, tmp_path, monkeypatch
 ):

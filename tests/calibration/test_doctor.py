@@ -47,6 +47,7 @@ def test_a_planted_fault_is_found_with_its_camera(walk, kind):
     assert found.cure and found.sentence.count("Next: ") == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["healthy", "extrinsics", "swapped"])
 def test_a_bystander_is_no_fault_and_hides_none(walk, kind):
     fault = with_bystander(walk if kind == "healthy" else planted(walk, kind, SEED), SEED)
@@ -56,6 +57,7 @@ def test_a_bystander_is_no_fault_and_hides_none(walk, kind):
     assert any(f.kind == "people" and not f.fault for f in findings)
 
 
+@pytest.mark.slow
 def test_key_points_of_something_else_accuse_no_camera_of_its_place(walk):
     o = walk.observed
     points = o.keypoints.copy()

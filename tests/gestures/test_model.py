@@ -142,6 +142,7 @@ def test_export_runs_alone(taught, tmp_path):
     assert model["gestures"] == ["disc"] and model["thresholds"] == [12.5]
 
 
+@pytest.mark.slow
 def test_offline_forests_learn_and_are_kept(tmp_path):
     rng = np.random.default_rng(5)
     examples = toy_examples(60, 1)

@@ -45,6 +45,7 @@ def test_nothing_is_said_of_cameras_that_stand_where_they_should():
     assert moved_sensors(source, BODY, poses, np.full(24, 0.9), RATE) == ((), ())
 
 
+@pytest.mark.slow
 def test_cameras_that_stand_where_they_should_are_looked_at_roughly_alone(monkeypatch):
     asked = []
     whole = module.refine_registration

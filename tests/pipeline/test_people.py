@@ -77,6 +77,7 @@ def test_two_people_who_pass_each_other_are_tracked_each_by_their_name(rig):
         assert p.present.all()
 
 
+@pytest.mark.slow
 def test_what_others_do_to_the_masks_is_no_doubt(rig):
     frames, _ = two_people(rig, 12, away=range(8, 12))
     run = both(frames)
@@ -98,6 +99,7 @@ def test_what_others_do_to_the_masks_is_no_doubt(rig):
     )  # what is known of a change stays, whoever looks again
 
 
+@pytest.mark.slow
 def test_a_view_that_shows_nobody_takes_nobody_away(rig):
     frames, truth = two_people(rig, 8)
     for f in frames:

@@ -112,6 +112,7 @@ def test_a_closed_page_loses_nothing_and_resuming_grows_the_same_forest(root, mo
         assert after.forest.arrays.seen.sum() > before.forest.arrays.seen.sum()
 
 
+@pytest.mark.slow
 def test_pictures_wait_for_nobody_and_states_are_never_dropped(root):
     with serving(root) as client, client.socket("/ws/gesture") as socket:
         page = Page(socket, answers=False)
