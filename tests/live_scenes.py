@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor, wait
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import cv2
@@ -227,9 +228,9 @@ class EyesInStep:
 
 def in_step(
     monkeypatch: pytest.MonkeyPatch, stage: Stage | None = None, others: Sequence[Any] = (), pause: float = 0.0
-) -> None:
+) -> Callable[..., EyesInStep]:
     """Every `LiveEngine` that is made from now on goes by a clock that waits for it, as do other modules; with a stage
-    its cameras are opened whatever their addresses."""
+    its cameras are opened whatever their addresses. Returns what makes its eyes, of what `EyesProcess` takes."""
     clock, searches = stage.clock if stage else Clock(), list[Future[Any]]()
 
     class Pool(ThreadPoolExecutor):
@@ -240,11 +241,12 @@ def in_step(
     for module in (camera_sources, engine, eyes, feeds, *others):
         monkeypatch.setattr(module, "time", clock)
     monkeypatch.setattr(engine, "ThreadPoolExecutor", Pool)
-    monkeypatch.setattr(engine, "EyesProcess", lambda *given: EyesInStep(clock, searches, pause, *given))
+    monkeypatch.setattr(engine, "EyesProcess", made := partial(EyesInStep, clock, searches, pause))
     monkeypatch.setattr(feeds, "_AGAIN_S", 0.01)
     monkeypatch.setattr(feeds, "_LONGEST_S", 0.02)
     if stage:
         monkeypatch.setattr(eyes, "_opener", lambda view, *_: lambda: stage.open(view.name))
+    return made
 
 
 def until(met: Callable[[], bool], engine: LiveEngine) -> None:

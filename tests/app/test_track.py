@@ -95,22 +95,6 @@ def test_export_writes_the_chosen_formats_again(hypose, tracked, tmp_path):
     assert str(tmp_path / "motion.bvh") in out
 
 
-@pytest.mark.slow
-def test_resume_after_ctrl_c_gives_the_same_bytes(hypose, tiny, tracked, tmp_path, monkeypatch):
-    frame = 5
-    arguments = ("track", tiny, "--out", tmp_path / "out", *LIGHT)
-    with monkeypatch.context() as patch:
-        interrupt_at(patch, "track", frame)
-        code, out, _ = hypose(*arguments)
-    assert code == 130
-    assert f"Kept: {frame} of 8 frames" in out and "--resume" in out
-    assert len(load_motion(tmp_path / "out" / "motion.npz")) == frame
-    code, _, err = hypose(*arguments, "--resume")
-    assert code == 0, err
-    assert (tmp_path / "out" / "motion.npz").read_bytes() == (tracked / "motion.npz").read_bytes()
-    assert not (tmp_path / "out" / "checkpoint.npz").exists()
-
-
 def test_ctrl_c_before_the_first_frame_keeps_nothing_and_says_so(hypose, tiny, tmp_path, monkeypatch):
     interrupt_at(monkeypatch, "track", 0)
     code, out, _ = hypose("track", tiny, "--out", tmp_path / "out", *LIGHT)
