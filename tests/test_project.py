@@ -16,6 +16,7 @@ import pytest
 
 import hypose
 from tests import missing
+from tests.conftest import HANG_S
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "hypose"
@@ -249,7 +250,7 @@ print(bootstrap.run([sys.executable, "-c", {child!r}], None, dict(os.environ)))
         assert process.stdout is not None
         assert process.stdout.readline() == "ready\n"
         os.killpg(process.pid, signal.SIGINT)
-        output, _ = process.communicate(timeout=30)
+        output, _ = process.communicate(timeout=HANG_S)
     assert output.split() == ["saved", "0"]
 
 

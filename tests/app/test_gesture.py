@@ -18,6 +18,7 @@ from hypose.gestures.model import GestureModel
 from hypose.gestures.online import Learner
 from hypose.io.sensors.depth import write_millimetres_png
 from hypose.pipeline.gesture_files import SessionWriter, read_recording, save_model
+from tests.conftest import HANG_S
 
 
 def hypose(*arguments):
@@ -315,7 +316,7 @@ def test_websocket_listeners_get_scores_and_events():
         assert json.loads(texts[0]) == {"time": 1.5, "scores": {"tee": 12.0}}
         assert json.loads(texts[1])["event"] == "start"
     out.send(frame)  # the listener has left
-    held = [socket.create_connection(("127.0.0.1", out.port), timeout=30) for _ in range(300)]
+    held = [socket.create_connection(("127.0.0.1", out.port), timeout=HANG_S) for _ in range(300)]
     threads = threading.active_count()
     with connect(f"ws://127.0.0.1:{out.port}") as listener:  # silent connections keep nobody out, and cost no threads
         assert threading.active_count() - threads <= 2

@@ -140,12 +140,12 @@ def test_an_export_runs_and_tells(own_studio, folder):
     result = own_studio.get("/api/state")["results"][0]["id"]
     (folder / "walk/results/default/motion.trc").unlink()
     with own_studio.socket("/ws/jobs") as ws:
-        assert json.loads(ws.recv(30))["t"] == "jobs"
+        assert json.loads(ws.recv(HANG_S))["t"] == "jobs"
         job = own_studio.get(f"/api/results/{result}/export", {"formats": ["trc"]}, status=201)
         assert job["state"] in ("queued", "running") and job["command"].endswith("--formats trc")
         told = []
         while not told or told[-1]["t"] != "files":
-            told.append(json.loads(ws.recv(240)))
+            told.append(json.loads(ws.recv(HANG_S)))
     states = [m["job"]["state"] for m in told if m["t"] == "job"]
     assert states[-1] == "done" and "running" in states
     assert (folder / "walk/results/default/motion.trc").is_file()

@@ -138,7 +138,7 @@ def step_with_duels(people, frame):
     """A step, and what there is to do beside, so that nothing depends on how fast this computer is."""
     stepped, end = people.step(frame), time.monotonic() + HANG_S
     if people._search._search is not None:
-        people._search._search.result(60)
+        people._search._search.result(HANG_S)
     duel = people.people[0]._duel if people.people else None
     while duel is not None and not duel.won.done() and duel.frames.qsize() and time.monotonic() < end:
         time.sleep(0.002)
@@ -147,7 +147,7 @@ def step_with_duels(people, frame):
 
 def end_duel(people):
     if people.people[0]._duel is not None:
-        people.people[0]._duel.won.result(60)
+        people.people[0]._duel.won.result(HANG_S)
 
 
 # ---- who was started back to front ----
