@@ -90,7 +90,7 @@ await walk(
     // ---- ten minutes
     const begin = Date.now();
     await page.evaluate((id) => (location.hash = `#/view/${id}`), result("long"));
-    await page.waitForFunction(() => window.hypose?.view.player.rows === 3000 && document.querySelector(".where")?.textContent);
+    await page.waitForFunction(() => window.hypose?.view.player.rows === 15000 && document.querySelector(".where")?.textContent);
     const open_ms = Date.now() - begin;
     await page.getByRole("heading", { name: "No cameras" }).waitFor();
     const line = await page.getByRole("slider", { name: "Time" }).boundingBox();

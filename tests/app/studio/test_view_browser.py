@@ -63,12 +63,12 @@ def expected(recording, results, row=5):
     return {"row": row, "vertices": vertices.ravel().tolist(), "cameras": cameras, **spread}
 
 
-def test_flags_comparison_and_a_long_result(served, page, tmp_path):
+def test_flags_comparison_and_ten_minutes(served, page, tmp_path):
     root = shutil.copytree(served, tmp_path / "root")
     default = root / "walk" / "results" / "default"
     flagged(default, default.with_name("flagged"))
     one_camera(default, default.with_name("monocular"))
-    long_result(default, root / "long", 3_000)
+    long_result(default, root / "long", 15_000)
     (root / "expected.json").write_text(json.dumps(expected(load_recording(root / "walk"), default)))
     with serving(root) as client:
         said = go(WEB / "tests" / "view_own.walk.mjs", client.address, root, tmp_path, 1500)
