@@ -90,7 +90,7 @@ def test_sets_of_one_length_are_told_apart_by_bones(tmp_path):
         assert recording.keypoint_set == kind
         assert any(f"{kind} (by the lengths of bones)" in n for n in recording.notes)
     other = written(tmp_path / "stated", "openpose", stated="BODY_25", keypoint_set="BODY_25B")[0]
-    with pytest.raises(InputError, match=r"view.*the bones do not fit BODY_25 but BODY_25B"):
+    with pytest.raises(InputError, match=r"(?i)view.*the bones do not fit BODY_25 but BODY_25B"):
         load_recording(other)
 
 
