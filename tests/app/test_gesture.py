@@ -306,7 +306,7 @@ def test_websocket_listeners_get_scores_and_events():
     out = WebSocketOut(0, ["tee"])
     frame = Watched(1.5, [Found(1, 3.0, 4.0, 12.0, None)], [Event("start", 1, 1.5, 3.0, 4.0, None, 12.0)])
     with connect(f"ws://127.0.0.1:{out.port}") as listener:
-        for _ in range(200):  # the listener is entered by another thread
+        for _ in range(30_000):  # the listener is entered by another thread
             out.send(frame)
             try:
                 texts = [listener.recv(timeout=0.05) for _ in range(2)]
@@ -320,7 +320,7 @@ def test_websocket_listeners_get_scores_and_events():
     threads = threading.active_count()
     with connect(f"ws://127.0.0.1:{out.port}") as listener:  # silent connections keep nobody out, and cost no threads
         assert threading.active_count() - threads <= 2
-        for _ in range(200):
+        for _ in range(30_000):
             out.send(frame)
             with contextlib.suppress(TimeoutError):
                 assert json.loads(listener.recv(timeout=0.05))["time"] == 1.5
