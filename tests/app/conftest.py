@@ -1,6 +1,8 @@
 """A tiny synthetic recording (4 cameras, 160x120, 8 frames) that the whole command line can be run on in seconds."""
 
+import os
 import shutil
+import time
 
 import pytest
 
@@ -8,6 +10,7 @@ from hypose.app.cli import main
 from hypose.synthetic.rigs import rig
 from hypose.synthetic.scenes import make_scene
 from hypose.synthetic.write_recording import write_scene
+from tests.conftest import HANG_S
 
 
 def write_tiny(folder, seconds):
@@ -45,11 +48,23 @@ def hypose(capsys):
 
 @pytest.fixture(scope="session")
 def tracked(tiny, tmp_path_factory):
-    """Results folder of `hypose track` on the tiny recording, made once."""
-    out = tmp_path_factory.mktemp("tracked") / "results"
+    """Results folder of `hypose track` on the tiny recording, made once by one of the processes that test."""
+    shared = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        shared = shared.parent
+    claimed, done, out = (shared / f"tracked-{n}" for n in ("claimed", "done", "results"))
+    try:
+        claimed.touch(exist_ok=False)
+    except FileExistsError:
+        end = time.monotonic() + HANG_S
+        while not done.exists():
+            assert time.monotonic() < end
+            time.sleep(0.1)
+        return out
     with pytest.raises(SystemExit) as stopped:
         main(["track", str(tiny), "--out", str(out)])
     assert stopped.value.code in (None, 0)
+    done.touch()
     return out
 
 

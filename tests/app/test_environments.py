@@ -90,8 +90,8 @@ def no_cache(box):
 
 
 def damaged_cache(box):
-    """Every fifth file is empty, cut, garbage, a folder, or may not be read."""
-    for k, path in enumerate(sorted(p for p in box.own_cache().rglob("*") if p.is_file())):
+    """Every seventh file is empty, cut, garbage, a folder, or may not be read."""
+    for k, path in enumerate(sorted(p for p in box.own_cache().rglob("*") if p.is_file())[::7]):
         data = path.read_bytes()
         if k % 5 < 3:
             path.write_bytes((b"", data[: len(data) // 2], b"\x80\x05cos\n")[k % 5])
