@@ -80,6 +80,7 @@ def _solved_only(body):
     return recipe("default", body, particles=48)
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_motion_for_any_number_of_threads(monkeypatch):
     scene = scene_of("box", "depth-1", 0.2)
     frames = list(scene.frames())
