@@ -291,7 +291,7 @@ def _information(body: Body, pose: Array, term: KeypointTerm | None) -> Array:
     still = SolveSettings(iterations=0, coarse_iterations=0)
     return fit_pose(
         body, pose, keypoints=term, priors=(anatomical_prior(body.skeleton, keypoints=True),), options=still
-    ).hessian
+    ).information
 
 
 def _lost(known: NDArray[np.bool_], patience: float) -> NDArray[np.bool_]:
