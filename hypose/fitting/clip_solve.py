@@ -69,10 +69,10 @@ def fit_clip(
     turn in the world, and returned on the branch nearest to its start.
 
     points, keypoints, contours, gaussians: one term (or None) per frame. acceleration: strength a (times
-    `default_acceleration`), or (D,) weights; velocity: weights v, (D,) or one for all: without it what is extrapolated
-    goes on for ever. priors act on every frame. Damped Gauss-Newton on all frames together:
-    the matrix couples each frame to the next two, so the cost is linear in T. Joint limits are
-    kept by cutting the step off. A SolverError when a frame's cost at the start is not finite."""
+    `default_acceleration`), or weights (D,), or (T - 2, D); velocity: weights v, (D,), (T - 1, D) or one for all:
+    without it what is extrapolated goes on for ever. priors act on every frame. Damped Gauss-Newton on all frames
+    together: the matrix couples each frame to the next two, so the cost is linear in T. Joint limits are kept by
+    cutting the step off. A SolverError when a frame's cost at the start is not finite."""
     given = np.array(starts, dtype=np.float64)
     q = given.copy()
     q[:, 3:6] = nearest_branch(q[:, 3:6], np.zeros(3))
@@ -82,8 +82,7 @@ def fit_clip(
     if weights.ndim == 0:
         weights = default_acceleration(dof, float(weights))
     q = np.clip(q, body.skeleton.lower, body.skeleton.upper)
-    speed = np.broadcast_to(np.asarray(velocity, dtype=np.float64), (dof,))
-    coupling = Coupling(n_frames, weights, speed, _cuts(body, q))
+    coupling = Coupling(n_frames, weights, np.broadcast_to(velocity, (n_frames - 1, dof)), _cuts(body, q))
     problem = _Clip(body, coupling, points, keypoints, contours, gaussians, priors)
     rule = Rule(
         o.damping, least=1e-6, most=1e6, tries=5, slack=1.002 if problem.has_contours else 1.0, moved=o.tolerance
@@ -104,16 +103,23 @@ def _moved(q: Array, step: Array) -> Array:
     return out
 
 
+def pose_steps(q: Array) -> Array:
+    """(T - 1, D) differences of poses (T, D) from frame to frame, of the root's rotation the turn in the world."""
+    v, rotations = np.diff(q, axis=0), so3_exp(q[:, 3:6])
+    v[:, 3:6] = so3_log(rotations[1:] @ np.swapaxes(rotations[:-1], -1, -2))
+    return v
+
+
 class Coupling:
-    """The penalties between T frames: weights (D,) on squared second and first differences, which do not count where
-    the way from one frame to the next is cut, (T - 1, D). bands (3, T, D): their matrix, the weights between a frame
-    and the one s later, dof by dof."""
+    """The penalties between T frames: weights (D,), or one row per difference, on squared second and first differences,
+    which do not count where the way from one frame to the next is cut, (T - 1, D). bands (3, T, D): their matrix, the
+    weights between a frame and the one s later, dof by dof."""
 
     def __init__(
         self, n_frames: int, acceleration: Array, velocity: Array, cut: NDArray[np.bool_] | None = None
     ) -> None:
         self.n_frames = n_frames
-        dof = len(acceleration)
+        dof = acceleration.shape[-1]
         goes_on = np.ones((max(n_frames - 1, 0), dof)) if cut is None else 1.0 - cut
         self.acceleration = np.asarray(acceleration) * goes_on[1:] * goes_on[:-1]
         self.velocity = np.asarray(velocity) * goes_on
@@ -125,9 +131,7 @@ class Coupling:
 
     def cost(self, q: Array) -> tuple[float, Array]:
         """Cost of poses (T, D) and its gradient (T, D), for the root's rotation to small turns in the world."""
-        v = np.diff(q, axis=0)
-        rotations = so3_exp(q[:, 3:6])
-        v[:, 3:6] = so3_log(rotations[1:] @ np.swapaxes(rotations[:-1], -1, -2))
+        v = pose_steps(q)
         a = np.diff(v, axis=0)
         cost = 0.5 * float((self.acceleration * a**2).sum() + (self.velocity * v**2).sum())
         by_v = self.velocity * v

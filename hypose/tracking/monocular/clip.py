@@ -32,12 +32,13 @@ class WholeClip:
 
     temperature: of a frame's costs, by which the passes are weighed; settled: s after which the start is forgotten, so
     that the way back counts as much as the way there; widening: of the covariances of single frames, whose errors last;
-    motion: usual accelerations and speeds."""
+    motion: usual accelerations and speeds, once for
+    the whole clip, since the noise of depth would be followed."""
 
     temperature: float = 4.0
     settled: float = 2.0
     widening: float = 4.0
-    motion: ClipSettings = ClipSettings(acceleration_rad=24.0)
+    motion: ClipSettings = ClipSettings(acceleration_rad=24.0, rounds=1)
 
 
 def solve_clip(clip: Clip, active: NDArray[np.int64]) -> tuple[Motion, tuple[str, ...]]:
