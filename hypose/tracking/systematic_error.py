@@ -33,8 +33,8 @@ _FRAMES = 500  # at once
 def lasting_residuals(
     body: Body, model: KeypointModel, keypoints: Sequence[Keypoints | None], poses: Array, frame_rate: float
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Variances (C, K) m^2 per axis of what lasts in the residuals of each view and key point (0: too few residuals), and
-    where points are used (T, C, K).
+    """Variances (C, K) m^2 per axis of what lasts in the residuals of each view and key point (0: too few residuals),
+    and where points are used (T, C, K).
 
     poses (T, D): the solved clip. The mean product of residuals LASTING_S or more apart is the power of what lasts,
     whatever noise there is; views and points are taken to have independent factors."""
