@@ -260,10 +260,11 @@ def _by_spread(motion: Motion) -> Array:
 ONE_VIEW = {"elbow": 0.5, "wrist": 0.6, "knee": 0.3, "ankle": 0.4}
 """How likely a joint is wrong that one view alone shows, by its name without the side: a view says where it is, and not
 how far away. Shares of the frames of scenes whose points err like a detector's, one limb in one view."""
-TWO_VIEWS, _MANY_VIEWS = {"elbow": 0.2, "wrist": 0.3, "knee": 0.3, "ankle": 0.3}, 4
+TWO_VIEWS, _MORE_VIEWS = {"elbow": 0.2, "wrist": 0.3, "knee": 0.3, "ankle": 0.3}, 3
 """The same of a joint that two views show, and so many the trunk: it is outside the pictures of the others, and of the
-two one may be guessed, which the other does not tell. On scenes (below seed 1024) .37 of elbows and .63 to .66 of the
-others were wrong, where a view was guessed in seven of ten; half of that."""
+two one may be guessed, which the other does not show: two rays that meet agree wherever one of them was guessed along.
+On scenes (below seed 1024) .37 of elbows and .63 to .66 of the others were wrong, where a view was guessed in seven of
+ten; half of that."""
 
 
 def _by_few_views(motion: Motion, audit: ArrayLike) -> Array:
@@ -272,7 +273,7 @@ def _by_few_views(motion: Motion, audit: ArrayLike) -> Array:
     names = motion.skeleton.joint_names
     trunk = np.median(views[:, [n.endswith(("hip", "shoulder")) for n in names]], axis=1)
     out = np.zeros(views.shape)
-    for most, how, where in ((1, ONE_VIEW, True), (2, TWO_VIEWS, trunk[:, None] >= _MANY_VIEWS)):
+    for most, how, where in ((1, ONE_VIEW, True), (2, TWO_VIEWS, trunk[:, None] >= _MORE_VIEWS)):
         alone = (views > 0) & where & (seconds_away(views > most, motion.frame_rate) > AROUND_S)
         out = np.maximum(out, alone * np.array([how.get(n.partition("_")[2], 0.0) for n in names]))
     return out

@@ -34,7 +34,7 @@ from hypose.tracking.keypoint_evidence import (
 )
 from hypose.tracking.named_sides import LIMBS, exchanged_by_names, votes_by_names
 from hypose.tracking.pinned_hinges import unpinned
-from hypose.tracking.pose_covariance import joint_covariance_of
+from hypose.tracking.pose_covariance import from_neighbours, joint_covariance_of
 from hypose.tracking.refinement import anatomical_prior
 from hypose.tracking.smooth_motion import Smoothed, with_feet
 from hypose.tracking.smoothing import ClipSettings, at_own_pace, bridged
@@ -112,6 +112,7 @@ def track_keypoint_clip(
     for t in np.flatnonzero(known):
         own[t] = _information(body, free[t], terms[t])
         around[t] = joint_covariance_of(body, free[t], own[t], "keypoints")
+    around = from_neighbours(around, frame_rate)
     motion = Motion(
         body.skeleton,
         np.arange(len(terms)) / frame_rate,

@@ -91,6 +91,28 @@ def joint_covariance_of(body: Body, pose: Array, information: Array, evidence: s
     return (factor[:, None, None] ** 2 * curvature + FLOOR**2 * np.eye(3)).astype(np.float32)
 
 
+def from_neighbours(around: NDArray[np.float32], frame_rate: float) -> NDArray[np.float32]:
+    """(T, J, 3, 3) m^2: covariances of joints in a solved clip from those that each frame gives by itself (NaN: none).
+
+    A joint that a frame hardly shows, or not at all, lies between where its neighbours show it: what they know, and how
+    far its path may bend until then (NEIGHBOUR_M_S2), bounds what is open."""
+    given, out = around.astype(np.float64), around.astype(np.float64)
+    least = np.trace(out, axis1=2, axis2=3)
+    least[np.isnan(least)] = np.inf
+    for k in range(1, min(round(NEIGHBOUR_S * frame_rate), len(out) - 1) + 1):
+        bend = (0.5 * NEIGHBOUR_M_S2 * (k / frame_rate) ** 2) ** 2 * np.eye(3)
+        for at, there in ((slice(k, None), slice(None, -k)), (slice(None, -k), slice(k, None))):
+            other = given[there] + bend
+            size = np.trace(other, axis1=2, axis2=3)
+            better = size < least[at]
+            out[at][better], least[at][better] = other[better], size[better]
+    return out.astype(np.float32)
+
+
+NEIGHBOUR_S, NEIGHBOUR_M_S2 = 0.25, 20.0
+"""s to neighbours that say something of a frame; m/s^2, usual acceleration of a limb's joint"""
+
+
 @lru_cache(8)
 def _factors(evidence: str, joint_names: tuple[str, ...]) -> Array:
     return np.array([CURVATURE_FACTOR[evidence][joint_group(name)] for name in joint_names])
