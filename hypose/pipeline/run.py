@@ -42,8 +42,8 @@ from hypose.pipeline.picture_verdict import (
 from hypose.pipeline.pictures import depth_note, one_view
 from hypose.pipeline.subject_from_motion import HEIGHT_DOUBT, HEIGHT_WRONG, height_sentence, height_told
 from hypose.pipeline.track_loop import FrameSource, Keep, Progress, Tracked, track_frames, tracked_before
-from hypose.pipeline.verdict import Verdict, left_out, verdict_of
-from hypose.tracking.doubt import as_mixture, evidence_of, judged, worth_a_look
+from hypose.pipeline.verdict import Verdict, left_out, not_shown, verdict_of
+from hypose.tracking.doubt import as_mixture, evidence_of, judged, not_in_set, worth_a_look
 from hypose.tracking.fitted_spread import beyond_usual, pose_covariance, with_fitted_angles, with_fitted_joints
 from hypose.tracking.frame_evidence import OwnEvidence
 from hypose.tracking.pose_covariance import unpacked
@@ -226,6 +226,8 @@ def track_source(
         motion = _doubted(motion, subject, solved.one_by_one, audit, solved.covariance, points=points)
         result = TrackResult(motion, subject.body, True, notes)
         wrong, looks = against_the_clip(audit, motion.n_views, evidence_of(audit))
+        never = [n for n, gone in zip(subject.body.skeleton.joint_names, not_in_set(audit), strict=True) if gone]
+        others = (*others, *([not_shown(never)] if never else []))
         said = {"faults": (*faults, *wrong), "looks": (*noticed, *looks), "beside": others}
         return _written(replace(result, one_by_one=solved.one_by_one, audit=audit, **said), results)
     if method is None and not options.of_picture:

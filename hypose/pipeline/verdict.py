@@ -89,6 +89,12 @@ class Verdict:
         return Verdict(str(kept["verdict"]), tuple(str(b) for b in kept["because"]), frames, beside)
 
 
+def not_shown(joints: Sequence[str]) -> str:
+    """A sentence on joints that the set of key points has no point of."""
+    which = ", ".join(j.replace("_", " ") for j in joints)
+    return f"Note: the key points have none for {which}; where these are follows from the rest of the body."
+
+
 def left_out(more: int, where: str, command: str) -> str:
     """A sentence on so many other people in the masks, or the key points, and the command that tracks them."""
     who = "another person is" if more == 1 else f"{more} other people are"
@@ -139,7 +145,7 @@ def _too_doubtful(motion: Motion, doubtful: NDArray[np.bool_], seen: NDArray[np.
         what = f", above all {', '.join(worst)}" if worst else ""
         return [
             f"the evidence speaks against the body in {100 * share:.0f} % of the joints{what}: compare the overlay "
-            "with the images, and give key points, --start with the first pose, or other masks"
+            f"with the images, and give {_others(motion)}"
         ]
     likely = np.where(doubtful, motion.p_wrong, 0.0)[seen].sum(0) / np.maximum(doubtful[seen].sum(0), 1)
     lasting = doubtful[seen].sum(0) >= LIMB_S * motion.frame_rate
@@ -149,6 +155,13 @@ def _too_doubtful(motion: Motion, doubtful: NDArray[np.bool_], seen: NDArray[np.
         which = ", ".join(names[j].replace("_", " ") for j in bad)
         return [f"{which} cannot be told from the evidence in {100 * often[bad].max():.0f} % of the frames"]
     return []
+
+
+def _others(motion: Motion) -> str:
+    """Evidence that may help beside that of a motion; without masks it has no cost."""
+    if np.isnan(motion.cost).all():
+        return "a background for masks, --start with the first pose, or other key points"
+    return "key points, --start with the first pose, or other masks"
 
 
 def _what(motion: Motion, doubtful: NDArray[np.bool_] | None, stretches: Sequence[range]) -> str:

@@ -148,7 +148,8 @@ def judged(
 
     unsure (J,): how likely each is elsewhere at the start, which holds until the person has taken another pose; known:
     what the evidence was, where the audit does not tell (depth is one). With key points nothing is surer than its
-    covariance says. Of frames in which the person was lost nothing is believed: 0.5 at least, and doubtful."""
+    covariance says; alone, joints of which their set has no point are doubtful in no frame. Of frames in which the
+    person was lost nothing is believed: 0.5 at least, and doubtful."""
     names = motion.skeleton.joint_names
     groups, evidence = groups_of(names), evidence_of(audit)
     model = doubt_models()[known if known == "depth" else evidence]
@@ -168,7 +169,16 @@ def judged(
     if unsure is not None:
         p = 1 - (1 - p) * (1 - _open(audit) * unsure * _as_at_start(motion)[:, None])
     p = np.where(motion.lost[:, None], np.maximum(p, 0.5), p)
-    return p.astype(np.float32), np.asarray((p > threshold) | motion.lost[:, None])
+    doubtful = (p > threshold) & ~(not_in_set(audit) if evidence == "keypoints" else np.False_)
+    return p.astype(np.float32), np.asarray(doubtful | motion.lost[:, None])
+
+
+def not_in_set(audit: ArrayLike) -> NDArray[np.bool_]:
+    """(J,) joints of which the set of key points of a clip with this audit (T, J, A) has no point: nothing that a frame
+    shows makes them better or worse known."""
+    a = np.asarray(audit, dtype=np.float64)
+    some = np.isfinite(a[..., AUDITED.index("points_all")]).any()
+    return np.asarray(some & np.isnan(a[..., AUDITED.index("points_views")]).all(0))
 
 
 def worth_a_look(p: ArrayLike, joints: NDArray[np.bool_], evidence: str) -> NDArray[np.bool_]:
