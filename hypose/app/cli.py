@@ -144,7 +144,7 @@ def main(arguments: Sequence[str] | None = None, command: typer.Typer = app, nam
 
 def _refused(error: OSError) -> str:
     """The sentence for what the system did not let us do."""
-    from hypose.io.motions.results import FULL, cannot_write
+    from hypose.io.files import FULL, cannot_write
 
     if error.errno == errno.ENAMETOOLONG:
         return f"{str(error.filename)[:60]}... is too long for the name of a file; give another path."

@@ -12,8 +12,10 @@ import numpy as np
 
 from hypose.errors import InputError
 from hypose.geometry import Array
+from hypose.io.files import open_file
 
 _RATE = 16000
+_MAX_BYTES = 4 << 30
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,7 @@ def read_sound(video: Path) -> Sound:
 
 def _read_wav(path: Path) -> Sound:
     try:
-        with wave.open(str(path), "rb") as file:
+        with open_file(path, "a WAV file", _MAX_BYTES) as stream, wave.open(stream) as file:
             width, channels, rate = file.getsampwidth(), file.getnchannels(), file.getframerate()
             data = file.readframes(file.getnframes())
     except (wave.Error, EOFError, OSError) as error:
