@@ -31,8 +31,8 @@ _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0)
 
 
 def open_file(path: str | Path, kind: str, limit: int, least: int = 1) -> BinaryIO:
-    """Open a regular file of `least` to `limit` bytes to read it; an InputError for anything else, which says with `kind`
-    ("a TRC file") what was expected. A FIFO or a device is never waited for."""
+    """Open a regular file of `least` to `limit` bytes to read it. An InputError for anything else, which says with
+    `kind` ("a TRC file") what was expected. A FIFO or a device is never waited for."""
     try:
         if not Path(path).is_file():
             what = "is not a file" if Path(path).exists() else "does not exist"

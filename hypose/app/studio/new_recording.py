@@ -12,11 +12,11 @@ from hypose.errors import InputError
 from hypose.io.calibrations.calibration_toml import toml_value
 
 _ROLES = {
-    "video": ("video", "images", "image"),
-    "background": ("video", "images", "image"),
-    "masks": ("video", "images"),
+    "video": ("video", "image"),
+    "background": ("video", "image"),
+    "masks": ("video",),
     "keypoints": ("keypoints",),
-    "board": ("video", "images", "image"),
+    "board": ("video", "image"),
 }
 """What a view may be given, and the kinds of files that are such."""
 
@@ -114,12 +114,10 @@ def _view_lines(
         if upload.id in moves:
             raise InputError(f"{upload.name} is given twice; give every view a file of its own.")
         if role == "board":
-            ending = "" if kind == "images" else f".{upload.name.rpartition('.')[2]}"
-            moves[upload.id] = f"{BOARDS}/{camera_file(str(camera))}{ending}"
+            moves[upload.id] = f"{BOARDS}/{camera_file(str(camera))}.{upload.name.rpartition('.')[2]}"
             continue
         moves[upload.id] = f"{_FOLDERS.get(role, role + 's')}/{len(moves):02d}_{upload.name}"
-        key = "images" if role == "video" and kind == "images" else role
-        out.append(f"{key} = {toml_value(moves[upload.id])}")
+        out.append(f"{role} = {toml_value(moves[upload.id])}")
     return out
 
 

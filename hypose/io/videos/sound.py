@@ -33,8 +33,22 @@ def read_sound(video: Path) -> Sound:
         return _read_wav(beside)
     ffmpeg = shutil.which("ffmpeg")
     if ffmpeg is not None:
-        command = [ffmpeg, "-v", "error", "-i", str(video), "-vn", "-ac", "1", "-ar", str(_RATE), "-f", "s16le", "-"]
-        done = subprocess.run(command, capture_output=True, check=False)
+        command = [
+            ffmpeg,
+            "-v",
+            "error",
+            "-i",
+            str(video.absolute()),
+            "-vn",
+            "-ac",
+            "1",
+            "-ar",
+            str(_RATE),
+            "-f",
+            "s16le",
+            "-",
+        ]
+        done = subprocess.run(command, capture_output=True, check=False, cwd=Path(__file__).parent)
         if done.returncode == 0 and len(done.stdout) > 2:
             return Sound(_RATE, np.frombuffer(done.stdout, np.int16).astype(np.float64) / 32768)
         raise InputError(f"{video} has no sound that ffmpeg can read; use --by motion, or put {beside.name} beside it.")
