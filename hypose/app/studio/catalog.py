@@ -26,6 +26,7 @@ from hypose.io.recordings import pose2sim
 Kind = Literal["recording", "result", "session", "model", "skeletons"]
 _DEPTH, _MOST, _MOST_FOLDERS = 5, 2000, 20_000
 _FRESH_S = 1.0
+_DATA = (".npz", ".json", ".csv")
 _HELD = ("motion.npz", "session.json", "frames.csv", "skeleton.csv")
 _MODEL_BYTES = 4 << 30
 _SKIPPED = frozenset({"node_modules", "__pycache__", "depth", "videos", "images", "masks", "site-packages"})
@@ -135,7 +136,7 @@ def _search(catalog: Catalog) -> Iterator[tuple[Kind, Path]]:
                 yield "recording", folder
         except OSError:
             continue
-        led_out = any(e.is_symlink() and not catalog.contains(e) for e in entries)
+        led_out = any(e.suffix in _DATA and e.is_symlink() and not catalog.contains(e) for e in entries)
         names = {e.name for e in entries if e.name in _HELD and not led_out and e.is_file()}
         if "motion.npz" in names:
             yield "result", folder
