@@ -11,8 +11,9 @@ import shutil
 import stat
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from io import BufferedReader
 from pathlib import Path
-from typing import IO, Any, BinaryIO
+from typing import IO, Any
 
 from hypose.errors import InputError
 from hypose.json_text import parse_json
@@ -30,7 +31,7 @@ _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0)
 # ---- reading -----------------------------------------------------------------------------------------------
 
 
-def open_file(path: str | Path, kind: str, limit: int, least: int = 1) -> BinaryIO:
+def open_file(path: str | Path, kind: str, limit: int, least: int = 1) -> BufferedReader:
     """Open a regular file of `least` to `limit` bytes to read it. An InputError for anything else, which says with
     `kind` ("a TRC file") what was expected. A FIFO or a device is never waited for."""
     try:

@@ -356,5 +356,5 @@ def test_folders_are_hashed_by_names_and_contents(tmp_path):
     second = file_identity(folder)
     (folder / "3.json").write_text("c")
     assert len({first["sha256"], second["sha256"], file_identity(folder)["sha256"]}) == 3
-    with pytest.raises(InputError, match=r"none cannot be read"):
+    with pytest.raises(InputError, match=r"none does not exist"):
         file_identity(tmp_path / "none")

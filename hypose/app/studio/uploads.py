@@ -11,7 +11,6 @@ import shutil
 import tempfile
 import threading
 from collections.abc import AsyncIterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ import cv2
 from hypose.app.studio.answers import NotNow, TooLarge
 from hypose.app.studio.catalog import Catalog, NotFound
 from hypose.app.studio.job_kinds import free_folder
-from hypose.app.studio.new_recording import Layout, layout_of
+from hypose.app.studio.new_recording import Layout, Upload, layout_of
 from hypose.errors import HyposeError, InputError
 from hypose.io.calibrations.calibration_formats import read_any
 from hypose.io.files import write_text
@@ -35,16 +34,6 @@ _MOST = 64
 """Files that lie ready or are on their way; a page sends 60."""
 _QUALITY = 80
 _KEYPOINT_ENDINGS = (".json", ".csv", ".h5", ".hdf5", ".npy")
-
-
-@dataclass(frozen=True)
-class Upload:
-    """A file that lies ready: id, name as it was dropped (made harmless), path, facts for the page."""
-
-    id: str
-    name: str
-    path: Path
-    facts: Mapping[str, Any]
 
 
 class Uploads:

@@ -109,10 +109,6 @@ class ResultsFolder:
         """Path of a file in this folder."""
         return self.path / name
 
-    def atomic(self, name: str) -> contextlib.AbstractContextManager[Path]:
-        """`atomic_path` of a file in this folder."""
-        return atomic_path(self.path / name)
-
     def write_text(self, name: str, text: str) -> Path:
         """Write a text file (UTF-8, \\n line ends) whole or not at all; returns its path."""
         write_text(self.path / name, text)
