@@ -102,7 +102,7 @@ def read_json(path: str | Path, kind: str, limit: int = MAX_JSON_BYTES) -> Any:
 
 @contextmanager
 def atomic_path(path: str | Path, synced: bool = True) -> Iterator[Path]:
-    """A new, empty file beside `path` (same ending) to write to, renamed to `path` when the block ends well.
+    """A new, empty file in the folder of `path` (same ending) to write to, renamed to `path` when the block ends well.
 
     synced: it is on the disk before, so that a power cut leaves the old file or the new one; without, it may leave an
     empty one, which is for the many pictures of a series.

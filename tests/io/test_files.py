@@ -1,4 +1,4 @@
-"""Files that others may have made are opened within bounds; files are written under names that nobody can foresee."""
+"""Files that others may have made are opened within bounds; files are written under random names."""
 
 import io
 import os

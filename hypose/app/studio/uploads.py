@@ -139,7 +139,7 @@ class Uploads:
             shutil.rmtree(self._folder, ignore_errors=True)
 
     def _new_folder(self) -> Path:
-        """A folder for one file, in that of this server, which nobody else can foresee or write to."""
+        """A folder for one file, in that of this server, with a random name, which only this user may write to."""
         with self._lock:
             if self._folder is None:
                 self._folder = Path(tempfile.mkdtemp(prefix=FOLDER, dir=self._catalog.root))
