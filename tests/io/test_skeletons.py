@@ -199,7 +199,7 @@ def spoil(folder, file, old, new):
 @pytest.mark.parametrize(
     ("file", "old", "new", "sentence"),
     [
-        ("session.json", "{", "{{", "is no JSON"),
+        ("session.json", "{", "{{", "is not JSON"),
         ("session.json", "hypose-skeletons", "other", 'must say "format"'),
         ("session.json", '"s1"', '"s0"', "names a sensor twice"),
         ("session.json", '"clock": "common"', '"clock": "sun"', "common or own"),

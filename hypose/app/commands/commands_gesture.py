@@ -75,7 +75,7 @@ def train(
         replaced_model,
     )
     from hypose.gestures.model import check_gesture_name
-    from hypose.io.motions.results import check_writable
+    from hypose.io.files import check_writable
     from hypose.pipeline.gesture_files import read_recording, save_model
 
     if out.suffix != ".npz":

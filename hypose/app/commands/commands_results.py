@@ -49,7 +49,7 @@ def report(
     set_threads(threads)
     from hypose.app.reports.report import from_result, write_report
     from hypose.app.studio.view_result import find_recording, load_view
-    from hypose.io.motions.results import check_writable
+    from hypose.io.files import check_writable
 
     folder = results if results.is_dir() else results.parent
     target = out or folder / "report.html"

@@ -163,6 +163,8 @@ class CommandOut:
         if not self._words or shutil.which(self._words[0]) is None:
             raise InputError(f"--command {text!r}: there is no such program; give one that runs in this terminal.")
         self._names, self._ends = list(names), "{event}" in text
+        # the user's own program imports what lies beside it
+        self._environment = {k: v for k, v in os.environ.items() if k != "PYTHONSAFEPATH"}
         self._running: list[subprocess.Popen[bytes]] = []
 
     def send(self, watched: Watched) -> None:
@@ -172,7 +174,8 @@ class CommandOut:
             if (e.kind == "start" or self._ends) and len(self._running) < MOST_COMMANDS:
                 name = self._names[e.gesture - 1]
                 words = [w.replace("{gesture}", name).replace("{event}", e.kind) for w in self._words]
-                self._running.append(subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL))
+                nowhere = subprocess.DEVNULL
+                self._running.append(subprocess.Popen(words, stdin=nowhere, stdout=nowhere, env=self._environment))
 
     def close(self) -> None:
         """What still runs goes on by itself."""

@@ -30,10 +30,10 @@ from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.body.skeleton import Skeleton
 from hypose.geometry import Array, quaternion_from_matrix, so3_exp
+from hypose.io.files import atomic_path
 from hypose.io.motions.amass import BODY_JOINTS, SMPL_AXES, smpl_rotations, t_pose_frames
 from hypose.io.motions.animation import Y_UP, filled_poses, without_flips
 from hypose.io.motions.gltf import BinaryBuffer
-from hypose.io.motions.results import atomic_path
 
 EXTENSION = "VRMC_vrm_animation"
 # VRM's bone: its parent, our joint whose place it has, and the joints of SMPL whose turns it makes, from the root on
