@@ -1,4 +1,4 @@
-"""What gestures set off on this computer: MIDI messages, key presses, commands. Each only when it is asked for."""
+"""What gestures set off on this computer: key presses, commands. Each only when it is asked for."""
 
 from __future__ import annotations
 
@@ -12,87 +12,8 @@ from typing import Any, Protocol
 from hypose.app.jobs.gesture_job import Watched
 from hypose.errors import InputError, extra
 
-FIRST_NOTE, FIRST_CONTROL = 60, 20
-"""MIDI note and controller of the first gesture; the others follow."""
 MOST_COMMANDS = 8
 """That run at a time; what a gesture would set off beyond them is left out."""
-
-
-class MidiPort(Protocol):
-    """Where MIDI goes."""
-
-    def send(self, data: bytes, /) -> None:
-        """One message."""
-        ...
-
-    def close(self) -> None:
-        """Let go of the port."""
-        ...
-
-
-class MidiOut:
-    """On channel 1: a note while each gesture is on (60, 61, ... in the order of the models), and its score over its
-    threshold as controller 20, 21, ... (127: reached) whenever that changes."""
-
-    def __init__(self, port: MidiPort, limits: Sequence[float]) -> None:
-        self._port, self._limits = port, list(limits)
-        self._shown, self._on = [-1] * len(self._limits), set[int]()
-
-    def send(self, watched: Watched) -> None:
-        """One frame."""
-        for f in watched.found:
-            k = f.gesture - 1
-            value = round(127 * min(1.0, f.score / self._limits[k]))
-            if value != self._shown[k]:
-                self._shown[k] = value
-                self._port.send(bytes([0xB0, FIRST_CONTROL + k, value]))
-        for e in watched.events:
-            self._note(e.gesture - 1, e.kind == "start")
-
-    def _note(self, k: int, on: bool) -> None:
-        (self._on.add if on else self._on.discard)(k)
-        self._port.send(bytes([0x90 if on else 0x80, FIRST_NOTE + k, 100 if on else 0]))
-
-    def close(self) -> None:
-        """End the notes that sound and let go of the port."""
-        for k in sorted(self._on):
-            self._note(k, False)
-        self._port.close()
-
-
-def open_midi(name: str) -> MidiPort:
-    """The output port of this name or with this in its name; "virtual": a new one called hypose that other programs see
-    (not on Windows)."""
-    library = extra("mido", "--midi", "midi", or_else="use --osc")
-    try:
-        there = [] if name == "virtual" else list(library.get_output_names())
-        fitting = [n for n in there if name == n] or [n for n in there if name.lower() in n.lower()]
-        if name != "virtual" and len(fitting) != 1:
-            raise InputError(
-                f"--midi {name} names {'several ports' if fitting else 'no port'}; there "
-                + (
-                    f"are {', '.join(fitting or there)}."
-                    if there
-                    else "are none: start the program that listens first."
-                )
-            )
-        port = library.open_output("hypose", virtual=True) if name == "virtual" else library.open_output(fitting[0])
-    except InputError:
-        raise
-    except Exception as error:  # the systems behind mido raise classes of their own
-        raise InputError(f"MIDI cannot be used here ({error}); check the sound system, or use --osc.") from None
-    return _Mido(library.Message, port)
-
-
-class _Mido:
-    def __init__(self, message: Any, port: Any) -> None:
-        self._message, self._port = message, port
-
-    def send(self, data: bytes, /) -> None:
-        self._port.send(self._message.from_bytes(data))
-
-    def close(self) -> None:
-        self._port.close()
 
 
 class Keyboard(Protocol):
