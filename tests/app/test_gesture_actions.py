@@ -1,7 +1,6 @@
-"""What gestures set off on this computer: keys, commands, with a double for the keyboard."""
+"""What gestures set off on this computer: commands."""
 
 import sys
-import types
 
 import pytest
 
@@ -17,46 +16,6 @@ NAMES = ["tee", "ok"]
 def frame(*scores, events=()):
     found = [Found(k, 1.0, 2.0, s, None) for k, s in enumerate(scores, 1)]
     return Watched(0.5, found, [Event(kind, g, 0.5, 1.0, 2.0, None, 9.0) for kind, g in events])
-
-
-class Keyboard:
-    pressed = []
-
-    def press(self, key):
-        self.pressed.append(("down", key))
-
-    def release(self, key):
-        self.pressed.append(("up", key))
-
-
-def test_a_key_is_held_while_its_gesture_is_on(monkeypatch):
-    space = types.SimpleNamespace(name="space")
-
-    class Key:
-        def __init__(self):
-            self.space = space
-
-        def __iter__(self):
-            return iter([space])
-
-    monkeypatch.setitem(sys.modules, "pynput", types.ModuleType("pynput"))
-    monkeypatch.setitem(sys.modules, "pynput.keyboard", types.SimpleNamespace(Key=Key(), Controller=Keyboard))
-    Keyboard.pressed = []
-    out = actions.open_keys(actions.keys_of(["ok=space"], NAMES))
-    out.send(frame(1.0, 9.0, events=[("start", 1), ("start", 2)]))
-    out.send(frame(1.0, 9.0))
-    assert Keyboard.pressed == [("down", space)]
-    out.send(frame(1.0, 1.0, events=[("end", 2), ("start", 2)]))
-    out.close()
-    assert [k for k, _ in Keyboard.pressed] == ["down", "up", "down", "up"]
-    with pytest.raises(InputError, match="no key 'warp'"):
-        actions.open_keys({1: "warp"})
-
-
-@pytest.mark.parametrize("text", ["wave=space", "tee", "tee="])
-def test_keys_of_unknown_gestures_are_refused(text):
-    with pytest.raises(InputError, match="tee, ok"):
-        actions.keys_of([text], NAMES)
 
 
 def test_without_a_keyboard_library_the_extra_is_named(monkeypatch):

@@ -1,4 +1,4 @@
-"""What gestures set off on this computer: key presses, commands. Each only when it is asked for."""
+"""What gestures set off on this computer: commands, only when they are asked for."""
 
 from __future__ import annotations
 
@@ -6,70 +6,13 @@ import os
 import shlex
 import shutil
 import subprocess
-from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from collections.abc import Sequence
 
 from hypose.app.jobs.gesture_job import Watched
-from hypose.errors import InputError, extra
+from hypose.errors import InputError
 
 MOST_COMMANDS = 8
 """That run at a time; what a gesture would set off beyond them is left out."""
-
-
-class Keyboard(Protocol):
-    """What presses keys."""
-
-    def press(self, key: Any, /) -> None:
-        """Down."""
-        ...
-
-    def release(self, key: Any, /) -> None:
-        """Up."""
-        ...
-
-
-class KeysOut:
-    """Holds a key down while its gesture is on; keys: by the number of the gesture."""
-
-    def __init__(self, keyboard: Keyboard, keys: Mapping[int, Any]) -> None:
-        self._keyboard, self._keys, self._down = keyboard, dict(keys), set[int]()
-
-    def send(self, watched: Watched) -> None:
-        """One frame."""
-        for e in watched.events:
-            if e.gesture in self._keys:
-                self._set(e.gesture, e.kind == "start")
-
-    def _set(self, gesture: int, down: bool) -> None:
-        (self._down.add if down else self._down.discard)(gesture)
-        (self._keyboard.press if down else self._keyboard.release)(self._keys[gesture])
-
-    def close(self) -> None:
-        """Let go of all keys."""
-        for gesture in sorted(self._down):
-            self._set(gesture, False)
-
-
-def keys_of(texts: Sequence[str], names: Sequence[str]) -> dict[int, str]:
-    """Key names by the number of the gesture, from texts "NAME=KEY"."""
-    out = {}
-    for text in texts:
-        name, _, key = text.partition("=")
-        if name not in names or not key:
-            raise InputError(f"--key {text} is not understood; give GESTURE=KEY with a gesture of {', '.join(names)}.")
-        out[names.index(name) + 1] = key
-    return out
-
-
-def open_keys(keys: Mapping[int, str]) -> KeysOut:
-    """Keys of this computer's keyboard: single characters, or names such as space, enter, page_down, left, f5."""
-    library = extra("pynput.keyboard", "--key", "keys", or_else="use --command or --osc")
-    special = library.Key
-    for key in keys.values():
-        if len(key) > 1 and not hasattr(special, key):
-            known = ", ".join(k.name for k in special)
-            raise InputError(f"There is no key {key!r}; give one character or one of {known}.")
-    return KeysOut(library.Controller(), {g: k if len(k) == 1 else getattr(special, k) for g, k in keys.items()})
 
 
 class CommandOut:
