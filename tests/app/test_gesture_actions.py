@@ -18,13 +18,6 @@ def frame(*scores, events=()):
     return Watched(0.5, found, [Event(kind, g, 0.5, 1.0, 2.0, None, 9.0) for kind, g in events])
 
 
-def test_without_a_keyboard_library_the_extra_is_named(monkeypatch):
-    monkeypatch.setitem(sys.modules, "pynput", None)
-    monkeypatch.delitem(sys.modules, "pynput.keyboard", raising=False)
-    with pytest.raises(InputError, match=r"pynput"):
-        actions.open_keys({1: "a"})
-
-
 def run(tmp_path, words, *frames):
     """Lines that a command wrote which appends its arguments to a file."""
     script, log = tmp_path / "note.py", tmp_path / "log.txt"
