@@ -1,12 +1,10 @@
-"""AMASS files: played on a T pose with our lengths, SMPL's joint order gives back the limbs of the tracked body."""
+"""Turns of SMPL's joints: played on a T pose with our lengths they give back the limbs of the tracked body."""
 
 import numpy as np
-import pytest
 
 from hypose.body.ready_bodies import human
-from hypose.errors import InputError
 from hypose.geometry import so3_exp
-from hypose.io.motions.amass import BODY_JOINTS, smpl_rotations, t_pose_frames, write_amass
+from hypose.io.motions.amass import BODY_JOINTS, smpl_rotations, t_pose_frames
 
 # SMPL's tree, in its order of joints (Loper et al. 2015)
 _PARENTS = (-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19)
@@ -54,18 +52,3 @@ def test_an_upright_person_stands_upright_in_the_world():
     root = so3_exp(smpl_rotations(skeleton, np.zeros((1, skeleton.dof)))[0, 0])
     np.testing.assert_allclose(root @ [0, 1, 0], [0, 0, 1], atol=1e-12)  # SMPL's up is the world's z
     np.testing.assert_allclose(root @ [0, 0, 1], [0, -1, 0], atol=1e-12)  # and faces as the body does at rest
-
-
-def test_the_file_has_amass_arrays_and_no_pickle(tmp_path, small_motion):
-    write_amass(tmp_path / "m.npz", small_motion)
-    with np.load(tmp_path / "m.npz", allow_pickle=False) as data:
-        assert data["poses"].shape == (60, 156) and data["trans"].shape == (60, 3)
-        assert float(data["mocap_framerate"]) == pytest.approx(30) and str(data["gender"]) == "neutral"
-        np.testing.assert_allclose(data["trans"], small_motion.joints[:, 0])
-        assert not data["poses"][:, 66:].any()
-
-
-def test_a_motion_without_poses_is_refused(tmp_path, small_motion):
-    points = small_motion.__class__(**{**vars(small_motion), "poses": None})
-    with pytest.raises(InputError, match="joint rotations need poses"):
-        write_amass(tmp_path / "m.npz", points)

@@ -1,26 +1,17 @@
-"""Motions in the layout of AMASS (.npz): rotations of SMPL's joints, for programs that learn from motions.
+"""Turns of a humanoid's joints, as SMPL names them, from a T pose (limbs straight, arms level, palms down).
 
-A retarget, not a fit: the rotations are those of our segments from a T pose (limbs straight, arms level, palms down),
-which is SMPL's pose of zeros; no model of SMPL's is needed or used. So the shape is zeros, limbs have the lengths of
-whatever model it is played on, and hands, jaw and eyes do not move. What one joint of ours does and several of SMPL's
-share (trunk, neck) is divided evenly. `trans` is the pelvis joint's place in the world, z up, metres: SMPL adds its own
-place of that joint in the model.
+What one joint of ours does and several of SMPL's share (trunk, neck) is divided evenly.
 
-Source: Loper et al. 2015, SMPL (joints and their order); Mahmood et al. 2019, AMASS (names of the arrays, 52 joints).
+Source: Loper et al. 2015, SMPL (joints and their order).
 """
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
 from hypose.body.joint_angles import neutral_frames
-from hypose.body.motion import Motion
 from hypose.body.skeleton import Skeleton
-from hypose.errors import InputError
 from hypose.geometry import Array, so3_exp, so3_log
-from hypose.io.motions.results import write_archive
 
 SMPL_AXES = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 """smpl_from_model: x left, y up, z forwards from x left, y backwards, z up."""
@@ -76,20 +67,3 @@ def smpl_rotations(skeleton: Skeleton, poses: Array) -> Array:
         for name in shared:
             out[:, BODY_JOINTS.index(name)] = turn / len(shared)
     return out
-
-
-def write_amass(path: str | Path, motion: Motion) -> None:
-    """Write a motion with poses: arrays poses (T, 156) rad, trans (T, 3) m, betas (16), gender, mocap_framerate, dmpls.
-
-    An InputError when the motion has none, or not the human joints."""
-    if motion.poses is None:
-        raise InputError(f"{path}: joint rotations need poses, this motion holds joint positions only.")
-    arrays = {
-        "poses": smpl_rotations(motion.skeleton, motion.poses).reshape(len(motion), -1),
-        "trans": motion.joints[:, motion.skeleton.joint("pelvis")],
-        "betas": np.zeros(16),
-        "dmpls": np.zeros((len(motion), 8)),
-        "gender": np.array("neutral"),
-        "mocap_framerate": np.array(float(motion.frame_rate)),
-    }
-    write_archive(path, arrays)
