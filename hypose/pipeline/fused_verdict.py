@@ -1,5 +1,5 @@
 """Whether what was fused of several sensors' skeletons can be trusted: do the sensors agree, on where joints are and on
-when, and is it as large as a person?"""
+when, does one of them see every joint, and is it as large as a person?"""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hypose.fusion import joints as jt
 from hypose.fusion.clocks import offset_by_movement
 from hypose.fusion.register import Registration, common_joints, register
 from hypose.geometry import Array
-from hypose.pipeline.verdict import GOOD, LOOK, UNTRUSTED, Verdict
+from hypose.pipeline.verdict import Verdict, verdict_of
 
 APART_LOOK_M, APART_M = 0.085, 0.15
 """m by which the joints of two sensors lie apart (median) from which on it is worth a look, and not to be trusted: 14
@@ -29,6 +29,7 @@ half a step later, with arms or sides exchanged"""
 _LEGS_M = 0.39, 0.99
 """m of thigh and shank together, of people 0.9 to 2.3 m tall: sensors say 0.64 to 0.86 of adults"""
 _LEGS = ((jt.LEFT_HIP, jt.LEFT_KNEE, jt.LEFT_FOOT), (jt.RIGHT_HIP, jt.RIGHT_KNEE, jt.RIGHT_FOOT))
+_CURE = "place the sensors so that one of them sees each side of the person, and nothing is in between"
 _OF_HEIGHT = 0.43
 """thigh and shank as sensors see them, as a share of the height"""
 
@@ -48,9 +49,7 @@ def fused_verdict(
                 "not mirrored, and saw the same movement"
             )
             (because if apart > APART_M else looks).append(text)
-    if because:
-        return Verdict(UNTRUSTED, (*because, *looks))
-    return Verdict(LOOK, tuple(looks), (range(len(motion)),)) if looks else Verdict(GOOD)
+    return verdict_of(motion, because, looks, _CURE)
 
 
 def _of_size(motion: Motion) -> Iterator[str]:

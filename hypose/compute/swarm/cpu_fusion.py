@@ -62,7 +62,7 @@ def fluidity(activations, frames, out):
 @kernel
 def fit_frame(
     points, weights, predicted, prior_weight, bones, lengths, bone_weight, leaves, core, data_weight, scale, coarse,
-    iterations, x, share, variance, spread,
+    iterations, x, share, variance,
 ):  # fmt: skip
     """The 3D joints of one frame: robust data, constant distances, and a prediction; graduated Gauss-Newton.
 
@@ -72,8 +72,7 @@ def fit_frame(
     multiplied by coarse, coarse / 2, ... down to 1. leaves (L, 3): joint, its only neighbour left, their bone, in an
     order that prunes the limbs; core (J,): number of a joint among the rest, -1 for leaves. Limbs are eliminated one by
     one, so that only the trunk needs a dense solve. x (J, 3): start and result. share (K, J): the sensors' part in each
-    joint; variance (J,) m^2 per axis, of the quadratic at the result; spread (J,) m^2 per axis: the sensors'
-    disagreement over their effective number."""
+    joint; variance (J,) m^2 per axis, of the quadratic at the result."""
     sensors, joints = weights.shape
     m = 0
     for j in range(joints):
@@ -209,18 +208,11 @@ def fit_frame(
                     covariance[j, a, r] += half[a, q] * solved[e, r, q]
     for j in range(joints):
         variance[j] = (covariance[j, 0, 0] + covariance[j, 1, 1] + covariance[j, 2, 2]) / 3
-        total, squares, far = 0.0, 0.0, 0.0
+        total = 0.0
         for k in range(sensors):
             total += share[k, j]
-        spread[j] = 0.0
-        if total > 0:
-            for k in range(sensors):
-                share[k, j] /= total
-                squares += share[k, j] ** 2
-                if share[k, j] > 0:
-                    for a in range(3):
-                        far += share[k, j] * (points[k, j, a] - x[j, a]) ** 2
-            spread[j] = far / 3 * squares
+        for k in range(sensors):
+            share[k, j] /= max(total, LEAST)
     return True
 
 
@@ -267,20 +259,123 @@ def exchange_sides(positions, states, side, mirror, pairs, swapped):
 
 
 @kernel
-def weigh_joints(positions, states, inferred, weights, points, evidence):
-    """Weights (K, J) of joints by state (2 tracked: 1, 1 inferred: `inferred`, else 0), their positions with 0 for
-    missing, and evidence (J,): somebody sees the joint. Returns whether there is any."""
+def weigh_joints(positions, states, eyes, left, trunk, sides, hidden, behind, usual, inferred, weights, points, evidence):
+    """How likely each sensor sees each joint rather than guesses it: weights (K, J), 0 for missing ones.
+
+    A guess has the probability usual, + hidden (J,) sin^2 of the angle by which the joint's side (sides (J,): 1 left,
+    -1 right, 0 neither) is turned away from the sensor, + behind (J,) cos of the angle to the person's back; joints of
+    state 1 (inferred; 2 tracked) are seen with `inferred` of the probability. positions (K, J, 3) registered; eyes
+    (K, 3): where the sensors stand, NaN when unknown; left (3,): towards the person's left; trunk (4,): torso, neck,
+    hips. points (K, J, 3): positions with 0 for missing; evidence (J,): some sensor reports the joint. Returns whether
+    there is any."""
     found = False
+    to, front = np.empty(3), np.empty(3)
     for j in range(states.shape[1]):
         evidence[j] = False
     for k in range(states.shape[0]):
+        p = positions[k]
+        aside, back, far, long, wide = 0.0, 0.0, 0.0, 0.0, 0.0
+        for a in range(3):
+            b, c = (a + 1) % 3, (a + 2) % 3
+            to[a] = eyes[k, a] - p[trunk[0], a]
+            up_b = p[trunk[1], b] - (p[trunk[2], b] + p[trunk[3], b]) / 2
+            up_c = p[trunk[1], c] - (p[trunk[2], c] + p[trunk[3], c]) / 2
+            front[a] = left[b] * up_c - left[c] * up_b
+        for a in range(3):
+            aside += left[a] * to[a]
+            back -= front[a] * to[a]
+            far += to[a] * to[a]
+            long += front[a] * front[a]
+            wide += left[a] * left[a]
+        known = math.isfinite(far + long) and far * long * wide > 0
+        aside = aside / math.sqrt(far * wide) if known else 0.0
+        back = max(back / math.sqrt(far * long), 0.0) if known else 0.0
         for j in range(states.shape[1]):
-            ok = states[k, j] > 0 and math.isfinite(positions[k, j, 0])
+            ok = states[k, j] > 0 and math.isfinite(p[j, 0])
             weights[k, j] = 0.0
             for a in range(3):
-                points[k, j, a] = positions[k, j, a] if ok else 0.0
+                points[k, j, a] = p[j, a] if ok else 0.0
             if ok:
-                weights[k, j] = 1.0 if states[k, j] == 2 else inferred
-                evidence[j] = evidence[j] or weights[k, j] > 0
-                found = found or weights[k, j] > 0
+                turned = max(-sides[j] * aside, 0.0)
+                weights[k, j] = max(1.0 - usual - hidden[j] * turned * turned - behind[j] * back, 0.05)
+                if states[k, j] == 1:
+                    weights[k, j] *= inferred
+                evidence[j] = found = True
     return found
+
+
+@kernel
+def judge_claims(points, weights, eyes, x, variance, own, elsewhere, jitter, limit, systematic, wrong):
+    """What is left open of joints x (J, 3) m that were fused of points (K, J, 3), seen with probability weights (K, J).
+
+    Either the sensor that is likeliest right is so, and those that follow are right or guess; or it guesses and the
+    next one is right, ...; or all guess. How far the sensors are apart tells which. What a sensor sees is off by sd
+    own (J,) m per axis, of which sensors (at eyes (K, 3)) share the more the more alike their directions are, and by
+    `jitter`; a guess by `elsewhere`. variance (J,) m^2 per axis: what x has of its own. Written are systematic (J,) m^2
+    per axis, the variance about x of all these cases, and wrong (J,), how likely x is off by more than limit m."""
+    order = np.empty(weights.shape[0], np.int64)
+    for j in range(x.shape[0]):
+        n = 0
+        for k in range(weights.shape[0]):
+            if weights[k, j] > 0:
+                order[n] = k
+                n += 1
+                for i in range(n - 1, 0, -1):
+                    if weights[order[i], j] > weights[order[i - 1], j]:
+                        order[i], order[i - 1] = order[i - 1], order[i]
+        seen, guess = own[j] ** 2, elsewhere**2
+        total, systematic[j], wrong[j] = 0.0, 0.0, 0.0
+        for first in range(max(n, 1) + (n > 0)):
+            likely, off = 1.0, 0.0
+            right = order[first] if first < n else -1
+            anchor = right if right >= 0 else order[0]
+            for i in range(n):
+                k, d = order[i], 0.0
+                for a in range(3):
+                    d += (points[k, j, a] - points[anchor, j, a]) ** 2
+                if i == first:
+                    likely *= weights[k, j]
+                elif i > first:
+                    alike = _alike(eyes[k], eyes[anchor], x[j])
+                    near = weights[k, j] * _normal(d, seen * (1 - alike) + 2 * jitter**2)
+                    likely *= near + (1 - weights[k, j]) * _normal(d, seen + guess)
+                else:
+                    likely *= 1 - weights[k, j]
+                    if k != anchor:
+                        likely *= _normal(d, seen + guess * (1 if right >= 0 else 2))
+            if right >= 0:
+                for a in range(3):
+                    off += (points[right, j, a] - x[j, a]) ** 2
+            likely = max(likely, 1e-300)
+            around = seen if right >= 0 or n == 0 else guess
+            total += likely
+            systematic[j] += likely * (around + off / 3)
+            wrong[j] += likely * _beyond(math.sqrt(off), math.sqrt(around + variance[j]), limit)
+        systematic[j] /= total
+        wrong[j] /= total
+
+
+@kernel
+def _alike(a, b, x):
+    """Cosine of the angle between the directions in which a and b (3,) see x, at least 0; 0 when they are unknown."""
+    ab, aa, bb = 0.0, 0.0, 0.0
+    for i in range(3):
+        ab += (a[i] - x[i]) * (b[i] - x[i])
+        aa += (a[i] - x[i]) ** 2
+        bb += (b[i] - x[i]) ** 2
+    return max(ab / math.sqrt(aa * bb), 0.0) if math.isfinite(ab) and aa * bb > 0 else 0.0
+
+
+@kernel
+def _normal(squared, variance):
+    """Density of a normal distribution in three dimensions at a squared distance, but for a factor."""
+    return math.exp(-squared / (2 * variance)) / variance**1.5
+
+
+@kernel
+def _beyond(off, sd, limit):
+    """How likely a point of sd per axis about a centre at distance off lies further than limit away."""
+    off = max(off, 1e-6)
+    near, far = (limit - off) / sd, (limit + off) / sd
+    inside = (math.erf(near / math.sqrt(2)) + math.erf(far / math.sqrt(2))) / 2
+    return 1 - inside + sd / off * (math.exp(-near * near / 2) - math.exp(-far * far / 2)) / math.sqrt(2 * math.pi)
