@@ -1,7 +1,7 @@
 """The default fusion: an articulated fit over the joints of all sensors, causal, one small solve per frame.
 
 Constant distances between joints, a robust loss that is graduated in every frame (so that a joint can come back from a
-wrong sensor), a constant-velocity prediction, how likely a sensor sees a joint as its weight, and sides exchanged back when a sensor
+wrong sensor), a constant-velocity prediction, the SDK's confidence as weight, and sides exchanged back when a sensor
 that sees the back takes left for right. 45 unknowns with distances as stiff rows rather than joint angles: a sensor
 skeleton has no shape behind it, and distances between shoulders, hips and torso hold a trunk that is not rigid.
 Uncertainty: the solve's own variance, plus what the sensors' systematic errors leave open (fusion.trust).
@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from hypose import compute
 from hypose.evidence.frame import TRACKED
 from hypose.fusion import joints as jt
-from hypose.fusion.trust import seen_joints, what_is_open
+from hypose.fusion.trust import what_is_open
 from hypose.geometry import Array
 
 _SIDES = np.array([(jt.LEFT_SHOULDER, jt.RIGHT_SHOULDER), (jt.LEFT_HIP, jt.RIGHT_HIP)])
@@ -35,7 +35,7 @@ def _bone_sd() -> Array:
 class FitSettings:
     """data_sd_m, scale_m: sd and Cauchy scale of a sensor's joint; coarse: the scale starts at this multiple and is
     halved per iteration; iterations; bone_sd_m (18,); prediction_sd_m: per frame of 1/30 s; blend: how fast the
-    velocity follows; unswap: exchange sides back; lost_after_s: without any joint for this long the person is lost."""
+    velocity follows; inferred: weight of inferred joints; unswap: exchange sides back; lost_after_s: without any joint for this long the person is lost."""
 
     data_sd_m: float = 0.02
     scale_m: float = 0.05
@@ -44,6 +44,7 @@ class FitSettings:
     bone_sd_m: Array = field(default_factory=_bone_sd)
     prediction_sd_m: float = 0.03
     blend: float = 0.5
+    inferred: float = 0.5
     unswap: bool = True
     lost_after_s: float = 0.5
 
@@ -112,7 +113,9 @@ def fit_step(
     lengths, samples = state.lengths, state.samples
     if not state.fixed:
         lengths, samples = adapt_lengths(positions, states, lengths, samples)
-    weights, points, evidence = seen_joints(positions, states, eyes, side)
+    weights, points = np.empty(states.shape), np.empty(positions.shape)
+    evidence = np.empty(15, dtype=np.bool_)
+    any_evidence = compute.fusion.weigh_joints(positions, states, settings.inferred, weights, points, evidence)
     dt = 1 / 30 if not np.isfinite(state.time) else max(time - state.time, 1e-3)
     start = state.joints
     if start is None:
@@ -151,9 +154,9 @@ def fit_step(
         velocity = (1 - settings.blend) * state.velocity + settings.blend * (x - state.joints) / dt
     lost = bool(time - seen.max() > settings.lost_after_s)
     new = FitState(x, velocity, time, seen, side, lengths, samples, state.fixed)
-    if lost or (state.joints is None and not evidence.any()):
+    if lost or (state.joints is None and not any_evidence):
         new = replace(new, joints=None, velocity=np.zeros((15, 3)), side=np.zeros(3))
-    systematic, wrong = what_is_open(points, weights, eyes, x, variance)
+    systematic, wrong = what_is_open(positions, states, eyes, side, lengths, x, variance)
     return new, FitEstimate(x, variance, systematic, wrong, share.T.copy(), swapped, lost)
 
 

@@ -39,7 +39,7 @@ from hypose.fusion.register import (
 from hypose.fusion.saved import ClipSoFar, restored
 from hypose.fusion.state import BASELINES, FIT, METHODS, FusedFrame, FusionSettings, FusionState
 from hypose.fusion.swarm import start_swarm, swarm_step
-from hypose.fusion.trust import seen_joints, what_is_open
+from hypose.fusion.trust import what_is_open
 from hypose.geometry import Array
 
 WINDOW_FRAMES = 40
@@ -144,8 +144,7 @@ def step(state: FusionState, frame: SensorJoints) -> tuple[FusionState, FusedFra
         fit = replace(state.fit, time=time, seen=seen)
         joints, variance, shares = estimate.joints, estimate.spread**2 / 3, estimate.shares
         left = joints[jt.LEFT_SHOULDER] - joints[jt.RIGHT_SHOULDER]
-        weights, points, _ = seen_joints(world, raw.state, eyes, left)
-        systematic, wrong = what_is_open(points, weights, eyes, joints, variance)
+        systematic, wrong = what_is_open(world, raw.state, eyes, left, state.fit.lengths, joints, variance)
         lost = not known and time - seen.max() > s.fit.lost_after_s
         swapped = np.zeros(len(world), dtype=np.bool_)
     sd, systematic = np.sqrt(variance + systematic), np.sqrt(systematic)

@@ -259,19 +259,38 @@ def exchange_sides(positions, states, side, mirror, pairs, swapped):
 
 
 @kernel
-def weigh_joints(positions, states, eyes, left, trunk, sides, hidden, behind, usual, inferred, weights, points, evidence):
+def weigh_joints(positions, states, inferred, weights, points, evidence):
+    """Weights (K, J) of joints by state (2 tracked: 1, 1 inferred: `inferred`, else 0), their positions with 0 for
+    missing, and evidence (J,): somebody sees the joint. Returns whether there is any."""
+    found = False
+    for j in range(states.shape[1]):
+        evidence[j] = False
+    for k in range(states.shape[0]):
+        for j in range(states.shape[1]):
+            ok = states[k, j] > 0 and math.isfinite(positions[k, j, 0])
+            weights[k, j] = 0.0
+            for a in range(3):
+                points[k, j, a] = positions[k, j, a] if ok else 0.0
+            if ok:
+                weights[k, j] = 1.0 if states[k, j] == 2 else inferred
+                evidence[j] = evidence[j] or weights[k, j] > 0
+                found = found or weights[k, j] > 0
+    return found
+
+
+@kernel
+def seen_not_guessed(
+    positions, states, eyes, left, lengths, trunk, parent, sides, hidden, behind, usual, inferred, bone_sd, weights
+):  # fmt: skip
     """How likely each sensor sees each joint rather than guesses it: weights (K, J), 0 for missing ones.
 
     A guess has the probability usual, + hidden (J,) sin^2 of the angle by which the joint's side (sides (J,): 1 left,
     -1 right, 0 neither) is turned away from the sensor, + behind (J,) cos of the angle to the person's back; joints of
-    state 1 (inferred; 2 tracked) are seen with `inferred` of the probability. positions (K, J, 3) registered; eyes
+    state 1 (inferred; 2 tracked) are seen with `inferred` of the probability. Then the bone to the parent (J,) counts,
+    lengths (J,) m (0: unknown), whose length is off by bone_sd (2,) m: where the joint is seen, and guessed. positions (K, J, 3) registered; eyes
     (K, 3): where the sensors stand, NaN when unknown; left (3,): towards the person's left; trunk (4,): torso, neck,
-    hips. points (K, J, 3): positions with 0 for missing; evidence (J,): some sensor reports the joint. Returns whether
-    there is any."""
-    found = False
+    hips."""
     to, front = np.empty(3), np.empty(3)
-    for j in range(states.shape[1]):
-        evidence[j] = False
     for k in range(states.shape[0]):
         p = positions[k]
         aside, back, far, long, wide = 0.0, 0.0, 0.0, 0.0, 0.0
@@ -291,17 +310,22 @@ def weigh_joints(positions, states, eyes, left, trunk, sides, hidden, behind, us
         aside = aside / math.sqrt(far * wide) if known else 0.0
         back = max(back / math.sqrt(far * long), 0.0) if known else 0.0
         for j in range(states.shape[1]):
-            ok = states[k, j] > 0 and math.isfinite(p[j, 0])
             weights[k, j] = 0.0
-            for a in range(3):
-                points[k, j, a] = p[j, a] if ok else 0.0
-            if ok:
+            if states[k, j] > 0 and math.isfinite(p[j, 0]):
                 turned = max(-sides[j] * aside, 0.0)
-                weights[k, j] = max(1.0 - usual - hidden[j] * turned * turned - behind[j] * back, 0.05)
+                w = max(1.0 - usual - hidden[j] * turned * turned - behind[j] * back, 0.05)
                 if states[k, j] == 1:
-                    weights[k, j] *= inferred
-                evidence[j] = found = True
-    return found
+                    w *= inferred
+                if lengths[j] > 0:
+                    bone = 0.0
+                    for a in range(3):
+                        bone += (p[j, a] - p[parent[j], a]) ** 2
+                    off = min((math.sqrt(bone) - lengths[j]) ** 2, 0.01)
+                    if math.isfinite(bone):
+                        against = (1.0 - w) / bone_sd[1] * math.exp(-off / (2 * bone_sd[1] ** 2))
+                        w *= math.exp(-off / (2 * bone_sd[0] ** 2)) / bone_sd[0]
+                        w /= w + against
+                weights[k, j] = w
 
 
 @kernel
@@ -313,7 +337,7 @@ def judge_claims(points, weights, eyes, x, variance, own, elsewhere, jitter, lim
     own (J,) m per axis, of which sensors (at eyes (K, 3)) share the more the more alike their directions are, and by
     `jitter`; a guess by `elsewhere`. variance (J,) m^2 per axis: what x has of its own. Written are systematic (J,) m^2
     per axis, the variance about x of all these cases, and wrong (J,), how likely x is off by more than limit m."""
-    order = np.empty(weights.shape[0], np.int64)
+    order, centre = np.empty(weights.shape[0], np.int64), np.empty(3)
     for j in range(x.shape[0]):
         n = 0
         for k in range(weights.shape[0]):
@@ -326,26 +350,33 @@ def judge_claims(points, weights, eyes, x, variance, own, elsewhere, jitter, lim
         seen, guess = own[j] ** 2, elsewhere**2
         total, systematic[j], wrong[j] = 0.0, 0.0, 0.0
         for first in range(max(n, 1) + (n > 0)):
-            likely, off = 1.0, 0.0
+            likely, off, total_right = 1.0, 0.0, 0.0
+            centre[:] = 0.0
             right = order[first] if first < n else -1
             anchor = right if right >= 0 else order[0]
             for i in range(n):
                 k, d = order[i], 0.0
                 for a in range(3):
                     d += (points[k, j, a] - points[anchor, j, a]) ** 2
+                share = 0.0
                 if i == first:
                     likely *= weights[k, j]
+                    share = 1.0
                 elif i > first:
                     alike = _alike(eyes[k], eyes[anchor], x[j])
                     near = weights[k, j] * _normal(d, seen * (1 - alike) + 2 * jitter**2)
-                    likely *= near + (1 - weights[k, j]) * _normal(d, seen + guess)
+                    both = near + (1 - weights[k, j]) * _normal(d, seen + guess)
+                    likely *= both
+                    share = near / max(both, 1e-300)
                 else:
                     likely *= 1 - weights[k, j]
                     if k != anchor:
                         likely *= _normal(d, seen + guess * (1 if right >= 0 else 2))
-            if right >= 0:
+                total_right += share
                 for a in range(3):
-                    off += (points[right, j, a] - x[j, a]) ** 2
+                    centre[a] += share * (points[k, j, a] - x[j, a])
+            for a in range(3):
+                off += (centre[a] / max(total_right, 1.0)) ** 2
             likely = max(likely, 1e-300)
             around = seen if right >= 0 or n == 0 else guess
             total += likely
