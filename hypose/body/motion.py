@@ -110,9 +110,14 @@ class Modes:
     """The poses that the evidence of each frame allows: T frames, at most K modes each, best first, NaN where a frame
     has fewer; D dof, J joints.
 
-    poses (T, K, D); joints (T, K, J, 3) m, world; weights (T, K), sum 1; costs (T, K): negative log posterior of the
-    frame's evidence; covariances (T, K, D, D) of the poses (32 bit); of the best mode joint_covariance (T, J, 3, 3) m^2
-    and depth_sd (T, J) m along the line of sight; alive (T,): how many modes there are."""
+    poses (T, K, D).
+    joints (T, K, J, 3): m, world.
+    weights (T, K): sum 1.
+    costs (T, K): negative log posterior of the frame's evidence.
+    covariances (T, K, D, D): of the poses, 32 bit, the root's rotation as a small turn in the world.
+    joint_covariance (T, J, 3, 3): m^2, of the best mode.
+    depth_sd (T, J): m along the line of sight, of the best mode.
+    alive (T,): number of modes."""
 
     poses: Array
     joints: Array

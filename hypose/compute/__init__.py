@@ -410,11 +410,12 @@ def row_sums(
     return gradient, hessian
 
 
-def joint_covariances(pose: Array, tree: TreeArrays, hessian: Array, ridge: float = 1e-9) -> Array:
-    """(J, 3, 3) m^2: covariances of the joint centres when the pose (D,) has the covariance C = (hessian + ridge)^-1:
-    G C G^T with G (3, D) the derivative of the centre; the numba kernel, on either back end."""
+def joint_covariances(pose: Array, tree: TreeArrays, information: Array, ridge: float = 1e-9) -> Array:
+    """(J, 3, 3) m^2: covariances of the joint centres when the pose (D,) has the covariance C = (information +
+    ridge)^-1, the root's rotation as a small turn in the world: G C G^T with G (3, D) the derivative of the centre; the
+    numba kernel, on either back end."""
     out = np.empty((len(tree.parents), 3, 3))
-    q, h = plain(pose, np.float64), plain(hessian, np.float64)
+    q, h = plain(pose, np.float64), plain(information, np.float64)
     native("solver.covariance").joint_covariances(q, tidy(tree), h, float(ridge), out)
     return out
 

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 from hypose.body.joint_angles import ANGLE_NAMES, angles_of_frames
 from hypose.body.motion import Motion
 from hypose.body.skeleton import Skeleton
-from hypose.geometry import Array
+from hypose.geometry import Array, so3_exp, so3_log
 from hypose.tracking.audit import views_apart
 
 _STEP = 1e-4
@@ -129,7 +129,8 @@ def pose_covariance(information: Array) -> Array:
 
 
 def angle_variance(skeleton: Skeleton, poses: Array, covariance: Array) -> Array:
-    """(T, A) rad^2, and m^2 of positions: J C J^T of the angles at poses (T, D) with covariances C (T, D, D).
+    """(T, A) rad^2, and m^2 of positions: J C J^T of the angles at poses (T, D) with covariances C (T, D, D), the
+    root's rotation as a small turn in the world.
 
     J by differences; coordinates of sets of joints that share no angle are moved together."""
     sets = [
@@ -144,7 +145,10 @@ def angle_variance(skeleton: Skeleton, poses: Array, covariance: Array) -> Array
     slopes = np.zeros((len(poses), len(ANGLE_NAMES), poses.shape[1]))
     for k in range(max(len(dofs) for _, dofs in sets)):
         moved = poses.copy()
-        moved[:, np.unique([dofs[k] for _, dofs in sets if k < len(dofs)])] += _STEP
+        chosen = np.unique([dofs[k] for _, dofs in sets if k < len(dofs)])
+        moved[:, chosen] += _STEP
+        if (axis := chosen[(chosen >= 3) & (chosen < 6)] - 3).size:
+            moved[:, 3:6] = so3_log(so3_exp(_STEP * np.eye(3)[axis].sum(0)) @ so3_exp(poses[:, 3:6]))
         step = angles_of_frames(skeleton, *skeleton.forward(moved)) - base
         step = (step + np.pi) % (2 * np.pi) - np.pi
         for angles, dofs in sets:
