@@ -4,6 +4,7 @@ when, does one of them see every joint, and is it as large as a person?"""
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from hypose.fusion import joints as jt
 from hypose.fusion.clocks import offset_by_movement
 from hypose.fusion.register import Registration, common_joints, register
 from hypose.geometry import Array
-from hypose.pipeline.verdict import Verdict, verdict_of
+from hypose.pipeline.verdict import LOST_SHARE, Verdict, verdict_of
 
 APART_LOOK_M, APART_M = 0.085, 0.15
 """m by which the joints of two sensors lie apart (median) from which on it is worth a look, and not to be trusted: 14
@@ -49,7 +50,11 @@ def fused_verdict(
                 "not mirrored, and saw the same movement"
             )
             (because if apart > APART_M else looks).append(text)
-    return verdict_of(motion, because, looks, _CURE)
+    # a sensor reports whom it sees: who is away is not there to be found
+    if (away := float(motion.lost.mean())) > LOST_SHARE:
+        looks.append(f"no sensor saw the person in {100 * away:.0f} % of the frames")
+    there = motion if motion.doubtful is None else replace(motion, doubtful=motion.doubtful & ~motion.lost)
+    return verdict_of(there, because, looks, _CURE, 1.0)
 
 
 def _of_size(motion: Motion) -> Iterator[str]:

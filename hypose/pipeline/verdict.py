@@ -99,13 +99,18 @@ _CURE = "compare the overlay with the images, and give key points, --start with 
 
 
 def verdict_of(
-    motion: Motion, faults: Sequence[str] = (), looks: Sequence[str] = (), cure: str = _CURE
+    motion: Motion,
+    faults: Sequence[str] = (),
+    looks: Sequence[str] = (),
+    cure: str = _CURE,
+    most_lost: float = LOST_SHARE,
 ) -> Verdict:
     """The verdict on a motion; faults: sentences of what was found wrong with it as a whole; looks: of what makes the
-    whole of it worth a look; cure: what to do when too many joints are likely wrong."""
+    whole of it worth a look; cure: what to do when too many joints are likely wrong; most_lost: share of the frames
+    without the person from which on nothing is trusted."""
     because = list(faults)
     gone = motion.lost | motion.extrapolated
-    if gone.mean() > LOST_SHARE:
+    if gone.mean() > most_lost:
         because.append(f"the person was not found in {100 * gone.mean():.0f} % of the frames")
     doubtful = motion.doubtful_joints
     if doubtful is not None and motion.p_wrong is not None and (~gone).any():
