@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from benchmarks.bench_plot import Panels
-from benchmarks.bench_tables import Column, Line, Page, least, most
+from benchmarks.bench_tables import Column, Line, Page, least, most, within
 from benchmarks.cameras.captured_pages import CAPTURED
 from benchmarks.multiview.multiview_pages import BODIES, SEVERAL_CAMERAS
 from benchmarks.people.association_pages import WHO_IS_WHO
@@ -129,9 +129,12 @@ _FUSION = (
             ),
             Line("agreement, 45 degrees, even recordings, whole", "45/even", (most(31),), "agreement_mm"),
             *(
-                Line(f"in one sensor's 90 % regions, {case} degrees{words}", case + more, (within(0.75, 0.97),), "coverage_90")
+                Line(f"in one sensor's 90 % regions, {case} degrees{words}", case + more, bars, "coverage_90")
                 for case in ("45", "90")
-                for more, words in (("", ""), ("/clear", ", what the other does not doubt"))
+                for more, words, bars in (
+                    ("", "", (within(0.75, 0.97),)),
+                    ("/clear", ", what the other does not doubt", ()),
+                )
             ),
             Line("occlusion or two people: not called good", "occlusion or two people", (least(0.8),), "not_good"),
             Line("one person: not to be trusted", "one person", (most(0.5),), "untrusted"),

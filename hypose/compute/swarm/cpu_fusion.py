@@ -279,56 +279,6 @@ def weigh_joints(positions, states, inferred, weights, points, evidence):
 
 
 @kernel
-def seen_not_guessed(
-    positions, states, eyes, left, lengths, trunk, parent, sides, hidden, behind, usual, inferred, bone_sd, weights
-):  # fmt: skip
-    """How likely each sensor sees each joint rather than guesses it: weights (K, J), 0 for missing ones.
-
-    A guess has the probability usual, + hidden (J,) sin^2 of the angle by which the joint's side (sides (J,): 1 left,
-    -1 right, 0 neither) is turned away from the sensor, + behind (J,) cos of the angle to the person's back; joints of
-    state 1 (inferred; 2 tracked) are seen with `inferred` of the probability. Then the bone to the parent (J,) counts,
-    lengths (J,) m (0: unknown), whose length is off by bone_sd (2,) m: where the joint is seen, and guessed. positions (K, J, 3) registered; eyes
-    (K, 3): where the sensors stand, NaN when unknown; left (3,): towards the person's left; trunk (4,): torso, neck,
-    hips."""
-    to, front = np.empty(3), np.empty(3)
-    for k in range(states.shape[0]):
-        p = positions[k]
-        aside, back, far, long, wide = 0.0, 0.0, 0.0, 0.0, 0.0
-        for a in range(3):
-            b, c = (a + 1) % 3, (a + 2) % 3
-            to[a] = eyes[k, a] - p[trunk[0], a]
-            up_b = p[trunk[1], b] - (p[trunk[2], b] + p[trunk[3], b]) / 2
-            up_c = p[trunk[1], c] - (p[trunk[2], c] + p[trunk[3], c]) / 2
-            front[a] = left[b] * up_c - left[c] * up_b
-        for a in range(3):
-            aside += left[a] * to[a]
-            back -= front[a] * to[a]
-            far += to[a] * to[a]
-            long += front[a] * front[a]
-            wide += left[a] * left[a]
-        known = math.isfinite(far + long) and far * long * wide > 0
-        aside = aside / math.sqrt(far * wide) if known else 0.0
-        back = max(back / math.sqrt(far * long), 0.0) if known else 0.0
-        for j in range(states.shape[1]):
-            weights[k, j] = 0.0
-            if states[k, j] > 0 and math.isfinite(p[j, 0]):
-                turned = max(-sides[j] * aside, 0.0)
-                w = max(1.0 - usual - hidden[j] * turned * turned - behind[j] * back, 0.05)
-                if states[k, j] == 1:
-                    w *= inferred
-                if lengths[j] > 0:
-                    bone = 0.0
-                    for a in range(3):
-                        bone += (p[j, a] - p[parent[j], a]) ** 2
-                    off = min((math.sqrt(bone) - lengths[j]) ** 2, 0.01)
-                    if math.isfinite(bone):
-                        against = (1.0 - w) / bone_sd[1] * math.exp(-off / (2 * bone_sd[1] ** 2))
-                        w *= math.exp(-off / (2 * bone_sd[0] ** 2)) / bone_sd[0]
-                        w /= w + against
-                weights[k, j] = w
-
-
-@kernel
 def judge_claims(points, weights, eyes, x, variance, own, elsewhere, jitter, limit, systematic, wrong):
     """What is left open of joints x (J, 3) m that were fused of points (K, J, 3), seen with probability weights (K, J).
 
