@@ -113,8 +113,8 @@ _FUSION = (
         "fusion-real",
         """Two real Kinect v2 on one person, parallel, 45 and 90 degrees apart, three recordings each: median distance
         between the sensors' joints after registration over the whole clip and on the way (causal), and bone lengths and
-        jitter (median second difference) of what is fused. There is no truth: agreement is not accuracy. Regions and verdicts are of the
-        even recordings, on which nothing of them was chosen.""",
+        jitter (median second difference) of what is fused. There is no truth: agreement is not accuracy. Regions and
+        verdicts are of the even recordings, on which nothing of them was chosen.""",
         lines=(
             *(
                 Line(f"agreement, {title}, {how}", case + more, (most(limit),), "agreement_mm")

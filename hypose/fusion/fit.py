@@ -35,7 +35,8 @@ def _bone_sd() -> Array:
 class FitSettings:
     """data_sd_m, scale_m: sd and Cauchy scale of a sensor's joint; coarse: the scale starts at this multiple and is
     halved per iteration; iterations; bone_sd_m (18,); prediction_sd_m: per frame of 1/30 s; blend: how fast the
-    velocity follows; inferred: weight of inferred joints; unswap: exchange sides back; lost_after_s: without any joint for this long the person is lost."""
+    velocity follows; inferred: weight of inferred joints; unswap: exchange sides back; lost_after_s: without
+    any joint for this long the person is lost."""
 
     data_sd_m: float = 0.02
     scale_m: float = 0.05
@@ -72,9 +73,10 @@ class FitState:
 
 @dataclass(frozen=True)
 class FitEstimate:
-    """joints (15, 3) m; variance (15,) m^2 per axis that more frames or sensors would reduce, and systematic (15,), which
-    they would not; wrong (15,): how likely a joint is off by more than trust.WRONG_M; shares (15, K): what each sensor carried of each joint (0 everywhere where
-    nobody saw it), swapped (K,) sensors whose sides were exchanged, lost: no evidence for too long."""
+    """joints (15, 3) m; variance (15,) m^2 per axis that more frames or sensors would reduce, and systematic (15,),
+    which they would not; wrong (15,): how likely a joint is off by more than trust.WRONG_M; shares (15, K): what each
+    sensor carried of each joint (0 everywhere where no sensor saw it); swapped (K,) sensors whose sides were exchanged;
+    lost: no evidence for too long."""
 
     joints: Array
     variance: Array

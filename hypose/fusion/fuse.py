@@ -132,7 +132,7 @@ def step(state: FusionState, frame: SensorJoints) -> tuple[FusionState, FusedFra
         swarm, estimate = swarm_step(swarm, world, noise, heading, s.swarm_settings, s.seed)
         choice, restarted = estimate.shares, estimate.restarted
     n_sensors = int(np.isfinite(world[..., 0]).any(1).sum())
-    # in a common frame nobody knows where the sensors stand
+    # sensors that report in a common frame may stand anywhere
     eyes = np.full((len(world), 3), np.nan) if s.registered else state.registration.common_from_sensor[:, :3, 3]
     if s.method == FIT or estimate is None:
         fit, found = fit_step(state.fit, world, raw.state, time, s.fit, eyes)
@@ -299,9 +299,9 @@ def _axes(x: float, y: float, z: float) -> tuple[Array, Array]:
 def _with_rest(
     state: FusionState, frame: SensorJoints, joints: Array, known: Sequence[Array], shares: Array
 ) -> list[Array]:
-    """The fused joints, and what is known of them (15,), each followed by the set's others. Those move rigidly with their
-    sensor's nearest common joints, are averaged with the sensors' shares in the joint that they hang from, and are as
-    sure as that one."""
+    """The fused joints, and what is known of them (15,), each followed by the set's others. Those move rigidly with
+    their sensor's nearest common joints, are averaged with the sensors' shares in the joint that they hang from, and
+    are as sure as that one."""
     rest = state.rest
     raw, common = frame.positions, state.joint_set.common
     out = np.full((len(rest), 3), np.nan)

@@ -26,8 +26,8 @@ HIDDEN_P = np.array([0.0, 0.56, 0.9, 0.12, 0.63])[_PARTS]
 BEHIND_P = np.where(_PARTS > 0, 0.8, 0.0)
 """(15,) how likely a joint is guessed by a sensor that sees the back."""
 GUESSED_P, LEAST_P, INFERRED = 0.064, 0.05, 0.5
-"""How likely any joint is guessed; how likely it is seen at least, before its bone is looked at; what of the rest is left to a joint that the sensor itself calls inferred (this one
-is an assumption: the recordings hold no states)."""
+"""How likely any joint is guessed; how likely it is seen at least, before its bone is looked at; what of the rest is
+left to a joint that the sensor itself calls inferred (an assumption: the recordings hold no states)."""
 GUESS_SD_M, JITTER_M = 0.1, 0.0085
 """m per axis: sd of a guess, and what neighbouring frames differ by."""
 BONE_SD_M, MOST_OFF_M = (0.016, 0.052), 0.1
@@ -56,9 +56,13 @@ def what_is_open(
     NaN where it is not known; left (3,): to the person's left, of any length; lengths (18,) m of joints.BONES, 0 where
     unknown; variance (15,) m^2 per axis: of what averages away."""
     seen = seen_joints(positions, states, eyes, left, lengths)
+    points, to = np.where(seen[..., None] > 0, positions, 0.0), eyes - joints[jt.TORSO]
+    apart = ((points[:, None] - points) ** 2).sum(-1)
+    alike = np.maximum(_cosine(to[:, None], to)[..., 0], 0.0)
+    order = np.argsort(-seen, axis=0, kind="stable")
     systematic, wrong = np.empty(15), np.empty(15)
     compute.fusion.judge_claims(
-        *(positions, seen, eyes, joints, np.asarray(variance), OWN_SD_M, GUESS_SD_M, JITTER_M, WRONG_M),
+        *(points - joints, apart, alike, seen, order, np.asarray(variance), OWN_SD_M, GUESS_SD_M, JITTER_M, WRONG_M),
         *(systematic, wrong),
     )
     return systematic, wrong
@@ -75,13 +79,15 @@ def seen_joints(positions: Array, states: NDArray[np.uint8], eyes: Array, left: 
     seen = np.where(states == TRACKED, seen, INFERRED * seen)
     off = np.linalg.norm(positions - positions[:, jt.PARENT], axis=-1) - np.where(_BONE >= 0, lengths[_BONE], 0.0)
     off = np.minimum(np.abs(off), MOST_OFF_M)
-    right, guessed = (p * np.exp(-0.5 * (off / sd) ** 2) / sd for p, sd in zip((seen, 1 - seen), BONE_SD_M, strict=True))
+    right, guessed = (
+        p * np.exp(-0.5 * (off / sd) ** 2) / sd for p, sd in zip((seen, 1 - seen), BONE_SD_M, strict=True)
+    )
     known = np.isfinite(off) & (_BONE >= 0) & (lengths[_BONE] > 0)
     seen = np.where(known, right / (right + guessed), seen)
     return np.where((states > 0) & np.isfinite(positions[..., 0]), seen, 0.0)
 
 
 def _cosine(a: Array, b: Array) -> Array:
-    """(K, 1) of the angles between vectors (K, 3), 0 where it is not known."""
+    """(..., 1) of the angles between vectors (..., 3), 0 where it is not known."""
     square = (a * a).sum(-1) * (b * b).sum(-1)
-    return np.nan_to_num((a * b).sum(-1) / np.sqrt(np.where(square > 0, square, np.nan)))[:, None]
+    return np.nan_to_num((a * b).sum(-1) / np.sqrt(np.where(square > 0, square, np.nan)))[..., None]

@@ -149,9 +149,7 @@ def _too_doubtful(
     if share > WRONG_SHARE:
         worst = [names[j].replace("_", " ") for j in np.argsort(-often)[:4] if often[j] > 0.2]
         what = f", above all {', '.join(worst)}" if worst else ""
-        return [
-            f"the evidence speaks against the body in {100 * share:.0f} % of the joints{what}: {cure}"
-        ]
+        return [f"the evidence speaks against the body in {100 * share:.0f} % of the joints{what}: {cure}"]
     likely = np.where(doubtful, motion.p_wrong, 0.0)[seen].sum(0) / np.maximum(doubtful[seen].sum(0), 1)
     lasting = doubtful[seen].sum(0) >= LIMB_S * motion.frame_rate
     found = np.flatnonzero((often > LIMB_SHARE) & lasting & (likely >= least))

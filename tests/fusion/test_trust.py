@@ -47,6 +47,12 @@ def test_the_arm_that_the_body_hides_is_likely_guessed():
     assert open_at([REST, guessed], [FRONT, FRONT])[1][jt.LEFT_HAND] > 0.3
 
 
+def test_sensors_that_see_another_side_may_differ_by_more():
+    moved = REST + [0.05, 0.0, 0.05]
+    same, other = (open_at([REST, moved], [FRONT, eye])[1][jt.NECK] for eye in (FRONT, LEFT_SIDE))
+    assert same > 3 * other
+
+
 def test_inferred_joints_and_bones_of_another_length_are_trusted_less():
     short = REST.copy()
     short[jt.LEFT_HAND] = REST[jt.LEFT_ELBOW] + 0.7 * (REST[jt.LEFT_HAND] - REST[jt.LEFT_ELBOW])
@@ -72,12 +78,15 @@ def test_a_joint_that_no_sensor_reports_is_as_sure_as_its_prediction():
 def test_the_kernel_sums_over_who_is_right(rng):
     """Against the sum over all sets of sensors that are right, of which the first one says where the joint is."""
     weights, own, guess, jitter = np.array([[0.9], [0.6], [0.3]]), np.array([0.03]), 0.1, 0.01
-    far = np.full((3, 3), np.nan)  # no two directions are alike
+    alike = np.zeros((3, 3))
     points = rng.normal(0, 0.08, (3, 1, 3))
     points[1:] += [[[0.6, 0, 0]], [[0, 1.2, 0]]]  # far apart, so that only one can be right
     x, variance = points[0] + 0.03, np.array([0.015**2])
     systematic, wrong = np.empty(1), np.empty(1)
-    cpu_fusion.judge_claims(points, weights, far, x, variance, own, guess, jitter, 0.1, systematic, wrong)
+    apart, order = ((points[:, None] - points) ** 2).sum(-1), np.arange(3)[:, None]
+    cpu_fusion.judge_claims(
+        points - x, apart, alike, weights, order, variance, own, guess, jitter, 0.1, systematic, wrong
+    )
 
     def density(k, i, v):
         return np.exp(-((points[k, 0] - points[i, 0]) ** 2).sum() / (2 * v)) / v**1.5

@@ -279,72 +279,45 @@ def weigh_joints(positions, states, inferred, weights, points, evidence):
 
 
 @kernel
-def judge_claims(points, weights, eyes, x, variance, own, elsewhere, jitter, limit, systematic, wrong):
-    """What is left open of joints x (J, 3) m that were fused of points (K, J, 3), seen with probability weights (K, J).
+def judge_claims(off, apart, alike, weights, order, variance, own, elsewhere, jitter, limit, systematic, wrong):
+    """What is left open of joints that were fused of those of sensors, seen with probability weights (K, J).
 
-    Either the sensor that is likeliest right is so, and those that follow are right or guess; or it guesses and the
-    next one is right, ...; or all guess. How far the sensors are apart tells which. What a sensor sees is off by sd
-    own (J,) m per axis, of which sensors (at eyes (K, 3)) share the more the more alike their directions are, and by
-    `jitter`; a guess by `elsewhere`. variance (J,) m^2 per axis: what x has of its own. Written are systematic (J,) m^2
-    per axis, the variance about x of all these cases, and wrong (J,), how likely x is off by more than limit m."""
-    order, centre = np.empty(weights.shape[0], np.int64), np.empty(3)
-    for j in range(x.shape[0]):
-        n = 0
-        for k in range(weights.shape[0]):
-            if weights[k, j] > 0:
-                order[n] = k
-                n += 1
-                for i in range(n - 1, 0, -1):
-                    if weights[order[i], j] > weights[order[i - 1], j]:
-                        order[i], order[i - 1] = order[i - 1], order[i]
-        seen, guess = own[j] ** 2, elsewhere**2
+    Either the first sensor in order (K, J) is right, and those that follow are right or guess; or it guesses and the
+    next one is right, ...; or all guess. How far they are apart (K, K, J) m^2 tells which. What a sensor sees is off by
+    sd own (J,) m per axis, of which two sensors share alike (K, K), and by `jitter`; a guess by `elsewhere`. off
+    (K, J, 3) m: from the fused joints to the sensors'; variance (J,) m^2 per axis: what the fused ones have of their
+    own. Written are systematic (J,) m^2 per axis, the variance about them of all these cases, and wrong (J,), how
+    likely they are off by more than limit m."""
+    centre = np.empty(3)
+    for j in range(own.shape[0]):
+        n, seen, guess = int((weights[:, j] > 0).sum()), own[j] ** 2, elsewhere**2
         total, systematic[j], wrong[j] = 0.0, 0.0, 0.0
         for first in range(max(n, 1) + (n > 0)):
-            likely, off, total_right = 1.0, 0.0, 0.0
+            likely, rights, far = 1.0, 0.0, 0.0
             centre[:] = 0.0
-            right = order[first] if first < n else -1
-            anchor = right if right >= 0 else order[0]
             for i in range(n):
-                k, d = order[i], 0.0
-                for a in range(3):
-                    d += (points[k, j, a] - points[anchor, j, a]) ** 2
-                share = 0.0
+                k, anchor = order[i, j], order[first % n, j]
+                w, d, share = weights[k, j], apart[k, anchor, j], 0.0
                 if i == first:
-                    likely *= weights[k, j]
-                    share = 1.0
+                    likely, share = likely * w, 1.0
                 elif i > first:
-                    alike = _alike(eyes[k], eyes[anchor], x[j])
-                    near = weights[k, j] * _normal(d, seen * (1 - alike) + 2 * jitter**2)
-                    both = near + (1 - weights[k, j]) * _normal(d, seen + guess)
-                    likely *= both
-                    share = near / max(both, 1e-300)
+                    near = w * _normal(d, seen * (1 - alike[k, anchor]) + 2 * jitter**2)
+                    both = near + (1 - w) * _normal(d, seen + guess)
+                    likely, share = likely * both, near / max(both, 1e-300)
+                elif k == anchor:
+                    likely *= 1 - w
                 else:
-                    likely *= 1 - weights[k, j]
-                    if k != anchor:
-                        likely *= _normal(d, seen + guess * (1 if right >= 0 else 2))
-                total_right += share
-                for a in range(3):
-                    centre[a] += share * (points[k, j, a] - x[j, a])
+                    likely *= (1 - w) * _normal(d, seen + guess * (1 if first < n else 2))
+                rights += share
+                centre += share * off[k, j]
             for a in range(3):
-                off += (centre[a] / max(total_right, 1.0)) ** 2
-            likely = max(likely, 1e-300)
-            around = seen if right >= 0 or n == 0 else guess
+                far += (centre[a] / max(rights, 1.0)) ** 2
+            likely, around = max(likely, 1e-300), guess if first == n and n > 0 else seen
             total += likely
-            systematic[j] += likely * (around + off / 3)
-            wrong[j] += likely * _beyond(math.sqrt(off), math.sqrt(around + variance[j]), limit)
+            systematic[j] += likely * (around + far / 3)
+            wrong[j] += likely * _beyond(math.sqrt(far), math.sqrt(around + variance[j]), limit)
         systematic[j] /= total
         wrong[j] /= total
-
-
-@kernel
-def _alike(a, b, x):
-    """Cosine of the angle between the directions in which a and b (3,) see x, at least 0; 0 when they are unknown."""
-    ab, aa, bb = 0.0, 0.0, 0.0
-    for i in range(3):
-        ab += (a[i] - x[i]) * (b[i] - x[i])
-        aa += (a[i] - x[i]) ** 2
-        bb += (b[i] - x[i]) ** 2
-    return max(ab / math.sqrt(aa * bb), 0.0) if math.isfinite(ab) and aa * bb > 0 else 0.0
 
 
 @kernel

@@ -17,7 +17,13 @@ import numpy as np
 from hypose.errors import InputError
 from hypose.geometry import Array, so3_exp
 from hypose.io.file_names import text_of
-from hypose.io.sensors.skeleton_streams import MAX_JOINTS, MISSING_MARK, SkeletonRecording, StreamRows, checked_recording
+from hypose.io.sensors.skeleton_streams import (
+    MAX_JOINTS,
+    MISSING_MARK,
+    SkeletonRecording,
+    StreamRows,
+    checked_recording,
+)
 from hypose.io.text_in import bounded_lines
 
 KINECT_V2 = tuple(
@@ -99,8 +105,8 @@ def read_kinect_csv(path: str | Path, clock: str = "tracker") -> SkeletonRecordi
 
 
 def _before_own_sensor(points: Array, first: Array, own: Array) -> Array:
-    """Points (N, 3) m that a sensor's skeleton has where the first sensor saw it, as its own sensor saw them; first, own:
-    angle rad about the vertical and distance m of the person at first."""
+    """Points (N, 3) m that a sensor's skeleton has where the first sensor saw it, as its own sensor saw them; first,
+    own: angle rad about the vertical and distance m of the person at first."""
     moved = (points - [0.0, 0.0, first[1]]) @ so3_exp(np.array([0.0, own[0] - first[0], 0.0]))
     return np.asarray(moved + [0.0, 0.0, own[1]])
 
