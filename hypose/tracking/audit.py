@@ -327,7 +327,7 @@ def _points(names: tuple[str, ...], rotations: Array, joints: Array, seen: Keypo
     sides = np.zeros((len(names), 2))
     for limb, below in _BELOW.items():
         sides[[n.endswith(below) for n in names]] = views_by_names(model, limb, points, uv, size)
-    own = _columns(names, model.names)  # (J, M), -1: none
+    own = columns_of_joints(names, model.names)  # (J, M), -1: none
     raw = np.linalg.norm(points[..., :2] - uv, axis=-1) / size[:, None]
     there = (own >= 0)[None] & ((points[..., 2] > 0) & model.known & np.isfinite(uv).all(-1))[:, own]
     agree, against = (there & (raw[:, own] < _AGREE_M)).any(-1), (there & (raw[:, own] > 2 * _AGREE_M)).any(-1)
@@ -352,7 +352,7 @@ _BELOW = {"legs": ("knee", "ankle"), "arms": ("elbow", "wrist")}
 
 
 @lru_cache(8)
-def _columns(names: tuple[str, ...], points: tuple[str, ...]) -> NDArray[np.int64]:
+def columns_of_joints(names: tuple[str, ...], points: tuple[str, ...]) -> NDArray[np.int64]:
     """(J, M) columns of the key points that speak of each joint, -1 where there are no more."""
     own = [[points.index(n) for n in _NAMED.get(name, (name,)) if n in points] for name in names]
     most = max(map(len, own))

@@ -44,7 +44,7 @@ _MOTION_ARRAYS: dict[str, tuple[str, str, int]] = {
     "p_wrong": ("f", "<f4", 2),
     "doubtful_joints": ("b", "|b1", 2),
     "angle_sd": ("f", "<f4", 2),
-    "definition_sd": ("f", "<f4", 1),
+    "systematic_covariance": ("f", "<f4", 4),
     "rivals": ("f", "<f4", 3),
     "rival_weights": ("f", "<f4", 2),
     "n_views": ("i", "<i8", 1),
@@ -63,7 +63,10 @@ _MOTION_ARRAYS: dict[str, tuple[str, str, int]] = {
 }
 _SKELETON = ("parents", "rest_offsets", "ball", "axes", "joint_of_dof", "lower", "upper", "sigma")
 _SERIES = ("times", "joints", "joint_covariance", "lost", "extrapolated", "n_views", "cost")
-_OPTIONAL = ("poses", "doubtful", "p_wrong", "doubtful_joints", "angle_sd", "definition_sd", "rivals", "rival_weights")
+_OPTIONAL = (
+    *("poses", "doubtful", "p_wrong", "doubtful_joints", "angle_sd", "systematic_covariance"),
+    *("rivals", "rival_weights"),
+)
 
 
 # ---- atomic files ------------------------------------------------------------------------------------------
