@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import ncx2
 
+from hypose.body.motion import sd_per_axis
 from hypose.compute.swarm import cpu_fusion
 from hypose.fusion import joints as jt
 from hypose.fusion import trust
@@ -113,5 +114,7 @@ def test_a_motion_says_what_is_open(rng, method):
     frames = seen(moving_person(40), sensor_poses(rng, 3), rng, noise=0.01)
     motion = fuse_clip(frames, method, FusionSettings()).motion
     assert (motion.joint_sd[5:] > 0.02).all()
+    part = sd_per_axis(motion.systematic_covariance) / motion.joint_sd
+    assert (part > 0.5).all() and (part < 1).all()
     assert motion.p_wrong.shape == motion.joints.shape[:2] and (motion.p_wrong >= 0).all()
     np.testing.assert_array_equal(motion.doubtful_joints, motion.p_wrong > trust.DOUBTFUL_P)
