@@ -101,16 +101,23 @@ def left_out(more: int, where: str, command: str) -> str:
     return f"Note: {who} in the {where} and left out; {command} tracks everybody."
 
 
-def verdict_of(motion: Motion, faults: Sequence[str] = (), looks: Sequence[str] = ()) -> Verdict:
+def verdict_of(
+    motion: Motion,
+    faults: Sequence[str] = (),
+    looks: Sequence[str] = (),
+    cure: str | None = None,
+    most_lost: float = LOST_SHARE,
+) -> Verdict:
     """The verdict on a motion; faults: sentences of what was found wrong with it as a whole; looks: of what makes the
-    whole of it worth a look."""
+    whole of it worth a look; cure: what to do when too many joints are likely wrong; most_lost: share of the frames
+    without the person from which on nothing is trusted."""
     because = list(faults)
     gone = motion.lost | motion.extrapolated
-    if gone.mean() > LOST_SHARE:
+    if gone.mean() > most_lost:
         because.append(f"the person was not found in {100 * gone.mean():.0f} % of the frames")
     doubtful = motion.doubtful_joints
     if doubtful is not None and motion.p_wrong is not None and (~gone).any():
-        because += _too_doubtful(motion, doubtful, ~gone, 0.0 if looks else LIMB_P)
+        because += _too_doubtful(motion, doubtful, ~gone, 0.0 if looks else LIMB_P, cure or _cure(motion))
     if because:
         return Verdict(UNTRUSTED, (*because, *looks))
     frames = np.zeros(len(motion), dtype=bool) if motion.doubtful is None else motion.doubtful.astype(bool)
@@ -134,19 +141,18 @@ def _worth_a_look(motion: Motion, doubtful: NDArray[np.bool_] | None, stretch: r
     return float(np.where(doubtful[at], motion.p_wrong[at], 0.0).sum(1).mean()) >= LOOK_P
 
 
-def _too_doubtful(motion: Motion, doubtful: NDArray[np.bool_], seen: NDArray[np.bool_], least: float) -> list[str]:
+def _too_doubtful(
+    motion: Motion, doubtful: NDArray[np.bool_], seen: NDArray[np.bool_], least: float, cure: str
+) -> list[str]:
     """Sentences on joints that are too doubtful in the frames in which the person is seen; least: how likely a limb
-    must be wrong for it."""
+    must be wrong for it; cure: of `verdict_of`."""
     assert motion.p_wrong is not None
     names = motion.skeleton.joint_names
     share, often = float(motion.p_wrong[seen].mean()), doubtful[seen].mean(0)
     if share > WRONG_SHARE:
         worst = [names[j].replace("_", " ") for j in np.argsort(-often)[:4] if often[j] > 0.2]
         what = f", above all {', '.join(worst)}" if worst else ""
-        return [
-            f"the evidence speaks against the body in {100 * share:.0f} % of the joints{what}: compare the overlay "
-            f"with the images, and give {_others(motion)}"
-        ]
+        return [f"the evidence speaks against the body in {100 * share:.0f} % of the joints{what}: {cure}"]
     likely = np.where(doubtful, motion.p_wrong, 0.0)[seen].sum(0) / np.maximum(doubtful[seen].sum(0), 1)
     lasting = doubtful[seen].sum(0) >= LIMB_S * motion.frame_rate
     found = np.flatnonzero((often > LIMB_SHARE) & lasting & (likely >= least))
@@ -157,11 +163,11 @@ def _too_doubtful(motion: Motion, doubtful: NDArray[np.bool_], seen: NDArray[np.
     return []
 
 
-def _others(motion: Motion) -> str:
-    """Evidence that may help beside that of a motion; without masks it has no cost."""
-    if np.isnan(motion.cost).all():
-        return "a background for masks, --start with the first pose, or other key points"
-    return "key points, --start with the first pose, or other masks"
+def _cure(motion: Motion) -> str:
+    """What to do when too many joints of a person before cameras are likely wrong; without masks a motion has no cost."""
+    points = bool(np.isnan(motion.cost).all())
+    more, other = ("a background for masks", "key points") if points else ("key points", "masks")
+    return f"compare the overlay with the images, and give {more}, --start with the first pose, or other {other}"
 
 
 def _what(motion: Motion, doubtful: NDArray[np.bool_] | None, stretches: Sequence[range]) -> str:
