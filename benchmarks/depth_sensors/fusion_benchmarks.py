@@ -118,7 +118,7 @@ def real(options: BenchOptions) -> BenchReport:
         if used.get(configuration, 0) >= 3 and options.quick:
             continue
         try:
-            frames = _main_person(file)
+            frames = main_person(file)
         except InputError:
             continue
         name = CONFIGURATIONS[configuration]
@@ -134,7 +134,7 @@ def real(options: BenchOptions) -> BenchReport:
         if len(frames) < 300:
             continue
         if even and not options.quick:
-            _alone(frames, name, found)
+            sensor_left_out(frames, name, found)
         used[configuration] = used.get(configuration, 0) + 1
         if used[configuration] <= 3:
             _measure_pair(frames[:400], name, "", found)
@@ -144,7 +144,7 @@ def real(options: BenchOptions) -> BenchReport:
     return BenchReport(tuple(rows), {"recordings": {CONFIGURATIONS[c]: n for c, n in used.items()}})
 
 
-def _alone(frames: list[SensorJoints], name: str, found: dict[tuple[str, str, str], list[float]]) -> None:
+def sensor_left_out(frames: list[SensorJoints], name: str, found: dict[tuple[str, str, str], list[float]]) -> None:
     """What one sensor alone says of its joints, against the other one; of all joints, and ("/clear") of those that the
     other one alone does not doubt. Sensors that see the same make the same errors: at 0 degrees that is no test."""
     positions, states = np.stack([f.positions for f in frames]), np.stack([f.state for f in frames])
@@ -180,7 +180,7 @@ def _verdicts(file: Path, frames: list[SensorJoints], found: dict[tuple[str, str
     found.setdefault(("doubtful_frames", case, "share"), []).append(float(np.mean(doubtful)))
 
 
-def _main_person(file: Path) -> list[SensorJoints]:
+def main_person(file: Path) -> list[SensorJoints]:
     """Instants in which both sensors report the person that is seen most, common joints."""
     recording = read_kinect_csv(file)
     if len(recording.streams) < 2:
