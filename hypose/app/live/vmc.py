@@ -1,6 +1,6 @@
 """Poses for programs that move an avatar, by the VMC protocol: bones of a VRM humanoid as OSC messages.
 
-Bones, T pose and divided turns are those of the VRM animation (hypose.io.motions.vrm). The protocol speaks Unity's
+Bones, T pose and divided turns are those of hypose.app.live.humanoid_bones. The protocol speaks Unity's
 axes: left-handed, x right, y up, z forwards. The root stays at the origin; the hips carry place and turn.
 
 Source: VMC protocol specification, what a Performer sends to a Marionette (protocol.vmc.info), version 2.7.
@@ -13,12 +13,12 @@ from collections.abc import Callable
 
 import numpy as np
 
+from hypose.app.live.humanoid_bones import BONES, bone_turns, rest_offsets
 from hypose.app.live.osc import osc_message
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.geometry import Array, quaternion_from_matrix
-from hypose.io.motions.vrm import BONES, bone_turns, rest_offsets
 
 VMC_TARGET = "127.0.0.1:39539"
 """Where programs that draw an avatar usually listen."""
