@@ -309,7 +309,12 @@ def test_no_two_files_have_the_same_name():
 
 
 def test_every_imported_package_is_declared():
-    distributions = {"cv2": "opencv-python-headless", "skimage": "scikit-image", "distributed": "dask"}
+    distributions = {
+        "cv2": "opencv-python-headless",
+        "skimage": "scikit-image",
+        "distributed": "dask",
+        "pythonosc": "python-osc",
+    }
     extras = {k: v for k, v in PROJECT["optional-dependencies"].items() if k not in ("dev", "oracles")}
     requirements = PROJECT["dependencies"] + [line for lines in extras.values() for line in lines]
     declared = {re.split(r"[<>=!~;\[ ]", line)[0].lower() for line in requirements}

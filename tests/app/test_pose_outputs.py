@@ -15,10 +15,10 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from benchmarks.robustness.small_recordings import small_scene
+from hypose.app.live.humanoid_bones import BONES
 from hypose.app.live.pose_outputs import MAGIC, PoseOutputs, pose_bytes, pose_json, status_json
 from hypose.body.ready_bodies import JOINT_NAMES
 from hypose.errors import InputError
-from hypose.io.motions.vrm import BONES
 from hypose.pipeline.live.engine import LiveStatus
 from hypose.pipeline.live.feeds import FeedStatus
 from tests.conftest import ROOT

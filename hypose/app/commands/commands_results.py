@@ -16,12 +16,10 @@ from hypose.errors import InputError
 
 def export(
     results: Annotated[Path, typer.Argument(help="Results folder of hypose track, or its motion.npz.")],
-    formats: Annotated[
-        str, typer.Option(help="Motion files to write; also osim, vrma, rrd.")
-    ] = "trc,c3d,bvh,glb,csv,mot",
+    formats: Annotated[str, typer.Option(help="Motion files to write; also osim, rrd.")] = "trc,c3d,bvh,glb,csv,mot",
     out: Annotated[Path | None, typer.Option(help="Folder to write to. [default: the results folder]")] = None,
 ) -> None:
-    """Write motion files (TRC, C3D, BVH, GLB, CSV, MOT; OpenSim, VRM, Rerun) from a tracked motion."""
+    """Write motion files (TRC, C3D, BVH, GLB, CSV, MOT; OpenSim, Rerun) from a tracked motion."""
     from hypose.io.claims import claimed
     from hypose.io.motions.bodies import load_result_body
     from hypose.io.motions.export import export_motion

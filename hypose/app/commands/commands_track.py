@@ -71,7 +71,7 @@ def track(
     out: Annotated[
         Path | None, typer.Option(help="Results folder. [default: results/RECIPE in the recording's folder]")
     ] = None,
-    formats: Annotated[str, typer.Option(help="Motion files to write.")] = "trc,c3d,bvh,glb,csv,mot,osim,vrma",
+    formats: Annotated[str, typer.Option(help="Motion files to write.")] = "trc,c3d,bvh,glb,csv,mot,osim",
     no_overlay: Annotated[bool, typer.Option("--no-overlay", help="Do not write overlay.mp4.")] = False,
     resume: Annotated[bool, typer.Option("--resume", help="Go on where an interrupted run stopped.")] = False,
     threads: Threads = None,

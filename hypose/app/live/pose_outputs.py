@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from hypose.app.live.humanoid_bones import bone_turns, rest_offsets
 from hypose.app.live.osc import OscTarget, people_osc
 from hypose.app.live.socket_listeners import SocketListeners
 from hypose.app.live.vmc import vmc_messages
@@ -16,7 +17,6 @@ from hypose.body.body import Body
 from hypose.body.ready_bodies import JOINT_NAMES
 from hypose.errors import InputError
 from hypose.geometry import Array
-from hypose.io.motions.vrm import bone_turns, rest_offsets
 from hypose.pipeline.live.engine import LiveStatus, Seen
 from hypose.pipeline.live.live_person import LivePose
 

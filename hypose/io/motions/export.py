@@ -82,14 +82,6 @@ def _osim(motion: Motion, body: Body, folder: Path) -> list[Path]:
     return [model, markers, setup]
 
 
-def _vrma(motion: Motion, body: Body, folder: Path) -> list[Path]:
-    from hypose.io.motions.vrm import write_vrma  # takes long to import
-
-    path = folder / "motion.vrma"
-    write_vrma(path, motion, body)
-    return [path]
-
-
 def _rrd(motion: Motion, body: Body, folder: Path) -> list[Path]:
     path = folder / "motion.rrd"
     write_rrd(path, motion, body)
@@ -104,11 +96,10 @@ FORMATS: Mapping[str, Callable[[Motion, Body, Path], list[Path]]] = {
     "csv": _csv,
     "mot": _mot,
     "osim": _osim,
-    "vrma": _vrma,
 }
 EXTRAS: Mapping[str, Callable[[Motion, Body, Path], list[Path]]] = {"rrd": _rrd}
 """Formats that need an extra to be installed, so that nobody gets them unasked."""
-_NEED_POSES = ("bvh", "glb", "mot", "osim", "vrma")
+_NEED_POSES = ("bvh", "glb", "mot", "osim")
 
 
 def known_formats(asked: Sequence[str]) -> Mapping[str, Callable[[Motion, Body, Path], list[Path]]]:
@@ -129,8 +120,7 @@ def export_motion(
 
     trc, c3d, bvh, glb and mot give motion.<format>, csv gives angles.csv and joints.csv, mot also motion_sd.sto where
     the angles' sd is known; osim gives motion.osim, the model of this body on which motion.mot plays, and
-    motion_markers.trc and motion_ik.xml for OpenSim's inverse kinematics; vrma
-    gives motion.vrma, the motion on the bones of VRM; rrd, with the extra
+    motion_markers.trc and motion_ik.xml for OpenSim's inverse kinematics; rrd, with the extra
     [rerun], motion.rrd. Each file appears whole or not at all. Lost and extrapolated
     frames keep their predicted points: TRC has no mark for them, C3D gives them residual 0 (computed, not measured),
     joints.csv has a column for each flag. An InputError names an unknown format, or one that needs poses when the
