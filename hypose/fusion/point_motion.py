@@ -76,9 +76,7 @@ def points_motion(
     lasting = isotropic(systematic[:, order])
     p = np.nan_to_num(np.where(lost[:, None], np.fmax(wrong, 0.5), wrong)[:, order]).astype(np.float32)
     doubtful = p > DOUBTFUL_P
-    return replace(
-        motion, p_wrong=p, doubtful_joints=doubtful, doubtful=doubtful.any(1), systematic_covariance=lasting
-    )
+    return replace(motion, p_wrong=p, doubtful_joints=doubtful, doubtful=doubtful.any(1), systematic_covariance=lasting)
 
 
 def _topological(names: tuple[str, ...]) -> tuple[list[int], list[int]]:
