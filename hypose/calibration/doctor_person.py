@@ -40,6 +40,7 @@ _PAIRS = tuple(
     )
 ) + (("left_shoulder", "right_shoulder"),)
 _LEAST_BONES = 6
+_NOISE_M = 0.06
 _UPRIGHT = 0.5  # cosine
 EXCHANGED = 7.0
 """log likelihood ratio, 1000 to 1, from which left and right are called exchanged"""
@@ -82,19 +83,27 @@ def wrong_set(points_world: Array, names: Sequence[str]) -> Finding | None:
 
 
 def _disorder(points_world: Array, names: Sequence[str]) -> float:
-    """How far bones are from a person's: median over bones of the distance of their length from the template's (as a
-    logarithm, less what all share), plus that of left from right, plus how each changes. NaN with too few bones."""
+    """How far bones are from a person's, beyond what noise makes of them: mean over bones of the distance of their
+    length from the template's (as a logarithm, less what all share), plus that of left from right, plus how each
+    changes. NaN with too few bones.
+
+    Noise of the points makes bones longer and short ones change most: it is taken off as far as it is the same for all
+    bones, and no more than a detector has (_NOISE_M)."""
     template = _template(tuple(names))
     column = {n: k for k, n in enumerate(names)}
-    ratio: dict[tuple[str, str], Array] = {}
+    lengths: dict[tuple[str, str], Array] = {}
     for a, b in _PAIRS:
         if (a, b) in template and a in column and b in column:
             d = np.linalg.norm(points_world[:, column[a]] - points_world[:, column[b]], axis=-1)
             d = d[np.isfinite(d)]
             if len(d) >= 3:
-                ratio[a, b] = np.log(np.maximum(d, 1e-9) / template[a, b])
-    if len(ratio) < _LEAST_BONES:
+                lengths[a, b] = d
+    if len(lengths) < _LEAST_BONES:
         return float("nan")
+    scatter = float(np.median([np.median(np.abs(d - np.median(d))) for d in lengths.values()]))
+    noise = min(1.48 * scatter, _NOISE_M)  # m per axis, of the difference of two points
+    longer = {k: float(np.hypot(template[k], 1.5 * noise)) for k in lengths}  # median length of a noisy difference
+    ratio = {k: np.log(np.maximum(d, 1e-9) / longer[k]) for k, d in lengths.items()}
     middle = {k: float(np.median(v)) for k, v in ratio.items()}
     common = float(np.median(list(middle.values())))
     off = [abs(v - common) for v in middle.values()]
@@ -103,7 +112,7 @@ def _disorder(points_world: Array, names: Sequence[str]) -> float:
         for a, b in middle
         if a.startswith("left_") and (twin := (a.replace("left", "right"), b.replace("left", "right"))) in middle
     ]
-    change = [float(np.median(np.abs(v - middle[k]))) for k, v in ratio.items()]
+    change = [max(float(np.median(np.abs(v - middle[k]))) - noise / 1.48 / longer[k], 0.0) for k, v in ratio.items()]
     return float(np.mean(off) + np.mean(sides or [0.0]) + np.mean(change)) / 2
 
 

@@ -164,7 +164,7 @@ def _too_doubtful(
 
 
 def _cure(motion: Motion) -> str:
-    """What to do when too many joints of a person before cameras are likely wrong; without masks there is no cost."""
+    """What to do when too many joints before cameras are likely wrong; without masks a motion has no cost."""
     points = bool(np.isnan(motion.cost).all())
     more, other = ("a background for masks", "key points") if points else ("key points", "masks")
     return f"compare the overlay with the images, and give {more}, --start with the first pose, or other {other}"
