@@ -39,7 +39,8 @@ def bench(
     """Measure accuracy and speed."""
     set_threads(threads)
     from benchmarks.bench_list import run_benchmark
-    from hypose.io.motions.results import atomic_path, check_writable, to_json
+    from hypose.io.files import atomic_path, check_writable
+    from hypose.io.motions.results import to_json
 
     if plot is not None:
         from benchmarks.bench_plot import check_plot_path

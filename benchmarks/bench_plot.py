@@ -14,7 +14,7 @@ from PIL import Image
 from hypose.app.reports.figures import Axes, Figure, Patch, rc_context
 from hypose.app.reports.plots import STYLE
 from hypose.errors import InputError
-from hypose.io.motions.results import atomic_path
+from hypose.io.files import atomic_path
 
 ENDINGS = (".png", ".svg", ".pdf")
 _WIDTH, _HEIGHT, _DPI = 4.6, 2.8, 90

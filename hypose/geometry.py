@@ -81,6 +81,12 @@ def so3_left_jacobian(rotation_vector: ArrayLike) -> Array:
     return np.eye(3) + b * k + c * (k @ k)
 
 
+def so3_turns(rotation_vector: ArrayLike) -> Array:
+    """Derivatives B (..., 3, 3) of rotation vectors by a small turn in the world: exp(r + B w) = exp(w) exp(r) to first
+    order; the inverse of `so3_left_jacobian`."""
+    return np.asarray(np.linalg.inv(so3_left_jacobian(rotation_vector)), dtype=np.float64)
+
+
 _FEW = 4
 """rotation vectors that are looked at one by one, which is sooner than together"""
 

@@ -84,7 +84,6 @@ def home() -> Iterator[Path | None]:
             yield None
             return
         patch.setenv("HOME", folder)
-        patch.setenv("CUDA_CACHE_DISABLE", "1")  # a driver that some test wakes up would keep its cache there
         yield Path(folder)
 
 

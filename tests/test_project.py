@@ -305,7 +305,12 @@ def test_no_modules_import_each_other_in_a_circle():
 
 
 def test_every_imported_package_is_declared():
-    distributions = {"cv2": "opencv-python-headless", "skimage": "scikit-image", "distributed": "dask"}
+    distributions = {
+        "cv2": "opencv-python-headless",
+        "skimage": "scikit-image",
+        "distributed": "dask",
+        "pythonosc": "python-osc",
+    }
     extras = {k: v for k, v in PROJECT["optional-dependencies"].items() if k not in ("dev", "oracles")}
     requirements = PROJECT["dependencies"] + [line for lines in extras.values() for line in lines]
     declared = {re.split(r"[<>=!~;\[ ]", line)[0].lower() for line in requirements}

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import gzip
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
 from benchmarks.bench_report import BenchOptions, BenchReport, row
 from benchmarks.depth_sensors.fusion_scenes import FRESH_SEED, HANDS, scene_recording, scene_settings
+from benchmarks.multiview.doubt_fit import auroc
+from hypose.app.jobs.fuse_job import FuseJob, run_fuse
+from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.evidence.frame import SensorJoints
 from hypose.fusion import baselines
@@ -17,8 +22,11 @@ from hypose.fusion import joints as jt
 from hypose.fusion.fuse import BASELINES, FusionSettings, fuse_clip, start, step
 from hypose.fusion.point_motion import common_positions
 from hypose.fusion.register import common_joints, register, register_per_frame
+from hypose.fusion.trust import WRONG_M
 from hypose.geometry import Array
+from hypose.io.motions.results import ResultsFolder
 from hypose.io.sensors.skeleton_tables import read_kinect_csv
+from hypose.pipeline.verdict import GOOD, UNTRUSTED
 from hypose.synthetic.sensors import FRAME_RATE, SensorRecording
 
 
@@ -28,7 +36,7 @@ def human4d(options: BenchOptions) -> BenchReport:
     seeds = options.seed_range(10, first=FRESH_SEED)
     scenes = "ABH" if options.data is not None else "AB"
     found: dict[str, list[float]] = {}
-    inside: dict[str, list[float]] = {}
+    shares: dict[tuple[str, str], list[float]] = {}
     for s, seed in enumerate(seeds):
         for scene in scenes:
             options.progress(f"scene {scene}", s, len(seeds))
@@ -46,15 +54,26 @@ def human4d(options: BenchOptions) -> BenchReport:
                         1e3 * float(np.nanmean(error[:, list(HANDS)]))
                     )
                     if method == "fit":
-                        sd = fused.motion.joint_sd[:, [fused.motion.skeleton.joint(n) for n in jt.COMMON]]
-                        inside.setdefault(scene, []).append(float((error < 2.5003 * sd).mean()))
+                        for metric, share in _trusted(fused.motion, error).items():
+                            shares.setdefault((metric, scene), []).append(share)
                         causal = _causal(frames, truth)
                         found.setdefault(f"{scene}/fit/causal", []).append(1e3 * causal)
                 found.setdefault(f"{scene}/{method}", []).append(1e3 * value)
     rows = [row("mpjpe_mm", case, values, "mm") for case, values in found.items()]
-    # 90 % of an isotropic normal error in 3D lie within 2.5003 sd per axis
-    rows += [row("coverage_90", scene, values, "share") for scene, values in inside.items()]
+    rows += [row(metric, scene, values, "share") for (metric, scene), values in shares.items()]
     return BenchReport(tuple(rows), scene_settings(options, seeds))
+
+
+def _trusted(motion: Motion, error: Array) -> dict[str, float]:
+    """What a motion says of its errors (T, 15) m: the share inside the 90 % regions, what is wrong, what is said to
+    be, and how well it is told which."""
+    order = [motion.skeleton.joint(n) for n in jt.COMMON]
+    # 90 % of an isotropic normal error in 3D lie within 2.5003 sd per axis
+    known, inside = np.isfinite(error), error < 2.5003 * motion.joint_sd[:, order]
+    p, wrong = np.asarray(motion.p_wrong)[:, order], error > WRONG_M
+    out = {"coverage_90": inside, "wrong": wrong, "p_wrong": p}
+    shares = {metric: float(value[known].mean()) for metric, value in out.items()}
+    return shares | ({"wrong_auroc": auroc(p[known], wrong[known])} if wrong.any() else {})
 
 
 def _causal(frames: Sequence[SensorJoints], truth: Array) -> float:
@@ -87,7 +106,8 @@ SCENARIOS = {"occlusion": {"6"}, "two_persons": {"4", "5", "8"}}
 def real(options: BenchOptions) -> BenchReport:
     """fusion-real: two Kinect v2 on one person, no truth: agreement between the sensors after registration, bone
     lengths and jitter after fusion, leaving one sensor out. Three recordings per configuration, their first 400 common
-    frames; with "/all" every recording, whole."""
+    frames; with "/all" every recording, whole; with "/even" those that are even by their number in the order of their
+    names, on which nothing was chosen that `hypose.fusion.trust` holds."""
     folder = options.folder("kinect_multitrack")
     found: dict[tuple[str, str, str], list[float]] = {}
     used: dict[str, int] = {}
@@ -98,7 +118,7 @@ def real(options: BenchOptions) -> BenchReport:
         if used.get(configuration, 0) >= 3 and options.quick:
             continue
         try:
-            frames = _main_person(file)
+            frames = main_person(file)
         except InputError:
             continue
         name = CONFIGURATIONS[configuration]
@@ -108,8 +128,13 @@ def real(options: BenchOptions) -> BenchReport:
                 part = [f for f in frames if scenario.get(round(1e3 * float(f.times[0]))) in wanted]
                 if len(part) >= 100:
                     _measure_pair(part, name, f"/{label}", found)
+        even = n % 2 == 1
+        if even and not options.quick:
+            _verdicts(file, frames, found)
         if len(frames) < 300:
             continue
+        if even and not options.quick:
+            sensor_left_out(frames, name, found)
         used[configuration] = used.get(configuration, 0) + 1
         if used[configuration] <= 3:
             _measure_pair(frames[:400], name, "", found)
@@ -119,7 +144,43 @@ def real(options: BenchOptions) -> BenchReport:
     return BenchReport(tuple(rows), {"recordings": {CONFIGURATIONS[c]: n for c, n in used.items()}})
 
 
-def _main_person(file: Path) -> list[SensorJoints]:
+def sensor_left_out(frames: list[SensorJoints], name: str, found: dict[tuple[str, str, str], list[float]]) -> None:
+    """What one sensor alone says of its joints, against the other one; of all joints, and ("/clear") of those that the
+    other one alone does not doubt. Sensors that see the same make the same errors: at 0 degrees that is no test."""
+    positions, states = np.stack([f.positions for f in frames]), np.stack([f.state for f in frames])
+    registration = register(positions, states)
+    world = registration.apply(positions)
+    apart = np.linalg.norm(world[:, 0] - world[:, 1], axis=-1)
+    found.setdefault(("agreement_mm", f"{name}/even", "mm"), []).append(1e3 * float(np.nanmedian(apart)))
+    found.setdefault(("agreement_mean_mm", f"{name}/even", "mm"), []).append(1e3 * float(np.nanmean(apart)))
+    motions = []
+    for kept in range(2):
+        alone = np.where(np.arange(2)[:, None, None] == kept, positions, np.nan)
+        one = [replace(f, positions=alone[t]) for t, f in enumerate(frames)]
+        motions.append(fuse_clip(one, "fit", FusionSettings(check=False), registration).motion)
+    order = [motions[0].skeleton.joint(n) for n in jt.COMMON]
+    for kept, motion in enumerate(motions):
+        away = np.linalg.norm(common_positions(motion) - world[:, 1 - kept], axis=-1)
+        clear = ~np.asarray(motions[1 - kept].doubtful_joints)[:, order]
+        for more, counted in (("", away), ("/clear", np.where(clear, away, np.nan))):
+            for metric, share in _trusted(motion, counted).items():
+                found.setdefault((metric, name + more, "share"), []).append(share)
+
+
+def _verdicts(file: Path, frames: list[SensorJoints], found: dict[tuple[str, str, str], list[float]]) -> None:
+    """How `hypose fuse` ends: 1 or 0 per recording, of which that is so of any of its people."""
+    hard = bool(set(_scenarios(file).values()) & {"4", "5", "6", "8"})
+    with TemporaryDirectory() as folder:
+        people = run_fuse(FuseJob(read_kinect_csv(file), ResultsFolder(Path(folder)), formats=())).people
+    words = [p.verdict.word for p in people]
+    case = "occlusion or two people" if hard else "one person"
+    found.setdefault(("not_good", case, "share"), []).append(float(any(w != GOOD for w in words)))
+    found.setdefault(("untrusted", case, "share"), []).append(float(UNTRUSTED in words))
+    doubtful = [p.motion.doubtful[~p.motion.lost].mean() for p in people if p.motion.doubtful is not None]
+    found.setdefault(("doubtful_frames", case, "share"), []).append(float(np.mean(doubtful)))
+
+
+def main_person(file: Path) -> list[SensorJoints]:
     """Instants in which both sensors report the person that is seen most, common joints."""
     recording = read_kinect_csv(file)
     if len(recording.streams) < 2:

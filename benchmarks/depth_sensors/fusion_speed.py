@@ -55,13 +55,13 @@ def _frame_times(frames: list[SensorJoints], registration: Registration | None, 
 
 
 def _six_persons(frames: list[SensorJoints], world: Array, repeats: int) -> float:
-    best = np.full(len(frames), np.inf)
+    best, eyes = np.full(len(frames), np.inf), np.full((world.shape[1], 3), np.nan)
     for _ in range(repeats):
         states = [start_fit() for _ in range(6)]
         for t, frame in enumerate(frames):
             begin = time.perf_counter()
             for p in range(6):
-                states[p], _ = fit_step(states[p], world[t], frame.state, frame.times[0], FitSettings())
+                states[p], _ = fit_step(states[p], world[t], frame.state, frame.times[0], FitSettings(), eyes)
             best[t] = min(best[t], time.perf_counter() - begin)
     return float(1e3 * best.mean())
 

@@ -110,7 +110,12 @@ CAMERAS: dict[str, Case] = {
     "punch-cameras": Case("02_05", "balancing", begin=8.0),
 }
 """Captured motion through the cameras of a real recording, with key points that err like a detector's."""
-ALL = {**CASES, **CAMERAS}
+THREE: dict[str, Case] = {
+    f"three-{name}": Case(name, "ring-3")
+    for name in ("walk", "box", "jog", "combo", "cross_arms", "wave", "punch", "sit_down")
+}
+"""Three cameras and key points alone: where one of them does not show a joint, two are left."""
+ALL = {**CASES, **CAMERAS, **THREE}
 EVIDENCE = ("silhouettes", "keypoints", "both")
 SECONDS = 1.6
 DATA = Path(__file__).parents[3] / "shared" / "data"
@@ -223,6 +228,9 @@ def spoil_of(case: str, seed: int) -> str:
     detector's."""
     if case in CAMERAS:
         return "detector"
+    if case in THREE:
+        kinds = ("plain", "detector", "close_up", "guessed", "hidden_arm", "dropped", "outliers", "swapped")
+        return kinds[(seed + list(THREE).index(case)) % len(kinds)]
     ways = ("plain", *(s for s in SPOILS if s != "bystander"), "plain", "moved_camera", "plain")
     return ways[zlib.crc32(f"{case} {seed}".encode()) % len(ways)]
 

@@ -21,7 +21,7 @@ from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
 from hypose.tracking.keypoint_clip import solve_keypoint_clip
 from hypose.tracking.keypoint_evidence import keypoint_term
 from hypose.tracking.refinement import anatomical_prior
-from hypose.tracking.smoothing import ClipSettings, acceleration_weight, speed_weight
+from hypose.tracking.smoothing import ClipSettings, pace_weights, usual_pace
 
 CONFIDENT = 0.5
 """Key points of the camera left out count from this confidence on."""
@@ -133,13 +133,14 @@ def both_clip(subject: Subject, frames: Sequence[Frame], poses: Array, rate: flo
         contour_term(f.silhouettes, weight) if f.silhouettes is not None and f.silhouettes.usable.any() else None
         for f in frames
     ]
+    weights = pace_weights(usual_pace(s, ClipSettings()), rate)
     return fit_clip(
         subject.body,
         poses,
         keypoints=points,
         contours=contours,
-        acceleration=acceleration_weight(s, rate, ClipSettings()),
-        velocity=speed_weight(s, rate, ClipSettings()),
+        acceleration=weights[0],
+        velocity=weights[1],
         priors=(anatomical_prior(s),),
         options=SolveSettings(iterations=5, coarse_iterations=0),
     )

@@ -318,36 +318,6 @@ _SPEED = Page(
     picture=Panels(("frames_per_second", "growth")),
 )
 
-_DEVICE = Page(
-    "device",
-    """Particle filters on an NVIDIA device (`--compute cuda`) against the processor of the same machine, with all its
-    cores, in the same run. Mean errors are of table 2.3's scenes, 50 frames, three seeds, from the same random numbers:
-    a frame's search is the same but for pixels that are counted otherwise, over a clip the paths part.""",
-    lines=(
-        Line("silhouettes, 500 poses in 4 views", "cuda", metric="us_per_silhouette"),
-        Line("silhouettes, 4000 poses", "cuda, 4000 poses", metric="us_per_silhouette"),
-        Line("largest difference from the rasterizer", "all", (most(2),), "max_count_difference_px"),
-        Line("masks in, hpf 7 x 572", "cuda:hpf/4", metric="frames_per_second"),
-        Line("masks in, hpf 7 x 4576", "cuda:hpf x 8/4", metric="frames_per_second"),
-        Line("masks in, partitioned 7 x 572", "cuda:partitioned/4", metric="frames_per_second"),
-        Line("masks in, sir 4000", "cuda:sir/4", metric="frames_per_second"),
-        Line("masks in, apf 15 x 240", "cuda:apf/4", metric="frames_per_second"),
-        Line("masks in, default", "cuda:default/4", metric="frames_per_second"),
-        Line("videos of 1440 x 1080, hpf", "cuda:1080p:hpf/4", metric="frames_per_second"),
-        Line("videos of 1440 x 1080, default", "cuda:1080p:default/4", metric="frames_per_second"),
-        *(
-            line
-            for action in ("walk", "box", "run", "combo")
-            for line in (
-                Line(f"hpf, {action}, mean error", f"cuda:hpf/{action}", metric="mean_error_mm"),
-                Line(f"hpf, {action}, apart", f"cuda:hpf/{action}", metric="difference_mm"),
-            )
-        ),
-    ),
-    notebook="speed.md#on-a-device",
-    picture=Panels(("frames_per_second",)),
-)
-
 _FRONT_BACK = Page(
     "front-back",
     """Front and back look alike in silhouettes: walk, jog and combo of 6 s, rig at half size, the body from the same
@@ -385,7 +355,6 @@ SEVERAL_CAMERAS = (
     _SCORER,
     _SOLVE,
     _SPEED,
-    _DEVICE,
     _FRONT_BACK,
     _STARTS,
 )

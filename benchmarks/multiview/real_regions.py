@@ -1,19 +1,29 @@
-"""Do the regions of a real clip hold its triangulated key points?"""
+"""Do the regions of real clips hold what was not used: triangulated key points, a camera or a sensor left out?"""
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
+from scipy.stats import chi2
 
-from benchmarks.bench_report import Row
-from benchmarks.multiview.real_recordings import LIMBS
+from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
+from benchmarks.depth_sensors.fusion_benchmarks import CONFIGURATIONS, main_person, sensor_left_out
+from benchmarks.multiview.leave_one_out import CONFIDENT, without_view
+from benchmarks.multiview.real_recordings import LIMBS, balancing_recording, in_memory
 from benchmarks.multiview.spread_fit import held_rows, squares
 from hypose.body.motion import Motion
+from hypose.errors import InputError
 from hypose.evidence.frame import Frame
 from hypose.evidence.keypoints import BODY_25B
 from hypose.geometry import Array
+from hypose.pipeline.first_frame import SubjectOptions, find_subject
+from hypose.pipeline.run import TrackOptions, track_source
+from hypose.pipeline.track_loop import FrameList
 from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE
+from hypose.tracking.keypoint_offsets import TOGETHER
 from hypose.tracking.pose_covariance import joint_group
 
 
@@ -43,6 +53,65 @@ def regions_of_balancing(motion: Motion, evidence: str, reference: Array, refere
     for group, parts in found.items():
         rows += held_rows(np.concatenate(parts), 3, f"{evidence}/balancing/{group}")
     return rows
+
+
+def regions_real(options: BenchOptions) -> BenchReport:
+    """regions-real: 90 % regions on real recordings.
+
+    balancing: one camera left out, what three say (key points; both) looked at in its picture, where a detection errs
+    by the noise that the other views' have. sensors: one of two Kinects left out, on the recordings that are even by
+    their number (`fusion_benchmarks.real`)."""
+    recording = balancing_recording(options.folder("pose2sim_balancing"))
+    frames = in_memory(recording, 30 if options.quick else len(recording.frames)).frames
+    rows: list[Row] = []
+    for evidence in ("keypoints", "both"):
+        inside: list[Array] = []
+        for view, camera in enumerate(recording.rig.names):
+            options.progress(f"{evidence} without {camera}", view, len(recording.rig))
+            inside.append(_camera_left_out(frames, view, evidence, recording.frame_rate))
+            rows.append(Row("coverage_90", f"{evidence}/{camera} left out", float(inside[-1].mean()), "1"))
+        rows.append(Row("coverage_90", f"{evidence}/camera left out", float(np.concatenate(inside).mean()), "1"))
+    found: dict[tuple[str, str, str], list[float]] = {}
+    files = sorted(options.folder("kinect_multitrack").glob("Study_*_Kinect_[012]_*.gz"))[1::2]
+    for n, file in enumerate(files[:2] if options.quick else files):
+        options.progress("sensors", n, len(files))
+        with contextlib.suppress(InputError):  # nobody whom both see
+            sensors = main_person(file)
+            if len(sensors) >= _LEAST_FRAMES:
+                sensor_left_out(sensors, CONFIGURATIONS[file.name.partition("_Kinect_")[2][0]], found)
+    rows += [row(metric, f"sensors/{case}", v, unit) for (metric, case, unit), v in found.items() if "cover" in metric]
+    return BenchReport(tuple(rows), {"frames": len(frames), "recordings": len(files)})
+
+
+_LEAST_FRAMES = 300
+
+
+def _camera_left_out(frames: Sequence[Frame], view: int, evidence: str, rate: float) -> Array:
+    """(N,) whether the limbs' key points that the camera left out shows lie in the regions of what the others say."""
+    used = [without_view(f, view) for f in frames]
+    used = [replace(f, silhouettes=None) for f in used] if evidence == "keypoints" else used
+    source = FrameList(used, rate)
+    subject = find_subject(source.frame, len(source), SubjectOptions("keypoints", frame_rate=rate))
+    motion = track_source(source, rate, TrackOptions(evidence=evidence), subject=subject).motion
+    model = subject.keypoints
+    assert model is not None and model.sd is not None and motion.poses is not None
+    places, noise, inside = model.positions(subject.body, motion.poses), float(np.median(model.sd)) / TOGETHER, []
+    for t, frame in enumerate(frames):
+        seen = frame.keypoints
+        if seen is None:
+            continue
+        p = seen.rig.projections[view]
+        for k in LIMBS:
+            u, v, confidence = seen.points[view, k]
+            if not confidence > CONFIDENT:
+                continue
+            h = p[:, :3] @ places[t, k] + p[:, 3]
+            slope = (p[:2, :3] - (h[:2] / h[2])[:, None] * p[2, :3]) / h[2]
+            around = motion.joint_covariance[t, motion.skeleton.joint(BODY_25B[k])].astype(np.float64)
+            spread = slope @ around @ slope.T + (noise * float(seen.rig[view].K[0, 0]) / h[2]) ** 2 * np.eye(2)
+            off = np.array([u, v]) - h[:2] / h[2]
+            inside.append(off @ np.linalg.solve(spread, off) <= chi2.ppf(0.9, 2))
+    return np.array(inside)
 
 
 def errors_of_points(frames: Sequence[Frame], points_world: Array) -> Array:

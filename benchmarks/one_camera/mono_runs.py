@@ -14,7 +14,7 @@ from scipy.stats import chi2
 from hypose.body.body import Body
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.frame import Frame, Keypoints, Picture
-from hypose.geometry import Array
+from hypose.geometry import Array, so3_turns
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.layer import Recipe
 from hypose.synthetic.mono_scenes import FRAME_RATE, MonoScene
@@ -240,6 +240,7 @@ def _inside(scene: MonoScene, pose: Array, covariance: Array, apart: Array) -> A
         if mark.offset.any():
             rotations, centres = s.forward(pose)
             at[k] = s.jacobian(pose, mark.joint, (centres[mark.joint] + rotations[mark.joint] @ mark.offset)[None])[0]
+            at[k, :, 3:6] = at[k, :, 3:6] @ so3_turns(pose[3:6])
     spread = at @ covariance @ np.swapaxes(at, 1, 2) + DEFINITION_SD_M**2 * np.eye(3)
     squared = (apart * np.linalg.solve(spread, apart[..., None])[..., 0]).sum(1)
     return squared <= chi2.ppf(LEVEL, 3)

@@ -12,7 +12,7 @@ from hypose.calibration.boards import Board
 from hypose.fusion.joints import COMMON
 from hypose.gestures.depth_pictures import KINECT
 from hypose.io.calibrations.calibration_toml import write_calibration
-from hypose.io.motions.results import atomic_path
+from hypose.io.files import atomic_path
 from hypose.io.recordings.recording import Recording, View, write_recording
 from hypose.io.sensors.skeleton_folder import write_folder
 from hypose.io.sensors.skeleton_streams import SensorStream, SkeletonRecording

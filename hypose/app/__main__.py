@@ -9,10 +9,15 @@ from hypose.app.bytecode import check_bytecode
 # each other: a product of 1 ms then takes 20.
 for _threads in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_threads, "1")
+os.environ["PYTHONSAFEPATH"] = "1"  # no process that is started imports what lies in the current folder
 
 
 def main() -> None:
     """Run the command line with the arguments of the process; exits the process."""
+    # a stream that is closed (`>&-`) fails when it is used, as on a full disk, and no file of ours takes its number
+    for name, flags in (("stdin", os.O_RDONLY), ("stdout", os.O_RDONLY), ("stderr", os.O_WRONLY)):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.open(os.devnull, flags), "r" if name == "stdin" else "w"))
     try:
         check_bytecode()
         from hypose.app.cli import main as run

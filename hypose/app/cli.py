@@ -50,6 +50,9 @@ app = typer.Typer(
     help="Human motion from ordinary cameras: calibrated videos in; joint positions, angles and their uncertainty out.",
 )
 
+_LITTLE_MEMORY = 4 << 30
+_OWN_SETTINGS = ("NUMBA_DISABLE_INTEL_SVML", "NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES")
+"""Variables that hypose sets itself, and hands on to the processes that it starts."""
 # (name, what does it, its line in `hypose --help`), in the order in which they are needed
 _COMMANDS = (
     ("demo", commands_track.demo, "Make a synthetic recording, track it, compare with the truth."),
@@ -103,7 +106,9 @@ def _global(
 def main(arguments: Sequence[str] | None = None, command: typer.Typer = app, name: str = "hypose") -> None:
     """Entry point of the console script, or of another command line that shall end as this one does; arguments default
     to those of the process. Exits the process."""
+    around = ("", "")
     if arguments is None:
+        around = _surroundings()
         _read_names_as_utf8()
     for stream in (sys.stdout, sys.stderr):  # what the terminal has no letters for is no reason to fail
         if isinstance(stream, io.TextIOWrapper):
@@ -122,37 +127,53 @@ def main(arguments: Sequence[str] | None = None, command: typer.Typer = app, nam
         finally:
             sys.stdout.flush()  # a full disk shows here, while it can be told
     except HyposeError as error:
-        _fail(str(error), debug)
+        _fail(f"{error}{around[0] and f' It had {around[0]}.'}", debug)
         sys.exit(2)
     except KeyboardInterrupt:
         sys.exit(130)
-    except Exception as error:  # a bug: still no traceback unless asked for
+    except Exception as error:  # still no traceback unless asked for
+        sentence = _foreseen(error, around)
         reason = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
-        if isinstance(error, MemoryError):
-            reason = "the memory is full; close other programs, or track fewer frames at a time with --frames"
-        elif isinstance(error, OSError):
-            _fail(_refused(error), debug)
-            sys.exit(2)
-        else:
-            reason = (
-                f"this should not have happened ({reason}); please report it with the output of the same command "
-                "and --debug"
-            )
-        _fail(reason + ".", debug)
-        sys.exit(1)
+        report = "please report it with the output of the same command and --debug"
+        _fail(sentence or f"this should not have happened ({reason}); {report}.", debug)
+        sys.exit(2 if sentence else 1)
+
+
+def _surroundings() -> tuple[str, str]:
+    """What of the process's surroundings may be behind an error: little memory, settings of numba; "" for none."""
+    little = ""
+    with contextlib.suppress(ImportError):  # Windows
+        import resource
+
+        limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+        if 0 <= limit < _LITTLE_MEMORY:
+            little = f"at most {limit >> 20} MiB of memory (ulimit -v)"
+    numba = {n: v for n, v in os.environ.items() if n.startswith("NUMBA_") and n not in _OWN_SETTINGS}
+    return little, " ".join(f"{n}={v}" for n, v in numba.items())
+
+
+def _foreseen(error: Exception, around: tuple[str, str]) -> str:
+    """The sentence for an error that the surroundings of the process explain; "" where they do not."""
+    if isinstance(error, OSError) and error.errno is not None:
+        return _refused(error)
+    named, full = " and ".join(filter(None, around)), isinstance(error, MemoryError)
+    reason = "the memory is full" if full else " ".join(str(error).split()).rstrip(".") or type(error).__name__
+    if named:
+        return f"{reason}, with {named}; change that, and report what stays with the output of --debug."
+    return f"{reason}; close other programs, or track fewer frames at a time with --frames." if full else ""
 
 
 def _refused(error: OSError) -> str:
     """The sentence for what the system did not let us do."""
-    from hypose.io.motions.results import FULL, cannot_write
+    from hypose.io.files import FULL, cannot_write
 
     if error.errno == errno.ENAMETOOLONG:
         return f"{str(error.filename)[:60]}... is too long for the name of a file; give another path."
     reason = (error.strerror or type(error).__name__).lower()
-    if error.filename is None and error.errno in (*FULL, errno.EFBIG):
+    if error.filename is None and error.errno in (*FULL, errno.EFBIG, errno.EBADF):
         with contextlib.suppress(OSError):  # what still waits to be printed would fail again at the end
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return f"The output cannot be written ({reason}); free some space and run the same command again."
+        return f"The output cannot be written ({reason}); free some space, or send it elsewhere, and run it again."
     what = "The system" if error.filename is None else os.fsdecode(error.filename)
     if error.errno in (*FULL, errno.EFBIG, errno.EROFS):
         return cannot_write(Path(what), error)

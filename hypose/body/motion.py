@@ -17,21 +17,29 @@ from hypose.geometry import Array
 
 @dataclass(frozen=True)
 class Motion:
-    """A tracked motion in the world frame (metres, seconds, radians; z up).
+    """A tracked motion in the world frame (metres, seconds, radians; z up): T frames, J joints, D degrees of freedom.
 
-    skeleton: the joint tree. times: (T,) s. joints: (T, J, 3) joint centres, world. poses: (T, D) or None when only
-    points are known. joint_covariance: (T, J, 3, 3) covariance of each joint's position, world, m^2; NaN where unknown;
-    in 32 bit, since long recordings have many frames; `hypose.body.regions` tells how far regions reach. lost: (T,) the
-    person was not found. extrapolated: (T,) no evidence, prediction only. n_views: (T,) number of views that carried
-    evidence. cost: (T,) remaining cost of the method's own measure (NaN when none). provenance: recipe, versions, seed,
-    inputs' hashes: plain JSON values. doubtful: (T,) the evidence speaks against itself (pictures that repeat or jump,
-    views that disagree), or against a joint, or None: not looked at. p_wrong: (T, J) probability that the joint is
-    wrong by more than 100 mm, and doubtful_joints: (T, J) where that is more than may be passed over, or None: not
-    looked at. rivals: (T, K, D) other poses that the evidence of a frame allows as well, best first, NaN where there
-    are fewer, and rival_weights: (T, K) what each of them has of the certainty, of which the pose has the rest (0:
-    there is none); both None when the method keeps none. angle_sd: (T, A) rad, of the joint angles (body.joint_angles;
-    m for positions), None: not known. definition_sd: (J,) m, how far the anatomical joint may lie from the body's, all
-    along; part of the covariance; None: not known.
+    skeleton: the joint tree.
+    times (T,): s.
+    joints (T, J, 3): m, joint centres, world.
+    poses (T, D): None when only points are known.
+    joint_covariance (T, J, 3, 3): m^2, covariance of each joint's position, world, NaN where unknown; in 32 bit, since
+        long recordings have many frames; `hypose.body.regions` gives how far regions reach.
+    lost (T,): the person was not found.
+    extrapolated (T,): no evidence, prediction only.
+    n_views (T,): number of views that carried evidence.
+    cost (T,): remaining cost by the method's own measure, NaN when it has none.
+    provenance: recipe, versions, seed, hashes of the inputs: plain JSON values.
+    doubtful (T,): the evidence contradicts itself (pictures that repeat or jump, views that disagree) or a joint; None:
+        not judged.
+    p_wrong (T, J): probability that the joint is wrong by more than 100 mm; None: not judged.
+    doubtful_joints (T, J): where that is more than may be passed over; None: not judged.
+    angle_sd (T, A): rad, of the joint angles (body.joint_angles; m for positions); None: not known.
+    systematic_covariance (T, J, 3, 3): m^2, the part of joint_covariance that more views like these and more frames
+        would not reduce: definition of the joint, errors common to all views, calibration; None: not known.
+    rivals (T, K, D): other poses that the evidence of a frame allows, best first, NaN where there are fewer; None when
+        the method keeps none.
+    rival_weights (T, K): their shares of the certainty, of which the pose has the rest (0: there is none).
     """
 
     skeleton: Skeleton
@@ -48,7 +56,7 @@ class Motion:
     p_wrong: NDArray[np.float32] | None = None
     doubtful_joints: NDArray[np.bool_] | None = None
     angle_sd: NDArray[np.float32] | None = None
-    definition_sd: NDArray[np.float32] | None = None
+    systematic_covariance: NDArray[np.float32] | None = None
     rivals: NDArray[np.float32] | None = None
     rival_weights: NDArray[np.float32] | None = None
 
@@ -70,8 +78,8 @@ class Motion:
             expected["doubtful_joints"] = (t, j)
         if self.angle_sd is not None:
             expected["angle_sd"] = (t, len(ANGLE_NAMES))
-        if self.definition_sd is not None:
-            expected["definition_sd"] = (j,)
+        if self.systematic_covariance is not None:
+            expected["systematic_covariance"] = (t, j, 3, 3)
         if self.rivals is not None or self.rival_weights is not None:
             count = 0 if self.rival_weights is None else self.rival_weights.shape[-1]
             expected |= {"rivals": (t, count, self.skeleton.dof), "rival_weights": (t, count)}
@@ -110,9 +118,14 @@ class Modes:
     """The poses that the evidence of each frame allows: T frames, at most K modes each, best first, NaN where a frame
     has fewer; D dof, J joints.
 
-    poses (T, K, D); joints (T, K, J, 3) m, world; weights (T, K), sum 1; costs (T, K): negative log posterior of the
-    frame's evidence; covariances (T, K, D, D) of the poses (32 bit); of the best mode joint_covariance (T, J, 3, 3) m^2
-    and depth_sd (T, J) m along the line of sight; alive (T,): how many modes there are."""
+    poses (T, K, D).
+    joints (T, K, J, 3): m, world.
+    weights (T, K): sum 1.
+    costs (T, K): negative log posterior of the frame's evidence.
+    covariances (T, K, D, D): of the poses, 32 bit, the root's rotation as a small turn in the world.
+    joint_covariance (T, J, 3, 3): m^2, of the best mode.
+    depth_sd (T, J): m along the line of sight, of the best mode.
+    alive (T,): number of modes."""
 
     poses: Array
     joints: Array

@@ -15,6 +15,7 @@ import numpy as np
 
 from hypose.body.ready_bodies import human
 from hypose.calibration.doctor_findings import Finding
+from hypose.calibration.doctor_points import undistorted
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.keypoints import KEYPOINT_SETS, landmark_of
 from hypose.geometry import Array
@@ -39,8 +40,18 @@ _PAIRS = tuple(
     )
 ) + (("left_shoulder", "right_shoulder"),)
 _LEAST_BONES = 6
+_NOISE_M = 0.06
 _UPRIGHT = 0.5  # cosine
-_BENT = 0.4  # sine
+EXCHANGED = 7.0
+"""log likelihood ratio, 1000 to 1, from which left and right are called exchanged"""
+_DEFINED = 0.05
+"""share of a leg within which detectors differ on where a joint is, in every view and frame alike: a knee bent by 11
+degrees"""
+_MOST_OF_ONE = 3.0  # what one point can say in one frame: it may be wrong in ways that noise is not
+_SIDED = (
+    *(f"{s}_{n}" for s in ("left", "right") for n in ("shoulder", "hip", "knee", "ankle", "heel", "big_toe", "ear")),
+    "nose",
+)
 
 
 def wrong_set(points_world: Array, names: Sequence[str]) -> Finding | None:
@@ -72,19 +83,27 @@ def wrong_set(points_world: Array, names: Sequence[str]) -> Finding | None:
 
 
 def _disorder(points_world: Array, names: Sequence[str]) -> float:
-    """How far bones are from a person's: median over bones of the distance of their length from the template's (as a
-    logarithm, less what all share), plus that of left from right, plus how each changes. NaN with too few bones."""
+    """How far bones are from a person's, beyond what noise makes of them: mean over bones of the distance of their
+    length from the template's (as a logarithm, less what all share), plus that of left from right, plus how each
+    changes. NaN with too few bones.
+
+    Noise of the points makes bones longer and short ones change most: it is taken off as far as it is the same for all
+    bones, and no more than a detector has (_NOISE_M)."""
     template = _template(tuple(names))
     column = {n: k for k, n in enumerate(names)}
-    ratio: dict[tuple[str, str], Array] = {}
+    lengths: dict[tuple[str, str], Array] = {}
     for a, b in _PAIRS:
         if (a, b) in template and a in column and b in column:
             d = np.linalg.norm(points_world[:, column[a]] - points_world[:, column[b]], axis=-1)
             d = d[np.isfinite(d)]
             if len(d) >= 3:
-                ratio[a, b] = np.log(np.maximum(d, 1e-9) / template[a, b])
-    if len(ratio) < _LEAST_BONES:
+                lengths[a, b] = d
+    if len(lengths) < _LEAST_BONES:
         return float("nan")
+    scatter = float(np.median([np.median(np.abs(d - np.median(d))) for d in lengths.values()]))
+    noise = min(1.48 * scatter, _NOISE_M)  # m per axis, of the difference of two points
+    longer = {k: float(np.hypot(template[k], 1.5 * noise)) for k in lengths}  # median length of a noisy difference
+    ratio = {k: np.log(np.maximum(d, 1e-9) / longer[k]) for k, d in lengths.items()}
     middle = {k: float(np.median(v)) for k, v in ratio.items()}
     common = float(np.median(list(middle.values())))
     off = [abs(v - common) for v in middle.values()]
@@ -93,7 +112,7 @@ def _disorder(points_world: Array, names: Sequence[str]) -> float:
         for a, b in middle
         if a.startswith("left_") and (twin := (a.replace("left", "right"), b.replace("left", "right"))) in middle
     ]
-    change = [float(np.median(np.abs(v - middle[k]))) for k, v in ratio.items()]
+    change = [max(float(np.median(np.abs(v - middle[k]))) - noise / 1.48 / longer[k], 0.0) for k, v in ratio.items()]
     return float(np.mean(off) + np.mean(sides or [0.0]) + np.mean(change)) / 2
 
 
@@ -142,8 +161,9 @@ def wrong_way_up(points_world: Array, names: Sequence[str], pixels: Array, rig: 
         text = "All cameras: the person lies in the calibration's world from beginning to end"
         cure = "if they stand, set world_up in recording.toml to the axis along which they do"
         yield Finding("lying", (), text, cure, 1.0, fault=False)
-    sided = _sidedness(points_world, names)
-    if len(sided) >= 3 and not turned and (sided < -0.3).mean() > MOST:
+    sides = _sides(points_world, names, pixels, rig)
+    against = -sides[sides < 0].sum()
+    if not turned and against > EXCHANGED and against > MOST * np.abs(sides).sum():
         text = (
             "All cameras: the person's left and right are exchanged (toes, nose or bent knees point backwards): "
             "mirrored images, exchanged cameras, or the sides' names"
@@ -182,29 +202,62 @@ def _upright_in_images(pixels: Array, names: Sequence[str]) -> float:
     return float(found.mean()) if len(found) else float("nan")
 
 
-def _sidedness(points_world: Array, names: Sequence[str]) -> Array:
-    """(n,) of the frames where known: cosine of where the left side is and where it ought to be from up and forward."""
-    column = {n: k for k, n in enumerate(names)}
+def _sides(points_world: Array, names: Sequence[str], pixels: Array, rig: CameraRig) -> Array:
+    """(T, 5) log likelihood ratios that left and right are as named (negative: exchanged), by how far the knees, feet
+    and nose point ahead; 0 where that is unknown or within the noise."""
+    column = {n: k for k, n in enumerate(names) if n in _SIDED and np.isfinite(points_world[:, k]).any()}
+    known, own = [n in column for n in _SIDED], [column[n] for n in _SIDED if n in column]
+    shape = (len(points_world), len(_SIDED), 3)
+    points, noise, lasts = np.full(shape, np.nan), np.zeros((*shape, 3)), np.zeros(len(_SIDED))
+    points[:, known] = points_world[:, own]
+    noise[:, known], lasts[known] = _noise(points_world[:, own], pixels[:, :, own], rig)
+    ahead = _ahead(points)
+    variance, lasting = np.zeros((2, *ahead.shape))
+    for k, axis in np.ndindex(len(_SIDED), 3):
+        moved = points.copy()
+        moved[:, k] += noise[:, k, :, axis]
+        change = (_ahead(moved) - ahead) ** 2
+        variance, lasting = variance + change, lasting + lasts[k] * change
+    z = np.maximum(np.abs(ahead) - _DEFINED, 0.0) / np.sqrt(variance)
+    counts = np.clip((variance - lasting) / (variance + lasting), 0.0, 1.0)  # of a first-order process, Bartlett 1946
+    return np.nan_to_num(counts * np.sign(ahead) * np.minimum(z**2 / 2, _MOST_OF_ONE))
 
-    def at(name: str) -> Array:
-        return points_world[:, column[name]] if name in column else np.full((len(points_world), 3), np.nan)
 
-    up = _middle(points_world, names, "shoulder") - _middle(points_world, names, "hip")
-    toes = [at(f"{s}_big_toe") - at(f"{s}_heel") for s in ("left", "right")]
-    nose = at("nose") - 0.5 * (at("left_ear") + at("right_ear"))
-    ahead = _unit(_mean_known([*(_unit(t) for t in toes), _unit(nose)]))
-    knees = [_knee_ahead(at(f"{s}_hip"), at(f"{s}_knee"), at(f"{s}_ankle")) for s in ("left", "right")]
-    ahead = np.where(np.isfinite(ahead), ahead, _unit(_mean_known(knees)))
-    left = at("left_hip") - at("right_hip")
-    found = (_unit(np.cross(up, ahead)) * _unit(left)).sum(-1)
-    return found[np.isfinite(found)]
+def _ahead(points: Array) -> Array:
+    """(T, 5) shares of a leg by which two knees, two feet and the nose of points (T, 15, 3), as _SIDED names them,
+    point ahead: along left times up of the same part of the body, so that the posture of the others does not matter."""
+    by = dict(zip(_SIDED, np.moveaxis(points, 1, 0), strict=True))
+    hips, shoulders = (by[f"left_{n}"] - by[f"right_{n}"] for n in ("hip", "shoulder"))
+    legs = [[by[f"{side}_{n}"] for n in ("hip", "knee", "ankle", "heel", "big_toe")] for side in ("left", "right")]
+    trunk = by["left_shoulder"] + by["right_shoulder"] - by["left_hip"] - by["right_hip"]
+    found = [((k - a) * _unit(np.cross(hips, h - a))).sum(-1) for h, k, a, _, _ in legs]
+    found += [((toe - heel) * _unit(np.cross(hips, k - a))).sum(-1) for _, k, a, heel, toe in legs]
+    found.append(((by["nose"] - (by["left_ear"] + by["right_ear"]) / 2) * _unit(np.cross(shoulders, trunk))).sum(-1))
+    leg = [np.linalg.norm(np.diff(leg[:3], axis=0), axis=-1) for leg in legs]
+    return np.stack(found, -1) / np.nanmedian(np.sum(leg, axis=1))
 
 
-def _knee_ahead(hip: Array, knee: Array, ankle: Array) -> Array:
-    """(T, 3) from a bent knee ahead, since it bends one way only; NaN where it is nearly straight."""
-    thigh, shank = _unit(knee - hip), _unit(ankle - knee)
-    ahead = (thigh * shank).sum(-1, keepdims=True) * thigh - shank
-    return np.where(np.linalg.norm(ahead, axis=-1, keepdims=True) > _BENT, _unit(ahead), np.nan)
+def _noise(points_world: Array, pixels: Array, rig: CameraRig) -> tuple[Array, Array]:
+    """Roots (T, K, 3, 3) m of the covariance of triangulated points, from how far the rays miss them, and (K,) how much
+    that correlates from frame to frame."""
+    uv, confidence = undistorted(rig, pixels)
+    seen = (confidence > 0.3) & np.isfinite(points_world).all(-1)
+    rays = points_world - rig.positions[:, None, None]
+    far = np.linalg.norm(rays, axis=-1)
+    off = np.stack([(c.project_pinhole(points_world) - p) / c.K[0, 0] for c, p in zip(rig, uv, strict=True)])
+    off = np.where(seen[..., None], off * far[..., None], np.nan)
+    free = np.maximum(2 * seen.sum(0) - 3, 1)
+    missed = np.nansum(off**2, (0, -1)) / free
+    usual = missed / (1 - 2 / (9 * free)) ** 3  # as large as the median of a chi-square (Wilson & Hilferty 1931)
+    usual = np.where(seen.any(0), usual, np.nan)
+    variance = np.maximum(np.maximum(missed, np.nanmedian(usual)), np.nanmedian(usual, axis=0))
+    d = rays / far[..., None]
+    across = np.where(seen[..., None, None], np.eye(3) - d[..., None] * d[..., None, :], 0.0).sum(0)
+    size, axes = np.linalg.eigh(across)
+    alike = np.sign(off[:, 1:] * off[:, :-1])
+    roots = axes * np.sqrt(variance[..., None] / np.maximum(size, 1e-9))[..., None, :]
+    lasts = np.nansum(alike, (0, 1, 3)) / np.maximum(np.isfinite(alike).sum((0, 1, 3)), 1)
+    return np.nan_to_num(roots), np.sin(np.pi / 2 * lasts)  # signs agree by the arcsine of the correlation
 
 
 def _middle(points_world: Array, names: Sequence[str], part: str) -> Array:
@@ -212,13 +265,6 @@ def _middle(points_world: Array, names: Sequence[str], part: str) -> Array:
     column = {n: k for k, n in enumerate(names)}
     pair = [points_world[:, column[n]] for side in ("left", "right") if (n := f"{side}_{part}") in column]
     return np.mean(pair, axis=0) if len(pair) == 2 else np.full((len(points_world), 3), np.nan)
-
-
-def _mean_known(vectors: Sequence[Array]) -> Array:
-    stack = np.stack(vectors)
-    known = np.asarray(np.isfinite(stack).all(-1), dtype=bool)
-    total = np.where(known[..., None], stack, 0.0).sum(0)
-    return np.where(np.any(known, axis=0, keepdims=True).T, total, np.nan)
 
 
 def _unit(vectors: Array) -> Array:

@@ -38,6 +38,7 @@ BINS = 8
 """pieces of the pencil of planes in which activity is counted"""
 _SPAN = 2  # frames to either side between which a change is looked for
 _STEP = 0.25  # of the offsets at which the curves are sampled, frames
+_TOGETHER = 2.0  # sd of a detection within which points share their error
 _SMOOTH_POINTS, _SMOOTH_MASKS = 2.0, 1.0  # frames: so that interpolation smooths no more than the frames are already
 
 
@@ -94,6 +95,7 @@ def keypoint_curves(
     seen = confidence > min_confidence
     smooth = np.stack([_smoothed(p, s, _SMOOTH_POINTS) for p, s in zip(pixels, seen, strict=True)])
     splines = [_spline(s) for s in smooth]
+    counts = _independent(smooth, scale_px)
     pairs = tuple(itertools.combinations(range(n), 2))
     times = np.arange(margin, frames - margin)
     cost = np.full((len(pairs), len(lags)), np.nan)
@@ -115,9 +117,19 @@ def keypoint_curves(
             e, both = ((xb * lines_b).sum(-1) / np.maximum(size, 1e-12))[:, enough], both[:, enough]
             e = e - _middle(e, both, scale_px)
             # errors of one point last for several frames and all points share the calibration's: count a tenth
-            mean = lorentzian((e / (2 * scale_px)) ** 2)[0][both].mean()
-            cost[p, k] = 0.2 * mean * enough.sum() * len(times)
+            mean = np.average(lorentzian((e / (2 * scale_px)) ** 2)[0], weights=both * counts[enough])
+            cost[p, k] = 0.2 * mean * counts[enough].sum() * len(times)
     return Curves(pairs, lags, cost)
+
+
+def _independent(pixels: Array, scale_px: float) -> Array:
+    """(K,) as how many points each of pixels (C, T, K, 2) counts: of points that lie together in every view, as those
+    of a face or a hand, a detector places all with the same error, scale_px."""
+    apart = np.zeros((pixels.shape[2], pixels.shape[2]))
+    for view in pixels:
+        between = [np.median(np.linalg.norm(view - view[:, [k]], axis=-1), axis=0) for k in range(len(apart))]
+        apart = np.maximum(apart, between)
+    return 1 / np.exp(-((apart / (_TOGETHER * scale_px)) ** 2)).sum(0)
 
 
 @dataclass(frozen=True)

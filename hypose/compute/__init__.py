@@ -1,4 +1,4 @@
-"""Compute: the only room that imports numba (or CUDA); every hot function takes and returns arrays.
+"""Compute: the only room that imports numba; every hot function takes and returns arrays.
 
 The functions here choose the back end (`selection.use`), check and tidy arrays, and spread work over threads; the
 definitions are in reference.py (numpy), the fast versions in cpu_*.py (numba, imported when first needed). This module
@@ -68,13 +68,12 @@ from hypose.compute.pictures.picture_to_mask import Box, Lens, make_lens, new_pi
 from hypose.compute.pictures.pieces import touched_area
 from hypose.compute.pictures.shown_parts import colour_sums, rim_edges, shown_parts
 from hypose.compute.pictures.visibility import nearest_visible
-from hypose.compute.selection import beside, default_threads, on_device, over_chunks, require_cuda, use
+from hypose.compute.selection import beside, default_threads, over_chunks, use
 from hypose.compute.silhouettes import reach
 from hypose.compute.silhouettes.glance import Glance, differing_box, glance_at, stored_pixels
-from hypose.compute.silhouettes.layers import SearchLayers, WeightedSets
 from hypose.compute.silhouettes.mask_distance import shrink_mask, signed_distance
 from hypose.compute.silhouettes.packed_masks import prepare_masks
-from hypose.compute.silhouettes.scorer import layered_search, limb_energies, silhouette_xor
+from hypose.compute.silhouettes.scorer import limb_energies, silhouette_xor
 from hypose.compute.solver.banded import frame_covariances, solve_coupled
 from hypose.compute.solver.losses import geman_mcclure, huber, lorentzian, lorentzian_weight
 from hypose.compute.solver.normal import SharedEquations, bounded_step, weighted_squares
@@ -155,7 +154,6 @@ __all__ = [
     "PreparedMasks",
     "PriorArrays",
     "ScanPlan",
-    "SearchLayers",
     "SeenDepth",
     "StandingDepth",
     "SharedEquations",
@@ -166,7 +164,6 @@ __all__ = [
     "TreeArrays",
     "TreeArraysOffline",
     "VARIABLE",
-    "WeightedSets",
     "Workspace",
     "before_room",
     "beside",
@@ -192,7 +189,6 @@ __all__ = [
     "joined_rows",
     "joint_covariances",
     "kept",
-    "layered_search",
     "limb_depth_energy",
     "limb_shown",
     "limb_energies",
@@ -208,7 +204,6 @@ __all__ = [
     "mono",
     "nearest_visible",
     "new_picture",
-    "on_device",
     "order_statistic",
     "outline_points",
     "outline_rows",
@@ -220,7 +215,6 @@ __all__ = [
     "projected",
     "rasterize",
     "reach",
-    "require_cuda",
     "rim_edges",
     "row_sums",
     "selection",
@@ -410,11 +404,12 @@ def row_sums(
     return gradient, hessian
 
 
-def joint_covariances(pose: Array, tree: TreeArrays, hessian: Array, ridge: float = 1e-9) -> Array:
-    """(J, 3, 3) m^2: covariances of the joint centres when the pose (D,) has the covariance C = (hessian + ridge)^-1:
-    G C G^T with G (3, D) the derivative of the centre; the numba kernel, on either back end."""
+def joint_covariances(pose: Array, tree: TreeArrays, information: Array, ridge: float = 1e-9) -> Array:
+    """(J, 3, 3) m^2: covariances of the joint centres when the pose (D,) has the covariance C = (information +
+    ridge)^-1, the root's rotation as a small turn in the world: G C G^T with G (3, D) the derivative of the centre; the
+    numba kernel, on either back end."""
     out = np.empty((len(tree.parents), 3, 3))
-    q, h = plain(pose, np.float64), plain(hessian, np.float64)
+    q, h = plain(pose, np.float64), plain(information, np.float64)
     native("solver.covariance").joint_covariances(q, tidy(tree), h, float(ridge), out)
     return out
 

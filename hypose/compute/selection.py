@@ -10,11 +10,9 @@ from contextvars import ContextVar, copy_context
 from functools import cache
 from typing import TypeVar
 
-import numpy as np
-
 from hypose.errors import InputError
 
-BACKENDS = ("auto", "cpu", "cuda", "reference", "numba", "numpy")
+BACKENDS = ("auto", "cpu", "reference", "numba", "numpy")
 """numba and numpy are the libraries' names for cpu and reference."""
 _MEANING = {"auto": "numba", "cpu": "numba", "reference": "numpy"}
 _Result = TypeVar("_Result")
@@ -22,21 +20,14 @@ _backend: ContextVar[str] = ContextVar("hypose_backend", default="auto")
 
 
 def backend() -> str:
-    """The back end in force: "numba" (also what "auto" and "cpu" mean), "numpy" (the reference, slow) or "cuda" (sets
-    of silhouettes, and the layers of a particle filter, on the device, all else as numba). "auto" does not choose the
-    device: on it a silhouette may count a pixel otherwise."""
+    """The back end in force: "numba" (also what "auto" and "cpu" mean) or "numpy" (the reference, slow)."""
     name = _backend.get()
     return _MEANING.get(name, name)
 
 
-def on_device() -> bool:
-    """Whether silhouettes are scored on a device in this context, where whole searches run as well."""
-    return backend() == "cuda"
-
-
 @contextlib.contextmanager
 def use(name: str) -> Iterator[None]:
-    """Run the enclosed block on another back end: "auto", "cpu", "cuda" or "reference"."""
+    """Run the enclosed block on another back end: "auto", "cpu" or "reference"."""
     if name not in BACKENDS:
         raise InputError(f"There is no compute back end {name!r}; choose one of {', '.join(BACKENDS)}.")
     token = _backend.set(name)
@@ -44,25 +35,6 @@ def use(name: str) -> Iterator[None]:
         yield
     finally:
         _backend.reset(token)
-
-
-@cache
-def require_cuda() -> str:
-    """The name of the NVIDIA device that is used; an InputError when there is none that numba can use."""
-    from importlib import import_module
-    from importlib.util import find_spec
-
-    if find_spec("numba_cuda") is None:
-        raise InputError("An NVIDIA device needs numba-cuda: pip install 'hypose[cuda]'; or use --compute auto.")
-    name = import_module("hypose.compute.silhouettes.cuda").device_name()
-    if not name:
-        raise InputError("There is no usable NVIDIA device, or no driver for it; use --compute auto.")
-    if np.lib.NumpyVersion(np.__version__) >= "2.5.0" and not os.environ.get("NUMBA_ENABLE_CUDASIM"):
-        raise InputError(
-            f"numba-cuda, which the NVIDIA device is used with, does not work with numpy {np.__version__}: "
-            "pip install 'numpy<2.5', or use --compute auto."
-        )
-    return name
 
 
 def default_threads() -> int:

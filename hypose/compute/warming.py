@@ -275,7 +275,7 @@ def _no_collection() -> Iterator[None]:
 
 
 def _command() -> list[str]:
-    return [sys.executable, "-c", _PROGRAM, "\n".join(map(str, sys.path))]
+    return [sys.executable, "-P", "-c", _PROGRAM, "\n".join(map(str, sys.path))]
 
 
 @contextlib.contextmanager
@@ -291,6 +291,7 @@ def _processes(count: int, left: list[_Piece]) -> Iterator[list[_Piece]]:
                 with contextlib.suppress(OSError):
                     process = subprocess.Popen(
                         _command(),
+                        cwd=Path(__file__).parent,
                         env={**os.environ, "NUMBA_NUM_THREADS": "1"},
                         stdin=subprocess.PIPE,
                         stdout=subprocess.PIPE,

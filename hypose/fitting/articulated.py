@@ -40,7 +40,7 @@ from hypose.fitting.depth_surface import DepthTerm, depth_arrays
 from hypose.fitting.least_squares import Rule
 from hypose.fitting.own_rows import RowTerm, row_sums
 from hypose.fitting.own_rows import solve as solve_with_rows
-from hypose.geometry import Array, nearest_branch
+from hypose.geometry import Array, nearest_branch, so3_turns
 
 # Reference density of the contour rows, for a person `height` px tall: weights are per arc length, so changing the
 # spacing or the number of points does not change the balance with key points and priors.
@@ -172,11 +172,15 @@ class SolveSettings:
 
 @dataclass(frozen=True)
 class PoseFit:
-    """Result of one solve: pose (D,), cost F, Gauss-Newton hessian (D, D) and gradient (D,) of F at the pose,
-    iterations, evaluations, converged (the last step was below the tolerance), rows: how many rows of evidence there
-    were (0: only the priors spoke), view_rows (C, 2): contour rows of each view, forward and reverse."""
+    """Result of one solve.
+
+    pose (D,), the root's rotation vector on the branch of the start; solved (D,): the same pose on the branch on which
+    it was solved; cost F; hessian (D, D), Gauss-Newton, and gradient (D,) of F in the coordinates of `solved`;
+    iterations; evaluations; converged: the last step was below the tolerance; rows: number of rows of evidence (0: only
+    the priors spoke); view_rows (C, 2): contour rows of each view, forward and reverse."""
 
     pose: Array
+    solved: Array
     cost: float
     hessian: Array
     gradient: Array
@@ -185,6 +189,22 @@ class PoseFit:
     converged: bool
     rows: int
     view_rows: NDArray[np.int64]
+
+    @cached_property
+    def information(self) -> Array:
+        """(D, D) the Hessian by the pose's coordinates, the root's rotation as a small turn in the world: the same for
+        every branch of its rotation vector."""
+        return by_turns(self.hessian, self.solved)
+
+
+def by_turns(hessian: Array, pose: Array) -> Array:
+    """(D, D): a Hessian taken at a pose (D,) by its coordinates, with the root's rotation vector replaced by a small
+    turn in the world. An inverse covariance of poses is kept like this: rotation vectors of one rotation have two
+    branches, a turn has none."""
+    turns, out = so3_turns(pose[3:6]), hessian.copy()
+    out[3:6] = turns.T @ out[3:6]
+    out[:, 3:6] = out[:, 3:6] @ turns
+    return out
 
 
 def contour_term(
@@ -365,11 +385,12 @@ class _Problem:
             check_workspace(workspace, self.body, self.contour_term)
         ws = workspace if workspace is not None else _own_workspace(self.body, self.contour_term)
         out = self._solve(q, self.priors(q), ws)
-        pose = out.pose
+        pose = out.pose.copy()
         pose[3:6] = nearest_branch(pose[3:6], np.asarray(start, dtype=np.float64)[3:6])
         counts = out.evaluation.counts
         return PoseFit(
             pose,
+            out.pose,
             out.evaluation.cost,
             out.evaluation.hessian,
             out.evaluation.gradient,

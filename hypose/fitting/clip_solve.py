@@ -19,6 +19,7 @@ from hypose.fitting.articulated import (
     PointTerm,
     Quadratic,
     SolveSettings,
+    by_turns,
     contour_arrays,
     keypoint_arrays,
     point_arrays,
@@ -27,15 +28,18 @@ from hypose.fitting.articulated import (
 )
 from hypose.fitting.least_squares import Rule, descend
 from hypose.fitting.own_rows import LARGEST_TURN
-from hypose.geometry import Array, nearest_branch, so3_exp, so3_left_jacobian, so3_log
+from hypose.geometry import Array, nearest_branch, so3_exp, so3_left_jacobian, so3_log, so3_turns
 
 
 @dataclass(frozen=True)
 class Gaussian:
-    """What is known of one frame's pose, summed up: 1/2 off' information off. centre (D,); information (D, D): an
-    inverse covariance, as the Hessian of a solved frame is; off (D,): from the centre, for balls along the turn from
-    there, log(R0' R), in the coordinates at the centre. So what is left open of a stretched arm, how it is turned about
-    itself, is open however far it turns: along a line of rotation vectors its elbow would be carried away."""
+    """Summary of what one frame says of its pose: the cost 1/2 off' information off.
+
+    centre (D,); information (D, D): an inverse covariance, the root's rotation as a small turn in the world
+    (`PoseFit.information`); off (D,): from the centre, for the root the turn in the world, log(R R0'), for other balls
+    along the turn from there, log(R0' R), in the coordinates at the centre. So what is left open of a stretched arm,
+    how it is turned about itself, is open however far it turns: along a line of rotation vectors its elbow would be
+    carried away."""
 
     centre: Array
     information: Array
@@ -65,10 +69,10 @@ def fit_clip(
     turn in the world, and returned on the branch nearest to its start.
 
     points, keypoints, contours, gaussians: one term (or None) per frame. acceleration: strength a (times
-    `default_acceleration`), or (D,) weights; velocity: weights v, (D,) or one for all: without it what is extrapolated
-    goes on for ever. priors act on every frame. Damped Gauss-Newton on all frames together:
-    the matrix couples each frame to the next two, so the cost is linear in T. Joint limits are
-    kept by cutting the step off. A SolverError when a frame's cost at the start is not finite."""
+    `default_acceleration`), or weights (D,), or (T - 2, D); velocity: weights v, (D,), (T - 1, D) or one for all:
+    without it what is extrapolated goes on for ever. priors act on every frame. Damped Gauss-Newton on all frames
+    together: the matrix couples each frame to the next two, so the cost is linear in T. Joint limits are kept by
+    cutting the step off. A SolverError when a frame's cost at the start is not finite."""
     given = np.array(starts, dtype=np.float64)
     q = given.copy()
     q[:, 3:6] = nearest_branch(q[:, 3:6], np.zeros(3))
@@ -78,8 +82,7 @@ def fit_clip(
     if weights.ndim == 0:
         weights = default_acceleration(dof, float(weights))
     q = np.clip(q, body.skeleton.lower, body.skeleton.upper)
-    speed = np.broadcast_to(np.asarray(velocity, dtype=np.float64), (dof,))
-    coupling = Coupling(n_frames, weights, speed, _cuts(body, q))
+    coupling = Coupling(n_frames, weights, np.broadcast_to(velocity, (n_frames - 1, dof)), _cuts(body, q))
     problem = _Clip(body, coupling, points, keypoints, contours, gaussians, priors)
     rule = Rule(
         o.damping, least=1e-6, most=1e6, tries=5, slack=1.002 if problem.has_contours else 1.0, moved=o.tolerance
@@ -100,21 +103,23 @@ def _moved(q: Array, step: Array) -> Array:
     return out
 
 
-def _turns(r: Array) -> Array:
-    """(..., 3, 3): how rotation vectors (..., 3) of less than a full turn change with a small turn that comes after."""
-    return np.asarray(np.linalg.inv(so3_left_jacobian(r)), dtype=np.float64)
+def pose_steps(q: Array) -> Array:
+    """(T - 1, D) differences of poses (T, D) from frame to frame, of the root's rotation the turn in the world."""
+    v, rotations = np.diff(q, axis=0), so3_exp(q[:, 3:6])
+    v[:, 3:6] = so3_log(rotations[1:] @ np.swapaxes(rotations[:-1], -1, -2))
+    return v
 
 
 class Coupling:
-    """The penalties between T frames: weights (D,) on squared second and first differences, which do not count where
-    the way from one frame to the next is cut, (T - 1, D). bands (3, T, D): their matrix, the weights between a frame
-    and the one s later, dof by dof."""
+    """The penalties between T frames: weights (D,), or one row per difference, on squared second and first differences,
+    which do not count where the way from one frame to the next is cut, (T - 1, D). bands (3, T, D): their matrix, the
+    weights between a frame and the one s later, dof by dof."""
 
     def __init__(
         self, n_frames: int, acceleration: Array, velocity: Array, cut: NDArray[np.bool_] | None = None
     ) -> None:
         self.n_frames = n_frames
-        dof = len(acceleration)
+        dof = acceleration.shape[-1]
         goes_on = np.ones((max(n_frames - 1, 0), dof)) if cut is None else 1.0 - cut
         self.acceleration = np.asarray(acceleration) * goes_on[1:] * goes_on[:-1]
         self.velocity = np.asarray(velocity) * goes_on
@@ -126,9 +131,7 @@ class Coupling:
 
     def cost(self, q: Array) -> tuple[float, Array]:
         """Cost of poses (T, D) and its gradient (T, D), for the root's rotation to small turns in the world."""
-        v = np.diff(q, axis=0)
-        rotations = so3_exp(q[:, 3:6])
-        v[:, 3:6] = so3_log(rotations[1:] @ np.swapaxes(rotations[:-1], -1, -2))
+        v = pose_steps(q)
         a = np.diff(v, axis=0)
         cost = 0.5 * float((self.acceleration * a**2).sum() + (self.velocity * v**2).sum())
         by_v = self.velocity * v
@@ -152,16 +155,14 @@ def _cuts(body: Body, q: Array) -> NDArray[np.bool_]:
 
 
 def _by_turn(by_v: Array, v: Array) -> Array:
-    """Derivatives by the steps v (T, D) from frame to frame, of which 3:6 is a rotation vector, become those by what
-    turns its end."""
+    """Turn derivatives by rows v (T, D), of which 3:6 is a rotation vector, into those by a small turn in the world."""
     out = by_v.copy()
-    out[:, 3:6] = np.einsum("tab,ta->tb", _turns(v[:, 3:6]), by_v[:, 3:6])
+    out[:, 3:6] = np.einsum("tab,ta->tb", so3_turns(v[:, 3:6]), by_v[:, 3:6])
     return out
 
 
 class _Around:
-    """How far poses (T, D) are from the centres of the frames' Gaussians. The root's rotation, which no evidence leaves
-    open, counts by its rotation vector."""
+    """How far poses (T, D) are from the centres of the frames' Gaussians."""
 
     def __init__(self, body: Body, gaussians: Sequence[Gaussian | None]) -> None:
         self.balls, dof = body.skeleton.ball_starts[1:, None] + np.arange(3), body.skeleton.dof
@@ -169,17 +170,18 @@ class _Around:
         self.centres = np.array([g.centre for g in gaussians if g is not None]).reshape(-1, dof)
         self.information = np.array([g.information for g in gaussians if g is not None]).reshape(-1, dof, dof)
         own = self.centres[:, self.balls]
-        self.back, self.flat = so3_exp(-own), _turns(-own)
+        self.back, self.flat, self.root = so3_exp(-own), so3_turns(-own), so3_exp(-self.centres[:, 3:6])
 
     def __call__(self, q: Array) -> tuple[float, Array, Array]:
-        """Cost of poses, its gradient (T, D) and Gauss-Newton Hessian (T, D, D)."""
+        """Cost of poses, its gradient (T, D) and Gauss-Newton Hessian (T, D, D) by turns of the root."""
         gradient, hessian = np.zeros_like(q), np.zeros((*q.shape, q.shape[1]))
         now, b = q[self.known], self.balls
         off, slope = now - self.centres, np.tile(np.eye(q.shape[1]), (len(now), 1, 1))
-        off[:, 3:6] = now[:, 3:6] - nearest_branch(self.centres[:, 3:6], now[:, 3:6])
+        off[:, 3:6] = so3_log(so3_exp(now[:, 3:6]) @ self.root)
+        slope[:, 3:6, 3:6] = so3_turns(off[:, 3:6])
         turned = so3_log(self.back @ so3_exp(now[:, b]))
         off[:, b] = (self.flat @ turned[..., None])[..., 0]
-        slope[:, b[:, :, None], b[:, None, :]] = self.flat @ _turns(-turned) @ so3_left_jacobian(-now[:, b])
+        slope[:, b[:, :, None], b[:, None, :]] = self.flat @ so3_turns(-turned) @ so3_left_jacobian(-now[:, b])
         pull = (self.information @ off[..., None])[..., 0]
         gradient[self.known] = (pull[:, None] @ slope)[:, 0]
         hessian[self.known] = np.swapaxes(slope, 1, 2) @ self.information @ slope
@@ -221,7 +223,6 @@ class _Clip:
     def evaluate(self, q: Array, coarse: bool) -> tuple[float, Callable[[], tuple[Array, Array]]]:
         (cost, by_known, curved), (t, d) = self.around(q), q.shape
         gradient, hessian = np.empty((t, d)), np.empty((t, d, d))
-        turns = _turns(q[:, 3:6])
         for k in range(t):
             centre = self.centre.copy()
             centre[:, 3:6] = nearest_branch(centre[:, 3:6], q[k, 3:6])
@@ -238,14 +239,10 @@ class _Clip:
                 coarse=coarse,
             )
             cost += e.cost
-            gradient[k], hessian[k] = e.gradient, e.hessian
-            gradient[k] += by_known[k]
-            hessian[k] += curved[k]
-            gradient[k, 3:6] = turns[k].T @ gradient[k, 3:6]
-            hessian[k, 3:6] = turns[k].T @ hessian[k, 3:6]
-            hessian[k, :, 3:6] = hessian[k, :, 3:6] @ turns[k]
+            gradient[k], hessian[k] = e.gradient, by_turns(e.hessian, q[k])
+        gradient = _by_turn(gradient, q) + by_known
         coupled, pull = self.coupling.cost(q)
-        return cost + coupled, lambda: (gradient + pull, hessian)
+        return cost + coupled, lambda: (gradient + pull, hessian + curved)
 
     def propose(self, q: Array, equations: tuple[Array, Array], damping: float) -> tuple[Array, float] | None:
         """Poses after a step, no joint turning further than LARGEST_TURN, and how far they moved."""

@@ -4,7 +4,7 @@ Constant distances between joints, a robust loss that is graduated in every fram
 wrong sensor), a constant-velocity prediction, the SDK's confidence as weight, and sides exchanged back when a sensor
 that sees the back takes left for right. 45 unknowns with distances as stiff rows rather than joint angles: a sensor
 skeleton has no shape behind it, and distances between shoulders, hips and torso hold a trunk that is not rigid.
-Uncertainty: the solve's own covariance, plus how far the sensors that carry the joint disagree.
+Uncertainty: the solve's own variance, plus what the sensors' systematic errors leave open (fusion.trust).
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from hypose import compute
 from hypose.evidence.frame import TRACKED
 from hypose.fusion import joints as jt
+from hypose.fusion.trust import what_is_open
 from hypose.geometry import Array
 
 _SIDES = np.array([(jt.LEFT_SHOULDER, jt.RIGHT_SHOULDER), (jt.LEFT_HIP, jt.RIGHT_HIP)])
@@ -34,8 +35,8 @@ def _bone_sd() -> Array:
 class FitSettings:
     """data_sd_m, scale_m: sd and Cauchy scale of a sensor's joint; coarse: the scale starts at this multiple and is
     halved per iteration; iterations; bone_sd_m (18,); prediction_sd_m: per frame of 1/30 s; blend: how fast the
-    velocity follows; inferred: weight of inferred joints; unswap: exchange sides back; lost_after_s: without any joint
-    for this long the person is lost; inflation: factor on the reported sd (measured, see docs/fusion.md)."""
+    velocity follows; inferred: weight of inferred joints; unswap: exchange sides back; lost_after_s: without
+    any joint for this long the person is lost."""
 
     data_sd_m: float = 0.02
     scale_m: float = 0.05
@@ -47,7 +48,6 @@ class FitSettings:
     inferred: float = 0.5
     unswap: bool = True
     lost_after_s: float = 0.5
-    inflation: float = 1.0
 
     @cached_property
     def bone_weight(self) -> Array:
@@ -73,11 +73,15 @@ class FitState:
 
 @dataclass(frozen=True)
 class FitEstimate:
-    """joints (15, 3) m, sd (15,) m per axis, shares (15, K): what each sensor carried of each joint (0 everywhere where
-    nobody saw it), swapped (K,) sensors whose sides were exchanged, lost: no evidence for too long."""
+    """joints (15, 3) m; variance (15,) m^2 per axis that more frames or sensors would reduce, and systematic (15,),
+    which they would not; wrong (15,): how likely a joint is off by more than trust.WRONG_M; shares (15, K): what each
+    sensor carried of each joint (0 everywhere where no sensor saw it); swapped (K,) sensors whose sides were exchanged;
+    lost: no evidence for too long."""
 
     joints: Array
-    sd: Array
+    variance: Array
+    systematic: Array
+    wrong: Array
     shares: Array
     swapped: NDArray[np.bool_]
     lost: bool
@@ -99,9 +103,10 @@ def start_fit(lengths: ArrayLike | None = None) -> FitState:
 
 
 def fit_step(
-    state: FitState, positions: Array, states: NDArray[np.uint8], time: float, settings: FitSettings
+    state: FitState, positions: Array, states: NDArray[np.uint8], time: float, settings: FitSettings, eyes: Array
 ) -> tuple[FitState, FitEstimate]:
-    """One frame: registered positions (K, 15, 3) m with NaN for missing, their states (K, 15), time s."""
+    """One frame: registered positions (K, 15, 3) m with NaN for missing, their states (K, 15), time s; eyes (K, 3) m:
+    where the sensors stand, NaN where it is not known."""
     # a joint of a sensor that is not registered has a state but no place
     states = np.where(np.isfinite(positions[..., 0]), states, 0).astype(np.uint8)
     side, swapped = state.side, np.zeros(len(positions), dtype=np.bool_)
@@ -125,7 +130,7 @@ def fit_step(
         prior = 1 / (settings.prediction_sd_m * np.maximum(1.0, 30 * away)) ** 2
     x = predicted.copy()
     share = np.zeros(weights.shape)
-    variance, spread = np.zeros(15), np.zeros(15)
+    variance = np.zeros(15)
     compute.fusion.fit_frame(
         points,
         weights,
@@ -143,7 +148,6 @@ def fit_step(
         x,
         share,
         variance,
-        spread,
     )
     seen = np.where(evidence, time, state.seen)
     if state.joints is None:
@@ -154,8 +158,8 @@ def fit_step(
     new = FitState(x, velocity, time, seen, side, lengths, samples, state.fixed)
     if lost or (state.joints is None and not any_evidence):
         new = replace(new, joints=None, velocity=np.zeros((15, 3)), side=np.zeros(3))
-    sd = settings.inflation * np.sqrt(variance + spread)
-    return new, FitEstimate(x, sd, share.T.copy(), swapped, lost)
+    systematic, wrong = what_is_open(positions, states, eyes, side, lengths, x, variance)
+    return new, FitEstimate(x, variance, systematic, wrong, share.T.copy(), swapped, lost)
 
 
 def unswap(

@@ -39,6 +39,7 @@ from hypose.fusion.register import (
 from hypose.fusion.saved import ClipSoFar, restored
 from hypose.fusion.state import BASELINES, FIT, METHODS, FusedFrame, FusionSettings, FusionState
 from hypose.fusion.swarm import start_swarm, swarm_step
+from hypose.fusion.trust import what_is_open
 from hypose.geometry import Array
 
 WINDOW_FRAMES = 40
@@ -131,18 +132,27 @@ def step(state: FusionState, frame: SensorJoints) -> tuple[FusionState, FusedFra
         swarm, estimate = swarm_step(swarm, world, noise, heading, s.swarm_settings, s.seed)
         choice, restarted = estimate.shares, estimate.restarted
     n_sensors = int(np.isfinite(world[..., 0]).any(1).sum())
+    # sensors that report in a common frame may stand anywhere
+    eyes = np.full((len(world), 3), np.nan) if s.registered else state.registration.common_from_sensor[:, :3, 3]
     if s.method == FIT or estimate is None:
-        fit, found = fit_step(state.fit, world, raw.state, time, s.fit)
-        joints, sd, shares, lost, swapped = found.joints, found.sd, found.shares, found.lost, found.swapped
+        fit, found = fit_step(state.fit, world, raw.state, time, s.fit, eyes)
+        joints, shares, lost, swapped = found.joints, found.shares, found.lost, found.swapped
+        variance, systematic, wrong = found.variance, found.systematic, found.wrong
     else:
         known = np.isfinite(world[..., 0]).any()
         seen = np.where(np.isfinite(world[..., 0]).any(0), time, state.fit.seen)
         fit = replace(state.fit, time=time, seen=seen)
-        joints, sd, shares = estimate.joints, estimate.spread / np.sqrt(3), estimate.shares
+        joints, variance, shares = estimate.joints, estimate.spread**2 / 3, estimate.shares
+        left = joints[jt.LEFT_SHOULDER] - joints[jt.RIGHT_SHOULDER]
+        systematic, wrong = what_is_open(world, raw.state, eyes, left, state.fit.lengths, joints, variance)
         lost = not known and time - seen.max() > s.fit.lost_after_s
         swapped = np.zeros(len(world), dtype=np.bool_)
-    joints, sd = _with_rest(state, frame, joints, sd, shares)
-    fused = FusedFrame(time, state.joint_names, joints, sd, shares, choice, bool(lost), n_sensors, swapped, restarted)
+    sd, systematic = np.sqrt(variance + systematic), np.sqrt(systematic)
+    joints, sd, systematic, wrong = _with_rest(state, frame, joints, (sd, systematic, wrong), shares)
+    fused = FusedFrame(
+        *(time, state.joint_names, joints, sd, systematic, wrong, shares, choice),
+        *(bool(lost), n_sensors, swapped, restarted),
+    )
     return replace(state, fit=fit, swarm=swarm, frames=state.frames + 1), fused
 
 
@@ -286,15 +296,16 @@ def _axes(x: float, y: float, z: float) -> tuple[Array, Array]:
     return horizontal_axes((x, y, z))
 
 
-def _with_rest(state: FusionState, frame: SensorJoints, joints: Array, sd: Array, shares: Array) -> tuple[Array, Array]:
-    """The fused joints followed by the set's others. Those move rigidly with their sensor's nearest common joints, and
-    are averaged with the sensors' shares in the joint that they hang from."""
+def _with_rest(
+    state: FusionState, frame: SensorJoints, joints: Array, known: Sequence[Array], shares: Array
+) -> list[Array]:
+    """The fused joints, and what is known of them (15,), each followed by the set's others. Those move rigidly with
+    their sensor's nearest common joints, are averaged with the sensors' shares in the joint that they hang from, and
+    are as sure as that one."""
     rest = state.rest
-    if not len(rest):
-        return joints, sd
     raw, common = frame.positions, state.joint_set.common
     out = np.full((len(rest), 3), np.nan)
-    spread = np.full(len(rest), np.nan)
+    sure = np.full((len(known), len(rest)), np.nan)
     world = state.registration.apply(raw)
     anchors = anchors_of(state.joint_set)
     for i, j in enumerate(rest):
@@ -304,8 +315,8 @@ def _with_rest(state: FusionState, frame: SensorJoints, joints: Array, sd: Array
         if weights.sum() > 0:
             offsets = np.where(weights[:, None] > 0, world[:, j] - world[:, common[anchor]], 0.0)
             out[i] = joints[anchor] + weights @ offsets / weights.sum()
-            spread[i] = sd[anchor]
-    return np.concatenate([joints, out]), np.concatenate([sd, spread])
+            sure[:, i] = [value[anchor] for value in known]
+    return [np.concatenate(both) for both in zip((joints, *known), (out, *sure), strict=True)]
 
 
 def _clip_times(joints: Sequence[SensorJoints]) -> Array:
@@ -331,6 +342,8 @@ def _motion(
         np.array([f.n_sensors for f in frames]),
         lengths,
         provenance,
+        np.stack([f.systematic for f in frames]),
+        np.stack([f.wrong for f in frames]),
     )
 
 

@@ -96,14 +96,16 @@ class LiveFuser:
         )
 
     def _person(self, p: SeenPerson, names: tuple[str, ...], now: float) -> LivePerson:
-        positions = np.full((len(names), 15, 3), np.nan)
+        positions, eyes = np.full((len(names), 15, 3), np.nan), np.full((len(names), 3), np.nan)
         state = np.zeros((len(names), 15), dtype=np.uint8)
         for k, name in enumerate(names):
             if name in p.placed:
                 positions[k], state[k] = p.placed[name], p.bodies[name].state
+                eyes[k] = self.people.transforms[name][:3, 3]
         before = self._states.get(p.id) or start_fit()
-        self._states[p.id], estimate = fit_step(before, positions, state, now, self.settings.fit)
-        return LivePerson(p.id, estimate.joints, estimate.sd, tuple(p.bodies), estimate.shares, p.seen)
+        self._states[p.id], estimate = fit_step(before, positions, state, now, self.settings.fit, eyes)
+        sd = np.sqrt(estimate.variance + estimate.systematic)
+        return LivePerson(p.id, estimate.joints, sd, tuple(p.bodies), estimate.shares, p.seen)
 
 
 def warm_up(settings: FitSettings) -> None:
@@ -111,7 +113,7 @@ def warm_up(settings: FitSettings) -> None:
     standing = np.linspace(0, 1, 45).reshape(1, 15, 3)
     state = start_fit()
     for n in range(2):
-        state, _ = fit_step(state, standing, np.full((1, 15), 2, dtype=np.uint8), n / 30, settings)
+        state, _ = fit_step(state, standing, np.full((1, 15), 2, dtype=np.uint8), n / 30, settings, np.zeros((1, 3)))
 
 
 # ---- the same without sockets --------------------------------------------------------------------------------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from hypose.body.motion import Motion, isotropic
 from hypose.body.skeleton import Skeleton
 from hypose.fusion import joints as jt
+from hypose.fusion.trust import DOUBTFUL_P
 from hypose.geometry import Array
 
 
@@ -46,15 +48,18 @@ def points_motion(
     n_sensors: NDArray[np.int64],
     lengths: Array,
     provenance: Mapping[str, Any],
+    systematic: Array | None = None,
+    wrong: Array | None = None,
 ) -> Motion:
-    """A Motion with parents before children: the torso first, as the root."""
+    """A Motion with parents before children: the torso first, as the root. sd (T, J) m, of which systematic (T, J)
+    would remain with more frames or sensors; wrong (T, J): how likely a joint is wrong."""
     order, parents = _topological(names)
     bone = {tuple(sorted(b)): float(v) for b, v in zip(jt.BONES.tolist(), lengths, strict=True)}
     by_name = {
         n: bone.get(tuple(sorted((i, int(jt.PARENT[i])))), 0.2) for i, n in enumerate(jt.COMMON) if jt.PARENT[i] >= 0
     }
     skeleton = point_skeleton([names[i] for i in order], parents, by_name)
-    return Motion(
+    motion = Motion(
         skeleton,
         times,
         joints[:, order],
@@ -66,6 +71,12 @@ def points_motion(
         np.full(len(times), np.nan),
         provenance,
     )
+    if wrong is None or systematic is None:
+        return motion
+    lasting = isotropic(systematic[:, order])
+    p = np.nan_to_num(np.where(lost[:, None], np.fmax(wrong, 0.5), wrong)[:, order]).astype(np.float32)
+    doubtful = p > DOUBTFUL_P
+    return replace(motion, p_wrong=p, doubtful_joints=doubtful, doubtful=doubtful.any(1), systematic_covariance=lasting)
 
 
 def _topological(names: tuple[str, ...]) -> tuple[list[int], list[int]]:

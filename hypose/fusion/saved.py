@@ -16,7 +16,7 @@ from hypose.fusion.state import FusedFrame, FusionState
 from hypose.fusion.swarm import SwarmState
 from hypose.inference.hypotheses import Hypotheses
 
-_FRAME = ("time", "joints", "sd", "shares", "choice", "lost", "n_sensors", "swapped", "restarted")
+_FRAME = tuple(f.name for f in fields(FusedFrame) if f.name != "joint_names")
 
 
 @dataclass(frozen=True)

@@ -59,15 +59,18 @@ class FusionSettings:
 @dataclass(frozen=True)
 class FusedFrame:
     """One instant. time s; joint_names (J,): the 15 common ones, then the sensor's others; joints (J, 3) m in the
-    common frame, NaN where never seen; sd (J,) m per axis, NaN where unknown; shares (15, K): what each sensor carried
-    of each common joint (fit: weights; swarm: population); choice (15, K) the swarm's population when it runs as
-    diagnosis; lost; n_sensors with evidence; swapped (K,) sensors whose sides were exchanged; restarted: the swarm
-    began anew."""
+    common frame, NaN where never seen; sd (J,) m per axis, of which systematic (J,) would remain with more frames or
+    sensors, and wrong (J,): how likely the joint is off by more than trust.WRONG_M, NaN where unknown; shares (15, K):
+    what each sensor carried of each common joint (fit: weights; swarm: population); choice (15, K) the swarm's
+    population when it runs as diagnosis; lost; n_sensors with evidence; swapped (K,) sensors whose sides were
+    exchanged; restarted: the swarm began anew."""
 
     time: float
     joint_names: tuple[str, ...]
     joints: Array
     sd: Array
+    systematic: Array
+    wrong: Array
     shares: Array
     choice: Array | None
     lost: bool

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from hypose.errors import InputError
-from hypose.io.motions.results import check_writable
+from hypose.io.files import check_writable
 
 LOCK = ".hypose-lock"
 """The file in a folder that is being written to, which says by whom; what locks it is the system, which lets go of it

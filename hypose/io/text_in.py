@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from hypose.errors import InputError
-from hypose.io.files import MAX_TEXT_BYTES, readable_size, unreadable
+from hypose.io.files import MAX_TEXT_BYTES, open_file, unreadable
 
 _CHUNK = 1 << 20
 MAX_LINE_BYTES = 1 << 20
@@ -24,10 +24,9 @@ def bounded_lines(
     `limit` or a line `line_limit` bytes, so that a gzip bomb costs no more than an honest file. `kind` ("a CSV of ...")
     says in the errors what was expected.
     """
-    readable_size(path, kind, limit)
     total, rest, first = 0, b"", True
     try:
-        with _opened(path) as stream:
+        with open_file(path, kind, limit) as file, _unpacked(file, path) as stream:
             while chunk := stream.read(_CHUNK):
                 total += len(chunk)
                 if total > limit:
@@ -53,8 +52,8 @@ def bounded_lines(
         raise unreadable(path, error) from None
 
 
-def _opened(path: str | Path) -> gzip.GzipFile | BinaryIO:
-    return gzip.open(path, "rb") if str(path).lower().endswith(".gz") else Path(path).open("rb")
+def _unpacked(file: BinaryIO, path: str | Path) -> gzip.GzipFile | BinaryIO:
+    return gzip.GzipFile(fileobj=file) if str(path).lower().endswith(".gz") else file
 
 
 def _decoded(line: bytes, path: str | Path, kind: str, limit: int) -> str:

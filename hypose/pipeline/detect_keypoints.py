@@ -14,7 +14,7 @@ from hypose.errors import EvidenceError, InputError
 from hypose.evidence.detector import PoseDetector, openpose_document
 from hypose.geometry import Array
 from hypose.io.file_names import folder_for
-from hypose.io.files import write_text
+from hypose.io.files import read_text, write_text
 from hypose.io.keypoints.detected_keypoints import DetectedKeypoints, load_detected
 from hypose.io.recordings.recording import Recording, View
 from hypose.io.videos.video import open_video
@@ -56,7 +56,7 @@ def detect_keypoints(
                     image = next(iter(reader))
                     people = _calibrated(detector.detect(image), reader.size, camera, view)
                     write_text(path, json.dumps(openpose_document(people)) + "\n")
-                somebody = somebody or '"people": []' not in path.read_text(encoding="utf-8")
+                somebody = somebody or '"people": []' not in read_text(path, "key points of a frame")
                 done += 1
                 if progress is not None:
                     progress(done, total)

@@ -1,9 +1,10 @@
 """Whether what was fused of several sensors' skeletons can be trusted: do the sensors agree, on where joints are and on
-when, and is it as large as a person?"""
+when, does one of them see every joint, and is it as large as a person?"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from hypose.fusion import joints as jt
 from hypose.fusion.clocks import offset_by_movement
 from hypose.fusion.register import Registration, common_joints, register
 from hypose.geometry import Array
-from hypose.pipeline.verdict import GOOD, LOOK, UNTRUSTED, Verdict
+from hypose.pipeline.verdict import LOST_SHARE, Verdict, verdict_of
 
 APART_LOOK_M, APART_M = 0.085, 0.15
 """m by which the joints of two sensors lie apart (median) from which on it is worth a look, and not to be trusted: 14
@@ -29,6 +30,7 @@ half a step later, with arms or sides exchanged"""
 _LEGS_M = 0.39, 0.99
 """m of thigh and shank together, of people 0.9 to 2.3 m tall: sensors say 0.64 to 0.86 of adults"""
 _LEGS = ((jt.LEFT_HIP, jt.LEFT_KNEE, jt.LEFT_FOOT), (jt.RIGHT_HIP, jt.RIGHT_KNEE, jt.RIGHT_FOOT))
+_CURE = "place the sensors so that one of them sees each side of the person, and nothing is in between"
 _OF_HEIGHT = 0.43
 """thigh and shank as sensors see them, as a share of the height"""
 
@@ -48,9 +50,11 @@ def fused_verdict(
                 "not mirrored, and saw the same movement"
             )
             (because if apart > APART_M else looks).append(text)
-    if because:
-        return Verdict(UNTRUSTED, (*because, *looks))
-    return Verdict(LOOK, tuple(looks), (range(len(motion)),)) if looks else Verdict(GOOD)
+    # a sensor reports whom it sees: who is away is not there to be found
+    if (away := float(motion.lost.mean())) > LOST_SHARE:
+        looks.append(f"no sensor saw the person in {100 * away:.0f} % of the frames")
+    there = motion if motion.doubtful is None else replace(motion, doubtful=motion.doubtful & ~motion.lost)
+    return verdict_of(there, because, looks, _CURE, 1.0)
 
 
 def _of_size(motion: Motion) -> Iterator[str]:

@@ -117,11 +117,9 @@ def gait_of(motion: Motion, body: Body) -> Gait:
 def _moving(motion: Motion, joint: int) -> Array:
     """(T, 3, 3) covariance of a joint without what does not change over the clip; at least 1 % is left."""
     whole = np.array(motion.joint_covariance[:, joint], dtype=np.float64)
-    if motion.definition_sd is None:
+    if motion.systematic_covariance is None:
         return whole
-    constant = float(motion.definition_sd[joint]) ** 2
-    least = 0.99 * np.linalg.eigvalsh(np.nan_to_num(whole))[..., 0]
-    return whole - np.minimum(constant, least)[..., None, None] * np.eye(3)
+    return whole - 0.99 * motion.systematic_covariance[:, joint].astype(np.float64)
 
 
 def facing_of(rotations: Array, rate: float) -> Array:

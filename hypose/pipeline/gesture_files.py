@@ -26,11 +26,10 @@ from hypose.gestures import model as model_arrays
 from hypose.gestures.depth_pictures import Lens, millimetres
 from hypose.gestures.model import GestureModel
 from hypose.gestures.pixels import Example
-from hypose.io.files import RecordingFolder, text_lines
+from hypose.io.files import RecordingFolder, read_bytes, read_json, text_lines, write_text
 from hypose.io.motions.results import load_archive, to_json, write_archive
 from hypose.io.sensors.depth import read_depth_png, write_millimetres_png
 from hypose.io.videos.video import list_images
-from hypose.json_text import parse_json
 
 FORMAT = "hypose-gesture-session"
 PHASES = ("do_gesture", "positive", "release", "negative", "test", "free")
@@ -65,7 +64,7 @@ def content_of(folder: Path) -> str:
     pictures = list_images(folder / "depth")[:_TELLING] if (folder / "depth").is_dir() else []
     digest = hashlib.sha256()
     for picture in pictures:
-        digest.update(picture.read_bytes())
+        digest.update(read_bytes(picture, "a depth picture", 1 << 26))
     return digest.hexdigest() if pictures else ""
 
 
@@ -146,10 +145,7 @@ def read_recording(folder: str | Path) -> GestureRecording:
     if not folder.is_dir():
         raise InputError(f"{folder} is not a folder; give the folder of a recorded gesture session.")
     path = folder / "session.json"
-    try:
-        value = parse_json("\n".join(text_lines(path, "a session.json", 1 << 20)))
-    except (ValueError, RecursionError):
-        raise InputError(f"{path} is no JSON; it must hold what hypose wrote.") from None
+    value = read_json(path, "a session.json")
     if not isinstance(value, dict) or value.get("format") != FORMAT or value.get("version") != 1:
         raise InputError(f'{path} is no gesture session; it must say "format": "{FORMAT}", "version": 1.')
     gestures, lens, size = value.get("gestures"), value.get("lens"), value.get("size")
@@ -247,7 +243,7 @@ class SessionWriter:
         }
         with self._folder.writing():
             (self.folder / "depth").mkdir(exist_ok=True)
-            (self.folder / "session.json").write_text(to_json(value), encoding="utf-8", newline="\n")
+        write_text(self.folder / "session.json", to_json(value))
         self._frames = self._folder.table("frames.csv", _FRAMES)
         self._actions = self._folder.table("actions.csv", ["time", "action", "detail"])
         self._count = 0
@@ -303,7 +299,6 @@ def export_model(model: GestureModel, folder: str | Path) -> list[Path]:
     from importlib import resources
 
     from hypose.gestures.forest import GrowingForest
-    from hypose.io.files import write_text
 
     forest = model.forest.freeze() if isinstance(model.forest, GrowingForest) else model.forest
     packed, look = forest.packed, model.settings

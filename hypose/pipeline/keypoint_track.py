@@ -56,16 +56,20 @@ class NamedSides:
         return replace(self.source.frame(index), keypoints=self.keypoints[index])
 
 
+def keypoints_in_memory(source: FrameSource) -> Sequence[Keypoints | None] | None:
+    """The key points of a source's frames, None of a source that does not hold them in memory."""
+    if isinstance(source, NamedSides | FrameStream):
+        return source.keypoints
+    return [f.keypoints for f in source.frames] if isinstance(source, FrameList) else None
+
+
 def with_named_sides(
     source: FrameSource, frame_rate: float, subject: Subject, *, sure_start: bool = False
 ) -> tuple[FrameSource, Subject]:
     """A source in which key points stand beside masks, and its subject, with the sides of limbs as the names of all
     views and frames have them: a tracker that goes from frame to frame would rename them by where it takes the limbs to
     be. sure_start: that of the subject stands. A source that does not hold its key points in memory stays as it is."""
-    if isinstance(source, FrameStream):
-        seen = source.keypoints
-    else:
-        seen = [f.keypoints for f in source.frames] if isinstance(source, FrameList) else None
+    seen = keypoints_in_memory(source)
     if seen is None or subject.keypoints is None or all(k is None for k in seen):
         return source, subject
     given = (subject.body, subject.keypoints, seen, subject.start, frame_rate)

@@ -88,8 +88,4 @@ def padded(motion: Motion, first: int, total: int) -> Motion:
 
 def per_frame(motion: Motion, rows: np.ndarray) -> dict[str, np.ndarray]:
     """Everything that a motion has of each frame, of some rows of it."""
-    return {
-        k: v[rows]
-        for k, v in vars(motion).items()
-        if isinstance(v, np.ndarray) and len(v) == len(motion) and k != "definition_sd"
-    }
+    return {k: v[rows] for k, v in vars(motion).items() if isinstance(v, np.ndarray) and len(v) == len(motion)}

@@ -26,10 +26,10 @@ from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Keypoints
 from hypose.evidence.keypoints import person_size
 from hypose.geometry import Array
+from hypose.io.files import read_json
 from hypose.io.recordings.frames import FrameSettings, FrameStream, load_keypoints
 from hypose.io.recordings.recording import Recording
 from hypose.io.videos.video import open_video
-from hypose.json_text import parse_json
 from hypose.pipeline.first_frame import Subject
 from hypose.pipeline.pictures import FrameSource, PictureFrames, masks_of, working_side
 from hypose.tracking.monocular.initialise import LEAST_POINTS, initialise
@@ -52,12 +52,7 @@ def load_clicks(path: str | Path, recording: Recording) -> Clicks:
     """Read a file of clicks for the one camera of a recording; an InputError says what is wrong with it."""
     path = Path(path)
     view = recording.views[0]
-    try:
-        document = parse_json(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"The file of clicks {path} cannot be read ({error.strerror}); check --start.") from None
-    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise InputError(f"The file of clicks {path} is not JSON ({error}); see docs/monocular.md.") from None
+    document = read_json(path, "a file of clicks")
     if not isinstance(document, dict) or not isinstance(document.get("joints"), dict):
         raise InputError(f'The file of clicks {path} needs "joints": {{name: [u, v], ...}}; see docs/monocular.md.')
     if document.get("camera", view.name) != view.name:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hypose.body.body import Body
 from hypose.body.motion import Modes, Motion
 from hypose.errors import EvidenceError, HyposeError, InputError
-from hypose.evidence.frame import Frame
+from hypose.evidence.frame import Frame, Keypoints
 from hypose.geometry import Array
 from hypose.inference.layer import Recipe
 from hypose.io.motions.modes import save_modes
@@ -29,7 +29,7 @@ from hypose.pipeline.doubts import with_doubts, with_repeated_points
 from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
 from hypose.pipeline.first_look import first_look, of_measured, places_refuted, sentences
 from hypose.pipeline.kept_findings import SUBJECT, keep_subject, kept_subject
-from hypose.pipeline.keypoint_track import track_keypoints, with_named_sides
+from hypose.pipeline.keypoint_track import keypoints_in_memory, track_keypoints, with_named_sides
 from hypose.pipeline.mend_sides import FrameRange, as_named, look_back, look_back_notes, mend_sides, sides_notes
 from hypose.pipeline.moved_sensors import PlacedSource, Places, moved_sensors
 from hypose.pipeline.picture_start import picture_options, subject_in_picture
@@ -42,13 +42,14 @@ from hypose.pipeline.picture_verdict import (
 from hypose.pipeline.pictures import depth_note, one_view
 from hypose.pipeline.subject_from_motion import HEIGHT_DOUBT, HEIGHT_WRONG, height_sentence, height_told
 from hypose.pipeline.track_loop import FrameSource, Keep, Progress, Tracked, track_frames, tracked_before
-from hypose.pipeline.verdict import Verdict, left_out, verdict_of
-from hypose.tracking.doubt import as_mixture, evidence_of, judged, worth_a_look
+from hypose.pipeline.verdict import Verdict, left_out, not_shown, verdict_of
+from hypose.tracking.doubt import as_mixture, evidence_of, judged, not_in_set, worth_a_look
 from hypose.tracking.fitted_spread import beyond_usual, pose_covariance, with_fitted_angles, with_fitted_joints
 from hypose.tracking.frame_evidence import OwnEvidence
 from hypose.tracking.pose_covariance import unpacked
 from hypose.tracking.recipes import RECIPES, Preset, recipe
 from hypose.tracking.smooth_motion import Clip
+from hypose.tracking.systematic_error import systematic_covariance
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerSettings, modes_of, motion_of
 
 MODES = "modes.npz"
@@ -219,11 +220,14 @@ def track_source(
     if options.whole_clip and method is None and not own:
         solved, audit = track_keypoints(source, frame_rate, subject, report, sure_start=options.sure_start)
         motion = replace(solved.motion, provenance=record or {})
-        motion, doubts = with_repeated_points(motion, [source.frame(i).keypoints for i in range(total)])
+        points = [source.frame(i).keypoints for i in range(total)]
+        motion, doubts = with_repeated_points(motion, points)
         notes = (*subject.notes, *solved.notes, *doubts)
-        motion = _doubted(motion, subject, solved.one_by_one, audit, solved.covariance)
+        motion = _doubted(motion, subject, solved.one_by_one, audit, solved.covariance, points=points)
         result = TrackResult(motion, subject.body, True, notes)
         wrong, looks = against_the_clip(audit, motion.n_views, evidence_of(audit))
+        never = [n for n, gone in zip(subject.body.skeleton.joint_names, not_in_set(audit), strict=True) if gone]
+        others = (*others, *([not_shown(never)] if never else []))
         said = {"faults": (*faults, *wrong), "looks": (*noticed, *looks), "beside": others}
         return _written(replace(result, one_by_one=solved.one_by_one, audit=audit, **said), results)
     if method is None and not options.of_picture:
@@ -360,7 +364,8 @@ def finish(
     information = np.stack([e.uncertainty.information for e in estimates])
     covariance = pose_covariance(unpacked(information, subject.body.skeleton.dof))
     depth = source.frame(0).depth is not None
-    motion = _doubted(motion, subject, own, audit, covariance, "depth" if depth else None)
+    points = None if options.looks_at == "silhouettes" else keypoints_in_memory(source)
+    motion = _doubted(motion, subject, own, audit, covariance, "depth" if depth else None, points)
     wrong, looks = against_the_clip(audit, motion.n_views, evidence_of(audit))
     said = (*faults, *wrong), (*noticed, *looks)
     out = TrackResult(motion, subject.body, done.complete, notes, None, own, audit, *said, unsure=subject.unsure)
@@ -380,11 +385,16 @@ def _doubted(
     audit: NDArray[np.float32],
     covariance: Array,
     known: str | None = None,
+    points: Sequence[Keypoints | None] | None = None,
 ) -> Motion:
     """The motion with the probability that a joint is wrong, what is doubtful for that, and standard deviations that
     hold, of what is doubtful too; covariance (T, D, D) of the poses; known: what the evidence was, where the audit does
-    not tell."""
+    not tell; points: the key points of its frames, None where there are none in memory."""
     evidence = known or evidence_of(audit)
+    if points is not None and subject.keypoints is not None and any(k is not None for k in points):
+        assert motion.poses is not None
+        lasting = systematic_covariance(subject.body, subject.keypoints, points, motion.poses, motion.frame_rate)
+        motion = replace(motion, systematic_covariance=lasting.astype(np.float32))
     # by what the curvature says
     p, joints = judged(motion, subject.body.joints(one_by_one), audit, subject.unsure, known)
     beyond = beyond_usual(audit, evidence)

@@ -89,22 +89,35 @@ class Verdict:
         return Verdict(str(kept["verdict"]), tuple(str(b) for b in kept["because"]), frames, beside)
 
 
+def not_shown(joints: Sequence[str]) -> str:
+    """A sentence on joints that the set of key points has no point of."""
+    which = ", ".join(j.replace("_", " ") for j in joints)
+    return f"Note: the key points have none for {which}; where these are follows from the rest of the body."
+
+
 def left_out(more: int, where: str, command: str) -> str:
     """A sentence on so many other people in the masks, or the key points, and the command that tracks them."""
     who = "another person is" if more == 1 else f"{more} other people are"
     return f"Note: {who} in the {where} and left out; {command} tracks everybody."
 
 
-def verdict_of(motion: Motion, faults: Sequence[str] = (), looks: Sequence[str] = ()) -> Verdict:
+def verdict_of(
+    motion: Motion,
+    faults: Sequence[str] = (),
+    looks: Sequence[str] = (),
+    cure: str | None = None,
+    most_lost: float = LOST_SHARE,
+) -> Verdict:
     """The verdict on a motion; faults: sentences of what was found wrong with it as a whole; looks: of what makes the
-    whole of it worth a look."""
+    whole of it worth a look; cure: what to do when too many joints are likely wrong; most_lost: share of the frames
+    without the person from which on nothing is trusted."""
     because = list(faults)
     gone = motion.lost | motion.extrapolated
-    if gone.mean() > LOST_SHARE:
+    if gone.mean() > most_lost:
         because.append(f"the person was not found in {100 * gone.mean():.0f} % of the frames")
     doubtful = motion.doubtful_joints
     if doubtful is not None and motion.p_wrong is not None and (~gone).any():
-        because += _too_doubtful(motion, doubtful, ~gone, 0.0 if looks else LIMB_P)
+        because += _too_doubtful(motion, doubtful, ~gone, 0.0 if looks else LIMB_P, cure or _cure(motion))
     if because:
         return Verdict(UNTRUSTED, (*because, *looks))
     frames = np.zeros(len(motion), dtype=bool) if motion.doubtful is None else motion.doubtful.astype(bool)
@@ -128,19 +141,18 @@ def _worth_a_look(motion: Motion, doubtful: NDArray[np.bool_] | None, stretch: r
     return float(np.where(doubtful[at], motion.p_wrong[at], 0.0).sum(1).mean()) >= LOOK_P
 
 
-def _too_doubtful(motion: Motion, doubtful: NDArray[np.bool_], seen: NDArray[np.bool_], least: float) -> list[str]:
+def _too_doubtful(
+    motion: Motion, doubtful: NDArray[np.bool_], seen: NDArray[np.bool_], least: float, cure: str
+) -> list[str]:
     """Sentences on joints that are too doubtful in the frames in which the person is seen; least: how likely a limb
-    must be wrong for it."""
+    must be wrong for it; cure: of `verdict_of`."""
     assert motion.p_wrong is not None
     names = motion.skeleton.joint_names
     share, often = float(motion.p_wrong[seen].mean()), doubtful[seen].mean(0)
     if share > WRONG_SHARE:
         worst = [names[j].replace("_", " ") for j in np.argsort(-often)[:4] if often[j] > 0.2]
         what = f", above all {', '.join(worst)}" if worst else ""
-        return [
-            f"the evidence speaks against the body in {100 * share:.0f} % of the joints{what}: compare the overlay "
-            "with the images, and give key points, --start with the first pose, or other masks"
-        ]
+        return [f"the evidence speaks against the body in {100 * share:.0f} % of the joints{what}: {cure}"]
     likely = np.where(doubtful, motion.p_wrong, 0.0)[seen].sum(0) / np.maximum(doubtful[seen].sum(0), 1)
     lasting = doubtful[seen].sum(0) >= LIMB_S * motion.frame_rate
     found = np.flatnonzero((often > LIMB_SHARE) & lasting & (likely >= least))
@@ -149,6 +161,13 @@ def _too_doubtful(motion: Motion, doubtful: NDArray[np.bool_], seen: NDArray[np.
         which = ", ".join(names[j].replace("_", " ") for j in bad)
         return [f"{which} cannot be told from the evidence in {100 * often[bad].max():.0f} % of the frames"]
     return []
+
+
+def _cure(motion: Motion) -> str:
+    """What to do when too many joints before cameras are likely wrong; without masks a motion has no cost."""
+    points = bool(np.isnan(motion.cost).all())
+    more, other = ("a background for masks", "key points") if points else ("key points", "masks")
+    return f"compare the overlay with the images, and give {more}, --start with the first pose, or other {other}"
 
 
 def _what(motion: Motion, doubtful: NDArray[np.bool_] | None, stretches: Sequence[range]) -> str:

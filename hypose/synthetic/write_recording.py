@@ -16,8 +16,7 @@ from hypose.errors import InputError
 from hypose.evidence.detector import openpose_document
 from hypose.geometry import Array
 from hypose.io.file_names import file_name
-from hypose.io.files import write_text
-from hypose.io.motions.results import atomic_path
+from hypose.io.files import atomic_path, write_text
 from hypose.io.recordings.recording import Recording, View, write_recording
 from hypose.io.videos.video import VideoWriter
 from hypose.synthetic.scenes import Scene

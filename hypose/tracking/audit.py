@@ -327,7 +327,7 @@ def _points(names: tuple[str, ...], rotations: Array, joints: Array, seen: Keypo
     sides = np.zeros((len(names), 2))
     for limb, below in _BELOW.items():
         sides[[n.endswith(below) for n in names]] = views_by_names(model, limb, points, uv, size)
-    own = _columns(names, model.names)  # (J, M), -1: none
+    own = columns_of_joints(names, model.names)  # (J, M), -1: none
     raw = np.linalg.norm(points[..., :2] - uv, axis=-1) / size[:, None]
     there = (own >= 0)[None] & ((points[..., 2] > 0) & model.known & np.isfinite(uv).all(-1))[:, own]
     agree, against = (there & (raw[:, own] < _AGREE_M)).any(-1), (there & (raw[:, own] > 2 * _AGREE_M)).any(-1)
@@ -338,7 +338,8 @@ def _points(names: tuple[str, ...], rotations: Array, joints: Array, seen: Keypo
     away = np.minimum(np.linalg.norm(points[..., :2] - uv, axis=-1) / size[:, None], _FAR_M)
     away = np.where(known, away, np.inf)
     found = np.where((own >= 0)[None], away[:, own], np.inf)  # (C, J, M)
-    views = np.isfinite(found).any(-1).sum(0)
+    in_set = ((own >= 0) & model.known[own]).any(1)
+    views = np.where(in_set, np.isfinite(found).any(-1).sum(0), np.nan)
     row = np.sort(found.transpose(1, 0, 2).reshape(len(names), -1), axis=1)
     count = np.isfinite(row).sum(1)
     at = np.arange(len(names))
@@ -352,7 +353,7 @@ _BELOW = {"legs": ("knee", "ankle"), "arms": ("elbow", "wrist")}
 
 
 @lru_cache(8)
-def _columns(names: tuple[str, ...], points: tuple[str, ...]) -> NDArray[np.int64]:
+def columns_of_joints(names: tuple[str, ...], points: tuple[str, ...]) -> NDArray[np.int64]:
     """(J, M) columns of the key points that speak of each joint, -1 where there are no more."""
     own = [[points.index(n) for n in _NAMED.get(name, (name,)) if n in points] for name in names]
     most = max(map(len, own))

@@ -148,7 +148,8 @@ def judged(
 
     unsure (J,): how likely each is elsewhere at the start, which holds until the person has taken another pose; known:
     what the evidence was, where the audit does not tell (depth is one). With key points nothing is surer than its
-    covariance says. Of frames in which the person was lost nothing is believed: 0.5 at least, and doubtful."""
+    covariance says; alone, joints of which their set has no point are doubtful in no frame. Of frames in which the
+    person was lost nothing is believed: 0.5 at least, and doubtful."""
     names = motion.skeleton.joint_names
     groups, evidence = groups_of(names), evidence_of(audit)
     model = doubt_models()[known if known == "depth" else evidence]
@@ -168,7 +169,16 @@ def judged(
     if unsure is not None:
         p = 1 - (1 - p) * (1 - _open(audit) * unsure * _as_at_start(motion)[:, None])
     p = np.where(motion.lost[:, None], np.maximum(p, 0.5), p)
-    return p.astype(np.float32), np.asarray((p > threshold) | motion.lost[:, None])
+    doubtful = (p > threshold) & ~(not_in_set(audit) if evidence == "keypoints" else np.False_)
+    return p.astype(np.float32), np.asarray(doubtful | motion.lost[:, None])
+
+
+def not_in_set(audit: ArrayLike) -> NDArray[np.bool_]:
+    """(J,) joints of which the set of key points of a clip with this audit (T, J, A) has no point: nothing that a frame
+    shows makes them better or worse known."""
+    a = np.asarray(audit, dtype=np.float64)
+    some = np.isfinite(a[..., AUDITED.index("points_all")]).any()
+    return np.asarray(some & np.isnan(a[..., AUDITED.index("points_views")]).all(0))
 
 
 def worth_a_look(p: ArrayLike, joints: NDArray[np.bool_], evidence: str) -> NDArray[np.bool_]:
@@ -260,10 +270,11 @@ def _by_spread(motion: Motion) -> Array:
 ONE_VIEW = {"elbow": 0.5, "wrist": 0.6, "knee": 0.3, "ankle": 0.4}
 """How likely a joint is wrong that one view alone shows, by its name without the side: a view says where it is, and not
 how far away. Shares of the frames of scenes whose points err like a detector's, one limb in one view."""
-TWO_VIEWS, _MANY_VIEWS = {"elbow": 0.2, "wrist": 0.3, "knee": 0.3, "ankle": 0.3}, 4
+TWO_VIEWS, _MORE_VIEWS = {"elbow": 0.2, "wrist": 0.3, "knee": 0.3, "ankle": 0.3}, 3
 """The same of a joint that two views show, and so many the trunk: it is outside the pictures of the others, and of the
-two one may be guessed, which the other does not tell. On scenes (below seed 1024) .37 of elbows and .63 to .66 of the
-others were wrong, where a view was guessed in seven of ten; half of that."""
+two one may be guessed, which the other does not show: two rays that meet agree wherever one of them was guessed along.
+On scenes (below seed 1024) .37 of elbows and .63 to .66 of the others were wrong, where a view was guessed in seven of
+ten; half of that."""
 
 
 def _by_few_views(motion: Motion, audit: ArrayLike) -> Array:
@@ -272,7 +283,7 @@ def _by_few_views(motion: Motion, audit: ArrayLike) -> Array:
     names = motion.skeleton.joint_names
     trunk = np.median(views[:, [n.endswith(("hip", "shoulder")) for n in names]], axis=1)
     out = np.zeros(views.shape)
-    for most, how, where in ((1, ONE_VIEW, True), (2, TWO_VIEWS, trunk[:, None] >= _MANY_VIEWS)):
+    for most, how, where in ((1, ONE_VIEW, True), (2, TWO_VIEWS, trunk[:, None] >= _MORE_VIEWS)):
         alone = (views > 0) & where & (seconds_away(views > most, motion.frame_rate) > AROUND_S)
         out = np.maximum(out, alone * np.array([how.get(n.partition("_")[2], 0.0) for n in names]))
     return out

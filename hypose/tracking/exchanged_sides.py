@@ -97,7 +97,7 @@ def look_for_exchange(pose: Array, frame: PreparedFrame, /) -> tuple[float, Arra
     the masks alone, `pose` solved on them, too: points follow the sides that they were named by."""
     body, named = frame.body, frame.keypoints is not None
     if named:
-        frame = replace(frame, keypoints=None, beside_masks=None, hessians=PoseMemory())
+        frame = replace(frame, keypoints=None, beside_masks=None, fits=PoseMemory())
 
     def worth(q: Array) -> float:
         return agreement(body, q, frame) - float(strain(body.skeleton, q[None])[0])

@@ -3,7 +3,8 @@
 The curvature of a cost tells how well the evidence fixes a pose, not how far the body's joint lies from the
 anatomical one. So the variance is a^2 V + b^2: V from the curvature, a because rows err together, b for the definition
 and the body, the same all along. a and b were fitted to errors on scenes (scripts/train_doubt.py), per joint, angle and
-kind of evidence, so that regions of 90 % hold 90 % of them, and others theirs (`hypose.body.regions`). Views that
+kind of evidence, so that regions of 90 % hold 90 % of them, and others theirs (`hypose.body.regions`). What lasts in
+the residuals of key points is added to b^2 (`hypose.tracking.systematic_error`). Views that
 contradict each other as a whole (`hypose.tracking.view_shifts`) by more than they do in such scenes add (c x)^2, x
 being what is beyond: calibrations, lags and bodies that are wrong are wrong in all frames.
 """
@@ -22,7 +23,7 @@ from numpy.typing import ArrayLike
 from hypose.body.joint_angles import ANGLE_NAMES, angles_of_frames
 from hypose.body.motion import Motion
 from hypose.body.skeleton import Skeleton
-from hypose.geometry import Array
+from hypose.geometry import Array, so3_exp, so3_log
 from hypose.tracking.audit import views_apart
 
 _STEP = 1e-4
@@ -80,14 +81,17 @@ def beyond_usual(audit: ArrayLike, evidence: str) -> float:
 
 
 def with_fitted_joints(motion: Motion, evidence: str, beyond: float = 0.0) -> Motion:
-    """The motion with covariances a^2 V + (b^2 + c^2 beyond^2) I, and its definition_sd; beyond: m, see
-    `beyond_usual`."""
+    """The motion with covariances a^2 V + S + (b^2 + c^2 beyond^2) I, all but the first of which is systematic; its own
+    systematic_covariance is S, what is known of it besides (None: nothing); beyond: m, see `beyond_usual`."""
     own = fitted()["joints"][evidence]
     pairs = np.array([own.get(kind_of(n), (1.0, 0.0)) for n in motion.skeleton.joint_names])
     a, b = pairs[:, 0], pairs[:, 1]
     floor = b**2 + (apart_factors(evidence)[1] * beyond) ** 2
-    around = a[:, None, None] ** 2 * motion.joint_covariance + floor[:, None, None] * np.eye(3)
-    return replace(motion, joint_covariance=around.astype(np.float32), definition_sd=b.astype(np.float32))
+    lasting = np.zeros_like(motion.joint_covariance) + floor[:, None, None] * np.eye(3)
+    if motion.systematic_covariance is not None:
+        lasting += motion.systematic_covariance
+    around = a[:, None, None] ** 2 * motion.joint_covariance + lasting
+    return replace(motion, joint_covariance=around.astype(np.float32), systematic_covariance=lasting.astype(np.float32))
 
 
 def with_fitted_angles(motion: Motion, covariance: Array, evidence: str, beyond: float = 0.0) -> Motion:
@@ -110,14 +114,16 @@ def as_curved(motion: Motion, evidence: str, beyond: float = 0.0) -> Motion:
     _, by_joint, by_angle = apart_factors(evidence)
     a, b = np.array([joints.get(kind_of(n), (1.0, 0.0)) for n in motion.skeleton.joint_names]).T
     floor = b**2 + (by_joint * beyond) ** 2
-    around = (motion.joint_covariance - floor[:, None, None] * np.eye(3)) / a[:, None, None] ** 2
+    assert motion.systematic_covariance is not None
+    around = (motion.joint_covariance - motion.systematic_covariance) / a[:, None, None] ** 2
+    known = motion.systematic_covariance - floor[:, None, None] * np.eye(3)
     c, d = np.array([angles.get(kind_of(n), (1.0, 0.0)) for n in ANGLE_NAMES]).T
     least = d**2 + (by_angle * beyond) ** 2
     sd = None if motion.angle_sd is None else np.sqrt(np.maximum(motion.angle_sd**2 - least, 0.0)) / c
     return replace(
         motion,
         joint_covariance=around.astype(np.float32),
-        definition_sd=None,
+        systematic_covariance=known.astype(np.float32),
         angle_sd=None if sd is None else sd.astype(np.float32),
     )
 
@@ -129,7 +135,8 @@ def pose_covariance(information: Array) -> Array:
 
 
 def angle_variance(skeleton: Skeleton, poses: Array, covariance: Array) -> Array:
-    """(T, A) rad^2, and m^2 of positions: J C J^T of the angles at poses (T, D) with covariances C (T, D, D).
+    """(T, A) rad^2, and m^2 of positions: J C J^T of the angles at poses (T, D) with covariances C (T, D, D), the
+    root's rotation as a small turn in the world.
 
     J by differences; coordinates of sets of joints that share no angle are moved together."""
     sets = [
@@ -144,7 +151,10 @@ def angle_variance(skeleton: Skeleton, poses: Array, covariance: Array) -> Array
     slopes = np.zeros((len(poses), len(ANGLE_NAMES), poses.shape[1]))
     for k in range(max(len(dofs) for _, dofs in sets)):
         moved = poses.copy()
-        moved[:, np.unique([dofs[k] for _, dofs in sets if k < len(dofs)])] += _STEP
+        chosen = np.unique([dofs[k] for _, dofs in sets if k < len(dofs)])
+        moved[:, chosen] += _STEP
+        if (axis := chosen[(chosen >= 3) & (chosen < 6)] - 3).size:
+            moved[:, 3:6] = so3_log(so3_exp(_STEP * np.eye(3)[axis].sum(0)) @ so3_exp(poses[:, 3:6]))
         step = angles_of_frames(skeleton, *skeleton.forward(moved)) - base
         step = (step + np.pi) % (2 * np.pi) - np.pi
         for angles, dofs in sets:

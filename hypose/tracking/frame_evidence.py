@@ -19,7 +19,7 @@ from hypose.evidence.ahead import prepared_masks
 from hypose.evidence.frame import Frame
 from hypose.evidence.outlines import WORKING_HEIGHT
 from hypose.fitting import DepthTerm, depth_term
-from hypose.fitting.articulated import ContourTerm, KeypointTerm, PointTerm, contour_term
+from hypose.fitting.articulated import ContourTerm, KeypointTerm, PointTerm, PoseFit, contour_term
 from hypose.fitting.own_rows import RowTerm
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
@@ -92,7 +92,7 @@ class PreparedFrame:
     (NaN: not known). depth: what depth cameras
     see. rivals: the hypotheses that the last frame left, each where it is expected now (None: the set
     moves as one). done: frames tracked before this one. memory: what the recipe has remembered so far. counts: of the
-    silhouettes of single poses, (C, 3); hessians: of their solves, (D, D); shared: whatever else one layer of a
+    silhouettes of single poses, (C, 3); fits: their solves; shared: whatever else one layer of a
     recipe has found out for the next ones. beside_masks: the key points as solves weigh them beside the contours (None:
     as they are); what chooses between solutions takes them as they are."""
 
@@ -111,7 +111,7 @@ class PreparedFrame:
     rivals: Hypotheses | None = None
     memory: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     counts: PoseMemory[NDArray[np.int64]] = field(default_factory=PoseMemory, compare=False, repr=False)
-    hessians: PoseMemory[Array] = field(default_factory=PoseMemory, compare=False, repr=False)
+    fits: PoseMemory[PoseFit] = field(default_factory=PoseMemory, compare=False, repr=False)
     shared: dict[Any, Any] = field(default_factory=dict, compare=False, repr=False)
     depth: DepthTerm | None = None
     beside_masks: KeypointTerm | None = None

@@ -34,10 +34,10 @@ from hypose.tracking.keypoint_evidence import (
 )
 from hypose.tracking.named_sides import LIMBS, exchanged_by_names, votes_by_names
 from hypose.tracking.pinned_hinges import unpinned
-from hypose.tracking.pose_covariance import joint_covariance_of
+from hypose.tracking.pose_covariance import from_neighbours, joint_covariance_of
 from hypose.tracking.refinement import anatomical_prior
 from hypose.tracking.smooth_motion import Smoothed, with_feet
-from hypose.tracking.smoothing import ClipSettings, acceleration_weight, bridged, in_windows, speed_weight
+from hypose.tracking.smoothing import ClipSettings, at_own_pace, bridged
 from hypose.tracking.starts import start_from_keypoints
 
 VELOCITY_GAIN = 0.8
@@ -112,6 +112,7 @@ def track_keypoint_clip(
     for t in np.flatnonzero(known):
         own[t] = _information(body, free[t], terms[t])
         around[t] = joint_covariance_of(body, free[t], own[t], "keypoints")
+    around = from_neighbours(around, frame_rate)
     motion = Motion(
         body.skeleton,
         np.arange(len(terms)) / frame_rate,
@@ -268,22 +269,20 @@ def _together(
     contacts: list[PointTerm | None] | None = None,
 ) -> Array:
     """All frames on their rows, from the poses given (T, D)."""
-    weight, slow = (f(body.skeleton, frame_rate, settings) for f in (acceleration_weight, speed_weight))
-    given = _in_a_row(body, given)
 
-    def solve(part: slice) -> Array:
+    def solve(part: slice, starts: Array, weights: tuple[Array, Array]) -> Array:
         return fit_clip(
             body,
-            given[part],
+            starts,
             keypoints=terms[part],
             points=None if contacts is None else contacts[part],
-            acceleration=weight,
-            velocity=slow,
+            acceleration=weights[0],
+            velocity=weights[1],
             priors=(anatomical_prior(body.skeleton, keypoints=True),),
             options=_ALL,
         )
 
-    return in_windows(given, settings, solve)
+    return at_own_pace(body.skeleton, _in_a_row(body, given), frame_rate, settings, solve)
 
 
 def _information(body: Body, pose: Array, term: KeypointTerm | None) -> Array:
@@ -291,7 +290,7 @@ def _information(body: Body, pose: Array, term: KeypointTerm | None) -> Array:
     still = SolveSettings(iterations=0, coarse_iterations=0)
     return fit_pose(
         body, pose, keypoints=term, priors=(anatomical_prior(body.skeleton, keypoints=True),), options=still
-    ).hessian
+    ).information
 
 
 def _lost(known: NDArray[np.bool_], patience: float) -> NDArray[np.bool_]:

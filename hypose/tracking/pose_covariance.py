@@ -13,7 +13,7 @@ from hypose import compute
 from hypose.body.body import Body
 from hypose.body.motion import Modes
 from hypose.fitting.articulated import SolveSettings
-from hypose.geometry import Array
+from hypose.geometry import Array, so3_exp, so3_log
 from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.frame_evidence import PreparedFrame
 from hypose.tracking.refinement import RIVAL, refine
@@ -39,10 +39,12 @@ _SET_FLOOR = 0.02
 
 @dataclass(frozen=True)
 class PoseUncertainty:
-    """joint_covariance (J, 3, 3) m^2 of the joint centres. information (D (D + 1) / 2,): what the frame by itself
-    says of the pose, an inverse covariance (its lower triangle) without the pull to the prediction, for solving whole
-    clips; zero: nothing. Both in float32, since long recordings have many frames. modes: the distinct poses that the
-    frame allows (one row), where a method tells them."""
+    """Uncertainty of one frame's pose; arrays in float32, since long recordings have many frames.
+
+    joint_covariance (J, 3, 3) m^2: of the joint centres. information (D (D + 1) / 2,): lower triangle of the inverse
+    covariance that the frame by itself gives the pose, the root's rotation as a small turn in the world, without the
+    pull to the prediction, for solving whole clips; zero: nothing. modes: the distinct poses that the frame allows (one
+    row), for methods that have them."""
 
     joint_covariance: NDArray[np.float32]
     information: NDArray[np.float32]
@@ -57,18 +59,20 @@ def uncertainty_of_pose(pose: Array, h: Hypotheses, frame: PreparedFrame, /) -> 
     how far its joints are off.
     """
     body = frame.body
-    hessian = frame.hessians.get(body, pose)
-    if hessian is None:
-        hessian = refine(body, pose[None], frame, SolveSettings(iterations=0, coarse_iterations=0))[0].hessian
-    information = hessian - frame.prediction_weight * np.eye(len(pose))
+    fit = frame.fits.get(body, pose)
+    if fit is None:
+        fit = refine(body, pose[None], frame, SolveSettings(iterations=0, coarse_iterations=0))[0]
+    information = fit.information - frame.prediction_weight * np.eye(len(pose))
     evidence = "keypoints" if frame.contours is None else "silhouettes" if frame.keypoints is None else "both"
-    around = joint_covariance_of(body, pose, hessian, evidence if frame.depth is None else "depth")
+    around = joint_covariance_of(body, pose, fit.information, evidence if frame.depth is None else "depth")
     if (rivals := h.has(RIVAL)).any():
         joints = body.joints(np.concatenate([pose[None], h.values[rivals]]))
         apart = joints[1:] - joints[0]
         around = around + np.einsum("n,nja,njb->jab", h.weights[rivals], apart, apart).astype(np.float32)
         for weight, other in zip(h.weights[rivals], h.values[rivals], strict=True):
-            information = _less_sure(information, body.skeleton.on_branch(other, pose) - pose, float(weight))
+            step = other - pose
+            step[3:6] = so3_log(so3_exp(other[3:6]) @ so3_exp(pose[3:6]).T)
+            information = _less_sure(information, step, float(weight))
     return PoseUncertainty(around, packed(information))
 
 
@@ -79,12 +83,34 @@ def _less_sure(information: Array, step: Array, weight: float) -> Array:
     return information - np.outer(seen, seen) * (weight / (1 + weight * (seen @ step)))
 
 
-def joint_covariance_of(body: Body, pose: Array, hessian: Array, evidence: str) -> NDArray[np.float32]:
-    """(J, 3, 3) m^2: covariances of the joint centres at a solved pose (D,) from the cost's Hessian (D, D) there;
-    evidence: what the cost was made of, one of CURVATURE_FACTOR."""
+def joint_covariance_of(body: Body, pose: Array, information: Array, evidence: str) -> NDArray[np.float32]:
+    """(J, 3, 3) m^2: covariances of the joint centres at a solved pose (D,) from what is known of it, (D, D), see
+    `PoseFit.information`; evidence: what the cost was made of, one of CURVATURE_FACTOR."""
     factor = _factors(evidence, tuple(body.skeleton.joint_names))
-    curvature = compute.joint_covariances(pose, body.skeleton.tree, hessian)
+    curvature = compute.joint_covariances(pose, body.skeleton.tree, information)
     return (factor[:, None, None] ** 2 * curvature + FLOOR**2 * np.eye(3)).astype(np.float32)
+
+
+def from_neighbours(around: NDArray[np.float32], frame_rate: float) -> NDArray[np.float32]:
+    """(T, J, 3, 3) m^2: covariances of joints in a solved clip from those that each frame gives by itself (NaN: none).
+
+    A joint that a frame hardly shows, or not at all, lies between where its neighbours show it: what they know, and how
+    far its path may bend until then (NEIGHBOUR_M_S2), bounds what is open."""
+    given, out = around.astype(np.float64), around.astype(np.float64)
+    least = np.trace(out, axis1=2, axis2=3)
+    least[np.isnan(least)] = np.inf
+    for k in range(1, min(round(NEIGHBOUR_S * frame_rate), len(out) - 1) + 1):
+        bend = (0.5 * NEIGHBOUR_M_S2 * (k / frame_rate) ** 2) ** 2 * np.eye(3)
+        for at, there in ((slice(k, None), slice(None, -k)), (slice(None, -k), slice(k, None))):
+            other = given[there] + bend
+            size = np.trace(other, axis1=2, axis2=3)
+            better = size < least[at]
+            out[at][better], least[at][better] = other[better], size[better]
+    return out.astype(np.float32)
+
+
+NEIGHBOUR_S, NEIGHBOUR_M_S2 = 0.25, 20.0
+"""s to neighbours that say something of a frame; m/s^2, usual acceleration of a limb's joint"""
 
 
 @lru_cache(8)
@@ -108,6 +134,8 @@ def uncertainty_of_set(pose: Array, h: Hypotheses, frame: PreparedFrame, /) -> P
     apart = joints - np.einsum("n,nja->ja", h.weights, joints)
     around = np.einsum("n,nja,njb->jab", h.weights, apart, apart) + FLOOR**2 * np.eye(3)
     off = h.values - h.weights @ h.values
+    turned = so3_log(so3_exp(h.values[:, 3:6]) @ so3_exp(pose[3:6]).T)
+    off[:, 3:6] = turned - h.weights @ turned
     covariance = np.einsum("n,nd,ne->de", h.weights, off, off) + _SET_FLOOR**2 * np.eye(off.shape[1])
     return PoseUncertainty(around.astype(np.float32), packed(np.linalg.inv(covariance)))
 

@@ -209,15 +209,15 @@ def best_fit(fits: list[PoseFit], frame: PreparedFrame) -> PoseFit:
 def refine(body: Body, starts: Array, frame: PreparedFrame, options: SolveSettings) -> list[PoseFit]:
     """Independent robust solves from starts (N, D) on a frame's evidence, with anatomical and prediction priors."""
     fits = solve(body, starts, frame, options)
-    keep_hessians(frame, fits, body)
+    keep_fits(frame, fits, body)
     return fits
 
 
-def keep_hessians(frame: PreparedFrame, fits: Sequence[PoseFit], body: Body | None = None) -> None:
-    """Keeps the fits' Hessians with the frame, where its uncertainty is read off; body: other than the frame's."""
+def keep_fits(frame: PreparedFrame, fits: Sequence[PoseFit], body: Body | None = None) -> None:
+    """Keeps the fits with the frame, where its uncertainty is read off; body: other than the frame's."""
     body = body or frame.body
     for fit in fits:  # poses go on clamped, by less than the last digits of a Hessian
-        frame.hessians.keep(body, body.skeleton.clamp(fit.pose), fit.hessian)
+        frame.fits.keep(body, body.skeleton.clamp(fit.pose), fit)
 
 
 def solve(body: Body, starts: Array, frame: PreparedFrame, options: SolveSettings) -> list[PoseFit]:

@@ -25,7 +25,7 @@ from hypose.tracking.frame_evidence import PoseMemory, PreparedFrame
 from hypose.tracking.part_colours import ColourSettings, colour_scores, known_colours
 from hypose.tracking.pictured_arms import pictured_arms
 from hypose.tracking.reach_table import ArmReach, ends, ends_of
-from hypose.tracking.refinement import COMPOSITE, RIVAL, SOLVED, keep_hessians, member, mismatch, refine, solve
+from hypose.tracking.refinement import COMPOSITE, RIVAL, SOLVED, keep_fits, member, mismatch, refine, solve
 
 _SOLVE, _LOOK, _ORDERED = "rivals solved", "arms looked up", "rivals in order"
 """What has been begun beside other layers, and the hypotheses of the last frame, in a frame's `shared`."""
@@ -158,7 +158,7 @@ class RefineRivals:
             found = pictured_arms(arms, poses[n], frame, self.colours, rng)
             if found is None:
                 continue
-            own = replace(frame, points=found[1], prediction=expected[n], hessians=PoseMemory())
+            own = replace(frame, points=found[1], prediction=expected[n], fits=PoseMemory())
             pose = refine(frame.body, found[0][None], own, self.near)[0].pose
             cost = mismatch(pose[None], frame, expected=expected[n][None])[0]
             say = self.colours.weight * colour_scores(pose[None], frame, self.colours)[0]
@@ -218,7 +218,7 @@ class RefineRivals:
 
         over_chunks(work, len(tasks), None)
         in_order = [solved[n] for n in range(len(tasks))]
-        keep_hessians(frame, in_order)
+        keep_fits(frame, in_order)
         return [fit.pose for fit in in_order]
 
     def _solved_rival(self, q: Array, frame: PreparedFrame) -> list[PoseFit]:

@@ -14,12 +14,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 
 from hypose.body.body import Body
 from hypose.body.skeleton import Skeleton
 from hypose.compute import frame_covariances
 from hypose.fitting import PointTerm, SolveSettings, fit_clip
-from hypose.fitting.clip_solve import Coupling, Gaussian
+from hypose.fitting.clip_solve import Coupling, Gaussian, pose_steps
 from hypose.geometry import Array, nearest_branch
 
 _FARTHEST_M = 2.0
@@ -28,9 +29,13 @@ _FARTHEST_M = 2.0
 
 @dataclass(frozen=True)
 class ClipSettings:
-    """acceleration_m, speed_m: usual acceleration (m/s^2) and speed (m/s) of the root; acceleration_rad, speed_rad: of
-    angles (rad/s^2, rad/s); window, overlap: frames solved together, and how many are shared by two windows. Chosen on
-    synthetic scenes (walk, box, run, combo; seeds 20 to 22)."""
+    """How far accelerations and speeds of a clip are limited. Chosen on synthetic scenes (walk, box, run, combo; seeds
+    20 to 22).
+
+    acceleration_m, speed_m: usual acceleration (m/s^2) and speed (m/s) of the root.
+    acceleration_rad, speed_rad: usual ones of angles (rad/s^2, rad/s).
+    window, overlap: frames solved together, and how many are shared by two windows.
+    rounds: solves of a window, each with the pace of the one before (`own_pace`)."""
 
     acceleration_m: float = 12.0
     acceleration_rad: float = 60.0
@@ -38,18 +43,70 @@ class ClipSettings:
     speed_rad: float = 12.0
     window: int = 400
     overlap: int = 40
+    rounds: int = 4
 
 
-def acceleration_weight(skeleton: Skeleton, frame_rate: float, settings: ClipSettings) -> Array:
-    """(D,) weights of squared second differences at a frame rate (Hz)."""
-    usual = np.r_[np.full(3, settings.acceleration_m), np.full(skeleton.dof - 3, settings.acceleration_rad)]
-    return (frame_rate**2 / usual) ** 2
+_PACE_S = 0.1
+"""s before and after a frame in which its pace is measured"""
+_EXCESS = 2.0
+"""What a stiff solve shows of the pace beyond the usual is so many times too little. Chosen on a captured run at twice
+its speed, 60 and 125 Hz, seeds 4 and 5: with 1 its ankles are 1.2 times as wrong as frame by frame, with 2 1.02."""
+_SAME_PACE = 1.1
 
 
-def speed_weight(skeleton: Skeleton, frame_rate: float, settings: ClipSettings) -> Array:
-    """(D,) weights of squared first differences at a frame rate (Hz)."""
-    usual = np.r_[np.full(3, settings.speed_m), np.full(skeleton.dof - 3, settings.speed_rad)]
-    return (frame_rate / usual) ** 2
+def usual_pace(skeleton: Skeleton, settings: ClipSettings) -> tuple[Array, Array]:
+    """(D,) usual accelerations and speeds of the coordinates, per s^2 and per s."""
+    rest = np.ones(skeleton.dof - 3)
+    return (
+        np.r_[np.full(3, settings.acceleration_m), settings.acceleration_rad * rest],
+        np.r_[np.full(3, settings.speed_m), settings.speed_rad * rest],
+    )
+
+
+def pace_weights(pace: tuple[Array, Array], frame_rate: float) -> tuple[Array, Array]:
+    """Weights of squared second and first differences at a frame rate (Hz), from accelerations and speeds."""
+    acceleration, speed = pace
+    return (frame_rate**2 / acceleration) ** 2, (frame_rate / speed) ** 2
+
+
+def own_pace(poses: Array, frame_rate: float, usual: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Accelerations (T - 2, D) and speeds (T - 1, D) that are usual nearby in time in a solved clip: the usual ones
+    (D,) times one factor for the whole body, that of its fastest coordinate (root mean square nearby). A penalty with
+    one width for all motion flattens what is faster."""
+    around, steps = 2 * max(1, round(_PACE_S * frame_rate)) + 1, pose_steps(poses)
+
+    def nearby(values: Array, least: Array) -> Array:
+        squares = uniform_filter1d((values / least) ** 2, around, axis=0, mode="nearest") if len(values) else values
+        excess = np.maximum(squares.max(1, keepdims=True) - 1, 0.0)
+        return least * np.sqrt(1 + _EXCESS**2 * excess)
+
+    return nearby(np.diff(steps, axis=0) * frame_rate**2, usual[0]), nearby(steps * frame_rate, usual[1])
+
+
+def at_own_pace(
+    skeleton: Skeleton,
+    given: Array,
+    frame_rate: float,
+    settings: ClipSettings,
+    solve: Callable[[slice, Array, tuple[Array, Array]], Array],
+) -> Array:
+    """Poses (T, D) of a clip, window by window, from starts (T, D).
+
+    solve(part, starts, weights) gives the poses of the frames `part` with the weights of squared second and first
+    differences. Each window is solved with the usual pace, then with that of the solution, as long as this is faster:
+    the width of the penalties is a variance that the clip itself tells, from below, so that noise is not followed."""
+    usual = usual_pace(skeleton, settings)
+
+    def window(part: slice) -> Array:
+        poses, pace = given[part], usual
+        for _ in range(settings.rounds):
+            poses = solve(part, poses, pace_weights(pace, frame_rate))
+            before, pace = pace, own_pace(poses, frame_rate, usual)
+            if all((new <= _SAME_PACE * old).all() for new, old in zip(pace, before, strict=True)):
+                break
+        return poses
+
+    return in_windows(given, settings, window)
 
 
 def smooth_poses(
@@ -63,25 +120,23 @@ def smooth_poses(
     """Poses (T, D) of a clip from those of its frames (T, D) and what is known of each: information (T, D, D), zero in
     frames without evidence, whose pose does not matter. contacts: points that hold still, per frame."""
     settings = settings or ClipSettings()
-    weight, slow = (f(body.skeleton, frame_rate, settings) for f in (acceleration_weight, speed_weight))
     known = np.asarray(information.any((1, 2)))
     given = bridged(poses, known)
     terms = [Gaussian(q, i) if k else None for q, i, k in zip(given, information, known, strict=True)]
     options = SolveSettings(iterations=6, coarse_iterations=0, damping=1e-6)
 
-    def solve(part: slice) -> Array:
-        held = None if contacts is None else contacts[part]
+    def solve(part: slice, starts: Array, weights: tuple[Array, Array]) -> Array:
         return fit_clip(
             body,
-            given[part],
-            points=held,
+            starts,
+            points=None if contacts is None else contacts[part],
             gaussians=terms[part],
-            acceleration=weight,
-            velocity=slow,
+            acceleration=weights[0],
+            velocity=weights[1],
             options=options,
         )
 
-    return in_windows(given, settings, solve)
+    return at_own_pace(body.skeleton, given, frame_rate, settings, solve)
 
 
 def gap_covariance(
@@ -90,7 +145,7 @@ def gap_covariance(
     """(T, J, 3, 3) m^2: what coupling to the neighbours leaves open of each joint's centre in frames that know
     nothing by themselves (information zero), growing with the distance from those that do; 0 in the others."""
     settings = settings or ClipSettings()
-    weight, slow = (f(body.skeleton, frame_rate, settings) for f in (acceleration_weight, speed_weight))
+    weight, slow = pace_weights(usual_pace(body.skeleton, settings), frame_rate)
     out = np.zeros((len(poses), len(body.skeleton.joint_names), 3, 3))
     blind = ~np.asarray(information.any((1, 2)))
     if not blind.any():

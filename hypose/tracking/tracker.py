@@ -20,10 +20,9 @@ from hypose.errors import InputError
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array
 from hypose.inference.hypotheses import BEFORE, Hypotheses
-from hypose.inference.layer import Memory, Recipe, Recovery, stand_still
+from hypose.inference.layer import Memory, Recipe, Recovery, search, stand_still
 from hypose.inference.random_streams import stream
 from hypose.tracking.costs import agreement, mean_overlap, silhouette_iou
-from hypose.tracking.device_search import search_frame
 from hypose.tracking.frame_evidence import OwnEvidence, PreparedFrame, prepare, view_count
 from hypose.tracking.keypoint_evidence import KeypointModel
 from hypose.tracking.pose_covariance import PoseUncertainty, nothing_known, uncertainty_of_set
@@ -209,7 +208,7 @@ class Tracker:
         if recipe.rivals:  # particles are drawn about the best of them
             best = h.take(np.repeat(h.relative_log_weights.argmax(), recipe.particles)).equal()
             h, prepared = replace(best, columns={}), replace(prepared, rivals=h)
-        result = search_frame(h, recipe, prepared, partial(stream, self.settings.seed, frame.index))
+        result = search(h, recipe, prepared, partial(stream, self.settings.seed, frame.index))
         pose, selected = self._within(result.estimate), result.selected
         iou = _mean_iou(self.body, pose, prepared)
         lost = self._is_lost(iou, state.usual_iou)

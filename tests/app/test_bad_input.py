@@ -152,18 +152,6 @@ def test_archive_with_python_objects(hypose, tracked, tmp_path):
     assert not (tmp_path / "owned").exists()
 
 
-def test_archive_that_would_fill_the_memory(hypose, tmp_path):
-    header = io.BytesIO()
-    np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (10**12, 19, 3)})
-    npz(tmp_path / "motion.npz", joints=header.getvalue())
-    fails(hypose("export", tmp_path), "motion.npz is not a motion of hypose")
-
-
-def test_archive_of_something_else(hypose, tmp_path):
-    np.savez(tmp_path / "motion.npz", photographs=np.zeros(3))
-    fails(hypose("export", tmp_path), "motion.npz is not a motion of hypose", "photographs")
-
-
 def test_results_without_a_body(hypose, tracked, tmp_path):
     shutil.copy(tracked / "motion.npz", tmp_path)
     fails(hypose("export", tmp_path), "body.npz does not exist", "results folder")

@@ -83,6 +83,26 @@ def beside(joints):
     return out
 
 
+def test_an_arm_that_the_sensors_see_in_different_places_is_worth_a_look(hypose, rng, tmp_path):
+    def elsewhere(where):
+        def change(joints):
+            out = joints.copy()
+            out[60:90, :, COMMON.index("left_hand")] += where
+            return out
+
+        return change
+
+    recording = changed(changed(recorded(rng), 1, elsewhere([0.15, 0.1, 0])), 0, elsewhere([0, -0.15, 0.1]))
+    write_folder(recording, tmp_path / "rec")
+    assert hypose("fuse", tmp_path / "rec")[0] == 0
+    results = tmp_path / "rec" / "results" / "fuse-fit"
+    kept, motion = json.loads((results / "verdict.json").read_text()), load_motion(results / "motion.npz")
+    assert kept["verdict"] == "look" and "left hand may be wrong there" in kept["sentence"]
+    assert all(58 <= begin and end <= 95 for begin, end in kept["frames"])
+    hand = motion.p_wrong[:, motion.skeleton.joint("left_hand")]
+    assert hand[62:88].mean() > 3 * hand[:55].mean()
+
+
 @pytest.mark.parametrize(
     "number, change, words",
     [

@@ -15,7 +15,7 @@ from websockets.exceptions import InvalidStatus
 
 from hypose.app.live.live_latency import measure_live_latency
 from hypose.app.live.live_server import LiveOptions, LiveServer, is_loopback
-from hypose.app.live.osc import MAX_BUNDLE, double, osc_bundles, osc_message
+from hypose.app.live.osc import MAX_BUNDLE, osc_bundles, osc_message
 from hypose.errors import InputError
 from hypose.evidence.frame import SensorReport
 from hypose.fusion.align import AlignSettings
@@ -285,8 +285,8 @@ def test_the_command_does_not_end_well_when_its_recording_was_removed(tmp_path):
 
 
 def test_osc_messages_read_back():
-    made = osc_message("/a/b", 3, -1.5, "text", double(1e9 + 0.125))
-    assert parse_osc(made) == [("/a/b", [3, -1.5, "text", 1e9 + 0.125])]
+    made = osc_message("/a/b", 3, -1.5, "text", 1e9 + 0.125, types="ifsd")
+    assert parse_osc(made.dgram) == [("/a/b", [3, -1.5, "text", 1e9 + 0.125])]
     many = [osc_message(f"/joint/{n}", float(n)) for n in range(200)]
     bundles = osc_bundles(many)
     assert all(len(b) <= MAX_BUNDLE for b in bundles) and osc_bundles([]) == []

@@ -1,14 +1,12 @@
-"""Poses as programs get them: JSON, bytes, UDP lines, OSC, avatars, LSL; nobody waits for anybody."""
+"""Poses as programs get them: JSON, bytes, UDP lines, OSC, avatars; nobody waits for anybody."""
 
 import json
 import re
 import runpy
 import socket
 import struct
-import sys
 import threading
 import time
-import types
 from dataclasses import replace
 
 import numpy as np
@@ -17,10 +15,10 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from benchmarks.robustness.small_recordings import small_scene
+from hypose.app.live.humanoid_bones import BONES
 from hypose.app.live.pose_outputs import MAGIC, PoseOutputs, pose_bytes, pose_json, status_json
 from hypose.body.ready_bodies import JOINT_NAMES
 from hypose.errors import InputError
-from hypose.io.motions.vrm import BONES
 from hypose.pipeline.live.engine import LiveStatus
 from hypose.pipeline.live.feeds import FeedStatus
 from tests.conftest import HANG_S, ROOT
@@ -297,52 +295,3 @@ def test_nobody_at_the_other_end_is_no_error(followed):
     out = outputs(udp=f"127.0.0.1:{port}", osc=f"127.0.0.1:{port}", vmc=f"127.0.0.1:{port}")
     told(out, followed)
     out.close()
-
-
-# ---- the lab streaming layer ----
-
-
-def test_lsl_that_is_not_installed_says_how_to_get_it(monkeypatch):
-    monkeypatch.setitem(sys.modules, "pylsl", None)
-    with pytest.raises(InputError, match=r"--lsl needs pylsl .*pip install 'hypose\[lsl\]'"):
-        outputs(lsl="poses")
-
-
-def test_samples_for_lsl(followed, monkeypatch):
-    """Against a stand-in for pylsl of the same calls: its library is not there everywhere."""
-    samples, labels = [], []
-
-    class Node:
-        def append_child(self, name):
-            return self
-
-        def append_child_value(self, name, value):
-            if name == "label":
-                labels.append(value)
-            return self
-
-    class Info:
-        def __init__(self, name, kind, count, rate, form, source):
-            assert (name, kind, count, rate, source) == ("poses", "MoCap", 4 * J, 25.0, "hypose-poses")
-
-        def desc(self):
-            return Node()
-
-    class Outlet:
-        def __init__(self, info):
-            pass
-
-        def push_sample(self, row, at):
-            samples.append((row, at))
-
-    stand_in = types.ModuleType("pylsl")
-    stand_in.__dict__.update(StreamInfo=Info, StreamOutlet=Outlet, cf_float32=1, local_clock=lambda: 100.0)
-    monkeypatch.setitem(sys.modules, "pylsl", stand_in)
-    out = outputs(lsl="poses")
-    told(out, followed)
-    out.close()
-    assert len(samples) == len(followed) and labels[:5] == ["pelvis_x", "pelvis_y", "pelvis_z", "pelvis_sd", labels[4]]
-    row, at = samples[-1]
-    frame, pose = followed[-1]
-    assert np.reshape(row, (J, 4))[:, :3] == pytest.approx(pose.joints)
-    assert at == pytest.approx(100.0 - (5.0 - frame.time - 0.01))

@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from hypose.app.cli import main
+from hypose.app.live.humanoid_bones import BONES, rest_offsets
 from hypose.app.live.osc import OscTarget, osc_bundles
 from hypose.app.live.vmc import play_motion
 from hypose.app.live.vmc_live import VmcLive, bone_turns_of_points
@@ -19,7 +20,6 @@ from hypose.fusion.point_motion import points_motion
 from hypose.geometry import transform
 from hypose.io.motions.bodies import save_body
 from hypose.io.motions.results import save_motion
-from hypose.io.motions.vrm import BONES, rest_offsets
 from tests.depth_sensors import camera, walker
 from tests.osc_packets import parse_osc
 
@@ -53,7 +53,7 @@ class Avatar:
         bones = [values for address, values in found if address == "/VMC/Ext/Bone/Pos"]
         assert [b[0] for b in bones] == [n[0].upper() + n[1:] for n in BONES]
         self.place, self.turn = {}, {}
-        for (name, *values), (parent, _, _) in zip(bones, BONES.values(), strict=True):
+        for (name, *values), (parent, *_) in zip(bones, BONES.values(), strict=True):
             above = parent[:1].upper() + parent[1:]
             turn = Rotation.from_quat(values[3:])
             self.place[name] = (self.place[above] + self.turn[above].apply(values[:3])) if parent else values[:3]
@@ -145,7 +145,7 @@ def test_turns_of_fifteen_points_point_where_the_limbs_do():
         turns = bone_turns_of_points(points)
         np.testing.assert_allclose(np.linalg.det(turns), 1, atol=1e-9)
         world = {}
-        for k, (name, (parent, _, _)) in enumerate(BONES.items()):
+        for k, (name, (parent, *_)) in enumerate(BONES.items()):
             world[name] = (world[parent] if parent else np.eye(3)) @ turns[k]
         for side, sign in (("left", 1.0), ("right", -1.0)):
             for bone, rest, a, b in (

@@ -233,3 +233,15 @@ def test_left_and_right_are_exchanged_in_a_mirror():
     assert BODY_25[order[BODY_25.index("left_knee")]] == "right_knee"
     assert BODY_25[order[BODY_25.index("nose")]] == "nose"
     assert [order[k] for k in order] == list(range(25))
+
+
+def test_points_of_a_face_and_hands_count_as_one_each():
+    """A detector places a face, or a hand, as a whole: twenty points with one error among them are one point."""
+    o, rng = healthy(15).observed, np.random.default_rng(5)
+    parts = [BODY_25.index(n) for n in ("nose", "left_wrist", "right_wrist")] * 20
+    more = o.keypoints[:, :, parts] + np.pad(rng.normal(0, 1.0, (60, 2)), ((0, 0), (0, 1)))
+    points = np.concatenate([o.keypoints, np.where(more[..., 2:] > 0, more, 0.0)], 2)
+    assert not late_views(o.rig, points, Limits())[0].any()  # .9 frames where each counts alone
+    points[1, 2:] = points[1, :-2].copy()
+    found, alone = (late_views(o.rig, p, Limits())[0] for p in (points, points[:, :, :25]))
+    assert found == pytest.approx(alone, abs=0.1) and found[1] > 1.5

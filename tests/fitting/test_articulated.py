@@ -313,6 +313,21 @@ def test_read_only_inputs_are_taken_and_not_changed(scene):
             a.flags.writeable = True
 
 
+def test_what_is_known_of_a_pose_is_the_same_on_both_branches_of_its_rotation():
+    pose, points = SKELETON.rest_pose(), BODY.joints(SKELETON.rest_pose())
+    pose[3:6] = (0.4, -0.8, 2.9)
+    other = pose.copy()
+    other[3:6] *= 1 - 2 * np.pi / np.linalg.norm(pose[3:6])
+    joints = np.arange(len(points))
+    term = fitting.PointTerm(BODY.joints(pose), np.ones(len(points)), joints, np.zeros_like(points), 0.01)
+    still = fitting.SolveSettings(iterations=0, coarse_iterations=0)
+    one, two = (fitting.fit_pose(BODY, q, points=term, options=still) for q in (pose, other))
+    np.testing.assert_allclose(two.pose, other)
+    np.testing.assert_allclose(one.information, two.information, rtol=1e-9, atol=1e-6)
+    around = [compute.joint_covariances(q, SKELETON.tree, one.information + np.eye(len(q))) for q in (pose, other)]
+    np.testing.assert_allclose(*around, rtol=1e-9, atol=1e-12)
+
+
 def test_covariances_of_joints_are_those_of_the_pose(rng):
     pose = random_pose(BODY, rng, 0.25)
     half = rng.standard_normal((len(pose), len(pose)))

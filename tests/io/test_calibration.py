@@ -252,10 +252,10 @@ def test_bad_files(tmp_path):
     refuses("none.toml", r"calibration file .*none\.toml does not exist; check the path, or run hypose calibrate")
     refuses(".", r"holds no calibration; give a file or folder")
     (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00\x81" * 100)
-    refuses("binary.toml", r"is not a text file; name a calibration")
+    refuses("binary.toml", r"is not a text file \(UTF-8\), as a calibration is")
     with (tmp_path / "huge.toml").open("wb") as stream:
         stream.truncate(50_000_000)
-    refuses("huge.toml", r"has 50\.0 MB; a calibration file has at most 5 MB")
+    refuses("huge.toml", r"has 48 MiB, at most 5 MiB are read")
     (tmp_path / "c.doc").write_text("x")
     refuses("c.doc", r"calibrations are read from \.toml, .*\.qca\.txt, .*; name the file by one of these endings")
     (tmp_path / "empty.toml").write_text("")

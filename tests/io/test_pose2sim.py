@@ -187,7 +187,7 @@ def test_refused(tmp_path):
 
     folder = make_project(tmp_path / "e")
     (folder / "pose" / "cam01_json" / "cam01.0000.json").write_text("{")
-    refuses(folder, r"cam01\.0000\.json is not JSON \(.*\); export it from the detector again")
+    refuses(folder, r"cam01\.0000\.json is not JSON \(.*\); give the path of")
 
     folder = make_project(tmp_path / "f", "[project]\nframe_range = [10, 300]\n")
     refuses(folder, r"frame_range = \[10, 300\] lies outside the recording, which has the frames 0 to 11")

@@ -226,7 +226,7 @@ def test_halpe_for_coco_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [
-        ("a.json", "{", r"a\.json is not JSON \(.*\); export it from the detector again"),
+        ("a.json", "{", r"a\.json is not JSON \(.*\); give the path of"),
         ("a.json", "[]", r"shows? nobody|nobody"),
         ("a.json", '{"people": []}', r"holds the people of one frame; name the folder"),
         ("a.json", '{"x": 1}', r"is not a key-point file of MMPose, COCO or AlphaPose"),

@@ -199,7 +199,7 @@ def spoil(folder, file, old, new):
 @pytest.mark.parametrize(
     ("file", "old", "new", "sentence"),
     [
-        ("session.json", "{", "{{", "is no JSON"),
+        ("session.json", "{", "{{", "is not JSON"),
         ("session.json", "hypose-skeletons", "other", 'must say "format"'),
         ("session.json", '"s1"', '"s0"', "names a sensor twice"),
         ("session.json", '"clock": "common"', '"clock": "sun"', "common or own"),
@@ -290,6 +290,21 @@ def test_kinect_csv(tmp_path, name):
     assert np.isnan(a.positions[3, 0]).all()
     own = read_kinect_csv(tmp_path / name, clock="sensor")
     assert not own.common_clock and own.streams[1].times[1] == pytest.approx(0.033)
+
+
+def test_each_kinects_skeletons_are_put_back_before_it(tmp_path):
+    """The logger turns them by how the person stood, and puts them where the first sensor saw it."""
+
+    def change(lines):
+        first = lines[0].replace("Study_Id,", "Study_Id, Skeleton_Init_Angle, Skeleton_Init_Dist,")
+        said = {"a": "0.1, 2.0", "b": "-0.6853982, 3.0"}  # 45 degrees apart
+        return [first, *(ln.replace("2, ", f"2, {said[ln.split(',')[4].strip()]}, ", 1) for ln in lines[1:])]
+
+    (tmp_path / "k.csv").write_text(kinect_csv(change=change))
+    a, b = (s.positions[5, 0, 0] for s in read_skeletons(tmp_path / "k.csv").streams)
+    assert a == pytest.approx([0.05] * 3)
+    turn = np.array([[1, 0, 1], [0, np.sqrt(2), 0], [-1, 0, 1]]) / np.sqrt(2)
+    assert b == pytest.approx(turn @ [1.05, 1.05, 1.05 - 2] + [0, 0, 3], abs=1e-6)
 
 
 @pytest.mark.parametrize(

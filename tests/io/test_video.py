@@ -112,9 +112,9 @@ def test_damaged_image(tmp_path):
     with pytest.raises(InputError, match=r"a\.png is not an image or is damaged"):
         read_image(tmp_path / "a.png")
     (tmp_path / "b.png").write_bytes(b"")
-    with pytest.raises(InputError, match=r"b\.png is not an image"):
+    with pytest.raises(InputError, match=r"b\.png is empty; give the path of an image"):
         read_image(tmp_path / "b.png")
-    with pytest.raises(InputError, match=r"none\.png cannot be read"):
+    with pytest.raises(InputError, match=r"none\.png does not exist; give the path of an image"):
         read_image(tmp_path / "none.png")
 
 

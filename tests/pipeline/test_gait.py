@@ -1,5 +1,7 @@
 """Gait of a walk whose steps are known, its files, and what nobody walks in."""
 
+from dataclasses import replace
+
 import ezc3d
 import numpy as np
 import pytest
@@ -86,7 +88,7 @@ def test_uncertain_feet_give_wide_intervals():
 def test_what_a_definition_adds_is_no_uncertainty_of_times():
     """A joint that lies elsewhere all along moves no event, and both heels alike."""
     motion, body = walking(sd=0.01)
-    known = Motion(**{**motion.__dict__, "definition_sd": np.full(motion.joints.shape[1], 0.008, np.float32)})
+    known = replace(motion, systematic_covariance=0.64 * motion.joint_covariance)
     wide, narrow = gait_of(motion, body), gait_of(known, body)
     assert [e.time for e in wide.events] == [e.time for e in narrow.events]
     ratio = np.median([n.sd / w.sd for n, w in zip(narrow.events, wide.events, strict=True)])

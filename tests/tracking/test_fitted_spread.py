@@ -63,8 +63,9 @@ def test_fitted_parts_are_added_and_can_be_taken_off(poses, evidence):
     j = BODY.skeleton.joint("left_ankle")
     a, b = fitted()["joints"][evidence]["ankle"]
     assert full.joint_sd[0, j] == pytest.approx(np.hypot(a * 0.01, b), rel=1e-3)
-    assert full.definition_sd[j] == pytest.approx(b)
+    assert full.systematic_covariance[:, j] == pytest.approx(np.tile(b**2 * np.eye(3), (len(motion), 1, 1)))
     back = as_curved(full, evidence)
+    assert back.systematic_covariance == pytest.approx(0, abs=1e-8)
     assert back.joint_covariance == pytest.approx(motion.joint_covariance, abs=1e-8)
     variance = angle_variance(BODY.skeleton, poses, covariance)
     assert back.angle_sd == pytest.approx(np.sqrt(variance), abs=2e-4)

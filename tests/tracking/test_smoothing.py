@@ -61,6 +61,21 @@ def test_noise_goes_and_no_lag_comes(body, swing, rng):
     assert agreement(0) > max(agreement(1), agreement(-1))
 
 
+def test_fast_motion_is_not_flattened(body, swing):
+    legs = body.skeleton.dofs_of("left_hip", "right_hip")[[0, 3]]
+    rate, poses = 125.0, np.repeat(swing[:1], 90, 0)
+    poses[:, legs] += 0.6 * np.sin(2 * np.pi * 3 * np.arange(90) / rate)[:, None] * (1, -1)  # three strides a second
+    poses = body.skeleton.clamp(poses)
+    knees = [body.skeleton.joint(f"{side}_knee") for side in ("left", "right")]
+
+    def off(**settings):
+        found = smooth_poses(body, poses, information(poses, 0.1), rate, ClipSettings(**settings))
+        return distances(body, found, poses)[10:-10, knees].mean()
+
+    assert off(rounds=1) > 0.02
+    assert off() < 0.4 * off(rounds=1)
+
+
 def test_a_gap_is_bridged_flagged_and_less_certain(body, swing):
     lost = range(15, 21)
     tracked = swing.copy()

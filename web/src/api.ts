@@ -69,9 +69,9 @@ export async function post<T>(path: string, value: unknown = {}, signal?: AbortS
   return (await (await ask(path, init)).json()) as T;
 }
 
-/** Deletes a recording or a result, and says what brings it back. */
-export async function remove(kind: "recordings" | "results", id: string): Promise<{ trash: string; name: string }> {
-  return (await (await ask(`/api/${kind}/${id}`, { method: "DELETE" })).json()) as { trash: string; name: string };
+/** Deletes a result for good. */
+export async function remove(id: string): Promise<void> {
+  await ask(`/api/results/${id}`, { method: "DELETE" });
 }
 
 /** Sends a file; progress(0..1) while it goes. */

@@ -54,7 +54,7 @@ export interface Recording {
 }
 
 export interface Upload {
-  upload: Id; name: string; bytes: number; kind: "video" | "image" | "images" | "keypoints" | "calibration" | "other"; size?: [number, number];
+  upload: Id; name: string; bytes: number; kind: "video" | "image" | "keypoints" | "calibration" | "other"; size?: [number, number];
   frames?: number; frame_rate?: number | null; cameras?: string[];
 }
 export interface NewView {

@@ -3,7 +3,6 @@ import assert from "node:assert/strict";
 import { load } from "./unit.mjs";
 
 const { assign, camerasOf, chosenCalibration, obstacle, words } = await load("src/setup/assign.ts");
-const { packed } = await load("src/setup/pack.ts");
 
 /** Orders of a list, all different, reproducible. */
 function* orders(list, count, seed = 1) {
@@ -94,18 +93,7 @@ assert.deepEqual(found([video("board/cam1.mp4"), video("walk/cam1.mp4")], ["cam1
 const two = [{ path: "c/Calib.qca.txt", kind: "calibration" }, { path: "c/Calib.toml", kind: "calibration" }];
 for (const order of [two, [...two].reverse()]) assert.deepEqual(found(order, ["cam1"]), { "c/Calib.qca.txt": "none", "c/Calib.toml": "calibration" });
 
-// a folder with a file per frame, and photos in a folder for each camera, go as one file; empty rooms beside each other do not
-const dropped = (path) => ({ path, file: new File([`of ${path}`], path.split("/").pop(), { lastModified: 5 }) });
-const frames = [0, 1, 2, 3].map((n) => `pose/cam1_json/cam1_00000000000${n}_keypoints.json`);
-const photos = ["a", "b"].flatMap((c) => [1, 2].map((n) => `board/${c}/IMG_${n}.jpg`));
-const single = ["empty/cam1.png", "empty/cam2.png", "videos/cam1.mp4", "pose/notes.txt"];
-const bundled = packed([...frames, ...photos, ...single].map(dropped));
-assert.deepEqual(bundled.map((f) => f.path).sort(), ["board/a", "board/b", "pose/cam1_json", ...single].sort());
-const tar = bundled.find((f) => f.path === "pose/cam1_json").file;
-assert.equal(tar.name, "cam1_json.folder");
-assert.equal(tar.size, 512 * (2 * frames.length + 2));
-assert.match(await tar.text(), /^cam1_000000000000_keypoints\.json[^]*ustar[^]*of pose\/cam1_json/);
-// nor do files of one camera each stand beside the one of all of them, wherever they lie
+// files of one camera each do not stand beside the one of all of them, wherever they lie
 const each = [1, 2].map((k) => ({ path: `u/cam${k}/config.xml`, kind: "calibration", cameras: [`serial ${k}`] }));
 const whole = { path: "u/refined.json", kind: "calibration", cameras: ["1", "2"] };
 for (const order of orders([...each, whole], 6)) assert.equal(order[chosenCalibration(order)], whole);

@@ -69,7 +69,7 @@ def calibrate(
 ) -> None:
     """Calibrate cameras: lenses and places from a chessboard or ChArUco board, or from measured points; or convert."""
     from hypose.io.calibrations.calibration_formats import check_format, write_any
-    from hypose.io.motions.results import check_writable
+    from hypose.io.files import check_writable
 
     check_format(target)
     given = [bool(sources), points is not None, convert is not None]

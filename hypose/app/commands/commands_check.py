@@ -64,7 +64,7 @@ def check(
     Exit code 0: fine, or refined; 1: something is wrong.
     """
     from hypose.app.jobs.checking import camera_table, check_picture, check_recording, examine_recording, write_findings
-    from hypose.io.motions.results import check_writable
+    from hypose.io.files import check_writable
     from hypose.io.recordings.recording import load_recording
 
     if using not in ("auto", "keypoints", "silhouettes", "both"):

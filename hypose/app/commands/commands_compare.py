@@ -54,7 +54,7 @@ def compare(
 ) -> None:
     """Compare results with markers or other motions: errors per joint and angle, one table, one page."""
     from hypose.app.jobs import compare_job
-    from hypose.io.motions.results import check_writable
+    from hypose.io.files import check_writable
     from hypose.pipeline.comparison import CompareOptions
 
     if len(files) % 2:

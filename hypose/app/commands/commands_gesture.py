@@ -75,7 +75,7 @@ def train(
         replaced_model,
     )
     from hypose.gestures.model import check_gesture_name
-    from hypose.io.motions.results import check_writable
+    from hypose.io.files import check_writable
     from hypose.pipeline.gesture_files import read_recording, save_model
 
     if out.suffix != ".npz":
@@ -135,18 +135,12 @@ def _session(
     )
 
 
-@app.command(short_help="Watch for gestures: events as JSON lines, OSC, MIDI, keys.")
+@app.command(short_help="Watch for gestures: events as JSON lines, OSC, commands.")
 def run(
     models: Annotated[list[Path], typer.Argument(help="Model files, one per gesture.")],
     source: SourceOption = "simulated",
     osc: Annotated[str | None, typer.Option(help="HOST:PORT to send scores and events to by OSC.")] = None,
     ws: Annotated[int | None, number("Port of this computer to serve them by WebSocket.", 0, 65535)] = None,
-    midi: Annotated[
-        str | None, typer.Option(help="MIDI port (part of its name, or virtual) for notes and controllers.")
-    ] = None,
-    key: Annotated[
-        list[str] | None, typer.Option(help="GESTURE=KEY: hold a key down while the gesture is on (may be repeated).")
-    ] = None,
     command: Annotated[
         str | None, typer.Option(help="Program to run at each start, {gesture} replaced; with {event}, at ends too.")
     ] = None,
@@ -179,10 +173,6 @@ def run(
             outs.append(OscOut(osc, names, [s.threshold for s in limits]))
         if ws is not None:
             outs.append(WebSocketOut(ws, names))
-        if midi is not None:
-            outs.append(actions.MidiOut(actions.open_midi(midi), [s.threshold for s in limits]))
-        if key:
-            outs.append(actions.open_keys(actions.keys_of(key, names)))
         if command is not None:
             outs.append(actions.CommandOut(command, names))
         opened = open_source(source, names[0], seed)

@@ -59,9 +59,6 @@ def live(
     vmc: Annotated[
         str | None, typer.Option(help="HOST:PORT of a program that moves an avatar (VMC).", rich_help_panel=_OUT)
     ] = None,
-    lsl: Annotated[
-        str | None, typer.Option(help="Name of a stream of the lab streaming layer.", rich_help_panel=_OUT)
-    ] = None,
     record: Annotated[
         Path | None,
         typer.Option(help="New folder for a recording that hypose track solves again.", rich_help_panel=_OUT),
@@ -102,7 +99,7 @@ def live(
         if record is not None:
             recorder = LiveRecorder(record, cameras.rig, cameras.views, cameras.silhouettes, person.height)
             closing.callback(recorder.close)
-        outputs = PoseOutputs(names, cameras.rate, ws=ws, udp=udp, osc=osc, vmc=vmc, lsl=lsl, clock=time.monotonic)
+        outputs = PoseOutputs(names, cameras.rate, ws=ws, udp=udp, osc=osc, vmc=vmc, clock=time.monotonic)
         closing.callback(outputs.close)
         listeners = [outputs, _Told(recorder), *([] if recorder is None else [recorder])]
         options = LiveOptions(eyes, person, people, pictures=recorder is not None)
@@ -111,7 +108,7 @@ def live(
         engine.start()
         if outputs.listeners is not None:
             say(f"Poses out:  ws://127.0.0.1:{outputs.listeners.port}/out  (/binary)")
-        for name, target in (("udp", udp), ("osc", osc), ("vmc", vmc), ("lsl", lsl)):
+        for name, target in (("udp", udp), ("osc", osc), ("vmc", vmc)):
             if target is not None:
                 say(f"Poses out:  {name} {target}")
         say("Stop with Ctrl-C.")

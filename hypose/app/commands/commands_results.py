@@ -16,12 +16,10 @@ from hypose.errors import InputError
 
 def export(
     results: Annotated[Path, typer.Argument(help="Results folder of hypose track, or its motion.npz.")],
-    formats: Annotated[
-        str, typer.Option(help="Motion files to write; also osim, amass, vrma, rrd.")
-    ] = "trc,c3d,bvh,glb,csv,mot",
+    formats: Annotated[str, typer.Option(help="Motion files to write; also osim, rrd.")] = "trc,c3d,bvh,glb,csv,mot",
     out: Annotated[Path | None, typer.Option(help="Folder to write to. [default: the results folder]")] = None,
 ) -> None:
-    """Write motion files (TRC, C3D, BVH, GLB, CSV, MOT; OpenSim, AMASS, VRM, Rerun) from a tracked motion."""
+    """Write motion files (TRC, C3D, BVH, GLB, CSV, MOT; OpenSim, Rerun) from a tracked motion."""
     from hypose.io.claims import claimed
     from hypose.io.motions.bodies import load_result_body
     from hypose.io.motions.export import export_motion
@@ -49,7 +47,7 @@ def report(
     set_threads(threads)
     from hypose.app.reports.report import from_result, write_report
     from hypose.app.studio.view_result import find_recording, load_view
-    from hypose.io.motions.results import check_writable
+    from hypose.io.files import check_writable
 
     folder = results if results.is_dir() else results.parent
     target = out or folder / "report.html"

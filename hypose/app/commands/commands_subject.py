@@ -107,11 +107,10 @@ def _from_mesh(mesh: Path, unit: str, height: float | None, folder: Path) -> Non
 
 def _picture(path: Path, recording: Recording, source: object, found: SubjectEstimate) -> Path:
     """Two fitted frames, each above with the template as tracked and below with the fitted body, in every view."""
-    import cv2
     import numpy as np
 
+    from hypose.app.jobs.checking import write_image
     from hypose.app.reports.result_pictures import Drawing, draw_all, layout, open_images
-    from hypose.io.motions.results import atomic_path
     from hypose.io.recordings.frames import FrameStream
 
     assert isinstance(source, FrameStream)
@@ -132,8 +131,5 @@ def _picture(path: Path, recording: Recording, source: object, found: SubjectEst
     for v in images:
         v.close()
     sheet = np.concatenate(rows)
-    with atomic_path(path) as temporary:
-        ok, data = cv2.imencode(".png", sheet)
-        assert ok
-        temporary.write_bytes(data.tobytes())
+    write_image(path, sheet)
     return path

@@ -33,7 +33,7 @@ def sync(
 ) -> None:
     """How many frames each view is late. With --out, masks, depth maps and key points in step are written."""
     from hypose.io.claims import claimed
-    from hypose.io.motions.results import check_writable
+    from hypose.io.files import check_writable
     from hypose.io.recordings.recording import load_recording
 
     if by not in ("motion", "sound", "flash"):
@@ -172,8 +172,7 @@ def _write(recording: Recording, late: list[float], folder: Path, progress: Prog
 
     from hypose.calibration.in_step import Resampled, points_at
     from hypose.io.file_names import folder_for
-    from hypose.io.files import write_text
-    from hypose.io.motions.results import atomic_path
+    from hypose.io.files import write_bytes, write_text
     from hypose.io.recordings.recording import write_recording
     from hypose.io.recordings.view_source import SIDECAR
     from hypose.pipeline.examine import raw_person
@@ -197,8 +196,7 @@ def _write(recording: Recording, late: list[float], folder: Path, progress: Prog
                     continue
                 w, h = camera.size
                 data = cv2.imencode(".png", silhouettes.masks[c, :h, :w] * np.uint8(255))[1]
-                with atomic_path(path / f"{i:06d}.png") as temporary:
-                    temporary.write_bytes(data.tobytes())
+                write_bytes(path / f"{i:06d}.png", data.tobytes(), synced=False)
         progress("masks", len(source), len(source))
     people = _people(raw_person(recording))
     views = []

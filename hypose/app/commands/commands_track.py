@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 Compute = Annotated[
     str,
-    typer.Option(help="auto, cpu, cuda (particle filters on an NVIDIA device) or reference (slow, for comparison)."),
+    typer.Option(help="auto, cpu or reference (slow, for comparison)."),
 ]
 
 
@@ -71,7 +71,7 @@ def track(
     out: Annotated[
         Path | None, typer.Option(help="Results folder. [default: results/RECIPE in the recording's folder]")
     ] = None,
-    formats: Annotated[str, typer.Option(help="Motion files to write.")] = "trc,c3d,bvh,glb,csv,mot,osim,amass,vrma",
+    formats: Annotated[str, typer.Option(help="Motion files to write.")] = "trc,c3d,bvh,glb,csv,mot,osim",
     no_overlay: Annotated[bool, typer.Option("--no-overlay", help="Do not write overlay.mp4.")] = False,
     resume: Annotated[bool, typer.Option("--resume", help="Go on where an interrupted run stopped.")] = False,
     threads: Threads = None,
@@ -249,13 +249,11 @@ def split_names(text: str) -> tuple[str, ...]:
 
 @contextlib.contextmanager
 def back_end(name: str) -> Iterator[None]:
-    """Run the block on a back end of --compute; an InputError when there is none of that name or no such device."""
+    """Run the block on a back end of --compute; an InputError when there is none of that name."""
     from hypose import compute
 
-    if name not in ("auto", "cpu", "cuda", "reference"):
-        raise InputError(f"There is no --compute {name}; choose auto, cpu, cuda or reference.")
-    if name == "cuda":
-        compute.require_cuda()
+    if name not in ("auto", "cpu", "reference"):
+        raise InputError(f"There is no --compute {name}; choose auto, cpu or reference.")
     with compute.use(name):
         yield
 

@@ -10,13 +10,14 @@ from hypose.app.commands.console import note
 def tell_untrusted(results: Path) -> None:
     """One line when the result (a folder, or its motion.npz) is not to be trusted; what cannot be read says nothing."""
     from hypose.app.jobs.job import VERDICT
-    from hypose.json_text import parse_json
+    from hypose.errors import InputError
+    from hypose.io.files import read_json
     from hypose.pipeline.verdict import UNTRUSTED, Verdict
 
     folder = results if results.is_dir() else results.parent
     try:
-        kept = Verdict.of_document(parse_json((folder / VERDICT).read_text(encoding="utf-8")))
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        kept = Verdict.of_document(read_json(folder / VERDICT, "a verdict"))
+    except (InputError, ValueError, KeyError, TypeError):
         return
     if kept.word == UNTRUSTED:
         note(f"note: {folder}: {kept.sentence}")

@@ -17,8 +17,8 @@ from hypose.calibration.doctor import Cured, Report, examine_and_cure
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Silhouettes
 from hypose.evidence.hull import hull_iou, visual_hull
-from hypose.io.files import write_text
-from hypose.io.motions.results import atomic_path, to_json
+from hypose.io.files import write_bytes, write_text
+from hypose.io.motions.results import to_json
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording, View
 from hypose.io.recordings.recording_views import open_pictures
@@ -283,5 +283,4 @@ def check_picture(path: Path, option: str) -> None:
 def write_image(path: Path, image: Image) -> None:
     """Write a PNG or JPEG (`check_picture`) whole or not at all."""
     data = cv2.imencode(path.suffix, image)[1].tobytes()
-    with atomic_path(path) as temporary:
-        temporary.write_bytes(data)
+    write_bytes(path, data)

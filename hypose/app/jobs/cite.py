@@ -8,7 +8,7 @@ from pathlib import Path
 
 from hypose import __version__
 from hypose.errors import InputError
-from hypose.json_text import parse_json
+from hypose.io.files import read_json
 
 
 @dataclass(frozen=True)
@@ -140,8 +140,8 @@ def papers_of(name: str) -> tuple[Paper, ...]:
 
 def _method_of(path: Path) -> str:
     try:
-        found = parse_json(path.read_text(encoding="utf-8"))["recipe"]
-    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        found = read_json(path, "a provenance.json")["recipe"]
+    except (KeyError, TypeError) as error:
         raise InputError(
             f"{path} tells no method ({error}); give a folder that hypose track or fuse wrote, or a method's name."
         ) from None

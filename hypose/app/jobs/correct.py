@@ -22,18 +22,16 @@ from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array
-from hypose.io.files import text_lines
+from hypose.io.files import check_writable, read_json
 from hypose.io.motions.bodies import load_body, save_body
 from hypose.io.motions.export import export_motion, known_formats
-from hypose.io.motions.results import ResultsFolder, check_writable, load_motion, save_motion
+from hypose.io.motions.results import ResultsFolder, load_motion, save_motion
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording
-from hypose.json_text import parse_json
 from hypose.pipeline.first_frame import GIVEN, Subject, SubjectOptions, find_subject
 from hypose.pipeline.pictures import FrameSource
 from hypose.pipeline.run import TrackOptions, frames_wanted, track_source
 
-_LARGEST_CLICKS = 1 << 20
 _READ_AT_ONCE = 64
 """Frames that are kept in memory when they are tracked backwards."""
 _FROM_HERE = "the start is the corrected pose"
@@ -54,9 +52,9 @@ class Correction:
 def read_correction(path: Path) -> Correction:
     """The clicks of a frame with their pose, as the studio saves them (starts/NAME.json)."""
     try:
-        value = parse_json("\n".join(text_lines(path, "saved clicks", _LARGEST_CLICKS)))
+        value = read_json(path, "saved clicks")
         form, frame, pose = value["format"], value["frame"], np.array(value["pose"], dtype=np.float64)
-    except (ValueError, TypeError, KeyError, RecursionError):
+    except (ValueError, TypeError, KeyError):
         value, form, frame, pose = {}, None, -1, np.zeros(0)
     counted = _is_frame(frame)
     if form != "hypose-clicks" or not counted or pose.ndim != 1 or not np.isfinite(pose).all():

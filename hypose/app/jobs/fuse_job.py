@@ -25,9 +25,9 @@ from hypose.fusion.people import PeopleTracker
 from hypose.fusion.register import Registration, check_same_person, common_joints, register, upright_axes, upward
 from hypose.fusion.saved import ClipSoFar
 from hypose.geometry import Array, se3, transform
-from hypose.io.files import write_text
+from hypose.io.files import check_writable, write_text
 from hypose.io.motions.export import FORMATS, export_motion
-from hypose.io.motions.results import Checkpoint, ResultsFolder, check_writable, save_motion
+from hypose.io.motions.results import Checkpoint, ResultsFolder, save_motion
 from hypose.io.recordings.provenance import identity, provenance
 from hypose.io.sensors.skeleton_streams import (
     SensorStream,

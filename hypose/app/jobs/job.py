@@ -19,15 +19,15 @@ from hypose.app.reports.summary import DESCRIPTIONS
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.errors import InputError
+from hypose.io.files import check_writable, read_json
 from hypose.io.motions.bodies import load_body, save_body
 from hypose.io.motions.export import FORMATS, export_motion, known_formats
 from hypose.io.motions.modes import load_modes
-from hypose.io.motions.results import ResultsFolder, check_writable, load_motion, to_json
+from hypose.io.motions.results import ResultsFolder, load_motion, to_json
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.provenance import identity, provenance
 from hypose.io.recordings.recording import Recording
 from hypose.io.sensors.skeleton_streams import SkeletonRecording
-from hypose.json_text import parse_json
 from hypose.pipeline.chunked import FOLDER as CHUNKS
 from hypose.pipeline.chunked import ChunkRun
 from hypose.pipeline.first_frame import SubjectOptions
@@ -166,8 +166,8 @@ def _kernels(recording: Recording, options: TrackOptions) -> tuple[str, ...]:
 def _verdict(tracked: TrackResult, results: ResultsFolder, before: bool) -> Verdict:
     """The verdict on what was tracked, written; or what was written before, when that can be read."""
     if before:
-        with contextlib.suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
-            return Verdict.of_document(parse_json(results.file(VERDICT).read_text(encoding="utf-8")))
+        with contextlib.suppress(InputError, ValueError, KeyError, TypeError):
+            return Verdict.of_document(read_json(results.file(VERDICT), "a verdict"))
     results.write_json(VERDICT, tracked.verdict.with_joints(tracked.motion))
     return tracked.verdict
 

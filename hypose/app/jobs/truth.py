@@ -13,8 +13,11 @@ from hypose.body.motion import Motion
 from hypose.body.ready_bodies import human
 from hypose.errors import InputError
 from hypose.geometry import Array
+from hypose.io.motions.results import load_archive
 from hypose.synthetic.metrics import joint_errors, population_offsets
 
+_MAX_BYTES = 1 << 30
+"""that a truth.npz may unpack to."""
 NOTE = (
     "The truth is another body (its shape does not come from the tracker's), so joint definitions are aligned once by "
     "fixed offsets, measured between the mean bodies and not on this recording."
@@ -47,11 +50,12 @@ def compare_with(path: str | Path, first: int = 0) -> Callable[[Motion, Body], T
 def compare(path: str | Path, motion: Motion, first: int = 0) -> Truth:
     """A motion, whose row 0 is frame `first`, against the truth in a truth.npz."""
     path = Path(path)
+    step = "make the recording again"
+    data = load_archive(path, "truth", step, ("joints", "stature"), _MAX_BYTES)
     try:
-        with np.load(path, allow_pickle=False) as data:
-            joints, stature = np.asarray(data["joints"], dtype=np.float64), float(data["stature"])
-    except (OSError, ValueError, KeyError) as error:
-        raise InputError(f"{path} is no truth of hypose ({error}); make the recording again.") from None
+        joints, stature = np.asarray(data["joints"], dtype=np.float64), float(data["stature"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{path} is no truth of hypose ({error}); {step}.") from None
     if motion.poses is None:
         raise InputError("The motion holds joint positions only and cannot be compared; track again.")
     joints = joints[first : first + len(motion)]

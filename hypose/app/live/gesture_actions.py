@@ -1,4 +1,4 @@
-"""What gestures set off on this computer: MIDI messages, key presses, commands. Each only when it is asked for."""
+"""What gestures set off on this computer: commands, only when they are asked for."""
 
 from __future__ import annotations
 
@@ -6,149 +6,13 @@ import os
 import shlex
 import shutil
 import subprocess
-from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from collections.abc import Sequence
 
 from hypose.app.jobs.gesture_job import Watched
-from hypose.errors import InputError, extra
+from hypose.errors import InputError
 
-FIRST_NOTE, FIRST_CONTROL = 60, 20
-"""MIDI note and controller of the first gesture; the others follow."""
 MOST_COMMANDS = 8
 """That run at a time; what a gesture would set off beyond them is left out."""
-
-
-class MidiPort(Protocol):
-    """Where MIDI goes."""
-
-    def send(self, data: bytes, /) -> None:
-        """One message."""
-        ...
-
-    def close(self) -> None:
-        """Let go of the port."""
-        ...
-
-
-class MidiOut:
-    """On channel 1: a note while each gesture is on (60, 61, ... in the order of the models), and its score over its
-    threshold as controller 20, 21, ... (127: reached) whenever that changes."""
-
-    def __init__(self, port: MidiPort, limits: Sequence[float]) -> None:
-        self._port, self._limits = port, list(limits)
-        self._shown, self._on = [-1] * len(self._limits), set[int]()
-
-    def send(self, watched: Watched) -> None:
-        """One frame."""
-        for f in watched.found:
-            k = f.gesture - 1
-            value = round(127 * min(1.0, f.score / self._limits[k]))
-            if value != self._shown[k]:
-                self._shown[k] = value
-                self._port.send(bytes([0xB0, FIRST_CONTROL + k, value]))
-        for e in watched.events:
-            self._note(e.gesture - 1, e.kind == "start")
-
-    def _note(self, k: int, on: bool) -> None:
-        (self._on.add if on else self._on.discard)(k)
-        self._port.send(bytes([0x90 if on else 0x80, FIRST_NOTE + k, 100 if on else 0]))
-
-    def close(self) -> None:
-        """End the notes that sound and let go of the port."""
-        for k in sorted(self._on):
-            self._note(k, False)
-        self._port.close()
-
-
-def open_midi(name: str) -> MidiPort:
-    """The output port of this name or with this in its name; "virtual": a new one called hypose that other programs see
-    (not on Windows)."""
-    library = extra("mido", "--midi", "midi", or_else="use --osc")
-    try:
-        there = [] if name == "virtual" else list(library.get_output_names())
-        fitting = [n for n in there if name == n] or [n for n in there if name.lower() in n.lower()]
-        if name != "virtual" and len(fitting) != 1:
-            raise InputError(
-                f"--midi {name} names {'several ports' if fitting else 'no port'}; there "
-                + (
-                    f"are {', '.join(fitting or there)}."
-                    if there
-                    else "are none: start the program that listens first."
-                )
-            )
-        port = library.open_output("hypose", virtual=True) if name == "virtual" else library.open_output(fitting[0])
-    except InputError:
-        raise
-    except Exception as error:  # the systems behind mido raise classes of their own
-        raise InputError(f"MIDI cannot be used here ({error}); check the sound system, or use --osc.") from None
-    return _Mido(library.Message, port)
-
-
-class _Mido:
-    def __init__(self, message: Any, port: Any) -> None:
-        self._message, self._port = message, port
-
-    def send(self, data: bytes, /) -> None:
-        self._port.send(self._message.from_bytes(data))
-
-    def close(self) -> None:
-        self._port.close()
-
-
-class Keyboard(Protocol):
-    """What presses keys."""
-
-    def press(self, key: Any, /) -> None:
-        """Down."""
-        ...
-
-    def release(self, key: Any, /) -> None:
-        """Up."""
-        ...
-
-
-class KeysOut:
-    """Holds a key down while its gesture is on; keys: by the number of the gesture."""
-
-    def __init__(self, keyboard: Keyboard, keys: Mapping[int, Any]) -> None:
-        self._keyboard, self._keys, self._down = keyboard, dict(keys), set[int]()
-
-    def send(self, watched: Watched) -> None:
-        """One frame."""
-        for e in watched.events:
-            if e.gesture in self._keys:
-                self._set(e.gesture, e.kind == "start")
-
-    def _set(self, gesture: int, down: bool) -> None:
-        (self._down.add if down else self._down.discard)(gesture)
-        (self._keyboard.press if down else self._keyboard.release)(self._keys[gesture])
-
-    def close(self) -> None:
-        """Let go of all keys."""
-        for gesture in sorted(self._down):
-            self._set(gesture, False)
-
-
-def keys_of(texts: Sequence[str], names: Sequence[str]) -> dict[int, str]:
-    """Key names by the number of the gesture, from texts "NAME=KEY"."""
-    out = {}
-    for text in texts:
-        name, _, key = text.partition("=")
-        if name not in names or not key:
-            raise InputError(f"--key {text} is not understood; give GESTURE=KEY with a gesture of {', '.join(names)}.")
-        out[names.index(name) + 1] = key
-    return out
-
-
-def open_keys(keys: Mapping[int, str]) -> KeysOut:
-    """Keys of this computer's keyboard: single characters, or names such as space, enter, page_down, left, f5."""
-    library = extra("pynput.keyboard", "--key", "keys", or_else="use --command or --osc")
-    special = library.Key
-    for key in keys.values():
-        if len(key) > 1 and not hasattr(special, key):
-            known = ", ".join(k.name for k in special)
-            raise InputError(f"There is no key {key!r}; give one character or one of {known}.")
-    return KeysOut(library.Controller(), {g: k if len(k) == 1 else getattr(special, k) for g, k in keys.items()})
 
 
 class CommandOut:
@@ -163,6 +27,8 @@ class CommandOut:
         if not self._words or shutil.which(self._words[0]) is None:
             raise InputError(f"--command {text!r}: there is no such program; give one that runs in this terminal.")
         self._names, self._ends = list(names), "{event}" in text
+        # the user's own program imports what lies beside it
+        self._environment = {k: v for k, v in os.environ.items() if k != "PYTHONSAFEPATH"}
         self._running: list[subprocess.Popen[bytes]] = []
 
     def send(self, watched: Watched) -> None:
@@ -172,7 +38,8 @@ class CommandOut:
             if (e.kind == "start" or self._ends) and len(self._running) < MOST_COMMANDS:
                 name = self._names[e.gesture - 1]
                 words = [w.replace("{gesture}", name).replace("{event}", e.kind) for w in self._words]
-                self._running.append(subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL))
+                nowhere = subprocess.DEVNULL
+                self._running.append(subprocess.Popen(words, stdin=nowhere, stdout=nowhere, env=self._environment))
 
     def close(self) -> None:
         """What still runs goes on by itself."""

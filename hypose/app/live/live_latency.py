@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from websockets.asyncio.client import connect
@@ -58,7 +59,8 @@ async def _measure(
     lines = _lines(seconds, sensors, rate, people, dead)
     options = ("--udp", "0", "--ws", "0", "--rate", f"{rate:g}")
     server = await asyncio.create_subprocess_exec(
-        *(sys.executable, "-u", "-m", "hypose.app", "fuse", "--live", *options),
+        *(sys.executable, "-P", "-u", "-m", "hypose.app", "fuse", "--live", *options),
+        cwd=Path(__file__).parent,
         stdout=asyncio.subprocess.PIPE,
         stderr=asyncio.subprocess.DEVNULL,
     )

@@ -1,70 +1,50 @@
-"""Open Sound Control 1.0, as much as is sent: messages of integers, floats, doubles and text, in bundles."""
+"""Poses and events by Open Sound Control 1.0, in bundles that fit a packet."""
 
 from __future__ import annotations
 
 import contextlib
 import socket
-import struct
 from collections.abc import Iterable, Sequence
+
+from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder
+from pythonosc.osc_message import OscMessage
+from pythonosc.osc_message_builder import OscMessageBuilder
 
 from hypose.errors import InputError
 from hypose.geometry import Array
 
-MAX_BUNDLE = 1400
-"""Bytes: fits one Ethernet packet."""
+MAX_BUNDLE = 1400  # bytes: fits one Ethernet packet
 
 
-def osc_message(address: str, *values: int | float | str | bytes) -> bytes:
-    """One message: int -> i, float -> f, str -> s, bytes of length 8 -> d (see `double`)."""
-    tags, data = ",", b""
-    for v in values:
-        if isinstance(v, bytes):
-            tags, data = tags + "d", data + v
-        elif isinstance(v, str):
-            tags, data = tags + "s", data + _text(v)
-        elif isinstance(v, int):
-            tags, data = tags + "i", data + struct.pack(">i", v)
-        else:
-            tags, data = tags + "f", data + struct.pack(">f", v)
-    return _text(address) + _text(tags) + data
+def osc_message(address: str, *values: int | float | str, types: str = "") -> OscMessage:
+    """One message: int -> i, float -> f, str -> s where types, one letter a value, does not say otherwise."""
+    made = OscMessageBuilder(address)
+    for k, value in enumerate(values):
+        made.add_arg(value, types[k : k + 1] or None)
+    return made.build()
 
 
-def double(value: float) -> bytes:
-    """A 64-bit float for `osc_message`: times do not fit 32 bits."""
-    return struct.pack(">d", value)
-
-
-def osc_bundles(messages: Sequence[bytes]) -> list[bytes]:
+def osc_bundles(messages: Iterable[OscMessage]) -> list[bytes]:
     """Messages in as few bundles (to be handled at once) as packets of 1400 bytes allow."""
-    head = b"#bundle\0" + struct.pack(">Q", 1)
-    out, now = [], head
+    made, size = list[OscBundleBuilder](), MAX_BUNDLE
     for m in messages:
-        if len(now) + 4 + len(m) > MAX_BUNDLE and now != head:
-            out.append(now)
-            now = head
-        now += struct.pack(">i", len(m)) + m
-    return [*out, now] if now != head else out
+        if size + 4 + m.size > MAX_BUNDLE:
+            made, size = [*made, OscBundleBuilder(IMMEDIATELY)], 16
+        made[-1].add_content(m)
+        size += 4 + m.size
+    return [b.build().dgram for b in made]
 
 
 def people_osc(
-    number: int,
-    time: float,
-    latency: float,
-    people: Iterable[tuple[int, Sequence[str], Array, Array]],
-    there: int,
-) -> list[bytes]:
+    number: int, time: float, latency: float, people: Iterable[tuple[int, Sequence[str], Array, Array]], there: int
+) -> list[OscMessage]:
     """/hypose/frame n time latency_ms people, then /hypose/person/ID/JOINT x y z sd. time, latency s; people: id, names
     of joints (J), joints (J, 3) m, sd (J) m; there: how many of them are where they are said to be."""
-    out = [osc_message("/hypose/frame", number & 0x7FFFFFFF, double(time), 1000.0 * latency, there)]
+    out = [osc_message("/hypose/frame", number & 0x7FFFFFFF, time, 1000.0 * latency, there, types="idfi")]
     for who, names, joints, sd in people:
         rows = zip(names, joints.tolist(), sd.tolist(), strict=True)
         out += [osc_message(f"/hypose/person/{who}/{name}", *xyz, s) for name, xyz, s in rows]
     return out
-
-
-def _text(text: str) -> bytes:
-    data = text.encode("utf-8") + b"\0"
-    return data + b"\0" * (-len(data) % 4)
 
 
 class OscTarget:
@@ -76,20 +56,17 @@ class OscTarget:
         try:
             if not colon or not host or not 1 <= int(port) <= 65535:
                 raise ValueError
-            family, kind, _, _, self._address = socket.getaddrinfo(host.strip("[]"), int(port), type=socket.SOCK_DGRAM)[
-                0
-            ]
+            where = host.strip("[]"), int(port)
+            (family, kind, _, _, self._address), *_ = socket.getaddrinfo(*where, 0, socket.SOCK_DGRAM)
             self._socket = socket.socket(family, kind)
         except (ValueError, OSError):
-            raise InputError(
-                f"{option} {address} cannot be reached; give HOST:PORT, for example 127.0.0.1:9000."
-            ) from None
+            raise InputError(f"{option} {address} cannot be reached; give HOST:PORT, as 127.0.0.1:9000.") from None
         self._socket.setblocking(False)
         with contextlib.suppress(OSError):  # else what goes to all of a network is lost without a word
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
 
-    def send(self, messages: Sequence[bytes]) -> None:
-        """Messages of `osc_message`, in bundles."""
+    def send(self, messages: Sequence[OscMessage]) -> None:
+        """Messages, in bundles."""
         for bundle in osc_bundles(messages):
             self.put(bundle)
 

@@ -1,4 +1,4 @@
-"""Poses as they leave live tracking: WebSocket (JSON, binary), UDP lines, OSC, VMC, LSL (docs/cameras-live.md)."""
+"""Poses as they leave live tracking: WebSocket (JSON, binary), UDP lines, OSC, VMC (docs/cameras-live.md)."""
 
 from __future__ import annotations
 
@@ -6,11 +6,10 @@ import json
 import math
 import struct
 from collections.abc import Callable, Sequence
-from importlib import import_module
-from typing import Any
 
 import numpy as np
 
+from hypose.app.live.humanoid_bones import bone_turns, rest_offsets
 from hypose.app.live.osc import OscTarget, people_osc
 from hypose.app.live.socket_listeners import SocketListeners
 from hypose.app.live.vmc import vmc_messages
@@ -18,7 +17,6 @@ from hypose.body.body import Body
 from hypose.body.ready_bodies import JOINT_NAMES
 from hypose.errors import InputError
 from hypose.geometry import Array
-from hypose.io.motions.vrm import bone_turns, rest_offsets
 from hypose.pipeline.live.engine import LiveStatus, Seen
 from hypose.pipeline.live.live_person import LivePose
 
@@ -118,37 +116,9 @@ class _Lines:
         self._target.close()
 
 
-class _Lsl:
-    """A stream of the lab streaming layer: x, y, z and sd of every joint, m, of who came first."""
-
-    def __init__(self, name: str, rate: float) -> None:
-        try:
-            lsl: Any = import_module("pylsl")
-        except (ImportError, RuntimeError) as error:
-            raise InputError(f"--lsl needs pylsl ({error}); install it with: pip install 'hypose[lsl]'.") from None
-        count = 4 * len(JOINT_NAMES)
-        info = lsl.StreamInfo(name, "MoCap", count, rate, lsl.cf_float32, f"hypose-{name}")
-        channels = info.desc().append_child("channels")
-        for joint in JOINT_NAMES:
-            for what in ("x", "y", "z", "sd"):
-                channels.append_child("channel").append_child_value("label", f"{joint}_{what}").append_child_value(
-                    "unit", "m"
-                )
-        self._outlet = lsl.StreamOutlet(info)
-        self._clock: Callable[[], float] = lsl.local_clock
-
-    def send(self, poses: Sequence[LivePose], latency: float) -> None:
-        pose = poses[0]
-        row = np.concatenate([pose.joints, pose.motion.joint_sd[0][:, None]], 1)
-        self._outlet.push_sample(row.ravel().tolist(), self._clock() - latency)
-
-    def close(self) -> None:
-        del self._outlet
-
-
 class PoseOutputs:
     """A listener of the live engine. cameras: their names; rate Hz; ws: port on this computer, with /out for JSON and
-    /binary; udp, osc, vmc: HOST:PORT; lsl: the stream's name; clock: s, by which shots arrive."""
+    /binary; udp, osc, vmc: HOST:PORT; clock: s, by which shots arrive."""
 
     def __init__(
         self,
@@ -159,11 +129,10 @@ class PoseOutputs:
         udp: str | None = None,
         osc: str | None = None,
         vmc: str | None = None,
-        lsl: str | None = None,
         clock: Callable[[], float],
     ) -> None:
         self._cameras, self._clock, self._rate = cameras, clock, rate
-        self._outs: list[_Vmc | _Osc | _Lines | _Lsl] = []
+        self._outs: list[_Vmc | _Osc | _Lines] = []
         self.listeners: SocketListeners | None = None
         try:
             if udp is not None:
@@ -172,8 +141,6 @@ class PoseOutputs:
                 self._outs.append(_Osc(OscTarget(osc)))
             if vmc is not None:
                 self._outs.append(_Vmc(OscTarget(vmc, "--vmc")))
-            if lsl is not None:
-                self._outs.append(_Lsl(lsl, rate))
             self.listeners = None if ws is None else SocketListeners(ws, _WAITING, self._hello)
         except InputError:
             self.close()

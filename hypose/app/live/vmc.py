@@ -1,6 +1,6 @@
 """Poses for programs that move an avatar, by the VMC protocol: bones of a VRM humanoid as OSC messages.
 
-Bones, T pose and divided turns are those of the VRM animation (hypose.io.motions.vrm). The protocol speaks Unity's
+Bones, T pose and divided turns are those of hypose.app.live.humanoid_bones. The protocol speaks Unity's
 axes: left-handed, x right, y up, z forwards. The root stays at the origin; the hips carry place and turn.
 
 Source: VMC protocol specification, what a Performer sends to a Marionette (protocol.vmc.info), version 2.7.
@@ -12,13 +12,14 @@ import time
 from collections.abc import Callable
 
 import numpy as np
+from pythonosc.osc_message import OscMessage
 
+from hypose.app.live.humanoid_bones import BONES, bone_turns, rest_offsets
 from hypose.app.live.osc import osc_message
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.geometry import Array, quaternion_from_matrix
-from hypose.io.motions.vrm import BONES, bone_turns, rest_offsets
 
 VMC_TARGET = "127.0.0.1:39539"
 """Where programs that draw an avatar usually listen."""
@@ -26,7 +27,7 @@ _NAMES = [name[0].upper() + name[1:] for name in BONES]
 _CALIBRATED = 3
 
 
-def vmc_messages(offsets: Array, turns: Array, seconds: float, tracked: bool) -> list[bytes]:
+def vmc_messages(offsets: Array, turns: Array, seconds: float, tracked: bool) -> list[OscMessage]:
     """One frame. offsets (B, 3) m from each bone's parent to it, of the hips from the origin; turns (B, 3, 3) against
     the parent; both in VRM's axes (x left, y up, z forwards) and the order of BONES. seconds: since the sender began;
     tracked: somebody was seen in this frame, else the pose is one held."""
@@ -44,7 +45,7 @@ def vmc_messages(offsets: Array, turns: Array, seconds: float, tracked: bool) ->
 def play_motion(
     motion: Motion,
     body: Body,
-    send: Callable[[list[bytes]], None],
+    send: Callable[[list[OscMessage]], None],
     speed: float = 1.0,
     loop: bool = False,
     wait: Callable[[float], None] = time.sleep,

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hypose.app.live.humanoid_bones import BONES, rest_offsets
 from hypose.app.live.osc import OscTarget
 from hypose.app.live.vmc import vmc_messages
 from hypose.body.ready_bodies import human
@@ -16,7 +17,6 @@ from hypose.fusion.live import LiveFrame
 from hypose.fusion.register import upright_axes
 from hypose.geometry import Array, rotation_between, so3_exp, so3_log
 from hypose.io.motions.animation import Y_UP
-from hypose.io.motions.vrm import BONES, rest_offsets
 
 _UP_S, _FLOOR_DOWN_S, _FLOOR_UP_S = 10.0, 0.3, 30.0
 """Time constants: the person's mean upright is what is up; the floor follows the lowest foot down at once, up

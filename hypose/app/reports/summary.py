@@ -22,8 +22,6 @@ DESCRIPTIONS = {
     "motion.osim": "OpenSim model of this person, on which motion.mot plays (metres, kilograms)",
     "motion_markers.trc": "markers of that model (metres, y up)",
     "motion_ik.xml": "set-up of OpenSim's inverse kinematics with weights from the standard deviations",
-    "motion_amass.npz": "rotations of SMPL's joints in the layout of AMASS (radians, metres, z up)",
-    "motion.vrma": "animation for VRM avatars (metres, y up)",
     "motion.bvh": "skeleton animation (metres, degrees, y up)",
     "motion.glb": "skinned, animated body for Blender and browsers (metres, y up)",
     "angles.csv": "joint angles (degrees)",

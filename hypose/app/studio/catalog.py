@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
-import threading
 import time
 import zipfile
 from collections.abc import Iterator
@@ -20,11 +19,16 @@ from typing import Literal
 
 from hypose.errors import InputError
 from hypose.io.file_names import text_of
+from hypose.io.files import open_file
+from hypose.io.motions.results import open_archive
 from hypose.io.recordings import pose2sim
 
 Kind = Literal["recording", "result", "session", "model", "skeletons"]
 _DEPTH, _MOST, _MOST_FOLDERS = 5, 2000, 20_000
 _FRESH_S = 1.0
+_DATA = (".npz", ".json", ".csv")
+_HELD = ("motion.npz", "session.json", "frames.csv", "skeleton.csv")
+_MODEL_BYTES = 4 << 30
 _SKIPPED = frozenset({"node_modules", "__pycache__", "depth", "videos", "images", "masks", "site-packages"})
 
 
@@ -47,7 +51,6 @@ class Catalog:
 
     def __init__(self, root: Path) -> None:
         self.root = root.resolve()
-        self._lock = threading.Lock()
         self._items: dict[str, Item] = {}
         self._looked = -_FRESH_S
 
@@ -55,6 +58,10 @@ class Catalog:
         """All of a kind, the last changed first; fresh: look again now."""
         self._look(fresh)
         return sorted((i for i in self._items.values() if i.kind == kind), key=lambda i: (-i.changed, str(i.path)))
+
+    def every(self) -> list[Item]:
+        """All of every kind, as they were found last."""
+        return list(self._items.values())
 
     def find(self, kind: Kind, id: str) -> Item:
         """The item of an id; NotFound when there is none, or no longer."""
@@ -91,16 +98,14 @@ class Catalog:
         return None
 
     def _look(self, fresh: bool) -> None:
-        with self._lock:
-            if not fresh and time.monotonic() - self._looked < _FRESH_S:
-                return
-            found: dict[str, Item] = {}
-            for kind, path in _search(self.root):
-                if len(found) >= _MOST or not self.contains(path):
-                    continue
+        if not fresh and time.monotonic() - self._looked < _FRESH_S:
+            return
+        found: dict[str, Item] = {}
+        for kind, path in _search(self):
+            if len(found) < _MOST and self.contains(path):
                 id = self.id_of(kind, path)
                 found[id] = Item(kind, id, path.resolve(), _changed(path))
-            self._items, self._looked = found, time.monotonic()
+        self._items, self._looked = found, time.monotonic()
 
 
 def is_recording(folder: Path) -> bool:
@@ -118,19 +123,21 @@ def _changed(path: Path) -> float:
         return 0.0
 
 
-def _search(root: Path) -> Iterator[tuple[Kind, Path]]:
-    """Breadth first, so that what is near is found though the folder be huge."""
-    waiting, seen = [(root, 0)], 0
+def _search(catalog: Catalog) -> Iterator[tuple[Kind, Path]]:
+    """Breadth first, so that what is near is found though the folder be huge. What consists of files of hypose is found
+    only where they are files, and none is a link that leads out of the root."""
+    waiting, seen = [(catalog.root, 0)], 0
     while waiting and seen < _MOST_FOLDERS:
         folder, depth = waiting.pop(0)
         seen += 1
         try:
             entries = sorted(folder.iterdir())
-            if is_recording(folder):
+            if is_recording(folder) and catalog.contains(folder / "recording.toml"):
                 yield "recording", folder
         except OSError:
             continue
-        names = {e.name for e in entries}
+        led_out = any(e.suffix in _DATA and e.is_symlink() and not catalog.contains(e) for e in entries)
+        names = {e.name for e in entries if e.name in _HELD and not led_out and e.is_file()}
         if "motion.npz" in names:
             yield "result", folder
         if {"session.json", "frames.csv"} <= names:
@@ -148,8 +155,8 @@ def _is_model(path: Path) -> bool:
     if path.name in ("motion.npz", "body.npz", "checkpoint.npz", "truth.npz"):
         return False
     try:
-        with zipfile.ZipFile(path) as archive:
+        with open_file(path, "a gesture model", _MODEL_BYTES) as stream, open_archive(stream) as archive:
             names = set(archive.namelist())
-    except (OSError, zipfile.BadZipFile, ValueError):
+    except (InputError, OSError, zipfile.BadZipFile, ValueError):
         return False
     return {"description.npy", "test.npy", "left.npy"} <= names

@@ -131,7 +131,7 @@ def fit_clicks(
     starts = [start] if start is not None else _starts(body, clicks, joint, offset, scale)
     fits = sorted((solve(q) for q in starts), key=lambda f: f.cost)
     best = fits[0]
-    covariance = compute.joint_covariances(best.pose, body.skeleton.tree, best.hessian, 1e-6)
+    covariance = compute.joint_covariances(best.pose, body.skeleton.tree, best.information, 1e-6)
     rivals = tuple((f.pose, float(f.cost - best.cost)) for f in fits[1:]) if single and start is None else ()
     expected, residual = _residuals(body, best.pose, clicks, joint, offset)
     depth_sd = None

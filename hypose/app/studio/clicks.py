@@ -27,12 +27,11 @@ from hypose.body.motion import Motion, isotropic
 from hypose.body.ready_bodies import JOINT_NAMES, human
 from hypose.errors import InputError
 from hypose.geometry import Array
-from hypose.io.files import text_lines
+from hypose.io.files import read_json
 from hypose.io.motions.bodies import load_body
 from hypose.io.motions.results import ResultsFolder, load_motion
 from hypose.io.recordings.recording import Recording
 from hypose.io.videos.video import frame_size
-from hypose.json_text import parse_json
 from hypose.pipeline.picture_start import LEAST_POINTS
 
 _FORMAT = "hypose-clicks"
@@ -215,10 +214,7 @@ def _load(item: Item, name: str) -> dict[str, Any]:
     if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,79}", name):
         raise InputError(f"{name[:40]!r} is no name of a start.")
     path = item.path / "starts" / f"{name}.json"
-    try:
-        value = parse_json("\n".join(text_lines(path, "a start", 1 << 20)))
-    except (ValueError, RecursionError):
-        value = None
+    value = read_json(path, "a start")
     if not isinstance(value, dict) or value.get("format") != _FORMAT:
         raise InputError(f"The start {name} was not written by hypose.")
     return value

@@ -18,6 +18,7 @@ from hypose.app.studio.gesture_feed import open_feed, shut
 from hypose.app.studio.gesture_run import Run
 from hypose.app.studio.gesture_train import Training
 from hypose.app.studio.gesture_watch import Watching
+from hypose.app.studio.live_socket import recording_folder
 from hypose.errors import InputError
 from hypose.gestures.model import check_gesture_name
 from hypose.pipeline.gesture_files import load_model
@@ -156,9 +157,6 @@ class GestureRoom:
 def _free(folder: Path, gesture: str) -> tuple[Path, Path]:
     """A new folder for the recording of a gesture, and a new model file."""
 
-    def first(ending: str) -> Path:
-        names = (f"{gesture}{'' if n == 1 else f'-{n}'}{ending}" for n in range(1, 10_000))
-        return next(p for name in names if not (p := folder / name).exists())
-
     check_gesture_name(gesture)
-    return first(""), first(".npz")
+    names = (f"{gesture}{'' if n == 1 else f'-{n}'}.npz" for n in range(1, 10_000))
+    return recording_folder(folder, gesture), next(p for name in names if not (p := folder / name).exists())

@@ -15,13 +15,15 @@ from hypose.app.studio.gesture_room import GestureRoom, Places
 from hypose.app.studio.outlet import SocketOutlet
 from hypose.app.studio.sockets import Sockets
 from hypose.errors import HyposeError
-from hypose.json_text import parse_json
+from hypose.io.files import read_bytes, read_json
 from hypose.pipeline.gesture_files import load_model
 from hypose.synthetic.gesture_people import load_people
 from hypose.synthetic.gesture_poses import GESTURES
 
 FOLDER = "gestures"
 """Where sessions and models go, in the served folder."""
+_MOST_BYTES = 64 << 20
+"""Of a session's frames.csv."""
 
 
 def places(catalog: Catalog) -> Places:
@@ -101,9 +103,8 @@ def sources_shown(catalog: Catalog) -> list[dict[str, Any]]:
 def _brief(folder: Path) -> tuple[list[str], int]:
     """Names of the gestures and number of frames of a session."""
     try:
-        names = parse_json((folder / "session.json").read_text("utf-8")).get("gestures")
-        with (folder / "frames.csv").open("rb") as file:
-            frames = sum(1 for _ in file) - 1
-    except (OSError, ValueError, AttributeError):
+        names = read_json(folder / "session.json", "a session.json").get("gestures")
+        frames = read_bytes(folder / "frames.csv", "a frames.csv", _MOST_BYTES).count(b"\n") - 1
+    except (HyposeError, AttributeError):
         return [], 0
     return [str(n) for n in names] if isinstance(names, list) else [], max(0, frames)

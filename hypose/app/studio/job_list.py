@@ -18,11 +18,10 @@ from hypose.app.studio.job_kinds import KINDS, Plan, plan
 from hypose.app.studio.job_record import ENDED, Job, Stage
 from hypose.app.studio.view_bundle import plain
 from hypose.errors import HyposeError
-from hypose.io.files import text_lines, write_text
-from hypose.json_text import parse_json
+from hypose.io.files import read_json, write_text
 
 NAME = ".studio-jobs.json"
-_LARGEST, _KEPT_LINES = 4 << 20, 40
+_KEPT_LINES = 40
 _INTERRUPTED = "The server ended while this job was under way; what it had computed is kept."
 
 
@@ -32,8 +31,8 @@ def read_jobs(catalog: Catalog) -> list[Job]:
     if not path.is_file() or not catalog.contains(path):
         return []
     try:
-        records = parse_json("\n".join(text_lines(path, "a list of jobs", _LARGEST)))
-    except (HyposeError, ValueError, RecursionError):
+        records = read_json(path, "a list of jobs")
+    except HyposeError:
         return []
     found = []
     for record in records if isinstance(records, list) else []:

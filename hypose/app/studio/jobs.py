@@ -14,6 +14,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from hypose.app.commands.console import JSON_PROGRESS
@@ -178,8 +179,9 @@ class Jobs:
     def _run(self, job: Job) -> None:
         try:
             process = subprocess.Popen(
-                [sys.executable, "-m", "hypose.app", *job.plan.arguments],
-                cwd=self._catalog.root,
+                # no module of the served folder is to be imported, nor settings of a library read there
+                [sys.executable, "-P", "-m", "hypose.app", *job.plan.arguments],
+                cwd=Path(__file__).parent,
                 env={**os.environ, JSON_PROGRESS: "1", "PYTHONUNBUFFERED": "1", "COLUMNS": "160"},
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,

@@ -8,7 +8,7 @@ import threading
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
 IDLE_S = 300.0
@@ -20,9 +20,12 @@ V = TypeVar("V")
 
 @dataclass
 class _Entry(Generic[V]):
-    value: V
+    """value: None until it is made, under the entry's own lock: who wants another one does not wait for it."""
+
+    value: V | None = None
     users: int = 0
     used: float = 0.0
+    making: threading.Lock = field(default_factory=threading.Lock)
 
 
 class Kept(Generic[V]):
@@ -52,27 +55,30 @@ class Kept(Generic[V]):
             entry = self._entries.get(key)
             if entry is None:
                 self._make_room()
-                entry = self._entries[key] = _Entry(make())
+                entry = self._entries[key] = _Entry()
             entry.users += 1
             self._entries.move_to_end(key)
         try:
-            yield entry.value
+            with entry.making:
+                value = entry.value = make() if entry.value is None else entry.value
+            yield value
         finally:
             with self._lock:
                 entry.users -= 1
                 entry.used = self._clock()
+                if entry.value is None and self._entries.get(key) is entry and not entry.users:
+                    del self._entries[key]  # it could not be made
                 self.tidy()
 
     def tidy(self) -> None:
         """Let go of what is too much, and of what has not been used for long."""
         with self._lock:
-            total = sum(self._weigh(e.value) for e in self._entries.values())
+            total = sum(map(self._weight, self._entries.values()))
             latest = next(reversed(self._entries), None)
             for key, entry in [(k, e) for k, e in self._entries.items() if not e.users]:
                 too_much = total > self._most and (key != latest or not self._one_more)
                 if too_much or self._clock() - entry.used >= self._idle_s:
-                    total -= self._weigh(entry.value)
-                    self._let_go(self._entries.pop(key).value)
+                    total -= self._release(key)
             if self._entries and (self._timer is None or not self._timer.is_alive()):
                 self._timer = threading.Timer(self._idle_s, self._tidy_later)
                 self._timer.daemon = True
@@ -80,26 +86,36 @@ class Kept(Generic[V]):
 
     def _make_room(self) -> None:
         """For a value that is as large as the largest: while it is made, not more is to be there than afterwards."""
-        weights = {k: self._weigh(e.value) for k, e in self._entries.items()}
-        total = sum(weights.values()) + max(weights.values(), default=0)
+        weights = [self._weight(e) for e in self._entries.values()]
+        total = sum(weights) + max(weights, default=0)
         for key in [k for k, e in self._entries.items() if not e.users]:
             if total > self._most:
-                total -= weights[key]
-                self._let_go(self._entries.pop(key).value)
+                total -= self._release(key)
+
+    def _weight(self, entry: _Entry[V]) -> int:
+        return 0 if entry.value is None else self._weigh(entry.value)
+
+    def _release(self, key: Hashable) -> int:
+        """Let go of the value of a key; the bytes that it had."""
+        entry = self._entries.pop(key)
+        weight = self._weight(entry)
+        if entry.value is not None:
+            self._let_go(entry.value)
+        return weight
 
     def drop(self) -> None:
         """Let go of what is not in use."""
         with self._lock:
             for key in [k for k, e in self._entries.items() if not e.users]:
-                self._let_go(self._entries.pop(key).value)
+                self._release(key)
 
     def close(self) -> None:
         """Let go of everything."""
         with self._lock:
             if self._timer is not None:
                 self._timer.cancel()
-            while self._entries:
-                self._let_go(self._entries.popitem()[1].value)
+            for key in list(self._entries):
+                self._release(key)
 
     def _tidy_later(self) -> None:
         with self._lock:

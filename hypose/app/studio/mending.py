@@ -15,7 +15,7 @@ from hypose.app.studio.asked import number as number_of
 from hypose.app.studio.uploads import Uploads
 from hypose.errors import HyposeError, InputError
 from hypose.io.calibrations.calibration_toml import toml_value
-from hypose.io.files import write_text
+from hypose.io.files import read_text, write_text
 from hypose.io.recordings.recording import Recording, load_recording
 from hypose.io.recordings.recording_keys import read_toml
 
@@ -36,7 +36,7 @@ def mend(folder: Path, recording: Recording | None, asked: dict[str, Any], uploa
     path = folder / "recording.toml"
     if not path.is_file():
         raise InputError(f"{folder.name} has no recording.toml to be changed; a Pose2Sim project is only read.")
-    before = path.read_text(encoding="utf-8-sig")
+    before = read_text(path, "a recording.toml")
     if what == "use_refined":
         return _try(path, before, _with_calibration(before, refined(folder)))
     if what == "take_back":
@@ -80,8 +80,8 @@ def _names(path: Path, recording: Recording | None) -> list[str]:
 def left_out(folder: Path) -> list[str]:
     """Names of the views that have been left out of a recording."""
     try:
-        lines = (folder / "recording.toml").read_text(encoding="utf-8-sig").split("\n")
-    except OSError:
+        lines = read_text(folder / "recording.toml", "a recording.toml").split("\n")
+    except InputError:
         return []
     away = [line.removeprefix(_AWAY) for line in lines if line.startswith(_AWAY)]
     found = [re.match(r"""\s*(?:name|camera)\s*=\s*["'](.+?)["']""", line) for line in away]

@@ -5,39 +5,31 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from pathlib import Path
+from typing import Any
 
 from hypose.app.studio.job_kinds import BOARDS, CALIBRATION, is_name
 from hypose.errors import InputError
 from hypose.io.calibrations.calibration_toml import toml_value
 
 _ROLES = {
-    "video": ("video", "images", "image"),
-    "background": ("video", "images", "image"),
-    "masks": ("video", "images"),
+    "video": ("video", "image"),
+    "background": ("video", "image"),
+    "masks": ("video",),
     "keypoints": ("keypoints",),
-    "board": ("video", "images", "image"),
+    "board": ("video", "image"),
 }
 """What a view may be given, and the kinds of files that are such."""
 
 
-class Dropped(Protocol):
-    """An upload: its id, its name, and what is known of it."""
+@dataclass(frozen=True)
+class Upload:
+    """A file that lies ready: id, name as it was dropped (made harmless), path, facts for the page, with its "kind"."""
 
-    @property
-    def id(self) -> str:
-        """What names it."""
-        ...
-
-    @property
-    def name(self) -> str:
-        """As it was dropped, made harmless."""
-        ...
-
-    @property
-    def facts(self) -> Mapping[str, Any]:
-        """With its "kind"."""
-        ...
+    id: str
+    name: str
+    path: Path
+    facts: Mapping[str, Any]
 
 
 @dataclass(frozen=True)
@@ -51,7 +43,7 @@ class Layout:
     calibrated: bool
 
 
-def layout_of(wanted: Mapping[str, Any], find: Callable[[str], Dropped]) -> Layout:
+def layout_of(wanted: Mapping[str, Any], find: Callable[[str], Upload]) -> Layout:
     """The recording that a page asks for (docs/studio-protocol.md). find(id): the upload, or NotFound."""
     name = wanted.get("name")
     if not isinstance(name, str) or not is_name(name):
@@ -95,7 +87,7 @@ def camera_file(camera: str) -> str:
 
 
 def _view_lines(
-    view: Mapping[str, Any], moves: dict[str, str], find: Callable[[str], Dropped], calibrated: bool
+    view: Mapping[str, Any], moves: dict[str, str], find: Callable[[str], Upload], calibrated: bool
 ) -> list[str]:
     camera = view.get("camera")
     out = [f"name = {toml_value(view['name'])}"] if isinstance(view.get("name"), str) else []
@@ -114,19 +106,17 @@ def _view_lines(
         if upload.id in moves:
             raise InputError(f"{upload.name} is given twice; give every view a file of its own.")
         if role == "board":
-            ending = "" if kind == "images" else f".{upload.name.rpartition('.')[2]}"
-            moves[upload.id] = f"{BOARDS}/{camera_file(str(camera))}{ending}"
+            moves[upload.id] = f"{BOARDS}/{camera_file(str(camera))}.{upload.name.rpartition('.')[2]}"
             continue
         moves[upload.id] = f"{_FOLDERS.get(role, role + 's')}/{len(moves):02d}_{upload.name}"
-        key = "images" if role == "video" and kind == "images" else role
-        out.append(f"{key} = {toml_value(moves[upload.id])}")
+        out.append(f"{role} = {toml_value(moves[upload.id])}")
     return out
 
 
 _FOLDERS = {"masks": "masks", "keypoints": "keypoints"}
 
 
-def _given(table: Mapping[str, Any], key: str, find: Callable[[str], Dropped]) -> Dropped:
+def _given(table: Mapping[str, Any], key: str, find: Callable[[str], Upload]) -> Upload:
     value = table.get(key)
     if not isinstance(value, str):
         raise InputError(f"A recording needs a {key} here; drop the file onto the page.")

@@ -26,12 +26,11 @@ from hypose.evidence.background import BackgroundModel, Image
 from hypose.evidence.silhouettes import Mask, SilhouetteSettings, make_segmenter
 from hypose.io.calibrations.calibration_toml import natural_key
 from hypose.io.file_names import text_of
-from hypose.io.files import write_text
+from hypose.io.files import read_json, read_text, write_text
 from hypose.io.recordings.frames import build_backgrounds, working_rig
 from hypose.io.recordings.recording import Recording, load_recording, silhouette_lines
 from hypose.io.recordings.recording_keys import SILHOUETTE_KEYS, read_toml, silhouette_options
 from hypose.io.recordings.view_source import Preparer, ViewSource
-from hypose.json_text import parse_json
 
 Shown = Literal["none", "edge", "fill", "only"]
 _OPEN, _LENSES, _QUALITY = 128 << 20, 32 << 20, 85
@@ -183,7 +182,7 @@ class Recordings:
             raise InputError(f"{item.path.name} has no recording.toml to keep settings in; a Pose2Sim project is read.")
         options = silhouette_options("The settings", settings)
         read_toml(path)
-        text = without_table(path.read_text(encoding="utf-8-sig"), "silhouettes").rstrip("\n")
+        text = without_table(read_text(path, "a recording.toml"), "silhouettes").rstrip("\n")
         write_text(path, "\n".join([text, *silhouette_lines(options)]) + "\n")
         return asdict(options)
 
@@ -280,8 +279,8 @@ def without_table(text: str, name: str) -> str:
 def read_found(folder: Path, name: str) -> dict[str, Any] | None:
     """What a command found last time, results/NAME."""
     try:
-        value = parse_json((folder / "results" / name).read_text("utf-8"))
-    except (OSError, ValueError, RecursionError):
+        value = read_json(folder / "results" / name, "what a command found")
+    except InputError:
         return None
     return value if isinstance(value, dict) else None
 

@@ -153,7 +153,6 @@ class Studio:
         self.results.close()
         self.recordings.close()
         self.uploads.close()
-        self.library.close()
 
 
 def _warm() -> None:

@@ -1,17 +1,16 @@
 """Files that are dropped onto the page, and the recordings made of them.
 
-An upload is streamed to a hidden folder of the served root under a name of the server's; a recording takes it over by
-renaming. What no recording has taken over is gone when the server ends, or when many others have come since.
+An upload is streamed to a hidden folder of this server in the served root; a recording takes it over by renaming. What
+no recording has taken over is gone when the server ends, or when many others have come since.
 """
 
 from __future__ import annotations
 
 import contextlib
-import secrets
 import shutil
+import tempfile
 import threading
 from collections.abc import AsyncIterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,33 +18,22 @@ import cv2
 
 from hypose.app.studio.answers import NotNow, TooLarge
 from hypose.app.studio.catalog import Catalog, NotFound
-from hypose.app.studio.dropped_folders import facts_of_folder, keypoint_facts, unpack
 from hypose.app.studio.job_kinds import free_folder
-from hypose.app.studio.new_recording import Layout, layout_of
+from hypose.app.studio.new_recording import Layout, Upload, layout_of
 from hypose.errors import HyposeError, InputError
 from hypose.io.calibrations.calibration_formats import read_any
 from hypose.io.files import write_text
+from hypose.io.keypoints.read_keypoints import read_keypoints
 from hypose.io.recordings.recording import load_recording
 from hypose.io.videos.video import IMAGE_ENDINGS, VIDEO_ENDINGS, open_video
 
-FOLDER = ".studio-uploads"
+FOLDER = ".studio-uploads-"
+"""Begins the name of the folder of a server's uploads, in the served one."""
 _LARGEST_CALIBRATION = 20 << 20
 _MOST = 64
 """Files that lie ready or are on their way; a page sends 60."""
 _QUALITY = 80
-FOLDER_ENDING = ".folder"
-"""Of the name of a dropped folder, which comes as a tar archive."""
 _KEYPOINT_ENDINGS = (".json", ".csv", ".h5", ".hdf5", ".npy")
-
-
-@dataclass(frozen=True)
-class Upload:
-    """A file that lies ready: id, name as it was dropped (made harmless), path, facts for the page."""
-
-    id: str
-    name: str
-    path: Path
-    facts: Mapping[str, Any]
 
 
 class Uploads:
@@ -53,7 +41,7 @@ class Uploads:
 
     def __init__(self, catalog: Catalog, limit: int) -> None:
         self._catalog, self.limit = catalog, limit
-        self._folder = catalog.root / FOLDER
+        self._folder: Path | None = None
         self._lock = threading.Lock()
         self._uploads: dict[str, Upload] = {}
         self._coming = 0
@@ -71,11 +59,11 @@ class Uploads:
         for id in too_many:
             with contextlib.suppress(NotFound):
                 self.forget(id)
-        path = self._folder / secrets.token_hex(6) / harmless(name)
+        path: Path | None = None
         try:
-            path.parent.mkdir(parents=True)
+            path = self._new_folder() / harmless(name)
             received = 0
-            with path.open("wb") as file:
+            with path.open("xb") as file:
                 async for chunk in chunks:
                     received += len(chunk)
                     self._check_size(received, name)
@@ -83,9 +71,12 @@ class Uploads:
             if stated is not None and received != stated:
                 raise InputError(f"{harmless(name)} broke off after {received} bytes; send it again.")
         except BaseException as error:
-            shutil.rmtree(path.parent, ignore_errors=True)
+            if path is not None:
+                shutil.rmtree(path.parent, ignore_errors=True)
             if isinstance(error, OSError):
-                raise InputError(f"{path.name} cannot be kept ({(error.strerror or str(error)).lower()}).") from None
+                raise InputError(
+                    f"{harmless(name)} cannot be kept ({(error.strerror or str(error)).lower()})."
+                ) from None
             raise
         finally:
             with self._lock:
@@ -94,17 +85,15 @@ class Uploads:
 
     def examine(self, path: Path) -> dict[str, Any]:
         """What a received file is."""
-        if path.suffix == FOLDER_ENDING:
-            path = self._unpacked(path)
         upload = Upload(path.parent.name, path.name, path, facts_of(path))
         with self._lock:
             self._uploads[upload.id] = upload
-        return {"upload": upload.id, "name": upload.name, "bytes": _bytes(path), **upload.facts}
+        return {"upload": upload.id, "name": upload.name, "bytes": path.stat().st_size, **upload.facts}
 
     def picture(self, id: str, width: int) -> bytes:
         """The first picture of a video or image as JPEG, at most `width` px wide, to tell the cameras apart by."""
         upload = self._find(id)
-        if upload.facts["kind"] not in ("video", "image", "images"):
+        if upload.facts["kind"] not in ("video", "image"):
             raise NotFound(f"{upload.name} has no pictures.")
         with open_video(upload.path) as reader:
             image = reader.read(0)
@@ -131,6 +120,8 @@ class Uploads:
         upload = self._find(id)
         if upload.facts["kind"] not in ("video", "image"):
             raise InputError(f"{upload.name} is neither a picture nor a video.")
+        if not self._catalog.contains(folder):
+            raise InputError(f"{folder.name} is a link that leads out of the served folder; remove it first.")
         folder.mkdir(parents=True, exist_ok=True)
         place, number = folder / upload.name, 2
         while place.exists():
@@ -144,7 +135,15 @@ class Uploads:
 
     def close(self) -> None:
         """Remove what was not used."""
-        shutil.rmtree(self._folder, ignore_errors=True)
+        if self._folder is not None:
+            shutil.rmtree(self._folder, ignore_errors=True)
+
+    def _new_folder(self) -> Path:
+        """A folder for one file, in that of this server, with a random name, which only this user may write to."""
+        with self._lock:
+            if self._folder is None:
+                self._folder = Path(tempfile.mkdtemp(prefix=FOLDER, dir=self._catalog.root))
+            return Path(tempfile.mkdtemp(prefix="", dir=self._folder))
 
     def _build(self, folder: Path, layout: Layout) -> Path:
         done: list[tuple[Path, Path]] = []
@@ -166,20 +165,8 @@ class Uploads:
             if isinstance(error, OSError):
                 raise InputError(f"{folder.name} cannot be made ({(error.strerror or str(error)).lower()}).") from None
             raise InputError(str(error).replace(f"{folder}/", "")) from None
-        with self._lock:
-            for id in layout.moves:
-                shutil.rmtree(self._folder / id, ignore_errors=True)
-                self._uploads.pop(id, None)
-        return folder
-
-    def _unpacked(self, archive: Path) -> Path:
-        folder = archive.with_suffix("")
-        try:
-            unpack(archive, folder, self.limit)
-        except InputError:
-            shutil.rmtree(archive.parent, ignore_errors=True)
-            raise
-        archive.unlink()
+        for id in layout.moves:
+            self.forget(id)
         return folder
 
     def _find(self, id: str) -> Upload:
@@ -202,14 +189,8 @@ def harmless(name: str) -> str:
     return plain if plain and not plain.startswith("-") else f"file_{plain}"
 
 
-def _bytes(path: Path) -> int:
-    return sum(p.stat().st_size for p in path.iterdir()) if path.is_dir() else path.stat().st_size
-
-
 def facts_of(path: Path) -> dict[str, Any]:
     """What a dropped file is, by looking into it; a file that cannot be read as what its ending says is "other"."""
-    if path.is_dir():
-        return facts_of_folder(path)
     ending = path.suffix.lower()
     try:
         if ending in VIDEO_ENDINGS or ending in IMAGE_ENDINGS:
@@ -218,7 +199,9 @@ def facts_of(path: Path) -> dict[str, Any]:
             return {"kind": "video" if ending in VIDEO_ENDINGS else "image", **facts}
         if ending in _KEYPOINT_ENDINGS:
             with contextlib.suppress(HyposeError):
-                return keypoint_facts(path)
+                frames = max((len(t.people) for t in read_keypoints(path).values()), default=0)
+                if frames:
+                    return {"kind": "keypoints", "frames": frames}
         if path.stat().st_size <= _LARGEST_CALIBRATION:
             return {"kind": "calibration", "cameras": list(read_any(path)[0].names)}
     except HyposeError as error:

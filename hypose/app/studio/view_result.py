@@ -14,11 +14,11 @@ from hypose.app.studio.view_bundle import Rivals, ViewResult, pictured
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.errors import HyposeError, InputError
+from hypose.io.files import read_json
 from hypose.io.motions.bodies import load_body
 from hypose.io.motions.modes import load_joints_of_modes
 from hypose.io.motions.results import ResultsFolder, load_motion
 from hypose.io.recordings.recording import Recording, load_recording
-from hypose.json_text import parse_json
 from hypose.pipeline.verdict import Verdict, verdict_of
 from hypose.tracking.recipes import citation_of
 
@@ -120,8 +120,8 @@ def _rivals(path: Path, motion: Motion, notes: list[str]) -> Rivals | None:
 
 def _verdict(path: Path, motion: Motion) -> Verdict | None:
     """As it was written when the motion was tracked, which knows what was found before; else from the motion."""
-    with contextlib.suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
-        return Verdict.of_document(parse_json(path.read_text("utf-8")))
+    with contextlib.suppress(InputError, ValueError, KeyError, TypeError):
+        return Verdict.of_document(read_json(path, "a verdict"))
     return None if motion.doubtful is None else verdict_of(motion)
 
 

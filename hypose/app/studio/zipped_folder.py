@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import io
+import sys
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
 from hypose.app.studio.catalog import Catalog
 from hypose.app.studio.uploads import harmless
+from hypose.io.files import open_file
 
 _PIECE = 1 << 20
 
@@ -50,7 +52,10 @@ def zipped(folder: Path, catalog: Catalog) -> Iterator[bytes]:
             if any(part.startswith(".") for part in inside.parts) or not path.is_file() or not catalog.contains(path):
                 continue
             info = zipfile.ZipInfo.from_file(path, f"{folder.name}/{inside.as_posix()}", strict_timestamps=False)
-            with path.open("rb") as source, archive.open(info, "w", force_zip64=True) as target:
+            with (
+                open_file(path, "a file", sys.maxsize, 0) as source,
+                archive.open(info, "w", force_zip64=True) as target,
+            ):
                 while piece := source.read(_PIECE):
                     target.write(piece)
                     yield outlet.take()

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from hypose.app.sweeps.sweep import Task
-from hypose.errors import HyposeError
-from hypose.json_text import parse_json
+from hypose.errors import HyposeError, InputError
+from hypose.io.files import read_json
 
 Report = Callable[[Mapping[str, Any]], None]
 """Takes {"key", "chunk", "stage", "done", "total"}, at most about once a second."""
@@ -23,8 +23,8 @@ _REPORT_S = 1.0
 def finished(task: Task) -> dict[str, Any] | None:
     """The figures of a task that is done: same key, same files to write, motion present."""
     try:
-        found = parse_json(task.record.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        found = read_json(task.record, "the record of a task")
+    except InputError:
         return None
     wanted = (task.key, list(task.formats), task.overlay)
     same = isinstance(found, dict) and (found.get("key"), found.get("formats"), found.get("overlay")) == wanted

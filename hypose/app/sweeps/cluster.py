@@ -24,7 +24,7 @@ from hypose.app.commands.console import ProgressCall, ignore
 from hypose.app.sweeps.batch_worker import Report, finished, run_chunk, run_task
 from hypose.app.sweeps.sweep import Task
 from hypose.errors import InputError, extra
-from hypose.io.motions.results import check_writable
+from hypose.io.files import check_writable
 
 if TYPE_CHECKING:
     from distributed import Client, Future

@@ -13,7 +13,6 @@ from hypose.compute.native import native, plain, tidy
 from hypose.compute.selection import over_chunks
 from hypose.compute.silhouettes import lane_mesh, reach
 from hypose.compute.silhouettes.lane_scratch import lane_scratch
-from hypose.compute.silhouettes.layers import SearchLayers, WeightedSets
 from hypose.compute.solver.terms import PreparedMasks, Standing
 from hypose.errors import InputError, SolverError
 
@@ -64,11 +63,6 @@ def silhouette_xor(
     if boxes is not None:
         areas = np.empty(c, dtype=np.int64)
         native("silhouettes.silhouettes").areas_in_boxes(prepared.masks, b, areas)
-    if selection.on_device() and turning is None and not prepared.hidden.size:
-        from hypose.compute.silhouettes import cuda  # it knows neither what stands still nor pixels that say nothing
-
-        if n > cuda.FEW:
-            return cuda.silhouette_xor(q, t, lane_mesh.prepare(mesh, tree, wanted), mesh.vertices, prepared, b, areas)
     drawn, drawn_counts, turned = _nothing(prepared.bits.shape), np.zeros((c, 2), dtype=np.int64), None
     if turning is not None and n:
         wanted, standing, corners, turned = lane_mesh.moving_parts(mesh, tree, turning, wanted)
@@ -131,24 +125,6 @@ def limb_energies(
     given = tidy(tree), m, m.needed & parts.turning, prepared, reach.whole_images(prepared), drawn, drawn_counts
     limbs.limb_energies(q, float(slack), float(more), *given, cells, scratch, counts, told)
     return np.where(told, (counts[:, use, 0] / prepared.norm[use]).sum(1), np.inf)
-
-
-def layered_search(
-    poses: Array, tree: TreeArrays, mesh: MeshArrays, prepared: PreparedMasks, layers: SearchLayers
-) -> WeightedSets:
-    """Runs the layers on the device, from equally weighted poses (N, D), against masks all of whose pixels tell.
-
-    The same numbers from run to run; those of the processor but for rounding, which now and then counts a pixel of a
-    silhouette otherwise, and so chooses other ancestors.
-    """
-    if not selection.on_device() or prepared.hidden.size:
-        raise InputError("Layers run as a whole on a CUDA device only, against whole masks; choose the back end cuda.")
-    from hypose.compute.silhouettes import cuda_search
-
-    whole = lane_mesh.prepare(mesh, tree, None)
-    return cuda_search.layered_search(
-        plain(poses, np.float64), tidy(tree), whole, mesh.vertices, tidy(prepared), layers
-    )
 
 
 def _finite(poses: ArrayLike) -> Array:

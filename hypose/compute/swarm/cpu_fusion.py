@@ -62,7 +62,7 @@ def fluidity(activations, frames, out):
 @kernel
 def fit_frame(
     points, weights, predicted, prior_weight, bones, lengths, bone_weight, leaves, core, data_weight, scale, coarse,
-    iterations, x, share, variance, spread,
+    iterations, x, share, variance,
 ):  # fmt: skip
     """The 3D joints of one frame: robust data, constant distances, and a prediction; graduated Gauss-Newton.
 
@@ -72,8 +72,7 @@ def fit_frame(
     multiplied by coarse, coarse / 2, ... down to 1. leaves (L, 3): joint, its only neighbour left, their bone, in an
     order that prunes the limbs; core (J,): number of a joint among the rest, -1 for leaves. Limbs are eliminated one by
     one, so that only the trunk needs a dense solve. x (J, 3): start and result. share (K, J): the sensors' part in each
-    joint; variance (J,) m^2 per axis, of the quadratic at the result; spread (J,) m^2 per axis: the sensors'
-    disagreement over their effective number."""
+    joint; variance (J,) m^2 per axis, of the quadratic at the result."""
     sensors, joints = weights.shape
     m = 0
     for j in range(joints):
@@ -209,18 +208,11 @@ def fit_frame(
                     covariance[j, a, r] += half[a, q] * solved[e, r, q]
     for j in range(joints):
         variance[j] = (covariance[j, 0, 0] + covariance[j, 1, 1] + covariance[j, 2, 2]) / 3
-        total, squares, far = 0.0, 0.0, 0.0
+        total = 0.0
         for k in range(sensors):
             total += share[k, j]
-        spread[j] = 0.0
-        if total > 0:
-            for k in range(sensors):
-                share[k, j] /= total
-                squares += share[k, j] ** 2
-                if share[k, j] > 0:
-                    for a in range(3):
-                        far += share[k, j] * (points[k, j, a] - x[j, a]) ** 2
-            spread[j] = far / 3 * squares
+        for k in range(sensors):
+            share[k, j] /= max(total, LEAST)
     return True
 
 
@@ -284,3 +276,60 @@ def weigh_joints(positions, states, inferred, weights, points, evidence):
                 evidence[j] = evidence[j] or weights[k, j] > 0
                 found = found or weights[k, j] > 0
     return found
+
+
+@kernel
+def judge_claims(off, apart, alike, weights, order, variance, own, elsewhere, jitter, limit, systematic, wrong):
+    """What is left open of joints that were fused of those of sensors, seen with probability weights (K, J).
+
+    Either the first sensor in order (K, J) is right, and those that follow are right or guess; or it guesses and the
+    next one is right, ...; or all guess. How far they are apart (K, K, J) m^2 tells which. What a sensor sees is off by
+    sd own (J,) m per axis, of which two sensors share alike (K, K), and by `jitter`; a guess by `elsewhere`. off
+    (K, J, 3) m: from the fused joints to the sensors'; variance (J,) m^2 per axis: what the fused ones have of their
+    own. Written are systematic (J,) m^2 per axis, the variance about them of all these cases, and wrong (J,), how
+    likely they are off by more than limit m."""
+    centre = np.empty(3)
+    for j in range(own.shape[0]):
+        n, seen, guess = int((weights[:, j] > 0).sum()), own[j] ** 2, elsewhere**2
+        total, systematic[j], wrong[j] = 0.0, 0.0, 0.0
+        for first in range(max(n, 1) + (n > 0)):
+            likely, rights, far = 1.0, 0.0, 0.0
+            centre[:] = 0.0
+            for i in range(n):
+                k, anchor = order[i, j], order[first % n, j]
+                w, d, share = weights[k, j], apart[k, anchor, j], 0.0
+                if i == first:
+                    likely, share = likely * w, 1.0
+                elif i > first:
+                    near = w * _normal(d, seen * (1 - alike[k, anchor]) + 2 * jitter**2)
+                    both = near + (1 - w) * _normal(d, seen + guess)
+                    likely, share = likely * both, near / max(both, 1e-300)
+                elif k == anchor:
+                    likely *= 1 - w
+                else:
+                    likely *= (1 - w) * _normal(d, seen + guess * (1 if first < n else 2))
+                rights += share
+                centre += share * off[k, j]
+            for a in range(3):
+                far += (centre[a] / max(rights, 1.0)) ** 2
+            likely, around = max(likely, 1e-300), guess if first == n and n > 0 else seen
+            total += likely
+            systematic[j] += likely * (around + far / 3)
+            wrong[j] += likely * _beyond(math.sqrt(far), math.sqrt(around + variance[j]), limit)
+        systematic[j] /= total
+        wrong[j] /= total
+
+
+@kernel
+def _normal(squared, variance):
+    """Density of a normal distribution in three dimensions at a squared distance, but for a factor."""
+    return math.exp(-squared / (2 * variance)) / variance**1.5
+
+
+@kernel
+def _beyond(off, sd, limit):
+    """How likely a point of sd per axis about a centre at distance off lies further than limit away."""
+    off = max(off, 1e-6)
+    near, far = (limit - off) / sd, (limit + off) / sd
+    inside = (math.erf(near / math.sqrt(2)) + math.erf(far / math.sqrt(2))) / 2
+    return 1 - inside + sd / off * (math.exp(-near * near / 2) - math.exp(-far * far / 2)) / math.sqrt(2 * math.pi)

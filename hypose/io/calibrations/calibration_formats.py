@@ -29,10 +29,17 @@ from hypose.io.calibrations.calibration_json import read_json
 from hypose.io.calibrations.calibration_mcal import read_mcal
 from hypose.io.calibrations.calibration_opencap import read_opencap, write_opencap
 from hypose.io.calibrations.calibration_plain import plain_files, read_plain
-from hypose.io.calibrations.calibration_toml import UNITS, read_text, read_toml, toml_value, write_calibration
+from hypose.io.calibrations.calibration_toml import (
+    MAX_FILE_BYTES,
+    UNITS,
+    read_text,
+    read_toml,
+    toml_value,
+    write_calibration,
+)
 from hypose.io.calibrations.calibration_xml import read_xml, write_qca, write_xcp
 from hypose.io.calibrations.calibration_yml import read_storages, read_yml, storages, write_yml
-from hypose.io.files import write_text
+from hypose.io.files import read_bytes, write_text
 
 _READ = (
     ".toml, .yml, .yaml, .xml, .json, .qca.txt, .xcp, .mcal, .txt, .calib, .pickle, or a folder with intri.yml and "
@@ -69,7 +76,7 @@ def read_any(path: str | Path, unit: str = "auto") -> tuple[CameraRig, tuple[str
     if name.endswith((".qca.txt", ".qca", ".xcp")):
         return read_xml(path)
     if name.endswith(".xml"):
-        start = path.read_bytes()[:4096]
+        start = read_bytes(path, "a calibration", MAX_FILE_BYTES)[:4096]
         return read_yml(path, unit) if b"opencv_storage" in start else read_xml(path)
     if name.endswith((".yml", ".yaml")):
         return read_yml(path, unit)

@@ -16,7 +16,7 @@ from hypose.cameras.camera import CameraRig
 from hypose.errors import CalibrationError
 from hypose.geometry import Array
 from hypose.io.calibrations.calibration_toml import MAX_FILE_BYTES, checked_camera, natural_key, rig_of
-from hypose.io.files import readable_size, unreadable
+from hypose.io.files import read_bytes
 
 # Motive's (x, y, z) with y up -> (x, -z, y) with z up
 _WORLD_FROM_MOTIVE = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
@@ -25,11 +25,7 @@ _STANDARD = ("k1", "k2", "TangentialX", "TangentialY", "k3")
 
 def read_mcal(path: Path) -> tuple[CameraRig, tuple[str, ...]]:
     """Rig of Motive's file, metres, z up; a CalibrationError names the camera and what is wrong."""
-    readable_size(path, "a calibration of Motive", MAX_FILE_BYTES)
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise unreadable(path, error) from None
+    data = read_bytes(path, "a calibration of Motive", MAX_FILE_BYTES)
     wide = data[:2] in (b"\xff\xfe", b"\xfe\xff") or b"\0" in data[:64]
     try:
         text = data.decode("utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-16-le" if wide else "utf-8-sig")

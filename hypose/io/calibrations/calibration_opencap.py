@@ -21,8 +21,7 @@ from hypose.errors import CalibrationError
 from hypose.geometry import Array, so3_log
 from hypose.io.calibrations.calibration_toml import checked_camera, natural_key, rig_of
 from hypose.io.file_names import file_name, text_of
-from hypose.io.files import readable_size, unreadable
-from hypose.io.motions.results import atomic_path
+from hypose.io.files import read_bytes, write_bytes
 
 _MAX_BYTES = 1_000_000
 _MAX_STEPS = 20_000
@@ -72,13 +71,8 @@ def read_opencap(path: str | Path) -> tuple[CameraRig, tuple[str, ...]]:
 
 
 def _camera(path: Path, name: str) -> Any:
-    readable_size(path, "an OpenCap camera file", _MAX_BYTES)
     try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise unreadable(path, error) from None
-    try:
-        content = read_plain_pickle(data)
+        content = read_plain_pickle(read_bytes(path, "an OpenCap camera file", _MAX_BYTES))
     except ValueError as error:
         raise CalibrationError(f"{path} is not an OpenCap camera file: {error}.") from None
     where = f"{path}, camera {name}"
@@ -298,8 +292,7 @@ def write_opencap(rig: CameraRig, folder: str | Path) -> list[Path]:
             "rotation_EulerAngles": so3_log(rotation)[:, None],
         }
         path = folder / f"{file_name(camera.name)}.pickle"
-        with atomic_path(path) as temporary:
-            temporary.write_bytes(plain_pickle(content))
+        write_bytes(path, plain_pickle(content))
         out.append(path)
     return out
 

@@ -32,8 +32,9 @@ from typing import Any
 import numpy as np
 
 from hypose.cameras.camera import Camera, CameraRig
-from hypose.errors import CalibrationError
+from hypose.errors import CalibrationError, InputError
 from hypose.geometry import Array, se3, so3_exp, so3_log
+from hypose.io import files
 from hypose.io.files import write_text
 
 MAX_FILE_BYTES = 5_000_000
@@ -130,17 +131,10 @@ def read_text(path: Path) -> str:
         raise CalibrationError(f"{path} is a folder; name the calibration file in it.")
     if not path.is_file():
         raise CalibrationError(f"The calibration file {path} does not exist; check the path, or run hypose calibrate.")
-    if path.stat().st_size > MAX_FILE_BYTES:
-        raise CalibrationError(
-            f"{path} has {path.stat().st_size / 1e6:.1f} MB; a calibration file has at most "
-            f"{MAX_FILE_BYTES / 1e6:.0f} MB, so this is another kind of file: name the calibration file."
-        )
     try:
-        return path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError:
-        raise CalibrationError(f"{path} is not a text file; name a calibration .toml or .qca.txt.") from None
-    except OSError as error:
-        raise CalibrationError(f"{path} cannot be read ({error.strerror}); check its permissions.") from None
+        return files.read_text(path, "a calibration", MAX_FILE_BYTES)
+    except InputError as error:
+        raise CalibrationError(str(error)) from None
 
 
 # ---- TOML family -------------------------------------------------------------------------------------------

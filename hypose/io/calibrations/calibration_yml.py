@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 from pathlib import Path
 
 import numpy as np
 
 from hypose.cameras.camera import CameraRig
-from hypose.errors import CalibrationError
+from hypose.errors import CalibrationError, InputError
 from hypose.geometry import Array, so3_exp, so3_log
-from hypose.io.calibrations.calibration_toml import checked_camera, guess_unit, natural_key, rescaled, rig_of
+from hypose.io.calibrations.calibration_toml import (
+    MAX_FILE_BYTES,
+    checked_camera,
+    guess_unit,
+    natural_key,
+    rescaled,
+    rig_of,
+)
 from hypose.io.calibrations.opencv_storage import parse_storage
 from hypose.io.file_names import text_of
-from hypose.io.files import text_lines, write_text
+from hypose.io.files import read_bytes, text_lines, write_text
 
 _MAX_BYTES = 5_000_000
 _K = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "CameraMatrix", "K")
@@ -46,10 +54,10 @@ def storages(folder: Path) -> list[Path]:
     files = [p for p in folder.iterdir() if p.is_file() and p.suffix.lower() in (".xml", ".yml", ".yaml")]
     found = []
     for p in files:
-        with p.open("rb") as stream:
-            start = stream.read(4096)
-        if b"opencv_storage" in start or b"opencv-matrix" in start:
-            found.append(p)
+        with contextlib.suppress(InputError):  # of what cannot be read
+            start = read_bytes(p, "a calibration", MAX_FILE_BYTES)[:4096]
+            if b"opencv_storage" in start or b"opencv-matrix" in start:
+                found.append(p)
     return sorted(found, key=lambda p: natural_key(p.name))
 
 

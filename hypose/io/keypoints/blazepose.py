@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from hypose.errors import InputError, extra
 from hypose.evidence.keypoints import BLAZEPOSE_33
 from hypose.geometry import Array
-from hypose.io.files import readable_size
+from hypose.io.files import open_file
 from hypose.io.recordings.provenance import file_identity
 
 _MAX_BYTES = 2**30
@@ -96,9 +96,8 @@ def to_pixels(people: Array, width: int, height: int) -> Array:
 
 def _checked_model(path: Path) -> str:
     """SHA-256 of a model bundle; an InputError when the file is something else."""
-    readable_size(path, _KIND, _MAX_BYTES)
     try:
-        with zipfile.ZipFile(path) as bundle:
+        with open_file(path, _KIND, _MAX_BYTES) as stream, zipfile.ZipFile(stream) as bundle:
             inside = bundle.namelist()
     except zipfile.BadZipFile:
         raise InputError(f"{path} is no model bundle; give {_KIND}, which is a zip archive.") from None

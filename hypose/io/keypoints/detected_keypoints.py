@@ -14,13 +14,11 @@ from typing import Any
 
 from hypose.errors import InputError
 from hypose.io.file_names import file_name
-from hypose.io.files import write_text
-from hypose.json_text import parse_json
+from hypose.io.files import read_json, write_text
 
 FOLDER = "keypoints"
 """In the recording's folder."""
 _SIDECAR = "detector.json"
-_MAX_BYTES = 2**20
 
 
 @dataclass(frozen=True)
@@ -53,9 +51,9 @@ def load_detected(folder: Path) -> DetectedKeypoints | None:
     if not path.is_file():
         return None
     try:
-        identity = dict(parse_json(path.read_bytes()[:_MAX_BYTES]))
+        identity = dict(read_json(path, "what hypose keypoints wrote"))
         points, complete = str(identity.pop("keypoint_set")), bool(identity.pop("complete"))
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+    except (InputError, ValueError, KeyError, TypeError):
         raise InputError(
             f"{path} is damaged; delete the folder {folder} and detect again with hypose keypoints."
         ) from None

@@ -8,6 +8,7 @@ DeepLabCut's analysed video (pandas, df_with_missing, format table or fixed); SL
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ import numpy as np
 from hypose.errors import InputError, extra
 from hypose.geometry import Array
 from hypose.io.calibrations.calibration_opencap import read_plain_pickle
-from hypose.io.files import readable_size
+from hypose.io.files import open_file, readable_size
 from hypose.io.keypoints.keypoint_csv import deeplabcut_table
 from hypose.io.keypoints.keypoint_table import (
     MAX_BYTES,
@@ -26,19 +27,18 @@ from hypose.io.keypoints.keypoint_table import (
     checked_people,
     whole_number,
 )
+from hypose.io.motions.results import parse_array
 
 _KIND = "an array of key points"
 
 
 def read_keypoint_npy(path: Path) -> dict[str, KeypointTable]:
     """Key points by the camera's place in the array ("0", "1", ...)."""
-    readable_size(path, _KIND, MAX_BYTES)
     try:
-        data = np.load(path, mmap_mode="r", allow_pickle=False)
-        if not isinstance(data, np.ndarray):  # an archive under this name
-            raise ValueError("it is an archive")
+        with open_file(path, _KIND, MAX_BYTES) as stream:
+            data = parse_array("it", stream, os.fstat(stream.fileno()).st_size)
         kind, shape = data.dtype.kind, data.shape
-    except (ValueError, EOFError, OSError, MemoryError, TypeError, SyntaxError, OverflowError) as problem:
+    except (ValueError, OSError, MemoryError) as problem:
         raise InputError(f"{path} is no array of numpy ({str(problem)[:80]}); export it again.") from None
     if kind not in "fiu" or data.ndim != 4 or shape[3] not in (2, 3) or not 17 <= shape[2] <= MAX_POINTS:
         raise InputError(

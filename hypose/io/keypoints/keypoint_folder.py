@@ -18,7 +18,7 @@ from hypose.errors import InputError
 from hypose.evidence.keypoints import KEYPOINT_SETS, parse_openpose
 from hypose.geometry import Array
 from hypose.io.calibrations.calibration_toml import natural_key
-from hypose.io.files import text_lines, unreadable
+from hypose.io.files import read_bytes, text_lines
 from hypose.io.keypoints.keypoint_json import read_document
 from hypose.io.keypoints.keypoint_table import KeypointTable, checked_people, scored_points
 
@@ -71,15 +71,6 @@ def numbered_files(paths: list[Path]) -> dict[int, Path]:
     return dict(zip(numbers, paths, strict=True))
 
 
-def _bytes(path: Path) -> bytes:
-    try:
-        if path.stat().st_size > _MAX_FILE:
-            raise InputError(f"{path} has {path.stat().st_size / 1e6:.0f} MB, too much for the people of one frame.")
-        return path.read_bytes()
-    except OSError as error:
-        raise unreadable(path, error) from None
-
-
 def _first_document(files: list[Path]) -> Mapping[str, Any]:
     document = read_document(files[0])
     if not isinstance(document, Mapping) or not ({"people", "annots"} & document.keys()):
@@ -91,7 +82,7 @@ def _first_document(files: list[Path]) -> Mapping[str, Any]:
 
 
 def _openpose(path: Path) -> Array:
-    return parse_openpose(_bytes(path), source=str(path), raw=True)
+    return parse_openpose(read_bytes(path, "the people of one frame", _MAX_FILE), source=str(path), raw=True)
 
 
 def _easymocap(path: Path) -> Array:

@@ -16,22 +16,15 @@ import numpy as np
 from hypose.errors import InputError
 from hypose.evidence.keypoints import parse_openpose
 from hypose.geometry import Array
-from hypose.io.files import readable_size, unreadable
+from hypose.io.files import read_json
 from hypose.io.keypoints.keypoint_table import MAX_BYTES, KeypointTable, grouped, scored_points, whole_number
-from hypose.json_text import parse_json
 
 _KIND = "a key-point file of MMPose, COCO or AlphaPose"
 
 
 def read_document(path: Path) -> Any:
     """The value of a JSON file within bounds; an InputError names it."""
-    readable_size(path, _KIND, MAX_BYTES)
-    try:
-        return parse_json(path.read_bytes())
-    except OSError as error:
-        raise unreadable(path, error) from None
-    except (ValueError, RecursionError) as problem:
-        raise InputError(f"{path} is not JSON ({problem}); export it from the detector again.") from None
+    return read_json(path, _KIND, MAX_BYTES)
 
 
 def read_keypoint_json(path: Path) -> KeypointTable:

@@ -37,6 +37,8 @@ PACKAGES = (
     *("absl-py", "attrs", "flatbuffers>=2", "matplotlib"),
 )
 """mediapipe itself and what its pose imports; jax, scipy and sound, which it names too, are half a gigabyte more."""
+_OWN = Path(__file__).parent
+"""Where its processes run, apart from whatever lies in the folder that the user is in."""
 _PYTHONS = ((3, 9), (3, 12))
 """that it was built for, first and last"""
 
@@ -48,7 +50,7 @@ def environment_folder() -> Path:
         raise InputError(
             "MediaPipe's environment needs a cache that can be written; name a folder by HYPOSE_CACHE_DIR."
         )
-    return cache / "environments" / f"mediapipe-{VERSION}"
+    return cache.absolute() / "environments" / f"mediapipe-{VERSION}"
 
 
 def environment_python() -> Path:
@@ -72,11 +74,11 @@ def set_up() -> Path:
             f"{target.parent} cannot be written ({error.strerror}); name another by HYPOSE_CACHE_DIR."
         ) from None
     try:
-        _run([python, "-m", "venv", str(work)])
+        _run([python, "-I", "-m", "venv", str(work)])
         inside = work / environment_python().relative_to(target)
-        _run([str(inside), "-m", "pip", "install", "--quiet", "--no-deps", PACKAGES[0]])
-        _run([str(inside), "-m", "pip", "install", "--quiet", *PACKAGES[1:]])
-        _run([str(inside), "-c", "import mediapipe; mediapipe.solutions.pose"])
+        _run([str(inside), "-I", "-m", "pip", "install", "--quiet", "--no-deps", PACKAGES[0]])
+        _run([str(inside), "-I", "-m", "pip", "install", "--quiet", *PACKAGES[1:]])
+        _run([str(inside), "-I", "-c", "import mediapipe; mediapipe.solutions.pose"])
         with contextlib.suppress(OSError):  # another run was as quick
             work.rename(target)
     finally:
@@ -100,7 +102,7 @@ def _python() -> str:
 
 
 def _run(command: list[str]) -> None:
-    done = subprocess.run(command, capture_output=True, text=True, stdin=subprocess.DEVNULL)
+    done = subprocess.run(command, capture_output=True, text=True, stdin=subprocess.DEVNULL, cwd=_OWN)
     if done.returncode:
         lines = [line for line in (done.stderr or done.stdout).splitlines() if line.strip()]
         reason = lines[-1].strip()[:300] if lines else f"exit code {done.returncode}"
@@ -142,7 +144,7 @@ def open_mediapipe() -> Iterator[MediaPipe]:
     clean |= {"GLOG_minloglevel": "2", "TF_CPP_MIN_LOG_LEVEL": "2", "MPLBACKEND": "agg"}
     command = [str(environment_python()), "-I", mediapipe_worker.__file__]
     process = subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=clean
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=clean, cwd=_OWN
     )
     try:
         version = _answer(process)["version"]

@@ -9,6 +9,7 @@ the file before anything is read. Source: the C3D file format, user guide.
 
 from __future__ import annotations
 
+import os
 import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -21,9 +22,8 @@ from numpy.typing import ArrayLike
 from hypose.errors import InputError
 from hypose.geometry import Array
 from hypose.io.file_names import utf8_path
-from hypose.io.files import readable_size, unreadable
+from hypose.io.files import atomic_path, open_file, unreadable
 from hypose.io.motions.markers import Markers, checked, metres_per_unit
-from hypose.io.motions.results import atomic_path
 
 _KIND = "a C3D file"
 _BLOCK = 512
@@ -80,7 +80,6 @@ def write_c3d(
     file["data"]["meta_points"]["residuals"] = residuals.T[None]
     file["data"]["meta_points"]["camera_masks"] = np.zeros((7, m, t), dtype=bool)
     with atomic_path(path) as temporary:
-        temporary.touch()
         with utf8_path(temporary) as name:
             file.write(name)
 
@@ -114,10 +113,9 @@ def read_c3d(path: str | Path) -> Markers:
     point_<number>. Analog channels are skipped. An InputError says in one sentence what makes a file
     unusable, truncation included.
     """
-    size = readable_size(path, _KIND, _MAX_BYTES)
     try:
-        with Path(path).open("rb") as file:
-            raw, layout, parameters, order = _read(file, size, path)
+        with open_file(path, _KIND, _MAX_BYTES) as file:
+            raw, layout, parameters, order = _read(file, os.fstat(file.fileno()).st_size, path)
     except OSError as error:
         raise unreadable(path, error) from None
     points = _points(raw, layout, order)

@@ -11,7 +11,6 @@ from hypose.body.body import Body
 from hypose.body.joint_angles import ANGLE_NAMES, joint_angles
 from hypose.body.motion import Motion
 from hypose.errors import InputError
-from hypose.io.motions.amass import write_amass
 from hypose.io.motions.angles import write_angles_csv, write_joints_csv
 from hypose.io.motions.bvh import write_bvh
 from hypose.io.motions.c3d import write_c3d
@@ -83,20 +82,6 @@ def _osim(motion: Motion, body: Body, folder: Path) -> list[Path]:
     return [model, markers, setup]
 
 
-def _amass(motion: Motion, body: Body, folder: Path) -> list[Path]:
-    path = folder / "motion_amass.npz"
-    write_amass(path, motion)
-    return [path]
-
-
-def _vrma(motion: Motion, body: Body, folder: Path) -> list[Path]:
-    from hypose.io.motions.vrm import write_vrma  # takes long to import
-
-    path = folder / "motion.vrma"
-    write_vrma(path, motion, body)
-    return [path]
-
-
 def _rrd(motion: Motion, body: Body, folder: Path) -> list[Path]:
     path = folder / "motion.rrd"
     write_rrd(path, motion, body)
@@ -111,12 +96,10 @@ FORMATS: Mapping[str, Callable[[Motion, Body, Path], list[Path]]] = {
     "csv": _csv,
     "mot": _mot,
     "osim": _osim,
-    "amass": _amass,
-    "vrma": _vrma,
 }
 EXTRAS: Mapping[str, Callable[[Motion, Body, Path], list[Path]]] = {"rrd": _rrd}
 """Formats that need an extra to be installed, so that nobody gets them unasked."""
-_NEED_POSES = ("bvh", "glb", "mot", "osim", "amass", "vrma")
+_NEED_POSES = ("bvh", "glb", "mot", "osim")
 
 
 def known_formats(asked: Sequence[str]) -> Mapping[str, Callable[[Motion, Body, Path], list[Path]]]:
@@ -137,8 +120,7 @@ def export_motion(
 
     trc, c3d, bvh, glb and mot give motion.<format>, csv gives angles.csv and joints.csv, mot also motion_sd.sto where
     the angles' sd is known; osim gives motion.osim, the model of this body on which motion.mot plays, and
-    motion_markers.trc and motion_ik.xml for OpenSim's inverse kinematics; amass gives motion_amass.npz; vrma
-    gives motion.vrma, the motion on the bones of VRM; rrd, with the extra
+    motion_markers.trc and motion_ik.xml for OpenSim's inverse kinematics; rrd, with the extra
     [rerun], motion.rrd. Each file appears whole or not at all. Lost and extrapolated
     frames keep their predicted points: TRC has no mark for them, C3D gives them residual 0 (computed, not measured),
     joints.csv has a column for each flag. An InputError names an unknown format, or one that needs poses when the

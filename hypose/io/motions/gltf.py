@@ -42,8 +42,8 @@ from hypose.body.motion import Motion
 from hypose.compute import FIXED
 from hypose.errors import InputError
 from hypose.geometry import Array, quaternion_from_matrix
+from hypose.io.files import atomic_path
 from hypose.io.motions.animation import Y_UP, children, filled_poses, local_rotations, without_flips
-from hypose.io.motions.results import atomic_path
 
 _SKIN_COLOUR = [0.80, 0.66, 0.56, 1.0]
 

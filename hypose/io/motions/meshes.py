@@ -6,7 +6,6 @@ Only geometry is read: no materials, no textures, no other file that the mesh na
 from __future__ import annotations
 
 import io
-import tokenize
 import zipfile
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -18,7 +17,8 @@ from hypose.body.coarse_mesh import enclosed_volume
 from hypose.body.joint_names import SMPL_JOINTS
 from hypose.errors import InputError, extra
 from hypose.geometry import Array
-from hypose.io.files import readable_size, unreadable
+from hypose.io.files import read_bytes
+from hypose.io.motions.results import parse_array
 
 MAX_MESH_BYTES = 512 * 2**20
 MAX_FACES = 3_000_000
@@ -63,11 +63,7 @@ def read_person(path: str | Path) -> PersonMesh:
         raise InputError(f"{p}: a .gltf names other files; export it as one .glb instead.")
     if ending not in MESH_ENDINGS:
         raise InputError(f"{p} is not {_KIND}; export the scan in one of these formats.")
-    readable_size(p, _KIND, MAX_MESH_BYTES)
-    try:
-        data = p.read_bytes()
-    except OSError as error:
-        raise unreadable(p, error) from None
+    data = read_bytes(p, _KIND, MAX_MESH_BYTES)
     if ending == ".npz":
         return _read_smpl(p, data)
     if ending == ".glb":
@@ -105,12 +101,12 @@ def _read_smpl(path: Path, data: bytes) -> PersonMesh:
                 if info.file_size > MAX_MESH_BYTES:
                     raise InputError(f"{path}: {name} has {info.file_size / 2**20:.0f} MiB; that is no body model.")
                 with archive.open(info) as stream:
-                    arrays[name] = np.lib.format.read_array(stream, allow_pickle=False)
+                    arrays[name] = parse_array(name, stream, info.file_size)
     except InputError:
         raise
     except KeyError as error:
         raise InputError(f"{path} is not an SMPL-format model: it needs {wanted}, and {error} lacks.") from None
-    except (ValueError, SyntaxError, tokenize.TokenError) as error:  # numpy's header is a Python literal
+    except ValueError as error:
         raise InputError(
             f"{path}: an array holds Python objects or is damaged ({error}); save {wanted} as plain numbers "
             "(J_regressor.toarray() if it is sparse)."

@@ -15,7 +15,7 @@ from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.body.regions import region_reach
 from hypose.errors import extra
-from hypose.io.motions.results import atomic_path
+from hypose.io.files import atomic_path
 
 _SURE, _UNSURE = (51, 122, 183), (217, 83, 79)
 _SKIN = (204, 168, 143, 160)

@@ -1,23 +1,18 @@
-"""Results on disk: the folder of a run, motions as .npz that are equal byte for byte, checkpoints of a
-tracker.
-
-Every file is written under a temporary name in its own folder and renamed when complete, so that a crash, a
-full disk or Ctrl-C leaves either the old file or the new one.
-"""
+"""Results on disk: the folder of a run, motions as .npz that are equal byte for byte, checkpoints of a tracker."""
 
 from __future__ import annotations
 
 import contextlib
-import errno
 import io
 import json
+import math
 import os
-import shutil
 import zipfile
+import zlib
 from collections.abc import Container, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, BinaryIO
 
 import numpy as np
 
@@ -25,12 +20,15 @@ from hypose.body.motion import Motion
 from hypose.body.skeleton import Skeleton
 from hypose.errors import InputError
 from hypose.geometry import Array
+from hypose.io.files import atomic_path, open_file, write_bytes, write_text
 from hypose.json_text import parse_json
 
-FULL = (errno.ENOSPC, errno.EDQUOT)
-"""The system's numbers for a disk that is full."""
 _MAX_ARCHIVE_BYTES = 4 << 30
 _PIECE = 1 << 20
+_MOST_EMPTY = 1 << 20
+"""Elements that the dimensions but the empty ones of an array of no bytes may make."""
+_ZIP_END, _ZIP_64, _MAX_LIST_BYTES = 22, 20, 4 << 20
+"""Bytes of a zip archive's end, of what a large one has before it, and of the list of what it holds."""
 _FORMAT = 1
 # name: (kinds of dtype, stored dtype, number of dimensions); those in _OPTIONAL may be absent
 _MOTION_ARRAYS: dict[str, tuple[str, str, int]] = {
@@ -44,7 +42,7 @@ _MOTION_ARRAYS: dict[str, tuple[str, str, int]] = {
     "p_wrong": ("f", "<f4", 2),
     "doubtful_joints": ("b", "|b1", 2),
     "angle_sd": ("f", "<f4", 2),
-    "definition_sd": ("f", "<f4", 1),
+    "systematic_covariance": ("f", "<f4", 4),
     "rivals": ("f", "<f4", 3),
     "rival_weights": ("f", "<f4", 2),
     "n_views": ("i", "<i8", 1),
@@ -63,67 +61,10 @@ _MOTION_ARRAYS: dict[str, tuple[str, str, int]] = {
 }
 _SKELETON = ("parents", "rest_offsets", "ball", "axes", "joint_of_dof", "lower", "upper", "sigma")
 _SERIES = ("times", "joints", "joint_covariance", "lost", "extrapolated", "n_views", "cost")
-_OPTIONAL = ("poses", "doubtful", "p_wrong", "doubtful_joints", "angle_sd", "definition_sd", "rivals", "rival_weights")
-
-
-# ---- atomic files ------------------------------------------------------------------------------------------
-
-
-@contextlib.contextmanager
-def atomic_path(path: str | Path) -> Iterator[Path]:
-    """A temporary path beside `path` (same ending) to write to; renamed to `path` when the block ends well.
-
-    The folder is made if needed. If the block raises, the temporary file is removed and an existing `path`
-    stays as it was; an OSError (disk full, read-only) becomes an InputError.
-    """
-    path = Path(path)
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp{path.suffix}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        yield temporary
-        os.replace(temporary, path)
-    except OSError as error:
-        raise InputError(cannot_write(path, error)) from error
-    finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
-
-
-def check_writable(folder: str | Path, option: str = "--out") -> None:
-    """Fail now, with one sentence that names the option for another place, instead of after the work is done; the
-    folder is made if needed."""
-    folder = Path(folder)
-    test = folder / f".write-test-{os.getpid()}"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        test.unlink(missing_ok=True)
-        test.touch(exist_ok=False)  # which does not follow a link
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise InputError(
-            f"{folder} cannot be written ({reason}); choose a folder that you may write to, with {option}."
-        ) from None
-    finally:
-        with contextlib.suppress(OSError):
-            test.unlink(missing_ok=True)
-
-
-def cannot_write(path: Path, error: OSError) -> str:
-    """The sentence for a file that the system does not let us write."""
-    if error.errno in FULL:
-        try:
-            free = f" ({shutil.disk_usage(path.parent).free / 1e6:.0f} MB free)"
-        except OSError:
-            free = ""
-        return (
-            f"{path} cannot be written because the disk is full{free}; what was written before is intact: "
-            "free some space and run the same command again, with --resume where it knows that."
-        )
-    reason = (error.strerror or str(error)).lower()
-    return (
-        f"{path} cannot be written ({reason}); what was written before is intact: choose a folder that you "
-        "may write to, or change its permissions."
-    )
+_OPTIONAL = (
+    *("poses", "doubtful", "p_wrong", "doubtful_joints", "angle_sd", "systematic_covariance"),
+    *("rivals", "rival_weights"),
+)
 
 
 def to_json(value: Any) -> str:
@@ -171,20 +112,14 @@ class ResultsFolder:
         """Path of a file in this folder."""
         return self.path / name
 
-    def atomic(self, name: str) -> contextlib.AbstractContextManager[Path]:
-        """`atomic_path` of a file in this folder."""
-        return atomic_path(self.path / name)
-
     def write_text(self, name: str, text: str) -> Path:
         """Write a text file (UTF-8, \\n line ends) whole or not at all; returns its path."""
-        with self.atomic(name) as temporary:
-            temporary.write_text(text, encoding="utf-8", errors="backslashreplace", newline="\n")
+        write_text(self.path / name, text)
         return self.path / name
 
     def write_bytes(self, name: str, data: bytes) -> Path:
         """Write a binary file whole or not at all; returns its path."""
-        with self.atomic(name) as temporary:
-            temporary.write_bytes(data)
+        write_bytes(self.path / name, data)
         return self.path / name
 
     def write_json(self, name: str, value: Any) -> Path:
@@ -207,53 +142,58 @@ def write_archive(path: str | Path, arrays: Mapping[str, np.ndarray]) -> None:
             archive.writestr(entry, buffer.getvalue())
 
 
-def _read_archive(path: Path, only: Container[str] | None = None) -> dict[str, np.ndarray]:
-    """The arrays of an archive that `write_archive` wrote, or only those of these names; raises ValueError with a
-    short reason on anything else.
+@contextlib.contextmanager
+def open_archive(stream: BinaryIO) -> Iterator[zipfile.ZipFile]:
+    """A zip archive whose list of contents is read only when it is of a size that an honest one has; BadZipFile."""
+    size = stream.seek(0, os.SEEK_END)
+    stream.seek(max(0, size - _ZIP_END - _ZIP_64))
+    end = stream.read()
+    # of an archive without a comment: the mark of its end, where the size of the list stands
+    listed = end[-_ZIP_END : -_ZIP_END + 4] == b"PK\5\6" and int.from_bytes(end[-10:-6], "little") <= _MAX_LIST_BYTES
+    if not listed or end.startswith(b"PK\6\7"):
+        raise zipfile.BadZipFile("it does not end as an archive, or lists too much")
+    with zipfile.ZipFile(stream) as archive:
+        yield archive
 
-    Nothing is unpacked or allocated before its size is known: entries must be stored (a compressed one could
-    be a zip bomb), array headers must agree with the bytes that follow, Python objects are refused.
-    """
+
+def _read_archive(path: Path, what: str, only: Container[str] | None, packed: int) -> dict[str, np.ndarray]:
+    """`load_archive`, but a ValueError with a short reason for what is no such archive."""
     out: dict[str, np.ndarray] = {}
-    with zipfile.ZipFile(path) as archive:
+    with open_file(path, what, _MAX_ARCHIVE_BYTES) as stream, open_archive(stream) as archive:
         entries = archive.infolist()
-        if len(entries) > 10_000 or sum(e.file_size for e in entries) > min(_MAX_ARCHIVE_BYTES, path.stat().st_size):
+        if sum(e.file_size for e in entries) > max(packed, os.fstat(stream.fileno()).st_size):
             raise ValueError("its contents are larger than the file")
         for entry in entries:
             name = entry.filename.removesuffix(".npy")
             if not entry.filename.endswith(".npy") or not all(c.isalnum() or c in "_.-" for c in name):
                 raise ValueError(f"it holds {entry.filename!r}, which is no array")
-            if entry.compress_type != zipfile.ZIP_STORED or entry.flag_bits & 1:
+            if (entry.compress_type != zipfile.ZIP_STORED and not packed) or entry.flag_bits & 1:
                 raise ValueError(f"{name} is compressed or encrypted")
             if name in out:
                 raise ValueError(f"{name} occurs twice")
             if only is None or name in only:
-                with archive.open(entry) as stream:
-                    out[name] = _parse_array(name, stream, entry.file_size)
+                with archive.open(entry) as array:
+                    out[name] = parse_array(name, array, entry.file_size)
     return out
 
 
-def _parse_array(name: str, stream: IO[bytes], size: int) -> np.ndarray:
-    """The array that an entry of so many bytes holds."""
-    version = np.lib.format.read_magic(stream)
-    if version != (1, 0):
+def parse_array(name: str, stream: IO[bytes], size: int) -> np.ndarray:
+    """The array of numpy's format that so many bytes hold; a ValueError when the header does not agree with them, asks
+    for more elements than they can have, or for Python objects. Nothing is allocated before."""
+    if np.lib.format.read_magic(stream) != (1, 0):
         raise ValueError(f"{name} has another version of the array format")
     try:
         shape, fortran, dtype = np.lib.format.read_array_header_1_0(stream)
     except Exception as error:  # numpy lets errors of Python's own parser through
         raise ValueError(f"the header of {name} is damaged ({error})") from None
-    if dtype.hasobject or dtype.kind not in "fiubU" or dtype.itemsize == 0 and dtype.kind != "U":
+    if dtype.hasobject or dtype.kind not in "fiubU" or not dtype.itemsize:
         raise ValueError(f"{name} holds {dtype}, which is not allowed")
-    count = 1
-    for n in shape:
-        if n < 0:
-            raise ValueError(f"{name} has shape {shape}")
-        count *= n  # Python integers do not overflow
     rest = size - stream.tell()
-    if count * dtype.itemsize != rest:
+    # an array without elements may have one dimension of any length, over which a loop would run for hours
+    if min(shape, default=0) < 0 or (not rest and 0 in shape and math.prod(n or 1 for n in shape) > _MOST_EMPTY):
+        raise ValueError(f"{name} has shape {shape}")
+    if math.prod(shape) * dtype.itemsize != rest:
         raise ValueError(f"{name} of shape {shape} does not fit its {rest} bytes")
-    if dtype.itemsize == 0:
-        return np.zeros(shape, dtype)
     data = np.empty(rest, np.uint8)
     for at in range(0, rest, _PIECE):  # whole, it would lie in memory twice
         piece = stream.read(min(_PIECE, rest - at))
@@ -262,16 +202,22 @@ def _parse_array(name: str, stream: IO[bytes], size: int) -> np.ndarray:
     return array.reshape(shape[::-1]).T.copy() if fortran else array.reshape(shape)
 
 
-def load_archive(path: Path, what: str, next_step: str, only: Container[str] | None = None) -> dict[str, np.ndarray]:
+def load_archive(
+    path: Path, what: str, next_step: str, only: Container[str] | None = None, packed: int = 0
+) -> dict[str, np.ndarray]:
     """The arrays of a file that `write_archive` wrote, or only those of these names; raises InputError, which calls
-    it a `what` of hypose and ends with the next step."""
+    it a `what` of hypose and ends with the next step.
+
+    Nothing is unpacked or allocated before its size is known: entries must be stored (a compressed one could be a zip
+    bomb), or unpack to at most `packed` bytes together.
+    """
     if not path.is_file():
         raise InputError(f"The {what} {path} does not exist; {next_step}.")
     try:
-        return _read_archive(path, only)
+        return _read_archive(path, f"a {what}", only, packed)
     except (zipfile.BadZipFile, ValueError, EOFError, NotImplementedError, RuntimeError, KeyError) as error:
         raise InputError(f"{path} is not a {what} of hypose, or is damaged: {error}; {next_step}.") from None
-    except (OSError, MemoryError) as error:
+    except (OSError, MemoryError, zlib.error) as error:
         raise InputError(f"{path} cannot be read ({error}); {next_step}.") from None
 
 

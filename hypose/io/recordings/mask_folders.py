@@ -11,7 +11,7 @@ import numpy as np
 
 from hypose.errors import InputError
 from hypose.io.file_names import folder_for
-from hypose.io.files import atomic_path, write_text
+from hypose.io.files import write_bytes, write_text
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.view_source import SIDECAR
 
@@ -38,8 +38,7 @@ def write_masks(stream: FrameStream, folder: str | Path, progress: Callable[[int
             raise InputError("There are no silhouettes to write; open the stream with silhouettes.")
         for path, camera, mask in zip(views, stream.rig, frame.silhouettes.masks, strict=True):
             ok, data = cv2.imencode(".png", mask[: camera.size[1], : camera.size[0]] * np.uint8(255))
-            with atomic_path(path / f"{frame.index:06d}.png") as temporary:
-                temporary.write_bytes(data.tobytes() if ok else b"")
+            write_bytes(path / f"{frame.index:06d}.png", data.tobytes() if ok else b"", synced=False)
         if progress is not None:
             progress(done, len(stream))
         shown += int((frame.silhouettes.areas > 0).sum())

@@ -25,9 +25,9 @@ from numpy.typing import NDArray
 from hypose.errors import InputError
 from hypose.evidence.silhouettes import Mask, as_mask
 from hypose.io.calibrations.calibration_toml import natural_key
+from hypose.io.files import MAX_TEXT_BYTES, read_json
 from hypose.io.videos.png import SIGNATURE
-from hypose.io.videos.video import VideoReader, list_images, open_video, read_image
-from hypose.json_text import parse_json
+from hypose.io.videos.video import VideoReader, list_images, open_video, read_image, read_image_file
 
 _LOOKED_AT = 9  # images of a folder that tell what it holds
 _MOST = 32  # objects
@@ -193,10 +193,7 @@ def _stored(path: Path) -> NDArray[Any]:
 
 
 def _decoded(path: Path) -> tuple[NDArray[Any] | None, bool]:
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"The image {path} cannot be read ({error.strerror}); check the path.") from None
+    data = read_image_file(path)
     bits = _palette_bits(data)
     if bits:
         data = _without_palette(data)
@@ -234,12 +231,7 @@ def _without_palette(data: bytes) -> bytes:
 
 def _of_coco(path: Path) -> ObjectMasks:
     """COCO annotations by image, or YouTube-VIS's by object."""
-    try:
-        document = parse_json(path.read_bytes())
-    except OSError as error:
-        raise InputError(f"{path} cannot be read ({error.strerror}); check the path.") from None
-    except (ValueError, RecursionError) as problem:
-        raise InputError(f"{path} is not JSON ({problem}); export the masks again.") from None
+    document = read_json(path, "COCO annotations", MAX_TEXT_BYTES)
     marks = document.get("annotations") if isinstance(document, Mapping) else document
     if not isinstance(marks, list) or not all(isinstance(m, Mapping) for m in marks):
         raise InputError(f'{path} is no COCO file: it needs a list "annotations"; export the masks again.')

@@ -17,15 +17,15 @@ from typing import Any, TypeGuard
 from hypose.errors import InputError
 from hypose.evidence.keypoint_sets import set_of_points
 from hypose.evidence.keypoints import KEYPOINT_SETS
-from hypose.io.calibrations.calibration_toml import find_calibration, natural_key, parse_toml
+from hypose.io.calibrations.calibration_toml import find_calibration, natural_key
 from hypose.io.file_names import text_of
 from hypose.io.keypoints.keypoint_folder import read_keypoint_folder
 from hypose.io.matching_names import match_names
 from hypose.io.motions.trc import read_trc
+from hypose.io.recordings.recording_keys import read_toml
 from hypose.io.videos.video import IMAGE_ENDINGS, VIDEO_ENDINGS, frame_size, list_images
 
 _LEVELS_ABOVE = 2
-_MAX_JSON_BYTES = 5_000_000
 # Pose2Sim's names of its models -> key-point sets; other names are sets already (BODY_25B, HALPE_26, ...).
 _MODELS = {
     "body_with_feet": "HALPE_26",
@@ -163,12 +163,7 @@ def _merged_config(folder: Path) -> dict[str, Any]:
         path = _file(level, "config.toml")
         if path is None:
             continue
-        try:
-            if path.stat().st_size > _MAX_JSON_BYTES:
-                raise ValueError("it is too large")
-            document = parse_toml(path, path.read_text(encoding="utf-8-sig"))
-        except (ValueError, OSError) as error:
-            raise InputError(f"{path} is not valid TOML: {error}; correct it.") from None
+        document = read_toml(path)
         for table, values in document.items():
             if isinstance(values, dict) and isinstance(merged.get(table), dict):
                 merged[table] = merged[table] | values

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import platform
 import sys
 from collections.abc import Mapping
@@ -13,6 +14,7 @@ from typing import Any
 from hypose import __version__
 from hypose.errors import InputError
 from hypose.io.calibrations.calibration_toml import natural_key
+from hypose.io.files import open_file
 
 _FULL_HASH_BYTES = 64 << 20
 _ENDS_BYTES = 1 << 20
@@ -87,8 +89,8 @@ def file_identity(path: str | Path) -> dict[str, Any]:
                 "sha256": digest.hexdigest(),
                 "hashed": hashed,
             }
-        size = path.stat().st_size
-        with path.open("rb") as stream:
+        with open_file(path, "an input", sys.maxsize, 0) as stream:
+            size = os.fstat(stream.fileno()).st_size
             if size < _FULL_HASH_BYTES:
                 return {
                     "name": path.name,

@@ -58,6 +58,7 @@ import numpy as np
 from hypose.errors import InputError
 from hypose.evidence.silhouettes import SilhouetteSettings
 from hypose.io.calibrations.calibration_toml import parse_toml
+from hypose.io.files import read_text
 
 _MAX_TOML_BYTES = 5_000_000
 RECORDING_KEYS: dict[str, type | tuple[type, ...]] = {
@@ -110,16 +111,11 @@ _TYPE_NAMES = {
 
 def read_toml(path: Path) -> dict[str, Any]:
     """The tables of a recording.toml; an InputError names the file, what is wrong in it and the next step."""
+    text = read_text(path, "a TOML file", _MAX_TOML_BYTES)
     try:
-        if path.stat().st_size > _MAX_TOML_BYTES:
-            raise ValueError("it is larger than 5 MB")
-        return parse_toml(path, path.read_text(encoding="utf-8-sig"))
-    except UnicodeDecodeError:
-        raise InputError(f"{path} is not a text file (UTF-8); write it with a text editor.") from None
+        return parse_toml(path, text)
     except ValueError as error:
         raise InputError(f"{path} is not valid TOML: {error}; correct it.") from None
-    except OSError as error:
-        raise InputError(f"{path} cannot be read ({error.strerror}); check its permissions.") from None
 
 
 def check_keys(where: str, table: Mapping[str, Any], known: Mapping[str, type | tuple[type, ...]]) -> None:

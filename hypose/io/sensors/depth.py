@@ -18,8 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from hypose.errors import InputError, extra
 from hypose.geometry import Array
 from hypose.io.file_names import utf8_path
-from hypose.io.files import readable_size, unreadable
-from hypose.io.motions.results import atomic_path
+from hypose.io.files import read_bytes, readable_size, write_bytes
 from hypose.io.videos.png import SIGNATURE, is_cut_png
 from hypose.json_text import parse_json
 
@@ -42,17 +41,12 @@ def write_millimetres_png(path: str | Path, depth: NDArray[np.uint16]) -> None:
     ok, data = cv2.imencode(".png", depth, DEPTH_PNG)
     if not ok:
         raise InputError(f"{path}: a depth map of shape {depth.shape} cannot be written; it must be (height, width).")
-    with atomic_path(path) as temporary:
-        temporary.write_bytes(data.tobytes())
+    write_bytes(path, data.tobytes(), synced=False)
 
 
 def read_depth_png(path: str | Path) -> DepthMap:
     """Read a 16-bit PNG in millimetres; the size in its header is checked before anything is unpacked."""
-    readable_size(path, "a 16-bit depth PNG", _MAX_BYTES)
-    try:
-        data = Path(path).read_bytes()
-    except OSError as error:
-        raise unreadable(path, error) from None
+    data = read_bytes(path, "a 16-bit depth PNG", _MAX_BYTES)
     if not data.startswith(SIGNATURE) or data[12:16] != b"IHDR" or len(data) < 33:
         raise InputError(f"{path} is not a PNG; depth maps are 16-bit PNG in millimetres.")
     width, height, bits, colour = struct.unpack(">IIBB", data[16:26])

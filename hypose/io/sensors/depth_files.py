@@ -22,7 +22,7 @@ from hypose.cameras.camera import Camera
 from hypose.errors import InputError
 from hypose.geometry import Array
 from hypose.io.calibrations.calibration_formats import read_any
-from hypose.io.files import readable_size, unreadable
+from hypose.io.files import open_file, unreadable
 from hypose.io.sensors.depth import MAX_SIDE, DepthFrame, read_azure_mkv, read_depth_png
 from hypose.io.sensors.realsense import read_realsense
 from hypose.io.videos.video import list_images
@@ -160,9 +160,8 @@ def azure_camera(name: str, calibration: Mapping[str, Any], size: tuple[int, int
 
 def _record3d(path: Path) -> DepthFile:
     """A capture of the Record3D app: a zip with `metadata` (JSON) and rgbd/N.depth, float32 metres packed by LZFSE."""
-    readable_size(path, "a Record3D capture (.r3d)", 64 * 2**30)
     try:
-        archive = zipfile.ZipFile(path)
+        archive = zipfile.ZipFile(open_file(path, "a Record3D capture (.r3d)", 64 * 2**30))
         about = parse_json(_unpacked(archive, "metadata"))
         k = [float(v) for v in about["K"]]
         width, height = int(about["dw"]), int(about["dh"])

@@ -23,12 +23,11 @@ from numpy.typing import NDArray
 
 from hypose.errors import InputError
 from hypose.geometry import Array
-from hypose.io.files import RecordingFolder, text_lines
+from hypose.io.files import RecordingFolder, read_json, text_lines, write_text
 from hypose.io.motions.results import to_json
 from hypose.io.sensors.depth import depth_at_joints, read_depth_png
 from hypose.io.sensors.skeleton_streams import MAX_JOINTS, MAX_SENSORS, SkeletonRecording, StreamRows, checked_recording
 from hypose.io.text_in import bounded_lines
-from hypose.json_text import parse_json
 
 FORMAT = "hypose-skeletons"
 _FRAMES = ["sensor", "frame", "time"]
@@ -75,10 +74,7 @@ def read_folder(folder: str | Path) -> SkeletonRecording:
 
 
 def _session(path: Path) -> dict[str, Any]:
-    try:
-        value = parse_json("\n".join(text_lines(path, "a session.json", 1 << 20)))
-    except (ValueError, RecursionError):
-        raise InputError(f"{path} is no JSON; it must hold what hypose or docs/live.md wrote.") from None
+    value = read_json(path, "a session.json")
     if not isinstance(value, dict) or value.get("format") != FORMAT or value.get("version") != 1:
         raise InputError(f'{path} is no session of skeletons; it must say "format": "{FORMAT}", "version": 1.')
     sensors = value.get("sensors")
@@ -267,10 +263,7 @@ class FolderWriter:
     def _session(self) -> None:
         sensors = [{"name": n, "joints": list(j)} for n, j in self._joints.items()]
         value = {"format": FORMAT, "version": 1, "name": self._name, "clock": self._clock, "sensors": sensors}
-        path = self.folder / "session.json"
-        temporary = path.with_suffix(".tmp")
-        temporary.write_text(to_json(value), encoding="utf-8", newline="\n")
-        temporary.replace(path)
+        write_text(self.folder / "session.json", to_json(value))
 
     def flush(self) -> None:
         """Hand everything to the system; an InputError when it cannot be written or the recording was removed."""
@@ -289,8 +282,8 @@ class FolderWriter:
         silent = set(self._frame) - set(self._joints)
         if silent:
             path = self.folder / "frames.csv"
-            kept = [ln for ln in path.read_text("utf-8").splitlines(True) if ln.split(",", 1)[0] not in silent]
-            path.write_text("".join(kept), encoding="utf-8", newline="\n")
+            kept = [line for line in text_lines(path, "a frames.csv") if line.split(",", 1)[0] not in silent]
+            write_text(path, "\n".join([*kept, ""]))
 
 
 def write_folder(recording: SkeletonRecording, folder: str | Path) -> None:

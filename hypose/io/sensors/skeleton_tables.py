@@ -15,8 +15,15 @@ from pathlib import Path
 import numpy as np
 
 from hypose.errors import InputError
+from hypose.geometry import Array, so3_exp
 from hypose.io.file_names import text_of
-from hypose.io.sensors.skeleton_streams import MAX_JOINTS, SkeletonRecording, StreamRows, checked_recording
+from hypose.io.sensors.skeleton_streams import (
+    MAX_JOINTS,
+    MISSING_MARK,
+    SkeletonRecording,
+    StreamRows,
+    checked_recording,
+)
 from hypose.io.text_in import bounded_lines
 
 KINECT_V2 = tuple(
@@ -34,7 +41,9 @@ def read_kinect_csv(path: str | Path, clock: str = "tracker") -> SkeletonRecordi
     """Read a KinectMultiTrack CSV (.csv or .csv.gz): one stream per Kinect_Id, persons by Person_Id.
 
     clock: "tracker" takes Tracker_Time (one clock, ms), "sensor" each Kinect's own Skeleton_Time (100 ns). Times start
-    at 0. No tracking state is logged: a joint that is there counts as tracked.
+    at 0. No tracking state is logged: a joint that is there counts as tracked. The logger turns every skeleton by how
+    the person stood before its sensor at first (Skeleton_Init_Angle, Skeleton_Init_Dist), and puts it where the first
+    row's sensor saw it; here each sensor's are put back before it, all by what its first row says.
     """
     if clock not in ("tracker", "sensor"):
         raise InputError(f"There is no clock {clock!r}; choose tracker or sensor.")
@@ -57,6 +66,8 @@ def read_kinect_csv(path: str | Path, clock: str = "tracker") -> SkeletonRecordi
     first, count = starts[0], 3 * len(joints)
     contiguous = starts == list(range(first, first + count, 3))
     where = [c + k for c in starts for k in range(3)]
+    turned = [at[n] for n in ("Skeleton_Init_Angle", "Skeleton_Init_Dist") if n in at]
+    turns: dict[str, Array] = {}
     sensors: dict[str, StreamRows] = {}
     for number, line in enumerate(lines, start=2):
         if not line.strip():
@@ -71,11 +82,15 @@ def read_kinect_csv(path: str | Path, clock: str = "tracker") -> SkeletonRecordi
             person = int(float(cells[person_column])) if person_column is not None else 0
             numbers = cells[first : first + count] if contiguous else [cells[i] for i in where]
             values = np.array([float(c) for c in numbers]).reshape(-1, 3)
+            turn = np.array([float(cells[i]) for i in turned])
         except (ValueError, OverflowError):
             raise InputError(f"{path}: line {number} holds something that is not a number.") from None
         if not math.isfinite(time):
             raise InputError(f"{path}: line {number} has no time; {time_name} must be a number.")
         name = cells[sensor_column].strip()
+        if len(turn) == 2:
+            own, known = turns.setdefault(name, turn), (values > MISSING_MARK).all(1)
+            values[known] = _before_own_sensor(values[known], next(iter(turns.values())), own)
         rows = sensors.setdefault(name, StreamRows(name, joints))
         rows.add(time, person, values, np.full(len(joints), 2))
     # numbers of seconds since the year 1 lose microseconds in later arithmetic
@@ -87,6 +102,13 @@ def read_kinect_csv(path: str | Path, clock: str = "tracker") -> SkeletonRecordi
     p = Path(path)
     title = p.name.removesuffix(".gz").removesuffix(".csv")
     return checked_recording(title, list(sensors.values()), str(p), {p.name: p}, common_clock=clock == "tracker")
+
+
+def _before_own_sensor(points: Array, first: Array, own: Array) -> Array:
+    """Points (N, 3) m that a sensor's skeleton has where the first sensor saw it, as its own sensor saw them; first,
+    own: angle rad about the vertical and distance m of the person at first."""
+    moved = (points - [0.0, 0.0, first[1]]) @ so3_exp(np.array([0.0, own[0] - first[0], 0.0]))
+    return np.asarray(moved + [0.0, 0.0, own[1]])
 
 
 _NTU_NAME = re.compile(r"(S\d{3})C(\d{3})(P\d{3}R\d{3}A\d{3})", re.IGNORECASE)

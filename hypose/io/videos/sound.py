@@ -12,8 +12,10 @@ import numpy as np
 
 from hypose.errors import InputError
 from hypose.geometry import Array
+from hypose.io.files import open_file
 
 _RATE = 16000
+_MAX_BYTES = 4 << 30
 
 
 @dataclass(frozen=True)
@@ -31,8 +33,22 @@ def read_sound(video: Path) -> Sound:
         return _read_wav(beside)
     ffmpeg = shutil.which("ffmpeg")
     if ffmpeg is not None:
-        command = [ffmpeg, "-v", "error", "-i", str(video), "-vn", "-ac", "1", "-ar", str(_RATE), "-f", "s16le", "-"]
-        done = subprocess.run(command, capture_output=True, check=False)
+        command = [
+            ffmpeg,
+            "-v",
+            "error",
+            "-i",
+            str(video.absolute()),
+            "-vn",
+            "-ac",
+            "1",
+            "-ar",
+            str(_RATE),
+            "-f",
+            "s16le",
+            "-",
+        ]
+        done = subprocess.run(command, capture_output=True, check=False, cwd=Path(__file__).parent)
         if done.returncode == 0 and len(done.stdout) > 2:
             return Sound(_RATE, np.frombuffer(done.stdout, np.int16).astype(np.float64) / 32768)
         raise InputError(f"{video} has no sound that ffmpeg can read; use --by motion, or put {beside.name} beside it.")
@@ -44,7 +60,7 @@ def read_sound(video: Path) -> Sound:
 
 def _read_wav(path: Path) -> Sound:
     try:
-        with wave.open(str(path), "rb") as file:
+        with open_file(path, "a WAV file", _MAX_BYTES) as stream, wave.open(stream) as file:
             width, channels, rate = file.getsampwidth(), file.getnchannels(), file.getframerate()
             data = file.readframes(file.getnframes())
     except (wave.Error, EOFError, OSError) as error:

@@ -17,6 +17,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from hypose.io.files import read_bytes
+
 # FFmpeg's own complaints would appear between our sentences; read by OpenCV when it first opens a video.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 
@@ -27,7 +29,7 @@ from numpy.typing import NDArray
 from hypose.errors import InputError
 from hypose.io.calibrations.calibration_toml import natural_key
 from hypose.io.file_names import utf8_path
-from hypose.io.motions.results import atomic_path
+from hypose.io.files import atomic_path
 from hypose.io.videos.png import is_cut_png
 
 Image = NDArray[np.uint8]
@@ -37,6 +39,7 @@ IMAGE_ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 # Encoders by ending, the first that opens is used. Tried with opencv-python-headless 5.0.0.93: the wheel
 # cannot encode H.264 (avc1), the one that both players and browsers show; in .mp4 it writes mp4v, MJPG, VP9
 # and FFV1.
+_MAX_IMAGE_BYTES = 512 << 20
 _CODECS = {
     ".mp4": ("mp4v", "avc1"),
     ".m4v": ("mp4v", "avc1"),
@@ -57,17 +60,18 @@ def quiet() -> Iterator[None]:
         cv2.utils.logging.setLogLevel(level)
 
 
+def read_image_file(path: Path) -> bytes:
+    """The bytes of an image file; an InputError for what is no file, is empty or too large."""
+    return read_bytes(path, "an image", _MAX_IMAGE_BYTES)  # cv2.imread fails on some names under Windows
+
+
 def read_image(path: str | Path) -> Image:
     """(h, w, 3) uint8 BGR of an image file; an InputError names a missing or damaged one."""
     path = Path(path)
-    try:
-        data = path.read_bytes()  # cv2.imread fails on some names under Windows
-    except OSError as error:
-        raise InputError(f"The image {path} cannot be read ({error.strerror}); check the path.") from None
+    data = read_image_file(path)
     with quiet():
         try:
-            usable = len(data) > 0 and not is_cut_png(data)
-            image = _in_colours(np.frombuffer(data, dtype=np.uint8)) if usable else None
+            image = None if is_cut_png(data) else _in_colours(np.frombuffer(data, dtype=np.uint8))
         except cv2.error:
             image = None
     if image is None:
@@ -389,7 +393,6 @@ class VideoWriter:
         return self
 
     def _open(self) -> cv2.VideoWriter:
-        self._temporary.touch()  # an unwritable folder shows here with its reason; OpenCV would give none
         for codec in self._codecs:
             with quiet(), utf8_path(self._temporary) as name:
                 fourcc = cv2.VideoWriter.fourcc(*codec)

@@ -156,7 +156,7 @@ class LiveRecorder:
         for view, path, camera in zip(self._views, self._masks, self._small, strict=True):
             if not view.depth:
                 write_text(path / SIDECAR, json.dumps({"undistorted": True, "size": list(camera.size)}) + "\n")
-        return open(self.folder / _POSES, "w", encoding="utf-8", newline="\n")
+        return open(self.folder / _POSES, "x", encoding="utf-8", newline="\n")
 
     def _write_room(self, empty: Sequence[Sequence[bytes]]) -> None:
         """The maps from which the empty room was learnt, in place of those of a room that was learnt before."""

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hypose.body.motion import Modes, Motion
 from hypose.evidence.frame import Frame
-from hypose.geometry import Array, nearest_branch
+from hypose.geometry import Array, nearest_branch, so3_left_jacobian
 from hypose.tracking.monocular.pool import OPTIMISED
 from hypose.tracking.smooth_motion import Clip
 from hypose.tracking.smoothing import ClipSettings, smooth_poses
@@ -32,12 +32,13 @@ class WholeClip:
 
     temperature: of a frame's costs, by which the passes are weighed; settled: s after which the start is forgotten, so
     that the way back counts as much as the way there; widening: of the covariances of single frames, whose errors last;
-    motion: usual accelerations and speeds."""
+    motion: usual accelerations and speeds, once for
+    the whole clip, since the noise of depth would be followed."""
 
     temperature: float = 4.0
     settled: float = 2.0
     widening: float = 4.0
-    motion: ClipSettings = ClipSettings(acceleration_rad=24.0)
+    motion: ClipSettings = ClipSettings(acceleration_rad=24.0, rounds=1)
 
 
 def solve_clip(clip: Clip, active: NDArray[np.int64]) -> tuple[Motion, tuple[str, ...]]:
@@ -90,6 +91,7 @@ def together(there: Modes, back: Modes, frame_rate: float, settings: WholeClip |
     apart = first - second
     between = share * (1 - share)
     poses = second + share[:, None] * apart
+    apart = _by_turn(apart, poses)
     within = share[:, None, None] * own + (1 - share)[:, None, None] * other
     return poses, within + between[:, None, None] * apart[:, :, None] * apart[:, None, :]
 
@@ -105,10 +107,17 @@ def summed_up(modes: Modes, near: Array | None = None) -> tuple[Array, Array]:
     mean = np.einsum("tk,tkd->td", weights, poses)
     whole = np.zeros((*mean.shape, mean.shape[1]))
     for k in range(poses.shape[1]):  # mode by mode: all at once would take gigabytes for a long clip
-        off = poses[:, k] - mean
+        off = _by_turn(poses[:, k] - mean, mean)
         own = np.where(seen[:, k, None, None], modes.covariances[:, k], 0.0)
         whole += weights[:, k, None, None] * (own + off[:, :, None] * off[:, None, :])
     return mean, whole
+
+
+def _by_turn(off: Array, poses: Array) -> Array:
+    """Differences (T, D) from poses (T, D) with that of the root's rotation vector as a turn in the world."""
+    out = off.copy()
+    out[:, 3:6] = np.einsum("tab,tb->ta", so3_left_jacobian(poses[:, 3:6]), off[:, 3:6])
+    return out
 
 
 def information(covariances: ArrayLike, active: NDArray[np.int64], settings: WholeClip | None = None) -> Array:

@@ -30,6 +30,7 @@ from hypose.tracking.monocular.pool import (
     OPTIMISED,
     SAMPLED,
     best_of,
+    by_turns,
     candidates,
     pooled,
     pose_covariance,
@@ -154,7 +155,7 @@ class PictureSearch:
         """All distinct candidates that were optimised, with covariances; the joints' (inflated) of the best one."""
         fixed, s = self._at(checked(frame.frame).camera).fixed, self.body.skeleton
         found = prune(h.take(np.flatnonzero(~h.has(SAMPLED))), self.body, self.settings.search)
-        covariances = self._covariances(fixed, found)
+        covariances = by_turns(self._covariances(fixed, found), found.values)
         around = s.joint_covariances(found.values[0], covariances[0])
         sight = self.body.joints(found.values[0]) - checked(frame.frame).camera.position
         sight = sight / np.linalg.norm(sight, axis=1, keepdims=True)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.compute import mono
-from hypose.geometry import Array
+from hypose.geometry import Array, so3_left_jacobian
 from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.frame_evidence import PreparedFrame
 from hypose.tracking.monocular.settings import SearchSettings
@@ -117,6 +117,14 @@ def prune(pool: Hypotheses, body: Body, settings: SearchSettings) -> Hypotheses:
 def landmark_places(body: Body, poses: Array) -> Array:
     """(N, L, 3) m: joint centres and landmarks, by which poses are told apart."""
     return np.concatenate([body.joints(poses), body.landmark_points(poses)], axis=1)
+
+
+def by_turns(covariances: Array, poses: Array) -> Array:
+    """(N, D, D): covariances of poses (N, D) with the root's rotation vector replaced by a small turn in the world."""
+    out, turns = covariances.copy(), so3_left_jacobian(poses[:, 3:6])
+    out[:, 3:6] = turns @ out[:, 3:6]
+    out[:, :, 3:6] = out[:, :, 3:6] @ np.swapaxes(turns, 1, 2)
+    return out
 
 
 def pose_covariance(hessian: Array, spread: Array, active: NDArray[np.int64], dof: int, inflation: float) -> Array:

@@ -1,8 +1,10 @@
 import os
+from typing import get_args
 
 import pytest
 
-from hypose.app.studio.catalog import Catalog, NotFound
+from hypose.app.studio.catalog import Catalog, Kind, NotFound
+from hypose.app.studio.gesture_socket import _brief, models_shown, sessions_shown
 
 
 def make(root):
@@ -74,3 +76,35 @@ def test_a_folder_swapped_for_a_link_has_no_id_any_more(tmp_path):
     os.symlink(tmp_path / "a", root / "a")
     with pytest.raises(NotFound):
         catalog.find("recording", item.id)
+
+
+def test_what_is_no_file_or_leads_out_is_not_listed_and_holds_nothing_up(tmp_path):
+    """FIFOs, devices, links out of the folder and files that say they are huge, under the names of hypose's files."""
+    root, outside = tmp_path / "root", tmp_path / "outside"
+    for k, name in enumerate(("motion.npz", "session.json", "frames.csv", "model.npz", "recording.toml")):
+        for kind in ("fifo", "device", "link", "sparse"):
+            place = root / f"{kind}{k}"
+            place.mkdir(parents=True)
+            if name == "frames.csv":
+                (place / "session.json").write_text("{}")
+            if kind == "fifo":
+                os.mkfifo(place / name)
+            elif kind == "sparse":
+                with (place / name).open("wb") as stream:
+                    stream.truncate(5 << 40)
+            else:
+                outside.mkdir(exist_ok=True)
+                (outside / name).write_text("secret")
+                (place / name).symlink_to("/dev/zero" if kind == "device" else outside / name)
+    catalog = Catalog(root)
+    found = {kind: [catalog.shown(i.path) for i in catalog.items(kind)] for kind in get_args(Kind)}
+    assert all(path.startswith("sparse") for paths in found.values() for path in paths)
+    assert [s["frames"] for s in sessions_shown(catalog)] == [0] and models_shown(catalog) == []
+
+
+def test_a_session_whose_files_are_replaced_by_fifos_is_still_listed(tmp_path):
+    catalog = make(tmp_path)
+    for name in ("session.json", "frames.csv"):
+        (tmp_path / "gestures" / "tee" / name).unlink()
+        os.mkfifo(tmp_path / "gestures" / "tee" / name)
+    assert _brief(tmp_path / "gestures" / "tee") == ([], 0) and catalog.items("session", fresh=True) == []

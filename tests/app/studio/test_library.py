@@ -1,6 +1,6 @@
-"""Recordings and results are deleted with a way back, and renamed; never what a job is at work on."""
+"""Results are deleted for good, recordings and results renamed; never what a job is at work on."""
 
-import pytest
+import shutil
 
 from tests.app.studio.conftest import serving
 
@@ -10,38 +10,29 @@ def state_of(client):
     return state["recordings"], state["results"]
 
 
-def test_a_result_is_deleted_and_brought_back(own_studio, folder):
+def test_a_result_is_deleted_for_good_and_links_in_it_are_not_followed(own_studio, folder, tmp_path):
     (recording,), (result,) = state_of(own_studio)
-    place = folder / "walk" / "results" / "default"
-    before = (place / "motion.npz").read_bytes()
+    place, kept = folder / "walk" / "results" / "default", folder / "kept"
+    kept.mkdir()
+    (kept / "file").write_text("kept")
+    (place / "link").symlink_to(kept)
     own_studio.ask(f"/api/results/{result['id']}/view")
-    deleted = own_studio.get(f"/api/results/{result['id']}", method="DELETE")
-    assert (
-        deleted["name"] == "default"
-        and not place.exists()
-        and state_of(own_studio)
-        == (
-            [{**recording, "results": []}],
-            [],
-        )
-    )
+    assert own_studio.get(f"/api/results/{result['id']}", method="DELETE") == {"name": "default"}
+    assert not place.exists() and (kept / "file").read_text() == "kept"
+    assert state_of(own_studio) == ([{**recording, "results": []}], [])
     own_studio.get(f"/api/results/{result['id']}/view", status=404)
-    assert own_studio.get(f"/api/trash/{deleted['trash']}", {})["id"] == result["id"]
-    assert (place / "motion.npz").read_bytes() == before and own_studio.ask(f"/api/results/{result['id']}/view")[
-        0
-    ] == 200
-    assert own_studio.get(f"/api/trash/{deleted['trash']}", {}, status=404)["error"]
+    own_studio.ask(f"/api/recordings/{recording['id']}", method="DELETE")
+    assert (folder / "walk" / "recording.toml").is_file() and [
+        p.name for p in folder.iterdir() if p.name[0] == "."
+    ] == []
 
 
-def test_a_recording_goes_with_its_results_and_is_gone_with_the_server(folder):
-    with serving(folder) as client:
-        (recording,), _ = state_of(client)
-        deleted = client.get(f"/api/recordings/{recording['id']}", method="DELETE")
-        assert state_of(client) == ([], []) and not (folder / "walk").exists()
-        client.get(f"/api/trash/{deleted['trash']}", {})
-        assert [len(x) for x in state_of(client)] == [1, 1]
-        client.get(f"/api/recordings/{recording['id']}", method="DELETE")
-    assert not (folder / ".studio-trash").exists() and not (folder / "walk").exists()
+def test_a_result_in_which_others_lie_is_not_deleted(own_studio, folder):
+    place = folder / "walk" / "results" / "default"
+    shutil.copytree(place, place / "inner")
+    outer = next(r for r in state_of(own_studio)[1] if r["path"] == "walk/results/default")
+    assert "lie in default" in own_studio.get(f"/api/results/{outer['id']}", method="DELETE", status=400)["error"]
+    assert (place / "motion.npz").is_file()
 
 
 def test_names_are_changed_and_kept_apart(own_studio, folder):
@@ -58,19 +49,16 @@ def test_names_are_changed_and_kept_apart(own_studio, folder):
 
 
 def test_what_a_job_is_at_work_on_stays(own_studio):
-    (recording,), _ = state_of(own_studio)
+    (recording,), (result,) = state_of(own_studio)
     job = own_studio.get("/api/jobs", {"kind": "check", "recording": recording["id"]}, status=201)
-    for ask in ({"method": "DELETE"}, {"value": {"name": "other"}}):
-        path = f"/api/recordings/{recording['id']}" + ("" if "method" in ask else "/name")
-        assert "stop it first" in own_studio.get(path, status=409, **ask)["error"]
+    renaming = own_studio.get(f"/api/recordings/{recording['id']}/name", {"name": "other"}, status=409)
+    assert "stop it first" in renaming["error"]
     own_studio.get(f"/api/jobs/{job['id']}/cancel", {})
 
 
-@pytest.mark.parametrize("kind", ["recordings", "results"])
-def test_the_served_folder_itself_is_not_deleted(folder, kind):
-    root = folder / "walk" if kind == "recordings" else folder / "walk" / "results" / "default"
+def test_the_served_folder_itself_is_not_deleted(folder):
+    root = folder / "walk" / "results" / "default"
     with serving(root) as client:
-        recordings, results = state_of(client)
-        own = [i for i in (*recordings, *results) if i["path"] in (root.name, ".")][-1]
-        assert "from outside" in client.get(f"/api/{kind}/{own['id']}", method="DELETE", status=400)["error"]
+        ((own,), _) = state_of(client)[::-1]
+        assert "from outside" in client.get(f"/api/results/{own['id']}", method="DELETE", status=400)["error"]
     assert root.is_dir()

@@ -197,7 +197,8 @@ def test_dropped_files_become_a_recording(own_studio, folder):
     assert made["frames"] == 8 and made["path"] == "mine" and len(made["views"]) == 2
     assert re.search(r"(?m)^camera = .cam2.$", (folder / "mine" / "recording.toml").read_text())
     assert own_studio.get("/api/recordings", ask, status=404)["error"]  # used up
-    assert not list((folder / ".studio-uploads").iterdir())
+    (uploads,) = folder.glob(".studio-uploads-*")
+    assert not list(uploads.iterdir())
 
 
 def test_drops_are_bounded_and_named_harmlessly(folder):
@@ -206,7 +207,8 @@ def test_drops_are_bounded_and_named_harmlessly(folder):
         assert "--upload-limit" in huge
         chunked = client.ask("/api/uploads/b.mp4", data=iter([b"0" * 600] * 5), method="PUT")
         assert chunked[0] == 413
-        assert not any(p.is_file() for p in (folder / ".studio-uploads").rglob("*"))
+        (uploads,) = folder.glob(".studio-uploads-*")
+        assert not any(uploads.iterdir())
         odd = client.get("/api/uploads/..%5C..%5Cevil%20%24(x).mp4", method="PUT", data=b"no video", status=201)
         assert odd["kind"] == "other" and "/" not in odd["problem"]
         assert odd["name"] == "_.._evil___x_.mp4"
@@ -214,15 +216,36 @@ def test_drops_are_bounded_and_named_harmlessly(folder):
         assert client.get(f"/api/uploads/{odd['upload']}", method="DELETE", status=404)["error"]
         for bad in ({}, {"name": "../x"}, {"name": "x", "views": []}, {"name": "x", "views": [{"video": "0"}]}):
             assert client.ask("/api/recordings", bad)[0] in (400, 404)
-    assert not (folder / ".studio-uploads").exists()
+    assert not list(folder.glob(".studio-uploads*"))
 
 
 def test_files_of_pages_that_were_closed_make_room(own_studio, folder):
     """However often a page is loaded again and the same is dropped, the last files come in, and the oldest go."""
     ids = [own_studio.get("/api/uploads/note.txt", data=b"a", method="PUT", status=201)["upload"] for _ in range(70)]
-    lying = {p.name for p in (folder / ".studio-uploads").iterdir()}
+    lying = {p.name for uploads in folder.glob(".studio-uploads-*") for p in uploads.iterdir()}
     assert lying == set(ids[6:])
     own_studio.get(f"/api/uploads/{ids[0]}/picture.jpg", status=404)
+
+
+def test_uploads_and_what_is_made_of_them_stay_in_the_served_folder(own_studio, folder, tmp_path):
+    """Whatever links lie where they go; and each of two servers of a folder has its own."""
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    for name in (".studio-uploads", "backgrounds", "gestures"):
+        (folder / name).symlink_to(outside)
+    (folder / "walk" / "backgrounds").symlink_to(outside)
+    room = upload(own_studio, folder / "walk" / "background" / "cam1.mp4")["upload"]
+    with serving(folder) as other:
+        upload(other, folder / "walk" / "calibration.toml")
+    wish = {"what": "background", "view": "cam1", "upload": room}
+    refused = own_studio.get(f"/api/recordings/{recording_of(own_studio)}/mend", wish, status=400)["error"]
+    assert "a link that leads out" in refused and not list(outside.iterdir())
+    assert own_studio.ask(f"/api/uploads/{room}/picture.jpg")[0] == 200  # the other server has ended
+    with own_studio.socket("/ws/gesture") as ws:
+        ws.recv(30)
+        ws.send('{"t": "start", "mode": "train", "gesture": "tee", "source": "simulated:0", "seed": 1}')
+        assert "a link that leads out" in ws.recv(60)
+    assert not list(outside.iterdir())
 
 
 def test_names_of_dropped_files():

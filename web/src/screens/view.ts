@@ -126,7 +126,6 @@ function compare(made: ResultView, data: ViewData, others: readonly ResultEntry[
 const FILES: Record<string, readonly string[]> = {
   csv: ["angles.csv", "joints.csv"],
   osim: ["motion.osim", "motion_markers.trc", "motion_ik.xml"],
-  amass: ["motion_amass.npz"],
 };
 
 /** Downloads what is there and writes what is not. */

@@ -4,7 +4,7 @@
  */
 
 export type Role = "video" | "background" | "masks" | "keypoints" | "board" | "calibration" | "none";
-export type Kind = "video" | "image" | "images" | "keypoints" | "calibration" | "other";
+export type Kind = "video" | "image" | "keypoints" | "calibration" | "other";
 /** Roles of which every camera has one file at most. */
 export const OF_A_CAMERA: readonly Role[] = ["video", "background", "masks", "keypoints", "board"];
 

@@ -6,7 +6,6 @@ import { icon } from "../ui/icons";
 import { toast } from "../ui/toast";
 import { assign, camerasOf, chosenCalibration, obstacle, OF_A_CAMERA, type Role, type Seen } from "./assign";
 import { filesOfInput, onDrop, type DroppedFile } from "./dropped";
-import { packed } from "./pack";
 
 interface Ready extends DroppedFile {
   /** How much of it is there. */
@@ -22,14 +21,16 @@ interface Ready extends DroppedFile {
 
 const AT_ONCE = 3;
 const MOST = 60;
-const USABLE = /\.(mp4|avi|mov|mkv|m4v|webm|mpe?g|wmv|mts|png|jpe?g|bmp|tiff?|webp|toml|json|ya?ml|xml|csv|txt|pickle|npz|npy|h5|folder)$/i;
+const USABLE = /\.(mp4|avi|mov|mkv|m4v|webm|mpe?g|wmv|mts|png|jpe?g|bmp|tiff?|webp|toml|json|ya?ml|xml|csv|txt|pickle|npz|npy|h5)$/i;
+/** Pictures and tables of which a folder has one per frame. */
+const NUMBERED = /\d{3,}(_keypoints)?\.(png|jpe?g|bmp|tiff?|webp|json|txt)$/i;
 /** The server's sentence about a video of another shape than the calibration's pictures; the view's name is in it. */
 export const STRETCHED = /View (.+?): .*accept_scaled/;
 const ROLES: Record<Role, string> = {
   video: "video of", background: "empty room of", masks: "masks of", keypoints: "key points of", board: "board seen by", calibration: "calibration", none: "not used",
 };
 const MAY_BE: Record<Upload["kind"], readonly Role[]> = {
-  video: ["video", "background", "masks", "board", "none"], images: ["video", "background", "masks", "board", "none"],
+  video: ["video", "background", "masks", "board", "none"],
   image: ["video", "background", "board", "none"], keypoints: ["keypoints", "none"], calibration: ["calibration", "none"], other: [],
 };
 
@@ -93,13 +94,14 @@ export class NewRecordingForm {
   }
 
   private add(files: readonly DroppedFile[]): void {
-    const bundled = packed(files);
-    const usable = bundled.filter((f) => USABLE.test(f.file.name));
+    const whole = files.filter((f) => !(f.path.includes("/") && NUMBERED.test(f.path)));
+    const usable = whole.filter((f) => USABLE.test(f.file.name));
     const fresh = usable.filter((f) => !this.files.some((old) => same(old, f)));
     const taken = fresh.slice(0, Math.max(0, MOST - this.files.length));
     const told: string[] = [];
     if (usable.length > fresh.length) told.push(`${number(usable.length - fresh.length, "file")} already here`);
-    if (bundled.length > usable.length) told.push(`${number(bundled.length - usable.length, "file")} left out: no video, picture, calibration or key points`);
+    if (files.length > whole.length) told.push(`${number(files.length - whole.length, "file")} left out, of folders with one per frame: name these in recording.toml, where they lie`);
+    if (whole.length > usable.length) told.push(`${number(whole.length - usable.length, "file")} left out: no video, picture, calibration or key points`);
     if (fresh.length > taken.length) told.push(`${number(fresh.length - taken.length, "file")} left out: ${MOST} at most`);
     this.left.textContent = told.length ? `${told.join("; ")}.` : "";
     for (const { file, path } of taken) {
@@ -123,7 +125,7 @@ export class NewRecordingForm {
       put<Upload>(`/api/uploads/${encodeURIComponent(one.file.name)}`, one.file, (share) => (one.bar.value = share))
         .then((upload) => {
           one.upload = upload;
-          if (upload.kind === "video" || upload.kind === "image" || upload.kind === "images") {
+          if (upload.kind === "video" || upload.kind === "image") {
             one.thumbnail.append(h("img", { src: address(`/api/uploads/${upload.upload}/picture.jpg`), alt: `First picture of ${one.file.name}` }));
           }
           if (!this.files.includes(one)) this.forget(one); // removed while it was on its way
@@ -205,7 +207,7 @@ export class NewRecordingForm {
     return h(
       "div",
       { class: "dropped-file", "data-file": f.path },
-      f.thumbnail.hasChildNodes() ? f.thumbnail : h("span", { class: "thumbnail dropped-picture" }, icon(kind === "video" ? "camera" : kind === "image" || kind === "images" ? "picture" : kind === "keypoints" ? "skeleton" : "report")),
+      f.thumbnail.hasChildNodes() ? f.thumbnail : h("span", { class: "thumbnail dropped-picture" }, icon(kind === "video" ? "camera" : kind === "image" ? "picture" : kind === "keypoints" ? "skeleton" : "report")),
       h("div", { class: "grow" }, h("b", {}, folders ? h("span", { class: "dim" }, folders) : null, name), h("div", { class: f.error || f.upload?.problem ? "bad" : "dim" }, facts), f.upload || f.error ? null : f.bar),
       this.coming || !roles.length
         ? null
@@ -296,7 +298,6 @@ function told(upload: Upload): string {
   if (upload.kind === "other") return "no video, picture or calibration; it is not used";
   if (upload.kind === "keypoints") return `key points of ${number(upload.frames ?? 0, "frame")}`;
   const size = upload.size ? `${upload.size[0]} × ${upload.size[1]}` : "";
-  if (upload.kind === "images") return `${number(upload.frames ?? 0, "picture")}, ${size}`;
   if (upload.kind === "image") return `picture, ${size}`;
   return [size, `${upload.frames ?? "?"} frames`, upload.frame_rate ? `${upload.frame_rate.toFixed(1).replace(/\.0$/, "")} fps` : ""].filter(Boolean).join(", ");
 }

@@ -5,39 +5,30 @@ import { toast } from "./toast";
 
 type Kind = "recordings" | "results";
 
-/** What can be done with a recording or a result in a list: rename it, delete it with a way back. */
+/** What can be done with a recording or a result in a list: rename it; delete a result. */
 export function itemMenu(kind: Kind, item: { id: string; name: string; path: string }, changed: () => void, more: HTMLElement[] = []): HTMLElement {
   return menu(
     "",
     () => [
       { label: "Rename", act: () => rename(kind, item, changed) },
-      { label: "Delete", hint: "can be brought back", act: () => void erase(kind, item, changed) },
+      ...(kind === "results" ? [{ label: "Delete", hint: "for good", act: () => void erase(item, changed) }] : []),
       ...more,
     ],
     { icon: "more", kind: "quiet", title: `More about ${item.path}` },
   );
 }
 
-/** Deletes something, and offers the way to have it back. */
-export async function erase(kind: Kind, item: { id: string; name: string }, changed: () => void): Promise<boolean> {
+/** Deletes a result when the user confirms it; whether it is gone. */
+export async function erase(item: { id: string; name: string; path: string }, changed: () => void): Promise<boolean> {
+  if (!confirm(`Delete the folder ${item.path} with all that is in it, for good?`)) return false;
   try {
-    const { trash } = await remove(kind, item.id);
-    toast(`${item.name} is deleted.`, "said", { label: "Bring it back", act: () => void bringBack(trash, item.name, changed) });
+    await remove(item.id);
+    toast(`${item.name} is deleted.`, "said");
     changed();
     return true;
   } catch (error) {
     toast((error as Error).message, "error");
     return false;
-  }
-}
-
-async function bringBack(trash: string, name: string, changed: () => void): Promise<void> {
-  try {
-    await post(`/api/trash/${trash}`);
-    toast(`${name} is back.`, "done");
-    changed();
-  } catch (error) {
-    toast((error as Error).message, "error");
   }
 }
 

@@ -39,5 +39,5 @@ export function correctionsMenu(data: ViewData, entry: ResultEntry, state: State
 }
 
 async function undo(entry: ResultEntry, old: ResultEntry, row: number): Promise<void> {
-  if (await erase("results", entry, () => undefined)) location.hash = `#/view/${old.id}/${row}`;
+  if (await erase(entry, () => undefined)) location.hash = `#/view/${old.id}/${row}`;
 }

@@ -1,0 +1,71 @@
+"""What is said of a clip does not depend on which way the person faces in the world."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.multiview.doubt_scenes import Case, scene_without_masks, without_masks
+from hypose.body.joint_angles import ANGLE_NAMES
+from hypose.cameras.camera import CameraRig
+from hypose.evidence.frame import Keypoints
+from hypose.evidence.keypoints import BODY_25
+from hypose.geometry import se3, so3_exp
+from hypose.pipeline.run import TrackOptions, track_source
+from hypose.pipeline.track_loop import FrameList
+from hypose.pipeline.verdict import GOOD
+
+
+def turned(frames, angle):
+    """The frames with a world that is turned by an angle about the vertical: its cameras alone know."""
+    back = se3(so3_exp(np.array([0, 0, -angle])), np.zeros(3))
+    out = []
+    for f in frames:
+        k = f.keypoints
+        rig = CameraRig(tuple(replace(c, camera_from_world=c.camera_from_world @ back) for c in k.rig))
+        out.append(replace(f, keypoints=replace(k, rig=rig)))
+    return out
+
+
+@pytest.fixture(scope="module")
+def clip():
+    scene, frames = scene_without_masks(Case("walk", "ring-4"), 41, 1.2)
+    return scene.frame_rate, without_masks(frames)
+
+
+@pytest.fixture(scope="module")
+def facing_along_x(clip):
+    return track(clip, 0.0)
+
+
+def track(clip, angle):
+    rate, frames = clip
+    return track_source(FrameList(turned(frames, angle), rate), rate, TrackOptions(evidence="keypoints"))
+
+
+@pytest.mark.parametrize("degrees", [60, 90, 150, 330])
+def test_a_turned_clip_is_judged_alike(clip, facing_along_x, degrees):
+    found, plain = track(clip, np.radians(degrees)), facing_along_x
+    back = so3_exp(np.array([0, 0, -np.radians(degrees)]))
+    away = np.linalg.norm(found.motion.joints @ back.T - plain.motion.joints, axis=-1)
+    assert away.mean() < 5e-4 and away.max() < 0.01  # the solver stops at a thousandth of a radian
+    around = back @ found.motion.joint_covariance.astype(np.float64) @ back.T
+    limit = 0.05 * np.trace(plain.motion.joint_covariance, axis1=2, axis2=3)[..., None, None]
+    assert (np.abs(around - plain.motion.joint_covariance) <= limit).all()
+    own = [not n.startswith("pelvis") for n in ANGLE_NAMES]  # those of the pelvis are about the axes of the world
+    np.testing.assert_allclose(found.motion.angle_sd[:, own], plain.motion.angle_sd[:, own], rtol=0.05)
+    np.testing.assert_allclose(found.motion.p_wrong, plain.motion.p_wrong, rtol=0.05, atol=2e-3)
+    np.testing.assert_array_equal(found.motion.doubtful_joints, plain.motion.doubtful_joints)
+    assert found.verdict.word == plain.verdict.word
+
+
+def test_joints_without_a_key_point_are_named_once_and_in_no_frame(clip):
+    rate, frames = clip
+    faceless = [k for k, n in enumerate(BODY_25) if not any(part in n for part in ("nose", "eye", "ear"))]
+    names = tuple(BODY_25[k] for k in faceless)
+    used = [replace(f, keypoints=Keypoints(f.keypoints.points[:, faceless], names, f.keypoints.rig)) for f in frames]
+    found = track_source(FrameList(used, rate), rate, TrackOptions(evidence="keypoints"))
+    head = found.motion.skeleton.joint("head")
+    assert found.motion.joint_sd[:, head].min() > 0.03
+    assert not found.motion.doubtful_joints[:, head].any() and found.verdict.word == GOOD
+    assert any("head" in note for note in found.verdict.beside)

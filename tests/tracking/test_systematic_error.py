@@ -1,0 +1,68 @@
+"""What lasts in key points' residuals is measured as such, whatever noise there is beside it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hypose.evidence.frame import Keypoints
+from hypose.evidence.keypoints import BODY_25
+from hypose.tracking.keypoint_evidence import keypoint_model, pixels_per_metre
+from hypose.tracking.systematic_error import SHARED, lasting_residuals, systematic_covariance
+
+RATE, FRAMES = 25.0, 60
+
+
+@pytest.fixture(scope="module")
+def model(body):
+    found = keypoint_model(body, BODY_25)
+    return replace(found, sd=np.full(len(BODY_25), 0.1))  # all residuals here weigh in full
+
+
+@pytest.fixture(scope="module")
+def poses(body, standing):
+    out = np.repeat(standing[None], FRAMES, 0)
+    out[:, body.skeleton.dofs_of("left_shoulder")[0]] += 0.5 * np.sin(np.arange(FRAMES) / 8)
+    return body.skeleton.clamp(out)
+
+
+def seen(body, model, poses, rig, noise_m=0.0, off_m=None):
+    """Key points with white noise, and off (C, 2) all along, in metres at the body."""
+    rng = np.random.default_rng(5)
+    out = []
+    for q in poses:
+        uv = np.stack([camera.project_pinhole(model.positions(body, q)) for camera in rig])
+        points = np.concatenate([uv, np.where(model.known, 0.9, 0.0)[None, :, None].repeat(len(rig), 0)], -1)
+        k = Keypoints(points, BODY_25, rig)
+        size = pixels_per_metre(k, q[:3])[:, None, None]
+        points[..., :2] += size * noise_m * rng.normal(size=uv.shape)
+        if off_m is not None:
+            points[..., :2] += size * off_m[:, None]
+        out.append(replace(k, points=points))
+    return out
+
+
+def test_white_noise_does_not_last(body, model, poses, small_rig):
+    noisy = systematic_covariance(body, model, seen(body, model, poses, small_rig, 0.03), poses, RATE)
+    assert np.sqrt(noisy[..., 0, 0]).mean() < 0.005
+
+
+def test_what_one_view_is_off_all_along_is_found_under_noise(body, model, poses, small_rig):
+    off = np.zeros((len(small_rig), 2))
+    off[1] = (0.03, 0.04)
+    found, used = lasting_residuals(body, model, seen(body, model, poses, small_rig, 0.02, off), poses, RATE)
+    known = used[0].any(0)
+    per_axis = 0.05**2 / 2 / ((2 * len(small_rig) - 3) / (2 * len(small_rig)))
+    assert found[1, known].mean() == pytest.approx(per_axis, rel=0.15)
+    assert found[[0, 2, 3]][:, known].max() < 0.05 * per_axis
+
+
+def test_fewer_views_leave_more_open_and_shared_errors_stay(body, model, poses, small_rig):
+    off = 0.02 * np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])[: len(small_rig)]
+    points = seen(body, model, poses, small_rig, 0.0, off)
+    few = [replace(k, points=np.where(np.arange(len(small_rig))[:, None, None] < 2, k.points, 0.0)) for k in points]
+    many, two = (systematic_covariance(body, model, p, poses, RATE) for p in (points, few))
+    wrist = body.skeleton.joint("left_wrist")
+    assert np.trace(two[0, wrist]) > np.trace(many[0, wrist])
+    assert np.linalg.eigvalsh(many[0, wrist])[0] > SHARED**2 * 0.5 * 0.02**2
+    assert np.isfinite(many).all() and (np.linalg.eigvalsh(many) >= -1e-12).all()
