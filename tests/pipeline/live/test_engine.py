@@ -10,6 +10,7 @@ from hypose.pipeline.live.engine import EMPTY_ROOM, LiveEngine, LiveOptions
 from hypose.pipeline.live.eyes import EyesOptions, LiveView
 from hypose.pipeline.live.live_people import FOLLOWING
 from hypose.synthetic.rigs import rig
+from tests.conftest import HANG_S
 from tests.live_scenes import Stage, in_step, slow_walk, until
 
 RATE = 8.0
@@ -78,4 +79,6 @@ def test_a_camera_that_cannot_be_opened_is_named_and_nothing_stays(tmp_path):
             engine.start()
     finally:
         engine.stop()
-    assert not multiprocessing.active_children()
+    for process in multiprocessing.active_children():
+        process.join(HANG_S)
+        assert process.exitcode == 0

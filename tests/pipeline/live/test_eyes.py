@@ -14,6 +14,7 @@ from hypose.evidence.background import from_frames
 from hypose.io.videos.camera_sources import Shot
 from hypose.pipeline.live.eyes import EyesOptions, EyesProcess, LiveView, Question
 from hypose.synthetic.rigs import rig
+from tests.conftest import HANG_S
 from tests.live_scenes import in_step
 
 RATE = 20.0
@@ -107,8 +108,9 @@ def test_an_empty_room_is_not_learnt_from_a_camera_that_was_turned(begun, camera
     assert sight.room and "Learning the empty room." in sight.words
 
 
-def test_eyes_that_nobody_listens_to_any_more_end_by_themselves(cameras, tmp_path, rng):
+def test_eyes_that_nobody_listens_to_any_more_end_by_themselves(cameras, tmp_path, rng, monkeypatch):
     """What they are about to say is more than waits in a pipe."""
+    monkeypatch.setattr("hypose.pipeline.live.eyes._CLOSING_S", HANG_S)
     views = [LiveView(c.name, folder(tmp_path / c.name, (1600, 1200), rng, 4000), background=room(c)) for c in cameras]
     eyes = EyesProcess(cameras, views, EyesOptions(RATE))
     while True:
