@@ -5,7 +5,6 @@ import { barriers, staysCutOff, walk } from "./harness.mjs";
 
 await walk(
   async ({ page, picture }) => {
-    page.setDefaultTimeout(1_200_000); // for a page that hangs: a busy computer may take its time
     await page.getByText("Not running").waitFor();
     await page.getByRole("link", { name: "Cameras", exact: true }).click();
     await page.getByRole("heading", { name: "Live cameras" }).waitFor();
