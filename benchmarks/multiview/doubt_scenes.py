@@ -125,8 +125,8 @@ DATA = Path(__file__).parents[3] / "shared" / "data"
 class Tracked:
     """One scene tracked from one evidence. error (T, 19) m of the final joints, error_raw as tracked frame by frame;
     motion: with the covariances that the curvature says, see `spread_fit.as_told`; away (T, 19, 3) m from the estimate
-    to the truth; angles (T, A) rad, estimate less truth; unsure (J,): what the start left open; kind: 'plain', or what
-    was spoilt. With cameras that are not where or when they are said to be, errors are those that a rigid motion of the
+    to the truth; angles (T, A) rad, estimate less truth; unsure: what the start left open; kind: 'plain', or what was
+    spoilt. With cameras that are not where or when they are said to be, errors are those that a rigid motion of the
     clip leaves: such cameras have another world, in which the pose may be right."""
 
     case: str
