@@ -12,10 +12,7 @@ import contextlib
 import hashlib
 import os
 import re
-import stat
 import sys
-import tempfile
-import time
 import uuid
 from collections.abc import Callable
 from functools import cache, partial
@@ -23,7 +20,7 @@ from pathlib import Path
 from pickle import loads
 from typing import Any
 
-from hypose.compute.cache_place import cache_folder, note
+from hypose.compute.cache_place import cache_folder, make_folder, note
 
 # Intel's vector mathematics is there on some machines only, and its last digits differ from the C library's
 os.environ.setdefault("NUMBA_DISABLE_INTEL_SVML", "1")
@@ -36,10 +33,10 @@ from numba.core.registry import cpu_target  # noqa: E402
 from numba.core.runtime.nrt import rtsys  # noqa: E402
 from numba.core.serialize import dumps  # noqa: E402
 
-_UNUSED_DAYS = 60
 _IMPORT = re.compile(r"^ *(?:from|import) (hypose\.compute[\w.]*)", re.MULTILINE)
 _ROOM = Path(__file__).parent
-_failures: list[OSError] = []
+failures: list[OSError] = []
+"""Why kernels that this process has compiled are not in the cache"""
 
 
 def kernel(function: Callable[..., Any] | None = None, *, inline: bool = False) -> Any:
@@ -91,14 +88,14 @@ class KernelCache(NullCache):
             return
         temporary = path.with_name(f"{uuid.uuid4().hex[:16]}.tmp")
         try:
-            _folder_for_writing(path.parent)
+            make_folder(path.parent)
             data = dumps(cres._replace(type_annotation="")._reduce())
             temporary.write_bytes(hashlib.sha256(data).digest() + data)
             os.replace(temporary, path)
         except OSError as error:
             with contextlib.suppress(OSError):
                 temporary.unlink(missing_ok=True)
-            _failures.append(error)
+            failures.append(error)
             reason = (error.strerror or str(error)).lower()
             note(f"Compiled code cannot be kept in {path.parent} ({reason}); the next start compiles it again.")
 
@@ -106,61 +103,15 @@ class KernelCache(NullCache):
         f = self._function
         sources = _digest_of_sources(f.__module__)
         name = f"{f.__module__.rpartition('.')[2]}.{f.__qualname__}"
-        return _path(name, "kernel", f.__code__.co_firstlineno, sig, sources) if sources else None
+        return cache_file(name, "kernel", f.__code__.co_firstlineno, sig, sources) if sources else None
 
 
-def is_ready(part: str) -> bool:
-    """Whether all kernels of a part of the room are in the cache: a file says so, by being there."""
-    path = _path(part, "ready", _digest_of_room())
-    return path is not None and os.path.exists(path)
-
-
-def note_ready(part: str) -> None:
-    """Leave that file, if all that this process has compiled is in the cache."""
-    path = _path(part, "ready", _digest_of_room())
-    if path is not None and not _failures:
-        with contextlib.suppress(OSError):
-            path.touch()
-
-
-def can_keep() -> bool:
-    """Whether other processes will find what is compiled now."""
-    path = _path("", "")
-    if path is None:
-        return False
-    try:
-        _folder_for_writing(path.parent)
-        tempfile.TemporaryFile(dir=path.parent).close()
-    except OSError:
-        return False
-    return True
-
-
-def _path(name: str, kind: str, *key: Any) -> Path | None:
+def cache_file(name: str, kind: str, *key: Any) -> Path | None:
     """A file of the cache, for this processor and these versions."""
     folder, processor = cache_folder(), cpu_target.target_context.codegen().magic_tuple()
     text = repr((key, processor, numba.__version__, llvmlite.__version__, sys.implementation.cache_tag))
     digest = hashlib.sha256(text.encode()).hexdigest()[:24]
     return None if folder is None else folder / "kernels" / f"{name}-{digest}.{kind}"
-
-
-@cache
-def _folder_for_writing(folder: Path) -> None:
-    """Make the folder, for the users its parent is for, and remove what has not been used for long."""
-    if not folder.is_dir():
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        with contextlib.suppress(OSError):  # another process has made it in this moment
-            folder.chmod(stat.S_IMODE(folder.parent.stat().st_mode))
-    oldest = time.time() - _UNUSED_DAYS * 86400
-    for path in folder.parent.glob("kernels*/*"):
-        with contextlib.suppress(OSError):
-            if path.stat().st_mtime < oldest:
-                path.unlink()
-
-
-@cache
-def _digest_of_room() -> str:
-    return hashlib.sha256(b"\0".join(p.read_bytes() for p in sorted(_ROOM.rglob("*.py")))).hexdigest()
 
 
 @cache

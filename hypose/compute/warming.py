@@ -8,19 +8,23 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import hashlib
 import os
 import subprocess
 import sys
+import tempfile
 import threading
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hypose.compute.arrays import BALL, FIXED, MeshArrays, TreeArrays
-from hypose.compute.compiled import can_keep, is_ready, note_ready
+from hypose.compute.cache_place import make_folder
+from hypose.compute.compiled import cache_file, failures
 from hypose.compute.monocular import mono
 from hypose.compute.pictures import mask_runs, picture_to_mask
 from hypose.compute.pictures.parts import covered, draw_parts, parts_against_mask, projected
@@ -182,7 +186,10 @@ def run(compute: Any, parts: Iterable[str]) -> None:
             for part in parts:
                 for call in PARTS[part]:
                     call(compute)
-                note_ready(part)
+                mark = _mark(part)
+                if mark is not None and not failures:
+                    with contextlib.suppress(OSError):
+                        mark.touch()
     finally:
         if was:
             gc.enable()
@@ -191,9 +198,9 @@ def run(compute: Any, parts: Iterable[str]) -> None:
 def warm(compute: Any, names: Sequence[str], load: bool) -> None:
     """See `compute.warm_up`."""
     parts = [part for part in PARTS if part in names]
-    missing = [part for part in parts if not is_ready(part)]
+    missing = [part for part in parts if not _is_ready(part)]
     # in a program that Python is embedded in or frozen into, sys.executable is that program
-    if len(missing) > 1 and can_keep() and Path(sys.executable or "").name.lower().startswith("python"):
+    if len(missing) > 1 and _can_keep() and Path(sys.executable or "").name.lower().startswith("python"):
         began: list[subprocess.Popen[bytes]] = []
         with ThreadPoolExecutor(default_threads()) as pool:
             try:
@@ -202,12 +209,41 @@ def warm(compute: Any, names: Sequence[str], load: bool) -> None:
                 pool.shutdown(wait=False, cancel_futures=True)
                 for process in began:
                     process.kill()
-    run(compute, [part for part in parts if load or not is_ready(part)])
+    run(compute, [part for part in parts if load or not _is_ready(part)])
 
 
 def kept(names: Sequence[str]) -> bool:
     """See `compute.kept`."""
-    return all(map(is_ready, names))
+    return all(map(_is_ready, names))
+
+
+def _is_ready(part: str) -> bool:
+    """Whether all kernels of a part are in the cache: a file says so, by being there."""
+    mark = _mark(part)
+    return mark is not None and os.path.exists(mark)
+
+
+def _can_keep() -> bool:
+    """Whether this process will find what others compile."""
+    mark = _mark("")
+    if mark is None:
+        return False
+    try:
+        make_folder(mark.parent)
+        tempfile.TemporaryFile(dir=mark.parent).close()
+    except OSError:
+        return False
+    return True
+
+
+def _mark(part: str) -> Path | None:
+    return cache_file(part, "ready", _digest_of_room())
+
+
+@cache
+def _digest_of_room() -> str:
+    sources = sorted(Path(__file__).parent.rglob("*.py"))
+    return hashlib.sha256(b"\0".join(p.read_bytes() for p in sources)).hexdigest()
 
 
 def _in_another_process(part: str, began: list[subprocess.Popen[bytes]]) -> None:

@@ -27,10 +27,10 @@ def place(tmp_path, monkeypatch, caplog):
     caplog.set_level(logging.WARNING, "hypose")
     monkeypatch.setattr(compiled, "cache_folder", lambda: tmp_path)
     cache_place.note.cache_clear()
-    compiled._folder_for_writing.cache_clear()
+    cache_place.make_folder.cache_clear()
     yield tmp_path
     cache_place.note.cache_clear()
-    compiled._folder_for_writing.cache_clear()
+    cache_place.make_folder.cache_clear()
 
 
 def compiled_anew():
@@ -131,7 +131,7 @@ def test_files_that_have_not_been_used_for_long_are_removed(place):
         one.parent.mkdir(exist_ok=True)
         one.write_bytes(b"")
         os.utime(one, (0, 0))
-    compiled._folder_for_writing.cache_clear()
+    cache_place.make_folder.cache_clear()
     compiled.kernel(add)(2, 3)
     assert path.exists() and not any(one.exists() for one in old)
 

@@ -18,13 +18,13 @@ def parts(tmp_path, monkeypatch):
     made = {name: (lambda _, part=name: here.append(part),) for name in warming.PARTS}
     monkeypatch.setattr(warming, "PARTS", made)
     monkeypatch.setattr(compiled, "cache_folder", lambda: tmp_path)
-    monkeypatch.setattr(compiled, "_failures", [])
-    assert compiled.can_keep()  # makes the folder
+    monkeypatch.setattr(warming, "failures", [])
+    assert warming._can_keep()  # makes the folder
 
     def elsewhere(part, began):
         others.append(part)
         if part != "shape":
-            compiled.note_ready(part)
+            warming._mark(part).touch()
 
     monkeypatch.setattr(warming, "_in_another_process", elsewhere)
     return here, others
@@ -54,7 +54,7 @@ def test_where_nothing_can_be_kept_only_this_process_compiles(parts, monkeypatch
 
 
 def test_what_could_not_be_kept_is_not_said_to_be_there(parts, monkeypatch):
-    monkeypatch.setitem(warming.PARTS, "solver", (lambda _: compiled._failures.append(OSError()),))
+    monkeypatch.setitem(warming.PARTS, "solver", (lambda _: warming.failures.append(OSError()),))
     compute.warm_up("solver", load=False)
     assert not compute.kept("solver")
 
@@ -66,21 +66,18 @@ def test_a_program_that_python_is_embedded_in_is_not_started_again(parts, monkey
     assert (here, others) == (["solver", "scorer"], [])
 
 
-def test_other_sources_are_not_ready(tmp_path, monkeypatch):
-    monkeypatch.setattr(compiled, "cache_folder", lambda: tmp_path)
-    monkeypatch.setattr(compiled, "_failures", [])
-    assert compiled.can_keep()
-    compiled.note_ready("solver")
-    assert compiled.is_ready("solver") and not compiled.is_ready("scorer")
-    monkeypatch.setattr(compiled, "_digest_of_room", lambda: "others")
-    assert not compiled.is_ready("solver")
+def test_other_sources_are_not_ready(parts, monkeypatch):
+    compute.warm_up("solver", load=False)
+    assert compute.kept("solver") and not compute.kept("scorer")
+    monkeypatch.setattr(warming, "_digest_of_room", lambda: "others")
+    assert not compute.kept("solver")
 
 
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="rights as on POSIX")
 def test_a_group_that_shares_a_cache_shares_what_is_compiled(tmp_path, monkeypatch):
     tmp_path.chmod(0o770)
     monkeypatch.setattr(compiled, "cache_folder", lambda: tmp_path)
-    assert compiled.can_keep()
+    assert warming._can_keep()
     (folder,) = tmp_path.iterdir()
     assert folder.stat().st_mode & 0o777 == 0o770
 
