@@ -1,68 +1,53 @@
-"""numba: sums of rows as vector instructions: the compiler makes none of the sums in a fixed order of cpu_cholesky.dot.
+"""numba: sums of rows as vectors: the compiler makes none of the sums in a fixed order of cpu_cholesky.dot.
 
-EIGHT partial sums are kept beside each other and added in the order of `dot`, so the bits are the same as there, on
-every processor (LLVM intermediate code; products are not fused with sums).
+EIGHT partial sums are kept for each and added in the order of `dot`, so the bits are the same as there.
 """
 
 from __future__ import annotations
 
-from typing import Any
-
-from llvmlite import ir
-from numba import types
-from numba.core import cgutils
-from numba.extending import intrinsic
+from hypose.compute.compiled import kernel
+from hypose.compute.simd import lane, load, shuffle, splat
 
 EIGHT = 8
 SUMS = 27
 """of a joint: for each of the six parts x of a wrench w x . y with the parts y up to it, and w x . residual"""
 
-_DOUBLE, _I64 = ir.DoubleType(), ir.IntType(64)
-_DOUBLES = ir.VectorType(_DOUBLE, EIGHT)
+_low, _high = shuffle(range(4)), shuffle(range(4, 8))
 
 
-def _added(builder: Any, value: Any) -> Any:
-    """The eight partial sums as one, in the order of `dot`."""
-    nothing = ir.Constant(_DOUBLES, ir.Undefined)
-    halves = [
-        builder.shuffle_vector(value, nothing, ir.Constant(ir.VectorType(ir.IntType(32), 4), list(range(k, k + 4))))
-        for k in (0, 4)
-    ]
-    four = builder.fadd(*halves)
-    a, b, c, d = (builder.extract_element(four, ir.IntType(32)(k)) for k in range(4))
-    return builder.fadd(builder.fadd(a, b), builder.fadd(c, d))
-
-
-@intrinsic
-def wrench_sums(typingctx: Any, lanes, row, first, last, sums):
+@kernel
+def wrench_sums(lanes, row, first, last, sums):
     """sums (SUMS,) of the columns first..last, a multiple of EIGHT, of lanes (9, row) f8: wrench (6), weight w,
     residual, scratch. In the order x y: w x . y for y = 0..x, then w x . residual, for x = 0..5."""
+    n, residual = 0, 7 * row
+    for x in range(6):  # sums that share a factor in one loop, three at a time
+        for y in range(0, x + 2, 3):
+            b, c = min(y + 1, x + 1), min(y + 2, x + 1)
+            rest = lanes, row, first, last, x * row
+            a, b, c = _three(lanes, row, first, last, x, y if y <= x else 7, b if b <= x else 7, c if c <= x else 7)
+            sums[n + y] = a
+            if y + 1 < x + 2:
+                sums[n + y + 1] = b
+            if y + 2 < x + 2:
+                sums[n + y + 2] = c
+        n += x + 2
 
-    def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        data = context.make_array(signature.args[0])(context, builder, args[0]).data
-        out = context.make_array(signature.args[4])(context, builder, args[4]).data
-        _, row, first, last, _ = args
 
-        def load(line: int, column: Any) -> Any:
-            place = builder.gep(data, [builder.add(builder.mul(row, _I64(line)), column)])
-            return builder.load(builder.bitcast(place, _DOUBLES.as_pointer()), align=8)
+@kernel
+def _three(lanes, row, first, last, x, a, b, c):
+    """The sums of w x with the rows a, b and c."""
+    zero = splat(0.0, EIGHT)
+    p, q, r = zero, zero, zero
+    for at in range(first, last, EIGHT):
+        weighted = load(lanes, 6 * row + at, EIGHT) * load(lanes, x * row + at, EIGHT)
+        p = p + weighted * load(lanes, a * row + at, EIGHT)
+        q = q + weighted * load(lanes, b * row + at, EIGHT)
+        r = r + weighted * load(lanes, c * row + at, EIGHT)
+    return _added(p), _added(q), _added(r)
 
-        n = 0
-        for x in range(6):
-            others = [*range(x + 1), 7]
-            zero = ir.Constant(_DOUBLES, [0.0] * EIGHT)
-            totals = [cgutils.alloca_once_value(builder, zero) for _ in others]
-            for total in totals:  # a value given where it is made is given once, not for every joint
-                builder.store(zero, total)
-            with cgutils.for_range_slice(builder, first, last, _I64(EIGHT), intp=_I64) as (column, _):
-                weighted = builder.fmul(load(6, column), load(x, column))
-                for total, y in zip(totals, others, strict=True):
-                    product = builder.fmul(weighted, load(y, column))
-                    builder.store(builder.fadd(builder.load(total), product), total)
-            for total in totals:
-                builder.store(_added(builder, builder.load(total)), builder.gep(out, [_I64(n)]))
-                n += 1
-        return context.get_dummy_value()
 
-    i8 = types.int64
-    return types.none(lanes, i8, i8, i8, sums), code
+@kernel
+def _added(value):
+    """The partial sums as one, in the order of `dot`."""
+    four = _low(value, value) + _high(value, value)
+    return (lane(four, 0) + lane(four, 1)) + (lane(four, 2) + lane(four, 3))
