@@ -19,24 +19,19 @@ _low, _high = shuffle(range(4)), shuffle(range(4, 8))
 def wrench_sums(lanes, row, first, last, sums):
     """sums (SUMS,) of the columns first..last, a multiple of EIGHT, of lanes (9, row) f8: wrench (6), weight w,
     residual, scratch. In the order x y: w x . y for y = 0..x, then w x . residual, for x = 0..5."""
-    n, residual = 0, 7 * row
-    for x in range(6):  # sums that share a factor in one loop, three at a time
-        for y in range(0, x + 2, 3):
-            b, c = min(y + 1, x + 1), min(y + 2, x + 1)
-            rest = lanes, row, first, last, x * row
-            a, b, c = _three(lanes, row, first, last, x, y if y <= x else 7, b if b <= x else 7, c if c <= x else 7)
-            sums[n + y] = a
-            if y + 1 < x + 2:
-                sums[n + y + 1] = b
-            if y + 2 < x + 2:
-                sums[n + y + 2] = c
+    n = 0
+    for x in range(6):
+        for y in range(0, x + 2, 3):  # three at a time, which share a factor; the last one again where less is left
+            a, b, c = y, min(y + 1, x + 1), min(y + 2, x + 1)
+            rows = (a if a <= x else 7, b if b <= x else 7, c if c <= x else 7)
+            sums[n + a], sums[n + b], sums[n + c] = _three(lanes, row, first, last, x, rows)
         n += x + 2
 
 
 @kernel
-def _three(lanes, row, first, last, x, a, b, c):
-    """The sums of w x with the rows a, b and c."""
-    zero = splat(0.0, EIGHT)
+def _three(lanes, row, first, last, x, rows):
+    """The sums of w x times these rows."""
+    (a, b, c), zero = rows, splat(0.0, EIGHT)
     p, q, r = zero, zero, zero
     for at in range(first, last, EIGHT):
         weighted = load(lanes, 6 * row + at, EIGHT) * load(lanes, x * row + at, EIGHT)
