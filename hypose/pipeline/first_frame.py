@@ -41,8 +41,8 @@ agree: one limb of one view is 3 of 100."""
 @dataclass(frozen=True)
 class Subject:
     """body; where key points sit on it (None without key points); the start pose (D,) in the first frame; how it was
-    found, in words; the poses that the start allows beside that one, where one camera leaves several; unsure (J,): how
-    likely each joint is elsewhere at the start than it is taken to be (None: not known)."""
+    found, in words; the poses that the start allows beside that one, where one camera leaves several; unsure: that of
+    `Starts` (None: not known)."""
 
     body: Body
     keypoints: KeypointModel | None

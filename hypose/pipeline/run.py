@@ -145,8 +145,8 @@ class TrackResult:
     frame allows, where the recipe tells them. one_by_one (T, D): the poses as each frame was tracked, audit (T, J, A):
     what spoke for and against each joint (hypose.tracking.audit), None where that was not kept; faults: sentences on
     what was found wrong before tracking, or with the clip as a whole; looks: on what makes the whole clip worth a look;
-    beside: on who else is there; places: of depth cameras that stand elsewhere than the source says; unsure (J,): as of
-    a `Subject`."""
+    beside: on who else is there; places: of depth cameras that stand elsewhere than the source says; unsure: of the
+    `Subject`."""
 
     motion: Motion
     body: Body

@@ -73,7 +73,7 @@ class AnthropometryOptions:
 class SubjectEstimate:
     """body: in its clothes, as cameras see it; naked: without them; factors (K,) with covariance (K, K) of
     hypose.body.anthropometry.ENTITIES about the template; start (D,): pose in the first frame looked at; frames: the
-    fitted instants, poses (F, D) there; iou (F, C) of the body before and after; notes in words; unsure (J,): how
+    fitted instants, poses (F, D) there; iou (F, C) of the body before and after; notes in words; unsure (2, J): how
     likely a joint is elsewhere at the start than it is taken to be, by the other starts that the masks allow."""
 
     body: Body
@@ -158,7 +158,7 @@ def estimate_subject(
         body, start_pose = best.body, best.pose
     else:
         body = template if height is None else scaled_to_height(template, height)
-        start_pose, at, unsure = start, 0, np.zeros(len(template.skeleton.joint_names))
+        start_pose, at, unsure = start, 0, np.zeros((2, len(template.skeleton.joint_names)))
     first, x = body, prior_mean()
     x[0] = np.log(body.stature / template.stature)
     by_template, iou = _both_ways(body, start_pose, at, seen, rate, options, tick)

@@ -146,10 +146,11 @@ def judged(
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """(T, J) probability that a joint is wrong by more than WRONG_M, and which joints are doubtful for that.
 
-    unsure (J,): how likely each is elsewhere at the start, which holds until the person has taken another pose; known:
-    what the evidence was, where the audit does not tell (depth is one). With key points nothing is surer than its
-    covariance says; alone, joints of which their set has no point are doubtful in no frame. Of frames in which the
-    person was lost nothing is believed: 0.5 at least, and doubtful."""
+    unsure (2, J): how likely each is elsewhere at the start (`Starts.unsure`: turned around, which frames may decide;
+    in another posture), which holds until the person has taken another pose; known: what the evidence was, where the
+    audit does not tell (depth is one). With key points nothing is surer than its covariance says; alone, joints of
+    which their set has no point are doubtful in no frame. Of frames in which the person was lost nothing is believed:
+    0.5 at least, and doubtful."""
     names = motion.skeleton.joint_names
     groups, evidence = groups_of(names), evidence_of(audit)
     model = doubt_models()[known if known == "depth" else evidence]
@@ -167,7 +168,9 @@ def judged(
     if (known or evidence) == "silhouettes":  # whoever sees more than outlines sees which leg is which
         p = np.maximum(p, _by_crossed_legs(motion))
     if unsure is not None:
-        p = 1 - (1 - p) * (1 - _open(audit) * unsure * _as_at_start(motion)[:, None])
+        turned, otherwise = unsure
+        held = _as_at_start(motion)[:, None]
+        p = 1 - (1 - p) * (1 - _open(audit) * turned * held) * (1 - otherwise * held)
     p = np.where(motion.lost[:, None], np.maximum(p, 0.5), p)
     doubtful = (p > threshold) & ~(not_in_set(audit) if evidence == "keypoints" else np.False_)
     return p.astype(np.float32), np.asarray(doubtful | motion.lost[:, None])

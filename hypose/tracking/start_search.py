@@ -144,9 +144,11 @@ def _solved(starts: Sequence[Start], frame: PreparedFrame, height: float | None,
 
 @dataclass(frozen=True)
 class Starts:
-    """Starts that differ, best first, by the frame they begin in and those that follow. weights (K,): how far each is
-    believed; unsure (J,): how likely a joint is far from where the best one has it, by starts of another body: turned
-    around, sitting instead of standing."""
+    """Starts that differ, best first, by the frame they begin in and those that follow.
+
+    weights (K,): how far each is believed.
+    unsure (2, J): probability that a joint is far from where the best one has it, by starts that face the other way,
+        and by those that face the same way in another posture or size (sitting instead of standing)."""
 
     starts: tuple[Start, ...]
     weights: Array
@@ -178,8 +180,12 @@ def by_their_ways(starts: Sequence[Start], ways: Sequence[Array], costs: Array) 
     away = np.linalg.norm(joints - joints[0], axis=-1)
     arm = np.array([n.endswith(("elbow", "wrist")) for n in starts[0].body.skeleton.joint_names])
     other = away[..., ~arm].mean((1, 2)) > _APART_M  # arms that alone differ are found by whoever tracks
-    far = (away > _FAR_M).mean(1) * other[:, None]
-    return Starts(tuple(starts[k] for k in order), weights, np.asarray(weights @ far)), order.tolist()
+    far = weights[:, None] * (away > _FAR_M).mean(1) * other[:, None]
+    left, right = (starts[0].body.skeleton.joint(f"{side}_hip") for side in ("left", "right"))
+    across = joints[:, :, right] - joints[:, :, left]
+    turned = (across * across[:1]).sum(-1).mean(1) < 0
+    unsure = np.stack([far[turned].sum(0), far[~turned].sum(0)])
+    return Starts(tuple(starts[k] for k in order), weights, unsure), order.tolist()
 
 
 def start_from_hull(body: Body, frame: PreparedFrame, poses: Sequence[str] = KNOWN_POSES) -> Start:

@@ -10,6 +10,7 @@ from hypose.cameras.camera import CameraRig
 from hypose.compute import silhouette
 from hypose.errors import EvidenceError
 from hypose.evidence.frame import Frame, Silhouettes
+from hypose.geometry import so3_exp, so3_log
 from hypose.synthetic.rigs import rig
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.postures import posture_names, postures
@@ -114,7 +115,11 @@ def test_what_the_frames_do_not_decide_is_unsure(body, cameras):
     far = replace(best, pose=away, cost=best.cost + 0.002)
     found = weighed([best, far], [])
     assert found.best.pose is best.pose and 0.5 < found.weights[0] < 0.6
-    assert np.allclose(found.unsure, found.weights[1])
+    assert np.allclose(found.unsure[1], found.weights[1]) and not found.unsure[0].any()
+    around = best.pose.copy()
+    around[3:6] = so3_log(so3_exp(np.array([0, 0, np.pi])) @ so3_exp(around[3:6]))
+    found = weighed([best, replace(best, pose=around, cost=best.cost + 0.002)], [])
+    assert found.unsure[0].max() == found.weights[1] and not found.unsure[1].any()
     arm = best.pose.copy()
     arm[body.skeleton.dofs_of("left_shoulder")] += 0.9
     assert weighed([best, replace(best, pose=arm, cost=best.cost + 0.002)], []).unsure.max() == 0

@@ -24,7 +24,7 @@ from hypose.app.reports.summary import subject_rows, summarize
 from hypose.app.studio.view_bundle import Rivals, ViewResult, pictured
 from hypose.app.studio.view_pictures import ViewPictures
 from hypose.body.body import Body
-from hypose.body.motion import Motion
+from hypose.body.motion import Motion, sd_per_axis
 from hypose.cameras.camera import CameraRig
 from hypose.io.motions.results import to_json
 from hypose.io.recordings.frames import FrameStream
@@ -198,6 +198,12 @@ def _text(what: ReportInput) -> str:
         parts.append("<p>No silhouettes were used, so there is no overlap to show.</p>")
     if np.isfinite(m.joint_sd).any():
         caption = "Standard deviation per axis of the joints' positions as the tracker sees it, median of each region."
+        if m.systematic_covariance is not None:
+            lasting = 1000 * float(np.nanmedian(sd_per_axis(m.systematic_covariance)))
+            caption += (
+                f" Of it {lasting:.1f} mm (median) would remain with more frames and more views like these: where the "
+                "joint is defined to be, errors common to all views, the calibration."
+            )
         parts.append(_figure(plots.sd_plot(m), caption))
     if m.poses is not None and np.isfinite(m.poses).any():
         caption = (

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hypose.body.joint_angles import is_length
-from hypose.body.motion import Motion
+from hypose.body.motion import Motion, sd_per_axis
 from hypose.errors import InputError
 from hypose.io.files import write_text
 
@@ -43,12 +43,16 @@ def write_angles_csv(
 def write_joints_csv(path: str | Path, motion: Motion) -> None:
     """Write joint centres (world, z up, m) with their standard deviation, and what is known of each frame.
 
-    Columns: time_s, lost and extrapolated (0 or 1), n_views, doubtful (0 or 1; empty: not looked at), then x, y, z, sd
-    per joint, and p_wrong where it was looked at: the probability that the joint is wrong by more than 100 mm. `sd` is
-    per axis (root mean square of the three). Lost and extrapolated frames keep their predicted positions.
+    Columns: time_s, lost and extrapolated (0 or 1), n_views, doubtful (0 or 1; empty: not judged), then per joint x, y,
+    z and sd; where it is known, systematic_sd, the part of sd that more frames and more views like these would not
+    reduce; where it was judged, p_wrong, the probability that the joint is wrong by more than 100 mm. Standard
+    deviations are per axis (root mean square of the three). Lost and extrapolated frames keep the predicted positions.
     """
     header = ["time_s", "lost", "extrapolated", "n_views", "doubtful"]
     columns, series = ["x_m", "y_m", "z_m", "sd_m"], [motion.joints, motion.joint_sd[..., None]]
+    if motion.systematic_covariance is not None:
+        lasting = sd_per_axis(motion.systematic_covariance)
+        columns, series = [*columns, "systematic_sd_m"], [*series, lasting[..., None]]
     if motion.p_wrong is not None:
         columns, series = [*columns, "p_wrong"], [*series, motion.p_wrong[..., None]]
     header += [f"{n}_{c}" for n in motion.skeleton.joint_names for c in columns]
