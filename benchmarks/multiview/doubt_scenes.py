@@ -19,6 +19,8 @@ from benchmarks.multiview.action_scenes import known_subject, subject_of_seed
 from benchmarks.multiview.product import aligned_joints, body_by_keypoints, estimated_body
 from benchmarks.multiview.real_recordings import balancing_recording
 from benchmarks.multiview.things_in_masks import with_thing
+from benchmarks.synthetic.retarget import retarget
+from benchmarks.synthetic.spoilt_keypoints import SPOILS, moved_camera, spoilt
 from hypose.body.body import Body
 from hypose.body.joint_angles import ANGLE_NAMES, angles_of_frames, joint_angles
 from hypose.body.motion import Motion
@@ -32,10 +34,8 @@ from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.track_loop import FrameList
 from hypose.synthetic.depth_scenes import DepthScene
-from hypose.synthetic.retarget import retarget
 from hypose.synthetic.scenes import Scene, make_scene
 from hypose.synthetic.simulated_keypoints import keypoint_detections
-from hypose.synthetic.spoilt_keypoints import SPOILS, moved_camera, spoilt
 from hypose.tracking.doubt import as_mixture, judged, without_mixture
 from hypose.tracking.fitted_spread import as_curved, beyond_usual
 
@@ -125,7 +125,7 @@ DATA = Path(__file__).parents[3] / "shared" / "data"
 class Tracked:
     """One scene tracked from one evidence. error (T, 19) m of the final joints, error_raw as tracked frame by frame;
     motion: with the covariances that the curvature says, see `spread_fit.as_told`; away (T, 19, 3) m from the estimate
-    to the truth; angles (T, A) rad, estimate less truth; unsure (2, J): what the start left open; kind: 'plain', or what
+    to the truth; angles (T, A) rad, estimate less truth; unsure (2, J): what the start left open; kind: plain, or what
     was spoilt. With cameras that are not where or when they are said to be, errors are those that a rigid motion of the
     clip leaves: such cameras have another world, in which the pose may be right."""
 

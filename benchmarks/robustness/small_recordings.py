@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from benchmarks.synthetic.calibration_boards import film_board, ring_of_cameras
 from hypose.calibration.boards import Board
 from hypose.fusion.joints import COMMON
 from hypose.gestures.depth_pictures import KINECT
@@ -18,7 +19,6 @@ from hypose.io.sensors.skeleton_folder import write_folder
 from hypose.io.sensors.skeleton_streams import SensorStream, SkeletonRecording
 from hypose.pipeline.gesture_files import SessionWriter
 from hypose.synthetic.board_pictures import board_from_sheet, board_sheet
-from hypose.synthetic.calibration_boards import film_board, ring_of_cameras
 from hypose.synthetic.rigs import rig
 from hypose.synthetic.scenes import Scene, make_scene
 from hypose.synthetic.sensors import SensorModel, builtin_joints, on_treadmill, ring_sensors, simulate

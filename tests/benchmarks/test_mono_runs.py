@@ -6,7 +6,7 @@ import pytest
 from benchmarks.bench_report import BenchOptions
 from benchmarks.one_camera.mono_benchmarks import ABLATIONS, ARM, BODY, mono_arm
 from benchmarks.one_camera.mono_runs import KEPT_FRAMES, MonoRun, pictures, solve_scene, track_scene
-from hypose.synthetic.mono_scenes import arm_scene
+from benchmarks.synthetic.mono_scenes import arm_scene
 
 
 def run(errors, pixels, kind="arm"):

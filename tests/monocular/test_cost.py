@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
+from benchmarks.papers.superquadrics import superquadric_body
 from hypose.body.ready_bodies import human
-from hypose.body.superquadrics import superquadric_body
 from hypose.compute.monocular import cpu_mono_cues, cpu_mono_nodes, cpu_mono_rows, cpu_mono_search, mono
 from hypose.compute.monocular.mono_terms import FlowArrays
 from hypose.compute.solver.normal import bounded_step

@@ -6,9 +6,9 @@ import os
 import numpy as np
 import pytest
 
+from benchmarks.depth_gestures.gesture_scores import judge
 from benchmarks.depth_gestures.gesture_sessions import test_frames as unseen_frames
 from hypose.pipeline.gesture_files import load_model, read_recording
-from hypose.synthetic.gesture_metrics import judge
 from hypose.synthetic.gesture_poses import GESTURES
 from tests.app.studio.browser import WEB, go
 from tests.app.studio.conftest import serving

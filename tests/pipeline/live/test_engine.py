@@ -8,13 +8,13 @@ import cv2
 import numpy as np
 import pytest
 
+from benchmarks.synthetic.virtual_cameras import CameraFaults, VirtualCameras
 from hypose.errors import InputError
 from hypose.pipeline.live.engine import EMPTY_ROOM, LiveEngine, LiveOptions
 from hypose.pipeline.live.eyes import EyesOptions, LiveView
 from hypose.pipeline.live.live_people import FOLLOWING
 from hypose.synthetic.rigs import rig
 from hypose.synthetic.scenes import make_scene
-from hypose.synthetic.virtual_cameras import CameraFaults, VirtualCameras
 
 RATE = 8.0
 EMPTY = 8  # pictures of the empty room
