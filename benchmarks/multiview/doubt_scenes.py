@@ -125,9 +125,9 @@ DATA = Path(__file__).parents[3] / "shared" / "data"
 class Tracked:
     """One scene tracked from one evidence. error (T, 19) m of the final joints, error_raw as tracked frame by frame;
     motion: with the covariances that the curvature says, see `spread_fit.as_told`; away (T, 19, 3) m from the estimate
-    to the truth; angles (T, A) rad, estimate less truth; unsure (2, J): what the start left open; kind: 'plain', or what
-    was spoilt. With cameras that are not where or when they are said to be, errors are those that a rigid motion of the
-    clip leaves: such cameras have another world, in which the pose may be right."""
+    to the truth; angles (T, A) rad, estimate less truth; unsure (2, J): what the start left open; kind: 'plain', or
+    what was spoilt. With cameras that are not where or when they are said to be, errors are those that a rigid motion
+    of the clip leaves: such cameras have another world, in which the pose may be right."""
 
     case: str
     seed: int
@@ -182,7 +182,7 @@ def bare_scene(case: Case, seed: int, seconds: float = SECONDS) -> Scene:
         return make_scene(motion, subject, cameras, seed=seed, corruption=case.corruption)
     how: dict[str, Any] = {"seed": seed, "corruption": case.corruption, "speed": case.speed}
     scene = make_scene(case.motion, subject, case.rig, seconds=case.begin + seconds, **how)
-    return _cut(scene, round(case.begin * scene.frame_rate))
+    return cut(scene, round(case.begin * scene.frame_rate))
 
 
 def _real_rig(folder: Path) -> CameraRig:
@@ -211,7 +211,8 @@ def scene_without_masks(case: Case, seed: int, seconds: float) -> tuple[Scene, l
     ]
 
 
-def _cut(scene: Scene, first: int) -> Scene:
+def cut(scene: Scene, first: int) -> Scene:
+    """Cut off the frames before `first`."""
     p = scene.performance
     kept = replace(
         p,
