@@ -7,6 +7,7 @@ import socket
 import pytest
 
 from hypose.app.live.door import Door, Folded, same_secret, shows_secret
+from tests.conftest import HANG_S
 
 
 class Echo(asyncio.Protocol):
@@ -49,7 +50,7 @@ def through(entrance, play):
             return reader, writer
 
         try:
-            return await asyncio.wait_for(play(connect), 60)
+            return await asyncio.wait_for(play(connect), HANG_S)
         finally:
             for writer in writers:
                 writer.close()
