@@ -6,7 +6,7 @@ Synthetic clips move by the built-in motions, so that they are the same with and
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from itertools import islice
@@ -87,10 +87,12 @@ def _body(seed: int) -> Body:
     return estimated_body(seed, BenchOptions())
 
 
-def _outcome(motion: Motion, error: Array, joints: object, verdict: str, seconds: float) -> Outcome:
+def _outcome(
+    motion: Motion, error: Array, joints: Sequence[int] | NDArray[np.int64], verdict: str, seconds: float
+) -> Outcome:
     """joints: indices of the motion's joints that error (T, J) is of."""
     assert motion.p_wrong is not None and motion.doubtful is not None
-    p = motion.p_wrong[-len(error) :][:, joints].astype(np.float64)  # type: ignore[call-overload]
+    p = motion.p_wrong[-len(error) :][:, joints].astype(np.float64)
     return Outcome(error, p, motion.doubtful, VERDICTS.index(verdict), seconds / len(motion))
 
 

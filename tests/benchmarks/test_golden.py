@@ -66,11 +66,11 @@ def measured(monkeypatch, tmp_path):
 
 def test_the_command_keeps_and_compares_each_set_of_clips(bench, measured):
     measured(20.0)
-    code, _, said = bench("golden")
+    code, said, _ = bench("golden")
     assert code == 1 and "walk: mean_error_mm 20, nothing is kept" in said and "SKIPPED: uu4cam" in said
     assert bench("golden", "--keep")[0] == 0 and bench("golden")[0] == 0
     measured(20.5)
-    code, _, said = bench("golden")
+    code, said, _ = bench("golden")
     assert code == 1 and "WORSE: walk: mean_error_mm 20.5, kept 20, at most 20.3" in said and "--keep" in said
     measured(30.0, clips="other")
     assert bench("golden", "--other", "--keep")[0] == 0
@@ -81,7 +81,7 @@ def test_the_command_keeps_and_compares_each_set_of_clips(bench, measured):
 def test_a_clip_that_is_refused_fails_even_when_the_rest_is_kept(bench, measured):
     measured(20.0, {"box": "No person was found."})
     assert bench("golden", "--keep")[0] == 1
-    code, _, said = bench("golden")
+    code, said, _ = bench("golden")
     assert code == 1 and "WORSE: box: No person was found." in said
 
 
