@@ -185,7 +185,7 @@ def bare_scene(case: Case, seed: int, seconds: float = SECONDS) -> Scene:
         return make_scene(motion, subject, cameras, seed=seed, corruption=case.corruption)
     how: dict[str, Any] = {"seed": seed, "corruption": case.corruption, "speed": case.speed}
     scene = make_scene(case.motion, subject, case.rig, seconds=case.begin + seconds, **how)
-    return _cut(scene, round(case.begin * scene.frame_rate))
+    return cut(scene, round(case.begin * scene.frame_rate))
 
 
 def _real_rig(folder: Path) -> CameraRig:
@@ -214,7 +214,8 @@ def scene_without_masks(case: Case, seed: int, seconds: float) -> tuple[Scene, l
     ]
 
 
-def _cut(scene: Scene, first: int) -> Scene:
+def cut(scene: Scene, first: int) -> Scene:
+    """Cut off the frames before `first`."""
     p = scene.performance
     kept = replace(
         p,
