@@ -10,7 +10,7 @@ import os
 
 import numpy as np
 
-from hypose.app.live.live_latency import measure_live_latency
+from benchmarks.live.live_latency import measure_live_latency
 
 
 def main() -> None:

@@ -38,7 +38,7 @@ def targets() -> dict[str, Target]:
     from hypose.calibration.from_points import read_scene_points
     from hypose.evidence.keypoints import BODY_25, parse_openpose
     from hypose.io.calibrations import calibration_formats
-    from hypose.io.motions import asf, bodies, c3d, meshes, opensim, results, trc
+    from hypose.io.motions import bodies, c3d, meshes, opensim, results, trc
     from hypose.io.recordings import recording
     from hypose.io.sensors.depth import read_depth_png
     from hypose.io.sensors.skeleton_formats import read_skeletons
@@ -67,8 +67,6 @@ def targets() -> dict[str, Target]:
         Target("openpose-json", "pose.json", lambda b: parse_openpose(b, BODY_25, "pose.json"), lines=True),
         Target("trc", "motion/motion.trc", trc.read_trc),
         Target("c3d", "motion/motion.c3d", c3d.read_c3d, "binary"),
-        Target("asf", "person.asf", asf.read_asf),
-        Target("amc", "person.amc", asf.read_amc),
         Target("motion-npz", "motion/motion.npz", results.load_motion, "npz"),
         Target("body-npz", "motion/body.npz", bodies.load_body, "npz"),
         Target("checkpoint-npz", "motion/checkpoint.npz", lambda p: results.Checkpoint.load(p, {}), "npz"),
@@ -282,12 +280,3 @@ def _write_texts(folder: Path) -> None:
     joint = "0.1 0.2 3.0 0 0 0 0 0 0 0 1 2"
     frame = "\n".join(["1", "72057594037944738 0 1 1 0 0 0 0.1 0.2 2", "25", *[joint] * 25])
     (folder / "S001C001P001R001A001.skeleton").write_text("\n".join(["3", frame, frame, frame]) + "\n")
-    (folder / "person.asf").write_text(
-        ":version 1.10\n:name t\n:units\n mass 1.0\n length 0.45\n angle deg\n:root\n order TX TY TZ RX RY RZ\n"
-        " axis XYZ\n position 0 0 0\n orientation 0 0 0\n:bonedata\n begin\n  id 1\n  name hip\n  direction 0 1 0\n"
-        "  length 2.5\n  axis 0 0 20 XYZ\n  dof rx ry rz\n  limits (-160 20)\n   (-70 70)\n   (-60 70)\n end\n"
-        ":hierarchy\n begin\n  root hip\n end\n"
-    )
-    (folder / "person.amc").write_text(
-        ":FULLY-SPECIFIED\n:DEGREES\n" + "".join(f"{n}\nroot 1 2 3 4 5 6\nhip 7 8 9\n" for n in (1, 2, 3))
-    )

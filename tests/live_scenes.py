@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 import pytest
 
+from benchmarks.synthetic.virtual_cameras import there_and_back
 from hypose.errors import InputError
 from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes
@@ -26,7 +27,6 @@ from hypose.pipeline.live.live_person import LivePose
 from hypose.pipeline.live.live_search import LOOKING, LivePersonOptions
 from hypose.synthetic.rigs import rig
 from hypose.synthetic.scenes import Scene, make_scene
-from hypose.synthetic.virtual_cameras import there_and_back
 from tests.conftest import HANG_S
 
 RATE = 25.0

@@ -17,8 +17,9 @@ from hypose.io.motions.trc import write_trc
 from hypose.io.sensors.skeleton_tables import KINECT_V2
 from hypose.synthetic.gait import jog, walk
 from hypose.synthetic.performance import Performance, soles
-from hypose.synthetic.subjects import Subject, procedural_subject
+from hypose.synthetic.subjects import Subject
 from tests import depth_sensors, missing
+from tests.procedural_subject import procedural_subject
 
 UNIT = 0.0254 / 0.45  # metres per unit of length in CMU's files
 # their axes: y up, facing +z, x to the subject's left; those here: z up, facing -y

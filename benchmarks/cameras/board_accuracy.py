@@ -12,6 +12,7 @@ import numpy as np
 from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
 from benchmarks.depth_sensors.fusion_benchmarks import jitter
 from benchmarks.multiview.real_recordings import uu4cam_recording
+from benchmarks.synthetic.calibration_boards import BoardScene, compare_rigs, film_board, ring_of_cameras
 from hypose.calibration.boards import Board, Sighting
 from hypose.calibration.bundle import project_with_derivatives
 from hypose.calibration.from_boards import BoardCalibration, CalibrateOptions, calibrate_from_boards
@@ -25,7 +26,6 @@ from hypose.io.calibrations.calibration_formats import read_any
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording
 from hypose.pipeline.run import TrackOptions, track_source
-from hypose.synthetic.calibration_boards import BoardScene, compare_rigs, film_board, ring_of_cameras
 
 NOISE_PX = 0.25
 

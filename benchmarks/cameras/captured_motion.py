@@ -11,18 +11,19 @@ import numpy as np
 from benchmarks.bench_report import BenchOptions
 from benchmarks.multiview.action_scenes import subject_of_seed
 from benchmarks.multiview.real_recordings import balancing_recording, uu4cam_recording
+from benchmarks.synthetic.human4d import Human4d, read_human4d
+from benchmarks.synthetic.retarget import retarget
+from benchmarks.synthetic.spoilt_keypoints import like_a_detector
+from benchmarks.synthetic.treadmill import human4d_joints
 from hypose.cameras.camera import Camera, CameraRig, triangulate
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.keypoints import BODY_25, to_keypoints
 from hypose.evidence.one_person import one_person
 from hypose.fusion import joints as jt
 from hypose.geometry import Array, se3, se3_inverse, transform
-from hypose.synthetic.human4d import Human4d, read_human4d
 from hypose.synthetic.performance import Performance
-from hypose.synthetic.retarget import retarget
-from hypose.synthetic.sensors import FRAME_RATE, human4d_joints
+from hypose.synthetic.sensors import FRAME_RATE
 from hypose.synthetic.simulated_keypoints import keypoint_places
-from hypose.synthetic.spoilt_keypoints import like_a_detector
 from hypose.synthetic.subjects import Subject
 
 LIMBS = tuple(f"{s}_{p}" for p in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle") for s in ("left", "right"))

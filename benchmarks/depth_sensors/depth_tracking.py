@@ -21,6 +21,7 @@ from benchmarks.depth_sensors.depth_moved import moved_sensor
 from benchmarks.depth_sensors.depth_passing import people_apart
 from benchmarks.multiview.action_scenes import captured, subject_of_seed
 from benchmarks.multiview.doubt_fit import auroc, ece
+from benchmarks.synthetic.retarget import retarget
 from hypose.body.motion import Motion
 from hypose.body.ready_bodies import human
 from hypose.calibration.depth_registration import place_error
@@ -42,7 +43,6 @@ from hypose.synthetic.corruptions import corrupt_mask, corruptions
 from hypose.synthetic.depth_scenes import DepthScene, depth_rig, depth_scene, seen_before, to_profile, turning
 from hypose.synthetic.metrics import EVALUATED, population_offsets, with_offsets
 from hypose.synthetic.motions import act
-from hypose.synthetic.retarget import retarget
 from hypose.synthetic.rigs import look_at
 from hypose.synthetic.sensors import SensorModel, simulate
 from hypose.synthetic.subjects import dress

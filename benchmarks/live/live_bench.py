@@ -19,6 +19,7 @@ import numpy as np
 from websockets.sync.client import connect
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row
+from benchmarks.synthetic.virtual_cameras import CameraFaults, VirtualCameras, there_and_back
 from hypose.app.live.pose_outputs import PoseOutputs
 from hypose.cameras.camera import CameraRig
 from hypose.geometry import Array
@@ -33,7 +34,6 @@ from hypose.pipeline.run import TrackOptions
 from hypose.pipeline.track import track
 from hypose.synthetic.rigs import circle
 from hypose.synthetic.scenes import make_scene
-from hypose.synthetic.virtual_cameras import CameraFaults, VirtualCameras, there_and_back
 from hypose.synthetic.write_recording import write_scene
 
 _CLIP_S = 6.0

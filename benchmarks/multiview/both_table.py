@@ -9,8 +9,8 @@ import numpy as np
 
 from benchmarks.bench_report import BenchOptions, Row
 from benchmarks.multiview.doubt_scenes import CASES, EVIDENCE, scene_of, spoilt_frames, tracked
+from benchmarks.synthetic.spoilt_keypoints import SPOILS
 from hypose.synthetic.metrics import EVALUATED
-from hypose.synthetic.spoilt_keypoints import SPOILS
 
 DEGRADATIONS = (*SPOILS, "moved_camera")
 """Eleven ways to spoil key points; the last one spoils the calibration, of the masks as well."""

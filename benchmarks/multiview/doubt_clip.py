@@ -9,11 +9,11 @@ import numpy as np
 
 from benchmarks.multiview.doubt_scenes import CASES, Case, scene_without_masks
 from benchmarks.multiview.product import aligned_joints
+from benchmarks.synthetic.spoilt_keypoints import spoilt
 from hypose.pipeline.first_frame import SubjectOptions, find_subject
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.track_loop import FrameList
 from hypose.synthetic.metrics import EVALUATED
-from hypose.synthetic.spoilt_keypoints import spoilt
 
 MOTIONS: dict[str, Case] = {
     "boxing": CASES["boxing"],

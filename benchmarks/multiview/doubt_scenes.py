@@ -18,7 +18,10 @@ from benchmarks.bench_report import BenchOptions
 from benchmarks.multiview.action_scenes import known_subject, subject_of_seed
 from benchmarks.multiview.product import aligned_joints, body_by_keypoints, estimated_body
 from benchmarks.multiview.real_recordings import balancing_recording
+from benchmarks.multiview.spread_fit import as_curved
 from benchmarks.multiview.things_in_masks import with_thing
+from benchmarks.synthetic.retarget import retarget
+from benchmarks.synthetic.spoilt_keypoints import SPOILS, moved_camera, spoilt
 from hypose.body.body import Body
 from hypose.body.joint_angles import ANGLE_NAMES, angles_of_frames, joint_angles
 from hypose.body.motion import Motion
@@ -32,12 +35,10 @@ from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.track_loop import FrameList
 from hypose.synthetic.depth_scenes import DepthScene
-from hypose.synthetic.retarget import retarget
 from hypose.synthetic.scenes import Scene, make_scene
 from hypose.synthetic.simulated_keypoints import keypoint_detections
-from hypose.synthetic.spoilt_keypoints import SPOILS, moved_camera, spoilt
 from hypose.tracking.doubt import as_mixture, judged, without_mixture
-from hypose.tracking.fitted_spread import as_curved, beyond_usual
+from hypose.tracking.fitted_spread import beyond_usual
 
 
 @dataclass(frozen=True)

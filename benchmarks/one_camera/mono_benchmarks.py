@@ -25,8 +25,8 @@ from benchmarks.one_camera.mono_runs import (
     solve_scene,
     track_scene,
 )
-from hypose.synthetic.mono_motions import STRAIGHT_KNEE
-from hypose.synthetic.mono_scenes import MonoScene, arm_scene, body_scene
+from benchmarks.synthetic.mono_motions import STRAIGHT_KNEE
+from benchmarks.synthetic.mono_scenes import MonoScene, arm_scene, body_scene
 from hypose.synthetic.render_rgb import Image
 from hypose.tracking.monocular.evidence import grey
 from hypose.tracking.monocular.settings import MonoSettings

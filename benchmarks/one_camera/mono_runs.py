@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
+from benchmarks.synthetic.mono_scenes import FRAME_RATE, MonoScene
 from hypose.body.body import Body
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.frame import Frame, Keypoints, Picture
 from hypose.geometry import Array, so3_turns
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.layer import Recipe
-from hypose.synthetic.mono_scenes import FRAME_RATE, MonoScene
 from hypose.synthetic.render_rgb import Image
 from hypose.tracking.monocular.clip import WholeClip, backwards, information, together
 from hypose.tracking.monocular.picture_search import PictureSearch

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
 from benchmarks.multiview.action_scenes import captured, subject_of_seed
+from benchmarks.synthetic.retarget import retarget
 from hypose import compute
 from hypose.body.motion import Motion
 from hypose.body.ready_bodies import human
@@ -33,7 +34,6 @@ from hypose.pipeline.tracked_people import OnePerson
 from hypose.synthetic.metrics import joint_errors, population_offsets
 from hypose.synthetic.motions import act
 from hypose.synthetic.performance import Performance, moved
-from hypose.synthetic.retarget import retarget
 from hypose.synthetic.scenes import Scene, make_scene
 from hypose.synthetic.simulated_keypoints import keypoint_detections
 from hypose.synthetic.subjects import Subject

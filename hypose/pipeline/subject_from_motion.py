@@ -2,8 +2,7 @@
 With key points, which tell poses and bones, the outlines tell the rest.
 
 Source: Alcoverro 2014, section 2.3.3 (placing at the hull, then pose, then shape and pose together). Deviation: several
-frames of ordinary motion instead of one known pose, and a joint gradient solution (hypose.tracking.shape_refinement);
-the thesis' layered filter for one held pose is hypose.tracking.layered_anthropometry.
+frames of ordinary motion instead of one known pose, and a joint gradient solution (hypose.tracking.shape_refinement).
 """
 
 from __future__ import annotations

@@ -9,8 +9,7 @@ are not what a particular sensor will give.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,8 +19,6 @@ from hypose import compute
 from hypose.evidence.frame import INFERRED, NOT_TRACKED, TRACKED, SensorJoints
 from hypose.fusion import joints as jt
 from hypose.geometry import Array, se3, se3_inverse, so3_exp, transform
-from hypose.io.motions.asf import bone_ends, read_amc, read_asf
-from hypose.synthetic.human4d import read_human4d
 from hypose.synthetic.motions import act
 from hypose.synthetic.subjects import load_subjects
 
@@ -46,17 +43,6 @@ _HOLDS = [[0, 1], [1, 0, 2, 3], [2, 8, 4], [3, 8, 9, 10], [9, 10], [2, 11, 5], [
     [17, 18],
     [18, 19],
 ]
-# console of two bars, rails and posts of a treadmill, in front of a person who faces -y: a, b, radius in m
-BARS = np.array(
-    [
-        [-0.40, -0.43, 1.01, 0.40, -0.43, 1.01, 0.075],
-        [-0.40, -0.45, 1.11, 0.40, -0.45, 1.11, 0.060],
-        [-0.39, -0.43, 0.85, -0.39, 0.0, 0.85, 0.028],
-        [0.39, -0.43, 0.85, 0.39, 0.0, 0.85, 0.028],
-        [-0.39, -0.43, 0.0, -0.39, -0.43, 0.85, 0.035],
-        [0.39, -0.43, 0.0, 0.39, -0.43, 0.85, 0.035],
-    ]
-)
 _ARMS = (jt.LEFT_ELBOW, jt.LEFT_HAND, jt.RIGHT_ELBOW, jt.RIGHT_HAND)
 _LIMBS = (*_ARMS, jt.LEFT_KNEE, jt.LEFT_FOOT, jt.RIGHT_KNEE, jt.RIGHT_FOOT)
 _LIVELY = (*_ARMS, jt.LEFT_FOOT, jt.RIGHT_FOOT)
@@ -177,34 +163,6 @@ def ring_sensors(angles_deg: ArrayLike, distance: float = 2.5, height: float = 1
 # ---------------------------------------------------------------- motions
 
 
-def cmu_joints(folder: Path, name: str, step: int = 4) -> Array:
-    """(T, 15, 3) m of a CMU capture of subject 02 ("02_03"), its axes (y up), every step-th frame of 120 Hz."""
-    asf = read_asf(folder / "02.asf")
-    amc = read_amc(folder / f"{name}.amc")
-    ends = bone_ends(asf, {k: v[::step] for k, v in amc.items()}) * asf.metres_per_unit
-    at = {n: ends[:, i] for i, n in enumerate(asf.names)}
-    shoulders, hips = (at["lclavicle"] + at["rclavicle"]) / 2, (at["lhipjoint"] + at["rhipjoint"]) / 2
-    arms = [at[s + n] for s in "lr" for n in ("clavicle", "humerus", "hand")]
-    legs = [at[s + n] for s in "lr" for n in ("hipjoint", "femur", "tibia")]
-    return np.stack([at["head"], at["lowerneck"], *arms, (shoulders + hips) / 2, *legs], 1)
-
-
-def human4d_joints(folder: Path) -> tuple[Array, Array]:
-    """(T, 15, 3) m of the HUMAN4D run in the first camera's frame, and camera_from_first (4, 4, 4)."""
-    run = read_human4d(folder)
-    x = run.joints
-    arms = [np.stack([x[:, s + 1], x[:, s + 2], (x[:, s + 4] + x[:, s + 5]) / 2], 1) for s in (9, 15)]
-    legs = [x[:, s : s + 3] for s in (21, 27)]
-    up = x[:, 5] - x[:, 0]
-    toe = (x[:, 25] - x[:, 23]) + (x[:, 31] - x[:, 29])
-    toe -= (toe * up).sum(-1, keepdims=True) / (up * up).sum(-1, keepdims=True) * up
-    if np.median(((arms[0][:, 0] - arms[1][:, 0]) * np.cross(up, toe)).sum(-1)) < 0:  # the file does not say the side
-        arms, legs = arms[::-1], legs[::-1]
-    middle = ((arms[0][:, 0] + arms[1][:, 0]) / 2 + (legs[0][:, 0] + legs[1][:, 0]) / 2) / 2
-    top = [x[:, 7:8], x[:, 5:6]]
-    return np.concatenate([*top, arms[0], arms[1], middle[:, None], legs[0], legs[1]], 1), run.camera_from_first
-
-
 def builtin_joints(name: str, seconds: float, rng: np.random.Generator) -> Array:
     """(T, 15, 3) m, z up, of a built-in motion of one of the test subjects at 30 Hz."""
     subjects = list(load_subjects().values())
@@ -260,66 +218,6 @@ def turned(joints: Array, heading: Array) -> Array:
     return np.einsum("tij,tnj->tni", r, joints)
 
 
-def turn_then_run(run: Array, walk: Array, frames: int) -> tuple[Array, Array]:
-    """The paper's sequences: turn 45 degrees to the left, back, to the right, back while stepping, then run. Returns
-    joints (frames, 15, 3) m and heading (frames,)."""
-    k = frames // 2
-    q = k // 8
-    heading = np.zeros(frames)
-
-    def ramp(i: int, j: int, start: float, stop: float) -> None:
-        x = np.linspace(0, 1, j - i)
-        heading[i:j] = start + (stop - start) * (3 * x**2 - 2 * x**3)
-
-    a = np.pi / 4
-    ramp(q, 2 * q, 0, a)
-    heading[2 * q : 3 * q] = a
-    ramp(3 * q, 5 * q, a, -a)
-    heading[5 * q : 6 * q] = -a
-    ramp(6 * q, 7 * q, -a, 0)
-    running = looped(run, frames - k + 10)
-    out = np.concatenate([looped(walk, k), running[10:]])[:frames]
-    for i in range(10):
-        w = (i + 1) / 11
-        out[k - 10 + i] = (1 - w) * out[k - 10 + i] + w * running[i]
-    return turned(out, heading), heading
-
-
-def treadmill_recording(
-    scene: str, rng: np.random.Generator, data: Path | None = None, model: SensorModel | None = None, take: int = 0
-) -> SensorRecording:
-    """Sequence "A" (600 frames, treadmill with bars) or "B" (900 frames, none); sensors in front, 60 degrees left and
-    right, at 2.5 m. data: folder of real recordings (even takes: HUMAN4D's run, odd ones CMU's; stepping: CMU's walk);
-    None: built-in motions. The paper gives neither the sensors' angle nor the number of frames."""
-    if data is not None:
-        walk = on_treadmill(cmu_joints(data / "mocap", "02_01"))
-        source = (
-            cmu_joints(data / "mocap", "02_03") if take % 2 else human4d_joints(data / "human4d_run")[0]
-        )  # both are runs
-    else:
-        walk, source = on_treadmill(builtin_joints("walk", 12, rng)), builtin_joints("jog", 10, rng)
-    joints, heading = turn_then_run(on_treadmill(source), walk, 600 if scene == "A" else 900)
-    bars = BARS if scene == "A" else np.zeros((0, 7))
-    return simulate(joints, heading, ring_sensors([0, 60, -60]), rng, model or SensorModel(), bars)
-
-
-def human4d_recording(data: Path, rng: np.random.Generator, model: SensorModel | None = None) -> SensorRecording:
-    """HUMAN4D's run seen from its four real camera poses (one sees the back); the reference is the frontal one."""
-    joints, camera_from_first = human4d_joints(data / "human4d_run")
-    up = np.median(joints[:, jt.NECK] - (joints[:, jt.LEFT_HIP] + joints[:, jt.RIGHT_HIP]) / 2, axis=0)
-    up /= np.linalg.norm(up)
-    side = np.median(joints[:, jt.LEFT_SHOULDER] - joints[:, jt.RIGHT_SHOULDER], axis=0)
-    side -= side @ up * up
-    side /= np.linalg.norm(side)
-    r = np.stack([side, np.cross(up, side), up])
-    world_from_first = se3(r, np.array([0, 0, 1.18]) - r @ np.median(joints[:, jt.TORSO], axis=0))
-    world = transform(world_from_first, joints)
-    side_line = world[:, jt.LEFT_SHOULDER] - world[:, jt.RIGHT_SHOULDER]
-    heading = np.unwrap(np.arctan2(side_line[:, 1], side_line[:, 0]))
-    cameras = (camera_from_first @ se3_inverse(world_from_first))[[1, 0, 2, 3]]
-    return simulate(world, heading, cameras, rng, model or SensorModel(), np.zeros((0, 7)))
-
-
 # ---------------------------------------------------------------- what sensors make of it
 
 
@@ -359,11 +257,6 @@ def simulate(
     return SensorRecording(
         times, out, state, depth, joints, heading, np.array(camera_from_world), visible, error, np.array(bars)
     )
-
-
-def shifted_clock(recording: SensorRecording, seconds: float) -> SensorRecording:
-    """The same recording with its clock shifted."""
-    return replace(recording, times=recording.times + seconds)
 
 
 def _seen(joints: Array, eye: Array, capsules: Array) -> Array:

@@ -13,7 +13,7 @@ import pytest
 from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
 
-from hypose.app.live.live_latency import measure_live_latency
+from benchmarks.live.live_latency import measure_live_latency
 from hypose.app.live.live_server import LiveOptions, LiveServer, is_loopback
 from hypose.app.live.osc import MAX_BUNDLE, osc_bundles, osc_message
 from hypose.errors import InputError

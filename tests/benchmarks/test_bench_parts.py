@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from benchmarks.bench_report import BenchOptions
+from benchmarks.depth_gestures.gesture_scores import Judged
 from hypose.errors import InputError
-from hypose.synthetic.gesture_metrics import Judged
 
 
 def test_a_part_is_measured_once(tmp_path):

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
+from benchmarks.synthetic.calibration_boards import compare_rigs, film_board, ring_of_cameras
 from hypose.calibration.boards import Board
 from hypose.calibration.bundle import NOISE_PX, Observations, project_with_derivatives, refine
 from hypose.calibration.intrinsics import observe
 from hypose.cameras.camera import Camera
 from hypose.errors import SolverError
 from hypose.geometry import se3, so3_exp
-from hypose.synthetic.calibration_boards import compare_rigs, film_board, ring_of_cameras
 
 BOARD = Board("chessboard", 9, 6, 0.08)
 

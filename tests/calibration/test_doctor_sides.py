@@ -5,14 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.synthetic.mono_motions import body_motion
+from benchmarks.synthetic.spoilt_keypoints import close_up, noisy
 from hypose.calibration.doctor_person import wrong_way_up
 from hypose.calibration.doctor_points import mirrored_names
 from hypose.cameras.camera import triangulate
 from hypose.evidence.keypoints import BODY_25
-from hypose.synthetic.mono_motions import body_motion
 from hypose.synthetic.rigs import rig as named_rig
 from hypose.synthetic.simulated_keypoints import keypoint_places
-from hypose.synthetic.spoilt_keypoints import close_up, noisy
 from hypose.synthetic.subjects import load_subjects
 from tests import missing
 

@@ -4,13 +4,13 @@ import cv2
 import numpy as np
 import pytest
 
+from benchmarks.synthetic.calibration_boards import compare_rigs
 from hypose.calibration.boards import Board
 from hypose.calibration.from_boards import BoardsNotFound, CalibrateOptions, calibrate_from_boards
 from hypose.calibration.views import LookOptions, Source, diagnose, find_sources, look_for_board
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import CalibrationError, InputError
 from hypose.geometry import se3, so3_exp
-from hypose.synthetic.calibration_boards import compare_rigs
 from tests.calibration.painted_boards import paint
 
 BOARD = Board("chessboard", 6, 5, 0.06)

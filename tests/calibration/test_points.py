@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from benchmarks.synthetic.calibration_boards import ring_of_cameras
 from hypose.calibration.from_points import ScenePoints, calibrate_from_points, read_scene_points
 from hypose.errors import CalibrationError, InputError
-from hypose.synthetic.calibration_boards import ring_of_cameras
 
 PLACES = {
     "a": [0, 0, 0], "b": [1.2, 0, 0], "c": [1.1, 1.3, 0], "d": [-0.2, 1, 0], "e": [0, 0, 1.5], "f": [1.2, 0.1, 0.8],

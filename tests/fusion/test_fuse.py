@@ -3,12 +3,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.synthetic.treadmill import treadmill_recording
 from hypose.errors import InputError
 from hypose.evidence.frame import SensorJoints
 from hypose.fusion import joints as jt
 from hypose.fusion.fuse import FusionSettings, fuse_clip, start, step
 from hypose.fusion.point_motion import common_positions
-from hypose.synthetic.sensors import treadmill_recording
 from tests.fusion.people import in_reference, moving_person, seen, sensor_poses
 
 

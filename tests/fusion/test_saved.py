@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from benchmarks.synthetic.treadmill import treadmill_recording
 from hypose.errors import InputError
 from hypose.fusion.fuse import FusionSettings, fuse_clip
-from hypose.synthetic.sensors import treadmill_recording
 
 
 @pytest.fixture(scope="module")

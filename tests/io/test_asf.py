@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from benchmarks.synthetic.asf import bone_ends, global_rotations, read_amc, read_asf
 from hypose.errors import InputError
 from hypose.geometry import so3_exp
-from hypose.io.motions.asf import bone_ends, global_rotations, read_amc, read_asf
 
 ASF = """# made by hand
 :version 1.10

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from benchmarks.synthetic.mono_scenes import body_scene
 from hypose.body.fit_skeleton import FACTORS
 from hypose.body.ready_bodies import human
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Frame, Picture
-from hypose.synthetic.mono_scenes import body_scene
 from hypose.synthetic.rigs import look_at
 from hypose.tracking.monocular.initialise import initialise, rival_poses
 from hypose.tracking.monocular.models import body_dofs

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.papers.superquadrics import superquadric_body
 from hypose.body.motion import modes_arrays
 from hypose.body.ready_bodies import human
-from hypose.body.superquadrics import superquadric_body
 from hypose.cameras.camera import CameraRig
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Frame, Keypoints, Picture

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from hypose.body.anthropometry import ENTITIES, TABLE_2_1, body_of, entity, sizes_2_1
+from benchmarks.papers.layered_anthropometry import BETAS, TABLE_2_2, SizePrior, sizes_2_1
+from hypose.body.anthropometry import ENTITIES, TABLE_2_1, body_of, entity
 from hypose.body.body import Shape, deform
 from hypose.body.ready_bodies import human
 from hypose.cameras.camera import CameraRig
@@ -17,7 +18,6 @@ from hypose.evidence.silhouettes import make_silhouettes
 from hypose.inference.hypotheses import Hypotheses
 from hypose.synthetic.rigs import rig
 from hypose.tracking.frame_evidence import prepare
-from hypose.tracking.layered_anthropometry import BETAS, TABLE_2_2, SizePrior
 from hypose.tracking.partitioned_observations import PartitionedXor, chain_region
 from hypose.tracking.starts import known_pose
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.depth_sensors.sensor_choice import Choice, cases
+from benchmarks.synthetic.treadmill import treadmill_recording
 from hypose.compute.swarm import cpu_swarm
 from hypose.evidence.frame import SensorJoints
 from hypose.fusion import joints as jt
@@ -26,7 +27,6 @@ from hypose.fusion.swarm import PUBLISHED, MergedWheel, SwarmFrame, SwarmSetting
 from hypose.geometry import so3_exp, transform
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.selectors import roulette
-from hypose.synthetic.sensors import treadmill_recording
 
 
 def random_rotation(rng):

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import correlate, gaussian_filter
 
+from benchmarks.papers.superquadrics import grid, nodes, superquadric_body
 from hypose.body.ready_bodies import human
-from hypose.body.superquadrics import grid, nodes, superquadric_body
 from hypose.compute.monocular import cpu_mono_cues, cpu_mono_rows, cpu_mono_search, mono
 from hypose.compute.monocular.mono_terms import GAUSSIAN, LECLERC, LORENTZIAN, FlowArrays
 from hypose.compute.solver import cpu_solver

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.synthetic.spoilt_keypoints import noisy, spoilt
 from hypose.calibration.common_focal import focal_by_points, focal_findings
 from hypose.calibration.doctor_points import mirrored_names
 from hypose.cameras.camera import CameraRig, triangulate
@@ -15,7 +16,6 @@ from hypose.geometry import se3
 from hypose.pipeline.first_look import first_look, sentences
 from hypose.pipeline.track_loop import FrameList
 from hypose.synthetic.scenes import make_scene
-from hypose.synthetic.spoilt_keypoints import noisy, spoilt
 
 BALANCING = Path(__file__).parents[3] / "shared" / "data" / "pose2sim_balancing"
 

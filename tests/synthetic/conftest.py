@@ -3,7 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hypose.synthetic.subjects import Subject, procedural_subject
+from hypose.synthetic.subjects import Subject
+from tests.procedural_subject import procedural_subject
 
 
 @pytest.fixture(scope="session")

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from benchmarks.synthetic.mono_motions import STRAIGHT_KNEE, body_motion
+from benchmarks.synthetic.mono_scenes import arm_scene, body_scene
+from benchmarks.synthetic.mono_subjects import MeasuringError, measured_body
 from hypose.body.ready_bodies import human
 from hypose.errors import InputError
-from hypose.synthetic.mono_motions import STRAIGHT_KNEE, body_motion
-from hypose.synthetic.mono_scenes import arm_scene, body_scene
-from hypose.synthetic.mono_subjects import MeasuringError, measured_body
 from hypose.synthetic.subjects import load_subjects
 
 

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
+from benchmarks.synthetic.retarget import retarget
 from hypose.errors import InputError
-from hypose.synthetic.retarget import retarget
 
 
 @pytest.fixture

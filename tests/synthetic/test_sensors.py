@@ -1,16 +1,17 @@
 import numpy as np
 import pytest
 
+from benchmarks.synthetic.human4d import read_human4d
+from benchmarks.synthetic.treadmill import human4d_recording, treadmill_recording
 from hypose.compute.depth_forests import cpu_rays
 from hypose.fusion import joints as jt
 from hypose.fusion.register import depth_at_joints
 from hypose.synthetic import sensors as sim
-from hypose.synthetic.human4d import read_human4d
 
 
 @pytest.fixture(scope="module")
 def recording():
-    return sim.treadmill_recording("A", np.random.default_rng(3))
+    return treadmill_recording("A", np.random.default_rng(3))
 
 
 def test_rays_meet_capsules_where_they_should(rng):
@@ -83,7 +84,7 @@ def test_the_depth_map_and_the_joints_depth_tell_the_same(recording):
 
 
 def test_a_sensor_behind_exchanges_the_sides_in_episodes():
-    base = sim.treadmill_recording("B", np.random.default_rng(0))
+    base = treadmill_recording("B", np.random.default_rng(0))
     cameras = sim.ring_sensors([0, 180])
     seen = sim.simulate(
         base.truth, base.heading, cameras, np.random.default_rng(1), sim.SensorModel(drop_out=0), np.zeros((0, 7))
@@ -96,7 +97,7 @@ def test_a_sensor_behind_exchanges_the_sides_in_episodes():
 
 
 def test_the_same_seed_gives_the_same_recording_and_nothing_is_shared():
-    a, b, c = (sim.treadmill_recording("A", np.random.default_rng(s)) for s in (5, 5, 6))
+    a, b, c = (treadmill_recording("A", np.random.default_rng(s)) for s in (5, 5, 6))
     np.testing.assert_array_equal(a.positions, b.positions)
     np.testing.assert_array_equal(a.joint_depth, b.joint_depth)
     assert not np.array_equal(a.positions, c.positions)
@@ -107,7 +108,7 @@ def test_human4d_run_keeps_its_bones_and_its_cameras_stand_around(shared_data):
     assert run.joints.shape == (223, 33, 3)
     thigh = np.linalg.norm(run.joints[:, 21] - run.joints[:, 22], axis=-1)
     assert thigh.std() < 0.004
-    r = sim.human4d_recording(shared_data("human4d_run").parent, np.random.default_rng(0))
+    r = human4d_recording(shared_data("human4d_run").parent, np.random.default_rng(0))
     eyes = np.array([-c[:3, :3].T @ c[:3, 3] for c in r.camera_from_world])
     assert np.all(np.linalg.norm(eyes, axis=1) > 1.5)
     assert r.truth[..., 2].min() > -0.3 and r.truth[..., 2].max() < 2.0

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+from benchmarks.synthetic.spoilt_keypoints import SPOILS, like_a_detector, moved_camera, spoilt
 from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.keypoints import BODY_25
 from hypose.synthetic.rigs import rig
-from hypose.synthetic.spoilt_keypoints import SPOILS, like_a_detector, moved_camera, spoilt
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,8 @@ from hypose.body.ready_bodies import JOINT_NAMES
 from hypose.errors import InputError
 from hypose.geometry import so3_exp
 from hypose.synthetic import subjects as module
-from hypose.synthetic.subjects import dress, load_subjects, procedural_subject, vertex_normals
+from hypose.synthetic.subjects import dress, load_subjects, vertex_normals
+from tests.procedural_subject import procedural_subject
 
 
 def test_rest_pose_reproduces_the_rest_mesh_and_joints(person):

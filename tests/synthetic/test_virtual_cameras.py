@@ -7,9 +7,9 @@ import urllib.request
 import numpy as np
 import pytest
 
+from benchmarks.synthetic.virtual_cameras import CameraFaults, VirtualCameras, there_and_back
 from hypose.errors import InputError
 from hypose.io.videos.camera_sources import StreamEnded, open_camera
-from hypose.synthetic.virtual_cameras import CameraFaults, VirtualCameras, there_and_back
 from tests.conftest import HANG_S
 
 CLIPS = [[b"%d-%d" % (view, n) for n in range(6)] for view in range(2)]

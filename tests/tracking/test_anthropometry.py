@@ -7,7 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.body.anthropometry import ENTITIES, body_of, entity, prior_mean, sizes_2_1
+from benchmarks.papers.layered_anthropometry import (
+    BETAS,
+    TABLE_2_2,
+    K,
+    ShapeXor,
+    SizePrior,
+    anthropometry_recipe,
+    powell_start,
+    shape_energy,
+    sizes_2_1,
+)
+from hypose.body.anthropometry import ENTITIES, body_of, entity, prior_mean
 from hypose.errors import EvidenceError, InputError
 from hypose.fitting.articulated import contour_term
 from hypose.inference.hypotheses import Hypotheses
@@ -20,16 +31,6 @@ from hypose.pipeline.subject_from_motion import (
     save_subject,
 )
 from hypose.tracking.frame_evidence import prepare
-from hypose.tracking.layered_anthropometry import (
-    BETAS,
-    TABLE_2_2,
-    K,
-    ShapeXor,
-    SizePrior,
-    anthropometry_recipe,
-    powell_start,
-    shape_energy,
-)
 from hypose.tracking.shape_refinement import Known, ShapeSettings, outlines_of, refine_shape
 
 
@@ -271,7 +272,7 @@ def test_powell_lowers_the_energy(body, standing, frame_of):
 
 @pytest.mark.slow
 def test_filter_finds_a_held_pose(body, standing, frame_of):
-    from hypose.tracking.layered_anthropometry import estimate_by_filter
+    from benchmarks.papers.layered_anthropometry import estimate_by_filter
 
     person = body_of(body, shape(scale=0.04, thigh_girth=0.1))
     frame = prepare(frame_of(person, standing), body, standing)

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from benchmarks.robustness.small_recordings import small_scene
+from benchmarks.synthetic.spoilt_keypoints import spoilt
 from hypose.body.ready_bodies import human
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.keypoints import BODY_25
 from hypose.geometry import se3
-from hypose.synthetic.spoilt_keypoints import spoilt
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.keypoint_evidence import keypoint_model
 from hypose.tracking.keypoint_offsets import calibrate_keypoints, triangulated_starts

@@ -5,11 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
+from benchmarks.synthetic.spoilt_keypoints import moved_camera
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.frame import Keypoints
 from hypose.evidence.keypoints import BODY_25B, triangulate_keypoints
 from hypose.synthetic.rigs import rig as named_rig
-from hypose.synthetic.spoilt_keypoints import moved_camera
 from hypose.tracking.keypoint_evidence import keypoint_model, keypoint_term
 from hypose.tracking.keypoint_offsets import calibrate_keypoints
 from hypose.tracking.view_noise import LARGEST, view_factors

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import gaussian_filter1d
 
+from benchmarks.synthetic.retarget import retarget
 from hypose.body.ready_bodies import JOINT_NAMES
 from hypose.errors import InputError
 from hypose.synthetic.motions import act
@@ -22,7 +23,6 @@ from hypose.synthetic.performance import (
     perform,
     turn,
 )
-from hypose.synthetic.retarget import retarget
 from hypose.synthetic.subjects import Subject
 
 # key poses of the right arm, degrees: flexion, abduction and inward turn of the shoulder, elbow, twist of the forearm,

@@ -15,22 +15,22 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.synthetic.mono_backdrops import cluttered, woven
+from benchmarks.synthetic.mono_motions import arm_reach, body_motion
+from benchmarks.synthetic.mono_subjects import MeasuringError, arm_dofs, measured_body, pose_of_truth, with_hand
 from hypose.body.body import Body
 from hypose.body.ready_bodies import JOINT_NAMES, human
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.evidence.keypoints import BODY_25
 from hypose.geometry import Array
 from hypose.synthetic.metrics import carriers, population_offsets
-from hypose.synthetic.mono_backdrops import cluttered, woven
-from hypose.synthetic.mono_motions import arm_reach, body_motion
-from hypose.synthetic.mono_subjects import MeasuringError, measured_body, pose_of_truth
 from hypose.synthetic.performance import Performance, heading
 from hypose.synthetic.render_rgb import Backdrop, Image, Outfit, develop, make_outfit, noise_bank, render_person
 from hypose.synthetic.rigs import look_at
 from hypose.synthetic.scenes import Scene, make_scene
 from hypose.synthetic.simulated_keypoints import keypoint_detections
 from hypose.synthetic.subjects import Subject, dress, load_subjects
-from hypose.tracking.monocular.models import arm_dofs, body_dofs, with_hand
+from hypose.tracking.monocular.models import body_dofs
 
 SIZE = (384, 288)
 FRAME_RATE = 25.0

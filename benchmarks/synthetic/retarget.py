@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import gaussian_filter1d, minimum_filter1d
 
+from benchmarks.synthetic.asf import global_rotations, read_amc, read_asf
 from hypose.errors import InputError
 from hypose.geometry import Array, rotation_between, so3_exp, so3_log
-from hypose.io.motions.asf import global_rotations, read_amc, read_asf
 from hypose.synthetic.performance import Performance, assemble, soles
 from hypose.synthetic.subjects import Subject
 

@@ -1,0 +1,1 @@
+"""Scenes, captured motion and faults that benchmarks and tests make, and no user's recording needs."""
