@@ -146,7 +146,7 @@ def read_view(folder: Path) -> None:
 
 def read_sensor(folder: Path) -> None:
     """A sensor has the name; its skeletons are read, written again and read again."""
-    from hypose.io.sensors.skeleton_folder import write_folder
+    from benchmarks.synthetic.skeleton_folders import write_folder
     from hypose.io.sensors.skeleton_formats import read_skeletons
 
     skeletons = read_skeletons(_renamed(folder, "sensors", _texts(folder, "sensor")[0]))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -22,8 +22,8 @@ from hypose.gestures.pixels import Example
 from hypose.gestures.trainer import Trainer, half_way
 from hypose.synthetic.gesture_live import live_person
 from hypose.synthetic.gesture_people import Puppet, load_people
-from hypose.synthetic.gesture_poses import GESTURES, continuous
-from hypose.synthetic.gesture_scenes import Setting, make_room, make_view, moment
+from hypose.synthetic.gesture_poses import GESTURES, Keyframe, apply, movement
+from hypose.synthetic.gesture_scenes import Setting, in_world, make_room, make_view, render
 
 WATCHED_FPS = 5.0
 """Of the free movement."""
@@ -176,3 +176,22 @@ def _one_person(
     starts = _count_alarms(watcher, person, 60 * minutes, rng, options)
     held = _share_of_holds(watcher, person, names, tries, rng)
     return {"starts": starts, "held": held, "passed": learned.passed, "thresholds": learned.thresholds}
+
+
+def continuous(puppet: Puppet, rng: np.random.Generator, seconds: float, rate: float) -> Iterator[Keyframe]:
+    """Free movement without gestures: smooth ways between random poses, 0.5 to 1.2 s each, some of them held."""
+    last, at, knot = movement(puppet, rng), 0.0, rng.uniform(0.5, 1.2)
+    following = movement(puppet, rng)
+    for k in range(round(seconds * rate)):
+        while k / rate - at > knot:
+            at += knot
+            last, knot = following, rng.uniform(0.5, 1.2)
+            following = last if rng.random() < 0.2 else movement(puppet, rng)
+        t = (k / rate - at) / knot
+        yield last.towards(following, t * t * (3 - 2 * t))
+
+
+def moment(puppet: Puppet, frame: Keyframe, setting: Setting, rng: np.random.Generator) -> Depth:
+    """The picture of a person in a given pose (of a continuous movement)."""
+    apply(puppet, frame)
+    return render([(puppet.person, in_world(puppet))], setting.behind, setting.view, rng)[0]

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
-from benchmarks.depth_gestures.gesture_data import SEEDS, TESTED, TRAINED
+from benchmarks.depth_gestures.gesture_data import SEEDS, TESTED, TRAINED, teach
 from benchmarks.depth_gestures.gesture_scores import Judged, judge
 from hypose.compute import Depth
 from hypose.errors import InputError
 from hypose.gestures.depth_pictures import KINECT
 from hypose.gestures.forest import ForestSettings
-from hypose.gestures.online import Learner, teach
+from hypose.gestures.online import Learner
 from hypose.gestures.pixels import Example, LearnSettings
 from hypose.io.sensors.depth import read_depth_png
 from hypose.synthetic.gesture_scenes import CLUTTERED, GestureFrame, picture

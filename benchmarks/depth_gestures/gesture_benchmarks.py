@@ -24,6 +24,7 @@ from benchmarks.depth_gestures.gesture_data import (
     Size,
     examples,
     for_gesture,
+    teach,
     test_set,
     thinned,
     training_set,
@@ -32,7 +33,7 @@ from benchmarks.depth_gestures.gesture_data import (
 from benchmarks.depth_gestures.gesture_scores import THOROUGH, Judged, judge
 from hypose.gestures.forest import Forest, ForestSettings
 from hypose.gestures.offline import OfflineSettings, Pool, collect, train
-from hypose.gestures.online import Learner, teach
+from hypose.gestures.online import Learner
 from hypose.gestures.pixels import Example
 from hypose.synthetic.gesture_poses import GESTURES
 from hypose.synthetic.gesture_scenes import GestureFrame, Stage

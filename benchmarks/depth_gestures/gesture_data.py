@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hypose.gestures.depth_pictures import KINECT
+from hypose.gestures.online import Learner
 from hypose.gestures.pixels import Example
 from hypose.synthetic.gesture_poses import GESTURES, UNSEEN
 from hypose.synthetic.gesture_scenes import (
@@ -110,3 +111,14 @@ def _shoot(
         if tick is not None:
             tick(k + 1, len(kinds))
     return out
+
+
+def teach(learner: Learner, examples: Sequence[Example], *, mine: bool = True, shuffle: bool = False) -> None:
+    """Show all examples once, in their order or in one drawn from the learner's random numbers."""
+    order = learner.rng.permutation(len(examples)) if shuffle else np.arange(len(examples))
+    for k in order.tolist():
+        e = examples[k]
+        if e.gesture:
+            learner.show(e.depth, e.lens, e.gesture, e.x, e.y, mine=mine)
+        else:
+            learner.reject(e.depth, e.lens, mine=mine)

@@ -19,6 +19,7 @@ from scipy.stats import chi2
 
 from benchmarks.bench_report import BenchOptions
 from benchmarks.depth_sensors.depth_tracking import RATE, SENSORS, aligned, scene_of
+from benchmarks.multiview.curvature import as_curved
 from benchmarks.multiview.doubt_scenes import angles_of, true_angles
 from benchmarks.multiview.spread_fit import ASSET, TILTED, fit_angle, fit_joint, pelvis_floor, squares
 from hypose.body.joint_angles import ANGLE_NAMES
@@ -37,7 +38,7 @@ from hypose.tracking.doubt import (
     probability,
 )
 from hypose.tracking.doubt_features import clip_features
-from hypose.tracking.fitted_spread import as_curved, kind_of
+from hypose.tracking.fitted_spread import kind_of
 
 TRAINED = range(100)
 """seeds that may be trained on; the benchmark reports others"""

@@ -12,6 +12,7 @@ import numpy as np
 
 from benchmarks.bench_report import BenchOptions, BenchReport, row
 from benchmarks.depth_sensors.fusion_scenes import FRESH_SEED, HANDS, scene_recording, scene_settings
+from benchmarks.depth_sensors.sensor_choice import register_per_frame
 from benchmarks.multiview.doubt_fit import auroc
 from hypose.app.jobs.fuse_job import FuseJob, run_fuse
 from hypose.body.motion import Motion
@@ -21,7 +22,7 @@ from hypose.fusion import baselines
 from hypose.fusion import joints as jt
 from hypose.fusion.fuse import BASELINES, FusionSettings, fuse_clip, start, step
 from hypose.fusion.point_motion import common_positions
-from hypose.fusion.register import common_joints, register, register_per_frame
+from hypose.fusion.register import common_joints, register
 from hypose.fusion.trust import WRONG_M
 from hypose.geometry import Array
 from hypose.io.motions.results import ResultsFolder

@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
 from benchmarks.depth_sensors.fusion_scenes import FRESH_SEED, HANDS, scene_recording, scene_settings
 from hypose.fusion.confidence import confidence_step, normalised, start_confidence
-from hypose.fusion.register import heading, register, register_per_frame, upward
+from hypose.fusion.register import alone, by_triangles, heading, register, upward
 from hypose.fusion.swarm import IMPROVED, PUBLISHED, SwarmSettings, start_swarm, swarm_step
 from hypose.geometry import Array
 from hypose.synthetic.sensors import HIDDEN_BELOW, SensorRecording
@@ -213,3 +214,13 @@ def departures(options: BenchOptions) -> BenchReport:
                 found.setdefault(f"{name}/{scene}/{cycle}", []).extend(got)
         rows += [row("success", case, [c.success for c in got], "share") for case, got in found.items() if got]
     return BenchReport(tuple(rows), scene_settings(options, seeds))
+
+
+def register_per_frame(positions: ArrayLike, reference: int = 0) -> Array:
+    """Positions (T, K, 15, 3) m of a clip in the common frame, every frame registered by itself (`by_triangles`)."""
+    s = np.asarray(positions, dtype=np.float64)
+    found, out = alone(s.shape[1], reference), np.empty_like(s)
+    for t in range(len(s)):
+        found = by_triangles(found, s[t])
+        out[t] = found.apply(s[t])
+    return out

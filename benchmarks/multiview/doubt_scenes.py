@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from benchmarks.bench_report import BenchOptions
 from benchmarks.multiview.action_scenes import known_subject, subject_of_seed
+from benchmarks.multiview.curvature import as_curved
 from benchmarks.multiview.product import aligned_joints, body_by_keypoints, estimated_body
 from benchmarks.multiview.real_recordings import balancing_recording
 from benchmarks.multiview.things_in_masks import with_thing
@@ -37,7 +38,7 @@ from hypose.synthetic.depth_scenes import DepthScene
 from hypose.synthetic.scenes import Scene, make_scene
 from hypose.synthetic.simulated_keypoints import keypoint_detections
 from hypose.tracking.doubt import as_mixture, judged, without_mixture
-from hypose.tracking.fitted_spread import as_curved, beyond_usual
+from hypose.tracking.fitted_spread import beyond_usual
 
 
 @dataclass(frozen=True)

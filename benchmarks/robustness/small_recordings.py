@@ -9,13 +9,13 @@ import cv2
 import numpy as np
 
 from benchmarks.synthetic.calibration_boards import film_board, ring_of_cameras
+from benchmarks.synthetic.skeleton_folders import write_folder
 from hypose.calibration.boards import Board
 from hypose.fusion.joints import COMMON
 from hypose.gestures.depth_pictures import KINECT
 from hypose.io.calibrations.calibration_toml import write_calibration
 from hypose.io.files import atomic_path
 from hypose.io.recordings.recording import Recording, View, write_recording
-from hypose.io.sensors.skeleton_folder import write_folder
 from hypose.io.sensors.skeleton_streams import SensorStream, SkeletonRecording
 from hypose.pipeline.gesture_files import SessionWriter
 from hypose.synthetic.board_pictures import board_from_sheet, board_sheet

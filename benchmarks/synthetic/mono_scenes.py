@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from benchmarks.synthetic.mono_backdrops import cluttered, woven
 from benchmarks.synthetic.mono_motions import arm_reach, body_motion
-from benchmarks.synthetic.mono_subjects import MeasuringError, measured_body, pose_of_truth
+from benchmarks.synthetic.mono_subjects import MeasuringError, arm_dofs, measured_body, pose_of_truth, with_hand
 from hypose.body.body import Body
 from hypose.body.ready_bodies import JOINT_NAMES, human
 from hypose.cameras.camera import Camera, CameraRig
@@ -30,7 +30,7 @@ from hypose.synthetic.rigs import look_at
 from hypose.synthetic.scenes import Scene, make_scene
 from hypose.synthetic.simulated_keypoints import keypoint_detections
 from hypose.synthetic.subjects import Subject, dress, load_subjects
-from hypose.tracking.monocular.models import arm_dofs, body_dofs, with_hand
+from hypose.tracking.monocular.models import body_dofs
 
 SIZE = (384, 288)
 FRAME_RATE = 25.0

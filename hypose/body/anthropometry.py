@@ -10,7 +10,6 @@ Source: Alcoverro 2014, section 2.3.3, Table 2.1 (after DinBelg 2005) and eq. 2.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -193,7 +192,6 @@ _GIRTH_SITES: dict[str, tuple[str, str, float, bool]] = {
     "thigh": ("hip", "knee", 0.45, True),
     "shank": ("knee", "ankle", 0.3, True),
 }
-GIRTHS = tuple(_GIRTH_SITES)
 SEGMENTS: dict[str, tuple[str, str]] = {
     "torso": ("pelvis", "neck"),
     "upper arm": ("shoulder", "elbow"),
@@ -318,34 +316,3 @@ def _tape(flat: Array) -> float:
         return float(ConvexHull(flat).area)  # in two dimensions the "area" is the perimeter
     except QhullError:
         return 0.0
-
-
-def log_prior_2_1(sizes_cm: Sequence[tuple[str, float]]) -> float:
-    """Logarithm of eq. 2.13: -sum (S_k - M_k)^2 / (2 sigma_k^2) over (name, size in cm) of Table 2.1."""
-    return -sum((s - TABLE_2_1[n][0]) ** 2 / (2 * TABLE_2_1[n][1]) for n, s in sizes_cm)
-
-
-def sizes_2_1(body: Body) -> dict[str, float]:
-    """The entities of Table 2.1 on a body at rest, cm.
-
-    The thesis does not say where it measures; taken here: shoulder height above the sole; head from the neck's joint to
-    the crown; clavicles between the shoulder joints; arms and lower arms to the middle of the hand (the table's 30.5 cm
-    are more than elbow to wrist); legs from the hip joint to the sole; torso from
-    the hip joints' middle to the neck's joint.
-    """
-    j, at, z = body.skeleton.rest_joints, JOINT_NAMES.index, body.fine.vertices[:, 2]
-    lengths = body.segment_lengths()
-    hips = 0.5 * (j[at("left_hip")] + j[at("right_hip")])
-    hand = body.fine.vertices[body.fine.main_joint == at("left_wrist")].mean(0)
-    upper, lower = lengths["left_upper_arm"], float(np.linalg.norm(hand - j[at("left_elbow")]))
-    out = {
-        "shoulder height": j[at("left_shoulder"), 2] - z.min(),
-        "head": z.max() - j[at("neck"), 2],
-        "clavicles": lengths["shoulder_width"],
-        "arms": upper + lower,
-        "upper arms": upper,
-        "lower arms": lower,
-        "legs": hips[2] - z.min(),
-        "torso": np.linalg.norm(j[at("neck")] - hips),
-    }
-    return {k: 100 * float(v) for k, v in out.items()}

@@ -147,27 +147,12 @@ def unnatural(positions: ArrayLike) -> Array:
     and sd pi/6; 0 for all other joints, 1 where a neighbour is missing.
 
     Deviation: the density is scaled to 1 at its mean, so that 1 - P is 0 there. The inner product that the paper takes
-    cannot see its "unnatural" angles beyond pi; see `signed_knees`."""
+    cannot see its "unnatural" angles beyond pi."""
     s = np.asarray(positions, dtype=np.float64)
     out = np.zeros(s.shape[:-1])
     j, a, b = _ANGLES
     out[..., j] = _improbable(_inner_angle(s[..., a, :] - s[..., j, :], s[..., b, :] - s[..., j, :]))
     return out
-
-
-def signed_knees(positions: ArrayLike) -> Array:
-    """(..., 2) rad angles of the knees in [0, 2 pi): above pi where the shank bends forwards. Elbows have no such sign:
-    their hinge turns with the upper arm, which three points do not show."""
-    s = np.asarray(positions, dtype=np.float64)
-    left = s[..., jt.LEFT_HIP, :] - s[..., jt.RIGHT_HIP, :]
-    out = []
-    for knee, hip, foot in ((jt.LEFT_KNEE, jt.LEFT_HIP, jt.LEFT_FOOT), (jt.RIGHT_KNEE, jt.RIGHT_HIP, jt.RIGHT_FOOT)):
-        thigh, shank = s[..., hip, :] - s[..., knee, :], s[..., foot, :] - s[..., knee, :]
-        angle = _inner_angle(thigh, shank)
-        # thigh (up) x shank (down and back) points to the person's left for a knee that bends as knees do
-        natural = (np.cross(thigh, shank) * left).sum(-1) >= 0
-        out.append(np.where(natural, angle, 2 * np.pi - angle))
-    return np.stack(out, -1)
 
 
 def normalised(inputs: Array, settings: ConfidenceSettings) -> Array:

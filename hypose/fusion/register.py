@@ -65,28 +65,6 @@ def common_joints(frame: SensorJoints) -> SensorJoints:
     )
 
 
-def combine(parts: Sequence[SensorJoints]) -> SensorJoints:
-    """Sensors of different joint sets in one frame, on the 15 common joints. An InputError for a name given twice."""
-    mapped = [common_joints(p) for p in parts]
-    names = tuple(n for p in mapped for n in p.sensor_names)
-    if len(set(names)) < len(names):
-        twice = next(n for n in names if names.count(n) > 1)
-        raise InputError(f"Two sensors are called {twice!r}; give every sensor its own name.")
-    if not mapped:
-        raise InputError("There are no sensors to combine; give at least one skeleton.")
-    depths = [depth_at_joints(p) for p in mapped]
-    return SensorJoints(
-        np.concatenate([p.positions for p in mapped]),
-        np.concatenate([p.state for p in mapped]),
-        np.concatenate([p.times for p in mapped]),
-        jt.COMMON,
-        names,
-        joint_depth=None
-        if all(d is None for d in depths)
-        else np.concatenate([np.zeros(p.state.shape) if d is None else d for p, d in zip(mapped, depths, strict=True)]),
-    )
-
-
 def depth_at_joints(frame: SensorJoints) -> Array | None:
     """(K, J) m depth map value at each joint's pixel, 0 where there is none (hole, outside); None without depth."""
     if frame.joint_depth is not None:
@@ -127,16 +105,6 @@ def by_triangles(last: Registration, positions: ArrayLike) -> Registration:
         transforms[k] = triangle_transform(target, triangles[k])
         residual[k] = np.median(np.linalg.norm(transform(transforms[k], triangles[k]) - target, axis=1))
     return Registration(transforms, residual, last.registered | new, last.reference)
-
-
-def register_per_frame(positions: ArrayLike, reference: int = 0) -> Array:
-    """Positions (T, K, 15, 3) m of a clip in the common frame, every frame registered by itself (`by_triangles`)."""
-    s = np.asarray(positions, dtype=np.float64)
-    found, out = alone(s.shape[1], reference), np.empty_like(s)
-    for t in range(len(s)):
-        found = by_triangles(found, s[t])
-        out[t] = found.apply(s[t])
-    return out
 
 
 def register(

@@ -6,7 +6,6 @@ the hard ones; their number is proportional to the maximum relative to what gest
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,7 +15,7 @@ from hypose.errors import InputError
 from hypose.gestures.depth_pictures import Lens, surface_depth
 from hypose.gestures.forest import ForestSettings, GrowingForest
 from hypose.gestures.localise import Found, Scratch, localise, pad
-from hypose.gestures.pixels import BACKGROUND, Chooser, Example, LearnSettings, Pixels
+from hypose.gestures.pixels import BACKGROUND, Chooser, LearnSettings, Pixels
 
 
 @dataclass(frozen=True)
@@ -122,14 +121,3 @@ class Learner:
             self.forest.learn(picture, rows, columns, np.full(len(rows), label, np.int32))
             counts[label] += len(rows)
         return len(rows)
-
-
-def teach(learner: Learner, examples: Sequence[Example], *, mine: bool = True, shuffle: bool = False) -> None:
-    """Show all examples once, in their order or in one drawn from the learner's random numbers."""
-    order = learner.rng.permutation(len(examples)) if shuffle else np.arange(len(examples))
-    for k in order.tolist():
-        e = examples[k]
-        if e.gesture:
-            learner.show(e.depth, e.lens, e.gesture, e.x, e.y, mine=mine)
-        else:
-            learner.reject(e.depth, e.lens, mine=mine)

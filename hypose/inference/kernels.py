@@ -212,41 +212,6 @@ class RejectionSampling:
         return replace(h, values=values)
 
 
-@dataclass(frozen=True)
-class Mixture:
-    """Each hypothesis moves by one of several kernels, whose number becomes its origin.
-
-    shares are the proportions of the set, met to within one hypothesis; which hypothesis goes where is
-    drawn at random. After selection the histogram of origins is the survival rate of each kind of proposal.
-    Every kernel sees the whole set and must keep its size. Source: Alcoverro 2014, section 2.5.2
-    (inverse-kinematics and Gaussian particles).
-    """
-
-    kernels: tuple[Kernel, ...]
-    shares: tuple[float, ...]
-
-    def __post_init__(self) -> None:
-        shares = np.asarray(self.shares, np.float64)
-        if len(self.kernels) == 0 or shares.shape != (len(self.kernels),) or not np.all(shares >= 0):
-            raise ValueError(f"a mixture needs one share >= 0 per kernel, got {self.shares}")
-        if not np.isclose(shares.sum(), 1.0):
-            raise ValueError(f"the shares of a mixture must add up to 1, got {self.shares}")
-
-    def __call__(self, h: Hypotheses, frame: Any, rng: np.random.Generator, /) -> Hypotheses:
-        """The set with each hypothesis moved by its own kernel."""
-        limits = np.round(np.cumsum(self.shares) * h.count)[:-1]
-        in_order = np.searchsorted(limits, np.arange(h.count), side="right")
-        kind = rng.permuted(np.broadcast_to(in_order, h.log_weights.shape), axis=-1)
-        values, covariance = h.values, h.covariance
-        for number, kernel in enumerate(self.kernels):
-            moved = kernel(h, frame, rng)
-            chosen = kind == number
-            values = np.where(chosen[..., None], moved.values, values)
-            if covariance is not None and moved.covariance is not None:
-                covariance = np.where(chosen[..., None, None], moved.covariance, covariance)
-        return replace(h, values=values, origin=kind.astype(np.int32), covariance=covariance)
-
-
 def layered_sigma(sigma: ArrayLike, partitions: Sequence[ArrayLike], decay: float, layer: int) -> FloatArray:
     """Step sizes (D,) of one layer of a layered filter.
 

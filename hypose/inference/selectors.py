@@ -91,19 +91,3 @@ class LayeredSystematic:
         """The set with its filtered coordinates resampled."""
         drawn = h.take(systematic_indices(h.weights, rng.random(h.values.shape[:-2])))
         return drawn.equal(np.where(self.filtered, drawn.values, h.values))
-
-
-@dataclass(frozen=True)
-class Prune:
-    """Keeps the k hypotheses of largest weight, best first (all of them when there are fewer)."""
-
-    k: int
-
-    def __post_init__(self) -> None:
-        if self.k < 1:
-            raise ValueError(f"at least one hypothesis must be kept, got k = {self.k}")
-
-    def __call__(self, h: Hypotheses, rng: np.random.Generator, /) -> Hypotheses:
-        """The k best, equally weighted."""
-        order = np.argsort(-h.relative_log_weights, axis=-1, kind="stable")
-        return h.take(order[..., : self.k]).equal()

@@ -10,7 +10,7 @@ docs/depth.md; everything made here is simulated.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import cv2
@@ -67,9 +67,6 @@ class SensorFaults:
     disturbed: float = 0.05
     near_m: float = 0.4
     far_m: float = 5.5
-
-
-NO_FAULTS = SensorFaults(0, 0, 0, 0, 0, 0, 0, 0, 0, 0.1, 20)
 
 
 def depth_rig(name: str, distance: float = 2.7, height: float = 1.2) -> CameraRig:
@@ -226,11 +223,6 @@ def depth_scene(
     what = sensors if isinstance(sensors, str) else f"{len(rig)} sensors"
     name = f"{performance.name}-{subject.name}-{what}-{seed}"
     return DepthScene(name, subject, performance, rig, faults or SensorFaults(), seed)
-
-
-def without_faults(scene: DepthScene) -> DepthScene:
-    """The same scene before perfect sensors."""
-    return replace(scene, faults=NO_FAULTS)
 
 
 def sensed(

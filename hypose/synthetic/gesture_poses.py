@@ -6,7 +6,6 @@ is written for a right-handed person and mirrored for a left-handed one.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -322,16 +321,3 @@ def unseen(puppet: Puppet, kind: str, rng: np.random.Generator, leading: str = "
     if kind == "bottle":
         f, n = do.way(0.6, -0.7, 0.2, 0.15), do.way(0.7, 0.6, 0, 0.15)
     return do.keyframe(ArmGoal(wrist, f, n, do.elbow(-0.6, 0.3, -1), hand))
-
-
-def continuous(puppet: Puppet, rng: np.random.Generator, seconds: float, rate: float) -> Iterator[Keyframe]:
-    """Free movement without gestures: smooth ways between random poses, 0.5 to 1.2 s each, some of them held."""
-    last, at, knot = movement(puppet, rng), 0.0, rng.uniform(0.5, 1.2)
-    following = movement(puppet, rng)
-    for k in range(round(seconds * rate)):
-        while k / rate - at > knot:
-            at += knot
-            last, knot = following, rng.uniform(0.5, 1.2)
-            following = last if rng.random() < 0.2 else movement(puppet, rng)
-        t = (k / rate - at) / knot
-        yield last.towards(following, t * t * (3 - 2 * t))

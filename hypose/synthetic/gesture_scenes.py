@@ -15,7 +15,7 @@ from hypose.compute import Depth, depth_sensor
 from hypose.geometry import Array
 from hypose.gestures.depth_pictures import KINECT, Lens
 from hypose.synthetic.gesture_people import Person, Puppet, load_people, turn
-from hypose.synthetic.gesture_poses import GESTURES, UNSEEN, Keyframe, apply, gesture, movement, unseen
+from hypose.synthetic.gesture_poses import GESTURES, UNSEEN, apply, gesture, movement, unseen
 
 SIZE = (640, 480)
 LEVELS = ("empty", "furnished", "cluttered")
@@ -225,9 +225,3 @@ def bystander(person: Person, room: Room, rng: np.random.Generator) -> tuple[Per
     apply(puppet, movement(puppet, rng))
     at = (float(rng.choice([-1, 1]) * rng.uniform(0.25, 1.1)), float(rng.uniform(0.3, max(0.5, room.wall))))
     return person, in_world(puppet, rng.uniform(-3, 3), at)
-
-
-def moment(puppet: Puppet, frame: Keyframe, setting: Setting, rng: np.random.Generator) -> Depth:
-    """The picture of a person in a given pose (of a continuous movement)."""
-    apply(puppet, frame)
-    return render([(puppet.person, in_world(puppet))], setting.behind, setting.view, rng)[0]

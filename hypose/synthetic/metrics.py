@@ -5,12 +5,8 @@ world.
 
 What "error" means here: the Euclidean distance between an estimated and a true joint centre. Two bodies
 rarely define a joint at the same anatomical place, so definitions are aligned once, by a fixed offset per
-joint in the frame of a segment, never per frame:
-- `definition_offsets`: from two neutral rest bodies, once for all subjects and sequences: no information
-  about the subject or the sequence enters. The default for the figures.
-- `fitted_offsets`: one offset per joint fitted on the sequence itself, as comparisons with marker sets do
-  (HumanEva). More generous: a constant bias of the estimate disappears with the difference of definitions.
-  Say so beside the number.
+joint in the frame of a segment, never per frame: `definition_offsets`, from two neutral rest bodies, once for all
+subjects and sequences, so that no information about the subject or the sequence enters.
 """
 
 from __future__ import annotations
@@ -85,18 +81,6 @@ def _posed_like(joints: Array, other: Array) -> Array:
                 turn = np.eye(3)
             out[a + 1] = out[a] + turn @ bone
     return out
-
-
-def fitted_offsets(estimated: ArrayLike, rotations: ArrayLike, truth: ArrayLike) -> Array:
-    """(19, 3) m: the mean over the frames of (true - estimated) joint in the frame of the estimate's carrying
-    segment.
-
-    estimated (T, 19, 3) m, rotations (T, 19, 3, 3) world_from_joint of the ESTIMATE, truth (T, 19, 3) m.
-    Fitted on the sequence itself: more generous than `definition_offsets`. Least squares per joint.
-    """
-    e, t, r = (np.asarray(x, dtype=np.float64) for x in (estimated, truth, rotations))
-    _check_joints(e, t)
-    return np.einsum("tjba,tjb->ja", r[:, _CARRIER], t - e) / len(e)
 
 
 def with_offsets(estimated: ArrayLike, rotations: ArrayLike, offsets: ArrayLike) -> Array:
@@ -179,15 +163,6 @@ def joint_errors(
     return JointErrors(distances, tuple(JOINT_NAMES[j] for j in keep))
 
 
-def root_aligned_errors(estimated: ArrayLike, truth: ArrayLike) -> JointErrors:
-    """As `joint_errors`, after moving the estimate of every frame so that both pelves coincide (no turn, no
-    scale). It measures the posture alone; the place in the world is free. The pelvis itself (always 0) is
-    left out: 14 joints."""
-    e, t = np.asarray(estimated, dtype=np.float64), np.asarray(truth, dtype=np.float64)
-    _check_joints(e, t)
-    return joint_errors(e - e[:, :1] + t[:, :1], t, joints=EVALUATED[EVALUATED != 0])
-
-
 def coverage(
     estimated: ArrayLike, joint_sd: ArrayLike, truth: ArrayLike, levels: tuple[float, ...] = (0.5, 0.9, 0.95)
 ) -> dict[float, Array]:
@@ -213,60 +188,6 @@ def coverage(
         with np.errstate(invalid="ignore", divide="ignore"):
             out[level] = inside.sum(0) / known.sum(0)
     return out
-
-
-def joint_angle_errors(
-    estimated: ArrayLike,
-    truth: ArrayLike,
-    estimated_rest: ArrayLike | None = None,
-    true_rest: ArrayLike | None = None,
-) -> Array:
-    """(T, 19) rad: angle of the rotation between the estimated and true orientation of each joint relative to
-    its parent (the pelvis: relative to the world).
-
-    estimated, truth (T, 19, 3, 3) world_from_joint. The two bodies may rest differently: give what takes each
-    body's rest to a common posture (performance.hanging_from_rest for subjects), (19, 3, 3) each, and
-    orientations are compared as turns from there.
-    """
-    e, t = np.asarray(estimated, dtype=np.float64), np.asarray(truth, dtype=np.float64)
-    if estimated_rest is not None:
-        e = e @ np.swapaxes(np.asarray(estimated_rest, dtype=np.float64), -1, -2)
-    if true_rest is not None:
-        t = t @ np.swapaxes(np.asarray(true_rest, dtype=np.float64), -1, -2)
-
-    def local(r: Array) -> Array:
-        return np.concatenate([r[:, :1], np.swapaxes(r[:, PARENTS[1:]], -1, -2) @ r[:, 1:]], 1)
-
-    return np.linalg.norm(so3_log(np.swapaxes(local(e), -1, -2) @ local(t)), axis=-1)
-
-
-_HINGES = {
-    f"{side}_{joint}": tuple(JOINT_NAMES.index(f"{side}_{n}") for n in chain)
-    for side in ("left", "right")
-    for joint, chain in {"elbow": ("shoulder", "elbow", "wrist"), "knee": ("hip", "knee", "ankle")}.items()
-}
-
-
-def flexion_errors(estimated: ArrayLike, truth: ArrayLike) -> dict[str, Array]:
-    """{elbow or knee: (T,) rad}: estimated minus true angle between the two bones that meet there, from
-    joints (T, 19, 3) alone: independent of any body's rest pose and of how its segments' frames are
-    defined."""
-
-    def angle(p: Array, a: int, b: int, c: int) -> Array:
-        u, v = p[:, b] - p[:, a], p[:, c] - p[:, b]
-        return np.arctan2(np.linalg.norm(np.cross(u, v), axis=-1), (u * v).sum(-1))
-
-    e, t = np.asarray(estimated, dtype=np.float64), np.asarray(truth, dtype=np.float64)
-    _check_joints(e, t)
-    return {name: angle(e, *chain) - angle(t, *chain) for name, chain in _HINGES.items()}
-
-
-def bone_length_sd(joints: ArrayLike, parents: ArrayLike = PARENTS) -> Array:
-    """(J,) m: standard deviation over the frames of the distance of each joint (T, J, 3) from its parent
-    (root: 0). A body model keeps it at 0; points that are estimated one by one do not."""
-    p, q = np.asarray(joints, dtype=np.float64), np.asarray(parents)
-    lengths = np.linalg.norm(p - p[:, np.maximum(q, 0)], axis=-1)
-    return np.where(q >= 0, np.nanstd(lengths, axis=0), 0.0)
 
 
 def _check_joints(e: Array, t: Array) -> None:

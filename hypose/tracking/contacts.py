@@ -17,8 +17,6 @@ from hypose.body.body import Body
 from hypose.fitting import PointTerm
 from hypose.geometry import Array
 
-SOLE_NAMES = ("left_heel", "left_ball", "right_heel", "right_ball")
-
 
 @dataclass(frozen=True)
 class ContactSettings:
@@ -37,7 +35,7 @@ class ContactSettings:
 
 @dataclass(frozen=True)
 class Soles:
-    """Heel and ball of both feet (SOLE_NAMES): joint (4,), offset (4, 3) m in its frame."""
+    """Heel and ball of the left foot, then of the right one: joint (4,), offset (4, 3) m in its frame."""
 
     joint: NDArray[np.int64]
     offset: Array

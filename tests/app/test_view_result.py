@@ -15,7 +15,7 @@ import pytest
 
 from hypose.app.reports import report_viewer
 from hypose.app.reports.report import from_result, report_html
-from hypose.app.studio.view_bundle import MOST_RIVALS, read_bundle, view_bundle
+from hypose.app.studio.view_bundle import MOST_RIVALS, view_bundle
 from hypose.app.studio.view_pictures import ViewPictures
 from hypose.app.studio.view_result import find_recording, load_view
 from hypose.body.joint_angles import ANGLE_NAMES
@@ -24,6 +24,7 @@ from hypose.geometry import so3_exp
 from hypose.io.motions.results import load_motion, save_motion
 from hypose.io.recordings.recording import load_recording
 from hypose.io.videos.video import VideoWriter, open_video
+from tests.bundles import read_bundle
 from tests.io.test_pose2sim import make_project
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from benchmarks.papers.layered_anthropometry import log_prior_2_1, sizes_2_1
 from hypose.body.anthropometry import (
     ENTITIES,
     ENTITY_NAMES,
@@ -14,11 +15,9 @@ from hypose.body.anthropometry import (
     entity,
     girth_at,
     length_rows,
-    log_prior_2_1,
     prior_covariance,
     prior_mean,
     shape_of,
-    sizes_2_1,
     sizes_of,
 )
 from hypose.body.ready_bodies import human

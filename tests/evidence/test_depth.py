@@ -19,13 +19,14 @@ from hypose.evidence.depth_evidence import Depth, DepthNoise, back_projected, in
 from hypose.evidence.depth_floor import camera_on_floor
 from hypose.evidence.depth_space import space_behind
 from hypose.geometry import se3, se3_inverse
-from hypose.synthetic.depth_scenes import depth_scene, without_faults
+from hypose.synthetic.depth_scenes import depth_scene
 from hypose.synthetic.motions import act
 from hypose.synthetic.performance import assemble, moved
 from hypose.synthetic.rigs import look_at
 from hypose.synthetic.subjects import load_subjects
 from hypose.tracking.starts import known_pose
 from tests.depth_pictures import WALL_M, frame_of, seen_in_room, sensors
+from tests.depth_sensors import without_faults
 
 
 def standing(place=(0.0, 0.0, 0.95)):

@@ -4,7 +4,6 @@ import pytest
 from hypose.errors import InputError
 from hypose.evidence.frame import SensorJoints
 from hypose.fusion import joints as jt
-from hypose.fusion.register import combine, common_joints
 
 
 @pytest.mark.parametrize("n", [0, 1, 2])
@@ -50,21 +49,6 @@ def test_leaves_and_core_prune_the_limbs_completely():
         left.remove(j)
     assert sorted(left) == np.flatnonzero(jt.CORE >= 0).tolist()
     assert sorted(jt.CORE[sorted(left)].tolist()) == list(range(len(left)))
-
-
-def frame_of(names, positions, sensor="a"):
-    return SensorJoints(positions[None], np.full((1, len(names)), 2), np.zeros(1), tuple(names), (sensor,))
-
-
-def test_sensors_of_different_sets_meet_on_the_common_joints(rng):
-    kinect, azure = jt.joint_sets()[1], jt.joint_sets()[2]
-    a, b = rng.normal(0, 1, (25, 3)), rng.normal(0, 1, (32, 3))
-    both = combine([frame_of(kinect.joint_names, a, "k"), frame_of(azure.joint_names, b, "z")])
-    assert both.joint_names == jt.COMMON and both.sensor_names == ("k", "z")
-    np.testing.assert_array_equal(both.positions, np.stack([a[kinect.common], b[azure.common]]))
-    assert common_joints(both) is both
-    with pytest.raises(InputError, match="Two sensors are called 'k'"):
-        combine([frame_of(kinect.joint_names, a, "k"), frame_of(azure.joint_names, b, "k")])
 
 
 def test_all_ways_to_say_missing_become_one():

@@ -7,12 +7,13 @@ import json
 import numpy as np
 import pytest
 
+from benchmarks.depth_gestures.gesture_data import teach
 from hypose.errors import InputError
 from hypose.gestures.forest import ForestSettings
 from hypose.gestures.localise import LocaliseSettings
 from hypose.gestures.model import GestureModel, from_arrays, to_arrays
 from hypose.gestures.offline import OfflineSettings, Pool, collect, train
-from hypose.gestures.online import Learner, teach
+from hypose.gestures.online import Learner
 from hypose.gestures.pixels import Example
 from hypose.pipeline.gesture_files import SessionWriter, export_model, load_model, read_recording, save_model
 

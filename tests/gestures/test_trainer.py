@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.depth_gestures.gesture_data import teach
 from hypose.gestures.forest import ForestSettings
 from hypose.gestures.localise import localise
-from hypose.gestures.online import Learner, teach
+from hypose.gestures.online import Learner
 from hypose.gestures.pixels import Chooser, Example, LearnSettings
 from hypose.gestures.session import SessionSettings
 from hypose.gestures.trainer import Trainer, balanced

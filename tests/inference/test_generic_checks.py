@@ -49,17 +49,12 @@ KERNELS = {
         kernels.RejectionSampling(gaussian(), lambda x: np.full(x.shape[:-1], -np.inf), trials=2),
         kernels.RejectionSampling(gaussian(), lambda x: np.full(x.shape[:-1], np.nan), trials=2),
     ],
-    "Mixture": [
-        kernels.Mixture((gaussian(), kernels.stay), (0.3, 0.7)),
-        kernels.Mixture((kernels.stay,), (1.0,)),
-    ],
 }
 SELECTORS = {
     "systematic": [selectors.systematic],
     "roulette": [selectors.roulette],
     "keep": [selectors.keep],
     "LayeredSystematic": [selectors.LayeredSystematic(SOME), selectors.LayeredSystematic(np.zeros(D, bool))],
-    "Prune": [selectors.Prune(3), selectors.Prune(1000)],
 }
 SELECTIVITIES = {
     "FixedSelectivity": [selectivity.FixedSelectivity(0.5), selectivity.FixedSelectivity(0.0)],

@@ -10,7 +10,6 @@ from hypose.inference.kernels import (
     ConstantVelocity,
     GaussianDiffusion,
     HeavyTail,
-    Mixture,
     RejectionSampling,
     filtered_mask,
     first_layer,
@@ -116,18 +115,6 @@ def test_rejection_refuses_what_the_prior_dislikes():
     once = RejectionSampling(GaussianDiffusion(np.array([1.0])), inside, trials=1)
     stayed = once(h, None, np.random.default_rng(0)).values[:, 0] == 0
     np.testing.assert_allclose(stayed.mean(), 1 - 0.6827, atol=0.03)
-
-
-def test_mixture_shares_labels_and_numbers():
-    kinds = (stay, ConstantVelocity(np.full(3, 10.0)), ConstantVelocity(np.full(3, 20.0)))
-    moved = Mixture(kinds, (0.25, 0.5, 0.25))(zeros(40), None, np.random.default_rng(0))
-    np.testing.assert_array_equal(np.bincount(moved.origin), [10, 20, 10])
-    np.testing.assert_array_equal(moved.values, np.repeat(10.0 * moved.origin[:, None], 3, axis=1))
-    assert (np.diff(moved.origin) != 0).sum() > 10  # drawn, not in blocks
-    with pytest.raises(ValueError, match="add up to 1"):
-        Mixture((stay, stay), (0.5, 0.6))
-    with pytest.raises(ValueError, match="one share"):
-        Mixture((stay, stay), (1.0,))
 
 
 def test_first_layers_and_filtered_masks():

@@ -11,7 +11,6 @@ from hypose.inference.kernels import (
     Compose,
     ConstantVelocity,
     GaussianDiffusion,
-    Mixture,
     annealed_sigma,
     filtered_mask,
     layered_sigma,
@@ -20,7 +19,7 @@ from hypose.inference.kernels import (
 from hypose.inference.layer import Layer, Recipe, search
 from hypose.inference.random_streams import stream
 from hypose.inference.selectivity import Annealed, FixedSelectivity, SurvivalRate, survival_rate
-from hypose.inference.selectors import LayeredSystematic, Prune, keep, systematic
+from hypose.inference.selectors import LayeredSystematic, keep, systematic
 
 N, D, FRAMES = 80, 4, 6
 SIGMA = np.array([0.3, 0.2, 0.25, 0.15])
@@ -161,21 +160,15 @@ def test_weigh_sees_the_population_and_the_estimate_comes_before_selection():
     def far_from_mean(h, z):
         return -np.square(h.values - h.mean()[..., None, :]).sum(-1)
 
-    recipe = Recipe("box", (Layer(stay, far_from_mean, Prune(1)),), estimate=Hypotheses.mean)
+    def only_best(h, rng, /):
+        return h.take(h.relative_log_weights.argmax(keepdims=True)).equal()
+
+    recipe = Recipe("box", (Layer(stay, far_from_mean, only_best),), estimate=Hypotheses.mean)
     result = search(Hypotheses.uniform(START), recipe, None, partial(stream, 0, 0))
     assert result.selected.count == 1 and result.weighted.count == N
     np.testing.assert_allclose(result.estimate, result.weighted.mean())
     best = search(Hypotheses.uniform(START), replace(recipe, estimate=Hypotheses.best), None, partial(stream, 0, 0))
     np.testing.assert_array_equal(best.estimate, result.selected.values[0])
-
-
-def test_origins_tell_which_proposal_survived():
-    towards_truth = ConstantVelocity(np.full(D, 3.0))
-    layer = Layer(Mixture((stay, towards_truth), (0.5, 0.5)), Annealed(energy, SurvivalRate(0.2)), systematic)
-    far = Hypotheses.uniform(START - 3.0)
-    result = search(far, Recipe("driven", (layer,)), np.zeros(D), partial(stream, 0, 0))
-    assert result.weighted.origin.sum() == N // 2
-    assert result.selected.origin.mean() > 0.99
 
 
 def test_reports_tell_beta_and_effective_number():

@@ -6,7 +6,6 @@ import pytest
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.selectors import (
     LayeredSystematic,
-    Prune,
     roulette_indices,
     systematic,
     systematic_indices,
@@ -86,12 +85,3 @@ def test_layered_copies_only_filtered_coordinates():
     np.testing.assert_array_equal(full.values, all_of_it.values)
     with pytest.raises(ValueError, match="mask of bools"):
         LayeredSystematic(np.array([0, 2]))
-
-
-def test_prune_keeps_the_best_first():
-    h = Hypotheses(np.arange(5.0)[:, None], np.array([-1.0, np.nan, 3.0, -np.inf, 3.0]), np.arange(5, dtype=np.int32))
-    best = Prune(3)(h, np.random.default_rng(0))
-    np.testing.assert_array_equal(best.origin, [2, 4, 0])
-    np.testing.assert_allclose(best.weights, 1 / 3)
-    with pytest.raises(ValueError, match="at least one"):
-        Prune(0)

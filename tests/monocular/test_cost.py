@@ -7,6 +7,7 @@ import pytest
 from scipy.optimize import minimize
 
 from benchmarks.papers.superquadrics import superquadric_body
+from benchmarks.synthetic.mono_subjects import arm_dofs, with_hand
 from hypose.body.ready_bodies import human
 from hypose.compute.monocular import cpu_mono_cues, cpu_mono_nodes, cpu_mono_rows, cpu_mono_search, mono
 from hypose.compute.monocular.mono_terms import FlowArrays
@@ -14,7 +15,7 @@ from hypose.compute.solver.normal import bounded_step
 from hypose.evidence.frame import Picture
 from hypose.fitting.least_squares import Rule, descend
 from hypose.tracking.contacts import soles_of
-from hypose.tracking.monocular.models import arm_dofs, body_dofs, with_hand
+from hypose.tracking.monocular.models import body_dofs
 from hypose.tracking.monocular.points import clicked_joints
 from hypose.tracking.monocular.problem import field_of, fixed_parts, frame_problem, with_prediction
 from hypose.tracking.monocular.settings import MonoSettings

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from benchmarks.papers.layered_anthropometry import BETAS, TABLE_2_2, SizePrior
-from hypose.body.anthropometry import ENTITIES, TABLE_2_1, body_of, entity, sizes_2_1
+from benchmarks.papers.layered_anthropometry import BETAS, TABLE_2_2, SizePrior, sizes_2_1
+from hypose.body.anthropometry import ENTITIES, TABLE_2_1, body_of, entity
 from hypose.body.body import Shape, deform
 from hypose.body.ready_bodies import human
 from hypose.cameras.camera import CameraRig

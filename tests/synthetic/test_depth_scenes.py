@@ -9,10 +9,11 @@ from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import load_recording
 from hypose.pipeline.one_of_several import people_frames
 from hypose.pipeline.run import TrackOptions, check_views
-from hypose.synthetic.depth_scenes import depth_rig, depth_scene, to_profile, turning, without_faults
+from hypose.synthetic.depth_scenes import depth_rig, depth_scene, to_profile, turning
 from hypose.synthetic.motions import act
 from hypose.synthetic.subjects import load_subjects
 from hypose.synthetic.write_depth import walking_scene, write_depth_scene
+from tests.depth_sensors import without_faults
 
 
 @pytest.fixture(scope="module")

@@ -16,8 +16,9 @@ from benchmarks.papers.layered_anthropometry import (
     anthropometry_recipe,
     powell_start,
     shape_energy,
+    sizes_2_1,
 )
-from hypose.body.anthropometry import ENTITIES, body_of, entity, prior_mean, sizes_2_1
+from hypose.body.anthropometry import ENTITIES, body_of, entity, prior_mean
 from hypose.errors import EvidenceError, InputError
 from hypose.fitting.articulated import contour_term
 from hypose.inference.hypotheses import Hypotheses

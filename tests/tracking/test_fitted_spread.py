@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from benchmarks.multiview.curvature import as_curved
 from hypose.body.joint_angles import ANGLE_NAMES, joint_angles
 from hypose.body.motion import Motion, isotropic
 from hypose.body.ready_bodies import human
@@ -10,7 +11,6 @@ from hypose.tracking.audit import AUDITED
 from hypose.tracking.fitted_spread import (
     angle_variance,
     apart_factors,
-    as_curved,
     beyond_usual,
     fitted,
     kind_of,

@@ -21,8 +21,6 @@ from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.geometry import Array, quaternion_from_matrix
 
-VMC_TARGET = "127.0.0.1:39539"
-"""Where programs that draw an avatar usually listen."""
 _NAMES = [name[0].upper() + name[1:] for name in BONES]
 _CALIBRATED = 3
 

@@ -37,7 +37,6 @@ PICTURES_S = 0.25
 _WIDTH, _QUALITY = 320, 70
 _TINT = np.array([90, 200, 255], np.float32)
 _STREAMS = ("http://", "https://", "rtsp://")
-FOLDER = "live"
 
 
 class CameraHost:

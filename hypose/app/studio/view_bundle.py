@@ -28,7 +28,7 @@ from hypose.body.joint_angles import ANGLE_NAMES, TURNS, angles_in_time, is_leng
 from hypose.body.motion import Motion
 from hypose.body.skeleton import Skeleton
 from hypose.cameras.camera import CameraRig
-from hypose.errors import InputError, visible
+from hypose.errors import visible
 from hypose.geometry import Array
 from hypose.io.motions.export import FORMATS
 from hypose.io.recordings.recording import Recording
@@ -42,7 +42,6 @@ _AT_ONCE = 1 << 11
 """Frames that are worked on at a time."""
 _THREADS = 2
 """Of which each works on some frames."""
-_DTYPES = {"f4": "<f4", "f8": "<f8", "u1": "|u1", "u2": "<u2", "u4": "<u4"}
 
 
 @dataclass(frozen=True)
@@ -125,20 +124,6 @@ def view_bundle(result: ViewResult) -> bytearray:
         at = start + index[name]["offset"]
         block[at : at + len(a)] = a.data
     return block
-
-
-def read_bundle(data: bytes | bytearray) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Header and arrays of a block; an InputError when it is none."""
-    if data[:8] != MAGIC:
-        raise InputError("These bytes are no result of hypose's View; make them again with this version.")
-    (length,) = struct.unpack_from("<I", data, 8)
-    header = json.loads(data[12 : 12 + length])
-    start = -(-(12 + length) // 8) * 8
-    arrays = {}
-    for name, a in header["arrays"].items():
-        count = math.prod(a["shape"])
-        arrays[name] = np.frombuffer(data, _DTYPES[a["dtype"]], count, start + a["offset"]).reshape(a["shape"])
-    return header, arrays
 
 
 def _arrays(result: ViewResult) -> dict[str, np.ndarray]:

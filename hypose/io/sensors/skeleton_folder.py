@@ -284,17 +284,3 @@ class FolderWriter:
             path = self.folder / "frames.csv"
             kept = [line for line in text_lines(path, "a frames.csv") if line.split(",", 1)[0] not in silent]
             write_text(path, "\n".join([*kept, ""]))
-
-
-def write_folder(recording: SkeletonRecording, folder: str | Path) -> None:
-    """Write a recording as a folder (without depth maps)."""
-    writer = FolderWriter(folder, recording.name, "common" if recording.common_clock else "own")
-    for s in recording.streams:
-        for n, time in enumerate(s.times.tolist()):
-            seen = np.flatnonzero(s.person_ids[n] >= 0)
-            if not len(seen):
-                writer.add(s.name, time, None, s.joint_names, s.positions[n, 0], s.state[n, 0])
-            for c in seen.tolist():
-                person = int(s.person_ids[n, c])
-                writer.add(s.name, time, person, s.joint_names, s.positions[n, c], s.state[n, c])
-    writer.close()

@@ -315,43 +315,6 @@ def resample(stream: SensorStream, times: ArrayLike, max_gap: float | None = Non
     return SyncedStream(stream.name, positions, state, ids, stream.joint_names, depth)
 
 
-def synchronise(
-    streams: Sequence[SensorStream],
-    rate: float | None = None,
-    *,
-    person: int | None = None,
-    max_gap: float | None = None,
-) -> list[SensorJoints]:
-    """All sensors at the same evenly spaced instants, one person.
-
-    rate: Hz (default: the first stream's). person: the sensors' number of the person, where they agree on it; without
-    it, every sensor may report one person only. max_gap: see `resample`. A sensor without a skeleton at an instant has
-    time NaN there. The sensors must name the same joints. Times are the instants'.
-    """
-    times = common_times(streams, rate)
-    names = streams[0].joint_names
-    for s in streams:
-        if s.joint_names != names:
-            raise InputError(
-                f"The sensors {streams[0].name} and {s.name} report different joints ({len(names)} and "
-                f"{len(s.joint_names)}); map them to the common ones first."
-            )
-        if person is None and s.people > 1:
-            raise InputError(
-                f"The sensor {s.name} saw {s.people} persons at once; say which one, or let the persons be matched."
-            )
-    synced = [resample(s, times, max_gap) for s in streams]
-    return one_person(synced, times, [_column_of(s, person) for s in synced])
-
-
-def _column_of(stream: SyncedStream, person: int | None) -> NDArray[np.int64]:
-    """(N,) column of a person at every instant, -1 where it is not seen."""
-    if person is None:
-        return np.where(stream.person_ids[:, 0] >= 0, 0, -1)
-    hit = stream.person_ids == person
-    return np.where(hit.any(1), hit.argmax(1), -1)
-
-
 def one_person(
     synced: Sequence[SyncedStream], times: ArrayLike, columns: Sequence[NDArray[np.int64]]
 ) -> list[SensorJoints]:

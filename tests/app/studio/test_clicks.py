@@ -8,11 +8,11 @@ import pytest
 from hypose.app.studio.catalog import Catalog
 from hypose.app.studio.clicks import _for_one_camera
 from hypose.app.studio.job_kinds import plan
-from hypose.app.studio.view_bundle import read_bundle
 from hypose.errors import InputError
 from hypose.io.recordings.recording import load_recording
 from hypose.pipeline.picture_start import clicked_pixels, load_clicks
 from hypose.pipeline.pictures import one_view
+from tests.bundles import read_bundle
 
 PIXELS = {
     "neck": (75, 30), "left_shoulder": (82.62, 32.5), "left_elbow": (85, 45), "left_wrist": (86.25, 55),

@@ -10,10 +10,10 @@ from hypose.app.commands.console import JSON_PROGRESS, Stages
 from hypose.app.studio.catalog import Catalog
 from hypose.app.studio.job_kinds import KINDS, plan, settled
 from hypose.app.studio.job_list import NAME, read_jobs, write_jobs
-from hypose.app.studio.view_bundle import read_bundle
 from hypose.errors import InputError
 from hypose.io.motions.results import load_motion
 from tests.app.studio.conftest import serving
+from tests.bundles import read_bundle
 
 
 def wait(client, id, *states, seconds=300):

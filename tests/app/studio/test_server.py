@@ -15,8 +15,8 @@ from hypose.app.commands.commands_studio import open_studio
 from hypose.app.studio import server as studio_server
 from hypose.app.studio import view_answers
 from hypose.app.studio.guard import Access
-from hypose.app.studio.view_bundle import read_bundle
 from tests.app.studio.conftest import serving
+from tests.bundles import read_bundle
 
 
 def result_of(client):
