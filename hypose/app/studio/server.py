@@ -42,7 +42,6 @@ from hypose.app.studio.guard import Access, Guard
 from hypose.app.studio.jobs import Jobs
 from hypose.app.studio.library import Library
 from hypose.app.studio.live_socket import live_route
-from hypose.app.studio.memory_cache import give_back_large_blocks
 from hypose.app.studio.recordings import Recordings
 from hypose.app.studio.sockets import MAX_MESSAGE, Sockets
 from hypose.app.studio.uploads import Uploads
@@ -230,7 +229,6 @@ def run(options: StudioOptions, ready: Callable[[str], None]) -> None:
     """Serve until Ctrl-C or SIGTERM; ready(address) is called when the page can be opened."""
     import socket
 
-    give_back_large_blocks()
     studio = Studio(options)
     with socket.socket(socket.AF_INET6 if ":" in options.host else socket.AF_INET) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
