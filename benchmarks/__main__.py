@@ -32,8 +32,9 @@ def bench(
         typer.Option(help="Keep the figures of each part of a long table here, and go on from those kept."),
     ] = None,
     keep: Annotated[
-        bool, typer.Option("--keep", help="Keep the figures in benchmarks/results and draw docs/benchmarks.md anew.")
+        bool, typer.Option("--keep", help="Keep the figures (benchmarks/results, docs/benchmarks.md; golden.json).")
     ] = False,
+    other: Annotated[bool, typer.Option("--other", help="The second set of golden clips, of other seeds.")] = False,
     threads: Threads = None,
 ) -> None:
     """Measure accuracy and speed."""
@@ -49,14 +50,13 @@ def bench(
     for file, option in ((json, "--json"), (plot, "--plot")):
         if file is not None:
             check_writable(file.parent, option)
-    if keep:
+    if keep and name != "golden":
         from benchmarks.pages import check_keep
 
         check_keep(name, quick)
     with Stages() as progress:
-        report = run_benchmark(
-            name, quick=quick, seeds=seeds, data=data, progress=progress, first_seed=first_seed, parts=parts
-        )
+        given = {"seeds": seeds, "first_seed": first_seed, "data": data, "parts": parts, "other": other}
+        report = run_benchmark(name, quick=quick, progress=progress, **given)
     _show(report)
     if json is not None:
         with atomic_path(json) as temporary:
@@ -67,6 +67,13 @@ def bench(
 
         draw(report, plot)
         say(f"Drawn: {plot}")
+    if name == "golden":
+        from benchmarks.golden import conclude
+
+        status, lines = conclude(report, keep)
+        for line in lines:
+            say(line)
+        raise typer.Exit(status)
     if keep:
         from benchmarks.pages import keep_report
 

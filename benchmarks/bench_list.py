@@ -13,6 +13,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from benchmarks import golden
 from benchmarks.bench_origin import beside_yardstick, command, commit, machine, yardstick
 from benchmarks.bench_report import BenchOptions, BenchReport, Progress, Row
 from benchmarks.cameras import (
@@ -61,7 +62,7 @@ from hypose.errors import InputError
 
 
 class Benchmark:
-    """A benchmark, and which of "seeds", "first_seed", "data" and "parts" it takes; all take quick."""
+    """A benchmark, and which of "seeds", "first_seed", "data", "parts" and "other" it takes; all take quick."""
 
     def __init__(self, measure: Callable[[BenchOptions], BenchReport], *takes: str) -> None:
         self.measure, self.takes = measure, frozenset(takes)
@@ -69,7 +70,7 @@ class Benchmark:
     def check(self, name: str, options: BenchOptions) -> None:
         """An InputError for an option that was given and would not be used."""
         given = {"seeds": options.seeds or None, "first_seed": options.first_seed}
-        given |= {"data": options.data, "parts": options.parts}
+        given |= {"data": options.data, "parts": options.parts, "other": options.other or None}
         for option, value in given.items():
             if value is not None and option not in self.takes:
                 known = [f"--{o.replace('_', '-')}" for o in given if o in self.takes]
@@ -82,6 +83,7 @@ class Benchmark:
 def benchmarks() -> dict[str, Benchmark]:
     """All benchmarks by name."""
     return {
+        "golden": Benchmark(golden.golden, "data", "other"),
         "table-2.3": Benchmark(table_2_3.table_2_3, "seeds", "first_seed", "data", "parts"),
         "table-2.4": Benchmark(table_2_4.table_2_4, "seeds", "first_seed", "parts"),
         "people": Benchmark(together.people, "seeds", "first_seed", "data", "parts"),
@@ -150,12 +152,13 @@ def run_benchmark(
     progress: Progress | None = None,
     first_seed: int | None = None,
     parts: Path | None = None,
+    other: bool = False,
 ) -> dict[str, Any]:
     """Runs one benchmark and returns its JSON document; an InputError lists the names when it is unknown."""
     known = benchmarks()
     if name not in known:
         raise InputError(f"There is no benchmark {name!r}; the benchmarks are {', '.join(known)}.")
-    options = BenchOptions(quick, seeds, data, progress or (lambda stage, done, total: None), first_seed, parts)
+    options = BenchOptions(quick, seeds, data, progress or (lambda stage, done, total: None), first_seed, parts, other)
     known[name].check(name, options)
     began, before = datetime.now(UTC), yardstick()
     begin = time.perf_counter()

@@ -46,6 +46,7 @@ def command(name: str, options: BenchOptions) -> str:
     words += [f"--first-seed {options.first_seed}"] if options.first_seed is not None else []
     words += ["--data DATA"] if options.data is not None else []
     words += ["--parts PARTS"] if options.parts is not None else []
+    words += ["--other"] if options.other else []
     return " ".join(words)
 
 

@@ -25,7 +25,8 @@ Progress = Callable[[str, int, int], None]
 class BenchOptions:
     """quick: end within a minute and be small; seeds: repetitions, 0 = the benchmark's own number; data: folder of real
     recordings (None: only what needs none); progress(stage, done, total); first_seed: where the repetitions' seeds
-    begin, for benchmarks that have an own default; parts: folder that keeps the figures of each part."""
+    begin, for benchmarks that have an own default; parts: folder that keeps the figures of each part; other: the second
+    set of golden clips."""
 
     quick: bool = False
     seeds: int = 0
@@ -33,6 +34,7 @@ class BenchOptions:
     progress: Progress = field(default=lambda stage, done, total: None)
     first_seed: int | None = None
     parts: Path | None = None
+    other: bool = False
 
     def seed_range(self, usual: int, *, quick: int = 1, first: int = 0) -> range:
         """The seeds to measure: as many as asked for (else `usual`, or `quick`), from the first one asked for (else

@@ -57,19 +57,16 @@ def total(numbers):  # noqa: ANN001, ANN201, D103 (a kernel as those of compute)
 def _cache_of(path: Path) -> KernelCache:
     """A kernel's cache whose only file is this one."""
     cache = KernelCache(total.py_func)
-    cache._path = lambda sig, codegen: path  # type: ignore[method-assign]
+    cache._path = lambda sig: path  # type: ignore[method-assign]
     return cache
 
 
 def read_kernel(path: Path) -> None:
-    """Load the kernel of a file that may be spoilt: it adds, or it is not taken and the file is gone."""
+    """Load the kernel of a file that may be spoilt: it adds, or it is not taken."""
     total(np.zeros(3))
     signature = total.signatures[0]
     found = _cache_of(path).load_overload(signature, total.targetctx)
-    if found is None:
-        assert not path.exists(), "a damaged file is still there"
-        path.touch()  # the fuzzer puts the good one back
-    else:
+    if found is not None:
         assert found.entry_point is not None and found.signature.args == signature
 
 

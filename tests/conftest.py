@@ -22,6 +22,8 @@ for name, place in contained({}).items():
 ROOT = Path(__file__).resolve().parent.parent
 LAST_TEST = Path(LAST_TEST_FILE)
 SHARED_DATA = ROOT.parent / "shared" / "data"
+HANG_S = 1500.0
+"""s after which a test ends that waits for what never comes; none is judged by it, however busy the computer is"""
 
 # Caches, builds and environments of the checkout: made and used by what runs the tests, not by the tests.
 OF_THE_TOOLS = {".git", ".venv", ".cache", "__pycache__", "node_modules", "static"}

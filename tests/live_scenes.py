@@ -1,20 +1,33 @@
-"""Somebody who walks in front of small cameras, as live tracking is given it; an executor that works when told to."""
+"""A person who walks in front of small cameras, as live tracking is given it; an executor that works when asked; and
+a clock for all of the live pipeline, which passes when the pipeline has taken what the cameras showed."""
 
-from collections.abc import Callable, Iterable
-from concurrent.futures import Executor, Future
+import threading
+import time
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import Executor, Future, ThreadPoolExecutor, wait
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import cv2
 import numpy as np
+import pytest
 
+from benchmarks.synthetic.virtual_cameras import there_and_back
+from hypose.errors import InputError
 from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes
-from hypose.pipeline.live.engine import Seen
-from hypose.pipeline.live.eyes import Sight
+from hypose.io.videos import camera_sources
+from hypose.io.videos.camera_sources import Shot, StreamEnded
+from hypose.pipeline.live import engine, eyes, feeds
+from hypose.pipeline.live.engine import LiveEngine, Seen
+from hypose.pipeline.live.eyes import Eyes, Question, Sight
 from hypose.pipeline.live.live_people import LivePeople
 from hypose.pipeline.live.live_person import LivePose
 from hypose.pipeline.live.live_search import LOOKING, LivePersonOptions
+from hypose.synthetic.rigs import rig
+from hypose.synthetic.scenes import Scene, make_scene
+from tests.conftest import HANG_S
 
 RATE = 25.0
 
@@ -84,3 +97,164 @@ def seen(frame: Frame, pose: LivePose | None, missing: tuple[int, ...] = (), gre
         jpegs.append(None if gone else cv2.imencode(".jpg", picture)[1].tobytes())
     sight = Sight(frame.time, frame.time + 0.01, tuple(views), tuple(jpegs), (), 1, (), False)
     return Seen(sight, frame, () if pose is None else (pose,))
+
+
+# ---- the whole pipeline, whose clock waits for it -------------------------------------------------------------------
+
+
+class Clock:
+    """Stands in place of the module `time`: it stands still until `advance`, and what sleeps wakes when its time has
+    come."""
+
+    perf_counter = staticmethod(time.perf_counter)
+
+    def __init__(self) -> None:
+        self._now, self._ended = 1000.0, False
+        self._until: dict[threading.Thread, float] = {}
+        self._passes = threading.Condition()
+
+    def monotonic(self) -> float:
+        return self._now
+
+    def sleep(self, seconds: float) -> None:
+        with self._passes:
+            until = self._until[threading.current_thread()] = self._now + seconds - 1e-6
+            self._passes.wait_for(lambda: self._ended or self._now >= until)
+
+    def asleep(self, thread: threading.Thread) -> bool:
+        with self._passes:
+            return self._until.get(thread, 0.0) > self._now
+
+    def advance(self, seconds: float) -> None:
+        with self._passes:
+            self._now += seconds
+            self._passes.notify_all()
+
+    def end(self) -> None:
+        """Nothing sleeps any more."""
+        with self._passes:
+            self._ended = True
+            self._passes.notify_all()
+
+
+def slow_walk() -> Scene:
+    """3 s at 8 Hz by four cameras of 160 x 120 px, slow enough to be played forwards and backwards."""
+    cameras = rig("humaneva-4").scaled(0.25)
+    return make_scene("walk", "neutral", cameras, seconds=3.0, frame_rate=8.0, seed=1, speed=0.3)
+
+
+class Stage:
+    """Cameras that show pictures of the empty room, and from `begin` (s) on a clip, over and over, forwards and
+    backwards. gone: of a camera the span (s) in which it is unplugged."""
+
+    def __init__(self, scene: Scene, rate: float, empty: int) -> None:
+        names, self._rate, self._count = scene.given_rig.names, rate, len(scene)
+        self._clips = {n: _jpegs(scene.rgb_frames(c)) for c, n in enumerate(names)}
+        self._room = {n: _jpegs(scene.background_frames(c, empty)) for c, n in enumerate(names)}
+        self.begin = np.inf
+        self.gone: dict[str, tuple[float, float]] = {}
+        self.clock = Clock()
+
+    def shown(self, at: float) -> int:
+        """The frame of the scene that is shown."""
+        return there_and_back(round((at - self.begin) * self._rate), self._count)
+
+    def open(self, name: str) -> "StageCamera":
+        if self.away(name):
+            raise InputError(f"Camera {name} cannot be opened.")
+        return StageCamera(self, name)
+
+    def away(self, name: str) -> bool:
+        begin, end = self.gone.get(name, (np.inf, np.inf))
+        return begin <= self.clock.monotonic() < end
+
+    def picture(self, name: str, number: int) -> bytes:
+        now = self.clock.monotonic()
+        room = self._room[name]
+        return room[number % len(room)] if now < self.begin else self._clips[name][self.shown(now)]
+
+
+class StageCamera:
+    """One camera of a stage as the pipeline opens it."""
+
+    live = True
+
+    def __init__(self, stage: Stage, name: str) -> None:
+        self._stage, self._name = stage, name
+
+    def read(self) -> Shot:
+        clock, rate = self._stage.clock, self._stage._rate
+        number = int(clock.monotonic() * rate + 1.001)
+        clock.sleep(number / rate - clock.monotonic())
+        if self._stage.away(self._name):
+            raise StreamEnded(f"Camera {self._name} was unplugged.")
+        return Shot(number / rate, None, self._stage.picture(self._name, number))
+
+    def close(self) -> None:
+        pass
+
+
+class EyesInStep:
+    """In place of `EyesProcess`: in this process, and half a picture's time passes with each answer, when all that was
+    begun is done: searches, and what the cameras are about to show. Then looking at it takes a millisecond. pause s: of
+    the true clock, for what listens."""
+
+    def __init__(self, clock: Clock, searches: Sequence[Future[Any]], pause: float, *given: Any) -> None:
+        self._clock, self._searches, self._pause = clock, searches, pause
+        *more, self._stop = given
+        self._eyes, self._half = Eyes(*more), 0.5 / more[2].rate
+
+    def ask(self, question: Question) -> None:
+        self._question = question
+
+    def answer(self) -> Sight | None:
+        wait(self._searches)
+        self._clock.advance(self._half)
+        while not self._stop.wait(self._pause) and not all(map(self._has_come, self._eyes._feeds)):
+            time.sleep(0.001)
+        sight = self._eyes.look(self._question, 0.0)
+        self._clock.advance(1e-3)
+        self._eyes.keep_up()
+        over = self._eyes.ended and not np.isfinite(sight.time)
+        return None if over or self._stop.is_set() else sight
+
+    def _has_come(self, feed: feeds.Feed) -> bool:
+        return self._clock.asleep(feed._thread) or bool(feed.status().trouble)
+
+    def close(self) -> None:
+        self._clock.end()
+        self._eyes.close()
+
+
+def in_step(
+    monkeypatch: pytest.MonkeyPatch, stage: Stage | None = None, others: Sequence[Any] = (), pause: float = 0.0
+) -> Callable[..., EyesInStep]:
+    """Every `LiveEngine` that is made from now on goes by a clock that waits for it, as do other modules; with a stage
+    its cameras are opened whatever their addresses. Returns what makes its eyes, of what `EyesProcess` takes."""
+    clock, searches = stage.clock if stage else Clock(), list[Future[Any]]()
+
+    class Pool(ThreadPoolExecutor):
+        def submit(self, *given: Any, **named: Any) -> Future[Any]:
+            searches.append(super().submit(*given, **named))
+            return searches[-1]
+
+    for module in (camera_sources, engine, eyes, feeds, *others):
+        monkeypatch.setattr(module, "time", clock)
+    monkeypatch.setattr(engine, "ThreadPoolExecutor", Pool)
+    monkeypatch.setattr(engine, "EyesProcess", made := partial(EyesInStep, clock, searches, pause))
+    monkeypatch.setattr(feeds, "_AGAIN_S", 0.01)
+    monkeypatch.setattr(feeds, "_LONGEST_S", 0.02)
+    if stage:
+        monkeypatch.setattr(eyes, "_opener", lambda view, *_: lambda: stage.open(view.name))
+    return made
+
+
+def until(met: Callable[[], bool], engine: LiveEngine) -> None:
+    end = time.monotonic() + HANG_S
+    while not met():
+        assert engine.failed is None and time.monotonic() < end, (engine.failed, engine.status())
+        time.sleep(0.02)
+
+
+def _jpegs(pictures: Iterable[Any]) -> list[bytes]:
+    return [cv2.imencode(".jpg", p, [cv2.IMWRITE_JPEG_QUALITY, 90])[1].tobytes() for p in pictures]

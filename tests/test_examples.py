@@ -18,14 +18,14 @@ from hypose.app.sweeps.sweep import read_sweep
 from hypose.io.calibrations.calibration_toml import write_calibration
 from hypose.io.sensors.skeleton_lines import format_line
 from scripts.api_page import api_page
-from tests.conftest import ROOT
+from tests.conftest import HANG_S, ROOT
 from tests.depth_sensors import reports
 
 PAGES = sorted([*ROOT.glob("docs/*.md"), ROOT / "README.md"])
 
 
 def run(path, *arguments):
-    done = subprocess.run([sys.executable, path, *arguments], capture_output=True, text=True, timeout=300)
+    done = subprocess.run([sys.executable, path, *arguments], capture_output=True, text=True, timeout=HANG_S)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -37,10 +37,12 @@ def example(name):
     return path, sum(bool(line.strip()) for line in code.splitlines())
 
 
+@pytest.mark.slow
 def test_own_masks():
     assert run(ROOT / "examples/python/own_masks.py").count("right wrist at") == 5
 
 
+@pytest.mark.slow
 def test_own_evidence_improves_a_scene():
     path, lines = example("own_evidence.py")
     without, with_it = (float(x) for x in re.findall(r"arms (\d+) mm", run(path)))
@@ -48,6 +50,7 @@ def test_own_evidence_improves_a_scene():
     assert with_it < 24 and with_it < 0.5 * without and lines <= 40
 
 
+@pytest.mark.slow
 def test_own_recipe(tmp_path):
     path, lines = example("own_recipe.py")
     write_masks(small_scene(1, 3), tmp_path / "walk")
@@ -61,6 +64,7 @@ def test_bearings_only():
     assert len(off) == 90 and off[0] > 1000 > 250 > max(off[-10:]) and lines <= 30
 
 
+@pytest.mark.slow
 def test_live_fusion(tmp_path, rng):
     path, lines = example("live_fusion.py")
     told = reports(rng, 1.5, epochs={k: [(0.0, 0.0)] for k in range(3)})

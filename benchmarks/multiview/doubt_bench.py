@@ -28,14 +28,14 @@ from benchmarks.multiview.doubt_scenes import (
     collect,
     load_all,
 )
-from benchmarks.multiview.real_recordings import balancing_recording, uu4cam_recording
+from benchmarks.multiview.real_recordings import balancing_recording, clicked_joints, uu4cam_recording
 from benchmarks.multiview.real_regions import errors_of_points, regions_of_balancing
 from benchmarks.multiview.spread_fit import as_told, held_rows, plain_enough, squares
 from hypose import compute
 from hypose.body.joint_angles import ANGLE_NAMES, joint_angles
 from hypose.body.motion import Motion
 from hypose.body.ready_bodies import JOINT_NAMES, human
-from hypose.cameras.camera import CameraRig, triangulate
+from hypose.cameras.camera import CameraRig
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.keypoints import BODY_25B
 from hypose.geometry import Array, se3
@@ -281,19 +281,10 @@ FAR_MM = 150.0
 
 
 def _from_clicks(motion: Motion, rig: CameraRig) -> dict[str, float]:
-    """mm from the clicked joints of the seated man (uu4cam_clicks.csv), mean over the frames: the larger of the two
-    sides. They are triangulated, and good to 2 to 4 cm."""
-    lines = [x for x in Path(__file__).with_name("uu4cam_clicks.csv").read_text().splitlines() if x[:1] not in "#"]
-    clicks = [x.split(",") for x in lines[1:] if x]
-    names = sorted({joint for _, joint, _, _ in clicks})
-    points, weights = np.zeros((len(rig), len(names), 2)), np.zeros((len(rig), len(names)))
-    for camera, joint, u, v in clicks:
-        c, k = rig.names.index(camera), names.index(joint)
-        points[c, k], weights[c, k] = rig[c].undistort_points(np.array([[float(u), float(v)]]))[0], 1.0
-    world, _ = triangulate(rig.pinhole(), points, weights)
+    """mm from the clicked joints of the seated man, mean over the frames: the larger of the two sides."""
     out: dict[str, float] = {}
-    for k, name in enumerate(names):
-        mm = 1e3 * float(np.linalg.norm(motion.joints[:, motion.skeleton.joint(name)] - world[k], axis=-1).mean())
+    for name, place in clicked_joints(rig).items():
+        mm = 1e3 * float(np.linalg.norm(motion.joints[:, motion.skeleton.joint(name)] - place, axis=-1).mean())
         part = name.split("_")[1]
         out[part] = max(out.get(part, 0.0), mm)
     return out

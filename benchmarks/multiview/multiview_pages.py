@@ -233,6 +233,25 @@ _UU4CAM = Page(
     picture=Panels(("mask_iou", "hull_iou"), lines={"mask_iou": 0.9, "hull_iou": 0.85}),
 )
 
+_REGIONS_REAL = Page(
+    "regions-real",
+    """Share of what was left out inside the reported 90 % regions on real recordings. Balancing: the limbs' key points
+    in the picture of a camera that was left out, where a detection errs as in the others. Sensors: the other Kinect's
+    joints, on the even recordings; parallel ones make the same errors and are no test.""",
+    (Column("in the region", "coverage_90"),),
+    (
+        *(
+            Line(f"{words}, one camera of four left out", f"{evidence}/camera left out", (within(0.75, 0.97),))
+            for evidence, words in (("keypoints", "key points"), ("both", "key points and silhouettes"))
+        ),
+        *(
+            Line(f"Kinects {case} degrees apart, one left out", f"sensors/{case}", (within(0.75, 0.97),))
+            for case in ("45", "90")
+        ),
+    ),
+    notebook="doubt.md",
+)
+
 _OPENSIM = Page(
     "opensim",
     """Balancing, tracked from key points, handed to OpenSim: its own inverse kinematics on the exported model, markers
@@ -350,6 +369,7 @@ SEVERAL_CAMERAS = (
     _ARMS,
     _UNCERTAINTY,
     _BALANCING,
+    _REGIONS_REAL,
     _OPENSIM,
     _UU4CAM,
     _SCORER,

@@ -80,9 +80,8 @@ def start(options: BenchOptions) -> BenchReport:
     own pip is not counted; baseline: LLVM, numba, numpy, scipy and OpenCV alone. cold_seconds, warm_seconds: from the
     start of the process to the first pose, less what the same takes once more in that process, which is work on the
     recording: masks of four cameras and a given body (track), two frames of a skeleton (fuse); cold with an empty cache
-    of compiled code, without and with what a wheel for this Python and processor brings along, warm the fastest of
-    three. whole_over_tracking: seconds of `hypose track` with overlay, exports and report over those up to the motion,
-    60 s of walking before four cameras (quick: 2 s).
+    of compiled code, warm the fastest of three. whole_over_tracking: seconds of `hypose track` with overlay, exports
+    and report over those up to the motion, 60 s of walking before four cameras (quick: 2 s).
     """
     with tempfile.TemporaryDirectory() as temporary:
         root = Path(temporary)
@@ -97,17 +96,12 @@ def start(options: BenchOptions) -> BenchReport:
         ]
         recording = write_masks(small_scene(0, 5), root / "masks")
         save_body(human(), root / "body.npz")
-        kernels = next((root / "fresh").rglob("kernels.tar.xz"))
         given = {"track": (_TRACK, (recording, root / "out", root / "body.npz")), "fuse": (_FUSE, ())}
         for n, (name, (program, arguments)) in enumerate(given.items()):
             options.progress("start", n, len(given))
-            brought = _seconds(python, program, arguments, root / f"none-{name}")
-            rows.append(Row("cold_seconds", f"{name}, compiled code in the wheel", brought, "s"))
-            aside = kernels.rename(root / kernels.name)
             cold, *warm = (_seconds(python, program, arguments, root / f"cache-{name}") for _ in range(4))
             rows.append(Row("cold_seconds", name, cold, "s"))
             rows.append(Row("warm_seconds", name, min(warm), "s", n=len(warm)))
-            aside.rename(kernels)
         options.progress("start", len(given), len(given))
         length = 2.0 if options.quick else 60.0
         stages = _stages(python, root, length)
@@ -123,7 +117,7 @@ def start(options: BenchOptions) -> BenchReport:
 def _install(root: Path) -> tuple[Path, float, float, float]:
     """A fresh environment with hypose: its python, MiB of all that was installed, of the largest packages, seconds."""
     build = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(root / "wheel")]
-    _run(build, ROOT, more={"HYPOSE_KERNELS": "build"})
+    _run(build, ROOT)
     (wheel,) = (root / "wheel").glob("*.whl")
     _run([sys.executable, "-m", "venv", str(root / "fresh")], root)
     python = root / "fresh" / ("Scripts" if os.name == "nt" else "bin") / "python"
@@ -162,13 +156,11 @@ def _stages(python: Path, root: Path, seconds: float) -> dict[str, float]:
     return dict(json.loads(told.splitlines()[-1]))
 
 
-def _run(command: Sequence[str], folder: Path, cache: Path | None = None, more: dict[str, str] | None = None) -> str:
+def _run(command: Sequence[str], folder: Path, cache: Path | None = None) -> str:
     """What a command prints."""
     environment = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "NUMBA_NUM_THREADS")}
     environment |= {VARIABLE: str(cache)} if cache is not None else {}
-    done = subprocess.run(
-        command, cwd=folder, env=environment | (more or {}), capture_output=True, text=True, check=False
-    )
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
     if done.returncode:
         raise InputError(f"{' '.join(command[:4])} ended with {done.returncode}: {done.stderr.strip()[-400:]}")
     return done.stdout

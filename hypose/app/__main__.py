@@ -1,9 +1,7 @@
-"""`hypose` and `python -m hypose.app`: the command line, once damaged bytecode can do it no harm."""
+"""`hypose` and `python -m hypose.app`: the command line."""
 
 import os
 import sys
-
-from hypose.app.bytecode import check_bytecode
 
 # Work is shared out by hypose itself. What numpy shares out is small, and on a busy machine its threads wait for
 # each other: a product of 1 ms then takes 20.
@@ -19,7 +17,6 @@ def main() -> None:
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.open(os.devnull, flags), "r" if name == "stdin" else "w"))
     try:
-        check_bytecode()
         from hypose.app.cli import main as run
     except KeyboardInterrupt:
         sys.exit(130)

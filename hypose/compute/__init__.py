@@ -1,4 +1,4 @@
-"""Compute: the only room that imports numba; every hot function takes and returns arrays.
+"""Compute: the only room whose code numba compiles; every hot function takes and returns arrays.
 
 The functions here choose the back end (`selection.use`), check and tidy arrays, and spread work over threads; the
 definitions are in reference.py (numpy), the fast versions in cpu_*.py (numba, imported when first needed). This module

@@ -7,16 +7,19 @@ it is read, so a folder that others may write to is not taken.
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 import stat
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
 VARIABLE = "HYPOSE_CACHE_DIR"
+_UNUSED_DAYS = 60
 _log = logging.getLogger("hypose")
 
 
@@ -37,6 +40,21 @@ def cache_folder() -> Path | None:
             note(f"{VARIABLE}={str(folder)!r} cannot be used ({problem}); another place is taken for the cache.")
     note(f"No folder can be written for the cache, so every start compiles again; name one with {VARIABLE}.")
     return None
+
+
+@cache
+def make_folder(folder: Path) -> None:
+    """Make a folder in the cache, for the users that the cache is for, and remove what has not been used for long from
+    it and from its kind of other versions (kernels, kernels-of-...)."""
+    if not folder.is_dir():
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        with contextlib.suppress(OSError):  # another process has made it in this moment
+            folder.chmod(stat.S_IMODE(folder.parent.stat().st_mode))
+    oldest = time.time() - _UNUSED_DAYS * 86400
+    for path in folder.parent.glob(f"{folder.name}*/*"):
+        with contextlib.suppress(OSError):
+            if path.stat().st_mtime < oldest:
+                path.unlink()
 
 
 def _named() -> Path | None:

@@ -1,27 +1,30 @@
 """Compiling before it is needed: every kernel of a part of the room is called once, on a toy body before a toy camera.
 
-What is on disk already is found there. What is not is compiled by several processes at once: numba compiles one kernel
-at a time in each. Each takes the next piece of work when it has done one, leaves what it made in the cache, and whoever
-asked takes it from there.
+What the cache does not have is compiled in several processes at once, since numba compiles one kernel at a time in
+each; they leave it in the cache.
 """
 
 from __future__ import annotations
 
 import contextlib
 import gc
+import hashlib
 import os
-import queue
 import subprocess
 import sys
+import tempfile
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hypose.compute.arrays import BALL, FIXED, MeshArrays, TreeArrays
-from hypose.compute.compiled import can_keep, is_ready, not_kept, note_ready
+from hypose.compute.cache_place import make_folder
+from hypose.compute.compiled import cache_file, failures
 from hypose.compute.monocular import mono
 from hypose.compute.pictures import mask_runs, picture_to_mask
 from hypose.compute.pictures.parts import covered, draw_parts, parts_against_mask, projected
@@ -162,166 +165,110 @@ def _monocular(compute: Any) -> None:
 
 PARTS: dict[str, tuple[Callable[[Any], None], ...]] = {
     "solver": (_solver,),
-    "depth": (_depth,),
     "scorer": (_scorer, _points),
     "outlines": (_outlines, _masks, _parts),
     "shape": (_shape,),
     "pictures": (_pictures, _glance),
     "monocular": (_monocular,),
+    "depth": (_depth,),
 }
-"""By name, in pieces that share little; solver: poses from contours, key points and points; depth: those
-from depth as well; scorer: silhouettes
-of many poses; outlines: what is followed of masks, and a body's parts against them; shape: what a body is fitted to
-outlines with; pictures: masks from pictures; monocular: one camera."""
-
-_COST = {
-    "solver": (27,),
-    "depth": (30,),
-    "scorer": (24, 3),
-    "outlines": (5, 8, 5),
-    "shape": (4,),
-    "pictures": (6, 1),
-    "monocular": (30,),
-}
-"""Compiling their pieces, in any unit."""
-
-_Piece = tuple[str, int]
+"""By name, what takes longest of following in masks first. solver: poses from contours, key points and points; scorer:
+silhouettes of many poses; outlines: what is followed of masks, and a body's parts against them; shape: what a body is
+fitted to outlines with; pictures: masks from pictures; monocular: one camera; depth: poses from depth as well."""
 
 
-def run(compute: Any, names: Sequence[str]) -> None:
-    """Call all kernels of these parts in this process; compute: the room."""
-    for name in names:
-        for number in range(len(PARTS[name])):
-            _run(compute, (name, number))
-
-
-def _run(compute: Any, piece: _Piece) -> None:
-    with use("numba"), _no_collection():
-        PARTS[piece[0]][piece[1]](compute)
-
-
-def run_for_another(compute: Any) -> None:
-    """Run the pieces whose names come in by standard input, and say of each whether it is on disk; without end: this
-    process ends when its input does, in the middle of whatever it does."""
-    asked: queue.SimpleQueue[str] = queue.SimpleQueue()
-
-    def listen() -> None:
-        for line in sys.stdin:
-            asked.put(line)
-        os._exit(0)
-
-    threading.Thread(target=listen, daemon=True).start()
-    while True:
-        name, number = asked.get().split()
-        before = not_kept()
-        _run(compute, (name, int(number)))
-        sys.stdout.write(f"{_KEPT if not_kept() == before else 'not kept'}\n")
-        sys.stdout.flush()
-
-
-_KEPT = "kept"
-
-
-def warm(compute: Any, names: Sequence[str], load: bool) -> None:
-    """See `compute.warm_up`."""
-    missing = [n for n in PARTS if n in names and not is_ready(n)]
-    if missing:
-        before = not_kept()
-        left = _dearest_first(missing)
-        # nobody could take from others what they cannot keep
-        others = min(default_threads(), _worth(left)) - 1 if can_keep() else 0
-        mine = left.pop(0)
-        with _processes(others, left) as undone:
-            _run(compute, mine)
-            while left:
-                with contextlib.suppress(IndexError):  # another has taken it
-                    _run(compute, left.pop(0))
-        for piece in undone:
-            _run(compute, piece)
-        for name in missing if not_kept() == before else ():
-            note_ready(name)
-    if load:
-        run(compute, names)
-
-
-def kept(names: Sequence[str]) -> bool:
-    """See `compute.kept`."""
-    return all(map(is_ready, names))
-
-
-def _dearest_first(names: Sequence[str]) -> list[_Piece]:
-    return sorted(((n, k) for n in names for k in range(len(PARTS[n]))), key=lambda piece: -_cost(piece))
-
-
-def _cost(piece: _Piece) -> int:
-    return _COST[piece[0]][piece[1]]
-
-
-def _worth(pieces: Sequence[_Piece]) -> int:
-    """How many processes have something to do while one of them makes the dearest piece, the first."""
-    return -(-sum(map(_cost, pieces)) // _cost(pieces[0]))
-
-
-@contextlib.contextmanager
-def _no_collection() -> Iterator[None]:
-    """A compiler makes many objects that live, which Python's collector of cycles would look at again and again."""
+def run(compute: Any, parts: Iterable[str]) -> None:
+    """Call all kernels of these parts in this process, and note what is in the cache then; compute: the room."""
     was = gc.isenabled()
-    gc.disable()
+    gc.disable()  # a compiler makes many objects that live, which would be looked at again and again
     try:
-        yield
+        with use("numba"):
+            for part in parts:
+                for call in PARTS[part]:
+                    call(compute)
+                mark = _mark(part)
+                if mark is not None and not failures:
+                    with contextlib.suppress(OSError):
+                        mark.touch()
     finally:
         if was:
             gc.enable()
 
 
-def _command() -> list[str]:
-    return [sys.executable, "-P", "-c", _PROGRAM, "\n".join(map(str, sys.path))]
+def warm(compute: Any, names: Sequence[str], load: bool) -> None:
+    """See `compute.warm_up`."""
+    parts = [part for part in PARTS if part in names]
+    missing = [part for part in parts if not _is_ready(part)]
+    # in a program that Python is embedded in or frozen into, sys.executable is that program
+    if len(missing) > 1 and _can_keep() and Path(sys.executable or "").name.lower().startswith("python"):
+        began: list[subprocess.Popen[bytes]] = []
+        with ThreadPoolExecutor(default_threads()) as pool:
+            try:
+                list(pool.map(lambda part: _in_another_process(part, began), missing))
+            finally:
+                pool.shutdown(wait=False, cancel_futures=True)
+                for process in began:
+                    process.kill()
+    run(compute, [part for part in parts if load or not _is_ready(part)])
 
 
-@contextlib.contextmanager
-def _processes(count: int, left: list[_Piece]) -> Iterator[list[_Piece]]:
-    """Other processes, which take from what is left to do as long as there is something. They have ended afterwards,
-    and the list holds what they took and could not do, which is no error here: whoever asked compiles it."""
-    began: list[tuple[subprocess.Popen[str], threading.Thread]] = []
-    undone: list[_Piece] = []
+def kept(names: Sequence[str]) -> bool:
+    """See `compute.kept`."""
+    return all(map(_is_ready, names))
+
+
+def _is_ready(part: str) -> bool:
+    """Whether all kernels of a part are in the cache: a file says so, by being there."""
+    mark = _mark(part)
+    return mark is not None and os.path.exists(mark)
+
+
+def _can_keep() -> bool:
+    """Whether this process will find what others compile."""
+    mark = _mark("")
+    if mark is None:
+        return False
     try:
-        # in a program that Python is embedded in or frozen into, this is that program
-        if Path(sys.executable or "").name.lower().startswith("python") and not getattr(sys, "frozen", False):
-            for _ in range(count):
-                with contextlib.suppress(OSError):
-                    process = subprocess.Popen(
-                        _command(),
-                        cwd=Path(__file__).parent,
-                        env={**os.environ, "NUMBA_NUM_THREADS": "1"},
-                        stdin=subprocess.PIPE,
-                        stdout=subprocess.PIPE,
-                        stderr=subprocess.DEVNULL,
-                        text=True,
-                    )
-                    began.append((process, threading.Thread(target=_keep_busy, args=(process, left, undone))))
-                    began[-1][1].start()
-        yield undone
-        for _, thread in began:
-            thread.join()
-    finally:
-        for process, thread in began:
-            process.kill()
-            thread.join()
-            process.communicate()
+        make_folder(mark.parent)
+        tempfile.TemporaryFile(dir=mark.parent).close()
+    except OSError:
+        return False
+    return True
 
 
-def _keep_busy(process: subprocess.Popen[str], left: list[_Piece], undone: list[_Piece]) -> None:
-    """Have a process do what is left, one piece after the other, until nothing is, or one is not done."""
-    assert process.stdin is not None and process.stdout is not None
-    while True:
-        try:
-            piece = left.pop(0)
-        except IndexError:
-            return
-        with contextlib.suppress(OSError):
-            process.stdin.write(f"{piece[0]} {piece[1]}\n")
-            process.stdin.flush()
-            if process.stdout.readline().strip() == _KEPT:
-                continue
-        undone.append(piece)
-        return
+def _mark(part: str) -> Path | None:
+    return cache_file(part, "ready", _digest_of_room())
+
+
+@cache
+def _digest_of_room() -> str:
+    sources = sorted(Path(__file__).parent.rglob("*.py"))
+    return hashlib.sha256(b"\0".join(p.read_bytes() for p in sources)).hexdigest()
+
+
+def _in_another_process(part: str, began: list[subprocess.Popen[bytes]]) -> None:
+    """Compile a part there; where that fails this process compiles it."""
+    with (
+        contextlib.suppress(OSError),
+        subprocess.Popen(
+            [sys.executable, "-P", "-c", _PROGRAM, "\n".join(map(str, sys.path)), part],
+            cwd=Path(__file__).parent,
+            env={**os.environ, "NUMBA_NUM_THREADS": "1"},
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        ) as process,
+    ):
+        began.append(process)
+        process.wait()
+
+
+def run_for_another(compute: Any) -> None:
+    """The program of such a process, which ends with its input, and so with the process that began it."""
+
+    def watch() -> None:
+        sys.stdin.read()
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+    run(compute, sys.argv[2:])

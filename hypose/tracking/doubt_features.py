@@ -82,6 +82,10 @@ def clip_features(motion: Motion, raw_joints: Array, audit: ArrayLike) -> Array:
     cost = np.nan_to_num(motion.cost)[:, None] * np.ones(count)
     seen = np.where(masks, a["exposed_second"] > _SEEN, False)
     two = a["points_views"] >= 2
+    # a frame that shows no point of a joint has no distance to it; what is nearby in time has
+    gone = (a["points_views"] == 0) & points & (seconds_away(a["points_views"] > 0, rate) <= AROUND_S)
+    for n in ("points_median", "points_worst"):
+        a[n] = np.where(gone, _carried(np.where(a["points_views"] > 0, a[n], np.nan)), a[n])
     second = mean_nearby(a["bare_second"], around)
     found = {
         "log_sd": log_sd,

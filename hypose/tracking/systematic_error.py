@@ -24,6 +24,9 @@ SHARED = 2.0
 """Standard deviation of the error that all views share, per axis, in those of a usual view's lasting residuals. Chosen
 on the Shelf recording (Belagiannis et al. 2014), people who are annotated in most frames: 90 % regions hold .46 to .54
 of the annotations with 2, .15 to .17 with nothing; annotations by hand err by 20 mm themselves."""
+MOST_SHARED_M = 0.03
+"""m per axis: detectors' hips and knees lie 30 to 50 mm from the joints' centres (Needham et al. 2021, doi
+10.1038/s41598-021-00212-x); residuals that would make more of it are a calibration's."""
 _USUAL_SD = 0.03  # m, of points whose noise was not measured
 _LOOSE = 0.1
 _FRAMES = 500  # at once
@@ -85,7 +88,7 @@ def systematic_covariance(
     first = next(k for k in keypoints if k is not None)
     usual = weights.sum(0) / np.maximum((weights > 0).sum(0), 1) * model.worse(len(first.rig))[:, None] ** -2.0
     centres = np.stack([camera.position for camera in first.rig])
-    shared = SHARED**2 * np.median(lasting, 0)
+    shared = np.minimum(SHARED**2 * np.median(lasting, 0), MOST_SHARED_M**2)
     own = columns_of_joints(tuple(body.skeleton.joint_names), model.names)
     some = (own >= 0) & model.known[own]
     out = np.zeros((len(poses), len(own), 3, 3))

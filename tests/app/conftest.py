@@ -1,6 +1,8 @@
 """A tiny synthetic recording (4 cameras, 160x120, 8 frames) that the whole command line can be run on in seconds."""
 
+import os
 import shutil
+import time
 
 import pytest
 
@@ -8,6 +10,7 @@ from hypose.app.cli import main
 from hypose.synthetic.rigs import rig
 from hypose.synthetic.scenes import make_scene
 from hypose.synthetic.write_recording import write_scene
+from tests.conftest import HANG_S
 
 
 def write_tiny(folder, seconds):
@@ -45,18 +48,38 @@ def hypose(capsys):
 
 @pytest.fixture(scope="session")
 def tracked(tiny, tmp_path_factory):
-    """Results folder of `hypose track` on the tiny recording, made once."""
-    out = tmp_path_factory.mktemp("tracked") / "results"
+    """Results folder of `hypose track` on the tiny recording, made once by one of the processes that test."""
+    shared = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        shared = shared.parent
+    claimed, done, out = (shared / f"tracked-{n}" for n in ("claimed", "done", "results"))
+    try:
+        claimed.touch(exist_ok=False)
+    except FileExistsError:
+        end = time.monotonic() + HANG_S
+        while not done.exists():
+            assert time.monotonic() < end
+            time.sleep(0.1)
+        return out
     with pytest.raises(SystemExit) as stopped:
         main(["track", str(tiny), "--out", str(out)])
     assert stopped.value.code in (None, 0)
+    done.touch()
     return out
 
 
-@pytest.fixture
-def keypoint_recording(tmp_path):
-    """A recording of 1.2 s with key points, that a test may spoil."""
+@pytest.fixture(scope="session")
+def walk_by_points(tmp_path_factory):
+    """A recording of 1.2 s with key points; read only."""
     cameras = rig("humaneva-4", distorted=True).scaled(0.25)
-    scene = make_scene("walk", "neutral", cameras, seconds=1.2, seed=3)
-    write_scene(scene, tmp_path / "points", background_frames=10, keypoints=True)
-    return tmp_path / "points"
+    folder = tmp_path_factory.mktemp("points") / "points"
+    write_scene(
+        make_scene("walk", "neutral", cameras, seconds=1.2, seed=3), folder, background_frames=10, keypoints=True
+    )
+    return folder
+
+
+@pytest.fixture
+def keypoint_recording(walk_by_points, tmp_path):
+    """A copy of it that a test may spoil."""
+    return shutil.copytree(walk_by_points, tmp_path / "points")

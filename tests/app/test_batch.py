@@ -22,6 +22,7 @@ from hypose.app.sweeps.cluster import Place, run_batch
 from hypose.app.sweeps.sweep import Refused, plan, read_sweep
 from hypose.errors import InputError
 from hypose.io.motions.results import load_motion
+from tests.conftest import HANG_S
 
 
 @pytest.fixture(scope="module")
@@ -141,6 +142,7 @@ def test_the_table_has_every_task_and_no_formula(study, tmp_path):
 # ---- running ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_task_is_stopped_in_order_and_goes_on(study, tmp_path):
     tasks, _ = plan(read_sweep(sweep_file(study, tmp_path, 'formats = ["trc"]')))
     task, stop = tasks[0], tmp_path / "stop"
@@ -171,7 +173,7 @@ def test_killed_workers_change_no_byte(study, tmp_path):
 
     def kill_one():
         """The first worker process that is at work on a long task and has a checkpoint."""
-        deadline = time.monotonic() + 300
+        deadline = time.monotonic() + HANG_S
         while time.monotonic() < deadline and not killed:
             if any(tmp_path.glob("out/long/*/checkpoint.npz")):
                 for pid in workers_of(os.getpid()):
@@ -202,7 +204,7 @@ def test_a_worker_that_the_cluster_gives_up_is_replaced(study, tmp_path, monkeyp
     first = set()
 
     def kill_first():
-        deadline = time.monotonic() + 300
+        deadline = time.monotonic() + HANG_S
         while time.monotonic() < deadline and not any(tmp_path.glob("out/long/*/checkpoint.npz")):
             time.sleep(0.05)
         for pid in workers_of(os.getpid()):
@@ -221,12 +223,12 @@ def test_ctrl_c_keeps_what_was_tracked(study, tmp_path):
     path = sweep_file(study, tmp_path)
     command = [sys.executable, "-m", "hypose.app", "batch", str(path), "--workers", "1"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, process_group=0)
-    deadline = time.monotonic() + 300
+    deadline = time.monotonic() + HANG_S
     while not any(tmp_path.glob("out/long/*/checkpoint.npz")):
         assert process.poll() is None and time.monotonic() < deadline
         time.sleep(0.05)
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: the workers get it too
-    said, _ = process.communicate(timeout=300)
+    said, _ = process.communicate(timeout=HANG_S)
     assert process.returncode == 130 and "Go on with the same command" in said
     with (tmp_path / "out" / "results.csv").open() as file:
         rows = {r["recording"]: r for r in csv.DictReader(file)}

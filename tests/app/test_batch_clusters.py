@@ -19,7 +19,7 @@ from hypose.body.ready_bodies import human
 from hypose.errors import InputError
 from hypose.io.motions.bodies import save_body
 from tests import missing
-from tests.conftest import ROOT
+from tests.conftest import HANG_S, ROOT
 
 
 @pytest.fixture(scope="module")
@@ -75,6 +75,7 @@ def test_a_chunk_is_stopped_in_order(long, tmp_path):
     assert not Path(task.results).exists()
 
 
+@pytest.mark.slow
 def test_a_running_scheduler(long, tmp_path):
     from distributed import LocalCluster
 
@@ -144,7 +145,7 @@ def test_a_dead_worker_costs_one_chunk(long, tmp_path):
 
     def kill_in_the_second_chunk():
         """Whichever chunk is begun second; the file of the first is watched."""
-        deadline, first = time.monotonic() + 600, None
+        deadline, first = time.monotonic() + HANG_S, None
         while time.monotonic() < deadline and not (Path(task.results) / "motion.npz").exists():
             begun = sorted(chunks.glob("0*.npz"), key=lambda p: p.stat().st_mtime_ns)
             if len(begun) == 2 and not killed:

@@ -106,6 +106,7 @@ def test_a_refinement_that_moves_cameras_far_needs_a_word(hypose, keypoint_recor
     assert replace(found, changes=(CameraChange("cam1", 1.0, 0.6, 1.0, 3.0),)).far == ("cam1",)
 
 
+@pytest.mark.slow
 def test_check_writes_a_refined_calibration_and_says_how_to_use_it(hypose, keypoint_recording):
     path = keypoint_recording / "calibration.toml"
     true = read_any(path)[0]

@@ -102,7 +102,7 @@ def test_parts_are_joined_on_one_branch_of_the_rotation(tracked):
     joined = join(motion, new, 0, {"frame": 0})
     np.testing.assert_array_equal(joined.poses, turned)
     names = ("times", "poses", "joints", "joint_covariance", "lost", "extrapolated", "n_views", "cost")
-    names += ("rivals", "rival_weights", "p_wrong", "doubtful_joints", "angle_sd")
+    names += ("rivals", "rival_weights", "p_wrong", "doubtful_joints", "angle_sd", "systematic_covariance")
     part = replace(new, doubtful=np.ones(len(new) - 3, dtype=bool), **{n: getattr(new, n)[3:] for n in names})
     joined = join(replace(motion, doubtful=None), part, 3, {"frame": 3})
     np.testing.assert_allclose(joined.poses, motion.poses, atol=1e-9)

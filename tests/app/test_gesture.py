@@ -18,6 +18,7 @@ from hypose.gestures.model import GestureModel
 from hypose.gestures.online import Learner
 from hypose.io.sensors.depth import write_millimetres_png
 from hypose.pipeline.gesture_files import SessionWriter, read_recording, save_model
+from tests.conftest import HANG_S
 
 
 def hypose(*arguments):
@@ -304,7 +305,7 @@ def test_websocket_listeners_get_scores_and_events():
     out = WebSocketOut(0, ["tee"])
     frame = Watched(1.5, [Found(1, 3.0, 4.0, 12.0, None)], [Event("start", 1, 1.5, 3.0, 4.0, None, 12.0)])
     with connect(f"ws://127.0.0.1:{out.port}") as listener:
-        for _ in range(200):  # the listener is entered by another thread
+        for _ in range(30_000):  # the listener is entered by another thread
             out.send(frame)
             try:
                 texts = [listener.recv(timeout=0.05) for _ in range(2)]
@@ -314,11 +315,11 @@ def test_websocket_listeners_get_scores_and_events():
         assert json.loads(texts[0]) == {"time": 1.5, "scores": {"tee": 12.0}}
         assert json.loads(texts[1])["event"] == "start"
     out.send(frame)  # the listener has left
-    held = [socket.create_connection(("127.0.0.1", out.port), timeout=30) for _ in range(300)]
+    held = [socket.create_connection(("127.0.0.1", out.port), timeout=HANG_S) for _ in range(300)]
     threads = threading.active_count()
     with connect(f"ws://127.0.0.1:{out.port}") as listener:  # silent connections keep nobody out, and cost no threads
         assert threading.active_count() - threads <= 2
-        for _ in range(200):
+        for _ in range(30_000):
             out.send(frame)
             with contextlib.suppress(TimeoutError):
                 assert json.loads(listener.recv(timeout=0.05))["time"] == 1.5

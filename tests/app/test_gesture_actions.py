@@ -9,6 +9,7 @@ from hypose.app.live import gesture_actions as actions
 from hypose.errors import InputError
 from hypose.gestures.events import Event
 from hypose.gestures.localise import Found
+from tests.conftest import HANG_S
 
 NAMES = ["tee", "ok"]
 
@@ -26,7 +27,7 @@ def run(tmp_path, words, *frames):
     for f in frames:
         out.send(f)
         for p in out._running:
-            assert p.wait(120) == 0
+            assert p.wait(HANG_S) == 0
     out.close()
     return log.read_text().split("\n")[:-1]
 

@@ -57,6 +57,7 @@ def prepared(keypoint_recording, monkeypatch):
     return keypoint_recording, put
 
 
+@pytest.mark.slow
 def test_detected_key_points_are_tracked(hypose, prepared, tmp_path):
     recording, put = prepared
     truth = np.load(recording / "truth.npz")["joints"]

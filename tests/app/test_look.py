@@ -83,6 +83,7 @@ def test_synth_writes_what_was_asked_for(hypose, tmp_path):
         assert truth["joints"].shape == (6, 19, 3)
 
 
+@pytest.mark.slow
 def test_demo_tracks_its_recording_and_names_the_error(hypose, tmp_path):
     code, out, err = hypose("demo", "--out", tmp_path / "demo", "--seconds", "0.2")
     assert code == 0, err

@@ -22,7 +22,9 @@ _NOWHERE = {
     "gesture export": ("nowhere", "nowhere"),
 }
 """Arguments with which a command ends before it works, where one name of nothing does not do."""
-VALUES = ("-3", "0", "nan", "inf", "-inf", "1e300", "-1e300", str(10**30), str(-(10**30)), "", "three", "٣", "1_0")
+VALUES = ("-3", "nan", "1e300")
+MORE = ("0", "inf", "-inf", "-1e300", str(10**30), str(-(10**30)), "", "three", "٣", "1_0")
+"""For one option of each type: all are read by the same function."""
 
 
 def commands():
@@ -62,7 +64,7 @@ def test_a_number_out_of_range_is_one_sentence(hypose, tmp_path, monkeypatch, co
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(cli, "app", BUILT)
     rest = [a.replace("FULL", "full") for a in _NOWHERE.get(command, ("nowhere",))]
-    for value in VALUES:
+    for value in (*VALUES, *(MORE if option in ("--samples", "--threshold") else ())):
         code, _, err = hypose(*command.split(), *rest, option, value)
         assert code == 2, (value, err)
         assert "Traceback" not in err and "should not have happened" not in err, (value, err)

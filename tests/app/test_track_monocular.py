@@ -97,6 +97,7 @@ def test_the_report_says_how_uncertain_depth_is(one_camera) -> None:
     assert "monocular" in page
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("stage", "kept"), [("track", 5), ("smooth", 8)])
 def test_interrupted_and_resumed_is_the_same(
     tiny, clicks, tracked, one_camera, tmp_path, hypose, monkeypatch, stage, kept

@@ -35,6 +35,7 @@ def people_in(out):
     return [p["name"] for p in json.loads((out / "people.json").read_text(encoding="utf-8"))["people"]]
 
 
+@pytest.mark.slow
 def test_everybody_has_a_folder_by_the_name_of_who_stands_at_the_place(hypose, two, tmp_path):
     code, out, err = hypose("track", two, "--people", "all", "--out", tmp_path, *LIGHT)
     assert code == 0, err
@@ -80,6 +81,7 @@ def test_who_is_nobody_is_refused_with_the_names_there_are(hypose, two, who):
     assert code == 2 and "Anna, Bert" in err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("evidence", ["keypoints", "both"])
 def test_who_else_is_seen_is_said_at_the_end(hypose, two, tmp_path, evidence):
     recording = shutil.copytree(two, tmp_path / "two")

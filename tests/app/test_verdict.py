@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 import hypose as package
 from hypose import CameraRig
@@ -18,6 +19,7 @@ def test_a_good_recording_ends_as_good(hypose, keypoint_recording, tmp_path):
     assert json.loads((tmp_path / "out" / "verdict.json").read_text())["verdict"] == "good"
 
 
+@pytest.mark.slow
 def test_a_world_upside_down_ends_as_not_to_be_trusted(hypose, keypoint_recording, tmp_path):
     path = keypoint_recording / "calibration.toml"
     rig, _ = package.read_calibration(path)

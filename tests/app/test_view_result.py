@@ -59,6 +59,7 @@ def test_a_long_result_is_made_into_a_block_beside_little_else(folder):
     motion = load_motion(folder / "motion.npz")
     times = 1000
     series = ("joints", "poses", "joint_covariance", "lost", "extrapolated", "n_views", "cost", "angle_sd")
+    series = (*series, "systematic_covariance")
     long = {n: np.concatenate([getattr(motion, n)] * times) for n in series}
     none = dict.fromkeys(("doubtful", "p_wrong", "doubtful_joints", "rivals", "rival_weights"))
     many = replace(motion, times=np.arange(8 * times) / 25, **long, **none)

@@ -242,7 +242,7 @@ def test_what_cannot_be_played_is_told(moving, tmp_path, capsys):
     for name in ("anna", "ben"):
         save_motion(moving[0], tmp_path / name / "motion.npz")
     code, said = run_play(capsys, tmp_path)
-    assert code == 2 and "holds the results of anna, ben; give one of them" in said.err
+    assert code == 2 and "holds the results of anna, ben" in said.err
     save_motion(moving[0], tmp_path / "rec" / "results" / "default" / "motion.npz")
     code, said = run_play(capsys, tmp_path / "rec")
     assert code == 2 and "is a recording, not a result" in said.err and "default" in said.err

@@ -11,8 +11,8 @@ from benchmarks.bench_report import BenchOptions
 from hypose.errors import InputError
 
 _MEANS = {"seed_range": {"seeds", "first_seed"}, "folder": {"data"}, "part": {"parts"}}
-FIELDS = {"seeds", "first_seed", "data", "parts"}
-VALUES = {"seeds": 3, "first_seed": 7, "data": "recordings", "parts": "parts"}
+FIELDS = {"seeds", "first_seed", "data", "parts", "other"}
+VALUES = {"seeds": 3, "first_seed": 7, "data": "recordings", "parts": "parts", "other": True}
 
 
 def used(function, seen=None):

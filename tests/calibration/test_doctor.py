@@ -47,6 +47,7 @@ def test_a_planted_fault_is_found_with_its_camera(walk, kind):
     assert found.cure and found.sentence.count("Next: ") == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["healthy", "extrinsics", "swapped"])
 def test_a_bystander_is_no_fault_and_hides_none(walk, kind):
     fault = with_bystander(walk if kind == "healthy" else planted(walk, kind, SEED), SEED)
@@ -56,6 +57,7 @@ def test_a_bystander_is_no_fault_and_hides_none(walk, kind):
     assert any(f.kind == "people" and not f.fault for f in findings)
 
 
+@pytest.mark.slow
 def test_key_points_of_something_else_accuse_no_camera_of_its_place(walk):
     o = walk.observed
     points = o.keypoints.copy()
@@ -80,6 +82,7 @@ def test_of_two_cameras_that_disagree_neither_is_accused(walk):
     assert set(finding.views) == set(pair.names) and "which of them is off cannot be told" in finding.text
 
 
+@pytest.mark.slow
 def test_lens_terms_that_change_nothing_worth_telling_accuse_no_camera():
     twice_as_bent = planted(healthy(21), "distortion", 21)
     points = twice_as_bent.observed.keypoints
@@ -118,6 +121,7 @@ def test_key_points_moved_by_three_pixels_and_two_frames_are_measured(walk):
     assert 1.5 < moved.shift[0] - usual.shift[0] < 4.0
 
 
+@pytest.mark.slow
 def test_silhouettes_alone_tell_a_mirrored_view():
     base = healthy(SEED, keypoints=False)
     assert not examine(base.observed).findings
@@ -126,6 +130,7 @@ def test_silhouettes_alone_tell_a_mirrored_view():
     assert judged(fault, report.findings) == (True, 0), [f.sentence for f in report.findings]
 
 
+@pytest.mark.slow
 def test_a_camera_that_stands_elsewhere_is_not_called_late():
     base = healthy(SEED, keypoints=False).observed
     turn = se3(so3_exp(np.radians([3.0, 9.5, 1.0])), np.zeros(3))  # 10 degrees
@@ -139,6 +144,7 @@ def test_a_camera_that_stands_elsewhere_is_not_called_late():
     assert [(f.kind, f.views) for f in found] == [("extrinsics", ("cam2",))]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("late", "told"), [(8, "8.1 frames late"), (20, "or more: the clip is too short")])
 def test_a_late_camera_that_sees_a_straight_walk_is_not_called_off(monkeypatch, late, told):
     # somebody who walks straight on looks through it as through one that stands elsewhere
@@ -147,6 +153,7 @@ def test_a_late_camera_that_sees_a_straight_walk_is_not_called_off(monkeypatch, 
     assert (finding.kind, finding.views) == ("late", ("cam2",)) and told in finding.text
 
 
+@pytest.mark.slow
 def test_masks_that_do_not_show_one_person_accuse_no_camera():
     # as of a background that has the person in it: in each view another part of them, and another one later
     base = healthy(SEED, keypoints=False).observed
@@ -187,6 +194,7 @@ def test_a_camera_that_is_later_than_is_looked_for_is_looked_for_farther(walk):
     assert "or more" in told.text and "more frames" in told.cure
 
 
+@pytest.mark.slow
 def test_who_stands_and_waves_tells_of_no_late_camera_that_a_part_of_the_clip_denies(walk):
     o = healthy(940).observed  # before six cameras: 1.7 and 4.7 frames by the whole clip
     assert not late_views(o.rig, o.keypoints, Limits())[0].any()

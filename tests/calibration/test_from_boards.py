@@ -88,6 +88,7 @@ def test_why_pictures_show_no_board(result):
     assert 0.2 < third.coverage <= 1
 
 
+@pytest.mark.slow
 def test_given_lenses_are_kept(folder):
     rig = make_rig()
     found = calibrate_from_boards(find_sources([folder]), BOARD, CalibrateOptions(lenses=rig, floor=0))
@@ -98,6 +99,7 @@ def test_given_lenses_are_kept(folder):
         calibrate_from_boards(find_sources([folder]), BOARD, CalibrateOptions(lenses=rig.select(["cam1", "cam2"])))
 
 
+@pytest.mark.slow
 def test_wrong_pattern_size_is_named(folder):
     wrong = Board("chessboard", 7, 6, 0.06)
     sources = [Source("cam2", folder / "cam2")]
@@ -113,6 +115,7 @@ def test_chessboard_instead_of_charuco(folder):
     assert diagnose(views[0], Board("charuco", 7, 6, 0.06, 0.04)).startswith("a chessboard of 6 x 5")
 
 
+@pytest.mark.slow
 def test_other_markers_are_named(tmp_path):
     shown = Board("charuco", 6, 5, 0.06, 0.045, "DICT_5X5_1000")
     camera = make_rig()[1]
@@ -145,6 +148,7 @@ def test_sources(folder, tmp_path):
         find_sources([tmp_path / "a.txt"])
 
 
+@pytest.mark.slow
 def test_real_floor_board(shared_data):
     """Four cameras, one lying board of 20 x 10 px per square, overexposed, the same turned by 180 degrees."""
     from benchmarks.cameras.board_accuracy import fit_of_poses

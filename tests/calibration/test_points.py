@@ -70,7 +70,7 @@ def test_too_few_points(rng, names, lenses, message):
 def test_points_of_one_plane_do_not_give_a_lens(rng):
     _, given = scene(rng)
     flat = {n: p * [1, 1, 0] + [0, 0.1 * i, 0] for i, (n, p) in enumerate(given.points.items())}
-    with pytest.raises(CalibrationError, match="all its points lie in one plane; measure some outside it, or give its"):
+    with pytest.raises(CalibrationError, match="all its points lie in one plane"):
         calibrate_from_points(ScenePoints(flat, given.clicks, given.sizes))
     with pytest.raises(CalibrationError, match="size of its picture is not known"):
         calibrate_from_points(ScenePoints(given.points, given.clicks, {}))

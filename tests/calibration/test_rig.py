@@ -88,7 +88,7 @@ def test_the_way_round_can_be_told(rng):
 def test_lens_needs_different_boards(rng):
     scene = _lying(rng)
     seen = {f: scene.sightings[0][0] for f in range(20)}
-    with pytest.raises(CalibrationError, match="in 20 pictures, in 1 different positions; its lens needs at least 4"):
+    with pytest.raises(CalibrationError, match="in 20 pictures, in 1 different positions"):
         calibrate_lens("cam1", seen, EVEN, (640, 480))
 
 

@@ -150,6 +150,7 @@ def test_a_table_before_the_person_says_nothing_of_their_legs(scene):
     assert hidden.areas[0] < free.areas[0] < 1.5 * hidden.expected.areas[0]
 
 
+@pytest.mark.slow
 def test_things_that_were_not_in_the_empty_room_are_told_by_who_walks_about():
     subject = load_subjects()["neutral"]
     walk = act("walk", subject, 2.0, 25.0, np.random.default_rng(3))

@@ -299,6 +299,7 @@ def test_the_same_result_for_any_number_of_threads_and_any_workspace(scene, rng)
         assert a.cost == b.cost == c.cost
 
 
+@pytest.mark.slow
 def test_read_only_inputs_are_taken_and_not_changed(scene):
     pose, term = scene
     for a in (pose, term.sdf, term.outline):

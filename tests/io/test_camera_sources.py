@@ -15,7 +15,6 @@ import pytest
 from hypose.errors import InputError
 from hypose.io.videos import camera_sources
 from hypose.io.videos.camera_sources import Shot, StreamEnded, open_camera, without_password
-from hypose.io.videos.video import open_video
 
 SIZE = (64, 48)
 
@@ -226,12 +225,12 @@ def test_nobody_there_is_one_sentence(address):
 
 
 def test_a_stream_that_ffmpeg_cannot_open_is_one_sentence():
-    with pytest.raises(InputError, match=r"The stream rtsp://me:\.\.\.@127.* cannot be opened; check the address"):
+    with pytest.raises(InputError, match=r"The stream rtsp://me:\.\.\.@127.* cannot be opened"):
         open_camera(f"rtsp://me:secret@127.0.0.1:{free_port()}/s", 30.0, SIZE)
 
 
 def test_a_device_that_is_not_there_is_one_sentence():
-    with pytest.raises(InputError, match="Camera 97 of this computer cannot be opened; is it plugged in"):
+    with pytest.raises(InputError, match="Camera 97 of this computer cannot be opened"):
         open_camera("97", 30.0, SIZE)
 
 
@@ -285,17 +284,24 @@ def test_a_picture_that_is_no_jpeg_is_decoded_whole():
 
 
 class Clock:
-    """Passes only while somebody waits, or works."""
+    """Passes only while something waits, or works."""
 
     def __init__(self):
         self.now = 50.0
 
-    def __call__(self):
+    def monotonic(self):
         return self.now
 
-    def wait(self, seconds):
+    def sleep(self, seconds):
         assert seconds > 0
         self.now += seconds
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    clock = Clock()
+    monkeypatch.setattr(camera_sources, "time", clock)
+    return clock
 
 
 @pytest.fixture
@@ -306,7 +312,7 @@ def folder(tmp_path):
 
 
 def played(path, rate, clock, work=0.0):
-    source, out = camera_sources._Played(open_video(path), rate, 50.5, clock.wait, clock), []
+    source, out = open_camera(str(path), rate, SIZE, 50.5), []
     assert not source.live
     with contextlib.suppress(StreamEnded):
         while True:
@@ -317,33 +323,32 @@ def played(path, rate, clock, work=0.0):
     return out
 
 
-def test_pictures_are_played_at_their_pace(folder):
-    out = played(folder, 10.0, Clock())
+def test_pictures_are_played_at_their_pace(folder, clock):
+    out = played(folder, 10.0, clock)
     assert [n for n, _, _ in out] == list(range(10))
     assert [s for _, s, _ in out] == pytest.approx([50.5 + n / 10 for n in range(10)])
     assert all(a == pytest.approx(s) for _, s, a in out)
 
 
-def test_who_is_too_slow_misses_pictures_as_with_a_camera(folder):
-    out = played(folder, 10.0, Clock(), work=0.25)
+def test_who_is_too_slow_misses_pictures_as_with_a_camera(folder, clock):
+    out = played(folder, 10.0, clock, work=0.25)
     numbers = [n for n, _, _ in out]
     assert numbers[:3] == [0, 2, 5] and numbers[-1] == 9 and len(set(numbers)) == len(numbers)
     assert all(s == pytest.approx(50.5 + n / 10) and a - s < 0.1 for n, s, a in out[:-1])
 
 
-def test_a_video_is_played_at_the_rate_it_states(tmp_path):
+def test_a_video_is_played_at_the_rate_it_states(tmp_path, clock):
     writer = cv2.VideoWriter(str(tmp_path / "a.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 20.0, SIZE)
     for n in range(6):
         writer.write(np.full((48, 64, 3), 20 * n, np.uint8))
     writer.release()
-    out = played(tmp_path / "a.avi", 10.0, Clock())
+    out = played(tmp_path / "a.avi", 10.0, clock)
     assert [n for n, _, _ in out] == list(range(6))
     assert np.diff([a for _, _, a in out]) == pytest.approx(0.05)
 
 
-def test_a_file_that_is_over_says_so(folder):
-    clock = Clock()
-    source = camera_sources._Played(open_video(folder), 10.0, 50.0, clock.wait, clock)
+def test_a_file_that_is_over_says_so(folder, clock):
+    source = open_camera(str(folder), 10.0, SIZE, 50.0)
     clock.now = 500.0
     assert grey(source.read()) == 180  # the last one stays until it has been seen
     with pytest.raises(StreamEnded, match="is over"):
@@ -351,7 +356,7 @@ def test_a_file_that_is_over_says_so(folder):
 
 
 def test_files_that_are_not_there_say_what_a_camera_can_be(tmp_path):
-    with pytest.raises(InputError, match=r"There is no file .*nothing\.mp4; a camera is the number of a device"):
+    with pytest.raises(InputError, match=r"There is no file .*nothing\.mp4"):
         open_camera(str(tmp_path / "nothing.mp4"), 30.0, SIZE)
     with pytest.raises(InputError, match="holds no images"):
         open_camera(str(tmp_path), 30.0, SIZE)

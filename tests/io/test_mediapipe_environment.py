@@ -111,11 +111,12 @@ def test_nothing_is_installed_without_being_asked(tmp_path, monkeypatch, capsys)
     assert not (tmp_path / "cache").exists()
 
 
+@pytest.mark.slow
 def test_a_set_up_that_fails_leaves_nothing(tmp_path, monkeypatch):
     target = tmp_path / "cache" / "mediapipe"
     monkeypatch.setattr(environment, "environment_folder", lambda: target)
     monkeypatch.setattr(environment, "PACKAGES", (str(tmp_path / "no-such-package.whl"),))
-    with pytest.raises(InputError, match=r"could not be made \(.*no-such-package.*\); see that the package registry"):
+    with pytest.raises(InputError, match=r"could not be made \(.*no-such-package.*\)"):
         environment.set_up()
     assert not target.exists() and not list(target.parent.iterdir())
     with pytest.raises(InputError, match="not set up"), environment.open_mediapipe():
@@ -127,5 +128,5 @@ def test_a_python_that_it_was_not_built_for(monkeypatch):
     monkeypatch.setattr(shutil, "which", lambda name: "/usr/bin/python2.2" if name == "python3.2" else None)
     assert environment._python() == "/usr/bin/python2.2"
     monkeypatch.setattr(shutil, "which", lambda name: None)
-    with pytest.raises(InputError, match=r"runs on Python 2\.1 to 2\.3; this is 3"):
+    with pytest.raises(InputError, match=r"runs on Python 2\.1 to 2\.3"):
         environment._python()

@@ -49,6 +49,7 @@ def test_formats_give_the_same_closed_surface(tmp_path, ending):
     assert mesh.up == ("+y" if ending == "glb" else "")
 
 
+@pytest.mark.slow
 def test_a_scan_becomes_a_body_that_stands_as_it_did(tmp_path):
     v, f = t_pose()
     path = export(tmp_path / "anna.stl", 100 * v @ Y_UP.T, f)

@@ -66,7 +66,7 @@ def test_a_recording_toml_beside_it_changes_what_it_says(tmp_path):
     assert [v.video for v in told.views] == [v.video for v in plain.views]
     assert [v.keypoints for v in told.views] == [v.keypoints for v in plain.views]
     toml.write_text('[[view]]\nname = "cam9"\n')
-    with pytest.raises(InputError, match=r"has no view 'cam9'; its views are cam01, cam02\."):
+    with pytest.raises(InputError, match=r"has no view 'cam9'"):
         load_recording(project)
     toml.write_text("keypoint_lagg = 1\n")
     with pytest.raises(InputError, match="keypoint_lagg"):
@@ -88,7 +88,7 @@ def test_trial_of_a_session(tmp_path, monkeypatch):
     assert recording.calibration == session / "calibration" / "Calib.toml"
     monkeypatch.chdir(trial)
     assert load_recording(".").name == "trial_1" and load_recording(".").n_frames == 12
-    with pytest.raises(InputError, match=r"is a Pose2Sim session with the trials trial_1; name one of these"):
+    with pytest.raises(InputError, match=r"is a Pose2Sim session with the trials trial_1"):
         load_recording(session)
 
 
@@ -213,7 +213,7 @@ def test_without_videos(tmp_path):
     assert ((points[1:, 1, :, 2] > 0) == (seen[1, 1:, :, 2] > 0)).all() and (points[1:, 1, :, 2] > 0).any()
     assert not points[[0, 3, 4], 0, :, 2].any()
     (folder / "Config.toml").write_text("")
-    with pytest.raises(InputError, match=r"key points carry no frame rate; add frame_rate = \.\.\."):
+    with pytest.raises(InputError, match=r"key points carry no frame rate"):
         load_recording(folder)
 
 

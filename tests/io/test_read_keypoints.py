@@ -90,7 +90,7 @@ def test_sets_of_one_length_are_told_apart_by_bones(tmp_path):
         assert recording.keypoint_set == kind
         assert any(f"{kind} (by the lengths of bones)" in n for n in recording.notes)
     other = written(tmp_path / "stated", "openpose", stated="BODY_25", keypoint_set="BODY_25B")[0]
-    with pytest.raises(InputError, match=r"view.*the bones do not fit BODY_25 but BODY_25B; correct keypoint_set|View"):
+    with pytest.raises(InputError, match=r"(?i)view.*the bones do not fit BODY_25 but BODY_25B"):
         load_recording(other)
 
 
@@ -219,7 +219,7 @@ def test_another_order_of_points_is_refused(tmp_path):
 
 def test_halpe_for_coco_is_refused(tmp_path):
     folder, _ = written(tmp_path, "rtmlib", stated="COCO_17")
-    with pytest.raises(InputError, match=r"there are 26 points per person, COCO_17 has 17; 26 points are those of"):
+    with pytest.raises(InputError, match=r"there are 26 points per person, COCO_17 has 17"):
         load_recording(folder)
 
 
@@ -272,9 +272,7 @@ def test_hostile_arrays(tmp_path):
 def test_without_h5py_one_sentence(tmp_path, monkeypatch):
     (tmp_path / "a.h5").write_bytes(b"\x89HDF\r\n\x1a\n")
     monkeypatch.setitem(sys.modules, "h5py", None)
-    with pytest.raises(
-        InputError, match=r'needs h5py, which is not installed; run: pip install "hypose\[h5\]", or export'
-    ):
+    with pytest.raises(InputError, match=r"needs h5py, .*hypose\[h5\]"):
         read_keypoints(tmp_path / "a.h5")
 
 
@@ -297,7 +295,7 @@ def test_a_frame_number_that_is_damaged_is_told(tmp_path, layout):
     cells = last.split(",")
     cells[at] = "734219876543"
     path.write_text("\n".join([*lines, ",".join(cells)]) + "\n")
-    with pytest.raises(InputError, match=r"a frame has the number 734219876543, the first 0; the file is damaged"):
+    with pytest.raises(InputError, match=r"a frame has the number 734219876543, the first 0"):
         load_recording(folder)
 
 
@@ -342,12 +340,12 @@ def test_names_of_other_programs():
 def test_two_models_are_refused(tmp_path):
     a = write_keypoints("coco-results", tmp_path / "a", detections("COCO_17", RIG, FRAMES), RIG, "COCO_17")
     b = write_keypoints("alphapose", tmp_path / "b", detections("HALPE_26", RIG, FRAMES), RIG, "HALPE_26")
-    with pytest.raises(InputError, match=r"different sets of key points \(.*COCO_17.*HALPE_26.*\); detect all"):
+    with pytest.raises(InputError, match=r"different sets of key points \(.*COCO_17.*HALPE_26.*\)"):
         keypoints_of_views([a[0], b[1]], RIG.names[:2], RIG.names[:2])
     mixed = json.loads(a[0].read_text())
     mixed[3]["keypoints"] = mixed[3]["keypoints"][:30]
     a[0].write_text(json.dumps(mixed))
-    with pytest.raises(InputError, match=r"people have 10, 17 key points; export those of one model"):
+    with pytest.raises(InputError, match=r"people have 10, 17 key points"):
         read_keypoints(a[0])
 
 

@@ -158,7 +158,7 @@ def test_scaled_images_are_accepted_with_a_note(tmp_path):
     make_video(tmp_path / "cam_2.avi")
     recording = load_recording(make_recording(tmp_path, [{"name": n, "video": f"{n}.avi"} for n in ("cam_1", "cam_2")]))
     assert len(recording.notes) == 1
-    assert "cam_1.avi is 128 x 96 px, the calibration 64 x 48 px; the images are taken as scaled" in recording.notes[0]
+    assert "cam_1.avi is 128 x 96 px, the calibration 64 x 48 px" in recording.notes[0]
     assert recording.rig[0].size == SIZE
 
 
@@ -185,7 +185,7 @@ def test_different_lengths_use_the_common_part(tmp_path):
     views = [{"name": n, "video": f"{n}.avi"} for n in ("cam_1", "cam_2")]
     recording = load_recording(make_recording(tmp_path, views))
     assert recording.n_frames == 12
-    assert "different numbers of frames (cam_1 12, cam_2 18); the first 12 frames" in recording.notes[0]
+    assert "different numbers of frames (cam_1 12, cam_2 18)" in recording.notes[0]
     make_video(tmp_path / "cam_2.avi", 14)
     recording = load_recording(tmp_path)
     assert recording.n_frames == 12 and recording.notes == ()
@@ -209,15 +209,13 @@ def test_a_container_that_promises_too_much_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr(video, "count_frames", lambda _: 8)
     recording = load_recording(tmp_path)
     assert recording.n_frames == 8
-    assert (
-        "cam_1.avi states 12 frames but decoding ends after frame 7; the file is probably cut off" in recording.notes[0]
-    )
+    assert "cam_1.avi states 12 frames but decoding ends after frame 7" in recording.notes[0]
 
 
 def test_frame_rate_given_by_the_user_wins(tmp_path):
     recording = load_recording(make_recording(tmp_path, frame_rate=100.0))
     assert recording.frame_rate == 100
-    assert "frame_rate = 100 is used as given; the videos say 25 frames/s" in recording.notes[0]
+    assert "frame_rate = 100 is used as given" in recording.notes[0]
 
 
 @pytest.mark.parametrize("up", ["x", "y", "z", "-x", "-y", "-z"])

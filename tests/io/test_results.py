@@ -169,11 +169,11 @@ def test_compressed_archives_are_refused_before_unpacking(small_motion, tmp_path
 
 
 def test_no_archive_at_all(small_motion, tmp_path):
-    with pytest.raises(InputError, match=r"The motion .*none\.npz does not exist; give the motion\.npz"):
+    with pytest.raises(InputError, match=r"The motion .*none\.npz does not exist"):
         load_motion(tmp_path / "none.npz")
     for data in (b"text", b"PK\x03\x04" + bytes(100)):
         (tmp_path / "a.npz").write_bytes(data)
-        with pytest.raises(InputError, match=r"a\.npz is not a motion of hypose, or is damaged: .*; give the"):
+        with pytest.raises(InputError, match=r"a\.npz is not a motion of hypose, or is damaged: .*"):
             load_motion(tmp_path / "a.npz")
     save_motion(small_motion, tmp_path / "a.npz")
     data = (tmp_path / "a.npz").read_bytes()
@@ -231,13 +231,13 @@ def test_checkpoint_of_another_run_is_refused(tmp_path, change, message):
 
 def test_damaged_checkpoint(tmp_path, small_motion):
     path = tmp_path / "checkpoint.npz"
-    with pytest.raises(InputError, match=r"The checkpoint .* does not exist; run again without --resume"):
+    with pytest.raises(InputError, match=r"The checkpoint .* does not exist"):
         Checkpoint.load(path, RUN)
     path.write_bytes(b"PK nonsense")
     with pytest.raises(InputError, match=r"is not a checkpoint of hypose, or is damaged"):
         Checkpoint.load(path, RUN)
     save_motion(small_motion, path)
-    with pytest.raises(InputError, match=r"is not a checkpoint of hypose; run again"):
+    with pytest.raises(InputError, match=r"is not a checkpoint of hypose"):
         Checkpoint.load(path, RUN)
     make_checkpoint(path)
     document = str(np.load(path)["checkpoint"]).replace('"format": 1', '"format": 2')
@@ -297,14 +297,14 @@ def test_full_disk_while_saving_a_motion(small_motion, tmp_path, monkeypatch):
 
 def test_read_only_or_impossible_folder(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match=r"cannot be written \(.*\); choose a folder that you may write to"):
+    with pytest.raises(InputError, match=r"cannot be written \(.*\)"):
         check_writable(tmp_path / "file" / "results")
 
     def refuse(*_, **__):
         raise PermissionError(errno.EROFS, "Read-only file system")
 
     monkeypatch.setattr(os, "open", refuse)
-    with pytest.raises(InputError, match=r"cannot be written \(read-only file system\); .* with --to\."):
+    with pytest.raises(InputError, match=r"cannot be written \(read-only file system\)"):
         check_writable(tmp_path, "--to")
 
 

@@ -45,7 +45,7 @@ def test_seeking_is_exact(tmp_path, ending, rng):
     reader.seek(0)
     assert np.array_equal(reader.read(), in_order[0])
     for bad in (-1, 61):
-        with pytest.raises(InputError, match=r"has no frame -?\d+; its frames are 0 to 59"):
+        with pytest.raises(InputError, match=r"has no frame -?\d+"):
             reader.seek(bad)
     with pytest.raises(InputError, match=r"ends with frame 59, frame 60 was asked for"):
         reader.read(60)
@@ -109,7 +109,7 @@ def test_sequences_without_a_gap(tmp_path, names):
 
 def test_damaged_image(tmp_path):
     (tmp_path / "a.png").write_bytes(b"\x89PNG\r\n\x1a\n broken")
-    with pytest.raises(InputError, match=r"a\.png is not an image or is damaged; replace it"):
+    with pytest.raises(InputError, match=r"a\.png is not an image or is damaged"):
         read_image(tmp_path / "a.png")
     (tmp_path / "b.png").write_bytes(b"")
     with pytest.raises(InputError, match=r"b\.png is empty; give the path of an image"):
@@ -139,7 +139,7 @@ def test_a_container_that_promises_too_much(shared_data):
 def test_a_video_that_shrinks_while_it_is_read(tmp_path):
     reader = open_video(make_video(tmp_path / "a.avi", 30))
     reader.n_frames = 40  # as if the file had held 40 when it was opened
-    with pytest.raises(InputError, match=r"a\.avi cannot be decoded beyond frame 29 of 40; .*frame_range"):
+    with pytest.raises(InputError, match=r"a\.avi cannot be decoded beyond frame 29 of 40"):
         list(reader)
 
 
@@ -160,7 +160,7 @@ def test_not_a_video(tmp_path, name, data, message):
 
 
 def test_missing(tmp_path):
-    with pytest.raises(InputError, match=r"none\.mp4 does not exist; check the file name"):
+    with pytest.raises(InputError, match=r"none\.mp4 does not exist"):
         open_video(tmp_path / "none.mp4")
     with pytest.raises(InputError, match=r"holds no images"):
         open_video(tmp_path)

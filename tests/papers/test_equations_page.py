@@ -38,7 +38,6 @@ class Row(NamedTuple):
     number: str
     code: tuple[str, ...]
     test: str
-    deviations: tuple[str, ...]
 
 
 @cache
@@ -51,11 +50,10 @@ def rows() -> tuple[Row, ...]:
             continue
         cells = [c.strip() for c in line.strip("|").split("|")]
         assert len(cells) == 5, line
-        number, _, code, test, deviation = cells
+        number, _, code, test, _ = cells
         names = tuple(re.findall(r"`((?:hypose|benchmarks)[\w.]*:[\w.]+)`", code))
         assert names or code.startswith("not built: "), line
-        said = () if deviation == "none" else tuple(deviation.split("<br>"))
-        out.append(Row(paper, number, names, test.strip("`"), said))
+        out.append(Row(paper, number, names, test.strip("`")))
     return tuple(out)
 
 
@@ -89,27 +87,10 @@ def test_every_number_of_the_paper_has_a_row(paper):
 
 
 @pytest.mark.parametrize("row", rows(), ids=named)
-def test_what_a_row_names_exists_and_its_docstring_tells_the_deviation(row: Row):
+def test_what_a_row_names_exists(row: Row):
     path, _, test = row.test.partition("::")
     assert test in written_tests(path), row.test
-    text = " ".join(" ".join(found(name).__doc__ or "" for name in row.code).split())
-    assert text or not row.code
-    for sentence in row.deviations:
-        assert sentence in text, sentence
-    if not row.code:
-        assert not row.deviations
-
-
-def test_deviations_that_docstrings_tell_are_on_the_page():
-    # by the word "Deviation:" in what a row names; the sentence up to its first comma or stop is looked for
-    page = " ".join((ROOT / "docs/equations.md").read_text().split())
-    missing = set()
-    for name in {n for r in rows() for n in r.code}:
-        text = " ".join((found(name).__doc__ or "").split())
-        for sentence in re.findall(r"Deviation: ([^.,;:]+)", text):
-            if sentence.strip() not in page:
-                missing.add(f"{name}: {sentence}")
-    assert missing == set()
+    assert all(found(name).__doc__ for name in row.code)
 
 
 def test_sections_of_the_thesis_that_are_cited_exist():

@@ -63,6 +63,7 @@ def arms(body):
     return np.linalg.norm(s.rest_offsets[[s.joint("left_elbow"), s.joint("left_wrist")]], axis=1)
 
 
+@pytest.mark.slow
 def test_arms_that_were_fitted_too_long_are_put_right(passing):
     people, frames = passing
     found = fitted_again(people, frames.__getitem__, range(FRAMES), Wanted)
@@ -75,6 +76,7 @@ def test_arms_that_were_fitted_too_long_are_put_right(passing):
     assert not fitted_again(again, frames.__getitem__, range(FRAMES), Wanted)
 
 
+@pytest.mark.slow
 def test_a_limb_that_the_start_got_wrong_is_taken_from_the_way_back(passing, monkeypatch):
     people, frames = passing
     went = list[int]()

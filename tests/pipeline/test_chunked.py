@@ -186,6 +186,7 @@ def run_in(source, folder, seed=0):
     return ChunkRun(source, 6.0, options, 11.0, ResultsFolder(folder), {"seed": seed})
 
 
+@pytest.mark.slow
 def test_the_order_of_the_chunks_and_a_break_change_no_byte(source, known, tmp_path):
     whole = run_in(source, tmp_path / "one").whole(silent)
     assert whole.complete and len(whole.motion) == 130 and len(known) == 1
@@ -214,6 +215,7 @@ def test_the_order_of_the_chunks_and_a_break_change_no_byte(source, known, tmp_p
     assert jerks[1][55:90].max() < 1.1 * jerks[0].max()
 
 
+@pytest.mark.slow
 def test_an_interrupted_whole_keeps_its_chunks(source, known, tmp_path):
     def stop(stage, done, total):
         if stage == "track" and done == 90:

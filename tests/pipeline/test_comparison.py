@@ -145,7 +145,7 @@ def test_files_of_several_people_are_asked_about(tmp_path):
     both = np.concatenate([ours.joints, ours.joints + [1.0, 0, 0]], 1)
     labels = [f"{who}:{n}" for who in ("Ben", "Anna") for n in names]
     write_c3d(tmp_path / "a.c3d", labels, both, 25, subjects=["Ben", "Anna"])
-    with pytest.raises(InputError, match=r"a\.c3d holds points of Ben, Anna; say who is meant: --subject Ben"):
+    with pytest.raises(InputError, match=r"a\.c3d holds points of Ben, Anna"):
         read_other(tmp_path / "a.c3d")
     with pytest.raises(InputError, match="has no points of 'Eve', they are of Ben, Anna"):
         read_other(tmp_path / "a.c3d", subject="Eve")
@@ -157,7 +157,7 @@ def test_files_of_several_people_are_asked_about(tmp_path):
     one = read_other(tmp_path / "b.c3d", {"head": ("Anna:head", "neck")}).points
     np.testing.assert_allclose(one["left_hip"], ours.joints[:, ours.skeleton.joint("left_hip")], atol=1e-5)
     write_c3d(tmp_path / "c.c3d", names, ours.joints, 25)
-    with pytest.raises(InputError, match="named without a subject; correct or leave out --subject"):
+    with pytest.raises(InputError, match="named without a subject"):
         read_other(tmp_path / "c.c3d", subject="Anna")
 
 
@@ -176,12 +176,10 @@ def test_marker_files_of_labs(tmp_path):
         assert set(other.points) == {"right_hip", "left_hip", "right_knee", "left_knee"}
         assert np.abs(other.points["right_knee"] - j["right_knee"]).max() < 1e-5
         assert np.abs(other.points["left_knee"] - j["left_knee"]).max() < 1e-5
-    with pytest.raises(InputError, match=r"has no marker 'XX'; it has RHip, LHJC"):
+    with pytest.raises(InputError, match=r"has no marker 'XX'"):
         read_other(tmp_path / "a.trc", {"left_knee": ("XX",)})
     write_trc(tmp_path / "b.trc", ("a1", "a2"), np.stack(points[:2], 1), 25)
-    with pytest.raises(
-        InputError, match=r"None of the points of .*b\.trc is called like a joint \(a1, a2\); say which"
-    ):
+    with pytest.raises(InputError, match=r"None of the points of .*b\.trc is called like a joint \(a1, a2\)"):
         read_other(tmp_path / "b.trc")
 
 

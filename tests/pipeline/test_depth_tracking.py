@@ -51,6 +51,7 @@ def test_one_depth_camera_gives_a_motion_without_a_given_start_or_body():
     assert found.audit is not None and found.motion.p_wrong is not None
 
 
+@pytest.mark.slow
 def test_depth_finds_what_one_outline_leaves_open():
     """An arm that points to the camera: its outline says next to nothing of it."""
     body = human()
@@ -79,6 +80,7 @@ def _solved_only(body):
     return recipe("default", body, particles=48)
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_motion_for_any_number_of_threads(monkeypatch):
     scene = scene_of("box", "depth-1", 0.2)
     frames = list(scene.frames())
@@ -148,6 +150,7 @@ def lowered(scene, lower, nobody=False):
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lower", [0.0, 0.13])
 def test_where_everybody_is_tracked_the_floor_tells_the_same(lower):
     frames = list(lowered(scene_of("walk", "depth-2", 0.4), lower))

@@ -128,6 +128,7 @@ def test_an_interrupted_motion_of_the_cameras_is_what_there_is(walked, monkeypat
     assert fuse_mixture(source, 25.0, skeletons, TrackOptions()) is part
 
 
+@pytest.mark.slow
 def test_cameras_and_skeletons_become_one_motion(rng):
     """Two cameras that leave depth open, and a sensor of another place that reports joints."""
     scene = small_scene(1, 25)

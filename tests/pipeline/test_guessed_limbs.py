@@ -32,6 +32,7 @@ def body_of(frames):
     return find_subject(lambda i: frames[i], len(frames), SubjectOptions("keypoints", frame_rate=25.0)).body
 
 
+@pytest.mark.slow
 def test_a_leg_that_one_of_two_views_guesses_is_as_long_as_the_other_limbs_say():
     def guess(points):
         points[2:, LEG] = 0.0
@@ -43,6 +44,7 @@ def test_a_leg_that_one_of_two_views_guesses_is_as_long_as_the_other_limbs_say()
         assert told.segment_lengths()[segment] == pytest.approx(length, rel=0.08)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("off", [8.0, 30.0])
 def test_a_body_is_found_where_one_of_two_views_is_wrong_as_a_whole(off):
     def aside(points):

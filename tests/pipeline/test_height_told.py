@@ -16,6 +16,7 @@ def scene():
     return make_scene("wave", rig="ring-3", seconds=1.6, seed=53, corruption=("level-1",))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [1.0, 0.87])
 def test_a_height_that_the_masks_refute_makes_a_motion_not_to_be_trusted(scene, share):
     given = share * scene.subject.stature

@@ -45,6 +45,7 @@ def test_nothing_is_said_of_cameras_that_stand_where_they_should():
     assert moved_sensors(source, BODY, poses, np.full(24, 0.9), RATE) == ((), ())
 
 
+@pytest.mark.slow
 def test_cameras_that_stand_where_they_should_are_looked_at_roughly_alone(monkeypatch):
     asked = []
     whole = module.refine_registration
@@ -56,6 +57,7 @@ def test_cameras_that_stand_where_they_should_are_looked_at_roughly_alone(monkey
         assert (max(asked) == module._ROUGH[1]) == rough_alone
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", [0, 14])
 def test_a_camera_that_stands_elsewhere_is_found_and_put_right(change):
     source, poses = recording(change)

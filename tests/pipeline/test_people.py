@@ -77,6 +77,7 @@ def test_two_people_who_pass_each_other_are_tracked_each_by_their_name(rig):
         assert p.present.all()
 
 
+@pytest.mark.slow
 def test_what_others_do_to_the_masks_is_no_doubt(rig):
     frames, _ = two_people(rig, 12, away=range(8, 12))
     run = both(frames)
@@ -98,6 +99,7 @@ def test_what_others_do_to_the_masks_is_no_doubt(rig):
     )  # what is known of a change stays, whoever looks again
 
 
+@pytest.mark.slow
 def test_a_view_that_shows_nobody_takes_nobody_away(rig):
     frames, truth = two_people(rig, 8)
     for f in frames:
@@ -110,6 +112,7 @@ def test_a_view_that_shows_nobody_takes_nobody_away(rig):
         assert p.result.motion.n_views.max() == 3
 
 
+@pytest.mark.slow
 def test_one_of_two_is_the_one_asked_for_and_the_others_are_told(rig):
     frames, truth = two_people(rig, 6)
     found = replace(both(frames), count=1, wanted=(Wanted("bert", body=human(), place=(0.45, 0.4)),))()
@@ -118,6 +121,7 @@ def test_one_of_two_is_the_one_asked_for_and_the_others_are_told(rig):
     assert away.mean() < 0.03
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_goes_on_to_the_same_bytes(rig, tmp_path):
     frames, _ = two_people(rig, 10)
     whole = both(frames)()
@@ -138,6 +142,7 @@ def test_an_interrupted_run_goes_on_to_the_same_bytes(rig, tmp_path):
     assert (tmp_path / "anna" / "motion.npz").exists() and (tmp_path / "bert" / "motion.npz").exists()
 
 
+@pytest.mark.slow
 def test_who_leaves_and_returns_is_the_same_person(rig):
     frames, truth = two_people(rig, 40, away=range(8, 24))
     found = both(frames)()
@@ -151,6 +156,7 @@ def test_who_leaves_and_returns_is_the_same_person(rig):
     assert bert.verdict.word in ("good", "look", "not to be trusted")
 
 
+@pytest.mark.slow
 def test_a_place_at_a_later_time_names_who_will_stand_there(rig):
     frames, _ = two_people(rig, 52)
 
@@ -164,6 +170,7 @@ def test_a_place_at_a_later_time_names_who_will_stand_there(rig):
     assert found.people[0].result.motion.joints[0, 0, 0] < 0
 
 
+@pytest.mark.slow
 def test_who_comes_later_is_not_taken_for_somebody_who_stands_elsewhere(rig, tmp_path):
     frames, _ = two_people(rig, 24, away=range(12))
     given = [Wanted("anna", body=human(), place=(-0.45, -0.4)), Wanted("carl", body=human(), place=(9.0, 9.0))]

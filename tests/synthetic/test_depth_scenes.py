@@ -88,7 +88,7 @@ def test_a_recording_is_read_back_as_depth(tmp_path):
     check_views(loaded)  # one depth camera is enough
     with pytest.raises(InputError, match="depth1 is a depth camera"):
         check_views(loaded, of_picture=True)
-    with pytest.raises(InputError, match=r"depth cameras \(depth1\) .* not by key points; leave out --evidence both"):
+    with pytest.raises(InputError, match=r"depth cameras \(depth1\) .* not by key points"):
         people_frames(loaded, TrackOptions(evidence="both"))
     with FrameStream(loaded) as frames:
         frame = frames.frame(2)

@@ -10,6 +10,7 @@ import pytest
 from benchmarks.synthetic.virtual_cameras import CameraFaults, VirtualCameras, there_and_back
 from hypose.errors import InputError
 from hypose.io.videos.camera_sources import StreamEnded, open_camera
+from tests.conftest import HANG_S
 
 CLIPS = [[b"%d-%d" % (view, n) for n in range(6)] for view in range(2)]
 
@@ -51,7 +52,7 @@ def sent(faults, view=0, count=40, rate=100.0):
 def test_pictures_come_in_their_order_and_at_their_pace():
     begin = time.monotonic()
     numbers = sent(CameraFaults())[:, 0]
-    assert (np.diff(numbers) >= 1).all() and time.monotonic() - begin > 0.35
+    assert (np.diff(numbers) >= 1).all() and time.monotonic() - begin > 0.35  # never sooner
 
 
 def test_lost_pictures_do_not_come():
@@ -78,9 +79,9 @@ def test_what_is_sent_is_read_as_from_a_camera():
 
 
 def test_a_camera_that_is_unplugged_ends_its_stream_refuses_and_comes_back():
-    gone = ((), ((0.3, 0.9),))
-    with VirtualCameras([[b"\xff\xd8"] * 10] * 2, 50.0, CameraFaults(gone=gone)) as cameras:
+    with VirtualCameras([[b"\xff\xd8"] * 10] * 2, 50.0) as cameras:
         source = open_camera(cameras.addresses[1], 50.0, (64, 48))
+        cameras.faults = CameraFaults(gone=((), ((0.0, HANG_S),)))
         with pytest.raises(StreamEnded):
             while True:
                 source.read()
@@ -91,9 +92,7 @@ def test_a_camera_that_is_unplugged_ends_its_stream_refuses_and_comes_back():
         other = open_camera(cameras.addresses[0], 50.0, (64, 48))
         assert other.read().data == b"\xff\xd8"
         other.close()
-        end = time.monotonic() + 20
-        while cameras.away(1) and time.monotonic() < end:
-            time.sleep(0.02)
+        cameras.faults = CameraFaults(gone=((), ((-2.0, -1.0),)))
         again = open_camera(cameras.addresses[1], 50.0, (64, 48))
         assert again.read().data == b"\xff\xd8"
         again.close()
@@ -103,4 +102,4 @@ def test_other_addresses_are_not_found():
     with VirtualCameras(CLIPS, 10.0) as cameras:
         for path in ("", "2", "x", "0/1"):
             with pytest.raises(urllib.error.HTTPError, match="404"):
-                urllib.request.urlopen(f"http://127.0.0.1:{cameras._server.server_port}/{path}", timeout=5)
+                urllib.request.urlopen(f"http://127.0.0.1:{cameras._server.server_port}/{path}", timeout=HANG_S)

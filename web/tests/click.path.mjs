@@ -7,7 +7,7 @@ import { walk } from "./harness.mjs";
 await walk(
   async ({ page, folder, picture }) => {
     const fact = (name) => page.locator(`dt:text-is("${name}") + dd`).innerText();
-    const settled = () => page.waitForFunction(() => window.__app.fit && !window.__app.fit.busy, undefined, { timeout: 120_000 });
+    const settled = () => page.waitForFunction(() => window.__app.fit && !window.__app.fit.busy);
     const joint = (title) => page.getByRole("button", { name: title, exact: false }).first();
     const next = () => page.locator(".click-next").innerText();
     const canvas = page.locator(".click-canvas");

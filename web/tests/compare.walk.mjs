@@ -6,7 +6,6 @@ import { staysCutOff, walk } from "./harness.mjs";
 
 await walk(
   async ({ page, folder, picture }) => {
-    page.setDefaultTimeout(200_000); // on a machine that is busy with other things
     const expected = JSON.parse(readFileSync(join(folder, "expected.json"), "utf-8"));
     const { results } = await (await fetch(new URL("api/state", process.env.STUDIO))).json();
     const id = results.find((r) => r.name === "first").id;

@@ -7,7 +7,6 @@ import { staysCutOff, walk } from "./harness.mjs";
 
 await walk(
   async ({ page, folder, picture }) => {
-    page.setDefaultTimeout(200_000); // on a machine that is busy with other things
     const { first, joints } = JSON.parse(readFileSync(join(folder, "expected.json"), "utf-8"));
     const { results } = await (await fetch(new URL("api/state", process.env.STUDIO))).json();
     const spoilt = results.find((r) => r.path.endsWith("results/default")).id;
@@ -88,7 +87,7 @@ await walk(
     await page.getByRole("button", { name: "Track again from here" }).click();
     did();
     assert.ok(actions <= 6, `${actions} actions`);
-    await page.getByText(/are tracked again; default stays as it was/).waitFor({ timeout: 600_000 });
+    await page.getByText(/are tracked again; default stays as it was/).waitFor();
     await page.waitForFunction((old) => location.hash.startsWith("#/view/") && !location.hash.includes(old), spoilt);
     await page.getByText("Corrected").first().waitFor();
     await page.waitForFunction((row) => window.hypose?.pictureRow() === row, first);

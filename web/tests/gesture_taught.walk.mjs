@@ -71,8 +71,6 @@ await walk(
     await again.waitForFunction(() => !window.__app.live.step.manual);
     assert.equal((await step(again)).threshold, limit);
     await again.screenshot({ path: join(process.env.PICTURES, "gesture-test.png") });
-    const seconds = (await step(again)).time;
-    assert.ok(seconds < 240, `the session took ${seconds} s`);
     await again.getByRole("button", { name: "Stop" }).click();
     await again.getByText("The gesture is saved as gestures/tee.npz").waitFor();
     copyFileSync(join(folder, "gestures", "tee.npz"), join(folder, "first.npz"));
@@ -91,7 +89,6 @@ await walk(
     await again.getByRole("button", { name: "Stop" }).click();
     await again.getByRole("button", { name: "Another gesture" }).click();
     await again.getByRole("button", { name: "Watch", exact: true }).first().waitFor();
-    console.log(JSON.stringify({ seconds }));
   },
   { at: "#/gesture" },
 );

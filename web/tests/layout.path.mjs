@@ -6,7 +6,6 @@ const SIZES = [[1440, 900], [1280, 720], [1024, 700], [390, 844]];
 
 await walk(
   async ({ page, picture }) => {
-    page.setDefaultTimeout(120_000);
     const { results, recordings } = await (await fetch(new URL("api/state", process.env.STUDIO))).json();
     const [result, recording] = [results[0].id, recordings[0].id];
     const step = (name) => async () => {

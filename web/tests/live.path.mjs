@@ -70,7 +70,7 @@ await walk(
     assert.ok(existsSync(join(folder, "live", "live", "skeleton.csv")));
     await page.getByRole("button", { name: "Fuse it" }).click();
     const job = page.locator(".job[data-job=fuse]:is([data-state=done], [data-state=failed])");
-    await job.waitFor({ timeout: 600_000 });
+    await job.waitFor();
     assert.equal(await job.getAttribute("data-state"), "done", await job.innerText());
     await picture("live-recorded");
     await page.locator(".live-recorded").getByRole("link", { name: "Open in View" }).click();

@@ -1,11 +1,10 @@
-// Live cameras: a recording's videos are played, the person is found and followed, what is wrong is said in words, and the
-// page tells when it is over. (The server's folder holds one recording with videos of a minute.)
+// Live cameras: the person in front of a recording's cameras is found and followed, what is wrong is said in words, and the
+// page tells when it is over. (The server's folder holds one recording.)
 import assert from "node:assert/strict";
 import { barriers, staysCutOff, walk } from "./harness.mjs";
 
 await walk(
   async ({ page, picture }) => {
-    page.setDefaultTimeout(200_000);
     await page.getByText("Not running").waitFor();
     await page.getByRole("link", { name: "Cameras", exact: true }).click();
     await page.getByRole("heading", { name: "Live cameras" }).waitFor();

@@ -4,7 +4,6 @@ import { walk } from "./harness.mjs";
 
 await walk(
   async ({ page, address }) => {
-    page.setDefaultTimeout(60_000);
     const { results } = await (await fetch(new URL("api/state", address))).json();
     const order = results.filter((r) => r.path.includes(process.env.OPEN ?? "")).sort((a, b) => a.path.localeCompare(b.path));
     await page.getByRole("heading", { name: "Results" }).waitFor();

@@ -7,14 +7,13 @@ import { barriers, staysCutOff, walk } from "./harness.mjs";
 
 await walk(
   async ({ page, folder, picture }) => {
-    page.setDefaultTimeout(400_000); // on a machine that is busy with other things
     let clicks = 0;
     const click = async (what) => {
       await what.click();
       clicks++;
     };
     const button = (name) => page.getByRole("button", { name, exact: true });
-    const done = (kind) => page.locator(`.job[data-job=${kind}][data-state=done]`).first().waitFor({ timeout: 900_000 });
+    const done = (kind) => page.locator(`.job[data-job=${kind}][data-state=done]`).first().waitFor();
     const shown = (selector) => page.waitForFunction((s) => {
       const all = [...document.querySelectorAll(s)];
       return all.length > 0 && all.every((i) => i.complete && i.naturalWidth > 0);

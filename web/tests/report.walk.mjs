@@ -3,7 +3,6 @@ import assert from "node:assert/strict";
 import { walk } from "./harness.mjs";
 
 await walk(async ({ page, address, picture }) => {
-  page.setDefaultTimeout(200_000); // on a machine that is busy with other things
   assert.match(address, /^file:/);
   await page.getByRole("slider", { name: "Time" }).waitFor();
   assert.equal(await page.locator(".tile:visible").count(), 4);

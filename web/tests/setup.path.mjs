@@ -6,8 +6,7 @@ import { walk } from "./harness.mjs";
 
 await walk(
   async ({ page, folder, picture }) => {
-    page.setDefaultTimeout(300_000); // on a machine that is busy with other things
-    const done = (kind) => page.locator(`.job[data-job=${kind}][data-state=done]`).first().waitFor({ timeout: 1_200_000 });
+    const done = (kind) => page.locator(`.job[data-job=${kind}][data-state=done]`).first().waitFor();
     const all = (kind) => readdirSync(join(folder, "walk", kind)).map((name) => join(folder, "walk", kind, name));
     const files = page.getByLabel("Videos and calibration");
 
@@ -45,7 +44,7 @@ await walk(
     const pictures = () => page.evaluate(() => window.__app.pictures);
     const before = await pictures();
     await page.getByRole("slider", { name: "Threshold" }).press("ArrowRight");
-    await page.waitForFunction((n) => window.__app.pictures >= n + 4, before, { timeout: 120_000 });
+    await page.waitForFunction((n) => window.__app.pictures >= n + 4, before);
     assert.match(await page.locator(".mask-pictures img").first().getAttribute("src"), /threshold=4\.5/);
     await picture("setup-masks");
     await page.getByRole("button", { name: "Use these settings" }).click();
@@ -78,7 +77,7 @@ await walk(
     await page.locator("[data-step=track]").click();
     await page.getByRole("button", { name: "Track", exact: true }).click();
     await page.getByRole("heading", { name: "Track mine as default-2" }).waitFor();
-    await page.waitForFunction(() => document.querySelectorAll(".job[data-job=track][data-state=done]").length === 2, undefined, { timeout: 1_200_000 });
+    await page.waitForFunction(() => document.querySelectorAll(".job[data-job=track][data-state=done]").length === 2);
     assert.ok(existsSync(join(folder, "mine", "results", "default-2", "motion.npz")));
     assert.ok(first.equals(readFileSync(join(folder, "mine", "results", "default", "motion.npz"))));
 

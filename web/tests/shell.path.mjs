@@ -3,7 +3,6 @@ import assert from "node:assert/strict";
 import { barriers, walk } from "./harness.mjs";
 
 await walk(async ({ page, picture }) => {
-  page.setDefaultTimeout(120_000);
   const { results, recordings } = await (await fetch(new URL("api/state", process.env.STUDIO))).json();
   const [result, recording] = [results[0].id, recordings[0].id];
   const shown = () => page.waitForFunction(() => window.hypose?.pictureRow() === 0);

@@ -5,7 +5,6 @@ import { other, resting, walk } from "./harness.mjs";
 
 await walk(
   async ({ page, picture }) => {
-    page.setDefaultTimeout(200_000); // on a machine that is busy with other things
     const where = page.locator(".where");
     const frame = async (number) => page.waitForFunction((n) => document.querySelector(".where")?.textContent.endsWith(`frame ${n}`), number);
     const pressed = (name) => page.getByRole("button", { name, exact: true }).getAttribute("aria-pressed");

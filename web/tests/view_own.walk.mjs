@@ -10,7 +10,6 @@ const opened = (page) => page.waitForFunction(() => window.hypose && document.qu
 
 await walk(
   async ({ page, browser, folder, picture }) => {
-    page.setDefaultTimeout(200_000); // on a machine that is busy with other things
     const { results } = await (await fetch(new URL("api/state", process.env.STUDIO))).json();
     const result = (path) => results.find((r) => r.path.endsWith(path)).id;
 

@@ -29,6 +29,7 @@ from hypose.io.motions.results import ResultsFolder, load_motion, save_motion
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording
 from hypose.pipeline.first_frame import GIVEN, Subject, SubjectOptions, find_subject
+from hypose.pipeline.people_points import per_frame
 from hypose.pipeline.pictures import FrameSource
 from hypose.pipeline.run import TrackOptions, frames_wanted, track_source
 
@@ -148,10 +149,7 @@ class Backwards:
 
 def backwards(motion: Motion) -> Motion:
     """A motion with its frames in the opposite order, at the same times."""
-    series = ("joints", "poses", "joint_covariance", "lost", "extrapolated", "n_views", "cost", "doubtful", "p_wrong")
-    series += ("doubtful_joints", "angle_sd", "rivals", "rival_weights")
-    turned = {n: v[::-1].copy() for n in series if (v := getattr(motion, n)) is not None}
-    return replace(motion, **turned)
+    return replace(motion, **per_frame(motion, np.arange(len(motion))[::-1]) | {"times": motion.times})
 
 
 def join(old: Motion, new: Motion, row: int, record: Mapping[str, Any] | None) -> Motion:
@@ -171,7 +169,8 @@ def join(old: Motion, new: Motion, row: int, record: Mapping[str, Any] | None) -
             nothing = np.full_like(before[row : row + len(new)], np.nan if name == "rivals" else 0)
             fits = after is not None and after.shape == nothing.shape
             series[name][row : row + len(new)] = after if fits else nothing
-    for name, unknown in (("p_wrong", np.nan), ("doubtful_joints", False), ("angle_sd", np.nan)):
+    unknown_by_name = {"p_wrong": np.nan, "doubtful_joints": False, "angle_sd": np.nan, "systematic_covariance": 0.0}
+    for name, unknown in unknown_by_name.items():
         before, after = getattr(old, name), getattr(new, name)
         if before is not None:
             series[name] = before.copy()

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from hypose.compute.compiled import kernel
-from hypose.compute.pictures.cpu_pixels import lowest_bit, ones
+from hypose.compute.simd import lowest_bit, popcount
 
 u8 = np.uint64
 ALL = u8(0xFFFFFFFFFFFFFFFF)
@@ -200,7 +200,7 @@ def _most_runs(bits, box):
     for k in range(bits.shape[0]):
         for y in range(box[0], box[1]):
             before = bits[k - 1, y] >> u8(63) if k > 0 else u8(0)
-            total += ones(bits[k, y] & ~((bits[k, y] << u8(1)) | before))
+            total += popcount(bits[k, y] & ~((bits[k, y] << u8(1)) | before))
     return total
 
 

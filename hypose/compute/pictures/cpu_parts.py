@@ -8,7 +8,7 @@ import numpy as np
 
 from hypose.compute.compiled import kernel
 from hypose.compute.pictures.cpu_mask_bits import ALL, u8
-from hypose.compute.pictures.cpu_pixels import lowest_bit, ones
+from hypose.compute.simd import lowest_bit, popcount
 
 i4 = np.int32
 
@@ -190,9 +190,9 @@ def against_mask(mask, hidden, top, left, step, width, parts, points, radius, co
                 for p in range(n):
                     word = parts[p, k, r]
                     if word:
-                        counts[0, p] += ones(word)
-                        counts[1, p] += ones(word & alone)
-                        counts[2, p] += ones(word & out)
+                        counts[0, p] += popcount(word)
+                        counts[1, p] += popcount(word & alone)
+                        counts[2, p] += popcount(word & out)
                 parts[0, k, r] = once
     for k in range(words):
         for r in range(h):

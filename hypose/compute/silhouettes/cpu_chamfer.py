@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hypose.compute.compiled import kernel
-from hypose.compute.silhouettes.cpu_vectors import STEPS, nearest_from_left, nearest_from_right
+from hypose.compute.silhouettes.cpu_vectors import STEPS, nearest_from
 
 f4 = np.float32
 i2 = np.int16
@@ -52,12 +52,12 @@ def distances(mask, target, out):
         for x in range(w):
             inside[x] = i2(0) if (m[x] != 0) == (target != 0) else i2(FAR)
         _by_other_rows(inside, out[y - 1] if y > 0 else beyond, out[y - 2] if y > 1 else beyond)
-        nearest_from_left(inside, STRAIGHT, FAR)
+        nearest_from(inside, STRAIGHT, FAR, False)
         _along(inside, w // STEPS * STEPS, w)
     for y in range(h - 1, -1, -1):
         inside = out[y, 2 : w + 2]
         _by_other_rows(inside, out[y + 1] if y < h - 1 else beyond, out[y + 2] if y < h - 2 else beyond)
-        nearest_from_right(inside, STRAIGHT, FAR)
+        nearest_from(inside, STRAIGHT, FAR, True)
         _along(inside[::-1], w // STEPS * STEPS, w)
 
 

@@ -31,12 +31,12 @@ from hypose.compute.silhouettes.cpu_vectors import (
     STRIP,
     count_strip,
     front_lanes,
-    lowest_bit,
     prepare_edge,
     project_vertices,
     skin_vertex,
     write_crossings,
 )
+from hypose.compute.simd import lowest_bit
 
 f4 = np.float32
 

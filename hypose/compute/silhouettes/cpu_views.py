@@ -6,73 +6,55 @@ and which faces meet in an edge, is read once for all of them.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from llvmlite import ir
-from numba import types
-from numba.core import cgutils
-from numba.extending import intrinsic
 
 from hypose.compute.compiled import kernel
 from hypose.compute.cpu_kinematics import camera_about_root
 from hypose.compute.silhouettes.cpu_silhouettes import cross_columns
-from hypose.compute.vector_code import Arrays, Vector, constant, splat
+from hypose.compute.simd import at_least, at_most, bits, load, splat, store
 
 VIEWS = 4
 """views that are looked at together: a register of every processor"""
 
 f4, u4 = np.float32, np.uint32
-_FLOAT, _BYTE, _I64 = ir.FloatType(), ir.IntType(8), ir.IntType(64)
-_FLOATS = ir.VectorType(_FLOAT, VIEWS)
 
 
-@intrinsic
-def _project_views(typingctx: Any, vertices, p, uv, bounds):
+@kernel
+def _project_views(vertices, p, uv, bounds):
     """Pixels uv (V, 2, VIEWS) of vertices (V, 3) under projections p (12, VIEWS), all f4; bounds (5, VIEWS) gets
     x0, x1, y0, y1 and the nearest depth."""
-
-    def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        at = Arrays(context, builder, signature, args)
-        m = [at.load(1, _I64(k * VIEWS), _FLOATS) for k in range(12)]
-        far = [constant(builder, _FLOATS, [s * 1e9] * VIEWS) for s in (1, -1, 1, -1, 1)]
-        extremes = [cgutils.alloca_once_value(builder, f.v) for f in far]
-        one = constant(builder, _FLOATS, [1.0] * VIEWS)
-        count = builder.extract_value(context.make_array(signature.args[0])(context, builder, args[0]).shape, 0)
-        with cgutils.for_range(builder, count, intp=_I64) as loop:
-            row = builder.mul(loop.index, _I64(3))
-            x, y, z = (splat(builder, at.scalar(0, builder.add(row, _I64(i))), _FLOATS) for i in range(3))
-            a, b, depth = (m[4 * i] * x + m[4 * i + 1] * y + m[4 * i + 2] * z + m[4 * i + 3] for i in range(3))
-            inverse = one / depth
-            a, b = a * inverse, b * inverse
-            place = builder.mul(loop.index, _I64(2 * VIEWS))
-            at.store(a, 2, place)
-            at.store(b, 2, builder.add(place, _I64(VIEWS)))
-            for k, value in enumerate((a, a, b, b, depth)):
-                old = Vector(builder, builder.load(extremes[k]))
-                new = value.at_least(old) if k in (1, 3) else value.at_most(old)
-                builder.store(new.v, extremes[k])
-        for k, extreme in enumerate(extremes):
-            at.store(Vector(builder, builder.load(extreme)), 3, _I64(k * VIEWS))
-        return context.get_dummy_value()
-
-    return types.none(vertices, p, uv, bounds), code
+    left, right, top = splat(f4(1e9), VIEWS), splat(f4(-1e9), VIEWS), splat(f4(1e9), VIEWS)
+    bottom, near = splat(f4(-1e9), VIEWS), splat(f4(1e9), VIEWS)
+    for k in range(vertices.shape[0]):
+        x, y, z = vertices[k, 0], vertices[k, 1], vertices[k, 2]
+        depth = _times_row(p, 8 * VIEWS, x, y, z)
+        inverse = f4(1) / depth
+        u, v = _times_row(p, 0, x, y, z) * inverse, _times_row(p, 4 * VIEWS, x, y, z) * inverse
+        store(uv, 2 * VIEWS * k, u)
+        store(uv, 2 * VIEWS * k + VIEWS, v)
+        left, right, top, bottom = at_most(u, left), at_least(u, right), at_most(v, top), at_least(v, bottom)
+        near = at_most(depth, near)
+    store(bounds, 0, left)
+    store(bounds, VIEWS, right)
+    store(bounds, 2 * VIEWS, top)
+    store(bounds, 3 * VIEWS, bottom)
+    store(bounds, 4 * VIEWS, near)
 
 
-@intrinsic
-def _front_views(typingctx: Any, uv, a, b, c):
+@kernel
+def _times_row(p, at, x, y, z):
+    """A row of projections times a point."""
+    value = load(p, at, VIEWS) * x + load(p, at + VIEWS, VIEWS) * y + load(p, at + 2 * VIEWS, VIEWS) * z
+    return value + load(p, at + 3 * VIEWS, VIEWS)
+
+
+@kernel
+def _front_views(uv, a, b, c):
     """Bit k of the result: the triangle of vertices a, b, c (rows of uv (V, 2, VIEWS) f4) is clockwise in view k."""
-
-    def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        at = Arrays(context, builder, signature, args)
-        rows = [builder.mul(builder.sext(r, _I64), _I64(2 * VIEWS)) for r in args[1:]]
-        (ua, ub, uc), (va, vb, vc) = (
-            [at.load(0, builder.add(r, _I64(k * VIEWS)), _FLOATS) for r in rows] for k in range(2)
-        )
-        clockwise = (ub - ua) * (vc - va) < (uc - ua) * (vb - va)
-        return builder.zext(clockwise.bits(ir.IntType(VIEWS)), _BYTE)
-
-    return types.uint8(uv, types.int32, types.int32, types.int32), code
+    i, j, k = a * (2 * VIEWS), b * (2 * VIEWS), c * (2 * VIEWS)
+    ua, ub, uc = load(uv, i, VIEWS), load(uv, j, VIEWS), load(uv, k, VIEWS)
+    va, vb, vc = load(uv, i + VIEWS, VIEWS), load(uv, j + VIEWS, VIEWS), load(uv, k + VIEWS, VIEWS)
+    return bits((ub - ua) * (vc - va) < (uc - ua) * (vb - va))
 
 
 @kernel

@@ -8,13 +8,8 @@ where the next one goes, and the place moves on when it counts.
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
-from llvmlite import ir
-from numba import types
-from numba.core import cgutils
-from numba.extending import intrinsic
 
 from hypose.compute.compiled import kernel
 from hypose.compute.silhouettes.cpu_silhouettes import NEAR
@@ -23,45 +18,26 @@ from hypose.compute.silhouettes.cpu_views import contours_of_view, emit_lines
 from hypose.compute.solver.cpu_losses import geman_mcclure
 from hypose.compute.solver.cpu_rows import BORDER
 from hypose.compute.solver.terms import NOT_KNOWN, RIM
-from hypose.compute.vector_code import Arrays, Vector, constant, splat
 
-f4, i4, u4 = np.float32, np.int32, np.uint32
+f4, i4, u4, u8 = np.float32, np.int32, np.uint32, np.uint64
 _BAND, _BANDS = 8, 64
 """rows of a band in which a point of the mask's outline is looked for first, and so many of them"""
 _NEXT_BAND = int(0.98 * 64 * _BAND**2)
 """a squared distance, packed, that no point has which lies a whole band or more above or below"""
-_EIGHT = 8
 _OUT, _OPEN = -2, -1
 """places of points that are no evidence, and of those that look out of the window"""
-_I32, _I64 = ir.IntType(32), ir.IntType(64)
-_FLOATS, _INTS = ir.VectorType(ir.FloatType(), _EIGHT), ir.VectorType(_I32, _EIGHT)
 
 
-@intrinsic
-def _nearest(typingctx: Any, u, v, number, begin, end, x, y):
-    """The nearest to (x, y) of points u, v (N,) f4 from begin to end, multiples of 8: squared distance in 1/64 px^2 and
-    the point's number (i4) are packed into one integer, so that the minimum needs no branch."""
-
-    def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        at = Arrays(context, builder, signature, args)
-        x, y = (splat(builder, a, _FLOATS) for a in args[5:])
-        finest, limit = (constant(builder, _FLOATS, [a] * _EIGHT) for a in (64.0, 1e6))
-        best = cgutils.alloca_once_value(builder, ir.Constant(_INTS, [2147483647] * _EIGHT))
-        with cgutils.for_range_slice(builder, args[3], args[4], _I64(_EIGHT), intp=_I64) as (i, _):
-            dx, dy = at.load(0, i, _FLOATS) - x, at.load(1, i, _FLOATS) - y
-            distance = ((dx * dx + dy * dy) * finest).at_most(limit)
-            packed = builder.shl(builder.fptosi(distance.v, _INTS), ir.Constant(_INTS, [11] * _EIGHT))
-            one = Vector(builder, packed) | at.load(2, i, _INTS)
-            builder.store(one.at_most(Vector(builder, builder.load(best))).v, best)
-        least = Vector(builder, builder.load(best))
-        for width in (4, 2, 1):
-            order = [(k + width) % _EIGHT for k in range(_EIGHT)]
-            turned = builder.shuffle_vector(least.v, least.v, ir.Constant(_INTS, order))
-            least = least.at_most(Vector(builder, turned))
-        return builder.extract_element(least.v, _I32(0))
-
-    i8, single = types.int64, types.float32
-    return types.int32(u, v, number, i8, i8, single, single), code
+@kernel
+def _nearest(u, v, number, begin, end, x, y):
+    """The nearest to (x, y) of points u, v (N,) f4 from begin to end: squared distance in 1/64 px^2 and the point's
+    number (i4) are packed into one integer, so that the minimum needs no branch, and the loop vectorises."""
+    best = i4(2147483647)
+    for i in range(u8(begin), u8(end)):  # of signed indices each would be compared with 0
+        dx, dy = u[i] - x, v[i] - y
+        one = i4((i4(min((dx * dx + dy * dy) * f4(64), f4(1e6))) << i4(11)) | number[i])
+        best = one if one < best else best
+    return best
 
 
 @kernel

@@ -15,7 +15,6 @@ import time
 import urllib.error
 import urllib.parse
 import urllib.request
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, Protocol
@@ -349,29 +348,21 @@ class _Played:
 
     live = False
 
-    def __init__(
-        self,
-        reader: Film,
-        rate: float,
-        begin: float,
-        wait: Callable[[float], None] = time.sleep,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
+    def __init__(self, reader: Film, rate: float, begin: float) -> None:
         self._reader, self._rate, self._begin = reader, reader.frame_rate or rate, begin
-        self._wait, self._clock = wait, clock
 
     def read(self) -> Shot:
         """See `CameraSource`."""
-        due = int((self._clock() - self._begin) * self._rate)
+        due = int((time.monotonic() - self._begin) * self._rate)
         number = max(self._reader.position, min(due, self._reader.n_frames - 1))
         if self._reader.position >= self._reader.n_frames:
             raise StreamEnded(f"{self._reader.path} is over.")
         image = self._reader.read(number)
         at = self._begin + number / self._rate
-        left = at - self._clock()
+        left = at - time.monotonic()
         if left > 0:
-            self._wait(left)
-        return Shot(self._clock(), at, image)
+            time.sleep(left)
+        return Shot(time.monotonic(), at, image)
 
     def close(self) -> None:
         """See `CameraSource`."""

@@ -13,6 +13,7 @@ from websockets.sync.client import connect
 from hypose.app.studio.server import Studio, StudioOptions, make_server
 from tests import missing
 from tests.app.studio.browser import build
+from tests.conftest import HANG_S
 
 
 class Client:
@@ -28,7 +29,7 @@ class Client:
         method = method or ("GET" if body is None else "POST")
         request = urllib.request.Request(self.address + path.lstrip("/"), body, headers or {}, method=method)
         try:
-            with urllib.request.urlopen(request, timeout=120) as answer:
+            with urllib.request.urlopen(request, timeout=HANG_S) as answer:
                 return answer.status, answer.headers, answer.read()
         except urllib.error.HTTPError as error:
             return error.code, error.headers, error.read()
@@ -55,12 +56,12 @@ def serving(root, **options):
     server = make_server(studio, "127.0.0.1", 0, listening)
     thread = threading.Thread(target=server.run, daemon=True)
     thread.start()
-    assert ready.wait(120)
+    assert ready.wait(HANG_S)
     try:
         yield Client(studio, ports[0])
     finally:
         server.should_exit = True
-        thread.join(60)
+        thread.join(HANG_S)
         assert not thread.is_alive()
 
 

@@ -3,7 +3,6 @@
 import importlib.util
 import json
 import sys
-from typing import Any
 
 import pytest
 
@@ -69,25 +68,6 @@ def test_without_node_or_network_the_installation_goes_on_and_says_so(builder, m
     monkeypatch.setenv("HYPOSE_PAGE", "skip")
     hook.initialize("standard", {})
     assert capsys.readouterr().err == ""
-
-
-def test_compiled_code_makes_a_wheel_for_one_python_and_system(builder, monkeypatch):
-    if importlib.util.find_spec("hatchling") is None:
-        missing.skip("the hook that brings compiled code along", "pip install hatchling")
-    monkeypatch.setenv("HYPOSE_PAGE", "skip")
-    monkeypatch.setenv("HYPOSE_KERNELS", "build")
-    monkeypatch.setattr(builder, "build_kernels", lambda folder: folder / "made")
-    hook = builder.Besides.__new__(builder.Besides)
-    given: dict[str, Any] = {"force_include": {}}
-    monkeypatch.setattr(builder.Besides, "target_name", "wheel")
-    hook.initialize("editable", given)
-    assert given == {"force_include": {}}
-    hook.initialize("standard", given)
-    (made,) = given["force_include"]
-    assert made.endswith("made") and given["force_include"][made] == "hypose/assets/kernels.tar.xz"
-    python, none, system = given["tag"].split("-")
-    assert (python, none) == (f"cp{sys.version_info[0]}{sys.version_info[1]}", "none") and system != "any"
-    assert given["pure_python"] is False
 
 
 def test_what_the_build_says_is_in_the_error(builder):

@@ -18,6 +18,8 @@ from tests.pipeline.test_gait import walking
 
 APART = np.array([0.03, 0.0, 0.04])
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def two(served, tmp_path_factory):

@@ -10,12 +10,13 @@ from hypose.app.studio.catalog import Catalog
 from hypose.app.studio.job_kinds import plan
 from hypose.io.sensors.skeleton_formats import read_skeletons
 from hypose.synthetic.sensors import FRAME_RATE
+from tests.conftest import HANG_S
 
 
 def until(socket, kind, **wanted):
     """The next message of a kind with these values."""
     while True:
-        message = json.loads(socket.recv(120))
+        message = json.loads(socket.recv(HANG_S))
         if message["t"] == kind and all(message.get(k) == v for k, v in wanted.items()):
             return message
 

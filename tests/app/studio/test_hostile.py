@@ -18,6 +18,7 @@ from hypose.app.studio.memory_cache import Kept
 from hypose.app.studio.sockets import tell
 from hypose.errors import InputError
 from tests.app.studio.conftest import serving
+from tests.conftest import HANG_S
 
 LOGGERS = ("asyncio", "uvicorn.error", "websockets.server")
 
@@ -39,9 +40,9 @@ def log():
         logging.getLogger(name).removeHandler(keep)
 
 
-def raw(port, data, seconds=30):
+def raw(port, data):
     """What the server answers to these bytes until it ends the connection or has said a whole head."""
-    with socket.create_connection(("127.0.0.1", port), timeout=seconds) as s:
+    with socket.create_connection(("127.0.0.1", port), timeout=HANG_S) as s:
         s.sendall(data)
         got = b""
         while b"\r\n\r\n" not in got and (more := s.recv(65536)):
@@ -53,15 +54,15 @@ def test_only_so_many_connections_are_open(served, monkeypatch):
     monkeypatch.setattr("hypose.app.studio.server.MOST_CONNECTIONS", 20)
     with serving(served) as client, contextlib.ExitStack() as held:
         with client.socket("/ws/jobs") as ws:
-            assert json.loads(ws.recv(30))["t"] == "jobs"
+            assert json.loads(ws.recv(HANG_S))["t"] == "jobs"
             for n in range(18):
-                s = held.enter_context(socket.create_connection(("127.0.0.1", client.port), timeout=30))
+                s = held.enter_context(socket.create_connection(("127.0.0.1", client.port), timeout=HANG_S))
                 s.sendall((b"", b"GET / HTT")[n % 2])
                 if n < 15:
                     assert client.ask("/api/state")[0] == 200
-            held.enter_context(socket.create_connection(("127.0.0.1", client.port), timeout=30))
+            held.enter_context(socket.create_connection(("127.0.0.1", client.port), timeout=HANG_S))
             assert client.ask("/api/state")[0] == 503
-            assert ws.ping().wait(30)  # the page stays
+            assert ws.ping().wait(HANG_S)  # the page stays
             held.close()
             while client.ask("/api/state")[0] != 200:
                 pass
@@ -130,7 +131,7 @@ def test_a_body_that_means_nothing_is_a_sentence(studio, body):
 @pytest.mark.parametrize("path", ["/ws/gesture", "/ws/fuse", "/ws/cameras", "/ws/jobs"])
 def test_any_frame_is_answered_or_ends_the_connection(studio, log, path):
     with studio.socket(path) as ws:
-        ws.recv(30)
+        ws.recv(HANG_S)
         if path != "/ws/jobs":  # there a page has nothing to say, and nothing is listened to
             for said in (
                 b"\x00\xff",
@@ -141,16 +142,16 @@ def test_any_frame_is_answered_or_ends_the_connection(studio, log, path):
                 '{"t": "box", "x": ' + "[" * 500 + "]" * 500 + "}",
             ):
                 ws.send(said)
-                answer = json.loads(ws.recv(30))
+                answer = json.loads(ws.recv(HANG_S))
                 assert answer["t"] == "error" and answer["error"].endswith("."), answer
         ws.send([b"\x00", b"", b"\xff"])
         ws.send(["half", " of ", "it"])
     with studio.socket(path) as ws:
-        ws.recv(30)
+        ws.recv(HANG_S)
         with pytest.raises(ConnectionClosed) as closed:
             ws.send(b"\xff\xfe", text=True)
             while True:
-                ws.recv(30)
+                ws.recv(HANG_S)
         assert closed.value.rcvd.code == 1007
     assert not any("Traceback" in line for line in log)
 
@@ -159,14 +160,14 @@ def test_any_frame_is_answered_or_ends_the_connection(studio, log, path):
 def test_answers_to_a_page_that_has_broken_the_rules_go_nowhere(studio, log, path):
     for _ in range(5):
         with studio.socket(path) as ws:
-            ws.recv(30)
+            ws.recv(HANG_S)
             # sentences are on their way when the server ends the connection for a frame that is none
             ws.protocol.writes.extend(b"\x81\x81\0\0\0\0{" for _ in range(30))
             ws.protocol.writes.append(b"\xff\xff")
             with pytest.raises(ConnectionClosed):
                 ws.send("{}")
                 while True:
-                    ws.recv(30)
+                    ws.recv(HANG_S)
     for _ in range(20):
         assert studio.ask("/api/click-joints")[0] == 200
     assert log == []
@@ -193,7 +194,7 @@ def test_a_body_that_does_not_come_is_not_waited_for(studio, monkeypatch):
 def test_who_leaves_in_the_middle_of_a_body_is_no_bug(studio, log):
     head = f"POST /api/jobs HTTP/1.1\r\nHost: 127.0.0.1:{studio.port}\r\nContent-Length: 100\r\n\r\n{{".encode()
     for path in (b"/api/jobs", b"/api/uploads/a.mp4"):
-        with socket.create_connection(("127.0.0.1", studio.port), timeout=30) as s:
+        with socket.create_connection(("127.0.0.1", studio.port), timeout=HANG_S) as s:
             s.sendall(head.replace(b"/api/jobs", path).replace(b"POST", b"PUT" if b"uploads" in path else b"POST"))
             assert studio.ask("/api/click-joints")[0] == 200  # it has come there
     for _ in range(20):
@@ -204,15 +205,15 @@ def test_who_leaves_in_the_middle_of_a_body_is_no_bug(studio, log):
 def test_two_pages_that_start_the_fusion_at_once_start_one(own_studio):
     with own_studio.socket("/ws/fuse") as one, own_studio.socket("/ws/fuse") as other:
         for ws in (one, other):
-            ws.recv(30)
+            ws.recv(HANG_S)
         for ws in (one, other):
             ws.send('{"t": "start", "udp": 0, "ws": 0}')
-        heard = [json.loads(ws.recv(60)) for ws in (one, other) for _ in range(1)]
+        heard = [json.loads(ws.recv(HANG_S)) for ws in (one, other) for _ in range(1)]
         assert sum(m["t"] == "error" for m in heard) <= 1
         running = own_studio.studio.fusion.hello()["running"]
         assert running and all(m["running"] == running for m in heard if m["t"] == "hello" and m["running"])
         one.send('{"t": "stop"}')
-        while json.loads(one.recv(60)).get("running") is not False:
+        while json.loads(one.recv(HANG_S)).get("running") is not False:
             pass
 
 

@@ -14,10 +14,11 @@ from hypose.errors import InputError
 from hypose.io.motions.results import load_motion
 from tests.app.studio.conftest import serving
 from tests.bundles import read_bundle
+from tests.conftest import HANG_S
 
 
-def wait(client, id, *states, seconds=300):
-    for _ in range(seconds * 5):
+def wait(client, id, *states):
+    for _ in range(int(HANG_S * 5)):
         job = client.get(f"/api/jobs/{id}")
         if job["state"] in states:
             return job
@@ -65,6 +66,7 @@ def test_a_demo_says_where_its_result_will_be(folder):
     assert made.result == catalog.id_of("result", folder / "demo" / "results" / "default")
 
 
+@pytest.mark.slow
 def test_what_an_input_error_ends_is_not_to_be_gone_on_with(own_studio, folder):
     """The same input is the same error again; what was stopped, or has a checkpoint, goes on."""
     ask = {"kind": "track", "recording": recording_of(own_studio), "options": {"recipe": "no-such"}}
@@ -138,12 +140,12 @@ def test_an_export_runs_and_tells(own_studio, folder):
     result = own_studio.get("/api/state")["results"][0]["id"]
     (folder / "walk/results/default/motion.trc").unlink()
     with own_studio.socket("/ws/jobs") as ws:
-        assert json.loads(ws.recv(30))["t"] == "jobs"
+        assert json.loads(ws.recv(HANG_S))["t"] == "jobs"
         job = own_studio.get(f"/api/results/{result}/export", {"formats": ["trc"]}, status=201)
         assert job["state"] in ("queued", "running") and job["command"].endswith("--formats trc")
         told = []
         while not told or told[-1]["t"] != "files":
-            told.append(json.loads(ws.recv(240)))
+            told.append(json.loads(ws.recv(HANG_S)))
     states = [m["job"]["state"] for m in told if m["t"] == "job"]
     assert states[-1] == "done" and "running" in states
     assert (folder / "walk/results/default/motion.trc").is_file()

@@ -12,29 +12,43 @@ import numpy as np
 import pytest
 
 from hypose.app.studio import camera_socket
-from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError
 from hypose.io.recordings.frames import working_rig
 from hypose.io.recordings.recording import load_recording
 from hypose.io.videos.camera_sources import Shot
 from hypose.pipeline.live.engine import LiveStatus
-from hypose.synthetic.rigs import circle
-from hypose.synthetic.scenes import make_scene
+from hypose.pipeline.live.eyes import EyesOptions
 from hypose.synthetic.write_recording import write_scene
 from tests.app.studio.browser import WEB, go
 from tests.app.studio.conftest import serving
+from tests.conftest import HANG_S
+from tests.live_scenes import Clock, Stage, in_step, slow_walk
+
+RATE = 8.0
+
+
+@pytest.fixture(scope="module")
+def stage():
+    """Four small cameras, and a person before them as long as they are looked at."""
+    stage = Stage(slow_walk(), RATE, 8)
+    stage.begin = 0.0
+    return stage
 
 
 @pytest.fixture(scope="module")
 def served_live(tmp_path_factory):
-    """A studio whose folder holds a recording by four small cameras, of a minute: a busy computer looks for long."""
+    """A studio whose folder holds a recording by the cameras of the stage."""
     root = tmp_path_factory.mktemp("live")
-    rig = CameraRig(tuple(circle((35, 145, 215, 325), 4.1, (1.2, 1.6, 2.0, 1.4), 240, (256, 192))))
-    write_scene(
-        make_scene("walk", rig=rig, seconds=60.0, frame_rate=10.0, seed=644), root / "walk", background_frames=12
-    )
+    write_scene(slow_walk(), root / "walk", background_frames=12)
     with serving(root) as client:
         yield client
+
+
+@pytest.fixture
+def followed(monkeypatch, stage):
+    """What the studio starts looks at the stage, never faster than in truth."""
+    monkeypatch.setattr(stage, "clock", Clock())
+    in_step(monkeypatch, stage, [camera_socket], 0.5 / RATE)
 
 
 def walk_of(client):
@@ -44,13 +58,13 @@ def walk_of(client):
 
 def until(socket, kind, wanted=lambda message: True):
     while True:
-        message = json.loads(socket.recv(150))
+        message = json.loads(socket.recv(HANG_S))
         assert message["t"] != "error", message
         if message["t"] == kind and wanted(message):
             return message
 
 
-def test_a_person_is_followed_recorded_and_shown(served_live):
+def test_a_person_is_followed_recorded_and_shown(served_live, followed):
     client = served_live
     recording = client.get("/api/state")["recordings"][0]["id"]
     with client.socket("/ws/cameras") as socket:
@@ -68,7 +82,7 @@ def test_a_person_is_followed_recorded_and_shown(served_live):
         shown = Shot(0.0, None, base64.b64decode(pictures[0]["jpeg"])).picture()
         assert shown is not None and shown.shape[1] == 320
         socket.send(json.dumps({"t": "start", "recording": recording}))
-        while (message := json.loads(socket.recv(60)))["t"] != "error":
+        while (message := json.loads(socket.recv(HANG_S)))["t"] != "error":
             pass
         assert "running already" in message["error"]
         socket.send('{"t": "stop"}')
@@ -92,7 +106,7 @@ def test_what_cannot_be_started_is_said(served_live, more, why):
     recording = served_live.get("/api/state")["recordings"][0]["id"]
     with served_live.socket("/ws/cameras") as socket:
         socket.send(json.dumps({"t": "start", "recording": recording, **more}))
-        while (message := json.loads(socket.recv(60)))["t"] != "error":
+        while (message := json.loads(socket.recv(HANG_S)))["t"] != "error":
             pass
         assert why in message["error"]
 
@@ -105,7 +119,7 @@ def test_what_could_not_be_started_leaves_nothing_behind(served_live):
         # nobody listens at these
         sources = {f"cam{k}": f"http://127.0.0.1:{k}/" for k in (1, 2)}
         socket.send(json.dumps({"t": "start", "recording": recording, "sources": sources, "record": True}))
-        while (message := json.loads(socket.recv(60)))["t"] != "error":
+        while (message := json.loads(socket.recv(HANG_S)))["t"] != "error":
             pass
         assert "cannot be opened" in message["error"]
         assert not {"pictures", "recorder", "live"} & ({t.name for t in threading.enumerate()} - before)
@@ -162,11 +176,10 @@ def test_what_was_recorded_is_kept_whatever_ends_it(served_live, monkeypatch, fa
         else:
             ws.send('{"t": "stop"}')
     folder = served_live.studio.catalog.root / running["record"]
-    for _ in range(200):
-        if not _listening(running["ws"]) and (folder / "recording.toml").exists():
-            break
+    end = time.monotonic() + HANG_S
+    while _listening(running["ws"]) or not (folder / "recording.toml").exists():
+        assert time.monotonic() < end
         time.sleep(0.05)
-    assert not _listening(running["ws"])
     assert load_recording(folder).n_frames == 2 and host.hello()["running"] is False
 
 
@@ -183,11 +196,13 @@ def test_nothing_is_recorded_outside_of_the_served_folder(own_studio, tmp_path):
     for path, more in (("/ws/cameras", {"recording": recording}), ("/ws/fuse", {"udp": 0, "ws": 0})):
         with own_studio.socket(path) as ws:
             ws.send(json.dumps({"t": "start", "record": True, **more}))
-            while (message := json.loads(ws.recv(60)))["t"] != "error":
+            while (message := json.loads(ws.recv(HANG_S)))["t"] != "error":
                 assert not message.get("running")
             assert "leads out of the served folder" in message["error"]
     assert not list((tmp_path / "elsewhere").iterdir())
 
 
-def test_the_page_follows_a_person(served_live, tmp_path):
+def test_the_page_follows_a_person(served_live, followed, tmp_path, monkeypatch):
+    # so long that the page shows it, however busy the computer is
+    monkeypatch.setattr(camera_socket, "EyesOptions", lambda rate, _, masks: EyesOptions(rate, 600.0, masks))
     go(WEB / "tests" / "live_cameras.walk.mjs", served_live.address, served_live.studio.catalog.root, tmp_path)

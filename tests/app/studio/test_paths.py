@@ -9,14 +9,8 @@ from tests.app.studio.browser import PATHS, go
 from tests.app.studio.conftest import serving
 
 
-def _parameter(path):
-    head = path.read_text("utf-8").splitlines()[0]
-    return pytest.param(
-        path, marks=[pytest.mark.slow] if "slow" in head else [], id=path.name.removesuffix(".path.mjs")
-    )
-
-
-@pytest.mark.parametrize("path", [_parameter(p) for p in PATHS])
+@pytest.mark.slow
+@pytest.mark.parametrize("path", PATHS, ids=lambda p: p.name.removesuffix(".path.mjs"))
 def test_path(path, page, served, tmp_path):
     root = tmp_path / "root"
     if "folder: empty" in path.read_text("utf-8").splitlines()[0]:

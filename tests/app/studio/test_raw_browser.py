@@ -16,6 +16,8 @@ from tests.app.studio.conftest import serving
 
 MOST_CLICKS = 15
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory):

@@ -54,6 +54,7 @@ def test_pictures_are_undistorted_and_masks_follow_the_settings(studio):
     assert later.shape == (120, 160, 3) and np.array_equal(again, plain)
 
 
+@pytest.mark.slow
 def test_depth_views_are_pictures_and_cut_out_by_depth(tmp_path):
     """In Set up and in View; near is bright, and what no setting changes is said to have none."""
     scene = walking_scene("wave", "", "depth-1", seconds=0.2, frame_rate=25.0, seed=5)

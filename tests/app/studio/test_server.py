@@ -17,6 +17,7 @@ from hypose.app.studio import view_answers
 from hypose.app.studio.guard import Access
 from tests.app.studio.conftest import serving
 from tests.bundles import read_bundle
+from tests.conftest import HANG_S
 
 
 def result_of(client):
@@ -102,15 +103,15 @@ def test_what_nobody_waits_for_any_more_is_not_made(own_studio, folder, monkeypa
     def slowly(result):
         made.append(1)
         begun.set()
-        assert go_on.wait(60)
+        assert go_on.wait(HANG_S)
         return make(result)
 
     monkeypatch.setattr(view_answers, "view_bundle", slowly)
     for id in ids[:4]:
-        with socket.create_connection(("127.0.0.1", own_studio.port), timeout=30) as s:
+        with socket.create_connection(("127.0.0.1", own_studio.port), timeout=HANG_S) as s:
             head = f"GET /api/results/{id}/view HTTP/1.1\r\nHost: 127.0.0.1:{own_studio.port}\r\n\r\n"
             s.sendall(head.encode())
-            assert begun.wait(60) and own_studio.ask("/api/click-joints")[0] == 200  # it has come there
+            assert begun.wait(HANG_S) and own_studio.ask("/api/click-joints")[0] == 200  # it has come there
     assert own_studio.ask("/api/click-joints")[0] == 200  # and has gone
     with ThreadPoolExecutor(1) as pool:
         last = pool.submit(own_studio.ask, f"/api/results/{ids[4]}/view")
@@ -189,7 +190,7 @@ def test_the_own_page_and_programs_may(studio):
     assert studio.ask("/api/jobs", {}, headers={"Origin": own})[0] == 400  # heard, and then found wanting
     for origin in (own, None):
         with studio.socket("/ws/jobs", origin=origin) as ws:
-            assert json.loads(ws.recv(30)) == {"t": "jobs", "jobs": []}
+            assert json.loads(ws.recv(HANG_S)) == {"t": "jobs", "jobs": []}
 
 
 def test_a_foreign_name_for_this_computer_is_refused(studio):
@@ -200,11 +201,11 @@ def test_a_foreign_name_for_this_computer_is_refused(studio):
 def test_an_oversized_message_ends_the_connection(studio):
     for path in ("/ws/jobs", "/ws/gesture", "/ws/fuse"):
         with studio.socket(path) as ws:
-            ws.recv(30)
+            ws.recv(HANG_S)
             with pytest.raises(ConnectionClosed) as closed:
                 ws.send("x" * 70_000)
                 while True:
-                    ws.recv(30)
+                    ws.recv(HANG_S)
             assert closed.value.rcvd.code == 1009
     assert studio.ask("/api/fit-clicks", data=b"[" * (2 << 20))[0] == 413
     assert studio.ask("/api/fit-clicks", data=b"[" * 9000)[0] == 400
@@ -213,10 +214,10 @@ def test_an_oversized_message_ends_the_connection(studio):
 def test_nonsense_on_a_socket_is_answered_with_a_sentence(studio):
     for path in ("/ws/gesture", "/ws/fuse"):
         with studio.socket(path) as ws:
-            ws.recv(30)
+            ws.recv(HANG_S)
             for text in ("{", "[]", '{"t": 3}', '{"t": "fly"}', '{"t": "start"}' if "gesture" in path else '{"t":"x"}'):
                 ws.send(text)
-                answer = json.loads(ws.recv(30))
+                answer = json.loads(ws.recv(HANG_S))
                 assert answer["t"] == "error" and answer["error"].endswith(".")
 
 
@@ -224,7 +225,7 @@ def test_too_many_connections_are_refused(served):
     with serving(served) as studio, contextlib.ExitStack() as stack:  # its own: places are free again after a moment
         with pytest.raises(ConnectionClosed) as closed:
             for _ in range(17):
-                stack.enter_context(studio.socket("/ws/jobs")).recv(30)
+                stack.enter_context(studio.socket("/ws/jobs")).recv(HANG_S)
         assert closed.value.rcvd.code == 1013
 
 
@@ -240,7 +241,7 @@ def test_others_than_this_computer_need_the_token(served):
             client.socket("/ws/jobs")
         assert refused.value.response.status_code == 403
         with client.socket("/ws/jobs?token=secret") as ws:
-            assert json.loads(ws.recv(30))["t"] == "jobs"
+            assert json.loads(ws.recv(HANG_S))["t"] == "jobs"
 
 
 def test_without_a_page_the_server_says_what_to_do(served, monkeypatch, tmp_path):

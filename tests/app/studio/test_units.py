@@ -6,6 +6,7 @@ import pytest
 
 from tests import missing
 from tests.app.studio.browser import WEB, build
+from tests.conftest import HANG_S
 
 
 @pytest.mark.parametrize("path", sorted((WEB / "tests").glob("*.unit.mjs")), ids=lambda p: p.name.split(".")[0])
@@ -17,5 +18,5 @@ def test_unit(path):
         node, _ = builder.find_node()
     except builder.PageError as error:
         missing.skip("the studio's page", f"have Node ({str(error).replace(';', ',')})")
-    done = subprocess.run([node, str(path)], cwd=WEB, capture_output=True, text=True, timeout=120)
+    done = subprocess.run([node, str(path)], cwd=WEB, capture_output=True, text=True, timeout=HANG_S)
     assert done.returncode == 0, f"{path.name}:\n{done.stdout[-2000:]}\n{done.stderr[-4000:]}"

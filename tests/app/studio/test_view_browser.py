@@ -27,6 +27,8 @@ from tests.app.studio.browser import WEB, go
 from tests.app.studio.conftest import serving
 from tests.app.studio.spoilt import ARM, ROWS, spoil_arm
 
+pytestmark = pytest.mark.slow
+
 
 def flagged(source, target):
     """The run with two lost frames and an extrapolated one."""
@@ -61,7 +63,6 @@ def expected(recording, results, row=5):
     return {"row": row, "vertices": vertices.ravel().tolist(), "cameras": cameras, **spread}
 
 
-@pytest.mark.slow
 def test_flags_comparison_and_ten_minutes(served, page, tmp_path):
     root = shutil.copytree(served, tmp_path / "root")
     default = root / "walk" / "results" / "default"
@@ -132,7 +133,6 @@ def test_much_said_of_a_result_covers_nothing(served, page, tmp_path, monkeypatc
         go(WEB / "tests" / "layout.path.mjs", client.address, root, tmp_path)
 
 
-@pytest.mark.slow
 def test_a_report_is_the_same_view_from_disk(served, page, tmp_path):
     recording = load_recording(served / "walk")
     text = report_html(from_result(load_view(served / "walk" / "results" / "default"), recording))

@@ -16,6 +16,7 @@ from hypose.pipeline.live.background_work import BackgroundWork, KeptMasks, fitt
 from hypose.synthetic.corruptions import Corruptions
 from hypose.synthetic.rigs import rig
 from hypose.synthetic.scenes import make_scene
+from tests.conftest import HANG_S
 
 
 def test_masks_are_kept_bit_for_bit(rng):
@@ -40,6 +41,7 @@ def kept_of(desync, seconds=6.0, seed=2):
     return [KeptMasks.of(f) for f in frames], frames[0].silhouettes.rig, scene.frame_rate
 
 
+@pytest.mark.slow
 def test_a_camera_that_is_late_is_found():
     kept, cameras, rate = kept_of((0, 0, 2, 0))
     found = offsets_of(kept, cameras, rate)
@@ -47,6 +49,7 @@ def test_a_camera_that_is_late_is_found():
     assert found - np.median(found) == pytest.approx([0, 0, 2 / rate, 0], abs=0.25 / rate)
 
 
+@pytest.mark.slow
 def test_cameras_that_are_in_step_have_no_offsets():
     assert offsets_of(*kept_of((0,))) is None
 
@@ -95,7 +98,7 @@ def test_the_process_is_there_while_there_is_something_to_do():
         first, second = work._submit(os.getpid), work._submit(os.getpid)
         number = first.result()
         assert second.result() == number
-        end = time.monotonic() + 30
+        end = time.monotonic() + HANG_S
         while os.path.exists(f"/proc/{number}"):
             assert time.monotonic() < end
             time.sleep(0.05)
@@ -110,7 +113,7 @@ def test_what_is_closed_while_the_process_is_sent_something_ends():
     while work._process is None:
         time.sleep(0.01)
     work.close()  # it is importing, and has read nothing
-    assert large.result(timeout=20) is None and next_one.result(timeout=20) is None
+    assert large.result(timeout=HANG_S) is None and next_one.result(timeout=HANG_S) is None
     work._thread.shutdown(wait=True)
 
 

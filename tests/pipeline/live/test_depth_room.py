@@ -1,5 +1,6 @@
 """Depth cameras of the live engine: rooms, what is kept of a frame, addresses, and one camera alone."""
 
+import threading
 import time
 
 import numpy as np
@@ -17,11 +18,12 @@ from hypose.io.videos.camera_sources import StreamEnded
 from hypose.pipeline.live.background_work import KeptMasks
 from hypose.pipeline.live.depth_room import DepthRoom, depth_of
 from hypose.pipeline.live.engine import Seen
-from hypose.pipeline.live.eyes import Eyes, EyesOptions, LiveView, Question, least_cameras
+from hypose.pipeline.live.eyes import EyesOptions, LiveView, Question, least_cameras
 from hypose.pipeline.live.pairing import Delivered, newest_instant
 from hypose.pipeline.live.recorder import LiveRecorder
 from hypose.tracking.starts import known_pose
 from tests.depth_pictures import WALL_M, frame_of, sensors
+from tests.live_scenes import in_step
 
 
 @pytest.fixture(scope="module")
@@ -94,7 +96,7 @@ def test_one_depth_camera_alone_makes_instants():
     assert instant is not None and instant.shots == (4,)
 
 
-def test_what_is_recorded_keeps_the_empty_room(tmp_path):
+def test_what_is_recorded_keeps_the_empty_room(tmp_path, monkeypatch):
     rig = sensors(1)
     w, h = rig[0].size
     empty = np.full((h, w), 3.0)
@@ -104,11 +106,11 @@ def test_what_is_recorded_keeps_the_empty_room(tmp_path):
     for k in range(90):
         write_depth_png(tmp_path / "maps" / f"{k:03d}.png", empty if k < 75 else someone)
     view = LiveView(rig.names[0], f"depth:{tmp_path / 'maps'}", depth=True)
-    eyes = Eyes(rig, [view], EyesOptions(30.0, 0.0))
+    eyes = in_step(monkeypatch)(rig, [view], EyesOptions(30.0, 0.0), threading.Event())
     recorder = LiveRecorder(tmp_path / "live", rig, [view], SilhouetteSettings())
     try:
-        while not eyes.ended:
-            sight = eyes.look(Question(pictures=True))
+        eyes.ask(Question(pictures=True))
+        while (sight := eyes.answer()) is not None:
             if np.isfinite(sight.time):
                 recorder.seen(Seen(sight, Frame(sight.time, recorder.written), ()))
     finally:

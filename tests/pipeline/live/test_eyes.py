@@ -1,5 +1,7 @@
 """The eyes: pictures of the right shape become masks, and whoever ends them is not kept waiting."""
 
+import contextlib
+import os
 import socket
 import threading
 import time
@@ -10,8 +12,10 @@ import pytest
 
 from hypose.evidence.background import from_frames
 from hypose.io.videos.camera_sources import Shot
-from hypose.pipeline.live.eyes import Eyes, EyesOptions, EyesProcess, LiveView, Question
+from hypose.pipeline.live.eyes import EyesOptions, EyesProcess, LiveView, Question
 from hypose.synthetic.rigs import rig
+from tests.conftest import HANG_S
+from tests.live_scenes import in_step
 
 RATE = 20.0
 
@@ -25,9 +29,11 @@ def cameras():
 def folder(path, size, rng, count=60):
     """Pictures of noise, which no JPEG makes small."""
     path.mkdir()
+    first = path / "0000.jpg"
     data = cv2.imencode(".jpg", rng.integers(0, 255, (size[1], size[0], 3), dtype=np.uint8))[1].tobytes()
-    for n in range(count):
-        (path / f"{n:03d}.jpg").write_bytes(data)
+    first.write_bytes(data)
+    for n in range(1, count):
+        os.link(first, path / f"{n:04d}.jpg")
     return str(path)
 
 
@@ -36,11 +42,28 @@ def room(camera):
     return from_frames([np.full((h, w, 3), 100 + n, np.uint8) for n in range(3)])
 
 
-def looked(eyes, met, seconds=30.0):
-    end = time.monotonic() + seconds
-    while not met(sight := eyes.look(Question())):
-        assert time.monotonic() < end, sight
-    return sight
+@pytest.fixture
+def begun(monkeypatch):
+    """begun(cameras, views, options): eyes whose clock waits for them."""
+    made = in_step(monkeypatch)
+    with contextlib.ExitStack() as closing:
+
+        def begin(*given):
+            eyes = made(*given, threading.Event())
+            closing.callback(eyes.close)
+            return eyes
+
+        yield begin
+
+
+def looked(eyes, met):
+    """The first sight of which that is so."""
+    while True:
+        eyes.ask(Question())
+        sight = eyes.answer()
+        assert sight is not None, "the film is over"
+        if met(sight):
+            return sight
 
 
 @pytest.mark.parametrize(
@@ -53,53 +76,42 @@ def looked(eyes, met, seconds=30.0):
         ),
     ],
 )
-def test_pictures_of_another_shape_are_not_used_and_named(cameras, tmp_path, rng, size, why):
+def test_pictures_of_another_shape_are_not_used_and_named(begun, cameras, tmp_path, rng, size, why):
     sizes, known = {"cam1": (160, 120), "cam2": size}, dict(zip(cameras.names, map(room, cameras), strict=True))
     places = {name: folder(tmp_path / name, sizes[name], rng) for name in cameras.names}
 
     def views(stretched=False):
         return [LiveView(n, places[n], background=known[n], stretched=stretched) for n in cameras.names]
 
-    eyes = Eyes(cameras, views(), EyesOptions(RATE))
-    try:
-        sight = looked(eyes, lambda s: np.isfinite(s.time))
-        assert sight.views[0] is not None and sight.views[1] is None
-        assert len(sight.words) == 1 and sight.words[0].startswith(why)
-    finally:
-        eyes.close()
-    eyes = Eyes(cameras, views(stretched=True), EyesOptions(RATE))  # the calibration is of pictures that were stretched
-    try:
-        sight = looked(eyes, lambda s: np.isfinite(s.time))
-        assert None not in sight.views and not sight.words
-    finally:
-        eyes.close()
+    eyes = begun(cameras, views(), EyesOptions(RATE))
+    sight = looked(eyes, lambda s: np.isfinite(s.time))
+    assert sight.views[0] is not None and sight.views[1] is None
+    assert len(sight.words) == 1 and sight.words[0].startswith(why)
+    eyes = begun(cameras, views(stretched=True), EyesOptions(RATE))
+    sight = looked(eyes, lambda s: np.isfinite(s.time))
+    assert None not in sight.views and not sight.words
 
 
-def test_the_same_shape_in_another_size_is_used(cameras, tmp_path, rng):
+def test_the_same_shape_in_another_size_is_used(begun, cameras, tmp_path, rng):
     sizes = {"cam1": (640, 480), "cam2": (321, 241)}
     views = [LiveView(c.name, folder(tmp_path / c.name, sizes[c.name], rng), background=room(c)) for c in cameras]
-    eyes = Eyes(cameras, views, EyesOptions(RATE))
-    try:
-        sight = looked(eyes, lambda s: np.isfinite(s.time))
-        assert None not in sight.views and not sight.words
-    finally:
-        eyes.close()
+    eyes = begun(cameras, views, EyesOptions(RATE))
+    sight = looked(eyes, lambda s: np.isfinite(s.time))
+    assert None not in sight.views and not sight.words
 
 
-def test_an_empty_room_is_not_learnt_from_a_camera_that_was_turned(cameras, tmp_path, rng):
+def test_an_empty_room_is_not_learnt_from_a_camera_that_was_turned(begun, cameras, tmp_path, rng):
     sizes = {"cam1": (160, 120), "cam2": (120, 160)}
     views = [LiveView(c.name, folder(tmp_path / c.name, sizes[c.name], rng)) for c in cameras]
-    eyes = Eyes(cameras, views, EyesOptions(RATE, countdown=0.0))
-    try:
-        sight = looked(eyes, lambda s: s.words and "turn it back" in s.words[0])
-        assert sight.room and "Learning the empty room." in sight.words
-    finally:
-        eyes.close()
+    eyes = begun(cameras, views, EyesOptions(RATE, countdown=0.0))
+    sight = looked(eyes, lambda s: s.words and "turn it back" in s.words[0])
+    assert sight.room and "Learning the empty room." in sight.words
 
 
-def test_eyes_that_nobody_listens_to_any_more_end_by_themselves(cameras, tmp_path, rng):
+def test_eyes_that_nobody_listens_to_any_more_end_by_themselves(cameras, tmp_path, rng, monkeypatch):
     """What they are about to say is more than waits in a pipe."""
-    views = [LiveView(c.name, folder(tmp_path / c.name, (1600, 1200), rng), background=room(c)) for c in cameras]
+    monkeypatch.setattr("hypose.pipeline.live.eyes._CLOSING_S", HANG_S)
+    views = [LiveView(c.name, folder(tmp_path / c.name, (1600, 1200), rng, 4000), background=room(c)) for c in cameras]
     eyes = EyesProcess(cameras, views, EyesOptions(RATE))
     while True:
         eyes.ask(Question(pictures=True))
@@ -127,15 +139,12 @@ def test_nobody_waits_for_cameras_that_are_being_opened_when_it_is_to_stop(camer
     assert not eyes._process.is_alive()
 
 
-def test_pictures_that_cannot_be_read_are_told(cameras, tmp_path, rng, monkeypatch):
+def test_pictures_that_cannot_be_read_are_told(begun, cameras, tmp_path, rng, monkeypatch):
     whole = Shot.picture
     monkeypatch.setattr(Shot, "picture", lambda shot, least: whole(shot, least) if shot.size == (160, 120) else None)
     sizes = {"cam1": (160, 120), "cam2": (320, 240)}
     views = [LiveView(c.name, folder(tmp_path / c.name, sizes[c.name], rng), background=room(c)) for c in cameras]
-    eyes = Eyes(cameras, views, EyesOptions(RATE))
-    try:
-        assert looked(eyes, lambda s: s.words != ()).words == (
-            "cam2 sends pictures that cannot be read; look what the address shows.",
-        )
-    finally:
-        eyes.close()
+    eyes = begun(cameras, views, EyesOptions(RATE))
+    assert looked(eyes, lambda s: s.words != ()).words == (
+        "cam2 sends pictures that cannot be read; look what the address shows.",
+    )

@@ -12,6 +12,8 @@ from hypose.errors import InputError
 from hypose.io.videos.camera_sources import Shot, StreamEnded
 from hypose.pipeline.live import feeds
 from hypose.pipeline.live.feeds import KEPT, Feed
+from tests.conftest import HANG_S
+from tests.live_scenes import Clock
 
 PICTURE = np.zeros((4, 4, 3), np.uint8)
 BEGIN = 1000.0
@@ -33,7 +35,7 @@ class Camera:
 
     def read(self):
         try:
-            shot = self.shots.get(timeout=5)
+            shot = self.shots.get(timeout=HANG_S)
         except queue.Empty:
             raise StreamEnded("The test is over.") from None
         if isinstance(shot, Exception):
@@ -58,8 +60,8 @@ def feed(camera):
         assert not made._thread.is_alive()
 
 
-def until(arrived, met, seconds=20.0):
-    end = time.monotonic() + seconds
+def until(arrived, met):
+    end = time.monotonic() + HANG_S
     with arrived:
         while not met():
             assert time.monotonic() < end
@@ -158,15 +160,15 @@ def test_a_camera_that_is_opened_and_shows_nothing_has_not_come_back(monkeypatch
         assert made.status().returns == 0 and made.status().trouble.startswith("The stream broke off")
 
 
-def test_a_camera_that_stalls_is_told():
-    camera = Camera()
-    now = time.monotonic()
+def test_a_camera_that_stalls_is_told(monkeypatch):
+    camera, clock = Camera(), Clock()
+    monkeypatch.setattr(feeds, "time", clock)
     with feed(camera) as (made, arrived):
-        play(camera, range(10), begin=now - 5.0)
+        play(camera, range(10), begin=clock.monotonic() - 5.0)
         until(arrived, lambda: made.status().received == 10)
         status = made.status()
         assert status.trouble.startswith("no picture for") and status.rate == 0.0 and not status.ended
-        play(camera, [0], begin=time.monotonic())
+        play(camera, [0], begin=clock.monotonic())
         until(arrived, lambda: made.status().received == 11)
         assert made.status().trouble == ""
 

@@ -16,6 +16,7 @@ from hypose.pipeline.live.live_search import LOOKING, NOBODY, paced
 from hypose.pipeline.run import TrackOptions, tracker_of
 from hypose.tracking.exchanged_sides import turned_around
 from hypose.tracking.subject import scaled_to_height
+from tests.conftest import HANG_S
 from tests.live_scenes import RATE, at, follow, nobody, people_for
 
 
@@ -63,6 +64,7 @@ def test_who_comes_and_goes_again_is_not_searched_in_frames_that_have_nothing_to
     assert not beside.waiting
 
 
+@pytest.mark.slow
 def test_masks_that_are_nobody_are_searched_and_left(frames, beside):
     people = people_for(frames, beside)
 
@@ -134,9 +136,9 @@ def test_a_known_body_is_followed_as_it_is(walk, frames, beside):
 
 def step_with_duels(people, frame):
     """A step, and what there is to do beside, so that nothing depends on how fast this computer is."""
-    stepped, end = people.step(frame), time.monotonic() + 60
+    stepped, end = people.step(frame), time.monotonic() + HANG_S
     if people._search._search is not None:
-        people._search._search.result(60)
+        people._search._search.result(HANG_S)
     duel = people.people[0]._duel if people.people else None
     while duel is not None and not duel.won.done() and duel.frames.qsize() and time.monotonic() < end:
         time.sleep(0.002)
@@ -145,7 +147,7 @@ def step_with_duels(people, frame):
 
 def end_duel(people):
     if people.people[0]._duel is not None:
-        people.people[0]._duel.won.result(60)
+        people.people[0]._duel.won.result(HANG_S)
 
 
 # ---- who was started back to front ----

@@ -16,6 +16,7 @@ from hypose.io.videos.video import open_video
 from hypose.pipeline.live import recorder as recorder_module
 from hypose.pipeline.live.eyes import LiveView
 from hypose.pipeline.live.recorder import LiveRecorder
+from tests.conftest import HANG_S
 from tests.live_scenes import at, follow, nobody, people_for, seen
 
 
@@ -190,7 +191,7 @@ def test_a_disk_that_is_too_slow_costs_instants_and_nobody_waits(tmp_path, walk,
     made, go, write = recorder(tmp_path / "live", walk), Event(), LiveRecorder._write
 
     def slow(seen, poses):
-        go.wait(30)
+        go.wait(HANG_S)
         write(made, seen, poses)
 
     monkeypatch.setattr(made, "_write", slow)

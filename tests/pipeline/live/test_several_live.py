@@ -17,6 +17,8 @@ from tests.live_scenes import RATE, Beside, at
 TOGETHER, ALONE = 40, 75
 """frames in which both are there, and in which one is"""
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def scenes():

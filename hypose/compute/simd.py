@@ -1,0 +1,271 @@
+"""Short vectors in kernels, with Python's operators: all lanes at once, by LLVM's vectors, so for any processor
+(AVX-512, AVX2, SSE, NEON). For loops that LLVM does not vectorise by itself.
+
+The second operand of an operator may be a number. Nothing is fused but in `times_plus`. Indices are flat, of contiguous
+arrays, and are not checked.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.core.datamodel import models
+from numba.core.datamodel.registry import register_default
+from numba.core.imputils import lower_builtin
+from numba.core.typing.templates import AbstractTemplate, infer_global, signature
+from numba.extending import intrinsic
+
+_I32, _I64 = ir.IntType(32), ir.IntType(64)
+
+
+class Vec(types.Type):
+    """n numbers of a type."""
+
+    def __init__(self, dtype: Any, n: int) -> None:
+        self.dtype, self.n = dtype, n
+        super().__init__(name=f"Vec({dtype}, {n})")
+
+
+@register_default(Vec)
+class _Model(models.PrimitiveModel):
+    def __init__(self, manager: Any, kind: Any) -> None:
+        super().__init__(manager, kind, ir.VectorType(manager.lookup(kind.dtype).get_value_type(), kind.n))
+
+
+def _is_real(kind: Vec) -> bool:
+    return isinstance(kind.dtype, types.Float)
+
+
+def _is_signed(kind: Vec) -> bool:
+    return isinstance(kind.dtype, types.Integer) and kind.dtype.signed
+
+
+def _in_all_lanes(builder: Any, value: Any, n: int) -> Any:
+    """A number as a vector; a vector as it is."""
+    if isinstance(value.type, ir.VectorType):
+        return value
+    kind = ir.VectorType(value.type, n)
+    one = builder.insert_element(ir.Constant(kind, ir.Undefined), value, _I32(0))
+    return builder.shuffle_vector(one, one, ir.Constant(ir.VectorType(_I32, n), [0] * n))
+
+
+def _calculate(name: str) -> Callable[..., Any]:
+    def code(builder: Any, kind: Vec, a: Any, b: Any) -> Any:
+        return getattr(builder, ("f" if _is_real(kind) else "") + name)(a, b)
+
+    return code
+
+
+def _compare(name: str) -> Callable[..., Any]:
+    def code(builder: Any, kind: Vec, a: Any, b: Any) -> Any:
+        if _is_real(kind):
+            return builder.fcmp_ordered(name, a, b)
+        return (builder.icmp_signed if _is_signed(kind) else builder.icmp_unsigned)(name, a, b)
+
+    return code
+
+
+def _shift_right(builder: Any, kind: Vec, a: Any, b: Any) -> Any:
+    return (builder.ashr if _is_signed(kind) else builder.lshr)(a, b)
+
+
+_COMPARED = {operator.lt: "<", operator.gt: ">", operator.ne: "!="}
+_OPERATORS: dict[Any, Callable[..., Any]] = {
+    operator.add: _calculate("add"),
+    operator.sub: _calculate("sub"),
+    operator.mul: _calculate("mul"),
+    operator.truediv: _calculate("div"),
+    operator.and_: lambda builder, _, a, b: builder.and_(a, b),
+    operator.or_: lambda builder, _, a, b: builder.or_(a, b),
+    operator.lshift: lambda builder, _, a, b: builder.shl(a, b),
+    operator.rshift: _shift_right,
+    **{op: _compare(name) for op, name in _COMPARED.items()},
+}
+
+
+def _operator(op: Any, write: Callable[..., Any]) -> None:
+    @infer_global(op)  # pyright: ignore[reportOptionalCall]
+    class _(AbstractTemplate):
+        key = op
+
+        def generic(self, args: Any, kws: Any) -> Any:
+            vectors = [a for a in args if isinstance(a, Vec)]
+            if not vectors or any(a != vectors[0] for a in vectors):
+                return None
+            kind = vectors[0]
+            result = Vec(types.boolean, kind.n) if op in _COMPARED else kind
+            return signature(result, *(kind if isinstance(a, Vec) else kind.dtype for a in args))
+
+    @lower_builtin(op, Vec, Vec)
+    @lower_builtin(op, Vec, types.Number)
+    @lower_builtin(op, types.Number, Vec)
+    def _(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        kind = next(a for a in sig.args if isinstance(a, Vec))
+        return write(builder, kind, *(_in_all_lanes(builder, a, kind.n) for a in args))
+
+
+for _op, _write in _OPERATORS.items():
+    _operator(_op, _write)
+
+
+def _chosen(name: str) -> Any:
+    def choose(typingctx: Any, x, limit):
+        def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+            limit = _in_all_lanes(builder, args[1], sig.args[0].n)
+            return builder.select(_compare(name)(builder, sig.args[0], args[0], limit), args[0], limit)
+
+        return x(x, x if isinstance(limit, Vec) else x.dtype), code
+
+    return intrinsic(choose)
+
+
+at_least, at_most = _chosen(">"), _chosen("<")
+"""(x, limit): the larger, or smaller, in each lane; not a number gives the limit."""
+
+
+def _place(context: Any, builder: Any, kind: Any, array: Any, index: Any, n: int) -> tuple[Any, int]:
+    data = context.make_array(kind)(context, builder, array).data
+    size = context.get_abi_sizeof(data.type.pointee)
+    return builder.bitcast(builder.gep(data, [index]), ir.VectorType(data.type.pointee, n).as_pointer()), size
+
+
+@intrinsic(prefer_literal=True)
+def load(typingctx: Any, array, index, n):
+    """The n (a constant) elements of an array from an index on."""
+
+    def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        place, size = _place(context, builder, sig.args[0], args[0], args[1], sig.return_type.n)
+        return builder.load(place, align=size)
+
+    return Vec(array.dtype, n.literal_value)(array, types.int64, n), code
+
+
+@intrinsic
+def store(typingctx: Any, array, index, value):
+    """Put a vector into an array, from an index on."""
+
+    def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        place, size = _place(context, builder, sig.args[0], args[0], args[1], sig.args[2].n)
+        builder.store(args[2], place, align=size)
+        return context.get_dummy_value()
+
+    return types.none(array, types.int64, value), code
+
+
+@intrinsic(prefer_literal=True)
+def splat(typingctx: Any, number, n):
+    """The number in n (a constant) lanes."""
+    dtype = types.unliteral(number)
+    return Vec(dtype, n.literal_value)(dtype, n), lambda c, b, sig, args: _in_all_lanes(b, args[0], sig.return_type.n)
+
+
+@intrinsic(prefer_literal=True)
+def ramp(typingctx: Any, n):
+    """0, 1, ... n - 1 (a constant) as int32."""
+    kind = Vec(types.int32, n.literal_value)
+    return kind(n), lambda *_: ir.Constant(ir.VectorType(_I32, kind.n), list(range(kind.n)))
+
+
+@intrinsic
+def where(typingctx: Any, mask, yes, no):
+    """In each lane `yes` where the mask is true, else `no`."""
+    return yes(mask, yes, no), lambda c, b, sig, args: b.select(*args)
+
+
+@intrinsic
+def bits(typingctx: Any, mask):
+    """Truth values as one unsigned integer, first lane lowest."""
+    kind = types.Integer.from_bitwidth(max(mask.n, 8), signed=False)
+
+    def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return builder.zext(builder.bitcast(args[0], ir.IntType(mask.n)), ir.IntType(kind.bitwidth))
+
+    return kind(mask), code
+
+
+@intrinsic
+def lane(typingctx: Any, x, k):
+    """The k-th number."""
+    return x.dtype(x, types.int64), lambda c, b, sig, args: b.extract_element(args[0], b.trunc(args[1], _I32))
+
+
+@intrinsic
+def cast(typingctx: Any, x, dtype):
+    """As numbers of another type (numpy's); floating point is cut off to whole numbers, and must fit."""
+    kind = Vec(dtype.dtype, x.n)
+
+    def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        to, signed = context.get_value_type(kind), _is_signed(x)
+        if _is_real(x):
+            return builder.fptosi(args[0], to)
+        if _is_real(kind):
+            return (builder.sitofp if signed else builder.uitofp)(args[0], to)
+        if kind.dtype.bitwidth < x.dtype.bitwidth:
+            return builder.trunc(args[0], to)
+        return (builder.sext if signed else builder.zext)(args[0], to)
+
+    return kind(x, dtype), code
+
+
+def shuffle(order: Sequence[int]) -> Any:
+    """A function (x, y) -> vector of these lanes of x and, counted on, of y."""
+
+    def shuffled(typingctx: Any, x, y):
+        lanes = ir.Constant(ir.VectorType(_I32, len(order)), list(order))
+        return Vec(x.dtype, len(order))(x, y), lambda c, b, sig, args: b.shuffle_vector(*args, lanes)
+
+    return intrinsic(shuffled)
+
+
+def _call(builder: Any, name: str, args: Sequence[Any]) -> Any:
+    kind = args[0].type
+    f = cgutils.get_or_insert_function(
+        builder.module, ir.FunctionType(kind, [kind] * len(args)), f"llvm.{name}.v{kind.count}f32"
+    )
+    return builder.call(f, args)
+
+
+@intrinsic
+def ceil(typingctx: Any, x):
+    """Rounded up (float32)."""
+    return x(x), lambda c, b, sig, args: _call(b, "ceil", args)
+
+
+@intrinsic
+def times_plus(typingctx: Any, x, y, z):
+    """x * y + z (float32), fused where the processor can; y may be a number."""
+
+    def code(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return _call(builder, "fmuladd", [_in_all_lanes(builder, a, x.n) for a in args])
+
+    return x(x, y, x), code
+
+
+@intrinsic
+def popcount(typingctx: Any, word):
+    """How many bits of a word (u8) are set."""
+    return types.int64(types.uint64), lambda c, b, sig, args: b.ctpop(args[0])
+
+
+@intrinsic
+def lowest_bit(typingctx: Any, word):
+    """Number of the lowest bit that is set in an unsigned integer; of 0 how many bits it has."""
+    return types.int64(word), lambda c, b, sig, args: b.zext(b.cttz(args[0], ir.IntType(1)(0)), _I64)
+
+
+@intrinsic
+def as_word(typingctx: Any, x):
+    """Eight bytes as one integer (u8)."""
+    return types.uint64(x), lambda c, b, sig, args: b.bitcast(args[0], _I64)
+
+
+@intrinsic
+def as_bytes(typingctx: Any, word):
+    """An integer (u8) as eight bytes."""
+    kind = Vec(types.uint8, 8)
+    return kind(types.uint64), lambda c, b, sig, args: b.bitcast(args[0], c.get_value_type(kind))

@@ -1,0 +1,112 @@
+"""The comparison with the kept figures of the golden clips, without tracking any."""
+
+import json
+
+import numpy as np
+import pytest
+
+from benchmarks import bench_list, golden
+from benchmarks.bench_report import BenchReport, Row
+from benchmarks.golden_clips import CLIPS, Outcome
+from hypose.errors import InputError
+
+TOLERANCES = {"mean_error_mm": {"more": 0.3}, "verdict": {}, "time_ratio": {"times": 1.25}}
+OLD = {"mean_error_mm": 20.0, "verdict": 1.0, "time_ratio": 40.0}
+
+
+def lines(**changed):
+    return list(golden.beyond({"walk": OLD}, {"walk": {**OLD, **changed}}, TOLERANCES))
+
+
+def test_what_is_within_the_tolerance_or_better_passes():
+    assert lines() == lines(mean_error_mm=20.3, time_ratio=50.0) == lines(mean_error_mm=5.0, time_ratio=1.0) == []
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"mean_error_mm": 20.4}, "walk: mean_error_mm 20.4, kept 20, at most 20.3"),
+        ({"time_ratio": 51.0}, "walk: time_ratio 51, kept 40, at most 50"),
+        ({"verdict": 0.0}, "walk: verdict good, kept look"),
+        ({"verdict": 2.0}, "walk: verdict not to be trusted, kept look"),
+    ],
+)
+def test_one_line_says_what_is_beyond(changed, said):
+    assert lines(**changed) == [said]
+
+
+def test_a_case_that_was_never_kept_is_beyond():
+    assert list(golden.beyond({}, {"walk": OLD}, {"mean_error_mm": {"more": 0.3}})) == [
+        "walk: mean_error_mm 20, nothing is kept"
+    ]
+
+
+def test_figures_leave_out_what_is_not_known():
+    error = np.array([[0.02, 0.12], [0.2, np.nan]])
+    found = golden.figures(Outcome(error, np.ones((2, 2)), np.array([True, False]), 1, 0.1))
+    assert found["mean_error_mm"] == pytest.approx(340 / 3) and found["doubtful"] == 0.5 and found["verdict"] == 1
+    assert found["wrong_100"] == pytest.approx(2 / 3) and found["wrong_150"] == pytest.approx(1 / 3)
+    assert found["ece"] == pytest.approx(1 / 3)
+
+
+@pytest.fixture
+def measured(monkeypatch, tmp_path):
+    """measured(error, failed) makes what the next run of `golden` measures; the kept file is one of its own."""
+    monkeypatch.setattr(golden, "KEPT", tmp_path / "golden.json")
+    golden.KEPT.write_text(json.dumps({"tolerances": {"mean_error_mm": {"more": 0.3}}, "golden": {}, "other": {}}))
+
+    def set_to(error, failed=None, clips="golden"):
+        settings = {"clips": clips, "skipped": ["uu4cam"], "failed": failed or {}}
+        made = BenchReport((Row("mean_error_mm", "walk", error, "mm"),), settings)
+        known = {"golden": bench_list.Benchmark(lambda options: made, "other")}
+        monkeypatch.setattr(bench_list, "benchmarks", lambda: known)
+
+    return set_to
+
+
+def test_the_command_keeps_and_compares_each_set_of_clips(bench, measured):
+    measured(20.0)
+    code, said, _ = bench("golden")
+    assert code == 1 and "walk: mean_error_mm 20, nothing is kept" in said and "SKIPPED: uu4cam" in said
+    assert bench("golden", "--keep")[0] == 0 and bench("golden")[0] == 0
+    measured(20.5)
+    code, said, _ = bench("golden")
+    assert code == 1 and "WORSE: walk: mean_error_mm 20.5, kept 20, at most 20.3" in said and "--keep" in said
+    measured(30.0, clips="other")
+    assert bench("golden", "--other", "--keep")[0] == 0
+    kept = golden.document()
+    assert kept["golden"]["walk"] == {"mean_error_mm": 20.0} and kept["other"]["walk"] == {"mean_error_mm": 30.0}
+
+
+def test_a_clip_that_is_refused_fails_even_when_the_rest_is_kept(bench, measured):
+    measured(20.0, {"box": "No person was found."})
+    assert bench("golden", "--keep")[0] == 1
+    code, said, _ = bench("golden")
+    assert code == 1 and "WORSE: box: No person was found." in said
+
+
+def test_a_clip_that_seems_too_slow_is_tracked_again_and_the_fastest_time_counts(monkeypatch, tmp_path):
+    monkeypatch.setattr(golden, "KEPT", tmp_path / "golden.json")
+    golden.KEPT.write_text(json.dumps({"tolerances": {"time_ratio": {"times": 1.25}}}))
+    monkeypatch.setattr(golden, "yardstick", lambda: 1e6)
+    seconds = iter([3.0, 1.1, 5.0])
+
+    def measure(seed, data):
+        yield "", Outcome(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros(1, bool), 0, next(seconds))
+
+    found = golden._measured("walk", golden.Clip(measure), 0, tmp_path, {"walk": {"time_ratio": 1.0}})
+    assert found["walk"]["time_ratio"] == 1.1 and next(seconds) == 5.0
+
+
+def test_the_committed_figures_are_of_the_clips_there_are():
+    kept = golden.document()
+    metrics = {*golden.figures(Outcome(np.ones((1, 1)), np.ones((1, 1)), np.ones(1, bool), 0, 1.0)), "time_ratio"}
+    assert set(kept["tolerances"]) <= metrics
+    for which in golden.SEEDS:
+        assert {case.partition("/")[0] for case in kept[which]} == set(CLIPS)
+        assert all(set(values) == metrics for values in kept[which].values())
+
+
+def test_no_other_benchmark_has_a_second_set_of_clips():
+    with pytest.raises(InputError, match="sync does not use --other"):
+        bench_list.run_benchmark("sync", other=True)
