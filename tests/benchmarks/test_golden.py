@@ -57,7 +57,7 @@ def measured(monkeypatch, tmp_path):
     golden.KEPT.write_text(json.dumps({"tolerances": tolerances, "golden": {}, "other": {}}))
 
     def set_to(error, failed=None, clips="golden", time=40.0):
-        settings = {"clips": clips, "skipped": ["uu4cam"], "failed": failed or {}}
+        settings = {"clips": clips, "quick": False, "skipped": ["uu4cam"], "failed": failed or {}}
         rows = (Row("mean_error_mm", "walk", error, "mm"), Row("time_ratio", "walk", time, "1"))
         made = BenchReport(rows, settings)
         known = {"golden": bench_list.Benchmark(lambda options: made, "other")}
