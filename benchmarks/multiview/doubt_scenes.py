@@ -18,7 +18,6 @@ from benchmarks.bench_report import BenchOptions
 from benchmarks.multiview.action_scenes import known_subject, subject_of_seed
 from benchmarks.multiview.product import aligned_joints, body_by_keypoints, estimated_body
 from benchmarks.multiview.real_recordings import balancing_recording
-from benchmarks.multiview.spread_fit import as_curved
 from benchmarks.multiview.things_in_masks import with_thing
 from benchmarks.synthetic.retarget import retarget
 from benchmarks.synthetic.spoilt_keypoints import SPOILS, moved_camera, spoilt
@@ -38,7 +37,7 @@ from hypose.synthetic.depth_scenes import DepthScene
 from hypose.synthetic.scenes import Scene, make_scene
 from hypose.synthetic.simulated_keypoints import keypoint_detections
 from hypose.tracking.doubt import as_mixture, judged, without_mixture
-from hypose.tracking.fitted_spread import beyond_usual
+from hypose.tracking.fitted_spread import apart_factors, beyond_usual, fitted, kind_of
 
 
 @dataclass(frozen=True)
@@ -327,6 +326,26 @@ def tracked(name: str, scene: Scene, frames: Sequence[Frame], seed: int, evidenc
     off = (off + np.pi) % (2 * np.pi) - np.pi
     given = name, seed, evidence, kind, m, result.body, result.audit, result.one_by_one
     return Tracked(*given, error, error_raw, truth - joints, off, result.unsure)
+
+
+def as_curved(motion: Motion, evidence: str, beyond: float = 0.0) -> Motion:
+    """What `with_fitted_joints` and `with_fitted_angles` were given of V: for fitting again."""
+    joints, angles = (fitted()[what][evidence] for what in ("joints", "angles"))
+    _, by_joint, by_angle = apart_factors(evidence)
+    a, b = np.array([joints.get(kind_of(n), (1.0, 0.0)) for n in motion.skeleton.joint_names]).T
+    floor = b**2 + (by_joint * beyond) ** 2
+    assert motion.systematic_covariance is not None
+    around = (motion.joint_covariance - motion.systematic_covariance) / a[:, None, None] ** 2
+    known = motion.systematic_covariance - floor[:, None, None] * np.eye(3)
+    c, d = np.array([angles.get(kind_of(n), (1.0, 0.0)) for n in ANGLE_NAMES]).T
+    least = d**2 + (by_angle * beyond) ** 2
+    sd = None if motion.angle_sd is None else np.sqrt(np.maximum(motion.angle_sd**2 - least, 0.0)) / c
+    return replace(
+        motion,
+        joint_covariance=around.astype(np.float32),
+        systematic_covariance=known.astype(np.float32),
+        angle_sd=None if sd is None else sd.astype(np.float32),
+    )
 
 
 def moves_the_world(case: Case) -> bool:
