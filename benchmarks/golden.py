@@ -38,7 +38,8 @@ def golden(options: BenchOptions) -> BenchReport:
 
     mean_error_mm, p95_mm: of joints from the truth (or the reference); wrong_100, wrong_150: share of joints beyond 100
     and 150 mm; doubtful: share of frames; ece: of P(wrong); verdict: 0 good, 1 look, 2 not to be trusted; time_ratio:
-    processor time of a frame over that of the yardstick around it. Without --data: recordings next to the checkout."""
+    processor time of a frame over that of the yardstick around it. Without --data: the recordings next to the
+    checkout."""
     data, which = options.data or DATA, "other" if options.other else "golden"
     chosen = {name: clip for name, clip in CLIPS.items() if clip.quick or not options.quick}
     found: dict[str, Mapping[str, float]] = {}

@@ -134,7 +134,7 @@ def read_view(folder: Path) -> None:
     recording = load_recording(copy)
     for view in recording.views:
         folder_for(folder / "work" / "masks", view.name)
-    for name in ("out.toml", "easymocap/extri.yml", "out.qca.txt", "opencap/cam.pickle"):
+    for name in ("out.toml", "easymocap/extri.yml", "opencap/cam.pickle"):
         with contextlib.suppress(InputError):  # some formats have rules for names
             write_any(recording.rig, folder / "work" / "rigs" / name)
     write_recording(recording, folder / "work" / "again")

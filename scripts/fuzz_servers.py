@@ -41,8 +41,8 @@ class _Servers:
     """Both servers in one loop of a thread of its own. Made once per process."""
 
     def __init__(self) -> None:
-        from hypose.app.live.door import FOREIGN, fold_logs, folded
         from hypose.app.live.live_server import LiveOptions, LiveServer
+        from hypose.app.live.secrets_and_logs import FOREIGN, fold_logs, folded
         from hypose.app.studio.answers import NotNow
         from hypose.app.studio.server import Studio, StudioOptions, make_server
 

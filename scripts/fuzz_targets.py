@@ -203,9 +203,8 @@ def write_good(folder: Path) -> None:
 
     rng = np.random.default_rng(5)
     cameras = CameraRig(rig("humaneva-4", distorted=True).scaled(0.25).cameras[:2])
-    for name in ("calibration.toml", "caliscope/camera_array.toml", "easymocap/extri.yml", "rig.qca.txt"):
+    for name in ("calibration.toml", "caliscope/camera_array.toml", "easymocap/extri.yml"):
         write_any(cameras, folder / "rig" / name)
-    write_any(cameras.pinhole(), folder / "rig" / "rig.xcp")
     write_any(cameras, folder / "rig" / "opencap" / "cam1.pickle")
     _write_calibrations(cameras, folder / "rig")
     write_masks(small_scene(1, 2), folder / "walk")
@@ -257,6 +256,18 @@ def _write_calibrations(cameras: CameraRig, folder: Path) -> None:
     (folder / "rig.json").write_text(json.dumps({"cameras": tables}))
     (folder / "projections.txt").write_text("\n".join(lines) + "\n")
     (folder / "rig.mcal").write_text(f"<calibrationProfile>{''.join(mcal)}</calibrationProfile>")
+    turn = " ".join(f'r{i}{j}="{int(i == j)}"' for i in (1, 2, 3) for j in (1, 2, 3))
+    lens = 'focalLengthU="9600" focalLengthV="9600" centerPointU="5120" centerPointV="3840" '
+    lens += 'radialDistortion1="0" radialDistortion2="0" tangentalDistortion1="0" tangentalDistortion2="0"'
+    (folder / "rig.qca.txt").write_text(
+        '<calibration><cameras><camera model="none" serial="1"><fov_video left="0" top="0" right="159" bottom="119"/>'
+        f'<transform x="1" y="2" z="3" {turn}/><intrinsic {lens}/></camera></cameras></calibration>'
+    )
+    (folder / "rig.xcp").write_text(
+        '<Cameras><Camera DEVICEID="1" TYPE="Video" SENSOR_SIZE="160 120" PIXEL_ASPECT_RATIO="1"><KeyFrames><KeyFrame '
+        'FOCAL_LENGTH="150" PRINCIPAL_POINT="80 60" ORIENTATION="0 0 0 1" POSITION="1 2 3" VICON_RADIAL2="ViconRadial2 '
+        '80 60 0 0 0"/></KeyFrames></Camera></Cameras>'
+    )
     k = [" ".join(map(repr, row)) for row in cameras[0].K.tolist()]
     pose = [" ".join(map(repr, row)) for row in cameras[0].camera_from_world.tolist()]
     (folder / "biocv.calib").write_text("\n".join(["160", "120", *k, "", *pose, "", "0.1 0 0 0 0", ""]))

@@ -1,4 +1,4 @@
-"""Any calibration to any other:  python convert_calibration.py calibration.toml rig.qca.txt"""
+"""Any calibration to any other:  python convert_calibration.py calibration.toml easymocap/intri.yml"""
 
 import sys
 

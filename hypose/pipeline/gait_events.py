@@ -22,7 +22,6 @@ from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.geometry import Array
-from hypose.pipeline.summits import lowest_beside, summits
 from hypose.tracking.contacts import soles_of
 
 CORRELATION = 0.15
@@ -136,7 +135,9 @@ def turns(
     """Times s, their sd and frames of the maxima of a series (T,) m that is known to sd (T,) m; none next to frames
     that are not known."""
     filled = np.where(np.isfinite(series), series, np.nanmin(series) if np.isfinite(series).any() else 0.0)
-    peaks = summits(filled, max(1, round(_LEAST_STEP * rate)))
+    from scipy.signal import find_peaks  # takes long to import
+
+    peaks, _ = find_peaks(filled, distance=max(1, round(_LEAST_STEP * rate)))
     out = []
     reach = max(1, round(0.04 * rate))
     for k in peaks[_swings(filled, peaks)].tolist():
@@ -154,7 +155,10 @@ def turns(
 
 def _swings(series: Array, peaks: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Which peaks of a series stand out by a foot's swing on both sides, as far as the clip shows them."""
-    left, right = lowest_beside(series, peaks)
+    from scipy.signal import peak_prominences
+
+    _, *bases = peak_prominences(series, peaks)
+    left, right = (series[b] for b in bases)
     tops = series[peaks]
     first = np.maximum.accumulate(series)[peaks] <= tops  # nothing before is higher
     last = np.maximum.accumulate(series[::-1])[::-1][peaks] <= tops

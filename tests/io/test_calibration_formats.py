@@ -14,11 +14,11 @@ from hypose.io.calibrations.calibration_formats import read_any, write_any
 from hypose.io.calibrations.calibration_opencap import read_plain_pickle
 
 
-def make_rig(rng, tangential=True):
+def make_rig(rng):
     cameras = []
     for i in range(3):
         k = np.array([[900.0 + i, 0, 630.5], [0, 897.0, 365.25 + i], [0, 0, 1]])
-        lens = np.array([-0.21, 0.07, 1e-3, -5e-4, 0.011]) * [1, 1, tangential, tangential, 1]
+        lens = np.array([-0.21, 0.07, 1e-3, -5e-4, 0.011])
         pose = se3(so3_exp(rng.normal(0, 1, 3)), rng.normal(0, 2, 3))
         cameras.append(Camera(f"cam{i + 1}", k, lens, pose, (1280, 720)))
     return CameraRig(tuple(cameras))
@@ -35,10 +35,10 @@ def assert_same(a, b, tolerance=1e-9):
 
 @pytest.mark.parametrize(
     "name",
-    ["a.toml", "camera_array.toml", "anipose.toml", "b/intri.yml", "a.qca.txt", "a.xcp", "c/cam.pickle"],
+    ["a.toml", "camera_array.toml", "anipose.toml", "b/intri.yml", "c/cam.pickle"],
 )
 def test_written_and_read_back(tmp_path, rng, name):
-    rig = make_rig(rng, tangential=not name.endswith("xcp"))
+    rig = make_rig(rng)
     written = write_any(rig, tmp_path / name)
     assert all(p.is_file() for p in written)
     source = tmp_path / "c" if name.endswith("pickle") else written[0]
@@ -68,13 +68,6 @@ def test_easymocap_as_opencv_writes_it(tmp_path, rng):
     assert back[0].size == (1261, 730) or back[0].size == (1261, 731)
     for a, b in zip(back, rig, strict=True):
         np.testing.assert_allclose(a.camera_from_world, b.camera_from_world, atol=1e-9)
-
-
-def test_qualisys_keeps_distortion_undivided(tmp_path, rng):
-    write_any(make_rig(rng), tmp_path / "a.qca.txt")
-    text = (tmp_path / "a.qca.txt").read_text()
-    assert 'radialDistortion1="-0.21"' in text
-    assert f'focalLengthU="{64 * 900.0!r}"' in text
 
 
 def test_real_single_camera_of_opencv(shared_data):
@@ -207,11 +200,9 @@ def test_incomplete_easymocap(tmp_path, rng):
 
 def test_what_a_format_cannot_hold_is_not_written(tmp_path, rng):
     rig = make_rig(rng)
-    with pytest.raises(CalibrationError, match="tangential distortion"):
-        write_any(rig, tmp_path / "a.xcp")
     fisheye = CameraRig((Camera("f", rig[0].K, np.zeros(4), np.eye(4), (640, 480), True),))
-    for name in ("a.xcp", "a.qca.txt", "a.yml", "a.pickle", "camera_array.toml"):
+    for name in ("a.yml", "a.pickle", "camera_array.toml"):
         with pytest.raises(CalibrationError, match="write .toml|cannot hold"):
             write_any(fisheye, tmp_path / name)
     with pytest.raises(InputError, match=r"name the calibration \.toml"):
-        write_any(rig, tmp_path / "a.json")
+        write_any(rig, tmp_path / "a.xcp")

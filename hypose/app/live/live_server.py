@@ -29,9 +29,9 @@ from websockets.datastructures import MultipleValuesError
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
-from hypose.app.live.door import Door, fold_logs, same_secret, shows_secret
 from hypose.app.live.osc import OscTarget, people_osc
 from hypose.app.live.outbox import ORIGINS, Outbox, Queue
+from hypose.app.live.secrets_and_logs import fold_logs, same_secret, shows_secret
 from hypose.app.live.socket_listeners import refusal
 from hypose.app.live.until_ended import ended_by_signals
 from hypose.app.live.vmc_live import VmcLive
@@ -115,7 +115,6 @@ class LiveServer:
         self._server: Server | None = None
         self.outbox = Outbox()
         self._connections = 0
-        self._door = Door()
         self._osc: OscTarget | None = None
         self._vmc: VmcLive | None = None
         self._status_at = 0.0
@@ -147,8 +146,6 @@ class LiveServer:
                     o.host,
                     o.ws,
                     process_request=self._admit,
-                    create_connection=self._door.letting_in(ServerConnection),  # type: ignore[arg-type] - as any factory
-                    backlog=self._door.backlog,
                     origins=None if self.token else ORIGINS,
                     compression=None,
                     max_size=1 << 16,
@@ -312,8 +309,7 @@ class LiveServer:
         self._connections += 1
         try:
             path = connection.request.path.partition("?")[0] if connection.request is not None else ""
-            with self._door.answering(connection.remote_address, True):
-                await (self._listen(connection) if path == "/in" else self._serve(connection))
+            await (self._listen(connection) if path == "/in" else self._serve(connection))
         except ConnectionClosed:
             pass
         finally:

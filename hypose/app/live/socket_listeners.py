@@ -10,8 +10,8 @@ from typing import Any, TypeVar
 
 from websockets.asyncio.server import Server, ServerConnection, serve
 
-from hypose.app.live.door import Door, fold_logs
 from hypose.app.live.outbox import ORIGINS, Outbox, Post, Queue
+from hypose.app.live.secrets_and_logs import fold_logs
 from hypose.errors import InputError
 
 T = TypeVar("T")
@@ -30,7 +30,7 @@ class SocketListeners:
             raise InputError(f"--ws {port} is no port; give 0 (any free one) to 65535.")
         self._outbox = Outbox()
         self._waiting, self._hello, self._most = waiting, hello, most
-        self._door, self._loop = Door(), asyncio.new_event_loop()
+        self._loop = asyncio.new_event_loop()
         fold_logs()
         self._thread = threading.Thread(target=self._loop.run_forever, daemon=True)
         self._thread.start()
@@ -86,8 +86,6 @@ class SocketListeners:
             max_size=1 << 16,
             open_timeout=5,
             close_timeout=1,
-            create_connection=self._door.letting_in(ServerConnection),  # type: ignore[arg-type] - as any factory
-            backlog=self._door.backlog,
         )
 
     async def _close(self) -> None:
@@ -108,8 +106,7 @@ class SocketListeners:
         queue: Queue = asyncio.Queue(self._waiting)
         if hello:
             queue.put_nowait(hello)
-        with self._door.answering(connection.remote_address, True):
-            await self._outbox.serve(connection, queue, path)
+        await self._outbox.serve(connection, queue, path)
 
 
 def refusal(error: OSError | OverflowError) -> str:

@@ -15,7 +15,7 @@ from urllib.parse import urlsplit
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from hypose.app.live.door import Door, shows_secret
+from hypose.app.live.secrets_and_logs import shows_secret
 from hypose.app.studio.answers import refusal
 
 LOOPBACK = frozenset({"127.0.0.1", "localhost", "::1"})
@@ -66,10 +66,10 @@ def _name(host: str) -> str:
 
 
 class Guard:
-    """Refuses what Access does not allow, before anything else sees it, and tells the door who is being answered."""
+    """Refuses what Access does not allow, before anything else sees it."""
 
-    def __init__(self, app: ASGIApp, access: Access, door: Door) -> None:
-        self._app, self._access, self._door = app, access, door
+    def __init__(self, app: ASGIApp, access: Access) -> None:
+        self._app, self._access = app, access
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """One request or connection."""
@@ -80,15 +80,13 @@ class Guard:
             problem = self._access.problem(scope)
         except ValueError:  # an Origin or Host that is no address
             problem = HTTPStatus.BAD_REQUEST, "The request names no proper host."
-        known = problem is None and self._access.knows(scope)
-        with self._door.answering(scope.get("client"), known):
-            if problem is None:
-                await self._app(scope, receive, self._hardened(scope, send))
-            elif scope["type"] == "http":
-                await refusal(problem[0].value, problem[1])(scope, receive, send)
-            else:
-                await receive()
-                await send({"type": "websocket.close", "code": 1008, "reason": problem[1][:120]})
+        if problem is None:
+            await self._app(scope, receive, self._hardened(scope, send))
+        elif scope["type"] == "http":
+            await refusal(problem[0].value, problem[1])(scope, receive, send)
+        else:
+            await receive()
+            await send({"type": "websocket.close", "code": 1008, "reason": problem[1][:120]})
 
     def _hardened(self, scope: Scope, send: Send) -> Send:
         if scope["type"] != "http":

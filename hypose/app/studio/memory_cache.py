@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import threading
 import time
 from collections import OrderedDict
@@ -13,8 +12,6 @@ from typing import Generic, TypeVar
 
 IDLE_S = 300.0
 """s after which what nobody has asked for is let go."""
-_TRIM_THRESHOLD, _MMAP_THRESHOLD, _ARENA_MAX = -1, -3, -8  # of glibc's mallopt
-_LARGE, _SPARE = 4 << 20, 8 << 20
 V = TypeVar("V")
 
 
@@ -121,20 +118,3 @@ class Kept(Generic[V]):
         with self._lock:
             self._timer = None
             self.tidy()
-        _of_libc("malloc_trim", 0)  # what is left over of small blocks
-
-
-def give_back_large_blocks() -> None:
-    """From now on memory of 4 MB and more goes back to the system when it is freed. glibc otherwise comes to keep
-    blocks of up to 32 MB for reuse, in every thread's arena, which for a server that decodes a picture now and then is
-    several times what it needs. Smaller ones are what a long result is worked through with, some frames at a time: to
-    get each of these afresh takes longer than the work. Elsewhere nothing changes."""
-    _of_libc("mallopt", _MMAP_THRESHOLD, _LARGE)
-    _of_libc("mallopt", _TRIM_THRESHOLD, _SPARE)
-    _of_libc("mallopt", _ARENA_MAX, 2)  # what is left over of small blocks is less in fewer arenas
-
-
-def _of_libc(name: str, *numbers: int) -> None:
-    """Call a function of glibc; elsewhere nothing happens."""
-    with contextlib.suppress(OSError, AttributeError):
-        getattr(ctypes.CDLL("libc.so.6"), name)(*numbers)

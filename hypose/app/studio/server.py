@@ -18,10 +18,9 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, Response
 from starlette.routing import BaseRoute, Mount, Route
 from starlette.staticfiles import StaticFiles
-from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from hypose import __version__
-from hypose.app.live.door import Door, fold_logs
+from hypose.app.live.secrets_and_logs import fold_logs
 from hypose.app.studio import (
     clicks,
     fuse_socket,
@@ -42,7 +41,6 @@ from hypose.app.studio.guard import Access, Guard
 from hypose.app.studio.jobs import Jobs
 from hypose.app.studio.library import Library
 from hypose.app.studio.live_socket import live_route
-from hypose.app.studio.memory_cache import give_back_large_blocks
 from hypose.app.studio.recordings import Recordings
 from hypose.app.studio.sockets import MAX_MESSAGE, Sockets
 from hypose.app.studio.uploads import Uploads
@@ -52,6 +50,7 @@ from hypose.errors import InputError
 
 STATIC = Path(__file__).parent / "static"
 """Where the built page lies."""
+MOST_CONNECTIONS = 256
 UPLOAD_LIMIT = 4 << 30
 
 
@@ -84,8 +83,7 @@ class Studio:
         self._routed = Starlette(
             routes=self._routes(), lifespan=self._lifespan, exception_handlers={Exception: _bug, 404: _nothing}
         )
-        self.door = Door()
-        self.app = Guard(self._routed, self.access, self.door)
+        self.app = Guard(self._routed, self.access)
 
     def _routes(self) -> list[BaseRoute]:
         return [
@@ -182,12 +180,13 @@ async def _nothing(request: Request, error: Exception) -> Response:
 
 
 def config(studio: Studio, host: str, port: int) -> uvicorn.Config:
-    """How the application is served: through the door, small messages only, nothing compressed (pictures are), no
-    signature, and who comes is told by the connection alone."""
+    """How the application is served: so many connections at most, small messages only, nothing compressed (pictures
+    are), no signature, and who comes is told by the connection alone."""
     made = uvicorn.Config(
         studio.app,
-        http=studio.door.letting_in(H11Protocol),  # type: ignore[arg-type] - a class is called, as any factory
-        backlog=studio.door.backlog,
+        http="h11",
+        limit_concurrency=MOST_CONNECTIONS,
+        timeout_keep_alive=20,
         proxy_headers=False,
         host=host,
         port=port,
@@ -230,7 +229,6 @@ def run(options: StudioOptions, ready: Callable[[str], None]) -> None:
     """Serve until Ctrl-C or SIGTERM; ready(address) is called when the page can be opened."""
     import socket
 
-    give_back_large_blocks()
     studio = Studio(options)
     with socket.socket(socket.AF_INET6 if ":" in options.host else socket.AF_INET) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

@@ -7,8 +7,8 @@
 | a name with anipose or freemocap in it, .toml | anipose, FreeMoCap | yes | millimetres |
 | .yml, .yaml, or a folder with intri.yml and extri.yml | EasyMocap; OpenCV (one camera) | yes | intri.yml, extri.yml |
 | a folder of OpenCV's .xml or .yml, one per camera | OpenCV | yes | - |
-| .qca.txt | Qualisys | yes | yes |
-| .xcp | Vicon | yes | without tangential distortion |
+| .qca.txt | Qualisys | yes | - |
+| .xcp | Vicon | yes | - |
 | .mcal | OptiTrack Motive | yes | - |
 | .json | CMU Panoptic (K, R, t), 3 x 4 projections | yes | - |
 | .txt | 3 x 4 projections | yes | - |
@@ -37,7 +37,7 @@ from hypose.io.calibrations.calibration_toml import (
     toml_value,
     write_calibration,
 )
-from hypose.io.calibrations.calibration_xml import read_xml, write_qca, write_xcp
+from hypose.io.calibrations.calibration_xml import read_xml
 from hypose.io.calibrations.calibration_yml import read_storages, read_yml, storages, write_yml
 from hypose.io.files import read_bytes, write_text
 
@@ -45,7 +45,7 @@ _READ = (
     ".toml, .yml, .yaml, .xml, .json, .qca.txt, .xcp, .mcal, .txt, .calib, .pickle, or a folder with intri.yml and "
     "extri.yml, .pickle, .calib or OpenCV's .xml files"
 )
-_WRITTEN = ".toml, .yml, .qca.txt, .xcp or .pickle"
+_WRITTEN = ".toml, .yml or .pickle"
 
 
 def read_any(path: str | Path, unit: str = "auto") -> tuple[CameraRig, tuple[str, ...]]:
@@ -93,7 +93,7 @@ def read_any(path: str | Path, unit: str = "auto") -> tuple[CameraRig, tuple[str
 
 def check_format(path: Path) -> None:
     """An InputError when the file's ending tells no format."""
-    if not path.name.lower().endswith((".toml", ".yml", ".yaml", ".qca.txt", ".xcp", ".pickle")):
+    if not path.name.lower().endswith((".toml", ".yml", ".yaml", ".pickle")):
         raise InputError(f"{path} cannot be written: name the calibration {_WRITTEN}.")
 
 
@@ -108,11 +108,7 @@ def write_any(rig: CameraRig, path: str | Path) -> list[Path]:
     if name.endswith(".pickle"):
         return write_opencap(rig, path.parent)
     path.parent.mkdir(parents=True, exist_ok=True)
-    if name.endswith(".qca.txt"):
-        write_qca(rig, path)
-    elif name.endswith(".xcp"):
-        write_xcp(rig, path)
-    elif name == "camera_array.toml":
+    if name == "camera_array.toml":
         _write_caliscope(rig, path)
     elif "anipose" in name or "freemocap" in name:
         cameras = []

@@ -8,11 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from hypose.cameras.camera import Camera, CameraRig
+from hypose.cameras.camera import CameraRig
 from hypose.errors import CalibrationError
-from hypose.geometry import Array, quaternion_from_matrix
+from hypose.geometry import Array
 from hypose.io.calibrations.calibration_toml import checked_camera, natural_key, read_text, rig_of
-from hypose.io.files import write_text
 
 
 def read_xml(path: str | Path) -> tuple[CameraRig, tuple[str, ...]]:
@@ -78,57 +77,6 @@ def _read_qca(path: Path, root: ElementTree.Element) -> tuple[CameraRig, tuple[s
             checked_camera(where, name, k, np.concatenate([lens, third]), turn, -turn @ pose[9:] / 1000, size)
         )
     return rig_of(path, cameras), tuple(notes)
-
-
-def write_qca(rig: CameraRig, path: str | Path) -> None:
-    """Qualisys' file, as `read_xml` reads it: intrinsics in 1/64 px, distortion as it is, positions in mm."""
-    root = ElementTree.Element("calibration", {"type": "regular", "source": "hypose"})
-    ElementTree.SubElement(root, "results", {"std-dev": "0.", "min-max-diff": "0."})
-    cameras = ElementTree.SubElement(root, "cameras")
-    for camera in rig:
-        _writable(camera, "Qualisys' files")
-        w, h = camera.size
-        element = ElementTree.SubElement(
-            cameras, "camera", {"active": "1", "serial": camera.name, "model": "none", "viewrotation": "0"}
-        )
-        box = {"left": "0", "top": "0", "right": str(w - 1), "bottom": str(h - 1)}
-        for tag in ("fov_marker", "fov_marker_max", "fov_video", "fov_video_max"):
-            ElementTree.SubElement(element, tag, box)
-        turn = np.diag([1.0, -1.0, -1.0]) @ camera.camera_from_world[:3, :3]
-        place = 1000 * camera.position
-        values = {f"r{i + 1}{j + 1}": repr(float(turn[i, j])) for i in range(3) for j in range(3)}
-        ElementTree.SubElement(
-            element, "transform", {**dict(zip("xyz", (repr(float(p)) for p in place), strict=True)), **values}
-        )
-        k, d = 64 * camera.K, np.concatenate([camera.distortion, np.zeros(5)])
-        numbers = {
-            "focalLengthU": k[0, 0],
-            "focalLengthV": k[1, 1],
-            "centerPointU": k[0, 2],
-            "centerPointV": k[1, 2],
-            "skew": 0.0,
-            "radialDistortion1": d[0],
-            "radialDistortion2": d[1],
-            "radialDistortion3": d[4],
-            "tangentalDistortion1": d[2],
-            "tangentalDistortion2": d[3],
-            "sensorMinU": 0.0,
-            "sensorMaxU": 64.0 * w,
-            "sensorMinV": 0.0,
-            "sensorMaxV": 64.0 * h,
-        }
-        ElementTree.SubElement(element, "intrinsic", {n: repr(float(v)) for n, v in numbers.items()})
-    _write(root, path)
-
-
-def _writable(camera: Camera, what: str, coefficients: int = 5) -> None:
-    if camera.fisheye or np.abs(camera.distortion[coefficients:]).max(initial=0) > 0:
-        raise CalibrationError(f"Camera {camera.name} has a lens that {what} cannot hold; write .toml.")
-
-
-def _write(root: ElementTree.Element, path: str | Path) -> None:
-    ElementTree.indent(root)
-    write_text(path, "<?xml version='1.0' encoding='UTF-8'?>\n" + ElementTree.tostring(root, encoding="unicode") + "\n")
 
 
 # ---- Vicon ---------------------------------------------------------------------------------------------------------
@@ -228,48 +176,6 @@ def _rotation(q: Array) -> Array:
             [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
         ]
     )
-
-
-def write_xcp(rig: CameraRig, path: str | Path) -> None:
-    """Vicon's file, as `read_xml` reads it (OpenCV's radial coefficients; tangential ones must be absent)."""
-    root = ElementTree.Element("Cameras", {"SOURCE": "hypose"})
-    for camera in rig:
-        _writable(camera, "Vicon's files")
-        if np.abs(camera.distortion[2:4]).max(initial=0) > 1e-6:
-            raise CalibrationError(
-                f"Camera {camera.name} has tangential distortion, which Vicon's files cannot hold; write .toml or "
-                ".qca.txt."
-            )
-        element = ElementTree.SubElement(
-            root,
-            "Camera",
-            {
-                "DEVICEID": camera.name,
-                "TYPE": "Video",
-                "SENSOR_SIZE": f"{camera.size[0]} {camera.size[1]}",
-                "PIXEL_ASPECT_RATIO": repr(float(camera.K[0, 0] / camera.K[1, 1])),
-            },
-        )
-        frames = ElementTree.SubElement(element, "KeyFrames")
-        q = quaternion_from_matrix(camera.camera_from_world[:3, :3])
-        d = np.concatenate([camera.distortion, np.zeros(5)])
-
-        def said(values: object) -> str:
-            return " ".join(repr(float(v)) for v in np.ravel(np.asarray(values, dtype=np.float64)))
-
-        ElementTree.SubElement(
-            frames,
-            "KeyFrame",
-            {
-                "FOCAL_LENGTH": said(camera.K[0, 0]),
-                "PRINCIPAL_POINT": said(camera.K[:2, 2]),
-                "ORIENTATION": said([*q[1:], q[0]]),
-                "POSITION": said(1000 * camera.position),
-                "VICON_RADIAL2": f"ViconRadial2 {said(camera.K[:2, 2])} {said(d[[0, 1, 4]])}",
-                "WORLD_ERROR": "0",
-            },
-        )
-    _write(root, path)
 
 
 def _attributes(
