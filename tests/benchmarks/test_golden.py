@@ -105,7 +105,8 @@ def test_a_clip_that_seems_too_slow_is_tracked_again_and_the_fastest_time_counts
     def measure(seed, data):
         yield "", Outcome(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros(1, bool), 0, next(seconds))
 
-    found = golden._measured("walk", golden.Clip(measure), 0, tmp_path, {"walk": {"time_ratio": 1.0}})
+    kept = {"walk": {"time_ratio": 1.0}}
+    found = golden._measured("walk", golden.Clip(measure), 0, tmp_path, kept, golden._compared(quick=False))
     assert found["walk"]["time_ratio"] == 1.1 and next(seconds) == 5.0
 
 
