@@ -19,8 +19,7 @@ from scipy.stats import chi2
 
 from benchmarks.bench_report import BenchOptions
 from benchmarks.depth_sensors.depth_tracking import RATE, SENSORS, aligned, scene_of
-from benchmarks.multiview.curvature import as_curved
-from benchmarks.multiview.doubt_scenes import angles_of, true_angles
+from benchmarks.multiview.doubt_scenes import angles_of, as_curved, true_angles
 from benchmarks.multiview.spread_fit import ASSET, TILTED, fit_angle, fit_joint, pelvis_floor, squares
 from hypose.body.joint_angles import ANGLE_NAMES
 from hypose.body.ready_bodies import JOINT_NAMES

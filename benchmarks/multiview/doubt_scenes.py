@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from benchmarks.bench_report import BenchOptions
 from benchmarks.multiview.action_scenes import known_subject, subject_of_seed
-from benchmarks.multiview.curvature import as_curved
 from benchmarks.multiview.product import aligned_joints, body_by_keypoints, estimated_body
 from benchmarks.multiview.real_recordings import balancing_recording
 from benchmarks.multiview.things_in_masks import with_thing
@@ -38,7 +37,7 @@ from hypose.synthetic.depth_scenes import DepthScene
 from hypose.synthetic.scenes import Scene, make_scene
 from hypose.synthetic.simulated_keypoints import keypoint_detections
 from hypose.tracking.doubt import as_mixture, judged, without_mixture
-from hypose.tracking.fitted_spread import beyond_usual
+from hypose.tracking.fitted_spread import apart_factors, beyond_usual, fitted, kind_of
 
 
 @dataclass(frozen=True)
@@ -350,3 +349,23 @@ def true_angles(scene: Scene | DepthScene) -> Array:
 def load_all(folder: Path) -> list[Tracked]:
     """What was collected, in the order of the files' names."""
     return [pickle.loads(p.read_bytes()) for p in sorted(folder.glob("*.pkl"))]  # noqa: S301 - its own files
+
+
+def as_curved(motion: Motion, evidence: str, beyond: float = 0.0) -> Motion:
+    """What `with_fitted_joints` and `with_fitted_angles` were given of V: for fitting anew."""
+    joints, angles = (fitted()[what][evidence] for what in ("joints", "angles"))
+    _, by_joint, by_angle = apart_factors(evidence)
+    a, b = np.array([joints.get(kind_of(n), (1.0, 0.0)) for n in motion.skeleton.joint_names]).T
+    floor = b**2 + (by_joint * beyond) ** 2
+    assert motion.systematic_covariance is not None
+    around = (motion.joint_covariance - motion.systematic_covariance) / a[:, None, None] ** 2
+    known = motion.systematic_covariance - floor[:, None, None] * np.eye(3)
+    c, d = np.array([angles.get(kind_of(n), (1.0, 0.0)) for n in ANGLE_NAMES]).T
+    least = d**2 + (by_angle * beyond) ** 2
+    sd = None if motion.angle_sd is None else np.sqrt(np.maximum(motion.angle_sd**2 - least, 0.0)) / c
+    return replace(
+        motion,
+        joint_covariance=around.astype(np.float32),
+        systematic_covariance=known.astype(np.float32),
+        angle_sd=None if sd is None else sd.astype(np.float32),
+    )

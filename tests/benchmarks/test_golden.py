@@ -53,11 +53,13 @@ def test_figures_leave_out_what_is_not_known():
 def measured(monkeypatch, tmp_path):
     """measured(error, failed) makes what the next run of `golden` measures; the kept file is one of its own."""
     monkeypatch.setattr(golden, "KEPT", tmp_path / "golden.json")
-    golden.KEPT.write_text(json.dumps({"tolerances": {"mean_error_mm": {"more": 0.3}}, "golden": {}, "other": {}}))
+    tolerances = {m: TOLERANCES[m] for m in ("mean_error_mm", "time_ratio")}
+    golden.KEPT.write_text(json.dumps({"tolerances": tolerances, "golden": {}, "other": {}}))
 
-    def set_to(error, failed=None, clips="golden"):
+    def set_to(error, failed=None, clips="golden", time=40.0):
         settings = {"clips": clips, "skipped": ["uu4cam"], "failed": failed or {}}
-        made = BenchReport((Row("mean_error_mm", "walk", error, "mm"),), settings)
+        rows = (Row("mean_error_mm", "walk", error, "mm"), Row("time_ratio", "walk", time, "1"))
+        made = BenchReport(rows, settings)
         known = {"golden": bench_list.Benchmark(lambda options: made, "other")}
         monkeypatch.setattr(bench_list, "benchmarks", lambda: known)
 
@@ -75,7 +77,16 @@ def test_the_command_keeps_and_compares_each_set_of_clips(bench, measured):
     measured(30.0, clips="other")
     assert bench("golden", "--other", "--keep")[0] == 0
     kept = golden.document()
-    assert kept["golden"]["walk"] == {"mean_error_mm": 20.0} and kept["other"]["walk"] == {"mean_error_mm": 30.0}
+    assert kept["golden"]["walk"]["mean_error_mm"] == 20.0 and kept["other"]["walk"]["mean_error_mm"] == 30.0
+
+
+@pytest.mark.parametrize(("time", "kept"), [(48.0, 40.0), (60.0, 60.0), (20.0, 20.0)])
+def test_a_kept_time_does_not_creep(bench, measured, time, kept):
+    measured(20.0)
+    bench("golden", "--keep")
+    measured(21.0, time=time)
+    assert bench("golden", "--keep")[0] == 0
+    assert golden.document()["golden"]["walk"] == {"mean_error_mm": 21.0, "time_ratio": kept}
 
 
 def test_a_clip_that_is_refused_fails_even_when_the_rest_is_kept(bench, measured):

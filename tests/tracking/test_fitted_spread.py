@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.multiview.curvature import as_curved
+from benchmarks.multiview.doubt_scenes import as_curved
 from hypose.body.joint_angles import ANGLE_NAMES, joint_angles
 from hypose.body.motion import Motion, isotropic
 from hypose.body.ready_bodies import human
