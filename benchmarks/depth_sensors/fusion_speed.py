@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -36,7 +37,7 @@ def speed(options: BenchOptions) -> BenchReport:
         row("ms_per_frame", "restart/improved", times["swarm"][50:151:50].mean(), "ms"),
         row("ms_per_frame", "6_persons", _six_persons(frames, registration.apply(recording.positions), repeats), "ms"),
     ]
-    latency = live.simulated_latency(_reports(recording, 2 if options.quick else 6))
+    latency = simulated_latency(_reports(recording, 2 if options.quick else 6))
     rows.append(row("latency_p99_ms", "all", np.percentile(latency[30:], 99), "ms"))
     rows.append(row("latency_median_ms", "all", np.median(latency[30:]), "ms"))
     return BenchReport(tuple(rows), {"repetitions": repeats, "candidates": "15 x 2100", "sensors": 3})
@@ -82,3 +83,9 @@ def _reports(recording: SensorRecording, persons: int) -> list[SensorReport]:
                 arrival = 100 + at + 0.002 + 0.003 * float(rng.random())
                 out.append(SensorReport(name, at, p, jt.COMMON, positions, recording.state[t, k], arrival))
     return sorted(out, key=lambda r: r.arrival)
+
+
+def simulated_latency(reports: Iterable[SensorReport], settings: live.LiveSettings | None = None) -> Array:
+    """(N,) ms from the instant that a frame describes to when it is ready, computation included, sockets not."""
+    frames = live.replay(live.LiveFuser(settings), reports, time.perf_counter)
+    return np.array([1000 * latency for _, latency in frames])

@@ -10,8 +10,9 @@ from numpy.typing import ArrayLike
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
 from benchmarks.depth_sensors.fusion_scenes import FRESH_SEED, HANDS, scene_recording, scene_settings
+from hypose.fusion import joints as jt
 from hypose.fusion.confidence import confidence_step, normalised, start_confidence
-from hypose.fusion.register import alone, by_triangles, heading, register, upward
+from hypose.fusion.register import alone, by_triangles, horizontal_axes, register, upward
 from hypose.fusion.swarm import IMPROVED, PUBLISHED, SwarmSettings, start_swarm, swarm_step
 from hypose.geometry import Array
 from hypose.synthetic.sensors import HIDDEN_BELOW, SensorRecording
@@ -224,3 +225,16 @@ def register_per_frame(positions: ArrayLike, reference: int = 0) -> Array:
         found = by_triangles(found, s[t])
         out[t] = found.apply(s[t])
     return out
+
+
+def heading(positions: ArrayLike, up: ArrayLike) -> Array:
+    """(T,) rad turn of the person about `up` (3,), from the shoulder lines of registered positions (T, K, 15, 3), mean
+    over the sensors, unwrapped and smoothed (factor 0.2 per frame: raw headings of single frames trigger by chance)."""
+    s = np.asarray(positions, dtype=np.float64)
+    side = s[:, :, jt.LEFT_SHOULDER] - s[:, :, jt.RIGHT_SHOULDER]
+    x, y = horizontal_axes(up)
+    angle = np.angle(np.nansum(np.exp(1j * np.arctan2(side @ y, side @ x)), axis=1))
+    angle = np.unwrap(np.nan_to_num(angle))
+    for t in range(1, len(angle)):
+        angle[t] = angle[t - 1] + 0.2 * (angle[t] - angle[t - 1])
+    return angle

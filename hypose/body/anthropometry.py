@@ -206,7 +206,7 @@ SEGMENTS: dict[str, tuple[str, str]] = {
 
 @dataclass(frozen=True)
 class Sizes:
-    """Sizes of a person in m: stature, shoulder_height, lengths by segment (SEGMENTS), girths by site (GIRTHS)."""
+    """Sizes of a person in m: stature, shoulder_height, lengths by segment (SEGMENTS), girths by site."""
 
     stature: float
     shoulder_height: float

@@ -65,15 +65,6 @@ KEYPOINT_SETS: Mapping[str, tuple[str, ...]] = {
     "BODY_135": BODY_135,
 }
 """The named sets. BODY_25 and BODY_25B have the same length: a recording must say which one it holds."""
-# what Pose2Sim and OpenPose call the same sets
-_ALIASES = {
-    "COCO": "COCO_18",
-    "BLAZEPOSE": "BLAZEPOSE_33",
-    "COCO_133_WRIST": "COCO_133",
-    "BODY_WITH_FEET": "HALPE_26",
-    "BODY": "COCO_17",
-    "WHOLE_BODY": "COCO_133",
-}
 
 _BONES = tuple(
     (f"{side}_{a}", f"{side}_{b}")

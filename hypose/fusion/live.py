@@ -7,7 +7,6 @@ skeleton). Nothing here waits or knows a socket: the caller says what time it is
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 
@@ -149,9 +148,3 @@ def replay(
 
         work(arrival, take)
     return out
-
-
-def simulated_latency(reports: Iterable[SensorReport], settings: LiveSettings | None = None) -> Array:
-    """(N,) ms from the instant that a frame describes to when it is ready, computation included, sockets not."""
-    frames = replay(LiveFuser(settings), reports, time.perf_counter)
-    return np.array([1000 * latency for _, latency in frames])

@@ -218,19 +218,6 @@ def confidence_of(state: ArrayLike, inferred: float = 0.5) -> Array:
     return np.where(s == TRACKED, 1.0, np.where(s == INFERRED, inferred, 0.0))
 
 
-def heading(positions: ArrayLike, up: ArrayLike) -> Array:
-    """(T,) rad turn of the person about `up` (3,), from the shoulder lines of registered positions (T, K, 15, 3), mean
-    over the sensors, unwrapped and smoothed (factor 0.2 per frame: raw headings of single frames trigger by chance)."""
-    s = np.asarray(positions, dtype=np.float64)
-    side = s[:, :, jt.LEFT_SHOULDER] - s[:, :, jt.RIGHT_SHOULDER]
-    x, y = horizontal_axes(up)
-    angle = np.angle(np.nansum(np.exp(1j * np.arctan2(side @ y, side @ x)), axis=1))
-    angle = np.unwrap(np.nan_to_num(angle))
-    for t in range(1, len(angle)):
-        angle[t] = angle[t - 1] + 0.2 * (angle[t] - angle[t - 1])
-    return angle
-
-
 def horizontal_axes(up: ArrayLike) -> tuple[Array, Array]:
     """Two unit vectors (3,) that span the plane across `up`."""
     u = np.asarray(up, dtype=np.float64)

@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from benchmarks.depth_sensors.sensor_choice import register_per_frame
+from benchmarks.depth_sensors.sensor_choice import heading, register_per_frame
 from hypose.errors import InputError
 from hypose.evidence.frame import SensorJoints
 from hypose.fusion import joints as jt
-from hypose.fusion.register import check_same_person, depth_at_joints, heading, identity, register, upward
+from hypose.fusion.register import check_same_person, depth_at_joints, identity, register, upward
 from tests.fusion.people import in_reference, moving_person, seen, sensor_poses
 
 
