@@ -64,10 +64,19 @@ def pose_fused(fused: Motion, body: Body | None = None, smoothness: float = 1.0)
     poses = fit_clip(subject.body, subject.poses[nearest], points=terms, acceleration=smoothness, priors=(prior,))
     skeleton = subject.body.skeleton
     joints = subject.body.joints(poses)
-    around = np.full((*joints.shape[:2], 3, 3), np.nan, np.float32)
-    for k in known:
-        if NAMES[k] in skeleton.joint_names:
-            # the fused joints of a motion start at the torso; look each up by its name there
-            own = NAMES[k].replace("wrist", "hand").replace("ankle", "foot")
-            around[:, skeleton.joint(NAMES[k])] = fused.joint_covariance[:, fused.skeleton.joint(own)]
-    return subject.body, replace(fused, skeleton=skeleton, joints=joints, poses=poses, joint_covariance=around)
+    names = [NAMES[k] for k in known if NAMES[k] in skeleton.joint_names]
+    # the fused joints of a motion start at the torso; look each up by its name there
+    own = [fused.skeleton.joint(n.replace("wrist", "hand").replace("ankle", "foot")) for n in names]
+    there = [skeleton.joint(n) for n in names]
+    known_of_joints = {
+        "joint_covariance": np.nan,
+        "systematic_covariance": np.nan,
+        "p_wrong": 0.0,
+        "doubtful_joints": False,
+    }
+    arrays = {}
+    for name, unknown in known_of_joints.items():
+        if (given := getattr(fused, name)) is not None:
+            arrays[name] = np.full((*joints.shape[:2], *given.shape[2:]), unknown, given.dtype)
+            arrays[name][:, there] = given[:, own]
+    return subject.body, replace(fused, skeleton=skeleton, joints=joints, poses=poses, **arrays)
