@@ -63,7 +63,7 @@ class FusedFrame:
     sensors, and wrong (J,): how likely the joint is off by more than trust.WRONG_M, NaN where unknown; shares (15, K):
     what each sensor carried of each common joint (fit: weights; swarm: population); choice (15, K) the swarm's
     population when it runs as diagnosis; lost; n_sensors with evidence; swapped (K,) sensors whose sides were
-    exchanged; restarted: the swarm began anew."""
+    exchanged; restarted: the swarm was initialised again."""
 
     time: float
     joint_names: tuple[str, ...]

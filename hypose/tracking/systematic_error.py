@@ -22,7 +22,7 @@ LASTING_S = 0.5
 over a few tenths of a second."""
 SHARED = 2.0
 """Standard deviation of the error that all views share, per axis, in those of a usual view's lasting residuals. Chosen
-on the Shelf recording (Belagiannis et al. 2014), people who are annotated in most frames: 90 % regions hold .46 to .54
+on the Shelf recording (Belagiannis et al. 2014), people who are annotated in most frames: 90 % regions hold .48 to .49
 of the annotations with 2, .15 to .17 with nothing; annotations by hand err by 20 mm themselves."""
 MOST_SHARED_M = 0.03
 """m per axis: detectors' hips and knees lie 30 to 50 mm from the joints' centres (Needham et al. 2021, doi
