@@ -77,10 +77,6 @@ def fuse(
         number("WebSocket port: /in takes skeletons, /out sends. [default: 9871]", 0, 65535, rich_help_panel=_LIVE),
     ] = None,
     osc: Annotated[str | None, typer.Option(help="HOST:PORT to send OSC to.", rich_help_panel=_LIVE)] = None,
-    vmc: Annotated[
-        str | None,
-        typer.Option(help="HOST:PORT of a program that moves an avatar (VMC protocol).", rich_help_panel=_LIVE),
-    ] = None,
     host: Annotated[
         str, typer.Option(help="Address to listen on; others than this computer need the token.", rich_help_panel=_LIVE)
     ] = "127.0.0.1",
@@ -105,7 +101,7 @@ def fuse(
     if live:
         if recording is not None:
             raise InputError("--live takes no recording; leave one of the two out.")
-        _live(udp, ws, osc, vmc, host, token, wait, record, rate)
+        _live(udp, ws, osc, host, token, wait, record, rate)
         return
     if recording is None:
         raise InputError("There is nothing to fuse; give a recording of skeletons, or --live.")
@@ -233,7 +229,6 @@ def _live(
     udp: int | None,
     ws: int | None,
     osc: str | None,
-    vmc: str | None,
     host: str,
     token: str | None,
     wait: float,
@@ -252,7 +247,6 @@ def _live(
         udp=udp if chosen else 9870,
         ws=ws if chosen else 9871,
         osc=osc,
-        vmc=vmc,
         token=token,
         record=record,
         settings=LiveSettings(AlignSettings(rate=30.0 if rate is None else rate, wait=wait / 1000)),
