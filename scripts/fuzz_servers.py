@@ -42,7 +42,7 @@ class _Servers:
 
     def __init__(self) -> None:
         from hypose.app.live.live_server import LiveOptions, LiveServer
-        from hypose.app.live.secrets_and_logs import FOREIGN, fold_logs, folded
+        from hypose.app.live.servers import FOREIGN, fold_logs, folded
         from hypose.app.studio.answers import NotNow
         from hypose.app.studio.server import Studio, StudioOptions, make_server
 

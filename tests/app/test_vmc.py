@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from hypose.app.cli import main
-from hypose.app.commands.commands_play import play_motion
+from hypose.app.commands.commands_results import play_motion
 from hypose.app.live.osc import OscTarget, osc_bundles
 from hypose.app.live.vmc import BONES, vmc_messages
 from hypose.body.motion import Motion, isotropic

@@ -29,18 +29,16 @@ from websockets.datastructures import MultipleValuesError
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
+from hypose.app.commands.console import ended_by_signals
 from hypose.app.live.osc import OscTarget, people_osc
-from hypose.app.live.outbox import ORIGINS, Outbox, Queue
-from hypose.app.live.secrets_and_logs import fold_logs, same_secret, shows_secret
-from hypose.app.live.socket_listeners import refusal
-from hypose.app.live.until_ended import ended_by_signals
+from hypose.app.live.servers import ORIGINS, Outbox, Queue, fold_logs, refusal, same_secret, shows_secret
 from hypose.errors import InputError
 from hypose.fusion.joints import COMMON
 from hypose.fusion.live import LiveFrame, LiveFuser, LiveSettings
 from hypose.geometry import Array
 from hypose.io.sensors.skeleton_folder import FolderWriter
 from hypose.io.sensors.skeleton_lines import MAX_SKELETON_LINE, parse_line
-from hypose.pipeline.live.punctual import punctual
+from hypose.pipeline.live.processes import punctual
 
 Say = Callable[[str], None]
 _TOKEN = re.compile(r"[A-Za-z0-9_.-]{8,128}")

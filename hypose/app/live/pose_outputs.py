@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from hypose.app.live.osc import OscTarget, people_osc
-from hypose.app.live.socket_listeners import SocketListeners
+from hypose.app.live.servers import SocketListeners
 from hypose.app.live.vmc import vmc_messages
 from hypose.body.ready_bodies import JOINT_NAMES
 from hypose.errors import InputError

@@ -11,8 +11,7 @@ import pytest
 
 from hypose.io.motions.bodies import save_body
 from hypose.io.motions.results import save_motion
-from hypose.pipeline.gait_cycles import angle_cycles
-from hypose.pipeline.gait_events import gait_of
+from hypose.pipeline.gait import angle_cycles, gait_of
 from tests.app.studio.browser import WEB, go
 from tests.app.studio.conftest import serving
 from tests.pipeline.test_gait import walking
