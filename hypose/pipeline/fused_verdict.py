@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from hypose.body.motion import Motion
-from hypose.calibration.doctor_report import UNITS
+from hypose.calibration.diagnose_person import UNITS
 from hypose.evidence.frame import SensorJoints
 from hypose.fusion import joints as jt
 from hypose.fusion.clocks import offset_by_movement

@@ -17,7 +17,7 @@ from hypose.app.sweeps.cluster import Place, run_batch, slurm_cluster
 from hypose.app.sweeps.sweep import is_recording, plan, read_sweep, sweep_of
 from hypose.body.ready_bodies import human
 from hypose.errors import InputError
-from hypose.io.motions.bodies import save_body
+from hypose.io.motions.results import save_body
 from tests import missing
 from tests.conftest import HANG_S, ROOT
 

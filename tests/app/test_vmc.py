@@ -18,8 +18,7 @@ from hypose.fusion.joints import COMMON
 from hypose.fusion.live import LiveFrame, LivePerson
 from hypose.fusion.point_motion import points_motion
 from hypose.geometry import transform
-from hypose.io.motions.bodies import save_body
-from hypose.io.motions.results import save_motion
+from hypose.io.motions.results import save_body, save_motion
 from tests.depth_sensors import camera, walker
 from tests.osc_packets import parse_osc
 

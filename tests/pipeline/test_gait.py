@@ -11,8 +11,7 @@ from hypose.app.reports.gait_plot import gait_section
 from hypose.body.motion import Motion, isotropic
 from hypose.body.ready_bodies import human
 from hypose.errors import InputError
-from hypose.io.motions.bodies import save_body
-from hypose.io.motions.results import save_motion
+from hypose.io.motions.results import save_body, save_motion
 from hypose.pipeline.gait_cycles import angle_cycles, strides
 from hypose.pipeline.gait_events import gait_of
 

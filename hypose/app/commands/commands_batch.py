@@ -51,7 +51,7 @@ def batch(
     from hypose.app.sweeps.batch_worker import finished
     from hypose.app.sweeps.cluster import Place, require_dask, run_batch
     from hypose.app.sweeps.sweep import is_recording, plan, read_sweep, sweep_of
-    from hypose.io.claims import claimed
+    from hypose.io.files import claimed
 
     if not dry_run:
         require_dask(slurm)  # before all files are read

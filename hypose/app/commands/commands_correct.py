@@ -29,7 +29,7 @@ def correct(
     from hypose.app.jobs.correct import read_correction
     from hypose.app.reports.summary import require_found
     from hypose.app.studio.view_result import find_recording
-    from hypose.io.claims import claimed
+    from hypose.io.files import claimed
     from hypose.io.motions.results import ResultsFolder
 
     recording = find_recording(results)

@@ -25,9 +25,8 @@ def silhouettes(
     """Write the masks of the person as PNG, one folder per view, and a contact sheet."""
     from hypose.app.jobs.checking import write_sheet
     from hypose.app.jobs.job import choose_frames
-    from hypose.io.claims import claimed
-    from hypose.io.recordings.frames import FrameStream
-    from hypose.io.recordings.mask_folders import write_masks
+    from hypose.io.files import claimed
+    from hypose.io.recordings.frames import FrameStream, write_masks
     from hypose.io.recordings.recording import load_recording
 
     loaded = choose_frames(load_recording(recording), frames)
@@ -88,7 +87,7 @@ def synth(
 ) -> None:
     """Make a synthetic recording with known truth: videos, background clips, calibration, recording.toml, truth.npz."""
     set_threads(threads)
-    from hypose.io.claims import claimed
+    from hypose.io.files import claimed
     from hypose.synthetic.film_session import BOARD, write_session
     from hypose.synthetic.scenes import make_scene
     from hypose.synthetic.write_recording import check_folder, write_scene
@@ -142,7 +141,7 @@ def _depth_cameras(
     seed: int,
     clothing: float,
 ) -> None:
-    from hypose.io.claims import claimed
+    from hypose.io.files import claimed
     from hypose.synthetic.write_depth import walking_scene, write_depth_scene
 
     about = {"seconds": seconds, "frame_rate": frame_rate, "seed": seed, "clothing_m": clothing}

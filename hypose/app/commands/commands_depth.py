@@ -32,7 +32,7 @@ def depth_import(
 ) -> None:
     """Make a recording of depth cameras to track: maps, lenses, floor; several are brought together by the person."""
     from hypose.errors import InputError
-    from hypose.io.claims import claimed
+    from hypose.io.files import claimed
     from hypose.pipeline.import_depth import FolderUnits, import_depth
 
     if out.exists() and (not out.is_dir() or any(out.iterdir())):

@@ -17,8 +17,8 @@ def gait(
 ) -> None:
     """Write strikes, steps, cadence and speed (CSV, C3D with events), and joint angles over the gait cycle."""
     from hypose.app.jobs.gait_job import write_gait
-    from hypose.io.claims import claimed
-    from hypose.io.motions.bodies import load_result_body
+    from hypose.io.files import claimed
+    from hypose.io.motions.results import load_result_body
     from hypose.pipeline.gait_events import gait_of
 
     motion, body = load_result_body(results)

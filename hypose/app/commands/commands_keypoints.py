@@ -40,11 +40,9 @@ def keypoints(
 ) -> None:
     """Detect 2D key points in the videos, one OpenPose file per frame, for --evidence keypoints or both."""
     set_threads(threads)
-    from hypose.io.claims import claimed
-    from hypose.io.keypoints.blazepose import open_blazepose
-    from hypose.io.keypoints.detected_keypoints import FOLDER
-    from hypose.io.keypoints.mediapipe_environment import open_mediapipe
-    from hypose.io.keypoints.own_detector import open_own_detector
+    from hypose.io.files import claimed
+    from hypose.io.keypoints.detectors import open_blazepose, open_mediapipe, open_own_detector
+    from hypose.io.keypoints.read_keypoints import FOLDER
     from hypose.io.recordings.recording import load_recording
     from hypose.pipeline.detect_keypoints import detect_keypoints
 
@@ -88,7 +86,7 @@ def keypoints(
 
 def _have_mediapipe(yes: bool) -> None:
     """Set MediaPipe's environment up if it is not there, when the user agrees."""
-    from hypose.io.keypoints.mediapipe_environment import MEGABYTES, VERSION, environment_folder, is_set_up, set_up
+    from hypose.io.keypoints.detectors import MEGABYTES, VERSION, environment_folder, is_set_up, set_up
 
     if is_set_up():
         return

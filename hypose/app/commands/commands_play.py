@@ -21,8 +21,7 @@ def play(
     """Send a tracked motion to an avatar (VMC protocol): VSeeFace, Warudo, Unity, Unreal, Blender. See docs/live.md."""
     from hypose.app.live.osc import OscTarget
     from hypose.app.live.vmc import play_motion
-    from hypose.io.motions.bodies import load_result_body
-    from hypose.io.motions.results import load_result
+    from hypose.io.motions.results import load_result, load_result_body
     from hypose.pipeline.posed import pose_fused
 
     motion = load_result(results)

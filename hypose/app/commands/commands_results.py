@@ -20,9 +20,9 @@ def export(
     out: Annotated[Path | None, typer.Option(help="Folder to write to. [default: the results folder]")] = None,
 ) -> None:
     """Write motion files (TRC, C3D, BVH, GLB, CSV, MOT; OpenSim, Rerun) from a tracked motion."""
-    from hypose.io.claims import claimed
-    from hypose.io.motions.bodies import load_result_body
+    from hypose.io.files import claimed
     from hypose.io.motions.export import export_motion
+    from hypose.io.motions.results import load_result_body
 
     motion, body = load_result_body(results)
     tell_untrusted(results)

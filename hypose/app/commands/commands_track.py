@@ -147,7 +147,7 @@ def demo(
     set_threads(threads)
     from hypose.app.jobs.job import Job
     from hypose.app.jobs.truth import compare_with
-    from hypose.io.claims import claimed
+    from hypose.io.files import claimed
     from hypose.io.motions.results import ResultsFolder
     from hypose.io.recordings.recording import load_recording
     from hypose.pipeline.run import TrackOptions
@@ -170,7 +170,7 @@ def run_shown(job: Job, arguments: list[str]) -> tuple[Outcome, dict[str, float]
     """Run a job with progress; when it is interrupted, say what was kept and how to go on, and exit with code 130."""
     from hypose.app.jobs.job import run_job
     from hypose.app.jobs.people_job import run_people
-    from hypose.io.claims import claimed
+    from hypose.io.files import claimed
 
     previous = signal.signal(signal.SIGTERM, _interrupt)
     try:

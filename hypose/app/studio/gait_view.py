@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from hypose.errors import HyposeError
-from hypose.io.motions.bodies import load_body
-from hypose.io.motions.results import load_motion
+from hypose.io.motions.results import load_body, load_motion
 from hypose.pipeline.gait_cycles import angle_cycles
 from hypose.pipeline.gait_events import gait_of
 

@@ -18,12 +18,12 @@ from hypose.app.jobs.job import Job, choose_frames, record_of
 from hypose.app.jobs.truth import compare_with
 from hypose.errors import HyposeError, InputError
 from hypose.io.file_names import file_name
+from hypose.io.files import read_toml
 from hypose.io.motions.export import FORMATS
 from hypose.io.motions.results import ResultsFolder, to_json
 from hypose.io.recordings.pose2sim import is_project
 from hypose.io.recordings.provenance import identity
-from hypose.io.recordings.recording import load_recording
-from hypose.io.recordings.recording_keys import check_keys, read_toml
+from hypose.io.recordings.recording import check_keys, load_recording
 from hypose.pipeline.chunked import chunk_ranges
 from hypose.pipeline.run import TrackOptions
 

@@ -14,7 +14,7 @@ from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.frame import Silhouettes
 from hypose.evidence.outlines import WORKING_HEIGHT, ViewOutline, view_outline
 from hypose.evidence.silhouettes import Mask
-from hypose.io.recordings.depth_views import DepthPreparer
+from hypose.io.recordings.view_source import DepthPreparer
 
 DepthMap = NDArray[np.float32]
 Millimetres = NDArray[np.uint16]
