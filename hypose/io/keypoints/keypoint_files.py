@@ -292,8 +292,8 @@ def read_keypoint_json(path: Path) -> KeypointTable:
         if document and all(isinstance(v, Mapping) and "keypoints" in v for v in document):
             return _coco(document, None, where)
     raise InputError(
-        f"{where} is not {_KIND_json}: neither instance_info, instances, annotations, nor a list of keypoints is in it; "
-        "export the key points again, or as OpenPose files."
+        f"{where} is not {_KIND_json}: neither instance_info, instances, annotations, nor a list of "
+        "keypoints is in it; export the key points again, or as OpenPose files."
     )
 
 
