@@ -19,10 +19,8 @@ from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.io.files import check_writable, read_json
-from hypose.io.motions.bodies import load_body, save_body
 from hypose.io.motions.export import FORMATS, export_motion, known_formats
-from hypose.io.motions.modes import load_modes
-from hypose.io.motions.results import ResultsFolder, load_motion, to_json
+from hypose.io.motions.results import ResultsFolder, load_body, load_modes, load_motion, save_body, to_json
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.provenance import identity, provenance
 from hypose.io.recordings.recording import Recording
