@@ -19,7 +19,7 @@ from hypose.errors import InputError, extra
 from hypose.geometry import Array
 from hypose.io.file_names import utf8_path
 from hypose.io.files import read_bytes, readable_size, write_bytes
-from hypose.io.videos.png import SIGNATURE, is_cut_png
+from hypose.io.videos.video import PNG_SIGNATURE, is_cut_png
 from hypose.json_text import parse_json
 
 DepthMap = NDArray[np.float32]
@@ -47,7 +47,7 @@ def write_millimetres_png(path: str | Path, depth: NDArray[np.uint16]) -> None:
 def read_depth_png(path: str | Path) -> DepthMap:
     """Read a 16-bit PNG in millimetres; the size in its header is checked before anything is unpacked."""
     data = read_bytes(path, "a 16-bit depth PNG", _MAX_BYTES)
-    if not data.startswith(SIGNATURE) or data[12:16] != b"IHDR" or len(data) < 33:
+    if not data.startswith(PNG_SIGNATURE) or data[12:16] != b"IHDR" or len(data) < 33:
         raise InputError(f"{path} is not a PNG; depth maps are 16-bit PNG in millimetres.")
     width, height, bits, colour = struct.unpack(">IIBB", data[16:26])
     if bits != 16 or colour != 0 or not 1 <= width <= MAX_SIDE or not 1 <= height <= MAX_SIDE:
