@@ -27,7 +27,6 @@ from hypose.io.recordings.recording import Recording
 from hypose.io.sensors.skeleton_streams import SkeletonRecording
 from hypose.pipeline.first_frame import SubjectOptions
 from hypose.pipeline.fuse_mixture import fuse_mixture, skeletons_at_frames
-from hypose.pipeline.left_out import KeptFrames, LeftOut, left_out
 from hypose.pipeline.one_of_several import keypoint_people, track_one_of, wanted_first, with_everybody
 from hypose.pipeline.picture_start import POINT_STARTS, clicks_of
 from hypose.pipeline.pictures import depth_note
@@ -311,22 +310,15 @@ def _draw(
         rivals=Rivals.of_motion(motion) if modes is None else Rivals.of(modes.joints, modes.weights),
     )
 
-    kept = KeptFrames(source, motion)
-
     def overlay(path: Path, rows: Sequence[int]) -> Mapping[int, Image]:
         how = {"stills": rows, "video": job.overlay, "progress": progress}
         if modes is not None:
             return write_modes_overlay(path, recording, motion, modes, body, **how)
-        return write_overlay(path, recording, kept, motion, body, **how)
+        return write_overlay(path, recording, source, motion, body, **how)
 
     caption = "Frame {}" if modes is None else "Frame {}, and all modes from the side"
 
-    def without() -> Sequence[LeftOut]:
-        return left_out(motion, body, kept.every(), options.looks_at) if len(recording.rig) > 1 else ()
-
-    return draw(
-        job.results, about, overlay, files, video=job.overlay, caption=caption, without=without, progress=progress
-    )
+    return draw(job.results, about, overlay, files, video=job.overlay, caption=caption, progress=progress)
 
 
 def remove_stale(results: ResultsFolder, written: Sequence[Path]) -> None:
