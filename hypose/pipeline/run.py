@@ -216,7 +216,7 @@ def track_source(
     keep = None
     if results is not None:  # before the motion, so that what is kept of an interrupted run can be looked at
         keep_subject(subject, results, key)
-        keep = Keep(results.checkpoint, key, options.checkpoint_every, finished=True)
+        keep = Keep(results.checkpoint, key, options.checkpoint_every)
     tracker = tracker_of(subject, options, frame_rate, method, own)
     if options.whole_clip and method is None and not own:
         solved, audit = track_keypoints(source, frame_rate, subject, report, sure_start=options.sure_start)
@@ -233,9 +233,9 @@ def track_source(
         return _written(replace(result, one_by_one=solved.one_by_one, audit=audit, **said), results)
     if method is None and not options.of_picture:
         source, subject = with_named_sides(source, frame_rate, subject, sure_start=options.sure_start)
-    before = tracked_before(results.checkpoint, key, total) if resume and results is not None else None
+    before = tracked_before(results.checkpoint, key) if resume and results is not None else None
     begin = tracker.start(subject.start if subject.rivals is None else subject.rivals)
-    done = track_frames(source, range(total), tracker, begin, subject, keep=keep, before=before, progress=report)
+    done = track_frames(source, tracker, begin, subject, keep=keep, before=before, progress=report)
     if done.error is not None and results is not None:
         with contextlib.suppress(HyposeError):  # the first error is the one to tell
             _written(_tracked(subject, done.estimates, frame_rate, record), results)
@@ -253,7 +253,7 @@ def track_source(
                     subject = subject_of(source, frame_rate, options, body, None, key, report)
                 tracker = tracker_of(subject, options, frame_rate, method)
                 begin = tracker.start(subject.start if subject.rivals is None else subject.rivals)
-                done = track_frames(source, range(total), tracker, begin, subject, progress=report)
+                done = track_frames(source, tracker, begin, subject, progress=report)
         measured = not given and subject.keypoints is None and options.height is None and body is None
         if measured and not options.of_picture:
             of_height = of_measured(subject.body.stature)

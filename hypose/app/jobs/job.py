@@ -30,11 +30,11 @@ from hypose.io.sensors.skeleton_streams import SkeletonRecording
 from hypose.pipeline.first_frame import SubjectOptions
 from hypose.pipeline.fuse_mixture import fuse_mixture, skeletons_at_frames
 from hypose.pipeline.left_out import KeptFrames, LeftOut, left_out
-from hypose.pipeline.one_of_several import keypoint_people, track_one_of, wanted_first, with_everybody
 from hypose.pipeline.picture_start import POINT_STARTS, clicks_of
 from hypose.pipeline.pictures import depth_note
-from hypose.pipeline.run import MODES, TrackOptions, TrackResult, check_views, frames_wanted, track_source
+from hypose.pipeline.run import MODES, TrackOptions, TrackResult, check_views, frames_wanted
 from hypose.pipeline.subject_from_motion import load_subject, subject_file
+from hypose.pipeline.track import track_person
 from hypose.pipeline.verdict import Verdict
 from hypose.tracking.recipes import RECIPES, citation_of
 
@@ -177,30 +177,14 @@ def _track(
             results=job.results,
             record=record,
         )
-    everybody = with_everybody(source, options)
-    if everybody is not None:
-        with contextlib.closing(everybody):
-            return track_one_of(
-                everybody,
-                job.recording.frame_rate,
-                options,
-                wanted=wanted_first(job.recording, options),
-                points=keypoint_people(job.recording, source.rig) if options.looks_at == "both" else None,
-                results=job.results,
-                record=record,
-                resume=job.resume,
-                progress=progress,
-                command=f"hypose track {shlex.quote(str(job.recording.folder))} --people all",
-            )
-    return track_source(
+    return track_person(
         source,
-        job.recording.frame_rate,
         options,
-        body=load_subject(options.subject) if options.subject is not None else None,
         results=job.results,
         record=record,
         resume=job.resume,
         progress=progress,
+        command=f"hypose track {shlex.quote(str(job.recording.folder))} --people all",
     )
 
 
