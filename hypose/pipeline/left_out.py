@@ -18,7 +18,7 @@ from hypose.evidence.frame import Frame
 from hypose.fitting import SolveSettings, contour_term, fit_pose
 from hypose.fitting.articulated import ContourTerm, KeypointTerm
 from hypose.geometry import Array
-from hypose.pipeline.pictures import FrameSource
+from hypose.pipeline.one_camera import FrameSource
 from hypose.tracking.keypoint_evidence import KeypointModel, keypoint_model, keypoint_term
 from hypose.tracking.keypoint_offsets import calibrate_keypoints
 from hypose.tracking.refinement import anatomical_prior

@@ -29,15 +29,17 @@ from hypose.pipeline.first_frame import SUBJECT, Subject, SubjectOptions, find_s
 from hypose.pipeline.first_look import first_look, of_measured, places_refuted, sentences
 from hypose.pipeline.mend_sides import FrameRange, as_named, look_back, look_back_notes, mend_sides, sides_notes
 from hypose.pipeline.moved_sensors import PlacedSource, Places, moved_sensors
-from hypose.pipeline.picture_start import (
+from hypose.pipeline.one_camera import (
     BESIDE_FRAME,
     against_the_picture,
     beside_the_picture,
+    depth_note,
     doubt_of_depth,
+    one_view,
     picture_options,
     subject_in_picture,
+    tracked_frames,
 )
-from hypose.pipeline.pictures import depth_note, one_view, tracked_frames
 from hypose.pipeline.subject_from_motion import HEIGHT_DOUBT, HEIGHT_WRONG, height_sentence, height_told
 from hypose.pipeline.track_loop import FrameList, FrameSource, Keep, Progress, Tracked, track_frames, tracked_before
 from hypose.pipeline.verdict import Verdict, left_out, not_shown, verdict_of

@@ -16,7 +16,7 @@ from hypose.evidence.frame import Frame
 from hypose.io.motions.results import Checkpoint
 from hypose.pipeline.doubts import looked_at
 from hypose.pipeline.first_frame import Subject
-from hypose.pipeline.pictures import FrameSource, tracked_frames
+from hypose.pipeline.one_camera import FrameSource, tracked_frames
 from hypose.tracking.tracker import (
     FrameEstimate,
     Tracker,

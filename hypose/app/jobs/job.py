@@ -30,8 +30,7 @@ from hypose.io.sensors.skeleton_streams import SkeletonRecording
 from hypose.pipeline.first_frame import SubjectOptions
 from hypose.pipeline.fuse_mixture import fuse_mixture, skeletons_at_frames
 from hypose.pipeline.left_out import KeptFrames, LeftOut, left_out
-from hypose.pipeline.picture_start import POINT_STARTS, clicks_of
-from hypose.pipeline.pictures import depth_note
+from hypose.pipeline.one_camera import POINT_STARTS, clicks_of, depth_note
 from hypose.pipeline.run import MODES, TrackOptions, TrackResult, check_views, frames_wanted
 from hypose.pipeline.subject_from_motion import load_subject, subject_file
 from hypose.pipeline.track import track_person
@@ -114,9 +113,7 @@ def run_job(job: Job, progress: ProgressCall = ignore, seconds: Mapping[str, flo
     check_views(recording, options.of_picture)
     check_writable(results.path)
     record = record_of(job)
-    progress("compile", 0, 1)
-    compute.warm_up(*_kernels(recording, options), load=False)
-    progress("compile", 1, 1)
+    compile_before(progress, *_kernels(recording, options))
     finished = finished_before(job, record) if job.resume else None
     progress("background", 0, 1)
     with FrameStream(recording, frames_wanted(recording, options)) as source:
@@ -141,6 +138,13 @@ def run_job(job: Job, progress: ProgressCall = ignore, seconds: Mapping[str, flo
         files += _draw(job, options, tracked, source, said, truth, files, progress, seconds or {})
     remove_stale(results, files)
     return Outcome(tracked.motion, tracked.body, True, tuple(files), notes, truth, verdict)
+
+
+def compile_before(progress: ProgressCall, *parts: str) -> None:
+    """What a run needs of compute, compiled before it begins; parts: all that following people needs, when none."""
+    progress("compile", 0, 1)
+    compute.warm_up(*parts, load=False)
+    progress("compile", 1, 1)
 
 
 def _kernels(recording: Recording, options: TrackOptions) -> tuple[str, ...]:
