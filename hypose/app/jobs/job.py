@@ -45,7 +45,6 @@ from hypose.tracking.recipes import RECIPES, citation_of
 
 if TYPE_CHECKING:
     from hypose.app.jobs.truth import Truth
-    from hypose.app.reports.result_pictures import Image
 
 VERDICT = "verdict.json"
 
@@ -322,35 +321,33 @@ def _draw(
     seconds: Mapping[str, float],
 ) -> list[Path]:
     """Overlay and report."""
-    from hypose.app.reports.drawing import draw
-    from hypose.app.reports.modes_overlay import write_modes_overlay
-    from hypose.app.reports.overlay import write_overlay
-    from hypose.app.reports.report import ReportInput
-    from hypose.app.studio.view_bundle import Rivals
+    from hypose.app.reports.overlay import PictureRows, Shown, write_modes_overlay, write_overlay
+    from hypose.app.reports.report import draw
+    from hypose.app.studio.view_bundle import Rivals, ViewResult, pictured
 
     recording, motion, body, modes = job.recording, tracked.motion, tracked.body, tracked.modes
-    about = ReportInput(
+    about = ViewResult(
         title=recording.name,
         motion=motion,
         body=body,
         rig=recording.rig,
+        image_shifts=[v.image_shift for v in recording.views],
+        pictures=pictured(recording),
         notes=notes,
         citation=citation_of(options.recipe, options.refine),
         seconds=dict(seconds),
         truth=truth,
         complete=tracked.complete,
-        recording=recording,
         first_frame=recording.frames.start,
         rivals=Rivals.of_motion(motion) if modes is None else Rivals.of(modes.joints, modes.weights),
     )
 
     kept = KeptFrames(source, motion)
 
-    def overlay(path: Path, rows: Sequence[int]) -> Mapping[int, Image]:
-        how = {"stills": rows, "video": job.overlay, "progress": progress}
+    def overlay(path: Path, wanted: PictureRows) -> Shown:
         if modes is not None:
-            return write_modes_overlay(path, recording, motion, modes, body, **how)
-        return write_overlay(path, recording, kept, motion, body, **how)
+            return write_modes_overlay(path, recording, motion, modes, body, wanted, progress)
+        return write_overlay(path, recording, kept, motion, body, wanted, progress)
 
     caption = "Frame {}" if modes is None else "Frame {}, and all modes from the side"
 

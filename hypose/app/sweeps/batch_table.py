@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from hypose.app.reports.figures import Figure
-from hypose.app.reports.plots import INK, RIGHT, svg
+from hypose.app.reports.charts import INK, RIGHT, Axes, chart
 from hypose.app.reports.report import page
 from hypose.app.sweeps.sweep import Refused, Task
 from hypose.io.files import write_text
@@ -103,18 +102,12 @@ def _by_set(rows: Sequence[Mapping[str, Any]], name: str, title: str) -> str:
     """A dot per recording and a line at the median, one row per set."""
     sets = list(dict.fromkeys(str(r["set"]) for r in rows))
 
-    def draw(figure: Figure) -> None:
-        axes = figure.subplots()
-        for k, label in enumerate(sets):
-            values = np.array([r[name] for r in rows if r["set"] == label and r[name] is not None], dtype=np.float64)
-            if not len(values):
-                continue
-            # spread by rank, so that equal values stay visible and the picture is the same every time
-            spread = 0.5 * (np.argsort(np.argsort(values)) % 5 - 2) / 5
-            axes.plot(values, k + spread, "o", color=RIGHT, alpha=0.6, markersize=4)
-            axes.plot([np.median(values)] * 2, [k - 0.35, k + 0.35], color=INK)
-        axes.set_yticks(range(len(sets)), sets)
-        axes.set_ylim(len(sets) - 0.5, -0.5)
-        axes.set_xlabel(title)
-
-    return svg(draw, (9.0, 0.9 + 0.42 * len(sets)))
+    axes = Axes(x=title, names=sets)
+    for k, label in enumerate(sets):
+        values = np.array([r[name] for r in rows if r["set"] == label and r[name] is not None], dtype=np.float64)
+        if not len(values):
+            continue
+        # spread by rank, so that equal values stay visible and the picture is the same every time
+        axes.dots(values, k + 0.5 * (np.argsort(np.argsort(values)) % 5 - 2) / 5, RIGHT, 0.6)
+        axes.line(np.full(2, np.median(values)), np.array([k - 0.35, k + 0.35]), INK)
+    return chart([[axes]], 70 + 40 * len(sets), width=860)
