@@ -1,18 +1,16 @@
-"""What a run finds out before it tracks, kept beside its checkpoint: the subject, and the backgrounds of the views.
+"""What a run finds out before it tracks, kept beside its checkpoint: the subject.
 
 It belongs to one run (its identity), and goes when the run is complete.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from hypose.errors import HyposeError
-from hypose.evidence.background import BackgroundModel
 from hypose.inference.hypotheses import Hypotheses
 from hypose.io.motions.bodies import load_body, save_body
 from hypose.io.motions.results import Checkpoint, ResultsFolder
@@ -60,30 +58,3 @@ def kept_subject(results: ResultsFolder, identity: Mapping[str, Any]) -> Subject
         return Subject(load_body(body), model, a["start"], tuple(saved.meta["notes"]), rivals, a.get("unsure"))
     except (HyposeError, KeyError, TypeError):
         return None
-
-
-def keep_backgrounds(backgrounds: Sequence[BackgroundModel | None], path: Path, identity: Mapping[str, Any]) -> None:
-    """Write the backgrounds of the views (None: a view with masks of its own)."""
-    arrays: dict[str, np.ndarray] = {}
-    notes: list[str | None] = []
-    for n, one in enumerate(backgrounds):
-        notes.append(None if one is None else one.note)
-        if one is not None:
-            arrays |= {f"mean_{n}": one.mean, f"sd_{n}": one.sd, f"valid_{n}": one.valid}
-    Checkpoint(0, arrays, {"notes": notes}, identity).save(path)
-
-
-def kept_backgrounds(path: Path, identity: Mapping[str, Any]) -> tuple[BackgroundModel | None, ...] | None:
-    """The backgrounds that the same run kept; None when there are none."""
-    try:
-        saved = Checkpoint.load(path, identity)
-        return tuple(_background(saved.arrays, n, note) for n, note in enumerate(saved.meta["notes"]))
-    except (HyposeError, KeyError, TypeError):
-        return None
-
-
-def _background(arrays: Mapping[str, np.ndarray], view: int, note: str | None) -> BackgroundModel | None:
-    if note is None:
-        return None
-    mean, sd = (arrays[f"{k}_{view}"].astype(np.float32) for k in ("mean", "sd"))
-    return BackgroundModel(mean, sd, arrays[f"valid_{view}"].astype(np.bool_), note)

@@ -71,7 +71,7 @@ def pose_fused(fused: Motion, body: Body | None = None, smoothness: float = 1.0)
     known_of_joints = {
         "joint_covariance": np.nan,
         "systematic_covariance": np.nan,
-        "p_wrong": 0.0,
+        "p_wrong": np.nan,
         "doubtful_joints": False,
     }
     arrays = {}

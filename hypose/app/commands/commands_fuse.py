@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import signal
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hypose.app.commands.commands_track import set_threads, split_names
+from hypose.app.commands.commands_track import set_threads, split_names, terminated_as_interrupted
 from hypose.app.commands.console import Stages, note, say
 from hypose.app.commands.options import Seed, Threads, number
 from hypose.errors import InputError
@@ -143,15 +141,12 @@ def fuse(
         resume=resume,
         run={"threads": threads},
     )
-    previous = signal.signal(signal.SIGTERM, _interrupt)
     try:
-        with claimed(results.path), Stages() as progress:
+        with terminated_as_interrupted(), claimed(results.path), Stages() as progress:
             outcome = run_fuse(job, progress)
     except KeyboardInterrupt:
         say("Stopped before anything was fused, so nothing was kept. Start again with the same command.")
         raise typer.Exit(130) from None
-    finally:
-        signal.signal(signal.SIGTERM, previous)
     _closing(outcome, loaded.name, len(loaded.streams), results.path)
     if not outcome.complete:
         raise typer.Exit(130)
@@ -206,10 +201,6 @@ def _with_cameras(
     require_found(m, recording.name, results.path)
     if outcome.verdict is not None:
         _judge({"": outcome.verdict})
-
-
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
 
 
 def _closing(outcome: FuseOutcome, name: str, sensors: int, folder: Path) -> None:

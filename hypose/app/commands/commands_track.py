@@ -172,9 +172,8 @@ def run_shown(job: Job, arguments: list[str]) -> tuple[Outcome, dict[str, float]
     from hypose.app.jobs.people_job import run_people
     from hypose.io.claims import claimed
 
-    previous = signal.signal(signal.SIGTERM, _interrupt)
     try:
-        with claimed(job.results.path), Stages() as progress:
+        with terminated_as_interrupted(), claimed(job.results.path), Stages() as progress:
             if job.people is not None:
                 outcome = run_people(job, job.people, progress)
             else:
@@ -182,16 +181,24 @@ def run_shown(job: Job, arguments: list[str]) -> tuple[Outcome, dict[str, float]
     except KeyboardInterrupt:
         _stopped(job, arguments)
         raise typer.Exit(130) from None
-    finally:
-        signal.signal(signal.SIGTERM, previous)
     if not outcome.complete:
         _stopped(job, arguments)
         raise typer.Exit(130)
     return outcome, progress.seconds
 
 
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
+@contextlib.contextmanager
+def terminated_as_interrupted() -> Iterator[None]:
+    """Within the block SIGTERM ends as Ctrl-C does: in order."""
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    previous = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, previous)
 
 
 def _stopped(job: Job, arguments: list[str]) -> None:

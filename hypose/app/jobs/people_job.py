@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import html
-import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -41,11 +40,6 @@ def run_people(job: Job, people: str, progress: ProgressCall = ignore) -> Outcom
     recording, options, results = job.recording, job.options, job.results
     check_job(job)
     check_views(recording)
-    if job.chunk_s is not None:
-        raise InputError(
-            "Several people cannot be tracked in chunks: who is who would not be known from one to the next; leave out "
-            "the chunks, or track one person."
-        )
     if options.subject is not None:
         raise InputError(
             "--subject is one person's body; name the bodies of several people in recording.toml, as "
@@ -154,7 +148,6 @@ def _one_report(
     mine = [p for p in written if p.parent == own.results.path]
     files += draw(own.results, about, overlay, [*mine, *files], video=False, progress=progress)
     remove_stale(own.results, [*mine, *files])
-    shutil.rmtree(own.results.path / "chunks", ignore_errors=True)
     return files
 
 
