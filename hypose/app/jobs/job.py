@@ -19,21 +19,17 @@ from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.io.files import check_writable, read_json
-from hypose.io.motions.bodies import load_body, save_body
 from hypose.io.motions.export import FORMATS, export_motion, known_formats
-from hypose.io.motions.modes import load_modes
-from hypose.io.motions.results import ResultsFolder, load_motion, to_json
+from hypose.io.motions.results import ResultsFolder, load_body, load_modes, load_motion, save_body, to_json
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.provenance import identity, provenance
 from hypose.io.recordings.recording import Recording
 from hypose.io.sensors.skeleton_streams import SkeletonRecording
 from hypose.pipeline.first_frame import SubjectOptions
-from hypose.pipeline.fuse_mixture import fuse_mixture
-from hypose.pipeline.left_out import KeptFrames, LeftOut, left_out
+from hypose.pipeline.fuse_mixture import fuse_mixture, skeletons_at_frames
 from hypose.pipeline.one_of_several import keypoint_people, track_one_of, wanted_first, with_everybody
 from hypose.pipeline.picture_start import POINT_STARTS, clicks_of
 from hypose.pipeline.pictures import depth_note
-from hypose.pipeline.recorded_skeletons import skeletons_at_frames
 from hypose.pipeline.run import MODES, TrackOptions, TrackResult, check_views, frames_wanted, track_source
 from hypose.pipeline.subject_from_motion import load_subject, subject_file
 from hypose.pipeline.verdict import Verdict
@@ -47,17 +43,25 @@ VERDICT = "verdict.json"
 
 @dataclass(frozen=True)
 class Job:
-    """recording: its frame_range is what is tracked. results: where files go. formats: of hypose.io.motions.export.
-    overlay: write overlay.mp4. resume: go on from a checkpoint, or fill in what is missing of a complete run. threads:
-    for the record only. truth: compares the motion with a known truth, for synthetic recordings. people: None =
-    one person, or 'all', how many at most, or a name (hypose.app.jobs.people_job). skeletons: that sensors reported
-    beside, solved together with the rest."""
+    """What is to be done with one recording.
+
+    recording: its frame_range is what is tracked
+    results: where files go
+    formats: of hypose.io.motions.export
+    overlay, report: write overlay.mp4, report.html
+    resume: go on from a checkpoint, or fill in what is missing of a complete run
+    run: of the machine, for the record only
+    truth: compares the motion with a known truth, for synthetic recordings
+    people: None: one person; or 'all', how many at most, or a name (hypose.app.jobs.people_job)
+    skeletons: that sensors reported at the same time, solved together with the rest
+    """
 
     recording: Recording
     options: TrackOptions
     results: ResultsFolder
     formats: Sequence[str] = tuple(FORMATS)
     overlay: bool = True
+    report: bool = True
     resume: bool = False
     run: Mapping[str, Any] = field(default_factory=dict)
     truth: Callable[[Motion, Body], Truth] | None = None
@@ -138,7 +142,8 @@ def run_job(job: Job, progress: ProgressCall = ignore, seconds: Mapping[str, flo
             return Outcome(tracked.motion, tracked.body, False, tuple(files), notes, truth)
         files += export_all(job, tracked.motion, tracked.body, progress)
         said = (f"Verdict: {verdict.sentence}", *notes)
-        files += _draw(job, options, tracked, source, said, truth, files, progress, seconds or {})
+        if job.overlay or job.report:
+            files += _draw(job, options, tracked, source, said, truth, files, progress, seconds or {})
     remove_stale(results, files)
     return Outcome(tracked.motion, tracked.body, True, tuple(files), notes, truth, verdict)
 
@@ -312,21 +317,14 @@ def _draw(
         rivals=Rivals.of_motion(motion) if modes is None else Rivals.of(modes.joints, modes.weights),
     )
 
-    kept = KeptFrames(source, motion)
-
     def overlay(path: Path, wanted: PictureRows) -> Shown:
         if modes is not None:
             return write_modes_overlay(path, recording, motion, modes, body, wanted, progress)
-        return write_overlay(path, recording, kept, motion, body, wanted, progress)
+        return write_overlay(path, recording, source, motion, body, wanted, progress)
 
     caption = "Frame {}" if modes is None else "Frame {}, and all modes from the side"
 
-    def without() -> Sequence[LeftOut]:
-        return left_out(motion, body, kept.every(), options.looks_at) if len(recording.rig) > 1 else ()
-
-    return draw(
-        job.results, about, overlay, files, video=job.overlay, caption=caption, without=without, progress=progress
-    )
+    return draw(job.results, about, overlay, files, (job.overlay, job.report), caption, progress)
 
 
 def remove_stale(results: ResultsFolder, written: Sequence[Path]) -> None:

@@ -18,10 +18,9 @@ from hypose.app.reports.report import draw
 from hypose.app.studio.view_bundle import Rivals, ViewResult, pictured
 from hypose.errors import InputError
 from hypose.io.files import check_writable
-from hypose.io.motions.bodies import save_body
 from hypose.io.motions.c3d import write_c3d
 from hypose.io.motions.gltf import write_people_glb
-from hypose.io.motions.results import ResultsFolder
+from hypose.io.motions.results import ResultsFolder, save_body
 from hypose.io.recordings.frames import FrameStream
 from hypose.pipeline.doubts import in_words, runs
 from hypose.pipeline.one_of_several import chosen_people, keypoint_people, people_frames, wanted_of
@@ -128,6 +127,7 @@ def _one_report(
     own = replace(job, results=ResultsFolder(job.results.path / one.name), overlay=False)
     motion, body = one.result.motion, one.result.body
     files = export_all(own, motion, body, progress)
+    mine = [*(p for p in written if p.parent == own.results.path), *files]
     about = ViewResult(
         title=f"{job.recording.name}: {one.name}",
         motion=motion,
@@ -145,8 +145,8 @@ def _one_report(
     def overlay(path: Path, wanted: PictureRows) -> Shown:
         return write_overlay(path, job.recording, source, motion, body, wanted, progress)
 
-    mine = [p for p in written if p.parent == own.results.path]
-    files += draw(own.results, about, overlay, [*mine, *files], video=False, progress=progress)
+    if job.report:
+        files += draw(own.results, about, overlay, mine, (False, True), "Frame {}", progress)
     remove_stale(own.results, [*mine, *files])
     return files
 
@@ -177,7 +177,8 @@ def _together(
         for p in people
     ]
     files.append(results.write_json(PEOPLE, {"people": about, "notes": list(notes)}))
-    files.append(results.write_text("report.html", _index(job, people, notes)))
+    if job.report:
+        files.append(results.write_text("report.html", _index(job, people, notes)))
     files.append(results.file(VERDICT))
     return files
 

@@ -14,7 +14,7 @@ from hypose.body.motion import Motion
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import visible
 from hypose.geometry import Array
-from hypose.pipeline.gait_cycles import PERCENT, AngleCycle
+from hypose.pipeline.gait import PERCENT, AngleCycle
 
 LEFT, RIGHT, INK, GREEN, VIOLET = "#d9731a", "#2679c0", "currentColor", "#2a9d6f", "#8e4ec6"
 LOST, EXTRAPOLATED = "#d62f2f", "#e0a800"

@@ -28,9 +28,7 @@ from hypose.io.motions.results import ResultsFolder, to_json
 from hypose.io.recordings.frames import FrameSettings, FrameStream
 from hypose.io.recordings.recording import Recording
 from hypose.pipeline.camera_worth import camera_worth
-from hypose.pipeline.gait_cycles import angle_cycles
-from hypose.pipeline.gait_events import gait_of
-from hypose.pipeline.left_out import KeptFrames, LeftOut, evidence_said, left_out
+from hypose.pipeline.gait import angle_cycles, gait_of
 
 STATIC = Path(__file__).parents[1] / "studio" / "static"
 """Where the front end's build puts report.js and report.css, which show the result in 3D; without them a report has its
@@ -70,11 +68,10 @@ _POLICY = "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; s
 @dataclass(frozen=True)
 class Drawn:
     """What a report shows beyond the result. stills: (caption, picture BGR); small: the recorded pictures of some rows,
-    one JPEG per view; without: how far the joints go without each camera."""
+    one JPEG per view."""
 
     stills: Sequence[tuple[str, Image]] = ()
     small: Mapping[int, list[bytes]] = field(default_factory=dict)
-    without: Sequence[LeftOut] = ()
 
 
 def draw(
@@ -82,23 +79,23 @@ def draw(
     result: ViewResult,
     overlay: Callable[[Path, PictureRows], Shown],
     written: Sequence[Path],
-    *,
-    video: bool,
-    caption: str = "Frame {}",
-    without: Callable[[], Sequence[LeftOut]] = tuple,
+    wanted: tuple[bool, bool],
+    caption: str,
     progress: ProgressCall,
 ) -> list[Path]:
-    """Write overlay and report of a finished motion; returns their paths. overlay: draws what is wanted; written: the
-    files there are already; video: overlay.mp4 is wanted; caption: of a still, {} its frame's number; without: called
-    after the overlay."""
+    """Write overlay.mp4 and report.html of a finished motion, where they are wanted; returns their paths. overlay:
+    draws pictures of rows; written: the files there are already; caption: of a still, {} its frame's number."""
+    video, reported = wanted
     path, report = results.file("overlay.mp4"), results.file("report.html")
-    wanted = _wanted(result, video)
-    shown = overlay(path, wanted)
+    rows = _rows(result, video) if reported else PictureRows(video)
+    shown = overlay(path, rows)
     out = [path] if video else []
+    if not reported:
+        return out
     progress("report", 0, 1)
     files = [(p.name, DESCRIPTIONS.get(p.name, ""), 0) for p in [*written, *out, report]]
-    stills = [(caption.format(result.first_frame + r), shown.stills[r]) for r in wanted.stills]
-    write_text(report, report_html(replace(result, files=files), Drawn(stills, shown.small, without())))
+    stills = [(caption.format(result.first_frame + r), shown.stills[r]) for r in rows.stills]
+    write_text(report, report_html(replace(result, files=files), Drawn(stills, shown.small)))
     progress("report", 1, 1)
     return [*out, report]
 
@@ -111,24 +108,21 @@ def write_report(path: Path, result: ViewResult, recording: Recording | None) ->
 
 def drawn_of(result: ViewResult, recording: Recording | None) -> Drawn:
     """Draw the pictures of a result from its recording."""
-    motion, body, wanted = result.motion, result.body, _wanted(result, False)
+    motion, body, wanted = result.motion, result.body, _rows(result, False)
     if recording is None:
         return Drawn()
     if body is None or motion.poses is None:
         wanted = replace(wanted, stills=())
-    frames, evidence = range(result.first_frame, result.first_frame + len(motion)), evidence_said(motion)
+    frames = range(result.first_frame, result.first_frame + len(motion))
     recording = replace(recording, frame_range=(frames.start, frames.stop))
-    masks = bool(wanted.stills) and evidence != "keypoints"
-    without: Sequence[LeftOut] = ()
+    settings = motion.provenance.get("settings")
+    masks = wanted.stills and not (isinstance(settings, Mapping) and settings.get("evidence") == "keypoints")
     with FrameStream(recording, None if masks else FrameSettings(silhouettes=None)) as stream:
-        kept = KeptFrames(stream, motion)
-        if wanted.stills and body is not None and len(recording.rig) > 1:
-            without = left_out(motion, body, kept.every(), evidence)
         shown = write_overlay("", recording, stream, motion, body, wanted)
-    return Drawn([(f"Frame {frames[r]}", shown.stills[r]) for r in wanted.stills], shown.small, without)
+    return Drawn([(f"Frame {frames[r]}", shown.stills[r]) for r in wanted.stills], shown.small)
 
 
-def _wanted(result: ViewResult, video: bool) -> PictureRows:
+def _rows(result: ViewResult, video: bool) -> PictureRows:
     """The pictures of a result that are drawn: none for a viewer that was not built."""
     small = stored_rows(result.motion, len(result.pictures)) if _built() and result.pictures else []
     return PictureRows(video, still_rows(result.motion), small)
@@ -208,7 +202,7 @@ def _text(what: ViewResult, drawn: Drawn) -> str:
     parts.append(_figure(above, "Metres; grey: the cameras, and where they look.") + "</div>")
     parts.append(f"<div><h2>Subject</h2>{_subject(what.body)}</div></div>" if what.body is not None else "</div>")
     if what.rig is not None:
-        parts.append(_cameras(m, what.rig, drawn.without))
+        parts.append(_cameras(m, what.rig))
     if what.files:
         rows = "".join(f"<tr><td>{html.escape(n)}</td><td>{html.escape(t)}</td></tr>" for n, t, _ in what.files)
         parts.append(f"<h2>Files</h2><table>{rows}</table>")
@@ -291,21 +285,17 @@ def _subject(body: Body) -> str:
     return f'<table>{cells}</table><p class="dim">Between joint centres; limbs: mean of both sides.</p>'
 
 
-def _cameras(motion: Motion, rig: CameraRig, without: Sequence[LeftOut]) -> str:
+def _cameras(motion: Motion, rig: CameraRig) -> str:
     """What each camera adds; "" of one camera."""
     worth, best = camera_worth(motion, rig)
     if best is None:
         return ""
-    gone = {w.name: f'<td class="n">{1e3 * w.moved:.0f} mm ({1e3 * w.far:.0f} mm)</td>' for w in without}
     rows = "".join(
-        f"<tr><td>{html.escape(w.name)}</td>{gone.get(w.name, '<td>-</td>' if gone else '')}"
-        f'<td class="n">x {w.times:.2f}</td><td class="n">{w.thin:.0%}</td></tr>'
+        f'<tr><td>{html.escape(w.name)}</td><td class="n">x {w.times:.2f}</td><td class="n">{w.thin:.0%}</td></tr>'
         for w in worth
     )
-    head = f"<tr><th>without</th>{'<th>joints go</th>' if gone else ''}<th>standard deviations</th>"
-    head += "<th>joints with fewer than two left</th></tr>"
-    text = "Joints go so far (median, 95 %) when single frames are solved anew without the camera. " if gone else ""
-    text += "Standard deviations are geometry: where the cameras stand and what is in their pictures; limbs that cover "
+    head = "<tr><th>without</th><th>standard deviations</th><th>joints with fewer than two left</th></tr>"
+    text = "Standard deviations are geometry: where the cameras stand and what is in their pictures; limbs that cover "
     x, y, z = best.place.tolist()
     text += (
         f"each other are not counted. One more camera would help most at x = {x:.1f} m, y = {y:.1f} m, {z:.1f} m high: "
