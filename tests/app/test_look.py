@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from hypose.app import __main__ as module_entry
-from hypose.app.reports.report import ReportInput, report_html
+from hypose.app.reports.report import report_html
 from hypose.app.reports.result_pictures import (
     image_points,
     layout,
     mask_outline,
 )
+from hypose.app.studio.view_bundle import ViewResult
 from hypose.body.ready_bodies import human
 from hypose.compute.pictures.render import silhouette
 from hypose.io.motions.results import load_body, load_motion
@@ -111,7 +112,7 @@ def test_the_report_says_what_went_wrong(result):
     nothing = np.full(8, np.nan)
     bad = replace(motion, lost=lost, extrapolated=lost, cost=nothing, joint_covariance=np.full((8, 19, 3, 3), np.nan))
     notes = ['View <cam1>: "dark" & blurred']
-    page = report_html(ReportInput("a < b", bad, body, recording.rig, notes=notes, complete=False))
+    page = report_html(ViewResult("a < b", bad, body, recording.rig, notes=notes, complete=False))
     assert "View &lt;cam1&gt;: &quot;dark&quot; &amp; blurred" in page and "a &lt; b" in page
     assert "interrupted" in page and "No silhouettes were used" in page
     assert "<b>3</b><span>frames lost" in page
