@@ -118,8 +118,7 @@ def _recording(root: Path) -> None:
     from benchmarks.robustness.small_recordings import small_scene, write_masks
     from hypose.body.motion import Motion, isotropic
     from hypose.body.ready_bodies import human
-    from hypose.io.motions.bodies import save_body
-    from hypose.io.motions.results import save_motion
+    from hypose.io.motions.results import save_body, save_motion
 
     write_masks(small_scene(1, 2), root / "walk")
     body, folder = human(), root / "walk" / "results" / "default"

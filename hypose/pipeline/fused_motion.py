@@ -10,7 +10,7 @@ import numpy as np
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.body.ready_bodies import human
-from hypose.calibration.doctor_report import UNITS
+from hypose.calibration.diagnose_person import UNITS
 from hypose.errors import InputError
 from hypose.evidence.frame import SensorJoints
 from hypose.fitting import PointTerm, fit_clip

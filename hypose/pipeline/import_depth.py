@@ -30,11 +30,10 @@ from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.geometry import Array, se3_inverse
 from hypose.io.file_names import file_name, text_of
-from hypose.io.recordings.depth_views import DepthSource
 from hypose.io.recordings.frames import FrameSettings, FrameStream
 from hypose.io.recordings.recording import Recording, View, write_recording
-from hypose.io.sensors.depth import write_depth_png
-from hypose.io.sensors.depth_files import FOLDER_RATE, DepthFile, open_depth
+from hypose.io.recordings.view_source import DepthSource
+from hypose.io.sensors.depth import FOLDER_RATE, DepthFile, open_depth, write_depth_png
 from hypose.io.videos.video import list_images
 from hypose.pipeline.first_frame import Subject
 from hypose.pipeline.hull_paths import count_people
@@ -74,7 +73,7 @@ def import_depth(
 ) -> tuple[Path, tuple[str, ...]]:
     """Writes a recording folder; returns recording.toml's path and sentences for the user.
 
-    sources: recordings of the cameras, one each (`hypose.io.sensors.depth_files`); empty: those of the empty room in
+    sources: recordings of the cameras, one each (`hypose.io.sensors.depth`); empty: those of the empty room in
     the same order, or none; units: of folders of maps. Each camera finds the floor in its maps; several are brought
     together by the person who moves before them, clocks included, and frames before the last one began are left out.
     Map k is what was seen at k / frame rate: where frames were lost there are empty maps. An InputError names what

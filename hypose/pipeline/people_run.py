@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from hypose.body.ready_bodies import human
-from hypose.calibration.doctor_findings import Finding
+from hypose.calibration.findings import Finding
 from hypose.errors import EvidenceError, HyposeError, InputError
 from hypose.evidence import depth_people
 from hypose.evidence.ahead import pack_once

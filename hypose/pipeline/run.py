@@ -17,8 +17,7 @@ from hypose.errors import EvidenceError, HyposeError, InputError
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.geometry import Array
 from hypose.inference.layer import Recipe
-from hypose.io.motions.modes import save_modes
-from hypose.io.motions.results import ResultsFolder, save_motion
+from hypose.io.motions.results import ResultsFolder, save_modes, save_motion
 from hypose.io.recordings.frames import FrameSettings, FrameStream
 from hypose.io.recordings.provenance import identity
 from hypose.io.recordings.recording import Recording

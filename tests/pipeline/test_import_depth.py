@@ -9,11 +9,10 @@ from hypose.calibration.depth_registration import Rough
 from hypose.cameras.camera import CameraRig
 from hypose.errors import CalibrationError, EvidenceError, InputError
 from hypose.geometry import se3_inverse
-from hypose.io.calibrations.calibration_toml import write_calibration
+from hypose.io.calibrations.calibration_text import write_calibration
 from hypose.io.recordings.frames import FrameStream, working_rig
 from hypose.io.recordings.recording import load_recording
-from hypose.io.sensors.depth import read_depth_png, write_depth_png
-from hypose.io.sensors.depth_files import DepthFile, DepthFrame
+from hypose.io.sensors.depth import DepthFile, DepthFrame, read_depth_png, write_depth_png
 from hypose.pipeline import import_depth as module
 from hypose.pipeline.import_depth import FolderUnits, RegisteredSensors, import_depth, register_depth
 from hypose.synthetic.rigs import look_at

@@ -28,9 +28,8 @@ def silhouettes(
     """Write the masks of the person as PNG, one folder per view, and a contact sheet."""
     from hypose.app.jobs.checking import write_sheet
     from hypose.app.jobs.job import choose_frames
-    from hypose.io.claims import claimed
-    from hypose.io.recordings.frames import FrameStream
-    from hypose.io.recordings.mask_folders import write_masks
+    from hypose.io.files import claimed
+    from hypose.io.recordings.frames import FrameStream, write_masks
     from hypose.io.recordings.recording import load_recording
 
     loaded = choose_frames(load_recording(recording), frames)
@@ -91,7 +90,7 @@ def synth(
 ) -> None:
     """Make a synthetic recording with known truth: videos, background clips, calibration, recording.toml, truth.npz."""
     set_threads(threads)
-    from hypose.io.claims import claimed
+    from hypose.io.files import claimed
     from hypose.synthetic.film_session import BOARD, write_session
     from hypose.synthetic.scenes import make_scene
     from hypose.synthetic.write_recording import check_folder, write_scene
@@ -145,7 +144,7 @@ def _depth_cameras(
     seed: int,
     clothing: float,
 ) -> None:
-    from hypose.io.claims import claimed
+    from hypose.io.files import claimed
     from hypose.synthetic.write_depth import walking_scene, write_depth_scene
 
     about = {"seconds": seconds, "frame_rate": frame_rate, "seed": seed, "clothing_m": clothing}
@@ -190,7 +189,7 @@ def depth_import(
 ) -> None:
     """Make a recording of depth cameras to track: maps, lenses, floor; several are brought together by the person."""
     from hypose.errors import InputError
-    from hypose.io.claims import claimed
+    from hypose.io.files import claimed
     from hypose.pipeline.import_depth import FolderUnits, import_depth
 
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
@@ -237,11 +236,9 @@ def keypoints(
 ) -> None:
     """Detect 2D key points in the videos, one OpenPose file per frame, for --evidence keypoints or both."""
     set_threads(threads)
-    from hypose.io.claims import claimed
-    from hypose.io.keypoints.blazepose import open_blazepose
-    from hypose.io.keypoints.detected_keypoints import FOLDER
-    from hypose.io.keypoints.mediapipe_environment import open_mediapipe
-    from hypose.io.keypoints.own_detector import open_own_detector
+    from hypose.io.files import claimed
+    from hypose.io.keypoints.detectors import open_blazepose, open_mediapipe, open_own_detector
+    from hypose.io.keypoints.read_keypoints import FOLDER
     from hypose.io.recordings.recording import load_recording
     from hypose.pipeline.detect_keypoints import detect_keypoints
 
@@ -285,7 +282,7 @@ def keypoints(
 
 def _have_mediapipe(yes: bool) -> None:
     """Set MediaPipe's environment up if it is not there, when the user agrees."""
-    from hypose.io.keypoints.mediapipe_environment import MEGABYTES, VERSION, environment_folder, is_set_up, set_up
+    from hypose.io.keypoints.detectors import MEGABYTES, VERSION, environment_folder, is_set_up, set_up
 
     if is_set_up():
         return

@@ -120,10 +120,10 @@ def fuse(
         raise InputError("There is nothing to fuse; give a recording of skeletons, or --live.")
     from hypose.app.jobs.fuse_job import FuseJob, run_fuse
     from hypose.app.reports.summary import require_found
-    from hypose.io.claims import claimed
     from hypose.io.file_names import file_name
+    from hypose.io.files import claimed
     from hypose.io.motions.results import ResultsFolder
-    from hypose.io.sensors.skeleton_formats import read_skeletons
+    from hypose.io.sensors.skeleton_files import read_skeletons
 
     loaded = read_skeletons(recording)
     if cameras is not None:

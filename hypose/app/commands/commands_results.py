@@ -28,9 +28,9 @@ def export(
     out: Annotated[Path | None, typer.Option(help="Folder to write to. [default: the results folder]")] = None,
 ) -> None:
     """Write motion files (TRC, C3D, BVH, GLB, CSV, MOT; OpenSim, Rerun) from a tracked motion."""
-    from hypose.io.claims import claimed
-    from hypose.io.motions.bodies import load_result_body
+    from hypose.io.files import claimed
     from hypose.io.motions.export import export_motion
+    from hypose.io.motions.results import load_result_body
 
     motion, body = load_result_body(results)
     tell_untrusted(results)
@@ -80,8 +80,8 @@ def gait(
 ) -> None:
     """Write strikes, steps, cadence and speed (CSV, C3D with events), and joint angles over the gait cycle."""
     from hypose.app.jobs.gait_job import write_gait
-    from hypose.io.claims import claimed
-    from hypose.io.motions.bodies import load_result_body
+    from hypose.io.files import claimed
+    from hypose.io.motions.results import load_result_body
     from hypose.pipeline.gait import gait_of
 
     motion, body = load_result_body(results)
@@ -194,8 +194,7 @@ def play(
 ) -> None:
     """Send a tracked motion to an avatar (VMC protocol): VSeeFace, Warudo, Unity, Unreal, Blender. See docs/live.md."""
     from hypose.app.live.osc import OscTarget
-    from hypose.io.motions.bodies import load_result_body
-    from hypose.io.motions.results import load_result
+    from hypose.io.motions.results import load_result, load_result_body
     from hypose.pipeline.fused_motion import pose_fused
 
     motion = load_result(results)

@@ -142,7 +142,7 @@ def demo(
     set_threads(threads)
     from hypose.app.jobs.job import Job
     from hypose.app.jobs.truth import compare_with
-    from hypose.io.claims import claimed
+    from hypose.io.files import claimed
     from hypose.io.motions.results import ResultsFolder
     from hypose.io.recordings.recording import load_recording
     from hypose.pipeline.run import TrackOptions
@@ -165,7 +165,7 @@ def run_shown(job: Job, arguments: list[str]) -> tuple[Outcome, dict[str, float]
     """Run a job with progress; when it is interrupted, say what was kept and how to go on, and exit with code 130."""
     from hypose.app.jobs.job import run_job
     from hypose.app.jobs.people_job import run_people
-    from hypose.io.claims import claimed
+    from hypose.io.files import claimed
 
     try:
         with terminated_as_interrupted(), claimed(job.results.path), Stages() as progress:
@@ -283,7 +283,7 @@ def correct(
     from hypose.app.jobs.correct import read_correction
     from hypose.app.reports.summary import require_found
     from hypose.app.studio.view_result import find_recording
-    from hypose.io.claims import claimed
+    from hypose.io.files import claimed
     from hypose.io.motions.results import ResultsFolder
 
     recording = find_recording(results)

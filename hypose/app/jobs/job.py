@@ -19,17 +19,14 @@ from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.io.files import check_writable, read_json
-from hypose.io.motions.bodies import load_body, save_body
 from hypose.io.motions.export import FORMATS, export_motion, known_formats
-from hypose.io.motions.modes import load_modes
-from hypose.io.motions.results import ResultsFolder, load_motion, to_json
+from hypose.io.motions.results import ResultsFolder, load_body, load_modes, load_motion, save_body, to_json
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.provenance import identity, provenance
 from hypose.io.recordings.recording import Recording
 from hypose.io.sensors.skeleton_streams import SkeletonRecording
 from hypose.pipeline.first_frame import SubjectOptions
 from hypose.pipeline.fuse_mixture import fuse_mixture, skeletons_at_frames
-from hypose.pipeline.left_out import KeptFrames, LeftOut, left_out
 from hypose.pipeline.one_camera import POINT_STARTS, clicks_of, depth_note
 from hypose.pipeline.run import MODES, TrackOptions, TrackResult, check_views, frames_wanted
 from hypose.pipeline.subject_from_motion import load_subject, subject_file
@@ -301,22 +298,15 @@ def _draw(
         rivals=Rivals.of_motion(motion) if modes is None else Rivals.of(modes.joints, modes.weights),
     )
 
-    kept = KeptFrames(source, motion)
-
     def overlay(path: Path, rows: Sequence[int]) -> Mapping[int, Image]:
         how = {"stills": rows, "video": job.overlay, "progress": progress}
         if modes is not None:
             return write_modes_overlay(path, recording, motion, modes, body, **how)
-        return write_overlay(path, recording, kept, motion, body, **how)
+        return write_overlay(path, recording, source, motion, body, **how)
 
     caption = "Frame {}" if modes is None else "Frame {}, and all modes from the side"
 
-    def without() -> Sequence[LeftOut]:
-        return left_out(motion, body, kept.every(), options.looks_at) if len(recording.rig) > 1 else ()
-
-    return draw(
-        job.results, about, overlay, files, video=job.overlay, caption=caption, without=without, progress=progress
-    )
+    return draw(job.results, about, overlay, files, video=job.overlay, caption=caption, progress=progress)
 
 
 def remove_stale(results: ResultsFolder, written: Sequence[Path]) -> None:

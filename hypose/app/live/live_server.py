@@ -36,7 +36,7 @@ from hypose.errors import InputError
 from hypose.fusion.joints import COMMON
 from hypose.fusion.live import LiveFrame, LiveFuser, LiveSettings
 from hypose.geometry import Array
-from hypose.io.sensors.skeleton_folder import FolderWriter
+from hypose.io.sensors.skeleton_files import FolderWriter
 from hypose.io.sensors.skeleton_lines import MAX_SKELETON_LINE, parse_line
 from hypose.pipeline.live.processes import punctual
 

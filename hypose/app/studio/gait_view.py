@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from hypose.errors import HyposeError
-from hypose.io.motions.bodies import load_body
-from hypose.io.motions.results import load_motion
+from hypose.io.motions.results import load_body, load_motion
 from hypose.pipeline.gait import angle_cycles, gait_of
 
 NOBODY_WALKS: dict[str, Any] = {"events": [], "figures": [], "cycles": []}

@@ -33,8 +33,7 @@ from hypose.evidence.shared_masks import BodyShape
 from hypose.evidence.silhouettes import Mask, SilhouetteSettings
 from hypose.geometry import Array
 from hypose.io.recordings.frames import working_rig
-from hypose.io.sensors.depth import DEPTH_PNG
-from hypose.io.sensors.depth_sources import open_depth_camera
+from hypose.io.sensors.depth import DEPTH_PNG, open_depth_camera
 from hypose.io.videos.camera_sources import CameraSource, Shot, open_camera
 from hypose.pipeline.live.feeds import Feed, FeedStatus, newest_instant
 from hypose.pipeline.live.processes import belong_to_parent, deaf_to_ctrl_c, punctual

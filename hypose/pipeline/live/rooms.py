@@ -21,8 +21,7 @@ from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.frame import Silhouettes
 from hypose.evidence.outlines import OUTLINE_POINTS, WORKING_HEIGHT, ViewOutline, outline_of_runs, view_outline
 from hypose.evidence.silhouettes import Mask, Segmenter, SilhouetteSettings, bounding_box, make_segmenter
-from hypose.io.recordings.depth_views import DepthPreparer
-from hypose.io.recordings.view_source import Preparer, mask_in
+from hypose.io.recordings.view_source import DepthPreparer, Preparer, mask_in
 
 EVERY_S = 1.0
 """s between two looks at what has changed"""

@@ -9,8 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.io.motions.bodies import save_body
-from hypose.io.motions.results import save_motion
+from hypose.io.motions.results import save_body, save_motion
 from hypose.pipeline.gait import angle_cycles, gait_of
 from tests.app.studio.browser import WEB, go
 from tests.app.studio.conftest import serving

@@ -12,8 +12,7 @@ from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import SilhouetteSettings
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import load_recording
-from hypose.io.sensors.depth import write_depth_png
-from hypose.io.sensors.depth_sources import is_depth, open_depth_camera
+from hypose.io.sensors.depth import is_depth, open_depth_camera, write_depth_png
 from hypose.io.videos.camera_sources import StreamEnded
 from hypose.pipeline.live.background_work import KeptMasks
 from hypose.pipeline.live.engine import Seen
