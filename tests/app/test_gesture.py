@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hypose.app.cli import main
-from hypose.app.live.gesture_sources import azure_lens, open_source
+from hypose.app.live.gesture_sources import open_source
 from hypose.errors import EvidenceError, InputError
 from hypose.gestures.forest import ForestSettings
 from hypose.gestures.localise import LocaliseSettings
@@ -278,20 +278,6 @@ def test_models_that_look_differently_are_not_mixed():
     assert looking([other], 0.8) == LocaliseSettings(sigma_px=6.0, memory=0.8)
     with pytest.raises(InputError, match="look differently"):
         looking([one, other])
-
-
-def test_azure_lenses_of_the_narrow_and_wide_modes(tmp_path):
-    parameters = [0.502, 0.505, 0.4915, 0.4916, 0.1]
-    calibration = {
-        "CalibrationInformation": {
-            "Cameras": [{"Purpose": "CALIBRATION_CameraPurposeDepth", "Intrinsics": {"ModelParameters": parameters}}]
-        }
-    }
-    full, half = (azure_lens(calibration, s, tmp_path) for s in ((640, 576), (320, 288)))
-    assert full.fx == pytest.approx(503.3, abs=0.1) and full.cx == pytest.approx(321.5, abs=0.1)
-    assert half.fx == pytest.approx(full.fx / 2) and half.cx == pytest.approx((full.cx + 0.5) / 2 - 0.5)
-    with pytest.raises(InputError, match="no known mode"):
-        azure_lens(calibration, (100, 100), tmp_path)
 
 
 def test_websocket_listeners_get_scores_and_events():

@@ -16,6 +16,7 @@ from hypose.body.joint_angles import joint_angles
 from hypose.body.motion import Motion
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import visible
+from hypose.tracking.contacts import runs
 
 LEFT, RIGHT, MIDDLE, INK = "#d9731a", "#2679c0", "#444444", "#222222"
 LOST, EXTRAPOLATED = "#d62f2f", "#e0a800"
@@ -64,9 +65,8 @@ def _shade(axes: Axes, motion: Motion) -> None:
         (motion.extrapolated & ~motion.lost, EXTRAPOLATED, "extrapolated"),
         (motion.lost, LOST, "lost"),
     ):
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
-        for k, (a, b) in enumerate(zip(edges[::2], edges[1::2], strict=True)):
-            start, stop = float(motion.times[a]) - step / 2, float(motion.times[b - 1]) + step / 2
+        for k, run in enumerate(runs(flags)):
+            start, stop = float(motion.times[run.start]) - step / 2, float(motion.times[run.stop - 1]) + step / 2
             axes.axvspan(start, stop, color=colour, alpha=0.25, lw=0, label=name if k == 0 else None)
 
 
