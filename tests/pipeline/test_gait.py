@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hypose.app.cli import main
-from hypose.app.reports.gait_plot import gait_section
+from hypose.app.reports.report import gait_section
 from hypose.body.motion import Motion, isotropic
 from hypose.body.ready_bodies import human
 from hypose.errors import InputError

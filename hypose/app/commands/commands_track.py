@@ -70,6 +70,7 @@ def track(
     ] = None,
     formats: Annotated[str, typer.Option(help="Motion files to write.")] = "trc,c3d,bvh,glb,csv,mot,osim",
     no_overlay: Annotated[bool, typer.Option("--no-overlay", help="Do not write overlay.mp4.")] = False,
+    no_report: Annotated[bool, typer.Option("--no-report", help="Do not write report.html.")] = False,
     resume: Annotated[bool, typer.Option("--resume", help="Go on where an interrupted run stopped.")] = False,
     threads: Threads = None,
     calibration: Annotated[
@@ -124,6 +125,7 @@ def track(
         results,
         formats=split_names(formats),
         overlay=not no_overlay,
+        report=not no_report,
         resume=resume,
         run={"threads": threads},
         people=people,
@@ -232,7 +234,8 @@ def report_outcome(job: Job, finished: tuple[Outcome, dict[str, float]]) -> None
     if outcome.truth is not None:
         say(f"Mean joint error: {outcome.truth.mean_mm:.1f} mm over {len(outcome.truth.names)} joints", "bold")
     say(f"Results: {job.results.path}")
-    say(f"Report:  {job.results.file('report.html')}")
+    if job.report:
+        say(f"Report:  {job.results.file('report.html')}")
     require_found(outcome.motion, job.recording.name, job.results.path)
     if outcome.verdict is not None:
         tell_verdicts({"": outcome.verdict})

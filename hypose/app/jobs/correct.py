@@ -116,9 +116,9 @@ def correct(
     export_motion(joined, body, out.path, formats)
     progress("export", 1, 1)
     progress("report", 0, 1)
-    from hypose.app.reports.report import from_result, write_report  # draws with matplotlib, which readers do without
+    from hypose.app.reports.report import write_report
 
-    write_report(out.file("report.html"), from_result(load_view(out.path, recording), recording))
+    write_report(out.file("report.html"), load_view(out.path, recording), recording)
     progress("report", 1, 1)
     return joined
 

@@ -36,24 +36,31 @@ from hypose.tracking.recipes import RECIPES, citation_of
 
 if TYPE_CHECKING:
     from hypose.app.jobs.truth import Truth
-    from hypose.app.reports.result_pictures import Image
 
 VERDICT = "verdict.json"
 
 
 @dataclass(frozen=True)
 class Job:
-    """recording: its frame_range is what is tracked. results: where files go. formats: of hypose.io.motions.export.
-    overlay: write overlay.mp4. resume: go on from a checkpoint, or fill in what is missing of a complete run. threads:
-    for the record only. truth: compares the motion with a known truth, for synthetic recordings. people: None =
-    one person, or 'all', how many at most, or a name (hypose.app.jobs.people_job). skeletons: that sensors reported
-    beside, solved together with the rest."""
+    """What is to be done with one recording.
+
+    recording: its frame_range is what is tracked
+    results: where files go
+    formats: of hypose.io.motions.export
+    overlay, report: write overlay.mp4, report.html
+    resume: go on from a checkpoint, or fill in what is missing of a complete run
+    run: of the machine, for the record only
+    truth: compares the motion with a known truth, for synthetic recordings
+    people: None: one person; or 'all', how many at most, or a name (hypose.app.jobs.people_job)
+    skeletons: that sensors reported at the same time, solved together with the rest
+    """
 
     recording: Recording
     options: TrackOptions
     results: ResultsFolder
     formats: Sequence[str] = tuple(FORMATS)
     overlay: bool = True
+    report: bool = True
     resume: bool = False
     run: Mapping[str, Any] = field(default_factory=dict)
     truth: Callable[[Motion, Body], Truth] | None = None
@@ -132,7 +139,8 @@ def run_job(job: Job, progress: ProgressCall = ignore, seconds: Mapping[str, flo
             return Outcome(tracked.motion, tracked.body, False, tuple(files), notes, truth)
         files += export_all(job, tracked.motion, tracked.body, progress)
         said = (f"Verdict: {verdict.sentence}", *notes)
-        files += _draw(job, options, tracked, source, said, truth, files, progress, seconds or {})
+        if job.overlay or job.report:
+            files += _draw(job, options, tracked, source, said, truth, files, progress, seconds or {})
     remove_stale(results, files)
     return Outcome(tracked.motion, tracked.body, True, tuple(files), notes, truth, verdict)
 
@@ -276,37 +284,35 @@ def _draw(
     seconds: Mapping[str, float],
 ) -> list[Path]:
     """Overlay and report."""
-    from hypose.app.reports.drawing import draw
-    from hypose.app.reports.modes_overlay import write_modes_overlay
-    from hypose.app.reports.overlay import write_overlay
-    from hypose.app.reports.report import ReportInput
-    from hypose.app.studio.view_bundle import Rivals
+    from hypose.app.reports.overlay import PictureRows, Shown, write_modes_overlay, write_overlay
+    from hypose.app.reports.report import draw
+    from hypose.app.studio.view_bundle import Rivals, ViewResult, pictured
 
     recording, motion, body, modes = job.recording, tracked.motion, tracked.body, tracked.modes
-    about = ReportInput(
+    about = ViewResult(
         title=recording.name,
         motion=motion,
         body=body,
         rig=recording.rig,
+        image_shifts=[v.image_shift for v in recording.views],
+        pictures=pictured(recording),
         notes=notes,
         citation=citation_of(options.recipe, options.refine),
         seconds=dict(seconds),
         truth=truth,
         complete=tracked.complete,
-        recording=recording,
         first_frame=recording.frames.start,
         rivals=Rivals.of_motion(motion) if modes is None else Rivals.of(modes.joints, modes.weights),
     )
 
-    def overlay(path: Path, rows: Sequence[int]) -> Mapping[int, Image]:
-        how = {"stills": rows, "video": job.overlay, "progress": progress}
+    def overlay(path: Path, wanted: PictureRows) -> Shown:
         if modes is not None:
-            return write_modes_overlay(path, recording, motion, modes, body, **how)
-        return write_overlay(path, recording, source, motion, body, **how)
+            return write_modes_overlay(path, recording, motion, modes, body, wanted, progress)
+        return write_overlay(path, recording, source, motion, body, wanted, progress)
 
     caption = "Frame {}" if modes is None else "Frame {}, and all modes from the side"
 
-    return draw(job.results, about, overlay, files, video=job.overlay, caption=caption, progress=progress)
+    return draw(job.results, about, overlay, files, (job.overlay, job.report), caption, progress)
 
 
 def remove_stale(results: ResultsFolder, written: Sequence[Path]) -> None:
