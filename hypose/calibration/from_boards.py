@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from hypose.calibration.boards import Board
 from hypose.calibration.bundle import LensPrior
 from hypose.calibration.intrinsics import FOCAL_SD, Lens, board_poses, calibrate_lens
+from hypose.calibration.refine_points import in_world
 from hypose.calibration.rig import Chooser, RigCalibration, RigSettings, calibrate_rig
 from hypose.calibration.synchronisation import estimate_lags
 from hypose.calibration.views import CameraViews, LookOptions, Progress, Source, diagnose, look_for_board
@@ -176,13 +177,7 @@ def place_on_floor(
         corners = np.concatenate([transform(b, board.points) for b in boards.values()]) @ turn.T
         origin = np.array([*corners[:, :2].mean(0), corners[:, 2].min()])
         world_from_old = se3(turn, -origin)
-    return move_world(rig, world_from_old), {f: world_from_old @ b for f, b in boards.items()}
-
-
-def move_world(rig: CameraRig, new_from_old: Array) -> CameraRig:
-    """The same rig described in another world (4, 4)."""
-    back = se3_inverse(new_from_old)
-    return CameraRig(tuple(replace(c, camera_from_world=c.camera_from_world @ back) for c in rig))
+    return in_world(rig, world_from_old), {f: world_from_old @ b for f, b in boards.items()}
 
 
 def _common_up(rig: CameraRig) -> Array:
@@ -321,29 +316,26 @@ def _lens(
         if given is None:
             o.lenses.select([view.name])  # its error lists the cameras there are
         assert given is not None
-        if given.size != view.size:
-            ratio = (view.size[0] / view.size[1]) / (given.size[0] / given.size[1])
-            if abs(ratio - 1) > 0.01:
-                raise CalibrationError(
-                    f"Camera {view.name}: its pictures are {view.size[0]} x {view.size[1]} px, the given lens is "
-                    f"calibrated for {given.size[0]} x {given.size[1]} px; give a lens calibrated at this size."
-                )
-            given = given.scaled(view.size)
-        camera = replace(given, camera_from_world=np.eye(4))
+        camera = replace(_scaled(given, view, "the given lens"), camera_from_world=np.eye(4))
         errors = [board_poses(camera, s, board.points)[0][1] for s in view.sightings.values()]
         return Lens(camera, (), float(np.median(errors)), float("nan"), not o.refine_lenses)
     seen = lens_views[i].sightings if lens_views else view.sightings
     size = lens_views[i].size if lens_views else view.size
     lens = calibrate_lens(view.name, seen, board, size, fisheye=o.fisheye, prior=o.prior, strict=False)
-    if size != view.size:
-        ratio = (view.size[0] / view.size[1]) / (size[0] / size[1])
-        if abs(ratio - 1) > 0.01:
-            raise CalibrationError(
-                f"Camera {view.name}: the lens pictures are {size[0]} x {size[1]} px, the others {view.size[0]} x "
-                f"{view.size[1]} px; film both in the same mode."
-            )
-        lens = replace(lens, camera=lens.camera.scaled(view.size), given=True)
-    return lens
+    if size == view.size:
+        return lens
+    return replace(lens, camera=_scaled(lens.camera, view, "those for its lens"), given=True)
+
+
+def _scaled(lens: Camera, view: CameraViews, whose: str) -> Camera:
+    """A lens at the size of a view's pictures; a CalibrationError when they have another shape."""
+    (w, h), (lens_w, lens_h) = view.size, lens.size
+    if abs((w / h) / (lens_w / lens_h) - 1) > 0.01:
+        raise CalibrationError(
+            f"Camera {view.name}: its pictures are {w} x {h} px, {whose} {lens_w} x {lens_h} px; film both in the same "
+            "mode."
+        )
+    return lens if view.size == lens.size else lens.scaled(view.size)
 
 
 def _lag_hint(lenses: Sequence[Lens], views: Sequence[CameraViews], board: Board) -> str:

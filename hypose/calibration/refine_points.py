@@ -20,6 +20,7 @@ from hypose.compute import SharedEquations, lorentzian
 from hypose.errors import EvidenceError
 from hypose.fitting.least_squares import Rule, descend
 from hypose.geometry import Array, procrustes, se3, se3_inverse, so3_exp, so3_log, transform
+from hypose.io.calibrations import calibration_camera
 
 # ---- refine camera -------------------------------------------------------------------------------------------------
 # Small changes of cameras as unknowns of a least-squares problem, and the gauge: which world a refined rig lives in.
@@ -75,7 +76,7 @@ def in_world(rig: CameraRig, new_from_old: Array) -> CameraRig:
     return CameraRig(tuple(replace(c, camera_from_world=c.camera_from_world @ back) for c in rig))
 
 
-def gauge(new: CameraRig, old: CameraRig, points_new: Array, rounds: int = 30) -> Array:
+def gauge(new: CameraRig, old: CameraRig, points_new: Array) -> Array:
     """Rigid old_from_new (4, 4) that lays a refined rig and its world onto the old one.
 
     Cameras are compared by where their centres lie and where their axes meet the person (points_new (N, 3) m, in the
@@ -86,7 +87,7 @@ def gauge(new: CameraRig, old: CameraRig, points_new: Array, rounds: int = 30) -
     marks_old = np.stack([_marks(c, reach) for c in old])
     weight = np.ones(len(new))
     motion = np.eye(4)
-    for _ in range(rounds):
+    for _ in range(30):
         w = np.repeat(weight, marks_new.shape[1])
         motion, _ = procrustes(marks_new.reshape(-1, 3), marks_old.reshape(-1, 3), w)
         gap = np.linalg.norm(transform(motion, marks_new.reshape(-1, 3)) - marks_old.reshape(-1, 3), axis=1)
@@ -122,12 +123,7 @@ def changes(old: CameraRig, new: CameraRig, points_world: Array) -> tuple[Camera
 
 def rescaled(rig: CameraRig, factor: float) -> CameraRig:
     """The rig with all lengths multiplied by a factor."""
-    out = []
-    for c in rig:
-        pose = c.camera_from_world.copy()
-        pose[:3, 3] *= factor
-        out.append(replace(c, camera_from_world=pose))
-    return CameraRig(tuple(out))
+    return CameraRig(tuple(calibration_camera.rescaled(c, factor) for c in rig))
 
 
 def free_cameras(rig: CameraRig, fixed: tuple[str, ...]) -> NDArray[np.bool_]:
@@ -344,7 +340,7 @@ def point_residual(rig: CameraRig, pixels: Array, confidence: Array, *, min_conf
     return np.where(confidence > min_confidence, distance, np.nan)
 
 
-def left_out_residual(rig: CameraRig, pixels: Array, confidence: Array, *, min_confidence: float = 0.5) -> Array:
+def left_out_residual(rig: CameraRig, pixels: Array, confidence: Array) -> Array:
     """(C, N) px between each camera's detections and the triangulation of all the others; NaN where there is none."""
     out = np.full(confidence.shape, np.nan)
     used = np.where(confidence > 0.3, confidence, 0.0)
@@ -355,9 +351,4 @@ def left_out_residual(rig: CameraRig, pixels: Array, confidence: Array, *, min_c
         less = CameraRig(tuple(rig[k] for k in others))
         points, _ = triangulate(less, pixels[others], used[others])
         out[c] = np.linalg.norm(rig[c].project_pinhole(points) - pixels[c], axis=-1)
-    return np.where(confidence > min_confidence, out, np.nan)
-
-
-def without_distortion(rig: CameraRig) -> CameraRig:
-    """The rig without lens distortion at the calibrated size: the cameras of undistorted key points."""
-    return CameraRig(tuple(replace(c, distortion=np.zeros(5), fisheye=False) for c in rig))
+    return np.where(confidence > 0.5, out, np.nan)

@@ -18,8 +18,7 @@ import numpy as np
 from hypose.body.body import Body
 from hypose.errors import EvidenceError, InputError
 from hypose.geometry import Array
-from hypose.io.motions.results import ResultsFolder
-from hypose.io.recordings.provenance import identity
+from hypose.io.motions.results import ResultsFolder, identity
 from hypose.pipeline.colour_detections import tracked_frames
 from hypose.pipeline.doubts import looked_at
 from hypose.pipeline.first_frame import Subject, first_start

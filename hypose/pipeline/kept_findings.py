@@ -14,8 +14,7 @@ import numpy as np
 from hypose.errors import HyposeError
 from hypose.evidence.background import BackgroundModel
 from hypose.inference.hypotheses import Hypotheses
-from hypose.io.motions.results import Checkpoint, ResultsFolder, load_body, save_body
-from hypose.io.recordings.provenance import file_identity
+from hypose.io.motions.results import Checkpoint, ResultsFolder, file_identity, load_body, save_body
 from hypose.pipeline.first_frame import Subject
 from hypose.tracking.keypoint_evidence import KeypointModel
 

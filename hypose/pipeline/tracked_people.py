@@ -16,8 +16,7 @@ from hypose.evidence import depth_people
 from hypose.evidence.frame import Frame
 from hypose.evidence.shared_masks import SOLVED, Other
 from hypose.geometry import Array
-from hypose.io.motions.results import Checkpoint, ResultsFolder
-from hypose.io.recordings.provenance import identity
+from hypose.io.motions.results import Checkpoint, ResultsFolder, identity
 from hypose.pipeline.doubts import runs
 from hypose.pipeline.first_frame import Subject
 from hypose.pipeline.kept_findings import kept_subject

@@ -7,7 +7,7 @@ import pytest
 
 from hypose.body.ready_bodies import human
 from hypose.errors import InputError
-from hypose.io.motions.results import _ARRAYS, load_body, save_body
+from hypose.io.motions.results import _BODY_LAYOUT, load_body, save_body
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +54,7 @@ def test_a_body_without_landmarks(tmp_path):
     assert load_body(tmp_path / "b.npz").landmarks.names == ()
 
 
-@pytest.mark.parametrize("name", sorted(_ARRAYS))
+@pytest.mark.parametrize("name", sorted(_BODY_LAYOUT))
 def test_every_array_is_needed(saved, tmp_path, name):
     with pytest.raises(InputError, match=f"{name}.* is missing; give the results folder"):
         load_body(spoil(saved, tmp_path / "b.npz", **{name: None}))
@@ -63,7 +63,7 @@ def test_every_array_is_needed(saved, tmp_path, name):
 @pytest.mark.parametrize(
     ("name", "value", "reason"),
     [
-        ("coarse_faces", np.array([[0, 1, 99999]], np.int32), "names vertices that do not exist"),
+        ("coarse_faces", np.array([[0, 1, 99999]], np.int32), "refers to vertex"),
         ("fine_skin_index", np.full((3, 4), 77, np.int32), "names joints that do not exist"),
         ("landmark_joint", np.array([-1]), "names joints that do not exist"),
         ("coarse_vertices", np.full((3, 3), np.nan), "contains NaN"),

@@ -99,7 +99,7 @@ def test_without_the_library_the_next_step_is_named(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "pyrealsense2", None)
     importlib.invalidate_caches()
     for call in (lambda: read_realsense(tmp_path / "a.db3"), open_realsense):
-        with pytest.raises(InputError, match=r"pip install hypose\[realsense\]"):
+        with pytest.raises(InputError, match=r"pip install .hypose\[realsense\]"):
             call()
 
 

@@ -16,8 +16,16 @@ import pytest
 from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.io.files import atomic_path, check_writable
-from hypose.io.motions.results import Checkpoint, ResultsFolder, load_motion, save_motion, to_json
-from hypose.io.recordings.provenance import file_identity, identity, provenance
+from hypose.io.motions.results import (
+    Checkpoint,
+    ResultsFolder,
+    file_identity,
+    identity,
+    load_motion,
+    provenance,
+    save_motion,
+    to_json,
+)
 
 
 def assert_same(a: Motion, b: Motion):

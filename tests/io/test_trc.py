@@ -65,11 +65,11 @@ def _lines(tmp_path):
     ("line", "text", "message"),
     [
         (0, "something else", "does not start with PathFileType"),
-        (2, "30\t30\t3\tmany\tm\t30\t1\t3", "no number for NumMarkers"),
+        (2, "30\t30\t3\tmany\tm\t30\t1\t3", "NumMarkers in lines 2 and 3 holds something"),
         (2, "30\t30\t3\t900000000\tm\t30\t1\t3", "NumMarkers 9e\\+08"),
         (2, "nan\t30\t3\t2\tm\t30\t1\t3", "DataRate nan"),
         (2, "30\t30\t3\t2\tfurlong\t30\t1\t3", "unit 'furlong'"),
-        (2, "30\t30\t3\t3\tm\t30\t1\t3", "names 2 markers, but NumMarkers says 3"),
+        (2, "30\t30\t3\t3\tm\t30\t1\t3", "NumMarkers 3 are not possible with the 2 markers"),
         (7, "2\t0.03\t1\t2\t3\t4\t5\t6\t7", "line 8 has 7 cells"),
         (7, "2\t0.03\t1\t2\t3\t4\t5", "line 8 has 5 cells"),
         (7, "2\t0.03\t1\t2\tx\t4\t5\t6", "line 8 holds something that is not a number"),

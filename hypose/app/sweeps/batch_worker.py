@@ -93,7 +93,7 @@ def run_chunk(task: Task, chunk: int | None, stop: Path, report: Report) -> dict
     from hypose import compute
     from hypose.app.jobs.job import backgrounds_file, chunk_run, open_frames, record_of
     from hypose.app.sweeps.sweep import job_of
-    from hypose.io.recordings.provenance import identity
+    from hypose.io.motions.results import identity
     from hypose.pipeline.kept_findings import keep_backgrounds
 
     out = {"key": task.key, "state": "done"}

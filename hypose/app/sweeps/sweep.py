@@ -20,9 +20,8 @@ from hypose.errors import HyposeError, InputError
 from hypose.io.file_names import file_name
 from hypose.io.files import read_toml
 from hypose.io.motions.export import FORMATS
-from hypose.io.motions.results import ResultsFolder, to_json
+from hypose.io.motions.results import ResultsFolder, identity, to_json
 from hypose.io.recordings.pose2sim import is_project
-from hypose.io.recordings.provenance import identity
 from hypose.io.recordings.recording import check_keys, load_recording
 from hypose.pipeline.chunked import chunk_ranges
 from hypose.pipeline.run import TrackOptions

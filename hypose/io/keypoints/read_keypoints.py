@@ -13,7 +13,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -30,6 +30,8 @@ from hypose.geometry import Array
 from hypose.io.file_names import file_name, match_names
 from hypose.io.files import read_json, write_text
 from hypose.io.keypoints.keypoint_files import (
+    MAX_FRAMES,
+    KeypointTable,
     clock_file,
     read_keypoint_csv,
     read_keypoint_folder,
@@ -37,7 +39,6 @@ from hypose.io.keypoints.keypoint_files import (
     read_keypoint_json,
     read_keypoint_npy,
 )
-from hypose.io.keypoints.keypoint_table import MAX_FRAMES, KeypointTable
 
 _ENDINGS = "a folder of OpenPose, EasyMocap or Ultralytics files, .json, .csv, .h5 or .npy"
 _OUTSIDE = 0.3  # share of points outside of the picture from which it is another picture
@@ -100,16 +101,21 @@ def read_keypoints(path: Path) -> dict[str, KeypointTable]:
 
 @lru_cache(maxsize=8)  # a recording is looked at before it is worked on
 def _read_file(path: Path, state: tuple[tuple[int, int], ...]) -> dict[str, KeypointTable]:
-    ending = path.suffix.lower()
-    if ending == ".json":
-        return {"": read_keypoint_json(path)}
-    if ending == ".csv":
-        return read_keypoint_csv(path)
-    if ending in (".h5", ".hdf5"):
-        return {"": read_keypoint_h5(path)}
-    if ending == ".npy":
-        return read_keypoint_npy(path)
-    raise InputError(f"{path} is no file of key points that is known; give {_ENDINGS}.")
+    read = _READERS.get(path.suffix.lower())
+    if read is None:
+        raise InputError(f"{path} is no file of key points that is known; give {_ENDINGS}.")
+    found = read(path)
+    return found if isinstance(found, dict) else {"": found}
+
+
+_READERS: Mapping[str, Callable[[Path], KeypointTable | dict[str, KeypointTable]]] = {
+    ".json": read_keypoint_json,
+    ".csv": read_keypoint_csv,
+    ".h5": read_keypoint_h5,
+    ".hdf5": read_keypoint_h5,
+    ".npy": read_keypoint_npy,
+}
+"""By the file's ending; those of several cameras give a table for each."""
 
 
 def keypoints_of_views(
