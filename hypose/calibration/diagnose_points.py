@@ -18,7 +18,6 @@ from hypose.calibration.findings import Finding, Limits
 from hypose.calibration.refine_points import (
     CameraChange,
     PointAdjustment,
-    PointSettings,
     adjust,
     bent,
     changes,
@@ -395,7 +394,7 @@ def judge_extrinsics(rig: CameraRig, pixels: Array, o: Limits) -> Extrinsics | N
 
     try:
         found = adjust(ideal, *of(used))
-        lens = adjust(ideal, *of(used), PointSettings(radial=True)) if c > 2 else None
+        lens = adjust(ideal, *of(used), radial=True) if c > 2 else None
     except (EvidenceError, np.linalg.LinAlgError):
         return None
     old_from_new = gauge(found.rig, ideal, found.points)

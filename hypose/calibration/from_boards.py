@@ -10,12 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.calibration.boards import Board
-from hypose.calibration.bundle import LensPrior
 from hypose.calibration.intrinsics import FOCAL_SD, Lens, board_poses, calibrate_lens
 from hypose.calibration.refine_points import in_world
-from hypose.calibration.rig import Chooser, RigCalibration, RigSettings, calibrate_rig
+from hypose.calibration.rig import Chooser, RigCalibration, calibrate_rig
 from hypose.calibration.synchronisation import estimate_lags
-from hypose.calibration.views import CameraViews, LookOptions, Progress, Source, diagnose, look_for_board
+from hypose.calibration.views import CameraViews, Progress, Source, diagnose, look_for_board
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import CalibrationError
 from hypose.geometry import Array, rotation_between, se3, se3_inverse, so3_log, transform
@@ -207,7 +206,6 @@ class CalibrateOptions:
     fisheye: bool = False
     floor: int | None = None
     max_frames: int = 120
-    prior: LensPrior = field(default_factory=LensPrior)
     progress: Progress = field(default=lambda stage, done, total: None)
 
 
@@ -247,7 +245,7 @@ def calibrate_from_boards(
     o = options or CalibrateOptions()
     lens_views: tuple[CameraViews, ...] = ()
     if lens_sources:
-        lens_views = look_for_board(lens_sources, board, LookOptions(o.max_frames, False, o.progress))
+        lens_views = look_for_board(lens_sources, board, o.max_frames, False, o.progress)
         unknown = {v.name for v in lens_views} ^ {s.name for s in sources}
         if unknown:
             raise CalibrationError(
@@ -256,7 +254,7 @@ def calibrate_from_boards(
             )
         by_name = {v.name: v for v in lens_views}
         lens_views = tuple(by_name[s.name] for s in sources)
-    views = look_for_board(sources, board, LookOptions(o.max_frames, True, o.progress))
+    views = look_for_board(sources, board, o.max_frames, True, o.progress)
     both = (*lens_views, *views)
     _all_found(views, board, both)
     lenses: tuple[Lens, ...] = ()
@@ -268,7 +266,7 @@ def calibrate_from_boards(
             lenses,
             [v.sightings for v in views],
             board,
-            RigSettings(free_intrinsics=True, prior=o.prior, choose=choose),
+            choose,
             [v.sightings for v in lens_views] or None,
         )
         _determined(fit)
@@ -321,7 +319,7 @@ def _lens(
         return Lens(camera, (), float(np.median(errors)), float("nan"), not o.refine_lenses)
     seen = lens_views[i].sightings if lens_views else view.sightings
     size = lens_views[i].size if lens_views else view.size
-    lens = calibrate_lens(view.name, seen, board, size, fisheye=o.fisheye, prior=o.prior, strict=False)
+    lens = calibrate_lens(view.name, seen, board, size, fisheye=o.fisheye, strict=False)
     if size == view.size:
         return lens
     return replace(lens, camera=_scaled(lens.camera, view, "those for its lens"), given=True)

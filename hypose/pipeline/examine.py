@@ -16,7 +16,6 @@ from hypose.calibration.diagnostics import Clip, Cured, Observed
 from hypose.calibration.refine_body import BodySettings, adjust_with_body
 from hypose.calibration.refine_points import (
     CameraChange,
-    PointSettings,
     adjust,
     changes,
     free_cameras,
@@ -267,7 +266,7 @@ def _by_points(
 ) -> tuple[CameraRig, Array]:
     uv, confidence = undistorted(rig, points[:, used])
     c = len(rig)
-    found = adjust(rig.pinhole(), uv.reshape(c, -1, 2), confidence.reshape(c, -1), PointSettings(focal=focal), free)
+    found = adjust(rig.pinhole(), uv.reshape(c, -1, 2), confidence.reshape(c, -1), free, focal=focal)
     return _poses_into(rig, found.rig), found.points
 
 

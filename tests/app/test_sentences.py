@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.robustness.small_recordings import write_skeletons
 from hypose.calibration.boards import Board
-from hypose.calibration.views import LookOptions, Source, diagnose, look_for_board
+from hypose.calibration.views import Source, diagnose, look_for_board
 from hypose.errors import InputError
 from hypose.gestures.model import check_gesture_name
 from hypose.io.calibrations.calibration_formats import read_any
@@ -38,7 +38,7 @@ def test_exchanged_colours_name_the_option(tmp_path, inverted, advice):
     (tmp_path / "cam1").mkdir()
     cv2.imwrite(str(tmp_path / "cam1" / "0.png"), sheet if inverted else 255 - sheet)
     wrong = replace(board, inverted=inverted)
-    (views,) = look_for_board([Source("cam1", tmp_path / "cam1")], wrong, LookOptions())
+    (views,) = look_for_board([Source("cam1", tmp_path / "cam1")], wrong)
     assert not views.sightings and advice in diagnose(views, wrong)
 
 

@@ -25,7 +25,7 @@ from hypose.io.motions.results import load_motion, save_motion
 from hypose.io.recordings.recording import load_recording
 from hypose.io.videos.video import VideoWriter, open_video
 from tests.bundles import read_bundle
-from tests.io.test_pose2sim import make_project
+from tests.io.test_recording import make_project
 
 
 @pytest.fixture

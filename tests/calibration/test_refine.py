@@ -10,7 +10,6 @@ import pytest
 from hypose.body.ready_bodies import human
 from hypose.calibration.refine_body import BodySettings, adjust_with_body
 from hypose.calibration.refine_points import (
-    PointSettings,
     adjust,
     by_camera,
     change_from,
@@ -113,7 +112,7 @@ def test_a_focal_length_is_found_when_asked_for(rng):
     k = true[1].K.copy()
     k[:2, :2] *= 1.02
     wrong[1] = replace(true[1], K=k)
-    found = adjust(CameraRig(tuple(wrong)), uv, w, PointSettings(focal=True))
+    found = adjust(CameraRig(tuple(wrong)), uv, w, focal=True)
     ratio = found.rig[1].K[0, 0] / found.rig[0].K[0, 0]
     assert ratio == pytest.approx(1.0, abs=0.008)
 

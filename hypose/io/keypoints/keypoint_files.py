@@ -47,7 +47,7 @@ class KeypointTable:
     layout: the file's kind, for sentences. people: frame by the file's own number -> (P, K, 3) = (u, v, score >= 0),
     score 0 where a point is missing; K is the same in all frames with people. first: the number that the video's first
     frame has; None when the layout does not say, so that the smallest of all views' numbers counts. names: of the
-    points, where the file gives them. stated: the set that it states. shares: positions are shares of the picture's
+    points, where the file gives them. shares: positions are shares of the picture's
     width and height. scored: the file has scores. spread: it has standard deviations of the points too, which are in
     the scores (`weighed`). frame_rate: where it tells.
     """
@@ -56,7 +56,6 @@ class KeypointTable:
     people: Mapping[int, Array]
     first: int | None = None
     names: tuple[str, ...] | None = None
-    stated: str | None = None
     shares: bool = False
     scored: bool = True
     spread: bool = False

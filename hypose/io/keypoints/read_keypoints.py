@@ -123,13 +123,11 @@ def keypoints_of_views(
     names: Sequence[str],
     cameras: Sequence[str],
     stated: str | None = None,
-    usual: Sequence[str] = ("BODY_25",),
 ) -> tuple[list[ViewKeypoints | None], list[str]]:
     """Key points of every view (None: it has none) and sentences that say what was found.
 
     paths: file or folder per view; one of several cameras may be named by all of them, and gives each view the camera
-    of its name, or of the calibration's name for it. stated: the set that is said to be used; usual: sets to think of
-    first where several have that many points.
+    of its name, or of the calibration's name for it. stated: the set that is said to be used.
     """
     out: list[ViewKeypoints | None] = []
     tables = [None if p is None else _of_view(p, i, names, cameras, paths) for i, p in enumerate(paths)]
@@ -147,7 +145,7 @@ def keypoints_of_views(
             continue
         first = table.first if table.first is not None else min(unknown, default=0)
         try:
-            view, how = _told(path, table, first, sample, alike.get(sample.shape[1], []), stated, usual)
+            view, how = _told(path, table, first, sample, alike.get(sample.shape[1], []), stated)
         except InputError as problem:
             raise InputError(f"View {name}, key points {path}: {problem}") from None
         out.append(view)
@@ -195,7 +193,6 @@ def _told(
     sample: Array,
     alike: Sequence[Array],
     stated: str | None,
-    usual: Sequence[str],
 ) -> tuple[ViewKeypoints | None, str]:
     if len(sample) == 0:
         return None, ""
@@ -212,7 +209,7 @@ def _told(
         if stated is not None and keypoint_names(stated) != KEYPOINT_SETS[kind]:
             raise InputError(f"their names are those of {kind}, not of {stated}; correct or remove keypoint_set.")
     else:
-        kind, how = set_of_points(alike, stated or table.stated, usual)
+        kind, how = set_of_points(alike, stated, ("BODY_25",))
     scores = sample[..., 2][sample[..., 2] > 0]
     high = float(np.quantile(scores, 0.995)) if len(scores) else 1.0
     # RTMPose's and AlphaPose's scores are heights of maps and may exceed 1, others are percent

@@ -216,10 +216,8 @@ def open_realsense(serial: str | None = None) -> RealSenseDepth:
 
 def _library() -> Any:
     os.environ["RS2_RUM_CLOUD_ENABLED"] = "0"  # since 2.59 it counts what is used; nothing is sent
-    needed_by = "Depth of RealSense cameras and their recordings"
-    return extra(
-        "pyrealsense2", needed_by, "realsense", or_else="what it names of the system (apt install libusb-1.0-0)"
-    )
+    libusb = "install the system's libusb (Debian: apt install libusb-1.0-0)"
+    return extra("pyrealsense2", "Depth of RealSense cameras and their recordings", "realsense", or_else=libusb)
 
 
 def _opened(library: Any, config: Any, what: str, recorded: bool) -> RealSenseDepth:
