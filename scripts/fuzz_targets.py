@@ -34,7 +34,7 @@ class Target:
 
 def targets() -> dict[str, Target]:
     """All targets by name."""
-    from hypose.app.sweeps.sweep import read_sweep
+    from hypose.app.batch import read_table
     from hypose.calibration.from_points import read_scene_points
     from hypose.evidence.keypoints import BODY_25, parse_openpose
     from hypose.io.calibrations import calibration_formats
@@ -62,7 +62,7 @@ def targets() -> dict[str, Target]:
         Target("mot", "motion/motion.mot", marker_files.read_mot),
         Target("calibration-points", "points.toml", read_scene_points),
         Target("recording-toml", "walk/recording.toml", recording.load_recording, given="walk"),
-        Target("sweep-toml", "sweep.toml", read_sweep),
+        Target("batch-table", "study.csv", read_table),
         *_of_keypoints(),
         Target("openpose-json", "pose.json", lambda b: parse_openpose(b, BODY_25, "pose.json"), lines=True),
         Target("trc", "motion/motion.trc", marker_files.read_trc),
@@ -277,7 +277,7 @@ def _write_texts(folder: Path) -> None:
     points = {"a": [0, 0, 0], "b": [0.5, 0, 0], "c": [0, 0.5, 0], "d": [0.1, 0.1, 0.7]}
     lines = ["[points]", *(f"{n} = {p}" for n, p in points.items()), "[clicks.cam1]", "a = [10.5, 20.0]", "b = [30, 4]"]
     (folder / "points.toml").write_text("\n".join(lines) + "\n")
-    (folder / "sweep.toml").write_text('recordings = ["walk"]\nretries = 1\n[[set]]\nname = "a"\nseed = [0, 1]\n')
+    (folder / "study.csv").write_text("recording,name,recipe,seed,height\nwalk,a,sir,0,1.8\nwalk,a,,1,\n")
     person = {"person_id": [-1], "pose_keypoints_2d": [1.5, 2.5, 0.9] * 25}
     (folder / "pose.json").write_text(json.dumps({"version": 1.3, "people": [person, person]}))
     joints = {n: [0.1, 0.1 * k, 2.0, 2] for k, n in enumerate(COMMON)}

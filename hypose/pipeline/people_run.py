@@ -27,10 +27,9 @@ from hypose.geometry import Array
 from hypose.io.motions.results import ResultsFolder, identity, save_motion
 from hypose.pipeline.bodies_again import fitted_again
 from hypose.pipeline.doubts import as_now, in_words, looked_at, mask_change, runs
-from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
+from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject, keep_subject, kept_subject
 from hypose.pipeline.first_look import look_at_depth, sentences
 from hypose.pipeline.hull_paths import Path, follow_places, lasting
-from hypose.pipeline.kept_findings import keep_subject, kept_subject
 from hypose.pipeline.newcomers import (
     back_again,
     evidence_of,
@@ -480,7 +479,7 @@ class PeopleRun:
 
     def _finished(self, p: Followed, people: Sequence[Followed], complete: bool) -> OnePerson:
         found = seen_by_themselves(p, people, 3 * self._look_every)
-        tracked = Tracked(range(len(found)), found, p.member.state, complete)
+        tracked = Tracked(found, p.member.state, complete)
         present, hidden = np.array(p.present, dtype=np.bool_), np.array(p.hidden, dtype=np.bool_)
         source = OwnFrames(self.source, p, people, self._points)
         shared = len(people) > 1 and p.present[0]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hypose.app import __main__ as module_entry
-from hypose.app.reports.report import ReportInput, report_html
+from hypose.app.reports.report import report_html
 from hypose.app.reports.result_pictures import (
     BODY,
     Canvas,
@@ -23,6 +23,7 @@ from hypose.app.reports.result_pictures import (
     open_images,
 )
 from hypose.app.reports.summary import summarize
+from hypose.app.studio.view_bundle import ViewResult
 from hypose.body.ready_bodies import human
 from hypose.cameras.camera import Camera
 from hypose.compute.pictures.render import silhouette
@@ -82,16 +83,6 @@ def test_synth_writes_what_was_asked_for(hypose, tmp_path):
         assert truth["joints"].shape == (6, 19, 3)
 
 
-@pytest.mark.slow
-def test_demo_tracks_its_recording_and_names_the_error(hypose, tmp_path):
-    code, out, err = hypose("demo", "--out", tmp_path / "demo", "--seconds", "0.2")
-    assert code == 0, err
-    error = float(re.search(r"Mean joint error: ([\d.]+) mm over 15 joints", out).group(1))
-    assert error < 40
-    report = tmp_path / "demo" / "results" / "default" / "report.html"
-    assert str(report) in out and "Distance to the truth" in report.read_text()
-
-
 def test_help_and_version(hypose):
     code, out, _ = hypose("--help")
     assert code == 0
@@ -132,7 +123,7 @@ def test_the_report_says_what_went_wrong(result):
     nothing = np.full(8, np.nan)
     bad = replace(motion, lost=lost, extrapolated=lost, cost=nothing, joint_covariance=np.full((8, 19, 3, 3), np.nan))
     notes = ['View <cam1>: "dark" & blurred']
-    page = report_html(ReportInput("a < b", bad, body, recording.rig, notes=notes, complete=False))
+    page = report_html(ViewResult("a < b", bad, body, recording.rig, notes=notes, complete=False))
     assert "View &lt;cam1&gt;: &quot;dark&quot; &amp; blurred" in page and "a &lt; b" in page
     assert "interrupted" in page and "No silhouettes were used" in page
     assert "<b>3</b><span>frames lost" in page

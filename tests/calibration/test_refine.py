@@ -121,7 +121,7 @@ def test_a_camera_that_is_kept_stays(rng):
     true = named_rig("humaneva-4").pinhole()
     _, uv, w = noisy_points(true, rng)
     off = turned(true, 2, [0, 2, 0], [0, 0, 0])
-    found = adjust(off, uv, w, None, free_cameras(off, ("cam1",)))
+    found = adjust(off, uv, w, free_cameras(off, ("cam1",)))
     assert np.array_equal(found.rig[0].camera_from_world, off[0].camera_from_world)
     assert np.nanmedian(point_residual(found.rig, uv, w)) < 2
     with pytest.raises(CalibrationError, match="no camera cam9"):

@@ -200,7 +200,7 @@ LENS = toml_value(FIRST.distortion)
         ("[metadata]\nmatrix = 1\n", r"holds no cameras"),
         (
             GOOD.replace(VECTOR, "[nan, 0.0, 0.0]"),
-            r"camera cam_1: rotation contains NaN .* calibrate it again",
+            r"camera cam_1: rotation contains NaN .* calibrate again",
         ),
         (
             GOOD.replace(VECTOR, "[0.0, 0.0]"),

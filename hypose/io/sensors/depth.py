@@ -30,8 +30,7 @@ from hypose.io.calibrations.calibration_formats import read_any
 from hypose.io.file_names import utf8_path
 from hypose.io.files import open_file, read_bytes, readable_size, unreadable, write_bytes
 from hypose.io.videos.camera_sources import CameraSource, Shot, StreamEnded, played
-from hypose.io.videos.png import SIGNATURE, is_cut_png
-from hypose.io.videos.video import list_images
+from hypose.io.videos.video import PNG_SIGNATURE, is_cut_png, list_images
 from hypose.json_text import parse_json
 
 DepthMap = NDArray[np.float32]
@@ -59,7 +58,7 @@ def write_millimetres_png(path: str | Path, depth: NDArray[np.uint16]) -> None:
 def read_depth_png(path: str | Path) -> DepthMap:
     """Read a 16-bit PNG in millimetres; the size in its header is checked before anything is unpacked."""
     data = read_bytes(path, "a 16-bit depth PNG", _MAX_BYTES)
-    if not data.startswith(SIGNATURE) or data[12:16] != b"IHDR" or len(data) < 33:
+    if not data.startswith(PNG_SIGNATURE) or data[12:16] != b"IHDR" or len(data) < 33:
         raise InputError(f"{path} is not a PNG; depth maps are 16-bit PNG in millimetres.")
     width, height, bits, colour = struct.unpack(">IIBB", data[16:26])
     if bits != 16 or colour != 0 or not 1 <= width <= MAX_SIDE or not 1 <= height <= MAX_SIDE:
