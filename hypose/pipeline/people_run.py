@@ -24,8 +24,7 @@ from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.hull import common_view_bounds
 from hypose.evidence.hull_people import VIEWS, HullPerson
 from hypose.geometry import Array
-from hypose.io.motions.results import ResultsFolder, save_motion
-from hypose.io.recordings.provenance import identity
+from hypose.io.motions.results import ResultsFolder, identity, save_motion
 from hypose.pipeline.bodies_again import fitted_again
 from hypose.pipeline.doubts import as_now, in_words, looked_at, mask_change
 from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject, keep_subject, kept_subject
