@@ -30,7 +30,7 @@ from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
 from hypose.pipeline.first_look import first_look, of_measured, places_refuted, sentences
 from hypose.pipeline.kept_findings import SUBJECT, keep_subject, kept_subject
 from hypose.pipeline.keypoint_track import keypoints_in_memory, track_keypoints, with_named_sides
-from hypose.pipeline.mend_sides import FrameRange, as_named, look_back, look_back_notes, mend_sides, sides_notes
+from hypose.pipeline.mend_sides import FrameRange, as_named, mend_sides, sides_notes
 from hypose.pipeline.moved_sensors import PlacedSource, Places, moved_sensors
 from hypose.pipeline.picture_start import picture_options, subject_in_picture
 from hypose.pipeline.picture_verdict import (
@@ -44,12 +44,17 @@ from hypose.pipeline.subject_from_motion import HEIGHT_DOUBT, HEIGHT_WRONG, heig
 from hypose.pipeline.track_loop import FrameSource, Keep, Progress, Tracked, track_frames, tracked_before
 from hypose.pipeline.verdict import Verdict, left_out, not_shown, verdict_of
 from hypose.tracking.doubt import as_mixture, evidence_of, judged, not_in_set, worth_a_look
-from hypose.tracking.fitted_spread import beyond_usual, pose_covariance, with_fitted_angles, with_fitted_joints
+from hypose.tracking.fitted_spread import (
+    beyond_usual,
+    pose_covariance,
+    systematic_covariance,
+    with_fitted_angles,
+    with_fitted_joints,
+)
 from hypose.tracking.frame_evidence import OwnEvidence
 from hypose.tracking.pose_covariance import unpacked
 from hypose.tracking.recipes import RECIPES, Preset, recipe
 from hypose.tracking.smooth_motion import Clip
-from hypose.tracking.systematic_error import systematic_covariance
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerSettings, modes_of, motion_of
 
 MODES = "modes.npz"
@@ -316,10 +321,9 @@ def finish(
     progress: Progress,
     faults: tuple[str, ...] = (),
     noticed: tuple[str, ...] = (),
-    shared: bool = False,
 ) -> TrackResult:
     """The motion of what was tracked, stretches with exchanged sides or lost arms mended, smoothed, judged and written.
-    faults, noticed: what the first look found; shared: others are in the masks, who make starts unsure."""
+    faults, noticed: what the first look found."""
     estimates, notes, recipe = done.estimates, subject.notes, tracker.recipe
 
     def again(frames: range) -> Iterator[Frame]:
@@ -334,9 +338,6 @@ def finish(
         notes = (*notes, *sides_notes(exchanged))
         if exchanged:  # there, what the clip took the key points' sides for is refuted
             seen = as_named(again, exchanged)
-        if shared and not options.sure_start:
-            estimates, anew = look_back(tracker, estimates, seen, memory=done.state.memory)
-            notes = (*notes, *look_back_notes(anew))
         progress("sides", 1, 1)
         if options.smooth and recipe.smooth is not None:
             estimates, moved = look_both_ways(

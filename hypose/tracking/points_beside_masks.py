@@ -26,7 +26,7 @@ from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, KeypointModel
 from hypose.tracking.keypoint_offsets import Residuals, residual_rows, solved_frames, triangulated_starts
 from hypose.tracking.postures import postures
 from hypose.tracking.published_recipes import LIMB_LAYERS
-from hypose.tracking.refinement import SETTLING, mismatch, solve
+from hypose.tracking.refinement import mismatch, solve
 
 OUTLINES_M = 0.015
 """m: points that scatter by no more weigh in full beside masks, whatever these say."""
@@ -55,9 +55,9 @@ _LEAST_FRAMES, _LEAST_ROWS, _LEAST_LEFT = 3, 8, 0.2
 _SOLVE = SolveSettings(iterations=12, coarse_iterations=4)
 
 
-def weighed_beside_masks(body: Body, model: KeypointModel, frames: Sequence[Frame]) -> tuple[KeypointModel, Array]:
+def weighed_beside_masks(body: Body, model: KeypointModel, frames: Sequence[Frame]) -> KeypointModel:
     """The model with what is left of its points' weights beside masks (`KeypointModel.beside`); as it is when fewer
-    than three of the frames (of one person) tell. And poses (N, D), by the outlines alone, of the frames that do.
+    than three of the frames (of one person) tell.
 
     Of the points of each part of the body, noise: variance per axis about the body that is solved for by them, which
     takes up a part of it; away (C,): about the body that is solved for by the outlines. What is more of it in
@@ -67,7 +67,7 @@ def weighed_beside_masks(body: Body, model: KeypointModel, frames: Sequence[Fram
     both = [both[int(n)] for n in np.unique(np.linspace(0, len(both) - 1, count).astype(int))]
     seen, by_points, by_masks = _solved_either_way(body, model, both)
     if len(seen) < _LEAST_FRAMES:
-        return model, by_masks
+        return model
     own, other = (residual_rows(body, model, seen, poses) for poses in (by_points, by_masks))
     rows = 2 * np.median((own.confidence[:, :, model.known] > 0).sum((1, 2)))
     left = max(1 - body.skeleton.dof / max(float(rows), 1.0), _LEAST_LEFT)
@@ -92,18 +92,7 @@ def weighed_beside_masks(body: Body, model: KeypointModel, frames: Sequence[Fram
     known = np.isfinite(beside).any(0)
     # limbs of which too little is seen to tell are no better known than the others
     beside[:, ~known] = np.median(beside[:, known], axis=1, keepdims=True) if known.any() else 1.0
-    return replace(model, beside=beside), by_masks
-
-
-def start_beside_masks(body: Body, model: KeypointModel, frame: Frame, start: Array, ways: Array) -> Array:
-    """A start (D,) that key points told, with limbs elsewhere where masks and key points together say so: where some
-    posture has them, or the outlines of other frames (N, D)."""
-    prepared = prepare(frame, body, start, use_keypoints=True, keypoints_on_body=model, prediction_weight=0.0)
-    if prepared.contours is None:
-        return start
-    prepared = replace(prepared, keypoints=prepared.beside_masks)
-    pose = solve(body, start[None], prepared, SETTLING)[0].pose
-    return _elsewhere(body, pose, (postures(body), ways), prepared)
+    return replace(model, beside=beside)
 
 
 def _times(model: KeypointModel, frames: Sequence[Frame]) -> int:

@@ -33,7 +33,7 @@ KERNELS = {
     ],
     "AdaptiveDiffusion": [
         kernels.AdaptiveDiffusion(0.5),
-        kernels.AdaptiveDiffusion(0.5, floor=0.1 * SIGMA, coordinates=SOME, lower=LOWER, upper=UPPER),
+        kernels.AdaptiveDiffusion(0.5, lower=LOWER, upper=UPPER),
         kernels.AdaptiveDiffusion(0.0),
     ],
     "ConstantVelocity": [
