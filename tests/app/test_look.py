@@ -27,8 +27,7 @@ from hypose.body.ready_bodies import human
 from hypose.cameras.camera import Camera
 from hypose.compute.pictures.render import silhouette
 from hypose.geometry import se3, so3_exp
-from hypose.io.motions.bodies import load_body
-from hypose.io.motions.results import load_motion
+from hypose.io.motions.results import load_body, load_motion
 from hypose.io.recordings.recording import View, load_recording
 from hypose.io.videos.video import open_video
 from hypose.synthetic.rigs import rig
@@ -81,16 +80,6 @@ def test_synth_writes_what_was_asked_for(hypose, tmp_path):
     assert loaded.frame_rate == 50 and loaded.n_frames == 6 and loaded.keypoint_set == "BODY_25"
     with np.load(tmp_path / "scene" / "truth.npz") as truth:
         assert truth["joints"].shape == (6, 19, 3)
-
-
-@pytest.mark.slow
-def test_demo_tracks_its_recording_and_names_the_error(hypose, tmp_path):
-    code, out, err = hypose("demo", "--out", tmp_path / "demo", "--seconds", "0.2")
-    assert code == 0, err
-    error = float(re.search(r"Mean joint error: ([\d.]+) mm over 15 joints", out).group(1))
-    assert error < 40
-    report = tmp_path / "demo" / "results" / "default" / "report.html"
-    assert str(report) in out and "Distance to the truth" in report.read_text()
 
 
 def test_help_and_version(hypose):

@@ -38,7 +38,7 @@ def batch(
     if scheduler is not None and (workers is not None or threads is not None):
         raise InputError("A running scheduler has its own workers; leave --workers and --threads out.")
     from hypose.app.batch import finished, plan, require_dask, run_batch, wanted, write_table
-    from hypose.io.claims import claimed
+    from hypose.io.files import claimed
     from hypose.io.motions.export import known_formats
 
     if not dry_run:

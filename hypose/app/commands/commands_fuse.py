@@ -77,10 +77,6 @@ def fuse(
         number("WebSocket port: /in takes skeletons, /out sends. [default: 9871]", 0, 65535, rich_help_panel=_LIVE),
     ] = None,
     osc: Annotated[str | None, typer.Option(help="HOST:PORT to send OSC to.", rich_help_panel=_LIVE)] = None,
-    vmc: Annotated[
-        str | None,
-        typer.Option(help="HOST:PORT of a program that moves an avatar (VMC protocol).", rich_help_panel=_LIVE),
-    ] = None,
     host: Annotated[
         str, typer.Option(help="Address to listen on; others than this computer need the token.", rich_help_panel=_LIVE)
     ] = "127.0.0.1",
@@ -105,16 +101,16 @@ def fuse(
     if live:
         if recording is not None:
             raise InputError("--live takes no recording; leave one of the two out.")
-        _live(udp, ws, osc, vmc, host, token, wait, record, rate)
+        _live(udp, ws, osc, host, token, wait, record, rate)
         return
     if recording is None:
         raise InputError("There is nothing to fuse; give a recording of skeletons, or --live.")
     from hypose.app.jobs.fuse_job import FuseJob, run_fuse
     from hypose.app.reports.summary import require_found
-    from hypose.io.claims import claimed
     from hypose.io.file_names import file_name
+    from hypose.io.files import claimed
     from hypose.io.motions.results import ResultsFolder
-    from hypose.io.sensors.skeleton_formats import read_skeletons
+    from hypose.io.sensors.skeleton_files import read_skeletons
 
     loaded = read_skeletons(recording)
     if cameras is not None:
@@ -177,7 +173,7 @@ def _with_cameras(
     """Skeletons, depth maps and silhouettes as one solve."""
     from hypose.app.jobs.job import Job, run_job
     from hypose.app.reports.summary import require_found
-    from hypose.io.claims import claimed
+    from hypose.io.files import claimed
     from hypose.io.motions.results import ResultsFolder
     from hypose.io.recordings.recording import load_recording
     from hypose.pipeline.run import TrackOptions
@@ -233,7 +229,6 @@ def _live(
     udp: int | None,
     ws: int | None,
     osc: str | None,
-    vmc: str | None,
     host: str,
     token: str | None,
     wait: float,
@@ -252,7 +247,6 @@ def _live(
         udp=udp if chosen else 9870,
         ws=ws if chosen else 9871,
         osc=osc,
-        vmc=vmc,
         token=token,
         record=record,
         settings=LiveSettings(AlignSettings(rate=30.0 if rate is None else rate, wait=wait / 1000)),

@@ -12,8 +12,7 @@ from hypose.app.reports.gait_plot import cycle_plot
 from hypose.body.motion import Motion
 from hypose.io.files import write_text
 from hypose.io.motions.c3d import write_c3d
-from hypose.pipeline.gait_cycles import PERCENT, angle_cycles
-from hypose.pipeline.gait_events import Gait
+from hypose.pipeline.gait import PERCENT, Gait, angle_cycles
 
 _LABELS = {"strike": "Foot Strike", "off": "Foot Off"}
 

@@ -19,20 +19,17 @@ from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.io.files import check_writable, read_json
-from hypose.io.motions.bodies import load_body, save_body
 from hypose.io.motions.export import FORMATS, export_motion, known_formats
-from hypose.io.motions.modes import load_modes
-from hypose.io.motions.results import ResultsFolder, load_motion, to_json
+from hypose.io.motions.results import ResultsFolder, load_body, load_modes, load_motion, save_body, to_json
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.provenance import identity, provenance
 from hypose.io.recordings.recording import Recording
 from hypose.io.sensors.skeleton_streams import SkeletonRecording
 from hypose.pipeline.first_frame import SubjectOptions
-from hypose.pipeline.fuse_mixture import fuse_mixture
+from hypose.pipeline.fuse_mixture import fuse_mixture, skeletons_at_frames
 from hypose.pipeline.one_of_several import keypoint_people, track_one_of, wanted_first, with_everybody
 from hypose.pipeline.picture_start import POINT_STARTS, clicks_of
 from hypose.pipeline.pictures import depth_note
-from hypose.pipeline.recorded_skeletons import skeletons_at_frames
 from hypose.pipeline.run import MODES, TrackOptions, TrackResult, check_views, frames_wanted, track_source
 from hypose.pipeline.subject_from_motion import load_subject, subject_file
 from hypose.pipeline.verdict import Verdict

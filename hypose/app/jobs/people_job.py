@@ -20,10 +20,9 @@ from hypose.app.reports.result_pictures import Image
 from hypose.app.studio.view_bundle import Rivals
 from hypose.errors import InputError
 from hypose.io.files import check_writable
-from hypose.io.motions.bodies import save_body
 from hypose.io.motions.c3d import write_c3d
 from hypose.io.motions.gltf import write_people_glb
-from hypose.io.motions.results import ResultsFolder
+from hypose.io.motions.results import ResultsFolder, save_body
 from hypose.io.recordings.frames import FrameStream
 from hypose.pipeline.doubts import in_words, runs
 from hypose.pipeline.one_of_several import chosen_people, keypoint_people, people_frames, wanted_of

@@ -12,7 +12,7 @@ from typing import Protocol
 
 from hypose.app.jobs.gesture_job import Watched
 from hypose.app.live.osc import OscTarget, osc_message
-from hypose.app.live.socket_listeners import SocketListeners
+from hypose.app.live.servers import SocketListeners
 from hypose.errors import InputError
 from hypose.gestures.events import Event
 

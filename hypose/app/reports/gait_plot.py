@@ -12,8 +12,7 @@ from hypose.app.reports.figures import Figure
 from hypose.app.reports.plots import LEFT, MIDDLE, RIGHT, svg
 from hypose.body.body import Body
 from hypose.body.motion import Motion
-from hypose.pipeline.gait_cycles import PERCENT, AngleCycle, angle_cycles
-from hypose.pipeline.gait_events import gait_of
+from hypose.pipeline.gait import PERCENT, AngleCycle, angle_cycles, gait_of
 
 _PANELS = (
     ("hip flexion", "hip_flexion"),

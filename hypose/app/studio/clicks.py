@@ -28,8 +28,7 @@ from hypose.body.ready_bodies import JOINT_NAMES, human
 from hypose.errors import InputError
 from hypose.geometry import Array
 from hypose.io.files import read_json
-from hypose.io.motions.bodies import load_body
-from hypose.io.motions.results import ResultsFolder, load_motion
+from hypose.io.motions.results import ResultsFolder, load_body, load_motion
 from hypose.io.recordings.recording import Recording
 from hypose.io.videos.video import frame_size
 from hypose.pipeline.picture_start import LEAST_POINTS

@@ -20,7 +20,7 @@ from starlette.routing import BaseRoute, Mount, Route
 from starlette.staticfiles import StaticFiles
 
 from hypose import __version__
-from hypose.app.live.secrets_and_logs import fold_logs
+from hypose.app.live.servers import fold_logs
 from hypose.app.studio import (
     clicks,
     fuse_socket,

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from hypose.errors import InputError
 from hypose.evidence.silhouettes import Mask, as_mask
-from hypose.io.calibrations.calibration_toml import natural_key
+from hypose.io.file_names import natural_key
 from hypose.io.files import MAX_TEXT_BYTES, read_json
 from hypose.io.videos.video import PNG_SIGNATURE, VideoReader, list_images, open_video, read_image, read_image_file
 

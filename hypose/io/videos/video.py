@@ -28,8 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.errors import InputError
-from hypose.io.calibrations.calibration_toml import natural_key
-from hypose.io.file_names import utf8_path
+from hypose.io.file_names import natural_key, utf8_path
 from hypose.io.files import atomic_path
 
 Image = NDArray[np.uint8]
