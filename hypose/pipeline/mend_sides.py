@@ -9,7 +9,7 @@ better than before; frame by frame the better one is kept.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -94,7 +94,6 @@ def _tracked_anew(
 ) -> _Anew:
     """What is won over the old estimates around frame `at`, from the body with its sides exchanged there, or from where
     it was found."""
-    frames = as_named(frames, [range(len(old))])
     start = tracker.start(tracker.rival(old[at].pose, next(iter(frames(range(at, at + 1))))), memory)
     ahead, back = range(at, len(old)), range(at - 1, -1, -1)
     later, won, after = _while_better(tracker, start, old, ahead, _forwards(frames, at, len(old)))
@@ -152,19 +151,6 @@ def backwards(frames: FrameRange, stop: int) -> Iterator[tuple[Frame, Frame | No
         begin = max(0, stop - _BLOCK)
         yield from list(_forwards(frames, begin, stop))[::-1]
         stop = begin
-
-
-def as_named(frames: FrameRange, within: Sequence[range]) -> FrameRange:
-    """The same frames, in which nothing but their names tells the sides of the key points within these ranges."""
-
-    def of(numbers: range) -> Iterator[Frame]:
-        for t, frame in zip(numbers, frames(numbers), strict=True):
-            points = frame.keypoints
-            if points is not None and any(t in r for r in within):
-                frame = replace(frame, keypoints=replace(points, really=None))
-            yield frame
-
-    return of
 
 
 def read_once(frames: FrameRange) -> FrameRange:

@@ -26,7 +26,7 @@ from hypose.pipeline.contradictions import against_the_clip
 from hypose.pipeline.doubts import with_doubts, with_repeated_points
 from hypose.pipeline.first_frame import SUBJECT, Subject, SubjectOptions, find_subject, keep_subject, kept_subject
 from hypose.pipeline.first_look import first_look, of_measured, places_refuted, sentences
-from hypose.pipeline.mend_sides import FrameRange, as_named, mend_sides, sides_notes
+from hypose.pipeline.mend_sides import FrameRange, mend_sides, sides_notes
 from hypose.pipeline.moved_sensors import PlacedSource, Places, moved_sensors
 from hypose.pipeline.picture_start import (
     BESIDE_FRAME,
@@ -50,7 +50,7 @@ from hypose.tracking.fitted_spread import (
     with_fitted_joints,
 )
 from hypose.tracking.frame_evidence import OwnEvidence
-from hypose.tracking.keypoint_clip import real_names, track_keypoint_clip
+from hypose.tracking.keypoint_clip import track_keypoint_clip
 from hypose.tracking.keypoint_evidence import keypoint_model
 from hypose.tracking.pose_covariance import unpacked
 from hypose.tracking.recipes import RECIPES, Preset, recipe
@@ -235,8 +235,6 @@ def track_source(
         others = (*others, *([not_shown(never)] if never else []))
         said = {"faults": (*faults, *wrong), "looks": (*noticed, *looks), "beside": others}
         return _written(replace(result, one_by_one=solved.one_by_one, audit=audit, **said), results)
-    if method is None and not options.of_picture:
-        source, subject = with_named_sides(source, frame_rate, subject, sure_start=options.sure_start)
     before = tracked_before(results.checkpoint, key, total) if resume and results is not None else None
     begin = tracker.start(subject.start if subject.rivals is None else subject.rivals)
     done = track_frames(source, range(total), tracker, begin, subject, keep=keep, before=before, progress=report)
@@ -336,8 +334,6 @@ def finish(
             tracker, estimates, seen, sure_start=options.sure_start, memory=done.state.memory
         )
         notes = (*notes, *sides_notes(exchanged))
-        if exchanged:  # there, what the clip took the key points' sides for is refuted
-            seen = as_named(again, exchanged)
         progress("sides", 1, 1)
         if options.smooth and recipe.smooth is not None:
             estimates, moved = look_both_ways(
@@ -463,37 +459,8 @@ def track_keypoints(
     return solved, np.stack(audits)
 
 
-@dataclass(frozen=True)
-class NamedSides:
-    """The frames of a source with key points whose sides the clip has told."""
-
-    source: FrameSource
-    keypoints: Sequence[Keypoints | None]
-
-    def __len__(self) -> int:
-        return len(self.source)
-
-    def frame(self, index: int, /) -> Frame:
-        """Frame number index."""
-        return replace(self.source.frame(index), keypoints=self.keypoints[index])
-
-
 def keypoints_in_memory(source: FrameSource) -> Sequence[Keypoints | None] | None:
     """The key points of a source's frames, None of a source that does not hold them in memory."""
-    if isinstance(source, NamedSides | FrameStream):
+    if isinstance(source, FrameStream):
         return source.keypoints
     return [f.keypoints for f in source.frames] if isinstance(source, FrameList) else None
-
-
-def with_named_sides(
-    source: FrameSource, frame_rate: float, subject: Subject, *, sure_start: bool = False
-) -> tuple[FrameSource, Subject]:
-    """A source in which key points stand beside masks, and its subject, with the sides of limbs as the names of all
-    views and frames have them: a tracker that goes from frame to frame would rename them by where it takes the limbs to
-    be. sure_start: that of the subject stands. A source that does not hold its key points in memory stays as it is."""
-    seen = keypoints_in_memory(source)
-    if seen is None or subject.keypoints is None or all(k is None for k in seen):
-        return source, subject
-    given = (subject.body, subject.keypoints, seen, subject.start, frame_rate)
-    start, named = real_names(*given, sure_start=sure_start)
-    return NamedSides(source, named), replace(subject, start=start)

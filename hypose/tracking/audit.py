@@ -391,9 +391,7 @@ def _points(names: tuple[str, ...], rotations: Array, joints: Array, seen: Keypo
     raw = np.linalg.norm(points[..., :2] - uv, axis=-1) / size[:, None]
     there = (own >= 0)[None] & ((points[..., 2] > 0) & model.known & np.isfinite(uv).all(-1))[:, own]
     agree, against = (there & (raw[:, own] < _AGREE_M)).any(-1), (there & (raw[:, own] > 2 * _AGREE_M)).any(-1)
-    if seen.really is not None:
-        points = np.take_along_axis(points, seen.really[..., None], 1)
-    points = checked(points, uv, model.names, size, model.known, sides=seen.really is None)
+    points = checked(points, uv, model.names, size, model.known)
     known = (points[..., 2] > 0) & model.known & np.isfinite(uv).all(-1)
     away = np.minimum(np.linalg.norm(points[..., :2] - uv, axis=-1) / size[:, None], _FAR_M)
     away = np.where(known, away, np.inf)

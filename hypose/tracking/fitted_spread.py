@@ -66,11 +66,11 @@ def lasting_residuals(
     for t, seen in enumerate(keypoints):
         if seen is None:
             continue
-        points = np.nan_to_num(seen.on_their_sides)
+        points = np.nan_to_num(seen.points)
         points[~(points[..., 2] > MIN_CONFIDENCE)] = 0.0
         size = pixels_per_metre(seen, poses[t, :3])
         uv = np.stack([camera.project_pinhole(places[t]) for camera in seen.rig])
-        points = checked(points, uv, model.names, size, model.known, sides=seen.really is None)
+        points = checked(points, uv, model.names, size, model.known)
         used = (points[..., 2] > 0) & model.known & np.isfinite(uv).all(-1)
         away = np.where(used[..., None], points[..., :2] - uv, 0.0) / size[:, None, None]
         weights[t] = used / (1 + (away**2).sum(-1) / scale**2)

@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.evidence.frame import Keypoints
 from hypose.pipeline.doubts import what_was_seen
 from hypose.pipeline.first_frame import Subject
-from hypose.pipeline.mend_sides import as_named, mend_sides, read_once, sides_notes
+from hypose.pipeline.mend_sides import mend_sides, read_once, sides_notes
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.tracking.exchanged_sides import turned_around
 from tests.walking_clip import walking_clip
@@ -143,19 +142,3 @@ def test_frames_of_the_last_block_are_read_once(clip):
         found = list(once(range(first, stop)))
         assert len(found) == stop - first and all(a is b for a, b in zip(found, frames[first:stop], strict=True))
     assert read == [range(15, 40), range(10, 15), range(0, 5), range(12, 20)]
-
-
-def test_names_tell_the_sides_where_what_the_clip_took_them_for_is_refuted(clip):
-    _, frames, _, _ = clip
-    rig = frames[0].silhouettes.rig
-    points = Keypoints(np.ones((len(rig), 2, 3)), ("left_knee", "right_knee"), rig, np.tile([1, 0], (len(rig), 1)))
-    told = [replace(f, keypoints=points) for f in frames[:4]]
-    found = list(as_named(reader([*told, frames[4]]), [range(1, 3)])(range(5)))
-    assert [f.keypoints is not None and f.keypoints.really is not None for f in found] == [
-        True,
-        False,
-        False,
-        True,
-        False,
-    ]
-    assert found[1].silhouettes is told[1].silhouettes and (found[1].keypoints.points == points.points).all()
