@@ -136,11 +136,14 @@ def turns(
     """Times s, their sd and frames of the maxima of a series (T,) m that is known to sd (T,) m; none next to frames
     that are not known."""
     filled = np.where(np.isfinite(series), series, np.nanmin(series) if np.isfinite(series).any() else 0.0)
+    from scipy.signal import find_peaks  # takes long to import
+
+    peaks, _ = find_peaks(filled, distance=max(1, round(_LEAST_STEP * rate)))
     out = []
     reach = max(1, round(0.04 * rate))
-    for k in _peaks(filled, max(1, round(_LEAST_STEP * rate))):
+    for k in peaks[_swings(filled, peaks)].tolist():
         a, b = k - reach, k + reach + 1
-        if a < 0 or b > len(series) or not known[a:b].all() or not _is_swing(filled, k):
+        if a < 0 or b > len(series) or not known[a:b].all():
             continue
         curve = np.polyfit(times[a:b] - times[k], filled[a:b], 2)
         if curve[0] >= 0:
@@ -151,25 +154,18 @@ def turns(
     return out
 
 
-def _peaks(series: Array, distance: int) -> list[int]:
-    """Frames of the maxima of a series (T,), of those nearer to each other than `distance` frames the higher. As
-    scipy.signal.find_peaks, which takes longer to import than the rest of a report to write."""
-    rising = np.diff(series) > 0
-    found: list[int] = []
-    maxima = np.flatnonzero(rising[:-1] & (np.diff(series)[1:] < 0)) + 1
-    for k in maxima[np.argsort(series[maxima], kind="stable")[::-1]].tolist():
-        if all(abs(k - other) >= distance for other in found):
-            found.append(k)
-    return sorted(found)
+def _swings(series: Array, peaks: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which peaks of a series stand out by a foot's swing on both sides, as far as the clip shows them."""
+    from scipy.signal import peak_prominences
 
-
-def _is_swing(series: Array, k: int) -> bool:
-    """Whether a peak of a series stands out by a foot's swing on both sides, as far as the clip shows them."""
-    higher = np.flatnonzero(series > series[k])
-    left, right = max(higher[higher < k], default=-1), min(higher[higher > k], default=len(series))
-    drops = series[k] - series[left + 1 : k + 1].min(), series[k] - series[k:right].min()
-    needed = _LEAST_SEEN if left < 0 else _LEAST_SWING, _LEAST_SEEN if right == len(series) else _LEAST_SWING
-    return max(drops) >= _LEAST_SWING and drops[0] >= needed[0] and drops[1] >= needed[1]
+    _, *bases = peak_prominences(series, peaks)
+    left, right = (series[b] for b in bases)
+    tops = series[peaks]
+    first = np.maximum.accumulate(series)[peaks] <= tops  # nothing before is higher
+    last = np.maximum.accumulate(series[::-1])[::-1][peaks] <= tops
+    needed = [np.where(edge, _LEAST_SEEN, _LEAST_SWING) for edge in (first, last)]
+    swing = np.maximum(tops - left, tops - right) >= _LEAST_SWING
+    return np.asarray(swing & (tops - left >= needed[0]) & (tops - right >= needed[1]))
 
 
 def _steps(

@@ -480,7 +480,7 @@ class PeopleRun:
 
     def _finished(self, p: Followed, people: Sequence[Followed], complete: bool) -> OnePerson:
         found = seen_by_themselves(p, people, 3 * self._look_every)
-        tracked = Tracked(range(len(found)), found, p.member.state, complete)
+        tracked = Tracked(found, p.member.state, complete)
         present, hidden = np.array(p.present, dtype=np.bool_), np.array(p.hidden, dtype=np.bool_)
         source = OwnFrames(self.source, p, people, self._points)
         shared = len(people) > 1 and p.present[0]

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from benchmarks.robustness.small_recordings import small_scene, write_masks, write_skeletons
-from hypose.app.jobs import fuse_job, job
+from hypose.app.jobs import fuse_job
 from hypose.errors import EvidenceError
 from hypose.io.motions.results import load_motion
 from hypose.io.recordings.recording import load_recording
+from hypose.pipeline import track as one_person
 from hypose.pipeline.detect_keypoints import detect_keypoints
 
 
@@ -49,8 +50,8 @@ def lost(result):
 
 
 def test_track_that_lost_all_frames(hypose, masks, tmp_path, monkeypatch):
-    whole = job.track_source
-    monkeypatch.setattr(job, "track_source", lambda *a, **k: lost(whole(*a, **k)))
+    whole = one_person.track_source
+    monkeypatch.setattr(one_person, "track_source", lambda *a, **k: lost(whole(*a, **k)))
     ran = hypose("track", masks, "--out", tmp_path / "out", "--formats", "csv", "--no-overlay", "--no-smooth")
     fails(ran, "walk: the person was found in none of 3 frames", str(tmp_path / "out"), "hypose check")
     assert (tmp_path / "out" / "report.html").is_file() and (tmp_path / "out" / "joints.csv").is_file()
@@ -59,8 +60,8 @@ def test_track_that_lost_all_frames(hypose, masks, tmp_path, monkeypatch):
 def test_batch_says_that_a_task_found_nobody(masks, tmp_path, monkeypatch):
     from hypose.app.batch import plan, run_task, wanted
 
-    whole = job.track_source
-    monkeypatch.setattr(job, "track_source", lambda *a, **k: lost(whole(*a, **k)))
+    whole = one_person.track_source
+    monkeypatch.setattr(one_person, "track_source", lambda *a, **k: lost(whole(*a, **k)))
     tasks, _ = plan(wanted([masks]), tmp_path / "out")
     figures = run_task(tasks[0], tmp_path / "stop", lambda done: None)
     assert figures["state"] == "failed" and "found in none of 3 frames" in figures["message"]

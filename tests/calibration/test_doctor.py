@@ -52,7 +52,7 @@ def test_a_planted_fault_is_found_with_its_camera(walk, kind):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["healthy", "extrinsics", "swapped"])
+@pytest.mark.parametrize("kind", ["healthy", "extrinsics"])
 def test_a_bystander_is_no_fault_and_hides_none(walk, kind):
     fault = with_bystander(walk if kind == "healthy" else planted(walk, kind, SEED), SEED)
     findings = examine(fault.observed).findings
@@ -149,12 +149,11 @@ def test_a_camera_that_stands_elsewhere_is_not_called_late():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("late", "told"), [(8, "8.1 frames late"), (20, "or more: the clip is too short")])
-def test_a_late_camera_that_sees_a_straight_walk_is_not_called_off(monkeypatch, late, told):
+def test_a_late_camera_that_sees_a_straight_walk_is_not_called_off(monkeypatch):
     # somebody who walks straight on looks through it as through one that stands elsewhere
     monkeypatch.setattr(planted_faults, "_LEAD", 30)
-    (finding,) = examine(healthy(14, late=(0, late, 0), keypoints=False).observed).findings
-    assert (finding.kind, finding.views) == ("late", ("cam2",)) and told in finding.text
+    (finding,) = examine(healthy(14, late=(0, 8, 0), keypoints=False).observed).findings
+    assert (finding.kind, finding.views) == ("late", ("cam2",)) and "8.1 frames late" in finding.text
 
 
 @pytest.mark.slow

@@ -288,7 +288,7 @@ def test_uu4cam_masks_agree_with_the_students_and_the_hull_with_the_masks(shared
     students = tuple(View(v.name, masks=v.video.with_name("foreground_mask.avi")) for v in recording.views)
     with FrameStream(recording) as ours, FrameStream(replace(recording, views=students)) as theirs:
         found, hulls = [], []
-        for i in range(0, 426, 71):
+        for i in range(0, 426, 142):
             a, b = ours.frame(i).silhouettes, theirs.frame(i).silhouettes
             # their masks hold a moved chessboard beside the man, ours the ceiling's lamps
             pairs = [(biggest_parts(x, 1.0), biggest_parts(y, 1.0)) for x, y in zip(a.masks, b.masks, strict=True)]
@@ -329,15 +329,14 @@ LIMBS = [(a, a + 2) for a in (5, 6, 7, 8, 11, 12, 13, 14)]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("keypoints", "least"), [(True, 0.96), (False, 0.93)])
-def test_balancing_masks_hold_the_limbs_in_all_views(shared_data, keypoints, least):
+def test_balancing_masks_hold_the_limbs_in_all_views(shared_data):
     folder = shared_data("pose2sim_balancing")
     with (
-        FrameStream(balancing(folder, keypoints)) as stream,
+        FrameStream(balancing(folder, False)) as stream,
         FrameStream(balancing(folder, True), FrameSettings(silhouettes=None)) as detected,
     ):
         hits, areas = np.zeros((4, 2)), []
-        for i in range(0, 99, 7):
+        for i in range(0, 99, 14):
             frame, points = stream.frame(i), detected.frame(i).keypoints.points
             assert frame.silhouettes.usable.all()
             areas.append(frame.silhouettes.areas)
@@ -347,7 +346,7 @@ def test_balancing_masks_hold_the_limbs_in_all_views(shared_data, keypoints, lea
                         u, v = np.rint(p[a, :2] * (1 - s) + p[b, :2] * s).astype(int)
                         if min(p[a, 2], p[b, 2]) > 0.5 and 0 <= u < 272 and 0 <= v < 480:
                             hits[c] += [mask[v, u], 1]
-        assert (hits[:, 0] / hits[:, 1]).min() >= least, hits[:, 0] / hits[:, 1]
+        assert (hits[:, 0] / hits[:, 1]).min() >= 0.93, hits[:, 0] / hits[:, 1]
         assert np.max(areas) < 16_000  # a man, no observer and no mats
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import sys
 import zipfile
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +22,7 @@ from hypose.errors import InputError
 from hypose.io.motions.gltf import write_glb
 from hypose.io.motions.meshes import PersonMesh, closed_surface, read_person
 from hypose.io.motions.results import load_body
-from hypose.pipeline.mesh_subject import MeshOptions, body_from_mesh, rig_mesh, subject_from_mesh
+from hypose.pipeline.mesh_subject import rig_mesh, subject_from_mesh
 
 Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 
@@ -55,7 +54,7 @@ def test_a_scan_becomes_a_body_that_stands_as_it_did(tmp_path):
     path = export(tmp_path / "anna.stl", 100 * v @ Y_UP.T, f)
     with pytest.raises(InputError, match=r"anna.stl: in m the person would be 170 m tall.* give the unit 'cm'"):
         rig_mesh(path)
-    subject = subject_from_mesh(path, tmp_path / "subject", MeshOptions(unit="cm"))
+    subject = subject_from_mesh(path, tmp_path / "subject", unit="cm")
     assert any("+y up; it was turned" in n for n in subject.notes)
     assert any("in the pose 't'" in n for n in subject.notes)
     body = load_body(tmp_path / "subject" / "body.npz")
@@ -243,13 +242,10 @@ def test_damaged_and_foreign_files_are_named(tmp_path, name, data, message):
 
 def test_options_list_what_is_allowed(tmp_path):
     with pytest.raises(InputError, match="does not exist"):
-        body_from_mesh(tmp_path / "none.ply")
+        rig_mesh(tmp_path / "none.ply")
     for options, message in (
-        ({"pose": "sitting"}, "auto, a, t, standing, hands-up"),
         ({"unit": "miles"}, "m, dm, cm, mm, in, ft"),
-        ({"up": "w"}, "auto, [+]z"),
         ({"height": 17.0}, "between 0.6 and 2.4 m"),
-        ({"coarse": 5}, "200 to 2000"),
     ):
         with pytest.raises(InputError, match=message):
-            replace(MeshOptions(), **options)
+            rig_mesh(tmp_path / "none.ply", **options)

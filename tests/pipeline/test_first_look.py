@@ -222,8 +222,7 @@ def test_a_real_recording_is_left_alone_and_told_when_its_set_is_wrong():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("factor", [0.88, 1.13])
-@pytest.mark.parametrize("evidence", ["silhouettes", "keypoints"])
+@pytest.mark.parametrize(("evidence", "factor"), [("silhouettes", 0.88), ("keypoints", 1.13)])
 def test_all_focal_lengths_wrong_are_told_where_the_person_walks(evidence, factor):
     scene = make_scene("walk", rig="humaneva-4", seconds=3.0, seed=43, corruption=("level-1",))
     frames = list(scene.mask_frames(0.5, keypoints=True))

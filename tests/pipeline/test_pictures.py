@@ -7,7 +7,7 @@ from hypose.body.ready_bodies import human
 from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError
 from hypose.evidence.frame import Frame, Keypoints, Picture
-from hypose.pipeline.pictures import PictureFrames
+from hypose.pipeline.one_camera import PictureFrames
 from hypose.pipeline.run import TrackOptions
 from hypose.pipeline.track import track
 from hypose.pipeline.track_loop import FrameList

@@ -27,11 +27,10 @@ from hypose.io.recordings.recording import Recording
 from hypose.io.sensors.skeleton_streams import SkeletonRecording
 from hypose.pipeline.first_frame import SubjectOptions
 from hypose.pipeline.fuse_mixture import fuse_mixture, skeletons_at_frames
-from hypose.pipeline.one_of_several import keypoint_people, track_one_of, wanted_first, with_everybody
-from hypose.pipeline.picture_start import POINT_STARTS, clicks_of
-from hypose.pipeline.pictures import depth_note
-from hypose.pipeline.run import MODES, TrackOptions, TrackResult, check_views, frames_wanted, track_source
+from hypose.pipeline.one_camera import POINT_STARTS, clicks_of, depth_note
+from hypose.pipeline.run import MODES, TrackOptions, TrackResult, check_views, frames_wanted
 from hypose.pipeline.subject_from_motion import load_subject, subject_file
+from hypose.pipeline.track import track_person
 from hypose.pipeline.verdict import Verdict
 from hypose.tracking.recipes import RECIPES, citation_of
 
@@ -118,9 +117,7 @@ def run_job(job: Job, progress: ProgressCall = ignore, seconds: Mapping[str, flo
     check_views(recording, options.of_picture)
     check_writable(results.path)
     record = record_of(job)
-    progress("compile", 0, 1)
-    compute.warm_up(*_kernels(recording, options), load=False)
-    progress("compile", 1, 1)
+    compile_before(progress, *_kernels(recording, options))
     finished = finished_before(job, record) if job.resume else None
     progress("background", 0, 1)
     with FrameStream(recording, frames_wanted(recording, options)) as source:
@@ -146,6 +143,13 @@ def run_job(job: Job, progress: ProgressCall = ignore, seconds: Mapping[str, flo
             files += _draw(job, options, tracked, source, said, truth, files, progress, seconds or {})
     remove_stale(results, files)
     return Outcome(tracked.motion, tracked.body, True, tuple(files), notes, truth, verdict)
+
+
+def compile_before(progress: ProgressCall, *parts: str) -> None:
+    """What a run needs of compute, compiled before it begins; parts: all that following people needs, when none."""
+    progress("compile", 0, 1)
+    compute.warm_up(*parts, load=False)
+    progress("compile", 1, 1)
 
 
 def _kernels(recording: Recording, options: TrackOptions) -> tuple[str, ...]:
@@ -182,30 +186,14 @@ def _track(
             results=job.results,
             record=record,
         )
-    everybody = with_everybody(source, options)
-    if everybody is not None:
-        with contextlib.closing(everybody):
-            return track_one_of(
-                everybody,
-                job.recording.frame_rate,
-                options,
-                wanted=wanted_first(job.recording, options),
-                points=keypoint_people(job.recording, source.rig) if options.looks_at == "both" else None,
-                results=job.results,
-                record=record,
-                resume=job.resume,
-                progress=progress,
-                command=f"hypose track {shlex.quote(str(job.recording.folder))} --people all",
-            )
-    return track_source(
+    return track_person(
         source,
-        job.recording.frame_rate,
         options,
-        body=load_subject(options.subject) if options.subject is not None else None,
         results=job.results,
         record=record,
         resume=job.resume,
         progress=progress,
+        command=f"hypose track {shlex.quote(str(job.recording.folder))} --people all",
     )
 
 

@@ -10,9 +10,8 @@ from urllib.parse import quote
 
 import numpy as np
 
-from hypose import compute
 from hypose.app.commands.console import ProgressCall, ignore
-from hypose.app.jobs.job import VERDICT, Job, Outcome, check_job, export_all, record_of, remove_stale
+from hypose.app.jobs.job import VERDICT, Job, Outcome, check_job, compile_before, export_all, record_of, remove_stale
 from hypose.app.reports.overlay import PictureRows, Shown, colour_of, write_overlay, write_people_overlay
 from hypose.app.reports.report import draw
 from hypose.app.studio.view_bundle import Rivals, ViewResult, pictured
@@ -49,9 +48,7 @@ def run_people(job: Job, people: str, progress: ProgressCall = ignore) -> Outcom
     check_writable(results.path)
     record = record_of(job)
     record = {**record, "settings": {**record["settings"], "people": people}}
-    progress("compile", 0, 1)
-    compute.warm_up(load=False)
-    progress("compile", 1, 1)
+    compile_before(progress)
     progress("background", 0, 1)
     with people_frames(recording, options) as source:
         progress("background", 1, 1)

@@ -10,8 +10,7 @@ import pytest
 from hypose.body.ready_bodies import human
 from hypose.inference.hypotheses import BEFORE
 from hypose.pipeline.first_frame import Subject
-from hypose.pipeline.live.live_people import FOLLOWING, LOST
-from hypose.pipeline.live.live_person import on_body
+from hypose.pipeline.live.live_people import FOLLOWING, LOST, on_body
 from hypose.pipeline.live.live_search import LOOKING, NOBODY, paced
 from hypose.pipeline.run import TrackOptions, tracker_of
 from hypose.tracking.exchanged_sides import turned_around
