@@ -9,7 +9,6 @@ import shutil
 import subprocess
 import sys
 import tempfile
-import time
 import tomllib
 from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, distribution
@@ -25,10 +24,15 @@ from hypose.compute import VARIABLE
 from hypose.errors import InputError
 from hypose.io.motions.results import save_body
 
-_TRACK = """
-import sys, time
+_CLOCK = """
+import os, subprocess, sys
 from pathlib import Path
-began, recording, out, body = float(sys.argv[1]), *map(Path, sys.argv[2:5])
+
+def clock():  # processor time of this process and of those that it started
+    return sum(os.times()[:4])
+"""
+_TRACK = """
+recording, out, body = map(Path, sys.argv[1:4])
 from hypose.app import cli
 from hypose.app.jobs.job import Job, run_job
 from hypose.io.motions.results import ResultsFolder
@@ -45,28 +49,26 @@ def first_pose():
     try:
         run_job(Job(load_recording(recording), TrackOptions(subject=str(body)), ResultsFolder(out)), progress)
     except First:
-        return time.time()
+        return clock()
 
 if __name__ == "__main__":
-    first = first_pose() - began
-    again = time.time()
-    print(first, first_pose() - again)
+    first = first_pose()
+    print(first, first_pose() - first)
 """
 _FUSE = """
-import sys, time
 from hypose.app import cli
 from hypose.fusion.live import LiveFuser
 
 if __name__ == "__main__":
     LiveFuser()
-    first, again = time.time() - float(sys.argv[1]), time.time()
+    first = clock()
     LiveFuser()
-    print(first, time.time() - again)
+    print(first, clock() - first)
 """
 _HELP = """
-import subprocess, sys, time
+before = clock()
 subprocess.run([sys.executable, "-m", "hypose", "track", "--help"], check=True, stdout=subprocess.DEVNULL)
-print(time.time() - float(sys.argv[1]), 0.0)
+print(clock() - before, 0.0)
 """
 _POSE2SIM = """
 from Pose2Sim import Pose2Sim
@@ -79,37 +81,31 @@ _LARGEST = ("llvmlite", "numba", "numpy", "scipy", "opencv-python-headless")
 
 def start(options: BenchOptions) -> BenchReport:
     """install_mb: this tree and the packages that it requires here; baseline: LLVM, numba, numpy, scipy and OpenCV
-    alone. cold_start_s, warm_start_s: by the clock from the start of the process to the first pose, less what the same
-    takes once more in that process, which is work on the recording: masks of four cameras and a given body (track), two
-    frames of a skeleton (fuse); to the end of `hypose track --help` (help). Cold with an empty cache of compiled code,
-    warm the fastest of three. settings: processor time of the cold starts.
+    alone. cold_start_s, warm_start_s: processor time from the start of the process to the first pose, less what the
+    same takes once more in that process, which is work on the recording: masks of four cameras and a given body
+    (track), two frames of a skeleton (fuse); all of `hypose track --help` (help). Cold with an empty cache of compiled
+    code, which is compiled by as many processes as there are cores; warm the least of three.
     """
     sizes = _installed()
-    total, largest = sum(sizes.values()), sum(sizes[name] for name in _LARGEST)
-    rows = [
-        Row("install_mb", "core", total, "MB", baseline="LLVM, numba, numpy, scipy, OpenCV", baseline_value=largest)
-    ]
-    processor: dict[str, float] = {}
+    largest = sum(sizes[name] for name in _LARGEST)
+    base = {"baseline": "LLVM, numba, numpy, scipy, OpenCV", "baseline_value": largest}
+    rows = [Row("install_mb", "core", sum(sizes.values()), "MB", **base)]
     with tempfile.TemporaryDirectory() as temporary:
         root = Path(temporary)
         recording = write_masks(small_scene(0, 5), root / "masks")
         save_body(human(), root / "body.npz")
-        given = {
-            "track": (_TRACK, (recording, root / "out", root / "body.npz")),
-            "fuse": (_FUSE, ()),
-            "help": (_HELP, ()),
-        }
+        given = {"track": (_TRACK, (recording, root / "out", root / "body.npz"))}
+        given |= {"fuse": (_FUSE, ()), "help": (_HELP, ())}
         for n, (name, (program, arguments)) in enumerate(given.items()):
             options.progress("start", n, len(given))
             script = root / f"{name}_program.py"
-            script.write_text(program)
+            script.write_text(_CLOCK + program)
             cold, *warm = (_started(script, arguments, root / f"cache-{name}") for _ in range(4))
-            processor[name] = cold[1]
             if name != "help":  # which compiles nothing
-                rows.append(Row("cold_start_s", name, cold[0], "s"))
-            rows.append(Row("warm_start_s", name, min(seconds for seconds, _ in warm), "s", n=len(warm)))
+                rows.append(Row("cold_start_s", name, cold, "s"))
+            rows.append(Row("warm_start_s", name, min(warm), "s", n=len(warm)))
         options.progress("start", len(given), len(given))
-    return BenchReport(tuple(rows), {"python": sys.version.split()[0], "cold_processor_s": processor, "mb": sizes})
+    return BenchReport(tuple(rows), {"python": sys.version.split()[0], "mb": sizes})
 
 
 def short_clip(options: BenchOptions) -> BenchReport:
@@ -152,7 +148,7 @@ def _installed() -> dict[str, float]:
     left = list(project["dependencies"])
     while left:
         requirement, _, marker = left.pop().partition(";")
-        name = re.split(r"[^\w.-]", requirement.strip())[0].lower()
+        name = re.sub(r"[-_.]+", "-", re.split(r"[^\w.-]", requirement.strip())[0]).lower()
         if name in sizes or "extra" in marker:
             continue
         try:
@@ -165,12 +161,11 @@ def _installed() -> dict[str, float]:
     return sizes
 
 
-def _started(script: Path, arguments: Sequence[Path], cache: Path) -> tuple[float, float]:
-    """Seconds of a start (what the program prints first, less what it prints second), and its processor time."""
-    command = [sys.executable, str(script), repr(time.time()), *map(str, arguments)]
-    told, processor = _run(command, cache.parent, cache)
+def _started(script: Path, arguments: Sequence[Path], cache: Path) -> float:
+    """Processor time of a start: what the program prints first, less what it prints second."""
+    told, _ = _run([sys.executable, str(script), *map(str, arguments)], cache.parent, cache)
     first, again = map(float, told.split()[-2:])
-    return first - again, processor
+    return first - again
 
 
 def _run(command: Sequence[str], folder: Path, cache: Path | None = None) -> tuple[str, float]:
