@@ -17,9 +17,8 @@ from hypose.errors import EvidenceError, HyposeError, InputError
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.geometry import Array
 from hypose.inference.layer import Recipe
-from hypose.io.motions.results import ResultsFolder, save_modes, save_motion
+from hypose.io.motions.results import ResultsFolder, identity, save_modes, save_motion
 from hypose.io.recordings.frames import FrameSettings, FrameStream
-from hypose.io.recordings.provenance import identity
 from hypose.io.recordings.recording import Recording
 from hypose.pipeline.both_ways import both_ways_notes, look_both_ways
 from hypose.pipeline.contradictions import against_the_clip
