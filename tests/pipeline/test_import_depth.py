@@ -14,7 +14,7 @@ from hypose.io.recordings.frames import FrameStream, working_rig
 from hypose.io.recordings.recording import load_recording
 from hypose.io.sensors.depth import DepthFile, DepthFrame, read_depth_png, write_depth_png
 from hypose.pipeline import import_depth as module
-from hypose.pipeline.import_depth import FolderUnits, RegisteredSensors, import_depth
+from hypose.pipeline.import_depth import RegisteredSensors, import_depth
 from hypose.synthetic.rigs import look_at
 from tests.depth_pictures import seen_in_room
 
@@ -51,7 +51,7 @@ def test_values_of_another_unit_are_noticed_and_can_be_said(tmp_path):
     source = folder(tmp_path / "fifths", own, [seen_in_room(own)] * 2, steps=0.2)
     with pytest.raises(InputError, match=r"fifths: the camera would hang 6.50 m .* --millimetres"):
         import_depth([source], tmp_path / "rec")
-    path, _ = import_depth([source], tmp_path / "rec", units=FolderUnits(12.5, 0.2))
+    path, _ = import_depth([source], tmp_path / "rec", frame_rate=12.5, millimetres=0.2)
     made = load_recording(path)
     assert made.frame_rate == 12.5 and made.rig[0].position[2] == pytest.approx(1.3, abs=0.01)
 

@@ -37,7 +37,7 @@ from hypose.fusion.joints import COMMON
 from hypose.fusion.live import LiveFrame, LiveFuser, LiveSettings
 from hypose.geometry import Array
 from hypose.io.sensors.skeleton_files import FolderWriter
-from hypose.io.sensors.skeleton_lines import MAX_SKELETON_LINE, parse_line
+from hypose.io.sensors.skeleton_streams import MAX_SKELETON_LINE, parse_line
 from hypose.pipeline.live.processes import punctual
 
 Say = Callable[[str], None]
