@@ -35,7 +35,7 @@ def folder(tmp_path_factory):
 
     root = tmp_path_factory.mktemp("gesture")
     source = open_source("simulated:1", "pause", 3)
-    settings = SessionSettings(do_gesture_s=1.0, positive_s=1.0, release_s=0.2, negative_s=1.5, rounds=2)
+    settings = SessionSettings(do_gesture_s=1.0, positive_s=2.0, release_s=0.2, negative_s=1.5, rounds=2)
     model = run_session(source, "pause", new_learner(0), settings, record=root / "session", say=lambda text: None)
     save_model(model, root / "pause.npz")
     return root
@@ -204,7 +204,7 @@ def test_nothing_within_reach_is_said(depth_mm):
     from hypose.gestures.events import EventSettings
     from hypose.gestures.session import SessionSettings
 
-    settings = SessionSettings(do_gesture_s=1.0, positive_s=1.0, release_s=0.2, negative_s=1.0, rounds=2)
+    settings = SessionSettings(do_gesture_s=1.0, positive_s=2.0, release_s=0.2, negative_s=1.0, rounds=2)
     with pytest.raises(InputError, match="none had depth between 0.5 and 4 m in the box"):
         run_session(blank(depth_mm), "tee", new_learner(0), settings, record=None, say=lambda text: None)
     learner, said = new_learner(0), []
@@ -257,7 +257,7 @@ def test_recording_learns_nothing(tmp_path, monkeypatch):
 
     monkeypatch.setattr(Watched, "show", None)
     monkeypatch.setattr(Watched, "reject", None)
-    settings = SessionSettings(do_gesture_s=1.0, positive_s=1.0, release_s=0.2, negative_s=1.0, rounds=2)
+    settings = SessionSettings(do_gesture_s=1.0, positive_s=2.0, release_s=0.2, negative_s=1.0, rounds=2)
     record_session(blank(2000), "tee", settings, record=tmp_path / "s", say=lambda text: None)
     assert sum(bool(e.gesture) for e in read_recording(tmp_path / "s").examples("tee")) > 10
 
