@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hypose.app.commands.commands_track import set_threads, split_names
+from hypose.app.commands.commands_track import set_threads, split_names, stopping
 from hypose.app.commands.console import Stages, note, say
 from hypose.app.commands.options import Threads, number
 from hypose.errors import InputError
@@ -203,12 +203,9 @@ def play(
     else:
         motion, body = load_result_body(results)
     tell_untrusted(results)
-    with contextlib.closing(OscTarget(vmc, "--vmc")) as target:
+    with stopping(), contextlib.closing(OscTarget(vmc, "--vmc")) as target:
         say(f"{len(motion)} frames at {motion.frame_rate:g} Hz to {vmc}" + (", until Ctrl-C." if loop else "."))
-        try:
-            play_motion(motion, body, target.send, speed, loop)
-        except KeyboardInterrupt:
-            raise typer.Exit(130) from None
+        play_motion(motion, body, target.send, speed, loop)
 
 
 def play_motion(

@@ -7,7 +7,7 @@ import os
 import shlex
 import signal
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated
@@ -169,24 +169,20 @@ def run_shown(job: Job, arguments: list[str]) -> tuple[Outcome, dict[str, float]
     from hypose.app.jobs.people_job import run_people
     from hypose.io.files import claimed
 
-    try:
-        with terminated_as_interrupted(), claimed(job.results.path), Stages() as progress:
-            if job.people is not None:
-                outcome = run_people(job, job.people, progress)
-            else:
-                outcome = run_job(job, progress, progress.seconds)
-    except KeyboardInterrupt:
-        _stopped(job, arguments)
-        raise typer.Exit(130) from None
-    if not outcome.complete:
-        _stopped(job, arguments)
-        raise typer.Exit(130)
+    with stopping(lambda: _kept(job, arguments)), claimed(job.results.path), Stages() as progress:
+        if job.people is not None:
+            outcome = run_people(job, job.people, progress)
+        else:
+            outcome = run_job(job, progress, progress.seconds)
+        if not outcome.complete:
+            raise KeyboardInterrupt
     return outcome, progress.seconds
 
 
 @contextlib.contextmanager
-def terminated_as_interrupted() -> Iterator[None]:
-    """Within the block SIGTERM ends as Ctrl-C does: in order."""
+def stopping(text: str | Callable[[], str] = "") -> Iterator[None]:
+    """Within the block Ctrl-C, and SIGTERM likewise, end the command in order, with exit code 130; text: what is said
+    then."""
 
     def interrupt(number: int, frame: FrameType | None) -> None:
         raise KeyboardInterrupt
@@ -194,11 +190,16 @@ def terminated_as_interrupted() -> Iterator[None]:
     previous = signal.signal(signal.SIGTERM, interrupt)
     try:
         yield
+    except KeyboardInterrupt:
+        if text:
+            say(text if isinstance(text, str) else text())
+        raise typer.Exit(130) from None
     finally:
         signal.signal(signal.SIGTERM, previous)
 
 
-def _stopped(job: Job, arguments: list[str]) -> None:
+def _kept(job: Job, arguments: list[str]) -> str:
+    """What an interrupted run has kept, and how to go on."""
     from hypose.io.motions.results import load_motion
 
     results, total = job.results, len(job.recording.frames)
@@ -206,11 +207,10 @@ def _stopped(job: Job, arguments: list[str]) -> None:
     command = f"hypose {shlex.join([*again, '--resume'])}" if again[:1] == ["track"] else "the same command"
     if results.checkpoint.exists():
         done = f"{len(load_motion(results.motion))} of {total} frames" if results.motion.exists() else "tracked frames"
-        say(f"Stopped. Kept: {done} in {results.motion}, and the state of the tracker. Go on with: {command}")
-    elif results.motion.exists():
-        say(f"Stopped. The motion is complete in {results.motion}. Write the other files with: {command}")
-    else:
-        say(f"Stopped before the first frame was tracked, so nothing was kept. Start again with: {command}")
+        return f"Stopped. Kept: {done} in {results.motion}, and the state of the tracker. Go on with: {command}"
+    if results.motion.exists():
+        return f"Stopped. The motion is complete in {results.motion}. Write the other files with: {command}"
+    return f"Stopped before the first frame was tracked, so nothing was kept. Start again with: {command}"
 
 
 def report_outcome(job: Job, finished: tuple[Outcome, dict[str, float]]) -> None:
