@@ -20,9 +20,17 @@ from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.io.files import check_writable, read_json
 from hypose.io.motions.export import FORMATS, export_motion, known_formats
-from hypose.io.motions.results import ResultsFolder, load_body, load_modes, load_motion, save_body, to_json
+from hypose.io.motions.results import (
+    ResultsFolder,
+    identity,
+    load_body,
+    load_modes,
+    load_motion,
+    provenance,
+    save_body,
+    to_json,
+)
 from hypose.io.recordings.frames import FrameStream
-from hypose.io.recordings.provenance import identity, provenance
 from hypose.io.recordings.recording import Recording
 from hypose.io.sensors.skeleton_streams import SkeletonRecording
 from hypose.pipeline.first_frame import SubjectOptions

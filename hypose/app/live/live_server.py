@@ -37,7 +37,7 @@ from hypose.fusion.joints import COMMON
 from hypose.fusion.live import LiveFrame, LiveFuser, LiveSettings
 from hypose.geometry import Array
 from hypose.io.sensors.skeleton_files import FolderWriter
-from hypose.io.sensors.skeleton_lines import MAX_SKELETON_LINE, parse_line
+from hypose.io.sensors.skeleton_streams import MAX_SKELETON_LINE, parse_line
 from hypose.pipeline.live.processes import punctual
 
 Say = Callable[[str], None]
@@ -68,9 +68,6 @@ class LiveOptions:
     waiting: int = 32
 
     def __post_init__(self) -> None:
-        for name, port in (("--udp", self.udp), ("--ws", self.ws)):
-            if port is not None and not 0 <= port <= 65535:
-                raise InputError(f"{name} {port} is no port; give 1 to 65535.")
         if self.token is not None and not _TOKEN.fullmatch(self.token):
             raise InputError("A token must have 8 to 128 letters, digits, _ . and -; leave it out to have one made.")
 
