@@ -15,8 +15,8 @@ from hypose.evidence.silhouettes import make_silhouettes
 from hypose.fitting.articulated import fit_pose
 from hypose.fusion import joints as jt
 from hypose.geometry import se3, se3_inverse, so3_exp, transform
-from hypose.pipeline.fuse_mixture import fuse_mixture, skeleton_rows
 from hypose.pipeline.run import TrackOptions, TrackResult, track_source
+from hypose.pipeline.sensor_skeletons import fuse_mixture, skeleton_rows
 from hypose.pipeline.track_loop import FrameList
 from hypose.tracking.refinement import anatomical_prior
 from hypose.tracking.starts import known_pose
@@ -106,7 +106,7 @@ def test_larger_sets_of_joints_are_taken_and_changing_sensors_are_named(walked, 
         asked.append(own)
         return TrackResult(motion, human(), True, ())
 
-    monkeypatch.setattr("hypose.pipeline.fuse_mixture.track_source", tracked)
+    monkeypatch.setattr("hypose.pipeline.sensor_skeletons.track_source", tracked)
     source = FrameList([Frame(k / 25, k) for k in range(FRAMES)], 25.0)
     fuse_mixture(source, 25.0, larger, TrackOptions())
     assert len(asked) == 2 and asked[1][0].points.shape == (FRAMES, 15, 3)

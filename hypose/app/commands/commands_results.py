@@ -195,7 +195,7 @@ def play(
     """Send a tracked motion to an avatar (VMC protocol): VSeeFace, Warudo, Unity, Unreal, Blender. See docs/live.md."""
     from hypose.app.live.osc import OscTarget
     from hypose.io.motions.results import load_result, load_result_body
-    from hypose.pipeline.fused_motion import pose_fused
+    from hypose.pipeline.sensor_skeletons import pose_fused
 
     motion = load_result(results)
     if motion.poses is None:  # of depth sensors
