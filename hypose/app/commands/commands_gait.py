@@ -16,7 +16,7 @@ def gait(
     out: Annotated[Path | None, typer.Option(help="Folder to write to. [default: the results folder]")] = None,
 ) -> None:
     """Write strikes, steps, cadence and speed (CSV, C3D with events), and joint angles over the gait cycle."""
-    from hypose.app.jobs.gait_job import write_gait
+    from hypose.app.reports.gait_plot import write_gait
     from hypose.io.claims import claimed
     from hypose.io.motions.bodies import load_result_body
     from hypose.pipeline.gait_events import gait_of

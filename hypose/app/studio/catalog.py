@@ -1,8 +1,8 @@
 """What lies in the served folder: recordings, results, gesture sessions and models, recordings of live sensors, each
 under an opaque id.
 
-The page never names a path. It names an id, which is looked up here, and only what really lies inside the served folder
-(links resolved) has one.
+A page names an id, which is looked up here, or the path of a folder to be made a recording; only what really lies
+inside the served folder (links resolved) is found.
 """
 
 from __future__ import annotations
@@ -84,6 +84,18 @@ class Catalog:
             return path.resolve().is_relative_to(self.root)
         except OSError:
             return False
+
+    def inside(self, where: str, base: Path | None = None) -> Path:
+        """The file or folder of a path, relative to `base` (the root), or absolute; an InputError when it is not there
+        or lies outside the root, also by a link."""
+        path = (base or self.root) / where
+        try:
+            found = path.resolve(strict=True)
+        except (OSError, ValueError, RuntimeError):
+            raise InputError(f"{where[:200]!r} is not there; choose something of the list.") from None
+        if not found.is_relative_to(self.root):
+            raise InputError(f"{where[:200]!r} lies outside of {self.root.name}; start `hypose view` in its folder.")
+        return found
 
     def shown(self, path: Path) -> str:
         """A path as the page shows it: relative to the root, which itself goes by its name."""

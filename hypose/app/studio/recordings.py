@@ -15,22 +15,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.app.studio.catalog import Catalog, Item, NotFound
-from hypose.app.studio.job_kinds import BOARDS, CALIBRATION
+from hypose.app.studio.job_kinds import CALIBRATION, board_files
 from hypose.app.studio.memory_cache import Kept
 from hypose.app.studio.mending import left_out, refined
 from hypose.app.studio.view_pictures import AnyFrame
+from hypose.calibration.views import find_sources
 from hypose.cameras.camera import Camera
 from hypose.compute import mask_runs
 from hypose.errors import HyposeError, InputError
 from hypose.evidence.background import BackgroundModel, Image
 from hypose.evidence.silhouettes import Mask, SilhouetteSettings, make_segmenter
-from hypose.io.calibrations.calibration_toml import natural_key
-from hypose.io.file_names import text_of
 from hypose.io.files import read_json, read_text, write_text
 from hypose.io.recordings.frames import build_backgrounds, working_rig
 from hypose.io.recordings.recording import Recording, load_recording, silhouette_lines
 from hypose.io.recordings.recording_keys import SILHOUETTE_KEYS, read_toml, silhouette_options
 from hypose.io.recordings.view_source import Preparer, ViewSource
+from hypose.json_text import parse_json
 
 Shown = Literal["none", "edge", "fill", "only"]
 _OPEN, _LENSES, _QUALITY = 128 << 20, 32 << 20, 85
@@ -190,10 +190,6 @@ class Recordings:
         """Release the files that are not in use."""
         self._open.drop()
 
-    def close(self) -> None:
-        """Release the files."""
-        self._open.close()
-
     def _opened(self, item: Item) -> AbstractContextManager[_Open]:
         return self._open.use((item.id, _stamp(item.path)), lambda: _Open(load_recording(item.path)))
 
@@ -247,21 +243,14 @@ def draw(image: Image, mask: Mask, shown: Shown) -> Image:
 
 
 def changed(options: SilhouetteSettings, settings: Mapping[str, str]) -> SilhouetteSettings:
-    """The options with settings out of a query: text, of the type that the option has."""
+    """The options with settings out of a query: texts as in JSON, numbers of a list with commas between."""
     table: dict[str, Any] = {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(options).items()}
     for key, text in settings.items():
-        if key not in SILHOUETTE_KEYS:
-            raise InputError(f"There is no mask setting {key[:40]!r}; there are {', '.join(SILHOUETTE_KEYS)}.")
-        kind = SILHOUETTE_KEYS[key]
+        kind = SILHOUETTE_KEYS.get(key)
         try:
-            if kind is bool:
-                table[key] = {"1": True, "true": True, "0": False, "false": False}[text]
-            elif kind is list:
-                table[key] = [float(v) for v in text.split(",")]
-            else:
-                table[key] = text if kind is str else int(text) if kind is int else float(text)
-        except (ValueError, KeyError):
-            raise InputError(f"The mask setting {key} cannot be {text[:40]!r}.") from None
+            table[key] = text if kind is str else parse_json(f"[{text}]" if kind is list else text)
+        except (ValueError, RecursionError):
+            raise InputError(f"The mask setting {key[:40]} cannot be {text[:40]!r}.") from None
     return silhouette_options("The settings", table)
 
 
@@ -288,12 +277,10 @@ def read_found(folder: Path, name: str) -> dict[str, Any] | None:
 def board_of(folder: Path) -> dict[str, Any] | None:
     """The cameras of which there are clips of a calibration board; whether they have been calibrated; when the picture
     of what was seen was made, s, None without one."""
-    boards = folder / BOARDS
-    names = (
-        sorted((text_of(p.stem if p.is_file() else p.name) for p in boards.iterdir()), key=natural_key)
-        if boards.is_dir()
-        else []
-    )
+    try:
+        names = [s.name for s in find_sources(board_files(folder))]
+    except HyposeError:
+        return None
     if not names:
         return None
     sheet = folder / "results" / "calibration.png"

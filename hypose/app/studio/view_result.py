@@ -45,13 +45,11 @@ def load_view(results: str | Path, recording: Recording | None = None) -> ViewRe
     if recording is not None:
         notes += recording.notes
         truth = _truth(recording.folder / "truth.npz", motion, first, notes)
-    return ViewResult(
+    return in_recording(
+        recording,
+        motion,
+        body,
         title=recording.name if recording is not None else folder.path.resolve().name,
-        motion=motion,
-        body=body,
-        rig=recording.rig if recording is not None else None,
-        image_shifts=[v.image_shift for v in recording.views] if recording is not None else (),
-        pictures=pictured(recording) if recording is not None else (),
         first_frame=first,
         files=[(n, w, p.stat().st_size) for n, w in DESCRIPTIONS.items() if (p := folder.file(n)).is_file()],
         notes=notes,
@@ -61,6 +59,15 @@ def load_view(results: str | Path, recording: Recording | None = None) -> ViewRe
         rivals=_rivals(folder.file("modes.npz"), motion, notes),
         verdict=_verdict(folder.file("verdict.json"), motion),
     )
+
+
+def in_recording(recording: Recording | None, motion: Motion, body: Body | None, **more: Any) -> ViewResult:
+    """A motion with what its recording says of the cameras; more: other fields of a ViewResult."""
+    if recording is None:
+        return ViewResult(motion=motion, body=body, **more)
+    shifts = [v.image_shift for v in recording.views]
+    cameras = {"rig": recording.rig, "image_shifts": shifts, "pictures": pictured(recording)}
+    return ViewResult(**{"title": recording.name, **cameras, "motion": motion, "body": body, **more})
 
 
 def first_frame(motion: Motion) -> int:
