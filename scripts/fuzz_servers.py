@@ -42,7 +42,7 @@ class _Servers:
 
     def __init__(self) -> None:
         from hypose.app.live.live_server import LiveOptions, LiveServer
-        from hypose.app.live.secrets_and_logs import FOREIGN, fold_logs, folded
+        from hypose.app.live.servers import FOREIGN, fold_logs, folded
         from hypose.app.studio.answers import NotNow
         from hypose.app.studio.server import Studio, StudioOptions, make_server
 
@@ -122,8 +122,7 @@ def _recording(root: Path) -> None:
     from benchmarks.robustness.small_recordings import small_scene, write_masks
     from hypose.body.motion import Motion, isotropic
     from hypose.body.ready_bodies import human
-    from hypose.io.motions.bodies import save_body
-    from hypose.io.motions.results import save_motion
+    from hypose.io.motions.results import save_body, save_motion
 
     write_masks(small_scene(1, 2), root / "walk")
     body, folder = human(), root / "walk" / "results" / "default"

@@ -396,5 +396,5 @@ def test_no_data_is_executed():
     # OpenCap's calibrations, of which an unpickler makes arrays of numbers and nothing else
     assert sorted(found) == [
         "compute/compiled.py imports pickle",
-        "io/calibrations/calibration_opencap.py imports pickle",
+        "io/calibrations/calibration_systems.py imports pickle",
     ]

@@ -16,7 +16,7 @@ from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.evidence.keypoints import triangulate_keypoints
 from hypose.fitting import SolveSettings, contour_term, fit_clip
 from hypose.geometry import Array
-from hypose.io.motions.trc import read_trc
+from hypose.io.motions.marker_files import read_trc
 from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
 from hypose.tracking.keypoint_clip import solve_keypoint_clip
 from hypose.tracking.keypoint_evidence import keypoint_term

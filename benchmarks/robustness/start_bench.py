@@ -18,7 +18,7 @@ from benchmarks.robustness.small_recordings import small_scene, write_masks
 from hypose.body.ready_bodies import human
 from hypose.compute import VARIABLE
 from hypose.errors import InputError
-from hypose.io.motions.bodies import save_body
+from hypose.io.motions.results import save_body
 from hypose.synthetic.scenes import make_scene
 from hypose.synthetic.write_recording import write_scene
 

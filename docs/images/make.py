@@ -15,8 +15,7 @@ import numpy as np
 
 from hypose.app.reports.overlay import write_overlay
 from hypose.body.joint_angles import joint_angles
-from hypose.io.motions.bodies import load_body
-from hypose.io.motions.results import load_motion
+from hypose.io.motions.results import load_body, load_motion
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import load_recording
 

@@ -14,8 +14,8 @@ from hypose.calibration.bundle import LensPrior, Observations, refine
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import CalibrationError, InputError
 from hypose.geometry import Array, se3
-from hypose.io.calibrations.calibration_toml import UNITS, as_numbers, parse_toml
-from hypose.io.files import text_lines
+from hypose.io.calibrations.calibration_camera import UNITS, as_numbers
+from hypose.io.files import read_toml
 
 _LEAST_KNOWN, _LEAST_UNKNOWN = 4, 6  # points for a camera with a known and with an unknown lens
 _CLICK_PX = 1.0
@@ -56,10 +56,7 @@ def read_scene_points(path: str | Path) -> ScenePoints:
     corner_a = [512.3, 830.0]       # px, the middle of the first pixel is 0, 0
     """
     path = Path(path)
-    try:
-        document = parse_toml(path, "\n".join(text_lines(path, "a TOML file of scene points", 5_000_000)))
-    except ValueError as error:
-        raise InputError(f"{path} is not valid TOML: {error}; correct it.") from None
+    document = read_toml(path, "a TOML file of scene points")
     unknown = set(document) - {"unit", "points", "clicks"}
     if unknown:
         raise InputError(f"{path}: {', '.join(sorted(unknown))} is unknown; known are unit, [points], [clicks.CAMERA].")

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.body import Body, Landmarks
-from hypose.calibration.refine_camera import by_camera, change_from, changed
+from hypose.calibration.refine_points import by_camera, change_from, changed
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.compute import SharedEquations, geman_mcclure, lorentzian, weighted_squares
 from hypose.errors import EvidenceError

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -12,10 +12,9 @@ import cv2
 import numpy as np
 
 from hypose.calibration.boards import Board, Detector, Gray, Sighting, make_detector, sheet_views
-from hypose.errors import InputError
+from hypose.errors import CalibrationError, InputError
 from hypose.geometry import Array
-from hypose.io.calibrations.calibration_toml import natural_key
-from hypose.io.file_names import text_of
+from hypose.io.file_names import natural_key, text_of
 from hypose.io.videos.video import IMAGE_ENDINGS, VIDEO_ENDINGS, list_images, open_video
 
 Progress = Callable[[str, int, int], None]
@@ -355,3 +354,41 @@ def positions(sightings: Mapping[int, Sighting], size: tuple[int, int]) -> Array
         spread = s.pixels.std(0) / size[0]
         out.append([*(s.pixels.mean(0) / size[0]), float(np.hypot(*spread)), float(np.arctan2(*spread))])
     return np.array(out).reshape(-1, 4)
+
+
+# ---- counted corners -----------------------------------------------------------------------------------------------
+# Which chessboard is it? Its corners, counted in the pictures, so that nobody has to count them.
+
+
+_PICTURES = 8
+"""Pictures of each camera that are looked at."""
+_ENOUGH = 4
+"""Pictures that must show the same number of corners before no further camera is looked at."""
+
+
+def count_corners(sources: Sequence[Source]) -> tuple[int, int]:
+    """Inner corners (columns, rows), the larger number first, of the chessboard in board videos or photos.
+
+    A board that is partly hidden or partly found shows fewer corners than it has, so that number counts which most
+    pictures agree on, and of those that as many agree on the larger. A CalibrationError when none is seen twice."""
+    votes: dict[tuple[int, int], int] = {}
+    for source in sources:
+        for gray in _spread_counted(source):
+            seen = chessboard_seen([gray])
+            if seen is not None:
+                votes[seen] = votes.get(seen, 0) + 1
+        if votes and max(votes.values()) >= _ENOUGH:
+            break
+    found = max(votes, key=lambda n: (votes[n], n[0] * n[1]), default=None)
+    if found is None or votes[found] < 2:
+        raise CalibrationError(
+            f"No chessboard was seen in the pictures of {', '.join(s.name for s in sources)}, so its corners could not "
+            "be counted; say which board it is: --chessboard COLUMNSxROWS (inner corners) or --charuco (squares)."
+        )
+    return found
+
+
+def _spread_counted(source: Source) -> Iterator[Gray]:
+    with open_video(source.path) as reader:
+        for frame in np.unique(np.linspace(0, reader.n_frames - 1, min(_PICTURES, reader.n_frames)).astype(int)):
+            yield np.asarray(cv2.cvtColor(reader.read(int(frame)), cv2.COLOR_BGR2GRAY), dtype=np.uint8)

@@ -10,21 +10,25 @@ from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.body.ready_bodies import human
-from hypose.calibration.doctor import Clip, Cured, Observed
-from hypose.calibration.doctor_extrinsics import FAR_DEG, FAR_M
-from hypose.calibration.doctor_masks import tangency, tangency_by_view
-from hypose.calibration.doctor_points import undistorted
-from hypose.calibration.in_step import Resampled, points_at
+from hypose.calibration.diagnose_masks import tangency, tangency_by_view
+from hypose.calibration.diagnose_points import FAR_DEG, FAR_M, undistorted
+from hypose.calibration.diagnostics import Clip, Cured, Observed
 from hypose.calibration.refine_body import BodySettings, adjust_with_body
-from hypose.calibration.refine_camera import CameraChange, changes, free_cameras, gauge, in_world, rescaled
 from hypose.calibration.refine_points import (
+    CameraChange,
     PointSettings,
     adjust,
+    changes,
+    free_cameras,
+    gauge,
+    in_world,
     left_out_residual,
     point_residual,
+    rescaled,
     without_distortion,
 )
 from hypose.calibration.sync_motion import mask_tracks
+from hypose.calibration.synchronisation import Resampled, points_at
 from hypose.cameras.camera import CameraRig, triangulate
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.depth_evidence import Depth

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from hypose.body.body import Body
 from hypose.body.ready_bodies import human
-from hypose.errors import EvidenceError, InputError
+from hypose.errors import EvidenceError, HyposeError, InputError
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.keypoints import triangulate_keypoints
 from hypose.fitting import SolveSettings, fit_pose
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
+from hypose.io.motions.results import Checkpoint, ResultsFolder, load_body, save_body
+from hypose.io.recordings.provenance import file_identity
 from hypose.pipeline.start_choice import best_ways
 from hypose.pipeline.subject_from_motion import AnthropometryOptions, estimate_subject, with_outlines
 from hypose.tracking.frame_evidence import prepare
@@ -272,3 +275,45 @@ def _hull_height(frame_at: FrameAt, sampled: np.ndarray) -> tuple[float, int]:
             "`hypose check`, or give --height."
         )
     return float(np.percentile(heights, 75)), len(heights)
+
+
+SUBJECT = "subject.npz"
+_OPTIONAL = ("sd", "view", "beside")
+_MODEL = ("joint", "offset", "known", *_OPTIONAL)
+
+
+def keep_subject(subject: Subject, results: ResultsFolder, identity: Mapping[str, Any]) -> None:
+    """Write body.npz, and subject.npz with everything else."""
+    body = results.file("body.npz")
+    save_body(subject.body, body)
+    arrays = {"start": subject.start}
+    meta: dict[str, Any] = {"notes": list(subject.notes), "body": file_identity(body)["sha256"]}
+    if subject.rivals is not None:
+        arrays |= {"rivals": subject.rivals.values, "rivals_weights": subject.rivals.log_weights}
+    if subject.unsure is not None:
+        arrays["unsure"] = subject.unsure
+    if subject.keypoints is not None:
+        model = subject.keypoints
+        arrays |= {name: np.asarray(v) for name in _MODEL if (v := getattr(model, name)) is not None}
+        meta["keypoints"] = list(model.names)
+    Checkpoint(0, arrays, meta, identity).save(results.file(SUBJECT))
+
+
+def kept_subject(results: ResultsFolder, identity: Mapping[str, Any]) -> Subject | None:
+    """The subject that the same run kept; None when there is none, or its body is gone or another one."""
+    body = results.file("body.npz")
+    try:
+        saved = Checkpoint.load(results.file(SUBJECT), identity)
+        if saved.meta["body"] != file_identity(body)["sha256"]:
+            return None
+        model = None
+        if "keypoints" in saved.meta:
+            a = saved.arrays
+            names, known = tuple(saved.meta["keypoints"]), a["known"].astype(np.bool_)
+            model = KeypointModel(names, a["joint"].astype(np.int64), a["offset"], known, *map(a.get, _OPTIONAL))
+        a, rivals = saved.arrays, None
+        if "rivals" in a:
+            rivals = Hypotheses(a["rivals"], a["rivals_weights"])
+        return Subject(load_body(body), model, a["start"], tuple(saved.meta["notes"]), rivals, a.get("unsure"))
+    except (HyposeError, KeyError, TypeError):
+        return None

@@ -15,14 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.ready_bodies import human
-from hypose.calibration.common_focal import focal_by_masks, focal_by_points, focal_findings
-from hypose.calibration.doctor_depth import REFUTED_PLACES, depth_findings
-from hypose.calibration.doctor_findings import Finding, Limits
-from hypose.calibration.doctor_person import up_by_cameras, wrong_set, wrong_way_up
-from hypose.calibration.doctor_points import best_trial, disagreement
-from hypose.calibration.doctor_report import height_findings
-from hypose.calibration.doctor_silhouettes import gross_silhouettes
-from hypose.calibration.doctor_timing import late_views, timing_findings
+from hypose.calibration.diagnose_masks import focal_by_masks, focal_by_points, focal_findings
+from hypose.calibration.diagnose_person import height_findings, up_by_cameras, wrong_set, wrong_way_up
+from hypose.calibration.diagnose_points import best_trial, disagreement, late_views, timing_findings
+from hypose.calibration.diagnostics import gross_silhouettes
+from hypose.calibration.findings import REFUTED_PLACES, Finding, Limits, depth_findings
 from hypose.calibration.sync_motion import mask_tracks
 from hypose.cameras.camera import PARALLEL, triangulate, widest_angle
 from hypose.errors import EvidenceError, HyposeError

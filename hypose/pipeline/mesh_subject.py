@@ -29,8 +29,8 @@ from hypose.errors import EvidenceError, InputError
 from hypose.fitting.articulated import PointTerm, SolveSettings, fit_pose
 from hypose.geometry import Array
 from hypose.io.file_names import text_of
-from hypose.io.motions.bodies import save_body
 from hypose.io.motions.meshes import PersonMesh, closed_surface, read_person
+from hypose.io.motions.results import save_body
 from hypose.tracking.refinement import anatomical_prior
 
 UNITS = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from hypose.body.ready_bodies import human
-from hypose.calibration.doctor_findings import Finding
+from hypose.calibration.findings import Finding
 from hypose.errors import EvidenceError, HyposeError, InputError
 from hypose.evidence import depth_people
 from hypose.evidence.ahead import pack_once
@@ -28,10 +28,9 @@ from hypose.io.motions.results import ResultsFolder, save_motion
 from hypose.io.recordings.provenance import identity
 from hypose.pipeline.bodies_again import fitted_again
 from hypose.pipeline.doubts import as_now, in_words, looked_at, mask_change, runs
-from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
+from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject, keep_subject, kept_subject
 from hypose.pipeline.first_look import look_at_depth, sentences
 from hypose.pipeline.hull_paths import Path, follow_places, lasting
-from hypose.pipeline.kept_findings import keep_subject, kept_subject
 from hypose.pipeline.newcomers import (
     back_again,
     evidence_of,

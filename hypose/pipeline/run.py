@@ -17,38 +17,38 @@ from hypose.errors import EvidenceError, HyposeError, InputError
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.geometry import Array
 from hypose.inference.layer import Recipe
-from hypose.io.motions.modes import save_modes
-from hypose.io.motions.results import ResultsFolder, save_motion
-from hypose.io.recordings.frames import FrameSettings
+from hypose.io.motions.results import ResultsFolder, save_modes, save_motion
+from hypose.io.recordings.frames import FrameSettings, FrameStream
 from hypose.io.recordings.provenance import identity
 from hypose.io.recordings.recording import Recording
 from hypose.pipeline.both_ways import both_ways_notes, look_both_ways
-from hypose.pipeline.colour_detections import tracked_frames
 from hypose.pipeline.contradictions import against_the_clip
 from hypose.pipeline.doubts import with_doubts, with_repeated_points
-from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
+from hypose.pipeline.first_frame import SUBJECT, Subject, SubjectOptions, find_subject, keep_subject, kept_subject
 from hypose.pipeline.first_look import first_look, of_measured, places_refuted, sentences
-from hypose.pipeline.kept_findings import SUBJECT, keep_subject, kept_subject
-from hypose.pipeline.keypoint_track import keypoints_in_memory, track_keypoints, with_named_sides
 from hypose.pipeline.mend_sides import FrameRange, as_named, look_back, look_back_notes, mend_sides, sides_notes
 from hypose.pipeline.moved_sensors import PlacedSource, Places, moved_sensors
-from hypose.pipeline.picture_start import picture_options, subject_in_picture
-from hypose.pipeline.picture_verdict import (
+from hypose.pipeline.picture_start import (
     BESIDE_FRAME,
     against_the_picture,
     beside_the_picture,
     doubt_of_depth,
+    picture_options,
+    subject_in_picture,
 )
-from hypose.pipeline.pictures import depth_note, one_view
+from hypose.pipeline.pictures import depth_note, one_view, tracked_frames
 from hypose.pipeline.subject_from_motion import HEIGHT_DOUBT, HEIGHT_WRONG, height_sentence, height_told
-from hypose.pipeline.track_loop import FrameSource, Keep, Progress, Tracked, track_frames, tracked_before
+from hypose.pipeline.track_loop import FrameList, FrameSource, Keep, Progress, Tracked, track_frames, tracked_before
 from hypose.pipeline.verdict import Verdict, left_out, not_shown, verdict_of
+from hypose.tracking.audit import audit_frame
 from hypose.tracking.doubt import as_mixture, evidence_of, judged, not_in_set, worth_a_look
 from hypose.tracking.fitted_spread import beyond_usual, pose_covariance, with_fitted_angles, with_fitted_joints
 from hypose.tracking.frame_evidence import OwnEvidence
+from hypose.tracking.keypoint_clip import real_names, track_keypoint_clip
+from hypose.tracking.keypoint_evidence import keypoint_model
 from hypose.tracking.pose_covariance import unpacked
 from hypose.tracking.recipes import RECIPES, Preset, recipe
-from hypose.tracking.smooth_motion import Clip
+from hypose.tracking.smooth_motion import Clip, Smoothed
 from hypose.tracking.systematic_error import systematic_covariance
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerSettings, modes_of, motion_of
 
@@ -439,3 +439,60 @@ def tracker_of(
     made = method or recipe(options.recipe, subject.body, **about, **options.own)
     settings = TrackerSettings(evidence=options.looks_at, seed=options.seed, frame_rate=frame_rate)
     return Tracker(subject.body, made, settings, subject.keypoints, own)
+
+
+def track_keypoints(
+    source: FrameSource, frame_rate: float, subject: Subject, progress: Progress, *, sure_start: bool = False
+) -> tuple[Smoothed, NDArray[np.float32]]:
+    """The motion of the frames of a source (hypose.tracking.keypoint_clip), and their audits (T, J, A);
+    sure_start: the start is the right way round. An EvidenceError when they have no key points."""
+    frames = [replace(source.frame(i), silhouettes=None) for i in range(len(source))]
+    seen = [f.keypoints for f in frames]
+    named = next((k.names for k in seen if k is not None), None)
+    if named is None:
+        raise EvidenceError("No frame carries key points; choose an evidence that the recording has.")
+    model = subject.keypoints or keypoint_model(subject.body, named)
+    solved = track_keypoint_clip(
+        *(subject.body, model, seen, subject.start, frame_rate),
+        progress=lambda done, all_: progress("track", done, all_),
+        sure_start=sure_start,
+    )
+    assert solved.motion.poses is not None
+    audits = [audit_frame(subject.body, q, f, model) for q, f in zip(solved.motion.poses, frames, strict=True)]
+    return solved, np.stack(audits)
+
+
+@dataclass(frozen=True)
+class NamedSides:
+    """The frames of a source with key points whose sides the clip has told."""
+
+    source: FrameSource
+    keypoints: Sequence[Keypoints | None]
+
+    def __len__(self) -> int:
+        return len(self.source)
+
+    def frame(self, index: int, /) -> Frame:
+        """Frame number index."""
+        return replace(self.source.frame(index), keypoints=self.keypoints[index])
+
+
+def keypoints_in_memory(source: FrameSource) -> Sequence[Keypoints | None] | None:
+    """The key points of a source's frames, None of a source that does not hold them in memory."""
+    if isinstance(source, NamedSides | FrameStream):
+        return source.keypoints
+    return [f.keypoints for f in source.frames] if isinstance(source, FrameList) else None
+
+
+def with_named_sides(
+    source: FrameSource, frame_rate: float, subject: Subject, *, sure_start: bool = False
+) -> tuple[FrameSource, Subject]:
+    """A source in which key points stand beside masks, and its subject, with the sides of limbs as the names of all
+    views and frames have them: a tracker that goes from frame to frame would rename them by where it takes the limbs to
+    be. sure_start: that of the subject stands. A source that does not hold its key points in memory stays as it is."""
+    seen = keypoints_in_memory(source)
+    if seen is None or subject.keypoints is None or all(k is None for k in seen):
+        return source, subject
+    given = (subject.body, subject.keypoints, seen, subject.start, frame_rate)
+    start, named = real_names(*given, sure_start=sure_start)
+    return NamedSides(source, named), replace(subject, start=start)

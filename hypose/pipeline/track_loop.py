@@ -15,10 +15,9 @@ from hypose.errors import HyposeError
 from hypose.evidence.ahead import look_ahead
 from hypose.evidence.frame import Frame
 from hypose.io.motions.results import Checkpoint
-from hypose.pipeline.colour_detections import tracked_frames
 from hypose.pipeline.doubts import looked_at
 from hypose.pipeline.first_frame import Subject
-from hypose.pipeline.pictures import FrameSource
+from hypose.pipeline.pictures import FrameSource, tracked_frames
 from hypose.tracking.tracker import (
     FrameEstimate,
     Tracker,

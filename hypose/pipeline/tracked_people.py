@@ -19,8 +19,7 @@ from hypose.geometry import Array
 from hypose.io.motions.results import Checkpoint, ResultsFolder
 from hypose.io.recordings.provenance import identity
 from hypose.pipeline.doubts import runs
-from hypose.pipeline.first_frame import Subject
-from hypose.pipeline.kept_findings import kept_subject
+from hypose.pipeline.first_frame import Subject, kept_subject
 from hypose.pipeline.people_points import KeypointPeople, per_frame
 from hypose.pipeline.run import TrackResult
 from hypose.pipeline.track_loop import FrameSource

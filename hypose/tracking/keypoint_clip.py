@@ -33,7 +33,6 @@ from hypose.tracking.keypoint_evidence import (
     shows_somebody_else,
 )
 from hypose.tracking.named_sides import LIMBS, exchanged_by_names, votes_by_names
-from hypose.tracking.pinned_hinges import unpinned
 from hypose.tracking.pose_covariance import from_neighbours, joint_covariance_of
 from hypose.tracking.refinement import anatomical_prior
 from hypose.tracking.smooth_motion import Smoothed, with_feet
@@ -227,7 +226,6 @@ def _one_by_one(
         poses[t] = expected  # unseen: ever less of the last velocity
         if term is not None:
             found = fit_pose(body, expected, keypoints=term, priors=prior, options=_QUICK).pose
-            found = unpinned(body, found, term, prior, _QUICK)
             # beyond half a turn a shoulder would run into the corner of its limits, though the arm goes on
             poses[t] = s.unwound(found)
             last += poses[t] - found  # the step stays what it was

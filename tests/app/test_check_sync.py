@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.calibration.refine_camera import CameraChange
+from hypose.calibration.refine_points import CameraChange
 from hypose.geometry import so3_exp, so3_log
 from hypose.io.calibrations.calibration_formats import read_any
 from hypose.io.recordings.recording import load_recording

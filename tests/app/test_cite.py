@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from hypose.app.commands.commands_cite import PAPERS, papers_of
+from hypose.app.jobs.cite import PAPERS, papers_of
 from hypose.errors import InputError
 from hypose.fusion.fuse import METHODS
 from hypose.tracking.recipes import RECIPES

@@ -8,7 +8,7 @@ from hypose.app.cli import main
 from hypose.app.commands.commands_calibrate import parse_length
 from hypose.errors import InputError
 from hypose.io.calibrations.calibration_formats import read_any
-from hypose.io.calibrations.calibration_toml import write_calibration
+from hypose.io.calibrations.calibration_text import write_calibration
 from tests.calibration.painted_boards import paint
 from tests.calibration.test_from_boards import BOARD, board_poses, make_rig
 
@@ -128,5 +128,5 @@ def test_lenses_of_unknown_pictures_are_refused(hypose, tmp_path):
     code, _, err = hypose("calibrate", "--points", tmp_path / "points.toml", "--intrinsics", tmp_path / "lens.yml",
                           "--out", tmp_path / "c.toml")  # fmt: skip
     assert code == 2 and not (tmp_path / "c.toml").exists()
-    assert "--intrinsics: lens.yml does not say how large its images are, and lenses fit only pictures" in err
+    assert "--intrinsics: lens.yml does not say how large the images of lens are, and lenses fit only pictures" in err
     assert "add image_width and image_height to the file" in err

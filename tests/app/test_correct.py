@@ -10,8 +10,7 @@ import pytest
 from hypose.app.jobs.correct import join, read_correction
 from hypose.app.jobs.truth import compare
 from hypose.errors import InputError
-from hypose.io.motions.bodies import load_body
-from hypose.io.motions.results import load_motion
+from hypose.io.motions.results import load_body, load_motion
 
 FRAME = 3
 

@@ -19,8 +19,8 @@ from hypose.app.studio.job_kinds import plan
 from hypose.app.studio.recordings import Recordings
 from hypose.app.studio.view_bundle import plain
 from hypose.errors import InputError
-from hypose.io.claims import claimed
 from hypose.io.file_names import file_name
+from hypose.io.files import claimed
 from hypose.io.recordings.recording import load_recording
 from hypose.io.videos.video import VideoWriter, open_video
 from hypose.pipeline.detect_keypoints import detect_keypoints

@@ -9,8 +9,8 @@ import pytest
 from benchmarks.synthetic.skeleton_folders import write_folder
 from hypose.fusion.joints import COMMON, MIRROR, joint_sets
 from hypose.geometry import transform
+from hypose.io.motions.marker_files import read_trc
 from hypose.io.motions.results import load_motion
-from hypose.io.motions.trc import read_trc
 from hypose.io.sensors.skeleton_streams import SkeletonRecording, StreamRows, build_stream
 from tests.depth_sensors import camera, places, walker
 

@@ -13,7 +13,7 @@ import pytest
 
 from benchmarks.robustness.small_recordings import small_scene, write_masks
 from hypose.app.commands.commands_live import _Told
-from hypose.io.calibrations.calibration_toml import write_calibration
+from hypose.io.calibrations.calibration_text import write_calibration
 from hypose.io.recordings.recording import load_recording
 from hypose.synthetic.rigs import rig
 from hypose.synthetic.scenes import make_scene

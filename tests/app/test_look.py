@@ -27,8 +27,7 @@ from hypose.body.ready_bodies import human
 from hypose.cameras.camera import Camera
 from hypose.compute.pictures.render import silhouette
 from hypose.geometry import se3, so3_exp
-from hypose.io.motions.bodies import load_body
-from hypose.io.motions.results import load_motion
+from hypose.io.motions.results import load_body, load_motion
 from hypose.io.recordings.recording import View, load_recording
 from hypose.io.videos.video import open_video
 from hypose.synthetic.rigs import rig

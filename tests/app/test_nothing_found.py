@@ -57,13 +57,12 @@ def test_track_that_lost_all_frames(hypose, masks, tmp_path, monkeypatch):
 
 
 def test_batch_says_that_a_task_found_nobody(masks, tmp_path, monkeypatch):
-    from hypose.app.sweeps.batch_worker import run_task
-    from hypose.app.sweeps.sweep import plan, sweep_of
+    from hypose.app.batch import plan, run_task, wanted
 
     whole = job.track_source
     monkeypatch.setattr(job, "track_source", lambda *a, **k: lost(whole(*a, **k)))
-    tasks, _ = plan(replace(sweep_of(masks), results=tmp_path / "out"))
-    figures = run_task(tasks[0], tmp_path / "stop", lambda told: None)
+    tasks, _ = plan(wanted([masks]), tmp_path / "out")
+    figures = run_task(tasks[0], tmp_path / "stop", lambda done: None)
     assert figures["state"] == "failed" and "found in none of 3 frames" in figures["message"]
 
 
@@ -151,7 +150,7 @@ def test_where_check_cannot_write_its_sheet(hypose, masks, tmp_path, name, said)
 
 
 def test_batch_with_a_folder_of_recordings_says_what_to_write(hypose, masks):
-    fails(hypose("batch", masks.parent), "is a folder without a recording", f'recordings = ["{masks.parent.name}/*"]')
+    fails(hypose("batch", masks.parent), "neither a table (.csv) nor the folder of a recording", f"{masks.parent}/*")
 
 
 @pytest.fixture

@@ -15,8 +15,8 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from benchmarks.robustness.small_recordings import small_scene
-from hypose.app.live.humanoid_bones import BONES
 from hypose.app.live.pose_outputs import MAGIC, PoseOutputs, pose_bytes, pose_json, status_json
+from hypose.app.live.vmc import BONES
 from hypose.body.ready_bodies import JOINT_NAMES
 from hypose.errors import InputError
 from hypose.pipeline.live.engine import LiveStatus

@@ -2,7 +2,7 @@
 
 import logging
 
-from hypose.app.live.secrets_and_logs import Folded, same_secret, shows_secret
+from hypose.app.live.servers import Folded, same_secret, shows_secret
 
 
 def test_a_secret_is_compared_with_anything():

@@ -8,9 +8,8 @@ import pytest
 
 from hypose.app.commands import console
 from hypose.app.jobs.job import DESCRIPTIONS
-from hypose.io.motions.bodies import load_body
-from hypose.io.motions.results import load_motion
-from hypose.io.motions.trc import read_trc
+from hypose.io.motions.marker_files import read_trc
+from hypose.io.motions.results import load_body, load_motion
 from hypose.io.videos.video import open_video
 from hypose.synthetic.metrics import joint_errors
 

@@ -12,8 +12,7 @@ from hypose.body.ready_bodies import JOINT_NAMES, human
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.frame import Frame, Keypoints, Picture
 from hypose.inference.hypotheses import Hypotheses
-from hypose.io.motions.modes import load_modes
-from hypose.io.motions.results import load_motion
+from hypose.io.motions.results import load_modes, load_motion
 from hypose.io.videos.video import open_video
 from hypose.synthetic.rigs import look_at, rig
 from hypose.tracking.frame_evidence import prepare

@@ -9,12 +9,16 @@ import pytest
 
 from benchmarks.cameras import planted_faults
 from benchmarks.cameras.planted_faults import FAULTS, healthy, judged, planted, with_bystander
-from hypose.calibration.doctor import Clip, Observed, examine, examine_and_cure
-from hypose.calibration.doctor_extrinsics import judge_extrinsics
-from hypose.calibration.doctor_findings import Limits
-from hypose.calibration.doctor_masks import align
-from hypose.calibration.doctor_points import disagreement, mirrored_names
-from hypose.calibration.doctor_timing import late_views, timing_findings
+from hypose.calibration.diagnose_masks import align
+from hypose.calibration.diagnose_points import (
+    disagreement,
+    judge_extrinsics,
+    late_views,
+    mirrored_names,
+    timing_findings,
+)
+from hypose.calibration.diagnostics import Clip, Observed, examine, examine_and_cure
+from hypose.calibration.findings import Limits
 from hypose.cameras.camera import CameraRig
 from hypose.errors import EvidenceError
 from hypose.evidence.keypoints import BODY_25

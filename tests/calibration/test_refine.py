@@ -9,7 +9,9 @@ import pytest
 
 from hypose.body.ready_bodies import human
 from hypose.calibration.refine_body import BodySettings, adjust_with_body
-from hypose.calibration.refine_camera import (
+from hypose.calibration.refine_points import (
+    PointSettings,
+    adjust,
     by_camera,
     change_from,
     changed,
@@ -17,9 +19,10 @@ from hypose.calibration.refine_camera import (
     free_cameras,
     gauge,
     in_world,
+    left_out_residual,
+    point_residual,
     rescaled,
 )
-from hypose.calibration.refine_points import PointSettings, adjust, left_out_residual, point_residual
 from hypose.cameras.camera import CameraRig
 from hypose.compute.pictures.render import silhouette
 from hypose.errors import CalibrationError, EvidenceError

@@ -8,10 +8,10 @@ import pytest
 from benchmarks.cameras.board_accuracy import solve_scene
 from benchmarks.synthetic.calibration_boards import compare_rigs, film_board, ring_of_cameras
 from hypose.calibration.boards import Board, Sighting
-from hypose.calibration.floor import floor_frame, place_on_floor
+from hypose.calibration.from_boards import floor_frame, place_on_floor
 from hypose.calibration.intrinsics import Lens, calibrate_lens, spread_out
-from hypose.calibration.lags import estimate_lags
 from hypose.calibration.rig import RigSettings, calibrate_rig
+from hypose.calibration.synchronisation import estimate_lags
 from hypose.cameras.camera import CameraRig
 from hypose.errors import CalibrationError
 from hypose.geometry import se3, so3_exp

@@ -9,10 +9,9 @@ import pytest
 
 from hypose.body.joint_angles import ANGLE_NAMES, joint_angles
 from hypose.errors import InputError
-from hypose.io.motions.angles import write_angles_csv, write_joints_csv
 from hypose.io.motions.c3d import read_c3d
 from hypose.io.motions.export import FORMATS, export_motion
-from hypose.io.motions.trc import read_trc
+from hypose.io.motions.marker_files import read_trc, write_angles_csv, write_joints_csv
 
 
 def _table(path):

@@ -153,7 +153,7 @@ def test_no_calibration(tmp_path):
 
 def test_bad_calibration(good):
     (good / "calibration.toml").write_text("[cam_1]\nmatrix = 5\n")
-    refuses(good, r"calibration\.toml, camera cam_1: the entry size is missing", CalibrationError)
+    refuses(good, r"calibration\.toml, camera cam_1: matrix must be numbers of shape 3 x 3", CalibrationError)
 
 
 def test_number_of_cameras(good):

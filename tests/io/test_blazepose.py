@@ -12,7 +12,7 @@ import pytest
 from hypose.errors import InputError
 from hypose.evidence.detector import PoseDetector, openpose_document
 from hypose.evidence.keypoints import BLAZEPOSE_33, parse_openpose
-from hypose.io.keypoints.blazepose import open_blazepose
+from hypose.io.keypoints.detectors import open_blazepose
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import pytest
 
 from hypose.body.ready_bodies import human
 from hypose.errors import InputError
-from hypose.io.motions.bodies import _ARRAYS, load_body, save_body
+from hypose.io.motions.results import _ARRAYS, load_body, save_body
 
 
 @pytest.fixture(scope="module")

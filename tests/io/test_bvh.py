@@ -7,8 +7,7 @@ import pytest
 
 from hypose.errors import InputError
 from hypose.geometry import so3_exp
-from hypose.io.motions.animation import Y_UP
-from hypose.io.motions.bvh import write_bvh
+from hypose.io.motions.animation import Y_UP, write_bvh
 from tests import missing
 
 

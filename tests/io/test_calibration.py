@@ -10,13 +10,10 @@ import pytest
 from hypose.cameras.camera import CameraRig
 from hypose.errors import CalibrationError
 from hypose.geometry import so3_exp
-from hypose.io.calibrations.calibration_formats import read_any
-from hypose.io.calibrations.calibration_toml import (
-    find_calibration,
-    natural_key,
-    toml_value,
-    write_calibration,
-)
+from hypose.io.calibrations.calibration_formats import find_calibration, read_any
+from hypose.io.calibrations.calibration_text import write_calibration
+from hypose.io.file_names import natural_key
+from hypose.io.files import toml_value
 from tests.io.recordings import make_camera, make_rig
 
 POINTS = np.random.default_rng(3).uniform(-0.5, 0.5, (20, 3))
@@ -189,7 +186,7 @@ LENS = toml_value(FIRST.distortion)
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("= nonsense", r"c\.toml is not valid TOML: .*; correct it or calibrate again"),
+        ("= nonsense", r"c\.toml is not valid TOML: .*; correct it"),
         ("a = " + "[" * 5000, r"c\.toml is not valid TOML: .*nested too deeply"),
         ("a = " + "9" * 5000, r"c\.toml is not valid TOML"),
         ("a = 1\n[b]\nc = 2\n", r"holds no cameras: each needs a table with size, matrix"),
@@ -215,8 +212,8 @@ LENS = toml_value(FIRST.distortion)
             r"camera cam_1: rotation is not a rotation matrix",
         ),
         (GOOD.replace(VECTOR, "[[1,0,0],[0,1],[0,0,1]]"), r"camera cam_1: rotation must be numbers"),
-        (GOOD.replace("rotation", "rotatoin", 1), r"camera cam_1: the entry rotation is missing"),
-        (GOOD.replace("size = [64, 48]", "", 1), r"camera cam_1: the entry size is missing"),
+        (GOOD.replace("rotation", "rotatoin", 1), r"camera cam_1: rotation is missing; add this entry"),
+        (GOOD.replace("size = [64, 48]", "", 1), r"camera cam_1: size is missing; add this entry"),
         (
             GOOD.replace("[64, 48]", "[64, -48]", 1),
             r"camera cam_1: size must be .* whole pixels, got 64 x -48",
@@ -306,10 +303,10 @@ def test_bad_qualisys(tmp_path, changes, message):
 def test_qualisys_without_cameras_or_with_entities(tmp_path):
     path = tmp_path / "a.qca.txt"
     path.write_text("<calibration/>")
-    with pytest.raises(CalibrationError, match="holds no cameras; export"):
+    with pytest.raises(CalibrationError, match="holds no cameras: .* export"):
         read_any(path)[0]
     path.write_text('<!DOCTYPE a [<!ENTITY b "' + "c" * 1000 + '">]><a>' + "&b;" * 1000 + "</a>")
-    with pytest.raises(CalibrationError, match="is not a Qualisys or Vicon calibration"):
+    with pytest.raises(CalibrationError, match="is not a calibration .*DOCTYPE"):
         read_any(path)[0]
 
 

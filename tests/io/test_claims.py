@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from hypose.errors import InputError
-from hypose.io.claims import LOCK, claimed
+from hypose.io.files import LOCK, claimed
 
-HOLD = "import sys; from hypose.io.claims import claimed\nwith claimed(sys.argv[1]): print('held', flush=True); input()"
+HOLD = "import sys; from hypose.io.files import claimed\nwith claimed(sys.argv[1]): print('held', flush=True); input()"
 
 
 @pytest.fixture

@@ -11,9 +11,8 @@ import pytest
 
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import InputError
-from hypose.io.calibrations.calibration_toml import write_calibration
-from hypose.io.sensors.depth import write_depth_png
-from hypose.io.sensors.depth_files import _numbers, azure_camera, open_depth
+from hypose.io.calibrations.calibration_text import write_calibration
+from hypose.io.sensors.depth import _numbers, azure_camera, open_depth, write_depth_png
 
 LENS = [0.513, 0.517, 0.4928, 0.4929, 0.5, -0.02, -0.003, 0.9, 0.09, -0.01, 0, 0, 2e-4, 1e-4]
 CAMERA = {"Location": "CALIBRATION_CameraLocationD0", "Intrinsics": {"ModelParameters": LENS}}

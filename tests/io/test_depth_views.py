@@ -7,9 +7,9 @@ import pytest
 
 from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError
-from hypose.io.recordings.depth_views import DepthSource
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording, View, load_recording, write_recording
+from hypose.io.recordings.view_source import DepthSource
 from hypose.io.sensors.depth import write_depth_png
 from hypose.synthetic.rigs import look_at
 from tests.depth_pictures import seen_in_room

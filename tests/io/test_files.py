@@ -13,7 +13,7 @@ from hypose.io.files import atomic_path, check_writable, open_file, read_json, r
 from hypose.io.keypoints.read_keypoints import read_keypoints
 from hypose.io.motions.results import load_archive, write_archive
 from hypose.io.recordings.recording import load_recording
-from hypose.io.sensors.skeleton_formats import read_skeletons
+from hypose.io.sensors.skeleton_files import read_skeletons
 from hypose.io.videos.video import read_image
 from hypose.pipeline.gesture_files import load_model
 

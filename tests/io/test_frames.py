@@ -18,9 +18,14 @@ from hypose.evidence.outlines import OUTLINE_POINTS, WORKING_HEIGHT
 from hypose.evidence.silhouettes import SilhouetteSettings, as_mask, biggest_parts
 from hypose.geometry import se3, so3_exp
 from hypose.io.recordings import frames as recording_frames
-from hypose.io.recordings.frames import FrameSettings, FrameStream, build_backgrounds, working_rig
-from hypose.io.recordings.mask_folders import write_masks
-from hypose.io.recordings.masks_in_work import PackedMask
+from hypose.io.recordings.frames import (
+    FrameSettings,
+    FrameStream,
+    PackedMask,
+    build_backgrounds,
+    working_rig,
+    write_masks,
+)
 from hypose.io.recordings.recording import Recording, View
 from tests.evidence.scenes import ellipse, iou, picture, ring, room
 

@@ -5,7 +5,7 @@ import pytest
 
 from hypose.compute.pictures.mask_runs import draw, runs_of
 from hypose.evidence.outlines import WORKING_HEIGHT, view_outline
-from hypose.io.recordings.masks_in_work import PackedMask
+from hypose.io.recordings.frames import PackedMask
 
 
 @pytest.mark.parametrize("box", [(0, 40, 0, 30), (17, 60, 23, 64), (5, 6, 9, 10), (0, 0, 0, 0)])

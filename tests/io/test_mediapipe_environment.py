@@ -12,7 +12,7 @@ import pytest
 
 from hypose.app.cli import main
 from hypose.errors import InputError
-from hypose.io.keypoints import mediapipe_environment as environment
+from hypose.io.keypoints import detectors as environment
 from hypose.io.recordings.recording import load_recording
 from tests.io.recordings import make_recording
 

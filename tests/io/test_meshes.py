@@ -20,9 +20,9 @@ from hypose.body.joint_names import MIXAMO, SMPL_JOINTS, renamed_body
 from hypose.body.motion import Motion, isotropic
 from hypose.body.ready_bodies import JOINT_NAMES, human
 from hypose.errors import InputError
-from hypose.io.motions.bodies import load_body
 from hypose.io.motions.gltf import write_glb
 from hypose.io.motions.meshes import PersonMesh, closed_surface, read_person
+from hypose.io.motions.results import load_body
 from hypose.pipeline.mesh_subject import MeshOptions, body_from_mesh, rig_mesh, subject_from_mesh
 
 Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])

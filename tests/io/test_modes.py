@@ -5,7 +5,7 @@ import pytest
 
 from hypose.body.motion import Modes, joined_modes
 from hypose.errors import InputError
-from hypose.io.motions.modes import load_joints_of_modes, load_modes, save_modes
+from hypose.io.motions.results import load_joints_of_modes, load_modes, save_modes
 
 
 def some(t, k, seed=0, d=5, j=3):

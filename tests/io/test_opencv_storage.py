@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from hypose.io.calibrations.opencv_storage import parse_storage
+from hypose.io.calibrations.calibration_text import parse_storage
 
 
 @pytest.mark.parametrize("ending", ["yml", "xml"])

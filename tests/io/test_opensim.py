@@ -5,7 +5,7 @@ import pytest
 
 from hypose.body.joint_angles import is_length, joint_angles
 from hypose.errors import InputError
-from hypose.io.motions.opensim import write_mot
+from hypose.io.motions.marker_files import write_mot
 
 
 @pytest.fixture

@@ -13,9 +13,8 @@ from hypose.body.joint_angles import GROUND_AXES, joint_angles
 from hypose.body.ready_bodies import human
 from hypose.body.segment_masses import segment_masses
 from hypose.io.motions.export import export_motion
-from hypose.io.motions.opensim import read_mot
-from hypose.io.motions.opensim_ik import marker_weights
-from hypose.io.motions.opensim_model import marker_names, osim_text, shoulder_places, write_osim
+from hypose.io.motions.marker_files import read_mot
+from hypose.io.motions.opensim_model import marker_names, marker_weights, osim_text, shoulder_places, write_osim
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from hypose.errors import InputError
-from hypose.io.recordings.person_tables import Person, people_of_tables
+from hypose.io.recordings.recording import Person, people_of_tables
 
 
 def read(*tables):

@@ -6,8 +6,7 @@ import pytest
 
 from hypose.errors import InputError
 from hypose.io.sensors.depth import read_depth_png, write_depth_png
-from hypose.io.videos.png import is_cut_png
-from hypose.io.videos.video import read_image
+from hypose.io.videos.video import is_cut_png, read_image
 
 
 @pytest.fixture

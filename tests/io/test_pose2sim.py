@@ -10,8 +10,8 @@ import pytest
 from benchmarks.robustness.keypoint_layouts import detections
 from hypose.errors import CalibrationError, InputError
 from hypose.io.calibrations.calibration_formats import read_any
-from hypose.io.calibrations.calibration_toml import write_calibration
-from hypose.io.matching_names import match_names
+from hypose.io.calibrations.calibration_text import write_calibration
+from hypose.io.file_names import match_names
 from hypose.io.recordings.frames import load_keypoints
 from hypose.io.recordings.recording import load_recording, write_recording
 from tests.io.recordings import frame, make_rig, make_video

@@ -19,7 +19,7 @@ from hypose.errors import InputError
 from hypose.evidence.keypoint_check import misread
 from hypose.evidence.keypoint_sets import bone_excess, common_name
 from hypose.evidence.keypoints import KEYPOINT_SETS, keypoint_names
-from hypose.io.keypoints.keypoint_csv import clock_file
+from hypose.io.keypoints.keypoint_files import clock_file
 from hypose.io.keypoints.read_keypoints import keypoints_of_views, read_keypoints
 from hypose.io.recordings.frames import FrameSettings, load_keypoints
 from hypose.io.recordings.recording import load_recording

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hypose.errors import InputError
-from hypose.io.sensors.realsense import open_realsense, read_realsense
+from hypose.io.sensors.depth import open_realsense, read_realsense
 from tests import missing
 
 SIZE = (64, 48)

@@ -8,7 +8,7 @@ import pytest
 
 from hypose.errors import InputError
 from hypose.evidence.silhouettes import SilhouetteSettings
-from hypose.io.calibrations.calibration_toml import write_calibration
+from hypose.io.calibrations.calibration_text import write_calibration
 from hypose.io.recordings.frames import FrameSettings, FrameStream
 from hypose.io.recordings.recording import Recording, View, load_recording, write_recording
 from hypose.io.videos import video

@@ -8,7 +8,7 @@ import pytest
 
 from hypose.errors import InputError
 from hypose.evidence.frame import SensorReport
-from hypose.io.sensors.skeleton_formats import read_skeletons
+from hypose.io.sensors.skeleton_files import read_skeletons
 from hypose.io.sensors.skeleton_lines import MAX_SKELETON_LINE, format_line, parse_line, read_lines
 
 JOINTS = ("head", "neck", "torso")

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from benchmarks.synthetic.skeleton_folders import write_folder
 from hypose.errors import InputError
 from hypose.evidence.frame import SensorJoints
+from hypose.io.files import bounded_lines
 from hypose.io.sensors.depth import depth_at_joints, read_azure_mkv, read_depth_png, write_depth_png
-from hypose.io.sensors.skeleton_folder import FolderWriter
-from hypose.io.sensors.skeleton_formats import read_skeletons
+from hypose.io.sensors.skeleton_files import KINECT_V2, FolderWriter, read_kinect_csv, read_ntu, read_skeletons
 from hypose.io.sensors.skeleton_streams import (
     SensorStream,
     SkeletonRecording,
@@ -27,8 +27,6 @@ from hypose.io.sensors.skeleton_streams import (
     repair_clock,
     resample,
 )
-from hypose.io.sensors.skeleton_tables import KINECT_V2, read_kinect_csv, read_ntu
-from hypose.io.text_in import bounded_lines
 from tests import missing
 
 JOINTS = ("head", "neck", "torso")

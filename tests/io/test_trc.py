@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hypose.errors import InputError
-from hypose.io.motions.trc import read_trc, write_trc
+from hypose.io.motions.marker_files import read_trc, write_trc
 
 NAMES = ("left_knee", "right_knee")
 

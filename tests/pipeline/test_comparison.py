@@ -12,12 +12,10 @@ from hypose.body.motion import Motion, isotropic
 from hypose.body.ready_bodies import human
 from hypose.errors import InputError
 from hypose.geometry import se3, so3_exp, transform
-from hypose.io.motions.bodies import save_body
 from hypose.io.motions.c3d import write_c3d
 from hypose.io.motions.compared_files import OtherMotion, read_other
-from hypose.io.motions.opensim import read_mot, write_mot
-from hypose.io.motions.results import save_motion
-from hypose.io.motions.trc import read_trc, write_trc
+from hypose.io.motions.marker_files import read_mot, read_trc, write_mot, write_trc
+from hypose.io.motions.results import save_body, save_motion
 from hypose.pipeline.comparison import CompareOptions, compare_motions, resampled
 from tests.tailed import tailed
 

@@ -15,8 +15,8 @@ from hypose.evidence.silhouettes import make_silhouettes
 from hypose.geometry import se3, se3_inverse, so3_exp, transform
 from hypose.pipeline.first_frame import Subject
 from hypose.pipeline.first_look import first_look
+from hypose.pipeline.import_depth import register_depth
 from hypose.pipeline.people_run import PeopleRun
-from hypose.pipeline.register_depth import register_depth
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.verdict import UNTRUSTED

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from benchmarks.synthetic.spoilt_keypoints import noisy, spoilt
-from hypose.calibration.common_focal import focal_by_points, focal_findings
-from hypose.calibration.doctor_points import mirrored_names
+from hypose.calibration.diagnose_masks import focal_by_points, focal_findings
+from hypose.calibration.diagnose_points import mirrored_names
 from hypose.cameras.camera import CameraRig, triangulate
 from hypose.evidence.frame import Keypoints, Silhouettes
 from hypose.evidence.keypoints import BODY_25, BODY_25B, COCO_18

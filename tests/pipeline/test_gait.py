@@ -11,10 +11,8 @@ from hypose.app.reports.gait_plot import gait_section
 from hypose.body.motion import Motion, isotropic
 from hypose.body.ready_bodies import human
 from hypose.errors import InputError
-from hypose.io.motions.bodies import save_body
-from hypose.io.motions.results import save_motion
-from hypose.pipeline.gait_cycles import angle_cycles, strides
-from hypose.pipeline.gait_events import gait_of
+from hypose.io.motions.results import save_body, save_motion
+from hypose.pipeline.gait import angle_cycles, gait_of, strides
 
 RATE, SPEED, CADENCE = 60.0, 1.2, 1.8  # Hz, m/s, steps/s
 

@@ -9,14 +9,12 @@ from hypose.calibration.depth_registration import Rough
 from hypose.cameras.camera import CameraRig
 from hypose.errors import CalibrationError, EvidenceError, InputError
 from hypose.geometry import se3_inverse
-from hypose.io.calibrations.calibration_toml import write_calibration
+from hypose.io.calibrations.calibration_text import write_calibration
 from hypose.io.recordings.frames import FrameStream, working_rig
 from hypose.io.recordings.recording import load_recording
-from hypose.io.sensors.depth import read_depth_png, write_depth_png
-from hypose.io.sensors.depth_files import DepthFile, DepthFrame
+from hypose.io.sensors.depth import DepthFile, DepthFrame, read_depth_png, write_depth_png
 from hypose.pipeline import import_depth as module
-from hypose.pipeline.import_depth import FolderUnits, import_depth
-from hypose.pipeline.register_depth import RegisteredSensors, register_depth
+from hypose.pipeline.import_depth import FolderUnits, RegisteredSensors, import_depth, register_depth
 from hypose.synthetic.rigs import look_at
 from tests.depth_pictures import seen_in_room
 
@@ -225,7 +223,7 @@ def test_an_interruption_while_a_sensor_is_tracked_ends_it(monkeypatch):
     class Part:
         complete, motion = False, None
 
-    monkeypatch.setattr("hypose.pipeline.register_depth.track_source", lambda *_, **__: Part())
+    monkeypatch.setattr("hypose.pipeline.import_depth.track_source", lambda *_, **__: Part())
     clips = [[f] for f in _frames_of_two()]
     with pytest.raises(KeyboardInterrupt):
         register_depth(clips, 25.0)

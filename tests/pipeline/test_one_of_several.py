@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hypose.calibration.doctor_findings import Finding
+from hypose.calibration.findings import Finding
 from hypose.pipeline import one_of_several
 from hypose.pipeline.one_of_several import track_one_of
 from hypose.pipeline.run import TrackOptions, TrackResult

@@ -9,7 +9,7 @@ from hypose.body.ready_bodies import human
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.keypoints import BODY_25
-from hypose.pipeline.picture_verdict import BESIDE, BESIDE_FRAME, against_the_picture, beside_the_picture
+from hypose.pipeline.picture_start import BESIDE, BESIDE_FRAME, against_the_picture, beside_the_picture
 from hypose.synthetic.rigs import rig
 from hypose.tracking.keypoint_evidence import keypoint_model
 from hypose.tracking.starts import known_pose

@@ -38,10 +38,10 @@ def test_a_recording_that_loads(written):
 def test_videos_hold_the_pictures(written):
     scene, folder, _ = written
     reader = VideoReader(folder / "videos" / "cam2.mp4")
-    assert len(reader) == 10
+    assert reader.n_frames == 10
     picture = reader.read(4).astype(int)
     assert np.abs(picture - scene.rgb_frame(1, 4)[:290]).mean() < 6
-    assert len(VideoReader(folder / "background" / "cam2.mp4")) == 5
+    assert VideoReader(folder / "background" / "cam2.mp4").n_frames == 5
 
 
 def test_truth_is_the_scenes(written):

@@ -99,7 +99,7 @@ await walk(
     await page.goBack();
     await page.locator("[data-step=track]").click();
     await page.getByRole("button", { name: "Track", exact: true }).click();
-    await page.getByRole("heading", { name: "Track mine as default-2" }).waitFor();
+    await page.getByRole("heading", { name: "Track monday as default-2" }).waitFor();
     await page.waitForFunction(() => document.querySelectorAll(".job[data-job=track][data-state=done]").length === 2);
     assert.ok(existsSync(join(filmed, "results", "default-2", "motion.npz")));
     assert.ok(first.equals(readFileSync(join(filmed, "results", "default", "motion.npz"))));

@@ -12,7 +12,7 @@ from hypose.app.commands.options import HEIGHT, number
 from hypose.errors import InputError
 
 if TYPE_CHECKING:
-    from hypose.calibration.doctor import Cured, Report
+    from hypose.calibration.diagnostics import Cured, Report
     from hypose.io.recordings.recording import Recording
     from hypose.pipeline.examine import Refinement
 
@@ -130,7 +130,7 @@ def _refine(
     to: Path | None,
     far: bool,
 ) -> None:
-    from hypose.io.calibrations.calibration_toml import write_calibration
+    from hypose.io.calibrations.calibration_text import write_calibration
     from hypose.pipeline.examine import cured_recording, refine_recording
 
     method = using

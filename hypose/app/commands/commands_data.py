@@ -1,7 +1,10 @@
-"""`hypose silhouettes` and `hypose synth`: masks of recordings, and recordings made up."""
+"""`hypose synth`, `silhouettes`, `keypoints` and `depth-import`: recordings, and the evidence in them."""
 
 from __future__ import annotations
 
+import contextlib
+import shlex
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -25,9 +28,8 @@ def silhouettes(
     """Write the masks of the person as PNG, one folder per view, and a contact sheet."""
     from hypose.app.jobs.checking import write_sheet
     from hypose.app.jobs.job import choose_frames
-    from hypose.io.claims import claimed
-    from hypose.io.recordings.frames import FrameStream
-    from hypose.io.recordings.mask_folders import write_masks
+    from hypose.io.files import claimed
+    from hypose.io.recordings.frames import FrameStream, write_masks
     from hypose.io.recordings.recording import load_recording
 
     loaded = choose_frames(load_recording(recording), frames)
@@ -88,7 +90,7 @@ def synth(
 ) -> None:
     """Make a synthetic recording with known truth: videos, background clips, calibration, recording.toml, truth.npz."""
     set_threads(threads)
-    from hypose.io.claims import claimed
+    from hypose.io.files import claimed
     from hypose.synthetic.film_session import BOARD, write_session
     from hypose.synthetic.scenes import make_scene
     from hypose.synthetic.write_recording import check_folder, write_scene
@@ -142,7 +144,7 @@ def _depth_cameras(
     seed: int,
     clothing: float,
 ) -> None:
-    from hypose.io.claims import claimed
+    from hypose.io.files import claimed
     from hypose.synthetic.write_depth import walking_scene, write_depth_scene
 
     about = {"seconds": seconds, "frame_rate": frame_rate, "seed": seed, "clothing_m": clothing}
@@ -166,3 +168,129 @@ def _subject_name(text: str) -> str:
     if int(text) >= len(names):
         raise InputError(f"There is no subject {text}; the subjects are 0 to {len(names) - 1}: {', '.join(names)}.")
     return names[int(text)]
+
+
+def depth_import(
+    sources: Annotated[
+        list[Path],
+        typer.Argument(help="One per camera: Azure Kinect .mkv, RealSense .bag, Record3D .r3d, or a folder of maps."),
+    ],
+    out: Annotated[Path, typer.Option(help="Folder to write the recording to.")],
+    empty: Annotated[
+        list[Path] | None, typer.Option(help="The empty room, one per camera in the same order (may be repeated).")
+    ] = None,
+    frame_rate: Annotated[
+        float | None, number("Frames per second of folders of maps, which do not tell it. [default: 30]", 1, 1000)
+    ] = None,
+    millimetres: Annotated[
+        float, number("Millimetres that one step of a value stands for, of folders of maps.", 0, 100, above=True)
+    ] = 1.0,
+    seed: Seed = 0,
+) -> None:
+    """Make a recording of depth cameras to track: maps, lenses, floor; several are brought together by the person."""
+    from hypose.errors import InputError
+    from hypose.io.files import claimed
+    from hypose.pipeline.import_depth import FolderUnits, import_depth
+
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise InputError(f"{out} is not empty; give a new folder.")
+    new = not out.exists()
+    units = FolderUnits(frame_rate, millimetres)
+    try:
+        with claimed(out, "--out"), Stages() as progress:
+            path, notes = import_depth(sources, out, empty=empty or (), units=units, seed=seed, progress=progress)
+    except KeyboardInterrupt:
+        say(f"Stopped; nothing is kept in {out}. Start again with the same command.")
+        raise typer.Exit(130) from None
+    finally:
+        if new:
+            with contextlib.suppress(OSError):  # the recording is in it
+                out.rmdir()
+    for text in notes:
+        note(f"note: {text}")
+    say(f"{path}: {len(sources)} depth cameras; track it with: hypose track {shlex.quote(str(out))}")
+
+
+def keypoints(
+    recording: Annotated[Path, typer.Argument(help="Folder with recording.toml, that file, or a Pose2Sim project.")],
+    model: Annotated[
+        Path | None, typer.Option(help="Model bundle of MediaPipe's Pose Landmarker (.task), your own copy.")
+    ] = None,
+    detector: Annotated[
+        str | None,
+        typer.Option(help="Instead: your own detector, FILE.py:NAME or MODULE:NAME (docs/recordings.md)."),
+    ] = None,
+    mediapipe: Annotated[
+        bool,
+        typer.Option(
+            "--mediapipe", help="Instead: MediaPipe with the model that it carries, set up once after asking."
+        ),
+    ] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Set MediaPipe up without asking.")] = False,
+    folder: Annotated[
+        Path | None, typer.Option("--out", help="Folder to write to. [default: keypoints in the recording's folder]")
+    ] = None,
+    people: Annotated[int, number("Most people looked for in a picture; tracking follows one.", 1, 100)] = 3,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on where an interrupted run stopped.")] = False,
+    threads: Threads = None,
+) -> None:
+    """Detect 2D key points in the videos, one OpenPose file per frame, for --evidence keypoints or both."""
+    set_threads(threads)
+    from hypose.io.files import claimed
+    from hypose.io.keypoints.detectors import open_blazepose, open_mediapipe, open_own_detector
+    from hypose.io.keypoints.read_keypoints import FOLDER
+    from hypose.io.recordings.recording import load_recording
+    from hypose.pipeline.detect_keypoints import detect_keypoints
+
+    if [model is not None, detector is not None, mediapipe].count(True) != 1:
+        raise InputError(
+            "Say what finds the key points: --mediapipe (with its own model), --model with a .task file of MediaPipe's "
+            "Pose Landmarker, or --detector with one of your own (all are shown in docs/recordings.md)."
+        )
+    loaded = load_recording(recording)
+    if mediapipe:
+        _have_mediapipe(yes)
+    target = folder or loaded.folder / FOLDER
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(claimed(target))
+        if detector is not None:
+            chosen = open_own_detector(detector)
+        elif mediapipe:
+            chosen = stack.enter_context(open_mediapipe())
+        else:
+            assert model is not None
+            chosen = stack.enter_context(open_blazepose(model, people))
+        progress = stack.enter_context(Stages())
+        try:
+            found = detect_keypoints(
+                loaded, chosen, target, resume=resume, progress=lambda done, total: progress("detect", done, total)
+            )
+        except KeyboardInterrupt:
+            say(f"Stopped; the frames done until then are in {target}. Go on with the same command and --resume.")
+            raise typer.Exit(130) from None
+    say(f"Key points: {found.folder} ({found.keypoint_set}, one folder per view)")
+    own = loaded.folder / FOLDER
+    named = any(v.keypoints is not None and own.absolute() not in v.keypoints.absolute().parents for v in loaded.views)
+    if target.absolute() == own.absolute() and not named:
+        say(f"To use them: hypose track {recording} --evidence both")
+        return
+    note("note: recording.toml decides which key points are used; to use these, say there:")
+    say(f'keypoint_set = "{found.keypoint_set}"')
+    for view in loaded.views:
+        say(f'keypoints = "{found.view(view.name).absolute()}"  # in the [[view]] of {view.name}')
+
+
+def _have_mediapipe(yes: bool) -> None:
+    """Set MediaPipe's environment up if it is not there, when the user agrees."""
+    from hypose.io.keypoints.detectors import MEGABYTES, VERSION, environment_folder, is_set_up, set_up
+
+    if is_set_up():
+        return
+    what = f"MediaPipe {VERSION} (Apache 2.0, with its pose model; {MEGABYTES} MB) in {environment_folder()}"
+    if not yes:
+        if not sys.stdin.isatty():
+            raise InputError(f"This installs {what}, from the package registry; run it again with --yes to agree.")
+        if not typer.confirm(f"Install {what}?"):
+            raise typer.Exit(1)
+    say(f"Installing {what} ...")
+    set_up()

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import signal
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hypose.app.commands.commands_track import set_threads, split_names
+from hypose.app.commands.commands_track import set_threads, split_names, terminated_as_interrupted
 from hypose.app.commands.console import Stages, note, say
 from hypose.app.commands.options import Seed, Threads, number
 from hypose.errors import InputError
@@ -79,10 +77,6 @@ def fuse(
         number("WebSocket port: /in takes skeletons, /out sends. [default: 9871]", 0, 65535, rich_help_panel=_LIVE),
     ] = None,
     osc: Annotated[str | None, typer.Option(help="HOST:PORT to send OSC to.", rich_help_panel=_LIVE)] = None,
-    vmc: Annotated[
-        str | None,
-        typer.Option(help="HOST:PORT of a program that moves an avatar (VMC protocol).", rich_help_panel=_LIVE),
-    ] = None,
     host: Annotated[
         str, typer.Option(help="Address to listen on; others than this computer need the token.", rich_help_panel=_LIVE)
     ] = "127.0.0.1",
@@ -107,16 +101,16 @@ def fuse(
     if live:
         if recording is not None:
             raise InputError("--live takes no recording; leave one of the two out.")
-        _live(udp, ws, osc, vmc, host, token, wait, record, rate)
+        _live(udp, ws, osc, host, token, wait, record, rate)
         return
     if recording is None:
         raise InputError("There is nothing to fuse; give a recording of skeletons, or --live.")
     from hypose.app.jobs.fuse_job import FuseJob, run_fuse
     from hypose.app.reports.summary import require_found
-    from hypose.io.claims import claimed
     from hypose.io.file_names import file_name
+    from hypose.io.files import claimed
     from hypose.io.motions.results import ResultsFolder
-    from hypose.io.sensors.skeleton_formats import read_skeletons
+    from hypose.io.sensors.skeleton_files import read_skeletons
 
     loaded = read_skeletons(recording)
     if cameras is not None:
@@ -143,15 +137,12 @@ def fuse(
         resume=resume,
         run={"threads": threads},
     )
-    previous = signal.signal(signal.SIGTERM, _interrupt)
     try:
-        with claimed(results.path), Stages() as progress:
+        with terminated_as_interrupted(), claimed(results.path), Stages() as progress:
             outcome = run_fuse(job, progress)
     except KeyboardInterrupt:
         say("Stopped before anything was fused, so nothing was kept. Start again with the same command.")
         raise typer.Exit(130) from None
-    finally:
-        signal.signal(signal.SIGTERM, previous)
     _closing(outcome, loaded.name, len(loaded.streams), results.path)
     if not outcome.complete:
         raise typer.Exit(130)
@@ -182,7 +173,7 @@ def _with_cameras(
     """Skeletons, depth maps and silhouettes as one solve."""
     from hypose.app.jobs.job import Job, run_job
     from hypose.app.reports.summary import require_found
-    from hypose.io.claims import claimed
+    from hypose.io.files import claimed
     from hypose.io.motions.results import ResultsFolder
     from hypose.io.recordings.recording import load_recording
     from hypose.pipeline.run import TrackOptions
@@ -206,10 +197,6 @@ def _with_cameras(
     require_found(m, recording.name, results.path)
     if outcome.verdict is not None:
         _judge({"": outcome.verdict})
-
-
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
 
 
 def _closing(outcome: FuseOutcome, name: str, sensors: int, folder: Path) -> None:
@@ -242,7 +229,6 @@ def _live(
     udp: int | None,
     ws: int | None,
     osc: str | None,
-    vmc: str | None,
     host: str,
     token: str | None,
     wait: float,
@@ -261,7 +247,6 @@ def _live(
         udp=udp if chosen else 9870,
         ws=ws if chosen else 9871,
         osc=osc,
-        vmc=vmc,
         token=token,
         record=record,
         settings=LiveSettings(AlignSettings(rate=30.0 if rate is None else rate, wait=wait / 1000)),

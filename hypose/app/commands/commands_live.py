@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hypose.app.commands.commands_track import set_threads
-from hypose.app.commands.console import Stages, note, say
+from hypose.app.commands.console import Stages, ended_by_signals, note, say
 from hypose.app.commands.options import HEIGHT, Seed, Threads, number
-from hypose.app.live.until_ended import ended_by_signals
 from hypose.errors import InputError
 
 if TYPE_CHECKING:

@@ -70,12 +70,11 @@ def open_studio(
 
 def _place(what: Path) -> tuple[Path, str]:
     """The folder to serve, and the screen that shows `what` in it."""
-    from hypose.app.studio.catalog import Catalog, is_recording
+    from hypose.app.studio.catalog import Catalog, is_recording, recording_above
 
     folder = (what if what.is_dir() else what.parent).resolve()
     if (folder / "motion.npz").is_file():
-        above = [p for p in list(folder.parents)[:3] if is_recording(p)]
-        root = above[0] if above else folder
+        root = recording_above(folder) or folder
         return root, f"view/{Catalog(root).id_of('result', folder)}"
     if is_recording(folder):
         catalog = Catalog(folder)

@@ -52,7 +52,7 @@ def subject(
     assert recording is not None
     from hypose.app.jobs.job import choose_frames
     from hypose.body.ready_bodies import human
-    from hypose.io.claims import claimed
+    from hypose.io.files import claimed
     from hypose.io.recordings.frames import FrameStream
     from hypose.io.recordings.recording import load_recording
     from hypose.pipeline.run import check_views
@@ -95,7 +95,7 @@ def subject(
 
 
 def _from_mesh(mesh: Path, unit: str, height: float | None, folder: Path) -> None:
-    from hypose.io.claims import claimed
+    from hypose.io.files import claimed
     from hypose.pipeline.mesh_subject import MeshOptions, subject_from_mesh
 
     with claimed(folder):

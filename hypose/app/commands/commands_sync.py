@@ -32,8 +32,7 @@ def sync(
     ] = None,
 ) -> None:
     """How many frames each view is late. With --out, masks, depth maps and key points in step are written."""
-    from hypose.io.claims import claimed
-    from hypose.io.files import check_writable
+    from hypose.io.files import check_writable, claimed
     from hypose.io.recordings.recording import load_recording
 
     if by not in ("motion", "sound", "flash"):
@@ -104,9 +103,9 @@ def _given(text: str, recording: Recording) -> list[float]:
 def _by_motion(
     recording: Recording, largest: float, frames: int, progress: ProgressCall
 ) -> tuple[list[float], list[str]]:
-    from hypose.calibration.doctor_points import undistorted
-    from hypose.calibration.in_step import offsets_from_motion
+    from hypose.calibration.diagnose_points import undistorted
     from hypose.calibration.sync_motion import at_the_end, offsets_within
+    from hypose.calibration.synchronisation import offsets_from_motion
     from hypose.pipeline.examine import observe
 
     seen = observe(recording, frames, progress)
@@ -133,7 +132,7 @@ def _by_motion(
 
 
 def _by_sound(recording: Recording, largest: float) -> tuple[list[float], list[str]]:
-    from hypose.calibration.sync_events import offsets_from_sound
+    from hypose.calibration.synchronisation import offsets_from_sound
     from hypose.io.videos.sound import read_sound
 
     sounds = []
@@ -148,7 +147,7 @@ def _by_sound(recording: Recording, largest: float) -> tuple[list[float], list[s
 def _by_light(recording: Recording, progress: ProgressCall) -> tuple[list[float], list[str]]:
     import numpy as np
 
-    from hypose.calibration.sync_events import offsets_from_light
+    from hypose.calibration.synchronisation import offsets_from_light
     from hypose.io.videos.video import open_video
 
     levels = []
@@ -170,7 +169,7 @@ def _write(recording: Recording, late: list[float], folder: Path, progress: Prog
     import cv2
     import numpy as np
 
-    from hypose.calibration.in_step import Resampled, points_at
+    from hypose.calibration.synchronisation import Resampled, points_at
     from hypose.io.file_names import folder_for
     from hypose.io.files import write_bytes, write_text
     from hypose.io.recordings.recording import write_recording

@@ -1,4 +1,4 @@
-"""`hypose track` and `hypose demo`."""
+"""`hypose track`, `demo`, `correct` and `warm-up`."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import contextlib
 import os
 import shlex
 import signal
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from types import FrameType
@@ -14,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hypose.app.commands.console import Stages, note, say
-from hypose.app.commands.options import HEIGHT, Seconds, Seed, Threads, number
+from hypose.app.commands.options import HEIGHT, MOST_FRAMES, Seconds, Seed, Threads, number
 from hypose.errors import InputError
 
 if TYPE_CHECKING:
@@ -147,7 +148,7 @@ def demo(
     set_threads(threads)
     from hypose.app.jobs.job import Job
     from hypose.app.jobs.truth import compare_with
-    from hypose.io.claims import claimed
+    from hypose.io.files import claimed
     from hypose.io.motions.results import ResultsFolder
     from hypose.io.recordings.recording import load_recording
     from hypose.pipeline.run import TrackOptions
@@ -170,11 +171,10 @@ def run_shown(job: Job, arguments: list[str]) -> tuple[Outcome, dict[str, float]
     """Run a job with progress; when it is interrupted, say what was kept and how to go on, and exit with code 130."""
     from hypose.app.jobs.job import run_job
     from hypose.app.jobs.people_job import run_people
-    from hypose.io.claims import claimed
+    from hypose.io.files import claimed
 
-    previous = signal.signal(signal.SIGTERM, _interrupt)
     try:
-        with claimed(job.results.path), Stages() as progress:
+        with terminated_as_interrupted(), claimed(job.results.path), Stages() as progress:
             if job.people is not None:
                 outcome = run_people(job, job.people, progress)
             else:
@@ -182,16 +182,24 @@ def run_shown(job: Job, arguments: list[str]) -> tuple[Outcome, dict[str, float]
     except KeyboardInterrupt:
         _stopped(job, arguments)
         raise typer.Exit(130) from None
-    finally:
-        signal.signal(signal.SIGTERM, previous)
     if not outcome.complete:
         _stopped(job, arguments)
         raise typer.Exit(130)
     return outcome, progress.seconds
 
 
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
+@contextlib.contextmanager
+def terminated_as_interrupted() -> Iterator[None]:
+    """Within the block SIGTERM ends as Ctrl-C does: in order."""
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    previous = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, previous)
 
 
 def _stopped(job: Job, arguments: list[str]) -> None:
@@ -267,3 +275,70 @@ def set_threads(count: int | None) -> None:
     import cv2
 
     cv2.setNumThreads(count)
+
+
+def correct(
+    results: Annotated[Path, typer.Argument(help="Results folder of hypose track.")],
+    clicks: Annotated[Path, typer.Argument(help="The corrected pose: starts/NAME.json, saved in hypose view.")],
+    until: Annotated[
+        int | None, number("Track again up to this frame of the recording. [default: to the end]", 1, MOST_FRAMES)
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Results folder. [default: RESULTS-corrected]")] = None,
+    formats: Annotated[str, typer.Option(help="Motion files to write.")] = "trc,c3d,bvh,glb,csv,mot",
+    threads: Threads = None,
+) -> None:
+    """Track a result again from a frame whose pose was corrected; the frames before stay as they are."""
+    set_threads(threads)
+    from hypose.app.jobs.correct import correct as track_again
+    from hypose.app.jobs.correct import read_correction
+    from hypose.app.reports.summary import require_found
+    from hypose.app.studio.view_result import find_recording
+    from hypose.io.files import claimed
+    from hypose.io.motions.results import ResultsFolder
+
+    recording = find_recording(results)
+    if recording is None:
+        raise InputError(f"{results} lies in no recording; give the results folder inside the recording's folder.")
+    folder = ResultsFolder(out or results.with_name(f"{results.name}-corrected"))
+    correction = read_correction(clicks)
+    with claimed(folder.path), Stages() as progress:
+        names = tuple(split_names(formats))
+        motion = track_again(
+            recording, ResultsFolder(results), correction, folder, until=until, formats=names, progress=progress
+        )
+    say(f"Frames {correction.frame} and after tracked again, {int(motion.lost.sum())} of {len(motion)} frames lost.")
+    say(f"Results: {folder.path}")
+    require_found(motion, recording.name, folder.path)
+
+
+def warm_up(threads: Threads = None) -> None:
+    """Compile what tracking, fusing and live need, so that the first run of each begins at once; once per machine, and
+    again after an update. Ends with a third of a second of a made-up person tracked, report and all."""
+    set_threads(threads)
+    from hypose import compute
+    from hypose.app.jobs.job import Job, run_job
+    from hypose.fusion.live import LiveFuser
+    from hypose.io.motions.results import ResultsFolder
+    from hypose.io.recordings.recording import load_recording
+    from hypose.pipeline.run import TrackOptions
+    from hypose.synthetic.scenes import make_scene
+    from hypose.synthetic.write_recording import write_scene
+
+    folder, parts = compute.cache_folder(), (*compute.FOLLOWING, "monocular", "depth")
+    if folder is None:
+        raise InputError(f"There is no place for what is compiled; name a folder with {compute.VARIABLE}.")
+    before = compute.kept(*parts)
+    with tempfile.TemporaryDirectory(prefix="hypose-warm-up-") as temporary, Stages() as progress:
+        progress("compile", 0, 1)
+        compute.warm_up(*parts, load=False)
+        LiveFuser()
+        progress("compile", 1, 1)
+        scene, place = make_scene("walk", rig="humaneva-4", seconds=0.32, seed=1), Path(temporary)
+        write_scene(scene, place, progress=lambda done, total: progress("render", done, total))
+        run_job(Job(load_recording(place), TrackOptions(), ResultsFolder(place / "results")), progress)
+    if not compute.kept(*parts):
+        raise InputError(
+            f"What was compiled could not all be kept in {folder}; make space there, see that it can be written, or "
+            f"name another folder with {compute.VARIABLE}, and run this again."
+        )
+    say("All of it had been compiled." if before else f"Compiled; kept in {folder}")

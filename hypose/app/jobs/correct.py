@@ -23,9 +23,8 @@ from hypose.errors import InputError
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array
 from hypose.io.files import check_writable, read_json
-from hypose.io.motions.bodies import load_body, save_body
 from hypose.io.motions.export import export_motion, known_formats
-from hypose.io.motions.results import ResultsFolder, load_motion, save_motion
+from hypose.io.motions.results import ResultsFolder, load_body, load_motion, save_body, save_motion
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording
 from hypose.pipeline.first_frame import GIVEN, Subject, SubjectOptions, find_subject

@@ -39,7 +39,7 @@ from hypose.io.sensors.skeleton_streams import (
     resample,
     shifted,
 )
-from hypose.pipeline.fused_verdict import fused_verdict
+from hypose.pipeline.fused_motion import fused_verdict
 from hypose.pipeline.verdict import Verdict
 
 POINT_FORMATS = ("trc", "c3d", "csv")

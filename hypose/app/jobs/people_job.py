@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import html
-import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -21,10 +20,9 @@ from hypose.app.reports.result_pictures import Image
 from hypose.app.studio.view_bundle import Rivals
 from hypose.errors import InputError
 from hypose.io.files import check_writable
-from hypose.io.motions.bodies import save_body
 from hypose.io.motions.c3d import write_c3d
 from hypose.io.motions.gltf import write_people_glb
-from hypose.io.motions.results import ResultsFolder
+from hypose.io.motions.results import ResultsFolder, save_body
 from hypose.io.recordings.frames import FrameStream
 from hypose.pipeline.doubts import in_words, runs
 from hypose.pipeline.one_of_several import chosen_people, keypoint_people, people_frames, wanted_of
@@ -43,11 +41,6 @@ def run_people(job: Job, people: str, progress: ProgressCall = ignore) -> Outcom
     recording, options, results = job.recording, job.options, job.results
     check_job(job)
     check_views(recording)
-    if job.chunk_s is not None:
-        raise InputError(
-            "Several people cannot be tracked in chunks: who is who would not be known from one to the next; leave out "
-            "the chunks, or track one person."
-        )
     if options.subject is not None:
         raise InputError(
             "--subject is one person's body; name the bodies of several people in recording.toml, as "
@@ -157,7 +150,6 @@ def _one_report(
     mine = [p for p in written if p.parent == own.results.path]
     files += draw(own.results, about, stills, [*mine, *files], video=False, progress=progress)
     remove_stale(own.results, [*mine, *files])
-    shutil.rmtree(own.results.path / "chunks", ignore_errors=True)
     return files
 
 

@@ -116,7 +116,7 @@ def azure_lens(calibration: dict[str, Any], size: tuple[int, int], path: Path) -
 
 
 def _realsense(path: Path | None) -> Source:
-    from hypose.io.sensors.realsense import open_realsense, read_realsense
+    from hypose.io.sensors.depth import open_realsense, read_realsense
 
     opened = open_realsense() if path is None else read_realsense(path)
     name = "realsense" if path is None else path.name

@@ -12,8 +12,8 @@ import numpy as np
 
 from hypose import __version__
 from hypose.app.reports.result_pictures import Image, open_images
-from hypose.calibration.doctor import Cured, Observed, Report
-from hypose.calibration.doctor_points import undistorted
+from hypose.calibration.diagnose_points import undistorted
+from hypose.calibration.diagnostics import Cured, Observed, Report
 from hypose.cameras.camera import CameraRig, triangulate
 from hypose.io.files import write_text
 from hypose.io.recordings.recording import Recording

@@ -12,7 +12,6 @@ from hypose.app.reports.report import ReportInput, write_report
 from hypose.app.reports.result_pictures import Image
 from hypose.app.reports.summary import DESCRIPTIONS
 from hypose.io.motions.results import ResultsFolder
-from hypose.pipeline.left_out import LeftOut
 
 OverlayCall = Callable[[Path, Sequence[int]], Mapping[int, Image]]
 """Draws the motion to a path (when a film is wanted), and returns the pictures of the given rows."""
@@ -26,12 +25,10 @@ def draw(
     *,
     video: bool,
     caption: str = "Frame {}",
-    without: Callable[[], Sequence[LeftOut]] = tuple,
     progress: ProgressCall,
 ) -> list[Path]:
     """Overlay and report of a finished motion; returns their paths. about: the report but for its stills and files;
-    written: the files there are already; video: overlay.mp4 is wanted; caption: of a still, {} its frame's number;
-    without: called after the overlay, how far the joints go without each camera."""
+    written: the files there are already; video: overlay.mp4 is wanted; caption: of a still, {} its frame's number."""
     rows = still_rows(about.motion)
     path, report = results.file("overlay.mp4"), results.file("report.html")
     stills = overlay(path, rows)
@@ -39,6 +36,6 @@ def draw(
     progress("report", 0, 1)
     files = [(p.name, DESCRIPTIONS.get(p.name, "")) for p in [*written, *out, report]]
     shown = [(caption.format(about.first_frame + r), stills[r]) for r in rows]
-    write_report(report, replace(about, stills=shown, files=files, without=without()))
+    write_report(report, replace(about, stills=shown, files=files))
     progress("report", 1, 1)
     return [*out, report]

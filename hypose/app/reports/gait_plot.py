@@ -16,8 +16,7 @@ from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.io.files import write_text
 from hypose.io.motions.c3d import write_c3d
-from hypose.pipeline.gait_cycles import PERCENT, AngleCycle, angle_cycles
-from hypose.pipeline.gait_events import Gait, gait_of
+from hypose.pipeline.gait import PERCENT, AngleCycle, Gait, angle_cycles, gait_of
 
 _PANELS = (
     ("hip flexion", "hip_flexion"),

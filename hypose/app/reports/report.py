@@ -30,7 +30,6 @@ from hypose.io.motions.results import to_json
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording
 from hypose.pipeline.camera_worth import camera_worth
-from hypose.pipeline.left_out import KeptFrames, LeftOut, evidence_said, left_out
 
 # The colours are those of web/src/ui/theme.css, which is part of a report only where the front end was built.
 _STYLE = """
@@ -68,7 +67,7 @@ class ReportInput:
     """What a report shows. title; motion, body, rig; stills: (caption, picture BGR); files: (name, what it is); notes:
     sentences; citation of the method; seconds per stage; truth of a synthetic recording; complete: every frame was
     tracked; recording: whose pictures the viewer shows, and its first frame that belongs to the motion;
-    rivals: other poses of a track with one camera; without: how far the joints go without each camera."""
+    rivals: other poses of a track with one camera."""
 
     title: str
     motion: Motion
@@ -84,19 +83,17 @@ class ReportInput:
     recording: Recording | None = None
     first_frame: int = 0
     rivals: Rivals | None = None
-    without: Sequence[LeftOut] = ()
 
 
 def from_result(result: ViewResult, recording: Recording | None) -> ReportInput:
     """The report of a result that lies in a folder, with the recording it belongs to."""
-    stills, without = _from_frames(result, recording) if recording is not None else ((), ())
+    stills = _stills(result, recording) if recording is not None else ()
     return ReportInput(
         title=result.title,
         motion=result.motion,
         body=result.body,
         rig=result.rig,
         stills=stills,
-        without=without,
         files=[(name, what) for name, what, _ in result.files],
         notes=result.notes,
         citation=result.citation,
@@ -109,20 +106,17 @@ def from_result(result: ViewResult, recording: Recording | None) -> ReportInput:
     )
 
 
-def _from_frames(result: ViewResult, recording: Recording) -> tuple[list[tuple[str, Image]], Sequence[LeftOut]]:
-    """The stills of a result, and how far its joints go without each camera."""
+def _stills(result: ViewResult, recording: Recording) -> list[tuple[str, Image]]:
+    """The stills of a result."""
     motion, body = result.motion, result.body
     if body is None or motion.poses is None:
-        return [], ()
+        return []
     frames = range(result.first_frame, result.first_frame + len(motion))
     shown = replace(recording, frame_range=(frames.start, frames.stop))
     rows = still_rows(motion)
     with FrameStream(shown) as stream:
-        kept = KeptFrames(stream, motion)
-        given = kept.every()
         made = write_overlay("", shown, stream, motion, body, frames=frames, stills=rows, video=False)
-    without = left_out(motion, body, given, evidence_said(motion)) if len(recording.rig) > 1 else ()
-    return [(f"Frame {frames[r]}", made[r]) for r in rows], without
+    return [(f"Frame {frames[r]}", made[r]) for r in rows]
 
 
 def write_report(path: str | Path, what: ReportInput) -> Path:
@@ -215,7 +209,7 @@ def _text(what: ReportInput) -> str:
     parts.append(_figure(plots.top_view_plot(m, what.rig or (), what.truth), "Metres; cameras are squares.") + "</div>")
     parts.append(f"<div><h2>Subject</h2>{_subject(what.body)}</div></div>" if what.body is not None else "</div>")
     if what.rig is not None:
-        parts.append(_cameras(m, what.rig, what.without))
+        parts.append(_cameras(m, what.rig))
     if what.files:
         rows = "".join(f"<tr><td>{html.escape(n)}</td><td>{html.escape(t)}</td></tr>" for n, t in what.files)
         parts.append(f"<h2>Files</h2><table>{rows}</table>")
@@ -285,21 +279,17 @@ def _subject(body: Body) -> str:
     return f'<table>{cells}</table><p class="dim">Between joint centres; limbs: mean of both sides.</p>'
 
 
-def _cameras(motion: Motion, rig: CameraRig, without: Sequence[LeftOut]) -> str:
+def _cameras(motion: Motion, rig: CameraRig) -> str:
     """What each camera adds; "" of one camera."""
     worth, best = camera_worth(motion, rig)
     if best is None:
         return ""
-    gone = {w.name: f'<td class="n">{1e3 * w.moved:.0f} mm ({1e3 * w.far:.0f} mm)</td>' for w in without}
     rows = "".join(
-        f"<tr><td>{html.escape(w.name)}</td>{gone.get(w.name, '<td>-</td>' if gone else '')}"
-        f'<td class="n">x {w.times:.2f}</td><td class="n">{w.thin:.0%}</td></tr>'
+        f'<tr><td>{html.escape(w.name)}</td><td class="n">x {w.times:.2f}</td><td class="n">{w.thin:.0%}</td></tr>'
         for w in worth
     )
-    head = f"<tr><th>without</th>{'<th>joints go</th>' if gone else ''}<th>standard deviations</th>"
-    head += "<th>joints with fewer than two left</th></tr>"
-    text = "Joints go so far (median, 95 %) when single frames are solved anew without the camera. " if gone else ""
-    text += "Standard deviations are geometry: where the cameras stand and what is in their pictures; limbs that cover "
+    head = "<tr><th>without</th><th>standard deviations</th><th>joints with fewer than two left</th></tr>"
+    text = "Standard deviations are geometry: where the cameras stand and what is in their pictures; limbs that cover "
     x, y, z = best.place.tolist()
     text += (
         f"each other are not counted. One more camera would help most at x = {x:.1f} m, y = {y:.1f} m, {z:.1f} m high: "

@@ -14,7 +14,7 @@ from hypose.errors import EvidenceError
 DESCRIPTIONS = {
     "motion.npz": "poses, joints, uncertainty and flags (numpy; metres, radians, seconds; world z up)",
     "body.npz": "the subject's body",
-    "modes.npz": "one camera: all hypotheses of every frame with weights and covariances (hypose.io.motions.modes)",
+    "modes.npz": "one camera: all hypotheses of every frame with weights and covariances (hypose.io.motions.results)",
     "motion.trc": "joint centres for OpenSim (millimetres, y up)",
     "motion.c3d": "joint centres as float C3D (millimetres, z up; residual = standard deviation)",
     "motion.mot": "joint angles for OpenSim (degrees, metres)",

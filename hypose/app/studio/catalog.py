@@ -104,10 +104,8 @@ class Catalog:
 
     def recording_of(self, result: Path) -> Path | None:
         """The recording in whose folder results lie: results/RECIPE/ in it."""
-        for folder in list(result.resolve().parents)[:3]:
-            if folder.is_relative_to(self.root) and is_recording(folder):
-                return folder
-        return None
+        folder = recording_above(result)
+        return folder if folder is not None and folder.is_relative_to(self.root) else None
 
     def _look(self, fresh: bool) -> None:
         if not fresh and time.monotonic() - self._looked < _FRESH_S:
@@ -125,6 +123,11 @@ def is_recording(folder: Path) -> bool:
     with contextlib.suppress(OSError):  # what may not be looked into is none
         return (folder / "recording.toml").is_file() or pose2sim.is_project(folder)
     return False
+
+
+def recording_above(results: Path) -> Path | None:
+    """The recording in whose folder results lie: results/RECIPE/ in it."""
+    return next((f for f in list(results.resolve().parents)[:3] if is_recording(f)), None)
 
 
 def _changed(path: Path) -> float:

@@ -31,8 +31,7 @@ from hypose.errors import InputError
 from hypose.fitting.articulated import KeypointTerm, PoseFit, Quadratic, SolveSettings, fit_pose
 from hypose.geometry import Array, quaternion_from_matrix
 from hypose.io.files import read_json
-from hypose.io.motions.bodies import load_body
-from hypose.io.motions.results import ResultsFolder, load_motion
+from hypose.io.motions.results import ResultsFolder, load_body, load_motion
 from hypose.io.recordings.recording import Recording
 from hypose.io.videos.video import frame_size
 from hypose.pipeline.picture_start import LEAST_POINTS
@@ -166,6 +165,7 @@ def _fit(body: Body, clicks: _Clicks, start: Array | None, known_height: bool, c
 
     starts = [start] if start is not None else _starts(body, clicks, scale)
     best, *others = sorted((solve(q) for q in starts), key=lambda f: f.cost)
+    others = others if len(clicks.rig) == 1 else []
     covariance = compute.joint_covariances(best.pose, body.skeleton.tree, best.information, 1e-6)
     rotations, centres = body.skeleton.forward(best.pose)
     world = centres[clicks.joint] + np.einsum("kab,kb->ka", rotations[clicks.joint], clicks.offset)

@@ -15,9 +15,8 @@ from hypose.app.studio.job_kinds import CALIBRATION
 from hypose.calibration.views import find_sources
 from hypose.errors import HyposeError, InputError
 from hypose.io.calibrations.calibration_formats import read_any
-from hypose.io.calibrations.calibration_toml import natural_key, toml_value
-from hypose.io.file_names import text_of
-from hypose.io.files import write_text
+from hypose.io.file_names import natural_key, text_of
+from hypose.io.files import toml_lines, write_text
 from hypose.io.keypoints.read_keypoints import read_keypoints
 from hypose.io.recordings.recording import load_recording
 from hypose.io.videos.video import IMAGE_ENDINGS, VIDEO_ENDINGS, open_video
@@ -79,17 +78,18 @@ def make_recording(catalog: Catalog, wanted: Mapping[str, Any]) -> Path:
             raise InputError(f"There is no clip of the board of {missing[0]}; add it, or a calibration of all cameras.")
         cameras = [s.name for s in find_sources([_placed(catalog, folder, v, "board") for v in views])]
         calibration = CALIBRATION
-    lines = [f"name = {toml_value(text(wanted.get('name'), 'name', 80, 'give one'))}"]
-    lines.append(f"calibration = {toml_value(text(calibration, 'calibration', 1000, 'choose one'))}")
-    lines += [f"{k} = {toml_value(wanted[k])}" for k in _SETTINGS if isinstance(wanted.get(k), str | int | float)]
+    calibration = text(calibration, "calibration", 1000, "choose one")
+    said = {k: wanted[k] for k in _SETTINGS if isinstance(wanted.get(k), str | int | float)}
+    head = {"name": text(wanted.get("name"), "name", 80, "give one"), "calibration": calibration, **said}
+    lines = toml_lines(head)
     for view, camera in zip(views, cameras, strict=True):
-        name = text(view.get("name"), "name of a view", 200, "give one")
-        lines += ["", "[[view]]", f"name = {toml_value(name)}", f"camera = {toml_value(camera)}"]
-        lines += ["accept_scaled = true"] if view.get("accept_scaled") is True else []
+        table = {"name": text(view.get("name"), "name of a view", 200, "give one"), "camera": camera}
+        table |= {"accept_scaled": True} if view.get("accept_scaled") is True else {}
         for role in (r for r in _ROLES if view.get(r) is not None):
             path = _placed(catalog, folder, view, role)
             key = "images" if role == "video" and path.is_dir() else role
-            lines.append(f"{key} = {toml_value(path.relative_to(folder).as_posix())}")
+            table[key] = path.relative_to(folder).as_posix()
+        lines += ["", "[[view]]", *toml_lines(table)]
     write_text(target, "\n".join(lines) + "\n")
     try:
         if wanted.get("calibration") is not None:

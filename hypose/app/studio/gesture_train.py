@@ -20,7 +20,7 @@ from hypose.gestures.depth_pictures import surface_depth
 from hypose.gestures.events import Event, EventSettings, EventState, step
 from hypose.gestures.localise import Found, LocaliseSettings, Scratch, densities, settle
 from hypose.gestures.model import GestureModel
-from hypose.gestures.session import Command, Instruction
+from hypose.gestures.session import Command
 from hypose.gestures.session import step as peek
 from hypose.gestures.trainer import Feedback, Trainer
 from hypose.pipeline.gesture_files import SessionWriter, content_of, save_model
@@ -44,8 +44,7 @@ class Training:
         self.feed, self.folder, self.path, self.names = feed, folder, model, [start.gesture]
         self._old = growing_model(old, start.gesture) if old is not None else None
         # checks the name before anything is written
-        learner = self._old.learner if self._old is not None and self._old.learner is not None else None
-        learner = learner or new_learner(start.seed)
+        learner = (self._old.learner if self._old is not None else None) or new_learner(start.seed)
         GestureModel((start.gesture,), learner.forest, (None,), LocaliseSettings(), learner)
         self.trainer = Trainer(learner, start.settings)
         s = start.settings
@@ -82,7 +81,9 @@ class Training:
         before = trainer.session
         session, instruction = peek(before, trainer.settings, taken.time, commands)
         kept = instruction.learn is not None and int(taken.time - session.entered) % _HELD_EVERY == _HELD_EVERY - 1
-        usable = fresh and self._agrees(instruction, taken)
+        # where the source knows it, the picture must show what is to be learned
+        sure = instruction.learn is None or not self.feed.knows
+        usable = fresh and (sure or (taken.box is not None) == (instruction.learn == "gesture"))
         if session.segment != self._before[0]:
             self._before = (session.segment, dict(self._frames), list(self._pixels))
         began = clock.perf_counter()
@@ -96,24 +97,20 @@ class Training:
             _, self._frames, self._pixels = self._before
         if instruction.phase == "test" and before.phase != "test":
             self._final = trainer.final_threshold()
-        threshold = self._threshold(controls)
+        threshold, events = self._threshold(controls), []
         if fresh:
             self._keep(taken, f, found, usable and kept, threshold, controls.hold_s)
             if not self.paused:
                 self._write(taken, f)
+            if self.asks == "test" and threshold is not None and threshold > 0:
+                settings = [EventSettings(threshold, hold_s=controls.hold_s)]
+                self._events, events = step(self._events, [found], taken.time, settings)
         for c in commands:
             gone = trainer.session.undone[len(before.undone) :] if c == "undo" else ()
             self._writer.act(taken.time, c, str(gone[0]) if gone else "")
-        events = self._happened(found, taken.time, threshold, controls.hold_s) if fresh else []
         message = self._message(taken, f, found, threshold, controls, events)
         message["ms"] = {"learn": round(1e3 * (learned - began), 2), "look": round(1e3 * (looked - learned), 2)}
         return message, density
-
-    def _agrees(self, instruction: Instruction, taken: Taken) -> bool:
-        """Whether the picture shows what is to be learned, where the source knows it."""
-        if instruction.learn is None or not self.feed.knows:
-            return True
-        return (taken.box is not None) == (instruction.learn == "gesture")
 
     def _look(self, taken: Taken, f: Feedback, wanted: bool) -> tuple[Found, NDArray[np.float32] | None]:
         """Where the forest sees the gesture: in a frame that is learned, before it was."""
@@ -156,12 +153,6 @@ class Training:
             int(f.instruction.learn == "gesture"),
             self._place,
         )
-
-    def _happened(self, found: Found, time: float, threshold: float | None, hold_s: float) -> list[Event]:
-        if self.asks != "test" or threshold is None or threshold <= 0:
-            return []
-        self._events, events = step(self._events, [found], time, [EventSettings(threshold, hold_s=hold_s)])
-        return events
 
     def _message(
         self, taken: Taken, f: Feedback, found: Found, threshold: float | None, c: Controls, events: list[Event]

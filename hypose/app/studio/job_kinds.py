@@ -17,7 +17,7 @@ from typing import Any
 from hypose.app.jobs.correct import read_correction
 from hypose.app.studio.catalog import Catalog, Item
 from hypose.errors import HyposeError, InputError
-from hypose.io.recordings.recording_keys import read_toml
+from hypose.io.files import read_toml
 
 CALIBRATION = "calibration.toml"
 """Where a recording keeps the calibration that is made of clips of a board."""

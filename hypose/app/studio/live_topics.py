@@ -126,7 +126,7 @@ class FuseTopic(LiveTopic):
         running: Any = False
         if (s := self._server) is not None:
             o = s.options
-            running = {"udp": s.udp_port, "ws": s.ws_port, "simulated": self._simulated, "osc": o.osc, "vmc": o.vmc}
+            running = {"udp": s.udp_port, "ws": s.ws_port, "simulated": self._simulated, "osc": o.osc}
             running |= {"record": _told(o.record)}
         return {"t": "hello", "running": running, "joints": COMMON, "parents": PARENT.tolist()}
 
@@ -138,13 +138,13 @@ class FuseTopic(LiveTopic):
         made_up = message.get("simulated") or 0
         if made_up:
             whole(made_up, "the number of simulated sensors", 2, simulated_sensors.MOST)
-        osc, vmc = _target(message, "osc", 9000), _target(message, "vmc", 39539)
+        osc = _target(message, "osc", 9000)
         seen = None
         if made_up:
             seen = await run_in_threadpool(simulated_sensors.simulated_sensors, made_up, np.random.default_rng(0))
         record = recording_folder(self._catalog, FOLDER, "live") if message.get("record") is True else None
         settings = LiveSettings(AlignSettings(rate=rate))
-        server = LiveServer(FuseOptions(udp=udp, ws=ws, osc=osc, vmc=vmc, record=record, settings=settings))
+        server = LiveServer(FuseOptions(udp=udp, ws=ws, osc=osc, record=record, settings=settings))
         try:
             await server.start()
         except InputError:

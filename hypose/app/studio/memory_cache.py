@@ -67,6 +67,12 @@ class Kept(Generic[V]):
                     self._entries.pop(key, None)
                 self.tidy()
 
+    @property
+    def held(self) -> int:
+        """Bytes of all values."""
+        with self._lock:
+            return sum(map(self._weight, self._entries.values()))
+
     def tidy(self) -> None:
         """Let go of what is too much, and of what has not been used for long."""
         with self._lock:
@@ -83,7 +89,7 @@ class Kept(Generic[V]):
 
     def _shrink(self, most: int, stays: Hashable = None) -> None:
         """Let go until not more than so many bytes are there, and of what is idle."""
-        total = sum(map(self._weight, self._entries.values()))
+        total = self.held
         for key, entry in [(k, e) for k, e in self._entries.items() if not e.users]:
             if (total > most and key != stays) or self._clock() - entry.used >= self._idle_s:
                 total -= self._weight(entry)

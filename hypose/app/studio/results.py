@@ -26,11 +26,9 @@ from hypose.body.motion import Motion
 from hypose.body.skeleton import Skeleton
 from hypose.errors import HyposeError
 from hypose.geometry import Array
-from hypose.io.motions.bodies import load_body
-from hypose.io.motions.results import Checkpoint, load_motion
+from hypose.io.motions.results import Checkpoint, load_body, load_motion
 from hypose.io.recordings.recording import load_recording
-from hypose.pipeline.gait_cycles import angle_cycles
-from hypose.pipeline.gait_events import gait_of
+from hypose.pipeline.gait import angle_cycles, gait_of
 from hypose.tracking.tracker import estimates_from_arrays, motion_of
 
 _BLOCKS, _PICTURES, _THUMBNAILS, _GAITS = 24 << 20, 64 << 20, 4 << 20, 4 << 20

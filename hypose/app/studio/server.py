@@ -20,12 +20,12 @@ from starlette.routing import BaseRoute, Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 
 from hypose import __version__
-from hypose.app.live.secrets_and_logs import fold_logs
+from hypose.app.live.servers import fold_logs
 from hypose.app.studio.answers import refusal
 from hypose.app.studio.catalog import Catalog, Item
 from hypose.app.studio.gesture_session import GestureTopic
 from hypose.app.studio.gesture_views import models_shown, sessions_shown, sources_shown
-from hypose.app.studio.guard import Access, Guard
+from hypose.app.studio.guard import Guard, token_for
 from hypose.app.studio.hub import MAX_MESSAGE, Hub
 from hypose.app.studio.job_kinds import fused_in
 from hypose.app.studio.jobs import Jobs
@@ -56,7 +56,7 @@ class Studio:
     """What a server holds: the catalog and everything that is open. `app` is the ASGI application."""
 
     def __init__(self, options: StudioOptions) -> None:
-        self.access = Access.of(options.host, options.token)
+        self.token = token_for(options.host, options.token)
         self.catalog = Catalog(options.root)
         self.hub = Hub()
         self.jobs = Jobs(self.catalog, self.hub)
@@ -70,7 +70,7 @@ class Studio:
             lifespan=self._lifespan,
             exception_handlers={Exception: _bug, 404: _nothing},
         )
-        self.app = Guard(self._routed, self.access)
+        self.app = Guard(self._routed, self.token)
 
     def state(self) -> dict[str, Any]:
         """Everything there is, for the page's lists."""
@@ -216,7 +216,7 @@ def run(options: StudioOptions, ready: Callable[[str], None]) -> None:
                 f"Port {options.port} on {options.host} cannot be used ({reason.lower()}); choose another with --port, "
                 "0 takes any free one."
             ) from None
-    token = f"?token={quote(studio.access.token)}" if studio.access.token else ""
+    token = f"?token={quote(studio.token)}" if studio.token else ""
     host = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(options.host, options.host)
     server = make_server(studio, options.host, options.port, lambda port: ready(f"http://{host}:{port}/{token}"))
     with contextlib.suppress(KeyboardInterrupt):

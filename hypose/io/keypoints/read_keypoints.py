@@ -12,10 +12,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -25,12 +27,17 @@ from hypose.evidence.keypoint_check import misread
 from hypose.evidence.keypoint_sets import IMPLAUSIBLE, arranged, bone_excess, set_of_points
 from hypose.evidence.keypoints import KEYPOINT_SETS, keypoint_names
 from hypose.geometry import Array
-from hypose.io.keypoints.keypoint_arrays import read_keypoint_h5, read_keypoint_npy
-from hypose.io.keypoints.keypoint_csv import clock_file, read_keypoint_csv
-from hypose.io.keypoints.keypoint_folder import read_keypoint_folder
-from hypose.io.keypoints.keypoint_json import read_keypoint_json
+from hypose.io.file_names import file_name, match_names
+from hypose.io.files import read_json, write_text
+from hypose.io.keypoints.keypoint_files import (
+    clock_file,
+    read_keypoint_csv,
+    read_keypoint_folder,
+    read_keypoint_h5,
+    read_keypoint_json,
+    read_keypoint_npy,
+)
 from hypose.io.keypoints.keypoint_table import MAX_FRAMES, KeypointTable
-from hypose.io.matching_names import match_names
 
 _ENDINGS = "a folder of OpenPose, EasyMocap or Ultralytics files, .json, .csv, .h5 or .npy"
 _OUTSIDE = 0.3  # share of points outside of the picture from which it is another picture
@@ -267,3 +274,77 @@ def check_keypoints(
             f"The key points ({path}) do not fit the calibrated cameras: {wrong}; export them in pixels from the top "
             "left of the pictures that were calibrated."
         )
+
+
+# ---- detected keypoints --------------------------------------------------------------------------------------------
+# Key points that `hypose keypoints` left beside a recording: where they lie, and how the recording finds them.
+#
+# FOLDER/detector.json says what made them; FOLDER/VIEW/ holds one OpenPose file per frame, in pixels of the calibrated
+# picture, numbered from the first frame of the video.
+
+
+FOLDER = "keypoints"
+"""In the recording's folder."""
+_SIDECAR = "detector.json"
+
+
+@dataclass(frozen=True)
+class DetectedKeypoints:
+    """The folder of a detection. keypoint_set: name of the points' set; identity: what decides what was found;
+    complete: every frame of every view was looked at."""
+
+    folder: Path
+    keypoint_set: str
+    identity: Mapping[str, Any]
+    complete: bool
+
+    def view(self, name: str) -> Path:
+        """The folder of a view."""
+        return self.folder / file_name(name)
+
+    def file(self, view: str, frame: int) -> Path:
+        """The file of a frame."""
+        return self.view(view) / f"{file_name(view)}_{frame:012d}_keypoints.json"
+
+    def save(self) -> None:
+        """Write what says all this."""
+        said = {"keypoint_set": self.keypoint_set, "complete": self.complete, **self.identity}
+        write_text(self.folder / _SIDECAR, json.dumps(said, indent=2) + "\n")
+
+
+def load_detected(folder: Path) -> DetectedKeypoints | None:
+    """What a folder says of itself, None when it is not one of these."""
+    path = folder / _SIDECAR
+    if not path.is_file():
+        return None
+    try:
+        identity = dict(read_json(path, "what hypose keypoints wrote"))
+        points, complete = str(identity.pop("keypoint_set")), bool(identity.pop("complete"))
+    except (InputError, ValueError, KeyError, TypeError):
+        raise InputError(
+            f"{path} is damaged; delete the folder {folder} and detect again with hypose keypoints."
+        ) from None
+    return DetectedKeypoints(folder, points, identity, complete)
+
+
+def with_detected(folder: Path, settings: Mapping[str, Any], notes: list[str]) -> Mapping[str, Any]:
+    """The settings of a recording (keys of recording.toml) with the key points that were detected for it, unless it
+    names its own."""
+    tables = settings.get("view", [])
+    if not isinstance(tables, list) or not all(isinstance(t, dict) for t in tables):
+        return settings  # which the recording's own check tells
+    if any("keypoints" in t for t in tables):
+        return settings
+    found = load_detected(folder / FOLDER)
+    if found is None:
+        return settings
+    if not found.complete:
+        notes.append(f"The key points in {found.folder} are not complete and not used; see hypose keypoints --resume.")
+        return settings
+    views = []
+    for table in tables:
+        path = found.view(str(table.get("name", "")))
+        views.append({**table, "keypoints": str(path.absolute())} if table.get("name") and path.is_dir() else table)
+    notes.append(f"Key points ({found.keypoint_set}) are those that hypose keypoints wrote to {found.folder}.")
+    own = {"keypoint_set": found.keypoint_set, "keypoint_lag": 0, "keypoint_pixels": "calibration"}
+    return {**settings, **own, "view": views}

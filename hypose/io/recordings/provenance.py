@@ -13,7 +13,7 @@ from typing import Any
 
 from hypose import __version__
 from hypose.errors import InputError
-from hypose.io.calibrations.calibration_toml import natural_key
+from hypose.io.file_names import natural_key
 from hypose.io.files import open_file
 
 _FULL_HASH_BYTES = 64 << 20

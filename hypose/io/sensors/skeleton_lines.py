@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 from hypose.errors import InputError
 from hypose.evidence.frame import FARTHEST_M, MISSING_MARK, SensorReport
 from hypose.geometry import Array
+from hypose.io.files import bounded_lines
 from hypose.io.sensors.skeleton_streams import MAX_JOINTS, MAX_SENSORS, SkeletonRecording, StreamRows, checked_recording
-from hypose.io.text_in import bounded_lines
 from hypose.json_text import parse_json
 
 MAX_SKELETON_LINE = 16384

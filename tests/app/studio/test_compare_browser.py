@@ -7,10 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.io.motions.bodies import save_body
-from hypose.io.motions.results import save_motion
-from hypose.pipeline.gait_cycles import angle_cycles
-from hypose.pipeline.gait_events import gait_of
+from hypose.io.motions.results import save_body, save_motion
+from hypose.pipeline.gait import angle_cycles, gait_of
 from tests.app.studio.browser import WEB, go
 from tests.app.studio.conftest import serving
 from tests.pipeline.test_gait import walking

@@ -14,7 +14,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from hypose.app.commands.commands_studio import open_studio
 from hypose.app.studio import results as studio_results
 from hypose.app.studio import server as studio_server
-from hypose.app.studio.guard import Access
+from hypose.app.studio.guard import token_for
 from tests.app.studio.conftest import serving
 from tests.bundles import read_bundle
 from tests.conftest import HANG_S
@@ -231,7 +231,7 @@ def test_too_many_connections_are_refused(served):
 
 
 def test_others_than_this_computer_need_the_token(served):
-    assert Access.of("0.0.0.0").token and Access.of("127.0.0.1").token is None
+    assert token_for("0.0.0.0") and token_for("127.0.0.1") is None
     with serving(served, host="0.0.0.0", token="secret") as client:
         assert client.ask("/api/state")[0] == 401
         assert client.ask("/api/state?token=wrong")[0] == 401

@@ -16,8 +16,7 @@ from hypose.app.reports import report_viewer
 from hypose.app.reports.report import from_result, report_html
 from hypose.app.reports.result_pictures import image_points
 from hypose.app.studio.view_result import load_view
-from hypose.io.motions.bodies import load_body
-from hypose.io.motions.results import load_motion, save_motion
+from hypose.io.motions.results import load_body, load_motion, save_motion
 from hypose.io.recordings.recording import load_recording
 from hypose.pipeline.verdict import verdict_of
 from hypose.synthetic.rigs import rig

@@ -12,15 +12,14 @@ from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import SilhouetteSettings
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import load_recording
-from hypose.io.sensors.depth import write_depth_png
-from hypose.io.sensors.depth_sources import is_depth, open_depth_camera
+from hypose.io.sensors.depth import is_depth, open_depth_camera, write_depth_png
 from hypose.io.videos.camera_sources import StreamEnded
 from hypose.pipeline.live.background_work import KeptMasks
-from hypose.pipeline.live.depth_room import DepthRoom, depth_of
 from hypose.pipeline.live.engine import Seen
 from hypose.pipeline.live.eyes import EyesOptions, LiveView, Question, least_cameras
-from hypose.pipeline.live.pairing import Delivered, newest_instant
+from hypose.pipeline.live.feeds import Delivered, newest_instant
 from hypose.pipeline.live.recorder import LiveRecorder
+from hypose.pipeline.live.rooms import DepthRoom, depth_of
 from hypose.tracking.starts import known_pose
 from tests.depth_pictures import WALL_M, frame_of, sensors
 from tests.live_scenes import in_step

@@ -7,7 +7,7 @@ import pytest
 
 from hypose.body.ready_bodies import human
 from hypose.pipeline.first_frame import Subject
-from hypose.pipeline.live.live_doubt import LiveDoubt
+from hypose.pipeline.live.live_person import LiveDoubt
 from hypose.pipeline.run import TrackOptions, tracker_of
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.starts import KNOWN_POSES, start_in_pose
@@ -59,7 +59,7 @@ def test_who_is_lost_is_doubtful_whatever_was_known(followed):
 
 
 def test_frames_are_looked_at_a_few_times_a_second(followed, monkeypatch):
-    from hypose.pipeline.live import live_doubt
+    from hypose.pipeline.live import live_person as live_doubt
 
     tracker, known = followed
     counted = {"audited": 0, "judged": 0}

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hypose.pipeline.live.pairing import GONE_S, SLACK_S, Delivered, is_there, newest_instant
+from hypose.pipeline.live.feeds import GONE_S, SLACK_S, Delivered, is_there, newest_instant
 
 PERIOD = 1 / 30
 DELAY = 0.004  # s from a picture to its arrival

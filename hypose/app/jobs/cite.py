@@ -1,0 +1,146 @@
+"""The papers behind a method, to be cited with its results; also as BibTeX."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from hypose import __version__
+from hypose.errors import InputError
+from hypose.io.files import read_json
+
+
+@dataclass(frozen=True)
+class Paper:
+    """A work to cite. kind: of BibTeX; where: journal, conference or school with volume and pages, by BibTeX field."""
+
+    key: str
+    kind: str
+    authors: str
+    year: int
+    title: str
+    where: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def text(self) -> str:
+        """One line as in a list of references."""
+        names = self.authors.split(" and ")
+        listed = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+        return f"{listed} ({self.year}). {self.title}. {', '.join(v for _, v in self.where)}."
+
+    @property
+    def bibtex(self) -> str:
+        """An entry of a .bib file."""
+        fields = [("author", self.authors), ("title", f"{{{self.title}}}"), ("year", str(self.year)), *self.where]
+        return f"@{self.kind}{{{self.key},\n" + "".join(f"  {k} = {{{v}}},\n" for k, v in fields) + "}"
+
+
+HYPOSE = Paper(
+    "hypose",
+    "software",
+    "The hypose developers",
+    2026,
+    "hypose: human motion from ordinary cameras",
+    (("version", f"version {__version__}"),),
+)
+THESIS = Paper(
+    "alcoverro2014",
+    "phdthesis",
+    "Alcoverro, M.",
+    2014,
+    "Stochastic optimization and interactive machine learning for human motion analysis",
+    (("school", "Universitat Politècnica de Catalunya"),),
+)
+ANNEALED = Paper(
+    "deutscher2005",
+    "article",
+    "Deutscher, J. and Reid, I.",
+    2005,
+    "Articulated body motion capture by stochastic search",
+    (("journal", "International Journal of Computer Vision"), ("volume", "61(2)"), ("pages", "185-205")),
+)
+CONDENSATION = Paper(
+    "isard1998",
+    "article",
+    "Isard, M. and Blake, A.",
+    1998,
+    "CONDENSATION: conditional density propagation for visual tracking",
+    (("journal", "International Journal of Computer Vision"), ("volume", "29(1)"), ("pages", "5-28")),
+)
+PARTITIONED = Paper(
+    "maccormick2000",
+    "inproceedings",
+    "MacCormick, J. and Isard, M.",
+    2000,
+    "Partitioned sampling, articulated objects, and interface-quality hand tracking",
+    (("booktitle", "European Conference on Computer Vision"), ("pages", "3-19")),
+)
+SWARM = Paper(
+    "asteriadis2013",
+    "inproceedings",
+    "Asteriadis, S. and Chatzitofis, A. and Zarpalas, D. and Alexiadis, D. S. and Daras, P.",
+    2013,
+    "Estimating human motion from multiple Kinect sensors",
+    (("booktitle", "MIRAGE 2013, Berlin"),),
+)
+MONOCULAR = Paper(
+    "sminchisescu2001",
+    "techreport",
+    "Sminchisescu, C. and Triggs, B.",
+    2001,
+    "A robust multiple hypothesis approach to monocular human motion tracking",
+    (("institution", "INRIA"), ("number", "Rapport de recherche 4208")),
+)
+FORESTS = Paper(
+    "saffari2009",
+    "inproceedings",
+    "Saffari, A. and Leistner, C. and Santner, J. and Godec, M. and Bischof, H.",
+    2009,
+    "On-line random forests",
+    (("booktitle", "ICCV Workshops"), ("pages", "1393-1400")),
+)
+
+_THESIS_RECIPES = ("hpf", "hpf+", "hpf-apo", "hpf-apo+", "dd-hpf", "dd-hpf+", "dd-hpf+5", "dd-hpf+rivals")
+PAPERS: dict[str, tuple[Paper, ...]] = {
+    "default": (THESIS,),
+    "sir": (CONDENSATION,),
+    "apf": (ANNEALED,),
+    "partitioned": (PARTITIONED,),
+    **dict.fromkeys(_THESIS_RECIPES, (THESIS,)),
+    "subject": (THESIS,),
+    "monocular": (MONOCULAR,),
+    "fusion-fit": (SWARM,),
+    "fusion-swarm": (SWARM,),
+    "fusion-published": (SWARM,),
+    "fusion-published-window": (SWARM,),
+    "gesture": (THESIS, FORESTS),
+}
+"""Works behind each method; hypose itself comes on top."""
+
+
+def papers_of(name: str) -> tuple[Paper, ...]:
+    """Works to cite for a method by its name, or for a results folder by its provenance; hypose first.
+
+    An InputError lists the methods.
+    """
+    path, method = Path(name), name
+    if name not in PAPERS and (path.is_dir() or path.suffix == ".json"):
+        path = path / "provenance.json" if path.is_dir() else path
+        try:
+            method = str(read_json(path, "a provenance.json")["recipe"])
+        except (KeyError, TypeError) as error:
+            raise InputError(
+                f"{path} tells no method ({error}); give a folder that hypose track or fuse wrote, or a method's name."
+            ) from None
+    if method not in PAPERS and not method.startswith("fusion-"):
+        raise InputError(
+            f"There is no method or results folder {name!r}; give a folder that hypose track or fuse wrote, or one of "
+            f"{', '.join(PAPERS)}."
+        )
+    return (HYPOSE, *PAPERS.get(method, ()))  # the baselines of fusion are textbook filters
+
+
+def listed(papers: Sequence[Paper], bibtex: bool) -> str:
+    """The works as text for people, or as BibTeX."""
+    return "\n\n".join(p.bibtex for p in papers) if bibtex else "\n".join(p.text for p in papers)

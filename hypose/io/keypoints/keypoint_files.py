@@ -1,0 +1,640 @@
+"""Key points as tables: DeepLabCut, SLEAP and Caliscope CSV.
+
+Sources: DeepLabCut's CSV of analysed videos (three header lines scorer, bodyparts, coords; four with individuals),
+the ensemble Kalman smoother's in the same layout (eks: x_ens_var, x_posterior_var and so on beside x, y, likelihood);
+SLEAP's analysis CSV (track, frame_idx, instance.score, then node.x, node.y, node.score); Caliscope's xy_<tracker>.csv
+(sync_index, cam_id - port in old ones -, frame_index, frame_time, point_id - keypoint_id in new ones -, img_loc_x,
+img_loc_y, ...), one row per point that was found, pixels of the picture as the camera delivers it, no scores.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hypose.errors import InputError, extra
+from hypose.evidence.keypoints import BLAZEPOSE_33, KEYPOINT_SETS, parse_openpose
+from hypose.geometry import Array
+from hypose.io.calibrations.calibration_systems import read_plain_pickle
+from hypose.io.file_names import natural_key
+from hypose.io.files import bounded_lines, open_file, read_bytes, read_json, readable_size, text_lines
+from hypose.io.keypoints.keypoint_table import (
+    MAX_BYTES,
+    MAX_FRAMES,
+    MAX_POINTS,
+    KeypointTable,
+    checked_people,
+    grouped,
+    scored_points,
+    weighed,
+    whole_number,
+)
+from hypose.io.motions.results import parse_array
+
+_KIND = "a CSV of key points of DeepLabCut, SLEAP or Caliscope"
+_VARIANCES = (("x_posterior_var", "y_posterior_var"), ("x_ens_var", "y_ens_var"))
+"""px^2, by the ensemble Kalman smoother of Lightning Pose; the better first."""
+
+
+def read_keypoint_csv(path: Path) -> dict[str, KeypointTable]:
+    """Key points by camera; the name is "" where the file is of one camera."""
+    lines = bounded_lines(path, _KIND, MAX_BYTES)
+    header = _cells(next(lines, ""))
+    rows = (_cells(line) for line in lines if line.strip())
+    if header and header[0] == "scorer":
+        return {"": _deeplabcut(header, rows, str(path))}
+    if "sync_index" in header:
+        return _caliscope(path, header, rows)
+    if "frame_idx" in header:
+        return {"": _sleap(header, rows, str(path))}
+    raise InputError(
+        f"{path} is not {_KIND}: its first line begins with {','.join(header)[:60]!r}; export the key points again."
+    )
+
+
+def _cells(line: str) -> list[str]:
+    return [c.strip().strip('"') for c in line.split(",")]
+
+
+def _number(cell: str) -> float:
+    """NaN for an empty cell; a ValueError for text."""
+    return float(cell) if cell else math.nan
+
+
+def by_individual(columns: Sequence[tuple[str, ...]], where: str) -> dict[str, list[tuple[str, list[int]]]]:
+    """DeepLabCut's columns (individual, body part, coordinate) -> per individual the body parts with the places of
+    x, y, likelihood, and of the variances of x and y where all parts have them."""
+    people: dict[str, dict[str, dict[str, int]]] = {}
+    for i, (individual, part, coordinate) in enumerate(columns):
+        people.setdefault(individual, {}).setdefault(part, {})[coordinate] = i
+    out: dict[str, list[tuple[str, list[int]]]] = {}
+    every = [set(at) for parts in people.values() for at in parts.values()]
+    variances = next((v for v in _VARIANCES if all(set(v) <= at for at in every)), ())
+    for individual, parts in people.items():
+        for part, at in parts.items():
+            if not {"x", "y", "likelihood"} <= at.keys():
+                raise InputError(f"{where}: {part} lacks x, y or likelihood; analyse the video again.")
+            out.setdefault(individual, []).append((part, [at[c] for c in ("x", "y", "likelihood", *variances)]))
+    names = [tuple(p for p, _ in parts) for parts in out.values()]
+    return {k: v for k, v in out.items() if {p for p, _ in v} == set(max(names, key=len))}  # not the single points
+
+
+def deeplabcut_table(
+    columns: Sequence[tuple[str, ...]], numbers: Sequence[int], values: Array, where: str
+) -> KeypointTable:
+    """The table of DeepLabCut's columns (individual, body part, coordinate) and values (T, columns)."""
+    people = by_individual(columns, where)
+    if not people:
+        raise InputError(f"{where} has no body parts; analyse the video again.")
+    names = tuple(p for p, _ in next(iter(people.values())))
+    places = np.array([[dict(parts)[n] for n in names] for parts in people.values()])  # (P, K, 3 or 5)
+    whole = values[:, places]
+    spread = places.shape[2] == 5
+    points = weighed(whole[..., :3], whole[..., 3:]) if spread else whole
+    found = {}
+    for number, row in zip(numbers, points, strict=True):
+        people_there = checked_people(row, f"{where}, frame {number}")
+        found[number] = people_there[(people_there[..., 2] > 0).any(1)]
+    return KeypointTable("DeepLabCut", found, min(found, default=0), names, spread=spread)
+
+
+def _deeplabcut(first: list[str], rows: Iterator[list[str]], where: str) -> KeypointTable:
+    head = {first[0]: first[1:]}
+    numbers: list[int] = []
+    values: list[list[float]] = []
+    for row in rows:
+        if row[0] in ("individuals", "bodyparts", "coords"):
+            head[row[0]] = row[1:]
+            continue
+        if "coords" not in head or "bodyparts" not in head:
+            raise InputError(f"{where}: the lines bodyparts and coords are missing; analyse the video again.")
+        at = f"{where}, frame {row[0][:20]}"
+        try:
+            numbers.append(whole_number(float(row[0]), at, "the frame's number"))
+            values.append([_number(c) for c in row[1:]])
+        except ValueError:
+            raise InputError(f"{at}: it holds something that is not a number; analyse the video again.") from None
+        if len(values[-1]) != len(head["coords"]) or len(numbers) > MAX_FRAMES:
+            raise InputError(f"{at}: {len(row) - 1} cells, the header has {len(head['coords'])}; the file may be cut.")
+    parts = head.get("bodyparts", [])
+    people = head.get("individuals", [""] * len(parts))
+    coords = head.get("coords", [])
+    if not len(parts) == len(people) == len(coords) or not numbers:
+        raise InputError(f"{where} has no frames, or header lines of different lengths; analyse the video again.")
+    columns = list(zip(people, parts, coords, strict=True))
+    return deeplabcut_table(columns, numbers, np.array(values), where)
+
+
+def _sleap(header: list[str], rows: Iterator[list[str]], where: str) -> KeypointTable:
+    names = [h[:-2] for h in header if h.endswith(".x") and not h.startswith("instance.")]
+    at = {h: i for i, h in enumerate(header)}
+    if not names or any(f"{n}.y" not in at for n in names) or len(names) > MAX_POINTS:
+        raise InputError(f"{where} is not SLEAP's analysis CSV: it needs node.x and node.y; export it again.")
+    scored = all(f"{n}.score" in at for n in names)
+    found: list[tuple[int, Array]] = []
+    for row in rows:
+        try:
+            number = whole_number(float(row[at["frame_idx"]]), where, "frame_idx")
+            points = np.array([[_number(row[at[f"{n}.{c}"]]) for c in "xy"] for n in names])
+            scores = [_number(row[at[f"{n}.score"]]) for n in names] if scored else [1.0] * len(names)
+        except (ValueError, IndexError):
+            raise InputError(f"{where}, row {len(found) + 2}: it is cut off or holds text; export it again.") from None
+        found.append((number, np.column_stack([points, scores])))
+    # frames without anybody have no row, and SLEAP counts from 0
+    return KeypointTable("SLEAP analysis", grouped(found, where), 0, tuple(names), scored=scored)
+
+
+def _caliscope(path: Path, header: list[str], rows: Iterator[list[str]]) -> dict[str, KeypointTable]:
+    where = str(path)
+    at = {h: i for i, h in enumerate(header)}
+    camera = next((at[n] for n in ("cam_id", "port") if n in at), None)
+    point = next((at[n] for n in ("point_id", "keypoint_id") if n in at), None)
+    if camera is None or point is None or not {"img_loc_x", "img_loc_y"} <= at.keys():
+        raise InputError(
+            f"{where} is not Caliscope's xy table: cam_id (or port), point_id, img_loc_x and img_loc_y are needed; "
+            "name its xy_<tracker>.csv."
+        )
+    seen: dict[str, dict[int, dict[int, tuple[float, float]]]] = {}
+    ids: set[int] = set()
+    for count, row in enumerate(rows):
+        if len(row) != len(header):
+            raise InputError(
+                f"{where}, row {count + 2}: {len(row)} cells, the header has {len(header)}; export it again."
+            )
+        try:
+            name = str(whole_number(float(row[camera]), where, "cam_id"))
+            number = whole_number(float(row[at["sync_index"]]), where, "sync_index")
+            identity = whole_number(float(row[point]), where, "point_id")
+            xy = (_number(row[at["img_loc_x"]]), _number(row[at["img_loc_y"]]))
+        except (ValueError, IndexError):
+            raise InputError(f"{where}, row {count + 2}: it is cut off or holds text; export it again.") from None
+        seen.setdefault(name, {}).setdefault(number, {})[identity] = xy
+        ids.add(identity)
+    if not ids:
+        raise InputError(f"{where} holds no points; run the tracker again.")
+    order = _point_order(path.stem.lower(), ids)
+    numbers, rate = _clock(path)
+    first = _first_frame([n for frames in seen.values() for n in frames], numbers, where)
+    out = {}
+    for name, frames in sorted(seen.items(), key=lambda item: int(item[0])):
+        listed = [
+            (n, np.array([(*points[i], 1.0) if i in points else (0, 0, 0) for i in order], dtype=np.float64))
+            for n, points in frames.items()
+        ]
+        out[name] = KeypointTable(
+            "Caliscope points",
+            grouped(listed, where),
+            first,
+            BLAZEPOSE_33 if len(order) == 33 else None,
+            scored=False,
+            frame_rate=rate,
+        )
+    return out
+
+
+def _first_frame(shown: Sequence[int], numbers: Sequence[int], where: str) -> int:
+    """The sync_index of the points that is the recording's first frame. numbers: the recording's own; older versions
+    count the points from 0 where the recording's times go on from the calibration's."""
+    low, high = min(shown), max(shown)
+    if not numbers:
+        return low
+    if numbers[0] <= low and high <= numbers[-1]:
+        return numbers[0]
+    if high <= numbers[-1] - numbers[0]:
+        return 0
+    raise InputError(
+        f"{where}: its sync_index goes from {low} to {high}, the recording's times from {numbers[0]} to {numbers[-1]}; "
+        "the two are of different recordings: copy the right table of times, or remove it."
+    )
+
+
+def _point_order(stem: str, ids: set[int]) -> list[int]:
+    """The ids of the points in the order of a set. MediaPipe's trackers number the body 0 to 32, the right hand from
+    100 and the left from 200 on, and SIMPLE_HOLISTIC's only wrists are those of the hands."""
+    if "holistic" in stem or "pose" in stem and "rtm" not in stem or max(ids) >= 200:
+        order = list(range(33))
+        order[15] = 15 if 15 in ids else 200
+        order[16] = 16 if 16 in ids else 100
+        return order
+    return list(range(133 if max(ids) > 32 else 33 if max(ids) > 25 else 26 if max(ids) > 16 else 17))
+
+
+def clock_file(path: Path) -> Path | None:
+    """Caliscope's table of times beside its points, or one folder above; None when there is none."""
+    names = ("timestamps.csv", "frame_timestamps.csv", "frametimes.csv", "frame_time_history.csv")
+    places = (folder / name for folder in (path.parent, path.parent.parent) for name in names)
+    return next((p for p in places if p.is_file()), None)
+
+
+def _clock(path: Path) -> tuple[list[int], float | None]:
+    """The recording's sync indices and frame rate, of its table of times."""
+    table = clock_file(path)
+    if table is None:
+        return [], None
+    lines = bounded_lines(table, "Caliscope's table of times", MAX_BYTES)
+    header = _cells(next(lines, ""))
+    if not {"sync_index", "frame_time"} <= set(header):
+        raise InputError(f"{table} has no columns sync_index and frame_time; copy it again, or remove it.")
+    times: dict[int, list[float]] = {}
+    for line in lines:
+        row = _cells(line)
+        try:
+            times.setdefault(int(row[header.index("sync_index")]), []).append(float(row[header.index("frame_time")]))
+        except (ValueError, IndexError):
+            raise InputError(f"{table}: the line {line[:40]!r} is damaged; copy the file again.") from None
+    numbers = sorted(times)
+    if len(numbers) > 1 and np.diff(numbers).max() > 10 + len(numbers) // 10:
+        raise InputError(f"{table}: its sync_index jumps from one frame to another; copy the file again.")
+    steps = np.diff([np.mean(times[n]) for n in numbers]) / np.maximum(np.diff(numbers), 1)
+    rate = float(1 / np.median(steps)) if len(steps) and np.median(steps) > 0 else None
+    return numbers, rate
+
+
+# ---- keypoint json -------------------------------------------------------------------------------------------------
+# Key points of a whole video in one JSON file: MMPose, COCO results and annotations, AlphaPose.
+#
+# Sources: MMPose 1.3 (structures/utils.py split_instances, demo/topdown_demo_with_mmdet.py, whose frames count from 1;
+# apis/inferencers, whose frames count from 0); AlphaPose (utils/pPose_nms.py write_json); the COCO result format.
+
+
+_KIND_json = "a key-point file of MMPose, COCO or AlphaPose"
+
+
+def read_document(path: Path) -> Any:
+    """The value of a JSON file within bounds; an InputError names it."""
+    return read_json(path, _KIND_json, MAX_BYTES)
+
+
+def read_keypoint_json(path: Path) -> KeypointTable:
+    """The key points of one JSON file that holds all frames; which layout it has is seen from its content."""
+    document = read_document(path)
+    where = str(path)
+    if isinstance(document, Mapping):
+        if isinstance(document.get("instance_info"), list):
+            return _mmpose(document["instance_info"], document.get("meta_info"), where)
+        if isinstance(document.get("annotations"), list):
+            return _coco(document["annotations"], document.get("images"), where)
+        if document and all(isinstance(v, Mapping) and "people" in v for v in document.values()):
+            return _alphapose_frames(document, where)
+        if "people" in document:
+            raise InputError(
+                f"{where} holds the people of one frame; name the folder that has one such file per frame."
+            )
+    if isinstance(document, list):
+        if all(isinstance(v, Mapping) and "instances" in v for v in document):
+            return _mmpose(document, None, where)
+        if document and all(isinstance(v, Mapping) and "keypoints" in v for v in document):
+            return _coco(document, None, where)
+    raise InputError(
+        f"{where} is not {_KIND_json}: neither instance_info, instances, annotations, nor a list of "
+        "keypoints is in it; export the key points again, or as OpenPose files."
+    )
+
+
+def _mmpose(frames: list[Any], meta: Any, where: str) -> KeypointTable:
+    rows: list[tuple[int, Array]] = []
+    numbers: list[int] = []
+    scored = True
+    for i, frame in enumerate(frames):
+        if not isinstance(frame, Mapping) or not isinstance(frame.get("instances"), list):
+            raise InputError(f"{where}, entry {i}: it has no list of instances; export the predictions again.")
+        number = whole_number(frame.get("frame_id", i), f"{where}, entry {i}", "frame_id")
+        numbers.append(number)
+        for person in frame["instances"]:
+            if not isinstance(person, Mapping) or "keypoints" not in person:
+                raise InputError(f"{where}, frame {number}: a person has no keypoints; export the predictions again.")
+            scores = person.get("keypoint_scores")
+            scored = scored and scores is not None
+            rows.append((number, scored_points(person["keypoints"], scores, f"{where}, frame {number}")))
+    people = dict.fromkeys(numbers, np.zeros((0, 0, 3))) | grouped(rows, where)
+    kind = "MMPose results" if meta is not None else "MMPose predictions"
+    # all frames are listed, so the smallest number is the first frame's
+    return KeypointTable(kind, people, min(numbers, default=0), _names_of_meta(meta), scored=scored)
+
+
+def _names_of_meta(meta: Any) -> tuple[str, ...] | None:
+    table = meta.get("keypoint_id2name") if isinstance(meta, Mapping) else None
+    if not isinstance(table, Mapping) or not all(isinstance(v, str) for v in table.values()):
+        return None
+    names = [table.get(str(i)) for i in range(len(table))]
+    return tuple(n for n in names if n is not None) if all(names) else None
+
+
+def _coco(found: list[Any], images: Any, where: str) -> KeypointTable:
+    numbers = _image_numbers(images)
+    rows: list[tuple[int, Array]] = []
+    plain_names, scored = True, True
+    for i, person in enumerate(found):
+        at = f"{where}, entry {i}"
+        if not isinstance(person, Mapping):
+            raise InputError(f"{at}: it is no table; export the results again.")
+        flat, identity = person.get("keypoints"), person.get("image_id")
+        if not isinstance(flat, list) or not flat or len(flat) % 3:
+            raise InputError(f"{at}: keypoints must be a list of x, y, score for each point; export the results again.")
+        if isinstance(identity, str):
+            plain_names = plain_names and re.fullmatch(r"(0|[1-9]\d*)\.(jpg|png)", identity) is not None
+            digits = re.findall(r"\d+", Path(identity).stem)
+            if not digits or len(digits[-1]) > 12:
+                raise InputError(f"{at}: image_id {identity[:40]!r} has no frame number; export the results again.")
+            number = int(digits[-1])
+        else:
+            plain_names = False
+            number = whole_number(identity, at, "image_id")
+            number = numbers.get(number, number)
+        points = scored_points([flat[k : k + 2] for k in range(0, len(flat), 3)], flat[2::3], at)
+        if images is not None:  # annotations by hand: 0 not there, 1 hidden, 2 seen
+            points[:, 2], scored = np.where(points[:, 2] > 0, 0.5 * np.minimum(points[:, 2], 2), 0), False
+        rows.append((number, points))
+    kind = "AlphaPose results" if any("box" in p or "idx" in p for p in found) else "COCO results"
+    # AlphaPose names the frames of a video 0.jpg, 1.jpg, ...
+    return KeypointTable(kind, grouped(rows, where), 0 if rows and plain_names else None, scored=scored)
+
+
+def _image_numbers(images: Any) -> dict[int, int]:
+    """Frame numbers by image id, from the images' file names where all of these end in a number."""
+    if not isinstance(images, list):
+        return {}
+    out = {}
+    for image in images:
+        name, identity = (image.get("file_name"), image.get("id")) if isinstance(image, Mapping) else (None, None)
+        digits = re.findall(r"\d+", Path(name).stem) if isinstance(name, str) else []
+        if not digits or len(digits[-1]) > 12 or not isinstance(identity, int):
+            return {}
+        out[identity] = int(digits[-1])
+    return out if len(set(out.values())) == len(out) else {}
+
+
+def _alphapose_frames(document: Mapping[str, Any], where: str) -> KeypointTable:
+    people: dict[int, Array] = {}
+    for name, frame in document.items():
+        digits = re.findall(r"\d+", Path(name).stem)
+        if not digits or len(digits[-1]) > 12:
+            raise InputError(f"{where}: the frame {name[:40]!r} has no number; export the results again.")
+        people[int(digits[-1])] = parse_openpose(frame, source=f"{where}, frame {name}", raw=True)
+    plain = all(re.fullmatch(r"(0|[1-9]\d*)\.(jpg|png)", n) for n in document)
+    return KeypointTable("AlphaPose results (OpenPose form)", people, 0 if plain else None)
+
+
+# ---- keypoint folder -----------------------------------------------------------------------------------------------
+# Key points with one file per frame: OpenPose (also of Pose2Sim, RTMLib, AlphaPose), EasyMocap, Ultralytics.
+#
+# Files are read when they are asked for. Sources: OpenPose's JSON output; EasyMocap (annotator/file_utils.py);
+# Ultralytics (engine/results.py save_txt): `class x y w h`, then per point x y and, if the model has it, confidence,
+# then confidence and track id of the person if asked for; positions are shares of the picture, and a frame without
+# people has no file.
+
+
+_MAX_FILE = 5_000_000
+_COUNTS = sorted({len(names) for names in KEYPOINT_SETS.values()})
+
+
+class _FrameFiles(Mapping[int, Array]):
+    """People by frame number, each read from its file when it is asked for."""
+
+    def __init__(self, files: Mapping[int, Path], read: Callable[[Path], Array]) -> None:
+        self.files, self._read = files, read
+
+    def __getitem__(self, number: int) -> Array:
+        return self._read(self.files[number])
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self.files)
+
+    def __len__(self) -> int:
+        return len(self.files)
+
+
+def read_keypoint_folder(folder: Path) -> KeypointTable:
+    """The key points of a folder with one file per frame; an InputError names what cannot be used."""
+    files = sorted(folder.glob("*.json"))
+    if files:
+        numbered = numbered_files(files)
+        if "annots" in _first_document(files):
+            return KeypointTable("EasyMocap annotations", _FrameFiles(numbered, _easymocap))
+        return KeypointTable("OpenPose files", _FrameFiles(numbered, _openpose))
+    texts = sorted(folder.glob("*.txt"))
+    if texts:
+        return _ultralytics(folder, numbered_files(texts))
+    raise InputError(
+        f"The folder {folder} holds no key points (.json or .txt, one per frame); detect them, or name another folder "
+        "or file."
+    )
+
+
+def numbered_files(paths: list[Path]) -> dict[int, Path]:
+    """Files by the last number in their names; by order where that does not tell them apart."""
+    numbers = []
+    for p in paths:
+        digits = "".join(c if c.isdigit() and c.isascii() else " " for c in p.stem).split()
+        # OpenPose's names end in _keypoints; a number of the view may stand before the frame's
+        numbers.append(int(digits[-1]) if digits and len(digits[-1]) <= 15 else -1)
+    if len(set(numbers)) < len(numbers) or -1 in numbers:
+        return dict(enumerate(sorted(paths, key=lambda p: natural_key(p.name))))
+    return dict(zip(numbers, paths, strict=True))
+
+
+def _first_document(files: list[Path]) -> Mapping[str, Any]:
+    document = read_document(files[0])
+    if not isinstance(document, Mapping) or not ({"people", "annots"} & document.keys()):
+        raise InputError(
+            f'{files[0]} is not OpenPose JSON: people[].pose_keypoints_2d (or EasyMocap\'s "annots") is needed; detect '
+            "the key points again."
+        )
+    return document
+
+
+def _openpose(path: Path) -> Array:
+    return parse_openpose(read_bytes(path, "the people of one frame", _MAX_FILE), source=str(path), raw=True)
+
+
+def _easymocap(path: Path) -> Array:
+    document = read_document(path)
+    found = document.get("annots") if isinstance(document, Mapping) else None
+    if not isinstance(found, list):
+        raise InputError(f'{path}: the list "annots" is missing; export the annotations again.')
+    people = []
+    for person in found:
+        points = person.get("keypoints") if isinstance(person, Mapping) else None
+        if not isinstance(points, list) or not all(isinstance(p, list) and len(p) == 3 for p in points):
+            raise InputError(f"{path}: keypoints must be x, y, score for each point; export the annotations again.")
+        if points:
+            people.append(points)
+    return checked_people(people, str(path))
+
+
+def _ultralytics(folder: Path, files: dict[int, Path]) -> KeypointTable:
+    columns = {len(line.split()) for p in list(files.values())[:100] for line in text_lines_or_none(p)}
+    if not columns:
+        raise InputError(f"The files in {folder} name nobody; detect people again, or choose another folder.")
+    if len(columns) > 1:
+        raise InputError(
+            f"The files in {folder} have lines of {', '.join(map(str, sorted(columns)))} numbers; write all with the "
+            "same settings of save_conf and tracking."
+        )
+    (width,) = columns
+    for per_point, name in ((3, "with confidences"), (2, "without confidences")):
+        for further in (0, 1, 2):  # the person's confidence, its track
+            count, rest = divmod(width - 5 - further, per_point)
+            if rest == 0 and count in _COUNTS:
+                read = _row_reader(width, count, per_point)
+                return KeypointTable(
+                    f"Ultralytics labels ({name})",
+                    _FrameFiles(files, read),
+                    min(1, *files) if files else 1,
+                    shares=True,
+                    scored=per_point == 3,
+                )
+    raise InputError(
+        f"The files in {folder} have {width} numbers a line, which is no pose of "
+        f"{', '.join(map(str, _COUNTS))} points; write labels of a pose model (class x y w h, then the points)."
+    )
+
+
+def text_lines_or_none(path: Path) -> list[str]:
+    """The lines with something on them; none for an empty file."""
+    if path.stat().st_size == 0:
+        return []
+    return [line for line in text_lines(path, "a label file of Ultralytics", _MAX_FILE) if line.strip()]
+
+
+def _row_reader(width: int, count: int, per_point: int) -> Callable[[Path], Array]:
+    def read(path: Path) -> Array:
+        people = []
+        for line in text_lines_or_none(path):
+            cells = line.split()
+            try:
+                values = np.array([float(c) for c in cells])
+            except ValueError:
+                raise InputError(f"{path} holds something that is not a number; write the labels again.") from None
+            if len(values) != width:
+                raise InputError(f"{path}: a line has {len(values)} numbers, the others {width}; write them again.")
+            points = values[5 : 5 + count * per_point].reshape(count, per_point)
+            if np.nanmax(np.abs(points[:, :2])) > 1.5:
+                raise InputError(f"{path}: positions must be shares of the picture (0 to 1); write the labels again.")
+            people.append(scored_points(points[:, :2], points[:, 2] if per_point == 3 else None, str(path)))
+        return checked_people(people, str(path))
+
+    return read
+
+
+# ---- keypoint arrays -----------------------------------------------------------------------------------------------
+# Key points as arrays: FreeMoCap's npy, npz of RTMLib's arrays, HDF5 of DeepLabCut and SLEAP.
+#
+# Sources: FreeMoCap 1.x (mediapipe_2dData_numCams_numFrames_numTrackedPoints_pixelXY.npy: (cameras, frames, points, 2
+# or 3), the body's 33 BlazePose points first, NaN where nothing was found, cameras in the order of their videos'
+# names); DeepLabCut's analysed video (pandas, df_with_missing, format table or fixed); SLEAP's analysis export
+# (info/write_tracking_h5.py: tracks (tracks, 2, nodes, frames), transposed for MATLAB, node_names, point_scores).
+
+
+_KIND_array = "an array of key points"
+
+
+def read_keypoint_npy(path: Path) -> dict[str, KeypointTable]:
+    """Key points by the camera's place in the array ("0", "1", ...)."""
+    try:
+        with open_file(path, _KIND_array, MAX_BYTES) as stream:
+            data = parse_array("it", stream, os.fstat(stream.fileno()).st_size)
+        kind, shape = data.dtype.kind, data.shape
+    except (ValueError, OSError, MemoryError) as problem:
+        raise InputError(f"{path} is no array of numpy ({str(problem)[:80]}); export it again.") from None
+    if kind not in "fiu" or data.ndim != 4 or shape[3] not in (2, 3) or not 17 <= shape[2] <= MAX_POINTS:
+        raise InputError(
+            f"{path} has the shape {shape}, FreeMoCap's is (cameras, frames, points, 2 or 3); name its "
+            "...2dData_numCams_numFrames_numTrackedPoints_pixelXY.npy."
+        )
+    values = np.array(data[..., :2], dtype=np.float64)
+    body = 33 if shape[2] >= 33 else shape[2]  # MediaPipe's hands and face come after the body
+    out = {}
+    for c, frames in enumerate(values[:, :, :body]):
+        people = checked_people(np.concatenate([frames, np.ones((*frames.shape[:2], 1))], -1), str(path))
+        out[str(c)] = KeypointTable("FreeMoCap", dict(enumerate(people[:, None])), 0, scored=False)
+    return out
+
+
+def read_keypoint_h5(path: Path) -> KeypointTable:
+    """Key points of one camera out of HDF5. An InputError says what cannot be used, or that h5py is needed."""
+    readable_size(path, _KIND_array, MAX_BYTES)
+    h5py = _library()
+    try:
+        with h5py.File(path, "r") as file:
+            if "tracks" in file and "node_names" in file:
+                return _sleap_array(file, str(path))
+            key = next((k for k in file if "table" in file[k] or "block0_values" in file[k]), None)
+            if key is not None:
+                return _deeplabcut_array(file[key], str(path))
+    except (OSError, ValueError, KeyError, TypeError, RuntimeError, AttributeError, IndexError, MemoryError) as problem:
+        reason = " ".join(str(problem).split())[:100]
+        raise InputError(f"{path} cannot be read as HDF5 ({reason}); export the key points again.") from None
+    raise InputError(
+        f"{path} holds neither DeepLabCut's table nor SLEAP's tracks; export DeepLabCut's analysis or SLEAP's "
+        "analysis.h5."
+    )
+
+
+def _library() -> Any:
+    return extra("h5py", "Reading HDF5", "h5", or_else="export CSV, which needs nothing")
+
+
+def _sized(dataset: Any, where: str) -> Any:
+    """A dataset that fits into memory: a compressed file may promise anything."""
+    if dataset.size * dataset.dtype.itemsize > 4 * MAX_BYTES:
+        raise InputError(f"{where}: {dataset.name} unpacks to more than 2 GiB; cut the recording into pieces.")
+    return dataset[()]
+
+
+def _sleap_array(file: Any, where: str) -> KeypointTable:
+    names = tuple(n.decode(errors="replace") for n in _sized(file["node_names"], where).tolist())
+    tracks = np.asarray(_sized(file["tracks"], where), dtype=np.float64)
+    if tracks.ndim != 4 or not names:
+        raise InputError(f"{where}: tracks have the shape {tracks.shape}, four dimensions are needed; export again.")
+    if tracks.shape[1:3] != (2, len(names)):  # written without the transposition
+        tracks = tracks.T
+    if tracks.shape[1:3] != (2, len(names)):
+        raise InputError(f"{where}: tracks {tracks.shape} do not belong to {len(names)} nodes; export them again.")
+    scores = np.asarray(_sized(file["point_scores"], where), dtype=np.float64) if "point_scores" in file else None
+    if scores is not None and scores.shape != (tracks.shape[0], len(names), tracks.shape[3]):
+        scores = scores.T
+    if scores is not None and scores.shape != (tracks.shape[0], len(names), tracks.shape[3]):
+        raise InputError(f"{where}: point_scores {scores.shape} do not belong to the tracks; export them again.")
+    scored = scores is not None and bool(np.isfinite(scores).any())  # none where people were marked by hand
+    points = np.ones((tracks.shape[3], tracks.shape[0], len(names), 3))
+    points[..., :2] = tracks.transpose(3, 0, 2, 1)
+    if scores is not None and scored:
+        points[..., 2] = scores.transpose(2, 0, 1)
+    people = {t: _somebody(checked_people(frame, where)) for t, frame in enumerate(points)}
+    return KeypointTable("SLEAP analysis", people, 0, names, scored=scored)
+
+
+def _somebody(points: Array) -> Array:
+    return points[(points[..., 2] > 0).any(1)] if points.size else points
+
+
+def _deeplabcut_array(group: Any, where: str) -> KeypointTable:
+    if "table" in group:
+        table = _sized(group["table"], where)
+        block = next(n for n in table.dtype.names if n.startswith("values_block"))
+        values, numbers = np.asarray(table[block], dtype=np.float64), table["index"]
+        raw = group.attrs["non_index_axes"]  # a pickle, of which only plain text, numbers and tuples are followed
+        columns = read_plain_pickle(bytes(raw))[0][1]
+    else:
+        values = np.asarray(_sized(group["block0_values"], where), dtype=np.float64)
+        numbers = _sized(group["axis1"], where)
+        levels = sorted(k for k in group if k.startswith("block0_items_level"))
+        labels = sorted(k for k in group if k.startswith(("block0_items_label", "block0_items_code")))
+        words = [[w.decode(errors="replace") for w in _sized(group[k], where).tolist()] for k in levels]
+        found = ([w[i] for i in _sized(group[k], where)] for w, k in zip(words, labels, strict=True))
+        columns = list(zip(*found, strict=True))
+    wide = [tuple(str(c) for c in column) for column in columns]
+    if not wide or {len(c) for c in wide} - {3, 4} or values.shape != (len(numbers), len(wide)):
+        raise InputError(f"{where}: its columns are not scorer, body part and coordinate; analyse the video again.")
+    if len(numbers) > MAX_FRAMES:
+        raise InputError(f"{where} has {len(numbers)} frames, too many; cut the recording into pieces.")
+    named = [(c[1] if len(c) == 4 else "", c[-2], c[-1]) for c in wide]
+    counted = [whole_number(n, where, "a frame's number") for n in np.asarray(numbers).tolist()]
+    return deeplabcut_table(named, counted, values, where)
