@@ -160,7 +160,7 @@ def compare(
             progress("compare", done, len(pairs))
             compared += compare_job.compare_files([pair], options, joints, subject)
         progress("compare", len(pairs), len(pairs))
-    failed = compare_job.exceeded(compared, compare_job.Limits(max_mm, max_degrees, min_coverage))
+    failed = compare_job.exceeded(compared, max_mm, max_degrees, min_coverage)
     compare_job.write_csv(folder / "compare.csv", compared)
     compare_job.write_page(folder / "compare.html", compared, failed)
     for file in dict.fromkeys(files):

@@ -7,6 +7,7 @@ from the corrected pose; all other frames are those of the old one.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -51,13 +52,12 @@ class Correction:
 
 def read_correction(path: Path) -> Correction:
     """Read the clicks of a frame with their pose, as the studio saves them (starts/NAME.json)."""
-    try:
+    usable, pose, frames = False, np.zeros(0), list[Any]([None])
+    with contextlib.suppress(ValueError, TypeError, KeyError):
         value = read_json(path, "saved clicks")
         pose = np.array(value["pose"], dtype=np.float64)
         frames = [value["frame"], value.get("since"), value.get("until")]
-        usable = value["format"] == "hypose-clicks" and pose.ndim == 1 and np.isfinite(pose).all()
-    except (ValueError, TypeError, KeyError):
-        usable, frames, pose = False, [None], np.zeros(0)
+        usable = value["format"] == "hypose-clicks" and pose.ndim == 1 and bool(np.isfinite(pose).all())
     if not usable or not _is_frame(frames[0]):
         raise InputError(f"{path} holds no clicked pose; correct a frame in `hypose view` and save it there.")
     if not all(end is None or _is_frame(end) for end in frames[1:]):
