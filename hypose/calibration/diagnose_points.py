@@ -64,7 +64,7 @@ _TURNS = (
 
 
 def geometric_trials(
-    rig: CameraRig, seen: Seen, turned: Callable[[int, Array], Seen], ordered: Callable[[Array], Seen]
+    rig: CameraRig, seen: Seen, turned: Callable[[int, Array], Seen], ordered: Callable[[NDArray[np.int64]], Seen]
 ) -> Iterator[Trial[Seen]]:
     """Images of one camera that are mirrored or turned, views of two cameras that are exchanged, poses that are
     inverted. turned: what is seen when a view's positions are multiplied by factors (2,) about the picture's middle;
@@ -166,7 +166,7 @@ def trials(
     for shift in (1, len(rig) - 1) if len(rig) > 2 else ():
         words = "the videos belong to other cameras: their order is shifted by one"
         cure = 'give each view its camera = "..." in recording.toml'
-        yield Trial("swapped", every, words, cure, rig, pixels[np.roll(every, shift)])
+        yield Trial("swapped", every, words, cure, rig, pixels[np.roll(np.arange(len(rig)), shift)])
     # what is mirrored shows the other side; what only counts the other way has its names right
     for kind, words, factor, other, cure in (
         (

@@ -198,7 +198,10 @@ def _text(what: ViewResult, drawn: Drawn) -> str:
         parts.append("<h2>Joint angles</h2>" + _figure(charts.angle_chart(m), caption))
     parts.append(gait_section(m, what.body))
     parts.append('<div class="two"><div><h2>Seen from above</h2>')
-    parts.append(_figure(charts.top_chart(m, what.rig or (), what.truth), "Metres; grey: the cameras, and where they look.") + "</div>")
+    parts.append(
+        _figure(charts.top_chart(m, what.rig or (), what.truth), "Metres; grey: the cameras, and where they look.")
+        + "</div>"
+    )
     parts.append(f"<div><h2>Subject</h2>{_subject(what.body)}</div></div>" if what.body is not None else "</div>")
     if what.rig is not None:
         parts.append(_cameras(m, what.rig))

@@ -62,19 +62,22 @@ def numbers_if_any(
     if key is None:
         return None
     array = as_numbers(table[key])
-    shape = None if array is None or shapes else (array.size,)
-    for s in shapes if array is not None else ():
-        if array.size == math.prod(s) and (array.shape == s or 1 in (array.ndim, len(s))):
-            shape = s
+    shape = None if array is None else _fitting(array, shapes)
     if array is None or shape is None:
         got = f"shape {array.shape}" if array is not None and array.ndim else "something else"
         allowed = " or ".join(" x ".join(map(str, s)) for s in shapes) or "a list"
         raise CalibrationError(f"{where}: {key} must be numbers of shape {allowed}, got {got}; correct this entry.")
     if not np.isfinite(array).all():
-        raise CalibrationError(
-            f"{where}: {key} contains NaN or infinity; correct this entry, or calibrate again."
-        )
+        raise CalibrationError(f"{where}: {key} contains NaN or infinity; correct this entry, or calibrate again.")
     return array.reshape(shape)
+
+
+def _fitting(array: Array, shapes: tuple[tuple[int, ...], ...]) -> tuple[int, ...] | None:
+    """The shape that an array has or can be given; None when it is none of these."""
+    for s in shapes or ((array.size,),):
+        if array.size == math.prod(s) and (array.shape == s or 1 in (array.ndim, len(s))):
+            return s
+    return None
 
 
 class RigFile:
