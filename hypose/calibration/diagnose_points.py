@@ -9,12 +9,12 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.calibration.findings import Finding, Limits
+from hypose.calibration.findings import Finding, Limits, Seen, Trial
 from hypose.calibration.refine_points import (
     CameraChange,
     PointAdjustment,
@@ -37,22 +37,6 @@ CONVENTIONS: tuple[tuple[str, Callable[[Camera], Array]], ...] = (
     ("of the opposite sign", lambda c: -c.distortion),
     ("those of images that are already undistorted", lambda c: np.zeros(5)),
 )
-
-
-Seen = TypeVar("Seen")
-
-
-@dataclass(frozen=True)
-class Trial(Generic[Seen]):
-    """One suspected fault undone. kind, views (indices) and words as in a Finding; rig and what the views see (key
-    points (C, T, K, 3), or tracks of masks) after the cure."""
-
-    kind: str
-    views: tuple[int, ...]
-    words: str
-    cure: str
-    rig: CameraRig
-    seen: Seen
 
 
 _TURNS = (
