@@ -40,8 +40,9 @@ from hypose.io.recordings.frames import FrameSettings, FrameStream, load_keypoin
 from hypose.io.recordings.recording import Recording
 from hypose.io.recordings.view_source import ViewSource
 from hypose.io.videos.video import open_video
-from hypose.pipeline.doubts import in_words, runs
+from hypose.pipeline.doubts import in_words
 from hypose.pipeline.first_frame import Subject
+from hypose.tracking.contacts import runs
 from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, keypoint_model
 from hypose.tracking.monocular.evidence import SMALLEST_MASK
 from hypose.tracking.monocular.initialise import LEAST_POINTS, initialise

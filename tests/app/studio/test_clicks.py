@@ -38,14 +38,6 @@ def test_undistorted_clicks_come_back_through_the_lens(tiny, tmp_path):
         np.testing.assert_allclose(pixel, PIXELS[joint], atol=1e-3)
 
 
-def test_hidden_joints_are_left_out_where_enough_are_seen(tiny):
-    recording = load_recording(tiny)
-    name = recording.rig.names[0]
-    assert "left_wrist" not in _for_one_camera([view(name, ["left_wrist"])], None, recording)["joints"]
-    few = _for_one_camera([view(name, ["left_wrist", "left_ankle"])], None, recording)["joints"]
-    assert "left_wrist" in few
-
-
 def test_a_job_takes_saved_clicks_by_name(tmp_path):
     folder = tmp_path / "walk"
     (folder / "starts").mkdir(parents=True)

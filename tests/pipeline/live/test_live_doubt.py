@@ -1,7 +1,5 @@
 """What is doubtful about the newest frame is told with what is known by then."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -41,21 +39,6 @@ def test_the_first_frame_is_doubtful_and_then_it_is_known(followed):
         assert len(motion) == 1 and motion.joints.shape[1] == motion.p_wrong.shape[1]
         assert np.isfinite(motion.joint_sd).all() and (motion.joint_sd > 0).all()
         assert ((motion.p_wrong >= 0) & (motion.p_wrong <= 1)).all()
-
-
-def test_who_is_lost_is_doubtful_whatever_was_known(followed):
-    tracker, known = followed
-    doubt = LiveDoubt()
-    for frame, estimate in known:
-        doubt.told(tracker, estimate, frame)
-        doubt.look(tracker, estimate, frame)
-    frame, estimate = known[-1]
-    before = doubt.told(tracker, estimate, frame)
-    lost = doubt.told(tracker, replace(estimate, lost=True), frame)
-    assert lost.lost[0] and lost.doubtful_joints.all()
-    assert (lost.p_wrong >= np.maximum(before.p_wrong, 0.5) - 1e-6).all()
-    after = doubt.told(tracker, estimate, frame)  # found again: what was known
-    assert (after.p_wrong == before.p_wrong).all()
 
 
 def test_frames_are_looked_at_a_few_times_a_second(followed, monkeypatch):
