@@ -24,7 +24,7 @@ from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.keypoint_clip import LEAST_POINTS
 from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, KeypointModel, keypoint_model, keypoint_term
 from hypose.tracking.keypoint_offsets import calibrate_keypoints
-from hypose.tracking.points_beside_masks import weighed_beside_masks
+from hypose.tracking.points_beside_masks import start_beside_masks, weighed_beside_masks
 from hypose.tracking.refinement import anatomical_prior
 from hypose.tracking.start_search import Start, start_from_hull
 from hypose.tracking.starts import KNOWN_POSES, hull_of, start_from_keypoints
@@ -115,6 +115,7 @@ def _from_keypoints(
     model = _weighed(body, seen, poses)
     notes.append(_noise_note(model))
     start, at = first_start(body, model, frame_at, min(n_frames, 1 + int(options.frame_rate)))
+    start = start_beside_masks(body, model, frame_at(at), start)
     if at:
         notes.append(f"the start is the pose of frame {at}, the first with enough key points")
     return Subject(body, model, start, tuple(notes))
@@ -151,6 +152,7 @@ def _known_by_points(
         raise EvidenceError("No frame has key points to start from; use the start 'hull'.")
     model = _weighed(body, seen)
     start, at = first_start(body, model, frame_at, min(n_frames, 1 + int(options.frame_rate)))
+    start = start_beside_masks(body, model, frame_at(at), start)
     notes = [GIVEN, _noise_note(model)]
     if at:
         notes.append(f"the start is the pose of frame {at}, the first with enough key points")
