@@ -16,7 +16,7 @@ from benchmarks.robustness.small_recordings import small_scene, write_masks
 from hypose.app.batch import read_table
 from hypose.app.cli import app
 from hypose.io.calibrations.calibration_text import write_calibration
-from hypose.io.sensors.skeleton_lines import format_line
+from hypose.io.sensors.skeleton_streams import format_line
 from scripts.api_page import api_page
 from tests.conftest import HANG_S, ROOT
 from tests.depth_sensors import reports

@@ -16,7 +16,6 @@ from hypose.calibration.diagnostics import Clip, Cured, Observed
 from hypose.calibration.refine_body import BodySettings, adjust_with_body
 from hypose.calibration.refine_points import (
     CameraChange,
-    PointSettings,
     adjust,
     changes,
     free_cameras,
@@ -25,7 +24,6 @@ from hypose.calibration.refine_points import (
     left_out_residual,
     point_residual,
     rescaled,
-    without_distortion,
 )
 from hypose.calibration.sync_motion import mask_tracks
 from hypose.calibration.synchronisation import Resampled, points_at
@@ -258,7 +256,7 @@ class _Judge:
         for measure in (point_residual, left_out_residual):
             for rig in (old, new):
                 uv, confidence = undistorted(rig, self.points[:, self.rest])
-                found = measure(without_distortion(rig), uv.reshape(c, -1, 2), confidence.reshape(c, -1))
+                found = measure(rig.pinhole(), uv.reshape(c, -1, 2), confidence.reshape(c, -1))
                 out.append(float(np.nanmedian(found)) if np.isfinite(found).any() else float("nan"))
         return out[0], out[1], out[2], out[3]
 
@@ -268,9 +266,7 @@ def _by_points(
 ) -> tuple[CameraRig, Array]:
     uv, confidence = undistorted(rig, points[:, used])
     c = len(rig)
-    found = adjust(
-        without_distortion(rig), uv.reshape(c, -1, 2), confidence.reshape(c, -1), PointSettings(focal=focal), free
-    )
+    found = adjust(rig.pinhole(), uv.reshape(c, -1, 2), confidence.reshape(c, -1), free, focal=focal)
     return _poses_into(rig, found.rig), found.points
 
 

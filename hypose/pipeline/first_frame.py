@@ -16,8 +16,7 @@ from hypose.evidence.keypoints import triangulate_keypoints
 from hypose.fitting import SolveSettings, fit_pose
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
-from hypose.io.motions.results import Checkpoint, ResultsFolder, load_body, save_body
-from hypose.io.recordings.provenance import file_identity
+from hypose.io.motions.results import Checkpoint, ResultsFolder, file_identity, load_body, save_body
 from hypose.pipeline.start_choice import best_ways
 from hypose.pipeline.subject_from_motion import AnthropometryOptions, estimate_subject, with_outlines
 from hypose.tracking.frame_evidence import prepare

@@ -27,7 +27,6 @@ from hypose.io.motions.results import ResultsFolder
 from hypose.io.sensors.skeleton_streams import (
     SensorStream,
     SkeletonRecording,
-    SyncedStream,
     one_person,
     resample,
     shifted,
@@ -193,7 +192,7 @@ def skeletons_at_frames(recording: SkeletonRecording, motion: Motion) -> list[Se
     known = np.where(motion.lost[:, None, None], np.nan, motion.joints[:, jt.BODY_JOINT])
     rows = np.arange(len(motion))
     offset: float | None = None
-    synced: list[SyncedStream] = []
+    synced: list[SensorStream] = []
     for stream in recording.streams:
         if offset is None or not recording.common_clock:
             offset = _offset(motion, known, stream)

@@ -53,7 +53,7 @@ def report(
 ) -> None:
     """Write the report of a result again: one file that opens from disk and loads nothing."""
     set_threads(threads)
-    from hypose.app.reports.report import from_result, write_report
+    from hypose.app.reports.report import write_report
     from hypose.app.studio.view_result import find_recording, load_view
     from hypose.io.files import check_writable
 
@@ -67,7 +67,7 @@ def report(
     shown = load_view(results, recording)
     with Stages() as progress:
         progress("report", 0, 1)
-        written = write_report(target, from_result(shown, recording))
+        written = write_report(target, shown, recording)
         progress("report", 1, 1)
     for text in shown.notes:
         note(f"note: {text}")

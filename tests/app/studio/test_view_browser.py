@@ -12,8 +12,7 @@ from scipy.stats import chi2
 from benchmarks.studio.long_results import long_result
 from hypose.app.cli import main
 from hypose.app.jobs.truth import compare
-from hypose.app.reports import report_viewer
-from hypose.app.reports.report import from_result, report_html
+from hypose.app.reports.report import PLACE, drawn_of, report_html
 from hypose.app.reports.result_pictures import image_points
 from hypose.app.studio.view_result import load_view
 from hypose.io.motions.results import load_body, load_motion, save_motion
@@ -143,8 +142,9 @@ def test_much_said_of_a_result_covers_nothing(served, page, tmp_path, monkeypatc
 @pytest.mark.slow
 def test_a_report_is_the_same_view_from_disk(served, page, tmp_path):
     recording = load_recording(served / "walk")
-    text = report_html(from_result(load_view(served / "walk" / "results" / "default"), recording))
-    assert report_viewer.PLACE in text
+    result = load_view(served / "walk" / "results" / "default")
+    text = report_html(result, drawn_of(result, recording))
+    assert PLACE in text
     file = tmp_path / "report with spaces.html"
     file.write_text(text, encoding="utf-8")
     go(WEB / "tests" / "report.walk.mjs", file.as_uri(), tmp_path, tmp_path)
