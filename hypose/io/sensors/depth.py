@@ -29,7 +29,7 @@ from hypose.geometry import Array
 from hypose.io.calibrations.calibration_formats import read_any
 from hypose.io.file_names import utf8_path
 from hypose.io.files import open_file, read_bytes, readable_size, unreadable, write_bytes
-from hypose.io.videos.camera_sources import CameraSource, Shot, StreamEnded, played
+from hypose.io.videos.camera_sources import CameraSource, Played, Shot, StreamEnded
 from hypose.io.videos.video import PNG_SIGNATURE, is_cut_png, list_images
 from hypose.json_text import parse_json
 
@@ -497,7 +497,7 @@ def open_depth_camera(address: str, rate: float, begin: float | None = None) -> 
     folder = Path(address.removeprefix(FOLDER))
     if not folder.is_dir():
         raise InputError(f"There is no folder {folder}; a depth recording is a folder of 16-bit PNG in millimetres.")
-    return played(_Maps(folder), rate, time.monotonic() if begin is None else begin)
+    return Played(_Maps(folder), rate, time.monotonic() if begin is None else begin)
 
 
 class _RealSense:
