@@ -172,7 +172,7 @@ class _BodyProblem:
                 continue
             offset, d = pinhole_derivative(camera, p)
             r = offset + camera.K[:2, 2] - term.points[c, seen, :2]
-            weight = self.o.keypoint_weight * term.weight * term.points[c, seen, 2]
+            weight = self.o.keypoint_weight * term.points[c, seen, 2]
             world = d @ camera.camera_from_world[:3, :3]
             by_pose = np.einsum("kxa,kda->kxd", world, motion[seen]).reshape(-1, len(pose))
             by_cam = by_camera(np.repeat(p, 2, 0), d.reshape(-1, 3), self.unknowns)

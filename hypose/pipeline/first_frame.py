@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -24,7 +23,7 @@ from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.keypoint_clip import LEAST_POINTS
 from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, KeypointModel, keypoint_model, keypoint_term
 from hypose.tracking.keypoint_offsets import calibrate_keypoints
-from hypose.tracking.points_beside_masks import LEAST, start_beside_masks, weighed_beside_masks
+from hypose.tracking.points_beside_masks import weighed_beside_masks
 from hypose.tracking.refinement import anatomical_prior
 from hypose.tracking.start_search import Start, start_from_hull
 from hypose.tracking.starts import KNOWN_POSES, hull_of, start_from_keypoints
@@ -112,15 +111,9 @@ def _from_keypoints(
 ) -> Subject:
     seen = [f for f in (frame_at(int(i)) for i in sampled) if f.keypoints is not None]
     body, poses, notes = _fitted_to_points(template, seen, options)
-    model, ways = _weighed(body, seen, poses)
-    told = _without_guesses(seen, model)
-    if told is not None:  # a limb whose points are a guess has the length that others tell
-        with suppress(EvidenceError):  # unless nothing is left to tell
-            body, _, notes = _fitted_to_points(template, told, options)
-            model, ways = _weighed(body, seen)
+    model = _weighed(body, seen, poses)
     notes.append(_noise_note(model))
     start, at = first_start(body, model, frame_at, min(n_frames, 1 + int(options.frame_rate)))
-    start = start_beside_masks(body, model, frame_at(at), start, ways)
     if at:
         notes.append(f"the start is the pose of frame {at}, the first with enough key points")
     return Subject(body, model, start, tuple(notes))
@@ -141,20 +134,12 @@ def _fitted_to_points(template: Body, seen: Sequence[Frame], options: SubjectOpt
     return body, fitted.poses, notes
 
 
-def _weighed(body: Body, seen: Sequence[Frame], poses: Array | None = None) -> tuple[KeypointModel, Array]:
+def _weighed(body: Body, seen: Sequence[Frame], poses: Array | None = None) -> KeypointModel:
     """Where the key points sit on the body as it is now, for landmarks on the skin move with its girths, and what they
-    weigh beside masks; and poses, as of `weighed_beside_masks`."""
+    weigh beside masks."""
     keypoints = [f.keypoints for f in seen if f.keypoints is not None]
     model = calibrate_keypoints(body, keypoint_model(body, keypoints[0].names), keypoints, poses)
     return weighed_beside_masks(body, model, seen)
-
-
-def _without_guesses(seen: Sequence[Frame], model: KeypointModel) -> list[Frame] | None:
-    """The frames without the points that masks have refuted in a view; None where there are none."""
-    if model.beside is None or (model.beside >= LEAST).all():
-        return None
-    told = (model.beside >= LEAST)[..., None] * np.ones(3)
-    return [replace(f, keypoints=replace(f.keypoints, points=f.keypoints.points * told)) for f in seen if f.keypoints]
 
 
 def _known_by_points(
@@ -163,9 +148,8 @@ def _known_by_points(
     seen = [f for f in (frame_at(int(i)) for i in sampled) if f.keypoints is not None]
     if not seen:
         raise EvidenceError("No frame has key points to start from; use the start 'hull'.")
-    model, ways = _weighed(body, seen)
+    model = _weighed(body, seen)
     start, at = first_start(body, model, frame_at, min(n_frames, 1 + int(options.frame_rate)))
-    start = start_beside_masks(body, model, frame_at(at), start, ways)
     notes = [GIVEN, _noise_note(model)]
     if at:
         notes.append(f"the start is the pose of frame {at}, the first with enough key points")

@@ -15,10 +15,9 @@ from hypose.compute.solver.normal import bounded_step
 from hypose.evidence.frame import Picture
 from hypose.fitting.least_squares import Rule, descend
 from hypose.tracking.contacts import soles_of
-from hypose.tracking.monocular.models import body_dofs
 from hypose.tracking.monocular.points import clicked_joints
 from hypose.tracking.monocular.problem import field_of, fixed_parts, frame_problem, with_prediction
-from hypose.tracking.monocular.settings import MonoSettings
+from hypose.tracking.monocular.settings import MonoSettings, body_dofs
 from tests.monocular.pictures import SIZE, camera, picture, wall
 
 ONLY_POINTS = MonoSettings(edges=False, second_order=False)

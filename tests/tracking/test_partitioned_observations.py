@@ -6,9 +6,10 @@ import pytest
 from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.costs import xor_energy
 from hypose.tracking.frame_evidence import prepare
-from hypose.tracking.limb_kernels import LimbDiffusion, ball_step
 from hypose.tracking.partitioned_observations import (
+    LimbDiffusion,
     PartitionedXor,
+    ball_step,
     bounding_region,
     boxes_in_views,
     chain_region,
