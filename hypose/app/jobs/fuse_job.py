@@ -36,7 +36,7 @@ from hypose.io.sensors.skeleton_streams import (
     resample,
     shifted,
 )
-from hypose.pipeline.fused_motion import fused_verdict
+from hypose.pipeline.sensor_skeletons import fused_verdict
 from hypose.pipeline.verdict import Verdict
 
 POINT_FORMATS = ("trc", "c3d", "csv")
