@@ -16,7 +16,7 @@ from benchmarks.papers.layered_anthropometry import (
     shape_energy,
     sizes_2_1,
 )
-from hypose.body.anthropometry import ENTITIES, body_of, entity
+from hypose.body.anthropometry import ENTITIES, body_of, entity, sizes_of
 from hypose.errors import EvidenceError, InputError
 from hypose.fitting.articulated import contour_term
 from hypose.inference.hypotheses import Hypotheses
@@ -146,7 +146,7 @@ def test_subject_from_the_hull_alone(body, standing, frame_of, tmp_path):
     assert found.body.stature == pytest.approx(person.stature, abs=0.03)
     assert np.nanmin(found.iou) > 0.88 and np.nanmean(found.iou) > np.nanmean(found.iou_before)
     assert np.abs(found.body.joints(found.start) - person.joints(standing)).max() < 0.12
-    assert found.sizes.girths["waist"] < found.clothed_sizes.girths["waist"]
+    assert found.sizes.girths["waist"] < sizes_of(found.body).girths["waist"]
     # written, read back, and used for the next recording of the person
     saved, toml = save_subject(tmp_path / "anna", found, body, 'the "first"')
     document = tomllib.loads(toml.read_text())
