@@ -89,7 +89,6 @@ def test_the_report_says_how_uncertain_depth_is(one_camera) -> None:
     assert "monocular" in page
 
 
-@pytest.mark.slow
 def test_interrupted_and_resumed_is_the_same(tiny, clicks, tracked, one_camera, tmp_path, hypose, monkeypatch) -> None:
     out = tmp_path / "results"
     arguments = ("track", tiny, *MONO, "--start", clicks, "--subject", tracked, "--out", out, "--no-overlay")
