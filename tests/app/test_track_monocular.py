@@ -52,7 +52,7 @@ def test_every_file_is_written(one_camera) -> None:
     several = {"motion_sd.sto"}  # of several cameras only
     assert {p.name for p in one_camera.iterdir()} == set(DESCRIPTIONS) - several
     with open_video(one_camera / "overlay.mp4") as video:
-        assert len(video) == 8
+        assert video.n_frames == 8
 
 
 def test_the_modes_can_be_read(one_camera) -> None:
