@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 
 from benchmarks.papers.layered_anthropometry import (
-    BETAS,
-    TABLE_2_2,
     K,
     ShapeXor,
     SizePrior,
@@ -189,12 +187,6 @@ def test_size_prior_agrees_with_the_mesh(body, rng):
     for name, size in prior.sizes(x).items():
         assert size == pytest.approx(wanted[name], abs=0.8), name
     assert prior(np.zeros((2, 3, len(x)))).shape == (2, 3)
-
-
-def test_recipe_has_the_layers_of_table_2_2(body):
-    recipe = anthropometry_recipe(body, betas=BETAS)
-    assert len(recipe.layers) == 10 == len(TABLE_2_2) and BETAS[:4] == (0.1, 0.3, 0.8, 1.0)
-    assert [layer.name for layer in recipe.layers] == [n for n, _, _ in TABLE_2_2]
 
 
 def test_layers_move_their_own_coordinates_within_the_prior(body, standing, frame_of, rng):
