@@ -24,7 +24,7 @@ from hypose.io.recordings.frames import mask_folder
 from hypose.io.recordings.recording import Recording, write_recording
 from hypose.io.recordings.recording_views import View
 from hypose.pipeline.live.engine import LiveStatus, Seen
-from hypose.pipeline.live.eyes import LiveView, live_working_rig
+from hypose.pipeline.live.eyes import LiveView, live_working_rig, stored
 
 _WAITING = 90
 """instants that may wait to be written; more are left out, and counted"""
@@ -213,6 +213,5 @@ class LiveRecorder:
 
 def _black(size: tuple[int, int], depth: bool = False) -> bytes:
     """Of a camera that has not shown anything yet."""
-    nothing = np.zeros((size[1], size[0]), np.uint16) if depth else np.zeros((size[1], size[0], 3), np.uint8)
-    ok, data = cv2.imencode(".png" if depth else ".jpg", nothing)
-    return data.tobytes() if ok else b""
+    nothing = np.zeros((size[1], size[0]), np.float32) if depth else np.zeros((size[1], size[0], 3), np.uint8)
+    return stored(nothing) or b""
