@@ -13,7 +13,7 @@ import typer
 from hypose.app.commands.commands_track import set_threads, split_names, stopping
 from hypose.app.commands.console import Stages, note, say
 from hypose.app.commands.options import Threads, number
-from hypose.errors import InputError
+from hypose.errors import HyposeError, InputError
 
 if TYPE_CHECKING:
     from pythonosc.osc_message import OscMessage
@@ -61,9 +61,11 @@ def report(
     target = out or folder / "report.html"
     if target.is_dir():
         raise InputError(f"{target} is a folder; name the file to write, for example {target / 'report.html'}.")
-    recording = find_recording(folder) if results.exists() else None
+    recording = None
     if results.exists():
         check_writable(target.parent)
+        with contextlib.suppress(HyposeError):  # the report then says why it has no pictures
+            recording = find_recording(folder)
     shown = load_view(results, recording)
     with Stages() as progress:
         progress("report", 0, 1)
@@ -158,7 +160,7 @@ def compare(
             progress("compare", done, len(pairs))
             compared += compare_job.compare_files([pair], options, joints, subject)
         progress("compare", len(pairs), len(pairs))
-    failed = compare_job.exceeded(compared, compare_job.Limits(max_mm, max_degrees, min_coverage))
+    failed = compare_job.exceeded(compared, max_mm, max_degrees, min_coverage)
     compare_job.write_csv(folder / "compare.csv", compared)
     compare_job.write_page(folder / "compare.html", compared, failed)
     for file in dict.fromkeys(files):
