@@ -99,10 +99,6 @@ def test_the_table_of_recordings_can_be_read():
     assert len(read_table(ROOT / "examples/cluster/study.csv")) == 4
 
 
-def test_the_shell_script_is_no_nonsense():
-    assert subprocess.run(["bash", "-n", ROOT / "examples/cluster/batch.slurm"]).returncode == 0
-
-
 def test_the_reference_has_every_name():
     text = api_page()
     for name in hypose.__all__[1:]:

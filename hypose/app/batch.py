@@ -21,9 +21,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hypose import compute
 from hypose.app.commands.console import ProgressCall, Stages, ignore
-from hypose.app.jobs.job import Job, choose_frames, record_of, run_job
+from hypose.app.jobs.job import Job, choose_frames, compile_before, record_of, run_job
 from hypose.app.jobs.truth import compare_with
 from hypose.app.reports.summary import require_found, summarize
 from hypose.errors import HyposeError, InputError, extra
@@ -286,9 +285,7 @@ def run_batch(
         check_writable(results)
         stop = results.absolute() / f".stop-{os.getpid()}-{time.time_ns()}"
         if scheduler is None:
-            progress("compile", 0, 1)
-            compute.warm_up(load=False)  # once, and not by every worker at the same time
-            progress("compile", 1, 1)
+            compile_before(progress)  # once, and not by every worker at the same time
         try:
             with _client(workers, threads, scheduler) as client:
                 frames: dict[str, int] = {}

@@ -28,7 +28,6 @@ from hypose.app.commands import (
     commands_results,
     commands_studio,
     commands_subject,
-    commands_sync,
     commands_track,
 )
 from hypose.errors import HyposeError
@@ -50,7 +49,7 @@ _COMMANDS = (
     ("demo", commands_track.demo, "Make a synthetic recording, track it, compare with the truth."),
     ("calibrate", commands_calibrate.calibrate, "Lenses and places of cameras, from boards or measured points."),
     ("check", commands_check.check, "Do the views agree? What is wrong, and --refine cures it."),
-    ("sync", commands_sync.sync, "How many frames each view is late; cure it with --out."),
+    ("sync", commands_check.sync, "How many frames each view is late; cure it with --out."),
     ("silhouettes", commands_data.silhouettes, "Write the masks of the person, and a contact sheet."),
     ("keypoints", commands_data.keypoints, "Detect 2D key points with a model of your own."),
     ("track", commands_track.track, "Track the person: motion files, overlay video, report."),

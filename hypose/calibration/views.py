@@ -157,7 +157,7 @@ def look_for_board(
         count[0], count[1] = count[0] + 1, max(count[1], total)
         o.progress("board", min(count[0], count[1]), count[1])
 
-    lengths = [len(open_video(s.path)) for s in sources]
+    lengths = [open_video(s.path).n_frames for s in sources]
     numbers = None
     if o.together and len(sources) > 1:
         common = min(n - max(s.lag, 0) for s, n in zip(sources, lengths, strict=True))

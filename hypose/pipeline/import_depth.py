@@ -53,28 +53,21 @@ _LEAST_SHARE = 0.003
 """of a picture: what is smaller is nobody"""
 
 
-@dataclass(frozen=True)
-class FolderUnits:
-    """What a folder of maps does not tell: frames per second (None: nobody knows, 30 are taken), and the millimetres
-    that one step of a value stands for."""
-
-    frame_rate: float | None = None
-    millimetres: float = 1.0
-
-
 def import_depth(
     sources: Sequence[str | Path],
     folder: str | Path,
     *,
     empty: Sequence[str | Path] = (),
-    units: FolderUnits | None = None,
+    frame_rate: float | None = None,
+    millimetres: float = 1.0,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> tuple[Path, tuple[str, ...]]:
     """Writes a recording folder; returns recording.toml's path and sentences for the user.
 
     sources: recordings of the cameras, one each (`hypose.io.sensors.depth`); empty: those of the empty room in
-    the same order, or none; units: of folders of maps. Each camera finds the floor in its maps; several are brought
+    the same order, or none. frame_rate (None: unknown, 30 per s are taken), millimetres that one step of a value stands
+    for: of folders of maps, which do not tell. Each camera finds the floor in its maps; several are brought
     together by the person who moves before them, clocks included, and frames before the last one began are left out.
     Map k is what was seen at k / frame rate: where frames were lost there are empty maps. An InputError names what
     cannot be used; then, as when it is interrupted, nothing of it is left in the folder."""
@@ -86,7 +79,7 @@ def import_depth(
     if there := [name for name in _MADE if os.path.lexists(folder / name)]:
         raise InputError(f"{folder} holds {', '.join(there)} already; give a new folder.")
     try:
-        return _imported(sources, folder, empty, units or FolderUnits(), seed, progress or (lambda *_: None))
+        return _imported(sources, folder, empty, frame_rate, millimetres, seed, progress or (lambda *_: None))
     except BaseException:  # half of it would be tracked as if it were whole
         for name in _MADE:
             shutil.rmtree(folder / name, ignore_errors=True)
@@ -108,7 +101,8 @@ def _imported(
     sources: Sequence[str | Path],
     folder: Path,
     empty: Sequence[str | Path],
-    units: FolderUnits,
+    frame_rate: float | None,
+    millimetres: float,
     seed: int,
     report: Progress,
 ) -> tuple[Path, tuple[str, ...]]:
@@ -116,13 +110,13 @@ def _imported(
     for n, source in enumerate(sources):
         report("read", n, len(sources))
         name = _free(file_name(Path(source).stem), [v.name for v in views])
-        camera, seen = _written(source, folder / "read" / name, units)
-        if Path(source).is_dir() and units.frame_rate is None:
+        camera, seen = _written(source, folder / "read" / name, frame_rate, millimetres)
+        if Path(source).is_dir() and frame_rate is None:
             notes.append(f"{name}: a folder of maps does not tell its frame rate; {FOLDER_RATE:g} per s are taken.")
         room = None
         if empty:
             room = folder / "background" / name
-            lens, _ = _written(empty[n], room, units)
+            lens, _ = _written(empty[n], room, frame_rate, millimetres)
             if lens.size != camera.size:
                 raise InputError(
                     f"{empty[n]} has maps of {lens.size[0]} x {lens.size[1]} px, {source} of {camera.size[0]} x "
@@ -180,9 +174,9 @@ def _imported(
     return write_recording(recording, folder), tuple(notes)
 
 
-def _written(source: str | Path, folder: Path, units: FolderUnits) -> tuple[Camera, Array]:
+def _written(source: str | Path, folder: Path, frame_rate: float | None, millimetres: float) -> tuple[Camera, Array]:
     """The camera of a recording whose maps are written to a folder, and their times (T,) s, which increase."""
-    opened: DepthFile = open_depth(source, units.frame_rate or FOLDER_RATE, units.millimetres)
+    opened: DepthFile = open_depth(source, frame_rate or FOLDER_RATE, millimetres)
     folder.mkdir(parents=True, exist_ok=True)
     times, read = list[float](), 0
     for frame in opened.frames:

@@ -16,7 +16,8 @@ import numpy as np
 from hypose.body.body import Body
 from hypose.evidence.frame import Frame
 from hypose.inference.layer import Memory
-from hypose.pipeline.doubts import in_words, looked_again, runs
+from hypose.pipeline.doubts import in_words, looked_again
+from hypose.tracking.contacts import runs
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState
 
 FrameRange = Callable[[range], Iterable[Frame]]

@@ -27,7 +27,7 @@ from hypose.geometry import Array
 from hypose.io.motions.results import ResultsFolder, save_motion
 from hypose.io.recordings.provenance import identity
 from hypose.pipeline.bodies_again import fitted_again
-from hypose.pipeline.doubts import as_now, in_words, looked_at, mask_change, runs
+from hypose.pipeline.doubts import as_now, in_words, looked_at, mask_change
 from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject, keep_subject, kept_subject
 from hypose.pipeline.first_look import look_at_depth, sentences
 from hypose.pipeline.hull_paths import Path, follow_places, lasting
@@ -61,6 +61,7 @@ from hypose.pipeline.tracked_people import (
     seen_by_themselves,
 )
 from hypose.pipeline.wardrobe import exchange, look_at_clothes
+from hypose.tracking.contacts import runs
 from hypose.tracking.several import Member, nobody_in, step_together, visible_share
 from hypose.tracking.tracker import Tracker
 
@@ -480,7 +481,7 @@ class PeopleRun:
 
     def _finished(self, p: Followed, people: Sequence[Followed], complete: bool) -> OnePerson:
         found = seen_by_themselves(p, people, 3 * self._look_every)
-        tracked = Tracked(range(len(found)), found, p.member.state, complete)
+        tracked = Tracked(found, p.member.state, complete)
         present, hidden = np.array(p.present, dtype=np.bool_), np.array(p.hidden, dtype=np.bool_)
         source = OwnFrames(self.source, p, people, self._points)
         shared = len(people) > 1 and p.present[0]

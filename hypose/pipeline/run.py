@@ -28,15 +28,17 @@ from hypose.pipeline.first_frame import SUBJECT, Subject, SubjectOptions, find_s
 from hypose.pipeline.first_look import first_look, of_measured, places_refuted, sentences
 from hypose.pipeline.mend_sides import FrameRange, as_named, look_back, look_back_notes, mend_sides, sides_notes
 from hypose.pipeline.moved_sensors import PlacedSource, Places, moved_sensors
-from hypose.pipeline.picture_start import (
+from hypose.pipeline.one_camera import (
     BESIDE_FRAME,
     against_the_picture,
     beside_the_picture,
+    depth_note,
     doubt_of_depth,
+    one_view,
     picture_options,
     subject_in_picture,
+    tracked_frames,
 )
-from hypose.pipeline.pictures import depth_note, one_view, tracked_frames
 from hypose.pipeline.subject_from_motion import HEIGHT_DOUBT, HEIGHT_WRONG, height_sentence, height_told
 from hypose.pipeline.track_loop import FrameList, FrameSource, Keep, Progress, Tracked, track_frames, tracked_before
 from hypose.pipeline.verdict import Verdict, left_out, not_shown, verdict_of
@@ -215,7 +217,7 @@ def track_source(
     keep = None
     if results is not None:  # before the motion, so that what is kept of an interrupted run can be looked at
         keep_subject(subject, results, key)
-        keep = Keep(results.checkpoint, key, options.checkpoint_every, finished=True)
+        keep = Keep(results.checkpoint, key, options.checkpoint_every)
     tracker = tracker_of(subject, options, frame_rate, method, own)
     if options.whole_clip and method is None and not own:
         solved, audit = track_keypoints(source, frame_rate, subject, report, sure_start=options.sure_start)
@@ -232,9 +234,9 @@ def track_source(
         return _written(replace(result, one_by_one=solved.one_by_one, audit=audit, **said), results)
     if method is None and not options.of_picture:
         source, subject = with_named_sides(source, frame_rate, subject, sure_start=options.sure_start)
-    before = tracked_before(results.checkpoint, key, total) if resume and results is not None else None
+    before = tracked_before(results.checkpoint, key) if resume and results is not None else None
     begin = tracker.start(subject.start if subject.rivals is None else subject.rivals)
-    done = track_frames(source, range(total), tracker, begin, subject, keep=keep, before=before, progress=report)
+    done = track_frames(source, tracker, begin, subject, keep=keep, before=before, progress=report)
     if done.error is not None and results is not None:
         with contextlib.suppress(HyposeError):  # the first error is the one to tell
             _written(_tracked(subject, done.estimates, frame_rate, record), results)
@@ -252,7 +254,7 @@ def track_source(
                     subject = subject_of(source, frame_rate, options, body, None, key, report)
                 tracker = tracker_of(subject, options, frame_rate, method)
                 begin = tracker.start(subject.start if subject.rivals is None else subject.rivals)
-                done = track_frames(source, range(total), tracker, begin, subject, progress=report)
+                done = track_frames(source, tracker, begin, subject, progress=report)
         measured = not given and subject.keypoints is None and options.height is None and body is None
         if measured and not options.of_picture:
             of_height = of_measured(subject.body.stature)

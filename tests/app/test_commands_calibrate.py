@@ -44,14 +44,6 @@ def test_boards(pictures, tmp_path, capsys):
     assert sheet is not None and sheet.shape[1] == 1560 and sheet.std() > 10
 
 
-def test_the_corners_of_the_board_are_counted(pictures, tmp_path, capsys):
-    code, said, _ = run(
-        capsys, pictures, "--square", "6cm", "--intrinsics", pictures / "lenses.toml", "--floor", 0,
-        "--out", tmp_path / "rig.toml",
-    )  # fmt: skip
-    assert code == 0 and "chessboard of 6 x 5 inner corners, as counted" in said
-
-
 def test_a_board_that_is_not_found_leaves_a_sheet(pictures, tmp_path, capsys):
     code, _, said = run(
         capsys, pictures / "cam1", "--chessboard", "9x8", "--square", "60mm", "--out", tmp_path / "a.toml"
@@ -102,13 +94,6 @@ def test_errors_are_sentences(arguments, message, tmp_path, monkeypatch, capsys)
     monkeypatch.chdir(tmp_path)
     code, _, said = run(capsys, *arguments)
     assert code == 2 and message in said and "Traceback" not in said
-
-
-def test_unknown_lag_camera(pictures, tmp_path, capsys):
-    code, _, said = run(
-        capsys, pictures, "--chessboard", "6x5", "--square", "6cm", "--lag", "cam9=2", "--out", tmp_path / "a.toml"
-    )
-    assert code == 2 and "--lag 'cam9=2' is not understood; write CAMERA=FRAMES" in said
 
 
 @pytest.mark.parametrize(("text", "metres"), [("115mm", 0.115), ("4.5 cm", 0.045), ("1in", 0.0254), (".1m", 0.1)])

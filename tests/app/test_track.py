@@ -66,19 +66,6 @@ def test_the_closing_lines_tell_what_came_out(hypose, tiny, tmp_path):
     assert not (tmp_path / "overlay.mp4").exists() and not (tmp_path / "motion.c3d").exists()
 
 
-def test_results_go_into_the_recording_by_default(hypose, recording):
-    code, _, err = hypose("track", recording, "--frames", "2:5", *LIGHT)
-    assert code == 0, err
-    assert (recording / "results" / "default" / "motion.npz").is_file()
-
-
-def test_another_calibration_file_can_be_given(hypose, recording, tmp_path):
-    other = tmp_path / "other.toml"
-    (recording / "calibration.toml").rename(other)
-    code, _, err = hypose("track", recording, "--frames", "2:5", "--calibration", other, *LIGHT)
-    assert code == 0, err
-
-
 @pytest.mark.slow
 def test_a_published_recipe_with_refinement(hypose, tiny, tmp_path):
     code, _, err = hypose("track", tiny, "--recipe", "hpf", "--refine", "--frames", "2:5", "--out", tmp_path, *LIGHT)

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from hypose.app.cli import main
 from hypose.app.commands.commands_results import play_motion
 from hypose.app.live.osc import OscTarget, osc_bundles
-from hypose.app.live.vmc import BONES, vmc_messages
+from hypose.app.live.vmc import BONES
 from hypose.body.motion import Motion, isotropic
 from hypose.body.ready_bodies import human
 from hypose.errors import InputError
@@ -131,15 +131,6 @@ def test_a_motion_without_poses_is_refused(moving):
 def test_an_address_that_is_none_is_refused(address):
     with pytest.raises(InputError, match="--vmc .* cannot be reached; give HOST:PORT"):
         OscTarget(address, "--vmc")
-
-
-def test_the_rest_is_a_t_pose():
-    body = human()
-    turned = body.skeleton.rest_pose()
-    avatar = Avatar(vmc_messages(body, turned, 0.0, True))
-    still = {name: np.subtract(avatar.place[name], avatar.place["Hips"]) for name in avatar.place}
-    assert still["Head"][1] > still["Neck"][1] > still["Chest"][1] > still["Spine"][1] > 0
-    assert still["LeftFoot"][1] < still["LeftLowerLeg"][1] < 0
 
 
 def run_play(capsys, *arguments):

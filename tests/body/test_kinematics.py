@@ -173,10 +173,6 @@ def test_balls_are_unwound_where_the_limits_allow(body):
     np.testing.assert_allclose(held.unwound(pose), pose)  # the other way is none that the joint goes
 
 
-def test_mean_of_one_pose_is_that_pose(body, poses):
-    np.testing.assert_allclose(body.skeleton.mean(poses[:1], np.ones(1)), poses[0], atol=1e-10)
-
-
 def test_skinning_moves_rigid_vertices_with_their_joint(body, poses):
     s, mesh = body.skeleton, body.coarse
     rigid = np.flatnonzero(mesh.skin_weight.max(1) > 1 - 1e-12)

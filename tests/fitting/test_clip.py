@@ -5,7 +5,6 @@ import pytest
 
 from hypose import fitting
 from hypose.compute.solver.banded import frame_covariances
-from hypose.errors import SolverError
 from hypose.fitting.clip_solve import Coupling, _Clip, _moved, default_acceleration
 from hypose.geometry import so3_exp, so3_log
 from tests.capsule_person import capsule_person, random_pose
@@ -130,11 +129,6 @@ def test_an_arm_that_is_open_about_itself_is_turned_without_carrying_its_elbow_a
     away = np.linalg.norm(BODY.joints(clip)[:, elbow] - BODY.joints(raised)[:, elbow], axis=1)
     assert np.abs(S.difference(clip, raised)[:, arm]).max() > 0.5
     assert away.max() < 0.001
-
-
-def test_wrong_number_of_terms_is_named(motion, rng):
-    with pytest.raises(SolverError, match="one entry of points per frame: 20, got 3"):
-        fitting.fit_clip(BODY, motion, points=point_terms(motion[:3], rng, 0.0))
 
 
 def test_uncertainty_grows_into_a_gap():

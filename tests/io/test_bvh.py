@@ -84,14 +84,6 @@ def test_angles_are_continuous_though_the_body_turns_once(written):
     assert abs(abs(frames[-1, 5] - frames[0, 5]) - 360) < 60
 
 
-def test_rest_pose_of_the_file_is_the_body_s(written, small_motion):
-    names, parents, offsets, _, _ = read(written)
-    skeleton = small_motion.skeleton
-    for name, offset in zip(names[1:], offsets[1:], strict=True):
-        np.testing.assert_allclose(offset / 100, Y_UP @ skeleton.rest_offsets[skeleton.joint(name)], atol=1e-7)
-    assert not offsets[0].any()
-
-
 def test_frames_without_a_pose_hold_the_last(tmp_path, small_motion, written):
     poses = small_motion.poses.copy()
     poses[[0, 9, 10]] = np.nan

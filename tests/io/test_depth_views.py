@@ -3,10 +3,8 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from hypose.cameras.camera import CameraRig
-from hypose.errors import InputError
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording, View, load_recording, write_recording
 from hypose.io.recordings.view_source import DepthSource
@@ -44,14 +42,6 @@ def test_a_fisheye_lens_is_straightened_without_coefficients_too(tmp_path):
     assert (
         np.abs(DepthSource(view, bent, bent.pinhole()).map(0) - DepthSource(view, CAMERA, CAMERA).map(0)).max() > 0.02
     )
-
-
-def test_an_empty_room_of_another_mode_is_named(tmp_path):
-    toml = written(tmp_path)
-    for file in (tmp_path / "room").iterdir():
-        write_depth_png(file, seen_in_room(CAMERA, False)[::2, ::2])
-    with pytest.raises(InputError, match=r"View d: the empty room in .*room is 80 x 60 px"):
-        load_recording(toml)
 
 
 def test_a_map_of_another_size_is_named(tmp_path):

@@ -130,12 +130,6 @@ def test_quaternions_are_unit_and_never_take_the_long_way(written):
     assert times[0] == 0 and (np.diff(times) > 0).all() and times[-1] == pytest.approx(59 / 30)
 
 
-def test_normals_are_unit(written):
-    glb = Glb(written)
-    normals = glb.array(glb.json["meshes"][0]["primitives"][0]["attributes"]["NORMAL"])
-    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-6)
-
-
 def test_weights_name_each_joint_once_and_joint_zero_when_unused(written):
     glb = Glb(written)
     attributes = glb.json["meshes"][0]["primitives"][0]["attributes"]

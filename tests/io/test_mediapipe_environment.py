@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import stat
 import sys
 
@@ -109,24 +108,3 @@ def test_nothing_is_installed_without_being_asked(tmp_path, monkeypatch, capsys)
         main(["keypoints", str(folder), "--mediapipe"])
     assert caught.value.code == 2 and "again with --yes to agree" in capsys.readouterr().err
     assert not (tmp_path / "cache").exists()
-
-
-@pytest.mark.slow
-def test_a_set_up_that_fails_leaves_nothing(tmp_path, monkeypatch):
-    target = tmp_path / "cache" / "mediapipe"
-    monkeypatch.setattr(environment, "environment_folder", lambda: target)
-    monkeypatch.setattr(environment, "PACKAGES", (str(tmp_path / "no-such-package.whl"),))
-    with pytest.raises(InputError, match=r"could not be made \(.*no-such-package.*\)"):
-        environment.set_up()
-    assert not target.exists() and not list(target.parent.iterdir())
-    with pytest.raises(InputError, match="not set up"), environment.open_mediapipe():
-        pass
-
-
-def test_a_python_that_it_was_not_built_for(monkeypatch):
-    monkeypatch.setattr(environment, "_PYTHONS", ((2, 1), (2, 3)))
-    monkeypatch.setattr(shutil, "which", lambda name: "/usr/bin/python2.2" if name == "python3.2" else None)
-    assert environment._python() == "/usr/bin/python2.2"
-    monkeypatch.setattr(shutil, "which", lambda name: None)
-    with pytest.raises(InputError, match=r"runs on Python 2\.1 to 2\.3"):
-        environment._python()

@@ -11,7 +11,6 @@ from benchmarks.robustness.keypoint_layouts import detections
 from hypose.errors import CalibrationError, InputError
 from hypose.io.calibrations.calibration_formats import read_any
 from hypose.io.calibrations.calibration_text import write_calibration
-from hypose.io.file_names import match_names
 from hypose.io.recordings.frames import load_keypoints
 from hypose.io.recordings.recording import load_recording, write_recording
 from tests.io.recordings import frame, make_rig, make_video
@@ -133,15 +132,6 @@ def test_qualisys_only_and_image_folders(tmp_path):
     assert recording.n_frames == 3
 
 
-def test_names():
-    assert match_names(["cam01", "cam02"], ["cam02_json", "cam01_json"]) == [1, 0]
-    assert match_names(["a", "b"], ["b", "a"]) == [1, 0]
-    assert match_names(["GX01_3", "GX01_4"], ["ext_cam4_img", "ext_cam3_img"]) == [1, 0]
-    assert match_names(["left", "right"], ["1", "2"]) == [None, None]
-    assert match_names(["v1_1", "v2_1"], ["cam1", "cam2"]) == [None, None]
-    assert match_names(["cam1", "cam2", "cam3"], ["cam1", "cam3"]) == [0, None, 1]
-
-
 def test_a_real_project(shared_data, tmp_path):
     """Pose2Sim's own demo of 2024, with every setting commented out in Config.toml."""
     recording = load_recording(shared_data("pose2sim_balancing"))
@@ -215,21 +205,3 @@ def test_without_videos(tmp_path):
     (folder / "Config.toml").write_text("")
     with pytest.raises(InputError, match=r"key points carry no frame rate"):
         load_recording(folder)
-
-
-def test_pairing_by_order_is_stated(tmp_path):
-    folder = make_project(tmp_path / "a")
-    for old, new in (("cam01_json", "left"), ("cam02_json", "right")):
-        (folder / "pose" / old).rename(folder / "pose" / new)
-    recording = load_recording(folder)
-    assert [v.keypoints.name for v in recording.views] == ["left", "right"]
-    assert any("paired in their order (left with cam01, ...)" in n for n in recording.notes)
-
-
-def test_missing_keypoints_of_one_view_are_stated(tmp_path):
-    folder = make_project(tmp_path / "a")
-    for path in (folder / "pose" / "cam02_json").iterdir():
-        path.unlink()
-    recording = load_recording(folder)
-    assert recording.views[1].keypoints is None
-    assert any(n.startswith("No key points for cam02") for n in recording.notes)

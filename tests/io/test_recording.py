@@ -11,7 +11,6 @@ from hypose.evidence.silhouettes import SilhouetteSettings
 from hypose.io.calibrations.calibration_text import write_calibration
 from hypose.io.recordings.frames import FrameSettings, FrameStream
 from hypose.io.recordings.recording import Recording, View, load_recording, write_recording
-from hypose.io.videos import video
 from tests.io.recordings import SIZE, frame, make_recording, make_rig, make_video
 
 
@@ -145,14 +144,6 @@ def test_cameras_are_matched(tmp_path, views, cameras, order, note):
     assert [note in n for n in recording.notes] == [True] if note else recording.notes == ()
 
 
-def test_fewer_views_than_cameras_when_each_names_its_camera(tmp_path):
-    make_recording(tmp_path, names=("cam_1", "cam_2", "cam_3"))
-    views = [{"name": "a", "camera": "cam_3", "video": "cam_3.avi"}]
-    recording = load_recording(make_recording(tmp_path, views, names=("cam_1", "cam_2", "cam_3")))
-    assert recording.rig.names == ("cam_3",)
-    assert "cam_1, cam_2 of calibration.toml have no view and are left out" in recording.notes[0]
-
-
 def test_scaled_images_are_accepted_with_a_note(tmp_path):
     make_video(tmp_path / "cam_1.avi", size=(128, 96))
     make_video(tmp_path / "cam_2.avi")
@@ -202,20 +193,6 @@ def test_a_cut_off_video_is_named(tmp_path):
     assert 10 < n < 40 and recording.frames == range(n)
     assert any(f"cam_1.avi states 60 frames but decoding ends after frame {n - 1}; " in x for x in recording.notes)
     assert any(f"(cam_1 {n}, cam_2 60); the first {n} frames" in x for x in recording.notes)
-
-
-def test_a_container_that_promises_too_much_is_named(tmp_path, monkeypatch):
-    make_recording(tmp_path)
-    monkeypatch.setattr(video, "count_frames", lambda _: 8)
-    recording = load_recording(tmp_path)
-    assert recording.n_frames == 8
-    assert "cam_1.avi states 12 frames but decoding ends after frame 7" in recording.notes[0]
-
-
-def test_frame_rate_given_by_the_user_wins(tmp_path):
-    recording = load_recording(make_recording(tmp_path, frame_rate=100.0))
-    assert recording.frame_rate == 100
-    assert "frame_rate = 100 is used as given" in recording.notes[0]
 
 
 @pytest.mark.parametrize("up", ["x", "y", "z", "-x", "-y", "-z"])

@@ -55,17 +55,3 @@ def test_a_mask_of_somebody_else_counts_nothing_where_the_points_are_those_of_th
     assert points is not None and (points.points[..., 2] == frame.keypoints.points[..., 2]).all()
     assert found.usable.tolist() == [True, False, True, True]
     assert "the mask is not where the key points are" in found.reasons[1]
-
-
-def test_where_the_body_is_not_known_both_stay(body, model, frame, standing):
-    wrong, elsewhere = shifted(frame.keypoints, 2, 25.0), standing.copy()
-    elsewhere[:2] += 1.0
-    points, masks = without_refuted(wrong, frame.silhouettes, body, model, elsewhere)
-    assert points is wrong and masks is frame.silhouettes
-
-
-def test_too_few_points_say_nothing_of_a_mask(body, model, frame, standing):
-    few = shifted(frame.keypoints, 2, 25.0)
-    few.points[2, 5:, 2] = 0.0
-    points, masks = without_refuted(few, frame.silhouettes, body, model, standing)
-    assert points is few and masks is frame.silhouettes

@@ -42,11 +42,6 @@ def seen(body, model, poses, rig, noise_m=0.0, off_m=None):
     return out
 
 
-def test_white_noise_does_not_last(body, model, poses, small_rig):
-    noisy = systematic_covariance(body, model, seen(body, model, poses, small_rig, 0.03), poses, RATE)
-    assert np.sqrt(noisy[..., 0, 0]).mean() < 0.005
-
-
 def test_what_one_view_is_off_all_along_is_found_under_noise(body, model, poses, small_rig):
     off = np.zeros((len(small_rig), 2))
     off[1] = (0.03, 0.04)

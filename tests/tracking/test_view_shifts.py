@@ -36,17 +36,6 @@ def test_what_is_lost_or_not_of_the_body_moves_nothing(rng):
     assert shift_of_mask(spoilt, body, METRE, ignored) * METRE == pytest.approx((2, 0), abs=0.5)
 
 
-def test_nothing_is_known_of_an_empty_mask_or_a_body_out_of_sight():
-    assert np.isnan(shift_of_mask(np.zeros((50, 50), np.uint8), np.ones((50, 50), np.uint8), METRE)).all()
-    assert np.isnan(shift_of_mask(np.ones((50, 50), np.uint8), np.zeros((50, 50), np.uint8), METRE)).all()
-
-
-def test_nothing_is_known_far_from_every_edge():
-    body, mask = figure(80, 90), np.zeros((200, 160), np.uint8)
-    mask[:4, :4] = 1
-    assert np.isnan(shift_of_mask(mask, body, 20.0)).all() and np.isnan(shift_of_mask(1 - mask, body, 20.0)).all()
-
-
 def test_views_are_apart_by_their_root_mean_square():
     assert np.isnan(apart(np.array([[0.03, 0.0], [np.nan, np.nan]])))
     assert apart(np.array([[0.03, 0.0], [0.0, 0.04], [np.nan, np.nan]])) == pytest.approx(np.sqrt(0.0025 / 2))

@@ -190,15 +190,15 @@ def depth_import(
     """Make a recording of depth cameras to track: maps, lenses, floor; several are brought together by the person."""
     from hypose.errors import InputError
     from hypose.io.files import claimed
-    from hypose.pipeline.import_depth import FolderUnits, import_depth
+    from hypose.pipeline.import_depth import import_depth
 
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"{out} is not empty; give a new folder.")
     new = not out.exists()
-    units = FolderUnits(frame_rate, millimetres)
+    about = {"frame_rate": frame_rate, "millimetres": millimetres, "seed": seed}
     try:
         with claimed(out, "--out"), Stages() as progress:
-            path, notes = import_depth(sources, out, empty=empty or (), units=units, seed=seed, progress=progress)
+            path, notes = import_depth(sources, out, empty=empty or (), progress=progress, **about)
     except KeyboardInterrupt:
         say(f"Stopped; nothing is kept in {out}. Start again with the same command.")
         raise typer.Exit(130) from None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -12,10 +12,6 @@ from hypose.app.commands.commands_track import terminated_as_interrupted
 from hypose.app.commands.console import Stages, note, say
 from hypose.app.commands.options import MOST_FRAMES, Seed, number
 from hypose.errors import InputError
-
-if TYPE_CHECKING:
-    from hypose.gestures.model import GestureModel
-    from hypose.gestures.online import Learner
 
 app = typer.Typer(no_args_is_help=True, help="Learn still gestures from a depth camera in minutes, and watch for them.")
 
@@ -73,8 +69,12 @@ def train(
         learn_recordings,
         new_learner,
         replaced_model,
+        run_session,
+        typed_commands,
     )
+    from hypose.app.live.gesture_sources import open_source
     from hypose.gestures.model import check_gesture_name
+    from hypose.gestures.session import SessionSettings
     from hypose.io.files import check_writable
     from hypose.pipeline.gesture_files import read_recording, save_model
 
@@ -99,40 +99,16 @@ def train(
         else:
             model = learn_recordings(loaded, gesture, learner, passes, note, old)
     else:
-        model = _session(source, gesture, record_to, rounds, learner, seed, old)
+        settings, opened = SessionSettings(rounds=rounds), open_source(source, gesture, seed)
+        note(_LETTERS)
+        about = {"record": record_to, "commands": typed_commands(), "say": note, "model": old}
+        model = run_session(opened, gesture, learner, settings, **about)
     if old is not None and model.thresholds == (None,):  # only the gesture, or only movement, was seen this time
         model = model.with_thresholds(*old.thresholds)
     save_model(model, out)
     nodes = int(model.forest.size.sum())
     say(f"{gesture}: {nodes} nodes, threshold {in_cm2(model.thresholds[0])}")
     say(f"Model: {out}")
-
-
-def _session(
-    source: str,
-    gesture: str,
-    record_to: Path | None,
-    rounds: int,
-    learner: Learner,
-    seed: int,
-    old: GestureModel | None,
-) -> GestureModel:
-    from hypose.app.jobs.gesture_job import run_session, typed_commands
-    from hypose.app.live.gesture_sources import open_source
-    from hypose.gestures.session import SessionSettings
-
-    settings, opened = SessionSettings(rounds=rounds), open_source(source, gesture, seed)
-    note(_LETTERS)
-    return run_session(
-        opened,
-        gesture,
-        learner,
-        settings,
-        record=record_to,
-        commands=typed_commands(),
-        say=note,
-        model=old,
-    )
 
 
 @app.command(short_help="Watch for gestures: events as JSON lines, OSC, commands.")

@@ -96,10 +96,10 @@ def subject(
 
 def _from_mesh(mesh: Path, unit: str, height: float | None, folder: Path) -> None:
     from hypose.io.files import claimed
-    from hypose.pipeline.mesh_subject import MeshOptions, subject_from_mesh
+    from hypose.pipeline.mesh_subject import subject_from_mesh
 
     with claimed(folder):
-        made = subject_from_mesh(mesh, folder, MeshOptions(unit=unit, height=height))
+        made = subject_from_mesh(mesh, folder, unit=unit, height=height)
     for text in made.notes:
         note(f"note: {text}")
     say(f"Body: {folder / 'body.npz'}")

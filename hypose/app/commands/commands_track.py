@@ -7,7 +7,7 @@ import os
 import shlex
 import signal
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated
@@ -20,11 +20,7 @@ from hypose.errors import InputError
 
 if TYPE_CHECKING:
     from hypose.app.jobs.job import Job, Outcome
-
-Compute = Annotated[
-    str,
-    typer.Option(help="auto, cpu or reference (slow, for comparison)."),
-]
+    from hypose.pipeline.verdict import Verdict
 
 
 def track(
@@ -74,9 +70,9 @@ def track(
     ] = None,
     formats: Annotated[str, typer.Option(help="Motion files to write.")] = "trc,c3d,bvh,glb,csv,mot,osim",
     no_overlay: Annotated[bool, typer.Option("--no-overlay", help="Do not write overlay.mp4.")] = False,
+    no_report: Annotated[bool, typer.Option("--no-report", help="Do not write report.html.")] = False,
     resume: Annotated[bool, typer.Option("--resume", help="Go on where an interrupted run stopped.")] = False,
     threads: Threads = None,
-    compute: Compute = "auto",
     calibration: Annotated[
         Path | None, typer.Option(help="Use this calibration file instead of the recording's.")
     ] = None,
@@ -100,7 +96,7 @@ def track(
     from hypose.app.jobs.job import Job, choose_frames, people_results
     from hypose.io.motions.results import ResultsFolder
     from hypose.io.recordings.recording import load_recording
-    from hypose.pipeline.pictures import one_view
+    from hypose.pipeline.one_camera import one_view
     from hypose.pipeline.run import TrackOptions
 
     loaded = choose_frames(load_recording(recording, calibration), frames)
@@ -129,12 +125,12 @@ def track(
         results,
         formats=split_names(formats),
         overlay=not no_overlay,
+        report=not no_report,
         resume=resume,
-        run={"threads": threads, "compute": compute},
+        run={"threads": threads},
         people=people,
     )
-    with back_end(compute):
-        report_outcome(job, run_shown(job, list(context.find_root().obj or [])))
+    report_outcome(job, run_shown(job, list(context.find_root().obj or [])))
 
 
 def demo(
@@ -220,7 +216,6 @@ def _stopped(job: Job, arguments: list[str]) -> None:
 def report_outcome(job: Job, finished: tuple[Outcome, dict[str, float]]) -> None:
     """The closing lines."""
     from hypose.app.reports.summary import require_found, summarize
-    from hypose.pipeline.verdict import EXIT_UNTRUSTED, UNTRUSTED
 
     outcome, seconds = finished
     s = summarize(outcome.motion)
@@ -239,12 +234,21 @@ def report_outcome(job: Job, finished: tuple[Outcome, dict[str, float]]) -> None
     if outcome.truth is not None:
         say(f"Mean joint error: {outcome.truth.mean_mm:.1f} mm over {len(outcome.truth.names)} joints", "bold")
     say(f"Results: {job.results.path}")
-    say(f"Report:  {job.results.file('report.html')}")
+    if job.report:
+        say(f"Report:  {job.results.file('report.html')}")
     require_found(outcome.motion, job.recording.name, job.results.path)
     if outcome.verdict is not None:
-        say(f"Verdict: {outcome.verdict.sentence}", "bold")
-        if outcome.verdict.word == UNTRUSTED:
-            raise typer.Exit(EXIT_UNTRUSTED)
+        tell_verdicts({"": outcome.verdict})
+
+
+def tell_verdicts(verdicts: Mapping[str, Verdict]) -> None:
+    """The verdict on everybody by their names (none of one person); exit code 3 when one is not to be trusted."""
+    from hypose.pipeline.verdict import EXIT_UNTRUSTED, UNTRUSTED
+
+    for name, verdict in verdicts.items():
+        say(f"Verdict{' on ' if name else ''}{name}: {verdict.sentence}", "bold")
+    if any(verdict.word == UNTRUSTED for verdict in verdicts.values()):
+        raise typer.Exit(EXIT_UNTRUSTED)
 
 
 def split_names(text: str) -> tuple[str, ...]:
@@ -253,17 +257,6 @@ def split_names(text: str) -> tuple[str, ...]:
     if not names:
         raise InputError("The list of formats is empty; give at least one, for example --formats trc,c3d.")
     return names
-
-
-@contextlib.contextmanager
-def back_end(name: str) -> Iterator[None]:
-    """Run the block on a back end of --compute; an InputError when there is none of that name."""
-    from hypose import compute
-
-    if name not in ("auto", "cpu", "reference"):
-        raise InputError(f"There is no --compute {name}; choose auto, cpu or reference.")
-    with compute.use(name):
-        yield
 
 
 def set_threads(count: int | None) -> None:

@@ -31,7 +31,7 @@ from websockets.http11 import Request, Response
 
 from hypose.app.commands.console import ended_by_signals
 from hypose.app.live.osc import OscTarget, people_osc
-from hypose.app.live.servers import ORIGINS, Outbox, Queue, fold_logs, refusal, same_secret, shows_secret
+from hypose.app.live.servers import ORIGINS, Outbox, Queue, quiet_logs, refusal, same_secret, shows_secret
 from hypose.errors import InputError
 from hypose.fusion.joints import COMMON
 from hypose.fusion.live import LiveFrame, LiveFuser, LiveSettings
@@ -123,7 +123,7 @@ class LiveServer:
     async def start(self) -> None:
         """Open the ports; an InputError when one is taken."""
         o, loop = self.options, asyncio.get_running_loop()
-        fold_logs()
+        quiet_logs()
         if o.osc is not None:
             self._osc = OscTarget(o.osc)
         try:

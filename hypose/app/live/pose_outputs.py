@@ -16,7 +16,7 @@ from hypose.body.ready_bodies import JOINT_NAMES
 from hypose.errors import InputError
 from hypose.geometry import Array
 from hypose.pipeline.live.engine import LiveStatus, Seen
-from hypose.pipeline.live.live_person import LivePose
+from hypose.pipeline.live.live_people import LivePose
 
 MAGIC = b"hyp1"
 """A binary pose begins with it; then little endian: u4 frame, f8 time (s), f4 latency (ms), u4 flags (1: lost), u4

@@ -6,11 +6,9 @@ from __future__ import annotations
 import asyncio
 import hmac
 import logging
-import math
 import os
 import re
 import threading
-import time
 from collections.abc import Callable, Coroutine
 from contextlib import suppress
 from typing import Any, TypeVar
@@ -21,9 +19,7 @@ from websockets.exceptions import ConnectionClosed
 
 from hypose.errors import InputError
 
-_FOLD_S, _KINDS = 60.0, 100
 _LOGGERS = ("asyncio", "uvicorn.error", "websockets.server")
-_NUMBER = re.compile(r"0x[0-9a-f]+|[0-9]+")
 FOREIGN = (
     "Invalid ",
     "Unsupported upgrade",
@@ -47,41 +43,14 @@ def shows_secret(query: str, authorization: str, secret: str) -> bool:
     return any(same_secret(t, secret) for t in (shown, authorization.removeprefix("Bearer ")))
 
 
-class Folded(logging.Filter):
-    """Lets one line of a kind through per minute and says how many more there were; what is about a stranger's bytes
-    comes without the library's traceback."""
-
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        super().__init__()
-        self._clock = clock
-        self._kinds: dict[tuple[Any, ...], tuple[float, int]] = {}  # when it was let through, how many were not since
-
-    def filter(self, record: logging.LogRecord) -> bool:
-        """Whether a record is let through."""
-        text, error = record.getMessage(), record.exc_info[1] if record.exc_info else None
-        kind = (record.name, record.levelno, _NUMBER.sub("#", text.split("\n")[0][:200]), type(error))
-        now = self._clock()
-        at, more = self._kinds.get(kind, (-math.inf, 0))
-        if now - at < _FOLD_S:
-            self._kinds[kind] = (at, more + 1)
-            return False
-        if len(self._kinds) >= _KINDS:
-            self._kinds.clear()
-        self._kinds[kind] = (now, 0)
-        if text.startswith(FOREIGN):
-            text = text.split("\n")[0] + (f" ({type(error).__name__}: {error})"[:200] if error is not None else "")
-            record.exc_info = record.exc_text = None
-        record.msg, record.args = text + (f" ({more} more like it)" if more else ""), ()
-        return True
+def _own(record: logging.LogRecord) -> bool:
+    return not record.getMessage().startswith(FOREIGN)
 
 
-folded = Folded()
-
-
-def fold_logs() -> None:
-    """From now on the libraries that the servers use say the same thing once a minute."""
+def quiet_logs() -> None:
+    """From now on the libraries that the servers use say nothing about what strangers send."""
     for name in _LOGGERS:
-        logging.getLogger(name).addFilter(folded)  # once: a filter that is there already is not added
+        logging.getLogger(name).addFilter(_own)  # once: a filter that is there already is not added
 
 
 Post = str | bytes
@@ -167,7 +136,7 @@ class SocketListeners:
         self._outbox = Outbox()
         self._waiting, self._hello, self._most = waiting, hello, most
         self._loop = asyncio.new_event_loop()
-        fold_logs()
+        quiet_logs()
         self._thread = threading.Thread(target=self._loop.run_forever, daemon=True)
         self._thread.start()
         try:

@@ -9,6 +9,8 @@ Sources: VRM Consortium, VRMC_vrm 1.0 (bones and their parents); VMC protocol 2.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from pythonosc.osc_message import OscMessage
 
@@ -38,7 +40,7 @@ _LIMBS = (
 _SIDED = [
     (*(text.format(S=side, s=side.lower()) for text in row[:5]), row[5]) for side in ("Left", "Right") for row in _LIMBS
 ]
-BONES: tuple[tuple[str, str, str, str, str, float], ...] = (*_TRUNK, *_SIDED)
+BONES: tuple[tuple[Any, ...], ...] = (*_TRUNK, *_SIDED)
 """Bones, parents first: name; parent; our joint whose place it has; our joint that turns it, and against which other
 one; the bone's share of that turn"""
 

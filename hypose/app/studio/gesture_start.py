@@ -8,23 +8,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
-import numpy as np
-
 from hypose.app.live.gesture_sources import Source, Taken, open_source
 from hypose.app.studio.answers import choice, digits, number, text, whole
 from hypose.errors import InputError
-from hypose.gestures.depth_pictures import KINECT
 from hypose.gestures.model import check_gesture_name
 from hypose.gestures.session import COMMANDS, Command, SessionSettings
-from hypose.synthetic.gesture_live import live_person
 
 MOST_GESTURES = 8
 """Gestures that are taught one after the other."""
 PHASES = ("do_gesture", "positive", "release", "negative")
-PERSON_RATE = 15.0
-"""Hz of the simulated person."""
-_TEST_S = 2.0
-"""The simulated person does the gesture every other so many seconds while it is not told what to do."""
 
 
 @dataclass(frozen=True)
@@ -59,14 +51,12 @@ class Controls:
 @dataclass(frozen=True)
 class Feed:
     """live: a camera, whose pictures come when they come; others are shown at the pace of their times. knows: the box
-    of a picture says where the gesture really is, and None that it is not seen. clear: whether the last picture shows
-    it or clearly does not."""
+    of a picture says where the gesture really is, and None that it is not seen."""
 
     source: Source
     title: str
     live: bool = False
     knows: bool = True
-    clear: Callable[[], bool] = lambda: False
 
 
 def read_start(message: Mapping[str, Any]) -> Start:
@@ -125,31 +115,14 @@ def open_feed(start: Start, gesture: str, session: Callable[[str], Path]) -> Fee
     a page opens no paths."""
     kind, _, rest = start.source.partition(":")
     if kind == "simulated":
-        return _person(rest or "0", gesture, start.seed)
+        person = digits(rest or "0", "the simulated person's number")
+        return Feed(open_source(f"simulated:{person}", gesture, start.seed), f"Simulated person {person + 1}")
     if kind == "session":
         path = session(rest)
         return Feed(_from_zero(open_source(str(path), gesture)), f"Recorded session {path.name}")
     if start.source == "realsense":
         return Feed(_from_zero(open_source("realsense")), "RealSense camera", live=True, knows=False)
     raise InputError(f"There is no source {start.source[:40]!r}; choose one of the list.")
-
-
-def _person(who: str, gesture: str, seed: int) -> Feed:
-    number = digits(who, "the simulated person's number")
-    frames = live_person(number, gesture, np.random.default_rng([93, seed, number]), PERSON_RATE)
-    count, clear = 0, False
-
-    def take(phase: str) -> Taken | None:
-        nonlocal count, clear
-        asked = phase in ("do_gesture", "positive")
-        if phase in ("test", "free"):
-            asked = int(count / PERSON_RATE / _TEST_S) % 2 == 1
-        frame = frames.send(asked) if count else next(frames)
-        count, clear = count + 1, frame.clear
-        return Taken((count - 1) / PERSON_RATE, frame.depth, frame.point)
-
-    source = Source(f"simulated:{number}", KINECT, (640, 480), take)
-    return Feed(source, f"Simulated person {number + 1}", clear=lambda: clear)
 
 
 def _from_zero(source: Source) -> Source:

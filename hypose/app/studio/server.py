@@ -20,7 +20,7 @@ from starlette.routing import BaseRoute, Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 
 from hypose import __version__
-from hypose.app.live.servers import fold_logs
+from hypose.app.live.servers import quiet_logs
 from hypose.app.studio.answers import refusal
 from hypose.app.studio.catalog import Catalog, Item
 from hypose.app.studio.gesture_session import GestureTopic
@@ -175,7 +175,7 @@ def config(studio: Studio, host: str, port: int) -> uvicorn.Config:
         ws_ping_timeout=60,  # a page on a busy machine may be silent for long
         timeout_graceful_shutdown=2,
     )
-    fold_logs()
+    quiet_logs()
     return made
 
 

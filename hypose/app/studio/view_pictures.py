@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.app.reports.result_pictures import Image, image_points, mask_outline
+from hypose.app.reports.result_pictures import Image, image_points, jpeg, mask_outline
 from hypose.app.studio.memory_cache import Kept
 from hypose.errors import InputError
 from hypose.geometry import Array
@@ -32,7 +32,6 @@ _TRIAL = 10  # the frame at which jumps are tried
 _CACHE_BYTES = 16 << 20
 _PER_PIXEL, _PER_WORKING_PIXEL = 40, 60
 """Bytes that an open video holds per pixel of its frames, and a view's masks per pixel of the working size, about."""
-_QUALITY = 82
 
 
 class AnyFrame:
@@ -102,7 +101,7 @@ class ViewPictures:
         self._views = [AnyFrame(v) if v.source or v.masks else None for v in recording.views]
         self._stream: FrameStream | None = None
         self._lock, self._mask_lock = threading.Lock(), threading.Lock()
-        self._kept: Kept[list[bytes]] = Kept(_CACHE_BYTES, lambda files: sum(map(len, files)), one_more=True)
+        self._kept: Kept[bytes] = Kept(_CACHE_BYTES, len, one_more=True)
 
     @property
     def held(self) -> int:
@@ -111,24 +110,20 @@ class ViewPictures:
         working = 0 if self._stream is None else sum(math.prod(c.size) for c in self._stream.rig)
         return self._kept.held + _PER_PIXEL * sum(math.prod(c.size) for c in rig) + _PER_WORKING_PIXEL * working
 
-    def files(self, row: int, width: int) -> list[bytes]:
-        """The JPEGs of all views at most `width` px wide, b"" where there is none."""
+    def row(self, row: int, width: int) -> bytes:
+        """JPEGs of all views at most `width` px wide: their number (uint32), the length of each (uint32, 0 = no
+        picture), then the files; little-endian."""
         self._check(row)
         if not 32 <= width <= 4096:
             raise InputError(f"Pictures cannot be {width} px wide; ask for 32 to 4096.")
 
-        def make() -> list[bytes]:
+        def make() -> bytes:
             with self._lock, ThreadPoolExecutor(len(self._views)) as pool:
-                return list(pool.map(partial(self._jpeg, row=row, width=width), self._views))
+                files = list(pool.map(partial(self._jpeg, row=row, width=width), self._views))
+            return struct.pack(f"<{1 + len(files)}I", len(files), *map(len, files)) + b"".join(files)
 
-        with self._kept.use((row, width), make) as files:
-            return files
-
-    def row(self, row: int, width: int) -> bytes:
-        """The same in one: the number of JPEGs (uint32), the length of each (uint32, 0 = no picture), then the files;
-        little-endian."""
-        files = self.files(row, width)
-        return struct.pack(f"<{1 + len(files)}I", len(files), *map(len, files)) + b"".join(files)
+        with self._kept.use((row, width), make) as data:
+            return data
 
     def seen(self, row: int, points: Array) -> tuple[Image, Array] | None:
         """The picture (BGR) of the first view that has one of `row`, and where points (N, 3) m of the world are in it,
@@ -177,10 +172,7 @@ class ViewPictures:
             return b""
         if view.only_masks:
             image = (image // 3 + 40).astype(np.uint8)
-        h, w = image.shape[:2]
-        if w > width:
-            image = cv2.resize(image, (width, max(1, round(h * width / w))), interpolation=cv2.INTER_AREA)
-        return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()
+        return jpeg(image, width)
 
 
 def _pixels(line: NDArray[np.int32]) -> list[float]:

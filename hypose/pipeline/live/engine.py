@@ -32,8 +32,7 @@ from hypose.pipeline.live.eyes import (
     live_working_rig,
 )
 from hypose.pipeline.live.feeds import FeedStatus
-from hypose.pipeline.live.live_people import FOLLOWING, LOST, LivePeople
-from hypose.pipeline.live.live_person import LivePose
+from hypose.pipeline.live.live_people import FOLLOWING, LOST, LivePeople, LivePose
 from hypose.pipeline.live.live_search import LOOKING, NOBODY, SLOWLY_HZ, LivePersonOptions
 from hypose.pipeline.live.processes import punctual
 from hypose.pipeline.live.rooms import depth_of

@@ -15,8 +15,6 @@ from tests.pipeline.test_gait import walking
 
 APART = np.array([0.03, 0.0, 0.04])
 
-pytestmark = pytest.mark.slow
-
 
 @pytest.fixture(scope="module")
 def two(served, tmp_path_factory):
@@ -36,6 +34,7 @@ def two(served, tmp_path_factory):
     return root, motion, body
 
 
+@pytest.mark.slow
 def test_results_are_compared_and_plotted(two, page, tmp_path):
     root, motion, body = two
     found = gait_of(motion, body)
