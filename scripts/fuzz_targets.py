@@ -42,7 +42,7 @@ def targets() -> dict[str, Target]:
     from hypose.io.recordings import recording
     from hypose.io.sensors.depth import read_depth_png
     from hypose.io.sensors.skeleton_files import read_skeletons
-    from hypose.io.sensors.skeleton_lines import parse_line
+    from hypose.io.sensors.skeleton_streams import parse_line
     from hypose.io.videos import video
     from hypose.pipeline.gesture_files import load_model, read_recording
 

@@ -16,7 +16,7 @@ from benchmarks.robustness.small_recordings import small_scene, write_masks
 from hypose.app.batch import read_table
 from hypose.app.cli import app
 from hypose.io.calibrations.calibration_text import write_calibration
-from hypose.io.sensors.skeleton_lines import format_line
+from hypose.io.sensors.skeleton_streams import format_line
 from scripts.api_page import api_page
 from tests.conftest import HANG_S, ROOT
 from tests.depth_sensors import reports
@@ -138,6 +138,11 @@ def test_commands_in_the_documentation_exist(page, words):
     known = {o for p in command.params for o in (*p.opts, *p.secondary_opts)}
     given = {w.partition("=")[0] for w in words if re.match(r"--[a-z]", w)}
     assert given <= known, f"{page}: {given - known}"
+
+
+def test_every_command_is_in_the_table_of_the_documentation():
+    table = re.findall(r"^\| `hypose ([a-z-]+)", (ROOT / "docs" / "index.md").read_text("utf-8"), re.MULTILINE)
+    assert sorted(table) == sorted(typer.main.get_command(app).commands)
 
 
 def test_toml_in_the_documentation_is_toml():

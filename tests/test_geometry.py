@@ -9,9 +9,7 @@ from hypose.geometry import (
     rotation_between,
     rotation_mean,
     se3,
-    se3_exp,
     se3_inverse,
-    se3_log,
     skew,
     so3_exp,
     so3_left_jacobian,
@@ -91,8 +89,7 @@ def test_mean_is_the_karcher_mean(rng):
 
 def test_rigid_motions_round_trip(rng):
     x = rng.normal(size=(50, 6))
-    m = se3_exp(x)
-    np.testing.assert_allclose(se3_log(m), x, atol=1e-10)
+    m = se3(so3_exp(x[:, :3]), x[:, 3:])
     np.testing.assert_allclose(m @ se3_inverse(m), np.broadcast_to(np.eye(4), m.shape), atol=1e-13)
     p = rng.normal(size=(50, 7, 3))
     np.testing.assert_allclose(transform(se3_inverse(m), transform(m, p)), p, atol=1e-12)

@@ -28,9 +28,8 @@ from hypose.app.reports.summary import require_found, summarize
 from hypose.errors import HyposeError, InputError, extra
 from hypose.io.file_names import file_name
 from hypose.io.files import check_writable, read_json, text_lines, write_text
-from hypose.io.motions.results import ResultsFolder, to_json
+from hypose.io.motions.results import ResultsFolder, identity, to_json
 from hypose.io.recordings.pose2sim import is_project
-from hypose.io.recordings.provenance import identity
 from hypose.io.recordings.recording import load_recording
 from hypose.pipeline.run import TrackOptions
 

@@ -341,8 +341,7 @@ def focal_by_points(rig: CameraRig, pixels: Array) -> CommonFocal:
 
 def focal_by_masks(rig: CameraRig, tracks: Sequence[MaskTrack]) -> CommonFocal:
     """From the planes that touch a person's outlines in pairs of views; rig: that of the masks."""
-    found = [np.median([np.ptp(h, axis=0).max() for h in t.outline if h is not None] or [1.0]) for t in tracks]
-    size = np.maximum(np.array(found, dtype=np.float64), 1.0)
+    size = np.maximum([t.size for t in tracks], 1.0)
 
     def rows(moved: CameraRig, views: list[int]) -> Array:
         pairs = tangency(CameraRig(tuple(moved[c] for c in views)), [tracks[c] for c in views])

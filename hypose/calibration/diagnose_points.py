@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,6 @@ from hypose.calibration.findings import Finding, Limits
 from hypose.calibration.refine_points import (
     CameraChange,
     PointAdjustment,
-    PointSettings,
     adjust,
     bent,
     changes,
@@ -39,17 +39,59 @@ CONVENTIONS: tuple[tuple[str, Callable[[Camera], Array]], ...] = (
 )
 
 
+Seen = TypeVar("Seen")
+
+
 @dataclass(frozen=True)
-class Trial:
-    """One suspected fault undone. kind, views (indices) and words as in a Finding; rig and pixels (C, T, K, 3) after
-    the cure."""
+class Trial(Generic[Seen]):
+    """One suspected fault undone. kind, views (indices) and words as in a Finding; rig and what the views see (key
+    points (C, T, K, 3), or tracks of masks) after the cure."""
 
     kind: str
     views: tuple[int, ...]
     words: str
     cure: str
     rig: CameraRig
-    pixels: Array
+    seen: Seen
+
+
+_TURNS = (
+    ("mirrored", "mirrored", (-1.0, 1.0), "mirror the video back (ffmpeg -i IN -vf hflip OUT)"),
+    ("turned", "upside down", (-1.0, -1.0), "turn the video back (ffmpeg -i IN -vf hflip,vflip OUT)"),
+    ("mirrored", "flipped top to bottom", (1.0, -1.0), "flip the video back (ffmpeg -i IN -vf vflip OUT)"),
+)
+"""kind, words, factor of x and y about the middle of the picture, cure"""
+
+
+def geometric_trials(
+    rig: CameraRig, seen: Seen, turned: Callable[[int, Array], Seen], ordered: Callable[[Array], Seen]
+) -> Iterator[Trial[Seen]]:
+    """Images of one camera that are mirrored or turned, views of two cameras that are exchanged, poses that are
+    inverted. turned: what is seen when a view's positions are multiplied by factors (2,) about the picture's middle;
+    ordered: when the views come in another order."""
+    for c, camera in enumerate(rig):
+        for kind, words, factor, cure in _TURNS:
+            cure = f"{cure}, or calibrate {camera.name} from such images"
+            yield Trial(kind, (c,), f"its images are {words}", cure, rig, turned(c, np.array(factor)))
+    for a, b in itertools.combinations(range(len(rig)), 2):
+        order = np.arange(len(rig))
+        order[[a, b]] = b, a
+        words = f"its video is that of camera {rig.names[b]} and the other way round"
+        cure = f'exchange camera = "{rig.names[a]}" and camera = "{rig.names[b]}" in recording.toml'
+        yield Trial("swapped", (a, b), words, cure, rig, ordered(order))
+    inverse = CameraRig(tuple(replace(c, camera_from_world=se3_inverse(c.camera_from_world)) for c in rig))
+    words = "the poses are those of the cameras in the world, not of the world in the cameras"
+    yield Trial("inverted", (), words, "invert every camera's rotation and translation", inverse, seen)
+
+
+def gross_finding(rig: CameraRig, trial: Trial[Any], before: float, after: float, who: str = "views") -> Finding:
+    """The finding that a suspected fault is there: `who` agree when it is undone, to shares of the person's size."""
+    names = tuple(rig.names[k] for k in trial.views)
+    text = (
+        f"{' and '.join(names) if 0 < len(names) < len(rig) else 'All cameras'}: {trial.words}; with that undone the "
+        f"{who} agree to {100 * after:.1f} % of the person's size instead of {100 * before:.1f} %"
+    )
+    return Finding(trial.kind, names, text, trial.cure, before - after)
 
 
 def mirrored_names(names: Sequence[str]) -> list[int]:
@@ -109,96 +151,73 @@ def sizes(pixels: Array) -> Array:
 
 def trials(
     rig: CameraRig, pixels: Array, names: Sequence[str], stored: Sequence[tuple[int, int] | None]
-) -> Iterator[Trial]:
+) -> Iterator[Trial[Array]]:
     """All suspected faults of a rig and key points (C, T, K, 3), undone one at a time. stored: size of each view's
     stored images, None when unknown."""
     twin = mirrored_names(names)
-    for c, camera in enumerate(rig):
-        w, h = camera.size
-        p = pixels[c]
-        mirrored = (np.array([w - 1.0, 0.0]) + np.array([-1.0, 1.0]) * p[..., :2], twin)
-        cure = f"mirror the video back (ffmpeg -i IN -vf hflip OUT), or calibrate {camera.name} from mirrored images"
-        yield _with(rig, pixels, c, "mirrored", mirrored, "its images are mirrored", cure)
-        turned = (np.array([w - 1.0, h - 1.0]) - p[..., :2], None)
-        cure = f"turn the video back (ffmpeg -i IN -vf hflip,vflip OUT), or calibrate {camera.name} from turned images"
-        yield _with(rig, pixels, c, "turned", turned, "its images are upside down", cure)
-        flipped = (np.array([0.0, h - 1.0]) + np.array([1.0, -1.0]) * p[..., :2], twin)
-        cure = "flip the video back (ffmpeg -i IN -vf vflip OUT)"
-        yield _with(rig, pixels, c, "mirrored", flipped, "its images are flipped top to bottom", cure)
+
+    def turned(c: int, factor: Array) -> Array:
+        return _turned(pixels, rig, c, factor, twin if factor.prod() < 0 else None)
+
+    yield from geometric_trials(rig, pixels, turned, lambda order: pixels[order])
+    every = tuple(range(len(rig)))
+    for c in every:
         yield from _sizes(rig, pixels, c, stored[c])
-    for a, b in itertools.combinations(range(len(rig)), 2):
-        order = np.arange(len(rig))
-        order[[a, b]] = b, a
-        words = f"its video is that of camera {rig.names[b]} and the other way round"
-        cure = (
-            f'exchange them: give the view of {rig.names[a]} camera = "{rig.names[b]}", '
-            f'that of {rig.names[b]} camera = "{rig.names[a]}"'
-        )
-        yield Trial("swapped", (a, b), words, cure, rig, pixels[order])
-    if len(rig) > 2:
-        for shift in (1, len(rig) - 1):
-            order = np.roll(np.arange(len(rig)), shift)
-            words = "the videos belong to other cameras: their order is shifted by one"
-            cure = 'give each view its camera = "..." in recording.toml'
-            yield Trial("swapped", tuple(range(len(rig))), words, cure, rig, pixels[order])
-    yield from _all_views(rig, pixels, twin)
-    inverse = CameraRig(tuple(replace(c, camera_from_world=se3_inverse(c.camera_from_world)) for c in rig))
-    words = "the poses are those of the cameras in the world, not of the world in the cameras"
-    yield Trial("inverted", (), words, "invert every camera's rotation and translation", inverse, pixels)
-    for words, coefficients in CONVENTIONS:
-        if any(np.abs(c.distortion).max(initial=0) > 0 for c in rig):
-            changed = CameraRig(tuple(replace(c, distortion=coefficients(c)) for c in rig))
-            cure = "correct the distortion coefficients of the calibration file, or calibrate the lenses again"
-            yield Trial("distortion", (), f"its distortion coefficients are {words}", cure, changed, pixels)
-    for c, camera in enumerate(rig):
-        for words, coefficients in CONVENTIONS:
-            if np.abs(camera.distortion).max(initial=0) > 0:
-                cameras = list(rig)
-                cameras[c] = replace(camera, distortion=coefficients(camera))
-                cure = f"correct the distortion coefficients of {camera.name}, or calibrate its lens again"
-                words = f"its distortion coefficients are {words}"
-                yield Trial("distortion", (c,), words, cure, CameraRig(tuple(cameras)), pixels)
-
-
-def _all_views(rig: CameraRig, pixels: Array, twin: list[int]) -> Iterator[Trial]:
-    """The same done to all views at once."""
-    last = (rig.sizes - 1.0)[:, None, None]
-    for kind, words, turn, cure in (
-        ("mirrored", "all images are mirrored", (True, False), "mirror the videos back (ffmpeg -i IN -vf hflip OUT)"),
-        ("turned", "all images are upside down", (True, True), "turn the videos back (ffmpeg -vf hflip,vflip)"),
+    for shift in (1, len(rig) - 1) if len(rig) > 2 else ():
+        words = "the videos belong to other cameras: their order is shifted by one"
+        cure = 'give each view its camera = "..." in recording.toml'
+        yield Trial("swapped", every, words, cure, rig, pixels[np.roll(every, shift)])
+    # what is mirrored shows the other side; what only counts the other way has its names right
+    for kind, words, factor, other, cure in (
+        (
+            "mirrored",
+            "all images are mirrored",
+            (-1.0, 1.0),
+            twin,
+            "mirror the videos back (ffmpeg -i IN -vf hflip OUT)",
+        ),
+        ("turned", "all images are upside down", (-1.0, -1.0), None, "turn the videos back (ffmpeg -vf hflip,vflip)"),
         (
             "flipped",
             "the key points' y counts from the bottom of the images (or all videos are flipped)",
-            (False, True),
+            (1.0, -1.0),
+            None,
             "write y as the image's height minus y",
         ),
     ):
-        points = pixels.copy()
-        points[..., :2] = np.where(turn, last - pixels[..., :2], pixels[..., :2])
-        points = np.where(pixels[..., 2:] > 0, points, 0.0)
-        # what is mirrored shows the other side; what only counts the other way has its names right
-        points = points[:, :, twin] if kind == "mirrored" else points
-        yield Trial(kind, tuple(range(len(rig))), words, cure, rig, points)
+        points = pixels
+        for c in every:
+            points = _turned(points, rig, c, np.array(factor), other)
+        yield Trial(kind, every, words, cure, rig, points)
+    lenses = [c for c in every if np.abs(rig[c].distortion).max(initial=0) > 0]
+    for views in ((), *((c,) for c in lenses)) if lenses else ():
+        whose = rig.names[views[0]] if views else "the calibration file"
+        cure = f"correct the distortion coefficients of {whose}, or calibrate the lens again"
+        for words, coefficients in CONVENTIONS:
+            cameras = [
+                replace(k, distortion=coefficients(k)) if c in (views or every) else k for c, k in enumerate(rig)
+            ]
+            words = f"its distortion coefficients are {words}"
+            yield Trial("distortion", views, words, cure, CameraRig(tuple(cameras)), pixels)
 
 
-def _with(
-    rig: CameraRig,
-    pixels: Array,
-    c: int,
-    kind: str,
-    new: tuple[Array, list[int] | None],
-    words: str,
-    cure: str,
-) -> Trial:
-    points = pixels.copy()
-    points[c, ..., :2] = new[0]
-    points[c] = np.where(pixels[c, ..., 2:] > 0, points[c], 0.0)
-    if new[1] is not None:
-        points[c] = points[c][:, new[1]]
-    return Trial(kind, (c,), words, cure, rig, points)
+def _turned(pixels: Array, rig: CameraRig, c: int, factor: Array, twin: list[int] | None) -> Array:
+    """Key points with those of view c multiplied about the picture's middle, and read as those of the other side."""
+    middle = (np.array(rig[c].size) - 1) / 2
+    out = _placed(pixels, c, middle + factor * (pixels[c, ..., :2] - middle))
+    if twin is not None:
+        out[c] = out[c][:, twin]
+    return out
 
 
-def _sizes(rig: CameraRig, pixels: Array, c: int, stored: tuple[int, int] | None) -> Iterator[Trial]:
+def _placed(pixels: Array, c: int, xy: Array) -> Array:
+    """Key points with those of view c that are there at other positions (T, K, 2)."""
+    out = pixels.copy()
+    out[c, ..., :2] = np.where(pixels[c, ..., 2:] > 0, xy, 0.0)
+    return out
+
+
+def _sizes(rig: CameraRig, pixels: Array, c: int, stored: tuple[int, int] | None) -> Iterator[Trial[Array]]:
     """Key points of images of another size than calibrated: scaled, or cut out of them."""
     camera = rig[c]
     w, h = camera.size
@@ -208,7 +227,7 @@ def _sizes(rig: CameraRig, pixels: Array, c: int, stored: tuple[int, int] | None
     if not known:
         factors = [(s, s) for s in (0.5, 2 / 3, 0.75, 4 / 3, 1.5, 2.0)]
     for fx, fy in factors:
-        new = ((xy + 0.5) * np.array([fx, fy]) - 0.5, None)
+        new = _placed(pixels, c, (xy + 0.5) * np.array([fx, fy]) - 0.5)
         if known and stored is not None:
             words = (
                 f"its key points are in pixels of the stored {stored[0]} x {stored[1]} images, not of the calibrated"
@@ -216,7 +235,7 @@ def _sizes(rig: CameraRig, pixels: Array, c: int, stored: tuple[int, int] | None
         else:
             words = f"its key points are in pixels of images {1 / fx:.2f} times the calibrated size"
         cure = 'set keypoint_pixels = "image" in recording.toml'
-        yield _with(rig, pixels, c, "scaled", new, words + f" {w} x {h}", cure)
+        yield Trial("scaled", (c,), words + f" {w} x {h}", cure, rig, new)
     if known and stored is not None and (stored[0] < w or stored[1] < h):
         dw, dh = max(w - stored[0], 0), max(h - stored[1], 0)
         places = {(x, y) for x in (0.0, 0.5, 1.0) for y in (0.0, 0.5, 1.0)}
@@ -226,15 +245,15 @@ def _sizes(rig: CameraRig, pixels: Array, c: int, stored: tuple[int, int] | None
                 continue
             words = f"its images were cut: {dx} px are missing at the left and {dy} px at the top"
             cure = f"subtract ({dx}, {dy}) from the principal point of {camera.name} and give its size as {stored}"
-            yield _with(rig, pixels, c, "cropped", (xy + np.array([dx, dy]), None), words, cure)
             # or the loader has stretched them to the calibrated size
-            back = (xy + 0.5) * np.array([stored[0] / w, stored[1] / h]) - 0.5 + np.array([dx, dy])
-            yield _with(rig, pixels, c, "cropped", (back, None), words, cure)
+            stretched = (xy + 0.5) * np.array([stored[0] / w, stored[1] / h]) - 0.5
+            for new in (xy, stretched):
+                yield Trial("cropped", (c,), words, cure, rig, _placed(pixels, c, new + np.array([dx, dy])))
 
 
 def best_trial(
     rig: CameraRig, pixels: Array, names: Sequence[str], stored: Sequence[tuple[int, int] | None], every: int = 4
-) -> tuple[Trial | None, float, float]:
+) -> tuple[Trial[Array] | None, float, float]:
     """The trial after which the views concerned agree best, and their disagreement before and after it (shares of the
     person's size), judged on every n-th frame. Trials that leave all views together worse are not believed."""
     few = pixels[:, ::every]
@@ -244,7 +263,7 @@ def best_trial(
     for k, trial in enumerate(trials(rig, few, names, stored)):
         if trial.views not in before:
             before[trial.views] = disagreement(rig, few, trial.views)
-        scored.append((disagreement(trial.rig, trial.pixels, trial.views), before[trial.views], k))
+        scored.append((disagreement(trial.rig, trial.seen, trial.views), before[trial.views], k))
     # the camera that is worst off is looked at first: its fault disturbs the others
     worst = max((b for _, b, _ in scored), default=0.0)
     order = sorted(scored, key=lambda x: x[0] / max(x[1], 1e-6))
@@ -252,7 +271,7 @@ def best_trial(
         if was < 0.5 * worst and after > 0.2 * was:
             continue
         trial = next(itertools.islice(trials(rig, pixels, names, stored), k, None))
-        if disagreement(trial.rig, trial.pixels[:, ::every]) < all_before:
+        if disagreement(trial.rig, trial.seen[:, ::every]) < all_before:
             return trial, was, after
     return None, all_before, all_before
 
@@ -365,7 +384,7 @@ def judge_extrinsics(rig: CameraRig, pixels: Array, o: Limits) -> Extrinsics | N
     """pixels (C, T, K, 3), distorted px, in step. None when too few points are seen by two views."""
     c, frames = pixels.shape[:2]
     uv, confidence = undistorted(rig, pixels)
-    ideal = CameraRig(tuple(replace(k, distortion=np.zeros(5), fisheye=False) for k in rig))
+    ideal = rig.pinhole()
     used = np.unique(np.linspace(0, frames - 1, min(_MOST_FRAMES, (frames + 1) // 2)).astype(np.int64))
     rest = np.setdiff1d(np.arange(frames), used).astype(np.int64)
     rest = rest if len(rest) else used
@@ -375,15 +394,15 @@ def judge_extrinsics(rig: CameraRig, pixels: Array, o: Limits) -> Extrinsics | N
 
     try:
         found = adjust(ideal, *of(used))
-        lens = adjust(ideal, *of(used), PointSettings(radial=True)) if c > 2 else None
+        lens = adjust(ideal, *of(used), radial=True) if c > 2 else None
     except (EvidenceError, np.linalg.LinAlgError):
         return None
-    refined = _in_old_gauge(found, ideal)
+    old_from_new = gauge(found.rig, ideal, found.points)
+    refined = in_world(found.rig, old_from_new)
     size = sizes(pixels)
     person = float(np.median(size[size > 0])) if (size > 0).any() else 1.0
     before, after = (_residual(r, *of(rest)) for r in (ideal, refined))
-    points = transform(gauge(found.rig, ideal, found.points), found.points)
-    moved = changes(ideal, refined, points)
+    moved = changes(ideal, refined, transform(old_from_new, found.points))
     findings: list[Finding] = []
     radial, radial_sd = np.zeros(c), np.full(c, np.inf)
     far = any(m.turn_deg > FAR_DEG or m.move_m > FAR_M for m in moved)
@@ -457,10 +476,6 @@ def _undecided(
         f"points miss each other by {before:.1f} px, after a refinement by {after:.1f} px (frames not used)"
     )
     return Finding("extrinsics", names, text, "film with a third camera, or run hypose check --refine", image_px)
-
-
-def _in_old_gauge(found: PointAdjustment, old: CameraRig) -> CameraRig:
-    return in_world(found.rig, gauge(found.rig, old, found.points))
 
 
 def _with_lenses(rig: CameraRig, like: CameraRig) -> CameraRig:

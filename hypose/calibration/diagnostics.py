@@ -29,8 +29,11 @@ from hypose.calibration.diagnose_points import (
     FAR_DEG,
     FAR_M,
     Extrinsics,
+    Trial,
     best_trial,
     disagreement,
+    geometric_trials,
+    gross_finding,
     judge_extrinsics,
     late_views,
     sizes,
@@ -46,7 +49,7 @@ from hypose.errors import EvidenceError
 from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.frame import Silhouettes
 from hypose.evidence.hull import visual_hull
-from hypose.geometry import Array, se3_inverse
+from hypose.geometry import Array
 
 # ---- doctor silhouettes --------------------------------------------------------------------------------------------
 # The doctor's checks on silhouettes alone: tangent planes of pairs of views in place of key points.
@@ -62,16 +65,6 @@ _LOOK_AT_MASKS = (
     "look at the masks in check.png; if they outline the same person in every view, run hypose check --refine, else "
     "give a photo or clip of the empty room as background, masks of your own, or key points"
 )
-
-
-@dataclass(frozen=True)
-class _Trial:
-    kind: str
-    views: tuple[int, ...]
-    words: str
-    cure: str
-    rig: CameraRig
-    tracks: list[MaskTrack]
 
 
 def examine_silhouettes(
@@ -94,7 +87,7 @@ def examine_silhouettes(
     small, tracks = _gross_masks(small, tracks, size, findings, o)
     timed = list(findings)
     late = _timing(rig, small, tracks, size, timed, o)
-    in_step = [_delayed(t, round(x)) for t, x in zip(tracks, late, strict=True)]
+    in_step = [_delayed(t, x) for t, x in zip(tracks, late, strict=True)]
     # somebody who walks straight on looks through a late camera as through one that stands elsewhere
     left = _score(small, _few(in_step, _JUDGED), size)
     placed = _displaced(rig, small, tracks, size, silhouettes, left, o) if not findings else None
@@ -104,7 +97,7 @@ def examine_silhouettes(
         findings.append(placed[0])
         small = placed[1]
         late = _timing(rig, small, tracks, size, findings, o)
-        tracks = [_delayed(t, round(x)) for t, x in zip(tracks, late, strict=True)]
+        tracks = [_delayed(t, x) for t, x in zip(tracks, late, strict=True)]
     if not findings or all(f.kind == "late" for f in findings):
         findings += focal_findings(focal_by_masks(small, _few(tracks, _JUDGED)))
     if not findings or all(f.kind == "late" for f in findings):
@@ -142,11 +135,7 @@ def _reports(rig: CameraRig, residual: Array, size: Array) -> tuple[ViewReport, 
 
 
 def _sizes(tracks: Sequence[MaskTrack]) -> Array:
-    out = []
-    for t in tracks:
-        extents = [float(np.ptp(h, axis=0).max()) for h in t.outline if h is not None]
-        out.append(float(np.median(extents)) if extents else 0.0)
-    return np.array(out)
+    return np.array([t.size for t in tracks])
 
 
 def _score(rig: CameraRig, tracks: Sequence[MaskTrack], size: Array) -> float:
@@ -160,10 +149,7 @@ def _score(rig: CameraRig, tracks: Sequence[MaskTrack], size: Array) -> float:
 def _few(tracks: Sequence[MaskTrack], count: int) -> list[MaskTrack]:
     total = len(tracks[0].area)
     rows = np.unique(np.linspace(0, total - 1, min(count, total)).astype(int))
-    return [
-        MaskTrack(tuple(t.outline[k] for k in rows), tuple(None for _ in rows), t.area[rows], t.cut[rows])
-        for t in tracks
-    ]
+    return [t.at(rows) for t in tracks]
 
 
 def _gross_masks(
@@ -174,68 +160,31 @@ def _gross_masks(
         before = _score(rig, few, size)
         if before < o.gross:
             break
-        scored = [(_score(t.rig, t.tracks, size), k) for k, t in enumerate(_trials(rig, few))]
+        scored = [(_score(t.rig, t.seen, size), k) for k, t in enumerate(_trials(rig, few))]
         after, k = min(scored)
         if after > min(o.gross_cured * before, SCATTER):
             break
         trial = next(itertools.islice(_trials(rig, tracks), k, None))
-        names = tuple(rig.names[v] for v in trial.views)
-        text = (
-            f"{' and '.join(names) if names else 'All cameras'}: {trial.words}; with that undone the silhouettes agree "
-            f"to {100 * after:.1f} % of the person's size instead of {100 * before:.1f} %"
-        )
-        findings.append(Finding(trial.kind, names, text, trial.cure, before - after))
-        rig, tracks = trial.rig, trial.tracks
+        findings.append(gross_finding(rig, trial, before, after, "silhouettes"))
+        rig, tracks = trial.rig, trial.seen
     return rig, tracks
 
 
-def _trials(rig: CameraRig, tracks: list[MaskTrack]) -> Iterator[_Trial]:
-    for c, camera in enumerate(rig):
-        w, h = camera.size
-        for kind, words, factor, cure in (
-            ("mirrored", "its images are mirrored", (-1, 1), "mirror the video back (ffmpeg -i IN -vf hflip OUT)"),
-            ("turned", "its images are upside down", (-1, -1), "turn the video back (ffmpeg -vf hflip,vflip)"),
-            ("mirrored", "its images are flipped top to bottom", (1, -1), "flip the video back (ffmpeg -vf vflip)"),
-        ):
-            new = list(tracks)
-            new[c] = _mapped(tracks[c], np.array(factor, dtype=np.float64), (w, h))
-            yield _Trial(kind, (c,), words, cure, rig, new)
-    for a, b in itertools.combinations(range(len(rig)), 2):
-        new = list(tracks)
-        new[a], new[b] = tracks[b], tracks[a]
-        cure = f'exchange camera = "{rig.names[a]}" and camera = "{rig.names[b]}" in recording.toml'
-        words = f"its video is that of camera {rig.names[b]} and the other way round"
-        yield _Trial("swapped", (a, b), words, cure, rig, new)
-    inverse = CameraRig(tuple(replace(k, camera_from_world=se3_inverse(k.camera_from_world)) for k in rig))
-    words = "the poses are those of the cameras in the world, not of the world in the cameras"
-    yield _Trial("inverted", (), words, "invert every camera's rotation and translation", inverse, tracks)
+def _trials(rig: CameraRig, tracks: list[MaskTrack]) -> Iterator[Trial[list[MaskTrack]]]:
+    def turned(c: int, factor: Array) -> list[MaskTrack]:
+        middle, track = (np.array(rig[c].size) - 1) / 2, tracks[c]
+        outline, changed = (
+            tuple(None if p is None else middle + factor * (p - middle) for p in parts)
+            for parts in (track.outline, track.changed)
+        )
+        return [*tracks[:c], replace(track, outline=outline, changed=changed), *tracks[c + 1 :]]
+
+    return geometric_trials(rig, tracks, turned, lambda order: [tracks[k] for k in order])
 
 
-def _mapped(track: MaskTrack, factor: Array, size: tuple[int, int]) -> MaskTrack:
-    """The track of an image mirrored where factor is -1."""
-    offset = np.where(factor < 0, np.array(size) - 1.0, 0.0)
-    return MaskTrack(
-        tuple(None if p is None else p * factor + offset for p in track.outline),
-        tuple(None if p is None else p * factor + offset for p in track.changed),
-        track.area,
-        track.cut,
-    )
-
-
-def _delayed(track: MaskTrack, late: int) -> MaskTrack:
+def _delayed(track: MaskTrack, late: float) -> MaskTrack:
     """The track as it is when frame t + late is shown at t."""
-    if late == 0:
-        return track
-    n = len(track.area)
-    at = np.arange(n) + late
-    inside = (at >= 0) & (at < n)
-    at = np.clip(at, 0, n - 1)
-    return MaskTrack(
-        tuple(track.outline[k] if ok else None for k, ok in zip(at, inside, strict=True)),
-        tuple(track.changed[k] if ok else None for k, ok in zip(at, inside, strict=True)),
-        np.where(inside, track.area[at], 0.0),
-        track.cut[at] | ~inside,
-    )
+    return track.at(np.arange(len(track.area)) + round(late))
 
 
 def _timing(
@@ -501,14 +450,8 @@ def _gross(state: _State, observed: Observed, o: Limits) -> None:
         limit = o.gross_lens if trial is not None and trial.kind == "distortion" else o.gross
         if trial is None or before < limit or after > o.gross_cured * before:
             return
-        names = tuple(state.rig.names[k] for k in trial.views)
-        text = (
-            f"{' and '.join(names) if 0 < len(names) < len(state.rig) else 'All cameras'}: {trial.words}; with that "
-            f"undone the views agree to "
-            f"{100 * after:.1f} % of the person's size instead of {100 * before:.1f} %"
-        )
-        state.findings.append(Finding(trial.kind, names, text, trial.cure, before - after))
-        state.rig, state.pixels = trial.rig, trial.pixels
+        state.findings.append(gross_finding(state.rig, trial, before, after))
+        state.rig, state.pixels = trial.rig, trial.seen
 
 
 def _against_masks(

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.calibration.boards import Board
-from hypose.calibration.bundle import LensPrior
 from hypose.calibration.intrinsics import FOCAL_SD, Lens, board_poses, calibrate_lens
-from hypose.calibration.rig import Chooser, RigCalibration, RigSettings, calibrate_rig
+from hypose.calibration.refine_points import in_world
+from hypose.calibration.rig import Chooser, RigCalibration, calibrate_rig
 from hypose.calibration.synchronisation import estimate_lags
-from hypose.calibration.views import CameraViews, LookOptions, Progress, Source, diagnose, look_for_board
+from hypose.calibration.views import CameraViews, Progress, Source, diagnose, look_for_board
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import CalibrationError
 from hypose.geometry import Array, rotation_between, se3, se3_inverse, so3_log, transform
@@ -176,13 +176,7 @@ def place_on_floor(
         corners = np.concatenate([transform(b, board.points) for b in boards.values()]) @ turn.T
         origin = np.array([*corners[:, :2].mean(0), corners[:, 2].min()])
         world_from_old = se3(turn, -origin)
-    return move_world(rig, world_from_old), {f: world_from_old @ b for f, b in boards.items()}
-
-
-def move_world(rig: CameraRig, new_from_old: Array) -> CameraRig:
-    """The same rig described in another world (4, 4)."""
-    back = se3_inverse(new_from_old)
-    return CameraRig(tuple(replace(c, camera_from_world=c.camera_from_world @ back) for c in rig))
+    return in_world(rig, world_from_old), {f: world_from_old @ b for f, b in boards.items()}
 
 
 def _common_up(rig: CameraRig) -> Array:
@@ -212,7 +206,6 @@ class CalibrateOptions:
     fisheye: bool = False
     floor: int | None = None
     max_frames: int = 120
-    prior: LensPrior = field(default_factory=LensPrior)
     progress: Progress = field(default=lambda stage, done, total: None)
 
 
@@ -252,7 +245,7 @@ def calibrate_from_boards(
     o = options or CalibrateOptions()
     lens_views: tuple[CameraViews, ...] = ()
     if lens_sources:
-        lens_views = look_for_board(lens_sources, board, LookOptions(o.max_frames, False, o.progress))
+        lens_views = look_for_board(lens_sources, board, o.max_frames, False, o.progress)
         unknown = {v.name for v in lens_views} ^ {s.name for s in sources}
         if unknown:
             raise CalibrationError(
@@ -261,7 +254,7 @@ def calibrate_from_boards(
             )
         by_name = {v.name: v for v in lens_views}
         lens_views = tuple(by_name[s.name] for s in sources)
-    views = look_for_board(sources, board, LookOptions(o.max_frames, True, o.progress))
+    views = look_for_board(sources, board, o.max_frames, True, o.progress)
     both = (*lens_views, *views)
     _all_found(views, board, both)
     lenses: tuple[Lens, ...] = ()
@@ -273,7 +266,7 @@ def calibrate_from_boards(
             lenses,
             [v.sightings for v in views],
             board,
-            RigSettings(free_intrinsics=True, prior=o.prior, choose=choose),
+            choose,
             [v.sightings for v in lens_views] or None,
         )
         _determined(fit)
@@ -321,29 +314,26 @@ def _lens(
         if given is None:
             o.lenses.select([view.name])  # its error lists the cameras there are
         assert given is not None
-        if given.size != view.size:
-            ratio = (view.size[0] / view.size[1]) / (given.size[0] / given.size[1])
-            if abs(ratio - 1) > 0.01:
-                raise CalibrationError(
-                    f"Camera {view.name}: its pictures are {view.size[0]} x {view.size[1]} px, the given lens is "
-                    f"calibrated for {given.size[0]} x {given.size[1]} px; give a lens calibrated at this size."
-                )
-            given = given.scaled(view.size)
-        camera = replace(given, camera_from_world=np.eye(4))
+        camera = replace(_scaled(given, view, "the given lens"), camera_from_world=np.eye(4))
         errors = [board_poses(camera, s, board.points)[0][1] for s in view.sightings.values()]
         return Lens(camera, (), float(np.median(errors)), float("nan"), not o.refine_lenses)
     seen = lens_views[i].sightings if lens_views else view.sightings
     size = lens_views[i].size if lens_views else view.size
-    lens = calibrate_lens(view.name, seen, board, size, fisheye=o.fisheye, prior=o.prior, strict=False)
-    if size != view.size:
-        ratio = (view.size[0] / view.size[1]) / (size[0] / size[1])
-        if abs(ratio - 1) > 0.01:
-            raise CalibrationError(
-                f"Camera {view.name}: the lens pictures are {size[0]} x {size[1]} px, the others {view.size[0]} x "
-                f"{view.size[1]} px; film both in the same mode."
-            )
-        lens = replace(lens, camera=lens.camera.scaled(view.size), given=True)
-    return lens
+    lens = calibrate_lens(view.name, seen, board, size, fisheye=o.fisheye, strict=False)
+    if size == view.size:
+        return lens
+    return replace(lens, camera=_scaled(lens.camera, view, "those for its lens"), given=True)
+
+
+def _scaled(lens: Camera, view: CameraViews, whose: str) -> Camera:
+    """A lens at the size of a view's pictures; a CalibrationError when they have another shape."""
+    (w, h), (lens_w, lens_h) = view.size, lens.size
+    if abs((w / h) / (lens_w / lens_h) - 1) > 0.01:
+        raise CalibrationError(
+            f"Camera {view.name}: its pictures are {w} x {h} px, {whose} {lens_w} x {lens_h} px; film both in the same "
+            "mode."
+        )
+    return lens if view.size == lens.size else lens.scaled(view.size)
 
 
 def _lag_hint(lenses: Sequence[Lens], views: Sequence[CameraViews], board: Board) -> str:

@@ -9,13 +9,13 @@ the floor around it does (`surroundings`).
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 
 from hypose.calibration.boards import Board, IntArray, Sighting
-from hypose.calibration.bundle import NOISE_PX, LensPrior, Observations, Refined, refine
+from hypose.calibration.bundle import NOISE_PX, Observations, Refined, refine
 from hypose.calibration.intrinsics import Lens, board_poses, observe, spread_out
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import CalibrationError
@@ -91,17 +91,6 @@ class Link:
 
 
 @dataclass(frozen=True)
-class RigSettings:
-    """free_intrinsics: refine lenses jointly; choose: decides between two relative poses of a symmetric board that did
-    not move; max_frames: boards in the joint refinement."""
-
-    free_intrinsics: bool = True
-    prior: LensPrior = field(default_factory=LensPrior)
-    choose: Chooser | None = None
-    max_frames: int = _MAX_FRAMES
-
-
-@dataclass(frozen=True)
 class RigCalibration:
     """rig: in the frame of the first camera (see `floor`); boards: world_from_board (4, 4) by frame; sightings: those
     used, numbered alike in all cameras, by camera index and frame; errors: rms px per coordinate by (camera, frame);
@@ -127,15 +116,15 @@ def calibrate_rig(
     lenses: Sequence[Lens],
     sightings: Sequence[Mapping[int, Sighting]],
     board: Board,
-    options: RigSettings | None = None,
+    choose: Chooser | None = None,
     lens_sightings: Sequence[Mapping[int, Sighting]] | None = None,
 ) -> RigCalibration:
     """Poses of all cameras from boards seen at the same time.
 
-    sightings: per camera, by frame of the common time. lens_sightings: more boards, each for its own camera's lens
+    sightings: per camera, by frame of the common time. choose: decides between two relative poses of a symmetric board
+    that did not move. lens_sightings: more boards, each for its own camera's lens
     only. A CalibrationError names cameras that share no board with the others.
     """
-    o = options or RigSettings()
     cameras = [n.camera for n in lenses]
     poses = [
         {f: board_poses(c, s, board.points) for f, s in seen.items()}
@@ -146,19 +135,17 @@ def calibrate_rig(
         link = _link(c, d, cameras, sightings, poses, board)
         if link is not None:
             links.append(link)
-    tree = _tree(links, cameras, sightings, o.choose, notes)
+    tree = _tree(links, cameras, sightings, choose, notes)
     placed = _placed(tree, cameras)
     named = _numbered(placed, sightings, poses, board)
-    frames = _choose_frames(named, cameras, o.max_frames)
+    frames = _choose_frames(named, cameras, _MAX_FRAMES)
     extra: dict[int, dict[int, Sighting]] = {}
     number = -1
     for c, seen in enumerate(lens_sightings or ()):
-        if lenses[c].given or not o.free_intrinsics:
-            continue
-        for f in spread_out(seen, cameras[c].size, 30):
+        for f in () if lenses[c].given else spread_out(seen, cameras[c].size, 30):
             extra.setdefault(c, {})[number] = seen[f]
             number -= 1
-    return _refined(placed, named, frames, extra, lenses, board, o, tuple(links), tuple(notes))
+    return _refined(placed, named, frames, extra, lenses, board, tuple(links), tuple(notes))
 
 
 # ---- relative poses ------------------------------------------------------------------------------------------------
@@ -392,7 +379,6 @@ def _refined(
     extra: Mapping[int, Mapping[int, Sighting]],
     lenses: Sequence[Lens],
     board: Board,
-    o: RigSettings,
     links: tuple[Link, ...],
     notes: tuple[str, ...],
 ) -> RigCalibration:
@@ -407,7 +393,7 @@ def _refined(
         for c, v in seen.items()
     }
     alone = [board_poses(cameras[c], s, board.points)[0][1] for c in seen for f, s in seen[c].items() if f in frames]
-    free = np.array([o.free_intrinsics and not n.given for n in lenses])
+    free = np.array([not n.given for n in lenses])
     dropped: list[tuple[int, int]] = []
     moving: dict[tuple[int, int], float] = {}
     result: Refined | None = None
@@ -425,7 +411,6 @@ def _refined(
             board.points,
             obs,
             free_intrinsics=free,
-            prior=o.prior,
             noise_px=np.hypot(NOISE_PX, motion),
             robust_px=2.0 if attempt else 5.0,
         )

@@ -33,6 +33,7 @@ from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.geometry import Array, transform
+from hypose.io.videos.sound import Sound
 
 WHOLE = 0.05
 """frames: offsets nearer than this to a whole number are taken as whole, and nothing is interpolated"""
@@ -203,20 +204,6 @@ _RATE = 8000  # Hz: what sounds are compared at
 _LEAST_PEAK = 6.0  # a peak of the correlation in its own sd, below which there is no common sound
 
 
-class Sound(Protocol):
-    """One camera's sound: samples (N,) at rate Hz; sample 0 belongs to the start of frame 0 (hypose.io.videos)."""
-
-    @property
-    def rate(self) -> int:
-        """Hz."""
-        ...
-
-    @property
-    def samples(self) -> Array:
-        """(N,)."""
-        ...
-
-
 def offsets_from_sound(sounds: Sequence[Sound], names: Sequence[str], largest_s: float = 10.0) -> tuple[Array, Array]:
     """(C,) seconds by which each view is late, against the median view, and (C,) strength of the evidence (peak of the
     correlation with the others in sd). An EvidenceError names the views that share no sound with the others."""
@@ -381,5 +368,4 @@ def _correlation(base: tuple[Array, Array], other: tuple[Array, Array], lag: int
     if ok.sum() < _LEAST:
         return float("nan")
     a, b = np.log(value[ok] + 1e-3), np.log(known[ok] + 1e-3)
-    spread = float(a.std() * b.std())
-    return float(((a - a.mean()) * (b - b.mean())).mean() / spread) if spread > 1e-9 else float("nan")
+    return float(np.corrcoef(a, b)[0, 1]) if a.std() * b.std() > 1e-9 else float("nan")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -92,16 +92,6 @@ class CameraViews:
         return text + (f" ({rest})" if rest else "")
 
 
-@dataclass(frozen=True)
-class LookOptions:
-    """max_frames: pictures looked at per camera, evenly spread. together: the cameras filmed at the same time, so the
-    same frames are looked at in all."""
-
-    max_frames: int = 120
-    together: bool = True
-    progress: Progress = field(default=lambda stage, done, total: None)
-
-
 def find_sources(paths: Sequence[Path], what: str = "board videos") -> list[Source]:
     """One source per camera: from a folder with one video or photo folder per camera, or from the paths themselves.
 
@@ -147,32 +137,38 @@ def _inside(folder: Path, what: str) -> list[Path]:
 
 
 def look_for_board(
-    sources: Sequence[Source], board: Board, options: LookOptions | None = None
+    sources: Sequence[Source],
+    board: Board,
+    max_frames: int = 120,
+    together: bool = True,
+    progress: Progress = lambda stage, done, total: None,
 ) -> tuple[CameraViews, ...]:
-    """The board in all pictures of all cameras; an InputError names a file that cannot be read."""
-    o = options or LookOptions()
+    """The board in all pictures of all cameras; an InputError names a file that cannot be read.
+
+    max_frames: pictures looked at per camera, evenly spread. together: the cameras filmed at the same time, so the same
+    frames are looked at in all."""
     count = [0, 1]
 
     def step(total: int) -> None:
         count[0], count[1] = count[0] + 1, max(count[1], total)
-        o.progress("board", min(count[0], count[1]), count[1])
+        progress("board", min(count[0], count[1]), count[1])
 
     lengths = [open_video(s.path).n_frames for s in sources]
     numbers = None
-    if o.together and len(sources) > 1:
+    if together and len(sources) > 1:
         common = min(n - max(s.lag, 0) for s, n in zip(sources, lengths, strict=True))
         first = max(0, *(-s.lag for s in sources))
         if common <= first:
             raise InputError("The videos have no common frames at the given lags; check --lag.")
-        numbers = _spread(first, common, o.max_frames)
-    total = sum(len(numbers or _spread(0, n, o.max_frames)) for n in lengths)
+        numbers = _spread(first, common, max_frames)
+    total = sum(len(numbers or _spread(0, n, max_frames)) for n in lengths)
 
     def one(source: Source, n: int) -> CameraViews:
-        return _look(source, numbers or _spread(0, n, o.max_frames), board, lambda: step(total))
+        return _look(source, numbers or _spread(0, n, max_frames), board, lambda: step(total))
 
     with ThreadPoolExecutor(2) as pool:
         out = tuple(pool.map(one, sources, lengths))
-    o.progress("board", count[1], count[1])
+    progress("board", count[1], count[1])
     return out
 
 

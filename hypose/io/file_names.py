@@ -101,7 +101,7 @@ def match_names(wanted: Sequence[str], available: Sequence[str]) -> list[int | N
         ]
 
     out: list[int | None] = [None] * len(wanted)
-    for key in (lambda n: n, _bare, _number):
+    for key in (lambda n: n, _bare, last_number):
         for i, found in enumerate(unique(key)):
             if out[i] is None and found is not None and found not in out:
                 out[i] = found
@@ -117,7 +117,8 @@ def _bare(name: str) -> str:
     return "".join(c for c in re.sub(r"(^(ext|int)_|_(json|img|imgs|ext)$)", "", name.lower()) if c.isalnum())
 
 
-def _number(name: str) -> int | None:
-    """The last number of a name (cam_01 -> 1, trial2_cam03 -> 3)."""
-    numbers = re.findall(r"\d+", name)
-    return int(numbers[-1]) if numbers else None
+def last_number(name: str) -> int | None:
+    """The last number of a name (cam_01 -> 1, trial2_cam03 -> 3); None without one, or with one of more than 15
+    digits."""
+    digits = re.findall(r"[0-9]+", name)
+    return int(digits[-1]) if digits and len(digits[-1]) <= 15 else None

@@ -68,7 +68,12 @@ def readable_size(path: str | Path, kind: str, limit: int) -> int:
 
 def unreadable(path: str | Path, error: OSError) -> InputError:
     """The InputError for a file that the system does not let us read."""
-    return InputError(f"{path} cannot be read ({(error.strerror or str(error)).lower()}); check its permissions.")
+    return InputError(f"{path} cannot be read ({reason_of(error)}); check its permissions.")
+
+
+def reason_of(error: OSError) -> str:
+    """What the system says, in lower case."""
+    return (error.strerror or str(error)).lower()
 
 
 def read_bytes(path: str | Path, kind: str, limit: int, least: int = 1) -> bytes:
@@ -95,6 +100,44 @@ def text_lines(path: str | Path, kind: str, limit: int = MAX_TEXT_BYTES) -> list
     if b"\0" in data[:65536]:
         raise InputError(f"{path} is a binary file, not {kind}.")
     return data.decode("utf-8", errors="replace").lstrip("\ufeff").splitlines()
+
+
+def csv_rows(
+    path: str | Path, kind: str, limit: int = MAX_TEXT_BYTES
+) -> tuple[list[str], Iterator[tuple[int, list[str]]]]:
+    """The first line's names, and every other line's number, from 2, and cells; an InputError as of `bounded_lines`,
+    and for a line of another number of cells."""
+    lines = bounded_lines(path, kind, limit)
+    names = _cells(next(lines, ""))
+
+    def rows() -> Iterator[tuple[int, list[str]]]:
+        for number, line in enumerate(lines, start=2):
+            if not line.strip():
+                continue
+            cells = _cells(line)
+            if len(cells) != len(names):
+                raise InputError(
+                    f"{path}: line {number} has {len(cells)} cells, the first line {len(names)}; the file may be cut "
+                    "off."
+                )
+            yield number, cells
+
+    return names, rows()
+
+
+def _cells(line: str) -> list[str]:
+    return [c.strip().strip('"') for c in line.split(",")]
+
+
+@contextmanager
+def numbers_of(where: str) -> Iterator[None]:
+    """Within, cells become numbers; an InputError that begins with `where` for one that is none, or is missing."""
+    try:
+        yield
+    except (ValueError, OverflowError, IndexError):
+        raise InputError(
+            f"{where} holds something that is not a number, or is cut off; export the file again."
+        ) from None
 
 
 def read_json(path: str | Path, kind: str, limit: int = MAX_JSON_BYTES) -> Any:
@@ -204,9 +247,8 @@ def check_writable(folder: str | Path, option: str = "--out") -> None:
         os.close(os.open(test, _NEW, 0o666))
         test.unlink()
     except OSError as error:
-        reason = (error.strerror or str(error)).lower()
         raise InputError(
-            f"{folder} cannot be written ({reason}); choose a folder that you may write to, with {option}."
+            f"{folder} cannot be written ({reason_of(error)}); choose a folder that you may write to, with {option}."
         ) from None
 
 
@@ -221,9 +263,8 @@ def cannot_write(path: Path, error: OSError) -> str:
             f"{path} cannot be written because the disk is full{free}; what was written before is intact: "
             "free some space and run the same command again, with --resume where it knows that."
         )
-    reason = (error.strerror or str(error)).lower()
     return (
-        f"{path} cannot be written ({reason}); what was written before is intact: choose a folder that you "
+        f"{path} cannot be written ({reason_of(error)}); what was written before is intact: choose a folder that you "
         "may write to, or change its permissions."
     )
 
@@ -236,10 +277,9 @@ class RecordingFolder:
         self.path = Path(path)
         self._tables: dict[str, os.stat_result] = {}
         with self.writing():
-            if self.path.is_file():
-                raise InputError(f"{self.path} is a file; give a new folder to record to.")
-            if self.path.is_dir() and any(self.path.iterdir()):
-                raise InputError(f"{self.path} is not empty; give a new folder to record to.")
+            if self.path.is_file() or (self.path.is_dir() and any(self.path.iterdir())):
+                what = "a file" if self.path.is_file() else "not empty"
+                raise InputError(f"{self.path} is {what}; give a new folder to record to.")
             self.path.mkdir(parents=True, exist_ok=True)
 
     @contextmanager
@@ -248,8 +288,9 @@ class RecordingFolder:
         try:
             yield
         except OSError as error:
-            reason = (error.strerror or str(error)).lower()
-            raise InputError(f"{self.path} cannot be written ({reason}); choose another folder to record to.") from None
+            raise InputError(
+                f"{self.path} cannot be written ({reason_of(error)}); choose another folder to record to."
+            ) from None
 
     def table(self, name: str, header: Sequence[str]) -> IO[str]:
         """A new CSV file, open for its rows."""

@@ -24,8 +24,7 @@ from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.hull import common_view_bounds
 from hypose.evidence.hull_people import VIEWS, HullPerson
 from hypose.geometry import Array
-from hypose.io.motions.results import ResultsFolder, save_motion
-from hypose.io.recordings.provenance import identity
+from hypose.io.motions.results import ResultsFolder, identity, save_motion
 from hypose.pipeline.bodies_again import fitted_again
 from hypose.pipeline.doubts import as_now, in_words, looked_at, mask_change
 from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject, keep_subject, kept_subject
@@ -484,10 +483,9 @@ class PeopleRun:
         tracked = Tracked(found, p.member.state, complete)
         present, hidden = np.array(p.present, dtype=np.bool_), np.array(p.hidden, dtype=np.bool_)
         source = OwnFrames(self.source, p, people, self._points)
-        shared = len(people) > 1 and p.present[0]
         given = p.subject, p.member.tracker, tracked, self.options, p.results, self.record, self.progress
         said = sentences(self.looked), sentences(self.looked, fault=False)
-        out = finish(source, *given, *said, shared=shared)
+        out = finish(source, *given, *said)
         motion, notes = replace(out.motion, lost=out.motion.lost | ~present), [*out.notes, *p.said]
         if hidden.any():
             motion = replace(motion, doubtful=hidden if motion.doubtful is None else motion.doubtful | hidden)

@@ -17,16 +17,15 @@ from hypose.errors import EvidenceError, HyposeError, InputError
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.geometry import Array
 from hypose.inference.layer import Recipe
-from hypose.io.motions.results import ResultsFolder, save_modes, save_motion
+from hypose.io.motions.results import ResultsFolder, identity, save_modes, save_motion
 from hypose.io.recordings.frames import FrameSettings, FrameStream
-from hypose.io.recordings.provenance import identity
 from hypose.io.recordings.recording import Recording
 from hypose.pipeline.both_ways import both_ways_notes, look_both_ways
 from hypose.pipeline.contradictions import against_the_clip
 from hypose.pipeline.doubts import with_doubts, with_repeated_points
 from hypose.pipeline.first_frame import SUBJECT, Subject, SubjectOptions, find_subject, keep_subject, kept_subject
 from hypose.pipeline.first_look import first_look, of_measured, places_refuted, sentences
-from hypose.pipeline.mend_sides import FrameRange, as_named, look_back, look_back_notes, mend_sides, sides_notes
+from hypose.pipeline.mend_sides import FrameRange, mend_sides, sides_notes
 from hypose.pipeline.moved_sensors import PlacedSource, Places, moved_sensors
 from hypose.pipeline.one_camera import (
     BESIDE_FRAME,
@@ -44,14 +43,19 @@ from hypose.pipeline.track_loop import FrameList, FrameSource, Keep, Progress, T
 from hypose.pipeline.verdict import Verdict, left_out, not_shown, verdict_of
 from hypose.tracking.audit import audit_frame
 from hypose.tracking.doubt import as_mixture, evidence_of, judged, not_in_set, worth_a_look
-from hypose.tracking.fitted_spread import beyond_usual, pose_covariance, with_fitted_angles, with_fitted_joints
+from hypose.tracking.fitted_spread import (
+    beyond_usual,
+    pose_covariance,
+    systematic_covariance,
+    with_fitted_angles,
+    with_fitted_joints,
+)
 from hypose.tracking.frame_evidence import OwnEvidence
-from hypose.tracking.keypoint_clip import real_names, track_keypoint_clip
+from hypose.tracking.keypoint_clip import track_keypoint_clip
 from hypose.tracking.keypoint_evidence import keypoint_model
 from hypose.tracking.pose_covariance import unpacked
 from hypose.tracking.recipes import RECIPES, Preset, recipe
 from hypose.tracking.smooth_motion import Clip, Smoothed
-from hypose.tracking.systematic_error import systematic_covariance
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerSettings, modes_of, motion_of
 
 MODES = "modes.npz"
@@ -201,7 +205,8 @@ def track_source(
     report("look", 0, 1)
     looked = () if options.of_picture else first_look(source, options.looks_at, options.height, frame_rate)
     faults, noticed = sentences(looked), sentences(looked, fault=False)
-    others = () if places_refuted(looked) else _who_else(source)  # of one person wrong cameras make two
+    more = 0 if places_refuted(looked) else getattr(source, "others", 0)  # of one person wrong cameras make two
+    others = (left_out(more, "key points", "--people all"),) if more else ()
     report("look", 1, 1)
     given = subject is not None
     if subject is None:
@@ -232,8 +237,6 @@ def track_source(
         others = (*others, *([not_shown(never)] if never else []))
         said = {"faults": (*faults, *wrong), "looks": (*noticed, *looks), "beside": others}
         return _written(replace(result, one_by_one=solved.one_by_one, audit=audit, **said), results)
-    if method is None and not options.of_picture:
-        source, subject = with_named_sides(source, frame_rate, subject, sure_start=options.sure_start)
     before = tracked_before(results.checkpoint, key) if resume and results is not None else None
     begin = tracker.start(subject.start if subject.rivals is None else subject.rivals)
     done = track_frames(source, tracker, begin, subject, keep=keep, before=before, progress=report)
@@ -318,10 +321,9 @@ def finish(
     progress: Progress,
     faults: tuple[str, ...] = (),
     noticed: tuple[str, ...] = (),
-    shared: bool = False,
 ) -> TrackResult:
     """The motion of what was tracked, stretches with exchanged sides or lost arms mended, smoothed, judged and written.
-    faults, noticed: what the first look found; shared: others are in the masks, who make starts unsure."""
+    faults, noticed: what the first look found."""
     estimates, notes, recipe = done.estimates, subject.notes, tracker.recipe
 
     def again(frames: range) -> Iterator[Frame]:
@@ -334,11 +336,6 @@ def finish(
             tracker, estimates, seen, sure_start=options.sure_start, memory=done.state.memory
         )
         notes = (*notes, *sides_notes(exchanged))
-        if exchanged:  # there, what the clip took the key points' sides for is refuted
-            seen = as_named(again, exchanged)
-        if shared and not options.sure_start:
-            estimates, anew = look_back(tracker, estimates, seen, memory=done.state.memory)
-            notes = (*notes, *look_back_notes(anew))
         progress("sides", 1, 1)
         if options.smooth and recipe.smooth is not None:
             estimates, moved = look_both_ways(
@@ -372,12 +369,6 @@ def finish(
     said = (*faults, *wrong), (*noticed, *looks)
     out = TrackResult(motion, subject.body, done.complete, notes, None, own, audit, *said, unsure=subject.unsure)
     return _written(out, results)
-
-
-def _who_else(source: FrameSource) -> tuple[str, ...]:
-    """Sentences on whom the key points of a source show beside the one who is followed."""
-    others = getattr(source, "others", 0)
-    return (left_out(others, "key points", "--people all"),) if others else ()
 
 
 def _doubted(
@@ -464,37 +455,8 @@ def track_keypoints(
     return solved, np.stack(audits)
 
 
-@dataclass(frozen=True)
-class NamedSides:
-    """The frames of a source with key points whose sides the clip has told."""
-
-    source: FrameSource
-    keypoints: Sequence[Keypoints | None]
-
-    def __len__(self) -> int:
-        return len(self.source)
-
-    def frame(self, index: int, /) -> Frame:
-        """Frame number index."""
-        return replace(self.source.frame(index), keypoints=self.keypoints[index])
-
-
 def keypoints_in_memory(source: FrameSource) -> Sequence[Keypoints | None] | None:
     """The key points of a source's frames, None of a source that does not hold them in memory."""
-    if isinstance(source, NamedSides | FrameStream):
+    if isinstance(source, FrameStream):
         return source.keypoints
     return [f.keypoints for f in source.frames] if isinstance(source, FrameList) else None
-
-
-def with_named_sides(
-    source: FrameSource, frame_rate: float, subject: Subject, *, sure_start: bool = False
-) -> tuple[FrameSource, Subject]:
-    """A source in which key points stand beside masks, and its subject, with the sides of limbs as the names of all
-    views and frames have them: a tracker that goes from frame to frame would rename them by where it takes the limbs to
-    be. sure_start: that of the subject stands. A source that does not hold its key points in memory stays as it is."""
-    seen = keypoints_in_memory(source)
-    if seen is None or subject.keypoints is None or all(k is None for k in seen):
-        return source, subject
-    given = (subject.body, subject.keypoints, seen, subject.start, frame_rate)
-    start, named = real_names(*given, sure_start=sure_start)
-    return NamedSides(source, named), replace(subject, start=start)

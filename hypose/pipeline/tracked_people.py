@@ -16,8 +16,7 @@ from hypose.evidence import depth_people
 from hypose.evidence.frame import Frame
 from hypose.evidence.shared_masks import SOLVED, Other
 from hypose.geometry import Array
-from hypose.io.motions.results import Checkpoint, ResultsFolder
-from hypose.io.recordings.provenance import identity
+from hypose.io.motions.results import Checkpoint, ResultsFolder, identity
 from hypose.pipeline.first_frame import Subject, kept_subject
 from hypose.pipeline.people_points import KeypointPeople, per_frame
 from hypose.pipeline.run import TrackResult

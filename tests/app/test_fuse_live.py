@@ -21,7 +21,7 @@ from hypose.fusion.joints import COMMON
 from hypose.fusion.live import LiveSettings
 from hypose.geometry import transform
 from hypose.io.sensors.skeleton_files import read_skeletons
-from hypose.io.sensors.skeleton_lines import format_line
+from hypose.io.sensors.skeleton_streams import format_line
 from tests.conftest import HANG_S
 from tests.depth_sensors import camera, places, walker
 from tests.osc_packets import parse_osc

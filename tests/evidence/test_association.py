@@ -4,11 +4,9 @@ import numpy as np
 import pytest
 
 from hypose.cameras.camera import CameraRig
-from hypose.errors import InputError
 from hypose.evidence.association import people_of
 from hypose.evidence.keypoints import BODY_25
 from hypose.evidence.one_person import one_person
-from hypose.evidence.person_tracks import choose
 from hypose.evidence.view_tracks import moves_as, view_tracks
 from hypose.geometry import se3, so3_exp
 from tests.evidence.scenes import ring
@@ -174,19 +172,6 @@ def test_who_returns_is_the_same_person():
         f[:] = [None] * 4
     found = one_person(frames, BODY_25, RIG)
     assert found.by_rays and found.people[0].first == 0 and found.people[0].last == FRAMES - 1
-
-
-def test_the_person_is_chosen():
-    rng = np.random.default_rng(6)
-    frames = seen_by(RIG, [A, B], rng)
-    people = people_of(frames, BODY_25, RIG)
-    number = choose(people, "place", place=A[5].mean(0), frame=5)
-    assert number is not None and error(people[number], A) < 0.02
-    large = choose(people, "largest")
-    assert large is not None and error(people[large], B) < 0.02
-    assert choose([]) is None
-    with pytest.raises(InputError, match="largest"):
-        choose(people, "age")
 
 
 def _moved(rig, view, degrees):

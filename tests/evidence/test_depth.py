@@ -15,7 +15,7 @@ from hypose.evidence.depth_background import (
 )
 from hypose.evidence.depth_evidence import Depth, DepthNoise, back_projected, in_world, surface_points
 from hypose.evidence.depth_floor import camera_on_floor
-from hypose.evidence.depth_space import space_behind
+from hypose.evidence.depth_people import space_behind
 from hypose.geometry import se3, se3_inverse
 from hypose.synthetic.depth_scenes import depth_scene
 from hypose.synthetic.motions import act

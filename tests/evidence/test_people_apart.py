@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from hypose.evidence.frame import Silhouettes
-from hypose.evidence.people_apart import NOW_AND_THEN, several_apart
+from hypose.pipeline.one_of_several import NOW_AND_THEN, several_apart
 from hypose.synthetic.rigs import rig
 
 CAMERAS = rig("ring-3").scaled(0.25).pinhole()

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.compute.depth_forests import forest_arrays
 from hypose.compute.depth_forests.forest_arrays import ScanPlan
 from hypose.errors import InputError
 from hypose.gestures import runtime
@@ -73,33 +72,6 @@ def test_the_numpy_runtime_finds_the_same(forest):
     found = localise(depth, LENS, [forest], settings)[0]
     assert abs(x - found.x) <= 2 and abs(y - found.y) <= 2  # its grid, without the parabola
     assert score == pytest.approx(found.score, rel=0.05)
-
-
-def test_parzen_is_a_gaussian_of_unit_sum():
-    depth = np.full((100, 120), 1000, np.uint16)
-    picture = forest_arrays.pad_depth(depth, 200.0, 500, 50)
-    scores = np.zeros((25, 30), np.float32)
-    scores[12, 15] = 0.8
-    scores[3, 3] = 0.4  # no majority, no vote
-    density, at = forest_arrays.parzen(picture, scores, 4, 0.5, 8.0)
-    assert at == 12 * 30 + 15
-    surface = (0.004 * 1000 / 200) ** 2
-    assert density.sum() == pytest.approx(0.8**3 * surface, rel=1e-5)
-    assert density[12, 17] / density[12, 15] == pytest.approx(np.exp(-0.5), rel=1e-5)
-    assert density[3, 3] == 0
-
-
-def test_temporal_recursion(forest):
-    # eq. 3.4 on a disc that disappears: a share 1 - alpha of its score stays for one frame
-    depth, (x, y), _ = toy(np.random.default_rng(8), holes=False)
-    empty = np.full(SHAPE, 2600, np.uint16)
-    settings, scratch = LocaliseSettings(memory=0.8), Scratch()
-    localise(depth, LENS, [forest], settings, scratch)
-    first = localise(depth, LENS, [forest], settings, scratch)[0]
-    after = localise(empty, LENS, [forest], settings, scratch)[0]
-    assert np.hypot(after.x - x, after.y - y) < 6
-    assert 0 < after.score < 0.35 * first.score
-    assert localise(empty, LENS, [forest], replace(settings, memory=1.0), scratch)[0].score == 0
 
 
 def test_every_gesture_of_one_against_all_is_found_alone(forest):

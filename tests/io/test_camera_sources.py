@@ -216,8 +216,10 @@ def test_a_device_whose_picture_cannot_be_unpacked_has_gone_for_now():
         def retrieve(self):
             raise cv2.error("(-215:Assertion failed) !_src.empty()")
 
+    camera = object.__new__(camera_sources._Captured)
+    camera._what, camera.capture = "Camera 0", Capture()
     with pytest.raises(StreamEnded, match="Camera 0 delivers nothing more"):
-        camera_sources._read(Capture(), "Camera 0")
+        camera.read()
 
 
 # ---- pictures ----

@@ -9,11 +9,9 @@ from hypose.body.motion import Modes
 from hypose.body.ready_bodies import human
 from hypose.evidence.frame import Frame, Picture
 from hypose.inference.hypotheses import Hypotheses
-from hypose.tracking.monocular.clip import backwards, summed_up, together
-from hypose.tracking.monocular.models import body_dofs
 from hypose.tracking.monocular.picture_search import PictureSearch
-from hypose.tracking.monocular.recipe import picture_recipe
-from hypose.tracking.monocular.settings import MonoSettings
+from hypose.tracking.monocular.recipe import backwards, picture_recipe, summed_up, together
+from hypose.tracking.monocular.settings import MonoSettings, body_dofs
 from hypose.tracking.tracker import Tracker
 from tests.monocular.pictures import camera, picture, wall
 

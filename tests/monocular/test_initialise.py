@@ -9,9 +9,9 @@ from hypose.errors import InputError
 from hypose.evidence.frame import Frame, Picture
 from hypose.synthetic.rigs import look_at
 from hypose.tracking.monocular.initialise import initialise, rival_poses
-from hypose.tracking.monocular.models import body_dofs
 from hypose.tracking.monocular.points import clicked_joints
 from hypose.tracking.monocular.proportions import NAMES, proportions, shaped
+from hypose.tracking.monocular.settings import body_dofs
 
 CLICKED = tuple(
     [f"{side}_{part}" for side in ("left", "right") for part in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")]

@@ -11,11 +11,10 @@ from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Frame, Keypoints, Picture
 from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.monocular.flips import mirrored
-from hypose.tracking.monocular.models import body_dofs
 from hypose.tracking.monocular.picture_search import PictureSearch
-from hypose.tracking.monocular.points import MonoPoints, clicked_joints, points_from_keypoints
+from hypose.tracking.monocular.points import clicked_joints, points_from_keypoints
 from hypose.tracking.monocular.recipe import picture_recipe
-from hypose.tracking.monocular.settings import MonoSettings
+from hypose.tracking.monocular.settings import MonoSettings, body_dofs
 from hypose.tracking.tracker import (
     Tracker,
     TrackerSettings,
@@ -203,9 +202,6 @@ def test_bad_input_is_refused_in_a_sentence(clip):
         step(6, pictures[0], grey)
     with pytest.raises(InputError, match="Frame 7: the mask is 120 x 100"):
         step(7, pictures[0], grey[: h // 2, : w // 2])
-    nan = np.array([[np.nan, 1.0]])
-    with pytest.raises(EvidenceError, match="no finite position"):
-        MonoPoints(nan, np.ones(1), np.zeros(1, int), np.zeros((1, 3)), np.ones(1))
     for bad in (np.full(36, np.nan), np.zeros(7)):
         with pytest.raises(InputError, match="36 finite numbers"):
             tracker.start(at(bad))
@@ -214,8 +210,6 @@ def test_bad_input_is_refused_in_a_sentence(clip):
         backwards.step(backwards.start(at(poses[0])), frame_of(view, pictures, 0))
     with pytest.raises(InputError, match="looks at one picture, and not at evidence of your own"):
         replace(tracker, own=(None,))
-    with pytest.raises(InputError, match="choose one of gaussian"):
-        SETTINGS.robust("square")
     with pytest.raises(InputError, match="no joint 'tail'"):
         clicked_joints(body, {"tail": (1.0, 2.0)})
 

@@ -19,9 +19,9 @@ from hypose.tracking.part_colours import (
     ColourSettings,
     LearnColours,
     colour_scores,
+    pictured_arms,
     table_of,
 )
-from hypose.tracking.pictured_arms import pictured_arms
 from hypose.tracking.reach_table import arm_reach, in_practice
 from hypose.tracking.recipes import default
 from hypose.tracking.tracker import Tracker, TrackerState

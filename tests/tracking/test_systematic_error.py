@@ -7,8 +7,8 @@ import pytest
 
 from hypose.evidence.frame import Keypoints
 from hypose.evidence.keypoints import BODY_25
+from hypose.tracking.fitted_spread import SHARED, lasting_residuals, systematic_covariance
 from hypose.tracking.keypoint_evidence import keypoint_model, pixels_per_metre
-from hypose.tracking.systematic_error import SHARED, lasting_residuals, systematic_covariance
 
 RATE, FRAMES = 25.0, 60
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hypose.app.commands.commands_track import set_threads, split_names
+from hypose.app.commands.commands_track import set_threads, split_names, stopping
 from hypose.app.commands.console import Stages, note, say
 from hypose.app.commands.options import Threads, number
 from hypose.errors import HyposeError, InputError
@@ -253,7 +253,7 @@ def play(
     """Send a tracked motion to an avatar (VMC protocol): VSeeFace, Warudo, Unity, Unreal, Blender. See docs/live.md."""
     from hypose.app.live.osc import OscTarget
     from hypose.io.motions.results import load_result, load_result_body
-    from hypose.pipeline.fused_motion import pose_fused
+    from hypose.pipeline.sensor_skeletons import pose_fused
 
     motion = load_result(results)
     if motion.poses is None:  # of depth sensors
@@ -261,12 +261,9 @@ def play(
     else:
         motion, body = load_result_body(results)
     tell_untrusted(results)
-    with contextlib.closing(OscTarget(vmc, "--vmc")) as target:
+    with stopping(), contextlib.closing(OscTarget(vmc, "--vmc")) as target:
         say(f"{len(motion)} frames at {motion.frame_rate:g} Hz to {vmc}" + (", until Ctrl-C." if loop else "."))
-        try:
-            play_motion(motion, body, target.send, speed, loop)
-        except KeyboardInterrupt:
-            raise typer.Exit(130) from None
+        play_motion(motion, body, target.send, speed, loop)
 
 
 def play_motion(

@@ -13,7 +13,7 @@ import numpy as np
 
 from hypose import __version__
 from hypose.app.reports.charts import RIGHT, Axes, chart, over_known
-from hypose.app.reports.check_page import STYLE
+from hypose.app.reports.summary import page
 from hypose.errors import InputError
 from hypose.io.files import write_text
 from hypose.io.motions.compared_files import read_other
@@ -111,7 +111,6 @@ def write_page(path: Path, compared: Sequence[Compared], failed: Sequence[str]) 
     """One file that opens from disk and loads nothing."""
     e = html.escape
     parts = [
-        f"<!doctype html><html lang='en'><meta charset='utf-8'><title>Comparison</title><style>{STYLE}</style>",
         "<h1>Comparison</h1>",
         *(f'<p class="bad">{e(f)}</p>' for f in failed),
     ]
@@ -136,9 +135,9 @@ def write_page(path: Path, compared: Sequence[Compared], failed: Sequence[str]) 
         "difference), as it is and without the constant offset of each joint in its segment, by which two programs "
         "define a joint differently. Bias and limits of agreement (mean &plusmn; 1.96 standard deviations, Bland and "
         "Altman 1986) of other minus ours, per axis. r: Pearson's correlation. Inside 90 %: share of frames in which "
-        f"the other lies in our 90 % region.</p><p class='dim'>hypose {__version__}</p></html>"
+        f"the other lies in our 90 % region.</p><p class='dim'>hypose {__version__}</p>"
     )
-    write_text(path, "\n".join(parts))
+    write_text(path, page("Comparison", "\n".join(parts)))
 
 
 def _table(rows: Sequence[Agreement]) -> str:

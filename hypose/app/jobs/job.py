@@ -20,15 +20,23 @@ from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.io.files import check_writable, read_json
 from hypose.io.motions.export import FORMATS, export_motion, known_formats
-from hypose.io.motions.results import ResultsFolder, load_body, load_modes, load_motion, save_body, to_json
+from hypose.io.motions.results import (
+    ResultsFolder,
+    identity,
+    load_body,
+    load_modes,
+    load_motion,
+    provenance,
+    save_body,
+    to_json,
+)
 from hypose.io.recordings.frames import FrameStream
-from hypose.io.recordings.provenance import identity, provenance
 from hypose.io.recordings.recording import Recording
 from hypose.io.sensors.skeleton_streams import SkeletonRecording
 from hypose.pipeline.first_frame import SubjectOptions
-from hypose.pipeline.fuse_mixture import fuse_mixture, skeletons_at_frames
 from hypose.pipeline.one_camera import POINT_STARTS, clicks_of, depth_note
 from hypose.pipeline.run import MODES, TrackOptions, TrackResult, check_views, frames_wanted
+from hypose.pipeline.sensor_skeletons import fuse_mixture, skeletons_at_frames
 from hypose.pipeline.subject_from_motion import load_subject, subject_file
 from hypose.pipeline.track import track_person
 from hypose.pipeline.verdict import Verdict

@@ -14,6 +14,7 @@ from hypose.app.commands.console import ProgressCall, ignore
 from hypose.app.jobs.job import VERDICT, Job, Outcome, check_job, compile_before, export_all, record_of, remove_stale
 from hypose.app.reports.overlay import PictureRows, Shown, colour_of, write_overlay, write_people_overlay
 from hypose.app.reports.report import draw
+from hypose.app.reports.summary import POLICY, page
 from hypose.app.studio.view_bundle import Rivals, ViewResult, pictured
 from hypose.errors import InputError
 from hypose.io.files import check_writable
@@ -196,12 +197,6 @@ def write_people_c3d(path: Path, people: Sequence[OnePerson]) -> Path:
     return path
 
 
-_STYLE = (
-    "body{font:15px/1.5 system-ui,sans-serif;max-width:1080px;margin:24px auto;padding:0 16px} video{max-width:100%} "
-    "td,th{padding:3px 14px 3px 0;text-align:left;vertical-align:top;border-bottom:1px solid #d5dde4}"
-)
-
-
 def _index(job: Job, people: Sequence[OnePerson], notes: Sequence[str]) -> str:
     """A page that leads to everybody's report."""
     rows = []
@@ -218,11 +213,6 @@ def _index(job: Job, people: Sequence[OnePerson], notes: Sequence[str]) -> str:
         rows.append("<tr>" + "".join(f"<td>{c}</td>" for c in cells) + "</tr>")
     film = '<p><video src="overlay.mp4" controls></video></p>' if job.overlay else ""
     said = "".join(f"<li>{html.escape(n)}</li>" for n in notes)
-    title = html.escape(job.recording.name)
-    policy = "default-src 'none'; media-src 'self'; style-src 'unsafe-inline'"
     heads = "".join(f"<th>{h}</th>" for h in ("", "person", "height", "there", "verdict"))
-    return (
-        f'<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
-        f'<meta http-equiv="Content-Security-Policy" content="{policy}"><style>{_STYLE}</style></head><body>'
-        f"<h1>{title}</h1><table><tr>{heads}</tr>{''.join(rows)}</table>{film}<ul>{said}</ul></body></html>\n"
-    )
+    body = f"<h1>{html.escape(job.recording.name)}</h1><table><tr>{heads}</tr>{''.join(rows)}</table>"
+    return page(job.recording.name, f"{body}{film}<ul>{said}</ul>", policy=f"{POLICY}; media-src 'self'")

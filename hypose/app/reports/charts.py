@@ -91,12 +91,12 @@ class Axes:
         x, y, w, h = x + left, y + head, w - left - 10, h - head - foot
         low, high = self._limits(np.array([w, h]))
         scale = np.array([w, -h]) / (high - low)
-        ticks = range(len(self.names)) if self.names else _ticks(low[1], high[1], h / 26)
+        ticks = range(len(self.names)) if self.names else _ticks(low[1], high[1], max(3, h / 26))
         for k, value in enumerate(ticks):
             at = y + h + (value - low[1]) * scale[1]
             out.append(f'<path d="M{x:.1f} {at:.1f}h{w:.1f}" stroke="currentColor" stroke-opacity="0.15"/>')
             out.append(_text(x - 5, at + 4, self.names[k] if self.names else f"{value:.6g}", "end"))
-        for value in _ticks(low[0], high[0], w / 70):
+        for value in _ticks(low[0], high[0], max(3, w / 70)):
             at = x + (value - low[0]) * scale[0]
             out.append(f'<path d="M{at:.1f} {y:.1f}v{h:.1f}" stroke="currentColor" stroke-opacity="0.15"/>')
             out.append(_text(at, y + h + 13, f"{value:.6g}", "middle"))

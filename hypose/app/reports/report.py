@@ -18,7 +18,7 @@ from hypose.app.commands.console import ProgressCall
 from hypose.app.reports import charts
 from hypose.app.reports.overlay import PictureRows, Shown, still_rows, write_overlay
 from hypose.app.reports.result_pictures import Image, jpeg
-from hypose.app.reports.summary import DESCRIPTIONS, subject_rows, summarize
+from hypose.app.reports.summary import DESCRIPTIONS, page, picture_of, subject_rows, summarize
 from hypose.app.studio.view_bundle import ViewResult, view_bundle
 from hypose.body.body import Body
 from hypose.body.motion import Motion, sd_per_axis
@@ -35,34 +35,6 @@ STATIC = Path(__file__).parents[1] / "studio" / "static"
 charts and pictures only."""
 PLACE = '<div id="hypose-viewer" class="viewer"><noscript>The view in 3D needs JavaScript.</noscript></div>'
 _PICTURES, _MIN_ROWS, _MAX_ROWS = 48, 4, 16  # of the viewer
-# The colours are those of web/src/ui/theme.css, which is part of a report only where the front end was built.
-_STYLE = """
-:root { color-scheme: light; --bg: #eef1f4; --panel: #fff; --raised: #f3f6f8; --line: #d5dde4; --ink: #15202a;
-  --dim: #566470; --bad: #b9262b; }
-@media (prefers-color-scheme: dark) { :root { color-scheme: dark; --bg: #0d1115; --panel: #141a20; --raised: #1c242c;
-  --line: #2a343e; --ink: #e7edf2; --dim: #9aa8b5; --bad: #ff7b7e; } }
-body { margin: 0; background: var(--bg); color: var(--ink);
-  font: 15px/1.5 system-ui, "Segoe UI", Roboto, "Noto Sans", "DejaVu Sans", sans-serif; }
-.report { max-width: 1080px; margin: 0 auto; padding: 24px; font-size: 15px; } .wide { padding: 0 16px; }
-.report h1 { font-size: 24px; margin: 0 0 2px; }
-.report h2 { font-size: 17px; margin: 34px 0 6px; padding-bottom: 4px; border-bottom: 1px solid var(--line); }
-.report p { margin: 6px 0; } .dim { color: var(--dim); } .bad { color: var(--bad); font-weight: 600; }
-.report .cards { display: flex; flex-wrap: wrap; gap: 10px; margin: 16px 0 0; }
-.report .card { border: 1px solid var(--line); border-radius: 6px; padding: 8px 14px; min-width: 110px;
-  background: var(--panel); }
-.report .card b { display: block; font-size: 21px; font-weight: 600; }
-.report .card span { color: var(--dim); font-size: 13px; }
-.report table { border-collapse: collapse; font-size: 14px; }
-.report td, .report th { padding: 3px 14px 3px 0; text-align: left; vertical-align: top;
-  border-bottom: 1px solid var(--line); }
-.report td.n { text-align: right; font-variant-numeric: tabular-nums; }
-.report img, .report svg { max-width: 100%; height: auto; } .report figure { margin: 12px 0; }
-.report figcaption { color: var(--dim); font-size: 13px; } .report details { margin: 8px 0; }
-.report pre { background: var(--raised); padding: 10px; overflow-x: auto; font-size: 12px; }
-.report .two { display: flex; flex-wrap: wrap; gap: 24px; align-items: flex-start; }
-"""
-# A report can load nothing, whatever is in it.
-_POLICY = "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
 
 
 @dataclass(frozen=True)
@@ -170,7 +142,7 @@ def _text(what: ViewResult, drawn: Drawn) -> str:
         parts.append(_figure(charts.error_chart(m, what.truth), "Left: over time. Right: mean per joint."))
     if drawn.stills:
         parts.append("<h2>Pictures</h2>")
-        parts += [_still(caption, picture) for caption, picture in drawn.stills]
+        parts += [picture_of(jpeg(picture, 1280, 85), "jpeg", caption) for caption, picture in drawn.stills]
         parts.append(
             '<p class="dim">Tinted: the body. Pink line: edge of the mask. Orange: left limbs, blue: right limbs.</p>'
         )
@@ -212,18 +184,6 @@ def _text(what: ViewResult, drawn: Drawn) -> str:
     return "\n".join(parts)
 
 
-def page(title: str, body: str, style: str = "", scripts: str = "") -> str:
-    """An HTML page of the reports' looks; `body` is HTML, the title plain text. style, scripts: HTML of the viewer,
-    whose place is in the body."""
-    return (
-        f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>{html.escape(title)}</title>'
-        f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">'
-        '<meta name="viewport" content="width=device-width"><link rel="icon" href="data:,">'
-        f"<style>{_STYLE}</style>{style}</head>\n"
-        f'<body>\n<div class="report">{body}\n</div>\n{scripts}</body></html>\n'
-    )
-
-
 def _head(what: ViewResult) -> str:
     recipe = str(what.motion.provenance.get("recipe", "unknown"))
     return (
@@ -256,12 +216,6 @@ def _card(value: str, label: str) -> str:
 
 def _figure(svg: str, caption: str) -> str:
     return f"<figure>{svg}<figcaption>{html.escape(caption)}</figcaption></figure>"
-
-
-def _still(caption: str, picture: Image) -> str:
-    text = base64.b64encode(jpeg(picture, 1280, 85)).decode("ascii")
-    alt = html.escape(caption)
-    return f'<figure><img alt="{alt}" src="data:image/jpeg;base64,{text}"><figcaption>{alt}</figcaption></figure>'
 
 
 def gait_section(motion: Motion, body: Body | None) -> str:

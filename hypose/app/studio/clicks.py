@@ -37,8 +37,8 @@ from hypose.io.videos.video import frame_size
 from hypose.pipeline.one_camera import LEAST_POINTS
 from hypose.tracking.monocular.flips import CHAINS
 from hypose.tracking.monocular.initialise import rival_poses
-from hypose.tracking.monocular.models import body_dofs
 from hypose.tracking.monocular.points import MonoPoints
+from hypose.tracking.monocular.settings import body_dofs
 from hypose.tracking.refinement import anatomical_prior
 from hypose.tracking.starts import start_from_keypoints
 from hypose.tracking.subject import scaled_to_height

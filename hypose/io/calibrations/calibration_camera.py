@@ -71,9 +71,7 @@ def numbers_if_any(
         allowed = " or ".join(" x ".join(map(str, s)) for s in shapes) or "a list"
         raise CalibrationError(f"{where}: {key} must be numbers of shape {allowed}, got {got}; correct this entry.")
     if not np.isfinite(array).all():
-        raise CalibrationError(
-            f"{where}: {key} contains NaN or infinity, so this camera's calibration failed; calibrate it again."
-        )
+        raise CalibrationError(f"{where}: {key} contains NaN or infinity; correct this entry, or calibrate again.")
     return array.reshape(shape)
 
 

@@ -35,7 +35,7 @@ from hypose.evidence.keypoints import BLAZEPOSE_33, keypoint_names
 from hypose.geometry import Array
 from hypose.io.files import open_file
 from hypose.io.keypoints import mediapipe_worker
-from hypose.io.recordings.provenance import file_identity
+from hypose.io.motions.results import file_identity
 from hypose.json_text import is_plain
 
 _MAX_BYTES = 2**30

@@ -9,10 +9,11 @@ img_loc_y, ...), one row per point that was found, pixels of the picture as the 
 
 from __future__ import annotations
 
-import math
+import itertools
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,20 +23,131 @@ from hypose.errors import InputError, extra
 from hypose.evidence.keypoints import BLAZEPOSE_33, KEYPOINT_SETS, parse_openpose
 from hypose.geometry import Array
 from hypose.io.calibrations.calibration_systems import read_plain_pickle
-from hypose.io.file_names import natural_key
-from hypose.io.files import bounded_lines, open_file, read_bytes, read_json, readable_size, text_lines
-from hypose.io.keypoints.keypoint_table import (
-    MAX_BYTES,
-    MAX_FRAMES,
-    MAX_POINTS,
-    KeypointTable,
-    checked_people,
-    grouped,
-    scored_points,
-    weighed,
-    whole_number,
-)
+from hypose.io.file_names import last_number, natural_key
+from hypose.io.files import csv_rows, numbers_of, open_file, read_bytes, read_json, readable_size, text_lines
 from hypose.io.motions.results import parse_array
+
+# ---- keypoint table ------------------------------------------------------------------------------------------------
+# What every reader of 2D key points returns for one camera, and what all of them do with numbers from elsewhere.
+
+
+MAX_BYTES = 512 * 2**20
+MAX_POINTS = 1000
+MAX_FRAMES = 5_000_000
+SEEN = 0.3
+"""Points of less score are not there for tracking."""
+WEIGHED = 0.31
+_SAMPLED = 60
+
+
+@dataclass(frozen=True)
+class KeypointTable:
+    """Key points of one camera as a file gives them.
+
+    layout: the file's kind, for sentences. people: frame by the file's own number -> (P, K, 3) = (u, v, score >= 0),
+    score 0 where a point is missing; K is the same in all frames with people. first: the number that the video's first
+    frame has; None when the layout does not say, so that the smallest of all views' numbers counts. names: of the
+    points, where the file gives them. shares: positions are shares of the picture's
+    width and height. scored: the file has scores. spread: it has standard deviations of the points too, which are in
+    the scores (`weighed`). frame_rate: where it tells.
+    """
+
+    layout: str
+    people: Mapping[int, Array]
+    first: int | None = None
+    names: tuple[str, ...] | None = None
+    shares: bool = False
+    scored: bool = True
+    spread: bool = False
+    frame_rate: float | None = None
+
+    def sample(self) -> Array:
+        """People (N, K, 3) of at most 60 frames with somebody, evenly spread; (0, 0, 3) when nobody is there."""
+        numbers = sorted(self.people)
+        found: list[Array] = []
+        # every 60th part of the file gives one frame, its first with somebody
+        for part in np.array_split(np.array(numbers), min(_SAMPLED, max(1, len(numbers)))):
+            somebody = next((p for n in part.tolist()[:200] if len(p := self.people[n])), None)
+            if somebody is not None:
+                found.append(somebody)
+        if not found:
+            return np.zeros((0, 0, 3))
+        count = found[0].shape[1]
+        if any(p.shape[1] != count for p in found):
+            raise InputError("people have different numbers of key points; export one model's.")
+        return np.concatenate(found)
+
+
+def checked_people(values: Any, where: str) -> Array:
+    """(P, K, 3) float64 of nested numbers; positions that are not finite, or (0, 0), or have no score, are missing
+    (all 0). An InputError for anything else."""
+    try:
+        p = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"{where}: key points must be numbers, as many in each person; export them again.") from None
+    if p.size == 0:
+        return np.zeros((0, 0, 3))
+    if p.ndim != 3 or p.shape[2] != 3 or not 1 <= p.shape[1] <= MAX_POINTS:
+        raise InputError(f"{where}: key points have the shape {p.shape}, people x points x 3 is needed; export again.")
+    if np.isinf(p).any():
+        raise InputError(f"{where}: a key point is infinite; export it again.")
+    missing = ~np.isfinite(p).all(-1) | ~(np.nan_to_num(p[..., 2]) > 0) | (p[..., :2] == 0).all(-1)
+    return np.where(missing[..., None], 0.0, p)
+
+
+def weighed(points: Array, variance: Array) -> Array:
+    """Points (..., 3) with a variance (..., 2) px^2 of each as those of which the score says how much they weigh: 1 for
+    a point as sure as the median one or surer, else its share of that one's information; not below WEIGHED, since what
+    is less sure is told from what is not there by the score that it has. Points without a variance stay as they are."""
+    given = np.isfinite(variance).all(-1) & (variance > 0).all(-1) & (points[..., 2] > SEEN)
+    if not given.any():
+        return points
+    spread = variance.mean(-1)
+    share = np.clip(np.median(spread[given]) / np.where(given, spread, 1.0), WEIGHED, 1.0)
+    out = points.copy()
+    out[..., 2] = np.where(given, share, points[..., 2])
+    return out
+
+
+def scored_points(positions: Any, scores: Any, where: str) -> Array:
+    """(K, 3) of positions (K, 2 or more) and scores (K,) or None (all 1)."""
+    try:
+        xy = np.array(positions, dtype=np.float64)
+        s = None if scores is None else np.array(scores, dtype=np.float64).ravel()
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"{where}: key points must be numbers; export them again.") from None
+    if xy.ndim != 2 or not 2 <= xy.shape[1] <= 4 or not 1 <= len(xy) <= MAX_POINTS:
+        raise InputError(f"{where}: key points have the shape {xy.shape}, points x 2 is needed; export them again.")
+    if s is None:
+        s = np.ones(len(xy))
+    if len(s) != len(xy):
+        raise InputError(f"{where}: {len(xy)} key points but {len(s)} scores; export them again.")
+    return np.column_stack([xy[:, :2], s])
+
+
+def grouped(rows: Sequence[tuple[int, Array]], where: str) -> dict[int, Array]:
+    """People by frame number, from (number, (K, 3)) rows in any order."""
+    if not rows:
+        return {}
+    counts = {len(points) for _, points in rows}
+    if len(counts) > 1:
+        raise InputError(
+            f"{where}: people have {', '.join(map(str, sorted(counts)))} key points; export those of one model."
+        )
+    stacked = checked_people([points for _, points in rows], where)
+    out: dict[int, list[Array]] = {}
+    for (number, _), points in zip(rows, stacked, strict=True):
+        out.setdefault(number, []).append(points)
+    return {n: np.stack(p) for n, p in out.items()}
+
+
+def whole_number(value: Any, where: str, what: str) -> int:
+    """A frame's number; an InputError for anything that cannot be one."""
+    fine = isinstance(value, int | float) and not isinstance(value, bool) and float(value).is_integer()
+    if not fine or not 0 <= value < 2**40:
+        raise InputError(f"{where}: {what} is {str(value)[:40]!r}, a whole number is needed; export it again.")
+    return int(value)
+
 
 _KIND = "a CSV of key points of DeepLabCut, SLEAP or Caliscope"
 _VARIANCES = (("x_posterior_var", "y_posterior_var"), ("x_ens_var", "y_ens_var"))
@@ -44,10 +156,8 @@ _VARIANCES = (("x_posterior_var", "y_posterior_var"), ("x_ens_var", "y_ens_var")
 
 def read_keypoint_csv(path: Path) -> dict[str, KeypointTable]:
     """Key points by camera; the name is "" where the file is of one camera."""
-    lines = bounded_lines(path, _KIND, MAX_BYTES)
-    header = _cells(next(lines, ""))
-    rows = (_cells(line) for line in lines if line.strip())
-    if header and header[0] == "scorer":
+    header, rows = csv_rows(path, _KIND, MAX_BYTES)
+    if header[0] == "scorer":
         return {"": _deeplabcut(header, rows, str(path))}
     if "sync_index" in header:
         return _caliscope(path, header, rows)
@@ -58,13 +168,9 @@ def read_keypoint_csv(path: Path) -> dict[str, KeypointTable]:
     )
 
 
-def _cells(line: str) -> list[str]:
-    return [c.strip().strip('"') for c in line.split(",")]
-
-
 def _number(cell: str) -> float:
     """NaN for an empty cell; a ValueError for text."""
-    return float(cell) if cell else math.nan
+    return float(cell or "nan")
 
 
 def by_individual(columns: Sequence[tuple[str, ...]], where: str) -> dict[str, list[tuple[str, list[int]]]]:
@@ -90,67 +196,58 @@ def deeplabcut_table(
 ) -> KeypointTable:
     """The table of DeepLabCut's columns (individual, body part, coordinate) and values (T, columns)."""
     people = by_individual(columns, where)
-    if not people:
-        raise InputError(f"{where} has no body parts; analyse the video again.")
+    if not people or not 0 < len(numbers) <= MAX_FRAMES:
+        raise InputError(f"{where} has {len(people)} individuals and {len(numbers)} frames; analyse the video again.")
     names = tuple(p for p, _ in next(iter(people.values())))
     places = np.array([[dict(parts)[n] for n in names] for parts in people.values()])  # (P, K, 3 or 5)
     whole = values[:, places]
     spread = places.shape[2] == 5
     points = weighed(whole[..., :3], whole[..., 3:]) if spread else whole
-    found = {}
-    for number, row in zip(numbers, points, strict=True):
-        people_there = checked_people(row, f"{where}, frame {number}")
-        found[number] = people_there[(people_there[..., 2] > 0).any(1)]
-    return KeypointTable("DeepLabCut", found, min(found, default=0), names, spread=spread)
+    found = {n: _seen(checked_people(row, f"{where}, frame {n}")) for n, row in zip(numbers, points, strict=True)}
+    return KeypointTable("DeepLabCut", found, min(found), names, spread=spread)
 
 
-def _deeplabcut(first: list[str], rows: Iterator[list[str]], where: str) -> KeypointTable:
-    head = {first[0]: first[1:]}
+def _seen(people: Array) -> Array:
+    """Those of whom any point is there."""
+    return people[(people[..., 2] > 0).any(1)] if people.size else people
+
+
+def _deeplabcut(first: list[str], rows: Iterator[tuple[int, list[str]]], where: str) -> KeypointTable:
+    head = {"individuals": [""] * (len(first) - 1)}
     numbers: list[int] = []
     values: list[list[float]] = []
-    for row in rows:
+    for _, row in rows:
         if row[0] in ("individuals", "bodyparts", "coords"):
             head[row[0]] = row[1:]
             continue
         if "coords" not in head or "bodyparts" not in head:
             raise InputError(f"{where}: the lines bodyparts and coords are missing; analyse the video again.")
         at = f"{where}, frame {row[0][:20]}"
-        try:
+        with numbers_of(at):
             numbers.append(whole_number(float(row[0]), at, "the frame's number"))
             values.append([_number(c) for c in row[1:]])
-        except ValueError:
-            raise InputError(f"{at}: it holds something that is not a number; analyse the video again.") from None
-        if len(values[-1]) != len(head["coords"]) or len(numbers) > MAX_FRAMES:
-            raise InputError(f"{at}: {len(row) - 1} cells, the header has {len(head['coords'])}; the file may be cut.")
-    parts = head.get("bodyparts", [])
-    people = head.get("individuals", [""] * len(parts))
-    coords = head.get("coords", [])
-    if not len(parts) == len(people) == len(coords) or not numbers:
-        raise InputError(f"{where} has no frames, or header lines of different lengths; analyse the video again.")
-    columns = list(zip(people, parts, coords, strict=True))
+    columns = list(zip(head["individuals"], head.get("bodyparts", ()), head.get("coords", ()), strict=False))
     return deeplabcut_table(columns, numbers, np.array(values), where)
 
 
-def _sleap(header: list[str], rows: Iterator[list[str]], where: str) -> KeypointTable:
+def _sleap(header: list[str], rows: Iterator[tuple[int, list[str]]], where: str) -> KeypointTable:
     names = [h[:-2] for h in header if h.endswith(".x") and not h.startswith("instance.")]
     at = {h: i for i, h in enumerate(header)}
     if not names or any(f"{n}.y" not in at for n in names) or len(names) > MAX_POINTS:
         raise InputError(f"{where} is not SLEAP's analysis CSV: it needs node.x and node.y; export it again.")
     scored = all(f"{n}.score" in at for n in names)
     found: list[tuple[int, Array]] = []
-    for row in rows:
-        try:
+    for line, row in rows:
+        with numbers_of(f"{where}, row {line}"):
             number = whole_number(float(row[at["frame_idx"]]), where, "frame_idx")
             points = np.array([[_number(row[at[f"{n}.{c}"]]) for c in "xy"] for n in names])
             scores = [_number(row[at[f"{n}.score"]]) for n in names] if scored else [1.0] * len(names)
-        except (ValueError, IndexError):
-            raise InputError(f"{where}, row {len(found) + 2}: it is cut off or holds text; export it again.") from None
         found.append((number, np.column_stack([points, scores])))
     # frames without anybody have no row, and SLEAP counts from 0
     return KeypointTable("SLEAP analysis", grouped(found, where), 0, tuple(names), scored=scored)
 
 
-def _caliscope(path: Path, header: list[str], rows: Iterator[list[str]]) -> dict[str, KeypointTable]:
+def _caliscope(path: Path, header: list[str], rows: Iterator[tuple[int, list[str]]]) -> dict[str, KeypointTable]:
     where = str(path)
     at = {h: i for i, h in enumerate(header)}
     camera = next((at[n] for n in ("cam_id", "port") if n in at), None)
@@ -162,18 +259,12 @@ def _caliscope(path: Path, header: list[str], rows: Iterator[list[str]]) -> dict
         )
     seen: dict[str, dict[int, dict[int, tuple[float, float]]]] = {}
     ids: set[int] = set()
-    for count, row in enumerate(rows):
-        if len(row) != len(header):
-            raise InputError(
-                f"{where}, row {count + 2}: {len(row)} cells, the header has {len(header)}; export it again."
-            )
-        try:
+    for line, row in rows:
+        with numbers_of(f"{where}, row {line}"):
             name = str(whole_number(float(row[camera]), where, "cam_id"))
             number = whole_number(float(row[at["sync_index"]]), where, "sync_index")
             identity = whole_number(float(row[point]), where, "point_id")
             xy = (_number(row[at["img_loc_x"]]), _number(row[at["img_loc_y"]]))
-        except (ValueError, IndexError):
-            raise InputError(f"{where}, row {count + 2}: it is cut off or holds text; export it again.") from None
         seen.setdefault(name, {}).setdefault(number, {})[identity] = xy
         ids.add(identity)
     if not ids:
@@ -237,17 +328,13 @@ def _clock(path: Path) -> tuple[list[int], float | None]:
     table = clock_file(path)
     if table is None:
         return [], None
-    lines = bounded_lines(table, "Caliscope's table of times", MAX_BYTES)
-    header = _cells(next(lines, ""))
+    header, rows = csv_rows(table, "Caliscope's table of times", MAX_BYTES)
     if not {"sync_index", "frame_time"} <= set(header):
         raise InputError(f"{table} has no columns sync_index and frame_time; copy it again, or remove it.")
     times: dict[int, list[float]] = {}
-    for line in lines:
-        row = _cells(line)
-        try:
+    for line, row in rows:
+        with numbers_of(f"{table}, line {line}"):
             times.setdefault(int(row[header.index("sync_index")]), []).append(float(row[header.index("frame_time")]))
-        except (ValueError, IndexError):
-            raise InputError(f"{table}: the line {line[:40]!r} is damaged; copy the file again.") from None
     numbers = sorted(times)
     if len(numbers) > 1 and np.diff(numbers).max() > 10 + len(numbers) // 10:
         raise InputError(f"{table}: its sync_index jumps from one frame to another; copy the file again.")
@@ -263,36 +350,38 @@ def _clock(path: Path) -> tuple[list[int], float | None]:
 # apis/inferencers, whose frames count from 0); AlphaPose (utils/pPose_nms.py write_json); the COCO result format.
 
 
-_KIND_json = "a key-point file of MMPose, COCO or AlphaPose"
+_JSON = "a key-point file of MMPose, COCO or AlphaPose"
 
 
 def read_document(path: Path) -> Any:
     """The value of a JSON file within bounds; an InputError names it."""
-    return read_json(path, _KIND_json, MAX_BYTES)
+    return read_json(path, _JSON, MAX_BYTES)
 
 
 def read_keypoint_json(path: Path) -> KeypointTable:
     """The key points of one JSON file that holds all frames; which layout it has is seen from its content."""
     document = read_document(path)
     where = str(path)
-    if isinstance(document, Mapping):
-        if isinstance(document.get("instance_info"), list):
-            return _mmpose(document["instance_info"], document.get("meta_info"), where)
-        if isinstance(document.get("annotations"), list):
-            return _coco(document["annotations"], document.get("images"), where)
-        if document and all(isinstance(v, Mapping) and "people" in v for v in document.values()):
-            return _alphapose_frames(document, where)
-        if "people" in document:
-            raise InputError(
-                f"{where} holds the people of one frame; name the folder that has one such file per frame."
-            )
-    if isinstance(document, list):
-        if all(isinstance(v, Mapping) and "instances" in v for v in document):
-            return _mmpose(document, None, where)
-        if document and all(isinstance(v, Mapping) and "keypoints" in v for v in document):
-            return _coco(document, None, where)
+    table = document if isinstance(document, Mapping) else {}
+    tables = document if isinstance(document, list) else list(table.values())
+
+    def all_hold(key: str) -> bool:
+        return all(isinstance(v, Mapping) and key in v for v in tables)
+
+    if isinstance(table.get("instance_info"), list):
+        return _mmpose(table["instance_info"], table.get("meta_info"), where)
+    if isinstance(table.get("annotations"), list):
+        return _coco(table["annotations"], table.get("images"), where)
+    if table and all_hold("people"):
+        return _alphapose_frames(table, where)
+    if "people" in table:
+        raise InputError(f"{where} holds the people of one frame; name the folder that has one such file per frame.")
+    if isinstance(document, list) and all_hold("instances"):
+        return _mmpose(document, None, where)
+    if isinstance(document, list) and tables and all_hold("keypoints"):
+        return _coco(document, None, where)
     raise InputError(
-        f"{where} is not {_KIND_json}: neither instance_info, instances, annotations, nor a list of "
+        f"{where} is not {_JSON}: neither instance_info, instances, annotations, nor a list of "
         "keypoints is in it; export the key points again, or as OpenPose files."
     )
 
@@ -339,10 +428,9 @@ def _coco(found: list[Any], images: Any, where: str) -> KeypointTable:
             raise InputError(f"{at}: keypoints must be a list of x, y, score for each point; export the results again.")
         if isinstance(identity, str):
             plain_names = plain_names and re.fullmatch(r"(0|[1-9]\d*)\.(jpg|png)", identity) is not None
-            digits = re.findall(r"\d+", Path(identity).stem)
-            if not digits or len(digits[-1]) > 12:
+            number = last_number(Path(identity).stem)
+            if number is None:
                 raise InputError(f"{at}: image_id {identity[:40]!r} has no frame number; export the results again.")
-            number = int(digits[-1])
         else:
             plain_names = False
             number = whole_number(identity, at, "image_id")
@@ -363,20 +451,20 @@ def _image_numbers(images: Any) -> dict[int, int]:
     out = {}
     for image in images:
         name, identity = (image.get("file_name"), image.get("id")) if isinstance(image, Mapping) else (None, None)
-        digits = re.findall(r"\d+", Path(name).stem) if isinstance(name, str) else []
-        if not digits or len(digits[-1]) > 12 or not isinstance(identity, int):
+        number = last_number(Path(name).stem) if isinstance(name, str) else None
+        if number is None or not isinstance(identity, int):
             return {}
-        out[identity] = int(digits[-1])
+        out[identity] = number
     return out if len(set(out.values())) == len(out) else {}
 
 
 def _alphapose_frames(document: Mapping[str, Any], where: str) -> KeypointTable:
     people: dict[int, Array] = {}
     for name, frame in document.items():
-        digits = re.findall(r"\d+", Path(name).stem)
-        if not digits or len(digits[-1]) > 12:
+        number = last_number(Path(name).stem)
+        if number is None:
             raise InputError(f"{where}: the frame {name[:40]!r} has no number; export the results again.")
-        people[int(digits[-1])] = parse_openpose(frame, source=f"{where}, frame {name}", raw=True)
+        people[number] = parse_openpose(frame, source=f"{where}, frame {name}", raw=True)
     plain = all(re.fullmatch(r"(0|[1-9]\d*)\.(jpg|png)", n) for n in document)
     return KeypointTable("AlphaPose results (OpenPose form)", people, 0 if plain else None)
 
@@ -429,14 +517,11 @@ def read_keypoint_folder(folder: Path) -> KeypointTable:
 
 def numbered_files(paths: list[Path]) -> dict[int, Path]:
     """Files by the last number in their names; by order where that does not tell them apart."""
-    numbers = []
-    for p in paths:
-        digits = "".join(c if c.isdigit() and c.isascii() else " " for c in p.stem).split()
-        # OpenPose's names end in _keypoints; a number of the view may stand before the frame's
-        numbers.append(int(digits[-1]) if digits and len(digits[-1]) <= 15 else -1)
-    if len(set(numbers)) < len(numbers) or -1 in numbers:
+    # OpenPose's names end in _keypoints; a number of the view may stand before the frame's
+    numbers = [last_number(p.stem) for p in paths]
+    if None in numbers or len(set(numbers)) < len(numbers):
         return dict(enumerate(sorted(paths, key=lambda p: natural_key(p.name))))
-    return dict(zip(numbers, paths, strict=True))
+    return {n: p for n, p in zip(numbers, paths, strict=True) if n is not None}
 
 
 def _first_document(files: list[Path]) -> Mapping[str, Any]:
@@ -470,26 +555,19 @@ def _easymocap(path: Path) -> Array:
 
 def _ultralytics(folder: Path, files: dict[int, Path]) -> KeypointTable:
     columns = {len(line.split()) for p in list(files.values())[:100] for line in text_lines_or_none(p)}
-    if not columns:
-        raise InputError(f"The files in {folder} name nobody; detect people again, or choose another folder.")
-    if len(columns) > 1:
+    if len(columns) != 1:
         raise InputError(
-            f"The files in {folder} have lines of {', '.join(map(str, sorted(columns)))} numbers; write all with the "
-            "same settings of save_conf and tracking."
+            f"The files in {folder} have lines of {', '.join(map(str, sorted(columns))) or 'no'} numbers; write all "
+            "with the same settings of save_conf and tracking."
         )
     (width,) = columns
-    for per_point, name in ((3, "with confidences"), (2, "without confidences")):
-        for further in (0, 1, 2):  # the person's confidence, its track
-            count, rest = divmod(width - 5 - further, per_point)
-            if rest == 0 and count in _COUNTS:
-                read = _row_reader(width, count, per_point)
-                return KeypointTable(
-                    f"Ultralytics labels ({name})",
-                    _FrameFiles(files, read),
-                    min(1, *files) if files else 1,
-                    shares=True,
-                    scored=per_point == 3,
-                )
+    # the numbers of each point, and of what may follow: the person's confidence, its track
+    for per_point, further in itertools.product((3, 2), (0, 1, 2)):
+        count, rest = divmod(width - 5 - further, per_point)
+        if rest == 0 and count in _COUNTS:
+            layout = f"Ultralytics labels ({'with' if per_point == 3 else 'without'} confidences)"
+            people = _FrameFiles(files, _row_reader(width, count, per_point))
+            return KeypointTable(layout, people, min(1, *files), shares=True, scored=per_point == 3)
     raise InputError(
         f"The files in {folder} have {width} numbers a line, which is no pose of "
         f"{', '.join(map(str, _COUNTS))} points; write labels of a pose model (class x y w h, then the points)."
@@ -507,11 +585,8 @@ def _row_reader(width: int, count: int, per_point: int) -> Callable[[Path], Arra
     def read(path: Path) -> Array:
         people = []
         for line in text_lines_or_none(path):
-            cells = line.split()
-            try:
-                values = np.array([float(c) for c in cells])
-            except ValueError:
-                raise InputError(f"{path} holds something that is not a number; write the labels again.") from None
+            with numbers_of(str(path)):
+                values = np.array([float(c) for c in line.split()])
             if len(values) != width:
                 raise InputError(f"{path}: a line has {len(values)} numbers, the others {width}; write them again.")
             points = values[5 : 5 + count * per_point].reshape(count, per_point)
@@ -532,13 +607,13 @@ def _row_reader(width: int, count: int, per_point: int) -> Callable[[Path], Arra
 # (info/write_tracking_h5.py: tracks (tracks, 2, nodes, frames), transposed for MATLAB, node_names, point_scores).
 
 
-_KIND_array = "an array of key points"
+_ARRAY = "an array of key points"
 
 
 def read_keypoint_npy(path: Path) -> dict[str, KeypointTable]:
     """Key points by the camera's place in the array ("0", "1", ...)."""
     try:
-        with open_file(path, _KIND_array, MAX_BYTES) as stream:
+        with open_file(path, _ARRAY, MAX_BYTES) as stream:
             data = parse_array("it", stream, os.fstat(stream.fileno()).st_size)
         kind, shape = data.dtype.kind, data.shape
     except (ValueError, OSError, MemoryError) as problem:
@@ -559,15 +634,15 @@ def read_keypoint_npy(path: Path) -> dict[str, KeypointTable]:
 
 def read_keypoint_h5(path: Path) -> KeypointTable:
     """Key points of one camera out of HDF5. An InputError says what cannot be used, or that h5py is needed."""
-    readable_size(path, _KIND_array, MAX_BYTES)
-    h5py = _library()
+    readable_size(path, _ARRAY, MAX_BYTES)
+    h5py = extra("h5py", "Reading HDF5", "h5", or_else="export CSV, which needs nothing")
     try:
         with h5py.File(path, "r") as file:
             if "tracks" in file and "node_names" in file:
-                return _sleap_array(file, str(path))
+                return _sleap_h5(file, str(path))
             key = next((k for k in file if "table" in file[k] or "block0_values" in file[k]), None)
             if key is not None:
-                return _deeplabcut_array(file[key], str(path))
+                return _deeplabcut_h5(file[key], str(path))
     except (OSError, ValueError, KeyError, TypeError, RuntimeError, AttributeError, IndexError, MemoryError) as problem:
         reason = " ".join(str(problem).split())[:100]
         raise InputError(f"{path} cannot be read as HDF5 ({reason}); export the key points again.") from None
@@ -577,10 +652,6 @@ def read_keypoint_h5(path: Path) -> KeypointTable:
     )
 
 
-def _library() -> Any:
-    return extra("h5py", "Reading HDF5", "h5", or_else="export CSV, which needs nothing")
-
-
 def _sized(dataset: Any, where: str) -> Any:
     """A dataset that fits into memory: a compressed file may promise anything."""
     if dataset.size * dataset.dtype.itemsize > 4 * MAX_BYTES:
@@ -588,7 +659,7 @@ def _sized(dataset: Any, where: str) -> Any:
     return dataset[()]
 
 
-def _sleap_array(file: Any, where: str) -> KeypointTable:
+def _sleap_h5(file: Any, where: str) -> KeypointTable:
     names = tuple(n.decode(errors="replace") for n in _sized(file["node_names"], where).tolist())
     tracks = np.asarray(_sized(file["tracks"], where), dtype=np.float64)
     if tracks.ndim != 4 or not names:
@@ -598,24 +669,19 @@ def _sleap_array(file: Any, where: str) -> KeypointTable:
     if tracks.shape[1:3] != (2, len(names)):
         raise InputError(f"{where}: tracks {tracks.shape} do not belong to {len(names)} nodes; export them again.")
     scores = np.asarray(_sized(file["point_scores"], where), dtype=np.float64) if "point_scores" in file else None
-    if scores is not None and scores.shape != (tracks.shape[0], len(names), tracks.shape[3]):
+    wanted = (tracks.shape[0], len(names), tracks.shape[3])
+    if scores is not None and scores.shape != wanted:
         scores = scores.T
-    if scores is not None and scores.shape != (tracks.shape[0], len(names), tracks.shape[3]):
+    if scores is not None and scores.shape != wanted:
         raise InputError(f"{where}: point_scores {scores.shape} do not belong to the tracks; export them again.")
     scored = scores is not None and bool(np.isfinite(scores).any())  # none where people were marked by hand
-    points = np.ones((tracks.shape[3], tracks.shape[0], len(names), 3))
-    points[..., :2] = tracks.transpose(3, 0, 2, 1)
-    if scores is not None and scored:
-        points[..., 2] = scores.transpose(2, 0, 1)
-    people = {t: _somebody(checked_people(frame, where)) for t, frame in enumerate(points)}
+    confidence = scores.transpose(2, 0, 1) if scores is not None and scored else np.ones((wanted[2], *wanted[:2]))
+    points = np.concatenate([tracks.transpose(3, 0, 2, 1), confidence[..., None]], axis=-1)
+    people = {t: _seen(checked_people(frame, where)) for t, frame in enumerate(points)}
     return KeypointTable("SLEAP analysis", people, 0, names, scored=scored)
 
 
-def _somebody(points: Array) -> Array:
-    return points[(points[..., 2] > 0).any(1)] if points.size else points
-
-
-def _deeplabcut_array(group: Any, where: str) -> KeypointTable:
+def _deeplabcut_h5(group: Any, where: str) -> KeypointTable:
     if "table" in group:
         table = _sized(group["table"], where)
         block = next(n for n in table.dtype.names if n.startswith("values_block"))
@@ -633,8 +699,6 @@ def _deeplabcut_array(group: Any, where: str) -> KeypointTable:
     wide = [tuple(str(c) for c in column) for column in columns]
     if not wide or {len(c) for c in wide} - {3, 4} or values.shape != (len(numbers), len(wide)):
         raise InputError(f"{where}: its columns are not scorer, body part and coordinate; analyse the video again.")
-    if len(numbers) > MAX_FRAMES:
-        raise InputError(f"{where} has {len(numbers)} frames, too many; cut the recording into pieces.")
     named = [(c[1] if len(c) == 4 else "", c[-2], c[-1]) for c in wide]
     counted = [whole_number(n, where, "a frame's number") for n in np.asarray(numbers).tolist()]
     return deeplabcut_table(named, counted, values, where)

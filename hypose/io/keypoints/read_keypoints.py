@@ -13,7 +13,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -30,6 +30,8 @@ from hypose.geometry import Array
 from hypose.io.file_names import file_name, match_names
 from hypose.io.files import read_json, write_text
 from hypose.io.keypoints.keypoint_files import (
+    MAX_FRAMES,
+    KeypointTable,
     clock_file,
     read_keypoint_csv,
     read_keypoint_folder,
@@ -37,7 +39,6 @@ from hypose.io.keypoints.keypoint_files import (
     read_keypoint_json,
     read_keypoint_npy,
 )
-from hypose.io.keypoints.keypoint_table import MAX_FRAMES, KeypointTable
 
 _ENDINGS = "a folder of OpenPose, EasyMocap or Ultralytics files, .json, .csv, .h5 or .npy"
 _OUTSIDE = 0.3  # share of points outside of the picture from which it is another picture
@@ -100,16 +101,21 @@ def read_keypoints(path: Path) -> dict[str, KeypointTable]:
 
 @lru_cache(maxsize=8)  # a recording is looked at before it is worked on
 def _read_file(path: Path, state: tuple[tuple[int, int], ...]) -> dict[str, KeypointTable]:
-    ending = path.suffix.lower()
-    if ending == ".json":
-        return {"": read_keypoint_json(path)}
-    if ending == ".csv":
-        return read_keypoint_csv(path)
-    if ending in (".h5", ".hdf5"):
-        return {"": read_keypoint_h5(path)}
-    if ending == ".npy":
-        return read_keypoint_npy(path)
-    raise InputError(f"{path} is no file of key points that is known; give {_ENDINGS}.")
+    read = _READERS.get(path.suffix.lower())
+    if read is None:
+        raise InputError(f"{path} is no file of key points that is known; give {_ENDINGS}.")
+    found = read(path)
+    return found if isinstance(found, dict) else {"": found}
+
+
+_READERS: Mapping[str, Callable[[Path], KeypointTable | dict[str, KeypointTable]]] = {
+    ".json": read_keypoint_json,
+    ".csv": read_keypoint_csv,
+    ".h5": read_keypoint_h5,
+    ".hdf5": read_keypoint_h5,
+    ".npy": read_keypoint_npy,
+}
+"""By the file's ending; those of several cameras give a table for each."""
 
 
 def keypoints_of_views(
@@ -117,13 +123,11 @@ def keypoints_of_views(
     names: Sequence[str],
     cameras: Sequence[str],
     stated: str | None = None,
-    usual: Sequence[str] = ("BODY_25",),
 ) -> tuple[list[ViewKeypoints | None], list[str]]:
     """Key points of every view (None: it has none) and sentences that say what was found.
 
     paths: file or folder per view; one of several cameras may be named by all of them, and gives each view the camera
-    of its name, or of the calibration's name for it. stated: the set that is said to be used; usual: sets to think of
-    first where several have that many points.
+    of its name, or of the calibration's name for it. stated: the set that is said to be used.
     """
     out: list[ViewKeypoints | None] = []
     tables = [None if p is None else _of_view(p, i, names, cameras, paths) for i, p in enumerate(paths)]
@@ -141,7 +145,7 @@ def keypoints_of_views(
             continue
         first = table.first if table.first is not None else min(unknown, default=0)
         try:
-            view, how = _told(path, table, first, sample, alike.get(sample.shape[1], []), stated, usual)
+            view, how = _told(path, table, first, sample, alike.get(sample.shape[1], []), stated)
         except InputError as problem:
             raise InputError(f"View {name}, key points {path}: {problem}") from None
         out.append(view)
@@ -189,7 +193,6 @@ def _told(
     sample: Array,
     alike: Sequence[Array],
     stated: str | None,
-    usual: Sequence[str],
 ) -> tuple[ViewKeypoints | None, str]:
     if len(sample) == 0:
         return None, ""
@@ -206,7 +209,7 @@ def _told(
         if stated is not None and keypoint_names(stated) != KEYPOINT_SETS[kind]:
             raise InputError(f"their names are those of {kind}, not of {stated}; correct or remove keypoint_set.")
     else:
-        kind, how = set_of_points(alike, stated or table.stated, usual)
+        kind, how = set_of_points(alike, stated, ("BODY_25",))
     scores = sample[..., 2][sample[..., 2] > 0]
     high = float(np.quantile(scores, 0.995)) if len(scores) else 1.0
     # RTMPose's and AlphaPose's scores are heights of maps and may exceed 1, others are percent

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from hypose.errors import InputError, extra
 from hypose.io.files import atomic_path
 from hypose.io.motions.animation import write_bvh
 from hypose.io.motions.c3d import write_c3d
-from hypose.io.motions.marker_files import write_angles_csv, write_joints_csv, write_mot, write_sd_sto, write_trc
+from hypose.io.motions.marker_files import write_angles_csv, write_joints_csv, write_mot, write_trc
 from hypose.io.motions.opensim_model import shoulder_places, write_ik_markers, write_ik_setup, write_osim
 
 # ---- rerun file ----------------------------------------------------------------------------------------------------
@@ -80,96 +81,83 @@ def rerun_module() -> Any:  # noqa: ANN401 (a module)
     return extra("rerun", "A Rerun recording", "rerun", "rerun-sdk")
 
 
-def _trc(motion: Motion, body: Body, folder: Path) -> list[Path]:
-    path = folder / "motion.trc"
+def _trc(motion: Motion, body: Body, path: Path) -> None:
     start = float(motion.times[0])
     write_trc(path, motion.skeleton.joint_names, motion.joints, motion.frame_rate, start_time=start)
-    return [path]
 
 
-def _c3d(motion: Motion, body: Body, folder: Path) -> list[Path]:
-    path = folder / "motion.c3d"
+def _c3d(motion: Motion, body: Body, path: Path) -> None:
     computed = (motion.lost | motion.extrapolated).astype(bool)
     # a standard deviation of exactly 0 is still a measurement, so keep it off the mark for computed points
     residuals = np.where(computed[:, None], 0.0, np.maximum(motion.joint_sd * 1000, 1e-3))
     write_c3d(path, motion.skeleton.joint_names, motion.joints, motion.frame_rate, residuals)
-    return [path]
 
 
-def _bvh(motion: Motion, body: Body, folder: Path) -> list[Path]:
-    path = folder / "motion.bvh"
+def _bvh(motion: Motion, body: Body, path: Path) -> None:
     write_bvh(path, motion)
-    return [path]
 
 
-def _glb(motion: Motion, body: Body, folder: Path) -> list[Path]:
+def _glb(motion: Motion, body: Body, path: Path) -> None:
     from hypose.io.motions.gltf import write_glb  # takes long to import
 
-    path = folder / "motion.glb"
     write_glb(path, motion, body)
-    return [path]
 
 
-def _csv(motion: Motion, body: Body, folder: Path) -> list[Path]:
-    joints = folder / "joints.csv"
+def _csv(motion: Motion, body: Body, joints: Path, angles: Path) -> list[Path]:
     write_joints_csv(joints, motion)
     if motion.poses is None:  # joint positions alone have no angles
         return [joints]
-    angles = folder / "angles.csv"
     write_angles_csv(angles, *joint_angles(motion.skeleton, motion.poses), motion.times, motion.angle_sd)
     return [angles, joints]
 
 
-def _mot(motion: Motion, body: Body, folder: Path) -> list[Path]:
-    path = folder / "motion.mot"
+def _mot(motion: Motion, body: Body, path: Path, sd: Path) -> list[Path]:
     assert motion.poses is not None  # export_motion has checked
     names, values = joint_angles(motion.skeleton, motion.poses)
     more, places = shoulder_places(motion.skeleton, motion.poses)
     write_mot(path, (*names, *more), np.concatenate([values, places], axis=1), motion.times)
     if motion.angle_sd is None or not np.isfinite(motion.angle_sd).all(1).any():
         return [path]
-    sd = folder / "motion_sd.sto"
-    write_sd_sto(sd, ANGLE_NAMES, motion.angle_sd, motion.times)
+    # as OpenSim's storage: same columns, same units; OpenSim plots such a file, and tools weigh coordinates by it
+    write_mot(sd, ANGLE_NAMES, motion.angle_sd, motion.times)
     return [path, sd]
 
 
-def _osim(motion: Motion, body: Body, folder: Path) -> list[Path]:
-    model, markers, setup = (folder / f"motion{end}" for end in (".osim", "_markers.trc", "_ik.xml"))
+def _osim(motion: Motion, body: Body, model: Path, markers: Path, setup: Path) -> None:
     write_osim(model, body)
     write_ik_markers(markers, motion, body)
     write_ik_setup(setup, motion, body, model.name, markers.name, "motion_ik.mot")
-    return [model, markers, setup]
 
 
-def _rrd(motion: Motion, body: Body, folder: Path) -> list[Path]:
-    path = folder / "motion.rrd"
-    write_rrd(path, motion, body)
-    return [path]
+@dataclass(frozen=True)
+class Format:
+    """write(motion, body, *paths) writes files of these names, and returns which, where it is not all of them; poses:
+    the format needs them."""
+
+    write: Callable[..., list[Path] | None]
+    files: tuple[str, ...]
+    poses: bool = False
 
 
-FORMATS: Mapping[str, Callable[[Motion, Body, Path], list[Path]]] = {
-    "trc": _trc,
-    "c3d": _c3d,
-    "bvh": _bvh,
-    "glb": _glb,
-    "csv": _csv,
-    "mot": _mot,
-    "osim": _osim,
+FORMATS: Mapping[str, Format] = {
+    "trc": Format(_trc, ("motion.trc",)),
+    "c3d": Format(_c3d, ("motion.c3d",)),
+    "bvh": Format(_bvh, ("motion.bvh",), poses=True),
+    "glb": Format(_glb, ("motion.glb",), poses=True),
+    "csv": Format(_csv, ("joints.csv", "angles.csv")),
+    "mot": Format(_mot, ("motion.mot", "motion_sd.sto"), poses=True),
+    "osim": Format(_osim, ("motion.osim", "motion_markers.trc", "motion_ik.xml"), poses=True),
 }
-EXTRAS: Mapping[str, Callable[[Motion, Body, Path], list[Path]]] = {"rrd": _rrd}
-"""Formats that need an extra to be installed, so that nobody gets them unasked."""
-_NEED_POSES = ("bvh", "glb", "mot", "osim")
+_KNOWN = {**FORMATS, "rrd": Format(lambda motion, body, path: write_rrd(path, motion, body), ("motion.rrd",))}
+"""With those that need an extra to be installed, so that nobody gets them unasked."""
 
 
-def known_formats(asked: Sequence[str]) -> Mapping[str, Callable[[Motion, Body, Path], list[Path]]]:
-    """All formats; an InputError for one that is asked for and does not exist, or lacks what it needs here."""
-    known = {**FORMATS, **EXTRAS}
-    unknown = [f for f in asked if f not in known]
-    if unknown:
-        raise InputError(f"There is no export format {unknown[0]!r}; the formats are {', '.join(known)}.")
+def known_formats(asked: Sequence[str]) -> None:
+    """An InputError for a format that is asked for and does not exist, or lacks what it needs here."""
+    if unknown := [f for f in asked if f not in _KNOWN]:
+        raise InputError(f"There is no export format {unknown[0]!r}; the formats are {', '.join(_KNOWN)}.")
     if "rrd" in asked:
         rerun_module()
-    return known
 
 
 def export_motion(
@@ -185,12 +173,16 @@ def export_motion(
     joints.csv has a column for each flag. An InputError names an unknown format, or one that needs poses when the
     motion has none, before anything is written.
     """
-    known = known_formats(formats)
+    known_formats(formats)
     if not len(motion):
         raise InputError("The motion has no frames, so there is nothing to export.")
-    if motion.poses is None and (wanting := [f for f in formats if f in _NEED_POSES]):
+    if motion.poses is None and (wanting := [f for f in formats if _KNOWN[f].poses]):
         raise InputError(
             f"The format {wanting[0]} needs poses, this motion holds joint positions only; choose "
-            f"{', '.join(f for f in known if f not in _NEED_POSES)}."
+            f"{', '.join(name for name, f in _KNOWN.items() if not f.poses)}."
         )
-    return [path for name in dict.fromkeys(formats) for path in known[name](motion, body, Path(folder))]
+    written: list[Path] = []
+    for name in dict.fromkeys(formats):
+        paths = [Path(folder) / file for file in _KNOWN[name].files]
+        written += _KNOWN[name].write(motion, body, *paths) or paths
+    return written

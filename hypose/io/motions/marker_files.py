@@ -19,7 +19,7 @@ from hypose.body.joint_angles import is_length
 from hypose.body.motion import Motion, sd_per_axis
 from hypose.errors import InputError
 from hypose.geometry import Array
-from hypose.io.files import text_lines, write_text
+from hypose.io.files import numbers_of, text_lines, write_text
 
 # ---- markers -------------------------------------------------------------------------------------------------------
 # Markers: what every reader of marker files returns.
@@ -38,13 +38,6 @@ class Markers:
     points: Array
     frame_rate: float
     units: str
-
-    def __post_init__(self) -> None:
-        if self.points.ndim != 3 or self.points.shape[1:] != (len(self.names), 3):
-            raise InputError(
-                f"{len(self.names)} marker names need points of shape (frames, {len(self.names)}, 3), "
-                f"got {self.points.shape}."
-            )
 
 
 def metres_per_unit(unit: str, where: str) -> float:
@@ -125,51 +118,37 @@ def read_trc(path: str | Path) -> Markers:
     if len(lines) < 5 or not lines[0].startswith("PathFileType"):
         raise InputError(f"{path} is not {_KIND}: its first line does not start with PathFileType.")
     header = dict(zip(lines[1].split(), lines[2].split(), strict=False))
-    rate, count = _number(header, "DataRate", path), _number(header, "NumMarkers", path)
-    if not 0 < rate < 1e6 or not 1 <= count <= _MAX_MARKERS or count != int(count):
-        raise InputError(
-            f"{path}: DataRate {rate:g} and NumMarkers {count:g} are not possible; the rate must be "
-            f"positive and the markers 1 to {_MAX_MARKERS}."
-        )
-    m, units = int(count), header.get("Units", "mm")
-    scale = metres_per_unit(units, str(path))
+    with numbers_of(f"{path}: DataRate or NumMarkers in lines 2 and 3"):
+        rate, count = (float(header.get(key, "")) for key in ("DataRate", "NumMarkers"))
     names = tuple(c.strip() for c in lines[3].split("\t")[2:] if c.strip())
-    if len(names) != m:
-        raise InputError(f"{path}: line 4 names {len(names)} markers, but NumMarkers says {m}.")
-    rows: list[list[float]] = []
-    for number, line in enumerate(lines[5:], start=6):
-        if line.strip():
-            rows.append(_row(line, m, path, number))
+    if not 0 < rate < 1e6 or not 1 <= count <= _MAX_MARKERS or len(names) != count:
+        raise InputError(
+            f"{path}: DataRate {rate:g} and NumMarkers {count:g} are not possible with the {len(names)} markers that "
+            f"line 4 names; the rate must be positive and the markers 1 to {_MAX_MARKERS}."
+        )
+    units = header.get("Units", "mm")
+    scale = metres_per_unit(units, str(path))
+    rows = [_row(line, len(names), f"{path}: line {n}") for n, line in enumerate(lines[5:], start=6) if line.strip()]
     if not rows:
         raise InputError(f"{path} has a header but no frames.")
-    data = np.array(rows).reshape(len(rows), m, 3)
+    data = np.array(rows).reshape(len(rows), len(names), 3)
     points = np.empty_like(data)
     points[..., _WORLD] = data * scale
     return Markers(names, points, rate, units)
 
 
-def _number(header: dict[str, str], key: str, path: str | Path) -> float:
-    try:
-        return float(header[key])
-    except (KeyError, ValueError):
-        raise InputError(f"{path}: lines 2 and 3 give no number for {key}; a TRC header needs it.") from None
-
-
-def _row(line: str, markers: int, path: str | Path, number: int) -> list[float]:
+def _row(line: str, markers: int, where: str) -> list[float]:
     cells, wanted = line.rstrip("\t ").split("\t")[2:], 3 * markers
     # empty cells at the end may have been cut off; a marker is seen whole or not at all
     if len(cells) > wanted or len(cells) % 3:
         raise InputError(
-            f"{path}: line {number} has {len(cells)} cells, {wanted} are needed for {markers} markers; "
-            "the file may be cut off."
+            f"{where} has {len(cells)} cells, {wanted} are needed for {markers} markers; the file may be cut off."
         )
     cells += [""] * (wanted - len(cells))
-    try:
+    with numbers_of(where):
         values = [float(c) if c.strip() else math.nan for c in cells]
-    except ValueError:
-        raise InputError(f"{path}: line {number} holds something that is not a number.") from None
-    if any(math.isinf(v) for v in values):
-        raise InputError(f"{path}: line {number} holds an infinite number.")
+    if any(map(math.isinf, values)):
+        raise InputError(f"{where} holds an infinite number.")
     return values
 
 
@@ -183,16 +162,17 @@ def _row(line: str, markers: int, path: str | Path, number: int) -> list[float]:
 # of OpenSim's pelvis body, which lies some centimetres away.
 
 
-_KIND_mot = "an OpenSim motion file"
+_MOT = "an OpenSim motion file"
 _RENAMED = {"neck_extension": "neck_flexion"}
 
 
-def write_sd_sto(path: str | Path, names: Sequence[str], sd: ArrayLike, times: ArrayLike) -> None:
-    """Write standard deviations of joint angles beside their .mot, as OpenSim's storage: same columns, same units.
-
-    names, times as for `write_mot`; sd (T, A) rad and m. OpenSim plots such a file, and tools weigh coordinates by it.
-    """
-    write_mot(path, names, sd, times)
+def _table(path: str | Path, names: Sequence[str], values: ArrayLike, times: ArrayLike) -> tuple[Array, Array, Array]:
+    """Values (T, A) in rad and m as degrees and m, times (T,) s, and the scale of each column."""
+    v, t = np.asarray(values, dtype=np.float64), np.asarray(times, dtype=np.float64)
+    if v.shape != (len(t), len(names)):
+        raise InputError(f"{path}: {len(names)} names and {len(t)} times need values of that shape, got {v.shape}.")
+    scale = np.array([1.0 if is_length(n) else 180 / np.pi for n in names])
+    return v * scale, t, scale
 
 
 def write_mot(path: str | Path, names: Sequence[str], values: ArrayLike, times: ArrayLike) -> None:
@@ -201,15 +181,12 @@ def write_mot(path: str | Path, names: Sequence[str], values: ArrayLike, times: 
     OpenSim stops at NaN in a motion, so frames with one are refused frame by frame: they are left out (their
     times show the gap). An InputError when shapes differ or nothing is left.
     """
-    v, t = np.asarray(values, dtype=np.float64), np.asarray(times, dtype=np.float64)
-    if v.shape != (len(t), len(names)):
-        raise InputError(f"{path}: {len(names)} names and {len(t)} times need values of that shape, got {v.shape}.")
+    v, t, _ = _table(path, names, values, times)
     if (np.diff(t) <= 0).any() or not np.isfinite(t).all():
         raise InputError(f"{path}: frame times must increase; correct the recording's time stamps.")
     keep = np.isfinite(v).all(1)
     if not keep.any():
         raise InputError(f"{path}: no frame has finite joint angles, so there is nothing to write.")
-    scale = np.array([1.0 if is_length(n) else 180 / np.pi for n in names])
     lines = [
         Path(path).stem,
         "version=1",
@@ -223,7 +200,7 @@ def write_mot(path: str | Path, names: Sequence[str], values: ArrayLike, times: 
         "endheader",
         "\t".join(["time", *(_RENAMED.get(n, n) for n in names)]),
     ]
-    rows = np.concatenate([t[keep, None], v[keep] * scale], axis=1)
+    rows = np.concatenate([t[keep, None], v[keep]], axis=1)
     lines += ["\t".join(f"{x:.9f}" for x in row) for row in rows.tolist()]
     write_text(path, "\n".join(lines) + "\n")
 
@@ -231,25 +208,21 @@ def write_mot(path: str | Path, names: Sequence[str], values: ArrayLike, times: 
 def read_mot(path: str | Path) -> tuple[Array, tuple[str, ...], Array]:
     """Times (T,) s, coordinate names (A) and values (T, A), rad (metres for *_tx, *_ty, *_tz), of a .mot or .sto file;
     neck_flexion under our name for it. An InputError names the line that cannot be used."""
-    lines = text_lines(path, _KIND_mot)
+    lines = text_lines(path, _MOT)
     end = next((i for i, line in enumerate(lines[:500]) if line.strip().lower() == "endheader"), None)
     if end is None or end + 1 >= len(lines):
-        raise InputError(f"{path} is not {_KIND_mot}: its header has no endheader.")
+        raise InputError(f"{path} is not {_MOT}: its header has no endheader.")
     degrees = any(line.replace(" ", "").lower() == "indegrees=yes" for line in lines[:end])
     header = lines[end + 1].split()
     if len(header) < 2 or header[0].lower() != "time" or len(header) > 5000 or len(set(header)) < len(header):
         raise InputError(f"{path}: the line after endheader must name time and the coordinates, each once.")
     rows = []
     for number, line in enumerate(lines[end + 2 :], start=end + 3):
-        if not line.strip():
-            continue
-        try:
+        with numbers_of(f"{path}: line {number}"):
             row = [float(c) for c in line.split()]
-        except ValueError:
-            raise InputError(f"{path}: line {number} holds something that is not a number.") from None
-        if len(row) != len(header):
+        if len(row) not in (0, len(header)):
             raise InputError(f"{path}: line {number} has {len(row)} numbers, {len(header)} are needed; it may be cut.")
-        rows.append(row)
+        rows += [row] if row else []
     values = np.array(rows)
     if not rows or not np.isfinite(values[:, 0]).all() or (np.diff(values[:, 0]) <= 0).any():
         raise InputError(f"{path} has no frames, or times that do not increase; export it again.")
@@ -274,17 +247,13 @@ def write_angles_csv(
     Columns: time_s, <name>_deg, and <name>_m for positions; then, in the same order, <name>_sd_deg and <name>_sd_m.
     Signs: body.joint_angles.
     """
-    v, t = np.asarray(values, dtype=np.float64), np.asarray(times, dtype=np.float64)
-    if v.shape != (len(t), len(names)):
-        raise InputError(f"{path}: {len(names)} names and {len(t)} times need values of that shape, got {v.shape}.")
-    scale = np.array([1.0 if is_length(n) else 180 / np.pi for n in names])
-    header = ["time_s", *(f"{n}_{'m' if is_length(n) else 'deg'}" for n in names)]
-    table = v * scale
+    table, t, scale = _table(path, names, values, times)
+    units = ["m" if is_length(n) else "deg" for n in names]
+    header = ["time_s", *(f"{n}_{u}" for n, u in zip(names, units, strict=True))]
     if sd is not None:
-        header += [f"{n}_sd_{'m' if is_length(n) else 'deg'}" for n in names]
+        header += [f"{n}_sd_{u}" for n, u in zip(names, units, strict=True)]
         table = np.concatenate([table, np.asarray(sd, dtype=np.float64) * scale], axis=1)
-    rows = [_cells([time, *row]) for time, row in zip(t.tolist(), table.tolist(), strict=True)]
-    _write(path, header, rows)
+    _write(path, header, [_cells([time, *row]) for time, row in zip(t.tolist(), table.tolist(), strict=True)])
 
 
 def write_joints_csv(path: str | Path, motion: Motion) -> None:
@@ -295,25 +264,21 @@ def write_joints_csv(path: str | Path, motion: Motion) -> None:
     reduce; where it was judged, p_wrong, the probability that the joint is wrong by more than 100 mm. Standard
     deviations are per axis (root mean square of the three). Lost and extrapolated frames keep the predicted positions.
     """
-    header = ["time_s", "lost", "extrapolated", "n_views", "doubtful"]
     columns, series = ["x_m", "y_m", "z_m", "sd_m"], [motion.joints, motion.joint_sd[..., None]]
     if motion.systematic_covariance is not None:
-        lasting = sd_per_axis(motion.systematic_covariance)
-        columns, series = [*columns, "systematic_sd_m"], [*series, lasting[..., None]]
+        columns.append("systematic_sd_m")
+        series.append(sd_per_axis(motion.systematic_covariance)[..., None])
     if motion.p_wrong is not None:
-        columns, series = [*columns, "p_wrong"], [*series, motion.p_wrong[..., None]]
+        columns.append("p_wrong")
+        series.append(motion.p_wrong[..., None])
+    header = ["time_s", "lost", "extrapolated", "n_views", "doubtful"]
     header += [f"{n}_{c}" for n in motion.skeleton.joint_names for c in columns]
-    data = np.concatenate(series, axis=2).reshape(len(motion), -1)
+    data = np.concatenate(series, axis=2).reshape(len(motion), -1).tolist()
+    flags = np.stack([motion.lost, motion.extrapolated, motion.n_views], axis=1).astype(int).tolist()
+    judged = [""] * len(motion) if motion.doubtful is None else [str(int(d)) for d in motion.doubtful]
     rows = [
-        [
-            *_cells([float(motion.times[t])]),
-            str(int(motion.lost[t])),
-            str(int(motion.extrapolated[t])),
-            str(int(motion.n_views[t])),
-            "" if motion.doubtful is None else str(int(motion.doubtful[t])),
-            *_cells(data[t].tolist()),
-        ]
-        for t in range(len(motion))
+        [*_cells([time]), *map(str, known), doubtful, *_cells(row)]
+        for time, known, doubtful, row in zip(motion.times.tolist(), flags, judged, data, strict=True)
     ]
     _write(path, header, rows)
 

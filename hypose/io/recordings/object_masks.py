@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from hypose.errors import InputError
 from hypose.evidence.silhouettes import Mask, as_mask
-from hypose.io.file_names import natural_key
+from hypose.io.file_names import last_number, natural_key
 from hypose.io.files import MAX_TEXT_BYTES, read_json
 from hypose.io.videos.video import PNG_SIGNATURE, VideoReader, list_images, open_video, read_image, read_image_file
 
@@ -100,7 +100,7 @@ def open_masks(path: Path, first: int | None = None) -> ObjectMasks | VideoReade
 def _of_folders(path: Path, folders: list[Path], first: int | None) -> ObjectMasks:
     """One folder per object. Files of the same number are of the same frame; without numbers their order counts."""
     listed = {p.name: list_images(p) for p in folders}
-    numbers = {name: [_number(f) for f in files] for name, files in listed.items()}
+    numbers = {name: [last_number(f.stem) for f in files] for name, files in listed.items()}
     known = [n for found in numbers.values() for n in found]
     by_frame: dict[str, dict[int, Path]]
     if None in known or any(len(set(n)) < len(n) for n in numbers.values()):
@@ -126,11 +126,6 @@ def _of_folders(path: Path, folders: list[Path], first: int | None) -> ObjectMas
 
     frames = 1 + max(max(files) for files in by_frame.values())
     return ObjectMasks(path, (shape[1], shape[0]), frames, tuple(listed), load, first)
-
-
-def _number(path: Path) -> int | None:
-    digits = "".join(c if c.isdigit() else " " for c in path.stem).split()
-    return int(digits[-1]) if digits else None
 
 
 def _of_labels(path: Path, images: list[Path]) -> ObjectMasks | None:

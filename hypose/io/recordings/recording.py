@@ -603,38 +603,29 @@ def _match_cameras(
     rig: CameraRig, path: Path, views: Sequence[View], wanted: Sequence[str | None], notes: list[str]
 ) -> CameraRig:
     """The rig in the order of the views."""
-    if all(wanted):
-        chosen = rig.select([w for w in wanted if w])  # its error lists the cameras there are
+    names = [w or v.name for w, v in zip(wanted, views, strict=True)]
+    if all(wanted) or (len(rig) > len(views) and all(name in rig.names for name in names)):
+        chosen = rig.select(names)  # its error lists the cameras there are
         left = [n for n in rig.names if n not in chosen.names]
         if left:
             notes.append(f"The cameras {', '.join(left)} of {path.name} have no view and are left out.")
         return chosen
-    exact = [w or v.name for w, v in zip(wanted, views, strict=True)]
-    if len(rig) > len(views) and all(name in rig.names for name in exact):
-        left = [n for n in rig.names if n not in exact]
-        notes.append(f"The cameras {', '.join(left)} of {path.name} have no view and are left out.")
-        return rig.select(exact)
     if len(rig) != len(views):
         raise CalibrationError(
             f"{path} has {len(rig)} cameras ({', '.join(rig.names)}) but there are {len(views)} views "
             f"({', '.join(v.name for v in views)}); add the missing ones, or give every view its camera "
             '(camera = "...") in recording.toml.'
         )
-    keys = [w or v.name for w, v in zip(wanted, views, strict=True)]
-    unknown = [w for w in wanted if w and w not in rig.names]
-    if unknown:
+    if unknown := [w for w in wanted if w and w not in rig.names]:
         rig.select(unknown)
-    matched = match_names(keys, rig.names)
-    if all(m is not None for m in matched):
-        if any(k != rig.names[m] for k, m in zip(keys, matched, strict=True) if m is not None):
-            order = [rig.names[m] for m in matched if m is not None]
-            pairs = ", ".join(f"{v.name} = {n}" for v, n in zip(views, order, strict=True))
-            notes.append(f"Views and cameras are matched by their names: {pairs}.")
-        return CameraRig(tuple(rig[m] for m in matched if m is not None))
-    pairs = ", ".join(f"{v.name} = {c}" for v, c in zip(views, rig.names, strict=True))
-    notes.append(
-        "The names of views and cameras do not tell which belong together, so they are taken in their "
-        f"order: {pairs}; "
-        'if that is wrong, give each view its camera = "..." in recording.toml.'
-    )
-    return rig
+    matched = match_names(names, rig.names)
+    chosen = CameraRig(tuple(rig[i if m is None or None in matched else m] for i, m in enumerate(matched)))
+    pairs = ", ".join(f"{v.name} = {c}" for v, c in zip(views, chosen.names, strict=True))
+    if None in matched:
+        notes.append(
+            "The names of views and cameras do not tell which belong together, so they are taken in their "
+            f'order: {pairs}; if that is wrong, give each view its camera = "..." in recording.toml.'
+        )
+    elif list(chosen.names) != names:
+        notes.append(f"Views and cameras are matched by their names: {pairs}.")
+    return chosen

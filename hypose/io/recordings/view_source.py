@@ -249,13 +249,13 @@ class _MaskSource:
             mask = as_mask(read_image(self._numbered[frame]), str(self._numbered[frame])) * np.uint8(255)
             if mask.shape[1::-1] != self._size:  # already undistorted, at another working size
                 mask = np.asarray(cv2.resize(mask, self._size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-        elif self.objects is not None:
-            whole = self.objects.union(frame, self.chosen) * np.uint8(255)
-            mask = self._prepare(np.repeat(whole[..., None], 3, 2))[..., 0]
         else:
-            assert self._reader is not None
-            whole = as_mask(self._reader.read(frame), f"{self.path}, frame {frame},") * np.uint8(255)
-            mask = self._prepare(np.repeat(whole[..., None], 3, 2))[..., 0]
+            if self._reader is not None:
+                whole = as_mask(self._reader.read(frame), f"{self.path}, frame {frame},")
+            else:
+                assert self.objects is not None
+                whole = self.objects.union(frame, self.chosen)
+            mask = self._prepare(np.repeat(whole[..., None] * np.uint8(255), 3, 2))[..., 0]
         return (mask > 127).astype(np.uint8)
 
     def close(self) -> None:

@@ -29,7 +29,7 @@ from hypose.geometry import Array
 from hypose.io.calibrations.calibration_formats import read_any
 from hypose.io.file_names import utf8_path
 from hypose.io.files import open_file, read_bytes, readable_size, unreadable, write_bytes
-from hypose.io.videos.camera_sources import CameraSource, Shot, StreamEnded, played
+from hypose.io.videos.camera_sources import CameraSource, Played, Shot, StreamEnded
 from hypose.io.videos.video import PNG_SIGNATURE, is_cut_png, list_images
 from hypose.json_text import parse_json
 
@@ -155,7 +155,7 @@ def _azure_frames(container: Any, track: Any, path: str, library: Any) -> Iterat
 # Depth of RealSense cameras: their recordings (.bag, .db3) and the camera itself. Needs pyrealsense2 (an extra).
 
 
-_MAX_BYTES_realsense = 256 * 2**30
+_MAX_RECORDING_BYTES = 256 * 2**30
 _PATIENCE_MS = 2000
 """Without a frame for so long, a recording is at its end and a camera is gone."""
 
@@ -177,7 +177,7 @@ def read_realsense(path: str | Path) -> RealSenseDepth:
     read. An InputError for anything else, and when pyrealsense2 is missing."""
     library = _library()
     path = Path(path)
-    readable_size(path, "a RealSense recording (.bag or .db3)", _MAX_BYTES_realsense)
+    readable_size(path, "a RealSense recording (.bag or .db3)", _MAX_RECORDING_BYTES)
     config = library.config()
     try:
         with utf8_path(path) as name:
@@ -215,18 +215,8 @@ def open_realsense(serial: str | None = None) -> RealSenseDepth:
 
 def _library() -> Any:
     os.environ["RS2_RUM_CLOUD_ENABLED"] = "0"  # since 2.59 it counts what is used; nothing is sent
-    try:
-        return importlib.import_module("pyrealsense2")  # an extra: not there for everyone, type checkers included
-    except ModuleNotFoundError:
-        raise InputError(
-            "RealSense cameras and their recordings need pyrealsense2, which is not installed; run: pip install "
-            "hypose[realsense]."
-        ) from None
-    except ImportError as error:  # a library of the system's is not there
-        raise InputError(
-            f"RealSense cameras and their recordings need pyrealsense2, which cannot be loaded ({error}); install what "
-            "it names (Debian: apt install libusb-1.0-0)."
-        ) from None
+    libusb = "install the system's libusb (Debian: apt install libusb-1.0-0)"
+    return extra("pyrealsense2", "Depth of RealSense cameras and their recordings", "realsense", or_else=libusb)
 
 
 def _opened(library: Any, config: Any, what: str, recorded: bool) -> RealSenseDepth:
@@ -507,7 +497,7 @@ def open_depth_camera(address: str, rate: float, begin: float | None = None) -> 
     folder = Path(address.removeprefix(FOLDER))
     if not folder.is_dir():
         raise InputError(f"There is no folder {folder}; a depth recording is a folder of 16-bit PNG in millimetres.")
-    return played(_Maps(folder), rate, time.monotonic() if begin is None else begin)
+    return Played(_Maps(folder), rate, time.monotonic() if begin is None else begin)
 
 
 class _RealSense:

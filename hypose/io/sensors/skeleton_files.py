@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -25,10 +25,9 @@ from numpy.typing import NDArray
 from hypose.errors import InputError
 from hypose.geometry import Array, so3_exp
 from hypose.io.file_names import text_of
-from hypose.io.files import RecordingFolder, bounded_lines, read_json, text_lines, write_text
+from hypose.io.files import RecordingFolder, bounded_lines, csv_rows, numbers_of, read_json, text_lines, write_text
 from hypose.io.motions.results import to_json
 from hypose.io.sensors.depth import depth_at_joints, read_depth_png
-from hypose.io.sensors.skeleton_lines import read_lines
 from hypose.io.sensors.skeleton_streams import (
     MAX_JOINTS,
     MAX_SENSORS,
@@ -36,6 +35,7 @@ from hypose.io.sensors.skeleton_streams import (
     SkeletonRecording,
     StreamRows,
     checked_recording,
+    read_lines,
 )
 
 FORMAT = "hypose-skeletons"
@@ -58,26 +58,21 @@ class _Sensor:
 def read_folder(folder: str | Path) -> SkeletonRecording:
     """Read a recording folder; an InputError names the file and line that cannot be used."""
     folder = Path(folder)
-    session = folder / "session.json"
+    session, frames, skeleton = (folder / name for name in ("session.json", "frames.csv", "skeleton.csv"))
     value = _session(session)
     sensors = {s.rows.name: s for s in (_sensor(session, x) for x in value["sensors"])}
     if len(sensors) < len(value["sensors"]):
         raise InputError(f"{session} names a sensor twice; every sensor needs its own name.")
-    frames, skeleton = folder / "frames.csv", folder / "skeleton.csv"
     _read_frames(frames, sensors)
     bodies = _read_bodies(skeleton, sensors)
-    notes: list[str] = []
     for s in sensors.values():
         _fill(s, bodies[s.rows.name], folder)
-    filled = [s.rows for s in sensors.values() if s.rows.times]
-    notes += [f"{s.rows.name}: nobody was seen, the sensor is left out" for s in sensors.values() if not s.rows.times]
     return checked_recording(
         str(value.get("name", folder.resolve().name)),
-        filled,
+        [s.rows for s in sensors.values()],
         str(folder),
         {p.name: p for p in (session, frames, skeleton)},
         reference=value.get("reference"),
-        notes=notes,
         common_clock=value.get("clock", "common") == "common",
     )
 
@@ -121,46 +116,33 @@ def _sensor(path: Path, value: Any) -> _Sensor:
     return _Sensor(rows, _SCALE[unit], intrinsics, y_up, {n: i for i, n in enumerate(joints)})
 
 
-def _table(path: Path, header: Sequence[str], kind: str, take: Callable[[list[str]], None]) -> None:
-    lines = bounded_lines(path, kind)
-    names = [c.strip() for c in next(lines, "").split(",")]
+def _rows_of(path: Path, header: Sequence[str], kind: str) -> Iterator[tuple[str, list[str]]]:
+    """Where each row stands, and its cells."""
+    names, rows = csv_rows(path, kind)
     if names[: len(header)] != list(header):
         raise InputError(f"{path}: the first line must be {','.join(header)}.")
-    for number, line in enumerate(lines, start=2):
-        if not line.strip():
-            continue
-        cells = line.split(",")
-        if len(cells) != len(names):
-            raise InputError(
-                f"{path}: line {number} has {len(cells)} cells, the first line {len(names)}; the file may be cut off."
-            )
-        try:
-            take(cells)
-        except KeyError as error:
-            raise InputError(
-                f"{path}: line {number}: {error.args[0]!r} is not in session.json or frames.csv."
-            ) from None
-        except (ValueError, OverflowError) as error:
-            reason = str(error) if isinstance(error, _Reason) else "something is not a number"
-            raise InputError(f"{path}: line {number}: {reason}.") from None
+    for number, cells in rows:
+        yield f"{path}: line {number}", cells
 
 
-class _Reason(ValueError):
-    """A ValueError whose text is for the user."""
+def _known(where: str, table: Mapping[Any, Any], key: Any, what: str) -> Any:
+    if key not in table:
+        raise InputError(f"{where}: {what} {key!r} is not in session.json or frames.csv.")
+    return table[key]
 
 
 def _read_frames(path: Path, sensors: Mapping[str, _Sensor]) -> None:
-    def take(cells: list[str]) -> None:
-        sensor, number, time = sensors[cells[0].strip()], int(cells[1]), float(cells[2])
+    for where, cells in _rows_of(path, _FRAMES, "frames.csv of a skeleton recording"):
+        sensor = _known(where, sensors, cells[0], "the sensor")
+        with numbers_of(where):
+            number, time = int(cells[1]), float(cells[2])
         if number in sensor.times:
-            raise _Reason(f"the frame {number} of sensor {cells[0].strip()} is there twice")
+            raise InputError(f"{where}: the frame {number} of sensor {cells[0]} is there twice.")
         if not math.isfinite(time):
-            raise _Reason("the time is not a number")
+            raise InputError(f"{where}: the time is not a number.")
         sensor.times[number] = time
-        if len(cells) > 3 and cells[3].strip():
-            sensor.depth[number] = cells[3].strip()
-
-    _table(path, _FRAMES, "frames.csv of a skeleton recording", take)
+        if "".join(cells[3:4]):
+            sensor.depth[number] = cells[3]
 
 
 _Bodies = dict[tuple[int, int], tuple[Array, NDArray[np.uint8]]]
@@ -168,29 +150,22 @@ _Bodies = dict[tuple[int, int], tuple[Array, NDArray[np.uint8]]]
 
 def _read_bodies(path: Path, sensors: Mapping[str, _Sensor]) -> dict[str, _Bodies]:
     bodies: dict[str, _Bodies] = {name: {} for name in sensors}
-
-    def take(cells: list[str]) -> None:
-        name = cells[0].strip()
-        sensor = sensors[name]
-        frame, person = int(cells[1]), int(cells[2] or 0)
-        if frame not in sensor.times:
-            raise KeyError(f"frame {frame} of {name}")
-        joint = sensor.joint[cells[3].strip()]
-        body = bodies[name].get((frame, person))
-        if body is None:
-            count = len(sensor.joint)
-            body = bodies[name][frame, person] = (np.full((count, 3), np.nan), np.zeros(count, dtype=np.uint8))
-        if not 0 <= person < 2**63:
-            raise _Reason("person must be a whole number from 0")
-        state = int(cells[7]) if cells[7].strip() else 2
-        if state not in (0, 1, 2):
-            raise _Reason(f"the state is {state}, it must be 0, 1 or 2")
-        xyz = [float(c) if c.strip() else math.nan for c in cells[4:7]]
-        if any(map(math.isinf, xyz)):
-            raise _Reason("a coordinate is infinite")
-        body[0][joint], body[1][joint] = xyz, state
-
-    _table(path, _SKELETON, "skeleton.csv of a skeleton recording", take)
+    for where, cells in _rows_of(path, _SKELETON, "skeleton.csv of a skeleton recording"):
+        sensor = _known(where, sensors, cells[0], "the sensor")
+        joint = _known(where, sensor.joint, cells[3], "the joint")
+        with numbers_of(where):
+            frame, person, state = int(cells[1]), int(cells[2] or 0), int(cells[7] or 2)
+            xyz = [float(c or "nan") for c in cells[4:7]]
+        _known(where, sensor.times, frame, "the frame")
+        if not 0 <= person < 2**63 or state not in (0, 1, 2) or any(map(math.isinf, xyz)):
+            raise InputError(
+                f"{where}: person must be a whole number from 0, the state 0, 1 or 2, and coordinates must be finite; "
+                f"got {person}, {state} and {xyz}."
+            )
+        count = len(sensor.joint)
+        nothing = np.full((count, 3), np.nan), np.zeros(count, dtype=np.uint8)
+        positions, states = bodies[cells[0]].setdefault((frame, person), nothing)
+        positions[joint], states[joint] = xyz, state
     return bodies
 
 
@@ -200,22 +175,19 @@ def _fill(sensor: _Sensor, bodies: _Bodies, folder: Path) -> None:
     for (frame, person), (positions, state) in bodies.items():
         scaled = np.where(positions > -9000, positions * sensor.scale, positions)
         by_frame.setdefault(frame, []).append((person, scaled, state))
-    with_depth = sensor.intrinsics is not None and bool(sensor.depth)
+    lens = sensor.intrinsics if sensor.depth else None
     for frame in sorted(sensor.times):
         time = sensor.times[frame]
-        if frame not in by_frame:
+        seen = by_frame.get(frame, [])
+        if not seen:
             sensor.rows.empty.append(time)
-            continue
-        image = None
-        if with_depth and frame in sensor.depth:
-            image = read_depth_png(_inside(folder, sensor.depth[frame]))
-        for person, positions, state in by_frame[frame]:
+        file = sensor.depth.get(frame) if seen and lens is not None else None
+        image = None if file is None else read_depth_png(_inside(folder, file))
+        for person, positions, state in seen:
             sensor.rows.add(time, person, positions, state)
-            if with_depth and sensor.intrinsics is not None:
-                found = np.zeros(len(positions))
-                if image is not None:
-                    found = depth_at_joints(image, positions, sensor.intrinsics, sensor.y_up)
-                sensor.rows.joint_depth.append(found)
+            if lens is not None:
+                found = None if image is None else depth_at_joints(image, positions, lens, sensor.y_up)
+                sensor.rows.joint_depth.append(np.zeros(len(positions)) if found is None else found)
 
 
 def _inside(folder: Path, name: str) -> Path:
@@ -314,71 +286,49 @@ _MAX_FRAMES = 1_000_000
 _KIND = "a CSV of skeletons with one row per skeleton and columns <Joint>_X, <Joint>_Y, <Joint>_Z"
 
 
-def read_kinect_csv(path: str | Path, clock: str = "tracker") -> SkeletonRecording:
+def read_kinect_csv(path: str | Path) -> SkeletonRecording:
     """Read a KinectMultiTrack CSV (.csv or .csv.gz): one stream per Kinect_Id, persons by Person_Id.
 
-    clock: "tracker" takes Tracker_Time (one clock, ms), "sensor" each Kinect's own Skeleton_Time (100 ns). Times start
-    at 0. No tracking state is logged: a joint that is there counts as tracked. The logger turns every skeleton by how
-    the person stood before its sensor at first (Skeleton_Init_Angle, Skeleton_Init_Dist), and puts it where the first
-    row's sensor saw it; here each sensor's are put back before it, all by what its first row says.
+    Times are Tracker_Time's (one clock, ms), and start at 0. No tracking state is logged: a joint that is there counts
+    as tracked. The logger turns every skeleton by how the person stood before its sensor at first
+    (Skeleton_Init_Angle, Skeleton_Init_Dist), and puts it where the first row's sensor saw it; here each sensor's are
+    put back before it, all by what its first row says.
     """
-    if clock not in ("tracker", "sensor"):
-        raise InputError(f"There is no clock {clock!r}; choose tracker or sensor.")
-    lines = bounded_lines(path, _KIND)
-    header = [c.strip() for c in next(lines, "").split(",")]
+    path = Path(path)
+    header, lines = csv_rows(path, _KIND)
     at = {name: i for i, name in enumerate(header)}
     starts = [i for i, c in enumerate(header) if c.endswith("_X")]
     joints = tuple(header[i][:-2] for i in starts)
-    wrong = [c[:-2] for i, c in zip(starts, joints, strict=True) if header[i : i + 3] != [f"{c}_{x}" for x in "XYZ"]]
+    wrong = [c for i, c in zip(starts, joints, strict=True) if header[i : i + 3] != [f"{c}_{x}" for x in "XYZ"]]
     if not joints or len(joints) > MAX_JOINTS or wrong or len(set(joints)) < len(joints):
         raise InputError(f"{path} is not {_KIND}: its first line does not name 1 to {MAX_JOINTS} joints that way.")
-    time_name, unit = ("Tracker_Time", 1e-3) if clock == "tracker" else ("Skeleton_Time", 1e-7)
-    sensor_column = next((at[n] for n in ("Kinect_Id", "Kinect#", "Kinect_Id(0=FOR)") if n in at), None)
-    if sensor_column is None:
-        sensor_column = next((i for i, n in enumerate(header) if n.startswith("Kinect_Id")), None)
-    if sensor_column is None or time_name not in at:
-        missing = time_name if time_name not in at else "Kinect_Id"
+    sensor_column = next((i for n, i in at.items() if n.startswith("Kinect_Id") or n == "Kinect#"), None)
+    if sensor_column is None or "Tracker_Time" not in at:
+        missing = "Kinect_Id" if sensor_column is None else "Tracker_Time"
         raise InputError(f"{path}: the column {missing} is missing; it must be in the first line.")
     person_column = at.get("Person_Id", at.get("Skeleton_Id"))
-    first, count = starts[0], 3 * len(joints)
-    contiguous = starts == list(range(first, first + count, 3))
-    where = [c + k for c in starts for k in range(3)]
     turned = [at[n] for n in ("Skeleton_Init_Angle", "Skeleton_Init_Dist") if n in at]
     turns: dict[str, Array] = {}
     sensors: dict[str, StreamRows] = {}
-    for number, line in enumerate(lines, start=2):
-        if not line.strip():
-            continue
-        cells = line.split(",")
-        if len(cells) != len(header):
-            raise InputError(
-                f"{path}: line {number} has {len(cells)} cells, the first line {len(header)}; the file may be cut off."
-            )
-        try:
-            time = float(cells[at[time_name]]) * unit
+    for number, cells in lines:
+        with numbers_of(f"{path}: line {number}"):
+            time = float(cells[at["Tracker_Time"]]) * 1e-3
             person = int(float(cells[person_column])) if person_column is not None else 0
-            numbers = cells[first : first + count] if contiguous else [cells[i] for i in where]
-            values = np.array([float(c) for c in numbers]).reshape(-1, 3)
+            values = np.array([[float(c) for c in cells[i : i + 3]] for i in starts])
             turn = np.array([float(cells[i]) for i in turned])
-        except (ValueError, OverflowError):
-            raise InputError(f"{path}: line {number} holds something that is not a number.") from None
         if not math.isfinite(time):
-            raise InputError(f"{path}: line {number} has no time; {time_name} must be a number.")
-        name = cells[sensor_column].strip()
+            raise InputError(f"{path}: line {number} has no time; Tracker_Time must be a number.")
+        name = cells[sensor_column]
         if len(turn) == 2:
             own, known = turns.setdefault(name, turn), (values > MISSING_MARK).all(1)
             values[known] = _before_own_sensor(values[known], next(iter(turns.values())), own)
-        rows = sensors.setdefault(name, StreamRows(name, joints))
-        rows.add(time, person, values, np.full(len(joints), 2))
+        sensors.setdefault(name, StreamRows(name, joints)).add(time, person, values, np.full(len(joints), 2))
     # numbers of seconds since the year 1 lose microseconds in later arithmetic
-    starts_at = {n: min(r.times) for n, r in sensors.items()}
-    common = min(starts_at.values(), default=0.0)
-    for name, rows in sensors.items():
-        zero = common if clock == "tracker" else starts_at[name]
+    zero = min((t for rows in sensors.values() for t in rows.times), default=0.0)
+    for rows in sensors.values():
         rows.times = [t - zero for t in rows.times]
-    p = Path(path)
-    title = p.name.removesuffix(".gz").removesuffix(".csv")
-    return checked_recording(title, list(sensors.values()), str(p), {p.name: p}, common_clock=clock == "tracker")
+    title = path.name.removesuffix(".gz").removesuffix(".csv")
+    return checked_recording(title, list(sensors.values()), str(path), {path.name: path})
 
 
 def _before_own_sensor(points: Array, first: Array, own: Array) -> Array:
@@ -393,51 +343,43 @@ _NTU_NAME = re.compile(r"(S\d{3})C(\d{3})(P\d{3}R\d{3}A\d{3})", re.IGNORECASE)
 
 def read_ntu(files: Sequence[str | Path]) -> SkeletonRecording:
     """Read NTU RGB+D .skeleton files of one action, one file per camera. All-zero joints count as missing."""
-    if not files:
-        raise InputError("No .skeleton file was given; give at least one.")
     paths = [Path(f) for f in files]
-    actions = {(m[1] + m[3]).upper() if (m := _NTU_NAME.search(p.name)) else p.stem for p in paths}
+    named = [_NTU_NAME.search(p.name) for p in paths]
+    actions = {(m[1] + m[3]).upper() if m else p.stem for p, m in zip(paths, named, strict=True)}
     if len(paths) > 1 and len(actions) > 1:
         raise InputError(
             f"The folder {paths[0].parent} holds {len(actions)} different actions ({', '.join(sorted(actions)[:3])}, "
             "...); give the files of one action, which differ in the camera (C001, C002, C003) only."
         )
-    sensors = []
-    for p in paths:
-        m = _NTU_NAME.search(p.name)
-        sensors.append(_ntu_rows(p, f"C{m[2]}" if m else text_of(p.stem)))
-    filled = [s for s in sensors if s.times]
-    notes = [f"{s.name}: nobody was seen, the camera is left out" for s in sensors if not s.times]
-    title = actions.pop() if len(actions) == 1 else paths[0].stem
-    return checked_recording(title, filled, str(paths[0].parent), {p.name: p for p in paths}, notes=notes)
+    sensors = [_ntu_rows(p, f"C{m[2]}" if m else text_of(p.stem)) for p, m in zip(paths, named, strict=True)]
+    return checked_recording(actions.pop(), sensors, str(paths[0].parent), {p.name: p for p in paths})
 
 
 def _ntu_rows(path: Path, name: str) -> StreamRows:
     rows = StreamRows(name, KINECT_V2)
-    lines = enumerate((ln.strip() for ln in bounded_lines(path, "an NTU RGB+D .skeleton file")), start=1)
+    lines = enumerate((ln.split() for ln in bounded_lines(path, "an NTU RGB+D .skeleton file")), start=1)
     ids: dict[str, int] = {}
 
-    def read(what: str) -> tuple[int, list[str]]:
-        number, text = next(lines, (0, ""))
+    def read(what: str, cells: int) -> tuple[int, list[str]]:
+        number, found = next(lines, (0, []))
         if not number:
             raise InputError(f"{path} ends where {what} should follow; the file is cut off, fetch it again.")
-        return number, text.split()
+        if len(found) != cells:
+            raise InputError(f"{path}: line {number} has {len(found)} values, {what} has {cells}.")
+        return number, found
 
     def count(what: str, most: int) -> int:
-        number, cells = read(what)
-        if len(cells) != 1 or not cells[0].isdecimal() or len(cells[0]) > 9 or int(cells[0]) > most:
+        number, (cell,) = read(what, 1)
+        if not cell.isdecimal() or len(cell) > 9 or int(cell) > most:
             raise InputError(
                 f"{path}: line {number} should be {what} (0 to {most}), as in an NTU RGB+D .skeleton file."
             )
-        return int(cells[0])
+        return int(cell)
 
-    frames = count("the number of frames", _MAX_FRAMES)
-    for frame in range(frames):
+    for frame in range(count("the number of frames", _MAX_FRAMES)):
         bodies = count("the number of bodies", 64)
         for _ in range(bodies):
-            number, head = read("a body")
-            if len(head) != 10:
-                raise InputError(f"{path}: line {number} has {len(head)} values, a body's line has 10.")
+            _, head = read("a body", 10)
             joints = count("the number of joints", MAX_JOINTS)
             if joints != len(KINECT_V2):
                 raise InputError(
@@ -445,13 +387,9 @@ def _ntu_rows(path: Path, name: str) -> StreamRows:
                 )
             values = np.empty((joints, 12))
             for j in range(joints):
-                number, cells = read("a joint")
-                try:
-                    if len(cells) != 12:
-                        raise ValueError
+                number, cells = read("a joint", 12)
+                with numbers_of(f"{path}: line {number}"):
                     values[j] = [float(c) for c in cells]
-                except ValueError:
-                    raise InputError(f"{path}: line {number} is no joint of 12 numbers.") from None
             xyz, state = values[:, :3], values[:, 11]
             state = np.where(np.isin(state, (0, 1, 2)), state, 0).astype(np.uint8)
             state[(xyz == 0).all(1)] = 0
@@ -473,28 +411,26 @@ def read_skeletons(path: str | Path) -> SkeletonRecording:
     .skeleton; .jsonl or .jsonl.gz.
     """
     p = Path(path)
-    if p.is_dir():
-        if (p / "session.json").exists():
-            return read_folder(p)
-        files = sorted(p.glob("*.skeleton"))
-        if files:
-            return read_ntu(files)
-        raise InputError(
-            f"The folder {p} has neither session.json nor .skeleton files; give a folder of recorded skeletons."
-        )
-    if not p.exists():
-        raise InputError(f"{p} does not exist; give a folder with session.json, or a .csv, .skeleton or .jsonl file.")
     name = p.name.lower().removesuffix(".gz")
-    if name == "session.json":
-        return read_folder(p.parent)
-    if name.endswith(".csv"):
-        return read_kinect_csv(p)
-    if name.endswith(".skeleton"):
-        return read_ntu([p])
-    if name.endswith((".jsonl", ".ndjson")):
-        return read_lines(p)
-    if name.endswith(".zip"):
-        raise InputError(f"{p} is an archive; unpack it and give the folder.")
+    read = next((read for ending, read in _READERS.items() if name.endswith(ending)), None)
+    if p.is_dir() and (p / "session.json").exists():
+        return read_folder(p)
+    if p.is_dir() and (files := sorted(p.glob("*.skeleton"))):
+        return read_ntu(files)
+    if p.is_file() and read is not None:
+        return read(p)
+    what = "does not exist" if not p.exists() else "holds no skeletons" if p.is_dir() else "has no known form"
     raise InputError(
-        f"{p} has no known form; give a folder with session.json, or a .csv, .skeleton or .jsonl file (.gz is fine)."
+        f"{p} {what}; give a folder with session.json or .skeleton files, or a .csv, .skeleton or .jsonl file (.gz is "
+        "fine; of an archive the folder that is unpacked)."
     )
+
+
+_READERS: Mapping[str, Callable[[Path], SkeletonRecording]] = {
+    "session.json": lambda p: read_folder(p.parent),
+    ".csv": read_kinect_csv,
+    ".skeleton": lambda p: read_ntu([p]),
+    ".jsonl": read_lines,
+    ".ndjson": read_lines,
+}
+"""By the end of the file's name, without .gz."""

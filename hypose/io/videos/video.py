@@ -414,16 +414,20 @@ class VideoWriter:
             )
         self._codecs = (codec,) if codec else _CODECS[self.path.suffix.lower()]
         self._writer: cv2.VideoWriter | None = None
-        self._guard = atomic_path(self.path)
+        self._closing = contextlib.ExitStack()
 
     def __enter__(self) -> VideoWriter:
-        self._temporary = self._guard.__enter__()
-        try:
+        with contextlib.ExitStack() as stack:
+            self._temporary = stack.enter_context(atomic_path(self.path))
             self._writer = self._open()
-        except BaseException as error:
-            self._guard.__exit__(type(error), error, error.__traceback__)
-            raise
+            stack.push(self._finish)
+            self._closing = stack.pop_all()
         return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._closing.__exit__(kind, error, trace)
 
     def _open(self) -> cv2.VideoWriter:
         for codec in self._codecs:
@@ -450,22 +454,13 @@ class VideoWriter:
         self._writer.write(np.ascontiguousarray(image[: self.size[1], : self.size[0]]))
         self.n_frames += 1
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def _finish(self, kind: type[BaseException] | None, *_: object) -> None:
+        """OpenCV reports no write error, so what lies on the disk is opened and its end decoded."""
         if self._writer is not None:
             self._writer.release()
             self._writer = None
-        try:
-            if error is None:
-                self._check()
-        except InputError as failure:
-            self._guard.__exit__(type(failure), failure, failure.__traceback__)
-            raise
-        self._guard.__exit__(kind, error, trace)
-
-    def _check(self) -> None:
-        """OpenCV reports no write error, so what lies on the disk is opened and its end decoded."""
+        if kind is not None:
+            return
         if self.n_frames == 0:
             raise InputError(f"{self.path} was not written because no frame was given; choose a range with frames.")
         try:

@@ -41,8 +41,6 @@ from hypose.pipeline.live.rooms import DepthRoom, ViewRoom
 
 ROOM_S, ROOM_PICTURES = 2.0, 12
 """s and pictures from which the empty room is learnt"""
-_MOVED, _MOVED_SHARE = 12.0, 0.01
-"""grey levels, and share of a picture, that change in an empty room where somebody has not left"""
 _OTHER_SHAPE = 0.01
 """share by which width over height may differ from the calibration's"""
 _DAMAGED = 5
@@ -303,7 +301,7 @@ class Eyes:
         moved = []
         for view, room, images in zip(self._views, self._rooms, self._pictures, strict=True):
             room.learn(images)
-            if room.moved if isinstance(room, DepthRoom) else _has_moved(room.background):
+            if room.moved:
                 moved.append(
                     f"{view.name} saw something move while the empty room was learnt; leave its view, and learn it "
                     "again."
@@ -333,10 +331,6 @@ def least_cameras(views: Sequence[LiveView]) -> int:
 def any_depth(views: Sequence[LiveView]) -> bool:
     """Whether one of them is a depth camera."""
     return any(v.depth for v in views)
-
-
-def _has_moved(room: BackgroundModel | None) -> bool:
-    return room is not None and float((room.sd.max(2) > _MOVED).mean()) > _MOVED_SHARE
 
 
 def _jpeg(shot: Shot) -> bytes | None:

@@ -5,7 +5,6 @@ import json
 import logging
 import socket
 import threading
-import tracemalloc
 
 import pytest
 from websockets.exceptions import ConnectionClosed
@@ -292,23 +291,6 @@ def counted(call, calls, name):
     return counting
 
 
-def test_for_what_is_made_there_is_room():
-    """Another one as large as the largest: while it is made the memory holds no more than afterwards."""
-    there, before = [], []
-    kept = Kept(100, len, lambda value: there.remove(len(value)), one_more=True)
-
-    def make(size):
-        before.append(sum(there))
-        there.append(size)
-        return bytes(size)
-
-    for size in (70, 71, 20, 5, 72):
-        with kept.use(size, lambda size=size: make(size)):
-            pass
-    assert before == [0, 0, 0, 20, 25] and there == [20, 5, 72]
-    kept.drop()
-
-
 def test_what_is_made_at_once_by_many_is_made_once():
     made, kept = [], Kept(100, len)
     barrier = threading.Barrier(8)
@@ -352,25 +334,3 @@ def test_what_takes_long_to_make_holds_up_nobody_who_wants_another():
     with kept.use("none", lambda: b"now") as value:
         assert value == b"now"
     kept.drop()
-
-
-def test_looking_at_results_again_and_again_needs_no_more_memory(studio):
-    id = studio.get("/api/state")["results"][0]["id"]
-
-    def look():
-        assert studio.ask(f"/api/results/{id}/view")[0] == 200
-        for row in range(8):
-            for width in (320, 640):
-                assert studio.ask(f"/api/results/{id}/pictures/{row}?width={width}")[0] == 200
-        assert studio.ask(f"/api/results/{id}/outlines/3")[0] == 200
-
-    look()
-    tracemalloc.start()
-    try:
-        look()
-        before = tracemalloc.get_traced_memory()[0]
-        for _ in range(3):
-            look()
-        assert tracemalloc.get_traced_memory()[0] - before < 4 << 20
-    finally:
-        tracemalloc.stop()

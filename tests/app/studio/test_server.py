@@ -5,14 +5,11 @@ import json
 import os
 import shutil
 import socket
-import threading
-from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from hypose.app.commands.commands_studio import open_studio
-from hypose.app.studio import results as studio_results
 from hypose.app.studio import server as studio_server
 from hypose.app.studio.guard import token_for
 from tests.app.studio.conftest import serving
@@ -49,25 +46,6 @@ def test_a_result_is_one_block_with_its_pictures_and_outlines(studio):
     assert status == 200 and data.startswith(b"PathFileType") and "attachment" in headers["content-disposition"]
 
 
-def test_every_motion_is_read_once_for_the_lists(own_studio, folder, monkeypatch):
-    """However many ask at the same time; its thumbnail needs no more than that. A result that is written again is."""
-    results = folder / "walk" / "results"
-    for name in ("one", "two"):
-        shutil.copytree(results / "default", results / name)
-    read = []
-    load = studio_results.load_motion
-    monkeypatch.setattr(studio_results, "load_motion", lambda path: read.append(path.parent.name) or load(path))
-    with ThreadPoolExecutor(8) as pool:
-        states = list(pool.map(lambda _: own_studio.get("/api/state"), range(8)))
-        ids = [r["id"] for r in states[0]["results"]]
-        small = list(pool.map(lambda id: own_studio.ask(f"/api/results/{id}/thumbnail.jpg"), ids))
-    assert sorted(read) == ["default", "one", "two"]
-    assert all(status == 200 and data[:2] == b"\xff\xd8" for status, _, data in small)
-    os.utime(results / "two" / "motion.npz", (1, 1))
-    own_studio.get("/api/state")
-    assert sorted(read) == ["default", "one", "two", "two"]
-
-
 def test_what_lies_beside_a_motion_is_read_again_when_it_changes(own_studio, folder):
     """Its verdict, its files, whether it is all, and the cameras of its recording."""
     results = folder / "walk" / "results" / "default"
@@ -89,35 +67,6 @@ def test_what_lies_beside_a_motion_is_read_again_when_it_changes(own_studio, fol
     assert now["verdict"]["word"] == "not to be trusted" and now["cameras"][1]["image_shift"] == [3, -2]
     told = result_of(own_studio)
     assert told["verdict"] == "not to be trusted" and not told["complete"]
-
-
-def test_what_nobody_waits_for_any_more_is_not_made(own_studio, folder, monkeypatch):
-    """Who clicks through results waits for the one that is looked at, not for those before it."""
-    results = folder / "walk" / "results"
-    for n in range(4):
-        shutil.copytree(results / "default", results / f"again-{n}")
-    ids = [r["id"] for r in own_studio.get("/api/state")["results"]]
-    begun, go_on, made = threading.Event(), threading.Event(), []
-    make = studio_results.view_bundle
-
-    def slowly(result):
-        made.append(1)
-        begun.set()
-        assert go_on.wait(HANG_S)
-        return make(result)
-
-    monkeypatch.setattr(studio_results, "view_bundle", slowly)
-    for id in ids[:4]:
-        with socket.create_connection(("127.0.0.1", own_studio.port), timeout=HANG_S) as s:
-            head = f"GET /api/results/{id}/view HTTP/1.1\r\nHost: 127.0.0.1:{own_studio.port}\r\n\r\n"
-            s.sendall(head.encode())
-            assert begun.wait(HANG_S) and own_studio.ask("/api/click-joints")[0] == 200  # it has come there
-    assert own_studio.ask("/api/click-joints")[0] == 200  # and has gone
-    with ThreadPoolExecutor(1) as pool:
-        last = pool.submit(own_studio.ask, f"/api/results/{ids[4]}/view")
-        go_on.set()
-        assert last.result()[0] == 200
-    assert len(made) == 2
 
 
 def test_pages_of_the_folder_cannot_reach_the_server(studio):

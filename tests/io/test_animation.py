@@ -1,5 +1,6 @@
-"""GLB: a small evaluator of the specification finds joints and skin where the body has them; trimesh
-loads the mesh."""
+"""BVH: an independent reader (bvhio) and a small one here find the joints where the motion has them."""
+
+from __future__ import annotations
 
 import json
 import struct
@@ -11,12 +12,117 @@ import trimesh
 
 from hypose.body.ready_bodies import human_skeleton
 from hypose.errors import InputError
-from hypose.io.motions.animation import Y_UP
+from hypose.geometry import so3_exp
+from hypose.io.motions.animation import Y_UP, write_bvh
 from hypose.io.motions.gltf import write_glb
+from tests import missing
 
 
 @pytest.fixture(scope="module")
-def written(small_motion, small_body, tmp_path_factory):
+def written(small_motion, tmp_path_factory):
+    path = tmp_path_factory.mktemp("bvh") / "a.bvh"
+    write_bvh(path, small_motion)
+    return path
+
+
+def read(path):
+    """Names, parents, offsets, frames of a BVH, and its frame time: every joint has Z X Y rotations."""
+    names, parents, offsets, stack, end = [], [], [], [], False
+    lines = iter(path.read_text().splitlines())
+    for line in lines:
+        words = line.split()
+        if words[0] in ("ROOT", "JOINT"):
+            parents.append(stack[-1] if stack else -1)
+            names.append(words[1])
+        elif words[0] == "End":
+            end = True
+        elif words[0] == "{":
+            stack.append(len(names) - 1)
+        elif words[0] == "}":
+            stack.pop()
+            end = False
+        elif words[0] == "OFFSET" and not end:
+            offsets.append([float(w) for w in words[1:]])
+        elif words[0] == "CHANNELS":
+            assert words[-3:] == ["Zrotation", "Xrotation", "Yrotation"]
+        elif words[0] == "MOTION":
+            break
+    assert next(lines).startswith("Frames:")
+    time = float(next(lines).split()[2])
+    return (
+        names,
+        parents,
+        np.array(offsets),
+        np.array([[float(w) for w in row.split()] for row in lines]),
+        time,
+    )
+
+
+def test_joints_are_where_the_motion_has_them(written, small_motion):
+    names, parents, offsets, frames, time = read(written)
+    assert sorted(names) == sorted(small_motion.skeleton.joint_names) and len(frames) == len(small_motion)
+    assert time == pytest.approx(1 / 30, abs=1e-6)
+    angles = np.radians(frames[:, 3:].reshape(len(frames), -1, 3))
+    z, x, y = (so3_exp(angles[..., k, None] * np.eye(3)[a]) for k, a in ((0, 2), (1, 0), (2, 1)))
+    local = z @ x @ y
+    turn, place = [None] * len(names), [None] * len(names)
+    for j, p in enumerate(parents):
+        turn[j] = local[:, j] if p < 0 else turn[p] @ local[:, j]
+        place[j] = frames[:, :3] if p < 0 else place[p] + turn[p] @ offsets[j]
+    for j, name in enumerate(names):
+        expected = small_motion.joints[:, small_motion.skeleton.joint(name)] @ Y_UP.T
+        np.testing.assert_allclose(place[j] / 100, expected, atol=1e-6)
+
+
+def test_bvhio_agrees_to_a_tenth_of_a_millimetre(written, small_motion):
+    bvhio = missing.module("bvhio", "agreement with bvhio", "pip install bvhio")
+    root = bvhio.readAsHierarchy(str(written))
+    for t in range(0, len(small_motion), 7):
+        root.loadPose(t)
+        for j, name in enumerate(small_motion.skeleton.joint_names):
+            joint = root.filter(name, isEqual=True)[0]
+            got = np.array(joint.PositionWorld) / 100
+            np.testing.assert_allclose(got, Y_UP @ small_motion.joints[t, j], atol=1e-4, err_msg=f"{name} {t}")
+
+
+def test_angles_are_continuous_though_the_body_turns_once(written):
+    frames = read(written)[3]
+    assert np.abs(np.diff(frames[:, 3:], axis=0)).max() < 90
+    assert abs(abs(frames[-1, 5] - frames[0, 5]) - 360) < 60
+
+
+def test_rest_pose_of_the_file_is_the_body_s(written, small_motion):
+    names, parents, offsets, _, _ = read(written)
+    skeleton = small_motion.skeleton
+    for name, offset in zip(names[1:], offsets[1:], strict=True):
+        np.testing.assert_allclose(offset / 100, Y_UP @ skeleton.rest_offsets[skeleton.joint(name)], atol=1e-7)
+    assert not offsets[0].any()
+
+
+def test_frames_without_a_pose_hold_the_last(tmp_path, small_motion, written):
+    poses = small_motion.poses.copy()
+    poses[[0, 9, 10]] = np.nan
+    write_bvh(tmp_path / "b.bvh", replace(small_motion, poses=poses))
+    whole, held = read(written)[3], read(tmp_path / "b.bvh")[3]
+    assert len(held) == len(whole) and np.isfinite(held).all()
+    np.testing.assert_allclose(held[[0, 9, 10], :3], whole[[1, 8, 8], :3], atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("poses", "message"), [(None, "no poses"), (np.full((60, 36), np.nan), "no frame with a finite pose")]
+)
+def test_a_motion_without_poses_is_one_sentence(tmp_path, small_motion, poses, message):
+    with pytest.raises(InputError, match=message):
+        write_bvh(tmp_path / "a.bvh", replace(small_motion, poses=poses))
+
+
+# ---- test gltf -----------------------------------------------------------------------------------------------------
+# GLB: a small evaluator of the specification finds joints and skin where the body has them; trimesh
+# loads the mesh.
+
+
+@pytest.fixture(scope="module")
+def written_glb(small_motion, small_body, tmp_path_factory):
     path = tmp_path_factory.mktemp("glb") / "a.glb"
     write_glb(path, small_motion, small_body)
     return path
@@ -95,8 +201,8 @@ FRAMES = (0, 13, 37, 59)
 
 
 @pytest.mark.parametrize("frame", FRAMES)
-def test_nodes_are_where_the_joints_are(written, small_motion, frame):
-    glb = Glb(written)
+def test_nodes_are_where_the_joints_are(written_glb, small_motion, frame):
+    glb = Glb(written_glb)
     world = glb.globals(frame)
     for j, name in enumerate(small_motion.skeleton.joint_names):
         node = next(i for i, n in enumerate(glb.json["nodes"]) if n["name"] == name)
@@ -104,21 +210,21 @@ def test_nodes_are_where_the_joints_are(written, small_motion, frame):
 
 
 @pytest.mark.parametrize("frame", FRAMES)
-def test_skin_is_the_body_s(written, small_motion, small_body, frame):
+def test_skin_is_the_body_s(written_glb, small_motion, small_body, frame):
     expected = small_body.skin(small_motion.poses[frame], small_body.fine) @ Y_UP.T
-    np.testing.assert_allclose(Glb(written).skinned(frame), expected, atol=1e-5)
+    np.testing.assert_allclose(Glb(written_glb).skinned(frame), expected, atol=1e-5)
 
 
-def test_trimesh_loads_the_resting_mesh(written, small_body):
-    mesh = trimesh.load(written, force="mesh", process=False)
+def test_trimesh_loads_the_resting_mesh(written_glb, small_body):
+    mesh = trimesh.load(written_glb, force="mesh", process=False)
     assert len(mesh.faces) == len(small_body.fine.faces)
     vertices = small_body.fine.vertices @ Y_UP.T
     np.testing.assert_allclose(mesh.bounds, [vertices.min(0), vertices.max(0)], atol=1e-6)
     assert mesh.volume == pytest.approx(small_body.fine.volume, rel=1e-5)  # same sign: faces still look outward
 
 
-def test_quaternions_are_unit_and_never_take_the_long_way(written):
-    glb = Glb(written)
+def test_quaternions_are_unit_and_never_take_the_long_way(written_glb):
+    glb = Glb(written_glb)
     animation = glb.json["animations"][0]
     rotations = [c for c in animation["channels"] if c["target"]["path"] == "rotation"]
     assert len(rotations) == 15  # the joints that move
@@ -130,8 +236,14 @@ def test_quaternions_are_unit_and_never_take_the_long_way(written):
     assert times[0] == 0 and (np.diff(times) > 0).all() and times[-1] == pytest.approx(59 / 30)
 
 
-def test_weights_name_each_joint_once_and_joint_zero_when_unused(written):
-    glb = Glb(written)
+def test_normals_are_unit(written_glb):
+    glb = Glb(written_glb)
+    normals = glb.array(glb.json["meshes"][0]["primitives"][0]["attributes"]["NORMAL"])
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-6)
+
+
+def test_weights_name_each_joint_once_and_joint_zero_when_unused(written_glb):
+    glb = Glb(written_glb)
     attributes = glb.json["meshes"][0]["primitives"][0]["attributes"]
     weight, index = glb.array(attributes["WEIGHTS_0"]), glb.array(attributes["JOINTS_0"])
     assert not index[weight == 0].any()
