@@ -56,9 +56,9 @@ class Subject:
 @dataclass(frozen=True)
 class SubjectOptions:
     """start: 'auto', 'keypoints', 'hull' or a known pose's name. height: m, None = from key points or the hull.
-    girths: fit those of a body from key points to the silhouettes. body: the template, or with `known` the subject's own
-    body, of which only the start pose is looked for. frame_rate: Hz. seed. shared, tried: as for `best_ways`, the masks
-    show others as well, and starts that may be right."""
+    girths: fit those of a body from key points to the silhouettes. body: the template, or with `known` the subject's
+    own body, of which only the start pose is looked for. frame_rate: Hz. seed. shared, tried: as for `best_ways`, the
+    masks show others as well, and starts that may be right."""
 
     start: str = "auto"
     height: float | None = None
