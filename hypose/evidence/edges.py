@@ -6,7 +6,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.compute import mono
 from hypose.errors import InputError
 
 WEAKEST = 3.0
@@ -25,8 +24,18 @@ def edge_field(image: NDArray[np.uint8], smoothing_px: float = 1.2, strength: fl
     smooth = image.astype(np.float32)
     if smoothing_px > 0:
         smooth = np.asarray(cv2.GaussianBlur(smooth, (0, 0), smoothing_px), dtype=np.float32)
-    field, size = mono.strongest_gradient(smooth if smooth.ndim == 3 else smooth[..., None])
+    field = _strongest_gradient(smooth if smooth.ndim == 3 else smooth[..., None])
+    size = np.linalg.norm(field, axis=2)
     # every other row and column: the quantile needs no more
     full = max(float(np.quantile(size[1:-1:2, 1:-1:2], strength)), WEAKEST) if min(size.shape) > 2 else WEAKEST
-    mono.saturate(field, size, full)
+    return field / np.maximum(size, np.float32(full))[..., None]
+
+
+def _strongest_gradient(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Scharr gradient (h, w, 2) per px of the channel of image (h, w, C) in which it is largest; 0 along the border."""
+    slopes = np.stack([cv2.Scharr(image, cv2.CV_32F, 1 - k, k, scale=1 / 32).reshape(image.shape) for k in range(2)], 2)
+    best = (slopes**2).sum(2).argmax(2)
+    field = np.take_along_axis(slopes, best[..., None, None], 3)[..., 0]
+    field[[0, -1]] = 0
+    field[:, [0, -1]] = 0
     return field

@@ -8,7 +8,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.compute import mono
 from hypose.errors import InputError
 
 STEEP, WRONG = 6.0, 2.0
@@ -54,9 +53,20 @@ def optical_flow(
     solver = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     there = np.asarray(solver.calc(a, b, None), dtype=np.float32)  # type: ignore[call-overload]
     back = np.asarray(solver.calc(b, a, None), dtype=np.float32)  # type: ignore[call-overload]
-    raw = mono.boundary_map(back, mono.flow_error(back, there), STEEP, WRONG)
+    slopes = [cv2.Sobel(back, cv2.CV_32F, 1 - k, k, borderType=cv2.BORDER_REPLICATE) for k in range(2)]
+    steepness = np.sqrt((np.stack(slopes) ** 2).sum((0, 3)))
+    raw = np.minimum(steepness / STEEP, 1) + np.minimum(_flow_error(back, there) / WRONG, 1)
     smooth = np.minimum(cv2.GaussianBlur(raw, (0, 0), SMOOTHING) * np.float32(GAIN), np.float32(1))
-    return Flow(there, mono.flow_error(there, back), np.asarray(smooth, dtype=np.float32), (x0, y0))
+    return Flow(there, _flow_error(there, back), np.asarray(smooth, dtype=np.float32), (x0, y0))
+
+
+def _flow_error(there: NDArray[np.float32], back: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Length (h, w) px of there(x) + back(x + there(x)); outside the picture the border's flow counts."""
+    h, w = there.shape[:2]
+    x, y = np.meshgrid(np.arange(w, dtype=np.float32), np.arange(h, dtype=np.float32))
+    at = x + there[..., 0], y + there[..., 1]
+    returned = cv2.remap(back, *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.linalg.norm(there + returned, axis=2)
 
 
 def _wide_enough(box: tuple[int, int, int, int], w: int, h: int) -> tuple[int, int, int, int]:

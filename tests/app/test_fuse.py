@@ -153,7 +153,7 @@ def test_lines_of_sensors_that_were_never_on_together_have_clocks_of_their_own(h
     assert len(load_motion(tmp_path / "out" / "motion.npz")) < 400
 
 
-@pytest.mark.parametrize("method", ["swarm", "weighted_mean", "dbscan_kalman"])
+@pytest.mark.parametrize("method", ["swarm", "published"])
 def test_other_methods(hypose, rng, tmp_path, method):
     write_folder(recorded(rng, seconds=2), tmp_path / "rec")
     code, _, err = hypose("fuse", tmp_path / "rec", "--method", method, "--formats", "csv", "--rate", "25")

@@ -25,7 +25,7 @@ from hypose.app.reports.result_pictures import (
 from hypose.app.reports.summary import summarize
 from hypose.body.ready_bodies import human
 from hypose.cameras.camera import Camera
-from hypose.compute.pictures.render import silhouette
+from hypose.compute.render import silhouette
 from hypose.geometry import se3, so3_exp
 from hypose.io.motions.bodies import load_body
 from hypose.io.motions.results import load_motion

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from benchmarks.multiview.procedural import procedural_body
-from hypose import compute
 from hypose.body.body import Body, Mesh
 from hypose.body.coarse_mesh import coarse_mesh, decimated, enclosed_volume, is_closed
 from hypose.body.fit_skeleton import scan_pose
@@ -20,7 +19,6 @@ from hypose.body.skin_weights import (
     influences,
     vertex_normals,
 )
-from hypose.compute.pictures.visibility import nearest_visible
 from hypose.errors import InputError
 
 LEFT_LEG, RIGHT_LEG = [13, 14, 15], [16, 17, 18]
@@ -122,22 +120,6 @@ def test_weights_do_not_depend_on_unit_or_place(rng):
     shift = np.array([5.0, -2.0, 1.0])
     moved = Bones(100 * bones.start + shift, 100 * bones.end + shift, bones.joint)
     np.testing.assert_allclose(heat_weights(100 * mesh.vertices + shift, mesh.faces, moved, 19), w, atol=1e-6)
-
-
-def test_kernel_sees_what_the_definition_sees(rng):
-    body = human()
-    mesh, bones = body.coarse, body_bones(body)
-    v, f = mesh.vertices + 0.002 * rng.standard_normal(mesh.vertices.shape), mesh.faces
-    along = bones.end - bones.start
-    t = np.clip(((v[:, None] - bones.start) * along).sum(-1) / (along**2).sum(-1), 0, 1)
-    closest = bones.start + t[..., None] * along
-    distance = np.linalg.norm(v[:, None] - closest, axis=-1)
-    fast = nearest_visible(v, f, vertex_normals(v, f), closest, distance)
-    with compute.use("numpy"):
-        slow = nearest_visible(v, f, vertex_normals(v, f), closest, distance)
-    assert (fast == slow).all(1).mean() > 0.995  # rays through an edge may go either way
-    assert fast.any(1).mean() > 0.98
-    assert not fast.all()
 
 
 def test_a_segment_behind_a_wall_is_not_seen():

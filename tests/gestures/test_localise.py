@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.compute.depth_forests import forest_arrays
-from hypose.compute.depth_forests.forest_arrays import ScanPlan
+from hypose.compute import forest_votes, forests
+from hypose.compute.forest_votes import ScanPlan
 from hypose.errors import InputError
 from hypose.gestures import runtime
 from hypose.gestures.depth_pictures import Lens, millimetres
@@ -77,11 +77,11 @@ def test_the_numpy_runtime_finds_the_same(forest):
 
 def test_parzen_is_a_gaussian_of_unit_sum():
     depth = np.full((100, 120), 1000, np.uint16)
-    picture = forest_arrays.pad_depth(depth, 200.0, 500, 50)
+    picture = forests.pad_depth(depth, 200.0, 500, 50)
     scores = np.zeros((25, 30), np.float32)
     scores[12, 15] = 0.8
     scores[3, 3] = 0.4  # no majority, no vote
-    density, at = forest_arrays.parzen(picture, scores, 4, 0.5, 8.0)
+    density, at = forest_votes.parzen(picture, scores, 4, 0.5, 8.0)
     assert at == 12 * 30 + 15
     surface = (0.004 * 1000 / 200) ** 2
     assert density.sum() == pytest.approx(0.8**3 * surface, rel=1e-5)

@@ -170,7 +170,8 @@ def test_offline_patches_read_what_scanning_reads():
     pool = collect(examples, rng)
     forest = train(pool, rng, OfflineSettings(ForestSettings(trees=3), per_class=400))
     # the training samples' own shares, walked on the picture, are those of the leaves they made
-    from hypose.compute.depth_forests import forest_arrays as kernels
+    from hypose.compute import forest_votes
+    from hypose.compute import forests as kernels
     from hypose.gestures.localise import pad
 
     e = examples[0]
@@ -180,7 +181,7 @@ def test_offline_patches_read_what_scanning_reads():
     rows, columns = rows[kept], columns[kept]
     cells = picture.cells(rows, columns)
     patches = kernels.cut_patches(picture, cells, 6)
-    walked = kernels.leaves(picture, cells, forest.packed, forest.settings.clip)
+    walked = forest_votes.leaves(picture, cells, forest.packed, forest.settings.clip)
     for t in range(3):
         n = forest.size[t]
         test = forest.test[t, :n].copy()

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hypose.compute.pictures.mask_runs import draw, runs_of
+from hypose.compute.mask_runs import draw, runs_of
 from hypose.evidence.outlines import WORKING_HEIGHT, view_outline
 from hypose.io.recordings.masks_in_work import PackedMask
 

@@ -7,8 +7,7 @@ from hypose.app.cli import main
 from hypose.calibration.boards import make_detector
 from hypose.geometry import se3, so3_exp, transform
 from hypose.io.videos.video import open_video
-from hypose.synthetic.board_pictures import BoardPainter
-from hypose.synthetic.film_session import BOARD, carried_board, write_session
+from hypose.synthetic.film_session import BOARD, BoardPainter, carried_board, write_session
 from hypose.synthetic.rigs import rig
 from hypose.synthetic.scenes import make_scene
 

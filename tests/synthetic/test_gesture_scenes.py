@@ -7,10 +7,10 @@ import pytest
 
 from benchmarks.depth_gestures.gesture_alarms import continuous
 from benchmarks.depth_gestures.gesture_scores import area_under_curve
-from hypose.compute.depth_forests import depth_sensor
+from hypose.compute import depth_sensor
 from hypose.errors import InputError
 from hypose.gestures.depth_pictures import KINECT, surface_depth
-from hypose.synthetic.gesture_metrics import average_precision
+from hypose.gestures.events import average_precision
 from hypose.synthetic.gesture_people import FINGERS, SIDES, Puppet, load_people
 from hypose.synthetic.gesture_poses import GESTURES, UNSEEN, apply, gesture, unseen
 from hypose.synthetic.gesture_scenes import CLUTTERED, TRAINING, Setting, handedness, make_room, make_view, picture

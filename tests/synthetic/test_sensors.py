@@ -3,7 +3,7 @@ import pytest
 
 from benchmarks.synthetic.human4d import read_human4d
 from benchmarks.synthetic.treadmill import human4d_recording, treadmill_recording
-from hypose.compute.depth_forests import cpu_rays
+from hypose.compute import depth_sensor
 from hypose.fusion import joints as jt
 from hypose.fusion.register import depth_at_joints
 from hypose.synthetic import sensors as sim
@@ -19,7 +19,7 @@ def test_rays_meet_capsules_where_they_should(rng):
     out = np.empty(4)
     to = np.array([[0, 0, 0.5], [2, 0, 0], [0, 0, 1.5], [0, 0, 1.05]]) - [0, -3, 0.5]
     directions = to / np.linalg.norm(to, axis=1, keepdims=True)
-    cpu_rays.cast_rays(np.array([0.0, -3, 0.5]), directions, capsule, out)
+    depth_sensor.cast_rays(np.array([0.0, -3, 0.5]), directions, capsule, out)
     assert out[0] == pytest.approx(2.9)
     hit = np.array([0, -3, 0.5]) + out[1] * directions[1]
     assert np.linalg.norm(hit - [2, 0, 0]) == pytest.approx(0.3)

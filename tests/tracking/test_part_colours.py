@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hypose import compute
-from hypose.compute.pictures.render import rasterize
+from hypose.compute.zbuffer import rasterize
 from hypose.evidence.colours import COLOURS, colour_codes
 from hypose.evidence.frame import Colours, Frame
 from hypose.evidence.silhouettes import make_silhouettes

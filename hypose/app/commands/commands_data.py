@@ -143,7 +143,7 @@ def _depth_cameras(
     clothing: float,
 ) -> None:
     from hypose.io.claims import claimed
-    from hypose.synthetic.write_depth import walking_scene, write_depth_scene
+    from hypose.synthetic.write_recording import walking_scene, write_depth_scene
 
     about = {"seconds": seconds, "frame_rate": frame_rate, "seed": seed, "clothing_m": clothing}
     scene = walking_scene(motion, subject, sensors, **about)

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import shlex
 import signal
-from collections.abc import Iterator
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated
@@ -19,11 +17,6 @@ from hypose.errors import InputError
 
 if TYPE_CHECKING:
     from hypose.app.jobs.job import Job, Outcome
-
-Compute = Annotated[
-    str,
-    typer.Option(help="auto, cpu or reference (slow, for comparison)."),
-]
 
 
 def track(
@@ -75,7 +68,6 @@ def track(
     no_overlay: Annotated[bool, typer.Option("--no-overlay", help="Do not write overlay.mp4.")] = False,
     resume: Annotated[bool, typer.Option("--resume", help="Go on where an interrupted run stopped.")] = False,
     threads: Threads = None,
-    compute: Compute = "auto",
     calibration: Annotated[
         Path | None, typer.Option(help="Use this calibration file instead of the recording's.")
     ] = None,
@@ -129,11 +121,10 @@ def track(
         formats=split_names(formats),
         overlay=not no_overlay,
         resume=resume,
-        run={"threads": threads, "compute": compute},
+        run={"threads": threads},
         people=people,
     )
-    with back_end(compute):
-        report_outcome(job, run_shown(job, list(context.find_root().obj or [])))
+    report_outcome(job, run_shown(job, list(context.find_root().obj or [])))
 
 
 def demo(
@@ -245,17 +236,6 @@ def split_names(text: str) -> tuple[str, ...]:
     if not names:
         raise InputError("The list of formats is empty; give at least one, for example --formats trc,c3d.")
     return names
-
-
-@contextlib.contextmanager
-def back_end(name: str) -> Iterator[None]:
-    """Run the block on a back end of --compute; an InputError when there is none of that name."""
-    from hypose import compute
-
-    if name not in ("auto", "cpu", "reference"):
-        raise InputError(f"There is no --compute {name}; choose auto, cpu or reference.")
-    with compute.use(name):
-        yield
 
 
 def set_threads(count: int | None) -> None:

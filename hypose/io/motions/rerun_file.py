@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from hypose.body.body import Body
-from hypose.body.motion import Motion
-from hypose.body.regions import region_reach
+from hypose.body.motion import Motion, region_reach
 from hypose.errors import extra
 from hypose.io.files import atomic_path
 
