@@ -17,7 +17,7 @@ from hypose.pipeline.run import TrackOptions
 from hypose.synthetic.depth_scenes import depth_scene
 from hypose.synthetic.motions import act
 from hypose.synthetic.subjects import load_subjects
-from hypose.synthetic.write_depth import write_depth_scene
+from hypose.synthetic.write_recording import write_depth_scene
 from tests.standing_people import name_people, standing_at, where
 
 PLACES = {"Anna": (0.5, 0.2), "Bert": (-0.5, 0.0)}

@@ -21,7 +21,7 @@ from hypose.calibration.refine_points import (
     rescaled,
 )
 from hypose.cameras.camera import CameraRig
-from hypose.compute.pictures.render import silhouette
+from hypose.compute.render import silhouette
 from hypose.errors import EvidenceError
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.fitting.articulated import contour_term

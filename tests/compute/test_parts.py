@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from hypose.body.ready_bodies import human
 from hypose.compute import covered, draw_parts, mask_of, parts_against_mask
-from hypose.compute.pictures.render import silhouette
+from hypose.compute.render import silhouette
 
 PARTS = 5
 

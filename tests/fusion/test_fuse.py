@@ -94,7 +94,7 @@ def test_bad_input_is_refused_in_a_sentence(rng):
 
 
 @pytest.mark.parametrize("mark", [np.nan, -9999.0])
-@pytest.mark.parametrize("method", ["fit", "swarm", "published", "published-window", "dbscan_kalman"])
+@pytest.mark.parametrize("method", ["fit", "swarm", "published", "published-window"])
 def test_missing_joints_and_frames_never_reach_the_result(method, mark, rng):
     truth, poses = moving_person(40), sensor_poses(rng, 3)
     frames = []

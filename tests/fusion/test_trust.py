@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import ncx2
 
 from hypose.body.motion import sd_per_axis
-from hypose.compute.swarm import cpu_fusion
+from hypose.compute import fusion
 from hypose.fusion import joints as jt
 from hypose.fusion import trust
 from hypose.fusion.fuse import FusionSettings, fuse_clip
@@ -73,9 +73,7 @@ def test_the_kernel_sums_over_who_is_right(rng):
     x, variance = points[0] + 0.03, np.array([0.015**2])
     systematic, wrong = np.empty(1), np.empty(1)
     apart, order = ((points[:, None] - points) ** 2).sum(-1), np.arange(3)[:, None]
-    cpu_fusion.judge_claims(
-        points - x, apart, alike, weights, order, variance, own, guess, jitter, 0.1, systematic, wrong
-    )
+    fusion.judge_claims(points - x, apart, alike, weights, order, variance, own, guess, jitter, 0.1, systematic, wrong)
 
     def density(k, i, v):
         return np.exp(-((points[k, 0] - points[i, 0]) ** 2).sum() / (2 * v)) / v**1.5

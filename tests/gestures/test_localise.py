@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hypose.compute.depth_forests.forest_arrays import ScanPlan
+from hypose.compute.forest_votes import ScanPlan
 from hypose.errors import InputError
 from hypose.gestures import runtime
 from hypose.gestures.depth_pictures import Lens, millimetres

@@ -25,7 +25,6 @@ def test_the_published_order_of_phases():
     assert order == ["do_gesture", "positive", "release", "negative"] * 2 + ["test"]
     assert phases.count("positive") == 2 * 20 and phases.count("negative") == 2 * 30
     assert session.segment == 4
-    assert SETTINGS.total_s == 14
 
 
 def test_only_the_two_learning_phases_learn():

@@ -12,7 +12,7 @@ import pytest
 
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.compute import mask_runs
-from hypose.compute.pictures.mask_runs import draw, runs_of
+from hypose.compute.mask_runs import draw, runs_of
 from hypose.errors import InputError
 from hypose.evidence.background import from_frames
 from hypose.evidence.colours import colour_codes

@@ -6,8 +6,7 @@ import pytest
 from hypose.calibration.boards import make_detector
 from hypose.geometry import se3, so3_exp, transform
 from hypose.io.videos.video import open_video
-from hypose.synthetic.board_pictures import BoardPainter
-from hypose.synthetic.film_session import BOARD, write_session
+from hypose.synthetic.film_session import BOARD, BoardPainter, write_session
 from hypose.synthetic.rigs import rig
 from hypose.synthetic.scenes import make_scene
 

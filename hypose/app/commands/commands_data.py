@@ -91,8 +91,7 @@ def synth(
     from hypose.synthetic.depth_scenes import DepthScene
     from hypose.synthetic.film_session import BOARD, write_session
     from hypose.synthetic.scenes import make_scene
-    from hypose.synthetic.write_depth import walking_scene, write_depth_scene
-    from hypose.synthetic.write_recording import check_folder, write_scene
+    from hypose.synthetic.write_recording import check_folder, walking_scene, write_depth_scene, write_scene
 
     if raw and keypoints:
         raise InputError("--raw writes what cameras give, and key points are not; leave one of the two out.")

@@ -33,7 +33,7 @@ def fuse(
     method: Annotated[
         str,
         typer.Option(
-            help="fit, swarm, published, published-window, best_single, weighted_mean, median, kalman, dbscan_kalman.",
+            help="fit, swarm, published, published-window.",
             rich_help_panel=_RECORDED,
         ),
     ] = "fit",

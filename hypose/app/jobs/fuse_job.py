@@ -24,7 +24,7 @@ from hypose.fusion.fuse import METHODS, Fused, FusionSettings, fuse_clip
 from hypose.fusion.joints import COMMON, joint_set
 from hypose.fusion.people import PeopleTracker
 from hypose.fusion.register import Registration, check_same_person, common_joints, register, upright_axes, upward
-from hypose.fusion.saved import ClipSoFar
+from hypose.fusion.state import ClipSoFar
 from hypose.geometry import Array, se3, transform
 from hypose.io.files import check_writable, write_text
 from hypose.io.motions.export import export_motion, known_formats

@@ -9,10 +9,9 @@ import numpy as np
 
 from hypose.compute import Depth
 from hypose.gestures.depth_pictures import Lens, surface_depth
-from hypose.gestures.events import EventSettings, EventState, step
+from hypose.gestures.events import RADIUS_M, EventSettings, EventState, average_precision, precision_recall, step
 from hypose.gestures.forest import Forest
 from hypose.gestures.localise import Found, Scratch, localise
-from hypose.synthetic.gesture_metrics import RADIUS_M, average_precision, precision_recall
 
 KEPT = 40
 """Frames of each kind that are kept; every frame has the same chance."""

@@ -10,7 +10,7 @@ from hypose.app.studio.recordings import without_table
 from hypose.app.studio.view_pictures import ViewPictures
 from hypose.io.motions.results import load_body, load_motion
 from hypose.io.recordings.recording import load_recording
-from hypose.synthetic.write_depth import walking_scene, write_depth_scene
+from hypose.synthetic.write_recording import walking_scene, write_depth_scene
 from tests.app.studio.conftest import serving
 
 
