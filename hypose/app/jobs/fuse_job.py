@@ -225,15 +225,6 @@ def _people(synced: Sequence[SensorStream], times: Array, notes: list[str]) -> l
     return [one_person(synced, times, c) for c in kept]
 
 
-def _while_seen(clip: Sequence[SensorJoints], times: Array) -> tuple[Sequence[SensorJoints], Array]:
-    """From the first to the last frame in which some sensor sees the person."""
-    seen = np.flatnonzero([np.isfinite(f.times).any() for f in clip])
-    if not len(seen):
-        return clip, times
-    span = slice(int(seen[0]), int(seen[-1]) + 1)
-    return clip[span], times[span]
-
-
 def _instant(synced: Sequence[SensorStream], picks: Sequence[NDArray[np.int64]], n: int, time: float) -> Instant:
     """Persons are numbered by their column, which `one_person` wants."""
     views = []
