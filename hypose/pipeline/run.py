@@ -205,7 +205,8 @@ def track_source(
     report("look", 0, 1)
     looked = () if options.of_picture else first_look(source, options.looks_at, options.height, frame_rate)
     faults, noticed = sentences(looked), sentences(looked, fault=False)
-    others = () if places_refuted(looked) else _who_else(source)  # of one person wrong cameras make two
+    more = 0 if places_refuted(looked) else getattr(source, "others", 0)  # of one person wrong cameras make two
+    others = (left_out(more, "key points", "--people all"),) if more else ()
     report("look", 1, 1)
     given = subject is not None
     if subject is None:
@@ -368,12 +369,6 @@ def finish(
     said = (*faults, *wrong), (*noticed, *looks)
     out = TrackResult(motion, subject.body, done.complete, notes, None, own, audit, *said, unsure=subject.unsure)
     return _written(out, results)
-
-
-def _who_else(source: FrameSource) -> tuple[str, ...]:
-    """Sentences on whom the key points of a source show beside the one who is followed."""
-    others = getattr(source, "others", 0)
-    return (left_out(others, "key points", "--people all"),) if others else ()
 
 
 def _doubted(

@@ -164,23 +164,6 @@ def test_a_real_recording(hypose, shared_data, tmp_path):
     assert (tmp_path / "out" / "motion.trc").is_file() or (tmp_path / "out" / "person-1" / "motion.trc").is_file()
 
 
-def test_ctrl_c_keeps_what_is_done(hypose, rng, tmp_path, monkeypatch):
-    from hypose.app.commands import console
-
-    shown = console.Stages.__call__
-
-    def call(self, stage, done, total):
-        if stage == "export" and done == 1:
-            raise KeyboardInterrupt
-        shown(self, stage, done, total)
-
-    monkeypatch.setattr(console.Stages, "__call__", call)
-    write_folder(recorded(rng, seconds=2), tmp_path / "rec")
-    code, out, _ = hypose("fuse", tmp_path / "rec")
-    assert code == 130 and "Kept:" in out and "motion.npz" in out
-    assert (tmp_path / "rec" / "results" / "fuse-fit" / "motion.npz").is_file()
-
-
 @pytest.mark.parametrize(("people", "more"), [(1, ("--diagnose",)), (2, ())])
 def test_ctrl_c_within_a_clip_and_resume_give_the_same_bytes(hypose, rng, tmp_path, monkeypatch, people, more):
     from hypose.app.commands import console

@@ -77,13 +77,6 @@ def test_rasterized_silhouette_agrees_with_ray_casting(body, rig):
     assert 60 < hits.sum() < len(hits) / 2
 
 
-def test_boxes_restrict_the_counting(body, scene):
-    boxes = np.array([[20, 60, 30, 90], [-5, 200, 50, 500], [70, 60, 10, 20]])
-    slow, fast = both(body, scene[0][:4], scene[1], boxes=boxes)
-    assert np.abs(slow - fast).max() <= 2
-    np.testing.assert_array_equal(fast[:, 2], 0)
-
-
 def test_bodies_across_the_image_border(body, scene):
     poses = np.repeat(scene[0][:1], 9, 0)
     poses[:, :3] += [
@@ -158,14 +151,6 @@ def test_signed_distances_are_those_of_the_definition(margin, width):
         made = compute.signed_distance(mask[None], [(width, 70)], margin)
         with compute.use("reference"):
             np.testing.assert_array_equal(made, compute.signed_distance(mask[None], [(width, 70)], margin))
-
-
-@pytest.mark.parametrize("halves", [3, 4, 5, 6, 7])
-def test_a_mask_made_smaller_is_set_where_half_of_the_pixel_is(halves):
-    mask = (np.random.default_rng(halves).random((4 * halves, 7 * halves)) < 0.5).astype(np.uint8)
-    quarters = mask.repeat(2, 0).repeat(2, 1).reshape(8, halves, 14, halves)
-    share = quarters.astype(int).sum((1, 3)) / halves**2
-    np.testing.assert_array_equal(compute.shrink_mask(mask, halves), share >= 0.5)
 
 
 def test_outlines_cut_by_the_image_border_are_left_out():

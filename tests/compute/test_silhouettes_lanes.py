@@ -8,7 +8,6 @@ from hypose import compute
 from hypose.body.ready_bodies import human
 from hypose.compute import reference
 from hypose.compute.silhouettes import lane_mesh
-from hypose.errors import InputError
 from tests.capsule_person import capsule_person, random_pose, ring
 
 SIZE = (200, 230)
@@ -97,27 +96,6 @@ def test_crossings_of_parts_add_up_to_those_of_the_whole(body, scene, rig, rng):
     np.testing.assert_array_equal(sum(differences(owner == k) for k in range(4)), whole)
 
 
-def test_no_faces_and_all_faces(body, scene):
-    poses, prepared = scene
-    f = len(body.coarse.faces)
-    none = score(body, poses, prepared, faces=np.zeros(f, bool))
-    np.testing.assert_array_equal(none[..., 1:], 0)
-    np.testing.assert_array_equal(none[..., 0], np.broadcast_to(prepared.areas, none.shape[:2]))
-    np.testing.assert_array_equal(score(body, poses, prepared, faces=np.ones(f, bool)), score(body, poses, prepared))
-    with pytest.raises(InputError, match="truth value per face"):
-        score(body, poses, prepared, faces=[True])
-
-
-def test_kept_plans_do_not_keep_vertices(body, scene):
-    """Topology and weights are remembered between calls; a reshaped body must still be seen."""
-    poses, prepared = scene
-    arrays = body.coarse.arrays
-    larger = arrays._replace(vertices=np.float32(1.1) * arrays.vertices)
-    before = score(body, poses, prepared, arrays)
-    assert (score(body, poses, prepared, larger)[:, 0, 1] > before[:, 0, 1]).all()
-    np.testing.assert_array_equal(score(body, poses, prepared, arrays), before)
-
-
 def copies(body, n, spread):
     """n copies of the coarse mesh in one, scaled by 1 to 1 + spread."""
     m = body.coarse.arrays
@@ -130,18 +108,6 @@ def copies(body, n, spread):
         np.tile(m.skin_weight, (n, 1)),
         np.tile(m.skin_count, n),
     )
-
-
-@pytest.mark.parametrize(("n", "spread"), [(70, 0.0), (256, 0.0), (90, 0.2)])
-def test_more_layers_than_a_byte_counts(body, scene, n, spread):
-    """Identical copies overflow single pixels (256: exactly once around), nested ones only the running sums."""
-    poses, prepared = scene[0][:3], scene[1]
-    many = score(body, poses, prepared, copies(body, n, spread))
-    if spread == 0:
-        np.testing.assert_array_equal(many, score(body, poses, prepared))
-    else:
-        with compute.use("reference"):
-            assert np.abs(many - score(body, poses, prepared, copies(body, n, spread))).max() <= 4
 
 
 def test_lists_that_are_full_are_drawn_again(body, rng):
@@ -165,17 +131,6 @@ def test_poses_near_the_camera_do_not_disturb_their_block(body, scene, rig):
     assert np.abs(together[::5] - slow).max() <= 8  # cut edges as near as 0.05 m fill the image
     rest = np.arange(len(poses)) % 5 > 0
     np.testing.assert_array_equal(together[rest], before[rest])
-
-
-@pytest.mark.parametrize("size", [(1, 1), (7, 64), (64, 7), (65, 33), (513, 300)])
-def test_images_of_any_size(body, rng, size):
-    rig = ring(2, f=0.9 * size[1], size=size)
-    poses = np.stack([random_pose(body, rng) for _ in range(3)])
-    masks = (rng.random((2, size[1], size[0])) < 0.5).astype(np.uint8)
-    prepared = compute.prepare_masks(masks, [True, True], rig.sizes, rig.projections)
-    fast = score(body, poses, prepared)
-    with compute.use("reference"):
-        assert np.abs(fast - score(body, poses, prepared)).max() <= 2
 
 
 def test_the_coarse_mesh_ranks_poses_as_the_fine_one():

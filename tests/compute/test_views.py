@@ -4,9 +4,7 @@ import numba
 import numpy as np
 import pytest
 
-from hypose import compute
 from hypose.compute.silhouettes import cpu_silhouettes, cpu_vectors, cpu_views
-from hypose.compute.solver.terms import RIM
 from tests.capsule_person import capsule_person, random_pose, ring
 
 f4 = np.float32
@@ -54,19 +52,6 @@ def test_contours_of_views_are_those_of_each_view(body, rng, views):
         cpu_silhouettes.emit_contours(n, start, end, u, v, 0, 0, 200, 230, plain)
         cpu_views.emit_lines(n, lines, 0, 0, 200, 230, fast)
         np.testing.assert_array_equal(plain, fast)
-
-
-def test_a_workspace_has_room_for_what_kernels_write(body):
-    """They ask nothing of its size, and the module that makes it must not import them."""
-    for width in (1, 64, 65, 320):
-        ws = compute.workspace(body.skeleton.tree, body.coarse.arrays, 50, width)
-        assert ws.uv.shape[2] == ws.turned.shape[1] == ws.bounds.shape[1] == cpu_views.VIEWS
-        assert ws.spot.shape == (cpu_vectors.LANES,) and len(ws.work) >= 9 * cpu_vectors.LANES
-        line = ws.difference.shape[1]
-        assert line % cpu_vectors.STRIP == 0 and line >= width and 8 * len(ws.own) >= 50 * line
-        assert min(ws.rim.shape[1], ws.sorted.shape[1], len(ws.rim_edge), len(ws.sorted_number)) >= RIM
-        assert len(ws.rows) >= 2 * body.coarse.arrays.skin_index.shape[1] * compute.MOST_FOUND
-        assert ws.lanes.shape[1] >= len(ws.rows) and ws.ends.shape[1] == ws.found.shape[1] > RIM + 1000
 
 
 def test_a_strip_holds_the_pixels_whose_running_sum_is_positive(rng):

@@ -66,17 +66,6 @@ def test_pause_stops_the_clock_and_the_learning():
     assert session.paused is None
 
 
-def test_moving_averages():
-    # th_i = sigma m_i + (1 - sigma) th_(i-1)
-    s, _ = step(Session(), SETTINGS, 0.0, ["next"])
-    for m in (10.0, 20.0):
-        s = observe(s, SETTINGS, m)
-    assert s.high == pytest.approx(0.9 * 20 + 0.1 * 10)
-    assert s.threshold(SETTINGS) is None
-    s, _ = step(s, SETTINGS, 0.1, ["next"])
-    assert observe(s, SETTINGS, 99.0) == s  # nothing is measured while the hand is let down
-
-
 def test_unknown_commands_and_settings_are_refused():
     with pytest.raises(InputError, match="commands are"):
         step(Session(), SETTINGS, 0.0, ["jump"])  # type: ignore[list-item]

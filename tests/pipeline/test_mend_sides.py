@@ -7,7 +7,7 @@ import pytest
 
 from hypose.pipeline.doubts import what_was_seen
 from hypose.pipeline.first_frame import Subject
-from hypose.pipeline.mend_sides import mend_sides, read_once, sides_notes
+from hypose.pipeline.mend_sides import mend_sides, sides_notes
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.tracking.exchanged_sides import turned_around
 from tests.walking_clip import walking_clip
@@ -114,17 +114,3 @@ def test_a_recording_tracked_from_a_turned_start_comes_out_the_right_way_round(c
     left, right = across
     assert (((left - right) * true).sum(1) > 0).all()
     assert any("exchanged in frames 0-" in note for note in result.notes)
-
-
-def test_frames_of_the_last_block_are_read_once(clip):
-    frames, read = clip[1], []
-
-    def of(numbers):
-        read.append(numbers)
-        return (frames[t] for t in numbers)
-
-    once = read_once(of)
-    for first, stop in ((15, 40), (15, 40), (10, 31), (0, 5), (12, 20)):
-        found = list(once(range(first, stop)))
-        assert len(found) == stop - first and all(a is b for a, b in zip(found, frames[first:stop], strict=True))
-    assert read == [range(15, 40), range(10, 15), range(0, 5), range(12, 20)]

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hypose.app.commands.commands_track import set_threads, split_names
+from hypose.app.commands.commands_track import set_threads, split_names, stopping
 from hypose.app.commands.console import Stages, note, say
 from hypose.app.commands.options import Threads, number
-from hypose.errors import InputError
+from hypose.errors import HyposeError, InputError
 
 if TYPE_CHECKING:
     from pythonosc.osc_message import OscMessage
@@ -61,9 +61,11 @@ def report(
     target = out or folder / "report.html"
     if target.is_dir():
         raise InputError(f"{target} is a folder; name the file to write, for example {target / 'report.html'}.")
-    recording = find_recording(folder) if results.exists() else None
+    recording = None
     if results.exists():
         check_writable(target.parent)
+        with contextlib.suppress(HyposeError):  # the report then says why it has no pictures
+            recording = find_recording(folder)
     shown = load_view(results, recording)
     with Stages() as progress:
         progress("report", 0, 1)
@@ -158,7 +160,7 @@ def compare(
             progress("compare", done, len(pairs))
             compared += compare_job.compare_files([pair], options, joints, subject)
         progress("compare", len(pairs), len(pairs))
-    failed = compare_job.exceeded(compared, compare_job.Limits(max_mm, max_degrees, min_coverage))
+    failed = compare_job.exceeded(compared, max_mm, max_degrees, min_coverage)
     compare_job.write_csv(folder / "compare.csv", compared)
     compare_job.write_page(folder / "compare.html", compared, failed)
     for file in dict.fromkeys(files):
@@ -195,7 +197,7 @@ def play(
     """Send a tracked motion to an avatar (VMC protocol): VSeeFace, Warudo, Unity, Unreal, Blender. See docs/live.md."""
     from hypose.app.live.osc import OscTarget
     from hypose.io.motions.results import load_result, load_result_body
-    from hypose.pipeline.fused_motion import pose_fused
+    from hypose.pipeline.sensor_skeletons import pose_fused
 
     motion = load_result(results)
     if motion.poses is None:  # of depth sensors
@@ -203,12 +205,9 @@ def play(
     else:
         motion, body = load_result_body(results)
     tell_untrusted(results)
-    with contextlib.closing(OscTarget(vmc, "--vmc")) as target:
+    with stopping(), contextlib.closing(OscTarget(vmc, "--vmc")) as target:
         say(f"{len(motion)} frames at {motion.frame_rate:g} Hz to {vmc}" + (", until Ctrl-C." if loop else "."))
-        try:
-            play_motion(motion, body, target.send, speed, loop)
-        except KeyboardInterrupt:
-            raise typer.Exit(130) from None
+        play_motion(motion, body, target.send, speed, loop)
 
 
 def play_motion(
