@@ -190,11 +190,10 @@ def subject_of(scene: Scene, *, fitted: bool = True) -> Subject:
     """The subject's body as `hypose track` fits it, from the scene without its fault; or the template at the subject's
     height."""
     frames = FrameList(list(scene.mask_frames()))
-    if fitted:
-        wanted = SubjectOptions("hull", height=scene.subject.stature, frame_rate=_RATE)
-    else:
-        body = scaled_to_height(human(), scene.subject.stature)
-        wanted = SubjectOptions("hull", body=body, frame_rate=_RATE, known=True)
+    tall = scene.subject.stature
+    wanted = SubjectOptions("hull", height=tall, frame_rate=_RATE)
+    if not fitted:
+        wanted = replace(wanted, body=scaled_to_height(human(), tall), known=True)
     return find_subject(frames.frame, len(frames), wanted)
 
 
