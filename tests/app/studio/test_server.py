@@ -11,7 +11,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from hypose.app.commands.commands_studio import open_studio
 from hypose.app.studio import server as studio_server
-from hypose.app.studio.guard import Access
+from hypose.app.studio.guard import token_for
 from tests.app.studio.conftest import serving
 from tests.bundles import read_bundle
 from tests.conftest import HANG_S
@@ -88,6 +88,7 @@ def test_pages_of_the_folder_cannot_reach_the_server(studio):
         ("/api/recordings/RESULT", 404),
         ("/api/recordings/RECORDING/file/..%2frecording.toml", 404),
         ("/api/recordings/RECORDING/image/cam9/0.jpg", 404),
+        ("/api/recordings/RECORDING/image/cam1/0.jpg?mask=all", 400),
         ("/api/recordings/RECORDING/image/cam1/8.jpg", 400),
         ("/api/recordings/RECORDING/image/cam1/1.jpg?mask=edge&threshold=many", 400),
         ("/api/recordings/RECORDING/starts/..%2f..%2frecording", 404),
@@ -126,7 +127,7 @@ def test_links_out_of_the_folder_lead_nowhere(own_studio, folder, tmp_path):
     [{"Origin": "http://evil.example"}, {"Origin": "null"}, {"Sec-Fetch-Site": "cross-site"}, {"Origin": "http://[x"}],
 )
 def test_a_foreign_page_can_change_nothing(studio, headers):
-    for path, method in (("/api/jobs", "POST"), ("/api/uploads/a.mp4", "PUT"), ("/api/uploads/0", "DELETE")):
+    for path, method in (("/api/jobs", "POST"), ("/api/recordings", "POST"), ("/api/results/0", "DELETE")):
         assert studio.ask(path, {}, method=method, headers=headers)[0] in (400, 403)
     if "Origin" in headers:
         with pytest.raises(InvalidStatus) as refused:
@@ -179,7 +180,7 @@ def test_too_many_connections_are_refused(served):
 
 
 def test_others_than_this_computer_need_the_token(served):
-    assert Access.of("0.0.0.0").token and Access.of("127.0.0.1").token is None
+    assert token_for("0.0.0.0") and token_for("127.0.0.1") is None
     with serving(served, host="0.0.0.0", token="secret") as client:
         assert client.ask("/api/state")[0] == 401
         assert client.ask("/api/state?token=wrong")[0] == 401
@@ -204,9 +205,8 @@ def test_without_a_page_the_server_says_what_to_do(served, monkeypatch, tmp_path
 def test_view_says_why_it_cannot_start(hypose, monkeypatch, served, tmp_path):
     code, _, err = hypose("view", tmp_path / "none")
     assert code == 2 and "does not exist" in err
-    for option, value in (("--port", 70000), ("--upload-limit", 0)):
-        code, _, err = hypose("view", served, option, value)
-        assert code == 2 and option in err
+    code, _, err = hypose("view", served, "--port", 70000)
+    assert code == 2 and "--port" in err
     monkeypatch.setattr(studio_server, "STATIC", tmp_path)
     for command in (("view",), ("gesture", "studio")):
         code, _, err = hypose(*command, served)

@@ -1,12 +1,15 @@
-"""What a page asks of a gesture session: how it begins, and what is changed while it runs; checked here."""
+"""What a page asks of a gesture session, checked: how it begins, where its pictures come from, and what is changed."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+import contextlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, cast
 
-from hypose.app.studio.asked import choice, number, text, whole
+from hypose.app.live.gesture_sources import Source, Taken, open_source
+from hypose.app.studio.answers import choice, digits, number, text, whole
 from hypose.errors import InputError
 from hypose.gestures.model import check_gesture_name
 from hypose.gestures.session import COMMANDS, Command, SessionSettings
@@ -45,6 +48,17 @@ class Controls:
     map: bool = False
 
 
+@dataclass(frozen=True)
+class Feed:
+    """live: a camera, whose pictures come when they come; others are shown at the pace of their times. knows: the box
+    of a picture says where the gesture really is, and None that it is not seen."""
+
+    source: Source
+    title: str
+    live: bool = False
+    knows: bool = True
+
+
 def read_start(message: Mapping[str, Any]) -> Start:
     """The start that a page asks for; an InputError says what cannot be."""
     mode = choice(message.get("mode"), "mode", ("train", "run"))
@@ -56,36 +70,23 @@ def read_start(message: Mapping[str, Any]) -> Start:
         if not isinstance(models, list) or not 1 <= len(models) <= 16 or not all(isinstance(m, str) for m in models):
             raise InputError("Choose 1 to 16 gestures to watch for; teach one first if there is none.")
         return Start("run", source, models=tuple(models), seed=seed, fast=fast)
-    gesture = text(message.get("gesture"), "name of the gesture", 64, "type one, for example tee")
-    resume = message.get("resume")
-    if resume is not None and not isinstance(resume, str):
-        raise InputError("The gesture to go on with is not known; choose it from the list.")
-    then = _then(message.get("then"), gesture.strip())
-    return Start("train", source, gesture.strip(), resume, _settings(message), then=then, seed=seed, fast=fast)
-
-
-def _then(value: Any, first: str) -> tuple[str, ...]:
-    """The gestures that are taught after the first one."""
-    if value is None:
-        return ()
-    if not isinstance(value, list) or len(value) > MOST_GESTURES - 1:
-        raise InputError(
-            f"At most {MOST_GESTURES} gestures are taught in one session; teach the others in another one."
-        )
-    names = [text(v, "name of a gesture", 64, "type one, for example ok").strip() for v in value]
+    gesture, resume = text(message.get("gesture"), "name of the gesture", 64, "type one, for example tee").strip(), None
+    if message.get("resume") is not None:
+        resume = text(message["resume"], "gesture to go on with", 64, "choose it from the list")
+    then = message.get("then") or []
+    if not isinstance(then, list) or len(then) > MOST_GESTURES - 1:
+        raise InputError(f"At most {MOST_GESTURES} gestures are taught in one session; teach the others in another.")
+    names = [text(v, "name of a gesture", 64, "type one, for example ok").strip() for v in then]
     for name in names:
         check_gesture_name(name)
-    if len({first, *names}) <= len(names):
+    if len({gesture, *names}) <= len(names):
         raise InputError("A gesture is named twice; name each of them once.")
-    return tuple(names)
-
-
-def _settings(message: Mapping[str, Any]) -> SessionSettings:
     seconds, rounds = message.get("seconds") or {}, whole(message.get("rounds", 10), "the number of rounds", 1, 1000)
     if not isinstance(seconds, dict):
         raise InputError("Every phase must be given a number of seconds.")
     given = {f"{name}_s": number(seconds[name], f"the seconds of {name}", 0, 600) for name in PHASES if name in seconds}
-    return SessionSettings(rounds=rounds, **given)
+    settings = SessionSettings(rounds=rounds, **given)
+    return Start("train", source, gesture, resume, settings, then=tuple(names), seed=seed, fast=fast)
 
 
 def read_command(message: Mapping[str, Any]) -> Command:
@@ -106,6 +107,39 @@ def change(controls: Controls, message: Mapping[str, Any], size: tuple[int, int]
         controls.hold_s = number(message.get("seconds"), "the time to hold (s)", 0, 10)
     elif kind == "map":
         controls.map = message.get("on") is True
-    else:
-        return False
-    return True
+    return kind in ("box", "threshold", "hold", "map")
+
+
+def open_feed(start: Start, gesture: str, session: Callable[[str], Path]) -> Feed:
+    """The feed of a start's source in the protocol: simulated:N, session:ID or realsense. InputError for any other:
+    a page opens no paths."""
+    kind, _, rest = start.source.partition(":")
+    if kind == "simulated":
+        person = digits(rest or "0", "the simulated person's number")
+        return Feed(open_source(f"simulated:{person}", gesture, start.seed), f"Simulated person {person + 1}")
+    if kind == "session":
+        path = session(rest)
+        return Feed(_from_zero(open_source(str(path), gesture)), f"Recorded session {path.name}")
+    if start.source == "realsense":
+        return Feed(_from_zero(open_source("realsense")), "RealSense camera", live=True, knows=False)
+    raise InputError(f"There is no source {start.source[:40]!r}; choose one of the list.")
+
+
+def _from_zero(source: Source) -> Source:
+    """The source with its times counted from its first picture on."""
+    first: list[float] = []
+
+    def take(phase: str) -> Taken | None:
+        taken = source.take(phase)
+        if taken is None:
+            return None
+        first.append(taken.time)
+        return replace(taken, time=taken.time - first[0])
+
+    return replace(source, take=take)
+
+
+def shut(feed: Feed) -> None:
+    """Let go of the source; a camera that has been unplugged is no reason to lose a session."""
+    with contextlib.suppress(OSError, RuntimeError):
+        feed.source.close()

@@ -1,35 +1,35 @@
-"""Results as the View screen asks for them: one block of bytes, pictures and outlines of any frame, files, exports."""
+"""Results as the View screen asks for them: facts for lists, one block of bytes, pictures, thumbnails, gait."""
 
 from __future__ import annotations
 
-import asyncio
+import json
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
-from starlette.concurrency import run_in_threadpool
-from starlette.requests import Request
-from starlette.responses import FileResponse, Response, StreamingResponse
-from starlette.routing import Route
+import cv2
+import numpy as np
 
+from hypose.app.reports.result_pictures import Image
 from hypose.app.reports.summary import DESCRIPTIONS
-from hypose.app.studio.answers import answer, block_answer, body_of, told
-from hypose.app.studio.asked import digits
 from hypose.app.studio.catalog import Catalog, Item, NotFound
-from hypose.app.studio.gait_view import gait_view
-from hypose.app.studio.jobs import Jobs
+from hypose.app.studio.job_kinds import Plan
 from hypose.app.studio.memory_cache import Kept
-from hypose.app.studio.thumbnails import Glimpse, glimpse_of, thumbnail
-from hypose.app.studio.view_bundle import view_bundle
+from hypose.app.studio.recordings import Recordings
+from hypose.app.studio.view_bundle import plain, view_bundle
 from hypose.app.studio.view_pictures import ViewPictures
-from hypose.app.studio.view_result import first_frame, load_view, quality_of
-from hypose.app.studio.zipped_folder import archive_name, zipped
-from hypose.errors import HyposeError, InputError
-from hypose.io.motions.results import load_motion
+from hypose.app.studio.view_result import first_frame, in_recording, load_view, quality_of
+from hypose.body.motion import Motion
+from hypose.body.skeleton import Skeleton
+from hypose.errors import HyposeError
+from hypose.geometry import Array
+from hypose.io.motions.results import Checkpoint, load_body, load_motion
 from hypose.io.recordings.recording import load_recording
+from hypose.pipeline.gait import angle_cycles, gait_of
+from hypose.tracking.tracker import estimates_from_arrays, motion_of
 
 _BLOCKS, _PICTURES, _THUMBNAILS, _GAITS = 24 << 20, 64 << 20, 4 << 20, 4 << 20
 """Bytes of blocks, of open pictures, of thumbnails and of answers on gait that are kept."""
@@ -37,13 +37,22 @@ _DESCRIBED = ("recording.toml", "Config.toml", "calibration.toml")
 _MOTION = ("motion.npz", "body.npz")
 _JUDGED = ("verdict.json", "modes.npz", "checkpoint.npz")
 """Files beside a motion that say how good it is, and whether it is all."""
+_SIZE = (192, 144)
+"""px, width and height of a thumbnail."""
+_ROOM = 1.35
+"""The thumbnail's height over that of the joints in it."""
+_QUALITY = 82
+_LEFT, _RIGHT, _MIDDLE = (74, 160, 245), (245, 178, 91), (247, 245, 242)  # BGR; as in View
 Stamp = tuple[float | None, ...]
-T = TypeVar("T")
-_UNTRUSTED = (
-    "sandbox allow-scripts; default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src "
-    "'unsafe-inline'; media-src data: blob:; worker-src blob:"
-)
-"""For pages that lie in the served folder: they may show themselves, and reach neither the server nor anything else."""
+
+
+@dataclass(frozen=True)
+class Glimpse:
+    """What is kept of a motion for its picture: rows with their joints (J, 3) m, of which the first that has a picture
+    is shown."""
+
+    rows: tuple[tuple[int, Array], ...]
+    skeleton: Skeleton
 
 
 @dataclass(frozen=True)
@@ -154,24 +163,39 @@ class Results:
 
         def make() -> bytes:
             with self._one:
-                return bytes(answer(gait_view(item.path)).body)
+                return json.dumps(plain(gait_view(item.path))).encode()
 
         with self._gaits.use((item.id, _stamp(item.path)), make) as data:
             return data
 
-    def drop(self) -> None:
-        """Release the files that are not in use."""
-        self._gaits.drop()
-        self._thumbnails.drop()
-        self._pictures.drop()
-        self._blocks.drop()
+    def so_far(self, plan: Plan, began: float | None, recordings: Recordings) -> bytearray | None:
+        """The block of what a job has tracked so far, read from its checkpoint, or of the finished result; None while
+        there is nothing, NotFound when there never will be. began: when the job did (s); what lies there from before is
+        not its own."""
+        folder = plan.folder
+        if folder is None or plan.recording is None:
+            raise NotFound("This job makes no motion.")
+        recording = recordings.load(self._catalog.find("recording", plan.recording))
+        checkpoint, motion = folder / "checkpoint.npz", folder / "motion.npz"
+        if not checkpoint.is_file():
+            if began is None or not motion.is_file() or motion.stat().st_mtime < began:
+                return None
+            return view_bundle(load_view(folder, recording))
+        saved = Checkpoint.read(checkpoint)
+        done = {k.removeprefix("done_"): v for k, v in saved.arrays.items() if k.startswith("done_")}
+        if not {"poses", "joint_covariances", "flags"} <= done.keys():
+            raise NotFound("What this method has tracked so far cannot be shown; wait for its end.")
+        estimates, body = estimates_from_arrays(done), load_body(folder / "body.npz")
+        times = np.arange(len(estimates)) / recording.frame_rate
+        frames = saved.identity.get("settings", {}).get("frames")
+        tracked = motion_of(body, times, estimates, saved.identity)
+        first = int(frames[0]) if frames else 0
+        return view_bundle(in_recording(recording, tracked, body, first_frame=first, complete=False))
 
-    def close(self) -> None:
-        """Release the files."""
-        self._gaits.close()
-        self._thumbnails.close()
-        self._pictures.close()
-        self._blocks.close()
+    def drop(self) -> None:
+        """Release what is not in use."""
+        for kept in (self._gaits, self._thumbnails, self._pictures, self._blocks):
+            kept.drop()
 
 
 def _stamp(folder: Path, files: Sequence[str] = _MOTION) -> Stamp:
@@ -188,97 +212,67 @@ def _stamp(folder: Path, files: Sequence[str] = _MOTION) -> Stamp:
     return tuple(written(n) for n in files)
 
 
-def file_answer(folder: Path, name: str, catalog: Catalog) -> Response:
-    """A file of a folder by its name, which the caller has found to be one that may be given away."""
-    path = folder / name
-    if not path.is_file() or not catalog.contains(path):
-        raise NotFound(f"There is no file {name[:80]!r} here.")
-    headers = {"Content-Security-Policy": _UNTRUSTED, "Cache-Control": "no-store"}
-    shown = path.suffix in (".html", ".png", ".jpg", ".mp4")
-    return FileResponse(path, headers=headers, filename=None if shown else path.name)
+def glimpse_of(motion: Motion) -> Glimpse:
+    """The frame in the middle, and the first one, for where the pictures end before."""
+    seen = np.flatnonzero(np.isfinite(motion.joints).all((1, 2)))
+    rows = [int(seen[k]) for k in (len(seen) // 2, 0)] if len(seen) else []
+    return Glimpse(tuple((t, motion.joints[t].copy()) for t in rows), motion.skeleton)
 
 
-def routes(catalog: Catalog, results: Results, jobs: Jobs) -> list[Route]:
-    """The routes below /api/results."""
+def thumbnail(glimpse: Glimpse, pictures: ViewPictures) -> bytes:
+    """A JPEG of it as the first camera with a picture sees it; NotFound when none has one."""
+    for row, joints in glimpse.rows:
+        found = pictures.seen(row, joints)
+        if found is not None:
+            return _drawn(*found, glimpse.skeleton)
+    raise NotFound("There are no pictures of this result.")
 
-    blocks, gaits = asyncio.Lock(), asyncio.Lock()  # of what takes long one at a time is made
 
-    def item_of(request: Request) -> Item:
-        return catalog.find("result", request.path_params["id"])
+def _drawn(image: Image, points: Array, skeleton: Skeleton) -> bytes:
+    h, w = image.shape[:2]
+    inside = points[np.isfinite(points).all(1)]
+    low, high = (inside.min(0), inside.max(0)) if len(inside) else (np.zeros(2), np.array([w, h], dtype=float))
+    across, up = (_ROOM * (high - low)).tolist()
+    tall = min(float(h), max(24.0, up, across * _SIZE[1] / _SIZE[0]))
+    wide = min(float(w), tall * _SIZE[0] / _SIZE[1])
+    tall = wide * _SIZE[1] / _SIZE[0]
+    corner = np.clip((low + high) / 2 - (wide / 2, tall / 2), 0, np.maximum((w - wide, h - tall), 0))
+    scale = _SIZE[0] / wide
+    cut = np.array([[scale, 0, -scale * corner[0]], [0, scale, -scale * corner[1]]])
+    small = cv2.warpAffine(image, cut, _SIZE, flags=cv2.INTER_AREA)
+    at = scale * (points - corner)
+    names = skeleton.joint_names
+    for joint, parent in enumerate(skeleton.parents):
+        if parent < 0 or not np.isfinite(at[[joint, parent]]).all():
+            continue
+        a, b = ((round(float(x)), round(float(y))) for x, y in at[[parent, joint]])
+        colour = _LEFT if names[joint].startswith("left") else _RIGHT if names[joint].startswith("right") else _MIDDLE
+        cv2.line(small, a, b, (20, 20, 20), 4, cv2.LINE_AA)
+        cv2.line(small, a, b, colour, 2, cv2.LINE_AA)
+    return cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()
 
-    async def in_turn(turn: asyncio.Lock, request: Request, make: Callable[[Item], T]) -> T | None:
-        """None: it was looked at only briefly, and nobody waits for it any more."""
-        item = item_of(request)
-        async with turn:
-            return None if await request.is_disconnected() else await run_in_threadpool(make, item)
 
-    async def every(request: Request) -> Response:
-        return answer(await run_in_threadpool(lambda: [results.head(i) for i in catalog.items("result")]))
+NOBODY_WALKS: dict[str, Any] = {"events": [], "figures": [], "cycles": []}
 
-    async def view(request: Request) -> Response:
-        data = await in_turn(blocks, request, results.block)
-        return Response(status_code=204) if data is None else block_answer(data)
 
-    async def pictures(request: Request) -> Response:
-        item, row = item_of(request), digits(request.path_params["row"], "The row")
-        width = digits(request.query_params.get("width", "640"), "The width")
-
-        def of_row() -> bytes:
-            with results.pictures(item) as opened:
-                return opened.row(row, width)
-
-        data = await run_in_threadpool(of_row)
-        # the same row of the same result stays what it is while a page is open
-        return Response(data, media_type="application/octet-stream", headers={"Cache-Control": "private, max-age=60"})
-
-    async def small(request: Request) -> Response:
-        data = await run_in_threadpool(results.thumbnail, item_of(request))
-        return Response(data, media_type="image/jpeg", headers={"Cache-Control": "private, max-age=600"})
-
-    async def outlines(request: Request) -> Response:
-        item, row = item_of(request), digits(request.path_params["row"], "The row")
-
-        def of_row() -> list[list[list[float]]]:
-            with results.pictures(item) as opened:
-                return opened.outlines(row)
-
-        return answer({"views": await run_in_threadpool(of_row)})
-
-    async def file(request: Request) -> Response:
-        name = request.path_params["name"]
-        if name not in DESCRIPTIONS:
-            raise NotFound(f"A result has no file {name[:80]!r}.")
-        return file_answer(item_of(request).path, name, catalog)
-
-    async def everything(request: Request) -> Response:
-        item = item_of(request)
-        headers = {
-            "Content-Disposition": f'attachment; filename="{archive_name(item.path)}"',
-            "Cache-Control": "no-store",
-        }
-        return StreamingResponse(zipped(item.path, catalog), media_type="application/zip", headers=headers)
-
-    async def gait(request: Request) -> Response:
-        data = await in_turn(gaits, request, results.gait)
-        if data is None:
-            return Response(status_code=204)
-        return Response(data, media_type="application/json", headers={"Cache-Control": "no-store"})
-
-    async def export(request: Request) -> Response:
-        formats = (await body_of(request)).get("formats")
-        if not isinstance(formats, list) or not formats:
-            raise InputError("Name the formats to export, for example trc.")
-        job = jobs.start("export", {"result": item_of(request).id, "options": {"formats": formats}})
-        return answer(job.shown(), 201)
-
-    return [
-        Route("/api/results", told(every)),
-        Route("/api/results/{id}/view", told(view)),
-        Route("/api/results/{id}/pictures/{row}", told(pictures)),
-        Route("/api/results/{id}/outlines/{row}", told(outlines)),
-        Route("/api/results/{id}/thumbnail.jpg", told(small)),
-        Route("/api/results/{id}/files/{name}", told(file)),
-        Route("/api/results/{id}/all.zip", told(everything)),
-        Route("/api/results/{id}/gait", told(gait)),
-        Route("/api/results/{id}/export", told(export), methods=["POST"]),
-    ]
+def gait_view(results: Path) -> dict[str, Any]:
+    """Of a results folder: events by time (s of the motion's times), figures, and the cycles in degrees at 0 to 100 %;
+    all empty where nobody walks, or where the motion has no poses or body."""
+    try:
+        motion, body = load_motion(results / "motion.npz"), load_body(results / "body.npz")
+        if motion.poses is None or body.skeleton.joint_names != motion.skeleton.joint_names:
+            return NOBODY_WALKS
+        found = gait_of(motion, body)
+    except HyposeError:
+        return NOBODY_WALKS
+    return {
+        "events": [{"time": e.time, "side": e.side, "kind": e.kind} for e in found.events],
+        "figures": [
+            {"name": f.name, "unit": f.unit, "mean": f.mean, "low": f.low, "high": f.high, "n": f.n}
+            for f in found.figures
+        ],
+        "cycles": [
+            {"name": c.name, "mean": np.degrees(c.mean), "sd": np.degrees(c.sd), "n": c.n}
+            for c in angle_cycles(found.events, motion)
+        ],
+    }

@@ -1,19 +1,19 @@
 import { address, get } from "../api";
 import type { Job, Recording, ResultEntry, State } from "../protocol";
-import type { OpenScreen } from "../screen";
+import type { OpenScreen } from "../router";
 import { menu, select } from "../ui/buttons";
 import { h } from "../ui/dom";
 import { icon } from "../ui/icons";
 import { shell } from "../ui/shell";
 import { toast } from "../ui/toast";
-import { Corrector } from "../view/correct";
-import { correctionsMenu } from "../view/corrections";
-import { doctorLink, size } from "../view/details";
-import { home } from "../view/home";
-import { ResultView } from "../view/result";
-import { ServerSource } from "../view/source";
+import { Corrector } from "./correct";
+import { correctionsMenu } from "./corrections";
+import { doctorLink, size } from "./details";
+import { home } from "./home";
+import { ResultView } from "./result";
+import { ServerSource } from "./source";
 import type { ViewData } from "../lib/bundle";
-import "../view/view.css";
+import "./view.css";
 
 /** #/view lists the results, #/view/RESULT shows one, #/view/RESULT/ROW at a frame, .../CLICKS with a correction of it. */
 export const view: OpenScreen = (root, [id, row, clicks]) => {
@@ -149,7 +149,6 @@ function exportMenu(source: ServerSource, data: ViewData): HTMLElement {
   return menu(
     "Export",
     () => [
-      h("a", { role: "menuitem", href: source.everything(), download: "" }, h("span", {}, "Everything"), h("small", {}, "all files of the result as .zip")),
       ...data.header.formats.flatMap((format) =>
         files(format).map((name) => {
           const file = there.get(name);
