@@ -29,7 +29,6 @@ from hypose.calibration.diagnose_points import (
     FAR_DEG,
     FAR_M,
     Extrinsics,
-    Trial,
     best_trial,
     disagreement,
     geometric_trials,
@@ -40,7 +39,7 @@ from hypose.calibration.diagnose_points import (
     timing_findings,
     undistorted,
 )
-from hypose.calibration.findings import Clip, Finding, Limits, depth_findings
+from hypose.calibration.findings import Clip, Finding, Limits, Trial, depth_findings
 from hypose.calibration.refine_points import changed, changes, left_out_residual, point_residual
 from hypose.calibration.sync_motion import MaskTrack, farther, mask_tracks, silhouette_curves, solve_widely
 from hypose.calibration.synchronisation import points_at

@@ -23,7 +23,7 @@ from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.keypoint_clip import LEAST_POINTS
 from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, KeypointModel, keypoint_model, keypoint_term
 from hypose.tracking.keypoint_offsets import calibrate_keypoints
-from hypose.tracking.points_beside_masks import weighed_beside_masks
+from hypose.tracking.points_beside_masks import start_beside_masks, weighed_beside_masks
 from hypose.tracking.refinement import anatomical_prior
 from hypose.tracking.start_search import Start, start_from_hull
 from hypose.tracking.starts import KNOWN_POSES, start_from_keypoints
@@ -56,9 +56,9 @@ class Subject:
 @dataclass(frozen=True)
 class SubjectOptions:
     """start: 'auto', 'keypoints', 'hull' or a known pose's name. height: m, None = from key points or the hull.
-    girths: fit those of a body from key points to the silhouettes. body: the template, or with `known` the subject's own
-    body, of which only the start pose is looked for. frame_rate: Hz. seed. shared, tried: as for `best_ways`, the masks
-    show others as well, and starts that may be right."""
+    girths: fit those of a body from key points to the silhouettes. body: the template, or with `known` the subject's
+    own body, of which only the start pose is looked for. frame_rate: Hz. seed. shared, tried: as for `best_ways`, the
+    masks show others as well, and starts that may be right."""
 
     start: str = "auto"
     height: float | None = None
@@ -142,6 +142,7 @@ def _by_points(
     scatter = 1e3 * float(np.median(model.sd[model.known]))
     notes.append(f"key points weigh as if they scattered by {scatter:.0f} mm per axis")
     start, at = first_start(body, model, frame_at, min(n_frames, 1 + int(options.frame_rate)))
+    start = start_beside_masks(body, model, frame_at(at), start)
     if at:
         notes.append(f"the start is the pose of frame {at}, the first with enough key points")
     return Subject(body, model, start, tuple(notes))

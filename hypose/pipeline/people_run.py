@@ -25,7 +25,6 @@ from hypose.evidence.hull import common_view_bounds
 from hypose.evidence.hull_people import VIEWS, HullPerson
 from hypose.geometry import Array
 from hypose.io.motions.results import ResultsFolder, identity, save_motion
-from hypose.pipeline.bodies_again import fitted_again
 from hypose.pipeline.doubts import as_now, in_words, looked_at, mask_change
 from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject, keep_subject, kept_subject
 from hypose.pipeline.first_look import look_at_depth, sentences
@@ -232,9 +231,6 @@ class PeopleRun:
             people = [self._placed(name, subject) for name, subject in subjects.items()]
         for k, p in enumerate(people):
             p.asked_for = self.count is None or k < self.count
-        if self._points is None:
-            for k, subject in fitted_again(people, self.source.frame, numbers, self._known).items():
-                people[k] = self._placed(people[k].name, subject, people[k].asked_for)
         return people
 
     def _places(self, numbers: Sequence[int]) -> list[Path]:

@@ -11,7 +11,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.cameras.camera import CameraRig
@@ -85,13 +84,8 @@ def _hiding(rough: Rough | None, hull: HullPerson | None, number: int, rig: Came
 
 def least_hidden(own: Mapping[int, Frame]) -> list[int]:
     """In which of the frames a person is seen well, by all views but one; those least hidden, when they are few."""
-    return seen_well({t: visible_share(frame) for t, frame in own.items()})
-
-
-def seen_well(shares: Mapping[int, NDArray[np.float64]]) -> list[int]:
-    """The same, by how much of the person each view shows in each of the frames (C,)."""
-    numbers = sorted(shares)
-    share = np.array([np.sort(shares[t]) for t in numbers])
+    numbers = sorted(own)
+    share = np.array([np.sort(visible_share(own[t])) for t in numbers])
     if not share.size:
         return numbers
     good = np.flatnonzero(share[:, min(1, share.shape[1] - 1)] > HIDDEN)

@@ -186,22 +186,11 @@ def test_compressed_archives_are_refused_before_unpacking(small_motion, tmp_path
         load_motion(path)
 
 
-def test_no_archive_at_all(small_motion, tmp_path):
-    with pytest.raises(InputError, match=r"The motion .*none\.npz does not exist"):
-        load_motion(tmp_path / "none.npz")
-    for data in (b"text", b"PK\x03\x04" + bytes(100)):
-        (tmp_path / "a.npz").write_bytes(data)
-        with pytest.raises(InputError, match=r"a\.npz is not a motion of hypose, or is damaged: .*"):
-            load_motion(tmp_path / "a.npz")
+def test_half_an_archive_is_named(small_motion, tmp_path):
     save_motion(small_motion, tmp_path / "a.npz")
     data = (tmp_path / "a.npz").read_bytes()
     (tmp_path / "a.npz").write_bytes(data[: len(data) // 2])
-    with pytest.raises(InputError, match=r"is not a motion of hypose, or is damaged"):
-        load_motion(tmp_path / "a.npz")
-    spoilt = bytearray(data)
-    spoilt[200] ^= 255
-    (tmp_path / "a.npz").write_bytes(spoilt)
-    with pytest.raises(InputError, match=r"damaged: Bad CRC"):
+    with pytest.raises(InputError, match=r"a\.npz is not a motion of hypose, or is damaged"):
         load_motion(tmp_path / "a.npz")
 
 
