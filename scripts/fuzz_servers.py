@@ -25,8 +25,8 @@ from hypose.fusion.joints import COMMON
 
 _KERNELS = ("pickle.find_class ('numba", "pickle.find_class ('copyreg")
 ALLOWED = ("socket.connect", "socket.bind", "wrote", *_KERNELS, "ctypes.dlopen")
-"""What these targets may do that a reader of files may not: the studio keeps what is dropped onto its page, and loads
-what it computes with when it is first asked."""
+"""What these targets may do that a reader of files may not: the studio keeps what pages make, and loads what it
+computes with when it is first asked."""
 _TOKEN = "a-good-token"
 _LOGGERS = ("asyncio", "uvicorn.error", "websockets.server")
 _KEY = "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n"
@@ -42,14 +42,13 @@ class _Servers:
 
     def __init__(self) -> None:
         from hypose.app.live.live_server import LiveOptions, LiveServer
-        from hypose.app.live.secrets_and_logs import FOREIGN, fold_logs, folded
         from hypose.app.studio.answers import NotNow
         from hypose.app.studio.server import Studio, StudioOptions, make_server
 
         self._folder = tempfile.TemporaryDirectory()  # lives as long as the process
         root = Path(self._folder.name)
         _recording(root)
-        studio = Studio(StudioOptions(root, upload_limit=1 << 20))
+        studio = Studio(StudioOptions(root))
 
         def no_jobs(*_: Any) -> None:
             raise NotNow("Nothing is started here.")
@@ -69,10 +68,8 @@ class _Servers:
             raise RuntimeError("the servers do not start")
         self.port = ports[0]
         self.logged: list[str] = []
-        fold_logs()
-        for name in _LOGGERS:
-            logging.getLogger(name).removeFilter(folded)  # every complaint is looked at
-            logging.getLogger(name).addHandler(_Keep(self.logged, FOREIGN))
+        for name in _LOGGERS:  # those about what others have sent do not come so far
+            logging.getLogger(name).addHandler(_Keep(self.logged))
 
     async def _begin(self, listening: threading.Event) -> None:
         await self.live.start()
@@ -98,16 +95,15 @@ def _last_words(logged: str) -> str:
 
 
 class _Keep(logging.Handler):
-    """Keeps what is logged, but for sentences about what others have sent."""
+    """Keeps what is logged."""
 
-    def __init__(self, lines: list[str], foreign: tuple[str, ...]) -> None:
+    def __init__(self, lines: list[str]) -> None:
         super().__init__()
-        self._lines, self._foreign = lines, foreign
+        self._lines = lines
 
     def emit(self, record: logging.LogRecord) -> None:
         """One record."""
-        if not record.getMessage().startswith(self._foreign):
-            self._lines.append(self.format(record))
+        self._lines.append(self.format(record))
 
 
 @cache
@@ -122,8 +118,7 @@ def _recording(root: Path) -> None:
     from benchmarks.robustness.small_recordings import small_scene, write_masks
     from hypose.body.motion import Motion, isotropic
     from hypose.body.ready_bodies import human
-    from hypose.io.motions.bodies import save_body
-    from hypose.io.motions.results import save_motion
+    from hypose.io.motions.results import save_body, save_motion
 
     write_masks(small_scene(1, 2), root / "walk")
     body, folder = human(), root / "walk" / "results" / "default"
@@ -268,7 +263,7 @@ def write_good(folder: Path) -> None:
     click = {"joint": "neck", "x": 40.5, "y": 30.0, "occluded": False}
     fit = {"recording": recording, "result": result, "frame": 0, "height": 1.75}
     fit["views"] = [{"camera": "cam1", "points": [click]}]
-    mask = "threshold=4&min_sd=5&shadow=1&close_px=5&shadow_range=0.4,0.9&method=gaussian&rim_px=3"
+    mask = "threshold=4&min_sd=5&shadow=true&close_px=5&shadow_range=0.4,0.9&method=gaussian&rim_px=3"
     gets = [
         *(
             "/",
@@ -280,17 +275,17 @@ def write_good(folder: Path) -> None:
         *(f"/api/results/{result}/outlines/0", f"/api/recordings/{recording}", "/api/jobs/0123456789ab/view"),
         *(f"/api/results/{result}/files/motion.trc", f"/api/recordings/{recording}/file/check.png"),
         f"/api/results/{result}/pictures/1?width=64",
+        "/api/folder?path=walk/masks&within",
         f"/api/recordings/{recording}/image/cam1/1.jpg?width=64&mask=only&{mask}",
     ]
-    upload = {"name": "new", "calibration": "0123456789ab", "frame_rate": 25.0, "views": [{"name": "a", "video": "b"}]}
+    new = {"folder": "walk", "name": "new", "calibration": "a.toml", "frame_rate": 25.0}
+    new["views"] = [{"name": "a", "camera": "a", "video": "b.mp4"}]
     posts = [
         ("POST", "/api/fit-clicks", fit),
         ("POST", f"/api/recordings/{recording}/starts", {**fit, "name": "first", "camera": "cam1"}),
         ("POST", "/api/jobs", {"kind": "track", "recording": recording, "options": {"seed": 1}}),
-        ("POST", "/api/recordings", upload),
+        ("POST", "/api/recordings", new),
         ("POST", f"/api/results/{result}/export", {"formats": ["trc"]}),
-        ("PUT", "/api/uploads/a.toml", {"x": 1}),
-        ("DELETE", "/api/uploads/0123456789ab", {}),
         ("POST", f"/api/recordings/{recording}/mask-settings", {"close_px": 3, "shadow_range": [0.4, 0.9]}),
     ]
     text = "".join(f"GET {path} HTTP/1.1\r\n{_HOST}\r\n" for path in gets)

@@ -13,10 +13,10 @@ import typer
 
 import hypose
 from benchmarks.robustness.small_recordings import small_scene, write_masks
+from hypose.app.batch import read_table
 from hypose.app.cli import app
-from hypose.app.sweeps.sweep import read_sweep
-from hypose.io.calibrations.calibration_toml import write_calibration
-from hypose.io.sensors.skeleton_lines import format_line
+from hypose.io.calibrations.calibration_text import write_calibration
+from hypose.io.sensors.skeleton_streams import format_line
 from scripts.api_page import api_page
 from tests.conftest import HANG_S, ROOT
 from tests.depth_sensors import reports
@@ -95,15 +95,8 @@ def test_read_results(tmp_path):
     )
 
 
-def test_the_sweep_can_be_read(tmp_path):
-    write_masks(small_scene(1, 2), tmp_path / "study" / "anna")
-    (tmp_path / "sweep.toml").write_text((ROOT / "examples/cluster/sweep.toml").read_text())
-    sweep = read_sweep(tmp_path / "sweep.toml")
-    assert len(sweep.sets) == 4 and sweep.slurm["cores"] == 1
-
-
-def test_the_shell_script_is_no_nonsense():
-    assert subprocess.run(["bash", "-n", ROOT / "examples/cluster/batch.slurm"]).returncode == 0
+def test_the_table_of_recordings_can_be_read():
+    assert len(read_table(ROOT / "examples/cluster/study.csv")) == 4
 
 
 def test_the_reference_has_every_name():
@@ -145,6 +138,11 @@ def test_commands_in_the_documentation_exist(page, words):
     known = {o for p in command.params for o in (*p.opts, *p.secondary_opts)}
     given = {w.partition("=")[0] for w in words if re.match(r"--[a-z]", w)}
     assert given <= known, f"{page}: {given - known}"
+
+
+def test_every_command_is_in_the_table_of_the_documentation():
+    table = re.findall(r"^\| `hypose ([a-z-]+)", (ROOT / "docs" / "index.md").read_text("utf-8"), re.MULTILINE)
+    assert sorted(table) == sorted(typer.main.get_command(app).commands)
 
 
 def test_toml_in_the_documentation_is_toml():

@@ -15,7 +15,7 @@ from hypose.evidence.detector import PoseDetector, openpose_document
 from hypose.geometry import Array
 from hypose.io.file_names import folder_for
 from hypose.io.files import read_text, write_text
-from hypose.io.keypoints.detected_keypoints import DetectedKeypoints, load_detected
+from hypose.io.keypoints.read_keypoints import DetectedKeypoints, load_detected
 from hypose.io.recordings.recording import Recording, View
 from hypose.io.videos.video import open_video
 

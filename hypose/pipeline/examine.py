@@ -10,21 +10,23 @@ from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.body.ready_bodies import human
-from hypose.calibration.doctor import Clip, Cured, Observed
-from hypose.calibration.doctor_extrinsics import FAR_DEG, FAR_M
-from hypose.calibration.doctor_masks import tangency, tangency_by_view
-from hypose.calibration.doctor_points import undistorted
-from hypose.calibration.in_step import Resampled, points_at
+from hypose.calibration.diagnose_masks import tangency, tangency_by_view
+from hypose.calibration.diagnose_points import FAR_DEG, FAR_M, undistorted
+from hypose.calibration.diagnostics import Clip, Cured, Observed
 from hypose.calibration.refine_body import BodySettings, adjust_with_body
-from hypose.calibration.refine_camera import CameraChange, changes, free_cameras, gauge, in_world, rescaled
 from hypose.calibration.refine_points import (
-    PointSettings,
+    CameraChange,
     adjust,
+    changes,
+    free_cameras,
+    gauge,
+    in_world,
     left_out_residual,
     point_residual,
-    without_distortion,
+    rescaled,
 )
 from hypose.calibration.sync_motion import mask_tracks
+from hypose.calibration.synchronisation import Resampled, points_at
 from hypose.cameras.camera import CameraRig, triangulate
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.depth_evidence import Depth
@@ -151,12 +153,6 @@ def _clip(view: View) -> Clip:
         return Clip(reader.size, reader.frame_rate, reader.n_frames)
 
 
-def raw_keypoints(recording: Recording) -> tuple[Array | None, tuple[str, ...]]:
-    """Key points (C, T, K, 3) in px of the calibrated, distorted images, and their names; None without any."""
-    found = raw_person(recording)
-    return (None, ()) if found is None else (found.raw, found.keypoints[0].names)
-
-
 def raw_person(recording: Recording) -> RecordedPerson | None:
     """The person of a recording whose calibration is in doubt, in full-size pictures; None without key points."""
     return load_person(recording, recording.rig.pinhole(), doubting=True)
@@ -198,7 +194,8 @@ def refine_recording(
         )
     few = window(recording, most)
     late = np.zeros(len(few.rig)) if late is None else late
-    points, names = raw_keypoints(few)
+    person = raw_person(few)
+    points, names = (None, ()) if person is None else (person.raw, person.keypoints[0].names)
     if points is None and method != "silhouettes":
         raise InputError(f"The recording {few.name} has no key points; refine from silhouettes.")
     if points is not None:
@@ -213,17 +210,17 @@ def refine_recording(
     notes: list[str] = []
     if method == "keypoints":
         assert points is not None
-        refined, person = _by_points(few.rig, points, used, focal, free)
+        refined, there = _by_points(few.rig, points, used, focal, free)
         before_silhouettes: list[Silhouettes | None] = []
     else:
-        refined, person, before_silhouettes, notes = _by_body(
+        refined, there, before_silhouettes, notes = _by_body(
             few, points, names, late, method, used, rest, focal, free, disturb, progress
         )
     factor = _scale(few.rig, refined, points, used, names, height, notes)
     refined = rescaled(refined, factor)
-    old_from_new = gauge(refined, few.rig, person * factor)
+    old_from_new = gauge(refined, few.rig, there * factor)
     refined = in_world(refined, old_from_new)
-    here = transform(old_from_new, person * factor)
+    here = transform(old_from_new, there * factor)
     tangents = [_tangency(r, before_silhouettes) for r in (few.rig, refined)]
     return Refinement(
         refined,
@@ -254,7 +251,7 @@ class _Judge:
         for measure in (point_residual, left_out_residual):
             for rig in (old, new):
                 uv, confidence = undistorted(rig, self.points[:, self.rest])
-                found = measure(without_distortion(rig), uv.reshape(c, -1, 2), confidence.reshape(c, -1))
+                found = measure(rig.pinhole(), uv.reshape(c, -1, 2), confidence.reshape(c, -1))
                 out.append(float(np.nanmedian(found)) if np.isfinite(found).any() else float("nan"))
         return out[0], out[1], out[2], out[3]
 
@@ -264,9 +261,7 @@ def _by_points(
 ) -> tuple[CameraRig, Array]:
     uv, confidence = undistorted(rig, points[:, used])
     c = len(rig)
-    found = adjust(
-        without_distortion(rig), uv.reshape(c, -1, 2), confidence.reshape(c, -1), PointSettings(focal=focal), free
-    )
+    found = adjust(rig.pinhole(), uv.reshape(c, -1, 2), confidence.reshape(c, -1), free, focal=focal)
     return _poses_into(rig, found.rig), found.points
 
 

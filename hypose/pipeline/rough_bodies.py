@@ -8,10 +8,9 @@ looked for again on what the others' bodies leave.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.cameras.camera import CameraRig
@@ -85,13 +84,8 @@ def _hiding(rough: Rough | None, hull: HullPerson | None, number: int, rig: Came
 
 def least_hidden(own: Mapping[int, Frame]) -> list[int]:
     """In which of the frames a person is seen well, by all views but one; those least hidden, when they are few."""
-    return seen_well({t: visible_share(frame) for t, frame in own.items()})
-
-
-def seen_well(shares: Mapping[int, NDArray[np.float64]]) -> list[int]:
-    """The same, by how much of the person each view shows in each of the frames (C,)."""
-    numbers = sorted(shares)
-    share = np.array([np.sort(shares[t]) for t in numbers])
+    numbers = sorted(own)
+    share = np.array([np.sort(visible_share(own[t])) for t in numbers])
     if not share.size:
         return numbers
     good = np.flatnonzero(share[:, min(1, share.shape[1] - 1)] > HIDDEN)
@@ -132,8 +126,12 @@ def _rough(
         found = best_ways(template, [own[t] for t in seen], rate, height=height, seed=seed, shared=len(paths) > 1)
     except HyposeError:
         return None
-    start, at = found.starts.best, numbers.index(seen[found.at])
-    way = way_of(start, at, [own[t] for t in numbers], rate, seed)
+    start, at = found.starts.best, found.at
+    if found.ways:  # a start that is wrong at first is put right on its way: it is gone again from where it fits best
+        costs = found.ways[0].costs
+        at = int(np.where(np.isfinite(costs), costs, np.inf).argmin())
+        start = replace(start, pose=found.ways[0].poses[at])
+    way = way_of(start, numbers.index(seen[at]), [own[t] for t in numbers], rate, seed)
     if way is None or way.cost > _LOST:
         return None
     rivals = tuple((seen[w.at], w.start) for w in found.ways[1 : 1 + _RIVALS])

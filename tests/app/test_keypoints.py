@@ -51,7 +51,7 @@ def prepared(keypoint_recording, monkeypatch):
         def opened(model, people):
             yield detector
 
-        monkeypatch.setattr("hypose.io.keypoints.blazepose.open_blazepose", opened)
+        monkeypatch.setattr("hypose.io.keypoints.detectors.open_blazepose", opened)
         return detector
 
     return keypoint_recording, put

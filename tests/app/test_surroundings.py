@@ -11,7 +11,7 @@ import pytest
 
 import hypose
 from hypose.compute import warming
-from hypose.io.keypoints import mediapipe_environment
+from hypose.io.keypoints import detectors
 from hypose.io.videos import sound
 from tests.app.studio.conftest import serving
 
@@ -109,11 +109,11 @@ def test_every_process_of_the_package_has_a_safe_path_and_a_folder_of_ours(evil,
     monkeypatch.chdir(evil)
     monkeypatch.setattr(subprocess, "run", begin)
     monkeypatch.setattr(subprocess, "Popen", begin)
-    monkeypatch.setattr(mediapipe_environment, "is_set_up", lambda: True)
+    monkeypatch.setattr(detectors, "is_set_up", lambda: True)
     monkeypatch.setattr(sound.shutil, "which", lambda name: name)
     with pytest.raises(Began):
-        mediapipe_environment.set_up()
-    with pytest.raises(Began), mediapipe_environment.open_mediapipe():
+        detectors.set_up()
+    with pytest.raises(Began), detectors.open_mediapipe():
         pass
     with pytest.raises(Began):
         warming._in_another_process("solver", [])

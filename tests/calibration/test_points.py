@@ -30,13 +30,6 @@ def test_known_lenses(rng):
     assert (found.position_sd < 0.05).all()
 
 
-def test_four_points_in_a_plane_suffice_with_known_lenses(rng):
-    rig, given = scene(rng, 0.1, "abcd")
-    found = calibrate_from_points(given, rig)
-    for a, b in zip(found.rig, rig, strict=True):
-        assert np.linalg.norm(a.position - b.position) < 0.05
-
-
 def test_unknown_lenses(rng):
     rig, given = scene(rng, 0.3)
     found = calibrate_from_points(given)
@@ -102,9 +95,9 @@ def test_the_file(tmp_path):
     [
         ('"cm"', '"feet"', "unit must be m, cm or mm, got 'feet'"),
         ("[points]", "[point]", "point is unknown; known are unit"),
-        ("b = [120, 0, 0]", "b = [120, 0]", r"\[points\]: b must be 3 finite numbers"),
+        ("b = [120, 0, 0]", "b = [120, 0]", r"\[points\]: b must be numbers of shape 3"),
         ("b = [30, 40]", "q = [30, 40]", "the point q has no place in"),
-        ("b = [30, 40]", "b = [30, nan]", "must be 2 finite numbers"),
+        ("b = [30, 40]", "b = [30, nan]", "b contains NaN"),
         ("[640, 480]", "[640, 0]", "size must be"),
         ("[clicks.cam1]", "[clicks", "is not valid TOML"),
     ],

@@ -69,23 +69,6 @@ def test_what_does_not_move_stands_as_in_the_last_pose(body, rig, rng):
     assert np.abs(defined(body, mixed, prepared, moving=moving) - wanted).max() <= 2
 
 
-def test_parts_asked_for_and_parts_that_move(body, rig, rng):
-    poses, moving = limb_poses(body, rng, ("left_shoulder", "left_elbow"))
-    prepared = masks_of(body, rig, poses[0])
-    faces = np.arange(len(body.coarse.faces)) % 3 > 0
-    fast = score(body, poses, prepared, moving=moving, faces=faces)
-    assert np.abs(fast - score(body, poses, prepared, faces=faces)).max() <= 2
-
-
-def test_a_limb_and_a_body_at_the_camera(body, rig, rng):
-    """Both are cut at the near plane; parts of a body show their outside only."""
-    poses, moving = limb_poses(body, rng, ("left_shoulder", "left_elbow"), 5)
-    prepared = masks_of(body, rig, poses[0])
-    poses[:, :2] += rig[0].position[:2] - poses[:, :2]
-    fast = score(body, poses, prepared, moving=moving)
-    assert np.abs(fast - score(body, poses, prepared, faces=np.ones(len(body.coarse.faces), bool))).max() <= 8
-
-
 def test_same_counts_for_any_number_of_threads_and_unusable_views_stay_zero(body, rig, rng):
     poses, moving = limb_poses(body, rng, ("left_hip", "left_knee"), 70)
     whole = masks_of(body, rig, poses[0])

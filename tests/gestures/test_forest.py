@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.depth_gestures.gesture_sweeps import balance
-from hypose.compute import forests
 from hypose.errors import InputError
 from hypose.gestures import runtime
 from hypose.gestures.forest import ForestSettings, GrowingForest
@@ -33,30 +31,6 @@ def test_compiled_walk_equals_the_definition(clip):
     theirs = runtime.shares(exported(forest), depth, rows, columns, LENS.fx)
     np.testing.assert_allclose(mine, theirs, atol=1e-12)
     assert mine[:, 1].max() > 0.8  # it has learned something, so that the comparison has leaves to compare
-
-
-def test_clipping_clamps_both_depths_around_the_pixel():
-    # eq. 3.6: a step of 900 mm counts as 150 mm, and a hole as far
-    depth = np.full((64, 64), 1000, np.uint16)
-    depth[:, 40:] = 1900
-    depth[40:, :40] = 0
-    rows, columns = np.array([20, 20]), np.array([32, 32])
-    model = {"clip_mm": 150, "share": np.array([[[1, 0], [10000, 0], [0, 10000]]], np.uint16)}
-    model["left"] = np.array([[1, -1, -1]], np.int16)
-    for uy, ux, expected in ((0, 50, 150), (110, 0, 150), (0, -50, 0), (50, 0, 0)):
-        for threshold, right in ((expected, True), (expected + 1, False)):
-            model["test"] = np.array([[[uy, ux, 0, 0, threshold], [0] * 5, [0] * 5]], np.int16)
-            p = runtime.shares(model, depth, rows, columns, 200.0)
-            assert (p[:, 1] == float(right)).all(), (uy, ux, threshold)
-
-
-def test_offsets_shrink_with_distance():
-    forest = grown().freeze()
-    rng = np.random.default_rng(1)
-    for distance in (900, 1500):  # the disc is seen at both, two times larger in one
-        depth, (x, y), _ = toy(rng, distance, holes=False)
-        p = forest.probabilities(pad(depth, LENS, 150, 500), np.array([int(y)]), np.array([int(x)]))
-        assert p[0, 1] > 0.7
 
 
 def test_growth_depends_on_samples_alone():
@@ -95,23 +69,6 @@ def test_memory_stays_within_its_bounds_and_slots_are_never_shared():
     more(forest, np.random.default_rng(9), 5)
 
 
-def test_at_most_ten_megabytes_with_the_usual_settings():
-    s = ForestSettings()
-    node = 10 + 2 + 2 * 4 + 1 + 2
-    slot = s.candidates * (10 + 2 * 2) + 2 * 4 + 2
-    assert s.trees * (s.most_nodes * node + s.most_slots * slot) < 10e6
-
-
-def test_a_pure_leaf_asks_for_no_candidates():
-    rng = np.random.default_rng(0)
-    forest = GrowingForest.new(ForestSettings(), 2, rng)
-    depth, where, square = toy(rng)
-    rows, columns, labels = samples(rng, (int(where[0]), int(where[1])), square)
-    only = labels == 0
-    forest.learn(pad(depth, LENS, 150, 500), rows[only], columns[only], labels[only])
-    assert (forest.arrays.slot < 0).all() and forest.arrays.seen[..., 0].sum() > 0
-
-
 def test_holes_and_pixels_nearer_than_the_border_allows_teach_nothing():
     rng = np.random.default_rng(0)
     forest = GrowingForest.new(ForestSettings(), 2, rng)
@@ -137,35 +94,9 @@ def test_several_classes():
     np.testing.assert_allclose(p.sum(1), 1, atol=1e-3)
 
 
-def test_balance_counts_heights():
-    forest = grown(200, alpha=40).freeze()
-    found = balance(forest)
-    assert len(found) == int((forest.left[:, : forest.size.max()] >= 0).sum())
-    assert np.abs(found).max() < forest.settings.deepest
-
-
 @pytest.mark.parametrize(
     "change", [{"trees": 0}, {"clip_mm": 0}, {"alpha": 100000}, {"rate": 0.0}, {"beta": 2.0}, {"most_nodes": 40000}]
 )
 def test_settings_outside_their_bounds_are_named(change):
     with pytest.raises(InputError, match="forest's"):
         ForestSettings(**change)
-
-
-def test_a_picture_padded_for_another_reach_is_refused():
-    with pytest.raises(InputError, match="pad it again"):
-        forest = GrowingForest.new(ForestSettings(), 2, np.random.default_rng(0))
-        forest.learn(pad(toy(np.random.default_rng(0))[0], LENS, 100, 500), np.ones(1), np.ones(1), np.ones(1))
-
-
-def test_random_numbers_are_uniform():
-    state = np.array([7], np.uint64)
-    test = np.zeros(5, np.int16)
-    drawn = []
-    for _ in range(4000):
-        forests.draw_test(state, 0, 150, 150, test)
-        drawn.append(test.copy())
-    u = np.array(drawn)
-    assert u[:, :2].min() == -150 and u[:, :2].max() == 150 and abs(u[:, :2].mean()) < 5
-    assert 0.45 < (u[:, 2:4] == 0).all(1).mean() < 0.55
-    assert np.abs(u[:, 4]).max() < 150 and abs(u[:, 4].mean()) < 3

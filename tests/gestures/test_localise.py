@@ -7,13 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.compute import forest_votes, forests
 from hypose.compute.forest_votes import ScanPlan
 from hypose.errors import InputError
 from hypose.gestures import runtime
 from hypose.gestures.depth_pictures import Lens, millimetres
 from hypose.gestures.forest import Forest, ForestSettings
-from hypose.gestures.localise import LocaliseSettings, Scratch, localise, pad
+from hypose.gestures.localise import LocaliseSettings, Scratch, localise
 from hypose.gestures.online import Learner
 
 from .test_forest import exported
@@ -75,33 +74,6 @@ def test_the_numpy_runtime_finds_the_same(forest):
     assert score == pytest.approx(found.score, rel=0.05)
 
 
-def test_parzen_is_a_gaussian_of_unit_sum():
-    depth = np.full((100, 120), 1000, np.uint16)
-    picture = forests.pad_depth(depth, 200.0, 500, 50)
-    scores = np.zeros((25, 30), np.float32)
-    scores[12, 15] = 0.8
-    scores[3, 3] = 0.4  # no majority, no vote
-    density, at = forest_votes.parzen(picture, scores, 4, 0.5, 8.0)
-    assert at == 12 * 30 + 15
-    surface = (0.004 * 1000 / 200) ** 2
-    assert density.sum() == pytest.approx(0.8**3 * surface, rel=1e-5)
-    assert density[12, 17] / density[12, 15] == pytest.approx(np.exp(-0.5), rel=1e-5)
-    assert density[3, 3] == 0
-
-
-def test_temporal_recursion(forest):
-    # eq. 3.4 on a disc that disappears: a share 1 - alpha of its score stays for one frame
-    depth, (x, y), _ = toy(np.random.default_rng(8), holes=False)
-    empty = np.full(SHAPE, 2600, np.uint16)
-    settings, scratch = LocaliseSettings(memory=0.8), Scratch()
-    localise(depth, LENS, [forest], settings, scratch)
-    first = localise(depth, LENS, [forest], settings, scratch)[0]
-    after = localise(empty, LENS, [forest], settings, scratch)[0]
-    assert np.hypot(after.x - x, after.y - y) < 6
-    assert 0 < after.score < 0.35 * first.score
-    assert localise(empty, LENS, [forest], replace(settings, memory=1.0), scratch)[0].score == 0
-
-
 def test_every_gesture_of_one_against_all_is_found_alone(forest):
     depth, _, _ = toy(np.random.default_rng(12))
     alone = localise(depth, LENS, [forest])[0]
@@ -127,20 +99,6 @@ def test_forests_that_share_the_walk_find_what_each_finds_alone(forest):
         localise(depth, LENS, [forest] * 33)
 
 
-def test_nothing_but_holes_finds_nothing(forest):
-    found = localise(np.zeros(SHAPE, np.uint16), LENS, [forest])[0]
-    assert found.score == 0 and found.position is None
-
-
-def test_other_resolutions_work_with_their_own_lens(forest):
-    depth, (x, y), _ = toy(np.random.default_rng(13), holes=False)
-    twice = np.repeat(np.repeat(depth, 2, 0), 2, 1)
-    lens = LENS.scaled(2.0)
-    found = localise(twice, lens, [forest])[0]
-    assert np.hypot(found.x - 2 * x, found.y - 2 * y) < 10
-    assert lens.fx == 400 and lens.cx == 199.5
-
-
 def test_metres_are_recognised():
     whole = np.full((48, 64), 2, np.uint16)
     with pytest.raises(InputError, match="that is metres"):
@@ -159,11 +117,6 @@ def test_what_is_no_picture_is_refused(picture):
         millimetres(picture)
 
 
-def test_a_person_at_eight_metres_is_not_looked_at(forest):
-    depth = (toy(np.random.default_rng(1))[0].astype(int) + 7000).astype(np.uint16)
-    assert localise(depth, LENS, [forest])[0].score == 0
-
-
 def test_lenses_that_cannot_be_are_refused():
     with pytest.raises(InputError, match="lens"):
         Lens(0.0, 0.0, 1.0, 1.0)
@@ -172,14 +125,6 @@ def test_lenses_that_cannot_be_are_refused():
 def test_no_forest_is_refused():
     with pytest.raises(InputError, match="no forest"):
         localise(np.zeros(SHAPE, np.uint16), LENS, [])
-
-
-def test_pad_reuses_its_memory():
-    depth = np.full(SHAPE, 1000, np.uint16)
-    a = pad(depth, LENS, 150, 500)
-    b = pad(depth, LENS, 150, 500, a)
-    assert a.values is b.values
-    assert int(a.values.max()) == 10000 and (a.values == 1000).sum() == depth.size
 
 
 def test_one_forest_of_several_gestures_finds_each():

@@ -12,16 +12,14 @@ from hypose.body.ready_bodies import human
 from hypose.compute import mono, mono_rows
 from hypose.compute.mono_terms import GAUSSIAN, LECLERC, LORENTZIAN, FlowArrays
 from hypose.compute.solver import bounded_step_kernel
-from hypose.evidence.edges import edge_field
-from hypose.evidence.flow import Flow, optical_flow
+from hypose.evidence.edges_flow import Flow, edge_field, optical_flow
 from hypose.evidence.frame import Picture
 from hypose.inference.layer import Layer, Recipe, search
 from hypose.inference.selectors import keep
 from hypose.tracking.monocular.evidence import edge_arrays
-from hypose.tracking.monocular.models import body_dofs
 from hypose.tracking.monocular.pool import OPTIMISED, accumulated, candidates, prune, uncertain_samples
 from hypose.tracking.monocular.problem import field_of, fixed_parts, frame_problem, with_prediction
-from hypose.tracking.monocular.settings import EdgeSettings, MonoSettings
+from hypose.tracking.monocular.settings import EdgeSettings, MonoSettings, body_dofs
 from tests.monocular.pictures import SIZE, camera, picture, wall
 from tests.monocular.test_cost import evaluate, flow_cost, flow_problem
 from tests.papers.test_body_equations import transforms

@@ -1,13 +1,16 @@
-"""`hypose silhouettes` and `hypose synth`: masks of recordings, and recordings made up."""
+"""`hypose synth`, `silhouettes`, `keypoints` and `depth-import`: recordings, and the evidence in them."""
 
 from __future__ import annotations
 
+import contextlib
+import shlex
+import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from hypose.app.commands.commands_track import set_threads
+from hypose.app.commands.commands_track import set_threads, stopping
 from hypose.app.commands.console import Stages, note, say
 from hypose.app.commands.options import Seconds, Seed, Threads, number
 from hypose.errors import EvidenceError, InputError
@@ -25,9 +28,8 @@ def silhouettes(
     """Write the masks of the person as PNG, one folder per view, and a contact sheet."""
     from hypose.app.jobs.checking import write_sheet
     from hypose.app.jobs.job import choose_frames
-    from hypose.io.claims import claimed
-    from hypose.io.recordings.frames import FrameStream
-    from hypose.io.recordings.mask_folders import write_masks
+    from hypose.io.files import claimed
+    from hypose.io.recordings.frames import FrameStream, write_masks
     from hypose.io.recordings.recording import load_recording
 
     loaded = choose_frames(load_recording(recording), frames)
@@ -36,11 +38,8 @@ def silhouettes(
         progress("background", 0, 1)
         with FrameStream(loaded) as source:
             progress("background", 1, 1)
-            try:
+            with stopping(f"Stopped; the masks written until then are in {target}."):
                 shown = write_masks(source, target, lambda done, total: progress("masks", done, total))
-            except KeyboardInterrupt:
-                say(f"Stopped; the masks written until then are in {target}.")
-                raise typer.Exit(130) from None
             notes = source.notes
             write_sheet(loaded, source, target / "sheet.jpg", 4)
     for text in (*loaded.notes, *notes):
@@ -88,72 +87,41 @@ def synth(
 ) -> None:
     """Make a synthetic recording with known truth: videos, background clips, calibration, recording.toml, truth.npz."""
     set_threads(threads)
-    from hypose.io.claims import claimed
+    from hypose.io.files import claimed
+    from hypose.synthetic.depth_scenes import DepthScene
     from hypose.synthetic.film_session import BOARD, write_session
     from hypose.synthetic.scenes import make_scene
-    from hypose.synthetic.write_recording import check_folder, write_scene
+    from hypose.synthetic.write_recording import check_folder, walking_scene, write_depth_scene, write_scene
 
     if raw and keypoints:
         raise InputError("--raw writes what cameras give, and key points are not; leave one of the two out.")
     check_folder(folder)
+    if sensors and (raw or keypoints or corruption):
+        raise InputError(
+            "Depth cameras write depth maps with their own faults; leave --raw, --keypoints, --corruption out."
+        )
+    about = {"seconds": seconds, "frame_rate": frame_rate, "seed": seed, "clothing_m": clothing}
+    who = _subject_name(subject)
     if sensors:
-        if raw or keypoints or corruption:
-            raise InputError(
-                "Depth cameras write depth maps with their own faults; leave --raw, --keypoints, --corruption out."
-            )
-        _depth_cameras(folder, motion, _subject_name(subject), sensors, seconds, frame_rate, seed, clothing)
-        return
-    scene = make_scene(
-        motion,
-        _subject_name(subject),
-        rig,
-        seconds=seconds,
-        frame_rate=frame_rate,
-        seed=seed,
-        corruption=tuple(corruption or ()),
-        clothing_m=clothing,
-        distorted=distorted,
-    )
-    try:
-        with claimed(folder, "OUT"), Stages() as progress:
+        scene = walking_scene(motion, who, sensors, **about)
+    else:
+        scene = make_scene(motion, who, rig, corruption=tuple(corruption or ()), distorted=distorted, **about)
+    unfinished = f"Stopped; {folder} is not complete. Start again with the same command."
+    with stopping(unfinished), claimed(folder, "OUT"), Stages() as progress:
 
-            def shown(done: int, total: int) -> None:
-                progress("render", done, total)
+        def shown(done: int, total: int) -> None:
+            progress("render", done, total)
 
-            if raw:
-                path = write_session(scene, folder, progress=shown)
-            else:
-                path = write_scene(scene, folder, keypoints=keypoints, progress=shown)
-    except KeyboardInterrupt:
-        say(f"Stopped; {folder} is not complete. Start again with the same command.")
-        raise typer.Exit(130) from None
-    say(f"{path}: {scene.name}, {len(scene)} frames, {len(scene.rig)} cameras")
+        if isinstance(scene, DepthScene):
+            path = write_depth_scene(scene, folder, progress=shown)
+        elif raw:
+            path = write_session(scene, folder, progress=shown)
+        else:
+            path = write_scene(scene, folder, keypoints=keypoints, progress=shown)
+    kind = "depth cameras (simulated)" if sensors else "cameras"
+    say(f"{path}: {scene.name}, {len(scene)} frames, {len(scene.rig)} {kind}")
     if raw:
         say(f"The board has {BOARD.columns} x {BOARD.rows} inner corners and squares of {1000 * BOARD.square:g} mm.")
-
-
-def _depth_cameras(
-    folder: Path,
-    motion: str,
-    subject: str,
-    sensors: str,
-    seconds: float,
-    frame_rate: float,
-    seed: int,
-    clothing: float,
-) -> None:
-    from hypose.io.claims import claimed
-    from hypose.synthetic.write_recording import walking_scene, write_depth_scene
-
-    about = {"seconds": seconds, "frame_rate": frame_rate, "seed": seed, "clothing_m": clothing}
-    scene = walking_scene(motion, subject, sensors, **about)
-    try:
-        with claimed(folder, "OUT"), Stages() as progress:
-            path = write_depth_scene(scene, folder, progress=lambda done, total: progress("render", done, total))
-    except KeyboardInterrupt:
-        say(f"Stopped; {folder} is not complete. Start again with the same command.")
-        raise typer.Exit(130) from None
-    say(f"{path}: {scene.name}, {len(scene)} frames, {len(scene.rig)} depth cameras (simulated)")
 
 
 def _subject_name(text: str) -> str:
@@ -166,3 +134,124 @@ def _subject_name(text: str) -> str:
     if int(text) >= len(names):
         raise InputError(f"There is no subject {text}; the subjects are 0 to {len(names) - 1}: {', '.join(names)}.")
     return names[int(text)]
+
+
+def depth_import(
+    sources: Annotated[
+        list[Path],
+        typer.Argument(help="One per camera: Azure Kinect .mkv, RealSense .bag, Record3D .r3d, or a folder of maps."),
+    ],
+    out: Annotated[Path, typer.Option(help="Folder to write the recording to.")],
+    empty: Annotated[
+        list[Path] | None, typer.Option(help="The empty room, one per camera in the same order (may be repeated).")
+    ] = None,
+    frame_rate: Annotated[
+        float | None, number("Frames per second of folders of maps, which do not tell it. [default: 30]", 1, 1000)
+    ] = None,
+    millimetres: Annotated[
+        float, number("Millimetres that one step of a value stands for, of folders of maps.", 0, 100, above=True)
+    ] = 1.0,
+    seed: Seed = 0,
+) -> None:
+    """Make a recording of depth cameras to track: maps, lenses, floor; several are brought together by the person."""
+    from hypose.io.files import claimed
+    from hypose.pipeline.import_depth import import_depth
+
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise InputError(f"{out} is not empty; give a new folder.")
+    new = not out.exists()
+    about = {"frame_rate": frame_rate, "millimetres": millimetres, "seed": seed}
+    nothing = f"Stopped; nothing is kept in {out}. Start again with the same command."
+    try:
+        with stopping(nothing), claimed(out, "--out"), Stages() as progress:
+            path, notes = import_depth(sources, out, empty=empty or (), progress=progress, **about)
+    finally:
+        if new:
+            with contextlib.suppress(OSError):  # the recording is in it
+                out.rmdir()
+    for text in notes:
+        note(f"note: {text}")
+    say(f"{path}: {len(sources)} depth cameras; track it with: hypose track {shlex.quote(str(out))}")
+
+
+def keypoints(
+    recording: Annotated[Path, typer.Argument(help="Folder with recording.toml, that file, or a Pose2Sim project.")],
+    model: Annotated[
+        Path | None, typer.Option(help="Model bundle of MediaPipe's Pose Landmarker (.task), your own copy.")
+    ] = None,
+    detector: Annotated[
+        str | None,
+        typer.Option(help="Instead: your own detector, FILE.py:NAME or MODULE:NAME (docs/recordings.md)."),
+    ] = None,
+    mediapipe: Annotated[
+        bool,
+        typer.Option(
+            "--mediapipe", help="Instead: MediaPipe with the model that it carries, set up once after asking."
+        ),
+    ] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Set MediaPipe up without asking.")] = False,
+    folder: Annotated[
+        Path | None, typer.Option("--out", help="Folder to write to. [default: keypoints in the recording's folder]")
+    ] = None,
+    people: Annotated[int, number("Most people looked for in a picture; tracking follows one.", 1, 100)] = 3,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on where an interrupted run stopped.")] = False,
+    threads: Threads = None,
+) -> None:
+    """Detect 2D key points in the videos, one OpenPose file per frame, for --evidence keypoints or both."""
+    set_threads(threads)
+    from hypose.io.files import claimed
+    from hypose.io.keypoints.detectors import open_blazepose, open_mediapipe, open_own_detector
+    from hypose.io.keypoints.read_keypoints import FOLDER
+    from hypose.io.recordings.recording import load_recording
+    from hypose.pipeline.detect_keypoints import detect_keypoints
+
+    if [model is not None, detector is not None, mediapipe].count(True) != 1:
+        raise InputError(
+            "Say what finds the key points: --mediapipe (with its own model), --model with a .task file of MediaPipe's "
+            "Pose Landmarker, or --detector with one of your own (all are shown in docs/recordings.md)."
+        )
+    loaded = load_recording(recording)
+    if mediapipe:
+        _have_mediapipe(yes)
+    target = folder or loaded.folder / FOLDER
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(claimed(target))
+        if detector is not None:
+            chosen = open_own_detector(detector)
+        elif mediapipe:
+            chosen = stack.enter_context(open_mediapipe())
+        else:
+            assert model is not None
+            chosen = stack.enter_context(open_blazepose(model, people))
+        progress = stack.enter_context(Stages())
+        kept = f"Stopped; the frames done until then are in {target}. Go on with the same command and --resume."
+        with stopping(kept):
+            found = detect_keypoints(
+                loaded, chosen, target, resume=resume, progress=lambda done, total: progress("detect", done, total)
+            )
+    say(f"Key points: {found.folder} ({found.keypoint_set}, one folder per view)")
+    own = loaded.folder / FOLDER
+    named = any(v.keypoints is not None and own.absolute() not in v.keypoints.absolute().parents for v in loaded.views)
+    if target.absolute() == own.absolute() and not named:
+        say(f"To use them: hypose track {recording} --evidence both")
+        return
+    note("note: recording.toml decides which key points are used; to use these, say there:")
+    say(f'keypoint_set = "{found.keypoint_set}"')
+    for view in loaded.views:
+        say(f'keypoints = "{found.view(view.name).absolute()}"  # in the [[view]] of {view.name}')
+
+
+def _have_mediapipe(yes: bool) -> None:
+    """Set MediaPipe's environment up if it is not there, when the user agrees."""
+    from hypose.io.keypoints.detectors import MEGABYTES, VERSION, environment_folder, is_set_up, set_up
+
+    if is_set_up():
+        return
+    what = f"MediaPipe {VERSION} (Apache 2.0, with its pose model; {MEGABYTES} MB) in {environment_folder()}"
+    if not yes:
+        if not sys.stdin.isatty():
+            raise InputError(f"This installs {what}, from the package registry; run it again with --yes to agree.")
+        if not typer.confirm(f"Install {what}?"):
+            raise typer.Exit(1)
+    say(f"Installing {what} ...")
+    set_up()

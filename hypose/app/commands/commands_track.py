@@ -1,10 +1,13 @@
-"""`hypose track` and `hypose demo`."""
+"""`hypose track`, `demo`, `correct`, `subject` and `warm-up`."""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shlex
 import signal
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated
@@ -12,11 +15,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hypose.app.commands.console import Stages, note, say
-from hypose.app.commands.options import HEIGHT, Seconds, Seed, Threads, number
+from hypose.app.commands.options import HEIGHT, MOST_FRAMES, Seconds, Seed, Threads, number
 from hypose.errors import InputError
 
 if TYPE_CHECKING:
     from hypose.app.jobs.job import Job, Outcome
+    from hypose.io.recordings.recording import Recording
+    from hypose.pipeline.subject_from_motion import SubjectEstimate
+    from hypose.pipeline.verdict import Verdict
 
 
 def track(
@@ -66,6 +72,7 @@ def track(
     ] = None,
     formats: Annotated[str, typer.Option(help="Motion files to write.")] = "trc,c3d,bvh,glb,csv,mot,osim",
     no_overlay: Annotated[bool, typer.Option("--no-overlay", help="Do not write overlay.mp4.")] = False,
+    no_report: Annotated[bool, typer.Option("--no-report", help="Do not write report.html.")] = False,
     resume: Annotated[bool, typer.Option("--resume", help="Go on where an interrupted run stopped.")] = False,
     threads: Threads = None,
     calibration: Annotated[
@@ -91,7 +98,7 @@ def track(
     from hypose.app.jobs.job import Job, choose_frames, people_results
     from hypose.io.motions.results import ResultsFolder
     from hypose.io.recordings.recording import load_recording
-    from hypose.pipeline.pictures import one_view
+    from hypose.pipeline.one_camera import one_view
     from hypose.pipeline.run import TrackOptions
 
     loaded = choose_frames(load_recording(recording, calibration), frames)
@@ -120,6 +127,7 @@ def track(
         results,
         formats=split_names(formats),
         overlay=not no_overlay,
+        report=not no_report,
         resume=resume,
         run={"threads": threads},
         people=people,
@@ -138,7 +146,7 @@ def demo(
     set_threads(threads)
     from hypose.app.jobs.job import Job
     from hypose.app.jobs.truth import compare_with
-    from hypose.io.claims import claimed
+    from hypose.io.files import claimed
     from hypose.io.motions.results import ResultsFolder
     from hypose.io.recordings.recording import load_recording
     from hypose.pipeline.run import TrackOptions
@@ -161,31 +169,39 @@ def run_shown(job: Job, arguments: list[str]) -> tuple[Outcome, dict[str, float]
     """Run a job with progress; when it is interrupted, say what was kept and how to go on, and exit with code 130."""
     from hypose.app.jobs.job import run_job
     from hypose.app.jobs.people_job import run_people
-    from hypose.io.claims import claimed
+    from hypose.io.files import claimed
 
-    previous = signal.signal(signal.SIGTERM, _interrupt)
-    try:
-        with claimed(job.results.path), Stages() as progress:
-            if job.people is not None:
-                outcome = run_people(job, job.people, progress)
-            else:
-                outcome = run_job(job, progress, progress.seconds)
-    except KeyboardInterrupt:
-        _stopped(job, arguments)
-        raise typer.Exit(130) from None
-    finally:
-        signal.signal(signal.SIGTERM, previous)
-    if not outcome.complete:
-        _stopped(job, arguments)
-        raise typer.Exit(130)
+    with stopping(lambda: _kept(job, arguments)), claimed(job.results.path), Stages() as progress:
+        if job.people is not None:
+            outcome = run_people(job, job.people, progress)
+        else:
+            outcome = run_job(job, progress, progress.seconds)
+        if not outcome.complete:
+            raise KeyboardInterrupt
     return outcome, progress.seconds
 
 
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
+@contextlib.contextmanager
+def stopping(text: str | Callable[[], str] = "") -> Iterator[None]:
+    """Within the block Ctrl-C, and SIGTERM likewise, end the command in order, with exit code 130; text: what is said
+    then."""
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    previous = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    except KeyboardInterrupt:
+        if text:
+            say(text if isinstance(text, str) else text())
+        raise typer.Exit(130) from None
+    finally:
+        signal.signal(signal.SIGTERM, previous)
 
 
-def _stopped(job: Job, arguments: list[str]) -> None:
+def _kept(job: Job, arguments: list[str]) -> str:
+    """What an interrupted run has kept, and how to go on."""
     from hypose.io.motions.results import load_motion
 
     results, total = job.results, len(job.recording.frames)
@@ -193,17 +209,15 @@ def _stopped(job: Job, arguments: list[str]) -> None:
     command = f"hypose {shlex.join([*again, '--resume'])}" if again[:1] == ["track"] else "the same command"
     if results.checkpoint.exists():
         done = f"{len(load_motion(results.motion))} of {total} frames" if results.motion.exists() else "tracked frames"
-        say(f"Stopped. Kept: {done} in {results.motion}, and the state of the tracker. Go on with: {command}")
-    elif results.motion.exists():
-        say(f"Stopped. The motion is complete in {results.motion}. Write the other files with: {command}")
-    else:
-        say(f"Stopped before the first frame was tracked, so nothing was kept. Start again with: {command}")
+        return f"Stopped. Kept: {done} in {results.motion}, and the state of the tracker. Go on with: {command}"
+    if results.motion.exists():
+        return f"Stopped. The motion is complete in {results.motion}. Write the other files with: {command}"
+    return f"Stopped before the first frame was tracked, so nothing was kept. Start again with: {command}"
 
 
 def report_outcome(job: Job, finished: tuple[Outcome, dict[str, float]]) -> None:
     """The closing lines."""
     from hypose.app.reports.summary import require_found, summarize
-    from hypose.pipeline.verdict import EXIT_UNTRUSTED, UNTRUSTED
 
     outcome, seconds = finished
     s = summarize(outcome.motion)
@@ -222,12 +236,21 @@ def report_outcome(job: Job, finished: tuple[Outcome, dict[str, float]]) -> None
     if outcome.truth is not None:
         say(f"Mean joint error: {outcome.truth.mean_mm:.1f} mm over {len(outcome.truth.names)} joints", "bold")
     say(f"Results: {job.results.path}")
-    say(f"Report:  {job.results.file('report.html')}")
+    if job.report:
+        say(f"Report:  {job.results.file('report.html')}")
     require_found(outcome.motion, job.recording.name, job.results.path)
     if outcome.verdict is not None:
-        say(f"Verdict: {outcome.verdict.sentence}", "bold")
-        if outcome.verdict.word == UNTRUSTED:
-            raise typer.Exit(EXIT_UNTRUSTED)
+        tell_verdicts({"": outcome.verdict})
+
+
+def tell_verdicts(verdicts: Mapping[str, Verdict]) -> None:
+    """The verdict on everybody by their names (none of one person); exit code 3 when one is not to be trusted."""
+    from hypose.pipeline.verdict import EXIT_UNTRUSTED, UNTRUSTED
+
+    for name, verdict in verdicts.items():
+        say(f"Verdict{' on ' if name else ''}{name}: {verdict.sentence}", "bold")
+    if any(verdict.word == UNTRUSTED for verdict in verdicts.values()):
+        raise typer.Exit(EXIT_UNTRUSTED)
 
 
 def split_names(text: str) -> tuple[str, ...]:
@@ -247,3 +270,188 @@ def set_threads(count: int | None) -> None:
     import cv2
 
     cv2.setNumThreads(count)
+
+
+def correct(
+    results: Annotated[Path, typer.Argument(help="Results folder of hypose track.")],
+    clicks: Annotated[Path, typer.Argument(help="The corrected pose: starts/NAME.json, saved in hypose view.")],
+    until: Annotated[
+        int | None, number("Track again up to this frame of the recording. [default: to the end]", 1, MOST_FRAMES)
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Results folder. [default: RESULTS-corrected]")] = None,
+    formats: Annotated[str, typer.Option(help="Motion files to write.")] = "trc,c3d,bvh,glb,csv,mot",
+    threads: Threads = None,
+) -> None:
+    """Track a result again from a frame whose pose was corrected; the frames before stay as they are."""
+    set_threads(threads)
+    from hypose.app.jobs.correct import correct as track_again
+    from hypose.app.jobs.correct import read_correction
+    from hypose.app.reports.summary import require_found
+    from hypose.app.studio.view_result import find_recording
+    from hypose.io.files import claimed
+    from hypose.io.motions.results import ResultsFolder
+
+    recording = find_recording(results)
+    if recording is None:
+        raise InputError(f"{results} lies in no recording; give the results folder inside the recording's folder.")
+    folder = ResultsFolder(out or results.with_name(f"{results.name}-corrected"))
+    correction = read_correction(clicks)
+    with claimed(folder.path), Stages() as progress:
+        names = tuple(split_names(formats))
+        motion = track_again(
+            recording, ResultsFolder(results), correction, folder, until=until, formats=names, progress=progress
+        )
+    say(f"Frames {correction.frame} and after tracked again, {int(motion.lost.sum())} of {len(motion)} frames lost.")
+    say(f"Results: {folder.path}")
+    require_found(motion, recording.name, folder.path)
+
+
+def warm_up(threads: Threads = None) -> None:
+    """Compile what tracking, fusing and live need, so that the first run of each begins at once; once per machine, and
+    again after an update. Ends with a third of a second of a made-up person tracked, report and all."""
+    set_threads(threads)
+    from hypose import compute
+    from hypose.app.jobs.job import Job, run_job
+    from hypose.fusion.live import LiveFuser
+    from hypose.io.motions.results import ResultsFolder
+    from hypose.io.recordings.recording import load_recording
+    from hypose.pipeline.run import TrackOptions
+    from hypose.synthetic.scenes import make_scene
+    from hypose.synthetic.write_recording import write_scene
+
+    folder, parts = compute.cache_folder(), (*compute.FOLLOWING, "monocular", "depth")
+    if folder is None:
+        raise InputError(f"There is no place for what is compiled; name a folder with {compute.VARIABLE}.")
+    before = compute.kept(*parts)
+    with tempfile.TemporaryDirectory(prefix="hypose-warm-up-") as temporary, Stages() as progress:
+        progress("compile", 0, 1)
+        compute.warm_up(*parts, load=False)
+        LiveFuser()
+        progress("compile", 1, 1)
+        scene, place = make_scene("walk", rig="humaneva-4", seconds=0.32, seed=1), Path(temporary)
+        write_scene(scene, place, progress=lambda done, total: progress("render", done, total))
+        run_job(Job(load_recording(place), TrackOptions(), ResultsFolder(place / "results")), progress)
+    if not compute.kept(*parts):
+        raise InputError(
+            f"What was compiled could not all be kept in {folder}; make space there, see that it can be written, or "
+            f"name another folder with {compute.VARIABLE}, and run this again."
+        )
+    say("All of it had been compiled." if before else f"Compiled; kept in {folder}")
+
+
+def subject(
+    recording: Annotated[
+        Path | None, typer.Argument(help="Folder with recording.toml, that file, or a Pose2Sim project.")
+    ] = None,
+    mesh: Annotated[
+        Path | None, typer.Option(help="A scan of the person instead of a recording: obj, ply, stl, off, glb or npz.")
+    ] = None,
+    unit: Annotated[str, typer.Option(help="The scan's unit: m, cm, mm or in.")] = "m",
+    height: Annotated[
+        float | None, number("The person's height in metres, when known.", 0.5, 2.5, unit="metres")
+    ] = None,
+    mass: Annotated[
+        float | None, number("The person's mass in kilograms, when known.", 8, 350, unit="kilograms")
+    ] = None,
+    start: Annotated[
+        str, typer.Option(help="The first frame's pose: hull (find out), a, t, standing, hands-up.")
+    ] = "hull",
+    frames: Annotated[str | None, typer.Option(help="first:stop, counted from 0. [default: all]")] = None,
+    poses: Annotated[int, number("How many different poses are fitted.", 1, 60)] = 10,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder to write. [default: subject in the recording's folder]")
+    ] = None,
+    seed: Seed = 0,
+    threads: Threads = None,
+) -> None:
+    """Measure a person: lengths, girths and a body for `hypose track --subject`, from silhouettes or from a scan."""
+    set_threads(threads)
+    if (recording is None) == (mesh is None):
+        raise InputError("Give either a recording's folder or --mesh with a scan.")
+    if mesh is not None:
+        _from_mesh(mesh, unit, height, out or mesh.with_name("subject"))
+        return
+    assert recording is not None
+    from hypose.app.jobs.job import choose_frames
+    from hypose.body.ready_bodies import human
+    from hypose.io.files import claimed
+    from hypose.io.recordings.frames import FrameStream
+    from hypose.io.recordings.recording import load_recording
+    from hypose.pipeline.run import check_views
+    from hypose.pipeline.subject_from_motion import AnthropometryOptions, estimate_subject, save_subject
+    from hypose.tracking.starts import KNOWN_POSES
+
+    if start != "hull" and start not in KNOWN_POSES:
+        raise InputError(f"There is no start {start!r}; the starts are hull, {', '.join(KNOWN_POSES)}.")
+    loaded = choose_frames(load_recording(recording), frames)
+    check_views(loaded)
+    options = AnthropometryOptions(
+        frames=poses,
+        tracked=max(36, 3 * poses),
+        height=height if height is not None else loaded.subject_height,
+        mass=mass if mass is not None else loaded.subject_mass,
+        poses=KNOWN_POSES if start == "hull" else (start,),
+        seed=seed,
+    )
+    folder = out or loaded.folder / "subject"
+    with claimed(folder), Stages() as progress:
+        progress("background", 0, 1)
+        with FrameStream(loaded) as source:
+            progress("background", 1, 1)
+            found = estimate_subject(
+                source.frame,
+                len(source),
+                loaded.frame_rate,
+                human(),
+                options,
+                progress=lambda done, total: progress("subject", done, total),
+            )
+            body, toml = save_subject(folder, found, human(), loaded.name)
+            picture = _picture(folder / "subject.png", loaded, source, found)
+    for text in (*loaded.notes, *source.notes, *found.notes):
+        note(f"note: {text}")
+    sizes = found.sizes.in_cm
+    say(f"Stature {sizes['stature']:.1f} cm, shoulder height {sizes['shoulder height']:.1f} cm; all sizes: {toml}")
+    say(f"Picture: {picture}")
+    say(f"Track with: hypose track {recording} --subject {body.parent}")
+
+
+def _from_mesh(mesh: Path, unit: str, height: float | None, folder: Path) -> None:
+    from hypose.io.files import claimed
+    from hypose.pipeline.mesh_subject import subject_from_mesh
+
+    with claimed(folder):
+        made = subject_from_mesh(mesh, folder, unit=unit, height=height)
+    for text in made.notes:
+        note(f"note: {text}")
+    say(f"Body: {folder / 'body.npz'}")
+
+
+def _picture(path: Path, recording: Recording, source: object, found: SubjectEstimate) -> Path:
+    """Two fitted frames, each above with the template as tracked and below with the fitted body, in every view."""
+    import numpy as np
+
+    from hypose.app.jobs.checking import write_image
+    from hypose.app.reports.result_pictures import Drawing, draw_all, layout, open_images
+    from hypose.io.recordings.frames import FrameStream
+
+    assert isinstance(source, FrameStream)
+    images = open_images(recording)
+    plan = layout([v.size for v in images])
+    rows = []
+    for k in sorted({0, len(found.frames) // 2}):
+        frame = source.frame(found.frames[k])
+        number = recording.frames[found.frames[k]]
+        pictures = [v.read(number) for v in images]
+        for body, poses, iou, what in (
+            (found.template, found.template_poses, found.iou_before, "before"),
+            (found.body, found.poses, found.iou, "after"),
+        ):
+            title = f"frame {number}, {what}: mean IoU {float(np.nanmean(iou[k])):.3f}"
+            drawing = Drawing(body.skin(poses[k], body.fine), body.joints(poses[k]), frame.silhouettes, title)
+            rows.append(draw_all(pictures, recording, plan, body, drawing))
+    for v in images:
+        v.close()
+    sheet = np.concatenate(rows)
+    write_image(path, sheet)
+    return path

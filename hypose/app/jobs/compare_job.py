@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import csv
 import html
+import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from hypose import __version__
-from hypose.app.reports.check_page import STYLE
-from hypose.app.reports.plots import svg
+from hypose.app.reports.charts import RIGHT, Axes, chart, over_known
+from hypose.app.reports.summary import page
 from hypose.errors import InputError
 from hypose.io.files import write_text
 from hypose.io.motions.compared_files import read_other
@@ -31,16 +32,6 @@ class Compared:
     found: Comparison
 
 
-@dataclass(frozen=True)
-class Limits:
-    """What a comparison may not exceed; None = no limit. mm: RMSE of all joints without offsets; degrees: the largest
-    RMSE of an angle without its offset; coverage: least share inside our 90 % regions, mean over the joints."""
-
-    mm: float | None = None
-    degrees: float | None = None
-    coverage: float | None = None
-
-
 def compare_files(
     pairs: Sequence[tuple[Path, Path]],
     options: CompareOptions,
@@ -51,24 +42,26 @@ def compare_files(
     return [Compared(a, b, compare_motions(load_result(a), read_other(b, joints, subject), options)) for a, b in pairs]
 
 
-def exceeded(compared: Sequence[Compared], limits: Limits) -> list[str]:
-    """A sentence for every limit that a comparison exceeds."""
+def exceeded(
+    compared: Sequence[Compared], mm: float | None, degrees: float | None, coverage: float | None
+) -> list[str]:
+    """A sentence for every limit that a comparison exceeds; None = no limit. mm: RMSE of all joints without offsets;
+    degrees: the largest RMSE of an angle without its offset; coverage: least share inside our 90 % regions, mean over
+    the joints."""
     out = []
     for c in compared:
         rmse = c.found.left_mm[2]
-        if limits.mm is not None and not rmse <= limits.mm:
-            out.append(f"{c.other}: the joints' RMSE is {rmse:.1f} mm, at most {limits.mm:g} is allowed.")
+        if mm is not None and not rmse <= mm:
+            out.append(f"{c.other}: the joints' RMSE is {rmse:.1f} mm, at most {mm:g} is allowed.")
         worst = max((a for a in c.found.angles if a.unit == "deg" and a.n), key=lambda a: a.rmse_left, default=None)
-        if limits.degrees is not None and (worst is None or worst.rmse_left > limits.degrees):
+        if degrees is not None and (worst is None or worst.rmse_left > degrees):
             said = (
                 "there are no angles" if worst is None else f"{worst.name} has an RMSE of {worst.rmse_left:.1f} degrees"
             )
-            out.append(f"{c.other}: {said}, at most {limits.degrees:g} are allowed.")
+            out.append(f"{c.other}: {said}, at most {degrees:g} are allowed.")
         share = mean_coverage(c.found)
-        if limits.coverage is not None and not share >= limits.coverage:
-            out.append(
-                f"{c.other}: {100 * share:.0f} % lie in our 90 % regions, {100 * limits.coverage:.0f} % are needed."
-            )
+        if coverage is not None and not share >= coverage:
+            out.append(f"{c.other}: {100 * share:.0f} % lie in our 90 % regions, {100 * coverage:.0f} % are needed.")
     return out
 
 
@@ -101,27 +94,23 @@ def write_csv(path: Path, compared: Sequence[Compared]) -> None:
     header = ["result", "other", "name", "unit", "frames", "median", "p95", "rmse", "offset", "median_left", "p95_left"]
     header += ["rmse_left", *(f"{k}_{a}" for k in ("bias", "low", "high", "r") for a in _AXES)]
     header += [f"covered_{100 * level:g}" for level in LEVELS]
-    rows = [",".join(header)]
+    table = io.StringIO()
+    rows = csv.writer(table, lineterminator="\n")
+    rows.writerow(header)
     for c in compared:
         for a in (*c.found.joints, *c.found.angles):
-            cells = [_quoted(str(c.result)), _quoted(str(c.other)), a.name, a.unit, str(a.n)]
             numbers = [a.median, a.p95, a.rmse, a.offset, a.median_left, a.p95_left, a.rmse_left]
             for values in (a.bias, a.low, a.high, a.r):
                 numbers += [*values.tolist(), *[float("nan")] * (3 - len(values))]
-            cells += ["" if not np.isfinite(v) else f"{v:.5f}" for v in (*numbers, *a.covered)]
-            rows.append(",".join(cells))
-    write_text(path, "\n".join(rows) + "\n")
-
-
-def _quoted(text: str) -> str:
-    return '"' + text.replace('"', '""') + '"' if any(c in text for c in ',"\n\r') else text
+            known = ["" if not np.isfinite(v) else f"{v:.5f}" for v in (*numbers, *a.covered)]
+            rows.writerow([c.result, c.other, a.name, a.unit, a.n, *known])
+    write_text(path, table.getvalue())
 
 
 def write_page(path: Path, compared: Sequence[Compared], failed: Sequence[str]) -> None:
     """One file that opens from disk and loads nothing."""
     e = html.escape
     parts = [
-        f"<!doctype html><html lang='en'><meta charset='utf-8'><title>Comparison</title><style>{STYLE}</style>",
         "<h1>Comparison</h1>",
         *(f'<p class="bad">{e(f)}</p>' for f in failed),
     ]
@@ -136,7 +125,7 @@ def write_page(path: Path, compared: Sequence[Compared], failed: Sequence[str]) 
                 f"<p>Joints, constant offsets aside: median {median:.1f} mm, 95 % within {p95:.1f} mm, RMSE {rmse:.1f} "
                 f"mm.{inside} Offset in time: {f.offset:+.3f} s.</p>"
             )
-            parts += [_table(f.joints), svg(lambda figure, f=f: _draw(figure, f), (10.4, 2.8))]
+            parts += [_table(f.joints), _errors(f)]
         if f.angles:
             parts += ["<h3>Angles</h3>", _table(f.angles)]
         if f.notes:
@@ -146,9 +135,9 @@ def write_page(path: Path, compared: Sequence[Compared], failed: Sequence[str]) 
         "difference), as it is and without the constant offset of each joint in its segment, by which two programs "
         "define a joint differently. Bias and limits of agreement (mean &plusmn; 1.96 standard deviations, Bland and "
         "Altman 1986) of other minus ours, per axis. r: Pearson's correlation. Inside 90 %: share of frames in which "
-        f"the other lies in our 90 % region.</p><p class='dim'>hypose {__version__}</p></html>"
+        f"the other lies in our 90 % region.</p><p class='dim'>hypose {__version__}</p>"
     )
-    write_text(path, "\n".join(parts))
+    write_text(path, page("Comparison", "\n".join(parts)))
 
 
 def _table(rows: Sequence[Agreement]) -> str:
@@ -170,17 +159,8 @@ def _number(value: float) -> str:
     return "-" if not np.isfinite(value) else f"{value:.1f}"
 
 
-def _draw(figure: Figure, found: Comparison) -> None:
-    axes = figure.subplots()
-    with np.errstate(all="ignore"):
-        seen = np.isfinite(found.errors).any(1)
-        middle = np.full(len(found.times), np.nan)
-        middle[seen] = np.nanmedian(found.errors[seen], 1)
-        worst = np.full(len(found.times), np.nan)
-        worst[seen] = np.nanmax(found.errors[seen], 1)
-    axes.plot(found.times, worst, lw=0.8, color="#bbbbbb", label="worst joint")
-    axes.plot(found.times, middle, color="#1f5fa8", label="median joint")
-    axes.set_ylim(bottom=0)
-    axes.set_ylabel("distance (mm)")
-    axes.set_xlabel("time (s)")
-    axes.legend()
+def _errors(found: Comparison) -> str:
+    axes = Axes(x="time (s)", y="distance (mm)", low=0)
+    for of, colour, label in ((np.nanmax, "#999999", "worst joint"), (np.nanmedian, RIGHT, "median joint")):
+        axes.line(found.times, over_known(of, found.errors), colour, label)
+    return chart([[axes]], 270)

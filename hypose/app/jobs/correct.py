@@ -7,6 +7,7 @@ from the corrected pose; all other frames are those of the old one.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -14,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from hypose import compute
 from hypose.app.commands.console import ProgressCall, ignore
+from hypose.app.jobs.job import compile_before
 from hypose.app.studio.view_result import load_view
 from hypose.body.body import Body
 from hypose.body.motion import Motion
@@ -23,14 +24,13 @@ from hypose.errors import InputError
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array
 from hypose.io.files import check_writable, read_json
-from hypose.io.motions.bodies import load_body, save_body
 from hypose.io.motions.export import export_motion, known_formats
-from hypose.io.motions.results import ResultsFolder, load_motion, save_motion
+from hypose.io.motions.results import ResultsFolder, load_body, load_motion, save_body, save_motion
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording
 from hypose.pipeline.first_frame import GIVEN, Subject, SubjectOptions, find_subject
+from hypose.pipeline.one_camera import FrameSource
 from hypose.pipeline.people_points import per_frame
-from hypose.pipeline.pictures import FrameSource
 from hypose.pipeline.run import TrackOptions, frames_wanted, track_source
 
 _READ_AT_ONCE = 64
@@ -51,19 +51,18 @@ class Correction:
 
 
 def read_correction(path: Path) -> Correction:
-    """The clicks of a frame with their pose, as the studio saves them (starts/NAME.json)."""
-    try:
+    """Read the clicks of a frame with their pose, as the studio saves them (starts/NAME.json)."""
+    usable, pose, frames = False, np.zeros(0), list[Any]([None])
+    with contextlib.suppress(ValueError, TypeError, KeyError):
         value = read_json(path, "saved clicks")
-        form, frame, pose = value["format"], value["frame"], np.array(value["pose"], dtype=np.float64)
-    except (ValueError, TypeError, KeyError):
-        value, form, frame, pose = {}, None, -1, np.zeros(0)
-    counted = _is_frame(frame)
-    if form != "hypose-clicks" or not counted or pose.ndim != 1 or not np.isfinite(pose).all():
+        pose = np.array(value["pose"], dtype=np.float64)
+        frames = [value["frame"], value.get("since"), value.get("until")]
+        usable = value["format"] == "hypose-clicks" and pose.ndim == 1 and bool(np.isfinite(pose).all())
+    if not usable or not _is_frame(frames[0]):
         raise InputError(f"{path} holds no clicked pose; correct a frame in `hypose view` and save it there.")
-    ends = [value.get(name) for name in ("since", "until")]
-    if not all(end is None or _is_frame(end) for end in ends):
+    if not all(end is None or _is_frame(end) for end in frames[1:]):
         raise InputError(f"The frames since and until in {path} must be whole numbers; correct the frame again.")
-    return Correction(int(frame), pose, path.stem, *ends)
+    return Correction(frames[0], pose, path.stem, *frames[1:])
 
 
 def _is_frame(value: Any) -> bool:
@@ -92,26 +91,24 @@ def correct(
         raise InputError("The corrected motion needs a folder of its own; choose another with --out.")
     known_formats(formats)
     check_writable(out.path)
-    progress("compile", 0, 1)
-    compute.warm_up(load=False)
-    progress("compile", 1, 1)
+    compile_before(progress)
     record: dict[str, Any] = {"frame": correction.frame, "until": first + stop}
     record |= {"clicks": correction.name, "of": old.path.name}
     # who has corrected the frame has also said where left and right are
     sure, joined = replace(options, sure_start=True), motion
+
+    def tracked(frames: range, turned: bool) -> Motion:
+        part = replace(recording, frame_range=(frames.start, frames.stop))
+        with FrameStream(part, frames_wanted(part, options)) as stream:
+            source = Backwards(stream) if turned else stream
+            subject = _subject(source, part, options, body, correction.pose)
+            found = track_source(source, motion.frame_rate, sure, subject=subject, progress=progress).motion
+        return backwards(found) if turned else found
+
     if start < row:
         record["since"] = first + start
-        part = replace(recording, frame_range=(first + start, first + row + 1))
-        with FrameStream(part, frames_wanted(part, options)) as stream:
-            turned = Backwards(stream)
-            subject = _subject(turned, part, options, body, correction.pose)
-            tracked = track_source(turned, motion.frame_rate, sure, subject=subject, progress=progress)
-        joined = join(joined, backwards(tracked.motion), start, None)
-    part = replace(recording, frame_range=(first + row, first + stop))
-    with FrameStream(part, frames_wanted(part, options)) as stream:
-        subject = _subject(stream, part, options, body, correction.pose)
-        tracked = track_source(stream, motion.frame_rate, sure, subject=subject, progress=progress)
-    joined = join(joined, tracked.motion, row, record)
+        joined = join(joined, tracked(range(first + start, first + row + 1), True), start, None)
+    joined = join(joined, tracked(range(first + row, first + stop), False), row, record)
     save_body(body, out.file("body.npz"))
     save_motion(joined, out.motion)
     out.write_json("provenance.json", joined.provenance)
@@ -119,9 +116,9 @@ def correct(
     export_motion(joined, body, out.path, formats)
     progress("export", 1, 1)
     progress("report", 0, 1)
-    from hypose.app.reports.report import from_result, write_report  # draws with matplotlib, which readers do without
+    from hypose.app.reports.report import write_report
 
-    write_report(out.file("report.html"), from_result(load_view(out.path, recording), recording))
+    write_report(out.file("report.html"), load_view(out.path, recording), recording)
     progress("report", 1, 1)
     return joined
 
@@ -152,40 +149,31 @@ def backwards(motion: Motion) -> Motion:
     return replace(motion, **per_frame(motion, np.arange(len(motion))[::-1]) | {"times": motion.times})
 
 
+_UNKNOWN = {
+    **dict.fromkeys(("poses", "joints", "joint_covariance", "lost", "extrapolated", "n_views", "cost"), np.nan),
+    **{"doubtful": False, "doubtful_joints": False, "p_wrong": np.nan, "angle_sd": np.nan},
+    **{"systematic_covariance": 0.0, "rivals": np.nan, "rival_weights": 0},
+}
+"""What a motion has of each frame, and what stands there where a part does not tell."""
+
+
 def join(old: Motion, new: Motion, row: int, record: Mapping[str, Any] | None) -> Motion:
     """The motion `old` with the rows from `row` on replaced by those of `new`, and `record` among its corrections."""
-    series = {}
-    for name in ("poses", "joints", "joint_covariance", "lost", "extrapolated", "n_views", "cost"):
-        values = getattr(old, name).copy()
-        values[row : row + len(new)] = getattr(new, name)
-        series[name] = values
-    if old.doubtful is not None or new.doubtful is not None:
-        series["doubtful"] = _marks(old)
-        series["doubtful"][row : row + len(new)] = _marks(new)
-    for name in ("rivals", "rival_weights"):
+    series, stop = {}, row + len(new)
+    if old.doubtful is None and new.doubtful is not None:
+        old = replace(old, doubtful=np.zeros(len(old), dtype=bool))
+    for name, unknown in _UNKNOWN.items():
         before, after = getattr(old, name), getattr(new, name)
         if before is not None:
             series[name] = before.copy()
-            nothing = np.full_like(before[row : row + len(new)], np.nan if name == "rivals" else 0)
-            fits = after is not None and after.shape == nothing.shape
-            series[name][row : row + len(new)] = after if fits else nothing
-    unknown_by_name = {"p_wrong": np.nan, "doubtful_joints": False, "angle_sd": np.nan, "systematic_covariance": 0.0}
-    for name, unknown in unknown_by_name.items():
-        before, after = getattr(old, name), getattr(new, name)
-        if before is not None:
-            series[name] = before.copy()
-            series[name][row : row + len(new)] = unknown if after is None else after
+            told = after is not None and after.shape == before[row:stop].shape
+            series[name][row:stop] = after if told else unknown
     if row:  # one branch of the root's rotation, so that nothing between the two parts turns around
         poses = series["poses"]
-        for t in range(row, row + len(new)):
+        for t in range(row, stop):
             poses[t] = old.skeleton.on_branch(poses[t], poses[t - 1])
     corrections = [*old.provenance.get("corrections", []), *([] if record is None else [dict(record)])]
     return replace(old, **series, provenance={**old.provenance, "corrections": corrections})
-
-
-def _marks(motion: Motion) -> np.ndarray:
-    """(T,) which frames are doubtful; a copy."""
-    return np.zeros(len(motion), dtype=bool) if motion.doubtful is None else motion.doubtful.copy()
 
 
 def _options(motion: Motion, old: ResultsFolder) -> tuple[TrackOptions, int]:

@@ -9,17 +9,16 @@ from __future__ import annotations
 import math
 import struct
 import threading
-from collections import OrderedDict
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
-from itertools import pairwise
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.app.reports.result_pictures import Image, image_points, mask_outline
+from hypose.app.reports.result_pictures import Image, image_points, jpeg, mask_outline
+from hypose.app.studio.memory_cache import Kept
 from hypose.errors import InputError
 from hypose.geometry import Array
 from hypose.io.recordings.frames import FrameStream
@@ -33,7 +32,6 @@ _TRIAL = 10  # the frame at which jumps are tried
 _CACHE_BYTES = 16 << 20
 _PER_PIXEL, _PER_WORKING_PIXEL = 40, 60
 """Bytes that an open video holds per pixel of its frames, and a view's masks per pixel of the working size, about."""
-_QUALITY = 82
 
 
 class AnyFrame:
@@ -103,35 +101,33 @@ class ViewPictures:
         self._views = [AnyFrame(v) if v.source or v.masks else None for v in recording.views]
         self._stream: FrameStream | None = None
         self._lock, self._mask_lock = threading.Lock(), threading.Lock()
-        self._cache: OrderedDict[tuple[int, int], bytes] = OrderedDict()
-        self._cached = 0
+        self._kept: Kept[list[bytes]] = Kept(_CACHE_BYTES, lambda files: sum(map(len, files)), one_more=True)
 
     @property
     def held(self) -> int:
         """Bytes of memory that it holds, about."""
         rig = self._recording.rig
         working = 0 if self._stream is None else sum(math.prod(c.size) for c in self._stream.rig)
-        return self._cached + _PER_PIXEL * sum(math.prod(c.size) for c in rig) + _PER_WORKING_PIXEL * working
+        return self._kept.held + _PER_PIXEL * sum(math.prod(c.size) for c in rig) + _PER_WORKING_PIXEL * working
 
-    def row(self, row: int, width: int) -> bytes:
-        """JPEGs of all views at most `width` px wide: their number (uint32), the length of each (uint32, 0 = no
-        picture), then the files; little-endian."""
+    def files(self, row: int, width: int) -> list[bytes]:
+        """The JPEGs of all views at most `width` px wide, b"" where there is none."""
         self._check(row)
         if not 32 <= width <= 4096:
             raise InputError(f"Pictures cannot be {width} px wide; ask for 32 to 4096.")
-        with self._lock:
-            key = (row, width)
-            if key in self._cache:
-                self._cache.move_to_end(key)
-                return self._cache[key]
-            with ThreadPoolExecutor(len(self._views)) as pool:
-                files = list(pool.map(partial(self._jpeg, row=row, width=width), self._views))
-            data = struct.pack(f"<{1 + len(files)}I", len(files), *map(len, files)) + b"".join(files)
-            self._cache[key] = data
-            self._cached += len(data)
-            while self._cached > _CACHE_BYTES and len(self._cache) > 1:
-                self._cached -= len(self._cache.popitem(last=False)[1])
-            return data
+
+        def make() -> list[bytes]:
+            with self._lock, ThreadPoolExecutor(len(self._views)) as pool:
+                return list(pool.map(partial(self._jpeg, row=row, width=width), self._views))
+
+        with self._kept.use((row, width), make) as files:
+            return files
+
+    def row(self, row: int, width: int) -> bytes:
+        """The same in one: the number of JPEGs (uint32), the length of each (uint32, 0 = no picture), then the files;
+        little-endian."""
+        files = self.files(row, width)
+        return struct.pack(f"<{1 + len(files)}I", len(files), *map(len, files)) + b"".join(files)
 
     def seen(self, row: int, points: Array) -> tuple[Image, Array] | None:
         """The picture (BGR) of the first view that has one of `row`, and where points (N, 3) m of the world are in it,
@@ -143,13 +139,6 @@ class ViewPictures:
                 if image is not None:
                     return image, image_points(view, camera, points, (image.shape[1], image.shape[0]))
         return None
-
-    def files(self, row: int, width: int) -> list[bytes]:
-        """The JPEGs of `row`, one per view, b"" where there is none."""
-        data = self.row(row, width)
-        (count,) = struct.unpack_from("<I", data)
-        ends = (4 * (1 + count) + np.cumsum([0, *struct.unpack_from(f"<{count}I", data, 4)])).tolist()
-        return [data[a:b] for a, b in pairwise(ends)]
 
     def outlines(self, row: int) -> list[list[list[float]]]:
         """Edges of the masks that tracking uses: per view polygons [x0, y0, x1, y1, ...] in px of the calibrated
@@ -169,6 +158,7 @@ class ViewPictures:
 
     def close(self) -> None:
         """Release the files."""
+        self._kept.drop()
         with self._lock, self._mask_lock:
             for view in self._views:
                 if view is not None:
@@ -186,10 +176,7 @@ class ViewPictures:
             return b""
         if view.only_masks:
             image = (image // 3 + 40).astype(np.uint8)
-        h, w = image.shape[:2]
-        if w > width:
-            image = cv2.resize(image, (width, max(1, round(h * width / w))), interpolation=cv2.INTER_AREA)
-        return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()
+        return jpeg(image, width)
 
 
 def _pixels(line: NDArray[np.int32]) -> list[float]:

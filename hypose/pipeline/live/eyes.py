@@ -33,20 +33,14 @@ from hypose.evidence.shared_masks import BodyShape
 from hypose.evidence.silhouettes import Mask, SilhouetteSettings
 from hypose.geometry import Array
 from hypose.io.recordings.frames import working_rig
-from hypose.io.sensors.depth import DEPTH_PNG
-from hypose.io.sensors.depth_sources import open_depth_camera
+from hypose.io.sensors.depth import DEPTH_PNG, open_depth_camera
 from hypose.io.videos.camera_sources import CameraSource, Shot, open_camera
-from hypose.pipeline.live.child_processes import belong_to_parent, deaf_to_ctrl_c
-from hypose.pipeline.live.depth_room import DepthRoom
-from hypose.pipeline.live.feeds import Feed, FeedStatus
-from hypose.pipeline.live.pairing import newest_instant
-from hypose.pipeline.live.punctual import punctual
-from hypose.pipeline.live.view_room import ViewRoom
+from hypose.pipeline.live.feeds import Feed, FeedStatus, newest_instant
+from hypose.pipeline.live.processes import belong_to_parent, deaf_to_ctrl_c, punctual
+from hypose.pipeline.live.rooms import DepthRoom, ViewRoom
 
 ROOM_S, ROOM_PICTURES = 2.0, 12
 """s and pictures from which the empty room is learnt"""
-_MOVED, _MOVED_SHARE = 12.0, 0.01
-"""grey levels, and share of a picture, that change in an empty room where somebody has not left"""
 _OTHER_SHAPE = 0.01
 """share by which width over height may differ from the calibration's"""
 _DAMAGED = 5
@@ -307,7 +301,7 @@ class Eyes:
         moved = []
         for view, room, images in zip(self._views, self._rooms, self._pictures, strict=True):
             room.learn(images)
-            if room.moved if isinstance(room, DepthRoom) else _has_moved(room.background):
+            if room.moved:
                 moved.append(
                     f"{view.name} saw something move while the empty room was learnt; leave its view, and learn it "
                     "again."
@@ -337,10 +331,6 @@ def least_cameras(views: Sequence[LiveView]) -> int:
 def any_depth(views: Sequence[LiveView]) -> bool:
     """Whether one of them is a depth camera."""
     return any(v.depth for v in views)
-
-
-def _has_moved(room: BackgroundModel | None) -> bool:
-    return room is not None and float((room.sd.max(2) > _MOVED).mean()) > _MOVED_SHARE
 
 
 def _jpeg(shot: Shot) -> bytes | None:

@@ -1,13 +1,12 @@
 import "./live.css";
 import { Socket } from "../api";
 import { count } from "../counters";
-import type { OpenScreen } from "../screen";
+import type { OpenScreen } from "../router";
 import { h, setText } from "../ui/dom";
 import { shell } from "../ui/shell";
 import { toast } from "../ui/toast";
 import { camerasLive } from "./cameras";
-import { liveForm } from "./form";
-import { kinds } from "./kinds";
+import { kinds, liveForm } from "./form";
 import type { LiveMessage, Running, SensorStatus } from "./messages";
 import { People } from "./people";
 import { recorded } from "./recorded";
@@ -102,9 +101,9 @@ export const live: OpenScreen = (root, rest) => {
   };
 };
 
-function runningText({ udp, ws, simulated, osc, vmc, record }: Running): string {
+function runningText({ udp, ws, simulated, osc, record }: Running): string {
   const from = simulated ? "Simulated sensors send; others are awaited" : "Skeletons are awaited";
-  const more = [osc ? `What is fused goes to ${osc} by OSC.` : "", vmc ? `The avatar at ${vmc} moves along.` : "", record ? `Everything is recorded in ${record}.` : ""];
+  const more = [osc ? `What is fused goes to ${osc} by OSC.` : "", record ? `Everything is recorded in ${record}.` : ""];
   return [`${from} at UDP 127.0.0.1:${udp} and ws://127.0.0.1:${ws}/in.`, ...more].filter(Boolean).join(" ");
 }
 
