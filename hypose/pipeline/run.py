@@ -25,7 +25,7 @@ from hypose.pipeline.contradictions import against_the_clip
 from hypose.pipeline.doubts import with_doubts, with_repeated_points
 from hypose.pipeline.first_frame import SUBJECT, Subject, SubjectOptions, find_subject, keep_subject, kept_subject
 from hypose.pipeline.first_look import first_look, of_measured, places_refuted, sentences
-from hypose.pipeline.mend_sides import FrameRange, mend_sides, sides_notes
+from hypose.pipeline.mend_sides import look_back, look_back_notes, mend_sides, sides_notes
 from hypose.pipeline.moved_sensors import PlacedSource, Places, moved_sensors
 from hypose.pipeline.one_camera import (
     BESIDE_FRAME,
@@ -321,21 +321,24 @@ def finish(
     progress: Progress,
     faults: tuple[str, ...] = (),
     noticed: tuple[str, ...] = (),
+    shared: bool = False,
 ) -> TrackResult:
     """The motion of what was tracked, stretches with exchanged sides or lost arms mended, smoothed, judged and written.
-    faults, noticed: what the first look found."""
+    faults, noticed: what the first look found; shared: others are in the masks, who make starts unsure."""
     estimates, notes, recipe = done.estimates, subject.notes, tracker.recipe
 
-    def again(frames: range) -> Iterator[Frame]:
+    def seen(frames: range) -> Iterator[Frame]:
         return tracked_frames(source, frames, recipe.needs, subject)
 
-    seen: FrameRange = again
     if done.complete:
         progress("sides", 0, 1)
         estimates, exchanged = mend_sides(
             tracker, estimates, seen, sure_start=options.sure_start, memory=done.state.memory
         )
         notes = (*notes, *sides_notes(exchanged))
+        if shared and not options.sure_start:
+            estimates, anew = look_back(tracker, estimates, seen, memory=done.state.memory)
+            notes = (*notes, *look_back_notes(anew))
         progress("sides", 1, 1)
         if options.smooth and recipe.smooth is not None:
             estimates, moved = look_both_ways(

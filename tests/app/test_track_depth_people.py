@@ -100,20 +100,6 @@ def test_key_points_do_not_tell_people_before_depth_cameras_apart(hypose, two):
 
 
 @pytest.mark.slow
-def test_cameras_that_are_exchanged_are_told_and_make_nobody_of_two(hypose, tmp_path):
-    """Whether somebody else is there cannot be said before they stand where they are said to."""
-    subject = load_subjects()["neutral"]
-    bert, anna = (act("walk", subject, 0.4, 25.0, np.random.default_rng(3 + k)) for k in range(2))
-    bert, anna = standing_at(bert, (-0.9, 0.0)), standing_at(anna, (0.8, 0.4))
-    write_depth_scene(replace(depth_scene(bert, subject, "depth-2"), others=((subject, anna),)), tmp_path / "two")
-    swapped = [(f'camera = "depth{a}"', f'camera = "{b}"') for a, b in ((1, "x"), (2, "depth1"))]
-    swapped.append(('camera = "x"', 'camera = "depth2"'))
-    code, out, err = hypose("track", changed(tmp_path / "two", tmp_path, *swapped), "--out", tmp_path / "out", *LIGHT)
-    assert code == 3 and "do not see the person at one place" in out, out + err
-    assert "tracks everybody" not in out
-
-
-@pytest.mark.slow
 def test_a_depth_camera_that_measures_nothing_is_named_and_not_counted(hypose, tmp_path):
     subject = load_subjects()["neutral"]
     walk = act("walk", subject, 0.3, 25.0, np.random.default_rng(3))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -11,7 +9,7 @@ from hypose.compute.forest_votes import ScanPlan
 from hypose.errors import InputError
 from hypose.gestures import runtime
 from hypose.gestures.depth_pictures import Lens, millimetres
-from hypose.gestures.forest import Forest, ForestSettings
+from hypose.gestures.forest import ForestSettings
 from hypose.gestures.localise import LocaliseSettings, Scratch, localise
 from hypose.gestures.online import Learner
 
@@ -80,23 +78,6 @@ def test_every_gesture_of_one_against_all_is_found_alone(forest):
     both = localise(depth, LENS, [forest, forest])
     assert [f.gesture for f in both] == [1, 2]
     assert both[1].score == alone.score and both[1].x == alone.x
-
-
-def test_forests_that_share_the_walk_find_what_each_finds_alone(forest):
-    # other numbers of trees and nodes, another clipping distance
-    few = Forest(
-        replace(forest.settings, trees=2), *(a[:2] for a in (forest.test, forest.left, forest.seen, forest.size))
-    )
-    other = grown(60, 5, clip_mm=300, trees=7).freeze()
-    rng = np.random.default_rng(9)
-    for plan in (ScanPlan(), ScanPlan(coarse=0), THOROUGH):
-        settings = LocaliseSettings(plan)
-        depth = toy(rng, 1100)[0]
-        together = localise(depth, LENS, [few, forest, other], settings)
-        alone = [localise(depth, LENS, [f], settings)[0] for f in (few, forest, other)]
-        assert [(f.x, f.y, f.score) for f in together] == [(f.x, f.y, f.score) for f in alone]
-    with pytest.raises(InputError, match="too many"):
-        localise(depth, LENS, [forest] * 33)
 
 
 def test_metres_are_recognised():

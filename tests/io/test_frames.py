@@ -450,14 +450,6 @@ def test_a_fisheye_lens_is_straightened_without_coefficients_too(tmp_path):
     )
 
 
-def test_an_empty_room_of_another_mode_is_named(tmp_path):
-    toml = written(tmp_path)
-    for file in (tmp_path / "room").iterdir():
-        write_depth_png(file, seen_in_room(CAMERA, False)[::2, ::2])
-    with pytest.raises(InputError, match=r"View d: the empty room in .*room is 80 x 60 px"):
-        load_recording(toml)
-
-
 def test_a_map_of_another_size_is_named(tmp_path):
     toml = written(tmp_path)
     write_depth_png(tmp_path / "depth/003.png", seen_in_room(CAMERA)[::2, ::2])

@@ -278,15 +278,3 @@ def test_a_motion_without_frames_is_refused(tmp_path, small_motion, small_body):
     )
     with pytest.raises(InputError, match="no frames"):
         export_motion(empty, small_body, tmp_path, ["trc"])
-
-
-def test_a_single_frame_can_be_exported(tmp_path, small_motion, small_body):
-    one = replace(
-        small_motion,
-        **{
-            k: getattr(small_motion, k)[:1]
-            for k in ("times", "joints", "poses", "joint_covariance", "lost", "extrapolated", "n_views", "cost")
-        },
-    )
-    assert len(export_motion(one, small_body, tmp_path)) == 10
-    assert read_trc(tmp_path / "motion.trc").points.shape == (1, 19, 3)

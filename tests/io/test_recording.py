@@ -669,21 +669,3 @@ def test_without_videos(tmp_path):
     (folder / "Config.toml").write_text("")
     with pytest.raises(InputError, match=r"key points carry no frame rate"):
         load_recording(folder)
-
-
-def test_pairing_by_order_is_stated(tmp_path):
-    folder = make_project(tmp_path / "a")
-    for old, new in (("cam01_json", "left"), ("cam02_json", "right")):
-        (folder / "pose" / old).rename(folder / "pose" / new)
-    recording = load_recording(folder)
-    assert [v.keypoints.name for v in recording.views] == ["left", "right"]
-    assert any("paired in their order (left with cam01, ...)" in n for n in recording.notes)
-
-
-def test_missing_keypoints_of_one_view_are_stated(tmp_path):
-    folder = make_project(tmp_path / "a")
-    for path in (folder / "pose" / "cam02_json").iterdir():
-        path.unlink()
-    recording = load_recording(folder)
-    assert recording.views[1].keypoints is None
-    assert any(n.startswith("No key points for cam02") for n in recording.notes)

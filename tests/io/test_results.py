@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hypose.body.motion import Modes, Motion, joined_modes
+from hypose.body.motion import Modes, Motion
 from hypose.body.ready_bodies import human
 from hypose.errors import InputError
 from hypose.io.files import atomic_path, check_writable
@@ -452,20 +452,6 @@ def test_joints_and_weights_must_belong_together(tmp_path) -> None:
     np.savez(tmp_path / "modes.npz", joints=np.zeros((4, 2, 3, 3)), weights=np.zeros((4, 3)))
     with pytest.raises(InputError, match="do not belong together"):
         load_joints_of_modes(tmp_path / "modes.npz")
-
-
-def test_frames_with_fewer_modes_are_padded() -> None:
-    both = joined_modes([some(2, 1), some(3, 4, seed=1)])
-    assert both.poses.shape[:2] == (5, 4)
-    assert np.isnan(both.joints[:2, 1:]).all()
-    assert np.isfinite(both.joints[2:]).all()
-    assert both.alive.tolist() == [1, 1, 4, 4, 4]
-
-
-def test_shapes_must_agree() -> None:
-    a = some(2, 2)
-    with pytest.raises(InputError, match=r"Modes.weights has shape \(2, 3\)"):
-        Modes(a.poses, a.joints, np.ones((2, 3)), a.costs, a.covariances, a.joint_covariance, a.depth_sd, a.alive)
 
 
 @pytest.mark.parametrize("content", [b"", b"no archive", None])

@@ -474,17 +474,6 @@ def test_units_and_ways_to_say_missing():
     assert line.state.tolist() == [2, 0, 0, 0] and np.isnan(line.positions[1:]).all()
 
 
-@pytest.mark.parametrize(("unit", "scale"), [("m", 1.0), ("mm", 0.001)])
-def test_whole_lines_and_lines_with_gaps_give_the_same(rng, unit, scale):
-    cells = {n: [*(rng.integers(-99, 99, 3).tolist()), int(rng.integers(1, 3))] for n in JOINTS_LINES}
-    line = {"sensor": "a", "time": 1, "unit": unit, "joints": cells}
-    whole, _ = parse_line(json.dumps(line))
-    gap, _ = parse_line(json.dumps({**line, "joints": {**cells, "other": None}}))
-    assert (whole.positions == gap.positions[:3]).all() and (whole.state == gap.state[:3]).all()
-    assert whole.positions.tolist() == [[x * scale for x in c[:3]] for c in cells.values()]
-    assert whole.state.dtype == np.uint8 and whole.state.tolist() == [c[3] for c in cells.values()]
-
-
 GOOD = '{"sensor":"a","time":1.5,"joints":{"head":[0,1,2]}}'
 
 

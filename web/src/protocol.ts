@@ -155,7 +155,6 @@ export type GestureMessage =
 
 export const DEPTH = 1;
 export const MAP = 2;
-export const COLOUR = 3;
 /** A binary WebSocket message: 16 bytes of header, then the picture. */
 export interface Picture { type: number; stream: number; seq: number; time: number; data: Uint8Array<ArrayBuffer> }
 

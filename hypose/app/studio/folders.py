@@ -7,8 +7,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import cv2
-
+from hypose.app.reports.result_pictures import jpeg
 from hypose.app.studio.answers import NotNow, text
 from hypose.app.studio.catalog import Catalog, is_recording
 from hypose.app.studio.job_kinds import CALIBRATION
@@ -28,7 +27,7 @@ _SERIES = 3
 _CALIBRATION_ENDINGS = (".toml", ".yml", ".yaml", ".xml")
 _TABLE_ENDINGS = (".json", ".csv", ".h5", ".hdf5", ".npy", ".npz", ".txt", ".pickle")
 _LARGEST_CALIBRATION = 20 << 20
-_PICTURE_PX, _QUALITY = 320, 80
+_PICTURE_PX = 320
 _SETTINGS = ("calibration_unit", "world_up", "frame_rate", "subject_height")
 _ROLES = ("video", "background", "masks", "keypoints", "board")
 
@@ -52,11 +51,7 @@ def listed(catalog: Catalog, folder: Path, within: bool) -> dict[str, Any]:
 def first_picture(catalog: Catalog, where: str) -> bytes:
     """Read the first picture of a video, an image or a folder of images as a small JPEG."""
     with open_video(catalog.inside(where)) as reader:
-        image = reader.read(0)
-    height, width = image.shape[:2]
-    size = min(width, _PICTURE_PX), max(1, round(height * min(1.0, _PICTURE_PX / width)))
-    small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-    return cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()
+        return jpeg(reader.read(0), _PICTURE_PX)
 
 
 def make_recording(catalog: Catalog, wanted: Mapping[str, Any]) -> Path:

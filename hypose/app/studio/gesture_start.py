@@ -115,8 +115,8 @@ def open_feed(start: Start, gesture: str, session: Callable[[str], Path]) -> Fee
     a page opens no paths."""
     kind, _, rest = start.source.partition(":")
     if kind == "simulated":
-        number = digits(rest or "0", "the simulated person's number")
-        return Feed(open_source(f"simulated:{number}", gesture, start.seed), f"Simulated person {number + 1}")
+        person = digits(rest or "0", "the simulated person's number")
+        return Feed(open_source(f"simulated:{person}", gesture, start.seed), f"Simulated person {person + 1}")
     if kind == "session":
         path = session(rest)
         return Feed(_from_zero(open_source(str(path), gesture)), f"Recorded session {path.name}")

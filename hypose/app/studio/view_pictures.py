@@ -101,7 +101,7 @@ class ViewPictures:
         self._views = [AnyFrame(v) if v.source or v.masks else None for v in recording.views]
         self._stream: FrameStream | None = None
         self._lock, self._mask_lock = threading.Lock(), threading.Lock()
-        self._kept: Kept[list[bytes]] = Kept(_CACHE_BYTES, lambda files: sum(map(len, files)), one_more=True)
+        self._kept: Kept[bytes] = Kept(_CACHE_BYTES, len, one_more=True)
 
     @property
     def held(self) -> int:
@@ -110,24 +110,20 @@ class ViewPictures:
         working = 0 if self._stream is None else sum(math.prod(c.size) for c in self._stream.rig)
         return self._kept.held + _PER_PIXEL * sum(math.prod(c.size) for c in rig) + _PER_WORKING_PIXEL * working
 
-    def files(self, row: int, width: int) -> list[bytes]:
-        """The JPEGs of all views at most `width` px wide, b"" where there is none."""
+    def row(self, row: int, width: int) -> bytes:
+        """JPEGs of all views at most `width` px wide: their number (uint32), the length of each (uint32, 0 = no
+        picture), then the files; little-endian."""
         self._check(row)
         if not 32 <= width <= 4096:
             raise InputError(f"Pictures cannot be {width} px wide; ask for 32 to 4096.")
 
-        def make() -> list[bytes]:
+        def make() -> bytes:
             with self._lock, ThreadPoolExecutor(len(self._views)) as pool:
-                return list(pool.map(partial(self._jpeg, row=row, width=width), self._views))
+                files = list(pool.map(partial(self._jpeg, row=row, width=width), self._views))
+            return struct.pack(f"<{1 + len(files)}I", len(files), *map(len, files)) + b"".join(files)
 
-        with self._kept.use((row, width), make) as files:
-            return files
-
-    def row(self, row: int, width: int) -> bytes:
-        """The same in one: the number of JPEGs (uint32), the length of each (uint32, 0 = no picture), then the files;
-        little-endian."""
-        files = self.files(row, width)
-        return struct.pack(f"<{1 + len(files)}I", len(files), *map(len, files)) + b"".join(files)
+        with self._kept.use((row, width), make) as data:
+            return data
 
     def seen(self, row: int, points: Array) -> tuple[Image, Array] | None:
         """The picture (BGR) of the first view that has one of `row`, and where points (N, 3) m of the world are in it,

@@ -590,10 +590,7 @@ def write_masks(stream: FrameStream, folder: str | Path, progress: Callable[[int
     A note beside them says that they are undistorted, so that a recording whose view names such a folder
     as `masks` reads them back exactly. progress(done, total) is called after every frame.
     """
-    folder = Path(folder)
-    views = [folder_for(folder, v.name) for v in stream.recording.views]
-    for path, camera in zip(views, stream.rig, strict=True):
-        write_text(path / SIDECAR, json.dumps({"undistorted": True, "size": list(camera.size)}) + "\n")
+    views = [mask_folder(folder, v.name, c) for v, c in zip(stream.recording.views, stream.rig, strict=True)]
     shown = 0
     for done, frame in enumerate(stream, 1):
         if frame.silhouettes is None:
@@ -603,10 +600,23 @@ def write_masks(stream: FrameStream, folder: str | Path, progress: Callable[[int
                     "videos in recording.toml."
                 )
             raise InputError("There are no silhouettes to write; open the stream with silhouettes.")
-        for path, camera, mask in zip(views, stream.rig, frame.silhouettes.masks, strict=True):
-            ok, data = cv2.imencode(".png", mask[: camera.size[1], : camera.size[0]] * np.uint8(255))
-            write_bytes(path / f"{frame.index:06d}.png", data.tobytes() if ok else b"", synced=False)
+        write_frame_masks(frame.silhouettes, views, frame.index)
         if progress is not None:
             progress(done, len(stream))
         shown += int((frame.silhouettes.areas > 0).sum())
     return shown
+
+
+def mask_folder(folder: str | Path, view: str, camera: Camera) -> Path:
+    """Make the folder of a view's masks, with the note that they are undistorted and of the working size."""
+    path = folder_for(Path(folder), view)
+    write_text(path / SIDECAR, json.dumps({"undistorted": True, "size": list(camera.size)}) + "\n")
+    return path
+
+
+def write_frame_masks(silhouettes: Silhouettes, folders: Sequence[Path | None], number: int) -> None:
+    """Write the masks of a frame as PNG into the folders of its views (None: not those of that view)."""
+    for path, camera, mask in zip(folders, silhouettes.rig, silhouettes.masks, strict=True):
+        if path is not None:
+            ok, data = cv2.imencode(".png", mask[: camera.size[1], : camera.size[0]] * np.uint8(255))
+            write_bytes(path / f"{number:06d}.png", data.tobytes() if ok else b"", synced=False)

@@ -200,8 +200,8 @@ class Eyes:
         empty = self._empty if question.pictures else ()
         if empty:
             self._empty = ()
-        stored = tuple(tuple(filter(None, map(_stored, maps))) for maps in empty)
-        return replace(self._sight(at, arrival, views, jpegs, made), depths=depths, empty=stored)
+        encoded = tuple(tuple(filter(None, map(stored, maps))) for maps in empty)
+        return replace(self._sight(at, arrival, views, jpegs, made), depths=depths, empty=encoded)
 
     def keep_up(self) -> None:
         """Learn what has changed in the rooms, which nobody waits for."""
@@ -334,10 +334,10 @@ def any_depth(views: Sequence[LiveView]) -> bool:
 
 
 def _jpeg(shot: Shot) -> bytes | None:
-    return shot.data if isinstance(shot.data, bytes) else _stored(shot.data)
+    return shot.data if isinstance(shot.data, bytes) else stored(shot.data)
 
 
-def _stored(image: NDArray[Any]) -> bytes | None:
+def stored(image: NDArray[Any]) -> bytes | None:
     """A picture as it is stored; a depth map (H, W) m in millimetres."""
     if image.ndim == 2:
         ok, data = cv2.imencode(".png", np.minimum(image * 1000 + 0.5, 65535).astype(np.uint16), DEPTH_PNG)

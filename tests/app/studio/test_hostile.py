@@ -307,30 +307,3 @@ def test_what_is_made_at_once_by_many_is_made_once():
         t.join()
     assert len(made) == 1
     kept.drop()
-
-
-def test_what_takes_long_to_make_holds_up_nobody_who_wants_another():
-    kept, begun, go_on, over = Kept(100, len), threading.Event(), threading.Event(), []
-
-    def slow():
-        begun.set()
-        go_on.wait(20)
-        over.append(1)
-        return b"slow"
-
-    def ask():
-        with kept.use("slow", slow):
-            pass
-
-    thread = threading.Thread(target=ask)
-    thread.start()
-    assert begun.wait(20)
-    with kept.use("other", lambda: b"other") as value:
-        assert value == b"other" and not over
-    go_on.set()
-    thread.join()
-    with pytest.raises(ZeroDivisionError), kept.use("none", lambda: 1 // 0):
-        pass
-    with kept.use("none", lambda: b"now") as value:
-        assert value == b"now"
-    kept.close()
