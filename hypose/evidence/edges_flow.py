@@ -31,7 +31,7 @@ def edge_field(image: NDArray[np.uint8], smoothing_px: float = 1.2, strength: fl
     size = np.linalg.norm(field, axis=2)
     # every other row and column: the quantile needs no more
     full = max(float(np.quantile(size[1:-1:2, 1:-1:2], strength)), WEAKEST) if min(size.shape) > 2 else WEAKEST
-    return field / np.maximum(size, np.float32(full))[..., None]
+    return np.asarray(field / np.maximum(size, full)[..., None], dtype=np.float32)
 
 
 def _strongest_gradient(image: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -41,7 +41,7 @@ def _strongest_gradient(image: NDArray[np.float32]) -> NDArray[np.float32]:
     field = np.take_along_axis(slopes, best[..., None, None], 3)[..., 0]
     field[[0, -1]] = 0
     field[:, [0, -1]] = 0
-    return field
+    return np.asarray(field, dtype=np.float32)
 
 
 STEEP, WRONG = 6.0, 2.0

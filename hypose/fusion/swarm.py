@@ -117,7 +117,7 @@ def energy(h: Hypotheses, frame: SwarmFrame, /) -> Array:
     away = np.linalg.norm(h.values[:, :, None] - np.swapaxes(frame.positions, 0, 1)[:, None], axis=-1)
     near = np.where((weights > 0) & (away < NEGLIGIBLE * scale), weights * np.exp(-away / scale), 0.0)
     total = np.where(h.origin >= 0, near.sum(2), 0.0)
-    explained = ((total > 0) & (h.log_weights > -np.inf)).any(1)
+    explained = np.asarray(((total > 0) & (h.log_weights > -np.inf)).any(1))
     with np.errstate(divide="ignore"):
         return np.where(explained[:, None], frame.settings.pressure * np.log(total), 0.0)
 
@@ -147,7 +147,7 @@ class MergedWheel:
     def __call__(self, h: Hypotheses, rng: np.random.Generator, /) -> Hypotheses:
         """The distinct candidates drawn, with log-weights log(copies / count)."""
         shares = _shares(h)
-        some = shares.any(1)
+        some = np.asarray(shares.any(1))
         if self.universal:
             edges = np.cumsum(shares, 1)
             edges *= self.count / np.where(some, edges[:, -1], 1.0)[:, None]

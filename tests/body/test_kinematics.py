@@ -29,7 +29,7 @@ def exponential(twist):
     return expm(m)
 
 
-def test_numba_is_the_reference(body, poses):
+def test_kernels_are_the_reference(body, poses):
     tree, mesh = body.skeleton.tree, body.coarse.arrays
     r0, p0 = reference.forward_kinematics(poses, tree)
     v0 = reference.skin(r0, p0, tree, mesh)

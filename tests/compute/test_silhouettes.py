@@ -77,6 +77,13 @@ def test_rasterized_silhouette_agrees_with_ray_casting(body, rig):
     assert 60 < hits.sum() < len(hits) / 2
 
 
+def test_boxes_restrict_the_counting(body, scene):
+    boxes = np.array([[20, 60, 30, 90], [-5, 200, 50, 500], [70, 60, 10, 20]])
+    slow, fast = both(body, scene[0][:4], scene[1], boxes=boxes)
+    assert np.abs(slow - fast).max() <= 2
+    np.testing.assert_array_equal(fast[:, 2], 0)
+
+
 def test_bodies_across_the_image_border(body, scene):
     poses = np.repeat(scene[0][:1], 9, 0)
     poses[:, :3] += [
@@ -110,6 +117,18 @@ def test_bodies_through_and_behind_the_camera_plane(body, rng, distance):
     assert np.abs(slow - fast).max() <= 4
     if distance < -2:
         assert fast[0, 0, 1] == 0
+
+
+def test_views_of_different_size_and_unusable_views(body, scene, rig):
+    poses, prepared = scene
+    masks = np.zeros((3, 140, 130), np.uint8)
+    masks[:, : SIZE[1], : SIZE[0]] = prepared.masks
+    padded = compute.prepare_masks(masks, [True, False, True], rig.sizes, rig.projections)
+    tree, mesh = body.skeleton.tree, body.coarse.arrays
+    whole = compute.silhouette_xor(poses, tree, mesh, prepared)
+    some = compute.silhouette_xor(poses, tree, mesh, padded)
+    np.testing.assert_array_equal(some[:, [0, 2]], whole[:, [0, 2]])
+    np.testing.assert_array_equal(some[:, 1], 0)
 
 
 def test_same_counts_for_any_number_of_threads(body, scene):

@@ -7,6 +7,7 @@ from scipy.stats import spearmanr
 from hypose import compute
 from hypose.body.ready_bodies import human
 from hypose.compute import lane_mesh
+from hypose.errors import InputError
 from tests import reference
 from tests.capsule_person import capsule_person, random_pose, ring
 
@@ -97,6 +98,27 @@ def test_crossings_of_parts_add_up_to_those_of_the_whole(body, scene, rig, rng):
     whole = differences(None)
     assert np.abs(whole).sum() > 3000
     np.testing.assert_array_equal(sum(differences(owner == k) for k in range(4)), whole)
+
+
+def test_no_faces_and_all_faces(body, scene):
+    poses, prepared = scene
+    f = len(body.coarse.faces)
+    none = score(body, poses, prepared, faces=np.zeros(f, bool))
+    np.testing.assert_array_equal(none[..., 1:], 0)
+    np.testing.assert_array_equal(none[..., 0], np.broadcast_to(prepared.areas, none.shape[:2]))
+    np.testing.assert_array_equal(score(body, poses, prepared, faces=np.ones(f, bool)), score(body, poses, prepared))
+    with pytest.raises(InputError, match="truth value per face"):
+        score(body, poses, prepared, faces=[True])
+
+
+def test_kept_plans_do_not_keep_vertices(body, scene):
+    """Topology and weights are remembered between calls; a reshaped body must still be seen."""
+    poses, prepared = scene
+    arrays = body.coarse.arrays
+    larger = arrays._replace(vertices=np.float32(1.1) * arrays.vertices)
+    before = score(body, poses, prepared, arrays)
+    assert (score(body, poses, prepared, larger)[:, 0, 1] > before[:, 0, 1]).all()
+    np.testing.assert_array_equal(score(body, poses, prepared, arrays), before)
 
 
 def copies(body, n, spread):
