@@ -11,7 +11,7 @@ import pytest
 
 import hypose
 from hypose.compute import warming
-from hypose.io.keypoints import mediapipe_environment
+from hypose.io.keypoints import pose_models
 from hypose.io.videos import sound
 from tests.app.studio.conftest import serving
 
@@ -109,17 +109,14 @@ def test_every_process_of_the_package_has_a_safe_path_and_a_folder_of_ours(evil,
     monkeypatch.chdir(evil)
     monkeypatch.setattr(subprocess, "run", begin)
     monkeypatch.setattr(subprocess, "Popen", begin)
-    monkeypatch.setattr(mediapipe_environment, "is_set_up", lambda: True)
     monkeypatch.setattr(sound.shutil, "which", lambda name: name)
     with pytest.raises(Began):
-        mediapipe_environment.set_up()
-    with pytest.raises(Began), mediapipe_environment.open_mediapipe():
-        pass
+        pose_models.fetch_models()
     with pytest.raises(Began):
         warming._in_another_process("solver", [])
     with pytest.raises(Began):
         sound.read_sound(Path("clip.mp4"))
-    assert len(began) == 4
+    assert len(began) == 3
     for command, place in began:
         assert {"-P", "-I"} & set(command) or command[0] == "ffmpeg" and str(evil / "clip.mp4") in command
         assert place.is_relative_to(Path(hypose.__path__[0]))

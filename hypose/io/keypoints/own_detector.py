@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from hypose.errors import InputError
 from hypose.evidence.detector import PoseDetector
 from hypose.evidence.keypoints import keypoint_names
+from hypose.evidence.pose_network import Crop, Found
 from hypose.geometry import Array
 from hypose.json_text import is_plain
 
@@ -32,6 +34,11 @@ class OwnDetector:
     keypoint_set: str
     identity: dict[str, Any]
     where: str
+    gives_masks: bool = False
+
+    def look(self, image: NDArray[np.uint8], number: int = 0, before: Sequence[Crop] = (), /) -> list[Found]:
+        """People in a picture (h, w, 3) BGR; an InputError as of `detect`."""
+        return [Found(person) for person in self.detect(image)]
 
     def detect(self, image: NDArray[np.uint8], /) -> Array:
         """People (P, K, 3) in a picture (h, w, 3) BGR; an InputError when the detector answers with something else."""
