@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hypose.evidence.pose_network import Crop, Found
+from hypose.evidence.pose_network import Crop, Sighting
 
 
 class PoseDetector(Protocol):
@@ -29,7 +29,7 @@ class PoseDetector(Protocol):
         """Whether it finds masks as well; then it may be called by several threads at once."""
         ...
 
-    def look(self, image: NDArray[np.uint8], number: int, before: Sequence[Crop], /) -> list[Found]:
+    def look(self, image: NDArray[np.uint8], number: int, before: Sequence[Crop], /) -> list[Sighting]:
         """People in a picture (h, w, 3) BGR with its number in the video, pixel centres at integers; before: where the
         people of the picture before it are expected. What is found depends on these alone, so that work can go on where
         it stopped."""

@@ -58,7 +58,7 @@ class Crop:
 
 
 @dataclass(frozen=True)
-class Found:
+class Sighting:
     """One person in one picture.
 
     points: (K, 3), px of the picture and confidence 0..1.
@@ -72,14 +72,14 @@ class Found:
     following: Crop | None = None
 
 
-class Detections(NamedTuple):
+class DetectorOutput(NamedTuple):
     """boxes: (2254, 12), offsets from the anchors, px; scores: (2254,), logits."""
 
     boxes: NDArray[np.float32]
     scores: NDArray[np.float32]
 
 
-class Landmarks(NamedTuple):
+class LandmarkOutput(NamedTuple):
     """points: (39, 5), x, y px of the crop, z, logits of visibility and presence; presence: of a person, 0..1; mask:
     (CROP, CROP), logits."""
 
@@ -92,21 +92,21 @@ class Landmarks(NamedTuple):
 class PoseNetwork:
     """Points and masks of the people in pictures that follow each other.
 
-    detect: (224, 224, 3) float32 RGB -1..1 -> Detections.
-    landmarks: (256, 256, 3) float32 RGB 0..1 -> Landmarks.
+    detect: (224, 224, 3) float32 RGB -1..1 -> DetectorOutput.
+    landmarks: (256, 256, 3) float32 RGB 0..1 -> LandmarkOutput.
     identity: what decides the result, as JSON values.
     people: most people in a picture.
     every: number of pictures after which the detector looks for newcomers, even where somebody is followed."""
 
-    detect: Callable[[NDArray[np.float32]], Detections]
-    landmarks: Callable[[NDArray[np.float32]], Landmarks]
+    detect: Callable[[NDArray[np.float32]], DetectorOutput]
+    landmarks: Callable[[NDArray[np.float32]], LandmarkOutput]
     identity: dict[str, Any]
     people: int = 4
     every: int = 10
     keypoint_set: str = "BLAZEPOSE_33"
     gives_masks: bool = True
 
-    def look(self, image: Image, number: int, before: Sequence[Crop] = ()) -> list[Found]:
+    def look(self, image: Image, number: int, before: Sequence[Crop] = ()) -> list[Sighting]:
         """People in a picture (h, w, 3) BGR with its number in the video; before: where they are expected."""
         found = self._in_crops(image, before, [])
         if not found or (number % self.every == 0 and len(found) < self.people):
@@ -115,7 +115,7 @@ class PoseNetwork:
             found = self._in_crops(image, new[: self.people - len(found)], found)
         return found
 
-    def _in_crops(self, image: Image, crops: Sequence[Crop], found: list[Found]) -> list[Found]:
+    def _in_crops(self, image: Image, crops: Sequence[Crop], found: list[Sighting]) -> list[Sighting]:
         """The people found, and those in the crops who are none of them."""
         out = list(found)
         for crop in crops:
@@ -127,7 +127,7 @@ class PoseNetwork:
                 out.append(person)
         return out
 
-    def _person(self, image: Image, crop: Crop) -> Found | None:
+    def _person(self, image: Image, crop: Crop) -> Sighting | None:
         """The person in a crop, or None."""
         to_crop = crop.from_picture
         part = cv2.warpAffine(image, to_crop, (CROP, CROP), flags=cv2.INTER_LINEAR)
@@ -143,7 +143,7 @@ class PoseNetwork:
         if not 4 < following.radius < 4 * max(width, height):
             return None
         person = np.column_stack([uv[:count], np.where(inside, score, 0.0)])
-        return Found(person, sigmoid(mask), crop, following)
+        return Sighting(person, sigmoid(mask), crop, following)
 
     def _detected(self, image: Image) -> list[Crop]:
         """Crops of the people that the detector finds, the surest first."""

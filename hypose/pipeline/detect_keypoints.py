@@ -17,7 +17,7 @@ from hypose.cameras.camera import Camera
 from hypose.compute import default_threads
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.detector import PoseDetector, openpose_document
-from hypose.evidence.pose_network import MASK, Crop, Found
+from hypose.evidence.pose_network import MASK, Crop, Sighting
 from hypose.geometry import Array
 from hypose.io.file_names import folder_for
 from hypose.io.files import read_json, write_bytes, write_text
@@ -132,7 +132,7 @@ class _Lane:
         write_text(path, json.dumps(document) + "\n")
         return bool(people)
 
-    def _mask(self, people: Sequence[Found]) -> NDArray[np.uint8]:
+    def _mask(self, people: Sequence[Sighting]) -> NDArray[np.uint8]:
         """(h, w), 0 and 255, undistorted, at working size: everybody."""
         out = np.zeros(self._stored.shape[:2], np.float32)
         for found in people:

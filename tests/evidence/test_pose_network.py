@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hypose.evidence.keypoints import BLAZEPOSE_33
-from hypose.evidence.pose_network import _ANCHORS, CROP, DETECTOR, Crop, Detections, Landmarks, PoseNetwork
+from hypose.evidence.pose_network import _ANCHORS, CROP, DETECTOR, Crop, DetectorOutput, LandmarkOutput, PoseNetwork
 
 RADIUS = 40.0
 
@@ -28,7 +28,7 @@ class Discs:
             boxes[k, 4:6] = (x, y) - DETECTOR * _ANCHORS[k]
             boxes[k, 6:8] = boxes[k, 4:6] - (0, RADIUS * self.scale)
             scores[k] = 5 - n
-        return Detections(boxes, scores)
+        return DetectorOutput(boxes, scores)
 
     def landmarks(self, picture):
         self.looked += 1
@@ -43,7 +43,7 @@ class Discs:
         points[1, 3] = -9
         rows, columns = np.indices((CROP, CROP))
         mask = np.where(np.hypot(columns - hips[0], rows - hips[1]) < CROP / 2.5, 9.0, -9.0)
-        return Landmarks(points, presence, mask.astype(np.float32))
+        return LandmarkOutput(points, presence, mask.astype(np.float32))
 
 
 def picture(*hips, size=(320, 240)):
@@ -106,7 +106,7 @@ def test_points_outside_of_the_picture_have_no_confidence(discs):
     assert found.points[0, 2] > 0.9
     shifted = Crop(np.array([-30.0, 120.0]), np.array([-30.0, 80.0]))
     network = PoseNetwork(
-        network.detect, lambda p: Landmarks(np.full((39, 5), 127.0, np.float32), 0.9, p[0, ..., 0]), {}
+        network.detect, lambda p: LandmarkOutput(np.full((39, 5), 127.0, np.float32), 0.9, p[0, ..., 0]), {}
     )
     assert network.look(picture(), 1, [shifted]) == []  # no size that a person could have
 

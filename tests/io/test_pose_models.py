@@ -29,7 +29,7 @@ def package(monkeypatch, tmp_path):
     ran = []
     known = {n: (folder, hashlib.sha256(CONTENT[n]).hexdigest()) for n, (folder, _) in pose_models._MODELS.items()}
     monkeypatch.setattr(pose_models, "_MODELS", known)
-    monkeypatch.setenv(pose_models.VARIABLE, str(tmp_path / "models"))
+    monkeypatch.setenv(pose_models.MODELS_VARIABLE, str(tmp_path / "models"))
 
     def run(command, **more):
         ran.append(command)
@@ -70,7 +70,7 @@ def test_what_fails_is_one_sentence(package, monkeypatch, tmp_path):
 @pytest.mark.parametrize(("command", "said"), [("keypoints", "Finding people"), ("track", "Tracking videos alone")])
 def test_nothing_is_fetched_without_being_asked(command, said, tmp_path, monkeypatch, capsys):
     folder = make_recording(tmp_path / "rec")
-    monkeypatch.setenv(pose_models.VARIABLE, str(tmp_path / "models"))
+    monkeypatch.setenv(pose_models.MODELS_VARIABLE, str(tmp_path / "models"))
     monkeypatch.setattr(subprocess, "run", lambda *a, **more: pytest.fail("something was run"))
     monkeypatch.setattr(pose_models, "runtime", lambda why: None)
     with pytest.raises(SystemExit) as caught:

@@ -21,7 +21,7 @@ FOLDER = "keypoints"
 """In the recording's folder."""
 MASKS = "masks"
 _SIDECAR = "detector.json"
-MOST_FRAMES = 10**9
+ALL_FRAMES = 10**9
 """Frames of a detection that does not say which; an older one looked at all."""
 
 
@@ -82,7 +82,7 @@ def load_detected(folder: Path) -> DetectedKeypoints | None:
     try:
         identity = dict(read_json(path, "what hypose keypoints wrote"))
         points, complete = str(identity.pop("keypoint_set")), bool(identity.pop("complete"))
-        first, stop = identity.pop("frames", (0, MOST_FRAMES))
+        first, stop = identity.pop("frames", (0, ALL_FRAMES))
         frames, masks = range(int(first), int(stop)), bool(identity.pop("masks", False))
     except (InputError, ValueError, KeyError, TypeError):
         raise InputError(

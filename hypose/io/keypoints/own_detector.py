@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from hypose.errors import InputError
 from hypose.evidence.detector import PoseDetector
 from hypose.evidence.keypoints import keypoint_names
-from hypose.evidence.pose_network import Crop, Found
+from hypose.evidence.pose_network import Crop, Sighting
 from hypose.geometry import Array
 from hypose.json_text import is_plain
 
@@ -36,9 +36,9 @@ class OwnDetector:
     where: str
     gives_masks: bool = False
 
-    def look(self, image: NDArray[np.uint8], number: int = 0, before: Sequence[Crop] = (), /) -> list[Found]:
+    def look(self, image: NDArray[np.uint8], number: int = 0, before: Sequence[Crop] = (), /) -> list[Sighting]:
         """People in a picture (h, w, 3) BGR; an InputError as of `detect`."""
-        return [Found(person) for person in self.detect(image)]
+        return [Sighting(person) for person in self.detect(image)]
 
     def detect(self, image: NDArray[np.uint8], /) -> Array:
         """People (P, K, 3) in a picture (h, w, 3) BGR; an InputError when the detector answers with something else."""

