@@ -137,6 +137,7 @@ def benchmarks() -> dict[str, Benchmark]:
         "front-back": Benchmark(front_back.front_back, "seeds", "first_seed"),
         "starts": Benchmark(starts_bench.starts, "seeds", "first_seed", "parts"),
         "start": Benchmark(start_bench.start),
+        "short-clip": Benchmark(start_bench.short_clip, "data"),
         "kills": Benchmark(kills.kills, "seeds", "first_seed"),
         "mono-arm": Benchmark(mono_benchmarks.mono_arm, "seeds", "first_seed"),
         "mono-body": Benchmark(mono_benchmarks.mono_body, "seeds", "first_seed", "data"),

@@ -8,14 +8,28 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 from numpy.typing import NDArray
 from PIL import Image
 
-from hypose.app.reports.figures import Axes, Figure, Patch, rc_context
-from hypose.app.reports.plots import STYLE
 from hypose.errors import InputError
 from hypose.io.files import atomic_path
 
+STYLE: dict[Any, Any] = {
+    "font.size": 9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.alpha": 0.25,
+    "axes.edgecolor": "#888888",
+    "lines.linewidth": 1.3,
+    "legend.frameon": False,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "hypose",
+}
 ENDINGS = (".png", ".svg", ".pdf")
 _WIDTH, _HEIGHT, _DPI = 4.6, 2.8, 90
 _MOST_CASES = 90

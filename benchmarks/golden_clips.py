@@ -37,7 +37,7 @@ from hypose.geometry import Array
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording
 from hypose.pipeline.first_frame import SubjectOptions, find_subject
-from hypose.pipeline.fused_verdict import fused_verdict
+from hypose.pipeline.fused_motion import fused_verdict
 from hypose.pipeline.people_run import PeopleRun
 from hypose.pipeline.run import TrackOptions, TrackResult, track_source
 from hypose.pipeline.track_loop import FrameList

@@ -27,8 +27,8 @@ _PLACES = {
     # bodies
     "Body": "hypose.body.body",
     "human": "hypose.body.ready_bodies",
-    "load_body": "hypose.io.motions.bodies",
-    "save_body": "hypose.io.motions.bodies",
+    "load_body": "hypose.io.motions.results",
+    "save_body": "hypose.io.motions.results",
     # cameras
     "Camera": "hypose.cameras.camera",
     "CameraRig": "hypose.cameras.camera",
@@ -58,7 +58,7 @@ _PLACES = {
     "SilhouetteXor": "hypose.tracking.costs",
     "pose_mean": "hypose.tracking.refinement",
     # depth sensors
-    "read_skeletons": "hypose.io.sensors.skeleton_formats",
+    "read_skeletons": "hypose.io.sensors.skeleton_files",
     "fuse_clip": "hypose.fusion.fuse",
     "LiveFuser": "hypose.fusion.live",
     "load_gesture_model": "hypose.pipeline.gesture_files:load_model",

@@ -26,14 +26,14 @@ from hypose.inference.selectivity import FixedSelectivity as FixedSelectivity
 from hypose.inference.selectivity import SurvivalRate as SurvivalRate
 from hypose.io.calibrations.calibration_formats import read_any as read_calibration
 from hypose.io.calibrations.calibration_formats import write_any as write_calibration
-from hypose.io.motions.bodies import load_body as load_body
-from hypose.io.motions.bodies import save_body as save_body
 from hypose.io.motions.export import export_motion as export_motion
+from hypose.io.motions.results import load_body as load_body
 from hypose.io.motions.results import load_motion as load_motion
+from hypose.io.motions.results import save_body as save_body
 from hypose.io.motions.results import save_motion as save_motion
 from hypose.io.recordings.recording import Recording as Recording
 from hypose.io.recordings.recording import load_recording as load_recording
-from hypose.io.sensors.skeleton_formats import read_skeletons as read_skeletons
+from hypose.io.sensors.skeleton_files import read_skeletons as read_skeletons
 from hypose.pipeline.gesture_files import load_model as load_gesture_model
 from hypose.pipeline.run import TrackOptions as TrackOptions
 from hypose.pipeline.run import TrackResult as TrackResult

@@ -1,4 +1,4 @@
-"""Rotations and rigid motions: SO(3)/SE(3) exponential and logarithm, averages, Procrustes.
+"""Rotations and rigid motions: exponential and logarithm of rotations, averages, Procrustes.
 
 All functions take leading batch axes. Angles in radians, lengths in metres. A rigid motion is a (4, 4) matrix named
 `target_from_source`; it maps homogeneous source coordinates to target coordinates.
@@ -149,21 +149,6 @@ def se3_inverse(motion: ArrayLike) -> Array:
     m = np.asarray(motion, dtype=np.float64)
     r = np.swapaxes(m[..., :3, :3], -1, -2)
     return se3(r, -np.einsum("...ij,...j->...i", r, m[..., :3, 3]))
-
-
-def se3_exp(twist: ArrayLike) -> Array:
-    """Exponential of a twist (..., 6) = (rotation w, velocity v) -> rigid motion (..., 4, 4)."""
-    x = np.asarray(twist, dtype=np.float64)
-    v = np.einsum("...ij,...j->...i", so3_left_jacobian(x[..., :3]), x[..., 3:])
-    return se3(so3_exp(x[..., :3]), v)
-
-
-def se3_log(motion: ArrayLike) -> Array:
-    """Logarithm of rigid motions (..., 4, 4) -> twist (..., 6) = (rotation w, velocity v)."""
-    m = np.asarray(motion, dtype=np.float64)
-    w = so3_log(m[..., :3, :3])
-    v = np.linalg.solve(so3_left_jacobian(w), m[..., :3, 3:])[..., 0]
-    return np.concatenate([w, np.asarray(v, dtype=np.float64)], -1)
 
 
 def transform(motion: ArrayLike, points: ArrayLike) -> Array:

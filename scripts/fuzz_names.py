@@ -144,7 +144,7 @@ def read_view(folder: Path) -> None:
 def read_sensor(folder: Path) -> None:
     """A sensor has the name; its skeletons are read, written again and read again."""
     from benchmarks.synthetic.skeleton_folders import write_folder
-    from hypose.io.sensors.skeleton_formats import read_skeletons
+    from hypose.io.sensors.skeleton_files import read_skeletons
 
     skeletons = read_skeletons(_renamed(folder, "sensors", _texts(folder, "sensor")[0]))
     write_folder(skeletons, folder / "work" / "again")

@@ -42,7 +42,6 @@ class _Servers:
 
     def __init__(self) -> None:
         from hypose.app.live.live_server import LiveOptions, LiveServer
-        from hypose.app.live.secrets_and_logs import FOREIGN, fold_logs, folded
         from hypose.app.studio.answers import NotNow
         from hypose.app.studio.server import Studio, StudioOptions, make_server
 
@@ -69,10 +68,8 @@ class _Servers:
             raise RuntimeError("the servers do not start")
         self.port = ports[0]
         self.logged: list[str] = []
-        fold_logs()
-        for name in _LOGGERS:
-            logging.getLogger(name).removeFilter(folded)  # every complaint is looked at
-            logging.getLogger(name).addHandler(_Keep(self.logged, FOREIGN))
+        for name in _LOGGERS:  # those about what others have sent do not come so far
+            logging.getLogger(name).addHandler(_Keep(self.logged))
 
     async def _begin(self, listening: threading.Event) -> None:
         await self.live.start()
@@ -98,16 +95,15 @@ def _last_words(logged: str) -> str:
 
 
 class _Keep(logging.Handler):
-    """Keeps what is logged, but for sentences about what others have sent."""
+    """Keeps what is logged."""
 
-    def __init__(self, lines: list[str], foreign: tuple[str, ...]) -> None:
+    def __init__(self, lines: list[str]) -> None:
         super().__init__()
-        self._lines, self._foreign = lines, foreign
+        self._lines = lines
 
     def emit(self, record: logging.LogRecord) -> None:
         """One record."""
-        if not record.getMessage().startswith(self._foreign):
-            self._lines.append(self.format(record))
+        self._lines.append(self.format(record))
 
 
 @cache
@@ -122,8 +118,7 @@ def _recording(root: Path) -> None:
     from benchmarks.robustness.small_recordings import small_scene, write_masks
     from hypose.body.motion import Motion, isotropic
     from hypose.body.ready_bodies import human
-    from hypose.io.motions.bodies import save_body
-    from hypose.io.motions.results import save_motion
+    from hypose.io.motions.results import save_body, save_motion
 
     write_masks(small_scene(1, 2), root / "walk")
     body, folder = human(), root / "walk" / "results" / "default"

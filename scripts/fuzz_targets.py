@@ -34,15 +34,15 @@ class Target:
 
 def targets() -> dict[str, Target]:
     """All targets by name."""
-    from hypose.app.sweeps.sweep import read_sweep
+    from hypose.app.batch import read_table
     from hypose.calibration.from_points import read_scene_points
     from hypose.evidence.keypoints import BODY_25, parse_openpose
     from hypose.io.calibrations import calibration_formats
-    from hypose.io.motions import bodies, c3d, meshes, opensim, results, trc
+    from hypose.io.motions import c3d, marker_files, meshes, results
     from hypose.io.recordings import recording
     from hypose.io.sensors.depth import read_depth_png
-    from hypose.io.sensors.skeleton_formats import read_skeletons
-    from hypose.io.sensors.skeleton_lines import parse_line
+    from hypose.io.sensors.skeleton_files import read_skeletons
+    from hypose.io.sensors.skeleton_streams import parse_line
     from hypose.io.videos import video
     from hypose.pipeline.gesture_files import load_model, read_recording
 
@@ -59,16 +59,16 @@ def targets() -> dict[str, Target]:
         Target("calibration-mcal", "rig/rig.mcal", cameras),
         Target("calibration-projections", "rig/projections.txt", cameras),
         Target("calibration-biocv", "rig/biocv.calib", cameras),
-        Target("mot", "motion/motion.mot", opensim.read_mot),
+        Target("mot", "motion/motion.mot", marker_files.read_mot),
         Target("calibration-points", "points.toml", read_scene_points),
         Target("recording-toml", "walk/recording.toml", recording.load_recording, given="walk"),
-        Target("sweep-toml", "sweep.toml", read_sweep),
+        Target("batch-table", "study.csv", read_table),
         *_of_keypoints(),
         Target("openpose-json", "pose.json", lambda b: parse_openpose(b, BODY_25, "pose.json"), lines=True),
-        Target("trc", "motion/motion.trc", trc.read_trc),
+        Target("trc", "motion/motion.trc", marker_files.read_trc),
         Target("c3d", "motion/motion.c3d", c3d.read_c3d, "binary"),
         Target("motion-npz", "motion/motion.npz", results.load_motion, "npz"),
-        Target("body-npz", "motion/body.npz", bodies.load_body, "npz"),
+        Target("body-npz", "motion/body.npz", results.load_body, "npz"),
         Target("checkpoint-npz", "motion/checkpoint.npz", lambda p: results.Checkpoint.load(p, {}), "npz"),
         Target("gesture-model", "model.npz", load_model, "npz"),
         Target("gesture-session", "session/session.json", read_recording, given="session"),
@@ -193,9 +193,8 @@ def write_good(folder: Path) -> None:
     from hypose.gestures.model import GestureModel
     from hypose.gestures.online import Learner
     from hypose.io.calibrations.calibration_formats import write_any
-    from hypose.io.motions.bodies import save_body
     from hypose.io.motions.export import export_motion
-    from hypose.io.motions.results import Checkpoint, save_motion
+    from hypose.io.motions.results import Checkpoint, save_body, save_motion
     from hypose.io.sensors.depth import write_depth_png
     from hypose.io.videos.video import VideoWriter
     from hypose.pipeline.gesture_files import save_model
@@ -278,7 +277,7 @@ def _write_texts(folder: Path) -> None:
     points = {"a": [0, 0, 0], "b": [0.5, 0, 0], "c": [0, 0.5, 0], "d": [0.1, 0.1, 0.7]}
     lines = ["[points]", *(f"{n} = {p}" for n, p in points.items()), "[clicks.cam1]", "a = [10.5, 20.0]", "b = [30, 4]"]
     (folder / "points.toml").write_text("\n".join(lines) + "\n")
-    (folder / "sweep.toml").write_text('recordings = ["walk"]\nretries = 1\n[[set]]\nname = "a"\nseed = [0, 1]\n')
+    (folder / "study.csv").write_text("recording,name,recipe,seed,height\nwalk,a,sir,0,1.8\nwalk,a,,1,\n")
     person = {"person_id": [-1], "pose_keypoints_2d": [1.5, 2.5, 0.9] * 25}
     (folder / "pose.json").write_text(json.dumps({"version": 1.3, "people": [person, person]}))
     joints = {n: [0.1, 0.1 * k, 2.0, 2] for k, n in enumerate(COMMON)}

@@ -1,6 +1,6 @@
 """The pictures of the studio in docs/images, from those that the tests take on their way through the page:
 
-HYPOSE_PICTURES=FOLDER pytest tests/app/studio -m "slow or not slow" && python scripts/studio_pictures.py FOLDER
+HYPOSE_PICTURES=FOLDER pytest tests/app/studio -m "slow or long or not slow" && python scripts/studio_pictures.py FOLDER
 
 A picture that FOLDER lacks, because its test was left out, stays as it was.
 """

@@ -40,7 +40,7 @@ def shared_data(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Pat
     def find(name: str) -> Path:
         if (SHARED_DATA / name).exists():
             return SHARED_DATA / name
-        from tests import stand_ins  # here, since it imports much of hypose
+        from tests import stand_ins
 
         if name not in stand_ins.MAKERS:
             missing.skip(f"real recordings ({name.split('/')[0]})", "put them into ../shared/data beside the checkout")

@@ -22,8 +22,7 @@ from hypose.io.videos.camera_sources import Shot, StreamEnded
 from hypose.pipeline.live import engine, eyes, feeds
 from hypose.pipeline.live.engine import LiveEngine, Seen
 from hypose.pipeline.live.eyes import Eyes, Question, Sight
-from hypose.pipeline.live.live_people import LivePeople
-from hypose.pipeline.live.live_person import LivePose
+from hypose.pipeline.live.live_people import LivePeople, LivePose
 from hypose.pipeline.live.live_search import LOOKING, LivePersonOptions
 from hypose.synthetic.rigs import rig
 from hypose.synthetic.scenes import Scene, make_scene

@@ -13,8 +13,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from hypose.geometry import transform
-from hypose.io.motions.trc import write_trc
-from hypose.io.sensors.skeleton_tables import KINECT_V2
+from hypose.io.motions.marker_files import write_trc
+from hypose.io.sensors.skeleton_files import KINECT_V2
 from hypose.synthetic.gait import jog, walk
 from hypose.synthetic.performance import Performance, soles
 from hypose.synthetic.subjects import Subject

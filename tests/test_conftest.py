@@ -3,10 +3,8 @@
 import os
 import subprocess
 import sys
-from types import SimpleNamespace
 
-from tests import missing
-from tests.conftest import ROOT, files_below, shuffled
+from tests.conftest import ROOT
 
 
 def run_of_tests(folder, text, *options):
@@ -55,40 +53,3 @@ def test_what_is_left_behind_is_an_error(tmp_path):
     assert code == 1 and len(errors) == 4 and "6 passed, 4 errors" in lines[-1]
     assert all(told in error for told, error in zip(leaves, errors, strict=False))
     assert not (tmp_path / ".thing").exists()  # the home of whoever runs the tests is not theirs
-
-
-def test_a_home_that_is_not_set_stays_so(tmp_path, monkeypatch):
-    text = "import os\ndef test_it(): assert 'HOME' not in os.environ\n"
-    assert run_of_tests(tmp_path, text)[0] == 1
-    command = [sys.executable, "-m", "pytest", "-q", "-c", os.devnull, "-p", "tests.conftest", "-p", "no:cacheprovider"]
-    bare = {"PATH": os.environ["PATH"], "PYTHONPATH": str(ROOT)}
-    done = subprocess.run([*command, tmp_path / "test_it.py"], cwd=tmp_path, env=bare, capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout
-
-
-def test_an_order_keeps_modules_together_and_is_drawn_by_its_seed():
-    items = [SimpleNamespace(path=path, name=k) for path in "abcdef" for k in range(5)]
-    got = [(i.path, i.name) for i in shuffled(items, 3)]
-    assert got == [(i.path, i.name) for i in shuffled(items, 3)] and got != [(i.path, i.name) for i in items]
-    assert sorted(got) == [(i.path, i.name) for i in items]
-    modules = [path for path, _ in got]
-    assert sum(a != b for a, b in zip(modules, modules[1:], strict=False)) == 5
-    assert got != [(i.path, i.name) for i in shuffled(items, 4)]
-
-
-def test_the_line_is_one_part_per_remedy_the_most_tests_first():
-    form = "NOT tested: {}; {}".format
-    reasons = [form("a", "x"), form("b", "y"), form("c", "y"), "Skipped: " + form("b", "y"), "root may write anywhere"]
-    line = missing.closing_line(reasons)
-    assert line.startswith("Not tested: b, c (3 tests: y); a (1 test: x); ") and line.endswith(
-        "(1 test: listed above)."
-    )
-    assert missing.closing_line([]) == ""
-
-
-def test_files_below_leaves_out_what_tools_keep(tmp_path):
-    for name in (".cache/x.npz", "web/node_modules/y", "a/b.npz", "a/c.py"):
-        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / name).touch()
-    (tmp_path / "empty").mkdir()
-    assert files_below(tmp_path) == {os.path.join("a", "b.npz"), "empty"}

@@ -13,10 +13,10 @@ import typer
 
 import hypose
 from benchmarks.robustness.small_recordings import small_scene, write_masks
+from hypose.app.batch import read_table
 from hypose.app.cli import app
-from hypose.app.sweeps.sweep import read_sweep
-from hypose.io.calibrations.calibration_toml import write_calibration
-from hypose.io.sensors.skeleton_lines import format_line
+from hypose.io.calibrations.calibration_text import write_calibration
+from hypose.io.sensors.skeleton_streams import format_line
 from scripts.api_page import api_page
 from tests.conftest import HANG_S, ROOT
 from tests.depth_sensors import reports
@@ -95,15 +95,8 @@ def test_read_results(tmp_path):
     )
 
 
-def test_the_sweep_can_be_read(tmp_path):
-    write_masks(small_scene(1, 2), tmp_path / "study" / "anna")
-    (tmp_path / "sweep.toml").write_text((ROOT / "examples/cluster/sweep.toml").read_text())
-    sweep = read_sweep(tmp_path / "sweep.toml")
-    assert len(sweep.sets) == 4 and sweep.slurm["cores"] == 1
-
-
-def test_the_shell_script_is_no_nonsense():
-    assert subprocess.run(["bash", "-n", ROOT / "examples/cluster/batch.slurm"]).returncode == 0
+def test_the_table_of_recordings_can_be_read():
+    assert len(read_table(ROOT / "examples/cluster/study.csv")) == 4
 
 
 def test_the_reference_has_every_name():

@@ -6,7 +6,7 @@ import numpy as np
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row
 from hypose.body.body import Body
-from hypose.calibration.doctor import Cured, Report, examine_and_cure
+from hypose.calibration.diagnostics import Cured, Report, examine_and_cure
 from hypose.geometry import Array
 from hypose.io.recordings.recording import Recording, load_recording
 from hypose.pipeline.examine import Refinement, cured_recording, observe, refine_recording

@@ -23,7 +23,7 @@ from benchmarks.cameras.captured_motion import (
 from hypose.errors import HyposeError
 from hypose.evidence.keypoints import BODY_25
 from hypose.geometry import Array
-from hypose.pipeline.gait_events import Gait, GaitEvent, facing_of, gait_of, turns
+from hypose.pipeline.gait import Gait, GaitEvent, facing_of, gait_of, turns
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.track_loop import FrameList
 from hypose.synthetic.metrics import JOINT_NAMES

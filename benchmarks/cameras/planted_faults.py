@@ -13,9 +13,9 @@ import cv2
 import numpy as np
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row
-from hypose.calibration.doctor import Clip, Observed, examine
-from hypose.calibration.doctor_points import mirrored_names
-from hypose.calibration.doctor_report import Finding, Limits
+from hypose.calibration.diagnose_person import Finding, Limits
+from hypose.calibration.diagnose_points import mirrored_names
+from hypose.calibration.diagnostics import Clip, Observed, examine
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.evidence.frame import Silhouettes
 from hypose.evidence.keypoints import BODY_25

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row
-from hypose.calibration.in_step import offsets_from_motion
-from hypose.calibration.sync_events import offsets_from_light, offsets_from_sound
+from hypose.calibration.synchronisation import offsets_from_light, offsets_from_motion, offsets_from_sound
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.frame import Silhouettes
 from hypose.evidence.silhouettes import make_silhouettes

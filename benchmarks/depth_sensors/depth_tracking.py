@@ -36,7 +36,7 @@ from hypose.fusion import joints as jt
 from hypose.fusion.fuse import FusionSettings, fuse_clip
 from hypose.fusion.point_motion import common_positions
 from hypose.geometry import Array, se3_inverse, transform
-from hypose.pipeline.register_depth import register_depth
+from hypose.pipeline.import_depth import register_depth
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.track_loop import FrameList
 from hypose.synthetic.corruptions import corrupt_mask, corruptions

@@ -26,7 +26,7 @@ from hypose.fusion.register import common_joints, register
 from hypose.fusion.trust import WRONG_M
 from hypose.geometry import Array
 from hypose.io.motions.results import ResultsFolder
-from hypose.io.sensors.skeleton_tables import read_kinect_csv
+from hypose.io.sensors.skeleton_files import read_kinect_csv
 from hypose.pipeline.verdict import GOOD, UNTRUSTED
 from hypose.synthetic.sensors import FRAME_RATE, SensorRecording
 

@@ -28,7 +28,7 @@ from hypose.io.videos.camera_sources import Shot
 from hypose.io.videos.video import open_video
 from hypose.pipeline.live.engine import LiveEngine, LiveOptions, LiveStatus, Seen
 from hypose.pipeline.live.eyes import EyesOptions
-from hypose.pipeline.live.live_person import LivePose
+from hypose.pipeline.live.live_people import LivePose
 from hypose.pipeline.live.live_rig import LiveRig, live_rig
 from hypose.pipeline.run import TrackOptions
 from hypose.pipeline.track import track

@@ -20,7 +20,7 @@ from benchmarks.synthetic.virtual_cameras import there_and_back
 from hypose.evidence.frame import SensorReport
 from hypose.fusion.joints import COMMON
 from hypose.geometry import Array, transform
-from hypose.io.sensors.skeleton_lines import format_line
+from hypose.io.sensors.skeleton_streams import format_line
 from hypose.synthetic.sensors import builtin_joints, ring_sensors
 
 

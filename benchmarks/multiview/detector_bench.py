@@ -21,7 +21,7 @@ from hypose.body.motion import Motion
 from hypose.evidence.frame import Frame
 from hypose.evidence.keypoints import BODY_25B
 from hypose.geometry import Array
-from hypose.io.keypoints.pose_models import open_network
+from hypose.io.keypoints.detectors import open_network
 from hypose.io.recordings.recording import Recording, load_recording, write_recording
 from hypose.pipeline.detect_keypoints import detect_keypoints
 from hypose.pipeline.first_frame import SubjectOptions, find_subject

@@ -80,7 +80,7 @@ def _tracked(source: FrameList, tracker: Tracker, start: Array, subject: Subject
     def silent(stage: str, done: int, total: int) -> None:
         pass
 
-    return track_frames(source, range(len(source)), tracker, tracker.start(start), subject, progress=silent).estimates
+    return track_frames(source, tracker, tracker.start(start), subject, progress=silent).estimates
 
 
 def _reader(source: FrameList) -> FrameRange:

@@ -14,14 +14,14 @@ from hypose.body.ready_bodies import human
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.evidence.keypoints import triangulate_keypoints
-from hypose.fitting import SolveSettings, contour_term, fit_clip
+from hypose.fitting import contour_term, fit_pose
 from hypose.geometry import Array
-from hypose.io.motions.trc import read_trc
+from hypose.io.motions.marker_files import read_trc
 from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
 from hypose.tracking.keypoint_clip import solve_keypoint_clip
 from hypose.tracking.keypoint_evidence import keypoint_term
 from hypose.tracking.refinement import anatomical_prior
-from hypose.tracking.smoothing import ClipSettings, pace_weights, usual_pace
+from hypose.tracking.smoothing import smooth_poses
 
 CONFIDENT = 0.5
 """Key points of the camera left out count from this confidence on."""
@@ -125,25 +125,13 @@ def body_points(subject: Subject, poses: Array) -> Array:
 def both_clip(subject: Subject, frames: Sequence[Frame], poses: Array, rate: float, weight: float = 0.05) -> Array:
     """Poses (T, D) of a whole clip from key points and contours together, from those of the key points."""
     s = subject.body.skeleton
-    points = [
-        None if f.keypoints is None else keypoint_term(f.keypoints, subject.body, subject.keypoints, q)
-        for f, q in zip(frames, poses, strict=True)
-    ]
-    contours = [
-        contour_term(f.silhouettes, weight) if f.silhouettes is not None and f.silhouettes.usable.any() else None
-        for f in frames
-    ]
-    weights = pace_weights(usual_pace(s, ClipSettings()), rate)
-    return fit_clip(
-        subject.body,
-        poses,
-        keypoints=points,
-        contours=contours,
-        acceleration=weights[0],
-        velocity=weights[1],
-        priors=(anatomical_prior(s),),
-        options=SolveSettings(iterations=5, coarse_iterations=0),
-    )
+    fits = []
+    for f, q in zip(frames, poses, strict=True):
+        points = None if f.keypoints is None else keypoint_term(f.keypoints, subject.body, subject.keypoints, q)
+        seen = f.silhouettes is not None and f.silhouettes.usable.any()
+        contours = contour_term(f.silhouettes, weight) if f.silhouettes is not None and seen else None
+        fits.append(fit_pose(subject.body, q, contours=contours, keypoints=points, priors=(anatomical_prior(s),)))
+    return smooth_poses(subject.body, np.stack([f.pose for f in fits]), np.stack([f.information for f in fits]), rate)
 
 
 def rows_of(results: Sequence[LeftOut]) -> list[Row]:

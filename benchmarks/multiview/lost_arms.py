@@ -112,7 +112,7 @@ def _distances(scene: Scene, source: FrameList, body: Body, draw: int, colours: 
     subject, options = known_subject(scene, body), TrackOptions(seed=draw, own={"colours": True} if colours else {})
     tracker = tracker_of(subject, options, scene.frame_rate)
     begin = tracker.start(subject.start)
-    done = track_frames(source, range(len(source)), tracker, begin, subject, progress=_silent)
+    done = track_frames(source, tracker, begin, subject, progress=_silent)
     smoothed = finish(source, subject, tracker, done, options, None, None, _silent).motion.poses
     assert smoothed is not None
     tracked = np.stack([e.pose for e in done.estimates])

@@ -15,8 +15,7 @@ from benchmarks.multiview.real_recordings import balancing_recording, in_memory
 from hypose.errors import InputError
 from hypose.geometry import Array
 from hypose.io.motions.export import export_motion
-from hypose.io.motions.opensim import read_mot
-from hypose.io.motions.trc import read_trc
+from hypose.io.motions.marker_files import read_mot, read_trc
 from hypose.pipeline.first_frame import SubjectOptions, find_subject
 from hypose.pipeline.run import TrackOptions, track_source
 

@@ -94,7 +94,7 @@ def mono_arm(options: BenchOptions) -> BenchReport:
     """A 7-dof arm for 8 s. kept_track: number of seeds in which it was kept to the end (mono_runs.MonoRun.kept);
     mean_error_mm, depth_mm, image_error_px: means over elbow, wrist and knuckles, in the world, over all seeds, sd over
     the seeds; kept_error_mm: over the seeds kept; at_most_80: number of seeds that are kept at no more than 80 mm;
-    alive: hypotheses really alive. '/whole_clip': the clip solved as a whole (hypose.tracking.monocular.clip). quick:
+    alive: hypotheses really alive. '/whole_clip': the clip solved as a whole (hypose.tracking.monocular.recipe). quick:
     one seed, its first second, without the ablations."""
     seeds = options.seed_range(10)
     seconds = 1.0 if options.quick else 8.0  # the first ones of the same motion

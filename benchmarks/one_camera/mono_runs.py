@@ -19,10 +19,9 @@ from hypose.geometry import Array, so3_turns
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.layer import Recipe
 from hypose.synthetic.render_rgb import Image
-from hypose.tracking.monocular.clip import WholeClip, backwards, information, together
 from hypose.tracking.monocular.picture_search import PictureSearch
 from hypose.tracking.monocular.points import points_from_keypoints
-from hypose.tracking.monocular.recipe import picture_recipe
+from hypose.tracking.monocular.recipe import WholeClip, backwards, information, picture_recipe, together
 from hypose.tracking.monocular.settings import MonoSettings
 from hypose.tracking.smoothing import smooth_poses
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerSettings, TrackerState, modes_of
@@ -90,8 +89,8 @@ def track_scene(
 
 
 def solve_scene(scene: MonoScene, settings: MonoSettings, images: Sequence[Image]) -> tuple[MonoRun, MonoRun]:
-    """The same without points, and the clip solved as a whole (hypose.tracking.monocular.clip), whose seconds are those
-    of both passes."""
+    """The same without points, and the clip solved as a whole (hypose.tracking.monocular.recipe), whose seconds are
+    those of both passes."""
     tracker, frames = _tracker_and_frames(scene, settings, images)
     there = _follow(scene, tracker, frames)
     n = len(there.rows)

@@ -17,7 +17,7 @@ from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
 from benchmarks.multiview.court import DISTURBED, court_scene
 from hypose.body.motion import Motion
 from hypose.body.ready_bodies import human
-from hypose.calibration.in_step import Resampled, offsets_from_motion
+from hypose.calibration.synchronisation import Resampled, offsets_from_motion
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array
 from hypose.pipeline.people_run import PeopleRun

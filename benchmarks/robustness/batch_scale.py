@@ -15,7 +15,7 @@ from benchmarks.bench_report import BenchOptions, BenchReport, Row
 from benchmarks.robustness.programs import HYPOSE, workers_of
 from benchmarks.robustness.small_recordings import small_scene, write_masks
 from hypose.body.ready_bodies import human
-from hypose.io.motions.bodies import save_body
+from hypose.io.motions.results import save_body
 
 _FRAMES = 30
 
@@ -34,7 +34,8 @@ def batch(options: BenchOptions) -> BenchReport:
         save_body(human(), root / "subject" / "body.npz")
         for n in range(count):
             write_masks(small_scene(n, _FRAMES), root / "study" / f"r{n:03d}")
-        (root / "sweep.toml").write_text(f'recordings = ["study/*"]\n[settings]\nsubject = "{root}/subject"\n')
+        rows = "".join(f"study/r{n:03d},{root}/subject\n" for n in range(count))
+        (root / "study.csv").write_text("recording,subject\n" + rows)
         options.progress("batch", 0, 3)
         _run(root, "warm", 1, [], "--dry-run")
         options.progress("batch", 1, 3)
@@ -53,7 +54,7 @@ def batch(options: BenchOptions) -> BenchReport:
 
 def _run(root: Path, name: str, workers: int, kills: list[float], *more: str) -> float:
     """Seconds of a batch; at each of the moments (s) one of its workers is killed."""
-    command = [*HYPOSE, "batch", str(root / "sweep.toml"), "--workers", str(workers), "--threads", "1"]
+    command = [*HYPOSE, "batch", str(root / "study.csv"), "--workers", str(workers), "--threads", "1"]
     begin = time.monotonic()
     with (root / f"{name}.log").open("w") as log:
         process = subprocess.Popen([*command, "--out", str(root / name), *more], stdout=log, stderr=log)

@@ -31,7 +31,7 @@ from hypose import compute
 _PIPE_BYTES = 1 << 20  # what a command may print before it would have to wait for a reader
 _MODULES = (
     *("cli", "jobs.job", "jobs.fuse_job", "jobs.gesture_job", "jobs.checking", "jobs.correct"),
-    *("reports.report", "reports.overlay", "reports.plots", "sweeps.cluster", "studio.server"),
+    *("reports.report", "reports.overlay", "reports.charts", "batch", "studio.server"),
 )
 
 

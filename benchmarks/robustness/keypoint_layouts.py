@@ -18,7 +18,8 @@ from hypose.body.ready_bodies import human
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.keypoints import keypoint_names, landmark_of
 from hypose.geometry import Array
-from hypose.io.calibrations.calibration_toml import toml_value, write_calibration
+from hypose.io.calibrations.calibration_text import write_calibration
+from hypose.io.files import toml_value
 
 RATE = 25.0
 # points that the body does not have -> one of its landmarks nearby

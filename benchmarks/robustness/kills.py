@@ -26,7 +26,6 @@ from benchmarks.robustness.long_commands import LongCommand, long_commands
 from benchmarks.robustness.programs import Ended
 from hypose.compute import VARIABLE, cache_folder
 from hypose.errors import InputError
-from hypose.pipeline.chunked import FOLDER as CHUNKS
 
 _VARIES = {"provenance.json", "report.html", "task.json", "results.csv", "results.html"}
 """Files that tell of the run itself: times, attempts, the command."""
@@ -144,9 +143,7 @@ class Bench:
         """Look what the first run has left, run the command again, and look again."""
         reference, out = self._reference(command), self._root / "disturbed" / command.name
         wanted, after = _contents(reference), _contents(out)
-        tally.begun += any(
-            p.name == "checkpoint.npz" or (p.parent.name == CHUNKS and p.stem.isdigit()) for p in out.rglob("*.npz")
-        )
+        tally.begun += any(out.rglob("checkpoint.npz"))
         damaged = [p for p in after if not _whole(out / p, after[p], wanted.get(p))]
         gone = [p for p in wanted if over_old and p not in after]
         tally.half_written += len(damaged)

@@ -13,7 +13,7 @@ from benchmarks.synthetic.skeleton_folders import write_folder
 from hypose.calibration.boards import Board
 from hypose.fusion.joints import COMMON
 from hypose.gestures.depth_pictures import KINECT
-from hypose.io.calibrations.calibration_toml import write_calibration
+from hypose.io.calibrations.calibration_text import write_calibration
 from hypose.io.files import atomic_path
 from hypose.io.recordings.recording import Recording, View, write_recording
 from hypose.io.sensors.skeleton_streams import SensorStream, SkeletonRecording

@@ -1,31 +1,38 @@
-"""What a new user waits for: installing into a fresh environment, the first start, which compiles, and later ones; and
-how much of a long run is not tracking."""
+"""What a user waits for: the first start, which compiles, later ones, and a short clip; and how much is installed."""
 
 from __future__ import annotations
 
-import json
 import os
+import re
+import resource
+import shutil
 import subprocess
 import sys
 import tempfile
-import time
+import tomllib
 from collections.abc import Sequence
+from importlib.metadata import PackageNotFoundError, distribution
+from importlib.util import find_spec
 from pathlib import Path
 
 from benchmarks.bench_origin import ROOT
 from benchmarks.bench_report import BenchOptions, BenchReport, Row
 from benchmarks.robustness.small_recordings import small_scene, write_masks
+from hypose.app.commands.console import note
 from hypose.body.ready_bodies import human
 from hypose.compute import VARIABLE
 from hypose.errors import InputError
-from hypose.io.motions.bodies import save_body
-from hypose.synthetic.scenes import make_scene
-from hypose.synthetic.write_recording import write_scene
+from hypose.io.motions.results import save_body
 
-_TRACK = """
-import sys, time
+_CLOCK = """
+import os, subprocess, sys
 from pathlib import Path
-began, recording, out, body = float(sys.argv[1]), *map(Path, sys.argv[2:5])
+
+def clock():  # processor time of this process and of those that it started
+    return sum(os.times()[:4])
+"""
+_TRACK = """
+recording, out, body = map(Path, sys.argv[1:4])
 from hypose.app import cli
 from hypose.app.jobs.job import Job, run_job
 from hypose.io.motions.results import ResultsFolder
@@ -42,125 +49,132 @@ def first_pose():
     try:
         run_job(Job(load_recording(recording), TrackOptions(subject=str(body)), ResultsFolder(out)), progress)
     except First:
-        return time.time()
+        return clock()
 
-first = first_pose() - began
-again = time.time()
-print(first, first_pose() - again)
+if __name__ == "__main__":
+    first = first_pose()
+    print(first, first_pose() - first)
 """
 _FUSE = """
-import sys, time
-began = float(sys.argv[1])
 from hypose.app import cli
 from hypose.fusion.live import LiveFuser
-LiveFuser()
-first, again = time.time() - began, time.time()
-LiveFuser()
-print(first, time.time() - again)
-"""
-_WHOLE = """
-import json, sys
-from pathlib import Path
-from hypose.app.commands.console import Stages
-from hypose.app.jobs.job import Job, run_job
-from hypose.io.motions.results import ResultsFolder
-from hypose.io.recordings.recording import load_recording
-from hypose.pipeline.run import TrackOptions
 
-sys.setswitchinterval(5e-4)  # as the command's
-with Stages(quiet=True) as stages:
-    run_job(Job(load_recording(Path(sys.argv[1])), TrackOptions(), ResultsFolder(Path(sys.argv[2]))), stages)
-print(json.dumps(stages.seconds))
+if __name__ == "__main__":
+    LiveFuser()
+    first = clock()
+    LiveFuser()
+    print(first, clock() - first)
 """
-_LARGEST = ("llvmlite", "numba", "numpy", "scipy", "cv2", "opencv_python_headless")
+_HELP = """
+before = clock()
+subprocess.run([sys.executable, "-m", "hypose", "track", "--help"], check=True, stdout=subprocess.DEVNULL)
+print(clock() - before, 0.0)
+"""
+_POSE2SIM = """
+from Pose2Sim import Pose2Sim
+Pose2Sim.personAssociation()
+Pose2Sim.triangulation()
+Pose2Sim.filtering()
+"""
+_LARGEST = ("llvmlite", "numba", "numpy", "scipy", "opencv-python-headless")
 
 
 def start(options: BenchOptions) -> BenchReport:
-    """install_mib, install_seconds: a wheel of this tree and what it requires, by pip into an empty environment, whose
-    own pip is not counted; baseline: LLVM, numba, numpy, scipy and OpenCV alone. cold_seconds, warm_seconds: from the
-    start of the process to the first pose, less what the same takes once more in that process, which is work on the
-    recording: masks of four cameras and a given body (track), two frames of a skeleton (fuse); cold with an empty cache
-    of compiled code, warm the fastest of three. whole_over_tracking: seconds of `hypose track` with overlay, exports
-    and report over those up to the motion, 60 s of walking before four cameras (quick: 2 s).
+    """install_mb: this tree and the packages that it requires here; baseline: LLVM, numba, numpy, scipy and OpenCV
+    alone. cold_start_s, warm_start_s: processor time from the start of the process to the first pose, less what the
+    same takes once more in that process, which is work on the recording: masks of four cameras and a given body
+    (track), two frames of a skeleton (fuse); all of `hypose track --help` (help). Cold with an empty cache of compiled
+    code, which is compiled by as many processes as there are cores; warm the least of three.
     """
+    sizes = _installed()
+    largest = sum(sizes[name] for name in _LARGEST)
+    base = {"baseline": "LLVM, numba, numpy, scipy, OpenCV", "baseline_value": largest}
+    rows = [Row("install_mb", "core", sum(sizes.values()), "MB", **base)]
     with tempfile.TemporaryDirectory() as temporary:
         root = Path(temporary)
-        options.progress("install", 0, 1)
-        python, mib, largest, seconds = _install(root)
-        options.progress("install", 1, 1)
-        rows = [
-            Row(
-                "install_mib", "core", mib, "MiB", baseline="LLVM, numba, numpy, scipy, OpenCV", baseline_value=largest
-            ),
-            Row("install_seconds", "core", seconds, "s"),
-        ]
         recording = write_masks(small_scene(0, 5), root / "masks")
         save_body(human(), root / "body.npz")
-        given = {"track": (_TRACK, (recording, root / "out", root / "body.npz")), "fuse": (_FUSE, ())}
+        given = {"track": (_TRACK, (recording, root / "out", root / "body.npz"))}
+        given |= {"fuse": (_FUSE, ()), "help": (_HELP, ())}
         for n, (name, (program, arguments)) in enumerate(given.items()):
             options.progress("start", n, len(given))
-            cold, *warm = (_seconds(python, program, arguments, root / f"cache-{name}") for _ in range(4))
-            rows.append(Row("cold_seconds", name, cold, "s"))
-            rows.append(Row("warm_seconds", name, min(warm), "s", n=len(warm)))
+            script = root / f"{name}_program.py"
+            script.write_text(_CLOCK + program)
+            cold, *warm = (_started(script, arguments, root / f"cache-{name}") for _ in range(4))
+            if name != "help":  # which compiles nothing
+                rows.append(Row("cold_start_s", name, cold, "s"))
+            rows.append(Row("warm_start_s", name, min(warm), "s", n=len(warm)))
         options.progress("start", len(given), len(given))
-        length = 2.0 if options.quick else 60.0
-        stages = _stages(python, root, length)
-        done = list(stages)
-        tracking = sum(stages[s] for s in done[: done.index("export")])
-        ratio = sum(stages.values()) / tracking
-        rows.append(
-            Row("whole_over_tracking", f"{length:g} s", ratio, "1", baseline="tracking, s", baseline_value=tracking)
-        )
-    return BenchReport(tuple(rows), {"python": sys.version.split()[0], "stages_s": stages})
+    return BenchReport(tuple(rows), {"python": sys.version.split()[0], "mb": sizes})
 
 
-def _install(root: Path) -> tuple[Path, float, float, float]:
-    """A fresh environment with hypose: its python, MiB of all that was installed, of the largest packages, seconds."""
-    build = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(root / "wheel")]
-    _run(build, ROOT)
-    (wheel,) = (root / "wheel").glob("*.whl")
-    _run([sys.executable, "-m", "venv", str(root / "fresh")], root)
-    python = root / "fresh" / ("Scripts" if os.name == "nt" else "bin") / "python"
-    before = sum(_sizes(root / "fresh").values())
-    begin = time.perf_counter()
-    _run([str(python), "-m", "pip", "install", "--quiet", "--no-cache-dir", "--only-binary=:all:", str(wheel)], root)
-    seconds = time.perf_counter() - begin
-    sizes = _sizes(root / "fresh")
-    largest = sum(size for name, size in sizes.items() if name.startswith(_LARGEST))
-    return python, (sum(sizes.values()) - before) / 2**20, largest / 2**20, seconds
+def short_clip(options: BenchOptions) -> BenchReport:
+    """cpu_s: processor time of `hypose track` on the key points of the balancing clip, 100 frames from four cameras,
+    the least of three runs (quick: one). all: every file and the report, without the overlay; trc: motion.trc alone,
+    no report. baseline: Pose2Sim's association, triangulation and filtering of the same key points, run by turns, where
+    it is installed.
+    """
+    folder = options.folder("pose2sim_balancing")
+    rival = find_spec("Pose2Sim") is not None
+    if not rival:
+        note("Pose2Sim is not installed here: the short clip has no baseline.")
+    found: dict[str, list[float]] = {"all": [], "trc": [], "Pose2Sim": []}
+    runs = 1 if options.quick else 3
+    with tempfile.TemporaryDirectory() as temporary:
+        root = Path(temporary)
+        track = [sys.executable, "-m", "hypose", "track", str(folder), "--evidence", "keypoints", "--no-overlay"]
+        commands = {"all": track, "trc": [*track, "--no-report", "--formats", "trc"]}
+        if rival:
+            shutil.copytree(folder, root / "project")
+            commands["Pose2Sim"] = [sys.executable, "-c", _POSE2SIM]
+        for name in ("all", "trc"):  # what is compiled by the first run
+            _run([*commands[name], "--out", str(root / name)], root)
+        for n in range(runs):
+            options.progress("short clip", n, runs)
+            for name, command in commands.items():
+                more, where = ([], root / "project") if name == "Pose2Sim" else (["--out", str(root / name)], root)
+                found[name].append(_run([*command, *more], where)[1])
+        options.progress("short clip", runs, runs)
+    base = {"baseline": "Pose2Sim", "baseline_value": min(found["Pose2Sim"])} if rival else {}
+    rows = [Row("cpu_s", name, min(found[name]), "s", n=runs, **base) for name in ("all", "trc")]
+    return BenchReport(tuple(rows), {"frames": 100, "cameras": 4, "pose2sim": rival, "runs_s": found})
 
 
-def _sizes(environment: Path) -> dict[str, int]:
-    """Bytes on disk of each folder of packages."""
-    (packages,) = environment.glob("[Ll]ib/**/site-packages")
-    return {
-        one.name: sum(f.stat().st_size for f in (one.rglob("*") if one.is_dir() else [one]) if f.is_file())
-        for one in packages.iterdir()
-    }
+def _installed() -> dict[str, float]:
+    """MB of this tree and of each package that it requires, directly or not, as they are installed here."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    tree = (p for p in (ROOT / "hypose").rglob("*") if p.is_file() and "__pycache__" not in p.parts)
+    sizes = {"hypose": sum(p.stat().st_size for p in tree) / 1e6}
+    left = list(project["dependencies"])
+    while left:
+        requirement, _, marker = left.pop().partition(";")
+        name = re.sub(r"[-_.]+", "-", re.split(r"[^\w.-]", requirement.strip())[0]).lower()
+        if name in sizes or "extra" in marker:
+            continue
+        try:
+            package = distribution(name)
+        except PackageNotFoundError:  # of another platform or an older Python
+            continue
+        files = {Path(str(f.locate())) for f in package.files or ()}
+        sizes[name] = sum(f.stat().st_size for f in files if f.is_file()) / 1e6
+        left += package.requires or []
+    return sizes
 
 
-def _seconds(python: Path, program: str, arguments: Sequence[Path], cache: Path) -> float:
-    """Of a start: what the program prints first, less what it prints second."""
-    command = [str(python), "-c", program, repr(time.time()), *map(str, arguments)]
-    first, again = map(float, _run(command, cache.parent, cache).split()[-2:])
+def _started(script: Path, arguments: Sequence[Path], cache: Path) -> float:
+    """Processor time of a start: what the program prints first, less what it prints second."""
+    told, _ = _run([sys.executable, str(script), *map(str, arguments)], cache.parent, cache)
+    first, again = map(float, told.split()[-2:])
     return first - again
 
 
-def _stages(python: Path, root: Path, seconds: float) -> dict[str, float]:
-    """Seconds of the stages of `hypose track`, compiling aside, in their order."""
-    folder, cache = root / "clip", root / "cache-track"
-    write_scene(make_scene("walk", rig="humaneva-4", seconds=seconds, seed=1), folder)
-    command = [str(python), "-m", "hypose.app", "track", str(folder)]
-    _run([*command, "--frames", "0:8", "--out", str(root / "compile")], root, cache)
-    told = _run([str(python), "-c", _WHOLE, str(folder), str(root / "results")], root, cache)
-    return dict(json.loads(told.splitlines()[-1]))
-
-
-def _run(command: Sequence[str], folder: Path, cache: Path | None = None) -> str:
-    """What a command prints."""
-    environment = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "NUMBA_NUM_THREADS")}
+def _run(command: Sequence[str], folder: Path, cache: Path | None = None) -> tuple[str, float]:
+    """What a command prints, and the processor time of it and all its processes, s."""
+    environment = {k: v for k, v in os.environ.items() if k != "NUMBA_NUM_THREADS"} | {"PYTHONPATH": str(ROOT)}
     environment |= {VARIABLE: str(cache)} if cache is not None else {}
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
     done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
     if done.returncode:
         raise InputError(f"{' '.join(command[:4])} ended with {done.returncode}: {done.stderr.strip()[-400:]}")
-    return done.stdout
+    return done.stdout, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from hypose.app.jobs.gesture_job import new_learner
-from hypose.app.studio.gesture_feed import PERSON_RATE
+from hypose.app.live.gesture_sources import PERSON_RATE
 from hypose.gestures.depth_pictures import KINECT
 from hypose.gestures.localise import LocaliseSettings
 from hypose.gestures.model import GestureModel

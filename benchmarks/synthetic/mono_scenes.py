@@ -30,7 +30,7 @@ from hypose.synthetic.rigs import look_at
 from hypose.synthetic.scenes import Scene, make_scene
 from hypose.synthetic.simulated_keypoints import keypoint_detections
 from hypose.synthetic.subjects import Subject, dress, load_subjects
-from hypose.tracking.monocular.models import body_dofs
+from hypose.tracking.monocular.settings import body_dofs
 
 SIZE = (384, 288)
 FRAME_RATE = 25.0

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hypose.io.sensors.skeleton_folder import FolderWriter
+from hypose.io.sensors.skeleton_files import FolderWriter
 from hypose.io.sensors.skeleton_streams import SkeletonRecording
 
 

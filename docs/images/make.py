@@ -13,10 +13,9 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from hypose.app.reports.overlay import write_overlay
+from hypose.app.reports.overlay import PictureRows, write_overlay
 from hypose.body.joint_angles import joint_angles
-from hypose.io.motions.bodies import load_body
-from hypose.io.motions.results import load_motion
+from hypose.io.motions.results import load_body, load_motion
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import load_recording
 
@@ -33,8 +32,8 @@ def main(folder: Path) -> None:
     )
     row = int(np.nanargmin(motion.cost))
     with FrameStream(recording) as source:
-        stills = write_overlay(results / "none.mp4", recording, source, motion, body, stills=[row], video=False)
-    views = cv2.resize(stills[row], (960, 240), interpolation=cv2.INTER_AREA)
+        shown = write_overlay("", recording, source, motion, body, PictureRows(False, stills=[row]))
+    views = cv2.resize(shown.stills[row], (960, 240), interpolation=cv2.INTER_AREA)
     names, values = joint_angles(motion.skeleton, motion.poses)
     figure, panels = plt.subplots(1, 3, figsize=(9.6, 2.1), dpi=100, layout="constrained", sharex=True)
     for axes, key, title in zip(

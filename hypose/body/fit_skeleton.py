@@ -128,25 +128,21 @@ def scan_pose(body: Body, name: str) -> Array:
     return s.clamp(pose)
 
 
-def find_stances(surface: Surface, template: Body, pose: str = "auto", up: str = "auto") -> list[Stance]:
+def find_stances(surface: Surface, template: Body) -> list[Stance]:
     """The ways a scan may stand, best first; units do not matter.
 
-    pose: one of SCAN_POSES or 'auto'. up: '+z', '-y', ... or 'auto': any axis, z and then y preferred when the scores
-    are near each other."""
+    Any axis may be up; z and then y are preferred when the scores are near each other."""
     from scipy.spatial import KDTree  # takes long to import
 
     step = max(1, len(surface.points) // 700)
     points, normals = surface.points[::step], surface.normals[::step]
-    arms = SCAN_POSES if pose == "auto" else (pose,)
     models = {}
-    for name in arms:
+    for name in SCAN_POSES:
         v = template.skin(scan_pose(template, name))
         n = vertex_normals(v, template.coarse.faces)
         models[name] = (_boxed(v)[0], n)
     out = []
     for label, axis, _ in _UPS:
-        if up not in ("auto", label):
-            continue
         upright = rotation_between(np.array(axis), np.array([0.0, 0.0, 1.0]))
         flat = (points @ upright.T)[:, :2]
         _, direction = np.linalg.eigh(np.cov((flat - flat.mean(0)).T))
@@ -155,8 +151,7 @@ def find_stances(surface: Surface, template: Body, pose: str = "auto", up: str =
             turn = so3_exp(np.array([0, 0, -widest + quarter * np.pi / 2])) @ upright
             boxed, _ = _boxed(points @ turn.T)
             facing = normals @ turn.T
-            for name in arms:
-                v, n = models[name]
+            for name, (v, n) in models.items():
                 # normals count like a distance of a twelfth of the stature: front and back differ by little else
                 a, b = np.hstack([boxed, facing / 12]), np.hstack([v, n / 12])
                 d = np.concatenate([KDTree(b).query(a)[0], KDTree(a).query(b)[0]])

@@ -82,15 +82,14 @@ def project_with_derivatives(camera: Camera, points_camera: Array) -> tuple[Arra
     intrinsics (M, 2, 4 + k): fx, fy, cx, cy, distortion."""
     zero = np.zeros(3)
     points = np.ascontiguousarray(points_camera, dtype=np.float64)[:, None]
-    k = len(camera.distortion)
-    m = len(points)
     if camera.fisheye:
         uv, j = cv2.fisheye.projectPoints(points, zero, zero, camera.K, camera.distortion[:4])
-        uv, j = np.asarray(uv, dtype=np.float64), np.asarray(j, dtype=np.float64).reshape(m, 2, -1)
-        return uv.reshape(m, 2), j[..., 11:14], j[..., :8]
-    uv, j = cv2.projectPoints(points, zero, zero, camera.K, camera.distortion)
-    uv, j = np.asarray(uv, dtype=np.float64), np.asarray(j, dtype=np.float64).reshape(m, 2, -1)
-    return uv.reshape(m, 2), j[..., 3:6], j[..., 6 : 10 + k]
+        by_point, by_lens = slice(11, 14), slice(8)
+    else:
+        uv, j = cv2.projectPoints(points, zero, zero, camera.K, camera.distortion)
+        by_point, by_lens = slice(3, 6), slice(6, 10 + len(camera.distortion))
+    j = np.asarray(j, dtype=np.float64).reshape(len(points), 2, -1)
+    return np.asarray(uv, dtype=np.float64).reshape(-1, 2), j[..., by_point], j[..., by_lens]
 
 
 def refine(

@@ -2,23 +2,195 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from hypose.calibration.boards import Board
-from hypose.calibration.bundle import LensPrior
-from hypose.calibration.floor import floor_frame, place_on_floor
 from hypose.calibration.intrinsics import FOCAL_SD, Lens, board_poses, calibrate_lens
-from hypose.calibration.lags import estimate_lags
-from hypose.calibration.rig import Chooser, RigCalibration, RigSettings, calibrate_rig
-from hypose.calibration.surroundings import Picture, floor_likelihood
-from hypose.calibration.views import CameraViews, LookOptions, Progress, Source, diagnose, look_for_board
-from hypose.cameras.camera import CameraRig
+from hypose.calibration.refine_points import in_world
+from hypose.calibration.rig import Chooser, RigCalibration, calibrate_rig
+from hypose.calibration.synchronisation import estimate_lags
+from hypose.calibration.views import CameraViews, Progress, Source, diagnose, look_for_board
+from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import CalibrationError
-from hypose.geometry import Array
+from hypose.geometry import Array, rotation_between, se3, se3_inverse, so3_log, transform
 from hypose.io.videos.video import open_video
+
+# ---- surroundings --------------------------------------------------------------------------------------------------
+# Which way round two cameras see a board that looks the same turned by 180 degrees and lies still: seen from above,
+# the floor around it must look the same in both pictures (what stands on the floor does not, but seldom says the
+# opposite).
+
+
+Picture = NDArray[np.uint8]
+
+_REACH = 4.0  # board lengths around its middle
+_CELLS = 320
+_MIN_SHARE = 0.06  # of the square: less common floor says nothing
+_LEAST_RISE = 0.12  # sine of the lowest viewing angle: floor seen flatter is a smear
+
+
+def floor_likelihood(
+    images: Mapping[int, Picture],
+    cameras: Sequence[Camera],
+    camera_from_board: Mapping[int, Array],
+    board: Board,
+    c: int,
+    d: int,
+    d_from_c: Array,
+    other: Array,
+) -> float:
+    """How many times better the floor of cameras c and d agrees under d_from_c than under `other` (both (4, 4)):
+    quotient of the unexplained shares 1 - correlation; 1 when there is nothing to compare.
+
+    images: by camera, BGR (h, w, 3) with the board lying still; camera_from_board: its pose in each."""
+    base = camera_from_board[c]
+    one = _from_above(images[c], replace(cameras[c], camera_from_world=base), board)
+    scores = []
+    for motion in (d_from_c, other):
+        two = _from_above(images[d], replace(cameras[d], camera_from_world=motion @ base), board)
+        scores.append(_correlation(one, two))
+    if not np.isfinite(scores).all():
+        return 1.0
+    return float((1 - scores[1]) / max(1 - scores[0], 1e-6))
+
+
+def _from_above(image: Picture, camera: Camera, board: Board) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """The floor around the board as seen from above (n, n, 3), and where it is seen well. camera: in the board's
+    frame."""
+    low, high = board.points.min(0), board.points.max(0)
+    middle, length = 0.5 * (low + high), float((high - low).max())
+    line = np.linspace(-_REACH * length, _REACH * length, _CELLS)
+    x, y = np.meshgrid(line + middle[0], line + middle[1])
+    points = np.stack([x, y, np.zeros_like(x)], -1)
+    uv = camera.project(points)
+    # a lens model says anything far outside the picture: only points whose pinhole image is near count
+    plain = camera.project_pinhole(points)
+    size = np.array(camera.size)
+    with np.errstate(invalid="ignore"):
+        seen = ((uv > 1) & (uv < size - 2) & (plain > -0.5 * size) & (plain < 1.5 * size)).all(-1)
+    towards = camera.position - points
+    seen &= np.abs(towards[..., 2]) / np.linalg.norm(towards, axis=-1) > _LEAST_RISE
+    margin = 1.5 * board.square
+    seen &= ~(((points[..., :2] > low[:2] - margin) & (points[..., :2] < high[:2] + margin)).all(-1))
+    map_x, map_y = (np.where(seen, uv[..., i], 0).astype(np.float32) for i in (0, 1))
+    top = cv2.remap(image, map_x, map_y, cv2.INTER_LINEAR).astype(np.float32)
+    return top, seen
+
+
+def _correlation(
+    one: tuple[NDArray[np.float32], NDArray[np.bool_]], two: tuple[NDArray[np.float32], NDArray[np.bool_]]
+) -> float:
+    """Mean correlation of the colours over the common floor, each colour relative to its surroundings so that shading
+    does not count; NaN with too little in common."""
+    mask = one[1] & two[1]
+    if mask.mean() < _MIN_SHARE:
+        return float("nan")
+    weight = mask.astype(np.float32)
+    spread = cv2.GaussianBlur(weight, (0, 0), 24)
+    parts = []
+    for image, _ in (one, two):
+        smooth = cv2.GaussianBlur(image, (0, 0), 2.5)
+        local = cv2.GaussianBlur(smooth * weight[..., None], (0, 0), 24) / np.maximum(spread, 1e-3)[..., None]
+        parts.append((smooth - local)[mask])
+    a, b = parts
+    a, b = a - a.mean(0), b - b.mean(0)
+    norm = np.sqrt((a**2).sum() * (b**2).sum())
+    return float((a * b).sum() / norm) if norm > 1e-6 else float("nan")
+
+
+# ---- floor ---------------------------------------------------------------------------------------------------------
+# The world of a calibrated rig: z up, the floor at z = 0, from a board that lay on the floor.
+
+
+_FLAT = np.deg2rad(30.0)  # a board tilted by more against the cameras' common up does not lie on the floor
+_STILL_M, _STILL_RAD = 0.01, np.deg2rad(1.0)
+_STILL_FRAMES = 3
+
+
+def floor_frame(
+    rig: CameraRig, boards: Mapping[int, Array], board: Board, wanted: int | None, still: bool
+) -> tuple[int | None, str]:
+    """The frame in which the board lies on the floor, None if there is none, and a sentence about it.
+
+    wanted: the user's choice, the nearest frame with a board is taken; still: the board never moved. Otherwise the
+    first frame of the longest time in which the board stays where it is, flat against the cameras' common up.
+    """
+    if not boards:
+        return None, ""
+    frames = sorted(boards)
+    if wanted is not None:
+        near = min(frames, key=lambda f: abs(f - wanted))
+        if abs(near - wanted) > 50:
+            raise CalibrationError(
+                f"No board was found near frame {wanted} (the nearest is frame {near}); give --floor a frame in which "
+                "the board lies on the floor and is seen."
+            )
+        return near, f"The floor is where the board lies in frame {near}."
+    if still or len(frames) == 1:
+        return frames[0], "The floor is where the board lies."
+    up = _common_up(rig)
+    middle = board.points.mean(0)
+    best: list[int] = []
+    run: list[int] = []
+    for f in frames:
+        flat = float(-boards[f][:3, 2] @ up) > np.cos(_FLAT)
+        if run and flat:
+            motion = se3_inverse(boards[run[0]]) @ boards[f]
+            moved = np.linalg.norm(transform(boards[run[0]], middle[None]) - transform(boards[f], middle[None]))
+            if moved > _STILL_M or np.linalg.norm(so3_log(motion[:3, :3])) > _STILL_RAD:
+                run = []
+        run = [*run, f] if flat else []
+        if len(run) > len(best):
+            best = list(run)
+    if len(best) >= _STILL_FRAMES:
+        return best[len(best) // 2], (
+            f"The floor is where the board lies still in frames {best[0]} to {best[-1]}; if it lay on something else, "
+            "give --floor FRAME."
+        )
+    return None, (
+        "No frame shows the board lying still, so the floor is not known: up is the mean of the cameras' upward "
+        "directions, and z = 0 is where the board was lowest; lay the board on the floor for a moment and give --floor "
+        "FRAME."
+    )
+
+
+def place_on_floor(
+    rig: CameraRig, boards: Mapping[int, Array], board: Board, frame: int | None
+) -> tuple[CameraRig, dict[int, Array]]:
+    """Rig and boards in a world with z up. With a floor frame the origin is the board's first corner and x its first
+    row; otherwise the origin lies under the middle of all boards and x points as the first camera's right."""
+    if frame is not None:
+        world_from_old = np.diag([1.0, -1.0, -1.0, 1.0]) @ se3_inverse(boards[frame])
+    else:
+        up = _common_up(rig)
+        turn = rotation_between(up, [0, 0, 1.0])
+        right = turn @ rig[0].camera_from_world[0, :3]
+        angle = -np.arctan2(right[1], right[0])
+        spin = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+        turn = spin @ turn
+        corners = np.concatenate([transform(b, board.points) for b in boards.values()]) @ turn.T
+        origin = np.array([*corners[:, :2].mean(0), corners[:, 2].min()])
+        world_from_old = se3(turn, -origin)
+    return in_world(rig, world_from_old), {f: world_from_old @ b for f, b in boards.items()}
+
+
+def _common_up(rig: CameraRig) -> Array:
+    """(3,) mean of the cameras' upward directions, without the part along their views that tilting adds: the direction
+    most perpendicular to all cameras' x axes, since cameras are tilted but seldom rolled."""
+    right = np.stack([c.camera_from_world[0, :3] for c in rig])
+    mean = -np.stack([c.camera_from_world[1, :3] for c in rig]).mean(0)
+    _, s, vt = np.linalg.svd(right)
+    up = vt[-1]
+    if len(rig) < 2 or s[1] < 0.2 * s[0]:  # x axes all alike leave it open
+        up = mean
+    up = up / np.linalg.norm(up)
+    return up if up @ mean >= 0 else -up
+
 
 _GOOD_PX = 1.0  # rms above this is worth a warning
 _TWO_SIDED = "a board printed on both sides, of which cameras see different ones (cover the back)"
@@ -34,7 +206,6 @@ class CalibrateOptions:
     fisheye: bool = False
     floor: int | None = None
     max_frames: int = 120
-    prior: LensPrior = field(default_factory=LensPrior)
     progress: Progress = field(default=lambda stage, done, total: None)
 
 
@@ -74,7 +245,7 @@ def calibrate_from_boards(
     o = options or CalibrateOptions()
     lens_views: tuple[CameraViews, ...] = ()
     if lens_sources:
-        lens_views = look_for_board(lens_sources, board, LookOptions(o.max_frames, False, o.progress))
+        lens_views = look_for_board(lens_sources, board, o.max_frames, False, o.progress)
         unknown = {v.name for v in lens_views} ^ {s.name for s in sources}
         if unknown:
             raise CalibrationError(
@@ -83,7 +254,7 @@ def calibrate_from_boards(
             )
         by_name = {v.name: v for v in lens_views}
         lens_views = tuple(by_name[s.name] for s in sources)
-    views = look_for_board(sources, board, LookOptions(o.max_frames, True, o.progress))
+    views = look_for_board(sources, board, o.max_frames, True, o.progress)
     both = (*lens_views, *views)
     _all_found(views, board, both)
     lenses: tuple[Lens, ...] = ()
@@ -95,7 +266,7 @@ def calibrate_from_boards(
             lenses,
             [v.sightings for v in views],
             board,
-            RigSettings(free_intrinsics=True, prior=o.prior, choose=choose),
+            choose,
             [v.sightings for v in lens_views] or None,
         )
         _determined(fit)
@@ -143,29 +314,26 @@ def _lens(
         if given is None:
             o.lenses.select([view.name])  # its error lists the cameras there are
         assert given is not None
-        if given.size != view.size:
-            ratio = (view.size[0] / view.size[1]) / (given.size[0] / given.size[1])
-            if abs(ratio - 1) > 0.01:
-                raise CalibrationError(
-                    f"Camera {view.name}: its pictures are {view.size[0]} x {view.size[1]} px, the given lens is "
-                    f"calibrated for {given.size[0]} x {given.size[1]} px; give a lens calibrated at this size."
-                )
-            given = given.scaled(view.size)
-        camera = replace(given, camera_from_world=np.eye(4))
+        camera = replace(_scaled(given, view, "the given lens"), camera_from_world=np.eye(4))
         errors = [board_poses(camera, s, board.points)[0][1] for s in view.sightings.values()]
         return Lens(camera, (), float(np.median(errors)), float("nan"), not o.refine_lenses)
     seen = lens_views[i].sightings if lens_views else view.sightings
     size = lens_views[i].size if lens_views else view.size
-    lens = calibrate_lens(view.name, seen, board, size, fisheye=o.fisheye, prior=o.prior, strict=False)
-    if size != view.size:
-        ratio = (view.size[0] / view.size[1]) / (size[0] / size[1])
-        if abs(ratio - 1) > 0.01:
-            raise CalibrationError(
-                f"Camera {view.name}: the lens pictures are {size[0]} x {size[1]} px, the others {view.size[0]} x "
-                f"{view.size[1]} px; film both in the same mode."
-            )
-        lens = replace(lens, camera=lens.camera.scaled(view.size), given=True)
-    return lens
+    lens = calibrate_lens(view.name, seen, board, size, fisheye=o.fisheye, strict=False)
+    if size == view.size:
+        return lens
+    return replace(lens, camera=_scaled(lens.camera, view, "those for its lens"), given=True)
+
+
+def _scaled(lens: Camera, view: CameraViews, whose: str) -> Camera:
+    """A lens at the size of a view's pictures; a CalibrationError when they have another shape."""
+    (w, h), (lens_w, lens_h) = view.size, lens.size
+    if abs((w / h) / (lens_w / lens_h) - 1) > 0.01:
+        raise CalibrationError(
+            f"Camera {view.name}: its pictures are {w} x {h} px, {whose} {lens_w} x {lens_h} px; film both in the same "
+            "mode."
+        )
+    return lens if view.size == lens.size else lens.scaled(view.size)
 
 
 def _lag_hint(lenses: Sequence[Lens], views: Sequence[CameraViews], board: Board) -> str:

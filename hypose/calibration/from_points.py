@@ -14,8 +14,8 @@ from hypose.calibration.bundle import LensPrior, Observations, refine
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import CalibrationError, InputError
 from hypose.geometry import Array, se3
-from hypose.io.calibrations.calibration_toml import UNITS, as_numbers, parse_toml
-from hypose.io.files import text_lines
+from hypose.io.calibrations.calibration_camera import UNITS, numbers
+from hypose.io.files import read_toml
 
 _LEAST_KNOWN, _LEAST_UNKNOWN = 4, 6  # points for a camera with a known and with an unknown lens
 _CLICK_PX = 1.0
@@ -56,10 +56,7 @@ def read_scene_points(path: str | Path) -> ScenePoints:
     corner_a = [512.3, 830.0]       # px, the middle of the first pixel is 0, 0
     """
     path = Path(path)
-    try:
-        document = parse_toml(path, "\n".join(text_lines(path, "a TOML file of scene points", 5_000_000)))
-    except ValueError as error:
-        raise InputError(f"{path} is not valid TOML: {error}; correct it.") from None
+    document = read_toml(path, "a TOML file of scene points")
     unknown = set(document) - {"unit", "points", "clicks"}
     if unknown:
         raise InputError(f"{path}: {', '.join(sorted(unknown))} is unknown; known are unit, [points], [clicks.CAMERA].")
@@ -75,8 +72,8 @@ def read_scene_points(path: str | Path) -> ScenePoints:
         entries = dict(table) if isinstance(table, dict) else {}
         size = entries.pop("size", None)
         if size is not None:
-            given = as_numbers(size)
-            if given is None or given.shape != (2,) or (given < 1).any() or (given % 1).any():
+            given = numbers(f"{path}, camera {camera}", {"size": size}, ("size",), (2,))
+            if (given < 1).any() or (given % 1).any():
                 raise InputError(f"{path}, camera {camera}: size must be [width, height] in px, got {size!r}.")
             sizes[camera] = (int(given[0]), int(given[1]))
         clicks[camera] = _vectors(path, f"clicks.{camera}", entries, 2)
@@ -92,13 +89,7 @@ def read_scene_points(path: str | Path) -> ScenePoints:
 def _vectors(path: Path, table: str, entries: Any, length: int) -> dict[str, Array]:
     if not isinstance(entries, dict) or not entries:
         raise InputError(f"{path}: the table [{table}] is missing or empty; list NAME = [..] with {length} numbers.")
-    out = {}
-    for name, value in entries.items():
-        numbers = as_numbers(value)
-        if numbers is None or numbers.shape != (length,) or not np.isfinite(numbers).all():
-            raise InputError(f"{path}, [{table}]: {name} must be {length} finite numbers, got {value!r}; correct it.")
-        out[str(name)] = numbers
-    return out
+    return {str(name): numbers(f"{path}, [{table}]", entries, (name,), (length,)) for name in entries}
 
 
 def calibrate_from_points(scene: ScenePoints, lenses: CameraRig | None = None) -> PointCalibration:

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from hypose.calibration.boards import Board, Sighting
-from hypose.calibration.bundle import LensPrior, Observations, Refined, refine
+from hypose.calibration.bundle import Observations, Refined, refine
 from hypose.calibration.views import positions
 from hypose.cameras.camera import Camera
 from hypose.errors import CalibrationError
@@ -42,7 +42,6 @@ def calibrate_lens(
     size: tuple[int, int],
     *,
     fisheye: bool = False,
-    prior: LensPrior | None = None,
     strict: bool = True,
 ) -> Lens:
     """K and distortion (k1 k2 p1 p2 k3, or four fisheye coefficients) from boards seen by frame number.
@@ -72,7 +71,7 @@ def calibrate_lens(
         if len(chosen) < 3:
             break
         observations = observe({0: {f: sightings[f] for f in chosen}}, chosen)
-        result = refine([start], np.stack([p for p, _ in poses]), board.points, observations, prior=prior)
+        result = refine([start], np.stack([p for p, _ in poses]), board.points, observations)
         start = result.cameras[0]
         error = np.sqrt(
             np.bincount(observations.frame, (result.residuals**2).sum(1)) / (2 * np.bincount(observations.frame))

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.body import Body, Landmarks
-from hypose.calibration.refine_camera import by_camera, change_from, changed
+from hypose.calibration.refine_points import CameraUnknowns, by_camera, changed, pinhole_derivative
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.compute import SharedEquations, geman_mcclure, lorentzian, weighted_squares
 from hypose.errors import EvidenceError
@@ -35,18 +35,14 @@ _State = tuple[list[Camera], Array]
 @dataclass(frozen=True)
 class BodySettings:
     """coarse: factors of the contour scale, one stage each; iterations: of each stage; contour_weight: of a contour row
-    at the reference density; keypoint_weight; focal: focal lengths too; hold_m, hold_rad: sd of the weak pull of
-    each camera to where it is, which fixes the gauge; spacing: of the rows along the body's outline, as a share of the
-    reference spacing; normals: rows whose outlines point further apart than this cosine are left out."""
+    at the reference density; keypoint_weight; focal: focal lengths too; normals: rows whose outlines point further
+    apart than this cosine are left out."""
 
     coarse: tuple[float, ...] = (4.0, 2.0, 1.0)
     iterations: tuple[int, ...] = (5, 6, 6)
     contour_weight: float = 0.1
     keypoint_weight: float = 1.0
     focal: bool = False
-    hold_m: float = 0.5
-    hold_rad: float = 0.3
-    hold_focal: float = 0.05
     normals: float = 0.3
 
 
@@ -115,15 +111,13 @@ class _BodyProblem:
     ) -> None:
         marks = Landmarks((), np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
         self.body = replace(body, fine=body.coarse, landmarks=marks)
-        self.start, self.contours, self.keypoints, self.o = rig, contours, keypoints, options
-        self.unknowns = 7 if options.focal else 6
+        self.contours, self.keypoints, self.o = contours, keypoints, options
         joints = len(body.skeleton.joint_names)
         self.moves = body.coarse.dense_weights(joints) @ body.skeleton.moves.T.astype(np.float64)
         prior = anatomical_prior(body.skeleton)
         self.centre, self.pull = prior.centre, prior.weight
-        hold = [options.hold_rad**-2] * 3 + [options.hold_m**-2] * 3 + [options.hold_focal**-2] * options.focal
-        self.hold = np.array(hold)
-        self.free = np.ones(len(rig), dtype=bool) if free is None else np.asarray(free, dtype=bool)
+        self.cameras = CameraUnknowns(rig, options.focal, free)
+        self.unknowns = self.cameras.count
 
     def linearise(self, cameras: list[Camera], q: Array, factor: float) -> tuple[list[_Rows], float]:
         """Rows of all frames and the whole cost."""
@@ -134,12 +128,8 @@ class _BodyProblem:
             parts = [*self._contour_rows(f, q[f], skins[f], cameras, projections, factor)]
             parts += self._keypoint_rows(f, q[f], cameras)
             rows.append(_joined(parts, len(self.pull), self.unknowns))
-        held = self._held(cameras)
         cost = sum(r.cost for r in rows) + 0.5 * float((self.pull * (q - self.centre) ** 2).sum())
-        return rows, cost + 0.5 * float((self.hold * held**2).sum())
-
-    def _held(self, cameras: list[Camera]) -> Array:
-        return np.stack([change_from(a, b) for a, b in zip(self.start, cameras, strict=True)])[:, : self.unknowns]
+        return rows, cost + self.cameras.held(cameras)[1]
 
     def _contour_rows(
         self, f: int, pose: Array, vertices: Array, cameras: list[Camera], projections: Array, factor: float
@@ -180,13 +170,9 @@ class _BodyProblem:
             seen, p = seen[p[:, 2] > 0.05], p[p[:, 2] > 0.05]
             if len(seen) == 0:
                 continue
-            k, z = camera.K, p[:, 2]
-            d = np.zeros((len(seen), 2, 3))
-            d[:, 0, 0], d[:, 0, 1], d[:, 1, 1] = k[0, 0] / z, k[0, 1] / z, k[1, 1] / z
-            uv = (p / z[:, None]) @ k[:2].T
-            d[:, :, 2] = -(uv - k[:2, 2]) / z[:, None]
-            r = uv - term.points[c, seen, :2]
-            weight = self.o.keypoint_weight * term.weight * term.points[c, seen, 2]
+            offset, d = pinhole_derivative(camera, p)
+            r = offset + camera.K[:2, 2] - term.points[c, seen, :2]
+            weight = self.o.keypoint_weight * term.points[c, seen, 2]
             world = d @ camera.camera_from_world[:3, :3]
             by_pose = np.einsum("kxa,kda->kxd", world, motion[seen]).reshape(-1, len(pose))
             by_cam = by_camera(np.repeat(p, 2, 0), d.reshape(-1, 3), self.unknowns)
@@ -198,7 +184,8 @@ class _BodyProblem:
     def equations(self, rows: list[_Rows], cameras: list[Camera], q: Array) -> SharedEquations:
         """Of the cameras' unknowns (C P,), shared by the frames' poses."""
         n, p, dof = len(cameras), self.unknowns, q.shape[1]
-        hessian, gradient = np.diag(np.tile(self.hold, n)), (self.hold * self._held(cameras)).ravel()
+        hold = self.cameras.hold
+        hessian, gradient = np.diag(np.tile(hold, n)), (hold * self.cameras.held(cameras)[0]).ravel()
         own, own_gradient = np.empty((len(q), dof, dof)), np.empty(q.shape)
         cross = np.empty((len(q), dof, n * p))
         for f, row in enumerate(rows):
@@ -223,7 +210,7 @@ class _BodyProblem:
     def propose(self, state: _State, equations: SharedEquations, damping: float) -> tuple[_State, float] | None:
         cameras, q = state
         reduced = equations.reduced(damping)
-        x = reduced.step(np.repeat(self.free, self.unknowns))
+        x = reduced.step(self.cameras.free)
         if x is None:
             return None
         each = x.reshape(len(cameras), -1)

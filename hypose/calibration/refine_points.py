@@ -8,40 +8,169 @@ Source: Triggs et al. 2000, "Bundle adjustment - a modern synthesis", section 6;
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.calibration.refine_camera import change_from, changed
 from hypose.cameras.camera import Camera, CameraRig, triangulate
 from hypose.compute import SharedEquations, lorentzian
 from hypose.errors import EvidenceError
 from hypose.fitting.least_squares import Rule, descend
-from hypose.geometry import Array, transform
+from hypose.geometry import Array, procrustes, se3, se3_inverse, so3_exp, so3_log, transform
+from hypose.io.calibrations import calibration_camera
+
+# ---- refine camera -------------------------------------------------------------------------------------------------
+# Small changes of cameras as unknowns of a least-squares problem, and the gauge: which world a refined rig lives in.
+#
+# A camera's change is (w, v[, log focal factor]): p' = exp(w) p + v of points p in the camera's frame, focal length
+# f exp(log factor). Images and points fix a rig only up to a similarity of the whole world; refined rigs are
+# laid onto the old one so that few cameras move far rather than all a little (iteratively reweighted, an L1 fit).
+
+
+@dataclass(frozen=True)
+class CameraChange:
+    """How far one camera is from where the old calibration had it. turn_deg: angle; move_m: distance of the centres;
+    focal: factor on the focal length; image_px: median movement of the person's points in its image, px of the
+    calibrated size."""
+
+    name: str
+    turn_deg: float
+    move_m: float
+    focal: float
+    image_px: float
+
+
+def changed(camera: Camera, x: Array) -> Camera:
+    """The camera changed by x (6,) or more; a radial term is not part of a Camera and is left to the caller."""
+    motion = se3(so3_exp(x[:3]), x[3:6])
+    k = camera.K
+    if len(x) > 6 and x[6] != 0:
+        k = k.copy()
+        k[:2, :2] *= np.exp(x[6])
+    return replace(camera, K=k, camera_from_world=motion @ camera.camera_from_world)
+
+
+def by_camera(points_camera: Array, gradient_camera: Array, unknowns: int = 6) -> Array:
+    """(R, unknowns) derivative of rows with respect to a camera's change at zero.
+
+    points_camera (R, 3) m, gradient_camera (R, 3): derivative of each row with respect to its point, both in the
+    camera's frame; unknowns 6, or 7 with the focal length."""
+    parts = [np.cross(points_camera, gradient_camera), gradient_camera]
+    if unknowns > 6:  # u - c = f x / z: scaling f scales x and y
+        parts.append((points_camera[:, :2] * gradient_camera[:, :2]).sum(1)[:, None])
+    return np.concatenate(parts, 1)
+
+
+def change_from(old: Camera, new: Camera) -> Array:
+    """(7,) the change that takes the old camera to the new one; the inverse of `changed`."""
+    motion = new.camera_from_world @ se3_inverse(old.camera_from_world)
+    return np.r_[so3_log(motion[:3, :3]), motion[:3, 3], np.log(new.K[0, 0] / old.K[0, 0])]
+
+
+def in_world(rig: CameraRig, new_from_old: Array) -> CameraRig:
+    """The same cameras after the whole world moved rigidly: points x -> new_from_old x."""
+    back = se3_inverse(new_from_old)
+    return CameraRig(tuple(replace(c, camera_from_world=c.camera_from_world @ back) for c in rig))
+
+
+def gauge(new: CameraRig, old: CameraRig, points_new: Array) -> Array:
+    """Rigid old_from_new (4, 4) that lays a refined rig and its world onto the old one.
+
+    Cameras are compared by where their centres lie and where their axes meet the person (points_new (N, 3) m, in the
+    refined world): four points each. A camera that really moved is let go (weights 1 / distance)."""
+    middle = np.nanmedian(points_new, axis=0)
+    reach = float(np.median(np.linalg.norm(new.positions - middle, axis=1)))
+    marks_new = np.stack([_marks(c, reach) for c in new])
+    marks_old = np.stack([_marks(c, reach) for c in old])
+    weight = np.ones(len(new))
+    motion = np.eye(4)
+    for _ in range(30):
+        w = np.repeat(weight, marks_new.shape[1])
+        motion, _ = procrustes(marks_new.reshape(-1, 3), marks_old.reshape(-1, 3), w)
+        gap = np.linalg.norm(transform(motion, marks_new.reshape(-1, 3)) - marks_old.reshape(-1, 3), axis=1)
+        distance = np.sqrt((gap.reshape(len(new), -1) ** 2).mean(1))
+        weight = 1 / np.maximum(distance, 1e-3 * reach)
+    return motion
+
+
+def _marks(camera: Camera, reach: float) -> Array:
+    """(4, 3) points fixed to a camera: its centre, and three where it looks, at the person's distance."""
+    local = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.3, 0.0, 1.0], [0.0, 0.3, 1.0]]) * reach
+    return transform(se3_inverse(camera.camera_from_world), local)
+
+
+def changes(old: CameraRig, new: CameraRig, points_world: Array) -> tuple[CameraChange, ...]:
+    """What moved between two rigs of one world; points_world (N, 3) m are the person's."""
+    out = []
+    p = points_world[np.isfinite(points_world).all(1)]
+    for a, b in zip(old, new, strict=True):
+        turn = np.degrees(np.linalg.norm(so3_log(b.camera_from_world[:3, :3] @ a.camera_from_world[:3, :3].T)))
+        shift = np.linalg.norm(a.project_pinhole(p) - b.project_pinhole(p), axis=1)
+        out.append(
+            CameraChange(
+                a.name,
+                float(turn),
+                float(np.linalg.norm(a.position - b.position)),
+                float(b.K[0, 0] / a.K[0, 0]),
+                float(np.nanmedian(shift)) if len(p) else float("nan"),
+            )
+        )
+    return tuple(out)
+
+
+def rescaled(rig: CameraRig, factor: float) -> CameraRig:
+    """The rig with all lengths multiplied by a factor."""
+    return CameraRig(tuple(calibration_camera.rescaled(c, factor) for c in rig))
+
+
+def free_cameras(rig: CameraRig, fixed: tuple[str, ...]) -> NDArray[np.bool_]:
+    """(C,) True for the cameras that may move; a CalibrationError lists the names there are."""
+    if fixed:
+        rig.select(fixed)
+    return np.array([c.name not in fixed for c in rig])
+
 
 _State = tuple[list[Camera], Array, Array]
 """cameras, radial (C,), points (N, 3)"""
+_ITERATIONS = 30
 FEWEST_POINTS = 60
 """3D points (over all frames) below which a rig is not adjusted"""
 
 
-@dataclass(frozen=True)
-class PointSettings:
-    """iterations; scale_px: sd of a detection (the Cauchy scale is twice that), None = 0.8 % of the person's size;
-    focal: focal lengths are unknowns too; radial: so is one radial distortion term per camera; hold_m, hold_rad: sd of
-    the weak pull of every camera to where it is, which fixes the gauge; min_confidence of a key point."""
+HOLD_RAD, HOLD_M, HOLD_FOCAL = 0.3, 0.5, 0.05
+"""sd of the weak pull of every camera to where it is, which fixes the gauge"""
 
-    iterations: int = 30
-    scale_px: float | None = None
-    focal: bool = False
-    radial: bool = False
-    hold_m: float = 0.5
-    hold_rad: float = 0.3
-    hold_focal: float = 0.05
-    min_confidence: float = 0.3
+
+class CameraUnknowns:
+    """What changes of a rig's cameras, P numbers each: `changed`, and one radial distortion term where that is asked
+    for. free (C,): cameras that may move, None: all."""
+
+    def __init__(self, rig: CameraRig, focal: bool, free: NDArray[np.bool_] | None, radial: bool = False) -> None:
+        self.start, self.focal, self.radial = rig, focal, radial
+        pull = [HOLD_RAD] * 3 + [HOLD_M] * 3 + [HOLD_FOCAL] * focal + [1.0] * radial
+        self.hold = np.array(pull) ** -2.0
+        self.count = len(pull)
+        self.free = np.repeat(
+            np.ones(len(rig), dtype=bool) if free is None else np.asarray(free, dtype=bool), len(pull)
+        )
+
+    def held(self, cameras: Sequence[Camera], radial: Array | None = None) -> tuple[Array, float]:
+        """(C, P) distance from the start and its cost."""
+        x = np.stack([change_from(a, b) for a, b in zip(self.start, cameras, strict=True)])[:, : 6 + self.focal]
+        if radial is not None and self.radial:
+            x = np.concatenate([x, radial[:, None]], 1)
+        return x, 0.5 * float((self.hold * x**2).sum())
+
+
+def pinhole_derivative(camera: Camera, points: Array) -> tuple[Array, Array]:
+    """Pixels (N, 2) from the principal point, and their derivatives (N, 2, 3), of points (N, 3) in the camera's frame,
+    without lens distortion."""
+    k, z = camera.K[:2, :2], np.maximum(points[:, 2], 1e-3)[:, None]
+    offset = (points[:, :2] / z) @ k.T
+    return offset, np.concatenate([k / z[..., None], -(offset / z)[..., None]], -1)
 
 
 @dataclass(frozen=True)
@@ -61,15 +190,17 @@ def adjust(
     rig: CameraRig,
     pixels: Array,
     confidence: Array,
-    options: PointSettings | None = None,
     free: NDArray[np.bool_] | None = None,
+    *,
+    focal: bool = False,
+    radial: bool = False,
 ) -> PointAdjustment:
     """Refines a rig on key points.
 
-    pixels (C, N, 2) undistorted px of the rig; confidence (C, N), 0 = not seen; free (C,): cameras that may move.
+    pixels (C, N, 2) undistorted px of the rig; confidence (C, N), 0 = not seen; free (C,): cameras that may move;
+    focal: focal lengths are unknowns too; radial: so is one radial distortion term per camera.
     An EvidenceError when too few points are seen by two views."""
-    o = options or PointSettings()
-    w = np.where((confidence > o.min_confidence) & np.isfinite(pixels).all(-1), confidence, 0.0)
+    w = np.where((confidence > 0.3) & np.isfinite(pixels).all(-1), confidence, 0.0)
     uv = np.nan_to_num(pixels)
     keep = (w > 0).sum(0) >= 2
     if keep.sum() < FEWEST_POINTS:
@@ -77,12 +208,11 @@ def adjust(
             f"Only {int(keep.sum())} key points are seen by two cameras; at least {FEWEST_POINTS} (over all frames) "
             "are needed to refine a calibration: use more frames, or silhouettes."
         )
-    scale = o.scale_px or default_scale(uv, w)
-    problem = _Bundle(rig, uv[:, keep], w[:, keep], scale, o, free)
-    found, x, radial, sd, before, after = problem.solve()
+    problem = _Bundle(uv[:, keep], w[:, keep], default_scale(uv, w), CameraUnknowns(rig, focal, free, radial))
+    found = problem.solve()
     points = np.full((uv.shape[1], 3), np.nan)
-    points[keep] = x
-    return PointAdjustment(found, points, radial, sd, before, after)
+    points[keep] = found.points
+    return replace(found, points=points)
 
 
 def default_scale(pixels: Array, confidence: Array) -> float:
@@ -94,21 +224,8 @@ def default_scale(pixels: Array, confidence: Array) -> float:
 class _Bundle:
     """pixels (C, N, 2), confidence (C, N) of points that two views see."""
 
-    def __init__(
-        self,
-        rig: CameraRig,
-        pixels: Array,
-        confidence: Array,
-        scale: float,
-        options: PointSettings,
-        free: NDArray[np.bool_] | None,
-    ) -> None:
-        self.start, self.uv, self.confidence, self.scale, self.o = rig, pixels, confidence, 2 * scale, options
-        self.size = 6 + int(options.focal) + int(options.radial)
-        self.free = np.ones(len(rig), dtype=bool) if free is None else np.asarray(free, dtype=bool)
-        hold = [options.hold_rad**-2] * 3 + [options.hold_m**-2] * 3
-        hold += [options.hold_focal**-2] * options.focal + [1.0] * options.radial
-        self.hold = np.array(hold)
+    def __init__(self, pixels: Array, confidence: Array, scale: float, unknowns: CameraUnknowns) -> None:
+        self.uv, self.confidence, self.scale, self.unknowns = pixels, confidence, 2 * scale, unknowns
 
     def residuals(self, cameras: list[Camera], radial: Array, points: Array) -> tuple[Array, Array, float]:
         """(C, N, 2) px, (C, N) weights of squared px, and the robust cost."""
@@ -123,48 +240,28 @@ class _Bundle:
         weight = np.where(behind, 0.0, slope)
         return r, weight, cost
 
-    def held(self, cameras: list[Camera], radial: Array) -> tuple[Array, float]:
-        """(C, P) distance from the start and its cost."""
-        x = np.stack([change_from(a, b) for a, b in zip(self.start, cameras, strict=True)])
-        x = x if self.o.focal else x[:, :6]
-        if self.o.radial:
-            x = np.concatenate([x, radial[:, None]], 1)
-        return x, 0.5 * float((self.hold * x**2).sum())
-
     def equations(self, cameras: list[Camera], radial: Array, points: Array) -> SharedEquations:
         """Of the cameras' unknowns (C P,), shared by the points'."""
         r, weight, _ = self.residuals(cameras, radial, points)
-        size, (n_cameras, n) = self.size, weight.shape
+        size, (n_cameras, n) = self.unknowns.count, weight.shape
         jc, jp = np.zeros((n_cameras, n, 2, size)), np.zeros((n_cameras, n, 2, 3))
         for c, camera in enumerate(cameras):
             p = transform(camera.camera_from_world, points)
-            k, z = camera.K, np.maximum(p[:, 2], 1e-3)
-            x, y = p[:, 0] / z, p[:, 1] / z
-            # derivative of the image point with respect to the point in the camera's frame
-            d = np.zeros((n, 2, 3))
-            d[:, 0, 0], d[:, 0, 1], d[:, 1, 1] = k[0, 0] / z, k[0, 1] / z, k[1, 1] / z
-            d[:, 0, 2], d[:, 1, 2] = -(k[0, 0] * x + k[0, 1] * y) / z, -k[1, 1] * y / z
-            r2 = x**2 + y**2
+            offset, d = pinhole_derivative(camera, p)
+            r2 = ((p[:, :2] / np.maximum(p[:, 2:], 1e-3)) ** 2).sum(1)
             if radial[c] != 0:
-                d *= (1 + radial[c] * r2)[:, None, None]  # its own slope is small against this
-            jc[c, :, :, :3] = np.cross(p[:, None], d)
-            jc[c, :, :, 3:6] = d
-            column = 6
-            image = np.stack([k[0, 0] * x + k[0, 1] * y, k[1, 1] * y], 1)
-            if self.o.focal:
-                jc[c, :, :, column] = image
-                column += 1
-            if self.o.radial:
-                jc[c, :, :, column] = image * r2[:, None]
+                d = d * (1 + radial[c] * r2)[:, None, None]  # its own slope is small against this
+            more = [offset] * self.unknowns.focal + [offset * r2[:, None]] * self.unknowns.radial
+            jc[c] = np.concatenate([np.cross(p[:, None], d), d, *(m[..., None] for m in more)], -1)
             jp[c] = d @ camera.camera_from_world[:3, :3]
         wjc = weight[..., None, None] * jc
-        x, _ = self.held(cameras, radial)
+        x, _ = self.unknowns.held(cameras, radial)
         hessian = np.zeros((n_cameras, size, n_cameras, size))
         for c, block in enumerate(np.einsum("cnxp,cnxq->cpq", wjc, jc)):
-            hessian[c, :, c] = block + np.diag(self.hold)
+            hessian[c, :, c] = block + np.diag(self.unknowns.hold)
         return SharedEquations(
             hessian.reshape(n_cameras * size, -1),
-            (np.einsum("cnxp,cnx->cp", wjc, r) + self.hold * x).ravel(),
+            (np.einsum("cnxp,cnx->cp", wjc, r) + self.unknowns.hold * x).ravel(),
             np.einsum("cn,cnxi,cnxj->nij", weight, jp, jp),
             np.einsum("cn,cnxi,cnx->ni", weight, jp, r),
             np.einsum("cnxp,cnxi->nicp", wjc, jp).reshape(n, 3, -1),
@@ -172,36 +269,36 @@ class _Bundle:
 
     def evaluate(self, state: _State) -> tuple[float, Callable[[], SharedEquations]]:
         cameras, radial, points = state
-        cost = self.residuals(cameras, radial, points)[2] + self.held(cameras, radial)[1]
+        cost = self.residuals(cameras, radial, points)[2] + self.unknowns.held(cameras, radial)[1]
         return cost, partial(self.equations, cameras, radial, points)
 
     def propose(self, state: _State, equations: SharedEquations, damping: float) -> tuple[_State, float] | None:
         cameras, radial, points = state
         reduced = equations.reduced(damping)
-        step = reduced.step(np.repeat(self.free, self.size))
+        step = reduced.step(self.unknowns.free)
         if step is None:
             return None
-        x = step.reshape(len(cameras), self.size)
+        x = step.reshape(len(cameras), self.unknowns.count)
         x *= min(1.0, 0.2 / max(float(np.abs(x[:, :3]).max()), 1e-12))
         moved = points + reduced.own_steps(x.ravel())
-        new = [changed(c, d if self.o.focal else d[:6]) for c, d in zip(cameras, x, strict=True)]
-        return (new, radial + (x[:, -1] if self.o.radial else 0.0), moved), float(np.abs(x).max())
+        new = [changed(c, d if self.unknowns.focal else d[:6]) for c, d in zip(cameras, x, strict=True)]
+        return (new, radial + (x[:, -1] if self.unknowns.radial else 0.0), moved), float(np.abs(x).max())
 
-    def solve(self) -> tuple[CameraRig, Array, Array, Array, float, float]:
-        cameras, radial = list(self.start), np.zeros(len(self.start))
-        points = triangulate(self.start, self.uv, self.confidence)[0]
+    def solve(self) -> PointAdjustment:
+        rig = self.unknowns.start
+        points = triangulate(rig, self.uv, self.confidence)[0]
         lost = ~np.isfinite(points).all(1)
         points[lost] = np.nanmedian(points[~lost], axis=0)
-        before = self._median(cameras, radial, points)
+        start = list(rig), np.zeros(len(rig)), points
         rule = Rule(damping=1e-3, least=1e-7, gain=1e-6)
-        found = descend((cameras, radial, points), self.evaluate, self.propose, self.o.iterations, rule)
+        found = descend(start, self.evaluate, self.propose, _ITERATIONS, rule)
         cameras, radial, points = found.state
         sd = np.zeros(len(cameras))
-        if self.o.radial:
+        if self.unknowns.radial:
             s = found.equations.reduced().hessian
             sd = np.sqrt(np.maximum(np.diag(np.linalg.pinv(s)).reshape(len(cameras), -1)[:, -1], 0))
-        after = self._median(cameras, radial, points)
-        return CameraRig(tuple(cameras)), points, radial, sd, before, after
+        before, after = self._median(*start), self._median(*found.state)
+        return PointAdjustment(CameraRig(tuple(cameras)), points, radial, sd, before, after)
 
     def _median(self, cameras: list[Camera], radial: Array, points: Array) -> float:
         r, _, _ = self.residuals(cameras, radial, points)
@@ -229,7 +326,7 @@ def point_residual(rig: CameraRig, pixels: Array, confidence: Array, *, min_conf
     return np.where(confidence > min_confidence, distance, np.nan)
 
 
-def left_out_residual(rig: CameraRig, pixels: Array, confidence: Array, *, min_confidence: float = 0.5) -> Array:
+def left_out_residual(rig: CameraRig, pixels: Array, confidence: Array) -> Array:
     """(C, N) px between each camera's detections and the triangulation of all the others; NaN where there is none."""
     out = np.full(confidence.shape, np.nan)
     used = np.where(confidence > 0.3, confidence, 0.0)
@@ -240,9 +337,4 @@ def left_out_residual(rig: CameraRig, pixels: Array, confidence: Array, *, min_c
         less = CameraRig(tuple(rig[k] for k in others))
         points, _ = triangulate(less, pixels[others], used[others])
         out[c] = np.linalg.norm(rig[c].project_pinhole(points) - pixels[c], axis=-1)
-    return np.where(confidence > min_confidence, out, np.nan)
-
-
-def without_distortion(rig: CameraRig) -> CameraRig:
-    """The rig without lens distortion at the calibrated size: the cameras of undistorted key points."""
-    return CameraRig(tuple(replace(c, distortion=np.zeros(5), fisheye=False) for c in rig))
+    return np.where(confidence > 0.5, out, np.nan)

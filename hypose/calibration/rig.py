@@ -9,18 +9,61 @@ the floor around it does (`surroundings`).
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 
-from hypose.calibration.board_timing import motion_noise
 from hypose.calibration.boards import Board, IntArray, Sighting
-from hypose.calibration.bundle import NOISE_PX, LensPrior, Observations, Refined, refine
+from hypose.calibration.bundle import NOISE_PX, Observations, Refined, refine
 from hypose.calibration.intrinsics import Lens, board_poses, observe, spread_out
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import CalibrationError
 from hypose.geometry import Array, se3_inverse, so3_log, transform
+
+# ---- board timing --------------------------------------------------------------------------------------------------
+# Pictures that were not taken quite at the same instant: how far a moving board can be believed.
+#
+# Webcams and phones without a trigger expose within a part of a frame of each other, differently in every frame, so
+# a corner is uncertain by the distance it moves in that time. Boards held still then decide, as they should.
+#
+# Tried and dropped: leaving the fastest boards out (fewer boards, 1.7 instead of 0.4 degrees from an independent
+# calibration of four webcams). A time offset per picture as a further unknown: it explains the misfit (0.85 to 0.35 px
+# there) but the boards that were held still fit worse afterwards, so it explains away what the poses should explain.
+
+
+OFFSET_SD = 0.1
+"""Standard deviation of a picture's instant, frames."""
+_REACH = 2  # frames: a neighbour farther away says nothing about the velocity
+
+
+def motion_noise(
+    cameras: Sequence[Camera],
+    boards: Mapping[int, Array],
+    sightings: Mapping[int, Mapping[int, Sighting]],
+    board: Board,
+) -> dict[tuple[int, int], float]:
+    """Standard deviation (px) that a board's motion adds to its corners, by (camera, frame).
+
+    boards: world_from_board (4, 4) by frame as fitted so far. Boards without a neighbour in time, whose motion is not
+    known, are taken to move like the others' median."""
+    out: dict[tuple[int, int], float] = {}
+    unknown = []
+    for f in sorted({f for seen in sightings.values() for f in seen}):
+        who = [c for c, seen in sightings.items() if f in seen]
+        near = [g for g in (*range(f - _REACH, f), *range(f + 1, f + _REACH + 1)) if g in boards]
+        before, after = max((g for g in near if g < f), default=f), min((g for g in near if g > f), default=f)
+        if f not in boards or before == after:
+            unknown += [(c, f) for c in who]
+            continue
+        low, high = transform(boards[before], board.points), transform(boards[after], board.points)
+        for c in who:
+            moved = (cameras[c].project(high) - cameras[c].project(low)) / (after - before)
+            speed = float(np.sqrt(np.nanmean(moved**2))) if np.isfinite(moved).any() else 0.0
+            out[c, f] = OFFSET_SD * speed
+    usual = float(np.median(list(out.values()))) if out else 0.0
+    return out | dict.fromkeys(unknown, usual)
+
 
 Chooser = Callable[[int, int, Array, Array], float]
 """(camera c, camera d, d_from_c, another d_from_c) -> how much more likely the first is: > 1.1 or < 1 / 1.1 decide"""
@@ -45,17 +88,6 @@ class Link:
     agreeing: int
     error: float
     other: Array | None = None
-
-
-@dataclass(frozen=True)
-class RigSettings:
-    """free_intrinsics: refine lenses jointly; choose: decides between two relative poses of a symmetric board that did
-    not move; max_frames: boards in the joint refinement."""
-
-    free_intrinsics: bool = True
-    prior: LensPrior = field(default_factory=LensPrior)
-    choose: Chooser | None = None
-    max_frames: int = _MAX_FRAMES
 
 
 @dataclass(frozen=True)
@@ -84,15 +116,15 @@ def calibrate_rig(
     lenses: Sequence[Lens],
     sightings: Sequence[Mapping[int, Sighting]],
     board: Board,
-    options: RigSettings | None = None,
+    choose: Chooser | None = None,
     lens_sightings: Sequence[Mapping[int, Sighting]] | None = None,
 ) -> RigCalibration:
     """Poses of all cameras from boards seen at the same time.
 
-    sightings: per camera, by frame of the common time. lens_sightings: more boards, each for its own camera's lens
+    sightings: per camera, by frame of the common time. choose: decides between two relative poses of a symmetric board
+    that did not move. lens_sightings: more boards, each for its own camera's lens
     only. A CalibrationError names cameras that share no board with the others.
     """
-    o = options or RigSettings()
     cameras = [n.camera for n in lenses]
     poses = [
         {f: board_poses(c, s, board.points) for f, s in seen.items()}
@@ -103,19 +135,17 @@ def calibrate_rig(
         link = _link(c, d, cameras, sightings, poses, board)
         if link is not None:
             links.append(link)
-    tree = _tree(links, cameras, sightings, o.choose, notes)
+    tree = _tree(links, cameras, sightings, choose, notes)
     placed = _placed(tree, cameras)
     named = _numbered(placed, sightings, poses, board)
-    frames = _choose_frames(named, cameras, o.max_frames)
+    frames = _choose_frames(named, cameras, _MAX_FRAMES)
     extra: dict[int, dict[int, Sighting]] = {}
     number = -1
     for c, seen in enumerate(lens_sightings or ()):
-        if lenses[c].given or not o.free_intrinsics:
-            continue
-        for f in spread_out(seen, cameras[c].size, 30):
+        for f in () if lenses[c].given else spread_out(seen, cameras[c].size, 30):
             extra.setdefault(c, {})[number] = seen[f]
             number -= 1
-    return _refined(placed, named, frames, extra, lenses, board, o, tuple(links), tuple(notes))
+    return _refined(placed, named, frames, extra, lenses, board, tuple(links), tuple(notes))
 
 
 # ---- relative poses ------------------------------------------------------------------------------------------------
@@ -349,7 +379,6 @@ def _refined(
     extra: Mapping[int, Mapping[int, Sighting]],
     lenses: Sequence[Lens],
     board: Board,
-    o: RigSettings,
     links: tuple[Link, ...],
     notes: tuple[str, ...],
 ) -> RigCalibration:
@@ -364,7 +393,7 @@ def _refined(
         for c, v in seen.items()
     }
     alone = [board_poses(cameras[c], s, board.points)[0][1] for c in seen for f, s in seen[c].items() if f in frames]
-    free = np.array([o.free_intrinsics and not n.given for n in lenses])
+    free = np.array([not n.given for n in lenses])
     dropped: list[tuple[int, int]] = []
     moving: dict[tuple[int, int], float] = {}
     result: Refined | None = None
@@ -382,7 +411,6 @@ def _refined(
             board.points,
             obs,
             free_intrinsics=free,
-            prior=o.prior,
             noise_px=np.hypot(NOISE_PX, motion),
             robust_px=2.0 if attempt else 5.0,
         )

@@ -84,7 +84,6 @@ def keypoint_curves(
     largest: float,
     scale_px: float,
     *,
-    min_confidence: float = 0.3,
     step: float = _STEP,
 ) -> Curves:
     """Curves from key points. pixels (C, T, K, 2) undistorted px of the rig, confidence (C, T, K); largest: offset in
@@ -92,7 +91,7 @@ def keypoint_curves(
     n, frames = pixels.shape[:2]
     lags = _lags(largest, frames, step)
     margin = int(np.ceil(lags[-1])) + 1
-    seen = confidence > min_confidence
+    seen = confidence > 0.3
     smooth = np.stack([_smoothed(p, s, _SMOOTH_POINTS) for p, s in zip(pixels, seen, strict=True)])
     splines = [_spline(s) for s in smooth]
     counts = _independent(smooth, scale_px)
@@ -141,6 +140,23 @@ class MaskTrack:
     changed: tuple[Array | None, ...]
     area: Array
     cut: NDArray[np.bool_]
+
+    def at(self, frames: NDArray[np.int64]) -> MaskTrack:
+        """The track as it is when these frames are shown; outside of it there is no mask."""
+        n = len(self.area)
+        inside, near = (frames >= 0) & (frames < n), np.clip(frames, 0, n - 1)
+        shown = list(zip(near.tolist(), inside.tolist(), strict=True))
+        return MaskTrack(
+            tuple(self.outline[k] if ok else None for k, ok in shown),
+            tuple(self.changed[k] if ok else None for k, ok in shown),
+            np.where(inside, self.area[near], 0.0),
+            self.cut[near] | ~inside,
+        )
+
+    @property
+    def size(self) -> float:
+        """Median over the frames of the person's longer side, px; 0 where there is no mask."""
+        return float(np.median([np.ptp(h, axis=0).max() for h in self.outline if h is not None] or [0.0]))
 
 
 def mask_tracks(silhouettes: Sequence[Silhouettes | None]) -> list[MaskTrack]:

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 
 from hypose.calibration.boards import Board, Detector, Gray, Sighting, make_detector, sheet_views
-from hypose.errors import InputError
+from hypose.errors import CalibrationError, InputError
 from hypose.geometry import Array
-from hypose.io.calibrations.calibration_toml import natural_key
-from hypose.io.file_names import text_of
+from hypose.io.file_names import natural_key, text_of
 from hypose.io.videos.video import IMAGE_ENDINGS, VIDEO_ENDINGS, list_images, open_video
 
 Progress = Callable[[str, int, int], None]
@@ -93,16 +92,6 @@ class CameraViews:
         return text + (f" ({rest})" if rest else "")
 
 
-@dataclass(frozen=True)
-class LookOptions:
-    """max_frames: pictures looked at per camera, evenly spread. together: the cameras filmed at the same time, so the
-    same frames are looked at in all."""
-
-    max_frames: int = 120
-    together: bool = True
-    progress: Progress = field(default=lambda stage, done, total: None)
-
-
 def find_sources(paths: Sequence[Path], what: str = "board videos") -> list[Source]:
     """One source per camera: from a folder with one video or photo folder per camera, or from the paths themselves.
 
@@ -148,32 +137,38 @@ def _inside(folder: Path, what: str) -> list[Path]:
 
 
 def look_for_board(
-    sources: Sequence[Source], board: Board, options: LookOptions | None = None
+    sources: Sequence[Source],
+    board: Board,
+    max_frames: int = 120,
+    together: bool = True,
+    progress: Progress = lambda stage, done, total: None,
 ) -> tuple[CameraViews, ...]:
-    """The board in all pictures of all cameras; an InputError names a file that cannot be read."""
-    o = options or LookOptions()
+    """The board in all pictures of all cameras; an InputError names a file that cannot be read.
+
+    max_frames: pictures looked at per camera, evenly spread. together: the cameras filmed at the same time, so the same
+    frames are looked at in all."""
     count = [0, 1]
 
     def step(total: int) -> None:
         count[0], count[1] = count[0] + 1, max(count[1], total)
-        o.progress("board", min(count[0], count[1]), count[1])
+        progress("board", min(count[0], count[1]), count[1])
 
     lengths = [len(open_video(s.path)) for s in sources]
     numbers = None
-    if o.together and len(sources) > 1:
+    if together and len(sources) > 1:
         common = min(n - max(s.lag, 0) for s, n in zip(sources, lengths, strict=True))
         first = max(0, *(-s.lag for s in sources))
         if common <= first:
             raise InputError("The videos have no common frames at the given lags; check --lag.")
-        numbers = _spread(first, common, o.max_frames)
-    total = sum(len(numbers or _spread(0, n, o.max_frames)) for n in lengths)
+        numbers = _spread(first, common, max_frames)
+    total = sum(len(numbers or _spread(0, n, max_frames)) for n in lengths)
 
     def one(source: Source, n: int) -> CameraViews:
-        return _look(source, numbers or _spread(0, n, o.max_frames), board, lambda: step(total))
+        return _look(source, numbers or _spread(0, n, max_frames), board, lambda: step(total))
 
     with ThreadPoolExecutor(2) as pool:
         out = tuple(pool.map(one, sources, lengths))
-    o.progress("board", count[1], count[1])
+    progress("board", count[1], count[1])
     return out
 
 
@@ -355,3 +350,41 @@ def positions(sightings: Mapping[int, Sighting], size: tuple[int, int]) -> Array
         spread = s.pixels.std(0) / size[0]
         out.append([*(s.pixels.mean(0) / size[0]), float(np.hypot(*spread)), float(np.arctan2(*spread))])
     return np.array(out).reshape(-1, 4)
+
+
+# ---- counted corners -----------------------------------------------------------------------------------------------
+# Which chessboard is it? Its corners, counted in the pictures, so that nobody has to count them.
+
+
+_PICTURES = 8
+"""Pictures of each camera that are looked at."""
+_ENOUGH = 4
+"""Pictures that must show the same number of corners before no further camera is looked at."""
+
+
+def count_corners(sources: Sequence[Source]) -> tuple[int, int]:
+    """Inner corners (columns, rows), the larger number first, of the chessboard in board videos or photos.
+
+    A board that is partly hidden or partly found shows fewer corners than it has, so that number counts which most
+    pictures agree on, and of those that as many agree on the larger. A CalibrationError when none is seen twice."""
+    votes: dict[tuple[int, int], int] = {}
+    for source in sources:
+        for gray in _spread_counted(source):
+            seen = chessboard_seen([gray])
+            if seen is not None:
+                votes[seen] = votes.get(seen, 0) + 1
+        if votes and max(votes.values()) >= _ENOUGH:
+            break
+    found = max(votes, key=lambda n: (votes[n], n[0] * n[1]), default=None)
+    if found is None or votes[found] < 2:
+        raise CalibrationError(
+            f"No chessboard was seen in the pictures of {', '.join(s.name for s in sources)}, so its corners could not "
+            "be counted; say which board it is: --chessboard COLUMNSxROWS (inner corners) or --charuco (squares)."
+        )
+    return found
+
+
+def _spread_counted(source: Source) -> Iterator[Gray]:
+    with open_video(source.path) as reader:
+        for frame in np.unique(np.linspace(0, reader.n_frames - 1, min(_PICTURES, reader.n_frames)).astype(int)):
+            yield np.asarray(cv2.cvtColor(reader.read(int(frame)), cv2.COLOR_BGR2GRAY), dtype=np.uint8)

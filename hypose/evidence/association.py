@@ -119,7 +119,7 @@ class _Followed:
 
 
 class Association:
-    """The association of a clip frame by frame: `step` with every frame, then `people`; `now` is who is followed.
+    """The association of a clip frame by frame: `step` with every frame, then `people`.
     columns: of all candidates."""
 
     def __init__(
@@ -179,11 +179,6 @@ class Association:
             self._update(seen, self._of_own_size(world, used), which)
         self._end()
         self._frame += 1
-
-    @property
-    def now(self) -> list[tuple[int, Array]]:
-        """Those who are believed at this frame: (number that stays the same, points (K, 3) m, the last known)."""
-        return [(id(t), t.points) for t in self._alive if t.hits >= t.needed and t.missed == 0]
 
     def people(self) -> list[PersonTrack]:
         """All people up to now, those seen in most frames and views first."""

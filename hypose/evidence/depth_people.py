@@ -3,6 +3,8 @@
 A measured pixel is a place in the world, so that it belongs to whose body, or cluster, it is nearest to: nobody has to
 be told apart in the picture. Pixels of others say nothing of a person who may be hidden behind them; of others who
 stand behind the person they say that the person is not there.
+
+Where a person whom depth cameras see may be: the seen surface and what lies behind it.
 """
 
 from __future__ import annotations
@@ -15,12 +17,45 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.evidence.depth_evidence import JUMP_M, Depth
+from hypose.errors import EvidenceError
+from hypose.evidence.depth_evidence import JUMP_M, Depth, back_projected, in_world, smooth_surface
 from hypose.evidence.frame import Expected, Frame, Silhouettes
 from hypose.evidence.hull import Hull
 from hypose.evidence.hull_people import BESIDE, SMALL, VOXEL, HullPerson, people_in_hull, people_of_hull
 from hypose.evidence.shared_masks import DrawnShape, Other, Shape, own_silhouettes
 from hypose.geometry import Array
+
+_THICK_M, _VOXEL_M = 0.16, 0.03
+
+
+def space_behind(depth: Depth, bounds: Array | None = None) -> Hull:
+    """What the person may fill, in place of a visual hull: the surface and _THICK_M behind it, as far as it lies inside
+    bounds (2, 3) m. An EvidenceError when no sensor shows anything."""
+    found, rays = [], []
+    for c in np.flatnonzero(depth.usable):
+        w, h = depth.rig.sizes[c]
+        z, sound = smooth_surface(np.ascontiguousarray(depth.maps[c, :h, :w]))
+        v, u = np.nonzero(sound & (depth.person[c, :h, :w] > 0))
+        points = in_world(depth.rig[int(c)], back_projected(depth.rig[int(c)], u, v, z[v, u]))
+        ray = points - depth.rig[int(c)].position
+        found.append(points)
+        rays.append(ray / np.linalg.norm(ray, axis=1, keepdims=True))
+    if not sum(len(p) for p in found):
+        raise EvidenceError("No depth camera shows a person; choose another frame, or record the empty room again.")
+    seen, ray = np.concatenate(found), np.concatenate(rays)
+    ray[:, 2] = 0  # feet and head are where they are seen
+    behind = np.arange(0.0, _THICK_M, _VOXEL_M)
+    points = (seen[:, None] + behind[:, None] * ray[:, None]).reshape(-1, 3)
+    if bounds is not None:
+        points = points[((points >= bounds[0]) & (points <= bounds[1])).all(1)]
+    if not len(points):
+        return Hull(np.zeros((1, 1, 1), dtype=np.bool_), np.zeros(3), _VOXEL_M)
+    origin = points.min(0)
+    index = np.rint((points - origin) / _VOXEL_M).astype(int)
+    solid = np.zeros(index.max(0) + 1, dtype=np.bool_)
+    solid[tuple(index.T)] = True
+    return Hull(solid, origin, _VOXEL_M)
+
 
 SURFACE_LITRES = 15.0
 """A person shows at least so much of their surface, in voxels of VOXEL, to one sensor; arms between two show less."""

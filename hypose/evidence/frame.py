@@ -76,19 +76,11 @@ class Keypoints:
 
     points: (C, K, 3) = (u px, v px, confidence 0..1), undistorted pixels of `rig`; confidence 0 where missing.
     names: K key-point names (hypose.evidence.keypoints documents the sets). rig: pinhole cameras of these pixels.
-    really: (C, K) which of a view's points is the one of each name, where the whole clip has told left from right
-    (hypose.tracking.named_sides); None: not looked into.
     """
 
     points: Array
     names: tuple[str, ...]
     rig: CameraRig
-    really: NDArray[np.int64] | None = None
-
-    @property
-    def on_their_sides(self) -> Array:
-        """points, in the order that they really have."""
-        return self.points if self.really is None else np.take_along_axis(self.points, self.really[..., None], 1)
 
 
 @dataclass(frozen=True)

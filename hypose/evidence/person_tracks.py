@@ -6,11 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from hypose.cameras.camera import CameraRig
-from hypose.errors import InputError
-from hypose.evidence.frame import Keypoints
 from hypose.geometry import Array
 
 _SEEN = 4  # key points in a view from which it sees the person
@@ -73,35 +70,15 @@ class PersonTrack:
         known = np.isfinite(self.world[at]).all(-1)
         return np.median(self.world[at][known], axis=0) if known.any() else np.full(3, np.nan)
 
-    def keypoints(self, frames: int, names: Sequence[str], rig: CameraRig) -> list[Keypoints]:
-        """Key points of this person for each of a clip's frames, confidence 0 where the person is not followed; rig:
-        the pinhole cameras of the points."""
-        out = np.zeros((frames, *self.points.shape[1:3], 3))
-        out[self.first : self.last + 1] = self.points[..., :3]
-        return [Keypoints(out[t], tuple(names), rig) for t in range(frames)]
 
-
-def choose(
-    tracks: Sequence[PersonTrack], by: str = "most", place: ArrayLike | None = None, frame: int = 0
-) -> int | None:
-    """Which of the people is meant, None when there is nobody.
-
-    by: "most" (seen in most frames and views, by points whose rays meet; of those with nearly as much, who is largest
-    in the pictures), "largest" (in the pictures, of those followed through half as many frames as the longest), "place"
-    (nearest to `place` (3,) m at a frame of the clip)."""
+def choose(tracks: Sequence[PersonTrack]) -> int | None:
+    """Which of the people is meant, None when there is nobody: who is seen in most frames and views, by points whose
+    rays meet; of those with nearly as much, who is largest in the pictures."""
     if not tracks:
         return None
     seen = np.array([t.seen.sum() * t.agreed for t in tracks])
-    if by == "place":
-        if place is None:
-            raise InputError("Choosing a person by place needs the place (x, y, z), in metres.")
-        apart = [float(np.linalg.norm(t.place(frame) - np.asarray(place, dtype=np.float64))) for t in tracks]
-        return None if np.isnan(apart).all() else int(np.nanargmin(apart))
-    if by not in ("most", "largest"):
-        raise InputError(f"A person cannot be chosen by {by!r}; choose by most, largest or place.")
-    share = 0.85 if by == "most" else 0.5
     large = np.array([t.height_px for t in tracks])
-    return int(np.where(seen >= share * seen.max(), large, -1.0).argmax())
+    return int(np.where(seen >= 0.85 * seen.max(), large, -1.0).argmax())
 
 
 def joined(tracks: Sequence[PersonTrack], names: Sequence[str], frame_rate: float) -> list[PersonTrack]:

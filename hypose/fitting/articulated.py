@@ -58,8 +58,8 @@ class ContourTerm:
     (rows 6 px apart on a person 260 px tall, 130 outline points a view); scale_px, coarse_scale_px: Geman-McClure scale
     of the distance; row_spacing_px: distance of the forward rows along the body's outline; outline_count: K (at most
     1000); height_px: apparent height of the person (median over the usable views); shrunk (C,): sdf, outline, sizes and
-    projections are in pixels that are so many times as large as those of all other lengths here (None: 1); corners
-    (C, 2), sdf_sizes (C, 2): the part of each image that its sdf covers (None: all); outside it rows cost what they
+    projections are in pixels that are so many times as large as those of all other lengths here; corners
+    (C, 2), sdf_sizes (C, 2): the part of each image that its sdf covers; outside it rows cost what they
     cost at infinite distance."""
 
     sdf: NDArray[np.float32]
@@ -72,23 +72,10 @@ class ContourTerm:
     coarse_scale_px: float
     row_spacing_px: float
     outline_count: int
-    height_px: float = 260.0
-    shrunk: Array | None = None
-    corners: NDArray[np.int64] | None = None
-    sdf_sizes: NDArray[np.int64] | None = None
-
-    def __post_init__(self) -> None:
-        c = len(self.sdf)
-        if self.outline.shape != (c, self.outline_count, 2) or self.projections.shape != (c, 3, 4):
-            raise InputError(
-                f"ContourTerm of {c} views needs outline {(c, self.outline_count, 2)} and projections {(c, 3, 4)}, got "
-                f"{self.outline.shape} and {self.projections.shape}."
-            )
-        if self.outline_count > 1000:
-            raise InputError(f"ContourTerm.outline_count may be at most 1000, got {self.outline_count}.")
-        for name in ("scale_px", "coarse_scale_px", "row_spacing_px", "height_px"):
-            if not getattr(self, name) > 0:
-                raise InputError(f"ContourTerm.{name} must be positive, got {getattr(self, name)}.")
+    height_px: float
+    shrunk: Array
+    corners: NDArray[np.int64]
+    sdf_sizes: NDArray[np.int64]
 
     @cached_property
     def arrays(self) -> ContourArrays:
@@ -102,25 +89,14 @@ class KeypointTerm:
 
     points (C, K, 3) = u, v px, confidence (the row's weight; rows below min_confidence or not finite are left out);
     projections (C, 3, 4) pinhole of these pixels; joint (K,), offset (K, 3) m in the joint's frame: where the key point
-    sits on the body; scale_px: 1 sd; weight: factor on all rows."""
+    sits on the body; scale_px: 1 sd."""
 
     points: Array
     projections: Array
     joint: NDArray[np.int64]
     offset: Array
     scale_px: float
-    weight: float = 1.0
     min_confidence: float = 0.3
-
-    def __post_init__(self) -> None:
-        c, k = self.points.shape[:2]
-        if self.points.shape != (c, k, 3) or np.shape(self.projections) != (c, 3, 4):
-            raise InputError(
-                f"KeypointTerm.points must be (C, K, 3) with projections (C, 3, 4), got {self.points.shape} and "
-                f"{np.shape(self.projections)}."
-            )
-        if np.shape(self.joint) != (k,) or np.shape(self.offset) != (k, 3) or not self.scale_px > 0:
-            raise InputError(f"KeypointTerm of {k} key points needs joint ({k},), offset ({k}, 3) and scale_px > 0.")
 
 
 @dataclass(frozen=True)
@@ -210,17 +186,14 @@ def by_turns(hessian: Array, pose: Array) -> Array:
 def contour_term(
     silhouettes: Silhouettes,
     weight: float = 0.05,
-    scale_px: float | None = None,
     *,
-    coarse_factor: float = 2.0,
-    row_spacing_px: float | None = None,
     outline_count: int = REFERENCE_OUTLINE,
     working_height: int | None = None,
 ) -> ContourTerm:
     """The contour evidence of a frame's masks.
 
-    weight: of one row at the reference density. scale_px: Geman-McClure scale; default 2.5 px for a person 260 px
-    tall, in proportion (10 px in a 1080p image). coarse_factor: scale of the first iterations relative to it.
+    weight: of one row at the reference density. The Geman-McClure scale is 2.5 px for a person 260 px tall, in
+    proportion (10 px in a 1080p image), in the first iterations twice that.
     working_height px: for tracking; views in which the person is 1.5 times as tall are worked on in shrunk pixels,
     and distances are made around the person only. Views that are not usable, or whose mask has no outline away from the
     image border, are left out; an EvidenceError when none is left."""
@@ -236,8 +209,7 @@ def contour_term(
         )
         raise EvidenceError(f"No view has a usable silhouette ({reasons}); leave the contours out of this frame.")
     height = _median(made.extent[usable])
-    scale = scale_px if scale_px is not None else max(SCALE_OF_HEIGHT * height, 0.5)
-    spacing = row_spacing_px if row_spacing_px is not None else max(SPACING_OF_HEIGHT * height, 1.0)
+    scale = max(SCALE_OF_HEIGHT * height, 0.5)
     return ContourTerm(
         made.distance,
         made.points,
@@ -246,8 +218,8 @@ def contour_term(
         projections,
         weight,
         scale,
-        scale * coarse_factor,
-        spacing,
+        2.0 * scale,
+        max(SPACING_OF_HEIGHT * height, 1.0),
         outline_count,
         height,
         made.shrunk,
@@ -263,8 +235,7 @@ def _median(values: NDArray[np.int64]) -> float:
 
 
 def workspace_for(body: Body, contours: ContourTerm | None = None) -> Workspace:
-    """Scratch memory for fits of this body to images of this size, for who does not want `fit_pose` to use its thread's
-    own. Not shared between threads."""
+    """Scratch memory for fits of this body to images of this size. Not shared between threads."""
     w, h = (2, 2) if contours is None else contours.sizes.max(0)
     return compute.workspace(body.skeleton.tree, body.coarse.arrays, h, w)
 
@@ -278,7 +249,6 @@ def fit_pose(
     points: PointTerm | None = None,
     priors: Sequence[Quadratic] = (),
     options: SolveSettings | None = None,
-    workspace: Workspace | None = None,
     rows: Sequence[RowTerm] = (),
     depth: DepthTerm | None = None,
 ) -> PoseFit:
@@ -289,7 +259,7 @@ def fit_pose(
     and at most 0.2 % higher (contour costs jump when the outline changes); no joint turns more than 0.35 rad per
     step."""
     problem = _Problem(body, contours, keypoints, points, priors, options or SolveSettings(), rows, depth)
-    return problem.fit(start, workspace)
+    return problem.fit(start)
 
 
 def fit_poses(
@@ -301,7 +271,6 @@ def fit_poses(
     points: PointTerm | None = None,
     priors: Sequence[Quadratic] = (),
     options: SolveSettings | None = None,
-    threads: int | None = None,
     rows: Sequence[RowTerm] = (),
     depth: DepthTerm | None = None,
 ) -> list[PoseFit]:
@@ -313,9 +282,9 @@ def fit_poses(
 
     def work(first: int, last: int) -> None:
         for n in range(first, last):
-            fits[n] = problem.fit(q[n], None)
+            fits[n] = problem.fit(q[n])
 
-    over_chunks(work, len(q), threads)
+    over_chunks(work, len(q), None)
     return [f for f in fits if f is not None]
 
 
@@ -379,12 +348,9 @@ class _Problem:
         centre[:, 3:6] = nearest_branch(centre[:, 3:6], start[3:6])
         return PriorArrays(centre, self.weight, self.lower, self.upper)
 
-    def fit(self, start: ArrayLike, workspace: Workspace | None) -> PoseFit:
+    def fit(self, start: ArrayLike) -> PoseFit:
         q = self.start(start)
-        if workspace is not None:
-            check_workspace(workspace, self.body, self.contour_term)
-        ws = workspace if workspace is not None else _own_workspace(self.body, self.contour_term)
-        out = self._solve(q, self.priors(q), ws)
+        out = self._solve(q, self.priors(q), _own_workspace(self.body, self.contour_term))
         pose = out.pose.copy()
         pose[3:6] = nearest_branch(pose[3:6], np.asarray(start, dtype=np.float64)[3:6])
         counts = out.evaluation.counts
@@ -421,12 +387,6 @@ class _Problem:
         return solve_with_rows(q, evaluate, self.lower, self.upper, (coarse, o.iterations - coarse), rule)
 
 
-def check_workspace(ws: Workspace, body: Body, contours: ContourTerm | None) -> None:
-    """An InputError when the scratch memory was made for another body or smaller images (it would be overrun)."""
-    if not _fits(ws, body, contours):
-        raise InputError("The workspace was made for another body or a smaller image; make one with workspace_for.")
-
-
 def _fits(ws: Workspace, body: Body, contours: ContourTerm | None) -> bool:
     w, h = (0, 0) if contours is None else contours.sizes.max(0)
     mesh, tree = body.coarse.arrays, body.skeleton.tree
@@ -446,12 +406,11 @@ def contour_arrays(term: ContourTerm | None) -> ContourArrays:
     if term is None:
         return compute.NO_CONTOURS
     stride = 2 if term.row_spacing_px >= 2 else 1
-    sizes = np.require(term.sizes, np.int64, ["C", "W"])
     return ContourArrays(
         np.require(term.sdf, np.float32, ["C", "W"]),
         np.require(term.outline, np.float32, ["C", "W"]),
         np.require(term.usable, np.bool_, ["C", "W"]),
-        sizes,
+        np.require(term.sizes, np.int64, ["C", "W"]),
         np.require(term.projections, np.float64, ["C", "W"]),
         float(term.weight * term.row_spacing_px / (SPACING_OF_HEIGHT * term.height_px)),
         float(term.weight * REFERENCE_OUTLINE / term.outline_count),
@@ -459,9 +418,9 @@ def contour_arrays(term: ContourTerm | None) -> ContourArrays:
         float(term.coarse_scale_px),
         float(term.row_spacing_px / stride),
         stride,
-        np.ones(len(term.sdf)) if term.shrunk is None else np.require(term.shrunk, np.float64, ["C", "W"]),
-        np.zeros_like(sizes) if term.corners is None else np.require(term.corners, np.int64, ["C", "W"]),
-        sizes if term.sdf_sizes is None else np.require(term.sdf_sizes, np.int64, ["C", "W"]),
+        np.require(term.shrunk, np.float64, ["C", "W"]),
+        np.require(term.corners, np.int64, ["C", "W"]),
+        np.require(term.sdf_sizes, np.int64, ["C", "W"]),
     )
 
 
@@ -480,7 +439,6 @@ def keypoint_arrays(term: KeypointTerm | None, n_joints: int) -> KeypointArrays:
         return compute.NO_KEYPOINTS
     points = np.array(term.points, dtype=np.float64)
     seen = np.isfinite(points).all(-1) & (points[..., 2] > max(term.min_confidence, 0.0))
-    points[..., 2] *= term.weight
     points[~seen] = 0
     return KeypointArrays(
         points,

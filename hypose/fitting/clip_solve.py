@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,13 +13,11 @@ from hypose.body.body import Body
 from hypose.compute import PriorArrays, solve_coupled
 from hypose.errors import SolverError
 from hypose.fitting.articulated import (
-    ContourTerm,
     KeypointTerm,
     PointTerm,
     Quadratic,
     SolveSettings,
     by_turns,
-    contour_arrays,
     keypoint_arrays,
     point_arrays,
     prior_arrays,
@@ -56,7 +53,6 @@ def fit_clip(
     *,
     points: Sequence[PointTerm | None] | None = None,
     keypoints: Sequence[KeypointTerm | None] | None = None,
-    contours: Sequence[ContourTerm | None] | None = None,
     gaussians: Sequence[Gaussian | None] | None = None,
     acceleration: float | ArrayLike = 1.0,
     velocity: ArrayLike = 0.0,
@@ -68,7 +64,7 @@ def fit_clip(
     the next, log(R_{t+1} R_t'): those of rotation vectors mean nothing near a full turn. It is solved for as a small
     turn in the world, and returned on the branch nearest to its start.
 
-    points, keypoints, contours, gaussians: one term (or None) per frame. acceleration: strength a (times
+    points, keypoints, gaussians: one term (or None) per frame. acceleration: strength a (times
     `default_acceleration`), or weights (D,), or (T - 2, D); velocity: weights v, (D,), (T - 1, D) or one for all:
     without it what is extrapolated goes on for ever. priors act on every frame. Damped Gauss-Newton on all frames
     together: the matrix couples each frame to the next two, so the cost is linear in T. Joint limits are kept by
@@ -83,15 +79,9 @@ def fit_clip(
         weights = default_acceleration(dof, float(weights))
     q = np.clip(q, body.skeleton.lower, body.skeleton.upper)
     coupling = Coupling(n_frames, weights, np.broadcast_to(velocity, (n_frames - 1, dof)), _cuts(body, q))
-    problem = _Clip(body, coupling, points, keypoints, contours, gaussians, priors)
-    rule = Rule(
-        o.damping, least=1e-6, most=1e6, tries=5, slack=1.002 if problem.has_contours else 1.0, moved=o.tolerance
-    )
-    coarse = min(o.coarse_iterations, o.iterations) if problem.has_contours else 0
-    for scale, n in ((True, coarse), (False, o.iterations - coarse)):
-        if n:
-            found = descend(q, partial(problem.evaluate, coarse=scale), problem.propose, n, rule)
-            q, rule = found.state, replace(rule, damping=found.damping)
+    problem = _Clip(body, coupling, points, keypoints, gaussians, priors)
+    rule = Rule(o.damping, least=1e-6, most=1e6, tries=5, slack=1.0, moved=o.tolerance)
+    q = descend(q, problem.evaluate, problem.propose, o.iterations, rule).state
     q[:, 3:6] = nearest_branch(q[:, 3:6], given[:, 3:6])
     return q
 
@@ -197,12 +187,11 @@ class _Clip:
         coupling: Coupling,
         points: Sequence[PointTerm | None] | None,
         keypoints: Sequence[KeypointTerm | None] | None,
-        contours: Sequence[ContourTerm | None] | None,
         gaussians: Sequence[Gaussian | None] | None,
         priors: Sequence[Quadratic],
     ) -> None:
         n_frames = coupling.n_frames
-        given = {"points": points, "keypoints": keypoints, "contours": contours, "gaussians": gaussians}
+        given = {"points": points, "keypoints": keypoints, "gaussians": gaussians}
         for name, terms in given.items():
             if terms is not None and len(terms) != n_frames:
                 raise SolverError(f"fit_clip needs one entry of {name} per frame: {n_frames}, got {len(terms)}.")
@@ -211,16 +200,13 @@ class _Clip:
         self.tree, self.mesh = body.skeleton.tree, body.coarse.arrays
         self.points = [point_arrays(t, joints) for t in points or none]
         self.keypoints = [keypoint_arrays(t, joints) for t in keypoints or none]
-        self.contours = [contour_arrays(t) for t in contours or none]
-        self.has_contours = any(len(c.sdf) for c in self.contours)
         self.centre, self.weight = prior_arrays(priors, body.skeleton.dof)
         self.lower = np.ascontiguousarray(body.skeleton.lower, dtype=np.float64)
         self.upper = np.ascontiguousarray(body.skeleton.upper, dtype=np.float64)
         self.coupling, self.around = coupling, _Around(body, gaussians or none)
-        largest = max((t for t in contours or none if t is not None), key=lambda t: t.sizes.max(0).prod(), default=None)
-        self.ws = workspace_for(body, largest)
+        self.ws = workspace_for(body)
 
-    def evaluate(self, q: Array, coarse: bool) -> tuple[float, Callable[[], tuple[Array, Array]]]:
+    def evaluate(self, q: Array) -> tuple[float, Callable[[], tuple[Array, Array]]]:
         (cost, by_known, curved), (t, d) = self.around(q), q.shape
         gradient, hessian = np.empty((t, d)), np.empty((t, d, d))
         for k in range(t):
@@ -230,13 +216,13 @@ class _Clip:
                 q[k],
                 self.tree,
                 self.mesh,
-                self.contours[k],
+                compute.NO_CONTOURS,  # clips know masks and depth by their frames' Gaussians
                 self.keypoints[k],
                 self.points[k],
-                None,  # clips know depth by their frames' Gaussians
+                None,
                 PriorArrays(centre, self.weight, self.lower, self.upper),
                 self.ws,
-                coarse=coarse,
+                coarse=False,
             )
             cost += e.cost
             gradient[k], hessian[k] = e.gradient, by_turns(e.hessian, q[k])

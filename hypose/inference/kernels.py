@@ -114,18 +114,14 @@ class GaussianDiffusion:
 
 @dataclass(frozen=True)
 class AdaptiveDiffusion:
-    """Gaussian steps whose covariance is scale^2 times the sample covariance of the current set, plus
-    diag(floor^2).
+    """Gaussian steps whose covariance is scale^2 times the sample covariance of the current set.
 
     The steps follow the shape of the set, so coordinates that the layers have already pinned down are
-    disturbed no more; no schedule is needed. coordinates (D,) bool limits the movement, floor (D,) keeps a
-    collapsed set alive. Source: Deutscher & Reid 2005, adaptive diffusion (covariance proportional to that
-    of the set); the floor and the limit to some coordinates are additions.
+    disturbed no more; no schedule is needed. Source: Deutscher & Reid 2005, adaptive diffusion (covariance
+    proportional to that of the set).
     """
 
     scale: float
-    floor: FloatArray | None = None
-    coordinates: NDArray[np.bool_] | None = None
     lower: FloatArray | None = None
     upper: FloatArray | None = None
 
@@ -135,15 +131,9 @@ class AdaptiveDiffusion:
 
     def __call__(self, h: Hypotheses, frame: Any, rng: np.random.Generator, /) -> Hypotheses:
         """One step in the shape of the current set."""
-        covariance = self.scale**2 * h.scatter()
-        if self.floor is not None:
-            covariance = covariance + np.diag(np.square(np.broadcast_to(self.floor, (h.dimension,))))
-        factor = semidefinite_cholesky(covariance)
+        factor = semidefinite_cholesky(self.scale**2 * h.scatter())
         step = np.einsum("...nk,...dk->...nd", rng.standard_normal(h.values.shape), factor)
-        moved = reflect(h.values + step, self.lower, self.upper)
-        if self.coordinates is not None:
-            moved = np.where(_mask(self.coordinates, h.dimension), moved, h.values)
-        return replace(h, values=moved)
+        return replace(h, values=reflect(h.values + step, self.lower, self.upper))
 
 
 @dataclass(frozen=True)

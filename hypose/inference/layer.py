@@ -33,8 +33,7 @@ class Kernel(Protocol):
 
 class Weigh(Protocol):
     """Log-likelihoods (*B, N) of the hypotheses; sees the whole population because its mean may place the
-    evidence. One that chooses its own exponent may tell it: its method measure(h, frame) returns the log-likelihoods
-    and beta (*B,), the exponent behind them.
+    evidence.
     """
 
     def __call__(self, h: Hypotheses, frame: Any, /) -> FloatArray:
@@ -150,25 +149,6 @@ class Recipe:
 
 
 @dataclass(frozen=True)
-class LayerReport:
-    """What one layer did: the set after weighing, and beta (*B,) used by its weigh (NaN if it does not tell)."""
-
-    name: str
-    weighted: Hypotheses
-    beta: FloatArray
-
-    @property
-    def ess(self) -> FloatArray:
-        """(*B,) after weighing."""
-        return self.weighted.ess
-
-    @property
-    def evidence_lost(self) -> NDArray[np.bool_]:
-        """(*B,)"""
-        return self.weighted.evidence_lost
-
-
-@dataclass(frozen=True)
 class SearchResult:
     """estimate (*B, D); the weighted set of the last layer it was read from; the selected set to carry to
     the next frame.
@@ -177,12 +157,6 @@ class SearchResult:
     estimate: FloatArray
     weighted: Hypotheses
     selected: Hypotheses
-    reports: tuple[LayerReport, ...]
-
-    @property
-    def evidence_lost(self) -> bool:
-        """True when the last layer found no evidence for any hypothesis of some population."""
-        return bool(np.any(self.weighted.evidence_lost))
 
 
 def search(h: Hypotheses, recipe: Recipe, frame: Any, rng_of_layer: RngOfLayer) -> SearchResult:
@@ -191,24 +165,15 @@ def search(h: Hypotheses, recipe: Recipe, frame: Any, rng_of_layer: RngOfLayer) 
     ``rng_of_layer(l)`` gives the generator of layer l, for example ``partial(stream, seed, frame.index)``.
     Weighing adds to the log-weights, selectors reset them. Deviation: the thesis starts the cycle at the weighing; here
     it starts at the proposal, so that a frame ends with its own estimate. The estimate is read after the last weighing
-    and before its selection, which would only add noise to it. A layer that is left out has no report.
+    and before its selection, which would only add noise to it.
     """
-    weighted, reports = h, []
+    weighted = h
     for index, layer in enumerate(recipe.layers):
         if layer.needed is not None and not layer.needed(h, frame):
             continue
         rng = rng_of_layer(index)
-        weighted, beta = layer.propose(h, frame, rng), np.full(h.log_weights.shape[:-1], np.nan)
+        weighted = layer.propose(h, frame, rng)
         if layer.weigh is not None:
-            log_likelihood, beta = _measure(layer.weigh, weighted, frame)
-            weighted = weighted.reweighted(log_likelihood)
-        reports.append(LayerReport(layer.name, weighted, beta))
+            weighted = weighted.reweighted(layer.weigh(weighted, frame))
         h = layer.select(weighted, rng)
-    return SearchResult(recipe.estimate(weighted), weighted, h, tuple(reports))
-
-
-def _measure(weigh: Weigh, h: Hypotheses, frame: Any) -> tuple[FloatArray, FloatArray]:
-    measure = getattr(weigh, "measure", None)
-    if measure is not None:
-        return measure(h, frame)
-    return weigh(h, frame), np.full(h.log_weights.shape[:-1], np.nan)
+    return SearchResult(recipe.estimate(weighted), weighted, h)

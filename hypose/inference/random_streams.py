@@ -13,18 +13,17 @@ from numpy.random.bit_generator import ISeedSequence
 _WORD = 2**64
 
 
-def stream(seed: int, frame: int, layer: int, particle: int | None = None) -> np.random.Generator:
+def stream(seed: int, frame: int, layer: int) -> np.random.Generator:
     """The generator of one layer of one frame, counter-based (Philox 4x64, Salmon et al. 2011).
 
     The key is the hashed seed; the two high words of the 256-bit counter are (frame, layer), so that the
     streams of different layers never overlap and each is reached without drawing any other: a resumed run
     reads the same numbers. The per-particle rule is kept by drawing one (N, D) block per kernel from this
     stream: it is filled in row order by one thread, so that row i is a function of (seed, frame, layer, i)
-    alone, and a larger N does not change it. A kernel that works on one hypothesis at a time can instead
-    ask for the sub-stream of that ``particle``. Integers of any sign; frame and layer count modulo 2^64
+    alone, and a larger N does not change it. Integers of any sign; frame and layer count modulo 2^64
     (layer -1 is free for what happens between two frames).
     """
-    counter = np.array([0, 0 if particle is None else particle + 1, layer % _WORD, frame % _WORD], dtype=np.uint64)
+    counter = np.array([0, 0, layer % _WORD, frame % _WORD], dtype=np.uint64)
     return np.random.Generator(np.random.Philox(_key(seed % 2**128), counter=counter))
 
 

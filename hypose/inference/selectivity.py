@@ -117,14 +117,10 @@ class Annealed:
 
     def __call__(self, h: Hypotheses, frame: Any, /) -> FloatArray:
         """Log-weights (*B, N), at most 0."""
-        return self.measure(h, frame)[0]
-
-    def measure(self, h: Hypotheses, frame: Any, /) -> tuple[FloatArray, FloatArray]:
-        """Log-weights (*B, N) and the beta (*B,) that was used."""
         energies = np.asarray(self.energy(h, frame), dtype=np.float64)
         beta = self.selectivity(energies)
         excess, usable = _excess(energies)
-        return np.where(usable, -beta[..., None] * excess, -np.inf), beta
+        return np.where(usable, -beta[..., None] * excess, -np.inf)
 
 
 def _excess(energies: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:

@@ -11,8 +11,9 @@ import hashlib
 import os
 import re
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 from hypose.errors import InputError, visible
 
@@ -80,3 +81,44 @@ def utf8_path(path: Path) -> Iterator[str]:
         except (OSError, UnicodeEncodeError):
             raise refusal from None
         yield link
+
+
+# ---- matching names ------------------------------------------------------------------------------------------------
+# Names of views, cameras, files and folders that mean the same camera.
+
+
+def match_names(wanted: Sequence[str], available: Sequence[str]) -> list[int | None]:
+    """Index in `available` for each wanted name: the same name; else the same letters and digits without
+    decoration (cam01_json, ext_cam01_img, Cam-01); else the only one with the same number. None where nothing
+    fits uniquely."""
+
+    def unique(key: Any) -> list[int | None]:
+        keys = [key(a) for a in available]
+        counts = [key(w) for w in wanted]
+        return [
+            keys.index(k) if k not in (None, "") and keys.count(k) == 1 and counts.count(k) == 1 else None
+            for k in counts
+        ]
+
+    out: list[int | None] = [None] * len(wanted)
+    for key in (lambda n: n, _bare, last_number):
+        for i, found in enumerate(unique(key)):
+            if out[i] is None and found is not None and found not in out:
+                out[i] = found
+    return out
+
+
+def natural_key(name: str) -> list[tuple[int, int, str]]:
+    """Sort key under which cam2 comes before cam10."""
+    return [(0, int(p), "") if p.isdecimal() else (1, 0, p.lower()) for p in re.split(r"(\d+)", name) if p]
+
+
+def _bare(name: str) -> str:
+    return "".join(c for c in re.sub(r"(^(ext|int)_|_(json|img|imgs|ext)$)", "", name.lower()) if c.isalnum())
+
+
+def last_number(name: str) -> int | None:
+    """The last number of a name (cam_01 -> 1, trial2_cam03 -> 3); None without one, or with one of more than 15
+    digits."""
+    digits = re.findall(r"[0-9]+", name)
+    return int(digits[-1]) if digits and len(digits[-1]) <= 15 else None

@@ -21,7 +21,7 @@ from hypose.evidence.pose_network import MASK, Crop, Sighting
 from hypose.geometry import Array
 from hypose.io.file_names import folder_for
 from hypose.io.files import read_json, write_bytes, write_text
-from hypose.io.keypoints.detected_keypoints import MASKS, DetectedKeypoints, load_detected
+from hypose.io.keypoints.read_keypoints import MASKS, DetectedKeypoints, load_detected
 from hypose.io.recordings.frames import working_rig
 from hypose.io.recordings.recording import Recording, View
 from hypose.io.recordings.view_source import SIDECAR

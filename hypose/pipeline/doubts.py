@@ -23,6 +23,7 @@ from hypose.evidence.frame import Frame, Keypoints
 from hypose.geometry import Array
 from hypose.pipeline.strangers import strangers_share
 from hypose.tracking.audit import audit_frame
+from hypose.tracking.contacts import runs
 from hypose.tracking.several import visible_share
 from hypose.tracking.tracker import FrameEstimate, Tracker
 
@@ -299,12 +300,6 @@ def _worse(overlap: Array, known: NDArray[np.bool_], frame_rate: float) -> NDArr
     others = (below.sum(1, keepdims=True) - below) / (below.shape[1] - 1)
     least = np.maximum(WORSE, SPREAD * 1.48 * np.median(np.abs(below - np.median(below, 0)), 0))
     return (below > least) & (below - others > 0.5 * least)
-
-
-def runs(frames: NDArray[np.bool_]) -> list[range]:
-    """The frames (T,) that are marked, as ranges."""
-    edges = np.flatnonzero(np.diff(np.r_[0, frames.astype(np.int8), 0]))
-    return [range(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
 def in_words(found: Sequence[range]) -> str:

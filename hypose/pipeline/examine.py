@@ -10,21 +10,23 @@ from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.body.ready_bodies import human
-from hypose.calibration.doctor import Clip, Cured, Observed
-from hypose.calibration.doctor_extrinsics import FAR_DEG, FAR_M
-from hypose.calibration.doctor_masks import tangency, tangency_by_view
-from hypose.calibration.doctor_points import undistorted
-from hypose.calibration.in_step import Resampled, points_at
+from hypose.calibration.diagnose_masks import tangency, tangency_by_view
+from hypose.calibration.diagnose_points import FAR_DEG, FAR_M, undistorted
+from hypose.calibration.diagnostics import Clip, Cured, Observed
 from hypose.calibration.refine_body import BodySettings, adjust_with_body
-from hypose.calibration.refine_camera import CameraChange, changes, free_cameras, gauge, in_world, rescaled
 from hypose.calibration.refine_points import (
-    PointSettings,
+    CameraChange,
     adjust,
+    changes,
+    free_cameras,
+    gauge,
+    in_world,
     left_out_residual,
     point_residual,
-    without_distortion,
+    rescaled,
 )
 from hypose.calibration.sync_motion import mask_tracks
+from hypose.calibration.synchronisation import Resampled, points_at
 from hypose.cameras.camera import CameraRig, triangulate
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.depth_evidence import Depth
@@ -254,7 +256,7 @@ class _Judge:
         for measure in (point_residual, left_out_residual):
             for rig in (old, new):
                 uv, confidence = undistorted(rig, self.points[:, self.rest])
-                found = measure(without_distortion(rig), uv.reshape(c, -1, 2), confidence.reshape(c, -1))
+                found = measure(rig.pinhole(), uv.reshape(c, -1, 2), confidence.reshape(c, -1))
                 out.append(float(np.nanmedian(found)) if np.isfinite(found).any() else float("nan"))
         return out[0], out[1], out[2], out[3]
 
@@ -264,9 +266,7 @@ def _by_points(
 ) -> tuple[CameraRig, Array]:
     uv, confidence = undistorted(rig, points[:, used])
     c = len(rig)
-    found = adjust(
-        without_distortion(rig), uv.reshape(c, -1, 2), confidence.reshape(c, -1), PointSettings(focal=focal), free
-    )
+    found = adjust(rig.pinhole(), uv.reshape(c, -1, 2), confidence.reshape(c, -1), free, focal=focal)
     return _poses_into(rig, found.rig), found.points
 
 

@@ -2,27 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from hypose.body.body import Body
 from hypose.body.ready_bodies import human
-from hypose.errors import EvidenceError, InputError
+from hypose.errors import EvidenceError, HyposeError, InputError
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.keypoints import triangulate_keypoints
 from hypose.fitting import SolveSettings, fit_pose
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
+from hypose.io.motions.results import Checkpoint, ResultsFolder, file_identity, load_body, save_body
 from hypose.pipeline.start_choice import best_ways
 from hypose.pipeline.subject_from_motion import AnthropometryOptions, estimate_subject, with_outlines
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.keypoint_clip import LEAST_POINTS
 from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, KeypointModel, keypoint_model, keypoint_term
 from hypose.tracking.keypoint_offsets import calibrate_keypoints
-from hypose.tracking.points_beside_masks import LEAST, start_beside_masks, weighed_beside_masks
+from hypose.tracking.points_beside_masks import weighed_beside_masks
 from hypose.tracking.refinement import anatomical_prior
 from hypose.tracking.start_search import Start, start_from_hull
 from hypose.tracking.starts import KNOWN_POSES, hull_of, start_from_keypoints
@@ -110,15 +111,9 @@ def _from_keypoints(
 ) -> Subject:
     seen = [f for f in (frame_at(int(i)) for i in sampled) if f.keypoints is not None]
     body, poses, notes = _fitted_to_points(template, seen, options)
-    model, ways = _weighed(body, seen, poses)
-    told = _without_guesses(seen, model)
-    if told is not None:  # a limb whose points are a guess has the length that others tell
-        with suppress(EvidenceError):  # unless nothing is left to tell
-            body, _, notes = _fitted_to_points(template, told, options)
-            model, ways = _weighed(body, seen)
+    model = _weighed(body, seen, poses)
     notes.append(_noise_note(model))
     start, at = first_start(body, model, frame_at, min(n_frames, 1 + int(options.frame_rate)))
-    start = start_beside_masks(body, model, frame_at(at), start, ways)
     if at:
         notes.append(f"the start is the pose of frame {at}, the first with enough key points")
     return Subject(body, model, start, tuple(notes))
@@ -139,20 +134,12 @@ def _fitted_to_points(template: Body, seen: Sequence[Frame], options: SubjectOpt
     return body, fitted.poses, notes
 
 
-def _weighed(body: Body, seen: Sequence[Frame], poses: Array | None = None) -> tuple[KeypointModel, Array]:
+def _weighed(body: Body, seen: Sequence[Frame], poses: Array | None = None) -> KeypointModel:
     """Where the key points sit on the body as it is now, for landmarks on the skin move with its girths, and what they
-    weigh beside masks; and poses, as of `weighed_beside_masks`."""
+    weigh beside masks."""
     keypoints = [f.keypoints for f in seen if f.keypoints is not None]
     model = calibrate_keypoints(body, keypoint_model(body, keypoints[0].names), keypoints, poses)
     return weighed_beside_masks(body, model, seen)
-
-
-def _without_guesses(seen: Sequence[Frame], model: KeypointModel) -> list[Frame] | None:
-    """The frames without the points that masks have refuted in a view; None where there are none."""
-    if model.beside is None or (model.beside >= LEAST).all():
-        return None
-    told = (model.beside >= LEAST)[..., None] * np.ones(3)
-    return [replace(f, keypoints=replace(f.keypoints, points=f.keypoints.points * told)) for f in seen if f.keypoints]
 
 
 def _known_by_points(
@@ -161,9 +148,8 @@ def _known_by_points(
     seen = [f for f in (frame_at(int(i)) for i in sampled) if f.keypoints is not None]
     if not seen:
         raise EvidenceError("No frame has key points to start from; use the start 'hull'.")
-    model, ways = _weighed(body, seen)
+    model = _weighed(body, seen)
     start, at = first_start(body, model, frame_at, min(n_frames, 1 + int(options.frame_rate)))
-    start = start_beside_masks(body, model, frame_at(at), start, ways)
     notes = [GIVEN, _noise_note(model)]
     if at:
         notes.append(f"the start is the pose of frame {at}, the first with enough key points")
@@ -272,3 +258,45 @@ def _hull_height(frame_at: FrameAt, sampled: np.ndarray) -> tuple[float, int]:
             "`hypose check`, or give --height."
         )
     return float(np.percentile(heights, 75)), len(heights)
+
+
+SUBJECT = "subject.npz"
+_OPTIONAL = ("sd", "view", "beside")
+_MODEL = ("joint", "offset", "known", *_OPTIONAL)
+
+
+def keep_subject(subject: Subject, results: ResultsFolder, identity: Mapping[str, Any]) -> None:
+    """Write body.npz, and subject.npz with everything else."""
+    body = results.file("body.npz")
+    save_body(subject.body, body)
+    arrays = {"start": subject.start}
+    meta: dict[str, Any] = {"notes": list(subject.notes), "body": file_identity(body)["sha256"]}
+    if subject.rivals is not None:
+        arrays |= {"rivals": subject.rivals.values, "rivals_weights": subject.rivals.log_weights}
+    if subject.unsure is not None:
+        arrays["unsure"] = subject.unsure
+    if subject.keypoints is not None:
+        model = subject.keypoints
+        arrays |= {name: np.asarray(v) for name in _MODEL if (v := getattr(model, name)) is not None}
+        meta["keypoints"] = list(model.names)
+    Checkpoint(0, arrays, meta, identity).save(results.file(SUBJECT))
+
+
+def kept_subject(results: ResultsFolder, identity: Mapping[str, Any]) -> Subject | None:
+    """The subject that the same run kept; None when there is none, or its body is gone or another one."""
+    body = results.file("body.npz")
+    try:
+        saved = Checkpoint.load(results.file(SUBJECT), identity)
+        if saved.meta["body"] != file_identity(body)["sha256"]:
+            return None
+        model = None
+        if "keypoints" in saved.meta:
+            a = saved.arrays
+            names, known = tuple(saved.meta["keypoints"]), a["known"].astype(np.bool_)
+            model = KeypointModel(names, a["joint"].astype(np.int64), a["offset"], known, *map(a.get, _OPTIONAL))
+        a, rivals = saved.arrays, None
+        if "rivals" in a:
+            rivals = Hypotheses(a["rivals"], a["rivals_weights"])
+        return Subject(load_body(body), model, a["start"], tuple(saved.meta["notes"]), rivals, a.get("unsure"))
+    except (HyposeError, KeyError, TypeError):
+        return None

@@ -15,14 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.ready_bodies import human
-from hypose.calibration.common_focal import focal_by_masks, focal_by_points, focal_findings
-from hypose.calibration.doctor_depth import REFUTED_PLACES, depth_findings
-from hypose.calibration.doctor_findings import Finding, Limits
-from hypose.calibration.doctor_person import up_by_cameras, wrong_set, wrong_way_up
-from hypose.calibration.doctor_points import best_trial, disagreement
-from hypose.calibration.doctor_report import height_findings
-from hypose.calibration.doctor_silhouettes import gross_silhouettes
-from hypose.calibration.doctor_timing import late_views, timing_findings
+from hypose.calibration.diagnose_masks import focal_by_masks, focal_by_points, focal_findings
+from hypose.calibration.diagnose_person import height_findings, up_by_cameras, wrong_set, wrong_way_up
+from hypose.calibration.diagnose_points import best_trial, disagreement, gross_finding, late_views, timing_findings
+from hypose.calibration.diagnostics import gross_silhouettes
+from hypose.calibration.findings import REFUTED_PLACES, Finding, Limits, depth_findings
 from hypose.calibration.sync_motion import mask_tracks
 from hypose.cameras.camera import PARALLEL, triangulate, widest_angle
 from hypose.errors import EvidenceError, HyposeError
@@ -135,13 +132,8 @@ def _by_points(keypoints: Sequence[Keypoints], height: float | None, o: Limits) 
         trial, before, after = best_trial(rig, pixels, names, [None] * len(rig), 1)
         agreed = trial is not None and before > o.gross and after < o.gross_cured * before
         if trial is not None and agreed:
-            who = " and ".join(rig.names[k] for k in trial.views) if 0 < len(trial.views) < len(rig) else "All cameras"
-            text = (
-                f"{who}: {trial.words}; with that undone the views agree to {100 * after:.1f} % of the person's size "
-                f"instead of {100 * before:.1f} %"
-            )
-            yield Finding(trial.kind, tuple(rig.names[k] for k in trial.views), text, trial.cure, before - after)
-            rig, pixels = trial.rig, trial.pixels  # what else is wrong is told by points that agree
+            yield gross_finding(rig, trial, before, after)
+            rig, pixels = trial.rig, trial.seen  # what else is wrong is told by points that agree
         else:
             text = f"All cameras: the views' key points disagree by {100 * apart:.0f} % of the person's size"
             yield Finding("scatter", (), text, "run hypose check, which looks for the cause camera by camera", apart)

@@ -29,8 +29,8 @@ from hypose.errors import EvidenceError, InputError
 from hypose.fitting.articulated import PointTerm, SolveSettings, fit_pose
 from hypose.geometry import Array
 from hypose.io.file_names import text_of
-from hypose.io.motions.bodies import save_body
 from hypose.io.motions.meshes import PersonMesh, closed_surface, read_person
+from hypose.io.motions.results import save_body
 from hypose.tracking.refinement import anatomical_prior
 
 UNITS = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
@@ -38,6 +38,7 @@ STATURES = (0.6, 2.4)
 """Heights (m) that are taken for a person's, arms raised included."""
 FINE_VERTICES = 8000
 _SAMPLES = 2500
+_COARSE = 550  # vertices of the mesh for scoring
 # a fit worse than this is no person in a known pose: share of samples farther than 5 % of the stature from the template
 # (0.000 for 30 scans of ten people in three poses, 0.07 and more for people squeezed to half their width and less)
 _MOST_FAR = 0.04
@@ -57,84 +58,51 @@ class MeshSubject:
     notes: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class MeshOptions:
-    """pose: 'auto' or one of SCAN_POSES. unit: of the file's coordinates, one of UNITS. up: 'auto', '+z', '+y', '-y',
-    ... height: m, scales the person to a known stature (arms down) whatever the unit. keep_rig: use the joints and
-    weights of a skinned file. coarse: vertices of the mesh for scoring. seed: of the surface samples."""
-
-    pose: str = "auto"
-    unit: str = "m"
-    up: str = "auto"
-    height: float | None = None
-    keep_rig: bool = True
-    coarse: int = 550
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        if self.pose not in ("auto", *SCAN_POSES):
-            raise InputError(f"There is no scan pose {self.pose!r}; the poses are auto, {', '.join(SCAN_POSES)}.")
-        if self.unit not in UNITS:
-            raise InputError(f"There is no unit {self.unit!r}; the units are {', '.join(UNITS)}.")
-        if self.up not in ("auto", "+z", "-z", "+y", "-y", "+x", "-x"):
-            raise InputError(f"There is no up axis {self.up!r}; it is auto, +z, -z, +y, -y, +x or -x.")
-        if self.height is not None and not STATURES[0] <= self.height <= STATURES[1]:
-            raise InputError(
-                f"A height of {self.height} m was given; it must lie between {STATURES[0]} and {STATURES[1]} m."
-            )
-        if not 200 <= self.coarse <= 2000:
-            raise InputError(f"A coarse mesh of {self.coarse} vertices was asked for; 200 to 2000 are possible.")
-
-
-def body_from_mesh(mesh: str | Path | PersonMesh | Mesh, pose: str = "auto", *, unit: str = "m") -> Body:
-    """A trackable body from a file (OBJ, PLY, STL, GLB, SMPL npz) or a mesh in memory. More settings: `rig_mesh`."""
-    return rig_mesh(mesh, MeshOptions(pose=pose, unit=unit)).body
-
-
-def subject_from_mesh(mesh: str | Path, out: str | Path, options: MeshOptions | None = None) -> MeshSubject:
+def subject_from_mesh(
+    mesh: str | Path, out: str | Path, *, unit: str = "m", height: float | None = None
+) -> MeshSubject:
     """What `hypose subject --mesh` does: rigs the file and writes out/body.npz, which trackers load."""
-    subject = rig_mesh(mesh, options)
+    subject = rig_mesh(mesh, unit=unit, height=height)
     save_body(subject.body, Path(out) / "body.npz")
     return subject
 
 
-def rig_mesh(mesh: str | Path | PersonMesh | Mesh, options: MeshOptions | None = None) -> MeshSubject:
-    """Rig a person's mesh; InputErrors say what is wrong with it (open, in parts, unit, pose) and what to do."""
-    settings = options or MeshOptions()
-    person = _person(mesh)
-    if person.rig is not None and settings.keep_rig:
-        return _with_own_rig(person, settings)
-    return _with_new_rig(closed_surface(person), settings)
-
-
-def _person(mesh: str | Path | PersonMesh | Mesh) -> PersonMesh:
-    if isinstance(mesh, PersonMesh):
-        return mesh
+def rig_mesh(mesh: str | Path | PersonMesh | Mesh, *, unit: str = "m", height: float | None = None) -> MeshSubject:
+    """Rig a person's mesh: a file (OBJ, PLY, STL, GLB, SMPL npz), or one in memory; the joints and weights of a skinned
+    file are kept. unit: of the coordinates, one of UNITS; height: m, scales the person to a known stature (arms down)
+    whatever the unit. InputErrors say what is wrong with it (open, in parts, unit, pose) and what to do."""
+    if unit not in UNITS:
+        raise InputError(f"There is no unit {unit!r}; the units are {', '.join(UNITS)}.")
+    if height is not None and not STATURES[0] <= height <= STATURES[1]:
+        raise InputError(f"A height of {height} m was given; it must lie between {STATURES[0]} and {STATURES[1]} m.")
     if isinstance(mesh, Mesh):
-        return PersonMesh(np.asarray(mesh.vertices, dtype=np.float64), mesh.faces)
-    return read_person(mesh)
+        person = PersonMesh(np.asarray(mesh.vertices, dtype=np.float64), mesh.faces)
+    else:
+        person = mesh if isinstance(mesh, PersonMesh) else read_person(mesh)
+    if person.rig is not None:
+        return _with_own_rig(person, unit, height)
+    return _with_new_rig(closed_surface(person), unit, height)
 
 
 # ---- a mesh without a skin ---------------------------------------------------------------------------------
 
 
-def _with_new_rig(person: PersonMesh, settings: MeshOptions) -> MeshSubject:
+def _with_new_rig(person: PersonMesh, unit: str, height: float | None) -> MeshSubject:
     template = human()
-    rng = np.random.default_rng(settings.seed)
-    surface = surface_samples(person.vertices, person.faces, _SAMPLES, rng)
-    stances = find_stances(surface, template, settings.pose, settings.up)
+    surface = surface_samples(person.vertices, person.faces, _SAMPLES, np.random.default_rng(0))
+    stances = find_stances(surface, template)
     upright = person.vertices @ stances[0].upright_from_file.T
     extent = float(np.ptp(upright[:, 2]))
-    scale = _metres(extent, person.source, settings)
+    scale = _metres(extent, person.source, unit, height)
     fit, stance = fit_template(replace(surface, points=surface.points * scale), template, stances)
-    if settings.height is not None:
+    if height is not None:
         # arms above the head reach higher than the stature: the fitted body knows
-        again = settings.height / fit.body.stature
+        again = height / fit.body.stature
         if abs(np.log(again)) > 0.01:
             scale *= again
             fit, stance = fit_template(replace(surface, points=surface.points * scale), template, stances)
-    _check_fit(fit, stance, person.source, settings)
-    notes = [*person.notes, *_stance_notes(person, stance, settings)]
+    _check_fit(fit, stance, person.source)
+    notes = [*person.notes, *_stance_notes(stance, unit, height)]
     vertices = person.vertices @ stance.upright_from_file.T * scale
     faces = person.faces
     if len(vertices) > FINE_VERTICES:
@@ -142,7 +110,7 @@ def _with_new_rig(person: PersonMesh, settings: MeshOptions) -> MeshSubject:
         vertices, faces = decimated(vertices, faces, FINE_VERTICES // 2)
     weights = heat_weights(vertices, faces, body_bones(fit.body, fit.pose), len(template.skeleton.joint_names))
     names = template.skeleton.joint_names
-    body = _assembled(person, fit.body, fit.pose, vertices, faces, weights, settings)
+    body = _assembled(person, fit.body, fit.pose, vertices, faces, weights)
     arms = _arms_of(fit)
     notes.append(
         f"{body.stature:.2f} m tall, scanned in the pose {arms!r}; the template lies {1e3 * fit.distance:.0f} mm from "
@@ -158,10 +126,9 @@ def _assembled(
     vertices: Array,
     faces: np.ndarray,
     weights: Array,
-    settings: MeshOptions,
 ) -> Body:
     """The body on the skeleton of `frame`, from a surface at a pose with dense weights (V, J)."""
-    rough, rough_faces = coarse_mesh(vertices, faces, settings.coarse)
+    rough, rough_faces = coarse_mesh(vertices, faces, _COARSE)
     rough_weights = carried_weights(rough, vertex_normals(rough, rough_faces), vertices, faces, weights)
     meshes = []
     for v, f, w in ((rough, rough_faces, rough_weights), (vertices, faces, weights)):
@@ -174,46 +141,44 @@ def _assembled(
     return Body(name, frame.skeleton, meshes[0], meshes[1], frame.landmarks)
 
 
-def _metres(extent: float, source: str, settings: MeshOptions) -> float:
+def _metres(extent: float, source: str, unit: str, height: float | None) -> float:
     """Metres per unit of the file, or an InputError that suggests the unit; extent: height in the file's units."""
     if not extent > 0:
         raise InputError(f"{source} is flat: its height is 0; export the scan again.")
-    if settings.height is not None:
-        return settings.height / extent
-    scale = UNITS[settings.unit]
+    if height is not None:
+        return height / extent
+    scale = UNITS[unit]
     low, high = STATURES
     if low <= extent * scale <= high:
         return scale
     fitting = [u for u, s in UNITS.items() if low <= extent * s <= high]
     metric = [u for u in fitting if u in ("m", "dm", "cm", "mm")] or fitting
-    height = extent * scale
-    shown = f"{height:.3g} m" if height >= 0.01 else f"{1e3 * height:.3g} mm"
+    tall = extent * scale
+    shown = f"{tall:.3g} m" if tall >= 0.01 else f"{1e3 * tall:.3g} mm"
     advice = (
         f"its coordinates seem to be in {metric[0]}: give the unit {metric[0]!r}"
         if metric
         else "no usual unit makes that a person: give the person's height instead of a unit"
     )
-    raise InputError(f"{source}: in {settings.unit} the person would be {shown} tall; {advice}.")
+    raise InputError(f"{source}: in {unit} the person would be {shown} tall; {advice}.")
 
 
-def _check_fit(fit: ScanFit, stance: Stance, source: str, settings: MeshOptions) -> None:
+def _check_fit(fit: ScanFit, stance: Stance, source: str) -> None:
     if fit.far <= _MOST_FAR and fit.distance < 0.02 * fit.body.stature:
         return
-    asked = f"the pose {settings.pose!r}" if settings.pose != "auto" else "any known pose"
-    advice = "try the pose 'auto', or scan" if settings.pose != "auto" else "scan"
     raise InputError(
-        f"{source} does not look like one person in {asked}: {fit.far:.0%} of the surfaces lie more than "
-        f"{5 * fit.body.stature:.0f} cm apart (stance tried: {stance.up} up, arms {stance.arms!r}); {advice} the "
+        f"{source} does not look like one person in any known pose: {fit.far:.0%} of the surfaces lie more than "
+        f"{5 * fit.body.stature:.0f} cm apart (stance tried: {stance.up} up, arms {stance.arms!r}); scan the "
         f"person alone, upright, arms away from the body ({', '.join(SCAN_POSES)})."
     )
 
 
-def _stance_notes(person: PersonMesh, stance: Stance, settings: MeshOptions) -> list[str]:
+def _stance_notes(stance: Stance, unit: str, height: float | None) -> list[str]:
     notes = []
-    if settings.unit != "m" and settings.height is None:
-        notes.append(f"coordinates in {settings.unit} became metres")
-    if settings.height is not None:
-        notes.append(f"scaled to the height given, {settings.height:.2f} m")
+    if unit != "m" and height is None:
+        notes.append(f"coordinates in {unit} became metres")
+    if height is not None:
+        notes.append(f"scaled to the height given, {height:.2f} m")
     if stance.up != "+z":
         notes.append(f"the file has {stance.up} up; it was turned so that z is up")
     forward = stance.upright_from_file.T @ np.array([0.0, -1.0, 0.0])
@@ -237,7 +202,7 @@ def _arms_of(fit: ScanFit) -> str:
 # ---- a mesh with joints and weights of its own -------------------------------------------------------------
 
 
-def _with_own_rig(person: PersonMesh, settings: MeshOptions) -> MeshSubject:
+def _with_own_rig(person: PersonMesh, unit: str, height: float | None) -> MeshSubject:
     rig = person.rig
     assert rig is not None
     before = len(person.vertices)
@@ -246,18 +211,18 @@ def _with_own_rig(person: PersonMesh, settings: MeshOptions) -> MeshSubject:
     matched = match_rig(rig.names, rig.parents, rig.joints, person.rig.weights, person.source)
     turn, up = _upright(matched.joints)
     extent = float(np.ptp(person.vertices @ turn[2]))
-    scale = _metres(extent, person.source, settings)
+    scale = _metres(extent, person.source, unit, height)
     vertices = person.vertices @ turn.T * scale
     joints = matched.joints @ turn.T * scale
     frame, pose = _pose_from_joints(joints, vertices)
-    notes = [*person.notes, *_stance_notes(person, Stance(turn, "", 0.0, up), settings)]
+    notes = [*person.notes, *_stance_notes(Stance(turn, "", 0.0, up), unit, height)]
     weights, faces = matched.weights, person.faces
     if len(vertices) > 2 * FINE_VERTICES:
         notes.append(f"the display mesh has {FINE_VERTICES // 2} of the file's {before} vertices")
         small, small_faces = decimated(vertices, faces, FINE_VERTICES // 2)
         weights = carried_weights(small, vertex_normals(small, small_faces), vertices, faces, weights)
         vertices, faces = small, small_faces
-    body = _assembled(person, frame, pose, vertices, faces, weights, settings)
+    body = _assembled(person, frame, pose, vertices, faces, weights)
     notes.append(f"{body.stature:.2f} m tall; joints and weights are the file's ({len(rig.names)} joints)")
     if matched.absent:
         notes.append(f"the rig lacks {', '.join(matched.absent)}: placed by proportion, they carry no skin")

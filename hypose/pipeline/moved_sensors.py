@@ -20,7 +20,7 @@ from hypose.evidence.depth_evidence import Depth, SurfacePoints
 from hypose.evidence.frame import Frame
 from hypose.fitting.articulated import SolveSettings
 from hypose.geometry import Array
-from hypose.pipeline.pictures import FrameSource
+from hypose.pipeline.one_camera import FrameSource
 from hypose.pipeline.subject_from_motion import different_poses
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.refinement import refine

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from hypose.body.ready_bodies import human
-from hypose.calibration.doctor_findings import Finding
+from hypose.calibration.findings import Finding
 from hypose.errors import EvidenceError, HyposeError, InputError
 from hypose.evidence import depth_people
 from hypose.evidence.ahead import pack_once
@@ -24,14 +24,12 @@ from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.hull import common_view_bounds
 from hypose.evidence.hull_people import VIEWS, HullPerson
 from hypose.geometry import Array
-from hypose.io.motions.results import ResultsFolder, save_motion
-from hypose.io.recordings.provenance import identity
+from hypose.io.motions.results import ResultsFolder, identity, save_motion
 from hypose.pipeline.bodies_again import fitted_again
-from hypose.pipeline.doubts import as_now, in_words, looked_at, mask_change, runs
-from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
+from hypose.pipeline.doubts import as_now, in_words, looked_at, mask_change
+from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject, keep_subject, kept_subject
 from hypose.pipeline.first_look import look_at_depth, sentences
 from hypose.pipeline.hull_paths import Path, follow_places, lasting
-from hypose.pipeline.kept_findings import keep_subject, kept_subject
 from hypose.pipeline.newcomers import (
     back_again,
     evidence_of,
@@ -62,6 +60,7 @@ from hypose.pipeline.tracked_people import (
     seen_by_themselves,
 )
 from hypose.pipeline.wardrobe import exchange, look_at_clothes
+from hypose.tracking.contacts import runs
 from hypose.tracking.several import Member, nobody_in, step_together, visible_share
 from hypose.tracking.tracker import Tracker
 
@@ -481,13 +480,12 @@ class PeopleRun:
 
     def _finished(self, p: Followed, people: Sequence[Followed], complete: bool) -> OnePerson:
         found = seen_by_themselves(p, people, 3 * self._look_every)
-        tracked = Tracked(range(len(found)), found, p.member.state, complete)
+        tracked = Tracked(found, p.member.state, complete)
         present, hidden = np.array(p.present, dtype=np.bool_), np.array(p.hidden, dtype=np.bool_)
         source = OwnFrames(self.source, p, people, self._points)
-        shared = len(people) > 1 and p.present[0]
         given = p.subject, p.member.tracker, tracked, self.options, p.results, self.record, self.progress
         said = sentences(self.looked), sentences(self.looked, fault=False)
-        out = finish(source, *given, *said, shared=shared)
+        out = finish(source, *given, *said)
         motion, notes = replace(out.motion, lost=out.motion.lost | ~present), [*out.notes, *p.said]
         if hidden.any():
             motion = replace(motion, doubtful=hidden if motion.doubtful is None else motion.doubtful | hidden)

@@ -8,7 +8,7 @@ looked for again on what the others' bodies leave.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -132,8 +132,12 @@ def _rough(
         found = best_ways(template, [own[t] for t in seen], rate, height=height, seed=seed, shared=len(paths) > 1)
     except HyposeError:
         return None
-    start, at = found.starts.best, numbers.index(seen[found.at])
-    way = way_of(start, at, [own[t] for t in numbers], rate, seed)
+    start, at = found.starts.best, found.at
+    if found.ways:  # a start that is wrong at first is put right on its way: it is gone again from where it fits best
+        costs = found.ways[0].costs
+        at = int(np.where(np.isfinite(costs), costs, np.inf).argmin())
+        start = replace(start, pose=found.ways[0].poses[at])
+    way = way_of(start, numbers.index(seen[at]), [own[t] for t in numbers], rate, seed)
     if way is None or way.cost > _LOST:
         return None
     rivals = tuple((seen[w.at], w.start) for w in found.ways[1 : 1 + _RIVALS])

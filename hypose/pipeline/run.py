@@ -17,39 +17,45 @@ from hypose.errors import EvidenceError, HyposeError, InputError
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.geometry import Array
 from hypose.inference.layer import Recipe
-from hypose.io.motions.modes import save_modes
-from hypose.io.motions.results import ResultsFolder, save_motion
-from hypose.io.recordings.frames import FrameSettings
-from hypose.io.recordings.provenance import identity
+from hypose.io.motions.results import ResultsFolder, identity, save_modes, save_motion
+from hypose.io.recordings.frames import FrameSettings, FrameStream
 from hypose.io.recordings.recording import Recording
 from hypose.pipeline.both_ways import both_ways_notes, look_both_ways
-from hypose.pipeline.colour_detections import tracked_frames
 from hypose.pipeline.contradictions import against_the_clip
 from hypose.pipeline.doubts import with_doubts, with_repeated_points
-from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
+from hypose.pipeline.first_frame import SUBJECT, Subject, SubjectOptions, find_subject, keep_subject, kept_subject
 from hypose.pipeline.first_look import first_look, of_measured, places_refuted, sentences
-from hypose.pipeline.kept_findings import SUBJECT, keep_subject, kept_subject
-from hypose.pipeline.keypoint_track import keypoints_in_memory, track_keypoints, with_named_sides
-from hypose.pipeline.mend_sides import FrameRange, as_named, look_back, look_back_notes, mend_sides, sides_notes
+from hypose.pipeline.mend_sides import FrameRange, mend_sides, sides_notes
 from hypose.pipeline.moved_sensors import PlacedSource, Places, moved_sensors
-from hypose.pipeline.picture_start import picture_options, subject_in_picture
-from hypose.pipeline.picture_verdict import (
+from hypose.pipeline.one_camera import (
     BESIDE_FRAME,
     against_the_picture,
     beside_the_picture,
+    depth_note,
     doubt_of_depth,
+    one_view,
+    picture_options,
+    subject_in_picture,
+    tracked_frames,
 )
-from hypose.pipeline.pictures import depth_note, one_view
 from hypose.pipeline.subject_from_motion import HEIGHT_DOUBT, HEIGHT_WRONG, height_sentence, height_told
-from hypose.pipeline.track_loop import FrameSource, Keep, Progress, Tracked, track_frames, tracked_before
+from hypose.pipeline.track_loop import FrameList, FrameSource, Keep, Progress, Tracked, track_frames, tracked_before
 from hypose.pipeline.verdict import Verdict, left_out, not_shown, verdict_of
+from hypose.tracking.audit import audit_frame
 from hypose.tracking.doubt import as_mixture, evidence_of, judged, not_in_set, worth_a_look
-from hypose.tracking.fitted_spread import beyond_usual, pose_covariance, with_fitted_angles, with_fitted_joints
+from hypose.tracking.fitted_spread import (
+    beyond_usual,
+    pose_covariance,
+    systematic_covariance,
+    with_fitted_angles,
+    with_fitted_joints,
+)
 from hypose.tracking.frame_evidence import OwnEvidence
+from hypose.tracking.keypoint_clip import track_keypoint_clip
+from hypose.tracking.keypoint_evidence import keypoint_model
 from hypose.tracking.pose_covariance import unpacked
 from hypose.tracking.recipes import RECIPES, Preset, recipe
-from hypose.tracking.smooth_motion import Clip
-from hypose.tracking.systematic_error import systematic_covariance
+from hypose.tracking.smooth_motion import Clip, Smoothed
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerSettings, modes_of, motion_of
 
 MODES = "modes.npz"
@@ -218,7 +224,7 @@ def track_source(
     keep = None
     if results is not None:  # before the motion, so that what is kept of an interrupted run can be looked at
         keep_subject(subject, results, key)
-        keep = Keep(results.checkpoint, key, options.checkpoint_every, finished=True)
+        keep = Keep(results.checkpoint, key, options.checkpoint_every)
     tracker = tracker_of(subject, options, frame_rate, method, own)
     if options.whole_clip and method is None and not own:
         solved, audit = track_keypoints(source, frame_rate, subject, report, sure_start=options.sure_start)
@@ -233,11 +239,9 @@ def track_source(
         others = (*others, *([not_shown(never)] if never else []))
         said = {"faults": (*faults, *wrong), "looks": (*noticed, *looks), "beside": others}
         return _written(replace(result, one_by_one=solved.one_by_one, audit=audit, **said), results)
-    if method is None and not options.of_picture:
-        source, subject = with_named_sides(source, frame_rate, subject, sure_start=options.sure_start)
-    before = tracked_before(results.checkpoint, key, total) if resume and results is not None else None
+    before = tracked_before(results.checkpoint, key) if resume and results is not None else None
     begin = tracker.start(subject.start if subject.rivals is None else subject.rivals)
-    done = track_frames(source, range(total), tracker, begin, subject, keep=keep, before=before, progress=report)
+    done = track_frames(source, tracker, begin, subject, keep=keep, before=before, progress=report)
     if done.error is not None and results is not None:
         with contextlib.suppress(HyposeError):  # the first error is the one to tell
             _written(_tracked(subject, done.estimates, frame_rate, record), results)
@@ -255,7 +259,7 @@ def track_source(
                     subject = subject_of(source, frame_rate, options, body, None, key, report)
                 tracker = tracker_of(subject, options, frame_rate, method)
                 begin = tracker.start(subject.start if subject.rivals is None else subject.rivals)
-                done = track_frames(source, range(total), tracker, begin, subject, progress=report)
+                done = track_frames(source, tracker, begin, subject, progress=report)
         measured = not given and subject.keypoints is None and options.height is None and body is None
         if measured and not options.of_picture:
             of_height = of_measured(subject.body.stature)
@@ -319,10 +323,9 @@ def finish(
     progress: Progress,
     faults: tuple[str, ...] = (),
     noticed: tuple[str, ...] = (),
-    shared: bool = False,
 ) -> TrackResult:
     """The motion of what was tracked, stretches with exchanged sides or lost arms mended, smoothed, judged and written.
-    faults, noticed: what the first look found; shared: others are in the masks, who make starts unsure."""
+    faults, noticed: what the first look found."""
     estimates, notes, recipe = done.estimates, subject.notes, tracker.recipe
 
     def again(frames: range) -> Iterator[Frame]:
@@ -335,11 +338,6 @@ def finish(
             tracker, estimates, seen, sure_start=options.sure_start, memory=done.state.memory
         )
         notes = (*notes, *sides_notes(exchanged))
-        if exchanged:  # there, what the clip took the key points' sides for is refuted
-            seen = as_named(again, exchanged)
-        if shared and not options.sure_start:
-            estimates, anew = look_back(tracker, estimates, seen, memory=done.state.memory)
-            notes = (*notes, *look_back_notes(anew))
         progress("sides", 1, 1)
         if options.smooth and recipe.smooth is not None:
             estimates, moved = look_both_ways(
@@ -442,3 +440,31 @@ def tracker_of(
     made = method or recipe(options.recipe, subject.body, **about, **options.own)
     settings = TrackerSettings(evidence=options.looks_at, seed=options.seed, frame_rate=frame_rate)
     return Tracker(subject.body, made, settings, subject.keypoints, own)
+
+
+def track_keypoints(
+    source: FrameSource, frame_rate: float, subject: Subject, progress: Progress, *, sure_start: bool = False
+) -> tuple[Smoothed, NDArray[np.float32]]:
+    """The motion of the frames of a source (hypose.tracking.keypoint_clip), and their audits (T, J, A);
+    sure_start: the start is the right way round. An EvidenceError when they have no key points."""
+    frames = [replace(source.frame(i), silhouettes=None) for i in range(len(source))]
+    seen = [f.keypoints for f in frames]
+    named = next((k.names for k in seen if k is not None), None)
+    if named is None:
+        raise EvidenceError("No frame carries key points; choose an evidence that the recording has.")
+    model = subject.keypoints or keypoint_model(subject.body, named)
+    solved = track_keypoint_clip(
+        *(subject.body, model, seen, subject.start, frame_rate),
+        progress=lambda done, all_: progress("track", done, all_),
+        sure_start=sure_start,
+    )
+    assert solved.motion.poses is not None
+    audits = [audit_frame(subject.body, q, f, model) for q, f in zip(solved.motion.poses, frames, strict=True)]
+    return solved, np.stack(audits)
+
+
+def keypoints_in_memory(source: FrameSource) -> Sequence[Keypoints | None] | None:
+    """The key points of a source's frames, None of a source that does not hold them in memory."""
+    if isinstance(source, FrameStream):
+        return source.keypoints
+    return [f.keypoints for f in source.frames] if isinstance(source, FrameList) else None

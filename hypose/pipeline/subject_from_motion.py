@@ -23,7 +23,7 @@ from hypose.fitting import DepthTerm, depth_term
 from hypose.fitting.articulated import ContourTerm, SolveSettings, contour_term
 from hypose.geometry import Array
 from hypose.io.files import write_text
-from hypose.io.motions.bodies import load_body, save_body
+from hypose.io.motions.results import load_body, save_body
 from hypose.pipeline.mend_sides import mend_sides
 from hypose.pipeline.start_choice import best_ways, follow
 from hypose.pipeline.subject_checks import check_borders, check_size, no_two_views

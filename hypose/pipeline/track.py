@@ -6,7 +6,7 @@ import contextlib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import overload
+from typing import Any, overload
 
 from hypose.body.body import Body
 from hypose.errors import InputError
@@ -84,30 +84,49 @@ def track(
         chosen = chosen.suited_to(loaded)
     if isinstance(loaded, Recording) and chosen.of_picture:
         check_views(loaded, True)
-    if body is None and chosen.subject is not None:
-        body = load_subject(chosen.subject)
     if people is not None:
-        if method is not None or own or body is not None:
+        if method is not None or own or body is not None or chosen.subject is not None:
             raise InputError(
                 "Several people are tracked by a preset, without evidence of your own; name their bodies in "
                 "recording.toml, and leave out body, own and the recipe."
             )
         return _track_people(loaded, chosen, str(people), progress)
+    given = {"method": method, "own": own, "progress": progress}
     if isinstance(loaded, FrameList):
-        return track_source(loaded, loaded.frame_rate, chosen, body=body, progress=progress, method=method, own=own)
+        body = body or given_body(chosen)
+        return track_source(loaded, loaded.frame_rate, chosen, body=body, **given)
     with FrameStream(loaded, frames_wanted(loaded, chosen)) as source:
-        everybody = with_everybody(source, chosen) if method is None and not own and body is None else None
-        if everybody is None:
-            return track_source(source, loaded.frame_rate, chosen, body=body, progress=progress, method=method, own=own)
-        points = keypoint_people(loaded, source.rig) if chosen.looks_at == "both" else None
-        wanted = wanted_first(loaded, chosen)
-        with everybody:
-            return track_one_of(
-                everybody, loaded.frame_rate, chosen, wanted=wanted, points=points, progress=progress, command=_ALL
-            )
+        return track_person(source, chosen, body=body, **given)
 
 
-_ALL = 'people="all"'
+def given_body(options: TrackOptions) -> Body | None:
+    """The subject's own body, where the options name its file."""
+    return None if options.subject is None else load_subject(options.subject)
+
+
+def track_person(
+    source: FrameStream,
+    options: TrackOptions,
+    *,
+    body: Body | None = None,
+    method: Recipe | None = None,
+    own: Sequence[OwnEvidence] = (),
+    command: str = 'people="all"',
+    **kept: Any,
+) -> TrackResult:
+    """The motion of the person in the frames of a recording; where the masks show several, of one of them, and it is
+    said that the `command` tracks all. kept, and everything else: as for `track_source`."""
+    recording = source.recording
+    everybody = with_everybody(source, options) if method is None and not own and body is None else None
+    if everybody is None:
+        body = body or given_body(options)
+        return track_source(source, recording.frame_rate, options, body=body, method=method, own=own, **kept)
+    points = keypoint_people(recording, source.rig) if options.looks_at == "both" else None
+    wanted = wanted_first(recording, options)
+    with everybody:
+        return track_one_of(
+            everybody, recording.frame_rate, options, wanted=wanted, points=points, command=command, **kept
+        )
 
 
 def _track_people(

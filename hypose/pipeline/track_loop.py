@@ -1,4 +1,4 @@
-"""Frames tracked one after the other, with checkpoints: those of a whole recording, or of a chunk of it."""
+"""Frames tracked one after the other, with checkpoints."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextvars import copy_context
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +14,9 @@ from hypose.errors import HyposeError
 from hypose.evidence.ahead import look_ahead
 from hypose.evidence.frame import Frame
 from hypose.io.motions.results import Checkpoint
-from hypose.pipeline.colour_detections import tracked_frames
 from hypose.pipeline.doubts import looked_at
 from hypose.pipeline.first_frame import Subject
-from hypose.pipeline.pictures import FrameSource
+from hypose.pipeline.one_camera import FrameSource, tracked_frames
 from hypose.tracking.tracker import (
     FrameEstimate,
     Tracker,
@@ -70,20 +68,18 @@ class Deferred:
 @dataclass(frozen=True)
 class Keep:
     """Where a run keeps its state: the checkpoint's path; the identity of the run; every: frames between two writings,
-    at least; finished: write it when all frames are done as well."""
+    at least."""
 
     path: Path
     identity: Mapping[str, Any]
     every: int = 25
-    finished: bool = False
 
 
 @dataclass(frozen=True)
 class Tracked:
-    """frames: the numbers of those that are done; estimates: one for each; state: after the last of them. error: what
-    ended it early; None when it is complete or was interrupted."""
+    """estimates: of the frames that are done; state: after the last of them. error: what ended it early; None when it
+    is complete or was interrupted."""
 
-    frames: range
     estimates: list[FrameEstimate]
     state: TrackerState
     complete: bool = True
@@ -92,7 +88,6 @@ class Tracked:
 
 def track_frames(
     source: FrameSource,
-    frames: range,
     tracker: Tracker,
     begin: TrackerState,
     subject: Subject,
@@ -101,31 +96,43 @@ def track_frames(
     before: Tracked | None = None,
     progress: Progress,
 ) -> Tracked:
-    """Tracks `frames`, from the state `begin`, or behind what was done `before`.
+    """Tracks the frames of a source from the state `begin`, or behind what was done `before`. What was seen in each is
+    found out by another thread while the next one is tracked: tracking does not ask.
 
     KeyboardInterrupt, and with `keep` a HyposeError too, end it with what is done until then; they are passed on when
     that is nothing.
     """
     state, estimates = (before.state, list(before.estimates)) if before is not None else (begin, [])
-    saved, total, looks = len(estimates), len(frames), _Looks(state, estimates)
+    saved, total, context = len(estimates), len(source), copy_context()  # which back end to use is said there
+    looked, looking = state, list[tuple[TrackerState, Future[FrameEstimate]]]()
     error: HyposeError | None = None
+
+    def settle() -> None:
+        nonlocal looked
+        while looking:
+            after, found = looking.pop()
+            estimates.append(found.result())
+            looked = after
+
     try:
-        rest = frames[saved:]
-        last = source.frame(rest[0] - 1) if rest and rest[0] > 0 else None
-        with (
-            contextlib.closing(look_ahead(tracked_frames(source, rest, tracker.recipe.needs, subject))) as coming,
-            contextlib.closing(looks),
-        ):
-            for done in range(saved, total):
+        rest = range(saved, total)
+        last = source.frame(saved - 1) if rest and saved else None
+        with contextlib.ExitStack() as stack:
+            frames = look_ahead(tracked_frames(source, rest, tracker.recipe.needs, subject))
+            coming = stack.enter_context(contextlib.closing(frames))
+            pool = stack.enter_context(ThreadPoolExecutor(1, thread_name_prefix="look"))
+            stack.callback(settle)
+            for done in rest:
                 progress("track", done, total)
                 frame = next(coming)
                 state, estimate = tracker.step(state, frame)
-                looks.begin(state, partial(looked_at, tracker, estimate, frame, last))
+                settle()
+                looking.append((state, pool.submit(context.run, looked_at, tracker, estimate, frame, last)))
                 last = frame
                 # all frames are written every time, so ever fewer times: the work of an hour of film stays linear
                 if keep is not None and done + 1 - saved >= max(keep.every, saved // 20) and done + 1 < total:
-                    looks.end()
-                    _save(keep, Tracked(frames, estimates, looks.state))
+                    settle()
+                    _save(keep, Tracked(estimates, looked))
                     saved = done + 1
         progress("track", total, total)
     except KeyboardInterrupt:
@@ -135,60 +142,22 @@ def track_frames(
         if not estimates or keep is None:
             raise
         error = problem
-    out = Tracked(frames[: len(estimates)], estimates, looks.state, error is None and len(estimates) == total, error)
-    if keep is not None and (keep.finished or not out.complete):
-        with (
-            contextlib.suppress(HyposeError) if error is not None else contextlib.nullcontext()
-        ):  # the first one counts
+    out = Tracked(estimates, looked, error is None and len(estimates) == total, error)
+    if keep is not None:
+        with contextlib.suppress(*(() if error is None else (HyposeError,))):  # the first one counts
             _save(keep, out)
     return out
 
 
-class _Looks:
-    """What was seen in each frame, found out by another thread while the next one is tracked: tracking does not ask.
-
-    state, estimates: after the last frame that has been looked at."""
-
-    def __init__(self, state: TrackerState, estimates: list[FrameEstimate]) -> None:
-        self.state, self.estimates = state, estimates
-        self._context = copy_context()  # which back end to use is said there
-        self._pool = ThreadPoolExecutor(1, thread_name_prefix="look")
-        self._coming: tuple[TrackerState, Future[FrameEstimate]] | None = None
-
-    def begin(self, state: TrackerState, look: Callable[[], FrameEstimate]) -> None:
-        """Of the next frame, whose estimate `look` returns; waits for the one before."""
-        self.end()
-        self._coming = state, self._pool.submit(self._context.run, look)
-
-    def end(self) -> None:
-        """Waits for the last one."""
-        coming, self._coming = self._coming, None
-        if coming is not None:
-            self.estimates.append(coming[1].result())
-            self.state = coming[0]
-
-    def close(self) -> None:
-        """The same, and no more after it."""
-        try:
-            self.end()
-        finally:
-            self._pool.shutdown()
-
-
-def tracked_before(path: Path, identity: Mapping[str, Any], stop: int) -> Tracked | None:
-    """What a checkpoint of the same run holds, complete when it reaches `stop`; None when there is none."""
+def tracked_before(path: Path, identity: Mapping[str, Any]) -> Tracked | None:
+    """What a checkpoint of the same run holds; None when there is none."""
     if not path.exists():
         return None
     saved = Checkpoint.load(path, identity)
     done = {k.removeprefix("done_"): v for k, v in saved.arrays.items() if k.startswith("done_")}
-    estimates = estimates_from_arrays(done)
-    first = int(saved.meta.get("first", 0))
-    frames = range(first, first + len(estimates))
-    return Tracked(frames, estimates, TrackerState.from_arrays(saved.arrays), frames.stop == stop)
+    return Tracked(estimates_from_arrays(done), TrackerState.from_arrays(saved.arrays), False)
 
 
 def _save(keep: Keep, tracked: Tracked) -> None:
-    arrays = {**tracked.state.to_arrays()}
-    arrays |= {f"done_{k}": v for k, v in estimates_to_arrays(tracked.estimates).items()}
-    meta = {"first": tracked.frames.start}
-    Checkpoint(len(tracked.estimates), arrays, meta, keep.identity).save(keep.path)
+    done = {f"done_{k}": v for k, v in estimates_to_arrays(tracked.estimates).items()}
+    Checkpoint(len(tracked.estimates), tracked.state.to_arrays() | done, {}, keep.identity).save(keep.path)

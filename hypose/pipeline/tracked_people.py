@@ -16,16 +16,14 @@ from hypose.evidence import depth_people
 from hypose.evidence.frame import Frame
 from hypose.evidence.shared_masks import SOLVED, Other
 from hypose.geometry import Array
-from hypose.io.motions.results import Checkpoint, ResultsFolder
-from hypose.io.recordings.provenance import identity
-from hypose.pipeline.doubts import runs
-from hypose.pipeline.first_frame import Subject
-from hypose.pipeline.kept_findings import kept_subject
+from hypose.io.motions.results import Checkpoint, ResultsFolder, identity
+from hypose.pipeline.first_frame import Subject, kept_subject
 from hypose.pipeline.people_points import KeypointPeople, per_frame
 from hypose.pipeline.run import TrackResult
 from hypose.pipeline.track_loop import FrameSource
 from hypose.pipeline.verdict import Verdict, verdict_of
 from hypose.tracking.clothes import Wardrobe
+from hypose.tracking.contacts import runs
 from hypose.tracking.several import Member, nobody_in, shape_of
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState, estimates_from_arrays, estimates_to_arrays
 

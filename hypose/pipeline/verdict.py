@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.motion import Motion
-from hypose.pipeline.doubts import in_words, runs
+from hypose.pipeline.doubts import in_words
+from hypose.tracking.contacts import runs
 from hypose.tracking.doubt import LOOK_P
 from hypose.tracking.doubt_features import AROUND_S
 

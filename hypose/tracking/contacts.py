@@ -87,8 +87,8 @@ def find_contacts(
         touching = np.stack([_only_long(c, shortest) for c in (touching & ~high).T], 1)
     place = np.full(positions.shape, np.nan)
     for k in range(positions.shape[1]):
-        for run in _runs(touching[:, k]):
-            for a, b in _standing(positions[:, k], *run, o.drift):
+        for run in runs(touching[:, k]):
+            for a, b in _standing(positions[:, k], run.start, run.stop, o.drift):
                 if b - a < shortest:
                     touching[a:b, k] = False
                     continue
@@ -132,9 +132,8 @@ def foot_motion(positions: Array, contacts: Contacts, frame_rate: float) -> Foot
 
 def _hysteresis(speed: Array, known: NDArray[np.bool_], slow: float, fast: float) -> NDArray[np.bool_]:
     out = np.zeros(len(speed), dtype=bool)
-    for a, b in _runs((speed < fast) & known):
-        if (speed[a:b] < slow).any():
-            out[a:b] = True
+    for run in runs((speed < fast) & known):
+        out[run.start : run.stop] = (speed[run.start : run.stop] < slow).any()
     return out
 
 
@@ -151,14 +150,15 @@ def _standing(points: Array, first: int, last: int, drift: float) -> list[tuple[
 
 def _only_long(flags: NDArray[np.bool_], shortest: int) -> NDArray[np.bool_]:
     out = np.zeros(len(flags), dtype=bool)
-    for a, b in _runs(flags):
-        out[a:b] = b - a >= shortest
+    for run in runs(flags):
+        out[run.start : run.stop] = len(run) >= shortest
     return out
 
 
-def _runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
+def runs(flags: NDArray[np.bool_]) -> list[range]:
+    """Find the frames (T,) that are marked, as ranges."""
     edges = np.flatnonzero(np.diff(np.r_[False, flags, False].astype(np.int8)))
-    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    return [range(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
 def _common_height(heights: Array, settings: ContactSettings) -> float:

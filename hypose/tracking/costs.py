@@ -103,7 +103,7 @@ def keypoint_cost(body: Body, poses: Array, term: KeypointTerm) -> Array:
     away = np.where(h[..., 2] > 0, np.nan_to_num(away, nan=np.inf), np.inf)
     ratio = np.minimum(away / (2 * term.scale_px), 1e3)  # a point behind a camera is as far off as can be
     used = np.where(term.points[..., 2] > term.min_confidence, term.points[..., 2], 0.0)
-    return 2 * term.weight * (used * np.log1p(ratio**2)).sum((1, 2))
+    return 2 * (used * np.log1p(ratio**2)).sum((1, 2))
 
 
 def silhouette_iou(body: Body, pose: Array, frame: PreparedFrame) -> Array:

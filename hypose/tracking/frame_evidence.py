@@ -24,7 +24,6 @@ from hypose.fitting.own_rows import RowTerm
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.keypoint_evidence import KeypointModel, beside_masks, keypoint_model, keypoint_term
-from hypose.tracking.refuted_views import without_refuted
 
 _Found = TypeVar("_Found")
 
@@ -166,8 +165,6 @@ def prepare(
                 f"Frame {frame.index} has other key points ({len(points_seen.names)}) than the subject was fitted "
                 f"with ({len(model.names)}); fit the subject again from this recording."
             )
-        if silhouettes is not None:
-            points_seen, silhouettes = without_refuted(points_seen, silhouettes, body, model, prediction)
     masks = contours = None
     if silhouettes is not None:
         masks = prepared_masks(silhouettes)

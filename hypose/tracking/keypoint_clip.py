@@ -12,7 +12,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
 
 from hypose.body.body import Body
 from hypose.body.motion import Motion
@@ -23,17 +22,12 @@ from hypose.fitting import KeypointTerm, PointTerm, SolveSettings, fit_clip, fit
 from hypose.geometry import Array
 from hypose.tracking.exchanged_sides import limbs_exchanged
 from hypose.tracking.keypoint_evidence import (
-    MIN_CONFIDENCE,
     STRANGER_M,
-    SWAPPED_M,
     KeypointModel,
-    checked,
     keypoint_term,
-    pixels_per_metre,
     shows_somebody_else,
 )
-from hypose.tracking.named_sides import LIMBS, exchanged_by_names, votes_by_names
-from hypose.tracking.pinned_hinges import unpinned
+from hypose.tracking.named_sides import LIMBS, exchanged_by_names
 from hypose.tracking.pose_covariance import from_neighbours, joint_covariance_of
 from hypose.tracking.refinement import anatomical_prior
 from hypose.tracking.smooth_motion import Smoothed, with_feet
@@ -54,9 +48,6 @@ _LIMBS = [
     for a, b in (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"))
 ]
 _LOOK_EVERY = 5  # frames; looking everywhere is dear
-AROUND_S, CLEAR_NAMES = 0.5, 0.5
-"""s, and by which share more views must call limbs by their own side's name than by the other's, before it as
-well as after it, for the clip's word to go for more than what masks say."""
 LEAST_POINTS = 6
 """A frame with fewer points (in all views together) says nothing of the pose by itself."""
 _QUICK = SolveSettings(iterations=6, coarse_iterations=0, tolerance=3e-3)
@@ -132,43 +123,6 @@ def track_keypoint_clip(
     return replace(with_feet(body, motion, own, free, held, settings), one_by_one=first)
 
 
-def real_names(
-    body: Body,
-    model: KeypointModel,
-    keypoints: Sequence[Keypoints | None],
-    start: Array,
-    frame_rate: float,
-    *,
-    sure_start: bool = False,
-) -> tuple[Array, list[Keypoints | None]]:
-    """The key points of a clip with what the clip as a whole says of their sides (`Keypoints.really`), where their
-    names agree with it in most views nearby in time, and the pose (D,) in the first frame by them; start (D,): what it
-    was taken for, with sure_start for good."""
-    poses, _ = _on_named_sides(body, model, keypoints, start, frame_rate, sure_start=sure_start)
-    half, clear = max(1, round(0.5 * AROUND_S * frame_rate)), np.ones(len(poses), np.bool_)
-    for limb in LIMBS:
-        votes = votes_by_names(body, model, poses, keypoints, limb)
-        for side in (-half, half):  # before and after: limbs may change places here
-            renamed, kept = uniform_filter1d(votes, 2 * half + 1, axis=0, mode="nearest", origin=side).T
-            clear &= kept - renamed >= CLEAR_NAMES * (kept + renamed)
-    out = [
-        _named_by(body, model, q, k) if k is not None and sure else k
-        for q, k, sure in zip(poses, keypoints, clear, strict=True)
-    ]
-    other = np.linalg.norm(body.joints(poses[:1]) - body.joints(start[None]), axis=-1).max() > SWAPPED_M
-    return poses[0] if other and not sure_start else start, out
-
-
-def _named_by(body: Body, model: KeypointModel, pose: Array, seen: Keypoints) -> Keypoints:
-    uv = np.stack([camera.project_pinhole(model.positions(body, pose)) for camera in seen.rig])
-    points = np.nan_to_num(seen.points)
-    points[~(points[..., 2] > MIN_CONFIDENCE)] = 0.0
-    number = np.broadcast_to(np.arange(points.shape[1]), points.shape[:2])[..., None]
-    numbered = np.concatenate([points, number], -1)
-    found = checked(numbered, uv, model.names, pixels_per_metre(seen, pose[:3]), model.known)
-    return replace(seen, really=found[..., 3].astype(np.int64))
-
-
 def _on_named_sides(
     body: Body,
     model: KeypointModel,
@@ -227,7 +181,6 @@ def _one_by_one(
         poses[t] = expected  # unseen: ever less of the last velocity
         if term is not None:
             found = fit_pose(body, expected, keypoints=term, priors=prior, options=_QUICK).pose
-            found = unpinned(body, found, term, prior, _QUICK)
             # beyond half a turn a shoulder would run into the corner of its limits, though the arm goes on
             poses[t] = s.unwound(found)
             last += poses[t] - found  # the step stays what it was

@@ -85,13 +85,13 @@ def keypoint_term(
     """
     model = model or keypoint_model(body, keypoints.names)
     known = model.known
-    points = np.nan_to_num(keypoints.on_their_sides)
+    points = np.nan_to_num(keypoints.points)
     points[~(points[..., 2] > MIN_CONFIDENCE)] = 0.0
     if prediction is not None:
         expected = model.positions(body, prediction)
         size = pixels_per_metre(keypoints, prediction[:3])
         uv = np.stack([camera.project_pinhole(expected) for camera in keypoints.rig])
-        points = checked(points, uv, model.names, size, known, sides=keypoints.really is None)
+        points = checked(points, uv, model.names, size, known)
         points[..., 2] /= model.worse(len(size))[:, None] ** 2
         if model.sd is not None:
             sd_px = model.sd * size[:, None]
@@ -153,11 +153,8 @@ def checked(
     names: tuple[str, ...],
     size: Array,
     known: NDArray[np.bool_] | None = None,
-    *,
-    sides: bool = True,
 ) -> Array:
-    """Key points (C, K, 3) with views of somebody else left out (confidence 0) and, with sides, exchanged sides put
-    right.
+    """Key points (C, K, 3) with views of somebody else left out (confidence 0) and exchanged sides put right.
 
     expected (C, K, 2) px: where the points should be about; size (C,): pixels per metre; known (K,): points that the
     body has. A view is left out only when two others agree with the expectation: where none does it is the expectation
@@ -172,8 +169,6 @@ def checked(
     strangers = middle > STRANGER_M
     if (middle <= STRANGER_M).sum() >= 2:
         out[strangers, :, 2] = 0.0
-    if not sides:
-        return out
     column = {name: k for k, name in enumerate(names)}
     far = np.nan_to_num(distance) > SWAPPED_M
     for view in np.flatnonzero(~strangers & far.any(1)):

@@ -42,23 +42,15 @@ def exchanged_by_names(
         return np.zeros(len(poses), np.bool_), 0.0
     places = model.positions(body, poses)
     apart = np.linalg.norm(places[:, pairs[:, 0]] - places[:, pairs[:, 1]], axis=-1).mean(1)
-    renamed, kept = votes_by_names(body, model, poses, keypoints, limb).T
-    change = _MEETING + _APART * (apart / _APART_M) ** 2
-    change[0] = np.inf if sure_start else _MEETING  # a start may be wrong, however far apart they are
-    return _best_stretches(renamed - kept, change)
-
-
-def votes_by_names(
-    body: Body, model: KeypointModel, poses: Array, keypoints: Sequence[Keypoints | None], limb: str
-) -> Array:
-    """(T, 2) of poses (T, D): see `views_by_names`."""
-    places = model.positions(body, poses)
-    votes = np.zeros((len(poses), 2))
+    won = np.zeros(len(poses))  # views that call them by the other side's names, less those that do not
     for t, seen in enumerate(keypoints):
         if seen is not None and seen.names == model.names:
             uv = np.stack([camera.project_pinhole(places[t]) for camera in seen.rig])
-            votes[t] = views_by_names(model, limb, seen.points, uv, pixels_per_metre(seen, poses[t, :3]))
-    return votes
+            renamed, kept = views_by_names(model, limb, seen.points, uv, pixels_per_metre(seen, poses[t, :3]))
+            won[t] = renamed - kept
+    change = _MEETING + _APART * (apart / _APART_M) ** 2
+    change[0] = np.inf if sure_start else _MEETING  # a start may be wrong, however far apart they are
+    return _best_stretches(won, change)
 
 
 def _pairs(model: KeypointModel, parts: Sequence[str]) -> NDArray[np.int64]:

@@ -4,13 +4,11 @@ Outlines know where they are right to about a centimetre, but their cost hardly 
 by more pull a limb out of its outline, and are not averaged against it as two measurements would be. So beside masks
 points weigh as if they knew no better than outlines that hold, and in full where outlines do not. Whether they do is
 told by the points: a body that is fitted to the outlines alone lies as near to them as they scatter, or else further
-(a skirt, a bag, a chair, somebody else, shadows). For that the outlines look for limbs of their own: where points put
-one of them, as far from where it is as a detector guesses, outlines find the way back only from another pose.
+(a skirt, a bag, a chair, somebody else, shadows).
 """
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -25,9 +23,7 @@ from hypose.geometry import Array
 from hypose.tracking.frame_evidence import PreparedFrame, prepare
 from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, KeypointModel
 from hypose.tracking.keypoint_offsets import Residuals, residual_rows, solved_frames, triangulated_starts
-from hypose.tracking.postures import postures
-from hypose.tracking.published_recipes import LIMB_LAYERS
-from hypose.tracking.refinement import SETTLING, mismatch, solve
+from hypose.tracking.refinement import solve
 
 OUTLINES_M = 0.015
 """m: points that scatter by no more weigh in full beside masks, whatever these say."""
@@ -49,19 +45,13 @@ wrong; else it may be the outlines that are."""
 FRAMES, _SPARSE, _MOST = 8, 0.5, 3
 """frames in which the two are compared, and so many times more, at most, where fewer points than this share are seen"""
 _PARTS = (("elbow", "wrist"), ("knee", "ankle", "toe", "heel"), ("shoulder", "hip", "neck"), ("",))
-_EACH = tuple(tuple(j for j in joints if not j.endswith("clavicle")) for _, joints in LIMB_LAYERS)
-_LIMBS = (_EACH[0] + _EACH[1], *_EACH)
-"""Joints of what is looked for elsewhere: both legs, then each limb."""
-WORTH, CLEAR = 0.1, 0.01
-"""mismatch by which a limb may be worse before it is solved for, and must be better then: outlines alone hardly tell
-where an arm is that they hide. Chosen, as APART, on close_up (benchmark `doubt`) of the seeds 1254 to 1268."""
 _LEAST_FRAMES, _LEAST_ROWS, _LEAST_LEFT = 3, 8, 0.2
 _SOLVE = SolveSettings(iterations=12, coarse_iterations=4)
 
 
-def weighed_beside_masks(body: Body, model: KeypointModel, frames: Sequence[Frame]) -> tuple[KeypointModel, Array]:
+def weighed_beside_masks(body: Body, model: KeypointModel, frames: Sequence[Frame]) -> KeypointModel:
     """The model with what is left of its points' weights beside masks (`KeypointModel.beside`); as it is when fewer
-    than three of the frames (of one person) tell. And poses (N, D), by the outlines alone, of the frames that do.
+    than three of the frames (of one person) tell.
 
     Of the points of each part of the body, noise: variance per axis about the body that is solved for by them, which
     takes up a part of it; away (C,): about the body that is solved for by the outlines. What is more of it in most
@@ -72,7 +62,7 @@ def weighed_beside_masks(body: Body, model: KeypointModel, frames: Sequence[Fram
     both = [both[int(n)] for n in np.unique(np.linspace(0, len(both) - 1, count).astype(int))]
     seen, by_points, by_masks = _solved_either_way(body, model, both)
     if len(seen) < _LEAST_FRAMES:
-        return model, by_masks
+        return model
     own, other = (residual_rows(body, model, seen, poses) for poses in (by_points, by_masks))
     rows = 2 * np.median((own.confidence[:, :, model.known] > 0).sum((1, 2)))
     lasting = LASTING_M**2 if model.names == BLAZEPOSE_33 else 0.0
@@ -98,18 +88,7 @@ def weighed_beside_masks(body: Body, model: KeypointModel, frames: Sequence[Fram
     known = np.isfinite(beside).any(0)
     # limbs of which too little is seen to tell are no better known than the others
     beside[:, ~known] = np.median(beside[:, known], axis=1, keepdims=True) if known.any() else 1.0
-    return replace(model, beside=beside), by_masks
-
-
-def start_beside_masks(body: Body, model: KeypointModel, frame: Frame, start: Array, ways: Array) -> Array:
-    """A start (D,) that key points told, with limbs elsewhere where masks and key points together say so: where some
-    posture has them, or the outlines of other frames (N, D)."""
-    prepared = prepare(frame, body, start, use_keypoints=True, keypoints_on_body=model, prediction_weight=0.0)
-    if prepared.contours is None:
-        return start
-    prepared = replace(prepared, keypoints=prepared.beside_masks)
-    pose = solve(body, start[None], prepared, SETTLING)[0].pose
-    return _elsewhere(body, pose, (postures(body), ways), prepared)
+    return replace(model, beside=beside)
 
 
 def _times(model: KeypointModel, frames: Sequence[Frame]) -> int:
@@ -136,31 +115,9 @@ def _solved_either_way(
             by_points.append(pose)
             outlines.append(prepared)
 
-    # from limbs that points have far from where they are, outlines do not find the way; other frames may have
     by_masks = [solve(body, q[None], f, _SOLVE)[0].pose for q, f in zip(by_points, outlines, strict=True)]
-    by_masks = [_elsewhere(body, q, (postures(body),), f) for q, f in zip(by_masks, outlines, strict=True)]
-    for n, prepared in enumerate(outlines):
-        by_masks[n] = _elsewhere(body, by_masks[n], (np.array(by_masks),), prepared)
     shape = len(kept), body.skeleton.dof
     return kept, np.array(by_points).reshape(shape), np.array(by_masks).reshape(shape)
-
-
-def _elsewhere(body: Body, pose: Array, pools: Sequence[Array], prepared: PreparedFrame) -> Array:
-    """A solved pose (D,), or one that explains the frame better, solved with limbs as others (N, D) have them, those of
-    one pool after the other."""
-    cost = mismatch(pose[None], prepared, step_penalty=0.0)[0]
-    for others, joints in itertools.product(pools, _LIMBS):
-        own = body.skeleton.dofs_of(*joints)
-        tried = np.repeat(pose[None], len(others), 0)
-        tried[:, own] = others[:, own]
-        costs = mismatch(tried, prepared, step_penalty=0.0)
-        if not costs.size or costs.min() > cost + WORTH:
-            continue
-        found = solve(body, tried[int(np.argmin(costs))][None], prepared, _SOLVE)[0].pose
-        better = mismatch(found[None], prepared, step_penalty=0.0)[0]
-        if better < cost - CLEAR:
-            pose, cost = found, better
-    return pose
 
 
 def _parts(names: Sequence[str]) -> list[NDArray[np.bool_]]:

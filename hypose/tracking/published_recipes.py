@@ -29,10 +29,12 @@ from hypose.inference.selectivity import Annealed, FixedSelectivity, Selectivity
 from hypose.inference.selectors import LayeredSystematic, systematic
 from hypose.tracking.costs import SilhouetteXor
 from hypose.tracking.detection_kernels import DetectionCost, DetectorDriven, ends_of
-from hypose.tracking.limb_kernels import BallStep, LimbDiffusion, ball_step
 from hypose.tracking.partitioned_observations import (
+    BallStep,
+    LimbDiffusion,
     PartitionedXor,
     Region,
+    ball_step,
     bounding_region,
     chain_region,
     faces_of_parts,
@@ -225,36 +227,31 @@ def hpf_apo(
     frame_rate: float = 25.0,
     betas: Sequence[float] | None = None,
     *,
-    bounding: bool = False,
-    own: bool = False,
-    twist: bool = False,
-    tails: bool = False,
-    moving_end: bool = False,
+    improved: bool = False,
     name: str = "hpf-apo",
 ) -> Recipe:
     """The hierarchical filter weighed by approximate partitions of the observations: 7 + 1 layers x 500 particles.
 
     As published: the layers and steps of `hpf`, eq. 2.15 in fixed boxes, and a last layer that weighs the set again in
     a box of the whole body. `betas` gives fixed exponents, one per layer (8); by default the survival rate sets them.
-    The departures, each for itself: bounding: boxes about the posed limb. own: a limb's layer moves its own coordinates
-    and the torso's (the forearm's also the upper arm's) only: the legs are not seen in the arms' boxes, where further
-    steps would shake them. twist: the shoulder's twist is searched with the forearm. tails: 15 % of a limb's steps are
-    four times as long. moving_end: the last layer moves all coordinates by their small steps.
+    improved departs from that: boxes about the posed limb; a limb's layer moves its own coordinates and the torso's
+    (the forearm's also the upper arm's) only, since the legs are not seen in the arms' boxes, where further steps would
+    shake them; the shoulder's twist is searched with the forearm; 15 % of a limb's steps are four times as long.
     Source: Alcoverro 2014, section 2.4.
     """
     s = body.skeleton
     sigma = step_sigma(s, frame_rate)
     psi = partitions_of(s, HPF_LAYERS)
-    regions = layer_regions(body, bounding=bounding)
+    regions = layer_regions(body, bounding=improved)
     rows = []
     for n in range(len(HPF_LAYERS) + 1):
         selectivity = selectivity_of(n, betas, survival)
         region, faces = regions[n]
         last = n == len(HPF_LAYERS)
         kernel: Kernel = stay
-        if not last or moving_end:
+        if not last:
             step = layered_sigma(sigma, psi, decay, n)
-            kernel = _steps(body, sigma, step, psi, n, own=own, twist=twist, tails=tails)
+            kernel = _steps(body, sigma, step, psi, n) if improved else LimbDiffusion(s, step)
         rows.append(
             Layer(
                 kernel,
@@ -266,26 +263,19 @@ def hpf_apo(
     return _published(name, rows, s, particles)
 
 
-def _steps(
-    body: Body, full: Array, step: Array, psi: list[NDArray[np.int64]], n: int, *, own: bool, twist: bool, tails: bool
-) -> LimbDiffusion:
-    """The kernel of layer n of the partitioned filter from the steps of Algorithm 3."""
-    s, last = body.skeleton, n == len(HPF_LAYERS)
-    name = "whole body" if last else HPF_LAYERS[n][0]
+def _steps(body: Body, full: Array, step: Array, psi: list[NDArray[np.int64]], n: int) -> LimbDiffusion:
+    """The kernel of layer n of the improved partitioned filter from the steps of Algorithm 3."""
+    s, name = body.skeleton, HPF_LAYERS[n][0]
     side = name.split("_")[0]
-    sigma = step.copy()
-    limb = np.zeros(s.dof, dtype=bool)
-    if not last and name != "torso":
-        limb[psi[n]] = True
-    if own and not last:
-        keep = np.zeros(s.dof, dtype=bool)
-        keep[psi[0]] = True
-        keep[psi[n]] = True
-        if name.endswith("elbow"):
-            keep[s.dofs_of(f"{side}_clavicle", f"{side}_shoulder")] = True
-        sigma[~keep] = 0
+    limb, keep = np.zeros(s.dof, dtype=bool), np.zeros(s.dof, dtype=bool)
+    limb[psi[n]] = name != "torso"
+    keep[psi[0]] = True
+    keep[psi[n]] = True
+    if name.endswith("elbow"):
+        keep[s.dofs_of(f"{side}_clavicle", f"{side}_shoulder")] = True
+    sigma = np.where(keep, step, 0.0)
     balls: tuple[BallStep, ...] = ()
-    if twist and name.endswith(("shoulder", "elbow")):
+    if name.endswith(("shoulder", "elbow")):
         start = int(s.dofs_of(f"{side}_shoulder")[0])
         swing = float(sigma[start])
         # with the forearm the twist moves by its whole step, for the first time
@@ -294,22 +284,12 @@ def _steps(
         sigma[start : start + 3] = 0
         if turning:
             limb[start : start + 3] = True
-    tail = HeavyTail(0.15, 4.0, limb) if tails and limb.any() else None
-    return LimbDiffusion(s, sigma, balls, tail)
+    return LimbDiffusion(s, sigma, balls, HeavyTail(0.15, 4.0, limb) if limb.any() else None)
 
 
 def hpf_apo_plus(body: Body, particles: int = 500, frame_rate: float = 25.0) -> Recipe:
     """The improved form of `hpf_apo`, at the same number of evaluations."""
-    return hpf_apo(
-        body,
-        particles,
-        frame_rate=frame_rate,
-        bounding=True,
-        own=True,
-        twist=True,
-        tails=True,
-        name="hpf-apo+",
-    )
+    return hpf_apo(body, particles, frame_rate=frame_rate, improved=True, name="hpf-apo+")
 
 
 # one layer per limb instead of two per arm: the (5+1) form

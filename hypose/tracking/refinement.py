@@ -82,20 +82,19 @@ def settled(pose: Array, frame: PreparedFrame, /) -> Array:
 class ContourRefinement:
     """Kernel: refines a few members of the set and shifts the whole set by the step of the best.
 
-    Members refined: the set's mean, its `best` hypotheses of least energy, and the prediction. The winner has the least
+    Members refined: the set's mean, the hypothesis of least energy, and the prediction. The winner has the least
     `mismatch`. All hypotheses move by its step from the mean and keep their spread; the winner itself becomes one of
     them, in the role SOLVED.
     """
 
     options: SolveSettings = SolveSettings()
-    best: int = 1
 
     def __call__(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
         """Moves h; see the class."""
         s = frame.body.skeleton
         mean = pose_mean(s)(h)
-        order = np.argsort(frame_energy(h.values, frame), kind="stable")[: self.best]
-        candidates = s.on_branch(np.stack([mean, frame.prediction, *h.values[order]]), frame.prediction)
+        best = h.values[frame_energy(h.values, frame).argmin()]
+        candidates = s.on_branch(np.stack([mean, frame.prediction, best]), frame.prediction)
         winner = best_fit(refine(frame.body, candidates, frame, self.options), frame).pose
         values = s.clamp(h.values + (winner - mean))
         values[0] = winner

@@ -22,8 +22,7 @@ from hypose.inference.hypotheses import BEFORE, Hypotheses
 from hypose.tracking.costs import frame_energy, limb_energy, same_cost
 from hypose.tracking.depth_costs import arm_is_seen, without_limb
 from hypose.tracking.frame_evidence import PoseMemory, PreparedFrame
-from hypose.tracking.part_colours import ColourSettings, colour_scores, known_colours
-from hypose.tracking.pictured_arms import pictured_arms
+from hypose.tracking.part_colours import ColourSettings, colour_scores, known_colours, pictured_arms
 from hypose.tracking.reach_table import ArmReach, ends, ends_of
 from hypose.tracking.refinement import COMPOSITE, RIVAL, SOLVED, keep_fits, member, mismatch, refine, solve
 

@@ -18,7 +18,6 @@ from hypose.fitting import PointTerm
 from hypose.geometry import Array
 from hypose.tracking.contacts import FootMotion, contact_terms, find_contacts, foot_motion, soles_of
 from hypose.tracking.fitted_spread import pose_covariance
-from hypose.tracking.kept_limbs import with_tracked_limbs
 from hypose.tracking.pose_covariance import unpacked
 from hypose.tracking.smoothing import ClipSettings, gap_covariance, smooth_poses
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState
@@ -44,9 +43,8 @@ def smooth_clip(clip: Clip) -> tuple[Motion, tuple[str, ...]]:
     clip.progress(0, 1)
     information = np.stack([e.uncertainty.information for e in clip.estimates])
     smoothed = smooth_motion(clip.tracker.body, clip.motion, information)
-    motion = with_tracked_limbs(clip.tracker, clip.motion, smoothed.motion, clip.frames)
     clip.progress(1, 1)
-    return motion, smoothed.notes
+    return smoothed.motion, smoothed.notes
 
 
 @dataclass(frozen=True)

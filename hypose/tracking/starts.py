@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.errors import EvidenceError, InputError
-from hypose.evidence.depth_space import space_behind
+from hypose.evidence.depth_people import space_behind
 from hypose.evidence.hull import Hull, visual_hull
 from hypose.fitting.articulated import PointTerm, PoseFit, SolveSettings, fit_pose
 from hypose.geometry import Array, procrustes, rotation_between, so3_exp, so3_log

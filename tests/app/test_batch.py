@@ -1,4 +1,4 @@
-"""`hypose batch`: sweeps read and refused, tasks that know what is finished, workers that are killed."""
+"""`hypose batch`: tables read and refused, tasks that know what is finished, workers that are killed."""
 
 import csv
 import json
@@ -15,11 +15,7 @@ import pytest
 
 from benchmarks.robustness.programs import workers_of
 from benchmarks.robustness.small_recordings import small_scene, write_masks
-from hypose.app.sweeps import cluster
-from hypose.app.sweeps.batch_table import COLUMNS, rows_of, write_table
-from hypose.app.sweeps.batch_worker import finished, run_task
-from hypose.app.sweeps.cluster import Place, run_batch
-from hypose.app.sweeps.sweep import Refused, plan, read_sweep
+from hypose.app.batch import COLUMNS, finished, plan, read_table, run_batch, run_task, write_table
 from hypose.errors import InputError
 from hypose.io.motions.results import load_motion
 from tests.conftest import HANG_S
@@ -27,44 +23,50 @@ from tests.conftest import HANG_S
 
 @pytest.fixture(scope="module")
 def study(tmp_path_factory):
-    """Two recordings of 60 and 6 frames; read only."""
+    """Two recordings of 40 and 6 frames; read only."""
     folder = tmp_path_factory.mktemp("study")
-    for name, seed, frames in (("long", 1, 60), ("short", 2, 6)):
+    for name, seed, frames in (("long", 1, 40), ("short", 2, 6)):
         write_masks(small_scene(seed, frames), folder / name)
     return folder
 
 
-def sweep_file(study, out, text=""):
-    path = out / "sweep.toml"
-    path.write_text(f'recordings = ["{study}/*"]\nresults = "{out}/out"\n{text}')
+def table(study, out, columns="", *rows):
+    """A table with the columns in addition to `recording`; rows: what is in them, of every recording."""
+    path = out / "study.csv"
+    lines = [f"{study / name}{more and ',' + more}" for name in ("long", "short") for more in (rows or ("",))]
+    path.write_text("\n".join([f"recording{columns and ',' + columns}", *lines, ""]))
     return path
+
+
+def tasks_of(path, out):
+    tasks, refused = plan(read_table(path), out)
+    assert not refused
+    return tasks
 
 
 # ---- reading and planning --------------------------------------------------------------------------------------
 
 
-def test_lists_in_a_set_are_combined(study, tmp_path):
-    text = (
-        '[settings]\nstart = "hull"\n[[set]]\nname = "a"\nseed = [0, 1]\nrecipe = ["sir", "hpf"]\n[[set]]\nname = "b"'
-    )
-    sweep = read_sweep(sweep_file(study, tmp_path, text))
-    assert [s["name"] for s in sweep.sets] == [
-        *("a-seed-0-recipe-sir", "a-seed-0-recipe-hpf", "a-seed-1-recipe-sir", "a-seed-1-recipe-hpf", "b")
-    ]
-    assert all(s["start"] == "hull" for s in sweep.sets)
-    tasks, refused = plan(sweep)
-    assert len({t.key for t in tasks}) == len(tasks) == 10 and not refused
+def test_a_row_is_a_recording_with_options(study, tmp_path):
+    path = table(study, tmp_path, "name,seed,refine,height,subject", "a,3,yes,1.8,bodies/anna", ",,,,")
+    given, usual = read_table(path)[:2]
+    assert given.name == "a" and usual.name == "default" and not usual.options
+    assert given.options == {
+        "seed": 3,
+        "refine": True,
+        "height": 1.8,
+        "subject": str(tmp_path / "bodies/anna"),
+    }
 
 
-def test_the_key_follows_settings_and_content(study, tmp_path):
-    def key(text="", folder=study):
-        return plan(read_sweep(sweep_file(folder, tmp_path, text)))[0][0].key
+def test_the_key_follows_options_and_content(study, tmp_path):
+    def key(columns="", row="", folder=study):
+        return tasks_of(table(folder, tmp_path, columns, row), tmp_path / "out")[0].key
 
     first = key()
-    assert key() == first
-    assert key('[[set]]\nname = "other name"') == first  # a name changes no result
-    assert key("[settings]\nseed = 5") != first
-    copy = shutil.copytree(study / "long", tmp_path / "study" / "long").parent
+    assert key() == first == key("name", "other name")  # a name changes no result
+    assert key("seed", "5") != first
+    copy = shutil.copytree(study, tmp_path / "study")
     assert key(folder=copy) == first
     masks = sorted((copy / "long").rglob("*.png"))
     shutil.copy(masks[1], masks[0])
@@ -74,69 +76,59 @@ def test_the_key_follows_settings_and_content(study, tmp_path):
 @pytest.mark.parametrize(
     ("text", "fragment"),
     [
-        ('recording = "x"', "did you mean recordings?"),
-        ("recordings = []", "there are no recordings"),
-        ('recordings = ["nothing/*"]', "no recording matches 'nothing/*'"),
-        ('recordings = ["x"]\nretries = -1', "0 to 20"),
-        ('recordings = ["x"]\nformats = ["fbx"]', "no export format 'fbx'"),
-        ('recordings = ["x"]\n[settings]\nparticles = 5', "the key particles is unknown"),
-        ('recordings = ["x"]\n[settings]\nseed = "one"', "seed must be a whole number"),
-        ('recordings = ["x"]\n[[set]]\nname = "a"\n[[set]]\nname = "a"', "two sets are named a"),
-        ('recordings = ["x"', "is not valid TOML"),
+        ("seed\n1\n", "the column 'recording' is missing"),
+        ("recording,particles\nx,5\n", "there is no column 'particles'"),
+        ("recording,seed\nx,one\n", "line 2: seed cannot be 'one'"),
+        ("recording,seed\nx,1,2\n", "line 2"),
+        ("recording\n", "names no recording"),
+        ("", "is empty"),
     ],
 )
-def test_sweeps_that_cannot_be(tmp_path, text, fragment):
-    path = tmp_path / "sweep.toml"
+def test_tables_that_cannot_be(tmp_path, text, fragment):
+    path = tmp_path / "study.csv"
     path.write_text(text)
-    with pytest.raises(InputError, match="sweep.toml") as caught:
-        read_sweep(path)
+    with pytest.raises(InputError, match="study.csv") as caught:
+        read_table(path)
     assert fragment in str(caught.value)
 
 
-def test_a_bad_recording_does_not_stop_the_others(study, tmp_path):
-    path = tmp_path / "sweep.toml"
-    path.write_text(f'recordings = ["{study}/short", "nowhere"]')
-    tasks, refused = plan(read_sweep(path))
+def test_a_bad_recording_does_not_stop_the_others(hypose, study, tmp_path):
+    path = tmp_path / "study.csv"
+    path.write_text(f"recording\n{study}/short\nnowhere\n")
+    tasks, refused = plan(read_table(path), tmp_path / "out")
     assert [t.recording for t in tasks] == ["short"]
-    assert refused[0].recording == "nowhere" and "does not exist" in refused[0].reason
+    assert refused[0]["recording"] == "nowhere" and "does not exist" in refused[0]["message"]
+    code, out, err = hypose("batch", path, "--dry-run")  # ends as the batch would
+    assert code == 1 and "1 refused" in out and "nowhere, default: " in err
 
 
 def test_bad_options_end_in_a_sentence(hypose, study, tmp_path):
-    path = sweep_file(study, tmp_path)
-    assert hypose("batch", tmp_path / "none.toml")[0] == 2
+    path = table(study, tmp_path)
+    assert hypose("batch", tmp_path / "none.csv")[0] == 2
     code, _, err = hypose("batch", path, "--workers", "0")
     assert code == 2 and "give 1 to 1024" in err
-    code, _, err = hypose("batch", path, "--scheduler", "tcp://127.0.0.1:1", "--slurm")
-    assert code == 2 and "exclude each other" in err
+    code, _, err = hypose("batch", path, "--scheduler", "tcp://127.0.0.1:1", "--workers", "2")
+    assert code == 2 and "leave --workers" in err
+    code, _, err = hypose("batch", path, "--formats", "fbx")
+    assert code == 2 and "fbx" in err
 
 
-def test_a_dry_run_counts_and_touches_nothing(hypose, study, tmp_path):
-    code, out, _ = hypose("batch", sweep_file(study, tmp_path), "--dry-run")
+@pytest.mark.parametrize("given", ["table", "folders"])
+def test_a_dry_run_counts_and_touches_nothing(hypose, study, tmp_path, given):
+    paths = [table(study, tmp_path)] if given == "table" else sorted(study.iterdir())
+    code, out, _ = hypose("batch", *paths, "--dry-run", "--out", tmp_path / "out")
     assert code == 0 and "2 tasks: 0 finished, 2 to do" in out
     assert not (tmp_path / "out").exists()
 
 
-def test_a_dry_run_with_recordings_that_cannot_be_tracked_ends_as_the_batch_would(hypose, study, tmp_path):
-    path = tmp_path / "sweep.toml"
-    path.write_text(f'recordings = ["nowhere"]\nresults = "{tmp_path}/out"')
-    code, out, _ = hypose("batch", path, "--dry-run")
-    assert code == 1 and "1 refused" in out and "nowhere, " in out
-
-
-# ---- the table -------------------------------------------------------------------------------------------------
-
-
-def test_the_table_has_every_task_and_no_formula(study, tmp_path):
-    tasks, _ = plan(read_sweep(sweep_file(study, tmp_path)))
-    figures = {tasks[0].key: {"state": "done", "frames": 60, "iou": 0.9123456789, "sd_mm": 8.0, "attempts": 1}}
-    refused = [Refused("=cmd()", "<b>", "it is <i>broken</i>")]
-    table, page = write_table(rows_of(tasks, refused, figures, tmp_path), tmp_path)
-    with table.open() as file:
+def test_the_table_has_every_task_and_no_formula(tmp_path):
+    done = {"recording": "long", "state": "done", "frames": 60, "iou": 0.9123456789, "notes": ["not in the table"]}
+    write_table([done, {"recording": "=cmd()", "state": "failed", "message": "broken"}], tmp_path)
+    with (tmp_path / "results.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert tuple(rows[0]) == COLUMNS and len(rows) == 3
+    assert tuple(rows[0]) == COLUMNS and len(rows) == 2
     assert rows[0]["iou"] == "0.912346" and rows[0]["recording"] == "long"
-    assert rows[2]["recording"] == "'=cmd()"
-    assert "<i>broken" not in page.read_text() and "<svg" in page.read_text()
+    assert rows[1]["recording"] == "'=cmd()"
 
 
 # ---- running ---------------------------------------------------------------------------------------------------
@@ -144,31 +136,30 @@ def test_the_table_has_every_task_and_no_formula(study, tmp_path):
 
 @pytest.mark.slow
 def test_a_task_is_stopped_in_order_and_goes_on(study, tmp_path):
-    tasks, _ = plan(read_sweep(sweep_file(study, tmp_path, 'formats = ["trc"]')))
-    task, stop = tasks[0], tmp_path / "stop"
+    task, stop = tasks_of(table(study, tmp_path), tmp_path / "out")[0], tmp_path / "stop"
 
-    def stop_soon(message):
-        if message["stage"] == "track" and message["done"] > 0:
+    def stop_soon(done):
+        if done > 0:
             stop.touch()
 
-    assert run_task(task, stop, stop_soon)["state"] == "stopped"
+    assert "frames are kept" in run_task(task, stop, stop_soon)["message"]
     assert finished(task) is None
-    assert run_task(task, stop, stop_soon)["message"] == "not begun"
+    assert run_task(task, stop, stop_soon)["state"] == "stopped"
     stop.unlink()
-    done = run_task(task, stop, lambda message: None)
-    assert done["state"] == "done" and done["frames"] == 60
-    assert finished(task) == json.loads(task.record.read_text()) == done
+    done = run_task(task, stop, lambda done: None)
+    assert done["state"] == "done" and done["frames"] == 40
+    assert finished(task) == json.loads((task.results / "task.json").read_text()) == done
 
 
 @pytest.mark.slow
 def test_killed_workers_change_no_byte(study, tmp_path):
-    serial = plan(read_sweep(sweep_file(study, tmp_path, "[settings]\nseed = [0, 1]")))[0]
-    for task in serial:
-        assert run_task(task, tmp_path / "no stop", lambda message: None)["state"] == "done"
-    expected = {t.key: (load_bytes(t), t) for t in serial}
-    os.rename(tmp_path / "out", tmp_path / "serial")
+    path = table(study, tmp_path)
+    expected = {}
+    for task in tasks_of(path, tmp_path / "serial"):
+        assert run_task(task, tmp_path / "no stop", lambda done: None)["state"] == "done"
+        expected[task.key] = (task.results / "motion.npz").read_bytes()
 
-    tasks, _ = plan(read_sweep(sweep_file(study, tmp_path, "[settings]\nseed = [0, 1]")))
+    tasks = tasks_of(path, tmp_path / "out")
     killed = []
 
     def kill_one():
@@ -184,44 +175,33 @@ def test_killed_workers_change_no_byte(study, tmp_path):
 
     killer = threading.Thread(target=kill_one)
     killer.start()
-    figures = run_batch(tasks, Place(workers=1, threads=1), tmp_path / "out")
+    rows = run_batch(tasks, tmp_path / "out", threads=1)
     killer.join()
     assert killed
-    assert {f["state"] for f in figures.values()} == {"done"}
-    assert max(f["attempts"] for f in figures.values()) == 2
+    assert {r["state"] for r in rows} == {"done"}
     for task in tasks:
-        assert load_bytes(task) == expected[task.key][0]
-    again = run_batch(tasks, Place(workers=1, threads=1), tmp_path / "out")
-    assert all(f["attempts"] == 0 for f in again.values())  # nothing was done twice
-    assert np.isfinite(load_motion(f"{tasks[0].results}/motion.npz").joints).all()
+        assert (task.results / "motion.npz").read_bytes() == expected[task.key]
+    again = run_batch(tasks, tmp_path / "out", threads=1)
+    assert all(r["before"] for r in again)  # nothing was done twice
+    assert np.isfinite(load_motion(tasks[0].results / "motion.npz").joints).all()
 
 
 @pytest.mark.slow
-def test_a_worker_that_the_cluster_gives_up_is_replaced(study, tmp_path, monkeypatch):
-    monkeypatch.setattr(cluster, "_GONE", "0s")  # as if it took too long to start again
-    monkeypatch.setattr(cluster, "_KEEP_UP_S", 1.0)
-    tasks, _ = plan(read_sweep(sweep_file(study, tmp_path)))
-    first = set()
+def test_a_running_scheduler(study, tmp_path):
+    from distributed import LocalCluster
 
-    def kill_first():
-        deadline = time.monotonic() + HANG_S
-        while time.monotonic() < deadline and not any(tmp_path.glob("out/long/*/checkpoint.npz")):
-            time.sleep(0.05)
-        for pid in workers_of(os.getpid()):
-            os.kill(pid, signal.SIGKILL)
-            first.add(pid)
-
-    killer = threading.Thread(target=kill_first)
-    killer.start()
-    figures = run_batch(tasks, Place(workers=1, threads=1), tmp_path / "out")
-    killer.join()
-    assert first and {f["state"] for f in figures.values()} == {"done"}
+    task = tasks_of(table(study, tmp_path), tmp_path / "out")[1]
+    with LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, protocol="tcp://", host="127.0.0.1", dashboard_address=None
+    ) as cluster:
+        (row,) = run_batch([task], tmp_path / "out", scheduler=cluster.scheduler_address)
+    assert row["state"] == "done" and row["frames"] == 6
 
 
 @pytest.mark.slow
 def test_ctrl_c_keeps_what_was_tracked(study, tmp_path):
-    path = sweep_file(study, tmp_path)
-    command = [sys.executable, "-m", "hypose.app", "batch", str(path), "--workers", "1"]
+    command = [sys.executable, "-m", "hypose.app", "batch", str(table(study, tmp_path)), "--workers", "1"]
+    command += ["--out", str(tmp_path / "out")]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, process_group=0)
     deadline = time.monotonic() + HANG_S
     while not any(tmp_path.glob("out/long/*/checkpoint.npz")):
@@ -234,8 +214,3 @@ def test_ctrl_c_keeps_what_was_tracked(study, tmp_path):
         rows = {r["recording"]: r for r in csv.DictReader(file)}
     assert rows["long"]["state"] == "stopped" and "frames are kept" in rows["long"]["message"]
     assert any(tmp_path.glob("out/long/*/checkpoint.npz"))
-
-
-def load_bytes(task):
-    with open(f"{task.results}/motion.npz", "rb") as file:
-        return file.read()

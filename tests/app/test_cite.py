@@ -1,7 +1,5 @@
 """`hypose cite`: papers by method and by results, and BibTeX that has every field."""
 
-import json
-
 import pytest
 
 from hypose.app.jobs.cite import PAPERS, papers_of
@@ -14,12 +12,6 @@ def test_every_recipe_and_fusion_has_its_papers():
     for name in (*RECIPES, *(f"fusion-{m}" for m in METHODS)):
         assert papers_of(name)[0].key == "hypose"
     assert {"alcoverro2014"} == {p.key for p in papers_of("hpf")[1:]}
-
-
-def test_a_results_folder_tells_its_method(hypose, tmp_path):
-    (tmp_path / "provenance.json").write_text(json.dumps({"recipe": "apf"}))
-    code, out, _ = hypose("cite", tmp_path)
-    assert code == 0 and "Deutscher" in out and "hypose" in out
 
 
 def test_bibtex(hypose):

@@ -2,16 +2,14 @@
 
 import json
 import shutil
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from hypose.app.jobs.correct import join, read_correction
+from hypose.app.jobs.correct import read_correction
 from hypose.app.jobs.truth import compare
 from hypose.errors import InputError
-from hypose.io.motions.bodies import load_body
-from hypose.io.motions.results import load_motion
+from hypose.io.motions.results import load_body, load_motion
 
 FRAME = 3
 
@@ -90,20 +88,3 @@ def test_what_cannot_be_corrected_is_said(result, recording, hypose, tmp_path):
         (tmp_path / "bad.json").write_text(text)
         with pytest.raises(InputError, match=r"clicked pose|empty"):
             read_correction(tmp_path / "bad.json")
-
-
-def test_parts_are_joined_on_one_branch_of_the_rotation(tracked):
-    motion = load_motion(tracked / "motion.npz")
-    turned = motion.poses.copy()
-    turn = turned[:, 3:6]
-    norm = np.linalg.norm(turn, axis=1, keepdims=True)
-    turned[:, 3:6] = turn * (1 - 2 * np.pi / norm)  # the same rotations, the other way around
-    new = replace(motion, poses=turned)
-    joined = join(motion, new, 0, {"frame": 0})
-    np.testing.assert_array_equal(joined.poses, turned)
-    names = ("times", "poses", "joints", "joint_covariance", "lost", "extrapolated", "n_views", "cost")
-    names += ("rivals", "rival_weights", "p_wrong", "doubtful_joints", "angle_sd", "systematic_covariance")
-    part = replace(new, doubtful=np.ones(len(new) - 3, dtype=bool), **{n: getattr(new, n)[3:] for n in names})
-    joined = join(replace(motion, doubtful=None), part, 3, {"frame": 3})
-    np.testing.assert_allclose(joined.poses, motion.poses, atol=1e-9)
-    assert joined.doubtful.tolist() == 3 * [False] + (len(motion) - 3) * [True]

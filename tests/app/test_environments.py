@@ -16,7 +16,7 @@ from benchmarks.robustness.small_recordings import small_scene, write_masks, wri
 from hypose import compute
 from hypose.body.ready_bodies import human
 from hypose.compute.cache_place import cache_folder
-from hypose.io.motions.bodies import save_body
+from hypose.io.motions.results import save_body
 from tests import missing
 from tests.conftest import HANG_S
 

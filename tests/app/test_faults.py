@@ -8,8 +8,7 @@ import pytest
 
 from benchmarks.robustness.small_recordings import small_scene, write_masks
 from hypose.body.ready_bodies import human
-from hypose.io.motions.bodies import save_body
-from hypose.io.motions.results import load_motion
+from hypose.io.motions.results import load_motion, save_body
 
 LIGHT = ("--no-overlay", "--formats", "trc")
 

@@ -13,15 +13,14 @@ import pytest
 
 from benchmarks.robustness.small_recordings import small_scene, write_masks
 from hypose.app.commands import console
-from hypose.app.reports.result_pictures import write_text
 from hypose.app.studio.catalog import Catalog
 from hypose.app.studio.job_kinds import plan
 from hypose.app.studio.recordings import Recordings
 from hypose.app.studio.view_bundle import plain
 from hypose.errors import InputError
-from hypose.io.claims import claimed
 from hypose.io.file_names import file_name
-from hypose.io.keypoints.own_detector import OwnDetector
+from hypose.io.files import claimed
+from hypose.io.keypoints.detectors import OwnDetector
 from hypose.io.recordings.recording import load_recording
 from hypose.io.videos.video import VideoWriter, open_video
 from hypose.pipeline.detect_keypoints import detect_keypoints
@@ -131,12 +130,6 @@ def test_a_video_in_a_folder_that_is_no_utf8_is_read_and_written(tmp_path):
             writer.write(image)
     with open_video(folder / "a.mkv") as reader:
         assert np.array_equal(np.stack(list(reader)), images)
-
-
-def test_a_name_that_is_no_text_is_drawn():
-    image = np.zeros((30, 300, 3), np.uint8)
-    write_text(image, "a\udcff\ud800", 5, 20)
-    assert image.any()
 
 
 @on_linux

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from benchmarks.synthetic.skeleton_folders import write_folder
-from hypose.fusion.joints import COMMON, MIRROR, joint_sets
+from hypose.fusion.joints import COMMON, MIRROR
 from hypose.geometry import transform
+from hypose.io.motions.marker_files import read_trc
 from hypose.io.motions.results import load_motion
-from hypose.io.motions.trc import read_trc
 from hypose.io.sensors.skeleton_streams import SkeletonRecording, StreamRows, build_stream
 from tests.depth_sensors import camera, places, walker
 
@@ -120,39 +120,6 @@ def test_what_is_no_person_or_not_the_same_is_not_to_be_trusted(hypose, rng, tmp
     assert kept["verdict"] == "not to be trusted"
 
 
-def test_a_sensor_that_is_somewhat_too_large_is_worth_a_look(hypose, rng, tmp_path):
-    write_folder(changed(recorded(rng, seconds=6), 1, lambda p: 1.2 * p), tmp_path / "rec")
-    code, out, err = hypose("fuse", tmp_path / "rec", "--formats", "csv")
-    assert code == 0, err
-    assert "Verdict: Look at frames 0-" in out and "s1 and s0 see the joints" in out
-
-
-def test_a_clock_that_is_off_is_told_by_the_movement(hypose, rng, tmp_path):
-    write_folder(recorded(rng, seconds=12, starts=(0.0, 0.0, 0.6)), tmp_path / "rec")
-    code, out, err = hypose("fuse", tmp_path / "rec", "--formats", "csv")
-    assert code == 3, err
-    assert "s2 reports the movements of s0 0.6" in out and "s late" in out and "s1 reports" not in out
-
-
-def test_lines_of_sensors_that_were_never_on_together_have_clocks_of_their_own(hypose, rng, tmp_path):
-    path = tmp_path / "rec.jsonl"
-    made = recorded(rng, seconds=12, starts=(0.0, 5000.0, 9000.0))
-    rows = [
-        {
-            "sensor": s.name,
-            "time": float(t),
-            "joints": {n: [*p, 2] for n, p in zip(s.joint_names, s.positions[k, 0].tolist(), strict=True)},
-        }
-        for s in made.streams
-        for k, t in enumerate(s.times)
-    ]
-    path.write_text("".join(json.dumps(row) + "\n" for row in rows))
-    code, out, err = hypose("fuse", path, "--formats", "csv", "--out", tmp_path / "out")
-    assert code == 0, err
-    assert err.count("clock was set by the movement") == 2 and "Verdict: Good" in out
-    assert len(load_motion(tmp_path / "out" / "motion.npz")) < 400
-
-
 @pytest.mark.parametrize("method", ["swarm", "weighted_mean", "dbscan_kalman"])
 def test_other_methods(hypose, rng, tmp_path, method):
     write_folder(recorded(rng, seconds=2), tmp_path / "rec")
@@ -188,22 +155,6 @@ def test_own_clocks_are_set_by_the_movement(hypose, rng, tmp_path):
     motion = load_motion(tmp_path / "rec" / "results" / "fuse-fit" / "motion.npz")
     inside = slice(30, 300)
     assert np.linalg.norm(motion.joints - truth_in_world(motion), axis=-1)[inside].mean() < 0.025
-
-
-def test_sensors_of_different_joint_sets(hypose, rng, tmp_path):
-    made = recorded(rng, seconds=2)
-    known = joint_sets()[1]
-    first = made.streams[0]
-    wide = np.full((*first.positions.shape[:2], 25, 3), np.nan)
-    wide[:, :, known.common] = first.positions
-    state = np.zeros(wide.shape[:3], np.uint8)
-    state[:, :, known.common] = first.state
-    kinect = replace(first, positions=wide, state=state, joint_names=known.joint_names)
-    write_folder(replace(made, streams=(kinect, *made.streams[1:])), tmp_path / "rec")
-    code, _, err = hypose("fuse", tmp_path / "rec", "--formats", "csv")
-    assert code == 0, err
-    motion = load_motion(tmp_path / "rec" / "results" / "fuse-fit" / "motion.npz")
-    assert np.linalg.norm(motion.joints - truth_in_world(motion), axis=-1).mean() < 0.025
 
 
 def test_a_real_recording(hypose, shared_data, tmp_path):

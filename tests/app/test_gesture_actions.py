@@ -5,7 +5,7 @@ import sys
 import pytest
 
 from hypose.app.jobs.gesture_job import Watched
-from hypose.app.live import gesture_actions as actions
+from hypose.app.live import gesture_outputs as actions
 from hypose.errors import InputError
 from hypose.gestures.events import Event
 from hypose.gestures.localise import Found

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hypose.evidence.keypoints import BLAZEPOSE_33, BODY_25, parse_openpose
-from hypose.io.keypoints.own_detector import OwnDetector
+from hypose.io.keypoints.detectors import OwnDetector
 from hypose.io.recordings.frames import load_keypoints
 from hypose.io.recordings.recording import load_recording
 
@@ -51,7 +51,7 @@ def prepared(keypoint_recording, monkeypatch):
         def opened(text):
             return OwnDetector(detector, detector.keypoint_set, detector.identity, text)
 
-        monkeypatch.setattr("hypose.io.keypoints.own_detector.open_own_detector", opened)
+        monkeypatch.setattr("hypose.io.keypoints.detectors.open_own_detector", opened)
         return detector
 
     return keypoint_recording, put

@@ -11,8 +11,8 @@ from benchmarks.robustness.keypoint_layouts import (
     write_keypoints,
 )
 from hypose.body.ready_bodies import human
+from hypose.io.motions.marker_files import write_trc
 from hypose.io.motions.results import load_motion
-from hypose.io.motions.trc import write_trc
 from hypose.synthetic.rigs import rig
 
 FRAMES = 30

@@ -7,13 +7,11 @@ import socket
 import subprocess
 import sys
 import time
-from types import SimpleNamespace
 
 import pytest
 
-from benchmarks.robustness.small_recordings import small_scene, write_masks
-from hypose.app.commands.commands_live import _Told
-from hypose.io.calibrations.calibration_toml import write_calibration
+from benchmarks.robustness.small_recordings import small_scene
+from hypose.io.calibrations.calibration_text import write_calibration
 from hypose.io.recordings.recording import load_recording
 from hypose.synthetic.rigs import rig
 from hypose.synthetic.scenes import make_scene
@@ -68,10 +66,6 @@ def test_a_rig_that_is_not_there_or_none(hypose, tmp_path):
     said(hypose("live", tmp_path), "holds neither a recording nor a calibration")
     (tmp_path / "notes.txt").write_text("mine")
     said(hypose("live", tmp_path / "notes.txt", "--source", "cam1=0"), "notes.txt")
-
-
-def test_a_recording_of_masks_alone_has_nothing_to_play(hypose, tmp_path):
-    said(hypose("live", write_masks(small_scene(1, 2), tmp_path / "walk")), "has no video to play", "--source")
 
 
 def test_one_camera_is_not_enough(hypose, calibration):
@@ -166,20 +160,3 @@ def test_ctrl_c_while_cameras_are_opened_ends_it_without_a_word_of_trouble(calib
                 process.kill()
     assert process.returncode == 0 and "error" not in err and "Traceback" not in err, err
     assert "0 poses. " in out
-
-
-def test_what_goes_on_is_said_once(capsys):
-    told = _Told(None)
-    for n in (2, 3, 4):
-        told.status(SimpleNamespace(phase="lost", words=(f"cam2 is missing: no picture for {n} s",), poses=0))
-    assert capsys.readouterr().err.count("cam2 is missing") == 1
-
-
-def test_a_recording_that_ends_before_its_time_is_told_once(capsys):
-    recorder = SimpleNamespace(failed="")
-    told, status = _Told(recorder), SimpleNamespace(phase="following", words=(), poses=0)
-    told.status(status)
-    recorder.failed = "monday cannot be written to (No space left on device); the recording ends there."
-    for _ in range(3):
-        told.status(status)
-    assert capsys.readouterr().err.count(recorder.failed) == 1

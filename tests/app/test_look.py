@@ -8,27 +8,16 @@ import numpy as np
 import pytest
 
 from hypose.app import __main__ as module_entry
-from hypose.app.reports.report import ReportInput, report_html
+from hypose.app.reports.report import report_html
 from hypose.app.reports.result_pictures import (
-    BODY,
-    Canvas,
-    Drawing,
-    as_shown,
-    draw_all,
-    draw_body,
-    draw_view,
     image_points,
     layout,
     mask_outline,
-    open_images,
 )
-from hypose.app.reports.summary import summarize
+from hypose.app.studio.view_bundle import ViewResult
 from hypose.body.ready_bodies import human
-from hypose.cameras.camera import Camera
 from hypose.compute.pictures.render import silhouette
-from hypose.geometry import se3, so3_exp
-from hypose.io.motions.bodies import load_body
-from hypose.io.motions.results import load_motion
+from hypose.io.motions.results import load_body, load_motion
 from hypose.io.recordings.recording import View, load_recording
 from hypose.io.videos.video import open_video
 from hypose.synthetic.rigs import rig
@@ -83,16 +72,6 @@ def test_synth_writes_what_was_asked_for(hypose, tmp_path):
         assert truth["joints"].shape == (6, 19, 3)
 
 
-@pytest.mark.slow
-def test_demo_tracks_its_recording_and_names_the_error(hypose, tmp_path):
-    code, out, err = hypose("demo", "--out", tmp_path / "demo", "--seconds", "0.2")
-    assert code == 0, err
-    error = float(re.search(r"Mean joint error: ([\d.]+) mm over 15 joints", out).group(1))
-    assert error < 40
-    report = tmp_path / "demo" / "results" / "default" / "report.html"
-    assert str(report) in out and "Distance to the truth" in report.read_text()
-
-
 def test_help_and_version(hypose):
     code, out, _ = hypose("--help")
     assert code == 0
@@ -133,20 +112,10 @@ def test_the_report_says_what_went_wrong(result):
     nothing = np.full(8, np.nan)
     bad = replace(motion, lost=lost, extrapolated=lost, cost=nothing, joint_covariance=np.full((8, 19, 3, 3), np.nan))
     notes = ['View <cam1>: "dark" & blurred']
-    page = report_html(ReportInput("a < b", bad, body, recording.rig, notes=notes, complete=False))
+    page = report_html(ViewResult("a < b", bad, body, recording.rig, notes=notes, complete=False))
     assert "View &lt;cam1&gt;: &quot;dark&quot; &amp; blurred" in page and "a &lt; b" in page
     assert "interrupted" in page and "No silhouettes were used" in page
     assert "<b>3</b><span>frames lost" in page
-
-
-def test_the_summary_counts_lost_and_extrapolated_frames_once(result):
-    motion, _, _ = result
-    flags = np.zeros((2, 8), dtype=bool)
-    flags[0, 3:5], flags[1, 4:7] = True, True
-    s = summarize(replace(motion, lost=flags[0], extrapolated=flags[1]))
-    assert (s.frames, s.lost, s.extrapolated) == (8, 2, 2)
-    assert s.seconds == pytest.approx(0.32)
-    assert s.worst_iou == pytest.approx(1 - motion.cost.max())
 
 
 # ---- pictures
@@ -186,59 +155,6 @@ def test_the_outline_of_an_undistorted_mask_lies_on_the_recorded_person():
     assert np.percentile(off, 95) < 3 and off.mean() < 1.5
     moved = np.rint(working.scaled((640, 480)).project_pinhole(vertices) - camera.project(vertices))
     assert np.abs(moved).max() > 2  # without the lens it would show
-
-
-def test_a_body_behind_the_camera_is_left_out_of_the_picture():
-    body, size = human(), (64, 48)
-    k = np.array([[60.0, 0, 31.5], [0, 60.0, 23.5], [0, 0, 1]])
-    looking_up = Camera("c", k, np.zeros(5), se3(so3_exp([0.3, 0, 0]), np.zeros(3)), size)
-    vertices = body.skin(np.zeros(body.skeleton.dof), body.fine)
-    grey = np.full((48, 64, 3), 90, np.uint8)
-    what = Drawing(vertices, body.joints(np.zeros(body.skeleton.dof)), None, "")
-    shown = draw_view(grey, View("v"), looking_up, 0, size, body, what)
-    assert shown.shape == grey.shape  # it did not fail; the skeleton's visible part may be drawn
-
-
-def test_a_body_is_tinted_within_its_outline(rng):
-    body, view = human(), View("v", image_shift=(2.0, 1.0))
-    size = (320, 240)
-    camera = as_shown(view, wide(), size)
-    pose = np.zeros(body.skeleton.dof)
-    pose[:3] = 0.3, -0.6, 0.95
-    vertices = body.skin(pose, body.fine)
-    before = rng.integers(0, 256, (240, 320, 3)).astype(np.uint8)
-    after = before.copy()
-    draw_body(after, camera, vertices, body.fine)
-    depth = vertices @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
-    covered = silhouette(image_points(view, wide(), vertices, size), depth, body.fine.faces, size)
-    inside = cv2.erode(covered, np.ones((5, 5), np.uint8)) == 1
-    outside = cv2.dilate(covered, np.ones((5, 5), np.uint8)) == 0
-    assert inside.sum() > 300
-    np.testing.assert_array_equal(after[outside], before[outside])
-    np.testing.assert_array_equal(after[inside], (65 * before[inside].astype(int) + 35 * np.array(BODY)) // 100)
-
-
-@pytest.mark.parametrize("size", [(160, 120), (80, 60), (200, 150)])  # of the videos, smaller, larger
-def test_a_canvas_is_drawn_on_again(tiny, size):
-    recording = load_recording(tiny)
-    plan = layout([size] * 4)
-    canvas, read, again = Canvas(recording, plan), open_images(recording), open_images(recording)
-    for number in (1, 2, 5):
-        what = Drawing(None, None, None, f"frame {number}", alarm=number == 1)
-        picture = canvas.draw(canvas.read(read, number), None, what)
-        expected = draw_all([v.read(number) for v in again], recording, plan, None, what)
-        np.testing.assert_array_equal(picture, expected)
-        assert expected[26:].std() > 10
-    for view in (*read, *again):
-        view.close()
-
-
-def test_missing_frames_are_said_to_be_missing(tiny):
-    recording = load_recording(tiny)
-    plan = layout([(160, 120)] * 4)
-    picture = draw_all([None] * 4, recording, plan, None, Drawing(None, None, None, "frame 3"))
-    assert picture.shape == (plan.size[1], plan.size[0], 3)
-    assert (picture > 200).any()
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 8, 16])

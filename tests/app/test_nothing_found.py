@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from benchmarks.robustness.small_recordings import small_scene, write_masks, write_skeletons
-from hypose.app.jobs import fuse_job, job
+from hypose.app.jobs import fuse_job
 from hypose.errors import EvidenceError
-from hypose.io.keypoints.own_detector import OwnDetector
+from hypose.io.keypoints.detectors import OwnDetector
 from hypose.io.motions.results import load_motion
 from hypose.io.recordings.recording import load_recording
+from hypose.pipeline import track as one_person
 from hypose.pipeline.detect_keypoints import detect_keypoints
 
 
@@ -50,21 +51,20 @@ def lost(result):
 
 
 def test_track_that_lost_all_frames(hypose, masks, tmp_path, monkeypatch):
-    whole = job.track_source
-    monkeypatch.setattr(job, "track_source", lambda *a, **k: lost(whole(*a, **k)))
+    whole = one_person.track_source
+    monkeypatch.setattr(one_person, "track_source", lambda *a, **k: lost(whole(*a, **k)))
     ran = hypose("track", masks, "--out", tmp_path / "out", "--formats", "csv", "--no-overlay", "--no-smooth")
     fails(ran, "walk: the person was found in none of 3 frames", str(tmp_path / "out"), "hypose check")
     assert (tmp_path / "out" / "report.html").is_file() and (tmp_path / "out" / "joints.csv").is_file()
 
 
 def test_batch_says_that_a_task_found_nobody(masks, tmp_path, monkeypatch):
-    from hypose.app.sweeps.batch_worker import run_task
-    from hypose.app.sweeps.sweep import plan, sweep_of
+    from hypose.app.batch import plan, run_task, wanted
 
-    whole = job.track_source
-    monkeypatch.setattr(job, "track_source", lambda *a, **k: lost(whole(*a, **k)))
-    tasks, _ = plan(replace(sweep_of(masks), results=tmp_path / "out"))
-    figures = run_task(tasks[0], tmp_path / "stop", lambda told: None)
+    whole = one_person.track_source
+    monkeypatch.setattr(one_person, "track_source", lambda *a, **k: lost(whole(*a, **k)))
+    tasks, _ = plan(wanted([masks]), tmp_path / "out")
+    figures = run_task(tasks[0], tmp_path / "stop", lambda done: None)
     assert figures["state"] == "failed" and "found in none of 3 frames" in figures["message"]
 
 
@@ -120,15 +120,6 @@ def test_one_camera_is_named_and_what_can_be_done_with_it(hypose, masks, tmp_pat
     assert code == 0 and "There is one camera" in out and "visual hull" not in out + err
 
 
-@pytest.mark.parametrize("value", [1, 2, 127, 255])
-def test_any_one_value_is_the_person(hypose, masks, spoilt, tmp_path, value):
-    code, _, err = hypose("silhouettes", spoilt(lambda m: value * m), "--out", tmp_path / "out")
-    assert code == 0, err
-    for name in ("cam1/000000.png", "cam4/000002.png"):
-        was = cv2.imread(str(masks / name.replace("/0", "/")), 0) > 0
-        assert ((cv2.imread(str(tmp_path / "out" / name), 0) > 0) == was).all()
-
-
 def test_of_labelled_things_the_person_is_found(hypose, masks, spoilt, tmp_path):
     """Label 2 is something in a corner of every picture: not a part of the person, and no reason to stop."""
 
@@ -142,16 +133,6 @@ def test_of_labelled_things_the_person_is_found(hypose, masks, spoilt, tmp_path)
         was = cv2.imread(str(masks / name.replace("/0", "/")), 0) > 0
         was[:20, :20] = False
         assert ((cv2.imread(str(tmp_path / "out" / name), 0) > 0) == was).all()
-
-
-@pytest.mark.parametrize(("name", "said"), [("plots", "is a folder"), ("report.txt", "ends in .png or .jpg")])
-def test_where_check_cannot_write_its_sheet(hypose, masks, tmp_path, name, said):
-    (tmp_path / "plots").mkdir()
-    fails(hypose("check", masks, "--out", tmp_path / name), f"--out {tmp_path / name}", said)
-
-
-def test_batch_with_a_folder_of_recordings_says_what_to_write(hypose, masks):
-    fails(hypose("batch", masks.parent), "is a folder without a recording", f'recordings = ["{masks.parent.name}/*"]')
 
 
 @pytest.fixture

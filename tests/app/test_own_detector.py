@@ -5,7 +5,7 @@ import pytest
 
 from hypose.app.cli import main
 from hypose.errors import InputError
-from hypose.io.keypoints.own_detector import open_own_detector
+from hypose.io.keypoints.detectors import open_own_detector
 from hypose.io.recordings.frames import load_keypoints
 from hypose.io.recordings.recording import load_recording
 from tests.io.recordings import make_recording

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks.multiview.rigging import scan_of
-from hypose.io.motions.bodies import load_body
-from hypose.io.motions.results import load_motion
+from hypose.io.motions.results import load_body, load_motion
 from hypose.synthetic.subjects import load_subjects
 
 

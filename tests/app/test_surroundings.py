@@ -11,7 +11,7 @@ import pytest
 
 import hypose
 from hypose.compute import warming
-from hypose.io.keypoints import pose_models
+from hypose.io.keypoints import detectors
 from hypose.io.videos import sound
 from tests.app.studio.conftest import serving
 
@@ -111,7 +111,7 @@ def test_every_process_of_the_package_has_a_safe_path_and_a_folder_of_ours(evil,
     monkeypatch.setattr(subprocess, "Popen", begin)
     monkeypatch.setattr(sound.shutil, "which", lambda name: name)
     with pytest.raises(Began):
-        pose_models.fetch_models()
+        detectors.fetch_models()
     with pytest.raises(Began):
         warming._in_another_process("solver", [])
     with pytest.raises(Began):

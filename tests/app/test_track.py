@@ -8,9 +8,8 @@ import pytest
 
 from hypose.app.commands import console
 from hypose.app.jobs.job import DESCRIPTIONS
-from hypose.io.motions.bodies import load_body
-from hypose.io.motions.results import load_motion
-from hypose.io.motions.trc import read_trc
+from hypose.io.motions.marker_files import read_trc
+from hypose.io.motions.results import load_body, load_motion
 from hypose.io.videos.video import open_video
 from hypose.synthetic.metrics import joint_errors
 
@@ -65,19 +64,6 @@ def test_the_closing_lines_tell_what_came_out(hypose, tiny, tmp_path):
     assert "Track: 3/3" in err
     assert load_motion(tmp_path / "motion.npz").provenance["settings"]["frames"] == [2, 5]
     assert not (tmp_path / "overlay.mp4").exists() and not (tmp_path / "motion.c3d").exists()
-
-
-def test_results_go_into_the_recording_by_default(hypose, recording):
-    code, _, err = hypose("track", recording, "--frames", "2:5", *LIGHT)
-    assert code == 0, err
-    assert (recording / "results" / "default" / "motion.npz").is_file()
-
-
-def test_another_calibration_file_can_be_given(hypose, recording, tmp_path):
-    other = tmp_path / "other.toml"
-    (recording / "calibration.toml").rename(other)
-    code, _, err = hypose("track", recording, "--frames", "2:5", "--calibration", other, *LIGHT)
-    assert code == 0, err
 
 
 @pytest.mark.slow

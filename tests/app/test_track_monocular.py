@@ -12,8 +12,7 @@ from hypose.body.ready_bodies import JOINT_NAMES, human
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.frame import Frame, Keypoints, Picture
 from hypose.inference.hypotheses import Hypotheses
-from hypose.io.motions.modes import load_modes
-from hypose.io.motions.results import load_motion
+from hypose.io.motions.results import load_modes, load_motion
 from hypose.io.videos.video import open_video
 from hypose.synthetic.rigs import look_at, rig
 from hypose.tracking.frame_evidence import prepare
@@ -56,13 +55,6 @@ def test_every_file_is_written(one_camera) -> None:
         assert len(video) == 8
 
 
-def test_the_best_verdict_on_one_camera_is_a_look(one_camera) -> None:
-    verdict = json.loads((one_camera / "verdict.json").read_text())
-    assert verdict["verdict"] == "look" and verdict["frames"] == [[0, 8]]
-    assert "one camera does not measure depth" in verdict["sentence"] and "other people" not in verdict["sentence"]
-    assert "Verdict: Look at frames 0-7" in (one_camera / "report.html").read_text(encoding="utf-8")
-
-
 def test_the_modes_can_be_read(one_camera) -> None:
     motion, modes = load_motion(one_camera / "motion.npz"), load_modes(one_camera / "modes.npz")
     assert len(motion) == len(modes) == 8
@@ -98,24 +90,21 @@ def test_the_report_says_how_uncertain_depth_is(one_camera) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("stage", "kept"), [("track", 5), ("smooth", 8)])
-def test_interrupted_and_resumed_is_the_same(
-    tiny, clicks, tracked, one_camera, tmp_path, hypose, monkeypatch, stage, kept
-) -> None:
+def test_interrupted_and_resumed_is_the_same(tiny, clicks, tracked, one_camera, tmp_path, hypose, monkeypatch) -> None:
     out = tmp_path / "results"
     arguments = ("track", tiny, *MONO, "--start", clicks, "--subject", tracked, "--out", out, "--no-overlay")
     shown = console.Stages.__call__
 
     def call(self, now, count, total):
-        if (now, count) == (stage, 5):
+        if (now, count) == ("track", 5):
             raise KeyboardInterrupt
         shown(self, now, count, total)
 
     monkeypatch.setattr(console.Stages, "__call__", call)
     code, printed, _ = hypose(*arguments, "--formats", "trc")
     assert code == 130
-    assert f"{kept} of 8 frames" in printed
-    assert len(load_modes(out / "modes.npz")) == kept
+    assert "5 of 8 frames" in printed
+    assert len(load_modes(out / "modes.npz")) == 5
     monkeypatch.setattr(console.Stages, "__call__", shown)
     code, _, _ = hypose(*arguments, "--formats", "trc", "--resume")
     assert code == 0
@@ -156,28 +145,3 @@ def test_what_does_not_go_is_said_in_a_sentence(tiny, tmp_path, hypose, argument
     assert code == 2
     assert sentence in " ".join(printed.split())
     assert "Traceback" not in printed
-
-
-@pytest.mark.parametrize(
-    ("change", "sentence"),
-    [
-        (
-            {"joints": {"left_wrist": [900, 20]}},
-            "left_wrist was clicked at (900, 20), outside the picture of 160 x 120",
-        ),
-        ({"joints": {"left_ear": [9, 20]}}, "there is no joint 'left_ear'"),
-        ({"joints": {"left_wrist": "here"}}, "left_wrist must be two numbers"),
-        ({"joints": {"left_wrist": [9, 20]}}, "holds 1 clicked joints; at least 6"),
-        ({"camera": "cam1"}, "belong to camera 'cam1', and cam2 is to be tracked"),
-        ({"frame": 3}, "belong to frame 3, and tracking begins at frame 0; give --frames 3:"),
-        ({"joints": 5}, 'needs "joints"'),
-        (None, "is not JSON"),
-    ],
-)
-def test_bad_clicks(tiny, clicks, tmp_path, hypose, change, sentence) -> None:
-    path = tmp_path / "clicks.json"
-    path.write_text("{joints}" if change is None else json.dumps({**json.loads(clicks.read_text()), **change}))
-    code, _, printed = hypose("track", tiny, *MONO, "--start", path, "--out", tmp_path / "results")
-    assert code == 2
-    assert sentence in " ".join(printed.split())
-    assert not (tmp_path / "results" / "motion.npz").exists()

@@ -53,15 +53,6 @@ def test_one_person_is_asked_for_by_name(hypose, two, tmp_path):
 
 
 @pytest.mark.slow
-def test_of_one_at_most_it_is_the_first_who_is_named(hypose, two, tmp_path):
-    recording = shutil.copytree(two, tmp_path / "two")
-    code, _, err = hypose("track", recording, "--people", "1", *LIGHT)
-    assert code == 0, err
-    results = recording / "results" / "people"
-    assert people_in(results) == ["Anna"] and np.linalg.norm(where(results / "Anna") - PLACES["Anna"]) < 0.1
-
-
-@pytest.mark.slow
 def test_of_who_is_not_at_their_place_it_is_said(hypose, two, tmp_path):
     recording = shutil.copytree(two, tmp_path / "two")
     toml = (recording / "recording.toml").read_text(encoding="utf-8")
@@ -71,8 +62,6 @@ def test_of_who_is_not_at_their_place_it_is_said(hypose, two, tmp_path):
     code, out, err = hypose("track", recording, "--people", "Anna", "--out", tmp_path / "out", *LIGHT)
     assert code == 3 and "nobody was found who is Anna at [9, 9] m" in out + err
     assert "Bert" in people_in(tmp_path / "out")
-    code, out, err = hypose("track", recording, "--out", tmp_path / "one", *LIGHT)  # the first who is named
-    assert code == 3 and "nobody was found who is Anna at [9, 9] m" in out + err
 
 
 @pytest.mark.parametrize("who", ["Carl", "0", "two"])
@@ -82,8 +71,7 @@ def test_who_is_nobody_is_refused_with_the_names_there_are(hypose, two, who):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("evidence", ["keypoints", "both"])
-def test_who_else_is_seen_is_said_at_the_end(hypose, two, tmp_path, evidence):
+def test_who_else_is_seen_is_said_at_the_end(hypose, two, tmp_path):
     recording = shutil.copytree(two, tmp_path / "two")
     cameras = rig("humaneva-4", distorted=True).scaled(0.4)
     seen = []
@@ -100,11 +88,11 @@ def test_who_else_is_seen_is_said_at_the_end(hypose, two, tmp_path, evidence):
             (folder / f"{t:06d}.json").write_text(json.dumps({"people": people}))
         text = text.replace(f'name = "{name}"', f'name = "{name}"\nkeypoints = "{folder.name}"')
     (recording / "recording.toml").write_text('keypoint_set = "BODY_25"\n' + text, encoding="utf-8")
-    code, out, err = hypose("track", recording, "--evidence", evidence, "--out", tmp_path / "out", *LIGHT)
+    code, out, err = hypose("track", recording, "--evidence", "keypoints", "--out", tmp_path / "out", *LIGHT)
     assert code in (0, 3), out + err
     said = json.loads((tmp_path / "out" / "verdict.json").read_text(encoding="utf-8"))
     assert "another person is in the" in said["beside"][0] and "--people all tracks everybody" in said["beside"][0]
-    assert ("another person is in the key points" in out + err) == (evidence == "keypoints")
+    assert "another person is in the key points" in out + err
 
 
 def test_masks_that_are_brought_in_step_show_everybody_and_check_says_so(hypose, two, tmp_path):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import hypose as package
-from hypose import CameraRig
+from hypose.cameras.camera import CameraRig
 from hypose.pipeline.verdict import UNTRUSTED, Verdict
 
 LIGHT = ("--evidence", "keypoints", "--no-overlay", "--formats", "csv")

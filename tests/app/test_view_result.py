@@ -13,11 +13,11 @@ import cv2
 import numpy as np
 import pytest
 
-from hypose.app.reports import report_viewer
-from hypose.app.reports.report import from_result, report_html
-from hypose.app.studio.view_bundle import MOST_RIVALS, view_bundle
+from hypose.app.reports import report
+from hypose.app.reports.report import drawn_of, report_html
+from hypose.app.studio.view_bundle import view_bundle
 from hypose.app.studio.view_pictures import ViewPictures
-from hypose.app.studio.view_result import find_recording, load_view
+from hypose.app.studio.view_result import load_view
 from hypose.body.joint_angles import ANGLE_NAMES
 from hypose.errors import InputError
 from hypose.geometry import so3_exp
@@ -25,7 +25,6 @@ from hypose.io.motions.results import load_motion, save_motion
 from hypose.io.recordings.recording import load_recording
 from hypose.io.videos.video import VideoWriter, open_video
 from tests.bundles import read_bundle
-from tests.io.test_pose2sim import make_project
 
 
 @pytest.fixture
@@ -36,14 +35,6 @@ def folder(tiny, tracked, tmp_path):
 
 
 # ---- the block
-
-
-def test_every_frame_has_its_gravest_flag(folder):
-    motion = load_motion(folder / "motion.npz")
-    n = np.arange(len(motion))
-    marked = replace(motion, lost=n == 1, extrapolated=(n == 1) | (n == 2), doubtful=n < 4)
-    flags = read_bundle(view_bundle(replace(load_view(folder), motion=marked)))[1]["flags"]
-    assert flags.tolist() == [3, 1, 2, 3] + [0] * (len(motion) - 4)
 
 
 def test_pictures_that_are_moved_are_drawn_on_where_they_lie(folder):
@@ -71,33 +62,6 @@ def test_a_long_result_is_made_into_a_block_beside_little_else(folder):
         assert tracemalloc.get_traced_memory()[1] < 3.5 * len(block)
     finally:
         tracemalloc.stop()
-
-
-def test_covariances_of_the_joints_come_with_the_motion(folder):
-    motion = load_motion(folder / "motion.npz")
-    shape = np.broadcast_to(np.diag([0.01, 0.02, 0.3]) ** 2, motion.joint_covariance.shape).astype(np.float32)
-    result = load_view(folder)
-    found = read_bundle(view_bundle(replace(result, motion=replace(motion, joint_covariance=shape))))[1]
-    np.testing.assert_allclose(found["joint_covariance"][2, 5], [1e-4, 0, 0, 4e-4, 0, 0.09], rtol=1e-6)
-    own = read_bundle(view_bundle(result))[1]["joint_covariance"]
-    np.testing.assert_allclose(np.sqrt(own[..., [0, 3, 5]].mean(-1)), motion.joint_sd, rtol=1e-5)
-    assert np.abs(own[..., [1, 2, 4]]).max() > 0  # not the same in every direction
-
-
-def test_rival_poses_come_from_the_modes_beside_a_motion(folder):
-    motion = load_motion(folder / "motion.npz")
-    t, j = motion.joints.shape[:2]
-    joints = np.repeat(motion.joints[:, None], 9, 1) + np.arange(9)[:, None, None]
-    joints[3, 2:] = np.nan
-    weights = np.full((t, 9), 1 / 9)
-    np.savez(folder / "modes.npz", joints=joints, weights=weights)
-    found = read_bundle(view_bundle(load_view(folder)))[1]
-    assert found["rival_joints"].shape == (t, MOST_RIVALS, j, 3) and found["rival_weights"].shape == (
-        t,
-        1 + MOST_RIVALS,
-    )
-    np.testing.assert_allclose(found["rival_joints"][4, 1], motion.joints[4] + 2, rtol=1e-6)
-    assert np.isnan(found["rival_joints"][3, 1:]).all()
 
 
 def test_rival_poses_come_from_the_motion_itself(folder):
@@ -180,23 +144,6 @@ def test_other_bytes_are_no_block():
 # ---- the folder
 
 
-def test_a_folder_alone_is_shown_without_cameras(tracked, tmp_path):
-    alone = shutil.copytree(tracked, tmp_path / "alone")
-    result = load_view(alone)
-    assert result.rig is None and result.truth is None and result.title == "alone" and find_recording(alone) is None
-    assert load_view(alone / "motion.npz").motion.times.tolist() == result.motion.times.tolist()
-
-
-def test_results_in_a_pose2sim_project_have_its_cameras(tracked, tmp_path):
-    project = make_project(tmp_path / "Demo")
-    results = shutil.copytree(tracked, project / "results" / "default")
-    shown = load_view(results)
-    assert shown.title == "Demo" and shown.rig is not None and shown.rig.names == ("cam_01", "cam_02")
-    assert find_recording(results).folder == project
-    cameras = read_bundle(view_bundle(shown))[0]["cameras"]
-    assert all(c["pictures"] for c in cameras)  # though its videos are called cam01 and cam02
-
-
 def test_what_cannot_be_read_is_left_out_and_named(folder):
     (folder / "body.npz").write_bytes(b"nonsense")
     (folder.parents[1] / "truth.npz").write_bytes(b"nonsense")
@@ -252,24 +199,6 @@ def test_any_frame_is_the_right_one(folder):
     pictures.close()
 
 
-def test_pictures_are_no_wider_than_asked_and_start_at_the_first_row(folder):
-    recording = load_recording(folder.parents[1])
-    pictures = ViewPictures(recording, 2, 6)
-    small = decoded(pictures.row(0, 80))
-    assert [s.shape[:2] for s in small] == [(60, 80)] * 4
-    with open_video(recording.views[0].video) as reader:
-        own = decoded(pictures.row(1, 160))[0].astype(float)
-        distances = [np.abs(own - reader.read(i)).mean() for i in range(8)]
-    assert int(np.argmin(distances)) == 3
-    assert pictures.files(1, 160)[0] == pictures.row(1, 160)[20 : 20 + len(pictures.files(1, 160)[0])]
-    for row in (-1, 6):
-        with pytest.raises(InputError, match="frames are 0 to 5"):
-            pictures.row(row, 80)
-    with pytest.raises(InputError, match="32 to 4096"):
-        pictures.row(0, 5000)
-    pictures.close()
-
-
 def test_outlines_lie_around_the_person(folder):
     recording, result = load_recording(folder.parents[1]), load_view(folder)
     pictures = ViewPictures(recording, 0, 8)
@@ -292,7 +221,7 @@ def built(tmp_path, monkeypatch):
     static.mkdir()
     (static / "report.js").write_text('console.log("</script>")')
     (static / "report.css").write_text(".viewer { color: red }")
-    monkeypatch.setattr(report_viewer, "STATIC", static)
+    monkeypatch.setattr(report, "STATIC", static)
     return static
 
 
@@ -302,49 +231,30 @@ def part(page, name):
 
 def test_a_report_carries_the_result_and_pictures(folder, built):
     result, recording = load_view(folder), load_recording(folder.parents[1])
-    page = report_html(from_result(result, recording))
+    page = report_html(result, drawn_of(result, recording))
     header, arrays = read_bundle(gzip.decompress(b64decode(part(page, "hypose-result"))))
     assert header["frames"] == 8 and header["citation"] == result.citation
     np.testing.assert_array_equal(arrays["rotations"], read_bundle(view_bundle(result))[1]["rotations"])
     stored = json.loads(part(page, "hypose-pictures"))
     assert stored["rows"] == list(range(8)) and all(len(files) == 4 for files in stored["files"])
     assert b64decode(stored["files"][0][0])[:2] == b"\xff\xd8"
-    assert '<\\/script>")' in page and report_viewer.PLACE in page and "default-src 'none'" in page
+    assert '<\\/script>")' in page and report.PLACE in page and "default-src 'none'" in page
 
 
 def test_without_the_front_end_a_report_has_its_text(folder, built):
     (built / "report.js").unlink()
-    page = report_html(from_result(load_view(folder), None))
+    page = report_html(load_view(folder))
     assert "<script" not in page and "hypose-viewer" not in page and "Joint angles" in page
-
-
-def test_stored_rows_are_spread_and_few():
-    assert report_viewer.stored_rows(8, 4) == list(range(8))
-    rows = report_viewer.stored_rows(15_000, 4, worst=123)
-    assert rows[0] == 0 and rows[-1] == 14_999 and 123 in rows and len(rows) <= 17
-    assert len(report_viewer.stored_rows(15_000, 100)) == 4
 
 
 def test_the_report_command_writes_where_it_is_told(folder, built, hypose, tmp_path):
     code, out, err = hypose("report", folder, "--out", tmp_path / "here.html")
     assert code == 0, err
-    assert str(tmp_path / "here.html") in out and report_viewer.PLACE in (tmp_path / "here.html").read_text()
+    assert str(tmp_path / "here.html") in out and report.PLACE in (tmp_path / "here.html").read_text()
     code, _, err = hypose("report", tmp_path / "nowhere")
     assert code == 2 and "does not exist" in err
     code, _, err = hypose("report", folder, "--out", tmp_path)
     assert code == 2 and "is a folder" in err
-
-
-def test_a_skeleton_without_a_body_has_a_report(folder, built, hypose):
-    motion = load_motion(folder / "motion.npz")
-    save_motion(replace(motion, poses=None), folder / "motion.npz")
-    (folder / "body.npz").unlink()
-    code, _, err = hypose("report", folder)
-    assert code == 0, err
-    header, arrays = read_bundle(
-        gzip.decompress(b64decode(part((folder / "report.html").read_text(), "hypose-result")))
-    )
-    assert header["subject"] == [] and "rotations" not in arrays
 
 
 # ---- what is wrong
@@ -374,12 +284,3 @@ def test_doubts_their_verdict_and_the_sd_of_angles_come_with_the_motion(folder):
     (folder / "verdict.json").write_text(json.dumps(kept))
     told = read_bundle(view_bundle(load_view(folder)))[0]["verdict"]
     assert told == {"word": "not to be trusted", "sentence": "Not to be trusted, because: the camera moved."}
-
-
-def test_a_motion_that_nothing_has_looked_at_has_no_verdict(folder):
-    motion = load_motion(folder / "motion.npz")
-    (folder / "verdict.json").write_text("{")
-    blind = replace(motion, doubtful=None, doubtful_joints=None, p_wrong=None, angle_sd=None)
-    save_motion(blind, folder / "motion.npz")
-    header, arrays = read_bundle(view_bundle(load_view(folder)))
-    assert header["verdict"] is None and not {"doubtful_joints", "p_wrong", "angle_sd"} & arrays.keys()

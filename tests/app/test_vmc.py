@@ -7,20 +7,16 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from hypose.app.cli import main
-from hypose.app.live.humanoid_bones import BONES, rest_offsets
+from hypose.app.commands.commands_results import play_motion
 from hypose.app.live.osc import OscTarget, osc_bundles
-from hypose.app.live.vmc import play_motion
-from hypose.app.live.vmc_live import VmcLive, bone_turns_of_points
+from hypose.app.live.vmc import BONES
 from hypose.body.motion import Motion, isotropic
 from hypose.body.ready_bodies import human
 from hypose.errors import InputError
 from hypose.fusion.joints import COMMON
-from hypose.fusion.live import LiveFrame, LivePerson
 from hypose.fusion.point_motion import points_motion
-from hypose.geometry import transform
-from hypose.io.motions.bodies import save_body
-from hypose.io.motions.results import save_motion
-from tests.depth_sensors import camera, walker
+from hypose.io.motions.results import save_body, save_motion
+from tests.depth_sensors import walker
 from tests.osc_packets import parse_osc
 
 UNITY_BONES = ["Hips", "Spine", "Chest", "Neck", "Head"] + [
@@ -51,13 +47,12 @@ class Avatar:
         self.tracked, (self.seconds,) = one["/VMC/Ext/OK"][3], one["/VMC/Ext/T"]
         assert one["/VMC/Ext/OK"][:3] == [1, 3, 0]
         bones = [values for address, values in found if address == "/VMC/Ext/Bone/Pos"]
-        assert [b[0] for b in bones] == [n[0].upper() + n[1:] for n in BONES]
+        assert [b[0] for b in bones] == [n[0] for n in BONES]
         self.place, self.turn = {}, {}
-        for (name, *values), (parent, *_) in zip(bones, BONES.values(), strict=True):
-            above = parent[:1].upper() + parent[1:]
+        for (name, *values), (_, above, *_) in zip(bones, BONES, strict=True):
             turn = Rotation.from_quat(values[3:])
-            self.place[name] = (self.place[above] + self.turn[above].apply(values[:3])) if parent else values[:3]
-            self.turn[name] = self.turn[above] * turn if parent else turn
+            self.place[name] = (self.place[above] + self.turn[above].apply(values[:3])) if above else values[:3]
+            self.turn[name] = self.turn[above] * turn if above else turn
 
 
 def unity(points):
@@ -136,78 +131,6 @@ def test_a_motion_without_poses_is_refused(moving):
 def test_an_address_that_is_none_is_refused(address):
     with pytest.raises(InputError, match="--vmc .* cannot be reached; give HOST:PORT"):
         OscTarget(address, "--vmc")
-
-
-def test_turns_of_fifteen_points_point_where_the_limbs_do():
-    rng = np.random.default_rng(2)
-    for _ in range(20):
-        points = rng.normal(size=(15, 3))
-        turns = bone_turns_of_points(points)
-        np.testing.assert_allclose(np.linalg.det(turns), 1, atol=1e-9)
-        world = {}
-        for k, (name, (parent, *_)) in enumerate(BONES.items()):
-            world[name] = (world[parent] if parent else np.eye(3)) @ turns[k]
-        for side, sign in (("left", 1.0), ("right", -1.0)):
-            for bone, rest, a, b in (
-                ("UpperArm", [sign, 0, 0], "shoulder", "elbow"),
-                ("LowerArm", [sign, 0, 0], "elbow", "hand"),
-                ("UpperLeg", [0, -1, 0], "hip", "knee"),
-                ("LowerLeg", [0, -1, 0], "knee", "foot"),
-            ):
-                way = points[COMMON.index(f"{side}_{b}")] - points[COMMON.index(f"{side}_{a}")]
-                np.testing.assert_allclose(world[f"{side}{bone}"] @ rest, way / np.linalg.norm(way), atol=1e-6)
-
-
-def test_a_bent_elbow_and_knee_bend_as_hinges_do():
-    points = np.zeros((15, 3))
-    at = {"head": [0, 1.7, 0], "neck": [0, 1.5, 0], "torso": [0, 1.2, 0]}
-    for side, x in (("left", 1), ("right", -1)):
-        at |= {
-            f"{side}_shoulder": [0.2 * x, 1.5, 0],
-            f"{side}_elbow": [0.2 * x, 1.2, 0],
-            f"{side}_hand": [0.2 * x, 1.2, 0.3],
-        }
-        at |= {
-            f"{side}_hip": [0.1 * x, 1.0, 0],
-            f"{side}_knee": [0.1 * x, 1.0, 0.4],
-            f"{side}_foot": [0.1 * x, 0.6, 0.4],
-        }
-    for name, place in at.items():
-        points[COMMON.index(name)] = place
-    turns = dict(zip(BONES, bone_turns_of_points(points), strict=True))
-    np.testing.assert_allclose(turns["hips"], np.eye(3), atol=1e-12)
-    for side, sign in (("left", 1), ("right", -1)):
-        elbow = Rotation.from_matrix(turns[f"{side}LowerArm"]).as_rotvec()
-        np.testing.assert_allclose(elbow, [0, -sign * np.pi / 2, 0], atol=1e-6)  # forwards, about the upright axis
-        knee = Rotation.from_matrix(turns[f"{side}LowerLeg"]).as_rotvec()
-        np.testing.assert_allclose(knee, [np.pi / 2, 0, 0], atol=1e-6)
-
-
-def test_points_that_are_missing_leave_the_rest():
-    points = np.full((15, 3), np.nan)
-    np.testing.assert_array_equal(bone_turns_of_points(points), np.tile(np.eye(3), (len(BONES), 1, 1)))
-
-
-def test_live_frames_reach_a_listener():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
-        listener.bind(("127.0.0.1", 0))
-        listener.settimeout(20)
-        sender = VmcLive(OscTarget(f"127.0.0.1:{listener.getsockname()[1]}", "--vmc"))
-        last = None
-        for n in range(30):
-            joints = transform(camera(0), walker(n / 30))
-            people = (LivePerson(7, joints, np.full(15, 0.01), ("a",), np.ones((15, 1)), True),) if n != 29 else ()
-            sender.send(LiveFrame(n, 50 + n / 30, people, ("a",)))
-            got = []
-            while sum(address == "/VMC/Ext/Bone/Pos" for address, _ in got) < len(BONES):
-                got += parse_osc(listener.recv(65536))
-            last = {values[0]: values[1:] for address, values in got if address == "/VMC/Ext/Bone/Pos"}
-            ok = next(values for address, values in got if address == "/VMC/Ext/OK")
-            assert ok == [1, 3, 0, int(bool(people))]
-        sender.close()
-    assert abs(last["Hips"][1] - rest_offsets(human())[0, 1]) < 0.2  # above the ground, by the feet
-    assert last["Hips"][2] < -2  # as far from the sensor as the person is, who looks at it along +z
-    assert Rotation.from_quat(last["Hips"][3:]).apply([0, 0, 1])[2] > 0.9
 
 
 def run_play(capsys, *arguments):

@@ -7,7 +7,6 @@ import textwrap
 import pytest
 
 from benchmarks.bench_list import benchmarks, run_benchmark
-from benchmarks.bench_report import BenchOptions
 from hypose.errors import InputError
 
 _MEANS = {"seed_range": {"seeds", "first_seed"}, "folder": {"data"}, "part": {"parts"}}
@@ -61,19 +60,6 @@ def test_a_benchmark_takes_what_it_uses_and_refuses_the_rest(name, benchmark):
             run_benchmark(name, **{option: VALUES[option]})
 
 
-def test_seeds_begin_where_they_are_told_to():
-    assert list(BenchOptions().seed_range(3)) == [0, 1, 2]
-    assert list(BenchOptions(quick=True).seed_range(3, first=20)) == [20]
-    assert list(BenchOptions(seeds=2, first_seed=0).seed_range(3, first=20)) == [0, 1]
-
-
 def test_an_unknown_benchmark_lists_the_names(bench):
     code, _, said = bench("speed-of-light")
     assert code == 2 and "There is no benchmark 'speed-of-light'" in said and "table-2.3" in said
-
-
-@pytest.mark.parametrize("value", ["-3", "nan", "1e300", "", "three"])
-@pytest.mark.parametrize("option", ["--seeds", "--first-seed", "--threads"])
-def test_numbers_have_a_range(bench, option, value):
-    code, _, said = bench("speed-of-light", option, value)
-    assert code == 2 and option in said and "Traceback" not in said

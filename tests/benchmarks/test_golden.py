@@ -8,7 +8,6 @@ import pytest
 from benchmarks import bench_list, golden
 from benchmarks.bench_report import BenchReport, Row
 from benchmarks.golden_clips import CLIPS, Outcome
-from hypose.errors import InputError
 
 TOLERANCES = {"mean_error_mm": {"more": 0.3}, "verdict": {}, "time_ratio": {"times": 1.25}}
 OLD = {"mean_error_mm": 20.0, "verdict": 1.0, "time_ratio": 40.0}
@@ -39,14 +38,6 @@ def test_a_case_that_was_never_kept_is_beyond():
     assert list(golden.beyond({}, {"walk": OLD}, {"mean_error_mm": {"more": 0.3}})) == [
         "walk: mean_error_mm 20, nothing is kept"
     ]
-
-
-def test_figures_leave_out_what_is_not_known():
-    error = np.array([[0.02, 0.12], [0.2, np.nan]])
-    found = golden.figures(Outcome(error, np.ones((2, 2)), np.array([True, False]), 1, 0.1))
-    assert found["mean_error_mm"] == pytest.approx(340 / 3) and found["doubtful"] == 0.5 and found["verdict"] == 1
-    assert found["wrong_100"] == pytest.approx(2 / 3) and found["wrong_150"] == pytest.approx(1 / 3)
-    assert found["ece"] == pytest.approx(1 / 3)
 
 
 @pytest.fixture
@@ -117,8 +108,3 @@ def test_the_committed_figures_are_of_the_clips_there_are():
     for which in golden.SEEDS:
         assert {case.partition("/")[0] for case in kept[which]} == set(CLIPS)
         assert all(set(values) == metrics for values in kept[which].values())
-
-
-def test_no_other_benchmark_has_a_second_set_of_clips():
-    with pytest.raises(InputError, match="sync does not use --other"):
-        bench_list.run_benchmark("sync", other=True)

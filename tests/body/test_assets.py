@@ -102,13 +102,6 @@ def test_template_sizes(template):
         assert np.ptp(mesh.vertices[:, 2]) == pytest.approx(1.70, abs=0.02)
 
 
-def test_template_parts_get_few_triangles_where_outlines_say_little(template):
-    mesh = mesh_of(template, "coarse_")
-    part = mesh.main_joint[mesh.faces[:, 0]]
-    details = [JOINT_NAMES.index(n) for n in ("head", "left_wrist", "right_wrist", "left_ankle", "right_ankle")]
-    assert np.isin(part, details).mean() < 0.3
-
-
 @pytest.mark.parametrize("name", ["coarse_", "fine_"])
 def test_weights_are_a_partition_of_unity(template, name):
     index, weight = template[name + "skin_index"], template[name + "skin_weight"]
@@ -158,19 +151,6 @@ def test_landmarks_lie_where_their_names_say(template):
         assert point["left_" + name][2] - floor < 0.015, name
     shoulders = template["joints"][[JOINT_NAMES.index("left_shoulder"), JOINT_NAMES.index("right_shoulder")]]
     np.testing.assert_allclose(point["neck_base"], shoulders.mean(0), atol=2e-6)
-
-
-def test_the_ready_body_is_the_template(template):
-    body = human()
-    assert body.skeleton.dof == 36
-    np.testing.assert_allclose(body.skeleton.rest_joints, template["joints"], atol=1e-6)
-    assert body.landmarks.names == tuple(template["landmark_names"].tolist())
-
-
-def test_files_are_small():
-    folder = resources.files("hypose.assets")
-    for name, limit in (("template.npz", 400_000), ("subjects.npz", 1_500_000)):
-        assert len(folder.joinpath(name).read_bytes()) <= limit
 
 
 def test_subjects_are_closed_symmetric_people_of_their_stature(subjects):

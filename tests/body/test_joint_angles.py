@@ -7,14 +7,11 @@ from hypose.body.joint_angles import (
     ANGLE_NAMES,
     BODY_AXES,
     GROUND_AXES,
-    angles_in_time,
-    angles_of_frames,
     continuous_euler_zxy,
     is_length,
     joint_angles,
     neutral_frames,
     straight_offset,
-    turns_reader,
 )
 from hypose.body.ready_bodies import JOINT_NAMES, human_skeleton
 from hypose.errors import InputError
@@ -237,13 +234,6 @@ def test_euler_angles_give_back_the_rotation_even_locked(rng):
     np.testing.assert_allclose(_zxy(continuous_euler_zxy(r)), r, atol=1e-8)
 
 
-def test_smooth_rotations_give_smooth_angles():
-    t = np.linspace(0, 1, 300)
-    angles = np.stack([4 * t, 0.9 * np.sin(6 * t), 9 * t], -1)  # heading beyond two turns
-    got = continuous_euler_zxy(_zxy(angles)[:, None], prior_axis=1)[:, 0]
-    np.testing.assert_allclose(got, angles, atol=1e-9)
-
-
 def test_frames_without_a_pose_are_nan_and_disturb_nothing(skeleton, neutral):
     q = np.tile(neutral, (5, 1))
     q[:, 5] += np.linspace(0, 1, 5)
@@ -252,13 +242,6 @@ def test_frames_without_a_pose_are_nan_and_disturb_nothing(skeleton, neutral):
     holed = joint_angles(skeleton, q)[1]
     assert np.isnan(holed[2]).all()
     np.testing.assert_array_equal(np.delete(holed, 2, 0), np.delete(whole, 2, 0))
-
-
-def test_frames_read_in_pieces_are_those_read_at_once(skeleton, rng):
-    frames, centres = skeleton.forward(np.cumsum(rng.normal(0, 0.2, (40, skeleton.dof)), axis=0))
-    read = turns_reader(skeleton)
-    pieces = np.concatenate([read(frames[a:b], centres[a:b]) for a, b in ((0, 13), (13, 14), (14, 40))], axis=1)
-    np.testing.assert_array_equal(angles_in_time(pieces).T, angles_of_frames(skeleton, frames, centres))
 
 
 def test_wrong_shape_is_one_sentence(skeleton):

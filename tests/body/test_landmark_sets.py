@@ -13,7 +13,6 @@ from hypose.body.landmark_sets import LANDMARK_SETS, landmark_set
 from hypose.body.ready_bodies import JOINT_NAMES, PARENTS, human
 from hypose.errors import InputError
 from hypose.evidence.keypoints import BODY_25, landmark_of
-from hypose.fusion.joints import COMMON
 
 
 def with_set(body: Body, name: str) -> Body:
@@ -45,10 +44,6 @@ def test_body_25_are_the_points_that_the_key_point_reader_uses():
     assert known.all()
     np.testing.assert_array_equal(marks.joint, joint)
     np.testing.assert_allclose(marks.offset, offset, atol=1e-5)
-
-
-def test_openni_joints_have_the_order_of_fusion():
-    assert landmark_set(human(), "OPENNI_15").names == COMMON
 
 
 def test_points_lie_where_sensors_and_annotators_put_them():

@@ -12,9 +12,7 @@ from hypose.body.coarse_mesh import coarse_mesh, decimated, enclosed_volume, is_
 from hypose.body.fit_skeleton import scan_pose
 from hypose.body.ready_bodies import JOINT_NAMES, human
 from hypose.body.skin_weights import (
-    Bones,
     body_bones,
-    bones_of,
     carried_weights,
     heat_weights,
     influences,
@@ -115,15 +113,6 @@ def test_weights_agree_with_the_artists_where_anatomy_is_clear():
     assert same[limbs].mean() > 0.99
 
 
-def test_weights_do_not_depend_on_unit_or_place(rng):
-    body = human()
-    mesh, bones = body.coarse, body_bones(body)
-    w = heat_weights(mesh.vertices, mesh.faces, bones, 19)
-    shift = np.array([5.0, -2.0, 1.0])
-    moved = Bones(100 * bones.start + shift, 100 * bones.end + shift, bones.joint)
-    np.testing.assert_allclose(heat_weights(100 * mesh.vertices + shift, mesh.faces, moved, 19), w, atol=1e-6)
-
-
 def test_kernel_sees_what_the_definition_sees(rng):
     body = human()
     mesh, bones = body.coarse, body_bones(body)
@@ -140,35 +129,11 @@ def test_kernel_sees_what_the_definition_sees(rng):
     assert not fast.all()
 
 
-def test_a_segment_behind_a_wall_is_not_seen():
-    import trimesh
-
-    a, b = trimesh.creation.icosphere(2, 0.1), trimesh.creation.icosphere(2, 0.1)
-    b.apply_translation([0.25, 0, 0])
-    v = np.concatenate([a.vertices, b.vertices])
-    f = np.concatenate([a.faces, b.faces + len(a.vertices)])
-    bones = Bones(np.array([[0.0, 0, 0], [0.25, 0, 0]]), np.array([[0.0, 0, 0.01], [0.25, 0, 0.01]]), np.array([0, 1]))
-    w = heat_weights(v, f, bones, 2)
-    np.testing.assert_allclose(w[: len(a.vertices), 0], 1, atol=1e-9)
-    np.testing.assert_allclose(w[len(a.vertices) :, 1], 1, atol=1e-9)
-    # a part that sees no bone at all takes the nearest
-    only = Bones(bones.start[:1], bones.end[:1], bones.joint[:1])
-    np.testing.assert_allclose(heat_weights(v, f, only, 1), 1)
-
-
 def test_vertices_without_face_are_refused():
     mesh = human().coarse
     v = np.concatenate([mesh.vertices, [[0, 0, 5.0]]])
     with pytest.raises(InputError, match=f"1 of the mesh's {len(v)} vertices belong to no face"):
         heat_weights(v, mesh.faces, body_bones(human()), 19)
-
-
-def test_bones_of_any_skeleton_end_somewhere():
-    body = human()
-    bare = bones_of(body.skeleton, body.skeleton.rest_joints)
-    assert set(bare.joint) == set(range(19))
-    assert (np.linalg.norm(bare.end - bare.start, axis=1) > 0.01).all()
-    assert len(body_bones(body).joint) > len(bare.joint)
 
 
 def test_coarse_mesh_keeps_closed_volume_and_height(rng):

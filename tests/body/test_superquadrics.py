@@ -24,16 +24,6 @@ def test_derivatives_of_the_nodes_agree_with_finite_differences(curvature):
         np.testing.assert_allclose(jacobian[:, :, k], numeric, atol=2e-8, err_msg=name)
 
 
-def test_without_taper_and_bend_it_is_an_ellipsoid():
-    angles, faces = grid(20, 24)
-    a = np.array([0.1, 0.2, 0.3])
-    x, _ = nodes([*a, 1, 1, 0, 0, 0, 0], angles)
-    np.testing.assert_allclose(((x / a) ** 2).sum(1), 1, atol=1e-12)
-    corner = [x[faces[:, k]] for k in range(3)]
-    volume = np.einsum("ij,ij->i", corner[0], np.cross(corner[1], corner[2])).sum() / 6
-    assert volume == pytest.approx(4 / 3 * np.pi * a.prod(), rel=0.03)  # positive: faces look outwards
-
-
 def test_taper_is_a_ratio_of_widths_and_a_bend_keeps_the_axis_length():
     angles, _ = grid(5, 24)  # rings at -60, -30, ... degrees: two of them at half the length
     x, _ = nodes([0.05, 0.05, 0.2, 1, 1, 0.5, 0.5, 0, 0], angles)

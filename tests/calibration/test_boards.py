@@ -42,27 +42,6 @@ def test_corners_are_found_with_their_numbers(board, tilt, rng):
     assert 1.5 < s.edge_px < 3.5
 
 
-def test_a_board_with_an_even_and_an_odd_count_has_one_numbering(rng):
-    board = Board("chessboard", 6, 5, 0.04)
-    assert len(board.turns) == 1
-    for angle in (0.0, 1.5, 3.0, -2.0):
-        where = pose(board, [0.1, 0.2, angle], 0.6)
-        s = make_detector(board)(gray(paint(board, camera(), where, rng)))
-        assert s is not None
-        true = camera().project(board.points @ where[:3, :3].T + where[:3, 3])
-        assert np.abs(s.pixels - true[s.ids]).max() < 0.3
-
-
-@pytest.mark.parametrize(("columns", "rows", "ways"), [(8, 6, 2), (9, 6, 1), (7, 5, 2), (6, 6, 4), (7, 7, 2)])
-def test_turns_keep_the_pattern(columns, rows, ways):
-    board = Board("chessboard", columns, rows, 0.1)
-    assert len(board.turns) == ways
-    distance = np.linalg.norm(board.points[:, None] - board.points[None], axis=-1)
-    for turn in board.turns:
-        assert sorted(turn) == list(range(columns * rows))
-        np.testing.assert_allclose(distance[np.ix_(turn, turn)], distance)
-
-
 def test_overexposed_small_oblique_board(rng):
     """White that has grown leaves gaps at the corners, along which edge-based refinement slides."""
     board = Board("chessboard", 8, 6, 0.115)
@@ -74,16 +53,6 @@ def test_overexposed_small_oblique_board(rng):
     true = cam.project(board.points @ where[:3, :3].T + where[:3, 3])
     error = min((s.pixels - true[turn] for turn in board.turns), key=lambda e: np.abs(e).max())
     assert np.sqrt(np.mean(error**2)) < 0.15
-
-
-def test_blur_widens_edges(rng):
-    where = pose(CHESS, [0.1, 0.1, 0], 0.6)
-    widths = []
-    for blur in (0.6, 2.5):
-        s = make_detector(CHESS)(gray(paint(CHESS, camera(), where, rng, blur=blur)))
-        assert s is not None
-        widths.append(s.edge_px)
-    assert widths[1] > 2 * widths[0]
 
 
 def test_no_board_is_found_where_there_is_none(rng):

@@ -4,8 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from hypose.calibration.counted_corners import count_corners
-from hypose.calibration.views import Source
+from hypose.calibration.views import Source, count_corners
 from hypose.errors import CalibrationError
 from tests.calibration.painted_boards import paint
 from tests.calibration.test_from_boards import BOARD, board_poses, make_rig

@@ -9,12 +9,15 @@ import pytest
 
 from benchmarks.cameras import planted_faults
 from benchmarks.cameras.planted_faults import FAULTS, healthy, judged, planted, with_bystander
-from hypose.calibration.doctor import Clip, Observed, examine, examine_and_cure
-from hypose.calibration.doctor_extrinsics import judge_extrinsics
-from hypose.calibration.doctor_findings import Limits
-from hypose.calibration.doctor_masks import align
-from hypose.calibration.doctor_points import disagreement, mirrored_names
-from hypose.calibration.doctor_timing import late_views, timing_findings
+from hypose.calibration.diagnose_masks import align
+from hypose.calibration.diagnose_points import (
+    disagreement,
+    judge_extrinsics,
+    late_views,
+    timing_findings,
+)
+from hypose.calibration.diagnostics import Clip, Observed, examine, examine_and_cure
+from hypose.calibration.findings import Limits
 from hypose.cameras.camera import CameraRig
 from hypose.errors import EvidenceError
 from hypose.evidence.keypoints import BODY_25
@@ -48,7 +51,7 @@ def test_a_planted_fault_is_found_with_its_camera(walk, kind):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["healthy", "extrinsics", "swapped"])
+@pytest.mark.parametrize("kind", ["healthy", "extrinsics"])
 def test_a_bystander_is_no_fault_and_hides_none(walk, kind):
     fault = with_bystander(walk if kind == "healthy" else planted(walk, kind, SEED), SEED)
     findings = examine(fault.observed).findings
@@ -80,19 +83,6 @@ def test_of_two_cameras_that_disagree_neither_is_accused(walk):
     assert found is not None
     (finding,) = found.findings
     assert set(finding.views) == set(pair.names) and "which of them is off cannot be told" in finding.text
-
-
-@pytest.mark.slow
-def test_lens_terms_that_change_nothing_worth_telling_accuse_no_camera():
-    twice_as_bent = planted(healthy(21), "distortion", 21)
-    points = twice_as_bent.observed.keypoints
-    assert points is not None
-    found = judge_extrinsics(twice_as_bent.observed.rig, points, Limits())
-    assert found is not None
-    (note,) = found.findings  # certain by their sd, but the views agree no better
-    assert (np.abs(found.radial) > 4.8 * found.radial_sd).sum() >= 4
-    assert note.kind == "distortion"
-    assert not note.fault
 
 
 def test_a_late_camera_is_found_and_its_key_points_are_put_in_step(walk):
@@ -145,40 +135,11 @@ def test_a_camera_that_stands_elsewhere_is_not_called_late():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("late", "told"), [(8, "8.1 frames late"), (20, "or more: the clip is too short")])
-def test_a_late_camera_that_sees_a_straight_walk_is_not_called_off(monkeypatch, late, told):
+def test_a_late_camera_that_sees_a_straight_walk_is_not_called_off(monkeypatch):
     # somebody who walks straight on looks through it as through one that stands elsewhere
     monkeypatch.setattr(planted_faults, "_LEAD", 30)
-    (finding,) = examine(healthy(14, late=(0, late, 0), keypoints=False).observed).findings
-    assert (finding.kind, finding.views) == ("late", ("cam2",)) and told in finding.text
-
-
-@pytest.mark.slow
-def test_masks_that_do_not_show_one_person_accuse_no_camera():
-    # as of a background that has the person in it: in each view another part of them, and another one later
-    base = healthy(SEED, keypoints=False).observed
-    rng, parts = np.random.default_rng(0), []
-    phase = rng.uniform(0, 2 * np.pi, len(base.rig))
-    for t, s in enumerate(base.silhouettes):
-        masks = np.zeros_like(s.masks)
-        for c, mask in enumerate(s.masks):
-            rows = np.nonzero(mask)[0]
-            if len(rows):
-                low, high = np.quantile(
-                    rows, np.clip(0.5 + 0.45 * np.sin(phase[c] + t / 9) + np.array([-0.25, 0.25]), 0, 1)
-                )
-                masks[c, int(low) : int(high)] = mask[int(low) : int(high)]
-        parts.append(replace(s, masks=masks))
-    report, cured = examine_and_cure(replace(base, silhouettes=parts))
-    (finding,) = report.findings
-    assert finding.kind == "scatter" and not finding.views and "look at the masks" in finding.cure
-    assert not cured.late.any()
-    alone = [
-        replace(s, masks=np.stack([m if c == 2 else w for c, (w, m) in enumerate(zip(s.masks, p.masks, strict=True))]))
-        for s, p in zip(base.silhouettes, parts, strict=True)
-    ]
-    (finding,) = examine(replace(base, silhouettes=alone)).findings
-    assert finding.kind == "scatter" and finding.views == ("cam3",)
+    (finding,) = examine(healthy(14, late=(0, 8, 0), keypoints=False).observed).findings
+    assert (finding.kind, finding.views) == ("late", ("cam2",)) and "8.1 frames late" in finding.text
 
 
 def test_a_camera_that_is_later_than_is_looked_for_is_looked_for_farther(walk):
@@ -226,13 +187,6 @@ def test_nothing_to_look_at_is_told():
     rig = named_rig("humaneva-4")
     with pytest.raises(EvidenceError, match="No frame has silhouettes"):
         examine(Observed(rig, silhouettes=[None, None]))
-
-
-def test_left_and_right_are_exchanged_in_a_mirror():
-    order = mirrored_names(BODY_25)
-    assert BODY_25[order[BODY_25.index("left_knee")]] == "right_knee"
-    assert BODY_25[order[BODY_25.index("nose")]] == "nose"
-    assert [order[k] for k in order] == list(range(25))
 
 
 def test_points_of_a_face_and_hands_count_as_one_each():

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.calibration.doctor import Observed, examine
-from hypose.calibration.doctor_depth import depth_findings, seen_past
+from hypose.calibration.diagnostics import Observed, examine
+from hypose.calibration.findings import depth_findings, seen_past
 from hypose.cameras.camera import CameraRig
 from hypose.geometry import se3, so3_exp
 from hypose.pipeline.first_look import first_look

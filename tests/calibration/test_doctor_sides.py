@@ -7,8 +7,8 @@ import pytest
 
 from benchmarks.synthetic.mono_motions import body_motion
 from benchmarks.synthetic.spoilt_keypoints import close_up, noisy
-from hypose.calibration.doctor_person import wrong_way_up
-from hypose.calibration.doctor_points import mirrored_names
+from hypose.calibration.diagnose_person import wrong_way_up
+from hypose.calibration.diagnose_points import mirrored_names
 from hypose.cameras.camera import triangulate
 from hypose.evidence.keypoints import BODY_25
 from hypose.synthetic.rigs import rig as named_rig

@@ -7,7 +7,7 @@ import pytest
 from benchmarks.synthetic.calibration_boards import compare_rigs
 from hypose.calibration.boards import Board
 from hypose.calibration.from_boards import BoardsNotFound, CalibrateOptions, calibrate_from_boards
-from hypose.calibration.views import LookOptions, Source, diagnose, find_sources, look_for_board
+from hypose.calibration.views import Source, diagnose, find_sources, look_for_board
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import CalibrationError, InputError
 from hypose.geometry import se3, so3_exp
@@ -110,7 +110,7 @@ def test_wrong_pattern_size_is_named(folder):
 
 
 def test_chessboard_instead_of_charuco(folder):
-    views = look_for_board([Source("cam2", folder / "cam2")], Board("charuco", 7, 6, 0.06, 0.04), LookOptions(4))
+    views = look_for_board([Source("cam2", folder / "cam2")], Board("charuco", 7, 6, 0.06, 0.04), 4)
     assert not views[0].sightings
     assert diagnose(views[0], Board("charuco", 7, 6, 0.06, 0.04)).startswith("a chessboard of 6 x 5")
 

@@ -9,7 +9,8 @@ import pytest
 
 from hypose.body.ready_bodies import human
 from hypose.calibration.refine_body import BodySettings, adjust_with_body
-from hypose.calibration.refine_camera import (
+from hypose.calibration.refine_points import (
+    adjust,
     by_camera,
     change_from,
     changed,
@@ -17,15 +18,16 @@ from hypose.calibration.refine_camera import (
     free_cameras,
     gauge,
     in_world,
+    left_out_residual,
+    point_residual,
     rescaled,
 )
-from hypose.calibration.refine_points import PointSettings, adjust, left_out_residual, point_residual
 from hypose.cameras.camera import CameraRig
 from hypose.compute.pictures.render import silhouette
 from hypose.errors import CalibrationError, EvidenceError
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.fitting.articulated import contour_term
-from hypose.geometry import se3, se3_exp, so3_exp, transform
+from hypose.geometry import se3, so3_exp, transform
 from hypose.synthetic.rigs import rig as named_rig
 from hypose.tracking.starts import known_pose
 
@@ -63,7 +65,7 @@ def test_a_change_is_undone_by_its_reading(rng):
 def test_gauge_lets_the_one_camera_go_that_moved(rng):
     rig = named_rig("ring-5").pinhole()
     points = rng.normal(0, 0.4, (50, 3)) + [0, 0, 1]
-    world = se3_exp([0.05, -0.02, 0.1, 0.2, -0.1, 0.05])
+    world = se3(so3_exp([0.05, -0.02, 0.1]), [0.2, -0.1, 0.05])
     moved = in_world(turned(rig, 2, [0, 3, 0], [0.1, 0, 0]), world)
     back = in_world(moved, gauge(moved, rig, transform(world, points)))
     found = changes(rig, back, points)
@@ -75,7 +77,7 @@ def test_gauge_lets_the_one_camera_go_that_moved(rng):
 def test_a_moved_world_and_another_scale_leave_the_images_alone(rng):
     rig = named_rig("humaneva-4").pinhole()
     x = rng.normal(0, 0.4, (10, 3)) + [0, 0, 1]
-    world = se3_exp([0.3, 0.1, -0.2, 1, 2, 3])
+    world = se3(so3_exp([0.3, 0.1, -0.2]), [1, 2, 3])
     for a, b in zip(rig, in_world(rig, world), strict=True):
         assert np.allclose(a.project_pinhole(x), b.project_pinhole(transform(world, x)), atol=1e-6)
     for a, b in zip(rig, rescaled(rig, 3.0), strict=True):
@@ -110,7 +112,7 @@ def test_a_focal_length_is_found_when_asked_for(rng):
     k = true[1].K.copy()
     k[:2, :2] *= 1.02
     wrong[1] = replace(true[1], K=k)
-    found = adjust(CameraRig(tuple(wrong)), uv, w, PointSettings(focal=True))
+    found = adjust(CameraRig(tuple(wrong)), uv, w, focal=True)
     ratio = found.rig[1].K[0, 0] / found.rig[0].K[0, 0]
     assert ratio == pytest.approx(1.0, abs=0.008)
 
@@ -119,7 +121,7 @@ def test_a_camera_that_is_kept_stays(rng):
     true = named_rig("humaneva-4").pinhole()
     _, uv, w = noisy_points(true, rng)
     off = turned(true, 2, [0, 2, 0], [0, 0, 0])
-    found = adjust(off, uv, w, None, free_cameras(off, ("cam1",)))
+    found = adjust(off, uv, w, free_cameras(off, ("cam1",)))
     assert np.array_equal(found.rig[0].camera_from_world, off[0].camera_from_world)
     assert np.nanmedian(point_residual(found.rig, uv, w)) < 2
     with pytest.raises(CalibrationError, match="no camera cam9"):

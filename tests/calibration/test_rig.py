@@ -8,10 +8,10 @@ import pytest
 from benchmarks.cameras.board_accuracy import solve_scene
 from benchmarks.synthetic.calibration_boards import compare_rigs, film_board, ring_of_cameras
 from hypose.calibration.boards import Board, Sighting
-from hypose.calibration.floor import floor_frame, place_on_floor
+from hypose.calibration.from_boards import floor_frame, place_on_floor
 from hypose.calibration.intrinsics import Lens, calibrate_lens, spread_out
-from hypose.calibration.lags import estimate_lags
-from hypose.calibration.rig import RigSettings, calibrate_rig
+from hypose.calibration.rig import calibrate_rig
+from hypose.calibration.synchronisation import estimate_lags
 from hypose.cameras.camera import CameraRig
 from hypose.errors import CalibrationError
 from hypose.geometry import se3, so3_exp
@@ -41,7 +41,7 @@ def test_wrong_boards_are_left_out(rng):
     bad = [dict(s) for s in scene.sightings]
     frame = sorted(set(bad[0]) & set(bad[1]))[3]
     bad[1][frame] = Sighting(bad[1][frame].ids, bad[1][frame].pixels + [5.0, 40.0], 2.0)
-    found = calibrate_rig(given_lenses(scene.rig), bad, EVEN, RigSettings(free_intrinsics=False))
+    found = calibrate_rig(given_lenses(scene.rig), bad, EVEN)
     assert (1, frame) in found.dropped
     assert compare_rigs(found.rig, scene.rig).position_m.max() < 0.01
 
@@ -80,7 +80,7 @@ def test_the_way_round_can_be_told(rng):
         near, far = (np.abs(m[:3, :3] - true[:3, :3]).max() for m in (d_from_c, other))
         return 3.0 if near < far else 0.3
 
-    found = calibrate_rig(given_lenses(scene.rig), scene.sightings, EVEN, RigSettings(choose=choose))
+    found = calibrate_rig(given_lenses(scene.rig), scene.sightings, EVEN, choose)
     assert compare_rigs(found.rig, scene.rig).position_m.max() < 0.05
     assert sum("which looks the same turned" in n for n in found.notes) == 2
 

@@ -8,9 +8,16 @@ import numpy as np
 import pytest
 
 from benchmarks.cameras.sync_accuracy import late_scene, seen_masks, seen_points
-from hypose.calibration.in_step import Resampled, mask_between, offsets_from_motion, points_at
-from hypose.calibration.sync_events import light_event, offsets_from_light, offsets_from_sound
 from hypose.calibration.sync_motion import Curves, fundamental, solve_offsets
+from hypose.calibration.synchronisation import (
+    Resampled,
+    light_event,
+    mask_between,
+    offsets_from_light,
+    offsets_from_motion,
+    offsets_from_sound,
+    points_at,
+)
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.silhouettes import make_silhouettes

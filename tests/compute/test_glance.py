@@ -57,18 +57,3 @@ def test_the_box_holds_the_person_and_a_margin(walls, rng):
         reach = MARGIN + STEP
         assert y0 >= rows[0] - reach and y1 <= rows[-1] + reach + 1
         assert x0 >= columns[0] - reach and x1 <= columns[-1] + reach + 1
-
-
-def test_single_odd_pixels_are_noise(walls, rng):
-    mean, picture = walls
-    seen = picture.copy()
-    seen[30::100, 40::100] = 255
-    seen[30::100, 41::100] = 0
-    assert look(seen, mean) is None
-
-
-def test_where_the_lens_does_not_see_nothing_is_looked_at(walls):
-    mean, picture = walls
-    at = stored_pixels((480, 360), maps()[0] - 1000, maps()[1])
-    assert (at == -1).all()
-    assert differing_box(picture, at, glance_at(room_of(255 - mean)), SIZE) is None

@@ -52,25 +52,6 @@ def test_pictures_of_another_size_are_refused():
         lens_of((60, 60), (80, 60))
 
 
-def test_pictures_narrower_than_a_vector_are_those_of_the_definition(rng):
-    lens, _ = lens_of((9, 8), (7, 5), 0.1)
-    picture = rng.integers(0, 256, (8, 9, 3), dtype=np.uint8)
-    fast = picture_to_mask.shrink_undistort(picture, lens)
-    with compute.use("numpy"):
-        assert np.array_equal(fast, picture_to_mask.shrink_undistort(picture, lens))
-
-
-@pytest.mark.parametrize("straight", [True, False])
-def test_memory_for_pictures_can_be_used_again(rng, straight):
-    lens, _ = lens_of((97, 60), (80, 60), 0.0 if straight else 0.1, 0.0)
-    memory = picture_to_mask.new_picture(60, 80)
-    for _ in range(2):
-        picture = rng.integers(0, 256, (60, 97, 3), dtype=np.uint8)
-        made = picture_to_mask.shrink_undistort(picture, lens, None, memory)
-        assert np.shares_memory(made, memory)
-        assert np.array_equal(made, picture_to_mask.shrink_undistort(picture, lens))
-
-
 @pytest.mark.parametrize("shadow", [True, False])
 @pytest.mark.parametrize("size", [(70, 50), (64, 40), (129, 33), (15, 9)])
 def test_what_is_not_the_room_is_that_of_the_definition(rng, shadow, size):
@@ -95,15 +76,6 @@ def test_what_is_not_the_room_is_that_of_the_definition(rng, shadow, size):
             assert mask.sum() < inside.sum() or size == (15, 9)  # too small for an area of shadow
         else:
             assert np.array_equal(mask, inside)
-
-
-def test_the_room_in_a_picture_of_a_few_pixels():
-    mean = np.full((3, 4, 3), 100, np.uint8)
-    room = picture_to_mask.Room(mean - 9, mean + 9, mean.astype(np.float32), True, 0.45, 0.97, 144.0)
-    picture = mean.copy()
-    picture[1, 2] = 0, 0, 255
-    mask = mask_runs.draw(mask_runs.clean(picture_to_mask.not_the_room(picture, room), (3, 4), mask_runs.Cleaning()))
-    assert np.argwhere(mask).tolist() == [[1, 2]]
 
 
 @pytest.mark.parametrize("hide", [False, True])

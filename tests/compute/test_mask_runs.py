@@ -51,17 +51,6 @@ def test_masks_come_back(rng, size):
         assert np.array_equal(beyond, np.pad(mask, ((2, 1), (1, 4))))
 
 
-@pytest.mark.parametrize("size", SIZES)
-def test_bits_are_the_same_however_a_mask_lies_in_memory(rng, size):
-    for mask in masks(rng, size):
-        locked = mask.copy()
-        locked.flags.writeable = False
-        for other in (np.asfortranarray(mask), mask[::-1, ::-1].copy()[::-1, ::-1], mask.astype(bool), locked):
-            for backend in ("numba", "numpy"):
-                with compute.use(backend):
-                    assert np.array_equal(bits_of(other), bits_of(mask))
-
-
 @pytest.mark.parametrize("how", RULES)
 @pytest.mark.parametrize("size", SIZES)
 def test_cleaned_masks_are_those_of_opencv(rng, size, how):
@@ -74,10 +63,3 @@ def test_cleaned_masks_are_those_of_opencv(rng, size, how):
         fast = clean(bits, shape, how)
         assert np.array_equal(draw(fast), draw(plain))
         assert (fast.box, fast.area) == (plain.box, plain.area)
-
-
-def test_a_person_takes_about_a_thousand_bytes():
-    mask = np.zeros((360, 480), np.uint8)
-    cv2.ellipse(mask, (240, 180), (60, 150), 20, 0, 360, 1, -1)
-    cv2.circle(mask, (240, 180), 20, 0, -1)
-    assert len(runs_of(mask).code) < 1200

@@ -7,7 +7,7 @@ from hypose import compute
 from hypose.body.ready_bodies import human
 from hypose.cameras.camera import CameraRig
 from hypose.compute.native import native
-from hypose.evidence.flow import optical_flow
+from hypose.evidence.edges_flow import optical_flow
 from hypose.evidence.frame import Frame, Keypoints, Picture
 from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.monocular.picture_search import PictureSearch

@@ -85,19 +85,6 @@ def test_points_are_scored_as_defined(body, rig, rng, usable):
     assert slow.min() < 0 < slow.max()
 
 
-def test_above_the_cutoff_nothing_more_is_known(body, rig, rng):
-    pose = random_pose(body, rng)
-    prepared = masks_of(body, rig, random_pose(body, rng))
-    rest = standing(body, pose, prepared)
-    r, p = body.skeleton.forward(pose)
-    args = (clusters(rng, 500, 8), rng.random(8), r[1], p[1], prepared, rest)
-    every, cut = reach.score_points(*args), reach.score_points(*args, cutoff=1.0)
-    below = every <= 1.0
-    assert 20 < below.sum() < 480
-    np.testing.assert_array_equal(cut[below], every[below])
-    assert (cut[~below] > 1.0).all()
-
-
 def test_a_point_counts_by_what_it_lies_on(body):
     """One camera, one point each: off the mask, in the mask beside the rest of the body, on the rest, and not seen."""
     rig = ring(1, f=210.0, size=(203, 230))

@@ -51,17 +51,3 @@ def test_a_call_beside_is_made_once_whoever_makes_it(threads, monkeypatch):
     results = [selection.beside(lambda n=n: made.append(n) or n * n) for n in range(5)]
     assert [result() for result in results] == [0, 1, 4, 9, 16]
     assert sorted(made) == [0, 1, 2, 3, 4]
-
-
-def test_an_error_beside_is_raised_where_its_result_is_asked(monkeypatch):
-    monkeypatch.setenv("NUMBA_NUM_THREADS", "2")
-    result = selection.beside(lambda: 1 // 0)
-    with pytest.raises(ZeroDivisionError):
-        result()
-
-
-def test_the_back_end_holds_beside(monkeypatch):
-    monkeypatch.setenv("NUMBA_NUM_THREADS", "2")
-    with compute.use("numpy"):
-        result = selection.beside(selection.backend)
-        assert result() == "numpy"

@@ -6,7 +6,6 @@ from scipy.ndimage import distance_transform_edt
 
 from hypose import compute
 from hypose.compute import reference
-from hypose.errors import InputError, SolverError
 from tests.capsule_person import capsule_person, look_at, random_pose, ring
 
 SIZE = (96, 128)
@@ -120,71 +119,12 @@ def test_bodies_through_and_behind_the_camera_plane(body, rng, distance):
         assert fast[0, 0, 1] == 0
 
 
-def test_views_of_different_size_and_unusable_views(body, scene, rig):
-    poses, prepared = scene
-    masks = np.zeros((3, 140, 130), np.uint8)
-    masks[:, : SIZE[1], : SIZE[0]] = prepared.masks
-    padded = compute.prepare_masks(masks, [True, False, True], rig.sizes, rig.projections)
-    tree, mesh = body.skeleton.tree, body.coarse.arrays
-    whole = compute.silhouette_xor(poses, tree, mesh, prepared)
-    some = compute.silhouette_xor(poses, tree, mesh, padded)
-    np.testing.assert_array_equal(some[:, [0, 2]], whole[:, [0, 2]])
-    np.testing.assert_array_equal(some[:, 1], 0)
-
-
 def test_same_counts_for_any_number_of_threads(body, scene):
     poses = np.repeat(scene[0], 4, 0)
     tree, mesh = body.skeleton.tree, body.coarse.arrays
     one = compute.silhouette_xor(poses, tree, mesh, scene[1], threads=1)
     for threads in (2, 3, 5):
         np.testing.assert_array_equal(compute.silhouette_xor(poses, tree, mesh, scene[1], threads=threads), one)
-
-
-def test_more_than_127_layers(body):
-    """Running counts hold as many layers as there are faces: 300 nested copies of a tetrahedron."""
-    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=np.float32)
-    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], dtype=np.int32)
-    edges = np.array(
-        [[0, 2, 0, 2], [2, 1, 0, 3], [1, 0, 0, 1], [1, 3, 1, 3], [3, 0, 1, 2], [3, 2, 2, 3]], dtype=np.int32
-    )
-    n = 300
-    shift = np.arange(n)[:, None, None]
-    mesh = compute.MeshArrays(
-        np.concatenate([corners] * n),
-        (faces + 4 * shift).reshape(-1, 3).astype(np.int32),
-        (edges + [4, 4, 4, 4] * shift).reshape(-1, 4).astype(np.int32),
-        np.zeros((4 * n, 4), np.int32),
-        np.tile(np.float32([1, 0, 0, 0]), (4 * n, 1)),
-        np.ones(4 * n, np.int32),
-    )
-    tree = body.skeleton.tree
-    pose = np.zeros((1, len(tree.axes)))
-    pose[0, 2] = 4
-    projection = np.array([[[120.0, 0, 32, 0], [0, 120, 32, 0], [0, 0, 1, 0]]])
-    prepared = compute.prepare_masks(np.zeros((1, 64, 64), np.uint8), [True], [(64, 64)], projection)
-    single = compute.MeshArrays(
-        *(a[: len(b)] for a, b in zip(mesh, (corners, faces, edges, corners, corners, corners), strict=True))
-    )
-    expected = compute.silhouette_xor(pose, tree, single, prepared)
-    assert expected[0, 0, 1] > 300
-    np.testing.assert_array_equal(compute.silhouette_xor(pose, tree, mesh, prepared), expected)
-
-
-def test_inputs_are_not_changed_and_bad_ones_are_named(body, scene):
-    poses, prepared = scene
-    before = [a.copy() for a in (poses, *prepared)]
-    tree, mesh = body.skeleton.tree, body.coarse.arrays
-    compute.silhouette_xor(poses, tree, mesh, prepared)
-    for a, b in zip((poses, *prepared), before, strict=True):
-        np.testing.assert_array_equal(a, b)
-    bad = poses.copy()
-    bad[3, 7] = np.nan
-    with pytest.raises(SolverError, match="Pose 3 of 12"):
-        compute.silhouette_xor(bad, tree, mesh, prepared)
-    with pytest.raises(InputError, match="one row x0, x1, y0, y1 per view"):
-        compute.silhouette_xor(poses, tree, mesh, prepared, boxes=np.zeros((2, 4)))
-    with pytest.raises(InputError, match="no compute back end"), compute.use("gpu"):
-        pass
 
 
 def test_signed_distance_and_outline_of_a_disc():

@@ -4,12 +4,9 @@ import numpy as np
 import pytest
 
 from hypose.cameras.camera import CameraRig
-from hypose.errors import InputError
 from hypose.evidence.association import people_of
 from hypose.evidence.keypoints import BODY_25
 from hypose.evidence.one_person import one_person
-from hypose.evidence.person_tracks import choose
-from hypose.evidence.ray_matching import Views, meet
 from hypose.evidence.view_tracks import moves_as, view_tracks
 from hypose.geometry import se3, so3_exp
 from tests.evidence.scenes import ring
@@ -143,22 +140,6 @@ def test_where_as_many_views_say_the_opposite_the_trunk_tells_the_sides():
     assert np.nanmax(np.linalg.norm(person.world - truth, axis=-1)[4:]) < 0.08
 
 
-def test_names_that_all_views_exchange_for_a_while_are_mended():
-    frames = seen_by(RIG, [A], np.random.default_rng(5))
-    for f in frames[14:28]:
-        f[:] = [v[:, TWIN] for v in f]
-    (person,) = people_of(frames, BODY_25, RIG)
-    assert np.nanmean(np.linalg.norm(person.world - A, axis=-1), 1).max() < 0.06  # exchanged ones are 25 cm off
-
-
-def test_frames_in_which_nobody_is_seen_have_the_columns_of_the_others():
-    frames = [[np.concatenate([v, v[..., :2]], -1) for v in f] for f in seen_by(RIG, [A], np.random.default_rng(0))]
-    frames[7] = [None] * len(RIG)
-    (person,) = people_of(frames, BODY_25, RIG)
-    assert person.points.shape == (FRAMES, len(RIG), 25, 5)
-    assert error(person, A) < 0.02
-
-
 def test_another_cameras_key_points_are_left_out_and_said():
     frames = seen_by(RIG, [A], np.random.default_rng(4))
     for f in frames:
@@ -177,16 +158,6 @@ def test_a_view_whose_key_points_pass_by_the_person_is_left_out_and_said():
     assert not found.points[:, 2, :, 2].any() and found.points[:, [0, 1, 3], :, 2].all()
 
 
-def test_of_two_pairs_of_views_those_count_whose_rays_meet_and_both_are_said():
-    frames = seen_by(RIG, [A], np.random.default_rng(4))
-    frames = [[f[1], f[0], f[2], f[3]] for f in frames]
-    found = one_person(frames, BODY_25, RIG)
-    assert found.apart == (0, 1) and found.points[:, 2:, :, 2].all() and error(found.people[0], A) < 0.06
-    opposite = [[f[2], f[1], f[0], f[3]] for f in seen_by(RIG, [A], np.random.default_rng(4))]
-    found = one_person(opposite, BODY_25, RIG)  # the person turned by 180 degrees fits as well: nobody can tell
-    assert len(found.apart) == 2 and "no view shows both" in found.notes[0] and len(found.notes) == 1
-
-
 def test_of_two_who_came_in_the_same_frame_one_leaves_and_the_other_stays():
     frames = seen_by(RIG, [A, B], np.random.default_rng(8))
     alone = seen_by(RIG, [A], np.random.default_rng(9))
@@ -201,19 +172,6 @@ def test_who_returns_is_the_same_person():
         f[:] = [None] * 4
     found = one_person(frames, BODY_25, RIG)
     assert found.by_rays and found.people[0].first == 0 and found.people[0].last == FRAMES - 1
-
-
-def test_the_person_is_chosen():
-    rng = np.random.default_rng(6)
-    frames = seen_by(RIG, [A, B], rng)
-    people = people_of(frames, BODY_25, RIG)
-    number = choose(people, "place", place=A[5].mean(0), frame=5)
-    assert number is not None and error(people[number], A) < 0.02
-    large = choose(people, "largest")
-    assert large is not None and error(people[large], B) < 0.02
-    assert choose([]) is None
-    with pytest.raises(InputError, match="largest"):
-        choose(people, "age")
 
 
 def test_nobody_of_nothing():
@@ -248,17 +206,6 @@ def test_a_wrong_calibration_still_shows_one_person(views):
             break
     else:
         pytest.fail("the views show different people")
-
-
-def test_points_where_rays_meet_and_one_that_does_not():
-    rng = np.random.default_rng(8)
-    uv = np.stack([np.c_[c.project_pinhole(A[0]), np.ones(25)] for c in RIG])[:, None]
-    uv[1, 0, 4, :2] += 80
-    points, used = meet(Views(RIG), uv + rng.normal(0, 0.3, uv.shape) * [1, 1, 0], 0.08)
-    assert np.linalg.norm(points[0] - A[0], axis=1).max() < 0.01
-    assert not used[1, 0, 4] and used.sum() == 99
-    uv[1:, 0, 7, 2] = 0
-    assert np.isnan(meet(Views(RIG), uv, 0.08)[0][0, 7]).all()
 
 
 def test_one_body_in_two_uncalibrated_views():

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 from hypose.body.ready_bodies import human
-from hypose.cameras.camera import CameraRig
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.depth_background import (
-    DepthBackground,
     learn_background,
     person_before,
     person_on_floor,
@@ -17,7 +15,7 @@ from hypose.evidence.depth_background import (
 )
 from hypose.evidence.depth_evidence import Depth, DepthNoise, back_projected, in_world, surface_points
 from hypose.evidence.depth_floor import camera_on_floor
-from hypose.evidence.depth_space import space_behind
+from hypose.evidence.depth_people import space_behind
 from hypose.geometry import se3, se3_inverse
 from hypose.synthetic.depth_scenes import depth_scene
 from hypose.synthetic.motions import act
@@ -26,7 +24,6 @@ from hypose.synthetic.rigs import look_at
 from hypose.synthetic.subjects import load_subjects
 from hypose.tracking.starts import known_pose
 from tests.depth_pictures import WALL_M, frame_of, seen_in_room, sensors
-from tests.depth_sensors import without_faults
 
 
 def standing(place=(0.0, 0.0, 0.95)):
@@ -120,14 +117,6 @@ def test_the_person_before_a_room_that_was_learnt(scene):
         assert person_before(scene.empty_map(view, 99), rooms[view]).sum() < 60
 
 
-@pytest.mark.filterwarnings("error")
-def test_a_hole_among_specks_before_the_room_is_nobody():
-    room = DepthBackground(np.full((24, 24), 4.0, np.float32), np.full((24, 24), 0.01, np.float32))
-    depth = np.zeros((24, 24), np.float32)
-    depth[[8, 8, 8, 10, 10], [8, 9, 10, 8, 10]] = 2.0
-    assert person_before(depth, room, 250.0).sum() == 0
-
-
 def test_the_person_on_the_floor_where_the_room_is_not_known(scene):
     for view in (0, 1):
         found = person_on_floor(scene.depth_map(view, 4), scene.rig[view])
@@ -201,14 +190,3 @@ def test_a_table_is_not_the_floor():
     seen = np.where(np.arange(160) < 110, np.minimum(table, floor), floor).astype(np.float32)
     assert (seen < floor).mean() > 2 * ((seen == floor) & (floor < 3.3)).mean()
     assert se3_inverse(camera_on_floor(seen, own))[2, 3] == pytest.approx(1.4, abs=0.01)
-
-
-def test_a_perfect_sensor_measures_what_is_there(scene):
-    perfect = without_faults(scene)
-    clean, person = perfect.clean_map(0, 2)
-    assert np.abs(perfect.depth_map(0, 2) - clean)[person > 0].max() < 0.0006
-    rig = CameraRig((scene.rig[0],))
-    depth = Depth(perfect.depth_map(0, 2)[None], person[None], rig, np.ones(1, bool))
-    truth = scene.subject.skin(scene.performance.rotations[2], scene.performance.root[2])
-    gap = [np.linalg.norm(truth - p, axis=1).min() for p in depth.surface.points]
-    assert np.percentile(gap, 90) < 0.03

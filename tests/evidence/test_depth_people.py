@@ -7,11 +7,10 @@ import pytest
 
 from hypose.body.ready_bodies import human
 from hypose.evidence.depth_evidence import Depth
-from hypose.evidence.depth_people import own_frame, people_in_depth, people_seen
+from hypose.evidence.depth_people import own_frame, people_seen
 from hypose.evidence.frame import Frame
 from hypose.evidence.shared_masks import BodyShape, Other
 from hypose.evidence.silhouettes import make_silhouettes
-from hypose.tracking.several import nobody_in
 from hypose.tracking.starts import known_pose
 from tests.depth_pictures import WALL_M, drawn, sensors
 
@@ -47,15 +46,6 @@ def test_two_people_are_two_clusters_where_they_stand(scene):
         assert np.linalg.norm(person.axis - place) < 0.25  # their surface is nearer to the sensors than they are
         # values at edges are nobody's, for they may lie between both sides
         assert (person.seen[own] > 0).mean() > 0.6 and own[person.seen > 0].mean() > 0.99
-
-
-def test_who_is_known_is_not_found_again(scene):
-    body, poses, rig, frame, _ = scene
-    shapes = [Other(BodyShape(body.skin(q), body.coarse.faces, rig)) for q in poses]
-    left = people_in_depth(frame.depth, shapes[:1])
-    assert len(left) == 1 and np.linalg.norm(left[0].axis - PLACES[1]) < 0.25
-    assert people_in_depth(frame.depth, shapes) == []
-    assert people_in_depth(replace(frame.depth, person=np.zeros_like(frame.depth.person))) == []
 
 
 @pytest.mark.parametrize("who", [0, 1])
@@ -109,13 +99,3 @@ def test_a_colour_camera_beside_shows_what_the_other_body_leaves(who):
     # whoever is only known by what depth cameras measure is not looked for in pictures
     seen = own_frame(frame, people_seen(frame)[0].shape(rig), [])
     assert seen.silhouettes.usable.tolist() == [True, False]
-
-
-def test_who_is_not_there_gets_no_evidence(scene):
-    body, _, rig, frame, _ = scene
-    nowhere = BodyShape(body.skin(standing(body, (2.5, 2.5))), body.coarse.faces, rig)
-    own = own_frame(frame, nowhere, [])
-    assert not own.silhouettes.usable.any() and not own.depth.usable.any()
-    assert "nothing of the person" in own.silhouettes.reasons[0]
-    assert not nobody_in(frame).depth.usable.any()
-    assert len(nobody_in(frame).depth.surface.points) == 0

@@ -56,18 +56,6 @@ def test_an_arm_that_is_elsewhere_opens_its_reach_and_no_more():
     assert band[225, 96] == 0 and band[150, 60] == 0
 
 
-def test_an_arm_that_is_not_seen_opens_its_reach():
-    mask = person()
-    band = with_doubted_limbs(np.zeros_like(mask), mask, points(right_wrist=(0, 0)), COCO_17, HEIGHT)
-    assert band is not None and band[140, 65] == 1 and band[225, 124] == 0
-
-
-def test_without_a_shoulder_nothing_is_known_of_the_arm():
-    mask = person()
-    unknown = points(right_wrist=(0, 0), right_shoulder=(0, 0))
-    assert with_doubted_limbs(mask, mask, unknown, COCO_17, HEIGHT) is None
-
-
 def test_a_skeleton_that_is_somewhere_else_cuts_nothing():
     mask = person()
     aside = points()

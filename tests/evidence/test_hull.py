@@ -6,7 +6,6 @@ import pytest
 from hypose.cameras.camera import CameraRig
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.hull import common_view_bounds, hull_iou, visual_hull
-from hypose.geometry import transform
 from tests.evidence.scenes import far_ring, ring, solid_masks
 
 CORNERS = np.stack(np.meshgrid(*[(-0.5, 0.5)] * 3, indexing="ij"), -1).reshape(-1, 3)
@@ -64,16 +63,6 @@ def test_one_missing_view_is_tolerated():
     assert mended.volume >= whole.volume
 
 
-def test_view_that_does_not_see_the_place_does_not_count_against_it():
-    rig = far_ring(8)
-    k = rig[0].K.copy()
-    k[0, 2] += 178  # camera 1 looks past the person
-    rig = CameraRig((replace(rig[0], K=k), *rig.cameras[1:]))
-    s = solid_masks(rig, CORNERS * [0.4, 0.4, 1.4] + [0, 0, 0.9])
-    assert 0 < s.areas[0] < 0.2 * s.areas[4]
-    assert visual_hull(s, common_view_bounds(far_ring(8))).height == pytest.approx(1.4, abs=0.031)
-
-
 def test_unusable_views_are_left_out():
     s = solid_masks(far_ring(5), CORNERS * [0.4, 0.4, 1.4] + [0, 0, 0.9])
     masks = s.masks.copy()
@@ -107,15 +96,3 @@ def test_parallel_cameras_need_bounds():
     shifted.camera_from_world[0, 3] += 0.3
     with pytest.raises(EvidenceError, match="bounds"):
         common_view_bounds(CameraRig((camera, shifted)))
-
-
-def test_hull_moves_with_the_world():
-    rig = ring(6)
-    s = solid_masks(rig, CORNERS * [0.3, 0.5, 1.3] + [0, 0, 0.9])
-    move = np.eye(4)
-    move[:3, 3] = [5, -3, 0.5]
-    inverse = np.linalg.inv(move)
-    moved = CameraRig(tuple(replace(c, camera_from_world=c.camera_from_world @ inverse) for c in rig))
-    a, b = visual_hull(s), visual_hull(replace(s, rig=moved))
-    assert np.allclose(transform(move, a.centroid), b.centroid, atol=1e-6)
-    assert a.volume == pytest.approx(b.volume)

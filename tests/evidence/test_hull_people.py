@@ -7,7 +7,7 @@ import trimesh
 from hypose.body.ready_bodies import human
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.hull_people import people_in_hull
-from hypose.evidence.shared_masks import BodyShape, Other
+from hypose.evidence.shared_masks import BodyShape
 from hypose.pipeline.hull_paths import follow_places
 from hypose.synthetic.scenes import make_scene
 from hypose.tracking.several import shape_of
@@ -66,13 +66,6 @@ def test_everybody_is_found_where_they_stand_and_nobody_else(rig, places):
     for place in places:
         assert min(np.linalg.norm(p.axis - place) for p in found) < 0.12
     assert all(40 < p.litres < 200 for p in found)
-
-
-def test_who_is_explained_is_not_found_again(rig):
-    silhouettes, shapes = standing([(-0.5, 0.1), (0.5, 0.0)], rig)
-    found = people_in_hull(silhouettes, [Other(shapes[0])])
-    assert len(found) == 1 and np.linalg.norm(found[0].axis - (0.5, 0.0)) < 0.15
-    assert people_in_hull(silhouettes, [Other(s) for s in shapes]) == []
 
 
 @pytest.mark.parametrize("height", [0.9, 1.0, 1.1])

@@ -18,7 +18,6 @@ from hypose.evidence.keypoints import (
     landmark_of,
     names_of_length,
     parse_openpose,
-    tallest,
     thick_skeleton,
     to_keypoints,
     triangulate_keypoints,
@@ -58,16 +57,6 @@ def test_people_are_read():
     assert parse_openpose(document(person(17))).shape == (1, 17, 3)
 
 
-def test_missing_points_have_no_confidence():
-    p = person()
-    p[3] = 0
-    p[4] = [np.nan, np.nan, 0]
-    p[5, 2] = 1.3
-    out = parse_openpose({"people": [{"pose_keypoints_2d": p.ravel().tolist()}]}, BODY_25)[0]
-    assert out[3, 2] == 0 and out[4].tolist() == [0, 0, 0] and out[5, 2] == 1
-    assert np.isfinite(out).all()
-
-
 @pytest.mark.parametrize(
     ("content", "sentence"),
     [
@@ -89,13 +78,6 @@ def test_foreign_files_are_refused_with_the_file_named(content, sentence):
     with pytest.raises(InputError) as problem:
         parse_openpose(content, BODY_25, "pose/cam1/0012.json")
     assert sentence in str(problem.value) and "pose/cam1/0012.json" in str(problem.value)
-
-
-def test_the_tallest():
-    small, tall = person(at=(400, 100)), person(scale=2.5, at=(50, 50))
-    assert tallest([small, tall]) == 1
-    assert tallest(np.zeros((0, 25, 3))) is None
-    assert tallest(np.zeros((1, 25, 3))) is None
 
 
 def test_key_points_are_undistorted_and_scaled():

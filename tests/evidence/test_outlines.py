@@ -28,11 +28,6 @@ def test_outlines_made_ahead_are_those_made_at_once():
             np.testing.assert_array_equal(getattr(a, field), getattr(b, field))
 
 
-def test_whole_distances_are_not_taken_from_what_tracking_had_made():
-    for frame, same in zip(look_ahead(frames()), frames(), strict=True):
-        np.testing.assert_array_equal(outlines(frame.silhouettes).distance, outlines(same.silhouettes).distance)
-
-
 def test_distances_for_tracking_are_the_whole_ones_around_the_person():
     silhouettes = frames(1)[0].silhouettes
     whole, around = outlines(silhouettes), outlines(silhouettes, working_height=WORKING_HEIGHT)
@@ -69,21 +64,3 @@ def test_a_part_in_its_box_has_the_outline_that_it_has_in_the_picture(corner):
     # the middle of the mask's lower edge, or of the upper one where the picture cuts that off
     row = (y + 80 if y + 84 < 201 else y) / 1.5 - 0.5
     assert np.abs(made.points[:, 1] - row).min() < 0.4
-
-
-@pytest.mark.parametrize(("size", "box"), [((1079, 1917), (0, 1079, 1911, 1917)), ((1, 600), (0, 1, 0, 600))])
-def test_a_sliver_that_shrinking_leaves_over_has_no_outline(size, box):
-    y0, y1, x0, x1 = box
-    mask = np.zeros(size, np.uint8)
-    mask[y0:y1, x0:x1] = 1
-    made = view_outline(mask, 60, WORKING_HEIGHT)
-    assert made.found == 0 and made.extent == max(y1 - y0, x1 - x0)
-
-
-def test_a_mask_that_ends_in_what_shrinking_leaves_over_is_cut_there():
-    mask = np.zeros((1079, 1917), np.uint8)
-    mask[:, 1700:] = 1  # 12 halves: columns from 1908 on, and rows from 1068 on, are left over
-    made = view_outline(mask, 60, WORKING_HEIGHT)
-    (x, y), (h, w) = made.corner, made.distance.shape
-    assert made.shrunk == 6 and ((x + w) * 6, (y + h) * 6) == (1908, 1068)
-    np.testing.assert_allclose(made.points[:, 0], 1700 / 6 - 0.5, atol=0.5)

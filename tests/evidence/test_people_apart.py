@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from hypose.evidence.frame import Silhouettes
-from hypose.evidence.people_apart import NOW_AND_THEN, several_apart
+from hypose.pipeline.one_of_several import NOW_AND_THEN, several_apart
 from hypose.synthetic.rigs import rig
 
 CAMERAS = rig("ring-3").scaled(0.25).pinhole()
@@ -42,7 +42,3 @@ def test_what_one_view_shows_is_nobody():
 def test_who_is_there_now_and_then_is_left_to_the_rays():
     now_and_then = [masks_with(PERSON, BESIDE), masks_with(PERSON), masks_with(PERSON)]
     assert not several_apart(now_and_then) and several_apart(now_and_then, NOW_AND_THEN)
-
-
-def test_no_masks_show_nobody():
-    assert not several_apart([])

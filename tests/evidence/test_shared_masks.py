@@ -9,12 +9,11 @@ from hypose import compute
 from hypose.body.ready_bodies import human
 from hypose.compute import reach
 from hypose.evidence.ahead import outlines, prepared_masks
-from hypose.evidence.frame import Expected, Frame
+from hypose.evidence.frame import Expected
 from hypose.evidence.hull import visual_hull
 from hypose.evidence.outlines import WORKING_HEIGHT
-from hypose.evidence.shared_masks import DrawnShape, Other, own_silhouettes, without
+from hypose.evidence.shared_masks import Other, own_silhouettes, without
 from hypose.synthetic.scenes import make_scene
-from hypose.tracking.audit import AUDITED, audit_frame
 from hypose.tracking.several import shape_of
 from hypose.tracking.starts import known_pose
 from tests.evidence.scenes import ring, solid_masks
@@ -93,17 +92,6 @@ def own_hides(silhouettes, shapes, points, view):
     return own.ignored is not None and bool((own.ignored[view][uv[:, 1], uv[:, 0]] > 0).all())
 
 
-def test_people_far_apart_cost_nothing_to_each_other(pair):
-    _, shapes, silhouettes = pair
-    far = DrawnShape(np.zeros_like(silhouettes.masks))
-    alone = own_silhouettes(silhouettes, shapes[0], [Other(far)])
-    assert alone.ignored is None and alone.expected is None
-    assert prepared_masks(alone).hidden.size == 0
-    # the masks are cut to where the person is: nothing of it is lost
-    for c, (y0, y1, x0, x1) in enumerate(shapes[0].boxes):
-        np.testing.assert_array_equal(alone.masks[c, y0:y1, x0:x1], silhouettes.masks[c, y0:y1, x0:x1])
-
-
 def test_distances_that_depend_on_ignored_pixels_are_not_known(pair):
     _, shapes, silhouettes = pair
     own = own_silhouettes(silhouettes, shapes[0], [Other(shapes[1])])
@@ -155,18 +143,6 @@ def test_the_hull_of_one_person_is_whole_where_two_of_four_views_hide_the_legs(b
     assert whole.height == pytest.approx(body.stature, abs=0.1) and cut.height < 0.75 * body.stature
 
 
-def test_an_ignored_pixel_is_neither_bare_nor_outside_in_the_audit(body, pair):
-    poses, shapes, silhouettes = pair
-    union = Frame(0.0, 0, silhouettes)
-    own = replace(union, silhouettes=own_silhouettes(silhouettes, shapes[0], [Other(shapes[1])]))
-    before, after = (audit_frame(body, poses[0], f) for f in (union, own))
-    bare, outside, exposed = (AUDITED.index(n) for n in ("bare", "outside", "exposed"))
-    assert after[:, bare].sum() < 0.2 * before[:, bare].sum()
-    assert (after[:, outside] <= before[:, outside] + 1e-6).all()
-    assert (after[:, exposed] <= before[:, exposed] + 1e-6).all()
-    assert after[:, exposed].sum() < before[:, exposed].sum()
-
-
 def test_without_hides_everybody_else(pair):
     _, shapes, silhouettes = pair
     left = without(silhouettes, [Other(shapes[1])])
@@ -174,15 +150,3 @@ def test_without_hides_everybody_else(pair):
         assert not left.told[c, y0:y1, x0:x1][shapes[1].drawn(c) > 0].any()
     assert without(silhouettes, []) is silhouettes
     assert isinstance(Expected(shapes[0].boxes, np.ones(4, int)), Expected)
-
-
-def test_the_faces_of_one_side_cover_as_much_as_all(body, pair):
-    s, rig = body.skeleton, pair[2].rig
-    rng = np.random.default_rng(0)
-    for _ in range(4):  # folded as no person is, so that the surface cuts itself
-        wild = s.clamp(np.r_[0.1, -0.2, 0.9, rng.normal(0, 0.5, s.dof - 3)])
-        shape = shape_of(body, wild, rig)
-        for c, (y0, y1, x0, x1) in enumerate(shape.boxes):
-            x = np.c_[shape.vertices, np.ones(len(shape.vertices))] @ rig.projections[c].T
-            every = compute.silhouette(x[:, :2] / x[:, 2:] - (x0, y0), x[:, 2], shape.faces, (x1 - x0, y1 - y0))
-            assert every.any() and np.array_equal(shape.drawn(c), every)

@@ -33,28 +33,12 @@ def test_walker_with_cast_shadow(method, least):
     assert np.mean([iou(segment(f), m) for f, m in zip(film, truth, strict=True)]) >= least
 
 
-def test_shadow_is_foreground_when_its_test_is_off():
-    model, film, truth = scene(grey=False)
-    on, off = (make_segmenter(model, SilhouetteSettings(shadow=s)) for s in (True, False))
-    assert iou(off(film[3]), truth[3]) < 0.9 < iou(on(film[3]), truth[3])
-
-
 def test_grey_scene_needs_the_shadow_test_off():
     model, film, truth = scene(grey=True, shadow=0)
     with_test = make_segmenter(model, SilhouetteSettings(shadow=True))
     without = make_segmenter(model, SilhouetteSettings(shadow=False))
     assert np.mean([iou(with_test(f), m) for f, m in zip(film, truth, strict=True)]) < 0.7
     assert np.mean([iou(without(f), m) for f, m in zip(film, truth, strict=True)]) > 0.85
-
-
-def test_segmenters_have_no_memory():
-    model, film, _ = scene(grey=False)
-    for method in ("gaussian", "mog2"):
-        segment = make_segmenter(model, SilhouetteSettings(method=method))
-        first = segment(film[0])
-        for f in film:
-            segment(f)
-        assert np.array_equal(segment(film[0]), first)
 
 
 def test_band_restricts_and_an_empty_band_means_nobody():

@@ -5,7 +5,6 @@ import pytest
 
 from hypose import fitting
 from hypose.compute.solver.banded import frame_covariances
-from hypose.errors import SolverError
 from hypose.fitting.clip_solve import Coupling, _Clip, _moved, default_acceleration
 from hypose.geometry import so3_exp, so3_log
 from tests.capsule_person import capsule_person, random_pose
@@ -58,9 +57,9 @@ def test_step_is_the_dense_step(motion, rng, cut_at):
     if cut_at is not None:  # the way of one shoulder from frame 3 to 4 does not count
         cut[cut_at, S.dofs_of("left_shoulder")] = True
     coupling = Coupling(6, default_acceleration(S.dof, 2.0), velocity, cut)
-    problem = _Clip(BODY, coupling, point_terms(motion[:6], rng, 0.02), None, None, None, ())
+    problem = _Clip(BODY, coupling, point_terms(motion[:6], rng, 0.02), None, None, ())
     q = motion[:6] + 0.02 * rng.normal(size=(6, S.dof))
-    gradient, hessian = problem.evaluate(q, False)[1]()
+    gradient, hessian = problem.evaluate(q)[1]()
     problem.lower, problem.upper = np.full(S.dof, -np.inf), np.full(S.dof, np.inf)
     step = problem.step(gradient, hessian, q, 1e-2)
     dense = np.zeros((6 * S.dof, 6 * S.dof))
@@ -79,17 +78,15 @@ def test_clip_gradient_by_finite_differences(motion, rng):
     a = rng.normal(size=(4, S.dof, S.dof))
     known = [fitting.Gaussian(m + 0.1, x @ x.T) for m, x in zip(motion[:4], a, strict=True)]
     coupling = Coupling(4, default_acceleration(S.dof), np.full(S.dof, 2.0))
-    problem = _Clip(BODY, coupling, point_terms(motion[:4], rng, 0.02), None, None, known, ())
+    problem = _Clip(BODY, coupling, point_terms(motion[:4], rng, 0.02), None, known, ())
     q = motion[:4] + 0.02 * rng.normal(size=(4, S.dof))
-    gradient, _ = problem.evaluate(q, False)[1]()
+    gradient, _ = problem.evaluate(q)[1]()
     numeric = np.zeros_like(q)
     for t in range(4):
         for d in range(S.dof):
             e = np.zeros_like(q)
             e[t, d] = 1e-5
-            numeric[t, d] = (
-                problem.evaluate(_moved(q, e), False)[0] - problem.evaluate(_moved(q, -e), False)[0]
-            ) / 2e-5
+            numeric[t, d] = (problem.evaluate(_moved(q, e))[0] - problem.evaluate(_moved(q, -e))[0]) / 2e-5
     np.testing.assert_allclose(gradient, numeric, atol=1e-6 * np.abs(numeric).max())
 
 
@@ -130,11 +127,6 @@ def test_an_arm_that_is_open_about_itself_is_turned_without_carrying_its_elbow_a
     away = np.linalg.norm(BODY.joints(clip)[:, elbow] - BODY.joints(raised)[:, elbow], axis=1)
     assert np.abs(S.difference(clip, raised)[:, arm]).max() > 0.5
     assert away.max() < 0.001
-
-
-def test_wrong_number_of_terms_is_named(motion, rng):
-    with pytest.raises(SolverError, match="one entry of points per frame: 20, got 3"):
-        fitting.fit_clip(BODY, motion, points=point_terms(motion[:3], rng, 0.0))
 
 
 def test_uncertainty_grows_into_a_gap():

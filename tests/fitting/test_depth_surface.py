@@ -1,14 +1,12 @@
 """Depth maps in the articulated solver: derivatives, recovery of a pose, empty space."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from hypose import fitting
 from hypose.body.ready_bodies import human
 from hypose.errors import InputError
-from hypose.fitting.depth_surface import DepthTerm, depth_arrays, depth_term, rings
+from hypose.fitting.depth_surface import DepthTerm, depth_term
 from hypose.tracking.starts import known_pose
 from tests.depth_pictures import frame_of, sensors
 
@@ -89,28 +87,3 @@ def test_terms_of_wrong_shape_are_named(term):
         DepthTerm(
             term.points, term.normals[:3], term.weight, term.first, term.eyes, term.maps, term.sizes, term.projections
         )
-
-
-def test_every_vertex_knows_its_faces():
-    first, ring = rings(BODY)
-    faces = np.asarray(BODY.coarse.faces)
-    assert len(ring) == 3 * len(faces)
-    for v in (0, 7, len(first) - 2):
-        own = [(v, *others) for others in ring[first[v] : first[v + 1], :2].tolist()]
-        expected = [tuple(np.roll(f, -int(np.flatnonzero(f == v)[0])).tolist()) for f in faces if v in f]
-        assert sorted(own) == sorted(expected)
-
-
-def test_every_face_around_a_vertex_knows_the_one_beside_it():
-    first, ring = rings(BODY)
-    around = np.repeat(np.arange(len(first) - 1), np.diff(first))
-    beside = ring[:, 2]
-    assert (around[beside] == around).all()
-    assert (ring[beside, 1] == ring[:, 0]).all()
-
-
-def test_a_frame_without_depth_is_solved_without(term):
-    assert depth_arrays(None, BODY) is None and depth_arrays(term, BODY) is not None
-    none = np.zeros((0, 3))
-    empty = replace(term, points=none, normals=none, weight=np.zeros(0), first=np.zeros_like(term.first))
-    assert depth_arrays(empty, BODY) is None

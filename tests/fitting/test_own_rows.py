@@ -63,16 +63,6 @@ def test_points_as_rows_of_ones_own_are_a_point_term(rng):
     assert (own.rows, own.iterations, own.converged) == (known.rows, known.iterations, known.converged)
 
 
-def test_rows_that_say_nothing_change_nothing(rng):
-    pose = random_pose(BODY, rng, 0.2)
-    points = fitting.PointTerm(BODY.joints(pose), np.ones(J), np.arange(J), np.zeros((J, 3)), 0.02)
-    blind = RowTerm(np.array([2, 3]), ranges(np.full((2, 4), np.nan)), weight=np.array([1.0, 0.0]))
-    one = fitting.fit_pose(BODY, S.rest_pose(), points=points, priors=PRIOR)
-    two = fitting.fit_poses(BODY, S.rest_pose()[None], points=points, priors=PRIOR, rows=(blind,))[0]
-    np.testing.assert_allclose(two.pose, one.pose, atol=1e-12)
-    assert (two.rows, two.evaluations) == (one.rows, one.evaluations)
-
-
 def test_ranges_find_the_pose(rng):
     pose = random_pose(BODY, rng, 0.2)
     far = np.linalg.norm(BODY.joints(pose)[:, None] - ANCHORS, axis=-1)

@@ -150,19 +150,6 @@ def test_missing_joints_are_held_by_their_bones_and_their_sd_grows(rng):
     assert np.all(found.shares[jt.LEFT_HAND] == 0)
 
 
-def test_a_person_who_leaves_is_lost_and_found_again_elsewhere(rng):
-    truth = moving_person(90)
-    state, lost = start_fit(TRUE_LENGTHS), []
-    for t in range(90):
-        world = np.stack([truth[t] + (0 if t < 30 else 3.0)] * 2)
-        if 30 <= t < 60:
-            world[:] = np.nan
-        state, found = fit_step(state, world, np.full((2, 15), 2, np.uint8), t / 30, FitSettings(), UNKNOWN[:2])
-        lost.append(found.lost)
-    assert not any(lost[:40]) and all(lost[46:60]) and not any(lost[60:])
-    assert np.linalg.norm(found.joints - truth[-1] - 3.0, axis=-1).max() < 0.02
-
-
 @pytest.mark.parametrize("method", METHODS)
 def test_the_same_seed_gives_the_same_result_and_another_one_another_swarm(method, rng):
     frames = seen(moving_person(20), sensor_poses(rng, 3), rng, noise=0.02)

@@ -25,27 +25,6 @@ def test_a_stream_learns_where_its_sensors_stand(rng):
     assert fused.joint_names == jt.COMMON and fused.n_sensors == 3 and not fused.lost
 
 
-def test_a_step_does_not_touch_the_state_it_starts_from(rng):
-    frames = seen(moving_person(6), sensor_poses(rng, 2), rng, noise=0.01)
-    state = start(frames[0], FusionSettings(diagnose=True))
-    for frame in frames[:5]:
-        state, _ = step(state, frame)
-    _, a = step(state, frames[5])
-    _, b = step(state, frames[5])
-    np.testing.assert_array_equal(a.joints, b.joints)
-    np.testing.assert_array_equal(a.choice, b.choice)
-
-
-def test_the_fit_reports_the_swarms_choice_beside_its_own_shares(rng):
-    truth, poses = moving_person(60), sensor_poses(rng, 3)
-    frames = seen(truth, poses, rng, noise=0.01)
-    fused = fuse_clip(frames, "fit", FusionSettings(diagnose=True))
-    assert fused.choice.shape == fused.shares.shape == (60, 15, 3)
-    assert fused.choice.sum(-1) == pytest.approx(np.ones((60, 15)))
-    assert fused.restarts[0] and fused.restarts[50] and fused.restarts.sum() == 2
-    assert fuse_clip(frames, "fit").choice is None
-
-
 def test_a_sensor_that_is_wrong_about_a_hand_carries_nothing_of_it(rng):
     truth, poses = moving_person(60), sensor_poses(rng, 3)
     frames = seen(truth, poses, rng, noise=0.005)

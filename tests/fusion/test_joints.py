@@ -39,18 +39,6 @@ def test_an_unknown_set_is_named_with_what_it_lacks():
         jt.joint_set([*jt.COMMON, "tail"])
 
 
-def test_leaves_and_core_prune_the_limbs_completely():
-    left = set(range(15))
-    bones = {tuple(sorted(b)) for b in jt.BONES.tolist()}
-    for j, parent, b in jt.LEAVES.tolist():
-        assert sorted(jt.BONES[b].tolist()) == sorted((j, parent))
-        neighbours = {a + c - j for a, c in bones if j in (a, c) and (a + c - j) in left}
-        assert neighbours == {parent}
-        left.remove(j)
-    assert sorted(left) == np.flatnonzero(jt.CORE >= 0).tolist()
-    assert sorted(jt.CORE[sorted(left)].tolist()) == list(range(len(left)))
-
-
 def test_all_ways_to_say_missing_become_one():
     p = np.ones((1, 15, 3))
     p[0, 0], p[0, 1], p[0, 2, 1] = np.nan, -9999, -9999

@@ -25,10 +25,6 @@ def test_a_held_gesture_starts_once_and_ends_once():
     assert state.active() == []
 
 
-def test_a_flash_is_no_gesture():
-    assert run([0, 20, 20, 0, 0, 20, 0])[0] == []
-
-
 def test_between_the_two_thresholds_nothing_changes():
     assert run([7] * 40)[0] == []
     events, state = run([12] * 10 + [7] * 40)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hypose.compute.native import native
 from hypose.errors import InputError
 from hypose.gestures import runtime
 from hypose.gestures.forest import ForestSettings, GrowingForest
@@ -94,23 +93,6 @@ def test_memory_stays_within_its_bounds_and_slots_are_never_shared():
     more(forest, np.random.default_rng(9), 5)
 
 
-def test_at_most_ten_megabytes_with_the_usual_settings():
-    s = ForestSettings()
-    node = 10 + 2 + 2 * 4 + 1 + 2
-    slot = s.candidates * (10 + 2 * 2) + 2 * 4 + 2
-    assert s.trees * (s.most_nodes * node + s.most_slots * slot) < 10e6
-
-
-def test_a_pure_leaf_asks_for_no_candidates():
-    rng = np.random.default_rng(0)
-    forest = GrowingForest.new(ForestSettings(), 2, rng)
-    depth, where, square = toy(rng)
-    rows, columns, labels = samples(rng, (int(where[0]), int(where[1])), square)
-    only = labels == 0
-    forest.learn(pad(depth, LENS, 150, 500), rows[only], columns[only], labels[only])
-    assert (forest.arrays.slot < 0).all() and forest.arrays.seen[..., 0].sum() > 0
-
-
 def test_holes_and_pixels_nearer_than_the_border_allows_teach_nothing():
     rng = np.random.default_rng(0)
     forest = GrowingForest.new(ForestSettings(), 2, rng)
@@ -136,36 +118,9 @@ def test_several_classes():
     np.testing.assert_allclose(p.sum(1), 1, atol=1e-3)
 
 
-def test_balance_counts_heights():
-    forest = grown(200, alpha=40).freeze()
-    balance = forest.balance()
-    assert len(balance) == int((forest.left[:, : forest.size.max()] >= 0).sum())
-    assert np.abs(balance).max() < forest.settings.deepest
-
-
 @pytest.mark.parametrize(
     "change", [{"trees": 0}, {"clip_mm": 0}, {"alpha": 100000}, {"rate": 0.0}, {"beta": 2.0}, {"most_nodes": 40000}]
 )
 def test_settings_outside_their_bounds_are_named(change):
     with pytest.raises(InputError, match="forest's"):
         ForestSettings(**change)
-
-
-def test_a_picture_padded_for_another_reach_is_refused():
-    with pytest.raises(InputError, match="pad it again"):
-        forest = GrowingForest.new(ForestSettings(), 2, np.random.default_rng(0))
-        forest.learn(pad(toy(np.random.default_rng(0))[0], LENS, 100, 500), np.ones(1), np.ones(1), np.ones(1))
-
-
-def test_random_numbers_are_uniform():
-    kernels = native("depth_forests.forests")
-    state = np.array([7], np.uint64)
-    test = np.zeros(5, np.int16)
-    drawn = []
-    for _ in range(4000):
-        kernels.draw_test(state, 0, 150, 150, test)
-        drawn.append(test.copy())
-    u = np.array(drawn)
-    assert u[:, :2].min() == -150 and u[:, :2].max() == 150 and abs(u[:, :2].mean()) < 5
-    assert 0.45 < (u[:, 2:4] == 0).all(1).mean() < 0.55
-    assert np.abs(u[:, 4]).max() < 150 and abs(u[:, 4].mean()) < 3

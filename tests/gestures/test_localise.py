@@ -13,7 +13,7 @@ from hypose.errors import InputError
 from hypose.gestures import runtime
 from hypose.gestures.depth_pictures import Lens, millimetres
 from hypose.gestures.forest import Forest, ForestSettings
-from hypose.gestures.localise import LocaliseSettings, Scratch, localise, pad
+from hypose.gestures.localise import LocaliseSettings, Scratch, localise
 from hypose.gestures.online import Learner
 
 from .test_forest import exported
@@ -127,20 +127,6 @@ def test_forests_that_share_the_walk_find_what_each_finds_alone(forest):
         localise(depth, LENS, [forest] * 33)
 
 
-def test_nothing_but_holes_finds_nothing(forest):
-    found = localise(np.zeros(SHAPE, np.uint16), LENS, [forest])[0]
-    assert found.score == 0 and found.position is None
-
-
-def test_other_resolutions_work_with_their_own_lens(forest):
-    depth, (x, y), _ = toy(np.random.default_rng(13), holes=False)
-    twice = np.repeat(np.repeat(depth, 2, 0), 2, 1)
-    lens = LENS.scaled(2.0)
-    found = localise(twice, lens, [forest])[0]
-    assert np.hypot(found.x - 2 * x, found.y - 2 * y) < 10
-    assert lens.fx == 400 and lens.cx == 199.5
-
-
 def test_metres_are_recognised():
     whole = np.full((48, 64), 2, np.uint16)
     with pytest.raises(InputError, match="that is metres"):
@@ -159,11 +145,6 @@ def test_what_is_no_picture_is_refused(picture):
         millimetres(picture)
 
 
-def test_a_person_at_eight_metres_is_not_looked_at(forest):
-    depth = (toy(np.random.default_rng(1))[0].astype(int) + 7000).astype(np.uint16)
-    assert localise(depth, LENS, [forest])[0].score == 0
-
-
 def test_lenses_that_cannot_be_are_refused():
     with pytest.raises(InputError, match="lens"):
         Lens(0.0, 0.0, 1.0, 1.0)
@@ -172,14 +153,6 @@ def test_lenses_that_cannot_be_are_refused():
 def test_no_forest_is_refused():
     with pytest.raises(InputError, match="no forest"):
         localise(np.zeros(SHAPE, np.uint16), LENS, [])
-
-
-def test_pad_reuses_its_memory():
-    depth = np.full(SHAPE, 1000, np.uint16)
-    a = pad(depth, LENS, 150, 500)
-    b = pad(depth, LENS, 150, 500, a)
-    assert a.values is b.values
-    assert int(a.values.max()) == 10000 and (a.values == 1000).sum() == depth.size
 
 
 def test_one_forest_of_several_gestures_finds_each():

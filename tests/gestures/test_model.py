@@ -12,7 +12,7 @@ from hypose.errors import InputError
 from hypose.gestures.forest import ForestSettings
 from hypose.gestures.localise import LocaliseSettings
 from hypose.gestures.model import GestureModel, from_arrays, to_arrays
-from hypose.gestures.offline import OfflineSettings, Pool, collect, train
+from hypose.gestures.offline import OfflineSettings, collect, train
 from hypose.gestures.online import Learner
 from hypose.gestures.pixels import Example
 from hypose.pipeline.gesture_files import SessionWriter, export_model, load_model, read_recording, save_model
@@ -71,12 +71,6 @@ def test_equal_models_give_equal_bytes(taught, tmp_path):
     back = load_model(tmp_path / "a.npz")
     assert back.names == ("disc",) and back.thresholds == (12.5,) and back.settings == LocaliseSettings()
     assert dict(back.history[0]) == {"seconds": 3.0}
-
-
-def test_np_load_reads_it_without_pickle(taught, tmp_path):
-    save_model(model_of(taught), tmp_path / "m.npz")
-    with np.load(tmp_path / "m.npz", allow_pickle=False) as data:
-        assert "description" in data.files and data["test"].dtype == np.int16
 
 
 def test_a_damaged_file_is_named(taught, tmp_path):
@@ -191,21 +185,6 @@ def test_offline_patches_read_what_scanning_reads():
         np.testing.assert_array_equal(kernels.patch_leaves(patches, tree, 150), walked[:, t])
 
 
-def test_thresholds_lie_where_the_samples_are():
-    # the two kinds differ only by what is 3 m or 5 m behind: nothing to a clipped tree, everything to another
-    rng = np.random.default_rng(3)
-    labels = (np.arange(400) % 2).astype(np.int8)
-    patches = np.zeros((400, 51, 51), np.int16)
-    patches[:, :20] = np.where(labels == 1, 3000, 5000)[:, None, None] + rng.integers(-200, 200, (400, 1, 1))
-    pool = Pool(patches, labels)
-    for clip, right in ((None, 1.0), (150, 0.5)):
-        settings = OfflineSettings(ForestSettings(trees=1, clip_mm=clip, deepest=4), per_class=200)
-        forest = train(pool, np.random.default_rng(0), settings)
-        leaves = forest.left[0, : forest.size[0]] < 0
-        purest = forest.seen[0, : forest.size[0]][leaves].max(1).sum() / forest.seen[0, 0].sum()
-        assert purest == pytest.approx(right, abs=0.1)
-
-
 def test_a_pool_without_a_gesture_is_refused():
     pool = collect([e for e in toy_examples(6, 1) if not e.gesture], np.random.default_rng(0))
     with pytest.raises(InputError, match="every gesture"):
@@ -228,30 +207,6 @@ def test_sessions_are_recorded_and_read_again(tmp_path):
         SessionWriter(tmp_path / "s", ["disc"], LENS, (SHAPE[1], SHAPE[0]))
     with pytest.raises(InputError, match="no gesture"):
         list(back.examples("square"))
-
-
-def test_a_picture_that_cannot_be_written_is_told_by_the_next_call(tmp_path):
-    writer = SessionWriter(tmp_path / "s", ["disc"], LENS, (SHAPE[1], SHAPE[0]))
-    (tmp_path / "s" / "depth").rmdir()
-    (tmp_path / "s" / "depth").write_text("in the way")
-    writer.add(0.0, toy_examples(1, 1)[0].depth)
-    with pytest.raises(InputError, match="cannot be written"):
-        writer.close()
-    with pytest.raises(InputError, match="no frames"):
-        read_recording(tmp_path / "s")
-
-
-def test_retraining_offline_gives_the_forest_of_the_session(tmp_path):
-    writer = SessionWriter(tmp_path / "s", ["disc"], LENS, (SHAPE[1], SHAPE[0]))
-    live = learner(3)
-    for k, e in enumerate(toy_examples(20, 1)):
-        writer.add(k / 30, e.depth, "positive" if e.gesture else "negative", 1, e.gesture, (e.x, e.y))
-        teach(live, [e])
-    writer.close()
-    again = learner(3)
-    teach(again, list(read_recording(tmp_path / "s").examples("disc")))
-    for a, b in zip(live.forest.arrays, again.forest.arrays, strict=True):
-        np.testing.assert_array_equal(a, b)
 
 
 def test_a_truncated_recording_keeps_what_is_whole(tmp_path):

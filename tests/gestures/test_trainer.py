@@ -94,24 +94,12 @@ def test_the_threshold_lies_between_movement_and_the_gesture():
     assert balanced(gestures, [*movement, 9.0]) < 1.1 * limit
 
 
-def test_movement_that_never_scored_does_not_make_everything_pass():
-    assert 0.1 * 8 < balanced([8.0, 8.0, 9.0], [0.0] * 50) < 0.3 * 8
-
-
 def test_nothing_is_learned_outside_the_learning_phases():
     trainer = new_trainer()
     for f in drive(trainer, 60):
         assert (f.taught is None) or f.instruction.phase in ("positive", "negative")
         if f.instruction.phase in ("do_gesture", "release"):
             assert f.taught is None
-
-
-def test_positives_are_learned_where_the_surface_is():
-    e = toy_examples(1, 3)[0]
-    learner = Learner.new(np.random.default_rng(0))
-    taught = learner.show(e.depth, LENS, 1, e.x, e.y)
-    assert taught is not None and taught.learned[1] == learner.settings.positives
-    assert learner.show(np.zeros_like(e.depth), LENS, 1, e.x, e.y) is None
 
 
 def test_hard_negatives_are_taken_at_the_maximum_and_in_proportion_to_it():

@@ -22,7 +22,6 @@ def scattered(centre, spread, n, seed=0):
 def test_without_rotations_it_is_the_plain_mean():
     h = weighted(np.random.default_rng(1).normal(size=(2, 30, 4)))
     np.testing.assert_array_equal(TangentMean()(h), h.mean())
-    np.testing.assert_allclose(TangentMean().covariance(h, h.mean()), h.scatter())
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.5, 3.1, np.pi])
@@ -34,10 +33,8 @@ def test_rotations_are_averaged_across_the_branch(angle):
     mean = estimate(h)
     np.testing.assert_allclose(mean[:2], h.mean()[:2])
     assert np.linalg.norm(so3_log(so3_exp(mean[2:]) @ so3_exp(centre).T)) < 0.02
-    deviation = estimate.deviations(h, mean)
-    np.testing.assert_allclose(h.weights @ deviation, 0, atol=1e-9)  # what makes it the mean
-    covariance = estimate.covariance(h, mean)
-    np.testing.assert_allclose(np.sqrt(np.diag(covariance))[2:], 0.2, rtol=0.1)
+    away = so3_log(so3_exp(h.values[:, 2:]) @ so3_exp(mean[2:]).T)
+    np.testing.assert_allclose(h.weights @ away, 0, atol=1e-9)  # what makes it the mean
     if angle > 3:  # plain averaging gives a rotation far from all of them
         assert np.linalg.norm(so3_log(so3_exp(h.mean()[2:]) @ so3_exp(centre).T)) > 1
 

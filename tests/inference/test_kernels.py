@@ -11,8 +11,6 @@ from hypose.inference.kernels import (
     GaussianDiffusion,
     HeavyTail,
     RejectionSampling,
-    filtered_mask,
-    first_layer,
     reflect,
     semidefinite_cholesky,
     stay,
@@ -33,26 +31,12 @@ def test_diffusion_has_the_asked_spread_and_freezes():
     assert np.abs(np.corrcoef(moved[:, 0], moved[:, 2])[0, 1]) < 0.02
 
 
-def test_a_frozen_coordinate_keeps_even_a_value_outside_the_bounds():
-    h = Hypotheses.uniform(np.full((10, 2), 5.0))
-    moved = GaussianDiffusion(np.array([0.0, 0.1]), np.zeros(2), np.ones(2))(h, None, np.random.default_rng(0))
-    np.testing.assert_array_equal(moved.values[:, 0], 5.0)
-    assert (moved.values[:, 1] <= 1).all()
-
-
 def test_reflect_mirrors_once_and_then_clamps():
     x = np.array([[-0.25, 0.5, 1.25, 3.5, -9.0]]).T
     np.testing.assert_allclose(reflect(x, [0.0], [1.0])[:, 0], [0.25, 0.5, 0.75, 0.0, 1.0])
     np.testing.assert_allclose(reflect(x, [-INF], [1.0])[:, 0], [-0.25, 0.5, 0.75, -1.5, -9.0])
     np.testing.assert_array_equal(reflect(x, None, None), x)
     np.testing.assert_array_equal(reflect(x, [0.3], [0.3]), np.full((5, 1), 0.3))
-
-
-def test_a_set_does_not_pile_up_on_a_limit():
-    h = Hypotheses.uniform(np.zeros((20000, 1)))
-    moved = GaussianDiffusion(np.array([1.0]), np.zeros(1), np.array([INF]))(h, None, np.random.default_rng(0)).values
-    assert (moved == 0).sum() == 0
-    np.testing.assert_allclose(moved.mean(), np.sqrt(2 / np.pi), rtol=0.02)  # a folded normal
 
 
 def test_heavy_tail_reaches_its_share_on_its_coordinates():
@@ -79,10 +63,6 @@ def test_adaptive_diffusion_follows_the_covariance_of_the_set():
     step = AdaptiveDiffusion(0.5)(h, None, rng).values - h.values
     np.testing.assert_allclose(np.cov(step.T), 0.25 * shape @ shape.T, atol=0.03)
     np.testing.assert_array_equal(step[:, 2], 0)  # a collapsed coordinate stays so
-    floored = AdaptiveDiffusion(0.5, floor=np.array([0.0, 0.0, 0.7]))(h, None, rng).values - h.values
-    np.testing.assert_allclose(floored[:, 2].std(), 0.7, rtol=0.02)
-    some = AdaptiveDiffusion(0.5, coordinates=np.array([True, False, False]))(h, None, rng).values - h.values
-    assert some[:, 0].std() > 0.9 and not some[:, 1:].any()
 
 
 def test_semidefinite_cholesky():
@@ -115,15 +95,6 @@ def test_rejection_refuses_what_the_prior_dislikes():
     once = RejectionSampling(GaussianDiffusion(np.array([1.0])), inside, trials=1)
     stayed = once(h, None, np.random.default_rng(0)).values[:, 0] == 0
     np.testing.assert_allclose(stayed.mean(), 1 - 0.6827, atol=0.03)
-
-
-def test_first_layers_and_filtered_masks():
-    parts = [[0], np.array([False, True, True, False, False]), [0, 3]]
-    np.testing.assert_array_equal(first_layer(parts, 5), [0, 1, 1, 2, 3])
-    np.testing.assert_array_equal(filtered_mask(parts, 5, 1), [True, True, True, False, False])
-    np.testing.assert_array_equal(filtered_mask(parts, 5, 9), [True, True, True, True, False])
-    with pytest.raises(ValueError, match=r"0\.\.4"):
-        first_layer([[5]], 5)
 
 
 @pytest.mark.parametrize(

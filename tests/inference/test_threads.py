@@ -21,7 +21,7 @@ from hypose.inference.selectors import systematic
 
 rng = np.random.default_rng(0)
 weigh = Annealed(lambda h, z: (h.values**2).sum(-1))
-layer = Layer(AdaptiveDiffusion(0.4, np.full(36, 0.01)), weigh, systematic)
+layer = Layer(AdaptiveDiffusion(0.4), weigh, systematic)
 start = Hypotheses.uniform(rng.normal(size=(600, 36)))
 result = search(start, Recipe("r", (layer,) * 3, estimate=TangentMean((3, 6))), None, partial(stream, 0, 0))
 a, b = rng.normal(size=(2000, 36)), rng.normal(size=2000)

@@ -102,15 +102,6 @@ def test_rotations_are_conjugated_by_the_axis_and_follow_the_parent(files):
     np.testing.assert_allclose(np.linalg.norm(ends[:, lower] - ends[:, asf.parents[lower]], axis=1), 2)
 
 
-def test_three_angles_turn_about_fixed_axes_x_first(files):
-    amc = AMC.replace("upper 30 0 0", "upper 30 40 50").replace("root 1 2 3 0 90 0", "root 1 2 3 0 0 0")
-    (files / "a.amc").write_text(amc)
-    _, r = global_rotations(read_asf(files / "a.asf"), read_amc(files / "a.amc"))
-    x, y, z = (so3_exp(np.radians(a) * np.eye(3)[k]) for k, a in enumerate((30, 40, 50)))
-    c = so3_exp([0, 0, np.pi / 2])
-    np.testing.assert_allclose(r["upper"][1], c @ z @ y @ x @ c.T, atol=1e-12)
-
-
 def test_real_walk_is_a_walk(shared_data):
     folder = shared_data("mocap")
     asf = read_asf(folder / "02.asf")

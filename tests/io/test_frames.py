@@ -1,5 +1,7 @@
 """The frame stream on a small film of four views, and on the real recordings when they are there."""
 
+from __future__ import annotations
+
 import json
 import shutil
 from dataclasses import replace
@@ -9,19 +11,31 @@ import numpy as np
 import pytest
 
 from hypose.cameras.camera import Camera, CameraRig
+from hypose.compute import mask_runs
+from hypose.compute.pictures.mask_runs import draw, runs_of
 from hypose.errors import InputError
 from hypose.evidence.ahead import outlines
+from hypose.evidence.background import from_frames
 from hypose.evidence.colours import colour_codes
 from hypose.evidence.hull import hull_iou, visual_hull
 from hypose.evidence.keypoints import BODY_25B, triangulate_keypoints
-from hypose.evidence.outlines import OUTLINE_POINTS, WORKING_HEIGHT
-from hypose.evidence.silhouettes import SilhouetteSettings, as_mask, biggest_parts
+from hypose.evidence.outlines import OUTLINE_POINTS, WORKING_HEIGHT, view_outline
+from hypose.evidence.silhouettes import SilhouetteSettings, as_mask, biggest_parts, make_segmenter
 from hypose.geometry import se3, so3_exp
 from hypose.io.recordings import frames as recording_frames
-from hypose.io.recordings.frames import FrameSettings, FrameStream, build_backgrounds, working_rig
-from hypose.io.recordings.mask_folders import write_masks
-from hypose.io.recordings.masks_in_work import PackedMask
-from hypose.io.recordings.recording import Recording, View
+from hypose.io.recordings.frames import (
+    FrameSettings,
+    FrameStream,
+    PackedMask,
+    build_backgrounds,
+    working_rig,
+    write_masks,
+)
+from hypose.io.recordings.recording import Recording, View, load_recording, write_recording
+from hypose.io.recordings.view_source import DepthSource, Preparer, mask_in
+from hypose.io.sensors.depth import write_depth_png
+from hypose.synthetic.rigs import look_at
+from tests.depth_pictures import seen_in_room
 from tests.evidence.scenes import ellipse, iou, picture, ring, room
 
 SHAPE, COUNT = (240, 320), 14
@@ -283,7 +297,7 @@ def test_uu4cam_masks_agree_with_the_students_and_the_hull_with_the_masks(shared
     students = tuple(View(v.name, masks=v.video.with_name("foreground_mask.avi")) for v in recording.views)
     with FrameStream(recording) as ours, FrameStream(replace(recording, views=students)) as theirs:
         found, hulls = [], []
-        for i in range(0, 426, 71):
+        for i in range(0, 426, 142):
             a, b = ours.frame(i).silhouettes, theirs.frame(i).silhouettes
             # their masks hold a moved chessboard beside the man, ours the ceiling's lamps
             pairs = [(biggest_parts(x, 1.0), biggest_parts(y, 1.0)) for x, y in zip(a.masks, b.masks, strict=True)]
@@ -324,15 +338,14 @@ LIMBS = [(a, a + 2) for a in (5, 6, 7, 8, 11, 12, 13, 14)]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("keypoints", "least"), [(True, 0.96), (False, 0.93)])
-def test_balancing_masks_hold_the_limbs_in_all_views(shared_data, keypoints, least):
+def test_balancing_masks_hold_the_limbs_in_all_views(shared_data):
     folder = shared_data("pose2sim_balancing")
     with (
-        FrameStream(balancing(folder, keypoints)) as stream,
+        FrameStream(balancing(folder, False)) as stream,
         FrameStream(balancing(folder, True), FrameSettings(silhouettes=None)) as detected,
     ):
         hits, areas = np.zeros((4, 2)), []
-        for i in range(0, 99, 7):
+        for i in range(0, 99, 14):
             frame, points = stream.frame(i), detected.frame(i).keypoints.points
             assert frame.silhouettes.usable.all()
             areas.append(frame.silhouettes.areas)
@@ -342,7 +355,7 @@ def test_balancing_masks_hold_the_limbs_in_all_views(shared_data, keypoints, lea
                         u, v = np.rint(p[a, :2] * (1 - s) + p[b, :2] * s).astype(int)
                         if min(p[a, 2], p[b, 2]) > 0.5 and 0 <= u < 272 and 0 <= v < 480:
                             hits[c] += [mask[v, u], 1]
-        assert (hits[:, 0] / hits[:, 1]).min() >= least, hits[:, 0] / hits[:, 1]
+        assert (hits[:, 0] / hits[:, 1]).min() >= 0.93, hits[:, 0] / hits[:, 1]
         assert np.max(areas) < 16_000  # a man, no observer and no mats
 
 
@@ -368,3 +381,123 @@ def test_mog2_and_key_point_only_streams(film):
         pytest.raises(InputError, match="decodes no"),
     ):
         stream.image(0, 0)
+
+
+# ---- test masks in work --------------------------------------------------------------------------------------------
+# Masks of a stream, packed.
+
+
+@pytest.mark.parametrize("box", [(0, 40, 0, 30), (17, 60, 23, 64), (5, 6, 9, 10), (0, 0, 0, 0)])
+def test_a_packed_mask_comes_back_and_so_does_its_outline(box):
+    y0, y1, x0, x1 = box
+    mask = np.zeros((60, 64), np.uint8)
+    mask[y0:y1, x0:x1] = np.random.default_rng(0).random((y1 - y0, x1 - x0)) < 0.9
+    packed = PackedMask(runs_of(mask), "")
+    np.testing.assert_array_equal(draw(packed.runs), mask)
+    assert packed.area == mask.sum()
+    made, whole = packed.outline(), view_outline(mask, working_height=WORKING_HEIGHT)
+    assert made.corner == whole.corner and made.found == whole.found
+    np.testing.assert_array_equal(made.distance, whole.distance)
+    np.testing.assert_array_equal(made.points, whole.points)
+
+
+def test_no_mask_has_no_outline():
+    packed = PackedMask(None, "cam1: no image")
+    assert packed.outline() is None and packed.area == 0 and packed.reason == "cam1: no image"
+
+
+# ---- test view source ----------------------------------------------------------------------------------------------
+# From a stored picture to a mask and to the picture in it, whose memory is used again.
+
+
+W, H = 90, 70
+
+
+@pytest.mark.parametrize("lens", [0.0, -0.2])
+@pytest.mark.parametrize("working", [(W, H), (45, 35)])
+def test_the_picture_is_known_within_the_mask_also_where_that_reaches_beyond_the_band(rng, lens, working):
+    camera = Camera(
+        "a", np.array([[80.0, 0, 44.5], [0, 80, 34.5], [0, 0, 1]]), np.r_[lens, np.zeros(4)], np.eye(4), (W, H)
+    )
+    prepare = Preparer(camera, camera.pinhole().scaled(working), (0.0, 0.0))
+    room = cv2.blur(rng.integers(60, 200, (H, W, 3)).astype(np.uint8), (9, 9))
+    empty = [np.clip(room + rng.normal(0, 2, room.shape), 0, 255).astype(np.uint8) for _ in range(6)]
+    segment = make_segmenter(from_frames([prepare(image) for image in empty]))
+    w, h = working
+    beyond = 0
+    for left in range(0, W - 20, 10):
+        image = empty[0].copy()
+        image[20:, left : left + 20] = rng.integers(0, 256, (H - 20, 20, 3))
+        for band in (None, np.zeros((h, w), np.uint8)):
+            if band is not None:
+                band[h // 5 : -2, 2:-2] = 1  # closing ends a mask at the border of the picture
+            prepare.within(np.zeros_like(image), None)  # what was there before
+            runs, picture = mask_in(image, prepare, segment, band)
+            mask = mask_runs.draw(runs)
+            assert mask.any()
+            np.testing.assert_array_equal(picture[mask > 0], prepare(image)[mask > 0])
+            beyond += band is not None and bool((mask & (1 - band)).any())
+    assert beyond
+
+
+# ---- test depth views ----------------------------------------------------------------------------------------------
+# Depth maps of a view by frame number: lenses, sizes, and what is damaged.
+
+
+CAMERA = look_at("d", (0, 0, 1.3), (0, 2.6, 0.6), 120.0, (160, 120))
+
+
+def written(folder, frames=6):
+    """A recording of a board that stands before an empty room; recording.toml's path."""
+    for name, person in (("depth", True), ("room", False)):
+        (folder / name).mkdir()
+        for k in range(frames):
+            write_depth_png(folder / name / f"{k:03d}.png", seen_in_room(CAMERA, person))
+    view = View("d", depth=folder / "depth", background=folder / "room")
+    rig = CameraRig((CAMERA,))
+    return write_recording(Recording(folder, "r", rig, (view,), 25.0, None, keypoint_set=None, n_frames=frames), folder)
+
+
+def test_one_damaged_map_costs_one_frame(tmp_path):
+    toml = written(tmp_path)
+    whole = (tmp_path / "depth/002.png").read_bytes()
+    (tmp_path / "depth/002.png").write_bytes(whole[: len(whole) // 2])
+    with FrameStream(load_recording(toml)) as frames:
+        assert [bool(f.silhouettes.usable[0]) for f in frames] == [True, True, False, True, True, True]
+        assert len(frames.notes) == 1 and "frame 2" in frames.notes[0] and "002.png" in frames.notes[0]
+
+
+def test_a_fisheye_lens_is_straightened_without_coefficients_too(tmp_path):
+    bent = replace(CAMERA, distortion=np.zeros(4), fisheye=True)
+    write_depth_png(tmp_path / "0.png", np.tile(np.linspace(1, 3, 160, dtype=np.float32), (120, 1)))
+    view = View("d", depth=tmp_path)
+    assert (
+        np.abs(DepthSource(view, bent, bent.pinhole()).map(0) - DepthSource(view, CAMERA, CAMERA).map(0)).max() > 0.02
+    )
+
+
+def test_an_empty_room_of_another_mode_is_named(tmp_path):
+    toml = written(tmp_path)
+    for file in (tmp_path / "room").iterdir():
+        write_depth_png(file, seen_in_room(CAMERA, False)[::2, ::2])
+    with pytest.raises(InputError, match=r"View d: the empty room in .*room is 80 x 60 px"):
+        load_recording(toml)
+
+
+def test_a_map_of_another_size_is_named(tmp_path):
+    toml = written(tmp_path)
+    write_depth_png(tmp_path / "depth/003.png", seen_in_room(CAMERA)[::2, ::2])
+    with FrameStream(load_recording(toml)) as frames:
+        found = frames.frame(3).silhouettes
+        assert not found.usable[0] and "003.png is 80 x 60 px" in found.reasons[0]
+
+
+def test_large_pictures_beside_them_make_maps_no_smaller(tmp_path):
+    toml = written(tmp_path)
+    alone = load_recording(toml)
+    large = replace(CAMERA.scaled((1280, 960)), name="c")
+    beside = replace(alone, rig=CameraRig((CAMERA, large)), views=(alone.views[0], View("c")))
+    with FrameStream(alone) as one, FrameStream(beside) as both:
+        assert both.rig.sizes.tolist() == [[160, 120], [480, 360]]
+        maps = both.frame(0).depth.maps
+        assert np.array_equal(maps[0, :120, :160], one.frame(0).depth.maps[0]) and not maps[1].any()

@@ -13,9 +13,8 @@ from hypose.body.joint_angles import GROUND_AXES, joint_angles
 from hypose.body.ready_bodies import human
 from hypose.body.segment_masses import segment_masses
 from hypose.io.motions.export import export_motion
-from hypose.io.motions.opensim import read_mot
-from hypose.io.motions.opensim_ik import marker_weights
-from hypose.io.motions.opensim_model import marker_names, osim_text, shoulder_places, write_osim
+from hypose.io.motions.marker_files import read_mot
+from hypose.io.motions.opensim_model import marker_names, marker_weights, shoulder_places, write_osim
 
 
 @pytest.fixture(scope="module")
@@ -53,11 +52,6 @@ def test_markers_stand_where_the_body_has_them(tmp_path, poses, opensim):
     assert found["mass"] == pytest.approx(1000 * human().fine.volume, rel=0.02)
 
 
-def test_a_known_mass_is_shared_out(opensim, tmp_path):
-    write_osim(tmp_path / "m.osim", human(), mass=80.0)
-    assert in_opensim(tmp_path)["mass"] == pytest.approx(80.0, rel=1e-6)
-
-
 def test_every_column_of_the_motion_is_in_the_model(tmp_path, small_motion):
     export_motion(small_motion, human(), tmp_path, ("mot", "osim"))
     model = Xml.parse(tmp_path / "motion.osim")
@@ -86,14 +80,6 @@ def test_segments_have_the_masses_of_people():
         assert (moments > 0).all() and moments[2] < moments[0] + moments[1]  # what a solid can have
 
 
-def test_a_segment_without_volume_keeps_a_little_mass(small_body):
-    """The small body has no feet of its own: its model is written all the same, and can be simulated."""
-    masses = segment_masses(small_body, {"foot": ("left_ankle",), "thigh": ("left_hip",)})
-    assert 0 < masses["foot"].mass < 0.01 < masses["thigh"].mass
-    np.testing.assert_allclose(masses["foot"].centre, small_body.skeleton.rest_joints[15])
-    assert "calcn_l" in osim_text(small_body)
-
-
 def test_sure_joints_weigh_more(small_motion):
     body = human()
     sd = np.full((60, 19), 0.02)
@@ -101,7 +87,3 @@ def test_sure_joints_weigh_more(small_motion):
     sure = small_motion.__class__(**{**vars(small_motion), "joint_covariance": sd[..., None, None] ** 2 * np.eye(3)})
     weights = marker_weights(sure, body)
     assert weights[3] == pytest.approx(4) and weights[0] == pytest.approx(1)
-
-
-def test_same_body_same_text():
-    assert osim_text(human()) == osim_text(human())

@@ -15,8 +15,8 @@ import pytest
 
 from hypose.app.cli import main
 from hypose.errors import InputError
-from hypose.io.keypoints import pose_models
-from hypose.io.keypoints.pose_models import fetch_models, have_models, models_folder, open_network
+from hypose.io.keypoints import detectors as pose_models
+from hypose.io.keypoints.detectors import fetch_models, have_models, models_folder, open_network
 from tests import missing
 from tests.io.recordings import make_recording
 

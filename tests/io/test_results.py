@@ -1,6 +1,8 @@
 """Motions equal byte for byte, archives that cannot hurt, checkpoints of the same run only, whole files or
 none."""
 
+from __future__ import annotations
+
 import dataclasses
 import errno
 import io
@@ -8,16 +10,32 @@ import json
 import os
 import pickle
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from hypose.body.motion import Motion
+from hypose.body.motion import Modes, Motion, joined_modes
+from hypose.body.ready_bodies import human
 from hypose.errors import InputError
 from hypose.io.files import atomic_path, check_writable
-from hypose.io.motions.results import Checkpoint, ResultsFolder, load_motion, save_motion, to_json
-from hypose.io.recordings.provenance import file_identity, identity, provenance
+from hypose.io.motions.results import (
+    _BODY_LAYOUT,
+    Checkpoint,
+    ResultsFolder,
+    file_identity,
+    identity,
+    load_body,
+    load_joints_of_modes,
+    load_modes,
+    load_motion,
+    provenance,
+    save_body,
+    save_modes,
+    save_motion,
+    to_json,
+)
 
 
 def assert_same(a: Motion, b: Motion):
@@ -271,17 +289,6 @@ def test_an_interrupted_write_leaves_the_old_file(tmp_path):
     assert (tmp_path / "a.txt").read_text() == "old" and len(list(tmp_path.iterdir())) == 1
 
 
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="NOT tested: a full disk; run the tests on Linux")
-def test_full_disk(tmp_path):
-    (tmp_path / "a.txt").write_text("old")
-    message = r"a\.txt cannot be written because the disk is full \(\d+ MB free\); what was written before is intact"
-    with pytest.raises(InputError, match=message) as caught, atomic_path(tmp_path / "a.txt") as temporary:
-        temporary.write_text("half")
-        Path("/dev/full").write_text("x" * 100)
-    assert "--resume" in str(caught.value)
-    assert (tmp_path / "a.txt").read_text() == "old" and len(list(tmp_path.iterdir())) == 1
-
-
 def test_full_disk_while_saving_a_motion(small_motion, tmp_path, monkeypatch):
     save_motion(small_motion, tmp_path / "motion.npz")
     old = (tmp_path / "motion.npz").read_bytes()
@@ -328,23 +335,6 @@ def test_provenance_is_json_and_names_everything(tmp_path):
     assert "run" not in identity(record) and identity(record)["seed"] == 7
 
 
-def test_large_files_are_hashed_at_both_ends(tmp_path):
-    path = tmp_path / "large.bin"
-    with path.open("wb") as stream:
-        stream.truncate(65 << 20)
-    seen = {file_identity(path)["sha256"]}
-    assert file_identity(path)["hashed"] == "first and last MiB"
-    for offset in (0, (65 << 20) - 1):
-        with path.open("r+b") as stream:
-            stream.seek(offset)
-            stream.write(b"x")
-        seen.add(file_identity(path)["sha256"])
-    with path.open("r+b") as stream:
-        stream.truncate(66 << 20)
-    seen.add(file_identity(path)["sha256"])
-    assert len(seen) == 4
-
-
 def test_folders_are_hashed_by_names_and_contents(tmp_path):
     folder = tmp_path / "pose"
     folder.mkdir()
@@ -358,3 +348,149 @@ def test_folders_are_hashed_by_names_and_contents(tmp_path):
     assert len({first["sha256"], second["sha256"], file_identity(folder)["sha256"]}) == 3
     with pytest.raises(InputError, match=r"none does not exist"):
         file_identity(tmp_path / "none")
+
+
+# ---- test bodies ---------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory):
+    path = tmp_path_factory.mktemp("bodies") / "body.npz"
+    save_body(human(), path)
+    return path
+
+
+def spoil(path, to, **changes):
+    """A copy of an archive with some arrays replaced (None: left out)."""
+    with np.load(path) as data:
+        arrays = {**{k: data[k] for k in data.files}, **changes}
+    with zipfile.ZipFile(to, "w") as archive:
+        for name, value in arrays.items():
+            if value is not None:
+                buffer = io.BytesIO()
+                np.save(buffer, value, allow_pickle=True)
+                archive.writestr(f"{name}.npy", buffer.getvalue())
+    return to
+
+
+def test_a_body_comes_back_whole(saved):
+    a, b = human(), load_body(saved)
+    assert a.name == b.name and a.skeleton.joint_names == b.skeleton.joint_names
+    assert a.landmarks.names == b.landmarks.names
+    q = np.full(a.skeleton.dof, 0.1)
+    np.testing.assert_array_equal(a.skin(q), b.skin(q))
+    np.testing.assert_array_equal(a.skin(q, a.fine), b.skin(q, b.fine))
+    np.testing.assert_array_equal(a.landmark_points(q), b.landmark_points(q))
+    np.testing.assert_array_equal(a.skeleton.lower, b.skeleton.lower)
+
+
+def test_equal_bodies_give_equal_bytes(saved, tmp_path):
+    save_body(load_body(saved), tmp_path / "again.npz")
+    assert (tmp_path / "again.npz").read_bytes() == saved.read_bytes()
+
+
+def test_a_body_without_landmarks(tmp_path):
+    from hypose.body.body import Landmarks
+
+    bare = replace(human(), landmarks=Landmarks((), np.zeros(0, np.int64), np.zeros((0, 3))))
+    save_body(bare, tmp_path / "b.npz")
+    assert load_body(tmp_path / "b.npz").landmarks.names == ()
+
+
+@pytest.mark.parametrize("name", sorted(_BODY_LAYOUT))
+def test_every_array_is_needed(saved, tmp_path, name):
+    with pytest.raises(InputError, match=f"{name}.* is missing; give the results folder"):
+        load_body(spoil(saved, tmp_path / "b.npz", **{name: None}))
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "reason"),
+    [
+        ("coarse_faces", np.array([[0, 1, 99999]], np.int32), "refers to vertex"),
+        ("fine_skin_index", np.full((3, 4), 77, np.int32), "names joints that do not exist"),
+        ("landmark_joint", np.array([-1]), "names joints that do not exist"),
+        ("coarse_vertices", np.full((3, 3), np.nan), "contains NaN"),
+        ("lower", np.full(36, np.nan), "contains NaN"),
+        ("parents", np.arange(19) + 5, "Skeleton.parents"),
+        ("axes", np.array([object()]), "not allowed"),
+        ("format", np.array(2), "format 2"),
+        ("surprise", np.zeros(3), "unknown array 'surprise'"),
+    ],
+)
+def test_damaged_and_hostile_bodies_are_named(saved, tmp_path, name, value, reason):
+    with pytest.raises(InputError, match=reason) as caught:
+        load_body(spoil(saved, tmp_path / "b.npz", **{name: value}))
+    assert "b.npz is not a body of hypose" in str(caught.value)
+
+
+def test_an_absent_body(tmp_path):
+    with pytest.raises(InputError, match="does not exist; give the results folder"):
+        load_body(tmp_path / "body.npz")
+
+
+# ---- test modes ----------------------------------------------------------------------------------------------------
+# modes.npz: read back as written, padded to the most modes, and refused when it is something else.
+
+
+def some(t, k, seed=0, d=5, j=3):
+    rng = np.random.default_rng(seed)
+    weights = rng.random((t, k))
+    return Modes(
+        rng.normal(size=(t, k, d)),
+        rng.normal(size=(t, k, j, 3)),
+        weights / weights.sum(1, keepdims=True),
+        rng.normal(size=(t, k)),
+        rng.normal(size=(t, k, d, d)).astype(np.float32),
+        rng.normal(size=(t, j, 3, 3)),
+        rng.random((t, j)),
+        np.full(t, k, dtype=np.int64),
+    )
+
+
+def test_read_back(tmp_path) -> None:
+    modes = some(4, 2)
+    save_modes(modes, tmp_path / "modes.npz")
+    again = load_modes(tmp_path / "modes.npz")
+    for name in ("poses", "joints", "weights", "costs", "covariances", "joint_covariance", "depth_sd", "alive"):
+        np.testing.assert_array_equal(getattr(modes, name), getattr(again, name))
+    assert len(again) == 4
+    joints, weights = load_joints_of_modes(tmp_path / "modes.npz")
+    np.testing.assert_array_equal(joints, modes.joints)
+    np.testing.assert_array_equal(weights, modes.weights)
+
+
+def test_joints_and_weights_must_belong_together(tmp_path) -> None:
+    np.savez(tmp_path / "modes.npz", joints=np.zeros((4, 2, 3, 3)), weights=np.zeros((4, 3)))
+    with pytest.raises(InputError, match="do not belong together"):
+        load_joints_of_modes(tmp_path / "modes.npz")
+
+
+def test_frames_with_fewer_modes_are_padded() -> None:
+    both = joined_modes([some(2, 1), some(3, 4, seed=1)])
+    assert both.poses.shape[:2] == (5, 4)
+    assert np.isnan(both.joints[:2, 1:]).all()
+    assert np.isfinite(both.joints[2:]).all()
+    assert both.alive.tolist() == [1, 1, 4, 4, 4]
+
+
+def test_shapes_must_agree() -> None:
+    a = some(2, 2)
+    with pytest.raises(InputError, match=r"Modes.weights has shape \(2, 3\)"):
+        Modes(a.poses, a.joints, np.ones((2, 3)), a.costs, a.covariances, a.joint_covariance, a.depth_sd, a.alive)
+
+
+@pytest.mark.parametrize("content", [b"", b"no archive", None])
+def test_other_files_are_refused(tmp_path, content) -> None:
+    path = tmp_path / "modes.npz"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(InputError, match="modes.npz"):
+        load_modes(path)
+
+
+def test_arrays_of_something_else_are_refused(tmp_path) -> None:
+    np.savez(tmp_path / "modes.npz", x=np.zeros(3))
+    with pytest.raises(InputError, match="not a file of modes"):
+        load_modes(tmp_path / "modes.npz")
+    with pytest.raises(InputError, match="unknown array|joints, weights is missing"):
+        load_joints_of_modes(tmp_path / "modes.npz")

@@ -1,5 +1,7 @@
 """Recorded skeletons: every form read, put on one clock, and refused in one sentence when it cannot be used."""
 
+from __future__ import annotations
+
 import gzip
 import json
 import struct
@@ -12,23 +14,24 @@ from numpy.typing import NDArray
 
 from benchmarks.synthetic.skeleton_folders import write_folder
 from hypose.errors import InputError
-from hypose.evidence.frame import SensorJoints
+from hypose.evidence.frame import SensorJoints, SensorReport
+from hypose.io.files import bounded_lines
 from hypose.io.sensors.depth import depth_at_joints, read_azure_mkv, read_depth_png, write_depth_png
-from hypose.io.sensors.skeleton_folder import FolderWriter
-from hypose.io.sensors.skeleton_formats import read_skeletons
+from hypose.io.sensors.skeleton_files import KINECT_V2, FolderWriter, read_ntu, read_skeletons
 from hypose.io.sensors.skeleton_streams import (
+    MAX_SKELETON_LINE,
     SensorStream,
     SkeletonRecording,
     StreamRows,
-    SyncedStream,
     build_stream,
     common_times,
+    format_line,
     one_person,
+    parse_line,
+    read_lines,
     repair_clock,
     resample,
 )
-from hypose.io.sensors.skeleton_tables import KINECT_V2, read_kinect_csv, read_ntu
-from hypose.io.text_in import bounded_lines
 from tests import missing
 
 JOINTS = ("head", "neck", "torso")
@@ -211,11 +214,11 @@ def spoil(folder, file, old, new):
         ("session.json", '"clock": "common"', '"clock": "sun"', "common or own"),
         ("session.json", '"head"', '"neck"', "different names"),
         ("frames.csv", "sensor,frame", "frame,sensor", "first line must be"),
-        ("frames.csv", "s0,0,", "s0,x,", "line 2: something is not a number"),
+        ("frames.csv", "s0,0,", "s0,x,", "line 2 holds something that is not a number"),
         ("frames.csv", "s0,0,0.000000", "s0,0,nan", "the time is not a number"),
         ("frames.csv", "s0,1,", "s0,0,", "is there twice"),
         ("frames.csv", "s0,0,", "s9,0,", "'s9' is not in session.json"),
-        ("skeleton.csv", "s0,0,0,head", "s0,99,0,head", "'frame 99 of s0' is not in"),
+        ("skeleton.csv", "s0,0,0,head", "s0,99,0,head", "the frame 99 is not in"),
         ("skeleton.csv", "s0,0,0,head", "s0,0,0,tail", "'tail' is not in"),
         ("skeleton.csv", "s0,0,0,head,", "s0,0,0,head,9,", "line 2 has 9 cells"),
         ("skeleton.csv", "s0,0,0,neck,", "s0,0,0,head,500,0,0,2\ns0,0,0,neck,", "cannot be metres"),
@@ -294,8 +297,6 @@ def test_kinect_csv(tmp_path, name):
     assert a.joint_names == ("Head", "Neck")
     assert a.positions[5, 0, 1] == pytest.approx([0.05] * 3) and b.positions[5, 0, 1] == pytest.approx([1.05] * 3)
     assert np.isnan(a.positions[3, 0]).all()
-    own = read_kinect_csv(tmp_path / name, clock="sensor")
-    assert not own.common_clock and own.streams[1].times[1] == pytest.approx(0.033)
 
 
 def test_each_kinects_skeletons_are_put_back_before_it(tmp_path):
@@ -381,8 +382,8 @@ def test_zero_joints_of_ntu_are_missing(tmp_path):
         (lambda ln: ["99999999", *ln[1:]], "number of frames"),
         (lambda ln: ln[:20], "cut off"),
         (lambda ln: ln[:3] + ["24"] + ln[4:], "24 joints"),
-        (lambda ln: ln[:4] + ["1 2 3"] + ln[5:], "line 5 is no joint"),
-        (lambda ln: ln[:2] + ["1 2"] + ln[3:], "body's line has 10"),
+        (lambda ln: ln[:4] + ["1 2 3"] + ln[5:], "line 5 has 3 values, a joint has 12"),
+        (lambda ln: ln[:2] + ["1 2"] + ln[3:], "a body has 10"),
         (lambda ln: ["3", "0", "0", "0"], "holds no skeleton"),
     ],
 )
@@ -423,14 +424,14 @@ def test_a_cut_off_gzip_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "sentence"), [("a.zip", "unpack it"), ("a.txt", "no known form"), ("absent.csv", "does not exist")]
+    ("name", "sentence"), [("a.zip", "unpacked"), ("a.txt", "no known form"), ("absent.csv", "does not exist")]
 )
 def test_other_files_are_named(tmp_path, name, sentence):
     if name != "absent.csv":
         (tmp_path / name).write_text("x")
     with pytest.raises(InputError, match=sentence):
         read_skeletons(tmp_path / name)
-    with pytest.raises(InputError, match="neither session.json nor"):
+    with pytest.raises(InputError, match="holds no skeletons"):
         read_skeletons(tmp_path)
 
 
@@ -483,9 +484,115 @@ def synchronise(
     return one_person(synced, times, [_column_of(s, person) for s in synced])
 
 
-def _column_of(stream: SyncedStream, person: int | None) -> NDArray[np.int64]:
+def _column_of(stream: SensorStream, person: int | None) -> NDArray[np.int64]:
     """(N,) column of a person at every instant, -1 where it is not seen."""
     if person is None:
         return np.where(stream.person_ids[:, 0] >= 0, 0, -1)
     hit = stream.person_ids == person
     return np.where(hit.any(1), hit.argmax(1), -1)
+
+
+# ---- test skeleton lines -------------------------------------------------------------------------------------------
+# The line protocol for skeletons: what is read, what is refused.
+
+
+JOINTS_LINES = ("head", "neck", "torso")
+
+
+def test_a_line_comes_back_as_it_was(rng):
+    positions = rng.normal(size=(3, 3))
+    positions[1] = np.nan
+    line = SensorReport("left-1", 12.5, 3, JOINTS_LINES, positions, np.array([2, 0, 1], np.uint8), 99.25)
+    back, token = parse_line(format_line(line, "secret").encode())
+    np.testing.assert_allclose(back.positions, positions, atol=1e-5)
+    assert back.state.tolist() == [2, 0, 1] and back.joint_names == JOINTS_LINES
+    assert (back.sensor, back.time, back.person, token, back.arrival) == ("left-1", 12.5, 3, "secret", 99.25)
+    nobody, _ = parse_line(format_line(SensorReport("a", 1.0, None, (), np.zeros((0, 3)), np.zeros(0, np.uint8))))
+    assert nobody.person is None and nobody.joint_names == ()
+
+
+def test_units_and_ways_to_say_missing():
+    text = '{"sensor":"a","time":1,"unit":"mm","joints":{"a":[1,2,3000],"b":[-9999,0,0],"c":[NaN,0,0],"d":[1,1,1,0]}}'
+    line, _ = parse_line(text)
+    assert line.positions[0] == pytest.approx([0.001, 0.002, 3])
+    assert line.state.tolist() == [2, 0, 0, 0] and np.isnan(line.positions[1:]).all()
+
+
+@pytest.mark.parametrize(("unit", "scale"), [("m", 1.0), ("mm", 0.001)])
+def test_whole_lines_and_lines_with_gaps_give_the_same(rng, unit, scale):
+    cells = {n: [*(rng.integers(-99, 99, 3).tolist()), int(rng.integers(1, 3))] for n in JOINTS_LINES}
+    line = {"sensor": "a", "time": 1, "unit": unit, "joints": cells}
+    whole, _ = parse_line(json.dumps(line))
+    gap, _ = parse_line(json.dumps({**line, "joints": {**cells, "other": None}}))
+    assert (whole.positions == gap.positions[:3]).all() and (whole.state == gap.state[:3]).all()
+    assert whole.positions.tolist() == [[x * scale for x in c[:3]] for c in cells.values()]
+    assert whole.state.dtype == np.uint8 and whole.state.tolist() == [c[3] for c in cells.values()]
+
+
+GOOD = '{"sensor":"a","time":1.5,"joints":{"head":[0,1,2]}}'
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "garbage",
+        b"\xff\xfe\x00",
+        "[]",
+        "3",
+        "[" * 10_000,
+        GOOD.replace("1.5", "NaN"),
+        GOOD.replace("1.5", "1e999"),
+        GOOD.replace("1.5", '"now"'),
+        GOOD.replace("1.5", "true"),
+        GOOD.replace("1.5", "9" * 5000),
+        GOOD.replace('"a"', '"' + "a" * 40 + '"'),
+        GOOD.replace('"a"', '"a\\n"'),
+        GOOD.replace('"sensor"', '"Sensor"'),
+        GOOD.replace("[0,1,2]", "[0,1]"),
+        GOOD.replace("[0,1,2]", "[0,1,2,3]"),
+        GOOD.replace("[0,1,2]", "[0,1,true]"),
+        GOOD.replace("[0,1,2]", '[0,1,"2"]'),
+        GOOD.replace("[0,1,2]", "[0,1,2000]"),
+        GOOD.replace("[0,1,2]", "[0,1,1e999]"),
+        GOOD.replace("[0,1,2]", f"[0,1,{10**400}]"),
+        GOOD.replace("[0,1,2]", f"[0,1,{10**400},2]"),
+        GOOD.replace("[0,1,2]", "[0,1,2000,2]"),
+        GOOD.replace("[0,1,2]", "[0,1,2,true]"),
+        GOOD.replace("[0,1,2]", "[0,1,2,1.5]"),
+        GOOD.replace("[0,1,2]", "{}"),
+        GOOD.replace('{"head":[0,1,2]}', "{}"),
+        GOOD.replace('{"head":[0,1,2]}', "7"),
+        GOOD.replace('"head"', '"\\u0000"'),
+        GOOD.replace("}}", '},"person":-1}'),
+        GOOD.replace("}}", '},"person":1.5}'),
+        GOOD.replace("}}", '},"unit":"inch"}'),
+        GOOD.replace("}}", '},"token":7}'),
+        GOOD + " " * MAX_SKELETON_LINE,
+        json.dumps({"sensor": "a", "time": 1, "joints": {f"j{i}": None for i in range(65)}}),
+    ],
+)
+def test_bad_lines_are_refused_in_a_short_sentence(text):
+    assert parse_line(GOOD)[0].state.tolist() == [2]
+    with pytest.raises(InputError) as refused:
+        parse_line(text)
+    assert len(str(refused.value)) < 250 and "\n" not in str(refused.value)
+
+
+def test_a_file_of_lines(tmp_path, rng):
+    lines = []
+    for n in range(10):
+        for k in "ab":
+            names = JOINTS_LINES if k == "a" or n % 2 == 0 else JOINTS_LINES[::-1]
+            p = np.stack([np.full(3, float(len(x))) for x in names])
+            lines.append(format_line(SensorReport(k, n / 30, 0, names, p, np.full(3, 2, np.uint8))))
+    (tmp_path / "s.jsonl.gz").write_bytes(gzip.compress("\n".join(lines).encode()))
+    made = read_skeletons(tmp_path / "s.jsonl.gz")
+    assert [s.name for s in made.streams] == ["a", "b"]
+    np.testing.assert_array_equal(made.streams[0].positions, made.streams[1].positions)
+    (tmp_path / "t.jsonl").write_text("\n".join([*lines[:3], "oops"]))
+    with pytest.raises(InputError, match="line 4: the line is no JSON"):
+        read_lines(tmp_path / "t.jsonl")
+    (tmp_path / "t.jsonl").write_text("\n".join([*lines[:3], lines[0].replace("head", "tail")]))
+    with pytest.raises(InputError, match="line 4: the sensor a reports"):
+        read_lines(tmp_path / "t.jsonl")

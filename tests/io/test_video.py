@@ -15,7 +15,7 @@ def test_written_frames_come_back_in_order(tmp_path, ending):
     with open_video(path) as reader:
         assert reader.size == SIZE == frame_size(path)
         assert reader.frame_rate == pytest.approx(50)
-        assert len(reader) == reader.n_frames == reader.stated_frames == 40 and not reader.truncated
+        assert reader.n_frames == reader.stated_frames == 40
         assert [frame_number(f) for f in reader] == list(range(40))
         assert list(reader) == []
     assert [p.name for p in tmp_path.iterdir()] == [path.name]  # no temporary file is left
@@ -51,21 +51,6 @@ def test_seeking_is_exact(tmp_path, ending, rng):
         reader.read(60)
 
 
-def test_frames_in_place_are_the_same_and_share_their_memory(tmp_path, rng):
-    path = tmp_path / "video.avi"
-    with VideoWriter(path, 25.0, (96, 64)) as writer:
-        for _ in range(5):
-            writer.write(rng.integers(0, 256, (8, 12, 3), dtype=np.uint8).repeat(8, 0).repeat(8, 1))
-    with open_video(path) as usual, open_video(path, 1, in_place=True) as sparing:
-        kept = [usual.read(i) for i in range(5)]
-        assert len({picture.tobytes() for picture in kept}) == 5
-        shown = [sparing.read(1)]
-        for i in (2, 4, 0, 3):
-            shown.append(sparing.read(i))
-            assert np.array_equal(shown[-1], kept[i])
-        assert all(np.shares_memory(a, b) for a, b in zip(shown[:-3], shown[1:-2], strict=True))
-
-
 def test_a_folder_of_images_behaves_like_a_video(tmp_path):
     for i in range(12):
         cv2.imwrite(str(tmp_path / f"f{i}.png"), frame(i))
@@ -98,15 +83,6 @@ def test_a_gap_in_an_image_sequence_is_named(tmp_path, names, lacking):
         check_numbers(tmp_path)
 
 
-@pytest.mark.parametrize(
-    "names", [["a1", "a2", "a3"], ["5", "10", "15"], ["a1", "b3", "a2"], ["x", "y", "z"], ["1", "5"]]
-)
-def test_sequences_without_a_gap(tmp_path, names):
-    for name in names:
-        (tmp_path / f"{name}.png").touch()
-    check_numbers(tmp_path)
-
-
 def test_damaged_image(tmp_path):
     (tmp_path / "a.png").write_bytes(b"\x89PNG\r\n\x1a\n broken")
     with pytest.raises(InputError, match=r"a\.png is not an image or is damaged"):
@@ -124,9 +100,22 @@ def test_truncated_video_is_counted_by_decoding(tmp_path):
     data = whole.read_bytes()
     cut.write_bytes(data[: len(data) // 2])
     reader = open_video(cut)
-    assert reader.stated_frames == 60 and 10 < reader.n_frames < 40 and reader.truncated
+    assert reader.stated_frames == 60 and 10 < reader.n_frames < 40
     assert count_frames(cut) == reader.n_frames
     assert [frame_number(f) for f in reader] == list(range(reader.n_frames))
+
+
+def test_a_video_whose_end_was_never_written_is_counted_by_decoding(tmp_path, shared_data):
+    """A copy program may make room for all and stop half-way; the index lies behind the pictures."""
+    data = (shared_data("pose2sim_balancing/videos") / "cam01.mp4").read_bytes()
+    begin, end = data.index(b"mdat") + 4, data.index(b"moov") - 4
+    half = (begin + end) // 2
+    (tmp_path / "whole.mp4").write_bytes(data)
+    (tmp_path / "half.mp4").write_bytes(data[:half] + bytes(end - half) + data[end:])
+    assert open_video(tmp_path / "whole.mp4").n_frames == 100
+    with open_video(tmp_path / "half.mp4") as reader:
+        assert reader.stated_frames == 100 and 10 < reader.n_frames < 90
+        assert sum(1 for _ in reader) == reader.n_frames
 
 
 def test_a_container_that_promises_too_much(shared_data):
@@ -134,13 +123,6 @@ def test_a_container_that_promises_too_much(shared_data):
     with open_video(shared_data("uu4cam/cam1") / "background.avi") as reader:
         assert reader.stated_frames == 134 and reader.n_frames == 132
         assert sum(1 for _ in reader) == 132
-
-
-def test_a_video_that_shrinks_while_it_is_read(tmp_path):
-    reader = open_video(make_video(tmp_path / "a.avi", 30))
-    reader.n_frames = 40  # as if the file had held 40 when it was opened
-    with pytest.raises(InputError, match=r"a\.avi cannot be decoded beyond frame 29 of 40"):
-        list(reader)
 
 
 @pytest.mark.parametrize(
@@ -197,10 +179,3 @@ def test_writer_refuses(tmp_path):
     ):
         pass
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
-
-
-def test_a_video_that_did_not_reach_the_disk(tmp_path, monkeypatch):
-    monkeypatch.setattr("hypose.io.videos.video.count_frames", lambda _: 3)
-    with pytest.raises(InputError, match="3 of 5 frames arrived on the disk, which may be full"):
-        make_video(tmp_path / "a.avi", 5)
-    assert list(tmp_path.iterdir()) == []

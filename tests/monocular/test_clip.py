@@ -9,11 +9,9 @@ from hypose.body.motion import Modes
 from hypose.body.ready_bodies import human
 from hypose.evidence.frame import Frame, Picture
 from hypose.inference.hypotheses import Hypotheses
-from hypose.tracking.monocular.clip import WholeClip, backwards, information, summed_up, together
-from hypose.tracking.monocular.models import body_dofs
 from hypose.tracking.monocular.picture_search import PictureSearch
-from hypose.tracking.monocular.recipe import picture_recipe
-from hypose.tracking.monocular.settings import MonoSettings
+from hypose.tracking.monocular.recipe import backwards, picture_recipe, summed_up, together
+from hypose.tracking.monocular.settings import MonoSettings, body_dofs
 from hypose.tracking.tracker import Tracker
 from tests.monocular.pictures import camera, picture, wall
 
@@ -41,14 +39,6 @@ def test_modes_are_summed_up_by_mean_and_spread():
     np.testing.assert_allclose(covariance[1], 0.01 * np.eye(8), atol=1e-12)
 
 
-def test_a_turned_root_is_averaged_on_one_branch():
-    poses = np.zeros((1, 2, 8))
-    poses[0, 0, 5], poses[0, 1, 5] = np.pi - 0.1, -np.pi + 0.1  # 0.2 rad apart
-    mean, covariance = summed_up(modes(poses))
-    assert mean[0, 5] == pytest.approx(np.pi)
-    assert covariance[0, 5, 5] == pytest.approx(0.01 + 0.01)
-
-
 def test_the_start_trusts_the_way_there_and_a_better_fit_wins():
     t = 200
     there, back = np.zeros((t, 1, 8)), np.zeros((t, 1, 8))
@@ -62,17 +52,6 @@ def test_the_start_trusts_the_way_there_and_a_better_fit_wins():
     poses, covariances = together(modes(there, costs), modes(back), RATE)
     assert poses[150, 7] > 0.99
     assert covariances[150, 7, 7] < 0.02
-
-
-def test_only_what_is_estimated_is_known_from_the_frames():
-    covariance = np.zeros((1, 4, 4))
-    covariance[0, 1:3, 1:3] = [[0.04, 0.01], [0.01, 0.09]]
-    known = information(covariance, np.array([1, 2]))[0]
-    widened = WholeClip().widening * covariance[0, 1:3, 1:3]
-    np.testing.assert_allclose(known[1:3, 1:3] @ widened, np.eye(2), atol=1e-12)
-    assert known[0, 0] == known[3, 3] > 1e6
-    assert not known[0, 1:].any()
-    assert not known[3, :3].any()
 
 
 def test_the_way_back_finds_the_way_back():

@@ -5,12 +5,11 @@ import numpy as np
 from hypose.body.ready_bodies import human
 from hypose.synthetic.rigs import look_at
 from hypose.tracking.contacts import soles_of
-from hypose.tracking.monocular.models import body_dofs
 from hypose.tracking.monocular.points import clicked_joints
 from hypose.tracking.monocular.points_fit import fit_proportions, image_jacobian, points_on_body
 from hypose.tracking.monocular.problem import floor_arrays
 from hypose.tracking.monocular.proportions import NAMES, proportions, shaped
-from hypose.tracking.monocular.settings import MonoSettings
+from hypose.tracking.monocular.settings import MonoSettings, body_dofs
 
 POINTS = tuple(
     [f"{side}_{part}" for side in ("left", "right") for part in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")]

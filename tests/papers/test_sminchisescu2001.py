@@ -12,15 +12,13 @@ from hypose.body.ready_bodies import human
 from hypose.compute.monocular import cpu_mono_cues, cpu_mono_rows, cpu_mono_search, mono
 from hypose.compute.monocular.mono_terms import GAUSSIAN, LECLERC, LORENTZIAN, FlowArrays
 from hypose.compute.solver import cpu_solver
-from hypose.evidence.edges import edge_field
-from hypose.evidence.flow import optical_flow
+from hypose.evidence.edges_flow import edge_field, optical_flow
 from hypose.evidence.frame import Picture
 from hypose.inference.layer import Layer, Recipe, search
 from hypose.inference.selectors import keep
-from hypose.tracking.monocular.models import body_dofs
 from hypose.tracking.monocular.pool import OPTIMISED, accumulated, candidates, prune, uncertain_samples
 from hypose.tracking.monocular.problem import field_of, fixed_parts, frame_problem, with_prediction
-from hypose.tracking.monocular.settings import MonoSettings
+from hypose.tracking.monocular.settings import MonoSettings, body_dofs
 from tests.monocular.pictures import SIZE, camera, picture, wall
 from tests.monocular.test_cost import flow_cost, flow_problem
 from tests.papers.test_body_equations import transforms

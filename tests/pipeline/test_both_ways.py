@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from hypose.pipeline.both_ways import both_ways_notes, look_both_ways
-from hypose.tracking.tracker import TrackerSettings
 from tests.walking_clip import walking_clip
 
 N, LOST = 30, range(12, 18)
@@ -67,23 +66,3 @@ def test_arms_that_do_not_jump_are_left_alone(clip):
     found, moved = look_both_ways(tracker, still, reader(frames, read))
     assert moved == 0 and not read and all(a is b for a, b in zip(found, still, strict=True))
     assert both_ways_notes(0) == ()
-
-
-def test_frames_without_the_person_and_key_points_alone_are_not_looked_at(clip):
-    frames, tracker, estimates, _ = clip
-    unseen = [replace(e, lost=True) for e in with_a_lost_arm(tracker, estimates)]
-    read = []
-    assert look_both_ways(tracker, unseen, reader(frames, read)) == (unseen, 0) and not read
-    alone = replace(tracker, settings=TrackerSettings(evidence="keypoints"))
-    lost = with_a_lost_arm(tracker, estimates)
-    assert look_both_ways(alone, lost, reader(frames, read)) == (lost, 0) and not read
-    both = replace(tracker, settings=TrackerSettings(evidence="both"))
-    assert look_both_ways(both, lost, reader(frames, read))[1] >= len(LOST)
-
-
-def test_frames_without_masks_say_nothing(clip):
-    frames, tracker, estimates, _ = clip
-    lost = with_a_lost_arm(tracker, estimates)
-    blind = [replace(f, silhouettes=replace(f.silhouettes, usable=np.zeros(4, np.bool_))) for f in frames]
-    found, moved = look_both_ways(tracker, lost, reader(blind, []))
-    assert moved == 0 and all(a is b for a, b in zip(found, lost, strict=True))

@@ -10,7 +10,7 @@ from hypose.errors import InputError
 from hypose.evidence.body_parts import UNNAMED
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import load_recording
-from hypose.pipeline.colour_detections import ColourDetections, centre_of, tracked_frames
+from hypose.pipeline.one_camera import ColourDetections, centre_of, tracked_frames
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.synthetic.rigs import rig
 from hypose.synthetic.scenes import make_scene

@@ -43,9 +43,3 @@ def test_masks_that_show_more_than_the_body_are_told_whatever_the_number_of_view
 def test_views_apart_and_masks_that_show_more_are_together_not_to_be_trusted():
     wrong, look = said(audit(1.1 * LOOK_APART_M, 1.5 * 4 * LOOK_MORE_M2))
     assert not look and "contradict" in wrong[0] and "chair" in wrong[1]
-
-
-def test_one_frame_says_nothing_of_the_clip():
-    some = audit()
-    some[3:8] = audit(apart=0.1, bare=1.0)[3:8]
-    assert said(some) == ((), ())

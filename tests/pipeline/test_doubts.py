@@ -10,7 +10,6 @@ from hypose.body.motion import Motion, isotropic
 from hypose.body.ready_bodies import human
 from hypose.evidence.frame import Expected, Keypoints
 from hypose.pipeline.doubts import find_doubts, what_was_seen, with_repeated_points
-from hypose.pipeline.strangers import strangers_share
 from hypose.tracking.pose_covariance import PoseUncertainty
 from hypose.tracking.tracker import FrameEstimate
 
@@ -56,21 +55,6 @@ def test_pictures_that_come_twice_in_all_cameras(clean):
     assert frames[0] == 41 and 89 < frames[-1] <= 100 and len(frames) == frames[-1] - 40
 
 
-def test_a_gap_in_the_recording(clean):
-    overlap, change = clean
-    change[70] = (0.6, 0.5, 0.2, 0.7)  # along the third camera's line of sight hardly anything moves
-    found = find(overlap, change)
-    assert list(found) == ["time jumps"]
-    assert np.flatnonzero(found["time jumps"]).tolist() == list(range(70, 81))
-
-
-def test_who_turns_from_the_line_of_sight_does_not_jump(clean):
-    overlap, change = clean
-    change[1:100] = 0.08
-    change[100:] = 0.08 + 0.01 * np.arange(50)[:, None]
-    assert find(overlap, change) == {}
-
-
 def test_a_camera_that_lags_is_named(clean):
     overlap, change = clean
     for t in range(40, 90):
@@ -87,12 +71,6 @@ def test_a_view_that_does_not_fit_any_more(clean):
     assert list(found) == ["b disagrees with the other views"]
     frames = found["b disagrees with the other views"]
     assert frames[65:95].all() and not frames[:50].any() and not frames[110:].any()
-
-
-def test_all_views_worse_is_no_quarrel_among_them(clean):
-    overlap, change = clean
-    overlap[60:100] -= 0.25
-    assert find(overlap, change) == {}
 
 
 def test_somebody_else_is_told_when_two_views_see_them_for_a_while(clean):
@@ -134,26 +112,6 @@ def test_views_and_frames_without_a_mask(clean):
     assert find(np.full((T, C), np.nan), np.full((T, C), np.nan)) == {}
     few = np.zeros((3, C))
     assert find_doubts(few + 1, few, few, np.ones(3, bool), RATE, NAMES) == []
-
-
-def test_parts_that_the_body_does_not_touch():
-    scene = small_scene(1, 2)
-    first, second = (f.silhouettes for f in scene.mask_frames())
-    skeleton, joints = human().skeleton, scene.joints[1]
-    assert (strangers_share(second, first, skeleton, joints) == 0).all()
-
-    def with_corner(silhouettes):
-        masks, usable = silhouettes.masks.copy(), silhouettes.usable.copy()
-        assert not masks[0, :40, :20].any()
-        masks[0, :40, :20] = 1
-        usable[3] = False
-        return replace(silhouettes, masks=masks, usable=usable)
-
-    share = strangers_share(with_corner(second), with_corner(first), skeleton, joints)
-    assert share[0] == pytest.approx(800 / (first.masks[0] & second.masks[0]).sum(), rel=0.02)
-    assert share[1] == share[2] == 0 and np.isnan(share[3])
-    assert strangers_share(with_corner(second), first, skeleton, joints)[0] == 0  # it was not there before
-    assert np.isnan(strangers_share(second, first, skeleton, joints + (30.0, 0.0, 0.0))).all()
 
 
 def test_a_view_in_which_others_hide_the_person_is_not_compared_with_the_rest():

@@ -71,12 +71,6 @@ def test_the_true_pose_costs_least_and_a_solve_on_the_rows_finds_it(walked):
     assert rows.energy(body, away[None], Frame(9.0, 900)) == pytest.approx(0)
 
 
-def test_as_many_skeletons_as_frames(walked):
-    _, _, skeletons = walked
-    with pytest.raises(InputError, match="one per frame"):
-        fuse_mixture(FrameList([Frame(0.0, 0)], 25.0), 25.0, skeletons, TrackOptions())
-
-
 def test_a_sensor_that_saw_something_else_is_no_evidence(walked, rng):
     """One that tells the truth, one that filmed at another time, and one that saw nobody."""
     _, motion, skeletons = walked
@@ -118,14 +112,6 @@ def test_larger_sets_of_joints_are_taken_and_changing_sensors_are_named(walked, 
     assert len(asked) == 2 and asked[1][0].points.shape == (FRAMES, 15, 3)
     with pytest.raises(InputError, match="the same sensors"):
         fuse_mixture(source, 25.0, [*skeletons[:-1], replace(skeletons[-1], sensor_names=("b",))], TrackOptions())
-
-
-def test_an_interrupted_motion_of_the_cameras_is_what_there_is(walked, monkeypatch):
-    _, motion, skeletons = walked
-    part = TrackResult(motion, human(), False, ())
-    monkeypatch.setattr("hypose.pipeline.fuse_mixture.track_source", lambda *_, **__: part)
-    source = FrameList([Frame(k / 25, k) for k in range(FRAMES)], 25.0)
-    assert fuse_mixture(source, 25.0, skeletons, TrackOptions()) is part
 
 
 @pytest.mark.slow

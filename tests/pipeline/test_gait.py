@@ -1,20 +1,16 @@
 """Gait of a walk whose steps are known, its files, and what nobody walks in."""
 
-from dataclasses import replace
-
 import ezc3d
 import numpy as np
 import pytest
 
 from hypose.app.cli import main
-from hypose.app.reports.gait_plot import gait_section
+from hypose.app.reports.report import gait_section
 from hypose.body.motion import Motion, isotropic
 from hypose.body.ready_bodies import human
 from hypose.errors import InputError
-from hypose.io.motions.bodies import save_body
-from hypose.io.motions.results import save_motion
-from hypose.pipeline.gait_cycles import angle_cycles, strides
-from hypose.pipeline.gait_events import gait_of
+from hypose.io.motions.results import save_body, save_motion
+from hypose.pipeline.gait import angle_cycles, gait_of, strides
 
 RATE, SPEED, CADENCE = 60.0, 1.2, 1.8  # Hz, m/s, steps/s
 
@@ -69,32 +65,6 @@ def test_strike_is_where_the_heel_is_farthest_in_front():
             assert abs(int(np.argmax(around)) - min(12, k)) <= 1
 
 
-def test_frames_that_are_not_known_give_no_events():
-    motion, body = walking()
-    whole = gait_of(motion, body)
-    third = [e for e in whole.events if e.kind == "strike"][2]
-    motion.lost[round(third.time * RATE)] = True
-    left = gait_of(motion, body)
-    assert not any(e.kind == "strike" and abs(e.time - third.time) < 0.1 for e in left.events)
-    assert len(left.events) < len(whole.events)
-
-
-def test_uncertain_feet_give_wide_intervals():
-    sure, unsure = (gait_of(*walking(sd=sd)) for sd in (0.004, 0.04))
-    assert unsure.steps[0].length_sd > 2 * sure.steps[0].length_sd
-    assert unsure.events[0].sd > 3 * sure.events[0].sd
-
-
-def test_what_a_definition_adds_is_no_uncertainty_of_times():
-    """A joint that lies elsewhere all along moves no event, and both heels alike."""
-    motion, body = walking(sd=0.01)
-    known = replace(motion, systematic_covariance=0.64 * motion.joint_covariance)
-    wide, narrow = gait_of(motion, body), gait_of(known, body)
-    assert [e.time for e in wide.events] == [e.time for e in narrow.events]
-    ratio = np.median([n.sd / w.sd for n, w in zip(narrow.events, wide.events, strict=True)])
-    assert ratio == pytest.approx(0.6, abs=0.03)  # 10 mm less 8 mm in squares is 6 mm
-
-
 def test_an_event_at_the_ends_of_a_clip_is_found():
     """The foot's way before it is seen in part only."""
     motion, body = walking()
@@ -129,15 +99,6 @@ def test_cycles_lay_strides_over_each_other():
     opposite = cycles["hip_flexion_l"].mean - hip.mean  # each from its own foot's strike
     assert np.degrees(np.abs(opposite).max()) < 3.0
     assert "pelvis_rotation" not in cycles and "pelvis_tx" not in cycles
-
-
-def test_a_stride_with_an_unknown_frame_is_left_out():
-    motion, body = walking(seconds=6.0)
-    events = gait_of(motion, body).events
-    whole = strides(events, motion, "left")
-    middle = round(sum(whole[1]) / 2 * RATE)
-    motion.extrapolated[middle] = True
-    assert strides(events, motion, "left") == [whole[0], *whole[2:]]
 
 
 def test_nobody_walks():

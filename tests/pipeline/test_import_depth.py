@@ -9,14 +9,12 @@ from hypose.calibration.depth_registration import Rough
 from hypose.cameras.camera import CameraRig
 from hypose.errors import CalibrationError, EvidenceError, InputError
 from hypose.geometry import se3_inverse
-from hypose.io.calibrations.calibration_toml import write_calibration
+from hypose.io.calibrations.calibration_text import write_calibration
 from hypose.io.recordings.frames import FrameStream, working_rig
 from hypose.io.recordings.recording import load_recording
-from hypose.io.sensors.depth import read_depth_png, write_depth_png
-from hypose.io.sensors.depth_files import DepthFile, DepthFrame
+from hypose.io.sensors.depth import DepthFile, DepthFrame, read_depth_png, write_depth_png
 from hypose.pipeline import import_depth as module
-from hypose.pipeline.import_depth import FolderUnits, import_depth
-from hypose.pipeline.register_depth import RegisteredSensors, register_depth
+from hypose.pipeline.import_depth import RegisteredSensors, import_depth
 from hypose.synthetic.rigs import look_at
 from tests.depth_pictures import seen_in_room
 
@@ -53,7 +51,7 @@ def test_values_of_another_unit_are_noticed_and_can_be_said(tmp_path):
     source = folder(tmp_path / "fifths", own, [seen_in_room(own)] * 2, steps=0.2)
     with pytest.raises(InputError, match=r"fifths: the camera would hang 6.50 m .* --millimetres"):
         import_depth([source], tmp_path / "rec")
-    path, _ = import_depth([source], tmp_path / "rec", units=FolderUnits(12.5, 0.2))
+    path, _ = import_depth([source], tmp_path / "rec", frame_rate=12.5, millimetres=0.2)
     made = load_recording(path)
     assert made.frame_rate == 12.5 and made.rig[0].position[2] == pytest.approx(1.3, abs=0.01)
 
@@ -191,52 +189,3 @@ def test_a_recording_that_is_given_twice_is_named(tmp_path):
     for sources, empty in (([source, again], []), (["a", "b"], [source, again])):
         with pytest.raises(InputError, match="maps is given twice"):
             import_depth(sources, tmp_path / "rec", empty=empty)
-
-
-def test_several_people_are_named_as_the_reason_when_cameras_cannot_be_brought_together(tmp_path, monkeypatch):
-    sources, empty = two_cameras(monkeypatch)
-
-    def fails(*_, **__):
-        raise CalibrationError("do not fit")
-
-    monkeypatch.setattr(module, "register_depth", fails)
-    monkeypatch.setattr(
-        module, "count_people", lambda frame_at, total: 2 if frame_at(0).depth.rig.names[0] == "b" else 1
-    )
-    with pytest.raises(
-        CalibrationError, match=r"^Several people stand before b, .* one move .* first 13 s.*do not fit"
-    ):
-        import_depth(sources, tmp_path / "rec", empty=empty)
-
-
-def test_names_of_cameras_differ():
-    taken = ["a", "a_3"]
-    assert module._free("a", taken) not in taken and module._free("b", taken) == "b"
-
-
-def test_the_sensor_that_cannot_be_tracked_is_named(tmp_path, monkeypatch):
-    """A board is nobody."""
-    sources, empty = two_cameras(monkeypatch)
-    with pytest.raises((EvidenceError, CalibrationError), match="^a: "):
-        import_depth(sources, tmp_path / "rec", empty=empty)
-
-
-def test_an_interruption_while_a_sensor_is_tracked_ends_it(monkeypatch):
-    class Part:
-        complete, motion = False, None
-
-    monkeypatch.setattr("hypose.pipeline.register_depth.track_source", lambda *_, **__: Part())
-    clips = [[f] for f in _frames_of_two()]
-    with pytest.raises(KeyboardInterrupt):
-        register_depth(clips, 25.0)
-
-
-def _frames_of_two():
-    from hypose.body.ready_bodies import human
-    from hypose.tracking.starts import known_pose
-    from tests.depth_pictures import frame_of, sensors
-
-    body = human()
-    pose = known_pose(body, "standing")
-    pose[:3] = 0, 0, 0.95
-    return [frame_of(body, pose, CameraRig((own,))) for own in sensors(2)]

@@ -5,13 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.evidence.frame import Keypoints
 from hypose.pipeline.doubts import what_was_seen
 from hypose.pipeline.first_frame import Subject
-from hypose.pipeline.mend_sides import as_named, look_back, look_back_notes, mend_sides, read_once, sides_notes
+from hypose.pipeline.mend_sides import mend_sides, read_once, sides_notes
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.tracking.exchanged_sides import turned_around
-from hypose.tracking.starts import known_pose
 from tests.walking_clip import walking_clip
 
 N = 45
@@ -98,20 +96,6 @@ def test_a_start_that_a_person_has_corrected_is_not_turned(clip):
     assert same[0] is spoilt[0] and all(r.start > 0 for r in replaced)
 
 
-def test_a_promise_that_does_not_hold_changes_nothing(clip):
-    _, frames, tracker, good = clip
-    suspicious = [replace(e, exchanged=0.05 if t in (3, 4, 30) else float("nan")) for t, e in enumerate(good)]
-    read = []
-    same, replaced = mend_sides(tracker, suspicious, reader(frames, read))
-    assert replaced == [] and all(a is b for a, b in zip(same, suspicious, strict=True))
-    alone = [r for r in read if len(r) == 1]
-    assert len(alone) <= 3  # looks that lie in what was compared are not tried again
-
-
-def test_no_note_without_a_turned_stretch():
-    assert sides_notes([]) == ()
-
-
 def test_a_recording_tracked_from_a_turned_start_comes_out_the_right_way_round(clip):
     scene, frames, tracker, good = clip
 
@@ -132,41 +116,6 @@ def test_a_recording_tracked_from_a_turned_start_comes_out_the_right_way_round(c
     assert any("exchanged in frames 0-" in note for note in result.notes)
 
 
-def test_what_the_start_got_wrong_is_tracked_again_from_what_came_after_it(clip):
-    scene, frames, tracker, good = clip
-    s, lost = tracker.body.skeleton, good[0].pose.copy()
-    for arm in ("left_shoulder", "right_shoulder", "left_elbow", "right_elbow"):
-        lost[s.dofs_of(arm)] = known_pose(tracker.body, "hands-up")[s.dofs_of(arm)]
-    cost = good[0].cost + 0.1
-    spoilt = [*(replace(e, pose=lost, cost=cost) for e in good[:6]), *good[6:]]
-    mended, replaced = look_back(tracker, spoilt, reader(frames))
-    # of the good frames behind them some may differ by more than counts as the same, and be as good
-    assert replaced.start == 0 and 6 <= replaced.stop <= 25
-    assert look_back_notes(replaced)[0].endswith("tracked again backwards")
-    joints, before = (tracker.body.joints(np.stack([e.pose for e in es])) for es in (mended, good))
-    assert np.linalg.norm(joints[:6] - before[:6], axis=-1).mean() < 0.02
-    error, usual = (np.linalg.norm(j - scene.joints[:N], axis=-1).mean() for j in (joints, before))
-    assert error < 1.1 * usual
-    assert all(a is b for a, b in zip(mended[25:], good[25:], strict=True))
-
-    near = [good[0], *spoilt[:6], *good[7:]]  # that the very first frame is much the same spoils nothing
-    mended, replaced = look_back(tracker, near, reader(frames))
-    assert replaced.start == 0 and 7 <= replaced.stop <= 25
-    assert all(
-        tracker.body.joints(m.pose) == pytest.approx(tracker.body.joints(g.pose), abs=0.1)
-        for m, g in zip(mended[:7], good[:7], strict=True)
-    )
-
-
-def test_a_start_that_was_right_stays(clip):
-    _, frames, tracker, good = clip
-    same, replaced = look_back(tracker, good, reader(frames))
-    assert not replaced and look_back_notes(replaced) == ()
-    assert all(a is b for a, b in zip(same, good, strict=True))
-    alone = replace(tracker, recipe=replace(tracker.recipe, recover=None))
-    assert look_back(alone, good, reader(frames))[0] == good
-
-
 def test_frames_of_the_last_block_are_read_once(clip):
     frames, read = clip[1], []
 
@@ -179,19 +128,3 @@ def test_frames_of_the_last_block_are_read_once(clip):
         found = list(once(range(first, stop)))
         assert len(found) == stop - first and all(a is b for a, b in zip(found, frames[first:stop], strict=True))
     assert read == [range(15, 40), range(10, 15), range(0, 5), range(12, 20)]
-
-
-def test_names_tell_the_sides_where_what_the_clip_took_them_for_is_refuted(clip):
-    _, frames, _, _ = clip
-    rig = frames[0].silhouettes.rig
-    points = Keypoints(np.ones((len(rig), 2, 3)), ("left_knee", "right_knee"), rig, np.tile([1, 0], (len(rig), 1)))
-    told = [replace(f, keypoints=points) for f in frames[:4]]
-    found = list(as_named(reader([*told, frames[4]]), [range(1, 3)])(range(5)))
-    assert [f.keypoints is not None and f.keypoints.really is not None for f in found] == [
-        True,
-        False,
-        False,
-        True,
-        False,
-    ]
-    assert found[1].silhouettes is told[1].silhouettes and (found[1].keypoints.points == points.points).all()

@@ -69,27 +69,6 @@ def test_who_moves_faster_than_anybody_from_where_somebody_is_found_was_drawn_aw
     assert drawn_away(found_at(0.4), [walks], RATE) is None  # 1.2 m/s: came past there
 
 
-def test_both_go_on_as_who_they_are(anna, bert, monkeypatch):
-    again = known_pose(human(), "standing")
-    monkeypatch.setattr(newcomers, "returned", lambda *_: (bert, again + 1.0))
-    monkeypatch.setattr(newcomers, "found_again", lambda *_: (None, again))
-    was = [e.pose[0] for e in anna.estimates]
-    frame = next(iter(make_scene("walk", seconds=0.1).mask_frames(0.2)))
-    back = back_again(found_at(0.05), frame, [anna, bert], RATE)
-    assert back is not None and back[0] is anna and back[1] is again
-    assert [e.pose[0] for e in bert.estimates[SINCE:]] == was[SINCE:] and all(bert.present[SINCE:])
-    assert bert.member.present and bert.member.state.pose[0] == pytest.approx(1.2)
-    assert not any(anna.present[SINCE:]) and all(anna.present[:SINCE])
-    assert "taken for bert from frame 34 to 39" in anna.said[0]
-
-
-def test_who_comes_back_where_nobody_was_is_just_back(anna, bert, monkeypatch):
-    monkeypatch.setattr(newcomers, "returned", lambda *_: (bert, np.ones(3)))
-    frame = next(iter(make_scene("walk", seconds=0.1).mask_frames(0.2)))
-    back = back_again(found_at(-2.0), frame, [anna, bert], RATE)
-    assert back is not None and back[0] is bert and not anna.said
-
-
 def test_who_was_drawn_to_somebody_new_goes_on_where_they_had_stood(anna, monkeypatch):
     again = known_pose(human(), "standing")
     monkeypatch.setattr(newcomers, "returned", lambda *_: None)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hypose.calibration.doctor_findings import Finding
+from hypose.calibration.findings import Finding
 from hypose.pipeline import one_of_several
 from hypose.pipeline.one_of_several import track_one_of
 from hypose.pipeline.run import TrackOptions, TrackResult
@@ -35,12 +35,6 @@ def test_who_is_found_in_place_of_the_one_at_a_place_is_not_to_be_trusted(monkey
     assert "nobody was found who is Anna at [1, 2.5] m, 0.5 s from the first frame" in out.faults[1]
 
 
-@pytest.mark.parametrize(("name", "wanted"), [("Anna", [ANNA]), ("person-1", [BERT]), ("person-1", [])])
-def test_who_is_wanted_and_who_is_wanted_at_no_place_is_as_good_as_tracked(monkeypatch, name, wanted):
-    out = found(name, monkeypatch, wanted)
-    assert out.faults == ("a fault",) and "another person is in the masks" in out.beside[0]
-
-
 @pytest.mark.parametrize(
     ("kind", "fault", "told"), [("mirrored", True, False), ("floor", True, True), ("blank", False, True)]
 )
@@ -58,10 +52,3 @@ def test_who_is_wanted_and_comes_later_takes_the_place_of_one_who_is_not():
     assert makes_room(2, "Anna", people, [ANNA, BERT])
     assert [p.asked_for for p in people] == [True, False]
     assert not makes_room(2, "Anna", people, [ANNA, BERT])  # all are wanted
-
-
-def test_who_is_not_wanted_has_room_only_while_there_are_few():
-    people = followed("Bert", "person-1")
-    assert makes_room(None, None, people, [ANNA]) and makes_room(3, None, people, [ANNA])
-    assert not makes_room(2, None, people, [ANNA])
-    assert all(p.asked_for for p in people)

@@ -11,19 +11,16 @@ from hypose.errors import InputError
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.person_tracks import PersonTrack
 from hypose.io.motions.results import ResultsFolder
-from hypose.pipeline.doubts import looked_again
-from hypose.pipeline.hull_paths import Path, count_people, lasting
-from hypose.pipeline.people_points import KeypointPeople, padded
+from hypose.pipeline.hull_paths import count_people
+from hypose.pipeline.people_points import KeypointPeople
 from hypose.pipeline.people_run import PeopleRun
-from hypose.pipeline.run import TrackOptions, TrackResult
+from hypose.pipeline.run import TrackOptions
 from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.tracked_people import (
-    OnePerson,
     Wanted,
     free_name,
     names_at_places,
     said_of_places,
-    seen_by_themselves,
     while_present,
 )
 from hypose.synthetic.scenes import make_scene
@@ -75,28 +72,6 @@ def test_two_people_who_pass_each_other_are_tracked_each_by_their_name(rig):
         away = np.linalg.norm(p.result.motion.joints - true, axis=-1)
         assert away.mean() < 0.03 and away.mean(1).max() < 0.06
         assert p.present.all()
-
-
-@pytest.mark.slow
-def test_what_others_do_to_the_masks_is_no_doubt(rig):
-    frames, _ = two_people(rig, 12, away=range(8, 12))
-    run = both(frames)
-    people = run._begin()
-    run._track(people, [])
-    one = people[0]
-    assert one.present == [True] * 12 and np.isfinite(one.estimates[6].seen[:, 1]).all()
-    people[1].present[:] = [t < 6 for t in range(12)]
-    own = seen_by_themselves(one, people, 2)
-    gone = [bool(np.isnan(e.seen[:, 1]).all()) for e in own]
-    assert gone[4:8] == [True] * 4 and not any(gone[1:4]) and not any(gone[8:])
-    assert all(
-        np.array_equal(a.seen[:, [0, 2]], b.seen[:, [0, 2]], equal_nan=True)
-        for a, b in zip(own, one.estimates, strict=True)
-    )
-    seen = [looked_again(one.member.tracker, own[t], own[t], frames[t], frames[t - 1]).seen[:, 1] for t in (2, 5)]
-    assert (
-        np.isfinite(seen[0]).all() and np.isnan(seen[1]).all()
-    )  # what is known of a change stays, whoever looks again
 
 
 @pytest.mark.slow
@@ -157,20 +132,6 @@ def test_who_leaves_and_returns_is_the_same_person(rig):
 
 
 @pytest.mark.slow
-def test_a_place_at_a_later_time_names_who_will_stand_there(rig):
-    frames, _ = two_people(rig, 52)
-
-    def stop(stage, done, total):
-        if stage == "track" and done == 2:
-            raise KeyboardInterrupt
-
-    anna = Wanted("anna", body=human(), place=(0.55, -0.4), time=50 / RATE)  # where bert is nearer to at first
-    found = replace(both(frames, progress=stop), wanted=(anna, Wanted("bert", body=human())))()
-    assert [p.name for p in found.people] == ["anna", "bert"]
-    assert found.people[0].result.motion.joints[0, 0, 0] < 0
-
-
-@pytest.mark.slow
 def test_who_comes_later_is_not_taken_for_somebody_who_stands_elsewhere(rig, tmp_path):
     frames, _ = two_people(rig, 24, away=range(12))
     given = [Wanted("anna", body=human(), place=(-0.45, -0.4)), Wanted("carl", body=human(), place=(9.0, 9.0))]
@@ -192,11 +153,6 @@ def test_who_comes_later_is_not_taken_for_somebody_who_stands_elsewhere(rig, tmp
     rest = replace(both(frames, results=kept, resume=True), wanted=tuple(given))()
     for a, b in zip(found.people, rest.people, strict=True):
         np.testing.assert_array_equal(a.result.motion.poses, b.result.motion.poses)
-
-
-def test_whoever_is_found_in_half_of_the_looks_is_there():
-    one, two, ghost = Path(dict.fromkeys(range(6))), Path(dict.fromkeys((0, 2, 7))), Path(dict.fromkeys((1, 2)))
-    assert lasting([one, two, ghost], range(6)) == [one] and lasting([two, ghost], (0, 1, 2)) == [two, ghost]
 
 
 def test_wanted_people_are_those_who_stand_at_their_places():
@@ -231,20 +187,6 @@ def test_key_points_belong_to_who_stands_where_they_do(rig):
     assert people.at(3, np.array([1.9, 0.0]), [1]) is None  # another person's
     assert (people.of(0, 9).points == 0).all() and (people.of(0, 3).points[..., 2] == 1).all()
     assert people.lasting(20) == [1] and KeypointPeople([], ("a",), two).nothing.points.shape == (2, 1, 3)
-
-
-def test_a_motion_is_padded_with_flags(rig):
-    frames, _ = two_people(rig, 4)
-    motion = replace(both(frames), count=1)().people[0].result.motion
-    out = padded(motion, 2, 8)
-    assert len(out) == 8 and out.lost.tolist() == [True] * 2 + motion.lost.tolist() + [True] * 2
-    np.testing.assert_array_equal(out.joints[2:6], motion.joints)
-    one = OnePerson("x", None, np.r_[[False] * 2, [True] * 4, [False] * 2], np.zeros(8, bool))
-    assert len(while_present(out, one.present)) == 4
-    # what is to be looked at is counted as in the recording, not from when the person came
-    marked = replace(out, doubtful=np.isin(np.arange(8), (0, 3, 4)), doubtful_joints=None, lost=np.zeros(8, bool))
-    told = replace(one, result=TrackResult(marked, human(), True, ()))
-    assert told.verdict.frames == (range(3, 5),)
 
 
 def test_several_people_of_one_camera_or_of_nothing_are_refused(rig):

@@ -1,7 +1,5 @@
 """A motion from one camera that does not lie where the picture shows the person is not to be trusted."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -9,7 +7,7 @@ from hypose.body.ready_bodies import human
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.keypoints import BODY_25
-from hypose.pipeline.picture_verdict import BESIDE, BESIDE_FRAME, against_the_picture, beside_the_picture
+from hypose.pipeline.one_camera import BESIDE, BESIDE_FRAME, against_the_picture, beside_the_picture
 from hypose.synthetic.rigs import rig
 from hypose.tracking.keypoint_evidence import keypoint_model
 from hypose.tracking.starts import known_pose
@@ -63,15 +61,6 @@ def test_another_persons_key_points_make_every_frame_doubtful():
     moved[:, 0] += 0.8
     share = beside_the_picture(BODY, poses(), frames_of(moved))
     assert (share > BESIDE_FRAME).all() and against_the_picture(share)
-
-
-def test_what_shows_nothing_says_nothing():
-    lost = poses()
-    lost[2] = np.nan
-    frames = [replace(f, keypoints=None) if f.index < 2 else f for f in frames_of(poses())]
-    share = beside_the_picture(BODY, lost, frames)
-    assert np.isnan(share[:3]).all() and (share[3:] == 0).all()
-    assert against_the_picture(np.full(5, np.nan)) == ()
 
 
 def test_without_key_points_the_mask_tells():

@@ -7,7 +7,6 @@ from hypose.body.ready_bodies import human
 from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError
 from hypose.evidence.frame import Frame, Keypoints, Picture
-from hypose.pipeline.pictures import PictureFrames
 from hypose.pipeline.run import TrackOptions
 from hypose.pipeline.track import track
 from hypose.pipeline.track_loop import FrameList
@@ -30,27 +29,6 @@ def clip():
         shown = Picture(view, picture(body, q, view, background), None, mask(body, q, view))
         frames.append(Frame(i / 25, i, keypoints=points, picture=shown))
     return body, poses, FrameList(frames)
-
-
-@pytest.mark.parametrize(
-    ("walk", "before"),
-    [
-        (range(4), [None, 0, 1, 2]),
-        (range(2, 4), [1, 2]),
-        (range(2, -1, -1), [3, 2, 1]),
-        (range(3, 0, -1), [None, 3, 2]),
-        (range(0), []),
-    ],
-)
-def test_the_picture_before_is_the_one_behind(clip, walk, before):
-    frames = clip[2].frames
-    for frame, index, behind in zip(PictureFrames(clip[2]).walk(walk), walk, before, strict=True):
-        assert frame.index == index
-        np.testing.assert_array_equal(frame.picture.image, frames[index].picture.image)
-        if behind is None:
-            assert frame.picture.before is None
-        else:
-            np.testing.assert_array_equal(frame.picture.before, frames[behind].picture.image)
 
 
 @pytest.mark.parametrize("evidence", ["auto", "edges"])

@@ -3,7 +3,7 @@ import pytest
 
 from hypose.errors import InputError
 from hypose.fusion.fuse import fuse_clip
-from hypose.pipeline.posed import NAMES, pose_fused
+from hypose.pipeline.fused_motion import NAMES, pose_fused
 from tests.fusion.people import moving_person, seen
 
 
@@ -17,6 +17,9 @@ def test_the_body_follows_the_fused_limbs_and_keeps_its_bones(rng):
     fused = fused_points(rng, 20).motion
     body, motion = pose_fused(fused)
     assert motion.poses.shape == (20, 36)
+    judged = np.isfinite(motion.p_wrong).all(0)  # the spine and the clavicles are seen by no sensor
+    assert judged[motion.skeleton.joint("left_wrist")]
+    assert not judged[motion.skeleton.joint("spine")]
     limbs = [n for n in NAMES if any(x in n for x in ("elbow", "wrist", "knee", "ankle"))]
     for name in limbs:
         own = name.replace("wrist", "hand").replace("ankle", "foot")

@@ -21,7 +21,7 @@ class Frames:
     def frame(self, index, /):
         return self.frames[index]
 
-motion = track_source(Frames(list(small_scene(3, 25).mask_frames())), 25.0, TrackOptions()).motion
+motion = track_source(Frames(list(small_scene(3, 12).mask_frames())), 25.0, TrackOptions()).motion
 np.save(sys.argv[1], motion.joints)
 """
 
@@ -59,7 +59,7 @@ def test_other_libraries_of_mathematics_change_no_pose(joints_with):
     assert np.abs(here - there).max() < 1e-9
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_code_for_any_processor_changes_no_pose(joints_with):
     here, there = joints_with("here"), joints_with("generic", NUMBA_CPU_NAME="generic")
     assert np.abs(here - there).max() < 1e-9

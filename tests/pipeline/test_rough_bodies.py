@@ -6,11 +6,10 @@ import pytest
 from hypose.body.ready_bodies import human
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.pipeline.hull_paths import follow_places
-from hypose.pipeline.rough_bodies import Rough, least_hidden, own_frame, rough_bodies
+from hypose.pipeline.rough_bodies import Rough, own_frame, rough_bodies
 from hypose.pipeline.start_choice import best_ways
 from hypose.synthetic.scenes import make_scene
 from hypose.tracking.several import shape_of, visible_share
-from hypose.tracking.start_search import Start
 from hypose.tracking.starts import known_pose
 
 FRAMES, RATE = 8, 12.5
@@ -55,22 +54,6 @@ def test_a_rough_body_hides_what_it_covers_and_hardly_more(beside):
         kept = [(m > 0)[own & ~other].sum() / (own & ~other).sum() for m in left]
         assert kept[1] > 0.9 and kept[1] > kept[0] - 0.01
         assert (visible_share(by_body) > 0.3).all()
-
-
-def test_who_is_not_in_a_frame_is_nobody_there(beside):
-    frames, _, _, paths = beside
-    gone = type(paths[0])({t: p for t, p in paths[0].found.items() if t != 3})
-    assert not own_frame(frames[3], 3, 0, [gone, paths[1]]).silhouettes.usable.any()
-    own = {t: own_frame(frames[t], t, 0, paths) for t in range(FRAMES)}
-    assert least_hidden(own) == sorted(least_hidden(own)) and least_hidden({}) == []
-
-
-def test_rivals_are_tried_in_the_nearest_frame_that_is_looked_at():
-    poses = {t: np.full(3, float(t)) for t in range(10)}
-    one = Rough(human(), poses, ((4, Start(human(), np.zeros(3), 0.1)),))
-    (first, start), (near, _) = one.starts([2, 5, 9])
-    assert (first, near) == (0, 1) and start.pose[0] == 2.0
-    assert one.other(11, make_scene("walk", rig="humaneva-4", seconds=0.1).rig.pinhole()) is None
 
 
 @pytest.mark.slow

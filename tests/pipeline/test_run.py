@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.cameras.camera import CameraRig
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Frame
 from hypose.io.motions.results import ResultsFolder, load_motion
@@ -60,33 +59,6 @@ def test_subject_from_hulls_has_the_height_and_stands_in_place(scene, frames):
     assert found.keypoints is None
     error = np.linalg.norm(found.body.joints(found.start) - scene.joints[0], axis=-1)
     assert error.mean() < 0.10
-
-
-def test_a_given_height_is_used(scene, frames):
-    silent = [Frame(f.time, f.index, f.silhouettes) for f in frames]
-    options = SubjectOptions("hull", height=scene.subject.stature, girths=False)
-    found = find_subject(lambda i: silent[i], len(silent), options)
-    assert found.body.stature == pytest.approx(scene.subject.stature, abs=1e-6)
-
-
-def test_an_unusual_height_from_masks_is_worth_a_look(scene, frames):
-    """Nothing else tells a scale that is 19 % too large; a height that is given is the user's word."""
-    factor = 2.15 / scene.subject.stature
-    silent = [replace(f, keypoints=None, silhouettes=in_a_larger_world(f.silhouettes, factor)) for f in frames[:6]]
-    found = track(FrameList(silent), TrackOptions(girths=False, smooth=False))
-    told = [s for s in found.looks if "m tall" in s]
-    assert len(told) == 1 and "--height" in told[0] and f"{found.body.stature:.2f} m" in told[0]
-    given = track(FrameList(silent), TrackOptions(girths=False, smooth=False, height=2.15))
-    assert not [s for s in (*given.looks, *given.faults) if "m tall" in s]
-
-
-def in_a_larger_world(silhouettes, factor):
-    cameras = []
-    for c in silhouettes.rig:
-        pose = c.camera_from_world.copy()
-        pose[:3, 3] *= factor
-        cameras.append(replace(c, camera_from_world=pose))
-    return replace(silhouettes, rig=CameraRig(tuple(cameras)))
 
 
 def test_one_call_tracks_frames_by_a_name_or_a_recipe(frames, subject):

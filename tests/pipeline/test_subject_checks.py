@@ -67,11 +67,6 @@ def test_a_giant_is_a_wrong_unit(views, factor, unit):
     assert "would make that 1." in str(caught.value)
 
 
-def test_a_size_that_no_unit_explains(views):
-    with pytest.raises(EvidenceError, match="check the unit and the scale of the calibration"):
-        estimate(enlarged(seen(views), 4))
-
-
 def test_a_person_cut_off_by_every_view(views):
     frame = seen(views, shift=(0.0, 70.0))
     edges = [cut_edges(frame.silhouettes, c) for c in range(4)]

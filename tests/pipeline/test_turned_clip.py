@@ -8,12 +8,9 @@ import pytest
 from benchmarks.multiview.doubt_scenes import Case, scene_without_masks, without_masks
 from hypose.body.joint_angles import ANGLE_NAMES
 from hypose.cameras.camera import CameraRig
-from hypose.evidence.frame import Keypoints
-from hypose.evidence.keypoints import BODY_25
 from hypose.geometry import se3, so3_exp
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.track_loop import FrameList
-from hypose.pipeline.verdict import GOOD
 
 
 def turned(frames, angle):
@@ -57,15 +54,3 @@ def test_a_turned_clip_is_judged_alike(clip, facing_along_x, degrees):
     np.testing.assert_allclose(found.motion.p_wrong, plain.motion.p_wrong, rtol=0.05, atol=2e-3)
     np.testing.assert_array_equal(found.motion.doubtful_joints, plain.motion.doubtful_joints)
     assert found.verdict.word == plain.verdict.word
-
-
-def test_joints_without_a_key_point_are_named_once_and_in_no_frame(clip):
-    rate, frames = clip
-    faceless = [k for k, n in enumerate(BODY_25) if not any(part in n for part in ("nose", "eye", "ear"))]
-    names = tuple(BODY_25[k] for k in faceless)
-    used = [replace(f, keypoints=Keypoints(f.keypoints.points[:, faceless], names, f.keypoints.rig)) for f in frames]
-    found = track_source(FrameList(used, rate), rate, TrackOptions(evidence="keypoints"))
-    head = found.motion.skeleton.joint("head")
-    assert found.motion.joint_sd[:, head].min() > 0.03
-    assert not found.motion.doubtful_joints[:, head].any() and found.verdict.word == GOOD
-    assert any("head" in note for note in found.verdict.beside)

@@ -39,21 +39,6 @@ def test_some_frames_are_to_be_looked_at_and_the_joint_is_named():
     assert "frames 10-19" in found.sentence and "right wrist" in found.sentence
 
 
-def test_a_single_frame_is_no_reason_to_look_and_named_all_the_same():
-    found = verdict_of(motion(probabilities(["right_wrist"], slice(10, 11))))
-    assert found.word == GOOD and found.frames == (range(10, 11),)
-    assert found.sentence == "Good but for frame 10: right wrist may be wrong there."
-
-
-def test_what_is_a_little_likely_wrong_is_named_and_no_reason_to_look_or_to_distrust():
-    found = verdict_of(motion(probabilities(["right_wrist"], slice(10, 30), 0.15), doubtful=0.1))
-    assert found.word == GOOD and found.sentence.startswith("Good but for frames 10-29: right wrist")
-    found = verdict_of(motion(probabilities(["right_wrist", "left_wrist"], slice(10, 30), 0.15), doubtful=0.1))
-    assert found.word == LOOK
-    found = verdict_of(motion(probabilities(["right_wrist"], slice(0, 40), 0.15), doubtful=0.1))
-    assert found.word == LOOK and found.frames == (range(40),)  # most of the clip
-
-
 def test_a_body_that_the_evidence_speaks_against_is_not_to_be_trusted():
     whole = [n for n in BODY.skeleton.joint_names if n.endswith(("knee", "ankle", "wrist", "elbow", "hip"))]
     found = verdict_of(motion(probabilities(whole)))
@@ -67,11 +52,6 @@ def test_one_limb_that_is_never_known_and_a_person_who_is_never_there():
     assert found.word == LOOK and "head may be wrong" in found.sentence
     found = verdict_of(motion(probabilities(), lost=25))
     assert found.word == UNTRUSTED and "not found in 50 %" in found.sentence
-
-
-def test_a_third_of_a_second_is_too_short_to_distrust_a_limb():
-    found = verdict_of(motion(probabilities(["left_wrist"])[:8], frames=8))
-    assert found.word == LOOK and "left wrist may be wrong" in found.sentence
 
 
 def test_a_limb_doubtful_all_along_in_a_clip_worth_a_look_is_not_to_be_trusted():

@@ -10,7 +10,7 @@ from hypose.evidence.colours import COLOURS
 from hypose.evidence.frame import Colours, Frame, Silhouettes
 from hypose.pipeline.first_frame import Subject
 from hypose.pipeline.tracked_people import Followed
-from hypose.pipeline.wardrobe import LOOKS, exchange, look_at_clothes, same_clothes
+from hypose.pipeline.wardrobe import LOOKS, exchange, look_at_clothes
 from hypose.synthetic.rigs import rig as named_rig
 from hypose.tracking.clothes import Clothes, Wardrobe, clothes_in, nothing_seen
 from hypose.tracking.recipes import recipe
@@ -95,20 +95,6 @@ def test_two_who_wear_their_own_or_the_same_clothes_stay_who_they_are():
         bert.wardrobe.worn = bert.wardrobe.lately = other
         assert look_at_clothes([anna, bert], [replace(frame_of([]), colours=None)] * 2) == []
         assert not anna.wardrobe.met and anna.wardrobe.worn.known.all()
-
-
-def test_nobody_is_learnt_from_beside_somebody_else():
-    anna, bert = followed("anna", [-0.2]), followed("bert", [0.2])
-    frame = frame_of([(-0.2, 40), (0.2, 300)])
-    assert look_at_clothes([anna, bert], [frame, frame]) == []
-    assert anna.wardrobe.met == {"bert": 0} and not anna.wardrobe.worn.known.any()
-
-
-def test_who_comes_in_other_clothes_is_somebody_else():
-    anna = followed("anna", [0.0])
-    assert same_clothes(anna, RED) == 1.0  # nothing is known of her
-    anna.wardrobe.worn = RED
-    assert same_clothes(anna, RED) > 0.99 and same_clothes(anna, BLUE) < 0.2
 
 
 def test_a_wardrobe_is_kept_with_a_run_that_is_interrupted():

@@ -29,14 +29,6 @@ def test_it_does_the_gesture_when_asked_and_only_then(frames):
     assert all(0 < f.point[0] < 640 and 0 < f.point[1] < 480 for f in late if f.point)
 
 
-def test_what_shows_neither_is_not_clear(frames):
-    first = next(k for k, (asked, _) in enumerate(frames) if asked)
-    assert frames[0][1].clear and not frames[first][1].clear
-    last = max(k for k, (asked, _) in enumerate(frames) if asked)
-    assert not frames[last + 1][1].clear
-    assert all(f.clear for _, f in frames if f.point is not None)
-
-
 def test_neighbouring_frames_are_alike_and_the_room_stands_still(frames):
     depth = np.stack([f.depth for _, f in frames])
     assert depth.shape[1:] == (480, 640) and depth.dtype == np.uint16

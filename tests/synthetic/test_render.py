@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from hypose.compute.pictures.render import blend_shaded, darken, expose, interpolate, rasterize, silhouette
+from hypose.compute.pictures.render import blend_shaded, interpolate, rasterize, silhouette
 from hypose.synthetic.motions import act
 from hypose.synthetic.rigs import rig
 
@@ -61,14 +61,3 @@ def test_shading_blends_by_coverage():
     picture[:] = 100
     blend_shaded(picture, face, bary, f, values, s, (0.25, 0.5, 0.1))
     assert np.allclose(picture[3, 5], 125)
-
-
-def test_darkening_and_exposure_by_hand():
-    picture = np.full((2, 2, 3), 100, np.float32)
-    where = np.array([[True, False], [True, True]])
-    darken(picture, np.array([[1, 1], [0.5, 0]], np.float32), where, 0.4)
-    assert np.allclose(picture[..., 0], [[60, 100], [80, 100]])
-    noise = np.zeros((2, 2, 3), np.int16)
-    noise[0, 0], noise[1, 1] = -200, 250
-    out = expose(picture, [1.0, 1.1, 2.0], noise)
-    assert out[0, 1].tolist() == [100, 110, 200] and out[0, 0].tolist() == [0, 0, 0] and out[1, 1, 2] == 255

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from hypose.body.ready_bodies import JOINT_NAMES
-from hypose.compute.pictures.render import silhouette
 from hypose.errors import InputError
 from hypose.synthetic.motions import act
 from hypose.synthetic.rigs import RIG_NAMES, rig
@@ -26,13 +25,6 @@ def test_rigs_see_the_whole_body(person, name):
         for a in np.linspace(0, 6.28, 8):
             uv = camera.project(v + [0.8 * np.cos(a), 0.8 * np.sin(a), 0])
             assert (uv >= 0).all() and (uv <= np.array(camera.size) - 1).all(), (camera.name, a)
-
-
-def test_apparent_sizes(person):
-    for name, low, high in (("humaneva-4", 220, 330), ("court-4", 65, 95), ("ixmas-5", 130, 190)):
-        camera = rig(name)[0]
-        uv = camera.project(person.vertices - [0, 0, person.vertices[:, 2].min()])
-        assert low < np.ptp(uv[:, 1]) < high
 
 
 def test_rigs_are_upright_distinct_and_optionally_distorted():
@@ -87,15 +79,6 @@ def test_mask_frames_carry_what_trackers_need(person):
     assert sil.areas[2] == pytest.approx(full.sum() / 4, rel=0.02)
 
 
-def test_mixed_image_sizes_are_padded(person):
-    a, b = rig("humaneva-4"), rig("ixmas-5")
-    mixed = type(a)((a[0], replace(b[1], name="small")))
-    s = make_scene("wave", person, mixed, seconds=0.5, seed=0)
-    masks = next(s.mask_frames()).silhouettes.masks
-    assert masks.shape == (2, 480, 640) and masks[1].any()
-    assert not masks[1, 291:].any() and not masks[1, :, 390:].any()
-
-
 def test_dead_camera_is_flagged_and_black(person):
     s = scene(person, ("dead-camera",))
     frames = list(s.mask_frames(0.25))
@@ -103,16 +86,6 @@ def test_dead_camera_is_flagged_and_black(person):
     assert frames[20].silhouettes.usable.tolist() == [True, False, True, True]
     assert frames[20].silhouettes.reasons[1] == "black image" and frames[20].silhouettes.areas[1] == 0
     assert s.rgb_frame(1, 20).max() == 0 and s.rgb_frame(0, 20).max() > 0
-
-
-def test_dropped_frames_repeat_the_last_picture(person):
-    s = make_scene("walk", person, "humaneva-4", seconds=4.0, seed=1, corruption=("dropped-frames",))
-    missing = [(c, t) for c in range(4) for t in range(len(s)) if s.shown(c, t) != t]
-    assert 5 < len(missing) < 80
-    c, t = missing[0]
-    assert np.array_equal(s.rgb_frame(c, t), s.rgb_frame(c, t - 1))
-    frames = list(s.mask_frames(0.25))
-    assert not frames[t].silhouettes.usable[c] and frames[t].silhouettes.reasons[c] == "no frame"
 
 
 def test_desynchronised_cameras_are_late(person):
@@ -171,24 +144,6 @@ def test_distorted_pictures_agree_with_the_undistorted_masks(person):
     assert (straight[:150][mask[:150] == 0] > 15).mean() < 0.01  # above the floor: no shadow there
 
 
-def test_other_people_are_in_the_court_but_not_in_the_truth(person):
-    s = make_scene("walk", person, "court-4", seconds=0.4, seed=0)
-    assert len(s.others) == 1
-    masks = next(s.mask_frames()).silhouettes.masks
-    assert masks[0].sum() > 1.5 * s.clean_mask(0, 0).sum()
-
-
 def test_unknown_subjects_are_refused(person):
     with pytest.raises(InputError):
         make_scene("walk", "nobody", "humaneva-4")
-
-
-def test_silhouette_is_exact_on_a_square():
-    v = np.array([[1.0, 2.0], [5.0, 2.0], [5.0, 6.0], [1.0, 6.0]])
-    f = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
-    m = silhouette(v, np.ones(4), f, (8, 9))
-    expected = np.zeros((9, 8), np.uint8)
-    expected[2:7, 1:6] = 1
-    assert np.array_equal(m, expected)
-    soft = silhouette(v, np.ones(4), f, (8, 9), supersample=4)
-    assert soft.sum() == pytest.approx(16, rel=0.2) and soft[4, 3] == 1 and soft[0, 0] == 0

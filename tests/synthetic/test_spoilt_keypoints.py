@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.synthetic.spoilt_keypoints import SPOILS, like_a_detector, moved_camera, spoilt
-from hypose.cameras.camera import CameraRig
-from hypose.errors import InputError
+from benchmarks.synthetic.spoilt_keypoints import SPOILS, spoilt
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.keypoints import BODY_25
 from hypose.synthetic.rigs import rig
@@ -56,33 +54,3 @@ def test_what_is_guessed_stays_as_sure_and_is_of_one_limb(frames):
         close = points(spoilt(frames, "close_up", np.random.default_rng(seed)))
         views = (close[..., 2] > 0).any(0).sum(0)  # of each point
         assert set(np.unique(views)) == {2, 4} and views[BODY_25.index("nose")] == 4
-
-
-def test_errors_of_a_detector_are_as_large_and_as_slow_as_said():
-    given = np.concatenate([np.full((600, 3, 25, 2), 500.0), np.ones((600, 3, 25, 1))], -1)
-    given[:, 2, 0] = 0.0  # not seen
-    found = like_a_detector(given, BODY_25, np.random.default_rng(3), 60.0)
-    seen = found[..., 2] > 0
-    assert not seen[:, 2, 0].any() and seen[:, :2].mean() == pytest.approx(0.95, abs=0.01)
-    off = np.where(seen[..., None], found[..., :2] - 500.0, np.nan)
-    far = np.linalg.norm(off, axis=-1)
-    assert (far[seen] > 25).mean() == pytest.approx(0.03, abs=0.005)
-    near = np.where((far < 25)[..., None], off, np.nan)
-    assert np.nanstd(near) == pytest.approx(4.0, abs=0.3)
-    for lag, least, most in ((2, 0.85, 1.0), (36, -0.15, 0.15)):  # 12 frames are 0.2 s
-        a, b = near[:-lag], near[lag:]
-        both = np.isfinite(a) & np.isfinite(b)
-        assert least < np.corrcoef(a[both], b[both])[0, 1] < most
-
-
-def test_a_camera_that_was_knocked_is_elsewhere_and_the_others_are_not():
-    cameras = rig("humaneva-4")
-    moved = moved_camera(cameras, 2, np.random.default_rng(0))
-    assert isinstance(moved, CameraRig)
-    same = [np.array_equal(a.camera_from_world, b.camera_from_world) for a, b in zip(cameras, moved, strict=True)]
-    assert same == [True, True, False, True]
-
-
-def test_an_unknown_way_is_refused(frames):
-    with pytest.raises(InputError, match="choose one of"):
-        spoilt(frames, "eaten", np.random.default_rng(0))

@@ -18,14 +18,13 @@ from benchmarks.papers.layered_anthropometry import (
     shape_energy,
     sizes_2_1,
 )
-from hypose.body.anthropometry import ENTITIES, body_of, entity, prior_mean
+from hypose.body.anthropometry import ENTITIES, body_of, entity
 from hypose.errors import EvidenceError, InputError
 from hypose.fitting.articulated import contour_term
 from hypose.inference.hypotheses import Hypotheses
 from hypose.pipeline.first_frame import SubjectOptions, find_subject
 from hypose.pipeline.subject_from_motion import (
     AnthropometryOptions,
-    different_poses,
     estimate_subject,
     load_subject,
     save_subject,
@@ -113,27 +112,6 @@ def test_no_frame_is_refused(body):
         refine_shape(body, np.zeros((0, body.skeleton.dof)), [])
 
 
-def test_rows_vanish_on_the_truth_and_point_outwards(body, standing, frame_of):
-    contours = contour_term(frame_of(body, standing).silhouettes)
-    vertices = body.skin(standing)
-    rows = rows_of(body.coarse, vertices, contours, 0, 4.0, 0.5)
-    t, r = rows.values[:, 0], rows.residual
-    assert len(r) > 100 and np.abs(r).mean() < 0.5 and (rows.weight > 0).all() and ((t >= 0) & (t <= 1)).all()
-    # a fatter body has its outline outside the mask: positive residuals, both ways
-    fat = body_of(body, shape(clothing=0.3))
-    r = rows_of(fat.coarse, fat.skin(standing), contours, 0, 4.0, 0.5).residual
-    assert np.mean(r) > 0.3
-    # the gradient is that of the residual: moving the body along it changes the forward rows as told
-    shift = np.array([0.002, -0.001, 0.0015])
-    moved = rows_of(body.coarse, vertices + shift, contours, 0, 4.0, 0.5)
-    first = rows_of(body.coarse, vertices, contours, 0, 4.0, 0.5)
-    forward = min(len(first.ends), len(moved.ends)) // 3
-    same = (first.ends[:forward] == moved.ends[:forward]).all(1)
-    same &= first.values[:forward, 0] == moved.values[:forward, 0]
-    told = (first.gradient[:forward] @ shift)[same]
-    assert np.corrcoef(told, (moved.residual[:forward] - first.residual[:forward])[same])[0, 1] > 0.9
-
-
 def test_rows_of_an_outline_by_pose_and_sizes(body, standing, frame_of):
     """The derivatives are those of each row's point along the residual's gradient, by differences; for a joint that
     moves a part of a blended vertex they are near."""
@@ -156,23 +134,6 @@ def test_rows_of_an_outline_by_pose_and_sizes(body, standing, frame_of):
     k = entity("thigh length")
     by_size = (rows.gradient * (rows.points(vertices + slopes[:, k]) - at)).sum(1)
     np.testing.assert_allclose(found[:, dof + k], by_size, rtol=1e-6, atol=1e-6)
-
-
-def test_a_body_beside_the_view_has_no_rows(body, standing, frame_of):
-    contours = contour_term(frame_of(body, standing).silhouettes)
-    beside = body.skin(standing) + [0.0, 0.0, 50.0]
-    assert outlines_of(body.coarse, beside, contours, 0, 4.0, 0.5) is None
-
-
-def test_different_poses_are_chosen(body, standing):
-    poses = np.repeat(standing[None], 9, 0)
-    poses[4, body.skeleton.dofs_of("left_elbow")] += 1.2
-    poses[7, body.skeleton.dofs_of("right_hip")[0]] -= 0.8
-    chosen = different_poses(body, poses, np.full(9, 0.9), 3)
-    assert {4, 7} <= set(chosen) and len(chosen) == 3
-    bad = np.full(9, 0.9)
-    bad[4] = 0.3  # badly explained: not used
-    assert 4 not in different_poses(body, poses, bad, 3)
 
 
 def test_subject_from_the_hull_alone(body, standing, frame_of, tmp_path):
@@ -268,20 +229,3 @@ def test_powell_lowers_the_energy(body, standing, frame_of):
     found = powell_start(body, start, frame, evaluations=60)
     before = shape_energy(body, np.concatenate([np.zeros(K), start]), frame)
     assert shape_energy(body, found, frame) < 0.75 * before
-
-
-@pytest.mark.slow
-def test_filter_finds_a_held_pose(body, standing, frame_of):
-    from benchmarks.papers.layered_anthropometry import estimate_by_filter
-
-    person = body_of(body, shape(scale=0.04, thigh_girth=0.1))
-    frame = prepare(frame_of(person, standing), body, standing)
-    fitted, factors, pose = estimate_by_filter(body, standing, frame, particles=60)
-    assert np.isfinite(factors).all() and fitted.skeleton.dof == len(pose)
-    state, first = np.concatenate([factors, pose]), np.concatenate([np.zeros(K), standing])
-    assert shape_energy(body, state, frame) < 0.6 * shape_energy(body, first, frame)
-
-
-def test_prior_mean_is_dressed():
-    assert prior_mean()[entity("clothing")] > 0
-    assert np.count_nonzero(prior_mean()) == 1

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hypose.tracking.contacts import Contacts, ContactSettings, contact_terms, find_contacts, foot_motion, soles_of
+from hypose.tracking.contacts import Contacts, ContactSettings, find_contacts, foot_motion, soles_of
 
 RATE = 25.0
 
@@ -51,15 +51,6 @@ def test_no_contact_in_unknown_frames_nor_in_the_air():
     assert not low.touching[:, :2].any() and low.touching[:, 2:].any()
 
 
-def test_steps_of_different_height_keep_their_own():
-    points = walking_points()
-    points[:, :2, 2] += 0.3
-    contacts = find_contacts(points, np.ones(len(points), bool), RATE)
-    assert np.isnan(contacts.floor)
-    high = contacts.place[contacts.touching[:, 0], 0, 2]
-    assert high == pytest.approx(0.4, abs=0.02)
-
-
 def test_sliding_and_sinking_are_measured():
     t = 20
     place = np.zeros((t, 4, 3))
@@ -71,14 +62,6 @@ def test_sliding_and_sinking_are_measured():
     assert feet.sliding == pytest.approx(100)
     assert feet.sinking == pytest.approx(4)
     assert feet.contacts == 1
-
-
-def test_terms_hold_only_what_touches(body):
-    soles = soles_of(body)
-    touching = np.array([[True, False, False, True], [False] * 4])
-    terms = contact_terms(Contacts(touching, np.zeros((2, 4, 3)), 0.0), soles)
-    assert terms[1] is None and terms[0] is not None
-    np.testing.assert_array_equal(terms[0].joint, soles.joint[[0, 3]])
 
 
 def test_soles_lie_under_the_ankles(body, standing):

@@ -5,7 +5,7 @@ import pytest
 
 from hypose.body.ready_bodies import human
 from hypose.tracking.costs import frame_energy, limb_energy
-from hypose.tracking.depth_costs import MEASURED, arm_is_seen, depth_cost, without_limb
+from hypose.tracking.depth_costs import MEASURED, arm_is_seen, without_limb
 from hypose.tracking.doubt import GROUPS, depth_doubt
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.reach_table import arm_reach, in_practice
@@ -37,15 +37,6 @@ def test_of_many_arms_those_that_may_win_are_measured_and_the_best_is_the_best_o
     assert found.argmin() == whole.argmin()
 
 
-def test_where_the_limb_is_right_hardly_another_is_measured(frame, rng):
-    s = BODY.skeleton
-    moving = np.isin(np.arange(len(s.joint_names)), [s.joint("left_shoulder"), s.joint("left_elbow")])
-    steps = rng.normal(size=(150, s.dof)) * moving[s.tree.joint_of_dof]
-    poses = np.stack([frame.prediction, *s.clamp(frame.prediction + 0.6 * steps)])
-    found = limb_energy(poses, frame, moving)
-    assert found.argmin() == 0 and np.isfinite(found).sum() < MEASURED / 2
-
-
 def test_an_arm_that_is_seen_where_it_is_is_looked_for_nowhere_else(frame, monkeypatch):
     s = BODY.skeleton
     arm = arm_reach(BODY, ("left_clavicle", "left_shoulder", "left_elbow"), *in_practice(s))
@@ -59,15 +50,6 @@ def test_an_arm_that_is_seen_where_it_is_is_looked_for_nowhere_else(frame, monke
     assert len(rival_arms(arm, other, frame, LookedUp()))
     monkeypatch.setattr("hypose.tracking.rival_arms.limb_energy", None)
     assert rival_arms(arm, frame.prediction, frame, LookedUp()) == []
-
-
-def test_the_same_pose_is_looked_at_once(frame, monkeypatch):
-    from hypose.tracking import depth_costs
-
-    poses = np.stack([frame.prediction, frame.prediction + 1e-3])
-    first = depth_cost(BODY, poses, frame)
-    monkeypatch.setattr(depth_costs.compute, "depth_energy", None)
-    assert np.array_equal(depth_cost(BODY, poses, frame), first)
 
 
 def test_before_one_sensor_the_same_signs_make_arms_more_doubtful_than_before_two():

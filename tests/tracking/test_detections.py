@@ -117,25 +117,6 @@ def test_the_share_follows_survival_and_keeps_a_quarter_of_each_kind(body, stand
     assert moved.has(kernel.posed).mean() == pytest.approx(expected, abs=1e-9)
 
 
-def test_without_a_detection_only_the_base_kernel_moves(body, standing, frame_of):
-    frame = prepare(frame_of(body, standing), body, standing)
-    kernel = driven(body, HAND)
-    h = Hypotheses.uniform(np.repeat(standing[None], 10, 0)).marked(kernel.posed, [1, 4])
-    moved = kernel(h, frame, np.random.default_rng(1))
-    assert np.array_equal(moved.values, h.values) and np.flatnonzero(moved.has(kernel.posed)).tolist() == [1, 4]
-
-
-def test_the_head_is_reached_by_a_step_of_the_trunk(body, standing, frame_of):
-    ends = ends_of(body)
-    target = ends.positions(body, standing[None])[0, HEAD] + [0.03, -0.02, 0.01]
-    frame = prepare(with_detections(frame_of, body, standing, [target]), body, standing)
-    h = Hypotheses.uniform(np.repeat(standing[None], 100, 0))
-    moved = driven(body, HEAD, noise=0.003)(h, frame, np.random.default_rng(0))
-    rows = (moved.values != h.values).any(1)
-    left = np.linalg.norm(ends.positions(body, moved.values[rows])[:, HEAD] - target, axis=1)
-    assert rows.sum() == 50 and left.mean() < 0.012
-
-
 def test_the_refinement_cost_adds_the_mean_distance_to_the_nearest_end(body, standing, frame_of):
     """Alcoverro 2014, eqs. 2.20 and 2.21."""
     ends = ends_of(body)

@@ -122,27 +122,6 @@ def test_features_are_finite_whatever_is_missing():
     assert found.shape == (2, len(NAMES), len(FEATURES)) and np.isfinite(found).all()
 
 
-def test_a_limb_at_rest_is_surer_than_it_may_be():
-    motion, joints, audit = clip()
-    wrist, still = NAMES.index("right_wrist"), FEATURES.index("still")
-    moving = joints.copy()
-    moving[:, wrist, 0] += 0.5 * np.sin(np.arange(len(joints)))
-    moved = clip_features(replace(motion, joints=moving), moving, audit)[..., still]
-    rest = clip_features(motion, joints, audit)[..., still]
-    assert (moved[:, wrist] < rest[:, wrist] - 2).all() and moved[0, 3] == rest[0, 3]
-    one = clip_features(*clip(frames=1))[..., still]
-    assert moved[:, wrist].max() < one.min() and one.max() < rest.min()  # how it moves is not known
-    assert (doubt_models()["silhouettes"].weights[:, still] >= 0).all()
-
-
-def test_more_bare_mask_never_speaks_for_a_joint():
-    for model in doubt_models().values():
-        for g in range(len(GROUPS)):
-            for name in ("bare", "bare_more", "bare_second", "bare_reach", "rival", "outside", "points", "moved"):
-                assert model.weights[g, FEATURES.index(name)] >= 0
-            assert model.weights[g, FEATURES.index("exposed_second")] <= 0
-
-
 def test_in_a_clip_that_is_doubtful_as_a_whole_joints_are_told_less_surely_in_the_same_order():
     groups = groups_of(NAMES)
     sure = np.full((10, len(NAMES)), -6.0)
@@ -171,33 +150,6 @@ def test_where_masks_show_more_than_the_body_arms_are_doubted():
     arms = np.isin(groups_of(NAMES), [GROUPS.index("elbows"), GROUPS.index("wrists")])
     before, now = (judged(motion, joints, a)[0] for a in (alone, chair))
     assert (now[:, arms] > 3 * before[:, arms]).all()
-
-
-def test_means_of_a_clip_are_of_the_frames_in_which_somebody_was_found():
-    motion, joints, audit = clip()
-    cost, bare = (FEATURES.index(f"{n}_of_clip") for n in ("cost", "bare_body"))
-    found = clip_features(motion, joints, audit)
-    assert np.ptp(found[..., [cost, bare]], axis=(0, 1)).max() == 0  # the same for all joints and frames
-    assert np.allclose(found[..., cost], motion.cost.mean())
-    lost, worse = motion.lost.copy(), motion.cost.copy()
-    lost[:4], worse[:4] = True, 1.0
-    again = clip_features(replace(motion, lost=lost, cost=worse), joints, audit)
-    assert np.allclose(again[..., cost], motion.cost[4:].mean())
-    assert np.isfinite(clip_features(replace(motion, lost=np.ones_like(lost)), joints, audit)).all()
-
-
-def test_legs_that_masks_alone_cross_are_doubted():
-    motion, joints, audit = clip()
-    below = [NAMES.index(f"{side}_{n}") for side in ("left", "right") for n in ("knee", "ankle")]
-    crossed = joints.copy()
-    crossed[:, below] = joints[:, [*below[2:], *below[:2]]]  # each leg stands where the other one stood
-    p, doubtful = judged(replace(motion, joints=crossed), crossed, audit)
-    assert (p[:, below] > 0.45).all() and doubtful[:, below].all()
-    others = np.setdiff1d(np.arange(len(NAMES)), below)
-    usual = judged(motion, joints, audit)
-    assert not usual[1].any() and not doubtful[:, others].any()
-    by_depth, _ = judged(replace(motion, joints=crossed), crossed, audit, known="depth")
-    assert (by_depth[:, below] < 0.45).all()  # which leg is which, depth shows
 
 
 @pytest.mark.parametrize(("masks", "points"), [(True, False), (False, True), (True, True)])
@@ -230,15 +182,6 @@ def test_who_is_lost_is_not_believed():
     motion.lost[5:8] = True
     p, doubtful = judged(motion, joints, audit)
     assert (p[5:8] >= 0.5).all() and doubtful[5:8].all() and not doubtful[10:].any()
-
-
-def test_every_joint_belongs_to_a_group():
-    names = ("left_wrist", "right_knee", "head", "left_hip", "spine", "right_clavicle")
-    assert [GROUPS[g] for g in groups_of(names)] == ["wrists", "knees", "head", "hips", "hips", "shoulders"]
-    assert set(groups_of(NAMES)) == set(range(len(GROUPS)))
-    assert [GROUPS[g] for g in groups_of(("tail",))] == ["hips"]
-    odds = doubt_models()["silhouettes"].within(np.full((1, 1), -4.0), ("tail",), 0.0)
-    assert odds.shape == (1, 1) and odds[0, 0] < 0
 
 
 def test_a_joint_beside_wrong_ones_is_told_less_surely_right():

@@ -5,14 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.body.ready_bodies import human
 from hypose.evidence.frame import Keypoints
 from hypose.evidence.keypoints import BODY_25
 from hypose.tracking.exchanged_sides import (
-    legs_crossed,
     limbs_exchanged,
     look_for_exchange,
-    strain,
     turned_around,
 )
 from hypose.tracking.frame_evidence import prepare
@@ -107,18 +104,3 @@ def test_beside_key_points_arms_are_tried_as_well(body, standing, frame_of):
     assert np.linalg.norm(body.joints(found[None])[0, wrists] - there, axis=-1).max() < 0.06
     prepared = prepare(frame, body, pose, use_keypoints=True, keypoints_on_body=model)
     assert look_for_exchange(pose, prepared)[0] < 0.0
-
-
-def test_crossed_legs_strain():
-    body = human()
-    s = body.skeleton
-    apart, crossed = np.zeros(s.dof), np.zeros(s.dof)
-    for side, turn in (("left", 0.35), ("right", -0.35)):
-        hip = s.dofs_of(f"{side}_hip")
-        crossed[hip[1]] += turn
-    poses = np.stack([apart, crossed, -crossed])
-    across = legs_crossed(s, body.joints(poses))
-    assert across[0] < -0.1 and across[1:].max() > 0.1 and across[1:].min() < -0.3
-    cost = strain(s, poses)
-    assert cost[0] == 0
-    np.testing.assert_allclose(cost, 0.15 * np.maximum(across - 0.05, 0), atol=1e-12)

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from hypose import compute
-from hypose.compute.pictures.render import rasterize
-from hypose.evidence.colours import COLOURS, colour_codes
+from hypose.evidence.colours import COLOURS
 from hypose.evidence.frame import Colours, Frame
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.inference.hypotheses import Hypotheses
@@ -20,9 +19,9 @@ from hypose.tracking.part_colours import (
     ColourSettings,
     LearnColours,
     colour_scores,
+    pictured_arms,
     table_of,
 )
-from hypose.tracking.pictured_arms import pictured_arms
 from hypose.tracking.reach_table import arm_reach, in_practice
 from hypose.tracking.recipes import default
 from hypose.tracking.tracker import Tracker, TrackerState
@@ -89,57 +88,12 @@ def seen(body, pose, memory, painted, clothes=None):
     return replace(prepare(frame, body, pose), memory=memory)
 
 
-def test_light_and_shade_change_the_brightness_alone():
-    bright = np.array([[[60, 90, 160], [30, 60, 40], [120, 100, 90]]], np.uint8)
-    codes = colour_codes(bright).astype(int)
-    assert len(set(codes.ravel().tolist())) == 3 and codes.max() < COLOURS
-    assert np.array_equal(codes % 256, colour_codes((bright * 0.6).astype(np.uint8)).astype(int) % 256)
-
-
-def test_the_part_in_front_is_that_of_the_nearest_face(body, folded, small_rig):
-    part, v = part_of_face(body), body.skin(folded)
-    for camera in small_rig:
-        p = camera.K @ camera.camera_from_world[:3]
-        shown, (rows, columns) = compute.shown_parts(v, body.coarse.faces, part, p, camera.size[::-1])
-        z = v @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
-        _, face, _ = rasterize(camera.project_pinhole(v), z, body.coarse.faces, camera.size)
-        expected = np.where(face < 0, 0, 1 + part[face])
-        assert (shown != expected).sum() <= 0.02 * (expected > 0).sum()  # edges of parts
-        assert (shown > 0).sum() == (shown[rows, columns] > 0).sum()
-
-
-def test_sums_are_those_over_the_pixels(body, folded, standing, frame_of, rng):
-    frame = prepare(frame_of(body, folded), body, folded)
-    table = rng.normal(size=(4, len(PARTS), COLOURS)).astype(np.float32)
-    poses, part = np.stack([folded, standing]), part_of_face(body)
-    codes = rng.integers(COLOURS, size=frame.masks.masks.shape).astype(np.uint16)
-    sums, rims = compute.colour_sums(body.skin(poses), body.coarse.faces, part, frame.masks, codes, table)
-    assert not rims.any()  # no edges were given
-    for n, pose in enumerate(poses):
-        for c, p in enumerate(frame.masks.projections):
-            shown, _ = compute.shown_parts(body.skin(pose), body.coarse.faces, part, p, codes[c].shape)
-            there = (shown > 0) & (frame.masks.masks[c] > 0)
-            assert sums[n, c] == pytest.approx(
-                table[c, shown[there] - 1, codes[c][there]].sum(dtype=np.float64), rel=1e-5
-            )
-
-
 def test_each_part_has_its_colour_and_no_other(learnt):
     table = table_of(learnt[COUNTS], SETTINGS)
     for c in range(4):
         assert table[c, TRUNK, 100 + 7 * TRUNK] > 0.5 > -1.0 > table[c, TRUNK, 100 + 7 * HAND]
         assert table[c, HAND, 100 + 7 * HAND] > 1.0 and table[c, HAND, 100 + 7 * TRUNK] < -0.5
     assert np.abs(table).max() <= SETTINGS.most
-
-
-def test_nothing_is_learnt_from_what_is_in_doubt(body, standing, folded, painted, learnt):
-    frame = prepare(painted(standing), body, standing)
-    both = Hypotheses(np.stack([standing, folded]), np.log([0.6, 0.4]))
-    assert LearnColours()({}, standing, both, frame) == {}
-    surer = Hypotheses(np.stack([standing, folded]), np.log([0.9, 0.1]))
-    arms = LearnColours()({}, standing, surer, frame)[COUNTS][:, HAND].sum()
-    assert 0 < arms < 0.8 * LearnColours()({}, standing, both.take([0]), frame)[COUNTS][:, HAND].sum()  # right alone
-    assert LearnColours()(learnt, standing, both, frame) is learnt
 
 
 def test_the_arm_that_lies_where_its_colours_are_is_better(body, folded, painted, learnt):
@@ -170,11 +124,6 @@ def test_an_arm_is_found_where_its_colours_are(body, folded, painted, learnt, le
     assert (pose[others] == wrong[others]).all()
 
 
-def test_nothing_is_looked_for_without_pictures(body, folded, frame_of, left_arm, rng):
-    frame = prepare(frame_of(body, folded), body, folded)
-    assert pictured_arms([left_arm], folded, frame, SETTINGS, rng) is None
-
-
 def with_edges(frame, body, pose):
     """The frame, all of one colour, with edges where the left arm of a pose ends before the rest."""
     arm, v = part_labels(body), body.skin(pose)
@@ -201,16 +150,6 @@ def test_the_arm_whose_rims_lie_on_edges_is_better(body, folded, standing, paint
     poses = np.stack([folded, with_elbow(body, folded, 0.4), with_elbow(body, folded, -0.4)])
     scores = colour_scores(poses, replace(prepare(frame, body, folded), memory=memory), SETTINGS)
     assert scores[0] < min(scores[1:]) - 0.01
-
-
-def test_what_is_all_of_one_colour_says_nothing(body, folded, standing, painted):
-    alike, memory = (100,) * len(PARTS), {}
-    for t in range(3):
-        frame = prepare(painted(standing, t, alike), body, standing)
-        memory = LearnColours()(memory, standing, Hypotheses.uniform(standing[None]), frame)
-    frame = seen(body, folded, memory, painted, alike)
-    scores = colour_scores(np.stack([folded, with_elbow(body, folded, 0.5)]), frame, SETTINGS)
-    assert np.abs(scores).max() < 0.02 * ColourSettings().most
 
 
 def run(tracker, frames, state):

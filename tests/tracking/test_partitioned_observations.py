@@ -3,14 +3,13 @@
 import numpy as np
 import pytest
 
-from hypose.cameras.camera import CameraRig
 from hypose.inference.hypotheses import Hypotheses
-from hypose.synthetic.rigs import look_at
 from hypose.tracking.costs import xor_energy
 from hypose.tracking.frame_evidence import prepare
-from hypose.tracking.limb_kernels import LimbDiffusion, ball_step
 from hypose.tracking.partitioned_observations import (
+    LimbDiffusion,
     PartitionedXor,
+    ball_step,
     bounding_region,
     boxes_in_views,
     chain_region,
@@ -35,15 +34,6 @@ def test_the_box_encloses_the_projected_corners(small_rig):
         assert x1 - x0 <= np.ptp(uv[:, 0]) + 3 and y1 - y0 <= np.ptp(uv[:, 1]) + 3
 
 
-def test_a_box_around_the_camera_fills_the_image_and_one_behind_is_empty():
-    camera = look_at("front", [0, -3.0, 1.0], [0, 0, 1.0], 300, (200, 160))
-    rig = CameraRig((camera,))
-    around = boxes_in_views(np.array([[-1, -4.0, 0], [1, -2.0, 2]]), rig)
-    behind = boxes_in_views(np.array([[-1, -9.0, 0], [1, -7.0, 2]]), rig)
-    assert around[0].tolist() == [0, 200, 0, 160]
-    assert (behind[0, 1] - behind[0, 0]) * (behind[0, 3] - behind[0, 2]) == 0
-
-
 def test_the_fixed_box_holds_the_limb_however_it_is_bent(body, standing):
     region = chain_region(body, LEG, ("left_big_toe",))
     sizes = []
@@ -55,16 +45,6 @@ def test_the_fixed_box_holds_the_limb_however_it_is_bent(body, standing):
         assert (points > low).all() and (points < high).all()
         sizes.append(high - low)
     assert np.allclose(sizes, sizes[0])
-
-
-def test_boxes_grow_with_the_subject(body):
-    from hypose.tracking.subject import scaled_to_height
-
-    tall = scaled_to_height(body, 1.2 * body.stature)
-    a, b = chain_region(body, LEG), chain_region(tall, LEG)
-    assert a.half is not None and b.half is not None
-    assert b.half == pytest.approx(1.2 * a.half, rel=1e-6)
-    assert b.margin == pytest.approx(1.2 * a.margin, rel=1e-6)
 
 
 def test_the_cost_in_a_leg_s_box_sees_the_leg_and_not_the_arm(body, standing, frame_of):
@@ -95,12 +75,6 @@ def test_parts_of_later_layers_are_not_drawn(body, standing, frame_of):
     upper_arm = PartitionedXor(body, region, faces)(Hypotheses.uniform(bent), frame)
     # what is left is the skin about the elbow, which follows both bones
     assert abs(upper_arm[1] - upper_arm[0]) < 0.35 * abs(drawn[1] - drawn[0])
-
-
-def test_without_a_view_all_cost_the_same(body, standing, frame_of):
-    blind = prepare(frame_of(body, standing, dead=(0, 1, 2, 3)), body, standing)
-    h = Hypotheses.uniform(np.stack([standing, standing + 0.1]))
-    assert (PartitionedXor(body, chain_region(body, LEG))(h, blind) == 0).all()
 
 
 def test_the_whole_box_gives_the_plain_cost_on_another_scale(body, standing, frame_of):

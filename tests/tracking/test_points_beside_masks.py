@@ -13,8 +13,8 @@ from hypose.evidence.keypoints import BODY_25
 from hypose.geometry import se3
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.keypoint_evidence import keypoint_model
-from hypose.tracking.keypoint_offsets import calibrate_keypoints, triangulated_starts
-from hypose.tracking.points_beside_masks import LEAST, start_beside_masks, weighed_beside_masks
+from hypose.tracking.keypoint_offsets import calibrate_keypoints
+from hypose.tracking.points_beside_masks import LEAST, weighed_beside_masks
 from hypose.tracking.subject import scaled_to_height
 
 N = 6
@@ -42,7 +42,7 @@ def test_the_more_points_scatter_the_less_they_weigh(clip, model):
     frames, body = clip
     rough = spoilt(frames, "noisy", np.random.default_rng(0))
     plain, noisy = (
-        weighed_beside_masks(body, m, f)[0].beside for m, f in ((model, frames), (calibrated(body, rough), rough))
+        weighed_beside_masks(body, m, f).beside for m, f in ((model, frames), (calibrated(body, rough), rough))
     )
     assert plain.shape == (4, len(BODY_25)) and (plain <= 1).all() and (noisy > 0).all()
     assert np.median(noisy[:, model.known]) < 0.5 * np.median(plain[:, model.known])
@@ -50,7 +50,7 @@ def test_the_more_points_scatter_the_less_they_weigh(clip, model):
 
 def test_points_that_scatter_beyond_the_outlines_keep_little_weight(clip, model):
     frames, body = clip
-    beside = weighed_beside_masks(body, model, frames)[0].beside[:, model.known]
+    beside = weighed_beside_masks(body, model, frames).beside[:, model.known]
     assert LEAST <= np.median(beside) < 0.2  # they scatter by twice what the outlines may be off
 
 
@@ -59,7 +59,7 @@ def test_points_weigh_in_full_beside_masks_that_are_elsewhere(clip, model):
     there = se3(np.eye(3), (0.0, 0.0, 0.1))
     rig = CameraRig(tuple(replace(c, camera_from_world=c.camera_from_world @ there) for c in frames[0].silhouettes.rig))
     aside = [replace(f, silhouettes=replace(f.silhouettes, rig=rig)) for f in frames]
-    right, wrong = (weighed_beside_masks(body, model, f)[0].beside[:, model.known] for f in (frames, aside))
+    right, wrong = (weighed_beside_masks(body, model, f).beside[:, model.known] for f in (frames, aside))
     assert np.median(right) < 0.6 and np.median(wrong) == 1 and (wrong > right).mean() > 0.9
 
 
@@ -70,19 +70,15 @@ def test_limbs_that_are_hardly_seen_weigh_as_the_others_do(clip, model):
     for p in points[1:]:
         p[:, arms] = 0.0
     seldom = [replace(f, keypoints=replace(f.keypoints, points=p)) for f, p in zip(frames, points, strict=True)]
-    beside = weighed_beside_masks(body, model, seldom)[0].beside
+    beside = weighed_beside_masks(body, model, seldom).beside
     others = np.unique(beside[:, model.known & ~arms], axis=1)
     assert (beside[:, arms] < 0.5).all() and (beside[:, arms] >= others.min(1, keepdims=True)).all()
 
 
 def test_without_masks_nothing_is_measured(clip, model):
     frames, body = clip
-    pose = np.zeros(body.skeleton.dof)
     for few in ([replace(f, silhouettes=None) for f in frames], frames[:2]):
-        same, ways = weighed_beside_masks(body, model, few)
-        assert same is model and len(ways) <= len(few)
-    bare = replace(frames[0], silhouettes=None)
-    assert start_beside_masks(body, model, bare, pose, ways) is pose
+        assert weighed_beside_masks(body, model, few) is model
 
 
 BOX = small_scene(1, N, "box")
@@ -90,7 +86,7 @@ BOX = small_scene(1, N, "box")
 
 @pytest.fixture(scope="module")
 def guessed(clip):
-    """A boxer's frames, and with the right leg in two pictures only, in the second one of these where it is not."""
+    """A boxer's frames with the right leg in two pictures only, in the second one of these where it is not."""
     frames = list(BOX.mask_frames(1.0, keypoints=True))
     leg = [k for k, n in enumerate(BODY_25) if n.startswith("right_") and n.endswith(("knee", "ankle", "toe", "heel"))]
     out = []
@@ -99,29 +95,14 @@ def guessed(clip):
         p[2:, leg] = 0.0
         p[1, leg, 0] += 0.15 * np.ptp(p[1, p[1, :, 2] > 0, 1])
         out.append(replace(f, keypoints=replace(f.keypoints, points=p)))
-    return frames, out, leg
+    return out, leg
 
 
 def test_a_limb_guessed_in_one_of_two_views_weighs_nothing_there(clip, guessed):
-    (_, body), (_, frames, leg) = clip, guessed
-    beside = weighed_beside_masks(body, calibrated(body, frames), frames)[0].beside
+    (_, body), (frames, leg) = clip, guessed
+    beside = weighed_beside_masks(body, calibrated(body, frames), frames).beside
     others = np.setdiff1d(np.arange(len(BODY_25)), leg)
     assert (beside[1, leg] < 1e-3).all() and (beside[0, leg] >= LEAST).all() and (beside[:, others] >= LEAST).all()
-
-
-def test_a_start_with_a_guessed_limb_has_it_where_the_masks_do(clip, guessed):
-    (_, body), (true, frames, _) = clip, guessed
-    told = BOX.joints[0]
-    legs = [body.skeleton.joint(f"right_{j}") for j in ("knee", "ankle")]
-    model = calibrated(body, frames)
-    given = triangulated_starts(body, model, [frames[0].keypoints])[0]
-    model, ways = weighed_beside_masks(body, model, frames)
-    found = start_beside_masks(body, model, frames[0], given, ways)
-    before, after = (np.linalg.norm(body.joints(q)[legs] - told[legs], axis=-1) for q in (given, found))
-    assert before.max() > 0.12 and after.max() < 0.06
-    right = triangulated_starts(body, model, [true[0].keypoints])[0]
-    kept = start_beside_masks(body, model, true[0], right, ways)
-    assert np.linalg.norm(body.joints(kept) - body.joints(right), axis=-1).max() < 0.1
 
 
 def test_solves_weigh_points_less_where_there_are_masks(clip, model):

@@ -7,16 +7,15 @@ import pytest
 
 from hypose.errors import InputError
 from hypose.fitting.articulated import PointTerm
-from hypose.inference.hypotheses import Hypotheses
-from hypose.inference.kernels import AdaptiveDiffusion, GaussianDiffusion
+from hypose.inference.kernels import GaussianDiffusion
 from hypose.inference.layer import Layer, Recipe
 from hypose.inference.selectivity import Annealed, SurvivalRate
 from hypose.inference.selectors import systematic
-from hypose.tracking import published_recipes, refinement
+from hypose.tracking import refinement
 from hypose.tracking.costs import SilhouetteXor
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.recipes import RECIPES, citation_of, recipe
-from hypose.tracking.refinement import COMPOSITE, SOLVED, ContourRefinement, SolvePrediction, pose_mean
+from hypose.tracking.refinement import pose_mean
 from hypose.tracking.tracker import Tracker, TrackerSettings
 from tests.tracking.measures import joint_error
 
@@ -72,30 +71,6 @@ def test_what_solves_mends_a_start_that_is_off(body, standing, frame_of, name):
     _, estimate = tracker.step(tracker.start(off), frame_of(body, standing))
     assert joint_error(body, estimate.pose, standing) < 0.012
     assert made.recover is not None and made.smooth is not None and made.predict(np.ones(2), 1).tolist() == [0.8**2] * 2
-
-
-def test_annealing_diffuses_by_the_spread_of_the_set(body):
-    """Alcoverro 2014, section 2.4.2: "the APF uses adaptive diffusion" and has 15 layers of 240 particles."""
-    made = published_recipes.apf(body)
-    assert (len(made.layers), made.particles) == (15, 240)
-    first, *others = (layer.propose for layer in made.layers)
-    assert isinstance(first, GaussianDiffusion) and all(isinstance(k, AdaptiveDiffusion) for k in others)
-
-
-def test_refining_leaves_the_roles_of_the_detections(body, standing, frame_of):
-    frame = prepare(frame_of(body, standing), body, standing)
-    h = Hypotheses.uniform(np.repeat(standing[None], 8, 0)).marked("left posed", [2, 5])
-    moved = ContourRefinement()(h, frame, np.random.default_rng(0))
-    assert np.flatnonzero(moved.has("left posed")).tolist() == [2, 5]
-    assert moved.has(SOLVED).sum() == 1
-
-
-def test_a_solved_set_has_one_solution_and_one_composite(body, standing, frame_of):
-    frame = prepare(frame_of(body, standing), body, standing)
-    h = Hypotheses.uniform(np.repeat(standing[None] + 0.03, 8, 0))
-    solved = SolvePrediction()(h, frame, np.random.default_rng(0))
-    assert solved.has(SOLVED).sum() == solved.has(COMPOSITE).sum() == 1
-    assert not (solved.has(SOLVED) & solved.has(COMPOSITE)).any()
 
 
 def test_refinement_is_added_once_and_cited(body):

@@ -4,13 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import qmc
 
 from hypose.inference.hypotheses import BEFORE, Hypotheses
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.pose_covariance import uncertainty_of_pose
 from hypose.tracking.published_recipes import LIMB_LAYERS
-from hypose.tracking.reach_table import arm_reach, ends, ends_of
+from hypose.tracking.reach_table import arm_reach, ends
 from hypose.tracking.recipes import default
 from hypose.tracking.refinement import COMPOSITE, RIVAL, SOLVED
 from hypose.tracking.rival_arms import LookedUp, RefineRivals, rival_arms
@@ -58,33 +57,6 @@ def off_guard(body, pose):
     return Hypotheses.uniform(np.repeat(pose[None], 4, 0)).marked(SOLVED, [0]).marked(COMPOSITE, [1])
 
 
-def test_points_lie_on_the_arm_wherever_the_body_is(body, arms, raised, rng):
-    s = body.skeleton
-    pose = s.clamp(raised + rng.normal(0, 0.2, s.dof))
-    together = ends_of([arms["l"], arms["r"]], np.stack([raised, pose]))[1]
-    for side, at in zip("lr", together, strict=True):
-        np.testing.assert_allclose(at, ends(arms[side].here(pose[None]))[0], atol=1e-12)
-    r, p = s.forward(pose)
-    for side, arm in (("left", arms["l"]), ("right", arms["r"])):
-        chest = s.joint("chest")
-        world = arm.here(pose[None])[0] @ r[chest].T + p[chest]
-        shoulder, elbow, wrist = (p[s.joint(f"{side}_{name}")] for name in ("shoulder", "elbow", "wrist"))
-        mark = body.landmarks.index(f"{side}_hand_tip")
-        tip = wrist + r[s.joint(f"{side}_wrist")] @ body.landmarks.offset[mark]
-        wanted = [shoulder + 0.4 * (elbow - shoulder), elbow, wrist, wrist + 0.9 * (tip - wrist)]
-        np.testing.assert_allclose(world[[0, 2, 5, 7]], wanted, atol=1e-12)
-        np.testing.assert_allclose(ends(arm.here(pose[None]))[0], arm.here(pose[None])[0, [2, 5, 7]])
-        assert 0.05 < arm.area.sum() < 0.08
-
-
-def test_the_table_is_the_halton_sequence_over_the_range(body):
-    s = body.skeleton
-    arm = arm_reach(body, LEFT, s.lower, s.upper, count=200)
-    wanted = qmc.Halton(len(arm.own), scramble=False).random(201)[1:]
-    found = (arm.poses - s.lower[arm.own]) / (s.upper - s.lower)[arm.own]
-    np.testing.assert_allclose(found, wanted, atol=1e-12)
-
-
 def test_the_table_has_an_arm_near_every_arm(body, arms, rng):
     s, arm = body.skeleton, arms["l"]
     poses = np.zeros((200, s.dof))
@@ -104,11 +76,6 @@ def test_a_lost_arm_is_among_the_rivals(body, arms, standing, raised, frame_of):
         a, b = ends(arm.here(np.stack([standing, pose])))
         assert np.linalg.norm(a - b, axis=-1).max() > LookedUp().far
     assert len(found) <= LookedUp().most
-
-
-def test_nothing_rivals_arms_that_explain_the_masks(body, arms, raised, frame_of):
-    frame = prepare(frame_of(body, raised), body, raised)
-    assert rival_arms(arms["l"], raised, frame, LookedUp()) == []
 
 
 def test_a_found_arm_stands_still_and_the_body_goes_on(body, arms, standing, raised, frame_of, rng):
@@ -149,16 +116,6 @@ def test_what_is_right_in_one_rival_and_wrong_in_the_other_is_crossed(body, arms
         out.columns[BEFORE][best, right], before[1, right]
     )  # the arm brings its history along
     assert out.origin[best] == 0
-
-
-def test_without_masks_the_estimate_lives_alone(body, arms, standing, frame_of, rng):
-    rivals = Hypotheses(
-        np.stack([standing + 0.1, standing]), np.array([-1.0, 0.0]), columns={BEFORE: np.stack([standing] * 2)}
-    )
-    frame = replace(prepare(frame_of(body, standing), body, standing), masks=None, rivals=rivals)
-    out = RefineRivals(((arms["l"], lambda h, frame: True),))(off_guard(body, standing), frame, rng)
-    assert out.count == 1 and out.has(SOLVED).all()
-    np.testing.assert_allclose(out.values[0], standing, atol=1e-6)
 
 
 def follow(tracker, state, poses, frame_of, dead=()):
@@ -228,13 +185,6 @@ def test_hypotheses_go_on_by_their_own_steps(body, standing):
     np.testing.assert_array_equal(expected.columns[BEFORE], h.values)
     lost = tracker._expected(replace(state, hypotheses=h, lost=True), np.zeros(s.dof))
     np.testing.assert_array_equal(lost.values, h.values)
-
-
-def test_no_rivals_are_a_recipe_too(body, standing, raised, frame_of):
-    tracker = Tracker(body, default(body, particles=32, rivals=1))
-    state = follow(tracker, tracker.start(standing), [raised] * 3, frame_of)
-    assert state.hypotheses.count == 1 and not state.hypotheses.has(RIVAL).any()
-    assert wrist_error(body, state.pose, raised) < 0.05
 
 
 def test_the_covariance_is_that_of_the_mixture(body, standing, raised, frame_of):

@@ -10,7 +10,7 @@ from hypose.errors import EvidenceError
 from hypose.evidence.keypoints import BODY_25B
 from hypose.tracking.keypoint_clip import solve_keypoint_clip, track_keypoint_clip
 from hypose.tracking.keypoint_evidence import keypoint_model
-from hypose.tracking.pose_covariance import packed, unpacked
+from hypose.tracking.pose_covariance import packed
 from hypose.tracking.smooth_motion import smooth_motion
 from hypose.tracking.smoothing import ClipSettings, smooth_poses
 from tests.tracking.test_keypoint_evidence import exchanged, seen_by
@@ -108,25 +108,6 @@ def test_feet_are_held(body, swing, rng):
     assert found.feet.contacts > 0.8
     assert found.feet.sliding < 0.3 * found.feet_before.sliding
     assert any("slide" in note for note in found.notes)
-
-
-def test_windows_have_no_seams(body, swing):
-    own = information(swing)
-    whole = smooth_poses(body, swing, own, RATE, ClipSettings())
-    parts = smooth_poses(body, swing, own, RATE, ClipSettings(window=16, overlap=6))
-    assert np.abs(whole - parts).max() < 0.02
-
-
-def test_a_motion_of_two_frames_is_left_alone(body, swing):
-    given = np.stack([packed(i) for i in information(swing[:2])])
-    motion = motion_of(body, swing[:2])
-    assert smooth_motion(body, motion, given).motion is motion
-
-
-def test_packed_information_comes_back(rng):
-    a = rng.normal(size=(6, 6))
-    a = a + a.T
-    np.testing.assert_allclose(unpacked(packed(a)[None], 6)[0], a, rtol=1e-6)
 
 
 def test_key_point_clip_with_exchanged_sides_and_a_gap(body, swing, small_rig, rng):

@@ -147,23 +147,6 @@ def test_outlines_tell_the_girths_beside_the_bones(body, different, frame_of):
     assert "3 poses" in note
 
 
-def test_bones_are_believed_as_far_as_key_points_scatter(body, different, frame_of):
-    longer = {f"{side}_{joint}": 1.1 for side in ("left", "right") for joint in ("hip", "knee")}
-    wrong = deform(body, Shape(length=longer))
-    frames = [frame_of(body, p, i) for i, p in enumerate(different)]
-    off = {
-        residual: abs(with_outlines(_as_fitted(wrong, different, residual), frames)[0].stature - body.stature)
-        for residual in (0.005, 0.03)
-    }
-    assert off[0.03] < 0.3 * (wrong.stature - body.stature)
-    assert off[0.005] > 2 * off[0.03]
-
-
-def test_no_outlines_no_body(body, different, frame_of):
-    frames = [replace(frame_of(body, p, i), silhouettes=None) for i, p in enumerate(different)]
-    assert with_outlines(_as_fitted(body, different, 0.01), frames) is None
-
-
 def test_masks_of_somebody_else_change_no_body(body, different, frame_of):
     elsewhere = different.copy()
     elsewhere[:, :2] += 1.5

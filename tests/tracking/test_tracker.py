@@ -15,7 +15,6 @@ from hypose.tracking.tracker import (
     TrackerState,
     estimates_from_arrays,
     estimates_to_arrays,
-    motion_of,
 )
 from tests.tracking.measures import joint_error
 
@@ -82,13 +81,6 @@ def test_without_evidence_it_extrapolates_with_growing_uncertainty(body, standin
     assert joint_error(body, estimates[8].pose, poses[8]) < 0.02
 
 
-def test_one_dead_view_is_counted_and_survived(body, standing, frame_of):
-    poses = moving(body, standing, 5)
-    _, estimates = run(small(body, "default", 16), poses, frame_of, lambda t: (2,) if t > 1 else ())
-    assert [e.n_views for e in estimates] == [4, 4, 3, 3, 3]
-    assert joint_error(body, estimates[-1].pose, poses[-1]) < 0.03
-
-
 def test_a_jump_is_noticed_and_recovered(body, standing, frame_of):
     jumped = standing.copy()
     jumped[:2] += [-0.7, 0.5]
@@ -119,14 +111,6 @@ def test_a_body_that_is_wrong_from_the_start_is_looked_for_whatever_is_usual(bod
     assert not any(e.lost for e in estimates)
 
 
-def test_without_recovery_a_jump_is_flagged_as_lost(body, standing, frame_of):
-    jumped = standing.copy()
-    jumped[:2] += [-0.9, 0.7]
-    tracker = Tracker(body, replace(recipe("default", body, particles=16), recover=None))
-    _, estimates = run(tracker, np.stack([standing] * 3 + [jumped]), frame_of)
-    assert [e.lost for e in estimates] == [False, False, False, True]
-
-
 def test_saved_state_goes_on_with_the_same_bytes(body, standing, frame_of):
     poses = moving(body, standing, 6)
     tracker = small(body, "hpf", 40)
@@ -152,14 +136,6 @@ def test_root_turning_through_a_whole_circle_is_followed(body, standing, frame_o
     _, estimates = run(Tracker(body, recipe("default", body)), poses, frame_of)
     assert joint_error(body, estimates[-1].pose, poses[-1]) < 0.04
     assert max(np.linalg.norm(e.pose[3:6]) for e in estimates) < np.pi + 0.5
-
-
-def test_motion_carries_flags_and_shapes(body, standing, frame_of):
-    poses = moving(body, standing, 3)
-    _, estimates = run(small(body, "default", 16), poses, frame_of)
-    motion = motion_of(body, np.arange(3) / 25, estimates, {"recipe": "default"})
-    assert motion.joints.shape == (3, 19, 3) and motion.frame_rate == pytest.approx(25)
-    assert (motion.joint_sd > 0).all() and (motion.cost < 0.1).all()
 
 
 def test_unknown_recipe_lists_the_presets(body):

@@ -10,15 +10,15 @@ await walk(
     await page.getByLabel("Another gesture").selectOption("ok");
     await page.getByLabel("Another gesture").selectOption("cross");
     await page.getByRole("button", { name: "cross" }).click(); // taken away again
-    await page.getByLabel("Rounds", { exact: true }).fill("2");
+    await page.getByLabel("Rounds", { exact: true }).fill("1");
     await page.getByText("Timing").click();
     await page.getByText("as fast as the computer can").click();
-    await page.getByText("72 s in all").waitFor();
+    await page.getByText("36 s in all").waitFor();
     await picture("gesture-several");
     assert.deepEqual(await staysCutOff(page), []);
     await page.getByRole("button", { name: "Start", exact: true }).click();
-    await page.getByText("tee, 1 of 2 · round 1 of 2").waitFor();
-    await page.getByText("ok, 2 of 2 · round 1 of 2").waitFor();
+    await page.getByText("tee, 1 of 2 · round 1 of 1").waitFor();
+    await page.getByText("ok, 2 of 2 · round 1 of 1").waitFor();
     // nothing is clicked: the second comes by itself, and then both are tried
     await page.getByRole("heading", { name: "Watched for" }).waitFor();
     const rows = page.locator(".classes li");

@@ -1,113 +1,83 @@
-"""`hypose batch`: many recordings times many sets of parameters, on the cores of a computer or the nodes of a lab."""
+"""`hypose batch`: many recordings, each with its options, on the cores of a computer or the nodes of a lab."""
 
 from __future__ import annotations
 
 import os
-import signal
 from dataclasses import replace
 from pathlib import Path
-from types import FrameType
 from typing import Annotated
 
 import typer
 
+from hypose.app.commands.commands_track import split_names, terminated_as_interrupted
 from hypose.app.commands.console import Stages, note, say
 from hypose.app.commands.options import number
 from hypose.errors import InputError
 
 
 def batch(
-    sweep: Annotated[
-        Path,
-        typer.Argument(
-            help="TOML file: recordings, sets of settings; see docs/batch.md. Or the folder of a recording."
-        ),
+    recordings: Annotated[
+        list[Path],
+        typer.Argument(help="A table (CSV) of recordings and options, see docs/batch.md; or folders of recordings."),
     ],
     workers: Annotated[
-        int | None,
-        number("Processes of this computer, or jobs with --slurm. [default: the number of cores]", 1, 1024),
+        int | None, number("Processes of this computer. [default: the number of cores]", 1, 1024)
     ] = None,
     threads: Annotated[int | None, number("Threads of each worker. [default: the cores shared]", 1, 256)] = None,
     scheduler: Annotated[
         str | None, typer.Option(help="Address of a running Dask scheduler, tcp://HOST:8786, instead.")
     ] = None,
-    slurm: Annotated[
-        bool, typer.Option("--slurm", help="Workers as SLURM jobs, as [slurm] of the sweep says (extra slurm).")
-    ] = False,
-    out: Annotated[Path | None, typer.Option(help="Results folder. [default: the sweep's]")] = None,
-    chunk: Annotated[
-        float | None,
-        number(
-            "Split recordings that are longer into chunks of so many seconds. [default: the sweep's]",
-            10,
-            1_000_000,
-            unit="seconds",
-        ),
+    out: Annotated[
+        Path | None, typer.Option(help="Results folder. [default: TABLE-results beside the table, else batch-results]")
     ] = None,
+    formats: Annotated[str, typer.Option(help="Motion files to write.")] = "trc,csv",
+    overlay: Annotated[bool, typer.Option("--overlay", help="Write overlay.mp4 as well.")] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be done, and do nothing.")] = False,
 ) -> None:
-    """Track many recordings with many sets of parameters; what is finished is skipped, what was begun goes on."""
-    _check(workers, threads, scheduler, slurm)
-    from hypose.app.sweeps.batch_worker import finished
-    from hypose.app.sweeps.cluster import Place, require_dask, run_batch
-    from hypose.app.sweeps.sweep import is_recording, plan, read_sweep, sweep_of
-    from hypose.io.claims import claimed
+    """Track many recordings, each with options of its own; what is finished is skipped, what was begun goes on."""
+    if scheduler is not None and (workers is not None or threads is not None):
+        raise InputError("A running scheduler has its own workers; leave --workers and --threads out.")
+    from hypose.app.batch import finished, plan, require_dask, run_batch, wanted, write_table
+    from hypose.io.files import claimed
+    from hypose.io.motions.export import known_formats
 
     if not dry_run:
-        require_dask(slurm)  # before all files are read
-    wanted = sweep_of(sweep) if is_recording(sweep) else read_sweep(sweep)
-    if chunk is not None:
-        wanted = replace(wanted, chunk_s=chunk)
-    if out is not None:
-        wanted = replace(wanted, results=out)
-    count = workers or os.cpu_count() or 1
-    place = Place(count, threads, scheduler, wanted.slurm if slurm else None, wanted.retries)
-    previous = signal.signal(signal.SIGTERM, _interrupt)
+        require_dask("distributed")  # before all files are read
+    names = split_names(formats)
+    known_formats(names)
+    drafts = [replace(task, formats=names, overlay=overlay) for task in wanted(recordings)]
+    results = out or recordings[0].parent / f"{recordings[0].stem}-results"
+    if out is None and recordings[0].suffix.lower() != ".csv":
+        results = Path("batch-results")
     try:
-        with Stages() as progress:
-            tasks, refused = plan(wanted, progress)
+        with terminated_as_interrupted(), Stages() as progress:
+            tasks, refused = plan(drafts, results, progress)
+            rows = refused
             if dry_run:
                 done = sum(finished(t) is not None for t in tasks)
                 say(f"{len(tasks)} tasks: {done} finished, {len(tasks) - done} to do, {len(refused)} refused")
-                for one in refused:
-                    say(f"{one.recording}, {one.set_name}: {one.reason}")
-                if refused:  # as the batch itself would end
-                    raise typer.Exit(1)
-                return
-            with claimed(wanted.results):
-                figures = run_batch(tasks, place, wanted.results, progress, lambda link: note(f"Dashboard: {link}"))
+            else:
+                with claimed(results):
+                    count = workers or os.cpu_count() or 1
+                    done = run_batch(tasks, results, progress, workers=count, threads=threads, scheduler=scheduler)
+                    rows = [*done, *refused]
+                    write_table(rows, results)
     except KeyboardInterrupt:
         say("Stopped. Go on with the same command.")
         raise typer.Exit(130) from None
-    finally:
-        signal.signal(signal.SIGTERM, previous)
-    from hypose.app.sweeps.batch_table import rows_of, write_table
-
-    rows = rows_of(tasks, refused, figures, wanted.results)
-    table, page = write_table(rows, wanted.results)
-    states = [str(r["state"]) for r in rows]
     for row in rows:
         if row["state"] == "failed":
-            note(f"{row['recording']}, {row['set']}: {row['message']}")
-    skipped = sum(r["state"] == "done" and r["attempts"] == 0 for r in rows)
-    parts = [f"{states.count('done')} of {len(rows)} done ({skipped} were before)"]
+            note(f"{row['recording']}, {row['name']}: {row['message']}")
+    if dry_run:
+        raise typer.Exit(1 if refused else 0)  # as the batch itself would end
+    states = [row["state"] for row in rows]
+    before = sum(row.get("before", False) for row in rows)
+    parts = [f"{states.count('done')} of {len(rows)} done ({before} were before)"]
     parts += [f"{states.count(s)} {s}" for s in ("failed", "stopped") if s in states]
     say(", ".join(parts))
-    say(f"Table: {table}")
-    say(f"Page:  {page}")
+    say(f"Table: {results / 'results.csv'}")
     if "stopped" in states:
         say("Stopped. Go on with the same command.")
         raise typer.Exit(130)
     if "failed" in states:
         raise typer.Exit(1)
-
-
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
-
-
-def _check(workers: int | None, threads: int | None, scheduler: str | None, slurm: bool) -> None:
-    if scheduler is not None and slurm:
-        raise InputError("--scheduler and --slurm exclude each other; give one of them.")
-    if scheduler is not None and (workers is not None or threads is not None):
-        raise InputError("A running scheduler has its own workers; leave --workers and --threads out.")

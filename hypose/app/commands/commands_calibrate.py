@@ -103,8 +103,7 @@ def calibrate(
 
 def _counted(paths: list[Path]) -> str:
     """The corners of the chessboard in the pictures, as the option would say it."""
-    from hypose.calibration.counted_corners import count_corners
-    from hypose.calibration.views import find_sources
+    from hypose.calibration.views import count_corners, find_sources
 
     columns, rows = count_corners(find_sources(paths))
     say(f"The board is taken for a chessboard of {columns} x {rows} inner corners, as counted in the pictures.")

@@ -1,9 +1,12 @@
-"""`hypose silhouettes` and `hypose synth`: masks of recordings, and recordings made up."""
+"""`hypose synth`, `silhouettes`, `keypoints` and `depth-import`: recordings, and the evidence in them."""
 
 from __future__ import annotations
 
+import contextlib
+import shlex
+import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -11,6 +14,13 @@ from hypose.app.commands.commands_track import set_threads
 from hypose.app.commands.console import Stages, note, say
 from hypose.app.commands.options import Seconds, Seed, Threads, number
 from hypose.errors import EvidenceError, InputError
+
+if TYPE_CHECKING:
+    from hypose.evidence.detector import PoseDetector
+    from hypose.io.keypoints.read_keypoints import DetectedKeypoints
+    from hypose.io.recordings.recording import Recording
+
+Yes = Annotated[bool, typer.Option("--yes", help="Fetch the detector's models, once, without asking.")]
 
 
 def silhouettes(
@@ -25,9 +35,8 @@ def silhouettes(
     """Write the masks of the person as PNG, one folder per view, and a contact sheet."""
     from hypose.app.jobs.checking import write_sheet
     from hypose.app.jobs.job import choose_frames
-    from hypose.io.claims import claimed
-    from hypose.io.recordings.frames import FrameStream
-    from hypose.io.recordings.mask_folders import write_masks
+    from hypose.io.files import claimed
+    from hypose.io.recordings.frames import FrameStream, write_masks
     from hypose.io.recordings.recording import load_recording
 
     loaded = choose_frames(load_recording(recording), frames)
@@ -88,7 +97,7 @@ def synth(
 ) -> None:
     """Make a synthetic recording with known truth: videos, background clips, calibration, recording.toml, truth.npz."""
     set_threads(threads)
-    from hypose.io.claims import claimed
+    from hypose.io.files import claimed
     from hypose.synthetic.film_session import BOARD, write_session
     from hypose.synthetic.scenes import make_scene
     from hypose.synthetic.write_recording import check_folder, write_scene
@@ -142,7 +151,7 @@ def _depth_cameras(
     seed: int,
     clothing: float,
 ) -> None:
-    from hypose.io.claims import claimed
+    from hypose.io.files import claimed
     from hypose.synthetic.write_depth import walking_scene, write_depth_scene
 
     about = {"seconds": seconds, "frame_rate": frame_rate, "seed": seed, "clothing_m": clothing}
@@ -166,3 +175,136 @@ def _subject_name(text: str) -> str:
     if int(text) >= len(names):
         raise InputError(f"There is no subject {text}; the subjects are 0 to {len(names) - 1}: {', '.join(names)}.")
     return names[int(text)]
+
+
+def depth_import(
+    sources: Annotated[
+        list[Path],
+        typer.Argument(help="One per camera: Azure Kinect .mkv, RealSense .bag, Record3D .r3d, or a folder of maps."),
+    ],
+    out: Annotated[Path, typer.Option(help="Folder to write the recording to.")],
+    empty: Annotated[
+        list[Path] | None, typer.Option(help="The empty room, one per camera in the same order (may be repeated).")
+    ] = None,
+    frame_rate: Annotated[
+        float | None, number("Frames per second of folders of maps, which do not tell it. [default: 30]", 1, 1000)
+    ] = None,
+    millimetres: Annotated[
+        float, number("Millimetres that one step of a value stands for, of folders of maps.", 0, 100, above=True)
+    ] = 1.0,
+    seed: Seed = 0,
+) -> None:
+    """Make a recording of depth cameras to track: maps, lenses, floor; several are brought together by the person."""
+    from hypose.errors import InputError
+    from hypose.io.files import claimed
+    from hypose.pipeline.import_depth import import_depth
+
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise InputError(f"{out} is not empty; give a new folder.")
+    new = not out.exists()
+    about = {"frame_rate": frame_rate, "millimetres": millimetres, "seed": seed}
+    try:
+        with claimed(out, "--out"), Stages() as progress:
+            path, notes = import_depth(sources, out, empty=empty or (), progress=progress, **about)
+    except KeyboardInterrupt:
+        say(f"Stopped; nothing is kept in {out}. Start again with the same command.")
+        raise typer.Exit(130) from None
+    finally:
+        if new:
+            with contextlib.suppress(OSError):  # the recording is in it
+                out.rmdir()
+    for text in notes:
+        note(f"note: {text}")
+    say(f"{path}: {len(sources)} depth cameras; track it with: hypose track {shlex.quote(str(out))}")
+
+
+def keypoints(
+    recording: Annotated[Path, typer.Argument(help="Folder with recording.toml, that file, or a Pose2Sim project.")],
+    detector: Annotated[
+        str | None,
+        typer.Option(help="Your own detector instead, FILE.py:NAME or MODULE:NAME (docs/recordings.md)."),
+    ] = None,
+    yes: Yes = False,
+    folder: Annotated[
+        Path | None, typer.Option("--out", help="Folder to write to. [default: keypoints in the recording's folder]")
+    ] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on where an interrupted run stopped.")] = False,
+    threads: Threads = None,
+) -> None:
+    """Detect 2D key points and masks of people in the videos, which `hypose track` then uses."""
+    set_threads(threads)
+    from hypose.io.keypoints.detectors import open_own_detector
+    from hypose.io.keypoints.read_keypoints import FOLDER
+    from hypose.io.recordings.recording import load_recording
+
+    loaded = load_recording(recording)
+    target = folder or loaded.folder / FOLDER
+    chosen = open_network_asking(yes) if detector is None else open_own_detector(detector)
+    found = detect(loaded, chosen, target, loaded.frames if chosen.gives_masks else None, resume=resume)
+    what = "Key points and masks" if found.with_masks else "Key points"
+    say(f"{what}: {found.folder} ({found.keypoint_set}, one folder per view)")
+    own = loaded.folder / FOLDER
+    named = any(v.keypoints is not None and own.absolute() not in v.keypoints.absolute().parents for v in loaded.views)
+    if target.absolute() == own.absolute() and not named:
+        say(f"To use them: hypose track {recording} --evidence both")
+        return
+    note("note: recording.toml decides which key points are used; to use these, say there:")
+    say(f'keypoint_set = "{found.keypoint_set}"')
+    for view in loaded.views:
+        say(f'keypoints = "{found.view(view.name).absolute()}"  # in the [[view]] of {view.name}')
+
+
+def detect(
+    loaded: Recording, detector: PoseDetector, target: Path, frames: range | None, *, resume: bool
+) -> DetectedKeypoints:
+    """Detect in frames (None: all) with progress; interrupted it says how to go on, and exits with code 130."""
+    from hypose.io.files import claimed
+    from hypose.pipeline.detect_keypoints import detect_keypoints
+
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(claimed(target))
+        progress = stack.enter_context(Stages())
+        try:
+            return detect_keypoints(
+                loaded,
+                detector,
+                target,
+                resume=resume,
+                frames=frames,
+                progress=lambda done, total: progress("detect", done, total),
+            )
+        except KeyboardInterrupt:
+            say(f"Stopped; the frames done until then are in {target}. Go on with the same command and --resume.")
+            raise typer.Exit(130) from None
+
+
+def detected(loaded: Recording, frames: range, *, yes: bool, why: str) -> DetectedKeypoints:
+    """What the detector finds in frames of a recording, kept in its folder; of what is there already nothing is looked
+    at again. why: begins the sentence that says what is missing."""
+    from hypose.io.keypoints.read_keypoints import FOLDER, load_detected
+
+    target = loaded.folder / FOLDER
+    network = open_network_asking(yes, why)
+    before = load_detected(target)
+    same = before is not None and dict(before.identity) == network.identity
+    if before is not None and same and before.covers(frames):
+        return before
+    return detect(loaded, network, target, frames, resume=same)
+
+
+def open_network_asking(yes: bool, why: str = "Finding people in pictures") -> PoseDetector:
+    """The detector; its models are fetched when the user agrees. An InputError says what to install."""
+    from hypose.io.keypoints.detectors import MEGABYTES, PACKAGE, fetch_models, have_models, models_folder, runtime
+    from hypose.io.keypoints.detectors import open_network as opened
+
+    runtime(why)
+    if not have_models():
+        what = f"the detector's models from the package {PACKAGE} (Apache 2.0, {MEGABYTES} MB) to {models_folder()}"
+        if not yes:
+            if not sys.stdin.isatty():
+                raise InputError(f"{why} fetches {what}, once, by pip; run the command again with --yes to agree.")
+            if not typer.confirm(f"Fetch {what}?"):
+                raise typer.Exit(1)
+        say(f"Fetching {what} ...")
+        fetch_models()
+    return opened()

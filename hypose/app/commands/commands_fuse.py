@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-import signal
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hypose.app.commands.commands_track import set_threads, split_names
+from hypose.app.commands.commands_track import (
+    report_outcome,
+    run_shown,
+    set_threads,
+    split_names,
+    tell_verdicts,
+    terminated_as_interrupted,
+)
 from hypose.app.commands.console import Stages, note, say
 from hypose.app.commands.options import Seed, Threads, number
 from hypose.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from hypose.app.jobs.fuse_job import FuseOutcome
-    from hypose.io.sensors.skeleton_streams import SkeletonRecording
-    from hypose.pipeline.verdict import Verdict
 
 _RECORDED, _LIVE = "Recorded", "Live"
 
@@ -79,10 +80,6 @@ def fuse(
         number("WebSocket port: /in takes skeletons, /out sends. [default: 9871]", 0, 65535, rich_help_panel=_LIVE),
     ] = None,
     osc: Annotated[str | None, typer.Option(help="HOST:PORT to send OSC to.", rich_help_panel=_LIVE)] = None,
-    vmc: Annotated[
-        str | None,
-        typer.Option(help="HOST:PORT of a program that moves an avatar (VMC protocol).", rich_help_panel=_LIVE),
-    ] = None,
     host: Annotated[
         str, typer.Option(help="Address to listen on; others than this computer need the token.", rich_help_panel=_LIVE)
     ] = "127.0.0.1",
@@ -107,16 +104,26 @@ def fuse(
     if live:
         if recording is not None:
             raise InputError("--live takes no recording; leave one of the two out.")
-        _live(udp, ws, osc, vmc, host, token, wait, record, rate)
+        import asyncio
+
+        from hypose.app.live.live_server import LiveOptions, run_live
+        from hypose.fusion.align import AlignSettings
+        from hypose.fusion.live import LiveSettings
+
+        if udp is None and ws is None:
+            udp, ws = 9870, 9871
+        settings = LiveSettings(AlignSettings(rate=30.0 if rate is None else rate, wait=wait / 1000))
+        options = LiveOptions(host=host, udp=udp, ws=ws, osc=osc, token=token, record=record, settings=settings)
+        asyncio.run(run_live(options, say, note))
         return
     if recording is None:
         raise InputError("There is nothing to fuse; give a recording of skeletons, or --live.")
     from hypose.app.jobs.fuse_job import FuseJob, run_fuse
     from hypose.app.reports.summary import require_found
-    from hypose.io.claims import claimed
     from hypose.io.file_names import file_name
+    from hypose.io.files import claimed
     from hypose.io.motions.results import ResultsFolder
-    from hypose.io.sensors.skeleton_formats import read_skeletons
+    from hypose.io.sensors.skeleton_files import read_skeletons
 
     loaded = read_skeletons(recording)
     if cameras is not None:
@@ -125,12 +132,20 @@ def fuse(
                 "With --cameras everything is one solve at the cameras' rate; leave --method, --reference, --rate, "
                 "--diagnose and --resume out."
             )
-        _with_cameras(loaded, cameras, out, split_names(formats), seed, threads)
+        from hypose.app.jobs.job import Job
+        from hypose.io.recordings.recording import load_recording
+        from hypose.pipeline.run import TrackOptions
+
+        filmed = load_recording(cameras)
+        results = ResultsFolder(out) if out is not None else ResultsFolder.of(filmed.folder, "fuse-cameras")
+        about = {"formats": split_names(formats), "run": {"threads": threads}, "skeletons": loaded}
+        job = Job(filmed, TrackOptions(seed=seed), results, **about)
+        report_outcome(job, run_shown(job, []))
         return
     folder = recording if recording.is_dir() else recording.parent
     name = f"fuse-{method}" if recording.is_dir() else f"{file_name(loaded.name)}-fuse-{method}"
     results = ResultsFolder(out) if out is not None else ResultsFolder.of(folder, name)
-    job = FuseJob(
+    fusing = FuseJob(
         loaded,
         results,
         method=method,
@@ -143,73 +158,19 @@ def fuse(
         resume=resume,
         run={"threads": threads},
     )
-    previous = signal.signal(signal.SIGTERM, _interrupt)
     try:
-        with claimed(results.path), Stages() as progress:
-            outcome = run_fuse(job, progress)
+        with terminated_as_interrupted(), claimed(results.path), Stages() as progress:
+            outcome = run_fuse(fusing, progress)
     except KeyboardInterrupt:
         say("Stopped before anything was fused, so nothing was kept. Start again with the same command.")
         raise typer.Exit(130) from None
-    finally:
-        signal.signal(signal.SIGTERM, previous)
     _closing(outcome, loaded.name, len(loaded.streams), results.path)
     if not outcome.complete:
         raise typer.Exit(130)
     if all(p.motion.lost.all() for p in outcome.people):
         require_found(outcome.people[0].motion, loaded.name, results.path)
     names = [f"person-{n + 1}" if len(outcome.people) > 1 else "" for n in range(len(outcome.people))]
-    _judge({name: p.verdict for name, p in zip(names, outcome.people, strict=True)})
-
-
-def _judge(verdicts: Mapping[str, Verdict]) -> None:
-    """The verdict on everybody by their names (none of one person); exit code 3 when one is not to be trusted."""
-    from hypose.pipeline.verdict import EXIT_UNTRUSTED, UNTRUSTED
-
-    for name, verdict in verdicts.items():
-        say(f"Verdict{' on ' if name else ''}{name}: {verdict.sentence}", "bold")
-    if any(verdict.word == UNTRUSTED for verdict in verdicts.values()):
-        raise typer.Exit(EXIT_UNTRUSTED)
-
-
-def _with_cameras(
-    skeletons: SkeletonRecording,
-    cameras: Path,
-    out: Path | None,
-    formats: Sequence[str],
-    seed: int,
-    threads: int | None,
-) -> None:
-    """Skeletons, depth maps and silhouettes as one solve."""
-    from hypose.app.jobs.job import Job, run_job
-    from hypose.app.reports.summary import require_found
-    from hypose.io.claims import claimed
-    from hypose.io.motions.results import ResultsFolder
-    from hypose.io.recordings.recording import load_recording
-    from hypose.pipeline.run import TrackOptions
-
-    recording = load_recording(cameras)
-    results = ResultsFolder(out) if out is not None else ResultsFolder.of(recording.folder, "fuse-cameras")
-    job = Job(
-        recording, TrackOptions(seed=seed), results, formats=formats, run={"threads": threads}, skeletons=skeletons
-    )
-    with claimed(results.path), Stages() as progress:
-        outcome = run_job(job, progress)
-    for text in outcome.notes:
-        note(f"note: {text}")
-    if not outcome.complete:
-        say("Stopped. Start again with the same command.")
-        raise typer.Exit(130)
-    m = outcome.motion
-    sensors = f"{len(recording.views)} cameras and {len(skeletons.streams)} sensors of skeletons"
-    say(f"{recording.name}: {len(m)} frames of {sensors} at {m.frame_rate:g} Hz, {int(m.lost.sum())} lost")
-    say(f"Results: {results.path}")
-    require_found(m, recording.name, results.path)
-    if outcome.verdict is not None:
-        _judge({"": outcome.verdict})
-
-
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
+    tell_verdicts({name: p.verdict for name, p in zip(names, outcome.people, strict=True)})
 
 
 def _closing(outcome: FuseOutcome, name: str, sensors: int, folder: Path) -> None:
@@ -236,34 +197,3 @@ def _closing(outcome: FuseOutcome, name: str, sensors: int, folder: Path) -> Non
             parts.append(f"median joint sd {1000 * float(np.nanmedian(m.joint_sd)):.1f} mm")
         say(f"{who}: " + ", ".join(parts))
     say(f"Results: {folder}")
-
-
-def _live(
-    udp: int | None,
-    ws: int | None,
-    osc: str | None,
-    vmc: str | None,
-    host: str,
-    token: str | None,
-    wait: float,
-    record: Path | None,
-    rate: float | None,
-) -> None:
-    import asyncio
-
-    from hypose.app.live.live_server import LiveOptions, run_live
-    from hypose.fusion.align import AlignSettings
-    from hypose.fusion.live import LiveSettings
-
-    chosen = udp is not None or ws is not None
-    options = LiveOptions(
-        host=host,
-        udp=udp if chosen else 9870,
-        ws=ws if chosen else 9871,
-        osc=osc,
-        vmc=vmc,
-        token=token,
-        record=record,
-        settings=LiveSettings(AlignSettings(rate=30.0 if rate is None else rate, wait=wait / 1000)),
-    )
-    asyncio.run(run_live(options, say, note))

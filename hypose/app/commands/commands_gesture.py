@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import signal
+import contextlib
 from pathlib import Path
-from types import FrameType
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+from hypose.app.commands.commands_track import terminated_as_interrupted
 from hypose.app.commands.console import Stages, note, say
 from hypose.app.commands.options import MOST_FRAMES, Seed, number
 from hypose.errors import InputError
-
-if TYPE_CHECKING:
-    from hypose.gestures.model import GestureModel
-    from hypose.gestures.online import Learner
 
 app = typer.Typer(no_args_is_help=True, help="Learn still gestures from a depth camera in minutes, and watch for them.")
 
@@ -73,8 +69,12 @@ def train(
         learn_recordings,
         new_learner,
         replaced_model,
+        run_session,
+        typed_commands,
     )
+    from hypose.app.live.gesture_sources import open_source
     from hypose.gestures.model import check_gesture_name
+    from hypose.gestures.session import SessionSettings
     from hypose.io.files import check_writable
     from hypose.pipeline.gesture_files import read_recording, save_model
 
@@ -99,40 +99,16 @@ def train(
         else:
             model = learn_recordings(loaded, gesture, learner, passes, note, old)
     else:
-        model = _session(source, gesture, record_to, rounds, learner, seed, old)
+        settings, opened = SessionSettings(rounds=rounds), open_source(source, gesture, seed)
+        note(_LETTERS)
+        about = {"record": record_to, "commands": typed_commands(), "say": note, "model": old}
+        model = run_session(opened, gesture, learner, settings, **about)
     if old is not None and model.thresholds == (None,):  # only the gesture, or only movement, was seen this time
         model = model.with_thresholds(*old.thresholds)
     save_model(model, out)
     nodes = int(model.forest.size.sum())
     say(f"{gesture}: {nodes} nodes, threshold {in_cm2(model.thresholds[0])}")
     say(f"Model: {out}")
-
-
-def _session(
-    source: str,
-    gesture: str,
-    record_to: Path | None,
-    rounds: int,
-    learner: Learner,
-    seed: int,
-    old: GestureModel | None,
-) -> GestureModel:
-    from hypose.app.jobs.gesture_job import run_session, typed_commands
-    from hypose.app.live.gesture_sources import open_source
-    from hypose.gestures.session import SessionSettings
-
-    settings, opened = SessionSettings(rounds=rounds), open_source(source, gesture, seed)
-    note(_LETTERS)
-    return run_session(
-        opened,
-        gesture,
-        learner,
-        settings,
-        record=record_to,
-        commands=typed_commands(),
-        say=note,
-        model=old,
-    )
 
 
 @app.command(short_help="Watch for gestures: events as JSON lines, OSC, commands.")
@@ -157,8 +133,7 @@ def run(
 ) -> None:
     """Watch for gestures without a screen: events as JSON lines on stdout, and wherever the options say."""
     from hypose.app.jobs.gesture_job import looking, thresholds, watch
-    from hypose.app.live import gesture_actions as actions
-    from hypose.app.live.gesture_outputs import OscOut, Out, WebSocketOut, event_line
+    from hypose.app.live.gesture_outputs import CommandOut, OscOut, Out, WebSocketOut, event_line
     from hypose.app.live.gesture_sources import open_source
     from hypose.gestures.events import EventSettings
     from hypose.pipeline.gesture_files import load_model
@@ -166,33 +141,24 @@ def run(
     loaded = [load_model(m) for m in models]
     limits = [EventSettings(t, hold_s=hold, refractory_s=rest) for t in thresholds(loaded, threshold)]
     names = [n for m in loaded for n in m.names]
-    outs: list[Out] = []
-    previous = signal.signal(signal.SIGTERM, _interrupt)
-    try:
+    with contextlib.suppress(KeyboardInterrupt), terminated_as_interrupted(), contextlib.ExitStack() as opened:
+        outs: list[Out] = []
         if osc is not None:
-            outs.append(OscOut(osc, names, [s.threshold for s in limits]))
+            outs.append(opened.enter_context(contextlib.closing(OscOut(osc, names, [s.threshold for s in limits]))))
         if ws is not None:
-            outs.append(WebSocketOut(ws, names))
+            outs.append(opened.enter_context(contextlib.closing(WebSocketOut(ws, names))))
         if command is not None:
-            outs.append(actions.CommandOut(command, names))
-        opened = open_source(source, names[0], seed)
-        for k, watched in enumerate(watch(opened, loaded, looking(loaded, memory), limits, note), 1):
+            outs.append(opened.enter_context(contextlib.closing(CommandOut(command, names))))
+        pictures = open_source(source, names[0], seed)
+        for k, watched in enumerate(watch(pictures, loaded, looking(loaded, memory), limits, note), 1):
             for event in watched.events:
                 print(event_line(event, names), flush=True)
             for out in outs:
                 out.send(watched)
             if frames and k >= frames:
                 break
-    except KeyboardInterrupt:
-        raise typer.Exit(130) from None
-    finally:
-        signal.signal(signal.SIGTERM, previous)
-        for out in outs:
-            out.close()
-
-
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
+        return
+    raise typer.Exit(130)
 
 
 @app.command(short_help="Try a model: what it finds in every frame.")

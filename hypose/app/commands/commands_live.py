@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hypose.app.commands.commands_track import set_threads
-from hypose.app.commands.console import Stages, note, say
+from hypose.app.commands.console import Stages, ended_by_signals, note, say
 from hypose.app.commands.options import HEIGHT, Seed, Threads, number
-from hypose.app.live.until_ended import ended_by_signals
 from hypose.errors import InputError
 
 if TYPE_CHECKING:
@@ -70,7 +69,7 @@ def live(
     set_threads(threads)
     ended = threading.Event()
     with ended_by_signals(ended):  # an interrupt between two imports can be lost
-        from hypose import compute
+        from hypose.app.jobs.job import compile_before
         from hypose.app.live.pose_outputs import PoseOutputs
         from hypose.pipeline.live.engine import LiveEngine, LiveOptions
         from hypose.pipeline.live.eyes import EyesOptions
@@ -90,9 +89,7 @@ def live(
     eyes = EyesOptions(cameras.rate, countdown, cameras.silhouettes)
     names = tuple(v.name for v in cameras.views)
     with Stages() as progress:  # the first time it takes a while, and Ctrl-C still ends it
-        progress("compile", 0, 1)
-        compute.warm_up(load=False)
-        progress("compile", 1, 1)
+        compile_before(progress)
     recorder = None
     with contextlib.ExitStack() as closing:
         closing.enter_context(ended_by_signals(ended))

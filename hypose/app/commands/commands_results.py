@@ -1,17 +1,25 @@
-"""`hypose export` and `hypose report`: work on results."""
+"""`hypose export`, `report`, `gait`, `compare`, `play` and `cite`: what is done with results."""
 
 from __future__ import annotations
 
+import contextlib
+import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from hypose.app.commands.commands_track import set_threads, split_names
 from hypose.app.commands.console import Stages, note, say
-from hypose.app.commands.kept_verdicts import tell_untrusted
-from hypose.app.commands.options import Threads
+from hypose.app.commands.options import Threads, number
 from hypose.errors import InputError
+
+if TYPE_CHECKING:
+    from pythonosc.osc_message import OscMessage
+
+    from hypose.body.body import Body
+    from hypose.body.motion import Motion
 
 
 def export(
@@ -20,9 +28,9 @@ def export(
     out: Annotated[Path | None, typer.Option(help="Folder to write to. [default: the results folder]")] = None,
 ) -> None:
     """Write motion files (TRC, C3D, BVH, GLB, CSV, MOT; OpenSim, Rerun) from a tracked motion."""
-    from hypose.io.claims import claimed
-    from hypose.io.motions.bodies import load_result_body
+    from hypose.io.files import claimed
     from hypose.io.motions.export import export_motion
+    from hypose.io.motions.results import load_result_body
 
     motion, body = load_result_body(results)
     tell_untrusted(results)
@@ -45,7 +53,7 @@ def report(
 ) -> None:
     """Write the report of a result again: one file that opens from disk and loads nothing."""
     set_threads(threads)
-    from hypose.app.reports.report import from_result, write_report
+    from hypose.app.reports.report import write_report
     from hypose.app.studio.view_result import find_recording, load_view
     from hypose.io.files import check_writable
 
@@ -59,8 +67,208 @@ def report(
     shown = load_view(results, recording)
     with Stages() as progress:
         progress("report", 0, 1)
-        written = write_report(target, from_result(shown, recording))
+        written = write_report(target, shown, recording)
         progress("report", 1, 1)
     for text in shown.notes:
         note(f"note: {text}")
     say(f"Report: {written}")
+
+
+def gait(
+    results: Annotated[Path, typer.Argument(help="Results folder of hypose track, or its motion.npz.")],
+    out: Annotated[Path | None, typer.Option(help="Folder to write to. [default: the results folder]")] = None,
+) -> None:
+    """Write strikes, steps, cadence and speed (CSV, C3D with events), and joint angles over the gait cycle."""
+    from hypose.app.jobs.gait_job import write_gait
+    from hypose.io.files import claimed
+    from hypose.io.motions.results import load_result_body
+    from hypose.pipeline.gait import gait_of
+
+    motion, body = load_result_body(results)
+    source = results if results.is_dir() else results.parent
+    tell_untrusted(results)
+    found = gait_of(motion, body)
+    with claimed(out or source):
+        written = write_gait(out or source, motion, found)
+    strikes = sum(e.kind == "strike" for e in found.events)
+    say(f"{strikes} foot strikes, {len(found.events) - strikes} times a foot left the ground, {len(found.steps)} steps")
+    for f in found.figures:
+        say(f"{f.name.replace('_', ' ')}: {f.mean:.3f} {f.unit} ({f.low:.3f} to {f.high:.3f} with 90 %), n = {f.n}")
+    if not found.steps:
+        say("Nobody walks two steps in this motion, as far as the feet show.")
+    for path in written:
+        say(str(path))
+
+
+def compare(
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            help="RESULT OTHER [RESULT OTHER ...]: a results folder, then what to compare it with: .c3d, .trc, .mot, "
+            ".sto or another result."
+        ),
+    ],
+    joint: Annotated[
+        list[str] | None,
+        typer.Option(help="JOINT=MARKER+MARKER: the joint is the middle of these markers (may be repeated)."),
+    ] = None,
+    subject: Annotated[
+        str | None, typer.Option(help="Whose points, where a file names several people's SUBJECT:POINT.")
+    ] = None,
+    offset: Annotated[
+        float | None,
+        number("Seconds to add to the other's times. [default: found]", -100_000, 100_000, unit="seconds"),
+    ] = None,
+    no_align: Annotated[
+        bool, typer.Option("--no-align", help="Both have the same world: do not move the other onto the result.")
+    ] = False,
+    all_frames: Annotated[
+        bool, typer.Option("--all-frames", help="Also frames in which the person was lost or only predicted.")
+    ] = False,
+    max_mm: Annotated[
+        float | None,
+        number("Exit with 1 if the RMSE of the joints, offsets aside, is larger.", 0, 10_000, unit="millimetres"),
+    ] = None,
+    max_degrees: Annotated[
+        float | None, number("Exit with 1 if an angle's RMSE, its offset aside, is larger.", 0, 360, unit="degrees")
+    ] = None,
+    min_coverage: Annotated[
+        float | None, number("Exit with 1 if a smaller share lies in the 90 % regions (0.8, for example).", 0, 1)
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for compare.csv and compare.html. [default: the first results folder]")
+    ] = None,
+) -> None:
+    """Compare results with markers or other motions: errors per joint and angle, one table, one page."""
+    from hypose.app.jobs import compare_job
+    from hypose.io.files import check_writable
+    from hypose.pipeline.comparison import CompareOptions
+
+    if len(files) % 2:
+        raise InputError("Give pairs: a result, what to compare it with, and so on; one of the files has no partner.")
+    pairs = list(zip(files[::2], files[1::2], strict=True))
+    folder = out or (files[0] if files[0].is_dir() else files[0].parent)
+    joints = compare_job.parse_joints(joint or [])
+    compare_job.load_result(files[0])
+    check_writable(folder)
+    options = CompareOptions(offset, not no_align, all_frames)
+    with Stages() as progress:
+        compared = []
+        for done, pair in enumerate(pairs):
+            progress("compare", done, len(pairs))
+            compared += compare_job.compare_files([pair], options, joints, subject)
+        progress("compare", len(pairs), len(pairs))
+    failed = compare_job.exceeded(compared, compare_job.Limits(max_mm, max_degrees, min_coverage))
+    compare_job.write_csv(folder / "compare.csv", compared)
+    compare_job.write_page(folder / "compare.html", compared, failed)
+    for file in dict.fromkeys(files):
+        tell_untrusted(file)
+    for c in compared:
+        for text in c.found.notes:
+            note(f"note: {text}")
+        if c.found.joints:
+            median, p95, rmse = c.found.left_mm
+            share = compare_job.mean_coverage(c.found)
+            inside = f", {100 * share:.0f} % inside our 90 % regions" if share == share else ""
+            say(
+                f"{c.other}: {len(c.found.joints)} joints, offsets aside: median {median:.1f} mm, 95 % within "
+                f"{p95:.1f} mm, RMSE {rmse:.1f} mm{inside}"
+            )
+        if c.found.angles:
+            degrees = [a.rmse_left for a in c.found.angles if a.unit == "deg" and a.n]
+            span = f"{min(degrees):.1f} to {max(degrees):.1f} degrees" if degrees else "-"
+            say(f"{c.other}: {len(degrees)} angles, offsets aside: RMSE {span}")
+    say(f"Table: {folder / 'compare.csv'}")
+    say(f"Page:  {folder / 'compare.html'}")
+    for text in failed:
+        say(text, "yellow")
+    if failed:
+        raise typer.Exit(1)
+
+
+def play(
+    results: Annotated[Path, typer.Argument(help="Results folder of hypose track or hypose fuse, or its motion.npz.")],
+    vmc: Annotated[str, typer.Option(help="HOST:PORT that the program listens on.")] = "127.0.0.1:39539",
+    speed: Annotated[float, number("How many times as fast as it was.", 0.01, 100)] = 1.0,
+    loop: Annotated[bool, typer.Option("--loop", help="Over and over, until Ctrl-C.")] = False,
+) -> None:
+    """Send a tracked motion to an avatar (VMC protocol): VSeeFace, Warudo, Unity, Unreal, Blender. See docs/live.md."""
+    from hypose.app.live.osc import OscTarget
+    from hypose.io.motions.results import load_result, load_result_body
+    from hypose.pipeline.fused_motion import pose_fused
+
+    motion = load_result(results)
+    if motion.poses is None:  # of depth sensors
+        body, motion = pose_fused(motion)
+    else:
+        motion, body = load_result_body(results)
+    tell_untrusted(results)
+    with contextlib.closing(OscTarget(vmc, "--vmc")) as target:
+        say(f"{len(motion)} frames at {motion.frame_rate:g} Hz to {vmc}" + (", until Ctrl-C." if loop else "."))
+        try:
+            play_motion(motion, body, target.send, speed, loop)
+        except KeyboardInterrupt:
+            raise typer.Exit(130) from None
+
+
+def play_motion(
+    motion: Motion,
+    body: Body,
+    send: Callable[[list[OscMessage]], None],
+    speed: float = 1.0,
+    loop: bool = False,
+    wait: Callable[[float], None] = time.sleep,
+    clock: Callable[[], float] = time.monotonic,
+) -> None:
+    """Send a motion with poses at its own pace times `speed`, over and over with `loop`.
+
+    Frames whose time has passed already are left out; lost frames hold the last pose and say so. wait and clock are
+    those of tests. An InputError when no frame has a pose."""
+    import numpy as np
+
+    from hypose.app.live.vmc import vmc_messages
+
+    if motion.poses is None or not (good := np.isfinite(motion.poses).all(1)).any():
+        raise InputError("The motion has no poses, which an avatar needs; play a result of hypose track.")
+    held = np.maximum.accumulate(np.where(good, np.arange(len(motion)), int(good.argmax())))
+    tracked = good & ~motion.lost.astype(bool)
+    due = (motion.times - motion.times[0]) / speed
+    length = float(due[-1]) + 1 / (motion.frame_rate * speed)
+    begin, n = clock(), 0
+    while loop or n < len(motion):
+        late = clock() - begin - (n // len(motion)) * length
+        k = n % len(motion)
+        n += 1
+        if late < due[k]:
+            wait(float(due[k]) - late)
+        elif k + 1 < len(motion) and late > due[k + 1]:
+            continue
+        send(vmc_messages(body, motion.poses[held[k]], clock() - begin, bool(tracked[k])))
+
+
+def cite(
+    method: Annotated[
+        str, typer.Argument(help="A results folder, or a recipe or method by name; a wrong one lists them.")
+    ] = "default",
+    bibtex: Annotated[bool, typer.Option("--bibtex", help="As BibTeX.")] = False,
+) -> None:
+    """Print the papers behind the method that gave a result."""
+    from hypose.app.jobs.cite import listed, papers_of
+
+    say(listed(papers_of(method), bibtex))
+
+
+def tell_untrusted(results: Path) -> None:
+    """One line when the result (a folder, or its motion.npz) is not to be trusted; what cannot be read says nothing."""
+    from hypose.app.jobs.job import VERDICT
+    from hypose.errors import InputError
+    from hypose.io.files import read_json
+    from hypose.pipeline.verdict import UNTRUSTED, Verdict
+
+    folder = results if results.is_dir() else results.parent
+    try:
+        kept = Verdict.of_document(read_json(folder / VERDICT, "a verdict"))
+    except (InputError, ValueError, KeyError, TypeError):
+        return
+    if kept.word == UNTRUSTED:
+        note(f"note: {folder}: {kept.sentence}")

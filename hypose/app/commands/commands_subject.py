@@ -52,7 +52,7 @@ def subject(
     assert recording is not None
     from hypose.app.jobs.job import choose_frames
     from hypose.body.ready_bodies import human
-    from hypose.io.claims import claimed
+    from hypose.io.files import claimed
     from hypose.io.recordings.frames import FrameStream
     from hypose.io.recordings.recording import load_recording
     from hypose.pipeline.run import check_views
@@ -95,11 +95,11 @@ def subject(
 
 
 def _from_mesh(mesh: Path, unit: str, height: float | None, folder: Path) -> None:
-    from hypose.io.claims import claimed
-    from hypose.pipeline.mesh_subject import MeshOptions, subject_from_mesh
+    from hypose.io.files import claimed
+    from hypose.pipeline.mesh_subject import subject_from_mesh
 
     with claimed(folder):
-        made = subject_from_mesh(mesh, folder, MeshOptions(unit=unit, height=height))
+        made = subject_from_mesh(mesh, folder, unit=unit, height=height)
     for text in made.notes:
         note(f"note: {text}")
     say(f"Body: {folder / 'body.npz'}")

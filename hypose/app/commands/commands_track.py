@@ -1,4 +1,4 @@
-"""`hypose track` and `hypose demo`."""
+"""`hypose track`, `demo`, `correct` and `warm-up`."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import contextlib
 import os
 import shlex
 import signal
-from collections.abc import Iterator
+import tempfile
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated
@@ -14,16 +15,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hypose.app.commands.console import Stages, note, say
-from hypose.app.commands.options import HEIGHT, Seconds, Seed, Threads, number
+from hypose.app.commands.options import HEIGHT, MOST_FRAMES, Seconds, Seed, Threads, number
 from hypose.errors import InputError
 
 if TYPE_CHECKING:
     from hypose.app.jobs.job import Job, Outcome
-
-Compute = Annotated[
-    str,
-    typer.Option(help="auto, cpu or reference (slow, for comparison)."),
-]
+    from hypose.pipeline.verdict import Verdict
 
 
 def track(
@@ -73,9 +70,9 @@ def track(
     ] = None,
     formats: Annotated[str, typer.Option(help="Motion files to write.")] = "trc,c3d,bvh,glb,csv,mot,osim",
     no_overlay: Annotated[bool, typer.Option("--no-overlay", help="Do not write overlay.mp4.")] = False,
+    no_report: Annotated[bool, typer.Option("--no-report", help="Do not write report.html.")] = False,
     resume: Annotated[bool, typer.Option("--resume", help="Go on where an interrupted run stopped.")] = False,
     threads: Threads = None,
-    compute: Compute = "auto",
     calibration: Annotated[
         Path | None, typer.Option(help="Use this calibration file instead of the recording's.")
     ] = None,
@@ -101,7 +98,7 @@ def track(
     from hypose.io.motions.results import ResultsFolder
     from hypose.io.recordings.recording import load_recording
     from hypose.pipeline.detect_keypoints import wants_detector
-    from hypose.pipeline.pictures import one_view
+    from hypose.pipeline.one_camera import one_view
     from hypose.pipeline.run import TrackOptions
 
     loaded = choose_frames(load_recording(recording, calibration), frames)
@@ -120,7 +117,7 @@ def track(
     if camera is not None or options.of_picture:
         loaded = one_view(loaded, camera)
     elif evidence != "silhouettes" and (loaded.detected or wants_detector(loaded)):
-        from hypose.app.commands.commands_keypoints import detected
+        from hypose.app.commands.commands_data import detected
 
         if not loaded.detected:
             note("note: neither key points, masks nor pictures of the empty room are given: the detector finds people.")
@@ -136,12 +133,12 @@ def track(
         results,
         formats=split_names(formats),
         overlay=not no_overlay,
+        report=not no_report,
         resume=resume,
-        run={"threads": threads, "compute": compute},
+        run={"threads": threads},
         people=people,
     )
-    with back_end(compute):
-        report_outcome(job, run_shown(job, list(context.find_root().obj or [])))
+    report_outcome(job, run_shown(job, list(context.find_root().obj or [])))
 
 
 def demo(
@@ -155,7 +152,7 @@ def demo(
     set_threads(threads)
     from hypose.app.jobs.job import Job
     from hypose.app.jobs.truth import compare_with
-    from hypose.io.claims import claimed
+    from hypose.io.files import claimed
     from hypose.io.motions.results import ResultsFolder
     from hypose.io.recordings.recording import load_recording
     from hypose.pipeline.run import TrackOptions
@@ -178,11 +175,10 @@ def run_shown(job: Job, arguments: list[str]) -> tuple[Outcome, dict[str, float]
     """Run a job with progress; when it is interrupted, say what was kept and how to go on, and exit with code 130."""
     from hypose.app.jobs.job import run_job
     from hypose.app.jobs.people_job import run_people
-    from hypose.io.claims import claimed
+    from hypose.io.files import claimed
 
-    previous = signal.signal(signal.SIGTERM, _interrupt)
     try:
-        with claimed(job.results.path), Stages() as progress:
+        with terminated_as_interrupted(), claimed(job.results.path), Stages() as progress:
             if job.people is not None:
                 outcome = run_people(job, job.people, progress)
             else:
@@ -190,16 +186,24 @@ def run_shown(job: Job, arguments: list[str]) -> tuple[Outcome, dict[str, float]
     except KeyboardInterrupt:
         _stopped(job, arguments)
         raise typer.Exit(130) from None
-    finally:
-        signal.signal(signal.SIGTERM, previous)
     if not outcome.complete:
         _stopped(job, arguments)
         raise typer.Exit(130)
     return outcome, progress.seconds
 
 
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
+@contextlib.contextmanager
+def terminated_as_interrupted() -> Iterator[None]:
+    """Within the block SIGTERM ends as Ctrl-C does: in order."""
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    previous = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, previous)
 
 
 def _stopped(job: Job, arguments: list[str]) -> None:
@@ -220,7 +224,6 @@ def _stopped(job: Job, arguments: list[str]) -> None:
 def report_outcome(job: Job, finished: tuple[Outcome, dict[str, float]]) -> None:
     """The closing lines."""
     from hypose.app.reports.summary import require_found, summarize
-    from hypose.pipeline.verdict import EXIT_UNTRUSTED, UNTRUSTED
 
     outcome, seconds = finished
     s = summarize(outcome.motion)
@@ -239,12 +242,21 @@ def report_outcome(job: Job, finished: tuple[Outcome, dict[str, float]]) -> None
     if outcome.truth is not None:
         say(f"Mean joint error: {outcome.truth.mean_mm:.1f} mm over {len(outcome.truth.names)} joints", "bold")
     say(f"Results: {job.results.path}")
-    say(f"Report:  {job.results.file('report.html')}")
+    if job.report:
+        say(f"Report:  {job.results.file('report.html')}")
     require_found(outcome.motion, job.recording.name, job.results.path)
     if outcome.verdict is not None:
-        say(f"Verdict: {outcome.verdict.sentence}", "bold")
-        if outcome.verdict.word == UNTRUSTED:
-            raise typer.Exit(EXIT_UNTRUSTED)
+        tell_verdicts({"": outcome.verdict})
+
+
+def tell_verdicts(verdicts: Mapping[str, Verdict]) -> None:
+    """The verdict on everybody by their names (none of one person); exit code 3 when one is not to be trusted."""
+    from hypose.pipeline.verdict import EXIT_UNTRUSTED, UNTRUSTED
+
+    for name, verdict in verdicts.items():
+        say(f"Verdict{' on ' if name else ''}{name}: {verdict.sentence}", "bold")
+    if any(verdict.word == UNTRUSTED for verdict in verdicts.values()):
+        raise typer.Exit(EXIT_UNTRUSTED)
 
 
 def split_names(text: str) -> tuple[str, ...]:
@@ -253,17 +265,6 @@ def split_names(text: str) -> tuple[str, ...]:
     if not names:
         raise InputError("The list of formats is empty; give at least one, for example --formats trc,c3d.")
     return names
-
-
-@contextlib.contextmanager
-def back_end(name: str) -> Iterator[None]:
-    """Run the block on a back end of --compute; an InputError when there is none of that name."""
-    from hypose import compute
-
-    if name not in ("auto", "cpu", "reference"):
-        raise InputError(f"There is no --compute {name}; choose auto, cpu or reference.")
-    with compute.use(name):
-        yield
 
 
 def set_threads(count: int | None) -> None:
@@ -275,3 +276,70 @@ def set_threads(count: int | None) -> None:
     import cv2
 
     cv2.setNumThreads(count)
+
+
+def correct(
+    results: Annotated[Path, typer.Argument(help="Results folder of hypose track.")],
+    clicks: Annotated[Path, typer.Argument(help="The corrected pose: starts/NAME.json, saved in hypose view.")],
+    until: Annotated[
+        int | None, number("Track again up to this frame of the recording. [default: to the end]", 1, MOST_FRAMES)
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Results folder. [default: RESULTS-corrected]")] = None,
+    formats: Annotated[str, typer.Option(help="Motion files to write.")] = "trc,c3d,bvh,glb,csv,mot",
+    threads: Threads = None,
+) -> None:
+    """Track a result again from a frame whose pose was corrected; the frames before stay as they are."""
+    set_threads(threads)
+    from hypose.app.jobs.correct import correct as track_again
+    from hypose.app.jobs.correct import read_correction
+    from hypose.app.reports.summary import require_found
+    from hypose.app.studio.view_result import find_recording
+    from hypose.io.files import claimed
+    from hypose.io.motions.results import ResultsFolder
+
+    recording = find_recording(results)
+    if recording is None:
+        raise InputError(f"{results} lies in no recording; give the results folder inside the recording's folder.")
+    folder = ResultsFolder(out or results.with_name(f"{results.name}-corrected"))
+    correction = read_correction(clicks)
+    with claimed(folder.path), Stages() as progress:
+        names = tuple(split_names(formats))
+        motion = track_again(
+            recording, ResultsFolder(results), correction, folder, until=until, formats=names, progress=progress
+        )
+    say(f"Frames {correction.frame} and after tracked again, {int(motion.lost.sum())} of {len(motion)} frames lost.")
+    say(f"Results: {folder.path}")
+    require_found(motion, recording.name, folder.path)
+
+
+def warm_up(threads: Threads = None) -> None:
+    """Compile what tracking, fusing and live need, so that the first run of each begins at once; once per machine, and
+    again after an update. Ends with a third of a second of a made-up person tracked, report and all."""
+    set_threads(threads)
+    from hypose import compute
+    from hypose.app.jobs.job import Job, run_job
+    from hypose.fusion.live import LiveFuser
+    from hypose.io.motions.results import ResultsFolder
+    from hypose.io.recordings.recording import load_recording
+    from hypose.pipeline.run import TrackOptions
+    from hypose.synthetic.scenes import make_scene
+    from hypose.synthetic.write_recording import write_scene
+
+    folder, parts = compute.cache_folder(), (*compute.FOLLOWING, "monocular", "depth")
+    if folder is None:
+        raise InputError(f"There is no place for what is compiled; name a folder with {compute.VARIABLE}.")
+    before = compute.kept(*parts)
+    with tempfile.TemporaryDirectory(prefix="hypose-warm-up-") as temporary, Stages() as progress:
+        progress("compile", 0, 1)
+        compute.warm_up(*parts, load=False)
+        LiveFuser()
+        progress("compile", 1, 1)
+        scene, place = make_scene("walk", rig="humaneva-4", seconds=0.32, seed=1), Path(temporary)
+        write_scene(scene, place, progress=lambda done, total: progress("render", done, total))
+        run_job(Job(load_recording(place), TrackOptions(), ResultsFolder(place / "results")), progress)
+    if not compute.kept(*parts):
+        raise InputError(
+            f"What was compiled could not all be kept in {folder}; make space there, see that it can be written, or "
+            f"name another folder with {compute.VARIABLE}, and run this again."
+        )
+    say("All of it had been compiled." if before else f"Compiled; kept in {folder}")

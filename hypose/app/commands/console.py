@@ -5,9 +5,12 @@ Results go to stdout, progress and errors to stderr, so that `hypose ... > file`
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
+import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from types import TracebackType
@@ -15,7 +18,7 @@ from typing import TYPE_CHECKING, TextIO
 
 from hypose.errors import visible
 
-if TYPE_CHECKING:  # rich takes a third of the time in which `hypose --help` should answer
+if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderableType
     from rich.progress import Progress, TaskID
 
@@ -185,3 +188,18 @@ ProgressCall = Callable[[str, int, int], None]
 
 def ignore(stage: str, done: int, total: int) -> None:
     """A progress that shows nothing."""
+
+
+@contextlib.contextmanager
+def ended_by_signals(ended: threading.Event) -> Iterator[None]:
+    """Meanwhile Ctrl-C, SIGTERM and a terminal that is closed set the event, and cut nothing off."""
+    hung_up = getattr(signal, "SIGHUP", None)
+    numbers = [signal.SIGINT, signal.SIGTERM]
+    if hung_up is not None and signal.getsignal(hung_up) != signal.SIG_IGN:  # nohup: it is to go on
+        numbers.append(hung_up)
+    before = {n: signal.signal(n, lambda number, frame: ended.set()) for n in numbers}
+    try:
+        yield
+    finally:
+        for n, handler in before.items():
+            signal.signal(n, handler)

@@ -13,7 +13,7 @@ from rich.table import Table
 from hypose.app.commands.console import ProgressCall, ignore
 from hypose.app.reports.check_page import residual_picture, write_page
 from hypose.app.reports.result_pictures import Drawing, Image, draw_all, layout, open_images
-from hypose.calibration.doctor import Cured, Report, examine_and_cure
+from hypose.calibration.diagnostics import Cured, Report, examine_and_cure
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Silhouettes
 from hypose.evidence.hull import hull_iou, visual_hull

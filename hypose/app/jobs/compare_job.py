@@ -8,11 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from hypose import __version__
-from hypose.app.reports.check_page import STYLE
-from hypose.app.reports.plots import svg
+from hypose.app.reports.charts import RIGHT, Axes, chart, over_known
+from hypose.app.reports.summary import page
 from hypose.errors import InputError
 from hypose.io.files import write_text
 from hypose.io.motions.compared_files import read_other
@@ -121,7 +120,6 @@ def write_page(path: Path, compared: Sequence[Compared], failed: Sequence[str]) 
     """One file that opens from disk and loads nothing."""
     e = html.escape
     parts = [
-        f"<!doctype html><html lang='en'><meta charset='utf-8'><title>Comparison</title><style>{STYLE}</style>",
         "<h1>Comparison</h1>",
         *(f'<p class="bad">{e(f)}</p>' for f in failed),
     ]
@@ -136,7 +134,7 @@ def write_page(path: Path, compared: Sequence[Compared], failed: Sequence[str]) 
                 f"<p>Joints, constant offsets aside: median {median:.1f} mm, 95 % within {p95:.1f} mm, RMSE {rmse:.1f} "
                 f"mm.{inside} Offset in time: {f.offset:+.3f} s.</p>"
             )
-            parts += [_table(f.joints), svg(lambda figure, f=f: _draw(figure, f), (10.4, 2.8))]
+            parts += [_table(f.joints), _errors(f)]
         if f.angles:
             parts += ["<h3>Angles</h3>", _table(f.angles)]
         if f.notes:
@@ -146,9 +144,9 @@ def write_page(path: Path, compared: Sequence[Compared], failed: Sequence[str]) 
         "difference), as it is and without the constant offset of each joint in its segment, by which two programs "
         "define a joint differently. Bias and limits of agreement (mean &plusmn; 1.96 standard deviations, Bland and "
         "Altman 1986) of other minus ours, per axis. r: Pearson's correlation. Inside 90 %: share of frames in which "
-        f"the other lies in our 90 % region.</p><p class='dim'>hypose {__version__}</p></html>"
+        f"the other lies in our 90 % region.</p><p class='dim'>hypose {__version__}</p>"
     )
-    write_text(path, "\n".join(parts))
+    write_text(path, page("Comparison", "\n".join(parts)))
 
 
 def _table(rows: Sequence[Agreement]) -> str:
@@ -170,17 +168,8 @@ def _number(value: float) -> str:
     return "-" if not np.isfinite(value) else f"{value:.1f}"
 
 
-def _draw(figure: Figure, found: Comparison) -> None:
-    axes = figure.subplots()
-    with np.errstate(all="ignore"):
-        seen = np.isfinite(found.errors).any(1)
-        middle = np.full(len(found.times), np.nan)
-        middle[seen] = np.nanmedian(found.errors[seen], 1)
-        worst = np.full(len(found.times), np.nan)
-        worst[seen] = np.nanmax(found.errors[seen], 1)
-    axes.plot(found.times, worst, lw=0.8, color="#bbbbbb", label="worst joint")
-    axes.plot(found.times, middle, color="#1f5fa8", label="median joint")
-    axes.set_ylim(bottom=0)
-    axes.set_ylabel("distance (mm)")
-    axes.set_xlabel("time (s)")
-    axes.legend()
+def _errors(found: Comparison) -> str:
+    axes = Axes(x="time (s)", y="distance (mm)", low=0)
+    for of, colour, label in ((np.nanmax, "#999999", "worst joint"), (np.nanmedian, RIGHT, "median joint")):
+        axes.line(found.times, over_known(of, found.errors), colour, label)
+    return chart([[axes]], 270)

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from hypose import compute
 from hypose.app.commands.console import ProgressCall, ignore
+from hypose.app.jobs.job import compile_before
 from hypose.app.studio.view_result import load_view
 from hypose.body.body import Body
 from hypose.body.motion import Motion
@@ -23,14 +23,13 @@ from hypose.errors import InputError
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array
 from hypose.io.files import check_writable, read_json
-from hypose.io.motions.bodies import load_body, save_body
 from hypose.io.motions.export import export_motion, known_formats
-from hypose.io.motions.results import ResultsFolder, load_motion, save_motion
+from hypose.io.motions.results import ResultsFolder, load_body, load_motion, save_body, save_motion
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording
 from hypose.pipeline.first_frame import GIVEN, Subject, SubjectOptions, find_subject
+from hypose.pipeline.one_camera import FrameSource
 from hypose.pipeline.people_points import per_frame
-from hypose.pipeline.pictures import FrameSource
 from hypose.pipeline.run import TrackOptions, frames_wanted, track_source
 
 _READ_AT_ONCE = 64
@@ -92,9 +91,7 @@ def correct(
         raise InputError("The corrected motion needs a folder of its own; choose another with --out.")
     known_formats(formats)
     check_writable(out.path)
-    progress("compile", 0, 1)
-    compute.warm_up(load=False)
-    progress("compile", 1, 1)
+    compile_before(progress)
     record: dict[str, Any] = {"frame": correction.frame, "until": first + stop}
     record |= {"clicks": correction.name, "of": old.path.name}
     # who has corrected the frame has also said where left and right are
@@ -119,9 +116,9 @@ def correct(
     export_motion(joined, body, out.path, formats)
     progress("export", 1, 1)
     progress("report", 0, 1)
-    from hypose.app.reports.report import from_result, write_report  # draws with matplotlib, which readers do without
+    from hypose.app.reports.report import write_report
 
-    write_report(out.file("report.html"), from_result(load_view(out.path, recording), recording))
+    write_report(out.file("report.html"), load_view(out.path, recording), recording)
     progress("report", 1, 1)
     return joined
 

@@ -27,18 +27,16 @@ from hypose.fusion.saved import ClipSoFar
 from hypose.geometry import Array, se3, transform
 from hypose.io.files import check_writable, write_text
 from hypose.io.motions.export import FORMATS, export_motion
-from hypose.io.motions.results import Checkpoint, ResultsFolder, save_motion
-from hypose.io.recordings.provenance import identity, provenance
+from hypose.io.motions.results import Checkpoint, ResultsFolder, identity, provenance, save_motion
 from hypose.io.sensors.skeleton_streams import (
     SensorStream,
     SkeletonRecording,
-    SyncedStream,
     common_times,
     one_person,
     resample,
     shifted,
 )
-from hypose.pipeline.fused_verdict import fused_verdict
+from hypose.pipeline.fused_motion import fused_verdict
 from hypose.pipeline.verdict import Verdict
 
 POINT_FORMATS = ("trc", "c3d", "csv")
@@ -211,7 +209,7 @@ def _on_one_clock(streams: Sequence[SensorStream], notes: list[str]) -> list[Sen
     return out
 
 
-def _people(synced: Sequence[SyncedStream], times: Array, notes: list[str]) -> list[list[SensorJoints]]:
+def _people(synced: Sequence[SensorStream], times: Array, notes: list[str]) -> list[list[SensorJoints]]:
     """One clip per person."""
     if all(s.positions.shape[1] == 1 for s in synced):
         return [one_person(synced, times, [np.where(s.person_ids[:, 0] >= 0, 0, -1) for s in synced])]
@@ -248,7 +246,7 @@ def _while_seen(clip: Sequence[SensorJoints], times: Array) -> tuple[Sequence[Se
     return clip[span], times[span]
 
 
-def _instant(synced: Sequence[SyncedStream], picks: Sequence[NDArray[np.int64]], n: int, time: float) -> Instant:
+def _instant(synced: Sequence[SensorStream], picks: Sequence[NDArray[np.int64]], n: int, time: float) -> Instant:
     """Persons are numbered by their column, which `one_person` wants."""
     views = []
     for s, pick in zip(synced, picks, strict=True):

@@ -8,12 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from hypose.app.reports.gait_plot import cycle_plot
+from hypose.app.reports.charts import cycle_chart
 from hypose.body.motion import Motion
 from hypose.io.files import write_text
 from hypose.io.motions.c3d import write_c3d
-from hypose.pipeline.gait_cycles import PERCENT, angle_cycles
-from hypose.pipeline.gait_events import Gait
+from hypose.pipeline.gait import PERCENT, Gait, angle_cycles
 
 _LABELS = {"strike": "Foot Strike", "off": "Foot Off"}
 
@@ -51,7 +50,7 @@ def write_gait(folder: Path, motion: Motion, gait: Gait) -> list[Path]:
         ",".join(["percent", *header]),
         [(f"{p:g}", *row) for p, row in zip(PERCENT, table.tolist(), strict=True)],
     )
-    write_text(paths[-1], cycle_plot(cycles))
+    write_text(paths[-1], cycle_chart(cycles))
     return paths
 
 

@@ -158,7 +158,7 @@ def _follow(
     writer, rounds = None, trainer.settings.rounds
     if record is not None:
         writer = SessionWriter(record, [gesture], source.lens, source.size, {"rounds": rounds})
-    middle = (source.size[0] / 2, 0.45 * source.size[1])
+    box = (source.size[0] / 2, 0.45 * source.size[1])
     shown, phase, asked, learned, taught, seconds = "", "do_gesture", 0, 0, 0, 0.0
     try:
         while trainer.session.phase != "test":
@@ -166,7 +166,7 @@ def _follow(
             if taken is None:
                 break
             given, before = commands(), trainer.session
-            box, began = taken.box or middle, clock.perf_counter()
+            box, began = taken.box or box, clock.perf_counter()
             f = trainer.frame(taken.time, taken.depth, source.lens, box, given, learn=learn)
             seconds += clock.perf_counter() - began
             asked += f.instruction.learn == "gesture"

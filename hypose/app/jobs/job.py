@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import shlex
-import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -20,54 +19,59 @@ from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.io.files import check_writable, read_json
-from hypose.io.motions.bodies import load_body, save_body
 from hypose.io.motions.export import FORMATS, export_motion, known_formats
-from hypose.io.motions.modes import load_modes
-from hypose.io.motions.results import ResultsFolder, load_motion, to_json
+from hypose.io.motions.results import (
+    ResultsFolder,
+    identity,
+    load_body,
+    load_modes,
+    load_motion,
+    provenance,
+    save_body,
+    to_json,
+)
 from hypose.io.recordings.frames import FrameStream
-from hypose.io.recordings.provenance import identity, provenance
 from hypose.io.recordings.recording import Recording
 from hypose.io.sensors.skeleton_streams import SkeletonRecording
-from hypose.pipeline.chunked import FOLDER as CHUNKS
-from hypose.pipeline.chunked import ChunkRun
 from hypose.pipeline.first_frame import SubjectOptions
-from hypose.pipeline.fuse_mixture import fuse_mixture
-from hypose.pipeline.kept_findings import kept_backgrounds
-from hypose.pipeline.left_out import KeptFrames, LeftOut, left_out
-from hypose.pipeline.one_of_several import keypoint_people, track_one_of, wanted_first, with_everybody
-from hypose.pipeline.picture_start import POINT_STARTS, clicks_of
-from hypose.pipeline.pictures import depth_note
-from hypose.pipeline.recorded_skeletons import skeletons_at_frames
-from hypose.pipeline.run import MODES, TrackOptions, TrackResult, check_views, frames_wanted, track_source
+from hypose.pipeline.fuse_mixture import fuse_mixture, skeletons_at_frames
+from hypose.pipeline.one_camera import POINT_STARTS, clicks_of, depth_note
+from hypose.pipeline.run import MODES, TrackOptions, TrackResult, check_views, frames_wanted
 from hypose.pipeline.subject_from_motion import load_subject, subject_file
+from hypose.pipeline.track import track_person
 from hypose.pipeline.verdict import Verdict
 from hypose.tracking.recipes import RECIPES, citation_of
 
 if TYPE_CHECKING:
     from hypose.app.jobs.truth import Truth
-    from hypose.app.reports.result_pictures import Image
 
 VERDICT = "verdict.json"
 
 
 @dataclass(frozen=True)
 class Job:
-    """recording: its frame_range is what is tracked. results: where files go. formats: of hypose.io.motions.export.
-    overlay: write overlay.mp4. resume: go on from a checkpoint, or fill in what is missing of a complete run. threads:
-    for the record only. truth: compares the motion with a known truth, for synthetic recordings. chunk_s: track in
-    overlapping chunks of about so many seconds and join them; what is kept of them in `results` is used. people: None =
-    one person, or 'all', how many at most, or a name (hypose.app.jobs.people_job). skeletons: that sensors reported
-    beside, solved together with the rest."""
+    """What is to be done with one recording.
+
+    recording: its frame_range is what is tracked
+    results: where files go
+    formats: of hypose.io.motions.export
+    overlay, report: write overlay.mp4, report.html
+    resume: go on from a checkpoint, or fill in what is missing of a complete run
+    run: of the machine, for the record only
+    truth: compares the motion with a known truth, for synthetic recordings
+    people: None: one person; or 'all', how many at most, or a name (hypose.app.jobs.people_job)
+    skeletons: that sensors reported at the same time, solved together with the rest
+    """
 
     recording: Recording
     options: TrackOptions
     results: ResultsFolder
     formats: Sequence[str] = tuple(FORMATS)
     overlay: bool = True
+    report: bool = True
     resume: bool = False
     run: Mapping[str, Any] = field(default_factory=dict)
     truth: Callable[[Motion, Body], Truth] | None = None
-    chunk_s: float | None = None
     people: str | None = None
     skeletons: SkeletonRecording | None = None
 
@@ -121,12 +125,10 @@ def run_job(job: Job, progress: ProgressCall = ignore, seconds: Mapping[str, flo
     check_views(recording, options.of_picture)
     check_writable(results.path)
     record = record_of(job)
-    progress("compile", 0, 1)
-    compute.warm_up(*_kernels(recording, options), load=False)
-    progress("compile", 1, 1)
+    compile_before(progress, *_kernels(recording, options))
     finished = finished_before(job, record) if job.resume else None
     progress("background", 0, 1)
-    with open_frames(job, record) as source:
+    with FrameStream(recording, frames_wanted(recording, options)) as source:
         progress("background", 1, 1)
         if finished is None:
             tracked = _track(job, options, source, record, progress)
@@ -145,10 +147,17 @@ def run_job(job: Job, progress: ProgressCall = ignore, seconds: Mapping[str, flo
             return Outcome(tracked.motion, tracked.body, False, tuple(files), notes, truth)
         files += export_all(job, tracked.motion, tracked.body, progress)
         said = (f"Verdict: {verdict.sentence}", *notes)
-        files += _draw(job, options, tracked, source, said, truth, files, progress, seconds or {})
+        if job.overlay or job.report:
+            files += _draw(job, options, tracked, source, said, truth, files, progress, seconds or {})
     remove_stale(results, files)
-    shutil.rmtree(results.path / CHUNKS, ignore_errors=True)  # of a run that was killed when they were joined
     return Outcome(tracked.motion, tracked.body, True, tuple(files), notes, truth, verdict)
+
+
+def compile_before(progress: ProgressCall, *parts: str) -> None:
+    """What a run needs of compute, compiled before it begins; parts: all that following people needs, when none."""
+    progress("compile", 0, 1)
+    compute.warm_up(*parts, load=False)
+    progress("compile", 1, 1)
 
 
 def _kernels(recording: Recording, options: TrackOptions) -> tuple[str, ...]:
@@ -172,17 +181,6 @@ def _verdict(tracked: TrackResult, results: ResultsFolder, before: bool) -> Verd
     return tracked.verdict
 
 
-def open_frames(job: Job, record: Mapping[str, Any]) -> FrameStream:
-    """The frames of a job's recording; with the backgrounds that its chunks have kept."""
-    kept = kept_backgrounds(backgrounds_file(job), identity(record)) if job.chunk_s is not None else None
-    return FrameStream(job.recording, frames_wanted(job.recording, job.options), kept)
-
-
-def backgrounds_file(job: Job) -> Path:
-    """Where the backgrounds are kept for all chunks."""
-    return job.results.path / CHUNKS / "backgrounds.npz"
-
-
 def _track(
     job: Job, options: TrackOptions, source: FrameStream, record: Mapping[str, Any], progress: ProgressCall
 ) -> TrackResult:
@@ -196,41 +194,15 @@ def _track(
             results=job.results,
             record=record,
         )
-    if job.chunk_s is not None:
-        return chunk_run(job, options, source, record, job.chunk_s).whole(progress)
-    everybody = with_everybody(source, options)
-    if everybody is not None:
-        with contextlib.closing(everybody):
-            return track_one_of(
-                everybody,
-                job.recording.frame_rate,
-                options,
-                wanted=wanted_first(job.recording, options),
-                points=keypoint_people(job.recording, source.rig) if options.looks_at == "both" else None,
-                results=job.results,
-                record=record,
-                resume=job.resume,
-                progress=progress,
-                command=f"hypose track {shlex.quote(str(job.recording.folder))} --people all",
-            )
-    return track_source(
+    return track_person(
         source,
-        job.recording.frame_rate,
         options,
-        body=load_subject(options.subject) if options.subject is not None else None,
         results=job.results,
         record=record,
         resume=job.resume,
         progress=progress,
+        command=f"hypose track {shlex.quote(str(job.recording.folder))} --people all",
     )
-
-
-def chunk_run(
-    job: Job, options: TrackOptions, source: FrameStream, record: Mapping[str, Any], chunk_s: float
-) -> ChunkRun:
-    """A job in chunks."""
-    body = load_subject(options.subject) if options.subject is not None else None
-    return ChunkRun(source, job.recording.frame_rate, options, chunk_s, job.results, record, body)
 
 
 def check_job(job: Job) -> None:
@@ -269,8 +241,6 @@ def record_of(job: Job) -> dict[str, Any]:
         "frame_rate": recording.frame_rate,
         "views": [v.name for v in recording.views],
     }
-    if job.chunk_s is not None:
-        settings["chunk_s"] = job.chunk_s
     inputs = {**recording.inputs, **({} if job.skeletons is None else job.skeletons.inputs)}
     toml = recording.folder / "recording.toml"
     if toml.is_file():
@@ -322,44 +292,35 @@ def _draw(
     seconds: Mapping[str, float],
 ) -> list[Path]:
     """Overlay and report."""
-    from hypose.app.reports.drawing import draw
-    from hypose.app.reports.modes_overlay import write_modes_overlay
-    from hypose.app.reports.overlay import write_overlay
-    from hypose.app.reports.report import ReportInput
-    from hypose.app.studio.view_bundle import Rivals
+    from hypose.app.reports.overlay import PictureRows, Shown, write_modes_overlay, write_overlay
+    from hypose.app.reports.report import draw
+    from hypose.app.studio.view_bundle import Rivals, ViewResult, pictured
 
     recording, motion, body, modes = job.recording, tracked.motion, tracked.body, tracked.modes
-    about = ReportInput(
+    about = ViewResult(
         title=recording.name,
         motion=motion,
         body=body,
         rig=recording.rig,
+        image_shifts=[v.image_shift for v in recording.views],
+        pictures=pictured(recording),
         notes=notes,
         citation=citation_of(options.recipe, options.refine),
         seconds=dict(seconds),
         truth=truth,
         complete=tracked.complete,
-        recording=recording,
         first_frame=recording.frames.start,
         rivals=Rivals.of_motion(motion) if modes is None else Rivals.of(modes.joints, modes.weights),
     )
 
-    kept = KeptFrames(source, motion)
-
-    def overlay(path: Path, rows: Sequence[int]) -> Mapping[int, Image]:
-        how = {"stills": rows, "video": job.overlay, "progress": progress}
+    def overlay(path: Path, wanted: PictureRows) -> Shown:
         if modes is not None:
-            return write_modes_overlay(path, recording, motion, modes, body, **how)
-        return write_overlay(path, recording, kept, motion, body, **how)
+            return write_modes_overlay(path, recording, motion, modes, body, wanted, progress)
+        return write_overlay(path, recording, source, motion, body, wanted, progress)
 
     caption = "Frame {}" if modes is None else "Frame {}, and all modes from the side"
 
-    def without() -> Sequence[LeftOut]:
-        return left_out(motion, body, kept.every(), options.looks_at) if len(recording.rig) > 1 else ()
-
-    return draw(
-        job.results, about, overlay, files, video=job.overlay, caption=caption, without=without, progress=progress
-    )
+    return draw(job.results, about, overlay, files, (job.overlay, job.report), caption, progress)
 
 
 def remove_stale(results: ResultsFolder, written: Sequence[Path]) -> None:

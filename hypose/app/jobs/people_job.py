@@ -3,35 +3,32 @@
 from __future__ import annotations
 
 import html
-import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from urllib.parse import quote
 
 import numpy as np
 
-from hypose import compute
 from hypose.app.commands.console import ProgressCall, ignore
-from hypose.app.jobs.job import VERDICT, Job, Outcome, check_job, export_all, record_of, remove_stale
-from hypose.app.reports.drawing import draw
-from hypose.app.reports.people_overlay import colour_of, write_people_overlay
-from hypose.app.reports.report import ReportInput
-from hypose.app.reports.result_pictures import Image
-from hypose.app.studio.view_bundle import Rivals
+from hypose.app.jobs.job import VERDICT, Job, Outcome, check_job, compile_before, export_all, record_of, remove_stale
+from hypose.app.reports.overlay import PictureRows, Shown, colour_of, write_overlay, write_people_overlay
+from hypose.app.reports.report import draw
+from hypose.app.reports.summary import POLICY, page
+from hypose.app.studio.view_bundle import Rivals, ViewResult, pictured
 from hypose.errors import InputError
 from hypose.io.files import check_writable
-from hypose.io.motions.bodies import save_body
 from hypose.io.motions.c3d import write_c3d
 from hypose.io.motions.gltf import write_people_glb
-from hypose.io.motions.results import ResultsFolder
+from hypose.io.motions.results import ResultsFolder, save_body
 from hypose.io.recordings.frames import FrameStream
-from hypose.pipeline.doubts import in_words, runs
+from hypose.pipeline.doubts import in_words
 from hypose.pipeline.one_of_several import chosen_people, keypoint_people, people_frames, wanted_of
 from hypose.pipeline.people_run import PeopleRun
 from hypose.pipeline.run import check_views
 from hypose.pipeline.tracked_people import OnePerson, Wanted, said_of_places
 from hypose.pipeline.verdict import UNTRUSTED, Verdict
+from hypose.tracking.contacts import runs
 from hypose.tracking.recipes import citation_of
 
 PEOPLE = "people.json"
@@ -43,11 +40,6 @@ def run_people(job: Job, people: str, progress: ProgressCall = ignore) -> Outcom
     recording, options, results = job.recording, job.options, job.results
     check_job(job)
     check_views(recording)
-    if job.chunk_s is not None:
-        raise InputError(
-            "Several people cannot be tracked in chunks: who is who would not be known from one to the next; leave out "
-            "the chunks, or track one person."
-        )
     if options.subject is not None:
         raise InputError(
             "--subject is one person's body; name the bodies of several people in recording.toml, as "
@@ -58,9 +50,7 @@ def run_people(job: Job, people: str, progress: ProgressCall = ignore) -> Outcom
     check_writable(results.path)
     record = record_of(job)
     record = {**record, "settings": {**record["settings"], "people": people}}
-    progress("compile", 0, 1)
-    compute.warm_up(load=False)
-    progress("compile", 1, 1)
+    compile_before(progress)
     progress("background", 0, 1)
     with people_frames(recording, options) as source:
         progress("background", 1, 1)
@@ -136,28 +126,27 @@ def _one_report(
     own = replace(job, results=ResultsFolder(job.results.path / one.name), overlay=False)
     motion, body = one.result.motion, one.result.body
     files = export_all(own, motion, body, progress)
-    about = ReportInput(
+    mine = [*(p for p in written if p.parent == own.results.path), *files]
+    about = ViewResult(
         title=f"{job.recording.name}: {one.name}",
         motion=motion,
         body=body,
         rig=job.recording.rig,
+        image_shifts=[v.image_shift for v in job.recording.views],
+        pictures=pictured(job.recording),
         notes=(f"Verdict: {one.verdict.sentence}", *one.result.notes),
         citation=citation_of(job.options.recipe, job.options.refine),
-        seconds={},
-        truth=None,
         complete=one.result.complete,
-        recording=job.recording,
         first_frame=job.recording.frames.start,
         rivals=Rivals.of_motion(motion),
     )
 
-    def stills(path: Path, rows: Sequence[int]) -> Mapping[int, Image]:
-        return write_people_overlay(path, job.recording, source, [one], stills=rows, video=False, progress=progress)
+    def overlay(path: Path, wanted: PictureRows) -> Shown:
+        return write_overlay(path, job.recording, source, motion, body, wanted, progress)
 
-    mine = [p for p in written if p.parent == own.results.path]
-    files += draw(own.results, about, stills, [*mine, *files], video=False, progress=progress)
+    if job.report:
+        files += draw(own.results, about, overlay, mine, (False, True), "Frame {}", progress)
     remove_stale(own.results, [*mine, *files])
-    shutil.rmtree(own.results.path / "chunks", ignore_errors=True)
     return files
 
 
@@ -168,7 +157,7 @@ def _together(
     results, files = job.results, list[Path]()
     if job.overlay:
         path = results.file("overlay.mp4")
-        write_people_overlay(path, job.recording, source, people, progress=progress)
+        write_people_overlay(path, job.recording, source, people, progress)
         files.append(path)
     if "c3d" in job.formats:
         files.append(write_people_c3d(results.file("motion.c3d"), people))
@@ -187,7 +176,8 @@ def _together(
         for p in people
     ]
     files.append(results.write_json(PEOPLE, {"people": about, "notes": list(notes)}))
-    files.append(results.write_text("report.html", _index(job, people, notes)))
+    if job.report:
+        files.append(results.write_text("report.html", _index(job, people, notes)))
     files.append(results.file(VERDICT))
     return files
 
@@ -207,12 +197,6 @@ def write_people_c3d(path: Path, people: Sequence[OnePerson]) -> Path:
     return path
 
 
-_STYLE = (
-    "body{font:15px/1.5 system-ui,sans-serif;max-width:1080px;margin:24px auto;padding:0 16px} video{max-width:100%} "
-    "td,th{padding:3px 14px 3px 0;text-align:left;vertical-align:top;border-bottom:1px solid #d5dde4}"
-)
-
-
 def _index(job: Job, people: Sequence[OnePerson], notes: Sequence[str]) -> str:
     """A page that leads to everybody's report."""
     rows = []
@@ -229,11 +213,6 @@ def _index(job: Job, people: Sequence[OnePerson], notes: Sequence[str]) -> str:
         rows.append("<tr>" + "".join(f"<td>{c}</td>" for c in cells) + "</tr>")
     film = '<p><video src="overlay.mp4" controls></video></p>' if job.overlay else ""
     said = "".join(f"<li>{html.escape(n)}</li>" for n in notes)
-    title = html.escape(job.recording.name)
-    policy = "default-src 'none'; media-src 'self'; style-src 'unsafe-inline'"
     heads = "".join(f"<th>{h}</th>" for h in ("", "person", "height", "there", "verdict"))
-    return (
-        f'<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
-        f'<meta http-equiv="Content-Security-Policy" content="{policy}"><style>{_STYLE}</style></head><body>'
-        f"<h1>{title}</h1><table><tr>{heads}</tr>{''.join(rows)}</table>{film}<ul>{said}</ul></body></html>\n"
-    )
+    body = f"<h1>{html.escape(job.recording.name)}</h1><table><tr>{heads}</tr>{''.join(rows)}</table>"
+    return page(job.recording.name, f"{body}{film}<ul>{said}</ul>", policy=f"{POLICY}; media-src 'self'")

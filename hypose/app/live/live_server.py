@@ -29,19 +29,16 @@ from websockets.datastructures import MultipleValuesError
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
+from hypose.app.commands.console import ended_by_signals
 from hypose.app.live.osc import OscTarget, people_osc
-from hypose.app.live.outbox import ORIGINS, Outbox, Queue
-from hypose.app.live.secrets_and_logs import fold_logs, same_secret, shows_secret
-from hypose.app.live.socket_listeners import refusal
-from hypose.app.live.until_ended import ended_by_signals
-from hypose.app.live.vmc_live import VmcLive
+from hypose.app.live.servers import ORIGINS, Outbox, Queue, quiet_logs, refusal, same_secret, shows_secret
 from hypose.errors import InputError
 from hypose.fusion.joints import COMMON
 from hypose.fusion.live import LiveFrame, LiveFuser, LiveSettings
 from hypose.geometry import Array
-from hypose.io.sensors.skeleton_folder import FolderWriter
-from hypose.io.sensors.skeleton_lines import MAX_SKELETON_LINE, parse_line
-from hypose.pipeline.live.punctual import punctual
+from hypose.io.sensors.skeleton_files import FolderWriter
+from hypose.io.sensors.skeleton_streams import MAX_SKELETON_LINE, parse_line
+from hypose.pipeline.live.processes import punctual
 
 Say = Callable[[str], None]
 _TOKEN = re.compile(r"[A-Za-z0-9_.-]{8,128}")
@@ -53,7 +50,7 @@ _REPORT_S, _LOOK_S = 10.0, 0.1
 
 @dataclass(frozen=True)
 class LiveOptions:
-    """host: address to listen on; udp, ws: ports (0 = any free one, None = none); osc, vmc: HOST:PORT or None; token:
+    """host: address to listen on; udp, ws: ports (0 = any free one, None = none); osc: HOST:PORT or None; token:
     what senders and listeners must show (made when the host is not this computer alone); record: a new folder;
     lines_per_s, burst: what is taken from outside; clients: WebSocket connections; waiting: messages kept for a slow
     listener."""
@@ -62,7 +59,6 @@ class LiveOptions:
     udp: int | None = 9870
     ws: int | None = 9871
     osc: str | None = None
-    vmc: str | None = None
     token: str | None = None
     record: Path | None = None
     settings: LiveSettings = field(default_factory=LiveSettings)
@@ -116,7 +112,6 @@ class LiveServer:
         self.outbox = Outbox()
         self._connections = 0
         self._osc: OscTarget | None = None
-        self._vmc: VmcLive | None = None
         self._status_at = 0.0
 
     def now(self) -> float:
@@ -128,11 +123,9 @@ class LiveServer:
     async def start(self) -> None:
         """Open the ports; an InputError when one is taken."""
         o, loop = self.options, asyncio.get_running_loop()
-        fold_logs()
+        quiet_logs()
         if o.osc is not None:
             self._osc = OscTarget(o.osc)
-        if o.vmc is not None:
-            self._vmc = VmcLive(OscTarget(o.vmc, "--vmc"))
         try:
             if o.udp is not None:
                 transport, _ = await loop.create_datagram_endpoint(lambda: _Datagrams(self), local_addr=(o.host, o.udp))
@@ -171,9 +164,8 @@ class LiveServer:
             self._server.close()
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._server.wait_closed(), 3)
-        for out in (self._osc, self._vmc):
-            if out is not None:
-                out.close()
+        if self._osc is not None:
+            self._osc.close()
         self._record(lambda writer: writer.close())
         self._writer = None
 
@@ -260,8 +252,6 @@ class LiveServer:
         if self._osc is not None:
             people = [(p.id, COMMON, p.joints, p.sd) for p in frame.people]
             self._osc.send(people_osc(frame.index, frame.time, latency, people, len(people)))
-        if self._vmc is not None:
-            self._vmc.send(frame)
 
     def _status(self, now: float) -> str:
         residuals, places = self.fuser.people.residuals, self.fuser.people.transforms
@@ -404,8 +394,6 @@ def _say_where(server: LiveServer, say: Say) -> None:
         say(f"Fused out:     ws://{host}:{server.ws_port}/out")
     if options.osc is not None:
         say(f"Fused out:     osc {options.osc}")
-    if options.vmc is not None:
-        say(f"Avatar out:    vmc {options.vmc}")
     if server.token:
         say(f"Token:         {server.token}")
     say("Stop with Ctrl-C.")

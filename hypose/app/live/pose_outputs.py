@@ -9,16 +9,14 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from hypose.app.live.humanoid_bones import bone_turns, rest_offsets
 from hypose.app.live.osc import OscTarget, people_osc
-from hypose.app.live.socket_listeners import SocketListeners
+from hypose.app.live.servers import SocketListeners
 from hypose.app.live.vmc import vmc_messages
-from hypose.body.body import Body
 from hypose.body.ready_bodies import JOINT_NAMES
 from hypose.errors import InputError
 from hypose.geometry import Array
 from hypose.pipeline.live.engine import LiveStatus, Seen
-from hypose.pipeline.live.live_person import LivePose
+from hypose.pipeline.live.live_people import LivePose
 
 MAGIC = b"hyp1"
 """A binary pose begins with it; then little endian: u4 frame, f8 time (s), f4 latency (ms), u4 flags (1: lost), u4
@@ -66,23 +64,17 @@ def _covariance(pose: LivePose) -> Array:
 
 
 class _Vmc:
-    """An avatar's pose, in VRM's bones: of who came first."""
+    """An avatar's pose: of who came first."""
 
     def __init__(self, target: OscTarget) -> None:
         self._target = target
-        self._body: Body | None = None
-        self._offsets: Array | None = None
         self._begin: float | None = None
 
     def send(self, poses: Sequence[LivePose], latency: float) -> None:
         pose = poses[0]
-        if self._offsets is None or pose.body is not self._body:
-            self._body, self._offsets = pose.body, rest_offsets(pose.body)
         self._begin = pose.time if self._begin is None else self._begin
         assert pose.motion.poses is not None
-        hips, turns = bone_turns(pose.body.skeleton, pose.motion.poses)
-        self._offsets[0] = hips[0]
-        self._target.send(vmc_messages(self._offsets, turns[0], pose.time - self._begin, not pose.lost))
+        self._target.send(vmc_messages(pose.body, pose.motion.poses[0], pose.time - self._begin, not pose.lost))
 
     def close(self) -> None:
         self._target.close()

@@ -10,7 +10,7 @@ import numpy as np
 
 from hypose.evidence.frame import SensorReport
 from hypose.fusion.joints import COMMON
-from hypose.io.sensors.skeleton_lines import format_line
+from hypose.io.sensors.skeleton_streams import format_line
 from hypose.synthetic.sensors import (
     FRAME_RATE,
     SensorModel,

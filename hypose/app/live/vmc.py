@@ -1,76 +1,75 @@
 """Poses for programs that move an avatar, by the VMC protocol: bones of a VRM humanoid as OSC messages.
 
-Bones, T pose and divided turns are those of hypose.app.live.humanoid_bones. The protocol speaks Unity's
-axes: left-handed, x right, y up, z forwards. The root stays at the origin; the hips carry place and turn.
+At rest an avatar stands in a T pose (arms level, palms down). What one joint of ours does and two bones share (trunk,
+neck) is divided between them; hands, toes and fingers do not move. The protocol speaks Unity's axes: left-handed, x
+right, y up, z forwards; VRM's have x to the left.
 
-Source: VMC protocol specification, what a Performer sends to a Marionette (protocol.vmc.info), version 2.7.
+Sources: VRM Consortium, VRMC_vrm 1.0 (bones and their parents); VMC protocol 2.7 (protocol.vmc.info).
 """
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from pythonosc.osc_message import OscMessage
 
-from hypose.app.live.humanoid_bones import BONES, bone_turns, rest_offsets
 from hypose.app.live.osc import osc_message
 from hypose.body.body import Body
-from hypose.body.motion import Motion
-from hypose.errors import InputError
-from hypose.geometry import Array, quaternion_from_matrix
+from hypose.body.joint_angles import neutral_frames
+from hypose.geometry import Array, quaternion_from_matrix, so3_exp, so3_log
+from hypose.io.motions.animation import Y_UP
 
-_NAMES = [name[0].upper() + name[1:] for name in BONES]
-_CALIBRATED = 3
+_VRM_AXES = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # from x left, y backwards, z up
+_TRUNK = (
+    ("Hips", "", "pelvis", "pelvis", "", 1.0),
+    ("Spine", "Hips", "spine", "chest", "pelvis", 1 / 3),
+    ("Chest", "Spine", "chest", "chest", "pelvis", 2 / 3),
+    ("Neck", "Chest", "neck", "head", "chest", 1 / 2),
+    ("Head", "Neck", "head", "head", "chest", 1 / 2),
+)
+_LIMBS = (
+    ("{S}Shoulder", "Chest", "{s}_clavicle", "{s}_clavicle", "chest", 1.0),
+    ("{S}UpperArm", "{S}Shoulder", "{s}_shoulder", "{s}_shoulder", "{s}_clavicle", 1.0),
+    ("{S}LowerArm", "{S}UpperArm", "{s}_elbow", "{s}_elbow", "{s}_shoulder", 1.0),
+    ("{S}Hand", "{S}LowerArm", "{s}_wrist", "{s}_wrist", "{s}_elbow", 0.0),
+    ("{S}UpperLeg", "Hips", "{s}_hip", "{s}_hip", "pelvis", 1.0),
+    ("{S}LowerLeg", "{S}UpperLeg", "{s}_knee", "{s}_knee", "{s}_hip", 1.0),
+    ("{S}Foot", "{S}LowerLeg", "{s}_ankle", "{s}_ankle", "{s}_knee", 1.0),
+)
+_SIDED = [
+    (*(text.format(S=side, s=side.lower()) for text in row[:5]), row[5]) for side in ("Left", "Right") for row in _LIMBS
+]
+BONES: tuple[tuple[Any, ...], ...] = (*_TRUNK, *_SIDED)
+"""Bones, parents first: name; parent; our joint whose place it has; our joint that turns it, and against which other
+one; the bone's share of that turn"""
 
 
-def vmc_messages(offsets: Array, turns: Array, seconds: float, tracked: bool) -> list[OscMessage]:
-    """One frame. offsets (B, 3) m from each bone's parent to it, of the hips from the origin; turns (B, 3, 3) against
-    the parent; both in VRM's axes (x left, y up, z forwards) and the order of BONES. seconds: since the sender began;
-    tracked: somebody was seen in this frame, else the pose is one held."""
-    quaternions = quaternion_from_matrix(turns) * [1, 1, -1, -1]  # w x y z, x to the other side
-    values = np.concatenate([offsets * [-1, 1, 1], quaternions[:, [1, 2, 3, 0]]], 1).tolist()
-    bones = [osc_message("/VMC/Ext/Bone/Pos", name, *row) for name, row in zip(_NAMES, values, strict=True)]
-    return [
-        osc_message("/VMC/Ext/OK", 1, _CALIBRATED, 0, int(tracked)),
-        osc_message("/VMC/Ext/T", float(seconds)),
-        osc_message("/VMC/Ext/Root/Pos", "root", 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0),
-        *bones,
-    ]
-
-
-def play_motion(
-    motion: Motion,
-    body: Body,
-    send: Callable[[list[OscMessage]], None],
-    speed: float = 1.0,
-    loop: bool = False,
-    wait: Callable[[float], None] = time.sleep,
-    clock: Callable[[], float] = time.monotonic,
-) -> int:
-    """Send a motion with poses at its own pace times `speed`, over and over with `loop`; returns the frames sent.
-
-    Frames whose time has passed already are left out; lost frames hold the last pose and say so. wait and clock are
-    those of tests. An InputError when no frame has a pose."""
-    if motion.poses is None or not (good := np.isfinite(motion.poses).all(1)).any():
-        raise InputError("The motion has no poses, which an avatar needs; play a result of hypose track.")
-    filled = motion.poses[np.maximum.accumulate(np.where(good, np.arange(len(motion)), int(good.argmax())))]
-    hips, turns = bone_turns(motion.skeleton, filled)
-    offsets = rest_offsets(body)
-    tracked = good & ~motion.lost.astype(bool)
-    due = (motion.times - motion.times[0]) / speed
-    length = float(due[-1]) + 1 / (motion.frame_rate * speed)
-    begin, n, sent = clock(), 0, 0
-    while loop or n < len(motion):
-        late = clock() - begin - (n // len(motion)) * length
-        k = n % len(motion)
-        if late < due[k]:
-            wait(float(due[k]) - late)
-        elif k + 1 < len(motion) and late > due[k + 1]:
-            n += 1
-            continue
-        offsets[0] = hips[k]
-        send(vmc_messages(offsets, turns[k], clock() - begin, bool(tracked[k])))
-        n, sent = n + 1, sent + 1
-    return sent
+def vmc_messages(body: Body, pose: Array, seconds: float, tracked: bool) -> list[OscMessage]:
+    """One frame: a pose (D,) of a body. seconds: since the sender began; tracked: the person was seen in this frame,
+    else the pose is one held. The root stays at the origin; the hips carry place and turn."""
+    skeleton, names = body.skeleton, body.skeleton.joint_names
+    frames = dict(neutral_frames(skeleton))
+    for side, sign in (("left", -1.0), ("right", 1.0)):
+        level = so3_exp(np.array([0.0, sign * np.pi / 2, 0.0]))  # the hanging arm lifted sideways
+        for joint in ("shoulder", "elbow", "wrist"):
+            frames[f"{side}_{joint}"] = level @ frames[f"{side}_{joint}"]
+    rest = {name: _VRM_AXES @ frame for name, frame in frames.items()}
+    places = np.zeros((len(names), 3))
+    for j, parent in enumerate(skeleton.parents):
+        if parent >= 0:
+            places[j] = places[parent] + rest[names[parent]] @ skeleton.rest_offsets[j]
+    at = {name: places[skeleton.joint(joint)] for name, _, joint, *_ in BONES}
+    rotations, joints = (a[0] for a in skeleton.forward(pose[None]))
+    world = {name: rotations[skeleton.joint(name)] @ frame.T for name, frame in rest.items()}
+    bones = []
+    for name, above, _, joint, against, share in BONES:
+        offset = at[name] - at[above] if above else Y_UP @ joints[skeleton.joint("pelvis")]
+        turn = world[against].T @ world[joint] if against else Y_UP @ world[joint]
+        w, x, y, z = quaternion_from_matrix(turn if share == 1 else so3_exp(share * so3_log(turn)))
+        values = (*(offset * [-1, 1, 1]).tolist(), float(x), -float(y), -float(z), float(w))
+        bones.append(osc_message("/VMC/Ext/Bone/Pos", name, *values))
+    root = osc_message("/VMC/Ext/Root/Pos", "root", 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+    calibrated = 3
+    ok = osc_message("/VMC/Ext/OK", 1, calibrated, 0, int(tracked))
+    return [ok, osc_message("/VMC/Ext/T", float(seconds)), root, *bones]

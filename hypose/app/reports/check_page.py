@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import html
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,24 +10,15 @@ import cv2
 import numpy as np
 
 from hypose import __version__
-from hypose.app.reports.result_pictures import Image, open_images
-from hypose.calibration.doctor import Cured, Observed, Report
-from hypose.calibration.doctor_points import undistorted
+from hypose.app.reports.result_pictures import Image, jpeg, open_images
+from hypose.app.reports.summary import page, picture_of
+from hypose.calibration.diagnose_points import undistorted
+from hypose.calibration.diagnostics import Cured, Observed, Report
 from hypose.cameras.camera import CameraRig, triangulate
 from hypose.io.files import write_text
 from hypose.io.recordings.recording import Recording
 from hypose.pipeline.examine import window
 
-STYLE = """
-:root { color-scheme: light; }
-body { font: 15px/1.5 system-ui, sans-serif; color: #222; background: #fff; margin: 0 auto; max-width: 1080px;
-  padding: 24px; }
-h1 { font-size: 24px; margin: 0 0 2px; } h2 { font-size: 17px; margin: 30px 0 6px; border-bottom: 1px solid #ddd; }
-.bad { color: #b3261e; font-weight: 600; } .good { color: #1d7a46; font-weight: 600; } .dim { color: #666; }
-table { border-collapse: collapse; font-size: 14px; } td, th { padding: 3px 14px 3px 0; text-align: left;
-  vertical-align: top; border-bottom: 1px solid #eee; } td.n { text-align: right; }
-img { max-width: 100%; height: auto; } li { margin: 4px 0; }
-"""
 SEEN, EXPECTED = (60, 200, 250), (60, 60, 235)  # BGR
 
 
@@ -130,7 +120,6 @@ def write_page(
         "verdict",
     )
     parts = [
-        f"<!doctype html><html lang='en'><meta charset='utf-8'><title>{e(title)}: check</title><style>{STYLE}</style>",
         f"<h1>{e(title)}: is the calibration right?</h1>",
         verdict,
         "<h2>Findings</h2><ul>",
@@ -145,17 +134,13 @@ def write_page(
     ]
     if picture is not None:
         parts.append("<h2>Key points, and where the other cameras put them</h2>")
-        parts.append(_embedded(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes(), "jpeg"))
+        parts.append(picture_of(jpeg(picture, picture.shape[1], 85), "jpeg"))
     if sheet.is_file():
-        parts.append("<h2>Masks</h2>" + _embedded(sheet.read_bytes(), "png"))
+        parts.append("<h2>Masks</h2>" + picture_of(sheet.read_bytes(), "png"))
     parts.append("<h2>Notes</h2><ul>" + "".join(f"<li>{e(f)}</li>" for f in facts) + "</ul>")
-    parts.append(f"<p class='dim'>hypose {__version__}</p></html>")
-    write_text(path, "\n".join(parts))
+    parts.append(f"<p class='dim'>hypose {__version__}</p>")
+    write_text(path, page(f"{title}: check", "\n".join(parts)))
 
 
 def _number(value: float) -> str:
     return "-" if value != value else f"{value:.1f}"
-
-
-def _embedded(data: bytes, kind: str) -> str:
-    return f'<img src="data:image/{kind};base64,{base64.b64encode(data).decode()}" alt="">'

@@ -3,174 +3,132 @@
 from __future__ import annotations
 
 import base64
+import gzip
 import html
-from collections.abc import Mapping, Sequence
-from contextlib import closing
+import json
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from hypose import __version__
-from hypose.app.jobs.truth import Truth
-from hypose.app.reports import plots
-from hypose.app.reports.gait_plot import gait_section
-from hypose.app.reports.overlay import still_rows, write_overlay
-from hypose.app.reports.report_viewer import PLACE, Viewer, make_viewer
-from hypose.app.reports.result_pictures import Image
-from hypose.app.reports.summary import subject_rows, summarize
-from hypose.app.studio.view_bundle import Rivals, ViewResult, pictured
-from hypose.app.studio.view_pictures import ViewPictures
+from hypose.app.commands.console import ProgressCall
+from hypose.app.reports import charts
+from hypose.app.reports.overlay import PictureRows, Shown, still_rows, write_overlay
+from hypose.app.reports.result_pictures import Image, jpeg
+from hypose.app.reports.summary import DESCRIPTIONS, page, picture_of, subject_rows, summarize
+from hypose.app.studio.view_bundle import ViewResult, view_bundle
 from hypose.body.body import Body
 from hypose.body.motion import Motion, sd_per_axis
 from hypose.cameras.camera import CameraRig
-from hypose.io.motions.results import to_json
-from hypose.io.recordings.frames import FrameStream
+from hypose.io.files import write_text
+from hypose.io.motions.results import ResultsFolder, to_json
+from hypose.io.recordings.frames import FrameSettings, FrameStream
 from hypose.io.recordings.recording import Recording
 from hypose.pipeline.camera_worth import camera_worth
-from hypose.pipeline.left_out import KeptFrames, LeftOut, evidence_said, left_out
+from hypose.pipeline.gait import angle_cycles, gait_of
 
-# The colours are those of web/src/ui/theme.css, which is part of a report only where the front end was built.
-_STYLE = """
-:root { color-scheme: light; --bg: #eef1f4; --panel: #fff; --raised: #f3f6f8; --line: #d5dde4; --ink: #15202a;
-  --dim: #566470; --bad: #b9262b; }
-@media (prefers-color-scheme: dark) { :root { color-scheme: dark; --bg: #0d1115; --panel: #141a20; --raised: #1c242c;
-  --line: #2a343e; --ink: #e7edf2; --dim: #9aa8b5; --bad: #ff7b7e; } }
-body { margin: 0; background: var(--bg); color: var(--ink);
-  font: 15px/1.5 system-ui, "Segoe UI", Roboto, "Noto Sans", "DejaVu Sans", sans-serif; }
-.report { max-width: 1080px; margin: 0 auto; padding: 24px; font-size: 15px; } .wide { padding: 0 16px; }
-.report h1 { font-size: 24px; margin: 0 0 2px; }
-.report h2 { font-size: 17px; margin: 34px 0 6px; padding-bottom: 4px; border-bottom: 1px solid var(--line); }
-.report p { margin: 6px 0; } .dim { color: var(--dim); } .bad { color: var(--bad); font-weight: 600; }
-.report .cards { display: flex; flex-wrap: wrap; gap: 10px; margin: 16px 0 0; }
-.report .card { border: 1px solid var(--line); border-radius: 6px; padding: 8px 14px; min-width: 110px;
-  background: var(--panel); }
-.report .card b { display: block; font-size: 21px; font-weight: 600; }
-.report .card span { color: var(--dim); font-size: 13px; }
-.report table { border-collapse: collapse; font-size: 14px; }
-.report td, .report th { padding: 3px 14px 3px 0; text-align: left; vertical-align: top;
-  border-bottom: 1px solid var(--line); }
-.report td.n { text-align: right; font-variant-numeric: tabular-nums; }
-.report img, .report svg { max-width: 100%; height: auto; } .report figure { margin: 12px 0; }
-.report figure svg { background: #fff; border-radius: 6px; }
-.report figcaption { color: var(--dim); font-size: 13px; } .report details { margin: 8px 0; }
-.report pre { background: var(--raised); padding: 10px; overflow-x: auto; font-size: 12px; }
-.report .two { display: flex; flex-wrap: wrap; gap: 24px; align-items: flex-start; }
-"""
-# A report can load nothing, whatever is in it.
-_POLICY = "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
+STATIC = Path(__file__).parents[1] / "studio" / "static"
+"""Where the front end's build puts report.js and report.css, which show the result in 3D; without them a report has its
+charts and pictures only."""
+PLACE = '<div id="hypose-viewer" class="viewer"><noscript>The view in 3D needs JavaScript.</noscript></div>'
+_PICTURES, _MIN_ROWS, _MAX_ROWS = 48, 4, 16  # of the viewer
 
 
 @dataclass(frozen=True)
-class ReportInput:
-    """What a report shows. title; motion, body, rig; stills: (caption, picture BGR); files: (name, what it is); notes:
-    sentences; citation of the method; seconds per stage; truth of a synthetic recording; complete: every frame was
-    tracked; recording: whose pictures the viewer shows, and its first frame that belongs to the motion;
-    rivals: other poses of a track with one camera; without: how far the joints go without each camera."""
+class Drawn:
+    """What a report shows beyond the result. stills: (caption, picture BGR); small: the recorded pictures of some rows,
+    one JPEG per view."""
 
-    title: str
-    motion: Motion
-    body: Body | None
-    rig: CameraRig | None
     stills: Sequence[tuple[str, Image]] = ()
-    files: Sequence[tuple[str, str]] = ()
-    notes: Sequence[str] = ()
-    citation: str = ""
-    seconds: Mapping[str, float] = field(default_factory=dict)
-    truth: Truth | None = None
-    complete: bool = True
-    recording: Recording | None = None
-    first_frame: int = 0
-    rivals: Rivals | None = None
-    without: Sequence[LeftOut] = ()
+    small: Mapping[int, list[bytes]] = field(default_factory=dict)
 
 
-def from_result(result: ViewResult, recording: Recording | None) -> ReportInput:
-    """The report of a result that lies in a folder, with the recording it belongs to."""
-    stills, without = _from_frames(result, recording) if recording is not None else ((), ())
-    return ReportInput(
-        title=result.title,
-        motion=result.motion,
-        body=result.body,
-        rig=result.rig,
-        stills=stills,
-        without=without,
-        files=[(name, what) for name, what, _ in result.files],
-        notes=result.notes,
-        citation=result.citation,
-        seconds=result.seconds,
-        truth=result.truth,
-        complete=result.complete,
-        recording=recording,
-        first_frame=result.first_frame,
-        rivals=result.rivals,
-    )
+def draw(
+    results: ResultsFolder,
+    result: ViewResult,
+    overlay: Callable[[Path, PictureRows], Shown],
+    written: Sequence[Path],
+    wanted: tuple[bool, bool],
+    caption: str,
+    progress: ProgressCall,
+) -> list[Path]:
+    """Write overlay.mp4 and report.html of a finished motion, where they are wanted; returns their paths. overlay:
+    draws pictures of rows; written: the files there are already; caption: of a still, {} its frame's number."""
+    video, reported = wanted
+    path, report = results.file("overlay.mp4"), results.file("report.html")
+    rows = _rows(result, video) if reported else PictureRows(video)
+    shown = overlay(path, rows)
+    out = [path] if video else []
+    if not reported:
+        return out
+    progress("report", 0, 1)
+    files = [(p.name, DESCRIPTIONS.get(p.name, ""), 0) for p in [*written, *out, report]]
+    stills = [(caption.format(result.first_frame + r), shown.stills[r]) for r in rows.stills]
+    write_text(report, report_html(replace(result, files=files), Drawn(stills, shown.small)))
+    progress("report", 1, 1)
+    return [*out, report]
 
 
-def _from_frames(result: ViewResult, recording: Recording) -> tuple[list[tuple[str, Image]], Sequence[LeftOut]]:
-    """The stills of a result, and how far its joints go without each camera."""
-    motion, body = result.motion, result.body
+def write_report(path: Path, result: ViewResult, recording: Recording | None) -> Path:
+    """Write the report of a result that lies in a folder, with the recording it belongs to; returns its path."""
+    write_text(path, report_html(result, drawn_of(result, recording)))
+    return path
+
+
+def drawn_of(result: ViewResult, recording: Recording | None) -> Drawn:
+    """Draw the pictures of a result from its recording."""
+    motion, body, wanted = result.motion, result.body, _rows(result, False)
+    if recording is None:
+        return Drawn()
     if body is None or motion.poses is None:
-        return [], ()
+        wanted = replace(wanted, stills=())
     frames = range(result.first_frame, result.first_frame + len(motion))
-    shown = replace(recording, frame_range=(frames.start, frames.stop))
-    rows = still_rows(motion)
-    with FrameStream(shown) as stream:
-        kept = KeptFrames(stream, motion)
-        given = kept.every()
-        made = write_overlay("", shown, stream, motion, body, frames=frames, stills=rows, video=False)
-    without = left_out(motion, body, given, evidence_said(motion)) if len(recording.rig) > 1 else ()
-    return [(f"Frame {frames[r]}", made[r]) for r in rows], without
+    recording = replace(recording, frame_range=(frames.start, frames.stop))
+    settings = motion.provenance.get("settings")
+    masks = wanted.stills and not (isinstance(settings, Mapping) and settings.get("evidence") == "keypoints")
+    with FrameStream(recording, None if masks else FrameSettings(silhouettes=None)) as stream:
+        shown = write_overlay("", recording, stream, motion, body, wanted)
+    return Drawn([(f"Frame {frames[r]}", shown.stills[r]) for r in wanted.stills], shown.small)
 
 
-def write_report(path: str | Path, what: ReportInput) -> Path:
-    """Write the report whole or not at all; returns its path."""
-    from hypose.io.files import write_text
-
-    write_text(path, report_html(what))
-    return Path(path)
+def _rows(result: ViewResult, video: bool) -> PictureRows:
+    """The pictures of a result that are drawn: none for a viewer that was not built."""
+    small = stored_rows(result.motion, len(result.pictures)) if _built() and result.pictures else []
+    return PictureRows(video, still_rows(result.motion), small)
 
 
-def report_html(what: ReportInput) -> str:
-    """The page."""
-    viewer = _viewer(what)
-    top = _head(what) + _cards(what)
-    if viewer is None:
-        return page(what.title, top + _text(what))
+def stored_rows(motion: Motion, views: int) -> list[int]:
+    """Rows whose pictures go into a report: evenly spread, fewer when there are many views, and the worst."""
+    count = min(len(motion), max(_MIN_ROWS, min(_MAX_ROWS, _PICTURES // max(1, views))))
+    return still_rows(motion, count)
+
+
+def _built() -> bool:
+    return (STATIC / "report.js").is_file() and (STATIC / "report.css").is_file()
+
+
+def report_html(result: ViewResult, drawn: Drawn = Drawn()) -> str:
+    """The page: the viewer where it was built, and below it what can be read and printed without a script."""
+    top, text = _head(result) + _cards(result), _text(result, drawn)
+    if not _built():
+        return page(result.title, top + text)
     place = f'</div><div class="wide">{PLACE}</div><div class="report">'
-    return page(what.title, top + place + _text(what), viewer)
+    block = base64.b64encode(gzip.compress(view_bundle(result), 6, mtime=0)).decode("ascii")
+    scripts = [f'<script type="text/plain" id="hypose-result">{block}</script>']
+    if drawn.small:
+        files = [[base64.b64encode(f).decode("ascii") for f in views] for views in drawn.small.values()]
+        stored = json.dumps({"rows": list(drawn.small), "files": files})
+        scripts.append(f'<script type="application/json" id="hypose-pictures">{stored}</script>')
+    code = (STATIC / "report.js").read_text("utf-8").replace("</script", "<\\/script")
+    scripts.append(f"<script>{code}</script>")
+    style = (STATIC / "report.css").read_text("utf-8")
+    return page(result.title, top + place + text, f"<style>{style}</style>", "\n".join(scripts))
 
 
-def _viewer(what: ReportInput) -> Viewer | None:
-    """The View screen for this report, None when the front end was not built."""
-    m, recording = what.motion, what.recording
-    seen = pictured(recording) if recording is not None else []
-    result = ViewResult(
-        title=what.title,
-        motion=m,
-        body=what.body,
-        rig=what.rig,
-        image_shifts=[v.image_shift for v in recording.views] if recording is not None else (),
-        pictures=seen,
-        first_frame=what.first_frame,
-        files=[(name, text, 0) for name, text in what.files],
-        notes=what.notes,
-        citation=what.citation,
-        seconds=what.seconds,
-        truth=what.truth,
-        complete=what.complete,
-        rivals=what.rivals,
-    )
-    if recording is None or not seen:
-        return make_viewer(result, None)
-    with closing(ViewPictures(recording, what.first_frame, len(m))) as pictures:
-        return make_viewer(result, pictures)
-
-
-def _text(what: ReportInput) -> str:
-    """Everything below the viewer: what can be read and printed without a script."""
+def _text(what: ViewResult, drawn: Drawn) -> str:
     m = what.motion
     parts = [""]
     if not what.complete:
@@ -181,10 +139,10 @@ def _text(what: ReportInput) -> str:
         text = f"The recording is synthetic, so the truth is known: {what.truth.mean_mm:.1f} mm mean distance over "
         text += f"{len(what.truth.names)} joints. {what.truth.note}"
         parts.append(f"<h2>Distance to the truth</h2><p>{html.escape(text)}</p>")
-        parts.append(_figure(plots.error_plot(m, what.truth), "Left: over time. Right: mean per joint."))
-    if what.stills:
+        parts.append(_figure(charts.error_chart(m, what.truth), "Left: over time. Right: mean per joint."))
+    if drawn.stills:
         parts.append("<h2>Pictures</h2>")
-        parts += [_still(caption, picture) for caption, picture in what.stills]
+        parts += [picture_of(jpeg(picture, 1280, 85), "jpeg", caption) for caption, picture in drawn.stills]
         parts.append(
             '<p class="dim">Tinted: the body. Pink line: edge of the mask. Orange: left limbs, blue: right limbs.</p>'
         )
@@ -193,7 +151,7 @@ def _text(what: ReportInput) -> str:
         caption = (
             "Intersection over union of the body's silhouette and the mask, mean over the views; 1 is a perfect fit."
         )
-        parts.append(_figure(plots.fit_plot(m), caption))
+        parts.append(_figure(charts.fit_chart(m), caption))
     else:
         parts.append("<p>No silhouettes were used, so there is no overlap to show.</p>")
     if np.isfinite(m.joint_sd).any():
@@ -204,39 +162,29 @@ def _text(what: ReportInput) -> str:
                 f" Of it {lasting:.1f} mm (median) would remain with more frames and more views like these: where the "
                 "joint is defined to be, errors common to all views, the calibration."
             )
-        parts.append(_figure(plots.sd_plot(m), caption))
+        parts.append(_figure(charts.sd_chart(m), caption))
     if m.poses is not None and np.isfinite(m.poses).any():
         caption = (
             "Names and signs as in OpenSim's full-body model (Rajagopal 2016), degrees; all angles are in angles.csv."
         )
-        parts.append("<h2>Joint angles</h2>" + _figure(plots.angle_plot(m), caption))
+        parts.append("<h2>Joint angles</h2>" + _figure(charts.angle_chart(m), caption))
     parts.append(gait_section(m, what.body))
     parts.append('<div class="two"><div><h2>Seen from above</h2>')
-    parts.append(_figure(plots.top_view_plot(m, what.rig or (), what.truth), "Metres; cameras are squares.") + "</div>")
+    parts.append(
+        _figure(charts.top_chart(m, what.rig or (), what.truth), "Metres; grey: the cameras, and where they look.")
+        + "</div>"
+    )
     parts.append(f"<div><h2>Subject</h2>{_subject(what.body)}</div></div>" if what.body is not None else "</div>")
     if what.rig is not None:
-        parts.append(_cameras(m, what.rig, what.without))
+        parts.append(_cameras(m, what.rig))
     if what.files:
-        rows = "".join(f"<tr><td>{html.escape(n)}</td><td>{html.escape(t)}</td></tr>" for n, t in what.files)
+        rows = "".join(f"<tr><td>{html.escape(n)}</td><td>{html.escape(t)}</td></tr>" for n, t, _ in what.files)
         parts.append(f"<h2>Files</h2><table>{rows}</table>")
     parts.append(_origin(what))
     return "\n".join(parts)
 
 
-def page(title: str, body: str, viewer: Viewer | None = None) -> str:
-    """An HTML page of the reports' looks; `body` is HTML, the title plain text. With a viewer `body` holds its
-    place."""
-    style, scripts = (f"<style>{viewer.style}</style>", viewer.body) if viewer is not None else ("", "")
-    return (
-        f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>{html.escape(title)}</title>'
-        f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">'
-        '<meta name="viewport" content="width=device-width"><link rel="icon" href="data:,">'
-        f"<style>{_STYLE}</style>{style}</head>\n"
-        f'<body>\n<div class="report">{body}\n</div>\n{scripts}</body></html>\n'
-    )
-
-
-def _head(what: ReportInput) -> str:
+def _head(what: ViewResult) -> str:
     recipe = str(what.motion.provenance.get("recipe", "unknown"))
     return (
         f"<h1>{html.escape(what.title)}</h1>"
@@ -244,7 +192,7 @@ def _head(what: ReportInput) -> str:
     )
 
 
-def _cards(what: ReportInput) -> str:
+def _cards(what: ViewResult) -> str:
     s = summarize(what.motion)
     cards = [(f"{s.frames}", f"frames, {s.seconds:.1f} s")]
     if what.rig is not None:
@@ -270,14 +218,22 @@ def _figure(svg: str, caption: str) -> str:
     return f"<figure>{svg}<figcaption>{html.escape(caption)}</figcaption></figure>"
 
 
-def _still(caption: str, picture: Image) -> str:
-    h, w = picture.shape[:2]
-    if w > 1280:
-        picture = np.asarray(cv2.resize(picture, (1280, round(h * 1280 / w)), interpolation=cv2.INTER_AREA), np.uint8)
-    data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes()
-    text = base64.b64encode(data).decode("ascii")
-    alt = html.escape(caption)
-    return f'<figure><img alt="{alt}" src="data:image/jpeg;base64,{text}"><figcaption>{alt}</figcaption></figure>'
+def gait_section(motion: Motion, body: Body | None) -> str:
+    """HTML: means with their intervals and the cycle; "" where nobody walks two steps, or poses are not known."""
+    if motion.poses is None or body is None or not (found := gait_of(motion, body)).figures:
+        return ""
+    rows = "".join(
+        f'<tr><td>{html.escape(f.name.replace("_", " "))}</td><td class="n">{f.mean:.3g} {html.escape(f.unit)}</td>'
+        f'<td class="n">{f.low:.3g} to {f.high:.3g}</td><td class="n">{f.n}</td></tr>'
+        for f in found.figures
+    )
+    head = "<tr><th></th><th>mean</th><th>with 90 %</th><th>n</th></tr>"
+    out = f"<h2>Gait</h2><table>{head}{rows}</table>"
+    if cycles := angle_cycles(found.events, motion):
+        caption = "From strike to strike of the same foot. Bands: one standard deviation between strides, or of the "
+        caption += "tracking where there is one. hypose gait writes the numbers, and each event and step."
+        out += _figure(charts.cycle_chart(cycles), caption)
+    return out
 
 
 def _subject(body: Body) -> str:
@@ -285,21 +241,17 @@ def _subject(body: Body) -> str:
     return f'<table>{cells}</table><p class="dim">Between joint centres; limbs: mean of both sides.</p>'
 
 
-def _cameras(motion: Motion, rig: CameraRig, without: Sequence[LeftOut]) -> str:
+def _cameras(motion: Motion, rig: CameraRig) -> str:
     """What each camera adds; "" of one camera."""
     worth, best = camera_worth(motion, rig)
     if best is None:
         return ""
-    gone = {w.name: f'<td class="n">{1e3 * w.moved:.0f} mm ({1e3 * w.far:.0f} mm)</td>' for w in without}
     rows = "".join(
-        f"<tr><td>{html.escape(w.name)}</td>{gone.get(w.name, '<td>-</td>' if gone else '')}"
-        f'<td class="n">x {w.times:.2f}</td><td class="n">{w.thin:.0%}</td></tr>'
+        f'<tr><td>{html.escape(w.name)}</td><td class="n">x {w.times:.2f}</td><td class="n">{w.thin:.0%}</td></tr>'
         for w in worth
     )
-    head = f"<tr><th>without</th>{'<th>joints go</th>' if gone else ''}<th>standard deviations</th>"
-    head += "<th>joints with fewer than two left</th></tr>"
-    text = "Joints go so far (median, 95 %) when single frames are solved anew without the camera. " if gone else ""
-    text += "Standard deviations are geometry: where the cameras stand and what is in their pictures; limbs that cover "
+    head = "<tr><th>without</th><th>standard deviations</th><th>joints with fewer than two left</th></tr>"
+    text = "Standard deviations are geometry: where the cameras stand and what is in their pictures; limbs that cover "
     x, y, z = best.place.tolist()
     text += (
         f"each other are not counted. One more camera would help most at x = {x:.1f} m, y = {y:.1f} m, {z:.1f} m high: "
@@ -308,7 +260,7 @@ def _cameras(motion: Motion, rig: CameraRig, without: Sequence[LeftOut]) -> str:
     return f'<h2>What each camera adds</h2><table>{head}{rows}</table><p class="dim">{html.escape(text)}</p>'
 
 
-def _origin(what: ReportInput) -> str:
+def _origin(what: ViewResult) -> str:
     record: dict[str, Any] = dict(what.motion.provenance)
     out = "<h2>How this was made</h2>"
     if what.citation:

@@ -181,6 +181,16 @@ def draw_body(image: Image, camera: Camera, vertices: Array, mesh: Mesh, colour:
     cv2.polylines(image, edges, True, colour, 1, cv2.LINE_AA)
 
 
+def jpeg(image: Image, width: int, quality: int = 82) -> bytes:
+    """A JPEG file of a picture, at most `width` px wide."""
+    h, w = image.shape[:2]
+    if w > width:
+        image = np.asarray(
+            cv2.resize(image, (width, max(1, round(h * width / w))), interpolation=cv2.INTER_AREA), np.uint8
+        )
+    return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
+
+
 def bones(body: Body) -> Iterator[tuple[int, int, tuple[int, int, int]]]:
     """(parent, child, BGR colour) of every bone."""
     for j, p in enumerate(body.skeleton.parents.tolist()):

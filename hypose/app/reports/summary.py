@@ -1,7 +1,9 @@
-"""What the closing lines of a command, the report and the studio share: figures of a motion, and what files are."""
+"""What commands, pages and the studio share: figures of a motion, what files are, how a page looks."""
 
 from __future__ import annotations
 
+import base64
+import html
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,7 +16,7 @@ from hypose.errors import EvidenceError
 DESCRIPTIONS = {
     "motion.npz": "poses, joints, uncertainty and flags (numpy; metres, radians, seconds; world z up)",
     "body.npz": "the subject's body",
-    "modes.npz": "one camera: all hypotheses of every frame with weights and covariances (hypose.io.motions.modes)",
+    "modes.npz": "one camera: all hypotheses of every frame with weights and covariances (hypose.io.motions.results)",
     "motion.trc": "joint centres for OpenSim (millimetres, y up)",
     "motion.c3d": "joint centres as float C3D (millimetres, z up; residual = standard deviation)",
     "motion.mot": "joint angles for OpenSim (degrees, metres)",
@@ -83,3 +85,53 @@ def subject_rows(body: Body) -> list[tuple[str, float]]:
         elif not name.startswith("right_"):
             rows.append((name, value))
     return [(n.replace("_", " "), v) for n, v in rows]
+
+
+# The colours are those of web/src/ui/theme.css, which is part of a report only where the front end was built.
+_STYLE = """
+:root { color-scheme: light; --bg: #eef1f4; --panel: #fff; --raised: #f3f6f8; --line: #d5dde4; --ink: #15202a;
+  --dim: #566470; --bad: #b9262b; --good: #1d7a46; }
+@media (prefers-color-scheme: dark) { :root { color-scheme: dark; --bg: #0d1115; --panel: #141a20; --raised: #1c242c;
+  --line: #2a343e; --ink: #e7edf2; --dim: #9aa8b5; --bad: #ff7b7e; --good: #6fd39b; } }
+body { margin: 0; background: var(--bg); color: var(--ink);
+  font: 15px/1.5 system-ui, "Segoe UI", Roboto, "Noto Sans", "DejaVu Sans", sans-serif; }
+.report { max-width: 1080px; margin: 0 auto; padding: 24px; font-size: 15px; } .wide { padding: 0 16px; }
+.report h1 { font-size: 24px; margin: 0 0 2px; }
+.report h2 { font-size: 17px; margin: 34px 0 6px; padding-bottom: 4px; border-bottom: 1px solid var(--line); }
+.report p { margin: 6px 0; } .dim { color: var(--dim); } .good { color: var(--good); font-weight: 600; }
+.bad { color: var(--bad); font-weight: 600; }
+.report .cards { display: flex; flex-wrap: wrap; gap: 10px; margin: 16px 0 0; }
+.report .card { border: 1px solid var(--line); border-radius: 6px; padding: 8px 14px; min-width: 110px;
+  background: var(--panel); }
+.report .card b { display: block; font-size: 21px; font-weight: 600; }
+.report .card span { color: var(--dim); font-size: 13px; }
+.report table { border-collapse: collapse; font-size: 14px; }
+.report td, .report th { padding: 3px 14px 3px 0; text-align: left; vertical-align: top;
+  border-bottom: 1px solid var(--line); }
+.report td.n { text-align: right; font-variant-numeric: tabular-nums; }
+.report img, .report svg, .report video { max-width: 100%; height: auto; } .report figure { margin: 12px 0; }
+.report figcaption { color: var(--dim); font-size: 13px; } .report details { margin: 8px 0; }
+.report pre { background: var(--raised); padding: 10px; overflow-x: auto; font-size: 12px; }
+.report .two { display: flex; flex-wrap: wrap; gap: 24px; align-items: flex-start; }
+"""
+# A report can load nothing, whatever is in it.
+POLICY = "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
+
+
+def page(title: str, body: str, style: str = "", scripts: str = "", policy: str = POLICY) -> str:
+    """An HTML page of the reports' looks; `body` is HTML, the title plain text. style, scripts: HTML of the viewer,
+    whose place is in the body; policy: what it may load."""
+    return (
+        f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>{html.escape(title)}</title>'
+        f'<meta http-equiv="Content-Security-Policy" content="{policy}">'
+        '<meta name="viewport" content="width=device-width"><link rel="icon" href="data:,">'
+        f"<style>{_STYLE}</style>{style}</head>\n"
+        f'<body>\n<div class="report">{body}\n</div>\n{scripts}</body></html>\n'
+    )
+
+
+def picture_of(data: bytes, kind: str, caption: str = "") -> str:
+    """HTML of a picture, the bytes of a file (kind jpeg or png), that the page holds itself."""
+    text, alt = base64.b64encode(data).decode("ascii"), html.escape(caption)
+    below = f"<figcaption>{alt}</figcaption>" if caption else ""
+    return f'<figure><img alt="{alt}" src="data:image/{kind};base64,{text}">{below}</figure>'

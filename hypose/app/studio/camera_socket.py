@@ -16,8 +16,8 @@ import cv2
 import numpy as np
 from starlette.concurrency import run_in_threadpool
 
-from hypose.app.live.outbox import Outbox
 from hypose.app.live.pose_outputs import PoseOutputs, pose_json, status_json
+from hypose.app.live.servers import Outbox
 from hypose.app.studio.answers import NotNow
 from hypose.app.studio.asked import number, text, whole
 from hypose.app.studio.catalog import Catalog

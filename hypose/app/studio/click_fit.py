@@ -21,8 +21,8 @@ from hypose.fitting.articulated import KeypointTerm, PoseFit, Quadratic, SolveSe
 from hypose.geometry import Array, quaternion_from_matrix
 from hypose.tracking.monocular.flips import CHAINS
 from hypose.tracking.monocular.initialise import rival_poses
-from hypose.tracking.monocular.models import body_dofs
 from hypose.tracking.monocular.points import MonoPoints
+from hypose.tracking.monocular.settings import body_dofs
 from hypose.tracking.refinement import anatomical_prior
 from hypose.tracking.starts import start_from_keypoints
 from hypose.tracking.subject import scaled_to_height

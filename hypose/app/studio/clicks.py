@@ -28,11 +28,10 @@ from hypose.body.ready_bodies import JOINT_NAMES, human
 from hypose.errors import InputError
 from hypose.geometry import Array
 from hypose.io.files import read_json
-from hypose.io.motions.bodies import load_body
-from hypose.io.motions.results import ResultsFolder, load_motion
+from hypose.io.motions.results import ResultsFolder, load_body, load_motion
 from hypose.io.recordings.recording import Recording
 from hypose.io.videos.video import frame_size
-from hypose.pipeline.picture_start import LEAST_POINTS
+from hypose.pipeline.one_camera import LEAST_POINTS
 
 _FORMAT = "hypose-clicks"
 
@@ -193,7 +192,7 @@ def free_name(starts: Path, name: str) -> str:
 
 
 def _for_one_camera(views: Sequence[Mapping[str, Any]], wanted: Any, recording: Recording) -> dict[str, Any]:
-    """camera and joints as `hypose track --recipe monocular --start FILE` reads them (hypose.pipeline.picture_start):
+    """camera and joints as `hypose track --recipe monocular --start FILE` reads them (hypose.pipeline.one_camera):
     of the wanted camera when enough is clicked there, else the one with most clicks; in pixels of the picture as it was
     recorded. Joints behind something only where there are too few others."""
     view = max(views, key=lambda v: (v["camera"] == wanted and len(v["points"]) >= LEAST_POINTS, len(v["points"])))

@@ -49,7 +49,7 @@ class FuseHost:
         record = server.options.record
         shown = None if record is None else f"{record.parent.name}/{record.name}"
         o = server.options
-        return {"simulated": self._simulated is not None, "osc": o.osc, "vmc": o.vmc, "record": shown}
+        return {"simulated": self._simulated is not None, "osc": o.osc, "record": shown}
 
     async def start(self, message: dict[str, Any]) -> None:
         """Open the ports on this computer, and the recording where one is wanted; an InputError when they are taken.
@@ -59,14 +59,14 @@ class FuseHost:
         made_up = message.get("simulated") or 0
         if made_up:
             whole(made_up, "the number of simulated sensors", 2, simulated_sensors.MOST)
-        osc, vmc = (target(message.get(k), port) for k, port in (("osc", 9000), ("vmc", 39539)))
+        osc = target(message.get("osc"), 9000)
         async with self._changing:
             if self._server is not None:
                 raise NotNow("The fusion is running already; stop it first.")
             seen = await run_in_threadpool(_seen, made_up) if made_up else None
             record = recording_folder(self._recordings, "live") if message.get("record") is True else None
             settings = LiveSettings(AlignSettings(rate=rate))
-            server = LiveServer(LiveOptions(udp=udp, ws=ws, osc=osc, vmc=vmc, record=record, settings=settings))
+            server = LiveServer(LiveOptions(udp=udp, ws=ws, osc=osc, record=record, settings=settings))
             try:
                 await server.start()
             except InputError:

@@ -8,10 +8,8 @@ from typing import Any
 import numpy as np
 
 from hypose.errors import HyposeError
-from hypose.io.motions.bodies import load_body
-from hypose.io.motions.results import load_motion
-from hypose.pipeline.gait_cycles import angle_cycles
-from hypose.pipeline.gait_events import gait_of
+from hypose.io.motions.results import load_body, load_motion
+from hypose.pipeline.gait import angle_cycles, gait_of
 
 NOBODY_WALKS: dict[str, Any] = {"events": [], "figures": [], "cycles": []}
 

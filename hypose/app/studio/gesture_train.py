@@ -145,7 +145,7 @@ class Training:
             self._held.keep(taken.depth, at, f.instruction.segment)
         if phase == "negative" and not self.paused:
             self._alarms.see(taken.time, found, threshold, hold_s)
-        if phase == "test" and self.feed.clear():
+        if phase == "test" and self.feed.source.clear():
             self._held.test(taken.depth, taken.box, found)
 
     def _write(self, taken: Taken, f: Feedback) -> None:

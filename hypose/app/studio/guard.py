@@ -15,7 +15,7 @@ from urllib.parse import urlsplit
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from hypose.app.live.secrets_and_logs import shows_secret
+from hypose.app.live.servers import shows_secret
 from hypose.app.studio.answers import refusal
 
 LOOPBACK = frozenset({"127.0.0.1", "localhost", "::1"})

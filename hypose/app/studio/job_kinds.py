@@ -15,7 +15,7 @@ from typing import Any
 from hypose.app.jobs.correct import read_correction
 from hypose.app.studio.catalog import Catalog, Item
 from hypose.errors import InputError
-from hypose.io.calibrations.calibration_toml import natural_key
+from hypose.io.file_names import natural_key
 
 BOARDS = "board"
 """The folder of a recording in which the clips or photos of the calibration board lie, named by their cameras."""

@@ -11,7 +11,7 @@ from typing import Any, Protocol
 from starlette.routing import WebSocketRoute
 from starlette.websockets import WebSocket
 
-from hypose.app.live.outbox import put_newest
+from hypose.app.live.servers import put_newest
 from hypose.app.studio.asked import text
 from hypose.app.studio.job_kinds import free_folder
 from hypose.app.studio.sockets import Sockets, hear, tell

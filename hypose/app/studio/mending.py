@@ -14,10 +14,8 @@ from hypose.app.studio.asked import choice, text, whole
 from hypose.app.studio.asked import number as number_of
 from hypose.app.studio.uploads import Uploads
 from hypose.errors import HyposeError, InputError
-from hypose.io.calibrations.calibration_toml import toml_value
-from hypose.io.files import read_text, write_text
+from hypose.io.files import read_text, read_toml, toml_value, write_text
 from hypose.io.recordings.recording import Recording, load_recording
-from hypose.io.recordings.recording_keys import read_toml
 
 KINDS = (
     "accept_scaled", "leave_out", "take_back", "background", "use_refined", "keypoint_lag", "keypoint_pixels",

@@ -10,7 +10,7 @@ from typing import Any
 
 from hypose.app.studio.job_kinds import BOARDS, CALIBRATION, is_name
 from hypose.errors import InputError
-from hypose.io.calibrations.calibration_toml import toml_value
+from hypose.io.files import toml_value
 
 _ROLES = {
     "video": ("video", "image"),

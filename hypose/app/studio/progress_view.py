@@ -9,8 +9,7 @@ from hypose.app.studio.job_kinds import Plan
 from hypose.app.studio.recordings import Recordings
 from hypose.app.studio.view_bundle import ViewResult, pictured, view_bundle
 from hypose.app.studio.view_result import load_view
-from hypose.io.motions.bodies import load_body
-from hypose.io.motions.results import Checkpoint
+from hypose.io.motions.results import Checkpoint, load_body
 from hypose.tracking.tracker import estimates_from_arrays, motion_of
 
 

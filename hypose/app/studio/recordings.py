@@ -24,12 +24,16 @@ from hypose.compute import mask_runs
 from hypose.errors import HyposeError, InputError
 from hypose.evidence.background import BackgroundModel, Image
 from hypose.evidence.silhouettes import Mask, SilhouetteSettings, make_segmenter
-from hypose.io.calibrations.calibration_toml import natural_key
-from hypose.io.file_names import text_of
-from hypose.io.files import read_json, read_text, write_text
+from hypose.io.file_names import natural_key, text_of
+from hypose.io.files import read_json, read_text, read_toml, write_text
 from hypose.io.recordings.frames import build_backgrounds, working_rig
-from hypose.io.recordings.recording import Recording, load_recording, silhouette_lines
-from hypose.io.recordings.recording_keys import SILHOUETTE_KEYS, read_toml, silhouette_options
+from hypose.io.recordings.recording import (
+    SILHOUETTE_KEYS,
+    Recording,
+    load_recording,
+    silhouette_lines,
+    silhouette_options,
+)
 from hypose.io.recordings.view_source import Preparer, ViewSource
 
 Shown = Literal["none", "edge", "fill", "only"]

@@ -20,7 +20,7 @@ from starlette.routing import BaseRoute, Mount, Route
 from starlette.staticfiles import StaticFiles
 
 from hypose import __version__
-from hypose.app.live.secrets_and_logs import fold_logs
+from hypose.app.live.servers import quiet_logs
 from hypose.app.studio import (
     clicks,
     fuse_socket,
@@ -200,7 +200,7 @@ def config(studio: Studio, host: str, port: int) -> uvicorn.Config:
         ws_ping_timeout=60,  # a page on a busy machine may be silent for long
         timeout_graceful_shutdown=2,
     )
-    fold_logs()
+    quiet_logs()
     return made
 
 

@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from hypose import __version__
 from hypose.app.jobs.truth import Truth
@@ -29,7 +28,7 @@ from hypose.body.motion import Motion
 from hypose.body.skeleton import Skeleton
 from hypose.cameras.camera import CameraRig
 from hypose.errors import visible
-from hypose.geometry import Array
+from hypose.geometry import Array, quaternion_from_matrix
 from hypose.io.motions.export import FORMATS
 from hypose.io.recordings.recording import Recording
 from hypose.pipeline.verdict import Verdict
@@ -171,8 +170,7 @@ def _turns(skeleton: Skeleton, poses: Array) -> dict[str, np.ndarray]:
     def fill(at: int) -> None:
         rows = known[at : at + _AT_ONCE]
         frames, centres = skeleton.forward(poses[rows])
-        quaternions = Rotation.from_matrix(frames.reshape(-1, 3, 3), assume_valid=True).as_quat()
-        rotations[rows] = quaternions.reshape(*frames.shape[:2], 4)
+        rotations[rows] = quaternion_from_matrix(frames)[..., [1, 2, 3, 0]]
         if read:
             turns[:, at : at + _AT_ONCE] = read(frames, centres)
 

@@ -13,13 +13,12 @@ from collections import OrderedDict
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
-from itertools import pairwise
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.app.reports.result_pictures import Image, image_points, mask_outline
+from hypose.app.reports.result_pictures import Image, image_points, jpeg, mask_outline
 from hypose.errors import InputError
 from hypose.geometry import Array
 from hypose.io.recordings.frames import FrameStream
@@ -33,7 +32,6 @@ _TRIAL = 10  # the frame at which jumps are tried
 _CACHE_BYTES = 16 << 20
 _PER_PIXEL, _PER_WORKING_PIXEL = 40, 60
 """Bytes that an open video holds per pixel of its frames, and a view's masks per pixel of the working size, about."""
-_QUALITY = 82
 
 
 class AnyFrame:
@@ -144,13 +142,6 @@ class ViewPictures:
                     return image, image_points(view, camera, points, (image.shape[1], image.shape[0]))
         return None
 
-    def files(self, row: int, width: int) -> list[bytes]:
-        """The JPEGs of `row`, one per view, b"" where there is none."""
-        data = self.row(row, width)
-        (count,) = struct.unpack_from("<I", data)
-        ends = (4 * (1 + count) + np.cumsum([0, *struct.unpack_from(f"<{count}I", data, 4)])).tolist()
-        return [data[a:b] for a, b in pairwise(ends)]
-
     def outlines(self, row: int) -> list[list[list[float]]]:
         """Edges of the masks that tracking uses: per view polygons [x0, y0, x1, y1, ...] in px of the calibrated
         size, moved by image_shift as the picture is. The first call builds the background and takes seconds."""
@@ -186,10 +177,7 @@ class ViewPictures:
             return b""
         if view.only_masks:
             image = (image // 3 + 40).astype(np.uint8)
-        h, w = image.shape[:2]
-        if w > width:
-            image = cv2.resize(image, (width, max(1, round(h * width / w))), interpolation=cv2.INTER_AREA)
-        return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()
+        return jpeg(image, width)
 
 
 def _pixels(line: NDArray[np.int32]) -> list[float]:

@@ -15,9 +15,7 @@ from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.errors import HyposeError, InputError
 from hypose.io.files import read_json
-from hypose.io.motions.bodies import load_body
-from hypose.io.motions.modes import load_joints_of_modes
-from hypose.io.motions.results import ResultsFolder, load_motion
+from hypose.io.motions.results import ResultsFolder, load_body, load_joints_of_modes, load_motion
 from hypose.io.recordings.recording import Recording, load_recording
 from hypose.pipeline.verdict import Verdict, verdict_of
 from hypose.tracking.recipes import citation_of

@@ -1,149 +1,135 @@
-"""Calibration files of other programs: which is which by the ending of its name, what is read and what is written.
+"""Calibration files of other programs: which is which, what is read and what is written.
 
-| name | program | read | written |
-| --- | --- | --- | --- |
-| .toml | hypose, Pose2Sim, anipose, FreeMoCap, Caliscope | yes | metres |
-| camera_array.toml | Caliscope | yes | its nested tables |
-| a name with anipose or freemocap in it, .toml | anipose, FreeMoCap | yes | millimetres |
-| .yml, .yaml, or a folder with intri.yml and extri.yml | EasyMocap; OpenCV (one camera) | yes | intri.yml, extri.yml |
-| a folder of OpenCV's .xml or .yml, one per camera | OpenCV | yes | - |
-| .qca.txt | Qualisys | yes | - |
-| .xcp | Vicon | yes | - |
-| .mcal | OptiTrack Motive | yes | - |
-| .json | CMU Panoptic (K, R, t), 3 x 4 projections | yes | - |
-| .txt | 3 x 4 projections | yes | - |
-| .calib, no ending, or a folder of them | BioCV | yes | - |
-| .pickle, or a folder of them | OpenCap | yes, safely | one file per camera |
+`FORMATS` lists them: the first whose endings a file's name has, and whose `holds` accepts it, reads it. The name tells
+what is written: camera_array.toml is Caliscope's (nested tables), a .toml with anipose or freemocap in its name theirs
+(millimetres), any other .toml in metres; .yml EasyMocap's intri.yml and extri.yml, .pickle OpenCap's (one file per
+camera), in the folder of the given name.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-
-import numpy as np
 
 from hypose.cameras.camera import CameraRig
 from hypose.errors import CalibrationError, InputError
-from hypose.io.calibrations.calibration_json import read_json
-from hypose.io.calibrations.calibration_mcal import read_mcal
-from hypose.io.calibrations.calibration_opencap import read_opencap, write_opencap
-from hypose.io.calibrations.calibration_plain import plain_files, read_plain
-from hypose.io.calibrations.calibration_toml import (
-    MAX_FILE_BYTES,
-    UNITS,
-    read_text,
-    read_toml,
-    toml_value,
-    write_calibration,
+from hypose.io.calibrations.calibration_camera import UNITS
+from hypose.io.calibrations.calibration_systems import opencap_files, read_opencap, read_system_xml, write_opencap
+from hypose.io.calibrations.calibration_text import (
+    Found,
+    easymocap_pair,
+    is_storage,
+    plain_files,
+    read_calibration_json,
+    read_calibration_toml,
+    read_plain,
+    read_storage,
+    storage_files,
+    write_calibration_toml,
+    write_easymocap,
 )
-from hypose.io.calibrations.calibration_xml import read_xml
-from hypose.io.calibrations.calibration_yml import read_storages, read_yml, storages, write_yml
-from hypose.io.files import read_bytes, write_text
+from hypose.io.file_names import natural_key
 
+
+@dataclass(frozen=True)
+class Format:
+    """Calibrations of some programs.
+
+    endings: of the files' names. read(path, unit): the rig, world in metres, and notes; unit of the file's translations
+    (auto: made out), ignored where the format knows it. folder: whether a folder is one of these. holds: whether a file
+    with these endings is. write(rig, path): the files written; None when none are.
+    """
+
+    programs: str
+    endings: tuple[str, ...]
+    read: Callable[[Path, str], Found]
+    folder: Callable[[Path], object] = lambda _: False
+    holds: Callable[[Path], bool] = lambda _: True
+    write: Callable[[CameraRig, Path], list[Path]] | None = None
+
+
+FORMATS = (
+    Format(
+        "hypose, Pose2Sim, anipose, FreeMoCap, Caliscope",
+        (".toml",),
+        read_calibration_toml,
+        write=write_calibration_toml,
+    ),
+    Format("EasyMocap; OpenCV", (".yml", ".yaml"), read_storage, easymocap_pair, write=write_easymocap),
+    Format("OpenCap", (".pickle", ".pkl"), read_opencap, opencap_files, write=write_opencap),
+    Format("CMU Panoptic, 3 x 4 projections", (".json",), read_calibration_json),
+    Format("Qualisys, Vicon, OptiTrack Motive", (".qca.txt", ".qca", ".xcp", ".mcal"), read_system_xml),
+    Format("BioCV, 3 x 4 projections", (".txt", ".calib", ""), read_plain, plain_files),
+    Format("OpenCV", (".xml",), read_storage, storage_files, is_storage),
+    Format("Qualisys, Vicon", (".xml",), read_system_xml),
+)
 _READ = (
     ".toml, .yml, .yaml, .xml, .json, .qca.txt, .xcp, .mcal, .txt, .calib, .pickle, or a folder with intri.yml and "
     "extri.yml, .pickle, .calib or OpenCV's .xml files"
 )
-_WRITTEN = ".toml, .yml or .pickle"
 
 
-def read_any(path: str | Path, unit: str = "auto") -> tuple[CameraRig, tuple[str, ...]]:
+def read_any(path: str | Path, unit: str = "auto") -> Found:
     """Rig of a calibration of any known program, in the file's camera order, world in metres, and sentences on what was
     assumed.
 
-    unit: 'auto' (see `calibration_toml`), 'm', 'cm' or 'mm', the unit of the file's translations. A
+    unit: 'auto' (see `calibration_camera`), 'm', 'cm' or 'mm', the unit of the file's translations. A
     CalibrationError names the file, the camera and what is wrong.
     """
     path = Path(path)
-    name = path.name.lower()
     if unit != "auto" and unit not in UNITS:
         raise CalibrationError(f"The calibration unit {unit!r} is not known; use auto, m, cm or mm.")
-    if path.is_dir():
-        if any((path / n).is_file() for n in ("intri.yml", "Intrinsic.yml")):
-            return read_yml(path, unit)
-        if next(path.rglob("*.pickle"), None) is not None:
-            return read_opencap(path)
-        if plain_files(path):
-            return read_plain(path, unit)
-        if storages(path):
-            return read_storages(path, unit)
-        raise CalibrationError(f"The folder {path} holds no calibration; give a file or folder: {_READ}.")
-    if name.endswith(".toml"):
-        return read_toml(path, read_text(path), unit)
-    if not path.is_file():
+    if not path.exists():
         raise CalibrationError(f"The calibration file {path} does not exist; check the path, or run hypose calibrate.")
-    if name.endswith((".qca.txt", ".qca", ".xcp")):
-        return read_xml(path)
-    if name.endswith(".xml"):
-        start = read_bytes(path, "a calibration", MAX_FILE_BYTES)[:4096]
-        return read_yml(path, unit) if b"opencv_storage" in start else read_xml(path)
-    if name.endswith((".yml", ".yaml")):
-        return read_yml(path, unit)
-    if name.endswith((".pickle", ".pkl")):
-        return read_opencap(path)
-    if name.endswith(".json"):
-        return read_json(path, unit)
-    if name.endswith(".mcal"):
-        return read_mcal(path)
-    if name.endswith((".txt", ".calib")) or "." not in name:
-        return read_plain(path, unit)
+    try:
+        if path.is_dir():
+            found = next((f for f in FORMATS if f.folder(path)), None)
+        else:
+            found = next((f for f in FORMATS if _has_ending(path, f) and f.holds(path)), None)
+        if found is not None:
+            return found.read(path, unit)
+    except CalibrationError:
+        raise
+    except InputError as error:
+        raise CalibrationError(str(error)) from None
+    if path.is_dir():
+        raise CalibrationError(f"The folder {path} holds no calibration; give a file or folder: {_READ}.")
     raise CalibrationError(f"{path}: calibrations are read from {_READ}; name the file by one of these endings.")
 
 
+def _has_ending(path: Path, kind: Format) -> bool:
+    name = path.name.lower()
+    return any(name.endswith(e) if e else "." not in name for e in kind.endings)
+
+
+def _writer(path: Path) -> Callable[[CameraRig, Path], list[Path]]:
+    write = next((f.write for f in FORMATS if f.write is not None and _has_ending(path, f)), None)
+    if write is None or path.suffix.lower() == ".pkl":
+        raise InputError(f"{path} cannot be written: name the calibration .toml, .yml or .pickle.")
+    return write
+
+
 def check_format(path: Path) -> None:
-    """An InputError when the file's ending tells no format."""
-    if not path.name.lower().endswith((".toml", ".yml", ".yaml", ".pickle")):
-        raise InputError(f"{path} cannot be written: name the calibration {_WRITTEN}.")
+    """An InputError when the file's ending tells no format that is written."""
+    _writer(path)
 
 
 def write_any(rig: CameraRig, path: str | Path) -> list[Path]:
     """Write the rig in the format that the file's name tells; the files written. EasyMocap's and OpenCap's files go to
     the folder of the given name."""
-    path = Path(path)
-    check_format(path)
-    name = path.name.lower()
-    if name.endswith((".yml", ".yaml")):
-        return write_yml(rig, path.parent)
-    if name.endswith(".pickle"):
-        return write_opencap(rig, path.parent)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if name == "camera_array.toml":
-        _write_caliscope(rig, path)
-    elif "anipose" in name or "freemocap" in name:
-        cameras = []
-        for camera in rig:
-            pose = camera.camera_from_world.copy()
-            pose[:3, 3] *= 1000
-            cameras.append(replace(camera, camera_from_world=pose))
-        write_calibration(CameraRig(tuple(cameras)), path, unit="mm")
-    else:
-        write_calibration(rig, path)
-    return [path]
+    return _writer(Path(path))(rig, Path(path))
 
 
-def _write_caliscope(rig: CameraRig, path: Path) -> None:
-    """Caliscope's camera_array.toml: tables by number, the rotation as a matrix, metres."""
-    lines = []
-    for i, camera in enumerate(rig):
-        if camera.fisheye:
-            raise CalibrationError(f"Camera {camera.name} is a fisheye, which Caliscope's file cannot hold here.")
-        lens = np.zeros(5)
-        lens[: min(5, len(camera.distortion))] = camera.distortion[:5]
-        lines += [
-            f"[cameras.{i}]",
-            f"cam_id = {i}",
-            f"name = {toml_value(camera.name)}",
-            "rotation_count = 0",
-            "error = 0.0",
-            "exposure = 0",
-            "grid_count = 0",
-            "ignore = false",
-            f"size = {toml_value([int(s) for s in camera.size])}",
-            f"matrix = {toml_value(camera.K)}",
-            f"distortions = {toml_value(lens)}",
-            f"translation = {toml_value(camera.camera_from_world[:3, 3])}",
-            f"rotation = {toml_value(camera.camera_from_world[:3, :3])}",
-            "",
-        ]
-    write_text(path, "\n".join(lines))
+def find_calibration(folder: Path) -> Path | None:
+    """The calibration file in a folder: calibration.toml, else the only .toml that holds cameras, else .qca.txt.
+
+    With several, the last in natural order of their names; None when there is none.
+    """
+    if (folder / "calibration.toml").is_file():
+        return folder / "calibration.toml"
+    candidates = [p for p in folder.iterdir() if p.is_file()] if folder.is_dir() else []
+    tomls = [p for p in candidates if p.suffix.lower() == ".toml" and p.name.lower() != "config.toml"]
+    tomls = [p for p in tomls if "calib" in p.name.lower() or "camera" in p.name.lower()] or tomls
+    found = tomls or [p for p in candidates if p.name.lower().endswith(".qca.txt")]
+    return max(found, key=lambda p: natural_key(p.name), default=None)

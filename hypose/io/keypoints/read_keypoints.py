@@ -12,10 +12,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -25,12 +27,18 @@ from hypose.evidence.keypoint_check import misread
 from hypose.evidence.keypoint_sets import IMPLAUSIBLE, arranged, bone_excess, set_of_points
 from hypose.evidence.keypoints import KEYPOINT_SETS, keypoint_names
 from hypose.geometry import Array
-from hypose.io.keypoints.keypoint_arrays import read_keypoint_h5, read_keypoint_npy
-from hypose.io.keypoints.keypoint_csv import clock_file, read_keypoint_csv
-from hypose.io.keypoints.keypoint_folder import read_keypoint_folder
-from hypose.io.keypoints.keypoint_json import read_keypoint_json
-from hypose.io.keypoints.keypoint_table import MAX_FRAMES, KeypointTable
-from hypose.io.matching_names import match_names
+from hypose.io.file_names import file_name, match_names
+from hypose.io.files import read_json, write_text
+from hypose.io.keypoints.keypoint_files import (
+    MAX_FRAMES,
+    KeypointTable,
+    clock_file,
+    read_keypoint_csv,
+    read_keypoint_folder,
+    read_keypoint_h5,
+    read_keypoint_json,
+    read_keypoint_npy,
+)
 
 _ENDINGS = "a folder of OpenPose, EasyMocap or Ultralytics files, .json, .csv, .h5 or .npy"
 _OUTSIDE = 0.3  # share of points outside of the picture from which it is another picture
@@ -93,16 +101,21 @@ def read_keypoints(path: Path) -> dict[str, KeypointTable]:
 
 @lru_cache(maxsize=8)  # a recording is looked at before it is worked on
 def _read_file(path: Path, state: tuple[tuple[int, int], ...]) -> dict[str, KeypointTable]:
-    ending = path.suffix.lower()
-    if ending == ".json":
-        return {"": read_keypoint_json(path)}
-    if ending == ".csv":
-        return read_keypoint_csv(path)
-    if ending in (".h5", ".hdf5"):
-        return {"": read_keypoint_h5(path)}
-    if ending == ".npy":
-        return read_keypoint_npy(path)
-    raise InputError(f"{path} is no file of key points that is known; give {_ENDINGS}.")
+    read = _READERS.get(path.suffix.lower())
+    if read is None:
+        raise InputError(f"{path} is no file of key points that is known; give {_ENDINGS}.")
+    found = read(path)
+    return found if isinstance(found, dict) else {"": found}
+
+
+_READERS: Mapping[str, Callable[[Path], KeypointTable | dict[str, KeypointTable]]] = {
+    ".json": read_keypoint_json,
+    ".csv": read_keypoint_csv,
+    ".h5": read_keypoint_h5,
+    ".hdf5": read_keypoint_h5,
+    ".npy": read_keypoint_npy,
+}
+"""By the file's ending; those of several cameras give a table for each."""
 
 
 def keypoints_of_views(
@@ -110,13 +123,11 @@ def keypoints_of_views(
     names: Sequence[str],
     cameras: Sequence[str],
     stated: str | None = None,
-    usual: Sequence[str] = ("BODY_25",),
 ) -> tuple[list[ViewKeypoints | None], list[str]]:
     """Key points of every view (None: it has none) and sentences that say what was found.
 
     paths: file or folder per view; one of several cameras may be named by all of them, and gives each view the camera
-    of its name, or of the calibration's name for it. stated: the set that is said to be used; usual: sets to think of
-    first where several have that many points.
+    of its name, or of the calibration's name for it. stated: the set that is said to be used.
     """
     out: list[ViewKeypoints | None] = []
     tables = [None if p is None else _of_view(p, i, names, cameras, paths) for i, p in enumerate(paths)]
@@ -134,7 +145,7 @@ def keypoints_of_views(
             continue
         first = table.first if table.first is not None else min(unknown, default=0)
         try:
-            view, how = _told(path, table, first, sample, alike.get(sample.shape[1], []), stated, usual)
+            view, how = _told(path, table, first, sample, alike.get(sample.shape[1], []), stated)
         except InputError as problem:
             raise InputError(f"View {name}, key points {path}: {problem}") from None
         out.append(view)
@@ -182,7 +193,6 @@ def _told(
     sample: Array,
     alike: Sequence[Array],
     stated: str | None,
-    usual: Sequence[str],
 ) -> tuple[ViewKeypoints | None, str]:
     if len(sample) == 0:
         return None, ""
@@ -199,7 +209,7 @@ def _told(
         if stated is not None and keypoint_names(stated) != KEYPOINT_SETS[kind]:
             raise InputError(f"their names are those of {kind}, not of {stated}; correct or remove keypoint_set.")
     else:
-        kind, how = set_of_points(alike, stated or table.stated, usual)
+        kind, how = set_of_points(alike, stated, ("BODY_25",))
     scores = sample[..., 2][sample[..., 2] > 0]
     high = float(np.quantile(scores, 0.995)) if len(scores) else 1.0
     # RTMPose's and AlphaPose's scores are heights of maps and may exceed 1, others are percent
@@ -267,3 +277,112 @@ def check_keypoints(
             f"The key points ({path}) do not fit the calibrated cameras: {wrong}; export them in pixels from the top "
             "left of the pictures that were calibrated."
         )
+
+
+# ---- detected keypoints --------------------------------------------------------------------------------------------
+# Key points and masks that `hypose keypoints` left in a recording's folder, and how the recording finds them.
+#
+# FOLDER/detector.json says what made them; FOLDER/VIEW/ holds one OpenPose file per frame, in pixels of the calibrated
+# picture, numbered from the first frame of the video, and FOLDER/VIEW/masks the masks, if the detector gives any.
+
+
+FOLDER = "keypoints"
+"""In the recording's folder."""
+MASKS = "masks"
+_SIDECAR = "detector.json"
+ALL_FRAMES = 10**9
+"""Frames of a detection that does not say which; an older one looked at all."""
+
+
+@dataclass(frozen=True)
+class DetectedKeypoints:
+    """The folder of a detection.
+
+    keypoint_set: name of the points' set.
+    identity: what decides what was found.
+    complete: each of the frames was looked at in every view.
+    frames: of the videos.
+    with_masks: there are masks, too."""
+
+    folder: Path
+    keypoint_set: str
+    identity: Mapping[str, Any]
+    complete: bool
+    frames: range
+    with_masks: bool
+
+    def view(self, name: str) -> Path:
+        """The folder of a view."""
+        return self.folder / file_name(name)
+
+    def file(self, view: str, frame: int) -> Path:
+        """The file of a frame."""
+        return self.view(view) / f"{file_name(view)}_{frame:012d}_keypoints.json"
+
+    def masks(self, view: str) -> Path:
+        """The folder of a view's masks."""
+        return self.view(view) / MASKS
+
+    def mask(self, view: str, frame: int) -> Path:
+        """The mask of a frame."""
+        return self.masks(view) / f"{frame:06d}.png"
+
+    def covers(self, frames: range) -> bool:
+        """Whether these frames were looked at."""
+        return self.complete and self.frames.start <= frames.start and frames.stop <= self.frames.stop
+
+    def save(self) -> None:
+        """Write what says all this."""
+        said = {
+            "keypoint_set": self.keypoint_set,
+            "complete": self.complete,
+            "frames": [self.frames.start, self.frames.stop],
+            "masks": self.with_masks,
+            **self.identity,
+        }
+        write_text(self.folder / _SIDECAR, json.dumps(said, indent=2) + "\n")
+
+
+def load_detected(folder: Path) -> DetectedKeypoints | None:
+    """What a folder says of itself, None when it is not one of these."""
+    path = folder / _SIDECAR
+    if not path.is_file():
+        return None
+    try:
+        identity = dict(read_json(path, "what hypose keypoints wrote"))
+        points, complete = str(identity.pop("keypoint_set")), bool(identity.pop("complete"))
+        first, stop = identity.pop("frames", (0, ALL_FRAMES))
+        frames, masks = range(int(first), int(stop)), bool(identity.pop("masks", False))
+    except (InputError, ValueError, KeyError, TypeError):
+        raise InputError(
+            f"{path} is damaged; delete the folder {folder} and detect again with hypose keypoints."
+        ) from None
+    return DetectedKeypoints(folder, points, identity, complete, frames, masks)
+
+
+def with_detected(folder: Path, settings: Mapping[str, Any], notes: list[str]) -> Mapping[str, Any]:
+    """The settings of a recording (keys of recording.toml) with the key points that were detected for it, unless it
+    names its own, and with the detector's masks, unless it says where masks come from."""
+    tables = settings.get("view", [])
+    if not isinstance(tables, list) or not all(isinstance(t, dict) for t in tables):
+        return settings  # which the recording's own check tells
+    if any("keypoints" in t for t in tables):
+        return settings
+    found = load_detected(folder / FOLDER)
+    if found is None:
+        return settings
+    if not found.complete:
+        notes.append(f"The key points in {found.folder} are not complete and not used; see hypose keypoints --resume.")
+        return settings
+    views = []
+    masks = found.with_masks and not any(t.keys() & {"masks", "background", "depth"} for t in tables)
+    for table in tables:
+        name = str(table.get("name", ""))
+        path = found.view(name)
+        more = {"keypoints": str(path.absolute())}
+        more |= {"masks": str(found.masks(name).absolute())} if masks else {}
+        views.append({**table, **more} if name and path.is_dir() else table)
+    what = f"Key points ({found.keypoint_set}){' and masks' if masks else ''}"
+    notes.append(f"{what} are those that hypose keypoints wrote to {found.folder}.")
+    own = {"keypoint_set": found.keypoint_set, "keypoint_lag": 0, "keypoint_pixels": "calibration"}
+    return {**settings, **own, "view": views}

@@ -23,7 +23,7 @@ from hypose.errors import InputError
 from hypose.geometry import Array
 from hypose.io.file_names import utf8_path
 from hypose.io.files import atomic_path, open_file, unreadable
-from hypose.io.motions.markers import Markers, checked, metres_per_unit
+from hypose.io.motions.marker_files import Markers, checked, metres_per_unit
 
 _KIND = "a C3D file"
 _BLOCK = 512

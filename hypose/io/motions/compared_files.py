@@ -20,9 +20,8 @@ from hypose.errors import InputError
 from hypose.evidence.keypoint_sets import common_name
 from hypose.geometry import Array
 from hypose.io.motions.c3d import read_c3d
-from hypose.io.motions.opensim import read_mot
+from hypose.io.motions.marker_files import read_mot, read_trc
 from hypose.io.motions.results import load_result
-from hypose.io.motions.trc import read_trc
 
 _PARTS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
 _CENTRES = {"s": "shoulder", "e": "elbow", "w": "wrist", "h": "hip", "k": "knee", "a": "ankle"}

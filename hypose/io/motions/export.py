@@ -3,114 +3,161 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from hypose.body.body import Body
 from hypose.body.joint_angles import ANGLE_NAMES, joint_angles
 from hypose.body.motion import Motion
-from hypose.errors import InputError
-from hypose.io.motions.angles import write_angles_csv, write_joints_csv
-from hypose.io.motions.bvh import write_bvh
+from hypose.body.regions import region_reach
+from hypose.errors import InputError, extra
+from hypose.io.files import atomic_path
+from hypose.io.motions.animation import write_bvh
 from hypose.io.motions.c3d import write_c3d
-from hypose.io.motions.opensim import write_mot, write_sd_sto
-from hypose.io.motions.opensim_ik import write_ik_markers, write_ik_setup
-from hypose.io.motions.opensim_model import shoulder_places, write_osim
-from hypose.io.motions.rerun_file import rerun_module, write_rrd
-from hypose.io.motions.trc import write_trc
+from hypose.io.motions.marker_files import write_angles_csv, write_joints_csv, write_mot, write_trc
+from hypose.io.motions.opensim_model import shoulder_places, write_ik_markers, write_ik_setup, write_osim
+
+# ---- rerun file ----------------------------------------------------------------------------------------------------
+# Rerun recordings (.rrd): the body, its skeleton and the 90 % regions of its joints over time, for Rerun's viewer.
+#
+# The world is the recording's, metres, z up; times are the motion's, in seconds. Frames that are lost or predicted
+# are in another colour, and say so. Needs the extra [rerun]; nothing else of hypose does.
 
 
-def _trc(motion: Motion, body: Body, folder: Path) -> list[Path]:
-    path = folder / "motion.trc"
+_SURE, _UNSURE = (51, 122, 183), (217, 83, 79)
+_SKIN = (204, 168, 143, 160)
+_RADIUS = 0.012
+
+
+def write_rrd(path: str | Path, motion: Motion, body: Body) -> None:
+    """Write a motion; the body's surface where it has poses. An InputError when rerun-sdk is not installed."""
+    rr = rerun_module()
+    skeleton = motion.skeleton
+    bones = [(int(p), j) for j, p in enumerate(skeleton.parents) if p >= 0]
+    unsure = (motion.lost | motion.extrapolated).astype(bool)
+    values, axes = np.linalg.eigh(np.nan_to_num(np.asarray(motion.joint_covariance, dtype=np.float64)))
+    reach = region_reach(0.9) * np.sqrt(np.maximum(values, 0.0))
+    axes[np.linalg.det(axes) < 0, :, 0] *= -1  # rotations, not reflections
+    with atomic_path(path) as temporary:
+        stream = rr.RecordingStream("hypose", recording_id=Path(path).stem)
+        stream.save(str(temporary))
+        stream.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        for t, time in enumerate(motion.times):
+            joints = motion.joints[t]
+            colour = _UNSURE if unsure[t] else _SURE
+            seen = np.isfinite(joints).all(1)
+            stream.set_time("time", duration=float(time))
+            stream.set_time("frame", sequence=t)
+            lines = [joints[[a, b]] for a, b in bones if seen[a] and seen[b]]
+            stream.log("person/bones", rr.LineStrips3D(lines, colors=[colour] * len(lines), radii=_RADIUS / 2))
+            names = [n for n, s in zip(skeleton.joint_names, seen, strict=True) if s]
+            stream.log(
+                "person/joints",
+                rr.Points3D(joints[seen], colors=[colour] * len(names), radii=_RADIUS, labels=names, show_labels=False),
+            )
+            known = seen & np.isfinite(motion.joint_covariance[t]).all((1, 2))
+            stream.log("person/regions_90", _regions(rr, joints[known], reach[t, known], axes[t, known], colour))
+            if motion.poses is not None and np.isfinite(motion.poses[t]).all():
+                mesh = rr.Mesh3D(
+                    vertex_positions=body.skin(motion.poses[t]), triangle_indices=body.coarse.faces, albedo_factor=_SKIN
+                )
+                stream.log("person/body", mesh)
+        stream.flush()
+        stream.disconnect()
+
+
+def _regions(rr: Any, centres: np.ndarray, reach: np.ndarray, axes: np.ndarray, colour: tuple[int, int, int]) -> Any:  # noqa: ANN401 (an archetype of rerun)
+    from scipy.spatial.transform import Rotation
+
+    turns = Rotation.from_matrix(axes).as_quat() if len(axes) else np.zeros((0, 4))
+    return rr.Ellipsoids3D(centers=centres, half_sizes=reach, quaternions=turns, colors=[(*colour, 90)] * len(centres))
+
+
+def rerun_module() -> Any:  # noqa: ANN401 (a module)
+    """Rerun's package; an InputError says how to get it."""
+    return extra("rerun", "A Rerun recording", "rerun", "rerun-sdk")
+
+
+def _trc(motion: Motion, body: Body, path: Path) -> None:
     start = float(motion.times[0])
     write_trc(path, motion.skeleton.joint_names, motion.joints, motion.frame_rate, start_time=start)
-    return [path]
 
 
-def _c3d(motion: Motion, body: Body, folder: Path) -> list[Path]:
-    path = folder / "motion.c3d"
+def _c3d(motion: Motion, body: Body, path: Path) -> None:
     computed = (motion.lost | motion.extrapolated).astype(bool)
     # a standard deviation of exactly 0 is still a measurement, so keep it off the mark for computed points
     residuals = np.where(computed[:, None], 0.0, np.maximum(motion.joint_sd * 1000, 1e-3))
     write_c3d(path, motion.skeleton.joint_names, motion.joints, motion.frame_rate, residuals)
-    return [path]
 
 
-def _bvh(motion: Motion, body: Body, folder: Path) -> list[Path]:
-    path = folder / "motion.bvh"
+def _bvh(motion: Motion, body: Body, path: Path) -> None:
     write_bvh(path, motion)
-    return [path]
 
 
-def _glb(motion: Motion, body: Body, folder: Path) -> list[Path]:
+def _glb(motion: Motion, body: Body, path: Path) -> None:
     from hypose.io.motions.gltf import write_glb  # takes long to import
 
-    path = folder / "motion.glb"
     write_glb(path, motion, body)
-    return [path]
 
 
-def _csv(motion: Motion, body: Body, folder: Path) -> list[Path]:
-    joints = folder / "joints.csv"
+def _csv(motion: Motion, body: Body, joints: Path, angles: Path) -> list[Path]:
     write_joints_csv(joints, motion)
     if motion.poses is None:  # joint positions alone have no angles
         return [joints]
-    angles = folder / "angles.csv"
     write_angles_csv(angles, *joint_angles(motion.skeleton, motion.poses), motion.times, motion.angle_sd)
     return [angles, joints]
 
 
-def _mot(motion: Motion, body: Body, folder: Path) -> list[Path]:
-    path = folder / "motion.mot"
+def _mot(motion: Motion, body: Body, path: Path, sd: Path) -> list[Path]:
     assert motion.poses is not None  # export_motion has checked
     names, values = joint_angles(motion.skeleton, motion.poses)
     more, places = shoulder_places(motion.skeleton, motion.poses)
     write_mot(path, (*names, *more), np.concatenate([values, places], axis=1), motion.times)
     if motion.angle_sd is None or not np.isfinite(motion.angle_sd).all(1).any():
         return [path]
-    sd = folder / "motion_sd.sto"
-    write_sd_sto(sd, ANGLE_NAMES, motion.angle_sd, motion.times)
+    # as OpenSim's storage: same columns, same units; OpenSim plots such a file, and tools weigh coordinates by it
+    write_mot(sd, ANGLE_NAMES, motion.angle_sd, motion.times)
     return [path, sd]
 
 
-def _osim(motion: Motion, body: Body, folder: Path) -> list[Path]:
-    model, markers, setup = (folder / f"motion{end}" for end in (".osim", "_markers.trc", "_ik.xml"))
+def _osim(motion: Motion, body: Body, model: Path, markers: Path, setup: Path) -> None:
     write_osim(model, body)
     write_ik_markers(markers, motion, body)
     write_ik_setup(setup, motion, body, model.name, markers.name, "motion_ik.mot")
-    return [model, markers, setup]
 
 
-def _rrd(motion: Motion, body: Body, folder: Path) -> list[Path]:
-    path = folder / "motion.rrd"
-    write_rrd(path, motion, body)
-    return [path]
+@dataclass(frozen=True)
+class Format:
+    """write(motion, body, *paths) writes files of these names, and returns which, where it is not all of them; poses:
+    the format needs them."""
+
+    write: Callable[..., list[Path] | None]
+    files: tuple[str, ...]
+    poses: bool = False
 
 
-FORMATS: Mapping[str, Callable[[Motion, Body, Path], list[Path]]] = {
-    "trc": _trc,
-    "c3d": _c3d,
-    "bvh": _bvh,
-    "glb": _glb,
-    "csv": _csv,
-    "mot": _mot,
-    "osim": _osim,
+FORMATS: Mapping[str, Format] = {
+    "trc": Format(_trc, ("motion.trc",)),
+    "c3d": Format(_c3d, ("motion.c3d",)),
+    "bvh": Format(_bvh, ("motion.bvh",), poses=True),
+    "glb": Format(_glb, ("motion.glb",), poses=True),
+    "csv": Format(_csv, ("joints.csv", "angles.csv")),
+    "mot": Format(_mot, ("motion.mot", "motion_sd.sto"), poses=True),
+    "osim": Format(_osim, ("motion.osim", "motion_markers.trc", "motion_ik.xml"), poses=True),
 }
-EXTRAS: Mapping[str, Callable[[Motion, Body, Path], list[Path]]] = {"rrd": _rrd}
-"""Formats that need an extra to be installed, so that nobody gets them unasked."""
-_NEED_POSES = ("bvh", "glb", "mot", "osim")
+_KNOWN = {**FORMATS, "rrd": Format(lambda motion, body, path: write_rrd(path, motion, body), ("motion.rrd",))}
+"""With those that need an extra to be installed, so that nobody gets them unasked."""
 
 
-def known_formats(asked: Sequence[str]) -> Mapping[str, Callable[[Motion, Body, Path], list[Path]]]:
-    """All formats; an InputError for one that is asked for and does not exist, or lacks what it needs here."""
-    known = {**FORMATS, **EXTRAS}
-    unknown = [f for f in asked if f not in known]
-    if unknown:
-        raise InputError(f"There is no export format {unknown[0]!r}; the formats are {', '.join(known)}.")
+def known_formats(asked: Sequence[str]) -> None:
+    """An InputError for a format that is asked for and does not exist, or lacks what it needs here."""
+    if unknown := [f for f in asked if f not in _KNOWN]:
+        raise InputError(f"There is no export format {unknown[0]!r}; the formats are {', '.join(_KNOWN)}.")
     if "rrd" in asked:
         rerun_module()
-    return known
 
 
 def export_motion(
@@ -126,12 +173,16 @@ def export_motion(
     joints.csv has a column for each flag. An InputError names an unknown format, or one that needs poses when the
     motion has none, before anything is written.
     """
-    known = known_formats(formats)
+    known_formats(formats)
     if not len(motion):
         raise InputError("The motion has no frames, so there is nothing to export.")
-    if motion.poses is None and (wanting := [f for f in formats if f in _NEED_POSES]):
+    if motion.poses is None and (wanting := [f for f in formats if _KNOWN[f].poses]):
         raise InputError(
             f"The format {wanting[0]} needs poses, this motion holds joint positions only; choose "
-            f"{', '.join(f for f in known if f not in _NEED_POSES)}."
+            f"{', '.join(name for name, f in _KNOWN.items() if not f.poses)}."
         )
-    return [path for name in dict.fromkeys(formats) for path in known[name](motion, body, Path(folder))]
+    written: list[Path] = []
+    for name in dict.fromkeys(formats):
+        paths = [Path(folder) / file for file in _KNOWN[name].files]
+        written += _KNOWN[name].write(motion, body, *paths) or paths
+    return written

@@ -8,44 +8,34 @@ Source: Khronos glTF 2.0 specification, sections 3.6 (accessors), 3.7.3 (skins),
 
 from __future__ import annotations
 
+import json
+import struct
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from pygltflib import (
-    ARRAY_BUFFER,
-    ELEMENT_ARRAY_BUFFER,
-    FLOAT,
-    GLTF2,
-    UNSIGNED_BYTE,
-    UNSIGNED_INT,
-    Accessor,
-    Animation,
-    AnimationChannel,
-    AnimationChannelTarget,
-    AnimationSampler,
-    Asset,
-    Attributes,
-    Buffer,
-    BufferView,
-    Material,
-    Node,
-    PbrMetallicRoughness,
-    Primitive,
-    Scene,
-    Skin,
-)
-from pygltflib import Mesh as GltfMesh
+from numpy.typing import NDArray
 
 from hypose.body.body import Body, Mesh
 from hypose.body.motion import Motion
 from hypose.compute import FIXED
 from hypose.errors import InputError
 from hypose.geometry import Array, quaternion_from_matrix
-from hypose.io.files import atomic_path
+from hypose.io.files import write_bytes
 from hypose.io.motions.animation import Y_UP, children, filled_poses, local_rotations, without_flips
 
-_SKIN_COLOUR = [0.80, 0.66, 0.56, 1.0]
+# numbers of the specification
+_ARRAY_BUFFER, _ELEMENT_ARRAY_BUFFER, _TRIANGLES = 34962, 34963, 4
+_COMPONENTS = {"f4": 5126, "u1": 5121, "u4": 5125}
+_SKIN = {
+    "pbrMetallicRoughness": {"baseColorFactor": [0.80, 0.66, 0.56, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.8},
+    "emissiveFactor": [0.0, 0.0, 0.0],
+    "alphaMode": "OPAQUE",
+    "doubleSided": False,
+    "name": "skin",
+}
 
 
 def write_glb(path: str | Path, motion: Motion, body: Body) -> None:
@@ -63,12 +53,12 @@ def write_people_glb(path: str | Path, people: Sequence[tuple[str, Motion, Body]
 
 
 def _write(path: str | Path, people: Sequence[tuple[str, Motion, Body]]) -> None:
-    store = BinaryBuffer()
-    nodes: list[Node] = []
+    store = _BinaryBuffer()
+    nodes: list[dict[str, Any]] = []
     roots: list[int] = []
-    meshes: list[GltfMesh] = []
-    skins: list[Skin] = []
-    whole = Animation(name="motion", samplers=[], channels=[])
+    meshes: list[dict[str, Any]] = []
+    skins: list[dict[str, Any]] = []
+    whole: dict[str, Any] = {"name": "motion", "channels": [], "samplers": []}
     for prefix, motion, body in people:
         poses = filled_poses(motion, path)
         skeleton, first = motion.skeleton, len(nodes)
@@ -77,83 +67,75 @@ def _write(path: str | Path, people: Sequence[tuple[str, Motion, Body]]) -> None
         ):
             raise InputError(f"{path}: the motion's skeleton is not the body's; give the body that was tracked.")
         joints = len(skeleton.joint_names)
-        nodes += [
-            Node(
-                name=f"{prefix}{skeleton.joint_names[j]}",
-                translation=(Y_UP @ skeleton.rest_offsets[j]).tolist() if j else [0.0, 0.0, 0.0],
-                rotation=[0.0, 0.0, 0.0, 1.0],
-                children=[first + k for k in children(skeleton, j)],
-            )
-            for j in range(joints)
-        ]
-        nodes.append(Node(name=f"{prefix}{body.name}", mesh=len(meshes), skin=len(skins)))
+        for j, name in enumerate(skeleton.joint_names):
+            at = (Y_UP @ skeleton.rest_offsets[j]).tolist() if j else [0.0, 0.0, 0.0]
+            below = [first + k for k in children(skeleton, j)]
+            node = {"rotation": [0.0, 0.0, 0.0, 1.0], "translation": at, "children": below, "name": f"{prefix}{name}"}
+            nodes.append({k: v for k, v in node.items() if v})
+        nodes.append({"mesh": len(meshes), "skin": len(skins), "name": f"{prefix}{body.name}"})
         roots += [first, first + joints]
         rest = (skeleton.rest_joints - skeleton.rest_joints[0]) @ Y_UP.T
         inverse = np.tile(np.eye(4), (joints, 1, 1))
         inverse[:, :3, 3] = -rest
         # glTF matrices are stored column by column
-        skins.append(
-            Skin(
-                name=f"{prefix}skeleton",
-                joints=list(range(first, first + joints)),
-                skeleton=first,
-                inverseBindMatrices=store.add(np.swapaxes(inverse, 1, 2).reshape(-1, 16), "MAT4"),
-            )
-        )
-        meshes.append(GltfMesh(name=f"{prefix}{body.name}", primitives=[_primitive(store, body.fine, joints)]))
+        matrices = store.add(np.swapaxes(inverse, 1, 2).reshape(-1, 16), "MAT4")
+        nodes_of_skin = list(range(first, first + joints))
+        skin = {
+            "inverseBindMatrices": matrices,
+            "skeleton": first,
+            "joints": nodes_of_skin,
+            "name": f"{prefix}skeleton",
+        }
+        skins.append(skin)
+        meshes.append({"primitives": [_primitive(store, body.fine, joints)], "name": f"{prefix}{body.name}"})
         _animate(whole, store, motion, poses, first)
-    gltf = GLTF2(
-        asset=Asset(version="2.0", generator="hypose"),
-        scene=0,
-        scenes=[Scene(name="motion", nodes=roots)],
-        nodes=nodes,
-        meshes=meshes,
-        materials=[
-            Material(
-                name="skin",
-                pbrMetallicRoughness=PbrMetallicRoughness(
-                    baseColorFactor=_SKIN_COLOUR, metallicFactor=0.0, roughnessFactor=0.8
-                ),
-            )
-        ],
-        skins=skins,
-        animations=[whole],
-        accessors=store.accessors,
-        bufferViews=store.views,
-        buffers=[Buffer(byteLength=len(store.data))],
-    )
-    gltf.set_binary_blob(bytes(store.data))
-    with atomic_path(path) as temporary:
-        gltf.save_binary(str(temporary))
+    document = {
+        "accessors": store.accessors,
+        "animations": [whole],
+        "asset": {"generator": "hypose", "version": "2.0"},
+        "bufferViews": store.views,
+        "buffers": [{"byteLength": len(store.data)}],
+        "materials": [_SKIN],
+        "meshes": meshes,
+        "nodes": nodes,
+        "scene": 0,
+        "scenes": [{"name": "motion", "nodes": roots}],
+        "skins": skins,
+    }
+    text = json.dumps(document, separators=(",", ":"), allow_nan=False).encode()
+    parts = [text + b" " * (-len(text) % 4), bytes(store.data) + bytes(-len(store.data) % 4)]
+    file = struct.pack("<4sII", b"glTF", 2, 12 + sum(8 + len(p) for p in parts))
+    for kind, part in zip((b"JSON", b"BIN\0"), parts, strict=True):
+        file += struct.pack("<I4s", len(part), kind) + part
+    write_bytes(path, file)
 
 
-class BinaryBuffer:
+class _BinaryBuffer:
     """The one binary buffer of the file, with a view and an accessor per array."""
 
     def __init__(self) -> None:
         self.data = bytearray()
-        self.views: list[BufferView] = []
-        self.accessors: list[Accessor] = []
+        self.views: list[dict[str, int]] = []
+        self.accessors: list[dict[str, Any]] = []
 
     def add(self, values: np.ndarray, kind: str, target: int | None = None, limits: bool = False) -> int:
         """Append an array (rows = elements) and return its accessor. float64 is stored as float32."""
         array = np.ascontiguousarray(values.astype("<f4") if values.dtype == np.float64 else values)
-        component = {"f4": FLOAT, "u1": UNSIGNED_BYTE, "u4": UNSIGNED_INT}[array.dtype.str[1:]]
         self.data.extend(b"\0" * (-len(self.data) % 4))  # accessors start at multiples of their component size
-        view = BufferView(buffer=0, byteOffset=len(self.data), byteLength=array.nbytes, target=target)
-        accessor = Accessor(
-            bufferView=len(self.views), componentType=component, count=len(array), type=kind, byteOffset=0
-        )
+        view = {"buffer": 0, "byteOffset": len(self.data), "byteLength": array.nbytes}
+        component = _COMPONENTS[array.dtype.str[1:]]
+        accessor = {"bufferView": len(self.views), "byteOffset": 0, "componentType": component, "normalized": False}
+        accessor |= {"count": len(array), "type": kind}
         if limits:
             flat = array.reshape(len(array), -1)
-            accessor.min, accessor.max = flat.min(0).tolist(), flat.max(0).tolist()
+            accessor |= {"max": flat.max(0).tolist(), "min": flat.min(0).tolist()}
         self.data.extend(array.tobytes())
-        self.views.append(view)
+        self.views.append(view if target is None else view | {"target": target})
         self.accessors.append(accessor)
         return len(self.accessors) - 1
 
 
-def _primitive(store: BinaryBuffer, mesh: Mesh, joints: int) -> Primitive:
+def _primitive(store: _BinaryBuffer, mesh: Mesh, joints: int) -> dict[str, Any]:
     vertices = mesh.vertices @ Y_UP.T
     # a vertex must not name a joint twice, and unused slots must name joint 0
     dense = mesh.dense_weights(joints)
@@ -161,16 +143,14 @@ def _primitive(store: BinaryBuffer, mesh: Mesh, joints: int) -> Primitive:
     weights = np.take_along_axis(dense, index, 1)
     index = np.where(weights > 0, index, 0).astype(np.uint8)
     weights = weights / weights.sum(1, keepdims=True)
-    return Primitive(
-        attributes=Attributes(
-            POSITION=store.add(vertices, "VEC3", ARRAY_BUFFER, limits=True),
-            NORMAL=store.add(_normals(vertices, mesh.faces), "VEC3", ARRAY_BUFFER),
-            JOINTS_0=store.add(index, "VEC4", ARRAY_BUFFER),
-            WEIGHTS_0=store.add(weights, "VEC4", ARRAY_BUFFER),
-        ),
-        indices=store.add(mesh.faces.astype("<u4").ravel(), "SCALAR", ELEMENT_ARRAY_BUFFER),
-        material=0,
-    )
+    attributes = {
+        "POSITION": store.add(vertices, "VEC3", _ARRAY_BUFFER, limits=True),
+        "NORMAL": store.add(_normals(vertices, mesh.faces), "VEC3", _ARRAY_BUFFER),
+        "JOINTS_0": store.add(index, "VEC4", _ARRAY_BUFFER),
+        "WEIGHTS_0": store.add(weights, "VEC4", _ARRAY_BUFFER),
+    }
+    indices = store.add(mesh.faces.astype("<u4").ravel(), "SCALAR", _ELEMENT_ARRAY_BUFFER)
+    return {"attributes": attributes, "indices": indices, "mode": _TRIANGLES, "material": 0}
 
 
 def _normals(vertices: Array, faces: np.ndarray) -> Array:
@@ -184,22 +164,118 @@ def _normals(vertices: Array, faces: np.ndarray) -> Array:
     return np.where(length > 0, out / np.where(length > 0, length, 1), [0.0, 1.0, 0.0])
 
 
-def _animate(whole: Animation, store: BinaryBuffer, motion: Motion, poses: Array, first: int) -> None:
+def _animate(whole: dict[str, Any], store: _BinaryBuffer, motion: Motion, poses: Array, first: int) -> None:
     """Adds the motion of the skeleton whose root is node `first` to an animation."""
     skeleton = motion.skeleton
     # frames at equal steps: time stamps of real files may repeat, which glTF forbids
     times = np.arange(len(poses)) / motion.frame_rate
     clock = store.add(times, "SCALAR", limits=True)
     local = local_rotations(skeleton, poses)
-    samplers, channels = whole.samplers, whole.channels
 
     def channel(node: int, what: str, values: Array, kind: str) -> None:
-        target = AnimationChannelTarget(node=first + node, path=what)
-        channels.append(AnimationChannel(sampler=len(samplers), target=target))
-        samplers.append(AnimationSampler(input=clock, output=store.add(values, kind), interpolation="LINEAR"))
+        target = {"node": first + node, "path": what}
+        whole["channels"].append({"sampler": len(whole["samplers"]), "target": target})
+        output = store.add(values, kind)
+        whole["samplers"].append({"input": clock, "interpolation": "LINEAR", "output": output})
 
     _, centres = skeleton.forward(poses)
     channel(0, "translation", centres[:, 0] @ Y_UP.T, "VEC3")
     for j in np.flatnonzero(skeleton.tree.kind != FIXED):
         wxyz = without_flips(quaternion_from_matrix(local[:, j]))
         channel(int(j), "rotation", wxyz[:, [1, 2, 3, 0]], "VEC4")
+
+
+# ---- gltf skin -----------------------------------------------------------------------------------------------------
+# Skinned meshes of GLB files: positions, joints at bind time and weights (Khronos glTF 2.0, section 3.7.3).
+
+
+_DTYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_COLUMNS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+
+Skinned = tuple[Array, NDArray[np.int32], tuple[str, ...], NDArray[np.int64], Array, Array]
+
+
+def read_skin(data: bytes, where: str) -> Skinned | None:
+    """Vertices (V, 3), faces (F, 3), joint names (n), parents (n,), joint centres (n, 3) and weights (V, n) of the
+    first skin of a GLB, in the mesh's space at bind time; None when nothing in it is skinned.
+
+    An InputError when the file is damaged or compressed."""
+    from pygltflib import GLTF2
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # what it warns of becomes an error below, in words
+            gltf = GLTF2.load_from_bytes(data)
+        if gltf is None or not gltf.skins:
+            return None
+        blob = gltf.binary_blob()
+        if blob is None:
+            raise ValueError("it has no binary part")
+        return _skin(gltf, blob)
+    except InputError:
+        raise
+    except Exception as error:  # noqa: BLE001 - a damaged file may fail in any step of the reader
+        reason = str(error).split("\n")[0][:120] or type(error).__name__
+        raise InputError(
+            f"{where} cannot be read as a skinned GLB ({reason}); export it again, uncompressed."
+        ) from None
+
+
+def _skin(gltf: Any, blob: bytes) -> Skinned | None:
+    users = [n for n in gltf.nodes if n.skin is not None and n.mesh is not None]
+    if not users:
+        return None
+    number = users[0].skin
+    skin = gltf.skins[number]
+    nodes = list(skin.joints)
+    inverse = _array(gltf, blob, skin.inverseBindMatrices).reshape(-1, 4, 4).swapaxes(1, 2)
+    if len(inverse) != len(nodes):
+        raise ValueError("the skin has another number of matrices than of joints")
+    joints = np.linalg.inv(inverse)[:, :3, 3].astype(np.float64)
+    parent_node = {c: k for k, n in enumerate(gltf.nodes) for c in n.children or []}
+    place = {node: k for k, node in enumerate(nodes)}
+    parents = []
+    for node in nodes:
+        up, steps = parent_node.get(node), 0
+        while up is not None and up not in place and steps < len(gltf.nodes):
+            up, steps = parent_node.get(up), steps + 1
+        parents.append(place.get(up, -1) if up is not None else -1)
+    names = tuple(gltf.nodes[k].name or f"joint_{k}" for k in nodes)
+    points, faces, weights, count = [], [], [], 0
+    for user in (u for u in users if u.skin == number):
+        for primitive in gltf.meshes[user.mesh].primitives:
+            a = primitive.attributes
+            if a.JOINTS_0 is None or a.WEIGHTS_0 is None or primitive.mode not in (None, 4):
+                continue
+            v = _array(gltf, blob, a.POSITION)
+            index = np.arange(len(v)) if primitive.indices is None else _array(gltf, blob, primitive.indices).ravel()
+            w = np.zeros((len(v), len(nodes)))
+            for j, x in ((a.JOINTS_0, a.WEIGHTS_0), (getattr(a, "JOINTS_1", None), getattr(a, "WEIGHTS_1", None))):
+                if j is not None and x is not None:
+                    which = _array(gltf, blob, j).astype(np.int64)
+                    np.add.at(w, (np.arange(len(v))[:, None], which), _array(gltf, blob, x))
+            points.append(v)
+            faces.append(index.astype(np.int64).reshape(-1, 3) + count)
+            weights.append(w)
+            count += len(v)
+    if not points:
+        return None
+    f = np.concatenate(faces).astype(np.int32)
+    return np.concatenate(points), f, names, np.array(parents, dtype=np.int64), joints, np.concatenate(weights)
+
+
+def _array(gltf: Any, blob: bytes, number: int) -> Array:
+    """The values of an accessor as float64 (count, columns); normalized integers become fractions."""
+    a = gltf.accessors[number]
+    if a.bufferView is None or a.sparse is not None:
+        raise ValueError("sparse or compressed data")
+    view = gltf.bufferViews[a.bufferView]
+    if view.buffer != 0:
+        raise ValueError("its data lie in another file")
+    dtype, columns = np.dtype(_DTYPES[a.componentType]), _COLUMNS[a.type]
+    step = view.byteStride or dtype.itemsize * columns
+    start = (view.byteOffset or 0) + (a.byteOffset or 0)
+    if a.count < 1 or start < 0 or start + step * (a.count - 1) + dtype.itemsize * columns > len(blob):
+        raise ValueError("an array reaches beyond the end of the file")
+    raw = np.ndarray((a.count, columns), dtype, blob, start, (step, dtype.itemsize)).astype(np.float64)
+    return raw / np.iinfo(dtype).max if a.normalized and dtype.kind in "iu" else raw

@@ -67,7 +67,7 @@ def read_person(path: str | Path) -> PersonMesh:
     if ending == ".npz":
         return _read_smpl(p, data)
     if ending == ".glb":
-        from hypose.io.motions.gltf_skin import read_skin
+        from hypose.io.motions.gltf import read_skin
 
         skinned = read_skin(data, str(p))
         if skinned is not None:

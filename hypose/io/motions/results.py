@@ -3,24 +3,31 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import io
 import json
 import math
 import os
+import platform
+import sys
 import zipfile
 import zlib
-from collections.abc import Container, Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import IO, Any, BinaryIO
 
 import numpy as np
 
-from hypose.body.motion import Motion
+from hypose import __version__
+from hypose.body.body import Body, Landmarks, Mesh
+from hypose.body.motion import Modes, Motion, modes_arrays
 from hypose.body.skeleton import Skeleton
-from hypose.errors import InputError
+from hypose.errors import HyposeError, InputError
 from hypose.geometry import Array
-from hypose.io.files import atomic_path, open_file, write_bytes, write_text
+from hypose.io.file_names import natural_key
+from hypose.io.files import atomic_path, open_file, unreadable, write_bytes
 from hypose.json_text import parse_json
 
 _MAX_ARCHIVE_BYTES = 4 << 30
@@ -30,23 +37,9 @@ _MOST_EMPTY = 1 << 20
 _ZIP_END, _ZIP_64, _MAX_LIST_BYTES = 22, 20, 4 << 20
 """Bytes of a zip archive's end, of what a large one has before it, and of the list of what it holds."""
 _FORMAT = 1
-# name: (kinds of dtype, stored dtype, number of dimensions); those in _OPTIONAL may be absent
-_MOTION_ARRAYS: dict[str, tuple[str, str, int]] = {
-    "times": ("f", "<f8", 1),
-    "joints": ("f", "<f8", 3),
-    "poses": ("f", "<f8", 2),
-    "joint_covariance": ("f", "<f4", 4),
-    "lost": ("b", "|b1", 1),
-    "extrapolated": ("b", "|b1", 1),
-    "doubtful": ("b", "|b1", 1),
-    "p_wrong": ("f", "<f4", 2),
-    "doubtful_joints": ("b", "|b1", 2),
-    "angle_sd": ("f", "<f4", 2),
-    "systematic_covariance": ("f", "<f4", 4),
-    "rivals": ("f", "<f4", 3),
-    "rival_weights": ("f", "<f4", 2),
-    "n_views": ("i", "<i8", 1),
-    "cost": ("f", "<f8", 1),
+Layout = Mapping[str, tuple[str, str, int]]
+"""Arrays of an archive by name: kind of dtype, stored dtype ("": any of the kind) and number of dimensions."""
+_SKELETON: Layout = {
     "parents": ("i", "<i8", 1),
     "rest_offsets": ("f", "<f8", 2),
     "ball": ("b", "|b1", 1),
@@ -55,16 +48,29 @@ _MOTION_ARRAYS: dict[str, tuple[str, str, int]] = {
     "lower": ("f", "<f8", 1),
     "upper": ("f", "<f8", 1),
     "sigma": ("f", "<f8", 1),
-    "joint_names": ("U", "", 1),
-    "dof_names": ("U", "", 1),
-    "provenance": ("U", "", 0),
 }
-_SKELETON = ("parents", "rest_offsets", "ball", "axes", "joint_of_dof", "lower", "upper", "sigma")
-_SERIES = ("times", "joints", "joint_covariance", "lost", "extrapolated", "n_views", "cost")
-_OPTIONAL = (
-    *("poses", "doubtful", "p_wrong", "doubtful_joints", "angle_sd", "systematic_covariance"),
-    *("rivals", "rival_weights"),
-)
+_NAMES: Layout = {"joint_names": ("U", "", 1), "dof_names": ("U", "", 1)}
+_SERIES: Layout = {
+    "times": ("f", "<f8", 1),
+    "joints": ("f", "<f8", 3),
+    "joint_covariance": ("f", "<f4", 4),
+    "lost": ("b", "|b1", 1),
+    "extrapolated": ("b", "|b1", 1),
+    "n_views": ("i", "<i8", 1),
+    "cost": ("f", "<f8", 1),
+}
+_OPTIONAL: Layout = {
+    "poses": ("f", "<f8", 2),
+    "doubtful": ("b", "|b1", 1),
+    "p_wrong": ("f", "<f4", 2),
+    "doubtful_joints": ("b", "|b1", 2),
+    "angle_sd": ("f", "<f4", 2),
+    "systematic_covariance": ("f", "<f4", 4),
+    "rivals": ("f", "<f4", 3),
+    "rival_weights": ("f", "<f4", 2),
+}
+_LIMITS = ("lower", "upper")
+"""of the degrees of freedom; infinite where one is free"""
 
 
 def to_json(value: Any) -> str:
@@ -114,8 +120,7 @@ class ResultsFolder:
 
     def write_text(self, name: str, text: str) -> Path:
         """Write a text file (UTF-8, \\n line ends) whole or not at all; returns its path."""
-        write_text(self.path / name, text)
-        return self.path / name
+        return self.write_bytes(name, text.encode("utf-8", "backslashreplace"))
 
     def write_bytes(self, name: str, data: bytes) -> Path:
         """Write a binary file whole or not at all; returns its path."""
@@ -221,7 +226,85 @@ def load_archive(
         raise InputError(f"{path} cannot be read ({error}); {next_step}.") from None
 
 
+@dataclass(frozen=True)
+class Archive:
+    """A kind of archive. what: hypose calls it; next_step: for one that cannot be used; layout: its arrays, of which
+    those in `optional` may be absent; finite: names of those that hold no NaN or infinity."""
+
+    what: str
+    next_step: str
+    layout: Layout
+    finite: Container[str] = ()
+    optional: Container[str] = ()
+
+    def bad(self, path: Path, reason: object) -> InputError:
+        """The InputError for a file that is none of these."""
+        reason = str(reason).rstrip(".")
+        return InputError(f"{path} is not a {self.what} of hypose, or is damaged: {reason}; {self.next_step}.")
+
+    def load(self, path: Path, only: Container[str] | None = None) -> dict[str, np.ndarray]:
+        """The arrays, or those of these names, in their layout; an InputError as of `bad`."""
+        arrays = load_archive(path, self.what, self.next_step, only)
+        for name, array in arrays.items():
+            if name not in self.layout:
+                raise self.bad(path, f"it holds the unknown array {name!r}")
+            kind, stored, ndim = self.layout[name]
+            if array.dtype.kind != kind or (stored and array.dtype != np.dtype(stored)) or array.ndim != ndim:
+                raise self.bad(path, f"{name} is {array.dtype} with {array.ndim} dimensions")
+            usable = ~np.isnan(array) if name in _LIMITS else np.isfinite(array) if name in self.finite else True
+            if not np.all(usable):
+                raise self.bad(path, f"{name} contains NaN or infinity")
+        wanted = [n for n in self.layout if n not in self.optional and (only is None or n in only)]
+        if missing := [n for n in wanted if n not in arrays]:
+            raise self.bad(path, f"{', '.join(missing)} is missing")
+        if "format" in arrays:
+            self.check_format(path, int(arrays.pop("format")))
+        return arrays
+
+    def check_format(self, path: Path, version: object) -> None:
+        """An InputError for the format of another version."""
+        if version != _FORMAT:
+            raise self.bad(path, f"it has format {version}, this version of hypose reads format {_FORMAT}")
+
+
+def _stored(values: Any, layout: Layout) -> dict[str, np.ndarray]:
+    """The attributes that a layout names, as they are stored; those that are None are left out."""
+    found = {name: getattr(values, name) for name in layout}
+    return {name: np.asarray(v).astype(layout[name][1]) for name, v in found.items() if v is not None}
+
+
+def _texts(names: Sequence[str]) -> np.ndarray:
+    return np.array(names, dtype=np.str_).reshape(len(names))
+
+
+def _stored_skeleton(skeleton: Skeleton) -> dict[str, np.ndarray]:
+    names = {name: _texts(getattr(skeleton, name)) for name in _NAMES}
+    return _stored(skeleton, _SKELETON) | names
+
+
+def _skeleton_of(arrays: Mapping[str, np.ndarray]) -> Skeleton:
+    """The skeleton of an archive; an InputError, without its name, when the arrays do not belong together."""
+    if not len(arrays["joint_names"]):
+        raise InputError("it has no joints")
+    _check_joints(arrays, "joint_of_dof")
+    names = {name: tuple(str(n) for n in arrays[name]) for name in _NAMES}
+    return Skeleton(**names, **{name: arrays[name] for name in _SKELETON})
+
+
+def _check_joints(arrays: Mapping[str, np.ndarray], name: str) -> None:
+    if not ((arrays[name] >= 0) & (arrays[name] < len(arrays["joint_names"]))).all():
+        raise InputError(f"{name} names joints that do not exist")
+
+
 # ---- motions -----------------------------------------------------------------------------------------------
+
+_MOTION = Archive(
+    "motion",
+    "give the motion.npz that hypose track wrote",
+    {**_SERIES, **_OPTIONAL, **_SKELETON, **_NAMES, "provenance": ("U", "", 0)},
+    finite=("times", "rest_offsets", "axes", "sigma"),
+    optional=_OPTIONAL,
+)
 
 
 def save_motion(motion: Motion, path: str | Path) -> None:
@@ -230,12 +313,7 @@ def save_motion(motion: Motion, path: str | Path) -> None:
     The provenance's "run" part (command, times, machine) is left out for that reason; it belongs in
     provenance.json.
     """
-    arrays = {name: np.asarray(getattr(motion, name)) for name in _SERIES}
-    arrays |= {name: np.asarray(getattr(motion.skeleton, name)) for name in _SKELETON}
-    arrays |= {name: a for name in _OPTIONAL if (a := getattr(motion, name)) is not None}
-    arrays = {name: a.astype(_MOTION_ARRAYS[name][1]) for name, a in arrays.items()}
-    arrays["joint_names"] = np.array(motion.skeleton.joint_names, dtype=np.str_)
-    arrays["dof_names"] = np.array(motion.skeleton.dof_names, dtype=np.str_)
+    arrays = _stored(motion, {**_SERIES, **_OPTIONAL}) | _stored_skeleton(motion.skeleton)
     provenance = {k: v for k, v in motion.provenance.items() if k != "run"}
     arrays["provenance"] = np.array(to_json({"format": _FORMAT, "provenance": provenance}))
     write_archive(path, arrays)
@@ -245,61 +323,20 @@ def load_motion(path: str | Path) -> Motion:
     """Read a motion.npz; an InputError names the file and what is wrong (damaged, foreign or hostile
     archive)."""
     path = Path(path)
-    next_step = "give the motion.npz that hypose track wrote"
-    arrays = load_archive(path, "motion", next_step)
-
-    def bad(reason: str) -> InputError:
-        return InputError(f"{path} is not a motion of hypose, or is damaged: {reason}; {next_step}.")
-
-    for name, array in arrays.items():
-        if name not in _MOTION_ARRAYS:
-            raise bad(f"it holds the unknown array {name!r}")
-        kinds, stored, ndim = _MOTION_ARRAYS[name]
-        if array.dtype.kind not in kinds or (stored and array.dtype != np.dtype(stored)) or array.ndim != ndim:
-            raise bad(f"{name} is {array.dtype} with {array.ndim} dimensions")
-    missing = [n for n in _MOTION_ARRAYS if n not in arrays and n not in _OPTIONAL]
-    if missing:
-        raise bad(f"{', '.join(missing)} is missing")
-    for name in (*_SKELETON, "times"):
-        values = arrays[name]
-        if values.dtype.kind != "f":
-            continue
-        # a free degree of freedom has infinite limits
-        usable = ~np.isnan(values) if name in ("lower", "upper") else np.isfinite(values)
-        if not usable.all():
-            raise bad(f"{name} contains NaN or infinity")
+    arrays = _MOTION.load(path)
     if (np.diff(arrays["times"]) <= 0).any():
-        raise bad("times do not increase")
+        raise _MOTION.bad(path, "times do not increase")
     try:
         document = parse_json(str(arrays["provenance"]))
-        provenance, version = document["provenance"], document["format"]
-        if not isinstance(provenance, dict):
-            raise ValueError
+        provenance, version = dict(document["provenance"]), document["format"]
     except (ValueError, KeyError, TypeError, RecursionError):
-        raise bad("its provenance is no JSON") from None
-    if version != _FORMAT:
-        raise bad(f"it has format {version}, this version of hypose reads format {_FORMAT}")
+        raise _MOTION.bad(path, "its provenance is no JSON") from None
+    _MOTION.check_format(path, version)
     try:
-        skeleton = Skeleton(
-            joint_names=tuple(str(n) for n in arrays["joint_names"]),
-            dof_names=tuple(str(n) for n in arrays["dof_names"]),
-            **{name: arrays[name] for name in _SKELETON},
-        )
-        if (
-            len(arrays["joint_names"]) == 0
-            or not ((arrays["joint_of_dof"] >= 0) & (arrays["joint_of_dof"] < len(arrays["joint_names"]))).all()
-        ):
-            raise bad("joint_of_dof names joints that do not exist")
-        return Motion(
-            skeleton=skeleton,
-            **{name: arrays.get(name) for name in _OPTIONAL},
-            provenance=provenance,
-            **{name: arrays[name] for name in _SERIES},
-        )
+        series = {name: arrays.get(name) for name in (*_SERIES, *_OPTIONAL)}
+        return Motion(skeleton=_skeleton_of(arrays), provenance=provenance, **series)
     except InputError as error:
-        if str(path) in str(error):
-            raise
-        raise bad(str(error).rstrip(".")) from None
+        raise _MOTION.bad(path, error) from None
 
 
 # ---- checkpoints -------------------------------------------------------------------------------------------
@@ -400,3 +437,209 @@ def _first_difference(stored: Any, current: Any, where: str = "") -> str:
 def _short(value: Any) -> str:
     text = json.dumps(value)
     return text if len(text) <= 40 else text[:37] + "..."
+
+
+# ---- bodies ------------------------------------------------------------------------------------------------
+# body.npz beside motion.npz, so that exports and pictures need neither the recording nor a new fit.
+
+_MESH: Layout = {
+    "vertices": ("f", "<f8", 2),
+    "faces": ("i", "<i4", 2),
+    "skin_index": ("i", "<i4", 2),
+    "skin_weight": ("f", "<f8", 2),
+}
+_MARKS: Layout = {"joint": ("i", "<i8", 1), "offset": ("f", "<f8", 2)}
+_LEVELS = ("coarse", "fine")
+_BODY_LAYOUT: Layout = {
+    **_SKELETON,
+    **_NAMES,
+    **{f"{level}_{k}": v for level in _LEVELS for k, v in _MESH.items()},
+    **{f"landmark_{k}": v for k, v in _MARKS.items()},
+    "landmark_names": ("U", "", 1),
+    "name": ("U", "", 0),
+    "format": ("i", "<i8", 0),
+}
+_BODY = Archive(
+    "body",
+    "give the results folder that hypose track wrote",
+    _BODY_LAYOUT,
+    finite=[name for name, (kind, _, _) in _BODY_LAYOUT.items() if kind == "f"],
+)
+
+
+def save_body(body: Body, path: str | Path) -> None:
+    """Write a body (metres, model frame). Equal bodies give equal bytes."""
+    arrays = _stored_skeleton(body.skeleton)
+    for level, mesh in zip(_LEVELS, (body.coarse, body.fine), strict=True):
+        arrays |= {f"{level}_{k}": v for k, v in _stored(mesh, _MESH).items()}
+    arrays |= {f"landmark_{k}": v for k, v in _stored(body.landmarks, _MARKS).items()}
+    arrays |= {"landmark_names": _texts(body.landmarks.names), "name": np.array(body.name)}
+    write_archive(path, {**arrays, "format": np.array(_FORMAT, dtype="<i8")})
+
+
+def load_body(path: str | Path) -> Body:
+    """Read a body.npz; an InputError names the file and what is wrong (absent, damaged, foreign or hostile archive)."""
+    path = Path(path)
+    arrays = _BODY.load(path)
+    try:
+        skeleton = _skeleton_of(arrays)
+        for name in ("landmark_joint", "coarse_skin_index", "fine_skin_index"):
+            _check_joints(arrays, name)
+        names = tuple(str(n) for n in arrays["landmark_names"])
+        marks = Landmarks(names, arrays["landmark_joint"], arrays["landmark_offset"])
+        if marks.joint.shape != (len(names),) or marks.offset.shape != (len(names), 3):
+            raise InputError("the landmarks do not fit their names")
+        coarse, fine = (_mesh(arrays, level) for level in _LEVELS)
+        return Body(str(arrays["name"]), skeleton, coarse, fine, marks)
+    except HyposeError as error:
+        raise _BODY.bad(path, error) from None
+
+
+def _mesh(arrays: Mapping[str, np.ndarray], level: str) -> Mesh:
+    mesh = Mesh(**{k: arrays[f"{level}_{k}"] for k in _MESH})
+    if mesh.vertices.shape[1] != 3 or mesh.faces.shape[1] != 3:
+        raise InputError(f"the {level} mesh has no triangles")
+    return mesh
+
+
+def load_result_body(results: Path) -> tuple[Motion, Body]:
+    """The motion of a results folder, or of its motion.npz, and the body beside it; an InputError when there is none,
+    or they belong to different bodies."""
+    motion = load_result(results)
+    folder = results if results.is_dir() else results.parent
+    body = load_body(folder / "body.npz")
+    if body.skeleton.joint_names != motion.skeleton.joint_names:
+        raise InputError(f"{folder}: body.npz and the motion belong to different bodies; track the recording again.")
+    return motion, body
+
+
+# ---- modes -------------------------------------------------------------------------------------------------
+# modes.npz beside motion.npz: every hypothesis of every frame of a monocular track.
+#
+#     modes = load_modes("results/monocular/modes.npz")
+#     modes.joints[t, k]      # (19, 3) m of mode k of frame t, NaN when frame t has fewer modes
+#     modes.weights[t]        # (K,), sum 1
+
+_MODES = Archive(
+    "file of modes",
+    "give the modes.npz that hypose track --recipe monocular wrote",
+    {
+        "poses": ("f", "", 3),
+        "joints": ("f", "", 4),
+        "weights": ("f", "", 2),
+        "costs": ("f", "", 2),
+        "covariances": ("f", "", 4),
+        "joint_covariance": ("f", "", 4),
+        "depth_sd": ("f", "", 2),
+        "alive": ("i", "", 1),
+        "format": ("i", "", 0),
+    },
+)
+
+
+def save_modes(modes: Modes, path: str | Path) -> None:
+    """Write whole or not at all."""
+    write_archive(path, {**modes_arrays(modes), "format": np.array(_FORMAT)})
+
+
+def load_modes(path: str | Path) -> Modes:
+    """Read a modes.npz; an InputError names the file and what is wrong."""
+    return Modes(**_MODES.load(Path(path)))
+
+
+def load_joints_of_modes(path: str | Path) -> tuple[Array, Array]:
+    """joints (T, K, J, 3) m and weights (T, K) of a modes.npz alone, which is little of what it holds; an InputError as
+    of `load_modes`."""
+    found = _MODES.load(Path(path), ("joints", "weights"))
+    joints, weights = found["joints"], found["weights"]
+    if joints.shape[:2] != weights.shape or joints.shape[3] != 3:
+        raise _MODES.bad(Path(path), "joints and weights do not belong together")
+    return joints, weights
+
+
+# ---- provenance ----------------------------------------------------------------------------------------------------
+# Where a result comes from: versions, seed, settings and the hashes of its inputs.
+
+
+_FULL_HASH_BYTES = 64 << 20
+_ENDS_BYTES = 1 << 20
+
+
+def provenance(
+    recipe: str,
+    seed: int | None,
+    settings: Mapping[str, Any],
+    inputs: Mapping[str, Path],
+    run: Mapping[str, Any] | None = None,
+) -> dict[str, Any]:
+    """Plain JSON values that tell how a result was made.
+
+    recipe; seed; settings (the effective ones); versions of hypose, python, numpy, scipy, numba and opencv;
+    inputs: for each its file name, size in bytes, sha256 and what the hash covers (see `file_identity`).
+    Everything that may differ between two runs of equal results (the command, the machine, and what the
+    caller gives in `run`: times, threads) is under "run", which `save_motion` leaves out.
+    """
+    return {
+        "recipe": recipe,
+        "seed": seed,
+        "settings": dict(settings),
+        "versions": versions(),
+        "inputs": {name: file_identity(path) for name, path in inputs.items()},
+        "run": {
+            "command": [Path(sys.argv[0]).name, *sys.argv[1:]],
+            "platform": platform.platform(),
+            **(run or {}),
+        },
+    }
+
+
+def identity(record: Mapping[str, Any]) -> dict[str, Any]:
+    """The part of a provenance that decides the result: all but "run"."""
+    return {k: v for k, v in record.items() if k != "run"}
+
+
+def versions() -> dict[str, str]:
+    """Versions of hypose and of the packages that its numbers depend on."""
+    out = {"hypose": __version__, "python": platform.python_version()}
+    for package in ("numpy", "scipy", "numba", "opencv-python-headless"):
+        try:
+            out[package] = version(package)
+        except PackageNotFoundError:
+            out[package] = "not installed"
+    return out
+
+
+def file_identity(path: str | Path) -> dict[str, Any]:
+    """name, bytes, sha256 and `hashed` of a file or a folder of files.
+
+    Files under 64 MiB are hashed whole; of larger ones the first and the last MiB and the size, which is
+    quick for hours of video and still notices a re-encoded or cut file (`hashed` = "first and last MiB"). A
+    folder's hash is that of its files' names and hashes in natural order.
+    """
+    path = Path(path)
+    if path.is_dir():
+        files = sorted((p for p in path.rglob("*") if p.is_file()), key=lambda p: natural_key(p.as_posix()))
+        found = [(file.relative_to(path).as_posix(), file_identity(file)) for file in files]
+        lines = "".join(f"{name} {one['bytes']} {one['sha256']}\n" for name, one in found)
+        partial = any(one["hashed"] != "all" for _, one in found)
+        return {
+            "name": path.name,
+            "files": len(files),
+            "bytes": sum(one["bytes"] for _, one in found),
+            "sha256": hashlib.sha256(lines.encode()).hexdigest(),
+            "hashed": "first and last MiB of large files" if partial else "all",
+        }
+    try:
+        with open_file(path, "an input", sys.maxsize, 0) as stream:
+            size = os.fstat(stream.fileno()).st_size
+            whole = size < _FULL_HASH_BYTES
+            if whole:
+                digest = hashlib.file_digest(stream, "sha256")
+            else:
+                digest = hashlib.sha256(stream.read(_ENDS_BYTES))
+                stream.seek(-_ENDS_BYTES, 2)
+                digest.update(stream.read(_ENDS_BYTES) + str(size).encode())
+    except OSError as error:
+        raise unreadable(path, error) from None
+    hashed = "all" if whole else "first and last MiB"
+    return {"name": path.name, "bytes": size, "sha256": digest.hexdigest(), "hashed": hashed}

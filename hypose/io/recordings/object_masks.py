@@ -24,10 +24,9 @@ from numpy.typing import NDArray
 
 from hypose.errors import InputError
 from hypose.evidence.silhouettes import Mask, as_mask
-from hypose.io.calibrations.calibration_toml import natural_key
+from hypose.io.file_names import last_number, natural_key
 from hypose.io.files import MAX_TEXT_BYTES, read_json
-from hypose.io.videos.png import SIGNATURE
-from hypose.io.videos.video import VideoReader, list_images, open_video, read_image, read_image_file
+from hypose.io.videos.video import PNG_SIGNATURE, VideoReader, list_images, open_video, read_image, read_image_file
 
 _LOOKED_AT = 9  # images of a folder that tell what it holds
 _MOST = 32  # objects
@@ -52,7 +51,7 @@ class ObjectMasks:
         self.path, self.size, self.objects, self._load, self.first = path, size, objects, load, first
         self.n_frames = self.stated_frames = frames
         self.frame_rate: float | None = None
-        self.is_sequence, self.truncated = True, False
+        self.is_sequence = True
 
     def at(self, frame: int) -> Objects:
         """The objects of a frame; an InputError when there is no such frame."""
@@ -101,7 +100,7 @@ def open_masks(path: Path, first: int | None = None) -> ObjectMasks | VideoReade
 def _of_folders(path: Path, folders: list[Path], first: int | None) -> ObjectMasks:
     """One folder per object. Files of the same number are of the same frame; without numbers their order counts."""
     listed = {p.name: list_images(p) for p in folders}
-    numbers = {name: [_number(f) for f in files] for name, files in listed.items()}
+    numbers = {name: [last_number(f.stem) for f in files] for name, files in listed.items()}
     known = [n for found in numbers.values() for n in found]
     by_frame: dict[str, dict[int, Path]]
     if None in known or any(len(set(n)) < len(n) for n in numbers.values()):
@@ -127,11 +126,6 @@ def _of_folders(path: Path, folders: list[Path], first: int | None) -> ObjectMas
 
     frames = 1 + max(max(files) for files in by_frame.values())
     return ObjectMasks(path, (shape[1], shape[0]), frames, tuple(listed), load, first)
-
-
-def _number(path: Path) -> int | None:
-    digits = "".join(c if c.isdigit() else " " for c in path.stem).split()
-    return int(digits[-1]) if digits else None
 
 
 def _of_labels(path: Path, images: list[Path]) -> ObjectMasks | None:
@@ -210,7 +204,7 @@ def _decoded(path: Path) -> tuple[NDArray[Any] | None, bool]:
 
 def _palette_bits(data: bytes) -> int:
     """Bits per pixel of a PNG with a palette, 0 for anything else."""
-    if data[:8] != SIGNATURE or len(data) < 26 or data[12:16] != b"IHDR" or data[25] != 3:
+    if data[:8] != PNG_SIGNATURE or len(data) < 26 or data[12:16] != b"IHDR" or data[25] != 3:
         return 0
     return data[24]
 

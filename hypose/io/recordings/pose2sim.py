@@ -17,12 +17,11 @@ from typing import Any, TypeGuard
 from hypose.errors import InputError
 from hypose.evidence.keypoint_sets import set_of_points
 from hypose.evidence.keypoints import KEYPOINT_SETS
-from hypose.io.calibrations.calibration_toml import find_calibration, natural_key
-from hypose.io.file_names import text_of
-from hypose.io.keypoints.keypoint_folder import read_keypoint_folder
-from hypose.io.matching_names import match_names
-from hypose.io.motions.trc import read_trc
-from hypose.io.recordings.recording_keys import read_toml
+from hypose.io.calibrations.calibration_formats import find_calibration
+from hypose.io.file_names import match_names, natural_key, text_of
+from hypose.io.files import read_toml
+from hypose.io.keypoints.keypoint_files import read_keypoint_folder
+from hypose.io.motions.marker_files import read_trc
 from hypose.io.videos.video import IMAGE_ENDINGS, VIDEO_ENDINGS, frame_size, list_images
 
 _LEVELS_ABOVE = 2

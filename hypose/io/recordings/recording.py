@@ -1,15 +1,60 @@
 """Recordings: what was filmed, by which calibrated cameras; recording.toml and its checks.
 
 A recording folder holds recording.toml, calibration.toml and the videos (or images, or masks). A Pose2Sim
-project or trial folder is taken as it is (`hypose.io.recordings.pose2sim`). The keys of recording.toml are in
-`hypose.io.recordings.recording_keys`.
+project or trial folder is taken as it is (`hypose.io.recordings.pose2sim`). The keys of recording.toml, with the
+defaults; paths are relative to it:
+
+    name = "walk"                     # default: the folder's name
+    calibration = "calibration.toml"  # of any program that hypose.io.calibrations reads
+    calibration_unit = "auto"         # auto, m, cm or mm: unit of the calibration's translations
+    world_up = "z"                    # axis of the calibration's world that points up: x y z -x -y -z
+    frame_rate = 60.0                 # frames/s; default: what the videos, or the files of key points, say
+    frame_range = [0, 100]            # first frame and the one after the last, from 0; default: all
+    keypoint_set = "BODY_25"          # order of the 2D key points; default: found out
+    keypoint_lag = 0                  # key points of frame t belong to video frame t + keypoint_lag
+    keypoint_pixels = "calibration"   # key points are pixels of the calibrated size, or of the stored "image"
+    subject_height = 1.75             # m; default: estimated
+    subject_mass = 70.0               # kg; default: unknown
+
+    [[view]]                          # one per camera, in any order
+    name = "cam01"
+    camera = "cam_01"                 # its name in the calibration; default: by name, else by order
+    video = "videos/cam01.mp4"        # a video file, or
+    images = "images/cam01"           # a folder of images in natural order
+    masks = "masks/cam01"             # silhouettes made elsewhere: folder of images or video; needs no video.
+                                      # Of several objects: see hypose.io.recordings.object_masks
+    depth = "depth/cam01"             # of a depth camera, in place of pictures: a folder of 16-bit PNG in millimetres,
+                                      # 0 = hole; background is such a folder of the empty room then, and without
+                                      # it the person is who stands on the floor (z = 0)
+    background = "background/cam01"   # an image, a folder of images or a video of the empty scene
+    keypoints = "pose/cam01_json"     # file or folder of hypose.io.keypoints.read_keypoints; needs no video
+    image_shift = [0.0, 0.0]          # px to add to this view's image coordinates (after scaling to the
+                                      # calibrated size) so that they agree with calibration and key points
+    accept_scaled = false             # images of another shape (width : height) than calibrated were
+                                      # stretched, not cut
+
+    [[person]]                        # one per person, if there are several (hypose track --people)
+    name = "anna"
+    height = 1.68                     # m; default: estimated
+    body = "bodies/anna"              # their own body, as hypose subject wrote it; default: fitted
+    place = [0.4, -1.2]               # m: where they stand on the floor (x, y), z up, at
+    time = 0.0                        # s from the first frame of the recording
+
+    [silhouettes]                     # how masks are made (hypose.evidence.silhouettes.SilhouetteSettings)
+    threshold = 4.0                   # and the other options; default: the usual ones
+
+Images of another size but of the calibrated shape (to 1 %) are taken as scaled; a note says so. Videos are
+taken as synchronous: frame t of one belongs to frame t of the others.
 """
 
 from __future__ import annotations
 
+import difflib
 import os
+import re
+import unicodedata
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,30 +65,13 @@ from hypose.errors import CalibrationError, InputError
 from hypose.evidence.keypoints import keypoint_names
 from hypose.evidence.silhouettes import SilhouetteSettings
 from hypose.geometry import rotation_between, se3
-from hypose.io.calibrations.calibration_formats import read_any
-from hypose.io.calibrations.calibration_toml import (
-    UNITS,
-    find_calibration,
-    toml_value,
-    write_calibration,
-)
-from hypose.io.file_names import text_of
-from hypose.io.files import write_text
-from hypose.io.keypoints.detected_keypoints import with_detected
-from hypose.io.keypoints.read_keypoints import ViewKeypoints, check_keypoints, keypoints_of_views
-from hypose.io.matching_names import match_names
+from hypose.io.calibrations.calibration_camera import UNITS
+from hypose.io.calibrations.calibration_formats import find_calibration, read_any
+from hypose.io.calibrations.calibration_text import write_calibration
+from hypose.io.file_names import file_name, match_names, text_of
+from hypose.io.files import read_toml, toml_lines, write_text
+from hypose.io.keypoints.read_keypoints import ViewKeypoints, check_keypoints, keypoints_of_views, with_detected
 from hypose.io.recordings import pose2sim
-from hypose.io.recordings.person_tables import Person, people_of_tables
-from hypose.io.recordings.recording_keys import (
-    PATH_KEYS,
-    RECORDING_KEYS,
-    VIEW_KEYS,
-    check_keys,
-    choice,
-    numbers,
-    read_toml,
-    silhouette_options,
-)
 from hypose.io.recordings.recording_views import (
     View,
     check_background,
@@ -53,6 +81,167 @@ from hypose.io.recordings.recording_views import (
     look_together,
 )
 from hypose.io.videos.video import frame_size
+
+# ---- keys of recording.toml -----------------------------------------------------------------------------------------
+
+
+RECORDING_KEYS: dict[str, type | tuple[type, ...]] = {
+    "name": str,
+    "calibration": str,
+    "calibration_unit": str,
+    "world_up": str,
+    "frame_rate": (int, float),
+    "frame_range": list,
+    "keypoint_set": str,
+    "keypoint_lag": int,
+    "keypoint_pixels": str,
+    "subject_height": (int, float),
+    "subject_mass": (int, float),
+    "view": list,
+    "person": list,
+    "silhouettes": dict,
+}
+PATH_KEYS = ("video", "images", "masks", "background", "keypoints", "depth")
+VIEW_KEYS: dict[str, type | tuple[type, ...]] = {
+    "name": str,
+    "camera": str,
+    **dict.fromkeys(PATH_KEYS, str),
+    "image_shift": list,
+    "accept_scaled": bool,
+}
+PERSON_KEYS: dict[str, type | tuple[type, ...]] = {
+    "name": str,
+    "height": (int, float),
+    "body": str,
+    "place": list,
+    "time": (int, float),
+}
+SILHOUETTE_KEYS: dict[str, type | tuple[type, ...]] = {
+    f.name: type(f.default)
+    if type(f.default) in (bool, int, str)
+    else list
+    if f.name == "shadow_range"
+    else (int, float)
+    for f in fields(SilhouetteSettings)
+}
+_TYPE_NAMES = {
+    str: "text in quotes",
+    int: "a whole number",
+    list: "a list in [ ]",
+    bool: "true or false",
+    dict: "a table [silhouettes]",
+}
+
+
+def check_keys(where: str, table: Mapping[str, Any], known: Mapping[str, type | tuple[type, ...]]) -> None:
+    """InputError when a key of the table is unknown (the nearest known one is named) or of another type."""
+    for key, value in table.items():
+        if key not in known:
+            near = difflib.get_close_matches(key, known, 1, 0.5)
+            hint = f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}"
+            raise InputError(f"{where}: the key {key} is unknown ({hint}); correct or remove it.")
+        types = known[key]
+        right = isinstance(value, types) and (types is bool or not isinstance(value, bool))
+        if not right:
+            wanted = _TYPE_NAMES[types] if isinstance(types, type) else "a number"
+            raise InputError(f"{where}: {key} must be {wanted}, got {value!r}; correct it.")
+        if isinstance(value, float) and not np.isfinite(value):
+            raise InputError(f"{where}: {key} must be a finite number, got {value!r}; correct it.")
+
+
+def numbers(where: str, key: str, value: Any, count: int, whole: bool) -> list[Any]:
+    """value, when it is a list of `count` finite (whole) numbers; else an InputError."""
+    types = int if whole else (int, float)
+    fine = len(value) == count and all(isinstance(v, types) and not isinstance(v, bool) for v in value)
+    if not fine or not np.isfinite(np.array(value, dtype=np.float64)).all():
+        kind = "whole numbers" if whole else "numbers"
+        raise InputError(f"{where}: {key} must be {count} {kind} in [ ], got {value!r}; correct it.")
+    return value
+
+
+def choice(where: str, key: str, value: str, allowed: Sequence[str]) -> str:
+    """value, when it is one of the allowed words; else an InputError."""
+    if value not in allowed:
+        raise InputError(f"{where}: {key} must be {', '.join(allowed)}, got {value!r}; correct it.")
+    return value
+
+
+def silhouette_options(where: str, table: Mapping[str, Any]) -> SilhouetteSettings:
+    """The options of a [silhouettes] table; what it does not name is as usual."""
+    check_keys(f"{where}, silhouettes", table, SILHOUETTE_KEYS)
+    values = dict(table)
+    if "shadow_range" in values:
+        values["shadow_range"] = tuple(numbers(where, "shadow_range", values["shadow_range"], 2, whole=False))
+    try:
+        return SilhouetteSettings(**values)
+    except InputError as error:
+        raise InputError(f"{where}, silhouettes: {error}") from None
+
+
+# ---- person tables -------------------------------------------------------------------------------------------------
+# The [[person]] tables of recording.toml: what is known beforehand of the people in a recording.
+
+
+_NAME = re.compile(r"[\w][\w .-]{0,59}")
+_FILE = re.compile(r".*\.[a-z0-9]{2,5}")
+"""what names a file, as those of everybody's results beside whom the folders lie"""
+
+
+@dataclass(frozen=True)
+class Person:
+    """name: of the folder of their results; height m; body: of their own, a path as `hypose subject` writes it; place
+    (2,) m: where they stand at `time`, s from the first frame."""
+
+    name: str
+    height: float | None = None
+    body: Path | None = None
+    place: tuple[float, float] | None = None
+    time: float = 0.0
+
+
+def people_of_tables(folder: Path, where: str, tables: Any) -> tuple[Person, ...]:
+    """The people that the tables tell of; an InputError names what is wrong."""
+    found = [_person(folder, where, table, k) for k, table in enumerate(tables)]
+    names = [p.name for p in found]
+    if len({_told_apart(n) for n in names}) < len(names):
+        raise InputError(
+            f"{where}: the names of people must differ, got {', '.join(names)}, by more than capitals, spaces, dots "
+            "and hyphens, which not all systems and files tell apart; rename one."
+        )
+    return tuple(found)
+
+
+def _told_apart(name: str) -> str:
+    """What of a name every file system and every C3D file keeps."""
+    return re.sub(r"[ .-]+", "-", unicodedata.normalize("NFKC", name).casefold())
+
+
+def _person(folder: Path, where: str, table: Any, index: int) -> Person:
+    if not isinstance(table, Mapping):
+        raise InputError(
+            f"{where}: person must be [[person]] tables, got {table!r}; write [[person]] before each person."
+        )
+    name = table.get("name", f"person-{index + 1}")
+    here = f"{where}, person {name}"
+    check_keys(here, table, PERSON_KEYS)
+    plain = _NAME.fullmatch(name) and file_name(name) == name and not _FILE.fullmatch(name)
+    if not plain or name in ("all",) or name.strip(" .") != name or name.isdigit():
+        raise InputError(
+            f"{here}: the name must begin with a letter and may have letters, digits, spaces, dots and hyphens, since "
+            "it names a folder, and must not be that of a file (report.html); change it."
+        )
+    height, time = table.get("height"), float(table.get("time", 0.0))
+    if height is not None and not 0.4 <= height <= 2.8:
+        raise InputError(f"{here}: height = {height:g} is implausible; give it in metres (0.4 to 2.8).")
+    if time < 0:
+        raise InputError(f"{here}: time = {time:g} lies before the first frame; give seconds from there.")
+    place = None
+    if "place" in table:
+        x, y = numbers(here, "place", table["place"], 2, whole=False)
+        place = (float(x), float(y))
+    body = folder / table["body"] if "body" in table else None
+    return Person(name, None if height is None else float(height), body, place, time)
+
 
 _UP = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1), "-x": (-1, 0, 0), "-y": (0, -1, 0), "-z": (0, 0, -1)}
 
@@ -162,41 +351,40 @@ def write_recording(recording: Recording, folder: str | Path) -> Path:
     """
     folder = Path(folder)
     write_calibration(recording.rig, folder / "calibration.toml")
-    lines = [
-        f"name = {toml_value(recording.name)}",
-        'calibration = "calibration.toml"',
-        'calibration_unit = "m"',
-    ]
-    lines.append(f"frame_rate = {toml_value(float(recording.frame_rate))}")
-    if recording.frame_range is not None:
-        lines.append(f"frame_range = {toml_value([int(i) for i in recording.frame_range])}")
-    if recording.keypoint_set is not None:
-        lines += [
-            f"keypoint_set = {toml_value(recording.keypoint_set)}",
-            f"keypoint_lag = {toml_value(int(recording.keypoint_lag))}",
-            f"keypoint_pixels = {toml_value(recording.keypoint_pixels)}",
-        ]
-    for key in ("subject_height", "subject_mass"):
-        if getattr(recording, key) is not None:
-            lines.append(f"{key} = {toml_value(float(getattr(recording, key)))}")
+    has_keypoints = recording.keypoint_set is not None
+    table = {
+        "name": recording.name,
+        "calibration": "calibration.toml",
+        "calibration_unit": "m",
+        "frame_rate": float(recording.frame_rate),
+        "frame_range": recording.frame_range,
+        "keypoint_set": recording.keypoint_set,
+        "keypoint_lag": recording.keypoint_lag if has_keypoints else None,
+        "keypoint_pixels": recording.keypoint_pixels if has_keypoints else None,
+        "subject_height": recording.subject_height,
+        "subject_mass": recording.subject_mass,
+    }
+    lines = toml_lines(table)
     for view, camera in zip(recording.views, recording.rig, strict=True):
-        lines += ["", "[[view]]", f"name = {toml_value(view.name)}", f"camera = {toml_value(camera.name)}"]
-        for key in PATH_KEYS:
-            if (value := getattr(view, key)) is not None:
-                lines.append(f"{key} = {toml_value(_relative(value, folder))}")
-        if tuple(view.image_shift) != (0, 0):
-            lines.append(f"image_shift = {toml_value([float(s) for s in view.image_shift])}")
-        if view.accept_scaled:
-            lines.append("accept_scaled = true")
+        shift = [float(s) for s in view.image_shift]
+        table = {
+            "name": view.name,
+            "camera": camera.name,
+            **{key: _relative(getattr(view, key), folder) for key in PATH_KEYS},
+            "image_shift": shift if any(shift) else None,
+            "accept_scaled": view.accept_scaled or None,
+        }
+        lines += ["", "[[view]]", *toml_lines(table)]
     for person in recording.people:
-        lines += ["", "[[person]]", f"name = {toml_value(person.name)}"]
-        if person.height is not None:
-            lines.append(f"height = {toml_value(float(person.height))}")
-        if person.body is not None:
-            lines.append(f"body = {toml_value(_relative(person.body, folder))}")
-        if person.place is not None:
-            lines.append(f"place = {toml_value([float(x) for x in person.place])}")
-            lines.append(f"time = {toml_value(float(person.time))}")
+        placed = person.place is not None
+        table = {
+            "name": person.name,
+            "height": person.height,
+            "body": _relative(person.body, folder),
+            "place": person.place,
+            "time": person.time if placed else None,
+        }
+        lines += ["", "[[person]]", *toml_lines(table)]
     lines += silhouette_lines(recording.silhouettes)
     write_text(folder / "recording.toml", "\n".join(lines) + "\n")
     return folder / "recording.toml"
@@ -205,11 +393,13 @@ def write_recording(recording: Recording, folder: str | Path) -> Path:
 def silhouette_lines(options: SilhouetteSettings) -> list[str]:
     """The [silhouettes] table of a recording.toml; nothing when all is as usual."""
     usual = asdict(SilhouetteSettings())
-    changed = {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(options).items() if v != usual[k]}
-    return ["", "[silhouettes]", *(f"{k} = {toml_value(v)}" for k, v in changed.items())] if changed else []
+    changed = {k: v for k, v in asdict(options).items() if v != usual[k]}
+    return ["", "[silhouettes]", *toml_lines(changed)] if changed else []
 
 
-def _relative(path: Path, folder: Path) -> str:
+def _relative(path: Path | None, folder: Path) -> str | None:
+    if path is None:
+        return None
     full, base = Path(os.path.abspath(path)), Path(os.path.abspath(folder))
     return full.relative_to(base).as_posix() if full.is_relative_to(base) else full.as_posix()
 
@@ -415,38 +605,29 @@ def _match_cameras(
     rig: CameraRig, path: Path, views: Sequence[View], wanted: Sequence[str | None], notes: list[str]
 ) -> CameraRig:
     """The rig in the order of the views."""
-    if all(wanted):
-        chosen = rig.select([w for w in wanted if w])  # its error lists the cameras there are
+    names = [w or v.name for w, v in zip(wanted, views, strict=True)]
+    if all(wanted) or (len(rig) > len(views) and all(name in rig.names for name in names)):
+        chosen = rig.select(names)  # its error lists the cameras there are
         left = [n for n in rig.names if n not in chosen.names]
         if left:
             notes.append(f"The cameras {', '.join(left)} of {path.name} have no view and are left out.")
         return chosen
-    exact = [w or v.name for w, v in zip(wanted, views, strict=True)]
-    if len(rig) > len(views) and all(name in rig.names for name in exact):
-        left = [n for n in rig.names if n not in exact]
-        notes.append(f"The cameras {', '.join(left)} of {path.name} have no view and are left out.")
-        return rig.select(exact)
     if len(rig) != len(views):
         raise CalibrationError(
             f"{path} has {len(rig)} cameras ({', '.join(rig.names)}) but there are {len(views)} views "
             f"({', '.join(v.name for v in views)}); add the missing ones, or give every view its camera "
             '(camera = "...") in recording.toml.'
         )
-    keys = [w or v.name for w, v in zip(wanted, views, strict=True)]
-    unknown = [w for w in wanted if w and w not in rig.names]
-    if unknown:
+    if unknown := [w for w in wanted if w and w not in rig.names]:
         rig.select(unknown)
-    matched = match_names(keys, rig.names)
-    if all(m is not None for m in matched):
-        if any(k != rig.names[m] for k, m in zip(keys, matched, strict=True) if m is not None):
-            order = [rig.names[m] for m in matched if m is not None]
-            pairs = ", ".join(f"{v.name} = {n}" for v, n in zip(views, order, strict=True))
-            notes.append(f"Views and cameras are matched by their names: {pairs}.")
-        return CameraRig(tuple(rig[m] for m in matched if m is not None))
-    pairs = ", ".join(f"{v.name} = {c}" for v, c in zip(views, rig.names, strict=True))
-    notes.append(
-        "The names of views and cameras do not tell which belong together, so they are taken in their "
-        f"order: {pairs}; "
-        'if that is wrong, give each view its camera = "..." in recording.toml.'
-    )
-    return rig
+    matched = match_names(names, rig.names)
+    chosen = CameraRig(tuple(rig[i if m is None or None in matched else m] for i, m in enumerate(matched)))
+    pairs = ", ".join(f"{v.name} = {c}" for v, c in zip(views, chosen.names, strict=True))
+    if None in matched:
+        notes.append(
+            "The names of views and cameras do not tell which belong together, so they are taken in their "
+            f'order: {pairs}; if that is wrong, give each view its camera = "..." in recording.toml.'
+        )
+    elif list(chosen.names) != names:
+        notes.append(f"Views and cameras are matched by their names: {pairs}.")
+    return chosen

@@ -5,8 +5,16 @@ A depth map is (h, w) float32 in metres, 0 = hole, pixel centres at whole number
 
 from __future__ import annotations
 
+import contextlib
+import importlib
+import os
+import re
 import struct
-from collections.abc import Iterator
+import tempfile
+import time
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,11 +23,14 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hypose.errors import InputError, extra
+from hypose.cameras.camera import Camera
+from hypose.errors import HyposeError, InputError, extra
 from hypose.geometry import Array
+from hypose.io.calibrations.calibration_formats import read_any
 from hypose.io.file_names import utf8_path
-from hypose.io.files import read_bytes, readable_size, write_bytes
-from hypose.io.videos.png import SIGNATURE, is_cut_png
+from hypose.io.files import open_file, read_bytes, readable_size, unreadable, write_bytes
+from hypose.io.videos.camera_sources import CameraSource, Played, Shot, StreamEnded
+from hypose.io.videos.video import PNG_SIGNATURE, is_cut_png, list_images
 from hypose.json_text import parse_json
 
 DepthMap = NDArray[np.float32]
@@ -47,7 +58,7 @@ def write_millimetres_png(path: str | Path, depth: NDArray[np.uint16]) -> None:
 def read_depth_png(path: str | Path) -> DepthMap:
     """Read a 16-bit PNG in millimetres; the size in its header is checked before anything is unpacked."""
     data = read_bytes(path, "a 16-bit depth PNG", _MAX_BYTES)
-    if not data.startswith(SIGNATURE) or data[12:16] != b"IHDR" or len(data) < 33:
+    if not data.startswith(PNG_SIGNATURE) or data[12:16] != b"IHDR" or len(data) < 33:
         raise InputError(f"{path} is not a PNG; depth maps are 16-bit PNG in millimetres.")
     width, height, bits, colour = struct.unpack(">IIBB", data[16:26])
     if bits != 16 or colour != 0 or not 1 <= width <= MAX_SIDE or not 1 <= height <= MAX_SIDE:
@@ -138,3 +149,398 @@ def _azure_frames(container: Any, track: Any, path: str, library: Any) -> Iterat
                 yield DepthFrame(float(frame.time or 0.0), image.astype(np.float32) / np.float32(1000))
         except library.error.FFmpegError:
             raise InputError(f"{path} is damaged or cut off; copy it again from where it was recorded.") from None
+
+
+# ---- realsense -----------------------------------------------------------------------------------------------------
+# Depth of RealSense cameras: their recordings (.bag, .db3) and the camera itself. Needs pyrealsense2 (an extra).
+
+
+_MAX_RECORDING_BYTES = 256 * 2**30
+_PATIENCE_MS = 2000
+"""Without a frame for so long, a recording is at its end and a camera is gone."""
+
+
+@dataclass(frozen=True)
+class RealSenseDepth:
+    """intrinsics (fx, fy, cx, cy) px of the depth maps, which is what `depth.depth_at_joints` takes; size (width,
+    height) px; distorted: the camera reports lens distortion, which the intrinsics do not hold; frames: each read once,
+    time in s from the first."""
+
+    intrinsics: tuple[float, float, float, float]
+    size: tuple[int, int]
+    distorted: bool
+    frames: Iterator[DepthFrame]
+
+
+def read_realsense(path: str | Path) -> RealSenseDepth:
+    """The depth of a recording that RealSense's own tools wrote (.bag, in newer versions .db3), as fast as it can be
+    read. An InputError for anything else, and when pyrealsense2 is missing."""
+    library = _library()
+    path = Path(path)
+    readable_size(path, "a RealSense recording (.bag or .db3)", _MAX_RECORDING_BYTES)
+    config = library.config()
+    try:
+        with utf8_path(path) as name:
+            config.enable_device_from_file(name, repeat_playback=False)
+            return _opened(library, config, str(path), recorded=True)
+    except RuntimeError as error:
+        raise InputError(
+            f"{path} cannot be played by pyrealsense2 {library.__version__} ({_short(error)}); give a recording "
+            "that RealSense's tools wrote, in the form that this version writes (.bag or .db3)."
+        ) from None
+
+
+def open_realsense(serial: str | None = None) -> RealSenseDepth:
+    """The depth of a connected camera, by its serial number if there are several. The frames end when the camera is
+    unplugged; closing the iterator stops the camera."""
+    library = _library()
+    config = library.config()
+    config.enable_stream(library.stream.depth)
+    with _no_report_at_home():
+        found = {d.get_info(library.camera_info.serial_number) for d in library.context().query_devices()}
+    if not found or (serial is not None and serial not in found):
+        there = f"the connected ones are {', '.join(sorted(found))}" if found else "none is connected"
+        which = "No RealSense camera can be used" if serial is None else f"There is no RealSense camera {serial}"
+        raise InputError(f"{which}: {there}; check the cable and the serial number.")
+    if serial is not None:
+        config.enable_device(serial)
+    try:
+        return _opened(library, config, f"the RealSense camera {serial or min(found)}", recorded=False)
+    except RuntimeError as error:
+        raise InputError(
+            f"The RealSense camera {serial or min(found)} does not start ({_short(error)}); close other programs that "
+            "use it and plug it in again."
+        ) from None
+
+
+def _library() -> Any:
+    os.environ["RS2_RUM_CLOUD_ENABLED"] = "0"  # since 2.59 it counts what is used; nothing is sent
+    libusb = "install the system's libusb (Debian: apt install libusb-1.0-0)"
+    return extra("pyrealsense2", "Depth of RealSense cameras and their recordings", "realsense", or_else=libusb)
+
+
+def _opened(library: Any, config: Any, what: str, recorded: bool) -> RealSenseDepth:
+    pipeline = library.pipeline()
+    if recorded:  # said before it starts, else frames are dropped when reading is slower than recording was
+        playback = config.resolve(library.pipeline_wrapper(pipeline)).get_device().as_playback()
+        playback.set_real_time(False)
+    profile = pipeline.start(config)
+    device = profile.get_device()
+    try:
+        lens = profile.get_stream(library.stream.depth).as_video_stream_profile().get_intrinsics()
+        scale = float(device.first_depth_sensor().get_depth_scale())
+    except RuntimeError:
+        pipeline.stop()
+        with _no_report_at_home():
+            del pipeline, profile, device
+        raise InputError(f"{what} has no depth; record with the depth stream switched on.") from None
+    if not (0 < lens.width <= MAX_SIDE and 0 < lens.height <= MAX_SIDE and 0 < scale < 1):
+        pipeline.stop()
+        raise InputError(f"{what}: depth maps of {lens.width} x {lens.height} in steps of {scale:g} m cannot be used.")
+    frames = _frames(pipeline, scale, what)
+    return RealSenseDepth((lens.fx, lens.fy, lens.ppx, lens.ppy), (lens.width, lens.height), any(lens.coeffs), frames)
+
+
+def _frames(pipeline: Any, scale: float, what: str) -> Iterator[DepthFrame]:
+    first, last, frames, frame = None, -np.inf, None, None
+    try:
+        while True:
+            ok, frames = pipeline.try_wait_for_frames(_PATIENCE_MS)
+            if not ok:
+                return
+            frame = frames.get_depth_frame()
+            if not frame or frame.timestamp <= last:  # the same frame again, with a new one of another stream
+                continue
+            first, last = frame.timestamp if first is None else first, frame.timestamp
+            depth = np.asarray(frame.get_data(), dtype=np.uint16).astype(np.float32) * np.float32(scale)
+            yield DepthFrame((frame.timestamp - first) / 1000, depth)
+    except RuntimeError as error:
+        raise InputError(f"{what} cannot be read any further ({_short(error)}); record again.") from None
+    finally:
+        pipeline.stop()
+        with _no_report_at_home():
+            del pipeline, frames, frame
+
+
+@contextlib.contextmanager
+def _no_report_at_home() -> Iterator[None]:
+    """Where the last of the library's objects are let go: since 2.59 it writes its counts to ~/.rum then."""
+    home = os.environ.get("HOME")
+    with tempfile.TemporaryDirectory(prefix="hypose-") as folder:
+        os.environ["HOME"] = folder
+        try:
+            yield
+        finally:
+            os.environ.pop("HOME") if home is None else os.environ.update(HOME=home)
+
+
+def _short(error: Exception) -> str:
+    return " ".join(str(error).split())[:120].rstrip(".")
+
+
+# ---- depth files ---------------------------------------------------------------------------------------------------
+# Recordings of depth cameras, of whatever make: their lens and their maps, one after the other.
+#
+# Azure Kinect (.mkv), RealSense (.bag, .db3), Record3D (.r3d), and a folder of 16-bit PNG in millimetres with a
+# calibration.toml beside them (Orbbec and others export such frames).
+
+
+ENDINGS = (".mkv", ".bag", ".db3", ".r3d")
+_MODES = {(640, 576): (1024, 192, 180), (320, 288): (512, 96, 90), (512, 512): (512, 0, 0), (1024, 1024): (1024, 0, 0)}
+"""Of the Azure Kinect: the size of the sensor's picture in pixels, and where the mode's picture begins in it."""
+FOLDER_RATE = 30.0
+"""Frames per second of a folder of maps of which nobody knows it."""
+_DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, NotImplementedError)
+"""What a zip raises that is none, is cut off, or is locked by a password."""
+_PACKED_BYTES = 64 * 2**20
+"""of one entry of a capture"""
+
+
+@dataclass(frozen=True)
+class DepthFile:
+    """camera: the lens, at the origin; frames: each read once, time in s from the first; where frames were lost the
+    times leave a gap."""
+
+    camera: Camera
+    frames: Iterator[DepthFrame]
+
+
+def open_depth(path: str | Path, frame_rate: float = FOLDER_RATE, millimetres: float = 1.0) -> DepthFile:
+    """A recording of one depth camera; an InputError names what cannot be used and what can.
+
+    frame_rate (per s), millimetres that one step of a value stands for: of a folder of maps, which tells neither."""
+    path = Path(path)
+    ending = path.suffix.lower()
+    if path.is_dir():
+        return _folder(path, frame_rate, millimetres)
+    if ending == ".mkv":
+        return _azure(path)
+    if ending in (".bag", ".db3"):
+        found = read_realsense(path)
+        if found.distorted:
+            raise InputError(
+                f"{path}: this RealSense reports a distorted lens, which its figures do not hold; record the depth "
+                "stream as the camera rectifies it."
+            )
+        return DepthFile(_pinhole(path.stem, found.intrinsics, found.size), found.frames)
+    if ending == ".r3d":
+        return _record3d(path)
+    raise InputError(
+        f"{path} is no recording of a depth camera that is known; give {', '.join(ENDINGS)}, or a folder of 16-bit PNG "
+        "in millimetres."
+    )
+
+
+def _pinhole(
+    name: str, lens: tuple[float, float, float, float], size: tuple[int, int], distortion: Array | None = None
+) -> Camera:
+    fx, fy, cx, cy = lens
+    k = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]])
+    return Camera(name, k, np.zeros(5) if distortion is None else distortion, np.eye(4), size)
+
+
+def _folder(path: Path, frame_rate: float, millimetres: float) -> DepthFile:
+    files = list_images(path)
+    if not files:
+        raise InputError(f"{path} has no PNG; give the folder of the depth maps.")
+    places = (f / "calibration.toml" for f in (path, path.parent, path.parent.parent))
+    calibration = next((c for c in places if c.is_file()), None)
+    if calibration is None:
+        raise InputError(f"{path} has no calibration.toml with the camera's lens; put one beside the maps.")
+    rig, _ = read_any(calibration, "auto")
+    names = [c.name for c in rig]
+    if len(rig) > 1 and path.name not in names:
+        raise InputError(f"{calibration} has the cameras {', '.join(names)}; call the folder {path} as one of them.")
+    camera = rig[names.index(path.name)] if path.name in names else rig[0]
+
+    def frames() -> Iterator[DepthFrame]:
+        for number, file in zip(_numbers(files), files, strict=True):
+            depth = read_depth_png(file)
+            if depth.shape[::-1] != camera.size:
+                raise InputError(
+                    f"{file} is {depth.shape[1]} x {depth.shape[0]} px, the lens in {calibration} is for "
+                    f"{camera.size[0]} x {camera.size[1]} px; give that of the depth maps, not of the colour pictures."
+                )
+            yield DepthFrame(number / frame_rate, depth if millimetres == 1 else depth * np.float32(millimetres))
+
+    return DepthFile(Camera(path.name, camera.K, camera.distortion, np.eye(4), camera.size, camera.fisheye), frames())
+
+
+def _numbers(files: Sequence[Path]) -> NDArray[np.int64]:
+    """(T,) which frame each file of a folder is: by its number where the files are numbered in steps of one size, so
+    that lost ones leave a gap; else one after the other (names of other kinds, times)."""
+    plain = np.arange(len(files))
+    parts = [re.split(r"(\d+)(?=\D*$)", f.name) for f in files]
+    if any(len(p) != 3 or len(p[1]) > 15 for p in parts) or len({(p[0], p[2]) for p in parts}) > 1:
+        return plain
+    numbers = np.array([int(p[1]) for p in parts], dtype=np.int64)
+    steps = np.diff(numbers)
+    usual = int(np.median(steps)) if len(steps) else 0
+    return plain if usual < 1 or (steps % usual).any() else (numbers - numbers[0]) // usual
+
+
+def _azure(path: Path) -> DepthFile:
+    calibration, frames = read_azure_mkv(path)
+    first = next(frames, None)
+    if first is None:
+        raise InputError(f"{path} has no depth frame; copy it again if it was cut off, else record for longer.")
+    height, width = first.depth.shape
+    camera = azure_camera(path.stem, calibration, (width, height), str(path))
+
+    def all_frames() -> Iterator[DepthFrame]:
+        yield DepthFrame(0.0, first.depth)
+        for frame in frames:  # the container counts from when its first track began
+            yield DepthFrame(frame.time - first.time, frame.depth)
+
+    return DepthFile(camera, all_frames())
+
+
+def azure_camera(name: str, calibration: Mapping[str, Any], size: tuple[int, int], where: str) -> Camera:
+    """The depth camera of an Azure Kinect's calibration.json for maps of this size (a mode of the sensor). Source: how
+    the Azure Kinect Sensor SDK crops and scales the sensor's picture for its depth modes."""
+    cameras = calibration.get("CalibrationInformation", {}).get("Cameras", [])
+    own = [c for c in cameras if str(c.get("Location", "")).endswith("D0")]
+    if not own or size not in _MODES:
+        raise InputError(
+            f"{where}: the lens of maps of {size[0]} x {size[1]} px is not known; record in a mode of the sensor "
+            f"({', '.join(f'{w} x {h}' for w, h in _MODES)})."
+        )
+    try:
+        p = [float(v) for v in own[0]["Intrinsics"]["ModelParameters"]]
+        cx, cy, fx, fy, k1, k2, k3, k4, k5, k6, _, _, p2, p1 = p[:14]
+    except (KeyError, TypeError, ValueError):
+        raise InputError(f"{where}: its calibration has no lens of the depth camera; record again.") from None
+    side, left, top = _MODES[size]
+    lens = fx * side, fy * side, cx * side - left - 0.5, cy * side - top - 0.5
+    return _pinhole(name, lens, size, np.array([k1, k2, p1, p2, k3, k4, k5, k6]))
+
+
+def _record3d(path: Path) -> DepthFile:
+    """A capture of the Record3D app: a zip with `metadata` (JSON) and rgbd/N.depth, float32 metres packed by LZFSE."""
+    try:
+        archive = zipfile.ZipFile(open_file(path, "a Record3D capture (.r3d)", 64 * 2**30))
+        about = parse_json(_unpacked(archive, "metadata"))
+        k = [float(v) for v in about["K"]]
+        width, height = int(about["dw"]), int(about["dh"])
+        # K is stored column by column, for the colour pictures
+        sx, sy = width / int(about["w"]), height / int(about["h"])
+        lens = k[0] * sx, k[4] * sy, (k[6] + 0.5) * sx - 0.5, (k[7] + 0.5) * sy - 0.5
+        rate = float(about.get("fps", 60))
+    except OSError as error:
+        raise unreadable(path, error) from None
+    except _DAMAGED:
+        raise InputError(f"{path} is no Record3D capture, or is cut off; share it from the app again.") from None
+    except (LookupError, ValueError, TypeError, ArithmeticError, AttributeError, RecursionError):
+        raise InputError(f"{path} does not say its lens and size; share it again with a newer Record3D.") from None
+    usable = 1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE and 1 <= rate <= 1000
+    if not (usable and np.isfinite(lens).all() and min(lens[:2]) > 0):
+        raise InputError(
+            f"{path}: depth maps of {width} x {height} px, a lens of {lens[0]:g} px, {rate:g} Hz: unusable."
+        )
+    try:
+        library: Any = importlib.import_module("liblzfse")  # an extra: not there for everyone, type checkers included
+    except ImportError:
+        raise InputError(
+            "Record3D captures need pyliblzfse, which is not installed; run: pip install pyliblzfse."
+        ) from None
+    names = sorted((n for n in archive.namelist() if n.endswith(".depth")), key=_number)
+    if not names:
+        raise InputError(f"{path} has no depth; record it in Record3D with the depth sensor.")
+
+    def frames() -> Iterator[DepthFrame]:
+        for name in names:
+            try:
+                values = np.frombuffer(library.decompress(_unpacked(archive, name)), dtype="<f4")
+            except Exception:  # the library's own error
+                raise InputError(f"{path}: {name} is damaged; share it from the app again.") from None
+            if values.size != width * height:
+                raise InputError(f"{path}: {name} has {values.size} values, {width} x {height} were expected.")
+            depth = np.nan_to_num(values.reshape(height, width), nan=0.0, posinf=0.0, neginf=0.0)
+            time = (_number(name) - _number(names[0])) / rate
+            yield DepthFrame(time, np.maximum(depth, 0).astype(np.float32))
+
+    return DepthFile(_pinhole(path.stem, lens, (width, height)), frames())
+
+
+def _number(name: str) -> int:
+    stem = Path(name).stem
+    return int(stem) if stem.isdecimal() else 0
+
+
+def _unpacked(archive: zipfile.ZipFile, name: str) -> bytes:
+    """An entry, which says itself how large it will be."""
+    if archive.getinfo(name).file_size > _PACKED_BYTES:
+        raise zipfile.BadZipFile(name)
+    return archive.read(name)
+
+
+# ---- depth sources -------------------------------------------------------------------------------------------------
+# Depth cameras as they deliver: a RealSense, and folders of depth maps played at their own pace.
+
+
+FOLDER, REALSENSE = "depth:", "realsense"
+"""How the address of a depth camera begins: a folder of maps, and a camera, whose serial number may follow"""
+
+
+def is_depth(address: str) -> bool:
+    """Whether an address is that of a depth camera."""
+    return address.startswith(FOLDER) or address == REALSENSE or address.startswith(f"{REALSENSE}:")
+
+
+def open_depth_camera(address: str, rate: float, begin: float | None = None) -> CameraSource:
+    """A depth camera by its address: `realsense`, `realsense:SERIAL`, or `depth:FOLDER` with 16-bit PNG in millimetres,
+    which are played at `rate` Hz, the first at `begin` (s, monotonic). Its shots hold maps (h, w) float32 m. An
+    InputError says what cannot be opened."""
+    if not address.startswith(FOLDER):
+        serial = address.partition(":")[2]
+        return _RealSense(open_realsense(serial or None), address)
+    folder = Path(address.removeprefix(FOLDER))
+    if not folder.is_dir():
+        raise InputError(f"There is no folder {folder}; a depth recording is a folder of 16-bit PNG in millimetres.")
+    return Played(_Maps(folder), rate, time.monotonic() if begin is None else begin)
+
+
+class _RealSense:
+    """A connected camera."""
+
+    live = True
+
+    def __init__(self, found: RealSenseDepth, what: str) -> None:
+        self._what, self._frames = what, found.frames
+
+    def read(self) -> Shot:
+        """See `CameraSource`."""
+        try:
+            frame = next(self._frames, None)
+        except InputError as error:  # it may be plugged in again
+            raise StreamEnded(str(error)) from None
+        if frame is None:
+            raise StreamEnded(f"{self._what} delivers nothing more.")
+        return Shot(time.monotonic(), frame.time, frame.depth)
+
+    def close(self) -> None:
+        """See `CameraSource`."""
+        close = getattr(self._frames, "close", None)
+        if close is not None:
+            close()
+
+
+class _Maps:
+    """A folder of depth maps as what is played reads it."""
+
+    frame_rate: float | None = None
+
+    def __init__(self, folder: Path) -> None:
+        self.path, self._files, self.position = folder, list_images(folder), 0
+        self.n_frames = len(self._files)
+
+    def read(self, number: int) -> DepthMap:
+        """Map `number`; one that is damaged shows nothing."""
+        self.position = number + 1
+        try:
+            return read_depth_png(self._files[number])
+        except HyposeError:
+            return np.zeros((1, 1), np.float32)
+
+    def close(self) -> None:
+        """Nothing is open."""

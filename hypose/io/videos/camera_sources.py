@@ -17,7 +17,7 @@ import urllib.parse
 import urllib.request
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, Protocol
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
@@ -91,17 +91,17 @@ def open_camera(address: str, rate: float, size: tuple[int, int], begin: float |
     rate Hz and size (width, height) px are asked of a device; files are played at `rate`, the first picture at `begin`
     (s, monotonic), the same for all that belong together. An InputError says what cannot be opened."""
     if is_device(address):
-        return _Device(int(address), rate, size)
+        return _device(int(address), rate, size)
     if address.lower().startswith(("http://", "https://")):
         return _MotionJpeg(address)
     if "://" in address:
-        return _Stream(address)
+        return _stream(address)
     if not Path(address).exists():
         raise InputError(
             f"There is no file {address}; a camera is the number of a device (0), an address (http://, rtsp://), a "
             "video or a folder of pictures."
         )
-    return _Played(open_video(Path(address)), rate, time.monotonic() if begin is None else begin)
+    return Played(open_video(Path(address)), rate, time.monotonic() if begin is None else begin)
 
 
 def is_device(address: str) -> bool:
@@ -112,73 +112,58 @@ def is_device(address: str) -> bool:
 # ---- devices and streams that OpenCV reads ---------------------------------------------------------------------
 
 
-class _Device:
+class _Captured:
+    """A camera that OpenCV reads: a device of this computer, or a stream of the network."""
+
+    live = True
+
+    def __init__(self, what: str, advice: str, *arguments: Any) -> None:
+        self._what = what
+        with quiet():
+            self.capture = cv2.VideoCapture(*arguments)
+        if not self.capture.isOpened():
+            raise InputError(f"{what} cannot be opened; {advice}")
+
+    def read(self) -> Shot:
+        """See `CameraSource`."""
+        image: NDArray[np.uint8] | None = None
+        arrival = 0.0
+        with quiet(), contextlib.suppress(cv2.error):  # what a damaged picture of a device ends in
+            ok = self.capture.grab()
+            arrival = time.monotonic()
+            if ok:
+                ok, found = self.capture.retrieve()
+                image = np.asarray(found, dtype=np.uint8) if ok else None
+        if image is None:
+            raise StreamEnded(f"{self._what} delivers nothing more.")
+        return Shot(arrival, None, image)
+
+    def close(self) -> None:
+        """See `CameraSource`."""
+        self.capture.release()
+
+
+def _device(number: int, rate: float, size: tuple[int, int]) -> _Captured:
     """A camera of this computer, by OpenCV's own back end for it (V4L2, DirectShow, AVFoundation)."""
-
-    live = True
-
-    def __init__(self, number: int, rate: float, size: tuple[int, int]) -> None:
-        self._what = f"Camera {number} of this computer"
-        with quiet():
-            self._capture = cv2.VideoCapture(number)
-        if not self._capture.isOpened():
-            raise InputError(
-                f"{self._what} cannot be opened; is it plugged in, and does no other program use it? Devices are "
-                "numbered from 0."
-            )
-        # raw pictures of two cameras are more than one USB bus carries
-        self._capture.set(cv2.CAP_PROP_FOURCC, float(cv2.VideoWriter.fourcc(*"MJPG")))
-        for key, value in (
-            (cv2.CAP_PROP_FRAME_WIDTH, size[0]),
-            (cv2.CAP_PROP_FRAME_HEIGHT, size[1]),
-            (cv2.CAP_PROP_FPS, rate),
-            (cv2.CAP_PROP_BUFFERSIZE, 1),
-        ):
-            self._capture.set(key, float(value))
-
-    def read(self) -> Shot:
-        """See `CameraSource`."""
-        return _read(self._capture, self._what)
-
-    def close(self) -> None:
-        """See `CameraSource`."""
-        self._capture.release()
+    advice = "is it plugged in, and does no other program use it? Devices are numbered from 0."
+    camera = _Captured(f"Camera {number} of this computer", advice, number)
+    # raw pictures of two cameras are more than one USB bus carries
+    camera.capture.set(cv2.CAP_PROP_FOURCC, float(cv2.VideoWriter.fourcc(*"MJPG")))
+    for key, value in (
+        (cv2.CAP_PROP_FRAME_WIDTH, size[0]),
+        (cv2.CAP_PROP_FRAME_HEIGHT, size[1]),
+        (cv2.CAP_PROP_FPS, rate),
+        (cv2.CAP_PROP_BUFFERSIZE, 1),
+    ):
+        camera.capture.set(key, float(value))
+    return camera
 
 
-class _Stream:
+def _stream(address: str) -> _Captured:
     """A stream of the network that FFmpeg reads."""
-
-    live = True
-
-    def __init__(self, address: str) -> None:
-        self._what = f"The stream {without_password(address)}"
-        waits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, 5000, cv2.CAP_PROP_READ_TIMEOUT_MSEC, 5000]
-        with quiet():
-            self._capture = cv2.VideoCapture(address, cv2.CAP_FFMPEG, waits)
-        if not self._capture.isOpened():
-            raise InputError(f"{self._what} cannot be opened; check the address, and that the camera is on.")
-
-    def read(self) -> Shot:
-        """See `CameraSource`."""
-        return _read(self._capture, self._what)
-
-    def close(self) -> None:
-        """See `CameraSource`."""
-        self._capture.release()
-
-
-def _read(capture: cv2.VideoCapture, what: str) -> Shot:
-    image: NDArray[np.uint8] | None = None
-    arrival = 0.0
-    with quiet(), contextlib.suppress(cv2.error):  # what a damaged picture of a device ends in
-        ok = capture.grab()
-        arrival = time.monotonic()
-        if ok:
-            ok, found = capture.retrieve()
-            image = np.asarray(found, dtype=np.uint8) if ok else None
-    if image is None:
-        raise StreamEnded(f"{what} delivers nothing more.")
-    return Shot(arrival, None, image)
+    waits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, 5000, cv2.CAP_PROP_READ_TIMEOUT_MSEC, 5000]
+    advice = "check the address, and that the camera is on."
+    return _Captured(f"The stream {without_password(address)}", advice, address, cv2.CAP_FFMPEG, waits)
 
 
 def without_password(address: str) -> str:
@@ -211,7 +196,7 @@ class _MotionJpeg:
                 f"{self._what} cannot be opened (that is no address, or no camera answers there); check the address. "
                 "In names and passwords / is written %2F, @ %40, # %23."
             ) from None
-        self._answer: BinaryIO | _Again = answer
+        self._answer, self._line = answer, b""  # a line that was read and belongs to the next head
         kind = str(answer.headers.get("Content-Type", ""))
         if not kind.lower().startswith("multipart/"):
             self.close()
@@ -236,7 +221,7 @@ class _MotionJpeg:
         stamp: float | None = None
         begun = False
         for _ in range(64):
-            line = self._answer.readline(_LONGEST_LINE)
+            line, self._line = self._line or self._answer.readline(_LONGEST_LINE), b""
             if not line:
                 raise ValueError("the connection was closed")
             text = line.strip()
@@ -270,7 +255,7 @@ class _MotionJpeg:
             if not line or total > LARGEST_PART:
                 raise ValueError("the connection was closed" if not line else "a picture without an end")
             if line.startswith(b"--" + self._boundary):
-                self._answer = _Again(line, self._answer)
+                self._line = line
                 return b"".join(lines).rstrip(b"\r\n")
             lines.append(line)
             total += len(line)
@@ -279,23 +264,6 @@ class _MotionJpeg:
         """See `CameraSource`."""
         with contextlib.suppress(OSError):
             self._answer.close()
-
-
-class _Again:
-    """A stream with one line put back in front."""
-
-    def __init__(self, line: bytes, rest: BinaryIO | _Again) -> None:
-        self._line, self._rest = line, rest._rest if isinstance(rest, _Again) else rest
-
-    def readline(self, limit: int = -1) -> bytes:
-        line, self._line = self._line, b""
-        return line or self._rest.readline(limit)
-
-    def read(self, count: int = -1) -> bytes:
-        return self._rest.read(count)
-
-    def close(self) -> None:
-        self._rest.close()
 
 
 def _asked(address: str, seconds: float) -> http.client.HTTPResponse:
@@ -337,14 +305,10 @@ class Film(Protocol):
         ...
 
 
-def played(film: Film, rate: float, begin: float) -> CameraSource:
-    """A film at its own pace, or at `rate` Hz where that is not known, the first picture at `begin` (s, monotonic)."""
-    return _Played(film, rate, begin)
-
-
-class _Played:
+class Played:
     """A video or a folder of pictures at its own pace: a picture whose time has passed is left out, as a camera would
-    have it. The pictures carry the times at which they were due."""
+    have it. The pictures carry the times at which they were due. rate Hz: where the film's own is not known; begin: s,
+    monotonic, of the first picture."""
 
     live = False
 

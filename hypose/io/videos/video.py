@@ -11,11 +11,12 @@ from __future__ import annotations
 import contextlib
 import os
 import re
+import struct
 from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, NamedTuple
 
 from hypose.io.files import read_bytes
 
@@ -27,15 +28,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.errors import InputError
-from hypose.io.calibrations.calibration_toml import natural_key
-from hypose.io.file_names import utf8_path
+from hypose.io.file_names import natural_key, utf8_path
 from hypose.io.files import atomic_path
-from hypose.io.videos.png import is_cut_png
 
 Image = NDArray[np.uint8]
 
 VIDEO_ENDINGS = (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm", ".mpg", ".mpeg", ".wmv", ".mts")
 IMAGE_ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
+PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 # Encoders by ending, the first that opens is used. Tried with opencv-python-headless 5.0.0.93: the wheel
 # cannot encode H.264 (avc1), the one that both players and browsers show; in .mp4 it writes mp4v, MJPG, VP9
 # and FFV1.
@@ -47,6 +47,8 @@ _CODECS = {
     ".avi": ("MJPG", "mp4v"),
     ".mkv": ("FFV1", "mp4v"),
 }
+_PICTURE_PER_PACKET = {cv2.VideoWriter.fourcc(*name) for name in ("avc1", "h264", "hevc", "hvc1")}
+"""Codecs whose stored packets are one frame each, so that counting packets counts frames"""
 
 
 @contextlib.contextmanager
@@ -63,6 +65,20 @@ def quiet() -> Iterator[None]:
 def read_image_file(path: Path) -> bytes:
     """The bytes of an image file; an InputError for what is no file, is empty or too large."""
     return read_bytes(path, "an image", _MAX_IMAGE_BYTES)  # cv2.imread fails on some names under Windows
+
+
+def is_cut_png(data: bytes) -> bool:
+    """True for a PNG whose pieces are longer than the data. OpenCV (4.11 on) makes room for whatever length a piece
+    claims: half a gigabyte for a damaged file of a kilobyte."""
+    if not data.startswith(PNG_SIGNATURE):
+        return False
+    at, kind = len(PNG_SIGNATURE), b""
+    while at + 12 <= len(data):
+        length, kind = struct.unpack_from(">I4s", data, at)
+        at += 12 + length
+        if kind == b"IEND":
+            break
+    return at > len(data) or kind != b"IEND"
 
 
 def read_image(path: str | Path) -> Image:
@@ -123,43 +139,31 @@ def check_numbers(folder: Path) -> None:
 class VideoReader:
     """Frames of a video file, of a folder of images, or of one image: BGR uint8 (h, w, 3).
 
-    Iterating gives the frames from the present position (0 after opening) to the end. path; size (width,
-    height) px; frame_rate (frames/s, None for images); n_frames that can be decoded; stated_frames what the
-    container says. Opened by `open_video`; usable as a context manager. threads: that may decode a video (None: all);
-    in_place: frames of a video are good until the next one is read, which takes their memory.
+    Iterating gives the frames from the present position (0 after opening) to the end. Opened by `open_video`; usable
+    as a context manager.
+    path
+    size (width, height) px
+    frame_rate frames/s, None for images
+    n_frames that can be decoded
+    stated_frames what the container says
+    threads that may decode a video (None: all)
+    in_place: frames of a video are good until the next one is read, which takes their memory
     """
 
     def __init__(self, path: Path, threads: int | None = None, in_place: bool = False) -> None:
         self.path, self._threads, self._in_place = path, threads, in_place
-        self._images: list[Path] | None = None
-        self._capture: cv2.VideoCapture | None = None
+        self._images: list[Path] | None = _images_of(path)
+        self._capture: cv2.VideoCapture | None = None  # opened when the first frame is asked for
         self._next = 0
-        self._first: Image | None = None  # frame 0, decoded when the file was opened, until the reading goes on
         self._memory: Image | None = None  # of the last frame
-        if path.is_dir():
-            self._images = list_images(path)
-            if not self._images:
-                raise InputError(
-                    f"The folder {path} holds no images ({', '.join(IMAGE_ENDINGS)}); check the path in recording.toml."
-                )
-        elif path.suffix.lower() in IMAGE_ENDINGS:
-            self._images = [path]
+        self.size: tuple[int, int] = frame_size(path)
+        self.frame_rate: float | None = None
         if self._images is not None:
-            first = read_image(self._images[0])
-            self.frame_rate: float | None = None
             self.n_frames = self.stated_frames = len(self._images)
         else:
-            self._capture = open_capture(path, threads)
-            rate = float(self._capture.get(cv2.CAP_PROP_FPS))
-            self.frame_rate = rate if np.isfinite(rate) and 0 < rate < 100_000 else None
-            self.stated_frames = max(0, int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)))
-            ok, frame = self._capture.read()
-            if not ok:
-                raise _undecodable(path)
-            first = frame
+            about = _about(path)
+            self.frame_rate, self.stated_frames = about.frame_rate, about.stated_frames
             self.n_frames = count_frames(path)
-            self._first = np.asarray(first, dtype=np.uint8)
-        self.size: tuple[int, int] = (int(first.shape[1]), int(first.shape[0]))
 
     @property
     def is_sequence(self) -> bool:
@@ -167,17 +171,9 @@ class VideoReader:
         return self._images is not None
 
     @property
-    def truncated(self) -> bool:
-        """More than two frames fewer can be decoded than the container states."""
-        return self.stated_frames - self.n_frames > 2
-
-    @property
     def position(self) -> int:
         """Index of the frame that comes next."""
         return self._next
-
-    def __len__(self) -> int:
-        return self.n_frames
 
     def __iter__(self) -> Iterator[Image]:
         while self._next < self.n_frames:
@@ -191,13 +187,12 @@ class VideoReader:
                 f"{self.path} has no frame {index}; its frames are 0 to {self.n_frames - 1}: choose a frame "
                 "range inside."
             )
-        if self._capture is not None:
+        if self._images is None:
             if index < self._next:
-                self._restart()
-            if index > 0 and self._first is not None:
-                self._first, self._next = None, 1
+                self.close()
+                self._capture, self._next = None, 0
             while self._next < index:
-                if not self._capture.grab():
+                if not self._opened().grab():
                     raise self._broken()
                 self._next += 1
         self._next = index
@@ -224,6 +219,11 @@ class VideoReader:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    def _opened(self) -> cv2.VideoCapture:
+        if self._capture is None:
+            self._capture = open_capture(self.path, self._threads)
+        return self._capture
+
     def _advance(self, out: Image | None = None) -> Image:
         if self._images is not None:
             image = read_image(self._images[self._next])
@@ -234,23 +234,13 @@ class VideoReader:
                     "size."
                 )
         else:
-            assert self._capture is not None
-            if self._first is not None:
-                image, self._first = self._first, None
-            else:
-                # new memory for each frame costs a tenth of decoding it
-                ok, frame = self._capture.read(self._memory if self._in_place else out)
-                if not ok:
-                    raise self._broken()
-                image = self._memory = np.asarray(frame, dtype=np.uint8)
+            # new memory for each frame costs a tenth of decoding it
+            ok, frame = self._opened().read(self._memory if self._in_place else out)
+            if not ok:
+                raise self._broken()
+            image = self._memory = np.asarray(frame, dtype=np.uint8)
         self._next += 1
         return image
-
-    def _restart(self) -> None:
-        assert self._capture is not None
-        self._capture.release()
-        self._capture = open_capture(self.path, self._threads)
-        self._next, self._first = 0, None
 
     def _broken(self) -> InputError:
         return InputError(
@@ -269,54 +259,103 @@ def open_video(path: str | Path, threads: int | None = None, in_place: bool = Fa
     return VideoReader(path, threads, in_place)
 
 
+def _images_of(path: Path) -> list[Path] | None:
+    """The images of a folder, or the one that a path names; None of a video."""
+    if not path.is_dir():
+        return [path] if path.suffix.lower() in IMAGE_ENDINGS else None
+    if images := list_images(path):
+        return images
+    raise InputError(
+        f"The folder {path} holds no images ({', '.join(IMAGE_ENDINGS)}); check the path in recording.toml."
+    )
+
+
 def frame_size(path: str | Path) -> tuple[int, int]:
     """(width, height) px of the first frame of a video, image folder or image."""
-    path = Path(path)
-    if path.is_dir() or path.suffix.lower() in IMAGE_ENDINGS:
-        return open_video(path).size
-    capture = open_capture(path)
-    try:
-        ok, frame = capture.read()
-    finally:
-        capture.release()
-    if not ok:
-        raise _undecodable(path)
-    return int(frame.shape[1]), int(frame.shape[0])
+    images = _images_of(Path(path))
+    if images is None:
+        return _about(Path(path)).size
+    data = read_image_file(images[0])
+    if data[12:16] == b"IHDR" and b"eXIf" not in data and not is_cut_png(data):  # what says so need not be decoded
+        width, height = struct.unpack_from(">II", data, 16)
+        return width, height
+    image = read_image(images[0])
+    return image.shape[1], image.shape[0]
 
 
 def count_frames(path: str | Path) -> int:
     """Number of frames that can be decoded: the stated one if the last frame decodes, else counted one by
-    one. Known files are counted again only when their size or time has changed."""
-    path = Path(path)
-    if path.is_dir():
-        return len(list_images(path))
-    if path.suffix.lower() in IMAGE_ENDINGS:
-        return 1
+    one."""
+    images = _images_of(Path(path))
+    return _about(Path(path)).n_frames if images is None else len(images)
+
+
+class _About(NamedTuple):
+    """What a video file is, as `VideoReader` has it."""
+
+    size: tuple[int, int]
+    frame_rate: float | None
+    stated_frames: int
+    n_frames: int
+
+
+def _about(path: Path) -> _About:
+    """Look into a video; known files again only when their size or time has changed."""
     try:
         about = path.stat()
     except OSError:
-        return _count(path)  # says what is wrong
-    return _counted(path.absolute(), about.st_size, about.st_mtime_ns, about.st_ino)
+        return _looked_into(path, 0, 0, 0)  # says what is wrong
+    return _looked_into(path.absolute(), about.st_size, about.st_mtime_ns, about.st_ino)
 
 
 @lru_cache(maxsize=256)
-def _counted(path: Path, size: int, changed: int, number: int) -> int:
-    return _count(path)
+def _looked_into(path: Path, size: int, changed: int, number: int) -> _About:
+    capture = open_capture(path, 1)
+    try:
+        rate = float(capture.get(cv2.CAP_PROP_FPS))
+        stated = max(0, int(capture.get(cv2.CAP_PROP_FRAME_COUNT)))
+        codec = int(capture.get(cv2.CAP_PROP_FOURCC))
+        ok, first = capture.read()
+        if not ok:
+            raise InputError(
+                f"The video {path} contains no frame that can be decoded (it is empty, cut off or of an unknown "
+                "codec); record or copy it again, or convert it with: ffmpeg -i INPUT -c:v libx264 OUTPUT.mp4."
+            )
+    finally:
+        capture.release()
+    by_packets = codec in _PICTURE_PER_PACKET
+    whole = stated > 0 and (by_packets and _holds_packets(path, stated) or _ends_with(path, stated))
+    count = stated if whole else _count(path)
+    return _About((first.shape[1], first.shape[0]), rate if 0 < rate < 100_000 else None, stated, count)
+
+
+def _holds_packets(path: Path, stated: int) -> bool:
+    """Whether a video has the stated number of packets, which nothing has to decode: the number of the last key frame
+    and the packets from it to the end."""
+    capture = open_capture(path, raw=True)
+    try:
+        capture.set(cv2.CAP_PROP_POS_FRAMES, stated - 1)
+        number = round(capture.get(cv2.CAP_PROP_POS_FRAMES))
+        while number <= stated and capture.grab():
+            number += 1
+        return number == stated
+    finally:
+        capture.release()
+
+
+def _ends_with(path: Path, stated: int) -> bool:
+    """Whether the stated last frame of a video can be decoded, and no other after it."""
+    capture = open_capture(path)
+    try:
+        # position: some files jump elsewhere without complaint; one frame more: the container may say too little
+        capture.set(cv2.CAP_PROP_POS_FRAMES, stated - 1)
+        landed = round(capture.get(cv2.CAP_PROP_POS_FRAMES))
+        return landed == stated - 1 and capture.grab() and not capture.grab()
+    finally:
+        capture.release()
 
 
 def _count(path: Path) -> int:
-    capture = open_capture(path)
-    try:
-        stated = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
-        if stated > 0:
-            capture.set(cv2.CAP_PROP_POS_FRAMES, stated - 1)
-            # position: some files jump elsewhere without complaint; one frame more: the container may say too
-            # little
-            landed = int(round(capture.get(cv2.CAP_PROP_POS_FRAMES)))
-            if landed == stated - 1 and capture.grab() and not capture.grab():
-                return stated
-    finally:
-        capture.release()
     capture = open_capture(path)
     try:
         count = 0
@@ -327,16 +366,9 @@ def _count(path: Path) -> int:
         capture.release()
 
 
-def _undecodable(path: Path) -> InputError:
-    return InputError(
-        f"The video {path} contains no frame that can be decoded (it is empty, cut off or of an unknown "
-        "codec); record or copy it again, or convert it with: ffmpeg -i INPUT -c:v libx264 OUTPUT.mp4."
-    )
-
-
-def open_capture(path: Path, threads: int | None = None) -> cv2.VideoCapture:
-    """OpenCV's own reader of a video, which decodes with so many threads (None: one per core); an InputError when it
-    cannot be opened.
+def open_capture(path: Path, threads: int | None = None, raw: bool = False) -> cv2.VideoCapture:
+    """OpenCV's own reader of a video, which decodes with so many threads (None: one per core), or gives the packets as
+    they are stored (raw); an InputError when it cannot be opened.
 
     FFmpeg only: OpenCV's other back ends take numbers in file names for image sequences.
     """
@@ -347,6 +379,7 @@ def open_capture(path: Path, threads: int | None = None) -> cv2.VideoCapture:
     with quiet(), utf8_path(path) as name:
         try:
             how = [] if threads is None else [cv2.CAP_PROP_N_THREADS, threads]
+            how += [cv2.CAP_PROP_FORMAT, -1] if raw else []
             capture = cv2.VideoCapture(name, cv2.CAP_FFMPEG, how)
         except cv2.error:
             capture = None
@@ -381,16 +414,20 @@ class VideoWriter:
             )
         self._codecs = (codec,) if codec else _CODECS[self.path.suffix.lower()]
         self._writer: cv2.VideoWriter | None = None
-        self._guard = atomic_path(self.path)
+        self._closing = contextlib.ExitStack()
 
     def __enter__(self) -> VideoWriter:
-        self._temporary = self._guard.__enter__()
-        try:
+        with contextlib.ExitStack() as stack:
+            self._temporary = stack.enter_context(atomic_path(self.path))
             self._writer = self._open()
-        except BaseException as error:
-            self._guard.__exit__(type(error), error, error.__traceback__)
-            raise
+            stack.push(self._finish)
+            self._closing = stack.pop_all()
         return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._closing.__exit__(kind, error, trace)
 
     def _open(self) -> cv2.VideoWriter:
         for codec in self._codecs:
@@ -417,22 +454,13 @@ class VideoWriter:
         self._writer.write(np.ascontiguousarray(image[: self.size[1], : self.size[0]]))
         self.n_frames += 1
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def _finish(self, kind: type[BaseException] | None, *_: object) -> None:
+        """OpenCV reports no write error, so what lies on the disk is opened and its end decoded."""
         if self._writer is not None:
             self._writer.release()
             self._writer = None
-        try:
-            if error is None:
-                self._check()
-        except InputError as failure:
-            self._guard.__exit__(type(failure), failure, failure.__traceback__)
-            raise
-        self._guard.__exit__(kind, error, trace)
-
-    def _check(self) -> None:
-        """OpenCV reports no write error, so what lies on the disk is opened and its end decoded."""
+        if kind is not None:
+            return
         if self.n_frames == 0:
             raise InputError(f"{self.path} was not written because no frame was given; choose a range with frames.")
         try:

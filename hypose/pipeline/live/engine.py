@@ -21,7 +21,6 @@ from hypose.evidence.ahead import make_ahead
 from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import flag_collapsed, make_silhouettes
 from hypose.pipeline.live.background_work import BackgroundWork
-from hypose.pipeline.live.depth_room import depth_of
 from hypose.pipeline.live.eyes import (
     EyesOptions,
     EyesProcess,
@@ -33,10 +32,10 @@ from hypose.pipeline.live.eyes import (
     live_working_rig,
 )
 from hypose.pipeline.live.feeds import FeedStatus
-from hypose.pipeline.live.live_people import FOLLOWING, LOST, LivePeople
-from hypose.pipeline.live.live_person import LivePose
+from hypose.pipeline.live.live_people import FOLLOWING, LOST, LivePeople, LivePose
 from hypose.pipeline.live.live_search import LOOKING, NOBODY, SLOWLY_HZ, LivePersonOptions
-from hypose.pipeline.live.punctual import punctual
+from hypose.pipeline.live.processes import punctual
+from hypose.pipeline.live.rooms import depth_of
 
 EMPTY_ROOM = "empty room"
 """What `LiveEngine.phase` is while the room is learnt; then it is the person's."""

@@ -33,15 +33,11 @@ from hypose.evidence.shared_masks import BodyShape
 from hypose.evidence.silhouettes import Mask, SilhouetteSettings
 from hypose.geometry import Array
 from hypose.io.recordings.frames import working_rig
-from hypose.io.sensors.depth import DEPTH_PNG
-from hypose.io.sensors.depth_sources import open_depth_camera
+from hypose.io.sensors.depth import DEPTH_PNG, open_depth_camera
 from hypose.io.videos.camera_sources import CameraSource, Shot, open_camera
-from hypose.pipeline.live.child_processes import belong_to_parent, deaf_to_ctrl_c
-from hypose.pipeline.live.depth_room import DepthRoom
-from hypose.pipeline.live.feeds import Feed, FeedStatus
-from hypose.pipeline.live.pairing import newest_instant
-from hypose.pipeline.live.punctual import punctual
-from hypose.pipeline.live.view_room import ViewRoom
+from hypose.pipeline.live.feeds import Feed, FeedStatus, newest_instant
+from hypose.pipeline.live.processes import belong_to_parent, deaf_to_ctrl_c, punctual
+from hypose.pipeline.live.rooms import DepthRoom, ViewRoom
 
 ROOM_S, ROOM_PICTURES = 2.0, 12
 """s and pictures from which the empty room is learnt"""

@@ -1,23 +1,332 @@
-"""People, live: found, each followed by a `LivePerson` in what the others leave of the masks, given up, found again."""
+"""People, live: found, each followed by a `LivePerson` in what the others leave of the masks, given up, found again.
+
+Left and right are fought out beside who is followed, and they are measured while they move. `step` never waits. The
+body is fitted in a process of its own and taken over where it explains the masks as well as the one before.
+"""
 
 from __future__ import annotations
 
+import queue
 from collections import deque
-from concurrent.futures import Executor
-from dataclasses import replace
+from concurrent.futures import Executor, Future
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hypose.body.body import Body
+from hypose.body.motion import Motion
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.ahead import pack_once
 from hypose.evidence.frame import Frame
 from hypose.evidence.shared_masks import PREDICTED, SOLVED, Other, own_silhouettes
 from hypose.geometry import Array
-from hypose.pipeline.live.background_work import BackgroundWork
-from hypose.pipeline.live.live_person import LivePerson, Stepped
-from hypose.pipeline.live.live_search import Found, LivePersonOptions, LiveSearch
-from hypose.tracking.several import shape_of
+from hypose.pipeline.doubts import as_now, looked_at, mask_change
+from hypose.pipeline.live.background_work import BackgroundWork, KeptMasks
+from hypose.pipeline.live.live_search import GAP_S, SLOWLY_HZ, Found, LivePersonOptions, LiveSearch, paced
+from hypose.tracking.costs import mean_overlap
+from hypose.tracking.doubt import as_mixture, evidence_of, judged
+from hypose.tracking.fitted_spread import beyond_usual, with_fitted_joints
+from hypose.tracking.frame_evidence import prepare
+from hypose.tracking.refinement import SETTLING, refine
+from hypose.tracking.several import BLIND, shape_of
+from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState, motion_of
+
+_FITTED_S = 3.6
+"""s of motion that a body is fitted to"""
+_SYNC_S = 8.0
+"""s of motion that the cameras' offsets are found from"""
+_GIVE_UP_S = 2.0
+"""s after which somebody who is lost is looked for as at the start"""
+_PACE, _OTHER = 0.1, 1.3
+"""share of a step by which the usual one follows; by how much it must differ from what the tracker expects"""
+_DUEL, _WON, _GIVE_UP, _SHARED = 25, 0.1, 0.15, 0.4
+"""Instants of a duel; sum over them of IoU that has to be won; that may be lost again, alone and in shared masks"""
+_CHALLENGE_S = 2.5
+"""s from the first duel in shared masks, in which starts are turned more often, to the next; then twice as long"""
+_EASE_S = 0.3
+"""time constant by which a step from one body to another is taken up"""
+
+
+@dataclass(frozen=True)
+class LivePose:
+    """One frame. person: from 1 on; frame: its number; time s; motion: of this frame alone, with pose, covariance,
+    probability of being wrong and what is doubtful; joints (J, 3) m, world: where a body takes over from another, they
+    go there smoothly; views (C,): which cameras were looked at."""
+
+    person: int
+    frame: int
+    time: float
+    motion: Motion
+    body: Body
+    joints: Array
+    views: NDArray[np.bool_]
+
+    @property
+    def lost(self) -> bool:
+        """The person is not where the pose is, for all that is known."""
+        return bool(self.motion.lost[0])
+
+
+@dataclass(frozen=True)
+class Stepped:
+    """A frame as it was tracked, before it is known what is doubtful about it. person, shift (J, 3) m: see `LivePose`;
+    frame: what of it is the person's, whole: with everybody in it."""
+
+    person: int
+    frame: Frame
+    whole: Frame
+    estimate: FrameEstimate
+    tracker: Tracker
+    doubt: LiveDoubt
+    shift: Array | None
+
+    def told(self) -> LivePose:
+        """The pose, with what is known to be doubtful by now."""
+        motion = self.doubt.told(self.tracker, self.estimate, self.frame)
+        joints = np.asarray(motion.joints[0], np.float64)
+        views = np.zeros(0, np.bool_) if self.frame.silhouettes is None else self.frame.silhouettes.usable
+        if self.shift is not None:
+            joints = joints + self.shift
+        now, body = self.frame, self.tracker.body
+        return LivePose(self.person, now.index, now.time, motion, body, joints, views)
+
+    def look(self) -> None:
+        """What is doubtful about it; to be called in the order of the frames."""
+        self.doubt.look(self.tracker, self.estimate, self.frame, self.whole)
+
+
+@dataclass(frozen=True)
+class _Duel:
+    """The body with its sides exchanged, tracked beside: frames and what the tracked body costs in them; won: the state
+    to go on from, and its time, None where it lost."""
+
+    frames: queue.SimpleQueue[tuple[Frame, float]]
+    won: Future[tuple[TrackerState, float] | None]
+
+
+class LivePerson:
+    """`step` with every frame. number: see `LivePose`; rig: of the masks; rate: Hz of the frames; beside: runs duels;
+    work: fits body and offsets, None: neither is done; sync: the cameras' offsets are still to be found; shared: there
+    may be others in the masks. body: their own, None: not known yet; offsets (C,) s: None: not known yet."""
+
+    def __init__(
+        self,
+        found: Found,
+        number: int,
+        rig: CameraRig,
+        rate: float,
+        options: LivePersonOptions,
+        beside: Executor,
+        work: BackgroundWork | None,
+        sync: bool = True,
+        shared: bool = False,
+    ) -> None:
+        self.number, self.rig, self.rate, self.options = number, rig, rate, options
+        self.body: Body | None = options.body
+        self.offsets: Array | None = None
+        self.tracker, self.state = options.tracker(found.body, rate), found.state
+        self._beside, self._work, self._sync_wanted = beside, work, sync
+        self._doubt = LiveDoubt()
+        self._time, self._step_s, self._usual_s = found.time, found.step_s, 1 / rate
+        self._lost_since: float | None = None
+        self._duel: _Duel | None = None
+        self._fit: Future[Body | None] | None = None
+        self._sync: Future[Array | None] | None = None
+        self._kept: list[KeptMasks] = []
+        self._shared = shared
+        self._challenge, self._between = (found.time if shared else np.inf), _CHALLENGE_S
+        self._shift: Array | None = None
+
+    @property
+    def sure(self) -> bool:
+        """Is it known where they are?"""
+        return not self.state.lost and self.state.blind <= BLIND
+
+    def expected(self, time: float) -> Array:
+        """The pose (D,) in which they are expected at a time, s."""
+        return self.tracker.predicted(self._state_at(time))
+
+    def _state_at(self, time: float) -> TrackerState:
+        passed = time - self._time
+        share = 0.0 if passed > GAP_S else passed / self._step_s
+        return paced(self.state, share, self.tracker.body.skeleton)
+
+    def step(self, frame: Frame, whole: Frame | None = None) -> Stepped | None:
+        """The frame tracked; None: they have been lost for too long. whole: see `Stepped`, where it is another one."""
+        self._take_up(frame)
+        if self._duel is not None and self._duel.won.done():
+            won, self._duel = self._duel.won.result(), None
+            if won is not None:
+                self.state, self._time = won
+        passed = frame.time - self._time
+        state = self._state_at(frame.time)
+        self._keep_pace(min(passed, GAP_S))
+        self.state, estimate = self.tracker.step(state, frame)
+        self._time, self._step_s = frame.time, max(passed, 1e-3)
+        self._fight(frame, estimate)
+        if estimate.lost:
+            self._lost_since = frame.time if self._lost_since is None else self._lost_since
+            if frame.time - self._lost_since > _GIVE_UP_S:
+                return None
+        else:
+            self._lost_since = None
+            self._measure(frame)
+        if self._shift is not None:
+            shift = self._shift * np.exp(-passed / _EASE_S)
+            self._shift = shift if np.abs(shift).max() > 1e-4 else None
+        return Stepped(self.number, frame, whole or frame, estimate, self.tracker, self._doubt, self._shift)
+
+    def _fight(self, frame: Frame, estimate: FrameEstimate) -> None:
+        """Where the body with its sides exchanged explains a frame better, it is tracked beside for a while."""
+        if self._duel is not None:
+            self._duel.frames.put((frame, estimate.cost))
+        elif not estimate.lost and (estimate.exchanged > 0 or frame.time >= self._challenge):
+            if frame.time >= self._challenge:
+                self._between *= 2
+                self._challenge = frame.time + self._between
+            frames: queue.SimpleQueue[tuple[Frame, float]] = queue.SimpleQueue()
+            body, pose = self.tracker.body, estimate.pose
+            self._duel = _Duel(frames, self._beside.submit(self._fought, body, pose, frame, frames))
+
+    def _fought(
+        self, body: Body, pose: Array, first: Frame, frames: queue.SimpleQueue[tuple[Frame, float]]
+    ) -> tuple[TrackerState, float] | None:
+        """In another thread; limits as for whole clips (`hypose.pipeline.mend_sides`), at half their rate."""
+        slow, give_up = self.options.tracker(body, SLOWLY_HZ), _SHARED if self._shared else _GIVE_UP
+        state, last = slow.start(slow.rival(pose, first)), first.time
+        won = best = 0.0
+        for _ in range(_DUEL):
+            try:
+                frame, cost = frames.get(timeout=GAP_S)
+                while frame.time - last < 0.9 / SLOWLY_HZ:
+                    frame, cost = frames.get(timeout=GAP_S)
+            except queue.Empty:
+                return None
+            state, estimate = slow.step(state, frame)
+            last = frame.time
+            won += float(np.nan_to_num(cost - estimate.cost))
+            best = max(best, won)
+            if won < best - give_up:
+                return None
+            if won > _WON:
+                return state, last
+        return None
+
+    def _keep_pace(self, passed: float) -> None:
+        """Where frames come more seldom than the tracker expects, more happens between two of them."""
+        self._usual_s += _PACE * (passed - self._usual_s)
+        rate = self.tracker.settings.frame_rate
+        if not 1 / _OTHER < self._usual_s * rate < _OTHER:
+            pace = float(np.clip(1 / self._usual_s, SLOWLY_HZ, self.rate))
+            self.tracker = self.options.tracker(self.tracker.body, pace)
+
+    def _measure(self, frame: Frame) -> None:
+        """Keep masks for the body and the cameras' offsets, and have them found when there are enough."""
+        if self._work is None:
+            return
+        if self._sync is not None and self._sync.done() and self.offsets is None:
+            found = self._sync.result()
+            self.offsets = np.zeros(len(self.rig)) if found is None else found
+        wants_body, wants_sync = self.body is None and self._fit is None, self._sync_wanted and self._sync is None
+        if not wants_body and not wants_sync:
+            self._kept = []
+            return
+        self._kept.append(KeptMasks.of(frame))
+        passed = frame.time - self._kept[0].time
+        rate = (len(self._kept) - 1) / max(passed, 1e-3)
+        if wants_body and passed > _FITTED_S:
+            step = max(1, round(rate / SLOWLY_HZ))
+            some = self._kept[-round(_FITTED_S * rate) :: step]
+            self._fit = self._work.body(some, self.rig, rate / step, self.options.height, self.options.track.seed)
+        if passed > _SYNC_S:
+            if wants_sync and not any(k.ignored is not None for k in self._kept):
+                self._sync = self._work.offsets(self._kept, self.rig, rate)
+            self._kept = []
+
+    def measure_again(self) -> None:
+        """The cameras' times have changed: the body was fitted to masks that did not belong together."""
+        if self.options.body is None:
+            self.body, self._fit, self._kept = None, None, []
+
+    def _take_up(self, frame: Frame) -> None:
+        """Go on with the fitted body where it explains the frame as well as the one before."""
+        if self._fit is None or not self._fit.done():
+            return
+        body, self._fit = self._fit.result(), None
+        if body is None or self.state.lost:
+            return  # fitted again from what comes
+        old, expected = self.tracker.body, self.expected(frame.time)
+        before = refine(old, expected[None], prepare(frame, old, expected), SETTLING)[0].pose
+        moved = on_body(before, old, body)
+        prepared = prepare(frame, body, moved)
+        after = refine(body, moved[None], prepared, SETTLING)[0].pose
+        if mean_overlap(body, after, prepared) < mean_overlap(old, before, prepare(frame, old, before)):
+            return
+        tracker = self.options.tracker(body, self.tracker.settings.frame_rate)
+        state = replace(tracker.start(after, self.state.memory), frames=1, usual_iou=self.state.usual_iou)
+        self._shift = old.joints(before) - body.joints(after)
+        self.body, self.tracker, self.state, self._doubt, self._duel = body, tracker, state, LiveDoubt(), None
+
+
+def on_body(pose: Array, before: Body, body: Body) -> Array:
+    """The pose (D,) of one body for another of the same joints: as turned, its joints' mean where it was."""
+    moved = pose.copy()
+    moved[:3] += (before.joints(pose) - body.joints(pose)).mean(0)
+    return moved
+
+
+WINDOW_S, EVERY_S, AUDIT_HZ = 1.5, 0.2, 10.0
+"""s that a frame is judged with, and between two looks at all of them; how many frames are audited. `hypose track` also
+knows what comes after; live nobody does."""
+
+
+class LiveDoubt:
+    """Of one body: `told` of every frame what is known by then, and then `look` at it, in order. So a pose need not
+    wait for what is found about it, which is told with the next."""
+
+    def __init__(self) -> None:
+        self._audited: deque[tuple[float, FrameEstimate]] = deque()
+        self._before: Frame | None = None
+        self._looked = -np.inf
+        self._beyond = 0.0
+        self._p: NDArray[np.float32] | None = None
+        self._doubtful: NDArray[np.bool_] | None = None
+
+    def told(self, tracker: Tracker, estimate: FrameEstimate, frame: Frame) -> Motion:
+        """The estimate as a motion of one frame. Of who has just been found nothing is known but where they are: that
+        is doubtful, as who is lost is."""
+        now = motion_of(tracker.body, np.array([frame.time]), [estimate])
+        count = now.joints.shape[:2]
+        p, doubtful = self._p, self._doubtful
+        if p is None or doubtful is None or estimate.lost:
+            p = np.maximum(np.zeros(count, np.float32) if p is None else p, np.float32(0.5))
+            doubtful = np.ones(count, np.bool_)
+        now = with_fitted_joints(now, "silhouettes" if frame.depth is None else "depth", self._beyond)
+        now = replace(now, p_wrong=p, doubtful_joints=doubtful)
+        return as_mixture(now) if frame.depth is None else now  # regions of depth hold what is elsewhere, too
+
+    def look(self, tracker: Tracker, estimate: FrameEstimate, frame: Frame, whole: Frame | None = None) -> None:
+        """Audit the frame, if it is time for that, and judge it by those of the last seconds. whole: with everybody in
+        it."""
+        known = self._audited
+        look = self._p is None or frame.time - self._looked > 0.95 * EVERY_S
+        if look or frame.time - known[-1][0] > 0.95 / AUDIT_HZ:
+            before = None if self._before is None else as_now(frame, self._before)
+            whole = whole or frame
+            change = mask_change(whole, self._before)
+            known.append((frame.time, looked_at(tracker, estimate, frame, before, change)))
+            self._before = whole
+            while known[0][0] < frame.time - WINDOW_S:
+                known.popleft()
+        if look:
+            self._looked = frame.time
+            window = motion_of(tracker.body, np.array([t for t, _ in known]), [e for _, e in known])
+            audits = np.stack([e.audit for _, e in known])
+            p, joints = judged(window, window.joints, audits, known="depth" if frame.depth is not None else None)
+            self._beyond = beyond_usual(audits, evidence_of(audits) if frame.depth is None else "depth")
+            self._p, self._doubtful = p[-1:], joints[-1:]
+
 
 FOLLOWING, LOST = "following", "lost"
 """What `LivePeople.phase` can be beside what a search is doing."""

@@ -9,13 +9,12 @@ from pathlib import Path
 from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError
 from hypose.evidence.silhouettes import SilhouetteSettings
-from hypose.io.calibrations.calibration_formats import read_any
-from hypose.io.calibrations.calibration_toml import find_calibration
-from hypose.io.recordings.depth_views import DepthSource
+from hypose.io.calibrations.calibration_formats import find_calibration, read_any
 from hypose.io.recordings.frames import build_backgrounds, working_rig
 from hypose.io.recordings.recording import Recording, load_recording
 from hypose.io.recordings.recording_views import View
-from hypose.io.sensors.depth_sources import FOLDER, is_depth
+from hypose.io.recordings.view_source import DepthSource
+from hypose.io.sensors.depth import FOLDER, is_depth
 from hypose.io.videos.camera_sources import is_device, without_password
 from hypose.pipeline.live.eyes import LiveView
 

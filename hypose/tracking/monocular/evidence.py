@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from hypose import compute
 from hypose.compute import GAUSSIAN, LECLERC, LORENTZIAN, EdgeArrays, FlowArrays, MarkArrays, MaskArrays, mono
 from hypose.errors import EvidenceError, InputError
-from hypose.evidence.flow import Flow
+from hypose.evidence.edges_flow import Flow
 from hypose.evidence.frame import Frame, Picture
 from hypose.tracking.monocular.points import MonoPoints
 from hypose.tracking.monocular.settings import CueSettings, EdgeSettings, FlowSettings

@@ -23,13 +23,12 @@ from hypose.geometry import Array, so3_exp, so3_log
 from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.monocular.evidence import checked
 from hypose.tracking.monocular.flips import mirrored
-from hypose.tracking.monocular.models import body_dofs
 from hypose.tracking.monocular.picture_search import PictureSearch
 from hypose.tracking.monocular.points import MonoPoints
 from hypose.tracking.monocular.points_fit import PointsOn, fit_proportions, points_on_body
 from hypose.tracking.monocular.problem import floor_arrays
 from hypose.tracking.monocular.proportions import VOLUMETRIC, proportions, search_factors, shaped, without_display
-from hypose.tracking.monocular.settings import MonoSettings
+from hypose.tracking.monocular.settings import MonoSettings, body_dofs
 from hypose.tracking.refinement import anatomical_prior
 from hypose.tracking.starts import known_pose
 

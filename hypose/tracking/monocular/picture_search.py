@@ -16,14 +16,13 @@ from hypose.body.motion import Modes
 from hypose.cameras.camera import Camera
 from hypose.compute import MonoProblem, MonoWorkspace, default_threads, mono, over_chunks
 from hypose.errors import InputError
-from hypose.evidence.flow import Flow, optical_flow
+from hypose.evidence.edges_flow import Flow, optical_flow
 from hypose.evidence.frame import Frame, Picture
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.frame_evidence import PreparedFrame
 from hypose.tracking.monocular.evidence import checked, grey
 from hypose.tracking.monocular.flips import mirrored
-from hypose.tracking.monocular.models import body_dofs
 from hypose.tracking.monocular.points import MonoPoints, keypoints_on
 from hypose.tracking.monocular.pool import (
     MIRRORED,
@@ -38,7 +37,7 @@ from hypose.tracking.monocular.pool import (
     uncertain_samples,
 )
 from hypose.tracking.monocular.problem import Fixed, field_of, fixed_parts, frame_problem, with_prediction
-from hypose.tracking.monocular.settings import MonoSettings
+from hypose.tracking.monocular.settings import MonoSettings, body_dofs
 from hypose.tracking.pose_covariance import PoseUncertainty, packed
 
 MARGIN = 40

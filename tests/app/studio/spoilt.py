@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from hypose.io.motions.results import load_motion, save_motion
-from hypose.pipeline.doubts import runs
 from hypose.pipeline.verdict import verdict_of
+from hypose.tracking.contacts import runs
 
 ARM = ("left_elbow", "left_wrist")
 ROWS = slice(14, 26)

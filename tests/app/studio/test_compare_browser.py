@@ -9,17 +9,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.io.motions.bodies import save_body
-from hypose.io.motions.results import save_motion
-from hypose.pipeline.gait_cycles import angle_cycles
-from hypose.pipeline.gait_events import gait_of
+from hypose.io.motions.results import save_body, save_motion
+from hypose.pipeline.gait import angle_cycles, gait_of
 from tests.app.studio.browser import WEB, go
 from tests.app.studio.conftest import serving
 from tests.pipeline.test_gait import walking
 
 APART = np.array([0.03, 0.0, 0.04])
-
-pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
@@ -40,6 +36,7 @@ def two(served, tmp_path_factory):
     return root, motion, body
 
 
+@pytest.mark.slow
 def test_results_are_compared_and_plotted(two, page, tmp_path):
     root, motion, body = two
     found = gait_of(motion, body)

@@ -8,7 +8,7 @@ import pytest
 from hypose.app.live import simulated_sensors
 from hypose.app.studio.catalog import Catalog
 from hypose.app.studio.job_kinds import plan
-from hypose.io.sensors.skeleton_formats import read_skeletons
+from hypose.io.sensors.skeleton_files import read_skeletons
 from hypose.synthetic.sensors import FRAME_RATE
 from tests.conftest import HANG_S
 
@@ -37,13 +37,9 @@ def test_simulated_sensors_begin_again_where_they_began():
 def test_simulated_sensors_are_fused_recorded_and_told_where_they_stand(own_studio):
     with own_studio.socket("/ws/fuse") as socket:
         assert until(socket, "hello")["running"] is False
-        start(socket, simulated=2, record=True, osc="127.0.0.1:9", vmc="127.0.0.1:9")
+        start(socket, simulated=2, record=True, osc="127.0.0.1:9")
         running = until(socket, "hello")["running"]
-        assert (
-            running["simulated"]
-            and running["record"] == "live/live"
-            and running["osc"] == running["vmc"] == "127.0.0.1:9"
-        )
+        assert running["simulated"] and running["record"] == "live/live" and running["osc"] == "127.0.0.1:9"
         while len([s for s in until(socket, "status")["sensors"] if s["place"]]) < 2:
             pass
         message = until(socket, "status")
@@ -71,8 +67,8 @@ def test_simulated_sensors_are_fused_recorded_and_told_where_they_stand(own_stud
         {"simulated": True},
         {"osc": "nowhere"},
         {"osc": 3},
-        {"vmc": "127.0.0.1:0"},
-        {"vmc": [], "record": True},
+        {"osc": "127.0.0.1:0"},
+        {"osc": [], "record": True},
         {"rate": 0},
         {"udp": 70000},
     ],

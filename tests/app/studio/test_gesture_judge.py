@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from hypose.app.studio.gesture_controls import Controls, change, read_command, read_start
-from hypose.app.studio.gesture_judge import KEPT, FalseAlarms, HeldBack
-from hypose.app.studio.gesture_pictures import depth_picture, map_picture
+from hypose.app.studio.gesture_judge import FalseAlarms, HeldBack
 from hypose.errors import InputError
 from hypose.gestures.depth_pictures import KINECT
 from hypose.gestures.localise import Found
@@ -30,17 +29,6 @@ def test_a_test_with_known_truth_is_judged_by_place_and_score():
     assert told["ap"] == pytest.approx((1 + 2 / 3) / 3)
     assert told["at"] == {"precision": pytest.approx(2 / 3, abs=1e-4), "recall": pytest.approx(2 / 3, abs=1e-4)}
     assert held.result(99.0)["at"] == {"precision": 1.0, "recall": 0.0}
-
-
-def test_kept_frames_are_few_and_go_with_their_segment():
-    held = HeldBack(KINECT)
-    for k in range(3 * KEPT):
-        held.keep(DEPTH, (320.0, 240.0) if k % 2 else None, k)
-    kept = [f for frames in held._frames.values() for f in frames]
-    assert len(kept) == 2 * KEPT
-    assert max(f.segment for f in kept) > 2 * KEPT  # late ones have their chance
-    held.drop(tuple(range(3 * KEPT)))
-    assert not any(held._frames.values())
 
 
 def test_false_alarms_count_events_not_frames_of_movement():
@@ -89,20 +77,3 @@ def test_what_a_page_changes_is_kept_within_bounds():
             change(controls, message, (640, 480))
     with pytest.raises(InputError, match="no command .format.; choose next, undo"):
         read_command({"command": "format"})
-
-
-def test_pictures_have_the_header_and_tell_near_from_far_and_holes():
-    import struct
-
-    import cv2
-
-    depth = DEPTH.copy()
-    depth[:, :200], depth[:, 440:] = 700, 0
-    data = depth_picture(depth, 7, 1.5)
-    assert struct.unpack_from("<BBHId", data) == (1, 0, 0, 7, 1.5)
-    image = cv2.imdecode(np.frombuffer(data[16:], np.uint8), cv2.IMREAD_COLOR).mean(axis=(0, 2))
-    assert image[100] > image[320] > image[550]
-    density = np.zeros((60, 80), np.float32)
-    density[30, 40] = 1.0
-    alpha = cv2.imdecode(np.frombuffer(map_picture(density, 8, 0.0, 2.0)[16:], np.uint8), cv2.IMREAD_UNCHANGED)[..., 3]
-    assert alpha.shape == (60, 80) and alpha[30, 40] == 127 and alpha[0, 0] == 0

@@ -152,7 +152,7 @@ def test_a_session_that_cannot_be_is_refused_in_a_sentence(root):
         assert list(root.rglob("*.npz")) == []
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_gesture_is_taught_in_ten_rounds(root, tmp_path):
     """AP of at least 0.75 on frames that the forest has never seen: another room, another view of the same person."""
     with serving(root) as client, client.socket("/ws/gesture") as socket:

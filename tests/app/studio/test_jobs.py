@@ -60,12 +60,6 @@ def test_a_track_takes_a_name_that_is_free_and_keeps_it(folder):
     assert settled("track", {"recording": item.id, "options": {"recipe": "hpf"}}, catalog)["options"]["name"] == "hpf"
 
 
-def test_a_demo_says_where_its_result_will_be(folder):
-    catalog = Catalog(folder)
-    made = plan("demo", {}, catalog)
-    assert made.result == catalog.id_of("result", folder / "demo" / "results" / "default")
-
-
 @pytest.mark.slow
 def test_what_an_input_error_ends_is_not_to_be_gone_on_with(own_studio, folder):
     """The same input is the same error again; what was stopped, or has a checkpoint, goes on."""

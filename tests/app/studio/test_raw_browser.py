@@ -16,7 +16,7 @@ from tests.app.studio.conftest import serving
 
 MOST_CLICKS = 15
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.long
 
 
 @pytest.fixture(scope="module")

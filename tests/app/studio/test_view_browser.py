@@ -12,12 +12,10 @@ from scipy.stats import chi2
 from benchmarks.studio.long_results import long_result
 from hypose.app.cli import main
 from hypose.app.jobs.truth import compare
-from hypose.app.reports import report_viewer
-from hypose.app.reports.report import from_result, report_html
+from hypose.app.reports.report import PLACE, drawn_of, report_html
 from hypose.app.reports.result_pictures import image_points
 from hypose.app.studio.view_result import load_view
-from hypose.io.motions.bodies import load_body
-from hypose.io.motions.results import load_motion, save_motion
+from hypose.io.motions.results import load_body, load_motion, save_motion
 from hypose.io.recordings.recording import load_recording
 from hypose.pipeline.verdict import verdict_of
 from hypose.synthetic.rigs import rig
@@ -26,8 +24,6 @@ from hypose.synthetic.write_recording import write_scene
 from tests.app.studio.browser import WEB, go
 from tests.app.studio.conftest import serving
 from tests.app.studio.spoilt import ARM, ROWS, spoil_arm
-
-pytestmark = pytest.mark.slow
 
 
 def flagged(source, target):
@@ -63,15 +59,23 @@ def expected(recording, results, row=5):
     return {"row": row, "vertices": vertices.ravel().tolist(), "cameras": cameras, **spread}
 
 
-def test_flags_comparison_and_ten_minutes(served, page, tmp_path):
+@pytest.mark.slow
+def test_flags_and_comparison(served, page, tmp_path):
     root = shutil.copytree(served, tmp_path / "root")
     default = root / "walk" / "results" / "default"
     flagged(default, default.with_name("flagged"))
     one_camera(default, default.with_name("monocular"))
-    long_result(default, root / "long", 15_000)
     (root / "expected.json").write_text(json.dumps(expected(load_recording(root / "walk"), default)))
     with serving(root) as client:
-        said = go(WEB / "tests" / "view_own.walk.mjs", client.address, root, tmp_path, 1500)
+        go(WEB / "tests" / "view_own.walk.mjs", client.address, root, tmp_path)
+
+
+@pytest.mark.long
+def test_ten_minutes(served, page, tmp_path):
+    root = tmp_path / "root"
+    long_result(served / "walk" / "results" / "default", root / "long", 15_000)
+    with serving(root) as client:
+        said = go(WEB / "tests" / "view_long.walk.mjs", client.address, root, tmp_path)
     measured = json.loads(said.strip().splitlines()[-1])
     sys.stdout.write(f"\nView: {measured}\n")
     assert all(np.isfinite(v) for v in measured.values())
@@ -100,6 +104,7 @@ def longer(tmp_path_factory):
     return root
 
 
+@pytest.mark.long
 def test_a_spoilt_arm_is_seen_and_put_right(longer, page, tmp_path):
     """Seen by `n`, corrected in six actions, and below 40 mm from the truth in the frames around afterwards."""
     root = shutil.copytree(longer, tmp_path / "root")
@@ -121,6 +126,7 @@ def test_a_spoilt_arm_is_seen_and_put_right(longer, page, tmp_path):
     assert off["spoilt"].mean() > 200 and off["now"].mean(0).max() < 40
 
 
+@pytest.mark.slow
 def test_much_said_of_a_result_covers_nothing(served, page, tmp_path, monkeypatch):
     """A long verdict and the button to the next doubt, in all sizes of the window."""
     root = shutil.copytree(served, tmp_path / "root")
@@ -133,10 +139,12 @@ def test_much_said_of_a_result_covers_nothing(served, page, tmp_path, monkeypatc
         go(WEB / "tests" / "layout.path.mjs", client.address, root, tmp_path)
 
 
+@pytest.mark.slow
 def test_a_report_is_the_same_view_from_disk(served, page, tmp_path):
     recording = load_recording(served / "walk")
-    text = report_html(from_result(load_view(served / "walk" / "results" / "default"), recording))
-    assert report_viewer.PLACE in text
+    result = load_view(served / "walk" / "results" / "default")
+    text = report_html(result, drawn_of(result, recording))
+    assert PLACE in text
     file = tmp_path / "report with spaces.html"
     file.write_text(text, encoding="utf-8")
     go(WEB / "tests" / "report.walk.mjs", file.as_uri(), tmp_path, tmp_path)

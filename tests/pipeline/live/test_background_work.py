@@ -68,12 +68,6 @@ def test_a_body_is_fitted_to_what_was_kept():
     assert body is not None and body.stature == pytest.approx(truth.stature, rel=0.03)
 
 
-def test_masks_of_nobody_are_no_body():
-    kept, cameras, rate = kept_of((0,), seconds=0.4)
-    empty = [replace(k, bits=np.zeros_like(k.bits), usable=np.zeros_like(k.usable)) for k in kept]
-    assert fitted_body(empty, cameras, rate, None, 0) is None
-
-
 @pytest.mark.skipif(sys.platform == "win32", reason="NOT tested: kill -9; run it on Linux")
 def test_a_process_that_is_killed_costs_what_it_was_doing_and_no_more():
     work = BackgroundWork()
@@ -105,16 +99,6 @@ def test_the_process_is_there_while_there_is_something_to_do():
         assert work._submit(os.getpid).result() != number
     finally:
         work.close()
-
-
-def test_what_is_closed_while_the_process_is_sent_something_ends():
-    work = BackgroundWork()
-    large, next_one = work._submit(len, bytes(30_000_000)), work._submit(os.getpid)
-    while work._process is None:
-        time.sleep(0.01)
-    work.close()  # it is importing, and has read nothing
-    assert large.result(timeout=HANG_S) is None and next_one.result(timeout=HANG_S) is None
-    work._thread.shutdown(wait=True)
 
 
 def test_what_fails_there_fails_here():

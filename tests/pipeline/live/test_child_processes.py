@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from hypose.pipeline.live.child_processes import deaf_to_ctrl_c
+from hypose.pipeline.live.processes import deaf_to_ctrl_c
 from tests.conftest import HANG_S
 
 SLEEPS = "import time; print('here', flush=True); time.sleep(60)"

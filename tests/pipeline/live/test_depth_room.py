@@ -12,15 +12,13 @@ from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import SilhouetteSettings
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import load_recording
-from hypose.io.sensors.depth import write_depth_png
-from hypose.io.sensors.depth_sources import is_depth, open_depth_camera
+from hypose.io.sensors.depth import is_depth, open_depth_camera, write_depth_png
 from hypose.io.videos.camera_sources import StreamEnded
 from hypose.pipeline.live.background_work import KeptMasks
-from hypose.pipeline.live.depth_room import DepthRoom, depth_of
 from hypose.pipeline.live.engine import Seen
-from hypose.pipeline.live.eyes import EyesOptions, LiveView, Question, least_cameras
-from hypose.pipeline.live.pairing import Delivered, newest_instant
+from hypose.pipeline.live.eyes import EyesOptions, LiveView, Question
 from hypose.pipeline.live.recorder import LiveRecorder
+from hypose.pipeline.live.rooms import DepthRoom, depth_of
 from hypose.tracking.starts import known_pose
 from tests.depth_pictures import WALL_M, frame_of, sensors
 from tests.live_scenes import in_step
@@ -44,14 +42,6 @@ def test_the_person_stands_before_the_room_that_was_learnt(frame):
     assert outline is not None and (mask != person).sum() < 0.05 * person.sum()
     assert np.abs(room.seen / 1000 - frame.depth.maps[0]).max() < 0.001
     assert room.mask(np.full(camera.size[::-1], WALL_M, np.float32))[1] is None
-
-
-def test_who_walks_through_while_the_room_is_learnt_is_told(frame):
-    camera = frame.depth.rig[0]
-    room = DepthRoom(camera, camera, (0.0, 0.0))
-    rng = np.random.default_rng(0)
-    room.learn([(WALL_M - rng.uniform(0, 1, camera.size[::-1])).astype(np.float32) for _ in range(6)])
-    assert room.moved
 
 
 def test_depth_travels_beside_the_masks_and_is_kept_of_the_person(frame):
@@ -84,16 +74,6 @@ def test_addresses_of_depth_cameras(tmp_path):
     assert [is_depth(a) for a in ("realsense", "realsense:123", "depth:x", "0", "clip.mp4")] == [True] * 3 + [False] * 2
     with pytest.raises(InputError, match="There is no folder"):
         open_depth_camera(f"depth:{tmp_path / 'none'}", 30.0)
-
-
-def test_one_depth_camera_alone_makes_instants():
-    views = [LiveView("front", "depth:x", depth=True)]
-    assert least_cameras(views) == 1 and least_cameras([LiveView("a", "0"), LiveView("b", "1")]) == 2
-    times = np.arange(5) / 30
-    alone = [Delivered(times, times + 0.001, 1 / 30)]
-    assert newest_instant(alone, -np.inf, 0.14)[0] is None
-    instant = newest_instant(alone, -np.inf, 0.14, least_cameras(views))[0]
-    assert instant is not None and instant.shots == (4,)
 
 
 def test_what_is_recorded_keeps_the_empty_room(tmp_path, monkeypatch):

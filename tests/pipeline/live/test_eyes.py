@@ -92,22 +92,6 @@ def test_pictures_of_another_shape_are_not_used_and_named(begun, cameras, tmp_pa
     assert None not in sight.views and not sight.words
 
 
-def test_the_same_shape_in_another_size_is_used(begun, cameras, tmp_path, rng):
-    sizes = {"cam1": (640, 480), "cam2": (321, 241)}
-    views = [LiveView(c.name, folder(tmp_path / c.name, sizes[c.name], rng), background=room(c)) for c in cameras]
-    eyes = begun(cameras, views, EyesOptions(RATE))
-    sight = looked(eyes, lambda s: np.isfinite(s.time))
-    assert None not in sight.views and not sight.words
-
-
-def test_an_empty_room_is_not_learnt_from_a_camera_that_was_turned(begun, cameras, tmp_path, rng):
-    sizes = {"cam1": (160, 120), "cam2": (120, 160)}
-    views = [LiveView(c.name, folder(tmp_path / c.name, sizes[c.name], rng)) for c in cameras]
-    eyes = begun(cameras, views, EyesOptions(RATE, countdown=0.0))
-    sight = looked(eyes, lambda s: s.words and "turn it back" in s.words[0])
-    assert sight.room and "Learning the empty room." in sight.words
-
-
 def test_eyes_that_nobody_listens_to_any_more_end_by_themselves(cameras, tmp_path, rng, monkeypatch):
     """What they are about to say is more than waits in a pipe."""
     monkeypatch.setattr("hypose.pipeline.live.eyes._CLOSING_S", HANG_S)

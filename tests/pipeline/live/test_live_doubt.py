@@ -1,13 +1,11 @@
 """What is doubtful about the newest frame is told with what is known by then."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from hypose.body.ready_bodies import human
 from hypose.pipeline.first_frame import Subject
-from hypose.pipeline.live.live_doubt import LiveDoubt
+from hypose.pipeline.live.live_people import LiveDoubt
 from hypose.pipeline.run import TrackOptions, tracker_of
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.starts import KNOWN_POSES, start_in_pose
@@ -43,23 +41,8 @@ def test_the_first_frame_is_doubtful_and_then_it_is_known(followed):
         assert ((motion.p_wrong >= 0) & (motion.p_wrong <= 1)).all()
 
 
-def test_who_is_lost_is_doubtful_whatever_was_known(followed):
-    tracker, known = followed
-    doubt = LiveDoubt()
-    for frame, estimate in known:
-        doubt.told(tracker, estimate, frame)
-        doubt.look(tracker, estimate, frame)
-    frame, estimate = known[-1]
-    before = doubt.told(tracker, estimate, frame)
-    lost = doubt.told(tracker, replace(estimate, lost=True), frame)
-    assert lost.lost[0] and lost.doubtful_joints.all()
-    assert (lost.p_wrong >= np.maximum(before.p_wrong, 0.5) - 1e-6).all()
-    after = doubt.told(tracker, estimate, frame)  # found again: what was known
-    assert (after.p_wrong == before.p_wrong).all()
-
-
 def test_frames_are_looked_at_a_few_times_a_second(followed, monkeypatch):
-    from hypose.pipeline.live import live_doubt
+    from hypose.pipeline.live import live_people as live_doubt
 
     tracker, known = followed
     counted = {"audited": 0, "judged": 0}

@@ -11,7 +11,6 @@ from hypose.body.ready_bodies import human
 from hypose.inference.hypotheses import BEFORE
 from hypose.pipeline.first_frame import Subject
 from hypose.pipeline.live.live_people import FOLLOWING, LOST
-from hypose.pipeline.live.live_person import on_body
 from hypose.pipeline.live.live_search import LOOKING, NOBODY, paced
 from hypose.pipeline.run import TrackOptions, tracker_of
 from hypose.tracking.exchanged_sides import turned_around
@@ -42,26 +41,10 @@ def test_the_same_frames_give_the_same_poses(frames, beside):
     assert first and all((a.joints == b.joints).all() for a, b in zip(first, second, strict=True))
 
 
-def test_a_step_never_waits_for_the_search(frames, beside):
-    people = people_for(frames, beside)
-    assert not any(people.step(f) for f in frames[:40])
-    assert people.phase == LOOKING and len(beside.waiting) == 1
-    beside.work()
-    (stepped,) = people.step(frames[40])  # what came meanwhile was followed too
-    assert people.phase == FOLLOWING and not stepped.estimate.lost
-
-
 def test_an_empty_room_is_nobody(frames, beside):
     people = people_for(frames, beside)
     assert follow(people, [nobody(f) for f in frames[:30]], beside) == []
     assert people.phase == NOBODY and not beside.waiting
-
-
-def test_who_comes_and_goes_again_is_not_searched_in_frames_that_have_nothing_to_do_with_each_other(frames, beside):
-    people = people_for(frames, beside)
-    for second in range(8):  # twice a second somebody seems to be there
-        people.step(at(frames[second], 5.0 * second))
-    assert not beside.waiting
 
 
 @pytest.mark.slow
@@ -206,12 +189,3 @@ def test_a_state_is_paced_to_the_time_that_has_passed(tracker, share, steps):
         assert before[:, 0] == pytest.approx(0.02 * steps)
     predicted = tracker.predicted(made)[0] - state.pose[0]
     assert predicted == pytest.approx(steps * (tracker.predicted(state)[0] - state.pose[0]), abs=1e-6)
-
-
-def test_a_pose_goes_from_one_body_to_another_where_it_was(tracker):
-    other = scaled_to_height(tracker.body, 1.1 * tracker.body.stature)
-    pose = np.zeros(tracker.body.skeleton.dof)
-    pose[:6] = [0.4, -0.2, 1.0, 0.1, 0.0, 0.7]
-    moved = on_body(pose, tracker.body, other)
-    assert (moved[3:] == pose[3:]).all()
-    assert other.joints(moved).mean(0) == pytest.approx(tracker.body.joints(pose).mean(0), abs=1e-9)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hypose.pipeline.live.pairing import GONE_S, SLACK_S, Delivered, is_there, newest_instant
+from hypose.pipeline.live.feeds import GONE_S, SLACK_S, Delivered, is_there, newest_instant
 
 PERIOD = 1 / 30
 DELAY = 0.004  # s from a picture to its arrival
@@ -98,15 +98,6 @@ def test_slow_cameras_are_not_taken_for_gone():
     assert is_there(slow, 102.5) and not is_there(slow, 104.5)
 
 
-def test_times_with_an_offset_taken_off_belong_together():
-    def at(now):
-        late = camera(now, phase=0.1)  # it shows what was 0.1 s before
-        return [camera(now), camera(now), Delivered(late.times - 0.1, late.arrivals, late.period)]
-
-    for now, instant, times in run(at)[5:]:
-        assert set(times) == {instant.time} and now - instant.time == pytest.approx(0.104, abs=0.0021)
-
-
 @pytest.mark.parametrize("late", [0.05, 0.12, 0.2, 0.4])
 @pytest.mark.parametrize("phases", [(0.0,), (0.0, 0.011, 0.023), (0.0, 0.0003, 0.0007)])
 def test_a_camera_that_is_late_makes_all_of_it_late_and_ends_nothing(late, phases):
@@ -121,43 +112,9 @@ def test_a_camera_that_is_late_makes_all_of_it_late_and_ends_nothing(late, phase
     assert max(now - instant.time for now, instant, _ in found) < late + PERIOD + SLACK_S
 
 
-def test_what_a_late_camera_loses_costs_that_and_no_more():
-    def at(now):
-        phone = camera(now, phase=0.017, delay=0.3, without=range(0, 400, 7))
-        return [camera(now, phase=p, count=21) for p in (0.0, 0.011, 0.023)] + [phone]
-
-    found = run(at, 2.0, step=0.004)
-    assert len(found) > 55 and np.diff([now for now, _, _ in found]).max() < 2.5 * PERIOD
-    lost = [times for _, _, times in found if None in times]
-    assert 5 < len(lost) < 12 and all(None not in times[:3] for times in lost)
-
-
-def test_one_camera_alone_is_no_instant():
-    now = 101.0
-    assert newest_instant([camera(now)], -np.inf, now)[0] is None
-    nothing = Delivered(np.zeros(0), np.zeros(0), float("nan"))
-    instant, wait = newest_instant([camera(now), nothing], -np.inf, now)
-    assert instant is None and now < wait < now + 0.2
-    assert newest_instant([nothing, nothing], -np.inf, now)[0] is None
-
-
-def test_one_camera_and_another_that_has_just_begun():
-    first = Delivered(np.array([100.97]), np.array([100.98]), float("nan"))
-    instant, _ = newest_instant([camera(101.0), first], -np.inf, 101.0)
-    assert instant is not None and None not in instant.shots
-
-
 def test_who_is_slow_gets_the_newest_and_skips_what_was_between():
     cameras = [camera(101.0), camera(101.0)]
     instant, _ = newest_instant(cameras, 100.3, 101.0)
     assert instant is not None and instant.time == cameras[0].times[-1]
     again, wait = newest_instant(cameras, instant.time, 101.0)
     assert again is None and 101.0 < wait <= 101.0 + PERIOD + 1e-9
-
-
-def test_it_is_told_until_when_a_missing_picture_is_worth_waiting_for():
-    now = 100 + 30 * PERIOD + DELAY + 0.0005
-    cameras = [camera(now), camera(now), camera(now, without=(30,))]
-    instant, wait = newest_instant(cameras, 100 + 29 * PERIOD, now)
-    assert instant is None
-    assert wait == pytest.approx(cameras[2].arrivals[-1] + PERIOD + SLACK_S)

@@ -17,7 +17,7 @@ from hypose.pipeline.live import recorder as recorder_module
 from hypose.pipeline.live.eyes import LiveView
 from hypose.pipeline.live.recorder import LiveRecorder
 from tests.conftest import HANG_S
-from tests.live_scenes import at, follow, nobody, people_for, seen
+from tests.live_scenes import follow, people_for, seen
 
 
 @pytest.fixture(scope="module")
@@ -99,25 +99,6 @@ def test_a_damaged_picture_is_not_recorded(tmp_path, walk, frames):
         assert [round(float(p.mean())) for p in reader] == [90] * 4
 
 
-def test_what_was_known_of_a_view_goes_with_it(tmp_path, walk, frames):
-    made = recorder(tmp_path / "live", walk, shift=(3.0, -2.0), stretched=True)
-    for frame in frames[:3]:
-        made.seen(seen(frame, None))
-    assert made.close()
-    assert all(v.image_shift == (3.0, -2.0) and v.accept_scaled for v in load_recording(tmp_path / "live").views)
-
-
-def test_the_rate_is_that_at_which_somebody_was_followed(tmp_path, walk, frames, poses):
-    """Before that instants are looked at more seldom, for a minute the cameras were unplugged, and some are skipped."""
-    made = recorder(tmp_path / "live", walk)
-    known = np.delete(np.arange(30), np.r_[3:13, 20:24]) / 25
-    times = [*np.arange(30) / 10, *(3 + known), *(70 + known)]
-    for k, time in enumerate(times):
-        made.seen(seen(at(frames[0], time), poses[-1] if k >= 30 else None))
-    assert made.close()
-    assert load_recording(tmp_path / "live").frame_rate == pytest.approx(25.0 * 15 / 29)
-
-
 def test_a_folder_that_holds_something_is_refused(tmp_path, walk):
     (tmp_path / "old").mkdir()
     (tmp_path / "old" / "notes.txt").write_text("mine")
@@ -128,18 +109,6 @@ def test_a_folder_that_holds_something_is_refused(tmp_path, walk):
     with pytest.raises(InputError, match="live cannot be written .not a directory.; choose another folder"):
         recorder(tmp_path / "old" / "notes.txt" / "live", walk)
     assert [p.name for p in (tmp_path / "old").iterdir()] == ["notes.txt"]
-
-
-def test_where_nothing_was_recorded_nothing_stays_that_was_not_there(tmp_path, walk, frames):
-    assert not recorder(tmp_path / "live", walk).close()  # the cameras could not be opened
-    assert not (tmp_path / "live").exists()
-    (tmp_path / "live").mkdir()
-    assert not recorder(tmp_path / "live", walk).close()
-    assert (tmp_path / "live").exists()
-    again = recorder(tmp_path / "live", walk)
-    for frame in frames[:3]:
-        again.seen(seen(nobody(frame), None))
-    assert again.close() and load_recording(tmp_path / "live").n_frames == 3
 
 
 def test_a_disk_that_is_full_is_told_at_the_end(tmp_path, walk, frames, monkeypatch):

@@ -19,22 +19,19 @@ export function liveForm(send: (message: Record<string, unknown>) => void): {
   const source = select("Who is seen", SOURCES, simulated, (n) => (simulated = n));
   const port = (name: string, value: number): HTMLInputElement => h("input", { type: "number", min: 0, max: 65535, value, "aria-label": `${name} port` });
   const [udp, ws] = [port("UDP", 9870), port("WebSocket", 9871)];
-  const target = (kind: string, port: number, what: string): HTMLInputElement =>
-    h("input", {
-      type: "text", maxlength: 100, placeholder: `127.0.0.1:${port}`, value: memory.get(`live.${kind}`) ?? "", "aria-label": `${kind.toUpperCase()} target`, spellcheck: "false",
-      title: `HOST:PORT of a program that ${what}; empty: none`,
-    });
-  const [osc, vmc] = [target("osc", 9000, "takes Open Sound Control"), target("vmc", 39539, "moves an avatar (VMC protocol)")];
+  const osc = h("input", {
+    type: "text", maxlength: 100, placeholder: "127.0.0.1:9000", value: memory.get("live.osc") ?? "", "aria-label": "OSC target", spellcheck: "false",
+    title: "HOST:PORT of a program that takes Open Sound Control; empty: none",
+  });
   const record = h("input", { type: "checkbox" });
   const start = button("Start", () => {
-    const [toOsc, toVmc] = [osc.value.trim(), vmc.value.trim()];
+    const toOsc = osc.value.trim();
     memory.set("live.osc", toOsc);
-    memory.set("live.vmc", toVmc);
     start.disabled = true;
-    send({ t: "start", udp: Number(udp.value), ws: Number(ws.value), rate: 30, simulated, osc: toOsc || null, vmc: toVmc || null, record: record.checked });
+    send({ t: "start", udp: Number(udp.value), ws: Number(ws.value), rate: 30, simulated, osc: toOsc || null, record: record.checked });
   }, { kind: "primary", icon: "play" });
   const stop = button("Stop", () => send({ t: "stop" }), { icon: "pause" });
-  const inputs = [source, udp, ws, osc, vmc, record];
+  const inputs = [source, udp, ws, osc, record];
   const row = (name: string, ...more: HTMLElement[]): HTMLElement => h("div", { class: "live-row" }, h("span", { class: "field-name" }, name), ...more);
   return {
     element: h(
@@ -43,7 +40,6 @@ export function liveForm(send: (message: Record<string, unknown>) => void): {
       row("Seen by", source),
       h("div", { class: "live-row" }, h("label", {}, "UDP", udp), h("label", {}, "WebSocket", ws)),
       row("OSC to", osc),
-      row("Avatar at", vmc),
       row("Record", h("label", {}, record, "all that the sensors send")),
       h("div", { class: "row" }, start, stop),
     ),
@@ -55,7 +51,6 @@ export function liveForm(send: (message: Record<string, unknown>) => void): {
       if (!running) return;
       [udp.valueAsNumber, ws.valueAsNumber] = [running.udp, running.ws];
       osc.value = running.osc ?? "";
-      vmc.value = running.vmc ?? "";
       record.checked = running.record !== null;
     },
     answered: () => (start.disabled = false),

@@ -44,7 +44,6 @@ export interface Running {
   ws: number;
   simulated: boolean;
   osc: string | null;
-  vmc: string | null;
   record: string | null;
 }
 export type LiveMessage =

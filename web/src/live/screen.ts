@@ -102,9 +102,9 @@ export const live: OpenScreen = (root, rest) => {
   };
 };
 
-function runningText({ udp, ws, simulated, osc, vmc, record }: Running): string {
+function runningText({ udp, ws, simulated, osc, record }: Running): string {
   const from = simulated ? "Simulated sensors send; others are awaited" : "Skeletons are awaited";
-  const more = [osc ? `What is fused goes to ${osc} by OSC.` : "", vmc ? `The avatar at ${vmc} moves along.` : "", record ? `Everything is recorded in ${record}.` : ""];
+  const more = [osc ? `What is fused goes to ${osc} by OSC.` : "", record ? `Everything is recorded in ${record}.` : ""];
   return [`${from} at UDP 127.0.0.1:${udp} and ws://127.0.0.1:${ws}/in.`, ...more].filter(Boolean).join(" ");
 }
 

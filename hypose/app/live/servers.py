@@ -1,0 +1,220 @@
+"""What the servers have in common: secrets are compared safely, strangers fill no log, listeners that are slow hold up
+nobody."""
+
+from __future__ import annotations
+
+import asyncio
+import hmac
+import logging
+import os
+import re
+import threading
+from collections.abc import Callable, Coroutine
+from contextlib import suppress
+from typing import Any, TypeVar
+from urllib.parse import parse_qs
+
+from websockets.asyncio.server import Server, ServerConnection, serve
+from websockets.exceptions import ConnectionClosed
+
+from hypose.errors import InputError
+
+_LOGGERS = ("asyncio", "uvicorn.error", "websockets.server")
+FOREIGN = (
+    "Invalid ",
+    "Unsupported upgrade",
+    "opening handshake failed",
+    "socket.accept()",
+    "socket.send() raised",
+    "unexpected internal",
+)
+"""How complaints begin that are about what somebody has sent, not about this program. websockets says the last one when
+frames come with a request that it refuses."""
+
+
+def same_secret(shown: str, secret: str) -> bool:
+    """Whether a text from outside, which may hold anything, is the secret; in a time that tells nothing."""
+    return hmac.compare_digest(shown.encode("utf-8", "surrogatepass"), secret.encode("utf-8", "surrogatepass"))
+
+
+def shows_secret(query: str, authorization: str, secret: str) -> bool:
+    """Whether a request's query (?token=) or Authorization header (Bearer) shows the secret."""
+    shown = parse_qs(query).get("token", [""])[0]
+    return any(same_secret(t, secret) for t in (shown, authorization.removeprefix("Bearer ")))
+
+
+def _own(record: logging.LogRecord) -> bool:
+    return not record.getMessage().startswith(FOREIGN)
+
+
+def quiet_logs() -> None:
+    """From now on the libraries that the servers use say nothing about what strangers send."""
+    for name in _LOGGERS:
+        logging.getLogger(name).addFilter(_own)  # once: a filter that is there already is not added
+
+
+Post = str | bytes
+Queue = asyncio.Queue[Post | None]
+ORIGINS = [None, re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d{1,5})?")]
+"""Programs, and pages of this computer: a page of somebody else must not talk to a port behind the user's back."""
+
+
+def put_newest(queue: asyncio.Queue, what: object) -> bool:
+    """Put something into a queue, where it is full instead of the oldest; whether it was."""
+    full = queue.full()
+    if full:
+        queue.get_nowait()
+    queue.put_nowait(what)
+    return full
+
+
+class Outbox:
+    """Queues of listeners; a listener that is too slow loses the oldest of what waits. Used in one event loop. dropped:
+    what was lost so."""
+
+    def __init__(self) -> None:
+        self.dropped = 0
+        self._queues = dict[asyncio.Queue, str]()
+
+    def __len__(self) -> int:
+        """How many listen."""
+        return len(self._queues)
+
+    def wanted(self, path: str) -> bool:
+        """Whether anybody listens there."""
+        return path in self._queues.values()
+
+    def join(self, queue: asyncio.Queue, path: str = "") -> None:
+        """From now on the queue gets what is posted."""
+        self._queues[queue] = path
+
+    def leave(self, queue: asyncio.Queue) -> None:
+        """No more of it."""
+        self._queues.pop(queue, None)
+
+    def post(self, what: Post | None, path: str | None = None) -> None:
+        """To all, or to those of a path; None: there is nothing more."""
+        for queue, own in self._queues.items():
+            if path is None or own == path:
+                self.dropped += put_newest(queue, what)
+
+    async def serve(self, connection: ServerConnection, queue: Queue, path: str = "") -> None:
+        """Send what waits in the queue and what is posted, until there is nothing more or the listener is gone."""
+        self.join(queue, path)
+        reading = asyncio.ensure_future(_until_gone(connection, queue))
+        try:
+            with suppress(ConnectionClosed):
+                while (what := await queue.get()) is not None:
+                    await connection.send(what)
+        finally:
+            self.leave(queue)
+            reading.cancel()
+
+
+async def _until_gone(connection: ServerConnection, queue: Queue) -> None:
+    """Listeners have nothing to say; reading notices when they leave, also while there is nothing to send."""
+    with suppress(ConnectionClosed):
+        async for _ in connection:
+            pass
+    put_newest(queue, None)
+
+
+T = TypeVar("T")
+MOST = 16
+
+
+class SocketListeners:
+    """Listens on ws://127.0.0.1:PORT (0: any free one), to programs and to pages of this computer. What is posted goes
+    to the listeners of a path; hello: what those of a path get first, None: there is no such path. A listener that is
+    too slow loses the oldest of `waiting` posts. An InputError when the port cannot be used."""
+
+    def __init__(
+        self, port: int, waiting: int, hello: Callable[[str], Post | None] = lambda path: "", most: int = MOST
+    ) -> None:
+        if not 0 <= port < 65536:
+            raise InputError(f"--ws {port} is no port; give 0 (any free one) to 65535.")
+        self._outbox = Outbox()
+        self._waiting, self._hello, self._most = waiting, hello, most
+        self._loop = asyncio.new_event_loop()
+        quiet_logs()
+        self._thread = threading.Thread(target=self._loop.run_forever, daemon=True)
+        self._thread.start()
+        try:
+            self._server = self._in_loop(self._open(port))
+        except OSError as error:
+            self._end_loop()
+            raise InputError(
+                f"Port {port} cannot be used ({refusal(error)}); choose another with --ws, 0 takes any free one."
+            ) from None
+
+    @property
+    def dropped(self) -> int:
+        """What slow listeners have lost."""
+        return self._outbox.dropped
+
+    @property
+    def port(self) -> int:
+        """The port that is listened on."""
+        return int(next(iter(self._server.sockets)).getsockname()[1])
+
+    def wanted(self, path: str) -> bool:
+        """Whether anybody listens there."""
+        return self._outbox.wanted(path)
+
+    def post(self, what: Post, path: str | None = None) -> None:
+        """To all, or to those of a path."""
+        self._loop.call_soon_threadsafe(self._outbox.post, what, path)
+
+    def close(self) -> None:
+        """Stop listening, after what was posted."""
+        self._loop.call_soon_threadsafe(self._outbox.post, None)
+        self._in_loop(self._close())
+        self._end_loop()
+
+    def _in_loop(self, work: Coroutine[Any, Any, T]) -> T:
+        return asyncio.run_coroutine_threadsafe(work, self._loop).result()
+
+    def _end_loop(self) -> None:
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join()
+        self._loop.close()
+
+    # ---- in the loop ----
+
+    async def _open(self, port: int) -> Server:
+        return await serve(
+            self._listen,
+            "127.0.0.1",
+            port,
+            origins=ORIGINS,
+            compression=None,
+            max_size=1 << 16,
+            open_timeout=5,
+            close_timeout=1,
+        )
+
+    async def _close(self) -> None:
+        for _ in range(100):  # listeners take what waits for them, if they take anything
+            if not self._outbox:
+                break
+            await asyncio.sleep(0.02)
+        self._server.close()
+        await self._server.wait_closed()
+
+    async def _listen(self, connection: ServerConnection) -> None:
+        path = connection.request.path.partition("?")[0] if connection.request is not None else "/"
+        hello = self._hello(path)
+        if len(self._outbox) >= self._most or hello is None:
+            full = hello is not None
+            await connection.close(1013 if full else 1008, "too many listeners" if full else "there is no such path")
+            return
+        queue: Queue = asyncio.Queue(self._waiting)
+        if hello:
+            queue.put_nowait(hello)
+        await self._outbox.serve(connection, queue, path)
+
+
+def refusal(error: OSError | OverflowError) -> str:
+    """Why a port cannot be listened on, in the system's words alone."""
+    number = getattr(error, "errno", None)
+    return (str(error) if number is None else os.strerror(number)).lower()

@@ -1,0 +1,308 @@
+"""Charts of a result as SVG text: lines, bands and dots on axes, in the colours of the page around them."""
+
+from __future__ import annotations
+
+import html
+import math
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from hypose.app.jobs.truth import Truth
+from hypose.body.joint_angles import joint_angles
+from hypose.body.motion import Motion
+from hypose.cameras.camera import Camera, CameraRig
+from hypose.errors import visible
+from hypose.geometry import Array
+from hypose.pipeline.gait import PERCENT, AngleCycle
+
+LEFT, RIGHT, INK, GREEN, VIOLET = "#d9731a", "#2679c0", "currentColor", "#2a9d6f", "#8e4ec6"
+LOST, EXTRAPOLATED = "#d62f2f", "#e0a800"
+_LETTER, _LINE = 6.2, 15.0  # px of a letter, about, and of a line of text
+_MAX_POINTS = 3000
+
+
+class Axes:
+    """One panel of a chart, to which lines, bands and dots are added in the units of its axes.
+
+    title, x, y: texts
+    low, high: ends of the y axis (None: by what is drawn)
+    span: ends of the x axis (None: by what is drawn)
+    least: length of the y axis
+    names: of the rows 0, 1, ... from the top, in place of numbers at the y axis
+    equal: a unit is as long upwards as across
+    """
+
+    def __init__(
+        self,
+        title: str = "",
+        x: str = "",
+        y: str = "",
+        *,
+        low: float | None = None,
+        high: float | None = None,
+        span: tuple[float, float] | None = None,
+        least: float = 1e-9,
+        names: Sequence[str] = (),
+        equal: bool = False,
+    ) -> None:
+        self.title, self.x, self.y, self.names = title, x, y, names
+        self._low, self._high, self._span, self._least, self._equal = low, high, span, least, equal
+        self._marks: list[tuple[str, Array, str]] = []  # kind, points (N, 2), SVG attributes
+        self._legend: dict[str, str] = {}  # colour by label
+
+    def line(self, x: Array, y: Array, colour: str, label: str = "", width: float = 1.4, dashes: str = "") -> None:
+        """Draw a line through points (N,), interrupted where one is NaN."""
+        look = f'fill="none" stroke="{colour}" stroke-width="{width}"'
+        self._add("line", x, y, look + (f' stroke-dasharray="{dashes}"' if dashes else ""), label, colour)
+
+    def band(self, x: Array, low: Array, high: Array, colour: str) -> None:
+        """Tint what lies between two lines (N,), which are joined over points that are NaN."""
+        known = np.isfinite(low) & np.isfinite(high)
+        across, edges = (np.concatenate([v[known], w[known][::-1]]) for v, w in ((x, x), (low, high)))
+        self._add("line", across, edges, f'fill="{colour}" fill-opacity="0.16"')
+
+    def dots(self, x: Array, y: Array, colour: str, opacity: float = 1.0) -> None:
+        """Draw points (N,)."""
+        self._add("dot", x, y, f'fill="{colour}" fill-opacity="{opacity}"')
+
+    def text(self, x: float, y: float, text: str) -> None:
+        """Write above a point."""
+        self._add("text", np.array([x]), np.array([y]), text)
+
+    def stretch(self, begin: float, end: float, colour: str, label: str) -> None:
+        """Tint a stretch of the x axis over the whole height."""
+        self._add("stretch", np.array([begin, end]), np.full(2, np.nan), f'fill="{colour}"', label, colour)
+
+    def _add(self, kind: str, x: Array, y: Array, look: str, label: str = "", colour: str = "") -> None:
+        self._marks.append((kind, np.column_stack([x, y])[:: max(1, -(-len(x) // _MAX_POINTS))], look))
+        if label:
+            self._legend[label] = colour
+
+    def svg(self, x: float, y: float, w: float, h: float) -> str:
+        """The panel in a box of w x h px whose upper left corner is (x, y)."""
+        left = max([38 + (_LINE if self.y else 0.0), *(10 + _LETTER * len(name) for name in self.names)])
+        head, foot = 22, 18 + (_LINE if self.x else 0.0)
+        legend = " ".join(f'<tspan fill="{c}">&#9632; {_plain(name)}</tspan>' for name, c in self._legend.items())
+        out = [f'<text x="{x + w - 10:.1f}" y="{y + 13:.1f}" text-anchor="end">{legend}</text>' if legend else ""]
+        out.append(_text(x + left, y + 13, self.title, "start"))
+        out.append(_text(x + left + (w - left) / 2, y + h - 5, self.x, "middle"))
+        out.append(_text(x + 11, y + (h - foot + head) / 2, self.y, "middle", turned=True))
+        x, y, w, h = x + left, y + head, w - left - 10, h - head - foot
+        low, high = self._limits(np.array([w, h]))
+        scale = np.array([w, -h]) / (high - low)
+        ticks = range(len(self.names)) if self.names else _ticks(low[1], high[1], max(3, h / 26))
+        for k, value in enumerate(ticks):
+            at = y + h + (value - low[1]) * scale[1]
+            out.append(f'<path d="M{x:.1f} {at:.1f}h{w:.1f}" stroke="currentColor" stroke-opacity="0.15"/>')
+            out.append(_text(x - 5, at + 4, self.names[k] if self.names else f"{value:.6g}", "end"))
+        for value in _ticks(low[0], high[0], max(3, w / 70)):
+            at = x + (value - low[0]) * scale[0]
+            out.append(f'<path d="M{at:.1f} {y:.1f}v{h:.1f}" stroke="currentColor" stroke-opacity="0.15"/>')
+            out.append(_text(at, y + h + 13, f"{value:.6g}", "middle"))
+        for kind, points, look in self._marks:
+            px = np.clip((points - low) * scale + [x, y + h], [x, y], [x + w, y + h])
+            out.append(_mark(kind, px, look, y, h))
+        return "".join(out)
+
+    def _limits(self, size: Array) -> tuple[Array, Array]:
+        """(x, y) at the lower left and the upper right corner of axes of `size` (w, h) px."""
+        every = np.concatenate([np.zeros((0, 2)), *(p for _, p, _ in self._marks)])
+        every = every[np.isfinite(every).all(1)]
+        low, high = (every.min(0), every.max(0)) if len(every) else (np.zeros(2), np.ones(2))
+        low[1], high[1] = (v if given is None else given for v, given in ((low[1], self._low), (high[1], self._high)))
+        more = np.maximum([1e-9, self._least] - (high - low), (0.25 if self._equal else 0.08) * (high - low)) / 2
+        if self._equal:
+            middle, unit = (low + high) / 2, float(((high - low + 2 * more) / size).max())
+            return middle - unit * size / 2, middle + unit * size / 2
+        low[1] -= more[1] if self._low is None else 0.0
+        high[1] += more[1] if self._high is None else 0.0
+        low[0], high[0] = self._span or (low[0], max(high[0], low[0] + 1e-9))
+        if self.names:
+            low[1], high[1] = len(self.names) - 0.5, -0.5
+        return low, high
+
+
+def chart(rows: Sequence[Sequence[Axes]], height: float, *, width: float = 1010, shares: Sequence[float] = ()) -> str:
+    """Panels in rows and columns as SVG text of width x height px, which loads nothing and steers nothing. shares: of
+    the height, that each row has, or of the width, that each column of a single row has (default: all the same)."""
+    parts = []
+    for i, row in enumerate(rows):
+        h = shares[i] if shares and len(rows) > 1 else 1 / len(rows)
+        y = sum(shares[:i]) if shares and len(rows) > 1 else i / len(rows)
+        for k, axes in enumerate(row):
+            w = shares[k] if shares and len(rows) == 1 else 1 / len(row)
+            x = sum(shares[:k]) if shares and len(rows) == 1 else k / len(row)
+            parts.append(axes.svg(width * x, height * y, width * w, height * h))
+    look = 'font-size="11" font-family="system-ui, sans-serif" fill="currentColor"'
+    size = f'width="{width:.0f}" height="{height:.0f}" viewBox="0 0 {width:.0f} {height:.0f}"'
+    return f'<svg xmlns="http://www.w3.org/2000/svg" {size} {look}>{"".join(parts)}</svg>'
+
+
+def _plain(text: str) -> str:
+    return html.escape(visible(text))
+
+
+def _text(x: float, y: float, text: str, anchor: str, turned: bool = False) -> str:
+    turn = f' transform="rotate(-90 {x:.1f} {y:.1f})"' if turned else ""
+    return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}"{turn}>{_plain(text)}</text>' if text else ""
+
+
+def _mark(kind: str, points: Array, look: str, y: float, h: float) -> str:
+    """SVG of what was added to axes from y to y + h px; points (N, 2) px."""
+    if kind == "stretch":
+        begin, end = points[:, 0].tolist()
+        return f'<rect x="{begin:.1f}" y="{y:.1f}" width="{end - begin:.1f}" height="{h:.1f}" opacity="0.25" {look}/>'
+    known = np.asarray(np.isfinite(points).all(1))
+    if kind == "line":
+        begins = known & ~np.concatenate([[False], known[:-1]])
+        steps = np.where(begins, "M", "L")[known].tolist()
+        way = "".join(f"{step}{u:.1f} {v:.1f}" for step, (u, v) in zip(steps, points[known].tolist(), strict=True))
+        return f'<path d="{way}" {look}/>'
+    if kind == "dot":
+        return "".join(f'<circle cx="{u:.1f}" cy="{v:.1f}" r="3" {look}/>' for u, v in points[known].tolist())
+    return "".join(_text(u, v - 6, look, "middle") for u, v in points[known].tolist())
+
+
+def _ticks(low: float, high: float, most: float) -> list[float]:
+    """Round numbers from low to high, at most `most` or so."""
+    least = abs(high - low) / max(most, 1.0)
+    power = 10.0 ** math.floor(math.log10(least))
+    step = power * next(n for n in (1, 2, 5, 10) if n * power >= least * (1 - 1e-9))
+    return [k * step for k in range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)]
+
+
+# ---- of a motion -----------------------------------------------------------------------------------------------------
+
+_GROUPS = {
+    "trunk and head": (("pelvis", "spine", "chest", "neck", "head"), INK),
+    "legs": (("hip", "knee", "ankle"), GREEN),
+    "arms": (("shoulder", "elbow", "wrist"), VIOLET),
+}
+_IN_TIME = (
+    ("hip flexion", "hip_flexion"),
+    ("knee flexion", "knee_angle"),
+    ("ankle dorsiflexion", "ankle_angle"),
+    ("shoulder flexion", "arm_flex"),
+    ("elbow flexion", "elbow_flex"),
+    ("trunk", "lumbar"),
+)
+_IN_CYCLE = (*_IN_TIME[:3], ("hip adduction", "hip_adduction"), ("pelvis", "pelvis"), ("trunk", "lumbar"))
+_TRUNK = {"pelvis": ("tilt", "list"), "lumbar": ("extension", "bending", "rotation")}
+_LEAST_ANGLE = 10.0  # degrees that a panel shows: what hardly moves is no curve
+
+
+def _add_flags(axes: Axes, motion: Motion) -> Axes:
+    """Mark lost and extrapolated stretches."""
+    step = 1 / motion.frame_rate
+    for flags, colour, name in (
+        (motion.extrapolated & ~motion.lost, EXTRAPOLATED, "extrapolated"),
+        (motion.lost, LOST, "lost"),
+    ):
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
+        for a, b in zip(edges[::2], edges[1::2], strict=True):
+            axes.stretch(float(motion.times[a]) - step / 2, float(motion.times[b - 1]) + step / 2, colour, name)
+    return axes
+
+
+def fit_chart(motion: Motion) -> str:
+    """Draw the mean overlap of body and masks over time, and the number of views used."""
+    fit = _add_flags(Axes(y="overlap with masks (IoU)", low=0, high=1), motion)
+    fit.line(motion.times, 1 - motion.cost, RIGHT)
+    views = Axes(x="time (s)", y="views", low=0, high=max(1, int(motion.n_views.max(initial=1))) + 0.5)
+    views.line(motion.times, motion.n_views, INK)
+    return chart([[fit], [views]], 310, shares=(0.68, 0.32))
+
+
+def sd_chart(motion: Motion) -> str:
+    """Draw the standard deviation of the joints' positions over time, median per body region."""
+    axes = _add_flags(Axes(x="time (s)", y="sd of joint position (mm)", low=0), motion)
+    for group, (kinds, colour) in _GROUPS.items():
+        which = [j for j, n in enumerate(motion.skeleton.joint_names) if n.split("_")[-1] in kinds]
+        axes.line(motion.times, 1000 * over_known(np.nanmedian, motion.joint_sd[:, which]), colour, group)
+    return chart([[axes]], 240)
+
+
+def over_known(of: Callable[..., Array], values: Array) -> Array:
+    """(T,) a statistic of the known values in each row (T, N); NaN where there is none."""
+    known, out = np.isfinite(values).any(1), np.full(len(values), np.nan)
+    out[known] = of(values[known], axis=1)
+    return out
+
+
+def angle_chart(motion: Motion) -> str:
+    """Draw joint angles over time in degrees with their sd as a band, left orange and right blue."""
+    assert motion.poses is not None
+    names, values = joint_angles(motion.skeleton, motion.poses)
+    middle = dict(zip(names, np.degrees(values).T, strict=True))
+    spread = {} if motion.angle_sd is None else dict(zip(names, np.degrees(motion.angle_sd).T, strict=True))
+    panels = _angle_panels(_IN_TIME, "time (s)", motion.times, middle, spread, {})
+    for axes in panels:
+        _add_flags(axes, motion)
+    return chart([panels[:3], panels[3:]], 400)
+
+
+def cycle_chart(cycles: Sequence[AngleCycle]) -> str:
+    """Draw joint angles over the gait cycle in degrees, left orange and right blue; bands are one sd between strides,
+    or of the tracking where there is one stride only."""
+    middle = {c.name: np.degrees(c.mean) for c in cycles}
+    spread = {c.name: np.degrees(c.sd if c.n > 1 else c.uncertainty) for c in cycles}
+    count = {c.name: f" (n = {c.n})" for c in cycles if c.name.endswith(("_l", "_r"))}
+    panels = _angle_panels(_IN_CYCLE, "gait cycle (%)", PERCENT, middle, spread, count)
+    return chart([panels[:3], panels[3:]], 440)
+
+
+def _angle_panels(
+    kinds: Sequence[tuple[str, str]],
+    across: str,
+    x: Array,
+    middle: Mapping[str, Array],
+    spread: Mapping[str, Array],
+    more: Mapping[str, str],
+) -> list[Axes]:
+    """One panel for each (title, angle). middle, spread: (N,) degrees by name of the angle; more: for the legend."""
+    panels = []
+    for k, (title, key) in enumerate(kinds):
+        axes = Axes(f"{title} (°)", across if k >= len(kinds) // 2 else "", least=_LEAST_ANGLE)
+        lines = [(f"{key}_l", LEFT, "left"), (f"{key}_r", RIGHT, "right")]
+        if key in _TRUNK:
+            lines = [(f"{key}_{p}", c, p) for p, c in zip(_TRUNK[key], (INK, GREEN, VIOLET), strict=False)]
+        for name, colour, label in lines:
+            if name in middle:
+                if name in spread:
+                    axes.band(x, middle[name] - spread[name], middle[name] + spread[name], colour)
+                axes.line(x, middle[name], colour, label + more.get(name, ""))
+        panels.append(axes)
+    return panels
+
+
+def top_chart(motion: Motion, rig: CameraRig | Sequence[Camera], truth: Truth | None = None) -> str:
+    """Draw the paths of pelvis and feet from above, with the cameras."""
+    axes, skeleton = Axes(x="x (m)", y="y (m)", equal=True), motion.skeleton
+    for name, colour, width in (("left_ankle", LEFT, 1.0), ("right_ankle", RIGHT, 1.0), ("pelvis", INK, 2.0)):
+        if name in skeleton.joint_names:
+            path = motion.joints[:, skeleton.joint(name)]
+            axes.line(path[:, 0], path[:, 1], colour, name.replace("_", " "), width)
+    if truth is not None:
+        axes.line(truth.pelvis[:, 0], truth.pelvis[:, 1], LOST, "true pelvis", 1.0, "4 3")
+    axes.dots(motion.joints[:1, 0, 0], motion.joints[:1, 0, 1], INK)
+    for camera in rig:
+        way = np.array([camera.position[:2], camera.position[:2] + 0.5 * camera.camera_from_world[2, :2]])
+        axes.dots(way[:1, 0], way[:1, 1], "#8a8a8a")
+        axes.line(way[:, 0], way[:, 1], "#8a8a8a")
+        axes.text(way[0, 0], way[0, 1], camera.name)
+    return chart([[axes]], 440, width=500)
+
+
+def error_chart(motion: Motion, truth: Truth) -> str:
+    """Draw the distance to the truth over time (mean of the joints) and per joint."""
+    axes = _add_flags(Axes(x="time (s)", y="mean distance to the truth (mm)", low=0), motion)
+    axes.line(motion.times, 1000 * over_known(np.nanmean, truth.distances), LOST)
+    means = 1000 * over_known(np.nanmean, truth.distances.T)
+    bars = Axes(
+        x="mm", names=[n.replace("_", " ") for n in truth.names], span=(0, float(np.nanmax(means, initial=1e-9)))
+    )
+    for k, (name, mean) in enumerate(zip(truth.names, means, strict=True)):
+        colour = LEFT if name.startswith("left") else RIGHT if name.startswith("right") else INK
+        bars.line(np.array([0, mean]), np.array([k, k]), colour, width=8)
+    return chart([[axes, bars]], 320, shares=(0.6, 0.4))

@@ -1,0 +1,397 @@
+"""What silhouettes say about key points, and about each other.
+
+Key points against masks: across a limb the mask is as wide on one side of the bone as on the other, so the middle of
+the mask across the bone tells where the bone should lie; the offsets of many limbs in many directions give the image
+shift of a view and, as a function of the time lag, whether key points and video are in step.
+Silhouettes against each other: the planes through two camera centres that touch the person must be the same in both
+views (frontier points, Sinha & Pollefeys 2010).
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.calibration.diagnose_points import sizes, undistorted
+from hypose.calibration.findings import Finding
+from hypose.calibration.refine_points import changed
+from hypose.calibration.sync_motion import MaskTrack, tangent_planes
+from hypose.cameras.camera import CameraRig, triangulate
+from hypose.compute import lorentzian_weight, weighted_squares
+from hypose.evidence.frame import Silhouettes
+from hypose.geometry import Array
+
+LIMBS = tuple(
+    (f"{side}_{a}", f"{side}_{b}")
+    for side in ("left", "right")
+    for a, b in (("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"))
+)
+_TRUNK = (
+    ("left_shoulder", "left_hip"),
+    ("right_shoulder", "right_hip"),
+    ("left_shoulder", "right_hip"),
+    ("right_shoulder", "left_hip"),
+)
+_ALONG = (0.35, 0.5, 0.65)
+_BIAS = 0.01  # of the person's size: how far a limb's middle may lie from its bone, 1 sd
+_CLEAR = 0.085  # of the person's size: limbs nearer to another part of the body are left out
+
+
+@dataclass(frozen=True)
+class LimbOffsets:
+    """Where the mask's middle across a limb was found: normal (N, 2) of the bone, offset (N,) px of the middle from the
+    bone along the normal, velocity (N, 2) of the bone's point, px per frame, and its
+    position (N, 2), limb (N,) and frame (N,). Working size."""
+
+    normal: Array
+    offset: Array
+    velocity: Array
+    position: Array
+    limb: NDArray[np.int64]
+    frame: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """Key points of one view against its masks. lag: key points t belong to video frame t + lag, and its sd; shift (2,)
+    px to add to the images so that they agree, and its sd (2,); left: median distance of bone and middle of the limb
+    after both, px of the working size; samples: how many limbs were compared."""
+
+    lag: float
+    lag_sd: float
+    shift: Array
+    shift_sd: Array
+    left: float
+    samples: int
+
+
+def limb_offsets(
+    points: Array, velocities: Array, names: Sequence[str], masks: Sequence[NDArray[np.uint8] | None], lag: int
+) -> LimbOffsets:
+    """Offsets of one view. points (T, K, 3) px of the masks, velocities (T, K, 2) px per frame; masks (T) of (h, w) or
+    None; mask t + lag is compared."""
+    column = {n: k for k, n in enumerate(names)}
+    limbs = np.array([(column[a], column[b]) for a, b in LIMBS if a in column and b in column]).reshape(-1, 2)
+    bones = np.array([(column[a], column[b]) for a, b in (*LIMBS, *_TRUNK) if a in column and b in column])
+    parts: list[tuple[Array, ...]] = []
+    for t, p in enumerate(points):
+        mask = masks[t + lag] if 0 <= t + lag < len(masks) else None
+        size = _size(p)
+        if mask is None or size <= 0 or len(limbs) == 0:
+            continue
+        reach = 0.14 * size
+        bone = p[limbs[:, 1], :2] - p[limbs[:, 0], :2]
+        length = np.linalg.norm(bone, axis=1)
+        limb = np.flatnonzero((p[limbs, 2].min(1) > 0.4) & (length > 0.06 * size))
+        if len(limb) == 0:
+            continue
+        bone, length = bone[limb], length[limb]
+        normal = np.repeat(np.stack([-bone[:, 1], bone[:, 0]], 1) / length[:, None], len(_ALONG), 0)
+        share = np.tile(_ALONG, len(limb))[:, None]
+        a, b = (np.repeat(limbs[limb, k], len(_ALONG)) for k in (0, 1))
+        start = p[a, :2] * (1 - share) + p[b, :2] * share
+        velocity = velocities[t, a] * (1 - share) + velocities[t, b] * share
+        # how far the mask reaches to either side of the bone
+        steps = np.arange(0, reach, 0.5)
+        width = _reach(mask, np.repeat(start, 2, 0), np.stack([normal, -normal], 1).reshape(-1, 2), steps).reshape(
+            -1, 2
+        )
+        fine = (width.max(1) < 0.6 * reach) & (width.sum(1) > 0.012 * size) & np.isfinite(velocity).all(1)
+        which = np.repeat(limb, len(_ALONG))
+        fine &= _clearance(start, which, p, limbs, bones) > _CLEAR * size
+        offset = 0.5 * (width[:, 0] - width[:, 1])
+        across = width.sum(1) / size
+        frame = np.full(len(which), float(t))
+        made = (normal, offset, velocity, start, which.astype(np.float64), frame, across)
+        parts.append(tuple(np.asarray(x[fine], dtype=np.float64) for x in made))
+    if not parts:
+        none, flat = np.zeros(0, np.int64), np.zeros((0, 2))
+        return LimbOffsets(flat, np.zeros(0), flat, flat, none, none)
+    normal, offset, velocity, position, limb, frame, across = (np.concatenate([x[k] for x in parts]) for k in range(7))
+    keep = _alone(limb.astype(np.int64), across, len(limbs))
+    return LimbOffsets(
+        normal[keep],
+        offset[keep],
+        velocity[keep],
+        position[keep],
+        limb[keep].astype(np.int64),
+        frame[keep].astype(np.int64),
+    )
+
+
+def _clearance(
+    start: Array, limb: NDArray[np.int64], p: Array, limbs: NDArray[np.int64], bones: NDArray[np.int64]
+) -> Array:
+    """(N,) px from points (N, 2) on limbs (N,) to the nearest other bone that does not share a joint with the limb; a
+    limb before another part of the body has no outline of its own."""
+    a, b = p[bones[:, 0], :2], p[bones[:, 1], :2]
+    along = b - a
+    t = ((start[:, None] - a) * along).sum(-1) / np.maximum((along**2).sum(-1), 1e-9)
+    gap = np.linalg.norm(start[:, None] - a - np.clip(t, 0, 1)[..., None] * along, axis=-1)
+    joined = (limbs[limb][:, None, :, None] == bones[None, :, None, :]).any((2, 3))
+    unseen = p[bones, 2].min(1) < 0.2
+    return np.where(joined | unseen, np.inf, gap).min(1)
+
+
+def _alone(limb: NDArray[np.int64], across: Array, n_limbs: int) -> NDArray[np.bool_]:
+    """(N,) True where the mask is about as wide as the limb: wider where it lies before another part of the body."""
+    out = np.zeros(len(limb), dtype=bool)
+    half = max(n_limbs // 2, 1)  # LIMBS lists the left side first, then the right in the same order
+    for k in range(half):
+        pair = np.flatnonzero(limb % half == k)
+        if len(pair):
+            out[pair] = across[pair] < 1.35 * np.percentile(across[pair], 25)
+    return out
+
+
+def _size(points: Array) -> float:
+    p = points[points[:, 2] > 0.3, :2]
+    return float(np.ptp(p, axis=0).max()) if len(p) > 4 else 0.0
+
+
+def _reach(mask: NDArray[np.uint8], start: Array, direction: Array, steps: Array) -> Array:
+    """(N,) px that the mask goes on from each start (N, 2) in its direction; 0 when the start lies outside."""
+    at = np.rint(start[:, None] + direction[:, None] * steps[None, :, None]).astype(int)
+    h, w = mask.shape
+    inside = (at >= 0).all(-1) & (at[..., 0] < w) & (at[..., 1] < h)
+    on = np.zeros(at.shape[:2], dtype=bool)
+    on[inside] = mask[at[..., 1][inside], at[..., 0][inside]] > 0
+    first_off = np.where(on.all(1), len(steps) - 1, np.argmin(on, axis=1))
+    return steps[first_off]
+
+
+def align(
+    points: Array, names: Sequence[str], masks: Sequence[NDArray[np.uint8] | None], largest: int = 6
+) -> Alignment | None:
+    """Lag and shift of one view's key points (T, K, 3), px of the masks; None when too few limbs are seen.
+
+    The middle of a limb in the mask lies at bone + shift + (time that is missing) x velocity: three unknowns, found by
+    robust regression; the lag is rounded and applied to whole frames until less than half a frame is left. Limbs err
+    alike all the time (clothes, where a detector puts a joint), so the shift's sd counts limbs, not frames."""
+    sizes = [s for s in (_size(p) for p in points) if s > 0]
+    if not sizes:
+        return None
+    scale = 0.006 * float(np.median(sizes))
+    velocities = _velocities(points)
+    lag, best = 0, None
+    for _ in range(5):
+        found = limb_offsets(points, velocities, names, masks, lag)
+        if len(found.offset) < 60:
+            return best
+        x, sd, left = _regressed(found, scale)
+        sd[:2] = np.hypot(sd[:2], _BIAS * scale / 0.006 / np.sqrt(_views_of_limbs(found, scale / 0.006)))
+        best = Alignment(lag - float(x[2]), float(sd[2]), -x[:2], sd[:2], left, len(found.offset))
+        new = int(np.clip(np.rint(best.lag), -largest, largest))
+        if new == lag:
+            break
+        lag = new
+    return best
+
+
+def _views_of_limbs(found: LimbOffsets, size: float) -> float:
+    """As how many different limbs the samples count: a limb that hardly moves shows the same bias in every frame."""
+    total = 0.0
+    for limb in np.unique(found.limb):
+        mine = found.position[found.limb == limb]
+        if len(mine) >= 10:
+            total += min(1 + float(np.std(mine, axis=0).max()) / (0.02 * size), 4.0)
+    return max(total, 1.0)
+
+
+def _velocities(points: Array) -> Array:
+    """(T, K, 2) px per frame by central differences over four frames; NaN where a neighbour is missing."""
+    n = len(points)
+    xy = np.where(points[..., 2:] > 0.4, points[..., :2], np.nan)
+    a, b = np.clip(np.arange(n) - 2, 0, n - 1), np.clip(np.arange(n) + 2, 0, n - 1)
+    return (xy[b] - xy[a]) / np.maximum(b - a, 1)[:, None, None]
+
+
+def _regressed(found: LimbOffsets, scale_px: float) -> tuple[Array, Array, float]:
+    """(shift x, shift y, time) with their sd (3,), and the median distance left, px."""
+    rows = np.concatenate([found.normal, (found.normal * found.velocity).sum(1)[:, None]], 1)
+    y, x, h = found.offset, np.zeros(3), np.eye(3)
+    # a calf bulges backwards in every frame: limbs that are often seen may not outvote the others
+    count = np.maximum(np.bincount(found.limb)[found.limb], 15)
+    share = count.mean() / count
+    weight = share
+    for _ in range(12):
+        h, right = weighted_squares(rows, weight, y)
+        h += 1e-6 * np.eye(3)
+        x = np.asarray(np.linalg.solve(h, right), dtype=np.float64)
+        weight = lorentzian_weight(((y - rows @ x) / scale_px) ** 2, share)
+    r = y - rows @ x
+    inverse = np.linalg.inv(h)
+    spread = np.zeros((3, 3))
+    limbs = np.unique(found.limb)
+    for limb in limbs:
+        mine = found.limb == limb
+        s = np.einsum("ri,r,r->i", rows[mine], weight[mine], r[mine])
+        spread += np.outer(s, s)
+    by_limb = np.diag(inverse @ spread @ inverse) * len(limbs) / max(len(limbs) - 2, 1)
+    # and as if every second frame gave one independent limb
+    frames = max(len(np.unique(found.frame)) / 2, 1.0)
+    noise = float((weight * r**2).sum() / max(weight.sum(), 1e-9))
+    by_frame = np.diag(inverse) * noise * len(y) / frames
+    return x, np.sqrt(np.maximum(by_limb, by_frame)), float(np.median(np.abs(r)))
+
+
+def view_masks(silhouettes: Sequence[Silhouettes | None], view: int) -> list[NDArray[np.uint8] | None]:
+    """The usable masks of one view, without padding."""
+    out: list[NDArray[np.uint8] | None] = []
+    for s in silhouettes:
+        if s is None or not s.usable[view]:
+            out.append(None)
+        else:
+            w, h = s.rig[view].size
+            out.append(s.masks[view, :h, :w])
+    return out
+
+
+def tangency(rig: CameraRig, tracks: Sequence[MaskTrack]) -> dict[tuple[int, int], Array]:
+    """Per pair of views (T, 2) px (of the working size) by which the planes that touch the person differ; NaN where a
+    view has no whole mask. Positive: view b's plane lies further along the pencil."""
+    out = {}
+    for a, b in itertools.combinations(range(len(tracks)), 2):
+        planes, px = tangent_planes(rig, tracks, a, b)
+        size = np.where(np.isnan(px).any(0), np.nan, px.mean(0))
+        out[a, b] = (planes[1] - planes[0]) * size
+    return out
+
+
+def tangency_by_view(pairs: dict[tuple[int, int], Array], n_views: int) -> Array:
+    """(C,) px: median over frames and tangents of a view's disagreement with its best partners (median of pairs)."""
+    out = np.full(n_views, np.nan)
+    for c in range(n_views):
+        mine = [np.nanmedian(np.abs(v)) for k, v in pairs.items() if c in k and np.isfinite(v).any()]
+        if mine:
+            out[c] = float(np.median(mine))
+    return out
+
+
+# ---- common focal --------------------------------------------------------------------------------------------------
+# By which factor all focal lengths together are wrong, as far as a moving person tells.
+#
+# Cameras whose focal lengths are all too long by the same factor show a smaller world: somebody who stays where all
+# of them look only becomes shorter, and no view contradicts another. Off that middle the rays miss each other, along
+# lines that are known, and the factor follows from that by least squares. How far it can be trusted is told by
+# leaving out each view, since what is wrong with one of them is wrong in all frames, and each key point or tangent,
+# whose errors last.
+
+
+_LARGEST = 0.35
+"""of a factor's logarithm: what lies beyond is another minimum, or another fault"""
+_STEP = 1e-3
+_ROUNDS = 8
+_TUKEY = 4.7
+_LEAST_ROWS = 40
+Rows = Callable[[CameraRig, list[int]], Array]
+"""Residuals (R, G) of some views through a rig, NaN where there is none: G kinds whose errors last over the R moments,
+in shares of the person's size."""
+
+
+@dataclass(frozen=True)
+class CommonFocal:
+    """factor by which all focal lengths would have to be multiplied, and the sd of its logarithm; inf where nothing is
+    known."""
+
+    factor: float
+    sd: float
+
+
+FAR, CERTAIN, LIKELY, KNOWN = 0.06, 3.5, 2.7, 0.08
+"""A factor is a fault when its logarithm is beyond FAR and beyond CERTAIN of its sd, which is KNOWN at most, and worth
+a look beyond LIKELY of it. Of 33 scenes with spoilt key points, things in the masks or late cameras (seeds 600 to 602)
+none had more than 3.4 sd."""
+
+
+def focal_findings(found: CommonFocal) -> Iterator[Finding]:
+    """What is said of a factor."""
+    off = abs(float(np.log(found.factor)))
+    if off > FAR and off > LIKELY * found.sd and found.sd < KNOWN:
+        text = (
+            f"All cameras: the views agree best if every focal length were {found.factor:.2f} times as long (sd "
+            f"{found.factor * found.sd:.2f}); as they are, the person comes out {found.factor:.2f} times as large"
+        )
+        cure = "calibrate the lenses again as the videos were filmed (zoom, picture size), or correct all focal lengths"
+        yield Finding("focal", (), text, cure, off, fault=off > CERTAIN * found.sd)
+
+
+def focal_by_points(rig: CameraRig, pixels: Array) -> CommonFocal:
+    """From key points (C, T, K, 3) in px of the calibrated, distorted pictures."""
+    size = np.maximum(sizes(pixels), 1.0)
+
+    def rows(moved: CameraRig, views: list[int]) -> Array:
+        own = CameraRig(tuple(moved[c] for c in views))
+        uv, confidence = undistorted(own, pixels[views])
+        n, frames, count = confidence.shape
+        seen = np.where(confidence > 0.3, confidence, 0.0).reshape(n, -1)
+        flat = uv.reshape(n, -1, 2)
+        points, _ = triangulate(own, flat, seen)
+        away = np.stack([c.project_pinhole(points) for c in own]) - flat
+        away = np.where(((seen > 0).sum(0) > 1)[None] & (seen > 0), np.moveaxis(away, -1, 0), np.nan)
+        away /= size[views][:, None]
+        return away.reshape(2 * n, frames, count).transpose(1, 0, 2).reshape(frames * 2 * n, count)
+
+    return _factor(rig, rows)
+
+
+def focal_by_masks(rig: CameraRig, tracks: Sequence[MaskTrack]) -> CommonFocal:
+    """From the planes that touch a person's outlines in pairs of views; rig: that of the masks."""
+    size = np.maximum([t.size for t in tracks], 1.0)
+
+    def rows(moved: CameraRig, views: list[int]) -> Array:
+        pairs = tangency(CameraRig(tuple(moved[c] for c in views)), [tracks[c] for c in views])
+        scaled = [v / np.sqrt(size[views[a]] * size[views[b]]) for (a, b), v in pairs.items()]
+        return np.concatenate(scaled, 1) if scaled else np.zeros((0, 1))
+
+    return _factor(rig, rows)
+
+
+def _factor(rig: CameraRig, rows: Rows) -> CommonFocal:
+    views = list(range(len(rig)))
+    found = _solve(rig, rows, views, 0.0) if len(views) > 2 else None  # two views cannot be told from a wrong pose
+    if found is None or abs(found[0]) >= _LARGEST:
+        return CommonFocal(1.0, float("inf"))
+    x, slope, residual, weight = found
+    # kinds of rows err by themselves, and so do views
+    own = np.nansum(weight * slope * residual, 0) / max(float(np.nansum(weight * slope**2)), 1e-12)
+    left = [_solve(rig, rows, [v for v in views if v != c], x, once=True) for c in views]
+    moves = np.array([f[0] - x for f in left if f is not None])
+    if len(moves) < len(views):
+        return CommonFocal(1.0, float("inf"))
+    variance = (own**2).sum() + (len(views) - 1) / len(views) * (moves**2).sum()
+    return CommonFocal(float(np.exp(x)), float(np.sqrt(variance)))
+
+
+def _solve(
+    rig: CameraRig, rows: Rows, views: list[int], begin: float, *, once: bool = False
+) -> tuple[float, Array, Array, Array] | None:
+    """The factor's logarithm, and the rows' slopes by it, residuals and weights; None where nothing is known."""
+    x = begin
+    slope = residual = weight = np.zeros((0, 1))
+    for _ in range(2 if once else _ROUNDS):
+        residual = rows(_scaled(rig, x), views)
+        slope = (rows(_scaled(rig, x + _STEP), views) - residual) / _STEP
+        known = np.isfinite(residual) & np.isfinite(slope)
+        if known.sum() < _LEAST_ROWS:
+            return None
+        residual, slope = np.where(known, residual, np.nan), np.where(known, slope, np.nan)
+        weight = _tukey(residual)
+        step = -float(np.nansum(weight * slope * residual)) / max(float(np.nansum(weight * slope**2)), 1e-12)
+        x = float(np.clip(x + np.clip(step, -0.1, 0.1), -_LARGEST, _LARGEST))
+        if abs(step) < 0.1 * _STEP:
+            break
+    return x, slope, residual, weight
+
+
+def _tukey(residual: Array) -> Array:
+    limit = _TUKEY * 1.4826 * max(float(np.nanmedian(np.abs(residual))), 1e-6)
+    return np.maximum(1 - (residual / limit) ** 2, 0.0) ** 2
+
+
+def _scaled(rig: CameraRig, log_factor: float) -> CameraRig:
+    return CameraRig(tuple(changed(c, np.r_[np.zeros(6), log_factor]) for c in rig))

@@ -1,0 +1,432 @@
+"""What the person says about a recording's key points and world: whose slots they are, which way is up, which side is
+left.
+
+Bones have nearly the same proportions in everybody, left and right are alike, and no bone changes its length. Points
+that are read in the order of another detector break all three at once, in every view alike, so that no comparison of
+the views finds it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from hypose.body.ready_bodies import human
+from hypose.calibration.diagnose_masks import Alignment
+from hypose.calibration.diagnose_points import Extrinsics, undistorted
+from hypose.calibration.findings import Clip, Finding, Limits
+from hypose.calibration.refine_points import CameraChange
+from hypose.cameras.camera import CameraRig, triangulate
+from hypose.errors import EvidenceError
+from hypose.evidence.keypoints import KEYPOINT_SETS, landmark_of
+from hypose.geometry import Array
+from hypose.tracking.subject import shape_from_keypoints
+
+WRONG_SET, RIGHT_SET, TELLS = 0.2, 0.15, 0.4
+"""A set is taken for another one when its bones are off by more than WRONG_SET (in the logarithm of their length), the
+other's by less than RIGHT_SET, and by less than TELLS times as much. BODY_25 read as BODY_25B is off by 0.6 to 0.9, a
+detector's points in their own order by 0.03 to 0.1."""
+MOST = 0.8
+"""Share of the frames in which the person must stand, or be made, the wrong way round."""
+_PAIRS = tuple(
+    (f"{side}_{a}", f"{side}_{b}")
+    for side in ("left", "right")
+    for a, b in (
+        ("shoulder", "elbow"),
+        ("elbow", "wrist"),
+        ("hip", "knee"),
+        ("knee", "ankle"),
+        ("shoulder", "hip"),
+        ("ankle", "big_toe"),
+        ("ankle", "heel"),
+    )
+) + (("left_shoulder", "right_shoulder"),)
+_LEAST_BONES = 6
+_NOISE_M = 0.06
+_UPRIGHT = 0.5  # cosine
+EXCHANGED = 7.0
+"""log likelihood ratio, 1000 to 1, from which left and right are called exchanged"""
+_DEFINED = 0.05
+"""share of a leg within which detectors differ on where a joint is, in every view and frame alike: a knee bent by 11
+degrees"""
+_MOST_OF_ONE = 3.0  # what one point can say in one frame: it may be wrong in ways that noise is not
+_SIDED = (
+    *(f"{s}_{n}" for s in ("left", "right") for n in ("shoulder", "hip", "knee", "ankle", "heel", "big_toe", "ear")),
+    "nose",
+)
+
+
+def wrong_set(points_world: Array, names: Sequence[str]) -> Finding | None:
+    """The finding that key points (T, K, 3) m, NaN where missing, are another set's than `names` (K,) says."""
+    own = _disorder(points_world, names)
+    if not own > WRONG_SET:
+        return None
+    count, filled = len(names), np.asarray(np.isfinite(points_world).all(-1).any(0), dtype=bool)
+    found = []
+    for other, theirs in KEYPOINT_SETS.items():
+        # a shorter set may lie in the first slots of a longer one, the others empty
+        if tuple(theirs) == tuple(names) or len(theirs) > count or filled[len(theirs) :].any():
+            continue
+        found.append((_disorder(points_world[:, : len(theirs)], theirs), other))
+    best, other = min(found, default=(np.inf, ""))
+    declared = next((k for k, v in KEYPOINT_SETS.items() if tuple(v) == tuple(names)), "given")
+    if not best < min(RIGHT_SET, TELLS * own):
+        text = (
+            f"All cameras: read as {declared}, the key points make a body whose bones are off by {100 * own:.0f} % of "
+            "their length, and no other set that hypose knows fits"
+        )
+        return Finding("keypoint_set", (), text, "check keypoint_set in recording.toml against the detector", own)
+    slots = f" (in the first {len(KEYPOINT_SETS[other])} of {count} slots)" if len(KEYPOINT_SETS[other]) < count else ""
+    text = (
+        f"All cameras: the key points are those of the set {other}{slots}, not {declared}: read so, bones are off by "
+        f"{100 * best:.0f} % of their length instead of {100 * own:.0f} %"
+    )
+    return Finding("keypoint_set", (), text, f'set keypoint_set = "{other}" in recording.toml', own)
+
+
+def _disorder(points_world: Array, names: Sequence[str]) -> float:
+    """How far bones are from a person's, beyond what noise makes of them: mean over bones of the distance of their
+    length from the template's (as a logarithm, less what all share), plus that of left from right, plus how each
+    changes. NaN with too few bones.
+
+    Noise of the points makes bones longer and short ones change most: it is taken off as far as it is the same for all
+    bones, and no more than a detector has (_NOISE_M)."""
+    template = _template(tuple(names))
+    column = {n: k for k, n in enumerate(names)}
+    lengths: dict[tuple[str, str], Array] = {}
+    for a, b in _PAIRS:
+        if (a, b) in template and a in column and b in column:
+            d = np.linalg.norm(points_world[:, column[a]] - points_world[:, column[b]], axis=-1)
+            d = d[np.isfinite(d)]
+            if len(d) >= 3:
+                lengths[a, b] = d
+    if len(lengths) < _LEAST_BONES:
+        return float("nan")
+    scatter = float(np.median([np.median(np.abs(d - np.median(d))) for d in lengths.values()]))
+    noise = min(1.48 * scatter, _NOISE_M)  # m per axis, of the difference of two points
+    longer = {k: float(np.hypot(template[k], 1.5 * noise)) for k in lengths}  # median length of a noisy difference
+    ratio = {k: np.log(np.maximum(d, 1e-9) / longer[k]) for k, d in lengths.items()}
+    middle = {k: float(np.median(v)) for k, v in ratio.items()}
+    common = float(np.median(list(middle.values())))
+    off = [abs(v - common) for v in middle.values()]
+    sides = [
+        abs(middle[a, b] - middle[twin])
+        for a, b in middle
+        if a.startswith("left_") and (twin := (a.replace("left", "right"), b.replace("left", "right"))) in middle
+    ]
+    change = [max(float(np.median(np.abs(v - middle[k]))) - noise / 1.48 / longer[k], 0.0) for k, v in ratio.items()]
+    return float(np.mean(off) + np.mean(sides or [0.0]) + np.mean(change)) / 2
+
+
+@cache
+def _template(names: tuple[str, ...]) -> dict[tuple[str, str], float]:
+    """Lengths (m) of the template's bones between key points of these names."""
+    body = human()
+    joint, offset, known = landmark_of(names, body)
+    at = body.skeleton.rest_joints[joint] + offset
+    column = {n: k for k, n in enumerate(names) if known[k]}
+    return {
+        (a, b): float(np.linalg.norm(at[column[a]] - at[column[b]])) for a, b in _PAIRS if a in column and b in column
+    }
+
+
+def wrong_way_up(points_world: Array, names: Sequence[str], pixels: Array, rig: CameraRig) -> Iterator[Finding]:
+    """Findings about up and left. points_world (T, K, 3) m, NaN where missing; pixels (C, T, K, 3) of the rig."""
+    top, feet = _middle(points_world, names, "shoulder"), _middle(points_world, names, "ankle")
+    along = _unit(top - feet)
+    known = np.isfinite(along).all(1)
+    if known.sum() < 3:
+        return
+    up = along[known, 2]
+    in_images = _upright_in_images(pixels, names)
+    turned = (up < -_UPRIGHT).mean() > MOST
+    if turned and in_images < -_UPRIGHT:
+        text = "All cameras: the key points stand on their heads in the images: their y seems to count from the bottom"
+        cure = "write y as the image's height minus y (or flip the videos back, if they are turned, too)"
+        yield Finding("flipped", (), text, cure, 1.0)
+    elif turned:
+        text = (
+            "All cameras: the person stands on the head in the calibration's world, and upright in the images: the "
+            "world's up is upside down"
+        )
+        yield Finding("up", (), text, "give world_up in recording.toml the opposite sign", 1.0)
+    elif (np.abs(up) < _UPRIGHT).mean() > MOST and in_images > _UPRIGHT:
+        mean = _unit(along[known].mean(0))
+        axis = "xyz"[int(np.argmax(np.abs(mean)))]
+        if abs(mean[int(np.argmax(np.abs(mean)))]) > 0.8 and float(cameras_up(rig) @ mean) > _UPRIGHT:
+            sign = "-" if mean["xyz".index(axis)] < 0 else ""
+            text = f"All cameras: the person stands along the world's {sign}{axis} axis, not along z"
+            cure = f"set world_up in recording.toml so that what is now {sign}{axis} points up"
+            yield Finding("up", (), text, cure, 1.0)
+    elif (np.abs(up) < _UPRIGHT).mean() > MOST and not in_images > _UPRIGHT:
+        # cameras that hang on their side show neither
+        text = "All cameras: the person lies in the calibration's world from beginning to end"
+        cure = "if they stand, set world_up in recording.toml to the axis along which they do"
+        yield Finding("lying", (), text, cure, 1.0, fault=False)
+    sides = _sides(points_world, names, pixels, rig)
+    against = -sides[sides < 0].sum()
+    if not turned and against > EXCHANGED and against > MOST * np.abs(sides).sum():
+        text = (
+            "All cameras: the person's left and right are exchanged (toes, nose or bent knees point backwards): "
+            "mirrored images, exchanged cameras, or the sides' names"
+        )
+        cure = "mirror the videos back, or check keypoint_set in recording.toml"
+        yield Finding("sides", (), text, cure, 1.0)
+
+
+def up_by_cameras(rig: CameraRig) -> Iterator[Finding]:
+    """The finding that the cameras agree on which way is up, and that it is not the world's z."""
+    mean = cameras_up(rig)
+    agreed = float(np.linalg.norm(mean))
+    if agreed > 0.75 and mean[2] / agreed < 0.3:
+        k = int(np.argmax(np.abs(mean)))
+        axis = ("-" if mean[k] < 0 else "") + "xyz"[k]
+        text = f"All cameras: the top of their images points along the world's {axis} axis, which should be z"
+        cure = f"set world_up in recording.toml so that what is now {axis} points up, unless the cameras hang that way"
+        yield Finding("up", (), text, cure, 1.0)
+
+
+def cameras_up(rig: CameraRig) -> Array:
+    """(3,) mean of the directions in the world in which the cameras' images have their top."""
+    return np.mean([-c.camera_from_world[1, :3] for c in rig], axis=0)
+
+
+def _upright_in_images(pixels: Array, names: Sequence[str]) -> float:
+    """Mean over views and frames of +1 (shoulders above ankles), -1 (below); NaN where never seen."""
+    column = {n: k for k, n in enumerate(names)}
+    signs = []
+    for side in ("left", "right"):
+        a, b = column.get(f"{side}_shoulder"), column.get(f"{side}_ankle")
+        if a is not None and b is not None:
+            seen = (pixels[..., a, 2] > 0.3) & (pixels[..., b, 2] > 0.3)
+            signs.append(np.sign(pixels[..., b, 1] - pixels[..., a, 1])[seen])
+    found = np.concatenate(signs) if signs else np.zeros(0)
+    return float(found.mean()) if len(found) else float("nan")
+
+
+def _sides(points_world: Array, names: Sequence[str], pixels: Array, rig: CameraRig) -> Array:
+    """(T, 5) log likelihood ratios that left and right are as named (negative: exchanged), by how far the knees, feet
+    and nose point ahead; 0 where that is unknown or within the noise."""
+    column = {n: k for k, n in enumerate(names) if n in _SIDED and np.isfinite(points_world[:, k]).any()}
+    known, own = [n in column for n in _SIDED], [column[n] for n in _SIDED if n in column]
+    shape = (len(points_world), len(_SIDED), 3)
+    points, noise, lasts = np.full(shape, np.nan), np.zeros((*shape, 3)), np.zeros(len(_SIDED))
+    points[:, known] = points_world[:, own]
+    noise[:, known], lasts[known] = _noise(points_world[:, own], pixels[:, :, own], rig)
+    ahead = _ahead(points)
+    variance, lasting = np.zeros((2, *ahead.shape))
+    for k, axis in np.ndindex(len(_SIDED), 3):
+        moved = points.copy()
+        moved[:, k] += noise[:, k, :, axis]
+        change = (_ahead(moved) - ahead) ** 2
+        variance, lasting = variance + change, lasting + lasts[k] * change
+    z = np.maximum(np.abs(ahead) - _DEFINED, 0.0) / np.sqrt(variance)
+    counts = np.clip((variance - lasting) / (variance + lasting), 0.0, 1.0)  # of a first-order process, Bartlett 1946
+    return np.nan_to_num(counts * np.sign(ahead) * np.minimum(z**2 / 2, _MOST_OF_ONE))
+
+
+def _ahead(points: Array) -> Array:
+    """(T, 5) shares of a leg by which two knees, two feet and the nose of points (T, 15, 3), as _SIDED names them,
+    point ahead: along left times up of the same part of the body, so that the posture of the others does not matter."""
+    by = dict(zip(_SIDED, np.moveaxis(points, 1, 0), strict=True))
+    hips, shoulders = (by[f"left_{n}"] - by[f"right_{n}"] for n in ("hip", "shoulder"))
+    legs = [[by[f"{side}_{n}"] for n in ("hip", "knee", "ankle", "heel", "big_toe")] for side in ("left", "right")]
+    trunk = by["left_shoulder"] + by["right_shoulder"] - by["left_hip"] - by["right_hip"]
+    found = [((k - a) * _unit(np.cross(hips, h - a))).sum(-1) for h, k, a, _, _ in legs]
+    found += [((toe - heel) * _unit(np.cross(hips, k - a))).sum(-1) for _, k, a, heel, toe in legs]
+    found.append(((by["nose"] - (by["left_ear"] + by["right_ear"]) / 2) * _unit(np.cross(shoulders, trunk))).sum(-1))
+    leg = [np.linalg.norm(np.diff(leg[:3], axis=0), axis=-1) for leg in legs]
+    return np.stack(found, -1) / np.nanmedian(np.sum(leg, axis=1))
+
+
+def _noise(points_world: Array, pixels: Array, rig: CameraRig) -> tuple[Array, Array]:
+    """Roots (T, K, 3, 3) m of the covariance of triangulated points, from how far the rays miss them, and (K,) how much
+    that correlates from frame to frame."""
+    uv, confidence = undistorted(rig, pixels)
+    seen = (confidence > 0.3) & np.isfinite(points_world).all(-1)
+    rays = points_world - rig.positions[:, None, None]
+    far = np.linalg.norm(rays, axis=-1)
+    off = np.stack([(c.project_pinhole(points_world) - p) / c.K[0, 0] for c, p in zip(rig, uv, strict=True)])
+    off = np.where(seen[..., None], off * far[..., None], np.nan)
+    free = np.maximum(2 * seen.sum(0) - 3, 1)
+    missed = np.nansum(off**2, (0, -1)) / free
+    usual = missed / (1 - 2 / (9 * free)) ** 3  # as large as the median of a chi-square (Wilson & Hilferty 1931)
+    usual = np.where(seen.any(0), usual, np.nan)
+    variance = np.maximum(np.maximum(missed, np.nanmedian(usual)), np.nanmedian(usual, axis=0))
+    d = rays / far[..., None]
+    across = np.where(seen[..., None, None], np.eye(3) - d[..., None] * d[..., None, :], 0.0).sum(0)
+    size, axes = np.linalg.eigh(across)
+    alike = np.sign(off[:, 1:] * off[:, :-1])
+    roots = axes * np.sqrt(variance[..., None] / np.maximum(size, 1e-9))[..., None, :]
+    lasts = np.nansum(alike, (0, 1, 3)) / np.maximum(np.isfinite(alike).sum((0, 1, 3)), 1)
+    return np.nan_to_num(roots), np.sin(np.pi / 2 * lasts)  # signs agree by the arcsine of the correlation
+
+
+def _middle(points_world: Array, names: Sequence[str], part: str) -> Array:
+    """(T, 3) between left and right."""
+    column = {n: k for k, n in enumerate(names)}
+    pair = [points_world[:, column[n]] for side in ("left", "right") if (n := f"{side}_{part}") in column]
+    return np.mean(pair, axis=0) if len(pair) == 2 else np.full((len(points_world), 3), np.nan)
+
+
+def _unit(vectors: Array) -> Array:
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(length > 1e-9, vectors / length, np.nan)
+
+
+# ---- doctor report -------------------------------------------------------------------------------------------------
+# What the doctor says: findings with their evidence and next step, and the checks that need no geometry.
+
+
+UNITS = (
+    (1000.0, "metres are given as if they were millimetres, or the other way round"),
+    (100.0, "centimetres and metres are mixed up"),
+    (10.0, "centimetres and millimetres are mixed up"),
+    (3.2808, "the lengths are feet"),
+    (39.37, "the lengths are inches"),
+)
+
+
+@dataclass(frozen=True)
+class ViewReport:
+    """One camera. residual_px: median distance of its key points from the triangulation of all views; left_out_px:
+    from that of the others; tangency_px: median disagreement of its silhouette's tangent planes with the other views;
+    size_px of the person; change: how far a refinement moves it; alignment of key points and masks. px of the
+    calibrated size, NaN where unknown."""
+
+    name: str
+    residual_px: float
+    left_out_px: float
+    tangency_px: float
+    size_px: float
+    change: CameraChange | None
+    alignment: Alignment | None
+
+
+@dataclass(frozen=True)
+class Report:
+    """findings, worst kind first as they were found; views in the rig's order."""
+
+    findings: tuple[Finding, ...]
+    views: tuple[ViewReport, ...]
+    extrinsics: Extrinsics | None
+    alignments: tuple[Alignment | None, ...] | None
+
+    @property
+    def healthy(self) -> bool:
+        """Nothing is wrong."""
+        return not any(f.fault for f in self.findings)
+
+    def of(self, view: str) -> tuple[Finding, ...]:
+        """The findings about one camera, or about all."""
+        return tuple(f for f in self.findings if view in f.views or not f.views)
+
+    def verdict(self, view: str) -> str:
+        """One line about one camera."""
+        found = self.of(view)
+        if not found:
+            return f"{view}: no fault found"
+        return " ".join(f.sentence if f.text.startswith(view) else f"{view}: {f.sentence}" for f in found)
+
+
+def clip_findings(rig: CameraRig, clips: Sequence[Clip], frame_rate: float) -> Iterator[Finding]:
+    """Sizes, frame rates and numbers of frames of the files."""
+    if not clips:
+        return
+    for camera, clip in zip(rig, clips, strict=True):
+        if clip.size is None or tuple(clip.size) == tuple(camera.size):
+            continue
+        (w, h), (cw, ch) = clip.size, camera.size
+        text = f"{camera.name}: its images are {w} x {h} px, it is calibrated for {cw} x {ch} px"
+        fx, fy = w / cw, h / ch
+        if abs(h / cw - 1) < 0.01 and abs(w / ch - 1) < 0.01:
+            yield Finding("size", (camera.name,), text + " (turned by 90 degrees)", "turn the video back", 1.0)
+        elif clip.accepted:
+            words = f": stretched by {fx:.4f} x {fy:.4f}, as accepted"
+            yield Finding("size", (camera.name,), text + words, "nothing", abs(fx / fy - 1), fault=False)
+        elif abs(fx / fy - 1) < 0.002:
+            cure = 'nothing if the video was only scaled; key points detected in it need keypoint_pixels = "image"'
+            yield Finding(
+                "size", (camera.name,), text + f": scaled to {100 * fx:.0f} %", cure, abs(fx - 1), fault=False
+            )
+        else:
+            cure = (
+                "if it was stretched, set accept_scaled = true for the view; if it was cut, correct the principal "
+                "point and the size in the calibration"
+            )
+            words = f": scaled by {fx:.4f} x {fy:.4f}, or cut by {cw - w} x {ch - h} px"
+            yield Finding("size", (camera.name,), text + words, cure, abs(fx / fy - 1))
+    rates = [c.frame_rate for c in clips if c.frame_rate]
+    usual = float(np.median(rates)) if rates else frame_rate
+    for camera, clip in zip(rig, clips, strict=True):
+        if clip.frame_rate and abs(clip.frame_rate / usual - 1) > 0.005:
+            text = f"{camera.name}: {clip.frame_rate:g} frames/s, the other views have {usual:g}"
+            cure = f"convert it to {usual:g} frames/s (ffmpeg -i IN -r {usual:g} OUT)"
+            yield Finding("frame_rate", (camera.name,), text, cure, abs(clip.frame_rate / usual - 1))
+    counts = [c.frames for c in clips if c.frames]
+    most = int(np.median(counts)) if counts else 0
+    for camera, clip in zip(rig, clips, strict=True):
+        if clip.frames and abs(clip.frames - most) > max(2, 0.01 * most):
+            text = f"{camera.name}: {clip.frames} frames, the other views have {most}"
+            cure = "copy the video again if it was cut off; else check with hypose sync that all started together"
+            yield Finding("frame_count", (camera.name,), text, cure, float(abs(clip.frames - most)))
+
+
+def person_findings(
+    rig: CameraRig, pixels: Array, names: Sequence[str], height: float | None, o: Limits
+) -> Iterator[Finding]:
+    """The size of the person: units of the calibration, and its scale where the height is known."""
+    if len(rig) < 2:
+        return
+    uv, confidence = undistorted(rig, pixels)
+    n = len(rig)
+    points, _ = triangulate(rig, uv.reshape(n, -1, 2), np.where(confidence > 0.3, confidence, 0).reshape(n, -1))
+    template = human()
+    world = points.reshape(*pixels.shape[1:3], 3)
+    other = wrong_set(world, names)
+    if other is not None:
+        yield other
+        return
+    yield from wrong_way_up(world, names, pixels, rig)
+    try:
+        shape = shape_from_keypoints(template, world, tuple(names))
+    except (EvidenceError, ValueError):
+        return
+    found = float(shape.scale) * template.stature
+    if not np.isfinite(found):
+        return
+    yield from height_findings(found, height, o)
+
+
+def height_findings(found: float, height: float | None, o: Limits) -> Iterator[Finding]:
+    """What a measured height of `found` metres says about the calibration's unit and scale."""
+    if not o.heights[0] <= found <= o.heights[1]:
+        best = "the scale of the calibration is wrong"
+        for factor, words in UNITS:
+            if any(1.3 <= found * f <= 2.1 for f in (factor, 1 / factor)):
+                best = words
+                break
+        text = f"All cameras: the person would be {found:.3g} m tall: {best}"
+        cure = "set calibration_unit in recording.toml, or correct the translations and the board's square size"
+        yield Finding("unit", (), text, cure, abs(float(np.log(found / 1.7))))
+    elif height is not None and abs(found / height - 1) > o.height_share:
+        text = f"All cameras: the person would be {found:.2f} m tall, {height:.2f} m is known"
+        cure = "check the board's square size; hypose check --refine keeps the known height"
+        yield Finding("unit", (), text, cure, abs(found / height - 1))
+    elif height is not None and abs(found / height - 1) > o.height_doubt:
+        text = (
+            f"All cameras: the person comes out {found:.2f} m tall, {height:.2f} m is known: joints are off by that "
+            "share of their distances"
+        )
+        cure = "check the board's square size and the focal lengths"
+        yield Finding("unit", (), text, cure, abs(found / height - 1), fault=False)
+    elif height is None and not o.usual_heights[0] <= found <= o.usual_heights[1]:
+        text = (
+            f"All cameras: the person comes out {found:.2f} m tall, as the calibration's unit and focal lengths have it"
+        )
+        cure = "give the person's height if it is right (--height), else check the board's square size"
+        yield Finding("unit", (), text, cure, abs(float(np.log(found / 1.7))), fault=False)

@@ -1,0 +1,548 @@
+"""Gross faults by trial: each suspected fault is undone, and the fault is believed when the views then agree.
+
+The measure is how far key points lie from the triangulation of all views (or, for silhouettes, how far the planes that
+touch the person differ between two views), in shares of the person's size, so that it holds for any image size.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.calibration.findings import Finding, Limits
+from hypose.calibration.refine_points import (
+    CameraChange,
+    PointAdjustment,
+    adjust,
+    bent,
+    changes,
+    gauge,
+    in_world,
+    point_residual,
+)
+from hypose.calibration.sync_motion import Curves, farther, keypoint_curves, offsets_within, solve_offsets, solve_widely
+from hypose.calibration.synchronisation import point_sd
+from hypose.cameras.camera import Camera, CameraRig, triangulate
+from hypose.errors import EvidenceError
+from hypose.geometry import Array, se3_inverse, transform
+
+CONVENTIONS: tuple[tuple[str, Callable[[Camera], Array]], ...] = (
+    ("64 times too large (Qualisys coefficients of another version, divided by 64)", lambda c: c.distortion / 64),
+    ("64 times too small (Qualisys coefficients must not be divided by 64)", lambda c: c.distortion * 64),
+    ("of the opposite sign", lambda c: -c.distortion),
+    ("those of images that are already undistorted", lambda c: np.zeros(5)),
+)
+
+
+Seen = TypeVar("Seen")
+
+
+@dataclass(frozen=True)
+class Trial(Generic[Seen]):
+    """One suspected fault undone. kind, views (indices) and words as in a Finding; rig and what the views see (key
+    points (C, T, K, 3), or tracks of masks) after the cure."""
+
+    kind: str
+    views: tuple[int, ...]
+    words: str
+    cure: str
+    rig: CameraRig
+    seen: Seen
+
+
+_TURNS = (
+    ("mirrored", "mirrored", (-1.0, 1.0), "mirror the video back (ffmpeg -i IN -vf hflip OUT)"),
+    ("turned", "upside down", (-1.0, -1.0), "turn the video back (ffmpeg -i IN -vf hflip,vflip OUT)"),
+    ("mirrored", "flipped top to bottom", (1.0, -1.0), "flip the video back (ffmpeg -i IN -vf vflip OUT)"),
+)
+"""kind, words, factor of x and y about the middle of the picture, cure"""
+
+
+def geometric_trials(
+    rig: CameraRig, seen: Seen, turned: Callable[[int, Array], Seen], ordered: Callable[[Array], Seen]
+) -> Iterator[Trial[Seen]]:
+    """Images of one camera that are mirrored or turned, views of two cameras that are exchanged, poses that are
+    inverted. turned: what is seen when a view's positions are multiplied by factors (2,) about the picture's middle;
+    ordered: when the views come in another order."""
+    for c, camera in enumerate(rig):
+        for kind, words, factor, cure in _TURNS:
+            cure = f"{cure}, or calibrate {camera.name} from such images"
+            yield Trial(kind, (c,), f"its images are {words}", cure, rig, turned(c, np.array(factor)))
+    for a, b in itertools.combinations(range(len(rig)), 2):
+        order = np.arange(len(rig))
+        order[[a, b]] = b, a
+        words = f"its video is that of camera {rig.names[b]} and the other way round"
+        cure = f'exchange camera = "{rig.names[a]}" and camera = "{rig.names[b]}" in recording.toml'
+        yield Trial("swapped", (a, b), words, cure, rig, ordered(order))
+    inverse = CameraRig(tuple(replace(c, camera_from_world=se3_inverse(c.camera_from_world)) for c in rig))
+    words = "the poses are those of the cameras in the world, not of the world in the cameras"
+    yield Trial("inverted", (), words, "invert every camera's rotation and translation", inverse, seen)
+
+
+def gross_finding(rig: CameraRig, trial: Trial[Any], before: float, after: float, who: str = "views") -> Finding:
+    """The finding that a suspected fault is there: `who` agree when it is undone, to shares of the person's size."""
+    names = tuple(rig.names[k] for k in trial.views)
+    text = (
+        f"{' and '.join(names) if 0 < len(names) < len(rig) else 'All cameras'}: {trial.words}; with that undone the "
+        f"{who} agree to {100 * after:.1f} % of the person's size instead of {100 * before:.1f} %"
+    )
+    return Finding(trial.kind, names, text, trial.cure, before - after)
+
+
+def mirrored_names(names: Sequence[str]) -> list[int]:
+    """Column of the same key point on the other side of the body."""
+    other = {"left": "right", "right": "left"}
+    out = []
+    for k, n in enumerate(names):
+        side, _, rest = n.partition("_")
+        twin = f"{other[side]}_{rest}" if side in other else n
+        out.append(list(names).index(twin) if twin in names else k)
+    return out
+
+
+def disagreement(rig: CameraRig, pixels: Array, views: Sequence[int] = ()) -> float:
+    """Mean over `views` (default all) of the median distance of their key points (C, T, K, 3; distorted px) from the
+    triangulation, in shares of the person's size, at most 10.
+
+    Triangulated from the other views when two are left, so that a bad view does not spoil the points it is judged by;
+    else from all. Points behind a camera count as far away."""
+    c = len(rig)
+    judged = list(views) or list(range(c))
+    others = [k for k in range(c) if k not in judged]
+    by = others if len(others) > 1 else list(range(c))
+    needed = sorted({*judged, *by})
+    uv, confidence = undistorted(CameraRig(tuple(rig[k] for k in needed)), pixels[needed])
+    at = {k: i for i, k in enumerate(needed)}
+    rows = [at[k] for k in by]
+    flat, seen = uv.reshape(len(needed), -1, 2), np.where(confidence > 0.3, confidence, 0.0).reshape(len(needed), -1)
+    points, _ = triangulate(CameraRig(tuple(rig[k] for k in by)), flat[rows], seen[rows])
+    known = np.isfinite(points).all(1)
+    out = []
+    for k in judged:
+        size = float(sizes(pixels[k : k + 1])[0])
+        use = known & (seen[at[k]] > 0)
+        if use.sum() > 20 and size > 0:
+            distance = np.linalg.norm(rig[k].project_pinhole(points[use]) - flat[at[k]][use], axis=1)
+            out.append(min(float(np.median(np.nan_to_num(distance, nan=1e6))) / size, 10.0))
+    return float(np.mean(out)) if out else float("nan")
+
+
+def undistorted(rig: CameraRig, pixels: Array) -> tuple[Array, Array]:
+    """Key points (C, T, K, 3) as undistorted px (C, T, K, 2) and confidence (C, T, K), 0 where that is impossible."""
+    uv = np.stack([c.undistort_points(p[..., :2]) for c, p in zip(rig, pixels, strict=True)])
+    far = 20 * rig.sizes.max()
+    fine = np.isfinite(uv).all(-1) & (np.abs(np.nan_to_num(uv)) < far).all(-1)
+    return np.where(fine[..., None], uv, 0.0), np.where(fine, pixels[..., 2], 0.0)
+
+
+def sizes(pixels: Array) -> Array:
+    """(C,) median over the frames of the person's longer side in px; 0 where nobody is seen."""
+    out = np.zeros(len(pixels))
+    for c, view in enumerate(pixels):
+        found = [np.ptp(p[p[:, 2] > 0.3, :2], axis=0).max() for p in view if (p[:, 2] > 0.3).sum() > 5]
+        out[c] = float(np.median(found)) if found else 0.0
+    return out
+
+
+def trials(
+    rig: CameraRig, pixels: Array, names: Sequence[str], stored: Sequence[tuple[int, int] | None]
+) -> Iterator[Trial[Array]]:
+    """All suspected faults of a rig and key points (C, T, K, 3), undone one at a time. stored: size of each view's
+    stored images, None when unknown."""
+    twin = mirrored_names(names)
+
+    def turned(c: int, factor: Array) -> Array:
+        return _turned(pixels, rig, c, factor, twin if factor.prod() < 0 else None)
+
+    yield from geometric_trials(rig, pixels, turned, lambda order: pixels[order])
+    every = tuple(range(len(rig)))
+    for c in every:
+        yield from _sizes(rig, pixels, c, stored[c])
+    for shift in (1, len(rig) - 1) if len(rig) > 2 else ():
+        words = "the videos belong to other cameras: their order is shifted by one"
+        cure = 'give each view its camera = "..." in recording.toml'
+        yield Trial("swapped", every, words, cure, rig, pixels[np.roll(every, shift)])
+    # what is mirrored shows the other side; what only counts the other way has its names right
+    for kind, words, factor, other, cure in (
+        (
+            "mirrored",
+            "all images are mirrored",
+            (-1.0, 1.0),
+            twin,
+            "mirror the videos back (ffmpeg -i IN -vf hflip OUT)",
+        ),
+        ("turned", "all images are upside down", (-1.0, -1.0), None, "turn the videos back (ffmpeg -vf hflip,vflip)"),
+        (
+            "flipped",
+            "the key points' y counts from the bottom of the images (or all videos are flipped)",
+            (1.0, -1.0),
+            None,
+            "write y as the image's height minus y",
+        ),
+    ):
+        points = pixels
+        for c in every:
+            points = _turned(points, rig, c, np.array(factor), other)
+        yield Trial(kind, every, words, cure, rig, points)
+    lenses = [c for c in every if np.abs(rig[c].distortion).max(initial=0) > 0]
+    for views in ((), *((c,) for c in lenses)) if lenses else ():
+        whose = rig.names[views[0]] if views else "the calibration file"
+        cure = f"correct the distortion coefficients of {whose}, or calibrate the lens again"
+        for words, coefficients in CONVENTIONS:
+            cameras = [
+                replace(k, distortion=coefficients(k)) if c in (views or every) else k for c, k in enumerate(rig)
+            ]
+            words = f"its distortion coefficients are {words}"
+            yield Trial("distortion", views, words, cure, CameraRig(tuple(cameras)), pixels)
+
+
+def _turned(pixels: Array, rig: CameraRig, c: int, factor: Array, twin: list[int] | None) -> Array:
+    """Key points with those of view c multiplied about the picture's middle, and read as those of the other side."""
+    middle = (np.array(rig[c].size) - 1) / 2
+    out = _placed(pixels, c, middle + factor * (pixels[c, ..., :2] - middle))
+    if twin is not None:
+        out[c] = out[c][:, twin]
+    return out
+
+
+def _placed(pixels: Array, c: int, xy: Array) -> Array:
+    """Key points with those of view c that are there at other positions (T, K, 2)."""
+    out = pixels.copy()
+    out[c, ..., :2] = np.where(pixels[c, ..., 2:] > 0, xy, 0.0)
+    return out
+
+
+def _sizes(rig: CameraRig, pixels: Array, c: int, stored: tuple[int, int] | None) -> Iterator[Trial[Array]]:
+    """Key points of images of another size than calibrated: scaled, or cut out of them."""
+    camera = rig[c]
+    w, h = camera.size
+    xy = pixels[c, ..., :2]
+    known = stored is not None and tuple(stored) != (w, h)
+    factors = [(w / stored[0], h / stored[1])] if known and stored is not None else []
+    if not known:
+        factors = [(s, s) for s in (0.5, 2 / 3, 0.75, 4 / 3, 1.5, 2.0)]
+    for fx, fy in factors:
+        new = _placed(pixels, c, (xy + 0.5) * np.array([fx, fy]) - 0.5)
+        if known and stored is not None:
+            words = (
+                f"its key points are in pixels of the stored {stored[0]} x {stored[1]} images, not of the calibrated"
+            )
+        else:
+            words = f"its key points are in pixels of images {1 / fx:.2f} times the calibrated size"
+        cure = 'set keypoint_pixels = "image" in recording.toml'
+        yield Trial("scaled", (c,), words + f" {w} x {h}", cure, rig, new)
+    if known and stored is not None and (stored[0] < w or stored[1] < h):
+        dw, dh = max(w - stored[0], 0), max(h - stored[1], 0)
+        places = {(x, y) for x in (0.0, 0.5, 1.0) for y in (0.0, 0.5, 1.0)}
+        for x, y in sorted(places):
+            dx, dy = round(x * dw), round(y * dh)
+            if (dx, dy) == (0, 0):
+                continue
+            words = f"its images were cut: {dx} px are missing at the left and {dy} px at the top"
+            cure = f"subtract ({dx}, {dy}) from the principal point of {camera.name} and give its size as {stored}"
+            # or the loader has stretched them to the calibrated size
+            stretched = (xy + 0.5) * np.array([stored[0] / w, stored[1] / h]) - 0.5
+            for new in (xy, stretched):
+                yield Trial("cropped", (c,), words, cure, rig, _placed(pixels, c, new + np.array([dx, dy])))
+
+
+def best_trial(
+    rig: CameraRig, pixels: Array, names: Sequence[str], stored: Sequence[tuple[int, int] | None], every: int = 4
+) -> tuple[Trial[Array] | None, float, float]:
+    """The trial after which the views concerned agree best, and their disagreement before and after it (shares of the
+    person's size), judged on every n-th frame. Trials that leave all views together worse are not believed."""
+    few = pixels[:, ::every]
+    all_before = disagreement(rig, few)
+    before: dict[tuple[int, ...], float] = {}
+    scored: list[tuple[float, float, int]] = []
+    for k, trial in enumerate(trials(rig, few, names, stored)):
+        if trial.views not in before:
+            before[trial.views] = disagreement(rig, few, trial.views)
+        scored.append((disagreement(trial.rig, trial.seen, trial.views), before[trial.views], k))
+    # the camera that is worst off is looked at first: its fault disturbs the others
+    worst = max((b for _, b, _ in scored), default=0.0)
+    order = sorted(scored, key=lambda x: x[0] / max(x[1], 1e-6))
+    for after, was, k in order[:6]:
+        if was < 0.5 * worst and after > 0.2 * was:
+            continue
+        trial = next(itertools.islice(trials(rig, pixels, names, stored), k, None))
+        if disagreement(trial.rig, trial.seen[:, ::every]) < all_before:
+            return trial, was, after
+    return None, all_before, all_before
+
+
+# ---- doctor timing -------------------------------------------------------------------------------------------------
+# Which views are not in step with the others, by their key points.
+
+
+_LEAST_FRAMES = 24
+_PART = 0.62
+"""share of a clip that tells by itself what the whole does: of a half too little is left once it is moved by a lag"""
+
+
+def late_views(rig: CameraRig, pixels: Array, o: Limits) -> tuple[Array, Array]:
+    """(C,) frames by which each view is late, 0 where that is not certain, and its sd, infinite where the clip is too
+    short to tell how much more it is. pixels (C, T, K, 3) distorted px of consecutive frames."""
+    n, frames = pixels.shape[:2]
+    late, sd = np.zeros(n), np.zeros(n)
+    if n < 2 or frames < _LEAST_FRAMES:
+        return late, sd
+    uv, confidence = undistorted(rig, pixels)
+    scatter = point_sd(uv, confidence)
+
+    def curves(largest: float) -> Curves:
+        return keypoint_curves(rig, uv, confidence, largest, scatter, step=0.5)
+
+    try:
+        offsets, reach = solve_widely(curves, n, o.largest_lag)
+    except EvidenceError:
+        return late, sd
+    if offsets.gain < o.late_gain:
+        return late, sd
+    found = _by_first_of_two(offsets.frames)
+    certain = (np.abs(found) >= o.late) & (np.abs(found) >= o.late_sd * offsets.sd)
+    if certain.any():
+        certain &= ~_contradicted(rig, uv, confidence, scatter, found, o)
+    later = certain & farther(offsets, found, reach)
+    return np.where(certain, found, 0.0), np.where(later, np.inf, offsets.sd)
+
+
+def _contradicted(
+    rig: CameraRig, uv: Array, confidence: Array, scatter: float, found: Array, o: Limits
+) -> NDArray[np.bool_]:
+    """(C,) views that the earlier or the later part of the clip, where it tells, puts elsewhere than the whole, found
+    (C,) frames late. Who stands and waves moves few points, whose errors last and look like motion that comes late;
+    they are others in another part."""
+    out, long = np.zeros(len(rig), np.bool_), round(_PART * uv.shape[1])
+    if long < _LEAST_FRAMES:
+        return out
+    for part in (slice(None, long), slice(-long, None)):
+        curves = keypoint_curves(rig, uv[:, part], confidence[:, part], o.largest_lag, scatter, step=0.5)
+        try:
+            offsets = solve_offsets(curves, len(rig))
+        except EvidenceError:
+            continue
+        size = np.abs(found)
+        away = np.abs(_by_first_of_two(offsets.frames) - found)
+        out |= (offsets.sd < size / 3) & (away > np.maximum(size / 2, 0.5))
+    return out & (np.abs(found) < offsets_within(o.largest_lag, long) - 1)
+
+
+def _by_first_of_two(frames: Array) -> Array:
+    """(C,) frames by which views are late; of two views, against the first one."""
+    return frames - (frames[0] if len(frames) == 2 else 0.0)
+
+
+def timing_findings(rig: CameraRig, late: Array, sd: Array, fault: bool = True) -> Iterator[Finding]:
+    """Of each view that `late_views` found out of step."""
+    for name, x, s in zip(rig.names, late, sd, strict=True):
+        if x != 0:
+            way, cure = "late" if x > 0 else "early", "run hypose sync, and track what it writes"
+            text = f"{name}: {abs(x):.1f} frames {way} against the other views (sd {s:.2f})"
+            if not np.isfinite(s):
+                text = (
+                    f"{name}: {abs(x):.1f} frames {way} against the other views, or more: the clip is too short to tell"
+                )
+                cure = "run hypose sync on more frames, with a larger --largest"
+            yield Finding("late", (name,), text, cure, abs(x), fault)
+
+
+# ---- doctor extrinsics ---------------------------------------------------------------------------------------------
+# Are the cameras where the calibration says? Refined quickly on some frames' key points, judged on others.
+
+
+AGREE = 0.02
+"""Share of the person's size to which the views of one person agree through the right cameras (`disagreement`)"""
+FAR_DEG, FAR_M = 10.0, 0.5
+"""a refinement that moves a camera farther comes more often from key points of something else than from a calibration
+so wrong"""
+_MOST_FRAMES = 30
+_COMMON = 60  # points that two views have to see together to judge each other
+
+
+@dataclass(frozen=True)
+class Extrinsics:
+    """findings; changes per camera; before_px, after_px: median residual on frames not used; radial (C,) terms that the
+    lenses ask for and their sd; lens_cured: the rig given, refined: the rig that fits (in the old gauge)."""
+
+    findings: tuple[Finding, ...]
+    changes: tuple[CameraChange, ...]
+    before_px: float
+    after_px: float
+    radial: Array
+    radial_sd: Array
+    lens_cured: CameraRig
+    refined: CameraRig
+
+
+def judge_extrinsics(rig: CameraRig, pixels: Array, o: Limits) -> Extrinsics | None:
+    """pixels (C, T, K, 3), distorted px, in step. None when too few points are seen by two views."""
+    c, frames = pixels.shape[:2]
+    uv, confidence = undistorted(rig, pixels)
+    ideal = rig.pinhole()
+    used = np.unique(np.linspace(0, frames - 1, min(_MOST_FRAMES, (frames + 1) // 2)).astype(np.int64))
+    rest = np.setdiff1d(np.arange(frames), used).astype(np.int64)
+    rest = rest if len(rest) else used
+
+    def of(which: NDArray[np.int64]) -> tuple[Array, Array]:
+        return uv[:, which].reshape(c, -1, 2), confidence[:, which].reshape(c, -1)
+
+    try:
+        found = adjust(ideal, *of(used))
+        lens = adjust(ideal, *of(used), radial=True) if c > 2 else None
+    except (EvidenceError, np.linalg.LinAlgError):
+        return None
+    old_from_new = gauge(found.rig, ideal, found.points)
+    refined = in_world(found.rig, old_from_new)
+    size = sizes(pixels)
+    person = float(np.median(size[size > 0])) if (size > 0).any() else 1.0
+    before, after = (_residual(r, *of(rest)) for r in (ideal, refined))
+    moved = changes(ideal, refined, transform(old_from_new, found.points))
+    findings: list[Finding] = []
+    radial, radial_sd = np.zeros(c), np.full(c, np.inf)
+    far = any(m.turn_deg > FAR_DEG or m.move_m > FAR_M for m in moved)
+    if min(before, after) > o.scatter * person or (far and after > AGREE * person):
+        scatter = (_no_one_person(rig, pixels, before, after),)
+        return Extrinsics(scatter, moved, before, after, radial, radial_sd, rig, _with_lenses(refined, rig))
+    if lens is not None:
+        radial, radial_sd = lens.radial, lens.radial_sd
+        findings += _lenses(rig, ideal, lens, uv, confidence, rest, found, person, o)
+    if not any(f.fault for f in findings) and after < o.extrinsics * before and before - after > o.gain * person:
+        own = np.array([m.image_px for m in moved]) / np.where(size > 0, size, person)
+        against = _witnesses(confidence)
+        unsure = []
+        for k, m in enumerate(moved):
+            if own[k] > max(o.moved, 0.2 * np.nanmax(own)):  # a little of it always goes to the others
+                if against[k] < 2:
+                    unsure.append(k)
+                    continue
+                text = (
+                    f"{m.name}: {m.turn_deg:.1f} degrees and {1000 * m.move_m:.0f} mm off, which moves the person "
+                    f"{m.image_px:.0f} px in its image; the key points miss each other by {before:.1f} px, after a "
+                    f"refinement by {after:.1f} px (frames not used)"
+                )
+                cure = "run hypose check --refine and use the calibration that it writes"
+                findings.append(Finding("extrinsics", (m.name,), text, cure, float(m.image_px)))
+        if unsure and not any(f.fault for f in findings):
+            findings.append(_undecided(rig, unsure, confidence, before, after, max(moved[k].image_px for k in unsure)))
+    return Extrinsics(tuple(findings), moved, before, after, radial, radial_sd, rig, _with_lenses(refined, rig))
+
+
+def _no_one_person(rig: CameraRig, pixels: Array, before: float, after: float) -> Finding:
+    """What disagrees however all cameras are moved: of one view, where the others agree without it."""
+    views = range(len(rig)) if len(rig) > 3 else ()
+    rest = [np.delete(np.arange(len(rig)), c) for c in views]
+    without = [disagreement(CameraRig(tuple(rig[int(k)] for k in r)), pixels[r]) for r in rest]
+    said = (
+        f"the key points miss each other by {before:.1f} px, and by {after:.1f} px still when every camera is moved "
+        "(frames not used)"
+    )
+    c = int(np.argmin(without)) if without else -1
+    if c < 0 or not without[c] < AGREE or sum(w < max(AGREE, 2 * without[c]) for w in without) > 1:
+        cure = "look whether video and key points of every view are of this recording and show the same person"
+        return Finding("scatter", (), f"All cameras: {said}", cure, before)
+    text = (
+        f"{rig.names[c]}: {said}; without this view the others agree to {100 * without[c]:.1f} % of the person's size"
+    )
+    cure = (
+        "look whether its video and key points are of this recording, of the same person, and not mirrored or turned; "
+        "else calibrate this camera anew, or leave the view out"
+    )
+    return Finding("scatter", (rig.names[c],), text, cure, before)
+
+
+def _witnesses(confidence: Array) -> NDArray[np.int64]:
+    """(C,) by how many other views each view's points (C, T, K) can be judged."""
+    seen = (confidence > 0.3).reshape(len(confidence), -1)
+    common = (seen[:, None] & seen[None]).sum(-1)
+    np.fill_diagonal(common, 0)
+    return (common >= _COMMON).sum(1)
+
+
+def _undecided(
+    rig: CameraRig, views: list[int], confidence: Array, before: float, after: float, image_px: float
+) -> Finding:
+    """Cameras that disagree with one other alone: which of them is off cannot be told."""
+    seen = (confidence > 0.3).reshape(len(confidence), -1)
+    partners = {j for k in views for j in range(len(rig)) if (seen[k] & seen[j]).sum() >= _COMMON}
+    names = tuple(rig.names[k] for k in sorted({*views, *partners}))
+    text = (
+        f"{' and '.join(names)}: they do not agree, and which of them is off cannot be told by two alone; the key "
+        f"points miss each other by {before:.1f} px, after a refinement by {after:.1f} px (frames not used)"
+    )
+    return Finding("extrinsics", names, text, "film with a third camera, or run hypose check --refine", image_px)
+
+
+def _with_lenses(rig: CameraRig, like: CameraRig) -> CameraRig:
+    """The rig's poses and focal lengths with the lens distortion of another."""
+    return CameraRig(
+        tuple(replace(a, distortion=b.distortion, fisheye=b.fisheye) for a, b in zip(rig, like, strict=True))
+    )
+
+
+def _residual(rig: CameraRig, uv: Array, confidence: Array) -> float:
+    return float(np.nanmedian(point_residual(rig, uv, confidence, min_confidence=0.3)))
+
+
+def _lenses(
+    rig: CameraRig,
+    ideal: CameraRig,
+    lens: PointAdjustment,
+    uv: Array,
+    confidence: Array,
+    rest: NDArray[np.int64],
+    plain: PointAdjustment,
+    person: float,
+    o: Limits,
+) -> list[Finding]:
+    """Cameras whose images bend straight lines otherwise than their coefficients say: faults when frames that were not
+    used fit better with terms of their own, else a note, for many points make a term certain that changes nothing."""
+    c, filmed = len(rig), uv[:, rest].reshape(len(rig), -1, 2)
+    seen = confidence[:, rest].reshape(c, -1)
+    without, freed = _residual(plain.rig, filmed, seen), _bent_residual(lens, filmed, seen)
+    off, largest = list[str](), 0.0
+    out = []
+    for n, camera in enumerate(ideal):
+        radius = np.linalg.norm((uv[n][confidence[n] > 0.3] - camera.K[:2, 2]) / camera.K[0, 0], axis=1)
+        far = float(np.percentile(radius, 90)) if len(radius) else 0.0
+        effect = abs(lens.radial[n]) * far**3 * camera.K[0, 0]
+        if abs(lens.radial[n]) > o.lens_z * lens.radial_sd[n] and effect > o.lens_px * person:
+            off.append(rig[n].name)
+            largest = max(largest, effect)
+            text = (
+                f"{camera.name}: its lens coefficients do not fit: a radial term of {lens.radial[n]:+.2f} is missing, "
+                f"{effect:.1f} px where the person is; the residual falls from {without:.1f} to {freed:.1f} px"
+            )
+            cure = "calibrate the lens again (hypose calibrate), or correct the sign and order of its coefficients"
+            out.append(Finding("distortion", (rig[n].name,), text, cure, effect))
+    if not off or freed <= o.lens_gain * without:
+        return out
+    text = (
+        f"{', '.join(off)}: other lens coefficients would fit as well, but the views would hardly agree better "
+        f"({freed:.1f} instead of {without:.1f} px)"
+    )
+    return [Finding("distortion", tuple(off), text, "nothing, if the lenses were calibrated", largest, fault=False)]
+
+
+def _bent_residual(lens: PointAdjustment, pixels: Array, confidence: Array) -> float:
+    """px between points (C, N, 2) as they were filmed and where the cameras with their radial terms see them: pixels
+    made straight first would be another size, and no measure beside those as they are."""
+    straight = np.stack([_bent_back(k, pixels[n], lens.radial[n]) for n, k in enumerate(lens.rig)])
+    points, _ = triangulate(lens.rig, straight, np.where(confidence > 0.3, confidence, 0.0))
+    r = np.stack([bent(k, k.project_pinhole(points), lens.radial[n]) for n, k in enumerate(lens.rig)]) - pixels
+    return float(np.nanmedian(np.where(confidence > 0.3, np.linalg.norm(r, axis=-1), np.nan)))
+
+
+def _bent_back(camera: Camera, pixels: Array, radial: float) -> Array:
+    """Pixels as the camera would give them without the radial term."""
+    centre, focal = camera.K[:2, 2], camera.K[0, 0]
+    x = (pixels - centre) / focal
+    y = x.copy()
+    for _ in range(5):
+        y = x / (1 + radial * (y**2).sum(-1, keepdims=True))
+    return centre + y * focal

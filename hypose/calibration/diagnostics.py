@@ -1,0 +1,586 @@
+"""The doctor: is this calibration right for this recording, and if not, what is wrong with which camera?
+
+Each fault is looked for by undoing it: if the views agree much better afterwards, it is there. Gross faults come
+first (mirrored or turned images, exchanged cameras, another image size, lens coefficients of another convention), then
+a constant shift of the key points and timing, then the cameras' poses, because each hides the next. The measures are
+shares of the person's size in the image, so that limits hold for any resolution.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from hypose.calibration.diagnose_masks import (
+    Alignment,
+    align,
+    focal_by_masks,
+    focal_by_points,
+    focal_findings,
+    tangency,
+    tangency_by_view,
+    view_masks,
+)
+from hypose.calibration.diagnose_person import Report, ViewReport, clip_findings, height_findings, person_findings
+from hypose.calibration.diagnose_points import (
+    FAR_DEG,
+    FAR_M,
+    Extrinsics,
+    Trial,
+    best_trial,
+    disagreement,
+    geometric_trials,
+    gross_finding,
+    judge_extrinsics,
+    late_views,
+    sizes,
+    timing_findings,
+    undistorted,
+)
+from hypose.calibration.findings import Clip, Finding, Limits, depth_findings
+from hypose.calibration.refine_points import changed, changes, left_out_residual, point_residual
+from hypose.calibration.sync_motion import MaskTrack, farther, mask_tracks, silhouette_curves, solve_widely
+from hypose.calibration.synchronisation import points_at
+from hypose.cameras.camera import CameraRig
+from hypose.errors import EvidenceError
+from hypose.evidence.depth_evidence import Depth
+from hypose.evidence.frame import Silhouettes
+from hypose.evidence.hull import visual_hull
+from hypose.geometry import Array
+
+# ---- doctor silhouettes --------------------------------------------------------------------------------------------
+# The doctor's checks on silhouettes alone: tangent planes of pairs of views in place of key points.
+#
+# They know less than key points: two planes per pair and frame. Mirrored, turned and exchanged views, timing, wrong
+# poses and units can be told; lens coefficients cannot.
+
+
+SCATTER = 0.08
+"""Share of the person's size by which tangent planes may disagree: tables and treadmills cut masks, too."""
+_JUDGED = 40  # frames on which poses are judged
+_LOOK_AT_MASKS = (
+    "look at the masks in check.png; if they outline the same person in every view, run hypose check --refine, else "
+    "give a photo or clip of the empty room as background, masks of your own, or key points"
+)
+
+
+def examine_silhouettes(
+    rig: CameraRig, silhouettes: Sequence[Silhouettes | None], o: Limits
+) -> tuple[list[Finding], tuple[ViewReport, ...], Array]:
+    """Findings, one report per view, and (C,) frames by which each view is late. rig: as calibrated."""
+    small = next((s.rig for s in silhouettes if s is not None), None)
+    n = len(rig)
+    if small is None:
+        raise EvidenceError("No frame has silhouettes; give masks, a background, or key points.")
+    tracks = mask_tracks(silhouettes)
+    size = _sizes(tracks)
+    ratio = rig.sizes[:, 0] / small.sizes[:, 0]
+    findings: list[Finding] = []
+    late = np.zeros(n)
+    if n < 2:
+        return findings, _reports(rig, np.full(n, np.nan), size * ratio), late
+    residual = tangency_by_view(tangency(small, tracks), n) * ratio
+    reports = _reports(rig, residual, size * ratio)
+    small, tracks = _gross_masks(small, tracks, size, findings, o)
+    timed = list(findings)
+    late = _timing(rig, small, tracks, size, timed, o)
+    in_step = [_delayed(t, x) for t, x in zip(tracks, late, strict=True)]
+    # somebody who walks straight on looks through a late camera as through one that stands elsewhere
+    left = _score(small, _few(in_step, _JUDGED), size)
+    placed = _displaced(rig, small, tracks, size, silhouettes, left, o) if not findings else None
+    if placed is None:
+        findings, tracks = timed, in_step
+    else:  # a camera that stands elsewhere sees the person move at other times: told in its own place
+        findings.append(placed[0])
+        small = placed[1]
+        late = _timing(rig, small, tracks, size, findings, o)
+        tracks = [_delayed(t, x) for t, x in zip(tracks, late, strict=True)]
+    if not findings or all(f.kind == "late" for f in findings):
+        findings += focal_findings(focal_by_masks(small, _few(tracks, _JUDGED)))
+    if not findings or all(f.kind == "late" for f in findings):
+        poses = _poses(rig, small, tracks, size, silhouettes, o)
+        if any(f.kind == "scatter" for f in poses):  # no lag is told by masks that do not show one person
+            return poses, reports, np.zeros(n)
+        findings += poses
+        findings += _unit(small, size, o)
+    return findings, reports, late
+
+
+def gross_silhouettes(rig: CameraRig, silhouettes: Sequence[Silhouettes | None], o: Limits) -> tuple[Finding, ...]:
+    """What a few frames (not in a row) tell: mirrored, turned and exchanged views, planes that never meet, and the
+    unit. rig: that of the silhouettes."""
+    tracks = mask_tracks(silhouettes)
+    size = _sizes(tracks)
+    findings: list[Finding] = []
+    if len(rig) < 2 or not (size > 0).any():
+        return ()
+    cured, tracks = _gross_masks(rig, tracks, size, findings, o)
+    left = _score(cured, tracks, size)
+    if not findings and left > SCATTER:
+        found = _scattered(cured, tracks, size, left)
+        findings.append(replace(found, cure="run hypose check, which looks for the cause"))
+    findings += _unit(cured, size, o)
+    return tuple(findings)
+
+
+def _reports(rig: CameraRig, residual: Array, size: Array) -> tuple[ViewReport, ...]:
+    nan = float("nan")
+    return tuple(
+        ViewReport(name, nan, nan, float(r), float(s), None, None)
+        for name, r, s in zip(rig.names, residual, size, strict=True)
+    )
+
+
+def _sizes(tracks: Sequence[MaskTrack]) -> Array:
+    return np.array([t.size for t in tracks])
+
+
+def _score(rig: CameraRig, tracks: Sequence[MaskTrack], size: Array) -> float:
+    """Mean over the views of their disagreement in shares of the person's size; 10 when planes never meet. Views
+    without a whole mask (size 0) say nothing."""
+    seen = size > 0
+    by_view = tangency_by_view(tangency(rig, tracks), len(rig))[seen] / size[seen]
+    return float(np.mean(np.nan_to_num(np.minimum(by_view, 10.0), nan=10.0))) if seen.sum() > 1 else 0.0
+
+
+def _few(tracks: Sequence[MaskTrack], count: int) -> list[MaskTrack]:
+    total = len(tracks[0].area)
+    rows = np.unique(np.linspace(0, total - 1, min(count, total)).astype(int))
+    return [t.at(rows) for t in tracks]
+
+
+def _gross_masks(
+    rig: CameraRig, tracks: list[MaskTrack], size: Array, findings: list[Finding], o: Limits
+) -> tuple[CameraRig, list[MaskTrack]]:
+    for _ in range(2):
+        few = _few(tracks, 25)
+        before = _score(rig, few, size)
+        if before < o.gross:
+            break
+        scored = [(_score(t.rig, t.seen, size), k) for k, t in enumerate(_trials(rig, few))]
+        after, k = min(scored)
+        if after > min(o.gross_cured * before, SCATTER):
+            break
+        trial = next(itertools.islice(_trials(rig, tracks), k, None))
+        findings.append(gross_finding(rig, trial, before, after, "silhouettes"))
+        rig, tracks = trial.rig, trial.seen
+    return rig, tracks
+
+
+def _trials(rig: CameraRig, tracks: list[MaskTrack]) -> Iterator[Trial[list[MaskTrack]]]:
+    def turned(c: int, factor: Array) -> list[MaskTrack]:
+        middle, track = (np.array(rig[c].size) - 1) / 2, tracks[c]
+        outline, changed = (
+            tuple(None if p is None else middle + factor * (p - middle) for p in parts)
+            for parts in (track.outline, track.changed)
+        )
+        return [*tracks[:c], replace(track, outline=outline, changed=changed), *tracks[c + 1 :]]
+
+    return geometric_trials(rig, tracks, turned, lambda order: [tracks[k] for k in order])
+
+
+def _delayed(track: MaskTrack, late: float) -> MaskTrack:
+    """The track as it is when frame t + late is shown at t."""
+    return track.at(np.arange(len(track.area)) + round(late))
+
+
+def _timing(
+    rig: CameraRig, small: CameraRig, tracks: list[MaskTrack], size: Array, findings: list[Finding], o: Limits
+) -> Array:
+    n, late = len(rig), np.zeros(len(rig))
+    if len(tracks[0].area) < 24:
+        return late
+    try:
+        scale = max(float(np.median(size)) / 130, 0.5)
+        offsets, reach = solve_widely(lambda x: silhouette_curves(small, tracks, x, scale), n, o.largest_lag)
+    except EvidenceError:
+        return late
+    if offsets.gain < 2 * o.late_gain:
+        return late
+    frames = offsets.frames - (offsets.frames[0] if n == 2 else 0.0)
+    certain = (np.abs(frames) >= max(o.late, 0.6)) & (np.abs(frames) >= o.late_sd * offsets.sd)
+    late = np.where(certain, frames, 0.0)
+    findings += timing_findings(rig, late, np.where(farther(offsets, frames, reach), np.inf, offsets.sd))
+    return late
+
+
+def _displaced(
+    rig: CameraRig,
+    small: CameraRig,
+    tracks: list[MaskTrack],
+    size: Array,
+    silhouettes: Sequence[Silhouettes | None],
+    in_step: float,
+    o: Limits,
+) -> tuple[Finding, CameraRig] | None:
+    """A camera whose other place alone cures the disagreement of the tangent planes, far better than what is left of it
+    when the views are brought in step, and the rig with it there."""
+    few = _few(tracks, _JUDGED)
+    before = _score(small, few, size)
+    if before < o.tangency or len(rig) < 3:
+        return None
+    value, c, moved = _best_moved(small, few, size)
+    if value > o.gross_cured * min(before, in_step) or value > o.tangency:
+        return None
+    return _elsewhere(rig, small, moved, c, before, value, silhouettes), moved
+
+
+def _poses(
+    rig: CameraRig,
+    small: CameraRig,
+    tracks: list[MaskTrack],
+    size: Array,
+    silhouettes: Sequence[Silhouettes | None],
+    o: Limits,
+) -> list[Finding]:
+    """Whether one camera alone, moved, makes the tangent planes agree."""
+    few = _few(tracks, _JUDGED)
+    before = _score(small, few, size)
+    if before < o.tangency or len(rig) < 3:
+        return []
+    value, c, moved = _best_moved(small, few, size)
+    disagree = f"All cameras: the silhouettes' tangent planes disagree by {100 * before:.1f} % of the person's size"
+    change = changes(small, moved, _person(silhouettes))[c]
+    far = change.turn_deg > FAR_DEG or change.move_m > FAR_M
+    if min(before, value) > SCATTER or (far and value > o.tangency):
+        if before <= SCATTER and value <= SCATTER:  # the views show one person, and it is not told what is wrong
+            return [Finding("extrinsics", (), disagree, "run hypose check --refine, and hypose sync", before)]
+        found = _scattered(small, few, size, before)
+        text = f"{found.text}, and no lag that these frames can tell and no other place of one camera cures that"
+        return [replace(found, text=text)]
+    if value > o.extrinsics * before:
+        return [Finding("extrinsics", (), disagree, "run hypose check --refine", before)]
+    return [_elsewhere(rig, small, moved, c, before, value, silhouettes)]
+
+
+def _scattered(small: CameraRig, tracks: Sequence[MaskTrack], size: Array, before: float) -> Finding:
+    """Masks that do not show one person: those of one view, where the others agree without it."""
+    disagree = f"the silhouettes' tangent planes disagree by {100 * before:.0f} % of the person's size"
+    seen = np.flatnonzero(size > 0)
+    for c in seen if len(seen) > 3 else ():
+        rest = [int(k) for k in seen if k != c]
+        left = _score(small.select([small.names[k] for k in rest]), [tracks[k] for k in rest], size[rest])
+        if left < min(0.5 * SCATTER, 0.25 * before):
+            text = f"{small.names[c]}: {disagree}, by {100 * left:.0f} % without this view"
+            return Finding("scatter", (small.names[c],), text, _LOOK_AT_MASKS, before)
+    return Finding("scatter", (), f"All cameras: {disagree}", _LOOK_AT_MASKS, before)
+
+
+def _best_moved(small: CameraRig, few: list[MaskTrack], size: Array) -> tuple[float, int, CameraRig]:
+    """What disagreement is left when the camera that helps most is moved, which that is, and the rig with it there."""
+    tried = [_moved_alone(small, few, size, c) for c in range(len(small))]
+    left = [_score(moved, few, size) for moved in tried]
+    c = int(np.argmin(left))
+    return left[c], c, tried[c]
+
+
+def _elsewhere(
+    rig: CameraRig,
+    small: CameraRig,
+    moved: CameraRig,
+    c: int,
+    before: float,
+    after: float,
+    silhouettes: Sequence[Silhouettes | None],
+) -> Finding:
+    change = changes(small, moved, _person(silhouettes))[c]
+    ratio = rig.sizes[c, 0] / small.sizes[c, 0]
+    text = (
+        f"{rig.names[c]}: {change.turn_deg:.1f} degrees and {1000 * change.move_m:.0f} mm off, which moves the person "
+        f"{change.image_px * ratio:.0f} px in its image; the silhouettes' tangent planes disagree by "
+        f"{100 * before:.1f} % of the person's size, after moving this camera by {100 * after:.1f} %"
+    )
+    cure = "run hypose check --refine and use the calibration that it writes"
+    return Finding("extrinsics", (rig.names[c],), text, cure, change.image_px * ratio)
+
+
+def _moved_alone(rig: CameraRig, tracks: list[MaskTrack], size: Array, c: int) -> CameraRig:
+    """The rig with camera c where its tangent planes agree best with the others'."""
+    from scipy.optimize import least_squares  # takes long to import
+
+    mine = [k for k in range(len(rig)) if k != c]
+    scale = 0.01 * max(float(size[c]), 1.0)
+
+    def at(x: Array) -> CameraRig:
+        cameras = list(rig)
+        cameras[c] = changed(rig[c], x * np.array([0.02] * 3 + [0.1] * 3))
+        return CameraRig(tuple(cameras))
+
+    def rows(x: Array) -> Array:
+        moved = at(x)
+        out = []
+        for k in mine:
+            pair = CameraRig((moved[c], moved[k]))
+            out.append(tangency(pair, [tracks[c], tracks[k]])[0, 1].ravel())
+        r = np.clip(np.nan_to_num(np.concatenate(out)), -50 * scale, 50 * scale) / scale
+        return np.r_[r, 0.3 * x]
+
+    found = least_squares(rows, np.zeros(6), loss="soft_l1", max_nfev=12, diff_step=1e-3).x
+    return at(found)
+
+
+def _person(silhouettes: Sequence[Silhouettes | None]) -> Array:
+    """Some points (N, 3) of the person, m, from a visual hull; the origin when there is none."""
+    for s in silhouettes[:: max(1, len(silhouettes) // 5)]:
+        if s is not None and s.usable.sum() > 1:
+            try:
+                return visual_hull(s).points
+            except EvidenceError:
+                continue
+    return np.zeros((1, 3))
+
+
+def _unit(rig: CameraRig, size: Array, o: Limits) -> Iterator[Finding]:
+    """The person's height from its size in the images and the distance to where the cameras look: good to a third."""
+    look = np.stack([c.camera_from_world[2, :3] for c in rig])
+    across = np.eye(3) - look[:, :, None] * look[:, None, :]
+    middle = np.linalg.lstsq(across.sum(0), (across @ rig.positions[..., None]).sum(0)[:, 0], rcond=None)[0]
+    distance = np.linalg.norm(rig.positions - middle, axis=1)
+    seen = size > 0
+    if seen.any():
+        heights = size[seen] * distance[seen] / np.array([c.K[1, 1] for c in rig])[seen]
+        yield from height_findings(
+            float(np.median(heights)), None, replace(o, heights=(0.6, 3.5), usual_heights=(0.6, 3.5))
+        )
+
+
+@dataclass(frozen=True)
+class Observed:
+    """What the doctor looks at: consecutive frames of one recording.
+
+    rig: as calibrated, with lens distortion; keypoints (C, T, K, 3) in px of the calibrated, distorted images
+    (confidence 0: missing) and their names; silhouettes: T, undistorted, at any working size, made without the key
+    points (else they agree with them whatever is wrong); clips: one per view; height: of the person, m, when known;
+    people: sentences about who else is there; depths: of some frames, where there are depth cameras."""
+
+    rig: CameraRig
+    keypoints: Array | None = None
+    names: tuple[str, ...] = ()
+    silhouettes: Sequence[Silhouettes | None] | None = None
+    clips: tuple[Clip, ...] = ()
+    frame_rate: float = 25.0
+    height: float | None = None
+    people: tuple[str, ...] = ()
+    depths: Sequence[Depth] = ()
+
+
+@dataclass(frozen=True)
+class Cured:
+    """The observations after the cures: rig, key points in step and in place; late (C,) frames; shift (C, 2) px of the
+    calibrated size to add to the images; keypoint_lag in frames."""
+
+    rig: CameraRig
+    keypoints: Array | None
+    late: Array
+    shift: Array
+    keypoint_lag: int
+
+
+@dataclass
+class _State:
+    rig: CameraRig
+    pixels: Array
+    findings: list[Finding] = field(default_factory=list)
+
+
+def examine(observed: Observed, limits: Limits | None = None) -> Report:
+    """All checks that the evidence allows. An EvidenceError when there is neither key point nor silhouette."""
+    return examine_and_cure(observed, limits)[0]
+
+
+def examine_and_cure(observed: Observed, limits: Limits | None = None) -> tuple[Report, Cured]:
+    """The report, and the observations as they are after the faults were undone (for a refinement)."""
+    o = limits or Limits()
+    n = len(observed.rig)
+    findings = list(clip_findings(observed.rig, observed.clips, observed.frame_rate))
+    findings += [Finding("people", (), text, "nothing, if that is right", 0.0, fault=False) for text in observed.people]
+    by_depth = depth_findings(observed.depths)
+    findings += by_depth
+    if observed.keypoints is None or (observed.keypoints[..., 2] > 0.3).any((1, 2)).sum() < 2:
+        if observed.silhouettes is None:
+            raise EvidenceError(
+                "There are neither key points of two views nor silhouettes; give the recording one of them to check "
+                "its calibration."
+            )
+        found, views, late = examine_silhouettes(observed.rig, observed.silhouettes, o)
+        # of cameras that measure, masks tell nothing better: their faults are those of the depth maps, guessed
+        findings += [] if any(f.fault for f in by_depth) else found
+        return Report(tuple(findings), views, None, None), Cured(
+            observed.rig, observed.keypoints, late, np.zeros((n, 2)), 0
+        )
+    state = _State(observed.rig, observed.keypoints)
+    _gross(state, observed, o)
+    gross = {f.kind for f in state.findings}
+    findings += state.findings
+    alignments, lag, shift = _against_masks(observed, state, findings, o)
+    late, sd = np.zeros(n), np.zeros(n)
+    if not gross & {"inverted"}:
+        late, sd = late_views(state.rig, state.pixels, o)
+        findings += timing_findings(state.rig, late, sd)
+    pixels = np.stack([points_at(p, x) for p, x in zip(state.pixels, late, strict=True)])
+    extrinsics = None
+    focal = list(focal_findings(focal_by_points(state.rig, pixels))) if n > 1 and not gross else []
+    findings += focal
+    later = bool((np.isinf(sd) & (late != 0)).any())  # by how much is not known: cameras would take the blame for it
+    if not focal and n > 1 and not gross & {"inverted"}:
+        extrinsics = judge_extrinsics(state.rig, pixels, o)
+        if extrinsics is not None and later:
+            findings += [f for f in extrinsics.findings if f.kind == "scatter"]
+        elif extrinsics is not None:
+            state.rig = extrinsics.lens_cured
+            findings += extrinsics.findings
+    if any(f.kind == "scatter" for f in findings):  # what never meets tells no time, and says nothing of a body
+        findings = [f for f in findings if f.kind != "late"]
+        late, pixels = np.zeros(n), state.pixels
+    elif not later:
+        findings += person_findings(state.rig, pixels, observed.names, observed.height, o)
+    report = Report(tuple(findings), _views(observed, pixels, alignments, extrinsics), extrinsics, alignments)
+    return report, Cured(state.rig, pixels, late, shift, lag)
+
+
+def _gross(state: _State, observed: Observed, o: Limits) -> None:
+    """Undoes up to three gross faults, the one that helps most first."""
+    stored = [c.size for c in observed.clips] if observed.clips else [None] * len(state.rig)
+    for _ in range(3):
+        every = max(1, state.pixels.shape[1] // 15)
+        trial, before, after = best_trial(state.rig, state.pixels, observed.names, stored, every)
+        limit = o.gross_lens if trial is not None and trial.kind == "distortion" else o.gross
+        if trial is None or before < limit or after > o.gross_cured * before:
+            return
+        state.findings.append(gross_finding(state.rig, trial, before, after))
+        state.rig, state.pixels = trial.rig, trial.seen
+
+
+def _against_masks(
+    observed: Observed, state: _State, findings: list[Finding], o: Limits
+) -> tuple[tuple[Alignment | None, ...] | None, int, Array]:
+    """Lag and shift of the key points against the masks of the same view. Returns the alignments, the common lag and
+    the shifts (C, 2) to add to the images, px of the calibrated size (zero where none was found)."""
+    shift = np.zeros((len(observed.rig), 2))
+    if observed.silhouettes is None or observed.keypoints is None:
+        return None, 0, shift
+    small = next((s.rig for s in observed.silhouettes if s is not None), None)
+    if small is None:
+        return None, 0, shift
+    scaled = {name for f in state.findings if f.kind in ("scaled", "cropped") for name in f.views}
+    uv, confidence = undistorted(observed.rig, observed.keypoints)
+    cured, cured_confidence = undistorted(observed.rig, state.pixels)
+    made: list[Alignment | None] = []
+    for c, camera in enumerate(observed.rig):
+        ratio = np.array(small[c].size) / np.array(camera.size)
+        source = (cured[c], cured_confidence[c]) if camera.name in scaled else (uv[c], confidence[c])
+        points = np.concatenate([(source[0] + 0.5) * ratio - 0.5, source[1][..., None]], -1)
+        made.append(align(points, observed.names, view_masks(observed.silhouettes, c)))
+    lag, lagging = _common_lag(made, o)
+    if lag:
+        text = (
+            f"The key points are {abs(lag)} frame{'s' if abs(lag) > 1 else ''} {'early' if lag > 0 else 'late'} "
+            f"against the videos in {lagging} of {len(made)} views: file t belongs to video frame t{lag:+d}"
+        )
+        cure = f"set keypoint_lag = {lag} in recording.toml (counted from its present value)"
+        findings.append(Finding("keypoint_lag", (), text, cure, float(abs(lag))))
+    size = sizes(observed.keypoints)
+    moves = _own_shifts(made, observed.rig, small)
+    usual = np.where(size > 0, size, np.inf)
+    for c, a in enumerate(made):
+        if a is None or observed.rig[c].name in scaled:
+            continue
+        own = a.lag - lag
+        if abs(own) > 1.0 and abs(own) > o.own_lag_sd * a.lag_sd:
+            name = observed.rig[c].name
+            text = (
+                f"{name}: its key points are {abs(own):.1f} frames {'early' if own > 0 else 'late'} against its video"
+            )
+            findings.append(Finding("keypoint_lag", (name,), text, "detect its key points again", abs(own)))
+        ratio = np.array(observed.rig[c].size) / np.array(small[c].size)
+        move, sd = moves[c], a.shift_sd * ratio
+        others = np.delete(moves, c, 0) / np.delete(usual, c)[:, None]
+        spread = np.sqrt(np.nanmean(others**2, axis=0)) if np.isfinite(others).any() else np.zeros(2)
+        spread = np.maximum(spread, 0.0025)
+        least = np.maximum(np.maximum(o.shift_sd * sd, o.shift * size[c]), o.shift_spread * spread * size[c])
+        least = np.maximum(least, o.shift_px * ratio)
+        least[1] *= 1.5  # limbs hang: what is above and below is told by few of them
+        significant = np.abs(move) > least
+        if significant.any():
+            shift[c] = np.where(significant, move, 0.0)
+            x, y = np.round(shift[c], 1)
+            where = [f"{abs(x):g} px to the {'right' if x > 0 else 'left'} of"] if x else []
+            where += [f"{abs(y):g} px {'below' if y > 0 else 'above'}"] if y else []
+            name = observed.rig[c].name
+            findings.append(
+                Finding(
+                    "keypoint_shift",
+                    (name,),
+                    f"{name}: its key points lie {' and '.join(where)} the person in its images, constantly",
+                    f"set image_shift = [{x:g}, {y:g}] for this view in recording.toml",
+                    float(np.linalg.norm(move)),
+                )
+            )
+    return tuple(made), lag, shift
+
+
+def _own_shifts(made: Sequence[Alignment | None], rig: CameraRig, small: CameraRig) -> Array:
+    """(C, 2) px of the calibrated size by which each view's images would have to move, less what the views share: that
+    is a matter of the detector's joints. NaN where unknown."""
+    own = np.full((len(made), 2), np.nan)
+    for c, a in enumerate(made):
+        if a is not None:
+            own[c] = a.shift * np.array(rig[c].size) / np.array(small[c].size)
+    known = np.isfinite(own[:, 0])
+    if known.any():
+        # limbs hang, so the vertical shift is the one that detectors get wrong alike, in two views already
+        own[:, 1] -= np.nanmedian(own[:, 1])
+        if known.sum() > 2:
+            own[:, 0] -= np.nanmedian(own[:, 0])
+    return own
+
+
+def _common_lag(made: Sequence[Alignment | None], o: Limits) -> tuple[int, int]:
+    """The lag (whole frames) that most views ask for, and how many of them; 0 when they do not agree."""
+    known = [a for a in made if a is not None]
+    if not known:
+        return 0, 0
+    lags, sd = np.array([a.lag for a in known]), np.array([max(a.lag_sd, 0.1) for a in known])
+    middle = float((lags / sd**2).sum() / (1 / sd**2).sum())
+    # views that disagree make the mean less certain
+    off = np.sqrt(1 / (1 / sd**2).sum() * max(1.0, float((((lags - middle) / sd) ** 2).mean())))
+    lag = int(np.rint(middle))
+    votes = int((np.abs(lags - lag) < np.maximum(0.75, 2 * sd)).sum())
+    if lag == 0 or abs(middle) < o.keypoint_lag_sd * off or votes * 2 <= len(known):
+        return 0, 0
+    return lag, votes
+
+
+def _views(
+    observed: Observed,
+    pixels: Array,
+    alignments: tuple[Alignment | None, ...] | None,
+    extrinsics: Extrinsics | None,
+) -> tuple[ViewReport, ...]:
+    """Per view: residuals of key points (all views, and left out) and of silhouettes."""
+    c = len(observed.rig)
+    uv, confidence = undistorted(observed.rig, pixels)
+    flat, seen = uv.reshape(c, -1, 2), confidence.reshape(c, -1)
+    inside = point_residual(observed.rig, flat, seen) if c > 1 else np.full(seen.shape, np.nan)
+    outside = left_out_residual(observed.rig, flat, seen)
+    masks = np.full(c, np.nan)
+    if observed.silhouettes is not None:
+        small = next((s.rig for s in observed.silhouettes if s is not None), None)
+        if small is not None and c > 1:
+            tracks = mask_tracks(observed.silhouettes[:: max(1, len(observed.silhouettes) // 20)])
+            masks = tangency_by_view(tangency(small, tracks), c)
+            masks = masks * observed.rig.sizes[:, 0] / small.sizes[:, 0]
+    size = sizes(pixels)
+    out = []
+    for k, name in enumerate(observed.rig.names):
+        change = None if extrinsics is None else extrinsics.changes[k]
+        fit = None if alignments is None else alignments[k]
+        a, b = (float(np.nanmedian(x[k])) if np.isfinite(x[k]).any() else float("nan") for x in (inside, outside))
+        out.append(ViewReport(name, a, b, float(masks[k]), float(size[k]), change, fit))
+    return tuple(out)
+
+
+__all__ = ["Clip", "Cured", "Finding", "Limits", "Observed", "Report", "disagreement", "examine", "examine_and_cure"]

@@ -1,0 +1,284 @@
+"""What the doctor is told of a view's file, what counts as a fault, and a fault."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import permutations
+
+import cv2
+import numpy as np
+
+from hypose.cameras.camera import CameraRig
+from hypose.errors import EvidenceError
+from hypose.evidence.depth_evidence import Depth, in_world
+from hypose.evidence.depth_floor import camera_on_floor
+from hypose.geometry import transform
+
+
+@dataclass(frozen=True)
+class Clip:
+    """What one view's file says: size (w, h) px of the stored images, frames/s, number of frames; None = unknown.
+    accepted: the user has said that the images were only stretched (accept_scaled)."""
+
+    size: tuple[int, int] | None = None
+    frame_rate: float | None = None
+    frames: int | None = None
+    accepted: bool = False
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What counts as a fault. Shares are of the person's size in the image (its longer side).
+
+    gross: disagreement of a view with the others above which gross faults are tried, gross_lens: the same for lens
+    conventions, gross_cured: what must be left of it at most. largest_lag: frames; late: frames, late_sd: in sd,
+    late_gain: half log likelihood. keypoint_lag_sd, own_lag_sd: of all and of one view's key points against the masks,
+    in sd. shift: share, shift_sd: in sd, shift_spread: in the spread of the other views' shifts,
+    shift_px: least, px of the masks. extrinsics: share of the residual that may be left after refinement, scatter:
+    share of the person's size of which no more is left when cameras were only off and are refined (detectors reach 0.01
+    to 0.02), moved: share by which a camera's image of the person moves, gain:
+    least fall of the residual. lens_z: sd of a radial term, lens_gain: share of the residual that may be left after
+    freeing it, lens_px: its effect on the person. heights: of a person, m, usual_heights: of nearly all;
+    height_share: against the known height, height_doubt: worth a look;
+    tangency: disagreement of the silhouettes' tangent planes."""
+
+    gross: float = 0.03
+    gross_lens: float = 0.012
+    gross_cured: float = 0.45
+    largest_lag: float = 12.0
+    late: float = 0.4
+    late_sd: float = 4.0
+    late_gain: float = 12.0
+    keypoint_lag_sd: float = 4.0
+    own_lag_sd: float = 8.0
+    shift: float = 0.006
+    shift_sd: float = 3.3
+    shift_spread: float = 2.3
+    shift_px: float = 1.25
+    extrinsics: float = 0.85
+    scatter: float = 0.035
+    moved: float = 0.012
+    gain: float = 0.001
+    lens_z: float = 4.8
+    lens_gain: float = 0.97
+    lens_px: float = 0.006
+    heights: tuple[float, float] = (1.0, 2.3)
+    usual_heights: tuple[float, float] = (1.4, 2.0)
+    height_share: float = 0.12
+    height_doubt: float = 0.07
+    tangency: float = 0.02
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One fault. kind: one word; views: the cameras' names, () = all; text: what and the evidence; cure: the next step;
+    size: how large it is in its own unit; fault: False for what only has to be known."""
+
+    kind: str
+    views: tuple[str, ...]
+    text: str
+    cure: str
+    size: float
+    fault: bool = True
+
+    @property
+    def sentence(self) -> str:
+        """What is wrong and what to do."""
+        return f"{self.text}. Next: {self.cure}."
+
+
+# ---- doctor depth --------------------------------------------------------------------------------------------------
+# What depth maps say of their cameras: whether they measure at all, the floor that each sees, and people whom one sees
+# where another sees that nobody is.
+
+
+FLOOR_M, FLOOR_DEGREES, PLAINLY = 0.03, 1.5, 4.0
+"""m and degrees by which the floor may lie beside z = 0, or be tilted, before a depth camera; from so many times that
+on its maps are not to be trusted. Through the right cameras it was 4 mm and 0.1 degrees at most (simulated, seeds 0 to
+5); a scale that is 5 % off makes 60 mm."""
+_BEHIND_M = 0.3
+"""m by which a camera must see past a place to show that nobody is there: late cameras and cameras that have been moved
+a little see the person half a step further"""
+_REFUTED, _CURED, _AS_LIKELY = 0.7, 0.35, 0.1
+"""share of the points on people that another camera sees past, in a third of the frames: 0.13 at most in right
+recordings of one person and of two, 0.32 with a camera 150 mm and 3 degrees off, 0.93 to 0.97 of maps that are
+exchanged before who walks about (simulated, seeds 20 to 31; who stays in the middle stands there before them, too: 0.26
+at most); what is left of it at most once the cause is undone, and how much more of it still makes a cause as likely"""
+REFUTED_PLACES = frozenset({"places", "swapped", "mirrored"})
+"""kinds of findings by which the cameras do not stand where they are said to, so that one person may seem to be two"""
+_POINTS, _FRAMES = 20, 3
+"""points before another camera that tell, and frames with so many"""
+_RIDDLED = 0.97
+"""share of the measured pixels with a hole among their neighbours above which maps show no surface: 0.34 at most of
+simulated cameras as they are (seeds 20 to 25), 0.07 of crops of a real one; of the former 0.96 with three of ten pixels
+lost, which are tracked, and 0.99 with four of ten, which are not"""
+_BLANK = 0.5
+"""share of the frames in which a camera measures nothing, above which it is named; cameras lose a few"""
+
+
+def depth_findings(depths: Sequence[Depth]) -> tuple[Finding, ...]:
+    """Of the depth maps of some instants, in the order of time: cameras that measure nothing, or have holes all over,
+    each camera's floor at the first and the last of them, and cameras that see past the person whom another one
+    sees."""
+    told: dict[tuple[str, ...], Finding] = {}
+    for depth, when in zip([*depths[:1], *depths[-1:]], ("", " at the end"), strict=False):
+        told = {f.views: f for f in _by_floor(depth, when)} | told
+    return (*_measuring_nothing(depths), *_riddled(depths), *told.values(), *_by_people(depths))
+
+
+def _riddled(depths: Sequence[Depth]) -> Iterator[Finding]:
+    """Cameras whose maps have holes all over what they measure: what is left shows no surface."""
+    for c in _cameras(depths):
+        w, h = depths[0].rig[c].size
+        shares = list[float]()
+        for depth in depths:
+            if depth.usable[c]:
+                measured = (depth.maps[c, :h, :w] > 0).astype(np.uint8)
+                whole = cv2.erode(measured, np.ones((3, 3), np.uint8), borderValue=1)
+                shares.append(1 - float(whole.sum()) / max(1, int(measured.sum())))
+        share = float(np.median(shares))
+        if share > _RIDDLED:
+            name = depths[0].rig.names[c]
+            text = (
+                f"{name} has holes all over its depth maps: {100 * share:.0f} % of what it measures lies beside one, "
+                "and nothing shows a surface"
+            )
+            cure = "look at its maps, record without what dazzles it, and without a filter that drops single values"
+            yield Finding("holes", (name,), text, cure, share)
+
+
+def _measuring_nothing(depths: Sequence[Depth]) -> Iterator[Finding]:
+    """Cameras whose maps are empty; a fault when no view is left."""
+    blank = np.array([np.zeros(len(d.rig), np.bool_) if d.blank is None else d.blank for d in depths])
+    if not blank.size:
+        return
+    often = blank.mean(0)
+    left = np.any([d.usable for d in depths], axis=0) | ~blank.any(0)
+    for c in np.flatnonzero(often > _BLANK).tolist():
+        name = depths[0].rig.names[c]
+        when = "in all frames" if often[c] == 1 else f"in {100 * often[c]:.0f} % of the frames"
+        text = f"{name} measures nothing {when} that were looked at: its depth maps are empty"
+        cure = "look whether it recorded, and give its maps anew, or take its [[view]] out of recording.toml"
+        yield Finding("blank", (name,), text, cure, float(often[c]), not left.any())
+
+
+def _by_floor(depth: Depth, when: str) -> Iterator[Finding]:
+    """Of the floor that each depth camera sees: one camera's maps in another scale, or another place, contradict
+    nothing else."""
+    for c in np.flatnonzero(depth.usable):
+        camera = depth.rig[int(c)]
+        w, h = camera.size
+        try:
+            own = camera_on_floor(np.where(depth.person[c, :h, :w] > 0, 0.0, depth.maps[c, :h, :w]), camera)
+        except EvidenceError:  # it need not see the floor
+            continue
+        away = float(in_world(camera, own[:3, 3])[2])
+        tilt = float(np.degrees(np.arccos(np.clip(own[:3, 2] @ camera.camera_from_world[:3, 2], -1, 1))))
+        size = max(abs(away) / FLOOR_M, tilt / FLOOR_DEGREES)
+        if size > 1:
+            where = f"{1e3 * abs(away):.0f} mm {'above' if away > 0 else 'below'} z = 0, tilted by {tilt:.1f} degrees"
+            text = f"{camera.name} sees the floor{when} {where}"
+            cure = (
+                "look whether its maps are in millimetres and whether it has been moved since it was calibrated; "
+                "hypose depth-import finds the cameras' places anew"
+            )
+            yield Finding("floor", (camera.name,), text, cure, size, size > PLAINLY)
+
+
+def seen_past(depth: Depth) -> tuple[int, int]:
+    """Of the points that each camera measures on people and another one looks at: how many, and how many of these it
+    sees past, so that nobody is there."""
+    surface, looked, past = depth.surface, 0, 0
+    for a, b in permutations(np.flatnonzero(depth.usable).tolist(), 2):
+        camera = depth.rig[b]
+        w, h = camera.size
+        points = surface.points[surface.first[a] : surface.first[a + 1]]
+        z = transform(camera.camera_from_world, points)[:, 2]
+        points, z = points[z > 0.1], z[z > 0.1]
+        u, v = np.rint(camera.project_pinhole(points)).astype(int).T
+        inside = (u >= 0) & (u < w) & (v >= 0) & (v < h)
+        seen = depth.maps[b, v[inside], u[inside]]
+        looked += int((seen > 0).sum())
+        past += int((seen > z[inside] + _BEHIND_M).sum())
+    return looked, past
+
+
+def _share(depths: Sequence[Depth]) -> float:
+    """The share of points that are seen past, which a third of the frames exceed (who passes the middle stands there
+    before wrong cameras, too); NaN when too few frames tell."""
+    counted = [(past, looked) for looked, past in map(seen_past, depths) if looked >= _POINTS]
+    return float(np.quantile([p / n for p, n in counted], 2 / 3)) if len(counted) >= _FRAMES else float("nan")
+
+
+def _cameras(depths: Sequence[Depth]) -> list[int]:
+    """The views that are depth cameras."""
+    return np.flatnonzero(np.any([d.usable for d in depths], axis=0)).tolist()
+
+
+def _by_people(depths: Sequence[Depth]) -> Iterator[Finding]:
+    share = _share(depths)
+    if not share > _REFUTED:
+        return
+    names = [depths[0].rig.names[c] for c in _cameras(depths)]
+    trials = _trials(depths)
+    left = np.nan_to_num([_share(t.depths) for t in trials], nan=1.0)
+    who = " and ".join(names)
+    text = f"{who} do not see the person at one place: one sees past {100 * share:.0f} % of what the other sees of them"
+    best = min([_CURED, *(left + _AS_LIKELY)])
+    likely = [trials[k] for k in np.argsort(left, kind="stable") if left[k] < best]
+    if likely:  # two cameras whose maps are exchanged see the same as two that are mirrored, turned about what is seen
+        text += f"; that is not so if {' or if '.join(t.words for t in likely)}"
+        cure = "look which it is, and " * (len(likely) > 1) + ", or ".join(t.cure for t in likely)
+        views = likely[0].views if len(likely) == 1 else tuple(names)
+        yield Finding(likely[0].kind if len(likely) == 1 else "places", views, text, cure, share)
+        return
+    cure = (
+        "look whether every camera has its own maps, not mirrored, of one and the same recording, and whether they all "
+        "began at the same time; hypose depth-import finds the cameras' places anew"
+    )
+    yield Finding("places", tuple(names), text, cure, share)
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """What may be wrong, and the maps with it undone."""
+
+    kind: str
+    views: tuple[str, ...]
+    words: str
+    cure: str
+    depths: Sequence[Depth]
+
+
+def _trials(depths: Sequence[Depth]) -> list[_Trial]:
+    """Maps that are mirrored, of all cameras or of one, and maps of two cameras that are exchanged."""
+    rig, usable = depths[0].rig, _cameras(depths)
+    out = list[_Trial]()
+    for views in [usable, *([c] for c in usable if len(usable) > 1)]:
+        names = tuple(rig.names[c] for c in views)
+        whose = "all maps are" if len(views) > 1 else f"the maps of {names[0]} are"
+        cure = f"mirror the maps of {' and '.join(names)}, and of the empty room, left to right"
+        out.append(_Trial("mirrored", names, f"{whose} mirrored", cure, [_mirrored(d, views) for d in depths]))
+    for a, b in permutations(usable, 2):
+        if a < b and rig[a].size == rig[b].size:
+            names = rig.names[a], rig.names[b]
+            cure = f'exchange camera = "{names[0]}" and camera = "{names[1]}" in recording.toml'
+            words = f"the maps of {names[0]} are those of {names[1]} and the other way round"
+            out.append(_Trial("swapped", names, words, cure, [_exchanged(d, a, b) for d in depths]))
+    return out
+
+
+def _mirrored(depth: Depth, views: Sequence[int]) -> Depth:
+    maps, person = depth.maps.copy(), depth.person.copy()
+    for c in views:
+        w = depth.rig[c].size[0]
+        maps[c, :, :w], person[c, :, :w] = depth.maps[c, :, w - 1 :: -1], depth.person[c, :, w - 1 :: -1]
+    return replace(depth, maps=maps, person=person)
+
+
+def _exchanged(depth: Depth, a: int, b: int) -> Depth:
+    cameras = list(depth.rig)
+    cameras[a] = replace(depth.rig[b], name=depth.rig.names[a])
+    cameras[b] = replace(depth.rig[a], name=depth.rig.names[b])
+    return replace(depth, rig=CameraRig(tuple(cameras)))

@@ -1,0 +1,371 @@
+"""Evidence of cameras that are not in step, brought to one clock: resampled in time, no frame dropped or repeated.
+
+A view that is late by o frames shows in its frame t + o what the reference shows in its frame t. Key points are
+interpolated between frames; masks by their signed distance (a mask half way between two masks), which is right for
+parts that move less than their width between two frames.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from math import gcd
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+from scipy.signal import butter, resample_poly, sosfiltfilt
+
+from hypose import compute
+from hypose.calibration.boards import Board, Sighting
+from hypose.calibration.intrinsics import board_poses
+from hypose.calibration.sync_motion import (
+    Curves,
+    Offsets,
+    keypoint_curves,
+    mask_tracks,
+    silhouette_curves,
+    solve_offsets,
+)
+from hypose.cameras.camera import Camera, CameraRig
+from hypose.errors import EvidenceError, InputError
+from hypose.evidence.frame import Frame, Keypoints, Silhouettes
+from hypose.geometry import Array, transform
+from hypose.io.videos.sound import Sound
+
+WHOLE = 0.05
+"""frames: offsets nearer than this to a whole number are taken as whole, and nothing is interpolated"""
+
+
+_BESIDE = 0.25  # weight of silhouettes beside key points, whose errors are the smaller ones
+
+
+class Frames(Protocol):
+    """Frames by number."""
+
+    def __len__(self) -> int: ...
+
+    def frame(self, index: int, /) -> Frame:
+        """Frame number index, 0 <= index < len."""
+        ...
+
+
+def offsets_from_motion(
+    rig: CameraRig,
+    keypoints: tuple[Array, Array] | None,
+    silhouettes: Sequence[Silhouettes | None] | None,
+    *,
+    largest: float = 12.0,
+) -> Offsets:
+    """How late each view is, from consecutive frames of key points, silhouettes or both.
+
+    rig: as calibrated; keypoints: pixels (C, T, K, 2) undistorted px of the calibrated size and confidence (C, T, K);
+    silhouettes: T, at any working size. largest: offset in frames that is looked for. An EvidenceError when the
+    recording is too short or nobody moves."""
+    curves: Curves | None = None
+    n = len(rig)
+    if keypoints is not None:
+        pixels, confidence = keypoints
+        curves = keypoint_curves(rig, pixels, confidence, largest, point_sd(pixels, confidence))
+    masks = None if silhouettes is None else next((s for s in silhouettes if s is not None), None)
+    if masks is not None and silhouettes is not None:
+        tracks = mask_tracks(silhouettes)
+        extent = np.nanmedian([np.ptp(h, axis=0).max() for t in tracks for h in t.outline if h is not None])
+        more = silhouette_curves(masks.rig, tracks, largest, max(float(extent) / 130, 0.5))
+        curves = more if curves is None else curves + replace(more, cost=_BESIDE * more.cost)
+    if curves is None:
+        raise EvidenceError("There are neither key points nor silhouettes to take the timing from.")
+    return solve_offsets(curves, n)
+
+
+def point_sd(pixels: Array, confidence: Array) -> float:
+    """Usual error of a detection, px: 1.6 % of the person's size in the median view."""
+    sizes = []
+    for p, c in zip(pixels, confidence, strict=True):
+        seen = c > 0.3
+        size = [np.ptp(x[s], axis=0).max() for x, s in zip(p, seen, strict=True) if s.sum() > 3]
+        if size:
+            sizes.append(float(np.median(size)))
+    return max(0.016 * float(np.median(sizes)) if sizes else 4.0, 0.5)
+
+
+def points_at(points: Array, late: float) -> Array:
+    """Key points (T, K, 3) of one view at t + late for t = 0..T-1; confidence 0 outside, and where a neighbour that is
+    needed is missing; at most half a frame beside a missing one its neighbour serves."""
+    n = len(points)
+    out = np.zeros_like(points)
+    at = np.arange(n) + (round(late) if abs(late - round(late)) < WHOLE else late)
+    low = np.floor(at).astype(int)
+    share = (at - low)[:, None]
+    a, b = np.clip(low, 0, n - 1), np.clip(low + 1, 0, n - 1)
+    inside = (at >= -0.5) & (at <= n - 0.5)
+    pa, pb = points[a], points[b]
+    ca, cb = pa[..., 2] > 0, pb[..., 2] > 0
+    both = (1 - share[..., None]) * pa + share[..., None] * pb
+    value = np.where((ca & cb)[..., None], both, np.where(ca[..., None], pa, pb))
+    near = np.where(ca & cb, True, np.where(ca, share <= 0.5, share >= 0.5) & (ca | cb))
+    out[:] = np.where((near & inside[:, None])[..., None], value, 0.0)
+    return out
+
+
+def mask_between(before: NDArray[np.uint8], after: NDArray[np.uint8], share: float) -> NDArray[np.uint8]:
+    """The mask (h, w) 0/1 at `share` of the way from one mask to the next: zero set of the mixed signed distances.
+
+    Parts that do not overlap in the two masks would vanish in the middle; they are taken from the nearer one."""
+    if share <= WHOLE or not after.any():
+        return before
+    if share >= 1 - WHOLE or not before.any():
+        return after
+    h, w = before.shape
+    size = np.array([[w, h], [w, h]])
+    d = compute.signed_distance(np.stack([before, after]).astype(np.uint8), size)
+    mixed = ((1 - share) * d[0] + share * d[1] < 0).astype(np.uint8)
+    return mixed if mixed.any() else (before if share < 0.5 else after)
+
+
+class Resampled:
+    """Frames of a source on the common clock. late (C,): frames by which each view is late."""
+
+    def __init__(self, source: Frames, late: Sequence[float] | Array) -> None:
+        self.source = source
+        if not np.isfinite(np.asarray(late, dtype=np.float64)).all():
+            raise InputError(f"Offsets must be finite numbers of frames, got {list(late)}.")
+        self.late = np.array([round(x) if abs(x - round(x)) < WHOLE else float(x) for x in late], dtype=np.float64)
+        self._kept: dict[int, Frame] = {}
+
+    def __len__(self) -> int:
+        return len(self.source)
+
+    def _get(self, index: int) -> Frame:
+        if index not in self._kept:
+            span = int(np.ceil(np.abs(self.late).max())) + 2
+            self._kept = {k: v for k, v in self._kept.items() if abs(k - index) <= 2 * span}
+            self._kept[index] = self.source.frame(index)
+        return self._kept[index]
+
+    def frame(self, index: int, /) -> Frame:
+        """Frame `index` of the common clock; a view that has no frame there (it started later, or ended earlier) is not
+        usable and says so."""
+        here = self._get(index)
+        n = len(self.source)
+        silhouettes, keypoints = here.silhouettes, here.keypoints
+        masks = points = None
+        usable: NDArray[np.bool_] = np.zeros(0, dtype=bool)
+        reasons: list[str] = []
+        if silhouettes is not None:
+            if len(self.late) != len(silhouettes.rig):
+                raise InputError(f"{len(self.late)} offsets are given for {len(silhouettes.rig)} views; give one each.")
+            masks, usable, reasons = silhouettes.masks.copy(), silhouettes.usable.copy(), list(silhouettes.reasons)
+        if keypoints is not None:
+            points = keypoints.points.copy()
+        for c, late in enumerate(self.late):
+            if late == 0:
+                continue
+            low = int(np.floor(index + late))
+            share = index + late - low
+            inside = 0 <= low and low + (share > 0) < n
+            a = self._get(min(max(low, 0), n - 1))
+            b = self._get(min(max(low + 1, 0), n - 1)) if share > 0 else a
+            if masks is not None and a.silhouettes is not None and b.silhouettes is not None:
+                fine = inside and bool(a.silhouettes.usable[c]) and bool(b.silhouettes.usable[c])
+                usable[c] = fine
+                reasons[c] = "" if fine else _why(a.silhouettes, b.silhouettes, c, index, late, inside)
+                masks[c] = mask_between(a.silhouettes.masks[c], b.silhouettes.masks[c], share) if fine else 0
+            if points is not None and a.keypoints is not None and b.keypoints is not None:
+                pair = np.stack([a.keypoints.points[c], b.keypoints.points[c]])
+                points[c] = points_at(pair, share)[0] if inside else 0.0
+        new_masks = (
+            None
+            if silhouettes is None or masks is None
+            else Silhouettes(masks, silhouettes.rig, usable, tuple(reasons))
+        )
+        new_points = None if keypoints is None or points is None else Keypoints(points, keypoints.names, keypoints.rig)
+        return Frame(here.time, here.index, new_masks, new_points, here.detections, here.sensor_joints)
+
+
+def _why(a: Silhouettes, b: Silhouettes, c: int, index: int, late: float, inside: bool) -> str:
+    if not inside:
+        return f"{a.rig.names[c]}, frame {index}: the view has no image {late:+.2f} frames from here"
+    return a.reasons[c] or b.reasons[c]
+
+
+# ---- sync events ---------------------------------------------------------------------------------------------------
+# Time offsets between cameras from what happened once for all of them: a sound, or a change of the light.
+#
+# Sound: generalised cross-correlation with the phase transform, whose peak is sharp whatever the room does to the
+# spectrum (Knapp & Carter 1976); every pair of views votes, weighted by its peak. Light: a lamp switched on or off lies
+# somewhere within one exposure, and the brightness of that frame says where; of a flash the centre of the brightness is
+# taken, which is no better than the exposure is long.
+
+
+_RATE = 8000  # Hz: what sounds are compared at
+_LEAST_PEAK = 6.0  # a peak of the correlation in its own sd, below which there is no common sound
+
+
+def offsets_from_sound(sounds: Sequence[Sound], names: Sequence[str], largest_s: float = 10.0) -> tuple[Array, Array]:
+    """(C,) seconds by which each view is late, against the median view, and (C,) strength of the evidence (peak of the
+    correlation with the others in sd). An EvidenceError names the views that share no sound with the others."""
+    prepared = [_prepared(s, n) for s, n in zip(sounds, names, strict=True)]
+    c = len(prepared)
+    rows, values, weights = [], [], []
+    peaks = np.zeros(c)
+    for a, b in itertools.combinations(range(c), 2):
+        late, peak = _pair(prepared[a], prepared[b], largest_s)
+        peaks[[a, b]] = np.maximum(peaks[[a, b]], peak)
+        row = np.zeros(c)
+        row[b], row[a] = 1, -1
+        rows.append(row)
+        values.append(late)
+        weights.append(max(peak - _LEAST_PEAK, 0.0))
+    if (peaks < _LEAST_PEAK).any():
+        silent = ", ".join(n for n, p in zip(names, peaks, strict=True) if p < _LEAST_PEAK)
+        raise EvidenceError(
+            f"{silent}: no sound in common with the other views within {largest_s:g} s; clap once in front of all "
+            "cameras, or use --by motion."
+        )
+    x = _consistent(np.array(rows), np.array(values), np.array(weights))
+    return x - np.median(x), peaks
+
+
+def _consistent(rows: Array, values: Array, weights: Array) -> Array:
+    """Offsets that agree with most pairs (weighted L1, iteratively reweighted)."""
+    w = np.sqrt(weights)
+    x = np.zeros(rows.shape[1])
+    for _ in range(20):
+        x = np.asarray(np.linalg.lstsq(rows * w[:, None], values * w, rcond=None)[0], dtype=np.float64)
+        w = np.sqrt(weights / np.maximum(np.abs(rows @ x - values), 1e-4))
+    return x
+
+
+def _prepared(sound: Sound, name: str) -> Array:
+    x = np.asarray(sound.samples, dtype=np.float64)
+    if x.ndim != 1 or len(x) < sound.rate // 2 or not np.isfinite(x).all():
+        raise EvidenceError(f"{name}: the sound is shorter than half a second or damaged; use --by motion.")
+    if sound.rate != _RATE:
+        g = gcd(int(sound.rate), _RATE)
+        x = np.asarray(resample_poly(x, _RATE // g, int(sound.rate) // g), dtype=np.float64)
+    x = sosfiltfilt(butter(2, [150, 3500], "bandpass", fs=_RATE, output="sos"), x)
+    sd = float(np.std(x))
+    if sd < 1e-9:
+        raise EvidenceError(f"{name}: the sound is silent; use --by motion.")
+    return np.asarray(x / sd, dtype=np.float64)
+
+
+def _pair(a: Array, b: Array, largest_s: float) -> tuple[float, float]:
+    """Seconds by which b is late against a, and the height of the peak in sd."""
+    n = 1 << int(np.ceil(np.log2(len(a) + len(b))))
+    cross = np.fft.rfft(b, n) * np.conj(np.fft.rfft(a, n))
+    size = np.abs(cross)
+    # half whitened: fully whitened, the quiet frequencies' noise would count like the sound
+    r = np.fft.irfft(cross / np.maximum(size, 1e-3 * size.max()) ** 0.7, n)
+    most = min(int(largest_s * _RATE), n // 2 - 2)
+    r = np.r_[r[-most:], r[: most + 1]]
+    k = int(np.clip(np.argmax(r), 1, len(r) - 2))
+    p, q, s = r[k - 1], r[k], r[k + 1]
+    bend = p - 2 * q + s
+    shift = 0.5 * (p - s) / bend if bend < 0 else 0.0
+    sd = 1.4826 * float(np.median(np.abs(r - np.median(r)))) + 1e-12
+    return (k - most + shift) / _RATE, float((q - np.median(r)) / sd)
+
+
+def offsets_from_light(brightness: Sequence[Array], names: Sequence[str]) -> tuple[Array, tuple[str, ...]]:
+    """(C,) frames by which each view is late, against the median view, and what was seen in each ("lamp", "flash").
+
+    brightness: mean of every frame of each view. An EvidenceError names a view without such an event."""
+    found = [light_event(np.asarray(b, dtype=np.float64), n) for b, n in zip(brightness, names, strict=True)]
+    kinds = tuple(k for _, k in found)
+    if len(set(kinds)) > 1:
+        seen = ", ".join(f"{n} {k}" for n, k in zip(names, kinds, strict=True))
+        raise EvidenceError(f"The views saw different changes of the light ({seen}); use --by motion or --by sound.")
+    at = np.array([t for t, _ in found])
+    return at - np.median(at), kinds
+
+
+def light_event(brightness: Array, name: str) -> tuple[float, str]:
+    """When (frames, fractional) the light changed most in one view, and how: "lamp" (it stayed) or "flash"."""
+    b = np.asarray(brightness, dtype=np.float64)
+    if len(b) < 12 or not np.isfinite(b).all():
+        raise EvidenceError(f"{name}: at least 12 frames are needed to look for a flash; use --by motion.")
+    slow = median_filter(b, size=min(25, len(b) // 2 * 2 - 1), mode="nearest")
+    step = np.diff(b)
+    noise = 1.4826 * float(np.median(np.abs(step - np.median(step)))) + 1e-6 * max(float(np.abs(b).max()), 1.0)
+    k = int(np.abs(step).argmax())
+    if abs(step[k]) < 12 * noise:
+        raise EvidenceError(
+            f"{name}: no flash and no lamp that was switched is seen (largest change {abs(step[k]):.2f} grey values, "
+            f"noise {noise:.2f}); use --by motion or --by sound."
+        )
+    low, high = max(0, k - 3), min(len(b), k + 5)
+    before, after = float(np.median(b[max(0, low - 6) : low + 1])), float(np.median(b[high - 1 : high + 6]))
+    if abs(after - before) > 0.5 * abs(step[k]):
+        # what is missing to the new level, summed over the frames, is the time before the switch
+        share = np.clip((after - b[low:high]) / (after - before), 0.0, 1.0)
+        share[: max(k - low, 0)] = 1.0
+        return low + float(share.sum()), "lamp"
+    excess = np.abs(b[low:high] - slow[low:high])
+    excess[excess < 0.1 * excess.max()] = 0.0
+    return float((np.arange(low, high) * excess).sum() / excess.sum()) + 0.5, "flash"
+
+
+# ---- lags ----------------------------------------------------------------------------------------------------------
+# By how many frames board videos are late against each other: the speed of the board, which is the same seen from
+# everywhere, is compared over time. Rough (about half the distance of the frames looked at); it serves to name the
+# cause when boards contradict each other.
+
+
+_LEAST = 12  # moments with a known speed in both cameras
+_CLEAR = 0.7  # correlation of the speeds at the right lag
+_BETTER = 0.1  # by how much it must exceed that without lag
+
+
+def estimate_lags(
+    cameras: Sequence[Camera], sightings: Sequence[Mapping[int, Sighting]], board: Board, longest: int = 150
+) -> dict[int, int]:
+    """Frames by which cameras (by index) are late against the camera that saw most boards; only those that are clearly
+    not synchronous with it. Frame i + lag of such a camera shows what frame i of that one shows."""
+    speeds = [_speed(c, s, board) for c, s in zip(cameras, sightings, strict=True)]
+    base = int(np.argmax([len(s[0]) for s in speeds]))
+    out = {}
+    for c in range(len(cameras)):
+        if c == base or len(speeds[c][0]) < _LEAST or len(speeds[base][0]) < _LEAST:
+            continue
+        step = float(np.median(np.diff(speeds[base][0])))
+        tried = np.arange(-longest, longest + 1, max(1, round(step / 2)))
+        scores = np.array([_correlation(speeds[base], speeds[c], int(lag), 2.5 * step) for lag in tried])
+        if not np.isfinite(scores).any():
+            continue
+        best = int(np.nanargmax(scores))
+        none = _correlation(speeds[base], speeds[c], 0, 2.5 * step)
+        if scores[best] > _CLEAR and scores[best] > np.nan_to_num(none) + _BETTER and tried[best] != 0:
+            out[c] = int(tried[best])
+    return out
+
+
+def _speed(camera: Camera, sightings: Mapping[int, Sighting], board: Board) -> tuple[Array, Array]:
+    """Moments (n,) in frames and the board's middle's speed (n,) there, m per frame, from neighbouring looks."""
+    frames = sorted(sightings)
+    if len(frames) < 3:
+        return np.zeros(0), np.zeros(0)
+    middle = board.points.mean(0)[None]
+    places = np.concatenate([transform(board_poses(camera, sightings[f], board.points)[0][0], middle) for f in frames])
+    gap = np.diff(frames)
+    near = gap <= 2 * np.median(gap)
+    speed = np.linalg.norm(np.diff(places, axis=0), axis=1) / gap
+    moments = np.array(frames[:-1]) + gap / 2
+    return moments[near], speed[near]
+
+
+def _correlation(base: tuple[Array, Array], other: tuple[Array, Array], lag: int, reach: float) -> float:
+    """Correlation of the logarithms of the speeds, the other's taken `lag` frames later, where both are known."""
+    when, value = base
+    t = when + lag
+    known = np.interp(t, other[0], other[1], left=np.nan, right=np.nan)
+    after = np.clip(np.searchsorted(other[0], t), 1, len(other[0]) - 1)
+    known[other[0][after] - other[0][after - 1] > reach] = np.nan  # a gap in which the board was not seen
+    ok = np.isfinite(known)
+    if ok.sum() < _LEAST:
+        return float("nan")
+    a, b = np.log(value[ok] + 1e-3), np.log(known[ok] + 1e-3)
+    return float(np.corrcoef(a, b)[0, 1]) if a.std() * b.std() > 1e-9 else float("nan")

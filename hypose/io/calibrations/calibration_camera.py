@@ -1,0 +1,224 @@
+"""What all readers of calibrations do: cameras out of the numbers of a file, checked; pictures' sizes and the unit of
+length where the file does not say them.
+
+Pose2Sim and Caliscope write metres, anipose and FreeMoCap the unit of the calibration board, usually millimetres. Where
+no file records which, the size decides: cameras whose typical distance from each other (for a single camera: from the
+world's origin) exceeds 50 are in millimetres, since rigs wider than 50 m and rigs narrower than 50 mm are both
+implausible.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hypose.cameras.camera import Camera, CameraRig
+from hypose.errors import CalibrationError
+from hypose.geometry import Array, se3, so3_exp
+
+MAX_FILE_BYTES = 5_000_000
+UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+# Above this typical camera distance the numbers cannot be metres, below it they cannot be millimetres.
+_UNIT_LIMIT = 50.0
+
+
+def as_numbers(value: Any) -> Array | None:
+    """A number, a (nested, rectangular) list of numbers or an array of them as float64; None for anything else (text,
+    booleans, ragged lists)."""
+
+    def plain(v: Any) -> bool:
+        if isinstance(v, list):
+            return all(plain(x) for x in v)
+        return isinstance(v, int | float | np.ndarray) and not isinstance(v, bool)
+
+    try:
+        return np.array(value, dtype=np.float64) if plain(value) else None
+    except (TypeError, ValueError, OverflowError, RecursionError):
+        return None
+
+
+def numbers(where: str, table: Mapping[str, Any], keys: tuple[str, ...], *shapes: tuple[int, ...]) -> Array:
+    """The finite numbers of a table's first known key, in one of the shapes (any, as a row, without shapes).
+
+    A row of numbers serves as a matrix, and a matrix of one row or column as a row. A CalibrationError, beginning with
+    `where`, says what is missing or wrong.
+    """
+    array = numbers_if_any(where, table, keys, *shapes)
+    if array is None:
+        raise CalibrationError(f"{where}: {keys[0]} is missing; add this entry, or calibrate the camera again.")
+    return array
+
+
+def numbers_if_any(
+    where: str, table: Mapping[str, Any], keys: tuple[str, ...], *shapes: tuple[int, ...]
+) -> Array | None:
+    """The same, None when the table has no such key."""
+    key = next((k for k in keys if table.get(k) is not None), None)
+    if key is None:
+        return None
+    array = as_numbers(table[key])
+    shape = None if array is None or shapes else (array.size,)
+    for s in shapes if array is not None else ():
+        if array.size == math.prod(s) and (array.shape == s or 1 in (array.ndim, len(s))):
+            shape = s
+    if array is None or shape is None:
+        got = f"shape {array.shape}" if array is not None and array.ndim else "something else"
+        allowed = " or ".join(" x ".join(map(str, s)) for s in shapes) or "a list"
+        raise CalibrationError(f"{where}: {key} must be numbers of shape {allowed}, got {got}; correct this entry.")
+    if not np.isfinite(array).all():
+        raise CalibrationError(f"{where}: {key} contains NaN or infinity; correct this entry, or calibrate again.")
+    return array.reshape(shape)
+
+
+class RigFile:
+    """The cameras of one calibration file in the making.
+
+    path: what errors name; needs: what cameras need, for a file without any; sizes: what to add to a file that does not
+    say how large its pictures are; notes: sentences on what was assumed.
+    """
+
+    def __init__(self, path: Path, needs: str, sizes: str = "") -> None:
+        self.path, self.notes = path, list[str]()
+        self._needs, self._sizes = needs, sizes
+        self._cameras, self._guessed = list[Camera](), list[str]()
+
+    def where(self, name: str) -> str:
+        """How sentences about a camera begin."""
+        return f"{self.path}, camera {name}"
+
+    def add(
+        self,
+        name: str,
+        k: Array,
+        distortion: Array | None,
+        rotation: Array,
+        translation: Array,
+        size: Array | None,
+        fisheye: bool = False,
+    ) -> None:
+        """A camera of the numbers of the file; rotation: a matrix or a vector; size None: twice the principal point.
+        A CalibrationError says which numbers are implausible."""
+        if size is None:
+            size = np.maximum(1, np.round(2 * k[:2, 2]))
+            self._guessed.append(name)
+        rotation = so3_exp(rotation) if rotation.size == 3 else rotation
+        distortion = np.zeros(5) if distortion is None else distortion
+        self._cameras.append(_checked(self.where(name), name, k, distortion, rotation, translation, size, fisheye))
+
+    def rig(self, unit: str) -> tuple[CameraRig, tuple[str, ...]]:
+        """The rig, its world in metres, and the notes. unit: of the translations, auto to make it out."""
+        if not self._cameras:
+            raise CalibrationError(f"{self.path} holds no cameras: {self._needs}.")
+        if self._guessed:
+            w, h = next(c.size for c in self._cameras if c.name == self._guessed[0])
+            self.notes.append(
+                f"{self.path.name} does not say how large the images of {', '.join(self._guessed)} are; {w} x {h} px, "
+                f"twice the principal point, is assumed. If that is wrong, {self._sizes}."
+            )
+        if unit == "auto":
+            unit = self._likely_unit()
+        try:
+            return CameraRig(tuple(rescaled(c, UNITS[unit]) for c in self._cameras)), tuple(self.notes)
+        except CalibrationError as error:
+            raise CalibrationError(f"{self.path}: {error}") from None
+
+    def _likely_unit(self) -> str:
+        centres = np.array([c.position for c in self._cameras])
+        if len(centres) > 1:
+            i, j = np.triu_indices(len(centres), 1)
+            typical, what = np.median(np.linalg.norm(centres[i] - centres[j], axis=1)), "distance between the cameras"
+        else:
+            typical, what = np.linalg.norm(centres[0]), "distance of the camera from the origin"
+        if typical <= _UNIT_LIMIT:
+            return "m"
+        self.notes.append(
+            f"{self.path.name}: translations are taken as millimetres because the typical {what} is {typical:.0f} (= "
+            f"{typical / 1000:.2f} m); set the calibration unit to m or cm if that is wrong."
+        )
+        return "mm"
+
+
+def rescaled(camera: Camera, factor: float) -> Camera:
+    """The camera with its translation multiplied."""
+    pose = camera.camera_from_world.copy()
+    pose[:3, 3] *= factor
+    return replace(camera, camera_from_world=pose)
+
+
+def plain_lenses(rig: CameraRig, program: str) -> list[Array]:
+    """Five coefficients (k1 k2 p1 p2 k3) per camera; a CalibrationError for a lens that a program's files cannot
+    hold."""
+    out = []
+    for camera in rig:
+        if camera.fisheye or np.any(camera.distortion[5:]):
+            what = "fisheye lens" if camera.fisheye else f"lens of {len(camera.distortion)} coefficients"
+            raise CalibrationError(f"Camera {camera.name} has a {what}, which {program} cannot hold; write .toml.")
+        out.append(np.concatenate([camera.distortion, np.zeros(5)])[:5])
+    return out
+
+
+def _checked(
+    where: str, name: str, k: Array, distortion: Array, rotation: Array, translation: Array, size: Array, fisheye: bool
+) -> Camera:
+    w, h = size
+    if not (1 <= w <= 100_000 and 1 <= h <= 100_000 and float(w).is_integer() and float(h).is_integer()):
+        raise CalibrationError(
+            f"{where}: size must be the image's width and height in whole pixels, got {w:g} x {h:g}; correct "
+            "this entry."
+        )
+    if not np.allclose(k[2], [0, 0, 1], atol=1e-9) or abs(k[1, 0]) > 1e-9:
+        raise CalibrationError(
+            f"{where}: matrix must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], got {k.tolist()}; it may have "
+            "been written transposed: exchange its rows and columns."
+        )
+    if not (0 < k[0, 0] < 1e6 and 0 < k[1, 1] < 1e6 and np.abs(k[:2, 2]).max() < 1e6):
+        raise CalibrationError(
+            f"{where}: focal lengths must be positive pixel numbers, got matrix {k.tolist()}; calibrate it again."
+        )
+    if not np.abs(rotation.T @ rotation - np.eye(3)).max() <= 1e-2 or np.linalg.det(rotation) < 0:  # NaN as well
+        raise CalibrationError(
+            f"{where}: rotation is not a rotation matrix (its rows must be perpendicular unit vectors, "
+            "right-handed); correct this entry or calibrate again."
+        )
+    if not np.abs(translation).max() <= 1e7:
+        raise CalibrationError(
+            f"{where}: translation {translation.tolist()} is farther than any camera stands; calibrate it again."
+        )
+    allowed = (0, 1, 2, 4) if fisheye else (0, 1, 2, 4, 5, 8, 12, 14)
+    if len(distortion) not in allowed:
+        raise CalibrationError(
+            f"{where}: {len(distortion)} distortion coefficients; OpenCV's model has "
+            f"{', '.join(map(str, allowed[3:]))} of them, so write them in OpenCV's order (k1 k2 p1 p2 k3 ...)."
+        )
+    distortion = np.concatenate([distortion, np.zeros(max(4 - len(distortion), 0))])
+    # Printed digits are few: the nearest exact rotation, so that inverses and products stay exact.
+    u, _, vt = np.linalg.svd(rotation)
+    return Camera(name, k, distortion, se3(u @ vt, translation), (int(w), int(h)), fisheye)
+
+
+def decomposed(projection: Array, where: str) -> tuple[Array, Array, Array]:
+    """K, rotation and translation of a projection matrix (3, 4) of any scale, without skew in K.
+
+    Source: Hartley and Zisserman, Multiple View Geometry, 6.2.4 (RQ decomposition)."""
+    m = projection[:, :3]
+    if not np.isfinite(m).all() or abs(np.linalg.det(m)) < 1e-12 * max(1e-30, np.abs(m).max()) ** 3:
+        raise CalibrationError(f"{where}: P is no projection matrix (its left part has no inverse); correct it.")
+    if np.linalg.det(m) < 0:
+        projection, m = -projection, -m
+    q, r = np.linalg.qr(np.flipud(m).T)
+    k, rotation = np.flipud(np.fliplr(r.T)), np.flipud(q.T)
+    signs = np.diag(np.sign(np.diag(k)))
+    k, rotation = k @ signs, signs @ rotation
+    translation = np.linalg.solve(k, projection[:, 3])
+    k = k / k[2, 2]
+    if abs(k[0, 1]) > 0.01 * k[0, 0]:
+        raise CalibrationError(
+            f"{where}: P has oblique pixels (skew {k[0, 1]:.3g}), which no camera here can have; calibrate it again."
+        )
+    k[0, 1] = 0.0
+    return k, rotation, np.asarray(translation, dtype=np.float64)

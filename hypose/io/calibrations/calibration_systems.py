@@ -1,0 +1,357 @@
+"""Calibrations of motion capture systems and apps: Qualisys, Vicon, OptiTrack's Motive (XML), OpenCap (pickles).
+
+Motive (.mcal, XML in UTF-16): per camera ImagerPixelWidth and -Height, IntrinsicStandardCameraModel (focal lengths and
+centre in px, k1 k2 k3 and tangential terms, as OpenCV's) and Extrinsic: the camera's place in metres and
+OrientMatrix0..8, row by row the axes of a camera that looks along -z with y up. The world has y up and is turned so
+that z points up.
+
+OpenCap (cameraIntrinsicsExtrinsics.pickle) is read without running anything of the file's choice: a pickle may name any
+function and call it, so opening one from elsewhere can run any program. Here the few names that arrays need stand for
+functions of this module, and a file that names another is refused.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import pickle
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hypose.cameras.camera import CameraRig
+from hypose.errors import CalibrationError
+from hypose.geometry import Array, so3_log
+from hypose.io.calibrations.calibration_camera import MAX_FILE_BYTES, RigFile, numbers, plain_lenses
+from hypose.io.calibrations.calibration_text import Found
+from hypose.io.file_names import file_name, natural_key, text_of
+from hypose.io.files import read_bytes, write_bytes
+
+Element = ElementTree.Element
+_FLIP = np.diag([1.0, -1.0, -1.0])
+"""camera (z forward, y down) from one that looks along -z with y up"""
+# Motive's (x, y, z) with y up -> (x, -z, y) with z up
+_WORLD_FROM_MOTIVE = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+_NEEDS = "it is no export of calibrated video cameras; calibrate them and export the calibration again"
+
+
+def read_system_xml(path: Path, unit: str = "auto") -> Found:
+    """Rig of a file of Qualisys, Vicon or Motive, which are told apart by what is in them."""
+    root = _parsed(path)
+    rig = RigFile(path, _NEEDS)
+    if root.findall("cameras/camera"):
+        _add_qualisys(rig, root)
+    elif root.findall("Camera/KeyFrames") or root.find("Camera[@DEVICEID]") is not None:
+        _add_vicon(rig, root)
+    else:
+        _add_motive(rig, root)
+    return rig.rig("m")
+
+
+def _parsed(path: Path) -> Element:
+    data = read_bytes(path, "a calibration", MAX_FILE_BYTES)
+    marked = data[:2] in (b"\xff\xfe", b"\xfe\xff")
+    try:
+        text = data.decode("utf-16" if marked else "utf-16-le" if b"\0" in data[:64] else "utf-8-sig")
+    except UnicodeDecodeError:
+        raise CalibrationError(f"{path} is not a text file; export the calibration again.") from None
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:  # none of these programs writes one; entities can make a file huge
+        raise CalibrationError(f"{path} is not a calibration of these programs (it has a DOCTYPE); export it again.")
+    try:
+        # the declaration names an encoding that the text no longer has
+        return ElementTree.fromstring(text[text.index("<", text.find("?>") + 1) :] if "?>" in text else text)
+    except (ElementTree.ParseError, ValueError, RecursionError) as error:
+        raise CalibrationError(f"{path} is not valid XML: {error}; export the calibration again.") from None
+
+
+def _attributes(
+    where: str, parent: Element, tag: str, *names: str, count: int = 1, default: float | None = None
+) -> Array:
+    """The numbers of attributes of the element `tag` in another (of itself: "."), `count` in each; a CalibrationError
+    names the one that is missing or no number."""
+    element = parent.find(tag)
+    values: list[float] = []
+    for name in names:
+        raw = None if element is None else element.get(name)
+        if raw is None and default is not None:
+            values.append(default)
+            continue
+        try:
+            found = [float(v) for v in (raw or "").split()][:count]
+        except ValueError:
+            found = []
+        if len(found) != count or not all(map(math.isfinite, found)):
+            wanted = "a number is" if count == 1 else f"{count} numbers are"
+            raise CalibrationError(
+                f"{where}: <{parent.tag if tag == '.' else tag} {name}> is {'missing' if raw is None else repr(raw)}, "
+                f"{wanted} needed; export the calibration again."
+            )
+        values += found
+    return np.array(values)
+
+
+def _video_cameras(
+    rig: RigFile, elements: list[Element], is_video: Callable[[Element], bool], key: str
+) -> Iterator[tuple[str, str, Element]]:
+    """Name, beginning of sentences and element of the video cameras, of all where none is marked as one."""
+    video = [e for e in elements if is_video(e)] or elements
+    if len(video) < len(elements):
+        left = len(elements) - len(video)
+        rig.notes.append(f"{rig.path.name}: {len(video)} video cameras; the {left} others are left out.")
+    for i, element in enumerate(sorted(video, key=lambda e: natural_key(e.get(key, "")))):
+        name = element.get(key) or element.get("USERID") or f"cam_{i + 1}"
+        yield name, rig.where(name), element
+
+
+def _add_qualisys(rig: RigFile, root: Element) -> None:
+    """Qualisys Track Manager's XML. Intrinsics are in 1/64 px, the translation is the camera's position in
+    mm, the rotation world_from_camera stored by columns, of a camera that looks along -z with y up (turned by
+    pi about x into OpenCV's).
+
+    Deviation: Pose2Sim divides the distortion coefficients by 64, too. They belong to normalised coordinates,
+    and undivided they agree with a chessboard calibration of the same cameras, so they are taken as they are.
+    """
+
+    def is_video(element: Element) -> bool:
+        return any(m in element.get("model", "").lower() for m in ("video", "hybrid", "none"))
+
+    for name, where, element in _video_cameras(rig, root.findall("cameras/camera"), is_video, "serial"):
+        if element.get("viewrotation", "0") not in ("0", ""):
+            rig.notes.append(
+                f"{rig.path.name}: camera {name} is marked as turned by {element.get('viewrotation')} degrees; "
+                "its images must not be turned in the video files."
+            )
+        left, top, right, bottom = _attributes(where, element, "fov_video", "left", "top", "right", "bottom")
+        optics = ("focalLengthU", "focalLengthV", "centerPointU", "centerPointV")
+        fu, fv, cu, cv = _attributes(where, element, "intrinsic", *optics) / 64
+        radial = _attributes(where, element, "intrinsic", "radialDistortion1", "radialDistortion2")
+        tangential = _attributes(where, element, "intrinsic", "tangentalDistortion1", "tangentalDistortion2")
+        third = _attributes(where, element, "intrinsic", "radialDistortion3", default=0.0)
+        axes = _attributes(where, element, "transform", *(f"r{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3)))
+        place = _attributes(where, element, "transform", "x", "y", "z") / 1000
+        k = np.array([[fu, 0, cu - left], [0, fv, cv - top], [0, 0, 1.0]])
+        turn = _FLIP @ axes.reshape(3, 3)
+        size = np.array([right - left + 1, bottom - top + 1])
+        rig.add(name, k, np.concatenate([radial, tangential, third]), turn, -turn @ place, size)
+
+
+# With r in pixels, k r^2 and k r^4 are this small for any lens; with r in focal lengths they never are.
+_PIXEL_UNITS = 1e-5
+
+
+def _add_vicon(rig: RigFile, root: Element) -> None:
+    """Vicon's XML: FOCAL_LENGTH and PRINCIPAL_POINT in px, ORIENTATION the quaternion (x, y, z, w) of
+    camera_from_world, POSITION of the camera in mm, VICON_RADIAL2 "name cx cy k1 k2 k3" or VICON_RADIAL "k1 k2".
+
+    The radial coefficients are taken as OpenCV's, as Pose2Sim and OpenCap do; so small that they can only belong to
+    radii in pixels, they are taken as Vicon's own model, which multiplies distorted positions to straighten them:
+    u = c + (1 + k1 r^2 + k2 r^4)(d - c); OpenCV's coefficients that undo it best inside the picture are found."""
+    from scipy.spatial.transform import Rotation  # takes long to import
+
+    def is_video(element: Element) -> bool:
+        return any(m in (element.get("TYPE", "") + element.get("DISPLAY_TYPE", "")).lower() for m in ("video", "vue"))
+
+    for name, where, element in _video_cameras(rig, root.findall("Camera"), is_video, "DEVICEID"):
+        frame = element.find("KeyFrames/KeyFrame")
+        if frame is None:
+            rig.notes.append(f"{rig.path.name}: camera {name} was not calibrated and is left out.")
+            continue
+        size = _attributes(where, element, ".", "SENSOR_SIZE", count=2)
+        aspect = _attributes(where, element, ".", "PIXEL_ASPECT_RATIO", default=1.0)[0]
+        focal = _attributes(where, frame, ".", "FOCAL_LENGTH")[0]
+        centre = _attributes(where, frame, ".", "PRINCIPAL_POINT", count=2)
+        q = _attributes(where, frame, ".", "ORIENTATION", count=4)
+        place = _attributes(where, frame, ".", "POSITION", count=3) / 1000
+        if not 0.1 < aspect < 10 or not 0.9 < np.linalg.norm(q) < 1.1:
+            raise CalibrationError(
+                f"{where}: PIXEL_ASPECT_RATIO {aspect:g} or ORIENTATION {q.tolist()} is implausible; export it again."
+            )
+        k = np.array([[focal, 0, centre[0]], [0, focal / aspect, centre[1]], [0, 0, 1.0]])
+        lens = _radial(where, frame)
+        if 0 < np.abs(lens).max() < _PIXEL_UNITS:
+            lens = _straightened(lens, focal, float(np.hypot(*size)) / 2)
+            rig.notes.append(
+                f"{rig.path.name}: the lens of {name} is given in pixels and was converted to OpenCV's model."
+            )
+        turn = np.asarray(Rotation.from_quat(q).as_matrix(), dtype=np.float64)
+        rig.add(name, k, np.array([lens[0], lens[1], 0.0, 0.0, lens[2]]), turn, -turn @ place, size)
+
+
+def _radial(where: str, frame: Element) -> Array:
+    """(3,) radial coefficients."""
+    raw = frame.get("VICON_RADIAL2")
+    words = raw.split()[3:6] if raw is not None else (frame.get("VICON_RADIAL") or "").split()[:3]
+    try:
+        values = np.array([float(v) for v in words] + [0.0] * 3)[:3]
+    except ValueError:
+        values = np.full(3, np.nan)
+    if not np.isfinite(values).all():
+        raise CalibrationError(f"{where}: the radial distortion {words} is not understood; export it again.")
+    return values
+
+
+def _straightened(coefficients: Array, focal: float, radius: float) -> Array:
+    """OpenCV's k1 k2 k3 for straightening in pixels: least squares over the picture."""
+    d = np.linspace(0, radius, 200)[1:]
+    u = d * (1 + coefficients[0] * d**2 + coefficients[1] * d**4 + coefficients[2] * d**6) / focal
+    powers = np.stack([u**3, u**5, u**7], 1)
+    return np.linalg.lstsq(powers, d / focal - u, rcond=None)[0]
+
+
+def _add_motive(rig: RigFile, root: Element) -> None:
+    left = []
+    for i, element in enumerate(sorted(root.iter("Camera"), key=lambda e: natural_key(e.get("Serial", "")))):
+        name = element.get("Serial") or f"cam_{i + 1}"
+        where, model = rig.where(name), "IntrinsicStandardCameraModel"
+        if element.find(model) is None or element.find("Extrinsic") is None:
+            left.append(name)
+            continue
+        size = _attributes(where, element, "Attributes", "ImagerPixelWidth", "ImagerPixelHeight")
+        optics = ("HorizontalFocalLength", "VerticalFocalLength", "LensCenterX", "LensCenterY")
+        fx, fy, cx, cy = _attributes(where, element, model, *optics)
+        lens = _attributes(where, element, model, "k1", "k2", "TangentialX", "TangentialY", "k3")
+        place = _WORLD_FROM_MOTIVE @ _attributes(where, element, "Extrinsic", "X", "Y", "Z")
+        axes = _attributes(where, element, "Extrinsic", *(f"OrientMatrix{i}" for i in range(9))).reshape(3, 3)
+        turn = _FLIP @ axes @ _WORLD_FROM_MOTIVE.T
+        rig.add(name, np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), lens, turn, -turn @ place, size)
+    rig.notes.append("Motive's world is turned so that z points up.")
+    if left:
+        rig.notes.append(f"{rig.path.name}: {', '.join(left)} has no standard camera model or place and is left out.")
+
+
+# ---- OpenCap -------------------------------------------------------------------------------------------------------
+
+_MAX_BYTES = 1_000_000
+# OpenCap's world is the board's: it stands upright with y down; turned so that z points up, as Pose2Sim does.
+_UP_FROM_BOARD = np.array([[-1.0, 0, 0], [0, 0, -1], [0, -1, 0]])
+
+
+class _Kind:
+    """The number format of an array: its letters and byte order."""
+
+    def __init__(self, code: Any, *_: Any) -> None:
+        self.code, self.order = code, "<"
+
+    def __setstate__(self, state: Any) -> None:
+        self.order = ">" if state[1] == ">" else "<"
+
+    def numbers(self, raw: Any) -> Array:
+        """Bytes (of protocol 0 as text) as numbers; a ValueError for other kinds than numbers."""
+        if self.code not in ("f4", "f8", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8"):
+            raise ValueError("an array in it holds something else than numbers")
+        raw = raw.encode("latin-1") if isinstance(raw, str) else bytes(raw)
+        return np.frombuffer(raw, self.order + self.code).astype(np.float64)
+
+
+class _Array:
+    """An array in the making."""
+
+    value: Array | None = None
+
+    def __init__(self, *_: Any) -> None:
+        pass
+
+    def __setstate__(self, state: Any) -> None:
+        _, shape, kind, by_columns, raw = state
+        self.value = kind.numbers(raw).reshape(shape, order="F" if by_columns else "C")
+
+
+def _from_buffer(raw: Any, kind: _Kind, shape: tuple[int, ...], order: str) -> Array:
+    return kind.numbers(raw).reshape(shape, order="F" if order == "F" else "C")
+
+
+_OF_ARRAYS = {
+    "_codecs.encode": lambda text, _: text.encode("latin-1"),  # how protocol 2 writes bytes
+    "numpy.dtype": _Kind,
+    "numpy.ndarray": None,
+    "numpy.core.multiarray._reconstruct": _Array,
+    "numpy.core.multiarray.scalar": lambda kind, raw: float(kind.numbers(raw)[0]),
+    "numpy.core.numeric._frombuffer": _from_buffer,  # protocol 5
+}
+"""What pickles of arrays name, and what stands for it: numpy's own crash on states that make no sense."""
+
+
+class _ArraysOnly(pickle.Unpickler):
+    """Reads numbers, text, tuples, lists, dictionaries and arrays; a ValueError names what else a file asks for."""
+
+    def find_class(self, module: str, name: str) -> Any:
+        full = f"{module}.{name}".replace("numpy._core", "numpy.core")
+        if full not in _OF_ARRAYS:
+            raise ValueError(f"it asks for {full}, which plain numbers and arrays do not need")
+        return _OF_ARRAYS[full]
+
+
+def read_plain_pickle(data: bytes) -> Any:
+    """The value of a pickle of numbers, text, tuples, lists, dictionaries and arrays; a ValueError says what is wrong.
+    Nothing that the file names is imported."""
+    try:
+        return _plain(_ArraysOnly(io.BytesIO(data)).load())
+    except ValueError:
+        raise
+    except Exception as error:  # instructions that make no sense may end in any
+        raise ValueError(f"it is damaged ({error})") from None
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, _Array):
+        return _plain(value.value)
+    if isinstance(value, dict):
+        return {k: _plain(v) for k, v in value.items()}
+    return type(value)(_plain(v) for v in value) if isinstance(value, list | tuple) else value
+
+
+def opencap_files(folder: Path) -> list[Path]:
+    """The pickles in a folder and below, in natural order."""
+    return sorted(folder.rglob("*.pickle"), key=lambda p: natural_key(str(p)))
+
+
+def read_opencap(path: Path, unit: str = "auto") -> Found:
+    """Rig of one OpenCap pickle or of a folder of them (also Videos/Cam0/cameraIntrinsicsExtrinsics.pickle), z up. A
+    CalibrationError names the file and what is wrong or refused."""
+    files = opencap_files(path) if path.is_dir() else [path]
+    if len(files) > 100:
+        raise CalibrationError(f"{path} holds {len(files)} .pickle files; give the folder of the camera files only.")
+    rig = RigFile(path, _NEEDS)
+    rig.notes.append("OpenCap's world is turned so that z points up.")
+    for file in files:
+        name = text_of(file.parent.name if file.stem.lower() == "cameraintrinsicsextrinsics" else file.stem)
+        where = f"{file}, camera {name}"
+        try:
+            content = read_plain_pickle(read_bytes(file, "an OpenCap camera file", _MAX_BYTES))
+            if not isinstance(content, dict):
+                raise ValueError("it holds no dictionary")
+        except ValueError as error:
+            raise CalibrationError(f"{file} is not an OpenCap camera file: {error}.") from None
+        rig.add(
+            name,
+            numbers(where, content, ("intrinsicMat",), (3, 3)),
+            numbers(where, content, ("distortion",)),
+            numbers(where, content, ("rotation",), (3, 3)) @ _UP_FROM_BOARD.T,
+            numbers(where, content, ("translation",), (3,)) / 1000,
+            numbers(where, content, ("imageSize",), (2,))[::-1],
+        )
+    return rig.rig("m")
+
+
+def write_opencap(rig: CameraRig, path: Path) -> list[Path]:
+    """One .pickle per camera in the folder of the given name, as OpenCap and Pose2Sim read them: millimetres, world of
+    an upright board; the files written."""
+    out = []
+    for camera, lens in zip(rig, plain_lenses(rig, "OpenCap's files"), strict=True):
+        rotation = camera.camera_from_world[:3, :3] @ _UP_FROM_BOARD
+        content = {
+            "distortion": lens[None],
+            "intrinsicMat": camera.K,
+            "imageSize": np.array([[camera.size[1]], [camera.size[0]]], dtype=np.float64),
+            "rotation": rotation,
+            "translation": 1000 * camera.camera_from_world[:3, 3:],
+            "rotation_EulerAngles": so3_log(rotation)[:, None],
+        }
+        file = path.parent / f"{file_name(camera.name)}.pickle"
+        # protocol 3 and the old name of numpy's core: programs with numpy 1 read it too
+        write_bytes(file, pickle.dumps(content, 3).replace(b"numpy._core", b"numpy.core"))
+        out.append(file)
+    return out

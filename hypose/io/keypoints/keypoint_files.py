@@ -1,0 +1,704 @@
+"""Key points as tables: DeepLabCut, SLEAP and Caliscope CSV.
+
+Sources: DeepLabCut's CSV of analysed videos (three header lines scorer, bodyparts, coords; four with individuals),
+the ensemble Kalman smoother's in the same layout (eks: x_ens_var, x_posterior_var and so on beside x, y, likelihood);
+SLEAP's analysis CSV (track, frame_idx, instance.score, then node.x, node.y, node.score); Caliscope's xy_<tracker>.csv
+(sync_index, cam_id - port in old ones -, frame_index, frame_time, point_id - keypoint_id in new ones -, img_loc_x,
+img_loc_y, ...), one row per point that was found, pixels of the picture as the camera delivers it, no scores.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hypose.errors import InputError, extra
+from hypose.evidence.keypoints import BLAZEPOSE_33, KEYPOINT_SETS, parse_openpose
+from hypose.geometry import Array
+from hypose.io.calibrations.calibration_systems import read_plain_pickle
+from hypose.io.file_names import last_number, natural_key
+from hypose.io.files import csv_rows, numbers_of, open_file, read_bytes, read_json, readable_size, text_lines
+from hypose.io.motions.results import parse_array
+
+# ---- keypoint table ------------------------------------------------------------------------------------------------
+# What every reader of 2D key points returns for one camera, and what all of them do with numbers from elsewhere.
+
+
+MAX_BYTES = 512 * 2**20
+MAX_POINTS = 1000
+MAX_FRAMES = 5_000_000
+SEEN = 0.3
+"""Points of less score are not there for tracking."""
+WEIGHED = 0.31
+_SAMPLED = 60
+
+
+@dataclass(frozen=True)
+class KeypointTable:
+    """Key points of one camera as a file gives them.
+
+    layout: the file's kind, for sentences. people: frame by the file's own number -> (P, K, 3) = (u, v, score >= 0),
+    score 0 where a point is missing; K is the same in all frames with people. first: the number that the video's first
+    frame has; None when the layout does not say, so that the smallest of all views' numbers counts. names: of the
+    points, where the file gives them. shares: positions are shares of the picture's
+    width and height. scored: the file has scores. spread: it has standard deviations of the points too, which are in
+    the scores (`weighed`). frame_rate: where it tells.
+    """
+
+    layout: str
+    people: Mapping[int, Array]
+    first: int | None = None
+    names: tuple[str, ...] | None = None
+    shares: bool = False
+    scored: bool = True
+    spread: bool = False
+    frame_rate: float | None = None
+
+    def sample(self) -> Array:
+        """People (N, K, 3) of at most 60 frames with somebody, evenly spread; (0, 0, 3) when nobody is there."""
+        numbers = sorted(self.people)
+        found: list[Array] = []
+        # every 60th part of the file gives one frame, its first with somebody
+        for part in np.array_split(np.array(numbers), min(_SAMPLED, max(1, len(numbers)))):
+            somebody = next((p for n in part.tolist()[:200] if len(p := self.people[n])), None)
+            if somebody is not None:
+                found.append(somebody)
+        if not found:
+            return np.zeros((0, 0, 3))
+        count = found[0].shape[1]
+        if any(p.shape[1] != count for p in found):
+            raise InputError("people have different numbers of key points; export one model's.")
+        return np.concatenate(found)
+
+
+def checked_people(values: Any, where: str) -> Array:
+    """(P, K, 3) float64 of nested numbers; positions that are not finite, or (0, 0), or have no score, are missing
+    (all 0). An InputError for anything else."""
+    try:
+        p = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"{where}: key points must be numbers, as many in each person; export them again.") from None
+    if p.size == 0:
+        return np.zeros((0, 0, 3))
+    if p.ndim != 3 or p.shape[2] != 3 or not 1 <= p.shape[1] <= MAX_POINTS:
+        raise InputError(f"{where}: key points have the shape {p.shape}, people x points x 3 is needed; export again.")
+    if np.isinf(p).any():
+        raise InputError(f"{where}: a key point is infinite; export it again.")
+    missing = ~np.isfinite(p).all(-1) | ~(np.nan_to_num(p[..., 2]) > 0) | (p[..., :2] == 0).all(-1)
+    return np.where(missing[..., None], 0.0, p)
+
+
+def weighed(points: Array, variance: Array) -> Array:
+    """Points (..., 3) with a variance (..., 2) px^2 of each as those of which the score says how much they weigh: 1 for
+    a point as sure as the median one or surer, else its share of that one's information; not below WEIGHED, since what
+    is less sure is told from what is not there by the score that it has. Points without a variance stay as they are."""
+    given = np.isfinite(variance).all(-1) & (variance > 0).all(-1) & (points[..., 2] > SEEN)
+    if not given.any():
+        return points
+    spread = variance.mean(-1)
+    share = np.clip(np.median(spread[given]) / np.where(given, spread, 1.0), WEIGHED, 1.0)
+    out = points.copy()
+    out[..., 2] = np.where(given, share, points[..., 2])
+    return out
+
+
+def scored_points(positions: Any, scores: Any, where: str) -> Array:
+    """(K, 3) of positions (K, 2 or more) and scores (K,) or None (all 1)."""
+    try:
+        xy = np.array(positions, dtype=np.float64)
+        s = None if scores is None else np.array(scores, dtype=np.float64).ravel()
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"{where}: key points must be numbers; export them again.") from None
+    if xy.ndim != 2 or not 2 <= xy.shape[1] <= 4 or not 1 <= len(xy) <= MAX_POINTS:
+        raise InputError(f"{where}: key points have the shape {xy.shape}, points x 2 is needed; export them again.")
+    if s is None:
+        s = np.ones(len(xy))
+    if len(s) != len(xy):
+        raise InputError(f"{where}: {len(xy)} key points but {len(s)} scores; export them again.")
+    return np.column_stack([xy[:, :2], s])
+
+
+def grouped(rows: Sequence[tuple[int, Array]], where: str) -> dict[int, Array]:
+    """People by frame number, from (number, (K, 3)) rows in any order."""
+    if not rows:
+        return {}
+    counts = {len(points) for _, points in rows}
+    if len(counts) > 1:
+        raise InputError(
+            f"{where}: people have {', '.join(map(str, sorted(counts)))} key points; export those of one model."
+        )
+    stacked = checked_people([points for _, points in rows], where)
+    out: dict[int, list[Array]] = {}
+    for (number, _), points in zip(rows, stacked, strict=True):
+        out.setdefault(number, []).append(points)
+    return {n: np.stack(p) for n, p in out.items()}
+
+
+def whole_number(value: Any, where: str, what: str) -> int:
+    """A frame's number; an InputError for anything that cannot be one."""
+    fine = isinstance(value, int | float) and not isinstance(value, bool) and float(value).is_integer()
+    if not fine or not 0 <= value < 2**40:
+        raise InputError(f"{where}: {what} is {str(value)[:40]!r}, a whole number is needed; export it again.")
+    return int(value)
+
+
+_KIND = "a CSV of key points of DeepLabCut, SLEAP or Caliscope"
+_VARIANCES = (("x_posterior_var", "y_posterior_var"), ("x_ens_var", "y_ens_var"))
+"""px^2, by the ensemble Kalman smoother of Lightning Pose; the better first."""
+
+
+def read_keypoint_csv(path: Path) -> dict[str, KeypointTable]:
+    """Key points by camera; the name is "" where the file is of one camera."""
+    header, rows = csv_rows(path, _KIND, MAX_BYTES)
+    if header[0] == "scorer":
+        return {"": _deeplabcut(header, rows, str(path))}
+    if "sync_index" in header:
+        return _caliscope(path, header, rows)
+    if "frame_idx" in header:
+        return {"": _sleap(header, rows, str(path))}
+    raise InputError(
+        f"{path} is not {_KIND}: its first line begins with {','.join(header)[:60]!r}; export the key points again."
+    )
+
+
+def _number(cell: str) -> float:
+    """NaN for an empty cell; a ValueError for text."""
+    return float(cell or "nan")
+
+
+def by_individual(columns: Sequence[tuple[str, ...]], where: str) -> dict[str, list[tuple[str, list[int]]]]:
+    """DeepLabCut's columns (individual, body part, coordinate) -> per individual the body parts with the places of
+    x, y, likelihood, and of the variances of x and y where all parts have them."""
+    people: dict[str, dict[str, dict[str, int]]] = {}
+    for i, (individual, part, coordinate) in enumerate(columns):
+        people.setdefault(individual, {}).setdefault(part, {})[coordinate] = i
+    out: dict[str, list[tuple[str, list[int]]]] = {}
+    every = [set(at) for parts in people.values() for at in parts.values()]
+    variances = next((v for v in _VARIANCES if all(set(v) <= at for at in every)), ())
+    for individual, parts in people.items():
+        for part, at in parts.items():
+            if not {"x", "y", "likelihood"} <= at.keys():
+                raise InputError(f"{where}: {part} lacks x, y or likelihood; analyse the video again.")
+            out.setdefault(individual, []).append((part, [at[c] for c in ("x", "y", "likelihood", *variances)]))
+    names = [tuple(p for p, _ in parts) for parts in out.values()]
+    return {k: v for k, v in out.items() if {p for p, _ in v} == set(max(names, key=len))}  # not the single points
+
+
+def deeplabcut_table(
+    columns: Sequence[tuple[str, ...]], numbers: Sequence[int], values: Array, where: str
+) -> KeypointTable:
+    """The table of DeepLabCut's columns (individual, body part, coordinate) and values (T, columns)."""
+    people = by_individual(columns, where)
+    if not people or not 0 < len(numbers) <= MAX_FRAMES:
+        raise InputError(f"{where} has {len(people)} individuals and {len(numbers)} frames; analyse the video again.")
+    names = tuple(p for p, _ in next(iter(people.values())))
+    places = np.array([[dict(parts)[n] for n in names] for parts in people.values()])  # (P, K, 3 or 5)
+    whole = values[:, places]
+    spread = places.shape[2] == 5
+    points = weighed(whole[..., :3], whole[..., 3:]) if spread else whole
+    found = {n: _seen(checked_people(row, f"{where}, frame {n}")) for n, row in zip(numbers, points, strict=True)}
+    return KeypointTable("DeepLabCut", found, min(found), names, spread=spread)
+
+
+def _seen(people: Array) -> Array:
+    """Those of whom any point is there."""
+    return people[(people[..., 2] > 0).any(1)] if people.size else people
+
+
+def _deeplabcut(first: list[str], rows: Iterator[tuple[int, list[str]]], where: str) -> KeypointTable:
+    head = {"individuals": [""] * (len(first) - 1)}
+    numbers: list[int] = []
+    values: list[list[float]] = []
+    for _, row in rows:
+        if row[0] in ("individuals", "bodyparts", "coords"):
+            head[row[0]] = row[1:]
+            continue
+        if "coords" not in head or "bodyparts" not in head:
+            raise InputError(f"{where}: the lines bodyparts and coords are missing; analyse the video again.")
+        at = f"{where}, frame {row[0][:20]}"
+        with numbers_of(at):
+            numbers.append(whole_number(float(row[0]), at, "the frame's number"))
+            values.append([_number(c) for c in row[1:]])
+    columns = list(zip(head["individuals"], head.get("bodyparts", ()), head.get("coords", ()), strict=False))
+    return deeplabcut_table(columns, numbers, np.array(values), where)
+
+
+def _sleap(header: list[str], rows: Iterator[tuple[int, list[str]]], where: str) -> KeypointTable:
+    names = [h[:-2] for h in header if h.endswith(".x") and not h.startswith("instance.")]
+    at = {h: i for i, h in enumerate(header)}
+    if not names or any(f"{n}.y" not in at for n in names) or len(names) > MAX_POINTS:
+        raise InputError(f"{where} is not SLEAP's analysis CSV: it needs node.x and node.y; export it again.")
+    scored = all(f"{n}.score" in at for n in names)
+    found: list[tuple[int, Array]] = []
+    for line, row in rows:
+        with numbers_of(f"{where}, row {line}"):
+            number = whole_number(float(row[at["frame_idx"]]), where, "frame_idx")
+            points = np.array([[_number(row[at[f"{n}.{c}"]]) for c in "xy"] for n in names])
+            scores = [_number(row[at[f"{n}.score"]]) for n in names] if scored else [1.0] * len(names)
+        found.append((number, np.column_stack([points, scores])))
+    # frames without anybody have no row, and SLEAP counts from 0
+    return KeypointTable("SLEAP analysis", grouped(found, where), 0, tuple(names), scored=scored)
+
+
+def _caliscope(path: Path, header: list[str], rows: Iterator[tuple[int, list[str]]]) -> dict[str, KeypointTable]:
+    where = str(path)
+    at = {h: i for i, h in enumerate(header)}
+    camera = next((at[n] for n in ("cam_id", "port") if n in at), None)
+    point = next((at[n] for n in ("point_id", "keypoint_id") if n in at), None)
+    if camera is None or point is None or not {"img_loc_x", "img_loc_y"} <= at.keys():
+        raise InputError(
+            f"{where} is not Caliscope's xy table: cam_id (or port), point_id, img_loc_x and img_loc_y are needed; "
+            "name its xy_<tracker>.csv."
+        )
+    seen: dict[str, dict[int, dict[int, tuple[float, float]]]] = {}
+    ids: set[int] = set()
+    for line, row in rows:
+        with numbers_of(f"{where}, row {line}"):
+            name = str(whole_number(float(row[camera]), where, "cam_id"))
+            number = whole_number(float(row[at["sync_index"]]), where, "sync_index")
+            identity = whole_number(float(row[point]), where, "point_id")
+            xy = (_number(row[at["img_loc_x"]]), _number(row[at["img_loc_y"]]))
+        seen.setdefault(name, {}).setdefault(number, {})[identity] = xy
+        ids.add(identity)
+    if not ids:
+        raise InputError(f"{where} holds no points; run the tracker again.")
+    order = _point_order(path.stem.lower(), ids)
+    numbers, rate = _clock(path)
+    first = _first_frame([n for frames in seen.values() for n in frames], numbers, where)
+    out = {}
+    for name, frames in sorted(seen.items(), key=lambda item: int(item[0])):
+        listed = [
+            (n, np.array([(*points[i], 1.0) if i in points else (0, 0, 0) for i in order], dtype=np.float64))
+            for n, points in frames.items()
+        ]
+        out[name] = KeypointTable(
+            "Caliscope points",
+            grouped(listed, where),
+            first,
+            BLAZEPOSE_33 if len(order) == 33 else None,
+            scored=False,
+            frame_rate=rate,
+        )
+    return out
+
+
+def _first_frame(shown: Sequence[int], numbers: Sequence[int], where: str) -> int:
+    """The sync_index of the points that is the recording's first frame. numbers: the recording's own; older versions
+    count the points from 0 where the recording's times go on from the calibration's."""
+    low, high = min(shown), max(shown)
+    if not numbers:
+        return low
+    if numbers[0] <= low and high <= numbers[-1]:
+        return numbers[0]
+    if high <= numbers[-1] - numbers[0]:
+        return 0
+    raise InputError(
+        f"{where}: its sync_index goes from {low} to {high}, the recording's times from {numbers[0]} to {numbers[-1]}; "
+        "the two are of different recordings: copy the right table of times, or remove it."
+    )
+
+
+def _point_order(stem: str, ids: set[int]) -> list[int]:
+    """The ids of the points in the order of a set. MediaPipe's trackers number the body 0 to 32, the right hand from
+    100 and the left from 200 on, and SIMPLE_HOLISTIC's only wrists are those of the hands."""
+    if "holistic" in stem or "pose" in stem and "rtm" not in stem or max(ids) >= 200:
+        order = list(range(33))
+        order[15] = 15 if 15 in ids else 200
+        order[16] = 16 if 16 in ids else 100
+        return order
+    return list(range(133 if max(ids) > 32 else 33 if max(ids) > 25 else 26 if max(ids) > 16 else 17))
+
+
+def clock_file(path: Path) -> Path | None:
+    """Caliscope's table of times beside its points, or one folder above; None when there is none."""
+    names = ("timestamps.csv", "frame_timestamps.csv", "frametimes.csv", "frame_time_history.csv")
+    places = (folder / name for folder in (path.parent, path.parent.parent) for name in names)
+    return next((p for p in places if p.is_file()), None)
+
+
+def _clock(path: Path) -> tuple[list[int], float | None]:
+    """The recording's sync indices and frame rate, of its table of times."""
+    table = clock_file(path)
+    if table is None:
+        return [], None
+    header, rows = csv_rows(table, "Caliscope's table of times", MAX_BYTES)
+    if not {"sync_index", "frame_time"} <= set(header):
+        raise InputError(f"{table} has no columns sync_index and frame_time; copy it again, or remove it.")
+    times: dict[int, list[float]] = {}
+    for line, row in rows:
+        with numbers_of(f"{table}, line {line}"):
+            times.setdefault(int(row[header.index("sync_index")]), []).append(float(row[header.index("frame_time")]))
+    numbers = sorted(times)
+    if len(numbers) > 1 and np.diff(numbers).max() > 10 + len(numbers) // 10:
+        raise InputError(f"{table}: its sync_index jumps from one frame to another; copy the file again.")
+    steps = np.diff([np.mean(times[n]) for n in numbers]) / np.maximum(np.diff(numbers), 1)
+    rate = float(1 / np.median(steps)) if len(steps) and np.median(steps) > 0 else None
+    return numbers, rate
+
+
+# ---- keypoint json -------------------------------------------------------------------------------------------------
+# Key points of a whole video in one JSON file: MMPose, COCO results and annotations, AlphaPose.
+#
+# Sources: MMPose 1.3 (structures/utils.py split_instances, demo/topdown_demo_with_mmdet.py, whose frames count from 1;
+# apis/inferencers, whose frames count from 0); AlphaPose (utils/pPose_nms.py write_json); the COCO result format.
+
+
+_JSON = "a key-point file of MMPose, COCO or AlphaPose"
+
+
+def read_document(path: Path) -> Any:
+    """The value of a JSON file within bounds; an InputError names it."""
+    return read_json(path, _JSON, MAX_BYTES)
+
+
+def read_keypoint_json(path: Path) -> KeypointTable:
+    """The key points of one JSON file that holds all frames; which layout it has is seen from its content."""
+    document = read_document(path)
+    where = str(path)
+    table = document if isinstance(document, Mapping) else {}
+    tables = document if isinstance(document, list) else list(table.values())
+
+    def all_hold(key: str) -> bool:
+        return all(isinstance(v, Mapping) and key in v for v in tables)
+
+    if isinstance(table.get("instance_info"), list):
+        return _mmpose(table["instance_info"], table.get("meta_info"), where)
+    if isinstance(table.get("annotations"), list):
+        return _coco(table["annotations"], table.get("images"), where)
+    if table and all_hold("people"):
+        return _alphapose_frames(table, where)
+    if "people" in table:
+        raise InputError(f"{where} holds the people of one frame; name the folder that has one such file per frame.")
+    if isinstance(document, list) and all_hold("instances"):
+        return _mmpose(document, None, where)
+    if isinstance(document, list) and tables and all_hold("keypoints"):
+        return _coco(document, None, where)
+    raise InputError(
+        f"{where} is not {_JSON}: neither instance_info, instances, annotations, nor a list of "
+        "keypoints is in it; export the key points again, or as OpenPose files."
+    )
+
+
+def _mmpose(frames: list[Any], meta: Any, where: str) -> KeypointTable:
+    rows: list[tuple[int, Array]] = []
+    numbers: list[int] = []
+    scored = True
+    for i, frame in enumerate(frames):
+        if not isinstance(frame, Mapping) or not isinstance(frame.get("instances"), list):
+            raise InputError(f"{where}, entry {i}: it has no list of instances; export the predictions again.")
+        number = whole_number(frame.get("frame_id", i), f"{where}, entry {i}", "frame_id")
+        numbers.append(number)
+        for person in frame["instances"]:
+            if not isinstance(person, Mapping) or "keypoints" not in person:
+                raise InputError(f"{where}, frame {number}: a person has no keypoints; export the predictions again.")
+            scores = person.get("keypoint_scores")
+            scored = scored and scores is not None
+            rows.append((number, scored_points(person["keypoints"], scores, f"{where}, frame {number}")))
+    people = dict.fromkeys(numbers, np.zeros((0, 0, 3))) | grouped(rows, where)
+    kind = "MMPose results" if meta is not None else "MMPose predictions"
+    # all frames are listed, so the smallest number is the first frame's
+    return KeypointTable(kind, people, min(numbers, default=0), _names_of_meta(meta), scored=scored)
+
+
+def _names_of_meta(meta: Any) -> tuple[str, ...] | None:
+    table = meta.get("keypoint_id2name") if isinstance(meta, Mapping) else None
+    if not isinstance(table, Mapping) or not all(isinstance(v, str) for v in table.values()):
+        return None
+    names = [table.get(str(i)) for i in range(len(table))]
+    return tuple(n for n in names if n is not None) if all(names) else None
+
+
+def _coco(found: list[Any], images: Any, where: str) -> KeypointTable:
+    numbers = _image_numbers(images)
+    rows: list[tuple[int, Array]] = []
+    plain_names, scored = True, True
+    for i, person in enumerate(found):
+        at = f"{where}, entry {i}"
+        if not isinstance(person, Mapping):
+            raise InputError(f"{at}: it is no table; export the results again.")
+        flat, identity = person.get("keypoints"), person.get("image_id")
+        if not isinstance(flat, list) or not flat or len(flat) % 3:
+            raise InputError(f"{at}: keypoints must be a list of x, y, score for each point; export the results again.")
+        if isinstance(identity, str):
+            plain_names = plain_names and re.fullmatch(r"(0|[1-9]\d*)\.(jpg|png)", identity) is not None
+            number = last_number(Path(identity).stem)
+            if number is None:
+                raise InputError(f"{at}: image_id {identity[:40]!r} has no frame number; export the results again.")
+        else:
+            plain_names = False
+            number = whole_number(identity, at, "image_id")
+            number = numbers.get(number, number)
+        points = scored_points([flat[k : k + 2] for k in range(0, len(flat), 3)], flat[2::3], at)
+        if images is not None:  # annotations by hand: 0 not there, 1 hidden, 2 seen
+            points[:, 2], scored = np.where(points[:, 2] > 0, 0.5 * np.minimum(points[:, 2], 2), 0), False
+        rows.append((number, points))
+    kind = "AlphaPose results" if any("box" in p or "idx" in p for p in found) else "COCO results"
+    # AlphaPose names the frames of a video 0.jpg, 1.jpg, ...
+    return KeypointTable(kind, grouped(rows, where), 0 if rows and plain_names else None, scored=scored)
+
+
+def _image_numbers(images: Any) -> dict[int, int]:
+    """Frame numbers by image id, from the images' file names where all of these end in a number."""
+    if not isinstance(images, list):
+        return {}
+    out = {}
+    for image in images:
+        name, identity = (image.get("file_name"), image.get("id")) if isinstance(image, Mapping) else (None, None)
+        number = last_number(Path(name).stem) if isinstance(name, str) else None
+        if number is None or not isinstance(identity, int):
+            return {}
+        out[identity] = number
+    return out if len(set(out.values())) == len(out) else {}
+
+
+def _alphapose_frames(document: Mapping[str, Any], where: str) -> KeypointTable:
+    people: dict[int, Array] = {}
+    for name, frame in document.items():
+        number = last_number(Path(name).stem)
+        if number is None:
+            raise InputError(f"{where}: the frame {name[:40]!r} has no number; export the results again.")
+        people[number] = parse_openpose(frame, source=f"{where}, frame {name}", raw=True)
+    plain = all(re.fullmatch(r"(0|[1-9]\d*)\.(jpg|png)", n) for n in document)
+    return KeypointTable("AlphaPose results (OpenPose form)", people, 0 if plain else None)
+
+
+# ---- keypoint folder -----------------------------------------------------------------------------------------------
+# Key points with one file per frame: OpenPose (also of Pose2Sim, RTMLib, AlphaPose), EasyMocap, Ultralytics.
+#
+# Files are read when they are asked for. Sources: OpenPose's JSON output; EasyMocap (annotator/file_utils.py);
+# Ultralytics (engine/results.py save_txt): `class x y w h`, then per point x y and, if the model has it, confidence,
+# then confidence and track id of the person if asked for; positions are shares of the picture, and a frame without
+# people has no file.
+
+
+_MAX_FILE = 5_000_000
+_COUNTS = sorted({len(names) for names in KEYPOINT_SETS.values()})
+
+
+class _FrameFiles(Mapping[int, Array]):
+    """People by frame number, each read from its file when it is asked for."""
+
+    def __init__(self, files: Mapping[int, Path], read: Callable[[Path], Array]) -> None:
+        self.files, self._read = files, read
+
+    def __getitem__(self, number: int) -> Array:
+        return self._read(self.files[number])
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self.files)
+
+    def __len__(self) -> int:
+        return len(self.files)
+
+
+def read_keypoint_folder(folder: Path) -> KeypointTable:
+    """The key points of a folder with one file per frame; an InputError names what cannot be used."""
+    files = sorted(folder.glob("*.json"))
+    if files:
+        numbered = numbered_files(files)
+        if "annots" in _first_document(files):
+            return KeypointTable("EasyMocap annotations", _FrameFiles(numbered, _easymocap))
+        return KeypointTable("OpenPose files", _FrameFiles(numbered, _openpose))
+    texts = sorted(folder.glob("*.txt"))
+    if texts:
+        return _ultralytics(folder, numbered_files(texts))
+    raise InputError(
+        f"The folder {folder} holds no key points (.json or .txt, one per frame); detect them, or name another folder "
+        "or file."
+    )
+
+
+def numbered_files(paths: list[Path]) -> dict[int, Path]:
+    """Files by the last number in their names; by order where that does not tell them apart."""
+    # OpenPose's names end in _keypoints; a number of the view may stand before the frame's
+    numbers = [last_number(p.stem) for p in paths]
+    if None in numbers or len(set(numbers)) < len(numbers):
+        return dict(enumerate(sorted(paths, key=lambda p: natural_key(p.name))))
+    return {n: p for n, p in zip(numbers, paths, strict=True) if n is not None}
+
+
+def _first_document(files: list[Path]) -> Mapping[str, Any]:
+    document = read_document(files[0])
+    if not isinstance(document, Mapping) or not ({"people", "annots"} & document.keys()):
+        raise InputError(
+            f'{files[0]} is not OpenPose JSON: people[].pose_keypoints_2d (or EasyMocap\'s "annots") is needed; detect '
+            "the key points again."
+        )
+    return document
+
+
+def _openpose(path: Path) -> Array:
+    return parse_openpose(read_bytes(path, "the people of one frame", _MAX_FILE), source=str(path), raw=True)
+
+
+def _easymocap(path: Path) -> Array:
+    document = read_document(path)
+    found = document.get("annots") if isinstance(document, Mapping) else None
+    if not isinstance(found, list):
+        raise InputError(f'{path}: the list "annots" is missing; export the annotations again.')
+    people = []
+    for person in found:
+        points = person.get("keypoints") if isinstance(person, Mapping) else None
+        if not isinstance(points, list) or not all(isinstance(p, list) and len(p) == 3 for p in points):
+            raise InputError(f"{path}: keypoints must be x, y, score for each point; export the annotations again.")
+        if points:
+            people.append(points)
+    return checked_people(people, str(path))
+
+
+def _ultralytics(folder: Path, files: dict[int, Path]) -> KeypointTable:
+    columns = {len(line.split()) for p in list(files.values())[:100] for line in text_lines_or_none(p)}
+    if len(columns) != 1:
+        raise InputError(
+            f"The files in {folder} have lines of {', '.join(map(str, sorted(columns))) or 'no'} numbers; write all "
+            "with the same settings of save_conf and tracking."
+        )
+    (width,) = columns
+    # the numbers of each point, and of what may follow: the person's confidence, its track
+    for per_point, further in itertools.product((3, 2), (0, 1, 2)):
+        count, rest = divmod(width - 5 - further, per_point)
+        if rest == 0 and count in _COUNTS:
+            layout = f"Ultralytics labels ({'with' if per_point == 3 else 'without'} confidences)"
+            people = _FrameFiles(files, _row_reader(width, count, per_point))
+            return KeypointTable(layout, people, min(1, *files), shares=True, scored=per_point == 3)
+    raise InputError(
+        f"The files in {folder} have {width} numbers a line, which is no pose of "
+        f"{', '.join(map(str, _COUNTS))} points; write labels of a pose model (class x y w h, then the points)."
+    )
+
+
+def text_lines_or_none(path: Path) -> list[str]:
+    """The lines with something on them; none for an empty file."""
+    if path.stat().st_size == 0:
+        return []
+    return [line for line in text_lines(path, "a label file of Ultralytics", _MAX_FILE) if line.strip()]
+
+
+def _row_reader(width: int, count: int, per_point: int) -> Callable[[Path], Array]:
+    def read(path: Path) -> Array:
+        people = []
+        for line in text_lines_or_none(path):
+            with numbers_of(str(path)):
+                values = np.array([float(c) for c in line.split()])
+            if len(values) != width:
+                raise InputError(f"{path}: a line has {len(values)} numbers, the others {width}; write them again.")
+            points = values[5 : 5 + count * per_point].reshape(count, per_point)
+            if np.nanmax(np.abs(points[:, :2])) > 1.5:
+                raise InputError(f"{path}: positions must be shares of the picture (0 to 1); write the labels again.")
+            people.append(scored_points(points[:, :2], points[:, 2] if per_point == 3 else None, str(path)))
+        return checked_people(people, str(path))
+
+    return read
+
+
+# ---- keypoint arrays -----------------------------------------------------------------------------------------------
+# Key points as arrays: FreeMoCap's npy, npz of RTMLib's arrays, HDF5 of DeepLabCut and SLEAP.
+#
+# Sources: FreeMoCap 1.x (mediapipe_2dData_numCams_numFrames_numTrackedPoints_pixelXY.npy: (cameras, frames, points, 2
+# or 3), the body's 33 BlazePose points first, NaN where nothing was found, cameras in the order of their videos'
+# names); DeepLabCut's analysed video (pandas, df_with_missing, format table or fixed); SLEAP's analysis export
+# (info/write_tracking_h5.py: tracks (tracks, 2, nodes, frames), transposed for MATLAB, node_names, point_scores).
+
+
+_ARRAY = "an array of key points"
+
+
+def read_keypoint_npy(path: Path) -> dict[str, KeypointTable]:
+    """Key points by the camera's place in the array ("0", "1", ...)."""
+    try:
+        with open_file(path, _ARRAY, MAX_BYTES) as stream:
+            data = parse_array("it", stream, os.fstat(stream.fileno()).st_size)
+        kind, shape = data.dtype.kind, data.shape
+    except (ValueError, OSError, MemoryError) as problem:
+        raise InputError(f"{path} is no array of numpy ({str(problem)[:80]}); export it again.") from None
+    if kind not in "fiu" or data.ndim != 4 or shape[3] not in (2, 3) or not 17 <= shape[2] <= MAX_POINTS:
+        raise InputError(
+            f"{path} has the shape {shape}, FreeMoCap's is (cameras, frames, points, 2 or 3); name its "
+            "...2dData_numCams_numFrames_numTrackedPoints_pixelXY.npy."
+        )
+    values = np.array(data[..., :2], dtype=np.float64)
+    body = 33 if shape[2] >= 33 else shape[2]  # MediaPipe's hands and face come after the body
+    out = {}
+    for c, frames in enumerate(values[:, :, :body]):
+        people = checked_people(np.concatenate([frames, np.ones((*frames.shape[:2], 1))], -1), str(path))
+        out[str(c)] = KeypointTable("FreeMoCap", dict(enumerate(people[:, None])), 0, scored=False)
+    return out
+
+
+def read_keypoint_h5(path: Path) -> KeypointTable:
+    """Key points of one camera out of HDF5. An InputError says what cannot be used, or that h5py is needed."""
+    readable_size(path, _ARRAY, MAX_BYTES)
+    h5py = extra("h5py", "Reading HDF5", "h5", or_else="export CSV, which needs nothing")
+    try:
+        with h5py.File(path, "r") as file:
+            if "tracks" in file and "node_names" in file:
+                return _sleap_h5(file, str(path))
+            key = next((k for k in file if "table" in file[k] or "block0_values" in file[k]), None)
+            if key is not None:
+                return _deeplabcut_h5(file[key], str(path))
+    except (OSError, ValueError, KeyError, TypeError, RuntimeError, AttributeError, IndexError, MemoryError) as problem:
+        reason = " ".join(str(problem).split())[:100]
+        raise InputError(f"{path} cannot be read as HDF5 ({reason}); export the key points again.") from None
+    raise InputError(
+        f"{path} holds neither DeepLabCut's table nor SLEAP's tracks; export DeepLabCut's analysis or SLEAP's "
+        "analysis.h5."
+    )
+
+
+def _sized(dataset: Any, where: str) -> Any:
+    """A dataset that fits into memory: a compressed file may promise anything."""
+    if dataset.size * dataset.dtype.itemsize > 4 * MAX_BYTES:
+        raise InputError(f"{where}: {dataset.name} unpacks to more than 2 GiB; cut the recording into pieces.")
+    return dataset[()]
+
+
+def _sleap_h5(file: Any, where: str) -> KeypointTable:
+    names = tuple(n.decode(errors="replace") for n in _sized(file["node_names"], where).tolist())
+    tracks = np.asarray(_sized(file["tracks"], where), dtype=np.float64)
+    if tracks.ndim != 4 or not names:
+        raise InputError(f"{where}: tracks have the shape {tracks.shape}, four dimensions are needed; export again.")
+    if tracks.shape[1:3] != (2, len(names)):  # written without the transposition
+        tracks = tracks.T
+    if tracks.shape[1:3] != (2, len(names)):
+        raise InputError(f"{where}: tracks {tracks.shape} do not belong to {len(names)} nodes; export them again.")
+    scores = np.asarray(_sized(file["point_scores"], where), dtype=np.float64) if "point_scores" in file else None
+    wanted = (tracks.shape[0], len(names), tracks.shape[3])
+    if scores is not None and scores.shape != wanted:
+        scores = scores.T
+    if scores is not None and scores.shape != wanted:
+        raise InputError(f"{where}: point_scores {scores.shape} do not belong to the tracks; export them again.")
+    scored = scores is not None and bool(np.isfinite(scores).any())  # none where people were marked by hand
+    confidence = scores.transpose(2, 0, 1) if scores is not None and scored else np.ones((wanted[2], *wanted[:2]))
+    points = np.concatenate([tracks.transpose(3, 0, 2, 1), confidence[..., None]], axis=-1)
+    people = {t: _seen(checked_people(frame, where)) for t, frame in enumerate(points)}
+    return KeypointTable("SLEAP analysis", people, 0, names, scored=scored)
+
+
+def _deeplabcut_h5(group: Any, where: str) -> KeypointTable:
+    if "table" in group:
+        table = _sized(group["table"], where)
+        block = next(n for n in table.dtype.names if n.startswith("values_block"))
+        values, numbers = np.asarray(table[block], dtype=np.float64), table["index"]
+        raw = group.attrs["non_index_axes"]  # a pickle, of which only plain text, numbers and tuples are followed
+        columns = read_plain_pickle(bytes(raw))[0][1]
+    else:
+        values = np.asarray(_sized(group["block0_values"], where), dtype=np.float64)
+        numbers = _sized(group["axis1"], where)
+        levels = sorted(k for k in group if k.startswith("block0_items_level"))
+        labels = sorted(k for k in group if k.startswith(("block0_items_label", "block0_items_code")))
+        words = [[w.decode(errors="replace") for w in _sized(group[k], where).tolist()] for k in levels]
+        found = ([w[i] for i in _sized(group[k], where)] for w, k in zip(words, labels, strict=True))
+        columns = list(zip(*found, strict=True))
+    wide = [tuple(str(c) for c in column) for column in columns]
+    if not wide or {len(c) for c in wide} - {3, 4} or values.shape != (len(numbers), len(wide)):
+        raise InputError(f"{where}: its columns are not scorer, body part and coordinate; analyse the video again.")
+    named = [(c[1] if len(c) == 4 else "", c[-2], c[-1]) for c in wide]
+    counted = [whole_number(n, where, "a frame's number") for n in np.asarray(numbers).tolist()]
+    return deeplabcut_table(named, counted, values, where)

@@ -1,0 +1,292 @@
+"""TRC marker files (OpenSim, Pose2Sim): tab-separated text, Y up.
+
+Axes: TRC (x, y, z) = world (y, z, x), the rotation that Pose2Sim uses between its z-up calibration and
+OpenSim's Y-up ground. A marker that was not seen is three empty cells, which OpenSim 4.6 reads as NaN, except
+that the last cell of a row says NaN: OpenSim counts an empty one as missing and refuses the file.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hypose.body.joint_angles import is_length
+from hypose.body.motion import Motion, sd_per_axis
+from hypose.errors import InputError
+from hypose.geometry import Array
+from hypose.io.files import numbers_of, text_lines, write_text
+
+# ---- markers -------------------------------------------------------------------------------------------------------
+# Markers: what every reader of marker files returns.
+
+
+# metres per unit of length, by the names that marker files use
+METRES = {"m": 1.0, "meters": 1.0, "cm": 0.01, "mm": 0.001}
+
+
+@dataclass(frozen=True)
+class Markers:
+    """Marker trajectories: names (M), points (T, M, 3) m with NaN where a marker was not seen, frame_rate Hz,
+    and the unit of length that the file was written in."""
+
+    names: tuple[str, ...]
+    points: Array
+    frame_rate: float
+    units: str
+
+
+def metres_per_unit(unit: str, where: str) -> float:
+    """Metres per file unit; an InputError names the file (`where`) and the units that are known."""
+    try:
+        return METRES[unit.strip().lower()]
+    except KeyError:
+        raise InputError(f"{where} is in unit {unit!r}; known units are {', '.join(METRES)}.") from None
+
+
+def checked(names: Sequence[str], points: ArrayLike, frame_rate: float, where: str) -> tuple[tuple[str, ...], Array]:
+    """Names and points (T, M, 3) of a file to be written, or an InputError that says what is wrong with
+    them."""
+    p, n = np.asarray(points, dtype=np.float64), tuple(str(name) for name in names)
+    if p.ndim != 3 or p.shape[1:] != (len(n), 3) or not p.size:
+        raise InputError(
+            f"{where}: {len(n)} names need points of shape (frames, {len(n)}, 3) with at least one frame, "
+            f"got {p.shape}."
+        )
+    if len(set(n)) < len(n):
+        twice = next(x for x in n if n.count(x) > 1)
+        raise InputError(f"{where}: the marker name {twice!r} occurs twice; names must differ.")
+    if any(not x or any(c in x for c in "\t\r\n") for x in n):
+        raise InputError(f"{where}: a marker name is empty or holds a tab or line break; rename it.")
+    if not np.isfinite(frame_rate) or frame_rate <= 0:
+        raise InputError(f"{where}: the frame rate is {frame_rate}; it must be a positive number of frames/s.")
+    if np.isinf(p).any():
+        raise InputError(f"{where}: some points are infinite; use NaN for a marker that was not seen.")
+    return n, p
+
+
+_KIND = "a TRC marker file"
+# TRC axis k is world axis _WORLD[k]
+_WORLD = (1, 2, 0)
+_MAX_MARKERS = 10_000
+
+
+def write_trc(
+    path: str | Path,
+    names: Sequence[str],
+    points: ArrayLike,
+    frame_rate: float,
+    unit: str = "m",
+    start_time: float = 0.0,
+) -> None:
+    """Write points (T, M, 3), world metres, z up; NaN becomes empty cells. `unit` is that of the file: m or
+    mm.
+
+    Cells have 0.1 micrometre; the file appears whole or not at all.
+    """
+    names, p = checked(names, points, frame_rate, str(path))
+    scale = metres_per_unit(unit, str(path))
+    digits = 7 + round(math.log10(scale))
+    rows = p[..., _WORLD].reshape(len(p), -1) / scale
+    rate = f"{frame_rate:.10g}"
+    text = [
+        f"PathFileType\t4\t(X/Y/Z)\t{Path(path).name}",
+        "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames",
+        f"{rate}\t{rate}\t{len(p)}\t{len(names)}\t{unit}\t{rate}\t1\t{len(p)}",
+        "Frame#\tTime\t" + "\t\t\t".join(names) + "\t\t",
+        "\t\t" + "\t".join(f"{axis}{i + 1}" for i in range(len(names)) for axis in "XYZ"),
+        "",
+    ]
+    for t, row in enumerate(rows):
+        cells = ["" if math.isnan(v) else f"{v:.{digits}f}" for v in row.tolist()]
+        cells[-1] = cells[-1] or "NaN"
+        text.append("\t".join([str(t + 1), f"{start_time + t / frame_rate:.9f}", *cells]))
+    write_text(path, "\n".join(text) + "\n")
+
+
+def read_trc(path: str | Path) -> Markers:
+    """Read a Y-up TRC file into world metres, z up. Empty cells and NaN mean: not seen.
+
+    The number of frames is that of the rows, not of the header (Pose2Sim's filtered files have one row fewer
+    than they say). An InputError names the file and line that cannot be used.
+    """
+    lines = text_lines(path, _KIND)
+    if len(lines) < 5 or not lines[0].startswith("PathFileType"):
+        raise InputError(f"{path} is not {_KIND}: its first line does not start with PathFileType.")
+    header = dict(zip(lines[1].split(), lines[2].split(), strict=False))
+    with numbers_of(f"{path}: DataRate or NumMarkers in lines 2 and 3"):
+        rate, count = (float(header.get(key, "")) for key in ("DataRate", "NumMarkers"))
+    names = tuple(c.strip() for c in lines[3].split("\t")[2:] if c.strip())
+    if not 0 < rate < 1e6 or not 1 <= count <= _MAX_MARKERS or len(names) != count:
+        raise InputError(
+            f"{path}: DataRate {rate:g} and NumMarkers {count:g} are not possible with the {len(names)} markers that "
+            f"line 4 names; the rate must be positive and the markers 1 to {_MAX_MARKERS}."
+        )
+    units = header.get("Units", "mm")
+    scale = metres_per_unit(units, str(path))
+    rows = [_row(line, len(names), f"{path}: line {n}") for n, line in enumerate(lines[5:], start=6) if line.strip()]
+    if not rows:
+        raise InputError(f"{path} has a header but no frames.")
+    data = np.array(rows).reshape(len(rows), len(names), 3)
+    points = np.empty_like(data)
+    points[..., _WORLD] = data * scale
+    return Markers(names, points, rate, units)
+
+
+def _row(line: str, markers: int, where: str) -> list[float]:
+    cells, wanted = line.rstrip("\t ").split("\t")[2:], 3 * markers
+    # empty cells at the end may have been cut off; a marker is seen whole or not at all
+    if len(cells) > wanted or len(cells) % 3:
+        raise InputError(
+            f"{where} has {len(cells)} cells, {wanted} are needed for {markers} markers; the file may be cut off."
+        )
+    cells += [""] * (wanted - len(cells))
+    with numbers_of(where):
+        values = [float(c) if c.strip() else math.nan for c in cells]
+    if any(map(math.isinf, values)):
+        raise InputError(f"{where} holds an infinite number.")
+    return values
+
+
+# ---- opensim -------------------------------------------------------------------------------------------------------
+# OpenSim motion files (.mot): joint angles in degrees under OpenSim's coordinate names, pelvis position in
+# metres, Y up.
+#
+# Names, signs and axes are those of body.joint_angles, which follows OpenSim's full-body model; only the neck
+# is renamed, since the models that have one (Pose2Sim's among them) call the rotation about their Z axis
+# neck_flexion although it is positive backwards. The pelvis position is our pelvis joint centre, not the origin
+# of OpenSim's pelvis body, which lies some centimetres away.
+
+
+_MOT = "an OpenSim motion file"
+_RENAMED = {"neck_extension": "neck_flexion"}
+
+
+def _table(path: str | Path, names: Sequence[str], values: ArrayLike, times: ArrayLike) -> tuple[Array, Array, Array]:
+    """Values (T, A) in rad and m as degrees and m, times (T,) s, and the scale of each column."""
+    v, t = np.asarray(values, dtype=np.float64), np.asarray(times, dtype=np.float64)
+    if v.shape != (len(t), len(names)):
+        raise InputError(f"{path}: {len(names)} names and {len(t)} times need values of that shape, got {v.shape}.")
+    scale = np.array([1.0 if is_length(n) else 180 / np.pi for n in names])
+    return v * scale, t, scale
+
+
+def write_mot(path: str | Path, names: Sequence[str], values: ArrayLike, times: ArrayLike) -> None:
+    """Write joint angles: names (A), values (T, A) in rad (m for *_tx, *_ty, *_tz), times (T,) s, increasing.
+
+    OpenSim stops at NaN in a motion, so frames with one are refused frame by frame: they are left out (their
+    times show the gap). An InputError when shapes differ or nothing is left.
+    """
+    v, t, _ = _table(path, names, values, times)
+    if (np.diff(t) <= 0).any() or not np.isfinite(t).all():
+        raise InputError(f"{path}: frame times must increase; correct the recording's time stamps.")
+    keep = np.isfinite(v).all(1)
+    if not keep.any():
+        raise InputError(f"{path}: no frame has finite joint angles, so there is nothing to write.")
+    lines = [
+        Path(path).stem,
+        "version=1",
+        f"nRows={int(keep.sum())}",
+        f"nColumns={len(names) + 1}",
+        "inDegrees=yes",
+        "",
+        "Units are S.I. units (second, meters, Newtons, ...)",
+        "Angles are in degrees.",
+        "",
+        "endheader",
+        "\t".join(["time", *(_RENAMED.get(n, n) for n in names)]),
+    ]
+    rows = np.concatenate([t[keep, None], v[keep]], axis=1)
+    lines += ["\t".join(f"{x:.9f}" for x in row) for row in rows.tolist()]
+    write_text(path, "\n".join(lines) + "\n")
+
+
+def read_mot(path: str | Path) -> tuple[Array, tuple[str, ...], Array]:
+    """Times (T,) s, coordinate names (A) and values (T, A), rad (metres for *_tx, *_ty, *_tz), of a .mot or .sto file;
+    neck_flexion under our name for it. An InputError names the line that cannot be used."""
+    lines = text_lines(path, _MOT)
+    end = next((i for i, line in enumerate(lines[:500]) if line.strip().lower() == "endheader"), None)
+    if end is None or end + 1 >= len(lines):
+        raise InputError(f"{path} is not {_MOT}: its header has no endheader.")
+    degrees = any(line.replace(" ", "").lower() == "indegrees=yes" for line in lines[:end])
+    header = lines[end + 1].split()
+    if len(header) < 2 or header[0].lower() != "time" or len(header) > 5000 or len(set(header)) < len(header):
+        raise InputError(f"{path}: the line after endheader must name time and the coordinates, each once.")
+    rows = []
+    for number, line in enumerate(lines[end + 2 :], start=end + 3):
+        with numbers_of(f"{path}: line {number}"):
+            row = [float(c) for c in line.split()]
+        if len(row) not in (0, len(header)):
+            raise InputError(f"{path}: line {number} has {len(row)} numbers, {len(header)} are needed; it may be cut.")
+        rows += [row] if row else []
+    values = np.array(rows)
+    if not rows or not np.isfinite(values[:, 0]).all() or (np.diff(values[:, 0]) <= 0).any():
+        raise InputError(f"{path} has no frames, or times that do not increase; export it again.")
+    ours = {theirs: name for name, theirs in _RENAMED.items()}
+    names = tuple(ours.get(n, n) for n in (h.split("/")[-2] if h.endswith("/value") else h for h in header[1:]))
+    scale = np.array([1.0 if is_length(n) or not degrees else np.pi / 180 for n in names])
+    return values[:, 0], names, values[:, 1:] * scale
+
+
+# ---- angles --------------------------------------------------------------------------------------------------------
+# Tables for spreadsheets: joint angles in degrees, and joint positions with their uncertainty in metres.
+#
+# Comma-separated, one header line whose names end in the unit, an empty cell where a value is not known.
+
+
+def write_angles_csv(
+    path: str | Path, names: Sequence[str], values: ArrayLike, times: ArrayLike, sd: ArrayLike | None = None
+) -> None:
+    """Write joint angles: names (A), values (T, A) in rad (m for *_tx, *_ty, *_tz), times (T,) s, and their standard
+    deviations sd (T, A) where they are known.
+
+    Columns: time_s, <name>_deg, and <name>_m for positions; then, in the same order, <name>_sd_deg and <name>_sd_m.
+    Signs: body.joint_angles.
+    """
+    table, t, scale = _table(path, names, values, times)
+    units = ["m" if is_length(n) else "deg" for n in names]
+    header = ["time_s", *(f"{n}_{u}" for n, u in zip(names, units, strict=True))]
+    if sd is not None:
+        header += [f"{n}_sd_{u}" for n, u in zip(names, units, strict=True)]
+        table = np.concatenate([table, np.asarray(sd, dtype=np.float64) * scale], axis=1)
+    _write(path, header, [_cells([time, *row]) for time, row in zip(t.tolist(), table.tolist(), strict=True)])
+
+
+def write_joints_csv(path: str | Path, motion: Motion) -> None:
+    """Write joint centres (world, z up, m) with their standard deviation, and what is known of each frame.
+
+    Columns: time_s, lost and extrapolated (0 or 1), n_views, doubtful (0 or 1; empty: not judged), then per joint x, y,
+    z and sd; where it is known, systematic_sd, the part of sd that more frames and more views like these would not
+    reduce; where it was judged, p_wrong, the probability that the joint is wrong by more than 100 mm. Standard
+    deviations are per axis (root mean square of the three). Lost and extrapolated frames keep the predicted positions.
+    """
+    columns, series = ["x_m", "y_m", "z_m", "sd_m"], [motion.joints, motion.joint_sd[..., None]]
+    if motion.systematic_covariance is not None:
+        columns.append("systematic_sd_m")
+        series.append(sd_per_axis(motion.systematic_covariance)[..., None])
+    if motion.p_wrong is not None:
+        columns.append("p_wrong")
+        series.append(motion.p_wrong[..., None])
+    header = ["time_s", "lost", "extrapolated", "n_views", "doubtful"]
+    header += [f"{n}_{c}" for n in motion.skeleton.joint_names for c in columns]
+    data = np.concatenate(series, axis=2).reshape(len(motion), -1).tolist()
+    flags = np.stack([motion.lost, motion.extrapolated, motion.n_views], axis=1).astype(int).tolist()
+    judged = [""] * len(motion) if motion.doubtful is None else [str(int(d)) for d in motion.doubtful]
+    rows = [
+        [*_cells([time]), *map(str, known), doubtful, *_cells(row)]
+        for time, known, doubtful, row in zip(motion.times.tolist(), flags, judged, data, strict=True)
+    ]
+    _write(path, header, rows)
+
+
+def _cells(values: Sequence[float]) -> list[str]:
+    """With six digits; empty where a value is not finite."""
+    return [f"{v:.6f}" if math.isfinite(v) else "" for v in values]
+
+
+def _write(path: str | Path, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    write_text(path, "\n".join(",".join(row) for row in [header, *rows]) + "\n")

@@ -1,0 +1,436 @@
+"""A recording folder of skeletons: session.json, frames.csv, skeleton.csv, and depth maps if wanted.
+
+session.json: {"format": "hypose-skeletons", "version": 1, "name": ..., "reference": SENSOR, "clock": "common" or
+  "own", "sensors": [{"name": ..., "joints": [names], "unit": "m" or "mm" (default m), "depth": {"intrinsics":
+  [fx, fy, cx, cy], "y_up": false}}]}. depth is there when the sensor has depth maps; y_up: the skeleton's y axis
+  points up (Kinect v2) instead of down (Azure, OpenCV).
+frames.csv: sensor,frame,time[,depth], one row per sensor frame: frame is a whole number of the sensor's own, time in
+  seconds, depth the path of a 16-bit PNG in millimetres (0 = hole), relative to the folder.
+skeleton.csv: sensor,frame,person,joint,x,y,z,state, one row per joint; rows or coordinates that are absent are missing
+  joints. A frame without rows is one in which the sensor saw nobody.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.errors import InputError
+from hypose.geometry import Array, so3_exp
+from hypose.io.file_names import text_of
+from hypose.io.files import RecordingFolder, bounded_lines, csv_rows, numbers_of, read_json, text_lines, write_text
+from hypose.io.motions.results import to_json
+from hypose.io.sensors.depth import depth_at_joints, read_depth_png
+from hypose.io.sensors.skeleton_streams import (
+    MAX_JOINTS,
+    MAX_SENSORS,
+    MISSING_MARK,
+    SkeletonRecording,
+    StreamRows,
+    checked_recording,
+    read_lines,
+)
+
+FORMAT = "hypose-skeletons"
+_FRAMES = ["sensor", "frame", "time"]
+_SKELETON = ["sensor", "frame", "person", "joint", "x", "y", "z", "state"]
+_SCALE = {"m": 1.0, "mm": 0.001}
+
+
+@dataclass
+class _Sensor:
+    rows: StreamRows
+    scale: float
+    intrinsics: tuple[float, float, float, float] | None
+    y_up: bool
+    joint: dict[str, int]
+    times: dict[int, float] = field(default_factory=dict)
+    depth: dict[int, str] = field(default_factory=dict)
+
+
+def read_folder(folder: str | Path) -> SkeletonRecording:
+    """Read a recording folder; an InputError names the file and line that cannot be used."""
+    folder = Path(folder)
+    session, frames, skeleton = (folder / name for name in ("session.json", "frames.csv", "skeleton.csv"))
+    value = _session(session)
+    sensors = {s.rows.name: s for s in (_sensor(session, x) for x in value["sensors"])}
+    if len(sensors) < len(value["sensors"]):
+        raise InputError(f"{session} names a sensor twice; every sensor needs its own name.")
+    _read_frames(frames, sensors)
+    bodies = _read_bodies(skeleton, sensors)
+    for s in sensors.values():
+        _fill(s, bodies[s.rows.name], folder)
+    return checked_recording(
+        str(value.get("name", folder.resolve().name)),
+        [s.rows for s in sensors.values()],
+        str(folder),
+        {p.name: p for p in (session, frames, skeleton)},
+        reference=value.get("reference"),
+        common_clock=value.get("clock", "common") == "common",
+    )
+
+
+def _session(path: Path) -> dict[str, Any]:
+    value = read_json(path, "a session.json")
+    if not isinstance(value, dict) or value.get("format") != FORMAT or value.get("version") != 1:
+        raise InputError(f'{path} is no session of skeletons; it must say "format": "{FORMAT}", "version": 1.')
+    sensors = value.get("sensors")
+    if not isinstance(sensors, list) or not 1 <= len(sensors) <= MAX_SENSORS:
+        raise InputError(f"{path}: sensors must be a list of 1 to {MAX_SENSORS} sensors.")
+    if value.get("clock", "common") not in ("common", "own"):
+        raise InputError(f"{path}: clock must be common or own.")
+    if not isinstance(value.get("reference", ""), str):
+        raise InputError(f"{path}: reference must be the name of a sensor.")
+    return value
+
+
+def _sensor(path: Path, value: Any) -> _Sensor:
+    if not isinstance(value, dict) or not isinstance(value.get("name"), str) or not 1 <= len(value["name"]) <= 64:
+        raise InputError(f"{path}: every sensor needs a name of 1 to 64 characters.")
+    name, joints, unit = value["name"], value.get("joints"), value.get("unit", "m")
+    if (
+        not isinstance(joints, list)
+        or not 1 <= len(joints) <= MAX_JOINTS
+        or not all(isinstance(j, str) and j for j in joints)
+        or len(set(joints)) < len(joints)
+    ):
+        raise InputError(f"{path}: the joints of sensor {name} must be a list of 1 to {MAX_JOINTS} different names.")
+    if unit not in ("m", "mm"):
+        raise InputError(f"{path}: the unit of sensor {name} must be m or mm.")
+    depth, intrinsics, y_up = value.get("depth"), None, False
+    if depth is not None:
+        k = depth.get("intrinsics") if isinstance(depth, dict) else None
+        fine = isinstance(k, list) and len(k) == 4 and all(isinstance(v, int | float) and abs(v) < 1e5 for v in k)
+        if not fine or not k or min(k[:2]) <= 0:
+            raise InputError(f"{path}: depth of sensor {name} needs intrinsics [fx, fy, cx, cy] in pixels.")
+        intrinsics = (float(k[0]), float(k[1]), float(k[2]), float(k[3]))
+        y_up = depth.get("y_up", False) is True
+    rows = StreamRows(name, tuple(joints))
+    return _Sensor(rows, _SCALE[unit], intrinsics, y_up, {n: i for i, n in enumerate(joints)})
+
+
+def _rows_of(path: Path, header: Sequence[str], kind: str) -> Iterator[tuple[str, list[str]]]:
+    """Where each row stands, and its cells."""
+    names, rows = csv_rows(path, kind)
+    if names[: len(header)] != list(header):
+        raise InputError(f"{path}: the first line must be {','.join(header)}.")
+    for number, cells in rows:
+        yield f"{path}: line {number}", cells
+
+
+def _known(where: str, table: Mapping[Any, Any], key: Any, what: str) -> Any:
+    if key not in table:
+        raise InputError(f"{where}: {what} {key!r} is not in session.json or frames.csv.")
+    return table[key]
+
+
+def _read_frames(path: Path, sensors: Mapping[str, _Sensor]) -> None:
+    for where, cells in _rows_of(path, _FRAMES, "frames.csv of a skeleton recording"):
+        sensor = _known(where, sensors, cells[0], "the sensor")
+        with numbers_of(where):
+            number, time = int(cells[1]), float(cells[2])
+        if number in sensor.times:
+            raise InputError(f"{where}: the frame {number} of sensor {cells[0]} is there twice.")
+        if not math.isfinite(time):
+            raise InputError(f"{where}: the time is not a number.")
+        sensor.times[number] = time
+        if "".join(cells[3:4]):
+            sensor.depth[number] = cells[3]
+
+
+_Bodies = dict[tuple[int, int], tuple[Array, NDArray[np.uint8]]]
+
+
+def _read_bodies(path: Path, sensors: Mapping[str, _Sensor]) -> dict[str, _Bodies]:
+    bodies: dict[str, _Bodies] = {name: {} for name in sensors}
+    for where, cells in _rows_of(path, _SKELETON, "skeleton.csv of a skeleton recording"):
+        sensor = _known(where, sensors, cells[0], "the sensor")
+        joint = _known(where, sensor.joint, cells[3], "the joint")
+        with numbers_of(where):
+            frame, person, state = int(cells[1]), int(cells[2] or 0), int(cells[7] or 2)
+            xyz = [float(c or "nan") for c in cells[4:7]]
+        _known(where, sensor.times, frame, "the frame")
+        if not 0 <= person < 2**63 or state not in (0, 1, 2) or any(map(math.isinf, xyz)):
+            raise InputError(
+                f"{where}: person must be a whole number from 0, the state 0, 1 or 2, and coordinates must be finite; "
+                f"got {person}, {state} and {xyz}."
+            )
+        count = len(sensor.joint)
+        nothing = np.full((count, 3), np.nan), np.zeros(count, dtype=np.uint8)
+        positions, states = bodies[cells[0]].setdefault((frame, person), nothing)
+        positions[joint], states[joint] = xyz, state
+    return bodies
+
+
+def _fill(sensor: _Sensor, bodies: _Bodies, folder: Path) -> None:
+    """The sensor's rows in the order of its frames' numbers, which is that of arrival."""
+    by_frame: dict[int, list[tuple[int, Array, NDArray[np.uint8]]]] = {}
+    for (frame, person), (positions, state) in bodies.items():
+        scaled = np.where(positions > -9000, positions * sensor.scale, positions)
+        by_frame.setdefault(frame, []).append((person, scaled, state))
+    lens = sensor.intrinsics if sensor.depth else None
+    for frame in sorted(sensor.times):
+        time = sensor.times[frame]
+        seen = by_frame.get(frame, [])
+        if not seen:
+            sensor.rows.empty.append(time)
+        file = sensor.depth.get(frame) if seen and lens is not None else None
+        image = None if file is None else read_depth_png(_inside(folder, file))
+        for person, positions, state in seen:
+            sensor.rows.add(time, person, positions, state)
+            if lens is not None:
+                found = None if image is None else depth_at_joints(image, positions, lens, sensor.y_up)
+                sensor.rows.joint_depth.append(np.zeros(len(positions)) if found is None else found)
+
+
+def _inside(folder: Path, name: str) -> Path:
+    """A path in the folder; an InputError for one that leads out of it."""
+    path = folder / name
+    if not path.resolve().is_relative_to(folder.resolve()):
+        raise InputError(f"{folder / 'frames.csv'} names the depth map {name!r}, which lies outside the folder.")
+    return path
+
+
+# ---- writing -------------------------------------------------------------------------------------------------
+
+
+class FolderWriter:
+    """Writes a recording folder while it is being recorded; what was written so far can be read at any time."""
+
+    def __init__(self, folder: str | Path, name: str = "", clock: str = "own") -> None:
+        self._folder = RecordingFolder(folder)
+        self.folder = self._folder.path
+        self._name, self._clock = name or self.folder.name, clock
+        self._joints: dict[str, tuple[str, ...]] = {}
+        self._frame: dict[str, tuple[int, float]] = {}
+        self._frames = self._folder.table("frames.csv", _FRAMES)
+        self._skeleton = self._folder.table("skeleton.csv", _SKELETON)
+
+    def add(
+        self,
+        sensor: str,
+        time: float,
+        person: int | None,
+        joint_names: Sequence[str],
+        positions: Array,
+        state: NDArray[np.uint8],
+    ) -> None:
+        """One body (person None: the sensor saw nobody). Bodies of one sensor frame come together, with equal times."""
+        with self._folder.writing():
+            if sensor not in self._joints and person is not None:
+                self._joints[sensor] = tuple(joint_names)
+                self._session()
+            number, last = self._frame.get(sensor, (-1, math.nan))
+            if time != last:
+                number += 1
+                self._frame[sensor] = (number, time)
+                self._frames.write(f"{sensor},{number},{time:.6f}\n")
+            if person is None:
+                return
+            rows = [
+                f"{sensor},{number},{person},{joint},{x:.5f},{y:.5f},{z:.5f},{s}\n"
+                for joint, (x, y, z), s in zip(joint_names, positions.tolist(), state.tolist(), strict=True)
+                if s
+            ]
+            self._skeleton.write("".join(rows))
+
+    def _session(self) -> None:
+        sensors = [{"name": n, "joints": list(j)} for n, j in self._joints.items()]
+        value = {"format": FORMAT, "version": 1, "name": self._name, "clock": self._clock, "sensors": sensors}
+        write_text(self.folder / "session.json", to_json(value))
+
+    def flush(self) -> None:
+        """Hand everything to the system; an InputError when it cannot be written or the recording was removed."""
+        with self._folder.writing():
+            self._frames.flush()
+            self._skeleton.flush()
+        self._folder.check()
+
+    def close(self) -> None:
+        """Close the files; sensors that saw nobody are not in session.json, so their frames are taken out. An
+        InputError when not all could be written, or the recording was removed meanwhile."""
+        with self._folder.writing():
+            for stream in (self._frames, self._skeleton):
+                stream.close()
+        self._folder.check()
+        silent = set(self._frame) - set(self._joints)
+        if silent:
+            path = self.folder / "frames.csv"
+            kept = [line for line in text_lines(path, "a frames.csv") if line.split(",", 1)[0] not in silent]
+            write_text(path, "\n".join([*kept, ""]))
+
+
+# ---- skeleton tables -----------------------------------------------------------------------------------------------
+# Skeleton tables of others: CSV of several Kinects (KinectMultiTrack), and NTU RGB+D .skeleton files.
+#
+# Sources: the logger of KinectMultiTrack (C.-J. Wu, 2015): one row per skeleton, columns named <Joint>_X, _Y, _Z in
+# metres, -9999 = missing. NTU RGB+D (Shahroudy et al. 2016): plain numbers, per frame a number of bodies, per body a
+# line of ten values, the number of joints and a line of twelve values per joint; 25 Kinect v2 joints at 30 frames/s.
+
+
+KINECT_V2 = tuple(
+    "SpineBase SpineMid Neck Head ShoulderLeft ElbowLeft WristLeft HandLeft ShoulderRight ElbowRight WristRight "
+    "HandRight HipLeft KneeLeft AnkleLeft FootLeft HipRight KneeRight AnkleRight FootRight SpineShoulder HandTipLeft "
+    "ThumbLeft HandTipRight ThumbRight".split()
+)
+"""The 25 joints in the order of the SDK and of NTU files."""
+NTU_RATE = 30.0
+_MAX_FRAMES = 1_000_000
+_KIND = "a CSV of skeletons with one row per skeleton and columns <Joint>_X, <Joint>_Y, <Joint>_Z"
+
+
+def read_kinect_csv(path: str | Path) -> SkeletonRecording:
+    """Read a KinectMultiTrack CSV (.csv or .csv.gz): one stream per Kinect_Id, persons by Person_Id.
+
+    Times are Tracker_Time's (one clock, ms), and start at 0. No tracking state is logged: a joint that is there counts
+    as tracked. The logger turns every skeleton by how the person stood before its sensor at first
+    (Skeleton_Init_Angle, Skeleton_Init_Dist), and puts it where the first row's sensor saw it; here each sensor's are
+    put back before it, all by what its first row says.
+    """
+    path = Path(path)
+    header, lines = csv_rows(path, _KIND)
+    at = {name: i for i, name in enumerate(header)}
+    starts = [i for i, c in enumerate(header) if c.endswith("_X")]
+    joints = tuple(header[i][:-2] for i in starts)
+    wrong = [c for i, c in zip(starts, joints, strict=True) if header[i : i + 3] != [f"{c}_{x}" for x in "XYZ"]]
+    if not joints or len(joints) > MAX_JOINTS or wrong or len(set(joints)) < len(joints):
+        raise InputError(f"{path} is not {_KIND}: its first line does not name 1 to {MAX_JOINTS} joints that way.")
+    sensor_column = next((i for n, i in at.items() if n.startswith("Kinect_Id") or n == "Kinect#"), None)
+    if sensor_column is None or "Tracker_Time" not in at:
+        missing = "Kinect_Id" if sensor_column is None else "Tracker_Time"
+        raise InputError(f"{path}: the column {missing} is missing; it must be in the first line.")
+    person_column = at.get("Person_Id", at.get("Skeleton_Id"))
+    turned = [at[n] for n in ("Skeleton_Init_Angle", "Skeleton_Init_Dist") if n in at]
+    turns: dict[str, Array] = {}
+    sensors: dict[str, StreamRows] = {}
+    for number, cells in lines:
+        with numbers_of(f"{path}: line {number}"):
+            time = float(cells[at["Tracker_Time"]]) * 1e-3
+            person = int(float(cells[person_column])) if person_column is not None else 0
+            values = np.array([[float(c) for c in cells[i : i + 3]] for i in starts])
+            turn = np.array([float(cells[i]) for i in turned])
+        if not math.isfinite(time):
+            raise InputError(f"{path}: line {number} has no time; Tracker_Time must be a number.")
+        name = cells[sensor_column]
+        if len(turn) == 2:
+            own, known = turns.setdefault(name, turn), (values > MISSING_MARK).all(1)
+            values[known] = _before_own_sensor(values[known], next(iter(turns.values())), own)
+        sensors.setdefault(name, StreamRows(name, joints)).add(time, person, values, np.full(len(joints), 2))
+    # numbers of seconds since the year 1 lose microseconds in later arithmetic
+    zero = min((t for rows in sensors.values() for t in rows.times), default=0.0)
+    for rows in sensors.values():
+        rows.times = [t - zero for t in rows.times]
+    title = path.name.removesuffix(".gz").removesuffix(".csv")
+    return checked_recording(title, list(sensors.values()), str(path), {path.name: path})
+
+
+def _before_own_sensor(points: Array, first: Array, own: Array) -> Array:
+    """Points (N, 3) m that a sensor's skeleton has where the first sensor saw it, as its own sensor saw them; first,
+    own: angle rad about the vertical and distance m of the person at first."""
+    moved = (points - [0.0, 0.0, first[1]]) @ so3_exp(np.array([0.0, own[0] - first[0], 0.0]))
+    return np.asarray(moved + [0.0, 0.0, own[1]])
+
+
+_NTU_NAME = re.compile(r"(S\d{3})C(\d{3})(P\d{3}R\d{3}A\d{3})", re.IGNORECASE)
+
+
+def read_ntu(files: Sequence[str | Path]) -> SkeletonRecording:
+    """Read NTU RGB+D .skeleton files of one action, one file per camera. All-zero joints count as missing."""
+    paths = [Path(f) for f in files]
+    named = [_NTU_NAME.search(p.name) for p in paths]
+    actions = {(m[1] + m[3]).upper() if m else p.stem for p, m in zip(paths, named, strict=True)}
+    if len(paths) > 1 and len(actions) > 1:
+        raise InputError(
+            f"The folder {paths[0].parent} holds {len(actions)} different actions ({', '.join(sorted(actions)[:3])}, "
+            "...); give the files of one action, which differ in the camera (C001, C002, C003) only."
+        )
+    sensors = [_ntu_rows(p, f"C{m[2]}" if m else text_of(p.stem)) for p, m in zip(paths, named, strict=True)]
+    return checked_recording(actions.pop(), sensors, str(paths[0].parent), {p.name: p for p in paths})
+
+
+def _ntu_rows(path: Path, name: str) -> StreamRows:
+    rows = StreamRows(name, KINECT_V2)
+    lines = enumerate((ln.split() for ln in bounded_lines(path, "an NTU RGB+D .skeleton file")), start=1)
+    ids: dict[str, int] = {}
+
+    def read(what: str, cells: int) -> tuple[int, list[str]]:
+        number, found = next(lines, (0, []))
+        if not number:
+            raise InputError(f"{path} ends where {what} should follow; the file is cut off, fetch it again.")
+        if len(found) != cells:
+            raise InputError(f"{path}: line {number} has {len(found)} values, {what} has {cells}.")
+        return number, found
+
+    def count(what: str, most: int) -> int:
+        number, (cell,) = read(what, 1)
+        if not cell.isdecimal() or len(cell) > 9 or int(cell) > most:
+            raise InputError(
+                f"{path}: line {number} should be {what} (0 to {most}), as in an NTU RGB+D .skeleton file."
+            )
+        return int(cell)
+
+    for frame in range(count("the number of frames", _MAX_FRAMES)):
+        bodies = count("the number of bodies", 64)
+        for _ in range(bodies):
+            _, head = read("a body", 10)
+            joints = count("the number of joints", MAX_JOINTS)
+            if joints != len(KINECT_V2):
+                raise InputError(
+                    f"{path}: a body in frame {frame} has {joints} joints, Kinect v2 has {len(KINECT_V2)}."
+                )
+            values = np.empty((joints, 12))
+            for j in range(joints):
+                number, cells = read("a joint", 12)
+                with numbers_of(f"{path}: line {number}"):
+                    values[j] = [float(c) for c in cells]
+            xyz, state = values[:, :3], values[:, 11]
+            state = np.where(np.isin(state, (0, 1, 2)), state, 0).astype(np.uint8)
+            state[(xyz == 0).all(1)] = 0
+            if state.any():
+                rows.add(frame / NTU_RATE, ids.setdefault(head[0], len(ids)), xyz, state)
+        if not bodies:
+            rows.empty.append(frame / NTU_RATE)
+    return rows
+
+
+# ---- skeleton formats ----------------------------------------------------------------------------------------------
+# Recorded skeletons of any known program: which reader takes a file or folder.
+
+
+def read_skeletons(path: str | Path) -> SkeletonRecording:
+    """Read recorded skeletons in any known form; an InputError says in one sentence what cannot be used.
+
+    A folder with session.json; a folder of NTU .skeleton files, one per camera; .csv or .csv.gz of several Kinects;
+    .skeleton; .jsonl or .jsonl.gz.
+    """
+    p = Path(path)
+    name = p.name.lower().removesuffix(".gz")
+    read = next((read for ending, read in _READERS.items() if name.endswith(ending)), None)
+    if p.is_dir() and (p / "session.json").exists():
+        return read_folder(p)
+    if p.is_dir() and (files := sorted(p.glob("*.skeleton"))):
+        return read_ntu(files)
+    if p.is_file() and read is not None:
+        return read(p)
+    what = "does not exist" if not p.exists() else "holds no skeletons" if p.is_dir() else "has no known form"
+    raise InputError(
+        f"{p} {what}; give a folder with session.json or .skeleton files, or a .csv, .skeleton or .jsonl file (.gz is "
+        "fine; of an archive the folder that is unpacked)."
+    )
+
+
+_READERS: Mapping[str, Callable[[Path], SkeletonRecording]] = {
+    "session.json": lambda p: read_folder(p.parent),
+    ".csv": read_kinect_csv,
+    ".skeleton": lambda p: read_ntu([p]),
+    ".jsonl": read_lines,
+    ".ndjson": read_lines,
+}
+"""By the end of the file's name, without .gz."""

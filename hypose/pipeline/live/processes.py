@@ -1,0 +1,57 @@
+"""Threads and processes of live tracking: punctual ones, and ones that never outlive who started them."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from multiprocessing.process import BaseProcess
+
+_SWITCH_S = 0.0005
+"""s that who takes or sends pictures waits at most for who computes; Python's own 5 ms are a share of a frame's time"""
+
+
+@contextlib.contextmanager
+def punctual() -> Iterator[None]:
+    """Meanwhile threads take turns often, and what is loaded now is never looked through for garbage."""
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(_SWITCH_S)
+    gc.collect()
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
+        sys.setswitchinterval(before)
+
+
+@contextlib.contextmanager
+def deaf_to_ctrl_c() -> Iterator[None]:
+    """Processes that are started meanwhile do not hear Ctrl-C, which a terminal sends to all of its processes, from
+    their first moment on: while they are still importing nobody else could keep a traceback from the terminal."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def belong_to_parent() -> None:
+    """In a process that was started: Ctrl-C is for whoever started it, and it ends with them, however they ended."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_end_after, args=(parent,), name="parent", daemon=True).start()
+
+
+def _end_after(parent: BaseProcess) -> None:
+    parent.join()
+    os._exit(1)

@@ -1,0 +1,186 @@
+"""What one camera sees when nobody is there, and the person before it; of colour cameras and of depth cameras.
+
+The room is learnt from pictures of it without anybody. That of a colour camera then follows slowly what changes: the
+light, the camera's own exposure, a chair that was moved. Where the person is nothing is learnt.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.cameras.camera import Camera
+from hypose.compute import mask_runs
+from hypose.evidence.background import BackgroundModel, Image, from_frames, gain_between
+from hypose.evidence.depth_background import DepthBackground, learn_background, person_before
+from hypose.evidence.depth_evidence import Depth
+from hypose.evidence.frame import Silhouettes
+from hypose.evidence.outlines import OUTLINE_POINTS, WORKING_HEIGHT, ViewOutline, outline_of_runs, view_outline
+from hypose.evidence.silhouettes import Mask, Segmenter, SilhouetteSettings, bounding_box, make_segmenter
+from hypose.io.recordings.view_source import DepthPreparer, Preparer, mask_in
+
+EVERY_S = 1.0
+"""s between two looks at what has changed"""
+_LIGHT_S, _THING_S = 10.0, 30.0
+"""Time constants: of the room where it looks like the room, and of what is not the room and not the person"""
+_SPARSE = 3
+"""px between two that tell how much brighter the light is"""
+_MARGIN = 0.15
+"""of the person's height in the picture, about the person, in which nothing is learnt"""
+
+
+class ViewRoom:
+    """One view. camera: as calibrated; small: pinhole, of the working size; background: where it is known already. Used
+    by one thread at a time."""
+
+    def __init__(
+        self,
+        camera: Camera,
+        small: Camera,
+        shift: tuple[float, float],
+        options: SilhouetteSettings,
+        background: BackgroundModel | None = None,
+    ) -> None:
+        self._prepare, self._options = Preparer(camera, small, shift), options
+        self.size = small.size
+        self.background: BackgroundModel | None = None
+        self._segment: Segmenter | None = None
+        self._learnt = -np.inf
+        if background is not None:
+            self._take(background)
+
+    def learn(self, images: Sequence[Image]) -> None:
+        """Take stored pictures (H, W, 3) for those of the empty room."""
+        self._take(from_frames([self._prepare(image) for image in images]))
+
+    def mask(self, image: Image) -> tuple[Mask, ViewOutline | None]:
+        """What is not the room in a stored picture, (h, w), and its outline for tracking (None: it is empty). The room
+        must be known."""
+        assert self._segment is not None
+        runs, _ = mask_in(image, self._prepare, self._segment)
+        return mask_runs.draw(runs), outline_of_runs(runs, OUTLINE_POINTS, WORKING_HEIGHT) if runs.area else None
+
+    def due(self, time: float) -> bool:
+        """Whether it is time to look at what has changed."""
+        return self.background is not None and time - self._learnt >= EVERY_S
+
+    def follow(self, image: Image, time: float, person: Mask | None) -> None:
+        """Learn what has changed, if it is time for that. person (h, w): where the person is, None where that is not
+        known: then nothing that stands out is taken for a part of the room."""
+        if not self.due(time):
+            return
+        passed, self._learnt = time - self._learnt, time
+        if self.background is None or not np.isfinite(passed):
+            return
+        assert self._segment is not None
+        found, picture = mask_runs.draw(mask_in(image, self._prepare, self._segment)[0]), self._prepare(image)
+        sparse, before = np.s_[::_SPARSE, ::_SPARSE], self.background.mean
+        gain = gain_between(before[sparse], picture[sparse].astype(np.float32))
+        mean = np.clip(before * gain, 0, 255)
+        other = _around(found)
+        free = np.ones_like(other) if person is None else 1 - _around(person)
+        cv2.accumulateWeighted(picture, mean, -np.expm1(-passed / _LIGHT_S), free & (1 - other))
+        if person is not None:
+            cv2.accumulateWeighted(picture, mean, -np.expm1(-passed / _THING_S), free & other)
+        self._take(replace(self.background, mean=mean))
+
+    def _take(self, background: BackgroundModel) -> None:
+        self.background = background
+        self._segment = make_segmenter(background, self._options)
+
+
+def _around(mask: Mask) -> Mask:
+    """The mask and what is near it, 0 or 1."""
+    box = bounding_box(mask)
+    if box is None:
+        return mask
+    size = 2 * max(2, round(_MARGIN * (box[1] - box[0]))) + 1
+    return np.asarray(cv2.dilate(mask, np.ones((size, size), np.uint8)), dtype=np.uint8)
+
+
+DepthMap = NDArray[np.float32]
+Millimetres = NDArray[np.uint16]
+_MOVED_M, _MOVED_SHARE = 0.05, 0.01
+"""m, and share of the pixels that are known, that change where somebody has not left"""
+
+
+class DepthRoom:
+    """One depth view, in place of a `ViewRoom`. camera: as calibrated; small: pinhole, of the working size; background:
+    where it is known already. The room does not change: light is nothing to it. Used by one thread at a time."""
+
+    def __init__(
+        self, camera: Camera, small: Camera, shift: tuple[float, float], background: DepthBackground | None = None
+    ) -> None:
+        self._prepare, self.size, self.background = DepthPreparer(camera, small, shift), small.size, background
+        self._focal_px = float(small.K[0, 0])
+        self.seen: Millimetres | None = None
+        """(h, w) the last map that was looked at"""
+
+    @property
+    def moved(self) -> bool:
+        """Something moved while the room was learnt."""
+        room = self.background
+        known = None if room is None else room.depth > 0
+        if room is None or known is None or not known.any():
+            return False
+        return float((room.sd[known] > _MOVED_M).mean()) > _MOVED_SHARE
+
+    def learn(self, maps: Sequence[DepthMap]) -> None:
+        """Take stored maps (H, W) m for those of the empty room."""
+        self.background = learn_background([self._prepare(m) for m in maps])
+
+    def mask(self, depth: DepthMap) -> tuple[Mask, ViewOutline | None]:
+        """Who stands before the room in a stored map, (h, w), and the outline (None: nobody). The room must be
+        known."""
+        assert self.background is not None
+        own = self._prepare(depth)
+        self.seen = np.minimum(own * 1000 + 0.5, 65535).astype(np.uint16)
+        mask = person_before(own, self.background, self._focal_px)
+        return mask, view_outline(mask, working_height=WORKING_HEIGHT) if mask.any() else None
+
+
+@dataclass(frozen=True)
+class KeptDepth:
+    """The person in the depth maps of one instant, so that seconds of it take little room: mm (C, h, w) in a box at
+    corner (row, column), 0 elsewhere; usable (C,)."""
+
+    millimetres: Millimetres
+    corner: tuple[int, int]
+    usable: NDArray[np.bool_]
+
+    @staticmethod
+    def of(depth: Depth) -> KeptDepth:
+        """Of a frame's depth."""
+        someone = np.asarray(depth.person.any(0))
+        rows, columns = np.flatnonzero(someone.any(1)), np.flatnonzero(someone.any(0))
+        if not len(rows):
+            return KeptDepth(np.zeros((len(depth.maps), 0, 0), np.uint16), (0, 0), depth.usable)
+        y, x = int(rows[0]), int(columns[0])
+        box = np.s_[:, y : int(rows[-1]) + 1, x : int(columns[-1]) + 1]
+        kept = np.where(depth.person[box] > 0, depth.maps[box] * 1000 + 0.5, 0).astype(np.uint16)
+        return KeptDepth(kept, (y, x), depth.usable)
+
+    def depth(self, silhouettes: Silhouettes) -> Depth:
+        """The depth again, beside the masks of the same instant."""
+        maps = np.zeros(silhouettes.masks.shape, np.float32)
+        (y, x), (h, w) = self.corner, self.millimetres.shape[1:]
+        maps[:, y : y + h, x : x + w] = self.millimetres * np.float32(1e-3)
+        person = silhouettes.masks * self.usable.astype(np.uint8)[:, None, None]
+        return Depth(maps, person, silhouettes.rig, self.usable)
+
+
+def depth_of(silhouettes: Silhouettes, maps: Sequence[Millimetres | None]) -> Depth | None:
+    """What depth cameras measured of who is in the silhouettes; maps: of each view, None where it has none."""
+    usable = silhouettes.usable & np.array([m is not None for m in maps])
+    if not usable.any():
+        return None
+    out = np.zeros(silhouettes.masks.shape, np.float32)
+    for c in np.flatnonzero(usable):
+        own = maps[int(c)]
+        assert own is not None
+        np.multiply(own, np.float32(1e-3), out=out[c, : own.shape[0], : own.shape[1]])
+    return Depth(out, silhouettes.masks * usable.astype(np.uint8)[:, None, None], silhouettes.rig, usable)

@@ -1,0 +1,550 @@
+"""One camera of a recording: frames with its picture, where a track with it starts, and what of it they contradict.
+
+A track starts at joints clicked in its first picture (a JSON file), or at a detector's key points.
+
+The file of clicks, pixels of the picture as it was recorded, (0, 0) in the middle of the upper left pixel:
+
+    {"camera": "cam1", "frame": 0, "joints": {"left_shoulder": [512.0, 310.5], "left_elbow": [540, 402], ...}}
+
+camera and frame (number in the recording, the first that is tracked) may be left out; joints are those of the body
+model. At least six are needed; shoulders, elbows, wrists, hips, knees, ankles, neck and head are a good set.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.body.body import Body
+from hypose.body.motion import Modes, Motion
+from hypose.body.ready_bodies import JOINT_NAMES, human
+from hypose.cameras.camera import Camera, CameraRig, triangulate
+from hypose.errors import EvidenceError, InputError
+from hypose.evidence.body_parts import detect_ends, end_colors
+from hypose.evidence.frame import Frame, Keypoints, Picture, Silhouettes
+from hypose.evidence.keypoints import person_size
+from hypose.evidence.silhouettes import SilhouetteSettings
+from hypose.evidence.skin import skin_map
+from hypose.geometry import Array
+from hypose.io.files import read_json
+from hypose.io.recordings.frames import FrameSettings, FrameStream, load_keypoints
+from hypose.io.recordings.recording import Recording
+from hypose.io.recordings.view_source import ViewSource
+from hypose.io.videos.video import open_video
+from hypose.pipeline.doubts import in_words
+from hypose.pipeline.first_frame import Subject
+from hypose.tracking.contacts import runs
+from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, keypoint_model
+from hypose.tracking.monocular.evidence import SMALLEST_MASK
+from hypose.tracking.monocular.initialise import LEAST_POINTS, initialise
+from hypose.tracking.monocular.points import FEWEST_PX, clicked_joints, keypoints_on
+from hypose.tracking.monocular.points_fit import PointsOn
+from hypose.tracking.monocular.settings import MonoSettings
+
+TARGET_PX = 250.0
+"""The person's size in the pictures that are worked on: larger ones cost time, smaller ones limbs."""
+SMALLEST_SIDE = 320
+_AHEAD_BYTES = 250_000_000
+"""Of pictures that are read forwards and kept, so that no video is decoded backwards."""
+
+
+def one_view(recording: Recording, camera: str | None) -> Recording:
+    """The recording limited to the named camera (None: its only one); an InputError lists the cameras."""
+    names = [v.name for v in recording.views]
+    if camera is None and len(names) > 1:
+        raise InputError(
+            f"The recording {recording.name} has {len(names)} cameras ({', '.join(names)}); name one with --camera."
+        )
+    if camera is not None and camera not in names:
+        raise InputError(
+            f"The recording {recording.name} has no camera {camera!r}; it has {', '.join(names)}: give one of them "
+            "with --camera."
+        )
+    k = 0 if camera is None else names.index(camera)
+    view = recording.views[k]
+    if view.source is None:
+        raise InputError(
+            f"Camera {view.name} has masks but neither video nor images, and one camera alone needs pictures; give its "
+            "video in recording.toml."
+        )
+    return replace(recording, views=(view,), rig=CameraRig((recording.rig[k],)))
+
+
+def working_side(recording: Recording, person_px: float, picture: tuple[int, int]) -> int:
+    """Longer side of the pictures to work on, px, so that somebody who is person_px tall in pictures of that size
+    (width, height) is about TARGET_PX tall."""
+    longest = max(recording.rig[0].size)
+    share = person_px / max(picture)
+    return round(float(np.clip(TARGET_PX / max(share, 1e-3), min(SMALLEST_SIDE, longest), longest)))
+
+
+def has_masks(recording: Recording) -> bool:
+    """Whether a recording of one camera provides masks; a background learnt from the clip itself holds the person."""
+    view = recording.views[0]
+    return view.masks is not None or view.background is not None
+
+
+def masks_of(recording: Recording, evidence: str) -> SilhouetteSettings | None:
+    """How the masks of the one camera are made, None without; an InputError when the evidence asks for masks or key
+    points that are not there."""
+    view = recording.views[0]
+    if evidence in ("silhouettes", "both") and not has_masks(recording):
+        raise InputError(
+            f"Camera {view.name} has neither masks nor a background, so it gives no silhouettes; add masks or a "
+            "background in recording.toml, or leave --evidence out."
+        )
+    if evidence in ("keypoints", "both") and (recording.keypoint_set is None or not view.keypoints):
+        raise InputError(
+            f"Camera {view.name} has no key points; add keypoints = ... to the view in recording.toml, or leave "
+            "--evidence out."
+        )
+    return SilhouetteSettings() if has_masks(recording) and evidence in ("auto", "silhouettes", "both") else None
+
+
+class FrameSource(Protocol):
+    """Frames by number: hypose.io.recordings.frames.FrameStream, or any synthetic scene."""
+
+    def __len__(self) -> int: ...
+
+    def frame(self, index: int, /) -> Frame:
+        """Frame number index, 0 <= index < len."""
+        ...
+
+
+class PictureFrames:
+    """The frames of a source with the picture of its one camera, undistorted, at working size; the mask is a part of
+    it, left out where it shows nobody. Frames that are in memory have their pictures already."""
+
+    def __init__(self, source: FrameSource) -> None:
+        self._source, self._pictures = source, None
+        self._kept: dict[int, Frame] = {}
+        if isinstance(source, FrameStream):
+            # read forwards, while the stream makes masks ahead
+            self._pictures = ViewSource(source.recording.views[0], source.recording.rig[0], source.rig[0])
+
+    def frame(self, index: int, /) -> Frame:
+        """Frame number index, its picture without the one before."""
+        frame = self._source.frame(index)
+        if self._pictures is None or not isinstance(self._source, FrameStream):
+            return frame
+        seen, mask = frame.silhouettes, None
+        if seen is not None and seen.usable[0] and seen.areas[0] >= SMALLEST_MASK:
+            mask = seen.masks[0]
+        picture = Picture(self._source.rig[0], self._pictures.image(frame.index), None, mask)
+        return Frame(frame.time, frame.index, keypoints=frame.keypoints, picture=picture)
+
+    def walk(self, indices: range) -> Iterator[Frame]:
+        """The frames one after the other, forwards or backwards; the picture before is the one behind, whether or not
+        it belongs to the walk."""
+        behind = indices.start - indices.step
+        last = self._read(behind, indices.step) if indices and 0 <= behind < len(self._source) else None
+        for index in indices:
+            frame = self._read(index, indices.step)
+            if frame.picture is not None:
+                before = None if last is None or last.picture is None else last.picture.image
+                yield replace(frame, picture=replace(frame.picture, before=before))
+            else:
+                yield frame
+            last = frame
+
+    def _read(self, index: int, step: int) -> Frame:
+        if step > 0:
+            return self.frame(index)
+        if index not in self._kept:
+            first = self.frame(index) if not self._kept else next(iter(self._kept.values()))
+            size = 1 if first.picture is None else first.picture.image.nbytes
+            self._kept = {i: self.frame(i) for i in range(max(0, index + 1 - max(1, _AHEAD_BYTES // size)), index + 1)}
+        return self._kept[index]
+
+    def close(self) -> None:
+        """Release the video."""
+        if self._pictures is not None:
+            self._pictures.close()
+
+
+def depth_note(motion: Motion, modes: Modes) -> str:
+    """A sentence that says how uncertain the depth is, in mm, and how many poses are still possible."""
+    depth = 1e3 * float(np.nanmedian(modes.depth_sd))
+    whole = 3 * np.asarray(motion.joint_sd) ** 2
+    across = 1e3 * float(np.nanmedian(np.sqrt(np.maximum(whole - modes.depth_sd**2, 0.0) / 2)))
+    rival = modes.alive > 1
+    spread = 0.0
+    if rival.any():
+        apart = np.linalg.norm(modes.joints[:, 1:] - modes.joints[:, :1], axis=-1)
+        spread = 1e3 * float(np.nanmedian(np.nanmax(apart[rival], axis=(1, 2))))
+    others = np.median(modes.alive) - 1
+    return (
+        f"one camera does not measure depth: along its line of sight a joint is known to +-{depth:.0f} mm (1 sd, "
+        f"median), across it to +-{across:.0f} mm; beside the best pose {others:.0f} others explain the pictures "
+        f"nearly as well (median), whose joints lie up to {spread:.0f} mm elsewhere: see modes.npz"
+    )
+
+
+def tracked_frames(source: FrameSource, indices: range, needs: Sequence[str], subject: Subject) -> Iterator[Frame]:
+    """The frames that a recipe is to track, with what it needs: the picture of one camera; detections by colour where
+    it needs detections and the recording has neither key points nor anything else that detects ends, but pictures."""
+    if "picture" in needs:
+        with contextlib.closing(PictureFrames(source)) as frames:
+            yield from frames.walk(indices)
+        return
+    if not (
+        "detections" in needs
+        and isinstance(source, FrameStream)
+        and source.keypoints is None
+        and all(view.source is not None for view in source.recording.views)
+    ):
+        yield from (source.frame(i) for i in indices)
+        return
+    with contextlib.closing(ColourDetections(source, subject.body, subject.start)) as coloured:
+        yield from (coloured.frame(i) for i in indices)
+
+
+class ColourDetections:
+    """The frames of a recording with the ends that skin colour shows (`Frame.detections`, unnamed).
+
+    The colours are the person's own, learnt in the first frame, whose pose (D,) is known. Every frame is a function of
+    the recording and that pose alone, in whatever order frames are asked for. The pictures are read a second time,
+    beside the masks. An InputError when they are grey: there skin has no colour."""
+
+    def __init__(self, source: FrameStream, body: Body, start: Array) -> None:
+        self.source, self.body = source, body
+        views = zip(source.recording.views, source.recording.rig, source.rig, strict=True)
+        self._pictures = [ViewSource(view, camera, small) for view, camera, small in views]
+        first = source.frame(0).silhouettes
+        if first is None:
+            raise InputError("Skin colour is looked for inside the silhouettes; choose an evidence that has them.")
+        images = self._images(0, first)
+        if np.ptp(images.astype(np.int16), axis=-1).max() < 8:
+            raise InputError(
+                "The videos are grey, and skin colour drives this recipe: give key points, or choose another recipe."
+            )
+        self._colours = end_colors(body, start, first, images)
+
+    def __len__(self) -> int:
+        return len(self.source)
+
+    def frame(self, index: int, /) -> Frame:
+        """Frame number index with its detections."""
+        frame = self.source.frame(index)
+        silhouettes = frame.silhouettes
+        centre = None if silhouettes is None else centre_of(silhouettes)
+        if silhouettes is None or centre is None:
+            return frame
+        images = self._images(index, silhouettes)
+        maps = np.stack([skin_map(i, m, self._colours) for i, m in zip(images, silhouettes.masks, strict=True)])
+        detections, _ = detect_ends(silhouettes, maps, centre, self.body.stature)
+        return replace(frame, detections=detections)
+
+    def close(self) -> None:
+        """Release the videos."""
+        for view in self._pictures:
+            view.close()
+
+    def _images(self, index: int, silhouettes: Silhouettes) -> NDArray[np.uint8]:
+        """(C, h, w, 3) at the masks' pixels; black where there is no picture."""
+        out = np.zeros((*silhouettes.masks.shape, 3), np.uint8)
+        for c in np.flatnonzero(silhouettes.usable):
+            picture = self._pictures[int(c)].image(self.source.frames[index])
+            out[c, : picture.shape[0], : picture.shape[1]] = picture
+        return out
+
+
+def centre_of(silhouettes: Silhouettes) -> Array | None:
+    """(3,) m: about the middle of the person, where the masks' centroids meet; None with fewer than two views."""
+    middle = np.zeros((len(silhouettes.masks), 1, 2))
+    for c, mask in enumerate(silhouettes.masks):
+        rows, columns = np.nonzero(mask)
+        if len(rows):
+            middle[c, 0] = columns.mean(), rows.mean()
+    seen = (silhouettes.usable & (silhouettes.areas > 0)).astype(np.float64)[:, None]
+    point, views = triangulate(silhouettes.rig, middle, seen)
+    return point[0] if views[0] >= 2 else None
+
+
+POINT_STARTS = ("auto", "keypoints")
+"""Starts that are no file of clicks."""
+CLICK_SHARE = 0.010
+"""1 sd of a click, as a share of the person's size in the picture."""
+LENGTH_FRAMES = 10
+"""So many further frames with key points decide the lengths of somebody whose body is not known."""
+
+Clicks = Mapping[str, tuple[float, float]]
+"""Joints clicked in a recorded picture: name -> (u, v) px."""
+
+
+def load_clicks(path: str | Path, recording: Recording) -> Clicks:
+    """Read a file of clicks for the one camera of a recording; an InputError says what is wrong with it."""
+    path = Path(path)
+    view = recording.views[0]
+    document = read_json(path, "a file of clicks")
+    if not isinstance(document, dict) or not isinstance(document.get("joints"), dict):
+        raise InputError(f'The file of clicks {path} needs "joints": {{name: [u, v], ...}}; see docs/monocular.md.')
+    if document.get("camera", view.name) != view.name:
+        raise InputError(
+            f"The clicks in {path} belong to camera {document['camera']!r}, and {view.name} is to be tracked; give "
+            "--camera or other clicks."
+        )
+    first = recording.frames[0]
+    if document.get("frame", first) != first:
+        raise InputError(
+            f"The clicks in {path} belong to frame {document['frame']}, and tracking begins at frame {first}; give "
+            f"--frames {document['frame']}: or click in frame {first}."
+        )
+    with open_video(_source(recording)) as reader:
+        size = reader.size
+    joints = {name: _click(path, name, at, size) for name, at in document["joints"].items()}
+    if len(joints) < LEAST_POINTS:
+        raise InputError(f"{path} holds {len(joints)} clicked joints; at least {LEAST_POINTS} are needed to start.")
+    return joints
+
+
+def _click(path: Path, name: str, at: Any, size: tuple[int, int]) -> tuple[float, float]:
+    if name not in JOINT_NAMES:
+        raise InputError(f"{path}: there is no joint {name!r}; the joints are {', '.join(JOINT_NAMES)}.")
+    numbers = isinstance(at, list) and len(at) == 2 and all(type(x) in (int, float) and np.isfinite(x) for x in at)
+    if not numbers:
+        raise InputError(f"{path}: {name} must be two numbers [u, v] in pixels, got {json.dumps(at)[:40]}.")
+    u, v = float(at[0]), float(at[1])
+    if not (-0.5 <= u <= size[0] - 0.5 and -0.5 <= v <= size[1] - 0.5):
+        raise InputError(
+            f"{path}: {name} was clicked at ({u:g}, {v:g}), outside the picture of {size[0]} x {size[1]} px; leave out "
+            "joints that are not in the picture."
+        )
+    return u, v
+
+
+def clicked_pixels(clicks: Clicks, recording: Recording, working: Camera) -> dict[str, tuple[float, float]]:
+    """Clicks in the undistorted pixels of the working camera."""
+    view, camera = recording.views[0], recording.rig[0]
+    with open_video(_source(recording)) as reader:
+        stored = np.array(reader.size, dtype=np.float64)
+    pixels = np.array(list(clicks.values()))
+    calibrated = (pixels + 0.5) * np.array(camera.size) / stored - 0.5 + np.asarray(view.image_shift)
+    shown = (camera.undistort_points(calibrated) + 0.5) * np.array(working.size) / np.array(camera.size) - 0.5
+    return {name: (float(u), float(v)) for name, (u, v) in zip(clicks, shown, strict=True)}
+
+
+def side_to_work_on(recording: Recording, clicks: Clicks | None) -> int:
+    """Longer side of the working pictures, px, by the size of the person at the start."""
+    if clicks is not None:
+        with open_video(_source(recording)) as reader:
+            return working_side(recording, _extent(np.array(list(clicks.values()))), reader.size)
+    points = load_keypoints(recording)
+    sizes = [person_size(k.points[0]) for k in (points or [])[: 1 + int(recording.frame_rate)]]
+    found = [s for s in sizes if s > 0]
+    if points is None or not found:
+        return FrameSettings().longer_side
+    return working_side(recording, float(np.median(found)), points[0].rig[0].size)
+
+
+def _extent(pixels: Array) -> float:
+    return float(np.ptp(pixels, axis=0).max())
+
+
+def _source(recording: Recording) -> Path:
+    source = recording.views[0].source
+    assert source is not None  # pictures.one_view saw to it
+    return source
+
+
+def picture_options(recording: Recording, start: str, evidence: str) -> FrameSettings:
+    """How the pictures of a recording of one camera are read: as large as its person needs, with masks if they are
+    evidence."""
+    return FrameSettings(
+        side_to_work_on(recording, clicks_of(start, recording)), silhouettes=masks_of(recording, evidence)
+    )
+
+
+def clicks_of(start: str, recording: Recording) -> Clicks | None:
+    """The clicks that a track starts from; None when it starts from key points."""
+    if start in POINT_STARTS:
+        return None
+    if not Path(start).is_file():
+        raise InputError(
+            f"--start {start} is no file of clicked joints, and with one camera it can otherwise only be "
+            f"{' or '.join(POINT_STARTS)}; give one of these."
+        )
+    return load_clicks(start, recording)
+
+
+def subject_in_picture(
+    source: FrameSource,
+    frame_rate: float,
+    *,
+    start: str = "auto",
+    evidence: str = "auto",
+    body: Body | None = None,
+    height: float | None = None,
+    floor: float | None = None,
+) -> Subject:
+    """The person in the pictures of one camera, with rival starts. body: the person's own (then only poses are looked
+    for); floor: height of the floor in the world, m, None when it is not known."""
+    with contextlib.closing(PictureFrames(source)) as frames:
+        template, seen = body or human(), _keypoints_of(source)
+        notes = [_evidence_note(source, evidence, any(k is not None for k in seen))]
+        if start in POINT_STARTS:
+            at, points, names = _first_keypoints(source, seen, frame_rate)
+            frame = frames.frame(at)
+            told = f"the key points of frame {frame.index}"
+            points_on: PointsOn = partial(keypoints_on, names=names, keypoints=points)
+        elif isinstance(source, FrameStream):
+            at, frame = 0, frames.frame(0)
+            clicks = load_clicks(start, source.recording)
+            told = f"{len(clicks)} clicked joints"
+            pixels = clicked_pixels(clicks, source.recording, source.rig[0])
+            scale = max(FEWEST_PX, CLICK_SHARE * _extent(np.array(list(pixels.values()))))
+            points_on = partial(clicked_joints, clicks=pixels, scale_px=scale)
+        else:
+            raise InputError(f"Clicks ({start}) belong to a recording; frames in memory start from their key points.")
+        later = () if body is not None else _later_points(seen, at)
+        fit = initialise(
+            template,
+            points_on,
+            frame,
+            later=later,
+            settings=MonoSettings(frame_rate=frame_rate),
+            height=height,
+            fixed_body=body is not None,
+            floor=floor,
+        )
+    rivals = fit.hypotheses
+    notes.append(f"start from {told}: {rivals.count} rival poses, the best {fit.residual_px:.1f} px off")
+    if body is None:
+        further = f", the key points of {len(later)} further frames" if later else ""
+        notes.append(f"body of {fit.body.stature:.2f} m from {told}{further} and the picture's contours")
+    if floor is not None:
+        notes.append(f"the lower foot is taken to stand on a floor at z = {floor:g} m (--floor)")
+    if body is not None and height is not None:
+        notes.append("the given height is not used: the body is given")
+    if body is None and height is None:
+        notes.append(
+            "the height is not known, so distances and lengths are as uncertain as people's heights (about 5 %); give "
+            "--height"
+        )
+    return Subject(fit.body, None, rivals.best(), tuple(notes), rivals)
+
+
+def _keypoints_of(source: FrameSource) -> list[Keypoints | None]:
+    """Of every frame, without reading a picture where that can be."""
+    if isinstance(source, FrameStream):
+        return [None] * len(source) if source.keypoints is None else list(source.keypoints)
+    return [source.frame(i).keypoints for i in range(len(source))]
+
+
+def _evidence_note(source: FrameSource, evidence: str, keypoints: bool) -> str:
+    name = source.recording.views[0].name if isinstance(source, FrameStream) else "in memory"
+    masked = isinstance(source, FrameStream) and source.options.silhouettes is not None
+    used = ["edges", "optical flow"]
+    used += ["silhouettes"] if masked else []
+    used += ["key points"] if keypoints and evidence in ("auto", "keypoints", "both") else []
+    return f"one camera ({name}): {', '.join(used)}"
+
+
+def _later_points(seen: Sequence[Keypoints | None], first: int) -> tuple[PointsOn, ...]:
+    """The key points of LENGTH_FRAMES frames over the whole clip, to measure lengths with."""
+    rows = np.unique(np.linspace(first, len(seen) - 1, LENGTH_FRAMES + 1).astype(int))[1:]
+    some = [k for k in (seen[i] for i in rows) if k is not None and _enough(k)]
+    return tuple(partial(keypoints_on, names=k.names, keypoints=np.asarray(k.points[0])) for k in some)
+
+
+def _enough(seen: Keypoints) -> bool:
+    points = keypoints_on(human(), seen.names, np.asarray(seen.points[0]))
+    return int((points.confidence > 0).sum()) >= LEAST_POINTS
+
+
+def _first_keypoints(
+    source: FrameSource, seen: Sequence[Keypoints | None], frame_rate: float
+) -> tuple[int, Array, tuple[str, ...]]:
+    """The first frame of the first second with enough key points, its points (K, 3) and their names."""
+    name = source.recording.views[0].name if isinstance(source, FrameStream) else "in memory"
+    if not any(k is not None for k in seen):
+        raise InputError(
+            f"Camera {name} has no key points and no clicks were given, so there is nothing to start from; click "
+            "joints in the first picture and give --start clicks.json, or add keypoints = ... in recording.toml."
+        )
+    for i, k in enumerate(seen[: 1 + int(frame_rate)]):
+        if k is not None and _enough(k):
+            return i, np.asarray(k.points[0]), k.names
+    raise EvidenceError(
+        f"Camera {name}: no frame of the first second has {LEAST_POINTS} confident key points; give --frames to begin "
+        "later, or --start clicks.json."
+    )
+
+
+FAR, OUTSIDE = 0.12, 0.04
+"""Share of the person's size by which a key point lies elsewhere than on the body, and a joint outside of the mask:
+detectors put necks and hips up to 0.07 beside the body's"""
+BESIDE, BESIDE_FRAME = 0.15, 0.2
+"""Share of the key points, or joints, that are elsewhere from which on a motion is not to be trusted, and a frame is
+doubtful. Motions that lay on the person had 0.00 to 0.04, and 0.18 at most in a frame (four real cameras, four
+simulated), those with limbs elsewhere, or key points half a second late, 0.30 to 0.65 (simulated)"""
+_LEAST, _LIMBS = 4, ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
+"""key points that tell, and of what: a face has many, beside which an arm would not count"""
+
+
+def beside_the_picture(body: Body, poses: Array, frames: Iterable[Frame]) -> Array:
+    """(T,): the share of what one camera shows that poses (T, D) put elsewhere in the picture; NaN where it shows
+    nothing."""
+    out = np.full(len(poses), np.nan)
+    for t, frame in enumerate(frames):
+        if not np.isfinite(poses[t]).all():
+            continue
+        if frame.keypoints is not None:
+            out[t] = _far(body, poses[t], frame.keypoints)
+        elif frame.silhouettes is not None:
+            out[t] = _outside(body, poses[t], frame.silhouettes)
+    return out
+
+
+def against_the_picture(share: Array) -> tuple[str, ...]:
+    """Sentences that make a motion not to be trusted, by `beside_the_picture`."""
+    if not np.isfinite(share).any() or np.nanmean(share) <= BESIDE:
+        return ()
+    where = in_words(runs(np.nan_to_num(share) > BESIDE))
+    return (
+        f"{100 * np.nanmean(share):.0f} % of what the picture shows of the person lies elsewhere than on the body, "
+        f"above all in {where}: look at the overlay, and whether key points and camera are those of this video; begin "
+        "elsewhere with --frames, or give --start with clicked joints",
+    )
+
+
+def doubt_of_depth(modes: Modes) -> str:
+    """A sentence for the verdict on what no picture contradicts."""
+    return (
+        f"one camera does not measure depth, which is known to +-{1e3 * float(np.nanmedian(modes.depth_sd)):.0f} mm (1 "
+        "sd, median) as far as the lens and the person's size are right: see the notes"
+    )
+
+
+def _far(body: Body, pose: Array, keypoints: Keypoints) -> float:
+    points = np.nan_to_num(keypoints.points[0])
+    model = keypoint_model(body, keypoints.names)
+    limb = np.array([n.startswith(("left_", "right_")) and n.endswith(_LIMBS) for n in keypoints.names])
+    seen = limb & model.known & (points[:, 2] > MIN_CONFIDENCE)
+    size = person_size(points)
+    if seen.sum() < _LEAST or not size > 0:
+        return np.nan
+    uv = keypoints.rig[0].project_pinhole(model.positions(body, pose))
+    return float((np.linalg.norm(uv - points[:, :2], axis=1)[seen] > FAR * size).mean())
+
+
+def _outside(body: Body, pose: Array, silhouettes: Silhouettes) -> float:
+    w, h = silhouettes.rig[0].size
+    mask = np.minimum(silhouettes.masks[0, :h, :w], 1)
+    if not silhouettes.usable[0] or not mask.any():
+        return np.nan
+    away = cv2.distanceTransform(1 - mask, cv2.DIST_L2, 3)
+    uv = np.rint(silhouettes.rig[0].project_pinhole(body.joints(pose))).astype(int)
+    inside = (uv >= 0).all(1) & (uv[:, 0] < w) & (uv[:, 1] < h)
+    if not inside.any():
+        return np.nan
+    return float((away[uv[inside, 1], uv[inside, 0]] > OUTSIDE * max(cv2.boundingRect(mask)[2:])).mean())

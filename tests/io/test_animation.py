@@ -1,0 +1,258 @@
+"""BVH: an independent reader (bvhio) and a small one here find the joints where the motion has them."""
+
+from __future__ import annotations
+
+import json
+import struct
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from hypose.body.ready_bodies import human_skeleton
+from hypose.errors import InputError
+from hypose.geometry import so3_exp
+from hypose.io.motions.animation import Y_UP, write_bvh
+from hypose.io.motions.gltf import write_glb
+from tests import missing
+
+
+@pytest.fixture(scope="module")
+def written(small_motion, tmp_path_factory):
+    path = tmp_path_factory.mktemp("bvh") / "a.bvh"
+    write_bvh(path, small_motion)
+    return path
+
+
+def read(path):
+    """Names, parents, offsets, frames of a BVH, and its frame time: every joint has Z X Y rotations."""
+    names, parents, offsets, stack, end = [], [], [], [], False
+    lines = iter(path.read_text().splitlines())
+    for line in lines:
+        words = line.split()
+        if words[0] in ("ROOT", "JOINT"):
+            parents.append(stack[-1] if stack else -1)
+            names.append(words[1])
+        elif words[0] == "End":
+            end = True
+        elif words[0] == "{":
+            stack.append(len(names) - 1)
+        elif words[0] == "}":
+            stack.pop()
+            end = False
+        elif words[0] == "OFFSET" and not end:
+            offsets.append([float(w) for w in words[1:]])
+        elif words[0] == "CHANNELS":
+            assert words[-3:] == ["Zrotation", "Xrotation", "Yrotation"]
+        elif words[0] == "MOTION":
+            break
+    assert next(lines).startswith("Frames:")
+    time = float(next(lines).split()[2])
+    return (
+        names,
+        parents,
+        np.array(offsets),
+        np.array([[float(w) for w in row.split()] for row in lines]),
+        time,
+    )
+
+
+def test_joints_are_where_the_motion_has_them(written, small_motion):
+    names, parents, offsets, frames, time = read(written)
+    assert sorted(names) == sorted(small_motion.skeleton.joint_names) and len(frames) == len(small_motion)
+    assert time == pytest.approx(1 / 30, abs=1e-6)
+    angles = np.radians(frames[:, 3:].reshape(len(frames), -1, 3))
+    z, x, y = (so3_exp(angles[..., k, None] * np.eye(3)[a]) for k, a in ((0, 2), (1, 0), (2, 1)))
+    local = z @ x @ y
+    turn, place = [None] * len(names), [None] * len(names)
+    for j, p in enumerate(parents):
+        turn[j] = local[:, j] if p < 0 else turn[p] @ local[:, j]
+        place[j] = frames[:, :3] if p < 0 else place[p] + turn[p] @ offsets[j]
+    for j, name in enumerate(names):
+        expected = small_motion.joints[:, small_motion.skeleton.joint(name)] @ Y_UP.T
+        np.testing.assert_allclose(place[j] / 100, expected, atol=1e-6)
+
+
+def test_bvhio_agrees_to_a_tenth_of_a_millimetre(written, small_motion):
+    bvhio = missing.module("bvhio", "agreement with bvhio", "pip install bvhio")
+    root = bvhio.readAsHierarchy(str(written))
+    for t in range(0, len(small_motion), 7):
+        root.loadPose(t)
+        for j, name in enumerate(small_motion.skeleton.joint_names):
+            joint = root.filter(name, isEqual=True)[0]
+            got = np.array(joint.PositionWorld) / 100
+            np.testing.assert_allclose(got, Y_UP @ small_motion.joints[t, j], atol=1e-4, err_msg=f"{name} {t}")
+
+
+def test_angles_are_continuous_though_the_body_turns_once(written):
+    frames = read(written)[3]
+    assert np.abs(np.diff(frames[:, 3:], axis=0)).max() < 90
+    assert abs(abs(frames[-1, 5] - frames[0, 5]) - 360) < 60
+
+
+def test_rest_pose_of_the_file_is_the_body_s(written, small_motion):
+    names, parents, offsets, _, _ = read(written)
+    skeleton = small_motion.skeleton
+    for name, offset in zip(names[1:], offsets[1:], strict=True):
+        np.testing.assert_allclose(offset / 100, Y_UP @ skeleton.rest_offsets[skeleton.joint(name)], atol=1e-7)
+    assert not offsets[0].any()
+
+
+def test_frames_without_a_pose_hold_the_last(tmp_path, small_motion, written):
+    poses = small_motion.poses.copy()
+    poses[[0, 9, 10]] = np.nan
+    write_bvh(tmp_path / "b.bvh", replace(small_motion, poses=poses))
+    whole, held = read(written)[3], read(tmp_path / "b.bvh")[3]
+    assert len(held) == len(whole) and np.isfinite(held).all()
+    np.testing.assert_allclose(held[[0, 9, 10], :3], whole[[1, 8, 8], :3], atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("poses", "message"), [(None, "no poses"), (np.full((60, 36), np.nan), "no frame with a finite pose")]
+)
+def test_a_motion_without_poses_is_one_sentence(tmp_path, small_motion, poses, message):
+    with pytest.raises(InputError, match=message):
+        write_bvh(tmp_path / "a.bvh", replace(small_motion, poses=poses))
+
+
+# ---- test gltf -----------------------------------------------------------------------------------------------------
+# GLB: a small evaluator of the specification finds joints and skin where the body has them; trimesh
+# loads the mesh.
+
+
+@pytest.fixture(scope="module")
+def written_glb(small_motion, small_body, tmp_path_factory):
+    path = tmp_path_factory.mktemp("glb") / "a.glb"
+    write_glb(path, small_motion, small_body)
+    return path
+
+
+class Glb:
+    """Reads a GLB by the specification alone (containers of section 4.4, accessors of 3.6, skins of
+    3.7.3)."""
+
+    TYPES = {5121: "<u1", 5125: "<u4", 5126: "<f4"}
+    WIDTH = {"SCALAR": 1, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+
+    def __init__(self, path):
+        data = path.read_bytes()
+        magic, version, length = struct.unpack_from("<4sII", data)
+        assert magic == b"glTF" and version == 2 and length == len(data)
+        size, kind = struct.unpack_from("<I4s", data, 12)
+        assert kind == b"JSON" and size % 4 == 0
+        self.json = json.loads(data[20 : 20 + size])
+        size2, kind2 = struct.unpack_from("<I4s", data, 20 + size)
+        assert kind2 == b"BIN\0" and size2 % 4 == 0
+        self.binary = data[28 + size : 28 + size + size2]
+
+    def array(self, index):
+        a = self.json["accessors"][index]
+        view = self.json["bufferViews"][a["bufferView"]]
+        width, kind = self.WIDTH[a["type"]], self.TYPES[a["componentType"]]
+        start = view.get("byteOffset", 0) + a.get("byteOffset", 0)
+        assert start % np.dtype(kind).itemsize == 0
+        out = np.frombuffer(self.binary, kind, a["count"] * width, start).reshape(a["count"], width)
+        if "min" in a:
+            np.testing.assert_allclose([out.min(0), out.max(0)], [a["min"], a["max"]], rtol=1e-6)
+        return out
+
+    def globals(self, frame):
+        """world_from_node (4, 4) of every node at a key frame."""
+        nodes = self.json["nodes"]
+        values = [{k: n.get(k) for k in ("translation", "rotation")} for n in nodes]
+        animation = self.json["animations"][0]
+        for c in animation["channels"]:
+            sampler = animation["samplers"][c["sampler"]]
+            values[c["target"]["node"]][c["target"]["path"]] = self.array(sampler["output"])[frame]
+        out = [None] * len(nodes)
+
+        def walk(i, parent):
+            m = np.eye(4)
+            if values[i]["rotation"] is not None:
+                x, y, z, w = np.asarray(values[i]["rotation"], dtype=float)
+                m[:3, :3] = [
+                    [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+                    [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+                    [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+                ]
+            if values[i]["translation"] is not None:
+                m[:3, 3] = values[i]["translation"]
+            out[i] = parent @ m
+            for child in nodes[i].get("children", []):
+                walk(child, out[i])
+
+        for root in self.json["scenes"][0]["nodes"]:
+            walk(root, np.eye(4))
+        return out
+
+    def skinned(self, frame):
+        world, skin = self.globals(frame), self.json["skins"][0]
+        attributes = self.json["meshes"][0]["primitives"][0]["attributes"]
+        inverse = self.array(skin["inverseBindMatrices"]).reshape(-1, 4, 4).transpose(0, 2, 1)
+        bones = np.stack([world[j] for j in skin["joints"]]) @ inverse
+        v = np.c_[self.array(attributes["POSITION"]), np.ones(self.array(attributes["POSITION"]).shape[0])]
+        index, weight = self.array(attributes["JOINTS_0"]), self.array(attributes["WEIGHTS_0"])
+        np.testing.assert_allclose(weight.sum(1), 1, atol=1e-6)
+        return np.einsum("vk,vkij,vj->vi", weight, bones[index], v)[:, :3]
+
+
+FRAMES = (0, 13, 37, 59)
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+def test_nodes_are_where_the_joints_are(written_glb, small_motion, frame):
+    glb = Glb(written_glb)
+    world = glb.globals(frame)
+    for j, name in enumerate(small_motion.skeleton.joint_names):
+        node = next(i for i, n in enumerate(glb.json["nodes"]) if n["name"] == name)
+        np.testing.assert_allclose(world[node][:3, 3], Y_UP @ small_motion.joints[frame, j], atol=1e-5)
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+def test_skin_is_the_body_s(written_glb, small_motion, small_body, frame):
+    expected = small_body.skin(small_motion.poses[frame], small_body.fine) @ Y_UP.T
+    np.testing.assert_allclose(Glb(written_glb).skinned(frame), expected, atol=1e-5)
+
+
+def test_trimesh_loads_the_resting_mesh(written_glb, small_body):
+    mesh = trimesh.load(written_glb, force="mesh", process=False)
+    assert len(mesh.faces) == len(small_body.fine.faces)
+    vertices = small_body.fine.vertices @ Y_UP.T
+    np.testing.assert_allclose(mesh.bounds, [vertices.min(0), vertices.max(0)], atol=1e-6)
+    assert mesh.volume == pytest.approx(small_body.fine.volume, rel=1e-5)  # same sign: faces still look outward
+
+
+def test_quaternions_are_unit_and_never_take_the_long_way(written_glb):
+    glb = Glb(written_glb)
+    animation = glb.json["animations"][0]
+    rotations = [c for c in animation["channels"] if c["target"]["path"] == "rotation"]
+    assert len(rotations) == 15  # the joints that move
+    for c in rotations:
+        q = glb.array(animation["samplers"][c["sampler"]]["output"])
+        np.testing.assert_allclose(np.linalg.norm(q, axis=1), 1, atol=1e-6)
+        assert ((q[1:] * q[:-1]).sum(1) > 0).all()
+    times = glb.array(animation["samplers"][0]["input"])[:, 0]
+    assert times[0] == 0 and (np.diff(times) > 0).all() and times[-1] == pytest.approx(59 / 30)
+
+
+def test_normals_are_unit(written_glb):
+    glb = Glb(written_glb)
+    normals = glb.array(glb.json["meshes"][0]["primitives"][0]["attributes"]["NORMAL"])
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-6)
+
+
+def test_weights_name_each_joint_once_and_joint_zero_when_unused(written_glb):
+    glb = Glb(written_glb)
+    attributes = glb.json["meshes"][0]["primitives"][0]["attributes"]
+    weight, index = glb.array(attributes["WEIGHTS_0"]), glb.array(attributes["JOINTS_0"])
+    assert not index[weight == 0].any()
+    for i, w in zip(index, weight, strict=True):  # the test's mesh names the pelvis twice
+        assert len(set(i[w > 0])) == (w > 0).sum()
+
+
+def test_another_body_s_motion_is_refused(tmp_path, small_motion, small_body):
+    longer = human_skeleton(small_body.skeleton.rest_joints * 1.1)
+    with pytest.raises(InputError, match="not the body's"):
+        write_glb(tmp_path / "a.glb", replace(small_motion, skeleton=longer), small_body)
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,758 @@
+"""Calibration files: what is written comes back, what other programs write is understood, the rest is
+refused."""
+
+from __future__ import annotations
+
+import json
+import pickle
+import struct
+import tomllib
+
+import cv2
+import numpy as np
+import pytest
+
+from hypose.cameras.camera import Camera, CameraRig
+from hypose.errors import CalibrationError, InputError
+from hypose.geometry import se3, so3_exp
+from hypose.io.calibrations.calibration_formats import find_calibration, read_any, write_any
+from hypose.io.calibrations.calibration_systems import read_plain_pickle
+from hypose.io.calibrations.calibration_text import parse_storage, write_calibration
+from hypose.io.file_names import natural_key
+from hypose.io.files import toml_value
+from hypose.synthetic.rigs import rig
+from tests.io.recordings import make_camera, make_rig
+
+POINTS = np.random.default_rng(3).uniform(-0.5, 0.5, (20, 3))
+
+
+def assert_same(a, b, tolerance=1e-9):
+    assert a.names == b.names
+    for x, y in zip(a, b, strict=True):
+        assert x.size == y.size and x.fisheye == y.fisheye
+        assert np.array_equal(x.K, y.K)
+        assert np.allclose(x.project(POINTS), y.project(POINTS), atol=tolerance)
+
+
+def test_round_trip(tmp_path):
+    rig = CameraRig((make_camera("cam 1.a"), make_camera('ü"\\#', 2.0, fisheye=True), make_camera("3", -1.0)))
+    write_calibration(rig, tmp_path / "calibration.toml")
+    assert_same(rig, read_any(tmp_path / "calibration.toml")[0])
+    first = (tmp_path / "calibration.toml").read_bytes()
+    write_calibration(read_any(tmp_path / "calibration.toml")[0], tmp_path / "again.toml")
+    again = read_any(tmp_path / "again.toml")[0]
+    assert_same(rig, again)
+    assert first.startswith(b'["cam 1.a"]')
+
+
+def test_written_file_serves_pose2sim_and_anipose(tmp_path):
+    """Their readers take every table but metadata, Rodrigues rotations and these keys."""
+    rig = make_rig()
+    write_calibration(rig, tmp_path / "c.toml")
+    document = tomllib.loads((tmp_path / "c.toml").read_text())
+    assert document.pop("metadata") == {"adjusted": False, "error": 0.0, "unit": "m"}
+    for camera, table in zip(rig, document.values(), strict=True):
+        assert set(table) == {"name", "size", "matrix", "distortions", "rotation", "translation", "fisheye"}
+        r = cv2.Rodrigues(np.array(table["rotation"]))[0]
+        projected = cv2.projectPoints(
+            POINTS, np.array(table["rotation"]), np.array(table["translation"]), np.array(table["matrix"]),
+            np.array(table["distortions"]),
+        )[0][:, 0]  # fmt: skip
+        assert np.allclose(r, camera.camera_from_world[:3, :3], atol=1e-12)
+        assert np.allclose(projected, camera.project(POINTS), atol=1e-8)
+
+
+def family(rotation, scale=1.0, keys=None, nested=False, extra=""):
+    """Two cameras in the family's form; keys: other spellings."""
+    keys = keys or {}
+    text = extra
+    for i, camera in enumerate(make_rig()):
+        r, t = camera.camera_from_world[:3, :3], camera.camera_from_world[:3, 3]
+        values = {
+            "name": camera.name,
+            "size": camera.size,
+            "matrix": camera.K,
+            "distortions": camera.distortion,
+            "rotation": r if rotation == "matrix" else cv2.Rodrigues(r)[0].ravel(),
+            "translation": t * scale,
+        }
+        text += f"[cameras.{i}]\n" if nested else f"[cam_{i + 1}]\n"
+        text += "".join(f"{keys.get(k, k)} = {toml_value(v)}\n" for k, v in values.items() if k not in keys or keys[k])
+    return text
+
+
+@pytest.mark.parametrize(
+    ("text", "expected_notes"),
+    [
+        (family("vector"), 0),
+        (family("matrix"), 0),
+        (family("vector", 1000), 1),  # anipose, FreeMoCap: millimetres
+        (family("matrix", nested=True, extra='CreationDate = 2023-03-31T09:56:43\n[charuco]\nrows = 5\n'), 0),
+        (family("vector", keys={"matrix": "K", "distortions": "dist", "rotation": "rvec", "translation": "tvec"}), 0),
+        (family("vector", 1000, extra='[metadata]\nunit = "mm"\n'), 0),
+    ],
+)  # fmt: skip
+def test_family_members_give_the_same_rig(tmp_path, text, expected_notes):
+    (tmp_path / "c.toml").write_text(text)
+    rig, notes = read_any(tmp_path / "c.toml")
+    assert_same(make_rig(), rig, 1e-8)
+    assert len(notes) == expected_notes
+    if expected_notes:
+        assert "taken as millimetres" in notes[0] and "set the calibration unit" in notes[0]
+
+
+def test_unit_can_be_forced(tmp_path):
+    (tmp_path / "c.toml").write_text(family("vector", 100))
+    assert_same(make_rig(), read_any(tmp_path / "c.toml", "cm")[0], 1e-8)
+    with pytest.raises(CalibrationError, match="unit 'inch' is not known"):
+        read_any(tmp_path / "c.toml", "inch")[0]
+
+
+def test_names_follow_the_tables_and_rounded_rotations_become_exact(tmp_path):
+    (tmp_path / "c.toml").write_text(family("matrix", keys={"name": ""}, nested=True))
+    rig = read_any(tmp_path / "c.toml")[0]
+    assert rig.names == ("cam_0", "cam_1")
+    coarse = so3_exp([0.1, 0.2, 0.3]).round(4)
+    text = family("matrix").replace(toml_value(make_rig()[0].camera_from_world[:3, :3]), toml_value(coarse))
+    (tmp_path / "c.toml").write_text(text)
+    r = read_any(tmp_path / "c.toml")[0][0].camera_from_world[:3, :3]
+    assert np.abs(r @ r.T - np.eye(3)).max() < 1e-14 and np.abs(r - coarse).max() < 1e-4
+
+
+def test_cameras_without_pose_that_are_ignored(tmp_path):
+    extra = "[cam_9]\nsize = [64, 48]\nmatrix = [[1,0,0],[0,1,0],[0,0,1]]\nignore = true\n"
+    (tmp_path / "c.toml").write_text(extra + family("matrix"))
+    rig, notes = read_any(tmp_path / "c.toml")
+    assert rig.names == ("cam_1", "cam_2") and "cam_9" in notes[0]
+
+
+def test_natural_order():
+    assert sorted(["cam10", "cam2", "Cam1", "a", "10", "9"], key=natural_key) == [
+        "9", "10", "a", "Cam1", "cam2", "cam10",
+    ]  # fmt: skip
+
+
+def test_find_calibration(tmp_path):
+    assert find_calibration(tmp_path) is None and find_calibration(tmp_path / "none") is None
+    (tmp_path / "Config.toml").write_text("")
+    (tmp_path / "Calib.qca.txt").write_text("")
+    assert find_calibration(tmp_path) == tmp_path / "Calib.qca.txt"
+    (tmp_path / "Calib_qualisys.toml").write_text("")
+    assert find_calibration(tmp_path) == tmp_path / "Calib_qualisys.toml"
+    (tmp_path / "calibration.toml").write_text("")
+    assert find_calibration(tmp_path) == tmp_path / "calibration.toml"
+
+
+# ---- files of other programs -------------------------------------------------------------------------------
+
+
+def test_qualisys_agrees_with_pose2sims_conversion(shared_data):
+    """Pose and K equal Pose2Sim's conversion of the same file; the distortion differs by its division by
+    64."""
+    folder = shared_data("pose2sim_balancing") / "calibration"
+    qca, notes = read_any(folder / "Calib.qca.txt")
+    toml = read_any(folder / "Calib_qualisys.toml")[0]
+    assert qca.names == toml.names and notes == ()
+    for a, b in zip(qca, toml, strict=True):
+        assert a.size == b.size == (1088, 1920)
+        assert np.allclose(a.K, b.K, atol=1e-9)
+        assert np.allclose(a.camera_from_world, b.camera_from_world, atol=1e-9)
+        assert np.allclose(a.distortion[:4] / 64, b.distortion, atol=1e-12) and a.distortion[4] == 0
+    assert qca.positions[:, 2].min() > 1.5  # z up: the cameras stand above the floor
+    assert all(c.project([[0.0, 0.0, 1.0]]).round().min() > 0 for c in qca)
+
+
+def test_caliscope(shared_data):
+    """Both generations of the file give one rig, whose projections meet the tracked corners."""
+    folder = shared_data("caliscope_charuco") / "post_optimization"
+    new, notes = read_any(folder / "camera_array.toml")
+    old = read_any(folder / "config.toml")[0]
+    assert new.names == old.names == ("cam_0", "cam_1", "cam_2", "cam_3") and notes == ()
+    assert np.allclose(new.projections, old.projections, atol=1e-9)
+    found = np.genfromtxt(folder / "calibration/extrinsic/CHARUCO/xy_CHARUCO.csv", delimiter=",", names=True)
+    space = np.genfromtxt(folder / "calibration/extrinsic/CHARUCO/xyz_CHARUCO.csv", delimiter=",", names=True)
+    corner = {(int(r["sync_index"]), int(r["keypoint_id"])): (r["x_coord"], r["y_coord"], r["z_coord"]) for r in space}
+    errors = []
+    for row in found:
+        point = corner.get((int(row["sync_index"]), int(row["keypoint_id"])))
+        if point is not None:
+            uv = new[int(row["cam_id"])].project(point)
+            errors.append(np.hypot(uv[0] - row["img_loc_x"], uv[1] - row["img_loc_y"]))
+    assert len(errors) > 500 and np.median(errors) < 2.0
+
+
+# ---- refused -----------------------------------------------------------------------------------------------
+
+GOOD = family("vector")
+FIRST = make_rig()[0]
+VECTOR = toml_value(cv2.Rodrigues(FIRST.camera_from_world[:3, :3])[0].ravel())
+K = toml_value(FIRST.K)
+LENS = toml_value(FIRST.distortion)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("= nonsense", r"c\.toml is not valid TOML: .*; correct it"),
+        ("a = " + "[" * 5000, r"c\.toml is not valid TOML: .*nested too deeply"),
+        ("a = " + "9" * 5000, r"c\.toml is not valid TOML"),
+        ("a = 1\n[b]\nc = 2\n", r"holds no cameras: each needs a table with size, matrix"),
+        ("[metadata]\nmatrix = 1\n", r"holds no cameras"),
+        (
+            GOOD.replace(VECTOR, "[nan, 0.0, 0.0]"),
+            r"camera cam_1: rotation contains NaN .* calibrate again",
+        ),
+        (
+            GOOD.replace(VECTOR, "[0.0, 0.0]"),
+            r"camera cam_1: rotation must be numbers of shape .*3 x 3, got shape",
+        ),
+        (
+            GOOD.replace(VECTOR, '["a", 0, 0]'),
+            r"camera cam_1: rotation must be numbers of shape .* got something",
+        ),
+        (
+            GOOD.replace(VECTOR, "[[1,0,0],[0,1,0],[0,0,-1]]"),
+            r"camera cam_1: rotation is not a rotation matrix",
+        ),
+        (
+            GOOD.replace(VECTOR, "[[2,0,0],[0,1,0],[0,0,1]]"),
+            r"camera cam_1: rotation is not a rotation matrix",
+        ),
+        (GOOD.replace(VECTOR, "[[1,0,0],[0,1],[0,0,1]]"), r"camera cam_1: rotation must be numbers"),
+        (GOOD.replace("rotation", "rotatoin", 1), r"camera cam_1: rotation is missing; add this entry"),
+        (GOOD.replace("size = [64, 48]", "", 1), r"camera cam_1: size is missing; add this entry"),
+        (
+            GOOD.replace("[64, 48]", "[64, -48]", 1),
+            r"camera cam_1: size must be .* whole pixels, got 64 x -48",
+        ),
+        (GOOD.replace("[64, 48]", "[64.5, 48]", 1), r"camera cam_1: size must be .* whole pixels"),
+        (GOOD.replace(K, toml_value(FIRST.K.T)), r"camera cam_1: matrix must be .* transposed"),
+        (GOOD.replace(K, "[[0,0,0],[0,1,0],[0,0,1]]"), r"camera cam_1: focal lengths must be positive"),
+        (GOOD.replace(K, "[[1e300,0,0],[0,1,0],[0,0,1]]"), r"camera cam_1: focal lengths must be positive"),
+        (
+            GOOD.replace(LENS, "[1, 2, 3]"),
+            r"camera cam_1: 3 distortion coefficients; OpenCV's model has 4, 5, 8",
+        ),
+        (GOOD.replace(LENS, "[inf, 2, 3, 4]"), r"camera cam_1: distortions contains NaN or infinity"),
+        (
+            GOOD.replace("translation = [", "translation = [1e30, 1, 1] # ", 1),
+            r"cam_1: translation .* farther",
+        ),
+        (GOOD.replace('"cam_2"', '"cam_1"'), r"c\.toml: Camera names must differ"),
+        (GOOD + "fisheye = 1\n", r"camera cam_2: fisheye must be true or false, got 1"),
+    ],
+)
+def test_bad_toml(tmp_path, text, message):
+    (tmp_path / "c.toml").write_text(text)
+    with pytest.raises(CalibrationError, match=message):
+        read_any(tmp_path / "c.toml")[0]
+
+
+def test_bad_files(tmp_path):
+    def refuses(name, message):
+        with pytest.raises(CalibrationError, match=message):
+            read_any(tmp_path / name)[0]
+
+    refuses("none.toml", r"calibration file .*none\.toml does not exist; check the path, or run hypose calibrate")
+    refuses(".", r"holds no calibration; give a file or folder")
+    (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00\x81" * 100)
+    refuses("binary.toml", r"is not a text file \(UTF-8\), as a calibration is")
+    with (tmp_path / "huge.toml").open("wb") as stream:
+        stream.truncate(50_000_000)
+    refuses("huge.toml", r"has 48 MiB, at most 5 MiB are read")
+    (tmp_path / "c.doc").write_text("x")
+    refuses("c.doc", r"calibrations are read from \.toml, .*\.qca\.txt, .*; name the file by one of these endings")
+    (tmp_path / "empty.toml").write_text("")
+    refuses("empty.toml", r"holds no cameras")
+
+
+QCA = """<calibration><cameras><camera model="{model}" serial="{serial}" viewrotation="0">
+<fov_video left="0" top="0" right="63" bottom="47"/>
+<transform x="100" y="-3000" z="{z}" r11="1" r12="0" r13="0" r21="0" r22="0" r23="1" r31="0" r32="{r32}" r33="0"/>
+<intrinsic focalLengthU="4000" focalLengthV="{fv}" centerPointU="2000" centerPointV="1500" radialDistortion1="-0.1"
+ radialDistortion2="0.2" tangentalDistortion1="0.001" tangentalDistortion2="0.002"/>
+</camera></cameras></calibration>"""
+
+
+def qca(tmp_path, **changes):
+    text = QCA.format(**{"model": "Miqus Video", "serial": "7", "z": "1200", "fv": "4032", "r32": "-1"} | changes)
+    (tmp_path / "a.qca.txt").write_text(text)
+    return tmp_path / "a.qca.txt"
+
+
+def test_qualisys_units_and_axes(tmp_path):
+    camera = read_any(qca(tmp_path))[0][0]
+    assert camera.name == "7" and camera.size == (64, 48)
+    assert np.allclose(camera.K, [[62.5, 0, 31.25], [0, 63, 23.4375], [0, 0, 1]])
+    assert np.allclose(camera.distortion, [-0.1, 0.2, 0.001, 0.002, 0])
+    assert np.allclose(camera.position, [0.1, -3.0, 1.2])
+    # stored by columns; the Qualisys camera looks along its -z and its y is up
+    world_from_qtm = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    assert np.allclose(camera.camera_from_world[:3, :3], np.diag([1, -1, -1]) @ world_from_qtm.T)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"fv": "abc"}, r"camera 7: <intrinsic focalLengthV> is 'abc', a number is needed; export"),
+        ({"fv": "nan"}, r"camera 7: <intrinsic focalLengthV> is 'nan'"),
+        ({"fv": "-5"}, r"camera 7: focal lengths must be positive"),
+        ({"r32": "0"}, r"camera 7: rotation is not a rotation matrix"),
+        ({"z": ""}, r"camera 7: <transform z> is ''"),
+        ({"serial": "7<"}, r"is not valid XML: .*; export the calibration again"),
+    ],
+)
+def test_bad_qualisys(tmp_path, changes, message):
+    with pytest.raises(CalibrationError, match=message):
+        read_any(qca(tmp_path, **changes))[0]
+
+
+def test_qualisys_without_cameras_or_with_entities(tmp_path):
+    path = tmp_path / "a.qca.txt"
+    path.write_text("<calibration/>")
+    with pytest.raises(CalibrationError, match="holds no cameras: .* export"):
+        read_any(path)[0]
+    path.write_text('<!DOCTYPE a [<!ENTITY b "' + "c" * 1000 + '">]><a>' + "&b;" * 1000 + "</a>")
+    with pytest.raises(CalibrationError, match="is not a calibration .*DOCTYPE"):
+        read_any(path)[0]
+
+
+def test_qualisys_marker_cameras_are_left_out(tmp_path):
+    text = qca(tmp_path).read_text()
+    other = (
+        text.replace("Miqus Video", "Oqus")
+        .replace('serial="7"', 'serial="8"')
+        .split("<cameras>")[1]
+        .split("</cameras>")[0]
+    )
+    (tmp_path / "a.qca.txt").write_text(text.replace("</cameras>", other + "</cameras>"))
+    rig, notes = read_any(tmp_path / "a.qca.txt")
+    assert rig.names == ("7",) and "1 video cameras" in notes[0]
+
+
+# ---- test calibration formats --------------------------------------------------------------------------------------
+# Calibrations of other programs: written and read back, read as those programs write them, and bad files refused.
+
+
+def random_rig(rng):
+    cameras = []
+    for i in range(3):
+        k = np.array([[900.0 + i, 0, 630.5], [0, 897.0, 365.25 + i], [0, 0, 1]])
+        lens = np.array([-0.21, 0.07, 1e-3, -5e-4, 0.011])
+        pose = se3(so3_exp(rng.normal(0, 1, 3)), rng.normal(0, 2, 3))
+        cameras.append(Camera(f"cam{i + 1}", k, lens, pose, (1280, 720)))
+    return CameraRig(tuple(cameras))
+
+
+def assert_same_formats(a, b, tolerance=1e-9):
+    assert a.names == b.names
+    for x, y in zip(a, b, strict=True):
+        assert x.size == y.size
+        np.testing.assert_allclose(x.K, y.K, atol=tolerance * 1000)
+        np.testing.assert_allclose(x.distortion, y.distortion, atol=tolerance)
+        np.testing.assert_allclose(x.camera_from_world, y.camera_from_world, atol=tolerance)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["a.toml", "camera_array.toml", "anipose.toml", "b/intri.yml", "c/cam.pickle"],
+)
+def test_written_and_read_back(tmp_path, rng, name):
+    rig = random_rig(rng)
+    written = write_any(rig, tmp_path / name)
+    assert all(p.is_file() for p in written)
+    source = tmp_path / "c" if name.endswith("pickle") else written[0]
+    back, _ = read_any(source)
+    if name == "camera_array.toml":
+        assert back.names == rig.names
+    assert_same_formats(back, rig)
+
+
+def test_easymocap_as_opencv_writes_it(tmp_path, rng):
+    rig = random_rig(rng)
+    for file, entries in (("intri.yml", ("K", "dist")), ("extri.yml", ("R", "T"))):
+        storage = cv2.FileStorage(str(tmp_path / file), cv2.FILE_STORAGE_WRITE)
+        storage.write("names", list(rig.names))
+        for c in rig:
+            values = {
+                "K": c.K,
+                "dist": c.distortion[None],
+                "R": cv2.Rodrigues(c.camera_from_world[:3, :3])[0],
+                "T": c.camera_from_world[:3, 3:],
+            }
+            for entry in entries:
+                storage.write(f"{entry}_{c.name}", values[entry])
+        storage.release()
+    back, notes = read_any(tmp_path / "extri.yml")
+    assert "twice the principal point" in " ".join(notes)
+    assert back[0].size == (1261, 730) or back[0].size == (1261, 731)
+    for a, b in zip(back, rig, strict=True):
+        np.testing.assert_allclose(a.camera_from_world, b.camera_from_world, atol=1e-9)
+
+
+def test_real_single_camera_of_opencv(shared_data):
+    rig = read_any(shared_data("uu4cam/cam1") / "config.xml")[0]
+    assert rig.names == ("cam1",)
+    assert rig[0].K[0, 0] == pytest.approx(486.52, abs=0.01)
+    assert np.linalg.norm(rig[0].position) < 10  # millimetres were recognised
+
+
+def test_vicon_as_vicon_writes_it(tmp_path):
+    path = tmp_path / "a.xcp"
+    # a camera at (0, -3, 1) m that looks along +y with z up: x right, y down, z forward
+    path.write_text(
+        """<Cameras><Camera DEVICEID="2120" TYPE="Video" SENSOR_SIZE="1920 1080" PIXEL_ASPECT_RATIO="1">
+        <KeyFrames><KeyFrame FOCAL_LENGTH="1400" PRINCIPAL_POINT="960 540" WORLD_ERROR="0.3"
+        ORIENTATION="0.70710678118 0 0 0.70710678118" POSITION="0 -3000 1000"
+        VICON_RADIAL2="ViconRadial2 960 540 6e-9 0 0"/></KeyFrames></Camera>
+        <Camera DEVICEID="77" TYPE="Optical" SENSOR_SIZE="1 1"/></Cameras>"""
+    )
+    rig, notes = read_any(path)
+    camera = rig[0]
+    np.testing.assert_allclose(camera.position, [0, -3, 1], atol=1e-8)
+    np.testing.assert_allclose(camera.pinhole().project([0, 5, 1.0]), [960, 540], atol=1e-6)
+    assert camera.project([0, 0, 2.0])[1] < 540  # what is higher appears higher
+    assert "given in pixels" in " ".join(notes)
+    # Vicon straightens a distorted radius of 500 px by 1 + 6e-9 * 500^2
+    straight = camera.undistort_points([[960 + 500.0, 540]])[0, 0] - 960
+    assert straight == pytest.approx(500 * (1 + 6e-9 * 500**2), abs=0.05)
+
+
+def test_opencap_world_is_turned_upright(tmp_path, rng):
+    rig = random_rig(rng)
+    write_any(rig, tmp_path / "cam.pickle")
+    raw = pickle.loads((tmp_path / "cam1.pickle").read_bytes())  # noqa: S301 - written by ourselves
+    assert raw["imageSize"].ravel().tolist() == [720, 1280]
+    # the board stands upright, its y axis points down: the world's up is -y
+    up = raw["rotation"] @ [0, -1.0, 0]
+    np.testing.assert_allclose(up, rig[0].camera_from_world[:3, 2], atol=1e-12)
+    np.testing.assert_allclose(raw["translation"].ravel() / 1000, rig[0].camera_from_world[:3, 3])
+
+
+@pytest.mark.parametrize("protocol", range(6))
+def test_pickles_of_arrays_are_read(rng, protocol):
+    value = {
+        "a": rng.normal(size=(3, 3)),
+        "b": np.arange(6).reshape(2, 3),
+        "f": np.asfortranarray(rng.normal(size=(2, 3))),
+        "big": np.arange(3, dtype=">f4"),
+        "n": [1, 2.5, None, True, ("x", -7)],
+        "s": np.float64(3.5),
+    }
+    back = read_plain_pickle(pickle.dumps(value, protocol))
+    assert back.keys() == value.keys()
+    for key, v in value.items():
+        if isinstance(v, np.ndarray):
+            np.testing.assert_array_equal(back[key], v)
+        else:
+            assert back[key] == v
+
+
+class _Evil:
+    def __reduce__(self):
+        return (print, ("this must never appear",))
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        pickle.dumps(_Evil()),
+        pickle.dumps({"a": _Evil()}, 0),
+        pickle.dumps(np.array([_Evil()], dtype=object)),
+        b"cos\nsystem\n(S'echo pwned'\ntR.",
+        b"\x80\x04\x8c\x02os\x8c\x06system\x93\x8c\x04echo\x85R.",
+        b"(i__builtin__\neval\n.",
+        b"garbage",
+        b"",
+        b"}" * 30_000,
+        b"h\x00.",
+        b"\x80\x02}(X\x01\x00\x00\x00au.",
+        pickle.dumps({"a": np.zeros(3)})[:-20],
+        b"\x80\x03X" + struct.pack("<I", 2**31) + b"a.",
+    ],
+)
+def test_anything_else_in_a_pickle_is_refused(content, capsys):
+    with pytest.raises(ValueError):
+        read_plain_pickle(content)
+    assert capsys.readouterr().out == ""
+
+
+def test_bad_pickles_name_the_file(tmp_path):
+    path = tmp_path / "cam.pickle"
+    path.write_bytes(pickle.dumps({"intrinsicMat": _Evil()}))
+    with pytest.raises(CalibrationError, match=r"cam\.pickle is not an OpenCap camera file: it asks for"):
+        read_any(path)
+    path.write_bytes(pickle.dumps({"intrinsicMat": np.eye(2), "imageSize": np.ones(2)}))
+    with pytest.raises(CalibrationError, match="intrinsicMat must be numbers of shape 3 x 3"):
+        read_any(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("a.yml", "nonsense: [", "is not a file of OpenCV's storage"),
+        ("a.yml", "%YAML:1.0\n---\nx: 3\n", "holds no camera matrix"),
+        ("a.xcp", "<Cameras><Camera DEVICEID='1' TYPE='Video'/></Cameras>", "holds no cameras"),
+        (
+            "a.xcp",
+            "<Cameras><Camera DEVICEID='1' SENSOR_SIZE='4 4'><KeyFrames><KeyFrame FOCAL_LENGTH='x'/></KeyFrames>"
+            "</Camera></Cameras>",
+            "FOCAL_LENGTH> is 'x', a number is needed",
+        ),
+        ("a.xcp", "<a/>", "holds no cameras"),
+        ("a.json", "{}", "holds no cameras: each needs K, R and t"),
+        ("a.doc", "{}", "calibrations are read from"),
+    ],
+)
+def test_bad_files_are_refused_in_a_sentence(tmp_path, name, text, message):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(CalibrationError, match=message):
+        read_any(tmp_path / name)
+
+
+def test_incomplete_easymocap(tmp_path, rng):
+    write_any(random_rig(rng), tmp_path / "intri.yml")
+    text = (tmp_path / "extri.yml").read_text()
+    (tmp_path / "extri.yml").write_text(text.replace("T_cam2", "Q_cam2"))
+    with pytest.raises(CalibrationError, match="camera cam2: T_cam2 is missing"):
+        read_any(tmp_path)
+
+
+def test_what_a_format_cannot_hold_is_not_written(tmp_path, rng):
+    rig = random_rig(rng)
+    fisheye = CameraRig((Camera("f", rig[0].K, np.zeros(4), np.eye(4), (640, 480), True),))
+    for name in ("a.yml", "a.pickle", "camera_array.toml"):
+        with pytest.raises(CalibrationError, match="write .toml|cannot hold"):
+            write_any(fisheye, tmp_path / name)
+    with pytest.raises(InputError, match=r"name the calibration \.toml"):
+        write_any(rig, tmp_path / "a.xcp")
+
+
+# ---- test calibration relatives ------------------------------------------------------------------------------------
+# Calibrations of CMU Panoptic, BioCV, OptiTrack, projection matrices, OpenCV's folders: read as they write them.
+
+
+RIG = rig("humaneva-4", distorted=True)
+
+
+def assert_same_relatives(found, wanted, tolerance=1e-6):
+    for a, b in zip(found, wanted, strict=True):
+        assert a.size == b.size
+        np.testing.assert_allclose(a.K, b.K, rtol=tolerance, atol=tolerance * 1000)
+        np.testing.assert_allclose(a.distortion[:5], b.distortion[:5], atol=tolerance)
+        np.testing.assert_allclose(a.camera_from_world, b.camera_from_world, atol=tolerance)
+
+
+def panoptic(c, **more):
+    pose = c.camera_from_world
+    return {
+        "name": c.name,
+        "type": "hd",
+        "resolution": list(c.size),
+        "K": c.K.tolist(),
+        "distCoef": c.distortion.tolist(),
+        "R": pose[:3, :3].tolist(),
+        "t": (100 * pose[:3, 3:]).tolist(),
+        **more,
+    }
+
+
+def test_panoptic_is_in_centimetres(tmp_path):
+    path = tmp_path / "calibration_160422.json"
+    cameras = [panoptic(c, panel=0, node=i) for i, c in enumerate(RIG)]
+    path.write_text(json.dumps({"calibDataSource": "160422_calib", "cameras": cameras}))
+    found, notes = read_any(path)
+    assert found.names == RIG.names and any("centimetres, as CMU Panoptic's" in n for n in notes)
+    assert_same_relatives(found, RIG)
+    again, _ = read_any(path, "m")
+    np.testing.assert_allclose(again[0].position, 100 * found[0].position, rtol=1e-6)
+
+
+def test_other_spellings(tmp_path):
+    tables = {
+        c.name: {
+            "intrinsic": c.K.tolist(),
+            "dist": c.distortion.tolist(),
+            "extrinsic": c.camera_from_world.tolist(),
+            "image_size": {"width": c.size[0], "height": c.size[1]},
+        }
+        for c in RIG
+    }
+    (tmp_path / "a.json").write_text(json.dumps(tables))
+    found, notes = read_any(tmp_path / "a.json")
+    assert found.names == RIG.names and not notes
+    assert_same_relatives(found, RIG)
+    rvec = [{"K": c.K.tolist(), "rvec": cv2.Rodrigues(c.camera_from_world[:3, :3])[0].tolist(),
+             "tvec": c.camera_from_world[:3, 3].tolist(), "width": 640, "height": 480} for c in RIG]  # fmt: skip
+    (tmp_path / "b.json").write_text(json.dumps(rvec))
+    found, _ = read_any(tmp_path / "b.json")
+    np.testing.assert_allclose(found[2].camera_from_world, RIG[2].camera_from_world, atol=1e-6)
+
+
+@pytest.mark.parametrize("scale", [1.0, -0.003])
+def test_projection_matrices(tmp_path, scale):
+    pinhole = [Camera(c.name, c.K, np.zeros(5), c.camera_from_world, c.size) for c in RIG]
+    matrices = {c.name: (scale * c.projection).tolist() for c in pinhole}
+    (tmp_path / "a.json").write_text(json.dumps({n: {"P": p} for n, p in matrices.items()}))
+    lines = [" ".join(map(repr, row)) for p in matrices.values() for row in p]
+    (tmp_path / "b.txt").write_text("\n".join(lines) + "\n")
+    named = [f"{n}\n" + ",".join(repr(v) for row in p for v in row) for n, p in matrices.items()]
+    (tmp_path / "c.txt").write_text("\n".join(named) + "\n")
+    for name in ("a.json", "b.txt", "c.txt"):
+        found, notes = read_any(tmp_path / name)
+        assert any("does not say how large" in n and "twice the principal point" in n for n in notes)
+        for a, b in zip(found, pinhole, strict=True):
+            np.testing.assert_allclose(a.K, b.K, rtol=1e-6, atol=1e-4)
+            np.testing.assert_allclose(a.camera_from_world, b.camera_from_world, atol=1e-6)
+        assert found.names == (tuple(f"cam_{i}" for i in range(4)) if name == "b.txt" else RIG.names)
+
+
+def test_biocv(tmp_path):
+    for i, c in enumerate(RIG):
+        pose = c.camera_from_world.copy()
+        pose[:3, 3] *= 1000
+        rows = [str(c.size[0]), str(c.size[1]), *(" ".join(map(repr, r)) for r in c.K.tolist()), ""]
+        rows += [*(" ".join(map(repr, r)) for r in pose.tolist()), "", " ".join(map(repr, c.distortion.tolist())), ""]
+        (tmp_path / f"0{i}.mp4.calib").write_text("\n".join(rows))
+        (tmp_path / "bare").mkdir(exist_ok=True)
+        (tmp_path / "bare" / f"0{i}").write_text("\n".join(rows))
+    for source in (tmp_path, tmp_path / "bare"):
+        found, _ = read_any(source)
+        assert len(found) == 4
+        assert_same_relatives(found, RIG)
+    assert_same_relatives(read_any(tmp_path / "bare" / "02")[0], [RIG[2]])
+
+
+def test_optitrack(tmp_path):
+    """A camera that looks along -z with y up, in a world with y up: seen pixels are those of ours."""
+    up = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # ours from Motive's
+    parts = []
+    for c in RIG:
+        axes = np.diag([1.0, -1, -1]) @ c.camera_from_world[:3, :3] @ up
+        x, y, z = up.T @ c.position
+        numbers = " ".join(f'OrientMatrix{i}="{v!r}"' for i, v in enumerate(axes.ravel().tolist()))
+        k1, k2, p1, p2, k3 = c.distortion.tolist()[:5]
+        parts.append(
+            f'<Camera Serial="{c.name}"><Properties CameraID="6"/>'
+            f'<Attributes Revision="50" ImagerPixelWidth="{c.size[0]}" ImagerPixelHeight="{c.size[1]}"/>'
+            f'<Intrinsic LensCenterX="1" k1="0.1"/>'
+            f'<IntrinsicStandardCameraModel LensCenterX="{c.K[0, 2]!r}" LensCenterY="{c.K[1, 2]!r}" '
+            f'HorizontalFocalLength="{c.K[0, 0]!r}" VerticalFocalLength="{c.K[1, 1]!r}" k1="{k1!r}" k2="{k2!r}" '
+            f'k3="{k3!r}" TangentialX="{p1!r}" TangentialY="{p2!r}"/>'
+            f'<Extrinsic X="{x!r}" Y="{y!r}" Z="{z!r}" {numbers}/></Camera>'
+        )
+    parts.append('<Camera Serial="old"><Attributes/></Camera>')
+    text = f'<?xml version="1.0" encoding="UTF-16LE"?>\n<calibrationProfile version="1"><Calibration><Cameras Count="4">{"".join(parts)}</Cameras></Calibration></calibrationProfile>'  # noqa: E501
+    text = text.replace("np.float64(", "").replace(')"', '"')
+    (tmp_path / "a.mcal").write_bytes(text.encode("utf-16"))
+    found, notes = read_any(tmp_path / "a.mcal")
+    assert_same_relatives(found, RIG)
+    assert "old has no standard camera model or place and is left out" in " ".join(notes)
+    (tmp_path / "b.mcal").write_bytes(text.encode("utf-16-le"))
+    assert_same_relatives(read_any(tmp_path / "b.mcal")[0], RIG)
+
+
+def test_motives_camera_looks_at_the_room(tmp_path):
+    """A published camera of a PrimeColor: 2.7 m high, it looks down and towards the origin."""
+    text = (
+        '<calibrationProfile><Camera Serial="C11764"><Attributes ImagerPixelWidth="1920" ImagerPixelHeight="1080"/>'
+        '<IntrinsicStandardCameraModel LensCenterX="960.6" LensCenterY="538.6" HorizontalFocalLength="1247.8" '
+        'VerticalFocalLength="1247.8" k1="0" k2="0" k3="0" TangentialX="0" TangentialY="0"/>'
+        '<Extrinsic X="-0.268640" Y="2.655145" Z="-3.509723" OrientMatrix0="-0.995356" OrientMatrix1="-0.046982" '
+        'OrientMatrix2="0.084021" OrientMatrix3="0.000355" OrientMatrix4="0.871016" OrientMatrix5="0.491255" '
+        'OrientMatrix6="-0.096264" OrientMatrix7="0.489003" OrientMatrix8="-0.866954"/></Camera></calibrationProfile>'
+    )
+    (tmp_path / "a.mcal").write_text(text)
+    (camera,), _ = read_any(tmp_path / "a.mcal")
+    assert camera.position == pytest.approx([-0.268640, 3.509723, 2.655145], abs=1e-5)
+    feet, head = camera.project(np.array([[0.0, 0, 0], [0, 0, 1.8]]))
+    assert 0 < feet[0] < 1920 and 0 < feet[1] < 1080 and head[1] < feet[1]  # upright, in the picture
+
+
+def test_a_folder_of_opencv_lenses(tmp_path, rng):
+    rigs = []
+    for i in range(4):
+        k = np.array([[900.0 + i, 0, 630.5], [0, 897.0, 365.25], [0, 0, 1]])
+        pose = se3(so3_exp(rng.normal(0, 1, 3)), rng.normal(0, 2, 3))
+        rigs.append(Camera(f"cam{i + 1}", k, np.array([-0.2, 0.07, 1e-3, 0, 0]), pose, (1280, 720)))
+        storage = cv2.FileStorage(str(tmp_path / f"cam{i + 1}.xml"), cv2.FILE_STORAGE_WRITE)
+        storage.write("image_width", 1280)
+        storage.write("image_height", 720)
+        storage.write("camera_matrix", k)
+        storage.write("distortion_coefficients", rigs[-1].distortion)
+        storage.write("rvec", cv2.Rodrigues(pose[:3, :3])[0])
+        storage.write("tvec", pose[:3, 3])
+        storage.release()
+    found, _ = read_any(tmp_path)
+    assert found.names == ("cam1", "cam2", "cam3", "cam4")
+    assert_same_relatives(found, CameraRig(tuple(rigs)))
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("a.json", "{", r"is not JSON \(.*\); give the path of a calibration"),
+        ("a.json", "{}", r"holds no cameras: each needs K, R and t"),
+        ("a.json", '{"a": {"K": 5}}', r"camera a: K must be numbers of shape 3 x 3"),
+        ("a.json", '{"a": {"K": [[1,0,1],[0,1,1],[0,0,1]]}}', r"camera a: R is missing"),
+        ("a.json", '{"a": {"P": [[1,0,0,0],[1,0,0,0],[0,0,1,1]]}}', r"P is no projection matrix"),
+        ("a.json", '{"a": {"P": [[1,1,0,0],[0,1,0,0],[0,0,1,1]]}}', r"P has oblique pixels"),
+        ("a.txt", "1 2 3\n", r"a line has 3 numbers; projection matrices need three lines of four"),
+        ("a.txt", "hello\n", r"holds no cameras: it needs three lines of four numbers"),
+        ("a.txt", "1 0 0 0\n0 1 0 0\n0 0 nan 1\n", r"NaN or infinity"),
+        ("a.mcal", "<a/>", r"holds no cameras: .*calibrate them"),
+        ("a.mcal", "<a", r"is not valid XML"),
+        ("a.mcal", '<!DOCTYPE a [<!ENTITY b "c">]><a/>', r"it has a DOCTYPE"),
+        ("a.mcal", '<a><Camera Serial="c"><IntrinsicStandardCameraModel/><Extrinsic/></Camera></a>',
+         r"camera c: <Attributes ImagerPixelWidth> is missing"),
+    ],
+)  # fmt: skip
+def test_refused(tmp_path, name, text, message):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(CalibrationError, match=message) as caught:
+        read_any(tmp_path / name)
+    assert "\n" not in str(caught.value)
+
+
+# ---- test opencv storage -------------------------------------------------------------------------------------------
+# OpenCV's own writer is the oracle: what it writes is read back, in both of its forms.
+
+
+@pytest.mark.parametrize("ending", ["yml", "xml"])
+def test_what_opencv_writes_is_read(tmp_path, rng, ending):
+    matrix, vector = rng.normal(size=(3, 4)) * 1e-7, np.array([[1.0], [np.inf], [-0.5]])
+    path = tmp_path / f"a.{ending}"
+    file = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    file.write("K_01", matrix)
+    file.write("T", vector)
+    file.write("width", 1920)
+    file.write("rms", 0.25)
+    file.write("title", "left camera: 1")
+    file.startWriteStruct("names", cv2.FILE_NODE_SEQ)
+    for name in ("cam 1", "07", "x"):
+        file.write("", name)
+    file.endWriteStruct()
+    file.startWriteStruct("nested", cv2.FILE_NODE_MAP)
+    file.write("a", 1)
+    file.endWriteStruct()
+    file.release()
+    found = parse_storage(path.read_text())
+    np.testing.assert_array_equal(found["K_01"], matrix.ravel())
+    np.testing.assert_array_equal(found["T"], vector.ravel())
+    assert (found["width"], found["rms"], found["title"]) == (1920, 0.25, "left camera: 1")
+    assert found["names"] == ["cam 1", "07", "x"]
+    assert "nested" not in found and "a" not in found
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "a: [ 1, 2", "- 1", '{"a": 1}', "<opencv_storage>", "<other/>", "<!DOCTYPE a><opencv_storage/>"],
+)
+def test_other_texts_are_refused(text):
+    with pytest.raises(ValueError, match="it |a list"):
+        parse_storage(text)
+
+
+def test_a_matrix_of_another_size_than_it_says_is_empty():
+    text = "%YAML:1.0\n---\nK: !!opencv-matrix\n   rows: 2\n   cols: 2\n   dt: d\n   data: [ 1., 2., 3. ]\n"
+    assert np.size(parse_storage(text)["K"]) == 0
