@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import shlex
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -31,6 +32,10 @@ def silhouettes(
     frames: Annotated[
         str | None, typer.Option(help="first:stop, counted from 0. [default: recording.toml's, else all]")
     ] = None,
+    detector: Annotated[
+        bool, typer.Option("--detector", help="By hypose's detector of people, whatever tells the empty room.")
+    ] = False,
+    yes: Yes = False,
 ) -> None:
     """Write the masks of the person as PNG, one folder per view, and a contact sheet."""
     from hypose.app.jobs.checking import write_sheet
@@ -40,6 +45,9 @@ def silhouettes(
     from hypose.io.recordings.recording import load_recording
 
     loaded = choose_frames(load_recording(recording), frames)
+    if detector:
+        found = detected(loaded, loaded.frames, yes=yes, why="--detector")
+        loaded = replace(loaded, views=tuple(replace(v, masks=found.masks(v.name)) for v in loaded.views))
     target = folder or loaded.folder / "results" / "silhouettes"
     with claimed(target), Stages() as progress:
         progress("background", 0, 1)
