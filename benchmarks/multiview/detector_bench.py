@@ -17,6 +17,7 @@ from benchmarks.multiview.leave_one_out import CONFIDENT, without_view
 from benchmarks.multiview.product import aligned_joints
 from benchmarks.multiview.real_recordings import LIMBS, balancing_recording, in_memory
 from benchmarks.multiview.real_regions import errors_of_points, regions_of_balancing
+from benchmarks.people.together import SETTINGS
 from hypose.body.motion import Motion
 from hypose.evidence.frame import Frame
 from hypose.evidence.keypoints import BODY_25B
@@ -26,6 +27,7 @@ from hypose.io.recordings.recording import Recording, load_recording, write_reco
 from hypose.pipeline.detect_keypoints import detect_keypoints
 from hypose.pipeline.first_frame import SubjectOptions, find_subject
 from hypose.pipeline.run import TrackOptions, track_source
+from hypose.pipeline.track import track
 from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.verdict import GOOD, LOOK, UNTRUSTED
 from hypose.synthetic.metrics import EVALUATED
@@ -41,7 +43,7 @@ SCENES = (
     *(("cross_arms", "ixmas-5"), ("wave", "ring-4"), ("punch", "humaneva-4"), ("serve", "ring-4")),
 )
 FIRST_SEED = 7100
-SECONDS = 1.6
+SECONDS, SECONDS_TOGETHER = 1.6, 3.0
 
 
 def detector(options: BenchOptions) -> BenchReport:
@@ -50,7 +52,7 @@ def detector(options: BenchOptions) -> BenchReport:
     balancing: distance of 12 limb joints to triangulated key points of another detector, as in real-balancing, with
     refined cameras; loco_px: what three cameras say, in the fourth, to the detector's points there; verdict of the
     cameras as shipped (0 good, 1 look, 2 not to be trusted). scenes: mean joint error on rendered people, baseline:
-    background subtraction with simulated key points (both)."""
+    background subtraction with simulated key points (both). crossing: two rendered people."""
     rows: list[Row] = []
     if options.data is not None:
         rows += _balancing(options)
@@ -70,6 +72,12 @@ def detector(options: BenchOptions) -> BenchReport:
         rows.append(
             Row("error_mm", evidence, float(mean), "mm", None, len(some), f"background/{evidence}", float(base))
         )
+    for seed in options.seed_range(2, quick=0, first=FIRST_SEED):
+        options.progress("crossing", 0, 1)
+        found = options.part(f"crossing-{seed}", lambda seed=seed: crossing(seed))
+        case = f"crossing/seed {seed}"
+        rows.append(Row("exchanged_frames", case, float(found["exchanged"]), "1"))
+        rows += [Row("error_mm", f"{case}/person {k + 1}", e, "mm") for k, e in enumerate(found["error"])]
     return BenchReport(tuple(rows), {"detector": open_network().identity})
 
 
@@ -181,6 +189,31 @@ def scene_errors(name: str, rig: str, seed: int) -> dict[str, Any]:
                 if (label, evidence) == ("", "both"):
                     out["coverage"] = _coverage(motion, away, scene)
     return out
+
+
+def crossing(seed: int) -> dict[str, Any]:
+    """Two rendered people who pass each other at 0.7 m, tracked from the videos alone: mean joint errors, mm, of each,
+    and frames in which the other one is nearer to where a person was tracked."""
+    performers = SETTINGS["crossing"].make(seed, None)
+    scenes = [
+        make_scene(p, s, "humaneva-4", seconds=SECONDS_TOGETHER, seed=seed, distorted=True) for s, p in performers
+    ]
+    together = replace(scenes[0], others=tuple((s.subject, s.performance) for s in scenes[1:]))
+    with tempfile.TemporaryDirectory() as place:
+        write_scene(together, Path(place) / "scene")
+        recording, _ = seen_by_detector(load_recording(Path(place) / "scene"), Path(place) / "bare")
+        found = track(recording, people="all").people
+    places = np.array([s.joints[:, 0] for s in scenes])
+    errors, exchanged = np.full(len(scenes), np.nan), 0
+    for person in found:
+        motion = person.result.motion
+        rows = np.round(motion.times * scenes[0].frame_rate).astype(int)
+        away = np.linalg.norm(motion.joints[:, 0] - places[:, rows], axis=-1)
+        whose = int(np.argmin(np.median(away, axis=1)))
+        exchanged += int((np.argmin(away, axis=0) != whose).sum())
+        theirs = aligned_joints(motion, scenes[whose])[:, EVALUATED] - scenes[whose].joints[rows][:, EVALUATED]
+        errors[whose] = 1e3 * float(np.linalg.norm(theirs, axis=-1).mean())
+    return {"error": errors.tolist(), "exchanged": exchanged, "found": len(found)}
 
 
 def _coverage(motion: Motion, away: Array, scene: Scene) -> float:

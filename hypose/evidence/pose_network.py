@@ -6,7 +6,7 @@ and the geometry of the crops are those of MediaPipe 0.10.21 (Apache 2.0).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -28,6 +28,8 @@ _WIDER = 1.25
 _SAME, _BESIDE = 0.35, 0.5
 """Distances between middles of the hips, in radii: two crops show the same person; a detection is of a person who is
 followed already."""
+_PART = 0.75
+"""Side of the parts of a picture that the detector looks at, in its shorter sides."""
 _LOGIT = 30.0
 
 
@@ -146,23 +148,42 @@ class PoseNetwork:
         return Sighting(person, sigmoid(mask), crop, following)
 
     def _detected(self, image: Image) -> list[Crop]:
-        """Crops of the people that the detector finds, the surest first."""
-        height, width = image.shape[:2]
-        scale = DETECTOR / max(height, width)
-        size = max(1, round(width * scale)), max(1, round(height * scale))
-        left, top = (DETECTOR - size[0]) // 2, (DETECTOR - size[1]) // 2
-        square = np.zeros((DETECTOR, DETECTOR, 3), np.uint8)
-        square[top : top + size[1], left : left + size[0]] = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-        boxes, scores = self.detect(cv2.cvtColor(square, cv2.COLOR_BGR2RGB).astype(np.float32)[None] / 127.5 - 1)
+        """Crops of the people that the detector finds in the picture and in parts of it, the surest first."""
+        found = [one for part in _squares(image.shape[1], image.shape[0]) for one in self._in_square(image, *part)]
         out = list[Crop]()
-        for k in np.argsort(-scores)[:100]:
-            if sigmoid(scores[k]) < _LEAST_SCORE:
-                break
-            hips, above = (DETECTOR * _ANCHORS[k] + boxes[k, n : n + 2].astype(np.float64) for n in (4, 6))
-            crop = Crop((hips - (left, top) + 0.5) / scale - 0.5, (above - (left, top) + 0.5) / scale - 0.5)
-            if crop.radius > 4 and all(_apart(crop, other) > _SAME for other in out):
+        for _, crop in sorted(found, key=lambda one: -one[0]):
+            if all(_apart(crop, other) > _SAME for other in out):
                 out.append(crop)
         return out
+
+    def _in_square(self, image: Image, x: int, y: int, side: int) -> Iterator[tuple[float, Crop]]:
+        """Scores and crops of what may be people in a square of the picture, which may reach beyond it."""
+        part = image[max(y, 0) : y + side, max(x, 0) : x + side]
+        scale = DETECTOR / side
+        size = max(1, round(part.shape[1] * scale)), max(1, round(part.shape[0] * scale))
+        left, top = round(max(-x, 0) * scale), round(max(-y, 0) * scale)
+        square = np.zeros((DETECTOR, DETECTOR, 3), np.uint8)
+        small = cv2.resize(part, size, interpolation=cv2.INTER_AREA)
+        square[top : top + size[1], left : left + size[0]] = small[: DETECTOR - top, : DETECTOR - left]
+        boxes, scores = self.detect(cv2.cvtColor(square, cv2.COLOR_BGR2RGB).astype(np.float32)[None] / 127.5 - 1)
+        corner = np.array([max(x, 0) - left / scale, max(y, 0) - top / scale])
+        for k in np.flatnonzero(sigmoid(scores) > _LEAST_SCORE):
+            hips, above = (DETECTOR * _ANCHORS[k] + boxes[k, n : n + 2].astype(np.float64) for n in (4, 6))
+            crop = Crop((hips + 0.5) / scale - 0.5 + corner, (above + 0.5) / scale - 0.5 + corner)
+            if crop.radius > 4:
+                yield float(scores[k]), crop
+
+
+def _squares(width: int, height: int) -> list[tuple[int, int, int]]:
+    """x, y and side, px, of the squares of a picture that the detector looks at: the whole, and parts in which people
+    are large enough for it that are small in the whole."""
+    most, side = max(width, height), round(_PART * min(width, height))
+
+    def begins(length: int) -> list[int]:
+        return np.linspace(0, length - side, int(np.ceil(2 * (length - side) / side)) + 1).round().astype(int).tolist()
+
+    parts = [(x, y, side) for y in begins(height) for x in begins(width)]
+    return [((width - most) // 2, (height - most) // 2, most), *parts]
 
 
 def _anchors() -> Array:
