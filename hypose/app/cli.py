@@ -50,7 +50,7 @@ _COMMANDS = (
     ("check", commands_check.check, "Do the views agree? What is wrong, and --refine cures it."),
     ("sync", commands_check.sync, "How many frames each view is late; cure it with --out."),
     ("silhouettes", commands_data.silhouettes, "Write the masks of the person, and a contact sheet."),
-    ("keypoints", commands_data.keypoints, "Detect 2D key points with a model of your own."),
+    ("keypoints", commands_data.keypoints, "Detect 2D key points and masks of people in the videos."),
     ("track", commands_track.track, "Track the person: motion files, overlay video, report."),
     ("correct", commands_track.correct, "Track a result again from a frame corrected in the studio."),
     ("subject", commands_track.subject, "Measure a person: lengths, girths, a body for track."),

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hypose.geometry import Array
+from hypose.evidence.pose_network import Crop, Sighting
 
 
 class PoseDetector(Protocol):
-    """Finds people in one picture. What it finds depends on that picture alone, so that frames can be looked at in any
-    order and work can go on where it stopped."""
+    """Finds people in the pictures of a view, one after the other."""
 
     @property
     def keypoint_set(self) -> str:
@@ -24,9 +24,15 @@ class PoseDetector(Protocol):
         """Everything that decides what it finds, as JSON values: program, version, model, settings."""
         ...
 
-    def detect(self, image: NDArray[np.uint8], /) -> Array:
-        """People (P, K, 3) in a picture (h, w, 3) BGR: u, v in px of the picture (pixel centres at integers) and
-        confidence 0..1, 0 where a point was not found."""
+    @property
+    def gives_masks(self) -> bool:
+        """Whether it finds masks as well; then it may be called by several threads at once."""
+        ...
+
+    def look(self, image: NDArray[np.uint8], number: int, before: Sequence[Crop], /) -> list[Sighting]:
+        """People in a picture (h, w, 3) BGR with its number in the video, pixel centres at integers; before: where the
+        people of the picture before it are expected. What is found depends on these alone, so that work can go on where
+        it stopped."""
         ...
 
 

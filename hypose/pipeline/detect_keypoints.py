@@ -1,23 +1,39 @@
-"""Key points of a recording's videos by a detector, one file per frame and view."""
+"""Key points of a recording's videos by a detector, one file per frame and view, and masks where it gives them."""
 
 from __future__ import annotations
 
+import contextlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from hypose.cameras.camera import Camera
+from hypose.compute import default_threads
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.detector import PoseDetector, openpose_document
+from hypose.evidence.pose_network import MASK, Crop, Sighting
 from hypose.geometry import Array
 from hypose.io.file_names import folder_for
-from hypose.io.files import read_text, write_text
-from hypose.io.keypoints.read_keypoints import DetectedKeypoints, load_detected
+from hypose.io.files import read_json, write_bytes, write_text
+from hypose.io.keypoints.read_keypoints import MASKS, DetectedKeypoints, load_detected
+from hypose.io.recordings.frames import working_rig
 from hypose.io.recordings.recording import Recording, View
+from hypose.io.recordings.view_source import SIDECAR
 from hypose.io.videos.video import open_video
+
+
+def wants_detector(recording: Recording) -> bool:
+    """Whether a recording has pictures of several cameras and nothing that tells the person in them: neither key
+    points, masks, a picture of the empty room nor depth."""
+    views = recording.views
+    told = any(v.keypoints or v.masks or v.background or v.depth for v in views)
+    return len(views) > 1 and not told and all(v.source is not None for v in views)
 
 
 def detect_keypoints(
@@ -26,10 +42,11 @@ def detect_keypoints(
     folder: Path,
     *,
     resume: bool = False,
+    frames: range | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> DetectedKeypoints:
-    """Look at every frame of every view and write folder/VIEW/VIEW_FRAME_keypoints.json, in pixels of the calibrated
-    cameras; returns what was written, complete.
+    """Look at frames (default: all) of every view and write folder/VIEW/VIEW_FRAME_keypoints.json, in pixels of the
+    calibrated cameras, and folder/VIEW/masks/FRAME.png, undistorted; returns what was written, complete.
 
     resume: frames that have a file are not looked at again. progress(done, total) is called after every picture;
     raising KeyboardInterrupt in it stops the run with its files kept. An InputError when a view has no pictures, or
@@ -42,21 +59,23 @@ def detect_keypoints(
                 f"View {view.name} of {recording.name} has masks only, and key points are found in pictures; give its "
                 "video in recording.toml."
             )
-    work = DetectedKeypoints(folder, detector.keypoint_set, detector.identity, False)
-    _make_room(work, resume)
-    total, done, somebody = recording.n_frames * len(recording.views), 0, False
-    for view, camera in zip(recording.views, recording.rig, strict=True):
-        assert view.source is not None
-        folder_for(folder, view.name)
-        with open_video(view.source) as reader:
-            for frame in range(recording.n_frames):
-                path = work.file(view.name, frame)
-                if not path.exists():
-                    reader.seek(frame)
-                    image = next(iter(reader))
-                    people = _calibrated(detector.detect(image), reader.size, camera, view)
-                    write_text(path, json.dumps(openpose_document(people)) + "\n")
-                somebody = somebody or '"people": []' not in read_text(path, "key points of a frame")
+    wanted = frames or range(recording.n_frames)
+    work = DetectedKeypoints(folder, detector.keypoint_set, detector.identity, False, wanted, detector.gives_masks)
+    work = _make_room(work, resume)
+    total, done, somebody = len(wanted) * len(recording.views), 0, False
+    small = working_rig(recording.rig)
+    with contextlib.ExitStack() as stack:
+        lanes = [
+            _Lane(work, detector, view, camera, into)
+            for view, camera, into in zip(recording.views, recording.rig, small, strict=True)
+        ]
+        for lane in lanes:
+            stack.callback(lane.close)
+        # the user's own detector may know one thread only
+        pool = stack.enter_context(ThreadPoolExecutor(default_threads() if detector.gives_masks else 1))
+        for frame in wanted:
+            for found in [pool.submit(lane.look, frame) for lane in lanes]:
+                somebody = found.result() or somebody
                 done += 1
                 if progress is not None:
                     progress(done, total)
@@ -70,8 +89,80 @@ def detect_keypoints(
     return finished
 
 
-def _make_room(work: DetectedKeypoints, resume: bool) -> None:
-    """An own folder, empty or with the same detector's points."""
+class _Lane:
+    """The pictures of one view, looked at in their order."""
+
+    def __init__(
+        self, work: DetectedKeypoints, detector: PoseDetector, view: View, camera: Camera, small: Camera
+    ) -> None:
+        assert view.source is not None
+        self._work, self._detector, self._view, self._camera = work, detector, view, camera
+        self._reader = open_video(view.source, 1)
+        self._before: tuple[int, list[Crop]] = -1, []
+        folder_for(work.folder, view.name)
+        if work.with_masks:
+            size = {"undistorted": True, "size": list(small.size)}
+            write_text(work.masks(view.name) / SIDECAR, json.dumps(size) + "\n")
+            if work.frames.start and not work.file(view.name, 0).exists():  # files are counted from the first
+                write_text(work.file(view.name, 0), json.dumps(openpose_document([])) + "\n")
+        # where the pixels of the working size lie in the stored picture
+        shift = np.array(view.image_shift) * self._reader.size / np.array(camera.size)
+        self._stored = np.stack(camera.undistort_maps(small.size, self._reader.size), -1) - shift.astype(np.float32)
+
+    def look(self, frame: int) -> bool:
+        """Look at a frame, unless its files are there; whether somebody is seen."""
+        name, work = self._view.name, self._work
+        path = work.file(name, frame)
+        if path.exists() and (not work.with_masks or work.mask(name, frame).exists()):
+            return bool(_people(path))
+        number, before = self._before
+        if work.with_masks and number != frame - 1 and frame:
+            before = _crops(work.file(name, frame - 1))
+        people = self._detector.look(self._reader.read(frame), frame, before)
+        people = [f for f in people if (f.points[:, 2] > 0).any()]
+        self._before = frame, [f.following for f in people if f.following is not None]
+        if work.with_masks:
+            data = cv2.imencode(".png", self._mask(people))[1].tobytes()
+            write_bytes(work.mask(name, frame), data, synced=False)
+        points = np.array([f.points for f in people])
+        document = openpose_document(_calibrated(points, self._reader.size, self._camera, self._view))
+        for person, found in zip(document["people"], people, strict=True):
+            if found.following is not None:
+                person["following"] = [*found.following.hips.tolist(), *found.following.top.tolist()]
+        write_text(path, json.dumps(document) + "\n")
+        return bool(people)
+
+    def _mask(self, people: Sequence[Sighting]) -> NDArray[np.uint8]:
+        """(h, w), 0 and 255, undistorted, at working size: everybody."""
+        out = np.zeros(self._stored.shape[:2], np.float32)
+        for found in people:
+            if found.crop is None or found.mask is None:
+                continue
+            turn = found.crop.from_picture.astype(np.float32)
+            at = self._stored @ turn[:, :2].T + turn[:, 2]
+            out = np.maximum(out, cv2.remap(found.mask, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderValue=0))
+        return np.asarray(out > MASK).astype(np.uint8) * np.uint8(255)
+
+    def close(self) -> None:
+        """Release the video."""
+        self._reader.close()
+
+
+def _people(path: Path) -> list[dict[str, list[float]]]:
+    """The people in a file that was written here."""
+    return read_json(path, "key points of a frame")["people"]
+
+
+def _crops(path: Path) -> list[Crop]:
+    """Where the people of a frame are expected in the next one."""
+    if not path.exists():
+        return []
+    numbers = [np.array(p["following"]) for p in _people(path) if "following" in p]
+    return [Crop(n[:2], n[2:]) for n in numbers]
+
+
+def _make_room(work: DetectedKeypoints, resume: bool) -> DetectedKeypoints:
+    """An own folder, empty or with the same detector's points, whose frames are added."""
     if work.folder.is_file():
         raise InputError(f"{work.folder} is a file; give a folder with --out.")
     before = load_detected(work.folder)
@@ -84,14 +175,17 @@ def _make_room(work: DetectedKeypoints, resume: bool) -> None:
                 "to detect anew, or give another folder with --out."
             )
     elif before is not None:
-        for path in work.folder.glob("*/*_keypoints.json"):
+        for path in (*work.folder.glob("*/*_keypoints.json"), *work.folder.glob(f"*/{MASKS}/*.png")):
             path.unlink()
     work.save()
+    return work
 
 
 def _calibrated(people: Array, size: tuple[int, int], camera: Camera, view: View) -> Array:
     """People (P, K, 3) in a stored picture of a size (width, height) -> pixels of the calibrated camera."""
     out = np.array(people, dtype=np.float64)
+    if not out.size:
+        return out
     scale = np.array(camera.size) / np.array(size)
     moved = (out[..., :2] + 0.5) * scale - 0.5 + view.image_shift
     # OpenPose's files say "missing" with (0, 0): a point that happens to lie there would be lost

@@ -106,10 +106,13 @@ class TrackOptions:
         """All frames are solved on their key points together, instead of one after the other and then together."""
         return self.looks_at == "keypoints" and self.smooth and self.preset.whole_clip
 
-    def without_pictures(self) -> TrackOptions:
-        """For a recording of key points alone: these are looked at, where nothing else was asked for."""
-        if self.evidence is None and "keypoints" in self.preset.evidence and not self.of_picture:
-            return replace(self, evidence="keypoints")
+    def suited_to(self, recording: Recording) -> TrackOptions:
+        """With the evidence that a recording has, where none was asked for: key points where there are no pictures, key
+        points and masks where a detector found both."""
+        usual = "both" if recording.detected else "keypoints"
+        if self.evidence is None and (recording.detected or not recording.has_pictures):
+            if usual in self.preset.evidence and not self.of_picture:
+                return replace(self, evidence=usual)
         return self
 
     def settings(self) -> dict[str, Any]:

@@ -80,8 +80,8 @@ def track(
     method = recipe if isinstance(recipe, Recipe) else None
     if isinstance(recipe, str):
         chosen = replace(chosen, recipe=recipe)
-    if isinstance(loaded, Recording) and not loaded.has_pictures:
-        chosen = chosen.without_pictures()
+    if isinstance(loaded, Recording):
+        chosen = chosen.suited_to(loaded)
     if isinstance(loaded, Recording) and chosen.of_picture:
         check_views(loaded, True)
     if people is not None:

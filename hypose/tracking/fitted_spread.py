@@ -31,6 +31,7 @@ from hypose.body.joint_angles import ANGLE_NAMES, angles_of_frames
 from hypose.body.motion import Motion
 from hypose.body.skeleton import Skeleton
 from hypose.evidence.frame import Keypoints
+from hypose.evidence.keypoints import BLAZEPOSE_33
 from hypose.geometry import Array, so3_exp, so3_log
 from hypose.tracking.audit import columns_of_joints, views_apart
 from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, KeypointModel, checked, pixels_per_metre
@@ -97,7 +98,8 @@ def lasting_residuals(
 def systematic_covariance(
     body: Body, model: KeypointModel, keypoints: Sequence[Keypoints | None], poses: Array, frame_rate: float
 ) -> Array:
-    """(T, J, 3, 3) m^2: systematic error of the joints of a clip solved on its key points.
+    """(T, J, 3, 3) m^2: systematic error of the joints of a clip solved on its key points, of which less is left where
+    BlazePose's, which are seldom right to the centimetre, weigh less beside masks.
 
     That of single views goes through the triangulation of the views that see the point in the frame, weighted as the
     solve weighs them; the shared one (SHARED) is the same in all directions. Joints without a key point of their own
@@ -107,6 +109,8 @@ def systematic_covariance(
     usual = weights.sum(0) / np.maximum((weights > 0).sum(0), 1) * model.worse(len(first.rig))[:, None] ** -2.0
     centres = np.stack([camera.position for camera in first.rig])
     shared = np.minimum(SHARED**2 * np.median(lasting, 0), MOST_SHARED_M**2)
+    beside = model.beside if model.names == BLAZEPOSE_33 else None
+    said = np.ones(len(model.names)) if beside is None else beside.max(0)
     own = columns_of_joints(tuple(body.skeleton.joint_names), model.names)
     some = (own >= 0) & model.known[own]
     out = np.zeros((len(poses), len(own), 3, 3))
@@ -118,7 +122,7 @@ def systematic_covariance(
         normal = np.einsum("ck,tckab->tkab", usual, across) + _LOOSE * np.eye(3)
         inside = np.einsum("ck,tckab->tkab", usual**2 * lasting, across)
         back = np.linalg.inv(normal)
-        points = back @ inside @ back + (shared[:, None, None] * np.eye(3))
+        points = said[:, None, None] * (back @ inside @ back + (shared[:, None, None] * np.eye(3)))
         mean = points[:, model.known].mean(1)
         for j in range(len(own)):
             out[part, j] = points[:, own[j, some[j]]].mean(1) if some[j].any() else mean

@@ -20,6 +20,7 @@ from hypose.app.studio.view_bundle import plain
 from hypose.errors import InputError
 from hypose.io.file_names import file_name
 from hypose.io.files import claimed
+from hypose.io.keypoints.detectors import OwnDetector
 from hypose.io.recordings.recording import load_recording
 from hypose.io.videos.video import VideoWriter, open_video
 from hypose.pipeline.detect_keypoints import detect_keypoints
@@ -89,12 +90,11 @@ def test_detected_key_points_stay_in_the_folder_and_are_found_again(tiny, tmp_pa
     before = hostile(recording, tmp_path)
 
     class Detector:
-        keypoint_set, identity = "BODY_25", {"model": "a"}
-
         def detect(self, image):
             return np.ones((1, 25, 3))
 
-    detect_keypoints(load_recording(recording), Detector(), recording / "keypoints")
+    detector = OwnDetector(Detector(), "BODY_25", {"model": "a"}, "here")
+    detect_keypoints(load_recording(recording), detector, recording / "keypoints")
     new = everything(tmp_path) - before
     assert len(new) == 1 + 4 * 8 and all(p.is_relative_to(recording / "keypoints") for p in new)
     assert all(v.keypoints is not None for v in load_recording(recording).views)

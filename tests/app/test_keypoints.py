@@ -1,14 +1,14 @@
-"""`hypose keypoints` with a detector that is put in MediaPipe's place, and `hypose track` on what it wrote."""
+"""`hypose keypoints` with a detector of the user's own, and `hypose track` on what it wrote."""
 
 from __future__ import annotations
 
-import contextlib
 import json
 
 import numpy as np
 import pytest
 
 from hypose.evidence.keypoints import BLAZEPOSE_33, BODY_25, parse_openpose
+from hypose.io.keypoints.detectors import OwnDetector
 from hypose.io.recordings.frames import load_keypoints
 from hypose.io.recordings.recording import load_recording
 
@@ -39,7 +39,8 @@ def as_blazepose(path):
 @pytest.fixture
 def prepared(keypoint_recording, monkeypatch):
     """The recording without key points of its own, and put(...) to install a detector that finds them again."""
-    files = [p for c in range(1, 5) for p in sorted((keypoint_recording / "pose" / f"cam{c}_json").glob("*.json"))]
+    views = [sorted((keypoint_recording / "pose" / f"cam{c}_json").glob("*.json")) for c in range(1, 5)]
+    files = [p for frame in zip(*views, strict=True) for p in frame]
     toml = keypoint_recording / "recording.toml"
     lines = toml.read_text().splitlines()
     toml.write_text("\n".join(line for line in lines if not line.startswith("keypoint")))
@@ -47,11 +48,10 @@ def prepared(keypoint_recording, monkeypatch):
     def put(skip=0, **more):
         detector = Detector((as_blazepose(p) for p in files[skip:]), **more)
 
-        @contextlib.contextmanager
-        def opened(model, people):
-            yield detector
+        def opened(text):
+            return OwnDetector(detector, detector.keypoint_set, detector.identity, text)
 
-        monkeypatch.setattr("hypose.io.keypoints.detectors.open_blazepose", opened)
+        monkeypatch.setattr("hypose.io.keypoints.detectors.open_own_detector", opened)
         return detector
 
     return keypoint_recording, put
@@ -62,7 +62,7 @@ def test_detected_key_points_are_tracked(hypose, prepared, tmp_path):
     recording, put = prepared
     truth = np.load(recording / "truth.npz")["joints"]
     detector = put()
-    code, out, err = hypose("keypoints", recording, "--model", "any.task")
+    code, out, err = hypose("keypoints", recording, "--detector", "any")
     assert code == 0, err
     assert detector.looked == 4 * 30 and "--evidence both" in out
     loaded = load_recording(recording)
@@ -92,22 +92,22 @@ def test_an_interrupted_detection_goes_on(hypose, prepared):
         return stopped(image)
 
     first.detect = detect
-    code, out, _ = hypose("keypoints", recording, "--model", "any.task")
+    code, out, _ = hypose("keypoints", recording, "--detector", "any")
     assert code == 130 and "--resume" in out
     assert len(list(folder.glob("*/*.json"))) == 40
     loaded = load_recording(recording)
     assert loaded.keypoint_set is None and any("not complete" in n for n in loaded.notes)
 
     put(identity={"model": "another"})
-    code, _, err = hypose("keypoints", recording, "--model", "any.task", "--resume")
+    code, _, err = hypose("keypoints", recording, "--detector", "any", "--resume")
     assert code == 2 and "another model, version or setting" in err
     second = put(skip=40)
-    code, _, err = hypose("keypoints", recording, "--model", "any.task", "--resume")
+    code, _, err = hypose("keypoints", recording, "--detector", "any", "--resume")
     assert code == 0, err
     assert second.looked == 80
     resumed = load_keypoints(load_recording(recording))
     third = put()
-    code, _, err = hypose("keypoints", recording, "--model", "any.task")
+    code, _, err = hypose("keypoints", recording, "--detector", "any")
     assert code == 0 and third.looked == 120
     anew = load_keypoints(load_recording(recording))
     assert all((a.points == b.points).all() for a, b in zip(resumed, anew, strict=True))
@@ -118,7 +118,7 @@ def test_scaled_and_shifted_pictures_give_points_of_the_calibration(hypose, prep
     toml = recording / "recording.toml"
     toml.write_text(toml.read_text().replace('name = "cam2"', 'name = "cam2"\nimage_shift = [3.0, -2.0]', 1))
     put()
-    code, _, err = hypose("keypoints", recording, "--model", "any.task")
+    code, _, err = hypose("keypoints", recording, "--detector", "any")
     assert code == 0, err
     original = as_blazepose(sorted((recording / "pose" / "cam2_json").glob("*.json"))[0])[0]
     found = parse_openpose((recording / "keypoints" / "cam2" / f"cam2_{0:012d}_keypoints.json").read_bytes())[0]
@@ -131,9 +131,9 @@ def test_bad_input_is_told_in_a_sentence(hypose, prepared, tmp_path, monkeypatch
     put()
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "other.txt").write_text("mine")
-    code, _, err = hypose("keypoints", recording, "--model", "any.task", "--out", tmp_path / "full")
+    code, _, err = hypose("keypoints", recording, "--detector", "any", "--out", tmp_path / "full")
     assert code == 2 and "holds other files" in err and "Traceback" not in err
-    code, out, err = hypose("keypoints", recording, "--model", "any.task", "--out", tmp_path / "new")
+    code, out, err = hypose("keypoints", recording, "--detector", "any", "--out", tmp_path / "new")
     assert code == 0 and 'keypoint_set = "BLAZEPOSE_33"' in out  # elsewhere: what to say in recording.toml
     (recording / "keypoints").mkdir()
     (recording / "keypoints" / "detector.json").write_text("{")
@@ -143,5 +143,5 @@ def test_bad_input_is_told_in_a_sentence(hypose, prepared, tmp_path, monkeypatch
     code, _, err = hypose("track", recording, "--evidence", "keypoints")
     assert code == 2 and "has none" in err  # no view has a folder there
     monkeypatch.undo()
-    code, _, err = hypose("keypoints", recording, "--model", tmp_path / "none.task")
+    code, _, err = hypose("keypoints", recording, "--detector", "none.py:D")
     assert code == 2 and "does not exist" in err

@@ -11,6 +11,7 @@ import pytest
 from benchmarks.robustness.small_recordings import small_scene, write_masks, write_skeletons
 from hypose.app.jobs import fuse_job
 from hypose.errors import EvidenceError
+from hypose.io.keypoints.detectors import OwnDetector
 from hypose.io.motions.results import load_motion
 from hypose.io.recordings.recording import load_recording
 from hypose.pipeline import track as one_person
@@ -97,14 +98,13 @@ def test_sync_of_somebody_who_stands_still(hypose, tmp_path):
 
 def test_a_detector_that_finds_nobody(tiny, tmp_path):
     class Blind:
-        keypoint_set, identity = "body_25", {"model": "blind"}
-
         def detect(self, image):
             return np.zeros((0, 25, 3))
 
+    blind = OwnDetector(Blind(), "body_25", {"model": "blind"}, "here")
     for resume in (False, True):
         with pytest.raises(EvidenceError, match="found nobody in any picture of walk"):
-            detect_keypoints(load_recording(tiny), Blind(), tmp_path / "points", resume=resume)
+            detect_keypoints(load_recording(tiny), blind, tmp_path / "points", resume=resume)
     assert json.loads(next((tmp_path / "points").glob("cam1/*.json")).read_text())["people"] == []
 
 
@@ -146,10 +146,10 @@ def without_room(recording):
     return recording
 
 
-@pytest.mark.parametrize("command", [("track",), ("track", "--people", "all")])
-def test_who_gave_no_empty_room_is_told_so_when_nobody_is_found(hypose, without_room, command):
+@pytest.mark.parametrize("more", [(), ("--people", "all")])
+def test_who_gave_no_empty_room_is_told_so_when_nobody_is_found(hypose, without_room, more):
     fails(
-        hypose(command[0], without_room, *command[1:]),
+        hypose("track", without_room, "--evidence", "silhouettes", *more),
         "No view has a picture of the empty room",
         "Give a photo or clip of the empty room",
     )

@@ -109,17 +109,14 @@ def test_every_process_of_the_package_has_a_safe_path_and_a_folder_of_ours(evil,
     monkeypatch.chdir(evil)
     monkeypatch.setattr(subprocess, "run", begin)
     monkeypatch.setattr(subprocess, "Popen", begin)
-    monkeypatch.setattr(detectors, "is_set_up", lambda: True)
     monkeypatch.setattr(sound.shutil, "which", lambda name: name)
     with pytest.raises(Began):
-        detectors.set_up()
-    with pytest.raises(Began), detectors.open_mediapipe():
-        pass
+        detectors.fetch_models()
     with pytest.raises(Began):
         warming._in_another_process("solver", [])
     with pytest.raises(Began):
         sound.read_sound(Path("clip.mp4"))
-    assert len(began) == 4
+    assert len(began) == 3
     for command, place in began:
         assert {"-P", "-I"} & set(command) or command[0] == "ffmpeg" and str(evil / "clip.mp4") in command
         assert place.is_relative_to(Path(hypose.__path__[0]))

@@ -5,8 +5,9 @@ from __future__ import annotations
 import contextlib
 import shlex
 import sys
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -14,6 +15,13 @@ from hypose.app.commands.commands_track import set_threads, stopping
 from hypose.app.commands.console import Stages, note, say
 from hypose.app.commands.options import Seconds, Seed, Threads, number
 from hypose.errors import EvidenceError, InputError
+
+if TYPE_CHECKING:
+    from hypose.evidence.detector import PoseDetector
+    from hypose.io.keypoints.read_keypoints import DetectedKeypoints
+    from hypose.io.recordings.recording import Recording
+
+Yes = Annotated[bool, typer.Option("--yes", help="Fetch the detector's models, once, without asking.")]
 
 
 def silhouettes(
@@ -24,6 +32,10 @@ def silhouettes(
     frames: Annotated[
         str | None, typer.Option(help="first:stop, counted from 0. [default: recording.toml's, else all]")
     ] = None,
+    detector: Annotated[
+        bool, typer.Option("--detector", help="By hypose's detector of people, whatever tells the empty room.")
+    ] = False,
+    yes: Yes = False,
 ) -> None:
     """Write the masks of the person as PNG, one folder per view, and a contact sheet."""
     from hypose.app.jobs.checking import write_sheet
@@ -33,6 +45,9 @@ def silhouettes(
     from hypose.io.recordings.recording import load_recording
 
     loaded = choose_frames(load_recording(recording), frames)
+    if detector:
+        found = detected(loaded, loaded.frames, yes=yes, why="--detector")
+        loaded = replace(loaded, views=tuple(replace(v, masks=found.masks(v.name)) for v in loaded.views))
     target = folder or loaded.folder / "results" / "silhouettes"
     with claimed(target), Stages() as progress:
         progress("background", 0, 1)
@@ -176,60 +191,29 @@ def depth_import(
 
 def keypoints(
     recording: Annotated[Path, typer.Argument(help="Folder with recording.toml, that file, or a Pose2Sim project.")],
-    model: Annotated[
-        Path | None, typer.Option(help="Model bundle of MediaPipe's Pose Landmarker (.task), your own copy.")
-    ] = None,
     detector: Annotated[
         str | None,
-        typer.Option(help="Instead: your own detector, FILE.py:NAME or MODULE:NAME (docs/recordings.md)."),
+        typer.Option(help="Your own detector instead, FILE.py:NAME or MODULE:NAME (docs/recordings.md)."),
     ] = None,
-    mediapipe: Annotated[
-        bool,
-        typer.Option(
-            "--mediapipe", help="Instead: MediaPipe with the model that it carries, set up once after asking."
-        ),
-    ] = False,
-    yes: Annotated[bool, typer.Option("--yes", help="Set MediaPipe up without asking.")] = False,
+    yes: Yes = False,
     folder: Annotated[
         Path | None, typer.Option("--out", help="Folder to write to. [default: keypoints in the recording's folder]")
     ] = None,
-    people: Annotated[int, number("Most people looked for in a picture; tracking follows one.", 1, 100)] = 3,
     resume: Annotated[bool, typer.Option("--resume", help="Go on where an interrupted run stopped.")] = False,
     threads: Threads = None,
 ) -> None:
-    """Detect 2D key points in the videos, one OpenPose file per frame, for --evidence keypoints or both."""
+    """Detect 2D key points and masks of people in the videos, which `hypose track` then uses."""
     set_threads(threads)
-    from hypose.io.files import claimed
-    from hypose.io.keypoints.detectors import open_blazepose, open_mediapipe, open_own_detector
+    from hypose.io.keypoints.detectors import open_own_detector
     from hypose.io.keypoints.read_keypoints import FOLDER
     from hypose.io.recordings.recording import load_recording
-    from hypose.pipeline.detect_keypoints import detect_keypoints
 
-    if [model is not None, detector is not None, mediapipe].count(True) != 1:
-        raise InputError(
-            "Say what finds the key points: --mediapipe (with its own model), --model with a .task file of MediaPipe's "
-            "Pose Landmarker, or --detector with one of your own (all are shown in docs/recordings.md)."
-        )
     loaded = load_recording(recording)
-    if mediapipe:
-        _have_mediapipe(yes)
     target = folder or loaded.folder / FOLDER
-    with contextlib.ExitStack() as stack:
-        stack.enter_context(claimed(target))
-        if detector is not None:
-            chosen = open_own_detector(detector)
-        elif mediapipe:
-            chosen = stack.enter_context(open_mediapipe())
-        else:
-            assert model is not None
-            chosen = stack.enter_context(open_blazepose(model, people))
-        progress = stack.enter_context(Stages())
-        kept = f"Stopped; the frames done until then are in {target}. Go on with the same command and --resume."
-        with stopping(kept):
-            found = detect_keypoints(
-                loaded, chosen, target, resume=resume, progress=lambda done, total: progress("detect", done, total)
-            )
-    say(f"Key points: {found.folder} ({found.keypoint_set}, one folder per view)")
+    chosen = open_network_asking(yes) if detector is None else open_own_detector(detector)
+    found = detect(loaded, chosen, target, loaded.frames if chosen.gives_masks else None, resume=resume)
+    what = "Key points and masks" if found.with_masks else "Key points"
+    say(f"{what}: {found.folder} ({found.keypoint_set}, one folder per view)")
     own = loaded.folder / FOLDER
     named = any(v.keypoints is not None and own.absolute() not in v.keypoints.absolute().parents for v in loaded.views)
     if target.absolute() == own.absolute() and not named:
@@ -241,17 +225,57 @@ def keypoints(
         say(f'keypoints = "{found.view(view.name).absolute()}"  # in the [[view]] of {view.name}')
 
 
-def _have_mediapipe(yes: bool) -> None:
-    """Set MediaPipe's environment up if it is not there, when the user agrees."""
-    from hypose.io.keypoints.detectors import MEGABYTES, VERSION, environment_folder, is_set_up, set_up
+def detect(
+    loaded: Recording, detector: PoseDetector, target: Path, frames: range | None, *, resume: bool
+) -> DetectedKeypoints:
+    """Detect in frames (None: all) with progress; interrupted it says how to go on, and exits with code 130."""
+    from hypose.io.files import claimed
+    from hypose.pipeline.detect_keypoints import detect_keypoints
 
-    if is_set_up():
-        return
-    what = f"MediaPipe {VERSION} (Apache 2.0, with its pose model; {MEGABYTES} MB) in {environment_folder()}"
-    if not yes:
-        if not sys.stdin.isatty():
-            raise InputError(f"This installs {what}, from the package registry; run it again with --yes to agree.")
-        if not typer.confirm(f"Install {what}?"):
-            raise typer.Exit(1)
-    say(f"Installing {what} ...")
-    set_up()
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(claimed(target))
+        progress = stack.enter_context(Stages())
+        try:
+            return detect_keypoints(
+                loaded,
+                detector,
+                target,
+                resume=resume,
+                frames=frames,
+                progress=lambda done, total: progress("detect", done, total),
+            )
+        except KeyboardInterrupt:
+            say(f"Stopped; the frames done until then are in {target}. Go on with the same command and --resume.")
+            raise typer.Exit(130) from None
+
+
+def detected(loaded: Recording, frames: range, *, yes: bool, why: str) -> DetectedKeypoints:
+    """What the detector finds in frames of a recording, kept in its folder; of what is there already nothing is looked
+    at again. why: begins the sentence that says what is missing."""
+    from hypose.io.keypoints.read_keypoints import FOLDER, load_detected
+
+    target = loaded.folder / FOLDER
+    network = open_network_asking(yes, why)
+    before = load_detected(target)
+    same = before is not None and dict(before.identity) == network.identity
+    if before is not None and same and before.covers(frames):
+        return before
+    return detect(loaded, network, target, frames, resume=same)
+
+
+def open_network_asking(yes: bool, why: str = "Finding people in pictures") -> PoseDetector:
+    """The detector; its models are fetched when the user agrees. An InputError says what to install."""
+    from hypose.io.keypoints.detectors import MEGABYTES, PACKAGE, fetch_models, have_models, models_folder, runtime
+    from hypose.io.keypoints.detectors import open_network as opened
+
+    runtime(why)
+    if not have_models():
+        what = f"the detector's models from the package {PACKAGE} (Apache 2.0, {MEGABYTES} MB) to {models_folder()}"
+        if not yes:
+            if not sys.stdin.isatty():
+                raise InputError(f"{why} fetches {what}, once, by pip; run the command again with --yes to agree.")
+            if not typer.confirm(f"Fetch {what}?"):
+                raise typer.Exit(1)
+        say(f"Fetching {what} ...")
+        fetch_models()
+    return opened()

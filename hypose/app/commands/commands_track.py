@@ -36,7 +36,7 @@ def track(
         str | None,
         typer.Option(
             help="silhouettes, keypoints or both; with monocular also auto or edges. [default: silhouettes; without "
-            "pictures keypoints; with monocular all there is]"
+            "pictures keypoints; both by a detector where nothing tells the person; with monocular all there is]"
         ),
     ] = None,
     start: Annotated[
@@ -89,6 +89,7 @@ def track(
         float | None,
         number("With monocular: height of the floor in the world, in metres.", -100, 100, unit="metres"),
     ] = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Fetch the detector's models, once, without asking.")] = False,
 ) -> None:
     """Track the person in a recording, or several: poses with uncertainty, motion files, overlay video, report.
 
@@ -98,6 +99,7 @@ def track(
     from hypose.app.jobs.job import Job, choose_frames, people_results
     from hypose.io.motions.results import ResultsFolder
     from hypose.io.recordings.recording import load_recording
+    from hypose.pipeline.detect_keypoints import wants_detector
     from hypose.pipeline.one_camera import one_view
     from hypose.pipeline.run import TrackOptions
 
@@ -114,10 +116,16 @@ def track(
         particles=hypotheses,
         own=({} if floor is None else {"floor": floor}) | ({"colours": True} if colours else {}),
     )
-    if not loaded.has_pictures:
-        options = options.without_pictures()
     if camera is not None or options.of_picture:
         loaded = one_view(loaded, camera)
+    elif evidence != "silhouettes" and (loaded.detected or wants_detector(loaded)):
+        from hypose.app.commands.commands_data import detected
+
+        if not loaded.detected:
+            note("note: neither key points, masks nor pictures of the empty room are given: the detector finds people.")
+        detected(loaded, loaded.frames, yes=yes, why="Tracking videos alone")
+        loaded = choose_frames(load_recording(recording, calibration), frames)
+    options = options.suited_to(loaded)
     results = ResultsFolder(out) if out is not None else ResultsFolder.of(loaded.folder, options.recipe)
     if people is not None and out is None:
         results = people_results(loaded.folder, options.recipe)

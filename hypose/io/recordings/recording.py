@@ -291,6 +291,11 @@ class Recording:
         return any(v.source is not None or v.masks is not None for v in self.views)
 
     @property
+    def detected(self) -> bool:
+        """Whether masks and key points are those of hypose's own detector, which belong together."""
+        return all(v.masks is not None and v.masks.parent == v.keypoints for v in self.views)
+
+    @property
     def inputs(self) -> dict[str, Path]:
         """All input files and folders by a telling name, for the provenance."""
         out = {"calibration": self.calibration} if self.calibration else {}

@@ -59,6 +59,8 @@ def look(view: View) -> list[Clip]:
         if path is None:
             continue
         made_here = (path / SIDECAR).is_file()
+        if made_here and view.source is not None:
+            continue  # found by their frames' numbers, perhaps of some frames only
         if path.is_dir() and not made_here:
             check_numbers(path)
         of_masks = path == view.masks and not made_here

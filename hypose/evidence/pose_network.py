@@ -1,0 +1,209 @@
+"""Find people in a picture with two small networks: one detects them, the other gives landmarks and a mask of one crop.
+
+Source: Bazarevsky, V. et al. (2020). BlazePose: On-device real-time body pose tracking (arXiv 2006.10204); the models
+and the geometry of the crops are those of MediaPipe 0.10.21 (Apache 2.0).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.evidence.keypoints import BLAZEPOSE_33
+from hypose.geometry import Array
+
+Image = NDArray[np.uint8]
+CROP, DETECTOR = 256, 224
+"""px: side of the pictures that the networks take"""
+MASK = 0.5
+"""Probability from which a pixel of a crop is the person."""
+_LEAST_SCORE, _LEAST_PRESENCE = 0.5, 0.5
+_WIDER = 1.25
+"""Half side of a crop in radii of the circle around the body."""
+_SAME, _BESIDE = 0.35, 0.5
+"""Distances between middles of the hips, in radii: two crops show the same person; a detection is of a person who is
+followed already."""
+_PART = 0.75
+"""Side of the parts of a picture that the detector looks at, in its shorter sides."""
+_LOGIT = 30.0
+
+
+@dataclass(frozen=True)
+class Crop:
+    """The square that a person is looked for in, px of the picture.
+
+    hips: (2,), the middle of the hips, which is the middle of the square.
+    top: (2,), the point above it on the circle around the whole body."""
+
+    hips: Array
+    top: Array
+
+    @property
+    def radius(self) -> float:
+        """Of the circle, px."""
+        return float(np.linalg.norm(self.top - self.hips))
+
+    @property
+    def from_picture(self) -> Array:
+        """(2, 3): pixels of the picture -> pixels of the crop, in which the body is upright."""
+        x, y = self.top - self.hips
+        up = np.array([x, y]) / max(np.hypot(x, y), 1e-6)
+        scale = CROP / (2 * _WIDER * max(self.radius, 1.0))
+        turn = scale * np.array([[-up[1], up[0]], [-up[0], -up[1]]])
+        middle = 0.5 * CROP - 0.5
+        return np.column_stack([turn, middle - turn @ self.hips])
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """One person in one picture.
+
+    points: (K, 3), px of the picture and confidence 0..1.
+    mask: (CROP, CROP) float32, probability of each pixel of the crop; None: the detector gives no masks.
+    crop: the square that mask is of.
+    following: where to look for the person in the next picture."""
+
+    points: Array
+    mask: NDArray[np.float32] | None = None
+    crop: Crop | None = None
+    following: Crop | None = None
+
+
+class DetectorOutput(NamedTuple):
+    """boxes: (2254, 12), offsets from the anchors, px; scores: (2254,), logits."""
+
+    boxes: NDArray[np.float32]
+    scores: NDArray[np.float32]
+
+
+class LandmarkOutput(NamedTuple):
+    """points: (39, 5), x, y px of the crop, z, logits of visibility and presence; presence: of a person, 0..1; mask:
+    (CROP, CROP), logits."""
+
+    points: NDArray[np.float32]
+    presence: float
+    mask: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class PoseNetwork:
+    """Points and masks of the people in pictures that follow each other.
+
+    detect: (224, 224, 3) float32 RGB -1..1 -> DetectorOutput.
+    landmarks: (256, 256, 3) float32 RGB 0..1 -> LandmarkOutput.
+    identity: what decides the result, as JSON values.
+    people: most people in a picture.
+    every: number of pictures after which the detector looks for newcomers, even where somebody is followed."""
+
+    detect: Callable[[NDArray[np.float32]], DetectorOutput]
+    landmarks: Callable[[NDArray[np.float32]], LandmarkOutput]
+    identity: dict[str, Any]
+    people: int = 4
+    every: int = 10
+    keypoint_set: str = "BLAZEPOSE_33"
+    gives_masks: bool = True
+
+    def look(self, image: Image, number: int, before: Sequence[Crop] = ()) -> list[Sighting]:
+        """People in a picture (h, w, 3) BGR with its number in the video; before: where they are expected."""
+        found = self._in_crops(image, before, [])
+        if not found or (number % self.every == 0 and len(found) < self.people):
+            known = [f.following for f in found if f.following is not None]
+            new = [c for c in self._detected(image) if all(_apart(c, k) > _BESIDE for k in known)]
+            found = self._in_crops(image, new[: self.people - len(found)], found)
+        return found
+
+    def _in_crops(self, image: Image, crops: Sequence[Crop], found: list[Sighting]) -> list[Sighting]:
+        """The people found, and those in the crops who are none of them."""
+        out = list(found)
+        for crop in crops:
+            person = self._person(image, crop)
+            if person is None or person.following is None:
+                continue
+            others = [f.following for f in out if f.following is not None]
+            if all(_apart(person.following, other) > _SAME for other in others):
+                out.append(person)
+        return out
+
+    def _person(self, image: Image, crop: Crop) -> Sighting | None:
+        """The person in a crop, or None."""
+        to_crop = crop.from_picture
+        part = cv2.warpAffine(image, to_crop, (CROP, CROP), flags=cv2.INTER_LINEAR)
+        points, presence, mask = self.landmarks(cv2.cvtColor(part, cv2.COLOR_BGR2RGB).astype(np.float32)[None] / 255)
+        if not presence > _LEAST_PRESENCE:
+            return None
+        back = cv2.invertAffineTransform(to_crop)
+        uv = points[:, :2].astype(np.float64) @ back[:, :2].T + back[:, 2]
+        count, (height, width) = len(BLAZEPOSE_33), image.shape[:2]
+        score = sigmoid(points[:count, 3]) * sigmoid(points[:count, 4])
+        inside = ((uv[:count] > -1) & (uv[:count] < (width, height))).all(1)
+        following = Crop(uv[count], uv[count + 1])
+        if not 4 < following.radius < 4 * max(width, height):
+            return None
+        person = np.column_stack([uv[:count], np.where(inside, score, 0.0)])
+        return Sighting(person, sigmoid(mask), crop, following)
+
+    def _detected(self, image: Image) -> list[Crop]:
+        """Crops of the people that the detector finds in the picture and in parts of it, the surest first."""
+        found = [one for part in _squares(image.shape[1], image.shape[0]) for one in self._in_square(image, *part)]
+        out = list[Crop]()
+        for _, crop in sorted(found, key=lambda one: -one[0]):
+            if all(_apart(crop, other) > _SAME for other in out):
+                out.append(crop)
+        return out
+
+    def _in_square(self, image: Image, x: int, y: int, side: int) -> Iterator[tuple[float, Crop]]:
+        """Scores and crops of what may be people in a square of the picture, which may reach beyond it."""
+        part = image[max(y, 0) : y + side, max(x, 0) : x + side]
+        scale = DETECTOR / side
+        size = max(1, round(part.shape[1] * scale)), max(1, round(part.shape[0] * scale))
+        left, top = round(max(-x, 0) * scale), round(max(-y, 0) * scale)
+        square = np.zeros((DETECTOR, DETECTOR, 3), np.uint8)
+        small = cv2.resize(part, size, interpolation=cv2.INTER_AREA)
+        square[top : top + size[1], left : left + size[0]] = small[: DETECTOR - top, : DETECTOR - left]
+        boxes, scores = self.detect(cv2.cvtColor(square, cv2.COLOR_BGR2RGB).astype(np.float32)[None] / 127.5 - 1)
+        corner = np.array([max(x, 0) - left / scale, max(y, 0) - top / scale])
+        for k in np.flatnonzero(sigmoid(scores) > _LEAST_SCORE):
+            hips, above = (DETECTOR * _ANCHORS[k] + boxes[k, n : n + 2].astype(np.float64) for n in (4, 6))
+            crop = Crop((hips + 0.5) / scale - 0.5 + corner, (above + 0.5) / scale - 0.5 + corner)
+            if crop.radius > 4:
+                yield float(scores[k]), crop
+
+
+def _squares(width: int, height: int) -> list[tuple[int, int, int]]:
+    """x, y and side, px, of the squares of a picture that the detector looks at: the whole, and parts in which people
+    are large enough for it that are small in the whole."""
+    most, side = max(width, height), round(_PART * min(width, height))
+
+    def begins(length: int) -> list[int]:
+        return np.linspace(0, length - side, int(np.ceil(2 * (length - side) / side)) + 1).round().astype(int).tolist()
+
+    parts = [(x, y, side) for y in begins(height) for x in begins(width)]
+    return [((width - most) // 2, (height - most) // 2, most), *parts]
+
+
+def _anchors() -> Array:
+    """(2254, 2): middles of the detector's anchors in shares of its picture."""
+    out = []
+    for stride, count in ((8, 2), (16, 2), (32, 6)):
+        side = DETECTOR // stride
+        y, x = np.divmod(np.repeat(np.arange(side * side), count), side)
+        out.append(np.column_stack([x, y]) / side + 0.5 / side)
+    return np.concatenate(out)
+
+
+_ANCHORS = _anchors()
+
+
+def _apart(a: Crop, b: Crop) -> float:
+    """Distance between the hips of two, in radii of the smaller one."""
+    return float(np.linalg.norm(a.hips - b.hips)) / max(min(a.radius, b.radius), 1.0)
+
+
+def sigmoid(logits: NDArray[np.float32]) -> NDArray[np.float32]:
+    """1 / (1 + exp(-x))."""
+    return 1 / (1 + np.exp(-np.clip(logits, -_LOGIT, _LOGIT)))

@@ -1,0 +1,106 @@
+"""The detector's models: fetched once, checked, and found; with the real ones where they are."""
+
+from __future__ import annotations
+
+import hashlib
+import socket
+import subprocess
+import zipfile
+from pathlib import Path
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+
+from hypose.app.cli import main
+from hypose.errors import InputError
+from hypose.io.keypoints import detectors as pose_models
+from hypose.io.keypoints.detectors import fetch_models, have_models, models_folder, open_network
+from tests import missing
+from tests.io.recordings import make_recording
+
+CONTENT = {name: name.encode() for name in pose_models._MODELS}
+
+
+@pytest.fixture
+def package(monkeypatch, tmp_path):
+    """A package with other models, which pip would download; returns the commands that were run."""
+    ran = []
+    known = {n: (folder, hashlib.sha256(CONTENT[n]).hexdigest()) for n, (folder, _) in pose_models._MODELS.items()}
+    monkeypatch.setattr(pose_models, "_MODELS", known)
+    monkeypatch.setenv(pose_models.MODELS_VARIABLE, str(tmp_path / "models"))
+
+    def run(command, **more):
+        ran.append(command)
+        with zipfile.ZipFile(Path(command[command.index("--dest") + 1]) / "mediapipe.whl", "w") as wheel:
+            for name, (folder, _) in known.items():
+                wheel.writestr(f"{folder}/{name}", CONTENT[name])
+        return SimpleNamespace(returncode=0, stdout="", stderr="")
+
+    monkeypatch.setattr(subprocess, "run", run)
+    return ran
+
+
+def test_models_are_fetched_from_the_package(package, tmp_path):
+    assert not have_models()
+    assert fetch_models() == tmp_path / "models" == models_folder()
+    assert have_models() and (tmp_path / "models" / "pose_detection.tflite").read_bytes() == b"pose_detection.tflite"
+    (command,) = package
+    assert command[-1] == pose_models.PACKAGE and "--no-deps" in command
+
+
+def test_what_fails_is_one_sentence(package, monkeypatch, tmp_path):
+    other = {n: (folder, "0" * 64) for n, (folder, _) in pose_models._MODELS.items()}
+    with monkeypatch.context() as m:
+        m.setattr(pose_models, "_MODELS", other)
+        with pytest.raises(InputError, match="is damaged or another version"):
+            fetch_models()
+    assert not have_models()
+    with monkeypatch.context() as m:
+        failed = SimpleNamespace(returncode=1, stdout="", stderr="ERROR: no network\n")
+        m.setattr(subprocess, "run", lambda command, **more: failed)
+        with pytest.raises(InputError, match=r"cannot download mediapipe==.* \(ERROR: no network\).*HYPOSE_MODELS"):
+            fetch_models()
+    (tmp_path / "models").write_text("a file")
+    with pytest.raises(InputError, match="cannot be written"):
+        fetch_models()
+
+
+@pytest.mark.parametrize(("command", "said"), [("keypoints", "Finding people"), ("track", "Tracking videos alone")])
+def test_nothing_is_fetched_without_being_asked(command, said, tmp_path, monkeypatch, capsys):
+    folder = make_recording(tmp_path / "rec")
+    monkeypatch.setenv(pose_models.MODELS_VARIABLE, str(tmp_path / "models"))
+    monkeypatch.setattr(subprocess, "run", lambda *a, **more: pytest.fail("something was run"))
+    monkeypatch.setattr(pose_models, "runtime", lambda why: None)
+    with pytest.raises(SystemExit) as caught:
+        main([command, str(folder)])
+    told = capsys.readouterr().err
+    assert caught.value.code == 2 and said in told and "again with --yes to agree" in told
+    assert not (tmp_path / "models").exists()
+
+
+def test_without_the_runtime_the_command_that_installs_it_is_named(tmp_path, monkeypatch, capsys):
+    folder = make_recording(tmp_path / "rec")
+    monkeypatch.setitem(__import__("sys").modules, "ai_edge_litert.interpreter", None)
+    with pytest.raises(SystemExit) as caught:
+        main(["track", str(folder)])
+    told = " ".join(capsys.readouterr().err.split())
+    assert caught.value.code == 2 and 'run: pip install "hypose[detector]"' in told
+
+
+@pytest.fixture
+def network():
+    what = "the detector's networks"
+    missing.module("ai_edge_litert.interpreter", what, "pip install ai-edge-litert")
+    if not have_models():
+        missing.skip(what, "fetch the models by hypose keypoints RECORDING --yes")
+    return open_network()
+
+
+def test_the_real_networks_find_nobody_in_grey(network, capfd, monkeypatch):
+    monkeypatch.setattr(socket, "socket", lambda *a, **more: pytest.fail("the network was asked"))
+    assert network.look(np.full((120, 160, 3), 128, np.uint8), 0) == []
+    noise = np.random.default_rng(0).integers(0, 255, (240, 320, 3), dtype=np.uint8)
+    assert network.look(cv2.blur(noise, (5, 5)), 0) == []
+    assert capfd.readouterr().err == ""  # the runtime is quiet
