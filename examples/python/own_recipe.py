@@ -3,10 +3,7 @@
 import sys
 
 import hypose
-from hypose import kernels, selectors
-from hypose.inference.layer import Layer
-from hypose.inference.selectivity import Annealed, SurvivalRate
-from hypose.tracking.costs import SilhouetteXor
+from hypose import Annealed, Layer, SilhouetteXor, SurvivalRate, kernels, selectors
 
 s = hypose.human().skeleton
 steps = [kernels.GaussianDiffusion(0.6**k * s.sigma, s.lower, s.upper) for k in range(4)]
