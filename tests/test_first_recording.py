@@ -25,7 +25,7 @@ def test_the_page_is_complete():
     assert len(blocks("toml")) == 1 and blocks("toml")[0].count("[[view]]") == 4
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_from_four_videos_and_a_board_to_opensim(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for block in blocks("sh"):

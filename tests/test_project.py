@@ -121,13 +121,6 @@ def test_installation_is_repeated_only_when_something_changed():
     assert print_now != bootstrap.fingerprint(b"a", (3, 12, 0))
 
 
-def test_extras_that_an_extra_names_are_in_its_place():
-    extras = {"a": ["x>=1"], "b": ["y; sys_platform != 'win32'", "z"], "all": ["w", "hypose[a,b]", "v[c]>=2"]}
-    assert bootstrap.requirements(extras, "all") == ["w", "x>=1", "y; sys_platform != 'win32'", "z", "v[c]>=2"]
-    extras = PROJECT["optional-dependencies"]
-    assert set(extras["azure"] + extras["realsense"]) < set(bootstrap.requirements(extras, "oracles"))
-
-
 def test_caches_and_temporary_files_stay_in_the_folder():
     result = bootstrap.contained({"HOME": "/home/me", "PYTHONHOME": "/odd", "TMPDIR": "/tmp"})
     assert result.pop("HOME") == "/home/me"

@@ -73,7 +73,7 @@ await walk(
 
     // programs that send
     await start.waitFor();
-    await page.getByLabel("OSC target").fill("");
+    for (const [name, value] of [["OSC target", ""], ["UDP port", "0"], ["WebSocket port", "0"]]) await page.getByLabel(name).fill(value);
     await start.click();
     const text = await page.getByText(/awaited at UDP/).textContent();
     const port = Number(/UDP 127\.0\.0\.1:(\d+)/.exec(text)[1]);
