@@ -19,8 +19,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.robustness.small_recordings import small_scene, write_gesture_session, write_masks, write_skeletons
-from hypose.compute.cache_place import VARIABLE, cache_folder
-from hypose.compute.compiled import KernelCache, kernel
+from hypose.compute.compiled import VARIABLE, KernelCache, cache_folder, kernel
 from hypose.errors import InputError
 from hypose.io.file_names import file_name, folder_for, text_of
 

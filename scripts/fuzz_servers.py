@@ -25,8 +25,8 @@ from hypose.fusion.joints import COMMON
 
 _KERNELS = ("pickle.find_class ('numba", "pickle.find_class ('copyreg")
 ALLOWED = ("socket.connect", "socket.bind", "wrote", *_KERNELS, "ctypes.dlopen")
-"""What these targets may do that a reader of files may not: the studio keeps what is dropped onto its page, and loads
-what it computes with when it is first asked."""
+"""What these targets may do that a reader of files may not: the studio keeps what pages make, and loads what it
+computes with when it is first asked."""
 _TOKEN = "a-good-token"
 _LOGGERS = ("asyncio", "uvicorn.error", "websockets.server")
 _KEY = "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n"
@@ -48,7 +48,7 @@ class _Servers:
         self._folder = tempfile.TemporaryDirectory()  # lives as long as the process
         root = Path(self._folder.name)
         _recording(root)
-        studio = Studio(StudioOptions(root, upload_limit=1 << 20))
+        studio = Studio(StudioOptions(root))
 
         def no_jobs(*_: Any) -> None:
             raise NotNow("Nothing is started here.")
@@ -263,7 +263,7 @@ def write_good(folder: Path) -> None:
     click = {"joint": "neck", "x": 40.5, "y": 30.0, "occluded": False}
     fit = {"recording": recording, "result": result, "frame": 0, "height": 1.75}
     fit["views"] = [{"camera": "cam1", "points": [click]}]
-    mask = "threshold=4&min_sd=5&shadow=1&close_px=5&shadow_range=0.4,0.9&method=gaussian&rim_px=3"
+    mask = "threshold=4&min_sd=5&shadow=true&close_px=5&shadow_range=0.4,0.9&method=gaussian&rim_px=3"
     gets = [
         *(
             "/",
@@ -275,17 +275,17 @@ def write_good(folder: Path) -> None:
         *(f"/api/results/{result}/outlines/0", f"/api/recordings/{recording}", "/api/jobs/0123456789ab/view"),
         *(f"/api/results/{result}/files/motion.trc", f"/api/recordings/{recording}/file/check.png"),
         f"/api/results/{result}/pictures/1?width=64",
+        "/api/folder?path=walk/masks&within",
         f"/api/recordings/{recording}/image/cam1/1.jpg?width=64&mask=only&{mask}",
     ]
-    upload = {"name": "new", "calibration": "0123456789ab", "frame_rate": 25.0, "views": [{"name": "a", "video": "b"}]}
+    new = {"folder": "walk", "name": "new", "calibration": "a.toml", "frame_rate": 25.0}
+    new["views"] = [{"name": "a", "camera": "a", "video": "b.mp4"}]
     posts = [
         ("POST", "/api/fit-clicks", fit),
         ("POST", f"/api/recordings/{recording}/starts", {**fit, "name": "first", "camera": "cam1"}),
         ("POST", "/api/jobs", {"kind": "track", "recording": recording, "options": {"seed": 1}}),
-        ("POST", "/api/recordings", upload),
+        ("POST", "/api/recordings", new),
         ("POST", f"/api/results/{result}/export", {"formats": ["trc"]}),
-        ("PUT", "/api/uploads/a.toml", {"x": 1}),
-        ("DELETE", "/api/uploads/0123456789ab", {}),
         ("POST", f"/api/recordings/{recording}/mask-settings", {"close_px": 3, "shadow_range": [0.4, 0.9]}),
     ]
     text = "".join(f"GET {path} HTTP/1.1\r\n{_HOST}\r\n" for path in gets)

@@ -13,7 +13,7 @@ from PIL import Image as Pillow
 
 from benchmarks.multiview.body_measures import fit_scene
 from hypose.body.body import Body
-from hypose.compute.pictures.render import silhouette
+from hypose.compute.render import silhouette
 from hypose.geometry import Array
 from hypose.synthetic.scenes import Scene, make_scene
 from hypose.synthetic.subjects import load_subjects

@@ -17,9 +17,8 @@ from hypose.io.motions.marker_files import write_trc
 from hypose.io.sensors.skeleton_files import KINECT_V2
 from hypose.synthetic.gait import jog, walk
 from hypose.synthetic.performance import Performance, soles
-from hypose.synthetic.subjects import Subject
+from hypose.synthetic.subjects import Subject, load_subjects
 from tests import depth_sensors, missing
-from tests.procedural_subject import procedural_subject
 
 UNIT = 0.0254 / 0.45  # metres per unit of length in CMU's files
 # their axes: y up, facing +z, x to the subject's left; those here: z up, facing -y
@@ -90,7 +89,7 @@ def _angles(rotations: np.ndarray) -> np.ndarray:
 
 def mocap(folder: Path) -> None:
     """A walk and a run as CMU's files, markers as OpenCap's, and C3D files, written by ezc3d."""
-    subject = procedural_subject(np.random.default_rng(7), 1.75)
+    subject = load_subjects()["neutral"]
     write_asf(folder / "02.asf", subject)
     write_amc(folder / "02_01.amc", subject, walk(subject, 343 / 120, 120.0, radius=np.inf))
     run = jog(subject, 173 / 120, 120.0, None, 1.3, 1.2, np.inf)

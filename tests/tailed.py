@@ -1,9 +1,9 @@
-"""Errors by the law of `hypose.body.regions`, drawn by another way than its quantiles."""
+"""Errors by the law of `hypose.body.motion`, drawn by another way than its quantiles."""
 
 import numpy as np
 from scipy.stats import chi2, f
 
-from hypose.body.regions import TAILS
+from hypose.body.motion import TAILS
 
 
 def tailed(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:

@@ -140,6 +140,11 @@ def test_commands_in_the_documentation_exist(page, words):
     assert given <= known, f"{page}: {given - known}"
 
 
+def test_every_command_is_in_the_table_of_the_documentation():
+    table = re.findall(r"^\| `hypose ([a-z-]+)", (ROOT / "docs" / "index.md").read_text("utf-8"), re.MULTILINE)
+    assert sorted(table) == sorted(typer.main.get_command(app).commands)
+
+
 def test_toml_in_the_documentation_is_toml():
     for page in PAGES:
         for block in re.findall(r"```toml\n(.*?)```", page.read_text(), re.DOTALL):

@@ -212,7 +212,7 @@ def test_version_is_the_same_everywhere():
 def test_every_module_imports_without_the_developers_packages():
     program = """
 import importlib, sys
-developers = {"pytest", "hatchling", "bvhio", "pinocchio", "opensim", "ruff", "importlinter"}
+developers = {"pytest", "hatchling", "bvhio", "opensim", "ruff", "importlinter"}
 class Absent:
     def find_spec(self, name, path=None, target=None):
         if name.split(".")[0] in developers:

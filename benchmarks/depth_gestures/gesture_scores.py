@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from hypose.compute import ScanPlan
 from hypose.geometry import Array
 from hypose.gestures.depth_pictures import KINECT, Lens
+from hypose.gestures.events import RADIUS_M, average_precision, precision_recall
 from hypose.gestures.forest import Forest, GrowingForest
 from hypose.gestures.localise import LocaliseSettings, Scratch, localise
-from hypose.synthetic.gesture_metrics import RADIUS_M, average_precision, precision_recall
 from hypose.synthetic.gesture_scenes import GestureFrame
 
 RADIUS_PX = 10.0

@@ -65,8 +65,20 @@ def _tried() -> dict[str, ForestSettings]:
     return alphas | {f"beta_{b:g}": ForestSettings(beta=b) for b in BETAS if b}
 
 
+def balance(forest: Forest) -> np.ndarray:
+    """Height of the left minus the right branch, of every node with children (Fig. 3.9)."""
+    out = list[np.ndarray]()
+    for left, n in zip(forest.left, forest.size, strict=True):
+        height = np.zeros(n, np.int64)
+        inner = np.flatnonzero(left[:n] >= 0)
+        for i in inner[::-1]:  # children are numbered after their parent
+            height[i] = 1 + max(height[left[i]], height[left[i] + 1])
+        out.append(height[left[inner]] - height[left[inner] + 1])
+    return np.concatenate(out) if out else np.zeros(0, np.int64)
+
+
 def _histogram(forest: Forest) -> list[float]:
     """Share of the nodes with children for each height of the left minus the right branch, -WIDEST to WIDEST."""
-    difference = np.clip(forest.balance(), -WIDEST, WIDEST)
+    difference = np.clip(balance(forest), -WIDEST, WIDEST)
     counts = np.bincount(difference + WIDEST, minlength=2 * WIDEST + 1)
     return (counts / max(len(difference), 1)).tolist()

@@ -15,7 +15,7 @@ from hypose.pipeline.live.eyes import EyesOptions
 from hypose.pipeline.live.live_rig import live_rig
 from hypose.pipeline.live.live_search import LivePersonOptions
 from hypose.pipeline.run import TrackOptions
-from hypose.synthetic.write_depth import walking_scene, write_depth_scene
+from hypose.synthetic.write_recording import walking_scene, write_depth_scene
 
 _RATE = 25.0
 

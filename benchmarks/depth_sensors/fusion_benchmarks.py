@@ -11,6 +11,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from benchmarks.bench_report import BenchOptions, BenchReport, row
+from benchmarks.depth_sensors.baselines import BASELINES, fuse_baseline, single_sensor
 from benchmarks.depth_sensors.fusion_scenes import FRESH_SEED, HANDS, scene_recording, scene_settings
 from benchmarks.depth_sensors.sensor_choice import register_per_frame
 from benchmarks.multiview.doubt_fit import auroc
@@ -18,9 +19,8 @@ from hypose.app.jobs.fuse_job import FuseJob, run_fuse
 from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.evidence.frame import SensorJoints
-from hypose.fusion import baselines
 from hypose.fusion import joints as jt
-from hypose.fusion.fuse import BASELINES, FusionSettings, fuse_clip, start, step
+from hypose.fusion.fuse import FusionSettings, fuse_clip, start, step
 from hypose.fusion.point_motion import common_positions
 from hypose.fusion.register import common_joints, register
 from hypose.fusion.trust import WRONG_M
@@ -48,8 +48,12 @@ def human4d(options: BenchOptions) -> BenchReport:
                 if method == "best_single":
                     value = _best_single(recording)
                 else:
-                    fused = fuse_clip(frames, method, FusionSettings(seed=s))
-                    error = np.linalg.norm(common_positions(fused.motion) - truth, axis=-1)
+                    if method in BASELINES:
+                        joints = fuse_baseline(frames, method)
+                    else:
+                        fused = fuse_clip(frames, method, FusionSettings(seed=s))
+                        joints = common_positions(fused.motion)
+                    error = np.linalg.norm(joints - truth, axis=-1)
                     value = float(np.nanmean(error))
                     found.setdefault(f"hands/{scene}/{method}", []).append(
                         1e3 * float(np.nanmean(error[:, list(HANDS)]))
@@ -92,7 +96,7 @@ def _causal(frames: Sequence[SensorJoints], truth: Array) -> float:
 def _best_single(recording: SensorRecording) -> float:
     """m: the best sensor in hindsight, in its own frame, so without any error of registration."""
     errors = [
-        np.linalg.norm(baselines.single_sensor(recording.positions, k) - recording.truth_in(k), axis=-1).mean()
+        np.linalg.norm(single_sensor(recording.positions, k) - recording.truth_in(k), axis=-1).mean()
         for k in range(recording.positions.shape[1])
     ]
     return float(min(errors))
@@ -233,11 +237,11 @@ def _measure_pair(
     world = registration.apply(positions)
     add("agreement_mm", name, agreement(world))
     add("agreement_mm", f"{name}/causal", agreement(_causal_world(frames)))
-    methods = ("fit", "weighted_mean") if suffix else ("fit", "swarm", "weighted_mean")
-    fused = {m: fuse_clip(frames, m, FusionSettings(check=False), registration) for m in methods}
-    for method, result in fused.items():
-        label = "mean" if method == "weighted_mean" else method
-        joints = common_positions(result.motion)
+    fused = {"mean": fuse_baseline(frames, "weighted_mean", registration)}
+    for method in ("fit",) if suffix else ("fit", "swarm"):
+        result = fuse_clip(frames, method, FusionSettings(check=False), registration)
+        fused[method] = common_positions(result.motion)
+    for label, joints in fused.items():
         for metric, value in (("bone_sd_mm", bone_sd(joints)), ("jitter_mm", jitter(joints))):
             add(metric, f"{label}/{name}", value)
             if not suffix:

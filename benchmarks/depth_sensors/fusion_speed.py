@@ -9,6 +9,7 @@ import numpy as np
 
 from benchmarks.bench_report import BenchOptions, BenchReport, row
 from benchmarks.depth_sensors.fusion_scenes import scene_recording
+from benchmarks.depth_sensors.replay import replay
 from hypose.evidence.frame import SensorJoints, SensorReport
 from hypose.fusion import joints as jt
 from hypose.fusion import live
@@ -87,5 +88,5 @@ def _reports(recording: SensorRecording, persons: int) -> list[SensorReport]:
 
 def simulated_latency(reports: Iterable[SensorReport], settings: live.LiveSettings | None = None) -> Array:
     """(N,) ms from the instant that a frame describes to when it is ready, computation included, sockets not."""
-    frames = live.replay(live.LiveFuser(settings), reports, time.perf_counter)
+    frames = replay(live.LiveFuser(settings), reports, time.perf_counter)
     return np.array([1000 * latency for _, latency in frames])

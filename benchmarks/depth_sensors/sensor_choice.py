@@ -63,7 +63,7 @@ def noise_of(recording: SensorRecording, settings: SwarmSettings) -> Array:
             settings.confidence,
         )
         inputs[t] = normalised(raw, settings.confidence)
-    return settings.rules.noise_fast(np.moveaxis(inputs, 0, 1))
+    return settings.rules.noise(*np.moveaxis(inputs, 0, 1))
 
 
 def choose(

@@ -301,7 +301,6 @@ _SCORER = Page(
         Line("head and trunk only", "1t,parts", metric="us_per_silhouette"),
         Line("an arm over the rest", "1t,arm", metric="us_per_silhouette"),
         Line("the fine mesh, 2599 vertices", "1t,fine", metric="us_per_silhouette"),
-        Line("largest difference from the rasterizer", "all", (most(2),), "max_count_difference_px"),
         Line(
             "rank correlation with the fine mesh, standing", "standing", (least(0.999),), "spearman_to_fine", digits=4
         ),

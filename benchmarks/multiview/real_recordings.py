@@ -190,7 +190,7 @@ def uu4cam_recording(folder: Path) -> Recording:
         cameras.append(Camera(f"cam{n}", np.array(c["K"]), np.ravel(c["D"]).astype(float), pose, (644, 486)))
         here = folder / f"cam{n}"
         views.append(View(f"cam{n}", video=here / "video.avi", background=here / "background.avi"))
-    n = min(len(open_video(v.video)) for v in views if v.video)
+    n = min(open_video(v.video).n_frames for v in views if v.video)
     return Recording(folder, "uu4cam", CameraRig(tuple(cameras)), tuple(views), 50.0, (0, n))
 
 

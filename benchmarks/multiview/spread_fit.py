@@ -16,9 +16,8 @@ from scipy.stats import f as fisher
 from benchmarks.bench_report import Row
 from benchmarks.multiview.doubt_scenes import CAMERAS, EVIDENCE, Tracked
 from hypose.body.joint_angles import ANGLE_NAMES
-from hypose.body.motion import Motion
+from hypose.body.motion import TAILS, Motion, region_reach
 from hypose.body.ready_bodies import JOINT_NAMES
-from hypose.body.regions import TAILS, region_reach
 from hypose.geometry import Array
 from hypose.synthetic.metrics import EVALUATED
 from hypose.tracking.audit import views_apart

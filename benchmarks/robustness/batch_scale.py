@@ -34,8 +34,9 @@ def batch(options: BenchOptions) -> BenchReport:
         save_body(human(), root / "subject" / "body.npz")
         for n in range(count):
             write_masks(small_scene(n, _FRAMES), root / "study" / f"r{n:03d}")
-        rows = "".join(f"study/r{n:03d},{root}/subject\n" for n in range(count))
-        (root / "study.csv").write_text("recording,subject\n" + rows)
+        (root / "study.csv").write_text(
+            "\n".join(["recording,subject", *(f"study/r{n:03d},{root}/subject" for n in range(count))])
+        )
         options.progress("batch", 0, 3)
         _run(root, "warm", 1, [], "--dry-run")
         options.progress("batch", 1, 3)

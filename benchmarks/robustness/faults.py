@@ -22,6 +22,7 @@ from hypose.synthetic.performance import moved
 from hypose.synthetic.rigs import rig
 from hypose.synthetic.scenes import Scene, make_scene
 from hypose.synthetic.subjects import load_subjects
+from hypose.tracking.subject import scaled_to_height
 
 _RATE = 25.0
 _FROM_S, _FOR_S = 1.6, 2.0
@@ -189,7 +190,10 @@ def subject_of(scene: Scene, *, fitted: bool = True) -> Subject:
     """The subject's body as `hypose track` fits it, from the scene without its fault; or the template at the subject's
     height."""
     frames = FrameList(list(scene.mask_frames()))
-    wanted = SubjectOptions("hull", height=scene.subject.stature, frame_rate=_RATE, girths=fitted)
+    tall = scene.subject.stature
+    wanted = SubjectOptions("hull", height=tall, frame_rate=_RATE)
+    if not fitted:
+        wanted = replace(wanted, body=scaled_to_height(human(), tall), known=True)
     return find_subject(frames.frame, len(frames), wanted)
 
 

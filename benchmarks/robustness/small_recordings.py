@@ -18,7 +18,7 @@ from hypose.io.files import atomic_path
 from hypose.io.recordings.recording import Recording, View, write_recording
 from hypose.io.sensors.skeleton_streams import SensorStream, SkeletonRecording
 from hypose.pipeline.gesture_files import SessionWriter
-from hypose.synthetic.board_pictures import board_from_sheet, board_sheet
+from hypose.synthetic.film_session import board_from_sheet, board_sheet
 from hypose.synthetic.rigs import rig
 from hypose.synthetic.scenes import Scene, make_scene
 from hypose.synthetic.sensors import SensorModel, builtin_joints, on_treadmill, ring_sensors, simulate

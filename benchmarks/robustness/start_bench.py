@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import resource
@@ -100,7 +101,9 @@ def start(options: BenchOptions) -> BenchReport:
             options.progress("start", n, len(given))
             script = root / f"{name}_program.py"
             script.write_text(_CLOCK + program)
-            cold, *warm = (_started(script, arguments, root / f"cache-{name}") for _ in range(4))
+            command = [sys.executable, str(script), *map(str, arguments)]
+            told = [_run(command, root, root / f"cache-{name}")[0].split()[-2:] for _ in range(4)]
+            cold, *warm = (float(first) - float(again) for first, again in told)
             if name != "help":  # which compiles nothing
                 rows.append(Row("cold_start_s", name, cold, "s"))
             rows.append(Row("warm_start_s", name, min(warm), "s", n=len(warm)))
@@ -114,58 +117,40 @@ def short_clip(options: BenchOptions) -> BenchReport:
     no report. baseline: Pose2Sim's association, triangulation and filtering of the same key points, run by turns, where
     it is installed.
     """
-    folder = options.folder("pose2sim_balancing")
-    rival = find_spec("Pose2Sim") is not None
-    if not rival:
-        note("Pose2Sim is not installed here: the short clip has no baseline.")
-    found: dict[str, list[float]] = {"all": [], "trc": [], "Pose2Sim": []}
-    runs = 1 if options.quick else 3
+    folder, runs = options.folder("pose2sim_balancing"), 1 if options.quick else 3
     with tempfile.TemporaryDirectory() as temporary:
         root = Path(temporary)
         track = [sys.executable, "-m", "hypose", "track", str(folder), "--evidence", "keypoints", "--no-overlay"]
-        commands = {"all": track, "trc": [*track, "--no-report", "--formats", "trc"]}
-        if rival:
+        track += ["--out", str(root / "results")]
+        commands = {"all": (track, root), "trc": ([*track, "--no-report", "--formats", "trc"], root)}
+        for command, where in commands.values():  # what is compiled by the first run
+            _run(command, where)
+        if find_spec("Pose2Sim") is None:
+            note("Pose2Sim is not installed here: the short clip has no baseline.")
+        else:
             shutil.copytree(folder, root / "project")
-            commands["Pose2Sim"] = [sys.executable, "-c", _POSE2SIM]
-        for name in ("all", "trc"):  # what is compiled by the first run
-            _run([*commands[name], "--out", str(root / name)], root)
-        for n in range(runs):
-            options.progress("short clip", n, runs)
-            for name, command in commands.items():
-                more, where = ([], root / "project") if name == "Pose2Sim" else (["--out", str(root / name)], root)
-                found[name].append(_run([*command, *more], where)[1])
-        options.progress("short clip", runs, runs)
-    base = {"baseline": "Pose2Sim", "baseline_value": min(found["Pose2Sim"])} if rival else {}
-    rows = [Row("cpu_s", name, min(found[name]), "s", n=runs, **base) for name in ("all", "trc")]
-    return BenchReport(tuple(rows), {"frames": 100, "cameras": 4, "pose2sim": rival, "runs_s": found})
+            commands["Pose2Sim"] = [sys.executable, "-c", _POSE2SIM], root / "project"
+        seconds = [{name: _run(*command)[1] for name, command in commands.items()} for _ in range(runs)]
+    least = {name: min(s[name] for s in seconds) for name in commands}
+    base = {"baseline": "Pose2Sim", "baseline_value": least["Pose2Sim"]} if "Pose2Sim" in least else {}
+    rows = [Row("cpu_s", name, least[name], "s", n=runs, **base) for name in ("all", "trc")]
+    return BenchReport(tuple(rows), {"frames": 100, "cameras": 4, "runs_s": seconds})
 
 
 def _installed() -> dict[str, float]:
     """MB of this tree and of each package that it requires, directly or not, as they are installed here."""
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
     tree = (p for p in (ROOT / "hypose").rglob("*") if p.is_file() and "__pycache__" not in p.parts)
     sizes = {"hypose": sum(p.stat().st_size for p in tree) / 1e6}
-    left = list(project["dependencies"])
+    left = list(tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["dependencies"])
     while left:
         requirement, _, marker = left.pop().partition(";")
         name = re.sub(r"[-_.]+", "-", re.split(r"[^\w.-]", requirement.strip())[0]).lower()
-        if name in sizes or "extra" in marker:
-            continue
-        try:
-            package = distribution(name)
-        except PackageNotFoundError:  # of another platform or an older Python
-            continue
-        files = {Path(str(f.locate())) for f in package.files or ()}
-        sizes[name] = sum(f.stat().st_size for f in files if f.is_file()) / 1e6
-        left += package.requires or []
+        if name not in sizes and "extra" not in marker:
+            with contextlib.suppress(PackageNotFoundError):  # of another platform or an older Python
+                files = {Path(str(f.locate())) for f in distribution(name).files or ()}
+                sizes[name] = sum(f.stat().st_size for f in files if f.is_file()) / 1e6
+                left += distribution(name).requires or []
     return sizes
-
-
-def _started(script: Path, arguments: Sequence[Path], cache: Path) -> float:
-    """Processor time of a start: what the program prints first, less what it prints second."""
-    told, _ = _run([sys.executable, str(script), *map(str, arguments)], cache.parent, cache)
-    first, again = map(float, told.split()[-2:])
-    return first - again
 
 
 def _run(command: Sequence[str], folder: Path, cache: Path | None = None) -> tuple[str, float]:

@@ -27,7 +27,6 @@ from hypose.app.commands import (
     commands_live,
     commands_results,
     commands_studio,
-    commands_subject,
     commands_track,
 )
 from hypose.errors import HyposeError
@@ -54,7 +53,7 @@ _COMMANDS = (
     ("keypoints", commands_data.keypoints, "Detect 2D key points and masks of people in the videos."),
     ("track", commands_track.track, "Track the person: motion files, overlay video, report."),
     ("correct", commands_track.correct, "Track a result again from a frame corrected in the studio."),
-    ("subject", commands_subject.subject, "Measure a person: lengths, girths, a body for track."),
+    ("subject", commands_track.subject, "Measure a person: lengths, girths, a body for track."),
     ("fuse", commands_fuse.fuse, "One skeleton per person from several depth sensors."),
     ("live", commands_live.live, "Cameras in, poses out, while it happens."),
     ("batch", commands_batch.batch, "Many recordings, many settings, all cores or a cluster."),

@@ -43,43 +43,6 @@ MIXAMO: Mapping[str, str] = {
 }
 """Our joint -> the bone of a Mixamo rig that starts there (without the prefix "mixamorig:")."""
 
-OPENSIM_JOINTS: Mapping[str, str] = {
-    "pelvis": "ground_pelvis",
-    "chest": "back",
-    **{
-        f"{s}_{k}": f"{v}_{s[0]}"
-        for s in ("left", "right")
-        for k, v in {
-            "shoulder": "acromial",
-            "elbow": "elbow",
-            "wrist": "radius_hand",
-            "hip": "hip",
-            "knee": "walker_knee",
-            "ankle": "ankle",
-        }.items()
-    },
-}
-"""Our joint -> the joint of OpenSim's full-body model (Rajagopal 2016) at the same place; its torso is one piece, so
-spine, neck, head and clavicles have none."""
-
-OPENSIM_BODIES: Mapping[str, str] = {
-    "pelvis": "pelvis",
-    "chest": "torso",
-    **{
-        f"{s}_{k}": f"{v}_{s[0]}"
-        for s in ("left", "right")
-        for k, v in {
-            "shoulder": "humerus",
-            "elbow": "ulna",
-            "wrist": "hand",
-            "hip": "femur",
-            "knee": "tibia",
-            "ankle": "talus",
-        }.items()
-    },
-}
-"""Our joint -> the body of that model that the joint moves."""
-
 SMPL_JOINTS: tuple[str, ...] = tuple(
     "pelvis left_hip right_hip spine1 left_knee right_knee spine2 left_ankle right_ankle spine3 left_foot right_foot "
     "neck left_collar right_collar head left_shoulder right_shoulder left_elbow right_elbow left_wrist "

@@ -14,6 +14,25 @@ from hypose.body.skeleton import Skeleton
 from hypose.errors import InputError
 from hypose.geometry import Array
 
+TAILS = 7.0
+"""Degrees of freedom of the law of errors: clips differ in how well they fit, so that most errors are smaller, and some
+larger, than a normal distribution with the same 90 % regions has them. Chosen on scenes (docs/notebook/doubt.md)."""
+
+
+def region_reach(level: ArrayLike, dimensions: int = 3) -> Array:
+    """Standard deviations (Mahalanobis distance) to which the region of a level, 0 to 1, reaches: of a joint's position
+    (3 dimensions), or of one of its coordinates or an angle (1).
+
+    At 0.9 that of a normal distribution, 2.50 and 1.64, which is what covariances are fitted for; at the other levels
+    that of a Student t distribution with TAILS degrees of freedom which agrees with it there."""
+    from scipy.special import betaincinv, gammaincinv  # takes long to import
+
+    def squared(at: ArrayLike) -> Array:  # quantile of the F distribution, but for a factor
+        x = betaincinv(dimensions / 2, TAILS / 2, at)
+        return np.asarray(x / (1 - x))
+
+    return np.sqrt(2 * gammaincinv(dimensions / 2, 0.9) * squared(level) / squared(0.9))
+
 
 @dataclass(frozen=True)
 class Motion:
@@ -24,7 +43,7 @@ class Motion:
     joints (T, J, 3): m, joint centres, world.
     poses (T, D): None when only points are known.
     joint_covariance (T, J, 3, 3): m^2, covariance of each joint's position, world, NaN where unknown; in 32 bit, since
-        long recordings have many frames; `hypose.body.regions` gives how far regions reach.
+        long recordings have many frames; `hypose.body.motion` gives how far regions reach.
     lost (T,): the person was not found.
     extrapolated (T,): no evidence, prediction only.
     n_views (T,): number of views that carried evidence.

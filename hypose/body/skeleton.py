@@ -201,10 +201,7 @@ class Skeleton:
 
     def joint_jacobians(self, pose: ArrayLike) -> Array:
         """d joint centres / d q (J, 3, D) at pose q (D,), the root's rotation as a small turn in the world."""
-        s, centres = self.world_twists(pose), self.forward(pose)[1]
-        s[3:6, :3], s[3:6, 3:] = np.eye(3), np.cross(centres[0], np.eye(3))
-        rows = np.cross(s[None, :, :3], centres[:, None]) + s[None, :, 3:]
-        return np.swapaxes(np.where(self.moves.T[..., None], rows, 0.0), 1, 2)
+        return compute.joint_jacobians(pose, self.tree)
 
     def joint_covariances(self, pose: ArrayLike, covariance: ArrayLike) -> Array:
         """(J, 3, 3) m^2 of the joint centres for a pose (D,) with covariance (D, D), to first order, the root's

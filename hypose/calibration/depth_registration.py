@@ -37,12 +37,11 @@ _POSE_SD = 0.5
 
 @dataclass(frozen=True)
 class Rough:
-    """a_from_b (4, 4); seconds to add to b's times; correlation of the movements 0..1; apart m: median distance of the
+    """a_from_b (4, 4); seconds to add to b's times; apart m: median distance of the
     joints then."""
 
     a_from_b: Array
     seconds: float
-    correlation: float
     apart: float
 
 
@@ -74,7 +73,7 @@ def rough_registration(times_a: Array, joints_a: Array, times_b: Array, joints_b
             f"What two depth cameras saw does not fit together ({1000 * apart:.0f} mm apart); one of them took the "
             "front for the back: record somebody who walks about and turns before all of them."
         )
-    return Rough(motion, seconds, correlation, apart)
+    return Rough(motion, seconds, apart)
 
 
 def _level(source: Array, target: Array, weight: Array) -> Array:

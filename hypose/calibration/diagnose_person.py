@@ -16,7 +16,7 @@ import numpy as np
 
 from hypose.body.ready_bodies import human
 from hypose.calibration.diagnose_masks import Alignment
-from hypose.calibration.diagnose_points import Extrinsics, undistorted
+from hypose.calibration.diagnose_points import undistorted
 from hypose.calibration.findings import Clip, Finding, Limits
 from hypose.calibration.refine_points import CameraChange
 from hypose.cameras.camera import CameraRig, triangulate
@@ -295,16 +295,15 @@ UNITS = (
 class ViewReport:
     """One camera. residual_px: median distance of its key points from the triangulation of all views; left_out_px:
     from that of the others; tangency_px: median disagreement of its silhouette's tangent planes with the other views;
-    size_px of the person; change: how far a refinement moves it; alignment of key points and masks. px of the
-    calibrated size, NaN where unknown."""
+    change: how far a refinement moves it; alignment of key points and masks. px of the calibrated size, NaN where
+    unknown."""
 
     name: str
-    residual_px: float
-    left_out_px: float
-    tangency_px: float
-    size_px: float
-    change: CameraChange | None
-    alignment: Alignment | None
+    residual_px: float = float("nan")
+    left_out_px: float = float("nan")
+    tangency_px: float = float("nan")
+    change: CameraChange | None = None
+    alignment: Alignment | None = None
 
 
 @dataclass(frozen=True)
@@ -313,8 +312,6 @@ class Report:
 
     findings: tuple[Finding, ...]
     views: tuple[ViewReport, ...]
-    extrinsics: Extrinsics | None
-    alignments: tuple[Alignment | None, ...] | None
 
     @property
     def healthy(self) -> bool:

@@ -9,12 +9,12 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.calibration.findings import Finding, Limits
+from hypose.calibration.findings import Finding, Limits, Seen, Trial
 from hypose.calibration.refine_points import (
     CameraChange,
     PointAdjustment,
@@ -39,22 +39,6 @@ CONVENTIONS: tuple[tuple[str, Callable[[Camera], Array]], ...] = (
 )
 
 
-Seen = TypeVar("Seen")
-
-
-@dataclass(frozen=True)
-class Trial(Generic[Seen]):
-    """One suspected fault undone. kind, views (indices) and words as in a Finding; rig and what the views see (key
-    points (C, T, K, 3), or tracks of masks) after the cure."""
-
-    kind: str
-    views: tuple[int, ...]
-    words: str
-    cure: str
-    rig: CameraRig
-    seen: Seen
-
-
 _TURNS = (
     ("mirrored", "mirrored", (-1.0, 1.0), "mirror the video back (ffmpeg -i IN -vf hflip OUT)"),
     ("turned", "upside down", (-1.0, -1.0), "turn the video back (ffmpeg -i IN -vf hflip,vflip OUT)"),
@@ -64,7 +48,7 @@ _TURNS = (
 
 
 def geometric_trials(
-    rig: CameraRig, seen: Seen, turned: Callable[[int, Array], Seen], ordered: Callable[[Array], Seen]
+    rig: CameraRig, seen: Seen, turned: Callable[[int, Array], Seen], ordered: Callable[[NDArray[np.int64]], Seen]
 ) -> Iterator[Trial[Seen]]:
     """Images of one camera that are mirrored or turned, views of two cameras that are exchanged, poses that are
     inverted. turned: what is seen when a view's positions are multiplied by factors (2,) about the picture's middle;
@@ -166,7 +150,7 @@ def trials(
     for shift in (1, len(rig) - 1) if len(rig) > 2 else ():
         words = "the videos belong to other cameras: their order is shifted by one"
         cure = 'give each view its camera = "..." in recording.toml'
-        yield Trial("swapped", every, words, cure, rig, pixels[np.roll(every, shift)])
+        yield Trial("swapped", every, words, cure, rig, pixels[np.roll(np.arange(len(rig)), shift)])
     # what is mirrored shows the other side; what only counts the other way has its names right
     for kind, words, factor, other, cure in (
         (

@@ -29,7 +29,6 @@ from hypose.calibration.diagnose_points import (
     FAR_DEG,
     FAR_M,
     Extrinsics,
-    Trial,
     best_trial,
     disagreement,
     geometric_trials,
@@ -40,7 +39,7 @@ from hypose.calibration.diagnose_points import (
     timing_findings,
     undistorted,
 )
-from hypose.calibration.findings import Clip, Finding, Limits, depth_findings
+from hypose.calibration.findings import Clip, Finding, Limits, Trial, depth_findings
 from hypose.calibration.refine_points import changed, changes, left_out_residual, point_residual
 from hypose.calibration.sync_motion import MaskTrack, farther, mask_tracks, silhouette_curves, solve_widely
 from hypose.calibration.synchronisation import points_at
@@ -77,13 +76,12 @@ def examine_silhouettes(
         raise EvidenceError("No frame has silhouettes; give masks, a background, or key points.")
     tracks = mask_tracks(silhouettes)
     size = _sizes(tracks)
-    ratio = rig.sizes[:, 0] / small.sizes[:, 0]
     findings: list[Finding] = []
     late = np.zeros(n)
     if n < 2:
-        return findings, _reports(rig, np.full(n, np.nan), size * ratio), late
-    residual = tangency_by_view(tangency(small, tracks), n) * ratio
-    reports = _reports(rig, residual, size * ratio)
+        return findings, tuple(ViewReport(name) for name in rig.names), late
+    residual = tangency_by_view(tangency(small, tracks), n) * rig.sizes[:, 0] / small.sizes[:, 0]
+    reports = tuple(ViewReport(name, tangency_px=float(r)) for name, r in zip(rig.names, residual, strict=True))
     small, tracks = _gross_masks(small, tracks, size, findings, o)
     timed = list(findings)
     late = _timing(rig, small, tracks, size, timed, o)
@@ -124,14 +122,6 @@ def gross_silhouettes(rig: CameraRig, silhouettes: Sequence[Silhouettes | None],
         findings.append(replace(found, cure="run hypose check, which looks for the cause"))
     findings += _unit(cured, size, o)
     return tuple(findings)
-
-
-def _reports(rig: CameraRig, residual: Array, size: Array) -> tuple[ViewReport, ...]:
-    nan = float("nan")
-    return tuple(
-        ViewReport(name, nan, nan, float(r), float(s), None, None)
-        for name, r, s in zip(rig.names, residual, size, strict=True)
-    )
 
 
 def _sizes(tracks: Sequence[MaskTrack]) -> Array:
@@ -408,9 +398,7 @@ def examine_and_cure(observed: Observed, limits: Limits | None = None) -> tuple[
         found, views, late = examine_silhouettes(observed.rig, observed.silhouettes, o)
         # of cameras that measure, masks tell nothing better: their faults are those of the depth maps, guessed
         findings += [] if any(f.fault for f in by_depth) else found
-        return Report(tuple(findings), views, None, None), Cured(
-            observed.rig, observed.keypoints, late, np.zeros((n, 2)), 0
-        )
+        return Report(tuple(findings), views), Cured(observed.rig, observed.keypoints, late, np.zeros((n, 2)), 0)
     state = _State(observed.rig, observed.keypoints)
     _gross(state, observed, o)
     gross = {f.kind for f in state.findings}
@@ -437,7 +425,7 @@ def examine_and_cure(observed: Observed, limits: Limits | None = None) -> tuple[
         late, pixels = np.zeros(n), state.pixels
     elif not later:
         findings += person_findings(state.rig, pixels, observed.names, observed.height, o)
-    report = Report(tuple(findings), _views(observed, pixels, alignments, extrinsics), extrinsics, alignments)
+    report = Report(tuple(findings), _views(observed, pixels, alignments, extrinsics))
     return report, Cured(state.rig, pixels, late, shift, lag)
 
 
@@ -573,13 +561,12 @@ def _views(
             tracks = mask_tracks(observed.silhouettes[:: max(1, len(observed.silhouettes) // 20)])
             masks = tangency_by_view(tangency(small, tracks), c)
             masks = masks * observed.rig.sizes[:, 0] / small.sizes[:, 0]
-    size = sizes(pixels)
     out = []
     for k, name in enumerate(observed.rig.names):
         change = None if extrinsics is None else extrinsics.changes[k]
         fit = None if alignments is None else alignments[k]
         a, b = (float(np.nanmedian(x[k])) if np.isfinite(x[k]).any() else float("nan") for x in (inside, outside))
-        out.append(ViewReport(name, a, b, float(masks[k]), float(size[k]), change, fit))
+        out.append(ViewReport(name, a, b, float(masks[k]), change, fit))
     return tuple(out)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations
+from typing import Generic, TypeVar
 
 import cv2
 import numpy as np
@@ -68,6 +69,22 @@ class Limits:
     height_share: float = 0.12
     height_doubt: float = 0.07
     tangency: float = 0.02
+
+
+Seen = TypeVar("Seen")
+
+
+@dataclass(frozen=True)
+class Trial(Generic[Seen]):
+    """One suspected fault undone. kind, views (indices) and words as in a Finding; rig and what the views see (key
+    points (C, T, K, 3), tracks of masks, depth maps) after the cure."""
+
+    kind: str
+    views: tuple[int, ...]
+    words: str
+    cure: str
+    rig: CameraRig
+    seen: Seen
 
 
 @dataclass(frozen=True)
@@ -222,7 +239,7 @@ def _by_people(depths: Sequence[Depth]) -> Iterator[Finding]:
         return
     names = [depths[0].rig.names[c] for c in _cameras(depths)]
     trials = _trials(depths)
-    left = np.nan_to_num([_share(t.depths) for t in trials], nan=1.0)
+    left = np.nan_to_num([_share(t.seen) for t in trials], nan=1.0)
     who = " and ".join(names)
     text = f"{who} do not see the person at one place: one sees past {100 * share:.0f} % of what the other sees of them"
     best = min([_CURED, *(left + _AS_LIKELY)])
@@ -230,7 +247,7 @@ def _by_people(depths: Sequence[Depth]) -> Iterator[Finding]:
     if likely:  # two cameras whose maps are exchanged see the same as two that are mirrored, turned about what is seen
         text += f"; that is not so if {' or if '.join(t.words for t in likely)}"
         cure = "look which it is, and " * (len(likely) > 1) + ", or ".join(t.cure for t in likely)
-        views = likely[0].views if len(likely) == 1 else tuple(names)
+        views = tuple(depths[0].rig.names[c] for c in likely[0].views) if len(likely) == 1 else tuple(names)
         yield Finding(likely[0].kind if len(likely) == 1 else "places", views, text, cure, share)
         return
     cure = (
@@ -240,32 +257,22 @@ def _by_people(depths: Sequence[Depth]) -> Iterator[Finding]:
     yield Finding("places", tuple(names), text, cure, share)
 
 
-@dataclass(frozen=True)
-class _Trial:
-    """What may be wrong, and the maps with it undone."""
-
-    kind: str
-    views: tuple[str, ...]
-    words: str
-    cure: str
-    depths: Sequence[Depth]
-
-
-def _trials(depths: Sequence[Depth]) -> list[_Trial]:
+def _trials(depths: Sequence[Depth]) -> list[Trial[list[Depth]]]:
     """Maps that are mirrored, of all cameras or of one, and maps of two cameras that are exchanged."""
     rig, usable = depths[0].rig, _cameras(depths)
-    out = list[_Trial]()
+    out = list[Trial[list[Depth]]]()
     for views in [usable, *([c] for c in usable if len(usable) > 1)]:
         names = tuple(rig.names[c] for c in views)
         whose = "all maps are" if len(views) > 1 else f"the maps of {names[0]} are"
         cure = f"mirror the maps of {' and '.join(names)}, and of the empty room, left to right"
-        out.append(_Trial("mirrored", names, f"{whose} mirrored", cure, [_mirrored(d, views) for d in depths]))
+        seen = [_mirrored(d, views) for d in depths]
+        out.append(Trial("mirrored", tuple(views), f"{whose} mirrored", cure, rig, seen))
     for a, b in permutations(usable, 2):
         if a < b and rig[a].size == rig[b].size:
             names = rig.names[a], rig.names[b]
             cure = f'exchange camera = "{names[0]}" and camera = "{names[1]}" in recording.toml'
             words = f"the maps of {names[0]} are those of {names[1]} and the other way round"
-            out.append(_Trial("swapped", names, words, cure, [_exchanged(d, a, b) for d in depths]))
+            out.append(Trial("swapped", (a, b), words, cure, rig, [_exchanged(d, a, b) for d in depths]))
     return out
 
 

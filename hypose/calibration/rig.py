@@ -95,7 +95,7 @@ class RigCalibration:
     """rig: in the frame of the first camera (see `floor`); boards: world_from_board (4, 4) by frame; sightings: those
     used, numbered alike in all cameras, by camera index and frame; errors: rms px per coordinate by (camera, frame);
     rms_px: over all; weighted_px: with moving boards counted less, as in the fit; camera_rms (C,); focal_sd (C,) px;
-    position_sd (C,) m; dropped: (camera, frame) that do not fit; links: the relative poses it was built from; notes:
+    position_sd (C,) m; dropped: (camera, frame) that do not fit; notes:
     sentences for the user."""
 
     rig: CameraRig
@@ -108,7 +108,6 @@ class RigCalibration:
     focal_sd: Array
     position_sd: Array
     dropped: tuple[tuple[int, int], ...]
-    links: tuple[Link, ...]
     notes: tuple[str, ...] = ()
 
 
@@ -145,7 +144,7 @@ def calibrate_rig(
         for f in () if lenses[c].given else spread_out(seen, cameras[c].size, 30):
             extra.setdefault(c, {})[number] = seen[f]
             number -= 1
-    return _refined(placed, named, frames, extra, lenses, board, tuple(links), tuple(notes))
+    return _refined(placed, named, frames, extra, lenses, board, tuple(notes))
 
 
 # ---- relative poses ------------------------------------------------------------------------------------------------
@@ -379,7 +378,6 @@ def _refined(
     extra: Mapping[int, Mapping[int, Sighting]],
     lenses: Sequence[Lens],
     board: Board,
-    links: tuple[Link, ...],
     notes: tuple[str, ...],
 ) -> RigCalibration:
     all_frames = [*frames, *(f for seen in extra.values() for f in seen)]
@@ -463,7 +461,6 @@ def _refined(
         result.focal_sd,
         result.position_sd,
         tuple(d for d in dropped if d[1] >= 0),
-        links,
         notes,
     )
 

@@ -15,7 +15,7 @@ from hypose.calibration.boards import Board, Detector, Gray, Sighting, make_dete
 from hypose.errors import CalibrationError, InputError
 from hypose.geometry import Array
 from hypose.io.file_names import natural_key, text_of
-from hypose.io.videos.video import IMAGE_ENDINGS, VIDEO_ENDINGS, list_images, open_video
+from hypose.io.videos.video import IMAGE_ENDINGS, VIDEO_ENDINGS, evenly_spread, list_images, open_video
 
 Progress = Callable[[str, int, int], None]
 
@@ -153,27 +153,23 @@ def look_for_board(
         count[0], count[1] = count[0] + 1, max(count[1], total)
         progress("board", min(count[0], count[1]), count[1])
 
-    lengths = [len(open_video(s.path)) for s in sources]
+    lengths = [open_video(s.path).n_frames for s in sources]
     numbers = None
     if together and len(sources) > 1:
         common = min(n - max(s.lag, 0) for s, n in zip(sources, lengths, strict=True))
         first = max(0, *(-s.lag for s in sources))
         if common <= first:
             raise InputError("The videos have no common frames at the given lags; check --lag.")
-        numbers = _spread(first, common, max_frames)
-    total = sum(len(numbers or _spread(0, n, max_frames)) for n in lengths)
+        numbers = evenly_spread(first, common, max_frames)
+    total = sum(len(numbers or evenly_spread(0, n, max_frames)) for n in lengths)
 
     def one(source: Source, n: int) -> CameraViews:
-        return _look(source, numbers or _spread(0, n, max_frames), board, lambda: step(total))
+        return _look(source, numbers or evenly_spread(0, n, max_frames), board, lambda: step(total))
 
     with ThreadPoolExecutor(2) as pool:
         out = tuple(pool.map(one, sources, lengths))
     progress("board", count[1], count[1])
     return out
-
-
-def _spread(first: int, stop: int, count: int) -> list[int]:
-    return np.unique(np.linspace(first, stop - 1, min(count, stop - first)).round().astype(int)).tolist()
 
 
 def _look(source: Source, numbers: Sequence[int], board: Board, step: Callable[[], None]) -> CameraViews:
@@ -213,7 +209,7 @@ def _still_mean(source: Source, numbers: Sequence[int]) -> Gray | None:
     with open_video(source.path) as reader:
         images = [
             cv2.cvtColor(reader.read(numbers[i] + source.lag), cv2.COLOR_BGR2GRAY)
-            for i in _spread(0, len(numbers), _STILL_FRAMES)
+            for i in evenly_spread(0, len(numbers), _STILL_FRAMES)
         ]
     first = images[0].astype(np.float32)
     for image in images[1:]:
@@ -257,7 +253,7 @@ def diagnose(views: CameraViews, board: Board, pictures: int = 6) -> str:
     """What may be wrong when a camera saw no board at all: another number of corners, other markers, the colours
     exchanged, the picture mirrored; '' when nothing else is found either."""
     with open_video(views.path) as reader:
-        chosen = _spread(0, reader.n_frames, pictures)
+        chosen = evenly_spread(0, reader.n_frames, pictures)
         grays = [np.asarray(cv2.cvtColor(reader.read(i), cv2.COLOR_BGR2GRAY), dtype=np.uint8) for i in chosen]
     return _diagnose_markers(grays, board) if board.kind == "charuco" else _diagnose_chessboard(grays, board)
 
@@ -386,5 +382,5 @@ def count_corners(sources: Sequence[Source]) -> tuple[int, int]:
 
 def _spread_counted(source: Source) -> Iterator[Gray]:
     with open_video(source.path) as reader:
-        for frame in np.unique(np.linspace(0, reader.n_frames - 1, min(_PICTURES, reader.n_frames)).astype(int)):
-            yield np.asarray(cv2.cvtColor(reader.read(int(frame)), cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+        for frame in evenly_spread(0, reader.n_frames, _PICTURES):
+            yield np.asarray(cv2.cvtColor(reader.read(frame), cv2.COLOR_BGR2GRAY), dtype=np.uint8)

@@ -14,7 +14,8 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Callable, Iterable, Sequence
+import time
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from pathlib import Path
@@ -22,30 +23,34 @@ from typing import Any
 
 import numpy as np
 
-from hypose.compute.arrays import BALL, FIXED, MeshArrays, TreeArrays
-from hypose.compute.cache_place import make_folder
-from hypose.compute.compiled import cache_file, failures
-from hypose.compute.monocular import mono
-from hypose.compute.pictures import mask_runs, picture_to_mask
-from hypose.compute.pictures.parts import covered, draw_parts, parts_against_mask, projected
-from hypose.compute.pictures.pieces import touched_area
-from hypose.compute.selection import default_threads, use
-from hypose.compute.silhouettes import glance, reach
-from hypose.compute.solver import outline_rows
-from hypose.compute.solver.terms import (
+from hypose.compute import glance, mask_runs, mono, picture_to_mask, reach, shape_rows
+from hypose.compute.arrays import (
+    BALL,
+    FIXED,
     NO_KEYPOINTS,
     NO_POINTS,
     ContourArrays,
     DepthArrays,
+    MeshArrays,
     PriorArrays,
     SolveLimits,
     Standing,
+    TreeArrays,
+    prepare_masks,
 )
+from hypose.compute.compiled import cache_file, failures, make_folder
+from hypose.compute.kinematics import forward_kinematics, joint_covariances, skin
+from hypose.compute.mask_distance import shrink_mask, signed_distance
+from hypose.compute.parts import covered, draw_parts, parts_against_mask, projected, touched_area
+from hypose.compute.rows import outline_points
+from hypose.compute.scorer import limb_energies, silhouette_xor
+from hypose.compute.solver import solve, workspace
+from hypose.compute.threads import default_threads
 
 # imports what this process would, nothing of the folder that it happens to stand in
 _PROGRAM = (
-    "import sys; sys.path[:] = sys.argv[1].split('\\n'); from hypose import compute; "
-    "from hypose.compute.warming import run_for_another; run_for_another(compute)"
+    "import sys; sys.path[:] = sys.argv[1].split('\\n'); "
+    "from hypose.compute.warming import run_for_another; run_for_another()"
 )
 
 
@@ -77,45 +82,31 @@ def _mask() -> tuple[np.ndarray, np.ndarray]:
     return mask, np.array([[32, 32]])
 
 
-def _scorer(compute: Any) -> None:
+def _scorer() -> None:
     tree, mesh, q, projection = _toy()
     mask, sizes = _mask()
-    compute.skin(*compute.forward_kinematics(q[None], tree), tree, mesh)
-    prepared = compute.prepare_masks(mask, np.array([True]), sizes, projection)
+    skin(*forward_kinematics(q[None], tree), tree, mesh)
+    prepared = prepare_masks(mask, np.array([True]), sizes, projection)
     limb = np.array([False, True])
-    compute.silhouette_xor(q[None], tree, mesh, prepared, np.array([[0, 32, 0, 32]]), moving=limb)
-    compute.limb_energies(np.repeat(q[None], 40, 0), tree, mesh, prepared, limb)
+    silhouette_xor(q[None], tree, mesh, prepared, np.array([[0, 32, 0, 32]]), moving=limb)
+    limb_energies(np.repeat(q[None], 40, 0), tree, mesh, prepared, limb)
 
 
-def _points(compute: Any) -> None:
+def _points() -> None:
     _, _, q, projection = _toy()
     mask, sizes = _mask()
-    prepared = compute.prepare_masks(mask, np.array([True]), sizes, projection)
+    prepared = prepare_masks(mask, np.array([True]), sizes, projection)
     rest = Standing(np.zeros_like(prepared.bits), np.zeros((1, 2), dtype=np.int64))
     reach.score_points(np.zeros((1, 1, 3)), np.ones(1), np.eye(3), q[:3], prepared, rest)
 
 
-def _pictures(compute: Any) -> None:
-    picture_to_mask.warm_up()
-    mask_runs.warm_up()
-
-
-def _glance(compute: Any) -> None:
-    glance.warm_up()
-
-
-def _outlines(compute: Any) -> None:
+def _outlines() -> None:
     mask, sizes = _mask()
-    compute.outline_points(compute.signed_distance(mask, sizes)[0], (32, 32), 16)
-    compute.shrink_mask(mask[0, :30, :30], 3)
+    outline_points(signed_distance(mask, sizes)[0], (32, 32), 16)
+    shrink_mask(mask[0, :30, :30], 3)
 
 
-def _masks(compute: Any) -> None:
-    picture_to_mask.warm_up_masks()
-    mask_runs.warm_up()
-
-
-def _parts(compute: Any) -> None:
+def _parts() -> None:
     (_, mesh, _, projection), (mask, _) = _toy(), _mask()
     (uv, z, _), (h, w) = projected(mesh.vertices, projection[0]), mask[0].shape
     drawn = draw_parts(uv, z, mesh.faces, np.zeros(len(mesh.faces), np.uint8), 1, (h, w))
@@ -125,11 +116,7 @@ def _parts(compute: Any) -> None:
     touched_area(bits, bits, (w, h), 1, uv)
 
 
-def _shape(compute: Any) -> None:
-    outline_rows.warm_up(_toy()[1])
-
-
-def _evidence(compute: Any, depth: DepthArrays | None = None) -> tuple[np.ndarray, tuple[Any, ...], Any]:
+def _evidence(depth: DepthArrays | None = None) -> tuple[np.ndarray, tuple[Any, ...], Any]:
     """A pose, and all that the solver takes beside it."""
     tree, mesh, q, projection = _toy()
     mask, sizes = _mask()
@@ -140,35 +127,35 @@ def _evidence(compute: Any, depth: DepthArrays | None = None) -> tuple[np.ndarra
     )
     priors = PriorArrays(np.zeros((1, 6)), np.ones((1, 6)), np.full(6, -np.inf), np.full(6, np.inf))
     given = (tree, mesh, contours, NO_KEYPOINTS, NO_POINTS, depth, priors)
-    return q, given, compute.workspace(tree, mesh, 32, 32)
+    return q, given, workspace(tree, mesh, 32, 32)
 
 
-def _solver(compute: Any) -> None:
-    q, given, ws = _evidence(compute)
-    compute.solve(q, *given, SolveLimits(1, 0, 1e-3, 1e-2, 4), ws)
-    compute.joint_covariances(q, given[0], np.eye(6))
+def _solver() -> None:
+    q, given, ws = _evidence()
+    solve(q, *given, SolveLimits(1, 0, 1e-3, 1e-2, 4), ws)
+    joint_covariances(q, given[0], np.eye(6))
 
 
-def _depth(compute: Any) -> None:
+def _depth() -> None:
     """The solver, of no sensor."""
     none, first, sizes = np.zeros((0, 3)), np.zeros(1, np.int64), np.zeros((0, 2), np.int64)
     maps, ring = np.zeros((0, 1, 1), np.float32), np.zeros((0, 3), np.int32)
     surface = none, none, np.zeros(0), first, none, maps, sizes, np.zeros((0, 3, 4))
-    q, given, ws = _evidence(compute, DepthArrays(*surface, first, ring, 1.0, 0.0, 1.0, 0.0))
-    compute.solve(q, *given, SolveLimits(1, 0, 1e-3, 1e-2, 4), ws)
+    q, given, ws = _evidence(DepthArrays(*surface, first, ring, 1.0, 0.0, 1.0, 0.0))
+    solve(q, *given, SolveLimits(1, 0, 1e-3, 1e-2, 4), ws)
 
 
-def _monocular(compute: Any) -> None:
+def _monocular() -> None:
     tree, mesh, q, projection = _toy()
     mono.warm_up(tree, mesh, q, projection[0])
 
 
-PARTS: dict[str, tuple[Callable[[Any], None], ...]] = {
+PARTS: dict[str, tuple[Callable[[], None], ...]] = {
     "solver": (_solver,),
     "scorer": (_scorer, _points),
-    "outlines": (_outlines, _masks, _parts),
-    "shape": (_shape,),
-    "pictures": (_pictures, _glance),
+    "outlines": (_outlines, picture_to_mask.warm_up_masks, mask_runs.warm_up, _parts),
+    "shape": (lambda: shape_rows.warm_up(_toy()[1]),),
+    "pictures": (picture_to_mask.warm_up, mask_runs.warm_up, glance.warm_up),
     "monocular": (_monocular,),
     "depth": (_depth,),
 }
@@ -177,27 +164,36 @@ silhouettes of many poses; outlines: what is followed of masks, and a body's par
 fitted to outlines with; pictures: masks from pictures; monocular: one camera; depth: poses from depth as well."""
 
 
-def run(compute: Any, parts: Iterable[str]) -> None:
-    """Call all kernels of these parts in this process, and note what is in the cache then; compute: the room."""
+def run(parts: Iterable[str]) -> None:
+    """Call all kernels of these parts in this process, and note what is in the cache then."""
     was = gc.isenabled()
     gc.disable()  # a compiler makes many objects that live, which would be looked at again and again
     try:
-        with use("numba"):
-            for part in parts:
-                for call in PARTS[part]:
-                    call(compute)
-                mark = _mark(part)
-                if mark is not None and not failures:
-                    with contextlib.suppress(OSError):
-                        mark.touch()
+        for part in parts:
+            for call in PARTS[part]:
+                call()
+            mark = _mark(part)
+            if mark is not None and not failures:
+                with contextlib.suppress(OSError):
+                    mark.touch()
     finally:
         if was:
             gc.enable()
 
 
-def warm(compute: Any, names: Sequence[str], load: bool) -> None:
-    """See `compute.warm_up`."""
-    parts = [part for part in PARTS if part in names]
+FOLLOWING = ("solver", "scorer", "outlines", "shape", "pictures")
+"""The parts of the room that following a person in silhouettes needs."""
+
+
+def warm_up(*names: str, load: bool = True) -> float:
+    """Compile what these parts of the room need (PARTS; default: FOLLOWING), in one process per core where that is
+    worth it; returns the seconds it took.
+
+    The first time on a machine this takes some tens of seconds; afterwards the compiled code is on disk. load: have it
+    in this process as well when it was on disk; without, kernels are read when they are first called.
+    """
+    start = time.perf_counter()
+    parts = [part for part in PARTS if part in (names or FOLLOWING)]
     missing = [part for part in parts if not _is_ready(part)]
     # in a program that Python is embedded in or frozen into, sys.executable is that program
     if len(missing) > 1 and _can_keep() and Path(sys.executable or "").name.lower().startswith("python"):
@@ -209,11 +205,12 @@ def warm(compute: Any, names: Sequence[str], load: bool) -> None:
                 pool.shutdown(wait=False, cancel_futures=True)
                 for process in began:
                     process.kill()
-    run(compute, [part for part in parts if load or not _is_ready(part)])
+    run([part for part in parts if load or not _is_ready(part)])
+    return time.perf_counter() - start
 
 
-def kept(names: Sequence[str]) -> bool:
-    """See `compute.kept`."""
+def kept(*names: str) -> bool:
+    """Whether all kernels of these parts of the room are on disk, for later starts."""
     return all(map(_is_ready, names))
 
 
@@ -263,7 +260,7 @@ def _in_another_process(part: str, began: list[subprocess.Popen[bytes]]) -> None
         process.wait()
 
 
-def run_for_another(compute: Any) -> None:
+def run_for_another() -> None:
     """The program of such a process, which ends with its input, and so with the process that began it."""
 
     def watch() -> None:
@@ -271,4 +268,4 @@ def run_for_another(compute: Any) -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
-    run(compute, sys.argv[2:])
+    run(sys.argv[2:])

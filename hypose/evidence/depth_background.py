@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.cameras.camera import Camera
-from hypose.compute import before_room, extents_of_pieces, holes_filled, middle_of_piece, things_before
+from hypose.compute import before_room, holes_filled, middle_of_piece, things_before
 from hypose.errors import InputError
 from hypose.evidence.depth_evidence import JUMP_M, Depth, DepthNoise, back_projected, in_world
 from hypose.evidence.frame import Expected, Silhouettes
@@ -315,11 +315,13 @@ def _calm(mask: Mask) -> Mask:
 def _one_thing(before: Mask, depth: DepthMap, solid: NDArray[np.bool_], focal_px: float | None) -> Mask:
     """The largest thing of a mask and what is near it in space, its holes filled; solid (h, w): where the sensor would
     see something behind it, so that a hole is the person's."""
-    n, found = cv2.connectedComponents(before, connectivity=8)  # OpenCV takes three times as long to measure them
+    n, found, stats, _ = cv2.connectedComponentsWithStats(before, connectivity=8)
     if n < 2:
         return np.zeros(depth.shape, np.uint8)
     labels = np.asarray(found, dtype=np.int32)
-    areas, left, right = extents_of_pieces(labels, n)
+    areas, left = stats[:, cv2.CC_STAT_AREA], stats[:, cv2.CC_STAT_LEFT]
+    right = left + stats[:, cv2.CC_STAT_WIDTH]
+    areas[0] = 0
     main = int(areas.argmax())
     usual = middle_of_piece(labels, main, depth)
     if np.isnan(usual):  # a speck of holes

@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.compute import mono
 from hypose.errors import InputError
 
 WEAKEST = 3.0
@@ -28,11 +27,21 @@ def edge_field(image: NDArray[np.uint8], smoothing_px: float = 1.2, strength: fl
     smooth = image.astype(np.float32)
     if smoothing_px > 0:
         smooth = np.asarray(cv2.GaussianBlur(smooth, (0, 0), smoothing_px), dtype=np.float32)
-    field, size = mono.strongest_gradient(smooth if smooth.ndim == 3 else smooth[..., None])
+    field = _strongest_gradient(smooth if smooth.ndim == 3 else smooth[..., None])
+    size = np.linalg.norm(field, axis=2)
     # every other row and column: the quantile needs no more
     full = max(float(np.quantile(size[1:-1:2, 1:-1:2], strength)), WEAKEST) if min(size.shape) > 2 else WEAKEST
-    mono.saturate(field, size, full)
-    return field
+    return np.asarray(field / np.maximum(size, full)[..., None], dtype=np.float32)
+
+
+def _strongest_gradient(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Scharr gradient (h, w, 2) per px of the channel of image (h, w, C) in which it is largest; 0 along the border."""
+    slopes = np.stack([cv2.Scharr(image, cv2.CV_32F, 1 - k, k, scale=1 / 32).reshape(image.shape) for k in range(2)], 2)
+    best = (slopes**2).sum(2).argmax(2)
+    field = np.take_along_axis(slopes, best[..., None, None], 3)[..., 0]
+    field[[0, -1]] = 0
+    field[:, [0, -1]] = 0
+    return np.asarray(field, dtype=np.float32)
 
 
 STEEP, WRONG = 6.0, 2.0
@@ -78,9 +87,20 @@ def optical_flow(
     solver = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     there = np.asarray(solver.calc(a, b, None), dtype=np.float32)  # type: ignore[call-overload]
     back = np.asarray(solver.calc(b, a, None), dtype=np.float32)  # type: ignore[call-overload]
-    raw = mono.boundary_map(back, mono.flow_error(back, there), STEEP, WRONG)
+    slopes = [cv2.Sobel(back, cv2.CV_32F, 1 - k, k, borderType=cv2.BORDER_REPLICATE) for k in range(2)]
+    steepness = np.sqrt((np.stack(slopes) ** 2).sum((0, 3)))
+    raw = np.minimum(steepness / STEEP, 1) + np.minimum(_flow_error(back, there) / WRONG, 1)
     smooth = np.minimum(cv2.GaussianBlur(raw, (0, 0), SMOOTHING) * np.float32(GAIN), np.float32(1))
-    return Flow(there, mono.flow_error(there, back), np.asarray(smooth, dtype=np.float32), (x0, y0))
+    return Flow(there, _flow_error(there, back), np.asarray(smooth, dtype=np.float32), (x0, y0))
+
+
+def _flow_error(there: NDArray[np.float32], back: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Length (h, w) px of there(x) + back(x + there(x)); outside the picture the border's flow counts."""
+    h, w = there.shape[:2]
+    x, y = np.meshgrid(np.arange(w, dtype=np.float32), np.arange(h, dtype=np.float32))
+    at = x + there[..., 0], y + there[..., 1]
+    returned = cv2.remap(back, *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.linalg.norm(there + returned, axis=2)
 
 
 def _wide_enough(box: tuple[int, int, int, int], w: int, h: int) -> tuple[int, int, int, int]:

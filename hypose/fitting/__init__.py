@@ -5,7 +5,7 @@ Rows become normal equations, equations a bounded robust step, and `least_square
 - a clip: the same sums of every frame, coupled to the next two, solved as a band (`fit_clip`);
 - many poses or points that share a shape or cameras: groups eliminated (`compute.SharedEquations`), in calibration and
   subject.
-A new residual is a `RowTerm` (Python, no kernel), or, where it must be fast, one kernel in cpu_rows and one term
+A new residual is a `RowTerm` (Python, no kernel), or, where it must be fast, one kernel in compute.rows and one term
 in `articulated`; losses and factorisations are those of `compute` for all.
 """
 

@@ -1,7 +1,7 @@
 """Fitting a pose to contours, key points and 3D points: bounded damped Gauss-Newton on robust rows.
 
 Every cue is a sum of rows (point, direction, residual, weight, joint); rows become 6 x 6 sums per joint that are folded
-up the joint tree (hypose.compute.solver.cpu_rows, cpu_solver), so a whole solve is one compiled call without the GIL.
+up the joint tree (hypose.compute.rows, hypose.compute.solver), so a whole solve is one compiled call without the GIL.
 The cost is F(q) = 1/2 sum of weighted robust squares + 1/2 sum of the priors' quadratics; gradient and (Gauss-Newton)
 Hessian of the result are those of F. With weights that are inverse variances its inverse is the pose's covariance.
 

@@ -3,16 +3,24 @@
 Source: Asteriadis et al. 2013, section 2.3, eq. 5-6; each is divided by its current maximum over the sensors (2.4).
 Departures, each switchable: D subtracts the body's thickness in front of the joint, holds the last valid depth over
 holes and is clipped and floored; the SDK's own state and the deviation of bone lengths are merged into D.
+
+Fuzzy inference of a sensor's noise: a Mamdani engine with the five rules of Asteriadis et al. 2013, section 2.4.
+
+AND = min, OR = max, implication = product, aggregation = algebraic sum, defuzzification = centroid. Rule 2 is printed
+"D high OR F high AND A high" without precedence; AND binds tighter here. The paper gives the Gaussian's (and every
+set's) sigma as 0.3 and no centres or slopes; the defaults put the noise of all-low and all-high inputs as the text has
+it. With these rules the noise only lies between 0.42 and 0.74, and "F high" or "A high" alone give what no fired rule
+gives, 0.5: as a weight it is worth little, as a preference repeated every frame it selects.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hypose import compute
 from hypose.evidence.frame import TRACKED
 from hypose.fusion import joints as jt
 from hypose.geometry import Array
@@ -101,7 +109,7 @@ def confidence_step(
     activations[t % n] = speeds.sum(0)  # the ring is zero before it is full, so this is the sum of what there is
     inputs = np.zeros((3, *state.shape))
     if settings.use_f:
-        compute.fusion.fluidity(activations, t + 1, inputs[0])
+        inputs[0] = activations[: t + 1].std(0)
     lengths, samples = memory.lengths, memory.samples
     held = memory.held
     if settings.use_d:
@@ -119,14 +127,6 @@ def confidence_step(
         positions, np.asarray(times, dtype=np.float64), speeds, activations, t + 1, held, lengths, samples
     )
     return new, inputs
-
-
-def inverse_fluidity(speeds: ArrayLike, window: int) -> Array:
-    """F (T, ...) m/s by its definition, eq. 5: the standard deviation over the last `window` frames of the overall
-    activation, itself the sum of the last `window` speeds (T, ...) m/s."""
-    v = np.asarray(speeds, dtype=np.float64)
-    activation = np.stack([v[max(0, t + 1 - window) : t + 1].sum(0) for t in range(len(v))])
-    return np.stack([activation[max(0, t + 1 - window) : t + 1].std(0) for t in range(len(v))])
 
 
 def depth_error(z: Array, depth: Array, held: Array, settings: ConfidenceSettings) -> tuple[Array, Array]:
@@ -199,3 +199,72 @@ def _bone_deviation(
     deviation[:, _LIMB] = np.where(np.isfinite(off), off, 0.3)
     deviation[:, _END] = np.maximum(deviation[:, _END], 0.5 * deviation[:, jt.PARENT[_END]])
     return usual, count, deviation
+
+
+LOW, MEDIUM, HIGH = "low", "medium", "high"
+
+
+@dataclass(frozen=True)
+class NoiseRules:
+    """low_centre, high_centre, slope of the sigmoids; medium_centre, medium_sd of the Gaussian, on inputs and output
+    in [0, 1]; points: samples of the output for the centroid."""
+
+    low_centre: float = 0.25
+    high_centre: float = 0.75
+    slope: float = 6.0
+    medium_centre: float = 0.5
+    medium_sd: float = 0.3
+    points: int = 51
+
+    def membership(self, x: ArrayLike, name: str) -> Array:
+        """Degree (...) to which values x (...) are low, medium or high."""
+        v = np.asarray(x, dtype=np.float64)
+        if name == MEDIUM:
+            return np.exp(-0.5 * ((v - self.medium_centre) / self.medium_sd) ** 2)
+        centre, sign = (self.low_centre, 1.0) if name == LOW else (self.high_centre, -1.0)
+        return 1 / (1 + np.exp(sign * self.slope * (v - centre)))
+
+    def firing(self, f: ArrayLike, d: ArrayLike, a: ArrayLike) -> Array:
+        """Strengths (5, ...) of the rules for normalised inverse fluidity f, depth error d and posture a (...).
+
+        Deviation: rule 2 is printed without precedence; AND binds tighter than OR here."""
+        v = np.stack(np.broadcast_arrays(np.asarray(f, np.float64), d, a))
+        (fl, dl, al), (fm, dm, am), (fh, dh, ah) = (self.membership(v, n) for n in (LOW, MEDIUM, HIGH))
+        both_low = np.minimum(fl, al)
+        return np.stack(
+            [
+                np.minimum(dl, both_low),
+                np.maximum(dh, np.minimum(fh, ah)),
+                np.minimum(dm, both_low),
+                np.minimum(np.minimum(dl, fm), al),
+                np.minimum(np.minimum(dl, fl), am),
+            ]
+        )
+
+    @cached_property
+    def _consequents(self) -> tuple[Array, Array]:
+        out = np.linspace(0, 1, self.points)
+        low, medium, high = (self.membership(out, n) for n in (LOW, MEDIUM, HIGH))
+        return out, np.stack([low, high, medium, medium, medium])
+
+    def aggregate(self, f: ArrayLike, d: ArrayLike, a: ArrayLike) -> Array:
+        """(..., points): the output set over [0, 1], algebraic sum of the scaled consequents."""
+        strength = self.firing(f, d, a)
+        sets = self._consequents[1]
+        rest = 1 - strength[0][..., None] * sets[0]
+        for w, s in zip(strength[1:], sets[1:], strict=True):
+            rest *= 1 - w[..., None] * s
+        return 1 - rest
+
+    def noise(self, f: ArrayLike, d: ArrayLike, a: ArrayLike) -> Array:
+        """lambda (...) in (0, 1): centre of gravity of the aggregate; 0.5 where no rule fires at all.
+
+        Deviation: the sigmoids' centres and slopes, which the paper does not give, are chosen."""
+        g = self.aggregate(f, d, a)
+        total = g.sum(-1)
+        return np.where(total > 1e-12, g @ self._consequents[0] / np.maximum(total, 1e-12), 0.5)
+
+
+PUBLISHED_RULES = NoiseRules()
+SHARP_RULES = NoiseRules(low_centre=0.3, high_centre=0.7, slope=15.0)
+"""Steeper sigmoids: the noise spans a ratio of 2.2 instead of 1.7."""

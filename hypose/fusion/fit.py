@@ -22,6 +22,8 @@ from hypose.fusion.trust import what_is_open
 from hypose.geometry import Array
 
 _SIDES = np.array([(jt.LEFT_SHOULDER, jt.RIGHT_SHOULDER), (jt.LEFT_HIP, jt.RIGHT_HIP)])
+_AGAINST = -0.3
+"""Cosine between the direction to the left of a sensor and of all below which its sides are exchanged: 107 degrees"""
 
 
 def _bone_sd() -> Array:
@@ -115,9 +117,8 @@ def fit_step(
     lengths, samples = state.lengths, state.samples
     if not state.fixed:
         lengths, samples = adapt_lengths(positions, states, lengths, samples)
-    weights, points = np.empty(states.shape), np.empty(positions.shape)
-    evidence = np.empty(15, dtype=np.bool_)
-    any_evidence = compute.fusion.weigh_joints(positions, states, settings.inferred, weights, points, evidence)
+    weights = np.where(states == TRACKED, 1.0, np.where(states > 0, settings.inferred, 0.0))
+    points, evidence = np.where(states[..., None] > 0, positions, 0.0), (weights > 0).any(0)
     dt = 1 / 30 if not np.isfinite(state.time) else max(time - state.time, 1e-3)
     start = state.joints
     if start is None:
@@ -139,8 +140,6 @@ def fit_step(
         jt.BONES,
         lengths,
         settings.bone_weight,
-        jt.LEAVES,
-        jt.CORE,
         1 / settings.data_sd_m**2,
         settings.scale_m,
         settings.coarse,
@@ -156,7 +155,7 @@ def fit_step(
         velocity = (1 - settings.blend) * state.velocity + settings.blend * (x - state.joints) / dt
     lost = bool(time - seen.max() > settings.lost_after_s)
     new = FitState(x, velocity, time, seen, side, lengths, samples, state.fixed)
-    if lost or (state.joints is None and not any_evidence):
+    if lost or (state.joints is None and not evidence.any()):
         new = replace(new, joints=None, velocity=np.zeros((15, 3)), side=np.zeros(3))
     systematic, wrong = what_is_open(positions, states, eyes, side, lengths, x, variance)
     return new, FitEstimate(x, variance, systematic, wrong, share.T.copy(), swapped, lost)
@@ -169,10 +168,17 @@ def unswap(
 
     positions (K, 15, 3) registered; side (3,): remembered direction to the left. Returns positions, states, the new
     memory and which sensors were exchanged (K,)."""
-    positions, states, memory = positions.copy(), states.copy(), side.copy()
-    swapped = np.empty(len(states), dtype=np.bool_)
-    compute.fusion.exchange_sides(positions, states, memory, jt.MIRROR, _SIDES, swapped)
-    return positions, states, memory, swapped
+    left, right = _SIDES.T
+    known = (states[:, left] > 0) & (states[:, right] > 0)
+    to_left = np.where(known[..., None], positions[:, left] - positions[:, right], 0.0).sum(1)
+    to_left /= np.maximum(np.linalg.norm(to_left, axis=1, keepdims=True), 1e-3)
+    consensus = 2 * side + to_left.sum(0)
+    limit = _AGAINST * np.linalg.norm(consensus)
+    swapped = (to_left @ consensus < limit) & (limit < 0)
+    positions = np.where(swapped[:, None, None], positions[:, jt.MIRROR], positions)
+    states = np.where(swapped[:, None], states[:, jt.MIRROR], states)
+    total = (np.where(swapped, -1.0, 1.0)[:, None] * to_left).sum(0)
+    return positions, states, 0.8 * side + 0.2 * total if side.any() else total, swapped
 
 
 def adapt_lengths(positions: Array, states: NDArray[np.uint8], lengths: Array, samples: Array) -> tuple[Array, Array]:

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.evidence.frame import SensorJoints
-from hypose.fusion import baselines
 from hypose.fusion import joints as jt
 from hypose.fusion.confidence import confidence_step, normalised, start_confidence
 from hypose.fusion.fit import clip_lengths, fit_step, start_fit
@@ -36,8 +35,7 @@ from hypose.fusion.register import (
     register,
     upward,
 )
-from hypose.fusion.saved import ClipSoFar, restored
-from hypose.fusion.state import BASELINES, FIT, METHODS, FusedFrame, FusionSettings, FusionState
+from hypose.fusion.state import FIT, METHODS, ClipSoFar, FusedFrame, FusionSettings, FusionState, restored
 from hypose.fusion.swarm import start_swarm, swarm_step
 from hypose.fusion.trust import what_is_open
 from hypose.geometry import Array
@@ -46,7 +44,6 @@ WINDOW_FRAMES = 40
 """Frames that a stream's registration is fitted to; up to twice as many are kept."""
 
 __all__ = [
-    "BASELINES",
     "FIT",
     "METHODS",
     "Fused",
@@ -85,10 +82,6 @@ def start(
 
     registration, lengths (18,) m: known ones, which are then kept (but "published" registers every frame anew)."""
     s = settings or FusionSettings()
-    if s.method in BASELINES:
-        raise InputError(
-            f"The method {s.method!r} needs a whole clip; use fuse_clip, or 'fit' or 'swarm' for a stream."
-        )
     sensors = len(first.sensor_names)
     if not 0 <= s.reference < sensors:
         raise InputError(f"There are {sensors} sensors, the reference cannot be number {s.reference}.")
@@ -171,7 +164,7 @@ def fuse_clip(
     The registration is robust over the whole clip and all joints unless it is given, but for "published", which
     registers every frame by its triangle and returns the last one's; bone lengths are medians over the clip. watch:
     called after every frame with what is fused so far; what its `arrays` gave is taken as `done` to go on there, which
-    gives the same numbers (the baselines, which take no time, do neither). InputErrors name frames whose sensors or
+    gives the same numbers. InputErrors name frames whose sensors or
     joints differ, and sensors that see different people."""
     if not len(joints):
         raise InputError("There are no frames to fuse; give at least one.")
@@ -192,8 +185,6 @@ def fuse_clip(
     lengths = clip_lengths(positions, states)
     world = registration.apply(positions)
     times = _clip_times(joints)
-    if method in BASELINES:
-        return _baseline(method, world, states, times, registration, lengths, joints[0].sensor_names)
     up = upward(world) if s.up is None else np.array(s.up)
     state = start(joints[0], replace(s, up=tuple(up)), registration, lengths)
     frames: list[FusedFrame] = []
@@ -277,7 +268,7 @@ def _noise(state: FusionState, raw: SensorJoints, world: Array) -> tuple[FusionS
     memory, inputs = confidence_step(
         state.confidence, raw.positions, raw.state, depth_at_joints(raw), raw.times, s.confidence
     )
-    noise = s.rules.noise_fast(normalised(inputs, s.confidence))
+    noise = s.rules.noise(*normalised(inputs, s.confidence))
     up = state.up if state.up is not None else upward(world)
     x, y = _axes(*up.tolist())
     side = world[:, jt.LEFT_SHOULDER] - world[:, jt.RIGHT_SHOULDER]
@@ -344,40 +335,4 @@ def _motion(
         provenance,
         np.stack([f.systematic for f in frames]),
         np.stack([f.wrong for f in frames]),
-    )
-
-
-def _baseline(
-    method: str,
-    world: Array,
-    states: NDArray[np.uint8],
-    times: Array,
-    registration: Registration,
-    lengths: Array,
-    sensor_names: tuple[str, ...],
-) -> Fused:
-    rate = float(1 / np.median(np.diff(times))) if len(times) > 1 else 30.0
-    weights = np.where(np.isfinite(world[..., 0]), confidence_of(states), 0.0)
-    if method == "best_single":
-        # without the truth the sensor with most tracked joints is the best guess
-        best = int(weights.sum((0, 2)).argmax())
-        joints = baselines.single_sensor(world, best)
-        weights = weights * (np.arange(weights.shape[1]) == best)[None, :, None]
-    elif method == "weighted_mean":
-        joints = baselines.confidence_mean(world, states)
-    elif method == "median":
-        joints = baselines.median(world)
-    elif method == "kalman":
-        joints = baselines.kalman(baselines.confidence_mean(world, states), rate)
-    else:
-        joints = baselines.kalman(baselines.dbscan(world), rate)
-    seen = np.isfinite(world[..., 0])
-    n = seen.any(2).sum(1)
-    motion = points_motion(
-        jt.COMMON, joints, np.full(joints.shape[:2], np.nan), times, n == 0, n, lengths, {"recipe": f"fusion-{method}"}
-    )
-    shares = np.swapaxes(weights / np.maximum(weights.sum(1, keepdims=True), 1e-9), 1, 2)
-    swapped = np.zeros(seen.shape[:2], dtype=np.bool_)
-    return Fused(
-        motion, shares, None, registration, lengths, swapped, np.zeros(len(times), dtype=np.bool_), sensor_names
     )

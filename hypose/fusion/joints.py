@@ -52,12 +52,6 @@ BONES = np.array(
     + [(13, 14), (2, 5), (9, 12), (2, 8), (5, 8)]
 )
 """(18, 2) pairs of joints whose distance hardly changes: bones, and the stays of the trunk."""
-LEAVES = np.array(
-    [(0, 1, 0), (4, 3, 3), (3, 2, 2), (7, 6, 6), (6, 5, 5), (11, 10, 10), (10, 9, 9), (14, 13, 13), (13, 12, 12)]
-)
-"""(9, 3) joints that hang on one neighbour once those before them are gone: joint, neighbour, their bone in BONES."""
-CORE = np.array([-1, 0, 1, -1, -1, 2, -1, -1, 3, 4, -1, -1, 5, -1, -1])
-"""(15,) number of a joint among those that are no leaves, else -1."""
 BODY_JOINT = np.array([4, 3, 6, 7, 8, 10, 11, 12, 1, 13, 14, 15, 16, 17, 18])
 """(15,) the joint of hypose's 19-joint body at (or next to) the common joint: the hand stands for the wrist, the foot
 for the ankle, the torso for the spine."""

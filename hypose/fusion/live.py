@@ -1,13 +1,13 @@
 """Live fusion: reports of sensors in, one skeleton per person out at a steady rate, with a bound on the latency.
 
 The pieces: `align` (clocks, rates, late and dead sensors), `people` (who is who, where the sensors stand), `fit` (one
-skeleton). Nothing here waits or knows a socket: the caller says what time it is, so the live server, the tests and
-`replay` run the same code.
+skeleton). Nothing here waits or knows a socket: the caller says what time it is, so the live server, tests and
+benchmarks run the same code.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -113,38 +113,3 @@ def warm_up(settings: FitSettings) -> None:
     state = start_fit()
     for n in range(2):
         state, _ = fit_step(state, standing, np.full((1, 15), 2, dtype=np.uint8), n / 30, settings, np.zeros((1, 3)))
-
-
-# ---- the same without sockets --------------------------------------------------------------------------------
-
-
-def replay(
-    fuser: LiveFuser, reports: Iterable[SensorReport], stopwatch: Callable[[], float] | None = None
-) -> list[tuple[LiveFrame, float]]:
-    """Run reports, in order of arrival, through a fuser as the live server would; nothing sleeps.
-
-    Returns the frames, each with its latency in s: from the instant that it describes to when it is ready. With a
-    stopwatch (`time.perf_counter`) the computation's own time counts as well, and delays what comes after.
-    """
-    out: list[tuple[LiveFrame, float]] = []
-    busy_until = -np.inf
-
-    def work(at: float, call: Callable[[float], list[LiveFrame]]) -> None:
-        nonlocal busy_until
-        begin = max(at, busy_until)
-        before = stopwatch() if stopwatch else 0.0
-        frames = call(begin)
-        busy_until = begin + (stopwatch() - before if stopwatch else 0.0)
-        out.extend((f, busy_until - f.time) for f in frames)
-
-    for r in reports:
-        arrival = r.time if r.arrival is None else r.arrival
-        while (due := fuser.due()) < arrival:
-            work(due + 1e-9, fuser.poll)
-
-        def take(now: float, r: SensorReport = r) -> list[LiveFrame]:
-            fuser.push(r, now)
-            return fuser.poll(now)
-
-        work(arrival, take)
-    return out

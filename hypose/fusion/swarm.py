@@ -21,16 +21,21 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose import compute
-from hypose.fusion.confidence import CURED_CONFIDENCE, PUBLISHED_CONFIDENCE, ConfidenceSettings
-from hypose.fusion.fuzzy import PUBLISHED_RULES, SHARP_RULES, NoiseRules
+from hypose.fusion.confidence import (
+    CURED_CONFIDENCE,
+    PUBLISHED_CONFIDENCE,
+    PUBLISHED_RULES,
+    SHARP_RULES,
+    ConfidenceSettings,
+    NoiseRules,
+)
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.layer import Layer, Recipe, search
 from hypose.inference.random_streams import stream
 
-FEW = 64
-"""Distinct candidates per joint up to which binomial numbers are cheaper than spins."""
+NEGLIGIBLE = 7.0
+"""Scales h beyond which exp(-d / h) < 0.001 counts as 0."""
 
 
 @dataclass(frozen=True)
@@ -91,21 +96,15 @@ def ride(h: Hypotheses, frame: SwarmFrame, rng: np.random.Generator, /) -> Hypot
     if s.jitter_m > 0:
         old_values, log_weights, origin = _singly(h.values, h.log_weights, h.origin, s.count)
         old_values = old_values + rng.normal(0, s.jitter_m, old_values.shape)
-    joints, old = origin.shape
-    extra = s.immigrants * len(frame.positions)
-    values = np.empty((joints, old + extra, 3))
-    compute.swarm_kernels.ride(old_values, origin, frame.moved, values)
-    if extra:
-        new_log = np.empty((joints, old + extra))
-        new_origin = np.empty((joints, old + extra), dtype=np.int32)
-        new_log[:, :old], new_origin[:, :old] = log_weights, origin
-        fresh, fresh_log, fresh_origin = _placed(
-            frame.positions, frame.weights > 0, np.ones(joints, dtype=np.bool_), extra, s.radius_m, rng
-        )
-        values[:, old:], new_origin[:, old:] = fresh, fresh_origin
+    joints = np.arange(len(origin))
+    values = old_values + frame.moved[np.maximum(origin, 0), joints[:, None]]
+    if s.immigrants:
+        extra, every = s.immigrants * len(frame.positions), np.ones(len(joints), dtype=np.bool_)
+        fresh = _placed(frame.positions, frame.weights > 0, every, extra, s.radius_m, rng)
+        values = np.concatenate([values, fresh[0]], 1)
         # each counts as one candidate of the population
-        new_log[:, old:] = fresh_log + np.log(extra / s.count)
-        log_weights, origin = new_log, new_origin
+        log_weights = np.concatenate([log_weights, fresh[1] + np.log(extra / s.count)], 1)
+        origin = np.concatenate([origin, fresh[2]], 1)
     return Hypotheses(values, log_weights, origin)
 
 
@@ -114,22 +113,27 @@ def energy(h: Hypotheses, frame: SwarmFrame, /) -> Array:
 
     Deviation: a length scale h, which is printed without one. Deviation: a term below 0.001 of its weight counts as 0.
     A joint that no candidate can explain this frame keeps its population (0 everywhere)."""
-    out = np.empty(h.log_weights.shape)
-    compute.swarm_kernels.swarm_energy(
-        h.values, h.origin, h.log_weights, frame.positions, frame.weights, frame.settings.h_m, out
-    )
-    if frame.settings.pressure != 1:
-        out *= frame.settings.pressure
-    return out
+    weights, scale = frame.weights.T[:, None], frame.settings.h_m
+    away = np.linalg.norm(h.values[:, :, None] - np.swapaxes(frame.positions, 0, 1)[:, None], axis=-1)
+    near = np.where((weights > 0) & (away < NEGLIGIBLE * scale), weights * np.exp(-away / scale), 0.0)
+    total = np.where(h.origin >= 0, near.sum(2), 0.0)
+    explained = np.asarray(((total > 0) & (h.log_weights > -np.inf)).any(1))
+    with np.errstate(divide="ignore"):
+        return np.where(explained[:, None], frame.settings.pressure * np.log(total), 0.0)
 
 
 def mean_position(h: Hypotheses, /) -> Array:
     """(J, 3) m weighted mean of the candidates.
 
     Deviation: eq. 1 is printed as the best candidate; section 2.5 says averaging, and so it is done."""
-    shares, mean = np.empty(h.log_weights.shape), np.empty((len(h.values), 3))
-    compute.swarm_kernels.shares_and_mean(h.log_weights, h.values, shares, mean)
-    return mean
+    return np.einsum("jm,jma->ja", _shares(h), h.values)
+
+
+def _shares(h: Hypotheses) -> Array:
+    """(J, M) normalised weights; 0 for a joint without candidates."""
+    peak = h.log_weights.max(1, keepdims=True)
+    shares = np.exp(h.log_weights - np.where(np.isfinite(peak), peak, 0.0))
+    return shares / np.maximum(shares.sum(1, keepdims=True), 1e-300)
 
 
 @dataclass(frozen=True)
@@ -142,27 +146,26 @@ class MergedWheel:
 
     def __call__(self, h: Hypotheses, rng: np.random.Generator, /) -> Hypotheses:
         """The distinct candidates drawn, with log-weights log(copies / count)."""
-        shares, mean = np.empty(h.log_weights.shape), np.empty((len(h.values), 3))
-        compute.swarm_kernels.shares_and_mean(h.log_weights, h.values, shares, mean)
-        counts = np.empty(shares.shape, dtype=np.int64)
+        shares = _shares(h)
+        some = np.asarray(shares.any(1))
         if self.universal:
-            compute.swarm_kernels.universal_counts(shares, rng.random(len(shares)), self.count, counts)
-        elif h.count <= FEW:
-            # a binomial number for each candidate instead of count spins: the same distribution. Reversed, because
-            # rounding leaves a remainder to the last, which must not be padding
-            total = shares.sum(1, keepdims=True)
-            counts = rng.multinomial(self.count, (shares / np.where(total > 0, total, 1.0))[:, ::-1])[:, ::-1]
-            counts = np.where(total > 0, counts, 0)
-        else:
-            spacings = rng.standard_exponential((len(shares), self.count + 1), dtype=np.float32)
-            compute.swarm_kernels.wheel_counts(shares, spacings, counts)
+            edges = np.cumsum(shares, 1)
+            edges *= self.count / np.where(some, edges[:, -1], 1.0)[:, None]
+            spun = np.clip(np.ceil(edges - rng.random((len(shares), 1))), 0, self.count)
+            counts = np.diff(spun, axis=1, prepend=0.0).astype(np.int64)
+        else:  # reversed, because rounding leaves a remainder to the last, which must not be padding
+            counts = rng.multinomial(self.count, shares[:, ::-1])[:, ::-1]
+        counts = np.where(some[:, None], counts, 0)
         width = int(np.count_nonzero(counts, axis=1).max())
         if width == 0:
             return h
-        values, log_weights = np.empty((len(counts), width, 3)), np.empty((len(counts), width))
-        origin = np.empty((len(counts), width), dtype=np.int32)
-        compute.swarm_kernels.keep_drawn(counts, h.values, h.origin, self.count, values, log_weights, origin)
-        return Hypotheses(values, log_weights, origin)
+        drawn = np.argsort(counts == 0, axis=1, kind="stable")[:, :width]
+        copies = np.take_along_axis(counts, drawn, 1)
+        with np.errstate(divide="ignore"):
+            log_weights = np.log(copies / self.count)
+        values = np.where(copies[..., None] > 0, np.take_along_axis(h.values, drawn[..., None], 1), 0.0)
+        origin = np.where(copies > 0, np.take_along_axis(h.origin, drawn, 1), -1)
+        return Hypotheses(values, log_weights, origin.astype(np.int32))
 
 
 def recipe(settings: SwarmSettings) -> Recipe:
@@ -216,9 +219,14 @@ def swarm_step(
     candidates = _candidates(state.candidates, due, frame, last, seed, state.frame)
     result = search(candidates, recipe(settings), frame, partial(stream, seed, state.frame))
     chosen = result.selected
-    mean, joints = result.estimate if settings.weighted else mean_position(chosen), positions.shape[1]
-    spread, shares, distinct = np.empty(joints), np.empty((joints, len(positions))), np.empty(joints, dtype=np.int64)
-    compute.swarm_kernels.swarm_summary(chosen.values, chosen.log_weights, chosen.origin, spread, shares, distinct)
+    mean = result.estimate if settings.weighted else mean_position(chosen)
+    used = (chosen.origin >= 0) & np.isfinite(chosen.log_weights)
+    weights, distinct = np.where(used, _shares(chosen), 0.0), used.sum(1)
+    # distances from one candidate, so that nothing is lost to cancellation far from the origin
+    off = chosen.values - chosen.values[:, :1]
+    square = (weights * (off**2).sum(2)).sum(1) - (np.einsum("jm,jma->ja", weights, off) ** 2).sum(1)
+    spread = np.sqrt(np.maximum(square, 0.0))
+    shares = np.stack([np.where(chosen.origin == k, weights, 0.0).sum(1) for k in range(len(positions))], 1)
     known = distinct > 0
     estimate = SwarmEstimate(
         np.where(known[:, None], mean, np.nan), np.where(known, spread, np.nan), shares, due, distinct
@@ -266,10 +274,13 @@ def _placed(
     """Fresh candidates of the joints with renew (J,), in balls around base (K, J, 3): values (J, count, 3), log-weights
     (each 1 / count), origins."""
     joints = base.shape[1]
-    bits = rng.integers(0, 2**64, (joints, int(2.2 * count) + 60), dtype=np.uint64)
-    values, log_weights = np.empty((joints, count, 3)), np.empty((joints, count))
-    origin = np.empty((joints, count), dtype=np.int32)
-    compute.swarm_kernels.place_candidates(bits, base, usable, renew, radius, values, log_weights, origin)
+    values, log_weights = np.zeros((joints, count, 3)), np.full((joints, count), -np.inf)
+    origin = np.full((joints, count), -1, dtype=np.int32)
+    for j in np.flatnonzero(renew & usable.any(0)):
+        log_weights[j], origin[j] = -np.log(count), np.resize(np.flatnonzero(usable[:, j]), count)
+        ways = rng.normal(size=(count, 3))
+        ways *= (radius * np.cbrt(rng.random(count)) / np.linalg.norm(ways, axis=1))[:, None]
+        values[j] = base[origin[j], j] + ways
     return values, log_weights, origin
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,3 +87,11 @@ def surface_depth(depth: Depth, x: float, y: float, radius: int = 6, near_mm: in
     window = depth[max(0, i - radius) : max(0, i + radius + 1), max(0, j - radius) : max(0, j + radius + 1)]
     values = window[window >= near_mm]
     return None if len(values) < 5 else float(np.percentile(values, 30))
+
+
+def check(what: str, settings: object, bounds: Mapping[str, tuple[float, float]]) -> None:
+    """InputError when an attribute of the settings is outside its bounds (inclusive) or no number."""
+    for name, (low, high) in bounds.items():
+        value = getattr(settings, name)
+        if not low <= value <= high:  # NaN is not within either
+            raise InputError(f"{what} {name} is {value}; it must be {low} to {high}.")

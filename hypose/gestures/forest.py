@@ -11,9 +11,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.compute import GrowingArrays, Packed, PaddedDepth, forest_arrays
+from hypose.compute import GrowingArrays, Packed, PaddedDepth, forest_votes, forests
 from hypose.errors import InputError
-from hypose.gestures.bounds import check
+from hypose.gestures.depth_pictures import check
 
 MAX_CLASSES = 17
 """The background and 16 gestures."""
@@ -49,20 +49,18 @@ class ForestSettings:
             "candidates": (1, 2000),
             "alpha": (1, 20000),
             "most_slots": (1, 8000),
-            "most_nodes": (3, forest_arrays.MAX_NODES),
+            "most_nodes": (3, forests.MAX_NODES),
         }
         check("A forest's", self, bounds)
-        if self.clip_mm is not None and not 1 <= self.clip_mm <= forest_arrays.UNCLIPPED_MM:
-            raise InputError(
-                f"A forest's clip_mm is {self.clip_mm}; it must be 1 to {forest_arrays.UNCLIPPED_MM}, or None."
-            )
+        if self.clip_mm is not None and not 1 <= self.clip_mm <= forests.UNCLIPPED_MM:
+            raise InputError(f"A forest's clip_mm is {self.clip_mm}; it must be 1 to {forests.UNCLIPPED_MM}, or None.")
         if not 0 < self.rate <= 20 or not 0 <= self.beta <= 1:
             raise InputError(f"A forest's rate is {self.rate}, beta {self.beta}; they must be in 0..20 and 0..1.")
 
     @property
     def clip(self) -> int:
         """clip_mm as a number."""
-        return forest_arrays.UNCLIPPED_MM if self.clip_mm is None else self.clip_mm
+        return forests.UNCLIPPED_MM if self.clip_mm is None else self.clip_mm
 
     @property
     def spread_mm(self) -> int:
@@ -88,22 +86,11 @@ class Forest:
     @cached_property
     def packed(self) -> Packed:
         """The layout that scanning reads."""
-        return forest_arrays.pack(self.test, self.left, self.seen, self.size)
-
-    def balance(self) -> NDArray[np.int64]:
-        """Height of the left minus the right branch, of every node with children (Fig. 3.9)."""
-        out: list[NDArray[np.int64]] = []
-        for left, n in zip(self.left, self.size, strict=True):
-            height = np.zeros(n, np.int64)
-            inner = np.flatnonzero(left[:n] >= 0)
-            for i in inner[::-1]:  # children are numbered after their parent
-                height[i] = 1 + max(height[left[i]], height[left[i] + 1])
-            out.append(height[left[inner]] - height[left[inner] + 1])
-        return np.concatenate(out) if out else np.zeros(0, np.int64)
+        return forest_votes.pack(self.test, self.left, self.seen, self.size)
 
     def probabilities(self, picture: PaddedDepth, rows: NDArray, columns: NDArray) -> NDArray[np.float64]:
         """(S, C) mean class shares (eq. 3.1) at pixels; meaningless where there is no depth."""
-        reached = forest_arrays.leaves(picture, picture.cells(rows, columns), self.packed, self.settings.clip)
+        reached = forest_votes.leaves(picture, picture.cells(rows, columns), self.packed, self.settings.clip)
         shares = self.packed.shares[np.arange(len(self.left))[None], reached]
         return shares.mean(1) / 10000.0
 
@@ -169,7 +156,7 @@ class GrowingForest:
         classes = np.require(labels, np.int32, ["C", "W"])
         for k in range(0, len(cells), 64):  # room for two new nodes per sample is made between blocks
             self._make_room(2 * min(64, len(cells) - k))
-            forest_arrays.grow(
+            forests.grow(
                 picture,
                 cells[k : k + 64],
                 classes[k : k + 64],
@@ -191,17 +178,12 @@ class GrowingForest:
     def packed(self) -> Packed:
         """The layout for scanning, now."""
         a = self.arrays
-        return forest_arrays.pack(a.test, a.left, a.seen, a.size)
+        return forest_votes.pack(a.test, a.left, a.seen, a.size)
 
     @property
     def nbytes(self) -> int:
         """Memory of the arrays."""
         return sum(a.nbytes for a in self.arrays)
-
-    @property
-    def refusals(self) -> int:
-        """How often a leaf asked for candidates when all slots were taken."""
-        return int(self.arrays.tally[1])
 
     def _make_room(self, nodes: int) -> None:
         a, s = self.arrays, self.settings

@@ -13,10 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.compute import Depth, PaddedDepth, ScanPlan, forest_arrays
+from hypose.compute import Depth, PaddedDepth, ScanPlan, forest_votes, forests
 from hypose.errors import InputError
-from hypose.gestures.bounds import check
-from hypose.gestures.depth_pictures import KINECT, Lens, surface_depth
+from hypose.gestures.depth_pictures import KINECT, Lens, check, surface_depth
 from hypose.gestures.forest import Forest, GrowingForest
 
 
@@ -45,8 +44,8 @@ class LocaliseSettings:
             self.plan,
             {
                 "stride": (1, 1000),
-                "near_mm": (100, forest_arrays.FAR_MM),
-                "far_mm": (100, forest_arrays.FAR_MM),
+                "near_mm": (100, forests.FAR_MM),
+                "far_mm": (100, forests.FAR_MM),
                 "first": (0, 200),
                 "least": (0, 1),
                 "coarse": (0, 16),
@@ -83,7 +82,7 @@ class Scratch:
 
 def pad(depth: Depth, lens: Lens, reach_mm: int, near_mm: int, reuse: PaddedDepth | None = None) -> PaddedDepth:
     """The picture as forests read it. A lens of another focal length may have a picture of any size."""
-    return forest_arrays.pad_depth(depth, lens.fx, near_mm, reach_mm, reuse)
+    return forests.pad_depth(depth, lens.fx, near_mm, reach_mm, reuse)
 
 
 Density = tuple[NDArray[np.float32], int]
@@ -122,19 +121,19 @@ def densities(
         raise InputError("The forests have different reaches; train them with the same reach_mm.")
     if len(forest_list) > 1 and any(f.classes != 2 for f in forest_list):
         raise InputError("A forest of several gestures is used alone; give one forest per gesture, or that one.")
-    if len(forest_list) > forest_arrays.MOST_FORESTS:
+    if len(forest_list) > forest_votes.MOST_FORESTS:
         raise InputError(
-            f"{len(forest_list)} forests are too many to look with; give at most {forest_arrays.MOST_FORESTS}."
+            f"{len(forest_list)} forests are too many to look with; give at most {forest_votes.MOST_FORESTS}."
         )
     picture = scratch.picture = pad(depth, lens, reach, s.plan.near_mm, scratch.picture)
     if len(forest_list) > 1 or forest_list[0].classes == 2:
         clips = [f.settings.clip for f in forest_list]
-        maps, scratch.descents = forest_arrays.scan(picture, [f.packed for f in forest_list], clips, s.plan)
+        maps, scratch.descents = forest_votes.scan(picture, [f.packed for f in forest_list], clips, s.plan)
         majority = s.majority
     else:
         forest, majority = forest_list[0], 0.0  # the scan has already asked which class wins
-        maps, scratch.descents = forest_arrays.scan_classes(picture, forest.packed, forest.settings.clip, s.plan)
-    return [forest_arrays.parzen(picture, m, s.plan.stride, majority, s.sigma_px) for m in maps]
+        maps, scratch.descents = forest_votes.scan_classes(picture, forest.packed, forest.settings.clip, s.plan)
+    return [forest_votes.parzen(picture, m, s.plan.stride, majority, s.sigma_px) for m in maps]
 
 
 def settle(

@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.compute import TreeArraysOffline, forest_arrays
+from hypose.compute import TreeArraysOffline, forests
 from hypose.errors import InputError
 from hypose.gestures.forest import Forest, ForestSettings
 from hypose.gestures.localise import pad
@@ -67,7 +67,7 @@ def collect(
         picture = pad(e.depth, e.lens, reach_mm, near, picture)
         for (rows, columns), label in chooser.choose(e, positives, negatives):
             if len(rows):
-                patches.append(forest_arrays.cut_patches(picture, picture.cells(rows, columns), STEP_MM))
+                patches.append(forests.cut_patches(picture, picture.cells(rows, columns), STEP_MM))
                 labels.append(np.full(len(rows), label, np.int8))
     if not patches:
         raise InputError("There is nothing to learn from: no example has depth between the nearest and farthest range.")
@@ -93,7 +93,7 @@ def train(pool: Pool, rng: np.random.Generator, settings: OfflineSettings | None
         for c, m in enumerate(members):  # filled up until balanced; the errors themselves are not balanced
             draw.append(rng.choice(m, max(0, s.per_class - int((pool.labels[chosen] == c).sum()))))
         order = rng.permutation(np.concatenate(draw))
-        tree = forest_arrays.grow_tree(
+        tree = forests.grow_tree(
             pool.patches,
             pool.labels,
             order,
@@ -119,7 +119,7 @@ def train(pool: Pool, rng: np.random.Generator, settings: OfflineSettings | None
 
 def _shares(pool: Pool, tree: TreeArraysOffline, clip: int) -> NDArray[np.float64]:
     share = tree.seen / np.maximum(tree.seen.sum(1, keepdims=True), 1)
-    return share[forest_arrays.patch_leaves(pool.patches, tree, clip)]
+    return share[forests.patch_leaves(pool.patches, tree, clip)]
 
 
 def _joined(trees: list[TreeArraysOffline], settings: ForestSettings, centre: int) -> Forest:

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.compute import Depth, ScanPlan
-from hypose.gestures.bounds import check
-from hypose.gestures.depth_pictures import Lens, surface_depth
+from hypose.gestures.depth_pictures import Lens, check, surface_depth
 from hypose.gestures.localise import LocaliseSettings
 
 BACKGROUND = 0

@@ -55,11 +55,6 @@ class SessionSettings:
         """How long a phase lasts; the test does not end."""
         return float("inf") if phase == "test" else float(getattr(self, f"{phase}_s"))
 
-    @property
-    def total_s(self) -> float:
-        """Length of the whole session."""
-        return self.rounds * (self.do_gesture_s + self.positive_s + self.release_s + self.negative_s)
-
 
 @dataclass(frozen=True)
 class Session:

@@ -153,12 +153,6 @@ def _clip(view: View) -> Clip:
         return Clip(reader.size, reader.frame_rate, reader.n_frames)
 
 
-def raw_keypoints(recording: Recording) -> tuple[Array | None, tuple[str, ...]]:
-    """Key points (C, T, K, 3) in px of the calibrated, distorted images, and their names; None without any."""
-    found = raw_person(recording)
-    return (None, ()) if found is None else (found.raw, found.keypoints[0].names)
-
-
 def raw_person(recording: Recording) -> RecordedPerson | None:
     """The person of a recording whose calibration is in doubt, in full-size pictures; None without key points."""
     return load_person(recording, recording.rig.pinhole(), doubting=True)
@@ -200,7 +194,8 @@ def refine_recording(
         )
     few = window(recording, most)
     late = np.zeros(len(few.rig)) if late is None else late
-    points, names = raw_keypoints(few)
+    person = raw_person(few)
+    points, names = (None, ()) if person is None else (person.raw, person.keypoints[0].names)
     if points is None and method != "silhouettes":
         raise InputError(f"The recording {few.name} has no key points; refine from silhouettes.")
     if points is not None:
@@ -215,17 +210,17 @@ def refine_recording(
     notes: list[str] = []
     if method == "keypoints":
         assert points is not None
-        refined, person = _by_points(few.rig, points, used, focal, free)
+        refined, there = _by_points(few.rig, points, used, focal, free)
         before_silhouettes: list[Silhouettes | None] = []
     else:
-        refined, person, before_silhouettes, notes = _by_body(
+        refined, there, before_silhouettes, notes = _by_body(
             few, points, names, late, method, used, rest, focal, free, disturb, progress
         )
     factor = _scale(few.rig, refined, points, used, names, height, notes)
     refined = rescaled(refined, factor)
-    old_from_new = gauge(refined, few.rig, person * factor)
+    old_from_new = gauge(refined, few.rig, there * factor)
     refined = in_world(refined, old_from_new)
-    here = transform(old_from_new, person * factor)
+    here = transform(old_from_new, there * factor)
     tangents = [_tangency(r, before_silhouettes) for r in (few.rig, refined)]
     return Refinement(
         refined,

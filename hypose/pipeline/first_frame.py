@@ -23,11 +23,11 @@ from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.keypoint_clip import LEAST_POINTS
 from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, KeypointModel, keypoint_model, keypoint_term
 from hypose.tracking.keypoint_offsets import calibrate_keypoints
-from hypose.tracking.points_beside_masks import weighed_beside_masks
+from hypose.tracking.points_beside_masks import start_beside_masks, weighed_beside_masks
 from hypose.tracking.refinement import anatomical_prior
 from hypose.tracking.start_search import Start, start_from_hull
-from hypose.tracking.starts import KNOWN_POSES, hull_of, start_from_keypoints
-from hypose.tracking.subject import scaled_to_height, subject_from_keypoints
+from hypose.tracking.starts import KNOWN_POSES, start_from_keypoints
+from hypose.tracking.subject import subject_from_keypoints
 from hypose.tracking.view_noise import view_factors
 
 FrameAt = Callable[[int], Frame]
@@ -56,9 +56,9 @@ class Subject:
 @dataclass(frozen=True)
 class SubjectOptions:
     """start: 'auto', 'keypoints', 'hull' or a known pose's name. height: m, None = from key points or the hull.
-    girths: fit girths to the silhouettes. body: the template, or with `known` the subject's own body, of which only the
-    start pose is looked for. frame_rate: Hz. seed. shared, tried: as for `best_ways`, the masks show others as well,
-    and starts that may be right."""
+    girths: fit those of a body from key points to the silhouettes. body: the template, or with `known` the subject's
+    own body, of which only the start pose is looked for. frame_rate: Hz. seed. shared, tried: as for `best_ways`, the
+    masks show others as well, and starts that may be right."""
 
     start: str = "auto"
     height: float | None = None
@@ -91,74 +91,61 @@ def find_subject(frame_at: FrameAt, n_frames: int, options: SubjectOptions) -> S
             raise InputError(
                 "The start 'keypoints' needs key points, and this recording has none; use the start 'hull'."
             )
-        if options.known:
-            return _known_by_points(template, frame_at, sampled, n_frames, options)
-        return _from_keypoints(template, frame_at, sampled, n_frames, options)
+        return _by_points(template, frame_at, sampled, n_frames, options)
+    poses = KNOWN_POSES if options.start in ("auto", "hull") else (options.start,)
     if options.known:
         if options.tried:
             frames = [frame_at(k) for k in range(min(n_frames, TRACKED))]
             known = {"height": template.stature, "seed": options.seed, "tried": options.tried}
             way = best_ways(template, frames, options.frame_rate, shared=options.shared, **known).ways[0]
             return Subject(template, None, way.poses[0], (GIVEN,))
-        poses = KNOWN_POSES if options.start in ("auto", "hull") else (options.start,)
         prepared = prepare(first, template, np.zeros(template.skeleton.dof))
         return Subject(template, None, start_from_hull(template, prepared, poses).pose, (GIVEN,))
-    return _from_hull(template, frame_at, sampled, first, n_frames, options)
+    how = AnthropometryOptions(
+        height=options.height,
+        poses=poses,
+        seed=options.seed,
+        frames=8,
+        tracked=TRACKED,
+        passes=1,
+        shared=options.shared,
+        tried=options.tried,
+    )
+    estimate = estimate_subject(frame_at, n_frames, options.frame_rate, template, how)
+    notes = [f"height {estimate.body.stature:.3f} m from the silhouettes"] if options.height is None else []
+    return Subject(estimate.body, None, estimate.start, (*notes, *estimate.notes), unsure=estimate.unsure)
 
 
-def _from_keypoints(
+def _by_points(
     template: Body, frame_at: FrameAt, sampled: np.ndarray, n_frames: int, options: SubjectOptions
 ) -> Subject:
-    seen = [f for f in (frame_at(int(i)) for i in sampled) if f.keypoints is not None]
-    body, poses, notes = _fitted_to_points(template, seen, options)
-    model = _weighed(body, seen, poses)
-    notes.append(_noise_note(model))
-    start, at = first_start(body, model, frame_at, min(n_frames, 1 + int(options.frame_rate)))
-    if at:
-        notes.append(f"the start is the pose of frame {at}, the first with enough key points")
-    return Subject(body, model, start, tuple(notes))
-
-
-def _fitted_to_points(template: Body, seen: Sequence[Frame], options: SubjectOptions) -> tuple[Body, Array, list[str]]:
-    """The body, its poses (N, D) in the frames, NaN where not found, and notes."""
-    keypoints = [f.keypoints for f in seen if f.keypoints is not None]
-    points, _, _ = triangulate_keypoints(keypoints, worse=view_factors(keypoints))
-    fitted = subject_from_keypoints(template, points, keypoints[0].names)
-    body, notes = fitted.body, [f"segment lengths from the key points of {len(points)} frames"]
-    if options.height is not None:
-        notes.append("the given height is not used: lengths come from the key points")
-    if options.girths:
-        shaped = with_outlines(fitted, seen)
-        body, note = shaped or (body, "girths of the template: no frame has a usable silhouette of the person")
-        notes.append(note)
-    return body, fitted.poses, notes
-
-
-def _weighed(body: Body, seen: Sequence[Frame], poses: Array | None = None) -> KeypointModel:
-    """Where the key points sit on the body as it is now, for landmarks on the skin move with its girths, and what they
-    weigh beside masks."""
-    keypoints = [f.keypoints for f in seen if f.keypoints is not None]
-    model = calibrate_keypoints(body, keypoint_model(body, keypoints[0].names), keypoints, poses)
-    return weighed_beside_masks(body, model, seen)
-
-
-def _known_by_points(
-    body: Body, frame_at: FrameAt, sampled: np.ndarray, n_frames: int, options: SubjectOptions
-) -> Subject:
+    """The subject by key points, which also say where it stands; a body that is known stays as it is."""
     seen = [f for f in (frame_at(int(i)) for i in sampled) if f.keypoints is not None]
     if not seen:
         raise EvidenceError("No frame has key points to start from; use the start 'hull'.")
-    model = _weighed(body, seen)
+    keypoints = [f.keypoints for f in seen if f.keypoints is not None]
+    body, poses, notes = template, None, [GIVEN]
+    if not options.known:
+        points, _, _ = triangulate_keypoints(keypoints, worse=view_factors(keypoints))
+        fitted = subject_from_keypoints(template, points, keypoints[0].names)
+        body, poses, notes = fitted.body, fitted.poses, [f"segment lengths from the key points of {len(points)} frames"]
+        if options.height is not None:
+            notes.append("the given height is not used: lengths come from the key points")
+        if options.girths:
+            shaped = with_outlines(fitted, seen)
+            body, note = shaped or (body, "girths of the template: no frame has a usable silhouette of the person")
+            notes.append(note)
+    # where they sit on the body as it is now, for landmarks on the skin move with its girths
+    model = calibrate_keypoints(body, keypoint_model(body, keypoints[0].names), keypoints, poses)
+    model = weighed_beside_masks(body, model, seen)
+    assert model.sd is not None
+    scatter = 1e3 * float(np.median(model.sd[model.known]))
+    notes.append(f"key points weigh as if they scattered by {scatter:.0f} mm per axis")
     start, at = first_start(body, model, frame_at, min(n_frames, 1 + int(options.frame_rate)))
-    notes = [GIVEN, _noise_note(model)]
+    start = start_beside_masks(body, model, frame_at(at), start)
     if at:
         notes.append(f"the start is the pose of frame {at}, the first with enough key points")
     return Subject(body, model, start, tuple(notes))
-
-
-def _noise_note(model: KeypointModel) -> str:
-    assert model.sd is not None
-    return f"key points weigh as if they scattered by {1e3 * float(np.median(model.sd[model.known])):.0f} mm per axis"
 
 
 def first_start(body: Body, model: KeypointModel, frame_at: FrameAt, last: int) -> tuple[Array, int]:
@@ -207,57 +194,6 @@ def _followed_back(
         if term is not None and (term.points[..., 2] > 0).any(0).sum() >= LEAST_POINTS:
             pose, at = fit_pose(body, pose, keypoints=term, priors=prior, options=options).pose, i
     return pose, at
-
-
-def _from_hull(
-    template: Body, frame_at: FrameAt, sampled: np.ndarray, first: Frame, n_frames: int, options: SubjectOptions
-) -> Subject:
-    poses = KNOWN_POSES if options.start in ("auto", "hull") else (options.start,)
-    if options.girths:
-        how = AnthropometryOptions(
-            height=options.height,
-            poses=poses,
-            seed=options.seed,
-            frames=8,
-            tracked=TRACKED,
-            passes=1,
-            shared=options.shared,
-            tried=options.tried,
-        )
-        estimate = estimate_subject(frame_at, n_frames, options.frame_rate, template, how)
-        notes = [f"height {estimate.body.stature:.3f} m from the silhouettes"] if options.height is None else []
-        return Subject(estimate.body, None, estimate.start, (*notes, *estimate.notes), unsure=estimate.unsure)
-    if options.height is not None:
-        height, note = options.height, f"height {options.height:.3f} m as given"
-    else:
-        height, n = _hull_height(frame_at, sampled)
-        note = f"height {height:.3f} m from the visual hulls of {n} frames"
-    body = scaled_to_height(template, height)
-    prepared = prepare(first, body, np.zeros(body.skeleton.dof))
-    return Subject(body, None, start_from_hull(body, prepared, poses).pose, (note,))
-
-
-def _hull_height(frame_at: FrameAt, sampled: np.ndarray) -> tuple[float, int]:
-    """Standing height (m) from hulls of the sampled frames, and the number of hulls.
-
-    The hull's extent along z is the height of a person standing upright and less when bent or striding, more with arms
-    up; the 75th percentile over the recording is used. It is a rough value: give the height when it is known.
-    """
-    heights = []
-    for i in sampled[:: max(1, len(sampled) // 12)]:
-        frame = frame_at(int(i))
-        if frame.silhouettes is None:
-            continue
-        try:
-            heights.append(hull_of(prepare(frame, human(), np.zeros(human().skeleton.dof))).height)
-        except EvidenceError:
-            continue
-    if not heights:
-        raise EvidenceError(
-            "No frame has a visual hull, so the subject's height cannot be found; check masks and calibration with "
-            "`hypose check`, or give --height."
-        )
-    return float(np.percentile(heights, 75)), len(heights)
 
 
 SUBJECT = "subject.npz"

@@ -30,6 +30,8 @@ _LEAST = 0.15
 """Sum over frames of IoU that has to be won: a turned body costs 0.05 to 0.1 in each."""
 _UNDECIDED = 50
 """Frames after its best after which it is broken off as well."""
+_FOUND_BY, _LEAST_BACK = 25, 0.05
+"""Frame from which the first ones are looked at again, and sum over frames of IoU that has to be won."""
 _MET_M, _MET_FRAMES = 0.02, 8
 """m, frames: both tracks are one where their joints lie so near for so long."""
 _ELSEWHERE_M = 0.15
@@ -63,6 +65,24 @@ def mend_sides(
     return out, runs(replaced)
 
 
+def look_back(
+    tracker: Tracker, estimates: Sequence[FrameEstimate], frames: FrameRange, *, memory: Memory | None = None
+) -> tuple[list[FrameEstimate], range]:
+    """The estimates with those of the first frames replaced that tracking backwards explains better, from where it had
+    found its way, and which these are: what a start got wrong is put right by what came after it."""
+    out, pace = list(estimates), pace_of(tracker)
+    at = min(round(_FOUND_BY * pace), len(out) - 1)
+    if at < 1 or tracker.recipe.recover is None:
+        return out, range(0)
+    start = tracker.start(out[at].pose, memory)
+    better, won, _ = _while_better(tracker, start, out, range(at - 1, -1, -1), backwards(frames, at), False)
+    if len(better) < at or won < _LEAST_BACK * pace:  # not as far as the first frame
+        return out, range(0)
+    moved = [t for t in range(at) if _apart(tracker.body, out[t], better[at - 1 - t]) > _MET_M]
+    out[:at] = better[::-1]
+    return out, range(max(moved, default=-1) + 1)
+
+
 def sides_notes(replaced: Sequence[range]) -> tuple[str, ...]:
     """A sentence for the user; none where nothing was exchanged."""
     if not replaced:
@@ -70,6 +90,11 @@ def sides_notes(replaced: Sequence[range]) -> tuple[str, ...]:
     return (
         f"left and right had been exchanged in {in_words(replaced)}, or the body lost; tracked again the right way",
     )
+
+
+def look_back_notes(replaced: range) -> tuple[str, ...]:
+    """A sentence for the user; none where nothing was replaced."""
+    return (f"the start was wrong in {in_words([replaced])}; tracked again backwards",) if replaced else ()
 
 
 def _most_suspicious(estimates: Sequence[FrameEstimate], tried: set[int]) -> int | None:
@@ -109,6 +134,7 @@ def _while_better(
     old: Sequence[FrameEstimate],
     numbers: range,
     frames: Iterable[tuple[Frame, Frame | None]],
+    until_met: bool = True,
 ) -> tuple[list[FrameEstimate], float, int]:
     """Estimates from the state `start` on, up to the frame where most is won over the old ones, without those at
     their end that are much the same; how much is won, and how many frames were tracked."""
@@ -123,9 +149,11 @@ def _while_better(
         if won > best:
             best, kept = won, len(new)
         met = met + 1 if _apart(tracker.body, old[t], estimate) < _MET_M else 0
-        both = met >= _MET_FRAMES * pace
+        both = until_met and met >= _MET_FRAMES * pace
         if won < best - _GIVE_UP * pace or len(new) - kept > _UNDECIDED * pace or both:
             break
+    if not until_met:
+        return new, won, len(new)
     while kept and _much_the_same(tracker.body, old[numbers[kept - 1]], new[kept - 1]):
         kept -= 1
     return new[:kept], best, len(new)

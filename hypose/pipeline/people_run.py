@@ -483,9 +483,10 @@ class PeopleRun:
         tracked = Tracked(found, p.member.state, complete)
         present, hidden = np.array(p.present, dtype=np.bool_), np.array(p.hidden, dtype=np.bool_)
         source = OwnFrames(self.source, p, people, self._points)
+        shared = len(people) > 1 and p.present[0]
         given = p.subject, p.member.tracker, tracked, self.options, p.results, self.record, self.progress
         said = sentences(self.looked), sentences(self.looked, fault=False)
-        out = finish(source, *given, *said)
+        out = finish(source, *given, *said, shared=shared)
         motion, notes = replace(out.motion, lost=out.motion.lost | ~present), [*out.notes, *p.said]
         if hidden.any():
             motion = replace(motion, doubtful=hidden if motion.doubtful is None else motion.doubtful | hidden)

@@ -25,7 +25,7 @@ from hypose.pipeline.contradictions import against_the_clip
 from hypose.pipeline.doubts import with_doubts, with_repeated_points
 from hypose.pipeline.first_frame import SUBJECT, Subject, SubjectOptions, find_subject, keep_subject, kept_subject
 from hypose.pipeline.first_look import first_look, of_measured, places_refuted, sentences
-from hypose.pipeline.mend_sides import FrameRange, mend_sides, sides_notes
+from hypose.pipeline.mend_sides import look_back, look_back_notes, mend_sides, sides_notes
 from hypose.pipeline.moved_sensors import PlacedSource, Places, moved_sensors
 from hypose.pipeline.one_camera import (
     BESIDE_FRAME,
@@ -208,7 +208,8 @@ def track_source(
     report("look", 0, 1)
     looked = () if options.of_picture else first_look(source, options.looks_at, options.height, frame_rate)
     faults, noticed = sentences(looked), sentences(looked, fault=False)
-    others = () if places_refuted(looked) else _who_else(source)  # of one person wrong cameras make two
+    more = 0 if places_refuted(looked) else getattr(source, "others", 0)  # of one person wrong cameras make two
+    others = (left_out(more, "key points", "--people all"),) if more else ()
     report("look", 1, 1)
     given = subject is not None
     if subject is None:
@@ -323,21 +324,24 @@ def finish(
     progress: Progress,
     faults: tuple[str, ...] = (),
     noticed: tuple[str, ...] = (),
+    shared: bool = False,
 ) -> TrackResult:
     """The motion of what was tracked, stretches with exchanged sides or lost arms mended, smoothed, judged and written.
-    faults, noticed: what the first look found."""
+    faults, noticed: what the first look found; shared: others are in the masks, who make starts unsure."""
     estimates, notes, recipe = done.estimates, subject.notes, tracker.recipe
 
-    def again(frames: range) -> Iterator[Frame]:
+    def seen(frames: range) -> Iterator[Frame]:
         return tracked_frames(source, frames, recipe.needs, subject)
 
-    seen: FrameRange = again
     if done.complete:
         progress("sides", 0, 1)
         estimates, exchanged = mend_sides(
             tracker, estimates, seen, sure_start=options.sure_start, memory=done.state.memory
         )
         notes = (*notes, *sides_notes(exchanged))
+        if shared and not options.sure_start:
+            estimates, anew = look_back(tracker, estimates, seen, memory=done.state.memory)
+            notes = (*notes, *look_back_notes(anew))
         progress("sides", 1, 1)
         if options.smooth and recipe.smooth is not None:
             estimates, moved = look_both_ways(
@@ -371,12 +375,6 @@ def finish(
     said = (*faults, *wrong), (*noticed, *looks)
     out = TrackResult(motion, subject.body, done.complete, notes, None, own, audit, *said, unsure=subject.unsure)
     return _written(out, results)
-
-
-def _who_else(source: FrameSource) -> tuple[str, ...]:
-    """Sentences on whom the key points of a source show beside the one who is followed."""
-    others = getattr(source, "others", 0)
-    return (left_out(others, "key points", "--people all"),) if others else ()
 
 
 def _doubted(

@@ -94,11 +94,6 @@ class SubjectEstimate:
         """Sizes of the body without its clothes (girths are the skin's, as far as the clothes' thickness is known)."""
         return sizes_of(self.naked)
 
-    @property
-    def clothed_sizes(self) -> Sizes:
-        """Sizes over the clothes."""
-        return sizes_of(self.body)
-
 
 def estimate_subject(
     frame_at: FrameAt,
@@ -174,7 +169,7 @@ def estimate_subject(
     if progress is not None:
         progress(total, total)
     before = by_template[chosen]
-    views = [_prepared(seen[k], first, by_template[k]) for k in chosen]
+    views = [prepare(seen[k], first, by_template[k]) for k in chosen]
     body, x = fit.body, fit.log_factors
     iou_before = _ious(first, before, views)
     iou_after = _ious(body, fit.poses, views)
@@ -187,7 +182,7 @@ def estimate_subject(
         body_of(template, x, clothed=False),
         x,
         fit.covariance,
-        _settled(body, tracked[0], seen[0]),
+        refine(body, tracked[:1], prepare(seen[0], body, tracked[0]), SolveSettings())[0].pose,
         tuple(numbers[k] for k in chosen),
         fit.poses,
         first,
@@ -250,14 +245,6 @@ def depths_of(frames: Sequence[Frame], chosen: Sequence[int]) -> list[DepthTerm 
     return [None if d is None else depth_term(d) for d in found]
 
 
-def _prepared(frame: Frame, body: Body, pose: Array) -> PreparedFrame:
-    return prepare(frame, body, pose)
-
-
-def _settled(body: Body, pose: Array, frame: Frame) -> Array:
-    return refine(body, pose[None], _prepared(frame, body, pose), SolveSettings())[0].pose
-
-
 def _ious(body: Body, poses: Array, frames: Sequence[PreparedFrame]) -> Array:
     return np.stack([silhouette_iou(body, q, f) for q, f in zip(poses, frames, strict=True)])
 
@@ -279,7 +266,7 @@ def with_outlines(fitted: KeypointSubject, frames: Sequence[Frame]) -> tuple[Bod
     solved = np.flatnonzero(np.isfinite(fitted.poses).all(1))
     looked_at = solved[np.unique(np.linspace(0, len(solved) - 1, min(_LOOKED_AT, len(solved))).astype(int))]
     shown = [n for n in looked_at.tolist() if frames[n].silhouettes is not None]
-    views = {n: _prepared(frames[n], fitted.body, fitted.poses[n]) for n in shown}
+    views = {n: prepare(frames[n], fitted.body, fitted.poses[n]) for n in shown}
     found = {n: mean_overlap(fitted.body, fitted.poses[n], views[n]) for n in shown}
     usable = [n for n in shown if found[n] > _THE_PERSON]
     if not usable:
@@ -314,7 +301,7 @@ def save_subject(folder: str | Path, estimate: SubjectEstimate, template: Body, 
     thickness = 1000 * CLOTHING_UNIT * estimate.factors[entity("clothing")]
     lines += [f"frames = {[int(i) for i in estimate.frames]}", f"mean_iou = {float(np.nanmean(estimate.iou)):.4f}"]
     lines += [f"clothing_mm = {thickness:.1f}", ""]
-    skin, over = estimate.sizes.in_cm, estimate.clothed_sizes.in_cm
+    skin, over = estimate.sizes.in_cm, sizes_of(estimate.body).in_cm
     for name, value in skin.items():
         lines += [f'[sizes."{name}"]', f"cm = {value:.2f}", f"sd = {sd[name]:.2f}"]
         if name.endswith("girth"):

@@ -4,19 +4,91 @@ has, to practise the whole way on it, from calibration to the motion."""
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from functools import partial
+from dataclasses import dataclass
+from functools import cached_property, partial
 from pathlib import Path
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from hypose.calibration.boards import Board
-from hypose.geometry import Array, se3
+from hypose.cameras.camera import Camera
+from hypose.geometry import Array, se3, transform
 from hypose.io.file_names import file_name
 from hypose.io.videos.video import VideoWriter
-from hypose.synthetic.board_pictures import BoardPainter
+from hypose.synthetic.render_rgb import LIGHT
 from hypose.synthetic.scenes import Image, Scene
 from hypose.synthetic.write_recording import write_truth
+
+SQUARE_PX = 40
+_RIM = 1  # squares of white paper around the pattern
+_FINE = 3  # rays per pixel and axis
+
+
+def board_sheet(board: Board) -> NDArray[np.float32]:
+    """(h, w) grey levels of the print, SQUARE_PX pixels per square, with a white rim of one square."""
+    cells = (np.indices((board.rows + 1, board.columns + 1)).sum(0) % 2) * 210.0 + 20
+    inner = np.kron(cells, np.ones((SQUARE_PX, SQUARE_PX)))
+    return np.pad(inner, _RIM * SQUARE_PX, constant_values=235.0).astype(np.float32)
+
+
+def board_from_sheet(board: Board) -> Array:
+    """(3, 3) from the sheet's pixels to the board's metres; the origin is the first inner corner."""
+    scale = board.square / SQUARE_PX
+    shift = -(1 + _RIM) * board.square + 0.5 * scale
+    return np.array([[scale, 0, shift], [0, scale, shift], [0, 0, 1]])
+
+
+@dataclass(frozen=True)
+class BoardPainter:
+    """Paints a board into pictures (h, w, 3) of one camera, with its lens, where nothing is in front of it; its back is
+    plain cardboard."""
+
+    camera: Camera
+    board: Board
+
+    def __call__(self, picture: NDArray[np.float32], world_from_board: Array) -> None:
+        """The board at a pose (4, 4)."""
+        h, w = self._sheet.shape
+        rim = np.array([[0, 0], [w / 2, 0], [w, 0], [w, h / 2], [w, h], [w / 2, h], [0, h], [0, h / 2]]) - 0.5
+        flat = np.c_[rim, np.ones(len(rim))] @ board_from_sheet(self.board).T
+        uv = self.camera.project(transform(world_from_board, np.c_[flat[:, :2], np.zeros(len(flat))]))
+        if not np.isfinite(uv).all():
+            return  # behind the camera
+        low, high = np.floor(uv.min(0)).astype(int) - 3, np.ceil(uv.max(0)).astype(int) + 4
+        (x0, y0), (x1, y1) = np.maximum(low, 0), np.minimum(high, self.camera.size)
+        if x0 >= x1 or y0 >= y1:
+            return
+        camera_from_board = self.camera.camera_from_world @ world_from_board
+        homography = self.camera.K @ camera_from_board[:3, [0, 1, 3]] @ board_from_sheet(self.board)
+        fine = cv2.resize(self._ideal[y0:y1, x0:x1], None, fx=_FINE, fy=_FINE, interpolation=cv2.INTER_LINEAR)
+        at = cv2.perspectiveTransform(np.asarray(fine), np.linalg.inv(homography))
+        covered = np.asarray(((at > -0.5) & (at < (w - 0.5, h - 0.5))).all(-1), dtype=np.float32)
+        front = float(camera_from_board[:3, 2] @ camera_from_board[:3, 3]) > 0  # its z points into it
+        x, y = (np.ascontiguousarray(at[..., k], dtype=np.float32) for k in range(2))
+        seen = cv2.remap(self._sheet, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        normal = world_from_board[:3, 2] * (-1 if front else 1)
+        light = 0.6 + 0.4 * max(0.0, float(normal @ LIGHT))
+        grey = np.asarray(seen if front else np.full_like(covered, 120.0), dtype=np.float32)
+        lit = covered * grey * np.float32(light)
+        size = (x1 - x0, y1 - y0)
+        part = cv2.resize(covered, size, interpolation=cv2.INTER_AREA)[..., None]
+        tone = cv2.resize(lit, size, interpolation=cv2.INTER_AREA)[..., None]
+        picture[y0:y1, x0:x1] = (1 - part) * picture[y0:y1, x0:x1] + tone
+
+    @cached_property
+    def _sheet(self) -> NDArray[np.float32]:
+        return board_sheet(self.board)
+
+    @cached_property
+    def _ideal(self) -> NDArray[np.float32]:
+        """(h, w, 2) where a camera without distortion sees what each pixel sees."""
+        w, h = self.camera.size
+        grid = np.stack(np.meshgrid(np.arange(w), np.arange(h)), -1)
+        return self.camera.undistort_points(grid).astype(np.float32)
+
 
 BOARD = Board("chessboard", 9, 6, 0.08)
 """Corners and size of the board that is filmed."""

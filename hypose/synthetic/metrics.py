@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.body.body import Body
+from hypose.body.motion import region_reach
 from hypose.body.ready_bodies import JOINT_NAMES, PARENTS
-from hypose.body.regions import region_reach
 from hypose.errors import InputError
 from hypose.geometry import Array, rotation_between, so3_log
 from hypose.synthetic.subjects import load_subjects
@@ -169,7 +169,7 @@ def coverage(
     """Share of the frames in which the true joint lies in the reported region, per level: {level: (J,)}.
 
     estimated, truth (T, J, 3) m; joint_sd (T, J) m per axis, or covariances (T, J, 3, 3) m^2. The region of a
-    level is the sphere (ellipsoid) of `hypose.body.regions.region_reach`. A well calibrated method has coverage =
+    level is the sphere (ellipsoid) of `hypose.body.motion.region_reach`. A well calibrated method has coverage =
     level. NaN where no sd is known.
     """
     d = np.asarray(truth, dtype=np.float64) - np.asarray(estimated, dtype=np.float64)

@@ -128,7 +128,7 @@ class SensorRecording:
         directions = (rays / norm[:, None]) @ world_from_camera[:3, :3].T
         capsules = np.concatenate([body_capsules(self.truth[frame]), self.bars])
         out = np.empty(len(rays))
-        compute.rays.cast_rays(world_from_camera[:3, 3].copy(), directions, capsules, out)
+        compute.depth_sensor.cast_rays(world_from_camera[:3, 3].copy(), directions, capsules, out)
         return np.minimum(out / norm, BACKGROUND_M).reshape(u.shape)
 
 
@@ -266,7 +266,7 @@ def _seen(joints: Array, eye: Array, capsules: Array) -> Array:
     offsets = 0.028 * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
     out = np.empty(joints.shape[:2])
     for t in range(len(joints)):
-        compute.rays.seen_share(eye, joints[t], offsets, capsules[t], own, 0.02, out[t])
+        compute.depth_sensor.seen_share(eye, joints[t], offsets, capsules[t], own, 0.02, out[t])
     return out
 
 
@@ -356,7 +356,7 @@ def _depth_at(
     direction = ray / distance[..., None]
     hit = np.empty(distance.shape)
     for t in range(len(reported)):
-        compute.rays.cast_rays(eye, direction[t], capsules[t], hit[t])
+        compute.depth_sensor.cast_rays(eye, direction[t], capsules[t], hit[t])
     hit = np.minimum(hit, BACKGROUND_M)
     hit += rng.normal(0, 1, hit.shape) * LARGEST_DEPTH_NOISE * hit * hit
     out = hit * (direction @ axis)

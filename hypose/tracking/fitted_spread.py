@@ -3,7 +3,7 @@
 The curvature of a cost tells how well the evidence fixes a pose, not how far the body's joint lies from the
 anatomical one. So the variance is a^2 V + b^2: V from the curvature, a because rows err together, b for the definition
 and the body, the same all along. a and b were fitted to errors on scenes (scripts/train_doubt.py), per joint, angle and
-kind of evidence, so that regions of 90 % hold 90 % of them, and others theirs (`hypose.body.regions`). What lasts in
+kind of evidence, so that regions of 90 % hold 90 % of them, and others theirs (`hypose.body.motion`). What lasts in
 the residuals of key points is added to b^2 (`hypose.tracking.fitted_spread`). Views that
 contradict each other as a whole (`hypose.tracking.audit`) by more than they do in such scenes add (c x)^2, x
 being what is beyond: calibrations, lags and bodies that are wrong are wrong in all frames.

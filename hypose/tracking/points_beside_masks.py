@@ -23,7 +23,7 @@ from hypose.geometry import Array
 from hypose.tracking.frame_evidence import PreparedFrame, prepare
 from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, KeypointModel
 from hypose.tracking.keypoint_offsets import Residuals, residual_rows, solved_frames, triangulated_starts
-from hypose.tracking.refinement import solve
+from hypose.tracking.refinement import settled, solve
 
 OUTLINES_M = 0.015
 """m: points that scatter by no more weigh in full beside masks, whatever these say."""
@@ -89,6 +89,12 @@ def weighed_beside_masks(body: Body, model: KeypointModel, frames: Sequence[Fram
     # limbs of which too little is seen to tell are no better known than the others
     beside[:, ~known] = np.median(beside[:, known], axis=1, keepdims=True) if known.any() else 1.0
     return replace(model, beside=beside)
+
+
+def start_beside_masks(body: Body, model: KeypointModel, frame: Frame, start: Array) -> Array:
+    """Solve a start pose (D,) from key points on the masks of its frame as well; as it is without masks."""
+    prepared = prepare(frame, body, start, use_keypoints=True, keypoints_on_body=model, prediction_weight=0.0)
+    return start if prepared.contours is None else settled(start, prepared)
 
 
 def _times(model: KeypointModel, frames: Sequence[Frame]) -> int:

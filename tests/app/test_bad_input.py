@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from hypose.app.commands import commands_data
-from hypose.io.videos.video import VideoWriter, open_video
 
 
 def fails(result, *fragments):
@@ -25,47 +24,15 @@ def fails(result, *fragments):
     return sentence
 
 
-def rewrite(path, size=None, rate=None, image=None):
-    """Write a video again with another size, frame rate or content."""
-    with open_video(path) as reader:
-        frames, old_rate, old_size = list(reader), reader.frame_rate, reader.size
-    size = size or old_size
-    with VideoWriter(path, rate or old_rate, size) as writer:
-        for frame in frames:
-            blank = np.zeros((size[1], size[0], 3), np.uint8)
-            h, w = min(size[1], frame.shape[0]), min(size[0], frame.shape[1])
-            blank[:h, :w] = frame[:h, :w]
-            writer.write(blank if image is None else image)
-
-
 def replace_in(path, old, new):
     text = path.read_text()
     assert re.search(old, text), text
     path.write_text(re.sub(old, new, text, count=1))
 
 
-def test_missing_recording(hypose, tmp_path):
-    fails(hypose("track", tmp_path / "nowhere"), "nowhere does not exist", "give a recording folder")
-
-
-def test_folder_without_recording(hypose, tmp_path):
-    fails(hypose("track", tmp_path), "no recording.toml", "Pose2Sim")
-
-
 def test_missing_video(hypose, recording):
     (recording / "videos" / "cam2.mp4").unlink()
     fails(hypose("track", recording), "cam2", "does not exist", "correct the path")
-
-
-def test_video_of_another_size(hypose, recording):
-    rewrite(recording / "videos" / "cam3.mp4", size=(200, 120))
-    fails(hypose("track", recording), "cam3", "200 x 120 px", "calibrated for 160 x 120 px", "accept_scaled")
-
-
-def test_two_frame_rates(hypose, recording):
-    rewrite(recording / "videos" / "cam1.mp4", rate=50.0)
-    sentence = fails(hypose("track", recording), "different frame rates", "ffmpeg")
-    assert "cam1 50" in sentence and "cam2 25" in sentence
 
 
 def test_empty_silhouettes(hypose, recording):
@@ -79,17 +46,6 @@ def test_nan_in_the_calibration(hypose, recording):
     fails(hypose("track", recording), "calibration.toml, camera cam1: translation contains NaN", "calibrate it again")
 
 
-def test_truncated_video(hypose, recording):
-    path = recording / "videos" / "cam4.mp4"
-    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    fails(hypose("track", recording), "cam4.mp4", "copy it again")
-
-
-def test_empty_video(hypose, recording):
-    (recording / "videos" / "cam4.mp4").write_bytes(b"")
-    fails(hypose("track", recording), "cam4.mp4 is empty", "copy it again")
-
-
 def test_foreign_json_among_the_key_points(hypose, recording):
     folder = recording / "pose"
     folder.mkdir()
@@ -97,11 +53,6 @@ def test_foreign_json_among_the_key_points(hypose, recording):
         (folder / f"{t:06d}.json").write_text(json.dumps({"cats": [1, 2, 3]}))
     replace_in(recording / "recording.toml", r"\[\[view\]\]\n", '[[view]]\nkeypoints = "pose"\n')
     fails(hypose("track", recording, "--evidence", "both"), "000000.json")
-
-
-def test_unknown_key_in_recording_toml(hypose, recording):
-    replace_in(recording / "recording.toml", r"frame_rate", "framerate")
-    fails(hypose("track", recording), "framerate is unknown", "did you mean frame_rate?")
 
 
 @pytest.mark.parametrize(

@@ -23,9 +23,9 @@ from tests.conftest import HANG_S
 
 @pytest.fixture(scope="module")
 def study(tmp_path_factory):
-    """Two recordings of 40 and 6 frames; read only."""
+    """Two recordings of 60 and 6 frames; read only."""
     folder = tmp_path_factory.mktemp("study")
-    for name, seed, frames in (("long", 1, 40), ("short", 2, 6)):
+    for name, seed, frames in (("long", 1, 60), ("short", 2, 6)):
         write_masks(small_scene(seed, frames), folder / name)
     return folder
 
@@ -147,7 +147,7 @@ def test_a_task_is_stopped_in_order_and_goes_on(study, tmp_path):
     assert run_task(task, stop, stop_soon)["state"] == "stopped"
     stop.unlink()
     done = run_task(task, stop, lambda done: None)
-    assert done["state"] == "done" and done["frames"] == 40
+    assert done["state"] == "done" and done["frames"] == 60
     assert finished(task) == json.loads((task.results / "task.json").read_text()) == done
 
 

@@ -16,7 +16,7 @@ from hypose.io.recordings.recording import load_recording
 from hypose.io.sensors.depth import read_depth_png
 from hypose.pipeline import examine
 from hypose.pipeline.examine import Refinement
-from hypose.synthetic.write_depth import walking_scene, write_depth_scene
+from hypose.synthetic.write_recording import walking_scene, write_depth_scene
 
 
 def test_the_command_writes_evidence_in_step(hypose, tiny, tmp_path):

@@ -120,7 +120,7 @@ def test_what_is_no_person_or_not_the_same_is_not_to_be_trusted(hypose, rng, tmp
     assert kept["verdict"] == "not to be trusted"
 
 
-@pytest.mark.parametrize("method", ["swarm", "weighted_mean", "dbscan_kalman"])
+@pytest.mark.parametrize("method", ["swarm", "published"])
 def test_other_methods(hypose, rng, tmp_path, method):
     write_folder(recorded(rng, seconds=2), tmp_path / "rec")
     code, _, err = hypose("fuse", tmp_path / "rec", "--method", method, "--formats", "csv", "--rate", "25")
@@ -162,23 +162,6 @@ def test_a_real_recording(hypose, shared_data, tmp_path):
     code, out, err = hypose("fuse", path, "--out", tmp_path / "out", "--formats", "trc")
     assert code == 0, err
     assert (tmp_path / "out" / "motion.trc").is_file() or (tmp_path / "out" / "person-1" / "motion.trc").is_file()
-
-
-def test_ctrl_c_keeps_what_is_done(hypose, rng, tmp_path, monkeypatch):
-    from hypose.app.commands import console
-
-    shown = console.Stages.__call__
-
-    def call(self, stage, done, total):
-        if stage == "export" and done == 1:
-            raise KeyboardInterrupt
-        shown(self, stage, done, total)
-
-    monkeypatch.setattr(console.Stages, "__call__", call)
-    write_folder(recorded(rng, seconds=2), tmp_path / "rec")
-    code, out, _ = hypose("fuse", tmp_path / "rec")
-    assert code == 130 and "Kept:" in out and "motion.npz" in out
-    assert (tmp_path / "rec" / "results" / "fuse-fit" / "motion.npz").is_file()
 
 
 @pytest.mark.parametrize(("people", "more"), [(1, ("--diagnose",)), (2, ())])

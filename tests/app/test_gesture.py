@@ -33,7 +33,7 @@ def folder(tmp_path_factory):
 
     root = tmp_path_factory.mktemp("gesture")
     source = open_source("simulated:1", "pause", 3)
-    settings = SessionSettings(do_gesture_s=1.0, positive_s=1.0, release_s=0.2, negative_s=1.5, rounds=2)
+    settings = SessionSettings(do_gesture_s=1.0, positive_s=2.0, release_s=0.2, negative_s=1.5, rounds=2)
     model = run_session(source, "pause", new_learner(0), settings, record=root / "session", say=lambda text: None)
     save_model(model, root / "pause.npz")
     return root
@@ -175,7 +175,7 @@ def test_nothing_within_reach_is_said(depth_mm):
     from hypose.gestures.events import EventSettings
     from hypose.gestures.session import SessionSettings
 
-    settings = SessionSettings(do_gesture_s=1.0, positive_s=1.0, release_s=0.2, negative_s=1.0, rounds=2)
+    settings = SessionSettings(do_gesture_s=1.0, positive_s=2.0, release_s=0.2, negative_s=1.0, rounds=2)
     with pytest.raises(InputError, match="none had depth between 0.5 and 4 m in the box"):
         run_session(blank(depth_mm), "tee", new_learner(0), settings, record=None, say=lambda text: None)
     learner, said = new_learner(0), []

@@ -17,8 +17,8 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def longer(tmp_path_factory):
-    """40 frames: a checkpoint is written after 25."""
-    return write_tiny(tmp_path_factory.mktemp("longer") / "walk", 1.6)
+    """60 frames: checkpoints are written every 25."""
+    return write_tiny(tmp_path_factory.mktemp("longer") / "walk", 2.4)
 
 
 def command(recording, out, *more):
@@ -50,9 +50,9 @@ def test_a_killed_run_resumes_to_the_same_bytes(longer, tmp_path):
         process.wait()
     assert not (tmp_path / "killed" / "motion.npz").exists()
     said = run(longer, tmp_path / "killed", "--resume")
-    assert "Track: 25/40" in said  # it went on, it did not start again
+    assert "Track: 25/60" in said or "Track: 50/60" in said  # it went on, it did not start again
     whole, killed = (tmp_path / name / "motion.npz" for name in ("whole", "killed"))
-    assert len(load_motion(whole)) == 40
+    assert len(load_motion(whole)) == 60
     assert killed.read_bytes() == whole.read_bytes()
 
 
@@ -66,4 +66,4 @@ def test_sigterm_is_an_orderly_stop(longer, tmp_path):
     out, _ = process.communicate(timeout=HANG_S)
     assert process.returncode == 130
     assert "Kept: " in out and "--resume" in out
-    assert 25 <= len(load_motion(tmp_path / "motion.npz")) <= 40
+    assert 25 <= len(load_motion(tmp_path / "motion.npz")) < 60

@@ -16,7 +16,7 @@ from hypose.app.reports.result_pictures import (
 )
 from hypose.app.studio.view_bundle import ViewResult
 from hypose.body.ready_bodies import human
-from hypose.compute.pictures.render import silhouette
+from hypose.compute.render import silhouette
 from hypose.io.motions.results import load_body, load_motion
 from hypose.io.recordings.recording import View, load_recording
 from hypose.io.videos.video import open_video

@@ -17,7 +17,7 @@ from hypose.pipeline.run import TrackOptions
 from hypose.synthetic.depth_scenes import depth_scene
 from hypose.synthetic.motions import act
 from hypose.synthetic.subjects import load_subjects
-from hypose.synthetic.write_depth import write_depth_scene
+from hypose.synthetic.write_recording import write_depth_scene
 from tests.standing_people import name_people, standing_at, where
 
 PLACES = {"Anna": (0.5, 0.2), "Bert": (-0.5, 0.0)}
@@ -97,20 +97,6 @@ def test_key_points_do_not_tell_people_before_depth_cameras_apart(hypose, two):
     code, _, err = hypose("track", two, "--people", "all", "--evidence", "both", *LIGHT)
     assert code == 2
     assert re.search(r"depth cameras \(depth1, depth2\) .* not by key points", " ".join(err.split())), err
-
-
-@pytest.mark.slow
-def test_cameras_that_are_exchanged_are_told_and_make_nobody_of_two(hypose, tmp_path):
-    """Whether somebody else is there cannot be said before they stand where they are said to."""
-    subject = load_subjects()["neutral"]
-    bert, anna = (act("walk", subject, 0.4, 25.0, np.random.default_rng(3 + k)) for k in range(2))
-    bert, anna = standing_at(bert, (-0.9, 0.0)), standing_at(anna, (0.8, 0.4))
-    write_depth_scene(replace(depth_scene(bert, subject, "depth-2"), others=((subject, anna),)), tmp_path / "two")
-    swapped = [(f'camera = "depth{a}"', f'camera = "{b}"') for a, b in ((1, "x"), (2, "depth1"))]
-    swapped.append(('camera = "x"', 'camera = "depth2"'))
-    code, out, err = hypose("track", changed(tmp_path / "two", tmp_path, *swapped), "--out", tmp_path / "out", *LIGHT)
-    assert code == 3 and "do not see the person at one place" in out, out + err
-    assert "tracks everybody" not in out
 
 
 @pytest.mark.slow

@@ -52,7 +52,7 @@ def test_every_file_is_written(one_camera) -> None:
     several = {"motion_sd.sto"}  # of several cameras only
     assert {p.name for p in one_camera.iterdir()} == set(DESCRIPTIONS) - several
     with open_video(one_camera / "overlay.mp4") as video:
-        assert len(video) == 8
+        assert video.n_frames == 8
 
 
 def test_the_modes_can_be_read(one_camera) -> None:
@@ -89,7 +89,6 @@ def test_the_report_says_how_uncertain_depth_is(one_camera) -> None:
     assert "monocular" in page
 
 
-@pytest.mark.slow
 def test_interrupted_and_resumed_is_the_same(tiny, clicks, tracked, one_camera, tmp_path, hypose, monkeypatch) -> None:
     out = tmp_path / "results"
     arguments = ("track", tiny, *MONO, "--start", clicks, "--subject", tracked, "--out", out, "--no-overlay")

@@ -119,23 +119,6 @@ def test_a_block_holds_what_the_result_holds(folder):
     np.testing.assert_allclose(skinned, body.skin(motion.poses[4], body.fine), atol=2e-5)
 
 
-def test_flags_gaps_and_missing_parts_are_told(folder):
-    motion = load_motion(folder / "motion.npz")
-    n = np.arange(len(motion))
-    poses = motion.poses.copy()
-    poses[2] = np.nan
-    unknown = np.full_like(motion.joint_covariance, np.nan)
-    bad = replace(motion, poses=poses, joint_covariance=unknown, lost=n >= 6, extrapolated=n >= 5, doubtful=n < 0)
-    result = replace(load_view(folder), motion=bad, truth=None, rig=None, pictures=(), body=None)
-    header, arrays = read_bundle(view_bundle(result))
-    assert arrays["flags"].tolist() == [0, 0, 0, 0, 0, 2, 1, 1]
-    assert np.isnan(arrays["rotations"][2]).all() and np.isfinite(arrays["rotations"][3]).all()
-    assert header["summary"]["sd_mm"] is None and header["truth"] is None and header["cameras"] == []
-    assert "fine_vertices" not in arrays
-    header, arrays = read_bundle(view_bundle(replace(result, motion=replace(bad, poses=None))))
-    assert "rotations" not in arrays and "angles" not in arrays and header["formats"] == ["trc", "c3d", "csv"]
-
-
 def test_other_bytes_are_no_block():
     with pytest.raises(InputError, match="no result"):
         read_bundle(b"HYPOSEV0" + bytes(20))

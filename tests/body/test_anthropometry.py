@@ -4,11 +4,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from benchmarks.papers.layered_anthropometry import log_prior_2_1, sizes_2_1
 from hypose.body.anthropometry import (
     ENTITIES,
     ENTITY_NAMES,
-    TABLE_2_1,
     body_of,
     cross_section,
     dressed,
@@ -139,14 +137,3 @@ def test_length_rows_are_log_derivatives(body):
         change = (logs(sizes_of(body_of(body, one(name, 1e-3))).lengths) - logs(base)) / 1e-3
         np.testing.assert_allclose(rows[:, entity(name)], change, atol=0.02)
     assert (sd > 0).all()
-
-
-def test_equation_2_13(body):
-    at_mean = [(n, m) for n, (m, _) in TABLE_2_1.items()]
-    assert log_prior_2_1(at_mean) == 0
-    one_sd_off = [(n, m + (np.sqrt(v) if n == "legs" else 0)) for n, (m, v) in TABLE_2_1.items()]
-    assert log_prior_2_1(one_sd_off) == pytest.approx(-0.5)
-    # the template is an ordinary person of the table
-    found = sizes_2_1(body)
-    for name, (mean, variance) in TABLE_2_1.items():
-        assert abs(found[name] - mean) < 2.5 * np.sqrt(variance), name

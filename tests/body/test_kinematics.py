@@ -7,8 +7,8 @@ import pytest
 from scipy.linalg import expm
 
 from hypose import compute
-from hypose.geometry import skew, so3_exp, so3_left_jacobian, so3_log, transform
-from tests import missing
+from hypose.geometry import skew, so3_exp, so3_log, transform
+from tests import reference
 from tests.capsule_person import capsule_person, random_pose
 
 
@@ -29,11 +29,10 @@ def exponential(twist):
     return expm(m)
 
 
-def test_numba_is_the_reference(body, poses):
+def test_kernels_are_the_reference(body, poses):
     tree, mesh = body.skeleton.tree, body.coarse.arrays
-    with compute.use("numpy"):
-        r0, p0 = compute.forward_kinematics(poses, tree)
-        v0 = compute.skin(r0, p0, tree, mesh)
+    r0, p0 = reference.forward_kinematics(poses, tree)
+    v0 = reference.skin(r0, p0, tree, mesh)
     r1, p1 = compute.forward_kinematics(poses, tree)
     np.testing.assert_allclose(r1, r0, atol=1e-12)
     np.testing.assert_allclose(p1, p0, atol=1e-12)
@@ -78,69 +77,6 @@ def test_jacobian_by_finite_differences(body, poses, rng):
             analytic = s.jacobian(q, joint, point(q)[None])[0]
             numeric = np.stack([(point(q + h * e) - point(q - h * e)) / (2 * h) for e in np.eye(s.dof)], 1)
             np.testing.assert_allclose(analytic, numeric, atol=1e-8)
-
-
-def test_against_pinocchio(body, poses):
-    """An independent rigid-body library: every hinge a revolute joint, every ball a spherical one (a quaternion)."""
-    pin = missing.module("pinocchio", "kinematics against Pinocchio", "pip install pin")
-    s = body.skeleton
-    model = pin.Model()
-    last, offset, order = {-1: 0}, {}, []
-    for j, name in enumerate(s.joint_names):
-        a = int(s.parents[j])
-        parent, place = last[a], s.rest_offsets[j] + (offset[a] if a >= 0 else 0)
-        dofs = [int(d) for d in np.flatnonzero(s.joint_of_dof == j)]
-        if a < 0:
-            parent = model.addJoint(parent, pin.JointModelFreeFlyer(), pin.SE3.Identity(), name)
-            order.append(("free", dofs))
-            place = np.zeros(3)
-        elif not dofs:
-            pass
-        elif s.ball[j]:
-            parent = model.addJoint(parent, pin.JointModelSpherical(), pin.SE3(np.eye(3), place), name)
-            order.append(("ball", dofs))
-            place = np.zeros(3)
-        else:
-            for d in dofs:
-                motion = pin.JointModelRevoluteUnaligned(s.axes[d])
-                parent = model.addJoint(parent, motion, pin.SE3(np.eye(3), place), s.dof_names[d])
-                order.append(("hinge", [d]))
-                place = np.zeros(3)
-        last[j], offset[j] = parent, place
-        model.addFrame(pin.Frame(name, parent, pin.SE3(np.eye(3), place), pin.FrameType.OP_FRAME))
-    data = model.createData()
-    for q in poses:
-        x = []
-        for kind, dofs in order:
-            if kind == "hinge":
-                x.append([q[dofs[0]]])
-            else:
-                quaternion = pin.Quaternion(so3_exp(q[dofs[-3:]])).coeffs()
-                x.append(np.r_[q[dofs[:3]], quaternion] if kind == "free" else quaternion)
-        x = np.concatenate(x)
-        pin.framesForwardKinematics(model, data, x)
-        pin.computeJointJacobians(model, data, x)
-        rotations, centres = s.forward(q)
-        for j, name in enumerate(s.joint_names):
-            frame = model.getFrameId(name, pin.FrameType.OP_FRAME)
-            np.testing.assert_allclose(data.oMf[frame].rotation, rotations[j], atol=1e-12)
-            np.testing.assert_allclose(data.oMf[frame].translation, centres[j], atol=1e-12)
-            # pinocchio's velocities of a ball are angular velocities in the turned frame: R^T J_left per component's
-            # rate
-            spatial = pin.getFrameJacobian(model, data, frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)[:3]
-            ours = s.jacobian(q, j, centres[j][None])[0]
-            column = 0
-            for kind, dofs in order:
-                theirs = spatial[:, column : column + len(dofs)]
-                column += len(dofs)
-                if kind != "hinge":
-                    r = q[dofs[-3:]]
-                    theirs = theirs.copy()
-                    theirs[:, -3:] = theirs[:, -3:] @ so3_exp(r).T @ so3_left_jacobian(r)
-                    if kind == "free":
-                        theirs[:, :3] = theirs[:, :3] @ so3_exp(r).T
-                np.testing.assert_allclose(theirs, ours[:, dofs], atol=1e-11)
-            assert column == spatial.shape[1]
 
 
 def test_step_inverts_difference(body, poses):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, norm, t
 
-from hypose.body.regions import TAILS, region_reach
+from hypose.body.motion import TAILS, region_reach
 from tests.tailed import tailed
 
 

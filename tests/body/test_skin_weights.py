@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from benchmarks.multiview.procedural import procedural_body
-from hypose import compute
 from hypose.body.body import Body, Mesh
 from hypose.body.coarse_mesh import coarse_mesh, decimated, enclosed_volume, is_closed
 from hypose.body.fit_skeleton import scan_pose
@@ -18,7 +17,6 @@ from hypose.body.skin_weights import (
     influences,
     vertex_normals,
 )
-from hypose.compute.pictures.visibility import nearest_visible
 from hypose.errors import InputError
 
 LEFT_LEG, RIGHT_LEG = [13, 14, 15], [16, 17, 18]
@@ -111,22 +109,6 @@ def test_weights_agree_with_the_artists_where_anatomy_is_clear():
     assert same.mean() > 0.85
     limbs = np.isin(own.argmax(1), [7, 8, 11, 12, 14, 15, 17, 18]) & (own.max(1) > 0.9)
     assert same[limbs].mean() > 0.99
-
-
-def test_kernel_sees_what_the_definition_sees(rng):
-    body = human()
-    mesh, bones = body.coarse, body_bones(body)
-    v, f = mesh.vertices + 0.002 * rng.standard_normal(mesh.vertices.shape), mesh.faces
-    along = bones.end - bones.start
-    t = np.clip(((v[:, None] - bones.start) * along).sum(-1) / (along**2).sum(-1), 0, 1)
-    closest = bones.start + t[..., None] * along
-    distance = np.linalg.norm(v[:, None] - closest, axis=-1)
-    fast = nearest_visible(v, f, vertex_normals(v, f), closest, distance)
-    with compute.use("numpy"):
-        slow = nearest_visible(v, f, vertex_normals(v, f), closest, distance)
-    assert (fast == slow).all(1).mean() > 0.995  # rays through an edge may go either way
-    assert fast.any(1).mean() > 0.98
-    assert not fast.all()
 
 
 def test_vertices_without_face_are_refused():

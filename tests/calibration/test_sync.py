@@ -12,11 +12,9 @@ from hypose.calibration.sync_motion import Curves, fundamental, solve_offsets
 from hypose.calibration.synchronisation import (
     Resampled,
     light_event,
-    mask_between,
     offsets_from_light,
     offsets_from_motion,
     offsets_from_sound,
-    points_at,
 )
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Frame, Keypoints
@@ -56,28 +54,6 @@ def test_too_few_frames_are_told():
     rig = named_rig("ring-2")
     with pytest.raises(EvidenceError, match="at least 16 consecutive frames"):
         offsets_from_motion(rig, (np.zeros((2, 12, 25, 2)), np.ones((2, 12, 25))), None)
-
-
-def test_points_are_interpolated_and_ends_are_missing():
-    t = np.arange(10.0)
-    points = np.stack([np.stack([2 * t, 3 * t, np.full(10, 0.8)], 1)], 1)  # (T, 1, 3)
-    out = points_at(points, 0.5)
-    assert np.allclose(out[:9, 0, 0], 2 * t[:9] + 1) and np.allclose(out[:9, 0, 2], 0.8)
-    assert points_at(points, 3.0)[7, 0, 2] == 0  # after the end
-    assert np.array_equal(points_at(points, 0.0), points)
-    gap = points.copy()
-    gap[4] = 0
-    assert points_at(gap, 0.3)[4, 0, 2] == 0 and points_at(gap, 0.7)[4, 0, 0] == 10.0  # the nearer neighbour serves
-
-
-def test_a_mask_half_way_lies_half_way():
-    a, b = np.zeros((40, 60), np.uint8), np.zeros((40, 60), np.uint8)
-    a[10:30, 10:30] = 1
-    b[10:30, 14:34] = 1
-    middle = mask_between(a, b, 0.5)
-    columns = np.flatnonzero(middle[20])
-    assert abs(columns[0] - 12) <= 1 and abs(columns[-1] - 31) <= 1
-    assert np.array_equal(mask_between(a, b, 0.0), a) and np.array_equal(mask_between(a, b, 1.0), b)
 
 
 class _Moving:

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from hypose.compute import cache_place
+from hypose.compute import compiled
 
 
 @pytest.fixture
@@ -23,11 +23,11 @@ def choose(tmp_path, monkeypatch, caplog):
 
     def chosen(variable=None):
         if variable is None:
-            monkeypatch.delenv(cache_place.VARIABLE, raising=False)
+            monkeypatch.delenv(compiled.VARIABLE, raising=False)
         else:
-            monkeypatch.setenv(cache_place.VARIABLE, str(variable))
-        cache_place.note.cache_clear()
-        return cache_place.cache_folder.__wrapped__()
+            monkeypatch.setenv(compiled.VARIABLE, str(variable))
+        compiled.note.cache_clear()
+        return compiled.cache_folder.__wrapped__()
 
     return chosen
 
@@ -115,7 +115,6 @@ import resource
 resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
 import numpy as np
 from hypose.compute import signed_distance
-from hypose.compute.solver import banded
 print(signed_distance(np.ones((1, 8, 8), np.uint8), np.array([[8, 8]])).shape[0])
 from hypose.compute.compiled import kernel
 print(kernel(lambda a: a + 1)(1))
@@ -125,7 +124,7 @@ print(kernel(lambda a: a + 1)(1))
 @pytest.mark.skipif(sys.platform == "win32", reason="limits as on POSIX")
 @pytest.mark.parametrize("user", [None, "/nonexistent", "/dev/null"])
 def test_a_process_that_may_not_write_a_byte_runs_kernels(tmp_path, user):
-    environment = {k: v for k, v in os.environ.items() if k not in ("HOME", "XDG_CACHE_HOME", cache_place.VARIABLE)}
+    environment = {k: v for k, v in os.environ.items() if k not in ("HOME", "XDG_CACHE_HOME", compiled.VARIABLE)}
     environment |= {"XDG_CACHE_HOME": str(tmp_path), "PYTHONDONTWRITEBYTECODE": "1"}
     if user is not None:
         environment |= {"HOME": user}

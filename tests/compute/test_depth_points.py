@@ -13,15 +13,6 @@ def mask(request):
     return (cv2.blur(rng.random(request.param), (3, 3)) > 0.5).astype(np.uint8)
 
 
-def test_extents_are_those_of_the_labels(mask):
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
-    areas, left, right = compute.extents_of_pieces(labels, count)
-    assert areas[0] == 0
-    assert areas[1:].tolist() == stats[1:, cv2.CC_STAT_AREA].tolist()
-    assert left[1:].tolist() == stats[1:, cv2.CC_STAT_LEFT].tolist()
-    assert (right - left)[1:].tolist() == stats[1:, cv2.CC_STAT_WIDTH].tolist()
-
-
 def test_holes_that_a_mask_closes_over_are_filled(mask):
     rng = np.random.default_rng(1)
     depth = (rng.random(mask.shape) > 0.5).astype(np.float32)

@@ -8,14 +8,13 @@ import pkgutil
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 from numba.core.dispatcher import Dispatcher
 
 from hypose import compute
-from hypose.compute import cache_place, compiled
+from hypose.compute import compiled
 
 
 def add(a, b):
@@ -26,11 +25,11 @@ def add(a, b):
 def place(tmp_path, monkeypatch, caplog):
     caplog.set_level(logging.WARNING, "hypose")
     monkeypatch.setattr(compiled, "cache_folder", lambda: tmp_path)
-    cache_place.note.cache_clear()
-    cache_place.make_folder.cache_clear()
+    compiled.note.cache_clear()
+    compiled.make_folder.cache_clear()
     yield tmp_path
-    cache_place.note.cache_clear()
-    cache_place.make_folder.cache_clear()
+    compiled.note.cache_clear()
+    compiled.make_folder.cache_clear()
 
 
 def compiled_anew():
@@ -131,7 +130,7 @@ def test_files_that_have_not_been_used_for_long_are_removed(place):
         one.parent.mkdir(exist_ok=True)
         one.write_bytes(b"")
         os.utime(one, (0, 0))
-    cache_place.make_folder.cache_clear()
+    compiled.make_folder.cache_clear()
     compiled.kernel(add)(2, 3)
     assert path.exists() and not any(one.exists() for one in old)
 
@@ -144,8 +143,7 @@ def run_room(tmp_path):
     room.mkdir(parents=True)
     (tmp_path / "hypose" / "__init__.py").write_text("")
     (room / "__init__.py").write_text("")
-    for name in ("compiled", "cache_place"):
-        shutil.copy(Path(compiled.__file__).with_name(f"{name}.py"), room)
+    shutil.copy(compiled.__file__, room)
     head = "from hypose.compute.compiled import kernel\n"
     (room / "inner.py").write_text(f"{head}@kernel\ndef inner(x):\n    return x + 1\n")
     (room / "outer.py").write_text(

@@ -4,8 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from hypose import compute
-from hypose.compute.pictures.mask_runs import Cleaning, bits_of, clean, draw, runs_of
+from hypose.compute.mask_runs import Cleaning, bits_of, clean, disc, draw, runs_of
 
 SIZES = [(90, 70), (64, 50), (128, 33), (200, 60), (31, 40), (7, 9), (1, 1)]
 RULES = [
@@ -51,15 +50,66 @@ def test_masks_come_back(rng, size):
         assert np.array_equal(beyond, np.pad(mask, ((2, 1), (1, 4))))
 
 
+@pytest.mark.parametrize("size", SIZES)
+def test_bits_are_the_same_however_a_mask_lies_in_memory(rng, size):
+    for mask in masks(rng, size):
+        locked = mask.copy()
+        locked.flags.writeable = False
+        for other in (np.asfortranarray(mask), mask[::-1, ::-1].copy()[::-1, ::-1], mask.astype(bool), locked):
+            assert np.array_equal(bits_of(other), bits_of(mask))
+
+
+def cleaned(mask, how):
+    """The definition of `clean`, by OpenCV."""
+    out, margin = np.zeros_like(mask), how.close_px + 1
+    x, y, w, h = cv2.boundingRect(mask)
+    if w == 0:
+        return out
+    part = np.s_[max(y - margin, 0) : y + h + margin, max(x - margin, 0) : x + w + margin]
+    made = mask[part].copy()
+    if how.open_px > 1:
+        square = np.ones((how.open_px, how.open_px), np.uint8)
+        made = np.asarray(cv2.morphologyEx(made, cv2.MORPH_OPEN, square), dtype=np.uint8)
+    if how.close_px > 1:
+        made = np.asarray(cv2.morphologyEx(made, cv2.MORPH_CLOSE, disc(how.close_px)), dtype=np.uint8)
+    out[part] = regions(made, how)
+    return out
+
+
+def regions(part, how):
+    if how.hole_px:
+        _, label, stats, _ = cv2.connectedComponentsWithStats(1 - part, connectivity=4)
+        small = stats[:, cv2.CC_STAT_AREA] <= how.hole_px
+        small[0] = False  # label 0 is the foreground here
+        part |= small[np.asarray(label, dtype=np.int64)].astype(np.uint8)
+    count, label, stats, _ = cv2.connectedComponentsWithStats(part, connectivity=8)
+    if count < 2:
+        return part
+    area = stats[:, cv2.CC_STAT_AREA].astype(np.int64)
+    area[0] = 0
+    main = int(area.argmax())
+    keep = (area >= max(how.keep_share * area[main], 1)) & (area > 0)
+    if how.keep_share >= 1:
+        keep = np.arange(count) == main
+    start = stats[:, [cv2.CC_STAT_LEFT, cv2.CC_STAT_TOP]].astype(np.int64)
+    size = stats[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].astype(np.int64)
+    gap = np.maximum(np.maximum(start - (start + size)[main], start[main] - (start + size)), 0).max(1)
+    keep &= gap <= how.keep_gap * size[main].max()
+    return keep[np.asarray(label, dtype=np.int64)].astype(np.uint8)
+
+
 @pytest.mark.parametrize("how", RULES)
 @pytest.mark.parametrize("size", SIZES)
 def test_cleaned_masks_are_those_of_opencv(rng, size, how):
     shape = size[1], size[0]
     for mask in masks(rng, size):
-        bits = bits_of(mask)
-        with compute.use("numpy"):
-            assert np.array_equal(bits_of(mask), bits)
-            plain = clean(bits.copy(), shape, how)
-        fast = clean(bits, shape, how)
+        plain, fast = runs_of(cleaned(mask, how)), clean(bits_of(mask), shape, how)
         assert np.array_equal(draw(fast), draw(plain))
         assert (fast.box, fast.area) == (plain.box, plain.area)
+
+
+def test_a_person_takes_about_a_thousand_bytes():
+    mask = np.zeros((360, 480), np.uint8)
+    cv2.ellipse(mask, (240, 180), (60, 150), 20, 0, 360, 1, -1)
+    cv2.circle(mask, (240, 180), 20, 0, -1)
+    assert len(runs_of(mask).code) < 1200

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hypose.compute.solver import cpu_contours, cpu_depth_rows
+from hypose.compute import contours, depth_rows
 
 f4 = np.float32
 
@@ -16,13 +16,13 @@ def test_the_nearest_point_is_that_of_a_look_at_all(height, count):
     u, v = rng.uniform(0, 100, count).astype(f4), (low + rng.uniform(0, height, count)).astype(f4)
     ordered, rows, number = np.empty(2032, f4), np.empty(2032, f4), np.empty(2032, np.int32)
     place = np.empty(65, np.int64)
-    cpu_contours._by_row(count, u, v, low, ordered, rows, number, place)
+    contours._by_row(count, u, v, low, ordered, rows, number, place)
     assert sorted(number[:count]) == list(range(count))
     assert place[0] == 0 and place[-1] == count and (np.diff(place) >= 0).all()
     points = rng.uniform((-50, -100), (150, height + 150), (200, 2)).astype(f4)
     points[7] = -1e6  # left out
     found = np.empty(len(points), np.int32)
-    cpu_contours.nearest(count, ordered, rows, number, place, low, points, found)
+    contours.nearest(count, ordered, rows, number, place, low, points, found)
     assert found[7] == 0
     for one, (x, y) in zip(np.delete(found, 7), np.delete(points, 7, axis=0), strict=True):
         packed = np.minimum((np.square(u - x) + np.square(v - y)) * f4(64), f4(1e6)).astype(np.int64)
@@ -40,7 +40,7 @@ def test_the_nearest_place_of_a_triangle_is_as_near_as_any():
         u, v, p = rng.standard_normal((3, lanes, 3)).astype(f4)
         work = np.zeros(12 * lanes, f4)
         work[: 9 * lanes] = np.concatenate([u.T, v.T, p.T]).ravel()
-        cpu_depth_rows.closest_on_triangles(work)
+        depth_rows.closest_on_triangles(work)
         a, b, squared = work[9 * lanes :].reshape(3, lanes).astype(np.float64)
         assert (np.minimum(a, b) >= -1e-6).all()
         assert (a + b <= 1 + 1e-6).all()

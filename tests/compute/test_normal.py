@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from hypose.compute.solver.normal import SharedEquations, bounded_step, weighted_squares
+from hypose.compute.linear import SharedEquations, weighted_squares
+from hypose.compute.solver import bounded_step
 
 
 @pytest.mark.parametrize("rows", [0, 1, 4, 7, 203])

@@ -8,8 +8,8 @@ import pytest
 from numpy.typing import ArrayLike
 
 from hypose.body.ready_bodies import human
-from hypose.compute import covered, draw_parts, mask_of, parts_against_mask
-from hypose.compute.pictures.render import silhouette
+from hypose.compute import covered, draw_parts, mask_of, parts_against_mask, projected
+from hypose.compute.render import silhouette
 
 PARTS = 5
 
@@ -72,6 +72,21 @@ def test_counts_are_those_of_their_definitions(width: int, rng: np.random.Genera
         np.testing.assert_array_equal(mask_of(seen.bits, width), planes.any(0))
 
 
+def test_a_box_is_looked_at_in_steps(rng: np.random.Generator) -> None:
+    *_, mask = scene(rng, 200, 150)
+    hidden = (rng.random(mask.shape) < 0.1).astype(np.uint8)
+    for step, box in ((1, (3, 190, 5, 140)), (2, (1, 198, 0, 150)), (3, (0, 200, 7, 149)), (7, (50, 51, 20, 120))):
+        x0, x1, y0, y1 = box
+        small, ignored = mask[y0:y1:step, x0:x1:step], hidden[y0:y1:step, x0:x1:step]
+        (h, w), points, radius = small.shape, rng.uniform(0, 50, (3, 2)), np.full(3, 20.0)
+        uv, z, faces, part, _ = scene(rng, w, h)
+        drawn = draw_parts(uv, z, faces, part, PARTS, (h, w))
+        planes = np.stack([mask_of(p, w) for p in drawn]).astype(bool)
+        seen = parts_against_mask(packed(mask, hidden), drawn, box, step, points, radius, packed(hidden))
+        for found, right in zip(seen[:4], counted(planes, small, points, radius, ignored), strict=True):
+            assert found.tolist() == right
+
+
 def test_faces_cover_the_pixels_whose_centres_they_hold(rng: np.random.Generator) -> None:
     x, y = np.meshgrid(np.arange(70), np.arange(40))
     for _ in range(30):
@@ -80,6 +95,17 @@ def test_faces_cover_the_pixels_whose_centres_they_hold(rng: np.random.Generator
         inside = np.all(np.array(side) >= 0, axis=0) | np.all(np.array(side) <= 0, axis=0)
         face = np.array([[0, 1, 2]], np.int32)
         np.testing.assert_array_equal(silhouette(uv, np.ones(3), face, (70, 40)), inside)
+
+
+def test_points_through_a_camera_and_what_they_reach() -> None:
+    projection = np.array([[500.0, 0, 320, 0], [0, 500, 240, 0], [0, 0, 1, 0]])
+    uv, z, reach = projected(np.array([[0.1, 0.2, 2], [-0.4, 0, 4], [0, 0, -1]]), projection)
+    np.testing.assert_allclose(uv[:2], [[345, 290], [270, 240]])
+    np.testing.assert_allclose(z, [2, 4, -1])
+    np.testing.assert_allclose(reach, [[270, 345], [240, 290]])
+    assert np.isnan(uv[2]).all()
+    nothing = projected(np.array([[0.0, 0, -1]]), projection)[2]
+    assert (nothing[:, 0] > nothing[:, 1]).all()
 
 
 def test_of_a_closed_mesh_the_faces_that_turn_to_the_camera_cover_all(rng):

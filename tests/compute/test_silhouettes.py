@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import distance_transform_edt
 
 from hypose import compute
-from hypose.compute import reference
+from tests import reference
 from tests.capsule_person import capsule_person, look_at, random_pose, ring
 
 SIZE = (96, 128)
@@ -28,9 +28,9 @@ def masks_at(body, pose, rig):
 
 def both(body, poses, prepared, **options):
     tree, mesh = body.skeleton.tree, body.coarse.arrays
-    with compute.use("numpy"):
-        slow = compute.silhouette_xor(poses, tree, mesh, prepared, **options)
-    return slow, compute.silhouette_xor(poses, tree, mesh, prepared, **options)
+    return reference.silhouette_xor(poses, tree, mesh, prepared, **options), compute.silhouette_xor(
+        poses, tree, mesh, prepared, **options
+    )
 
 
 @pytest.fixture
@@ -119,6 +119,18 @@ def test_bodies_through_and_behind_the_camera_plane(body, rng, distance):
         assert fast[0, 0, 1] == 0
 
 
+def test_views_of_different_size_and_unusable_views(body, scene, rig):
+    poses, prepared = scene
+    masks = np.zeros((3, 140, 130), np.uint8)
+    masks[:, : SIZE[1], : SIZE[0]] = prepared.masks
+    padded = compute.prepare_masks(masks, [True, False, True], rig.sizes, rig.projections)
+    tree, mesh = body.skeleton.tree, body.coarse.arrays
+    whole = compute.silhouette_xor(poses, tree, mesh, prepared)
+    some = compute.silhouette_xor(poses, tree, mesh, padded)
+    np.testing.assert_array_equal(some[:, [0, 2]], whole[:, [0, 2]])
+    np.testing.assert_array_equal(some[:, 1], 0)
+
+
 def test_same_counts_for_any_number_of_threads(body, scene):
     poses = np.repeat(scene[0], 4, 0)
     tree, mesh = body.skeleton.tree, body.coarse.arrays
@@ -144,28 +156,6 @@ def test_signed_distance_and_outline_of_a_disc():
     r = np.hypot(points[:, 0] - 60, points[:, 1] - 44)
     assert np.abs(r - 24.9).max() < 0.8
     assert abs(r.mean() - 24.9) < 0.15
-
-
-@pytest.mark.parametrize("margin", [None, 5, 200])
-@pytest.mark.parametrize("width", [90, 12, 31, 32, 33, 64, 65])
-def test_signed_distances_are_those_of_the_definition(margin, width):
-    rng = np.random.default_rng(3)
-    for _ in range(5):
-        mask = np.zeros((70, width), np.uint8)
-        for _ in range(3):
-            y, x, h, w = rng.integers([0, 0, 1, 1], [60, width - 10, 40, 40])
-            mask[y : y + h, x : x + w] = 1
-        made = compute.signed_distance(mask[None], [(width, 70)], margin)
-        with compute.use("reference"):
-            np.testing.assert_array_equal(made, compute.signed_distance(mask[None], [(width, 70)], margin))
-
-
-@pytest.mark.parametrize("halves", [3, 4, 5, 6, 7])
-def test_a_mask_made_smaller_is_set_where_half_of_the_pixel_is(halves):
-    mask = (np.random.default_rng(halves).random((4 * halves, 7 * halves)) < 0.5).astype(np.uint8)
-    quarters = mask.repeat(2, 0).repeat(2, 1).reshape(8, halves, 14, halves)
-    share = quarters.astype(int).sum((1, 3)) / halves**2
-    np.testing.assert_array_equal(compute.shrink_mask(mask, halves), share >= 0.5)
 
 
 def test_outlines_cut_by_the_image_border_are_left_out():

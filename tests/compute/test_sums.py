@@ -1,13 +1,13 @@
-"""Rows of the solver, summed in vector lanes: the bits of a sum in the order that `dot` has."""
+"""Rows of the solver, summed in vector lanes: the bits of a sum in the order that it promises."""
 
 import numpy as np
 import pytest
 
-from hypose.compute.solver import cpu_rows
+from hypose.compute.rows import sum_rows
 
 
 def in_order(a, b):
-    """The sum of a b in eight partial sums, as cpu_cholesky.dot adds them."""
+    """The sum of a b in eight partial sums, in the order that the kernel promises."""
     whole = len(a) // 8 * 8
     s = np.zeros(8)
     for k in range(0, whole, 8):
@@ -25,7 +25,7 @@ def test_sums_of_rows_have_the_bits_of_the_plain_order(n):
     rows, joints = rng.normal(size=(700, 8)) * 10, rng.integers(0, n_joints - 1, 700).astype(np.int32)
     lanes, place = np.empty((9, 700)), np.empty(n_joints + 1, np.int64)
     hessian, gradient = np.ones((n_joints, 21)), np.ones((n_joints, 6))
-    cpu_rows.sum_rows(n, rows, joints, lanes, place, hessian, gradient)
+    sum_rows(n, rows, joints, lanes, place, hessian, gradient)
     for j in range(n_joints):
         own = rows[:n][joints[:n] == j]
         k = 0

@@ -4,9 +4,7 @@ import numba
 import numpy as np
 import pytest
 
-from hypose import compute
-from hypose.compute.silhouettes import cpu_silhouettes, cpu_vectors, cpu_views
-from hypose.compute.solver.terms import RIM
+from hypose.compute import silhouettes, vectors
 from tests.capsule_person import capsule_person, random_pose, ring
 
 f4 = np.float32
@@ -15,7 +13,7 @@ f4 = np.float32
 @numba.njit
 def second_strip(difference, mask, out, counts):
     strides = difference.shape[1], out.shape[1]
-    cpu_vectors.fill_strip(difference, 64, strides[0], difference.shape[0], mask, out, 8, strides[1], counts)
+    vectors.fill_strip(difference, 64, strides[0], difference.shape[0], mask, out, 8, strides[1], counts)
 
 
 @pytest.fixture(scope="module")
@@ -28,45 +26,32 @@ def test_contours_of_views_are_those_of_each_view(body, rng, views):
     rig, mesh, pose = ring(views, f=210.0, size=(200, 230)), body.coarse.arrays, random_pose(body, rng)
     vertices = (body.skin(pose) - pose[:3]).astype(f4)
     n_edges = len(mesh.edges)
-    p, turned = np.empty((cpu_views.VIEWS, 3, 4), f4), np.empty((12, cpu_views.VIEWS), f4)
-    uv, bounds = np.empty((len(vertices), 2, cpu_views.VIEWS), f4), np.empty((5, cpu_views.VIEWS), f4)
+    p, turned = np.empty((silhouettes.VIEWS, 3, 4), f4), np.empty((12, silhouettes.VIEWS), f4)
+    uv, bounds = np.empty((len(vertices), 2, silhouettes.VIEWS), f4), np.empty((5, silhouettes.VIEWS), f4)
     front, union = np.empty(len(mesh.faces), np.uint8), np.empty(n_edges, np.int32)
     start, end, lines = np.empty(n_edges, np.int32), np.empty(n_edges, np.int32), np.empty((4, n_edges), f4)
     seen, begins, ends = np.empty(len(mesh.faces), np.uint8), np.empty(n_edges, np.int32), np.empty(n_edges, np.int32)
     for c in range(views):
-        k = c % cpu_views.VIEWS
+        k = c % silhouettes.VIEWS
         if k == 0:
-            cpu_views.project_views(vertices, rig.projections, c, pose, p, turned, uv, bounds)
-            cpu_views.front_views(mesh.faces, uv, front)
-            n_union = cpu_views.contours_of_any(mesh.edges, front, union)
+            silhouettes.project_views(vertices, rig.projections, c, pose, p, turned, uv, bounds)
+            silhouettes.front_views(mesh.faces, uv, front)
+            n_union = silhouettes.contours_of_any(mesh.edges, front, union)
         exact = np.c_[vertices + pose[:3], np.ones(len(vertices))] @ rig.projections[c].T
         np.testing.assert_allclose(uv[:, :, k], exact[:, :2] / exact[:, 2:], atol=2e-3)
         u, v = (np.ascontiguousarray(uv[:, i, k]) for i in (0, 1))
         np.testing.assert_array_equal(bounds[:4, k], [u.min(), u.max(), v.min(), v.max()])
         assert bounds[4, k] == pytest.approx(exact[:, 2].min(), abs=1e-5)
-        cpu_silhouettes.front_faces(mesh.faces, u, v, seen)
+        silhouettes.front_faces(mesh.faces, u, v, seen)
         np.testing.assert_array_equal((front >> k) & 1, seen)
-        n = cpu_views.contours_of_view(k, n_union, union, mesh.edges, front, uv, start, end, lines)
-        assert n == cpu_silhouettes.contour_edges(mesh.edges, seen, begins, ends) > 20
+        n = silhouettes.contours_of_view(k, n_union, union, mesh.edges, front, uv, start, end, lines)
+        assert n == silhouettes.contour_edges(mesh.edges, seen, begins, ends) > 20
         np.testing.assert_array_equal([start[:n], end[:n]], [begins[:n], ends[:n]])
         np.testing.assert_array_equal(lines[:, :n], [u[start[:n]], v[start[:n]], u[end[:n]], v[end[:n]]])
         plain, fast = np.zeros((231, 200), np.int8), np.zeros((231, 200), np.int8)
-        cpu_silhouettes.emit_contours(n, start, end, u, v, 0, 0, 200, 230, plain)
-        cpu_views.emit_lines(n, lines, 0, 0, 200, 230, fast)
+        silhouettes.emit_contours(n, start, end, u, v, 0, 0, 200, 230, plain)
+        silhouettes.emit_lines(n, lines, 0, 0, 200, 230, fast)
         np.testing.assert_array_equal(plain, fast)
-
-
-def test_a_workspace_has_room_for_what_kernels_write(body):
-    """They ask nothing of its size, and the module that makes it must not import them."""
-    for width in (1, 64, 65, 320):
-        ws = compute.workspace(body.skeleton.tree, body.coarse.arrays, 50, width)
-        assert ws.uv.shape[2] == ws.turned.shape[1] == ws.bounds.shape[1] == cpu_views.VIEWS
-        assert ws.spot.shape == (cpu_vectors.LANES,) and len(ws.work) >= 9 * cpu_vectors.LANES
-        line = ws.difference.shape[1]
-        assert line % cpu_vectors.STRIP == 0 and line >= width and 8 * len(ws.own) >= 50 * line
-        assert min(ws.rim.shape[1], ws.sorted.shape[1], len(ws.rim_edge), len(ws.sorted_number)) >= RIM
-        assert len(ws.rows) >= 2 * body.coarse.arrays.skin_index.shape[1] * compute.MOST_FOUND
-        assert ws.lanes.shape[1] >= len(ws.rows) and ws.ends.shape[1] == ws.found.shape[1] > RIM + 1000
 
 
 def test_a_strip_holds_the_pixels_whose_running_sum_is_positive(rng):

@@ -15,7 +15,7 @@ def parts(tmp_path, monkeypatch):
     """(the parts that ran in this process, those that another was asked for) with a cache of its own; the other fails
     with what fits a body."""
     here, others = [], []
-    made = {name: (lambda _, part=name: here.append(part),) for name in warming.PARTS}
+    made = {name: (lambda part=name: here.append(part),) for name in warming.PARTS}
     monkeypatch.setattr(warming, "PARTS", made)
     monkeypatch.setattr(compiled, "cache_folder", lambda: tmp_path)
     monkeypatch.setattr(warming, "failures", [])
@@ -54,7 +54,7 @@ def test_where_nothing_can_be_kept_only_this_process_compiles(parts, monkeypatch
 
 
 def test_what_could_not_be_kept_is_not_said_to_be_there(parts, monkeypatch):
-    monkeypatch.setitem(warming.PARTS, "solver", (lambda _: warming.failures.append(OSError()),))
+    monkeypatch.setitem(warming.PARTS, "solver", (lambda: warming.failures.append(OSError()),))
     compute.warm_up("solver", load=False)
     assert not compute.kept("solver")
 

@@ -174,12 +174,6 @@ def test_who_returns_is_the_same_person():
     assert found.by_rays and found.people[0].first == 0 and found.people[0].last == FRAMES - 1
 
 
-def test_nobody_of_nothing():
-    assert people_of([[None] * 4, [np.zeros((0, 25, 3))] * 4], BODY_25, RIG) == []
-    found = one_person([[None] * 4] * 5, BODY_25, RIG)
-    assert found.points.shape == (5, 4, 25, 3) and not found.points.any()
-
-
 def _moved(rig, view, degrees):
     cameras = list(rig)
     turn = se3(so3_exp(np.radians([0, degrees, 0])), np.zeros(3))

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from hypose import compute, fitting
-from hypose.compute import reference
-from hypose.compute.solver.terms import PriorArrays
+from hypose.compute.arrays import PriorArrays
 from hypose.errors import InputError, SolverError
 from hypose.evidence.frame import Silhouettes
 from hypose.fitting.articulated import contour_arrays, keypoint_arrays, point_arrays
 from hypose.geometry import so3_exp, so3_log
+from tests import reference
 from tests.capsule_person import capsule_person, random_pose, ring
 
 BODY = capsule_person(0.055)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hypose import fitting
-from hypose.compute.solver.banded import frame_covariances
+from hypose.compute.linear import frame_covariances
 from hypose.fitting.clip_solve import Coupling, _Clip, _moved, default_acceleration
 from hypose.geometry import so3_exp, so3_log
 from tests.capsule_person import capsule_person, random_pose

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hypose.compute.solver.normal import bounded_step
+from hypose.compute.solver import bounded_step
 from hypose.errors import SolverError
 from hypose.fitting.least_squares import Rule, descend
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hypose.fusion.fuzzy import PUBLISHED_RULES, SHARP_RULES
+from hypose.fusion.confidence import PUBLISHED_RULES, SHARP_RULES
 
 
 def independent(f, d, a, rules):
@@ -42,12 +42,6 @@ def test_equals_an_independent_implementation_on_a_grid(rules):
     f, d, a = (x.ravel() for x in np.meshgrid(grid, grid, grid))
     expected = np.array([independent(*v, rules) for v in zip(f, d, a, strict=True)])
     assert np.abs(rules.noise(f, d, a) - expected).max() < 1e-2
-
-
-@pytest.mark.parametrize("rules", [PUBLISHED_RULES, SHARP_RULES])
-def test_the_compiled_engine_equals_the_definition(rules, rng):
-    x = rng.random((3, 4, 15))
-    np.testing.assert_allclose(rules.noise_fast(x), rules.noise(*x), atol=1e-12)
 
 
 def test_noise_stays_inside_zero_and_one_and_rises_with_the_depth_error():

@@ -31,14 +31,6 @@ def test_the_place_is_found_among_six_persons_whose_numbers_say_nothing(rng, exc
     assert found[1] < 0.03
 
 
-def test_strangers_have_no_place(rng):
-    common, others = people(rng, 2), people(rng, 2)[::-1] * [1.0, 1.4, 0.8]
-    shots = [(dict(enumerate(b)), {0: a[0]}) for a, b in zip(common, others, strict=True)]
-    assert find_place(shots, 5, 0.02, 0.7) is None
-    assert find_place([], 5, 0.15, 0.7) is None
-    assert find_place([({}, {0: common[0, 0]})] * 5, 5, 0.15, 0.7) is None
-
-
 def test_fits_in_a_batch_are_those_of_procrustes(rng):
     a = rng.normal(size=(20, 40, 3))
     r = so3_exp(rng.normal(size=(20, 3)))

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import ncx2
 
 from hypose.body.motion import sd_per_axis
-from hypose.compute.swarm import cpu_fusion
+from hypose.compute import fusion
 from hypose.fusion import joints as jt
 from hypose.fusion import trust
 from hypose.fusion.fuse import FusionSettings, fuse_clip
@@ -48,24 +48,12 @@ def test_the_arm_that_the_body_hides_is_likely_guessed():
     assert open_at([REST, guessed], [FRONT, FRONT])[1][jt.LEFT_HAND] > 0.3
 
 
-def test_sensors_that_see_another_side_may_differ_by_more():
-    moved = REST + [0.05, 0.0, 0.05]
-    same, other = (open_at([REST, moved], [FRONT, eye])[1][jt.NECK] for eye in (FRONT, LEFT_SIDE))
-    assert same > 3 * other
-
-
 def test_inferred_joints_and_bones_of_another_length_are_trusted_less():
     short = REST.copy()
     short[jt.LEFT_HAND] = REST[jt.LEFT_ELBOW] + 0.7 * (REST[jt.LEFT_HAND] - REST[jt.LEFT_ELBOW])
     usual, stretched = (open_at([p], [FRONT], joints=p)[1][jt.LEFT_HAND] for p in (REST, short))
     assert stretched > 0.5 > 5 * usual
     assert open_at([REST], [FRONT], states=1)[1][jt.LEFT_HAND] > 2 * usual
-
-
-def test_where_sensors_stand_is_not_needed():
-    for eyes in ([[np.nan] * 3], [REST[jt.TORSO]]):
-        systematic, wrong = open_at([REST], eyes)
-        assert np.isfinite(systematic).all() and (wrong < 0.25).all()
 
 
 def test_a_joint_that_no_sensor_reports_is_as_sure_as_its_prediction():
@@ -85,9 +73,7 @@ def test_the_kernel_sums_over_who_is_right(rng):
     x, variance = points[0] + 0.03, np.array([0.015**2])
     systematic, wrong = np.empty(1), np.empty(1)
     apart, order = ((points[:, None] - points) ** 2).sum(-1), np.arange(3)[:, None]
-    cpu_fusion.judge_claims(
-        points - x, apart, alike, weights, order, variance, own, guess, jitter, 0.1, systematic, wrong
-    )
+    fusion.judge_claims(points - x, apart, alike, weights, order, variance, own, guess, jitter, 0.1, systematic, wrong)
 
     def density(k, i, v):
         return np.exp(-((points[k, 0] - points[i, 0]) ** 2).sum() / (2 * v)) / v**1.5

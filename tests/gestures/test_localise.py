@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from hypose.compute.depth_forests import forest_arrays
-from hypose.compute.depth_forests.forest_arrays import ScanPlan
+from hypose.compute.forest_votes import ScanPlan
 from hypose.errors import InputError
 from hypose.gestures import runtime
 from hypose.gestures.depth_pictures import Lens, millimetres
-from hypose.gestures.forest import Forest, ForestSettings
+from hypose.gestures.forest import ForestSettings
 from hypose.gestures.localise import LocaliseSettings, Scratch, localise
 from hypose.gestures.online import Learner
 
@@ -75,56 +72,12 @@ def test_the_numpy_runtime_finds_the_same(forest):
     assert score == pytest.approx(found.score, rel=0.05)
 
 
-def test_parzen_is_a_gaussian_of_unit_sum():
-    depth = np.full((100, 120), 1000, np.uint16)
-    picture = forest_arrays.pad_depth(depth, 200.0, 500, 50)
-    scores = np.zeros((25, 30), np.float32)
-    scores[12, 15] = 0.8
-    scores[3, 3] = 0.4  # no majority, no vote
-    density, at = forest_arrays.parzen(picture, scores, 4, 0.5, 8.0)
-    assert at == 12 * 30 + 15
-    surface = (0.004 * 1000 / 200) ** 2
-    assert density.sum() == pytest.approx(0.8**3 * surface, rel=1e-5)
-    assert density[12, 17] / density[12, 15] == pytest.approx(np.exp(-0.5), rel=1e-5)
-    assert density[3, 3] == 0
-
-
-def test_temporal_recursion(forest):
-    # eq. 3.4 on a disc that disappears: a share 1 - alpha of its score stays for one frame
-    depth, (x, y), _ = toy(np.random.default_rng(8), holes=False)
-    empty = np.full(SHAPE, 2600, np.uint16)
-    settings, scratch = LocaliseSettings(memory=0.8), Scratch()
-    localise(depth, LENS, [forest], settings, scratch)
-    first = localise(depth, LENS, [forest], settings, scratch)[0]
-    after = localise(empty, LENS, [forest], settings, scratch)[0]
-    assert np.hypot(after.x - x, after.y - y) < 6
-    assert 0 < after.score < 0.35 * first.score
-    assert localise(empty, LENS, [forest], replace(settings, memory=1.0), scratch)[0].score == 0
-
-
 def test_every_gesture_of_one_against_all_is_found_alone(forest):
     depth, _, _ = toy(np.random.default_rng(12))
     alone = localise(depth, LENS, [forest])[0]
     both = localise(depth, LENS, [forest, forest])
     assert [f.gesture for f in both] == [1, 2]
     assert both[1].score == alone.score and both[1].x == alone.x
-
-
-def test_forests_that_share_the_walk_find_what_each_finds_alone(forest):
-    # other numbers of trees and nodes, another clipping distance
-    few = Forest(
-        replace(forest.settings, trees=2), *(a[:2] for a in (forest.test, forest.left, forest.seen, forest.size))
-    )
-    other = grown(60, 5, clip_mm=300, trees=7).freeze()
-    rng = np.random.default_rng(9)
-    for plan in (ScanPlan(), ScanPlan(coarse=0), THOROUGH):
-        settings = LocaliseSettings(plan)
-        depth = toy(rng, 1100)[0]
-        together = localise(depth, LENS, [few, forest, other], settings)
-        alone = [localise(depth, LENS, [f], settings)[0] for f in (few, forest, other)]
-        assert [(f.x, f.y, f.score) for f in together] == [(f.x, f.y, f.score) for f in alone]
-    with pytest.raises(InputError, match="too many"):
-        localise(depth, LENS, [forest] * 33)
 
 
 def test_metres_are_recognised():

@@ -158,33 +158,6 @@ def test_offline_forests_learn_and_are_kept(tmp_path):
     np.testing.assert_array_equal(back.test, forest.test)
 
 
-def test_offline_patches_read_what_scanning_reads():
-    rng = np.random.default_rng(5)
-    examples = toy_examples(40, 1)
-    pool = collect(examples, rng)
-    forest = train(pool, rng, OfflineSettings(ForestSettings(trees=3), per_class=400))
-    # the training samples' own shares, walked on the picture, are those of the leaves they made
-    from hypose.compute.depth_forests import forest_arrays as kernels
-    from hypose.gestures.localise import pad
-
-    e = examples[0]
-    picture = pad(e.depth, LENS, 150, 500)
-    rows, columns = np.array([int(e.y)] * 3 + [20, 30]), np.array([int(e.x) - 2, int(e.x), int(e.x) + 3, 20, 30])
-    kept = e.depth[rows, columns] > 0
-    rows, columns = rows[kept], columns[kept]
-    cells = picture.cells(rows, columns)
-    patches = kernels.cut_patches(picture, cells, 6)
-    walked = kernels.leaves(picture, cells, forest.packed, forest.settings.clip)
-    for t in range(3):
-        n = forest.size[t]
-        test = forest.test[t, :n].copy()
-        test[:, :4] = test[:, :4] // 6 + patches.shape[1] // 2
-        tree = kernels.TreeArraysOffline(
-            test, forest.left[t, :n].copy(), forest.seen[t, :n].copy(), np.zeros(n, np.uint8)
-        )
-        np.testing.assert_array_equal(kernels.patch_leaves(patches, tree, 150), walked[:, t])
-
-
 def test_a_pool_without_a_gesture_is_refused():
     pool = collect([e for e in toy_examples(6, 1) if not e.gesture], np.random.default_rng(0))
     with pytest.raises(InputError, match="every gesture"):

@@ -25,7 +25,6 @@ def test_the_published_order_of_phases():
     assert order == ["do_gesture", "positive", "release", "negative"] * 2 + ["test"]
     assert phases.count("positive") == 2 * 20 and phases.count("negative") == 2 * 30
     assert session.segment == 4
-    assert SETTINGS.total_s == 14
 
 
 def test_only_the_two_learning_phases_learn():
@@ -64,17 +63,6 @@ def test_pause_stops_the_clock_and_the_learning():
     assert all(i.learn is None and i.prompt == "Paused" for i in seen[15:35])
     assert [i.phase for i in seen[35:75]] == [i.phase for i in plain[15:55]]
     assert session.paused is None
-
-
-def test_moving_averages():
-    # th_i = sigma m_i + (1 - sigma) th_(i-1)
-    s, _ = step(Session(), SETTINGS, 0.0, ["next"])
-    for m in (10.0, 20.0):
-        s = observe(s, SETTINGS, m)
-    assert s.high == pytest.approx(0.9 * 20 + 0.1 * 10)
-    assert s.threshold(SETTINGS) is None
-    s, _ = step(s, SETTINGS, 0.1, ["next"])
-    assert observe(s, SETTINGS, 99.0) == s  # nothing is measured while the hand is let down
 
 
 def test_unknown_commands_and_settings_are_refused():

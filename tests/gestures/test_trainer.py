@@ -102,6 +102,14 @@ def test_nothing_is_learned_outside_the_learning_phases():
             assert f.taught is None
 
 
+def test_positives_are_learned_where_the_surface_is():
+    e = toy_examples(1, 3)[0]
+    learner = Learner.new(np.random.default_rng(0))
+    taught = learner.show(e.depth, LENS, 1, e.x, e.y)
+    assert taught is not None and taught.learned[1] == learner.settings.positives
+    assert learner.show(np.zeros_like(e.depth), LENS, 1, e.x, e.y) is None
+
+
 def test_hard_negatives_are_taken_at_the_maximum_and_in_proportion_to_it():
     learner = Learner.new(np.random.default_rng(0), ForestSettings(alpha=60, candidates=30))
     teach(learner, toy_examples(60, 5))

@@ -14,8 +14,8 @@ from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.kernels import AdaptiveDiffusion
 from hypose.inference.layer import Layer, Recipe, search
 from hypose.inference.random_streams import stream
-from hypose.compute.solver.losses import geman_mcclure
-from hypose.compute.solver.normal import SharedEquations, weighted_squares
+from hypose.compute.losses import geman_mcclure
+from hypose.compute.linear import SharedEquations, weighted_squares
 from hypose.inference.selectivity import Annealed
 from hypose.inference.selectors import systematic
 

@@ -137,27 +137,3 @@ def test_truncated_files_are_refused(tmp_path, points):
     (tmp_path / "b.c3d").write_bytes(data[:-3000])
     with pytest.raises(InputError, match=r"b\.c3d is truncated: its header promises 240 frames"):
         read_c3d(tmp_path / "b.c3d")
-
-
-@pytest.mark.parametrize("content", [b"", b"x", b"\2\x50" + b"\0" * 600, b"\xff" * 2000, b"PK\3\4" + b"\0" * 2000])
-def test_foreign_files_are_refused(tmp_path, content):
-    (tmp_path / "x.c3d").write_bytes(content)
-    with pytest.raises(InputError, match=r"x\.c3d"):
-        read_c3d(tmp_path / "x.c3d")
-
-
-def test_damaged_files_never_end_in_another_error(tmp_path, points, rng):
-    write_c3d(tmp_path / "a.c3d", ["a", "b", "c"], points, 50)
-    good = (tmp_path / "a.c3d").read_bytes()
-    refused = 0
-    for _ in range(400):
-        data = bytearray(good)
-        for at in rng.integers(0, 2048, rng.integers(1, 30)):
-            data[at] = rng.integers(256)
-        (tmp_path / "x.c3d").write_bytes(data[: rng.integers(1, len(data))] if rng.random() < 0.3 else data)
-        try:
-            read_c3d(tmp_path / "x.c3d")
-        except InputError as error:
-            refused += 1
-            assert "x.c3d" in str(error) and "\n" not in str(error)
-    assert refused > 50

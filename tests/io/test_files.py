@@ -15,7 +15,7 @@ import pytest
 
 from hypose.errors import InputError, visible
 from hypose.io import files
-from hypose.io.file_names import file_name, folder_for, text_of, utf8_path
+from hypose.io.file_names import file_name, folder_for, utf8_path
 from hypose.io.files import LOCK, atomic_path, check_writable, claimed, open_file, read_json, read_text, write_bytes
 from hypose.io.keypoints.read_keypoints import read_keypoints
 from hypose.io.motions.results import load_archive, write_archive
@@ -254,12 +254,6 @@ def test_a_folder_is_made_inside_and_a_link_out_is_refused(tmp_path):
     (tmp_path / "out" / "cam3").write_text("in the way")
     with pytest.raises(InputError, match="cam3 cannot be made"):
         folder_for(tmp_path / "out", "cam3")
-
-
-def test_bytes_that_are_no_text_become_escapes():
-    assert text_of(os.fsdecode(b"b\xff\xc3\xa4")) == "b\\xffä"
-    assert visible("\x1b]0;x\x07\u202e\x9b\udcff\tä\n") == "\\x1b]0;x\\x07\\u202e\\x9b\\xff\tä\n"
-    assert str(InputError("a\nb\x1b is wrong")) == "a\\nb\\x1b is wrong"
 
 
 @pytest.mark.skipif(os.name == "nt", reason="NOT tested: names that are no UTF-8; run the tests on Linux")

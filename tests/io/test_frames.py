@@ -12,17 +12,15 @@ import pytest
 
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.compute import mask_runs
-from hypose.compute.pictures.mask_runs import draw, runs_of
+from hypose.compute.mask_runs import draw, runs_of
 from hypose.errors import InputError
-from hypose.evidence.ahead import outlines
 from hypose.evidence.background import from_frames
 from hypose.evidence.colours import colour_codes
 from hypose.evidence.hull import hull_iou, visual_hull
 from hypose.evidence.keypoints import BODY_25B, triangulate_keypoints
-from hypose.evidence.outlines import OUTLINE_POINTS, WORKING_HEIGHT, view_outline
+from hypose.evidence.outlines import WORKING_HEIGHT, view_outline
 from hypose.evidence.silhouettes import SilhouetteSettings, as_mask, biggest_parts, make_segmenter
 from hypose.geometry import se3, so3_exp
-from hypose.io.recordings import frames as recording_frames
 from hypose.io.recordings.frames import (
     FrameSettings,
     FrameStream,
@@ -88,30 +86,6 @@ def test_any_order_and_a_new_stream_give_the_same_frames(film):
             assert again.silhouettes.reasons == frames[i].silhouettes.reasons
         with pytest.raises(InputError, match="frames 0 to 13; 14 was asked"):
             resumed.frame(14)
-
-
-def test_a_mask_is_made_once(film, monkeypatch):
-    with FrameStream(film[0], OPTIONS) as stream:
-        first = [frame.silhouettes.masks for frame in stream]
-
-        def made_again(*_):
-            raise AssertionError("this mask has been made before")
-
-        monkeypatch.setattr(stream, "_mask", made_again)
-        for i in (2, 0, 1):
-            np.testing.assert_array_equal(stream.frame(i).silhouettes.masks, first[i])
-
-
-def test_frames_that_only_tell_what_is_usual_have_no_outlines_made(film, monkeypatch):
-    monkeypatch.setattr(recording_frames, "_SAMPLES", 2)
-    monkeypatch.setattr(recording_frames, "_SAMPLE_STEP", 2)
-    made, outline = [], PackedMask.outline
-    monkeypatch.setattr(PackedMask, "outline", lambda mask: made.append(mask) or outline(mask))
-    with FrameStream(film[0], OPTIONS) as stream:
-        outlines(stream.frame(0).silhouettes, OUTLINE_POINTS, WORKING_HEIGHT)
-        made.clear()
-        stream.frame(12)  # 8 and 10 tell how large the mask is usually, 13 is begun
-    assert 3 <= len(made) <= 6
 
 
 def test_colours_are_those_of_the_pictures_within_the_masks(film, tmp_path):
@@ -474,14 +448,6 @@ def test_a_fisheye_lens_is_straightened_without_coefficients_too(tmp_path):
     assert (
         np.abs(DepthSource(view, bent, bent.pinhole()).map(0) - DepthSource(view, CAMERA, CAMERA).map(0)).max() > 0.02
     )
-
-
-def test_an_empty_room_of_another_mode_is_named(tmp_path):
-    toml = written(tmp_path)
-    for file in (tmp_path / "room").iterdir():
-        write_depth_png(file, seen_in_room(CAMERA, False)[::2, ::2])
-    with pytest.raises(InputError, match=r"View d: the empty room in .*room is 80 x 60 px"):
-        load_recording(toml)
 
 
 def test_a_map_of_another_size_is_named(tmp_path):

@@ -18,7 +18,6 @@ from benchmarks.robustness.keypoint_layouts import (
 from hypose.errors import InputError
 from hypose.evidence.keypoint_check import misread
 from hypose.evidence.keypoints import keypoint_names
-from hypose.io.keypoints.keypoint_files import clock_file
 from hypose.io.keypoints.read_keypoints import keypoints_of_views, read_keypoints
 from hypose.io.recordings.frames import FrameSettings, load_keypoints
 from hypose.io.recordings.recording import load_recording
@@ -279,28 +278,6 @@ def test_a_frame_number_that_is_damaged_is_told(tmp_path, layout):
     path.write_text("\n".join([*lines, ",".join(cells)]) + "\n")
     with pytest.raises(InputError, match=r"a frame has the number 734219876543, the first 0"):
         load_recording(folder)
-
-
-def test_clocks_of_caliscope_that_count_differently(tmp_path):
-    """Points counted from 0 beside times that go on from the calibration's are frames from the first on."""
-    points = detections("BLAZEPOSE_33", RIG, FRAMES)
-    (path, *_) = write_keypoints("caliscope", tmp_path / "points", points, RIG, "BLAZEPOSE_33")
-    as_written = next(iter(read_keypoints(path).values()))
-    head, *rows = path.read_text().splitlines()
-    numbers = [int(row.split(",")[0]) for row in rows]
-    assert as_written.first == min(numbers) > FRAMES
-    anew = [f"{n - min(numbers)},{row.split(',', 1)[1]}" for n, row in zip(numbers, rows, strict=True)]
-    path.write_text("\n".join([head, *anew]) + "\n")
-    counted = next(iter(read_keypoints(path).values()))
-    assert counted.first == 0 and counted.frame_rate == as_written.frame_rate
-    assert np.array_equal(counted.people[3], as_written.people[min(numbers) + 3])
-    clock = clock_file(path)
-    for name in ("frametimes.csv", "frame_time_history.csv"):  # as other versions call it
-        clock = clock.rename(clock.with_name(name))
-        assert next(iter(read_keypoints(path).values())).frame_rate == as_written.frame_rate
-    clock.write_text("sync_index,cam_id,frame_time\n1549,0,1.0\n1550,0,1.03\n")
-    with pytest.raises(InputError, match="the two are of different recordings"):
-        read_keypoints(path)
 
 
 def test_two_models_are_refused(tmp_path):

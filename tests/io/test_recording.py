@@ -19,7 +19,6 @@ from hypose.io.calibrations.calibration_text import write_calibration
 from hypose.io.file_names import match_names
 from hypose.io.recordings.frames import FrameSettings, FrameStream, load_keypoints
 from hypose.io.recordings.recording import Person, Recording, View, load_recording, people_of_tables, write_recording
-from hypose.io.videos import video
 from tests.io.recordings import SIZE, frame, make_recording, make_rig, make_video
 
 
@@ -153,14 +152,6 @@ def test_cameras_are_matched(tmp_path, views, cameras, order, note):
     assert [note in n for n in recording.notes] == [True] if note else recording.notes == ()
 
 
-def test_fewer_views_than_cameras_when_each_names_its_camera(tmp_path):
-    make_recording(tmp_path, names=("cam_1", "cam_2", "cam_3"))
-    views = [{"name": "a", "camera": "cam_3", "video": "cam_3.avi"}]
-    recording = load_recording(make_recording(tmp_path, views, names=("cam_1", "cam_2", "cam_3")))
-    assert recording.rig.names == ("cam_3",)
-    assert "cam_1, cam_2 of calibration.toml have no view and are left out" in recording.notes[0]
-
-
 def test_scaled_images_are_accepted_with_a_note(tmp_path):
     make_video(tmp_path / "cam_1.avi", size=(128, 96))
     make_video(tmp_path / "cam_2.avi")
@@ -210,20 +201,6 @@ def test_a_cut_off_video_is_named(tmp_path):
     assert 10 < n < 40 and recording.frames == range(n)
     assert any(f"cam_1.avi states 60 frames but decoding ends after frame {n - 1}; " in x for x in recording.notes)
     assert any(f"(cam_1 {n}, cam_2 60); the first {n} frames" in x for x in recording.notes)
-
-
-def test_a_container_that_promises_too_much_is_named(tmp_path, monkeypatch):
-    make_recording(tmp_path)
-    monkeypatch.setattr(video, "count_frames", lambda _: 8)
-    recording = load_recording(tmp_path)
-    assert recording.n_frames == 8
-    assert "cam_1.avi states 12 frames but decoding ends after frame 7" in recording.notes[0]
-
-
-def test_frame_rate_given_by_the_user_wins(tmp_path):
-    recording = load_recording(make_recording(tmp_path, frame_rate=100.0))
-    assert recording.frame_rate == 100
-    assert "frame_rate = 100 is used as given" in recording.notes[0]
 
 
 @pytest.mark.parametrize("up", ["x", "y", "z", "-x", "-y", "-z"])
@@ -692,21 +669,3 @@ def test_without_videos(tmp_path):
     (folder / "Config.toml").write_text("")
     with pytest.raises(InputError, match=r"key points carry no frame rate"):
         load_recording(folder)
-
-
-def test_pairing_by_order_is_stated(tmp_path):
-    folder = make_project(tmp_path / "a")
-    for old, new in (("cam01_json", "left"), ("cam02_json", "right")):
-        (folder / "pose" / old).rename(folder / "pose" / new)
-    recording = load_recording(folder)
-    assert [v.keypoints.name for v in recording.views] == ["left", "right"]
-    assert any("paired in their order (left with cam01, ...)" in n for n in recording.notes)
-
-
-def test_missing_keypoints_of_one_view_are_stated(tmp_path):
-    folder = make_project(tmp_path / "a")
-    for path in (folder / "pose" / "cam02_json").iterdir():
-        path.unlink()
-    recording = load_recording(folder)
-    assert recording.views[1].keypoints is None
-    assert any(n.startswith("No key points for cam02") for n in recording.notes)

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hypose.body.motion import Modes, Motion, joined_modes
+from hypose.body.motion import Modes, Motion
 from hypose.body.ready_bodies import human
 from hypose.errors import InputError
 from hypose.io.files import atomic_path, check_writable
@@ -186,22 +186,11 @@ def test_compressed_archives_are_refused_before_unpacking(small_motion, tmp_path
         load_motion(path)
 
 
-def test_no_archive_at_all(small_motion, tmp_path):
-    with pytest.raises(InputError, match=r"The motion .*none\.npz does not exist"):
-        load_motion(tmp_path / "none.npz")
-    for data in (b"text", b"PK\x03\x04" + bytes(100)):
-        (tmp_path / "a.npz").write_bytes(data)
-        with pytest.raises(InputError, match=r"a\.npz is not a motion of hypose, or is damaged: .*"):
-            load_motion(tmp_path / "a.npz")
+def test_half_an_archive_is_named(small_motion, tmp_path):
     save_motion(small_motion, tmp_path / "a.npz")
     data = (tmp_path / "a.npz").read_bytes()
     (tmp_path / "a.npz").write_bytes(data[: len(data) // 2])
-    with pytest.raises(InputError, match=r"is not a motion of hypose, or is damaged"):
-        load_motion(tmp_path / "a.npz")
-    spoilt = bytearray(data)
-    spoilt[200] ^= 255
-    (tmp_path / "a.npz").write_bytes(spoilt)
-    with pytest.raises(InputError, match=r"damaged: Bad CRC"):
+    with pytest.raises(InputError, match=r"a\.npz is not a motion of hypose, or is damaged"):
         load_motion(tmp_path / "a.npz")
 
 
@@ -463,20 +452,6 @@ def test_joints_and_weights_must_belong_together(tmp_path) -> None:
     np.savez(tmp_path / "modes.npz", joints=np.zeros((4, 2, 3, 3)), weights=np.zeros((4, 3)))
     with pytest.raises(InputError, match="do not belong together"):
         load_joints_of_modes(tmp_path / "modes.npz")
-
-
-def test_frames_with_fewer_modes_are_padded() -> None:
-    both = joined_modes([some(2, 1), some(3, 4, seed=1)])
-    assert both.poses.shape[:2] == (5, 4)
-    assert np.isnan(both.joints[:2, 1:]).all()
-    assert np.isfinite(both.joints[2:]).all()
-    assert both.alive.tolist() == [1, 1, 4, 4, 4]
-
-
-def test_shapes_must_agree() -> None:
-    a = some(2, 2)
-    with pytest.raises(InputError, match=r"Modes.weights has shape \(2, 3\)"):
-        Modes(a.poses, a.joints, np.ones((2, 3)), a.costs, a.covariances, a.joint_covariance, a.depth_sd, a.alive)
 
 
 @pytest.mark.parametrize("content", [b"", b"no archive", None])

@@ -16,7 +16,7 @@ from benchmarks.synthetic.skeleton_folders import write_folder
 from hypose.errors import InputError
 from hypose.evidence.frame import SensorJoints, SensorReport
 from hypose.io.files import bounded_lines
-from hypose.io.sensors.depth import depth_at_joints, read_azure_mkv, read_depth_png, write_depth_png
+from hypose.io.sensors.depth import read_azure_mkv, read_depth_png, write_depth_png
 from hypose.io.sensors.skeleton_files import KINECT_V2, FolderWriter, read_ntu, read_skeletons
 from hypose.io.sensors.skeleton_streams import (
     MAX_SKELETON_LINE,
@@ -29,7 +29,6 @@ from hypose.io.sensors.skeleton_streams import (
     one_person,
     parse_line,
     read_lines,
-    repair_clock,
     resample,
 )
 from tests import missing
@@ -87,11 +86,6 @@ def test_late_rows_are_sorted_in_and_a_wrong_stamp_is_left_out():
     assert made.times.tolist() == [0, 0.1, 0.2, 0.3] and "left out" in notes[0]
 
 
-def test_a_pause_of_the_sensor_is_no_fault_of_its_clock():
-    times, keep, notes = repair_clock([0, 0.1, 50.0, 50.1])
-    assert times.tolist() == [0, 0.1, 50, 50.1] and keep.all() and not notes
-
-
 def test_one_body_per_person_and_time():
     made, notes = stream([0, 0.1, 0.1])
     assert len(made.times) == 2 and made.positions[1, 0, 0, 0] == 2
@@ -121,28 +115,11 @@ def test_resampling_is_linear_between_samples():
     assert (synced.state == 2).all()
 
 
-def test_gaps_stay_gaps_and_ends_are_not_continued():
-    made, _ = stream([0, 0.1, 0.2, 0.3, 1.0, 1.1])
-    synced = resample(made, [0.25, 0.33, 0.5, 0.97, 1.05, 1.3, -0.2])
-    seen = np.isfinite(synced.positions[:, 0, 0, 0])
-    assert seen.tolist() == [True, True, False, True, True, False, False]
-    assert synced.person_ids[:, 0].tolist() == [0, 0, -1, 0, 0, -1, -1]
-
-
 def test_nothing_is_blended_over_a_change_of_person():
     made, _ = stream(np.arange(6) / 10, ids=[1, 1, 1, 4, 4, 4])
     synced = resample(made, [0.22, 0.28])
     assert synced.person_ids[:, 0].tolist() == [1, 4]
     assert synced.positions[:, 0, 0, 0].tolist() == [2, 3]
-
-
-def test_a_joint_of_one_neighbour_only_is_taken_for_half_a_step():
-    state = np.full((3, 3), 2)
-    state[1, 0] = 0
-    made, _ = stream([0, 0.1, 0.2], state=state)
-    synced = resample(made, [0.02, 0.08])
-    assert np.isfinite(synced.positions[:, 0, 0, 0]).tolist() == [True, False]
-    assert np.isfinite(synced.positions[:, 0, 1, 0]).all()
 
 
 def test_sensors_of_different_rates_meet_at_the_same_instants():
@@ -267,12 +244,6 @@ def test_a_picture_bomb_is_not_unpacked(tmp_path):
         read_depth_png(tmp_path / "d.png")
 
 
-def test_joints_outside_the_depth_map_have_no_depth():
-    depth = np.ones((4, 4), np.float32)
-    joints = [[0, 0, 1], [5, 0, 1], [0, 0, -1], [np.nan, 0, 1]]
-    assert depth_at_joints(depth, joints, (1, 1, 1, 1)).tolist() == [1, 0, 0, 0]
-
-
 # ---- CSV of Kinects ----
 
 
@@ -367,14 +338,6 @@ def test_ntu_of_several_cameras(tmp_path):
     assert made.streams[0].rate == pytest.approx(30)
 
 
-def test_zero_joints_of_ntu_are_missing(tmp_path):
-    lines = ntu()
-    lines[4] = "0 0 0 1 1 1 1 0 0 0 0 2"
-    (tmp_path / "a.skeleton").write_text("\n".join(lines))
-    made = read_skeletons(tmp_path / "a.skeleton").streams[0]
-    assert made.state[0, 0, 0] == 0 and np.isnan(made.positions[0, 0, 0]).all() and made.state[0, 0, 1] == 2
-
-
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
@@ -391,13 +354,6 @@ def test_a_damaged_ntu_file_is_refused_in_a_sentence(tmp_path, change, sentence)
     (tmp_path / "a.skeleton").write_text("\n".join(change(ntu())))
     with pytest.raises(InputError, match=sentence):
         read_ntu([tmp_path / "a.skeleton"])
-
-
-def test_different_actions_are_not_mixed(tmp_path):
-    for a in (1, 2):
-        (tmp_path / f"S001C001P001R001A00{a}.skeleton").write_text("\n".join(ntu()))
-    with pytest.raises(InputError, match="2 different actions"):
-        read_skeletons(tmp_path)
 
 
 # ---- bounds ----
@@ -516,17 +472,6 @@ def test_units_and_ways_to_say_missing():
     line, _ = parse_line(text)
     assert line.positions[0] == pytest.approx([0.001, 0.002, 3])
     assert line.state.tolist() == [2, 0, 0, 0] and np.isnan(line.positions[1:]).all()
-
-
-@pytest.mark.parametrize(("unit", "scale"), [("m", 1.0), ("mm", 0.001)])
-def test_whole_lines_and_lines_with_gaps_give_the_same(rng, unit, scale):
-    cells = {n: [*(rng.integers(-99, 99, 3).tolist()), int(rng.integers(1, 3))] for n in JOINTS_LINES}
-    line = {"sensor": "a", "time": 1, "unit": unit, "joints": cells}
-    whole, _ = parse_line(json.dumps(line))
-    gap, _ = parse_line(json.dumps({**line, "joints": {**cells, "other": None}}))
-    assert (whole.positions == gap.positions[:3]).all() and (whole.state == gap.state[:3]).all()
-    assert whole.positions.tolist() == [[x * scale for x in c[:3]] for c in cells.values()]
-    assert whole.state.dtype == np.uint8 and whole.state.tolist() == [c[3] for c in cells.values()]
 
 
 GOOD = '{"sensor":"a","time":1.5,"joints":{"head":[0,1,2]}}'

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from hypose.cameras.camera import Camera
-from hypose.compute.pictures.render import interpolate, rasterize
+from hypose.compute.zbuffer import interpolate, rasterize
 from hypose.synthetic.rigs import look_at
 
 SIZE = (240, 200)

@@ -1,6 +1,7 @@
 """The cost of a pose: derivatives of every term against finite differences, and the search against scipy."""
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -9,9 +10,9 @@ from scipy.optimize import minimize
 from benchmarks.papers.superquadrics import superquadric_body
 from benchmarks.synthetic.mono_subjects import arm_dofs, with_hand
 from hypose.body.ready_bodies import human
-from hypose.compute.monocular import cpu_mono_cues, cpu_mono_nodes, cpu_mono_rows, cpu_mono_search, mono
-from hypose.compute.monocular.mono_terms import FlowArrays
-from hypose.compute.solver.normal import bounded_step
+from hypose.compute import mono, mono_nodes, mono_rows
+from hypose.compute.mono_terms import FlowArrays
+from hypose.compute.solver import bounded_step
 from hypose.evidence.frame import Picture
 from hypose.fitting.least_squares import Rule, descend
 from hypose.tracking.contacts import soles_of
@@ -21,6 +22,23 @@ from hypose.tracking.monocular.settings import MonoSettings, body_dofs
 from tests.monocular.pictures import SIZE, camera, picture, wall
 
 ONLY_POINTS = MonoSettings(edges=False, second_order=False)
+
+
+class Cost(NamedTuple):
+    cost: float
+    gradient: np.ndarray
+    hessian: np.ndarray
+    counts: np.ndarray
+
+
+def evaluate(pose, problem, ws, *, coarse=False):
+    """Cost of the evidence (without flow) and of the priors at one pose (D,), with derivatives."""
+    a = len(problem.model.active)
+    hessian, gradient = np.empty((a, a)), np.empty(a)
+    sigma = problem.edges.coarse_sigma if coarse else problem.edges.sigma
+    mono.draw_still(pose, problem.model, ws)
+    cost = mono.full_cost(pose, problem, sigma, 0, ws, hessian, gradient)
+    return Cost(cost, gradient, hessian, ws.counts.copy())
 
 
 def pose_of(body, seed=0, spread=0.1):
@@ -57,21 +75,21 @@ def test_points_and_priors_have_the_gradient_of_their_cost(form):
     settings = replace(ONLY_POINTS, cues=replace(ONLY_POINTS.cues, point_form=form))
     problem, ws = problem_of(body, body_dofs(body.skeleton), settings, points)
     problem = with_prediction(problem, pose + 0.03, np.full(30, 0.2))
-    found = mono.evaluate(pose, problem, ws)
-    numeric = numeric_gradient(lambda q: mono.evaluate(q, problem, ws).cost, pose, problem.model.active)
+    found = evaluate(pose, problem, ws)
+    numeric = numeric_gradient(lambda q: evaluate(q, problem, ws).cost, pose, problem.model.active)
     np.testing.assert_allclose(found.gradient, numeric, atol=2e-5 * np.abs(numeric).max())
 
 
 def test_spheres_push_an_arm_out_of_the_trunk():
     body = human()
     problem, ws = problem_of(body, body_dofs(body.skeleton))
-    assert mono.evaluate(body.skeleton.rest_pose(), problem, ws).cost == pytest.approx(0, abs=1e-9)
+    assert evaluate(body.skeleton.rest_pose(), problem, ws).cost == pytest.approx(0, abs=1e-9)
     pose = body.skeleton.rest_pose()
     pose[body.skeleton.dofs_of("left_shoulder")] = [0.4, 1.1, 0.0]  # the hand in the trunk
-    found = mono.evaluate(pose, problem, ws)
+    found = evaluate(pose, problem, ws)
     without = problem._replace(spheres=problem.spheres._replace(weight=0.0))
-    assert found.cost - mono.evaluate(pose, without, ws).cost > 20
-    numeric = numeric_gradient(lambda q: mono.evaluate(q, problem, ws).cost, pose, problem.model.active)
+    assert found.cost - evaluate(pose, without, ws).cost > 20
+    numeric = numeric_gradient(lambda q: evaluate(q, problem, ws).cost, pose, problem.model.active)
     np.testing.assert_allclose(found.gradient, numeric, atol=1e-4 * np.abs(numeric).max())
 
 
@@ -82,13 +100,13 @@ def test_the_lower_sole_is_pulled_onto_the_floor_and_none_sinks(above):
     pose[body.skeleton.dofs_of("left_ankle")[0]] += 0.4  # heel and ball at different heights, under the right foot
     heights = soles_of(body).positions(body, pose[None])[0, :, 2]
     problem, ws = problem_of(body, body_dofs(body.skeleton), floor=float(heights.min()) - above)
-    found = mono.evaluate(pose, problem, ws)
+    found = evaluate(pose, problem, ws)
     sd = MonoSettings().cues.floor_sd_m
     under = heights[heights < heights.min() - above] if above < 0 else heights.min()
     expected = 2 * np.log(1 + (under - heights.min() + above) ** 2 / (4 * sd**2)).sum()
     nowhere = problem._replace(floor=problem.floor._replace(weight=0.0))
-    assert found.cost - mono.evaluate(pose, nowhere, ws).cost == pytest.approx(expected, abs=1e-6)
-    numeric = numeric_gradient(lambda q: mono.evaluate(q, problem, ws).cost, pose, problem.model.active)
+    assert found.cost - evaluate(pose, nowhere, ws).cost == pytest.approx(expected, abs=1e-6)
+    numeric = numeric_gradient(lambda q: evaluate(q, problem, ws).cost, pose, problem.model.active)
     np.testing.assert_allclose(found.gradient, numeric, atol=1e-4 * np.abs(numeric).max())
     assert np.sign(found.gradient[2]) == np.sign(above)
 
@@ -101,16 +119,16 @@ def flow_problem(body, active, pose, shift=(3.0, -2.0), second_order=False):
     flow = np.broadcast_to(np.float32(shift), (h, w, 2)).copy()
     arrays = FlowArrays(flow, np.zeros((h, w), np.float32), np.zeros(2, np.int64), 1, 4.0, 1.0, 14.0, 6.0, 1.0)
     problem = problem._replace(flow=arrays)
-    cpu_mono_nodes.draw_still(pose, problem.model, ws)
-    cpu_mono_nodes.pose_mesh(pose, problem.model, ws)
-    cpu_mono_nodes.fill_depth(problem.model, ws)
-    return problem, ws, cpu_mono_nodes.inner_nodes(problem.model, arrays, ws)
+    mono_nodes.draw_still(pose, problem.model, ws)
+    mono_nodes.pose_mesh(pose, problem.model, ws)
+    mono_nodes.fill_depth(problem.model, ws)
+    return problem, ws, mono_nodes.inner_nodes(problem.model, arrays, ws)
 
 
 def flow_cost(problem, ws, n, pose):
     a = len(problem.model.active)
     hessian, gradient = np.empty((a, a)), np.empty(a)
-    cost = cpu_mono_search.full_cost(pose, problem, 3.0, n, ws, hessian, gradient)
+    cost = mono.full_cost(pose, problem, 3.0, n, ws, hessian, gradient)
     return cost, gradient, hessian
 
 
@@ -130,30 +148,14 @@ def test_the_jacobian_of_the_nodes_is_exact(kind):
     np.testing.assert_allclose(gradient, numeric, atol=3e-3 * np.abs(numeric).max())
 
 
-def test_the_hessian_is_that_of_equation_9_where_residuals_are_small():
-    # with residuals far below sigma the neglected part (residual times second derivative of the projection) is small
-    body = human()
-    pose = pose_of(body, 2)
-    problem, ws, n = flow_problem(body, body_dofs(body.skeleton), pose, shift=(0.05, 0.02), second_order=True)
-    _, _, hessian = flow_cost(problem, ws, n, pose)
-    h, numeric = 1e-3, np.zeros((30, 30))
-    for k, d in enumerate(problem.model.active):
-        up, down = pose.copy(), pose.copy()
-        up[d] += h
-        down[d] -= h
-        numeric[k] = (flow_cost(problem, ws, n, up)[1] - flow_cost(problem, ws, n, down)[1]) / (2 * h)
-    np.testing.assert_allclose(hessian, numeric, atol=0.03 * np.abs(numeric).max())
-    np.testing.assert_allclose(hessian, hessian.T)
-
-
 def test_the_second_derivative_of_rho_is_used_and_kept_positive():
     for s in (0.0, 1.0, 8.0, 100.0):
         for form in (0, 1, 2):
-            _, first, second = cpu_mono_rows.robust(form, s, 9.0)
+            _, first, second = mono_rows.robust(form, s, 9.0)
             exact = first + 2 * second * s
-            used = cpu_mono_rows.curvature(first, second, s, True)
+            used = mono_rows.curvature(first, second, s, True)
             assert used == pytest.approx(max(exact, 0.1 * first))
-            assert cpu_mono_rows.curvature(first, second, s, False) == first
+            assert mono_rows.curvature(first, second, s, False) == first
 
 
 def test_the_search_finds_what_scipys_bounded_solver_finds():
@@ -177,7 +179,7 @@ def test_the_search_finds_what_scipys_bounded_solver_finds():
     def cost(x):
         q = start.copy()
         q[active] = x
-        return mono.evaluate(q, problem, ws)
+        return evaluate(q, problem, ws)
 
     bounds = list(zip(problem.priors.lower, upper, strict=True))
     first = np.clip(start[active], problem.priors.lower, upper)
@@ -189,7 +191,7 @@ def test_the_search_finds_what_scipys_bounded_solver_finds():
     assert (found.pose[active] <= upper).all()
     assert (found.pose[active] >= problem.priors.lower).all()
 
-    def evaluate(x):
+    def at(x):
         value, gradient, hessian = cost(x)[:3]
         return value, lambda: (gradient, hessian)
 
@@ -205,7 +207,7 @@ def test_occluding_contour_runs_along_the_silhouette():
     pose = body.skeleton.rest_pose()
     image = picture(body, pose, camera(body), wall())
     problem, ws = problem_of(body, body_dofs(body.skeleton), MonoSettings(), image=image)
-    counts = mono.evaluate(pose, problem, ws).counts
+    counts = evaluate(pose, problem, ws).counts
     nodes = ws.nodes[: counts[0] + counts[3]]
     seen = nodes[nodes[:, 6] == 1]
     assert len(seen) == counts[0] > 60
@@ -217,6 +219,6 @@ def test_occluding_contour_runs_along_the_silhouette():
     scratch, offset, strength = np.empty(29), np.empty(16), np.empty(16)
     near = 0
     for node in seen[seen[:, 7] == 1]:
-        m = cpu_mono_cues.line_search(field, node[1], node[2], node[3], node[4], 14, 0.08, scratch, offset, strength)
+        m = mono_rows.line_search(field, node[1], node[2], node[3], node[4], 14, 0.08, scratch, offset, strength)
         near += m > 0 and np.abs(offset[:m]).min() < 2.5
     assert near > 0.9 * (seen[:, 7] == 1).sum()

@@ -11,7 +11,7 @@ from hypose.body.anthropometry import ENTITIES, TABLE_2_1, body_of, entity
 from hypose.body.body import Shape, deform
 from hypose.body.ready_bodies import human
 from hypose.cameras.camera import CameraRig
-from hypose.compute.pictures.render import silhouette
+from hypose.compute.render import silhouette
 from hypose.evidence.body_parts import assign_ends
 from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes

@@ -6,8 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from hypose.compute.depth_forests import cpu_forests, forest_arrays
-from hypose.compute.depth_forests.forest_arrays import UNCLIPPED_MM
+from hypose.compute import forest_votes, forests
+from hypose.compute.forests import UNCLIPPED_MM
 from hypose.gestures.forest import ForestSettings, GrowingForest
 from hypose.gestures.localise import LocaliseSettings, Scratch, pad, settle
 from hypose.gestures.offline import OfflineSettings, Pool, train
@@ -47,7 +47,7 @@ def test_equations_3_3_and_3_6_what_a_test_reads(kappa, rng):
         u, v = rng.integers(-150, 151, 2), rng.integers(-150, 151, 2)
         v = v if rng.random() < 0.5 else 0 * v
         scale = np.float32(LENS.fx / d)
-        found = cpu_forests.response(
+        found = forests.response(
             picture.values.ravel(), picture.values.shape[1], np.uint64(cell), d, scale, d - kappa, d + kappa, *u, *v
         )
         # single precision may round an offset to the next pixel
@@ -89,12 +89,12 @@ def test_equation_3_2_the_test_of_largest_information_gain(rng):
             if 0 < side.sum() < n:
                 rest = total - side
                 printed[q] = -side.sum() / n * entropy(side) - rest.sum() / n * entropy(rest)
-        index, gain = cpu_forests.best_test(left, total, np.empty((2, 3), np.int64))
+        index, gain = forests.best_test(left, total, np.empty((2, 3), np.int64))
         assert printed[index] == pytest.approx(printed.max(), abs=1e-12)
         assert gain == pytest.approx(entropy(total) + printed.max(), abs=1e-12)
     # sides of one sample count as any other; empty ones gain nothing
-    assert cpu_forests.best_test(np.array([[0, 0], [1, 0]]), np.array([1, 5]), np.empty((2, 2), np.int64))[0] == 1
-    assert cpu_forests.best_test(np.array([[0, 0], [2, 2]]), np.array([2, 2]), np.empty((2, 2), np.int64))[0] == -1
+    assert forests.best_test(np.array([[0, 0], [1, 0]]), np.array([1, 5]), np.empty((2, 2), np.int64))[0] == 1
+    assert forests.best_test(np.array([[0, 0], [2, 2]]), np.array([2, 2]), np.empty((2, 2), np.int64))[0] == -1
 
 
 class Tree:
@@ -197,14 +197,14 @@ def test_section_3_2_3_a_tree_learns_from_the_errors_of_the_one_before(monkeypat
     # a pool on which a shallow tree errs: the class hangs on two of the patch's depths at once
     patches = rng.integers(-200, 200, (600, 7, 7)).astype(np.int16)
     labels = ((patches[:, 1, 2] > 0) ^ (patches[:, 5, 4] > 0)).astype(np.int8)
-    drawn, grow_tree = [], forest_arrays.grow_tree
+    drawn, grow_tree = [], forests.grow_tree
 
     def noted(patches, labels, order, *rest, **settings):
         tree = grow_tree(patches, labels, order.copy(), *rest, **settings)
         drawn.append((order.copy(), tree))
         return tree
 
-    monkeypatch.setattr(forest_arrays, "grow_tree", noted)
+    monkeypatch.setattr(forests, "grow_tree", noted)
     settings = OfflineSettings(ForestSettings(trees=4, deepest=3), per_class=220, tests=20)
     train(Pool(patches, labels), rng, settings)
     assert np.bincount(labels[drawn[0][0]]).tolist() == [220, 220]  # the first draw is balanced
@@ -226,9 +226,9 @@ def test_section_3_2_3_a_tree_learns_from_the_errors_of_the_one_before(monkeypat
 
 def test_section_3_2_4_the_density_is_a_parzen_estimate_of_the_votes(rng):
     depth = np.full((80, 100), 1250, np.uint16)
-    picture = forest_arrays.pad_depth(depth, 200.0, 500, 50)
+    picture = forests.pad_depth(depth, 200.0, 500, 50)
     scores = np.where(rng.random((20, 25)) < 0.1, rng.uniform(0.3, 1.0, (20, 25)), 0.0).astype(np.float32)
-    density, at = forest_arrays.parzen(picture, scores, 4, 0.5, 8.0)
+    density, at = forest_votes.parzen(picture, scores, 4, 0.5, 8.0)
     sigma, expected = 8.0 / 4, np.zeros((20, 25))
     reach = range(-6, 7)
     whole = sum(math.exp(-0.5 * (k / sigma) ** 2) for k in reach)

@@ -9,18 +9,19 @@ from scipy.ndimage import correlate, gaussian_filter
 
 from benchmarks.papers.superquadrics import grid, nodes, superquadric_body
 from hypose.body.ready_bodies import human
-from hypose.compute.monocular import cpu_mono_cues, cpu_mono_rows, cpu_mono_search, mono
-from hypose.compute.monocular.mono_terms import GAUSSIAN, LECLERC, LORENTZIAN, FlowArrays
-from hypose.compute.solver import cpu_solver
-from hypose.evidence.edges_flow import edge_field, optical_flow
+from hypose.compute import mono, mono_rows
+from hypose.compute.mono_terms import GAUSSIAN, LECLERC, LORENTZIAN, FlowArrays
+from hypose.compute.solver import bounded_step_kernel
+from hypose.evidence.edges_flow import Flow, edge_field, optical_flow
 from hypose.evidence.frame import Picture
 from hypose.inference.layer import Layer, Recipe, search
 from hypose.inference.selectors import keep
+from hypose.tracking.monocular.evidence import edge_arrays
 from hypose.tracking.monocular.pool import OPTIMISED, accumulated, candidates, prune, uncertain_samples
 from hypose.tracking.monocular.problem import field_of, fixed_parts, frame_problem, with_prediction
-from hypose.tracking.monocular.settings import MonoSettings, body_dofs
+from hypose.tracking.monocular.settings import EdgeSettings, MonoSettings, body_dofs
 from tests.monocular.pictures import SIZE, camera, picture, wall
-from tests.monocular.test_cost import flow_cost, flow_problem
+from tests.monocular.test_cost import evaluate, flow_cost, flow_problem
 from tests.papers.test_body_equations import transforms
 
 NO_BACKGROUND = replace(
@@ -83,13 +84,13 @@ def test_equations_2_and_3_robust_forms(sigma):
         (LECLERC, 1 - np.exp(-s / sigma**2)),
         (GAUSSIAN, s / sigma**2),
     ):
-        found = np.array([cpu_mono_rows.robust(form, x, sigma**2) for x in s])
+        found = np.array([mono_rows.robust(form, x, sigma**2) for x in s])
         np.testing.assert_allclose(found[:, 0], rho, atol=1e-14)
         # rho(0) = 0 and rho'(0) = nu / sigma^2, nu = 1
         np.testing.assert_allclose(found[0, :2], [0, 1 / sigma**2])
         h = 1e-6
         for k in (0, 1):  # rho' and rho'' by central differences
-            up, down = (np.array([cpu_mono_rows.robust(form, x + e, sigma**2)[k] for x in s]) for e in (h, -h))
+            up, down = (np.array([mono_rows.robust(form, x + e, sigma**2)[k] for x in s]) for e in (h, -h))
             np.testing.assert_allclose(found[:, k + 1], (up - down) / (2 * h), atol=1e-8 / sigma**4)
 
 
@@ -110,7 +111,7 @@ def test_equations_5_and_6_assigned_nodes_cost_half_rho_and_occluded_ones_k_nu(s
     pose, e = scene[1], settings.edge
     a = len(problem.model.active)
     hessian, gradient = np.empty((a, a)), np.empty(a)
-    total = cpu_mono_search.image_cost(pose, problem, e.sigma_px, 0, False, ws, hessian, gradient)
+    total = mono.image_cost(pose, problem, e.sigma_px, 0, False, ws, hessian, gradient)
     counts = ws.counts.copy()
     nodes = ws.nodes[: counts[0] + counts[3]].copy()
     window, sigma2 = e.window_px, e.sigma_px**2
@@ -122,7 +123,7 @@ def test_equations_5_and_6_assigned_nodes_cost_half_rho_and_occluded_ones_k_nu(s
             expected += 0.5 * share * e.occluded * most
             continue
         scratch, offset, strength = np.empty(2 * window + 1), np.empty(16), np.empty(16)
-        m = cpu_mono_cues.line_search(problem.edges.field, *node[1:5], window, e.threshold, scratch, offset, strength)
+        m = mono_rows.line_search(problem.edges.field, *node[1:5], window, e.threshold, scratch, offset, strength)
         w = strength[:m] / max(1.0, strength[:m].sum())
         rho = 1 - np.exp(-(offset[:m] ** 2) / sigma2)
         expected += 0.5 * share * ((w * rho).sum() + (1 - w.sum()) * most)
@@ -167,19 +168,20 @@ def test_equation_7_all_edges_in_the_window_are_assigned_by_strength():
         x = np.arange(w)
         field[:, :, 0] += strength * np.exp(-0.5 * ((x - centre) / 1.2) ** 2)
     scratch, offset, strength = np.empty(29), np.empty(16), np.empty(16)
-    m = cpu_mono_cues.line_search(field, 38.0, 20.0, 1.0, 0.0, 14, 0.08, scratch, offset, strength)
+    m = mono_rows.line_search(field, 38.0, 20.0, 1.0, 0.0, 14, 0.08, scratch, offset, strength)
     assert m == 3
     np.testing.assert_allclose(offset[:3], [-7.75, 2.0, 9.0], atol=0.15)
     np.testing.assert_allclose(strength[:3], [1.0, 0.4, 0.7], atol=0.05)
     # edges across the normal count nothing
-    assert cpu_mono_cues.line_search(field, 38.0, 20.0, 0.0, 1.0, 14, 0.08, scratch, offset, strength) == 0
+    assert mono_rows.line_search(field, 38.0, 20.0, 0.0, 1.0, 14, 0.08, scratch, offset, strength) == 0
 
 
 def test_equation_7_motion_boundaries_weigh_the_edges():
     field = np.ones((6, 8, 2), np.float32)
     boundaries = np.zeros((3, 4), np.float32)
     boundaries[1, 2] = 1.0
-    out = mono.weigh(field, boundaries, (2, 1), 0.1)
+    flow = Flow(np.zeros((3, 4, 2), np.float32), boundaries, boundaries, (2, 1))
+    out = edge_arrays(field, flow, EdgeSettings(boundary_floor=0.1), use=True).field
     assert out[2, 4, 0] == pytest.approx(1.0)  # a full boundary keeps the edge
     assert out[0, 0, 1] == pytest.approx(0.1)  # where nothing moves it is worth the floor
 
@@ -214,7 +216,7 @@ def test_equations_8_and_9_gradient_and_hessian_are_sums_over_nodes(scene, secon
     problem, ws = problem_of(scene, settings)
     a = len(problem.model.active)
     hessian, gradient = np.empty((a, a)), np.empty(a)
-    cpu_mono_search.image_cost(pose, problem, 3.0, 0, True, ws, hessian, gradient)
+    mono.image_cost(pose, problem, 3.0, 0, True, ws, hessian, gradient)
     counts = ws.counts.copy()
     nodes, ends = ws.nodes[: counts[0] + counts[3]].copy(), ws.node_ends[: counts[0] + counts[3]].copy()
 
@@ -234,7 +236,7 @@ def test_equations_8_and_9_gradient_and_hessian_are_sums_over_nodes(scene, secon
         if node[6] == 0:
             continue
         scratch, offset, strength = np.empty(29), np.empty(16), np.empty(16)
-        m = cpu_mono_cues.line_search(problem.edges.field, *node[1:5], 14, e.threshold, scratch, offset, strength)
+        m = mono_rows.line_search(problem.edges.field, *node[1:5], 14, e.threshold, scratch, offset, strength)
         w = e.height * node[5] / e.sample_px * strength[:m] / max(1.0, strength[:m].sum())
         r1 = np.exp(-(offset[:m] ** 2) / 9) / 9
         first[i] = -(w * r1 * offset[:m]).sum()
@@ -250,8 +252,8 @@ def test_equation_10_priors_add_their_gradient_and_curvature(scene):
     pose = scene[1]
     spread = np.full(30, 0.25)
     prediction = pose + 0.02
-    plain = mono.evaluate(pose, problem, ws)
-    pulled = mono.evaluate(pose, with_prediction(problem, prediction, spread), ws)
+    plain = evaluate(pose, problem, ws)
+    pulled = evaluate(pose, with_prediction(problem, prediction, spread), ws)
     np.testing.assert_allclose(pulled.hessian - plain.hessian, np.diag(1 / spread**2), atol=1e-6)
     np.testing.assert_allclose(pulled.gradient - plain.gradient, -0.02 / spread**2, atol=1e-6)
     assert pulled.cost - plain.cost == pytest.approx(30 * 0.5 * (0.02 / 0.25) ** 2, rel=1e-6)
@@ -262,7 +264,7 @@ def test_section_3_2_samples_are_ranked_by_edges_and_priors_and_not_by_flow(scen
     pose, a = scene[1], len(problem.model.active)
     problem = with_prediction(problem, pose + 0.02, np.full(a, 0.25))
     hessian, gradient = np.empty((a, a)), np.empty(a)
-    edges = cpu_mono_search.image_cost(pose, problem, problem.edges.sigma, 0, False, ws, hessian, gradient)
+    edges = mono.image_cost(pose, problem, problem.edges.sigma, 0, False, ws, hessian, gradient)
     p = problem.priors
     priors = 0.5 * (p.weight * (pose[problem.model.active] - p.centre) ** 2).sum()
     h, w = problem.edges.field.shape[:2]
@@ -278,7 +280,7 @@ def test_section_3_2_samples_are_ranked_by_edges_and_priors_and_not_by_flow(scen
         1.0,
     )
     for with_flow in (problem, problem._replace(flow=flow)):
-        assert cpu_mono_search.rank_cost(pose, with_flow, ws, hessian, gradient) == pytest.approx(edges + priors)
+        assert mono.rank_cost(pose, with_flow, ws, hessian, gradient) == pytest.approx(edges + priors)
     assert priors > 0.05
 
 
@@ -288,13 +290,13 @@ def test_equation_11_the_damped_step_and_the_active_limits(rng):
         hessian, g, q = a.T @ a, rng.normal(size=6), np.zeros(6)
         w = np.diag(np.maximum(np.diag(hessian), 1.0))
         step, endless = np.empty(6), np.full(6, np.inf)
-        assert cpu_solver.bounded_step(hessian, g, q, -endless, endless, 0.3, step)
+        assert bounded_step_kernel(hessian, g, q, -endless, endless, 0.3, step)
         np.testing.assert_allclose((hessian + 0.3 * w) @ step, -g, atol=1e-9)
         # a limit that the descent direction leaves is active: its coordinate stays, the others solve their own system
         lower, upper = -endless.copy(), endless.copy()
         held = int(np.abs(g).argmax())
         (lower if g[held] > 0 else upper)[held] = 0.0
-        assert cpu_solver.bounded_step(hessian, g, q, lower, upper, 0.3, step)
+        assert bounded_step_kernel(hessian, g, q, lower, upper, 0.3, step)
         free = np.arange(6) != held
         assert step[held] == 0
         np.testing.assert_allclose(

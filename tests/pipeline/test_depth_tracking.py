@@ -213,7 +213,7 @@ def test_one_sensor_alone_cannot_be_brought_together():
 
 @pytest.mark.slow
 def test_two_sensors_are_brought_together_by_the_person():
-    scene = scene_of("combo", "depth-2", 2.4)
+    scene = scene_of("combo", "depth-2", 1.6)
     clips = []
     worlds = []
     for c, camera in enumerate(scene.rig):

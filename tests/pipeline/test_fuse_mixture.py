@@ -9,14 +9,13 @@ from benchmarks.robustness.small_recordings import small_scene
 from hypose.body.motion import Motion
 from hypose.body.ready_bodies import human
 from hypose.cameras.camera import CameraRig
-from hypose.errors import InputError
 from hypose.evidence.frame import Frame, SensorJoints
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.fitting.articulated import fit_pose
 from hypose.fusion import joints as jt
 from hypose.geometry import se3, se3_inverse, so3_exp, transform
-from hypose.pipeline.fuse_mixture import fuse_mixture, skeleton_rows
-from hypose.pipeline.run import TrackOptions, TrackResult, track_source
+from hypose.pipeline.run import TrackOptions, track_source
+from hypose.pipeline.sensor_skeletons import fuse_mixture, skeleton_rows
 from hypose.pipeline.track_loop import FrameList
 from hypose.tracking.refinement import anatomical_prior
 from hypose.tracking.starts import known_pose
@@ -89,29 +88,6 @@ def test_a_sensor_that_saw_something_else_is_no_evidence(walked, rng):
     assert place.registered.tolist() == [True, True, False, False]
     used = (rows.weight > 0).reshape(FRAMES, 3, 15)
     assert used[:, 0].all() and not used[:, 1:].any()
-
-
-def test_larger_sets_of_joints_are_taken_and_changing_sensors_are_named(walked, monkeypatch):
-    _, motion, skeletons = walked
-    kinect = jt.joint_sets()[1]
-    names = kinect.joint_names
-    larger = []
-    for s in skeletons:
-        positions, state = np.full((1, len(names), 3), np.nan), np.zeros((1, len(names)), np.uint8)
-        positions[:, kinect.common], state[:, kinect.common] = s.positions, s.state
-        larger.append(SensorJoints(positions, state, s.times, names, ("side",)))
-    asked = []
-
-    def tracked(*_, own=(), **__):
-        asked.append(own)
-        return TrackResult(motion, human(), True, ())
-
-    monkeypatch.setattr("hypose.pipeline.fuse_mixture.track_source", tracked)
-    source = FrameList([Frame(k / 25, k) for k in range(FRAMES)], 25.0)
-    fuse_mixture(source, 25.0, larger, TrackOptions())
-    assert len(asked) == 2 and asked[1][0].points.shape == (FRAMES, 15, 3)
-    with pytest.raises(InputError, match="the same sensors"):
-        fuse_mixture(source, 25.0, [*skeletons[:-1], replace(skeletons[-1], sensor_names=("b",))], TrackOptions())
 
 
 @pytest.mark.slow

@@ -7,9 +7,10 @@ import pytest
 
 from hypose.pipeline.doubts import what_was_seen
 from hypose.pipeline.first_frame import Subject
-from hypose.pipeline.mend_sides import mend_sides, read_once, sides_notes
+from hypose.pipeline.mend_sides import look_back, look_back_notes, mend_sides, sides_notes
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.tracking.exchanged_sides import turned_around
+from hypose.tracking.starts import known_pose
 from tests.walking_clip import walking_clip
 
 N = 45
@@ -116,15 +117,27 @@ def test_a_recording_tracked_from_a_turned_start_comes_out_the_right_way_round(c
     assert any("exchanged in frames 0-" in note for note in result.notes)
 
 
-def test_frames_of_the_last_block_are_read_once(clip):
-    frames, read = clip[1], []
+def test_what_the_start_got_wrong_is_tracked_again_from_what_came_after_it(clip):
+    scene, frames, tracker, good = clip
+    s, lost = tracker.body.skeleton, good[0].pose.copy()
+    for arm in ("left_shoulder", "right_shoulder", "left_elbow", "right_elbow"):
+        lost[s.dofs_of(arm)] = known_pose(tracker.body, "hands-up")[s.dofs_of(arm)]
+    cost = good[0].cost + 0.1
+    spoilt = [*(replace(e, pose=lost, cost=cost) for e in good[:6]), *good[6:]]
+    mended, replaced = look_back(tracker, spoilt, reader(frames))
+    # of the good frames behind them some may differ by more than counts as the same, and be as good
+    assert replaced.start == 0 and 6 <= replaced.stop <= 25
+    assert look_back_notes(replaced)[0].endswith("tracked again backwards")
+    joints, before = (tracker.body.joints(np.stack([e.pose for e in es])) for es in (mended, good))
+    assert np.linalg.norm(joints[:6] - before[:6], axis=-1).mean() < 0.02
+    error, usual = (np.linalg.norm(j - scene.joints[:N], axis=-1).mean() for j in (joints, before))
+    assert error < 1.1 * usual
+    assert all(a is b for a, b in zip(mended[25:], good[25:], strict=True))
 
-    def of(numbers):
-        read.append(numbers)
-        return (frames[t] for t in numbers)
-
-    once = read_once(of)
-    for first, stop in ((15, 40), (15, 40), (10, 31), (0, 5), (12, 20)):
-        found = list(once(range(first, stop)))
-        assert len(found) == stop - first and all(a is b for a, b in zip(found, frames[first:stop], strict=True))
-    assert read == [range(15, 40), range(10, 15), range(0, 5), range(12, 20)]
+    near = [good[0], *spoilt[:6], *good[7:]]  # that the very first frame is much the same spoils nothing
+    mended, replaced = look_back(tracker, near, reader(frames))
+    assert replaced.start == 0 and 7 <= replaced.stop <= 25
+    assert all(
+        tracker.body.joints(m.pose) == pytest.approx(tracker.body.joints(g.pose), abs=0.1)
+        for m, g in zip(mended[:7], good[:7], strict=True)
+    )

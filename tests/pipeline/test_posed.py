@@ -3,7 +3,7 @@ import pytest
 
 from hypose.errors import InputError
 from hypose.fusion.fuse import fuse_clip
-from hypose.pipeline.fused_motion import NAMES, pose_fused
+from hypose.pipeline.sensor_skeletons import NAMES, pose_fused
 from tests.fusion.people import moving_person, seen
 
 

@@ -52,7 +52,7 @@ def joints_with(tmp_path_factory):
     return track
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.skipif(os.uname().machine != "x86_64" if hasattr(os, "uname") else True, reason="switches of x86-64")
 def test_other_libraries_of_mathematics_change_no_pose(joints_with):
     here, there = joints_with("here"), joints_with("libraries", **older_libraries())

@@ -9,7 +9,7 @@ from hypose.errors import InputError
 from hypose.fusion import joints as jt
 from hypose.geometry import se3, so3_exp, transform
 from hypose.io.sensors.skeleton_streams import SensorStream, SkeletonRecording
-from hypose.pipeline.fuse_mixture import skeletons_at_frames
+from hypose.pipeline.sensor_skeletons import skeletons_at_frames
 from hypose.tracking.starts import known_pose
 
 FRAMES, RATE, BEGUN, AHEAD = 150, 25.0, 1.2, 100.0

@@ -7,7 +7,7 @@ import pytest
 
 from hypose.body.ready_bodies import human
 from hypose.cameras.camera import CameraRig
-from hypose.compute.pictures.render import silhouette
+from hypose.compute.render import silhouette
 from hypose.errors import EvidenceError
 from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes

@@ -12,7 +12,7 @@ from hypose.pipeline.run import TrackOptions, check_views
 from hypose.synthetic.depth_scenes import depth_rig, depth_scene, to_profile, turning
 from hypose.synthetic.motions import act
 from hypose.synthetic.subjects import load_subjects
-from hypose.synthetic.write_depth import walking_scene, write_depth_scene
+from hypose.synthetic.write_recording import walking_scene, write_depth_scene
 from tests.depth_sensors import without_faults
 
 

@@ -6,8 +6,7 @@ import pytest
 from hypose.calibration.boards import make_detector
 from hypose.geometry import se3, so3_exp, transform
 from hypose.io.videos.video import open_video
-from hypose.synthetic.board_pictures import BoardPainter
-from hypose.synthetic.film_session import BOARD, write_session
+from hypose.synthetic.film_session import BOARD, BoardPainter, write_session
 from hypose.synthetic.rigs import rig
 from hypose.synthetic.scenes import make_scene
 
@@ -46,6 +45,6 @@ def test_a_session_is_videos_and_the_truth(tmp_path):
     lengths = {}
     for name in ("board", "empty", "walk"):
         with open_video(tmp_path / name / f"{small.rig[0].name}.mp4") as video:
-            lengths[name] = len(video)
+            lengths[name] = video.n_frames
     assert lengths["walk"] == 2 and lengths["empty"] == 50 and lengths["board"] > 300
     assert {p.name for p in tmp_path.iterdir()} == {"board", "empty", "walk", "truth.npz"}

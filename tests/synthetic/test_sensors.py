@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from benchmarks.synthetic.treadmill import treadmill_recording
-from hypose.compute.depth_forests import cpu_rays
+from hypose.compute import depth_sensor
 from hypose.fusion import joints as jt
 from hypose.fusion.register import depth_at_joints
 from hypose.synthetic import sensors as sim
@@ -18,7 +18,7 @@ def test_rays_meet_capsules_where_they_should(rng):
     out = np.empty(4)
     to = np.array([[0, 0, 0.5], [2, 0, 0], [0, 0, 1.5], [0, 0, 1.05]]) - [0, -3, 0.5]
     directions = to / np.linalg.norm(to, axis=1, keepdims=True)
-    cpu_rays.cast_rays(np.array([0.0, -3, 0.5]), directions, capsule, out)
+    depth_sensor.cast_rays(np.array([0.0, -3, 0.5]), directions, capsule, out)
     assert out[0] == pytest.approx(2.9)
     hit = np.array([0, -3, 0.5]) + out[1] * directions[1]
     assert np.linalg.norm(hit - [2, 0, 0]) == pytest.approx(0.3)

@@ -8,7 +8,7 @@ import pytest
 from hypose.body.body import Body
 from hypose.body.ready_bodies import human
 from hypose.cameras.camera import CameraRig
-from hypose.compute.pictures.render import silhouette
+from hypose.compute.render import silhouette
 from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.geometry import Array

@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 
 from benchmarks.papers.layered_anthropometry import (
-    BETAS,
-    TABLE_2_2,
     K,
     ShapeXor,
     SizePrior,
@@ -18,7 +16,7 @@ from benchmarks.papers.layered_anthropometry import (
     shape_energy,
     sizes_2_1,
 )
-from hypose.body.anthropometry import ENTITIES, body_of, entity
+from hypose.body.anthropometry import ENTITIES, body_of, entity, sizes_of
 from hypose.errors import EvidenceError, InputError
 from hypose.fitting.articulated import contour_term
 from hypose.inference.hypotheses import Hypotheses
@@ -148,7 +146,7 @@ def test_subject_from_the_hull_alone(body, standing, frame_of, tmp_path):
     assert found.body.stature == pytest.approx(person.stature, abs=0.03)
     assert np.nanmin(found.iou) > 0.88 and np.nanmean(found.iou) > np.nanmean(found.iou_before)
     assert np.abs(found.body.joints(found.start) - person.joints(standing)).max() < 0.12
-    assert found.sizes.girths["waist"] < found.clothed_sizes.girths["waist"]
+    assert found.sizes.girths["waist"] < sizes_of(found.body).girths["waist"]
     # written, read back, and used for the next recording of the person
     saved, toml = save_subject(tmp_path / "anna", found, body, 'the "first"')
     document = tomllib.loads(toml.read_text())
@@ -189,12 +187,6 @@ def test_size_prior_agrees_with_the_mesh(body, rng):
     for name, size in prior.sizes(x).items():
         assert size == pytest.approx(wanted[name], abs=0.8), name
     assert prior(np.zeros((2, 3, len(x)))).shape == (2, 3)
-
-
-def test_recipe_has_the_layers_of_table_2_2(body):
-    recipe = anthropometry_recipe(body, betas=BETAS)
-    assert len(recipe.layers) == 10 == len(TABLE_2_2) and BETAS[:4] == (0.1, 0.3, 0.8, 1.0)
-    assert [layer.name for layer in recipe.layers] == [n for n, _, _ in TABLE_2_2]
 
 
 def test_layers_move_their_own_coordinates_within_the_prior(body, standing, frame_of, rng):

@@ -170,23 +170,6 @@ def test_any_number_of_threads_finds_the_same_bytes(body, hidden, frame_of, monk
     assert all(found[0][name].tobytes() == found[1][name].tobytes() for name in found[0])
 
 
-def test_hypotheses_go_on_by_their_own_steps(body, standing):
-    """What is expected of a rival is its own last step, not the estimate's."""
-    s = body.skeleton
-    tracker = Tracker(body, default(body, particles=16))
-    state = tracker.start(standing)
-    values = np.stack([standing, standing])
-    before = values.copy()
-    before[0, 0] -= 0.1
-    before[1, 1] += 0.2
-    h = Hypotheses(s.clamp(values), np.array([0.0, -1.0]), columns={BEFORE: before})
-    expected = tracker._expected(replace(state, hypotheses=h), np.zeros(s.dof))
-    np.testing.assert_allclose(expected.values[:, :2] - standing[:2], [[0.08, 0], [0, -0.16]], atol=1e-6)
-    np.testing.assert_array_equal(expected.columns[BEFORE], h.values)
-    lost = tracker._expected(replace(state, hypotheses=h, lost=True), np.zeros(s.dof))
-    np.testing.assert_array_equal(lost.values, h.values)
-
-
 def test_the_covariance_is_that_of_the_mixture(body, standing, raised, frame_of):
     frame = prepare(frame_of(body, standing), body, standing)
     alone = Hypotheses(standing[None], np.zeros(1)).marked(SOLVED, [0])

@@ -74,22 +74,6 @@ export async function remove(id: string): Promise<void> {
   await ask(`/api/results/${id}`, { method: "DELETE" });
 }
 
-/** Sends a file; progress(0..1) while it goes. */
-export function put<T>(path: string, body: Blob, progress: (share: number) => void = () => undefined): Promise<T> {
-  return new Promise((done, failed) => {
-    const request = new XMLHttpRequest();
-    request.open("PUT", address(path));
-    request.upload.onprogress = (e) => progress(e.lengthComputable ? e.loaded / e.total : 0);
-    request.onerror = () => failed(new ApiError("The file could not be sent; is `hypose view` still running?", 0));
-    request.onload = () => {
-      const value = JSON.parse(request.responseText || "null") as T & { error?: string };
-      if (request.status < 300) done(value);
-      else failed(new ApiError(value?.error ?? request.statusText, request.status));
-    };
-    request.send(body);
-  });
-}
-
 /** A WebSocket of the server; it opens again by itself after a break until it is closed. */
 export class Socket {
   private socket: WebSocket | undefined;

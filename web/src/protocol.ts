@@ -22,7 +22,7 @@ export interface ModelEntry {
 export interface SourceEntry { value: string; title: string; gestures?: string[]; missing?: string }
 
 export interface State {
-  version: string; root: string; upload_limit: number; recordings: RecordingEntry[]; results: ResultEntry[];
+  version: string; root: string; recordings: RecordingEntry[]; results: ResultEntry[];
   sessions: SessionEntry[]; models: ModelEntry[]; sources: SourceEntry[];
   skeletons: SkeletonsEntry[]; jobs: Job[];
 }
@@ -53,15 +53,21 @@ export interface Recording {
   sync: { by: string; views: { name: string; late: number; told: string }[] } | null;
 }
 
-export interface Upload {
-  upload: Id; name: string; bytes: number; kind: "video" | "image" | "keypoints" | "calibration" | "other"; size?: [number, number];
-  frames?: number; frame_rate?: number | null; cameras?: string[];
+/** What in a folder can be part of a recording; path: from that folder. */
+export interface FoundFile {
+  path: string; kind: "video" | "image" | "images" | "keypoints" | "calibration" | "other"; size?: [number, number]; frames?: number;
+  frame_rate?: number | null; cameras?: string[]; problem?: string;
 }
+/** A folder of the served one; path: from there, as of its folders. */
+export interface FolderEntry {
+  name: string; path: string; recording: Id | null; folders: { name: string; path: string }[]; files: FoundFile[]; left_out: number;
+}
+/** Files by their paths in the folder. */
 export interface NewView {
-  name: string; camera: string; video?: Id; background?: Id; masks?: Id; keypoints?: Id; board?: Id; accept_scaled?: boolean;
+  name: string; camera: string; video?: string; background?: string; masks?: string; keypoints?: string; board?: string; accept_scaled?: boolean;
 }
 export interface NewRecording {
-  name: string; calibration?: Id; frame_rate?: number; world_up?: string; calibration_unit?: string;
+  folder: string; name: string; calibration?: string; frame_rate?: number; world_up?: string; calibration_unit?: string;
   subject_height?: number; views: NewView[];
 }
 
@@ -149,7 +155,6 @@ export type GestureMessage =
 
 export const DEPTH = 1;
 export const MAP = 2;
-export const COLOUR = 3;
 /** A binary WebSocket message: 16 bytes of header, then the picture. */
 export interface Picture { type: number; stream: number; seq: number; time: number; data: Uint8Array<ArrayBuffer> }
 

@@ -1,4 +1,4 @@
-// Which dropped file belongs to which camera: never by the order in which the uploads end.
+// Which file of a folder belongs to which camera: never by their order.
 import assert from "node:assert/strict";
 import { load } from "./unit.mjs";
 
@@ -87,7 +87,7 @@ for (const [paths, cameras] of layouts) {
   }
 }
 assert.deepEqual(camerasOf([{ path: "a.mp4", role: "video" }, { path: "b.mp4", role: "video" }]), ["a", "b"]);
-assert.match(obstacle([one("a.mp4", "video", "a"), one("b.mp4", "video", "b"), one("x.mp4", "board", "a")]), /no clip of the board of b: drop it/);
+assert.match(obstacle([one("a.mp4", "video", "a"), one("b.mp4", "video", "b"), one("x.mp4", "board", "a")]), /no clip of the board of b: add it/);
 // with a calibration clips of a board are not needed, and of several in one folder one is taken
 assert.deepEqual(found([video("board/cam1.mp4"), video("walk/cam1.mp4")], ["cam1", "cam2"]), { "board/cam1.mp4": "none", "walk/cam1.mp4": "video cam1" });
 const two = [{ path: "c/Calib.qca.txt", kind: "calibration" }, { path: "c/Calib.toml", kind: "calibration" }];

@@ -44,7 +44,7 @@ export async function walk(path, { at = "", expected, ...options } = {}) {
   const asked = (url) => /^(data|blob):/.test(url) || new URL(url).host === own || foreign.push(url);
   const open = async (at) => {
     const page = await browser.newPage({ viewport: { width: 1280, height: 800 }, ...options });
-    page.setDefaultTimeout(1_200_000); // of what hangs: a busy computer may take its time
+    page.setDefaultTimeout(300_000); // of what hangs: a busy computer may take its time
     page.on("request", (request) => asked(request.url()));
     page.on("websocket", (socket) => asked(socket.url()));
     page.on("pageerror", (error) => errors.push(String(error.stack ?? error)));

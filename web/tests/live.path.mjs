@@ -1,4 +1,4 @@
-// Sensors that are simulated are fused, recorded, sent on by OSC and VMC, and fused again; then two programs send a person who
+// Sensors that are simulated are fused, recorded, sent on by OSC, and fused again; then two programs send a person who
 // walks: the page shows one skeleton, where the sensors stand and how they do.
 import assert from "node:assert/strict";
 import { createSocket } from "node:dgram";
@@ -39,18 +39,13 @@ await walk(
     const listener = createSocket("udp4");
     await once(listener.bind(0, "127.0.0.1"), "listening");
     const heard = once(listener, "message");
-    const avatar = createSocket("udp4");
-    await once(avatar.bind(0, "127.0.0.1"), "listening");
-    const moved = once(avatar, "message");
     await page.getByLabel("Who is seen", { exact: true }).selectOption({ label: "3 simulated sensors" });
     await page.getByLabel("OSC target").fill(`127.0.0.1:${listener.address().port}`);
-    await page.getByLabel("VMC target").fill(`127.0.0.1:${avatar.address().port}`);
     await page.getByLabel("all that the sensors send").check();
     await start.click();
     await page.waitForFunction(() => globalThis.__app.people === 1 && globalThis.__app.standing === 3);
     await page.getByText("in place").nth(2).waitFor();
     assert.match((await heard)[0].toString("latin1"), /\/hypose\/frame/);
-    assert.match((await moved)[0].toString("latin1"), /\/VMC\/Ext\//);
     const drawn = await page.evaluate(() => globalThis.__app.pictures);
     await page.waitForFunction((before) => globalThis.__app.pictures > before + 30, drawn);
     for (const [width, height, colorScheme] of [[1440, 900, "light"], [1024, 700, "dark"], [390, 844, "light"], [1280, 800, "dark"]]) {
@@ -66,7 +61,6 @@ await walk(
     await stop.click();
     await page.getByText("Recorded as live/live.").waitFor();
     listener.close();
-    avatar.close();
     assert.ok(existsSync(join(folder, "live", "live", "skeleton.csv")));
     await page.getByRole("button", { name: "Fuse it" }).click();
     const job = page.locator(".job[data-job=fuse]:is([data-state=done], [data-state=failed])");
@@ -79,7 +73,7 @@ await walk(
 
     // programs that send
     await start.waitFor();
-    for (const name of ["OSC target", "VMC target"]) await page.getByLabel(name).fill("");
+    await page.getByLabel("OSC target").fill("");
     await start.click();
     const text = await page.getByText(/awaited at UDP/).textContent();
     const port = Number(/UDP 127\.0\.0\.1:(\d+)/.exec(text)[1]);

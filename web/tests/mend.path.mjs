@@ -1,7 +1,7 @@
 // What is found wrong is mended with a button, not with a line to be typed: a stretched video, a camera that is off, an
 // empty room, a refined calibration.
 import assert from "node:assert/strict";
-import { cpSync, readFileSync, writeFileSync } from "node:fs";
+import { cpSync, mkdirSync, readFileSync, writeFileSync } from "node:fs";
 import { join } from "node:path";
 import { staysCutOff, walk } from "./harness.mjs";
 
@@ -28,11 +28,12 @@ await walk(
     await page.getByText("4 cameras · 8 frames").waitFor();
     assert.match(toml(), /accept_scaled = true/);
 
-    // the same with files that are dropped
+    // the same with a folder that is to become a recording
+    mkdirSync(join(folder, "two"));
+    for (const [from, name] of [["calibration.toml", "calibration.toml"], ["videos/cam1.mp4", "cam1.mp4"], ["videos/cam2.mp4", "cam2.mp4"]]) cpSync(at(from), join(folder, "two", name));
     await page.evaluate(() => (location.hash = "#/setup"));
-    await page.getByLabel("Videos and calibration").setInputFiles([at("calibration.toml"), ...[1, 2].map((k) => at("videos", `cam${k}.mp4`))]);
+    await page.getByRole("button", { name: "two", exact: true }).click();
     await page.getByText("No video of cam3, cam4: the recording is made without.").waitFor();
-    await page.getByLabel("Name of the recording").fill("two");
     await page.getByRole("button", { name: "Make the recording" }).click();
     await page.getByRole("button", { name: "It was stretched: accept it" }).click();
     await page.getByRole("heading", { name: "two" }).waitFor();
@@ -64,9 +65,9 @@ await walk(
     await page.getByRole("button", { name: "Use the refined calibration" }).waitFor({ state: "hidden" });
     assert.match(toml(), /^calibration = .results\/calibration_refined\.toml/);
     await page.getByText("Empty rooms", { exact: true }).click();
-    await page.getByLabel("Empty room of cam3").setInputFiles(at("background", "cam4.mp4"));
+    await page.getByLabel("Empty room of cam3").selectOption("background/cam4.mp4");
     await page.getByText("cam3 has another empty room").waitFor();
-    assert.match(toml(), /background = .backgrounds\/cam4\.mp4/);
+    assert.match(toml(), /background = .background\/cam4\.mp4/);
     await picture("mend-done");
 
     // all frames can be tracked of a recording that says which are to be

@@ -1,34 +1,57 @@
-// slow: from dropped videos to a motion that opens in View.
+// slow: from a folder of videos to a motion that opens in View.
 import assert from "node:assert/strict";
-import { existsSync, readdirSync, readFileSync } from "node:fs";
+import { cpSync, existsSync, readFileSync } from "node:fs";
 import { join } from "node:path";
-import { walk } from "./harness.mjs";
+import { barriers, walk } from "./harness.mjs";
 
 await walk(
   async ({ page, folder, picture }) => {
     const done = (kind) => page.locator(`.job[data-job=${kind}][data-state=done]`).first().waitFor();
-    const all = (kind) => readdirSync(join(folder, "walk", kind)).map((name) => join(folder, "walk", kind, name));
-    const files = page.getByLabel("Videos and calibration");
+    const filmed = join(folder, "days", "monday");
+    const give = (from, to) => cpSync(join(folder, "walk", from), join(filmed, to), { recursive: true });
+    const make = page.getByRole("button", { name: "Make the recording" });
+    const cameras = () => page.evaluate(() => Object.fromEntries([...document.querySelectorAll("[data-file]")].flatMap((row) => {
+      const camera = row.querySelector("[aria-label=Camera]");
+      return camera ? [[row.dataset.file, camera.value]] : [];
+    })));
 
-    // what is missing is said
+    // what is missing is said; what lies in a folder is found again each time it is looked into
+    give("videos", "walk");
     await page.getByRole("heading", { name: "Set up a recording" }).waitFor();
-    await files.setInputFiles(all("videos"));
+    await page.reload({ waitUntil: "commit" });
+    await page.getByRole("button", { name: "days", exact: true }).click();
+    await page.getByRole("button", { name: "monday", exact: true }).click();
     await page.getByText("The calibration is missing").waitFor();
-    assert.ok(await page.getByRole("button", { name: "Make the recording" }).isDisabled());
-    await files.setInputFiles(join(folder, "walk", "recording.toml"));
-    await page.getByText("no video, picture or calibration").or(page.locator(".dropped-file .bad")).first().waitFor();
-    await page.getByRole("button", { name: "Remove recording.toml" }).click();
-    await files.setInputFiles(join(folder, "walk", "calibration.toml"));
+    assert.ok(await make.isDisabled());
+    give("calibration.toml", "calibration.toml");
+    give("background", "background");
+    give("videos/cam2.mp4", "take 2/Cam 2.mp4");
+    give("videos/cam1.mp4", "somewhere.mp4");
+    const look = async (path) => {
+      await page.getByLabel("Folder").fill(path);
+      await page.getByRole("button", { name: "Look" }).click();
+    };
+    await look("/etc");
+    await page.getByText("lies outside of root").waitFor();
+    await look("days/monday");
     await page.getByText("calibration of cam1").waitFor();
-    // the empty room of every camera: files of the same names, whose use is chosen
-    await files.setInputFiles(all("background"));
-    await page.getByText("Two videos are of the camera cam1").waitFor();
-    for (const k of [1, 2, 3, 4]) await page.locator(`[data-file='cam${k}.mp4'] [aria-label='What it is']`).nth(1).selectOption("background");
-    await page.getByRole("button", { name: "Make the recording" }).and(page.locator(":enabled")).waitFor();
+    await page.getByText("Which camera is somewhere.mp4 of?").waitFor();
+    await page.locator("[data-file='somewhere.mp4'] [aria-label='What it is']").selectOption("none");
+    await page.getByText("Two videos are of the camera cam2").waitFor();
+    assert.ok(await make.isDisabled());
+    await picture("setup-conflict");
+    await page.locator("[data-file='take 2/Cam 2.mp4'] [aria-label='What it is']").selectOption("none");
+    await make.and(page.locator(":enabled")).waitFor();
+    const each = (kind) => [1, 2, 3, 4].map((k) => [`${kind}/cam${k}.mp4`, `cam${k}`]);
+    assert.deepEqual(await cameras(), Object.fromEntries([...each("background"), ...each("walk")]));
+    await page.waitForFunction(() => [...document.querySelectorAll(".file-picture img")].filter((i) => i.naturalWidth > 0).length >= 4);
     await page.getByLabel("Name of the recording").fill("mine");
-    await picture("setup-dropped");
-    await page.getByRole("button", { name: "Make the recording" }).click();
+    await picture("setup-folder");
+    assert.deepEqual(await barriers(page), []);
+    await make.click();
     await page.getByRole("heading", { name: "mine" }).waitFor();
+    const made = readFileSync(join(filmed, "recording.toml"), "utf-8");
+    for (const k of [1, 2, 3, 4]) assert.match(made, new RegExp(`camera = .cam${k}.\\nvideo = .walk/cam${k}\\.mp4.\\nbackground = .background/cam${k}`));
 
     // checked, with the findings in words
     await page.getByRole("button", { name: "Check the recording" }).click();
@@ -72,14 +95,14 @@ await walk(
     await page.locator(".where").waitFor();
 
     // tracked again it is a result of its own
-    const first = readFileSync(join(folder, "mine", "results", "default", "motion.npz"));
+    const first = readFileSync(join(filmed, "results", "default", "motion.npz"));
     await page.goBack();
     await page.locator("[data-step=track]").click();
     await page.getByRole("button", { name: "Track", exact: true }).click();
-    await page.getByRole("heading", { name: "Track mine as default-2" }).waitFor();
+    await page.getByRole("heading", { name: "Track monday as default-2" }).waitFor();
     await page.waitForFunction(() => document.querySelectorAll(".job[data-job=track][data-state=done]").length === 2);
-    assert.ok(existsSync(join(folder, "mine", "results", "default-2", "motion.npz")));
-    assert.ok(first.equals(readFileSync(join(folder, "mine", "results", "default", "motion.npz"))));
+    assert.ok(existsSync(join(filmed, "results", "default-2", "motion.npz")));
+    assert.ok(first.equals(readFileSync(join(filmed, "results", "default", "motion.npz"))));
 
     // a server that is gone is said, and nothing is said to run any more
     const sockets = [];
@@ -101,5 +124,5 @@ await walk(
     assert.equal(await page.locator(".chip", { hasText: /^runs$/ }).count(), 0);
     assert.equal(await page.locator(".steps small", { hasText: /^runs$/ }).count(), 0);
   },
-  { at: "#/setup" },
+  { at: "#/setup", expected: /400/ },
 );

@@ -9,10 +9,12 @@ from typing import Annotated
 
 import typer
 
-from hypose.app.commands.commands_track import split_names, terminated_as_interrupted
+from hypose.app.commands.commands_track import split_names, stopping
 from hypose.app.commands.console import Stages, note, say
 from hypose.app.commands.options import number
 from hypose.errors import InputError
+
+_GO_ON = "Stopped. Go on with the same command."
 
 
 def batch(
@@ -49,22 +51,18 @@ def batch(
     results = out or recordings[0].parent / f"{recordings[0].stem}-results"
     if out is None and recordings[0].suffix.lower() != ".csv":
         results = Path("batch-results")
-    try:
-        with terminated_as_interrupted(), Stages() as progress:
-            tasks, refused = plan(drafts, results, progress)
-            rows = refused
-            if dry_run:
-                done = sum(finished(t) is not None for t in tasks)
-                say(f"{len(tasks)} tasks: {done} finished, {len(tasks) - done} to do, {len(refused)} refused")
-            else:
-                with claimed(results):
-                    count = workers or os.cpu_count() or 1
-                    done = run_batch(tasks, results, progress, workers=count, threads=threads, scheduler=scheduler)
-                    rows = [*done, *refused]
-                    write_table(rows, results)
-    except KeyboardInterrupt:
-        say("Stopped. Go on with the same command.")
-        raise typer.Exit(130) from None
+    with stopping(_GO_ON), Stages() as progress:
+        tasks, refused = plan(drafts, results, progress)
+        rows = refused
+        if dry_run:
+            done = sum(finished(t) is not None for t in tasks)
+            say(f"{len(tasks)} tasks: {done} finished, {len(tasks) - done} to do, {len(refused)} refused")
+        else:
+            with claimed(results):
+                count = workers or os.cpu_count() or 1
+                done = run_batch(tasks, results, progress, workers=count, threads=threads, scheduler=scheduler)
+                rows = [*done, *refused]
+                write_table(rows, results)
     for row in rows:
         if row["state"] == "failed":
             note(f"{row['recording']}, {row['name']}: {row['message']}")
@@ -77,7 +75,7 @@ def batch(
     say(", ".join(parts))
     say(f"Table: {results / 'results.csv'}")
     if "stopped" in states:
-        say("Stopped. Go on with the same command.")
+        say(_GO_ON)
         raise typer.Exit(130)
     if "failed" in states:
         raise typer.Exit(1)

@@ -367,14 +367,12 @@ def _write(recording: Recording, late: list[float], folder: Path, progress: Prog
     """Masks (PNG, undistorted), depth maps and key points (OpenPose JSON) on the common clock, and a recording.toml."""
     from dataclasses import replace
 
-    import cv2
-    import numpy as np
-
     from hypose.calibration.synchronisation import Resampled, points_at
+    from hypose.evidence.detector import openpose_document
     from hypose.io.file_names import folder_for
-    from hypose.io.files import write_bytes, write_text
+    from hypose.io.files import write_text
+    from hypose.io.recordings.frames import mask_folder, write_frame_masks
     from hypose.io.recordings.recording import write_recording
-    from hypose.io.recordings.view_source import SIDECAR
     from hypose.pipeline.examine import raw_person
     from hypose.pipeline.one_of_several import frames_to_examine
 
@@ -383,20 +381,13 @@ def _write(recording: Recording, late: list[float], folder: Path, progress: Prog
     with stream:
         progress("background", 1, 1)
         source = Resampled(stream, late)
-        masks = [None if v.depth is not None else folder_for(folder / "masks", v.name) for v in recording.views]
-        for path, camera in zip(masks, stream.rig, strict=True):
-            if path is not None:
-                write_text(path / SIDECAR, json.dumps({"undistorted": True, "size": list(camera.size)}) + "\n")
+        named = zip(recording.views, stream.rig, strict=True)
+        masks = [None if v.depth is not None else mask_folder(folder / "masks", v.name, c) for v, c in named]
         for i in range(len(source)):
             progress("masks", i, len(source))
             silhouettes = source.frame(i).silhouettes
             assert silhouettes is not None
-            for c, (path, camera) in enumerate(zip(masks, stream.rig, strict=True)):
-                if path is None:
-                    continue
-                w, h = camera.size
-                data = cv2.imencode(".png", silhouettes.masks[c, :h, :w] * np.uint8(255))[1]
-                write_bytes(path / f"{i:06d}.png", data.tobytes(), synced=False)
+            write_frame_masks(silhouettes, masks, i)
         progress("masks", len(source), len(source))
     people = _people(raw_person(recording))
     views = []
@@ -405,10 +396,8 @@ def _write(recording: Recording, late: list[float], folder: Path, progress: Prog
         if people and view.keypoints is not None:
             keypoints = folder_for(folder / "keypoints", view.name)
             for t, shown in enumerate(zip(*(points_at(p[c], late[c]) for p in people), strict=True)):
-                said = [
-                    {"pose_keypoints_2d": [round(float(x), 4) for x in p.ravel()]} for p in shown if (p[:, 2] > 0).any()
-                ]
-                write_text(keypoints / f"{keypoints.name}_{t:012d}_keypoints.json", json.dumps({"people": said}) + "\n")
+                said = json.dumps(openpose_document(shown))
+                write_text(keypoints / f"{keypoints.name}_{t:012d}_keypoints.json", said + "\n")
         if view.depth is not None:
             maps = _depth_in_step(view.depth, recording.frames, late[c], folder_for(folder / "depth", view.name))
             views.append(replace(view, depth=maps, keypoints=keypoints))

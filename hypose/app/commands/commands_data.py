@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hypose.app.commands.commands_track import set_threads
+from hypose.app.commands.commands_track import set_threads, stopping
 from hypose.app.commands.console import Stages, note, say
 from hypose.app.commands.options import Seconds, Seed, Threads, number
 from hypose.errors import EvidenceError, InputError
@@ -53,11 +53,8 @@ def silhouettes(
         progress("background", 0, 1)
         with FrameStream(loaded) as source:
             progress("background", 1, 1)
-            try:
+            with stopping(f"Stopped; the masks written until then are in {target}."):
                 shown = write_masks(source, target, lambda done, total: progress("masks", done, total))
-            except KeyboardInterrupt:
-                say(f"Stopped; the masks written until then are in {target}.")
-                raise typer.Exit(130) from None
             notes = source.notes
             write_sheet(loaded, source, target / "sheet.jpg", 4)
     for text in (*loaded.notes, *notes):
@@ -106,71 +103,40 @@ def synth(
     """Make a synthetic recording with known truth: videos, background clips, calibration, recording.toml, truth.npz."""
     set_threads(threads)
     from hypose.io.files import claimed
+    from hypose.synthetic.depth_scenes import DepthScene
     from hypose.synthetic.film_session import BOARD, write_session
     from hypose.synthetic.scenes import make_scene
-    from hypose.synthetic.write_recording import check_folder, write_scene
+    from hypose.synthetic.write_recording import check_folder, walking_scene, write_depth_scene, write_scene
 
     if raw and keypoints:
         raise InputError("--raw writes what cameras give, and key points are not; leave one of the two out.")
     check_folder(folder)
+    if sensors and (raw or keypoints or corruption):
+        raise InputError(
+            "Depth cameras write depth maps with their own faults; leave --raw, --keypoints, --corruption out."
+        )
+    about = {"seconds": seconds, "frame_rate": frame_rate, "seed": seed, "clothing_m": clothing}
+    who = _subject_name(subject)
     if sensors:
-        if raw or keypoints or corruption:
-            raise InputError(
-                "Depth cameras write depth maps with their own faults; leave --raw, --keypoints, --corruption out."
-            )
-        _depth_cameras(folder, motion, _subject_name(subject), sensors, seconds, frame_rate, seed, clothing)
-        return
-    scene = make_scene(
-        motion,
-        _subject_name(subject),
-        rig,
-        seconds=seconds,
-        frame_rate=frame_rate,
-        seed=seed,
-        corruption=tuple(corruption or ()),
-        clothing_m=clothing,
-        distorted=distorted,
-    )
-    try:
-        with claimed(folder, "OUT"), Stages() as progress:
+        scene = walking_scene(motion, who, sensors, **about)
+    else:
+        scene = make_scene(motion, who, rig, corruption=tuple(corruption or ()), distorted=distorted, **about)
+    unfinished = f"Stopped; {folder} is not complete. Start again with the same command."
+    with stopping(unfinished), claimed(folder, "OUT"), Stages() as progress:
 
-            def shown(done: int, total: int) -> None:
-                progress("render", done, total)
+        def shown(done: int, total: int) -> None:
+            progress("render", done, total)
 
-            if raw:
-                path = write_session(scene, folder, progress=shown)
-            else:
-                path = write_scene(scene, folder, keypoints=keypoints, progress=shown)
-    except KeyboardInterrupt:
-        say(f"Stopped; {folder} is not complete. Start again with the same command.")
-        raise typer.Exit(130) from None
-    say(f"{path}: {scene.name}, {len(scene)} frames, {len(scene.rig)} cameras")
+        if isinstance(scene, DepthScene):
+            path = write_depth_scene(scene, folder, progress=shown)
+        elif raw:
+            path = write_session(scene, folder, progress=shown)
+        else:
+            path = write_scene(scene, folder, keypoints=keypoints, progress=shown)
+    kind = "depth cameras (simulated)" if sensors else "cameras"
+    say(f"{path}: {scene.name}, {len(scene)} frames, {len(scene.rig)} {kind}")
     if raw:
         say(f"The board has {BOARD.columns} x {BOARD.rows} inner corners and squares of {1000 * BOARD.square:g} mm.")
-
-
-def _depth_cameras(
-    folder: Path,
-    motion: str,
-    subject: str,
-    sensors: str,
-    seconds: float,
-    frame_rate: float,
-    seed: int,
-    clothing: float,
-) -> None:
-    from hypose.io.files import claimed
-    from hypose.synthetic.write_depth import walking_scene, write_depth_scene
-
-    about = {"seconds": seconds, "frame_rate": frame_rate, "seed": seed, "clothing_m": clothing}
-    scene = walking_scene(motion, subject, sensors, **about)
-    try:
-        with claimed(folder, "OUT"), Stages() as progress:
-            path = write_depth_scene(scene, folder, progress=lambda done, total: progress("render", done, total))
-    except KeyboardInterrupt:
-        say(f"Stopped; {folder} is not complete. Start again with the same command.")
-        raise typer.Exit(130) from None
-    say(f"{path}: {scene.name}, {len(scene)} frames, {len(scene.rig)} depth cameras (simulated)")
 
 
 def _subject_name(text: str) -> str:
@@ -203,7 +169,6 @@ def depth_import(
     seed: Seed = 0,
 ) -> None:
     """Make a recording of depth cameras to track: maps, lenses, floor; several are brought together by the person."""
-    from hypose.errors import InputError
     from hypose.io.files import claimed
     from hypose.pipeline.import_depth import import_depth
 
@@ -211,12 +176,10 @@ def depth_import(
         raise InputError(f"{out} is not empty; give a new folder.")
     new = not out.exists()
     about = {"frame_rate": frame_rate, "millimetres": millimetres, "seed": seed}
+    nothing = f"Stopped; nothing is kept in {out}. Start again with the same command."
     try:
-        with claimed(out, "--out"), Stages() as progress:
+        with stopping(nothing), claimed(out, "--out"), Stages() as progress:
             path, notes = import_depth(sources, out, empty=empty or (), progress=progress, **about)
-    except KeyboardInterrupt:
-        say(f"Stopped; nothing is kept in {out}. Start again with the same command.")
-        raise typer.Exit(130) from None
     finally:
         if new:
             with contextlib.suppress(OSError):  # the recording is in it
@@ -272,7 +235,8 @@ def detect(
     with contextlib.ExitStack() as stack:
         stack.enter_context(claimed(target))
         progress = stack.enter_context(Stages())
-        try:
+        kept = f"Stopped; the frames done until then are in {target}. Go on with the same command and --resume."
+        with stopping(kept):
             return detect_keypoints(
                 loaded,
                 detector,
@@ -281,9 +245,6 @@ def detect(
                 frames=frames,
                 progress=lambda done, total: progress("detect", done, total),
             )
-        except KeyboardInterrupt:
-            say(f"Stopped; the frames done until then are in {target}. Go on with the same command and --resume.")
-            raise typer.Exit(130) from None
 
 
 def detected(loaded: Recording, frames: range, *, yes: bool, why: str) -> DetectedKeypoints:

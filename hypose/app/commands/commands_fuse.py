@@ -12,8 +12,8 @@ from hypose.app.commands.commands_track import (
     run_shown,
     set_threads,
     split_names,
+    stopping,
     tell_verdicts,
-    terminated_as_interrupted,
 )
 from hypose.app.commands.console import Stages, note, say
 from hypose.app.commands.options import Seed, Threads, number
@@ -33,7 +33,7 @@ def fuse(
     method: Annotated[
         str,
         typer.Option(
-            help="fit, swarm, published, published-window, best_single, weighted_mean, median, kalman, dbscan_kalman.",
+            help="fit, swarm, published, published-window.",
             rich_help_panel=_RECORDED,
         ),
     ] = "fit",
@@ -158,12 +158,9 @@ def fuse(
         resume=resume,
         run={"threads": threads},
     )
-    try:
-        with terminated_as_interrupted(), claimed(results.path), Stages() as progress:
-            outcome = run_fuse(fusing, progress)
-    except KeyboardInterrupt:
-        say("Stopped before anything was fused, so nothing was kept. Start again with the same command.")
-        raise typer.Exit(130) from None
+    nothing = "Stopped before anything was fused, so nothing was kept. Start again with the same command."
+    with stopping(nothing), claimed(results.path), Stages() as progress:
+        outcome = run_fuse(fusing, progress)
     _closing(outcome, loaded.name, len(loaded.streams), results.path)
     if not outcome.complete:
         raise typer.Exit(130)

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from hypose.app.commands.commands_track import terminated_as_interrupted
+from hypose.app.commands.commands_track import stopping
 from hypose.app.commands.console import Stages, note, say
 from hypose.app.commands.options import MOST_FRAMES, Seed, number
 from hypose.errors import InputError
@@ -141,7 +141,7 @@ def run(
     loaded = [load_model(m) for m in models]
     limits = [EventSettings(t, hold_s=hold, refractory_s=rest) for t in thresholds(loaded, threshold)]
     names = [n for m in loaded for n in m.names]
-    with contextlib.suppress(KeyboardInterrupt), terminated_as_interrupted(), contextlib.ExitStack() as opened:
+    with stopping(), contextlib.ExitStack() as opened:
         outs: list[Out] = []
         if osc is not None:
             outs.append(opened.enter_context(contextlib.closing(OscOut(osc, names, [s.threshold for s in limits]))))
@@ -157,8 +157,6 @@ def run(
                 out.send(watched)
             if frames and k >= frames:
                 break
-        return
-    raise typer.Exit(130)
 
 
 @app.command(short_help="Try a model: what it finds in every frame.")

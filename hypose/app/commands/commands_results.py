@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hypose.app.commands.commands_track import set_threads, split_names
+from hypose.app.commands.commands_track import set_threads, split_names, stopping
 from hypose.app.commands.console import Stages, note, say
 from hypose.app.commands.options import Threads, number
-from hypose.errors import InputError
+from hypose.errors import HyposeError, InputError
 
 if TYPE_CHECKING:
     from pythonosc.osc_message import OscMessage
 
     from hypose.body.body import Body
     from hypose.body.motion import Motion
+    from hypose.pipeline.gait import Gait
 
 
 def export(
@@ -61,9 +63,11 @@ def report(
     target = out or folder / "report.html"
     if target.is_dir():
         raise InputError(f"{target} is a folder; name the file to write, for example {target / 'report.html'}.")
-    recording = find_recording(folder) if results.exists() else None
+    recording = None
     if results.exists():
         check_writable(target.parent)
+        with contextlib.suppress(HyposeError):  # the report then says why it has no pictures
+            recording = find_recording(folder)
     shown = load_view(results, recording)
     with Stages() as progress:
         progress("report", 0, 1)
@@ -79,7 +83,6 @@ def gait(
     out: Annotated[Path | None, typer.Option(help="Folder to write to. [default: the results folder]")] = None,
 ) -> None:
     """Write strikes, steps, cadence and speed (CSV, C3D with events), and joint angles over the gait cycle."""
-    from hypose.app.jobs.gait_job import write_gait
     from hypose.io.files import claimed
     from hypose.io.motions.results import load_result_body
     from hypose.pipeline.gait import gait_of
@@ -89,7 +92,7 @@ def gait(
     tell_untrusted(results)
     found = gait_of(motion, body)
     with claimed(out or source):
-        written = write_gait(out or source, motion, found)
+        written = _write_gait(out or source, motion, found)
     strikes = sum(e.kind == "strike" for e in found.events)
     say(f"{strikes} foot strikes, {len(found.events) - strikes} times a foot left the ground, {len(found.steps)} steps")
     for f in found.figures:
@@ -98,6 +101,61 @@ def gait(
         say("Nobody walks two steps in this motion, as far as the feet show.")
     for path in written:
         say(str(path))
+
+
+def _write_gait(folder: Path, motion: Motion, gait: Gait) -> list[Path]:
+    """Write events.csv, steps.csv, gait.csv and gait.c3d (joint centres with the events), and where there is a whole
+    stride cycles.csv and cycles.svg (joint angles over the cycle); returns their paths."""
+    import numpy as np
+
+    from hypose.app.reports.charts import cycle_chart
+    from hypose.io.files import write_text
+    from hypose.io.motions.c3d import write_c3d
+    from hypose.pipeline.gait import PERCENT, angle_cycles
+
+    start = float(motion.times[0])
+    events = [
+        (e.time, e.sd, e.side, e.kind, *e.place.tolist(), round((e.time - start) * motion.frame_rate))
+        for e in gait.events
+    ]
+    steps = [
+        (s.time, s.side, s.duration, s.duration_sd, s.length, s.length_sd, s.width, s.width_sd, s.double_support)
+        for s in gait.steps
+    ]
+    figures = [(f.name, f.unit, f.mean, f.sd, f.low, f.high, f.n) for f in gait.figures]
+    paths = [folder / n for n in ("events.csv", "steps.csv", "gait.csv", "gait.c3d")]
+    _table(paths[0], "time_s,sd_s,side,event,x_m,y_m,z_m,frame", events)
+    columns = "time_s,side,duration_s,duration_sd_s,length_m,length_sd_m,width_m,width_sd_m,double_support_s"
+    _table(paths[1], columns, steps)
+    _table(paths[2], "name,unit,mean,sd,low_90,high_90,n", figures)
+    marks = [
+        (e.time - start, e.side.capitalize(), {"strike": "Foot Strike", "off": "Foot Off"}[e.kind]) for e in gait.events
+    ]
+    computed = (motion.lost | motion.extrapolated).astype(bool)
+    residuals = np.where(computed[:, None], 0.0, np.maximum(motion.joint_sd * 1000, 1e-3))
+    write_c3d(paths[3], motion.skeleton.joint_names, motion.joints, motion.frame_rate, residuals, marks)
+    cycles = angle_cycles(gait.events, motion)
+    if not cycles:
+        return paths
+    paths += [folder / "cycles.csv", folder / "cycles.svg"]
+    header = [f"{c.name}_{what}" for c in cycles for what in ("mean_deg", "sd_deg", "uncertainty_deg")]
+    table = np.degrees([curve for c in cycles for curve in (c.mean, c.sd, c.uncertainty)]).T
+    _table(
+        paths[-2],
+        ",".join(["percent", *header]),
+        [(f"{p:g}", *row) for p, row in zip(PERCENT, table.tolist(), strict=True)],
+    )
+    write_text(paths[-1], cycle_chart(cycles))
+    return paths
+
+
+def _table(path: Path, header: str, rows: Sequence[Sequence[object]]) -> None:
+    from hypose.io.files import write_text
+
+    def cell(value: object) -> str:
+        return str(value) if not isinstance(value, float) else f"{value:.5f}" if math.isfinite(value) else ""
+
+    write_text(path, "\n".join([header, *(",".join(map(cell, row)) for row in rows)]) + "\n")
 
 
 def compare(
@@ -158,7 +216,7 @@ def compare(
             progress("compare", done, len(pairs))
             compared += compare_job.compare_files([pair], options, joints, subject)
         progress("compare", len(pairs), len(pairs))
-    failed = compare_job.exceeded(compared, compare_job.Limits(max_mm, max_degrees, min_coverage))
+    failed = compare_job.exceeded(compared, max_mm, max_degrees, min_coverage)
     compare_job.write_csv(folder / "compare.csv", compared)
     compare_job.write_page(folder / "compare.html", compared, failed)
     for file in dict.fromkeys(files):
@@ -195,7 +253,7 @@ def play(
     """Send a tracked motion to an avatar (VMC protocol): VSeeFace, Warudo, Unity, Unreal, Blender. See docs/live.md."""
     from hypose.app.live.osc import OscTarget
     from hypose.io.motions.results import load_result, load_result_body
-    from hypose.pipeline.fused_motion import pose_fused
+    from hypose.pipeline.sensor_skeletons import pose_fused
 
     motion = load_result(results)
     if motion.poses is None:  # of depth sensors
@@ -203,12 +261,9 @@ def play(
     else:
         motion, body = load_result_body(results)
     tell_untrusted(results)
-    with contextlib.closing(OscTarget(vmc, "--vmc")) as target:
+    with stopping(), contextlib.closing(OscTarget(vmc, "--vmc")) as target:
         say(f"{len(motion)} frames at {motion.frame_rate:g} Hz to {vmc}" + (", until Ctrl-C." if loop else "."))
-        try:
-            play_motion(motion, body, target.send, speed, loop)
-        except KeyboardInterrupt:
-            raise typer.Exit(130) from None
+        play_motion(motion, body, target.send, speed, loop)
 
 
 def play_motion(

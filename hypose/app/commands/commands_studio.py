@@ -30,18 +30,12 @@ def view(
             help="What pages must show. [default: none on this computer, else made]", rich_help_panel=_NETWORK
         ),
     ] = None,
-    upload_limit: Annotated[
-        float,
-        number(
-            "GiB that a file dropped onto the page may have.", 0, 1024, above=True, unit="GiB", rich_help_panel=_NETWORK
-        ),
-    ] = 4.0,
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Do not open the page.")] = False,
     threads: Threads = None,
 ) -> None:
     """Open the studio: results in 3D with their pictures, corrections by clicks, gestures, new recordings."""
     set_threads(threads)
-    open_studio(what, "", host=host, port=port, token=token, upload_limit=upload_limit, browser=not no_browser)
+    open_studio(what, "", host=host, port=port, token=token, browser=not no_browser)
 
 
 def open_studio(
@@ -52,7 +46,6 @@ def open_studio(
     browser: bool,
     host: str = "127.0.0.1",
     token: str | None = None,
-    upload_limit: float = 4.0,
 ) -> None:
     """Serve the folder of `what` until Ctrl-C; screen: what the page shows first, by default what fits `what`."""
     from hypose.app.studio.server import NOT_BUILT, STATIC, StudioOptions, run
@@ -72,17 +65,16 @@ def open_studio(
 
             webbrowser.open(page)
 
-    run(StudioOptions(root, host, port, token, round(upload_limit * 2**30)), ready)
+    run(StudioOptions(root, host, port, token), ready)
 
 
 def _place(what: Path) -> tuple[Path, str]:
     """The folder to serve, and the screen that shows `what` in it."""
-    from hypose.app.studio.catalog import Catalog, is_recording
+    from hypose.app.studio.catalog import Catalog, is_recording, recording_above
 
     folder = (what if what.is_dir() else what.parent).resolve()
     if (folder / "motion.npz").is_file():
-        above = [p for p in list(folder.parents)[:3] if is_recording(p)]
-        root = above[0] if above else folder
+        root = recording_above(folder) or folder
         return root, f"view/{Catalog(root).id_of('result', folder)}"
     if is_recording(folder):
         catalog = Catalog(folder)

@@ -124,28 +124,21 @@ def papers_of(name: str) -> tuple[Paper, ...]:
 
     An InputError lists the methods.
     """
-    path = Path(name)
-    method = name
+    path, method = Path(name), name
     if name not in PAPERS and (path.is_dir() or path.suffix == ".json"):
-        method = _method_of(path / "provenance.json" if path.is_dir() else path)
-    if method in PAPERS:
-        return (HYPOSE, *PAPERS[method])
-    if method.startswith("fusion-"):
-        return (HYPOSE,)  # the baselines are textbook filters
-    raise InputError(
-        f"There is no method or results folder {name!r}; give a folder that hypose track or fuse wrote, or one of "
-        f"{', '.join(PAPERS)}."
-    )
-
-
-def _method_of(path: Path) -> str:
-    try:
-        found = read_json(path, "a provenance.json")["recipe"]
-    except (KeyError, TypeError) as error:
+        path = path / "provenance.json" if path.is_dir() else path
+        try:
+            method = str(read_json(path, "a provenance.json")["recipe"])
+        except (KeyError, TypeError) as error:
+            raise InputError(
+                f"{path} tells no method ({error}); give a folder that hypose track or fuse wrote, or a method's name."
+            ) from None
+    if method not in PAPERS and not method.startswith("fusion-"):
         raise InputError(
-            f"{path} tells no method ({error}); give a folder that hypose track or fuse wrote, or a method's name."
-        ) from None
-    return str(found)
+            f"There is no method or results folder {name!r}; give a folder that hypose track or fuse wrote, or one of "
+            f"{', '.join(PAPERS)}."
+        )
+    return (HYPOSE, *PAPERS.get(method, ()))  # the baselines of fusion are textbook filters
 
 
 def listed(papers: Sequence[Paper], bibtex: bool) -> str:

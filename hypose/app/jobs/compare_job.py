@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import csv
 import html
+import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,16 +32,6 @@ class Compared:
     found: Comparison
 
 
-@dataclass(frozen=True)
-class Limits:
-    """What a comparison may not exceed; None = no limit. mm: RMSE of all joints without offsets; degrees: the largest
-    RMSE of an angle without its offset; coverage: least share inside our 90 % regions, mean over the joints."""
-
-    mm: float | None = None
-    degrees: float | None = None
-    coverage: float | None = None
-
-
 def compare_files(
     pairs: Sequence[tuple[Path, Path]],
     options: CompareOptions,
@@ -50,24 +42,26 @@ def compare_files(
     return [Compared(a, b, compare_motions(load_result(a), read_other(b, joints, subject), options)) for a, b in pairs]
 
 
-def exceeded(compared: Sequence[Compared], limits: Limits) -> list[str]:
-    """A sentence for every limit that a comparison exceeds."""
+def exceeded(
+    compared: Sequence[Compared], mm: float | None, degrees: float | None, coverage: float | None
+) -> list[str]:
+    """A sentence for every limit that a comparison exceeds; None = no limit. mm: RMSE of all joints without offsets;
+    degrees: the largest RMSE of an angle without its offset; coverage: least share inside our 90 % regions, mean over
+    the joints."""
     out = []
     for c in compared:
         rmse = c.found.left_mm[2]
-        if limits.mm is not None and not rmse <= limits.mm:
-            out.append(f"{c.other}: the joints' RMSE is {rmse:.1f} mm, at most {limits.mm:g} is allowed.")
+        if mm is not None and not rmse <= mm:
+            out.append(f"{c.other}: the joints' RMSE is {rmse:.1f} mm, at most {mm:g} is allowed.")
         worst = max((a for a in c.found.angles if a.unit == "deg" and a.n), key=lambda a: a.rmse_left, default=None)
-        if limits.degrees is not None and (worst is None or worst.rmse_left > limits.degrees):
+        if degrees is not None and (worst is None or worst.rmse_left > degrees):
             said = (
                 "there are no angles" if worst is None else f"{worst.name} has an RMSE of {worst.rmse_left:.1f} degrees"
             )
-            out.append(f"{c.other}: {said}, at most {limits.degrees:g} are allowed.")
+            out.append(f"{c.other}: {said}, at most {degrees:g} are allowed.")
         share = mean_coverage(c.found)
-        if limits.coverage is not None and not share >= limits.coverage:
-            out.append(
-                f"{c.other}: {100 * share:.0f} % lie in our 90 % regions, {100 * limits.coverage:.0f} % are needed."
-            )
+        if coverage is not None and not share >= coverage:
+            out.append(f"{c.other}: {100 * share:.0f} % lie in our 90 % regions, {100 * coverage:.0f} % are needed.")
     return out
 
 
@@ -100,20 +94,17 @@ def write_csv(path: Path, compared: Sequence[Compared]) -> None:
     header = ["result", "other", "name", "unit", "frames", "median", "p95", "rmse", "offset", "median_left", "p95_left"]
     header += ["rmse_left", *(f"{k}_{a}" for k in ("bias", "low", "high", "r") for a in _AXES)]
     header += [f"covered_{100 * level:g}" for level in LEVELS]
-    rows = [",".join(header)]
+    table = io.StringIO()
+    rows = csv.writer(table, lineterminator="\n")
+    rows.writerow(header)
     for c in compared:
         for a in (*c.found.joints, *c.found.angles):
-            cells = [_quoted(str(c.result)), _quoted(str(c.other)), a.name, a.unit, str(a.n)]
             numbers = [a.median, a.p95, a.rmse, a.offset, a.median_left, a.p95_left, a.rmse_left]
             for values in (a.bias, a.low, a.high, a.r):
                 numbers += [*values.tolist(), *[float("nan")] * (3 - len(values))]
-            cells += ["" if not np.isfinite(v) else f"{v:.5f}" for v in (*numbers, *a.covered)]
-            rows.append(",".join(cells))
-    write_text(path, "\n".join(rows) + "\n")
-
-
-def _quoted(text: str) -> str:
-    return '"' + text.replace('"', '""') + '"' if any(c in text for c in ',"\n\r') else text
+            known = ["" if not np.isfinite(v) else f"{v:.5f}" for v in (*numbers, *a.covered)]
+            rows.writerow([c.result, c.other, a.name, a.unit, a.n, *known])
+    write_text(path, table.getvalue())
 
 
 def write_page(path: Path, compared: Sequence[Compared], failed: Sequence[str]) -> None:

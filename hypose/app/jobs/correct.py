@@ -7,6 +7,7 @@ from the corrected pose; all other frames are those of the old one.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -50,19 +51,18 @@ class Correction:
 
 
 def read_correction(path: Path) -> Correction:
-    """The clicks of a frame with their pose, as the studio saves them (starts/NAME.json)."""
-    try:
+    """Read the clicks of a frame with their pose, as the studio saves them (starts/NAME.json)."""
+    usable, pose, frames = False, np.zeros(0), list[Any]([None])
+    with contextlib.suppress(ValueError, TypeError, KeyError):
         value = read_json(path, "saved clicks")
-        form, frame, pose = value["format"], value["frame"], np.array(value["pose"], dtype=np.float64)
-    except (ValueError, TypeError, KeyError):
-        value, form, frame, pose = {}, None, -1, np.zeros(0)
-    counted = _is_frame(frame)
-    if form != "hypose-clicks" or not counted or pose.ndim != 1 or not np.isfinite(pose).all():
+        pose = np.array(value["pose"], dtype=np.float64)
+        frames = [value["frame"], value.get("since"), value.get("until")]
+        usable = value["format"] == "hypose-clicks" and pose.ndim == 1 and bool(np.isfinite(pose).all())
+    if not usable or not _is_frame(frames[0]):
         raise InputError(f"{path} holds no clicked pose; correct a frame in `hypose view` and save it there.")
-    ends = [value.get(name) for name in ("since", "until")]
-    if not all(end is None or _is_frame(end) for end in ends):
+    if not all(end is None or _is_frame(end) for end in frames[1:]):
         raise InputError(f"The frames since and until in {path} must be whole numbers; correct the frame again.")
-    return Correction(int(frame), pose, path.stem, *ends)
+    return Correction(frames[0], pose, path.stem, *frames[1:])
 
 
 def _is_frame(value: Any) -> bool:
@@ -96,19 +96,19 @@ def correct(
     record |= {"clicks": correction.name, "of": old.path.name}
     # who has corrected the frame has also said where left and right are
     sure, joined = replace(options, sure_start=True), motion
+
+    def tracked(frames: range, turned: bool) -> Motion:
+        part = replace(recording, frame_range=(frames.start, frames.stop))
+        with FrameStream(part, frames_wanted(part, options)) as stream:
+            source = Backwards(stream) if turned else stream
+            subject = _subject(source, part, options, body, correction.pose)
+            found = track_source(source, motion.frame_rate, sure, subject=subject, progress=progress).motion
+        return backwards(found) if turned else found
+
     if start < row:
         record["since"] = first + start
-        part = replace(recording, frame_range=(first + start, first + row + 1))
-        with FrameStream(part, frames_wanted(part, options)) as stream:
-            turned = Backwards(stream)
-            subject = _subject(turned, part, options, body, correction.pose)
-            tracked = track_source(turned, motion.frame_rate, sure, subject=subject, progress=progress)
-        joined = join(joined, backwards(tracked.motion), start, None)
-    part = replace(recording, frame_range=(first + row, first + stop))
-    with FrameStream(part, frames_wanted(part, options)) as stream:
-        subject = _subject(stream, part, options, body, correction.pose)
-        tracked = track_source(stream, motion.frame_rate, sure, subject=subject, progress=progress)
-    joined = join(joined, tracked.motion, row, record)
+        joined = join(joined, tracked(range(first + start, first + row + 1), True), start, None)
+    joined = join(joined, tracked(range(first + row, first + stop), False), row, record)
     save_body(body, out.file("body.npz"))
     save_motion(joined, out.motion)
     out.write_json("provenance.json", joined.provenance)
@@ -149,40 +149,31 @@ def backwards(motion: Motion) -> Motion:
     return replace(motion, **per_frame(motion, np.arange(len(motion))[::-1]) | {"times": motion.times})
 
 
+_UNKNOWN = {
+    **dict.fromkeys(("poses", "joints", "joint_covariance", "lost", "extrapolated", "n_views", "cost"), np.nan),
+    **{"doubtful": False, "doubtful_joints": False, "p_wrong": np.nan, "angle_sd": np.nan},
+    **{"systematic_covariance": 0.0, "rivals": np.nan, "rival_weights": 0},
+}
+"""What a motion has of each frame, and what stands there where a part does not tell."""
+
+
 def join(old: Motion, new: Motion, row: int, record: Mapping[str, Any] | None) -> Motion:
     """The motion `old` with the rows from `row` on replaced by those of `new`, and `record` among its corrections."""
-    series = {}
-    for name in ("poses", "joints", "joint_covariance", "lost", "extrapolated", "n_views", "cost"):
-        values = getattr(old, name).copy()
-        values[row : row + len(new)] = getattr(new, name)
-        series[name] = values
-    if old.doubtful is not None or new.doubtful is not None:
-        series["doubtful"] = _marks(old)
-        series["doubtful"][row : row + len(new)] = _marks(new)
-    for name in ("rivals", "rival_weights"):
+    series, stop = {}, row + len(new)
+    if old.doubtful is None and new.doubtful is not None:
+        old = replace(old, doubtful=np.zeros(len(old), dtype=bool))
+    for name, unknown in _UNKNOWN.items():
         before, after = getattr(old, name), getattr(new, name)
         if before is not None:
             series[name] = before.copy()
-            nothing = np.full_like(before[row : row + len(new)], np.nan if name == "rivals" else 0)
-            fits = after is not None and after.shape == nothing.shape
-            series[name][row : row + len(new)] = after if fits else nothing
-    unknown_by_name = {"p_wrong": np.nan, "doubtful_joints": False, "angle_sd": np.nan, "systematic_covariance": 0.0}
-    for name, unknown in unknown_by_name.items():
-        before, after = getattr(old, name), getattr(new, name)
-        if before is not None:
-            series[name] = before.copy()
-            series[name][row : row + len(new)] = unknown if after is None else after
+            told = after is not None and after.shape == before[row:stop].shape
+            series[name][row:stop] = after if told else unknown
     if row:  # one branch of the root's rotation, so that nothing between the two parts turns around
         poses = series["poses"]
-        for t in range(row, row + len(new)):
+        for t in range(row, stop):
             poses[t] = old.skeleton.on_branch(poses[t], poses[t - 1])
     corrections = [*old.provenance.get("corrections", []), *([] if record is None else [dict(record)])]
     return replace(old, **series, provenance={**old.provenance, "corrections": corrections})
-
-
-def _marks(motion: Motion) -> np.ndarray:
-    """(T,) which frames are doubtful; a copy."""
-    return np.zeros(len(motion), dtype=bool) if motion.doubtful is None else motion.doubtful.copy()
 
 
 def _options(motion: Motion, old: ResultsFolder) -> tuple[TrackOptions, int]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -23,11 +24,11 @@ from hypose.fusion.fuse import METHODS, Fused, FusionSettings, fuse_clip
 from hypose.fusion.joints import COMMON, joint_set
 from hypose.fusion.people import PeopleTracker
 from hypose.fusion.register import Registration, check_same_person, common_joints, register, upright_axes, upward
-from hypose.fusion.saved import ClipSoFar
+from hypose.fusion.state import ClipSoFar
 from hypose.geometry import Array, se3, transform
 from hypose.io.files import check_writable, write_text
-from hypose.io.motions.export import FORMATS, export_motion
-from hypose.io.motions.results import Checkpoint, ResultsFolder, identity, provenance, save_motion
+from hypose.io.motions.export import export_motion, known_formats
+from hypose.io.motions.results import Checkpoint, ResultsFolder, identity, provenance, save_motion, to_json
 from hypose.io.sensors.skeleton_streams import (
     SensorStream,
     SkeletonRecording,
@@ -36,7 +37,7 @@ from hypose.io.sensors.skeleton_streams import (
     resample,
     shifted,
 )
-from hypose.pipeline.fused_motion import fused_verdict
+from hypose.pipeline.sensor_skeletons import fused_verdict
 from hypose.pipeline.verdict import Verdict
 
 POINT_FORMATS = ("trc", "c3d", "csv")
@@ -68,25 +69,20 @@ class FuseJob:
     def __post_init__(self) -> None:
         if self.method not in METHODS:
             raise InputError(f"There is no fusion method {self.method!r}; choose one of {', '.join(METHODS)}.")
-        for name in self.formats:
-            if name not in FORMATS:
-                raise InputError(
-                    f"There is no export format {name!r}; fused skeletons give {', '.join(POINT_FORMATS)}."
-                )
-            if name not in POINT_FORMATS:
-                raise InputError(
-                    f"The format {name} needs poses, fused skeletons are points; choose {', '.join(POINT_FORMATS)}."
-                )
+        known_formats(self.formats)
+        posed = [name for name in self.formats if name not in POINT_FORMATS]
+        if posed:
+            raise InputError(
+                f"The format {posed[0]} needs poses, fused skeletons are points; choose {', '.join(POINT_FORMATS)}."
+            )
         if self.up not in ("person", "sensor"):
             raise InputError(f"--up {self.up} is not possible; choose person or sensor.")
 
 
 @dataclass(frozen=True)
 class PersonResult:
-    """One person: fused (in the reference sensor's frame), motion (world, z up), the written files; verdict: whether it
-    is to be trusted."""
+    """One person: motion (world, z up), the written files; verdict: whether it is to be trusted."""
 
-    fused: Fused
     motion: Motion
     files: tuple[Path, ...]
     verdict: Verdict
@@ -116,50 +112,42 @@ def run_fuse(job: FuseJob, progress: ProgressCall = ignore) -> FuseOutcome:
     synced = [resample(s, times) for s in streams]
     people = _people(synced, times, notes)
     progress("prepare", 1, 1)
-    registration = _registration(people, [s.name for s in streams])
-    for name, residual, known in zip(
-        [s.name for s in streams], registration.residual, registration.registered, strict=True
-    ):
+    names = [s.name for s in streams]
+    registration = _registration(people, names)
+    for name, residual, known in zip(names, registration.residual, registration.registered, strict=True):
         if not known:
             notes.append(f"{name}: it shares too little with the other sensors to be registered, so it is not used")
         elif residual > 0:
             notes.append(f"{name}: joints {1000 * residual:.0f} mm (median) from the reference sensor's")
-    alone = len(people) == 1
-    folders = [
-        job.results if alone else ResultsFolder(job.results.path / f"person-{n + 1}") for n in range(len(people))
-    ]
-    fused: list[Fused] = []
+    several, total = len(people) > 1, len(people) * len(times)
+    folders = [ResultsFolder(job.results.path / f"person-{n + 1}") for n in range(len(people))]
+    folders = folders if several else [job.results]
     done: list[PersonResult] = []
     world: Array | None = None
     try:
         for n, whole in enumerate(people):
-            clip, when = _while_seen(whole, times)
+            seen = np.flatnonzero([np.isfinite(f.times).any() for f in whole])
+            span = slice(int(seen[0]), int(seen[-1]) + 1) if len(seen) else slice(None)
+            clip = whole[span]
             made = _fuse(
-                job,
-                clip,
-                registration,
-                folders[n].checkpoint,
-                _key(job, n),
-                len(people) > 1,
-                lambda k, n=n: progress("fuse", n * len(times) + k, len(people) * len(times)),
-            )
+                job, clip, registration, folders[n].checkpoint, n, several,
+                lambda k, n=n: progress("fuse", n * len(times) + k, total),
+            )  # fmt: skip
             # instants at which no sensor saw the person have no time of their own
-            fused.append(replace(made, motion=replace(made.motion, times=when)))
+            made = replace(made, motion=replace(made.motion, times=times[span]))
             if world is None:
-                world = world_from_sensor(fused[0].motion, job.up)
-            verdict = fused_verdict(fused[-1].motion, clip, registration, [s.name for s in streams])
-            done.append(_write(job, fused[-1], world, folders[n], notes, verdict))
-        progress("fuse", len(people) * len(times), len(people) * len(times))
+                world = world_from_sensor(made.motion, job.up)
+            verdict = fused_verdict(made.motion, clip, registration, names)
+            done.append(_write(job, made, world, folders[n], notes, verdict))
+        progress("fuse", total, total)
         for n, person in enumerate(done):
-            files = list(person.files)
-            for k, name in enumerate(job.formats):
-                progress("export", n * len(job.formats) + k, len(done) * len(job.formats))
-                # the body is for formats with poses, which the job has refused
-                files += export_motion(person.motion, cast(Body, None), files[0].parent, (name,))
-            done[n] = replace(person, files=tuple(files))
+            progress("export", n, len(done))
+            # the body is for formats with poses, which the job has refused
+            files = export_motion(person.motion, cast(Body, None), person.files[0].parent, job.formats)
+            done[n] = replace(person, files=(*person.files, *files))
         for folder in folders:
             folder.checkpoint.unlink(missing_ok=True)
-        progress("export", len(done) * len(job.formats), len(done) * len(job.formats))
+        progress("export", len(done), len(done))
     except KeyboardInterrupt:
         begun = sum(f.checkpoint.exists() for f in folders)
         return FuseOutcome(tuple(done), tuple(notes), False, begun > 0)
@@ -237,15 +225,6 @@ def _people(synced: Sequence[SensorStream], times: Array, notes: list[str]) -> l
     return [one_person(synced, times, c) for c in kept]
 
 
-def _while_seen(clip: Sequence[SensorJoints], times: Array) -> tuple[Sequence[SensorJoints], Array]:
-    """From the first to the last frame in which some sensor sees the person."""
-    seen = np.flatnonzero([np.isfinite(f.times).any() for f in clip])
-    if not len(seen):
-        return clip, times
-    span = slice(int(seen[0]), int(seen[-1]) + 1)
-    return clip[span], times[span]
-
-
 def _instant(synced: Sequence[SensorStream], picks: Sequence[NDArray[np.int64]], n: int, time: float) -> Instant:
     """Persons are numbered by their column, which `one_person` wants."""
     views = []
@@ -276,16 +255,24 @@ def _fuse(
     clip: Sequence[SensorJoints],
     registration: Registration,
     checkpoint: Path,
-    key: Mapping[str, Any],
+    person: int,
     keep: bool,
     tell: Callable[[int], None],
 ) -> Fused:
     """One person, with a checkpoint every few seconds and when interrupted; `keep` leaves one of the whole clip, for
     the case that the job is interrupted at another person."""
     settings = FusionSettings(method=job.method, diagnose=job.diagnose, seed=job.seed)
+    asked = {k: getattr(job, k) for k in ("method", "rate", "reference", "diagnose")} | {"person": person}
+    # what must be equal to go on with a checkpoint
+    key = identity(provenance(f"fusion-{job.method}", job.seed, asked, job.recording.inputs))
     done = Checkpoint.load(checkpoint, key).arrays if job.resume and checkpoint.exists() else None
-    last, saved = None, time.monotonic()
+    last: ClipSoFar | None = None
+    saved = time.monotonic()
     tell(0 if done is None else int(done["frames"]))
+
+    def save() -> None:
+        if last is not None:
+            Checkpoint(len(last.frames), last.arrays(), {}, key).save(checkpoint)
 
     def watch(so_far: ClipSoFar) -> None:
         nonlocal last, saved
@@ -293,34 +280,17 @@ def _fuse(
         if len(so_far.frames) % 16 == 0:
             tell(len(so_far.frames))
             if time.monotonic() - saved > job.checkpoint_s:
-                _save(so_far, checkpoint, key)
+                save()
                 saved = time.monotonic()
 
     try:
         fused = fuse_clip(clip, job.method, settings, registration, done=done, watch=watch)
     except KeyboardInterrupt:
-        if last is not None:
-            _save(last, checkpoint, key)
+        save()
         raise
-    if keep and last is not None:
-        _save(last, checkpoint, key)
+    if keep:
+        save()
     return fused
-
-
-def _save(so_far: ClipSoFar, checkpoint: Path, key: Mapping[str, Any]) -> None:
-    Checkpoint(len(so_far.frames), so_far.arrays(), {}, key).save(checkpoint)
-
-
-def _key(job: FuseJob, person: int) -> dict[str, Any]:
-    """What must be equal to go on with a checkpoint."""
-    settings = {
-        "method": job.method,
-        "rate": job.rate,
-        "reference": job.reference,
-        "diagnose": job.diagnose,
-        "person": person,
-    }
-    return identity(provenance(f"fusion-{job.method}", job.seed, settings, job.recording.inputs))
 
 
 def world_from_sensor(motion: Motion, up: str) -> Array:
@@ -349,20 +319,12 @@ def _write(
         "notes": list(notes),
     }
     record = provenance(f"fusion-{job.method}", job.seed, settings, job.recording.inputs, job.run)
-    motion = replace(fused.motion, joints=transform(world, fused.motion.joints), provenance=_plain(record))
+    motion = replace(fused.motion, joints=transform(world, fused.motion.joints), provenance=json.loads(to_json(record)))
     save_motion(motion, folder.motion)
     files = [folder.motion, folder.write_json("provenance.json", record)]
     files.append(folder.write_json(VERDICT, verdict.document()))
-    path = folder.file("sensors.csv")
-    write_text(path, sensors_csv(fused))
-    return PersonResult(fused, motion, (*files, path), verdict)
-
-
-def _plain(value: Any) -> Any:
-    """Arrays as lists, so that the provenance is plain JSON values."""
-    if isinstance(value, Mapping):
-        return {k: _plain(v) for k, v in value.items()}
-    return value.tolist() if isinstance(value, np.ndarray) else value
+    write_text(folder.file("sensors.csv"), sensors_csv(fused))
+    return PersonResult(motion, (*files, folder.file("sensors.csv")), verdict)
 
 
 def sensors_csv(fused: Fused) -> str:

@@ -16,7 +16,7 @@ from hypose.app.live.gesture_sources import Source, Taken
 from hypose.compute import ScanPlan
 from hypose.errors import EvidenceError, InputError
 from hypose.gestures.depth_pictures import surface_depth
-from hypose.gestures.events import Event, EventSettings, EventState, step
+from hypose.gestures.events import Event, EventSettings, EventState, average_precision, step
 from hypose.gestures.forest import Forest, ForestSettings, GrowingForest
 from hypose.gestures.localise import Found, LocaliseSettings, Scratch, localise
 from hypose.gestures.model import GestureModel
@@ -26,7 +26,6 @@ from hypose.gestures.pixels import LearnSettings
 from hypose.gestures.session import Command, Instruction, SessionSettings
 from hypose.gestures.trainer import Feedback, Trainer, half_way
 from hypose.pipeline.gesture_files import GestureRecording, SessionWriter, content_of, load_model
-from hypose.synthetic.gesture_metrics import average_precision
 
 Say = Callable[[str], None]
 KEYS: dict[str, Command] = {

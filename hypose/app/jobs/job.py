@@ -34,7 +34,6 @@ from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording
 from hypose.io.sensors.skeleton_streams import SkeletonRecording
 from hypose.pipeline.first_frame import SubjectOptions
-from hypose.pipeline.fuse_mixture import fuse_mixture, skeletons_at_frames
 from hypose.pipeline.one_camera import POINT_STARTS, clicks_of, depth_note
 from hypose.pipeline.run import MODES, TrackOptions, TrackResult, check_views, frames_wanted
 from hypose.pipeline.subject_from_motion import load_subject, subject_file
@@ -185,6 +184,8 @@ def _track(
     job: Job, options: TrackOptions, source: FrameStream, record: Mapping[str, Any], progress: ProgressCall
 ) -> TrackResult:
     if (skeletons := job.skeletons) is not None:
+        from hypose.pipeline.sensor_skeletons import fuse_mixture, skeletons_at_frames
+
         return fuse_mixture(
             source,
             job.recording.frame_rate,

@@ -128,13 +128,9 @@ class SocketListeners:
     to the listeners of a path; hello: what those of a path get first, None: there is no such path. A listener that is
     too slow loses the oldest of `waiting` posts. An InputError when the port cannot be used."""
 
-    def __init__(
-        self, port: int, waiting: int, hello: Callable[[str], Post | None] = lambda path: "", most: int = MOST
-    ) -> None:
-        if not 0 <= port < 65536:
-            raise InputError(f"--ws {port} is no port; give 0 (any free one) to 65535.")
+    def __init__(self, port: int, waiting: int, hello: Callable[[str], Post | None] = lambda path: "") -> None:
         self._outbox = Outbox()
-        self._waiting, self._hello, self._most = waiting, hello, most
+        self._waiting, self._hello = waiting, hello
         self._loop = asyncio.new_event_loop()
         quiet_logs()
         self._thread = threading.Thread(target=self._loop.run_forever, daemon=True)
@@ -204,7 +200,7 @@ class SocketListeners:
     async def _listen(self, connection: ServerConnection) -> None:
         path = connection.request.path.partition("?")[0] if connection.request is not None else "/"
         hello = self._hello(path)
-        if len(self._outbox) >= self._most or hello is None:
+        if len(self._outbox) >= MOST or hello is None:
             full = hello is not None
             await connection.close(1013 if full else 1008, "too many listeners" if full else "there is no such path")
             return

@@ -1,25 +1,34 @@
-"""Answers of the server: JSON in which nothing is NaN, errors as one sentence, bodies of requests within bounds."""
+"""What comes from pages, read field by field, and what goes to them: JSON without NaN, errors in a sentence.
+
+Every WebSocket, request and address is read by these functions; their InputErrors are sentences for the page.
+"""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable
+import inspect
+import re
+from collections.abc import AsyncIterator, Callable, Sequence
 from typing import Any
 
+from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response, StreamingResponse
+from starlette.routing import Route
 
-from hypose.app.studio.asked import object_of
 from hypose.app.studio.catalog import NotFound
 from hypose.app.studio.view_bundle import plain
 from hypose.errors import HyposeError, InputError
+from hypose.json_text import parse_json
 
 MAX_JSON = 1 << 20
 _BODY_S = 30.0
 """s that a request may take from one piece of its body to the next."""
 _SLICE = 1 << 18
 """Bytes of a block that are sent at once."""
-Endpoint = Callable[[Request], Awaitable[Response]]
+_DEEPEST = 16
+_HALF_OF_PAIR = re.compile(r"[\ud800-\udfff]")
+"""JSON can say half of a pair of UTF-16, which no text, file or terminal takes."""
 
 
 class NotNow(InputError):
@@ -34,14 +43,19 @@ class TooSlow(InputError):
     """What was announced did not come."""
 
 
+_STATUS: tuple[tuple[type[HyposeError], int], ...] = ((NotFound, 404), (NotNow, 409), (TooSlow, 408), (TooLarge, 413))
+
+
 def answer(value: Any, status: int = 200) -> JSONResponse:
     """JSON; numpy values become plain ones, NaN becomes null. Never kept by the browser: files change."""
     return JSONResponse(plain(value), status, headers={"Cache-Control": "no-store"})
 
 
-def block_answer(block: bytes | bytearray) -> Response:
-    """A block of a result (`view_bundle`). It goes slice after slice, as the page takes them: whole, it would lie twice
-    more in memory on its way."""
+def block_answer(block: bytes | bytearray | None) -> Response:
+    """A block of a result (`view_bundle`), or that there is none. It goes slice after slice, as the page takes them:
+    whole, it would lie twice more in memory on its way."""
+    if block is None:
+        return Response(status_code=204)
 
     async def slices() -> AsyncIterator[memoryview]:
         for at in range(0, len(block), _SLICE):
@@ -51,52 +65,118 @@ def block_answer(block: bytes | bytearray) -> Response:
     return StreamingResponse(slices(), media_type="application/octet-stream", headers=headers)
 
 
+def jpeg_answer(data: bytes | None, seconds: int) -> Response:
+    """A picture, or that there is none; it stays what it is for so many seconds."""
+    if data is None:
+        return Response(status_code=204)
+    return Response(data, media_type="image/jpeg", headers={"Cache-Control": f"private, max-age={seconds}"})
+
+
 def refusal(status: int, sentence: str) -> JSONResponse:
     """An error as the page shows it."""
     return JSONResponse({"error": sentence}, status)
 
 
-def told(endpoint: Endpoint) -> Endpoint:
-    """The endpoint, with its errors as answers."""
+def route(path: str, call: Callable[..., Any], method: str = "GET", status: int = 200) -> Route:
+    """What is done at an address. call gets the request, of a POST also its JSON object, and gives a response or what
+    is to be one; it runs in a thread, unless it is asynchronous. Its errors become answers."""
 
-    async def guarded(request: Request) -> Response:
+    async def endpoint(request: Request) -> Response:
         try:
-            return await endpoint(request)
-        except NotFound as error:
-            return refusal(404, str(error))
-        except NotNow as error:
-            return refusal(409, str(error))
-        except TooSlow as error:
-            return refusal(408, str(error))
-        except TooLarge as error:
-            return refusal(413, str(error))
+            given = (request, await _body_of(request)) if method == "POST" else (request,)
+            value = await (call(*given) if inspect.iscoroutinefunction(call) else run_in_threadpool(call, *given))
         except HyposeError as error:
-            return refusal(400, str(error))
+            return refusal(next((code for kind, code in _STATUS if isinstance(error, kind)), 400), str(error))
+        return value if isinstance(value, Response) else answer(value, status)
 
-    return guarded
-
-
-async def body_of(request: Request) -> dict[str, Any]:
-    """The JSON object of a request."""
-    data = bytearray()
-    async for chunk in pieces_of(request):
-        data += chunk
-        if len(data) > MAX_JSON:
-            raise TooLarge(f"The request is larger than {MAX_JSON >> 20} MiB; send less at once.")
-    return object_of(data or b"{}", "request")
+    return Route(path, endpoint, methods=[method])
 
 
-async def pieces_of(request: Request) -> AsyncIterator[bytes]:
-    """The body of a request, piece after piece; TooSlow when one does not come, InputError when it breaks off."""
-    pieces = aiter(request.stream())
+async def _body_of(request: Request) -> dict[str, Any]:
+    """The JSON object of a request; TooSlow when a piece of it does not come, InputError when it breaks off."""
+    data, pieces = bytearray(), aiter(request.stream())
     while True:
         try:
             async with asyncio.timeout(_BODY_S):
-                piece = await anext(pieces)
+                data += await anext(pieces)
         except StopAsyncIteration:
-            return
+            return object_of(data or b"{}", "request")
         except ClientDisconnect:
             raise InputError("The request broke off; send it again.") from None
         except TimeoutError:
             raise TooSlow(f"Nothing came of the request's body for {_BODY_S:.0f} s; send it again.") from None
-        yield piece
+        if len(data) > MAX_JSON:
+            raise TooLarge(f"The request is larger than {MAX_JSON >> 20} MiB; send less at once.")
+
+
+# ---- fields ----
+
+
+def object_of(data: str | bytes | bytearray, what: str) -> dict[str, Any]:
+    """The JSON object of a message or request, of bounded depth; what: how it is called in the InputError."""
+    try:
+        value = parse_json(data)
+    except (ValueError, RecursionError):
+        raise InputError(f"The {what} is no JSON; send an object.") from None
+    if not isinstance(value, dict):
+        raise InputError(f"The {what} is no JSON object; send one.")
+    level: list[Any] = [value]
+    for _ in range(_DEEPEST):
+        if any(isinstance(v, str) and _HALF_OF_PAIR.search(v) for v in level):
+            raise InputError(f"The {what} holds text that is none (half of a character); send Unicode.")
+        level = [inner for v in level if isinstance(v, dict | list) for inner in _inside(v)]
+        if not level:
+            return value
+    raise InputError(f"The {what} is nested more than {_DEEPEST} deep; send a flatter object.")
+
+
+def _inside(value: dict[str, Any] | list[Any]) -> list[Any]:
+    return value if isinstance(value, list) else [*value.keys(), *value.values()]
+
+
+def number(value: Any, what: str, low: float, high: float) -> float:
+    """A number from low to high."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise InputError(f"There is no number for {what} in {_short(value)}; give {low:g} to {high:g}.")
+    if not low <= value <= high:  # NaN is neither
+        raise InputError(f"{_capital(what)} cannot be {value:g}; give {low:g} to {high:g}.")
+    return float(value)
+
+
+def whole(value: Any, what: str, low: int, high: int) -> int:
+    """A whole number from low to high."""
+    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+        raise InputError(f"{_capital(what)} cannot be {_short(value)}; give a whole number from {low} to {high}.")
+    return value
+
+
+def text(value: Any, what: str, longest: int, advice: str) -> str:
+    """A text that says something; advice: what is to be done when there is none."""
+    if not isinstance(value, str) or not value.strip():
+        raise InputError(f"There is no {what}; {advice}.")
+    if len(value) > longest:
+        raise InputError(f"The {what} has {len(value)} letters; give at most {longest}.")
+    return value
+
+
+def choice(value: Any, what: str, allowed: Sequence[str]) -> str:
+    """One of some words."""
+    if not isinstance(value, str) or value not in allowed:
+        words = f"{', '.join(allowed[:-1])} or {allowed[-1]}" if len(allowed) > 1 else "".join(allowed)
+        raise InputError(f"There is no {what} {_short(value)}; choose {words}.")
+    return value
+
+
+def digits(value: str, what: str) -> int:
+    """A whole number out of an address or a query: from 0, of at most nine digits."""
+    if not value.isascii() or not value.isdigit() or len(value) > 9:
+        raise InputError(f"{_capital(what)} must be a whole number, {_short(value)} is none.")
+    return int(value)
+
+
+def _short(value: Any) -> str:
+    return repr(value if not isinstance(value, str) else value[:40])[:40]
+
+
+def _capital(what: str) -> str:
+    return what[:1].upper() + what[1:]

@@ -1,8 +1,8 @@
 """What lies in the served folder: recordings, results, gesture sessions and models, recordings of live sensors, each
 under an opaque id.
 
-The page never names a path. It names an id, which is looked up here, and only what really lies inside the served folder
-(links resolved) has one.
+A page names an id, which is looked up here, or the path of a folder to be made a recording; only what really lies
+inside the served folder (links resolved) is found.
 """
 
 from __future__ import annotations
@@ -85,6 +85,18 @@ class Catalog:
         except OSError:
             return False
 
+    def inside(self, where: str, base: Path | None = None) -> Path:
+        """The file or folder of a path, relative to `base` (the root), or absolute; an InputError when it is not there
+        or lies outside the root, also by a link."""
+        path = (base or self.root) / where
+        try:
+            found = path.resolve(strict=True)
+        except (OSError, ValueError, RuntimeError):
+            raise InputError(f"{where[:200]!r} is not there; choose something of the list.") from None
+        if not found.is_relative_to(self.root):
+            raise InputError(f"{where[:200]!r} lies outside of {self.root.name}; start `hypose view` in its folder.")
+        return found
+
     def shown(self, path: Path) -> str:
         """A path as the page shows it: relative to the root, which itself goes by its name."""
         relative = path.resolve().relative_to(self.root).as_posix()
@@ -92,10 +104,8 @@ class Catalog:
 
     def recording_of(self, result: Path) -> Path | None:
         """The recording in whose folder results lie: results/RECIPE/ in it."""
-        for folder in list(result.resolve().parents)[:3]:
-            if folder.is_relative_to(self.root) and is_recording(folder):
-                return folder
-        return None
+        folder = recording_above(result)
+        return folder if folder is not None and folder.is_relative_to(self.root) else None
 
     def _look(self, fresh: bool) -> None:
         if not fresh and time.monotonic() - self._looked < _FRESH_S:
@@ -113,6 +123,11 @@ def is_recording(folder: Path) -> bool:
     with contextlib.suppress(OSError):  # what may not be looked into is none
         return (folder / "recording.toml").is_file() or pose2sim.is_project(folder)
     return False
+
+
+def recording_above(results: Path) -> Path | None:
+    """The recording in whose folder results lie: results/RECIPE/ in it."""
+    return next((f for f in list(results.resolve().parents)[:3] if is_recording(f)), None)
 
 
 def _changed(path: Path) -> float:

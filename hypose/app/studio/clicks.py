@@ -1,22 +1,23 @@
-"""The routes of the Click screen: clicked joints to a pose while they are clicked, and kept as a start."""
+"""Clicked joints to a pose, for the Click screen and for corrections, and clicks that are kept as a start of tracking.
+
+In one view with the rivals that look the same, in several by triangulation; the correction of a frame of a tracked
+motion leaves what is not clicked near its pose.
+"""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from pathlib import Path
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from starlette.concurrency import run_in_threadpool
-from starlette.requests import Request
-from starlette.responses import Response
-from starlette.routing import Route
+from numpy.typing import NDArray
 
-from hypose.app.studio import click_fit
-from hypose.app.studio.answers import answer, block_answer, body_of, told
-from hypose.app.studio.asked import choice, number, whole
+from hypose import compute
+from hypose.app.studio.answers import choice, number, whole
 from hypose.app.studio.catalog import Catalog, Item
 from hypose.app.studio.job_kinds import is_name
 from hypose.app.studio.recordings import Recordings
@@ -25,99 +26,221 @@ from hypose.app.studio.view_result import first_frame
 from hypose.body.body import Body
 from hypose.body.motion import Motion, isotropic
 from hypose.body.ready_bodies import JOINT_NAMES, human
+from hypose.cameras.camera import CameraRig, triangulate
 from hypose.errors import InputError
-from hypose.geometry import Array
+from hypose.fitting.articulated import KeypointTerm, PoseFit, Quadratic, SolveSettings, fit_pose
+from hypose.geometry import Array, quaternion_from_matrix
 from hypose.io.files import read_json
 from hypose.io.motions.results import ResultsFolder, load_body, load_motion
 from hypose.io.recordings.recording import Recording
 from hypose.io.videos.video import frame_size
 from hypose.pipeline.one_camera import LEAST_POINTS
+from hypose.tracking.monocular.flips import CHAINS
+from hypose.tracking.monocular.initialise import rival_poses
+from hypose.tracking.monocular.points import MonoPoints
+from hypose.tracking.monocular.settings import body_dofs
+from hypose.tracking.refinement import anatomical_prior
+from hypose.tracking.starts import start_from_keypoints
+from hypose.tracking.subject import scaled_to_height
 
+CLICK_JOINTS: Mapping[str, str] = {
+    "head_top": "Top of the head",
+    "neck": "Base of the neck",
+    "right_shoulder": "Right shoulder",
+    "right_elbow": "Right elbow",
+    "right_wrist": "Right wrist",
+    "left_shoulder": "Left shoulder",
+    "left_elbow": "Left elbow",
+    "left_wrist": "Left wrist",
+    "right_hip": "Right hip",
+    "right_knee": "Right knee",
+    "right_ankle": "Right ankle",
+    "right_big_toe": "Tip of the right foot",
+    "left_hip": "Left hip",
+    "left_knee": "Left knee",
+    "left_ankle": "Left ankle",
+    "left_big_toe": "Tip of the left foot",
+}
+"""What can be clicked, in the order in which the page asks for it."""
+LEAST = 4
 _FORMAT = "hypose-clicks"
+_SD_OF_DIAGONAL = 0.004
+"""How exactly people click, 1 sd as a share of the picture's diagonal (3.2 px at 640 x 480)."""
+_OCCLUDED = 0.3
+"""Weight of a joint that is guessed behind something."""
+_HEIGHT_SHARE = 0.04
+"""1 sd of adults' statures as a share of the mean: with one view, distance is as uncertain as the height."""
+_STAY, _TRUNK_STAY, _LIMBS_STAY = 0.02, 0.07, 0.35
+"""A correction leaves the root's place (m), the turns of the trunk (rad) and of the limbs (rad) as they were to these
+standard deviations: who moves a wrist means the arm."""
+_RIVALS = 4
+View = Mapping[str, Any]
 
 
-def routes(catalog: Catalog, recordings: Recordings) -> list[Route]:
-    """The routes."""
+@dataclass(frozen=True)
+class _Clicks:
+    """uv (C, K, 2) px of the rig's pinhole cameras, weight (C, K), 0 = not clicked; names (K,); joint (K,) and offset
+    (K, 3) m: where the clicked points sit on the body."""
 
-    async def joints(request: Request) -> Response:
-        return answer([{"joint": k, "title": v} for k, v in click_fit.CLICK_JOINTS.items()])
+    rig: CameraRig
+    names: tuple[str, ...]
+    uv: Array
+    weight: Array
+    joint: NDArray[np.int64]
+    offset: Array
 
-    async def fit(request: Request) -> Response:
-        value = await body_of(request)
-        return answer(await run_in_threadpool(lambda: _fitted(value, catalog, recordings)))
-
-    async def body(request: Request) -> Response:
-        asked = dict(request.query_params)
-        data = await run_in_threadpool(lambda: _body_block(asked, catalog, recordings))
-        return block_answer(data)
-
-    async def save(request: Request) -> Response:
-        value, item = await body_of(request), catalog.find("recording", request.path_params["id"])
-        return answer(await run_in_threadpool(lambda: _save(value, item, catalog, recordings)), 201)
-
-    async def one(request: Request) -> Response:
-        item, name = catalog.find("recording", request.path_params["id"]), request.path_params["name"]
-        return answer(await run_in_threadpool(lambda: _load(item, name)))
-
-    return [
-        Route("/api/click-joints", told(joints)),
-        Route("/api/click-body", told(body)),
-        Route("/api/fit-clicks", told(fit), methods=["POST"]),
-        Route("/api/recordings/{id}/starts", told(save), methods=["POST"]),
-        Route("/api/recordings/{id}/starts/{name}", told(one)),
-    ]
+    @classmethod
+    def of(cls, views: Sequence[View], rig: CameraRig, body: Body) -> _Clicks:
+        """From checked views, for the cameras that have any clicks."""
+        found = {v["camera"]: {p["joint"]: p for p in v["points"]} for v in views if v["points"]}
+        cameras = [n for n in rig.names if n in found]
+        if not cameras:
+            raise InputError("Nothing is clicked yet.")
+        names = tuple(n for n in CLICK_JOINTS if any(n in found[c] for c in cameras))
+        table, s, marks = np.zeros((len(cameras), len(names), 3)), body.skeleton, body.landmarks
+        joint, offset = np.zeros(len(names), dtype=np.int64), np.zeros((len(names), 3))
+        for k, name in enumerate(names):
+            for c, camera in enumerate(cameras):
+                if (p := found[camera].get(name)) is not None:
+                    table[c, k] = p["x"], p["y"], _OCCLUDED if p.get("occluded") else 1.0
+            if name in s.joint_names:
+                joint[k] = s.joint(name)
+            else:
+                joint[k], offset[k] = marks.joint[marks.index(name)], marks.offset[marks.index(name)]
+        return cls(rig.select(cameras).pinhole(), names, table[..., :2], table[..., 2], joint, offset)
 
 
-def _fitted(value: dict[str, Any], catalog: Catalog, recordings: Recordings) -> dict[str, Any]:
+def checked_views(views: Any, recording: Recording) -> list[View]:
+    """The views of a request, checked, with their points in undistorted pixels of K: those that were clicked in the
+    picture as it was recorded ("recorded": true) have its lens taken out."""
+    if not isinstance(views, list) or not all(isinstance(v, dict) for v in views):
+        raise InputError("The clicks must be a list of views.")
+    out = []
+    for view in views:
+        name, points = choice(view.get("camera"), "camera", recording.rig.names), view.get("points")
+        if not isinstance(points, list) or not all(isinstance(p, dict) for p in points):
+            raise InputError(f"The clicks of {name} must be a list of points.")
+        joints = [choice(p.get("joint"), "joint to click", tuple(CLICK_JOINTS)) for p in points]
+        uv = [[number(p.get(k), f"{k} of a click (px)", -1e5, 1e5) for k in ("x", "y")] for p in points]
+        if view.get("recorded") is True and uv:
+            k = recording.rig.names.index(name)
+            uv = recording.rig[k].undistort_points(np.array(uv) + recording.views[k].image_shift).tolist()
+        hidden = [{"occluded": p["occluded"]} if "occluded" in p else {} for p in points]
+        clean = [{"joint": j, "x": x, "y": y, **h} for j, (x, y), h in zip(joints, uv, hidden, strict=True)]
+        out.append({"camera": name, "points": clean})
+    return out
+
+
+def fitted(value: Mapping[str, Any], catalog: Catalog, recordings: Recordings) -> dict[str, Any]:
+    """The pose that explains the clicks of a request (docs/studio-protocol.md)."""
     item = _recording(value, catalog)
     recording = recordings.load(item)
-    clicks = click_fit.clicks_of(_seen_straight(value.get("views"), recording), recording.rig)
-    body, pose, measured = _body(value, item, catalog)
-    height = _height(value.get("height"), measured, recording)
-    if not measured:
-        body = click_fit.sized(body, height)
-    start = _pose(value.get("start"), body) if value.get("start") is not None else pose
-    found = click_fit.fit_clicks(body, clicks, start, measured or height is not None, correct=pose is not None)
-    return click_fit.shown(body, clicks, found)
+    views = checked_views(value.get("views"), recording)
+    body, pose, known_height = _body(value, item, catalog, recording)
+    start = pose
+    if value.get("start") is not None:
+        start = _pose(value["start"], body)
+    return _fit(body, _Clicks.of(views, recording.rig, body), start, known_height, correct=pose is not None)
 
 
-def _seen_straight(views: Any, recording: Recording) -> Any:
-    """The views of a request with their points in undistorted pixels of K: those that were clicked in the picture as it
-    was recorded ("recorded": true) have its lens taken out."""
-    if not isinstance(views, list):
-        return views
-    return [_straight(v, recording) if isinstance(v, dict) and v.get("recorded") is True else v for v in views]
+def _fit(body: Body, clicks: _Clicks, start: Array | None, known_height: bool, correct: bool) -> dict[str, Any]:
+    """The pose of a body that explains clicks best, as the page gets it. start (D,): solve from there only (while a
+    joint is dragged); correct: and stay near it. An InputError when there are too few clicks."""
+    seen = int((clicks.weight > 0).any(0).sum())
+    if seen < LEAST and not correct:
+        raise InputError(f"{seen} joints are clicked; click at least {LEAST}, hips and shoulders first.")
+    scale = _SD_OF_DIAGONAL * float(np.median(np.linalg.norm(clicks.rig.sizes, axis=1)))
+    points = np.concatenate([clicks.uv, clicks.weight[..., None]], 2)
+    term = KeypointTerm(points, clicks.rig.projections, clicks.joint, clicks.offset, scale, min_confidence=1e-6)
+    pull = anatomical_prior(body.skeleton)
+    if correct and start is not None:
+        trunk = body.skeleton.dofs_of("pelvis", "spine", "neck", "left_clavicle", "right_clavicle")
+        sd = np.full(body.skeleton.dof, _LIMBS_STAY)
+        sd[trunk], sd[:3] = _TRUNK_STAY, _STAY
+        pull = Quadratic(start, sd**-2.0)
+
+    def solve(pose: Array) -> PoseFit:
+        options = SolveSettings(iterations=40, coarse_iterations=10)
+        return fit_pose(body, pose, keypoints=term, priors=(pull,), options=options)
+
+    starts = [start] if start is not None else _starts(body, clicks, scale)
+    best, *others = sorted((solve(q) for q in starts), key=lambda f: f.cost)
+    others = others if len(clicks.rig) == 1 else []
+    covariance = compute.joint_covariances(best.pose, body.skeleton.tree, best.information, 1e-6)
+    rotations, centres = body.skeleton.forward(best.pose)
+    world = centres[clicks.joint] + np.einsum("kab,kb->ka", rotations[clicks.joint], clicks.offset)
+    expected = np.stack([camera.project_pinhole(world) for camera in clicks.rig])
+    residual = np.where(clicks.weight > 0, np.linalg.norm(expected - clicks.uv, axis=2), np.nan)
+    camera, joint = np.unravel_index(int(np.nanargmax(residual)), residual.shape)
+    depth_sd, notes = None, []
+    if len(clicks.rig) == 1:
+        sight = centres[0] - clicks.rig[0].position
+        far = 0.0 if known_height or correct else _HEIGHT_SHARE * float(np.linalg.norm(sight))
+        sight /= np.linalg.norm(sight)
+        covariance = covariance + far**2 * np.outer(sight, sight)
+        depth_sd = float(np.sqrt(sight @ covariance[0] @ sight))
+        notes.append(f"One view: the distance from the camera is uncertain by about {100 * depth_sd:.0f} cm.")
+    if others:
+        notes.append("Limbs may point towards the camera or away from it; choose among the alternatives.")
+    rows, columns = np.triu_indices(3)
+    names, cameras = clicks.names, clicks.rig.names
+    return {
+        **_placed(body, best.pose),
+        "joint_sd": np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 3),
+        "covariance": covariance[:, rows, columns],
+        "pixels": {c: dict(zip(names, expected[i], strict=True)) for i, c in enumerate(cameras)},
+        "rms_px": float(np.sqrt(np.nanmean(residual**2))),
+        "worst": {"camera": cameras[camera], "joint": names[joint], "px": float(residual[camera, joint])},
+        "depth_sd": depth_sd,
+        "notes": notes,
+        "alternatives": [
+            {
+                **_placed(body, f.pose),
+                "cost": float(f.cost - best.cost),
+                "flipped": _flipped(body, clicks, best.pose, f.pose),
+            }
+            for f in others
+        ],
+    }
 
 
-def _straight(view: dict[str, Any], recording: Recording) -> dict[str, Any]:
-    name = choice(view.get("camera"), "camera", recording.rig.names)
-    points = view.get("points")
-    if not isinstance(points, list) or not points or not all(isinstance(p, dict) for p in points):
-        return view
-    index = recording.rig.names.index(name)
-    camera, shift = recording.rig[index], np.asarray(recording.views[index].image_shift)
-    uv = np.array([[number(p.get(k), f"{k} of a click (px)", -1e5, 1e5) for k in ("x", "y")] for p in points])
-    straight = camera.undistort_points(uv + shift)
-    moved = [{**p, "x": float(x), "y": float(y)} for p, (x, y) in zip(points, straight, strict=True)]
-    return {**{k: v for k, v in view.items() if k != "recorded"}, "points": moved}
+def _placed(body: Body, pose: Array) -> dict[str, Array]:
+    """A pose (D,) with its joint centres and their rotations (x y z w), as the page moves the body."""
+    rotations, centres = body.skeleton.forward(pose)
+    return {"pose": pose, "joints": centres, "rotations": np.roll(quaternion_from_matrix(rotations), -1, axis=-1)}
 
 
-def _height(value: Any, measured: bool, recording: Recording) -> float | None:
-    """m; of a person who was not measured the recording may know it."""
-    height = value or (None if measured else recording.subject_height)
-    return None if height is None else number(height, "the height (m)", 0.4, 2.8)
+def _starts(body: Body, clicks: _Clicks, scale: float) -> list[Array]:
+    if len(clicks.rig) > 1:
+        world, _ = triangulate(clicks.rig, clicks.uv, clicks.weight)
+        if np.isfinite(world).all(1).sum() >= 6:
+            return [start_from_keypoints(body, world, clicks.joint, clicks.offset).pose]
+    most, spread = int(np.argmax((clicks.weight > 0).sum(1))), np.full(len(clicks.joint), scale)
+    points = MonoPoints(clicks.uv[most], clicks.weight[most], clicks.joint, clicks.offset, spread)
+    found = rival_poses(body, clicks.rig[most], points, body_dofs(body.skeleton), _RIVALS)
+    return list(found)
 
 
-def _body_block(asked: dict[str, str], catalog: Catalog, recordings: Recordings) -> bytearray:
+def _flipped(body: Body, clicks: _Clicks, pose: Array, other: Array) -> list[str]:
+    """Joints whose segment points the other way along the line of sight in another pose."""
+    s, sight = body.skeleton, clicks.rig[0].camera_from_world[2, :3]
+    a, b = body.joints(pose) @ sight, body.joints(other) @ sight
+    out = []
+    for parent, child in (pair for chain in CHAINS for pair in pairwise(chain)):
+        i, j = s.joint(parent), s.joint(child)
+        if (a[j] - a[i]) * (b[j] - b[i]) < 0 and abs(a[j] - a[i] - b[j] + b[i]) > 0.1:
+            out.append(child)
+    return out
+
+
+def body_block(asked: dict[str, str], catalog: Catalog, recordings: Recordings) -> bytearray:
     """The body that clicks are fitted with, as a block of one frame in which it stands at rest."""
     item = _recording(asked, catalog)
     try:
-        wanted = float(asked["height"]) if "height" in asked else None
+        height = float(asked["height"]) if "height" in asked else None
     except ValueError:
         raise InputError("The height must be a number of metres.") from None
-    body, _, measured = _body({**asked, "frame": 0}, item, catalog)
-    if not measured:
-        body = click_fit.sized(body, _height(wanted, measured, recordings.load(item)))
+    body = _body({**asked, "frame": 0, "height": height}, item, catalog, recordings.load(item))[0]
     rest = np.zeros((1, body.skeleton.dof))
     one, unknown = np.zeros(1, dtype=bool), np.full(1, np.nan)
     around = isotropic(np.full((1, len(body.skeleton.joint_names)), np.nan))
@@ -125,7 +248,7 @@ def _body_block(asked: dict[str, str], catalog: Catalog, recordings: Recordings)
     return view_bundle(ViewResult(item.path.name, motion, body))
 
 
-def _recording(value: dict[str, Any], catalog: Catalog) -> Item:
+def _recording(value: Mapping[str, Any], catalog: Catalog) -> Item:
     given = value.get("recording")
     if isinstance(given, str):
         return catalog.find("recording", given)
@@ -136,15 +259,23 @@ def _recording(value: dict[str, Any], catalog: Catalog) -> Item:
     raise InputError("Say in which recording the joints were clicked.")
 
 
-def _body(value: dict[str, Any], item: Item, catalog: Catalog) -> tuple[Body, Array | None, bool]:
-    """The person's body; the pose that is corrected; whether the body was measured."""
+def _body(
+    value: Mapping[str, Any], item: Item, catalog: Catalog, recording: Recording
+) -> tuple[Body, Array | None, bool]:
+    """The person's body; the pose that is corrected; whether the height is known."""
     frame = whole(value.get("frame"), "the frame in which the joints were clicked", 0, 10**9)
+    measured = item.path / "subject" / "body.npz"
+    height = value.get("height")
+    if height is not None:
+        height = number(height, "the height (m)", 0.4, 2.8)
     if isinstance(value.get("result"), str):
         folder = ResultsFolder(catalog.find("result", value["result"]).path)
         changed = folder.motion.stat().st_mtime_ns if folder.motion.is_file() else 0
         return *_corrected(folder, changed, frame), True
-    measured = item.path / "subject" / "body.npz"
-    return (load_body(measured), None, True) if measured.is_file() else (human(), None, False)
+    if measured.is_file():
+        return load_body(measured), None, True
+    height, body = height or recording.subject_height, human()
+    return body if height is None else replace(scaled_to_height(body, height), name=body.name), None, height is not None
 
 
 @lru_cache(maxsize=4)
@@ -164,31 +295,25 @@ def _pose(value: Any, body: Body) -> Array:
     return body.skeleton.clamp(np.array([number(v, "a number of the pose", -1e6, 1e6) for v in value]))
 
 
-def _save(value: dict[str, Any], item: Item, catalog: Catalog, recordings: Recordings) -> dict[str, Any]:
+def save(value: dict[str, Any], item: Item, catalog: Catalog, recordings: Recordings) -> dict[str, Any]:
     """Keep clicks and the pose they give in starts/NAME.json."""
-    name = value.get("name") or f"frame-{value.get('frame')}"
+    name, starts = value.get("name") or f"frame-{value.get('frame')}", item.path / "starts"
     if not isinstance(name, str) or not is_name(name):
         raise InputError("Give the start a name of letters, digits, - and _.")
-    if not catalog.contains(item.path / "starts"):
+    if not catalog.contains(starts):
         raise InputError(f"The starts of {item.path.name} lie outside the served folder.")
     if isinstance(value.get("result"), str):  # a correction belongs to the result that was tracked from it
-        name = free_name(item.path / "starts", name)
-    value = {**value, "views": _seen_straight(value.get("views"), recordings.load(item))}
-    found = _fitted({**value, "recording": item.id}, catalog, recordings)
+        numbers = ("", *(f"-{n}" for n in range(2, 10_000)))
+        name = next(f"{name}{n}" for n in numbers if not (starts / f"{name}{n}.json").exists())
+    recording = recordings.load(item)
+    value = {**value, "recording": item.id, "views": checked_views(value.get("views"), recording)}
+    found = fitted(value, catalog, recordings)
     keep = {k: value[k] for k in ("frame", "views", "height", "result") if value.get(k) is not None}
     keep |= {k: whole(value[k], f"the frame {k}", 0, 10**9) for k in ("since", "until") if value.get(k) is not None}
-    keep |= _for_one_camera(value["views"], value.get("camera"), recordings.load(item))
+    keep |= _for_one_camera(value["views"], value.get("camera"), recording)
     document = {"format": _FORMAT, "version": 1, **keep, **{k: found[k] for k in ("pose", "joint_sd", "rms_px")}}
-    ResultsFolder(item.path / "starts").write_json(f"{name}.json", document)
+    ResultsFolder(starts).write_json(f"{name}.json", document)
     return {"name": name, **document}
-
-
-def free_name(starts: Path, name: str) -> str:
-    """name, or with a number behind it the first under which no clicks are kept."""
-    number, free = 2, name
-    while (starts / f"{free}.json").exists():
-        free, number = f"{name}-{number}", number + 1
-    return free
 
 
 def _for_one_camera(views: Sequence[Mapping[str, Any]], wanted: Any, recording: Recording) -> dict[str, Any]:
@@ -209,7 +334,8 @@ def _for_one_camera(views: Sequence[Mapping[str, Any]], wanted: Any, recording: 
     return {"camera": source.name, "joints": {p["joint"]: stored[k] for k, p in enumerate(points)}}
 
 
-def _load(item: Item, name: str) -> dict[str, Any]:
+def load(item: Item, name: str) -> dict[str, Any]:
+    """Clicks as they were saved."""
     if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,79}", name):
         raise InputError(f"{name[:40]!r} is no name of a start.")
     path = item.path / "starts" / f"{name}.json"

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import threading
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from hypose.compute import Depth
 from hypose.gestures.depth_pictures import Lens, surface_depth
-from hypose.gestures.events import EventSettings, EventState, step
+from hypose.gestures.events import RADIUS_M, EventSettings, EventState, average_precision, precision_recall, step
 from hypose.gestures.forest import Forest
 from hypose.gestures.localise import Found, Scratch, localise
-from hypose.synthetic.gesture_metrics import RADIUS_M, average_precision, precision_recall
 
 KEPT = 40
 """Frames of each kind that are kept; every frame has the same chance."""
@@ -23,15 +21,7 @@ _POINTS = 100
 """At most so many points of a curve are told."""
 
 
-@dataclass(frozen=True)
-class _Held:
-    depth: Depth
-    at: tuple[float, float] | None  # of the gesture; None: it is not done
-    segment: int
-
-
-@dataclass(frozen=True)
-class _Seen:
+class _Seen(NamedTuple):
     """score, error (m; inf where the gesture is not done) and whether it is done."""
 
     score: float
@@ -44,7 +34,8 @@ class HeldBack:
 
     def __init__(self, lens: Lens) -> None:
         self._lens, self._keep = lens, np.random.default_rng(0)
-        self._frames: dict[bool, list[_Held]] = {True: [], False: []}
+        # by whether the gesture is done: depth, its pixel (None: it is not done), segment
+        self._frames: dict[bool, list[tuple[Depth, tuple[float, float] | None, int]]] = {True: [], False: []}
         self._count = {True: 0, False: 0}
         self._tested: list[_Seen] = []
         self._busy: threading.Thread | None = None
@@ -54,11 +45,10 @@ class HeldBack:
         """A frame of a learning segment that is not learned; at: pixel of the gesture, None for other movement."""
         kept, shown = self._frames[at is not None], at is not None
         self._count[shown] += 1
-        held = _Held(depth, at, segment)
         if len(kept) < KEPT:
-            kept.append(held)
+            kept.append((depth, at, segment))
         elif (place := int(self._keep.integers(self._count[shown]))) < KEPT:
-            kept[place] = held
+            kept[place] = depth, at, segment
 
     def test(self, depth: Depth, at: tuple[float, float] | None, found: Found) -> None:
         """A frame of the test whose truth is known."""
@@ -66,25 +56,19 @@ class HeldBack:
 
     def drop(self, undone: tuple[int, ...]) -> None:
         """Forget the frames of segments that were taken back."""
-        for shown, kept in self._frames.items():
-            self._frames[shown] = [k for k in kept if k.segment not in undone]
+        self._frames = {shown: [k for k in kept if k[2] not in undone] for shown, kept in self._frames.items()}
 
-    def begin(self, forest: Forest) -> bool:
-        """Look at the kept frames again with the forest as it is now; False while that is still going on."""
-        if self._busy is not None and self._busy.is_alive():
-            return False
-        frames = [*self._frames[True], *self._frames[False]]
-        self._busy = threading.Thread(target=self._look, args=(forest, frames), daemon=True)
-        self._busy.start()
-        return True
+    def begin(self, forest: Forest) -> None:
+        """Look at the kept frames again with the forest as it is now, unless that is still going on."""
+        if self._busy is None or not self._busy.is_alive():
+            frames = [*self._frames[True], *self._frames[False]]
+            self._busy = threading.Thread(target=self._look, args=(forest, frames), daemon=True)
+            self._busy.start()
 
-    def _look(self, forest: Forest, frames: list[_Held]) -> None:
+    def _look(self, forest: Forest, frames: list[tuple[Depth, tuple[float, float] | None, int]]) -> None:
         scratch = Scratch()
-        seen = [
-            _judged(f.depth, self._lens, f.at, localise(f.depth, self._lens, [forest], None, scratch)[0])
-            for f in frames
-        ]
-        self._result = _curve(seen) | {"on": "held-back"}
+        found = [(d, at, localise(d, self._lens, [forest], None, scratch)[0]) for d, at, _ in frames]
+        self._result = _curve([_judged(d, self._lens, at, f) for d, at, f in found]) | {"on": "held-back"}
 
     def result(self, threshold: float | None) -> dict[str, Any] | None:
         """The newest judgement once, None when there is none that is new: of the test when it has both kinds of frame,
@@ -96,29 +80,27 @@ class HeldBack:
 
 
 def _judged(depth: Depth, lens: Lens, at: tuple[float, float] | None, found: Found) -> _Seen:
-    if at is None:
-        return _Seen(found.score, np.inf, False)
-    z = surface_depth(depth, *at)
-    pixels = float(np.hypot(found.x - at[0], found.y - at[1]))
-    return _Seen(found.score, np.inf if z is None else pixels * z / 1000 / lens.fx, True)
+    z = None if at is None else surface_depth(depth, *at)
+    if at is None or z is None:
+        return _Seen(found.score, np.inf, at is not None)
+    return _Seen(found.score, float(np.hypot(found.x - at[0], found.y - at[1])) * z / 1000 / lens.fx, True)
 
 
 def _curve(seen: list[_Seen]) -> dict[str, Any]:
-    scores, errors = np.array([s.score for s in seen]), np.array([s.error for s in seen])
+    scores, correct = np.array([s.score for s in seen]), np.array([s.error for s in seen]) <= RADIUS_M
     positives = sum(s.shown for s in seen)
-    correct = errors <= RADIUS_M
     out: dict[str, Any] = {"frames": len(seen), "positives": positives, "ap": None}
     if not positives or positives == len(seen):
         return out | {"precision": [], "recall": [], "scores": []}
     precision, recall = precision_recall(scores, correct, positives)
-    order = np.lexsort((correct, -scores))
-    ranked = scores[order][scores[order] > 0]
-    pick = np.unique(np.linspace(0, len(ranked) - 1, min(_POINTS, len(ranked))).astype(int)) if len(ranked) else []
+    ranked = scores[np.lexsort((correct, -scores))]
+    ranked = ranked[ranked > 0]
+    pick = np.unique(np.linspace(0, len(ranked) - 1, min(_POINTS, len(ranked))).astype(int))
     return out | {
         "ap": average_precision(scores, correct, positives),
-        "precision": [round(float(precision[k]), 4) for k in pick],
-        "recall": [round(float(recall[k]), 4) for k in pick],
-        "scores": [round(float(ranked[k]), 3) for k in pick],
+        "precision": precision[pick].round(4).tolist(),
+        "recall": recall[pick].round(4).tolist(),
+        "scores": ranked[pick].round(3).tolist(),
     }
 
 

@@ -1,57 +1,54 @@
-"""A session that teaches a gesture: one frame in, what the page shows of it out; everything is recorded and saved."""
+"""Sessions that teach a gesture (all is recorded and saved) or watch for gestures: a frame in, what the page shows
+of it out."""
 
 from __future__ import annotations
 
 import time as clock
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.app.jobs.gesture_job import growing_model, new_learner
+from hypose.app.jobs.gesture_job import finished, growing_model, new_learner, thresholds
 from hypose.app.live.gesture_sources import Taken
-from hypose.app.studio.gesture_controls import Controls, Start
-from hypose.app.studio.gesture_feed import Feed
 from hypose.app.studio.gesture_judge import FalseAlarms, HeldBack
+from hypose.app.studio.gesture_start import PHASES, Controls, Feed, Start
 from hypose.gestures.depth_pictures import surface_depth
 from hypose.gestures.events import Event, EventSettings, EventState, step
 from hypose.gestures.localise import Found, LocaliseSettings, Scratch, densities, settle
 from hypose.gestures.model import GestureModel
-from hypose.gestures.session import Command, Instruction
+from hypose.gestures.session import Command
 from hypose.gestures.session import step as peek
 from hypose.gestures.trainer import Feedback, Trainer
 from hypose.pipeline.gesture_files import SessionWriter, content_of, save_model
 
 BOX_M = 0.1
 """Half side of the box that is shown, at the surface in it."""
+_MEMORY = 0.8
+"""Share of the new frame in the density while watching, as `hypose gesture run` has it."""
 _HELD_EVERY = 5
 """Every so many seconds of learning, one second is kept from the forest."""
 
 
-@dataclass(frozen=True)
-class Shown:
-    """What a frame gives the page: the step message (without seq), the map of votes if it was wanted."""
-
-    message: dict[str, Any]
-    density: NDArray[np.float32] | None
+Shown = tuple[dict[str, Any], NDArray[np.float32] | None]
+"""What a frame gives the page: the step message (without seq), the map of votes if it was wanted."""
 
 
 class Training:
     """Only the session's thread calls it, except `save` after that thread has ended."""
 
     def __init__(self, start: Start, feed: Feed, old: Path | None, folder: Path, model: Path) -> None:
-        self.feed, self.start, self.folder, self.path = feed, start, folder, model
+        self.feed, self.folder, self.path, self.names = feed, folder, model, [start.gesture]
         self._old = growing_model(old, start.gesture) if old is not None else None
         # checks the name before anything is written
-        learner = self._old.learner if self._old is not None and self._old.learner is not None else None
-        learner = learner or new_learner(start.seed)
+        learner = (self._old.learner if self._old is not None else None) or new_learner(start.seed)
         GestureModel((start.gesture,), learner.forest, (None,), LocaliseSettings(), learner)
         self.trainer = Trainer(learner, start.settings)
         s = start.settings
-        seconds = {name: getattr(s, f"{name}_s") for name in ("do_gesture", "positive", "release", "negative")}
+        seconds = {name: getattr(s, f"{name}_s") for name in PHASES}
         self.told = {"rounds": s.rounds, "seconds": seconds}
         source = feed.source
         self._writer = SessionWriter(folder, [start.gesture], source.lens, source.size, self.told)
@@ -84,7 +81,9 @@ class Training:
         before = trainer.session
         session, instruction = peek(before, trainer.settings, taken.time, commands)
         kept = instruction.learn is not None and int(taken.time - session.entered) % _HELD_EVERY == _HELD_EVERY - 1
-        usable = fresh and self._agrees(instruction, taken)
+        # where the source knows it, the picture must show what is to be learned
+        sure = instruction.learn is None or not self.feed.knows
+        usable = fresh and (sure or (taken.box is not None) == (instruction.learn == "gesture"))
         if session.segment != self._before[0]:
             self._before = (session.segment, dict(self._frames), list(self._pixels))
         began = clock.perf_counter()
@@ -98,24 +97,20 @@ class Training:
             _, self._frames, self._pixels = self._before
         if instruction.phase == "test" and before.phase != "test":
             self._final = trainer.final_threshold()
-        threshold = self._threshold(controls)
+        threshold, events = self._threshold(controls), []
         if fresh:
             self._keep(taken, f, found, usable and kept, threshold, controls.hold_s)
             if not self.paused:
                 self._write(taken, f)
+            if self.asks == "test" and threshold is not None and threshold > 0:
+                settings = [EventSettings(threshold, hold_s=controls.hold_s)]
+                self._events, events = step(self._events, [found], taken.time, settings)
         for c in commands:
             gone = trainer.session.undone[len(before.undone) :] if c == "undo" else ()
             self._writer.act(taken.time, c, str(gone[0]) if gone else "")
-        events = self._happened(found, taken.time, threshold, controls.hold_s) if fresh else []
         message = self._message(taken, f, found, threshold, controls, events)
         message["ms"] = {"learn": round(1e3 * (learned - began), 2), "look": round(1e3 * (looked - learned), 2)}
-        return Shown(message, density)
-
-    def _agrees(self, instruction: Instruction, taken: Taken) -> bool:
-        """Whether the picture shows what is to be learned, where the source knows it."""
-        if instruction.learn is None or not self.feed.knows:
-            return True
-        return (taken.box is not None) == (instruction.learn == "gesture")
+        return message, density
 
     def _look(self, taken: Taken, f: Feedback, wanted: bool) -> tuple[Found, NDArray[np.float32] | None]:
         """Where the forest sees the gesture: in a frame that is learned, before it was."""
@@ -159,12 +154,6 @@ class Training:
             self._place,
         )
 
-    def _happened(self, found: Found, time: float, threshold: float | None, hold_s: float) -> list[Event]:
-        if self.asks != "test" or threshold is None or threshold <= 0:
-            return []
-        self._events, events = step(self._events, [found], time, [EventSettings(threshold, hold_s=hold_s)])
-        return events
-
     def _message(
         self, taken: Taken, f: Feedback, found: Found, threshold: float | None, c: Controls, events: list[Event]
     ) -> dict[str, Any]:
@@ -196,7 +185,7 @@ class Training:
                 "nodes": int(self.trainer.learner.forest.size.sum()),
                 "segments": s.segment - len(s.undone),
             },
-            "events": [event_message(e, [self.start.gesture]) for e in events],
+            "events": [event_message(e, self.names) for e in events],
         }
 
     def judged(self, time: float, controls: Controls) -> dict[str, Any] | None:
@@ -225,7 +214,7 @@ class Training:
         }
         learner = self.trainer.learner
         model = GestureModel(
-            (self.start.gesture,), learner.forest, (threshold,), LocaliseSettings(), learner, (*old, entry)
+            tuple(self.names), learner.forest, (threshold,), LocaliseSettings(), learner, (*old, entry)
         )
         save_model(model, self.path)
         return self.path
@@ -233,6 +222,88 @@ class Training:
     def close(self) -> None:
         """Close the recording."""
         self._writer.close()
+
+
+class Watching:
+    """Looks for the gestures of all models; nothing is learned or written."""
+
+    told: dict[str, Any] = {"rounds": 0, "seconds": {}}
+    folder = None
+    asks = "free"
+
+    def __init__(self, feed: Feed, models: Sequence[GestureModel]) -> None:
+        self.feed = feed
+        self.names = [n for m in models for n in m.names]
+        self._forests, self._limits = finished(models), thresholds(models, None)
+        self._look = LocaliseSettings(memory=_MEMORY)
+        self._scratch, self._state, self._pause = Scratch(), EventState(), False
+
+    @property
+    def paused(self) -> bool:
+        """Nothing goes on until the page says so."""
+        return self._pause
+
+    def frame(self, taken: Taken, controls: Controls, commands: Sequence[Command], fresh: bool) -> Shown:
+        """Take a picture; fresh False: it was taken before, and only the commands are new."""
+        for c in commands:
+            self._pause = c == "pause" if c in ("pause", "continue") else self._pause
+        lens = self.feed.source.lens
+        began = clock.perf_counter()
+        maps = densities(taken.depth, lens, self._forests, self._look, self._scratch)
+        found = settle(maps, taken.depth, lens, self._look if fresh else replace(self._look, memory=1.0), self._scratch)
+        spent = clock.perf_counter() - began
+        limits = [controls.threshold or t for t in self._limits]
+        events = []
+        if fresh:
+            settings = [EventSettings(t, hold_s=controls.hold_s) for t in limits]
+            self._state, events = step(self._state, found, taken.time, settings)
+        best = max(found, key=lambda f: f.score / limits[f.gesture - 1])
+        limit = limits[best.gesture - 1]
+        message = {
+            "t": "step",
+            "time": round(taken.time, 3),
+            "phase": "test",
+            "prompt": "Paused" if self._pause else "Watching",
+            "left_s": None,
+            "round": 0,
+            "paused": self._pause,
+            "box": None,
+            "cross": [round(best.x, 1), round(best.y, 1)] if best.score > 0 else None,
+            "position": position(best),
+            "learned": None,
+            "mined": [],
+            "score": round(best.score, 3),
+            "high": None,
+            "low": None,
+            "threshold": rounded(limit),
+            "manual": controls.threshold is not None,
+            "detected": best.score >= limit,
+            "counts": {"gesture": 0, "negative": 0, "pixels": [], "nodes": 0, "segments": 0},
+            "found": [
+                {
+                    "gesture": self.names[f.gesture - 1],
+                    "score": round(f.score, 3),
+                    "x": round(f.x, 1),
+                    "y": round(f.y, 1),
+                    "threshold": rounded(t),
+                }
+                for f, t in zip(found, limits, strict=True)
+            ],
+            "events": [event_message(e, self.names) for e in events],
+            "ms": {"look": round(1e3 * spent, 2)},
+        }
+        return message, maps[best.gesture - 1][0] if controls.map else None
+
+    def judged(self, time: float, controls: Controls) -> dict[str, Any] | None:
+        """Nothing is judged while watching."""
+        return None
+
+    def save(self, controls: Controls) -> Path | None:
+        """There is nothing to save."""
+        return None
+
+    def close(self) -> None:
+        """Nothing to close."""
 
 
 def event_message(event: Event, names: Sequence[str]) -> dict[str, Any]:

@@ -8,7 +8,6 @@ that was asked for must be one the server goes by, else a foreign name that was 
 from __future__ import annotations
 
 import secrets
-from dataclasses import dataclass
 from http import HTTPStatus
 from urllib.parse import urlsplit
 
@@ -27,57 +26,24 @@ POLICY = (
 """Nothing from elsewhere is loaded, whatever a recording or a bug puts into the page."""
 
 
-@dataclass(frozen=True)
-class Access:
-    """host: what the server listens on; token: None when it listens on this computer alone."""
-
-    host: str
-    token: str | None
-
-    @staticmethod
-    def of(host: str, token: str | None = None) -> Access:
-        """With a new token when others can reach the host and none is given."""
-        return Access(host, token or (None if host in LOOPBACK else secrets.token_urlsafe(16)))
-
-    def problem(self, scope: Scope) -> tuple[HTTPStatus, str] | None:
-        """Why a request is refused, None when it is not."""
-        headers = Headers(scope=scope)
-        asked = headers.get("host", "")
-        if self.token is None and _name(asked) not in LOOPBACK:
-            return HTTPStatus.FORBIDDEN, f"This server does not go by {asked[:80]!r}; open it as http://127.0.0.1."
-        changing = scope["type"] == "websocket" or scope["method"] in _CHANGING
-        origin = headers.get("origin")
-        foreign = origin is not None and urlsplit(origin).netloc.lower() != asked.lower()
-        if changing and (foreign or headers.get("sec-fetch-site") in ("cross-site", "same-site")):
-            return HTTPStatus.FORBIDDEN, "Pages of other sites may not talk to this server; open its own page."
-        if scope["path"].startswith(("/api/", "/ws/")) and not self.knows(scope):
-            return HTTPStatus.UNAUTHORIZED, "The token is missing or wrong; use the address that `hypose view` printed."
-        return None
-
-    def knows(self, scope: Scope) -> bool:
-        """Whether a request shows the token, if one is needed."""
-        query, bearer = scope["query_string"].decode("latin-1"), Headers(scope=scope).get("authorization", "")
-        return self.token is None or shows_secret(query, bearer, self.token)
-
-
-def _name(host: str) -> str:
-    """The host without its port."""
-    return (urlsplit(f"//{host}").hostname or "").lower() if host.isprintable() else ""
+def token_for(host: str, token: str | None = None) -> str | None:
+    """What pages must show to a server that listens on a host: a new one when others can reach it and none is given."""
+    return token or (None if host in LOOPBACK else secrets.token_urlsafe(16))
 
 
 class Guard:
-    """Refuses what Access does not allow, before anything else sees it."""
+    """Refuses what may not talk to the server, before anything else sees it. token: None when it listens on this
+    computer alone."""
 
-    def __init__(self, app: ASGIApp, access: Access) -> None:
-        self._app, self._access = app, access
+    def __init__(self, app: ASGIApp, token: str | None) -> None:
+        self._app, self._token = app, token
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """One request or connection."""
         if scope["type"] not in ("http", "websocket"):
-            await self._app(scope, receive, send)
-            return
+            return await self._app(scope, receive, send)
         try:
-            problem = self._access.problem(scope)
+            problem = self._problem(scope)
         except ValueError:  # an Origin or Host that is no address
             problem = HTTPStatus.BAD_REQUEST, "The request names no proper host."
         if problem is None:
@@ -87,6 +53,24 @@ class Guard:
         else:
             await receive()
             await send({"type": "websocket.close", "code": 1008, "reason": problem[1][:120]})
+
+    def _problem(self, scope: Scope) -> tuple[HTTPStatus, str] | None:
+        """Why a request is refused, None when it is not."""
+        headers = Headers(scope=scope)
+        asked = headers.get("host", "")
+        name = (urlsplit(f"//{asked}").hostname or "").lower() if asked.isprintable() else ""
+        if self._token is None and name not in LOOPBACK:
+            return HTTPStatus.FORBIDDEN, f"This server does not go by {asked[:80]!r}; open it as http://127.0.0.1."
+        changing = scope["type"] == "websocket" or scope["method"] in _CHANGING
+        origin = headers.get("origin")
+        foreign = origin is not None and urlsplit(origin).netloc.lower() != asked.lower()
+        if changing and (foreign or headers.get("sec-fetch-site") in ("cross-site", "same-site")):
+            return HTTPStatus.FORBIDDEN, "Pages of other sites may not talk to this server; open its own page."
+        query, bearer = scope["query_string"].decode("latin-1"), headers.get("authorization", "")
+        secret = self._token is not None and scope["path"].startswith(("/api/", "/ws/"))
+        if secret and not shows_secret(query, bearer, self._token or ""):
+            return HTTPStatus.UNAUTHORIZED, "The token is missing or wrong; use the address that `hypose view` printed."
+        return None
 
     def _hardened(self, scope: Scope, send: Send) -> Send:
         if scope["type"] != "http":

@@ -1,26 +1,26 @@
-"""What a job is on the command line: the page's options, checked, as the arguments of a hypose command.
+"""What a job is on the command line: the page's options as the arguments of a hypose command.
 
 A job is the command itself in a process of its own, so the studio can do nothing that the command line cannot, and the
-page can show the line that does the same again.
+page can show the line that does the same again. The command checks its options; here it is only seen to that each is
+one argument, and belongs to its option.
 """
 
 from __future__ import annotations
 
+import contextlib
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from hypose.app.jobs.correct import read_correction
 from hypose.app.studio.catalog import Catalog, Item
-from hypose.errors import InputError
-from hypose.io.file_names import natural_key
+from hypose.errors import HyposeError, InputError
+from hypose.io.files import read_toml
 
-BOARDS = "board"
-"""The folder of a recording in which the clips or photos of the calibration board lie, named by their cameras."""
 CALIBRATION = "calibration.toml"
-"""Where a recording keeps the calibration that is made of them."""
+"""Where a recording keeps the calibration that is made of clips of a board."""
 
 
 @dataclass(frozen=True)
@@ -38,152 +38,103 @@ class Plan:
     makes: str | None = None
 
 
-def _text(value: Any, name: str) -> str:
-    # an option's value is one argument of its own; it must not pass for another option
-    if not isinstance(value, str) or not value or len(value) > 200 or value.startswith("-") or not value.isprintable():
+_KINDS: Mapping[str, tuple[str, str]] = {
+    "calibrate": (
+        "Calibrate the cameras of {}",
+        "chessboard charuco square marker dictionary inverted fisheye floor",
+    ),
+    "sync": ("How late are the cameras of {}?", "by largest frames"),
+    "in_step": ("Bring {} in step", "offsets"),
+    "check": ("Check {}", "samples frames"),
+    "refine": ("Refine the calibration of {}", "using far focal height"),
+    "silhouettes": ("Silhouettes of {}", "frames"),
+    "subject": ("Measure the person in {}", "height mass start frames poses"),
+    "track": ("Track {}", "recipe refine evidence start height frames seed formats camera name subject overlay"),
+    "correct": ("Track {} again from frame {}", "until start"),
+    "export": ("Export {}", "formats"),
+    "demo": ("Make a demo recording and track it", "seconds seed"),
+    "fuse": ("Fuse {}", ""),
+}
+"""Title and options of each kind; an option is that of the command, unless `plan` does something else with it."""
+KINDS = tuple(_KINDS)
+_CLICKS = "clicks:"
+"""Begins the name under which the page has saved clicks, as a start."""
+
+
+def _arguments(options: Mapping[str, Any]) -> list[str]:
+    """Options as arguments, each one with its value in it: so none passes for another option or for a file."""
+    out = []
+    for name, value in options.items():
+        if value is None or value is False:
+            continue
+        flag = "--from" if name == "using" else f"--{name}"
+        out.append(flag if value is True else f"{flag}={_word(name, value)}")
+    return out
+
+
+def _word(name: str, value: Any) -> str:
+    if isinstance(value, list) and value:
+        return ",".join(_word(name, v) for v in value)
+    if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= 1e9:  # NaN is not
+        return str(int(value)) if value == int(value) else repr(value)
+    if not isinstance(value, str) or not value or len(value) > 200 or not value.isprintable() or "/" in value:
         raise InputError(f"The option {name} is not usable: {str(value)[:40]!r}.")
     return value
 
 
-def _number(value: Any, name: str) -> str:
-    if isinstance(value, bool) or not isinstance(value, int | float) or value != value or abs(value) > 1e9:
-        raise InputError(f"The option {name} must be a number, {str(value)[:40]!r} is none.")
-    return str(int(value)) if value == int(value) else repr(value)
-
-
-def _flag(value: Any, name: str) -> bool:
-    if not isinstance(value, bool):
-        raise InputError(f"The option {name} must be true or false.")
-    return value
-
-
-def _formats(value: Any, name: str) -> str:
-    if not isinstance(value, list) or not value:
-        raise InputError(f"The option {name} must be a list of formats.")
-    return ",".join(_text(v, name) for v in value)
-
-
-def _offsets(value: Any, name: str) -> str:
-    if not isinstance(value, list) or not value:
-        raise InputError(f"The option {name} must be a list of numbers, one per view.")
-    return ",".join(_number(v, name) for v in value)
-
-
-_Reader = Callable[[Any, str], str | bool]
-_OPTIONS: Mapping[str, Mapping[str, tuple[str, _Reader]]] = {
-    "calibrate": {
-        "chessboard": ("--chessboard", _text),
-        "charuco": ("--charuco", _text),
-        "square": ("--square", _text),
-        "marker": ("--marker", _text),
-        "dictionary": ("--dictionary", _text),
-        "inverted": ("--inverted", _flag),
-        "fisheye": ("--fisheye", _flag),
-        "floor": ("--floor", _number),
-    },
-    "sync": {"by": ("--by", _text), "largest": ("--largest", _number), "frames": ("--frames", _number)},
-    "in_step": {"offsets": ("--offsets=", _offsets)},
-    "check": {"samples": ("--samples", _number), "frames": ("--frames", _number)},
-    "refine": {
-        "using": ("--from", _text),
-        "far": ("--far", _flag),
-        "focal": ("--focal", _flag),
-        "height": ("--height", _number),
-    },
-    "silhouettes": {"frames": ("--frames", _text)},
-    "subject": {
-        "height": ("--height", _number),
-        "mass": ("--mass", _number),
-        "start": ("--start", _text),
-        "frames": ("--frames", _text),
-        "poses": ("--poses", _number),
-    },
-    "track": {
-        "recipe": ("--recipe", _text),
-        "refine": ("--refine", _flag),
-        "evidence": ("--evidence", _text),
-        "start": ("--start", _text),
-        "height": ("--height", _number),
-        "frames": ("--frames", _text),
-        "seed": ("--seed", _number),
-        "formats": ("--formats", _formats),
-        "camera": ("--camera", _text),
-    },
-    "correct": {"until": ("--until", _number)},
-    "export": {"formats": ("--formats", _formats)},
-    "demo": {"seconds": ("--seconds", _number), "seed": ("--seed", _number)},
-    "fuse": {},
-}
-KINDS = tuple(_OPTIONS)
-_TITLES = {
-    "calibrate": "Calibrate the cameras of {}",
-    "sync": "How late are the cameras of {}?",
-    "in_step": "Bring {} in step",
-    "check": "Check {}",
-    "refine": "Refine the calibration of {}",
-    "silhouettes": "Silhouettes of {}",
-    "subject": "Measure the person in {}",
-    "track": "Track {}",
-    "correct": "Track {} again from frame {}",
-    "export": "Export {}",
-    "demo": "Make a demo recording and track it",
-    "fuse": "Fuse {}",
-}
-
-
 def plan(kind: str, request: Mapping[str, Any], catalog: Catalog) -> Plan:
     """The command of a job that the page asks for: {"recording" or "result": id, "options": {...}}."""
-    if kind not in _OPTIONS:
+    if kind not in KINDS:
         raise InputError(f"There is no job {str(kind)[:40]!r}; the jobs are {', '.join(KINDS)}.")
+    title, known = _KINDS[kind][0], _KINDS[kind][1].split()
     options = request.get("options") or {}
     if not isinstance(options, dict):
         raise InputError("A job's options must be an object.")
-    own = {"track": {"name", "subject", "overlay"}, "correct": {"start"}}.get(kind, set())
-    unknown = [str(o)[:40] for o in options if o not in _OPTIONS[kind] and o not in own]
+    unknown = [str(o)[:40] for o in options if o not in known]
     if unknown:
-        raise InputError(f"The job {kind} has no option {unknown[0]!r}; it has {', '.join(_OPTIONS[kind])}.")
-    arguments: list[str] = []
-    for name, (flag, read) in _OPTIONS[kind].items():
-        value = options.get(name)
-        if value is None:
-            continue
-        given = read(value, name)
-        # a value that may begin with a minus belongs to its option
-        valued = [f"{flag}{given}"] if flag.endswith("=") else [flag, str(given)]
-        arguments += [flag] if given is True else [] if given is False else valued
+        raise InputError(f"The job {kind} has no option {unknown[0]!r}; it has {', '.join(known)}.")
     if kind == "demo":
         out = free_folder(catalog.root, "demo")
         result = catalog.id_of("result", out / "results" / "default")
-        return Plan(("demo", "--out", str(out), *arguments), _TITLES[kind], catalog.id_of("recording", out), result)
+        command = ("demo", "--out", str(out), *_arguments(options))
+        return Plan(command, title, catalog.id_of("recording", out), result)
     if kind == "export":
         item = catalog.find("result", _id(request, "result"))
-        return Plan(("export", str(item.path), *arguments), _TITLES[kind].format(item.path.name), None, item.id)
+        return Plan(("export", str(item.path), *_arguments(options)), title.format(item.path.name), None, item.id)
     if kind == "fuse":
         item = catalog.find("skeletons", _id(request, "skeletons"))
-        out = fused_in(item.path)
-        if not catalog.contains(out):
-            raise InputError(f"The results of {item.path.name} lie outside the served folder; use the command line.")
+        out = _inside(catalog, item, fused_in(item.path))
         command = ("fuse", str(item.path), "--out", str(out))
-        return Plan(command, _TITLES[kind].format(item.path.name), None, catalog.id_of("result", out), True)
+        return Plan(command, title.format(item.path.name), None, catalog.id_of("result", out), True)
     if kind == "correct":
-        return _correct(catalog.find("result", _id(request, "result")), arguments, options, catalog)
+        return _correct(catalog.find("result", _id(request, "result")), options, catalog)
     item = catalog.find("recording", _id(request, "recording"))
-    if not all(catalog.contains(item.path / f) for f in ("results", "results/silhouettes", "subject")):
-        raise InputError(f"The results of {item.path.name} lie outside the served folder; use the command line.")
-    title = _TITLES[kind].format(item.path.name)
+    for folder in ("results", "results/silhouettes", "subject"):
+        _inside(catalog, item, item.path / folder)
+    title, path = title.format(item.path.name), str(item.path)
     if kind == "calibrate":
-        return Plan(("calibrate", *_board_files(item.path), *arguments, *_calibrated(item.path)), title, item.id)
+        boards = [str(p) for p in board_files(item.path) if catalog.contains(p)]
+        if not boards:
+            raise InputError(f"There are no clips of a board in {item.path.name}; make it a recording with them.")
+        made = ("--out", str(item.path / CALIBRATION), "--sheet", str(item.path / "results" / "calibration.png"))
+        return Plan(("calibrate", *boards, *_arguments(options), *made), title, item.id)
     if kind == "in_step":
-        made = free_folder(item.path.parent, f"{item.path.name}-in-step")
-        if "offsets" not in options or not catalog.contains(made):
+        if "offsets" not in options:
             raise InputError("Say by how many frames each view is late.")
-        command = ("sync", str(item.path), *arguments, "--out", str(made))
-        return Plan(command, title, item.id, makes=catalog.id_of("recording", made))
+        out = free_folder(item.path.parent, f"{item.path.name}-in-step")
+        command = ("sync", path, *_arguments(options), "--out", str(_inside(catalog, item, out)))
+        return Plan(command, title, item.id, makes=catalog.id_of("recording", out))
     if kind == "track":
-        return _track(item.path, item.id, arguments, options, title, catalog)
-    extra = ("--refine",) if kind == "refine" else ()
-    command = "check" if kind == "refine" else kind
-    return Plan((command, str(item.path), *extra, *arguments), title, item.id)
+        return _track(item, options, title, catalog)
+    command = ("check", path, "--refine") if kind == "refine" else (kind, path)
+    return Plan((*command, *_arguments(options)), title, item.id)
+
+
+def _inside(catalog: Catalog, item: Item, out: Path) -> Path:
+    """A folder that is written to; an InputError when a link leads it out of the served folder."""
+    if not catalog.contains(out):
+        raise InputError(f"The results of {item.path.name} lie outside the served folder; use the command line.")
+    return out
 
 
 def fused_in(skeletons: Path) -> Path:
@@ -191,18 +142,12 @@ def fused_in(skeletons: Path) -> Path:
     return skeletons / "results" / "fuse-fit"
 
 
-def _board_files(folder: Path) -> list[str]:
-    """The clips or photo folders of the board, one per camera."""
-    boards = folder / BOARDS
-    found = sorted(boards.iterdir(), key=lambda p: natural_key(p.name)) if boards.is_dir() else []
-    if not found:
-        raise InputError(f"There are no clips of a board in {folder.name}; drop them with the videos.")
-    return [str(p) for p in found]
-
-
-def _calibrated(folder: Path) -> list[str]:
-    """Where a calibration goes, and the picture of what was seen."""
-    return ["--out", str(folder / CALIBRATION), "--sheet", str(folder / "results" / "calibration.png")]
+def board_files(folder: Path) -> list[Path]:
+    """The clips or folders of photos of the board, one per camera, that a recording.toml names."""
+    with contextlib.suppress(HyposeError):
+        views = read_toml(folder / "recording.toml").get("view", [])
+        return [folder / v["board"] for v in views if isinstance(v, dict) and isinstance(v.get("board"), str)]
+    return []
 
 
 def settled(kind: str, request: Mapping[str, Any], catalog: Catalog) -> Mapping[str, Any]:
@@ -222,37 +167,37 @@ def _result_name(options: Mapping[str, Any]) -> str:
     return name
 
 
-def _track(
-    folder: Path, recording: str, arguments: list[str], options: Mapping[str, Any], title: str, catalog: Catalog
-) -> Plan:
-    out = folder / "results" / _result_name(options)
-    if not catalog.contains(out):
-        raise InputError(f"The results of {folder.name} lie outside the served folder; track them on the command line.")
-    if isinstance(start := options.get("start"), str) and start.startswith("clicks:"):
-        arguments[arguments.index("--start") + 1] = str(_clicked(folder, start.removeprefix("clicks:")))
+def _track(item: Item, options: Mapping[str, Any], title: str, catalog: Catalog) -> Plan:
+    out = _inside(catalog, item, item.path / "results" / _result_name(options))
+    arguments = _arguments({k: v for k, v in options.items() if k not in ("name", "subject", "overlay", "start")})
+    if isinstance(start := options.get("start"), str) and start.startswith(_CLICKS):
+        arguments += ["--start", str(_clicked(item.path, start))]
+    else:
+        arguments += _arguments({"start": start})
     arguments += ["--out", str(out)]
+    arguments += ["--subject", str(item.path / "subject")] if options.get("subject") is True else []
+    arguments += ["--no-overlay"] if options.get("overlay") is False else []
     title += "" if out.name == "default" else f" as {out.name}"
-    if options.get("subject") and _flag(options["subject"], "subject"):
-        arguments += ["--subject", str(folder / "subject")]
-    if options.get("overlay") is not None and not _flag(options["overlay"], "overlay"):
-        arguments.append("--no-overlay")
-    return Plan(("track", str(folder), *arguments), title, recording, catalog.id_of("result", out), True, out)
+    command = ("track", str(item.path), *arguments)
+    return Plan(command, title, item.id, catalog.id_of("result", out), True, out)
 
 
-def _correct(item: Item, arguments: list[str], options: Mapping[str, Any], catalog: Catalog) -> Plan:
+def _correct(item: Item, options: Mapping[str, Any], catalog: Catalog) -> Plan:
     folder, start = catalog.recording_of(item.path), options.get("start")
-    if folder is None or not isinstance(start, str) or not start.startswith("clicks:"):
+    if folder is None or not isinstance(start, str) or not start.startswith(_CLICKS):
         raise InputError("Say which clicks the result is to be tracked again from.")
-    clicks = _clicked(folder, start.removeprefix("clicks:"))
+    clicks = _clicked(folder, start)
     original = re.sub(r"-corrected(-\d+)?$", "", item.path.name)
     out = free_folder(item.path.parent, f"{original}-corrected")
-    title = _TITLES["correct"].format(item.path.name, read_correction(clicks).frame)
+    title = _KINDS["correct"][0].format(item.path.name, read_correction(clicks).frame)
+    arguments = _arguments({"until": options.get("until")})
     command = ("correct", str(item.path), str(clicks), *arguments, "--out", str(out))
     return Plan(command, title, catalog.id_of("recording", folder), catalog.id_of("result", out))
 
 
-def _clicked(folder: Path, name: str) -> Path:
+def _clicked(folder: Path, start: str) -> Path:
     """The file of clicks that the page has saved under a name."""
+    name = start.removeprefix(_CLICKS)
     path = folder / "starts" / f"{name}.json"
     if not is_name(name) or not path.is_file():
         raise InputError(f"There are no clicks saved as {name[:40]!r} in {folder.name}; save them first.")
@@ -268,8 +213,7 @@ def _id(request: Mapping[str, Any], name: str) -> str:
 
 def is_name(text: str) -> bool:
     """A name for a folder or file that means nothing else to any system."""
-    plain = all(c.isascii() and (c.isalnum() or c in "-_.") for c in text)
-    return plain and 0 < len(text) <= 80 and text[0] not in ".-" and text[-1] != "."
+    return re.fullmatch(r"[A-Za-z0-9_](?:[A-Za-z0-9_.-]{0,78}[A-Za-z0-9_-])?", text) is not None
 
 
 def free_folder(parent: Path, name: str) -> Path:

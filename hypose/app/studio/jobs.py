@@ -1,32 +1,43 @@
-"""Jobs: commands in processes of their own, one at a time; their progress, their end, stopping and going on.
+"""The studio's jobs: the command line in a process of its own, one after the other; progress, stopping, going on.
 
 They belong to the served folder, not to a page. A job that is stopped, or whose server ends, keeps what it has
-computed, as the command line does, and `resume` goes on, with the next server too.
+computed, as the command line does, and `resume` goes on, with the next server too: the list lies in a file of the
+folder, with what pages had asked for. A job that goes on is planned anew from that, so nobody who writes this file gets
+a command run that a page could not ask for.
 """
 
 from __future__ import annotations
 
+import contextlib
+import json
 import os
 import secrets
+import shlex
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-from hypose.app.commands.console import JSON_PROGRESS
+from hypose.app.commands.console import COUNTED_IN_FRAMES, JSON_PROGRESS
 from hypose.app.studio.answers import NotNow
 from hypose.app.studio.catalog import Catalog, NotFound
-from hypose.app.studio.job_kinds import Plan, plan, settled
-from hypose.app.studio.job_list import read_jobs, write_jobs
-from hypose.app.studio.job_record import ENDED, Job, Stage
+from hypose.app.studio.hub import Hub, Message, Topic
+from hypose.app.studio.job_kinds import KINDS, Plan, plan, settled
+from hypose.app.studio.view_bundle import plain
+from hypose.errors import HyposeError
+from hypose.io.files import read_json, write_text
 from hypose.json_text import parse_json
 from hypose.pipeline.verdict import EXIT_UNTRUSTED
 
-_KEPT_JOBS, _MOST_WAITING = 100, 20
+NAME = ".studio-jobs.json"
+JobState = Literal["queued", "running", "done", "failed", "cancelled"]
+ENDED: tuple[JobState, ...] = ("done", "failed", "cancelled")
+_KEPT_JOBS, _MOST_WAITING, _KEPT_LINES = 100, 20, 200
 _CODE_OF_INPUT = 2
 """What a command ends with when its input cannot be used."""
 _VERDICT = "Verdict: "
@@ -34,31 +45,86 @@ _NOTHING_WRITTEN = "nothing is written"
 """Part of what `check --refine` says when it has found no calibration to recommend."""
 _KILL_S = 20.0
 """After this a process that was asked to end is ended."""
+_INTERRUPTED = "The server ended while this job was under way; what it had computed is kept."
 
 
-class Jobs:
-    """All jobs of a server, and those of servers before it; listeners are called with a job whenever it has changed,
-    from any thread."""
+@dataclass
+class Job:
+    """One job. Changed under the lock of Jobs only. request: what the page asked for; stages: as the page gets them, by
+    name, in order, and when they began; hopeless: to go on would end as it did."""
 
-    def __init__(self, catalog: Catalog) -> None:
-        self._catalog = catalog
+    id: str
+    kind: str
+    request: Mapping[str, Any]
+    plan: Plan
+    created: float
+    command: str
+    state: JobState = "queued"
+    stages: dict[str, dict[str, Any]] = field(default_factory=dict)
+    lines: deque[str] = field(default_factory=lambda: deque(maxlen=_KEPT_LINES))
+    error: str | None = None
+    began: float | None = None
+    ended: float | None = None
+    stopping: bool = False
+    hopeless: bool = False
+    process: subprocess.Popen[str] | None = None
+    starts: dict[str, float] = field(default_factory=dict)
+
+    def shown(self) -> dict[str, Any]:
+        """As the page gets it."""
+        return {
+            "id": self.id,
+            "kind": self.kind,
+            "title": self.plan.title,
+            "command": self.command,
+            "recording": self.plan.recording,
+            "result": self.plan.result,
+            "makes": self.plan.makes,
+            "state": self.state,
+            "options": self.request.get("options") or {},
+            "stages": list(self.stages.values()),
+            "lines": list(self.lines),
+            "error": self.error,
+            "created": self.created,
+            "began": self.began,
+            "ended": self.ended,
+            "resumable": self.plan.resumable and self.state in ("failed", "cancelled") and not self.hopeless,
+        }
+
+    @classmethod
+    def of(cls, record: Mapping[str, Any]) -> Job:
+        """A job of an earlier server, which is not running any more."""
+        shown, interrupted = record["job"], record["job"]["state"] not in ENDED
+        if shown["kind"] not in KINDS:
+            raise ValueError(shown["kind"])
+        ids = shown["recording"], shown["result"]
+        made = Plan((), str(shown["title"]), *ids, resumable=bool(record["resumable"]), makes=shown["makes"])
+        state = "failed" if interrupted else shown["state"]
+        stages = {str(s["name"]): dict(s) for s in shown["stages"]}
+        error = _INTERRUPTED if interrupted else shown["error"]
+        lines = deque(map(str, shown["lines"]), _KEPT_LINES)
+        return cls(
+            str(shown["id"]), shown["kind"], dict(record["request"]), made, float(shown["created"]),
+            str(shown["command"]), state, stages, lines, error, shown["began"], shown["ended"],
+        )  # fmt: skip
+
+
+class Jobs(Topic):
+    """All jobs of a server, and those of servers before it. Changes are posted to the topic from any thread."""
+
+    name = "jobs"
+
+    def __init__(self, catalog: Catalog, hub: Hub) -> None:
+        self._catalog, self._hub = catalog, hub
         self._lock, self._keeping = threading.Condition(), threading.Lock()
         self._jobs = {j.id: j for j in read_jobs(catalog)}
-        self._listeners: list[Callable[[Job], None]] = []
         self._closed = False
         self._worker = threading.Thread(target=self._work, name="jobs", daemon=True)
         self._worker.start()
 
-    def listen(self, listener: Callable[[Job], None]) -> Callable[[], None]:
-        """Returns the call that ends it."""
-        with self._lock:
-            self._listeners.append(listener)
-
-        def stop() -> None:
-            with self._lock:
-                self._listeners.remove(listener)
-
-        return stop
+    def hello(self) -> Message:
+        """See `Topic`."""
+        return {"t": "jobs", "jobs": [j.shown() for j in self.every()]}
 
     def every(self) -> list[Job]:
         """The newest first."""
@@ -75,26 +141,23 @@ class Jobs:
     def start(self, kind: str, request: Mapping[str, Any]) -> Job:
         """Queue a job; an InputError when its options cannot be."""
         request = settled(kind, request, self._catalog)
-        return self._queue(kind, plan(kind, request, self._catalog), request.get("options") or {})
+        return self._queue(kind, request, plan(kind, request, self._catalog))
 
     def resume(self, id: str) -> Job:
         """Go on with a job that was stopped or failed, as a new job."""
         old = self.find(id)
         if not old.shown()["resumable"]:
             raise NotNow(f"The job {old.plan.title!r} is {old.state} and cannot be resumed; start it again.")
-        arguments = old.plan.arguments if "--resume" in old.plan.arguments else (*old.plan.arguments, "--resume")
-        return self._queue(old.kind, replace(old.plan, arguments=arguments), old.options)
+        made = plan(old.kind, old.request, self._catalog)
+        return self._queue(old.kind, old.request, replace(made, arguments=(*made.arguments, "--resume")))
 
     def cancel(self, id: str) -> Job:
         """Stop a job with its work kept."""
         job = self.find(id)
         with self._lock:
-            if job.state == "queued":
-                job.state, job.ended = "cancelled", time.time()
-            elif job.state == "running":
-                self._stop(job)
-            else:
+            if job.state in ENDED:
                 raise NotNow(f"The job {job.plan.title!r} is {job.state} already.")
+            self._stop(job)
         self._changed(job)
         return job
 
@@ -108,16 +171,13 @@ class Jobs:
         with self._lock:
             self._closed = True
             for job in self._jobs.values():
-                if job.state == "queued":
-                    job.state = "cancelled"
-                elif job.state == "running":
-                    self._stop(job)
+                self._stop(job)
             self._lock.notify_all()
         self._worker.join(_KILL_S + 5)
-        self._keep()
+        write_jobs(self._catalog, self.every())
 
-    def _queue(self, kind: str, made: Plan, options: Mapping[str, Any]) -> Job:
-        job = Job(secrets.token_hex(6), kind, made, options, time.time())
+    def _queue(self, kind: str, request: Mapping[str, Any], made: Plan) -> Job:
+        job = Job(secrets.token_hex(6), kind, request, made, time.time(), "hypose " + shlex.join(made.arguments))
         with self._lock:
             waiting = [j for j in self._jobs.values() if j.state not in ENDED]
             if len(waiting) >= _MOST_WAITING:
@@ -133,30 +193,28 @@ class Jobs:
         return job
 
     def _stop(self, job: Job) -> None:
-        """Ask the process to end, as Ctrl-C does; the lock is held."""
-        if job.process is None or job.stopping:
-            job.stopping = True
+        """Take a job out of the queue, or ask its process to end, as Ctrl-C does; the lock is held."""
+        if job.state == "queued":
+            job.state, job.ended = "cancelled", time.time()
+        if job.state != "running" or job.stopping:
             return
         job.stopping = True
-        job.process.terminate()
-        timer = threading.Timer(_KILL_S, job.process.kill)
-        timer.daemon = True
-        timer.start()
+        if job.process is not None:
+            job.process.terminate()
+            timer = threading.Timer(_KILL_S, job.process.kill)
+            timer.daemon = True
+            timer.start()
 
     def _changed(self, job: Job) -> None:
         """A job is in another state: kept on disk, and told."""
-        self._keep()
-        self._tell(job)
-
-    def _keep(self) -> None:
         with self._keeping:
             write_jobs(self._catalog, self.every())
+        self._tell(job)
+        if job.state in ENDED:
+            self._hub.post(self.name, {"t": "files"})
 
     def _tell(self, job: Job) -> None:
-        with self._lock:
-            listeners = list(self._listeners)
-        for listener in listeners:
-            listener(job)
+        self._hub.post(self.name, {"t": "job", "job": job.shown()}, key=job.id)
 
     # ---- the thread that runs them ----
 
@@ -185,79 +243,84 @@ class Jobs:
                 env={**os.environ, JSON_PROGRESS: "1", "PYTHONUNBUFFERED": "1", "COLUMNS": "160"},
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
                 text=True,
                 encoding="utf-8",
                 errors="replace",
                 start_new_session=True,  # Ctrl-C ends the server, which then ends its jobs in order
             )
         except OSError as error:
-            self._end(job, f"The job could not be started ({error.strerror}).", 1)
-            return
+            return self._end(job, f"The job could not be started ({error.strerror}).", 1)
         with self._lock:
             job.process = process
             if job.stopping:
                 process.terminate()
-        assert process.stdout is not None and process.stderr is not None
-        out = threading.Thread(target=self._read_lines, args=(job, process.stdout), daemon=True)
-        out.start()
-        problem = self._read_progress(job, process.stderr)
-        code = process.wait()
-        out.join(5)
-        self._end(job, problem, code)
+        problem = ""
+        for line in process.stdout or ():
+            text = line.rstrip()
+            with self._lock:
+                if text.startswith("error: "):
+                    problem = text.removeprefix("error: ")[:2000]
+                elif text and not (text.startswith('{"stage"') and _progress(job, text)):
+                    job.lines.append(text[:500])
+            self._tell(job)
+        self._end(job, problem, process.wait())
 
-    def _end(self, job: Job, problem: str | None, code: int) -> None:
+    def _end(self, job: Job, problem: str, code: int) -> None:
+        def said(what: str) -> str:
+            return next((t for t in reversed(job.lines) if what in t), "")
+
         with self._lock:
             job.ended, job.process = time.time(), None
             if job.stopping:
                 job.state = "cancelled"
-            elif code == 0 or (job.kind == "check" and code == 1 and problem is None and job.stages):
+            elif code == 0 or (job.kind == "check" and code == 1 and not problem and job.stages):
                 job.state = "done"  # a check that found something wrong has done its work
-            elif code == EXIT_UNTRUSTED and problem is None:
+            elif code == EXIT_UNTRUSTED and not problem:
                 job.state = "done"  # all of it was tracked; what is to be thought of it is for who looks at it
-                job.error = next((t for t in reversed(job.lines) if t.startswith(_VERDICT)), "").removeprefix(_VERDICT)
+                job.error = said(_VERDICT).removeprefix(_VERDICT)
             else:
                 job.state = "failed"
-                job.error = (
-                    problem or _last_word(job) or f"The command ended with code {code}; its last words are below."
-                )
+                # a refinement says as its result why it wrote nothing, not as an error
+                problem = problem or (said(_NOTHING_WRITTEN) if job.kind == "refine" else "")
+                job.error = problem or f"The command ended with code {code}; its last words are below."
                 # the same input is the same error again, unless there is something behind it to go on from
                 kept = job.plan.folder is not None and (job.plan.folder / "checkpoint.npz").is_file()
                 job.hopeless = code == _CODE_OF_INPUT and not kept
 
-    def _read_lines(self, job: Job, stream: Any) -> None:
-        for line in stream:
-            with self._lock:
-                job.lines.append(line.rstrip()[:500])
 
-    def _read_progress(self, job: Job, stream: Any) -> str | None:
-        """Progress and notes of a process until it ends; the sentence of its error."""
-        problem = None
-        for line in stream:
-            text = line.rstrip()
-            with self._lock:
-                if text.startswith('{"stage"') and self._progress(job, text):
-                    pass
-                elif text.startswith("error: "):
-                    problem = text.removeprefix("error: ")[:2000]
-                elif text:
-                    job.lines.append(text[:500])
-            self._tell(job)
-        return problem
-
-    @staticmethod
-    def _progress(job: Job, text: str) -> bool:
-        try:
-            value = parse_json(text)
-            name, title, done, total = value["stage"], value["title"], int(value["done"]), int(value["total"])
-        except (ValueError, KeyError, TypeError):
-            return False
-        now = time.monotonic()
-        stage = job.stages.setdefault(name, Stage(title, now))
-        stage.done, stage.total, stage.seconds = done, total, now - stage.began
-        return True
+def _progress(job: Job, text: str) -> bool:
+    """Take a line of progress of a job's command; False when it is none."""
+    try:
+        value = parse_json(text)
+        name, title, done, total = value["stage"], value["title"], int(value["done"]), int(value["total"])
+    except (ValueError, KeyError, TypeError):
+        return False
+    seconds = time.monotonic() - job.starts.setdefault(name, time.monotonic())
+    per_s = done / seconds if seconds > 0.2 and done else None
+    left_s = (total - done) / per_s if per_s and done < total else None
+    unit = "frames" if name in COUNTED_IN_FRAMES else ""
+    figures = {"seconds": round(seconds, 2), "per_s": per_s, "left_s": left_s, "unit": unit}
+    job.stages[name] = {"name": name, "title": title, "done": done, "total": total, **figures}
+    return True
 
 
-def _last_word(job: Job) -> str:
-    """Why a refinement wrote nothing: it says so as its result, not as an error."""
-    return next((t for t in reversed(job.lines) if job.kind == "refine" and _NOTHING_WRITTEN in t), "")
+def read_jobs(catalog: Catalog) -> list[Job]:
+    """The jobs that an earlier server has left, none of them running. What cannot be read is left out."""
+    path, found = catalog.root / NAME, list[Job]()
+    if not path.is_file() or not catalog.contains(path):
+        return found
+    with contextlib.suppress(HyposeError, TypeError):
+        for record in read_json(path, "a list of jobs"):
+            with contextlib.suppress(KeyError, TypeError, ValueError, AttributeError):
+                found.append(Job.of(record))
+    return found
+
+
+def write_jobs(catalog: Catalog, jobs: Sequence[Job]) -> None:
+    """Keep the list. A folder that may not be written to keeps none, nor does one in which nothing was ever started."""
+    path = catalog.root / NAME
+    records = [{"job": j.shown(), "request": j.request, "resumable": j.plan.resumable and not j.hopeless} for j in jobs]
+    with contextlib.suppress(OSError, HyposeError):
+        if not path.is_symlink() and (records or path.exists()):
+            write_text(path, json.dumps(plain(records)))

@@ -1,4 +1,4 @@
-"""What the studio keeps because it is dear to make: bounded in bytes, not in number, and let go when nobody asks."""
+"""Values that take long to make, kept for a while: bounded in bytes, and let go when nobody asks for them."""
 
 from __future__ import annotations
 
@@ -50,8 +50,8 @@ class Kept(Generic[V]):
         """The value of a key, made when it is not there; it stays while the block runs."""
         with self._lock:
             entry = self._entries.get(key)
-            if entry is None:
-                self._make_room()
+            if entry is None:  # while it is made, as large as the largest, not more is to be there than afterwards
+                self._shrink(self._most - max(map(self._weight, self._entries.values()), default=0))
                 entry = self._entries[key] = _Entry()
             entry.users += 1
             self._entries.move_to_end(key)
@@ -63,58 +63,48 @@ class Kept(Generic[V]):
             with self._lock:
                 entry.users -= 1
                 entry.used = self._clock()
-                if entry.value is None and self._entries.get(key) is entry and not entry.users:
-                    del self._entries[key]  # it could not be made
+                if entry.value is None and not entry.users:  # it could not be made
+                    self._entries.pop(key, None)
                 self.tidy()
+
+    @property
+    def held(self) -> int:
+        """Bytes of all values."""
+        with self._lock:
+            return sum(map(self._weight, self._entries.values()))
 
     def tidy(self) -> None:
         """Let go of what is too much, and of what has not been used for long."""
         with self._lock:
-            total = sum(map(self._weight, self._entries.values()))
-            latest = next(reversed(self._entries), None)
-            for key, entry in [(k, e) for k, e in self._entries.items() if not e.users]:
-                too_much = total > self._most and (key != latest or not self._one_more)
-                if too_much or self._clock() - entry.used >= self._idle_s:
-                    total -= self._release(key)
+            self._shrink(self._most, next(reversed(self._entries), None) if self._one_more else None)
             if self._entries and (self._timer is None or not self._timer.is_alive()):
                 self._timer = threading.Timer(self._idle_s, self._tidy_later)
                 self._timer.daemon = True
                 self._timer.start()
 
-    def _make_room(self) -> None:
-        """For a value that is as large as the largest: while it is made, not more is to be there than afterwards."""
-        weights = [self._weight(e) for e in self._entries.values()]
-        total = sum(weights) + max(weights, default=0)
-        for key in [k for k, e in self._entries.items() if not e.users]:
-            if total > self._most:
-                total -= self._release(key)
-
-    def _weight(self, entry: _Entry[V]) -> int:
-        return 0 if entry.value is None else self._weigh(entry.value)
-
-    def _release(self, key: Hashable) -> int:
-        """Let go of the value of a key; the bytes that it had."""
-        entry = self._entries.pop(key)
-        weight = self._weight(entry)
-        if entry.value is not None:
-            self._let_go(entry.value)
-        return weight
-
-    def drop(self) -> None:
-        """Let go of what is not in use."""
-        with self._lock:
-            for key in [k for k, e in self._entries.items() if not e.users]:
-                self._release(key)
-
-    def close(self) -> None:
-        """Let go of everything."""
-        with self._lock:
-            if self._timer is not None:
-                self._timer.cancel()
-            for key in list(self._entries):
-                self._release(key)
-
     def _tidy_later(self) -> None:
         with self._lock:
             self._timer = None
             self.tidy()
+
+    def _shrink(self, most: int, stays: Hashable = None) -> None:
+        """Let go until not more than so many bytes are there, and of what is idle."""
+        total = self.held
+        for key, entry in [(k, e) for k, e in self._entries.items() if not e.users]:
+            if (total > most and key != stays) or self._clock() - entry.used >= self._idle_s:
+                total -= self._weight(entry)
+                self._release(key)
+
+    def _weight(self, entry: _Entry[V]) -> int:
+        return 0 if entry.value is None else self._weigh(entry.value)
+
+    def _release(self, key: Hashable) -> None:
+        value = self._entries.pop(key).value
+        if value is not None:
+            self._let_go(value)
+
+    def drop(self) -> None:
+        """Let go of all that is not in use."""
+        with self._lock:
+            for key in [k for k, e in self._entries.items() if not e.users]:
+                self._release(key)

@@ -8,11 +8,11 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
-from hypose.app.studio.asked import choice, text, whole
-from hypose.app.studio.asked import number as number_of
-from hypose.app.studio.uploads import Uploads
+from hypose.app.studio.answers import choice, text, whole
+from hypose.app.studio.answers import number as number_of
+from hypose.app.studio.catalog import Catalog
 from hypose.errors import HyposeError, InputError
 from hypose.io.files import read_text, read_toml, toml_value, write_text
 from hypose.io.recordings.recording import Recording, load_recording
@@ -26,9 +26,9 @@ _AWAY = "#left out# "
 _REFINED = "results/calibration_refined*.toml"
 
 
-def mend(folder: Path, recording: Recording | None, asked: dict[str, Any], uploads: Uploads) -> None:
-    """Do what is asked: {"what": one of KINDS, "view": name, "upload": id of the picture or video of an empty room,
-    "frames": by which key points come too early, "x", "y": px by which a view's pictures have to move}.
+def mend(folder: Path, recording: Recording | None, asked: dict[str, Any], catalog: Catalog) -> None:
+    """Do what is asked: {"what": one of KINDS, "view": name, "path": picture or video of an empty room, "frames": by
+    which key points come too early, "x", "y": px by which a view's pictures have to move}.
     recording: as it is read now, None where it cannot be."""
     what = choice(asked.get("what"), "way to mend", KINDS)
     path = folder / "recording.toml"
@@ -39,32 +39,28 @@ def mend(folder: Path, recording: Recording | None, asked: dict[str, Any], uploa
         return _try(path, before, _with_calibration(before, refined(folder)))
     if what == "take_back":
         return _try(path, before, "\n".join(line.removeprefix(_AWAY) for line in before.split("\n")))
+    if what == "keypoint_pixels":
+        return _try(path, before, _at_top(before, "keypoint_pixels", "image"))
     if what == "keypoint_lag":
         frames = whole(asked.get("frames"), "the frames by which the key points are moved", -10_000, 10_000)
         lag = frames + (0 if recording is None else recording.keypoint_lag)
         return _try(path, before, _at_top(before, "keypoint_lag", lag))
-    if what == "keypoint_pixels":
-        return _try(path, before, _at_top(before, "keypoint_pixels", "image"))
     names = _names(path, recording)
     name = choice(asked.get("view"), "view", names)
-    number = names.index(name)
-    if what == "accept_scaled":
-        return _try(path, before, _changed(before, number, lambda b: _set(b, "accept_scaled", True)))
+    number, value = names.index(name), cast(Any, True)
     if what == "leave_out":
         if len(names) < 2:
             raise InputError(f"{name} is the only view; a recording needs one.")
-        return _try(
-            path, before, _changed(before, number, lambda b: [_AWAY + line if line.strip() else line for line in b])
-        )
+        return _try(path, before, _changed(before, number, lambda b: [_AWAY + t if t.strip() else t for t in b]))
     if what == "image_shift":
         old = (0.0, 0.0) if recording is None else recording.views[number].image_shift
         by = (number_of(asked.get(k), f"the shift of the pictures in {k} (px)", -1e4, 1e4) for k in ("x", "y"))
-        moved = [round(a + b, 1) for a, b in zip(old, by, strict=True)]
-        return _try(path, before, _changed(before, number, lambda b: _set(b, "image_shift", moved)))
-    upload = text(asked.get("upload"), "picture of the empty room", 40, "drop one first")
-    place = uploads.hand_over(upload, folder / "backgrounds")
-    inside = place.relative_to(folder).as_posix()
-    return _try(path, before, _changed(before, number, lambda b: _set(b, "background", inside)))
+        value = [round(a + b, 1) for a, b in zip(old, by, strict=True)]
+    if what == "background":
+        room = catalog.inside(text(asked.get("path"), "picture of the empty room", 1000, "choose one"), folder)
+        value = (room.relative_to(folder) if room.is_relative_to(folder) else room).as_posix()
+    line = f"{what} = {toml_value(value)}"
+    _try(path, before, _changed(before, number, lambda b: [*_set_aside(b, what), line]))
 
 
 def _names(path: Path, recording: Recording | None) -> list[str]:
@@ -115,10 +111,6 @@ def _changed(whole: str, number: int, change: Callable[[list[str]], list[str]]) 
     while stop > first + 1 and not lines[stop - 1].strip():
         stop -= 1
     return "\n".join([*lines[:first], *change(lines[first:stop]), *lines[stop:]])
-
-
-def _set(block: list[str], key: str, value: Any) -> list[str]:
-    return [*_set_aside(block, key), f"{key} = {toml_value(value)}"]
 
 
 def _at_top(whole: str, key: str, value: Any) -> str:

@@ -2,29 +2,30 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import threading
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from hypose.app.studio.catalog import Catalog, Item, NotFound
-from hypose.app.studio.job_kinds import BOARDS, CALIBRATION
+from hypose.app.studio.job_kinds import CALIBRATION, board_files
 from hypose.app.studio.memory_cache import Kept
 from hypose.app.studio.mending import left_out, refined
 from hypose.app.studio.view_pictures import AnyFrame
+from hypose.calibration.views import find_sources
 from hypose.cameras.camera import Camera
 from hypose.compute import mask_runs
 from hypose.errors import HyposeError, InputError
 from hypose.evidence.background import BackgroundModel, Image
 from hypose.evidence.silhouettes import Mask, SilhouetteSettings, make_segmenter
-from hypose.io.file_names import natural_key, text_of
 from hypose.io.files import read_json, read_text, read_toml, write_text
 from hypose.io.recordings.frames import build_backgrounds, working_rig
 from hypose.io.recordings.recording import (
@@ -35,8 +36,8 @@ from hypose.io.recordings.recording import (
     silhouette_options,
 )
 from hypose.io.recordings.view_source import Preparer, ViewSource
+from hypose.json_text import parse_json
 
-Shown = Literal["none", "edge", "fill", "only"]
 _OPEN, _LENSES, _QUALITY = 128 << 20, 32 << 20, 85
 """Bytes of what is kept open of all recordings, and of the maps that undistort the pictures of one."""
 _PER_PIXEL, _PER_LENS_PIXEL, _PER_WORKING_PIXEL = 40, 8, 30
@@ -123,7 +124,10 @@ class Recordings:
         try:
             r = self.load(item)
         except HyposeError as error:
-            return {**_nothing(item.path.name), **common, "problem": str(error)}
+            nothing: dict[str, Any] = {k: [] for k in ("views", "cameras", "notes")}
+            nothing |= {"frame_rate": 0.0, "frames": 0, "frame_range": None, "subject_height": None}
+            nothing |= {"mask_settings": asdict(SilhouetteSettings())}
+            return {**nothing, **common, "name": item.path.name, "problem": str(error)}
         return {
             **common,
             "name": r.name,
@@ -144,34 +148,40 @@ class Recordings:
                 }
                 for v, c in zip(r.views, r.rig, strict=True)
             ],
-            "cameras": [camera_info(c, v.source is not None) for v, c in zip(r.views, r.rig, strict=True)],
+            "cameras": [  # as pinholes, which is what undistorted pictures are seen through
+                {
+                    "name": c.name,
+                    "K": c.K,
+                    "camera_from_world": c.camera_from_world,
+                    "size": list(c.size),
+                    "pictures": v.source is not None,
+                }
+                for v, c in zip(r.views, r.rig, strict=True)
+            ],
             "notes": r.notes,
             "mask_settings": asdict(r.silhouettes),
         }
 
     def picture(
-        self, item: Item, camera: str, frame: int, width: int, shown: Shown, settings: Mapping[str, str]
+        self, item: Item, camera: str, frame: int, width: int, shown: str, settings: Mapping[str, str]
     ) -> bytes:
-        """An undistorted picture as JPEG; with the mask that `settings` (over the recording's own) would give."""
+        """An undistorted picture as JPEG; with the mask that `settings` (over the recording's own) would give, shown as
+        an edge, filled, or only."""
         with self._opened(item) as opened:
-            return self._picture(opened, camera, frame, width, shown, settings)
-
-    def _picture(
-        self, opened: _Open, camera: str, frame: int, width: int, shown: Shown, settings: Mapping[str, str]
-    ) -> bytes:
-        r = opened.recording
-        view = r.rig.names.index(camera) if camera in r.rig.names else -1
-        if view < 0:
-            raise NotFound(f"{r.name} has no camera {camera[:40]!r}; it has {', '.join(r.rig.names)}.")
-        if not 0 <= frame < r.n_frames:
-            raise InputError(f"{r.name} has the frames 0 to {r.n_frames - 1}, there is no {frame}.")
-        if not 32 <= width <= 4096:
-            raise InputError(f"Pictures cannot be {width} px wide; ask for 32 to 4096.")
-        options = changed(r.silhouettes, settings)
-        with opened.lock:
-            small = r.rig[view].scaled(shown_size(r.rig[view], width)).pinhole()
-            image = opened.image(view, frame, small) if r.views[view].source else None
-            mask = None if shown == "none" else self._mask(opened, view, frame, options)
+            r = opened.recording
+            if camera not in r.rig.names:
+                raise NotFound(f"{r.name} has no camera {camera[:40]!r}; it has {', '.join(r.rig.names)}.")
+            if not 0 <= frame < r.n_frames:
+                raise InputError(f"{r.name} has the frames 0 to {r.n_frames - 1}, there is no {frame}.")
+            if not 32 <= width <= 4096:
+                raise InputError(f"Pictures cannot be {width} px wide; ask for 32 to 4096.")
+            view, options = r.rig.names.index(camera), changed(r.silhouettes, settings)
+            full = r.rig[view]
+            w = min(width, full.size[0])
+            small = full.scaled((w, max(1, round(full.size[1] * w / full.size[0])))).pinhole()
+            with opened.lock:
+                image = opened.image(view, frame, small) if r.views[view].source else None
+                mask = None if shown == "none" else self._mask(opened, view, frame, options)
         if image is None:
             if mask is None:
                 raise NotFound(f"{camera} has masks only, no pictures.")
@@ -194,10 +204,6 @@ class Recordings:
         """Release the files that are not in use."""
         self._open.drop()
 
-    def close(self) -> None:
-        """Release the files."""
-        self._open.close()
-
     def _opened(self, item: Item) -> AbstractContextManager[_Open]:
         return self._open.use((item.id, _stamp(item.path)), lambda: _Open(load_recording(item.path)))
 
@@ -219,24 +225,7 @@ class Recordings:
         return mask_runs.draw(runs)
 
 
-def camera_info(camera: Camera, pictures: bool) -> dict[str, Any]:
-    """A camera as pinhole, which is what undistorted pictures are seen through."""
-    return {
-        "name": camera.name,
-        "K": camera.K,
-        "camera_from_world": camera.camera_from_world,
-        "size": list(camera.size),
-        "pictures": pictures,
-    }
-
-
-def shown_size(camera: Camera, width: int) -> tuple[int, int]:
-    """Size of a camera's picture at most `width` px wide."""
-    w = min(width, camera.size[0])
-    return w, max(1, round(camera.size[1] * w / camera.size[0]))
-
-
-def draw(image: Image, mask: Mask, shown: Shown) -> Image:
+def draw(image: Image, mask: Mask, shown: str) -> Image:
     """A picture with a mask of any size of the same shape."""
     h, w = image.shape[:2]
     whole = np.asarray(cv2.resize(mask * np.uint8(255), (w, h), interpolation=cv2.INTER_LINEAR) > 127, np.uint8)
@@ -251,21 +240,14 @@ def draw(image: Image, mask: Mask, shown: Shown) -> Image:
 
 
 def changed(options: SilhouetteSettings, settings: Mapping[str, str]) -> SilhouetteSettings:
-    """The options with settings out of a query: text, of the type that the option has."""
+    """The options with settings out of a query: texts as in JSON, numbers of a list with commas between."""
     table: dict[str, Any] = {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(options).items()}
     for key, text in settings.items():
-        if key not in SILHOUETTE_KEYS:
-            raise InputError(f"There is no mask setting {key[:40]!r}; there are {', '.join(SILHOUETTE_KEYS)}.")
-        kind = SILHOUETTE_KEYS[key]
+        kind = SILHOUETTE_KEYS.get(key)
         try:
-            if kind is bool:
-                table[key] = {"1": True, "true": True, "0": False, "false": False}[text]
-            elif kind is list:
-                table[key] = [float(v) for v in text.split(",")]
-            else:
-                table[key] = text if kind is str else int(text) if kind is int else float(text)
-        except (ValueError, KeyError):
-            raise InputError(f"The mask setting {key} cannot be {text[:40]!r}.") from None
+            table[key] = text if kind is str else parse_json(f"[{text}]" if kind is list else text)
+        except (ValueError, RecursionError):
+            raise InputError(f"The mask setting {key[:40]} cannot be {text[:40]!r}.") from None
     return silhouette_options("The settings", table)
 
 
@@ -282,60 +264,39 @@ def without_table(text: str, name: str) -> str:
 
 def read_found(folder: Path, name: str) -> dict[str, Any] | None:
     """What a command found last time, results/NAME."""
-    try:
+    with contextlib.suppress(InputError):
         value = read_json(folder / "results" / name, "what a command found")
-    except InputError:
-        return None
-    return value if isinstance(value, dict) else None
+        return value if isinstance(value, dict) else None
+    return None
 
 
 def board_of(folder: Path) -> dict[str, Any] | None:
     """The cameras of which there are clips of a calibration board; whether they have been calibrated; when the picture
     of what was seen was made, s, None without one."""
-    boards = folder / BOARDS
-    names = (
-        sorted((text_of(p.stem if p.is_file() else p.name) for p in boards.iterdir()), key=natural_key)
-        if boards.is_dir()
-        else []
-    )
-    if not names:
-        return None
-    sheet = folder / "results" / "calibration.png"
+    sheet, names = folder / "results" / "calibration.png", list[str]()
+    with contextlib.suppress(HyposeError):
+        names = [s.name for s in find_sources(board_files(folder))]
     made = sheet.stat().st_mtime if sheet.is_file() else None
-    return {"cameras": names, "calibrated": (folder / CALIBRATION).is_file(), "sheet": made}
+    return {"cameras": names, "calibrated": (folder / CALIBRATION).is_file(), "sheet": made} if names else None
 
 
 def _unused(folder: Path) -> str | None:
     """A refined calibration that the recording does not use yet."""
-    try:
-        used = read_toml(folder / "recording.toml").get("calibration")
-    except HyposeError:
-        return None
     found = refined(folder)
-    return None if found == used else found
+    with contextlib.suppress(HyposeError):
+        return found if read_toml(folder / "recording.toml").get("calibration") != found else None
+    return None
 
 
 def read_subject(folder: Path) -> dict[str, Any] | None:
     """The measured person's sizes."""
-    path = folder / "subject" / "subject.toml"
-    if not path.is_file():
-        return None
-    try:
-        sizes = read_toml(path).get("sizes", {})
-        in_cm = {str(k): float(v["cm"]) for k, v in sizes.items()}
-    except (HyposeError, TypeError, ValueError, KeyError, AttributeError):
-        return None
-    return {"stature_m": in_cm.get("stature", float("nan")) / 100, "sizes_cm": in_cm}
+    with contextlib.suppress(HyposeError, TypeError, ValueError, KeyError, AttributeError):
+        in_cm = {str(k): float(v["cm"]) for k, v in read_toml(folder / "subject" / "subject.toml")["sizes"].items()}
+        return {"stature_m": in_cm.get("stature", float("nan")) / 100, "sizes_cm": in_cm}
+    return None
 
 
 def _stamp(folder: Path) -> float:
     """Changes when the recording's description does."""
     names = ("recording.toml", "Config.toml", "calibration.toml", "subject")
     return sum(p.stat().st_mtime for n in names if (p := folder / n).exists())
-
-
-def _nothing(name: str) -> dict[str, Any]:
-    empty: dict[str, Any] = {k: [] for k in ("views", "cameras", "notes")}
-    usual = asdict(SilhouetteSettings())
-    rest = {"frame_rate": 0.0, "frames": 0, "frame_range": None, "subject_height": None, "mask_settings": usual}
-    return {**empty, **rest, "name": name}

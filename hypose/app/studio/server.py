@@ -16,94 +16,61 @@ from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import FileResponse, Response
-from starlette.routing import BaseRoute, Mount, Route
+from starlette.routing import BaseRoute, Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 
 from hypose import __version__
 from hypose.app.live.servers import quiet_logs
-from hypose.app.studio import (
-    clicks,
-    fuse_socket,
-    gesture_socket,
-    gesture_thumbnail,
-    library,
-    routes_jobs,
-    routes_recordings,
-    view_answers,
-)
-from hypose.app.studio.answers import answer, refusal, told
-from hypose.app.studio.camera_socket import CameraHost
-from hypose.app.studio.catalog import Catalog
-from hypose.app.studio.fuse_socket import FuseHost
-from hypose.app.studio.gesture_room import GestureRoom
-from hypose.app.studio.gesture_socket import models_shown, places, sessions_shown, sources_shown
-from hypose.app.studio.guard import Access, Guard
+from hypose.app.studio.answers import refusal
+from hypose.app.studio.catalog import Catalog, Item
+from hypose.app.studio.gesture_session import GestureTopic
+from hypose.app.studio.gesture_views import models_shown, sessions_shown, sources_shown
+from hypose.app.studio.guard import Guard, token_for
+from hypose.app.studio.hub import MAX_MESSAGE, Hub
+from hypose.app.studio.job_kinds import fused_in
 from hypose.app.studio.jobs import Jobs
-from hypose.app.studio.library import Library
-from hypose.app.studio.live_socket import live_route
+from hypose.app.studio.live_topics import CameraTopic, FuseTopic
 from hypose.app.studio.recordings import Recordings
-from hypose.app.studio.sockets import MAX_MESSAGE, Sockets
-from hypose.app.studio.uploads import Uploads
-from hypose.app.studio.view_answers import Results
+from hypose.app.studio.results import Results
+from hypose.app.studio.routes import routes
 from hypose.body.ready_bodies import human
 from hypose.errors import InputError
 
 STATIC = Path(__file__).parent / "static"
 """Where the built page lies."""
 MOST_CONNECTIONS = 256
-UPLOAD_LIMIT = 4 << 30
 
 
 @dataclass(frozen=True)
 class StudioOptions:
     """root: the folder that is served; host, port (0 = any free one); token: None = made when others can reach the
-    host; upload_limit: bytes of one file."""
+    host."""
 
     root: Path
     host: str = "127.0.0.1"
     port: int = 8765
     token: str | None = None
-    upload_limit: int = UPLOAD_LIMIT
 
 
 class Studio:
     """What a server holds: the catalog and everything that is open. `app` is the ASGI application."""
 
     def __init__(self, options: StudioOptions) -> None:
-        self.access = Access.of(options.host, options.token)
+        self.token = token_for(options.host, options.token)
         self.catalog = Catalog(options.root)
-        self.jobs = Jobs(self.catalog)
-        self.uploads = Uploads(self.catalog, options.upload_limit)
+        self.hub = Hub()
+        self.jobs = Jobs(self.catalog, self.hub)
         self.results, self.recordings = Results(self.catalog), Recordings(self.catalog)
-        self.library = Library(self.catalog, self.jobs.needs, self._let_go)
-        live = self.catalog.root / fuse_socket.FOLDER
-        self.gestures, self.fusion = GestureRoom(places(self.catalog)), FuseHost(live)
-        self.cameras = CameraHost(self.catalog, live)
-        self.sockets = Sockets()
+        self.gestures = GestureTopic(self.hub, self.catalog)
+        self.fusion, self.cameras = FuseTopic(self.hub, self.catalog), CameraTopic(self.hub, self.catalog)
+        for topic in (self.jobs, self.gestures, self.fusion, self.cameras):
+            self.hub.add(topic)
         self._routed = Starlette(
-            routes=self._routes(), lifespan=self._lifespan, exception_handlers={Exception: _bug, 404: _nothing}
+            routes=[Route("/", _page), *routes(self), WebSocketRoute("/ws/{topic}", self.hub.serve), *_static()],
+            lifespan=self._lifespan,
+            exception_handlers={Exception: _bug, 404: _nothing},
         )
-        self.app = Guard(self._routed, self.access)
-
-    def _routes(self) -> list[BaseRoute]:
-        return [
-            Route("/", _page),
-            Route("/api/state", told(self._state)),
-            *view_answers.routes(self.catalog, self.results, self.jobs),
-            *routes_jobs.routes(self.catalog, self.recordings, self.uploads, self.jobs, self.sockets),
-            *routes_recordings.routes(self.catalog, self.recordings, self.uploads),
-            *library.routes(self.catalog, self.library),
-            *clicks.routes(self.catalog, self.recordings),
-            *gesture_socket.routes(self.gestures, self.sockets),
-            *gesture_thumbnail.routes(self.catalog),
-            live_route("/ws/fuse", self.fusion, self.sockets),
-            live_route("/ws/cameras", self.cameras, self.sockets),
-            # an installation without the page has nothing there
-            *([Mount("/static", StaticFiles(directory=STATIC))] if STATIC.is_dir() else []),
-        ]
-
-    async def _state(self, request: Request) -> Response:
-        return answer(await run_in_threadpool(self.state))
+        self.app = Guard(self._routed, self.token)
 
     def state(self) -> dict[str, Any]:
         """Everything there is, for the page's lists."""
@@ -112,7 +79,6 @@ class Studio:
         return {
             "version": __version__,
             "root": catalog.root.name,
-            "upload_limit": self.uploads.limit,
             "recordings": [
                 {
                     "id": i.id,
@@ -126,9 +92,15 @@ class Studio:
             "sessions": sessions_shown(catalog),
             "models": models_shown(catalog),
             "sources": sources_shown(catalog),
-            "skeletons": fuse_socket.recorded(catalog),
+            "skeletons": [self._skeletons(i) for i in catalog.items("skeletons")],
             "jobs": [j.shown() for j in self.jobs.every()],
         }
+
+    def _skeletons(self, item: Item) -> dict[str, Any]:
+        """A recording of live sensors, for a list; result: id of what it was fused to."""
+        fused = fused_in(item.path)
+        result = self.catalog.id_of("result", fused) if (fused / "motion.npz").is_file() else None
+        return {"id": item.id, "name": item.path.name, "path": self.catalog.shown(item.path), "result": result}
 
     @contextlib.asynccontextmanager
     async def _lifespan(self, app: Starlette) -> AsyncIterator[None]:
@@ -139,7 +111,7 @@ class Studio:
         await self.cameras.stop()
         await run_in_threadpool(self.close)
 
-    def _let_go(self) -> None:
+    def let_go(self) -> None:
         """Close what is open of results and recordings: a file that is open cannot be moved everywhere."""
         self.results.drop()
         self.recordings.drop()
@@ -148,15 +120,18 @@ class Studio:
         """Stop what runs with its work kept, and let go of everything."""
         self.gestures.close()
         self.jobs.close()
-        self.results.close()
-        self.recordings.close()
-        self.uploads.close()
+        self.let_go()
 
 
 def _warm() -> None:
     """Load the kernels that a result is opened with, before somebody waits for them."""
     skeleton = human().skeleton
     skeleton.forward(np.zeros((1, skeleton.dof)))
+
+
+def _static() -> list[BaseRoute]:
+    """An installation without the page has nothing there."""
+    return [Mount("/static", StaticFiles(directory=STATIC))] if STATIC.is_dir() else []
 
 
 async def _page(request: Request) -> Response:
@@ -241,7 +216,7 @@ def run(options: StudioOptions, ready: Callable[[str], None]) -> None:
                 f"Port {options.port} on {options.host} cannot be used ({reason.lower()}); choose another with --port, "
                 "0 takes any free one."
             ) from None
-    token = f"?token={quote(studio.access.token)}" if studio.access.token else ""
+    token = f"?token={quote(studio.token)}" if studio.token else ""
     host = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}.get(options.host, options.host)
     server = make_server(studio, options.host, options.port, lambda port: ready(f"http://{host}:{port}/{token}"))
     with contextlib.suppress(KeyboardInterrupt):

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import struct
 import threading
-from collections import OrderedDict
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
@@ -19,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.app.reports.result_pictures import Image, image_points, jpeg, mask_outline
+from hypose.app.studio.memory_cache import Kept
 from hypose.errors import InputError
 from hypose.geometry import Array
 from hypose.io.recordings.frames import FrameStream
@@ -101,15 +101,14 @@ class ViewPictures:
         self._views = [AnyFrame(v) if v.source or v.masks else None for v in recording.views]
         self._stream: FrameStream | None = None
         self._lock, self._mask_lock = threading.Lock(), threading.Lock()
-        self._cache: OrderedDict[tuple[int, int], bytes] = OrderedDict()
-        self._cached = 0
+        self._kept: Kept[bytes] = Kept(_CACHE_BYTES, len, one_more=True)
 
     @property
     def held(self) -> int:
         """Bytes of memory that it holds, about."""
         rig = self._recording.rig
         working = 0 if self._stream is None else sum(math.prod(c.size) for c in self._stream.rig)
-        return self._cached + _PER_PIXEL * sum(math.prod(c.size) for c in rig) + _PER_WORKING_PIXEL * working
+        return self._kept.held + _PER_PIXEL * sum(math.prod(c.size) for c in rig) + _PER_WORKING_PIXEL * working
 
     def row(self, row: int, width: int) -> bytes:
         """JPEGs of all views at most `width` px wide: their number (uint32), the length of each (uint32, 0 = no
@@ -117,18 +116,13 @@ class ViewPictures:
         self._check(row)
         if not 32 <= width <= 4096:
             raise InputError(f"Pictures cannot be {width} px wide; ask for 32 to 4096.")
-        with self._lock:
-            key = (row, width)
-            if key in self._cache:
-                self._cache.move_to_end(key)
-                return self._cache[key]
-            with ThreadPoolExecutor(len(self._views)) as pool:
+
+        def make() -> bytes:
+            with self._lock, ThreadPoolExecutor(len(self._views)) as pool:
                 files = list(pool.map(partial(self._jpeg, row=row, width=width), self._views))
-            data = struct.pack(f"<{1 + len(files)}I", len(files), *map(len, files)) + b"".join(files)
-            self._cache[key] = data
-            self._cached += len(data)
-            while self._cached > _CACHE_BYTES and len(self._cache) > 1:
-                self._cached -= len(self._cache.popitem(last=False)[1])
+            return struct.pack(f"<{1 + len(files)}I", len(files), *map(len, files)) + b"".join(files)
+
+        with self._kept.use((row, width), make) as data:
             return data
 
     def seen(self, row: int, points: Array) -> tuple[Image, Array] | None:
@@ -160,6 +154,7 @@ class ViewPictures:
 
     def close(self) -> None:
         """Release the files."""
+        self._kept.drop()
         with self._lock, self._mask_lock:
             for view in self._views:
                 if view is not None:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from hypose.app.jobs.truth import Truth, compare
+from hypose.app.jobs.truth import compare
 from hypose.app.reports.summary import DESCRIPTIONS, summarize
-from hypose.app.studio.catalog import is_recording
+from hypose.app.studio.catalog import recording_above
 from hypose.app.studio.view_bundle import Rivals, ViewResult, pictured
 from hypose.body.body import Body
 from hypose.body.motion import Motion
@@ -19,6 +19,8 @@ from hypose.io.motions.results import ResultsFolder, load_body, load_joints_of_m
 from hypose.io.recordings.recording import Recording, load_recording
 from hypose.pipeline.verdict import Verdict, verdict_of
 from hypose.tracking.recipes import citation_of
+
+T = TypeVar("T")
 
 
 def load_view(results: str | Path, recording: Recording | None = None) -> ViewResult:
@@ -35,30 +37,46 @@ def load_view(results: str | Path, recording: Recording | None = None) -> ViewRe
     if len(motion) == 0:
         raise InputError(f"{path} holds a motion of no frames, so there is nothing to show; track the recording again.")
     notes: list[str] = []
-    body = _body(folder, motion, notes)
+
+    def part(what: str, make: Callable[[], T | None]) -> T | None:
+        try:
+            return make()
+        except HyposeError as error:
+            notes.append(f"{what}: {error}")
+            return None
+
+    body = part("The body is not shown", lambda: _body(folder, motion))
     if recording is None:
-        recording = find_recording(folder.path, notes)
-    first = first_frame(motion)
-    truth = None
+        recording = part("The recording cannot be shown", lambda: find_recording(folder.path))
+    first, truth = first_frame(motion), None
     if recording is not None:
         notes += recording.notes
-        truth = _truth(recording.folder / "truth.npz", motion, first, notes)
-    return ViewResult(
+        known = recording.folder / "truth.npz"
+        if known.is_file() and motion.poses is not None:
+            truth = part("The truth is not shown", lambda: compare(known, motion, first))
+    return in_recording(
+        recording,
+        motion,
+        body,
         title=recording.name if recording is not None else folder.path.resolve().name,
-        motion=motion,
-        body=body,
-        rig=recording.rig if recording is not None else None,
-        image_shifts=[v.image_shift for v in recording.views] if recording is not None else (),
-        pictures=pictured(recording) if recording is not None else (),
         first_frame=first,
         files=[(n, w, p.stat().st_size) for n, w in DESCRIPTIONS.items() if (p := folder.file(n)).is_file()],
         notes=notes,
         citation=_citation(motion),
         truth=truth,
         complete=not folder.checkpoint.exists(),
-        rivals=_rivals(folder.file("modes.npz"), motion, notes),
+        rivals=part("Other poses are not shown", lambda: _rivals(folder.file("modes.npz"), motion)),
         verdict=_verdict(folder.file("verdict.json"), motion),
     )
+
+
+def in_recording(recording: Recording | None, motion: Motion, body: Body | None, **more: Any) -> ViewResult:
+    """A motion with what its recording says of the cameras; more: other fields of a ViewResult."""
+    if recording is None:
+        return ViewResult(motion=motion, body=body, **more)
+    shifts = [v.image_shift for v in recording.views]
+    cameras = {"rig": recording.rig, "image_shifts": shifts, "pictures": pictured(recording)}
+    return ViewResult(**{"title": recording.name, **cameras, "motion": motion, "body": body, **more})
 
 
 def first_frame(motion: Motion) -> int:
@@ -68,17 +86,10 @@ def first_frame(motion: Motion) -> int:
     return 0
 
 
-def find_recording(results: Path, notes: list[str] | None = None) -> Recording | None:
-    """The recording whose folder holds the results (results/RECIPE/ in it), None when there is none that loads."""
-    for folder in list(results.resolve().parents)[:3]:
-        if is_recording(folder):
-            try:
-                return load_recording(folder)
-            except HyposeError as error:
-                if notes is not None:
-                    notes.append(f"The recording {folder} cannot be shown: {error}")
-                return None
-    return None
+def find_recording(results: Path) -> Recording | None:
+    """The recording whose folder holds the results (results/RECIPE/ in it), None when there is none."""
+    folder = recording_above(results)
+    return None if folder is None else load_recording(folder)
 
 
 def _citation(motion: Motion) -> str:
@@ -88,31 +99,22 @@ def _citation(motion: Motion) -> str:
     return citation_of(str(motion.provenance.get("recipe")), refined)
 
 
-def _body(folder: ResultsFolder, motion: Motion, notes: list[str]) -> Body | None:
+def _body(folder: ResultsFolder, motion: Motion) -> Body | None:
     path = folder.file("body.npz")
     if motion.poses is None or not path.is_file():
         return None
-    try:
-        body = load_body(path)
-    except HyposeError as error:
-        notes.append(f"The body is not shown: {error}")
-        return None
+    body = load_body(path)
     if body.skeleton.joint_names != motion.skeleton.joint_names:
-        notes.append("The body is not shown: body.npz and the motion belong to different bodies; track again.")
-        return None
+        raise InputError("body.npz and the motion belong to different bodies; track again.")
     return body
 
 
-def _rivals(path: Path, motion: Motion, notes: list[str]) -> Rivals | None:
+def _rivals(path: Path, motion: Motion) -> Rivals | None:
     """Where the modes of a track with one camera lie beside its motion, which is their first; else what the motion
     has kept."""
     if not path.is_file():
         return Rivals.of_motion(motion)
-    try:
-        joints, weights = load_joints_of_modes(path)
-    except HyposeError as error:
-        notes.append(f"Other poses are not shown: {error}")
-        return None
+    joints, weights = load_joints_of_modes(path)
     return Rivals.of(joints, weights) if (len(joints), joints.shape[2]) == motion.joints.shape[:2] else None
 
 
@@ -129,13 +131,3 @@ def quality_of(folder: Path, motion: Motion) -> dict[str, Any]:
     told, s = _verdict(folder / "verdict.json", motion), summarize(motion)
     lost = (s.lost + s.extrapolated) / max(1, s.frames)
     return {"verdict": told and told.word, "iou": s.iou, "sd_mm": s.sd_mm, "lost": lost}
-
-
-def _truth(path: Path, motion: Motion, first: int, notes: list[str]) -> Truth | None:
-    if not path.is_file() or motion.poses is None:
-        return None
-    try:
-        return compare(path, motion, first)
-    except HyposeError as error:
-        notes.append(f"The truth is not shown: {error}")
-        return None

@@ -62,10 +62,7 @@ def numbers_if_any(
     if key is None:
         return None
     array = as_numbers(table[key])
-    shape = None if array is None or shapes else (array.size,)
-    for s in shapes if array is not None else ():
-        if array.size == math.prod(s) and (array.shape == s or 1 in (array.ndim, len(s))):
-            shape = s
+    shape = None if array is None else _fitting(array, shapes)
     if array is None or shape is None:
         got = f"shape {array.shape}" if array is not None and array.ndim else "something else"
         allowed = " or ".join(" x ".join(map(str, s)) for s in shapes) or "a list"
@@ -73,6 +70,14 @@ def numbers_if_any(
     if not np.isfinite(array).all():
         raise CalibrationError(f"{where}: {key} contains NaN or infinity; correct this entry, or calibrate again.")
     return array.reshape(shape)
+
+
+def _fitting(array: Array, shapes: tuple[tuple[int, ...], ...]) -> tuple[int, ...] | None:
+    """The shape that an array has or can be given; None when it is none of these."""
+    for s in shapes or ((array.size,),):
+        if array.size == math.prod(s) and (array.shape == s or 1 in (array.ndim, len(s))):
+            return s
+    return None
 
 
 class RigFile:
@@ -165,36 +170,29 @@ def plain_lenses(rig: CameraRig, program: str) -> list[Array]:
 def _checked(
     where: str, name: str, k: Array, distortion: Array, rotation: Array, translation: Array, size: Array, fisheye: bool
 ) -> Camera:
-    w, h = size
-    if not (1 <= w <= 100_000 and 1 <= h <= 100_000 and float(w).is_integer() and float(h).is_integer()):
-        raise CalibrationError(
-            f"{where}: size must be the image's width and height in whole pixels, got {w:g} x {h:g}; correct "
-            "this entry."
-        )
-    if not np.allclose(k[2], [0, 0, 1], atol=1e-9) or abs(k[1, 0]) > 1e-9:
-        raise CalibrationError(
-            f"{where}: matrix must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], got {k.tolist()}; it may have "
-            "been written transposed: exchange its rows and columns."
-        )
-    if not (0 < k[0, 0] < 1e6 and 0 < k[1, 1] < 1e6 and np.abs(k[:2, 2]).max() < 1e6):
-        raise CalibrationError(
-            f"{where}: focal lengths must be positive pixel numbers, got matrix {k.tolist()}; calibrate it again."
-        )
-    if not np.abs(rotation.T @ rotation - np.eye(3)).max() <= 1e-2 or np.linalg.det(rotation) < 0:  # NaN as well
-        raise CalibrationError(
-            f"{where}: rotation is not a rotation matrix (its rows must be perpendicular unit vectors, "
-            "right-handed); correct this entry or calibrate again."
-        )
-    if not np.abs(translation).max() <= 1e7:
-        raise CalibrationError(
-            f"{where}: translation {translation.tolist()} is farther than any camera stands; calibrate it again."
-        )
+    (w, h), n = size, len(distortion)
     allowed = (0, 1, 2, 4) if fisheye else (0, 1, 2, 4, 5, 8, 12, 14)
-    if len(distortion) not in allowed:
-        raise CalibrationError(
-            f"{where}: {len(distortion)} distortion coefficients; OpenCV's model has "
-            f"{', '.join(map(str, allowed[3:]))} of them, so write them in OpenCV's order (k1 k2 p1 p2 k3 ...)."
-        )
+    whole = float(w).is_integer() and float(h).is_integer()
+    faults = {
+        f"size must be the image's width and height in whole pixels, got {w:g} x {h:g}; correct this entry": not (
+            1 <= w <= 100_000 and 1 <= h <= 100_000 and whole
+        ),
+        f"matrix must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], got {k.tolist()}; it may have been written transposed: "
+        "exchange its rows and columns": not np.allclose(k[2], [0, 0, 1], atol=1e-9) or abs(k[1, 0]) > 1e-9,
+        f"focal lengths must be positive pixel numbers, got matrix {k.tolist()}; calibrate it again": not (
+            0 < k[0, 0] < 1e6 and 0 < k[1, 1] < 1e6 and np.abs(k[:2, 2]).max() < 1e6
+        ),
+        "rotation is not a rotation matrix (its rows must be perpendicular unit vectors, right-handed); correct this "
+        "entry or calibrate again": not np.abs(rotation.T @ rotation - np.eye(3)).max() <= 1e-2  # NaN as well
+        or np.linalg.det(rotation) < 0,
+        f"translation {translation.tolist()} is farther than any camera stands; calibrate it again": not (
+            np.abs(translation).max() <= 1e7
+        ),
+        f"{n} distortion coefficients; OpenCV's model has {', '.join(map(str, allowed[3:]))} of them, so write them in "
+        "OpenCV's order (k1 k2 p1 p2 k3 ...)": n not in allowed,
+    }
+    if found := [fault for fault, there in faults.items() if there]:
+        raise CalibrationError(f"{where}: {found[0]}.")
     distortion = np.concatenate([distortion, np.zeros(max(4 - len(distortion), 0))])
     # Printed digits are few: the nearest exact rotation, so that inverses and products stay exact.
     u, _, vt = np.linalg.svd(rotation)

@@ -11,8 +11,7 @@ import numpy as np
 
 from hypose.body.body import Body
 from hypose.body.joint_angles import ANGLE_NAMES, joint_angles
-from hypose.body.motion import Motion
-from hypose.body.regions import region_reach
+from hypose.body.motion import Motion, region_reach
 from hypose.errors import InputError, extra
 from hypose.io.files import atomic_path
 from hypose.io.motions.animation import write_bvh

@@ -264,7 +264,8 @@ def write_joints_csv(path: str | Path, motion: Motion) -> None:
     reduce; where it was judged, p_wrong, the probability that the joint is wrong by more than 100 mm. Standard
     deviations are per axis (root mean square of the three). Lost and extrapolated frames keep the predicted positions.
     """
-    columns, series = ["x_m", "y_m", "z_m", "sd_m"], [motion.joints, motion.joint_sd[..., None]]
+    columns = ["x_m", "y_m", "z_m", "sd_m"]
+    series: list[np.ndarray] = [motion.joints, motion.joint_sd[..., None]]
     if motion.systematic_covariance is not None:
         columns.append("systematic_sd_m")
         series.append(sd_per_axis(motion.systematic_covariance)[..., None])

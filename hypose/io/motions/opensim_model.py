@@ -20,6 +20,7 @@ from xml.etree import ElementTree as Xml
 
 import numpy as np
 
+from hypose.body.anthropometry import SegmentMass, segment_masses
 from hypose.body.body import Body
 from hypose.body.joint_angles import (
     BODY_AXES,
@@ -30,7 +31,6 @@ from hypose.body.joint_angles import (
     straight_offset,
 )
 from hypose.body.motion import Motion
-from hypose.body.segment_masses import SegmentMass, segment_masses
 from hypose.body.skeleton import Skeleton
 from hypose.geometry import Array, so3_exp
 from hypose.io.files import write_text

@@ -287,8 +287,9 @@ def _skeleton_of(arrays: Mapping[str, np.ndarray]) -> Skeleton:
     if not len(arrays["joint_names"]):
         raise InputError("it has no joints")
     _check_joints(arrays, "joint_of_dof")
-    names = {name: tuple(str(n) for n in arrays[name]) for name in _NAMES}
-    return Skeleton(**names, **{name: arrays[name] for name in _SKELETON})
+    fields: dict[str, Any] = {name: arrays[name] for name in _SKELETON}
+    fields |= {name: tuple(str(n) for n in arrays[name]) for name in _NAMES}
+    return Skeleton(**fields)
 
 
 def _check_joints(arrays: Mapping[str, np.ndarray], name: str) -> None:
@@ -333,7 +334,7 @@ def load_motion(path: str | Path) -> Motion:
         raise _MOTION.bad(path, "its provenance is no JSON") from None
     _MOTION.check_format(path, version)
     try:
-        series = {name: arrays.get(name) for name in (*_SERIES, *_OPTIONAL)}
+        series: dict[str, Any] = {name: arrays.get(name) for name in (*_SERIES, *_OPTIONAL)}
         return Motion(skeleton=_skeleton_of(arrays), provenance=provenance, **series)
     except InputError as error:
         raise _MOTION.bad(path, error) from None

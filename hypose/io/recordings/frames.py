@@ -46,7 +46,7 @@ from hypose.io.files import write_bytes, write_text
 from hypose.io.recordings.recording import Recording
 from hypose.io.recordings.recording_people import load_person, persons_objects
 from hypose.io.recordings.view_source import SIDECAR, Preparer, ViewSource
-from hypose.io.videos.video import open_video
+from hypose.io.videos.video import evenly_spread, open_video
 
 # ---- masks in work -------------------------------------------------------------------------------------------------
 # The masks of a stream's frames: packed, in the making, and kept for whoever asks for a frame again.
@@ -94,23 +94,15 @@ class KeptMasks:
 
 
 class PendingMasks:
-    """The masks and outlines of one frame, in the making: a task per view in that view's lane, or two, where it is not
-    known from the beginning that there shall be outlines."""
+    """The masks and outlines of one frame, in the making: a task per view in that view's lane for each of the two."""
 
-    def __init__(
-        self, lanes: Sequence[Executor], make: Callable[[int, int], PackedMask], index: int, outlined: bool
-    ) -> None:
-        def task(view: int) -> tuple[PackedMask, ViewOutline | None]:
-            mask = make(view, index)
-            return mask, mask.outline() if outlined else None
-
-        self._done = [lane.submit(task, c) for c, lane in enumerate(lanes)]
-        self._outlined = outlined
-        self._outlines: list[Future[ViewOutline | None]] | None = None
+    def __init__(self, lanes: Sequence[Executor], make: Callable[[int, int], PackedMask], index: int) -> None:
+        self._done = [lane.submit(make, c, index) for c, lane in enumerate(lanes)]
+        self._outlines: list[Future[ViewOutline | None]] = []
         self.asked = False  # for the outlines, which a picture of the masks does without
 
     def _masks(self) -> list[PackedMask]:
-        return [f.result()[0] for f in self._done]
+        return [f.result() for f in self._done]
 
     def masks(self) -> tuple[list[MaskRuns | None], list[str]]:
         """Of all views, and why there is none; waits for them."""
@@ -134,28 +126,25 @@ class PendingMasks:
 
     def begin_outlines(self, lanes: Sequence[Executor]) -> None:
         """In the lane of each view, behind its mask, which is therefore done by then."""
-        if not self._outlined:
-            self._outlined = True
+        if not self._outlines:
             self._outlines = [lane.submit(_outline, f) for lane, f in zip(lanes, self._done, strict=True)]
 
     def outlines(self) -> list[ViewOutline | None] | None:
         """Those that were begun; None when they are not made, or no more."""
         self.asked = True
         try:
-            if self._outlines is not None:
-                return [f.result() for f in self._outlines]
-            return [f.result()[1] for f in self._done] if self._outlined else None
+            return [f.result() for f in self._outlines] or None
         except CancelledError:  # the stream was closed
             return None
 
     def cancel(self) -> None:
         """Nobody wants them any more."""
-        for future in [*self._done, *(self._outlines or [])]:
+        for future in [*self._done, *self._outlines]:
             future.cancel()
 
 
-def _outline(done: Future[tuple[PackedMask, ViewOutline | None]]) -> ViewOutline | None:
-    return done.result()[0].outline()
+def _outline(done: Future[PackedMask]) -> ViewOutline | None:
+    return done.result().outline()
 
 
 Covers = Callable[[int, int], Mask | None]
@@ -309,7 +298,7 @@ def build_backgrounds(
         plate = None
         if view.background is not None:
             with open_video(view.background) as reader:
-                chosen = _spread(range(reader.n_frames), o.background_frames)
+                chosen = evenly_spread(0, reader.n_frames, o.background_frames)
                 images = [prepare(reader.read(i)) for i in chosen]
                 if reader.n_frames >= _CLIP:
                     return from_frames(images)
@@ -317,7 +306,7 @@ def build_backgrounds(
         source = ViewSource(view, recording.rig[c], small[c], beside=len(recording.views))
         try:
             frames, hidden = [], []
-            for frame in _spread(recording.frames, o.background_frames):
+            for frame in evenly_spread(recording.frames.start, recording.frames.stop, o.background_frames):
                 try:
                     frames.append(source.image(frame))
                 except InputError:
@@ -334,12 +323,6 @@ def build_backgrounds(
 
     with ThreadPoolExecutor(len(recording.views)) as pool:
         return tuple(pool.map(build, range(len(recording.views))))
-
-
-def _spread(frames: range, count: int) -> list[int]:
-    """At most `count` of the frames, evenly spread."""
-    picked = np.unique(np.linspace(0, len(frames) - 1, min(count, len(frames))).round().astype(int))
-    return [frames[int(i)] for i in picked]
 
 
 class FrameStream:
@@ -549,15 +532,13 @@ class FrameStream:
         outlined = self._given is not None and self._given.asked
         for i in wanted:
             if i not in self._ahead:
-                # of what lies behind the areas alone are wanted
-                self._ahead[i] = PendingMasks(self._lanes, self._packed, i, outlined and i >= index)
+                self._ahead[i] = PendingMasks(self._lanes, self._packed, i)
+            if outlined and index <= i <= ahead:  # of what lies behind the areas alone are wanted
+                self._ahead[i].begin_outlines(self._lanes)
         for i in missing:
             self._areas[i] = self._ahead[i].areas()
             if i < index:
                 del self._ahead[i]
-        if outlined:
-            for i in range(index, ahead + 1):
-                self._ahead[i].begin_outlines(self._lanes)
         for old in [s for s in self._areas if s < samples[0] - 500 or s > samples[-1] + 500]:
             del self._areas[old]
         self._given = pending = self._ahead.pop(index)
@@ -590,10 +571,7 @@ def write_masks(stream: FrameStream, folder: str | Path, progress: Callable[[int
     A note beside them says that they are undistorted, so that a recording whose view names such a folder
     as `masks` reads them back exactly. progress(done, total) is called after every frame.
     """
-    folder = Path(folder)
-    views = [folder_for(folder, v.name) for v in stream.recording.views]
-    for path, camera in zip(views, stream.rig, strict=True):
-        write_text(path / SIDECAR, json.dumps({"undistorted": True, "size": list(camera.size)}) + "\n")
+    views = [mask_folder(folder, v.name, c) for v, c in zip(stream.recording.views, stream.rig, strict=True)]
     shown = 0
     for done, frame in enumerate(stream, 1):
         if frame.silhouettes is None:
@@ -603,10 +581,23 @@ def write_masks(stream: FrameStream, folder: str | Path, progress: Callable[[int
                     "videos in recording.toml."
                 )
             raise InputError("There are no silhouettes to write; open the stream with silhouettes.")
-        for path, camera, mask in zip(views, stream.rig, frame.silhouettes.masks, strict=True):
-            ok, data = cv2.imencode(".png", mask[: camera.size[1], : camera.size[0]] * np.uint8(255))
-            write_bytes(path / f"{frame.index:06d}.png", data.tobytes() if ok else b"", synced=False)
+        write_frame_masks(frame.silhouettes, views, frame.index)
         if progress is not None:
             progress(done, len(stream))
         shown += int((frame.silhouettes.areas > 0).sum())
     return shown
+
+
+def mask_folder(folder: str | Path, view: str, camera: Camera) -> Path:
+    """Make the folder of a view's masks, with the note that they are undistorted and of the working size."""
+    path = folder_for(Path(folder), view)
+    write_text(path / SIDECAR, json.dumps({"undistorted": True, "size": list(camera.size)}) + "\n")
+    return path
+
+
+def write_frame_masks(silhouettes: Silhouettes, folders: Sequence[Path | None], number: int) -> None:
+    """Write the masks of a frame as PNG into the folders of its views (None: not those of that view)."""
+    for path, camera, mask in zip(folders, silhouettes.rig, silhouettes.masks, strict=True):
+        if path is not None:
+            ok, data = cv2.imencode(".png", mask[: camera.size[1], : camera.size[0]] * np.uint8(255))
+            write_bytes(path / f"{number:06d}.png", data.tobytes() if ok else b"", synced=False)

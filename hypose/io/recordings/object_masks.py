@@ -26,7 +26,15 @@ from hypose.errors import InputError
 from hypose.evidence.silhouettes import Mask, as_mask
 from hypose.io.file_names import last_number, natural_key
 from hypose.io.files import MAX_TEXT_BYTES, read_json
-from hypose.io.videos.video import PNG_SIGNATURE, VideoReader, list_images, open_video, read_image, read_image_file
+from hypose.io.videos.video import (
+    PNG_SIGNATURE,
+    VideoReader,
+    evenly_spread,
+    list_images,
+    open_video,
+    read_image,
+    read_image_file,
+)
 
 _LOOKED_AT = 9  # images of a folder that tell what it holds
 _MOST = 32  # objects
@@ -132,11 +140,10 @@ def _of_labels(path: Path, images: list[Path]) -> ObjectMasks | None:
     """Images whose values are labels; None when they are masks of one kind."""
     if not images:
         return None
-    some = [images[int(i)] for i in np.unique(np.linspace(0, len(images) - 1, min(_LOOKED_AT, len(images))))]
     areas: dict[int, int] = {}
     indexed = []
-    for image in some:
-        values, is_palette = _labels(image)
+    for i in evenly_spread(0, len(images), _LOOKED_AT):
+        values, is_palette = _labels(images[i])
         if values is None:
             return None
         found, counts = np.unique(values, return_counts=True)

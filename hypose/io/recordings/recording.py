@@ -28,6 +28,8 @@ defaults; paths are relative to it:
                                       # it the person is who stands on the floor (z = 0)
     background = "background/cam01"   # an image, a folder of images or a video of the empty scene
     keypoints = "pose/cam01_json"     # file or folder of hypose.io.keypoints.read_keypoints; needs no video
+    board = "board/cam01.mp4"         # a video or folder of photos of a calibration board, which the studio's Calibrate
+                                      # makes the calibration of; tracking does without
     image_shift = [0.0, 0.0]          # px to add to this view's image coordinates (after scaling to the
                                       # calibrated size) so that they agree with calibration and key points
     accept_scaled = false             # images of another shape (width : height) than calibrated were
@@ -106,6 +108,7 @@ VIEW_KEYS: dict[str, type | tuple[type, ...]] = {
     "name": str,
     "camera": str,
     **dict.fromkeys(PATH_KEYS, str),
+    "board": str,
     "image_shift": list,
     "accept_scaled": bool,
 }

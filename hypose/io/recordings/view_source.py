@@ -43,7 +43,7 @@ from hypose.evidence.silhouettes import Mask, MaskRuns, Segmenter, as_mask, boun
 from hypose.io.recordings.object_masks import ObjectMasks, open_masks
 from hypose.io.recordings.recording_views import SIDECAR, View
 from hypose.io.sensors.depth import read_depth_png
-from hypose.io.videos.video import VideoReader, frame_size, list_images, open_video, read_image
+from hypose.io.videos.video import VideoReader, evenly_spread, frame_size, list_images, open_video, read_image
 
 # ---- depth views ---------------------------------------------------------------------------------------------------
 # The depth maps of one view of a recording, by frame number, undistorted and at working size, and who is in them.
@@ -121,7 +121,7 @@ class DepthSource:
         if self.view.background is None:
             return None
         files = list_images(self.view.background)
-        chosen = np.unique(np.linspace(0, len(files) - 1, min(_ROOM_FRAMES, len(files))).round().astype(int))
+        chosen = evenly_spread(0, len(files), _ROOM_FRAMES)
         return learn_background([self._prepared(self._read(files[k])) for k in chosen])
 
     @cached_property
@@ -142,8 +142,8 @@ class DepthSource:
 
     def _spread(self) -> list[DepthMap]:
         """Some maps, evenly over the recording."""
-        count, maps = len(self._files), list[DepthMap]()
-        for k in np.unique(np.linspace(0, count - 1, min(STILL_FRAMES, count)).round().astype(int)):
+        maps = list[DepthMap]()
+        for k in evenly_spread(0, len(self._files), STILL_FRAMES):
             with contextlib.suppress(InputError):  # a damaged map is named where its frame is asked for
                 maps.append(self._prepared(self._read(self._files[k])))
         return maps

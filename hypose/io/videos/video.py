@@ -290,6 +290,11 @@ def count_frames(path: str | Path) -> int:
     return _about(Path(path)).n_frames if images is None else len(images)
 
 
+def evenly_spread(first: int, stop: int, count: int) -> list[int]:
+    """At most `count` of the frames first to stop - 1, evenly spread."""
+    return np.unique(np.linspace(first, stop - 1, min(count, stop - first)).round().astype(int)).tolist()
+
+
 class _About(NamedTuple):
     """What a video file is, as `VideoReader` has it."""
 

@@ -41,8 +41,6 @@ from hypose.pipeline.live.rooms import DepthRoom, ViewRoom
 
 ROOM_S, ROOM_PICTURES = 2.0, 12
 """s and pictures from which the empty room is learnt"""
-_MOVED, _MOVED_SHARE = 12.0, 0.01
-"""grey levels, and share of a picture, that change in an empty room where somebody has not left"""
 _OTHER_SHAPE = 0.01
 """share by which width over height may differ from the calibration's"""
 _DAMAGED = 5
@@ -202,8 +200,8 @@ class Eyes:
         empty = self._empty if question.pictures else ()
         if empty:
             self._empty = ()
-        stored = tuple(tuple(filter(None, map(_stored, maps))) for maps in empty)
-        return replace(self._sight(at, arrival, views, jpegs, made), depths=depths, empty=stored)
+        encoded = tuple(tuple(filter(None, map(stored, maps))) for maps in empty)
+        return replace(self._sight(at, arrival, views, jpegs, made), depths=depths, empty=encoded)
 
     def keep_up(self) -> None:
         """Learn what has changed in the rooms, which nobody waits for."""
@@ -303,7 +301,7 @@ class Eyes:
         moved = []
         for view, room, images in zip(self._views, self._rooms, self._pictures, strict=True):
             room.learn(images)
-            if room.moved if isinstance(room, DepthRoom) else _has_moved(room.background):
+            if room.moved:
                 moved.append(
                     f"{view.name} saw something move while the empty room was learnt; leave its view, and learn it "
                     "again."
@@ -335,15 +333,11 @@ def any_depth(views: Sequence[LiveView]) -> bool:
     return any(v.depth for v in views)
 
 
-def _has_moved(room: BackgroundModel | None) -> bool:
-    return room is not None and float((room.sd.max(2) > _MOVED).mean()) > _MOVED_SHARE
-
-
 def _jpeg(shot: Shot) -> bytes | None:
-    return shot.data if isinstance(shot.data, bytes) else _stored(shot.data)
+    return shot.data if isinstance(shot.data, bytes) else stored(shot.data)
 
 
-def _stored(image: NDArray[Any]) -> bytes | None:
+def stored(image: NDArray[Any]) -> bytes | None:
     """A picture as it is stored; a depth map (H, W) m in millimetres."""
     if image.ndim == 2:
         ok, data = cv2.imencode(".png", np.minimum(image * 1000 + 0.5, 65535).astype(np.uint16), DEPTH_PNG)

@@ -19,11 +19,12 @@ from hypose.cameras.camera import CameraRig
 from hypose.errors import HyposeError, InputError
 from hypose.evidence.silhouettes import SilhouetteSettings
 from hypose.io.file_names import folder_for
-from hypose.io.files import RecordingFolder, write_text
+from hypose.io.files import RecordingFolder
+from hypose.io.recordings.frames import mask_folder
 from hypose.io.recordings.recording import Recording, write_recording
-from hypose.io.recordings.recording_views import SIDECAR, View
+from hypose.io.recordings.recording_views import View
 from hypose.pipeline.live.engine import LiveStatus, Seen
-from hypose.pipeline.live.eyes import LiveView, live_working_rig
+from hypose.pipeline.live.eyes import LiveView, live_working_rig, stored
 
 _WAITING = 90
 """instants that may wait to be written; more are left out, and counted"""
@@ -150,12 +151,9 @@ class LiveRecorder:
         self._pictures = [folder_for(self.folder / p, v.name) for p, v in zip(places, self._views, strict=True)]
         # what a depth camera sees needs no masks
         self._masks = [
-            p if v.depth else folder_for(self.folder / "masks", v.name)
-            for p, v in zip(self._pictures, self._views, strict=True)
+            p if v.depth else mask_folder(self.folder / "masks", v.name, camera)
+            for p, v, camera in zip(self._pictures, self._views, self._small, strict=True)
         ]
-        for view, path, camera in zip(self._views, self._masks, self._small, strict=True):
-            if not view.depth:
-                write_text(path / SIDECAR, json.dumps({"undistorted": True, "size": list(camera.size)}) + "\n")
         return open(self.folder / _POSES, "x", encoding="utf-8", newline="\n")
 
     def _write_room(self, empty: Sequence[Sequence[bytes]]) -> None:
@@ -215,6 +213,5 @@ class LiveRecorder:
 
 def _black(size: tuple[int, int], depth: bool = False) -> bytes:
     """Of a camera that has not shown anything yet."""
-    nothing = np.zeros((size[1], size[0]), np.uint16) if depth else np.zeros((size[1], size[0], 3), np.uint8)
-    ok, data = cv2.imencode(".png" if depth else ".jpg", nothing)
-    return data.tobytes() if ok else b""
+    nothing = np.zeros((size[1], size[0]), np.float32) if depth else np.zeros((size[1], size[0], 3), np.uint8)
+    return stored(nothing) or b""

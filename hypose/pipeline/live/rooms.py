@@ -53,6 +53,12 @@ class ViewRoom:
         if background is not None:
             self._take(background)
 
+    @property
+    def moved(self) -> bool:
+        """Something moved while the room was learnt: somebody has not left."""
+        room = self.background
+        return room is not None and float((room.sd.max(2) > _MOVED_GREY).mean()) > _MOVED_SHARE
+
     def learn(self, images: Sequence[Image]) -> None:
         """Take stored pictures (H, W, 3) for those of the empty room."""
         self._take(from_frames([self._prepare(image) for image in images]))
@@ -104,8 +110,8 @@ def _around(mask: Mask) -> Mask:
 
 DepthMap = NDArray[np.float32]
 Millimetres = NDArray[np.uint16]
-_MOVED_M, _MOVED_SHARE = 0.05, 0.01
-"""m, and share of the pixels that are known, that change where somebody has not left"""
+_MOVED_M, _MOVED_GREY, _MOVED_SHARE = 0.05, 12.0, 0.01
+"""m, grey levels, and share of the pixels, that change where somebody has not left"""
 
 
 class DepthRoom:

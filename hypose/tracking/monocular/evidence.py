@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose import compute
-from hypose.compute import GAUSSIAN, LECLERC, LORENTZIAN, EdgeArrays, FlowArrays, MarkArrays, MaskArrays, mono
+from hypose.compute import GAUSSIAN, LECLERC, LORENTZIAN, EdgeArrays, FlowArrays, MarkArrays, MaskArrays
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.edges_flow import Flow
 from hypose.evidence.frame import Frame, Picture
@@ -59,7 +59,10 @@ def grey(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
 def edge_arrays(field: NDArray[np.float32], flow: Flow | None, settings: EdgeSettings, *, use: bool) -> EdgeArrays:
     """The edge term on a field of `edge_field`, weighted by the flow's motion boundaries where there are any."""
     if settings.motion_boundaries and flow is not None:
-        field = mono.weigh(field, flow.boundaries, flow.corner, settings.boundary_floor)
+        share = np.full(field.shape[:2], settings.boundary_floor, np.float32)
+        (x, y), (h, w) = flow.corner, flow.boundaries.shape
+        share[y : y + h, x : x + w] += np.float32(1 - settings.boundary_floor) * flow.boundaries
+        field = share[..., None] * field
     return EdgeArrays(
         field,
         1.0 if use else 0.0,

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.body import Body
-from hypose.compute import mono
 from hypose.geometry import Array, so3_left_jacobian
 from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.frame_evidence import PreparedFrame
@@ -72,7 +71,7 @@ def uncertain_samples(
     if len(loose) == 0:
         return np.zeros((0, len(pose)))
     unit = spread[loose]
-    values, vectors = mono.eigen(hessian[np.ix_(loose, loose)] * unit[:, None] * unit)
+    values, vectors = np.linalg.eigh(hessian[np.ix_(loose, loose)] * unit[:, None] * unit)
     out = []
     for j in range(min(settings.directions, len(loose))):
         direction = vectors[:, j]
@@ -129,7 +128,7 @@ def by_turns(covariances: Array, poses: Array) -> Array:
 
 def pose_covariance(hessian: Array, spread: Array, active: NDArray[np.int64], dof: int, inflation: float) -> Array:
     """(D, D) covariance of a pose: inflation^2 H^-1 over the active dof, 0 elsewhere."""
-    values, vectors = mono.eigen(hessian * spread[:, None] * spread)
+    values, vectors = np.linalg.eigh(hessian * spread[:, None] * spread)
     root = spread[:, None] * vectors / np.sqrt(np.maximum(values, LEAST_CURVATURE))
     out = np.zeros((dof, dof))
     out[np.ix_(active, active)] = inflation**2 * np.einsum("ik,jk->ij", root, root)

@@ -161,7 +161,7 @@ def picture_recipe(search: PictureSearch) -> Recipe:
     """Figure 4: in every frame all hypotheses are optimised, sampled along uncertain directions, pooled and pruned.
 
     Deviation: a constant-velocity prediction comes before the optimisation; without it nothing keeps track.
-    Evidence is accumulated over frames, mirrored limbs are an option; see also pool.py and compute's cpu_mono_cues.py.
+    Evidence is accumulated over frames, mirrored limbs are an option; see also pool.py and compute's mono_rows.py.
     """
     layers = (
         Layer(search.predicted, None, keep, "edges"),

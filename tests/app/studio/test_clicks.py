@@ -84,7 +84,7 @@ def test_a_correction_is_a_result_of_its_own(folder):
     made = plan("correct", request, catalog)
     results = folder / "walk" / "results"
     assert made.arguments == (
-        *("correct", str(results / "default"), str(starts / "arm.json"), "--until", "6"),
+        *("correct", str(results / "default"), str(starts / "arm.json"), "--until=6"),
         *("--out", str(results / "default-corrected")),
     )
     assert made.result == catalog.id_of("result", results / "default-corrected") and "frame 3" in made.title

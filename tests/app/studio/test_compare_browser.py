@@ -1,9 +1,7 @@
 """Two results of a person who walks, beside each other in Chromium: what they differ by, the gait cycle, files."""
 
-import io
 import json
 import shutil
-import zipfile
 from dataclasses import replace
 
 import numpy as np
@@ -50,28 +48,6 @@ def test_results_are_compared_and_plotted(two, page, tmp_path):
     (root / "expected.json").write_text(json.dumps(expected))
     with serving(root) as client:
         go(WEB / "tests" / "compare.walk.mjs", client.address, root, tmp_path)
-
-
-def test_all_files_of_a_result_in_one(two):
-    root, _, _ = two
-    hidden = root / "walk" / "results" / "first" / ".hidden"
-    hidden.write_text("no")
-    outside = root / "walk" / "results" / "first" / "link.txt"
-    outside.symlink_to("/etc/hostname")
-    with serving(root) as client:
-        id = next(r["id"] for r in client.get("/api/state")["results"] if r["name"] == "first")
-        status, headers, data = client.ask(f"/api/results/{id}/all.zip")
-        assert status == 200 and 'filename="walk-first.zip"' in headers["content-disposition"]
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            assert archive.testzip() is None
-            names = archive.namelist()
-            assert {"first/motion.npz", "first/body.npz"} <= set(names) and not any("hidden" in n for n in names)
-            assert "first/link.txt" not in names
-            stored = archive.read("first/motion.npz")
-        assert stored == (root / "walk" / "results" / "first" / "motion.npz").read_bytes()
-        assert client.get("/api/results/000000000000/all.zip", status=404)["error"]
-    hidden.unlink()
-    outside.unlink()
 
 
 def test_nobody_walks_where_there_is_nothing_to_walk_with(studio):

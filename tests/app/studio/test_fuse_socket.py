@@ -48,7 +48,8 @@ def test_simulated_sensors_are_fused_recorded_and_told_where_they_stand(own_stud
         # they stand 70 degrees apart on a circle of 2.5 m around the person
         apart = np.linalg.norm(places[0][:3, 3] - places[1][:3, 3])
         assert abs(apart - 2 * 2.5 * np.sin(np.radians(35))) < 0.25
-        assert until(socket, "frame")["people"]
+        while not until(socket, "frame")["people"]:
+            pass
         socket.send('{"t": "stop"}')
         assert until(socket, "said")["text"] == "Recorded as live/live."
         until(socket, "hello", running=False)

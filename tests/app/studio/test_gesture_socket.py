@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from hypose.app.jobs.gesture_job import evaluate
-from hypose.app.studio import gesture_socket
-from hypose.app.studio.sockets import IN_FLIGHT, MAP
+from hypose.app.studio import gesture_views
+from hypose.app.studio.hub import IN_FLIGHT, MAP
 from hypose.gestures.depth_pictures import KINECT
 from hypose.pipeline.gesture_files import SessionWriter, load_model, read_recording
 from hypose.synthetic.gesture_live import live_person
@@ -104,7 +104,7 @@ def test_a_closed_page_loses_nothing_and_resuming_grows_the_same_forest(root, mo
         assert client.ask("/api/models/0123456789ab/thumbnail.jpg")[0] == 404
         after = load_model(root / model_of(client)["path"])
         assert len(client.get("/api/state")["models"]) == 1 and len(after.history) > len(before.history)
-        monkeypatch.setattr(gesture_socket, "load_model", lambda path: pytest.fail(f"{path} is read again"))
+        monkeypatch.setattr(gesture_views, "load_model", lambda path: pytest.fail(f"{path} is read again"))
         assert len(client.get("/api/state")["models"]) == 1  # it has not changed since the last list
         # what had grown is still there: tests of nodes that were split stay as they were
         for tree in range(len(before.forest.arrays.size)):

@@ -9,7 +9,7 @@ import pytest
 from hypose.app.commands.console import JSON_PROGRESS, Stages
 from hypose.app.studio.catalog import Catalog
 from hypose.app.studio.job_kinds import KINDS, plan, settled
-from hypose.app.studio.job_list import NAME, read_jobs, write_jobs
+from hypose.app.studio.jobs import NAME, read_jobs, write_jobs
 from hypose.errors import InputError
 from hypose.io.motions.results import load_motion
 from tests.app.studio.conftest import serving
@@ -37,7 +37,7 @@ def test_options_become_the_command(folder):
     made = plan("track", {"recording": item.id, "options": {**options, "name": "try-1"}}, catalog)
     path, out = str(item.path), str(item.path / "results" / "try-1")
     assert made.arguments == (
-        *("track", path, "--recipe", "hpf", "--refine", "--frames", "0:4", "--formats", "trc,bvh"),
+        *("track", path, "--recipe=hpf", "--refine", "--frames=0:4", "--formats=trc,bvh"),
         *("--out", out, "--no-overlay"),
     )
     assert made.resumable and made.result == catalog.id_of("result", item.path / "results" / "try-1")
@@ -77,7 +77,7 @@ def test_what_an_input_error_ends_is_not_to_be_gone_on_with(own_studio, folder):
     ("value", "text"), [(1234567, "1234567"), (4.0, "4"), (123456.75, "123456.75"), (0.1, "0.1"), (-3, "-3")]
 )
 def test_numbers_reach_the_command_as_they_are(folder, value, text):
-    assert plan("demo", {"options": {"seed": value}}, Catalog(folder)).arguments[-2:] == ("--seed", text)
+    assert plan("demo", {"options": {"seed": value}}, Catalog(folder)).arguments[-1] == f"--seed={text}"
 
 
 @pytest.mark.parametrize(
@@ -85,11 +85,11 @@ def test_numbers_reach_the_command_as_they_are(folder, value, text):
     [
         ("format-disk", {}),
         ("track", {"no-such": 1}),
-        ("track", {"recipe": "--out=/tmp/x"}),
+        ("track", {"recipe": "/etc/passwd"}),
+        ("track", {"start": "../../etc/passwd"}),
         ("track", {"recipe": "a\nb"}),
-        ("track", {"seed": "1"}),
         ("track", {"seed": float("nan")}),
-        ("track", {"refine": "yes"}),
+        ("track", {"seed": {}}),
         ("track", {"formats": []}),
         ("track", {"name": "../../escape"}),
         ("track", {"name": ".hidden"}),
@@ -101,6 +101,14 @@ def test_options_that_cannot_be_are_refused(folder, kind, options):
     (item,) = catalog.items("recording")
     with pytest.raises(InputError):
         plan(kind, {"recording": item.id, "options": options}, catalog)
+
+
+def test_what_a_page_gives_belongs_to_its_option_and_is_no_file(folder):
+    catalog = Catalog(folder)
+    (item,) = catalog.items("recording")
+    options = {"far": "yes", "height": "--out=x", "using": "keypoints"}
+    made = plan("refine", {"recording": item.id, "options": options}, catalog).arguments
+    assert made == ("check", str(item.path), "--refine", "--far=yes", "--height=--out=x", "--from=keypoints")
 
 
 def test_every_kind_needs_something_that_is_there(folder):
@@ -136,7 +144,7 @@ def test_an_export_runs_and_tells(own_studio, folder):
     with own_studio.socket("/ws/jobs") as ws:
         assert json.loads(ws.recv(HANG_S))["t"] == "jobs"
         job = own_studio.get(f"/api/results/{result}/export", {"formats": ["trc"]}, status=201)
-        assert job["state"] in ("queued", "running") and job["command"].endswith("--formats trc")
+        assert job["state"] in ("queued", "running") and job["command"].endswith("--formats=trc")
         told = []
         while not told or told[-1]["t"] != "files":
             told.append(json.loads(ws.recv(HANG_S)))
@@ -187,16 +195,23 @@ def test_what_a_list_of_jobs_says_is_planned_again_and_never_run_as_it_stands(fo
     (item,) = catalog.items("recording")
     shown = {
         **{"id": "a" * 12, "kind": "track", "title": "Track walk", "command": "hypose track / --out /", "lines": []},
-        **{"recording": item.id, "result": None, "state": "running", "options": {"recipe": "hpf"}, "stages": []},
-        **{"error": None, "created": 1.0, "began": 2.0, "ended": None, "resumable": False},
+        **{"recording": item.id, "result": None, "makes": None, "state": "running", "stages": []},
+        **{"error": None, "created": 1.0, "began": 2.0, "ended": None},
     }
-    bad = [{**shown, "kind": "rm"}, {**shown, "options": 3}, {"id": "x"}, 7, None]
-    gone = {**shown, "id": "b" * 12, "recording": "0" * 12}
-    (folder / NAME).write_text(json.dumps([shown, *bad, gone]))
-    job, lost = read_jobs(catalog)
-    assert job.state == "failed" and "server ended" in (job.error or "") and job.shown()["resumable"]
-    assert job.plan.arguments == ("track", str(item.path), "--recipe", "hpf", "--out", str(item.path / "results/hpf"))
-    assert not lost.shown()["resumable"] and lost.plan.arguments == ()
+    record = {"job": shown, "request": {"recording": item.id, "options": {"recipe": "no-such"}}, "resumable": True}
+    bad = [{**record, "job": {**shown, "kind": "rm"}}, {**record, "request": 3}, {"job": {"id": "x"}}, 7, None]
+    gone = {**record, "job": {**shown, "id": "b" * 12}, "request": {"recording": "0" * 12}}
+    (folder / NAME).write_text(json.dumps([record, *bad, gone]))
+    with serving(folder) as client:
+        found = {j["id"]: j for j in client.get("/api/jobs")}
+        assert set(found) == {"a" * 12, "b" * 12}
+        job = found["a" * 12]
+        assert job["state"] == "failed" and "server ended" in job["error"] and job["resumable"]
+        resumed = client.get(f"/api/jobs/{job['id']}/resume", {}, status=201)
+        out = item.path / "results" / "no-such"
+        assert resumed["command"] == f"hypose track {item.path} --recipe=no-such --out {out} --resume"
+        assert client.get(f"/api/jobs/{'b' * 12}/resume", {}, status=404)["error"]
+        client.ask(f"/api/jobs/{resumed['id']}/cancel", {})
     for text in ("", "[", "{}", "[[]]", "[" * 100_000):
         (folder / NAME).write_text(text)
         assert read_jobs(catalog) == []

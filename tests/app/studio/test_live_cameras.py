@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hypose.app.studio import camera_socket
+from hypose.app.studio import live_topics
 from hypose.errors import InputError
 from hypose.io.recordings.frames import working_rig
 from hypose.io.recordings.recording import load_recording
@@ -48,7 +48,7 @@ def served_live(tmp_path_factory):
 def followed(monkeypatch, stage):
     """What the studio starts looks at the stage, never faster than in truth."""
     monkeypatch.setattr(stage, "clock", Clock())
-    in_step(monkeypatch, stage, [camera_socket], 0.5 / RATE)
+    in_step(monkeypatch, stage, [live_topics], 0.5 / RATE)
 
 
 def walk_of(client):
@@ -129,8 +129,8 @@ def test_what_could_not_be_started_leaves_nothing_behind(served_live):
 def test_a_page_opens_no_files_whatever_they_are_called():
     for where in ("walk.mp4", "123", "²", "file:///etc/passwd"):
         with pytest.raises(InputError, match="give the number of a camera of this computer"):
-            camera_socket._sources({"cam1": where})
-    assert camera_socket._sources({"cam1": "0", "cam2": "http://10.0.0.1/v"}) == {
+            live_topics._sources({"cam1": where})
+    assert live_topics._sources({"cam1": "0", "cam2": "http://10.0.0.1/v"}) == {
         "cam1": "0",
         "cam2": "http://10.0.0.1/v",
     }
@@ -164,7 +164,7 @@ class Engine:
 @pytest.mark.parametrize("failing", [True, False])
 def test_what_was_recorded_is_kept_whatever_ends_it(served_live, monkeypatch, failing):
     """The cameras' process, or a page that says stop and is closed at once."""
-    monkeypatch.setattr(camera_socket, "LiveEngine", lambda *given: Engine(*given, failing))
+    monkeypatch.setattr(live_topics, "LiveEngine", lambda *given: Engine(*given, failing))
     host = served_live.studio.cameras
     recording = walk_of(served_live)
     with served_live.socket("/ws/cameras") as ws:
@@ -204,5 +204,5 @@ def test_nothing_is_recorded_outside_of_the_served_folder(own_studio, tmp_path):
 
 def test_the_page_follows_a_person(served_live, followed, tmp_path, monkeypatch):
     # so long that the page shows it, however busy the computer is
-    monkeypatch.setattr(camera_socket, "EyesOptions", lambda rate, _, masks: EyesOptions(rate, 600.0, masks))
+    monkeypatch.setattr(live_topics, "EyesOptions", lambda rate, _, masks: EyesOptions(rate, 600.0, masks))
     go(WEB / "tests" / "live_cameras.walk.mjs", served_live.address, served_live.studio.catalog.root, tmp_path)

@@ -53,15 +53,13 @@ def test_a_recording_that_a_stretched_video_makes_unusable_is_mended(asked):
     assert mend(what="accept_scaled", view="cam1")["problem"] is None
 
 
-def test_an_empty_room_is_replaced(asked):
-    mend, walk, client = asked
-    room = (walk / "background" / "cam1.mp4").read_bytes()
-    upload = client.get("/api/uploads/cam1.mp4", method="PUT", data=room, status=201)["upload"]
-    shown = mend(what="background", view="cam1", upload=upload)
-    assert shown["views"][0]["background"] == "cam1.mp4"
-    assert load_recording(walk).views[0].background == walk / "backgrounds" / "cam1.mp4"
-    assert (walk / "backgrounds" / "cam1.mp4").read_bytes() == room
-    assert mend(what="background", view="cam1", upload=upload, status=404)["error"]
+def test_an_empty_room_is_another_file_of_the_folder(asked):
+    mend, walk, _ = asked
+    shown = mend(what="background", view="cam1", path="background/cam4.mp4")
+    assert shown["views"][0]["background"] == "cam4.mp4"
+    assert load_recording(walk).views[0].background == walk / "background" / "cam4.mp4"
+    for path in ("background/none.mp4", "../../secret.mp4", "/etc/hostname", None):
+        assert mend(what="background", view="cam1", path=path, status=400)["error"].endswith(".")
 
 
 def test_a_refined_calibration_is_used_when_that_is_said(asked):

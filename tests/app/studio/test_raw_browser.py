@@ -38,7 +38,7 @@ def test_raw_footage_becomes_a_result_in_fifteen_clicks(session, page, tmp_path)
     with serving(session) as client:
         said = go(WEB / "tests" / "raw.walk.mjs", client.address, session, tmp_path)
     assert json.loads(said.strip().splitlines()[-1])["clicks"] <= MOST_CLICKS
-    motion = load_motion(session / "mine" / "results" / "default" / "motion.npz")
+    motion = load_motion(session / "session" / "results" / "default" / "motion.npz")
     off = np.nanmean(compare(truth, motion, 0).distances)
     sys.stdout.write(f"\nRaw footage by the page: {1000 * off:.0f} mm from the truth\n")
     assert off < 0.06

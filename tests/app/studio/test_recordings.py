@@ -1,18 +1,16 @@
-"""Recordings over the wire: facts, pictures, masks tried out and kept, clicked joints, dropped files."""
+"""Recordings over the wire: facts, pictures, masks tried out and kept, clicked joints."""
 
 import json
-import re
 
 import cv2
 import numpy as np
 import pytest
 
 from hypose.app.studio.recordings import without_table
-from hypose.app.studio.uploads import harmless
 from hypose.app.studio.view_pictures import ViewPictures
 from hypose.io.motions.results import load_body, load_motion
 from hypose.io.recordings.recording import load_recording
-from hypose.synthetic.write_depth import walking_scene, write_depth_scene
+from hypose.synthetic.write_recording import walking_scene, write_depth_scene
 from tests.app.studio.conftest import serving
 
 
@@ -174,101 +172,6 @@ def test_clicks_are_kept_as_a_start(own_studio, folder, pose):
     assert own_studio.get(f"/api/recordings/{id}/starts/first")["frame"] == 4
     assert own_studio.get(f"/api/recordings/{id}/starts", {**ask, "name": "../x"}, status=400)["error"]
     assert own_studio.get(f"/api/recordings/{id}/starts/none", status=400)["error"]
-
-
-def upload(client, path, name=None, status=201):
-    return client.get(f"/api/uploads/{name or path.name}", method="PUT", data=path.read_bytes(), status=status)
-
-
-def test_dropped_files_become_a_recording(own_studio, folder):
-    walk = folder / "walk"
-    calibration = upload(own_studio, walk / "calibration.toml")
-    assert calibration["kind"] == "calibration" and calibration["cameras"] == ["cam1", "cam2", "cam3", "cam4"]
-    videos = {k: upload(own_studio, walk / "videos" / f"cam{k}.mp4") for k in (1, 2)}
-    assert videos[1]["kind"] == "video" and videos[1]["frames"] == 8 and videos[1]["size"] == [160, 120]
-    empty = upload(own_studio, walk / "background" / "cam1.mp4")
-    views = [{"name": f"cam{k}", "camera": f"cam{k}", "video": v["upload"]} for k, v in videos.items()]
-    ask = {"name": "mine", "calibration": calibration["upload"], "views": views, "frame_rate": 25}
-    ask["views"][0]["background"] = empty["upload"]
-    refused = own_studio.get("/api/recordings", {**ask, "frame_rate": -3}, status=400)["error"]
-    assert "frame_rate" in refused and not (folder / "mine").exists()
-    made = own_studio.get("/api/recordings", ask, status=201)  # the files were still there
-    assert made["frames"] == 8 and made["path"] == "mine" and len(made["views"]) == 2
-    assert re.search(r"(?m)^camera = .cam2.$", (folder / "mine" / "recording.toml").read_text())
-    assert own_studio.get("/api/recordings", ask, status=404)["error"]  # used up
-    (uploads,) = folder.glob(".studio-uploads-*")
-    assert not list(uploads.iterdir())
-
-
-def test_drops_are_bounded_and_named_harmlessly(folder):
-    with serving(folder, upload_limit=1000) as client:
-        huge = client.get("/api/uploads/a.mp4", method="PUT", data=b"0" * 5000, status=413)["error"]
-        assert "--upload-limit" in huge
-        chunked = client.ask("/api/uploads/b.mp4", data=iter([b"0" * 600] * 5), method="PUT")
-        assert chunked[0] == 413
-        (uploads,) = folder.glob(".studio-uploads-*")
-        assert not any(uploads.iterdir())
-        odd = client.get("/api/uploads/..%5C..%5Cevil%20%24(x).mp4", method="PUT", data=b"no video", status=201)
-        assert odd["kind"] == "other" and "/" not in odd["problem"]
-        assert odd["name"] == "_.._evil___x_.mp4"
-        client.get(f"/api/uploads/{odd['upload']}", method="DELETE")
-        assert client.get(f"/api/uploads/{odd['upload']}", method="DELETE", status=404)["error"]
-        for bad in ({}, {"name": "../x"}, {"name": "x", "views": []}, {"name": "x", "views": [{"video": "0"}]}):
-            assert client.ask("/api/recordings", bad)[0] in (400, 404)
-    assert not list(folder.glob(".studio-uploads*"))
-
-
-def test_files_of_pages_that_were_closed_make_room(own_studio, folder):
-    """However often a page is loaded again and the same is dropped, the last files come in, and the oldest go."""
-    ids = [own_studio.get("/api/uploads/note.txt", data=b"a", method="PUT", status=201)["upload"] for _ in range(70)]
-    lying = {p.name for uploads in folder.glob(".studio-uploads-*") for p in uploads.iterdir()}
-    assert lying == set(ids[6:])
-    own_studio.get(f"/api/uploads/{ids[0]}/picture.jpg", status=404)
-
-
-def test_uploads_and_what_is_made_of_them_stay_in_the_served_folder(own_studio, folder, tmp_path):
-    """Whatever links lie where they go; and each of two servers of a folder has its own."""
-    outside = tmp_path / "outside"
-    outside.mkdir()
-    for name in (".studio-uploads", "backgrounds", "gestures"):
-        (folder / name).symlink_to(outside)
-    (folder / "walk" / "backgrounds").symlink_to(outside)
-    room = upload(own_studio, folder / "walk" / "background" / "cam1.mp4")["upload"]
-    with serving(folder) as other:
-        upload(other, folder / "walk" / "calibration.toml")
-    wish = {"what": "background", "view": "cam1", "upload": room}
-    refused = own_studio.get(f"/api/recordings/{recording_of(own_studio)}/mend", wish, status=400)["error"]
-    assert "a link that leads out" in refused and not list(outside.iterdir())
-    assert own_studio.ask(f"/api/uploads/{room}/picture.jpg")[0] == 200  # the other server has ended
-    with own_studio.socket("/ws/gesture") as ws:
-        ws.recv(30)
-        ws.send('{"t": "start", "mode": "train", "gesture": "tee", "source": "simulated:0", "seed": 1}')
-        assert "a link that leads out" in ws.recv(60)
-    assert not list(outside.iterdir())
-
-
-def test_names_of_dropped_files():
-    assert harmless("../../etc/passwd").strip("_.") == "etc_passwd"
-    assert harmless("") == "file_" and harmless("-rf") == "file_-rf" and harmless(".hidden") == "hidden"
-    assert len(harmless("x" * 500 + ".mp4")) <= 80 and harmless("x" * 500 + ".mp4").endswith(".mp4")
-
-
-def test_a_video_has_a_picture_to_tell_it_by(own_studio, folder):
-    walk = folder / "walk"
-    made = upload(own_studio, walk / "videos" / "cam1.mp4")["upload"]
-    shown = image(own_studio, f"/api/uploads/{made}/picture.jpg")
-    assert shown.shape == (120, 160, 3) and shown.std() > 10
-    text = upload(own_studio, walk / "calibration.toml")["upload"]
-    assert own_studio.get(f"/api/uploads/{text}/picture.jpg", status=404)["error"]
-
-
-def test_two_videos_of_one_camera_make_no_recording(own_studio, folder):
-    walk = folder / "walk"
-    calibration = upload(own_studio, walk / "calibration.toml")["upload"]
-    videos = [upload(own_studio, walk / "videos" / f"cam{k}.mp4")["upload"] for k in (1, 2)]
-    views = [{"name": f"v{k}", "camera": "cam1", "video": v} for k, v in enumerate(videos)]
-    refused = own_studio.get("/api/recordings", {"name": "m", "calibration": calibration, "views": views}, status=400)
-    assert "Two videos are of the camera cam1" in refused["error"]
 
 
 def test_points_of_the_picture_as_recorded_have_the_lens_taken_out(own_studio, folder, pose):

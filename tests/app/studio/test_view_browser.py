@@ -31,7 +31,8 @@ def flagged(source, target):
     motion = load_motion(source / "motion.npz")
     n = np.arange(len(motion))
     target.mkdir(parents=True)
-    save_motion(replace(motion, lost=(n == 6) | (n == 7), extrapolated=n == 3), target / "motion.npz")
+    sure = {"doubtful": n < 0, "doubtful_joints": np.zeros_like(motion.doubtful_joints)}
+    save_motion(replace(motion, lost=(n == 6) | (n == 7), extrapolated=n == 3, **sure), target / "motion.npz")
     shutil.copy(source / "body.npz", target)
 
 

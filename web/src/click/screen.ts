@@ -1,7 +1,7 @@
 import { get } from "../api";
 import { count } from "../counters";
 import type { ClickJoint, Recording, ResultEntry, State } from "../protocol";
-import type { OpenScreen } from "../screen";
+import type { OpenScreen } from "../router";
 import { h } from "../ui/dom";
 import { icon } from "../ui/icons";
 import { shell } from "../ui/shell";
@@ -59,7 +59,7 @@ function chooser(state: State): HTMLElement {
       "div",
       { class: "empty" },
       h("h2", {}, "No recording to click in"),
-      h("p", {}, `There is none in ${state.root}. Set one up first: drop the videos and their calibration.`),
+      h("p", {}, `There is none in ${state.root}. Set one up first: choose the folder with the videos and their calibration.`),
       h("p", {}, h("a", { class: "button primary", href: "#/setup" }, "Set up a recording")),
     );
   }

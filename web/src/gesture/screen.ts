@@ -1,7 +1,7 @@
 import { get, Socket } from "../api";
 import { count } from "../counters";
 import { readPicture, type GestureMessage, type GestureRequest, type State } from "../protocol";
-import type { OpenScreen } from "../screen";
+import type { OpenScreen } from "../router";
 import { h } from "../ui/dom";
 import { shell } from "../ui/shell";
 import { toast } from "../ui/toast";

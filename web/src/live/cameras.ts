@@ -2,12 +2,12 @@ import "./live.css";
 import { get, Socket } from "../api";
 import { count } from "../counters";
 import type { Recording, State } from "../protocol";
-import type { Screen } from "../screen";
+import type { Screen } from "../router";
 import { button, select } from "../ui/buttons";
 import { h, memory, setText } from "../ui/dom";
 import { shell } from "../ui/shell";
 import { toast } from "../ui/toast";
-import { kinds } from "./kinds";
+import { kinds } from "./form";
 import type { CameraSensor, CamerasMessage, CamerasRunning } from "./messages";
 import { People } from "./people";
 

@@ -1,13 +1,12 @@
 import "./live.css";
 import { Socket } from "../api";
 import { count } from "../counters";
-import type { OpenScreen } from "../screen";
+import type { OpenScreen } from "../router";
 import { h, setText } from "../ui/dom";
 import { shell } from "../ui/shell";
 import { toast } from "../ui/toast";
 import { camerasLive } from "./cameras";
-import { liveForm } from "./form";
-import { kinds } from "./kinds";
+import { kinds, liveForm } from "./form";
 import type { LiveMessage, Running, SensorStatus } from "./messages";
 import { People } from "./people";
 import { recorded } from "./recorded";

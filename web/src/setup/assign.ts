@@ -1,14 +1,14 @@
 /**
- * Which dropped file belongs to which camera. What a file is and whose it is follows from the names of all of them
- * together, never from the order in which they arrive; what the names do not tell stays open for the user to say.
+ * Which file of a folder belongs to which camera. What a file is and whose it is follows from the names of all of them
+ * together, never from their order; what the names do not tell stays open for the user to say.
  */
 
 export type Role = "video" | "background" | "masks" | "keypoints" | "board" | "calibration" | "none";
-export type Kind = "video" | "image" | "keypoints" | "calibration" | "other";
+export type Kind = "video" | "image" | "images" | "keypoints" | "calibration" | "other";
 /** Roles of which every camera has one file at most. */
 export const OF_A_CAMERA: readonly Role[] = ["video", "background", "masks", "keypoints", "board"];
 
-/** A file as it lies ready; path: with the folders it was dropped with; role: what the user has said that it is. */
+/** A file; path: with the folders it lies in; role: what the user has said that it is. */
 export interface Seen {
   path: string;
   kind: Kind;
@@ -124,9 +124,9 @@ export function obstacle(files: readonly (Assigned & { name: string })[]): strin
   const of = (role: Role): (Assigned & { name: string })[] => files.filter((f) => f.role === role);
   const [calibrations, boards] = [of("calibration"), of("board")];
   const shown = files.filter((f) => f.role === "video" || f.role === "masks" || f.role === "keypoints");
-  if (!calibrations.length && !boards.length) return "The calibration is missing: drop the file that says where the cameras stand, or a clip of a calibration board for every camera.";
+  if (!calibrations.length && !boards.length) return "The calibration is missing: put the file that says where the cameras stand into the folder, or a clip of a calibration board for every camera.";
   if (calibrations.length > 1) return `There are ${calibrations.length} calibrations; choose one, and set the others to “not used”.`;
-  if (!shown.length) return "The videos are missing: drop one per camera.";
+  if (!shown.length) return "The videos are missing: choose a folder that holds one per camera.";
   for (const role of OF_A_CAMERA) {
     const mine = of(role);
     const [one, many] = CALLED[role];
@@ -136,10 +136,10 @@ export function obstacle(files: readonly (Assigned & { name: string })[]): strin
     if (twice && role === "video") return `Two videos are of the camera ${twice}; choose another camera for one of them, or set it to “not used”.`;
     if (twice) return `There are two ${many} of the camera ${twice}; set one of them to “not used”.`;
     const alone = role === "background" || role === "board" ? mine.find((r) => !shown.some((v) => v.camera === r.camera)) : undefined;
-    if (alone) return `${alone.name} is the ${one} of ${alone.camera}, which has no video; drop it, or set the file to “not used”.`;
+    if (alone) return `${alone.name} is the ${one} of ${alone.camera}, which has no video; set the file to “not used”.`;
   }
   const bare = calibrations.length ? undefined : shown.find((f) => !boards.some((b) => b.camera === f.camera));
-  return bare ? `There is no clip of the board of ${bare.camera}: drop it, or set ${bare.name} to “not used”.` : "";
+  return bare ? `There is no clip of the board of ${bare.camera}: add it, or set ${bare.name} to “not used”.` : "";
 }
 
 function repeated(files: readonly Assigned[]): string | undefined {

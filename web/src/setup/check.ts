@@ -1,10 +1,10 @@
-import { address, post, put } from "../api";
-import type { Check, Finding, Job, Recording, Upload } from "../protocol";
-import { button } from "../ui/buttons";
+import { address, get, post } from "../api";
+import type { Check, Finding, FolderEntry, Job, Recording } from "../protocol";
+import { button, select } from "../ui/buttons";
 import { h } from "../ui/dom";
 import { icon } from "../ui/icons";
 import { toast } from "../ui/toast";
-import { STRETCHED } from "./upload";
+import { STRETCHED } from "./folder";
 
 const SHOWN = 3;
 
@@ -150,30 +150,24 @@ function mended(recording: Recording): HTMLElement[] {
   return out;
 }
 
-/** An empty room of a camera, given or replaced. */
+/** An empty room of a camera, given or replaced by a file of the recording's folder. */
 export function emptyRooms(recording: Recording): HTMLElement {
-  return h(
-    "details",
-    { class: "empty-rooms" },
-    h("summary", { class: "dim" }, "Empty rooms"),
-    ...recording.views.map((v) => {
-      const input = h("input", { type: "file", class: "sr-only", tabindex: -1, "aria-label": `Empty room of ${v.name}` });
-      input.addEventListener("change", () => {
-        const file = input.files?.[0];
-        if (file) void replaceRoom(recording, v.name, file);
-      });
-      return h("div", { class: "row" }, h("b", {}, v.name), h("span", { class: "dim grow" }, v.background ?? (v.masks ? "has masks" : "made from the recording itself")), button(v.background ? "Replace it" : "Give one", () => input.click(), {}), input);
-    }),
-  );
-}
-
-async function replaceRoom(recording: Recording, view: string, file: File): Promise<void> {
-  try {
-    const { upload } = await put<Upload>(`/api/uploads/${encodeURIComponent(file.name)}`, file);
-    await mend(recording, { what: "background", view, upload }, `${view} has another empty room.`);
-  } catch (error) {
-    toast((error as Error).message, "error");
-  }
+  const rows = h("div");
+  const details = h("details", { class: "empty-rooms" }, h("summary", { class: "dim" }, "Empty rooms"), rows);
+  details.addEventListener("toggle", () => {
+    if (!details.open || rows.children.length) return;
+    get<FolderEntry>(`/api/folder?recording=${recording.id}`).then(({ files }) => {
+      const rooms = files.filter((f) => ["video", "image", "images"].includes(f.kind)).map((f) => ({ value: f.path, label: f.path }));
+      rows.replaceChildren(...recording.views.map((v) => {
+        const now = v.background ?? (v.masks ? "has masks" : "made from the recording itself");
+        const chooser = select(`Empty room of ${v.name}`, [{ value: "", label: v.background ? "Replace it…" : "Give one…" }, ...rooms], "", (path) => {
+          if (path) void mend(recording, { what: "background", view: v.name, path }, `${v.name} has another empty room.`);
+        });
+        return h("div", { class: "row" }, h("b", {}, v.name), h("span", { class: "dim grow" }, now), chooser);
+      }));
+    }, (error: Error) => toast(error.message, "error"));
+  });
+  return details;
 }
 
 const COLUMNS = [

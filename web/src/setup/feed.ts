@@ -8,7 +8,7 @@ export class JobFeed {
   connected = true;
   private readonly socket: Socket;
 
-  /** changed: a job has changed; files: a recording or a result has been made. */
+  /** changed: a job has changed; files: a job has ended, and what it has made or found is to be read. */
   constructor(
     private readonly changed: (job: Job | null) => void,
     private readonly files: () => void,
@@ -38,11 +38,8 @@ export class JobFeed {
       for (const job of message.jobs) this.jobs.set(job.id, job);
       return this.changed(null);
     }
-    const before = this.jobs.get(message.job.id)?.state;
     this.jobs.set(message.job.id, message.job);
     this.changed(message.job);
-    // what a finished job has found is read again
-    if (before !== message.job.state && message.job.state !== "queued" && message.job.state !== "running") this.files();
   }
 }
 

@@ -1,7 +1,7 @@
 import { get, post } from "../api";
 import { count } from "../counters";
 import type { Job, Recording, State } from "../protocol";
-import type { OpenScreen } from "../screen";
+import type { OpenScreen } from "../router";
 import { button } from "../ui/buttons";
 import { h } from "../ui/dom";
 import { icon } from "../ui/icons";
@@ -10,11 +10,11 @@ import { shell } from "../ui/shell";
 import { toast } from "../ui/toast";
 import { JobCard } from "./card";
 import { JobFeed } from "./feed";
+import { NewRecordingForm } from "./folder";
 import { RecordingPage } from "./recording";
 import "./setup.css";
-import { NewRecordingForm } from "./upload";
 
-/** #/setup: drop videos, or choose a recording; #/setup/RECORDING: check it, see its masks, measure, track. */
+/** #/setup: choose a folder of videos, or a recording; #/setup/RECORDING: check it, see its masks, measure, track. */
 export const setup: OpenScreen = (root, rest) => {
   const box = shell(root, "setup");
   const counters = count("setup");
@@ -55,7 +55,6 @@ export const setup: OpenScreen = (root, rest) => {
       aborted.abort();
       feed.close();
       page?.close();
-      home?.close();
     },
   };
 };
@@ -66,13 +65,12 @@ class Home {
   private readonly list = h("section", { class: "card", "aria-label": "Recordings" });
   private readonly jobs = h("section", { class: "setup-home-jobs" });
   private readonly cards = new Map<string, JobCard>();
-  private readonly form: NewRecordingForm;
 
   constructor(
     state: State,
     private readonly feed: JobFeed,
   ) {
-    const form = (this.form = new NewRecordingForm((recording) => (location.hash = `#/setup/${recording.id}`)));
+    const form = new NewRecordingForm((recording) => (location.hash = `#/setup/${recording.id}`));
     this.element = h(
       "div",
       { class: "setup-home" },
@@ -81,10 +79,6 @@ class Home {
     );
     this.show(state);
     this.showJobs();
-  }
-
-  close(): void {
-    this.form.close();
   }
 
   async reload(signal: AbortSignal): Promise<void> {
@@ -121,7 +115,7 @@ class Home {
     );
     this.list.replaceChildren(
       h("h2", {}, "Recordings"),
-      ...(rows.length ? rows : [h("p", { class: "dim" }, `None in ${state.root} yet. Drop your videos at the left, or see first how it goes:`)]),
+      ...(rows.length ? rows : [h("p", { class: "dim" }, `None in ${state.root} yet. Choose a folder with your videos at the left, or see first how it goes:`)]),
       h("div", { class: "row" }, button("Make a demo", () => void demo(), { icon: "play", title: "A made-up person before four made-up cameras, tracked; about a minute" })),
     );
   }

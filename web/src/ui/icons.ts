@@ -25,6 +25,7 @@ const PATHS = {
   report: '<path d="M5 2.500h7l3.500 3.500v11.500H5z" stroke-linejoin="round"/><path d="M7.500 9.500h5M7.500 12.500h5"/>',
   doctor: '<path d="M10 3.500v13M3.500 10h13"/><circle cx="10" cy="10" r="8"/>',
   close: '<path d="M5 5l10 10M15 5L5 15"/>',
+  folder: '<path d="M2.500 5.500h5l2 2h8v8.500h-15z" stroke-linejoin="round"/>',
   list: '<path d="M4 5.500h12M4 10h12M4 14.500h12"/>',
   more: '<circle cx="10" cy="4.5" r="1.3" fill="currentColor" stroke="none"/><circle cx="10" cy="10" r="1.3" fill="currentColor" stroke="none"/><circle cx="10" cy="15.500" r="1.3" fill="currentColor" stroke="none"/>',
   chevron: '<path d="M5.500 8l4.500 4.500L14.500 8"/>',

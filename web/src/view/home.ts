@@ -18,7 +18,7 @@ const ORDERS: readonly { value: Order; label: string }[] = [
 const VERDICTS = { good: ["good", "good"], look: ["warn", "look"], "not to be trusted": ["bad", "not to be trusted"] } as const;
 const WORSE = ["good", "look", "not to be trusted"] as const;
 
-/** What there is to look at in the served folder: searched, sorted, renamed, deleted with a way back. */
+/** What there is to look at in the served folder: searched, sorted, renamed, deleted. */
 export async function home(box: HTMLElement, signal: AbortSignal): Promise<void> {
   const page = h("div", { class: "home" }, h("h1", {}, "Results"), h("p", { class: "dim" }, "Looking…"));
   box.append(page);
@@ -104,7 +104,6 @@ class Library {
         h("span", {}, new Date(1000 * result.changed).toLocaleString(undefined, { dateStyle: "medium", timeStyle: "short" })),
       ),
       itemMenu("results", result, () => void this.reload(), [
-        h("a", { role: "menuitem", href: address(`/api/results/${result.id}/all.zip`), download: "" }, "Download all"),
         ...(recording ? [h("a", { role: "menuitem", href: `#/setup/${recording.id}` }, "Its recording")] : []),
       ]),
     );
@@ -173,7 +172,7 @@ function nothing(state: State): HTMLElement {
       "div",
       { class: "card" },
       h("h2", {}, "Your own videos"),
-      h("p", { class: "dim" }, "Drop the videos of all cameras and their calibration; the rest is shown step by step."),
+      h("p", { class: "dim" }, "Choose the folder with the videos of all cameras and their calibration; the rest is shown step by step."),
       h("a", { class: `button ${recording ? "" : "primary"}`, href: "#/setup" }, "Set up a recording"),
     ),
     h(

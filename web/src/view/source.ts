@@ -63,11 +63,6 @@ export class ServerSource implements Source {
     return address(`${this.path}/files/${encodeURIComponent(name)}`);
   }
 
-  /** Address of all files of the result in one. */
-  everything(): string {
-    return address(`${this.path}/all.zip`);
-  }
-
   async export(formats: readonly string[]): Promise<string> {
     return (await post<{ id: string }>(`${this.path}/export`, { formats })).id;
   }

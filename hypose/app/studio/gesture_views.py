@@ -1,0 +1,158 @@
+"""Gestures as the page shows them: pictures of depth and of votes, and lists of sessions, models and sources."""
+
+from __future__ import annotations
+
+import importlib.util
+from functools import cache, lru_cache
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.app.studio.catalog import Catalog
+from hypose.compute import Depth
+from hypose.errors import HyposeError
+from hypose.gestures.depth_pictures import surface_depth
+from hypose.io.files import read_bytes, read_json
+from hypose.pipeline.gesture_files import load_model, read_recording
+from hypose.synthetic.gesture_people import load_people
+from hypose.synthetic.gesture_poses import GESTURES
+
+_MOST_BYTES = 64 << 20
+"""Of a session's frames.csv."""
+_SIZE, _QUALITY = 96, 82
+"""px, width and height of the picture."""
+_HALF_M = 0.22
+"""Half side of what is shown, at the surface where the gesture is done."""
+_NEAR, _FAR = 500, 4200
+"""mm: the colours' range; what is nearer or farther has the end's colour."""
+_JPEG_QUALITY = 75
+# from near to far: BGR, light enough to stand out on both themes' stages
+_COLOURS = (
+    (0.00, (196, 243, 255)),
+    (0.18, (110, 214, 250)),
+    (0.36, (104, 168, 214)),
+    (0.55, (138, 116, 120)),
+    (0.78, (108, 72, 52)),
+    (1.00, (58, 36, 26)),
+)
+_HOLE = (22, 15, 12)
+
+
+def depth_jpeg(depth: Depth) -> bytes:
+    """A depth picture (h, w) uint16 mm in colours."""
+    return cv2.imencode(".jpg", coloured(depth), [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1].tobytes()
+
+
+def coloured(depth: Depth) -> NDArray[np.uint8]:
+    """(h, w, 3) BGR of a depth picture (h, w) uint16 mm; holes are dark."""
+    return cv2.applyColorMap(np.take(_levels(), depth), _palette())  # type: ignore[return-value] - uint8, as it says
+
+
+def map_png(density: NDArray[np.float32], full: float) -> bytes:
+    """A map of voting surface (rows, columns): alpha is the share of `full`, the density that is shown opaque."""
+    alpha = np.clip(density * (255 / max(full, 1e-12)), 0, 255).astype(np.uint8)
+    image = np.empty((*alpha.shape, 4), np.uint8)
+    image[..., :3] = (60, 90, 255)
+    image[..., 3] = alpha
+    return cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes()
+
+
+@cache
+def _levels() -> NDArray[np.uint8]:
+    """Level of each depth in mm: 0 = hole, then from near to far."""
+    mm = np.arange(1 << 16)
+    level = 1 + np.rint(254 * np.clip((mm - _NEAR) / (_FAR - _NEAR), 0, 1))
+    level[0] = 0
+    return level.astype(np.uint8)
+
+
+@cache
+def _palette() -> NDArray[np.uint8]:
+    at, colours = zip(*_COLOURS, strict=True)
+    share = np.linspace(0, 1, 255)
+    rows = np.stack([np.interp(share, at, [c[k] for c in colours]) for k in range(3)], 1)
+    return np.concatenate([[_HOLE], np.rint(rows)]).astype(np.uint8)[:, None]
+
+
+def sessions_shown(catalog: Catalog) -> list[dict[str, Any]]:
+    """The recorded sessions, for a list: read briefly, without their pictures."""
+    out = []
+    for item in catalog.items("session"):
+        gestures, frames = _brief(item.path)
+        shown = {"id": item.id, "name": item.path.name, "path": catalog.shown(item.path)}
+        out.append({**shown, "gesture": ", ".join(gestures), "frames": frames})
+    return out
+
+
+def models_shown(catalog: Catalog) -> list[dict[str, Any]]:
+    """The models that can be used, for a list."""
+    out = []
+    for item in catalog.items("model"):
+        facts = _facts_of_model(item.path, item.changed)
+        if facts is not None:
+            shown = {"id": item.id, "name": item.path.stem, "path": catalog.shown(item.path)}
+            out.append({**shown, **facts})
+    return out
+
+
+@lru_cache(maxsize=512)
+def _facts_of_model(path: Path, changed: float) -> dict[str, Any] | None:
+    """What a list says of a model as it was changed last; None where it cannot be used."""
+    try:
+        model = load_model(path)
+    except HyposeError:
+        return None
+    return {"gestures": model.names, "growing": model.learner is not None, "thresholds": model.thresholds}
+
+
+def sources_shown(catalog: Catalog) -> list[dict[str, Any]]:
+    """Where depth can come from; with "missing" when it cannot just now."""
+    people = [
+        {"value": f"simulated:{n}", "title": f"Simulated person {n + 1}", "gestures": GESTURES}
+        for n in range(len(load_people()))
+    ]
+    recorded = [
+        {"value": f"session:{item.id}", "title": f"Recorded session {item.path.name}", "gestures": _brief(item.path)[0]}
+        for item in catalog.items("session")
+    ]
+    camera: dict[str, Any] = {"value": "realsense", "title": "RealSense camera"}
+    if importlib.util.find_spec("pyrealsense2") is None:
+        camera["missing"] = "The driver is not installed: pip install 'hypose[realsense]'."
+    return [*people, *recorded, camera]
+
+
+def _brief(folder: Path) -> tuple[list[str], int]:
+    """Names of the gestures and number of frames of a session."""
+    try:
+        names = read_json(folder / "session.json", "a session.json").get("gestures")
+        frames = read_bytes(folder / "frames.csv", "a frames.csv", _MOST_BYTES).count(b"\n") - 1
+    except (HyposeError, AttributeError):
+        return [], 0
+    return [str(n) for n in names] if isinstance(names, list) else [], max(0, frames)
+
+
+def gesture_thumbnail(model: Path) -> bytes | None:
+    """A JPEG of the frame in the middle of those from which a model learned its gesture last; None where no session
+    that taught it lies beside the model."""
+    learned = load_model(model)
+    for entry in reversed(learned.history):
+        folder = model.parent / Path(str(entry.get("session", ""))).name  # beside it, whatever the model says
+        if folder == model.parent or not (folder / "session.json").is_file():
+            continue
+        recording = read_recording(folder)
+        shown = [f for f in recording.learned() if f.gesture and recording.gestures[f.gesture - 1] in learned.names]
+        if not shown:
+            continue
+        frame = shown[len(shown) // 2]
+        depth = frame.depth()
+        z = surface_depth(depth, frame.x, frame.y)
+        half = _HALF_M * recording.lens.fx / (2.0 if z is None else z / 1000)
+        scale = _SIZE / (2 * half)
+        cut = cv2.getRotationMatrix2D((frame.x, frame.y), 0, scale)
+        cut[:, 2] += _SIZE / 2 - frame.x, _SIZE / 2 - frame.y
+        small = cv2.warpAffine(coloured(depth), cut, (_SIZE, _SIZE), flags=cv2.INTER_AREA)
+        return cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()
+    return None

@@ -1,0 +1,184 @@
+"""The hub of the studio's WebSockets: /ws/TOPIC, with typed messages both ways (docs/studio-protocol.md).
+
+A page listens to one topic and talks to it. What waits for a page that is slow is bounded: of messages with a key only
+the newest waits, pictures wait until the page has drawn the last ones, and a page that reads nothing at all is closed.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import itertools
+import json
+import struct
+from collections.abc import Hashable, Mapping
+from typing import Any
+
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from hypose.app.studio.answers import object_of, whole
+from hypose.app.studio.view_bundle import plain
+from hypose.errors import HyposeError, InputError
+
+MAX_MESSAGE = 1 << 16
+"""Bytes of a message from the page."""
+_MOST_PAGES, _MOST_WAITING = 16, 512
+"""Connections, and messages without a key that wait for one of them."""
+IN_FLIGHT = 3
+"""Pictures that may be on their way before the page has drawn the first of them."""
+DEPTH, MAP = 1, 2
+"""Types of pictures."""
+Message = Mapping[str, Any]
+
+
+class Topic:
+    """What pages listen and talk to. Everything is called in the server's loop; name: its part of the address."""
+
+    name = ""
+
+    def hello(self) -> Message:
+        """The first message to a page."""
+        raise NotImplementedError
+
+    async def heard(self, message: dict[str, Any]) -> None:
+        """Take a message of a page; an InputError is told to that page alone."""
+        raise InputError("A page has nothing to say here.")
+
+    def watched(self, pages: int) -> None:
+        """So many pages listen from now on."""
+
+
+class Hub:
+    """The connections of a server. post and picture may be called from any thread, and never wait."""
+
+    def __init__(self) -> None:
+        self._topics: dict[str, Topic] = {}
+        self._pages: dict[str, list[_Page]] = {}
+        self._loop: asyncio.AbstractEventLoop | None = None
+
+    def add(self, topic: Topic) -> None:
+        """From now on pages can listen to a topic."""
+        self._topics[topic.name] = topic
+        self._pages[topic.name] = []
+
+    async def serve(self, ws: WebSocket) -> None:
+        """Let a connection in and talk to it until either side ends it."""
+        self._loop = asyncio.get_running_loop()
+        topic = self._topics.get(ws.path_params["topic"])
+        await ws.accept()
+        if topic is None or sum(map(len, self._pages.values())) >= _MOST_PAGES:
+            await ws.close(1013, "too many connections; close some pages" if topic else "there is no such topic")
+            return
+        page, pages = _Page(ws), self._pages[topic.name]
+        page.put(_text(topic.hello()))
+        pages.append(page)
+        topic.watched(len(pages))
+        try:
+            await page.talk(topic)
+        except WebSocketDisconnect:
+            pass
+        finally:
+            pages.remove(page)
+            topic.watched(len(pages))
+
+    def listens(self, topic: str) -> bool:
+        """Whether any page listens to a topic."""
+        return bool(self._pages[topic])
+
+    def post(self, topic: str, message: Message | str, key: Hashable = None) -> None:
+        """A message, also as JSON, to all pages of a topic. Of those with the same key only the newest waits."""
+        if self.listens(topic):
+            text = message if isinstance(message, str) else _text(message)
+            self._later(lambda: [page.put(text, key) for page in self._pages[topic]])
+
+    def picture(self, topic: str, kind: int, seq: int, time: float, data: bytes) -> None:
+        """A picture to all pages of a topic: 16 bytes of type, stream, number and time (s), then the file. Of a type
+        only the newest waits."""
+        if self.listens(topic):
+            message = struct.pack("<BBHId", kind, 0, 0, seq & 0xFFFFFFFF, time) + data
+            self._later(lambda: [page.show(kind, message) for page in self._pages[topic]])
+
+    def _later(self, call: Any) -> None:
+        with contextlib.suppress(RuntimeError):  # the loop has ended
+            if self._loop is not None:
+                self._loop.call_soon_threadsafe(call)
+
+
+class _Page:
+    """The server's end of a connection; used in its loop."""
+
+    def __init__(self, ws: WebSocket) -> None:
+        self._ws = ws
+        self._texts: dict[Hashable, str] = {}
+        self._pictures: dict[int, bytes] = {}
+        self._unanswered: set[int] = set()
+        self._awake, self._numbers = asyncio.Event(), itertools.count()
+
+    def put(self, text: str, key: Hashable = None) -> None:
+        """A text to be sent."""
+        key = next(self._numbers) if key is None else ("newest", key)
+        self._texts.pop(key, None)
+        self._texts[key] = text
+        self._awake.set()
+
+    def show(self, kind: int, message: bytes) -> None:
+        """A picture to be sent as soon as the page has drawn the last ones."""
+        self._pictures[kind] = message
+        self._awake.set()
+
+    async def talk(self, topic: Topic) -> None:
+        """Send what comes and hand over what the page says, until either side ends it."""
+        reading = asyncio.ensure_future(self._read(topic))
+        try:
+            while not reading.done() and len(self._texts) <= _MOST_WAITING:
+                woken = asyncio.ensure_future(self._awake.wait())
+                await asyncio.wait({woken, reading}, return_when=asyncio.FIRST_COMPLETED)
+                woken.cancel()
+                self._awake.clear()
+                await self._send()
+            if reading.done():
+                reading.result()
+            await self._ws.close(1013, "the page does not keep up")
+        finally:
+            reading.cancel()
+            await asyncio.gather(reading, return_exceptions=True)
+
+    async def _send(self) -> None:
+        try:
+            while self._texts:
+                await self._ws.send_text(self._texts.pop(next(iter(self._texts))))
+            while self._pictures and len(self._unanswered) < IN_FLIGHT:
+                message = self._pictures.pop(next(iter(self._pictures)))
+                self._unanswered.add(struct.unpack_from("<I", message, 4)[0])
+                await self._ws.send_bytes(message)
+        except RuntimeError:  # the server has closed it, which we have not heard of yet
+            raise WebSocketDisconnect(1006) from None
+
+    async def _read(self, topic: Topic) -> None:
+        while True:
+            received = await self._ws.receive()
+            if received["type"] == "websocket.disconnect":
+                raise WebSocketDisconnect(received.get("code", 1005))
+            try:
+                message = _message(received.get("text"))
+                if message["t"] == "ack":
+                    self._unanswered.discard(whole(message.get("seq"), "the picture's number", 0, 2**32 - 1))
+                    self._awake.set()
+                else:  # a page that leaves meanwhile must not leave it half begun, nor half ended with nothing kept
+                    await asyncio.shield(topic.heard(message))
+            except HyposeError as error:
+                self.put(_text({"t": "error", "error": str(error)}))
+
+
+def _message(received: str | None) -> dict[str, Any]:
+    """A message of a page: an object whose "t" says what it is."""
+    if received is None:
+        raise InputError("The message is binary; send JSON as text.")
+    message = object_of(received, "message")
+    if not isinstance(message.get("t"), str):
+        raise InputError('The message has no "t" that says what it is; send one.')
+    return message
+
+
+def _text(message: Message) -> str:
+    return json.dumps(plain(message), separators=(",", ":"))

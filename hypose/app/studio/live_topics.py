@@ -1,0 +1,365 @@
+"""What runs live inside the studio: the fusion of `hypose fuse --live`, and the cameras of `hypose live`."""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import contextlib
+import json
+import shutil
+import threading
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from starlette.concurrency import run_in_threadpool
+
+from hypose.app.live import simulated_sensors
+from hypose.app.live.live_server import LiveOptions as FuseOptions
+from hypose.app.live.live_server import LiveServer
+from hypose.app.live.pose_outputs import PoseOutputs, pose_json, status_json
+from hypose.app.studio.answers import NotNow, number, text, whole
+from hypose.app.studio.catalog import Catalog
+from hypose.app.studio.hub import Hub, Message, Topic
+from hypose.app.studio.job_kinds import free_folder
+from hypose.body.ready_bodies import human
+from hypose.errors import InputError
+from hypose.fusion.align import AlignSettings
+from hypose.fusion.joints import COMMON, PARENT
+from hypose.fusion.live import LiveSettings
+from hypose.io.videos.camera_sources import Shot, is_device
+from hypose.pipeline.live.engine import MOST_PEOPLE, LiveEngine, LiveOptions, LiveStatus, Seen
+from hypose.pipeline.live.eyes import EyesOptions
+from hypose.pipeline.live.live_rig import LiveRig, live_rig
+from hypose.pipeline.live.live_search import LivePersonOptions
+from hypose.pipeline.live.recorder import LiveRecorder
+
+FOLDER = "live"
+"""Where recordings go, in the served folder."""
+_WAITING = 32
+"""Messages of the fusion that wait to be told."""
+PICTURES_S = 0.25
+"""s between two pictures of the cameras on the page"""
+_WIDTH, _QUALITY = 320, 70
+_TINT = np.array([90, 200, 255], np.float32)
+_STREAMS = ("http://", "https://", "rtsp://")
+
+
+def recording_folder(catalog: Catalog, folder: str, name: str) -> Path:
+    """A new folder to record to, in one of the served folder; an InputError where that is a link that leads out."""
+    if not catalog.contains(catalog.root / folder):
+        raise InputError(f"{folder} is a link that leads out of the served folder; remove it first.")
+    return free_folder(catalog.root / folder, name)
+
+
+def _target(message: Message, kind: str, port: int) -> str | None:
+    """Where something is sent to, HOST:PORT; None for nowhere."""
+    if message.get(kind) in (None, ""):
+        return None
+    return text(message[kind], "address to send to", 100, f"give HOST:PORT, for example 127.0.0.1:{port}").strip()
+
+
+def _told(path: Path | None) -> str | None:
+    return None if path is None else f"{path.parent.name}/{path.name}"
+
+
+class LiveTopic(Topic):
+    """What runs at most once in a server, and goes on without a page. hello()["running"] is False, or how it runs."""
+
+    acts: tuple[str, ...] = ()
+    """What a page may ask for besides start and stop: names of methods."""
+
+    def __init__(self, hub: Hub, catalog: Catalog) -> None:
+        self._hub, self._catalog = hub, catalog
+        self._changing = asyncio.Lock()  # of two pages that start at once the second finds it running
+
+    async def heard(self, message: dict[str, Any]) -> None:
+        """Start, stop, or do one of the acts."""
+        kind = message["t"]
+        if kind == "stop":
+            await self.stop()
+        elif kind == "start":
+            async with self._changing:
+                if self.hello()["running"]:
+                    raise NotNow("It is running already; stop it first.")
+                await self._start(message)
+            self._hub.post(self.name, self.hello())
+        elif kind in self.acts:
+            getattr(self, kind)()
+        else:
+            known = ", ".join(["start", *self.acts])
+            raise InputError(f"There is nothing to {kind[:20]!r} here; {known} or stop.")
+
+    async def stop(self, why: str = "") -> None:
+        """End, and tell it; why: what is said where nothing else is."""
+        async with self._changing:
+            said = await self._stop() or why
+        if said:
+            self._hub.post(self.name, {"t": "said", "text": said})
+        self._hub.post(self.name, self.hello())
+
+    async def _start(self, message: Message) -> None:
+        """Begin as a page asks; an InputError says what cannot be."""
+        raise NotImplementedError
+
+    async def _stop(self) -> str | None:
+        """End; what is to be said."""
+        raise NotImplementedError
+
+
+class FuseTopic(LiveTopic):
+    """Skeletons of several depth sensors, fused as they come."""
+
+    name = "fuse"
+
+    def __init__(self, hub: Hub, catalog: Catalog) -> None:
+        super().__init__(hub, catalog)
+        self._server: LiveServer | None = None
+        self._tasks: list[asyncio.Task[None]] = []
+        self._simulated = False
+
+    def hello(self) -> Message:
+        """See `Topic`."""
+        running: Any = False
+        if (s := self._server) is not None:
+            o = s.options
+            running = {"udp": s.udp_port, "ws": s.ws_port, "simulated": self._simulated, "osc": o.osc}
+            running |= {"record": _told(o.record)}
+        return {"t": "hello", "running": running, "joints": COMMON, "parents": PARENT.tolist()}
+
+    async def _start(self, message: Message) -> None:
+        """Open the ports on this computer, and the recording where one is wanted. With `simulated` so many made-up
+        sensors send to it."""
+        udp, ws = (whole(message.get(k, 0), f"the {k} port", 0, 65535) for k in ("udp", "ws"))
+        rate = number(message.get("rate", 30), "the rate", 1, 240)
+        made_up = message.get("simulated") or 0
+        if made_up:
+            whole(made_up, "the number of simulated sensors", 2, simulated_sensors.MOST)
+        osc = _target(message, "osc", 9000)
+        seen = None
+        if made_up:
+            seen = await run_in_threadpool(simulated_sensors.simulated_sensors, made_up, np.random.default_rng(0))
+        record = recording_folder(self._catalog, FOLDER, "live") if message.get("record") is True else None
+        settings = LiveSettings(AlignSettings(rate=rate))
+        server = LiveServer(FuseOptions(udp=udp, ws=ws, osc=osc, record=record, settings=settings))
+        try:
+            await server.start()
+        except InputError:
+            if record is not None:
+                shutil.rmtree(record, ignore_errors=True)  # nothing was recorded there
+            raise
+        self._server, self._simulated = server, seen is not None
+        self._tasks = [asyncio.ensure_future(self._tell(server))]
+        if seen is not None:
+            sending = simulated_sensors.send(seen, server.take, np.random.default_rng(1))
+            self._tasks.append(asyncio.ensure_future(sending))
+
+    async def _tell(self, server: LiveServer) -> None:
+        """What the server sends to its own listeners goes to the pages, too."""
+        queue: asyncio.Queue[str] = asyncio.Queue(_WAITING)
+        server.outbox.join(queue)
+        while True:
+            line = await queue.get()
+            self._hub.post(self.name, line.replace('"type":', '"t":', 1), key=line.partition(",")[0])
+
+    async def _stop(self) -> str | None:
+        """Close the ports."""
+        server, self._server = self._server, None
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+        self._tasks = []
+        if server is None:
+            return None
+        await server.stop()
+        record = _told(server.options.record)
+        return record and (server.unrecorded or f"Recorded as {record}.")
+
+
+@dataclass
+class _Following:
+    """Cameras that are followed: the engine, who listens to it, and what pages are told of it."""
+
+    engine: LiveEngine
+    outputs: PoseOutputs
+    pictures: _Pictures
+    recorder: LiveRecorder | None
+    told: Message
+
+
+class CameraTopic(LiveTopic):
+    """Calibrated cameras that are followed as they show somebody, with small pictures and masks."""
+
+    name = "cameras"
+    acts = ("room",)
+
+    def __init__(self, hub: Hub, catalog: Catalog) -> None:
+        super().__init__(hub, catalog)
+        self._following: _Following | None = None
+        self._watching: asyncio.Task[None] | None = None
+
+    def hello(self) -> Message:
+        """See `Topic`."""
+        s, f = human().skeleton, self._following
+        joints = {"joints": s.joint_names, "parents": [int(p) for p in s.parents]}
+        return {"t": "hello", "running": False if f is None else f.told, **joints}
+
+    def room(self) -> None:
+        """Learn the empty room."""
+        if self._following is None:
+            raise NotNow("The empty room is learnt while the cameras run; start them.")
+        self._following.engine.learn_room()
+
+    async def _start(self, message: Message) -> None:
+        """recording: id of one with calibrated cameras; sources: where each camera is, by name, empty: its videos are
+        played; countdown s; people: at most so many; record, osc, vmc as for the fusion."""
+        recording = self._catalog.find("recording", text(message.get("recording"), "recording", 200, "choose one"))
+        sources = _sources(message.get("sources") or {})
+        countdown = number(message.get("countdown", 5), "the countdown", 0, 600)
+        rate = number(message["rate"], "the rate", 1, 240) if message.get("rate") else None
+        ws = whole(message.get("ws", 0), "the ws port", 0, 65535)
+        people = whole(message.get("people", 1), "the number of people", 1, MOST_PEOPLE)
+        osc, vmc = _target(message, "osc", 9000), _target(message, "vmc", 39539)
+        cameras = await run_in_threadpool(live_rig, recording.path, sources, rate)
+        names = tuple(v.name for v in cameras.views)
+        record = recording_folder(self._catalog, FOLDER, "cameras") if message.get("record") is True else None
+        recorder = None
+        async with contextlib.AsyncExitStack() as undone:  # what was begun, when the rest cannot be
+            outputs = PoseOutputs(names, cameras.rate, ws=ws, osc=osc, vmc=vmc, clock=time.monotonic)
+            undone.push_async_callback(run_in_threadpool, outputs.close)
+            if record is not None:
+                recorder = LiveRecorder(record, cameras.rig, cameras.views, cameras.silhouettes, cameras.height)
+                undone.push_async_callback(run_in_threadpool, recorder.close)
+            pictures = _Pictures(self._hub, self.name, cameras)
+            undone.callback(pictures.close)
+            eyes = EyesOptions(cameras.rate, countdown, cameras.silhouettes)
+            how = LiveOptions(eyes, LivePersonOptions(height=cameras.height), people, pictures=True)
+            listeners = [outputs, pictures, *([recorder] if recorder else [])]
+            engine = LiveEngine(cameras.rig, cameras.views, how, listeners)
+            undone.push_async_callback(run_in_threadpool, engine.stop)
+            await run_in_threadpool(engine.start)
+            undone.pop_all()
+        port = outputs.listeners.port if outputs.listeners is not None else 0
+        told = {"recording": recording.id, "cameras": names, "ws": port, "osc": osc, "vmc": vmc}
+        told |= {"record": _told(record), "played": not sources}
+        self._following = _Following(engine, outputs, pictures, recorder, told)
+        self._watching = asyncio.ensure_future(self._watch(self._following))
+
+    async def _watch(self, following: _Following) -> None:
+        """Files are over, or something has failed: it ends, and that is said."""
+        recorder, told = following.recorder, False
+        while not following.engine.ended.is_set():
+            await asyncio.sleep(0.2)
+            if recorder is not None and recorder.failed and not told:
+                told = True
+                self._hub.post(self.name, {"t": "said", "text": recorder.failed})
+        if self._following is following:
+            await self.stop("All videos are over.")
+
+    async def _stop(self) -> str | None:
+        """End the engine, then those who listen to it."""
+        f, self._following = self._following, None
+        if f is None:
+            return None
+        await run_in_threadpool(f.engine.stop)
+        await run_in_threadpool(f.outputs.close)
+        f.pictures.close()
+        said = [] if f.engine.failed is None else [f"It ended: {str(f.engine.failed).rstrip('.')}."]
+        if f.recorder is not None:
+            said.append(await run_in_threadpool(_recorded, f.recorder))
+        return " ".join(said) or None
+
+
+def _recorded(recorder: LiveRecorder) -> str:
+    """End a recording; what is to be said."""
+    try:
+        if not recorder.close():
+            return "Nothing was recorded: no instant was seen after the empty room was known."
+    except InputError as error:
+        return str(error)
+    without = f", without {recorder.left_out} instants" if recorder.left_out else ""
+    return f"Recorded as {_told(recorder.folder)}{without}."
+
+
+def _sources(value: Any) -> dict[str, str]:
+    """Devices and streams: a page opens no files."""
+    if not isinstance(value, dict):
+        raise InputError("The cameras' places are no object; give the place of each by its name.")
+    out = {str(k): text(v, f"place of camera {k}", 500, "give its number or address").strip() for k, v in value.items()}
+    for name, where in out.items():
+        if not is_device(where) and not where.lower().startswith(_STREAMS):
+            raise InputError(
+                f"Camera {name} cannot be at {where!r}; give the number of a camera of this computer, or an address "
+                f"that begins with {', '.join(_STREAMS)}."
+            )
+    return out
+
+
+class _Pictures:
+    """A listener of the engine that tells pages: every pose, how it goes, and now and then small pictures."""
+
+    def __init__(self, hub: Hub, topic: str, cameras: LiveRig) -> None:
+        self._hub, self._topic = hub, topic
+        self._cameras = tuple(v.name for v in cameras.views)
+        self._places = [np.linalg.inv(c.camera_from_world).round(4).tolist() for c in cameras.rig]
+        self._newest: Seen | None = None
+        self._drawn = -np.inf
+        self._wake, self._ended = threading.Event(), False
+        self._thread = threading.Thread(target=self._draw, name="pictures", daemon=True)
+        self._thread.start()
+
+    def seen(self, seen: Seen) -> None:
+        """See `Listener`."""
+        now, people = time.monotonic(), []
+        for pose in seen.poses:
+            person = json.loads(pose_json(pose, now - seen.sight.arrival, self._cameras))
+            people.append(person | {"seen": not pose.lost, "sensors": person["cameras"]})
+        if people:
+            first = {k: people[0][k] for k in ("n", "time", "latency_ms")}
+            self._hub.post(self._topic, {"t": "frame", **first, "people": people}, key="frame")
+        if now - self._drawn >= PICTURES_S:
+            self._drawn, self._newest = now, seen
+            self._wake.set()
+
+    def status(self, status: LiveStatus) -> None:
+        """See `Listener`."""
+        told: dict[str, Any] = json.loads(status_json(status))
+        del told["type"]
+        told |= {"t": "status", "sensors": told.pop("cameras")}
+        alive = {c.name: not c.trouble for c in status.cameras}
+        for camera, place in zip(told["sensors"], self._places, strict=False):
+            camera |= {"alive": alive[camera["name"]], "registered": True, "residual": None, "place": place}
+        self._hub.post(self._topic, told, key="status")
+
+    def close(self) -> None:
+        """No more pictures."""
+        self._ended = True
+        self._wake.set()
+        self._thread.join(5)
+
+    def _draw(self) -> None:
+        while not self._ended:
+            self._wake.wait()
+            self._wake.clear()
+            if (seen := self._newest) is not None and self._hub.listens(self._topic):
+                views = zip(self._cameras, seen.sight.jpegs, seen.sight.views, strict=True)
+                pictures = [{"name": n, "jpeg": _picture(j, None if v is None else v[0])} for n, j, v in views]
+                self._hub.post(self._topic, {"t": "pictures", "cameras": pictures}, key="pictures")
+
+
+def _picture(jpeg: bytes | None, bits: np.ndarray | None) -> str | None:
+    """A small picture with the mask as a tint, base64; None without a picture."""
+    image = None if jpeg is None else Shot(0.0, None, jpeg).picture((_WIDTH, 1))
+    if image is None:
+        return None
+    size = _WIDTH, max(1, round(_WIDTH * image.shape[0] / image.shape[1]))
+    small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    if bits is not None:
+        mask = np.unpackbits(bits, axis=1)
+        inside = cv2.resize(mask, size, interpolation=cv2.INTER_NEAREST) > 0
+        small[inside] = (0.55 * small[inside] + 0.45 * _TINT).astype(np.uint8)
+    ok, data = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+    return base64.b64encode(data.tobytes()).decode() if ok else None

@@ -1,0 +1,278 @@
+"""Results as the View screen asks for them: facts for lists, one block of bytes, pictures, thumbnails, gait."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from hypose.app.reports.result_pictures import Image
+from hypose.app.reports.summary import DESCRIPTIONS
+from hypose.app.studio.catalog import Catalog, Item, NotFound
+from hypose.app.studio.job_kinds import Plan
+from hypose.app.studio.memory_cache import Kept
+from hypose.app.studio.recordings import Recordings
+from hypose.app.studio.view_bundle import plain, view_bundle
+from hypose.app.studio.view_pictures import ViewPictures
+from hypose.app.studio.view_result import first_frame, in_recording, load_view, quality_of
+from hypose.body.motion import Motion
+from hypose.body.skeleton import Skeleton
+from hypose.errors import HyposeError
+from hypose.geometry import Array
+from hypose.io.motions.results import Checkpoint, load_body, load_motion
+from hypose.io.recordings.recording import load_recording
+from hypose.pipeline.gait import angle_cycles, gait_of
+from hypose.tracking.tracker import estimates_from_arrays, motion_of
+
+_BLOCKS, _PICTURES, _THUMBNAILS, _GAITS = 24 << 20, 64 << 20, 4 << 20, 4 << 20
+"""Bytes of blocks, of open pictures, of thumbnails and of answers on gait that are kept."""
+_DESCRIBED = ("recording.toml", "Config.toml", "calibration.toml")
+_MOTION = ("motion.npz", "body.npz")
+_JUDGED = ("verdict.json", "modes.npz", "checkpoint.npz")
+"""Files beside a motion that say how good it is, and whether it is all."""
+_SIZE = (192, 144)
+"""px, width and height of a thumbnail."""
+_ROOM = 1.35
+"""The thumbnail's height over that of the joints in it."""
+_QUALITY = 82
+_LEFT, _RIGHT, _MIDDLE = (74, 160, 245), (245, 178, 91), (247, 245, 242)  # BGR; as in View
+Stamp = tuple[float | None, ...]
+
+
+@dataclass(frozen=True)
+class Glimpse:
+    """What is kept of a motion for its picture: rows with their joints (J, 3) m, of which the first that has a picture
+    is shown."""
+
+    rows: tuple[tuple[int, Array], ...]
+    skeleton: Skeleton
+
+
+@dataclass(frozen=True)
+class _Head:
+    """What a list shows of a result, as of when its files had this stamp. glimpse: None where it cannot be read."""
+
+    stamp: Stamp
+    facts: dict[str, Any]
+    glimpse: Glimpse | None
+
+
+class Results:
+    """What is open of results; used by several threads."""
+
+    def __init__(self, catalog: Catalog) -> None:
+        self._catalog = catalog
+        self._blocks: Kept[bytearray] = Kept(_BLOCKS, len, one_more=True)
+        # of four cameras of 1080p more is open than is kept of others: to open it for every picture would take seconds
+        self._pictures: Kept[ViewPictures] = Kept(_PICTURES, lambda p: p.held, ViewPictures.close, one_more=True)
+        self._thumbnails: Kept[bytes] = Kept(_THUMBNAILS, len)
+        self._heads: dict[str, _Head] = {}
+        self._gaits: Kept[bytes] = Kept(_GAITS, len)
+        self._one = threading.Lock()  # whole motions are held by one thread at a time: they are what is large here
+
+    def block(self, item: Item) -> bytearray:
+        """The whole result; made again when its files have changed, or those of its recording."""
+
+        def make() -> bytearray:
+            with self._one:
+                return view_bundle(load_view(item.path))
+
+        folder = self._catalog.recording_of(item.path)
+        described = () if folder is None else _stamp(folder, (*_DESCRIBED, "truth.npz"))
+        with self._blocks.use((item.id, _stamp(item.path, (*_JUDGED, *DESCRIPTIONS)), described), make) as block:
+            return block
+
+    def pictures(self, item: Item) -> AbstractContextManager[ViewPictures]:
+        """The pictures of a result's recording, while they are used; NotFound when it has none. Results of the same
+        frames share them."""
+        folder = self._catalog.recording_of(item.path)
+        if folder is None:
+            raise NotFound("The result has no recording beside it, so there are no pictures of it.")
+        facts = self.head(item)  # the motion itself is not needed, and may be large
+        frames = facts["first_frame"], facts["frames"]
+        return self._pictures.use(
+            (folder, _stamp(folder, _DESCRIBED), *frames), lambda: ViewPictures(load_recording(folder), *frames)
+        )
+
+    def head(self, item: Item) -> dict[str, Any]:
+        """What a list says of a result."""
+        return self._head(item).facts
+
+    def _head(self, item: Item) -> _Head:
+        stamp = _stamp(item.path, (*_MOTION, *_JUDGED))
+        known = self._heads.get(item.id)  # without waiting for whoever holds a motion
+        if known is not None and known.stamp == stamp:
+            return known
+        with self._one:  # several that ask at once do not each read all
+            if item.id not in self._heads or self._heads[item.id].stamp != stamp:
+                self._heads[item.id] = self._read_head(item, stamp)
+            return self._heads[item.id]
+
+    def _read_head(self, item: Item, stamp: Stamp) -> _Head:
+        folder = self._catalog.recording_of(item.path)
+        recipe, correctable, quality, first, glimpse = "unknown", False, {}, 0, None
+        try:
+            motion = load_motion(item.path / "motion.npz")
+            frames, rate = len(motion), motion.frame_rate
+            recipe = str(motion.provenance.get("recipe", recipe))
+            first = first_frame(motion)
+            correctable = folder is not None and motion.poses is not None and not (item.path / "modes.npz").exists()
+            quality, glimpse = quality_of(item.path, motion), glimpse_of(motion)
+        except HyposeError:
+            frames, rate = 0, 0.0
+        facts = {
+            "id": item.id,
+            "title": f"{folder.name}: {item.path.name}" if folder is not None else item.path.name,
+            "name": item.path.name,
+            "path": self._catalog.shown(item.path),
+            "recording": self._catalog.id_of("recording", folder) if folder is not None else None,
+            "recipe": recipe,
+            "frames": frames,
+            "first_frame": first,
+            "frame_rate": rate,
+            "seconds": frames / rate if rate else 0.0,
+            "complete": frames > 0 and not (item.path / "checkpoint.npz").exists(),
+            "changed": stamp[0] or item.changed,
+            "correctable": correctable,
+            "pictured": folder is not None,
+            **quality,
+        }
+        return _Head(stamp, facts, glimpse)
+
+    def thumbnail(self, item: Item) -> bytes:
+        """A small JPEG: the person with the skeleton in the middle of the result, as the first camera sees it."""
+        with self._thumbnails.use((item.id, _stamp(item.path)), lambda: self._thumbnail(item)) as data:
+            return data
+
+    def _thumbnail(self, item: Item) -> bytes:
+        glimpse = self._head(item).glimpse
+        if glimpse is None:
+            raise NotFound("This result cannot be read, so there is no picture of it.")
+        with self.pictures(item) as opened:
+            return thumbnail(glimpse, opened)
+
+    def gait(self, item: Item) -> bytes:
+        """How somebody walks, as JSON."""
+
+        def make() -> bytes:
+            with self._one:
+                return json.dumps(plain(gait_view(item.path))).encode()
+
+        with self._gaits.use((item.id, _stamp(item.path)), make) as data:
+            return data
+
+    def so_far(self, plan: Plan, began: float | None, recordings: Recordings) -> bytearray | None:
+        """The block of what a job has tracked so far, read from its checkpoint, or of the finished result; None while
+        there is nothing, NotFound when there never will be. began: when the job did (s); what lies there from before is
+        not its own."""
+        folder = plan.folder
+        if folder is None or plan.recording is None:
+            raise NotFound("This job makes no motion.")
+        recording = recordings.load(self._catalog.find("recording", plan.recording))
+        checkpoint, motion = folder / "checkpoint.npz", folder / "motion.npz"
+        if not checkpoint.is_file():
+            if began is None or not motion.is_file() or motion.stat().st_mtime < began:
+                return None
+            return view_bundle(load_view(folder, recording))
+        saved = Checkpoint.read(checkpoint)
+        done = {k.removeprefix("done_"): v for k, v in saved.arrays.items() if k.startswith("done_")}
+        if not {"poses", "joint_covariances", "flags"} <= done.keys():
+            raise NotFound("What this method has tracked so far cannot be shown; wait for its end.")
+        estimates, body = estimates_from_arrays(done), load_body(folder / "body.npz")
+        times = np.arange(len(estimates)) / recording.frame_rate
+        frames = saved.identity.get("settings", {}).get("frames")
+        tracked = motion_of(body, times, estimates, saved.identity)
+        first = int(frames[0]) if frames else 0
+        return view_bundle(in_recording(recording, tracked, body, first_frame=first, complete=False))
+
+    def drop(self) -> None:
+        """Release what is not in use."""
+        for kept in (self._gaits, self._thumbnails, self._pictures, self._blocks):
+            kept.drop()
+
+
+def _stamp(folder: Path, files: Sequence[str] = _MOTION) -> Stamp:
+    """Changes when these files of a folder are written again, or are there no longer; of a checkpoint, which is written
+    all the time, when it comes and goes."""
+
+    def written(name: str) -> float | None:
+        try:
+            at = (folder / name).stat().st_mtime
+        except OSError:
+            return None
+        return 0.0 if name == "checkpoint.npz" else at
+
+    return tuple(written(n) for n in files)
+
+
+def glimpse_of(motion: Motion) -> Glimpse:
+    """The frame in the middle, and the first one, for where the pictures end before."""
+    seen = np.flatnonzero(np.isfinite(motion.joints).all((1, 2)))
+    rows = [int(seen[k]) for k in (len(seen) // 2, 0)] if len(seen) else []
+    return Glimpse(tuple((t, motion.joints[t].copy()) for t in rows), motion.skeleton)
+
+
+def thumbnail(glimpse: Glimpse, pictures: ViewPictures) -> bytes:
+    """A JPEG of it as the first camera with a picture sees it; NotFound when none has one."""
+    for row, joints in glimpse.rows:
+        found = pictures.seen(row, joints)
+        if found is not None:
+            return _drawn(*found, glimpse.skeleton)
+    raise NotFound("There are no pictures of this result.")
+
+
+def _drawn(image: Image, points: Array, skeleton: Skeleton) -> bytes:
+    h, w = image.shape[:2]
+    inside = points[np.isfinite(points).all(1)]
+    low, high = (inside.min(0), inside.max(0)) if len(inside) else (np.zeros(2), np.array([w, h], dtype=float))
+    across, up = (_ROOM * (high - low)).tolist()
+    tall = min(float(h), max(24.0, up, across * _SIZE[1] / _SIZE[0]))
+    wide = min(float(w), tall * _SIZE[0] / _SIZE[1])
+    tall = wide * _SIZE[1] / _SIZE[0]
+    corner = np.clip((low + high) / 2 - (wide / 2, tall / 2), 0, np.maximum((w - wide, h - tall), 0))
+    scale = _SIZE[0] / wide
+    cut = np.array([[scale, 0, -scale * corner[0]], [0, scale, -scale * corner[1]]])
+    small = cv2.warpAffine(image, cut, _SIZE, flags=cv2.INTER_AREA)
+    at = scale * (points - corner)
+    names = skeleton.joint_names
+    for joint, parent in enumerate(skeleton.parents):
+        if parent < 0 or not np.isfinite(at[[joint, parent]]).all():
+            continue
+        a, b = ((round(float(x)), round(float(y))) for x, y in at[[parent, joint]])
+        colour = _LEFT if names[joint].startswith("left") else _RIGHT if names[joint].startswith("right") else _MIDDLE
+        cv2.line(small, a, b, (20, 20, 20), 4, cv2.LINE_AA)
+        cv2.line(small, a, b, colour, 2, cv2.LINE_AA)
+    return cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()
+
+
+NOBODY_WALKS: dict[str, Any] = {"events": [], "figures": [], "cycles": []}
+
+
+def gait_view(results: Path) -> dict[str, Any]:
+    """Of a results folder: events by time (s of the motion's times), figures, and the cycles in degrees at 0 to 100 %;
+    all empty where nobody walks, or where the motion has no poses or body."""
+    try:
+        motion, body = load_motion(results / "motion.npz"), load_body(results / "body.npz")
+        if motion.poses is None or body.skeleton.joint_names != motion.skeleton.joint_names:
+            return NOBODY_WALKS
+        found = gait_of(motion, body)
+    except HyposeError:
+        return NOBODY_WALKS
+    return {
+        "events": [{"time": e.time, "side": e.side, "kind": e.kind} for e in found.events],
+        "figures": [
+            {"name": f.name, "unit": f.unit, "mean": f.mean, "low": f.low, "high": f.high, "n": f.n}
+            for f in found.figures
+        ],
+        "cycles": [
+            {"name": c.name, "mean": np.degrees(c.mean), "sd": np.degrees(c.sd), "n": c.n}
+            for c in angle_cycles(found.events, motion)
+        ],
+    }

@@ -1,0 +1,314 @@
+"""Two-way contour distances of a body in one view, as residuals on edges of its mesh; rows.py makes rows of
+them.
+
+What is long is in loops of its own without branches, which the compiler makes vectors of; what is chosen is written
+where the next one goes, and the place moves on when it counts.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hypose.compute.arrays import NOT_KNOWN, RIM
+from hypose.compute.compiled import kernel
+from hypose.compute.losses import geman_mcclure_kernel as geman_mcclure
+from hypose.compute.rows import BORDER
+from hypose.compute.silhouettes import NEAR, contours_of_view, emit_lines
+from hypose.compute.vectors import LANES, STRIP, fill_strip
+
+f4, i4, u4, u8 = np.float32, np.int32, np.uint32, np.uint64
+_BAND, _BANDS = 8, 64
+"""rows of a band in which a point of the mask's outline is looked for first, and so many of them"""
+_NEXT_BAND = int(0.98 * 64 * _BAND**2)
+"""a squared distance, packed, that no point has which lies a whole band or more above or below"""
+_OUT, _OPEN = -2, -1
+"""places of points that are no evidence, and of those that look out of the window"""
+
+
+@kernel
+def _nearest(u, v, number, begin, end, x, y):
+    """The nearest to (x, y) of points u, v (N,) f4 from begin to end: squared distance in 1/64 px^2 and the point's
+    number (i4) are packed into one integer, so that the minimum needs no branch, and the loop vectorises."""
+    best = i4(2147483647)
+    for i in range(u8(begin), u8(end)):  # of signed indices each would be compared with 0
+        dx, dy = u[i] - x, v[i] - y
+        one = i4((i4(min((dx * dx + dy * dy) * f4(64), f4(1e6))) << i4(11)) | number[i])
+        best = one if one < best else best
+    return best
+
+
+@kernel
+def _by_row(n, rim_u, rim_v, low, u, v, number, place):
+    """The first n points of the rim in the order of their bands of _BAND rows, which begin at row `low`, and their
+    numbers: u, v (R,) f4, number (R,) i4, far away beyond the last point; place (B + 1,): where each band begins. The
+    last band holds what is below."""
+    bands = place.shape[0] - 1
+    place[:] = 0
+    for i in range(n):
+        place[min(int((rim_v[i] - low) * f4(1 / _BAND)), bands - 1) + 1] += 1
+    for b in range(bands):
+        place[b + 1] += place[b]
+    for i in range(n):
+        b = min(int((rim_v[i] - low) * f4(1 / _BAND)), bands - 1)
+        to = place[b]
+        u[to], v[to], number[to] = rim_u[i], rim_v[i], i
+        place[b] = to + 1
+    for b in range(bands - 1, 0, -1):  # filled: each has moved to its end
+        place[b] = place[b - 1]
+    place[0] = 0
+    for i in range(n, min((n + 7) // 8 * 8, u.shape[0])):
+        u[i], v[i], number[i] = f4(1e8), f4(1e8), i4(2047)
+
+
+@kernel
+def nearest(n, u, v, number, place, low, points, found):
+    """found (K,) i4: the numbers of the nearest of n points in the order of `_by_row` to points (K, 2) f4, each looked
+    for in the bands beside it first, where that lies nearer than all others can; 0 for points that are left out."""
+    bands = place.shape[0] - 1
+    for m in range(points.shape[0]):
+        x, y = points[m, 0], points[m, 1]
+        found[m] = 0
+        if x < f4(-1e5):
+            continue
+        band = int(np.floor((y - low) * f4(1 / _BAND)))
+        # whole vectors, for what is left of them takes as long
+        begin = place[min(max(band - 1, 0), bands)] // 8 * 8
+        end = (place[min(max(band + 2, 0), bands)] + 7) // 8 * 8
+        best = _nearest(u, v, number, begin, end, x, y)
+        if (best >> 11) >= i4(_NEXT_BAND):
+            best = _nearest(u, v, number, 0, (n + 7) // 8 * 8, x, y)
+        found[m] = best & 2047
+
+
+@kernel
+def _lengths(n, lines):
+    """lines (5, E) f4 px: the lengths of n lines into the last row; by itself it vectorises."""
+    for e in range(n):
+        dx, dy = lines[2, e] - lines[0, e], lines[3, e] - lines[1, e]
+        lines[4, e] = math.sqrt(dx * dx + dy * dy)
+
+
+@kernel
+def _spread(n, lengths, spacing, edge, along):
+    """Points every `spacing` px along n edges of these lengths, one after the other: edge (R,) i4 and px along it (R,)
+    f4; returns how many."""
+    found, position = 0, spacing * f4(0.5)
+    for e in range(n):
+        length = lengths[e]
+        if length < f4(1e-6):
+            continue
+        while position < length and found < edge.shape[0]:
+            edge[found], along[found] = e, position
+            found += 1
+            position += spacing
+        position -= length
+    return found
+
+
+@kernel
+def _place_rim(work, spot, w, h, x0, y0, width, height, line):
+    """work (6 x LANES,) f4: px along an edge, its ends u, v, u, v, its length px; become the share of the edge, u, v.
+    spot (LANES,) i4: the bit of the own silhouette, `line` bits a row, in the pixel just outside; else _OUT, _OPEN."""
+    right, bottom = f4(w - 1 - BORDER), f4(h - 1 - BORDER)
+    left, top, wide, high, row = i4(x0), i4(y0), i4(width), i4(height), i4(line)
+    for k in range(LANES):
+        xa, ya, length = work[LANES + k], work[2 * LANES + k], work[5 * LANES + k]
+        dx, dy = work[3 * LANES + k] - xa, work[4 * LANES + k] - ya
+        t = work[k] / length
+        x, y = xa + t * dx, ya + t * dy
+        work[k], work[LANES + k], work[2 * LANES + k] = t, x, y
+        beside, below = x + -dy / length + f4(0.5), y + dx / length + f4(0.5)
+        # as whole numbers only what fits them
+        tx = i4(i4(min(max(beside, f4(-2)), f4(1e6))) - left)
+        ty = i4(i4(min(max(below, f4(-2)), f4(1e6))) - top)
+        at = i4(ty * row + tx)
+        at = at if tx >= i4(0) else i4(_OPEN)
+        at = at if tx < wide else i4(_OPEN)
+        at = at if ty >= i4(0) else i4(_OPEN)
+        at = at if ty < high else i4(_OPEN)
+        at = i4(_OUT) if x < f4(BORDER) else at
+        at = i4(_OUT) if y < f4(BORDER) else at
+        at = i4(_OUT) if x > right else at
+        spot[k] = i4(_OUT) if y > bottom else at
+
+
+@kernel
+def _rim(n, lines, own, w, h, x0, y0, width, height, line, edge, rim, work, spot):
+    """Of n points on edges: edge (R,), rim (3, R) f4: share of the edge (px along it before), u, v px of those that are
+    to be seen: beside them the own silhouette, of `line` bits a row, ends. Returns how many."""
+    seen = 0
+    for first in range(0, n, LANES):
+        some = min(LANES, n - first)
+        for k in range(some):
+            e = u4(edge[first + k])
+            work[k] = rim[0, first + k]
+            for r in range(5):
+                work[(r + 1) * LANES + k] = lines[r, e]
+        _place_rim(work, spot, w, h, x0, y0, width, height, line)
+        for k in range(some):
+            at = spot[k]
+            bit = u4(max(at, i4(0)))
+            covered = (own[bit >> u4(3)] >> (bit & u4(7))) & u4(1)
+            edge[seen] = edge[first + k]
+            for r in range(3):
+                rim[r, seen] = work[r * LANES + k]
+            seen += (at == _OPEN) | ((at >= 0) & (covered == u4(0)))
+    return seen
+
+
+@kernel
+def _interpolate(work, i2, weight):
+    """work (6 x LANES,) f4: how far points lie right of and below a pixel, and distances in it and right of, below and
+    right below it; become the gradient along u and v, weight, distance, and loss."""
+    for k in range(LANES):
+        fx, fy, s00, s01 = work[k], work[LANES + k], work[2 * LANES + k], work[3 * LANES + k]
+        s10, s11 = work[4 * LANES + k], work[5 * LANES + k]
+        r = (s00 * (f4(1) - fx) + s01 * fx) * (f4(1) - fy) + (s10 * (f4(1) - fx) + s11 * fx) * fy
+        gx = (s01 - s00) * (f4(1) - fy) + (s11 - s10) * fy
+        gy = (s10 - s00) * (f4(1) - fx) + (s11 - s01) * fx
+        rho, slope, _ = geman_mcclure(r * r * i2, weight, f4(1))
+        work[k], work[LANES + k], work[2 * LANES + k], work[3 * LANES + k], work[4 * LANES + k] = gx, gy, slope, r, rho
+
+
+@kernel
+def _forward_rows(n, stride, rim, edge, ws, sdf, corner, size, i2, weight, n_found, count):
+    """Adds to what is found, as contour_rows does, every stride-th of n points of the rim; returns their cost in
+    forward weights, and how many have been found then. corner, size (2,): of sdf in the image; weight: / scale^2."""
+    left, top, across, down, row = corner[0], corner[1], size[0] - 1, size[1] - 1, u4(sdf.shape[1])
+    work, spot, ends, found = ws.work, ws.spot, ws.ends, ws.found
+    cost, last, flat = 0.0, ends.shape[1] - 1, sdf[0]
+    for first in range(0, n, LANES * stride):
+        some = min(LANES, (n - first + stride - 1) // stride)
+        for k in range(some):
+            x, y = rim[1, first + k * stride], rim[2, first + k * stride]
+            xi, yi = int(x), int(y)
+            work[k], work[LANES + k] = x - f4(xi), y - f4(yi)
+            xi -= left
+            yi -= top
+            inside = (xi >= 0) & (xi < across) & (yi >= 0) & (yi < down)
+            spot[k] = yi * row + xi if inside else _OPEN
+        for k in range(some):  # by itself: memory is waited for in many places at once
+            at = u4(max(spot[k], i4(0)))
+            s00, s01, s10, s11 = flat[at], flat[at + u4(1)], flat[at + row], flat[at + row + u4(1)]
+            work[2 * LANES + k], work[3 * LANES + k], work[4 * LANES + k], work[5 * LANES + k] = s00, s01, s10, s11
+            unknown = max(max(s00, s01), max(s10, s11)) >= f4(NOT_KNOWN)
+            spot[k] = i4(_OUT) if unknown & (spot[k] >= 0) else spot[k]
+        _interpolate(work, i2, weight)
+        for k in range(some):
+            if spot[k] == _OUT:
+                continue
+            cost += work[4 * LANES + k] if spot[k] >= 0 else f4(1)  # outside the distance counts as infinite
+            count[0] += 1
+            m = first + k * stride
+            e = u4(edge[m])
+            ends[0, n_found], ends[1, n_found], found[0, n_found] = ws.start[e], ws.end[e], rim[0, m]
+            for i in range(4):
+                found[i + 1, n_found] = work[i * LANES + k]
+            n_found += (spot[k] >= 0) & (n_found < last)
+    return cost, n_found
+
+
+@kernel
+def _onto_edges(work, i2, weight):
+    """work (6 x LANES,) f4: points u, v and the ends of an edge u, v, u, v px; become what contour_rows finds of the
+    points on the edges, and their loss; i2: 1 / scale^2, weight: / scale^2."""
+    for k in range(LANES):
+        x, y, xa, ya = work[k], work[LANES + k], work[2 * LANES + k], work[3 * LANES + k]
+        dx, dy = work[4 * LANES + k] - xa, work[5 * LANES + k] - ya
+        # onto the edge itself: the nearest sample alone would leave false residuals of half the spacing
+        t = min(max(((x - xa) * dx + (y - ya) * dy) / (dx * dx + dy * dy), f4(0)), f4(1))
+        dx, dy = xa + t * dx - x, ya + t * dy - y
+        d2 = dx * dx + dy * dy
+        r = math.sqrt(d2)
+        rho, slope, _ = geman_mcclure(d2 * i2, weight, f4(1))
+        work[k], work[LANES + k], work[2 * LANES + k] = t, dx / r, dy / r
+        work[3 * LANES + k], work[4 * LANES + k], work[5 * LANES + k] = slope, r, rho
+
+
+@kernel
+def _reverse_rows(n, low, outline, edge, lines, ws, i2, weight, n_found, count):
+    """Adds to what is found, as contour_rows does, the mask's outline (K, 2) on the nearest of n points of the rim, in
+    bands from row `low` on; returns its cost in reverse weights, and how many have been found then."""
+    work, spot, ends, found = ws.work, ws.spot, ws.ends, ws.found
+    cost, last = 0.0, ends.shape[1] - 1
+    u, v = ws.sorted[0], ws.sorted[1]
+    for first in range(0, outline.shape[0], LANES):
+        some = min(LANES, outline.shape[0] - first)
+        nearest(n, u, v, ws.sorted_number, ws.bands, low, outline[first : first + some], spot)
+        for k in range(some):
+            e = edge[u4(spot[k])]
+            work[k], work[LANES + k] = outline[first + k, 0], outline[first + k, 1]
+            for r in range(4):
+                work[(r + 2) * LANES + k] = lines[r, e]
+        _onto_edges(work, i2, weight)
+        for k in range(some):
+            if outline[first + k, 0] < f4(-1e5):  # marked: it may be somebody else's outline
+                continue
+            cost += work[5 * LANES + k]
+            count[1] += 1
+            e = u4(edge[u4(spot[k])])
+            ends[0, n_found], ends[1, n_found] = ws.start[e], ws.end[e]
+            for i in range(5):
+                found[i, n_found] = work[i * LANES + k]
+            n_found += (work[4 * LANES + k] > f4(0.05)) & (n_found < last)
+    return cost, n_found
+
+
+@kernel
+def contour_rows(c, k, n_union, bounds, mesh, contours, scale, ws, n_found, count):
+    """What is found of view c, lane k of those in the workspace, from ws.found[:, n_found] on; count[0] forward and
+    count[1] reverse rows are added; returns the view's cost and how many have been found then.
+
+    ws.ends (2, M): the vertices of the edge; ws.found (5, M) f4: place on the edge 0..1, gradient of the residual along
+    u and v per px, weight, residual. bounds (5, VIEWS): of the body. Cost of a row: 1/2 w e^2 / (1 + e^2), e = r /
+    scale (Geman & McClure 1985), weight in the normal equations w / (1 + e^2)^2. A view in which the body is not to be
+    seen costs what its outline points cost at infinite distance. Which points are the outline, and which is nearest, is
+    held fixed in the derivatives.
+    """
+    w, h = contours.sizes[c, 0], contours.sizes[c, 1]
+    sdf, outline = contours.sdf[c], contours.outline[c]
+    n_outline = outline.shape[0]
+    unseen = 0.5 * contours.reverse_weight * n_outline
+    if not (bounds[4, k] >= NEAR):
+        return unseen, n_found
+    x0 = int(max(f4(0), np.floor(bounds[0, k]) - f4(1)))
+    x1 = int(min(f4(w), np.ceil(bounds[1, k]) + f4(2)))
+    y0 = int(max(f4(0), np.floor(bounds[2, k]) - f4(1)))
+    y1 = int(min(f4(h), np.ceil(bounds[3, k]) + f4(2)))
+    width, height = x1 - x0, y1 - y0
+    if width < 3 or height < 3:
+        return unseen, n_found
+    lines, rim, edge = ws.lines, ws.rim, ws.rim_edge
+    n = contours_of_view(k, n_union, ws.union, mesh.edges, ws.front, ws.uv, ws.start, ws.end, lines)
+    emit_lines(n, lines, x0, y0, width, height, ws.difference)
+    own, stride = ws.own, ws.difference.shape[1]
+    for s in range(0, width, STRIP):
+        fill_strip(ws.difference, s, stride, height, own, own, s >> 3, stride >> 3, ws.bands)  # which counts nothing
+    for x in range(width):
+        ws.difference[height, x] = 0
+    _lengths(n, lines)
+    length = f4(0)
+    for e in range(n):
+        length += lines[4, e]
+    wanted = f4(contours.spacing / contours.shrunk[c])
+    spacing = max(wanted, length / f4(RIM - 16))
+    thinned = spacing / wanted  # weight is per arc length
+    own_scale = scale / contours.shrunk[c]
+    i2 = f4(1) / f4(own_scale * own_scale)
+    forward, reverse = f4(contours.forward_weight) * thinned, f4(contours.reverse_weight)
+    # Points of the body's outline, evenly spaced along the contour edges: the pixel just outside must not be the
+    # body's.
+    n_rim = _spread(n, lines[4], spacing, edge, rim[0])
+    n_rim = _rim(n_rim, lines, own, w, h, x0, y0, width, height, stride, edge, rim, ws.work, ws.spot)
+    if n_rim == 0:
+        return unseen, n_found
+    corner, size = contours.corners[c], contours.sdf_sizes[c]
+    cost_forward, n_found = _forward_rows(
+        *(n_rim, contours.stride, rim, edge, ws, sdf, corner, size, i2, forward * i2, n_found, count)
+    )
+    low = f4(y0)
+    _by_row(n_rim, rim[1], rim[2], low, ws.sorted[0], ws.sorted[1], ws.sorted_number, ws.bands)
+    cost_reverse, n_found = _reverse_rows(n_rim, low, outline, edge, lines, ws, i2, reverse * i2, n_found, count)
+    return 0.5 * (forward * cost_forward + reverse * cost_reverse), n_found

@@ -1,1 +1,0 @@
-"""Forests of depth tests, and the sensor that makes their pictures."""

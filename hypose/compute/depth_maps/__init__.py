@@ -1,1 +1,0 @@
-"""Bodies against depth maps: what hypotheses cost."""

@@ -1,0 +1,178 @@
+"""What a depth map shows of a person's surface, and what lies before an empty room."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hypose.compute.arrays import plain
+from hypose.compute.compiled import kernel
+
+Array = NDArray[np.float64]
+Box = tuple[int, int, int, int]
+f4 = np.float32
+_AROUND = 2
+"""px about a point that are looked at"""
+_LEAST_COSINE = 0.05
+
+
+def points_of_surface(
+    depth: NDArray[np.float32], person: NDArray[np.uint8], box: Box, k: ArrayLike, jump_m: float, count: int
+) -> tuple[Array, Array, Array]:
+    """At most `count` points (N, 3) m of the person's surface, evenly over the person, unit outward normals (N, 3),
+    both in the camera's frame, and the cosine (N,) between normal and ray.
+
+    depth (h, w) m, 0 = hole; person (h, w) 0/1 and the box x0, y0, x1, y1 around it (half open); k (3, 3) of a pinhole
+    camera. A point is the median of 3 x 3 px without a hole or a jump of jump_m, so values between both sides of an
+    edge are none."""
+    lens = np.asarray(k, dtype=np.float64)[[0, 1, 0, 1], [0, 1, 2, 2]]
+    points, normals, cosines = np.empty((count, 3)), np.empty((count, 3)), np.empty(count)
+    at = np.array(box, dtype=np.int64)
+    find = _surface_points
+    n = find(plain(depth, np.float32), plain(person, np.uint8), at, lens, float(jump_m), points, normals, cosines)
+    return points[:n], normals[:n], cosines[:n]
+
+
+def before_room(
+    depth: NDArray[np.float32], room: NDArray[np.float32], sd: NDArray[np.float32], sds: float, least_m: float
+) -> NDArray[np.uint8]:
+    """(h, w) 1 where a depth map (h, w) m lies before the empty room (h, w), 0 = not known, by more than `sds` of its
+    standard deviations (h, w) and least_m."""
+    near = room - depth > np.maximum(np.float32(sds) * sd, np.float32(least_m))
+    return ((near | (room <= 0)) & (depth > 0)).view(np.uint8)
+
+
+def things_before(
+    room: NDArray[np.float32],
+    person: NDArray[np.uint8],
+    corner: tuple[int, int],
+    camera: tuple[ArrayLike, ArrayLike],
+    limit_m: float,
+    floor_m: float,
+    calm: Callable[[NDArray[np.uint8]], NDArray[np.uint8]],
+) -> tuple[NDArray[np.uint8], int]:
+    """(h, w) 1 where a room (h, w) m is known and nearer than limit_m, higher than floor_m and not the person's (h, w),
+    and how many pixels these are. corner: px x, y of the map at which the arrays begin; camera: K (3, 3) and
+    camera_from_world (4, 4); calm: takes single pixels away, before the floor is."""
+    out = np.array(calm(((room > 0) & (room < limit_m) & (person == 0)).view(np.uint8)), dtype=np.uint8)
+    v, u = np.nonzero(out)
+    k, pose = (np.asarray(a, dtype=np.float64) for a in camera)
+    z = room[v, u].astype(np.float64)
+    across, down = (u + corner[0] - k[0, 2]) / k[0, 0] * z, (v + corner[1] - k[1, 2]) / k[1, 1] * z
+    up = pose[:3, 2]
+    out[v, u] = up[0] * across + up[1] * down + up[2] * z - pose[:3, 3] @ up >= floor_m
+    return out, int(np.count_nonzero(out))
+
+
+def middle_of_piece(labels: NDArray[np.integer], label: int, depth: NDArray[np.float32]) -> float:
+    """m: median of what a depth map (h, w) m shows at the pixels of a label (h, w); NaN where all are holes."""
+    return middle(depth[(labels == label) & (depth > 0)])
+
+
+def middle(values: NDArray[np.float32]) -> float:
+    """np.median of finite values (N,), sooner; NaN of none."""
+    n = len(values)
+    if not n:
+        return float("nan")
+    ordered = np.partition(values, n // 2)  # two places at once take twice as long
+    upper = ordered[n // 2]
+    return float(upper) if n % 2 else float((ordered[: n // 2].max() + upper) / np.float32(2))
+
+
+def holes_filled(mask: NDArray[np.uint8], depth: NDArray[np.float32], solid: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """(h, w) 0/1: a mask (h, w) with the holes of a depth map (h, w) m that it closes over (a morphological closing of
+    5 px where solid (h, w), else of 3 px)."""
+    own = (mask != 0).view(np.uint8)
+    five, three = (cv2.morphologyEx(own, cv2.MORPH_CLOSE, np.ones((n, n), np.uint8)) for n in (5, 3))
+    return own | (np.where(solid, five, three) & (depth <= 0))
+
+
+@kernel
+def _median(depth, y, x, nine):
+    """Median of the 3 x 3 px about (x, y)."""
+    n = 0
+    for i in range(y - 1, y + 2):
+        for j in range(x - 1, x + 2):
+            value, k = depth[i, j], n
+            while k > 0 and nine[k - 1] > value:
+                nine[k] = nine[k - 1]
+                k -= 1
+            nine[k] = value
+            n += 1
+    return nine[4]
+
+
+@kernel
+def _sound(depth, person, x0, y0, x1, y1, jump, found):
+    """found (M,): number y * w + x of the person's pixels in a box whose 3 x 3 px lie on one surface: no hole, and no
+    jump. Returns how many."""
+    w = depth.shape[1]
+    low, high = np.empty(w, np.float32), np.empty(w, np.float32)
+    n = 0
+    for y in range(y0, y1):
+        above, row, below = depth[y - 1], depth[y], depth[y + 1]
+        for x in range(x0 - 1, x1 + 1):
+            low[x] = min(min(above[x], below[x]), row[x])
+            high[x] = max(max(above[x], below[x]), row[x])
+        for x in range(x0, x1):
+            if person[y, x] != 0:
+                least = min(min(low[x - 1], low[x + 1]), low[x])
+                if least > f4(0) and max(max(high[x - 1], high[x + 1]), high[x]) - least < jump:
+                    found[n] = y * w + x
+                    n += 1
+    return n
+
+
+@kernel
+def _surface_points(depth, person, box, lens, jump, points, normals, cosines):
+    """Points (N, 3) m and unit outward normals (N, 3), both in the camera's frame, and cosines (N,) between normal and
+    ray, of places evenly over the person in a map (h, w) f4 m; returns how many were found.
+
+    box: x0, y0, x1, y1 around the person; lens: fx, fy, cx, cy. A place is the median of 3 x 3 px that lie on one
+    surface, its normal is that of the medians beside it, which must lie on the surface too."""
+    height, width = depth.shape
+    x0, y0 = max(box[0], _AROUND), max(box[1], _AROUND)
+    x1, y1 = min(box[2], width - _AROUND), min(box[3], height - _AROUND)
+    if x0 >= x1 or y0 >= y1:
+        return 0
+    found = np.empty((x1 - x0) * (y1 - y0), np.int64)
+    n = _sound(depth, person, x0, y0, x1, y1, f4(jump), found)
+    count = min(n, points.shape[0])
+    nine, beside = np.empty(9, np.float32), np.empty((5, 3))
+    made = 0
+    for k in range(count):
+        for i in range(k * n // count, (k + 1) * n // count):
+            y, x = found[i] // width, found[i] % width
+            z = _median(depth, y, x, nine)
+            smooth = True
+            for m in range(5):  # itself, right, left, below, above
+                v, u = y + (1 if m == 3 else -1 if m == 4 else 0), x + (1 if m == 1 else -1 if m == 2 else 0)
+                own = z if m == 0 else _median(depth, v, u, nine)
+                if not own > f4(0) or abs(own - z) >= f4(jump):
+                    smooth = False
+                    break
+                beside[m, 0], beside[m, 1] = (u - lens[2]) / lens[0] * own, (v - lens[3]) / lens[1] * own
+                beside[m, 2] = own
+            if not smooth:
+                continue
+            ax, ay, az = (beside[1, 0] - beside[2, 0], beside[1, 1] - beside[2, 1], beside[1, 2] - beside[2, 2])
+            bx, by, bz = (beside[3, 0] - beside[4, 0], beside[3, 1] - beside[4, 1], beside[3, 2] - beside[4, 2])
+            # x right, y down: the product looks away from the camera
+            nx, ny, nz = az * by - ay * bz, ax * bz - az * bx, ay * bx - ax * by
+            length = math.sqrt(nx * nx + ny * ny + nz * nz)
+            if not length > 1e-12:
+                continue
+            px, py, pz = beside[0, 0], beside[0, 1], beside[0, 2]
+            cosine = -(nx * px + ny * py + nz * pz) / (length * math.sqrt(px * px + py * py + pz * pz))
+            if not cosine > _LEAST_COSINE:
+                continue
+            points[made, 0], points[made, 1], points[made, 2] = px, py, pz
+            normals[made, 0], normals[made, 1], normals[made, 2] = nx / length, ny / length, nz / length
+            cosines[made] = cosine
+            made += 1
+            break
+    return made

@@ -1,0 +1,164 @@
+"""What a structured-light depth sensor would deliver of a known scene: inverse-depth drawing, then its faults; and rays
+against capsules.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hypose.compute.compiled import kernel
+from hypose.compute.zbuffer import draw_faces, inverse_depth
+
+NEAR = 0.2
+"""Triangles with a corner nearer than this (m) are not drawn."""
+TABLE = 16384
+
+
+def draw(
+    points_camera: ArrayLike,
+    faces: NDArray[np.int32],
+    lens: tuple[float, float, float, float],
+    inverse: NDArray[np.float32],
+) -> None:
+    """Draw triangles (F, 3), of either orientation, of points (V, 3) m in the camera's frame into inverse (h, w) 1/m
+    (0 = empty), in place. lens: fx, fy, cx, cy px."""
+    p = np.asarray(points_camera, dtype=np.float64)
+    near = inverse_depth(p[:, 2], NEAR)
+    draw_faces(p[:, :2] * near[:, None] * lens[:2] + lens[2:], near, faces, inverse)
+
+
+@kernel
+def _sense(inverse, fx, baseline, smooth, rows, normals, uniforms, out):
+    h, w = inverse.shape
+    for y in range(h):
+        reached = -1e9
+        r, r2 = rows[y, 0], rows[y, 1]
+        for x in range(w):
+            out[y, x] = 0
+            seen = inverse[y, x]
+            # the projector stands beside the camera: going along the baseline, a point is lit only when it lies
+            # beyond every column that was lit before it
+            if seen > 0:
+                lit = x + fx * baseline * seen
+                if lit < reached - 1.5:
+                    continue
+                reached = max(reached, lit)
+            n0, n1 = normals[(r + x * 3) & (TABLE - 1)], normals[(r2 + x * 5 + 1) & (TABLE - 1)]
+            xx, yy = int(x + n0 * 0.6 + 0.5), int(y + n1 * 0.6 + 0.5)
+            xx, yy = min(max(xx, 1), w - 2), min(max(yy, 1), h - 2)
+            v = inverse[yy, xx]
+            if v < 1 / 7.5 or v > 2.0:
+                continue
+            z = 1.0 / v
+            # of the two one-sided differences the smaller: else every silhouette would be a hole
+            ax = min(abs(inverse[yy, xx + 1] - v), abs(v - inverse[yy, xx - 1]))
+            ay = min(abs(inverse[yy + 1, xx] - v), abs(v - inverse[yy - 1, xx]))
+            slope = max(ax, ay) * z * fx
+            if slope > 4 and uniforms[(r + x * 7) & (TABLE - 1)] < min(0.85, (slope - 4) * 0.06):
+                continue
+            if uniforms[(r2 + x * 11) & (TABLE - 1)] < 0.002 + 0.0008 * z * z:
+                continue
+            d = fx * baseline * v + smooth[y // 8, x // 8] * 0.03 + normals[(r2 + x * 13 + 5) & (TABLE - 1)] * 0.05
+            d = np.floor(d * 8 + 0.5) / 8
+            if d > 0:
+                out[y, x] = min(65535, int(1000 * fx * baseline / d + 0.5))
+
+
+def _tables() -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    rng = np.random.default_rng(5)  # one long sequence that every frame enters at other places
+    return rng.standard_normal(TABLE).astype(np.float32), rng.random(TABLE).astype(np.float32)
+
+
+_NORMALS, _UNIFORMS = _tables()
+
+
+def sense(
+    inverse: NDArray[np.float32], fx: float, rng: np.random.Generator, baseline: float = 0.075
+) -> NDArray[np.uint16]:
+    """Depth (h, w) uint16 mm, 0 = hole, of a drawn scene (inverse depth, 1/m), as the first Kinect delivers it.
+
+    Lateral jitter 0.6 px, shadow of the projector (baseline m), noise of the disparity (smooth 0.03 and white 0.05 px)
+    and its steps of 1/8 px, holes on grazing surfaces and at random, range 0.5-7.5 m. The figures are assumptions after
+    published measurements of that sensor, not fitted to one.
+    """
+    h, w = inverse.shape
+    smooth = rng.standard_normal((h // 8 + 2, w // 8 + 2)).astype(np.float32)
+    rows = rng.integers(0, TABLE, (h, 2))
+    out = np.empty((h, w), np.uint16)
+    _sense(inverse, float(fx), float(baseline), smooth, rows, _NORMALS, _UNIFORMS, out)
+    return out
+
+
+_FAR = 1e9
+"""Distance along a ray that meets nothing."""
+
+
+@kernel
+def _capsule(origin, dx, dy, dz, capsule, c):
+    """Distance along a unit ray to capsule c (a, b, radius), _FAR when it misses. After I. Quilez's closed form."""
+    ax, ay, az = capsule[c, 0], capsule[c, 1], capsule[c, 2]
+    bx, by, bz = capsule[c, 3] - ax, capsule[c, 4] - ay, capsule[c, 5] - az
+    ox, oy, oz = origin[0] - ax, origin[1] - ay, origin[2] - az
+    r2 = capsule[c, 6] * capsule[c, 6]
+    length = bx * bx + by * by + bz * bz
+    if length > 1e-12:
+        bd = bx * dx + by * dy + bz * dz
+        bo = bx * ox + by * oy + bz * oz
+        rd = dx * ox + dy * oy + dz * oz
+        oo = ox * ox + oy * oy + oz * oz
+        a = length - bd * bd
+        q = length * rd - bo * bd
+        s = q * q - a * (length * oo - bo * bo - r2 * length)
+        if a > 1e-12:
+            if s < 0:
+                return _FAR
+            t = (-q - math.sqrt(s)) / a
+            y = bo + t * bd
+            if 0 < y < length and t > 0:
+                return t
+            if y > 0:
+                ox, oy, oz = ox - bx, oy - by, oz - bz
+    rd = dx * ox + dy * oy + dz * oz
+    s = rd * rd - (ox * ox + oy * oy + oz * oz - r2)
+    if s > 0:
+        t = -rd - math.sqrt(s)
+        if t > 0:
+            return t
+    return _FAR
+
+
+@kernel
+def cast_rays(origin, directions, capsules, out):
+    """Unit directions (N, 3) from origin (3,) against capsules (C, 7) = a, b, radius in m -> out (N,) distance along
+    the ray to the first surface, _FAR when there is none."""
+    for n in range(directions.shape[0]):
+        nearest = _FAR
+        for c in range(capsules.shape[0]):
+            t = _capsule(origin, directions[n, 0], directions[n, 1], directions[n, 2], capsules, c)
+            if t < nearest:
+                nearest = t
+        out[n] = nearest
+
+
+@kernel
+def seen_share(origin, joints, offsets, capsules, own, margin, out):
+    """Share of the points joint + offset (offsets (Q, 3) m) that a sensor at origin sees: joints (J, 3), capsules
+    (C, 7), own (J, C): capsules that hold the joint and never hide it -> out (J,)."""
+    for j in range(joints.shape[0]):
+        seen = 0
+        for q in range(offsets.shape[0]):
+            dx = joints[j, 0] + offsets[q, 0] - origin[0]
+            dy = joints[j, 1] + offsets[q, 1] - origin[1]
+            dz = joints[j, 2] + offsets[q, 2] - origin[2]
+            d = math.sqrt(dx * dx + dy * dy + dz * dz)
+            hidden = False
+            for c in range(capsules.shape[0]):
+                if not own[j, c] and _capsule(origin, dx / d, dy / d, dz / d, capsules, c) < d - margin:
+                    hidden = True
+                    break
+            if not hidden:
+                seen += 1
+        out[j] = seen / offsets.shape[0]

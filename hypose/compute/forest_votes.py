@@ -1,0 +1,331 @@
+"""Looking at a depth picture with forests of depth tests (forests.py): scanning with early rejection, density.
+
+A grid cell (i, j) of stride n stands for pixel (i n + n // 2, j n + n // 2).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.compute.compiled import kernel
+from hypose.compute.forests import FAR_MM, PaddedDepth, f4, i4, response, u8
+
+PROBABILITY = 10000
+"""Probabilities are whole ten-thousandths."""
+
+
+@kernel
+def _pack(test, left, count, size, records, shares):
+    """Scanning layout: records (trees, N, 8) i2 = test, left child, share of class 1, 0; shares (trees, N, C) u2: all
+    classes. Ten-thousandths; a node that has seen nothing is background."""
+    classes = count.shape[2]
+    for t in range(left.shape[0]):
+        for n in range(size[t]):
+            total = np.float64(0.0)
+            for c in range(classes):
+                total += count[t, n, c]
+            for j in range(5):
+                records[t, n, j] = test[t, n, j]
+            records[t, n, 5] = left[t, n]
+            for c in range(classes):
+                p = count[t, n, c] / total if total > 0 else (1.0 if c == 0 else 0.0)
+                shares[t, n, c] = int(p * PROBABILITY + 0.5)
+            records[t, n, 6] = shares[t, n, 1]
+
+
+@kernel(inline=True)
+def _leaf(flat, width, c, d, s, lo, hi, records, base):
+    n = base
+    while True:
+        child = records[n, u8(5)]
+        if child < 0:
+            return n
+        f = response(
+            flat, width, c, d, s, lo, hi, records[n, u8(0)], records[n, u8(1)], records[n, u8(2)], records[n, u8(3)]
+        )
+        n = base + u8(child) + u8(0 if f < records[n, u8(4)] else 1)
+
+
+@kernel
+def _leaves(flat, width, cells, focal, clip, records, trees, out):
+    """out (S, trees) i4: the leaf that each cell of the padded picture reaches."""
+    nodes = u8(records.shape[0] // trees)
+    for i in range(cells.shape[0]):
+        c = u8(cells[i])
+        d = i4(flat[c])
+        s = f4(focal / d)
+        for t in range(trees):
+            base = u8(t) * nodes
+            out[i, t] = _leaf(flat, width, c, d, s, d - clip, d + clip, records, base) - base
+
+
+@kernel(inline=True)
+def _place(raster, i, j, stride):
+    """Where grid cell (i, j) lies in the flat picture; -1 when that is outside or its depth not within near..far."""
+    y, x = i * stride + stride // 2, j * stride + stride // 2
+    if y >= raster.rows or x >= raster.columns:
+        return -1
+    c = (y + raster.border) * raster.width + x + raster.border
+    d = raster.flat[u8(c)]
+    return c if raster.near <= d <= raster.far else -1
+
+
+@kernel
+def _coarse_pass(raster, records, table, first, least, stride, wanted):
+    """wanted (ceil(rows / stride), ...) u4: bit g is set where the mean of forest g's first trees' shares, at the cell
+    or at a neighbour, reaches `least`. records (R, 8) i2 of all forests; table (G, 4) i8: first record, nodes per tree,
+    trees, clipping distance. Returns the number of tree descents."""
+    rows, columns = wanted.shape
+    wanted[:] = 0
+    descents = 0
+    for i in range(rows):
+        for j in range(columns):
+            c = _place(raster, i, j, stride)
+            if c < 0:
+                continue
+            d = i4(raster.flat[u8(c)])
+            s = f4(raster.focal / d)
+            for g in range(table.shape[0]):
+                base, nodes, trees, clip = u8(table[g, 0]), u8(table[g, 1]), min(first, table[g, 2]), i4(table[g, 3])
+                a = 0
+                for _ in range(trees):
+                    a += records[
+                        _leaf(raster.flat, raster.width, u8(c), d, s, d - clip, d + clip, records, base), u8(6)
+                    ]
+                    base += nodes
+                descents += trees
+                if a >= least * PROBABILITY * trees:
+                    for u in range(max(0, i - 1), min(rows, i + 2)):
+                        for v in range(max(0, j - 1), min(columns, j + 2)):
+                            wanted[u, v] |= np.uint32(1) << np.uint32(g)
+    return descents
+
+
+@kernel
+def _scan(raster, records, table, first, least, stride, wanted, ratio, out):
+    """out (G, ceil(rows / stride), ...) f4: mean share of class 1 of each forest on the grid; 0 where there is no
+    depth, where its bit in wanted (coarse grid, `ratio` cells to one; used when ratio > 0) is 0, and where the mean
+    over its first trees stays below `least`, over twice as many below 1.5 `least` (first = 0: no such rejection).
+    records and table as in `coarse_pass`. Returns the number of tree descents."""
+    rows, columns = out.shape[1:]
+    limit1, limit2 = least * PROBABILITY * first, 1.5 * least * PROBABILITY * 2 * first
+    descents = 0
+    out[:] = 0
+    for i in range(rows):
+        for j in range(columns):
+            bits = wanted[i // ratio, j // ratio] if ratio > 0 else np.uint32(0xFFFFFFFF)
+            if bits == 0:
+                continue
+            c = _place(raster, i, j, stride)
+            if c < 0:
+                continue
+            d = i4(raster.flat[u8(c)])
+            s = f4(raster.focal / d)
+            for g in range(table.shape[0]):
+                if (bits >> np.uint32(g)) & np.uint32(1) == 0:
+                    continue
+                base, nodes, trees, clip = u8(table[g, 0]), u8(table[g, 1]), table[g, 2], i4(table[g, 3])
+                lo, hi, a = d - clip, d + clip, 0
+                for t in range(trees):
+                    a += records[_leaf(raster.flat, raster.width, u8(c), d, s, lo, hi, records, base), u8(6)]
+                    base += nodes
+                    descents += 1
+                    if (t + 1 == first and a < limit1) or (t + 1 == 2 * first and a < limit2):
+                        a = 0
+                        break
+                out[g, i, j] = a / f4(PROBABILITY * trees)
+    return descents
+
+
+@kernel
+def _scan_classes(raster, records, shares, trees, clip, first, least, stride, out):
+    """out (C - 1, rows, columns) f4: mean share of the winning class where a gesture wins over the background and the
+    other gestures, else 0. Early rejection on the summed share of all gestures. Returns the number of descents."""
+    rows, columns = out.shape[1:]
+    classes = shares.shape[1]
+    nodes = u8(records.shape[0] // trees)
+    limit1, limit2 = least * PROBABILITY * first, 1.5 * least * PROBABILITY * 2 * first
+    sums, scale = np.empty(classes, np.int32), f4(1.0 / (PROBABILITY * trees))
+    descents = 0
+    out[:] = 0
+    for i in range(rows):
+        for j in range(columns):
+            c = _place(raster, i, j, stride)
+            if c < 0:
+                continue
+            d = i4(raster.flat[u8(c)])
+            s, base, kept = f4(raster.focal / d), u8(0), True
+            sums[:] = 0
+            for t in range(trees):
+                n = _leaf(raster.flat, raster.width, u8(c), d, s, d - clip, d + clip, records, base)
+                for k in range(classes):
+                    sums[k] += shares[n, k]
+                base += nodes
+                descents += 1
+                a = PROBABILITY * (t + 1) - sums[0]
+                if (t + 1 == first and a < limit1) or (t + 1 == 2 * first and a < limit2):
+                    kept = False
+                    break
+            if kept:
+                best = 0
+                for k in range(1, classes):
+                    if sums[k] > sums[best]:
+                        best = k
+                if best > 0:
+                    out[best - 1, i, j] = sums[best] * scale
+    return descents
+
+
+@kernel
+def _parzen(raster, stride, scores, majority, sigma, sums, out):
+    """Density of the votes on the grid: out (rows, columns) f4, m^2 of surface per grid cell around it.
+
+    A cell votes where scores > majority. Deviation: its weight is score^3 x (z stride / focal)^2, where the thesis
+    counts votes: the surface it stands for, so that the sum over a gesture does not depend on its distance; the cube
+    lets the confident middle of a gesture's place decide where it is, not the half-hearted votes along a limb. Gaussian
+    kernel of unit sum, sigma in cells, cut at 3 sigma; sums (rows, columns) is scratch. Returns the index of the
+    largest value."""
+    rows, columns = scores.shape
+    r = int(3 * sigma + 0.5)
+    kernel = np.exp(-0.5 * (np.arange(-r, r + 1) / sigma) ** 2)
+    kernel = (kernel / kernel.sum()).astype(np.float32)
+    sums[:] = 0
+    out[:] = 0
+    unit = f4((0.001 * stride / raster.focal) ** 2)
+    for i in range(rows):
+        for j in range(columns):
+            p = scores[i, j]
+            if p > majority:
+                y, x = i * stride + stride // 2 + raster.border, j * stride + stride // 2 + raster.border
+                d = f4(raster.flat[u8(y * raster.width + x)])
+                v = p * p * p * d * d * unit
+                for q in range(max(-r, -j), min(r, columns - 1 - j) + 1):
+                    sums[i, j + q] += v * kernel[q + r]
+    for i in range(rows):
+        for j in range(columns):
+            v = sums[i, j]
+            if v != 0:
+                for q in range(max(-r, -i), min(r, rows - 1 - i) + 1):
+                    out[i + q, j] += v * kernel[q + r]
+    best, at = f4(-1.0), 0
+    for i in range(rows):
+        for j in range(columns):
+            if out[i, j] > best:
+                best, at = out[i, j], i * columns + j
+    return at
+
+
+class Packed(NamedTuple):
+    """A forest laid out for scanning: records (nt, N, 8) i2: the test, the left child, the share of class 1 in
+    ten-thousandths; shares (nt, N, C) u2: those of all classes."""
+
+    records: NDArray[np.int16]
+    shares: NDArray[np.uint16]
+
+
+class Raster(NamedTuple):
+    """A padded picture as scanning reads it: flat (n,) i2 mm, its width and border; rows and columns of the picture;
+    depths from near to far (mm) are looked at; focal length px."""
+
+    flat: NDArray[np.int16]
+    width: int
+    border: int
+    rows: int
+    columns: int
+    near: int
+    far: int
+    focal: float
+
+
+def pack(
+    test: NDArray[np.int16], left: NDArray[np.int16], count: NDArray[np.uint32], size: NDArray[np.int32]
+) -> Packed:
+    """The scanning layout of trees: test (nt, N, 5), left (nt, N), count (nt, N, C), size (nt,)."""
+    n = int(size.max())
+    records = np.zeros((len(left), n, 8), np.int16)
+    shares = np.zeros((len(left), n, count.shape[2]), np.uint16)
+    _pack(test, left, count, size, records, shares)
+    return Packed(records, shares)
+
+
+def leaves(picture: PaddedDepth, cells: NDArray[np.int64], packed: Packed, clip_mm: int) -> NDArray[np.int32]:
+    """(S, nt) the leaf that each cell reaches in each tree."""
+    out = np.empty((len(cells), len(packed.records)), np.int32)
+    records = packed.records.reshape(-1, 8)
+    _leaves(picture.flat, picture.width, cells, picture.focal, clip_mm, records, len(packed.records), out)
+    return out
+
+
+@dataclass(frozen=True)
+class ScanPlan:
+    """Where and how thoroughly a picture is scanned: every stride-th pixel between near and far; after `first` trees a
+    mean share below `least` is dropped, after twice as many one below 1.5 `least`. coarse > 0: the first trees look on
+    a grid `coarse` times wider first, and only the neighbourhood of what they keep is scanned."""
+
+    stride: int = 4
+    near_mm: int = 500
+    far_mm: int = 4000
+    first: int = 3
+    least: float = 0.25
+    coarse: int = 2
+
+
+def grid_shape(shape: tuple[int, int], stride: int) -> tuple[int, int]:
+    """Rows and columns of the scanning grid; cell (i, j) stands for pixel (i, j) stride + stride // 2."""
+    return -(-shape[0] // stride), -(-shape[1] // stride)
+
+
+def _raster(picture: PaddedDepth, near_mm: int, far_mm: int) -> Raster:
+    h, w = picture.shape
+    near = max(near_mm, picture.near_mm)
+    return Raster(picture.flat, picture.width, picture.border, h, w, near, far_mm, picture.focal)
+
+
+MOST_FORESTS = 32
+"""Looked with at a time."""
+
+
+def scan(
+    picture: PaddedDepth, packed: Sequence[Packed], clip_mm: Sequence[int], plan: ScanPlan
+) -> tuple[NDArray[np.float32], int]:
+    """Mean share (G, rows, columns) of class 1 of each of at most 32 forests on the grid (0 where rejected), and the
+    number of tree descents. All forests share one coarse pass and one walk over the picture."""
+    raster = _raster(picture, plan.near_mm, plan.far_mm)
+    records = [p.records.reshape(-1, 8) for p in packed]
+    starts = np.cumsum([0, *(len(r) for r in records)])
+    table = np.array(
+        [(a, p.records.shape[1], len(p.records), c) for a, p, c in zip(starts, packed, clip_mm, strict=False)], np.int64
+    )
+    joined = records[0] if len(records) == 1 else np.concatenate(records)
+    shape = grid_shape(picture.shape, plan.stride)
+    out, wanted, spent = np.empty((len(packed), *shape), np.float32), np.zeros((1, 1), np.uint32), 0
+    wide = plan.coarse if plan.first else 0
+    if wide:
+        wanted = np.empty(grid_shape(picture.shape, plan.stride * wide), np.uint32)
+        spent = _coarse_pass(raster, joined, table, plan.first, plan.least, plan.stride * wide, wanted)
+    spent += _scan(raster, joined, table, plan.first, plan.least, plan.stride, wanted, wide, out)
+    return out, int(spent)
+
+
+def scan_classes(picture: PaddedDepth, packed: Packed, clip_mm: int, plan: ScanPlan) -> tuple[NDArray[np.float32], int]:
+    """(C - 1, rows, columns): mean share of each gesture where it wins, else 0; and the number of tree descents."""
+    raster = _raster(picture, plan.near_mm, plan.far_mm)
+    shares = packed.shares.reshape(-1, packed.shares.shape[2])
+    out = np.empty((shares.shape[1] - 1, *grid_shape(picture.shape, plan.stride)), np.float32)
+    records, trees = packed.records.reshape(-1, 8), len(packed.records)
+    spent = _scan_classes(raster, records, shares, trees, clip_mm, plan.first, plan.least, plan.stride, out)
+    return out, int(spent)
+
+
+def parzen(
+    picture: PaddedDepth, scores: NDArray[np.float32], stride: int, majority: float, sigma_px: float
+) -> tuple[NDArray[np.float32], int]:
+    """Density (rows, columns) of the votes: m^2 of voting surface per cell; and the index of its largest value."""
+    sums, out = np.empty_like(scores), np.empty_like(scores)
+    raster = _raster(picture, 0, FAR_MM)
+    return out, int(_parzen(raster, stride, scores, majority, sigma_px / stride, sums, out))

@@ -1,0 +1,256 @@
+"""Joint frames, world twists, skinning, and how sure joint centres are."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hypose.compute.arrays import BALL, HINGES, MeshArrays, TreeArrays, plain, tidy
+from hypose.compute.compiled import kernel
+
+Array = NDArray[np.float64]
+
+
+@kernel
+def so3_exp(x, y, z, rotation):
+    """Rodrigues' formula: the rotation (3, 3) of the rotation vector (x, y, z)."""
+    a, b, _, t2 = _rodrigues(x, y, z)
+    _turning(x, y, z, t2, a, b, rotation)
+
+
+@kernel
+def so3_exp_and_jacobian(x, y, z, rotation, jacobian):
+    """The same, and the left Jacobian (3, 3) of the rotation vector."""
+    a, b, c, t2 = _rodrigues(x, y, z)
+    _turning(x, y, z, t2, a, b, rotation)
+    _turning(x, y, z, t2, b, c, jacobian)
+
+
+@kernel
+def _rodrigues(x, y, z):
+    """sin t / t, (1 - cos t) / t^2, (t - sin t) / t^3 and t^2 of a rotation vector of length t."""
+    t2 = x * x + y * y + z * z
+    t = math.sqrt(t2)
+    if t < 1e-3:  # series: the error of the next term is below 1e-15
+        return 1 - t2 / 6 + t2 * t2 / 120, 0.5 - t2 / 24 + t2 * t2 / 720, 1 / 6 - t2 / 120 + t2 * t2 / 5040, t2
+    a = math.sin(t) / t
+    h = math.sin(0.5 * t) / t
+    return a, 2 * h * h, (1 - a) / t2, t2  # (1 - cos t) / t^2 without cancellation
+
+
+@kernel
+def _turning(x, y, z, t2, p, s, m):
+    """m (3, 3) = 1 + p V + s V^2, V the matrix of the cross product with (x, y, z), whose squared length is t2."""
+    m[0, 0] = 1 + s * (x * x - t2)
+    m[1, 1] = 1 + s * (y * y - t2)
+    m[2, 2] = 1 + s * (z * z - t2)
+    m[0, 1] = -p * z + s * x * y
+    m[1, 0] = p * z + s * x * y
+    m[0, 2] = p * y + s * x * z
+    m[2, 0] = -p * y + s * x * z
+    m[1, 2] = -p * x + s * y * z
+    m[2, 1] = p * x + s * y * z
+
+
+@kernel
+def multiply(a, b, out):
+    """out = a @ b for (3, 3); out must be another array."""
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
+
+
+@kernel
+def joint_frames(q, tree, rotations, centres, twists):
+    """Frames and twists of one pose q (D,), all about the root's position: rotations (J, 3, 3); centres (J, 3) minus
+    q[0:3]; twists (D, 6) = (w, v), a point x (minus q[0:3]) moves with w x x + v per unit of the dof."""
+    local = np.empty((3, 3))
+    jacobian = np.empty((3, 3))
+    turned = np.empty((3, 3))
+    frame = np.empty((3, 3))
+    twists[:] = 0.0
+    for i in range(3):
+        for k in range(3):
+            twists[i, 3 + k] = tree.axes[i, k]
+    for j in range(tree.parents.shape[0]):
+        a = tree.parents[j]
+        if a < 0:
+            for i in range(3):
+                centres[j, i] = 0.0
+                for k in range(3):
+                    frame[i, k] = 1.0 if i == k else 0.0
+        else:
+            dx = tree.joints[j, 0] - tree.joints[a, 0]
+            dy = tree.joints[j, 1] - tree.joints[a, 1]
+            dz = tree.joints[j, 2] - tree.joints[a, 2]
+            for i in range(3):
+                centres[j, i] = (
+                    centres[a, i] + rotations[a, i, 0] * dx + rotations[a, i, 1] * dy + rotations[a, i, 2] * dz
+                )
+                for k in range(3):
+                    frame[i, k] = rotations[a, i, k]
+        first = tree.dof_start[j]
+        if tree.kind[j] == BALL:
+            so3_exp_and_jacobian(q[first], q[first + 1], q[first + 2], local, jacobian)
+            multiply(frame, jacobian, turned)
+            for n in range(3):
+                for i in range(3):
+                    twists[first + n, i] = turned[i, n]
+            multiply(frame, local, rotations[j])
+        elif tree.kind[j] == HINGES:
+            for n in range(tree.dof_count[j]):
+                d = first + n
+                ax, ay, az = tree.axes[d, 0], tree.axes[d, 1], tree.axes[d, 2]
+                for i in range(3):
+                    twists[d, i] = frame[i, 0] * ax + frame[i, 1] * ay + frame[i, 2] * az
+                so3_exp_and_jacobian(q[d] * ax, q[d] * ay, q[d] * az, local, jacobian)
+                multiply(frame, local, rotations[j])
+                for i in range(3):
+                    for k in range(3):
+                        frame[i, k] = rotations[j, i, k]
+        else:
+            for i in range(3):
+                for k in range(3):
+                    rotations[j, i, k] = frame[i, k]
+        for n in range(tree.dof_count[j]):
+            s = twists[first + n]
+            s[3] = centres[j, 1] * s[2] - centres[j, 2] * s[1]
+            s[4] = centres[j, 2] * s[0] - centres[j, 0] * s[2]
+            s[5] = centres[j, 0] * s[1] - centres[j, 1] * s[0]
+
+
+@kernel
+def _forward_kinematics(poses, tree, rotations, centres):
+    """Batch of joint frames: poses (N, D) -> rotations (N, J, 3, 3), centres (N, J, 3) in the world."""
+    twists = np.empty((poses.shape[1], 6))
+    for n in range(poses.shape[0]):
+        joint_frames(poses[n], tree, rotations[n], centres[n], twists)
+        for j in range(centres.shape[1]):
+            for i in range(3):
+                centres[n, j, i] += poses[n, i]
+
+
+@kernel
+def skin_batch(rotations, centres, tree, mesh, out):
+    """Linear blend skinning in float64: (N, J, 3, 3), (N, J, 3) -> out (N, V, 3)."""
+    for n in range(rotations.shape[0]):
+        for v in range(mesh.vertices.shape[0]):
+            px = py = pz = 0.0
+            for k in range(mesh.skin_count[v]):
+                j = mesh.skin_index[v, k]
+                w = np.float64(mesh.skin_weight[v, k])
+                x = mesh.vertices[v, 0] - tree.joints[j, 0]
+                y = mesh.vertices[v, 1] - tree.joints[j, 1]
+                z = mesh.vertices[v, 2] - tree.joints[j, 2]
+                r = rotations[n, j]
+                c = centres[n, j]
+                px += w * (c[0] + r[0, 0] * x + r[0, 1] * y + r[0, 2] * z)
+                py += w * (c[1] + r[1, 0] * x + r[1, 1] * y + r[1, 2] * z)
+                pz += w * (c[2] + r[2, 0] * x + r[2, 1] * y + r[2, 2] * z)
+            out[n, v, 0], out[n, v, 1], out[n, v, 2] = px, py, pz
+
+
+@kernel
+def bone_map(rotation, centre, joint, out):
+    """out (12,) f4, row by row (3, 4): what carries a vertex of the resting body with a joint, from where that is at
+    rest (3,) to its frame: rotation (3, 3), centre (3,)."""
+    for i in range(3):
+        x, y, z = rotation[i, 0], rotation[i, 1], rotation[i, 2]
+        out[4 * i] = x
+        out[4 * i + 1] = y
+        out[4 * i + 2] = z
+        out[4 * i + 3] = centre[i] - x * joint[0] - y * joint[1] - z * joint[2]
+
+
+@kernel
+def skin_about_root(rotations, centres, tree, mesh, out):
+    """Linear blend skinning of one pose in float32 about the root's position (float32 is then good to 1e-4 mm)."""
+    n_joints = rotations.shape[0]
+    maps = np.empty((n_joints, 12), np.float32)
+    for j in range(n_joints):
+        bone_map(rotations[j], centres[j], tree.joints[j], maps[j])
+    b = np.empty(12, np.float32)
+    for v in range(mesh.vertices.shape[0]):
+        w = mesh.skin_weight[v, 0]
+        m = maps[mesh.skin_index[v, 0]]
+        for i in range(12):
+            b[i] = w * m[i]
+        for k in range(1, mesh.skin_count[v]):
+            w = mesh.skin_weight[v, k]
+            m = maps[mesh.skin_index[v, k]]
+            for i in range(12):
+                b[i] += w * m[i]
+        x, y, z = mesh.vertices[v, 0], mesh.vertices[v, 1], mesh.vertices[v, 2]
+        out[v, 0] = b[0] * x + b[1] * y + b[2] * z + b[3]
+        out[v, 1] = b[4] * x + b[5] * y + b[6] * z + b[7]
+        out[v, 2] = b[8] * x + b[9] * y + b[10] * z + b[11]
+
+
+@kernel
+def camera_about_root(projection, q, out):
+    """Projection (3, 4) f8 for points in the world -> out (3, 4) f4 for points minus q[0:3]."""
+    for r in range(3):
+        for c in range(3):
+            out[r, c] = projection[r, c]
+        out[r, 3] = projection[r, 0] * q[0] + projection[r, 1] * q[1] + projection[r, 2] * q[2] + projection[r, 3]
+
+
+@kernel
+def _joint_jacobians(q, tree, out):
+    """out (J, 3, D), zero before: derivatives of the joint centres, the root's rotation as a small turn in the
+    world."""
+    n_dof, n_joints = q.shape[0], tree.parents.shape[0]
+    rotations, centres, twists = np.empty((n_joints, 3, 3)), np.empty((n_joints, 3)), np.empty((n_dof, 6))
+    joint_frames(q, tree, rotations, centres, twists)
+    twists[3:6] = 0.0  # the root turns about the axes of the world through its centre
+    for k in range(3):
+        twists[3 + k, k] = 1.0
+    for j in range(n_joints):
+        a = j
+        while a >= 0:
+            for d in range(n_dof):
+                if tree.joint_of_dof[d] == a:
+                    t = twists[d]
+                    for i in range(3):
+                        b, c = (i + 1) % 3, (i + 2) % 3
+                        out[j, i, d] = t[b] * centres[j, c] - t[c] * centres[j, b] + t[3 + i]
+            a = tree.parents[a]
+
+
+def forward_kinematics(poses: ArrayLike, tree: TreeArrays) -> tuple[Array, Array]:
+    """Poses (N, D) -> rotations world_from_joint (N, J, 3, 3) and joint centres (N, J, 3) m."""
+    q = plain(poses, np.float64)
+    n, j = len(q), len(tree.parents)
+    rotations, centres = np.empty((n, j, 3, 3)), np.empty((n, j, 3))
+    _forward_kinematics(q, tidy(tree), rotations, centres)
+    return rotations, centres
+
+
+def skin(rotations: ArrayLike, centres: ArrayLike, tree: TreeArrays, mesh: MeshArrays) -> Array:
+    """Linear blend skinning: rotations (N, J, 3, 3), centres (N, J, 3) -> vertices (N, V, 3) m."""
+    r, c = plain(rotations, np.float64), plain(centres, np.float64)
+    out = np.empty((len(r), len(mesh.vertices), 3))
+    skin_batch(r, c, tidy(tree), tidy(mesh), out)
+    return out
+
+
+def joint_jacobians(pose: ArrayLike, tree: TreeArrays) -> Array:
+    """(J, 3, D) derivatives of the joint centres by a pose (D,), the root's rotation as a small turn in the world."""
+    q = plain(pose, np.float64)
+    out = np.zeros((len(tree.parents), 3, len(q)))
+    _joint_jacobians(q, tidy(tree), out)
+    return out
+
+
+def joint_covariances(pose: ArrayLike, tree: TreeArrays, information: Array, ridge: float = 1e-9) -> Array:
+    """(J, 3, 3) m^2: covariances of the joint centres when the pose (D,) has the covariance (information + ridge)^-1:
+    G C G^T with G the Jacobian of the centre.
+
+    ridge: relative to the diagonal of the information, which counts as 1 at least, and makes it positive definite."""
+    jacobian = joint_jacobians(pose, tree)
+    flat = jacobian.reshape(-1, jacobian.shape[2])
+    known = information + np.diag(ridge * np.maximum(information.diagonal(), 1.0))
+    spread = np.linalg.solve(known, flat.T).T.reshape(jacobian.shape)
+    return np.einsum("jad,jbd->jab", jacobian, spread)

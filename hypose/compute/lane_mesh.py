@@ -1,0 +1,186 @@
+"""The mesh as the block-wise silhouette scorer reads it (only the faces asked for, weights without the zeros), and its
+scratch memory, kept by each thread: memory that is made for every call has its pages touched for the first time, which
+takes as long as scoring a dozen poses.
+"""
+
+from __future__ import annotations
+
+import threading
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.compute.arrays import MeshArrays, TreeArrays
+from hypose.compute.vectors import LANES, row_stride
+
+
+class LaneMesh(NamedTuple):
+    """A mesh, or some faces of one, for scorer.py."""
+
+    vertices: NDArray[np.float32]
+    """(V, 3) m, only those of the faces."""
+    faces: NDArray[np.int32]
+    """(F, 3)"""
+    edges: NDArray[np.int32]
+    """(E, 4): vertices a, b, the faces left and right; F where the face is not among those asked for."""
+    start: NDArray[np.int64]
+    """(V + 1,) first influence of each vertex in joint and weight."""
+    joint: NDArray[np.int32]
+    """(K,)"""
+    weight: NDArray[np.float32]
+    """(K,)"""
+    needed: NDArray[np.bool_]
+    """(J,) the joints that move these vertices, and those above them"""
+    one_sided: bool
+    """Only front faces are drawn, also where the near plane opens the mesh."""
+
+
+class _Plan(NamedTuple):
+    edges_of: NDArray[np.int32]  # the array itself: its identity is the key
+    weights_of: NDArray[np.float32]
+    wanted: bytes | None
+    used: NDArray[np.int64]
+    mesh: LaneMesh
+
+
+_plans: list[_Plan] = []
+_lock = threading.Lock()
+_KEPT = 24  # two bodies with ten layers of parts each
+
+
+def prepare(mesh: MeshArrays, tree: TreeArrays, faces: NDArray[np.bool_] | None) -> LaneMesh:
+    """The mesh, or its faces where faces (F,) is True. What depends on topology and weights is kept for the next call;
+    vertices are read anew."""
+    wanted = None if faces is None else faces.tobytes()
+    with _lock:
+        for k, plan in enumerate(_plans):
+            if plan.edges_of is mesh.edges and plan.weights_of is mesh.skin_weight and plan.wanted == wanted:
+                _plans.insert(0, _plans.pop(k))
+                return _with_vertices(plan, mesh)
+    plan = _plan(mesh, tree, faces, wanted)
+    with _lock:
+        _plans.insert(0, plan)
+        del _plans[_KEPT:]
+    return _with_vertices(plan, mesh)
+
+
+def _with_vertices(plan: _Plan, mesh: MeshArrays) -> LaneMesh:
+    return plan.mesh._replace(vertices=np.asarray(mesh.vertices.take(plan.used, axis=0), dtype=np.float32))
+
+
+def _plan(mesh: MeshArrays, tree: TreeArrays, faces: NDArray[np.bool_] | None, wanted: bytes | None) -> _Plan:
+    chosen = np.ones(len(mesh.faces), dtype=bool) if faces is None else faces
+    kept = mesh.faces[chosen]
+    new_face = np.full(len(mesh.faces), len(kept), dtype=np.int32)
+    new_face[chosen] = np.arange(len(kept), dtype=np.int32)
+    edges = mesh.edges[(chosen[mesh.edges[:, 2]] | chosen[mesh.edges[:, 3]])]
+    used = np.unique(kept)
+    new_vertex = np.zeros(len(mesh.vertices), dtype=np.int32)
+    new_vertex[used] = np.arange(len(used), dtype=np.int32)
+    count = mesh.skin_count[used]
+    own = np.arange(mesh.skin_index.shape[1]) < count[:, None]
+    joint = np.ascontiguousarray(mesh.skin_index[used][own])
+    return _Plan(
+        mesh.edges,
+        mesh.skin_weight,
+        wanted,
+        used,
+        LaneMesh(
+            mesh.vertices[:0],
+            np.ascontiguousarray(new_vertex[kept]),
+            np.ascontiguousarray(np.concatenate([new_vertex[edges[:, :2]], new_face[edges[:, 2:]]], 1)),
+            np.concatenate([[0], np.cumsum(count)]).astype(np.int64),
+            joint,
+            np.ascontiguousarray(mesh.skin_weight[used][own]),
+            _with_ancestors(joint, tree.parents),
+            faces is not None,
+        ),
+    )
+
+
+def _with_ancestors(joints: NDArray[np.int32], parents: NDArray[np.int64]) -> NDArray[np.bool_]:
+    needed = np.zeros(len(parents), dtype=bool)
+    needed[joints] = True
+    for j in range(len(parents) - 1, 0, -1):
+        needed[parents[j]] |= needed[j]
+    return needed
+
+
+class MovingParts(NamedTuple):
+    """What of a mesh, or of the faces asked for, moves when some joints turn."""
+
+    moved: NDArray[np.bool_]
+    """(F,) the faces with a corner that hangs on such a joint or on one below it"""
+    standing: NDArray[np.bool_]
+    """(F,) the others"""
+    corners: NDArray[np.int32]
+    """(K, 3) the others"""
+    turning: NDArray[np.bool_]
+    """(J,) such joints, and those below them"""
+    vertices: NDArray[np.int64]
+    """(M,) the corners of the faces that move"""
+
+
+_moving: list[tuple[NDArray[np.int32], bytes, MovingParts]] = []
+
+
+def moving_parts(
+    mesh: MeshArrays, tree: TreeArrays, moving: NDArray[np.bool_], faces: NDArray[np.bool_] | None
+) -> MovingParts:
+    """The parts when the joints `moving` (J,) turn, of the faces (F,) asked for; kept for the next call."""
+    wanted = moving.tobytes() + (b"" if faces is None else faces.tobytes())
+    with _lock:
+        for index_of, key, parts in _moving:
+            if index_of is mesh.skin_index and key == wanted:
+                return parts
+    below = moving.copy()
+    for j, parent in enumerate(tree.parents):
+        below[j] |= parent >= 0 and below[parent]
+    own = np.arange(mesh.skin_index.shape[1]) < mesh.skin_count[:, None]
+    moved = np.asarray((below[mesh.skin_index] & own).any(1)[mesh.faces].any(1))
+    chosen = np.ones_like(moved) if faces is None else faces
+    standing = chosen & ~moved
+    corners, vertices = np.ascontiguousarray(mesh.faces[standing]), np.unique(mesh.faces[chosen & moved])
+    made = MovingParts(chosen & moved, standing, corners, below, vertices.astype(np.int64))
+    with _lock:
+        _moving.insert(0, (mesh.skin_index, wanted, made))
+        del _moving[_KEPT:]
+    return made
+
+
+_KEPT_SCRATCH = 8  # two bodies with four limbs each
+_OWN = threading.local()
+
+
+def lane_scratch(mesh: LaneMesh, image: tuple[int, int]) -> tuple[Any, ...]:
+    """This thread's scratch for a mesh and images of (rows, columns), as `scorer._silhouette_xor` unpacks it."""
+    known: dict[tuple[int, ...], tuple[Any, ...]] = _OWN.__dict__.setdefault("scratch", {})
+    key = (len(mesh.needed), len(mesh.vertices), len(mesh.faces), len(mesh.edges), *image)
+    if key not in known:
+        if len(known) == _KEPT_SCRATCH:
+            known.clear()
+        known[key] = _make(*key)
+    return known[key]
+
+
+def _make(j: int, v: int, f: int, e: int, rows: int, columns: int) -> tuple[Any, ...]:
+    """Of LANES poses at a time: 12 arrays of placing and projecting, 8 of drawing, and those of `scorer.score_safely`;
+    the difference images are zero between calls."""
+    f4, i4, lanes = np.float32, np.int32, LANES
+    single = (
+        *(np.empty((v, 3), f4), np.empty(v, f4), np.empty(v, f4), np.empty((3, 4), f4)),
+        *(np.empty(f + 1, np.uint8), np.empty(e, i4), np.empty(e, i4), np.zeros((rows + 1, columns), np.int16)),
+        *(np.empty(columns, np.int16), np.empty(columns, np.uint16), np.empty(columns, np.uint16)),
+    )
+    return (
+        *(np.empty((j + 1, 9, lanes)), np.empty((j, 3, lanes)), np.empty((3, lanes)), np.empty((9, lanes))),
+        *(np.empty((j, 12, lanes), f4), np.empty((v, 3, lanes), f4), np.empty((v, lanes), f4)),
+        *(np.empty((v, lanes), f4), np.empty((12, lanes), f4), np.empty((5, lanes), f4)),
+        *(np.zeros((5, lanes), f4), np.zeros((lanes, 4), np.int64)),
+        *(np.empty(f + 1, np.uint16), np.empty(e + 1, i4), np.empty((4, lanes), f4), np.empty(lanes, i4)),
+        # an outline crosses a column some 5 times each way; memory that is not touched costs nothing
+        *(np.empty((2 * lanes, 16 * columns + 1024), i4), np.zeros(2 * lanes, np.int64)),
+        # a window begins at a multiple of 8
+        *(np.zeros((rows + 1) * row_stride(columns + 8), np.int8), np.zeros(3, np.int64), single),
+    )

@@ -1,0 +1,487 @@
+"""Masks as bits, cleaned, and as runs of pixels.
+
+Bits (words, h) u8 hold 64 pixels of a row in a word, lowest bit first, zero beyond the mask's width; the words of a
+column lie side by side, so that what is done to all rows takes vectors of them. A box (4,) is y0, y1, x0, x1, half
+open, px. Spans (n, 4) say what belongs to a structuring element: rows first..last about a pixel, and in each the
+columns left..right, all inclusive.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.compute.arrays import plain
+from hypose.compute.compiled import kernel
+from hypose.compute.simd import lowest_bit, popcount
+
+Mask = NDArray[np.uint8]
+Bits = NDArray[np.uint64]
+"""(words, h) of a mask (h, w): 64 pixels of a row in a word, lowest bit first, zero beyond the width"""
+
+
+class Cleaning(NamedTuple):
+    """How a mask is cleaned: opened by a square of open_px and closed by a disc of close_px (0, 1: not at all), holes
+    of at most hole_px filled (background connected over edges only), then only the biggest region kept (connected over
+    corners too) and those of at least keep_share times its area (1: none) whose boxes are not farther from its box than
+    keep_gap times the longer side of that."""
+
+    open_px: int = 0
+    close_px: int = 0
+    hole_px: int = 0
+    keep_share: float = 0.0
+    keep_gap: float = 1e9
+
+
+class MaskRuns(NamedTuple):
+    """A mask (h, w) = shape as the runs of its rows, in about a thousand bytes (see `draw`): the box around it
+    (zeros when it is empty) and its area in px are known."""
+
+    code: NDArray[np.uint8]
+    shape: tuple[int, int]
+    box: tuple[int, int, int, int]
+    area: int
+
+
+def no_bits(h: int, w: int) -> Bits:
+    """Of an empty mask (h, w)."""
+    return np.zeros(((w + 63) // 64, h), np.uint64)
+
+
+def bits_of(mask: Mask) -> Bits:
+    """Of a mask (h, w), non-zero = set."""
+    bits = no_bits(*mask.shape)
+    _bits_of(plain(mask, np.uint8), bits)
+    return bits
+
+
+def mask_of(bits: Bits, width: int) -> Mask:
+    """The mask (h, width) of bits, 0 and 1."""
+    rows = np.ascontiguousarray(bits.T).view(np.uint8)
+    return np.unpackbits(rows, axis=1, count=width, bitorder="little")
+
+
+def clean(bits: Bits, shape: tuple[int, int], how: Cleaning) -> MaskRuns:
+    """The mask (h, w) = shape of bits (which are changed), cleaned, as runs."""
+    about = np.zeros(5, np.int64)
+    spans = square_spans(how.open_px), disc_spans(how.close_px)
+    rules = how.close_px + 1, int(how.hole_px), float(how.keep_share), float(min(how.keep_gap, 1e9))
+    code = _clean(bits, shape[1], *spans, *rules, about)
+    y0, y1, x0, x1, area = about.tolist()
+    return MaskRuns(code, shape, (y0, y1, x0, x1), area)
+
+
+def runs_of(mask: Mask) -> MaskRuns:
+    """Of a mask (h, w), non-zero = set, as it is."""
+    return clean(bits_of(mask), (mask.shape[0], mask.shape[1]), Cleaning())
+
+
+def draw(runs: MaskRuns, out: Mask | None = None, corner: tuple[int, int] = (0, 0)) -> Mask:
+    """The mask (h, w) again; or set where it is in out, whose first pixel is the corner (y, x) of the mask."""
+    made = np.zeros(runs.shape, np.uint8) if out is None else out
+    y0, y1, x0, _ = runs.box
+    _draw(runs.code, y0, y1, x0, made, *corner)
+    return made
+
+
+@lru_cache(maxsize=256)
+def square_spans(size: int) -> NDArray[np.int64]:
+    """(n, 4) spans of a square; none for a size below 2, which changes nothing."""
+    return _spans(np.ones((size, size), np.uint8))
+
+
+@lru_cache(maxsize=256)
+def disc_spans(size: int) -> NDArray[np.int64]:
+    """The same of OpenCV's disc."""
+    return _spans(disc(size)) if size > 1 else _spans(np.ones((size, size), np.uint8))
+
+
+def disc(size: int) -> Mask:
+    """(size, size) OpenCV's disc, 1 where it is."""
+    return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), dtype=np.uint8)
+
+
+def _spans(element: Mask) -> NDArray[np.int64]:
+    """Rows of an element with the same columns are one span; OpenCV's middle of n is n // 2."""
+    size, spans = len(element), list[list[int]]()
+    for y, row in enumerate(element if size > 1 else ()):
+        x = np.flatnonzero(row) - size // 2
+        if spans and spans[-1][2:] == [x[0], x[-1]]:
+            spans[-1][1] += 1
+        else:
+            spans.append([y - size // 2, y - size // 2, x[0], x[-1]])
+    return np.array(spans, dtype=np.int64).reshape(-1, 4)
+
+
+def warm_up() -> None:
+    """Compile (or load from disk) every kernel of this module on a toy mask."""
+    mask = np.ones((4, 5), np.uint8)
+    draw(clean(bits_of(mask), (4, 5), Cleaning(3, 3, 1, 0.5, 1.0)))
+
+
+u8 = np.uint64
+ALL = u8(0xFFFFFFFFFFFFFFFF)
+
+
+@kernel(inline=True)
+def word_of(eights, k):
+    """Word k of a row of zeros and ones, a byte each, eight to a number of eights (8 words,) u8."""
+    word = u8(0)
+    for i in range(8):  # the lowest bits of eight bytes, times this, become the highest byte
+        word |= ((eights[8 * k + i] * u8(0x0102040810204080)) >> u8(56)) << u8(8 * i)
+    return word
+
+
+@kernel
+def _bits_of(mask, bits):
+    """bits (words, h) u8 of a mask (h, w) u1, non-zero = set."""
+    h, w = mask.shape
+    padded = np.zeros(64 * bits.shape[0], np.uint8)
+    eights = padded.view(np.uint64)
+    for y in range(h):
+        row = mask[y]
+        for x in range(w):
+            padded[x] = row[x] != 0
+        for k in range(bits.shape[0]):
+            bits[k, y] = word_of(eights, k)
+
+
+@kernel
+def _within(box, k):
+    """The bits of word k that lie in the box's columns."""
+    low, high = max(box[2] - 64 * k, 0), min(box[3] - 64 * k, 64)
+    if low >= high:
+        return u8(0)
+    return (ALL << u8(low)) & (ALL >> u8(64 - high))
+
+
+@kernel
+def close_to(bits, box):
+    """Clears what lies in the box's rows and not in its columns."""
+    for k in range(bits.shape[0]):
+        inside, column = _within(box, k), bits[k, box[0] : box[1]]
+        for i in range(column.shape[0]):
+            column[i] &= inside
+
+
+@kernel
+def grown(bits, spans, box, flip, out):
+    """out = bits, grown by the spans, in the box, out of which nothing comes. flip: 0, or ALL: what is not set grows,
+    and out is what is left."""
+    begin, words, n = box[2] >> 6, ((box[3] + 63) >> 6) - (box[2] >> 6), box[1] - box[0]
+    union = np.zeros((words + 2, n), np.uint64)  # of the rows of a span; a word more on both sides
+    for k in range(words):
+        out[begin + k, box[0] : box[1]] = 0
+    for s in range(spans.shape[0]):
+        left, right = spans[s, 2], spans[s, 3]
+        for k in range(words):
+            inside, column, made = _within(box, begin + k), bits[begin + k, box[0] : box[1]], union[k + 1]
+            made[:] = 0
+            for d in range(spans[s, 0], spans[s, 1] + 1):
+                for i in range(max(-d, 0), n - max(d, 0)):
+                    made[i] |= (column[i + d] ^ flip) & inside
+        for k in range(words):
+            before, here, after = union[k], union[k + 1], union[k + 2]
+            made = out[begin + k, box[0] : box[1]]
+            if left <= 0 <= right:
+                for i in range(n):
+                    made[i] |= here[i]
+            for d in range(max(left, 1), right + 1):
+                for i in range(n):
+                    made[i] |= (here[i] >> u8(d)) | (after[i] << u8(64 - d))
+            for d in range(max(-right, 1), 1 - left):
+                for i in range(n):
+                    made[i] |= (here[i] << u8(d)) | (before[i] >> u8(64 - d))
+    for k in range(words):
+        inside, made = _within(box, begin + k), out[begin + k, box[0] : box[1]]
+        for i in range(n):
+            made[i] = (made[i] ^ flip) & inside
+
+
+@kernel
+def opened(bits, spans, box, out):
+    """out = bits in the box, eroded and dilated by the spans; beyond the box all is set to erode, and nothing to
+    dilate."""
+    less = np.zeros_like(bits)
+    grown(bits, spans, box, ALL, less)
+    grown(less, spans, box, u8(0), out)
+
+
+@kernel
+def _closed(bits, spans, box, out):
+    """The same, dilated first."""
+    more = np.zeros_like(bits)
+    grown(bits, spans, box, u8(0), more)
+    grown(more, spans, box, ALL, out)
+
+
+@kernel
+def _bounds(bits, box):
+    """Fills the box around what is set; whether anything is."""
+    words, h = bits.shape
+    rows, columns = np.zeros(h, np.uint64), np.zeros((words, 1), np.uint64)
+    for k in range(words):
+        column = bits[k]
+        for y in range(h):
+            rows[y] |= column[y]
+        some = u8(0)
+        for y in range(h):
+            some |= column[y]
+        columns[k, 0] = some
+    box[0], box[1], box[2], box[3] = 0, h, _next(columns, 0, 0, 64 * words, u8(0)), 64 * words
+    if box[2] == box[3]:
+        return False
+    while rows[box[0]] == 0:
+        box[0] += 1
+    while rows[box[1] - 1] == 0:
+        box[1] -= 1
+    while (columns[(box[3] - 1) >> 6, 0] >> u8((box[3] - 1) & 63)) & u8(1) == 0:
+        box[3] -= 1
+    return True
+
+
+@kernel
+def _next(bits, y, x, end, flip):
+    """The first column from x on whose bit is set in row y of bits ^ flip; `end` when there is none before."""
+    if x >= end:
+        return end
+    k = x >> 6
+    word = (bits[k, y] ^ flip) & (ALL << u8(x & 63))
+    while word == 0:
+        k += 1
+        if 64 * k >= end:
+            return end
+        word = bits[k, y] ^ flip
+    return min(64 * k + lowest_bit(word), end)
+
+
+@kernel
+def _fill(bits, y, x0, x1):
+    """Sets the bits x0..x1 of a row."""
+    for k in range(x0 >> 6, (x1 + 63) >> 6):
+        low, high = max(x0 - 64 * k, 0), min(x1 - 64 * k, 64)
+        bits[k, y] |= (ALL << u8(low)) & (ALL >> u8(64 - high))
+
+
+@kernel
+def _root(parent, i):
+    while parent[i] != i:
+        parent[i] = parent[parent[i]]
+        i = parent[i]
+    return i
+
+
+@kernel
+def _label(bits, box, flip, reach, runs, parent):
+    """Runs of what is set in bits ^ flip in the box, joined to regions (reach 1: also over corners); returns their
+    number. runs (n, 3): row, start, end; parent (n,): the first run of the region."""
+    n = 0
+    before = 0  # first run of the row above
+    for y in range(box[0], box[1]):
+        begin, other = n, before
+        x = _next(bits, y, box[2], box[3], flip)
+        while x < box[3]:
+            end = _next(bits, y, x, box[3], ~flip)
+            runs[n, 0], runs[n, 1], runs[n, 2], parent[n] = y, x, end, n
+            while other < begin and runs[other, 2] + reach <= x:
+                other += 1
+            k = other
+            while k < begin and runs[k, 1] < end + reach:
+                a, b = _root(parent, k), _root(parent, n)
+                if a < b:
+                    parent[b] = a
+                else:
+                    parent[a] = b
+                k += 1
+            n += 1
+            x = _next(bits, y, end, box[3], flip)
+        before = begin
+    return n
+
+
+@kernel
+def _most_runs(bits, box):
+    """How many runs of what is set in the box, or of what is not, there can be."""
+    total = box[1] - box[0]
+    for k in range(bits.shape[0]):
+        for y in range(box[0], box[1]):
+            before = bits[k - 1, y] >> u8(63) if k > 0 else u8(0)
+            total += popcount(bits[k, y] & ~((bits[k, y] << u8(1)) | before))
+    return total
+
+
+@kernel
+def _fill_holes(bits, box, most, runs, parent):
+    """Sets the regions of at most so many pixels that are not set in the box (over edges only)."""
+    n = _label(bits, box, ALL, 0, runs, parent)
+    area = np.zeros(n, np.int64)
+    for i in range(n):
+        area[_root(parent, i)] += runs[i, 2] - runs[i, 1]
+    for i in range(n):
+        if area[_root(parent, i)] <= most:
+            _fill(bits, runs[i, 0], runs[i, 1], runs[i, 2])
+
+
+@kernel
+def _regions_near(n, runs, parent, keep_share, keep_gap, kept, about):
+    """kept (n,): whether a run belongs to the biggest region or one near it; about (5,): their box and area."""
+    area, box = np.zeros(n, np.int64), np.empty((n, 4), np.int64)
+    main = 0
+    for i in range(n):
+        k = _root(parent, i)
+        y, left, right = runs[i, 0], runs[i, 1], runs[i, 2]
+        if k == i:
+            box[k, 0], box[k, 1], box[k, 2], box[k, 3] = y, y + 1, left, right
+        area[k] += right - left
+        box[k, 1] = y + 1
+        box[k, 2] = min(box[k, 2], left)
+        box[k, 3] = max(box[k, 3], right)
+    for i in range(n):
+        if area[i] > area[main]:
+            main = i
+    side = max(box[main, 1] - box[main, 0], box[main, 3] - box[main, 2])
+    for i in range(4):  # one by one: a tuple at once takes half a second to compile
+        about[i] = box[main, i]
+    about[4] = 0
+    for i in range(n):
+        k = _root(parent, i)
+        if k == i:
+            gap = max(box[k, 2] - box[main, 3], box[main, 2] - box[k, 3])
+            gap = max(gap, max(box[k, 0] - box[main, 1], box[main, 0] - box[k, 1]))
+            far = keep_share >= 1 or area[k] < keep_share * area[main] or gap > keep_gap * side
+            kept[k] = k == main or not far
+            if kept[k]:
+                about[0], about[1] = min(about[0], box[k, 0]), max(about[1], box[k, 1])
+                about[2], about[3] = min(about[2], box[k, 2]), max(about[3], box[k, 3])
+                about[4] += area[k]
+        kept[i] = kept[k]
+
+
+@kernel
+def _put(code, at, value):
+    """Writes a number >= 0, seven bits to a byte, the lowest first; returns where to go on."""
+    while value > 127:
+        code[at] = (value & 127) | 128
+        value >>= 7
+        at += 1
+    code[at] = value
+    return at + 1
+
+
+@kernel
+def _put_step(code, at, step):
+    return _put(code, at, 2 * step if step >= 0 else -2 * step - 1)
+
+
+@kernel
+def _write(n, runs, kept, about, code):
+    """code (u1) of the runs that are kept, as `_draw` reads it; returns its length."""
+    before, now = np.zeros(n + 1, np.int64), np.zeros(n + 1, np.int64)  # starts of the runs in a row
+    ends, ends_now = np.zeros(n + 1, np.int64), np.zeros(n + 1, np.int64)
+    at, i, known = 0, 0, 0
+    for y in range(about[0], about[1]):
+        while i < n and runs[i, 0] < y:
+            i += 1
+        count, k = 0, i
+        while k < n and runs[k, 0] == y:
+            count += kept[k]
+            k += 1
+        at = _put(code, at, count)
+        j, last = 0, about[2]
+        while i < k:
+            if kept[i]:
+                start, end = runs[i, 1], runs[i, 2]
+                at = _put_step(code, at, start - (before[j] if j < known else last))
+                at = _put_step(code, at, end - (ends[j] if j < known else start))
+                now[j], ends_now[j] = start, end
+                last = end
+                j += 1
+            i += 1
+        known = count
+        before, now = now, before
+        ends, ends_now = ends_now, ends
+    return at
+
+
+@kernel
+def _clean(bits, width, opening, closing, margin, hole_px, keep_share, keep_gap, about):
+    """Opens and closes bits (words, h) of a mask (h, width), which are changed, by spans, fills its holes, keeps the
+    biggest region and what lies near it; margin: of the box in which that is done, px. Returns the code of its runs,
+    and fills about (5,): the box around them and their area. See mask_runs.clean."""
+    box = np.zeros(4, np.int64)
+    if not _bounds(bits, box):
+        about[:] = 0
+        return np.zeros(0, np.uint8)
+    box[0], box[1] = max(box[0] - margin, 0), min(box[1] + margin, bits.shape[1])
+    box[2], box[3] = max(box[2] - margin, 0), min(box[3] + margin, width)
+    if opening.shape[0] > 0:
+        done = np.zeros_like(bits)
+        opened(bits, opening, box, done)
+        bits = done
+    if closing.shape[0] > 0:
+        done = np.zeros_like(bits)
+        _closed(bits, closing, box, done)
+        bits = done
+    most = _most_runs(bits, box)
+    runs, parent = np.empty((most, 3), np.int32), np.empty(most, np.int32)
+    if hole_px > 0:
+        _fill_holes(bits, box, hole_px, runs, parent)
+    n = _label(bits, box, u8(0), 1, runs, parent)
+    if n == 0:
+        about[:] = 0
+        return np.zeros(0, np.uint8)
+    kept = np.zeros(n, np.bool_)
+    _regions_near(n, runs, parent, keep_share, keep_gap, kept, about)
+    code = np.empty(3 * (box[1] - box[0]) + 6 * n, np.uint8)
+    return code[: _write(n, runs, kept, about, code)].copy()
+
+
+@kernel
+def _get(code, at):
+    """A number that `_put` wrote, and where to go on."""
+    value, shift = 0, 0
+    while code[at] > 127:
+        value |= (np.int64(code[at]) & 127) << shift
+        shift += 7
+        at += 1
+    return value | np.int64(code[at]) << shift, at + 1
+
+
+@kernel
+def _draw(code, y0, y1, x0, out, top, left):
+    """Sets out (h, w) u1, whose first pixel is (top, left) of the mask, where the runs of a code are, which begins with
+    row y0 and column x0; what lies outside of it is left out.
+
+    The code is, for each row up to y1, the number of its runs, and for each of them how far its start and its end are
+    from those of the run of that number in the row before, or, where that has fewer, its start from the end before and
+    its length. Numbers have seven bits to a byte, the lowest first; those with a sign have it in their lowest bit."""
+    h, w = out.shape
+    most = 1
+    starts, ends = np.zeros(most, np.int64), np.zeros(most, np.int64)
+    at, known = 0, 0
+    for y in range(y0, y1):
+        count, at = _get(code, at)
+        if count > most:
+            more, more_ends = np.zeros(2 * count, np.int64), np.zeros(2 * count, np.int64)
+            for j in range(known):
+                more[j], more_ends[j] = starts[j], ends[j]
+            most, starts, ends = 2 * count, more, more_ends
+        last = x0
+        for j in range(count):
+            for side in range(2):
+                value, at = _get(code, at)
+                step = -((value + 1) >> 1) if value & 1 else value >> 1
+                if side == 0:
+                    starts[j] = step + (starts[j] if j < known else last)
+                else:
+                    ends[j] = step + (ends[j] if j < known else starts[j])
+            last = ends[j]
+            if top <= y < top + h:
+                row = out[y - top]
+                for x in range(max(starts[j] - left, 0), min(ends[j] - left, w)):
+                    row[x] = 1
+        known = count

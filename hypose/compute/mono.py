@@ -1,0 +1,336 @@
+"""Monocular tracking: preparing flat arrays, searching for poses, scoring samples.
+
+Definitions of the terms: mono_rows.py; what they are for: hypose.tracking.monocular.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hypose.compute.arrays import MeshArrays, TreeArrays, plain
+from hypose.compute.compiled import kernel
+from hypose.compute.mono_nodes import contour_nodes, draw_still, fill_depth, inner_nodes, pose_mesh
+from hypose.compute.mono_rows import (
+    edge_terms,
+    floor_terms,
+    flow_terms,
+    mark_terms,
+    mask_terms,
+    sphere_terms,
+    sum_vertex_rows,
+)
+from hypose.compute.mono_terms import (
+    LECLERC,
+    LORENTZIAN,
+    EdgeArrays,
+    FloorArrays,
+    FlowArrays,
+    MarkArrays,
+    MaskArrays,
+    MonoModel,
+    MonoPriors,
+    MonoProblem,
+    MonoWorkspace,
+    SphereArrays,
+)
+from hypose.compute.solver import bounded_step_kernel
+from hypose.errors import SolverError
+
+Array = NDArray[np.float64]
+MOST_NODES, MOST_INNER = 3000, 3000
+
+
+def model(
+    tree: TreeArrays, mesh: MeshArrays, moves: NDArray[np.bool_], active: ArrayLike, projection: Array
+) -> MonoModel:
+    """What the active dof (A,) move of a body whose moves (D, J) tell which joints each dof carries."""
+    dofs = np.array(active, dtype=np.int64)
+    slot = np.full(len(tree.axes), -1, dtype=np.int64)
+    slot[dofs] = np.arange(len(dofs))
+    carried = moves[dofs].any(0)
+    share = (mesh.skin_weight * carried[mesh.skin_index]).sum(1)
+    moving = (share > 0.01)[mesh.faces].any(1)
+    return MonoModel(
+        tree,
+        mesh,
+        dofs,
+        slot,
+        np.flatnonzero(moving).astype(np.int32),
+        np.flatnonzero(~moving).astype(np.int32),
+        share > 0.5,
+        plain(projection, np.float64),
+    )
+
+
+def workspace(m: MonoModel, height: int, width: int) -> MonoWorkspace:
+    """Scratch memory for pictures of (height, width); one per thread."""
+    f4, i4 = np.float32, np.int32
+    v, f, j, d = len(m.mesh.vertices), len(m.mesh.faces), len(m.tree.parents), len(m.tree.axes)
+    rows = 2 * MOST_NODES + 2 * MOST_INNER
+    return MonoWorkspace(
+        np.zeros((j, 3, 3)),
+        np.zeros((j, 3)),
+        np.zeros((d, 6)),
+        np.zeros((v, 3), f4),
+        np.zeros((v, 3), f4),
+        np.zeros(v, f4),
+        np.zeros(f, np.uint8),
+        np.zeros((height, width), f4),
+        np.zeros((height, width), f4),
+        np.zeros((MOST_NODES, 2), i4),
+        np.zeros((MOST_NODES, 8)),
+        np.zeros((MOST_INNER, 3), i4),
+        np.zeros((MOST_INNER, 5)),
+        np.zeros((rows, 3), i4),
+        np.zeros((rows, 8)),
+        np.zeros((j, 6)),
+        np.zeros(j, np.uint8),
+        np.zeros(8, np.int64),
+    )
+
+
+class MonoSolution(NamedTuple):
+    """A pose (D,) at a minimum; cost of everything; evidence: cost without flow, by which hypotheses are ranked;
+    gradient (A,) of the cost; hessian (A, A) of evidence, flow and rest posture; counts as in MonoWorkspace."""
+
+    pose: Array
+    cost: float
+    evidence: float
+    gradient: Array
+    hessian: Array
+    counts: NDArray[np.int64]
+
+
+def search(
+    start: ArrayLike, before: ArrayLike, problem: MonoProblem, coarse: int, iterations: int, ws: MonoWorkspace
+) -> MonoSolution:
+    """Damped Newton from pose start (D,); inner nodes come from pose before (D,). Releases the GIL."""
+    q, a = np.array(start, dtype=np.float64), len(problem.model.active)
+    hessian, gradient, info = np.empty((a, a)), np.empty(a), np.zeros(3)
+    ok = _search(q, plain(before, np.float64), problem, int(coarse), int(iterations), ws, hessian, gradient, info)
+    if not ok:
+        raise SolverError("The cost at the start pose is not finite; check the start pose and the picture for NaN.")
+    counts = ws.counts.copy()
+    counts[5] = int(info[2])
+    return MonoSolution(q, float(info[0]), float(info[1]), gradient, hessian, counts)
+
+
+def score(poses: ArrayLike, problem: MonoProblem, ws: MonoWorkspace) -> Array:
+    """Costs (N,) without flow at poses (N, D). Releases the GIL."""
+    q = plain(poses, np.float64)
+    costs = np.empty(len(q))
+    _score(q, problem, ws, costs)
+    return costs
+
+
+@kernel
+def image_cost(q, problem, sigma, n_flow, want, ws, hessian, gradient):
+    """Cost of all evidence at pose q (D,) with edges of scale sigma px and n_flow inner nodes (0: without flow); the
+    derivatives over the active dof overwrite hessian (A, A) and gradient (A,) when wanted."""
+    model, a = problem.model, gradient.shape[0]
+    for i in range(a):
+        gradient[i] = 0.0
+        for k in range(a):
+            hessian[i, k] = 0.0
+    for k in range(7):
+        ws.counts[k] = 0
+    ws.counts[7] += 1
+    pose_mesh(q, model, ws)
+    cost, n_rows = 0.0, 0
+    if problem.edges.weight > 0 or problem.mask.height > 0:
+        fill_depth(model, ws)
+        n = contour_nodes(model, problem.edges.spacing, ws)
+        if problem.edges.weight > 0:
+            part, n_rows = edge_terms(n, problem, sigma, want, ws, n_rows)
+            cost += part
+        part, n_rows = mask_terms(n, problem, want, ws, n_rows)
+        cost += part
+    part, n_rows = flow_terms(q, n_flow, problem, want, ws, n_rows)
+    cost += part
+    if want:
+        sum_vertex_rows(n_rows, model, ws, hessian, gradient)
+    cost += mark_terms(q, model, problem.marks, problem.second_order, ws, hessian, gradient)
+    cost += sphere_terms(model, problem.spheres, ws, hessian, gradient)
+    cost += floor_terms(q, model, problem.floor, problem.second_order, ws, hessian, gradient)
+    for i in range(a):
+        for k in range(i):
+            s = hessian[i, k] + hessian[k, i]
+            hessian[i, k] = s
+            hessian[k, i] = s
+    for f in range(ws.front.shape[0]):
+        ws.counts[4] += 1 - ws.front[f]
+    ws.counts[5], ws.counts[6] = n_flow, n_rows
+    return cost
+
+
+@kernel
+def prior_cost(q, priors, active, hessian, gradient):
+    """The prediction's and the rest posture's quadratics; hessian and gradient get theirs added."""
+    cost = 0.0
+    for i in range(priors.centre.shape[0]):
+        for k in range(active.shape[0]):
+            w = priors.weight[i, k]
+            if w > 0:
+                e = q[active[k]] - priors.centre[i, k]
+                cost += 0.5 * w * e * e
+                gradient[k] += w * e
+                hessian[k, k] += w
+    return cost
+
+
+@kernel
+def full_cost(q, problem, sigma, n_flow, ws, hessian, gradient):
+    """Evidence and priors: equations (6) and (10).
+
+    Deviation: the evidence is not divided by N nu; masks, 2D points, interpenetration and the floor join it."""
+    cost = image_cost(q, problem, sigma, n_flow, True, ws, hessian, gradient)
+    return cost + prior_cost(q, problem.priors, problem.model.active, hessian, gradient)
+
+
+@kernel
+def rank_cost(q, problem, ws, hessian, gradient):
+    """What hypotheses are ranked by: all but flow, whose targets differ between hypotheses (section 4.2). The matrices
+    are scratch.
+
+    Deviation: printed is the edge term alone; priors, interpenetration and, where they are given, masks, 2D points and
+    the floor are ranked by as well."""
+    cost = image_cost(q, problem, problem.edges.sigma, 0, False, ws, hessian, gradient)
+    return cost + prior_cost(q, problem.priors, problem.model.active, hessian, gradient)
+
+
+@kernel
+def expected_gain(hessian, gradient, step, scale):
+    """Decrease of the quadratic model along scale * step."""
+    slope, bend = 0.0, 0.0
+    for i in range(step.shape[0]):
+        s = 0.0
+        for k in range(step.shape[0]):
+            s += hessian[i, k] * step[k]
+        slope += gradient[i] * step[i]
+        bend += s * step[i]
+    return -scale * slope - 0.5 * scale * scale * bend
+
+
+@kernel
+def descend(q, problem, sigma, n_flow, iterations, ws, hessian, gradient):
+    """Damped Newton within the limits from pose q (D,), which is overwritten, as hessian and gradient are; returns the
+    cost.
+
+    Equation (11), (H + lambda W) step = -g, W the diagonal of H (at least 1), with an active set of limits (section
+    4.1). A step is cut to the trusted reach (1: priors.longest); one that does not lower the cost is tried again,
+    shorter and with more damping, at most four times. The _search ends when no step promises to lower the cost by
+    GAIN."""
+    priors, active = problem.priors, problem.model.active
+    n, dof = active.shape[0], q.shape[0]
+    new_hessian, new_gradient = np.empty((n, n)), np.empty(n)
+    step, at, trial = np.empty(n), np.empty(n), np.empty(dof)
+    damping, reach = 1e-2, 1.0
+    cost = full_cost(q, problem, sigma, n_flow, ws, hessian, gradient)
+    for _ in range(iterations):
+        for k in range(n):
+            at[k] = q[active[k]]
+        accepted = False
+        for _ in range(4):
+            if not bounded_step_kernel(hessian, gradient, at, priors.lower, priors.upper, damping, step):
+                damping *= 8
+                continue
+            length = 1e-12
+            for k in range(n):
+                length = max(length, abs(step[k]) / priors.longest[k])
+            scale = min(1.0, reach / length)
+            if expected_gain(hessian, gradient, step, scale) < GAIN:
+                break
+            for d in range(dof):
+                trial[d] = q[d]
+            for k in range(n):
+                trial[active[k]] = min(max(at[k] + scale * step[k], priors.lower[k]), priors.upper[k])
+            new_cost = full_cost(trial, problem, sigma, n_flow, ws, new_hessian, new_gradient)
+            if new_cost < cost:
+                accepted, cost = True, new_cost
+                break
+            damping *= 6
+            reach = 0.35 * min(reach, length)
+        if not accepted:
+            break
+        for d in range(dof):
+            q[d] = trial[d]
+        for i in range(n):
+            gradient[i] = new_gradient[i]
+            for k in range(n):
+                hessian[i, k] = new_hessian[i, k]
+        damping, reach = max(damping / 6, 1e-4), min(1.0, 2 * reach)
+    return cost
+
+
+@kernel
+def _search(q, before, problem, coarse, iterations, ws, hessian, gradient, info):
+    """One hypothesis in one frame: inner nodes from the pose `before` (D,) in the previous picture, then a coarse and a
+    fine descent from q (D,), which is overwritten.
+
+    hessian (A, A) is that of the evidence and the rest posture at the result, without the prediction; gradient (A,) of
+    all. info (3,): full cost, cost without flow, number of inner nodes. False when the cost is not finite."""
+    model, priors = problem.model, problem.priors
+    for k in range(model.active.shape[0]):
+        d = model.active[k]
+        q[d] = min(max(q[d], priors.lower[k]), priors.upper[k])
+    n_flow = 0
+    if problem.flow.flow.shape[0] > 1:
+        draw_still(before, model, ws)
+        pose_mesh(before, model, ws)
+        fill_depth(model, ws)
+        n_flow = inner_nodes(model, problem.flow, ws)
+    draw_still(q, model, ws)
+    ws.counts[7] = 0
+    if coarse > 0:
+        descend(q, problem, problem.edges.coarse_sigma, n_flow, coarse, ws, hessian, gradient)
+    cost = descend(q, problem, problem.edges.sigma, n_flow, iterations, ws, hessian, gradient)
+    info[0] = cost
+    for k in range(model.active.shape[0]):
+        hessian[k, k] -= priors.weight[0, k]
+    unused_h, unused_g = np.empty_like(hessian), np.empty_like(gradient)
+    info[1] = rank_cost(q, problem, ws, unused_h, unused_g)
+    info[2] = n_flow
+    return math.isfinite(cost)
+
+
+@kernel
+def _score(poses, problem, ws, costs):
+    """Costs (N,) without flow at poses (N, D): how samples are ranked."""
+    a = problem.model.active.shape[0]
+    hessian, gradient = np.empty((a, a)), np.empty(a)
+    if poses.shape[0] > 0:
+        draw_still(poses[0], problem.model, ws)
+    for n in range(poses.shape[0]):
+        costs[n] = rank_cost(poses[n], problem, ws, hessian, gradient)
+
+
+def warm_up(tree: TreeArrays, mesh: MeshArrays, pose: Array, projection: Array) -> None:
+    """Compile (or load from disk) every kernel of monocular tracking on a toy body at pose (D,) before a pinhole (3, 4)
+    of 32 x 32 px."""
+    d, j = len(pose), len(tree.parents)
+    still = np.zeros((32, 32, 2), np.float32)
+    field, error = still, np.zeros((32, 32), np.float32)
+    pixels, places, joint = np.full((1, 2), 16.0), np.zeros((2, 3)), np.zeros(2, dtype=np.int64)
+    bounds = np.full(d, np.inf)
+    problem = MonoProblem(
+        model(tree, mesh, np.ones((d, j), dtype=np.bool_), np.arange(d), projection),
+        EdgeArrays(field, 1.0, LECLERC, 3.0, 6.0, 5.0, 8.0, 4, 6.0, 0.08, 0.8, 0.8),
+        FlowArrays(still, error, np.zeros(2, dtype=np.int64), LORENTZIAN, 1.2, 0.1, 14.0, 8.0, 1.0),
+        MaskArrays(error, pixels.astype(np.float32), 1.0, 1.0, LORENTZIAN, 4.0, 8.0),
+        MarkArrays(pixels, np.ones(1), joint[:1], places[:1], np.ones(1), LORENTZIAN),
+        SphereArrays(joint, places, np.array([[0, 1]]), np.ones(1), 1.0),
+        FloorArrays(joint, places, 0.0, 1.0, 1.0),
+        MonoPriors(np.zeros((2, d)), np.ones((2, d)), -bounds, bounds, np.ones(d)),
+        True,
+    )
+    ws = workspace(problem.model, 32, 32)
+    found = search(pose, pose, problem, 1, 1, ws)
+    score(found.pose[None], problem, ws)
+
+
+GAIN = 0.02
+"""a _search ends when no step promises to lower the cost by more"""

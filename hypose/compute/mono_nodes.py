@@ -1,0 +1,221 @@
+"""What of a body a camera sees: projected vertices, z-buffer, contour nodes, inner nodes with their flow (kernels)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hypose.compute.compiled import kernel
+from hypose.compute.kinematics import camera_about_root, joint_frames, skin_about_root
+from hypose.compute.zbuffer import draw_nearest
+
+f4 = np.float32
+NEAR = f4(0.1)
+"""m: faces with a corner nearer than this are not drawn"""
+EMPTY = f4(1e9)
+HIDDEN, BEYOND, ROUND = 0.03, 0.03, 0.12
+"""m: a contour node is occluded when its outer side lies HIDDEN behind something or its inner side ROUND (a trunk's own
+surface rises by 6 cm within the two pixels), and is a contour at all when what is seen on its outer side lies BEYOND
+it"""
+INNER, OUTER = 1.5, 1.7
+"""px from the contour at which these two are looked up"""
+
+
+@kernel
+def pose_mesh(q, model, ws):
+    """Joint frames, vertices about the root, and their pixels and depths; which faces are seen from outside."""
+    joint_frames(q, model.tree, ws.rotations, ws.centres, ws.twists)
+    skin_about_root(ws.rotations, ws.centres, model.tree, model.mesh, ws.vertices)
+    p = np.empty((3, 4), np.float32)
+    camera_about_root(model.projection, q, p)
+    x, out, inverse = ws.vertices, ws.uvz, ws.inverse
+    for v in range(x.shape[0]):
+        z = p[2, 0] * x[v, 0] + p[2, 1] * x[v, 1] + p[2, 2] * x[v, 2] + p[2, 3]
+        iz = f4(1) / z if z > NEAR else f4(0)
+        inverse[v] = iz
+        out[v, 0] = (p[0, 0] * x[v, 0] + p[0, 1] * x[v, 1] + p[0, 2] * x[v, 2] + p[0, 3]) * iz
+        out[v, 1] = (p[1, 0] * x[v, 0] + p[1, 1] * x[v, 1] + p[1, 2] * x[v, 2] + p[1, 3]) * iz
+        out[v, 2] = z
+    faces, front = model.mesh.faces, ws.front
+    for f in range(faces.shape[0]):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        area = (out[b, 0] - out[a, 0]) * (out[c, 1] - out[a, 1]) - (out[c, 0] - out[a, 0]) * (out[b, 1] - out[a, 1])
+        near = out[a, 2] <= NEAR or out[b, 2] <= NEAR or out[c, 2] <= NEAR
+        # pixels run downwards: counter-clockwise from outside has a negative area
+        front[f] = 1 if area < f4(-1e-9) and not near else 0
+
+
+@kernel(inline=True)
+def _depth(nearest):
+    """m of an inverse depth; EMPTY where nothing is."""
+    return f4(1) / nearest if nearest > f4(0) else EMPTY
+
+
+@kernel
+def fill_depth(model, ws):
+    """The z-buffer around the moving parts: still parts as they were drawn before, moving parts drawn now."""
+    h, w = ws.depth.shape
+    x0, x1, y0, y1 = f4(1e6), f4(-1e6), f4(1e6), f4(-1e6)
+    uvz, faces = ws.uvz, model.mesh.faces
+    for n in range(model.moving_faces.shape[0]):
+        for k in range(3):
+            v = faces[model.moving_faces[n], k]
+            if uvz[v, 2] > NEAR:
+                x0, x1 = min(x0, uvz[v, 0]), max(x1, uvz[v, 0])
+                y0, y1 = min(y0, uvz[v, 1]), max(y1, uvz[v, 1])
+    x0, x1 = max(x0 - f4(6), f4(0)), min(x1 + f4(7), f4(w))
+    y0, y1 = max(y0 - f4(6), f4(0)), min(y1 + f4(7), f4(h))
+    if x1 > x0 and y1 > y0:
+        left, right = int(x0), int(x1)
+        for y in range(int(y0), int(y1)):
+            to, source = ws.depth[y, left:right], ws.still[y, left:right]
+            for x in range(to.shape[0]):
+                to[x] = source[x]
+    draw_nearest(uvz[:, 0], uvz[:, 1], ws.inverse, faces, model.moving_faces, True, ws.depth, None)
+
+
+@kernel
+def draw_still(q, model, ws):
+    """Before a search: the parts that no estimated dof moves, as seen at pose q (D,)."""
+    for y in range(ws.still.shape[0]):
+        for x in range(ws.still.shape[1]):
+            ws.still[y, x] = f4(0)
+    if model.still_faces.shape[0] > 0:
+        pose_mesh(q, model, ws)
+        u, v = ws.uvz[:, 0], ws.uvz[:, 1]
+        draw_nearest(u, v, ws.inverse, model.mesh.faces, model.still_faces, True, ws.still, None)
+
+
+@kernel
+def contour_nodes(model, spacing, ws):
+    """Nodes on the occluding contour of the moving parts, `spacing` px apart: fills ws.node_ends and ws.nodes and
+    returns their number.
+
+    A node lies on a mesh edge between a face seen from outside and one that is not. It is seen when nothing lies before
+    it and its outer side shows something well behind it (the background: outer); else it is occluded (kept, seen = 0),
+    or no contour (left out)."""
+    mesh, uvz, depth, nodes = model.mesh, ws.uvz, ws.depth, ws.nodes
+    h, w = depth.shape
+    n = 0
+    for e in range(mesh.edges.shape[0]):
+        f, g = mesh.edges[e, 2], mesh.edges[e, 3]
+        if ws.front[f] == ws.front[g]:
+            continue
+        a, b = mesh.edges[e, 0], mesh.edges[e, 1]
+        if not (model.moving_vertices[a] and model.moving_vertices[b]):
+            continue
+        if uvz[a, 2] <= NEAR or uvz[b, 2] <= NEAR:
+            continue
+        dx, dy = np.float64(uvz[b, 0] - uvz[a, 0]), np.float64(uvz[b, 1] - uvz[a, 1])
+        length = math.sqrt(dx * dx + dy * dy)
+        if length < 0.3:
+            continue
+        face = f if ws.front[f] == 1 else g
+        c = mesh.faces[face, 0] + mesh.faces[face, 1] + mesh.faces[face, 2] - a - b
+        nx, ny = dy / length, -dx / length
+        if nx * (uvz[c, 0] - uvz[a, 0]) + ny * (uvz[c, 1] - uvz[a, 1]) > 0:
+            nx, ny = -nx, -ny
+        parts = min(4, max(1, int(length / spacing + 0.5)))
+        for k in range(parts):
+            if n >= nodes.shape[0]:
+                return n
+            # the place in space, so that the node is a fixed point of the body
+            t = (k + 0.5) / parts
+            za, zb = np.float64(uvz[a, 2]), np.float64(uvz[b, 2])
+            z = (1 - t) * za + t * zb
+            x = ((1 - t) * za * uvz[a, 0] + t * zb * uvz[b, 0]) / z
+            y = ((1 - t) * za * uvz[a, 1] + t * zb * uvz[b, 1]) / z
+            xi, yi = int(x - INNER * nx + 0.5), int(y - INNER * ny + 0.5)
+            xo, yo = int(x + OUTER * nx + 0.5), int(y + OUTER * ny + 0.5)
+            if min(min(xi, yi), min(xo, yo)) < 2 or max(xi, xo) >= w - 2 or max(yi, yo) >= h - 2:
+                continue
+            outside = _depth(depth[yo, xo])
+            if outside < z - HIDDEN or _depth(depth[yi, xi]) < z - ROUND:
+                seen = 0.0
+            elif outside > z + BEYOND:
+                seen = 1.0
+            else:
+                continue
+            ws.node_ends[n, 0], ws.node_ends[n, 1] = a, b
+            node = nodes[n]
+            node[0], node[1], node[2], node[3], node[4], node[5] = t, x, y, nx, ny, length / parts
+            node[6] = seen
+            node[7] = 1.0 if depth[yo, xo] == f4(0) else 0.0
+            n += 1
+    return n
+
+
+@kernel
+def bilinear(image, x, y):
+    """image (h, w) at a pixel (x, y) well inside it."""
+    i, j = int(x), int(y)
+    a, b = x - i, y - j
+    return (image[j, i] * (1 - a) + image[j, i + 1] * a) * (1 - b) + (
+        image[j + 1, i] * (1 - a) + image[j + 1, i + 1] * a
+    ) * b
+
+
+@kernel
+def inner_nodes(model, flow, ws):
+    """Inner nodes of the previous pose (its mesh and z-buffer are in ws) on a grid of flow.spacing px, with the place
+    where flow has carried them: fills ws.flow_faces and ws.flow_nodes and returns their number.
+
+    Left out are nodes that are hidden or near a jump in depth, still parts, and outliers of the flow."""
+    h, w = ws.depth.shape
+    fh, fw = flow.error.shape
+    if fh < 2 or fw < 2:
+        return 0
+    faces, uvz, depth = model.mesh.faces, ws.uvz, ws.depth
+    step = flow.spacing
+    n = 0
+    for i in range(model.moving_faces.shape[0]):
+        f = model.moving_faces[i]
+        if ws.front[f] == 0:
+            continue
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        if not (model.moving_vertices[a] and model.moving_vertices[b] and model.moving_vertices[c]):
+            continue
+        x0, y0, x1, y1 = np.float64(uvz[a, 0]), np.float64(uvz[a, 1]), np.float64(uvz[b, 0]), np.float64(uvz[b, 1])
+        x2, y2 = np.float64(uvz[c, 0]), np.float64(uvz[c, 1])
+        area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
+        left, right = max(min(x0, min(x1, x2)), 5.0), min(max(x0, max(x1, x2)), w - 6.0)
+        top, bottom = max(min(y0, min(y1, y2)), 5.0), min(max(y0, max(y1, y2)), h - 6.0)
+        if not (left <= right and top <= bottom):
+            continue
+        for gy in range(int(math.ceil(top / step)), int(math.floor(bottom / step)) + 1):
+            for gx in range(int(math.ceil(left / step)), int(math.floor(right / step)) + 1):
+                x, y = gx * step, gy * step
+                k1 = ((x - x0) * (y2 - y0) - (x2 - x0) * (y - y0)) / area
+                k2 = ((x1 - x0) * (y - y0) - (x - x0) * (y1 - y0)) / area
+                if k1 < 0 or k2 < 0 or k1 + k2 > 1:
+                    continue
+                # weights in space from those in the image
+                wa, wb, wc = (1 - k1 - k2) / uvz[a, 2], k1 / uvz[b, 2], k2 / uvz[c, 2]
+                z = 1 / (wa + wb + wc)
+                xi, yi = int(x + 0.5), int(y + 0.5)
+                if _depth(depth[yi, xi]) < z - 0.03:
+                    continue
+                inside = True
+                for k in range(4):
+                    ox, oy = (4, 0) if k == 0 else ((-4, 0) if k == 1 else ((0, 4) if k == 2 else (0, -4)))
+                    jump = _depth(depth[yi + oy, xi + ox]) - z
+                    if jump > 0.12 or jump < -0.12:
+                        inside = False
+                if not inside:
+                    continue
+                lx, ly = x - flow.corner[0], y - flow.corner[1]
+                if lx < 0 or ly < 0 or lx > fw - 2 or ly > fh - 2:
+                    continue
+                if bilinear(flow.error, lx, ly) >= flow.consistency:
+                    continue
+                if n >= ws.flow_nodes.shape[0]:
+                    return n
+                ws.flow_faces[n, 0], ws.flow_faces[n, 1], ws.flow_faces[n, 2] = a, b, c
+                node = ws.flow_nodes[n]
+                node[0], node[1] = wb * z, wc * z
+                node[2] = x + bilinear(flow.flow[:, :, 0], lx, ly)
+                node[3] = y + bilinear(flow.flow[:, :, 1], lx, ly)
+                node[4] = (step / flow.area) ** 2
+                n += 1
+    return n

@@ -1,1 +1,0 @@
-"""Evidence and search of one camera."""

@@ -1,1 +1,0 @@
-"""Pictures: background to mask, rendering, visibility."""

@@ -1,0 +1,215 @@
+"""The part of a body that stands still while a limb is searched, drawn once for all poses; and limbs as a few points
+against masks: which of many poses of a limb lie where the rest of the body explains nothing.
+
+The layers of front faces over a pixel add up over the faces of the body, so the body's silhouette is the union of the
+silhouettes of its parts, each drawn by its own front faces.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hypose.compute import lane_mesh
+from hypose.compute.arrays import MeshArrays, PreparedMasks, Standing, TreeArrays, plain, tidy
+from hypose.compute.compiled import kernel
+from hypose.compute.kinematics import joint_frames, skin_about_root
+from hypose.compute.silhouettes import (
+    NEAR,
+    VIEWS,
+    contours_of_any,
+    contours_of_view,
+    emit_clipped_faces,
+    emit_lines,
+    front_views,
+    project_views,
+)
+from hypose.compute.threads import over_chunks
+from hypose.compute.vectors import STRIP, fill_strip, row_stride
+
+f4 = np.float32
+
+
+@kernel
+def draw_standing(pose, tree, mesh, faces, standing, prepared, boxes, bits, counts):
+    """Silhouettes of the faces (K, 3) of the mesh at a pose (D,), inside boxes (C, 4): bits (C, h, B), counts (C, 2)
+    model and intersection pixels, both zero before; standing (F,) tells the same faces among all."""
+    n_joints, n_vertices, n_edges = tree.parents.shape[0], mesh.vertices.shape[0], mesh.edges.shape[0]
+    rotations, centres = np.empty((n_joints, 3, 3)), np.empty((n_joints, 3))
+    twists = np.empty((pose.shape[0], 6))
+    vertices, uv = np.empty((n_vertices, 3), np.float32), np.empty((n_vertices, 2, VIEWS), np.float32)
+    cameras, bounds = np.empty((VIEWS, 3, 4), np.float32), np.empty((5, VIEWS), np.float32)
+    turned = np.empty((12, VIEWS), np.float32)
+    front, union = np.empty(mesh.faces.shape[0], np.uint8), np.empty(n_edges, np.int32)
+    start, end, lines = np.empty(n_edges, np.int32), np.empty(n_edges, np.int32), np.empty((4, n_edges), np.float32)
+    n_union, line = 0, bits.shape[2]
+    joint_frames(pose, tree, rotations, centres, twists)
+    skin_about_root(rotations, centres, tree, mesh, vertices)
+    for c in range(prepared.masks.shape[0]):
+        k = c % VIEWS
+        if k == 0:
+            project_views(vertices, prepared.projections, c, pose, cameras, turned, uv, bounds)
+            front_views(mesh.faces, uv, front)
+            for f in range(front.shape[0]):
+                front[f] = front[f] if standing[f] else np.uint8(0)
+            n_union = contours_of_any(mesh.edges, front, union)
+        if not prepared.usable[c]:
+            continue
+        x0, x1, y0, y1 = boxes[c, 0], boxes[c, 1], boxes[c, 2], boxes[c, 3]
+        near = not (bounds[4, k] >= NEAR)
+        if not near:
+            x0 = int(min(max(f4(x0), np.floor(bounds[0, k])), f4(x1)))
+            x1 = int(max(min(f4(x1), np.ceil(bounds[1, k]) + f4(1)), f4(x0)))
+            y0 = int(min(max(f4(y0), np.floor(bounds[2, k])), f4(y1)))
+            y1 = int(max(min(f4(y1), np.ceil(bounds[3, k]) + f4(1)), f4(y0)))
+        if x0 >= x1 or y0 >= y1:
+            continue
+        width, height, aside = x1 - x0, y1 - y0, x0 & 7
+        stride = row_stride(aside + width)
+        # no larger: pages of memory touched first cost most
+        begun = np.zeros((height + 1) * stride + aside, np.int8)
+        difference = begun[aside:].reshape(height + 1, stride)
+        if near:
+            emit_clipped_faces(vertices, faces, cameras[k], x0, y0, width, height, difference, True)
+        else:
+            n = contours_of_view(k, n_union, union, mesh.edges, front, uv, start, end, lines)
+            emit_lines(n, lines, x0, y0, width, height, difference)
+        for s in range(0, aside + width, STRIP):
+            place = (c * bits.shape[1] + y0) * line + ((x0 + s) >> 3)
+            fill_strip(begun, s, stride, height, prepared.bits, bits, place, line, counts[c])
+
+
+_BLOCK = 128
+"""poses that are looked at together, in vector lanes"""
+
+
+@kernel
+def pixels(m, x, y, z, n, width, height, line, place):
+    """place (n,) i4: line x row + column of the pixels in which points x, y, z (n,) lie under a projection m (3, 4); -1
+    outside the image, and nearer than 0.05 m."""
+    m00, m01, m02, m03 = m[0, 0], m[0, 1], m[0, 2], m[0, 3]
+    m10, m11, m12, m13 = m[1, 0], m[1, 1], m[1, 2], m[1, 3]
+    m20, m21, m22, m23 = m[2, 0], m[2, 1], m[2, 2], m[2, 3]
+    w, h = np.float64(width), np.float64(height)
+    for i in range(n):
+        depth = m20 * x[i] + m21 * y[i] + m22 * z[i] + m23
+        u = (m00 * x[i] + m01 * y[i] + m02 * z[i] + m03) / depth + 0.5
+        v = (m10 * x[i] + m11 * y[i] + m12 * z[i] + m13) / depth + 0.5
+        u = u if depth >= 0.05 else -1.0  # one choice after the other is what the compiler makes vectors of
+        u = u if u < w else -1.0
+        u = u if v >= 0 else -1.0
+        u = u if v < h else -1.0
+        v = v if u >= 0 else 0.0
+        u = u if u >= 0 else -1.0
+        place[i] = np.int32(v) * np.int32(line) + np.int32(u)
+
+
+@kernel
+def _score_points(points, weights, rotation, centre, prepared, bits, cutoff, out):
+    """out (N,): scores of points (N, P, 3) of weights (P,), seen from a joint with rotation (3, 3) and centre (3,); see
+    reach.py. The last points are looked at first: ends of limbs tell most."""
+    views = prepared.projections.shape[0]
+    m = np.empty((views, 3, 4))
+    seen = 0
+    for c in range(views):
+        seen += prepared.usable[c]
+        for i in range(3):
+            for j in range(3):
+                a = 0.0
+                for k in range(3):
+                    a += prepared.projections[c, i, k] * rotation[k, j]
+                m[c, i, j] = a
+            a = prepared.projections[c, i, 3]
+            for k in range(3):
+                a += prepared.projections[c, i, k] * centre[k]
+            m[c, i, 3] = a
+    worth = 0.0
+    for p in range(weights.shape[0]):
+        worth += weights[p] * seen
+    x, y, z = np.empty(_BLOCK), np.empty(_BLOCK), np.empty(_BLOCK)
+    place, total, alive = np.empty(_BLOCK, np.int32), np.empty(_BLOCK), np.empty(_BLOCK, np.int64)
+    worth_of, hidden, line = np.zeros(3), prepared.hidden.size > 0, 8 * bits.shape[2]
+    for first in range(0, points.shape[0], _BLOCK):
+        n_alive = min(_BLOCK, points.shape[0] - first)
+        for n in range(n_alive):
+            alive[n], total[n] = n, 0.0
+        n_block, left = n_alive, worth
+        for p in range(points.shape[1] - 1, -1, -1):
+            n = 0
+            for i in range(n_alive):
+                alive[n] = alive[i]
+                n += not total[alive[i]] - left > cutoff  # else what is left cannot make up for it
+            n_alive = n
+            left -= weights[p] * seen
+            worth_of[0], worth_of[1] = weights[p], -weights[p]  # no mask; a mask alone; what stands, or nothing
+            for i in range(n_alive):
+                point = points[first + alive[i], p]
+                x[i], y[i], z[i] = point[0], point[1], point[2]
+            for c in range(views):
+                if prepared.usable[c]:
+                    pixels(m[c], x, y, z, n_alive, prepared.sizes[c, 0], prepared.sizes[c, 1], line, place)
+                    mask, drawn = prepared.bits[c, 0], bits[c, 0]  # and on, as if the view were one row
+                    for i in range(n_alive):  # without branches, which nobody could foretell
+                        at = place[i]
+                        byte, bit = np.uint32(max(at, np.int32(0))) >> np.uint32(3), np.uint8(at & 7)
+                        told = mask[byte]
+                        if hidden:
+                            told |= prepared.hidden[c, 0, byte]
+                        kind = ((told >> bit) & 1) + (((told & drawn[byte]) >> bit) & 1)
+                        total[alive[i]] += worth_of[np.uint8(kind) if at >= 0 else np.uint8(2)]
+        for n in range(n_block):
+            out[first + n] = total[n]
+
+
+Array = NDArray[np.float64]
+
+
+def standing(
+    pose: ArrayLike, tree: TreeArrays, mesh: MeshArrays, prepared: PreparedMasks, moving: ArrayLike
+) -> Standing:
+    """The silhouettes at a pose (D,) of what the joints `moving` (J,) bool, and those below them, do not move."""
+    q, turning = plain(pose, np.float64), plain(moving, np.bool_)
+    parts = lane_mesh.moving_parts(mesh, tree, turning, None)
+    bits, counts = np.zeros_like(prepared.bits), np.zeros((len(prepared.masks), 2), dtype=np.int64)
+    masks, boxes = tidy(prepared), whole_images(prepared)
+    draw_standing(q, tidy(tree), tidy(mesh), parts.corners, parts.standing, masks, boxes, bits, counts)
+    hide(prepared, bits, counts)
+    return Standing(bits, counts)
+
+
+def whole_images(prepared: PreparedMasks) -> NDArray[np.int64]:
+    """(C, 4) the boxes x0, x1, y0, y1 of whole views."""
+    boxes = np.zeros((len(prepared.sizes), 4), dtype=np.int64)
+    boxes[:, 1::2] = prepared.sizes
+    return boxes
+
+
+def hide(prepared: PreparedMasks, bits: NDArray[np.uint8], counts: NDArray[np.int64]) -> None:
+    """Adds the pixels that say nothing to what stands (bits (C, h, B), counts (C, 2)), in place: they are drawn, so
+    that nothing else counts there, and count themselves for nothing."""
+    if prepared.hidden.size:
+        counts[:, 0] -= np.bitwise_count(bits & prepared.hidden).sum((1, 2), dtype=np.int64)
+        np.bitwise_or(bits, prepared.hidden, out=bits)
+
+
+def score_points(
+    points: ArrayLike,
+    weights: ArrayLike,
+    rotation: ArrayLike,
+    centre: ArrayLike,
+    prepared: PreparedMasks,
+    rest: Standing,
+    cutoff: float = np.inf,
+) -> Array:
+    """(N,) how badly points (N, P, 3) m lie, as a joint sees them that is turned by rotation (3, 3) and lies at centre
+    (3,), world: the sum over usable views and points of weights (P,), plus where there is no mask, minus in the mask
+    where the standing rest of the body is not; 0 on the rest, outside the image, and nearer than 0.05 m. Above the
+    cutoff a score says no more than that it lies above it."""
+    p, w = plain(points, np.float64), plain(weights, np.float64)
+    r, c = plain(rotation, np.float64), plain(centre, np.float64)
+    out, masks, limit = np.empty(len(p)), tidy(prepared), float(cutoff)
+    score = _score_points
+    over_chunks(
+        lambda first, last: score(p[first:last], w, r, c, masks, rest.bits, limit, out[first:last]), len(p), None, 256
+    )
+    return out

@@ -1,0 +1,582 @@
+"""Silhouettes of many poses against the masks of a frame, LANES poses at a time, by contour winding differences.
+
+The method is that of silhouettes.py (which serves as the safe way for single poses); here every step before the drawing
+works on LANES poses at once, and drawing has no branch per pixel: each contour edge writes the indices of the pixels
+where it crosses columns to one of two lists per pose (up or down), the lists are added into an int8 image, and one pass
+of running sums compares STRIP columns at a time with the mask's packed bits.
+
+What the fast way cannot hold is drawn again by the safe way in int16: poses that reach the near plane, more than 63
+layers of the body on a pixel, and bodies so near that their lists are full.
+Before any of it is drawn a limb cannot explain more of a mask than what is uncovered in its window.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hypose.compute import lane_mesh, reach
+from hypose.compute.arrays import BALL, HINGES, MeshArrays, PreparedMasks, Standing, TreeArrays, plain, tidy
+from hypose.compute.compiled import kernel
+from hypose.compute.lane_mesh import lane_scratch
+from hypose.compute.reach import draw_standing
+from hypose.compute.silhouettes import (
+    NEAR,
+    areas_in_boxes,
+    contour_edges,
+    count_window,
+    emit_clipped_faces,
+    emit_contours,
+    front_faces,
+)
+from hypose.compute.simd import lowest_bit
+from hypose.compute.threads import over_chunks
+from hypose.compute.vectors import (
+    GUARD,
+    LANES,
+    STRIP,
+    count_strip,
+    front_lanes,
+    prepare_edge,
+    project_vertices,
+    row_stride,
+    skin_vertex,
+    write_crossings,
+)
+from hypose.errors import InputError, SolverError
+
+f4 = np.float32
+
+
+@kernel
+def turn_lanes(frame, axis, e, out):
+    """out = frame @ exp of the rotation vectors axis (3, LANES), in every lane; frame, out, scratch e: (9, LANES)."""
+    for k in range(LANES):
+        x, y, z = axis[0, k], axis[1, k], axis[2, k]
+        t2 = x * x + y * y + z * z
+        t = math.sqrt(t2)
+        if t < 1e-3:  # as in kinematics.so3_exp_and_jacobian
+            a, b = 1 - t2 / 6 + t2 * t2 / 120, 0.5 - t2 / 24 + t2 * t2 / 720
+        else:
+            h = math.sin(0.5 * t)
+            a, b = 2 * h * math.cos(0.5 * t) / t, 2 * h * h / t2
+        e[0, k] = 1 + b * (x * x - t2)
+        e[1, k] = b * x * y - a * z
+        e[2, k] = b * x * z + a * y
+        e[3, k] = b * x * y + a * z
+        e[4, k] = 1 + b * (y * y - t2)
+        e[5, k] = b * y * z - a * x
+        e[6, k] = b * x * z - a * y
+        e[7, k] = b * y * z + a * x
+        e[8, k] = 1 + b * (z * z - t2)
+    for i in range(3):
+        for j in range(3):
+            for k in range(LANES):
+                out[3 * i + j, k] = (
+                    frame[3 * i, k] * e[j, k] + frame[3 * i + 1, k] * e[3 + j, k] + frame[3 * i + 2, k] * e[6 + j, k]
+                )
+
+
+@kernel
+def copy_lanes(a, out):
+    """out = a, (9, LANES): a loop compiles much faster than a slice."""
+    for i in range(9):
+        for k in range(LANES):
+            out[i, k] = a[i, k]
+
+
+@kernel
+def bone_maps(poses, first, tree, needed, frames, centres, axis, scratch, maps):
+    """Maps (J, 12, LANES) f4 of the needed joints from the model at rest to the world about each pose's root, rows of
+    (3, 4), for the poses from first on (the last one repeated); kinematics in float64: frames (J + 1, 9, LANES),
+    centres (J, 3, LANES)."""
+    last = poses.shape[0] - 1
+    spare = frames[tree.parents.shape[0]]
+    for j in range(tree.parents.shape[0]):
+        if not needed[j]:
+            continue
+        a = tree.parents[j]
+        own = frames[j]
+        if a < 0:
+            for k in range(LANES):
+                for i in range(9):
+                    own[i, k] = 1.0 if i % 4 == 0 else 0.0
+                for i in range(3):
+                    centres[j, i, k] = 0.0
+        else:
+            dx = tree.joints[j, 0] - tree.joints[a, 0]
+            dy = tree.joints[j, 1] - tree.joints[a, 1]
+            dz = tree.joints[j, 2] - tree.joints[a, 2]
+            r = frames[a]
+            for i in range(3):
+                for k in range(LANES):
+                    centres[j, i, k] = centres[a, i, k] + r[3 * i, k] * dx + r[3 * i + 1, k] * dy + r[3 * i + 2, k] * dz
+            copy_lanes(r, own)
+        turns = 0
+        if tree.kind[j] == BALL:
+            turns = 1
+        elif tree.kind[j] == HINGES:
+            turns = tree.dof_count[j]
+        for n in range(turns):
+            d = tree.dof_start[j] + n
+            ball = tree.kind[j] == BALL
+            for i in range(3):
+                if ball:
+                    column, factor = d + i, 1.0
+                else:
+                    column, factor = d, tree.axes[d, i]
+                for k in range(LANES):
+                    axis[i, k] = factor * poses[min(first + k, last), column]
+            turn_lanes(own, axis, scratch, spare)
+            copy_lanes(spare, own)
+        x, y, z = tree.joints[j, 0], tree.joints[j, 1], tree.joints[j, 2]
+        for i in range(3):
+            for k in range(LANES):
+                maps[j, 4 * i, k] = own[3 * i, k]
+                maps[j, 4 * i + 1, k] = own[3 * i + 1, k]
+                maps[j, 4 * i + 2, k] = own[3 * i + 2, k]
+                maps[j, 4 * i + 3, k] = (
+                    centres[j, i, k] - own[3 * i, k] * x - own[3 * i + 1, k] * y - own[3 * i + 2, k] * z
+                )
+
+
+@kernel
+def skin_lanes(poses, first, tree, mesh, turning, frames, centres, axis, scratch, maps, points):
+    """points (V, 3, LANES) f4: the mesh about each pose's root; turning (J,): the joints that are not where they were
+    the last time, the other arguments as for `bone_maps`."""
+    bone_maps(poses, first, tree, turning, frames, centres, axis, scratch, maps)
+    for i in range(points.shape[0]):
+        x, y, z = mesh.vertices[i, 0], mesh.vertices[i, 1], mesh.vertices[i, 2]
+        skin_vertex(maps, mesh.joint, mesh.weight, mesh.start[i], mesh.start[i + 1], x, y, z, points, i)
+
+
+@kernel
+def camera_lanes(projection, poses, first, p):
+    """Projection (3, 4) f8 for points in the world -> p (12, LANES) f4 for points about each pose's root."""
+    last = poses.shape[0] - 1
+    for r in range(3):
+        for k in range(LANES):
+            q = poses[min(first + k, last)]
+            for c in range(3):
+                p[4 * r + c, k] = projection[r, c]
+            p[4 * r + 3, k] = (
+                projection[r, 0] * q[0] + projection[r, 1] * q[1] + projection[r, 2] * q[2] + projection[r, 3]
+            )
+
+
+@kernel
+def lane_windows(bounds, box, lanes, window, origin):
+    """The image window of each lane: what of its silhouette's bounds lies in the box (x0, x1, y0, y1).
+
+    window (5, LANES) f4: origin x, y, first and end column, rows; origin (LANES, 4) i8: x, y, columns, rows. Windows
+    begin at a multiple of 8 columns, where the mask's bits begin a byte. Returns two masks of lanes: those to draw and
+    those that reach the near plane (their window is the whole box).
+    """
+    some, near = np.uint32(0), np.uint32(0)
+    for k in range(lanes):
+        x0, x1, y0, y1 = box[0], box[1], box[2], box[3]
+        if bounds[4, k] >= NEAR:  # half-open sampling: first pixel ceil(minimum), one past the last ceil(maximum)
+            x0 = int(min(max(f4(x0), np.ceil(bounds[0, k])), f4(x1)))
+            x1 = int(max(min(f4(x1), np.ceil(bounds[1, k])), f4(x0)))
+            y0 = int(min(max(f4(y0), np.ceil(bounds[2, k])), f4(y1)))
+            y1 = int(max(min(f4(y1), np.ceil(bounds[3, k])), f4(y0)))
+        if x0 < x1 and y0 < y1:
+            if bounds[4, k] >= NEAR:
+                some |= np.uint32(1) << np.uint32(k)
+            else:
+                near |= np.uint32(1) << np.uint32(k)
+        left = x0 & ~7
+        origin[k, 0], origin[k, 1], origin[k, 2], origin[k, 3] = left, y0, x1 - left, y1 - y0
+        window[0, k], window[1, k], window[2, k], window[3, k], window[4, k] = left, y0, x0 - left, x1 - left, y1 - y0
+    return some, near
+
+
+@kernel
+def list_crossings(mesh, u, v, some, window, origin, front, union, edge, columns, lists, ends):
+    """Pixels where the contours cross columns, per lane: lists (2 LANES, capacity) i4, up at 2 lane and down after it,
+    ends (2 LANES,) how many. Returns the lanes whose lists are full (to be drawn otherwise)."""
+    full = np.uint32(0)
+    for f in range(mesh.faces.shape[0]):
+        front[f] = front_lanes(u, v, mesh.faces[f, 0], mesh.faces[f, 1], mesh.faces[f, 2])
+    front[mesh.faces.shape[0]] = 0  # the missing neighbour of an open edge
+    n = 0
+    for e in range(mesh.edges.shape[0]):
+        union[n] = e
+        n += ((front[mesh.edges[e, 2]] ^ front[mesh.edges[e, 3]]) & some) != 0
+    for k in range(2 * LANES):
+        ends[k] = 0
+    capacity = lists.shape[1] - LANES
+    for i in range(n):
+        e = union[i]
+        left = np.uint32(front[mesh.edges[e, 2]])
+        masks = prepare_edge(u, v, mesh.edges[e, 0], mesh.edges[e, 1], window, edge, columns)
+        todo = (left ^ np.uint32(front[mesh.edges[e, 3]])) & some & masks
+        down = left ^ (masks >> np.uint32(16))
+        while todo != 0:
+            k = lowest_bit(todo)
+            todo &= todo - np.uint32(1)
+            which = 2 * k + np.int64((down >> np.uint32(k)) & np.uint32(1))
+            count = np.int64(columns[k])
+            end = ends[which]
+            if end + count > capacity:
+                full |= np.uint32(1) << np.uint32(k)
+                continue
+            done = 0
+            stride = np.int32(row_stride(origin[k, 2]))
+            while True:
+                place = which * lists.shape[1] + end + done
+                write_crossings(edge, k, f4(done), window[4, k], stride, lists, place)
+                done += LANES
+                if done >= count:
+                    break
+            ends[which] = end + count
+    return full
+
+
+@kernel
+def draw_lists(up, down, difference):
+    """Adds the two lists of pixels into difference (i1, flat). False when a pixel got more than it should hold."""
+    seen = 0
+    for i in range(up.shape[0]):
+        p = np.uint32(up[i])
+        t = np.int64(difference[p]) + 1
+        difference[p] = t
+        seen |= t
+    for i in range(down.shape[0]):
+        p = np.uint32(down[i])
+        t = np.int64(difference[p]) - 1
+        difference[p] = t
+        seen |= t + GUARD
+    return 0 <= seen < 2 * GUARD
+
+
+@kernel
+def score_safely(mesh, points, u, v, p, lane, near, mask, drawn, origin, first_column, safe, counts):
+    """One lane drawn by the plain way in int16, for what the fast way cannot hold. counts (3,) model, hit."""
+    vertices, single_u, single_v, camera, front, start, end, difference, running, model, hit = safe
+    n = points.shape[0]
+    x0, y0 = origin[0] + first_column, origin[1]
+    width, height = origin[2] - first_column, origin[3]
+    if near:
+        for i in range(n):
+            for c in range(3):
+                vertices[i, c] = points[i, c, lane]
+        for r in range(3):
+            for c in range(4):
+                camera[r, c] = p[4 * r + c, lane]
+        emit_clipped_faces(vertices, mesh.faces, camera, x0, y0, width, height, difference, mesh.one_sided)
+    else:
+        for i in range(n):
+            single_u[i], single_v[i] = u[i, lane], v[i, lane]
+        front_faces(mesh.faces, single_u, single_v, front)
+        front[mesh.faces.shape[0]] = 0
+        k = contour_edges(mesh.edges, front, start, end)
+        emit_contours(k, start, end, single_u, single_v, x0, y0, width, height, difference)
+    count_window(mask, drawn, x0, y0, width, height, difference, running, model, hit, counts)
+
+
+@kernel
+def _silhouette_xor(
+    poses, first, last, tree, mesh, anew, turning, prepared, usable, boxes, box_areas, drawn, drawn_counts, scratch, out
+):
+    """Blocks first..last (of LANES poses) of out (N, C, 3) = (xor, model, intersection) pixels inside boxes (C, 4),
+    of the views that are usable (C,).
+
+    anew (J,): joints that must be placed for the first block, turning (J,): those that are elsewhere in the others.
+    drawn (C, h, B) packed as the masks, drawn_counts (C, 2) model, intersection: pixels that belong to the body in
+    every pose. scratch: of lane_scratch.py, for this mesh and these images."""
+    views, image_rows, _ = prepared.masks.shape
+    frames, centres, axis, turn, maps, points, u, v, p, bounds, window, origin = scratch[:12]
+    front, union, edge, columns, lists, ends, difference, counts, single = scratch[12:]
+    mask_stride = prepared.bits.shape[2]
+    for block in range(first, last):
+        begin = block * LANES
+        lanes = min(LANES, poses.shape[0] - begin)
+        moved = anew if block == first else turning
+        skin_lanes(poses, begin, tree, mesh, moved, frames, centres, axis, turn, maps, points)
+        for c in range(views):
+            if not usable[c]:
+                continue
+            camera_lanes(prepared.projections[c], poses, begin, p)
+            project_vertices(points, p, u, v, bounds)
+            some, near = lane_windows(bounds, boxes[c], lanes, window, origin)
+            full = np.uint32(0)
+            if some != 0:
+                full = list_crossings(mesh, u, v, some, window, origin, front, union, edge, columns, lists, ends)
+            for k in range(lanes):
+                bit = np.uint32(1) << np.uint32(k)
+                counts[0] = counts[1] = counts[2] = 0
+                again = ((near | full) & bit) != 0
+                if (some & bit) != 0 and not again:
+                    stride, rows = row_stride(origin[k, 2]), origin[k, 3]
+                    up, down = lists[2 * k, : ends[2 * k]], lists[2 * k + 1, : ends[2 * k + 1]]
+                    again = not draw_lists(up, down, difference)
+                    if not again:
+                        corner = (c * image_rows + origin[k, 1]) * mask_stride + (origin[k, 0] >> 3)
+                        for s in range(0, origin[k, 2], STRIP):
+                            place = corner + (s >> 3)
+                            count_strip(difference, s, stride, rows, prepared.bits, drawn, place, mask_stride, counts)
+                            for x in range(s, s + STRIP):
+                                difference[rows * stride + x] = 0
+                        again = counts[2] != 0
+                    else:
+                        difference[: (rows + 1) * stride] = 0
+                if again:
+                    counts[0] = counts[1] = 0
+                    score_safely(
+                        mesh,
+                        points,
+                        u,
+                        v,
+                        p,
+                        k,
+                        (near & bit) != 0,
+                        prepared.masks[c],
+                        drawn[c],
+                        origin[k],
+                        np.int64(window[2, k]),
+                        single,
+                        counts,
+                    )
+                model, hits = counts[0] + drawn_counts[c, 0], counts[1] + drawn_counts[c, 1]
+                out[begin + k, c, 0] = model + box_areas[c] - 2 * hits
+                out[begin + k, c, 1] = model
+                out[begin + k, c, 2] = hits
+
+
+CELL = 8
+"""rows that are counted together, and columns: those of a byte"""
+
+u1 = np.uint8
+
+
+@kernel
+def uncovered(prepared, drawn, cells):
+    """cells (C, R + 1, B + 1) i4, zero: sums over the cells above and to the left of the masks' pixels that are not
+    drawn (C, h, B), both packed."""
+    for c in range(prepared.bits.shape[0]):
+        if not prepared.usable[c]:
+            continue
+        total = cells[c]
+        for r in range(prepared.bits.shape[1]):
+            mask, other, line = prepared.bits[c, r], drawn[c, r], total[r // CELL + 1, 1:]
+            for b in range(mask.shape[0]):
+                x = mask[b] & u1(~other[b])
+                x = u1(x - ((x >> 1) & 0x55))
+                x = u1((x & 0x33) + ((x >> 2) & 0x33))
+                line[b] += (x + (x >> 4)) & 0x0F
+        for r in range(1, total.shape[0]):
+            along = np.int32(0)
+            for b in range(1, total.shape[1]):
+                along += total[r, b]
+                total[r, b] = total[r - 1, b] + along
+
+
+@kernel
+def least_energies(poses, first, last, tree, mesh, turning, prepared, boxes, drawn_counts, cells, scratch, out):
+    """Blocks first..last (of LANES poses) of out (N, C): no view costs less; cells as `uncovered` makes them, the other
+    arguments as for `_silhouette_xor`, which has placed the joints that are not turning."""
+    frames, centres, axis, turn, maps, points, u, v, p, bounds, window, origin = scratch[:12]
+    for block in range(first, last):
+        begin = block * LANES
+        lanes = min(LANES, poses.shape[0] - begin)
+        skin_lanes(poses, begin, tree, mesh, turning, frames, centres, axis, turn, maps, points)
+        for c in range(prepared.bits.shape[0]):
+            if not prepared.usable[c]:
+                continue
+            camera_lanes(prepared.projections[c], poses, begin, p)
+            project_vertices(points, p, u, v, bounds)
+            lane_windows(bounds, boxes[c], lanes, window, origin)
+            sums = cells[c]
+            for k in range(lanes):
+                left, top = origin[k, 0] // CELL, origin[k, 1] // CELL
+                right = (origin[k, 0] + origin[k, 2] + CELL - 1) // CELL
+                bottom = (origin[k, 1] + origin[k, 3] + CELL - 1) // CELL
+                open_pixels = sums[bottom, right] - sums[bottom, left] - sums[top, right] + sums[top, left]
+                worst = drawn_counts[c, 0] + prepared.areas[c] - 2 * drawn_counts[c, 1]
+                out[begin + k, c] = (worst - open_pixels) / prepared.norm[c]
+
+
+@kernel
+def view_that_tells(cells, norm, left):
+    """The view among those left (C,) bool in which most is uncovered; -1 when none is left."""
+    best, found = -1.0, -1
+    for c in range(norm.shape[0]):
+        if left[c] and cells[c, -1, -1] / norm[c] > best:
+            best, found = cells[c, -1, -1] / norm[c], c
+    return found
+
+
+@kernel
+def _limb_energies(
+    poses, slack, more, tree, mesh, turning, prepared, boxes, drawn, drawn_counts, cells, scratch, counts, told
+):
+    """counts (N, C, 3), zero, as of _silhouette_xor, and told (N,), False: whether they are those of all views, as of
+    the first poses and of all that cost at most `slack` times as much as the first one, and `more`. cells: zero; other
+    arguments as for _silhouette_xor."""
+    n, views, n_dof = poses.shape[0], prepared.bits.shape[0], poses.shape[1]
+    norm, left, limit, view = prepared.norm, prepared.usable.copy(), more + 1e-9 * abs(more), -1
+    alive, n_alive = np.arange(n), min(n, LANES)  # the first block is as much work as the first pose alone
+    least, total, only, anew = np.zeros((n, views)), np.zeros(n), prepared.usable, mesh.needed
+    while True:
+        tried, out = np.empty((n_alive, n_dof)), np.zeros((n_alive, views, 3), np.int64)
+        for i in range(n_alive):
+            for d in range(n_dof):
+                tried[i, d] = poses[alive[i], d]
+        blocks = (n_alive + LANES - 1) // LANES
+        _silhouette_xor(
+            *(tried, 0, blocks, tree, mesh, anew, turning),
+            *(prepared, only, boxes, prepared.areas, drawn, drawn_counts, scratch, out),
+        )
+        kept = 0
+        for i in range(n_alive):
+            a = alive[i]
+            for c in range(views):
+                if only[c]:
+                    for k in range(3):
+                        counts[a, c, k] = out[i, c, k]
+                    if view >= 0:
+                        total[a] += out[i, c, 0] / norm[c] - least[a, c]
+                    elif a == 0:
+                        limit += out[i, c, 0] / norm[c] * slack * (1 + 1e-9)  # sums may round otherwise
+            told[a] = view < 0
+            alive[kept] = a
+            kept += total[a] <= limit
+        n_alive = kept
+        if view < 0:
+            uncovered(prepared, drawn, cells)
+            blocks = (n + LANES - 1) // LANES
+            least_energies(poses, 1, blocks, tree, mesh, turning, prepared, boxes, drawn_counts, cells, scratch, least)
+            n_alive = 0
+            for a in range(min(n, LANES), n):
+                for c in range(views):
+                    total[a] += least[a, c]
+                alive[n_alive] = a
+                n_alive += total[a] <= limit
+        view = view_that_tells(cells, norm, left) if n_alive > 0 else -1
+        if view < 0:
+            break
+        only = np.zeros(views, np.bool_)
+        only[view] = True
+        left[view] = False
+        anew = turning
+    for i in range(n_alive):
+        told[alive[i]] = True
+
+
+Array = NDArray[np.float64]
+
+
+def silhouette_xor(
+    poses: ArrayLike,
+    tree: TreeArrays,
+    mesh: MeshArrays,
+    prepared: PreparedMasks,
+    boxes: ArrayLike | None = None,
+    threads: int | None = None,
+    faces: ArrayLike | None = None,
+    moving: ArrayLike | None = None,
+    rest: Standing | None = None,
+) -> NDArray[np.int64]:
+    """Silhouettes of the mesh at poses (N, D) against the frame's masks: (N, C, 3) = (xor, model, intersection) pixels.
+
+    boxes (C, 4) = x0, x1, y0, y1 (half open, px) restricts the counting; default: each view's whole image. faces (F,)
+    bool: only these triangles of the mesh, as seen from outside (body parts, where a hierarchical search has not placed
+    the rest yet). moving (J,) bool: only these joints turn, everything else stands as in the last pose, and what they
+    do not move is drawn once; rest: that drawing, where `reach.standing` has made it (then without boxes and faces).
+    Views that are not usable give zeros. The same counts for any number of threads, and for a pose alone or among
+    others. Exact up to 1-2 pixels of a silhouette whose edge passes through a pixel's centre.
+    Parts nearer than 0.05 m to a camera's plane, or behind it, are cut off. A SolverError for poses that are not
+    finite.
+    """
+    q = _finite(poses)
+    n, c = len(q), len(prepared.masks)
+    b = reach.whole_images(prepared)
+    if boxes is not None:
+        whole, b = b, np.array(boxes, dtype=np.int64)
+        if b.shape != (c, 4):
+            raise InputError(f"boxes needs one row x0, x1, y0, y1 per view: shape {(c, 4)}, got {b.shape}.")
+        b = np.ascontiguousarray(np.clip(b, 0, whole[:, [1, 1, 3, 3]]))
+        b[:, 1::2] = np.maximum(b[:, 1::2], b[:, ::2])
+    wanted = None if faces is None else plain(faces, np.bool_)
+    if wanted is not None and wanted.shape != (len(mesh.faces),):
+        raise InputError(f"faces needs a truth value per face: shape {(len(mesh.faces),)}, got {wanted.shape}.")
+    turning = None if moving is None else plain(moving, np.bool_)
+    if turning is not None:
+        q = np.where(turning[tree.joint_of_dof], q, q[-1:])
+    t, prepared = tidy(tree), tidy(prepared)
+    areas = prepared.areas
+    if boxes is not None:
+        areas = np.empty(c, dtype=np.int64)
+        areas_in_boxes(prepared.masks, b, areas)
+    drawn, drawn_counts, turned = _nothing(prepared.bits.shape), np.zeros((c, 2), dtype=np.int64), None
+    if turning is not None and n:
+        wanted, standing, corners, turned, _ = lane_mesh.moving_parts(mesh, tree, turning, wanted)
+        if rest is not None:
+            drawn, drawn_counts = rest
+        else:
+            drawn = np.zeros_like(prepared.bits)
+            draw_standing(q[-1], t, tidy(mesh), corners, standing, prepared, b, drawn, drawn_counts)
+            reach.hide(prepared, drawn, drawn_counts)
+    elif prepared.hidden.size:
+        drawn = prepared.hidden  # one more standing part, of somebody else: it counts nowhere
+    m = lane_mesh.prepare(mesh, tree, wanted)
+    turned = m.needed if turned is None else m.needed & turned
+    out = np.zeros((n, c, 3), dtype=np.int64)
+
+    def score(first: int, last: int) -> None:
+        scratch = lane_scratch(m, prepared.masks.shape[1:])
+        _silhouette_xor(
+            *(q, first, last, t, m, m.needed, turned),
+            *(prepared, prepared.usable, b, areas, drawn, drawn_counts, scratch, out),
+        )
+
+    over_chunks(score, -(-n // LANES), threads)
+    return out
+
+
+def limb_energies(
+    poses: ArrayLike,
+    tree: TreeArrays,
+    mesh: MeshArrays,
+    prepared: PreparedMasks,
+    moving: ArrayLike,
+    rest: Standing | None = None,
+    slack: float = 1.0,
+    more: float = 0.0,
+) -> Array:
+    """(N,) energies (eq. 2.8) of poses (N, D) in which only the joints `moving` (J,) turn; infinite where they are
+    certainly above `slack` times the energy of the first pose, and `more`. moving, rest: as for `silhouette_xor`.
+
+    Most poses of a limb are worse than the one that it is in, and a view or two tell: a limb cannot explain more of a
+    mask than what lies uncovered in its window. The others have the energies that `silhouette_xor` gives them.
+    """
+    use = prepared.usable
+    q, turning = _finite(poses), plain(moving, np.bool_)
+    q = np.where(turning[tree.joint_of_dof], q, q[-1:])
+    prepared = tidy(prepared)
+    drawn, drawn_counts = reach.standing(q[-1], tree, mesh, prepared, turning) if rest is None else rest
+    parts = lane_mesh.moving_parts(mesh, tree, turning, None)
+    m = lane_mesh.prepare(mesh, tree, parts.moved)
+    scratch = lane_scratch(m, prepared.masks.shape[1:])
+    cells = np.zeros((len(use), -(-drawn.shape[1] // CELL) + 1, drawn.shape[2] + 1), dtype=np.int32)
+    counts, told = np.zeros((len(q), len(use), 3), dtype=np.int64), np.zeros(len(q), dtype=np.bool_)
+    given = tidy(tree), m, m.needed & parts.turning, prepared, reach.whole_images(prepared), drawn, drawn_counts
+    _limb_energies(q, float(slack), float(more), *given, cells, scratch, counts, told)
+    return np.where(told, (counts[:, use, 0] / prepared.norm[use]).sum(1), np.inf)
+
+
+def _finite(poses: ArrayLike) -> Array:
+    q = plain(poses, np.float64)
+    if q.size and not np.abs(q).max() < 1e6:
+        bad = int(np.argmax(~(np.abs(q).max(1) < 1e6)))
+        raise SolverError(f"Pose {bad} of {len(q)} is not finite; check the motion model that made it.")
+    return q
+
+
+@lru_cache(4)
+def _nothing(shape: tuple[int, ...]) -> NDArray[np.uint8]:
+    return np.zeros(shape, dtype=np.uint8)

@@ -1,1 +1,0 @@
-"""Silhouettes of posed meshes against masks."""

@@ -1,1 +1,0 @@
-"""The articulated least-squares step, one frame or a whole clip."""

@@ -1,1 +1,0 @@
-"""Fused skeletons: swarm, fit, fuzzy rules."""

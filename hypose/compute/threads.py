@@ -1,0 +1,67 @@
+"""Threads: how many a call may use, and how work is spread over them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor, wait
+from contextvars import copy_context
+from functools import cache
+from typing import TypeVar
+
+_Result = TypeVar("_Result")
+
+
+def default_threads() -> int:
+    """Threads a call may use when it is not told: NUMBA_NUM_THREADS when set, else the cores of this process."""
+    wanted = os.environ.get("NUMBA_NUM_THREADS", "")
+    if wanted.isdigit() and int(wanted) > 0:
+        return int(wanted)
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
+
+
+@cache
+def _pool(threads: int, process: int) -> ThreadPoolExecutor:
+    # one per process: in a forked child the parent's pool looks alive but has no threads
+    return ThreadPoolExecutor(threads, thread_name_prefix="hypose")
+
+
+def over_chunks(work: Callable[[int, int], None], n: int, threads: int | None, smallest: int = 1) -> None:
+    """Call work(start, stop) on contiguous chunks of range(n), one per thread (work must release the GIL).
+
+    Python threads around serial kernels instead of numba's own parallel loops: nothing is compiled twice, there is no
+    process-wide thread count, and numba's default layer may not be entered from two Python threads at once.
+    """
+    most = n // max(smallest, 1)
+    count = min(threads if threads is not None else default_threads(), most) if most > 1 else 1
+    if count <= 1:
+        if n:
+            work(0, n)
+        return
+    # more chunks than threads, taken as they come: a core may be busy with the evidence of the next frame
+    pieces = min(3 * count, most)
+    cuts = [n * k // pieces for k in range(pieces + 1)]
+    chunks = iter(zip(cuts[:-1], cuts[1:], strict=True))  # next() on it is atomic
+
+    def take() -> None:
+        for first, last in chunks:
+            work(first, last)
+
+    waiting = [_pool(count - 1, os.getpid()).submit(take) for _ in range(count - 1)]
+    try:
+        take()
+    finally:  # whatever happened, nobody may go on working on the caller's arrays
+        begun = [future for future in waiting if not future.cancel()]
+        wait(begun)
+    for future in begun:
+        future.result()
+
+
+def beside(work: Callable[[], _Result]) -> Callable[[], _Result]:
+    """Begin a call beside the caller's own work, where there is a thread for it; what is returned waits for its result,
+    or makes it, when nobody has begun."""
+    threads = default_threads()
+    if threads < 2:
+        return work
+    began = _pool(threads - 1, os.getpid()).submit(copy_context().run, work)
+    return lambda: work() if began.cancel() else began.result()

@@ -1,0 +1,117 @@
+"""Which bone a vertex sees through the inside of its mesh."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hypose.compute.compiled import kernel
+
+
+def nearest_visible(
+    vertices: ArrayLike, faces: ArrayLike, normals: ArrayLike, closest: ArrayLike, distance: ArrayLike
+) -> NDArray[np.bool_]:
+    """(V, B): segment b is the nearest one that vertex v sees, or as near as that.
+
+    vertices (V, 3), faces (F, 3), outward unit normals (V, 3); closest (V, B, 3): the point of segment b nearest to
+    vertex v, distance (V, B) to it. Seen: no face that does not contain the vertex lies between the two, and the way
+    does not start outwards: where a hand is pressed into a thigh, the thigh's skin has the hand's bone before it
+    without a face between. Rows of a vertex that sees none are False.
+    Source: the visibility test of Baran & Popovic 2007, section 4; deviation: a ray test instead of a distance field,
+    and the nearest of the visible bones instead of the nearest bone if it is visible.
+    """
+    v, n, c, d = (np.ascontiguousarray(a, dtype=np.float64) for a in (vertices, normals, closest, distance))
+    f = np.ascontiguousarray(faces, dtype=np.int64)
+    near = np.zeros(d.shape, dtype=np.bool_)
+    _nearest_visible(v, f, n, c, d, near)
+    return near
+
+
+TIE = 1.0001  # segments that share an end are equally far up to rounding
+LEAVE, ARRIVE = 1e-3, 1e-6  # shares of the way that are not tested: the vertex's own surface, the bone itself
+OUTWARD = 0.0  # largest cosine between the way to a bone and the outward normal
+
+
+@kernel
+def _face_spheres(vertices, faces, centre, radius):
+    """Centre (F, 3) and radius (F,) of a sphere around each face."""
+    for f in range(len(faces)):
+        largest = 0.0
+        for k in range(3):
+            centre[f, k] = (vertices[faces[f, 0], k] + vertices[faces[f, 1], k] + vertices[faces[f, 2], k]) / 3
+        for i in range(3):
+            d = 0.0
+            for k in range(3):
+                d += (vertices[faces[f, i], k] - centre[f, k]) ** 2
+            largest = max(largest, d)
+        radius[f] = math.sqrt(largest)
+
+
+@kernel
+def _blocked(origin, way, own, vertices, faces, centre, radius):
+    """Whether a face that does not contain the vertex `own` lies across the path origin + t way, 0 < t < 1."""
+    ox, oy, oz = origin[0], origin[1], origin[2]
+    dx, dy, dz = way[0], way[1], way[2]
+    length2 = dx * dx + dy * dy + dz * dz
+    if length2 < 1e-18:
+        return False
+    for f in range(len(faces)):
+        wx, wy, wz = centre[f, 0] - ox, centre[f, 1] - oy, centre[f, 2] - oz
+        t = (wx * dx + wy * dy + wz * dz) / length2
+        t = min(max(t, 0.0), 1.0)
+        wx -= t * dx
+        wy -= t * dy
+        wz -= t * dz
+        if wx * wx + wy * wy + wz * wz > radius[f] * radius[f]:
+            continue
+        i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
+        if i == own or j == own or k == own:
+            continue
+        # Moeller & Trumbore 1997
+        ax, ay, az = vertices[i, 0], vertices[i, 1], vertices[i, 2]
+        e1x, e1y, e1z = vertices[j, 0] - ax, vertices[j, 1] - ay, vertices[j, 2] - az
+        e2x, e2y, e2z = vertices[k, 0] - ax, vertices[k, 1] - ay, vertices[k, 2] - az
+        px, py, pz = dy * e2z - dz * e2y, dz * e2x - dx * e2z, dx * e2y - dy * e2x
+        det = e1x * px + e1y * py + e1z * pz
+        if abs(det) < 1e-16:
+            continue
+        sx, sy, sz = ox - ax, oy - ay, oz - az
+        u = (sx * px + sy * py + sz * pz) / det
+        if u < 0 or u > 1:
+            continue
+        qx, qy, qz = sy * e1z - sz * e1y, sz * e1x - sx * e1z, sx * e1y - sy * e1x
+        v = (dx * qx + dy * qy + dz * qz) / det
+        if v < 0 or u + v > 1:
+            continue
+        t = (e2x * qx + e2y * qy + e2z * qz) / det
+        if t > ARRIVE and t < 1 - ARRIVE:
+            return True
+    return False
+
+
+@kernel
+def _nearest_visible(vertices, faces, normals, closest, distance, near):
+    """Marks in near (V, B) the nearest visible segments of each vertex, ties included; see visibility.py."""
+    centre, radius = np.empty((len(faces), 3)), np.empty(len(faces))
+    _face_spheres(vertices, faces, centre, radius)
+    origin, way = np.empty(3), np.empty(3)
+    for i in range(len(vertices)):
+        order = np.argsort(distance[i])
+        found = -1.0
+        for b in order:
+            if found >= 0 and distance[i, b] > found * TIE:
+                break
+            out = 0.0
+            for k in range(3):
+                way[k] = closest[i, b, k] - vertices[i, k]
+                out += way[k] * normals[i, k]
+                origin[k] = vertices[i, k] + LEAVE * way[k]
+                way[k] *= 1 - LEAVE
+            if out > OUTWARD * distance[i, b]:
+                continue
+            if not _blocked(origin, way, i, vertices, faces, centre, radius):
+                near[i, b] = True
+                if found < 0:
+                    found = distance[i, b]

@@ -1,0 +1,135 @@
+"""The z-buffer: triangles into pictures of which each pixel keeps the nearest, and what is read from such pictures.
+
+A pixel belongs to a triangle when its centre lies inside; pixel centres are at integer coordinates. What is compared is
+the inverse of the depth along the optical axis (1/m, 0 where nothing is), which is a plane over the picture.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hypose.compute.arrays import plain
+from hypose.compute.compiled import kernel
+
+f4 = np.float32
+NEAR = 0.05
+"""Triangles with a corner nearer than this (m) are not drawn."""
+
+
+@kernel
+def draw_nearest(u, v, inverse, faces, chosen, cull, nearest, face):
+    """Draw the chosen faces (N,) of faces (F, 3) into nearest (h, w) f4, where they lie before what is there, and their
+    numbers into face (h, w) i4; None: numbers are not wanted.
+
+    u, v (V,) px; inverse (V,) 1/m, 0: faces with this corner are left out; cull: so are those seen from inside (the
+    corners of the others run clockwise in a picture whose y points down)."""
+    h, w = nearest.shape
+    for n in range(chosen.shape[0]):
+        f = chosen[n]
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        ia, ib, ic = inverse[a], inverse[b], inverse[c]
+        if not (ia > 0 and ib > 0 and ic > 0):
+            continue
+        xa, ya, xb, yb, xc, yc = u[a], v[a], u[b], v[b], u[c], v[c]
+        area = (xb - xa) * (yc - ya) - (xc - xa) * (yb - ya)
+        if area == 0 or (cull and area > 0) or not math.isfinite(area):
+            continue
+        across = ((ib - ia) * (yc - ya) - (ic - ia) * (yb - ya)) / area
+        down = ((ic - ia) * (xb - xa) - (ib - ia) * (xc - xa)) / area
+        origin = ia - across * xa - down * ya
+        if ya > yb:
+            xa, ya, xb, yb = xb, yb, xa, ya
+        if ya > yc:
+            xa, ya, xc, yc = xc, yc, xa, ya
+        if yb > yc:
+            xb, yb, xc, yc = xc, yc, xb, yb
+        first, last = int(math.ceil(max(ya, 0.0))), int(math.floor(min(yc, h - 1.0)))
+        if first > last or yc <= ya:
+            continue
+        long = (xc - xa) / (yc - ya)
+        upper = (xb - xa) / (yb - ya) if yb > ya else 0.0
+        lower = (xc - xb) / (yc - yb) if yc > yb else 0.0
+        for y in range(first, last + 1):
+            p = xa + (y - ya) * long
+            q = xa + (y - ya) * upper if y < yb else xb + (y - yb) * lower
+            left, right = int(math.ceil(max(min(p, q), 0.0))), int(math.floor(min(max(p, q), w - 1.0)))
+            if left > right:
+                continue
+            # a slice, so that indices are known to be positive and the loop runs in vector lanes
+            row, start, step = nearest[y, left : right + 1], f4(origin + across * left + down * y), f4(across)
+            if face is None:
+                for x in range(row.shape[0]):
+                    row[x] = max(row[x], start + f4(x) * step)
+            else:
+                for x in range(row.shape[0]):
+                    value = start + f4(x) * step
+                    if value > row[x]:
+                        row[x] = value
+                        face[y, left + x] = f
+
+
+@kernel
+def _weights(u, v, inverse, faces, face, nearest, bary):
+    """bary (h, w, 2): perspective-correct weights of the second and third corner of the faces drawn."""
+    for y in range(face.shape[0]):
+        for x in range(face.shape[1]):
+            f = face[y, x]
+            if f >= 0:
+                a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+                scale = 1 / (((u[b] - u[a]) * (v[c] - v[a]) - (u[c] - u[a]) * (v[b] - v[a])) * nearest[y, x])
+                bary[y, x, 0] = ((x - u[a]) * (v[c] - v[a]) - (u[c] - u[a]) * (y - v[a])) * scale * inverse[b]
+                bary[y, x, 1] = ((u[b] - u[a]) * (y - v[a]) - (x - u[a]) * (v[b] - v[a])) * scale * inverse[c]
+
+
+def inverse_depth(z: ArrayLike, near: float = NEAR) -> NDArray[np.float64]:
+    """(V,) 1/m of depths (V,) m, 0 where they are below near m (or NaN)."""
+    depth = np.asarray(z, dtype=np.float64)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(depth > near, 1 / depth, 0.0)
+
+
+def draw_faces(
+    uv: ArrayLike,
+    inverse: NDArray[np.float64],
+    faces: NDArray[np.int32],
+    nearest: NDArray[np.float32],
+    face: NDArray[np.int32] | None = None,
+    *,
+    cull: bool = False,
+) -> None:
+    """Draw all faces (F, 3) of vertices at uv (V, 2) px into nearest (h, w), in place; see `draw_nearest`."""
+    u, v = (plain(x, np.float64) for x in np.asarray(uv, dtype=np.float64).T)
+    f = plain(faces, np.int32)
+    draw_nearest(u, v, inverse, f, np.arange(len(f)), cull, nearest, face)
+
+
+def rasterize(
+    uv: ArrayLike, z: ArrayLike, faces: NDArray[np.int32], size: tuple[int, int], *, cull: bool = True
+) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.float32]]:
+    """Draw triangles with a z-buffer.
+
+    uv (V, 2) px and z (V,) m: projected vertices and their depth along the optical axis; faces (F, 3),
+    counter-clockwise from outside; size (width, height); cull: leave out faces seen from inside. Returns
+    depth (h, w) m (inf where empty), face_id (h, w) (-1 where empty) and bary (h, w, 2): perspective-correct
+    weights of the face's second and third corner. A triangle that reaches nearer than NEAR is left out.
+    """
+    w, h = size
+    nearest, face = np.zeros((h, w), f4), np.full((h, w), -1, np.int32)
+    bary, inverse = np.zeros((h, w, 2), f4), inverse_depth(z)
+    draw_faces(uv, inverse, faces, nearest, face, cull=cull)
+    u, v = (plain(x, np.float64) for x in np.asarray(uv, dtype=np.float64).T)
+    _weights(u, v, inverse, plain(faces, np.int32), face, nearest, bary)
+    with np.errstate(divide="ignore"):
+        return 1 / nearest, face, bary
+
+
+def interpolate(
+    face: NDArray[np.int32], bary: NDArray[np.float32], faces: NDArray[np.int32], values: ArrayLike
+) -> NDArray[np.float32]:
+    """Vertex values (V, K) at N drawn pixels: face (N,) >= 0 and bary (N, 2) of `rasterize` -> (N, K)."""
+    v, corners = np.asarray(values, dtype=f4), faces[face]
+    first, second = bary[:, :1], bary[:, 1:]
+    return (1 - first - second) * v[corners[:, 0]] + first * v[corners[:, 1]] + second * v[corners[:, 2]]

@@ -1,0 +1,377 @@
+"""Skeletons that sensors' programs report: solved together with cameras, judged once they are fused, and given poses.
+
+Beside depth maps and silhouettes there is one solve on all of it. The cameras alone give a first motion and the body,
+which tell where each skeleton's sensor stands, on which side of the body it takes left for right, and where its joints
+sit on the body. Then everything is tracked once more, the skeletons' joints as points beside the other rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.body.body import Body
+from hypose.body.motion import Motion
+from hypose.body.ready_bodies import human
+from hypose.calibration.diagnose_person import UNITS
+from hypose.errors import InputError
+from hypose.evidence.frame import TRACKED, Frame, SensorJoints
+from hypose.fitting import PointTerm, fit_clip
+from hypose.fusion import joints as jt
+from hypose.fusion.clocks import offset_by_movement
+from hypose.fusion.point_motion import common_positions
+from hypose.fusion.register import LARGEST_RESIDUAL_M, Registration, common_joints, register
+from hypose.geometry import Array
+from hypose.io.motions.results import ResultsFolder
+from hypose.io.sensors.skeleton_streams import (
+    SensorStream,
+    SkeletonRecording,
+    one_person,
+    resample,
+    shifted,
+)
+from hypose.pipeline.run import TrackOptions, TrackResult, track_source
+from hypose.pipeline.track_loop import FrameSource, Progress
+from hypose.pipeline.verdict import LOST_SHARE, Verdict, verdict_of
+from hypose.tracking.refinement import KEYPOINT_SHARE, anatomical_prior
+from hypose.tracking.subject import subject_from_keypoints
+
+SCALE_M, WEIGHT = 0.04, 0.3
+"""m: sd of a reported joint; weight of one in units of the robust rows' cost, half of it where it was inferred"""
+_FEWEST = 10
+
+
+@dataclass(frozen=True)
+class SkeletonRows:
+    """Joints of sensors' skeletons as evidence of one's own (`hypose.tracking.frame_evidence.OwnEvidence`).
+
+    points (T, P, 3) m, world, NaN where missing; weight (T, P); joint (P,), offset (P, 3) m in the joint's frame: where
+    they sit on the body; row: of a frame's index."""
+
+    points: Array
+    weight: Array
+    joint: NDArray[np.int64]
+    offset: Array
+    row: Mapping[int, int]
+
+    def rows(self, body: Body, frame: Frame, /) -> PointTerm | None:
+        """For the solver."""
+        n = self.row.get(frame.index)
+        if n is None or not (self.weight[n] > 0).any():
+            return None
+        return PointTerm(self.points[n], self.weight[n], self.joint, self.offset, SCALE_M)
+
+    def energy(self, body: Body, poses: Array, frame: Frame, /) -> Array:
+        """(N,) for the search: the same cost, in shares of the masks."""
+        n = self.row.get(frame.index)
+        used = np.flatnonzero(self.weight[n] > 0) if n is not None else np.zeros(0, np.int64)
+        if n is None or not len(used):
+            return np.zeros(len(poses))
+        rotations, centres = body.skeleton.forward(poses)
+        joint = self.joint[used]
+        at = centres[:, joint] + np.einsum("nkab,kb->nka", rotations[:, joint], self.offset[used])
+        squared = ((at - self.points[n, used]) ** 2).sum(-1) / (2 * SCALE_M) ** 2
+        return KEYPOINT_SHARE * 2 * (self.weight[n, used] * np.log1p(squared)).sum(-1)
+
+
+def fuse_mixture(
+    source: FrameSource,
+    frame_rate: float,
+    skeletons: Sequence[SensorJoints] | Callable[[Motion], Sequence[SensorJoints]],
+    options: TrackOptions,
+    *,
+    progress: Progress | None = None,
+    results: ResultsFolder | None = None,
+    record: Mapping[str, Any] | None = None,
+) -> TrackResult:
+    """The motion from cameras and skeletons in one solve.
+
+    source: frames with depth maps, silhouettes or both, in a world with z up; skeletons: one per frame, of K sensors
+    of any set of joints that is known (`hypose.fusion.register.common_joints`), each in its own frame and at the
+    frame's time; or what makes them of the motion that the cameras give alone. results, record: as for `track_source`.
+    A sensor that moves otherwise than the person before the cameras is left out. An InputError when their
+    numbers differ, or when no sensor is left. What is interrupted gives the motion of the cameras until then."""
+    made = None if callable(skeletons) else _checked(skeletons, len(source))
+    first = track_source(source, frame_rate, options, progress=progress, find_places=False)
+    if not first.complete:
+        return first
+    if made is None:
+        assert callable(skeletons)
+        made = _checked(skeletons(first.motion), len(source))
+    indices = [source.frame(n).index for n in range(len(source))]
+    own, place = skeleton_rows(first.motion, made, indices)
+    if not place.registered[1:].any():
+        raise InputError(
+            "No sensor's skeletons move as the person before the cameras does; check that they are of the same "
+            "recording and that the clocks agree."
+        )
+    return track_source(
+        source,
+        frame_rate,
+        options,
+        body=first.body,
+        progress=progress,
+        own=(own,),
+        results=results,
+        record=record,
+    )
+
+
+def _checked(skeletons: Sequence[SensorJoints], frames: int) -> list[SensorJoints]:
+    """The common joints of one skeleton per frame."""
+    if len(skeletons) != frames:
+        raise InputError(f"There are {len(skeletons)} skeletons for {frames} frames; give one per frame.")
+    common = [common_joints(s) for s in skeletons]
+    if len(sensors := {s.sensor_names for s in common}) > 1:
+        raise InputError(f"Every frame needs the same sensors, got {sorted(sensors)}; a missing one has NaN.")
+    return common
+
+
+def skeleton_rows(
+    motion: Motion, skeletons: Sequence[SensorJoints], indices: Sequence[int]
+) -> tuple[SkeletonRows, Registration]:
+    """Skeletons (T) as evidence in the world of a motion (T) of the same person, and where their sensors stand: sensor
+    0 of the registration is the motion itself; sensors that stay apart from it are not registered, and no evidence.
+    indices (T,): of the frames."""
+    assert motion.poses is not None
+    known = motion.joints[:, jt.BODY_JOINT]  # (T, 15, 3)
+    known = np.where(motion.lost[:, None, None], np.nan, known)
+    seen = np.stack([s.positions for s in skeletons])  # (T, K, 15, 3)
+    state = np.stack([s.state for s in skeletons])
+    states = np.concatenate([np.full_like(state[:, :1], TRACKED), state], axis=1)
+    place = register(np.concatenate([known[:, None], seen], axis=1), states)
+    # who sees a back may take left for right
+    world = place.apply(np.concatenate([known[:, None], seen], axis=1))[:, 1:]
+    straight, mirrored = (_median_away(w, known) for w in (world, world[:, :, jt.MIRROR]))
+    exchanged = (mirrored < 0.7 * straight)[..., None]
+    # who was filmed at another time is registered, too, but stays apart
+    away = np.where(exchanged[..., 0], mirrored, straight)
+    alike = [bool(len(a := w[np.isfinite(w)])) and np.median(a) <= LARGEST_RESIDUAL_M for w in away.T]
+    place = replace(place, registered=place.registered & np.array([True, *alike]))
+    world = np.where(place.registered[1:, None, None], world, np.nan)
+    world = np.where(exchanged[..., None], world[:, :, jt.MIRROR], world)
+    state = np.where(exchanged, state[:, :, jt.MIRROR], state)
+    rotations, centres = motion.skeleton.forward(motion.poses)
+    rotations, centres = rotations[:, jt.BODY_JOINT], centres[:, jt.BODY_JOINT]
+    own = np.einsum("tjba,tkjb->tkja", rotations, world - centres[:, None])
+    own = np.where((state == TRACKED)[..., None], own, np.nan)
+    sensors = world.shape[1]
+    enough = np.isfinite(own[..., 0]).sum(0) >= _FEWEST  # (K, 15)
+    offset = np.zeros((sensors, 15, 3))
+    for k, j in np.argwhere(enough):
+        offset[k, j] = np.nanmedian(own[:, k, j], axis=0)
+    there = np.isfinite(world).all(-1) & enough
+    weight = np.where(there, WEIGHT * state / TRACKED, 0.0)
+    flat = world.reshape(len(world), -1, 3)
+    rows = SkeletonRows(
+        np.where(there.reshape(len(world), -1)[..., None], flat, np.nan),
+        weight.reshape(len(world), -1),
+        np.tile(jt.BODY_JOINT, sensors).astype(np.int64),
+        offset.reshape(-1, 3),
+        {int(index): n for n, index in enumerate(indices)},
+    )
+    return rows, place
+
+
+def _median_away(points: Array, known: Array) -> Array:
+    """(T, K) m: median over the joints of how far points (T, K, 15, 3) lie from known (T, 15, 3); infinite where none
+    is seen."""
+    away = np.linalg.norm(points - known[:, None], axis=-1)
+    counted = np.isfinite(away)
+    middle = np.nanmedian(np.where(counted.any(-1, keepdims=True), away, 1e9), axis=-1)
+    return np.where(counted.any(-1), middle, np.inf)
+
+
+_ALIKE = 0.5
+"""correlation of movements below which two clocks cannot be brought together"""
+
+
+def skeletons_at_frames(recording: SkeletonRecording, motion: Motion) -> list[SensorJoints]:
+    """The skeletons of a recording at the frames of a motion of the same person. Their clock is set by the movement:
+    one for all sensors, or one for each where they have their own. Of several persons the one that a sensor sees
+    longest counts. An InputError when a clock cannot be set."""
+    known = np.where(motion.lost[:, None, None], np.nan, motion.joints[:, jt.BODY_JOINT])
+    rows = np.arange(len(motion))
+    offset: float | None = None
+    synced: list[SensorStream] = []
+    for stream in recording.streams:
+        if offset is None or not recording.common_clock:
+            offset = _offset(motion, known, stream)
+        synced.append(resample(shifted(stream, offset), motion.times))
+    columns = [np.where((s.state[rows, c] > 0).any(1), c, -1) for s, c in ((s, _longest(s.state)) for s in synced)]
+    if len({s.joint_names for s in synced}) > 1:
+        raise InputError(
+            f"The sensors of {recording.name} report different sets of joints; give them one after the other."
+        )
+    return one_person(synced, motion.times, columns)
+
+
+def _longest(state: NDArray[np.uint8]) -> int:
+    """Who is seen longest, of states (T, P, J)."""
+    return int((state > 0).any(2).sum(0).argmax())
+
+
+def _offset(motion: Motion, known: Array, stream: SensorStream) -> float:
+    """s to add to a stream's times."""
+    common = jt.joint_set(stream.joint_names).common
+    begin = float(motion.times[0] - stream.times[0])
+    seen = stream.positions[:, _longest(stream.state)][:, common]
+    found, likeness = offset_by_movement(motion.times, known, stream.times + begin, seen)
+    if likeness < _ALIKE:
+        raise InputError(
+            f"The skeletons of {stream.name} move otherwise than the person before the cameras (correlation "
+            f"{likeness:.2f}), so their clock cannot be set; give recordings of one person at one time."
+        )
+    return begin + found
+
+
+APART_LOOK_M, APART_M = 0.085, 0.15
+"""m by which the joints of two sensors lie apart (median) from which on it is worth a look, and not to be trusted: 14
+to 67 mm on 39 recordings of two real sensors; where one of them is 15 % too large 113, a second late 122, with left and
+right exchanged in every frame 240"""
+LATE_S, LIKE = 0.2, 0.85
+"""s by which a sensor's clock may be off, and the correlation of both movements from which on they tell: 0.12 s at most
+on the recordings above, where they tell"""
+_NEARER = 0.8
+"""what is left at most of the distance between two sensors' joints when a clock is put right: who walks moves alike
+half a step later, with arms or sides exchanged"""
+_LEGS_M = 0.39, 0.99
+"""m of thigh and shank together, of people 0.9 to 2.3 m tall: sensors say 0.64 to 0.86 of adults"""
+_LEGS = ((jt.LEFT_HIP, jt.LEFT_KNEE, jt.LEFT_FOOT), (jt.RIGHT_HIP, jt.RIGHT_KNEE, jt.RIGHT_FOOT))
+_CURE = "place the sensors so that one of them sees each side of the person, and nothing is in between"
+_OF_HEIGHT = 0.43
+"""thigh and shank as sensors see them, as a share of the height"""
+
+
+def fused_verdict(
+    motion: Motion, clip: Sequence[SensorJoints], registration: Registration, names: Sequence[str]
+) -> Verdict:
+    """Of one person's fused motion; clip: what the sensors, with these names, reported of them at its times."""
+    because, looks = list(_of_size(motion)), list[str]()
+    late = list(_of_clocks(motion.times, clip, registration.reference, names))
+    because += late
+    for name, apart in zip(names, registration.residual.tolist(), strict=True):
+        if apart > APART_LOOK_M and not late:
+            text = (
+                f"{name} and {names[registration.reference]} see the joints {1e3 * apart:.0f} mm apart (median), more "
+                "than two sensors of one person do: look whether both are in metres, name left and right alike, are "
+                "not mirrored, and saw the same movement"
+            )
+            (because if apart > APART_M else looks).append(text)
+    # a sensor reports whom it sees: who is away is not there to be found
+    if (away := float(motion.lost.mean())) > LOST_SHARE:
+        looks.append(f"no sensor saw the person in {100 * away:.0f} % of the frames")
+    there = motion if motion.doubtful is None else replace(motion, doubtful=motion.doubtful & ~motion.lost)
+    return verdict_of(there, because, looks, _CURE, 1.0)
+
+
+def _of_size(motion: Motion) -> Iterator[str]:
+    joints = motion.joints[:, [motion.skeleton.joint(n) for n in jt.COMMON]]
+    legs = [_length(joints, a, b) + _length(joints, b, c) for a, b, c in _LEGS]
+    long = float(np.nanmedian(np.concatenate(legs)[np.tile(~motion.lost, 2)])) if (~motion.lost).any() else np.nan
+    if np.isfinite(long) and not _LEGS_M[0] <= long <= _LEGS_M[1]:
+        tall = long / _OF_HEIGHT
+        units = [w for factor, w in UNITS for f in (factor, 1 / factor) if 1.3 <= tall / f <= 2.1]
+        unit = f": {units[0]}" if units else ""
+        yield (
+            f"the person would be {tall:.3g} m tall, by their legs{unit}; correct the unit, since skeletons must be in "
+            "metres"
+        )
+
+
+def _length(joints: Array, a: int, b: int) -> Array:
+    return np.linalg.norm(joints[:, a] - joints[:, b], axis=-1)
+
+
+def _of_clocks(times: Array, clip: Sequence[SensorJoints], reference: int, names: Sequence[str]) -> Iterator[str]:
+    seen, rate = np.stack([common_joints(f).positions for f in clip]), 1 / float(np.median(np.diff(times)))
+    for k, name in enumerate(names):
+        if k == reference or not np.isfinite(seen[:, k]).any() or not np.isfinite(seen[:, reference]).any():
+            continue
+        late, likeness = offset_by_movement(times, seen[:, reference], times, seen[:, k])
+        if likeness < LIKE or abs(late) < LATE_S:
+            continue
+        there, then = _apart(seen[:, [reference, k]], 0), _apart(seen[:, [reference, k]], round(late * rate))
+        if then < min(APART_LOOK_M, _NEARER * there):
+            when = f"{abs(late):.2f} s {'early' if late > 0 else 'late'}"
+            yield (
+                f"{name} reports the movements of {names[reference]} {when}, so their clocks differ: correct its "
+                'times, or say "clock": "own" in a session.json'
+            )
+
+
+def _apart(pair: Array, frames: int) -> float:
+    """m (median) between the joints (T, 2, 15, 3) of two sensors once registered, the second's put so many frames
+    later."""
+    first, second = (
+        (pair[frames:, 0], pair[: len(pair) - frames, 1]) if frames >= 0 else (pair[:frames, 0], pair[-frames:, 1])
+    )
+    both = np.stack([first, second], 1)
+    return float(np.nan_to_num(register(both, np.where(np.isfinite(both[..., 0]), 2, 0)).residual[1], nan=np.inf))
+
+
+# the 15 common joints by the names of key points; the torso is no point of the body that could be told from the spine
+NAMES = (
+    "head",
+    "neck",
+    "left_shoulder",
+    "left_elbow",
+    "left_wrist",
+    "right_shoulder",
+    "right_elbow",
+    "right_wrist",
+    "torso",
+    "left_hip",
+    "left_knee",
+    "left_ankle",
+    "right_hip",
+    "right_knee",
+    "right_ankle",
+)
+
+
+def pose_fused(fused: Motion, body: Body | None = None, smoothness: float = 1.0) -> tuple[Body, Motion]:
+    """The body with the person's bone lengths, and its motion (T, 36) along fused joints.
+
+    fused: a motion of points (fusion.fuse.Fused.motion) in a world with z up, m. smoothness: strength of the penalty on
+    acceleration. Frames in which the person is lost are bridged and stay marked as lost. An InputError when too little
+    was seen to find a pose."""
+    points = common_positions(fused)
+    points[np.asarray(fused.lost)] = np.nan
+    if np.isfinite(points).all(-1).sum(1).max(initial=0) < 8:
+        raise InputError("No frame of the fused motion has 8 joints; poses cannot be found from so few.")
+    subject = subject_from_keypoints(body or human(), points, NAMES)
+    model = subject.keypoints
+    known = np.flatnonzero(model.known)
+    solved = np.flatnonzero(np.isfinite(subject.poses).all(1))
+    nearest = solved[np.abs(np.arange(len(points))[:, None] - solved).argmin(1)]
+    terms = [
+        PointTerm(p[known], np.ones(len(known)), model.joint[known], model.offset[known], 0.03)
+        if np.isfinite(p).any()
+        else None
+        for p in points
+    ]
+    prior = anatomical_prior(subject.body.skeleton)
+    poses = fit_clip(subject.body, subject.poses[nearest], points=terms, acceleration=smoothness, priors=(prior,))
+    skeleton = subject.body.skeleton
+    joints = subject.body.joints(poses)
+    names = [NAMES[k] for k in known if NAMES[k] in skeleton.joint_names]
+    # the fused joints of a motion start at the torso; look each up by its name there
+    own = [fused.skeleton.joint(n.replace("wrist", "hand").replace("ankle", "foot")) for n in names]
+    there = [skeleton.joint(n) for n in names]
+    known_of_joints = {
+        "joint_covariance": np.nan,
+        "systematic_covariance": np.nan,
+        "p_wrong": np.nan,
+        "doubtful_joints": False,
+    }
+    arrays = {}
+    for name, unknown in known_of_joints.items():
+        if (given := getattr(fused, name)) is not None:
+            arrays[name] = np.full((*joints.shape[:2], *given.shape[2:]), unknown, given.dtype)
+            arrays[name][:, there] = given[:, own]
+    return subject.body, replace(fused, skeleton=skeleton, joints=joints, poses=poses, **arrays)
