@@ -252,6 +252,26 @@ _REGIONS_REAL = Page(
     notebook="doubt.md",
 )
 
+_DETECTOR = Page(
+    "detector",
+    """Tracked from videos alone, by the points and masks of the own detector. Balancing: 12 limb joints against the
+    triangulated points of another detector, refined cameras; the camera left out is looked at through the detector's
+    own points there. Scenes: rendered people, against background subtraction with simulated key points.""",
+    (
+        Column("median, mm", "median_mm"),
+        Column("IoU", "iou"),
+        Column("camera left out, px", "loco_px"),
+        Column("mean joint error, mm", "error_mm"),
+        Column("x background", "error_mm", ratio=True),
+    ),
+    (
+        Line("both", "both", (most(16, 0), least(0.82, 1), most(12, 2), most(1.2, 4))),
+        Line("silhouettes", "silhouettes"),
+        Line("key points", "keypoints"),
+    ),
+    notebook="doubt.md",
+)
+
 _OPENSIM = Page(
     "opensim",
     """Balancing, tracked from key points, handed to OpenSim: its own inverse kinematics on the exported model, markers
@@ -368,6 +388,7 @@ SEVERAL_CAMERAS = (
     _ARMS,
     _UNCERTAINTY,
     _BALANCING,
+    _DETECTOR,
     _REGIONS_REAL,
     _OPENSIM,
     _UU4CAM,

@@ -206,4 +206,4 @@ def _apart(a: Crop, b: Crop) -> float:
 
 def sigmoid(logits: NDArray[np.float32]) -> NDArray[np.float32]:
     """1 / (1 + exp(-x))."""
-    return 1 / (1 + np.exp(-np.clip(logits, -_LOGIT, _LOGIT)))
+    return np.asarray(1 / (1 + np.exp(-np.clip(logits, -_LOGIT, _LOGIT))), dtype=np.float32)

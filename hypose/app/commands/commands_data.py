@@ -235,7 +235,8 @@ def detect(
     with contextlib.ExitStack() as stack:
         stack.enter_context(claimed(target))
         progress = stack.enter_context(Stages())
-        try:
+        kept = f"Stopped; the frames done until then are in {target}. Go on with the same command and --resume."
+        with stopping(kept):
             return detect_keypoints(
                 loaded,
                 detector,
@@ -244,9 +245,6 @@ def detect(
                 frames=frames,
                 progress=lambda done, total: progress("detect", done, total),
             )
-        except KeyboardInterrupt:
-            say(f"Stopped; the frames done until then are in {target}. Go on with the same command and --resume.")
-            raise typer.Exit(130) from None
 
 
 def detected(loaded: Recording, frames: range, *, yes: bool, why: str) -> DetectedKeypoints:
