@@ -120,7 +120,7 @@ def test_what_is_no_person_or_not_the_same_is_not_to_be_trusted(hypose, rng, tmp
     assert kept["verdict"] == "not to be trusted"
 
 
-@pytest.mark.parametrize("method", ["swarm", "weighted_mean", "dbscan_kalman"])
+@pytest.mark.parametrize("method", ["swarm", "published"])
 def test_other_methods(hypose, rng, tmp_path, method):
     write_folder(recorded(rng, seconds=2), tmp_path / "rec")
     code, _, err = hypose("fuse", tmp_path / "rec", "--method", method, "--formats", "csv", "--rate", "25")
