@@ -1,5 +1,5 @@
 """Which parts of a body a picture shows, small and fast: every pixel knows all the parts that cover it, as bits
-(mask_runs.py); and connected pieces of masks.
+(mask_runs.py); and connected pieces of masks (OpenCV).
 """
 
 from __future__ import annotations
@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -102,15 +103,16 @@ def touched_area(
     and column of what is set in both of two masks of size (width, height), packed as `prepare_masks` does (H, B). at
     (N, 2) px of the masks; what lies outside them touches nothing."""
     w, h = size
-    small = -(-w // step), -(-h // step)
-    made = np.zeros((small[1] + 2, small[0] + 2), np.uint8)
-    _thin_both(plain(bits, np.uint8), plain(others, np.uint8), step, made)
+    both = np.unpackbits(bits & others, axis=1, count=w, bitorder="little")[:h:step, ::step]
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(np.ascontiguousarray(both), connectivity=8)
+    areas = stats[:, cv2.CC_STAT_AREA].astype(np.int64)
+    areas[0] = 0  # outside
     with np.errstate(invalid="ignore"):
         inside = at[((at >= 0) & (at <= (w - 1, h - 1))).all(1)]
-    cells = np.minimum(np.rint(inside / step).astype(np.int64), np.array(small) - 1)
-    found = np.zeros(2, np.int64)
-    _areas_of_pieces(made, plain(cells, np.int64), np.empty(made.size, np.int64), found)
-    return int(found[0]), int(found[1])
+    column, row = np.minimum(np.rint(inside / step).astype(np.int64), np.array(both.shape[::-1]) - 1).T
+    touched = np.zeros(len(areas), np.bool_)
+    touched[np.asarray(labels)[row, column]] = True
+    return int(areas[touched].sum()), int(areas[~touched].max(initial=0))
 
 
 i4 = np.int32
@@ -306,48 +308,3 @@ def _against_mask(mask, hidden, top, left, step, width, parts, points, radius, c
                 for i in range(points.shape[0]):
                     dx, dy = x - points[i, 0], r - points[i, 1]
                     bare[i] += dx * dx + dy * dy < radius[i] * radius[i]
-
-
-@kernel
-def _thin_both(bits, others, step, out):
-    """1 in out (h + 2, w + 2), within its rim, where every step-th pixel is set in both of two packed masks (H, B)."""
-    for r in range(out.shape[0] - 2):
-        y, x = r * step, 0
-        for c in range(1, out.shape[1] - 1):
-            out[r + 1, c] = ((bits[y, x >> 3] & others[y, x >> 3]) >> (x & 7)) & 1
-            x += step
-
-
-@kernel
-def _areas_of_pieces(picture, at, places, found):
-    """Pixels of the pieces of a picture (h + 2, w + 2), corners connect, in which one of at (N, 2), columns and rows
-    without the rim, lies, and of the largest of the others, into found (2,). The picture is zero afterwards; places
-    (h w,) is scratch."""
-    own, largest, width = 0, 0, picture.shape[1]
-    flat = picture.reshape(picture.size)
-    for i in range(at.shape[0]):
-        own += _taken(flat, width, (at[i, 1] + 1) * width + at[i, 0] + 1, places)
-    for i in range(flat.size):
-        if flat[i]:
-            largest = max(largest, _taken(flat, width, i, places))
-    found[0], found[1] = own, largest
-
-
-@kernel
-def _taken(flat, width, first, places):
-    """Pixels of the piece with pixel `first`, which is taken out of the picture; 0 where there is none."""
-    if not flat[first]:
-        return 0
-    flat[first] = 0
-    places[0], waiting, count = first, 1, 0
-    while waiting:
-        waiting -= 1
-        count += 1
-        middle = places[waiting]
-        for row in range(middle - width, middle + width + 1, width):
-            for i in range(row - 1, row + 2):
-                if flat[i]:
-                    flat[i] = 0
-                    places[waiting] = i
-                    waiting += 1
-    return count
