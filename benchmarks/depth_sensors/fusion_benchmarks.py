@@ -48,17 +48,14 @@ def human4d(options: BenchOptions) -> BenchReport:
                 if method == "best_single":
                     value = _best_single(recording)
                 else:
-                    if method in BASELINES:
-                        joints = fuse_baseline(frames, method)
-                    else:
-                        fused = fuse_clip(frames, method, FusionSettings(seed=s))
-                        joints = common_positions(fused.motion)
+                    fused = None if method in BASELINES else fuse_clip(frames, method, FusionSettings(seed=s))
+                    joints = fuse_baseline(frames, method) if fused is None else common_positions(fused.motion)
                     error = np.linalg.norm(joints - truth, axis=-1)
                     value = float(np.nanmean(error))
                     found.setdefault(f"hands/{scene}/{method}", []).append(
                         1e3 * float(np.nanmean(error[:, list(HANDS)]))
                     )
-                    if method == "fit":
+                    if fused is not None and method == "fit":
                         for metric, share in _trusted(fused.motion, error).items():
                             shares.setdefault((metric, scene), []).append(share)
                         causal = _causal(frames, truth)

@@ -133,7 +133,8 @@ class PoseNetwork:
         """The person in a crop, or None."""
         to_crop = crop.from_picture
         part = cv2.warpAffine(image, to_crop, (CROP, CROP), flags=cv2.INTER_LINEAR)
-        points, presence, mask = self.landmarks(cv2.cvtColor(part, cv2.COLOR_BGR2RGB).astype(np.float32)[None] / 255)
+        given = np.asarray(cv2.cvtColor(part, cv2.COLOR_BGR2RGB)[None], dtype=np.float32) / np.float32(255)
+        points, presence, mask = self.landmarks(given)
         if not presence > _LEAST_PRESENCE:
             return None
         back = cv2.invertAffineTransform(to_crop)

@@ -43,7 +43,7 @@ def test_empty_silhouettes(hypose, recording):
 
 def test_nan_in_the_calibration(hypose, recording):
     replace_in(recording / "calibration.toml", r"translation = \[[^,]*,", "translation = [nan,")
-    fails(hypose("track", recording), "calibration.toml, camera cam1: translation contains NaN", "calibrate it again")
+    fails(hypose("track", recording), "calibration.toml, camera cam1: translation contains NaN", "calibrate again")
 
 
 def test_foreign_json_among_the_key_points(hypose, recording):

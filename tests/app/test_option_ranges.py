@@ -13,7 +13,7 @@ BUILT = typer.main.get_command(cli.app)
 _NOWHERE = {
     "demo": ("--out", "FULL"),
     "calibrate": ("--points", "nowhere"),
-    "keypoints": ("nowhere", "--model", "nowhere"),
+    "keypoints": ("nowhere",),
     "correct": ("nowhere", "nowhere"),
     "synth": ("FULL",),
     "gesture record": ("FULL", "--gesture", "wave", "--source", "nowhere"),

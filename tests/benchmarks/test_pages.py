@@ -121,4 +121,4 @@ def test_keeping_writes_document_picture_and_page(tmp_path, monkeypatch):
         tmp_path / "benchmarks.md",
     ]
     assert json.loads(written[0].read_text()) == report and written[1].stat().st_size > 2000
-    assert "| [silhouette-scorer](#silhouette-scorer) | 5 of 5 |" in written[2].read_text()
+    assert "| [silhouette-scorer](#silhouette-scorer) | 4 of 4 |" in written[2].read_text()

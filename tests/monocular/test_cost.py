@@ -199,7 +199,7 @@ def test_the_search_finds_what_scipys_bounded_solver_finds():
         step = bounded_step(equations[1], equations[0], x, problem.priors.lower, upper, damping)
         return None if step is None else (np.clip(x + step, problem.priors.lower, upper), 1.0)
 
-    assert found.cost <= descend(first, evaluate, propose, 60, Rule(tries=20, gain=1e-9)).cost + 0.05
+    assert found.cost <= descend(first, at, propose, 60, Rule(tries=20, gain=1e-9)).cost + 0.05
 
 
 def test_occluding_contour_runs_along_the_silhouette():

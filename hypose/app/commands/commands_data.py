@@ -4,22 +4,19 @@ from __future__ import annotations
 
 import contextlib
 import shlex
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hypose.app.commands.commands_track import set_threads, stopping
+from hypose.app.commands.commands_track import detect, detected, open_network_asking, set_threads, stopping
 from hypose.app.commands.console import Stages, note, say
 from hypose.app.commands.options import Seconds, Seed, Threads, number
 from hypose.errors import EvidenceError, InputError
 
 if TYPE_CHECKING:
-    from hypose.evidence.detector import PoseDetector
-    from hypose.io.keypoints.read_keypoints import DetectedKeypoints
-    from hypose.io.recordings.recording import Recording
+    pass
 
 Yes = Annotated[bool, typer.Option("--yes", help="Fetch the detector's models, once, without asking.")]
 
@@ -223,57 +220,3 @@ def keypoints(
     say(f'keypoint_set = "{found.keypoint_set}"')
     for view in loaded.views:
         say(f'keypoints = "{found.view(view.name).absolute()}"  # in the [[view]] of {view.name}')
-
-
-def detect(
-    loaded: Recording, detector: PoseDetector, target: Path, frames: range | None, *, resume: bool
-) -> DetectedKeypoints:
-    """Detect in frames (None: all) with progress; interrupted it says how to go on, and exits with code 130."""
-    from hypose.io.files import claimed
-    from hypose.pipeline.detect_keypoints import detect_keypoints
-
-    with contextlib.ExitStack() as stack:
-        stack.enter_context(claimed(target))
-        progress = stack.enter_context(Stages())
-        kept = f"Stopped; the frames done until then are in {target}. Go on with the same command and --resume."
-        with stopping(kept):
-            return detect_keypoints(
-                loaded,
-                detector,
-                target,
-                resume=resume,
-                frames=frames,
-                progress=lambda done, total: progress("detect", done, total),
-            )
-
-
-def detected(loaded: Recording, frames: range, *, yes: bool, why: str) -> DetectedKeypoints:
-    """What the detector finds in frames of a recording, kept in its folder; of what is there already nothing is looked
-    at again. why: begins the sentence that says what is missing."""
-    from hypose.io.keypoints.read_keypoints import FOLDER, load_detected
-
-    target = loaded.folder / FOLDER
-    network = open_network_asking(yes, why)
-    before = load_detected(target)
-    same = before is not None and dict(before.identity) == network.identity
-    if before is not None and same and before.covers(frames):
-        return before
-    return detect(loaded, network, target, frames, resume=same)
-
-
-def open_network_asking(yes: bool, why: str = "Finding people in pictures") -> PoseDetector:
-    """The detector; its models are fetched when the user agrees. An InputError says what to install."""
-    from hypose.io.keypoints.detectors import MEGABYTES, PACKAGE, fetch_models, have_models, models_folder, runtime
-    from hypose.io.keypoints.detectors import open_network as opened
-
-    runtime(why)
-    if not have_models():
-        what = f"the detector's models from the package {PACKAGE} (Apache 2.0, {MEGABYTES} MB) to {models_folder()}"
-        if not yes:
-            if not sys.stdin.isatty():
-                raise InputError(f"{why} fetches {what}, once, by pip; run the command again with --yes to agree.")
-            if not typer.confirm(f"Fetch {what}?"):
-                raise typer.Exit(1)
-        say(f"Fetching {what} ...")
-        fetch_models()
-    return opened()

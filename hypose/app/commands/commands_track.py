@@ -6,6 +6,7 @@ import contextlib
 import os
 import shlex
 import signal
+import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -20,6 +21,8 @@ from hypose.errors import InputError
 
 if TYPE_CHECKING:
     from hypose.app.jobs.job import Job, Outcome
+    from hypose.evidence.detector import PoseDetector
+    from hypose.io.keypoints.read_keypoints import DetectedKeypoints
     from hypose.io.recordings.recording import Recording
     from hypose.pipeline.subject_from_motion import SubjectEstimate
     from hypose.pipeline.verdict import Verdict
@@ -119,8 +122,6 @@ def track(
     if camera is not None or options.of_picture:
         loaded = one_view(loaded, camera)
     elif evidence != "silhouettes" and (loaded.detected or wants_detector(loaded)):
-        from hypose.app.commands.commands_data import detected
-
         if not loaded.detected:
             note("note: neither key points, masks nor pictures of the empty room are given: the detector finds people.")
         detected(loaded, loaded.frames, yes=yes, why="Tracking videos alone")
@@ -463,3 +464,57 @@ def _picture(path: Path, recording: Recording, source: object, found: SubjectEst
     sheet = np.concatenate(rows)
     write_image(path, sheet)
     return path
+
+
+def detect(
+    loaded: Recording, detector: PoseDetector, target: Path, frames: range | None, *, resume: bool
+) -> DetectedKeypoints:
+    """Detect in frames (None: all) with progress; interrupted it says how to go on, and exits with code 130."""
+    from hypose.io.files import claimed
+    from hypose.pipeline.detect_keypoints import detect_keypoints
+
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(claimed(target))
+        progress = stack.enter_context(Stages())
+        kept = f"Stopped; the frames done until then are in {target}. Go on with the same command and --resume."
+        with stopping(kept):
+            return detect_keypoints(
+                loaded,
+                detector,
+                target,
+                resume=resume,
+                frames=frames,
+                progress=lambda done, total: progress("detect", done, total),
+            )
+
+
+def detected(loaded: Recording, frames: range, *, yes: bool, why: str) -> DetectedKeypoints:
+    """What the detector finds in frames of a recording, kept in its folder; of what is there already nothing is looked
+    at again. why: begins the sentence that says what is missing."""
+    from hypose.io.keypoints.read_keypoints import FOLDER, load_detected
+
+    target = loaded.folder / FOLDER
+    network = open_network_asking(yes, why)
+    before = load_detected(target)
+    same = before is not None and dict(before.identity) == network.identity
+    if before is not None and same and before.covers(frames):
+        return before
+    return detect(loaded, network, target, frames, resume=same)
+
+
+def open_network_asking(yes: bool, why: str = "Finding people in pictures") -> PoseDetector:
+    """The detector; its models are fetched when the user agrees. An InputError says what to install."""
+    from hypose.io.keypoints.detectors import MEGABYTES, PACKAGE, fetch_models, have_models, models_folder, runtime
+    from hypose.io.keypoints.detectors import open_network as opened
+
+    runtime(why)
+    if not have_models():
+        what = f"the detector's models from the package {PACKAGE} (Apache 2.0, {MEGABYTES} MB) to {models_folder()}"
+        if not yes:
+            if not sys.stdin.isatty():
+                raise InputError(f"{why} fetches {what}, once, by pip; run the command again with --yes to agree.")
+            if not typer.confirm(f"Fetch {what}?"):
+                raise typer.Exit(1)
+        say(f"Fetching {what} ...")
+        fetch_models()
+    return opened()
