@@ -95,6 +95,14 @@ def keypoint_names(keypoint_set: str) -> tuple[str, ...]:
     return found
 
 
+def other_sides(names: Sequence[str]) -> NDArray[np.int64]:
+    """(K,) column of the other side's point of each of K points: its own where there is none."""
+    other = {"left": "right", "right": "left"}
+    column = {n: i for i, n in enumerate(names)}
+    parts = [n.partition("_") for n in names]
+    return np.array([column.get(f"{other.get(side, side)}_{part}", i) for i, (side, _, part) in enumerate(parts)])
+
+
 def names_of_length(count: int) -> tuple[str, ...]:
     """The set with that many points (25 is taken as OpenPose's BODY_25); an InputError lists the sets."""
     for names in KEYPOINT_SETS.values():

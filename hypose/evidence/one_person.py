@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.association import AssociationSettings, people_of
+from hypose.evidence.keypoints import other_sides
 from hypose.evidence.person_tracks import PersonTrack, choose, joined
 from hypose.evidence.ray_matching import Views, meet
 from hypose.evidence.view_tracks import ViewTrack, moves_as, taken, view_tracks
@@ -226,7 +227,7 @@ def _alike(
 ) -> Array:
     """Points (T, K, width) of whom of a view's people moves like the person (T, C, K, 3) of the other views; nobody
     where none does."""
-    twin = _twin(names)
+    twin = other_sides(names)
     scored = []
     for t in tracks[:_COMPARED]:
         p = taken(column, t.candidates, len(names), width)
@@ -251,14 +252,4 @@ def _continued(track: ViewTrack, tracks: Sequence[ViewTrack]) -> NDArray[np.int6
         there = t.candidates >= 0
         if t is not track and not (there & (out >= 0)).any() and (count[there] == 1).mean() > 0.9:
             out[there] = t.candidates[there]
-    return out
-
-
-def _twin(names: Sequence[str]) -> list[int]:
-    other = {"left": "right", "right": "left"}
-    column = {n: i for i, n in enumerate(names)}
-    out = []
-    for i, n in enumerate(names):
-        side, _, rest = n.partition("_")
-        out.append(column.get(f"{other[side]}_{rest}", i) if side in other else i)
     return out

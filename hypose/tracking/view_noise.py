@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from hypose.cameras.camera import CameraRig, triangulate
 from hypose.evidence.frame import Keypoints
+from hypose.evidence.keypoints import other_sides
 from hypose.geometry import Array
 
 LARGEST = 12.0
@@ -35,16 +36,17 @@ def view_factors(keypoints: Sequence[Keypoints]) -> Array:
     frames of one recording; all 1 with fewer than three views, and where too little is seen in three.
 
     The worst view is left out before the others are judged, as long as three are left: what it has spoilt of them is
-    not theirs."""
-    rig = keypoints[0].rig
-    points = np.stack([k.points for k in keypoints], 1).reshape(len(rig), -1, 3)
+    not theirs. A view that calls left what the others call right is no noisier for it: its sides are exchanged in the
+    frames in which they then lie nearer to where the others put them."""
+    rig, other = keypoints[0].rig, other_sides(keypoints[0].names)
+    points = np.stack([k.points for k in keypoints], 1)
     seen = (points[..., 2] > _CONFIDENT) & np.isfinite(points[..., :2]).all(-1)
     uv, factor, active = np.nan_to_num(points[..., :2]), np.ones(len(rig)), np.ones(len(rig), dtype=np.bool_)
     while active.sum() >= 3:
         chosen = seen[active].sum(0) >= 3
         if chosen.sum() < _LEAST_POINTS:
             break
-        found = _components(rig, uv[:, chosen], seen[:, chosen], active)
+        found = _components(rig, uv, seen & chosen, active, other)
         worst = int(np.argmax(np.where(active, found, 0.0)))
         if found[worst] <= USUAL:
             break
@@ -52,25 +54,46 @@ def view_factors(keypoints: Sequence[Keypoints]) -> Array:
     return factor
 
 
-def _components(rig: CameraRig, uv: Array, seen: NDArray[np.bool_], active: NDArray[np.bool_]) -> Array:
-    """(C,) factors of the active views, from points (C, N, 2) px where they are seen (C, N)."""
-    factor, size = np.ones(len(rig)), np.ones(seen.shape)
-    seen = seen & active[:, None]
+def _components(
+    rig: CameraRig, uv: Array, seen: NDArray[np.bool_], active: NDArray[np.bool_], other: NDArray[np.int64]
+) -> Array:
+    """(C,) factors of the active views, from points (C, T, K, 2) px where they are seen (C, T, K); other (K,): the
+    column of each point's other side."""
+    views, shape = len(rig), seen.shape
+    factor, size = np.ones(views), np.ones((views, seen[0].size))
+    named, shown = uv, (seen & active[:, None, None]).reshape(views, -1)
     for _ in range(_ROUNDS):
-        world, _ = triangulate(rig, uv, seen / (factor[:, None] * size))  # rows are multiplied by it
-        residual, slope, size = _rows(world, uv, rig.projections, seen)
-        weight = seen / (factor[:, None] * size) ** 2
+        world, _ = triangulate(rig, named.reshape(views, -1, 2), shown / (factor[:, None] * size))  # multiplies rows
+        residual, slope, size = _rows(world, named.reshape(views, -1, 2), rig.projections, shown)
+        weight = shown / (factor[:, None] * size) ** 2
         normal = np.einsum("cn,cnia,cnib->nab", weight, slope, slope)
-        inverse = np.linalg.inv(normal + 1e-9 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(3))
+        least = 1e-9 * np.maximum(np.trace(normal, axis1=1, axis2=2), 1.0)
+        inverse = np.linalg.inv(normal + least[:, None, None] * np.eye(3))
         left = 2 - weight * np.einsum("cnia,nab,cnib->cn", slope, inverse, slope)
         square = (residual**2).sum(-1) / size**2 / np.maximum(left, _LEAST_LEFT)
-        many = seen.sum(1) >= _LEAST_POINTS
-        medians = [np.median(s[k]) if m else np.nan for s, k, m in zip(square, seen, many, strict=True)]
+        many = shown.sum(1) >= _LEAST_POINTS
+        medians = [np.median(s[k]) if m else np.nan for s, k, m in zip(square, shown, many, strict=True)]
         noise = np.sqrt(np.array(medians))
         usual = np.sort(noise[many])[(many.sum() - 1) // 2]
         found = np.clip(np.nan_to_num(noise / max(float(usual), 1e-6), nan=1.0), 1.0, LARGEST)
         factor = np.sqrt(factor * found)
+        exchanged = _exchanged(world.reshape(*shape[1:], 3), uv, rig.projections, seen, other)[..., None]
+        named = np.where(exchanged[..., None], uv[:, :, other], uv)
+        shown = (np.where(exchanged, seen[:, :, other], seen) & active[:, None, None]).reshape(views, -1)
     return factor
+
+
+def _exchanged(
+    world: Array, uv: Array, projections: Array, seen: NDArray[np.bool_], other: NDArray[np.int64]
+) -> NDArray[np.bool_]:
+    """(C, T) views and frames whose points lie nearer to points (T, K, 3) when their sides change places."""
+    h = np.einsum("cij,tkj->ctki", projections[:, :, :3], world) + projections[:, None, None, :, 3]
+    there = h[..., :2] / np.maximum(h[..., 2:], _NEAREST_M)
+    known = seen & np.isfinite(there).all(-1)
+    known &= known[:, :, other]
+    as_named = np.linalg.norm(np.nan_to_num(there - uv), axis=-1)
+    as_other = np.linalg.norm(np.nan_to_num(there - uv[:, :, other]), axis=-1)
+    return np.asarray((known * (as_named - as_other)).sum(-1) > 0)
 
 
 def _rows(world: Array, uv: Array, projections: Array, seen: NDArray[np.bool_]) -> tuple[Array, Array, Array]:

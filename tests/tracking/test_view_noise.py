@@ -5,8 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
+from hypose.cameras.camera import CameraRig
 from hypose.evidence.frame import Keypoints
-from hypose.evidence.keypoints import BODY_25B, triangulate_keypoints
+from hypose.evidence.keypoints import BODY_25B, other_sides, triangulate_keypoints
 from hypose.synthetic.rigs import rig as named_rig
 from hypose.tracking.keypoint_evidence import keypoint_model, keypoint_term
 from hypose.tracking.keypoint_offsets import calibrate_keypoints
@@ -46,6 +47,17 @@ def test_a_shifted_view_is_found_and_no_other(frames, view):
     factors = view_factors(moved(frames[1], view, (40.0, -25.0)))
     assert 3 < factors[view] <= LARGEST
     assert (np.delete(factors, view) == 1).all()
+
+
+@pytest.mark.parametrize("views", [range(4), range(1, 4)])
+def test_a_view_whose_sides_are_exchanged_is_no_noisier(frames, views):
+    column = other_sides(BODY_25B)
+    exchanged = [dataclasses.replace(k, points=k.points.copy()) for k in frames[1]]
+    for k in exchanged:
+        k.points[2] = k.points[2, column]
+    rig = CameraRig(tuple(frames[1][0].rig[v] for v in views))
+    given = [dataclasses.replace(k, points=k.points[list(views)], rig=rig) for k in exchanged]
+    assert (view_factors(given) == 1).all()
 
 
 def test_the_shifted_view_spoils_neither_points_nor_offsets(body, frames):

@@ -50,7 +50,7 @@ class Catalog:
     """The items of a folder. Looked for again when asked for, at most once a second."""
 
     def __init__(self, root: Path) -> None:
-        self.root = root.resolve()
+        self.root: Path = root.resolve()
         self._items: dict[str, Item] = {}
         self._looked = -_FRESH_S
 
