@@ -1,7 +1,5 @@
 """Results as the studio's page reads them."""
 
-from __future__ import annotations
-
 import json
 import math
 import struct

@@ -1,7 +1,5 @@
 """A small test body that needs no asset: capsules around the human skeleton's bones, one closed mesh."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The definitions of hot functions in numpy, slow and plain: kernels are tested against them."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """`hypose check` with the doctor and --refine, and `hypose sync`, on the tiny recording."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

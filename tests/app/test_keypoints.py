@@ -1,7 +1,5 @@
 """`hypose keypoints` with a detector of the user's own, and `hypose track` on what it wrote."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

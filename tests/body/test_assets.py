@@ -1,7 +1,5 @@
 """The baked bodies and the procedural one: closed, symmetric, outward, human in size, readable without pickle."""
 
-from __future__ import annotations
-
 from importlib import resources
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The template inside a scan: joints of people whose truth is known, stances, and the pose undone."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The joint names of other programs, and their rigs read as ours."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

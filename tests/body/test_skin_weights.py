@@ -1,7 +1,5 @@
 """Heat weights: a partition of unity, smooth, without bleeding; visibility against its definition; coarse meshes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

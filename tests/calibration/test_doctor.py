@@ -1,7 +1,5 @@
 """The doctor finds planted faults, names camera and cure, and leaves healthy recordings alone."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

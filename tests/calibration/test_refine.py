@@ -1,7 +1,5 @@
 """Refinement of cameras from key points and from silhouettes of the moving person."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

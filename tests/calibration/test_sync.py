@@ -1,7 +1,5 @@
 """Offsets between cameras: from motion, sound and light; evidence resampled in time."""
 
-from __future__ import annotations
-
 import wave
 
 import numpy as np

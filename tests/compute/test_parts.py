@@ -1,7 +1,5 @@
 """Parts of a body against a mask, in words of 64 pixels, as OpenCV and counting pixel by pixel have it."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

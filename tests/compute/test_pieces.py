@@ -1,7 +1,5 @@
 """Pieces of masks that points touch, as scipy labels them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.ndimage import label

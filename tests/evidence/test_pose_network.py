@@ -1,7 +1,5 @@
 """The geometry around the two networks, with stand-ins that find bright discs: who is followed, and who is new."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

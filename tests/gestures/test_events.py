@@ -1,7 +1,5 @@
 """Events: hold, hysteresis, once, rest."""
 
-from __future__ import annotations
-
 import pytest
 
 from hypose.errors import InputError

@@ -1,7 +1,5 @@
 """Forests: the compiled walk against the definition, growth, bounds."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Localization: votes, density, memory, volume, early rejection."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

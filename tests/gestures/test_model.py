@@ -1,7 +1,5 @@
 """Model files: nothing lost, growth goes on bit for bit, damage and malice refused."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The session: phases in their order, undo, pause, threshold."""
 
-from __future__ import annotations
-
 import pytest
 
 from hypose.errors import InputError

@@ -1,7 +1,5 @@
 """The trainer: a whole session on toys, undo, threshold."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

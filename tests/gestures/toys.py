@@ -1,7 +1,5 @@
 """Small pictures with a round thing (the gesture) and a square thing, at any distance."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from hypose.gestures.depth_pictures import Lens

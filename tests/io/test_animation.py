@@ -1,7 +1,5 @@
 """BVH: an independent reader (bvhio) and a small one here find the joints where the motion has them."""
 
-from __future__ import annotations
-
 import json
 import struct
 from dataclasses import replace

@@ -1,8 +1,6 @@
 """Calibration files: what is written comes back, what other programs write is understood, the rest is
 refused."""
 
-from __future__ import annotations
-
 import json
 import pickle
 import struct

@@ -1,7 +1,5 @@
 """Recordings of depth cameras: lenses as their makers write them, maps, and what is wrong with a file."""
 
-from __future__ import annotations
-
 import gc
 import importlib
 import json

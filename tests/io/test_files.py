@@ -1,7 +1,5 @@
 """Files that others may have made are opened within bounds; files are written under random names."""
 
-from __future__ import annotations
-
 import io
 import os
 import string

@@ -1,7 +1,5 @@
 """The frame stream on a small film of four views, and on the real recordings when they are there."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """TRC: round trip, OpenSim's reading, real files, and files that are refused."""
 
-from __future__ import annotations
-
 import csv
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Meshes of people from files, and what they become: units, axes, holes, parts, skins, body models, hostile files."""
 
-from __future__ import annotations
-
 import io
 import sys
 import zipfile

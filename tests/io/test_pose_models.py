@@ -1,7 +1,5 @@
 """The detector's models: fetched once, checked, and found; with the real ones where they are."""
 
-from __future__ import annotations
-
 import hashlib
 import socket
 import subprocess

@@ -1,7 +1,5 @@
 """Recording folders: what recording.toml says is what is loaded, and written again."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -1,8 +1,6 @@
 """Motions equal byte for byte, archives that cannot hurt, checkpoints of the same run only, whole files or
 none."""
 
-from __future__ import annotations
-
 import dataclasses
 import errno
 import io

@@ -1,7 +1,5 @@
 """Recorded skeletons: every form read, put on one clock, and refused in one sentence when it cannot be used."""
 
-from __future__ import annotations
-
 import gzip
 import json
 import struct

@@ -1,7 +1,5 @@
 """docs/equations.md: every number of the papers has a row, and what the rows say of code and tests is so."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import re

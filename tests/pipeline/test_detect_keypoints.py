@@ -1,7 +1,5 @@
 """Masks and points of a network, in files: where they lie, how work goes on, and what tracking takes of them."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 
 from hypose.synthetic.subjects import Subject, load_subjects

@@ -1,7 +1,5 @@
 """The simulated depth sensor and the people in front of it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
