@@ -107,20 +107,6 @@ def test_installing_never_targets_the_systems_python():
         assert not {"--break-system-packages", "--user", "--system"} & set(command)
 
 
-def test_installation_is_repeated_only_when_something_changed():
-    print_now = bootstrap.fingerprint(b"a", (3, 11, 2))
-    stamp = {"fingerprint": print_now, "folder": bootstrap.ROOT, "profile": "dev"}
-    assert bootstrap.is_installed(stamp, print_now, "core")
-    assert bootstrap.is_installed(stamp, print_now, "dev")
-    assert not bootstrap.is_installed(stamp, print_now, "oracles")
-    assert not bootstrap.is_installed({**stamp, "folder": "/moved"}, print_now, "core")
-    assert not bootstrap.is_installed({**stamp, "profile": ["odd"]}, print_now, "core")
-    assert not bootstrap.is_installed({}, print_now, "core")
-    assert print_now == bootstrap.fingerprint(b"a", (3, 11, 9))
-    assert print_now != bootstrap.fingerprint(b"b", (3, 11, 2))
-    assert print_now != bootstrap.fingerprint(b"a", (3, 12, 0))
-
-
 def test_caches_and_temporary_files_stay_in_the_folder():
     result = bootstrap.contained({"HOME": "/home/me", "PYTHONHOME": "/odd", "TMPDIR": "/tmp"})
     assert result.pop("HOME") == "/home/me"

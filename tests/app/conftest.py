@@ -83,3 +83,12 @@ def walk_by_points(tmp_path_factory):
 def keypoint_recording(walk_by_points, tmp_path):
     """A copy of it that a test may spoil."""
     return shutil.copytree(walk_by_points, tmp_path / "points")
+
+
+def fails(result, *fragments):
+    """The command failed with one sentence that contains the fragments; returns the sentence."""
+    code, _, err = result
+    assert code == 2 and "Traceback" not in err, err
+    sentence = err[err.index("error: ") :].strip()
+    assert "\n" not in sentence and all(fragment in sentence for fragment in fragments), sentence
+    return sentence

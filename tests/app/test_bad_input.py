@@ -10,18 +10,7 @@ import numpy as np
 import pytest
 
 from hypose.app.commands import commands_data
-
-
-def fails(result, *fragments):
-    """The command failed with one sentence that contains the fragments; returns the sentence."""
-    code, _, err = result
-    assert code == 2, err
-    assert "Traceback" not in err
-    sentence = err[err.index("error: ") :].strip()
-    assert "\n" not in sentence
-    for fragment in fragments:
-        assert fragment in sentence, sentence
-    return sentence
+from tests.app.conftest import fails
 
 
 def replace_in(path, old, new):
@@ -74,11 +63,6 @@ def test_foreign_json_among_the_key_points(hypose, recording):
 )
 def test_options_that_cannot_be(hypose, tiny, tmp_path, arguments, fragments):
     fails(hypose("track", tiny, "--out", tmp_path, "--no-overlay", *arguments), *fragments)
-
-
-def test_results_folder_that_cannot_be_written(hypose, tiny, tmp_path):
-    (tmp_path / "file").write_text("in the way")
-    fails(hypose("track", tiny, "--out", tmp_path / "file" / "results"), "cannot be written", "choose a folder")
 
 
 def npz(path, **arrays):

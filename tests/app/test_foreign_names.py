@@ -22,7 +22,6 @@ from hypose.io.file_names import file_name
 from hypose.io.files import claimed
 from hypose.io.keypoints.detectors import OwnDetector
 from hypose.io.recordings.recording import load_recording
-from hypose.io.videos.video import VideoWriter, open_video
 from hypose.pipeline.detect_keypoints import detect_keypoints
 
 STRANGE = os.fsdecode(b"b\xff\x1b[31m")
@@ -119,17 +118,6 @@ def test_the_studio_begins_no_job_that_writes_outside(masks, tmp_path):
     for kind in ("silhouettes", "check", "track"):
         with pytest.raises(InputError, match="outside the served folder"):
             plan(kind, {"recording": id}, catalog)
-
-
-@on_linux
-def test_a_video_in_a_folder_that_is_no_utf8_is_read_and_written(tmp_path):
-    folder = tmp_path / STRANGE
-    images = np.random.default_rng(0).integers(0, 255, (5, 32, 48, 3)).astype(np.uint8)
-    with VideoWriter(folder / "a.mkv", 25.0, (48, 32)) as writer:
-        for image in images:
-            writer.write(image)
-    with open_video(folder / "a.mkv") as reader:
-        assert np.array_equal(np.stack(list(reader)), images)
 
 
 @on_linux

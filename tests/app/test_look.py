@@ -11,7 +11,6 @@ from hypose.app import __main__ as module_entry
 from hypose.app.reports.report import report_html
 from hypose.app.reports.result_pictures import (
     image_points,
-    layout,
     mask_outline,
 )
 from hypose.app.studio.view_bundle import ViewResult
@@ -155,23 +154,6 @@ def test_the_outline_of_an_undistorted_mask_lies_on_the_recorded_person():
     assert np.percentile(off, 95) < 3 and off.mean() < 1.5
     moved = np.rint(working.scaled((640, 480)).project_pinhole(vertices) - camera.project(vertices))
     assert np.abs(moved).max() > 2  # without the lens it would show
-
-
-@pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 8, 16])
-def test_the_tiles_fit_the_picture(count):
-    sizes = [(1920, 1080), (1080, 1920), (640, 480), (390, 291)] * 4
-    plan = layout(sizes[:count])
-    assert plan.size[0] <= 1920 and plan.size[0] % 2 == plan.size[1] % 2 == 0
-    boxes = []
-    for (w, h), tile in zip(sizes[:count], plan.tiles, strict=True):
-        x, y = plan.origin(tile)
-        assert tile.size[0] <= 960 and x >= 0 and y >= 26
-        assert x + tile.size[0] <= plan.size[0] + 1 and y + tile.size[1] <= plan.size[1] + 1
-        assert tile.size[0] / tile.size[1] == pytest.approx(w / h, rel=0.02)
-        boxes.append((x, y, x + tile.size[0], y + tile.size[1]))
-    for i, a in enumerate(boxes):
-        for b in boxes[:i]:
-            assert a[2] <= b[0] or b[2] <= a[0] or a[3] <= b[1] or b[3] <= a[1]
 
 
 def test_the_overlay_marks_the_person(tracked, tiny):

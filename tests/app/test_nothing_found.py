@@ -16,6 +16,7 @@ from hypose.io.motions.results import load_motion
 from hypose.io.recordings.recording import load_recording
 from hypose.pipeline import track as one_person
 from hypose.pipeline.detect_keypoints import detect_keypoints
+from tests.app.conftest import fails
 
 
 @pytest.fixture(scope="module")
@@ -35,13 +36,6 @@ def spoilt(masks, tmp_path):
         return folder
 
     return make
-
-
-def fails(result, *fragments):
-    code, _, err = result
-    assert code == 2, err
-    sentence = err[err.index("error: ") :].strip()
-    assert "\n" not in sentence and all(f in sentence for f in fragments), sentence
 
 
 def lost(result):

@@ -87,20 +87,6 @@ def test_a_clip_that_is_refused_fails_even_when_the_rest_is_kept(bench, measured
     assert code == 1 and "WORSE: box: No person was found." in said
 
 
-def test_a_clip_that_seems_too_slow_is_tracked_again_and_the_fastest_time_counts(monkeypatch, tmp_path):
-    monkeypatch.setattr(golden, "KEPT", tmp_path / "golden.json")
-    golden.KEPT.write_text(json.dumps({"tolerances": {"time_ratio": {"times": 1.25}}}))
-    monkeypatch.setattr(golden, "yardstick", lambda: 1e6)
-    seconds = iter([3.0, 1.1, 5.0])
-
-    def measure(seed, data):
-        yield "", Outcome(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros(1, bool), 0, next(seconds))
-
-    kept = {"walk": {"time_ratio": 1.0}}
-    found = golden._measured("walk", golden.Clip(measure), 0, tmp_path, kept, golden._compared(quick=False))
-    assert found["walk"]["time_ratio"] == 1.1 and next(seconds) == 5.0
-
-
 def test_the_committed_figures_are_of_the_clips_there_are():
     kept = golden.document()
     metrics = {*golden.figures(Outcome(np.ones((1, 1)), np.ones((1, 1)), np.ones(1, bool), 0, 1.0)), "time_ratio"}

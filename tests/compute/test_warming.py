@@ -46,30 +46,17 @@ def test_what_another_process_could_not_do_is_done_here(parts):
     assert here == ["shape"] and sorted(others) == sorted(compute.FOLLOWING)
 
 
-def test_where_nothing_can_be_kept_only_this_process_compiles(parts, monkeypatch):
+@pytest.mark.parametrize("change", [(compiled, "cache_folder", lambda: None), (sys, "executable", "/opt/bin/studio")])
+def test_where_nothing_can_be_kept_or_python_is_embedded_only_this_process_compiles(parts, monkeypatch, change):
     here, others = parts
-    monkeypatch.setattr(compiled, "cache_folder", lambda: None)
+    monkeypatch.setattr(*change)
     compute.warm_up("solver", "scorer", load=False)
-    assert (here, others) == (["solver", "scorer"], []) and not compute.kept("solver")
+    assert (here, others) == (["solver", "scorer"], []) and compute.kept("solver") == (change[0] is sys)
 
 
 def test_what_could_not_be_kept_is_not_said_to_be_there(parts, monkeypatch):
     monkeypatch.setitem(warming.PARTS, "solver", (lambda: warming.failures.append(OSError()),))
     compute.warm_up("solver", load=False)
-    assert not compute.kept("solver")
-
-
-def test_a_program_that_python_is_embedded_in_is_not_started_again(parts, monkeypatch):
-    here, others = parts
-    monkeypatch.setattr(sys, "executable", "/opt/studio/bin/studio")
-    compute.warm_up("solver", "scorer", load=False)
-    assert (here, others) == (["solver", "scorer"], [])
-
-
-def test_other_sources_are_not_ready(parts, monkeypatch):
-    compute.warm_up("solver", load=False)
-    assert compute.kept("solver") and not compute.kept("scorer")
-    monkeypatch.setattr(warming, "_digest_of_room", lambda: "others")
     assert not compute.kept("solver")
 
 

@@ -134,14 +134,6 @@ def test_a_sensor_that_comes_back_elsewhere_is_registered_anew(rng):
     assert errors(fuser, frames[30:]).max() < 0.1
 
 
-def test_a_clock_set_back_costs_three_reports_of_that_sensor_only(rng):
-    fuser, frames, _ = run(rng, 6, epochs={2: [(0.0, 100.0), (3.0, 20.0)]})
-    assert [f.index for f in frames] == list(range(len(frames)))
-    status = {s.name: s for s in fuser.status(6.0)}
-    assert status["s2"].jumps == 1 and status["s2"].refused <= 3
-    assert errors(fuser, frames[30:]).max() < 0.08
-
-
 def test_rates_and_one_sensor_alone(rng):
     slow = reports(rng, 5, angles=(0,), rate=15.0)
     fast = [replace(r, sensor="fast") for r in reports(rng, 5, angles=(40,), rate=90.0)]
@@ -187,27 +179,26 @@ def serve(made, pause=(0.0, 0.0)):
     return fuser, frames
 
 
-@pytest.mark.parametrize("room", [10**6, 100])
-@pytest.mark.parametrize("length", [0.8, 1.6])
-def test_a_pause_of_the_machine_makes_nobody_new(rng, length, room):
+ALL = ("s0", "s1", "s2")
+
+
+@pytest.mark.parametrize(
+    ("late", "length", "paused", "room"),
+    [
+        *((ALL, length, True, room) for length in (0.8, 1.6) for room in (10**6, 100)),
+        *((late, length, False, 10**6) for late, length in ((("s0",), 0.8), (("s1",), 0.8), (ALL, 1.6))),
+    ],
+)
+def test_a_pause_of_the_machine_or_lines_that_come_all_at_once_make_nobody_new(rng, late, length, paused, room):
     pause = (1.2, 1.2 + length)
-    fuser, frames = serve(held_up(reports(rng, 2.5 + length, people=6), *pause, room=room), pause)
+    made = held_up(reports(rng, 2.5 + length, people=6), *pause, late, room=room)
+    fuser, frames = serve(made, pause) if paused else serve(made)
     assert [f.index for f in frames] == list(range(len(frames)))
     assert {p.id for f in frames for p in f.people} == set(range(1, 7))
     assert len(frames[-1].people) == 6 and all(len(p.sensors) == 3 for p in frames[-1].people)
     assert errors(fuser, frames[-10:], people=6).max() < 0.06
     if room > 100:  # all was read in the end: no sensor was ever away
-        assert [s.returns for s in fuser.status(pause[1])] == [0, 0, 0]
-
-
-@pytest.mark.parametrize(("late", "length"), [(("s0",), 0.8), (("s1",), 0.8), (("s0", "s1", "s2"), 1.6)])
-def test_lines_that_come_late_and_all_at_once_double_nobody(rng, late, length):
-    fuser, frames = serve(held_up(reports(rng, 2.5 + length, people=6), 1.2, 1.2 + length, late))
-    assert [f.index for f in frames] == list(range(len(frames)))
-    assert {p.id for f in frames for p in f.people} == set(range(1, 7))
-    assert len(frames[-1].people) == 6 and all(len(p.sensors) == 3 for p in frames[-1].people)
-    assert errors(fuser, frames[-10:], people=6).max() < 0.06
-    assert [s.returns for s in fuser.status(3.0)] == [0, 0, 0]
+        assert [s.returns for s in fuser.status(pause[1] if paused else 3.0)] == [0, 0, 0]
 
 
 # ---- persons ----

@@ -208,20 +208,6 @@ def test_a_device_that_is_not_there_is_one_sentence():
         open_camera("97", 30.0, SIZE)
 
 
-def test_a_device_whose_picture_cannot_be_unpacked_has_gone_for_now():
-    class Capture:
-        def grab(self):
-            return True
-
-        def retrieve(self):
-            raise cv2.error("(-215:Assertion failed) !_src.empty()")
-
-    camera = object.__new__(camera_sources._Captured)
-    camera._what, camera.capture = "Camera 0", Capture()
-    with pytest.raises(StreamEnded, match="Camera 0 delivers nothing more"):
-        camera.read()
-
-
 # ---- pictures ----
 
 

@@ -200,13 +200,6 @@ def test_a_link_in_the_place_of_the_lock_is_not_followed(tmp_path):
     assert victim.read_text() == "precious"
 
 
-def test_a_folder_that_cannot_be_written_is_told_before_the_work(tmp_path):
-    Path(tmp_path / "file").write_text("in the way")
-    sentence = r"results cannot be written .*choose a folder .* with --out\."
-    with pytest.raises(InputError, match=sentence), claimed(tmp_path / "file" / "results"):
-        raise AssertionError
-
-
 # ---- test file names -----------------------------------------------------------------------------------------------
 # Files' names out of foreign text.
 

@@ -4,27 +4,23 @@ import gzip
 import json
 import struct
 import zlib
-from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from benchmarks.synthetic.skeleton_folders import write_folder
 from hypose.errors import InputError
-from hypose.evidence.frame import SensorJoints, SensorReport
+from hypose.evidence.frame import SensorReport
 from hypose.io.files import bounded_lines
 from hypose.io.sensors.depth import read_azure_mkv, read_depth_png, write_depth_png
 from hypose.io.sensors.skeleton_files import KINECT_V2, FolderWriter, read_ntu, read_skeletons
 from hypose.io.sensors.skeleton_streams import (
     MAX_SKELETON_LINE,
-    SensorStream,
     SkeletonRecording,
     StreamRows,
     build_stream,
     common_times,
     format_line,
-    one_person,
     parse_line,
     read_lines,
     resample,
@@ -120,16 +116,6 @@ def test_nothing_is_blended_over_a_change_of_person():
     assert synced.positions[:, 0, 0, 0].tolist() == [2, 3]
 
 
-def test_sensors_of_different_rates_meet_at_the_same_instants():
-    a, _ = stream(np.arange(31) / 30, np.arange(31)[:, None, None] / 30 * np.ones((3, 3)))
-    b, _ = stream(np.arange(16) / 15 + 0.01, (np.arange(16)[:, None, None] / 15 + 0.01) * np.ones((3, 3)), name="b")
-    frames = synchronise([a, b])
-    assert len(frames) == 31 and frames[0].sensor_names == ("a", "b")
-    for n, f in enumerate(frames[1:30], start=1):
-        assert f.positions[:, 0, 0] == pytest.approx([n / 30, n / 30])
-    assert len(synchronise([a, b], rate=60)) == 61
-
-
 def test_impossible_rates_and_spans_are_refused():
     a, _ = stream([0, 0.1])
     with pytest.raises(InputError, match="0.1 to 1000"):
@@ -137,9 +123,6 @@ def test_impossible_rates_and_spans_are_refused():
     far, _ = stream([1e9, 1e9 + 0.1])
     with pytest.raises(InputError, match="different clocks"):
         common_times([a, far])
-    other, _ = stream([0, 0.1], joints=("head", "tail", "wing"), name="b")
-    with pytest.raises(InputError, match="report different joints"):
-        synchronise([a, other])
 
 
 # ---- folders ----
@@ -225,7 +208,6 @@ def test_depth_maps_give_the_depth_at_every_joint(tmp_path):
     made = read_skeletons(folder).streams[0]
     assert made.joint_depth[0, 0] == pytest.approx([1.9, 2.1, 0])
     assert made.joint_depth[1, 0].tolist() == [0, 0, 0]
-    assert synchronise([made])[0].joint_depth[0] == pytest.approx([1.9, 2.1, 0])
     spoil(folder, "frames.csv", "d.png", "../../d.png")
     with pytest.raises(InputError, match="outside the folder"):
         read_skeletons(folder)
@@ -309,8 +291,6 @@ def test_real_recordings_of_two_kinects(shared_data):
         assert set(s.joint_names) == set(KINECT_V2)
         assert 25 < s.rate < 32
         assert np.isfinite(s.positions).all(-1).mean() > 0.4
-    frames = synchronise(made.streams, person=0)
-    assert frames[0].positions.shape == (2, 25, 3)
 
 
 # ---- NTU ----
@@ -407,43 +387,6 @@ def test_azure_recording_that_is_none(tmp_path):
     (tmp_path / "a.mkv").write_bytes(b"nothing" * 100)
     with pytest.raises(InputError, match="not a video"):
         read_azure_mkv(tmp_path / "a.mkv")
-
-
-def synchronise(
-    streams: Sequence[SensorStream],
-    rate: float | None = None,
-    *,
-    person: int | None = None,
-    max_gap: float | None = None,
-) -> list[SensorJoints]:
-    """All sensors at the same evenly spaced instants, one person.
-
-    rate: Hz (default: the first stream's). person: the sensors' number of the person, where they agree on it; without
-    it, every sensor may report one person only. max_gap: see `resample`. A sensor without a skeleton at an instant has
-    time NaN there. The sensors must name the same joints. Times are the instants'.
-    """
-    times = common_times(streams, rate)
-    names = streams[0].joint_names
-    for s in streams:
-        if s.joint_names != names:
-            raise InputError(
-                f"The sensors {streams[0].name} and {s.name} report different joints ({len(names)} and "
-                f"{len(s.joint_names)}); map them to the common ones first."
-            )
-        if person is None and s.people > 1:
-            raise InputError(
-                f"The sensor {s.name} saw {s.people} persons at once; say which one, or let the persons be matched."
-            )
-    synced = [resample(s, times, max_gap) for s in streams]
-    return one_person(synced, times, [_column_of(s, person) for s in synced])
-
-
-def _column_of(stream: SensorStream, person: int | None) -> NDArray[np.int64]:
-    """(N,) column of a person at every instant, -1 where it is not seen."""
-    if person is None:
-        return np.where(stream.person_ids[:, 0] >= 0, 0, -1)
-    hit = stream.person_ids == person
-    return np.where(hit.any(1), hit.argmax(1), -1)
 
 
 # ---- test skeleton lines -------------------------------------------------------------------------------------------

@@ -9,7 +9,6 @@ import pytest
 
 from benchmarks.papers.layered_anthropometry import (
     K,
-    ShapeXor,
     SizePrior,
     anthropometry_recipe,
     powell_start,
@@ -201,16 +200,6 @@ def test_layers_move_their_own_coordinates_within_the_prior(body, standing, fram
     assert set(moved.tolist()) == own
     prior = SizePrior(replace(body, fine=body.coarse))
     assert (prior(lower_arms.values) > np.log(0.7) + prior(h.values) - 1e-9).all()
-
-
-def test_energy_sees_the_shape(body, standing, frame_of):
-    frame = prepare(frame_of(body, standing), body, standing)
-    right = np.concatenate([np.zeros(K), standing])
-    wrong = right.copy()
-    wrong[entity("scale")] = 0.08
-    h = Hypotheses.uniform(np.stack([right, wrong]))
-    energies = ShapeXor(body)(h, frame)
-    assert energies[0] < 0.1 < energies[1]
 
 
 def test_powell_lowers_the_energy(body, standing, frame_of):

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.body.ready_bodies import human
 from hypose.cameras.camera import CameraRig
 from hypose.compute import silhouette
 from hypose.errors import EvidenceError
@@ -30,11 +29,6 @@ def masks_of(body, pose, cameras, also=()):
         out.append(mask.astype(np.uint8))
     masks = np.stack(out)
     return Silhouettes(masks, cameras, np.ones(len(masks), bool), ("",) * len(masks))
-
-
-@pytest.fixture(scope="module")
-def body():
-    return human()
 
 
 @pytest.fixture(scope="module")

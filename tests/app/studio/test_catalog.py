@@ -4,7 +4,7 @@ from typing import get_args
 import pytest
 
 from hypose.app.studio.catalog import Catalog, Kind, NotFound
-from hypose.app.studio.gesture_views import _brief, models_shown, sessions_shown
+from hypose.app.studio.gesture_views import models_shown, sessions_shown
 
 
 def make(root):
@@ -100,11 +100,3 @@ def test_what_is_no_file_or_leads_out_is_not_listed_and_holds_nothing_up(tmp_pat
     found = {kind: [catalog.shown(i.path) for i in catalog.items(kind)] for kind in get_args(Kind)}
     assert all(path.startswith("sparse") for paths in found.values() for path in paths)
     assert [s["frames"] for s in sessions_shown(catalog)] == [0] and models_shown(catalog) == []
-
-
-def test_a_session_whose_files_are_replaced_by_fifos_is_still_listed(tmp_path):
-    catalog = make(tmp_path)
-    for name in ("session.json", "frames.csv"):
-        (tmp_path / "gestures" / "tee" / name).unlink()
-        os.mkfifo(tmp_path / "gestures" / "tee" / name)
-    assert _brief(tmp_path / "gestures" / "tee") == ([], 0) and catalog.items("session", fresh=True) == []

@@ -119,15 +119,6 @@ def test_every_kind_needs_something_that_is_there(folder):
                 plan(kind, {}, catalog)
 
 
-def test_results_that_a_link_puts_elsewhere_are_not_written_to(folder, tmp_path):
-    (folder / "walk" / "results").rename(tmp_path / "results")
-    (folder / "walk" / "results").symlink_to(tmp_path / "results")
-    catalog = Catalog(folder)
-    (item,) = catalog.items("recording")
-    with pytest.raises(InputError, match="outside"):
-        plan("track", {"recording": item.id}, catalog)
-
-
 def test_progress_is_json_when_a_program_asks_for_it(monkeypatch, capsys):
     monkeypatch.setenv(JSON_PROGRESS, "1")
     with Stages() as progress:

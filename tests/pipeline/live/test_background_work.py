@@ -16,7 +16,6 @@ from hypose.pipeline.live.background_work import BackgroundWork, KeptMasks, fitt
 from hypose.synthetic.corruptions import Corruptions
 from hypose.synthetic.rigs import rig
 from hypose.synthetic.scenes import make_scene
-from tests.conftest import HANG_S
 
 
 def test_masks_are_kept_bit_for_bit(rng):
@@ -79,33 +78,5 @@ def test_a_process_that_is_killed_costs_what_it_was_doing_and_no_more():
         os.kill(number, signal.SIGKILL)
         assert under_way.result() is None
         assert work._submit(os.getpid).result() not in (None, number)
-    finally:
-        work.close()
-
-
-@pytest.mark.skipif(
-    not sys.platform.startswith("linux"), reason="NOT tested: whether a process is there; run it on Linux"
-)
-def test_the_process_is_there_while_there_is_something_to_do():
-    work = BackgroundWork()
-    try:
-        first, second = work._submit(os.getpid), work._submit(os.getpid)
-        number = first.result()
-        assert second.result() == number
-        end = time.monotonic() + HANG_S
-        while os.path.exists(f"/proc/{number}"):
-            assert time.monotonic() < end
-            time.sleep(0.05)
-        assert work._submit(os.getpid).result() != number
-    finally:
-        work.close()
-
-
-def test_what_fails_there_fails_here():
-    work = BackgroundWork()
-    try:
-        with pytest.raises(ZeroDivisionError):
-            work._submit(divmod, 1, 0).result()
-        assert work._submit(divmod, 7, 2).result() == (3, 1)
     finally:
         work.close()

@@ -111,19 +111,6 @@ def test_a_folder_that_holds_something_is_refused(tmp_path, walk):
     assert [p.name for p in (tmp_path / "old").iterdir()] == ["notes.txt"]
 
 
-def test_a_disk_that_is_full_is_told_at_the_end(tmp_path, walk, frames, monkeypatch):
-    made = recorder(tmp_path / "live", walk)
-
-    def full(seen, poses):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(made, "_write", full)
-    for frame in frames[:3]:
-        made.seen(seen(frame, None))
-    with pytest.raises(InputError, match="cannot be written to .No space left on device.; the recording ends there"):
-        made.close()
-
-
 def test_what_was_written_before_the_disk_was_full_is_a_recording(tmp_path, walk, frames, poses, monkeypatch):
     """The disk is full in the middle of an instant, of which nothing is left."""
     made, write = recorder(tmp_path / "live", walk), LiveRecorder._write
