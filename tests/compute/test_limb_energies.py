@@ -5,14 +5,10 @@ import pytest
 
 from hypose import compute
 from tests import reference
-from tests.capsule_person import capsule_person, random_pose, ring
+from tests.capsule_person import random_pose, ring
+from tests.compute.conftest import prepared_masks
 
 ARM = ("left_shoulder", "left_elbow")
-
-
-@pytest.fixture(scope="module")
-def body():
-    return capsule_person(0.09)
 
 
 def scene(body, rng, views=3, joints=ARM, spread=0.4, n=150):
@@ -24,10 +20,7 @@ def scene(body, rng, views=3, joints=ARM, spread=0.4, n=150):
     poses[1:, own] += spread * rng.standard_normal((n - 1, len(own)))
     seen = poses[0].copy()
     seen[own] += 0.15
-    vertices = body.skin(seen)
-    masks = [reference.rasterize(vertices, body.coarse.faces, c.projection, c.size) for c in rig]
-    prepared = compute.prepare_masks(np.stack(masks), np.ones(views, bool), rig.sizes, rig.projections)
-    return poses, moving, prepared
+    return poses, moving, prepared_masks(body, rig, seen)
 
 
 def energies(body, poses, moving, prepared, **options):

@@ -6,14 +6,10 @@ import pytest
 from hypose import compute
 from hypose.compute import lane_mesh, reach
 from tests import reference
-from tests.capsule_person import capsule_person, random_pose, ring
+from tests.capsule_person import random_pose, ring
+from tests.compute.conftest import prepared_masks
 
 LIMB = ("left_shoulder", "left_elbow")
-
-
-@pytest.fixture(scope="module")
-def body():
-    return capsule_person(0.09)
 
 
 @pytest.fixture(scope="module")
@@ -23,12 +19,6 @@ def rig():
 
 def moving(body):
     return np.isin(np.arange(len(body.skeleton.joint_names)), [body.skeleton.joint(j) for j in LIMB])
-
-
-def masks_of(body, rig, pose, usable=(True, True, True)):
-    v = body.skin(pose)
-    masks = [reference.rasterize(v, body.coarse.faces, c.projection, c.size) for c in rig]
-    return compute.prepare_masks(np.stack(masks), np.array(usable), rig.sizes, rig.projections)
 
 
 def standing(body, pose, prepared):
@@ -58,7 +48,7 @@ def scores(p, w, r, c, prepared, rest):
 
 def test_the_rest_is_the_body_without_the_limb(body, rig, rng):
     pose = random_pose(body, rng)
-    prepared = masks_of(body, rig, random_pose(body, rng), (True, False, True))
+    prepared = prepared_masks(body, rig, random_pose(body, rng), (True, False, True))
     fast = standing(body, pose, prepared)
     parts = lane_mesh.moving_parts(body.coarse.arrays, body.skeleton.tree, moving(body), None)
     for c in np.flatnonzero(prepared.usable):
@@ -77,7 +67,7 @@ def test_a_drawn_rest_changes_no_score_of_silhouettes(body, rig, rng):
     poses = np.repeat(random_pose(body, rng)[None], 9, 0)
     own = moving(body)[body.skeleton.tree.joint_of_dof]
     poses[:, own] = np.stack([random_pose(body, rng) for _ in range(9)])[:, own]
-    prepared = masks_of(body, rig, random_pose(body, rng))
+    prepared = prepared_masks(body, rig, random_pose(body, rng))
     args = (poses, body.skeleton.tree, body.coarse.arrays, prepared)
     rest = standing(body, poses[-1], prepared)
     before = rest.bits.copy()
@@ -91,7 +81,7 @@ def test_a_drawn_rest_changes_no_score_of_silhouettes(body, rig, rng):
 @pytest.mark.parametrize("usable", [(True, True, True), (False, True, True)])
 def test_points_are_scored_as_defined(body, rig, rng, usable):
     pose = random_pose(body, rng)
-    prepared = masks_of(body, rig, random_pose(body, rng), usable)
+    prepared = prepared_masks(body, rig, random_pose(body, rng), usable)
     rest = standing(body, pose, prepared)
     r, p = body.skeleton.forward(pose)
     points = clusters(rng, 500, 6)

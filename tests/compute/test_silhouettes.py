@@ -6,14 +6,9 @@ from scipy.ndimage import distance_transform_edt
 
 from hypose import compute
 from tests import reference
-from tests.capsule_person import capsule_person, look_at, random_pose, ring
+from tests.capsule_person import look_at, random_pose, ring
 
 SIZE = (96, 128)
-
-
-@pytest.fixture(scope="module")
-def body():
-    return capsule_person(0.09)
 
 
 @pytest.fixture(scope="module")

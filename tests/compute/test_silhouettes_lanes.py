@@ -9,16 +9,12 @@ from hypose.body.ready_bodies import human
 from hypose.compute import lane_mesh
 from hypose.errors import InputError
 from tests import reference
-from tests.capsule_person import capsule_person, random_pose, ring
+from tests.capsule_person import random_pose, ring
+from tests.compute.conftest import prepared_masks
 
 SIZE = (200, 230)
 BOXES = np.array([[40, 133, 60, 200], [3, 190, 100, 101], [0, 200, 0, 90]])
 UPPER = [0, 1, 2, 3, 4, 5, 6, 9, 10]
-
-
-@pytest.fixture(scope="module")
-def body():
-    return capsule_person(0.09)
 
 
 @pytest.fixture(scope="module")
@@ -29,9 +25,7 @@ def rig():
 @pytest.fixture
 def scene(body, rig, rng):
     poses = np.stack([random_pose(body, rng) for _ in range(37)])
-    v = body.skin(poses[0])
-    masks = [reference.rasterize(v, body.coarse.faces, c.projection, c.size) for c in rig]
-    return poses, compute.prepare_masks(np.stack(masks), np.ones(3, bool), rig.sizes, rig.projections)
+    return poses, prepared_masks(body, rig, poses[0])
 
 
 def upper_faces(body):

@@ -5,14 +5,10 @@ import pytest
 
 from hypose import compute
 from tests import reference
-from tests.capsule_person import capsule_person, random_pose, ring
+from tests.capsule_person import random_pose, ring
+from tests.compute.conftest import prepared_masks
 
 BOXES = np.array([[40, 133, 60, 200], [3, 190, 100, 101], [0, 200, 0, 90]])
-
-
-@pytest.fixture(scope="module")
-def body():
-    return capsule_person(0.09)
 
 
 @pytest.fixture(scope="module")
@@ -27,12 +23,6 @@ def limb_poses(body, rng, joints, n=37):
     own = moving[body.skeleton.tree.joint_of_dof]
     poses[:, own] = np.stack([random_pose(body, rng) for _ in range(n)])[:, own]
     return poses, moving
-
-
-def masks_of(body, rig, pose):
-    v = body.skin(pose)
-    masks = [reference.rasterize(v, body.coarse.faces, c.projection, c.size) for c in rig]
-    return compute.prepare_masks(np.stack(masks), np.ones(len(masks), bool), rig.sizes, rig.projections)
 
 
 def score(body, poses, prepared, **options):
@@ -50,7 +40,7 @@ def defined(body, poses, prepared, moving, boxes=None):
 )
 def test_a_limb_over_the_standing_rest_counts_as_the_whole_body(body, rig, rng, joints, boxes):
     poses, moving = limb_poses(body, rng, joints)
-    prepared = masks_of(body, rig, random_pose(body, rng))
+    prepared = prepared_masks(body, rig, random_pose(body, rng))
     fast = score(body, poses, prepared, boxes=boxes, moving=moving)
     assert np.abs(fast - score(body, poses, prepared, boxes=boxes)).max() <= 2
     slow = defined(body, poses, prepared, boxes=boxes, moving=moving)
@@ -60,7 +50,7 @@ def test_a_limb_over_the_standing_rest_counts_as_the_whole_body(body, rig, rng, 
 
 def test_what_does_not_move_stands_as_in_the_last_pose(body, rig, rng):
     poses, moving = limb_poses(body, rng, ("left_shoulder", "left_elbow"))
-    prepared = masks_of(body, rig, poses[0])
+    prepared = prepared_masks(body, rig, poses[0])
     wanted = score(body, poses, prepared, moving=moving)
     mixed = poses.copy()
     other = ~moving[body.skeleton.tree.joint_of_dof]
@@ -71,7 +61,7 @@ def test_what_does_not_move_stands_as_in_the_last_pose(body, rig, rng):
 
 def test_same_counts_for_any_number_of_threads_and_unusable_views_stay_zero(body, rig, rng):
     poses, moving = limb_poses(body, rng, ("left_hip", "left_knee"), 70)
-    whole = masks_of(body, rig, poses[0])
+    whole = prepared_masks(body, rig, poses[0])
     prepared = whole._replace(usable=np.array([True, False, True]))
     one = score(body, poses, prepared, moving=moving, threads=1)
     np.testing.assert_array_equal(score(body, poses, prepared, moving=moving, threads=3), one)

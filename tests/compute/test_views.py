@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from hypose.compute import silhouettes, vectors
-from tests.capsule_person import capsule_person, random_pose, ring
+from tests.capsule_person import random_pose, ring
 
 f4 = np.float32
 
@@ -14,11 +14,6 @@ f4 = np.float32
 def second_strip(difference, mask, out, counts):
     strides = difference.shape[1], out.shape[1]
     vectors.fill_strip(difference, 64, strides[0], difference.shape[0], mask, out, 8, strides[1], counts)
-
-
-@pytest.fixture(scope="module")
-def body():
-    return capsule_person(0.09)
 
 
 @pytest.mark.parametrize("views", [1, 4, 6])
