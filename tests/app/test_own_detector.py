@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from hypose.app.cli import main
 from hypose.errors import InputError
 from hypose.io.keypoints.detectors import open_own_detector
 from hypose.io.recordings.frames import load_keypoints
@@ -25,22 +24,16 @@ class Detector:
 """
 
 
-def run(*arguments):
-    with pytest.raises(SystemExit) as caught:
-        main([str(a) for a in arguments])
-    return caught.value.code or 0
-
-
-def test_a_detector_in_a_file(tmp_path, capsys):
+def test_a_detector_in_a_file(hypose, tmp_path):
     folder = make_recording(tmp_path / "rec")
     (tmp_path / "mine.py").write_text(PLUGIN)
-    assert run("keypoints", folder, "--detector", f"{tmp_path / 'mine.py'}:Detector") == 0
-    assert "COCO_17, one folder per view" in capsys.readouterr().out
+    code, out, _ = hypose("keypoints", folder, "--detector", f"{tmp_path / 'mine.py'}:Detector")
+    assert code == 0 and "COCO_17, one folder per view" in out
     recording = load_recording(folder)
     assert recording.keypoint_set == "COCO_17"
     points = np.stack([k.points for k in load_keypoints(recording)])
     assert (points[:, :, :5, 2] > 0.5).all() and points[..., 2].max() <= 1  # scores of 3.5 are scaled
-    assert run("keypoints", folder, "--detector", f"{tmp_path / 'mine.py'}:Detector", "--resume") == 0
+    assert hypose("keypoints", folder, "--detector", f"{tmp_path / 'mine.py'}:Detector", "--resume")[0] == 0
 
 
 @pytest.mark.parametrize(

@@ -140,21 +140,14 @@ def test_where_as_many_views_say_the_opposite_the_trunk_tells_the_sides():
     assert np.nanmax(np.linalg.norm(person.world - truth, axis=-1)[4:]) < 0.08
 
 
-def test_another_cameras_key_points_are_left_out_and_said():
+@pytest.mark.parametrize("beside_px", [None, (10.0, 0.0)])  # another camera's; 0.1 m: near enough to be followed
+def test_a_view_whose_key_points_are_another_cameras_or_pass_by_is_left_out_and_said(beside_px):
     frames = seen_by(RIG, [A], np.random.default_rng(4))
     for f in frames:
-        f[3] = f[1]
+        f[2] = f[1] if beside_px is None else f[2] + [*beside_px, 0.0]
     found = one_person(frames, BODY_25, RIG)
-    assert found.apart == (3,) and "c4" in found.notes[0]
-    assert not found.points[:, 3, :, 2].any() and found.points[:, :3, :, 2].all()
-
-
-def test_a_view_whose_key_points_pass_by_the_person_is_left_out_and_said():
-    frames = seen_by(RIG, [A], np.random.default_rng(4))
-    for f in frames:
-        f[2][..., :2] += (10.0, 0.0)  # 0.1 m: near enough to be followed
-    found = one_person(frames, BODY_25, RIG)
-    assert found.people[0].seen.all() and found.apart == (2,) and "c3" in found.notes[0]
+    assert found.people[0].seen.all() == (beside_px is not None)
+    assert found.apart == (2,) and "c3" in found.notes[0]
     assert not found.points[:, 2, :, 2].any() and found.points[:, [0, 1, 3], :, 2].all()
 
 

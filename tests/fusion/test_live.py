@@ -272,16 +272,22 @@ def test_missing_joints_are_missing_however_they_are_written(mark):
     assert np.isfinite(np.delete(body.positions, 4, 0)).all()
 
 
-def test_reports_that_cannot_be_used_are_refused_in_a_sentence():
+@pytest.mark.parametrize(
+    ("report", "message"),
+    [
+        ({"names": ("head", "tail"), "positions": np.zeros((2, 3))}, "none of the known sets"),
+        ({"positions": 1000 * walker(0.0)}, "divide millimetres"),
+        ({"time": np.nan, "positions": walker(0.0)}, "times are seconds"),
+        ({"positions": walker(0.0)[:14]}, "15 joints but gives 14"),
+    ],
+)
+def test_reports_that_cannot_be_used_are_refused_in_a_sentence(report, message):
+    with pytest.raises(InputError, match=message):
+        push(Aligner(), **report)
+
+
+def test_sensors_and_persons_beyond_the_most_are_refused():
     aligner = Aligner(AlignSettings(most_sensors=2, most_people=2))
-    with pytest.raises(InputError, match="none of the known sets"):
-        push(aligner, names=("head", "tail"), positions=np.zeros((2, 3)))
-    with pytest.raises(InputError, match="divide millimetres"):
-        push(aligner, positions=1000 * walker(0.0))
-    with pytest.raises(InputError, match="times are seconds"):
-        push(aligner, time=np.nan, positions=walker(0.0))
-    with pytest.raises(InputError, match="15 joints but gives 14"):
-        push(aligner, positions=walker(0.0)[:14])
     push(aligner, sensor="a"), push(aligner, sensor="a", person=1), push(aligner, sensor="b")
     with pytest.raises(InputError, match="2 sensors already"):
         push(aligner, sensor="c")
