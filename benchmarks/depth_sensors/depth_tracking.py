@@ -22,6 +22,7 @@ from benchmarks.depth_sensors.depth_passing import people_apart
 from benchmarks.multiview.action_scenes import captured, subject_of_seed
 from benchmarks.multiview.doubt_fit import auroc, ece
 from benchmarks.synthetic.retarget import retarget
+from benchmarks.synthetic.sensors import SensorModel, simulate
 from hypose.body.motion import Motion
 from hypose.body.ready_bodies import human
 from hypose.calibration.depth_registration import place_error
@@ -44,7 +45,6 @@ from hypose.synthetic.depth_scenes import DepthScene, depth_rig, depth_scene, se
 from hypose.synthetic.metrics import EVALUATED, population_offsets, with_offsets
 from hypose.synthetic.motions import act
 from hypose.synthetic.rigs import look_at
-from hypose.synthetic.sensors import SensorModel, simulate
 from hypose.synthetic.subjects import dress
 from hypose.tracking.costs import silhouette_iou
 from hypose.tracking.doubt import WRONG_M

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from hypose.app.live import simulated_sensors
+from hypose.app.live.simulated_sensors import FRAME_RATE
 from hypose.app.studio.catalog import Catalog
 from hypose.app.studio.job_kinds import plan
 from hypose.io.sensors.skeleton_files import read_skeletons
-from hypose.synthetic.sensors import FRAME_RATE
 from tests.conftest import HANG_S
 
 
