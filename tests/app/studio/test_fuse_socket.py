@@ -58,7 +58,7 @@ def test_simulated_sensors_are_fused_recorded_and_told_where_they_stand(own_stud
     assert len(read_skeletons(own_studio.studio.catalog.root / "live" / "live").streams) == 2
     catalog = Catalog(own_studio.studio.catalog.root)
     made = plan("fuse", {"skeletons": state["skeletons"][0]["id"]}, catalog)
-    assert made.arguments[0] == "fuse" and made.resumable and made.result
+    assert made.arguments[0] == "fuse" and made.result
 
 
 @pytest.mark.parametrize(
