@@ -71,7 +71,7 @@ export interface NewRecording {
   subject_height?: number; views: NewView[];
 }
 
-export type JobKind = "calibrate" | "sync" | "in_step" | "check" | "silhouettes" | "subject" | "track" | "correct" | "export" | "demo" | "refine" | "fuse";
+export type JobKind = "calibrate" | "sync" | "in_step" | "check" | "keypoints" | "silhouettes" | "subject" | "track" | "correct" | "export" | "demo" | "refine" | "fuse";
 export type JobState = "queued" | "running" | "done" | "failed" | "cancelled";
 export interface Stage {
   name: string; title: string; done: number; total: number; seconds: number; per_s: number | null;

@@ -47,6 +47,7 @@ _KINDS: Mapping[str, tuple[str, str]] = {
     "in_step": ("Bring {} in step", "offsets"),
     "check": ("Check {}", "samples frames"),
     "refine": ("Refine the calibration of {}", "using far focal height"),
+    "keypoints": ("Find the person in the videos of {}", "yes"),
     "silhouettes": ("Silhouettes of {}", "frames"),
     "subject": ("Measure the person in {}", "height mass start frames poses"),
     "track": ("Track {}", "recipe refine evidence start height frames seed formats camera name subject overlay"),
@@ -127,7 +128,7 @@ def plan(kind: str, request: Mapping[str, Any], catalog: Catalog) -> Plan:
     if kind == "track":
         return _track(item, options, title, catalog)
     command = ("check", path, "--refine") if kind == "refine" else (kind, path)
-    return Plan((*command, *_arguments(options)), title, item.id)
+    return Plan((*command, *_arguments(options)), title, item.id, resumable=kind == "keypoints")
 
 
 def _inside(catalog: Catalog, item: Item, out: Path) -> Path:

@@ -297,6 +297,6 @@ def read_subject(folder: Path) -> dict[str, Any] | None:
 
 
 def _stamp(folder: Path) -> float:
-    """Changes when the recording's description does."""
-    names = ("recording.toml", "Config.toml", "calibration.toml", "subject")
+    """Changes when the recording's description does, or the detector has been."""
+    names = ("recording.toml", "Config.toml", "calibration.toml", "subject", "keypoints/detector.json")
     return sum(p.stat().st_mtime for n in names if (p := folder / n).exists())

@@ -4,6 +4,7 @@ import type { MaskSettings, Recording } from "../protocol";
 import { button, select, toggle } from "../ui/buttons";
 import { h } from "../ui/dom";
 import { toast } from "../ui/toast";
+import { begin } from "./check";
 import { CameraPictures } from "./pictures";
 
 interface Slider {
@@ -48,12 +49,15 @@ export class MaskStep {
     });
     // given masks and depth are taken as they are
     const made = recording.views.some((v) => !v.depth && !v.masks);
+    const bare = recording.views.length > 1 && recording.views.every((v) => v.video && !v.depth && !v.masks && !v.background && !v.keypoints);
     const why = made ? "usually the settings are right as they are" : "these are cut out by their depth, or were given, and there is nothing to set";
     this.element = h(
       "div",
       { class: "step" },
       h("h2", {}, "Masks"),
       h("p", { class: "dim" }, `In every frame the person should be cut out whole, and nothing else; ${why}.`),
+      bare ? h("p", {}, "There is no picture of the empty room. A small network can find the person in the videos, points and masks; it is fetched once (36 MB).") : null,
+      bare ? h("div", { class: "row" }, button("Find the person", () => void begin(recording, "keypoints", { yes: true }), { kind: "primary", icon: "play" })) : null,
       h(
         "div",
         { class: "row" },

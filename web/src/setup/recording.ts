@@ -16,7 +16,7 @@ import { LiveFigure } from "./watch";
 type Step = "calibrate" | "sync" | "check" | "masks" | "person" | "track";
 const TITLES: Record<Step, string> = { calibrate: "Calibrate", sync: "In step", check: "Check", masks: "Masks", person: "Person", track: "Track" };
 const STEP_OF: Partial<Record<Job["kind"], Step>> = {
-  calibrate: "calibrate", sync: "sync", in_step: "sync", check: "check", refine: "check", silhouettes: "masks", subject: "person", track: "track", correct: "track",
+  calibrate: "calibrate", sync: "sync", in_step: "sync", check: "check", refine: "check", keypoints: "masks", silhouettes: "masks", subject: "person", track: "track", correct: "track",
 };
 
 /** One recording: the steps from videos to motion, and the jobs that do them. */
@@ -67,10 +67,11 @@ export class RecordingPage {
       get<Recording>(`/api/recordings/${this.recording.id}`, signal),
       get<State>("/api/state", signal),
     ]);
+    const others = JSON.stringify(recording.views) !== JSON.stringify(this.recording.views);
     this.recording = recording;
     this.state = state;
     // sliders that are being moved stay as they are
-    if (this.step !== "masks" || !this.masks) this.draw();
+    if (this.step !== "masks" || !this.masks || others) this.draw();
     else this.drawNav();
   }
 

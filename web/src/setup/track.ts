@@ -13,11 +13,11 @@ const RECIPES = [
 
 /** How to track; and what was tracked before. */
 export function trackStep(recording: Recording, named: (id: string) => string): HTMLElement {
-  const wish = { recipe: "default", evidence: "silhouettes", start: "auto", subject: recording.subject !== null };
+  const keypoints = recording.views.some((v) => v.keypoints);
+  const wish = { recipe: "default", evidence: keypoints ? "both" : "silhouettes", start: "auto", subject: recording.subject !== null };
   const [first, stop] = recording.frame_range ?? [0, recording.frames];
   const from = h("input", { type: "number", min: 0, max: recording.frames - 1, value: first, "aria-label": "First frame" });
   const to = h("input", { type: "number", min: 1, max: recording.frames, value: stop, "aria-label": "Frame after the last" });
-  const keypoints = recording.views.some((v) => v.keypoints);
   const field = (name: string, ...inputs: (HTMLElement | string)[]): HTMLElement =>
     h("div", { class: "field" }, h("span", { class: "field-name" }, name), h("div", { class: "row" }, ...inputs));
   const subject = h("input", { type: "checkbox", checked: wish.subject, disabled: recording.subject === null });
