@@ -26,6 +26,7 @@ from benchmarks.multiview.product import aligned_joints, estimated_body
 from benchmarks.multiview.real_recordings import LIMBS, balancing_recording, clicked_joints, uu4cam_recording
 from benchmarks.multiview.things_in_masks import with_thing
 from benchmarks.people.together import RIGS, SETTINGS
+from benchmarks.synthetic.depth_frames import depth_frames
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.evidence.frame import Frame
@@ -176,7 +177,7 @@ def _crossing(seed: int, data: Path) -> Iterator[tuple[str, Outcome]]:
 def _depth(seed: int, data: Path) -> Iterator[tuple[str, Outcome]]:
     """A person before two depth cameras."""
     scene = depth_scene_of(seed, "depth-2", 1.2, BenchOptions())
-    source = FrameList(list(scene.frames()), RATE)
+    source = FrameList(list(depth_frames(scene)), RATE)
     found, seconds = _timed(lambda: track_source(source, RATE, TrackOptions(seed=seed)))
     away = np.linalg.norm(aligned(found.motion, scene) - scene.joints[: len(source)], axis=-1)
     yield "", _outcome(found.motion, away[:, EVALUATED], EVALUATED, found.verdict.word, seconds)

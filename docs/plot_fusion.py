@@ -14,11 +14,11 @@ import numpy as np
 
 from benchmarks.depth_sensors.fusion_scenes import FRESH_SEED
 from benchmarks.depth_sensors.sensor_choice import choose, heading, noise_of, register_per_frame
+from benchmarks.synthetic.sensors import HIDDEN_BELOW
 from benchmarks.synthetic.treadmill import treadmill_recording
 from hypose.fusion import joints as jt
 from hypose.fusion.register import register, upward
 from hypose.fusion.swarm import IMPROVED, PUBLISHED
-from hypose.synthetic.sensors import HIDDEN_BELOW
 
 FRAMES = slice(250, 550)
 

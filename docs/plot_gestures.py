@@ -15,8 +15,8 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
+from benchmarks.depth_gestures.gesture_pictures import CLUTTERED, TRAINING, picture
 from hypose.synthetic.gesture_poses import GESTURES
-from hypose.synthetic.gesture_scenes import CLUTTERED, TRAINING, picture
 
 IMAGES = Path(__file__).parent / "images"
 STYLE = {

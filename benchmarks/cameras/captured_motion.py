@@ -15,6 +15,7 @@ from benchmarks.synthetic.human4d import Human4d, read_human4d
 from benchmarks.synthetic.retarget import retarget
 from benchmarks.synthetic.spoilt_keypoints import like_a_detector
 from benchmarks.synthetic.treadmill import human4d_joints
+from hypose.app.live.simulated_sensors import FRAME_RATE
 from hypose.cameras.camera import Camera, CameraRig, triangulate
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.keypoints import BODY_25, to_keypoints
@@ -22,7 +23,6 @@ from hypose.evidence.one_person import one_person
 from hypose.fusion import joints as jt
 from hypose.geometry import Array, se3, se3_inverse, transform
 from hypose.synthetic.performance import Performance
-from hypose.synthetic.sensors import FRAME_RATE
 from hypose.synthetic.simulated_keypoints import keypoint_places
 from hypose.synthetic.subjects import Subject
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
 from benchmarks.depth_gestures.gesture_data import SEEDS, TESTED, TRAINED, teach
+from benchmarks.depth_gestures.gesture_pictures import CLUTTERED, GestureFrame, picture
 from benchmarks.depth_gestures.gesture_scores import Judged, judge
 from hypose.compute import Depth
 from hypose.errors import InputError
@@ -19,7 +20,6 @@ from hypose.gestures.forest import ForestSettings
 from hypose.gestures.online import Learner
 from hypose.gestures.pixels import Example, LearnSettings
 from hypose.io.sensors.depth import read_depth_png
-from hypose.synthetic.gesture_scenes import CLUTTERED, GestureFrame, picture
 
 LETTERS = "abcdefghiklmnopqrstuvwxy"
 TRAINED_SHARE = 0.7

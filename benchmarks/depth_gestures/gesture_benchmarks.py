@@ -30,13 +30,13 @@ from benchmarks.depth_gestures.gesture_data import (
     training_set,
     two_fixed_rooms,
 )
+from benchmarks.depth_gestures.gesture_pictures import GestureFrame, Stage
 from benchmarks.depth_gestures.gesture_scores import THOROUGH, Judged, judge
 from hypose.gestures.forest import Forest, ForestSettings
 from hypose.gestures.offline import OfflineSettings, Pool, collect, train
 from hypose.gestures.online import Learner
 from hypose.gestures.pixels import Example
 from hypose.synthetic.gesture_poses import GESTURES
-from hypose.synthetic.gesture_scenes import GestureFrame, Stage
 
 PASSES = 4
 """Over the positive pictures; each pass takes half of the negative ones."""

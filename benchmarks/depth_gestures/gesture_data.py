@@ -7,20 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from benchmarks.depth_gestures.gesture_pictures import CLUTTERED, TRAINING, UNSEEN, GestureFrame, Stage, picture
 from hypose.gestures.depth_pictures import KINECT
 from hypose.gestures.online import Learner
 from hypose.gestures.pixels import Example
-from hypose.synthetic.gesture_poses import GESTURES, UNSEEN
-from hypose.synthetic.gesture_scenes import (
-    CLUTTERED,
-    TRAINING,
-    GestureFrame,
-    Setting,
-    Stage,
-    make_room,
-    make_view,
-    picture,
-)
+from hypose.synthetic.gesture_poses import GESTURES
+from hypose.synthetic.gesture_scenes import Setting, make_room, make_view
 
 TRAINED = tuple(range(12))
 """People in training pictures; three of them left-handed."""

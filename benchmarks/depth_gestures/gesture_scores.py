@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.depth_gestures.gesture_pictures import GestureFrame
 from hypose.compute import ScanPlan
 from hypose.geometry import Array
 from hypose.gestures.depth_pictures import KINECT, Lens
 from hypose.gestures.events import RADIUS_M, average_precision, precision_recall
 from hypose.gestures.forest import Forest, GrowingForest
 from hypose.gestures.localise import LocaliseSettings, Scratch, localise
-from hypose.synthetic.gesture_scenes import GestureFrame
 
 RADIUS_PX = 10.0
 """Of a correct localization in the thesis' tables."""

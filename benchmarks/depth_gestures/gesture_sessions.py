@@ -12,14 +12,15 @@ import numpy as np
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
 from benchmarks.depth_gestures.gesture_data import SEEDS, SHARE
+from benchmarks.depth_gestures.gesture_pictures import UNSEEN, GestureFrame, Stage, picture
 from benchmarks.depth_gestures.gesture_scores import Judged, judge
 from hypose.gestures.depth_pictures import KINECT
 from hypose.gestures.offline import OfflineSettings, collect, train
 from hypose.gestures.online import Learner
 from hypose.gestures.pixels import Example
 from hypose.gestures.trainer import Trainer
-from hypose.synthetic.gesture_poses import GESTURES, UNSEEN
-from hypose.synthetic.gesture_scenes import GestureFrame, Setting, Stage, make_room, make_view, picture
+from hypose.synthetic.gesture_poses import GESTURES
+from hypose.synthetic.gesture_scenes import Setting, make_room, make_view
 
 ROUNDS = 6
 PUBLISHED = ("tee", "silence", "cross")

@@ -13,6 +13,7 @@ import numpy as np
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
 from benchmarks.depth_gestures.gesture_data import Size, examples, for_gesture, teach, test_set, thinned, training_set
+from benchmarks.depth_gestures.gesture_pictures import GestureFrame
 from benchmarks.depth_gestures.gesture_scores import THOROUGH, judge
 from benchmarks.short_calls import best
 from hypose.gestures.depth_pictures import KINECT
@@ -22,7 +23,6 @@ from hypose.gestures.offline import OfflineSettings, Pool, collect, train
 from hypose.gestures.online import Learner
 from hypose.gestures.pixels import Example, LearnSettings
 from hypose.synthetic.gesture_poses import GESTURES
-from hypose.synthetic.gesture_scenes import GestureFrame
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.depth_sensors.depth_passing import JointsOf
+from benchmarks.synthetic.depth_frames import depth_frames
 from hypose.body.motion import Motion
 from hypose.calibration.depth_registration import place_error
 from hypose.cameras.camera import CameraRig
@@ -34,9 +35,9 @@ def moved_sensor(scene: DepthScene, share: float, rate: float, seed: int, joints
     """place_deg, place_mm: how far off the second camera's place is at the end; moved_mm, told_mm: mean error with its
     place found anew, and as it is told. share: of the frames before it is knocked. What it sees is cut from the empty
     room as it sees that from where it stands."""
-    other, frames = knocked(scene), list(scene.frames())
+    other, frames = knocked(scene), list(depth_frames(scene))
     change = round(share * len(frames))
-    frames[change:] = [_as_told(f, scene.rig) for f in list(other.frames())[change:]]
+    frames[change:] = [_as_told(f, scene.rig) for f in list(depth_frames(other))[change:]]
     source, options = FrameList(frames, rate), TrackOptions(seed=seed)
 
     def away(motion: Motion) -> float:

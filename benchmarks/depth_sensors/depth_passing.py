@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.multiview.action_scenes import subject_of_seed
+from benchmarks.synthetic.depth_frames import depth_frames
 from hypose.body.motion import Motion
 from hypose.geometry import Array
 from hypose.pipeline.people_run import PeopleRun
@@ -50,7 +51,7 @@ def people_apart(
     first, second = alone
     both = replace(first, others=((second.subject, second.performance),))
     options = TrackOptions(seed=seed)
-    found = PeopleRun(FrameList(list(both.frames(True, empty)), rate), rate, options)().people
+    found = PeopleRun(FrameList(list(depth_frames(both, True, empty)), rate), rate, options)().people
     out = {"invented": float(max(len(found) - 2, 0)), "together_mm": 1000.0, "exchanged": 1.0}
     errors = np.array([[_away(p.result.motion, s, joints_of) for p in found] for s in alone])
     if len(found) >= 2:
@@ -58,7 +59,9 @@ def people_apart(
         own = errors[[0, 1], mine]
         if mine[0] != mine[1]:
             out |= {"together_mm": 1e3 * float(own.mean()), "exchanged": float((own > _LOST_M).mean())}
-    by_themselves = [track_source(FrameList(list(s.frames(empty=empty)), rate), rate, options).motion for s in alone]
+    by_themselves = [
+        track_source(FrameList(list(depth_frames(s, empty=empty)), rate), rate, options).motion for s in alone
+    ]
     out["alone_mm"] = 1e3 * float(np.mean([_away(m, s, joints_of) for m, s in zip(by_themselves, alone, strict=True)]))
     return out
 

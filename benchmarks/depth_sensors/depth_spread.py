@@ -21,6 +21,7 @@ from benchmarks.bench_report import BenchOptions
 from benchmarks.depth_sensors.depth_tracking import RATE, SENSORS, aligned, scene_of
 from benchmarks.multiview.doubt_scenes import angles_of, as_curved, true_angles
 from benchmarks.multiview.spread_fit import ASSET, TILTED, fit_angle, fit_joint, pelvis_floor, squares
+from benchmarks.synthetic.depth_frames import depth_frames
 from hypose.body.joint_angles import ANGLE_NAMES
 from hypose.body.ready_bodies import JOINT_NAMES
 from hypose.geometry import Array
@@ -70,7 +71,7 @@ def collect(folder: Path, case: str, seed: int, data: Path, seconds: float = 2.0
     folder.mkdir(parents=True, exist_ok=True)
     options = BenchOptions(False, 1, data, lambda stage, done, total: None, seed, None)
     scene = scene_of(seed, SENSORS[case], seconds, options)
-    result = track_source(FrameList(list(scene.frames()), RATE), RATE, TrackOptions(seed=seed))
+    result = track_source(FrameList(list(depth_frames(scene)), RATE), RATE, TrackOptions(seed=seed))
     m = as_curved(result.motion, "depth")
     assert m.angle_sd is not None and result.audit is not None and result.one_by_one is not None
     features = clip_features(m, result.body.joints(result.one_by_one), result.audit)

@@ -21,7 +21,9 @@ from benchmarks.depth_sensors.depth_moved import moved_sensor
 from benchmarks.depth_sensors.depth_passing import people_apart
 from benchmarks.multiview.action_scenes import captured, subject_of_seed
 from benchmarks.multiview.doubt_fit import auroc, ece
+from benchmarks.synthetic.depth_frames import depth_frames, empty_rooms, seen_before
 from benchmarks.synthetic.retarget import retarget
+from benchmarks.synthetic.sensors import SensorModel, simulate
 from hypose.body.motion import Motion
 from hypose.body.ready_bodies import human
 from hypose.calibration.depth_registration import place_error
@@ -40,11 +42,10 @@ from hypose.pipeline.import_depth import register_depth
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.track_loop import FrameList
 from hypose.synthetic.corruptions import corrupt_mask, corruptions
-from hypose.synthetic.depth_scenes import DepthScene, depth_rig, depth_scene, seen_before, to_profile, turning
+from hypose.synthetic.depth_scenes import DepthScene, depth_rig, depth_scene, to_profile, turning
 from hypose.synthetic.metrics import EVALUATED, population_offsets, with_offsets
 from hypose.synthetic.motions import act
 from hypose.synthetic.rigs import look_at
-from hypose.synthetic.sensors import SensorModel, simulate
 from hypose.synthetic.subjects import dress
 from hypose.tracking.costs import silhouette_iou
 from hypose.tracking.doubt import WRONG_M
@@ -184,7 +185,7 @@ def _measured(seed: int, case: str, seconds: float, options: BenchOptions) -> di
 
 def _tracked(seed: int, case: str, seconds: float, options: BenchOptions) -> dict[str, Any]:
     scene = scene_of(seed, SENSORS[case], seconds, options)
-    frames = list(scene.frames())
+    frames = list(depth_frames(scene))
     result = track_source(FrameList(frames, RATE), RATE, TrackOptions(seed=seed))
     out = _errors(result.motion, scene)
     if case != "one":
@@ -197,12 +198,12 @@ def _speed(seed: int, seconds: float, options: BenchOptions) -> dict[str, Any]:
     out: dict[str, Any] = {"ms_per_frame": {}, "ms_mean": {}}
     for case, sensors in SENSORS.items():
         scene = scene_of(seed, sensors, seconds, options)
-        frames = list(scene.frames())
+        frames = list(depth_frames(scene))
         result = track_source(FrameList(frames, RATE), RATE, TrackOptions(seed=seed))
         tracker = Tracker(result.body, recipe("default", result.body, frame_rate=RATE), TrackerSettings(seed=seed))
         assert result.motion.poses is not None
         state = tracker.start(result.motion.poses[0])
-        spent, rooms = [], scene.backgrounds()
+        spent, rooms = [], empty_rooms(scene)
         for frame in frames[:_TIMED]:
             assert frame.depth is not None
             began = time.process_time()
@@ -256,7 +257,7 @@ def _with_colour(seed: int, seconds: float, options: BenchOptions) -> dict[str, 
     rig = CameraRig((*scene.rig, side))
     what = corruptions("level-1")
     frames, p = [], scene.performance
-    for frame in scene.frames():
+    for frame in depth_frames(scene):
         vertices = scene.subject.skin(p.rotations[frame.index], p.root[frame.index])
         z = vertices @ side.camera_from_world[2, :3] + side.camera_from_world[2, 3]
         mask = silhouette(side.project_pinhole(vertices), z, scene.subject.faces, side.size).astype(np.uint8)
@@ -293,7 +294,7 @@ def _registration(seed: int, options: BenchOptions) -> dict[str, Any]:
     """Two sensors at 90 degrees, each in a world that it knows by its own floor, the second one late and by another
     clock."""
     scene = scene_of(seed, "depth-2", 1.6 if options.quick else 3.0, options, action=-1)
-    frames = list(scene.frames())
+    frames = list(depth_frames(scene))
     worlds, clips = [], []
     ahead, late = _CLOCK
     for c, camera in enumerate(scene.rig):

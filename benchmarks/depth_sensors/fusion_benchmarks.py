@@ -15,7 +15,9 @@ from benchmarks.depth_sensors.baselines import BASELINES, fuse_baseline, single_
 from benchmarks.depth_sensors.fusion_scenes import FRESH_SEED, HANDS, scene_recording, scene_settings
 from benchmarks.depth_sensors.sensor_choice import register_per_frame
 from benchmarks.multiview.doubt_fit import auroc
+from benchmarks.synthetic.sensors import SensorRecording
 from hypose.app.jobs.fuse_job import FuseJob, run_fuse
+from hypose.app.live.simulated_sensors import FRAME_RATE
 from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.evidence.frame import SensorJoints
@@ -28,7 +30,6 @@ from hypose.geometry import Array
 from hypose.io.motions.results import ResultsFolder
 from hypose.io.sensors.skeleton_files import read_kinect_csv
 from hypose.pipeline.verdict import GOOD, UNTRUSTED
-from hypose.synthetic.sensors import FRAME_RATE, SensorRecording
 
 
 def human4d(options: BenchOptions) -> BenchReport:

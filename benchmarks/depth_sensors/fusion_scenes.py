@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 
 from benchmarks.bench_report import BenchOptions
+from benchmarks.synthetic.sensors import SensorModel, SensorRecording
 from benchmarks.synthetic.treadmill import human4d_recording, treadmill_recording
 from hypose.fusion import joints as jt
-from hypose.synthetic.sensors import SensorModel, SensorRecording
 
 FRESH_SEED = 2000
 HANDS = (jt.LEFT_HAND, jt.RIGHT_HAND)

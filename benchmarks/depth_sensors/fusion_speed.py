@@ -10,6 +10,7 @@ import numpy as np
 from benchmarks.bench_report import BenchOptions, BenchReport, row
 from benchmarks.depth_sensors.fusion_scenes import scene_recording
 from benchmarks.depth_sensors.replay import replay
+from benchmarks.synthetic.sensors import SensorRecording
 from hypose.evidence.frame import SensorJoints, SensorReport
 from hypose.fusion import joints as jt
 from hypose.fusion import live
@@ -17,7 +18,6 @@ from hypose.fusion.fit import FitSettings, fit_step, start_fit
 from hypose.fusion.fuse import FusionSettings, start, step
 from hypose.fusion.register import Registration, register
 from hypose.geometry import Array
-from hypose.synthetic.sensors import SensorRecording
 
 
 def speed(options: BenchOptions) -> BenchReport:

@@ -17,11 +17,11 @@ import numpy as np
 from websockets.asyncio.client import connect
 
 from benchmarks.synthetic.virtual_cameras import there_and_back
+from hypose.app.live.simulated_sensors import builtin_joints, ring_sensors
 from hypose.evidence.frame import SensorReport
 from hypose.fusion.joints import COMMON
 from hypose.geometry import Array, transform
 from hypose.io.sensors.skeleton_streams import format_line
-from hypose.synthetic.sensors import builtin_joints, ring_sensors
 
 
 @dataclass(frozen=True)

@@ -72,7 +72,7 @@ def long_commands(folder: Path) -> list[LongCommand]:
         LongCommand("track, key points", ("track", filmed, "--evidence", "keypoints", *light), 0.04, again=go_on),
         LongCommand("correct", ("correct", done, _corrected(done, folder), "--formats", "trc"), 0.06),
         LongCommand("subject", ("subject", few, "--poses", "1", "--frames", "0:6"), 0.03),
-        LongCommand("fuse", ("fuse", folder / "sensors"), 0.18, again=go_on),
+        LongCommand("fuse", ("fuse", folder / "sensors"), 0.18),
         LongCommand("batch", batch, 0.1, failed=1),
         LongCommand(
             "gesture train",

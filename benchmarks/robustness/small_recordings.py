@@ -9,7 +9,9 @@ import cv2
 import numpy as np
 
 from benchmarks.synthetic.calibration_boards import film_board, ring_of_cameras
+from benchmarks.synthetic.sensors import SensorModel, simulate
 from benchmarks.synthetic.skeleton_folders import write_folder
+from hypose.app.live.simulated_sensors import builtin_joints, on_treadmill, ring_sensors
 from hypose.calibration.boards import Board
 from hypose.fusion.joints import COMMON
 from hypose.gestures.depth_pictures import KINECT
@@ -21,7 +23,6 @@ from hypose.pipeline.gesture_files import SessionWriter
 from hypose.synthetic.film_session import board_from_sheet, board_sheet
 from hypose.synthetic.rigs import rig
 from hypose.synthetic.scenes import Scene, make_scene
-from hypose.synthetic.sensors import SensorModel, builtin_joints, on_treadmill, ring_sensors, simulate
 
 BOARD = Board("chessboard", 6, 5, 0.12)
 """The board of `write_board_pictures`."""

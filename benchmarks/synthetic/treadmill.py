@@ -8,18 +8,10 @@ import numpy as np
 
 from benchmarks.synthetic.asf import bone_ends, read_amc, read_asf
 from benchmarks.synthetic.human4d import read_human4d
+from benchmarks.synthetic.sensors import SensorModel, SensorRecording, simulate
+from hypose.app.live.simulated_sensors import builtin_joints, looped, on_treadmill, ring_sensors, turned
 from hypose.fusion import joints as jt
 from hypose.geometry import Array, se3, se3_inverse, transform
-from hypose.synthetic.sensors import (
-    SensorModel,
-    SensorRecording,
-    builtin_joints,
-    looped,
-    on_treadmill,
-    ring_sensors,
-    simulate,
-    turned,
-)
 
 # console of two bars, rails and posts of a treadmill, in front of a person who faces -y: a, b, radius in m
 BARS = np.array(

@@ -99,22 +99,20 @@ def people_in_hull(
     known: Sequence[Other] = (),
     *,
     floor: float = 0.0,
-    bounds: Array | None = None,
     most: int = 8,
 ) -> list[HullPerson]:
     """Who stands in the masks beside those that are known, the largest first; none when too few views are usable.
 
-    floor: m, height of the floor; bounds (2, 3) m: the space searched (default: the cameras' common view, between the
-    floor and what a person reaches). A voxel belongs to whose axis it is nearest to."""
+    floor: m, height of the floor. The space searched is the cameras' common view, between the floor and what a person
+    reaches. A voxel belongs to whose axis it is nearest to."""
     views = int(silhouettes.usable.sum())
     least = min(VIEWS, views)
     left = without(silhouettes, known)
     if views < 2 or (left.told.any((1, 2)) & left.usable).sum() < least:
         return []
     try:
-        if bounds is None:
-            bounds = common_view_bounds(silhouettes.rig)
-            bounds = np.array([[*bounds[0, :2], floor - 0.3], [*bounds[1, :2], floor + 2.6]])
+        bounds = common_view_bounds(silhouettes.rig)
+        bounds = np.array([[*bounds[0, :2], floor - 0.3], [*bounds[1, :2], floor + 2.6]])
         # nobody known: all views that see the place; somebody known: what they cover may be in the mask or not
         hull = visual_hull(left, bounds, VOXEL, min_views=least, largest=False, surely=least)
     except EvidenceError:

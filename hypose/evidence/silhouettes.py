@@ -231,12 +231,12 @@ def _cleaned(mask: Mask, how: mask_runs.Cleaning) -> Mask:
     return mask_runs.draw(mask_runs.clean(mask_runs.bits_of(mask), (mask.shape[0], mask.shape[1]), how))
 
 
-def refine_rim(image: Image, mask: Mask, rim_px: int = 3, band: Mask | None = None, core: Mask | None = None) -> Mask:
+def refine_rim(image: Image, mask: Mask, rim_px: int = 3, band: Mask | None = None) -> Mask:
     """GrabCut in a rim of rim_px inside and outside the mask's outline; the rest of the mask is taken as
     sure.
 
-    band (h, w): the person is nowhere else. core (h, w): probably the person (a thin skeleton), also
-    outside the mask. An empty or collapsed result (GrabCut does that now and then) keeps the mask as it was.
+    band (h, w): the person is nowhere else. An empty or collapsed result (GrabCut does that now and then)
+    keeps the mask as it was.
     Source: Rother, Kolmogorov & Blake 2004, as in OpenCV.
     """
     box = bounding_box(mask if band is None else mask | (band > 0), 2 * rim_px + 2)
@@ -248,8 +248,6 @@ def refine_rim(image: Image, mask: Mask, rim_px: int = 3, band: Mask | None = No
     label = np.where(m > 0, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
     label[cv2.erode(m, mask_runs.disc(2 * rim_px + 1)) > 0] = cv2.GC_FGD
     label[cv2.dilate(m, mask_runs.disc(2 * rim_px + 1)) == 0] = cv2.GC_BGD
-    if core is not None:
-        label[(core[y0:y1, x0:x1] > 0) & (label != cv2.GC_FGD)] = cv2.GC_PR_FGD
     if band is not None:
         label[band[y0:y1, x0:x1] == 0] = cv2.GC_BGD
     out = np.zeros_like(mask)

@@ -7,7 +7,7 @@ goes.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -35,7 +35,7 @@ from hypose.fusion.register import (
     register,
     upward,
 )
-from hypose.fusion.state import FIT, METHODS, ClipSoFar, FusedFrame, FusionSettings, FusionState, restored
+from hypose.fusion.state import FIT, METHODS, FusedFrame, FusionSettings, FusionState
 from hypose.fusion.swarm import start_swarm, swarm_step
 from hypose.fusion.trust import what_is_open
 from hypose.geometry import Array
@@ -146,7 +146,7 @@ def step(state: FusionState, frame: SensorJoints) -> tuple[FusionState, FusedFra
         *(time, state.joint_names, joints, sd, systematic, wrong, shares, choice),
         *(bool(lost), n_sensors, swapped, restarted),
     )
-    return replace(state, fit=fit, swarm=swarm, frames=state.frames + 1), fused
+    return replace(state, fit=fit, swarm=swarm), fused
 
 
 def fuse_clip(
@@ -155,17 +155,15 @@ def fuse_clip(
     settings: FusionSettings | None = None,
     registration: Registration | None = None,
     *,
-    done: Mapping[str, np.ndarray] | None = None,
-    watch: Callable[[ClipSoFar], None] | None = None,
+    watch: Callable[[int], None] | None = None,
 ) -> Fused:
     """Fuses the skeletons of one person from a recorded clip.
 
     joints: one per frame, all of the same sensors and joint set (`register.combine` brings different sets together).
     The registration is robust over the whole clip and all joints unless it is given, but for "published", which
     registers every frame by its triangle and returns the last one's; bone lengths are medians over the clip. watch:
-    called after every frame with what is fused so far; what its `arrays` gave is taken as `done` to go on there, which
-    gives the same numbers. InputErrors name frames whose sensors or
-    joints differ, and sensors that see different people."""
+    called after every frame with how many are fused. InputErrors name frames whose sensors or joints differ, and
+    sensors that see different people."""
     if not len(joints):
         raise InputError("There are no frames to fuse; give at least one.")
     s = replace(settings or FusionSettings(), method=method)
@@ -188,19 +186,13 @@ def fuse_clip(
     up = upward(world) if s.up is None else np.array(s.up)
     state = start(joints[0], replace(s, up=tuple(up)), registration, lengths)
     frames: list[FusedFrame] = []
-    if done is not None:
-        before = restored(done, state)
-        if before.state.frames > len(joints):
-            raise InputError(f"{before.state.frames} frames are fused already, the clip has {len(joints)}.")
-        state, frames = before.state, list(before.frames)
-    for t in range(len(frames), len(joints)):
-        frame = joints[t]
+    for t, frame in enumerate(joints):
         if not np.isfinite(frame.times).any():  # nobody saw the person: time goes on all the same, so that it is lost
             frame = replace(frame, times=np.full(len(frame.times), times[t]))
         state, fused = step(state, frame)
         frames.append(fused)
         if watch is not None:
-            watch(ClipSoFar(state, frames))
+            watch(len(frames))
     motion = _motion(state.joint_names, frames, times, lengths, s)
     choice = None if frames[0].choice is None else np.stack([f.choice for f in frames if f.choice is not None])
     return Fused(

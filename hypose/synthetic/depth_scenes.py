@@ -9,7 +9,7 @@ docs/depth.md; everything made here is simulated.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -20,20 +20,6 @@ from numpy.typing import NDArray
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.compute import rasterize
 from hypose.errors import InputError
-from hypose.evidence.depth_background import (
-    STILL_FRAMES,
-    DepthBackground,
-    behind_things,
-    learn_background,
-    people_before,
-    people_on_floor,
-    person_before,
-    person_on_floor,
-    unlike_people,
-)
-from hypose.evidence.depth_evidence import Depth
-from hypose.evidence.frame import Frame
-from hypose.evidence.silhouettes import make_silhouettes
 from hypose.geometry import Array, so3_exp
 from hypose.synthetic.corruptions import smooth_noise
 from hypose.synthetic.performance import OfPerformance, Performance, assemble
@@ -147,26 +133,6 @@ class DepthScene(OfPerformance):
             self._rooms[view], self.rig[view], self.faults, self._patterns[view], rng, len(self.rig) - 1, None
         )
 
-    def backgrounds(self, frames: int = 20) -> list[DepthBackground]:
-        """What is learnt of the empty room, sensor by sensor."""
-        return [learn_background([self.empty_map(c, k) for k in range(frames)]) for c in range(len(self.rig))]
-
-    def frames(self, people: bool = False, empty: bool = True) -> Iterator[Frame]:
-        """Frames with depth and the silhouettes that come with it, as they are of recordings. people: with everybody in
-        them; empty: the empty room was recorded."""
-        views = range(len(self.rig))
-        rooms = self.backgrounds() if empty else []
-        few = np.unique(np.linspace(0, len(self) - 1, min(STILL_FRAMES, len(self))).round().astype(int))
-        things = [unlike_people([self.depth_map(c, t) for t in few], self.rig[c]) for c in views if not empty]
-        for t in range(len(self)):
-            maps = [self.depth_map(c, t) for c in views]
-            at = float(self.times[t])
-            yield (
-                seen_before(rooms, maps, self.rig, at, t, people)
-                if empty
-                else seen_on_floor(things, maps, self.rig, at, t, people)
-            )
-
     @cached_property
     def _rooms(self) -> list[DepthMap]:
         things = _things(np.random.default_rng([self.seed, _PATTERN]), self.furniture)
@@ -180,34 +146,6 @@ class DepthScene(OfPerformance):
             shape = (camera.size[1], camera.size[0])
             out.append((self.faults.pattern_m / 0.8 * smooth_noise(rng, shape, 40)).astype(np.float32))
         return out
-
-
-def seen_before(
-    rooms: Sequence[DepthBackground],
-    maps: Sequence[DepthMap],
-    rig: CameraRig,
-    at: float,
-    index: int,
-    people: bool = False,
-) -> Frame:
-    """The frame of maps (h, w) m at a time (s), whose rooms are known, as it is for recordings; people: with everybody
-    in it."""
-    known = zip(maps, rooms, rig, strict=True)
-    masks = [people_before(m, room) if people else person_before(m, room, c.K[0, 0]) for m, room, c in known]
-    silhouettes = make_silhouettes(masks, rig)
-    depth = Depth(np.stack(maps), silhouettes.masks, rig, silhouettes.usable.copy())
-    return Frame(at, index, silhouettes if people else behind_things(silhouettes, depth, rooms), depth=depth)
-
-
-def seen_on_floor(
-    things: Sequence[DepthMap], maps: Sequence[DepthMap], rig: CameraRig, at: float, index: int, people: bool = False
-) -> Frame:
-    """The same where the empty room was not recorded; things (h, w) m: what stands still and is nobody
-    (`unlike_people`)."""
-    find = people_on_floor if people else person_on_floor
-    masks = [find(m, c, t) for m, c, t in zip(maps, rig, things, strict=True)]
-    silhouettes = make_silhouettes(masks, rig)
-    return Frame(at, index, silhouettes, depth=Depth(np.stack(maps), silhouettes.masks, rig, silhouettes.usable.copy()))
 
 
 def depth_scene(

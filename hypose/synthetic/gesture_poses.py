@@ -16,8 +16,6 @@ from hypose.synthetic.gesture_people import SIDES, ArmGoal, HandShape, Person, P
 
 GESTURES = ("tee", "cross", "pause", "silence", "ok", "volume_up")
 """What the detectors learn. volume_up is a thumb up: the thesis does not say what it is."""
-UNSEEN = ("folded_arms", "hands_on_hips", "phone", "three_fingers", "bottle")
-"""Kinds of negative that occur in tests only, never in training."""
 _SHOULDER = {"left": 1.0, "right": -1.0}
 
 
@@ -75,7 +73,7 @@ def _angles(rng: np.random.Generator, amount: float) -> Array:
     return rng.normal(mean, sd) * [amount, amount, amount, amount, amount, amount]
 
 
-class _Doer:
+class Doer:
     """A person, which hand leads, and the directions of the chest: what the gestures below are written with."""
 
     def __init__(self, puppet: Puppet, rng: np.random.Generator, leading: str, amount: float) -> None:
@@ -94,6 +92,7 @@ class _Doer:
         return self.chest @ (np.array([x, y, z]) * self.mirror) + self.rng.normal(0, noise, 3) * self.amount
 
     def elbow(self, x: float, y: float, z: float) -> Array:
+        """Direction of the elbow, mirrored for a left-handed person."""
         return np.array([x, y, z]) * self.mirror
 
     def middle_finger(self, side: str) -> Array:
@@ -102,9 +101,11 @@ class _Doer:
         return person.ends[SIDES.index(side), 2] - person.joint(f"{side}_wrist")
 
     def shape(self, side: str, kind: str, jitter: float = 6.0) -> HandShape:
+        """A hand of one of HAND_SHAPES, fingers varied by `jitter` degrees."""
         return self.puppet.person.shape(side, kind, self.rng, jitter)
 
     def hanging(self, side: str) -> ArmGoal:
+        """An arm that hangs beside the body."""
         x, rng = _SHOULDER[side], self.rng
         offset = [x * rng.uniform(0.05, 0.2), rng.uniform(-0.15, 0.05), -rng.uniform(0.45, 0.6)]
         return ArmGoal(
@@ -116,6 +117,7 @@ class _Doer:
         )
 
     def keyframe(self, lead: ArmGoal, other: ArmGoal | None = None) -> Keyframe:
+        """The pose with the leading arm and the other one, which hangs by default."""
         other = self.hanging(self.other) if other is None else other
         left, right = (other, lead) if self.lead == "right" else (lead, other)
         return Keyframe(self.angles, left, right)
@@ -136,7 +138,7 @@ def gesture(
     """Pose a person doing a gesture; returns the pose and the annotated point (3,) m, which lies on the surface.
 
     amount: how much the pose varies (1 = as different people do it)."""
-    do = _Doer(puppet, rng, leading, amount)
+    do = Doer(puppet, rng, leading, amount)
     if name not in _GESTURES:
         raise InputError(f"There is no gesture {name!r}; the gestures are {', '.join(GESTURES)}.")
     frame = _GESTURES[name](do)
@@ -144,11 +146,11 @@ def gesture(
     return frame, annotated(puppet, name, leading)
 
 
-def _palm(do: _Doer, side: str) -> float:
+def _palm(do: Doer, side: str) -> float:
     return do.puppet.person.hand_axes(side)[2]
 
 
-def _tee(do: _Doer) -> Keyframe:
+def _tee(do: Doer) -> Keyframe:
     side = do.other
     up, length = unit(do.way(0, 0, 1, 0.08)), float(np.linalg.norm(do.middle_finger(side)))
     wrist = do.middle + do.way(0, -0.33, -0.12, 0.03) - up * length
@@ -162,7 +164,7 @@ def _tee(do: _Doer) -> Keyframe:
     return do.keyframe(flat, upright)
 
 
-def _cross(do: _Doer) -> Keyframe:
+def _cross(do: Doer) -> Keyframe:
     centre = do.middle + do.way(0, -0.30, -0.08, 0.03)
     kind = str(do.rng.choice(["fist", "flat", "relaxed"]))
     angle = do.rng.normal(0.75, 0.08)
@@ -174,14 +176,14 @@ def _cross(do: _Doer) -> Keyframe:
     return do.keyframe(*arms)
 
 
-def _pause(do: _Doer) -> Keyframe:
+def _pause(do: Doer) -> Keyframe:
     wrist = do.lead_shoulder + do.way(-0.06, -0.36, 0.0, 0.05)
     kind = str(do.rng.choice(["flat", "spread"]))
     f, n = do.way(0, -0.1, 1, 0.1), do.way(0, -1, 0, 0.1)
     return do.keyframe(ArmGoal(wrist, f, n, do.elbow(-0.6, 0.3, -1), do.shape(do.lead, kind)))
 
 
-def _silence(do: _Doer) -> Keyframe:
+def _silence(do: Doer) -> Keyframe:
     mouth = do.puppet.carried("head", lips(do.puppet.person))
     f, n = unit(do.way(0.12, -0.12, 1, 0.08)), do.way(1, 0.25, 0, 0.12)
     shape = do.shape(do.lead, "point")
@@ -193,13 +195,13 @@ def _silence(do: _Doer) -> Keyframe:
     return do.keyframe(ArmGoal(wrist, f, n, goal.elbow, shape))
 
 
-def _ok(do: _Doer) -> Keyframe:
+def _ok(do: Doer) -> Keyframe:
     wrist = do.lead_shoulder + do.way(-0.06, -0.33, 0.02, 0.05)
     f, n = do.way(0, -0.1, 1, 0.1), do.way(0.1, -1, 0, 0.1)
     return do.keyframe(ArmGoal(wrist, f, n, do.elbow(-0.6, 0.3, -1), do.shape(do.lead, "ok")))
 
 
-def _volume_up(do: _Doer) -> Keyframe:
+def _volume_up(do: Doer) -> Keyframe:
     wrist = do.lead_shoulder + do.way(-0.02, -0.34, -0.1, 0.05)
     f, n = do.way(0.75, -0.65, 0.1, 0.1), do.way(0.6, 0.8, 0, 0.1)
     person, elbow, fist = do.puppet.person, do.elbow(-0.6, 0.3, -1), do.shape(do.lead, "fist", 4)
@@ -248,7 +250,7 @@ def annotated(puppet: Puppet, name: str, leading: str) -> Array:
 def movement(puppet: Puppet, rng: np.random.Generator) -> Keyframe:
     """A random pose that is none of the gestures: arms hanging or anywhere in front, hands of any shape but "ok"; a
     quarter of the hands are near misses (a fist, a pointing finger, ... held up to the camera)."""
-    do = _Doer(puppet, rng, "right", 1.5)
+    do = Doer(puppet, rng, "right", 1.5)
     goals = {}
     for side, x in _SHOULDER.items():
         if rng.random() < 0.25:
@@ -269,55 +271,3 @@ def movement(puppet: Puppet, rng: np.random.Generator) -> Keyframe:
         elbow = np.array([x * rng.uniform(0.1, 1), rng.uniform(-0.2, 0.6), -rng.uniform(0.2, 1)])
         goals[side] = ArmGoal(wrist, f, n, elbow, do.shape(side, kind, 10))
     return Keyframe(do.angles, goals["left"], goals["right"])
-
-
-def unseen(puppet: Puppet, kind: str, rng: np.random.Generator, leading: str = "right") -> Keyframe:
-    """One of the UNSEEN kinds of negative."""
-    do = _Doer(puppet, rng, leading, 1.0)
-    lead_x = -1.0 if leading == "right" else 1.0
-    if kind == "folded_arms":
-        arms = []
-        for side, x, z in ((do.lead, 1, 0.0), (do.other, -1, -0.05)):
-            wrist = do.middle + do.way(0.12 * x, -0.24, -0.22 + z, 0.02)
-            arms.append(
-                ArmGoal(
-                    wrist,
-                    do.way(x, -0.1, 0.1, 0.1),
-                    do.way(0, 1, 0, 0.1),
-                    do.elbow(-x, 0, -0.6),
-                    do.shape(side, "relaxed"),
-                )
-            )
-        return do.keyframe(*arms)
-    if kind == "hands_on_hips":
-        arms = []
-        for side, x in ((do.lead, -1), (do.other, 1)):
-            wrist = puppet.at("pelvis") + do.way(0.17 * x, -0.06, 0.12, 0.02)
-            arms.append(
-                ArmGoal(
-                    wrist,
-                    do.way(-x, -0.5, -0.4, 0.1),
-                    do.way(0, 0.4, -1, 0.1),
-                    do.elbow(x, 0.3, 0),
-                    do.shape(side, "relaxed"),
-                )
-            )
-        return do.keyframe(*arms)
-    if kind == "phone":
-        ear = puppet.at("head") + do.way(lead_x * do.mirror[0] * 0.11, -0.02, 0.03, 0.01)
-        goal = ArmGoal(
-            ear + do.way(0, -0.03, -0.09),
-            do.way(0.1, 0.1, 1, 0.1),
-            do.way(1, 0, 0, 0.1),
-            do.elbow(-0.7, -0.2, -1),
-            do.shape(do.lead, "grip"),
-        )
-        return do.keyframe(goal)
-    if kind not in UNSEEN:
-        raise InputError(f"There is no movement {kind!r}; the kinds are {', '.join(UNSEEN)}.")
-    wrist = do.lead_shoulder + do.way(-0.06, -0.34, 0.0, 0.05)
-    f, n = (do.way(0, -0.1, 1, 0.1), do.way(0, -1, 0, 0.1))
-    hand = do.shape(do.lead, "three" if kind == "three_fingers" else "grip")
-    if kind == "bottle":
-        f, n = do.way(0.6, -0.7, 0.2, 0.15), do.way(0.7, 0.6, 0, 0.15)
-    return do.keyframe(ArmGoal(wrist, f, n, do.elbow(-0.6, 0.3, -1), hand))

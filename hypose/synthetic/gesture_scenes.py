@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from hypose.compute import Depth, depth_sensor
 from hypose.geometry import Array
 from hypose.gestures.depth_pictures import KINECT, Lens
-from hypose.synthetic.gesture_people import Person, Puppet, load_people, turn
-from hypose.synthetic.gesture_poses import GESTURES, UNSEEN, apply, gesture, movement, unseen
+from hypose.synthetic.gesture_people import Person, Puppet, turn
 
 SIZE = (640, 480)
 LEVELS = ("empty", "furnished", "cluttered")
@@ -60,20 +59,6 @@ class View:
     def points(self, world: NDArray) -> NDArray:
         """Points (N, 3) of the world in the camera's frame."""
         return (world - self.position) @ self.rotation.T
-
-
-@dataclass(frozen=True)
-class GestureFrame:
-    """depth (480, 640) uint16 mm; gesture: 1 to 6, 0 = none; x, y px and position (3,) m in the camera's frame of the
-    annotated point (NaN when there is none); person: number; kind: what is shown."""
-
-    depth: Depth
-    gesture: int
-    x: float
-    y: float
-    position: Array
-    person: int
-    kind: str
 
 
 def make_room(rng: np.random.Generator, level: str) -> Room:
@@ -158,70 +143,3 @@ class Setting:
     def new(room: Room, view: View) -> Setting:
         """The setting with its backdrop drawn."""
         return Setting(room, view, backdrop(room, view))
-
-
-@dataclass(frozen=True)
-class Stage:
-    """Where pictures are taken: level of the room, share of pictures with a second person; distance range (m) of the
-    camera; settings: fixed rooms with their cameras to choose from instead of a new one for each picture."""
-
-    levels: tuple[str, ...] = ("empty", "furnished")
-    second: float = 0.12
-    distance: tuple[float, float] = (1.2, 3.0)
-    settings: tuple[Setting, ...] = ()
-
-    def choose(self, rng: np.random.Generator) -> Setting:
-        """A room and a camera."""
-        if self.settings:
-            return self.settings[int(rng.integers(len(self.settings)))]
-        return Setting.new(make_room(rng, str(rng.choice(self.levels))), make_view(rng, rng.uniform(*self.distance)))
-
-
-TRAINING, CLUTTERED = Stage(), Stage(("cluttered",), 0.7)
-
-
-def picture(person: int, kind: str, stage: Stage, rng: np.random.Generator, others: Sequence[int] = ()) -> GestureFrame:
-    """One picture of a person doing a gesture, "movement" or an unseen negative; others: who may be the second person.
-
-    A gesture is always visible: where clutter hides it or the picture cuts it, room and pose are drawn again."""
-    everyone = load_people()
-    puppet = Puppet(everyone[person])
-    while True:
-        setting = stage.choose(rng)
-        view = setting.view
-        point = None
-        if kind in GESTURES:
-            _, point = gesture(puppet, kind, rng, handedness(person))
-            point = point - [0, 0, puppet.person.ground]
-        elif kind in UNSEEN:
-            apply(puppet, unseen(puppet, kind, rng, handedness(person)))
-        else:
-            apply(puppet, movement(puppet, rng))
-        shown = [(puppet.person, in_world(puppet))]
-        if others and rng.random() < stage.second:
-            shown.append(bystander(everyone[others[int(rng.integers(len(others)))]], setting.room, rng))
-        x = y = np.nan
-        position = np.full(3, np.nan)
-        if point is not None:
-            position = view.points(point)
-            x = float(position[0] / position[2] * KINECT.fx + KINECT.cx)
-            y = float(position[1] / position[2] * KINECT.fy + KINECT.cy)
-            if not (25 < x < SIZE[0] - 25 and 25 < y < SIZE[1] - 25):
-                continue
-        depth, inverse = render(shown, setting.behind, view, rng)
-        if point is not None:
-            window = slice(int(y) - 3, int(y) + 4), slice(int(x) - 3, int(x) + 4)
-            if np.abs(1 / np.maximum(inverse[window], 1e-3) - position[2]).min() > 0.06:
-                continue
-            if 1 / np.maximum(setting.behind[window], 1e-3).max() < position[2] + 0.03:  # furniture before the hand
-                continue
-        number = GESTURES.index(kind) + 1 if kind in GESTURES else 0
-        return GestureFrame(depth, number, x, y, position, person, kind)
-
-
-def bystander(person: Person, room: Room, rng: np.random.Generator) -> tuple[Person, Array]:
-    """A second person who moves beside or behind the first."""
-    puppet = Puppet(person)
-    apply(puppet, movement(puppet, rng))
-    at = (float(rng.choice([-1, 1]) * rng.uniform(0.25, 1.1)), float(rng.uniform(0.3, max(0.5, room.wall))))
-    return person, in_world(puppet, rng.uniform(-3, 3), at)

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.evidence.body_parts import UNNAMED, assign_ends
-from hypose.evidence.frame import Detections
 from hypose.evidence.keypoints import triangulate_keypoints
 from hypose.geometry import Array, nearest_branch, so3_exp, so3_log
 from hypose.inference.hypotheses import Hypotheses
@@ -287,9 +286,3 @@ class DetectionCost:
 
 
 _GROUPS = ([0, 1, 2], [3, 4], [5, 6])
-
-
-def as_named(points: Array, names: tuple[str, ...], score: Array | None = None) -> Detections:
-    """Detections of a detector that knows what it saw: points (M, 3) m with names of END_NAMES."""
-    part = np.array([END_NAMES.index(n) for n in names], dtype=np.int32)
-    return Detections(points, np.ones(len(points)) if score is None else score, part)

@@ -164,45 +164,6 @@ def test_a_real_recording(hypose, shared_data, tmp_path):
     assert (tmp_path / "out" / "motion.trc").is_file() or (tmp_path / "out" / "person-1" / "motion.trc").is_file()
 
 
-@pytest.mark.parametrize(("people", "more"), [(1, ("--diagnose",)), (2, ())])
-def test_ctrl_c_within_a_clip_and_resume_give_the_same_bytes(hypose, rng, tmp_path, monkeypatch, people, more):
-    from hypose.app.commands import console
-
-    write_folder(recorded(rng, people=people, seconds=4), tmp_path / "rec")
-    whole, broken = tmp_path / "whole", tmp_path / "broken"
-    assert hypose("fuse", tmp_path / "rec", "--out", whole, *more)[0] == 0
-    shown, stages = console.Stages.__call__, []
-
-    def call(self, stage, done, total):
-        stages.append((stage, done))
-        if stage == "fuse" and done >= total * 5 // 8 and not resumed:
-            raise KeyboardInterrupt
-        shown(self, stage, done, total)
-
-    resumed = False
-    monkeypatch.setattr(console.Stages, "__call__", call)
-    code, out, _ = hypose("fuse", tmp_path / "rec", "--out", broken, *more)
-    assert code == 130 and "--resume" in out
-    assert [*broken.rglob("checkpoint.npz")]
-    resumed = True
-    stages.clear()
-    code, out, err = hypose("fuse", tmp_path / "rec", "--out", broken, "--resume", *more)
-    assert code == 0, err
-    assert 0 < [d for s, d in stages if s == "fuse"][0] or people > 1
-    files = [f.relative_to(whole) for f in whole.rglob("*") if f.suffix in (".npz", ".csv", ".trc")]
-    assert len(files) >= 3 * people and not [*broken.rglob("checkpoint.npz")]
-    for f in files:
-        assert (broken / f).read_bytes() == (whole / f).read_bytes(), f
-
-
-def test_a_checkpoint_of_another_run_is_refused(hypose, rng, tmp_path):
-    write_folder(recorded(rng, seconds=1), tmp_path / "rec")
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "checkpoint.npz").write_bytes(b"junk")
-    code, _, err = hypose("fuse", tmp_path / "rec", "--out", tmp_path / "out", "--resume")
-    assert code == 2 and "without --resume" in err and "Traceback" not in err
-
-
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [

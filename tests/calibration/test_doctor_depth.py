@@ -5,13 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.synthetic.depth_frames import empty_rooms, seen_before
 from hypose.calibration.diagnostics import Observed, examine
 from hypose.calibration.findings import depth_findings, seen_past
 from hypose.cameras.camera import CameraRig
 from hypose.geometry import se3
 from hypose.pipeline.first_look import first_look
 from hypose.pipeline.track_loop import FrameList
-from hypose.synthetic.depth_scenes import depth_scene, seen_before, to_profile, turning
+from hypose.synthetic.depth_scenes import depth_scene, to_profile, turning
 from hypose.synthetic.motions import act
 from hypose.synthetic.subjects import load_subjects
 
@@ -26,7 +27,7 @@ def frames_of(sensors="depth-2", seed=24, count=5, others=False):
     if others:
         q = act("walk", other, 3.0, 25.0, np.random.default_rng(seed + 100))
         scene = replace(scene, others=((other, replace(q, root=q.root + np.array([0.9, 0.2, 0]))),))
-    rooms, out = scene.backgrounds(3), []
+    rooms, out = empty_rooms(scene, 3), []
     for t in np.linspace(0, len(scene) - 1, count).round().astype(int).tolist():
         maps = [scene.depth_map(c, t) for c in range(len(scene.rig))]
         out.append(seen_before(rooms, maps, scene.rig, t / 25, t, people=others))

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.synthetic.depth_frames import depth_frames, empty_rooms
 from hypose.body.ready_bodies import human
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.depth_background import (
@@ -110,7 +111,7 @@ def overlap(a, b):
 
 
 def test_the_person_before_a_room_that_was_learnt(scene):
-    rooms = scene.backgrounds(8)
+    rooms = empty_rooms(scene, 8)
     for view in (0, 1):
         found = person_before(scene.depth_map(view, 4), rooms[view])
         assert overlap(found, scene.clean_map(view, 4)[1]) > 0.9
@@ -127,10 +128,10 @@ def test_the_person_on_the_floor_where_the_room_is_not_known(scene):
 
 
 def test_a_table_before_the_person_says_nothing_of_their_legs(scene):
-    free = next(scene.frames()).silhouettes
+    free = next(depth_frames(scene)).silhouettes
     assert free.ignored is None
     with_table = replace(scene, furniture=((0.0, -1.0, 1.0, 0.4, 0.7),))
-    hidden = next(with_table.frames()).silhouettes
+    hidden = next(depth_frames(with_table)).silhouettes
     person = scene.clean_map(0, 0)[1] > 0
     behind = person & (with_table.clean_map(0, 0)[1] == 0)
     assert behind.sum() > 300  # of the legs, from in front
@@ -145,7 +146,7 @@ def test_things_that_were_not_in_the_empty_room_are_told_by_who_walks_about():
     walk = act("walk", subject, 2.0, 25.0, np.random.default_rng(3))
     empty = depth_scene(moved(walk, 0.0, tuple(-walk.root[:, :2].mean(0))), subject, "depth-2", seed=4)
     chair = replace(empty, furniture=((0.5, 0.5, 0.5, 0.5, 0.9),))
-    for view, room in enumerate(empty.backgrounds(8)):
+    for view, room in enumerate(empty_rooms(empty, 8)):
         camera, at = chair.rig[view], range(0, len(walk), 4)
         again, area = with_still_things(room, [empty.depth_map(view, k) for k in at], camera)
         assert again is room and area == 0
@@ -156,7 +157,7 @@ def test_things_that_were_not_in_the_empty_room_are_told_by_who_walks_about():
         assert overlap(person_before(chair.depth_map(view, 25), room, camera.K[0, 0]), truth) < 0.75
     root = walk.root * [0, 0, 1]
     stays = replace(chair, performance=assemble("stays", subject, walk.times, walk.rotations, root))
-    room = empty.backgrounds(8)[0]  # who stays beside a thing cannot be told from it
+    room = empty_rooms(empty, 8)[0]  # who stays beside a thing cannot be told from it
     assert with_still_things(room, [stays.depth_map(0, k) for k in range(0, 50, 4)], stays.rig[0])[0] is room
 
 

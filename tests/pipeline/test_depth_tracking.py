@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.synthetic.depth_frames import depth_frames, empty_rooms, seen_before
 from hypose.body.ready_bodies import human
 from hypose.calibration.depth_registration import in_camera, place_error, refine_registration, rough_registration
 from hypose.cameras.camera import CameraRig
@@ -20,7 +21,7 @@ from hypose.pipeline.people_run import PeopleRun
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.verdict import UNTRUSTED
-from hypose.synthetic.depth_scenes import depth_scene, seen_before, to_profile, turning
+from hypose.synthetic.depth_scenes import depth_scene, to_profile, turning
 from hypose.synthetic.metrics import EVALUATED, population_offsets, with_offsets
 from hypose.synthetic.motions import act
 from hypose.synthetic.subjects import load_subjects
@@ -44,7 +45,7 @@ def error_mm(motion, scene):
 @pytest.mark.slow
 def test_one_depth_camera_gives_a_motion_without_a_given_start_or_body():
     scene = scene_of("walk", "depth-1", 1.6)
-    found = track_source(FrameList(list(scene.frames())), 25.0, TrackOptions(seed=1))
+    found = track_source(FrameList(list(depth_frames(scene))), 25.0, TrackOptions(seed=1))
     assert error_mm(found.motion, scene) < 60
     assert found.body.stature == pytest.approx(scene.subject.stature, rel=0.06)
     assert found.motion.joint_covariance is not None and np.isfinite(found.motion.joint_covariance).all()
@@ -83,7 +84,7 @@ def _solved_only(body):
 @pytest.mark.slow
 def test_the_same_seed_gives_the_same_motion_for_any_number_of_threads(monkeypatch):
     scene = scene_of("box", "depth-1", 0.2)
-    frames = list(scene.frames())
+    frames = list(depth_frames(scene))
     body = human()
     pose = known_pose(body, "standing")
     pose[:3] = scene.joints[0, 0]
@@ -121,7 +122,7 @@ def test_maps_of_another_scale_and_moved_cameras_are_told_by_the_floor(scale, lo
     if lower:
         moved = rig[0].camera_from_world @ se3(np.eye(3), np.array([0, 0, lower]))
         rig = CameraRig((replace(rig[0], camera_from_world=moved),))
-    rooms = [replace(r, depth=r.depth * np.float32(scale)) for r in scene.backgrounds(3)]
+    rooms = [replace(r, depth=r.depth * np.float32(scale)) for r in empty_rooms(scene, 3)]
     found = first_look(FrameList([seen_before(rooms, maps, rig, 0.0, 0)]), "silhouettes")
     assert [f.fault for f in found if f.kind == "floor"] == ([] if fault is None else [fault])
     assert all("sees the floor" in f.sentence and "depth-import" in f.sentence for f in found)
@@ -129,7 +130,7 @@ def test_maps_of_another_scale_and_moved_cameras_are_told_by_the_floor(scale, lo
 
 def test_a_camera_that_is_lowered_while_it_records_is_told_by_the_floor_of_the_end():
     scene = scene_of("walk", "depth-1", 0.2)
-    maps, rooms = [scene.depth_map(0, 0)], scene.backgrounds(3)
+    maps, rooms = [scene.depth_map(0, 0)], empty_rooms(scene, 3)
     down = se3(np.eye(3), np.array([0, 0, 0.2]))
     lowered = CameraRig((replace(scene.rig[0], camera_from_world=scene.rig[0].camera_from_world @ down),))
     frames = [seen_before(rooms, maps, rig, k / 25, k) for k, rig in enumerate((scene.rig, scene.rig, lowered))]
@@ -141,7 +142,7 @@ def lowered(scene, lower, nobody=False):
     """Frames with everybody in them, before cameras that are told to hang so many m lower than they do."""
     down = se3(np.eye(3), np.array([0, 0, lower]))
     rig = CameraRig(tuple(replace(c, camera_from_world=c.camera_from_world @ down) for c in scene.rig))
-    for f in scene.frames(people=True):
+    for f in depth_frames(scene, people=True):
         person = f.depth.person * (0 if nobody else 1)
         yield replace(
             f,
@@ -221,7 +222,7 @@ def test_two_sensors_are_brought_together_by_the_person():
         rig = CameraRig((replace(camera, camera_from_world=turned),))
         worlds.append(turned)
         clip = []
-        for f in scene.frames():
+        for f in depth_frames(scene):
             own = make_silhouettes([f.depth.person[c]], rig)
             seen = Depth(f.depth.maps[c][None], own.masks, rig, own.usable)
             clip.append(Frame(f.time + 2.0 * c, f.index, own, depth=seen))

@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
+from benchmarks.depth_gestures.gesture_pictures import TRAINING, picture
 from benchmarks.depth_gestures.gesture_scores import area_under_curve
 from hypose.compute import depth_sensor
 from hypose.gestures.depth_pictures import KINECT, surface_depth
 from hypose.gestures.events import average_precision
 from hypose.synthetic.gesture_people import SIDES, Puppet, load_people
 from hypose.synthetic.gesture_poses import GESTURES, gesture
-from hypose.synthetic.gesture_scenes import TRAINING, handedness, picture
+from hypose.synthetic.gesture_scenes import handedness
 
 LENS = (KINECT.fx, KINECT.fy, KINECT.cx, KINECT.cy)
 

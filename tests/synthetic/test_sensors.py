@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
+from benchmarks.synthetic import sensors as sim
 from benchmarks.synthetic.treadmill import treadmill_recording
-from hypose.compute import depth_sensor
+from hypose.app.live.simulated_sensors import ring_sensors
 from hypose.fusion import joints as jt
 from hypose.fusion.register import depth_at_joints
-from hypose.synthetic import sensors as sim
 
 
 @pytest.fixture(scope="module")
@@ -18,7 +18,7 @@ def test_rays_meet_capsules_where_they_should(rng):
     out = np.empty(4)
     to = np.array([[0, 0, 0.5], [2, 0, 0], [0, 0, 1.5], [0, 0, 1.05]]) - [0, -3, 0.5]
     directions = to / np.linalg.norm(to, axis=1, keepdims=True)
-    depth_sensor.cast_rays(np.array([0.0, -3, 0.5]), directions, capsule, out)
+    sim.cast_rays(np.array([0.0, -3, 0.5]), directions, capsule, out)
     assert out[0] == pytest.approx(2.9)
     hit = np.array([0, -3, 0.5]) + out[1] * directions[1]
     assert np.linalg.norm(hit - [2, 0, 0]) == pytest.approx(0.3)
@@ -75,7 +75,7 @@ def test_the_depth_map_and_the_joints_depth_tell_the_same(recording):
 
 def test_a_sensor_behind_exchanges_the_sides_in_episodes():
     base = treadmill_recording("B", np.random.default_rng(0))
-    cameras = sim.ring_sensors([0, 180])
+    cameras = ring_sensors([0, 180])
     seen = sim.simulate(
         base.truth, base.heading, cameras, np.random.default_rng(1), sim.SensorModel(drop_out=0), np.zeros((0, 7))
     )

@@ -13,7 +13,6 @@ from hypose.tracking.detection_kernels import (
     END_NAMES,
     DetectionCost,
     DetectorDriven,
-    as_named,
     ends_of,
     found_ends,
     limb_to,
@@ -28,11 +27,8 @@ HAND, HEAD, ANKLE = END_NAMES.index("left_hand"), END_NAMES.index("head"), END_N
 
 
 def with_detections(frame_of, body, pose, points, names=None, index=0):
-    found = (
-        Detections(np.asarray(points), np.ones(len(points)), np.full(len(points), -1, np.int32))
-        if names is None
-        else as_named(np.asarray(points), names)
-    )
+    part = [-1] * len(points) if names is None else [END_NAMES.index(n) for n in names]
+    found = Detections(np.asarray(points), np.ones(len(points)), np.array(part, dtype=np.int32))
     return replace(frame_of(body, pose, index), detections=found)
 
 

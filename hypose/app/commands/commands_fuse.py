@@ -62,9 +62,6 @@ def fuse(
         ),
     ] = None,
     seed: Seed = 0,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Go on where an interrupted run stopped.", rich_help_panel=_RECORDED)
-    ] = False,
     rate: Annotated[
         float | None, number("Frames per second of the result. [default: the sensor's; live: 30]", 1, 1000)
     ] = None,
@@ -127,10 +124,10 @@ def fuse(
 
     loaded = read_skeletons(recording)
     if cameras is not None:
-        if method != "fit" or resume or diagnose or reference is not None or rate is not None:
+        if method != "fit" or diagnose or reference is not None or rate is not None:
             raise InputError(
-                "With --cameras everything is one solve at the cameras' rate; leave --method, --reference, --rate, "
-                "--diagnose and --resume out."
+                "With --cameras everything is one solve at the cameras' rate; leave --method, --reference, --rate "
+                "and --diagnose out."
             )
         from hypose.app.jobs.job import Job
         from hypose.io.recordings.recording import load_recording
@@ -155,7 +152,6 @@ def fuse(
         up=up,
         diagnose=diagnose,
         seed=seed,
-        resume=resume,
         run={"threads": threads},
     )
     nothing = "Stopped before anything was fused, so nothing was kept. Start again with the same command."
@@ -177,10 +173,7 @@ def _closing(outcome: FuseOutcome, name: str, sensors: int, folder: Path) -> Non
         note(f"note: {text}")
     if not outcome.complete:
         kept = [str(f) for p in outcome.people for f in p.files]
-        if outcome.resumable:
-            kept.append("what was fused of the rest")
-        again = "Go on with the same command and --resume" if outcome.resumable else "Start again with the same command"
-        say(f"Stopped. Kept: {', '.join(kept) if kept else 'nothing'}. {again}.")
+        say(f"Stopped. Kept: {', '.join(kept) if kept else 'nothing'}. Start again with the same command.")
         return
     for n, p in enumerate(outcome.people):
         m = p.motion

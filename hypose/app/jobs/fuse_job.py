@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, cast
@@ -24,11 +23,10 @@ from hypose.fusion.fuse import METHODS, Fused, FusionSettings, fuse_clip
 from hypose.fusion.joints import COMMON, joint_set
 from hypose.fusion.people import PeopleTracker
 from hypose.fusion.register import Registration, check_same_person, common_joints, register, upright_axes, upward
-from hypose.fusion.state import ClipSoFar
 from hypose.geometry import Array, se3, transform
 from hypose.io.files import check_writable, write_text
 from hypose.io.motions.export import export_motion, known_formats
-from hypose.io.motions.results import Checkpoint, ResultsFolder, identity, provenance, save_motion, to_json
+from hypose.io.motions.results import ResultsFolder, provenance, save_motion, to_json
 from hypose.io.sensors.skeleton_streams import (
     SensorStream,
     SkeletonRecording,
@@ -50,8 +48,7 @@ class FuseJob:
     """recording; results; method: of fusion.fuse.METHODS; rate Hz of the result (None: the reference sensor's);
     reference: name of a sensor (None: the recording's); formats: of POINT_FORMATS; up: "person" (the mean direction
     from hips to neck) or "sensor" (the reference sensor's y axis); diagnose: the swarm's choice of sensors beside the
-    result; seed; resume: go on with the checkpoint of an interrupted run; checkpoint_s: seconds between checkpoints;
-    run: for the record only."""
+    result; seed; run: for the record only."""
 
     recording: SkeletonRecording
     results: ResultsFolder
@@ -62,8 +59,6 @@ class FuseJob:
     up: str = "person"
     diagnose: bool = False
     seed: int = 0
-    resume: bool = False
-    checkpoint_s: float = 10.0
     run: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -90,18 +85,16 @@ class PersonResult:
 
 @dataclass(frozen=True)
 class FuseOutcome:
-    """people in the order of appearance; notes for the user; complete False after Ctrl-C; resumable: a
-    checkpoint is on disk."""
+    """people in the order of appearance; notes for the user; complete False after Ctrl-C."""
 
     people: tuple[PersonResult, ...]
     notes: tuple[str, ...]
     complete: bool
-    resumable: bool = False
 
 
 def run_fuse(job: FuseJob, progress: ProgressCall = ignore) -> FuseOutcome:
-    """Synchronise, match persons, register, fuse, write. Each person's motion is on disk before the next is begun;
-    Ctrl-C leaves a checkpoint of the one under way."""
+    """Synchronise, match persons, register, fuse, write. Each person's motion is on disk before the next is
+    begun, and stays after Ctrl-C."""
     check_writable(job.results.path)
     notes = list(job.recording.notes)
     progress("prepare", 0, 1)
@@ -122,6 +115,7 @@ def run_fuse(job: FuseJob, progress: ProgressCall = ignore) -> FuseOutcome:
     several, total = len(people) > 1, len(people) * len(times)
     folders = [ResultsFolder(job.results.path / f"person-{n + 1}") for n in range(len(people))]
     folders = folders if several else [job.results]
+    settings = FusionSettings(method=job.method, diagnose=job.diagnose, seed=job.seed)
     done: list[PersonResult] = []
     world: Array | None = None
     try:
@@ -129,10 +123,13 @@ def run_fuse(job: FuseJob, progress: ProgressCall = ignore) -> FuseOutcome:
             seen = np.flatnonzero([np.isfinite(f.times).any() for f in whole])
             span = slice(int(seen[0]), int(seen[-1]) + 1) if len(seen) else slice(None)
             clip = whole[span]
-            made = _fuse(
-                job, clip, registration, folders[n].checkpoint, n, several,
-                lambda k, n=n: progress("fuse", n * len(times) + k, total),
-            )  # fmt: skip
+
+            def watch(frames: int, before: int = n * len(times)) -> None:
+                if frames % 16 == 0:
+                    progress("fuse", before + frames, total)
+
+            watch(0)
+            made = fuse_clip(clip, job.method, settings, registration, watch=watch)
             # instants at which no sensor saw the person have no time of their own
             made = replace(made, motion=replace(made.motion, times=times[span]))
             if world is None:
@@ -145,12 +142,9 @@ def run_fuse(job: FuseJob, progress: ProgressCall = ignore) -> FuseOutcome:
             # the body is for formats with poses, which the job has refused
             files = export_motion(person.motion, cast(Body, None), person.files[0].parent, job.formats)
             done[n] = replace(person, files=(*person.files, *files))
-        for folder in folders:
-            folder.checkpoint.unlink(missing_ok=True)
         progress("export", len(done), len(done))
     except KeyboardInterrupt:
-        begun = sum(f.checkpoint.exists() for f in folders)
-        return FuseOutcome(tuple(done), tuple(notes), False, begun > 0)
+        return FuseOutcome(tuple(done), tuple(notes), False)
     return FuseOutcome(tuple(done), tuple(notes), True)
 
 
@@ -248,49 +242,6 @@ def _registration(people: Sequence[Sequence[SensorJoints]], names: Sequence[str]
 
 
 # ---- fusion and files ------------------------------------------------------------------------------------------
-
-
-def _fuse(
-    job: FuseJob,
-    clip: Sequence[SensorJoints],
-    registration: Registration,
-    checkpoint: Path,
-    person: int,
-    keep: bool,
-    tell: Callable[[int], None],
-) -> Fused:
-    """One person, with a checkpoint every few seconds and when interrupted; `keep` leaves one of the whole clip, for
-    the case that the job is interrupted at another person."""
-    settings = FusionSettings(method=job.method, diagnose=job.diagnose, seed=job.seed)
-    asked = {k: getattr(job, k) for k in ("method", "rate", "reference", "diagnose")} | {"person": person}
-    # what must be equal to go on with a checkpoint
-    key = identity(provenance(f"fusion-{job.method}", job.seed, asked, job.recording.inputs))
-    done = Checkpoint.load(checkpoint, key).arrays if job.resume and checkpoint.exists() else None
-    last: ClipSoFar | None = None
-    saved = time.monotonic()
-    tell(0 if done is None else int(done["frames"]))
-
-    def save() -> None:
-        if last is not None:
-            Checkpoint(len(last.frames), last.arrays(), {}, key).save(checkpoint)
-
-    def watch(so_far: ClipSoFar) -> None:
-        nonlocal last, saved
-        last = so_far
-        if len(so_far.frames) % 16 == 0:
-            tell(len(so_far.frames))
-            if time.monotonic() - saved > job.checkpoint_s:
-                save()
-                saved = time.monotonic()
-
-    try:
-        fused = fuse_clip(clip, job.method, settings, registration, done=done, watch=watch)
-    except KeyboardInterrupt:
-        save()
-        raise
-    if keep:
-        save()
-    return fused
 
 
 def world_from_sensor(motion: Motion, up: str) -> Array:

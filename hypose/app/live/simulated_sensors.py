@@ -4,36 +4,49 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from itertools import count
 
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy.ndimage import gaussian_filter1d
 
-from hypose.evidence.frame import SensorReport
-from hypose.fusion.joints import COMMON
+from hypose.evidence.frame import TRACKED, SensorReport
+from hypose.fusion import joints as jt
+from hypose.geometry import Array, se3, so3_exp, transform
 from hypose.io.sensors.skeleton_streams import format_line
-from hypose.synthetic.sensors import (
-    FRAME_RATE,
-    SensorModel,
-    SensorRecording,
-    builtin_joints,
-    looped,
-    on_treadmill,
-    ring_sensors,
-    simulate,
-    turned,
-)
+from hypose.synthetic.motions import act
+from hypose.synthetic.subjects import load_subjects
 
+FRAME_RATE = 30.0
 MOST = 4
 _SECONDS = 16
 _ANGLES = {2: (0, 70), 3: (0, 65, -65), 4: (0, 80, -80, 180)}
 """Degrees around the person at which so many sensors stand; 0 = in front."""
-_MILD = SensorModel(jump_m=0.02, frozen=0.0, other_arm=0.0, drop_out=0.0, swaps=False)
-"""Sensors on a good day: what they get wholly wrong hides when it was, and a recording is brought in step by that."""
+_JITTER_M, _BIAS_M = 0.007, 0.015
+"""m: sd per axis of what a joint is off by in a frame, and of its constant error, which rides with the body."""
 _TURN = 0.9
 """Radians to which the person turns to either side."""
 _HURRIES, _HASTE = 4, 0.85
 """How often the person walks faster and slower meanwhile, and by which share: a walk that is always the same tells
 nobody whose clock is how late."""
+
+
+@dataclass(frozen=True)
+class SensorRecording:
+    """What K sensors report of one person in T frames, the 15 common joints: positions (T, K, 15, 3) m in each sensor's
+    frame; truth (T, 15, 3) m, world."""
+
+    positions: Array
+    truth: Array
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    @property
+    def sensor_names(self) -> tuple[str, ...]:
+        """sensor0, sensor1, ..."""
+        return tuple(f"sensor{k}" for k in range(self.positions.shape[1]))
 
 
 def simulated_sensors(sensors: int, rng: np.random.Generator) -> SensorRecording:
@@ -48,7 +61,11 @@ def simulated_sensors(sensors: int, rng: np.random.Generator) -> SensorRecording
     ahead = _HASTE * frames / (2 * np.pi * _HURRIES) * np.sin(_HURRIES * share)
     step = np.rint(np.arange(frames) + ahead).astype(int) % frames
     joints = turned(looped(walk, frames)[step], heading)
-    return simulate(joints, heading, ring_sensors(_ANGLES[sensors]), rng, _MILD, np.zeros((0, 7)))
+    seen = []
+    for camera in ring_sensors(_ANGLES[sensors]):
+        bias = np.broadcast_to(rng.normal(0, _BIAS_M, joints.shape[1:]), joints.shape)
+        seen.append(transform(camera, joints + turned(bias, heading) + rng.normal(0, _JITTER_M, joints.shape)))
+    return SensorRecording(np.stack(seen, 1), joints)
 
 
 async def send(recording: SensorRecording, take: Callable[[str], object], rng: np.random.Generator) -> None:
@@ -67,6 +84,76 @@ async def send(recording: SensorRecording, take: Callable[[str], object], rng: n
 
 
 def _line(recording: SensorRecording, frame: int, sensor: int, names: Sequence[str], time: float) -> str:
-    positions, state = recording.positions[frame, sensor], recording.state[frame, sensor]
-    seen = 0 if np.isfinite(positions).all(1).any() else None
-    return format_line(SensorReport(names[sensor], time, seen, COMMON, positions, state))
+    positions = recording.positions[frame, sensor]
+    state = np.full(len(jt.COMMON), TRACKED, dtype=np.uint8)
+    return format_line(SensorReport(names[sensor], time, 0, jt.COMMON, positions, state))
+
+
+def ring_sensors(angles_deg: ArrayLike, distance: float = 2.5, height: float = 1.1) -> Array:
+    """camera_from_world (K, 4, 4) of sensors around the origin, looking at it 1 m above the floor; 0 = in front of a
+    person who faces -y, positive towards the person's left."""
+    out = []
+    for a in np.radians(np.atleast_1d(np.asarray(angles_deg, dtype=np.float64))):
+        eye = np.array([np.sin(a) * distance, -np.cos(a) * distance, height])
+        z = np.array([0, 0, 1.0]) - eye
+        z /= np.linalg.norm(z)
+        x = np.cross(z, [0, 0, 1.0])
+        x /= np.linalg.norm(x)
+        r = np.stack([x, np.cross(z, x), z])
+        out.append(se3(r, -r @ eye))
+    return np.array(out)
+
+
+def builtin_joints(name: str, seconds: float, rng: np.random.Generator) -> Array:
+    """(T, 15, 3) m, z up, of a built-in motion of one of the test subjects at 30 Hz."""
+    subjects = list(load_subjects().values())
+    performance = act(name, subjects[int(rng.integers(len(subjects)))], seconds, FRAME_RATE, rng)
+    j = performance.joints[:, jt.BODY_JOINT].copy()
+    shoulders, hips = j[:, [jt.LEFT_SHOULDER, jt.RIGHT_SHOULDER]], j[:, [jt.LEFT_HIP, jt.RIGHT_HIP]]
+    j[:, jt.TORSO] = (shoulders.mean(1) + hips.mean(1)) / 2
+    return j
+
+
+def on_treadmill(joints: Array) -> Array:
+    """The motion (T, 15, 3) m in any axes without its travel and turning: z up, facing -y, feet on the floor."""
+    hips = (joints[:, jt.LEFT_HIP] + joints[:, jt.RIGHT_HIP]) / 2
+    up = np.median(joints[:, jt.NECK] - hips, axis=0)
+    up /= np.linalg.norm(up)
+    side = joints[:, jt.LEFT_SHOULDER] - joints[:, jt.RIGHT_SHOULDER] + joints[:, jt.LEFT_HIP] - joints[:, jt.RIGHT_HIP]
+    side = gaussian_filter1d(side, 15, axis=0, mode="nearest")
+    side -= (side @ up)[:, None] * up
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    back = np.cross(up, side)
+    r = np.stack([side, back, np.broadcast_to(up, side.shape)], 1)
+    centre = gaussian_filter1d(hips, 12, axis=0, mode="nearest")
+    centre = centre - (centre @ up)[:, None] * up
+    out = np.einsum("tij,tnj->tni", r, joints - centre[:, None])
+    out[..., 2] -= np.percentile(out[:, [jt.LEFT_FOOT, jt.RIGHT_FOOT], 2], 2) - 0.08
+    return out
+
+
+def looped(joints: Array, frames: int, blend: int = 8) -> Array:
+    """An endless motion: the clip is repeated between its two most similar frames, cross-faded."""
+    t = len(joints)
+    flat = joints.reshape(t, -1)
+    velocity = np.diff(flat, axis=0, append=flat[-1:])
+    best = (np.inf, 0, t - 1)
+    for a in range(2, max(3, t // 3)):
+        b = np.arange(max(a + 20, t // 2), t - blend - 1)
+        if len(b):
+            d = ((flat[b] - flat[a]) ** 2).sum(1) + 25 * ((velocity[b] - velocity[a]) ** 2).sum(1)
+            if d.min() < best[0]:
+                best = (float(d.min()), a, int(b[d.argmin()]))
+    _, a, b = best
+    segment = joints[a:b].copy()
+    m = min(blend, a)
+    for i in range(m):
+        w = (i + 1) / (m + 1)
+        segment[len(segment) - m + i] = (1 - w) * segment[len(segment) - m + i] + w * joints[a - m + i]
+    return np.concatenate([segment] * (frames // len(segment) + 1))[:frames]
+
+
+def turned(joints: Array, heading: Array) -> Array:
+    """Joints (T, 15, 3) turned about the vertical by heading (T,) rad."""
+    r = so3_exp(heading[:, None] * np.array([0, 0, 1.0]))
+    return np.einsum("tij,tnj->tni", r, joints)

@@ -106,7 +106,7 @@ def plan(kind: str, request: Mapping[str, Any], catalog: Catalog) -> Plan:
         item = catalog.find("skeletons", _id(request, "skeletons"))
         out = _inside(catalog, item, fused_in(item.path))
         command = ("fuse", str(item.path), "--out", str(out))
-        return Plan(command, title.format(item.path.name), None, catalog.id_of("result", out), True)
+        return Plan(command, title.format(item.path.name), None, catalog.id_of("result", out))
     if kind == "correct":
         return _correct(catalog.find("result", _id(request, "result")), options, catalog)
     item = catalog.find("recording", _id(request, "recording"))

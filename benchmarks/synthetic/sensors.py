@@ -9,20 +9,18 @@ are not what a particular sensor will give.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
+import numba
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import gaussian_filter1d
+from numpy.typing import NDArray
 
-from hypose import compute
+from hypose.app.live.simulated_sensors import FRAME_RATE, turned
 from hypose.evidence.frame import INFERRED, NOT_TRACKED, TRACKED, SensorJoints
 from hypose.fusion import joints as jt
-from hypose.geometry import Array, se3, se3_inverse, so3_exp, transform
-from hypose.synthetic.motions import act
-from hypose.synthetic.subjects import load_subjects
+from hypose.geometry import Array, se3_inverse, transform
 
-FRAME_RATE = 30.0
 BACKGROUND_M = 4.5
 """Distance of the wall behind the person."""
 LARGEST_DEPTH_NOISE = 1.4e-3
@@ -128,7 +126,7 @@ class SensorRecording:
         directions = (rays / norm[:, None]) @ world_from_camera[:3, :3].T
         capsules = np.concatenate([body_capsules(self.truth[frame]), self.bars])
         out = np.empty(len(rays))
-        compute.depth_sensor.cast_rays(world_from_camera[:3, 3].copy(), directions, capsules, out)
+        cast_rays(world_from_camera[:3, 3].copy(), directions, capsules, out)
         return np.minimum(out / norm, BACKGROUND_M).reshape(u.shape)
 
 
@@ -145,77 +143,85 @@ def body_capsules(joints: Array) -> Array:
     return np.concatenate([joints[..., a, :], joints[..., b, :], radius], -1)
 
 
-def ring_sensors(angles_deg: ArrayLike, distance: float = 2.5, height: float = 1.1) -> Array:
-    """camera_from_world (K, 4, 4) of sensors around the origin, looking at it 1 m above the floor; 0 = in front of a
-    person who faces -y, positive towards the person's left."""
-    out = []
-    for a in np.radians(np.atleast_1d(np.asarray(angles_deg, dtype=np.float64))):
-        eye = np.array([np.sin(a) * distance, -np.cos(a) * distance, height])
-        z = np.array([0, 0, 1.0]) - eye
-        z /= np.linalg.norm(z)
-        x = np.cross(z, [0, 0, 1.0])
-        x /= np.linalg.norm(x)
-        r = np.stack([x, np.cross(z, x), z])
-        out.append(se3(r, -r @ eye))
-    return np.array(out)
+compiled = numba.njit(error_model="numpy")
+_FAR = 1e9
+"""Distance along a ray that meets nothing."""
 
 
-# ---------------------------------------------------------------- motions
+@compiled
+def _capsule(origin: Array, dx: float, dy: float, dz: float, capsule: Array, c: int) -> float:
+    """Distance along a unit ray to capsule c (a, b, radius), _FAR when it misses. After I. Quilez's closed form."""
+    ax, ay, az = capsule[c, 0], capsule[c, 1], capsule[c, 2]
+    bx, by, bz = capsule[c, 3] - ax, capsule[c, 4] - ay, capsule[c, 5] - az
+    ox, oy, oz = origin[0] - ax, origin[1] - ay, origin[2] - az
+    r2 = capsule[c, 6] * capsule[c, 6]
+    length = bx * bx + by * by + bz * bz
+    if length > 1e-12:
+        bd = bx * dx + by * dy + bz * dz
+        bo = bx * ox + by * oy + bz * oz
+        rd = dx * ox + dy * oy + dz * oz
+        oo = ox * ox + oy * oy + oz * oz
+        a = length - bd * bd
+        q = length * rd - bo * bd
+        s = q * q - a * (length * oo - bo * bo - r2 * length)
+        if a > 1e-12:
+            if s < 0:
+                return _FAR
+            t = (-q - math.sqrt(s)) / a
+            y = bo + t * bd
+            if 0 < y < length and t > 0:
+                return t
+            if y > 0:
+                ox, oy, oz = ox - bx, oy - by, oz - bz
+    rd = dx * ox + dy * oy + dz * oz
+    s = rd * rd - (ox * ox + oy * oy + oz * oz - r2)
+    if s > 0:
+        t = -rd - math.sqrt(s)
+        if t > 0:
+            return t
+    return _FAR
 
 
-def builtin_joints(name: str, seconds: float, rng: np.random.Generator) -> Array:
-    """(T, 15, 3) m, z up, of a built-in motion of one of the test subjects at 30 Hz."""
-    subjects = list(load_subjects().values())
-    performance = act(name, subjects[int(rng.integers(len(subjects)))], seconds, FRAME_RATE, rng)
-    j = performance.joints[:, jt.BODY_JOINT].copy()
-    shoulders, hips = j[:, [jt.LEFT_SHOULDER, jt.RIGHT_SHOULDER]], j[:, [jt.LEFT_HIP, jt.RIGHT_HIP]]
-    j[:, jt.TORSO] = (shoulders.mean(1) + hips.mean(1)) / 2
-    return j
+@compiled
+def cast_rays(origin: Array, directions: Array, capsules: Array, out: Array) -> None:
+    """Unit directions (N, 3) from origin (3,) against capsules (C, 7) = a, b, radius in m -> out (N,) distance along
+    the ray to the first surface, _FAR when there is none."""
+    for n in range(directions.shape[0]):
+        nearest = _FAR
+        for c in range(capsules.shape[0]):
+            t = _capsule(origin, directions[n, 0], directions[n, 1], directions[n, 2], capsules, c)
+            if t < nearest:
+                nearest = t
+        out[n] = nearest
 
 
-def on_treadmill(joints: Array) -> Array:
-    """The motion (T, 15, 3) m in any axes without its travel and turning: z up, facing -y, feet on the floor."""
-    hips = (joints[:, jt.LEFT_HIP] + joints[:, jt.RIGHT_HIP]) / 2
-    up = np.median(joints[:, jt.NECK] - hips, axis=0)
-    up /= np.linalg.norm(up)
-    side = joints[:, jt.LEFT_SHOULDER] - joints[:, jt.RIGHT_SHOULDER] + joints[:, jt.LEFT_HIP] - joints[:, jt.RIGHT_HIP]
-    side = gaussian_filter1d(side, 15, axis=0, mode="nearest")
-    side -= (side @ up)[:, None] * up
-    side /= np.linalg.norm(side, axis=1, keepdims=True)
-    back = np.cross(up, side)
-    r = np.stack([side, back, np.broadcast_to(up, side.shape)], 1)
-    centre = gaussian_filter1d(hips, 12, axis=0, mode="nearest")
-    centre = centre - (centre @ up)[:, None] * up
-    out = np.einsum("tij,tnj->tni", r, joints - centre[:, None])
-    out[..., 2] -= np.percentile(out[:, [jt.LEFT_FOOT, jt.RIGHT_FOOT], 2], 2) - 0.08
-    return out
-
-
-def looped(joints: Array, frames: int, blend: int = 8) -> Array:
-    """An endless motion: the clip is repeated between its two most similar frames, cross-faded."""
-    t = len(joints)
-    flat = joints.reshape(t, -1)
-    velocity = np.diff(flat, axis=0, append=flat[-1:])
-    best = (np.inf, 0, t - 1)
-    for a in range(2, max(3, t // 3)):
-        b = np.arange(max(a + 20, t // 2), t - blend - 1)
-        if len(b):
-            d = ((flat[b] - flat[a]) ** 2).sum(1) + 25 * ((velocity[b] - velocity[a]) ** 2).sum(1)
-            if d.min() < best[0]:
-                best = (float(d.min()), a, int(b[d.argmin()]))
-    _, a, b = best
-    segment = joints[a:b].copy()
-    m = min(blend, a)
-    for i in range(m):
-        w = (i + 1) / (m + 1)
-        segment[len(segment) - m + i] = (1 - w) * segment[len(segment) - m + i] + w * joints[a - m + i]
-    return np.concatenate([segment] * (frames // len(segment) + 1))[:frames]
-
-
-def turned(joints: Array, heading: Array) -> Array:
-    """Joints (T, 15, 3) turned about the vertical by heading (T,) rad."""
-    r = so3_exp(heading[:, None] * np.array([0, 0, 1.0]))
-    return np.einsum("tij,tnj->tni", r, joints)
+@compiled
+def seen_share(
+    origin: Array,
+    joints: Array,
+    offsets: Array,
+    capsules: Array,
+    own: NDArray[np.bool_],
+    margin: float,
+    out: Array,
+) -> None:
+    """Share of the points joint + offset (offsets (Q, 3) m) that a sensor at origin sees: joints (J, 3), capsules
+    (C, 7), own (J, C): capsules that hold the joint and never hide it -> out (J,)."""
+    for j in range(joints.shape[0]):
+        seen = 0
+        for q in range(offsets.shape[0]):
+            dx = joints[j, 0] + offsets[q, 0] - origin[0]
+            dy = joints[j, 1] + offsets[q, 1] - origin[1]
+            dz = joints[j, 2] + offsets[q, 2] - origin[2]
+            d = math.sqrt(dx * dx + dy * dy + dz * dz)
+            hidden = False
+            for c in range(capsules.shape[0]):
+                if not own[j, c] and _capsule(origin, dx / d, dy / d, dz / d, capsules, c) < d - margin:
+                    hidden = True
+                    break
+            if not hidden:
+                seen += 1
+        out[j] = seen / offsets.shape[0]
 
 
 # ---------------------------------------------------------------- what sensors make of it
@@ -266,7 +272,7 @@ def _seen(joints: Array, eye: Array, capsules: Array) -> Array:
     offsets = 0.028 * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
     out = np.empty(joints.shape[:2])
     for t in range(len(joints)):
-        compute.depth_sensor.seen_share(eye, joints[t], offsets, capsules[t], own, 0.02, out[t])
+        seen_share(eye, joints[t], offsets, capsules[t], own, 0.02, out[t])
     return out
 
 
@@ -356,7 +362,7 @@ def _depth_at(
     direction = ray / distance[..., None]
     hit = np.empty(distance.shape)
     for t in range(len(reported)):
-        compute.depth_sensor.cast_rays(eye, direction[t], capsules[t], hit[t])
+        cast_rays(eye, direction[t], capsules[t], hit[t])
     hit = np.minimum(hit, BACKGROUND_M)
     hit += rng.normal(0, 1, hit.shape) * LARGEST_DEPTH_NOISE * hit * hit
     out = hit * (direction @ axis)
