@@ -73,7 +73,7 @@ def test_masks_that_are_all_foreground_are_no_evidence(hypose, masks, tmp_path):
     assert np.isfinite(motion.poses).all()
 
 
-@pytest.mark.parametrize("command", [("track",), ("batch",), ("fuse",), ("export",), ("gesture", "test"), ("check",)])
+@pytest.mark.parametrize("command", [("track",), ("batch",), ("fuse",), ("export",), ("gesture", "run"), ("check",)])
 def test_a_name_that_no_file_can_have_is_told_in_a_sentence(hypose, command):
     code, _, err = hypose(*command, "a" * 300)
     assert code == 2 and "too long for the name of a file" in " ".join(err.split())

@@ -1,4 +1,4 @@
-"""`hypose gesture`: record, train, test, run, export and evaluate detectors of still gestures in depth."""
+"""`hypose gesture`: record, train, run, export and evaluate detectors of still gestures in depth."""
 
 from __future__ import annotations
 
@@ -56,7 +56,6 @@ def train(
     source: SourceOption = "simulated",
     rounds: Rounds = 3,
     passes: Annotated[int, number("Over the recordings.", 1, 100)] = 1,
-    offline: Annotated[bool, typer.Option("--offline", help="Boosted trees from all frames at once.")] = False,
     resume: Annotated[Path | None, typer.Option(help="Model whose trees go on growing.")] = None,
     record_to: Annotated[Path | None, typer.Option("--record", help="New folder to record a live session to.")] = None,
     seed: Seed = 0,
@@ -65,7 +64,6 @@ def train(
     from hypose.app.jobs.gesture_job import (
         growing_model,
         in_cm2,
-        learn_offline,
         learn_recordings,
         new_learner,
         replaced_model,
@@ -80,10 +78,6 @@ def train(
 
     if out.suffix != ".npz":
         raise InputError(f"{out} is no name for a model; give one that ends in .npz.")
-    if offline and not recording:
-        raise InputError("--offline learns from recordings; name them with --recording.")
-    if offline and resume is not None:
-        raise InputError("--offline makes a new forest, which --resume cannot go on with; leave one of the two out.")
     if recording and record_to is not None:
         raise InputError("--record is for live sessions, and --recording learns from one that is there; give one.")
     check_writable(out.parent)
@@ -94,10 +88,7 @@ def train(
     learner = old.learner if old is not None and old.learner is not None else new_learner(seed)
     if recording:
         loaded = [read_recording(r) for r in recording]
-        if offline:
-            model = learn_offline(loaded, gesture, seed)
-        else:
-            model = learn_recordings(loaded, gesture, learner, passes, note, old)
+        model = learn_recordings(loaded, gesture, learner, passes, note, old)
     else:
         settings, opened = SessionSettings(rounds=rounds), open_source(source, gesture, seed)
         note(_LETTERS)
@@ -159,40 +150,6 @@ def run(
                 break
 
 
-@app.command(short_help="Try a model: what it finds in every frame.")
-def test(
-    model: Annotated[Path, typer.Argument(help="Model file.")],
-    source: SourceOption = "simulated",
-    frames: Frames = 40,
-    seed: Seed = 0,
-) -> None:
-    """Try a model: what it finds in every frame, as JSON lines."""
-    import json
-
-    from hypose.app.jobs.gesture_job import looking, watch
-    from hypose.app.live.gesture_sources import open_source
-    from hypose.gestures.events import EventSettings
-    from hypose.pipeline.gesture_files import load_model
-
-    loaded = load_model(model)
-    limits = [EventSettings(t or float("inf")) for t in loaded.thresholds]
-    opened = open_source(source, loaded.names[0], seed)
-    for k, watched in enumerate(watch(opened, [loaded], looking([loaded]), limits, note), 1):
-        for f in watched.found:
-            value = {
-                "time": round(watched.time, 4),
-                "gesture": loaded.names[f.gesture - 1],
-                "score": round(f.score, 3),
-                "accepted": f.score >= limits[f.gesture - 1].threshold,
-                "x": round(f.x, 1),
-                "y": round(f.y, 1),
-                "position": None if f.position is None else [round(float(v), 4) for v in f.position],
-            }
-            print(json.dumps(value))
-        if frames and k >= frames:
-            break
-
-
 @app.command(short_help="Write a forest as files that need no hypose.")
 def export(
     model: Annotated[Path, typer.Argument(help="Model file.")],
@@ -227,17 +184,3 @@ def evaluate(
         values = gesture_job.evaluate(loaded, session)
         progress("check", 1, 1)
     print(json.dumps({k: round(v, 4) for k, v in values.items()}, indent=2))
-
-
-@app.command("studio", short_help="Teach gestures in the browser.")
-def studio(
-    folder: Annotated[
-        Path, typer.Argument(help="Folder for sessions and models.", show_default="this folder")
-    ] = Path(),
-    port: Annotated[int, number("Port of this computer; 0 takes any free one.", 0, 65535)] = 8765,
-    no_browser: Annotated[bool, typer.Option("--no-browser", help="Do not open the page.")] = False,
-) -> None:
-    """Teach gestures on a page: live picture, prompts, scores, undo, test (hypose view, opened at the trainer)."""
-    from hypose.app.commands.commands_studio import open_studio
-
-    open_studio(folder, "gesture", port=port, browser=not no_browser)

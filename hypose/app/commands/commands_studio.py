@@ -35,19 +35,6 @@ def view(
 ) -> None:
     """Open the studio: results in 3D with their pictures, corrections by clicks, gestures, new recordings."""
     set_threads(threads)
-    open_studio(what, "", host=host, port=port, token=token, browser=not no_browser)
-
-
-def open_studio(
-    what: Path,
-    screen: str,
-    *,
-    port: int,
-    browser: bool,
-    host: str = "127.0.0.1",
-    token: str | None = None,
-) -> None:
-    """Serve the folder of `what` until Ctrl-C; screen: what the page shows first, by default what fits `what`."""
     from hypose.app.studio.server import NOT_BUILT, STATIC, StudioOptions, run
 
     if not what.exists():
@@ -57,10 +44,10 @@ def open_studio(
     root, shown = _place(what)
 
     def ready(address: str) -> None:
-        page = address + (f"#/{screen or shown}" if screen or shown else "")
+        page = address + (f"#/{shown}" if shown else "")
         say(f"Studio: {page}")
         note(f"Shows {root}. Stop with Ctrl-C.")
-        if browser:
+        if not no_browser:
             import webbrowser
 
             webbrowser.open(page)

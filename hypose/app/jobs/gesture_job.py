@@ -20,11 +20,9 @@ from hypose.gestures.events import Event, EventSettings, EventState, average_pre
 from hypose.gestures.forest import Forest, ForestSettings, GrowingForest
 from hypose.gestures.localise import Found, LocaliseSettings, Scratch, localise
 from hypose.gestures.model import GestureModel
-from hypose.gestures.offline import OfflineSettings, collect, train
 from hypose.gestures.online import Learner
-from hypose.gestures.pixels import LearnSettings
 from hypose.gestures.session import Command, Instruction, SessionSettings
-from hypose.gestures.trainer import Feedback, Trainer, half_way
+from hypose.gestures.trainer import Feedback, Trainer
 from hypose.pipeline.gesture_files import GestureRecording, SessionWriter, content_of, load_model
 
 Say = Callable[[str], None]
@@ -67,7 +65,7 @@ def growing_model(path: Path, gesture: str) -> GestureModel:
     """The model of a gesture, to go on teaching it; InputError when it is finished or another gesture's."""
     model = load_model(path)
     if model.learner is None:
-        raise InputError(f"{path} is a finished forest (trained offline); only a growing one can be resumed.")
+        raise InputError(f"{path} is a finished forest; only a growing one can be resumed.")
     if model.names != (gesture,):
         raise InputError(f"{path} is of {', '.join(model.names)}, not of {gesture}; give the model of that gesture.")
     return model
@@ -237,25 +235,6 @@ _NOTHING = (
     "The recordings hold no frame of {gesture!r} with depth {where} at the marked place; record a session of it with "
     "`hypose gesture record`."
 )
-
-
-def learn_offline(recordings: Sequence[GestureRecording], gesture: str, seed: int) -> GestureModel:
-    """Boosted trees from all frames at once. The threshold is found on the frames they were trained with, hence on the
-    high side for others."""
-    rng = np.random.default_rng(seed)
-    every = [e for r in recordings for e in r.examples(gesture)]
-    pool = collect(every, rng, positives=20, negatives=20)
-    if not pool.labels.any():
-        raise InputError(_NOTHING.format(gesture=gesture, where=_range(LearnSettings().look.plan)))
-    forest = train(pool, rng, OfflineSettings())
-    scores: tuple[list[float], list[float]] = ([], [])
-    for e in every:
-        scores[e.gesture].append(localise(e.depth, e.lens, [forest])[0].score)
-    history = tuple(
-        {"recording": r.folder.name, "learning": "offline boosted", "content": r.content} for r in recordings
-    )
-    threshold = half_way(scores[1], scores[0])
-    return GestureModel((gesture,), forest, (threshold,), LocaliseSettings(), None, history)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import socket
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
-from hypose.app.commands.commands_studio import open_studio
+from hypose.app.commands.commands_studio import view
 from hypose.app.studio import server as studio_server
 from hypose.app.studio.guard import token_for
 from tests.app.studio.conftest import serving
@@ -198,9 +198,8 @@ def test_view_says_why_it_cannot_start(hypose, monkeypatch, served, tmp_path):
     code, _, err = hypose("view", served, "--port", 70000)
     assert code == 2 and "--port" in err
     monkeypatch.setattr(studio_server, "STATIC", tmp_path)
-    for command in (("view",), ("gesture", "studio")):
-        code, _, err = hypose(*command, served)
-        assert code == 2 and "hatch_build.py" in err
+    code, _, err = hypose("view", served)
+    assert code == 2 and "hatch_build.py" in err
     (tmp_path / "index.html").write_text("page")
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
@@ -215,7 +214,7 @@ def test_a_recording_with_results_opens_in_view(folder, monkeypatch, capsys):
     def opened(path):
         monkeypatch.setattr(studio_server, "STATIC", folder)
         monkeypatch.setattr(studio_server, "run", lambda options, ready: ready("http://here/"))
-        open_studio(path, "", port=0, browser=False)
+        view(path, port=0, no_browser=True)
         return capsys.readouterr().out.split("#/")[1].split("/")[0].strip()
 
     assert opened(folder / "walk") == "view"
