@@ -293,7 +293,7 @@ def _draw(
     seconds: Mapping[str, float],
 ) -> list[Path]:
     """Overlay and report."""
-    from hypose.app.reports.overlay import PictureRows, Shown, write_modes_overlay, write_overlay
+    from hypose.app.reports.overlay import PictureRows, Shown, write_overlay
     from hypose.app.reports.report import draw
     from hypose.app.studio.view_bundle import Rivals, ViewResult, pictured
 
@@ -315,13 +315,9 @@ def _draw(
     )
 
     def overlay(path: Path, wanted: PictureRows) -> Shown:
-        if modes is not None:
-            return write_modes_overlay(path, recording, motion, modes, body, wanted, progress)
         return write_overlay(path, recording, source, motion, body, wanted, progress)
 
-    caption = "Frame {}" if modes is None else "Frame {}, and all modes from the side"
-
-    return draw(job.results, about, overlay, files, (job.overlay, job.report), caption, progress)
+    return draw(job.results, about, overlay, files, (job.overlay, job.report), progress)
 
 
 def remove_stale(results: ResultsFolder, written: Sequence[Path]) -> None:

@@ -145,7 +145,7 @@ def _one_report(
         return write_overlay(path, job.recording, source, motion, body, wanted, progress)
 
     if job.report:
-        files += draw(own.results, about, overlay, mine, (False, True), "Frame {}", progress)
+        files += draw(own.results, about, overlay, mine, (False, True), progress)
     remove_stale(own.results, [*mine, *files])
     return files
 

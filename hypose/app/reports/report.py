@@ -52,11 +52,10 @@ def draw(
     overlay: Callable[[Path, PictureRows], Shown],
     written: Sequence[Path],
     wanted: tuple[bool, bool],
-    caption: str,
     progress: ProgressCall,
 ) -> list[Path]:
     """Write overlay.mp4 and report.html of a finished motion, where they are wanted; returns their paths. overlay:
-    draws pictures of rows; written: the files there are already; caption: of a still, {} its frame's number."""
+    draws pictures of rows; written: the files there are already."""
     video, reported = wanted
     path, report = results.file("overlay.mp4"), results.file("report.html")
     rows = _rows(result, video) if reported else PictureRows(video)
@@ -66,7 +65,7 @@ def draw(
         return out
     progress("report", 0, 1)
     files = [(p.name, DESCRIPTIONS.get(p.name, ""), 0) for p in [*written, *out, report]]
-    stills = [(caption.format(result.first_frame + r), shown.stills[r]) for r in rows.stills]
+    stills = [(f"Frame {result.first_frame + r}", shown.stills[r]) for r in rows.stills]
     write_text(report, report_html(replace(result, files=files), Drawn(stills, shown.small)))
     progress("report", 1, 1)
     return [*out, report]
