@@ -14,7 +14,7 @@ def texts_of(picture):
 
 
 def test_any_name_may_stand_in_a_chart():
-    axes = Axes("\x1b[31mMädchen 走る\x07 <b>", names=["a & b", "c"])
+    axes = Axes("\x1b[31mMädchen 走る\x07 <b>", "a & b")
     axes.line(np.array([0.0, 1.0]), np.array([0.0, 1.0]), LEFT, "\x1b<i>")
     texts = texts_of(chart([[axes]], 200))
     assert "\\x1b[31mMädchen 走る\\x07 <b>" in texts and "a & b" in texts and "■ \\x1b<i>" in texts

@@ -18,7 +18,7 @@ from hypose.pipeline.gait import PERCENT, AngleCycle
 
 LEFT, RIGHT, INK, GREEN, VIOLET = "#d9731a", "#2679c0", "currentColor", "#2a9d6f", "#8e4ec6"
 LOST, EXTRAPOLATED = "#d62f2f", "#e0a800"
-_LETTER, _LINE = 6.2, 15.0  # px of a letter, about, and of a line of text
+_LINE = 15.0  # px of a line of text
 _MAX_POINTS = 3000
 
 
@@ -27,9 +27,7 @@ class Axes:
 
     title, x, y: texts
     low, high: ends of the y axis (None: by what is drawn)
-    span: ends of the x axis (None: by what is drawn)
     least: length of the y axis
-    names: of the rows 0, 1, ... from the top, in place of numbers at the y axis
     equal: a unit is as long upwards as across
     """
 
@@ -41,13 +39,11 @@ class Axes:
         *,
         low: float | None = None,
         high: float | None = None,
-        span: tuple[float, float] | None = None,
         least: float = 1e-9,
-        names: Sequence[str] = (),
         equal: bool = False,
     ) -> None:
-        self.title, self.x, self.y, self.names = title, x, y, names
-        self._low, self._high, self._span, self._least, self._equal = low, high, span, least, equal
+        self.title, self.x, self.y = title, x, y
+        self._low, self._high, self._least, self._equal = low, high, least, equal
         self._marks: list[tuple[str, Array, str]] = []  # kind, points (N, 2), SVG attributes
         self._legend: dict[str, str] = {}  # colour by label
 
@@ -81,7 +77,7 @@ class Axes:
 
     def svg(self, x: float, y: float, w: float, h: float) -> str:
         """The panel in a box of w x h px whose upper left corner is (x, y)."""
-        left = max([38 + (_LINE if self.y else 0.0), *(10 + _LETTER * len(name) for name in self.names)])
+        left = 38 + (_LINE if self.y else 0.0)
         head, foot = 22, 18 + (_LINE if self.x else 0.0)
         legend = " ".join(f'<tspan fill="{c}">&#9632; {_plain(name)}</tspan>' for name, c in self._legend.items())
         out = [f'<text x="{x + w - 10:.1f}" y="{y + 13:.1f}" text-anchor="end">{legend}</text>' if legend else ""]
@@ -91,11 +87,10 @@ class Axes:
         x, y, w, h = x + left, y + head, w - left - 10, h - head - foot
         low, high = self._limits(np.array([w, h]))
         scale = np.array([w, -h]) / (high - low)
-        ticks = range(len(self.names)) if self.names else _ticks(low[1], high[1], max(3, h / 26))
-        for k, value in enumerate(ticks):
+        for value in _ticks(low[1], high[1], max(3, h / 26)):
             at = y + h + (value - low[1]) * scale[1]
             out.append(f'<path d="M{x:.1f} {at:.1f}h{w:.1f}" stroke="currentColor" stroke-opacity="0.15"/>')
-            out.append(_text(x - 5, at + 4, self.names[k] if self.names else f"{value:.6g}", "end"))
+            out.append(_text(x - 5, at + 4, f"{value:.6g}", "end"))
         for value in _ticks(low[0], high[0], max(3, w / 70)):
             at = x + (value - low[0]) * scale[0]
             out.append(f'<path d="M{at:.1f} {y:.1f}v{h:.1f}" stroke="currentColor" stroke-opacity="0.15"/>')
@@ -117,23 +112,19 @@ class Axes:
             return middle - unit * size / 2, middle + unit * size / 2
         low[1] -= more[1] if self._low is None else 0.0
         high[1] += more[1] if self._high is None else 0.0
-        low[0], high[0] = self._span or (low[0], max(high[0], low[0] + 1e-9))
-        if self.names:
-            low[1], high[1] = len(self.names) - 0.5, -0.5
+        high[0] = max(high[0], low[0] + 1e-9)
         return low, high
 
 
 def chart(rows: Sequence[Sequence[Axes]], height: float, *, width: float = 1010, shares: Sequence[float] = ()) -> str:
     """Panels in rows and columns as SVG text of width x height px, which loads nothing and steers nothing. shares: of
-    the height, that each row has, or of the width, that each column of a single row has (default: all the same)."""
+    the height, that each row has (default: all the same)."""
     parts = []
     for i, row in enumerate(rows):
-        h = shares[i] if shares and len(rows) > 1 else 1 / len(rows)
-        y = sum(shares[:i]) if shares and len(rows) > 1 else i / len(rows)
-        for k, axes in enumerate(row):
-            w = shares[k] if shares and len(rows) == 1 else 1 / len(row)
-            x = sum(shares[:k]) if shares and len(rows) == 1 else k / len(row)
-            parts.append(axes.svg(width * x, height * y, width * w, height * h))
+        h = shares[i] if shares else 1 / len(rows)
+        y = sum(shares[:i]) if shares else i / len(rows)
+        w = width / len(row)
+        parts += [axes.svg(w * k, height * y, w, height * h) for k, axes in enumerate(row)]
     look = 'font-size="11" font-family="system-ui, sans-serif" fill="currentColor"'
     size = f'width="{width:.0f}" height="{height:.0f}" viewBox="0 0 {width:.0f} {height:.0f}"'
     return f'<svg xmlns="http://www.w3.org/2000/svg" {size} {look}>{"".join(parts)}</svg>'
@@ -292,17 +283,3 @@ def top_chart(motion: Motion, rig: CameraRig | Sequence[Camera], truth: Truth | 
         axes.line(way[:, 0], way[:, 1], "#8a8a8a")
         axes.text(way[0, 0], way[0, 1], camera.name)
     return chart([[axes]], 440, width=500)
-
-
-def error_chart(motion: Motion, truth: Truth) -> str:
-    """Draw the distance to the truth over time (mean of the joints) and per joint."""
-    axes = _add_flags(Axes(x="time (s)", y="mean distance to the truth (mm)", low=0), motion)
-    axes.line(motion.times, 1000 * over_known(np.nanmean, truth.distances), LOST)
-    means = 1000 * over_known(np.nanmean, truth.distances.T)
-    bars = Axes(
-        x="mm", names=[n.replace("_", " ") for n in truth.names], span=(0, float(np.nanmax(means, initial=1e-9)))
-    )
-    for k, (name, mean) in enumerate(zip(truth.names, means, strict=True)):
-        colour = LEFT if name.startswith("left") else RIGHT if name.startswith("right") else INK
-        bars.line(np.array([0, mean]), np.array([k, k]), colour, width=8)
-    return chart([[axes, bars]], 320, shares=(0.6, 0.4))

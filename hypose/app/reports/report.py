@@ -138,7 +138,6 @@ def _text(what: ViewResult, drawn: Drawn) -> str:
         text = f"The recording is synthetic, so the truth is known: {what.truth.mean_mm:.1f} mm mean distance over "
         text += f"{len(what.truth.names)} joints. {what.truth.note}"
         parts.append(f"<h2>Distance to the truth</h2><p>{html.escape(text)}</p>")
-        parts.append(_figure(charts.error_chart(m, what.truth), "Left: over time. Right: mean per joint."))
     if drawn.stills:
         parts.append("<h2>Pictures</h2>")
         parts += [picture_of(jpeg(picture, 1280, 85), "jpeg", caption) for caption, picture in drawn.stills]
