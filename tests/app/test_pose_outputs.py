@@ -4,7 +4,6 @@ import json
 import re
 import runpy
 import socket
-import struct
 import threading
 import time
 from dataclasses import replace
@@ -15,7 +14,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from benchmarks.robustness.small_recordings import small_scene
-from hypose.app.live.pose_outputs import MAGIC, PoseOutputs, pose_bytes, pose_json
+from hypose.app.live.pose_outputs import PoseOutputs, pose_json
 from hypose.body.ready_bodies import JOINT_NAMES
 from hypose.errors import InputError
 from hypose.pipeline.live.engine import LiveStatus
@@ -76,24 +75,6 @@ def read_covariance(upper):
     return np.asarray(upper)[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
 
 
-def test_a_pose_in_bytes(followed):
-    """As a receiver decodes it, by what the documentation says."""
-    _, pose = followed[-1]
-    data = pose_bytes(pose, 0.0123)
-    magic, n, at, latency, flags, person, joints = struct.unpack_from("<4sIdfIII", data)
-    assert (magic, n, flags, person, joints) == (b"hyp1", pose.frame, 0, 1, J) and magic == MAGIC
-    assert at == pose.time and latency == pytest.approx(12.3, abs=1e-4)
-    rest = np.frombuffer(data, "<f4", offset=32)
-    assert len(data) == 32 + 4 * 11 * J
-    assert rest[: 3 * J].reshape(J, 3) == pytest.approx(pose.joints, abs=1e-6)
-    assert rest[3 * J : 4 * J] == pytest.approx(pose.motion.joint_sd[0], abs=1e-6)
-    assert rest[4 * J : 5 * J] == pytest.approx(pose.motion.p_wrong[0], abs=1e-6)
-    known = pose.motion.joint_covariance[0]
-    assert read_covariance(rest[5 * J :].reshape(J, 6)) == pytest.approx(known, rel=1e-5, abs=1e-9)
-    lost = replace(pose, motion=replace(pose.motion, lost=np.ones(1, np.bool_)))
-    assert struct.unpack_from("<I", pose_bytes(lost, 0.0), 20) == (1,)
-
-
 STATUS = LiveStatus(
     "following",
     ("cam2 is missing: no picture for 3 s",),
@@ -111,47 +92,40 @@ STATUS = LiveStatus(
 # ---- by WebSocket ----
 
 
-def test_json_and_bytes_by_websocket(followed):
+def test_json_by_websocket(followed):
     out = outputs(ws=0)
     try:
         base = f"ws://127.0.0.1:{out.listeners.port}"
-        with connect(base + "/out") as text, connect(base + "/binary?x=1") as raw:
-            hello = [read(c.recv(HANG_S)) for c in (text, raw)]
-            assert (
-                hello[0]
-                == hello[1]
-                == {
-                    "type": "hello",
-                    "version": 1,
-                    "joints": list(JOINT_NAMES),
-                    "cameras": list(CAMERAS),
-                    "rate": 25.0,
-                }
-            )
+        with connect(base + "/out?x=1") as text:
+            assert read(text.recv(HANG_S)) == {
+                "type": "hello",
+                "version": 1,
+                "joints": list(JOINT_NAMES),
+                "cameras": list(CAMERAS),
+                "rate": 25.0,
+            }
             for frame, pose in followed:
                 out.seen(seen(frame, pose))
                 value = read(text.recv(HANG_S))
-                data = raw.recv(HANG_S)
-                assert isinstance(data, bytes) and data[:4] == b"hyp1"
-                assert value["n"] == pose.frame == struct.unpack_from("<I", data, 4)[0]
+                assert value["n"] == pose.frame
                 assert value["latency_ms"] == pytest.approx(1e3 * (5.0 - frame.time - 0.01), abs=0.01)
             out.status(STATUS)
             assert read(text.recv(HANG_S))["type"] == "status"
             out.seen(seen(followed[0][0], None))  # nobody: nothing is told
             with pytest.raises(TimeoutError):
-                raw.recv(0.05)
+                text.recv(0.05)
     finally:
         out.close()
 
 
 def test_the_receiver_of_the_documentation(followed, tmp_path, capsys):
     text = (ROOT / "docs" / "cameras-live.md").read_text(encoding="utf-8")
-    program = next(p for p in text.split("```python\n")[1:] if "/binary" in p).split("```")[0]
+    program = next(p for p in text.split("```python\n")[1:] if "/out" in p).split("```")[0]
     out = outputs(ws=0)
     (tmp_path / "receiver.py").write_text(program.replace("9872", str(out.listeners.port)))
     receiver = threading.Thread(target=runpy.run_path, args=(tmp_path / "receiver.py",))
     receiver.start()
-    while not out.listeners.wanted("/binary"):
+    while not out.listeners.wanted("/out"):
         assert receiver.is_alive()
         time.sleep(0.01)
     told(out, followed[:5])
@@ -161,7 +135,7 @@ def test_the_receiver_of_the_documentation(followed, tmp_path, capsys):
     assert numbers == [str(pose.frame) for _, pose in followed[:5]]
 
 
-@pytest.mark.parametrize("path", ["/", "/in", "/out/x", "/Binary"])
+@pytest.mark.parametrize("path", ["/", "/in", "/out/x", "/Out"])
 def test_other_paths_are_refused(path):
     out = outputs(ws=0)
     try:

@@ -50,9 +50,7 @@ def live(
         Path | None, typer.Option(help="The person's body, as hypose subject writes it; else it is fitted on the way.")
     ] = None,
     seconds: Annotated[float, number("Stop after so many seconds; 0 = never.", 0, 10**6)] = 0.0,
-    ws: Annotated[
-        int, number("WebSocket port on this computer: /out (JSON), /binary.", 0, 65535, rich_help_panel=_OUT)
-    ] = 9872,
+    ws: Annotated[int, number("WebSocket port on this computer: /out (JSON).", 0, 65535, rich_help_panel=_OUT)] = 9872,
     udp: Annotated[str | None, typer.Option(help="HOST:PORT for a JSON line per pose.", rich_help_panel=_OUT)] = None,
     osc: Annotated[str | None, typer.Option(help="HOST:PORT to send OSC to.", rich_help_panel=_OUT)] = None,
     vmc: Annotated[
@@ -104,7 +102,7 @@ def live(
         closing.callback(engine.stop)
         engine.start()
         if outputs.listeners is not None:
-            say(f"Poses out:  ws://127.0.0.1:{outputs.listeners.port}/out  (/binary)")
+            say(f"Poses out:  ws://127.0.0.1:{outputs.listeners.port}/out")
         for name, target in (("udp", udp), ("osc", osc), ("vmc", vmc)):
             if target is not None:
                 say(f"Poses out:  {name} {target}")

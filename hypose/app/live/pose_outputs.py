@@ -1,10 +1,9 @@
-"""Poses as they leave live tracking: WebSocket (JSON, binary), UDP lines, OSC, VMC (docs/cameras-live.md)."""
+"""Poses as they leave live tracking: WebSocket and UDP (JSON), OSC, VMC (docs/cameras-live.md)."""
 
 from __future__ import annotations
 
 import json
 import math
-import struct
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -18,11 +17,6 @@ from hypose.geometry import Array
 from hypose.pipeline.live.engine import LiveStatus, Seen
 from hypose.pipeline.live.live_people import LivePose
 
-MAGIC = b"hyp1"
-"""A binary pose begins with it; then little endian: u4 frame, f8 time (s), f4 latency (ms), u4 flags (1: lost), u4
-person, u4 joints J, then f4 of joints (J, 3) m, sd (J), probability of being wrong (J), covariance (J, 6) m^2: xx, xy,
-xz, yy, yz, zz."""
-_HEAD = struct.Struct("<4sIdfIII")
 _UPPER = np.triu_indices(3)
 _WAITING = 8
 
@@ -47,15 +41,6 @@ def pose_json(pose: LivePose, latency: float, cameras: tuple[str, ...]) -> str:
         "doubtful": names[m.doubtful_joints[0]].tolist(),
     }
     return json.dumps(value, separators=(",", ":"))
-
-
-def pose_bytes(pose: LivePose, latency: float) -> bytes:
-    """One pose as `MAGIC` describes it."""
-    m = pose.motion
-    assert m.p_wrong is not None
-    head = pose.frame & 0xFFFFFFFF, pose.time, 1e3 * latency, int(pose.lost), pose.person, len(pose.joints)
-    rest = (pose.joints, m.joint_sd[0], m.p_wrong[0], _covariance(pose))
-    return _HEAD.pack(MAGIC, *head) + b"".join(np.ascontiguousarray(a, dtype="<f4").tobytes() for a in rest)
 
 
 def _covariance(pose: LivePose) -> Array:
@@ -109,8 +94,8 @@ class _Lines:
 
 
 class PoseOutputs:
-    """A listener of the live engine. cameras: their names; rate Hz; ws: port on this computer, with /out for JSON and
-    /binary; udp, osc, vmc: HOST:PORT; clock: s, by which shots arrive."""
+    """A listener of the live engine. cameras: their names; rate Hz; ws: port on this computer, with /out for JSON;
+    udp, osc, vmc: HOST:PORT; clock: s, by which shots arrive."""
 
     def __init__(
         self,
@@ -139,7 +124,7 @@ class PoseOutputs:
             raise
 
     def _hello(self, path: str) -> str | None:
-        if path not in ("/out", "/binary"):
+        if path != "/out":
             return None
         hello = {"type": "hello", "version": 1, "joints": JOINT_NAMES, "cameras": self._cameras, "rate": self._rate}
         return json.dumps(hello)
@@ -155,8 +140,6 @@ class PoseOutputs:
             for pose in seen.poses:
                 if self.listeners.wanted("/out"):
                     self.listeners.post(pose_json(pose, latency, self._cameras), "/out")
-                if self.listeners.wanted("/binary"):
-                    self.listeners.post(pose_bytes(pose, latency), "/binary")
 
     def status(self, status: LiveStatus) -> None:
         """See `Listener`."""
