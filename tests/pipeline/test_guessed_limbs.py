@@ -1,4 +1,4 @@
-"""Whose limbs a detector guesses is no longer or shorter for it, and is found whatever is left of the points."""
+"""A body is found where one of two views is wrong."""
 
 from dataclasses import replace
 
@@ -7,12 +7,10 @@ import pytest
 
 from benchmarks.robustness.small_recordings import small_scene
 from hypose.cameras.camera import CameraRig
-from hypose.evidence.keypoints import BODY_25
 from hypose.pipeline.first_frame import SubjectOptions, find_subject
 
 SCENE = small_scene(1, 10, "box")
 FRAMES = list(SCENE.mask_frames(1.0, keypoints=True))
-LEG = [k for k, n in enumerate(BODY_25) if n.startswith("right_") and n.endswith(("knee", "ankle", "toe", "heel"))]
 
 
 def with_points(change, views=slice(None)):
@@ -30,18 +28,6 @@ def with_points(change, views=slice(None)):
 
 def body_of(frames):
     return find_subject(lambda i: frames[i], len(frames), SubjectOptions("keypoints", frame_rate=25.0)).body
-
-
-@pytest.mark.slow
-def test_a_leg_that_one_of_two_views_guesses_is_as_long_as_the_other_limbs_say():
-    def guess(points):
-        points[2:, LEG] = 0.0
-        points[1, LEG, 0] += 8
-
-    told, plain = body_of(with_points(guess)), body_of(FRAMES)
-    for segment in ("right_thigh", "right_shank"):
-        length = plain.segment_lengths()[segment]
-        assert told.segment_lengths()[segment] == pytest.approx(length, rel=0.08)
 
 
 @pytest.mark.slow

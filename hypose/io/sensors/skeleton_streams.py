@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import accumulate, chain
@@ -84,6 +84,18 @@ class SkeletonRecording:
                 return s
         names = ", ".join(s.name for s in self.streams)
         raise InputError(f"The recording {self.name} has no sensor {name!r}; its sensors are {names}.")
+
+    def reports(self) -> Iterator[SensorReport]:
+        """All reports one by one, in the order of the sensors' times: the recording as it would arrive live."""
+        for time, k, n in sorted((float(t), k, n) for k, s in enumerate(self.streams) for n, t in enumerate(s.times)):
+            s = self.streams[k]
+            seen = np.flatnonzero(s.person_ids[n] >= 0)
+            if not len(seen):
+                yield SensorReport(s.name, time, None, (), np.zeros((0, 3)), np.zeros(0, np.uint8))
+            for p in seen:
+                yield SensorReport(
+                    s.name, time, int(s.person_ids[n, p]), s.joint_names, s.positions[n, p], s.state[n, p]
+                )
 
 
 # ---- from rows to streams ----------------------------------------------------------------------------------
