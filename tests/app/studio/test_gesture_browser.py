@@ -23,7 +23,7 @@ def test_taught_in_the_page(page, tmp_path, monkeypatch):
     root, pictures = tmp_path / "root", tmp_path / "pictures"
     root.mkdir()
     pictures.mkdir()
-    monkeypatch.setitem(os.environ, "ROUNDS", "2")
+    monkeypatch.setitem(os.environ, "ROUNDS", "6")  # more than it takes: teaching is ended by hand, in the second
     with serving(root) as client:
         go(WEB / "tests" / "gesture_taught.walk.mjs", client.address, root, pictures, timeout=3600)
     first, model = load_model(root / "first.npz"), load_model(root / "gestures" / "tee.npz")
