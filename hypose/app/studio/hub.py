@@ -41,7 +41,7 @@ class Topic:
         raise NotImplementedError
 
     async def heard(self, message: dict[str, Any]) -> None:
-        """Take a message of a page; an InputError is told to that page alone."""
+        """Take a message of a page; an InputError is sent to that page alone."""
         raise InputError("A page has nothing to say here.")
 
     def watched(self, pages: int) -> None:
