@@ -1,4 +1,5 @@
-"""`hypose calibrate`: cameras from boards, from measured points, or from another program's calibration file."""
+"""`hypose calibrate`: cameras from boards, from measured points, from a person who walks about, or from a file of
+another program."""
 
 from __future__ import annotations
 
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hypose.app.commands.console import Stages, note, out, say
-from hypose.app.commands.options import MOST_FRAMES, number
+from hypose.app.commands.options import HEIGHT, MOST_FRAMES, number
 from hypose.errors import CalibrationError, InputError
 
 if TYPE_CHECKING:
@@ -25,7 +26,10 @@ if TYPE_CHECKING:
 def calibrate(
     sources: Annotated[
         list[Path] | None,
-        typer.Argument(help="Board videos or photo folders, one per camera, or a folder that holds them."),
+        typer.Argument(
+            help="Board videos or photo folders, one per camera, or a folder that holds them; a recording for "
+            "--from-person."
+        ),
     ] = None,
     chessboard: Annotated[
         str | None,
@@ -62,21 +66,54 @@ def calibrate(
     ] = None,
     convert: Annotated[Path | None, typer.Option(help="Instead: a calibration file of another program.")] = None,
     unit: Annotated[str, typer.Option(help="Unit of the file given with --convert: auto, m, cm or mm.")] = "auto",
+    from_person: Annotated[
+        bool, typer.Option("--from-person", help="Instead of a board: by the person who walks about in a recording.")
+    ] = False,
+    height: Annotated[float | None, number("Of that person: how tall, in metres.", *HEIGHT, unit="metres")] = None,
+    focal: Annotated[
+        list[str] | None,
+        typer.Option(help="Of --from-person: about the focal length, PIXELS or CAMERA=PIXELS (may be repeated)."),
+    ] = None,
+    largest: Annotated[
+        float | None,
+        number(
+            "Of --from-person: videos start within so many seconds. [default: found out]",
+            0,
+            600,
+            above=True,
+            unit="seconds",
+        ),  # fmt: skip
+    ] = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Fetch the detector's models, once, without asking.")] = False,
     target: Annotated[
-        Path, typer.Option("--out", help="File to write; its ending tells the format (see docs/calibration.md).")
-    ] = Path("calibration.toml"),
+        Path | None,
+        typer.Option(
+            "--out",
+            help="File to write; its ending tells the format (see docs/calibration.md). [default: calibration.toml, of "
+            "--from-person in the recording's folder]",
+        ),
+    ] = None,
     sheet: Annotated[Path | None, typer.Option(help="Picture of what was seen. [default: beside --out, .png]")] = None,
 ) -> None:
-    """Calibrate cameras: lenses and places from a chessboard or ChArUco board, or from measured points; or convert."""
+    """Calibrate cameras: lenses and places from a board, from measured points, or from a person; or convert."""
     from hypose.io.calibrations.calibration_formats import check_format, write_any
     from hypose.io.files import check_writable
 
-    check_format(target)
+    check_format(target or Path("calibration.toml"))
     given = [bool(sources), points is not None, convert is not None]
-    if sum(given) != 1:
+    if sum(given) != 1 or (from_person and len(sources or []) != 1):
         raise InputError(
-            "Give board videos (with --chessboard or --charuco and --square), or --points FILE, or --convert FILE."
+            "Give board videos (with --chessboard or --charuco and --square), or --points FILE, or --convert FILE, or "
+            "one recording with --from-person."
         )
+    if from_person and sources:
+        from hypose.app.jobs.person_calibration import calibrate_recording
+
+        rig, target = calibrate_recording(sources[0], intrinsics, focal or [], height, largest, yes, target)
+        for path in write_any(rig, target):
+            say(f"Calibration: {path}")
+        return
+    target = target or Path("calibration.toml")
     check_writable(target.parent)
     if convert is not None:
         from hypose.io.calibrations.calibration_formats import read_any

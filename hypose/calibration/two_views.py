@@ -1,0 +1,235 @@
+"""Cameras and offsets from scratch: epipolar geometry of pairs of views that see one moving person.
+
+Nothing is known but the pictures' key points and, perhaps, the lenses. The offset of a pair is the one at which its key
+points fit an epipolar geometry best; the rig starts with the pair of the best essential matrix, and the other cameras
+are joined one by one to the points that are triangulated already (perspective n points).
+Source: Hartley & Zisserman 2004, chapters 9 to 12; MAGSAC++ by Barath et al. 2020; SQPnP by Terzakis & Lourakis 2020.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from hypose.calibration.refine_points import adjust
+from hypose.calibration.sync_motion import Curves
+from hypose.calibration.synchronisation import points_at
+from hypose.cameras.camera import Camera, CameraRig, triangulate
+from hypose.errors import EvidenceError
+from hypose.geometry import Array, se3, so3_exp
+
+SEEN = 0.3
+"""confidence above which a key point counts"""
+LOOSE = (2.0, 5.0, 0.7)
+"""sd (rad, m, share of the focal length) within which a rig from scratch may move"""
+FACTORS = (0.55, 0.75, 1.0, 1.35, 1.8, 2.4)
+"""focal lengths that are tried, in pictures' widths"""
+_COARSE = 3  # frames between the offsets that are tried first
+_FEW, _MANY = 500, 4000  # correspondences that an epipolar geometry is found from, and judged by
+_LEAST = 40
+_POINTS = 1500  # that a start is made from
+
+
+@dataclass(frozen=True)
+class Start:
+    """A rig from scratch, at an arbitrary scale. cost: mean robust cost of a detection; angle_deg: between the rays of
+    the two cameras that it began with."""
+
+    rig: CameraRig
+    cost: float
+    angle_deg: float
+
+
+def detection_sd(points: Array) -> float:
+    """Usual error of a detection, px: 1 % of the person's size in the median view of points (C, T, K, 3)."""
+    sizes = []
+    for view in points:
+        seen = view[..., 2] > SEEN
+        extent = [np.ptp(p[s][:, :2], axis=0).max() for p, s in zip(view, seen, strict=True) if s.sum() > 6]
+        sizes += [float(np.median(extent))] if extent else []
+    return max(0.01 * float(np.median(sizes)), 1.0) if sizes else 4.0
+
+
+def on_common_clock(points: Array, late: Array, frames: Array) -> Array:
+    """(C, F, K, 3) of points (C, T, K, 3) at frames of the common clock, when views are late by late (C,) frames."""
+    return np.stack([points_at(p, float(x))[frames] for p, x in zip(points, late, strict=True)])
+
+
+def epipolar_curves(
+    points: Array,
+    lenses: Sequence[Array] | None,
+    sd: float,
+    largest: int,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Curves:
+    """Disagreement of pairs of views with the epipolar geometry that fits them best, over whole offsets.
+
+    points (C, T, K, 3) undistorted px; lenses: K (3, 3) of each view, None: unknown; sd: of a detection, px."""
+    rng = np.random.default_rng(0)
+    count, frames, kinds = points.shape[:3]
+    lags = np.arange(-largest, largest + 1)
+    pairs = tuple(itertools.combinations(range(count), 2))
+    cost = np.full((len(pairs), len(lags)), np.nan)
+    for p, (a, b) in enumerate(pairs):
+        progress(p, len(pairs))
+        for finely in (False, True):
+            wanted = range(0, len(lags), _COARSE)
+            if finely:
+                best = np.argsort(np.where(np.isfinite(cost[p]), cost[p], np.inf))[:_COARSE]
+                wanted = sorted({k for o in best for k in range(o - _COARSE, o + _COARSE + 1) if 0 <= k < len(lags)})
+            for k in wanted:
+                if np.isfinite(cost[p, k]):
+                    continue
+                first, last = max(0, -int(lags[k])), min(frames, frames - int(lags[k]))
+                pa, pb = points[a, first:last], points[b, first + lags[k] : last + lags[k]]
+                both = (pa[..., 2] > SEEN) & (pb[..., 2] > SEEN)
+                xa, xb = pa[both][:, :2], pb[both][:, :2]
+                if len(xa) < _LEAST:
+                    continue
+                few = rng.permutation(len(xa))
+                found = _epipolar(xa[few[:_FEW]], xb[few[:_FEW]], lenses and (lenses[a], lenses[b]), sd, 300)
+                if found is not None:
+                    judged = few[:_MANY]
+                    # errors of one point last for several frames, as in keypoint_curves
+                    cost[p, k] = 0.2 * kinds * frames / 3 * _disagreement(found[0], xa[judged], xb[judged], sd)
+        known = np.isfinite(cost[p])
+        if known.any():
+            cost[p] = np.interp(lags, lags[known], cost[p][known])
+    return Curves(pairs, lags.astype(np.float64), cost)
+
+
+def rival_offsets(curves: Curves, frames: Array, apart: float = 5.0) -> tuple[float, Array] | None:
+    """The best other offsets (C,), of which one pair's is at least `apart` frames away from that of frames (C,), and
+    by which share their disagreement is greater; None when there are none."""
+    usable = [(pair, c) for pair, c in zip(curves.pairs, curves.cost, strict=True) if np.isfinite(c).all()]
+
+    def total(x: Array) -> float:
+        return sum(float(np.interp(x[b] - x[a], curves.lags, c)) for (a, b), c in usable)
+
+    best: tuple[float, Array] | None = None
+    for (a, b), c in usable:
+        far = np.abs(curves.lags - (frames[b] - frames[a])) > apart
+        dip = np.r_[False, (c[1:-1] <= c[:-2]) & (c[1:-1] <= c[2:]), False]
+        for k in sorted(np.flatnonzero(far & dip), key=lambda k: float(c[k]))[:2]:
+            x = frames.copy()
+            x[b] = x[a] + curves.lags[k]
+            others = [j for j in range(len(frames)) if j not in (a, b)]
+            for j in others * 4:
+                trials = [np.r_[x[:j], x[a] + lag, x[j + 1 :]] for lag in curves.lags]
+                x = trials[int(np.argmin([total(t) for t in trials]))]
+            if best is None or total(x) < best[0]:
+                best = total(x), x
+    return None if best is None else (best[0] / total(frames) - 1, best[1])
+
+
+def start_rig(points: Array, rig: CameraRig, sd: float, tries: int = 4) -> Start | None:
+    """The rig that explains points (C, F, K, 3) on one clock best, from the lenses of `rig`, whose poses do not count;
+    None when no pair of views leads to one."""
+    count = len(rig)
+    uv = points.reshape(count, -1, 3)
+    if uv.shape[1] > _POINTS:
+        uv = uv[:, np.random.default_rng(0).choice(uv.shape[1], _POINTS, replace=False)]
+    seen = uv[..., 2] > SEEN
+    found = []
+    for a, b in itertools.combinations(range(count), 2):
+        both = seen[a] & seen[b]
+        if both.sum() >= 1.5 * _LEAST:
+            found += _pair(rig[a], rig[b], uv[a, both, :2], uv[b, both, :2], sd, (a, b))
+    found.sort(key=lambda f: f[0])
+    best: Start | None = None
+    for _, pair, pose, angle in found[:tries]:
+        cameras = {pair[0]: replace(rig[pair[0]], camera_from_world=np.eye(4))}
+        cameras[pair[1]] = replace(rig[pair[1]], camera_from_world=pose)
+        chained = _chained(cameras, rig, uv, seen, sd)
+        if chained is None:
+            continue
+        try:
+            adjusted = adjust(chained, uv[..., :2], seen.astype(float), hold=LOOSE, iterations=12)
+        except EvidenceError:
+            continue
+        off = np.stack([c.project_pinhole(adjusted.points) for c in adjusted.rig]) - uv[..., :2]
+        r = np.where(np.isfinite(off).all(-1), np.linalg.norm(off, axis=-1), 20 * sd)[seen]
+        cost = float(np.log1p((r / (2 * sd)) ** 2).mean())
+        if best is None or cost < best.cost:
+            best = Start(adjusted.rig, cost, angle)
+    return best
+
+
+def with_focal(camera: Camera, factor: float) -> Camera:
+    """The camera with its focal length multiplied by a factor."""
+    return replace(camera, K=np.vstack([camera.K[:2] * [factor, factor, 1.0], camera.K[2:]]))
+
+
+def _chained(cameras: dict[int, Camera], rig: CameraRig, uv: Array, seen: Array, sd: float) -> CameraRig | None:
+    """All cameras, joined to a pair of them one by one: the one next that most of the triangulated points agree on."""
+    while len(cameras) < len(rig):
+        have = sorted(cameras)
+        known = CameraRig(tuple(cameras[c] for c in have))
+        x, _ = triangulate(known, uv[have, :, :2], seen[have].astype(float))
+        off = np.stack([c.project_pinhole(x) for c in known]) - uv[have, :, :2]
+        fine = np.isfinite(x).all(1) & (np.where(seen[have], np.linalg.norm(off, axis=-1), 0).max(0) < 4 * sd)
+        best: tuple[float, int, Array] | None = None
+        for k in set(range(len(rig))) - set(have):
+            use = fine & seen[k]
+            if use.sum() < _LEAST:
+                continue
+            ok, turn, shift, inliers = cv2.solvePnPRansac(
+                x[use], uv[k, use, :2], rig[k].K, np.zeros(5),
+                iterationsCount=300, reprojectionError=4 * sd, flags=cv2.SOLVEPNP_SQPNP,
+            )  # fmt: skip
+            share = len(inliers) / use.sum() if ok and inliers is not None else 0.0
+            if share > 0 and (best is None or share > best[0]):
+                best = share, k, se3(so3_exp(turn[:, 0]), shift[:, 0])
+        if best is None:
+            return None
+        cameras[best[1]] = replace(rig[best[1]], camera_from_world=best[2])
+    return CameraRig(tuple(cameras[k] for k in range(len(rig))))
+
+
+def _pair(
+    a: Camera, b: Camera, xa: Array, xb: Array, sd: float, pair: tuple[int, int]
+) -> list[tuple[float, tuple[int, int], Array, float]]:
+    """How bad a pair is to begin with (its disagreement, rays that are nearly parallel, points behind the cameras), the
+    pair, camera b from camera a (4, 4), and the angle of the rays in degrees; nothing without an epipolar geometry."""
+    found = _epipolar(xa, xb, (a.K, b.K), sd, 1000)
+    if found is None:
+        return []
+    fundamental, essential, na, nb = found
+    front, turn, shift = cv2.recoverPose(essential, na, nb, np.eye(3))[:3]
+    pose = se3(turn, shift[:, 0])
+    two = CameraRig((replace(a, camera_from_world=np.eye(4)), replace(b, camera_from_world=pose)))
+    x, _ = triangulate(two, np.stack([xa, xb]), np.ones((2, len(xa))))
+    ra, rb = x - two[0].position, x - two[1].position
+    cosine = np.abs((ra * rb).sum(1)) / (np.linalg.norm(ra, axis=1) * np.linalg.norm(rb, axis=1) + 1e-12)
+    angle = float(np.arccos(np.clip(np.nanmedian(cosine), 0, 1)))
+    bad = _disagreement(fundamental, xa, xb, sd) - 0.6 * np.sin(angle) - 0.5 * front / len(xa)
+    return [(bad, pair, pose, float(np.degrees(angle)))]
+
+
+def _epipolar(
+    xa: Array, xb: Array, lenses: tuple[Array, Array] | None, sd: float, iterations: int
+) -> tuple[Array, Array, Array, Array] | None:
+    """Fundamental matrix F, x_b^T F x_a = 0, essential matrix, and xa, xb (N, 2) as the lenses (K of both) see them at
+    depth 1; without lenses the pixels, and F twice."""
+    if lenses is None:
+        f, _ = cv2.findFundamentalMat(xa, xb, cv2.USAC_MAGSAC, 1.5 * sd, 0.999, iterations)
+        return None if f is None or f.shape != (3, 3) else (f, f, xa, xb)
+    ia, ib = (np.linalg.inv(k) for k in lenses)
+    na, nb = ((np.c_[x, np.ones(len(x))] @ i.T)[:, :2] for x, i in ((xa, ia), (xb, ib)))
+    focal = np.sqrt(lenses[0][0, 0] * lenses[1][0, 0])
+    e, _ = cv2.findEssentialMat(
+        na, nb, np.eye(3), method=cv2.USAC_MAGSAC, prob=0.999, threshold=1.5 * sd / focal, maxIters=iterations
+    )
+    return None if e is None or e.shape != (3, 3) else (ib.T @ e @ ia, e, na, nb)
+
+
+def _disagreement(fundamental: Array, xa: Array, xb: Array, sd: float) -> float:
+    """Mean robust Sampson error."""
+    ha, hb = np.c_[xa, np.ones(len(xa))], np.c_[xb, np.ones(len(xb))]
+    lines_b, lines_a = ha @ fundamental.T, hb @ fundamental
+    size = np.sqrt((lines_b[:, :2] ** 2).sum(1) + (lines_a[:, :2] ** 2).sum(1) + 1e-12)
+    return float(np.log1p(((hb * lines_b).sum(1) / size / (2 * sd)) ** 2).mean())
