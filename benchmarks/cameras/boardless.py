@@ -14,9 +14,9 @@ import numpy as np
 from benchmarks.bench_report import BenchOptions, BenchReport, Row
 from benchmarks.multiview.real_recordings import balancing_recording
 from benchmarks.synthetic.wandering import RATE, Wandering, WanderingSettings, wandering
-from hypose.app.jobs.person_calibration import find_cameras, most_prominent
+from hypose.app.jobs.person_calibration import most_prominent
 from hypose.body.ready_bodies import human
-from hypose.calibration.from_person import PersonCalibration, PersonSettings, calibrate_from_person
+from hypose.calibration.from_person import PersonCalibration, calibrate_from_person
 from hypose.calibration.refine_points import in_world, rescaled
 from hypose.cameras.camera import CameraRig, triangulate
 from hypose.errors import HyposeError
@@ -75,8 +75,8 @@ def errors(found: PersonCalibration, true: CameraRig, late: Array) -> dict[str, 
         np.degrees(np.arccos(np.clip(a.camera_from_world[:3, 2] @ b.camera_from_world[:3, 2], -1, 1)))
         for a, b in zip(true, found.rig, strict=True)
     ]
-    over = [turn / found.turn_sd_deg, away(freed) / found.place_sd_m, lag / found.late_sd]
-    over += [focal / found.focal_sd] if found.focal_sd.all() else []
+    over = [turn / found.sds.turn_deg, away(freed) / found.sds.place_m, lag / found.sds.late]
+    over += [focal / found.sds.focal] if found.sds.focal.all() else []
     return {
         "turn_deg": turn.tolist(),
         "place_mm": (1e3 * away(freed)).tolist(),
@@ -99,10 +99,9 @@ def _marks(rig: CameraRig) -> Array:
 def solved(scene: Wandering, known: bool) -> dict[str, Any]:
     """The errors of one simulated rig, how long it took, and what was said of it."""
     begin = time.perf_counter()
-    settings = PersonSettings(focal_known=known)
     try:
         lenses = without_poses(scene.rig, known)
-        found = calibrate_from_person(scene.points, BODY_25, lenses, scene.height, RATE, settings)
+        found = calibrate_from_person(scene.points, BODY_25, lenses, scene.height, RATE, lenses_known=known)
     except HyposeError as refusal:
         return {"refused": str(refusal), "seconds": time.perf_counter() - begin}
     seconds = time.perf_counter() - begin
@@ -114,8 +113,9 @@ def balancing(recording: Recording, focal_known: bool = True) -> tuple[PersonCal
     that height in metres."""
     points, names = most_prominent(recording)
     height = measured_height(recording.rig, points, names)
-    lenses = replace(recording, rig=without_poses(recording.rig, focal_known))
-    return find_cameras(lenses, focal_known, False, height, None, lambda stage, done, total: None), height
+    lenses = without_poses(recording.rig, focal_known)
+    found = calibrate_from_person(points, names, lenses, height, recording.frame_rate, lenses_known=focal_known)
+    return found, height
 
 
 def measured_height(rig: CameraRig, points: Array, names: tuple[str, ...]) -> float:

@@ -37,6 +37,10 @@ class Uncertainty:
     late: Array
     later: Array
 
+    def times(self, factor: float) -> Uncertainty:
+        """All standard deviations multiplied."""
+        return Uncertainty(*(factor * x for x in (self.turn_deg, self.place_m, self.focal, self.late)), self.later)
+
 
 def limbs_of(names: Sequence[str]) -> Array:
     """(K,) which part of the body each key point belongs to: head, arms, legs, or the trunk."""

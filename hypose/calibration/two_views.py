@@ -9,11 +9,12 @@ Source: Hartley & Zisserman 2004, chapters 9 to 12; MAGSAC++ by Barath et al. 20
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from hypose.calibration.refine_points import adjust
 from hypose.calibration.sync_motion import Curves
@@ -31,27 +32,7 @@ FACTORS = (0.55, 0.75, 1.0, 1.35, 1.8, 2.4)
 _COARSE = 3  # frames between the offsets that are tried first
 _FEW, _MANY = 500, 4000  # correspondences that an epipolar geometry is found from, and judged by
 _LEAST = 40
-_POINTS = 1500  # that a start is made from
-
-
-@dataclass(frozen=True)
-class Start:
-    """A rig from scratch, at an arbitrary scale. cost: mean robust cost of a detection; angle_deg: between the rays of
-    the two cameras that it began with."""
-
-    rig: CameraRig
-    cost: float
-    angle_deg: float
-
-
-def detection_sd(points: Array) -> float:
-    """Usual error of a detection, px: 1 % of the person's size in the median view of points (C, T, K, 3)."""
-    sizes = []
-    for view in points:
-        seen = view[..., 2] > SEEN
-        extent = [np.ptp(p[s][:, :2], axis=0).max() for p, s in zip(view, seen, strict=True) if s.sum() > 6]
-        sizes += [float(np.median(extent))] if extent else []
-    return max(0.01 * float(np.median(sizes)), 1.0) if sizes else 4.0
+_POINTS, _TRIES = 1500, 4  # that a start is made from, and pairs of views that it is begun with
 
 
 def on_common_clock(points: Array, late: Array, frames: Array) -> Array:
@@ -59,14 +40,8 @@ def on_common_clock(points: Array, late: Array, frames: Array) -> Array:
     return np.stack([points_at(p, float(x))[frames] for p, x in zip(points, late, strict=True)])
 
 
-def epipolar_curves(
-    points: Array,
-    lenses: Sequence[Array] | None,
-    sd: float,
-    largest: int,
-    progress: Callable[[int, int], None] = lambda done, total: None,
-) -> Curves:
-    """Disagreement of pairs of views with the epipolar geometry that fits them best, over whole offsets.
+def epipolar_curves(points: Array, lenses: Sequence[Array] | None, sd: float, largest: int) -> Curves:
+    """Disagreement of pairs of views with the epipolar geometry that fits them best, over whole offsets up to largest.
 
     points (C, T, K, 3) undistorted px; lenses: K (3, 3) of each view, None: unknown; sd: of a detection, px."""
     rng = np.random.default_rng(0)
@@ -74,31 +49,27 @@ def epipolar_curves(
     lags = np.arange(-largest, largest + 1)
     pairs = tuple(itertools.combinations(range(count), 2))
     cost = np.full((len(pairs), len(lags)), np.nan)
-    for p, (a, b) in enumerate(pairs):
-        progress(p, len(pairs))
-        for finely in (False, True):
-            wanted = range(0, len(lags), _COARSE)
-            if finely:
-                best = np.argsort(np.where(np.isfinite(cost[p]), cost[p], np.inf))[:_COARSE]
-                wanted = sorted({k for o in best for k in range(o - _COARSE, o + _COARSE + 1) if 0 <= k < len(lags)})
+    for (a, b), curve in zip(pairs, cost, strict=True):
+        wanted = list(range(0, len(lags), _COARSE))
+        for _ in range(2):
             for k in wanted:
-                if np.isfinite(cost[p, k]):
-                    continue
                 first, last = max(0, -int(lags[k])), min(frames, frames - int(lags[k]))
                 pa, pb = points[a, first:last], points[b, first + lags[k] : last + lags[k]]
                 both = (pa[..., 2] > SEEN) & (pb[..., 2] > SEEN)
-                xa, xb = pa[both][:, :2], pb[both][:, :2]
-                if len(xa) < _LEAST:
+                chosen = rng.permutation(int(both.sum()))[:_MANY]
+                xa, xb = pa[both][chosen, :2], pb[both][chosen, :2]
+                if len(chosen) < _LEAST:
                     continue
-                few = rng.permutation(len(xa))
-                found = _epipolar(xa[few[:_FEW]], xb[few[:_FEW]], lenses and (lenses[a], lenses[b]), sd, 300)
-                if found is not None:
-                    judged = few[:_MANY]
-                    # errors of one point last for several frames, as in keypoint_curves
-                    cost[p, k] = 0.2 * kinds * frames / 3 * _disagreement(found[0], xa[judged], xb[judged], sd)
-        known = np.isfinite(cost[p])
-        if known.any():
-            cost[p] = np.interp(lags, lags[known], cost[p][known])
+                known = None if lenses is None else (lenses[a], lenses[b])
+                found = _epipolar(xa[:_FEW], xb[:_FEW], known, sd, 300)
+                if found is not None:  # errors of one point last for several frames, as in keypoint_curves
+                    curve[k] = 0.2 * kinds * frames / 3 * _disagreement(found[0], xa, xb, sd)
+            best = np.argsort(np.nan_to_num(curve, nan=np.inf))[:_COARSE]
+            near = {k for o in best for k in range(o - _COARSE, o + _COARSE + 1) if 0 <= k < len(lags)}
+            wanted = [k for k in near if np.isnan(curve[k])]
+        known_lags = np.isfinite(curve)
+        if known_lags.any():
+            curve[:] = np.interp(lags, lags[known_lags], curve[known_lags])
     return Curves(pairs, lags.astype(np.float64), cost)
 
 
@@ -126,37 +97,35 @@ def rival_offsets(curves: Curves, frames: Array, apart: float = 5.0) -> tuple[fl
     return None if best is None else (best[0] / total(frames) - 1, best[1])
 
 
-def start_rig(points: Array, rig: CameraRig, sd: float, tries: int = 4) -> Start | None:
-    """The rig that explains points (C, F, K, 3) on one clock best, from the lenses of `rig`, whose poses do not count;
-    None when no pair of views leads to one."""
+def start_rig(points: Array, rig: CameraRig, sd: float) -> list[tuple[float, CameraRig]]:
+    """The rig, at an arbitrary scale, that explains points (C, F, K, 3) on one clock best, and its mean robust cost of
+    a detection, from the lenses of `rig`, whose poses do not count; nothing when no pair of views leads to one."""
     count = len(rig)
     uv = points.reshape(count, -1, 3)
     if uv.shape[1] > _POINTS:
         uv = uv[:, np.random.default_rng(0).choice(uv.shape[1], _POINTS, replace=False)]
     seen = uv[..., 2] > SEEN
-    found = []
+    pairs = []
     for a, b in itertools.combinations(range(count), 2):
         both = seen[a] & seen[b]
         if both.sum() >= 1.5 * _LEAST:
-            found += _pair(rig[a], rig[b], uv[a, both, :2], uv[b, both, :2], sd, (a, b))
-    found.sort(key=lambda f: f[0])
-    best: Start | None = None
-    for _, pair, pose, angle in found[:tries]:
-        cameras = {pair[0]: replace(rig[pair[0]], camera_from_world=np.eye(4))}
-        cameras[pair[1]] = replace(rig[pair[1]], camera_from_world=pose)
-        chained = _chained(cameras, rig, uv, seen, sd)
+            pairs += [(*found, a, b) for found in _pair(rig[a], rig[b], uv[a, both, :2], uv[b, both, :2], sd)]
+    found = []
+    for _, pose, a, b in sorted(pairs, key=lambda p: p[0])[:_TRIES]:
+        two = {a: replace(rig[a], camera_from_world=np.eye(4)), b: replace(rig[b], camera_from_world=pose)}
+        chained = _chained(two, rig, uv, seen, sd)
         if chained is None:
             continue
         try:
             adjusted = adjust(chained, uv[..., :2], seen.astype(float), hold=LOOSE, iterations=12)
         except EvidenceError:
             continue
-        off = np.stack([c.project_pinhole(adjusted.points) for c in adjusted.rig]) - uv[..., :2]
-        r = np.where(np.isfinite(off).all(-1), np.linalg.norm(off, axis=-1), 20 * sd)[seen]
-        cost = float(np.log1p((r / (2 * sd)) ** 2).mean())
-        if best is None or cost < best.cost:
-            best = Start(adjusted.rig, cost, angle)
-    return best
+        off = np.linalg.norm(
+            np.stack([c.project_pinhole(adjusted.points) for c in adjusted.rig]) - uv[..., :2], axis=-1
+        )
+        off = np.where(np.isfinite(off), off, 20 * sd)[seen]
+        found.append((float(np.log1p((off / (2 * sd)) ** 2).mean()), adjusted.rig))
+    return sorted(found, key=lambda f: f[0])[:1]
 
 
 def with_focal(camera: Camera, factor: float) -> Camera:
@@ -164,14 +133,16 @@ def with_focal(camera: Camera, factor: float) -> Camera:
     return replace(camera, K=np.vstack([camera.K[:2] * [factor, factor, 1.0], camera.K[2:]]))
 
 
-def _chained(cameras: dict[int, Camera], rig: CameraRig, uv: Array, seen: Array, sd: float) -> CameraRig | None:
+def _chained(
+    cameras: dict[int, Camera], rig: CameraRig, uv: Array, seen: NDArray[np.bool_], sd: float
+) -> CameraRig | None:
     """All cameras, joined to a pair of them one by one: the one next that most of the triangulated points agree on."""
     while len(cameras) < len(rig):
         have = sorted(cameras)
         known = CameraRig(tuple(cameras[c] for c in have))
         x, _ = triangulate(known, uv[have, :, :2], seen[have].astype(float))
-        off = np.stack([c.project_pinhole(x) for c in known]) - uv[have, :, :2]
-        fine = np.isfinite(x).all(1) & (np.where(seen[have], np.linalg.norm(off, axis=-1), 0).max(0) < 4 * sd)
+        off = np.linalg.norm(np.stack([c.project_pinhole(x) for c in known]) - uv[have, :, :2], axis=-1)
+        fine = np.isfinite(x).all(1) & (np.where(seen[have], off, 0).max(0) < 4 * sd)
         best: tuple[float, int, Array] | None = None
         for k in set(range(len(rig))) - set(have):
             use = fine & seen[k]
@@ -182,7 +153,7 @@ def _chained(cameras: dict[int, Camera], rig: CameraRig, uv: Array, seen: Array,
                 iterationsCount=300, reprojectionError=4 * sd, flags=cv2.SOLVEPNP_SQPNP,
             )  # fmt: skip
             share = len(inliers) / use.sum() if ok and inliers is not None else 0.0
-            if share > 0 and (best is None or share > best[0]):
+            if share > (best[0] if best else 0.0):
                 best = share, k, se3(so3_exp(turn[:, 0]), shift[:, 0])
         if best is None:
             return None
@@ -190,11 +161,9 @@ def _chained(cameras: dict[int, Camera], rig: CameraRig, uv: Array, seen: Array,
     return CameraRig(tuple(cameras[k] for k in range(len(rig))))
 
 
-def _pair(
-    a: Camera, b: Camera, xa: Array, xb: Array, sd: float, pair: tuple[int, int]
-) -> list[tuple[float, tuple[int, int], Array, float]]:
-    """How bad a pair is to begin with (its disagreement, rays that are nearly parallel, points behind the cameras), the
-    pair, camera b from camera a (4, 4), and the angle of the rays in degrees; nothing without an epipolar geometry."""
+def _pair(a: Camera, b: Camera, xa: Array, xb: Array, sd: float) -> list[tuple[float, Array]]:
+    """How bad a pair is to begin with (its disagreement, rays that are nearly parallel, points behind the cameras), and
+    camera b from camera a (4, 4); nothing without an epipolar geometry."""
     found = _epipolar(xa, xb, (a.K, b.K), sd, 1000)
     if found is None:
         return []
@@ -202,12 +171,11 @@ def _pair(
     front, turn, shift = cv2.recoverPose(essential, na, nb, np.eye(3))[:3]
     pose = se3(turn, shift[:, 0])
     two = CameraRig((replace(a, camera_from_world=np.eye(4)), replace(b, camera_from_world=pose)))
-    x, _ = triangulate(two, np.stack([xa, xb]), np.ones((2, len(xa))))
-    ra, rb = x - two[0].position, x - two[1].position
-    cosine = np.abs((ra * rb).sum(1)) / (np.linalg.norm(ra, axis=1) * np.linalg.norm(rb, axis=1) + 1e-12)
-    angle = float(np.arccos(np.clip(np.nanmedian(cosine), 0, 1)))
-    bad = _disagreement(fundamental, xa, xb, sd) - 0.6 * np.sin(angle) - 0.5 * front / len(xa)
-    return [(bad, pair, pose, float(np.degrees(angle)))]
+    x = triangulate(two, np.stack([xa, xb]), np.ones((2, len(xa))))[0]
+    sine = np.linalg.norm(
+        np.cross(*(r / (np.linalg.norm(r, axis=1)[:, None] + 1e-12) for r in x - two.positions[:, None])), axis=1
+    )
+    return [(_disagreement(fundamental, xa, xb, sd) - 0.6 * float(np.nanmedian(sine)) - 0.5 * front / len(xa), pose)]
 
 
 def _epipolar(

@@ -70,10 +70,6 @@ def calibrate(
         bool, typer.Option("--from-person", help="Instead of a board: by the person who walks about in a recording.")
     ] = False,
     height: Annotated[float | None, number("Of that person: how tall, in metres.", *HEIGHT, unit="metres")] = None,
-    focal: Annotated[
-        list[str] | None,
-        typer.Option(help="Of --from-person: about the focal length, PIXELS or CAMERA=PIXELS (may be repeated)."),
-    ] = None,
     largest: Annotated[
         float | None,
         number(
@@ -109,7 +105,7 @@ def calibrate(
     if from_person and sources:
         from hypose.app.jobs.person_calibration import calibrate_recording
 
-        rig, target = calibrate_recording(sources[0], intrinsics, focal or [], height, largest, yes, target)
+        rig, target = calibrate_recording(sources[0], intrinsics, height, largest, yes, target)
         for path in write_any(rig, target):
             say(f"Calibration: {path}")
         return
@@ -222,7 +218,7 @@ def _show_points(result: PointCalibration) -> None:
             camera.name, str(len(errors)), f"{worst} {errors[worst]:.1f}", f"{camera.K[0, 0]:.0f}",
             f"{x:.3f} {y:.3f} {z:.3f}", f"{1e3 * sd:.0f}",
         )  # fmt: skip
-    _print(table)
+    print_table(table)
     for text in result.notes:
         say(f"note: {text}")
     for text in result.warnings:
@@ -305,14 +301,15 @@ def _show(result: BoardCalibration) -> None:
             f"{x:.3f} {y:.3f} {z:.3f}",
             f"{1e3 * position_sd:.0f}" if position_sd == position_sd else "-",
         )
-    _print(table)
+    print_table(table)
     for text in result.notes:
         say(f"note: {text}")
     for text in result.warnings:
         say(f"warning: {text}", "yellow")
 
 
-def _print(table: object) -> None:
+def print_table(table: object) -> None:
+    """Print a table, at full width where no terminal sets one."""
     console = out()
     if not console.is_terminal:
         console.width = 160
