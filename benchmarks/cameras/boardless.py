@@ -14,7 +14,7 @@ import numpy as np
 from benchmarks.bench_report import BenchOptions, BenchReport, Row
 from benchmarks.multiview.real_recordings import balancing_recording
 from benchmarks.synthetic.wandering import RATE, Wandering, WanderingSettings, wandering
-from hypose.app.jobs.person_calibration import most_prominent
+from hypose.app.jobs.person_calibration import person_of
 from hypose.body.ready_bodies import human
 from hypose.calibration.from_person import PersonCalibration, calibrate_from_person
 from hypose.calibration.refine_points import in_world, rescaled
@@ -111,7 +111,7 @@ def solved(scene: Wandering, known: bool) -> dict[str, Any]:
 def balancing(recording: Recording, focal_known: bool = True) -> tuple[PersonCalibration, float]:
     """The cameras of a calibrated recording found again without it, the person as tall as its own calibration says, and
     that height in metres."""
-    points, names = most_prominent(recording)
+    points, names = person_of(recording, True, False)
     height = measured_height(recording.rig, points, names)
     lenses = without_poses(recording.rig, focal_known)
     found = calibrate_from_person(points, names, lenses, height, recording.frame_rate, lenses_known=focal_known)

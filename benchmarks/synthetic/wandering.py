@@ -74,8 +74,8 @@ def wandering(seed: int, settings: WanderingSettings) -> Wandering:
     clean = []
     for camera, x in zip(rig, late, strict=True):  # frame t of a late camera shows an earlier moment
         uv = camera.project(spline(middle + (np.arange(int(settings.seconds * RATE)) - x) / RATE))
-        seen = np.isfinite(uv).all(-1) & (uv >= 0).all(-1) & (uv < camera.size).all(-1)
-        clean.append(np.concatenate([np.nan_to_num(uv), 0.8 * seen[..., None]], -1))
+        seen = np.isfinite(uv).all(-1) & np.all((uv >= 0) & (uv < camera.size), axis=-1)
+        clean.append(np.concatenate([np.nan_to_num(uv), 0.8 * np.asarray(seen)[..., None]], -1))
     points = like_a_detector(np.stack(clean, 1), BODY_25, rng, RATE, settings.noise_px)
     bias = rng.normal(size=(1, len(rig), 25, 2)) * settings.bias_px
     points[..., :2] += np.where(points[..., 2:] > 0, bias, 0.0)

@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hypose.body.ready_bodies import human
 from hypose.calibration.person_uncertainty import Uncertainty, limbs_of, uncertainty
@@ -27,7 +28,6 @@ from hypose.calibration.two_views import (
     on_common_clock,
     rival_offsets,
     start_rig,
-    with_focal,
 )
 from hypose.cameras.camera import CameraRig, triangulate
 from hypose.errors import CalibrationError
@@ -37,10 +37,10 @@ from hypose.tracking.subject import shape_from_keypoints
 
 WALK = "film somebody who walks about irregularly, turns both ways and raises an arm now and then, for 20 s"
 _MOMENTS, _STEP = 120, 2.0  # frames that are looked at; over how many frames a point's speed is taken
+_WIDER = 6  # times that offsets are looked for, each time twice as far as before
 _CLEAR, _CLOSE, _DUEL = 0.65, 0.3, 0.1  # depth of a clear minimum; rivals that are so near are tried, and must be worse
 _FEWEST_S, _SHORT_S, _SPREAD_M, _DOUBT = 1.0, 10.0, 0.25, 3.0  # what is approximate; its sd are multiplied by _DOUBT
 _ANGLE_DEG, _RESIDUAL, _FOCAL_SD, _PLACE_SD = 10.0, 0.025, 0.08, 0.3  # what is refused; the residual in person's sizes
-_STILL = 0.6  # m/s of a foot on the floor
 _HEAD = ("nose", "left_eye", "right_eye", "left_ear", "right_ear")
 _FEET = tuple(f"{side}_{part}" for side in ("left", "right") for part in ("heel", "big_toe", "small_toe", "ankle"))
 
@@ -81,11 +81,12 @@ def calibrate_from_person(
         )
     search = _Search(points, tuple(names), lenses, height, frame_rate, lenses_known, progress)
     rig, late = search.start(largest_s)
-    for k in range(3):
-        progress("refine", k, 3)
-        late = late - np.median(late)
+    rig, world, median_px, sds = search.refine(rig, late)
+    late = late + search.offsets(rig, late)
+    for k in range(2):
+        progress("refine", k, 2)
         rig, world, median_px, sds = search.refine(rig, late)
-        late = late + (search.offsets(rig, late) if k == 0 else sds.later)
+        late = late + sds.later
     return search.judged(rig, late - np.median(late), world, median_px, sds)
 
 
@@ -112,26 +113,25 @@ class _Search:
         pixels = [c.undistort_points(p[..., :2]) for c, p in zip(rig, self.raw, strict=True)]
         return np.concatenate([pixels, self.raw[..., 2:]], -1)
 
-    def moments(self, late: Array) -> Array:
+    def moments(self, late: Array) -> NDArray[np.int64]:
         """Frames of the common clock that all views have, evenly chosen."""
         first, last = np.ceil(max(0, -late.min())), np.floor(self.raw.shape[1] - 1 - max(0, late.max()))
         if last - first < _FEWEST_S * self.frame_rate:
             raise CalibrationError(
                 f"The views have {max(last - first, 0) / self.frame_rate:.1f} s in common, which is too little; {WALK}."
             )
-        return np.unique(np.linspace(first, last, _MOMENTS).round().astype(int))
+        return np.unique(np.linspace(first, last, _MOMENTS).round().astype(np.int64))
 
     # ---- start
 
     def start(self, largest_s: float | None) -> tuple[CameraRig, Array]:
         """A rig at an arbitrary scale, and offsets; a CalibrationError when other offsets explain as much."""
         curves = self.curves(largest_s)
-        late = self.late_by(curves)
+        late = solve_offsets(curves, len(self.raw)).frames
         best = self.rig(late)
         if not self.known:  # essential matrices tell offsets better than fundamental ones
-            lenses = [c.K for c in best[1]]
-            curves = epipolar_curves(self.points, lenses, self.sd, int(curves.lags[-1]))
-            late = self.late_by(curves)
+            curves = epipolar_curves(self.points, [c.K for c in best[1]], self.sd, int(curves.lags[-1]))
+            late = solve_offsets(curves, len(self.raw)).frames
         rival = rival_offsets(curves, late)
         if rival is None or rival[0] > _CLOSE:
             return best[1], late
@@ -150,11 +150,10 @@ class _Search:
     def curves(self, largest_s: float | None) -> Curves:
         """Epipolar curves over as many offsets as are needed until pairs with a clear minimum join all views."""
         largest = max(4, round((largest_s or 1.0) * self.frame_rate))
-        longest = largest if largest_s else max(largest, self.raw.shape[1] // 2)
         lenses = [c.K for c in self.lenses] if self.known else None
         tried: list[Curves] = []
-        while True:
-            self.progress("offsets", len(tried), len(tried) + 1)
+        for k in range(1 if largest_s else _WIDER):
+            self.progress("offsets", k, _WIDER)
             tried.append(epipolar_curves(self.points, lenses, self.sd, largest))
             group = np.arange(len(self.raw))
             for (a, b), cost in zip(tried[-1].pairs, tried[-1].cost, strict=True):
@@ -162,17 +161,10 @@ class _Search:
                     group[group == group[b]] = group[a]
             if (group == group[0]).all():
                 return tried[-1]
-            if largest == longest:
-                return tried[0]
-            largest = min(2 * largest, longest)
-
-    def late_by(self, curves: Curves) -> Array:
-        """(C,) offsets by curves; a CalibrationError when the motion does not tell them."""
-        found = solve_offsets(curves, len(self.raw))
-        lost = [c.name for c, sd in zip(self.lenses, found.sd, strict=True) if not np.isfinite(sd)]
-        if lost:
-            raise CalibrationError(f"{', '.join(lost)}: the motion does not tell how late the view is; {WALK}.")
-        return found.frames
+            largest = min(2 * largest, self.raw.shape[1] // 2)
+            if largest <= tried[-1].lags[-1]:
+                break
+        return tried[0]
 
     def rig(self, late: Array, lenses: CameraRig | None = None) -> tuple[float, CameraRig]:
         """The cheapest start at offsets and its cost; lenses: whose focal lengths are taken."""
@@ -181,7 +173,8 @@ class _Search:
         found = []
         for k, factor in enumerate(factors):
             self.progress("start", k, len(factors))
-            rig = CameraRig(tuple(with_focal(c.pinhole(), factor) for c in lenses or self.lenses))
+            wider = np.array([[factor, factor, 1.0], [factor, factor, 1.0], [1.0, 1.0, 1.0]])
+            rig = CameraRig(tuple(replace(c.pinhole(), K=c.K * wider) for c in lenses or self.lenses))
             found += start_rig(points, rig, self.sd)
         if not found:
             raise CalibrationError(f"The views have too little of the person in common to find the cameras; {WALK}.")
@@ -281,9 +274,10 @@ class _Search:
         x, y, _ = turn @ rig[0].camera_from_world[0, :3]
         turn = np.array([[x, y, 0], [-y, x, 0], [0, 0, np.hypot(x, y)]]) / np.hypot(x, y) @ turn
         world = se3(turn, -np.array([*(turn @ middle)[:2], floor]))
-        unsure = any(true for true, _ in doubts[:-1])
+        more = _DOUBT if any(true for true, _ in doubts[:-1]) else 1.0
+        sds = replace(sds, **{key: more * getattr(sds, key) for key in ("turn_deg", "place_m", "focal", "late")})
         told = tuple(sentence for true, sentence in doubts if true)
-        return PersonCalibration(in_world(rig, world), late, sds.times(_DOUBT if unsure else 1.0), median_px, told)
+        return PersonCalibration(in_world(rig, world), late, sds, median_px, told)
 
     def rest(self) -> Array:
         """(K,) m by which key points are above the floor when a person of the given height stands."""
@@ -292,7 +286,7 @@ class _Search:
         sole = body.skin(np.zeros(len(body.skeleton.lower)))[:, 2].min()
         return self.height / body.stature * ((body.skeleton.rest_joints[joint] + offset)[:, 2] - sole)
 
-    def upright(self, points: Array, frames: Array) -> tuple[Array, float, bool]:
+    def upright(self, points: Array, frames: NDArray[np.int64]) -> tuple[Array, float, bool]:
         """(3,) up, the floor's height along it, and whether feet on the floor tell up; else it is the trunk's."""
         ends = [[self.names.index(f"{side}_{part}") for side in ("left", "right")] for part in ("ankle", "shoulder")]
         up = np.nanmean(points[:, ends[1]] - points[:, ends[0]], axis=(0, 1))
@@ -300,7 +294,7 @@ class _Search:
         feet = [k for k, n in enumerate(self.names) if n in _FEET]
         places = points[:, feet]
         speed = np.linalg.norm(np.gradient(places, axis=0), axis=-1) * self.frame_rate / (frames[1] - frames[0])
-        still = (speed < _STILL) & np.isfinite(places).all(-1)
+        still = (speed < 0.6) & np.isfinite(places).all(-1)
         weight, places = still.astype(float), np.nan_to_num(places)
         normal, width = up, 0.0
         for _ in range(15 if still.sum() > 30 else 0):  # a plane per key point, all parallel
@@ -310,8 +304,7 @@ class _Search:
             normal = vectors[:, 0] * np.sign(vectors[:, 0] @ up)
             width = float(np.sqrt(values[1] / weight.sum()))
             weight = still / (1 + (centred @ normal / 0.03) ** 2)
-        if width > _SPREAD_M:
-            up = normal
+        up = normal if width > _SPREAD_M else up
         above = np.where(still, places @ up - self.rest()[feet], np.nan)
         floor = float(np.nanmedian(above)) if still.any() else float(np.nanmin(points @ up))
         return up, floor, width > _SPREAD_M

@@ -37,10 +37,6 @@ class Uncertainty:
     late: Array
     later: Array
 
-    def times(self, factor: float) -> Uncertainty:
-        """All standard deviations multiplied."""
-        return Uncertainty(*(factor * x for x in (self.turn_deg, self.place_m, self.focal, self.late)), self.later)
-
 
 def limbs_of(names: Sequence[str]) -> Array:
     """(K,) which part of the body each key point belongs to: head, arms, legs, or the trunk."""
@@ -62,21 +58,20 @@ def uncertainty(
     own = np.einsum("cn,cnxi,cnxj->nij", weight, jp, jp) + 1e-3 * np.eye(3)
     cross = np.einsum("cnxp,cnxi->nicp", wjc, jp).reshape(n, 3, -1)
     eliminated = np.linalg.solve(own, cross)
+    each = np.arange(count)
     hessian = np.zeros((count, size, count, size))
-    for c, block in enumerate(np.einsum("cnxp,cnxq->cpq", wjc, jc)):
-        hessian[c, :, c] = block + np.diag(np.r_[bundle.unknowns.hold, 1e-3])
+    hessian[each, :, each] = np.einsum("cnxp,cnxq->cpq", wjc, jc) + np.diag(np.r_[bundle.unknowns.hold, 1e-3])
     hessian = hessian.reshape(count * size, -1)
+    pull = np.einsum("cnxi,cn,cnx->cni", jp, weight, r)
+    score = -np.einsum("cni,nis->cns", pull, eliminated).reshape(count, n, count, size)
+    score[each, :, each] += np.einsum("cnxp,cnx->cnp", wjc, r)
+    score = score.reshape(count, n, -1)
     moment, kind, limb = labels.T
-    clusters = [kind, limb + 4 * (moment // _BLOCK)]
-    middle, gradient = np.zeros_like(hessian), np.zeros(count * size)
-    for ids in clusters:
+    middle = np.zeros_like(hessian)
+    for ids in (kind, limb + 4 * (moment // _BLOCK)):
         sums = np.zeros((count, int(ids.max()) + 1, count * size))
-        for c in range(count):
-            score = -np.einsum("ni,nis->ns", np.einsum("nxi,nx->ni", jp[c], weight[c, :, None] * r[c]), eliminated)
-            score[:, c * size : (c + 1) * size] += np.einsum("nxp,nx->np", wjc[c], r[c])
-            np.add.at(sums[c], ids, score)
+        np.add.at(sums.transpose(1, 0, 2), ids, score.transpose(1, 0, 2))
         rows = sums.reshape(-1, count * size)
-        gradient = rows.sum(0)
         used = int(np.any(rows != 0, axis=1).sum())
         middle += rows.T @ rows * used / max(used - count * size, used / 4)
     inverse = np.linalg.inv(hessian - np.einsum("nis,nit->st", cross, eliminated) + 1e-6 * np.diag(np.diag(hessian)))
@@ -84,7 +79,7 @@ def uncertainty(
     sd = np.sqrt(np.maximum(np.diag(free @ inverse @ middle @ inverse @ free.T), 0)).reshape(count, size)
     focal = sd[:, 6] if bundle.unknowns.focal else np.zeros(count)
     turn, place = (np.linalg.norm(sd[:, k : k + 3], axis=1) for k in (0, 3))
-    later = -(free @ inverse @ gradient).reshape(count, size)[:, -1]
+    later = -(free @ inverse @ score.sum((0, 1))).reshape(count, size)[:, -1]
     return Uncertainty(np.degrees(turn), place, focal, sd[:, -1], later)
 
 
@@ -95,15 +90,13 @@ def _without_gauge(cameras: Sequence[Camera], points: Array, size: int) -> Array
     middle = np.median(points, axis=0)
     reach = float(np.median([np.linalg.norm(c.position - middle) for c in cameras]))
     marks = reach * np.array([[0.0, 0, 0], [0, 0, 1.0], [0.3, 0, 1.0], [0, 0.3, 1.0]])  # as `gauge` compares cameras
+    j = np.concatenate([np.concatenate([-skew(mark), np.eye(3)], 1) for mark in marks])
     free = np.zeros((count, size, 8))
     metric = np.zeros((count, size, count, size))
     for c, camera in enumerate(cameras):
         turn, shift = camera.camera_from_world[:3, :3], camera.camera_from_world[:3, 3]
         free[c, :3, :3], free[c, 3:6, :3], free[c, 3:6, 3:6] = -turn, -skew(shift) @ turn, -turn
         free[c, 3:6, 6], free[c, -1, 7] = shift, 1.0
-        for mark in marks:
-            j = np.concatenate([-skew(mark), np.eye(3)], 1)
-            metric[c, :6, c, :6] += j.T @ j
-        metric[c, -1, c, -1] = 1.0
+        metric[c, :6, c, :6], metric[c, -1, c, -1] = j.T @ j, 1.0
     free, metric = free.reshape(count * size, 8), metric.reshape(count * size, -1)
     return np.eye(count * size) - free @ np.linalg.solve(free.T @ metric @ free, free.T @ metric)

@@ -284,14 +284,12 @@ class PointBundle:
             np.einsum("cnxp,cnxi->nicp", wjc, jp).reshape(n, 3, -1),
         )
 
-    def evaluate(self, state: _State) -> tuple[float, Callable[[], SharedEquations]]:
-        """The cost of a state and what makes its equations, for `descend`."""
+    def _evaluate(self, state: _State) -> tuple[float, Callable[[], SharedEquations]]:
         cameras, radial, points = state
         cost = self.residuals(cameras, radial, points)[2] + self.unknowns.held(cameras, radial)[1]
         return cost, partial(self.equations, cameras, radial, points)
 
-    def propose(self, state: _State, equations: SharedEquations, damping: float) -> tuple[_State, float] | None:
-        """The next state and how far it is, for `descend`."""
+    def _propose(self, state: _State, equations: SharedEquations, damping: float) -> tuple[_State, float] | None:
         cameras, radial, points = state
         reduced = equations.reduced(damping)
         step = reduced.step(self.unknowns.free)
@@ -311,7 +309,7 @@ class PointBundle:
         points[lost] = np.nanmedian(points[~lost], axis=0)
         start = list(rig), np.zeros(len(rig)), points
         rule = Rule(damping=1e-3, least=1e-7, gain=1e-6)
-        found = descend(start, self.evaluate, self.propose, iterations, rule)
+        found = descend(start, self._evaluate, self._propose, iterations, rule)
         cameras, radial, points = found.state
         sd = np.zeros(len(cameras))
         if self.unknowns.radial:

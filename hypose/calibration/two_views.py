@@ -20,22 +20,18 @@ from hypose.calibration.refine_points import adjust
 from hypose.calibration.sync_motion import Curves
 from hypose.calibration.synchronisation import points_at
 from hypose.cameras.camera import Camera, CameraRig, triangulate
-from hypose.errors import EvidenceError
 from hypose.geometry import Array, se3, so3_exp
 
-SEEN = 0.3
-"""confidence above which a key point counts"""
-LOOSE = (2.0, 5.0, 0.7)
-"""sd (rad, m, share of the focal length) within which a rig from scratch may move"""
-FACTORS = (0.55, 0.75, 1.0, 1.35, 1.8, 2.4)
-"""focal lengths that are tried, in pictures' widths"""
+SEEN = 0.3  # confidence above which a key point counts
+LOOSE = (2.0, 5.0, 0.7)  # sd (rad, m, share of the focal length) within which a rig from scratch may move
+FACTORS = (0.55, 0.75, 1.0, 1.35, 1.8, 2.4)  # focal lengths that are tried, in pictures' longer sides
 _COARSE = 3  # frames between the offsets that are tried first
 _FEW, _MANY = 500, 4000  # correspondences that an epipolar geometry is found from, and judged by
 _LEAST = 40
 _POINTS, _TRIES = 1500, 4  # that a start is made from, and pairs of views that it is begun with
 
 
-def on_common_clock(points: Array, late: Array, frames: Array) -> Array:
+def on_common_clock(points: Array, late: Array, frames: NDArray[np.int64]) -> Array:
     """(C, F, K, 3) of points (C, T, K, 3) at frames of the common clock, when views are late by late (C,) frames."""
     return np.stack([points_at(p, float(x))[frames] for p, x in zip(points, late, strict=True)])
 
@@ -81,20 +77,18 @@ def rival_offsets(curves: Curves, frames: Array, apart: float = 5.0) -> tuple[fl
     def total(x: Array) -> float:
         return sum(float(np.interp(x[b] - x[a], curves.lags, c)) for (a, b), c in usable)
 
-    best: tuple[float, Array] | None = None
+    found = []
     for (a, b), c in usable:
         far = np.abs(curves.lags - (frames[b] - frames[a])) > apart
         dip = np.r_[False, (c[1:-1] <= c[:-2]) & (c[1:-1] <= c[2:]), False]
         for k in sorted(np.flatnonzero(far & dip), key=lambda k: float(c[k]))[:2]:
             x = frames.copy()
             x[b] = x[a] + curves.lags[k]
-            others = [j for j in range(len(frames)) if j not in (a, b)]
-            for j in others * 4:
+            for j in [j for j in range(len(frames)) if j not in (a, b)] * 4:
                 trials = [np.r_[x[:j], x[a] + lag, x[j + 1 :]] for lag in curves.lags]
                 x = trials[int(np.argmin([total(t) for t in trials]))]
-            if best is None or total(x) < best[0]:
-                best = total(x), x
-    return None if best is None else (best[0] / total(frames) - 1, best[1])
+            found.append((total(x) / total(frames) - 1, x))
+    return min(found, key=lambda f: f[0]) if found else None
 
 
 def start_rig(points: Array, rig: CameraRig, sd: float) -> list[tuple[float, CameraRig]]:
@@ -116,21 +110,13 @@ def start_rig(points: Array, rig: CameraRig, sd: float) -> list[tuple[float, Cam
         chained = _chained(two, rig, uv, seen, sd)
         if chained is None:
             continue
-        try:
-            adjusted = adjust(chained, uv[..., :2], seen.astype(float), hold=LOOSE, iterations=12)
-        except EvidenceError:
-            continue
+        adjusted = adjust(chained, uv[..., :2], seen.astype(float), hold=LOOSE, iterations=12)
         off = np.linalg.norm(
             np.stack([c.project_pinhole(adjusted.points) for c in adjusted.rig]) - uv[..., :2], axis=-1
         )
         off = np.where(np.isfinite(off), off, 20 * sd)[seen]
         found.append((float(np.log1p((off / (2 * sd)) ** 2).mean()), adjusted.rig))
     return sorted(found, key=lambda f: f[0])[:1]
-
-
-def with_focal(camera: Camera, factor: float) -> Camera:
-    """The camera with its focal length multiplied by a factor."""
-    return replace(camera, K=np.vstack([camera.K[:2] * [factor, factor, 1.0], camera.K[2:]]))
 
 
 def _chained(
@@ -143,21 +129,20 @@ def _chained(
         x, _ = triangulate(known, uv[have, :, :2], seen[have].astype(float))
         off = np.linalg.norm(np.stack([c.project_pinhole(x) for c in known]) - uv[have, :, :2], axis=-1)
         fine = np.isfinite(x).all(1) & (np.where(seen[have], off, 0).max(0) < 4 * sd)
-        best: tuple[float, int, Array] | None = None
+        found = []
         for k in set(range(len(rig))) - set(have):
             use = fine & seen[k]
-            if use.sum() < _LEAST:
-                continue
-            ok, turn, shift, inliers = cv2.solvePnPRansac(
-                x[use], uv[k, use, :2], rig[k].K, np.zeros(5),
-                iterationsCount=300, reprojectionError=4 * sd, flags=cv2.SOLVEPNP_SQPNP,
-            )  # fmt: skip
-            share = len(inliers) / use.sum() if ok and inliers is not None else 0.0
-            if share > (best[0] if best else 0.0):
-                best = share, k, se3(so3_exp(turn[:, 0]), shift[:, 0])
-        if best is None:
+            if use.sum() >= _LEAST:
+                ok, turn, shift, inliers = cv2.solvePnPRansac(
+                    x[use], uv[k, use, :2], rig[k].K, np.zeros(5),
+                    iterationsCount=300, reprojectionError=4 * sd, flags=cv2.SOLVEPNP_SQPNP,
+                )  # fmt: skip
+                if ok and inliers is not None:
+                    found.append((len(inliers) / use.sum(), k, se3(so3_exp(turn[:, 0]), shift[:, 0])))
+        if not found:
             return None
-        cameras[best[1]] = replace(rig[best[1]], camera_from_world=best[2])
+        _, k, pose = max(found, key=lambda f: f[0])
+        cameras[k] = replace(rig[k], camera_from_world=pose)
     return CameraRig(tuple(cameras[k] for k in range(len(rig))))
 
 
@@ -182,17 +167,17 @@ def _epipolar(
     xa: Array, xb: Array, lenses: tuple[Array, Array] | None, sd: float, iterations: int
 ) -> tuple[Array, Array, Array, Array] | None:
     """Fundamental matrix F, x_b^T F x_a = 0, essential matrix, and xa, xb (N, 2) as the lenses (K of both) see them at
-    depth 1; without lenses the pixels, and F twice."""
+    depth 1; without lenses the pixels, and no essential matrix."""
     if lenses is None:
         f, _ = cv2.findFundamentalMat(xa, xb, cv2.USAC_MAGSAC, 1.5 * sd, 0.999, iterations)
-        return None if f is None or f.shape != (3, 3) else (f, f, xa, xb)
+        return None if f is None or f.shape != (3, 3) else (np.asarray(f, np.float64), xa[:0], xa, xb)
     ia, ib = (np.linalg.inv(k) for k in lenses)
     na, nb = ((np.c_[x, np.ones(len(x))] @ i.T)[:, :2] for x, i in ((xa, ia), (xb, ib)))
     focal = np.sqrt(lenses[0][0, 0] * lenses[1][0, 0])
     e, _ = cv2.findEssentialMat(
         na, nb, np.eye(3), method=cv2.USAC_MAGSAC, prob=0.999, threshold=1.5 * sd / focal, maxIters=iterations
     )
-    return None if e is None or e.shape != (3, 3) else (ib.T @ e @ ia, e, na, nb)
+    return None if e is None or e.shape != (3, 3) else (ib.T @ e @ ia, np.asarray(e, np.float64), na, nb)
 
 
 def _disagreement(fundamental: Array, xa: Array, xb: Array, sd: float) -> float:

@@ -12,7 +12,6 @@ from hypose.app.commands.commands_check import keep_offsets
 from hypose.app.commands.commands_track import detected
 from hypose.app.commands.console import Stages, note, say
 from hypose.calibration.from_person import PersonCalibration, calibrate_from_person
-from hypose.calibration.synchronisation import WHOLE
 from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError
 from hypose.evidence.held_points import without_held
@@ -20,39 +19,28 @@ from hypose.evidence.keypoints import keypoint_names, person_size
 from hypose.geometry import Array
 from hypose.io.recordings.recording import Recording, load_recording
 from hypose.io.recordings.recording_people import candidates_of
-from hypose.pipeline.detect_keypoints import wants_detector
 from hypose.pipeline.examine import window
 
 _MOST_SECONDS = 60
 
 
-def with_person(loaded: Recording, lenses_known: bool, yes: bool) -> Recording:
-    """The recording, limited to its middle minute, with key points: where it has none, those of the detector. Where
-    the lenses are not known, these are kept apart, for the detector's masks fit no other lens."""
+def person_of(loaded: Recording, lenses_known: bool, yes: bool) -> tuple[Array, tuple[str, ...]]:
+    """(C, T, K, 3) px of the stored pictures and confidence of whom each view shows largest and most surely, in the
+    middle minute of a recording, and the key points' names; where it has no key points, those of the detector. Where
+    the lenses are not known these are kept apart, for the detector's masks fit no other lens."""
     few = window(loaded, round(_MOST_SECONDS * loaded.frame_rate))
-    if few.keypoint_set is not None:
-        return few
-    if not wants_detector(few):
-        raise InputError(f"{few.name}: cameras are found from key points or videos, and a view has neither; add them.")
-    kept = few if lenses_known else replace(few, folder=few.folder / "results" / "uncalibrated")
-    found = detected(kept, few.frames, yes=yes, why="--from-person")
-    views = tuple(replace(v, keypoints=found.view(v.name)) for v in few.views)
-    return replace(few, views=views, keypoint_set=found.keypoint_set, keypoint_lag=0, keypoint_pixels="calibration")
-
-
-def most_prominent(recording: Recording) -> tuple[Array, tuple[str, ...]]:
-    """(C, T, K, 3) px of the stored pictures and confidence of whom each view shows largest and most surely, and the
-    key points' names."""
-    assert recording.keypoint_set is not None
-    names = keypoint_names(recording.keypoint_set)
-    found = candidates_of(recording, recording.rig)
-    points = np.zeros((len(recording.views), len(recording.frames), len(names), 3))
-    for c in range(len(points)):
-        column, _ = without_held([frame[c] for frame in found or []], first=3)
-        for t, people in enumerate(column):
-            if people is not None and len(people):
-                seen = people[..., [3, 4, 2]]
-                points[c, t] = max(seen, key=lambda p: float(p[:, 2].sum()) * person_size(p))
+    if few.keypoint_set is None:
+        kept = few if lenses_known else replace(few, folder=few.folder / "results" / "uncalibrated")
+        found = detected(kept, few.frames, yes=yes, why="--from-person")
+        views = tuple(replace(v, keypoints=found.view(v.name)) for v in few.views)
+        few = replace(few, views=views, keypoint_set=found.keypoint_set, keypoint_lag=0, keypoint_pixels="calibration")
+    names = keypoint_names(str(few.keypoint_set))
+    people = candidates_of(few, few.rig) or []
+    points = np.zeros((len(few.views), len(few.frames), len(names), 3))
+    for c, view in enumerate(points):
+        for t, found in enumerate(without_held([frame[c] for frame in people], first=3)[0]):
+            if found is not None and len(found):
+                view[t] = max(found[..., [3, 4, 2]], key=lambda p: float(p[:, 2].sum()) * person_size(p))
     return points, names
 
 
@@ -68,17 +56,19 @@ def calibrate_recording(
     height = height or loaded.subject_height
     if height is None:
         raise InputError("Say how tall the person is, in metres: --height 1.72 (the height gives the scale).")
-    points, names = most_prominent(with_person(loaded, lenses is not None, yes))
+    points, names = person_of(loaded, lenses is not None, yes)
     for text in loaded.notes:
         note(f"note: {text}")
-    about = {"lenses_known": lenses is not None, "largest_s": largest}
     with Stages() as progress:
-        found = calibrate_from_person(points, names, loaded.rig, height, loaded.frame_rate, progress=progress, **about)
+        found = calibrate_from_person(
+            points, names, loaded.rig, height, loaded.frame_rate,
+            lenses_known=lenses is not None, largest_s=largest, progress=progress,
+        )  # fmt: skip
     _show(found)
     keep_offsets(loaded, "person", found.late.tolist(), [f"sd {s:.2f}" for s in found.sds.late])
-    if np.abs(found.late).max() > WHOLE:
-        late = ",".join(f"{x:.2f}" for x in found.late)
-        say(f"To bring the evidence in step: hypose sync {path} --offsets={late} --out NEW_FOLDER")
+    if np.abs(found.late).max() > 0.05:
+        offsets = ",".join(f"{x:.2f}" for x in found.late)
+        say(f"To bring the evidence in step: hypose sync {path} --offsets={offsets} --out NEW_FOLDER")
     return found.rig, target
 
 

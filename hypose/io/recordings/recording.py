@@ -619,8 +619,7 @@ def cameras_of_pictures(where: str, views: Sequence[View]) -> CameraRig:
                 f"{where}, view {view.name}: it has no pictures, so their size is not known; give its video, or the "
                 "cameras' lenses with --intrinsics FILE."
             )
-        width, height = frame_size(path)
-        focal = max(width, height)
+        (width, height), focal = frame_size(path), max(frame_size(path))
         k = np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1.0]])
         cameras.append(Camera(view.name, k, np.zeros(5), np.eye(4), (width, height)))
     return CameraRig(tuple(cameras))
