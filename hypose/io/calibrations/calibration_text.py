@@ -15,8 +15,8 @@ TOML (hypose, Pose2Sim, anipose, FreeMoCap, Caliscope), one table per camera; Ca
     unit = "m"                            # of the translations; absent in files of other programs
 
 JSON (CMU Panoptic, XRMoCap and relatives), YAML (OpenCV, Kalibr, ROS, MC-Calib) and OpenCV's XML: the same tables in
-other spellings, see `camera_tables`; a list, or a table by name, at the top or under "cameras". Panoptic Studio's lengths
-are centimetres, and it names panel and node of every camera. EasyMocap has a pair intri.yml and extri.yml.
+other spellings, see `camera_tables`; a list, or a table by name, at the top or under "cameras". Panoptic Studio writes
+centimetres, and names panel and node of every camera. EasyMocap has a pair intri.yml and extri.yml.
 
 Plain numbers: BioCV's files and 3 x 4 projection matrices. BioCV: one file per camera (no ending, or .calib): width,
 height, K in three lines, a line, [R | t] in three or four lines (camera_from_world, mm), and in the last line the
