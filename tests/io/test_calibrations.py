@@ -760,3 +760,10 @@ def test_samples_of_other_programs(shared_data):
         assert all(c.fisheye for c in read_any(folder / name)[0])
     lenses, notes = read_any(folder / "ros_plumb_bob")
     assert lenses.names == ("cam1", "cam2", "cam3", "cam4") and any("lenses alone" in n for n in notes)
+
+
+def test_two_cameras_in_one_place_are_named(tmp_path):
+    tables = {c.name: table(c) for c in RIG}
+    tables[RIG.names[2]] |= {k: tables[RIG.names[0]][k] for k in ("R", "t")}
+    _, notes = read_any(written(tmp_path, tables))
+    assert len(notes) == 1 and f"{RIG.names[0]} and {RIG.names[2]} stand in one place" in notes[0]

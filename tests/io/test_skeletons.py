@@ -12,7 +12,7 @@ from benchmarks.synthetic.skeleton_folders import write_folder
 from hypose.errors import InputError
 from hypose.evidence.frame import SensorReport
 from hypose.io.files import bounded_lines
-from hypose.io.sensors.depth import read_azure_mkv, read_depth_png, write_depth_png
+from hypose.io.sensors.depth import read_azure_mkv, read_depth_png, write_depth_png, write_millimetres_png
 from hypose.io.sensors.skeleton_files import KINECT_V2, FolderWriter, read_ntu, read_skeletons
 from hypose.io.sensors.skeleton_streams import (
     MAX_SKELETON_LINE,
@@ -494,3 +494,8 @@ def test_offline_processor_of_azure_kinect(shared_data, tmp_path):
         (tmp_path / "a.json").write_text(json.dumps(document | damage))
         with pytest.raises(InputError, match=r"a\.json"):
             read_skeletons(tmp_path / "a.json")
+
+
+def test_depth_that_was_not_measured_is_a_hole(tmp_path):
+    write_millimetres_png(tmp_path / "a.png", np.array([[0, 65535, 1500]], dtype=np.uint16))
+    assert read_depth_png(tmp_path / "a.png").tolist() == [[0.0, 0.0, 1.5]]
