@@ -49,7 +49,7 @@ _lock = threading.Lock()
 _KEPT = 24  # two bodies with ten layers of parts each
 
 
-def prepare(mesh: MeshArrays, tree: TreeArrays, faces: NDArray[np.bool_] | None) -> LaneMesh:
+def prepare_lanes(mesh: MeshArrays, tree: TreeArrays, faces: NDArray[np.bool_] | None) -> LaneMesh:
     """The mesh, or its faces where faces (F,) is True. What depends on topology and weights is kept for the next call;
     vertices are read anew."""
     wanted = None if faces is None else faces.tobytes()

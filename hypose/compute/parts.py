@@ -16,8 +16,8 @@ from hypose.compute.compiled import kernel
 from hypose.compute.mask_runs import ALL, Bits, mask_of, u8
 from hypose.compute.simd import lowest_bit, popcount
 from hypose.compute.zbuffer import NEAR
+from hypose.geometry import Array
 
-Array = NDArray[np.float64]
 _NONE = np.zeros((0, 0), np.uint8)
 
 

@@ -26,6 +26,7 @@ from hypose.compute.silhouettes import (
 )
 from hypose.compute.threads import over_chunks
 from hypose.compute.vectors import STRIP, fill_strip, row_stride
+from hypose.geometry import Array
 
 f4 = np.float32
 
@@ -159,9 +160,6 @@ def _score_points(points, weights, rotation, centre, prepared, bits, cutoff, out
                         total[alive[i]] += worth_of[np.uint8(kind) if at >= 0 else np.uint8(2)]
         for n in range(n_block):
             out[first + n] = total[n]
-
-
-Array = NDArray[np.float64]
 
 
 def standing(

@@ -47,6 +47,7 @@ from hypose.compute.vectors import (
     write_crossings,
 )
 from hypose.errors import InputError, SolverError
+from hypose.geometry import Array
 
 f4 = np.float32
 
@@ -467,9 +468,6 @@ def _limb_energies(
         told[alive[i]] = True
 
 
-Array = NDArray[np.float64]
-
-
 def silhouette_xor(
     poses: ArrayLike,
     tree: TreeArrays,
@@ -523,7 +521,7 @@ def silhouette_xor(
             reach.hide(prepared, drawn, drawn_counts)
     elif prepared.hidden.size:
         drawn = prepared.hidden  # one more standing part, of somebody else: it counts nowhere
-    m = lane_mesh.prepare(mesh, tree, wanted)
+    m = lane_mesh.prepare_lanes(mesh, tree, wanted)
     turned = m.needed if turned is None else m.needed & turned
     out = np.zeros((n, c, 3), dtype=np.int64)
 
@@ -560,7 +558,7 @@ def limb_energies(
     prepared = tidy(prepared)
     drawn, drawn_counts = reach.standing(q[-1], tree, mesh, prepared, turning) if rest is None else rest
     parts = lane_mesh.moving_parts(mesh, tree, turning, None)
-    m = lane_mesh.prepare(mesh, tree, parts.moved)
+    m = lane_mesh.prepare_lanes(mesh, tree, parts.moved)
     scratch = lane_scratch(m, prepared.masks.shape[1:])
     cells = np.zeros((len(use), -(-drawn.shape[1] // CELL) + 1, drawn.shape[2] + 1), dtype=np.int32)
     counts, told = np.zeros((len(q), len(use), 3), dtype=np.int64), np.zeros(len(q), dtype=np.bool_)

@@ -70,7 +70,7 @@ def test_crossings_of_parts_add_up_to_those_of_the_whole(body, scene, rig, rng):
     uv = np.float32(homogeneous[..., :2] / homogeneous[..., 2:])
 
     def differences(faces):
-        mesh = lane_mesh.prepare(body.coarse.arrays, body.skeleton.tree, faces)
+        mesh = lane_mesh.prepare_lanes(body.coarse.arrays, body.skeleton.tree, faces)
         used = np.unique(body.coarse.faces if faces is None else body.coarse.faces[faces])
         u, v = (np.ascontiguousarray(uv[:, used, k].T) for k in (0, 1))
         lanes = kernels.LANES

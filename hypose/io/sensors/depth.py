@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hypose.cameras.camera import Camera
 from hypose.errors import HyposeError, InputError, extra
-from hypose.geometry import Array
+from hypose.geometry import Array, DepthMap
 from hypose.io.calibrations.calibration_formats import read_any
 from hypose.io.file_names import utf8_path
 from hypose.io.files import open_file, read_bytes, readable_size, unreadable, write_bytes
@@ -33,7 +33,6 @@ from hypose.io.videos.camera_sources import CameraSource, Played, Shot, StreamEn
 from hypose.io.videos.video import PNG_SIGNATURE, is_cut_png, list_images
 from hypose.json_text import parse_json
 
-DepthMap = NDArray[np.float32]
 MAX_SIDE = 4096
 # Steps of a noisy depth picture are no better predicted from the pixel beside: without a filter files are a third
 # smaller, and no slower to write.
