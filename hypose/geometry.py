@@ -12,6 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+"""(h, w, 3) blue, green, red, or (h, w) grey"""
+Mask = NDArray[np.uint8]
+"""(h, w), 0 or 255"""
+DepthMap = NDArray[np.float32]
+"""(h, w) m along the optical axis, 0 where nothing was measured"""
 
 
 def skew(vector: ArrayLike) -> Array:

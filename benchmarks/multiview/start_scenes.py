@@ -14,7 +14,7 @@ from hypose.synthetic.gait import Take, sample_times
 from hypose.synthetic.performance import Angles, Performance, Stance, moved, perform
 from hypose.synthetic.rigs import rig
 from hypose.synthetic.scenes import Scene, make_scene
-from hypose.synthetic.subjects import Subject
+from hypose.synthetic.subjects import SyntheticSubject
 
 SCALE = 0.5
 """of the cameras' pictures"""
@@ -42,7 +42,9 @@ CHAIRED = ("seated", "seated, arms folded")
 RIGS = ("humaneva-4", "ring-5")
 
 
-def performance(posture: str, subject: Subject, rng: np.random.Generator, seconds: float, rate: float) -> Performance:
+def performance(
+    posture: str, subject: SyntheticSubject, rng: np.random.Generator, seconds: float, rate: float
+) -> Performance:
     """Somebody who holds a posture as people do: not quite, not still, and facing anywhere."""
     trunk, arms, stance = POSTURES[posture]
     take, t = Take(rng), sample_times(seconds, rate)

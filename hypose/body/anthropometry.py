@@ -21,7 +21,7 @@ from hypose.body.ready_bodies import JOINT_NAMES
 from hypose.errors import InputError
 from hypose.geometry import Array
 
-SIDES = ("left", "right")
+_SIDES = ("left", "right")
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ TABLE_2_1: dict[str, tuple[float, float]] = {
 _TRUNK = (("chest", "chest"), ("waist", "spine"), ("pelvis", "pelvis"))
 
 
-def shape_of(log_factors: ArrayLike) -> Shape:
+def _shape_of(log_factors: ArrayLike) -> Shape:
     """The Shape of log factors (K,) in the order of ENTITIES, for `hypose.body.body.deform`."""
     x = np.asarray(log_factors, dtype=np.float64)
     if x.shape != (len(ENTITIES),):
@@ -103,7 +103,7 @@ def shape_of(log_factors: ArrayLike) -> Shape:
     offset: dict[str, tuple[float, float, float]] = {}
     for joint in ("spine", "chest", "neck"):
         offset[joint] = (1.0, 1 / torso, 1.0)  # the torso grows upwards only
-    for side in SIDES:
+    for side in _SIDES:
         for joint, part in (("shoulder", "upper arm"), ("elbow", "forearm"), ("hip", "thigh"), ("knee", "shank")):
             length[f"{side}_{joint}"] = f[f"{part} length"]
             girth[f"{side}_{joint}"] = f[f"{part} girth"]
@@ -121,7 +121,7 @@ def shape_of(log_factors: ArrayLike) -> Shape:
 def body_of(template: Body, factors: ArrayLike, *, clothed: bool = True) -> Body:
     """The template with the shape of factors (K,), in its clothes or without them."""
     x = np.asarray(factors, dtype=np.float64)
-    shaped = deform(template, shape_of(x))
+    shaped = deform(template, _shape_of(x))
     thickness = CLOTHING_UNIT * float(x[entity("clothing")])
     if not clothed or thickness == 0:
         return shaped
@@ -238,14 +238,14 @@ def measure(vertices: Array, faces: NDArray[np.integer], joints: Array) -> Sizes
     at = JOINT_NAMES.index
 
     def distance(a: str, b: str) -> float:
-        pairs = [(a, b)] if a in JOINT_NAMES and b in JOINT_NAMES else [(f"{s}_{a}", f"{s}_{b}") for s in SIDES]
+        pairs = [(a, b)] if a in JOINT_NAMES and b in JOINT_NAMES else [(f"{s}_{a}", f"{s}_{b}") for s in _SIDES]
         return float(np.mean([np.linalg.norm(j[at(p)] - j[at(q)]) for p, q in pairs]))
 
     floor = float(np.min(vertices[:, 2]))
-    shoulders = float(np.mean([j[at(f"{s}_shoulder"), 2] for s in SIDES])) - floor
+    shoulders = float(np.mean([j[at(f"{s}_shoulder"), 2] for s in _SIDES])) - floor
     girths = {}
     for site, (a, b, share, along) in _GIRTH_SITES.items():
-        pairs = [(a, b)] if a in JOINT_NAMES else [(f"{s}_{a}", f"{s}_{b}") for s in SIDES]
+        pairs = [(a, b)] if a in JOINT_NAMES else [(f"{s}_{a}", f"{s}_{b}") for s in _SIDES]
         found = []
         for p, q in pairs:
             start, bone = j[at(p)], j[at(q)] - j[at(p)]
@@ -319,7 +319,7 @@ def _tape(flat: Array) -> float:
         return 0.0
 
 
-DENSITY = 1000.0
+_DENSITY = 1000.0
 """kg/m^3."""
 _CUBE = 0.01  # m
 
@@ -345,7 +345,7 @@ def segment_masses(
 
     points = _inside(body.fine)
     carrier = body.fine.main_joint[KDTree(body.fine.vertices).query(points)[1]]
-    density = DENSITY if mass is None else mass / (len(points) * _CUBE**3)
+    density = _DENSITY if mass is None else mass / (len(points) * _CUBE**3)
     out = {}
     for name, joints in segments.items():
         own = points[np.isin(carrier, [body.skeleton.joint(j) for j in joints])]

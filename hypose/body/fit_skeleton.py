@@ -67,7 +67,7 @@ FACTORS: tuple[_Factor, ...] = (
 
 
 @dataclass(frozen=True)
-class Surface:
+class _ScanSamples:
     """Samples of a scan: points (N, 3) m and outward unit normals (N, 3)."""
 
     points: Array
@@ -75,7 +75,7 @@ class Surface:
 
 
 @dataclass(frozen=True)
-class Stance:
+class ScanPose:
     """How a scan stands: upright_from_file (3, 3), a rotation after which z is up and the person faces -y; arms: the
     pose of the arms; score: mean distance to the template over the stature; up: the file's up axis, such as '+y'."""
 
@@ -98,7 +98,7 @@ class ScanFit:
     far: float
 
 
-def surface_samples(vertices: ArrayLike, faces: ArrayLike, count: int, rng: np.random.Generator) -> Surface:
+def surface_samples(vertices: ArrayLike, faces: ArrayLike, count: int, rng: np.random.Generator) -> _ScanSamples:
     """`count` points spread evenly over the surface of a mesh (V, 3), (F, 3) of positive area."""
     v, f = np.asarray(vertices, dtype=np.float64), np.asarray(faces)
     a, b, c = (v[f[:, k]] for k in range(3))
@@ -110,7 +110,7 @@ def surface_samples(vertices: ArrayLike, faces: ArrayLike, count: int, rng: np.r
     chosen = np.minimum(np.searchsorted(edges, (np.arange(count) + rng.random(count)) / count), len(f) - 1)
     s, t = np.sqrt(rng.random(count))[:, None], rng.random(count)[:, None]
     points = (1 - s) * a[chosen] + s * (1 - t) * b[chosen] + s * t * c[chosen]
-    return Surface(points, normal[chosen] / np.maximum(double[chosen], 1e-30)[:, None])
+    return _ScanSamples(points, normal[chosen] / np.maximum(double[chosen], 1e-30)[:, None])
 
 
 def scan_pose(body: Body, name: str) -> Array:
@@ -128,7 +128,7 @@ def scan_pose(body: Body, name: str) -> Array:
     return s.clamp(pose)
 
 
-def find_stances(surface: Surface, template: Body) -> list[Stance]:
+def find_stances(surface: _ScanSamples, template: Body) -> list[ScanPose]:
     """The ways a scan may stand, best first; units do not matter.
 
     Any axis may be up; z and then y are preferred when the scores are near each other."""
@@ -155,7 +155,7 @@ def find_stances(surface: Surface, template: Body) -> list[Stance]:
                 # normals count like a distance of a twelfth of the stature: front and back differ by little else
                 a, b = np.hstack([boxed, facing / 12]), np.hstack([v, n / 12])
                 d = np.concatenate([KDTree(b).query(a)[0], KDTree(a).query(b)[0]])
-                out.append(Stance(turn, name, float(np.minimum(d, 0.2).mean()), label))
+                out.append(ScanPose(turn, name, float(np.minimum(d, 0.2).mean()), label))
     preference = {label: prefer for label, _, prefer in _UPS}
     return sorted(out, key=lambda s: s.score * preference[s.up])
 
@@ -177,13 +177,13 @@ def _boxed(points: Array) -> tuple[Array, float]:
     return (points - [*(0.5 * (low + high))[:2], low[2]]) / max(height, 1e-12), height
 
 
-def fit_template(surface: Surface, template: Body, stances: list[Stance]) -> tuple[ScanFit, Stance]:
+def fit_template(surface: _ScanSamples, template: Body, stances: list[ScanPose]) -> tuple[ScanFit, ScanPose]:
     """The template fitted to a scan in metres; tries the first few stances shortly and the best one thoroughly.
 
     Returns the fit, in the frame into which the stance turns the file, and its stance.
     """
     light = _light(template)
-    few: list[Stance] = []
+    few: list[ScanPose] = []
     for s in stances:
         if s.score < 1.6 * stances[0].score and len(few) < 4:
             few.append(s)
@@ -197,7 +197,7 @@ def fit_template(surface: Surface, template: Body, stances: list[Stance]) -> tup
     search.start(stance.arms)
     x, _ = search.run(x, _FINE)
     k = template.skeleton.dof
-    body = deform(template, shape_of(x[k:]), template.name)
+    body = deform(template, shape_from_factors(x[k:]), template.name)
     distance, far = search.quality(x)
     return ScanFit(body, x[:k], x[k:], distance, far), stance
 
@@ -209,7 +209,7 @@ def _light(body: Body) -> Body:
     return replace(body, fine=nothing, landmarks=Landmarks((), np.zeros(0, np.int64), np.zeros((0, 3))))
 
 
-def shape_of(factors: ArrayLike) -> Shape:
+def shape_from_factors(factors: ArrayLike) -> Shape:
     """The Shape of the logarithms (K,) of FACTORS."""
     length: dict[str, float] = {}
     girth: dict[str, list[float]] = {}
@@ -271,7 +271,7 @@ def _corners() -> Array:
 class _Search:
     """Damped Gauss-Newton on the vector x = (pose, logarithms of the factors)."""
 
-    def __init__(self, body: Body, surface: Surface) -> None:
+    def __init__(self, body: Body, surface: _ScanSamples) -> None:
         from scipy.spatial import KDTree  # takes long to import
 
         self.body, self.surface = body, surface
@@ -309,12 +309,12 @@ class _Search:
         return x
 
     def skin(self, x: Array) -> Array:
-        return deform(self.body, shape_of(x[self.dof :])).skin(x[: self.dof])
+        return deform(self.body, shape_from_factors(x[self.dof :])).skin(x[: self.dof])
 
     def derivative(self, x: Array, free: NDArray[np.int64], fresh: bool) -> tuple[Array, Array]:
         """Vertices (V, 3) and their derivatives (P, V, 3), by differences wide enough for float32 skinning. Those by
         the factors change little and are kept from the last call unless fresh."""
-        shaped = deform(self.body, shape_of(x[self.dof :]))
+        shaped = deform(self.body, shape_from_factors(x[self.dof :]))
         h = 2e-3
         turns = free[free < self.dof]
         poses = np.tile(x[: self.dof], (1 + len(turns), 1))
@@ -397,5 +397,5 @@ class _Search:
         return x, cost
 
 
-def _turned(surface: Surface, rotation: Array, step: int = 1) -> Surface:
-    return Surface(surface.points[::step] @ rotation.T, surface.normals[::step] @ rotation.T)
+def _turned(surface: _ScanSamples, rotation: Array, step: int = 1) -> _ScanSamples:
+    return _ScanSamples(surface.points[::step] @ rotation.T, surface.normals[::step] @ rotation.T)

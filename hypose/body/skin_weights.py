@@ -19,7 +19,7 @@ from hypose.compute import nearest_visible
 from hypose.errors import InputError, extra
 from hypose.geometry import Array
 
-SMALLEST = 0.01
+_SMALLEST = 0.01
 """Weights below this are dropped before the rest is scaled to sum 1: no eye sees them and they cost time."""
 
 
@@ -153,7 +153,7 @@ def influences(weights: ArrayLike, count: int = 4) -> tuple[NDArray[np.int32], A
     value = np.zeros((len(w), 4))
     index[:, :keep] = np.argsort(-w, axis=1, kind="stable")[:, :keep]
     value[:, :keep] = np.take_along_axis(w, index[:, :keep].astype(np.int64), 1)
-    value[:, 1:] = np.where(value[:, 1:] < SMALLEST, 0.0, value[:, 1:])
+    value[:, 1:] = np.where(value[:, 1:] < _SMALLEST, 0.0, value[:, 1:])
     return np.where(value > 0, index, 0).astype(np.int32), value / value.sum(1, keepdims=True)
 
 
@@ -186,14 +186,14 @@ def carried_weights(
     return out
 
 
-def vertex_normals(vertices: ArrayLike, faces: ArrayLike) -> Array:
-    """Outward unit normals (V, 3) of a mesh, weighted by the areas of the faces."""
-    v, f = np.asarray(vertices, dtype=np.float64), np.asarray(faces)
-    across = np.cross(v[f[:, 1]] - v[f[:, 0]], v[f[:, 2]] - v[f[:, 0]])
-    out = np.zeros_like(v)
-    for k in range(3):
-        np.add.at(out, f[:, k], across)
-    return out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-15)
+def vertex_normals(vertices: Array, faces: NDArray[np.int32]) -> Array:
+    """Compute unit outward normals (V, 3) of vertices (V, 3), weighted by the areas of the faces (F, 3)."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    n = np.cross(b - a, c - a)
+    flat = faces.ravel()
+    rows = np.repeat(n, 3, axis=0)
+    out = np.stack([np.bincount(flat, rows[:, k], len(vertices)) for k in range(3)], 1)
+    return out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-12)
 
 
 def _closest_points(v: Array, bones: Bones) -> tuple[Array, Array]:

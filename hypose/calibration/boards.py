@@ -102,7 +102,7 @@ class Board:
 
 
 @dataclass(frozen=True)
-class Sighting:
+class BoardDetection:
     """A board in a picture. ids (n,): numbers of the corners, rows of Board.points; pixels (n, 2); edge_px: width of
     the edges between black and white, which is about 2 px in a sharp picture and grows with blur."""
 
@@ -110,12 +110,12 @@ class Sighting:
     pixels: Array
     edge_px: float
 
-    def turned(self, turn: IntArray) -> Sighting:
+    def turned(self, turn: IntArray) -> BoardDetection:
         """The same sighting with other numbers."""
-        return Sighting(turn[self.ids], self.pixels, self.edge_px)
+        return BoardDetection(turn[self.ids], self.pixels, self.edge_px)
 
 
-Detector = Callable[[Gray], Sighting | None]
+Detector = Callable[[Gray], BoardDetection | None]
 
 
 def dictionaries() -> tuple[str, ...]:
@@ -124,11 +124,11 @@ def dictionaries() -> tuple[str, ...]:
 
 
 def make_detector(board: Board) -> Detector:
-    """Gray picture (h, w) -> Sighting, or None without a board."""
+    """Gray picture (h, w) -> BoardDetection, or None without a board."""
     if board.kind == "charuco":
         return _charuco_detector(board)
 
-    def detect(gray: Gray) -> Sighting | None:
+    def detect(gray: Gray) -> BoardDetection | None:
         picture = 255 - gray if board.inverted else gray
         found = _find_chessboard(picture, board.size)
         if found is None:
@@ -136,7 +136,7 @@ def make_detector(board: Board) -> Detector:
         pixels = _refined(gray, _numbered(picture, found, board.size), board.size)
         if not _regular(pixels, board.size):
             return None
-        return Sighting(np.arange(len(pixels)), pixels, edge_width(gray, pixels, _spacing(pixels, board.size)))
+        return BoardDetection(np.arange(len(pixels)), pixels, edge_width(gray, pixels, _spacing(pixels, board.size)))
 
     return detect
 
@@ -146,7 +146,7 @@ def _charuco_detector(board: Board) -> Detector:
     detector = cv2.aruco.CharucoDetector(pattern)
     nx = board.size[0]
 
-    def detect(gray: Gray) -> Sighting | None:
+    def detect(gray: Gray) -> BoardDetection | None:
         corners, ids = detector.detectBoard(255 - gray if board.inverted else gray)[:2]
         if ids is None or len(ids) < _MIN_CORNERS:
             return None
@@ -156,7 +156,7 @@ def _charuco_detector(board: Board) -> Detector:
             return None
         pixels = np.asarray(corners, dtype=np.float64).reshape(-1, 2)
         order = np.argsort(numbers)
-        return Sighting(numbers[order], pixels[order], edge_width(gray, pixels, _nearest(pixels)))
+        return BoardDetection(numbers[order], pixels[order], edge_width(gray, pixels, _nearest(pixels)))
 
     return detect
 

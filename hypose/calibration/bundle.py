@@ -17,13 +17,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from hypose.calibration.boards import IntArray
 from hypose.cameras.camera import Camera
 from hypose.compute import SharedEquations, huber
 from hypose.errors import SolverError
 from hypose.fitting.least_squares import Rule, descend
 from hypose.geometry import Array, se3, skew, so3_exp
 
-IntArray = NDArray[np.int64]
 _State = tuple[list[Camera], Array]
 """cameras, world_from_board (F, 4, 4)"""
 
@@ -92,7 +92,7 @@ def project_with_derivatives(camera: Camera, points_camera: Array) -> tuple[Arra
     return np.asarray(uv, dtype=np.float64).reshape(-1, 2), j[..., by_point], j[..., by_lens]
 
 
-def refine(
+def bundle_adjust(
     cameras: Sequence[Camera],
     frames: Array,
     board_points: Array,

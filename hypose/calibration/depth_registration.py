@@ -36,7 +36,7 @@ _POSE_SD = 0.5
 
 
 @dataclass(frozen=True)
-class Rough:
+class CoarseAlignment:
     """a_from_b (4, 4); seconds to add to b's times; apart m: median distance of the
     joints then."""
 
@@ -45,7 +45,7 @@ class Rough:
     apart: float
 
 
-def rough_registration(times_a: Array, joints_a: Array, times_b: Array, joints_b: Array) -> Rough:
+def rough_registration(times_a: Array, joints_a: Array, times_b: Array, joints_b: Array) -> CoarseAlignment:
     """From the same person's joints as two sensors alone see them: times (T,) s of each sensor's own clock, joints
     (T, J, 3) m in each sensor's own world, in which the floor is z = 0: what is looked for turns about the vertical and
     moves along the floor. A CalibrationError when the movements do not belong together."""
@@ -73,7 +73,7 @@ def rough_registration(times_a: Array, joints_a: Array, times_b: Array, joints_b
             f"What two depth cameras saw does not fit together ({1000 * apart:.0f} mm apart); one of them took the "
             "front for the back: record somebody who walks about and turns before all of them."
         )
-    return Rough(motion, seconds, apart)
+    return CoarseAlignment(motion, seconds, apart)
 
 
 def _level(source: Array, target: Array, weight: Array) -> Array:
@@ -83,7 +83,7 @@ def _level(source: Array, target: Array, weight: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Registration:
+class DepthRegistration:
     """camera_from_world (C, 4, 4); poses (F, D) of the body."""
 
     camera_from_world: Array
@@ -96,7 +96,7 @@ def refine_registration(
     seen: Sequence[Sequence[SurfacePoints]],
     camera_from_world: Array,
     iterations: int = 12,
-) -> Registration:
+) -> DepthRegistration:
     """Places of sensors and poses (F, D) together. seen: per sensor, per frame, what it measured, in the CAMERA's own
     frame; camera_from_world (C, 4, 4): where to begin; the first is held, the others turn about the vertical and move
     along the floor, for each knows the floor better than a body can tell. Poses are eliminated frame by frame."""
@@ -104,7 +104,7 @@ def refine_registration(
     start = np.array(camera_from_world, dtype=np.float64), np.array(poses, dtype=np.float64)
     found = descend(start, problem.evaluate, problem.propose, iterations, Rule(slack=1.002, moved=1e-4))
     cameras, solved = found.state
-    return Registration(cameras, solved)
+    return DepthRegistration(cameras, solved)
 
 
 class _Problem:

@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 
 from hypose.calibration.diagnose_points import sizes, undistorted
 from hypose.calibration.findings import Finding
-from hypose.calibration.refine_points import changed
+from hypose.calibration.refine_points import apply_parameters
 from hypose.calibration.sync_motion import MaskTrack, tangent_planes
 from hypose.cameras.camera import CameraRig, triangulate
 from hypose.compute import lorentzian_weight, weighted_squares
 from hypose.evidence.frame import Silhouettes
 from hypose.geometry import Array
 
-LIMBS = tuple(
+_LIMBS = tuple(
     (f"{side}_{a}", f"{side}_{b}")
     for side in ("left", "right")
     for a, b in (("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"))
@@ -75,8 +75,8 @@ def limb_offsets(
     """Offsets of one view. points (T, K, 3) px of the masks, velocities (T, K, 2) px per frame; masks (T) of (h, w) or
     None; mask t + lag is compared."""
     column = {n: k for k, n in enumerate(names)}
-    limbs = np.array([(column[a], column[b]) for a, b in LIMBS if a in column and b in column]).reshape(-1, 2)
-    bones = np.array([(column[a], column[b]) for a, b in (*LIMBS, *_TRUNK) if a in column and b in column])
+    limbs = np.array([(column[a], column[b]) for a, b in _LIMBS if a in column and b in column]).reshape(-1, 2)
+    bones = np.array([(column[a], column[b]) for a, b in (*_LIMBS, *_TRUNK) if a in column and b in column])
     parts: list[tuple[Array, ...]] = []
     for t, p in enumerate(points):
         mask = masks[t + lag] if 0 <= t + lag < len(masks) else None
@@ -140,7 +140,7 @@ def _clearance(
 def _alone(limb: NDArray[np.int64], across: Array, n_limbs: int) -> NDArray[np.bool_]:
     """(N,) True where the mask is about as wide as the limb: wider where it lies before another part of the body."""
     out = np.zeros(len(limb), dtype=bool)
-    half = max(n_limbs // 2, 1)  # LIMBS lists the left side first, then the right in the same order
+    half = max(n_limbs // 2, 1)  # _LIMBS lists the left side first, then the right in the same order
     for k in range(half):
         pair = np.flatnonzero(limb % half == k)
         if len(pair):
@@ -164,7 +164,7 @@ def _reach(mask: NDArray[np.uint8], start: Array, direction: Array, steps: Array
     return steps[first_off]
 
 
-def align(
+def align_to_masks(
     points: Array, names: Sequence[str], masks: Sequence[NDArray[np.uint8] | None], largest: int = 6
 ) -> Alignment | None:
     """Lag and shift of one view's key points (T, K, 3), px of the masks; None when too few limbs are seen.
@@ -302,16 +302,16 @@ class CommonFocal:
     sd: float
 
 
-FAR, CERTAIN, LIKELY, KNOWN = 0.06, 3.5, 2.7, 0.08
-"""A factor is a fault when its logarithm is beyond FAR and beyond CERTAIN of its sd, which is KNOWN at most, and worth
-a look beyond LIKELY of it. Of 33 scenes with spoilt key points, things in the masks or late cameras (seeds 600 to 602)
-none had more than 3.4 sd."""
+_FAULT_LOG_FACTOR, CERTAIN, LIKELY, KNOWN = 0.06, 3.5, 2.7, 0.08
+"""A factor is a fault when its logarithm is beyond _FAULT_LOG_FACTOR and beyond CERTAIN of its sd, which is KNOWN at
+most, and worth a look beyond LIKELY of it. Of 33 scenes with spoilt key points, things in the masks or late cameras
+(seeds 600 to 602) none had more than 3.4 sd."""
 
 
 def focal_findings(found: CommonFocal) -> Iterator[Finding]:
     """What is said of a factor."""
     off = abs(float(np.log(found.factor)))
-    if off > FAR and off > LIKELY * found.sd and found.sd < KNOWN:
+    if off > _FAULT_LOG_FACTOR and off > LIKELY * found.sd and found.sd < KNOWN:
         text = (
             f"All cameras: the views agree best if every focal length were {found.factor:.2f} times as long (sd "
             f"{found.factor * found.sd:.2f}); as they are, the person comes out {found.factor:.2f} times as large"
@@ -394,4 +394,4 @@ def _tukey(residual: Array) -> Array:
 
 
 def _scaled(rig: CameraRig, log_factor: float) -> CameraRig:
-    return CameraRig(tuple(changed(c, np.r_[np.zeros(6), log_factor]) for c in rig))
+    return CameraRig(tuple(apply_parameters(c, np.r_[np.zeros(6), log_factor]) for c in rig))

@@ -17,7 +17,7 @@ import numpy as np
 from hypose.body.ready_bodies import human
 from hypose.calibration.diagnose_masks import Alignment
 from hypose.calibration.diagnose_points import undistorted
-from hypose.calibration.findings import Clip, Finding, Limits
+from hypose.calibration.findings import Finding, Limits, ViewFile
 from hypose.calibration.refine_points import CameraChange
 from hypose.cameras.camera import CameraRig, triangulate
 from hypose.errors import EvidenceError
@@ -29,7 +29,7 @@ WRONG_SET, RIGHT_SET, TELLS = 0.2, 0.15, 0.4
 """A set is taken for another one when its bones are off by more than WRONG_SET (in the logarithm of their length), the
 other's by less than RIGHT_SET, and by less than TELLS times as much. BODY_25 read as BODY_25B is off by 0.6 to 0.9, a
 detector's points in their own order by 0.03 to 0.1."""
-MOST = 0.8
+_WRONG_WAY_SHARE = 0.8
 """Share of the frames in which the person must stand, or be made, the wrong way round."""
 _PAIRS = tuple(
     (f"{side}_{a}", f"{side}_{b}")
@@ -142,7 +142,7 @@ def wrong_way_up(points_world: Array, names: Sequence[str], pixels: Array, rig: 
         return
     up = along[known, 2]
     in_images = _upright_in_images(pixels, names)
-    turned = (up < -_UPRIGHT).mean() > MOST
+    turned = (up < -_UPRIGHT).mean() > _WRONG_WAY_SHARE
     if turned and in_images < -_UPRIGHT:
         text = "All cameras: the key points stand on their heads in the images: their y seems to count from the bottom"
         cure = "write y as the image's height minus y (or flip the videos back, if they are turned, too)"
@@ -153,7 +153,7 @@ def wrong_way_up(points_world: Array, names: Sequence[str], pixels: Array, rig: 
             "world's up is upside down"
         )
         yield Finding("up", (), text, "give world_up in recording.toml the opposite sign", 1.0)
-    elif (np.abs(up) < _UPRIGHT).mean() > MOST and in_images > _UPRIGHT:
+    elif (np.abs(up) < _UPRIGHT).mean() > _WRONG_WAY_SHARE and in_images > _UPRIGHT:
         mean = _unit(along[known].mean(0))
         axis = "xyz"[int(np.argmax(np.abs(mean)))]
         if abs(mean[int(np.argmax(np.abs(mean)))]) > 0.8 and float(cameras_up(rig) @ mean) > _UPRIGHT:
@@ -161,14 +161,14 @@ def wrong_way_up(points_world: Array, names: Sequence[str], pixels: Array, rig: 
             text = f"All cameras: the person stands along the world's {sign}{axis} axis, not along z"
             cure = f"set world_up in recording.toml so that what is now {sign}{axis} points up"
             yield Finding("up", (), text, cure, 1.0)
-    elif (np.abs(up) < _UPRIGHT).mean() > MOST and not in_images > _UPRIGHT:
+    elif (np.abs(up) < _UPRIGHT).mean() > _WRONG_WAY_SHARE and not in_images > _UPRIGHT:
         # cameras that hang on their side show neither
         text = "All cameras: the person lies in the calibration's world from beginning to end"
         cure = "if they stand, set world_up in recording.toml to the axis along which they do"
         yield Finding("lying", (), text, cure, 1.0, fault=False)
     sides = _sides(points_world, names, pixels, rig)
     against = -sides[sides < 0].sum()
-    if not turned and against > EXCHANGED and against > MOST * np.abs(sides).sum():
+    if not turned and against > EXCHANGED and against > _WRONG_WAY_SHARE * np.abs(sides).sum():
         text = (
             "All cameras: the person's left and right are exchanged (toes, nose or bent knees point backwards): "
             "mirrored images, exchanged cameras, or the sides' names"
@@ -282,7 +282,7 @@ def _unit(vectors: Array) -> Array:
 # What the doctor says: findings with their evidence and next step, and the checks that need no geometry.
 
 
-UNITS = (
+UNIT_ERRORS = (
     (1000.0, "metres are given as if they were millimetres, or the other way round"),
     (100.0, "centimetres and metres are mixed up"),
     (10.0, "centimetres and millimetres are mixed up"),
@@ -307,7 +307,7 @@ class ViewReport:
 
 
 @dataclass(frozen=True)
-class Report:
+class PersonReport:
     """findings, worst kind first as they were found; views in the rig's order."""
 
     findings: tuple[Finding, ...]
@@ -330,7 +330,7 @@ class Report:
         return " ".join(f.sentence if f.text.startswith(view) else f"{view}: {f.sentence}" for f in found)
 
 
-def clip_findings(rig: CameraRig, clips: Sequence[Clip], frame_rate: float) -> Iterator[Finding]:
+def clip_findings(rig: CameraRig, clips: Sequence[ViewFile], frame_rate: float) -> Iterator[Finding]:
     """Sizes, frame rates and numbers of frames of the files."""
     if not clips:
         return
@@ -403,7 +403,7 @@ def height_findings(found: float, height: float | None, o: Limits) -> Iterator[F
     """What a measured height of `found` metres says about the calibration's unit and scale."""
     if not o.heights[0] <= found <= o.heights[1]:
         best = "the scale of the calibration is wrong"
-        for factor, words in UNITS:
+        for factor, words in UNIT_ERRORS:
             if any(1.3 <= found * f <= 2.1 for f in (factor, 1 / factor)):
                 best = words
                 break

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.calibration.findings import Finding, Limits, Seen, Trial
+from hypose.calibration.findings import Finding, Limits, SeenT, Trial
 from hypose.calibration.refine_points import (
     CameraChange,
     PointAdjustment,
@@ -22,8 +22,8 @@ from hypose.calibration.refine_points import (
     bent,
     changes,
     gauge,
-    in_world,
     point_residual,
+    transform_rig,
 )
 from hypose.calibration.sync_motion import Curves, farther, keypoint_curves, offsets_within, solve_offsets, solve_widely
 from hypose.calibration.synchronisation import point_sd
@@ -48,8 +48,8 @@ _TURNS = (
 
 
 def geometric_trials(
-    rig: CameraRig, seen: Seen, turned: Callable[[int, Array], Seen], ordered: Callable[[NDArray[np.int64]], Seen]
-) -> Iterator[Trial[Seen]]:
+    rig: CameraRig, seen: SeenT, turned: Callable[[int, Array], SeenT], ordered: Callable[[NDArray[np.int64]], SeenT]
+) -> Iterator[Trial[SeenT]]:
     """Images of one camera that are mirrored or turned, views of two cameras that are exchanged, poses that are
     inverted. turned: what is seen when a view's positions are multiplied by factors (2,) about the picture's middle;
     ordered: when the views come in another order."""
@@ -382,7 +382,7 @@ def judge_extrinsics(rig: CameraRig, pixels: Array, o: Limits) -> Extrinsics | N
     except (EvidenceError, np.linalg.LinAlgError):
         return None
     old_from_new = gauge(found.rig, ideal, found.points)
-    refined = in_world(found.rig, old_from_new)
+    refined = transform_rig(found.rig, old_from_new)
     size = sizes(pixels)
     person = float(np.median(size[size > 0])) if (size > 0).any() else 1.0
     before, after = (_residual(r, *of(rest)) for r in (ideal, refined))

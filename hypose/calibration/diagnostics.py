@@ -16,7 +16,7 @@ import numpy as np
 
 from hypose.calibration.diagnose_masks import (
     Alignment,
-    align,
+    align_to_masks,
     focal_by_masks,
     focal_by_points,
     focal_findings,
@@ -24,7 +24,7 @@ from hypose.calibration.diagnose_masks import (
     tangency_by_view,
     view_masks,
 )
-from hypose.calibration.diagnose_person import Report, ViewReport, clip_findings, height_findings, person_findings
+from hypose.calibration.diagnose_person import PersonReport, ViewReport, clip_findings, height_findings, person_findings
 from hypose.calibration.diagnose_points import (
     FAR_DEG,
     FAR_M,
@@ -39,8 +39,8 @@ from hypose.calibration.diagnose_points import (
     timing_findings,
     undistorted,
 )
-from hypose.calibration.findings import Clip, Finding, Limits, Trial, depth_findings
-from hypose.calibration.refine_points import changed, changes, left_out_residual, point_residual
+from hypose.calibration.findings import Finding, Limits, Trial, ViewFile, depth_findings
+from hypose.calibration.refine_points import apply_parameters, changes, left_out_residual, point_residual
 from hypose.calibration.sync_motion import MaskTrack, farther, mask_tracks, silhouette_curves, solve_widely
 from hypose.calibration.synchronisation import points_at
 from hypose.cameras.camera import CameraRig
@@ -57,7 +57,7 @@ from hypose.geometry import Array
 # poses and units can be told; lens coefficients cannot.
 
 
-SCATTER = 0.08
+_SCATTER = 0.08
 """Share of the person's size by which tangent planes may disagree: tables and treadmills cut masks, too."""
 _JUDGED = 40  # frames on which poses are judged
 _LOOK_AT_MASKS = (
@@ -117,7 +117,7 @@ def gross_silhouettes(rig: CameraRig, silhouettes: Sequence[Silhouettes | None],
         return ()
     cured, tracks = _gross_masks(rig, tracks, size, findings, o)
     left = _score(cured, tracks, size)
-    if not findings and left > SCATTER:
+    if not findings and left > _SCATTER:
         found = _scattered(cured, tracks, size, left)
         findings.append(replace(found, cure="run hypose check, which looks for the cause"))
     findings += _unit(cured, size, o)
@@ -152,7 +152,7 @@ def _gross_masks(
             break
         scored = [(_score(t.rig, t.seen, size), k) for k, t in enumerate(_trials(rig, few))]
         after, k = min(scored)
-        if after > min(o.gross_cured * before, SCATTER):
+        if after > min(o.gross_cured * before, _SCATTER):
             break
         trial = next(itertools.islice(_trials(rig, tracks), k, None))
         findings.append(gross_finding(rig, trial, before, after, "silhouettes"))
@@ -235,8 +235,8 @@ def _poses(
     disagree = f"All cameras: the silhouettes' tangent planes disagree by {100 * before:.1f} % of the person's size"
     change = changes(small, moved, _person(silhouettes))[c]
     far = change.turn_deg > FAR_DEG or change.move_m > FAR_M
-    if min(before, value) > SCATTER or (far and value > o.tangency):
-        if before <= SCATTER and value <= SCATTER:  # the views show one person, and it is not told what is wrong
+    if min(before, value) > _SCATTER or (far and value > o.tangency):
+        if before <= _SCATTER and value <= _SCATTER:  # the views show one person, and it is not told what is wrong
             return [Finding("extrinsics", (), disagree, "run hypose check --refine, and hypose sync", before)]
         found = _scattered(small, few, size, before)
         text = f"{found.text}, and no lag that these frames can tell and no other place of one camera cures that"
@@ -253,7 +253,7 @@ def _scattered(small: CameraRig, tracks: Sequence[MaskTrack], size: Array, befor
     for c in seen if len(seen) > 3 else ():
         rest = [int(k) for k in seen if k != c]
         left = _score(small.select([small.names[k] for k in rest]), [tracks[k] for k in rest], size[rest])
-        if left < min(0.5 * SCATTER, 0.25 * before):
+        if left < min(0.5 * _SCATTER, 0.25 * before):
             text = f"{small.names[c]}: {disagree}, by {100 * left:.0f} % without this view"
             return Finding("scatter", (small.names[c],), text, _LOOK_AT_MASKS, before)
     return Finding("scatter", (), f"All cameras: {disagree}", _LOOK_AT_MASKS, before)
@@ -296,7 +296,7 @@ def _moved_alone(rig: CameraRig, tracks: list[MaskTrack], size: Array, c: int) -
 
     def at(x: Array) -> CameraRig:
         cameras = list(rig)
-        cameras[c] = changed(rig[c], x * np.array([0.02] * 3 + [0.1] * 3))
+        cameras[c] = apply_parameters(rig[c], x * np.array([0.02] * 3 + [0.1] * 3))
         return CameraRig(tuple(cameras))
 
     def rows(x: Array) -> Array:
@@ -350,7 +350,7 @@ class Observed:
     keypoints: Array | None = None
     names: tuple[str, ...] = ()
     silhouettes: Sequence[Silhouettes | None] | None = None
-    clips: tuple[Clip, ...] = ()
+    clips: tuple[ViewFile, ...] = ()
     frame_rate: float = 25.0
     height: float | None = None
     people: tuple[str, ...] = ()
@@ -376,12 +376,12 @@ class _State:
     findings: list[Finding] = field(default_factory=list)
 
 
-def examine(observed: Observed, limits: Limits | None = None) -> Report:
+def examine(observed: Observed, limits: Limits | None = None) -> PersonReport:
     """All checks that the evidence allows. An EvidenceError when there is neither key point nor silhouette."""
     return examine_and_cure(observed, limits)[0]
 
 
-def examine_and_cure(observed: Observed, limits: Limits | None = None) -> tuple[Report, Cured]:
+def examine_and_cure(observed: Observed, limits: Limits | None = None) -> tuple[PersonReport, Cured]:
     """The report, and the observations as they are after the faults were undone (for a refinement)."""
     o = limits or Limits()
     n = len(observed.rig)
@@ -398,7 +398,7 @@ def examine_and_cure(observed: Observed, limits: Limits | None = None) -> tuple[
         found, views, late = examine_silhouettes(observed.rig, observed.silhouettes, o)
         # of cameras that measure, masks tell nothing better: their faults are those of the depth maps, guessed
         findings += [] if any(f.fault for f in by_depth) else found
-        return Report(tuple(findings), views), Cured(observed.rig, observed.keypoints, late, np.zeros((n, 2)), 0)
+        return PersonReport(tuple(findings), views), Cured(observed.rig, observed.keypoints, late, np.zeros((n, 2)), 0)
     state = _State(observed.rig, observed.keypoints)
     _gross(state, observed, o)
     gross = {f.kind for f in state.findings}
@@ -425,7 +425,7 @@ def examine_and_cure(observed: Observed, limits: Limits | None = None) -> tuple[
         late, pixels = np.zeros(n), state.pixels
     elif not later:
         findings += person_findings(state.rig, pixels, observed.names, observed.height, o)
-    report = Report(tuple(findings), _views(observed, pixels, alignments, extrinsics))
+    report = PersonReport(tuple(findings), _views(observed, pixels, alignments, extrinsics))
     return report, Cured(state.rig, pixels, late, shift, lag)
 
 
@@ -461,7 +461,7 @@ def _against_masks(
         ratio = np.array(small[c].size) / np.array(camera.size)
         source = (cured[c], cured_confidence[c]) if camera.name in scaled else (uv[c], confidence[c])
         points = np.concatenate([(source[0] + 0.5) * ratio - 0.5, source[1][..., None]], -1)
-        made.append(align(points, observed.names, view_masks(observed.silhouettes, c)))
+        made.append(align_to_masks(points, observed.names, view_masks(observed.silhouettes, c)))
     lag, lagging = _common_lag(made, o)
     if lag:
         text = (
@@ -570,4 +570,14 @@ def _views(
     return tuple(out)
 
 
-__all__ = ["Clip", "Cured", "Finding", "Limits", "Observed", "Report", "disagreement", "examine", "examine_and_cure"]
+__all__ = [
+    "ViewFile",
+    "Cured",
+    "Finding",
+    "Limits",
+    "Observed",
+    "PersonReport",
+    "disagreement",
+    "examine",
+    "examine_and_cure",
+]

@@ -18,7 +18,7 @@ from hypose.geometry import transform
 
 
 @dataclass(frozen=True)
-class Clip:
+class ViewFile:
     """What one view's file says: size (w, h) px of the stored images, frames/s, number of frames; None = unknown.
     accepted: the user has said that the images were only stretched (accept_scaled)."""
 
@@ -71,11 +71,11 @@ class Limits:
     tangency: float = 0.02
 
 
-Seen = TypeVar("Seen")
+SeenT = TypeVar("SeenT")
 
 
 @dataclass(frozen=True)
-class Trial(Generic[Seen]):
+class Trial(Generic[SeenT]):
     """One suspected fault undone. kind, views (indices) and words as in a Finding; rig and what the views see (key
     points (C, T, K, 3), tracks of masks, depth maps) after the cure."""
 
@@ -84,7 +84,7 @@ class Trial(Generic[Seen]):
     words: str
     cure: str
     rig: CameraRig
-    seen: Seen
+    seen: SeenT
 
 
 @dataclass(frozen=True)

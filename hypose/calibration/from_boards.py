@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.calibration.boards import Board
-from hypose.calibration.intrinsics import FOCAL_SD, Lens, board_poses, calibrate_lens
-from hypose.calibration.refine_points import in_world
-from hypose.calibration.rig import Chooser, RigCalibration, calibrate_rig
+from hypose.calibration.intrinsics import FOCAL_SD, CalibratedLens, board_poses, calibrate_lens
+from hypose.calibration.refine_points import transform_rig
+from hypose.calibration.rig import PoseComparison, RigCalibration, calibrate_rig
 from hypose.calibration.synchronisation import estimate_lags
-from hypose.calibration.views import CameraViews, Progress, Source, diagnose, look_for_board
+from hypose.calibration.views import BoardFootage, BoardProgress, CameraViews, diagnose, look_for_board
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import CalibrationError
 from hypose.geometry import Array, rotation_between, se3, se3_inverse, so3_log, transform
@@ -176,7 +176,7 @@ def place_on_floor(
         corners = np.concatenate([transform(b, board.points) for b in boards.values()]) @ turn.T
         origin = np.array([*corners[:, :2].mean(0), corners[:, 2].min()])
         world_from_old = se3(turn, -origin)
-    return in_world(rig, world_from_old), {f: world_from_old @ b for f, b in boards.items()}
+    return transform_rig(rig, world_from_old), {f: world_from_old @ b for f, b in boards.items()}
 
 
 def _common_up(rig: CameraRig) -> Array:
@@ -206,7 +206,7 @@ class CalibrateOptions:
     fisheye: bool = False
     floor: int | None = None
     max_frames: int = 120
-    progress: Progress = field(default=lambda stage, done, total: None)
+    progress: BoardProgress = field(default=lambda stage, done, total: None)
 
 
 @dataclass(frozen=True)
@@ -218,7 +218,7 @@ class BoardCalibration:
     views: tuple[CameraViews, ...]
     lens_views: tuple[CameraViews, ...]
     fit: RigCalibration
-    lenses: tuple[Lens, ...]
+    lenses: tuple[CalibratedLens, ...]
     notes: tuple[str, ...]
     warnings: tuple[str, ...]
 
@@ -232,10 +232,10 @@ class BoardsNotFound(CalibrationError):
 
 
 def calibrate_from_boards(
-    sources: Sequence[Source],
+    sources: Sequence[BoardFootage],
     board: Board,
     options: CalibrateOptions | None = None,
-    lens_sources: Sequence[Source] | None = None,
+    lens_sources: Sequence[BoardFootage] | None = None,
 ) -> BoardCalibration:
     """Rig from one board video (or photo folder) per camera, filmed at the same time.
 
@@ -257,7 +257,7 @@ def calibrate_from_boards(
     views = look_for_board(sources, board, o.max_frames, True, o.progress)
     both = (*lens_views, *views)
     _all_found(views, board, both)
-    lenses: tuple[Lens, ...] = ()
+    lenses: tuple[CalibratedLens, ...] = ()
     try:
         lenses = tuple(_lens(i, views, lens_views, board, o) for i in range(len(views)))
         o.progress("solve", 0, 2)
@@ -305,7 +305,7 @@ def _all_found(views: Sequence[CameraViews], board: Board, all_views: tuple[Came
 
 def _lens(
     i: int, views: Sequence[CameraViews], lens_views: Sequence[CameraViews], board: Board, o: CalibrateOptions
-) -> Lens:
+) -> CalibratedLens:
     view = views[i]
     if o.lenses is not None:
         given = o.lenses.select([view.name])[0] if view.name in o.lenses.names else None
@@ -316,7 +316,7 @@ def _lens(
         assert given is not None
         camera = replace(_scaled(given, view, "the given lens"), camera_from_world=np.eye(4))
         errors = [board_poses(camera, s, board.points)[0][1] for s in view.sightings.values()]
-        return Lens(camera, (), float(np.median(errors)), float("nan"), not o.refine_lenses)
+        return CalibratedLens(camera, (), float(np.median(errors)), float("nan"), not o.refine_lenses)
     seen = lens_views[i].sightings if lens_views else view.sightings
     size = lens_views[i].size if lens_views else view.size
     lens = calibrate_lens(view.name, seen, board, size, fisheye=o.fisheye, strict=False)
@@ -336,7 +336,7 @@ def _scaled(lens: Camera, view: CameraViews, whose: str) -> Camera:
     return lens if view.size == lens.size else lens.scaled(view.size)
 
 
-def _lag_hint(lenses: Sequence[Lens], views: Sequence[CameraViews], board: Board) -> str:
+def _lag_hint(lenses: Sequence[CalibratedLens], views: Sequence[CameraViews], board: Board) -> str:
     """A sentence about videos that are clearly late, or ''."""
     if len(lenses) < len(views) or any(v.still for v in views):
         return ""
@@ -358,7 +358,7 @@ def _determined(fit: RigCalibration) -> None:
             )
 
 
-def _chooser(views: Sequence[CameraViews], lenses: Sequence[Lens], board: Board) -> Chooser:
+def _chooser(views: Sequence[CameraViews], lenses: Sequence[CalibratedLens], board: Board) -> PoseComparison:
     """Compares the floor around a symmetric board, in the first frame that both cameras saw."""
     pictures: dict[tuple[int, int], Picture] = {}
 
@@ -379,7 +379,7 @@ def _chooser(views: Sequence[CameraViews], lenses: Sequence[Lens], board: Board)
     return choose
 
 
-def _warnings(fit: RigCalibration, lenses: Sequence[Lens], views: Sequence[CameraViews]) -> list[str]:
+def _warnings(fit: RigCalibration, lenses: Sequence[CalibratedLens], views: Sequence[CameraViews]) -> list[str]:
     out = []
     names = fit.rig.names
     for c, name in enumerate(names):

@@ -10,7 +10,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from hypose.calibration.bundle import LensPrior, Observations, refine
+from hypose.calibration.bundle import LensPrior, Observations, bundle_adjust
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import CalibrationError, InputError
 from hypose.geometry import Array, se3
@@ -104,7 +104,7 @@ def calibrate_from_points(scene: ScenePoints, lenses: CameraRig | None = None) -
         lens = lenses.select([name])[0] if lenses is not None else None
         camera = _start(name, world[index], pixels, lens, scene.sizes.get(name))
         obs = Observations(np.zeros(len(index), np.int64), np.zeros(len(index), np.int64), index, pixels)
-        found = refine(
+        found = bundle_adjust(
             [camera],
             np.eye(4)[None],
             world,

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from hypose.calibration.boards import Board, Sighting
-from hypose.calibration.bundle import Observations, Refined, refine
+from hypose.calibration.boards import Board, BoardDetection
+from hypose.calibration.bundle import Observations, Refined, bundle_adjust
 from hypose.calibration.views import positions
 from hypose.cameras.camera import Camera
 from hypose.errors import CalibrationError
@@ -24,7 +24,7 @@ FOCAL_SD = 0.03
 
 
 @dataclass(frozen=True)
-class Lens:
+class CalibratedLens:
     """camera: the lens with pose = identity; frames: the board pictures that were used; rms_px per coordinate;
     focal_sd px; given: taken from a file, not calibrated."""
 
@@ -37,13 +37,13 @@ class Lens:
 
 def calibrate_lens(
     name: str,
-    sightings: Mapping[int, Sighting],
+    sightings: Mapping[int, BoardDetection],
     board: Board,
     size: tuple[int, int],
     *,
     fisheye: bool = False,
     strict: bool = True,
-) -> Lens:
+) -> CalibratedLens:
     """K and distortion (k1 k2 p1 p2 k3, or four fisheye coefficients) from boards seen by frame number.
 
     A CalibrationError says what is missing when the pictures do not determine the focal length; with strict = False an
@@ -70,8 +70,8 @@ def calibrate_lens(
         chosen, poses = [chosen[k] for k in good], [poses[k] for k in good]
         if len(chosen) < 3:
             break
-        observations = observe({0: {f: sightings[f] for f in chosen}}, chosen)
-        result = refine([start], np.stack([p for p, _ in poses]), board.points, observations)
+        observations = collect_observations({0: {f: sightings[f] for f in chosen}}, chosen)
+        result = bundle_adjust([start], np.stack([p for p, _ in poses]), board.points, observations)
         start = result.cameras[0]
         error = np.sqrt(
             np.bincount(observations.frame, (result.residuals**2).sum(1)) / (2 * np.bincount(observations.frame))
@@ -92,10 +92,12 @@ def calibrate_lens(
             f"{100 * sd / start.K[0, 0]:.0f} %; film the board tilted by 30 to 45 degrees in several directions, or "
             "give a calibration file with --intrinsics."
         )
-    return Lens(start, tuple(chosen), result.rms_px, sd)
+    return CalibratedLens(start, tuple(chosen), result.rms_px, sd)
 
 
-def spread_out(sightings: Mapping[int, Sighting], size: tuple[int, int], count: int, apart: float = 0.0) -> list[int]:
+def spread_out(
+    sightings: Mapping[int, BoardDetection], size: tuple[int, int], count: int, apart: float = 0.0
+) -> list[int]:
     """At most `count` frames whose boards lie as differently as possible (farthest-point sampling), no two nearer than
     `apart` (share of the picture's width); in order of time."""
     frames = list(sightings)
@@ -113,7 +115,7 @@ def spread_out(sightings: Mapping[int, Sighting], size: tuple[int, int], count: 
     return sorted(frames[i] for i in picked)
 
 
-def observe(sightings: Mapping[int, Mapping[int, Sighting]], frames: Sequence[int]) -> Observations:
+def collect_observations(sightings: Mapping[int, Mapping[int, BoardDetection]], frames: Sequence[int]) -> Observations:
     """The corners of cameras (by index) in the given frames, as arrays; the frame's index is its place in `frames`."""
     place = {f: k for k, f in enumerate(frames)}
     parts = [
@@ -129,7 +131,7 @@ def observe(sightings: Mapping[int, Mapping[int, Sighting]], frames: Sequence[in
     return Observations(c, f, i, p)
 
 
-def board_poses(camera: Camera, sighting: Sighting, points: Array) -> list[tuple[Array, float]]:
+def board_poses(camera: Camera, sighting: BoardDetection, points: Array) -> list[tuple[Array, float]]:
     """camera_from_board (4, 4) and rms error (px) of the two poses under which a plane looks nearly the same, the
     better first (Collins & Bartoli 2014, "Infinitesimal plane-based pose estimation")."""
     flat = np.linalg.inv(camera.K)
@@ -152,7 +154,7 @@ def board_poses(camera: Camera, sighting: Sighting, points: Array) -> list[tuple
 
 
 def _first(
-    name: str, frames: Sequence[int], sightings: Mapping[int, Sighting], board: Board, size: tuple[int, int]
+    name: str, frames: Sequence[int], sightings: Mapping[int, BoardDetection], board: Board, size: tuple[int, int]
 ) -> Camera:
     objects = [board.points[sightings[f].ids].astype(np.float32) for f in frames]
     images = [sightings[f].pixels.astype(np.float32) for f in frames]
@@ -174,7 +176,7 @@ def _first(
 
 
 def _first_fisheye(
-    name: str, frames: Sequence[int], sightings: Mapping[int, Sighting], board: Board, size: tuple[int, int]
+    name: str, frames: Sequence[int], sightings: Mapping[int, BoardDetection], board: Board, size: tuple[int, int]
 ) -> Camera:
     """Of focal lengths between those of 60 and 220 degrees of view the one whose poses fit best (the equidistant model
     r = f angle is near enough to start from; OpenCV's own start fails on boards near the edge)."""

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.body import Body, Landmarks
-from hypose.calibration.refine_points import CameraUnknowns, by_camera, changed, pinhole_derivative
+from hypose.calibration.refine_points import CameraUnknowns, apply_parameters, by_camera, pinhole_derivative
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.compute import SharedEquations, geman_mcclure, lorentzian, weighted_squares
 from hypose.errors import EvidenceError
@@ -217,7 +217,7 @@ class _BodyProblem:
         x *= min(1.0, 0.1 / max(float(np.abs(each[:, :3]).max()), 1e-9))
         dq = reduced.own_steps(x)
         dq *= np.minimum(1, 0.3 / np.maximum(np.abs(dq[:, 3:]).max(1, keepdims=True), 1e-9))
-        trial = [changed(c, d) for c, d in zip(cameras, each, strict=True)]
+        trial = [apply_parameters(c, d) for c, d in zip(cameras, each, strict=True)]
         moved = max(float(np.abs(x).max()), float(np.abs(dq).max()) / 20)
         return (trial, self.body.skeleton.clamp(q + dq)), moved
 

@@ -43,7 +43,7 @@ class CameraChange:
     image_px: float
 
 
-def changed(camera: Camera, x: Array) -> Camera:
+def apply_parameters(camera: Camera, x: Array) -> Camera:
     """The camera changed by x (6,) or more; a radial term is not part of a Camera and is left to the caller."""
     motion = se3(so3_exp(x[:3]), x[3:6])
     k = camera.K
@@ -70,7 +70,7 @@ def change_from(old: Camera, new: Camera) -> Array:
     return np.r_[so3_log(motion[:3, :3]), motion[:3, 3], np.log(new.K[0, 0] / old.K[0, 0])]
 
 
-def in_world(rig: CameraRig, new_from_old: Array) -> CameraRig:
+def transform_rig(rig: CameraRig, new_from_old: Array) -> CameraRig:
     """The same cameras after the whole world moved rigidly: points x -> new_from_old x."""
     back = se3_inverse(new_from_old)
     return CameraRig(tuple(replace(c, camera_from_world=c.camera_from_world @ back) for c in rig))
@@ -121,7 +121,7 @@ def changes(old: CameraRig, new: CameraRig, points_world: Array) -> tuple[Camera
     return tuple(out)
 
 
-def rescaled(rig: CameraRig, factor: float) -> CameraRig:
+def scale_rig(rig: CameraRig, factor: float) -> CameraRig:
     """The rig with all lengths multiplied by a factor."""
     return CameraRig(tuple(calibration_camera.rescaled(c, factor) for c in rig))
 
@@ -298,7 +298,7 @@ class PointBundle:
         x = step.reshape(len(cameras), self.unknowns.count)
         x *= min(1.0, 0.2 / max(float(np.abs(x[:, :3]).max()), 1e-12))
         moved = points + reduced.own_steps(x.ravel())
-        new = [changed(c, d if self.unknowns.focal else d[:6]) for c, d in zip(cameras, x, strict=True)]
+        new = [apply_parameters(c, d if self.unknowns.focal else d[:6]) for c, d in zip(cameras, x, strict=True)]
         return (new, radial + (x[:, -1] if self.unknowns.radial else 0.0), moved), float(np.abs(x).max())
 
     def solve(self, iterations: int) -> PointAdjustment:

@@ -19,7 +19,7 @@ from scipy.ndimage import median_filter
 from scipy.signal import butter, resample_poly, sosfiltfilt
 
 from hypose import compute
-from hypose.calibration.boards import Board, Sighting
+from hypose.calibration.boards import Board, BoardDetection
 from hypose.calibration.intrinsics import board_poses
 from hypose.calibration.sync_motion import (
     Curves,
@@ -42,7 +42,7 @@ WHOLE = 0.05
 _BESIDE = 0.25  # weight of silhouettes beside key points, whose errors are the smaller ones
 
 
-class Frames(Protocol):
+class FrameSequence(Protocol):
     """Frames by number."""
 
     def __len__(self) -> int: ...
@@ -128,7 +128,7 @@ def mask_between(before: NDArray[np.uint8], after: NDArray[np.uint8], share: flo
 class Resampled:
     """Frames of a source on the common clock. late (C,): frames by which each view is late."""
 
-    def __init__(self, source: Frames, late: Sequence[float] | Array) -> None:
+    def __init__(self, source: FrameSequence, late: Sequence[float] | Array) -> None:
         self.source = source
         if not np.isfinite(np.asarray(late, dtype=np.float64)).all():
             raise InputError(f"Offsets must be finite numbers of frames, got {list(late)}.")
@@ -321,7 +321,7 @@ _BETTER = 0.1  # by how much it must exceed that without lag
 
 
 def estimate_lags(
-    cameras: Sequence[Camera], sightings: Sequence[Mapping[int, Sighting]], board: Board, longest: int = 150
+    cameras: Sequence[Camera], sightings: Sequence[Mapping[int, BoardDetection]], board: Board, longest: int = 150
 ) -> dict[int, int]:
     """Frames by which cameras (by index) are late against the camera that saw most boards; only those that are clearly
     not synchronous with it. Frame i + lag of such a camera shows what frame i of that one shows."""
@@ -343,7 +343,7 @@ def estimate_lags(
     return out
 
 
-def _speed(camera: Camera, sightings: Mapping[int, Sighting], board: Board) -> tuple[Array, Array]:
+def _speed(camera: Camera, sightings: Mapping[int, BoardDetection], board: Board) -> tuple[Array, Array]:
     """Moments (n,) in frames and the board's middle's speed (n,) there, m per frame, from neighbouring looks."""
     frames = sorted(sightings)
     if len(frames) < 3:

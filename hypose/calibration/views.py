@@ -11,13 +11,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from hypose.calibration.boards import Board, Detector, Gray, Sighting, make_detector, sheet_views
+from hypose.calibration.boards import Board, BoardDetection, Detector, Gray, make_detector, sheet_views
 from hypose.errors import CalibrationError, InputError
 from hypose.geometry import Array
 from hypose.io.file_names import natural_key, text_of
 from hypose.io.videos.video import IMAGE_ENDINGS, VIDEO_ENDINGS, evenly_spread, list_images, open_video
 
-Progress = Callable[[str, int, int], None]
+BoardProgress = Callable[[str, int, int], None]
 
 BLURRED_PX = 5.0
 """Edges wider than this make corners too uncertain to be used."""
@@ -31,7 +31,7 @@ _STILL_FRAMES = 60
 
 
 @dataclass(frozen=True)
-class Source:
+class BoardFootage:
     """Where a camera's board pictures are: a video, a folder of photos or one photo. lag: frames by which the video
     is late, so that its frame i + lag belongs to frame i of the others."""
 
@@ -44,7 +44,7 @@ class Source:
 class Look:
     """What one picture showed: the board, or why not."""
 
-    sighting: Sighting | None
+    sighting: BoardDetection | None
     reason: str
     focus: float
     """Mean of the squared Laplacian, compared with other pictures of the same camera only."""
@@ -65,7 +65,7 @@ class CameraViews:
     still: bool = False
 
     @property
-    def sightings(self) -> dict[int, Sighting]:
+    def sightings(self) -> dict[int, BoardDetection]:
         """The sharp boards by frame number."""
         return {f: k.sighting for f, k in self.looks.items() if k.sighting is not None and k.reason == ""}
 
@@ -92,7 +92,7 @@ class CameraViews:
         return text + (f" ({rest})" if rest else "")
 
 
-def find_sources(paths: Sequence[Path], what: str = "board videos") -> list[Source]:
+def find_sources(paths: Sequence[Path], what: str = "board videos") -> list[BoardFootage]:
     """One source per camera: from a folder with one video or photo folder per camera, or from the paths themselves.
 
     Cameras are named by their files; where all files are called the same, by their folders."""
@@ -114,7 +114,7 @@ def find_sources(paths: Sequence[Path], what: str = "board videos") -> list[Sour
         raise InputError(
             f"The {what} cannot be told apart by their names ({', '.join(stems)}); name the files by their cameras."
         )
-    return [Source(n, p) for n, p in zip(names, found, strict=True)]
+    return [BoardFootage(n, p) for n, p in zip(names, found, strict=True)]
 
 
 def _inside(folder: Path, what: str) -> list[Path]:
@@ -137,11 +137,11 @@ def _inside(folder: Path, what: str) -> list[Path]:
 
 
 def look_for_board(
-    sources: Sequence[Source],
+    sources: Sequence[BoardFootage],
     board: Board,
     max_frames: int = 120,
     together: bool = True,
-    progress: Progress = lambda stage, done, total: None,
+    progress: BoardProgress = lambda stage, done, total: None,
 ) -> tuple[CameraViews, ...]:
     """The board in all pictures of all cameras; an InputError names a file that cannot be read.
 
@@ -163,7 +163,7 @@ def look_for_board(
         numbers = evenly_spread(first, common, max_frames)
     total = sum(len(numbers or evenly_spread(0, n, max_frames)) for n in lengths)
 
-    def one(source: Source, n: int) -> CameraViews:
+    def one(source: BoardFootage, n: int) -> CameraViews:
         return _look(source, numbers or evenly_spread(0, n, max_frames), board, lambda: step(total))
 
     with ThreadPoolExecutor(2) as pool:
@@ -172,7 +172,7 @@ def look_for_board(
     return out
 
 
-def _look(source: Source, numbers: Sequence[int], board: Board, step: Callable[[], None]) -> CameraViews:
+def _look(source: BoardFootage, numbers: Sequence[int], board: Board, step: Callable[[], None]) -> CameraViews:
     detect = make_detector(board)
     looks: dict[int, Look] = {}
     with open_video(source.path) as reader:
@@ -202,7 +202,7 @@ def _look(source: Source, numbers: Sequence[int], board: Board, step: Callable[[
     return CameraViews(source.name, source.path, size, n_frames, _with_reasons(looks), source.lag, mean is not None)
 
 
-def _still_mean(source: Source, numbers: Sequence[int]) -> Gray | None:
+def _still_mean(source: BoardFootage, numbers: Sequence[int]) -> Gray | None:
     """Mean picture of a clip in which nothing moves (noise is less in it), else None."""
     if len(numbers) < 3:
         return None
@@ -339,7 +339,7 @@ def _diagnose_markers(grays: Sequence[Gray], board: Board) -> str:
     return f"a chessboard of {seen[0]} x {seen[1]} inner corners without markers was seen instead" if seen else ""
 
 
-def positions(sightings: Mapping[int, Sighting], size: tuple[int, int]) -> Array:
+def positions(sightings: Mapping[int, BoardDetection], size: tuple[int, int]) -> Array:
     """(F, 4): where each board lies in the picture: centre, size and slant, in units of the picture's width."""
     out = []
     for s in sightings.values():
@@ -358,7 +358,7 @@ _ENOUGH = 4
 """Pictures that must show the same number of corners before no further camera is looked at."""
 
 
-def count_corners(sources: Sequence[Source]) -> tuple[int, int]:
+def count_corners(sources: Sequence[BoardFootage]) -> tuple[int, int]:
     """Inner corners (columns, rows), the larger number first, of the chessboard in board videos or photos.
 
     A board that is partly hidden or partly found shows fewer corners than it has, so that number counts which most
@@ -380,7 +380,7 @@ def count_corners(sources: Sequence[Source]) -> tuple[int, int]:
     return found
 
 
-def _spread_counted(source: Source) -> Iterator[Gray]:
+def _spread_counted(source: BoardFootage) -> Iterator[Gray]:
     with open_video(source.path) as reader:
         for frame in evenly_spread(0, reader.n_frames, _PICTURES):
             yield np.asarray(cv2.cvtColor(reader.read(frame), cv2.COLOR_BGR2GRAY), dtype=np.uint8)

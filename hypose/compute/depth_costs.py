@@ -10,7 +10,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from hypose.compute.arrays import BALL, MeshArrays, TreeArrays, plain, tidy
 from hypose.compute.compiled import kernel
-from hypose.compute.kinematics import bone_map, camera_about_root, joint_frames, multiply, skin_about_root, so3_exp
+from hypose.compute.kinematics import (
+    bone_map,
+    camera_about_root,
+    joint_frames,
+    multiply,
+    rotation_matrix,
+    skin_about_root,
+)
 from hypose.compute.lane_mesh import moving_parts
 from hypose.compute.threads import over_chunks
 from hypose.compute.zbuffer import NEAR, draw_nearest
@@ -191,12 +198,12 @@ def _turned(q, tree, joints, rotations, centres):
                 frame[i, k] = r[i, k]
         first = tree.dof_start[j]
         if tree.kind[j] == BALL:
-            so3_exp(q[first], q[first + 1], q[first + 2], local)
+            rotation_matrix(q[first], q[first + 1], q[first + 2], local)
             multiply(frame, local, rotations[j])
             continue
         for m in range(tree.dof_count[j]):
             d = first + m
-            so3_exp(q[d] * tree.axes[d, 0], q[d] * tree.axes[d, 1], q[d] * tree.axes[d, 2], local)
+            rotation_matrix(q[d] * tree.axes[d, 0], q[d] * tree.axes[d, 1], q[d] * tree.axes[d, 2], local)
             multiply(frame, local, rotations[j])
             for i in range(3):
                 for k in range(3):

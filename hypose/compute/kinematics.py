@@ -5,16 +5,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from hypose.compute.arrays import BALL, HINGES, MeshArrays, TreeArrays, plain, tidy
 from hypose.compute.compiled import kernel
-
-Array = NDArray[np.float64]
+from hypose.geometry import Array
 
 
 @kernel
-def so3_exp(x, y, z, rotation):
+def rotation_matrix(x, y, z, rotation):
     """Rodrigues' formula: the rotation (3, 3) of the rotation vector (x, y, z)."""
     a, b, _, t2 = _rodrigues(x, y, z)
     _turning(x, y, z, t2, a, b, rotation)

@@ -74,7 +74,7 @@ class SensorClock:
         return all(abs(b - a) <= self._settings.agree for a, b in zip(last, last[1:], strict=False))
 
 
-def movement(times: ArrayLike, positions: ArrayLike, at: ArrayLike) -> Array:
+def _body_speed(times: ArrayLike, positions: ArrayLike, at: ArrayLike) -> Array:
     """How much a body moves at given times (N,), m/s: the mean speed of its joints, positions (T, J, 3) m with NaN.
 
     It is the same from every sensor, whatever its position: steps over a tenth of a second, in which noise counts
@@ -110,7 +110,7 @@ def offset_by_movement(
     ta, tb = np.asarray(times_a, dtype=np.float64), np.asarray(times_b, dtype=np.float64)
     start, stop = min(ta[0], tb[0]), max(ta[-1], tb[-1])
     at = np.arange(start, stop, 1 / rate)
-    a, b = movement(ta, positions_a, at), movement(tb, positions_b, at)
+    a, b = _body_speed(ta, positions_a, at), _body_speed(tb, positions_b, at)
     width = max(1, round(0.1 * rate))  # sensors smooth differently: compare what lasts a tenth of a second
     box = np.ones(width) / width
     a, b = np.convolve(a, box, "same"), np.convolve(b, box, "same")

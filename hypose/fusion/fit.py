@@ -30,7 +30,9 @@ def _bone_sd() -> Array:
     """(18,) m: limbs hold their length, the trunk's stays give more."""
     limb = {(2, 3), (3, 4), (5, 6), (6, 7), (9, 10), (10, 11), (12, 13), (13, 14)}
     stay = {(8, 9), (8, 12), (2, 8), (5, 8)}
-    return np.array([0.008 if tuple(b) in limb else 0.020 if tuple(b) in stay else 0.015 for b in jt.BONES.tolist()])
+    return np.array(
+        [0.008 if tuple(b) in limb else 0.020 if tuple(b) in stay else 0.015 for b in jt.SKELETON_BONES.tolist()]
+    )
 
 
 @dataclass(frozen=True)
@@ -98,8 +100,8 @@ def start_fit(lengths: ArrayLike | None = None) -> FitState:
         np.nan,
         np.full(15, -np.inf),
         np.zeros(3),
-        np.zeros(len(jt.BONES)) if lengths is None else np.array(lengths, dtype=np.float64),
-        np.zeros(len(jt.BONES)),
+        np.zeros(len(jt.SKELETON_BONES)) if lengths is None else np.array(lengths, dtype=np.float64),
+        np.zeros(len(jt.SKELETON_BONES)),
         lengths is not None,
     )
 
@@ -137,7 +139,7 @@ def fit_step(
         weights,
         predicted,
         prior,
-        jt.BONES,
+        jt.SKELETON_BONES,
         lengths,
         settings.bone_weight,
         1 / settings.data_sd_m**2,
@@ -184,10 +186,10 @@ def unswap(
 def adapt_lengths(positions: Array, states: NDArray[np.uint8], lengths: Array, samples: Array) -> tuple[Array, Array]:
     """Causal bone lengths: a limited step towards every tracked sample, smaller as samples accumulate (a slow median
     that one bad episode does not move)."""
-    d = positions[:, jt.BONES[:, 0]] - positions[:, jt.BONES[:, 1]]
+    d = positions[:, jt.SKELETON_BONES[:, 0]] - positions[:, jt.SKELETON_BONES[:, 1]]
     measured = np.sqrt((d * d).sum(-1))
     tracked = states == TRACKED
-    good = tracked[:, jt.BONES[:, 0]] & tracked[:, jt.BONES[:, 1]]
+    good = tracked[:, jt.SKELETON_BONES[:, 0]] & tracked[:, jt.SKELETON_BONES[:, 1]]
     n = good.sum(0)
     fresh = (samples == 0) & (n > 0)
     if fresh.any():
@@ -203,11 +205,11 @@ def clip_lengths(positions: ArrayLike, states: ArrayLike) -> Array:
     """(18,) m lengths of joints.BONES from a whole clip, positions (T, K, 15, 3): median over the tracked samples, over
     all samples where there are fewer than 20 of those, 0 where there is none."""
     s = np.asarray(positions, dtype=np.float64)
-    a, b = jt.BONES[:, 0], jt.BONES[:, 1]
+    a, b = jt.SKELETON_BONES[:, 0], jt.SKELETON_BONES[:, 1]
     length = np.linalg.norm(s[:, :, a] - s[:, :, b], axis=-1)
     tracked = np.asarray(states) == TRACKED
     good = tracked[:, :, a] & tracked[:, :, b] & np.isfinite(length)
-    out = np.zeros(len(jt.BONES))
+    out = np.zeros(len(jt.SKELETON_BONES))
     for i in range(len(out)):
         use = good[..., i] if good[..., i].sum() > 20 else np.isfinite(length[..., i])
         if use.any():

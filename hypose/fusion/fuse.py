@@ -29,13 +29,13 @@ from hypose.fusion.register import (
     check_same_person,
     common_joints,
     confidence_of,
-    depth_at_joints,
     horizontal_axes,
-    identity,
+    identity_registration,
+    measured_joint_depth,
     register,
     upward,
 )
-from hypose.fusion.state import FIT, METHODS, FusedFrame, FusionSettings, FusionState
+from hypose.fusion.state import FIT, FUSION_METHODS, FusedFrame, FusionSettings, FusionState
 from hypose.fusion.swarm import start_swarm, swarm_step
 from hypose.fusion.trust import what_is_open
 from hypose.geometry import Array
@@ -45,14 +45,14 @@ WINDOW_FRAMES = 40
 
 __all__ = [
     "FIT",
-    "METHODS",
+    "FUSION_METHODS",
     "Fused",
     "FusedFrame",
     "FusionSettings",
     "FusionState",
     "fuse_clip",
     "start",
-    "step",
+    "fuse_frame",
 ]
 
 
@@ -90,7 +90,7 @@ def start(
     rest = np.setdiff1d(np.arange(len(first.joint_names)), known_set.common)
     known = None if s.per_frame else registration
     if known is None:
-        known = identity(sensors, s.reference) if s.registered else alone(sensors, s.reference)
+        known = identity_registration(sensors, s.reference) if s.registered else alone(sensors, s.reference)
     return FusionState(
         s,
         first.sensor_names,
@@ -109,7 +109,7 @@ def start(
     )
 
 
-def step(state: FusionState, frame: SensorJoints) -> tuple[FusionState, FusedFrame]:
+def fuse_frame(state: FusionState, frame: SensorJoints) -> tuple[FusionState, FusedFrame]:
     """The next frame of a stream, causally. An InputError when its sensors or joints are not those of the start."""
     _check_alike(frame, state.sensor_names, state.joint_set.joint_names)
     s = state.settings
@@ -176,7 +176,9 @@ def fuse_clip(
     if registration is None:
         sensors = positions.shape[1]
         registration = (
-            identity(sensors, s.reference) if s.registered else register(positions, states, reference=s.reference)
+            identity_registration(sensors, s.reference)
+            if s.registered
+            else register(positions, states, reference=s.reference)
         )
         if s.check:
             check_same_person(positions, registration, joints[0].sensor_names)
@@ -189,7 +191,7 @@ def fuse_clip(
     for t, frame in enumerate(joints):
         if not np.isfinite(frame.times).any():  # nobody saw the person: time goes on all the same, so that it is lost
             frame = replace(frame, times=np.full(len(frame.times), times[t]))
-        state, fused = step(state, frame)
+        state, fused = fuse_frame(state, frame)
         frames.append(fused)
         if watch is not None:
             watch(len(frames))
@@ -258,7 +260,7 @@ def _noise(state: FusionState, raw: SensorJoints, world: Array) -> tuple[FusionS
         return state, None, 0.0
     s = state.settings.swarm_settings
     memory, inputs = confidence_step(
-        state.confidence, raw.positions, raw.state, depth_at_joints(raw), raw.times, s.confidence
+        state.confidence, raw.positions, raw.state, measured_joint_depth(raw), raw.times, s.confidence
     )
     noise = s.rules.noise(*normalised(inputs, s.confidence))
     up = state.up if state.up is not None else upward(world)

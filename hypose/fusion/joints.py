@@ -39,7 +39,7 @@ COMMON = (
 
 HEAD, NECK, LEFT_SHOULDER, LEFT_ELBOW, LEFT_HAND, RIGHT_SHOULDER, RIGHT_ELBOW, RIGHT_HAND = range(8)
 TORSO, LEFT_HIP, LEFT_KNEE, LEFT_FOOT, RIGHT_HIP, RIGHT_KNEE, RIGHT_FOOT = range(8, 15)
-TRUNK = (HEAD, NECK, LEFT_SHOULDER, RIGHT_SHOULDER, TORSO, LEFT_HIP, RIGHT_HIP)
+TRUNK_JOINTS = (HEAD, NECK, LEFT_SHOULDER, RIGHT_SHOULDER, TORSO, LEFT_HIP, RIGHT_HIP)
 """Joints that every sensor finds reliably."""
 TRIANGLE = (LEFT_SHOULDER, RIGHT_SHOULDER, TORSO)
 """Asteriadis 2013, section 2.1."""
@@ -47,7 +47,7 @@ MIRROR = np.array([0, 1, 5, 6, 7, 2, 3, 4, 8, 12, 13, 14, 9, 10, 11])
 """(15,) the joint on the other side."""
 PARENT = np.array([1, 8, 1, 2, 3, 1, 5, 6, -1, 8, 9, 10, 8, 12, 13])
 """(15,) the neighbour towards the torso."""
-BONES = np.array(
+SKELETON_BONES = np.array(
     [(0, 1), (1, 2), (2, 3), (3, 4), (1, 5), (5, 6), (6, 7), (1, 8), (8, 9), (9, 10), (10, 11), (8, 12), (12, 13)]
     + [(13, 14), (2, 5), (9, 12), (2, 8), (5, 8)]
 )

@@ -29,7 +29,7 @@ class LiveSettings:
 
 
 @dataclass(frozen=True)
-class LivePerson:
+class LiveSkeleton:
     """One fused person: id; joints (15, 3) m (joints.COMMON) in the frame of the first sensor; sd (15,) m per axis;
     sensors that see the person now; shares (15, K): what each of `LiveFrame.sensors` carried of each joint; seen:
     some sensor sees it (else prediction)."""
@@ -48,7 +48,7 @@ class LiveFrame:
 
     index: int
     time: float
-    people: tuple[LivePerson, ...]
+    people: tuple[LiveSkeleton, ...]
     sensors: tuple[str, ...]
 
 
@@ -60,7 +60,7 @@ class LiveFuser:
         self.aligner = Aligner(self.settings.align)
         self.people = PeopleTracker(self.settings.people)
         self._states: dict[int, FitState] = {}
-        warm_up(self.settings.fit)
+        _warm_up(self.settings.fit)
 
     def push(self, report: SensorReport, now: float | None = None) -> bool:
         """See `Aligner.push`."""
@@ -94,7 +94,7 @@ class LiveFuser:
             instant.index, instant.time, tuple(self._person(p, names, instant.time) for p in people), names
         )
 
-    def _person(self, p: SeenPerson, names: tuple[str, ...], now: float) -> LivePerson:
+    def _person(self, p: SeenPerson, names: tuple[str, ...], now: float) -> LiveSkeleton:
         positions, eyes = np.full((len(names), 15, 3), np.nan), np.full((len(names), 3), np.nan)
         state = np.zeros((len(names), 15), dtype=np.uint8)
         for k, name in enumerate(names):
@@ -104,10 +104,10 @@ class LiveFuser:
         before = self._states.get(p.id) or start_fit()
         self._states[p.id], estimate = fit_step(before, positions, state, now, self.settings.fit, eyes)
         sd = np.sqrt(estimate.variance + estimate.systematic)
-        return LivePerson(p.id, estimate.joints, sd, tuple(p.bodies), estimate.shares, p.seen)
+        return LiveSkeleton(p.id, estimate.joints, sd, tuple(p.bodies), estimate.shares, p.seen)
 
 
-def warm_up(settings: FitSettings) -> None:
+def _warm_up(settings: FitSettings) -> None:
     """Compile what a frame needs, so that the first one is not late."""
     standing = np.linspace(0, 1, 45).reshape(1, 15, 3)
     state = start_fit()

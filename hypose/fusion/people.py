@@ -18,8 +18,8 @@ from scipy.optimize import linear_sum_assignment
 
 from hypose.evidence.frame import SensorJoints
 from hypose.fusion.align import Instant, SensorBody
-from hypose.fusion.joints import COMMON, MIRROR, TRUNK
-from hypose.fusion.places import find_place, moved, place_score, trunk_centre
+from hypose.fusion.joints import COMMON, MIRROR, TRUNK_JOINTS
+from hypose.fusion.places import find_place, place_score, transform_points, trunk_centre
 from hypose.fusion.register import register
 from hypose.geometry import Array
 
@@ -199,7 +199,7 @@ class PeopleTracker:
     def _match(self, name: str, bodies: Sequence[SensorBody], now: float) -> None:
         s, link = self.settings, self._links[name]
         assert link.motion is not None
-        placed = [moved(link.motion, b.positions) for b in bodies]
+        placed = [transform_points(link.motion, b.positions) for b in bodies]
         centres = [trunk_centre(j) for j in placed]
         free = [i for i, c in enumerate(centres) if c is not None]
         matched = 0
@@ -280,7 +280,7 @@ class PeopleTracker:
     def _note(self, link: _Link, body: SensorBody, swapped: bool, rest: Array, weight: Array, now: float) -> None:
         """Keep a pair (this sensor's joints, those of all others) for the next registration of the sensor. rest
         (15, 3): weighted sum of the others', weight (15,)."""
-        if (weight[np.array(TRUNK)] > 0).sum() < 4:
+        if (weight[np.array(TRUNK_JOINTS)] > 0).sum() < 4:
             return
         link.noted = now
         others = np.where(weight[:, None] > 0, rest / np.maximum(weight, 1)[:, None], np.nan)

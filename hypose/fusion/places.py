@@ -7,17 +7,19 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from hypose.compute import lorentzian_weight
-from hypose.fusion.joints import MIRROR, TRUNK
+from hypose.fusion.joints import MIRROR, TRUNK_JOINTS
 from hypose.geometry import Array, procrustes
 
-Shot = tuple[Mapping[int, Array], Mapping[int, Array]]
+_SensorInstant = tuple[Mapping[int, Array], Mapping[int, Array]]
 """One instant: skeletons (15, 3) of a sensor by its numbers, in its frame; ours by our numbers, in the common frame."""
-_TRUNK = np.array(TRUNK)
+_TRUNK = np.array(TRUNK_JOINTS)
 _LOOK = 4
 """Instants of a pairing in the quick look."""
 
 
-def find_place(shots: Sequence[Shot], fewest: int, residual: float, distinct: float) -> tuple[Array, float] | None:
+def find_place(
+    shots: Sequence[_SensorInstant], fewest: int, residual: float, distinct: float
+) -> tuple[Array, float] | None:
     """common_from_sensor (4, 4) and its median distance m, or None: every pairing of one of its persons with one of
     ours gives a place, and the best one puts all on persons. fewest: shared instants of a pairing; residual: largest
     distance m; distinct: the next best pairing must be worse by this ratio.
@@ -60,14 +62,14 @@ def find_place(shots: Sequence[Shot], fewest: int, residual: float, distinct: fl
     return motion, score
 
 
-def place_score(motion: Array, shots: Sequence[Shot]) -> float:
+def place_score(motion: Array, shots: Sequence[_SensorInstant]) -> float:
     """Median distance (m) of the joints of a sensor's persons to those of ours at a place (4, 4) that is believed
     already, infinite when they share no instant. Persons that only one side sees do not count."""
     scores = []
     for bodies, people in shots:
         if not bodies or not people:
             continue
-        there = moved(motion, np.stack(list(bodies.values())))
+        there = transform_points(motion, np.stack(list(bodies.values())))
         d = np.linalg.norm(there[:, None] - np.stack(list(people.values()))[None], axis=-1)
         known = np.isfinite(d)
         middle = np.ma.median(np.ma.masked_array(np.where(known, d, 0.0), ~known), axis=-1).filled(np.inf)
@@ -75,7 +77,7 @@ def place_score(motion: Array, shots: Sequence[Shot]) -> float:
     return float(np.median(scores)) if scores else np.inf
 
 
-def moved(motion: Array, points: Array) -> Array:
+def transform_points(motion: Array, points: Array) -> Array:
     """`geometry.transform` for one motion, without its generality."""
     return points @ motion[:3, :3].T + motion[:3, 3]
 
@@ -103,12 +105,12 @@ def _fit(body: Array, ours: Array, iterations: int) -> tuple[Array, float] | Non
     motion, distance, weight = np.eye(4), np.zeros(len(a)), None
     for _ in range(iterations):
         motion = procrustes(a, b, weight)[0]
-        distance = np.linalg.norm(moved(motion, a) - b, axis=-1)
+        distance = np.linalg.norm(transform_points(motion, a) - b, axis=-1)
         weight = lorentzian_weight((distance / 0.06) ** 2)
     return motion, float(np.median(distance))
 
 
-def _centres(shots: Sequence[Shot]) -> tuple[Array, Array]:
+def _centres(shots: Sequence[_SensorInstant]) -> tuple[Array, Array]:
     """Trunks of the sensor's persons (S, B, 3) in its frame and of ours (S, P, 3), of at most five instants."""
     some = shots[:: max(1, len(shots) // 5)]
     out = []

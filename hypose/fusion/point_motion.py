@@ -54,7 +54,7 @@ def points_motion(
     """A Motion with parents before children: the torso first, as the root. sd (T, J) m, of which systematic (T, J)
     would remain with more frames or sensors; wrong (T, J): how likely a joint is wrong."""
     order, parents = _topological(names)
-    bone = {tuple(sorted(b)): float(v) for b, v in zip(jt.BONES.tolist(), lengths, strict=True)}
+    bone = {tuple(sorted(b)): float(v) for b, v in zip(jt.SKELETON_BONES.tolist(), lengths, strict=True)}
     by_name = {
         n: bone.get(tuple(sorted((i, int(jt.PARENT[i])))), 0.2) for i, n in enumerate(jt.COMMON) if jt.PARENT[i] >= 0
     }

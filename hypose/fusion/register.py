@@ -65,7 +65,7 @@ def common_joints(frame: SensorJoints) -> SensorJoints:
     )
 
 
-def depth_at_joints(frame: SensorJoints) -> Array | None:
+def measured_joint_depth(frame: SensorJoints) -> Array | None:
     """(K, J) m depth map value at each joint's pixel, 0 where there is none (hole, outside); None without depth."""
     if frame.joint_depth is not None:
         return frame.joint_depth
@@ -183,7 +183,7 @@ def check_same_person(
     the sensors' frames are too far apart after registration, or the limbs' lengths differ too much; and when a sensor
     reports no body but a point."""
     s = np.asarray(positions, dtype=np.float64)
-    a, b = jt.BONES[:, 0], jt.BONES[:, 1]
+    a, b = jt.SKELETON_BONES[:, 0], jt.SKELETON_BONES[:, 1]
     with np.errstate(invalid="ignore"):
         lengths = np.linalg.norm(s[:, :, a] - s[:, :, b], axis=-1)
     known = [np.isfinite(lengths[:, k]).sum(0) > 10 for k in range(s.shape[1])]
@@ -257,7 +257,7 @@ def alone(sensors: int, reference: int = 0) -> Registration:
     )
 
 
-def identity(sensors: int, reference: int = 0) -> Registration:
+def identity_registration(sensors: int, reference: int = 0) -> Registration:
     """Sensors that report in a common frame already."""
     return Registration(
         np.tile(se3(np.eye(3), np.zeros(3)), (sensors, 1, 1)),

@@ -16,12 +16,12 @@ from hypose.fusion.swarm import IMPROVED, PUBLISHED, SwarmSettings, SwarmState
 from hypose.geometry import Array
 
 FIT, SWARM, PUBLISHED_SWARM, PUBLISHED_WINDOW = "fit", "swarm", "published", "published-window"
-METHODS = (FIT, SWARM, PUBLISHED_SWARM, PUBLISHED_WINDOW)
+FUSION_METHODS = (FIT, SWARM, PUBLISHED_SWARM, PUBLISHED_WINDOW)
 
 
 @dataclass(frozen=True)
 class FusionSettings:
-    """method: one of METHODS ("swarm" is the improved one; "published" is Asteriadis et al. 2013 with their
+    """method: one of FUSION_METHODS ("swarm" is the improved one; "published" is Asteriadis et al. 2013 with their
     registration, by the triangle of every frame; "published-window" the same swarm, registered as the other methods
     are); reference: the sensor whose frame is the common one; registered: positions come in a common frame already;
     window_s, refit_s: a stream's registration uses the last window_s and is refitted every refit_s;
@@ -41,8 +41,8 @@ class FusionSettings:
     swarm: SwarmSettings | None = None
 
     def __post_init__(self) -> None:
-        if self.method not in METHODS:
-            raise InputError(f"There is no fusion method {self.method!r}; choose one of {', '.join(METHODS)}.")
+        if self.method not in FUSION_METHODS:
+            raise InputError(f"There is no fusion method {self.method!r}; choose one of {', '.join(FUSION_METHODS)}.")
 
     @property
     def swarm_settings(self) -> SwarmSettings:

@@ -168,7 +168,7 @@ class MergedWheel:
         return Hypotheses(values, log_weights, origin.astype(np.int32))
 
 
-def recipe(settings: SwarmSettings) -> Recipe:
+def _recipe(settings: SwarmSettings) -> Recipe:
     """The swarm as data for the common loop."""
     layer = Layer(ride, energy, MergedWheel(settings.count, settings.universal), "swarm")
     return Recipe("swarm", (layer,), settings.count, estimate=mean_position, citation="Asteriadis et al. 2013")
@@ -217,7 +217,7 @@ def swarm_step(
     turned = abs(heading - state.heading_at_restart)
     due = due or (settings.restart_turn > 0 and turned > settings.restart_turn)
     candidates = _candidates(state.candidates, due, frame, last, seed, state.frame)
-    result = search(candidates, recipe(settings), frame, partial(stream, seed, state.frame))
+    result = search(candidates, _recipe(settings), frame, partial(stream, seed, state.frame))
     chosen = result.selected
     mean = result.estimate if settings.weighted else mean_position(chosen)
     used = (chosen.origin >= 0) & np.isfinite(chosen.log_weights)

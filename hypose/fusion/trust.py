@@ -25,7 +25,7 @@ HIDDEN_P = np.array([0.0, 0.56, 0.9, 0.12, 0.63])[_PARTS]
 """(15,) how likely a joint is guessed that the body hides wholly, on the side turned away from the sensor."""
 BEHIND_P = np.where(_PARTS > 0, 0.8, 0.0)
 """(15,) how likely a joint is guessed by a sensor that sees the back."""
-GUESSED_P, LEAST_P, INFERRED = 0.064, 0.05, 0.5
+GUESSED_P, LEAST_P, _INFERRED = 0.064, 0.05, 0.5
 """How likely any joint is guessed; how likely it is seen at least, before its bone is looked at; what of the rest is
 left to a joint that the sensor itself calls inferred (an assumption: the recordings hold no states)."""
 GUESS_SD_M, JITTER_M = 0.1, 0.0085
@@ -33,10 +33,12 @@ GUESS_SD_M, JITTER_M = 0.1, 0.0085
 BONE_SD_M, MOST_OFF_M = (0.016, 0.052), 0.1
 """m: by how much the length of a joint's bone is off where a sensor sees it, and where it guesses; more counts as
 much as MOST_OFF_M."""
-WRONG_M, DOUBTFUL_P = 0.1, 0.3
+LARGE_ERROR_M, DOUBTFUL_P = 0.1, 0.3
 """m from which on a joint is wrong, and how likely it must be so for the joint to be doubtful: hips of which nothing is
 wrong have 0.2 to 0.28."""
-_BONE = np.array([jt.BONES.tolist().index(sorted((j, int(p)))) if p >= 0 else -1 for j, p in enumerate(jt.PARENT)])
+_BONE = np.array(
+    [jt.SKELETON_BONES.tolist().index(sorted((j, int(p)))) if p >= 0 else -1 for j, p in enumerate(jt.PARENT)]
+)
 _SIDES = np.array([0, 0, 1, 1, 1, -1, -1, -1, 0, 1, 1, 1, -1, -1, -1])
 
 
@@ -50,7 +52,7 @@ def what_is_open(
     variance: ArrayLike,
 ) -> tuple[Array, Array]:
     """Of fused joints (15, 3) m: the variance (15,) m^2 per axis that more frames or sensors would not reduce, and how
-    likely (15,) each is wrong by more than WRONG_M.
+    likely (15,) each is wrong by more than LARGE_ERROR_M.
 
     positions (K, 15, 3) m registered, states (K, 15): of which they were fused; eyes (K, 3) m: where the sensors stand,
     NaN where it is not known; left (3,): to the person's left, of any length; lengths (18,) m of joints.BONES, 0 where
@@ -62,7 +64,18 @@ def what_is_open(
     order = np.argsort(-seen, axis=0, kind="stable")
     systematic, wrong = np.empty(15), np.empty(15)
     compute.fusion.judge_claims(
-        *(points - joints, apart, alike, seen, order, np.asarray(variance), OWN_SD_M, GUESS_SD_M, JITTER_M, WRONG_M),
+        *(
+            points - joints,
+            apart,
+            alike,
+            seen,
+            order,
+            np.asarray(variance),
+            OWN_SD_M,
+            GUESS_SD_M,
+            JITTER_M,
+            LARGE_ERROR_M,
+        ),
         *(systematic, wrong),
     )
     return systematic, wrong
@@ -76,7 +89,7 @@ def seen_joints(positions: Array, states: NDArray[np.uint8], eyes: Array, left: 
     away = np.maximum(-_SIDES * _cosine(left, to), 0.0)
     behind = np.maximum(_cosine(np.cross(up, left), to), 0.0)
     seen = np.maximum(1 - GUESSED_P - HIDDEN_P * away**2 - BEHIND_P * behind, LEAST_P)
-    seen = np.where(states == TRACKED, seen, INFERRED * seen)
+    seen = np.where(states == TRACKED, seen, _INFERRED * seen)
     off = np.linalg.norm(positions - positions[:, jt.PARENT], axis=-1) - np.where(_BONE >= 0, lengths[_BONE], 0.0)
     off = np.minimum(np.abs(off), MOST_OFF_M)
     right, guessed = (

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hypose.errors import InputError
 from hypose.geometry import Array
-from hypose.gestures.localise import Found
+from hypose.gestures.localise import Localisation
 
 
 @dataclass(frozen=True)
@@ -68,8 +68,8 @@ class EventState:
         return [g for g, w in self.watches.items() if w.on]
 
 
-def step(
-    state: EventState, found: Sequence[Found], time: float, settings: Sequence[EventSettings]
+def detect_events(
+    state: EventState, found: Sequence[Localisation], time: float, settings: Sequence[EventSettings]
 ) -> tuple[EventState, list[Event]]:
     """The next state and what happened in the frame of this time (s); settings in the order of the gestures."""
     watches, events = dict(state.watches), []

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hypose.compute import GrowingArrays, Packed, PaddedDepth, forest_votes, forests
 from hypose.errors import InputError
-from hypose.gestures.depth_pictures import check
+from hypose.gestures.depth_pictures import check_settings
 
 MAX_CLASSES = 17
 """The background and 16 gestures."""
@@ -51,7 +51,7 @@ class ForestSettings:
             "most_slots": (1, 8000),
             "most_nodes": (3, forests.MAX_NODES),
         }
-        check("A forest's", self, bounds)
+        check_settings("A forest's", self, bounds)
         if self.clip_mm is not None and not 1 <= self.clip_mm <= forests.UNCLIPPED_MM:
             raise InputError(f"A forest's clip_mm is {self.clip_mm}; it must be 1 to {forests.UNCLIPPED_MM}, or None.")
         if not 0 < self.rate <= 20 or not 0 <= self.beta <= 1:

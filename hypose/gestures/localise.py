@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.compute import Depth, PaddedDepth, ScanPlan, forest_votes, forests
+from hypose.compute import DepthImage, PaddedDepth, ScanPlan, forest_votes, forests
 from hypose.errors import InputError
-from hypose.gestures.depth_pictures import KINECT, Lens, check, surface_depth
+from hypose.gestures.depth_pictures import KINECT, DepthLens, check_settings, surface_depth
 from hypose.gestures.forest import Forest, GrowingForest
 
 
@@ -34,12 +34,12 @@ class LocaliseSettings:
     disc_mm: float = 60.0
 
     def __post_init__(self) -> None:
-        check(
+        check_settings(
             "The localization's",
             self,
             {"majority": (0, 1), "sigma_px": (0.01, 1000), "memory": (0, 1), "disc_mm": (1, 1000)},
         )
-        check(
+        check_settings(
             "The scan's",
             self.plan,
             {
@@ -52,7 +52,7 @@ class LocaliseSettings:
             },
         )
 
-    def at(self, lens: Lens) -> LocaliseSettings:
+    def at(self, lens: DepthLens) -> LocaliseSettings:
         """The settings in the pixels of a lens."""
         factor = lens.fx / KINECT.fx
         plan = replace(self.plan, stride=max(1, round(self.plan.stride * factor)))
@@ -60,7 +60,7 @@ class LocaliseSettings:
 
 
 @dataclass(frozen=True)
-class Found:
+class Localisation:
     """The best place for one gesture in one picture: gesture (number from 1 on); pixel x, y; position (3,) m in the
     camera's frame, or None where no depth was measured; score = V (eq. 3.5) in cm^2, 0 when nothing voted."""
 
@@ -80,7 +80,9 @@ class Scratch:
     descents: int = 0
 
 
-def pad(depth: Depth, lens: Lens, reach_mm: int, near_mm: int, reuse: PaddedDepth | None = None) -> PaddedDepth:
+def pad(
+    depth: DepthImage, lens: DepthLens, reach_mm: int, near_mm: int, reuse: PaddedDepth | None = None
+) -> PaddedDepth:
     """The picture as forests read it. A lens of another focal length may have a picture of any size."""
     return forests.pad_depth(depth, lens.fx, near_mm, reach_mm, reuse)
 
@@ -90,12 +92,12 @@ Density = tuple[NDArray[np.float32], int]
 
 
 def localise(
-    depth: Depth,
-    lens: Lens,
+    depth: DepthImage,
+    lens: DepthLens,
     forest_list: Sequence[Forest | GrowingForest],
     settings: LocaliseSettings | None = None,
     scratch: Scratch | None = None,
-) -> list[Found]:
+) -> list[Localisation]:
     """The best place of every gesture in a depth picture (h, w) uint16 mm, in the order of the gestures.
 
     forest_list: one two-class forest per gesture (one against all; they share the padded picture), or a single forest
@@ -106,8 +108,8 @@ def localise(
 
 
 def densities(
-    depth: Depth,
-    lens: Lens,
+    depth: DepthImage,
+    lens: DepthLens,
     forest_list: Sequence[Forest | GrowingForest],
     settings: LocaliseSettings,
     scratch: Scratch,
@@ -137,8 +139,8 @@ def densities(
 
 
 def settle(
-    maps: Sequence[Density], depth: Depth, lens: Lens, settings: LocaliseSettings, scratch: Scratch
-) -> list[Found]:
+    maps: Sequence[Density], depth: DepthImage, lens: DepthLens, settings: LocaliseSettings, scratch: Scratch
+) -> list[Localisation]:
     """The best place of every gesture, from the densities of this picture and the memory of the last ones (eq. 3.4).
 
     Deviation: alpha is 1, no memory, unless it is set; `hypose gesture` sets the printed 0.8."""
@@ -155,14 +157,16 @@ def settle(
     return out
 
 
-def peak(gesture: int, density: NDArray[np.float32], at: int, depth: Depth, lens: Lens, s: LocaliseSettings) -> Found:
+def peak(
+    gesture: int, density: NDArray[np.float32], at: int, depth: DepthImage, lens: DepthLens, s: LocaliseSettings
+) -> Localisation:
     """The maximum of a density with its volume (eq. 3.5) and position; sub-cell by a parabola per axis.
 
     Deviation: V is an area, the cm^2 of surface that vote within the disc, so that it does not depend on distance."""
     i, j = divmod(at, density.shape[1])
     stride = s.plan.stride
     if density[i, j] <= 0:
-        return Found(gesture, float(j * stride + stride // 2), float(i * stride + stride // 2), 0.0, None)
+        return Localisation(gesture, float(j * stride + stride // 2), float(i * stride + stride // 2), 0.0, None)
     y, x = (i + _vertex(density[:, j], i)) * stride + stride // 2, (j + _vertex(density[i], j)) * stride + stride // 2
     z = surface_depth(depth, x, y)
     # with memory the maximum may lie where the hand was; the disc then takes the middle of the room
@@ -172,7 +176,7 @@ def peak(gesture: int, density: NDArray[np.float32], at: int, depth: Depth, lens
     rows, columns = np.ogrid[a.start : min(a.stop, density.shape[0]), b.start : min(b.stop, density.shape[1])]
     inside = (rows - i) ** 2 + (columns - j) ** 2 <= radius**2
     score = 1e4 * float(density[a, b][inside].sum())
-    return Found(gesture, float(x), float(y), score, None if z is None else lens.point(x, y, z / 1000))
+    return Localisation(gesture, float(x), float(y), score, None if z is None else lens.point(x, y, z / 1000))
 
 
 def _vertex(line: NDArray[np.float32], k: int) -> float:

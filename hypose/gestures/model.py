@@ -17,7 +17,7 @@ from hypose.gestures.localise import LocaliseSettings
 from hypose.gestures.online import Learner
 from hypose.gestures.pixels import LearnSettings
 
-FORMAT, VERSION = "hypose-gesture", 2
+_FORMAT, VERSION = "hypose-gesture", 2
 _KINDS = {
     "test": ("<i2", 3), "left": ("<i2", 2), "seen": ("<u4", 3), "level": ("|u1", 2), "slot": ("<i2", 2),
     "size": ("<i4", 1), "free": ("<i2", 2), "n_free": ("<i4", 1), "candidate": ("<i2", 4), "left_count": ("<u2", 4),
@@ -75,7 +75,7 @@ def to_arrays(model: GestureModel) -> dict[str, NDArray]:
         arrays = {"test": f.test, "left": f.left, "seen": f.seen, "size": f.size}
     look = model.settings
     value: dict[str, Any] = {
-        "format": FORMAT,
+        "format": _FORMAT,
         "version": VERSION,
         "growing": growing,
         "names": list(model.names),
@@ -132,7 +132,7 @@ def _description(arrays: Mapping[str, NDArray]) -> dict[str, Any]:
         value = json.loads(str(text))
     except (ValueError, RecursionError):
         raise ValueError("its description is no JSON") from None
-    if not isinstance(value, dict) or value.get("format") != FORMAT:
+    if not isinstance(value, dict) or value.get("format") != _FORMAT:
         raise ValueError("it is no gesture model")
     if value.get("version") != VERSION:
         raise ValueError(f"it is of version {value.get('version')}, this hypose reads version {VERSION}")

@@ -18,7 +18,7 @@ from hypose.compute import TreeArraysOffline, forests
 from hypose.errors import InputError
 from hypose.gestures.forest import Forest, ForestSettings
 from hypose.gestures.localise import pad
-from hypose.gestures.pixels import Chooser, Example, LearnSettings
+from hypose.gestures.pixels import Example, LearnSettings, PixelSampler
 
 STEP_MM = 6
 """Offsets of offline tests are multiples of this: samples are kept as patches read at that spacing."""
@@ -60,7 +60,7 @@ def collect(
     and `around` in a ring around the place (0: as published).
 
     Deviation: positives are pixels near the marked surface, not all that the box holds."""
-    chooser = Chooser(rng, LearnSettings(around=around))
+    chooser = PixelSampler(rng, LearnSettings(around=around))
     patches, labels, picture = [], [], None
     near = chooser.settings.look.plan.near_mm
     for e in examples:
@@ -74,7 +74,7 @@ def collect(
     return Pool(np.concatenate(patches), np.concatenate(labels))
 
 
-def train(pool: Pool, rng: np.random.Generator, settings: OfflineSettings | None = None) -> Forest:
+def train_offline(pool: Pool, rng: np.random.Generator, settings: OfflineSettings | None = None) -> Forest:
     """A forest from a pool of samples; InputError when a class has no samples.
 
     "trees" is the boosted learning of Alcoverro 2014, section 3.2.3: the first tree from a balanced draw, every further

@@ -10,12 +10,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hypose.compute import Depth
+from hypose.compute import DepthImage
 from hypose.errors import InputError
-from hypose.gestures.depth_pictures import Lens, surface_depth
+from hypose.gestures.depth_pictures import DepthLens, surface_depth
 from hypose.gestures.forest import ForestSettings, GrowingForest
-from hypose.gestures.localise import Found, Scratch, localise, pad
-from hypose.gestures.pixels import BACKGROUND, Chooser, LearnSettings, Pixels
+from hypose.gestures.localise import Localisation, Scratch, localise, pad
+from hypose.gestures.pixels import BACKGROUND, LearnSettings, Pixels, PixelSampler
 
 
 @dataclass(frozen=True)
@@ -24,8 +24,8 @@ class Taught:
     maximum."""
 
     learned: tuple[int, ...]
-    mined: tuple[Found, ...]
-    maxima: tuple[Found, ...]
+    mined: tuple[Localisation, ...]
+    maxima: tuple[Localisation, ...]
 
 
 @dataclass
@@ -51,7 +51,9 @@ class Learner:
         grown = GrowingForest.new(forest or ForestSettings(), gestures + 1, rng)
         return Learner(grown, rng, settings or LearnSettings())
 
-    def show(self, depth: Depth, lens: Lens, gesture: int, x: float, y: float, *, mine: bool = True) -> Taught | None:
+    def show(
+        self, depth: DepthImage, lens: DepthLens, gesture: int, x: float, y: float, *, mine: bool = True
+    ) -> Taught | None:
         """Learn a frame (h, w) uint16 mm in which a gesture (number from 1) is done at pixel (x, y).
 
         None when no surface is measured at that pixel between the nearest and farthest range. mine: also learn hard
@@ -80,7 +82,7 @@ class Learner:
                 mined.append(found)
         return Taught(tuple(counts), tuple(mined), maxima)
 
-    def reject(self, depth: Depth, lens: Lens, *, mine: bool = True) -> Taught:
+    def reject(self, depth: DepthImage, lens: DepthLens, *, mine: bool = True) -> Taught:
         """Learn a frame in which no gesture is done: hard negatives at every maximum and a few random ones, or only
         random ones (mine = False).
 
@@ -94,10 +96,10 @@ class Learner:
         return Taught(tuple(counts), mined, maxima)
 
     @property
-    def _draw(self) -> Chooser:
-        return Chooser(self.rng, self.settings)
+    def _draw(self) -> PixelSampler:
+        return PixelSampler(self.rng, self.settings)
 
-    def _take(self, depth: Depth, lens: Lens, look: bool) -> tuple[Found, ...]:
+    def _take(self, depth: DepthImage, lens: DepthLens, look: bool) -> tuple[Localisation, ...]:
         """Pad the picture for learning, and look for the maxima if wanted."""
         s = self.settings.look
         if look:
@@ -105,7 +107,7 @@ class Learner:
         self.scratch.picture = pad(depth, lens, self.forest.settings.reach_mm, s.plan.near_mm, self.scratch.picture)
         return ()
 
-    def _mine(self, depth: Depth, lens: Lens, found: Found, counts: list[int]) -> bool:
+    def _mine(self, depth: DepthImage, lens: DepthLens, found: Localisation, counts: list[int]) -> bool:
         surface = surface_depth(depth, found.x, found.y)
         if found.score <= 0 or surface is None:
             return False

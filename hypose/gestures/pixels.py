@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.compute import Depth, ScanPlan
-from hypose.gestures.depth_pictures import Lens, check, surface_depth
+from hypose.compute import DepthImage, ScanPlan
+from hypose.gestures.depth_pictures import DepthLens, check_settings, surface_depth
 from hypose.gestures.localise import LocaliseSettings
 
 BACKGROUND = 0
@@ -43,22 +43,22 @@ class LearnSettings:
     def __post_init__(self) -> None:
         counts = dict.fromkeys(("positives", "around", "beside", "hard", "few", "many"), (0, 1000))
         lengths = dict.fromkeys(("box_mm", "rim_mm", "surface_mm", "clear_mm"), (1, 1000))
-        check("Learning's", self, {**counts, **lengths})
+        check_settings("Learning's", self, {**counts, **lengths})
 
 
 @dataclass(frozen=True)
 class Example:
     """A frame to learn from: depth (h, w) uint16 mm; gesture from 1 on at pixel (x, y), or 0 for none."""
 
-    depth: Depth
-    lens: Lens
+    depth: DepthImage
+    lens: DepthLens
     gesture: int = 0
     x: float = 0.0
     y: float = 0.0
 
 
 @dataclass
-class Chooser:
+class PixelSampler:
     """Draws pixels of frames with its random numbers."""
 
     rng: np.random.Generator
@@ -79,19 +79,19 @@ class Chooser:
             (self.rim(e.depth, e.x, e.y, scale), BACKGROUND),
         ]
 
-    def inside(self, depth: Depth, x: float, y: float, scale: float, surface: float, n: int) -> Pixels:
+    def inside(self, depth: DepthImage, x: float, y: float, scale: float, surface: float, n: int) -> Pixels:
         """Pixels of the gesture's own surface around the marked point; scale: px per mm there."""
         s = self.settings
         return self.ring(depth, x, y, (0.0, s.box_mm * scale), n, (surface - s.surface_mm, surface + s.surface_mm))
 
-    def rim(self, depth: Depth, x: float, y: float, scale: float) -> Pixels:
+    def rim(self, depth: DepthImage, x: float, y: float, scale: float) -> Pixels:
         """Pixels around the gesture's place."""
         s = self.settings
         return self.ring(depth, x, y, (s.rim_mm * scale, s.clear_mm * scale), s.around)
 
     def ring(
         self,
-        depth: Depth,
+        depth: DepthImage,
         x: float,
         y: float,
         radii: tuple[float, float],
@@ -110,7 +110,7 @@ class Chooser:
         ok = self._usable(d) & (d >= between[0]) & (d <= between[1])
         return rows[ok][:n], columns[ok][:n]
 
-    def anywhere(self, depth: Depth, n: int, clear: tuple[float, float, float] | None) -> Pixels:
+    def anywhere(self, depth: DepthImage, n: int, clear: tuple[float, float, float] | None) -> Pixels:
         """At most n usable pixels of the whole picture, but for a circle (x, y, radius px)."""
         rows = self.rng.integers(0, depth.shape[0], 6 * n)
         columns = self.rng.integers(0, depth.shape[1], 6 * n)
@@ -119,7 +119,7 @@ class Chooser:
             ok &= (columns - clear[0]) ** 2 + (rows - clear[1]) ** 2 > clear[2] ** 2
         return rows[ok][:n], columns[ok][:n]
 
-    def surface(self, depth: Depth, x: float, y: float) -> float | None:
+    def surface(self, depth: DepthImage, x: float, y: float) -> float | None:
         """Depth (mm) of what is marked, if it is where the forest looks."""
         surface, plan = surface_depth(depth, x, y), self.settings.look.plan
         return surface if surface is not None and plan.near_mm <= surface <= plan.far_mm else None

@@ -23,10 +23,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-FAR = 10000
+_OUTSIDE_DEPTH = 10000
 
 
-def load(arrays: str, description: str) -> dict[str, Any]:
+def load_forest(arrays: str, description: str) -> dict[str, Any]:
     """Read forest.npz and forest.json."""
     with open(description, encoding="utf-8") as file:
         model = json.load(file)
@@ -47,9 +47,9 @@ def shares(
         r = rows + (dy.astype(np.float32) * scale + np.float32(4096.5)).astype(np.int32) - 4096
         c = columns + (dx.astype(np.float32) * scale + np.float32(4096.5)).astype(np.int32) - 4096
         inside = (r >= 0) & (c >= 0) & (r < depth.shape[0]) & (c < depth.shape[1])
-        value = np.full(len(d), FAR, np.int32)
+        value = np.full(len(d), _OUTSIDE_DEPTH, np.int32)
         value[inside] = depth[r[inside], c[inside]]
-        value[(value == 0) | (value > FAR)] = FAR
+        value[(value == 0) | (value > _OUTSIDE_DEPTH)] = _OUTSIDE_DEPTH
         return np.clip(value, d - clip, d + clip)
 
     total = np.zeros((len(d), model["share"].shape[2]))

@@ -93,7 +93,7 @@ class Instruction:
     restart: bool = False
 
 
-def step(
+def advance(
     session: Session, settings: SessionSettings, time: float, commands: Sequence[Command] = ()
 ) -> tuple[Session, Instruction]:
     """The session at a time (s), after commands: next phase now; undo the last learned segment; pause and continue;
@@ -133,7 +133,7 @@ def step(
     return s, Instruction(s.phase, prompt, max(0.0, left), learn, s.segment if learn else 0, restart)
 
 
-def observe(session: Session, settings: SessionSettings, maximum: float) -> Session:
+def update_maximum(session: Session, settings: SessionSettings, maximum: float) -> Session:
     """Take the forest's maximum in a frame into the moving average of its phase (th+ or th-)."""
     if session.paused is not None or session.phase not in ("positive", "negative"):
         return session

@@ -12,12 +12,12 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.compute import Depth
-from hypose.gestures.depth_pictures import Lens
+from hypose.compute import DepthImage
+from hypose.gestures.depth_pictures import DepthLens
 from hypose.gestures.forest import GrowingForest
-from hypose.gestures.localise import Found, LocaliseSettings, localise
+from hypose.gestures.localise import Localisation, LocaliseSettings, localise
 from hypose.gestures.online import Learner, Taught
-from hypose.gestures.session import Command, Instruction, Session, SessionSettings, observe, step
+from hypose.gestures.session import Command, Instruction, Session, SessionSettings, advance, update_maximum
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Feedback:
     instruction: Instruction
     box: tuple[float, float]
     taught: Taught | None
-    found: Found | None
+    found: Localisation | None
     threshold: float | None
 
 
@@ -51,7 +51,7 @@ def balanced(gestures: Sequence[float], others: Sequence[float]) -> float:
 
 
 _ONE_IN, _TOWARDS, _LEAST = 10, 0.3, 0.1  # chosen on people of whom no figure is reported
-KEPT = 16
+_KEPT = 16
 """Frames that show the gesture that are kept to find the threshold in the end."""
 
 
@@ -60,7 +60,7 @@ class _Snapshot:
     arrays: tuple[NDArray[Any], ...]
     random: Mapping[str, Any]
     strength: dict[int, float]
-    kept: list[tuple[Depth, Lens]]
+    kept: list[tuple[DepthImage, DepthLens]]
     movement: list[float]
     shown: int
     keep: Mapping[str, Any]
@@ -76,7 +76,7 @@ class Trainer:
         self._segment = 0
         # frames that show the gesture; every one has the same chance of being kept; drawn apart from what is learned
         self._keep, self._shown = np.random.default_rng(0), 0
-        self._kept: list[tuple[Depth, Lens]] = []
+        self._kept: list[tuple[DepthImage, DepthLens]] = []
         self._movement: list[float] = []  # what the forest scored in frames of other movement before it learned them
 
     @property
@@ -87,8 +87,8 @@ class Trainer:
     def frame(
         self,
         time: float,
-        depth: Depth,
-        lens: Lens,
+        depth: DepthImage,
+        lens: DepthLens,
         box: tuple[float, float],
         commands: Sequence[Command] = (),
         *,
@@ -96,7 +96,7 @@ class Trainer:
     ) -> Feedback:
         """Take a frame (h, w) uint16 mm of a time (s); box: the pixel where the gesture is asked for; learn False: the
         frame is kept from the forest (to judge it by, or because it was shown before)."""
-        self.session, instruction = step(self.session, self.settings, time, commands)
+        self.session, instruction = advance(self.session, self.settings, time, commands)
         if instruction.restart and self._before is not None:
             self._restore(self._before)
         taught, found = None, None
@@ -113,8 +113,8 @@ class Trainer:
     def learn(
         self,
         kind: Literal["gesture", "negative"],
-        depth: Depth,
-        lens: Lens,
+        depth: DepthImage,
+        lens: DepthLens,
         at: tuple[float, float],
         *,
         mine: bool = True,
@@ -129,7 +129,7 @@ class Trainer:
         if taught is not None:
             score = (found or taught.maxima[0]).score
             session = replace(self.session, phase="positive" if shows else "negative")
-            self.session = observe(session, self.settings, score)
+            self.session = update_maximum(session, self.settings, score)
             if shows:
                 self._remember(depth, lens)
             else:
@@ -148,11 +148,11 @@ class Trainer:
         scores = [localise(depth, lens, [forest], look)[0].score for depth, lens in self._kept]
         return balanced(scores, self._movement) or None
 
-    def _remember(self, depth: Depth, lens: Lens) -> None:
+    def _remember(self, depth: DepthImage, lens: DepthLens) -> None:
         self._shown += 1
-        if len(self._kept) < KEPT:
+        if len(self._kept) < _KEPT:
             self._kept.append((depth, lens))
-        elif (place := int(self._keep.integers(self._shown))) < KEPT:
+        elif (place := int(self._keep.integers(self._shown))) < _KEPT:
             self._kept[place] = depth, lens
 
     def _snapshot(self) -> _Snapshot:

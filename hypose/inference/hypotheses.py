@@ -19,14 +19,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int32]
+_IntArray = NDArray[np.int32]
 
 
 BEFORE = "before"
 """Column: the state (D,) that each hypothesis had a step ago, its own history."""
 
 
-def _none() -> IntArray:
+def _none() -> _IntArray:
     return np.zeros((), np.int32)
 
 
@@ -45,8 +45,8 @@ class Hypotheses:
 
     values: FloatArray
     log_weights: FloatArray
-    origin: IntArray = field(default_factory=_none)
-    role: IntArray = field(default_factory=_none)
+    origin: _IntArray = field(default_factory=_none)
+    role: _IntArray = field(default_factory=_none)
     role_names: tuple[str, ...] = ()
     covariance: FloatArray | None = None
     columns: Mapping[str, NDArray[Any]] = field(default_factory=dict)

@@ -12,7 +12,7 @@ from hypose.body.body import Body
 from hypose.body.ready_bodies import human
 from hypose.calibration.diagnose_masks import tangency, tangency_by_view
 from hypose.calibration.diagnose_points import FAR_DEG, FAR_M, undistorted
-from hypose.calibration.diagnostics import Clip, Cured, Observed
+from hypose.calibration.diagnostics import Cured, Observed, ViewFile
 from hypose.calibration.refine_body import BodySettings, adjust_with_body
 from hypose.calibration.refine_points import (
     CameraChange,
@@ -20,10 +20,10 @@ from hypose.calibration.refine_points import (
     changes,
     free_cameras,
     gauge,
-    in_world,
     left_out_residual,
     point_residual,
-    rescaled,
+    scale_rig,
+    transform_rig,
 )
 from hypose.calibration.sync_motion import mask_tracks
 from hypose.calibration.synchronisation import Resampled, points_at
@@ -146,11 +146,11 @@ def _near(silhouettes: Silhouettes, keypoints: Keypoints) -> Silhouettes:
     return replace(silhouettes, masks=masks, usable=usable)
 
 
-def _clip(view: View) -> Clip:
+def _clip(view: View) -> ViewFile:
     if view.source is None and view.masks is None:
-        return Clip()
+        return ViewFile()
     with open_pictures(view) as reader:
-        return Clip(reader.size, reader.frame_rate, reader.n_frames)
+        return ViewFile(reader.size, reader.frame_rate, reader.n_frames)
 
 
 def raw_person(recording: Recording) -> RecordedPerson | None:
@@ -217,9 +217,9 @@ def refine_recording(
             few, points, names, late, method, used, rest, focal, free, disturb, progress
         )
     factor = _scale(few.rig, refined, points, used, names, height, notes)
-    refined = rescaled(refined, factor)
+    refined = scale_rig(refined, factor)
     old_from_new = gauge(refined, few.rig, there * factor)
-    refined = in_world(refined, old_from_new)
+    refined = transform_rig(refined, old_from_new)
     here = transform(old_from_new, there * factor)
     tangents = [_tangency(r, before_silhouettes) for r in (few.rig, refined)]
     return Refinement(

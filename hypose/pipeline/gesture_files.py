@@ -20,10 +20,10 @@ from typing import Any
 
 import numpy as np
 
-from hypose.compute import Depth
+from hypose.compute import DepthImage
 from hypose.errors import InputError
 from hypose.gestures import model as model_arrays
-from hypose.gestures.depth_pictures import Lens, millimetres
+from hypose.gestures.depth_pictures import DepthLens, millimetres
 from hypose.gestures.model import GestureModel
 from hypose.gestures.pixels import Example
 from hypose.io.files import RecordingFolder, read_bytes, read_json, text_lines, write_text
@@ -81,7 +81,7 @@ class RecordedFrame:
     x: float
     y: float
 
-    def depth(self) -> Depth:
+    def depth(self) -> DepthImage:
         """The picture (h, w) uint16 mm; InputError names the file when it cannot be read."""
         return np.rint(read_depth_png(self.file) * 1000).astype(np.uint16)
 
@@ -92,7 +92,7 @@ class GestureRecording:
 
     folder: Path
     gestures: tuple[str, ...]
-    lens: Lens
+    lens: DepthLens
     size: tuple[int, int]
     frames: tuple[RecordedFrame, ...]
     undone: frozenset[int]
@@ -123,12 +123,12 @@ class GestureRecording:
             else:
                 yield Example(depth, self.lens)
 
-    def pictures(self) -> Iterator[tuple[RecordedFrame, Depth]]:
+    def pictures(self) -> Iterator[tuple[RecordedFrame, DepthImage]]:
         """Every frame with its picture."""
         for f in self.frames:
             yield f, self.picture(f)
 
-    def picture(self, frame: RecordedFrame) -> Depth:
+    def picture(self, frame: RecordedFrame) -> DepthImage:
         """A frame's picture (h, w) uint16 mm; InputError when it is no depth in millimetres or of another size."""
         depth = millimetres(frame.depth(), str(frame.file))
         if depth.shape != (self.size[1], self.size[0]):
@@ -164,7 +164,7 @@ def read_recording(folder: str | Path) -> GestureRecording:
     return GestureRecording(
         folder,
         tuple(gestures),
-        Lens(*(float(v) for v in lens)),
+        DepthLens(*(float(v) for v in lens)),
         (size[0], size[1]),
         tuple(frames),
         _undone(folder / "actions.csv"),
@@ -227,7 +227,7 @@ class SessionWriter:
         self,
         folder: str | Path,
         gestures: Sequence[str],
-        lens: Lens,
+        lens: DepthLens,
         size: tuple[int, int],
         settings: Mapping[str, Any] | None = None,
     ) -> None:
@@ -253,7 +253,7 @@ class SessionWriter:
     def add(
         self,
         time: float,
-        depth: Depth,
+        depth: DepthImage,
         phase: str = "free",
         segment: int = 0,
         gesture: int = 0,
@@ -266,7 +266,7 @@ class SessionWriter:
         self._waiting.append(self._thread.submit(self._write, file, depth.copy(), row))
         self._count += 1
 
-    def _write(self, file: str, depth: Depth, row: str) -> None:
+    def _write(self, file: str, depth: DepthImage, row: str) -> None:
         write_millimetres_png(self.folder / file, depth)
         with self._folder.writing():
             self._frames.write(row)

@@ -17,7 +17,7 @@ from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.body.ready_bodies import human
 from hypose.calibration.depth_registration import (
-    Rough,
+    CoarseAlignment,
     in_camera,
     refine_registration,
     rough_registration,
@@ -323,7 +323,7 @@ class RegisteredSensors:
     rig: CameraRig
     seconds: Array
     body: Body
-    rough: tuple[Rough, ...]
+    rough: tuple[CoarseAlignment, ...]
 
 
 def register_depth(
@@ -354,7 +354,7 @@ def register_depth(
         with _named(alone[k].name):
             found = track_source(FrameList(clip, frame_rate), frame_rate, options, progress=tracked_alone)
             joints.append(_whole(found).joints)
-    rough = list[Rough]()
+    rough = list[CoarseAlignment]()
     for k in range(1, len(clips)):
         with _named(f"{alone[0].name} and {alone[k].name}"):
             rough.append(rough_registration(times[0], joints[0], times[k], joints[k]))

@@ -16,7 +16,7 @@ from hypose.body.coarse_mesh import coarse_mesh, decimated
 from hypose.body.fit_skeleton import (
     SCAN_POSES,
     ScanFit,
-    Stance,
+    ScanPose,
     find_stances,
     fit_template,
     surface_samples,
@@ -163,7 +163,7 @@ def _metres(extent: float, source: str, unit: str, height: float | None) -> floa
     raise InputError(f"{source}: in {unit} the person would be {shown} tall; {advice}.")
 
 
-def _check_fit(fit: ScanFit, stance: Stance, source: str) -> None:
+def _check_fit(fit: ScanFit, stance: ScanPose, source: str) -> None:
     if fit.far <= _MOST_FAR and fit.distance < 0.02 * fit.body.stature:
         return
     raise InputError(
@@ -173,7 +173,7 @@ def _check_fit(fit: ScanFit, stance: Stance, source: str) -> None:
     )
 
 
-def _stance_notes(stance: Stance, unit: str, height: float | None) -> list[str]:
+def _stance_notes(stance: ScanPose, unit: str, height: float | None) -> list[str]:
     notes = []
     if unit != "m" and height is None:
         notes.append(f"coordinates in {unit} became metres")
@@ -215,7 +215,7 @@ def _with_own_rig(person: PersonMesh, unit: str, height: float | None) -> MeshSu
     vertices = person.vertices @ turn.T * scale
     joints = matched.joints @ turn.T * scale
     frame, pose = _pose_from_joints(joints, vertices)
-    notes = [*person.notes, *_stance_notes(Stance(turn, "", 0.0, up), unit, height)]
+    notes = [*person.notes, *_stance_notes(ScanPose(turn, "", 0.0, up), unit, height)]
     weights, faces = matched.weights, person.faces
     if len(vertices) > 2 * FINE_VERTICES:
         notes.append(f"the display mesh has {FINE_VERTICES // 2} of the file's {before} vertices")

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.body.ready_bodies import human
-from hypose.calibration.diagnose_person import UNITS
+from hypose.calibration.diagnose_person import UNIT_ERRORS
 from hypose.errors import InputError
 from hypose.evidence.frame import TRACKED, Frame, SensorJoints
 from hypose.fitting import PointTerm, fit_clip
@@ -275,7 +275,7 @@ def _of_size(motion: Motion) -> Iterator[str]:
     long = float(np.nanmedian(np.concatenate(legs)[np.tile(~motion.lost, 2)])) if (~motion.lost).any() else np.nan
     if np.isfinite(long) and not _LEGS_M[0] <= long <= _LEGS_M[1]:
         tall = long / _OF_HEIGHT
-        units = [w for factor, w in UNITS for f in (factor, 1 / factor) if 1.3 <= tall / f <= 2.1]
+        units = [w for factor, w in UNIT_ERRORS for f in (factor, 1 / factor) if 1.3 <= tall / f <= 2.1]
         unit = f": {units[0]}" if units else ""
         yield (
             f"the person would be {tall:.3g} m tall, by their legs{unit}; correct the unit, since skeletons must be in "

@@ -12,9 +12,7 @@ from numpy.typing import NDArray
 
 from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError
-from hypose.geometry import Array, se3, so3_exp
-
-Mask = NDArray[np.uint8]
+from hypose.geometry import Array, Mask, se3, so3_exp
 
 
 @dataclass(frozen=True)
@@ -124,7 +122,7 @@ def corrupt_mask(mask: Mask, shadow: Mask, what: Corruptions, rng: np.random.Gen
     return out
 
 
-def box(low: tuple[float, float, float], high: tuple[float, float, float]) -> tuple[Array, NDArray[np.int32]]:
+def box_mesh(low: tuple[float, float, float], high: tuple[float, float, float]) -> tuple[Array, NDArray[np.int32]]:
     """An axis-aligned box as a mesh: vertices (8, 3) m, faces (12, 3) counter-clockwise from outside."""
     x, y, z = zip(low, high, strict=True)
     v = np.array([[a, b, c] for a in x for b in y for c in z], dtype=np.float64)
@@ -158,7 +156,7 @@ def occluder_mesh(name: str) -> tuple[Array, NDArray[np.int32]] | None:
         raise InputError(f"There is no occluder {name!r}; the occluders are table and treadmill.")
     vertices, faces = [], []
     for low, high in boxes:
-        v, f = box(low, high)
+        v, f = box_mesh(low, high)
         faces.append(f + 8 * len(vertices))
         vertices.append(v)
     return np.concatenate(vertices) @ turn.T, np.concatenate(faces).astype(np.int32)

@@ -20,14 +20,13 @@ from numpy.typing import NDArray
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.compute import rasterize
 from hypose.errors import InputError
-from hypose.geometry import Array, so3_exp
+from hypose.geometry import Array, DepthMap, so3_exp
 from hypose.synthetic.corruptions import smooth_noise
 from hypose.synthetic.performance import OfPerformance, Performance, assemble
 from hypose.synthetic.rigs import look_at
-from hypose.synthetic.subjects import Subject
+from hypose.synthetic.subjects import SyntheticSubject
 
-DepthMap = NDArray[np.float32]
-SIZE, FOCAL_PX = (320, 288), 252.0
+KINECT_SIZE, FOCAL_PX = (320, 288), 252.0
 """the Azure Kinect's narrow binned mode"""
 AZIMUTHS = {1: (0.0,), 2: (0.0, 90.0), 3: (0.0, 120.0, 240.0)}
 """degrees from straight in front of a person who faces -y, towards the person's left"""
@@ -65,11 +64,11 @@ def depth_rig(name: str, distance: float = 2.7, height: float = 1.2) -> CameraRi
     cameras = []
     for k, a in enumerate(np.radians(azimuths)):
         eye = [distance * np.sin(a), -distance * np.cos(a), height]
-        cameras.append(look_at(f"depth{k + 1}", eye, (0, 0, 0.95), FOCAL_PX, SIZE))
+        cameras.append(look_at(f"depth{k + 1}", eye, (0, 0, 0.95), FOCAL_PX, KINECT_SIZE))
     return CameraRig(tuple(cameras))
 
 
-def turning(performance: Performance, subject: Subject, heading: Array) -> Performance:
+def turning(performance: Performance, subject: SyntheticSubject, heading: Array) -> Performance:
     """The performance turned about the vertical axis of the world by heading (T,) rad, frame by frame."""
     r = so3_exp(np.asarray(heading, dtype=np.float64)[:, None] * np.array([0, 0, 1.0]))
     rotations = np.einsum("tab,tjbc->tjac", r, performance.rotations)
@@ -91,13 +90,13 @@ class DepthScene(OfPerformance):
     m; others: people beside, with what they do."""
 
     name: str
-    subject: Subject
+    subject: SyntheticSubject
     performance: Performance
     rig: CameraRig
     faults: SensorFaults = SensorFaults()
     seed: int = 0
     furniture: tuple[tuple[float, float, float, float, float], ...] = ()
-    others: tuple[tuple[Subject, Performance], ...] = ()
+    others: tuple[tuple[SyntheticSubject, Performance], ...] = ()
 
     def clean_map(self, view: int, index: int) -> tuple[DepthMap, NDArray[np.uint8]]:
         """What sensor `view` would measure of frame `index` without any fault, (h, w) m, and the person's pixels."""
@@ -150,7 +149,7 @@ class DepthScene(OfPerformance):
 
 def depth_scene(
     performance: Performance,
-    subject: Subject,
+    subject: SyntheticSubject,
     sensors: str | CameraRig,
     *,
     seed: int = 0,

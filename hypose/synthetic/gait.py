@@ -10,7 +10,7 @@ from scipy.interpolate import CubicSpline
 from hypose.errors import InputError
 from hypose.geometry import Array
 from hypose.synthetic.performance import Angles, Performance, centred, perform
-from hypose.synthetic.subjects import Subject
+from hypose.synthetic.subjects import SyntheticSubject
 
 
 def sample_times(duration: float, frame_rate: float) -> Array:
@@ -118,7 +118,7 @@ def _gait(
 
 
 def walk(
-    subject: Subject,
+    subject: SyntheticSubject,
     duration: float,
     frame_rate: float,
     rng: np.random.Generator | None = None,
@@ -133,7 +133,7 @@ def walk(
 
 
 def jog(
-    subject: Subject,
+    subject: SyntheticSubject,
     duration: float,
     frame_rate: float,
     rng: np.random.Generator | None = None,

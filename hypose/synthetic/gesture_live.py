@@ -11,12 +11,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hypose.compute import Depth
+from hypose.compute import DepthImage
 from hypose.errors import InputError
 from hypose.gestures.depth_pictures import KINECT
 from hypose.synthetic.gesture_people import Puppet, load_people
 from hypose.synthetic.gesture_poses import GESTURES, Keyframe, annotated, apply, gesture, movement
-from hypose.synthetic.gesture_scenes import SIZE, Setting, handedness, in_world, make_room, make_view, render
+from hypose.synthetic.gesture_scenes import (
+    PICTURE_SIZE,
+    Setting,
+    handedness,
+    make_gesture_room,
+    make_view,
+    render,
+    stand_at,
+)
 
 _OTHERS = 0.3
 """Share of ways that lead to another gesture while none is asked for."""
@@ -27,16 +35,16 @@ _REACH, _VARY, _MOVE = (0.55, 0.8), (0.4, 0.7), (0.5, 1.2)
 
 
 @dataclass(frozen=True)
-class LiveFrame:
+class SimulatedFrame:
     """depth (480, 640) uint16 mm; point: the pixel of the gesture, None while it is not done or not seen; clear: the
     gesture is done and seen, or not done at all: not on the way to or from it, and not hidden."""
 
-    depth: Depth
+    depth: DepthImage
     point: tuple[float, float] | None
     clear: bool
 
 
-def live_person(number: int, name: str, rng: np.random.Generator, rate: float) -> Generator[LiveFrame, bool, None]:
+def live_person(number: int, name: str, rng: np.random.Generator, rate: float) -> Generator[SimulatedFrame, bool, None]:
     """Endless frames at a rate (Hz) of person `number` in a furnished room before a fixed camera.
 
     `send(True)` after the first frame asks for the gesture, `send(False)` for anything else. InputError when there is
@@ -51,8 +59,8 @@ def live_person(number: int, name: str, rng: np.random.Generator, rate: float) -
 
 def _frames(
     number: int, puppet: Puppet, name: str, rng: np.random.Generator, rate: float
-) -> Generator[LiveFrame, bool, None]:
-    setting = Setting.new(make_room(rng, "furnished"), make_view(rng, rng.uniform(1.5, 2.3)))
+) -> Generator[SimulatedFrame, bool, None]:
+    setting = Setting.new(make_gesture_room(rng, "furnished"), make_view(rng, rng.uniform(1.5, 2.3)))
     leading = handedness(number)
     others = [g for g in GESTURES if g != name]
     start = goal = movement(puppet, rng)
@@ -84,15 +92,15 @@ def _goal(puppet: Puppet, name: str | None, others: list[str], leading: str, rng
     return gesture(puppet, name or str(rng.choice(others)), rng, leading)[0]
 
 
-def _seen(puppet: Puppet, setting: Setting, name: str | None, leading: str, rng: np.random.Generator) -> LiveFrame:
+def _seen(puppet: Puppet, setting: Setting, name: str | None, leading: str, rng: np.random.Generator) -> SimulatedFrame:
     view = setting.view
-    depth, inverse = render([(puppet.person, in_world(puppet))], setting.behind, view, rng)
+    depth, inverse = render([(puppet.person, stand_at(puppet))], setting.behind, view, rng)
     if name is None:
-        return LiveFrame(depth, None, True)
+        return SimulatedFrame(depth, None, True)
     p = view.points(annotated(puppet, name, leading) - [0, 0, puppet.person.ground])
     x, y = float(p[0] / p[2] * KINECT.fx + KINECT.cx), float(p[1] / p[2] * KINECT.fy + KINECT.cy)
-    if not (25 < x < SIZE[0] - 25 and 25 < y < SIZE[1] - 25):
-        return LiveFrame(depth, None, False)
+    if not (25 < x < PICTURE_SIZE[0] - 25 and 25 < y < PICTURE_SIZE[1] - 25):
+        return SimulatedFrame(depth, None, False)
     window = inverse[int(y) - 3 : int(y) + 4, int(x) - 3 : int(x) + 4]
     hidden = np.abs(1 / np.maximum(window, 1e-3) - p[2]).min() > _HIDDEN
-    return LiveFrame(depth, None if hidden else (x, y), not hidden)
+    return SimulatedFrame(depth, None if hidden else (x, y), not hidden)

@@ -12,7 +12,7 @@ import numpy as np
 
 from hypose.errors import InputError
 from hypose.geometry import Array
-from hypose.synthetic.gesture_people import SIDES, ArmGoal, HandShape, Person, Puppet, turn, unit
+from hypose.synthetic.gesture_people import SIDES, ArmGoal, GesturePerson, HandShape, Puppet, rotation_about, unit
 
 GESTURES = ("tee", "cross", "pause", "silence", "ok", "volume_up")
 """What the detectors learn. volume_up is a thumb up: the thesis does not say what it is."""
@@ -52,13 +52,13 @@ def _blend(a: ArmGoal, b: ArmGoal, t: float) -> ArmGoal:
 
 def bend(puppet: Puppet, angles: Array) -> None:
     """Turn trunk and head."""
-    root = turn([0, 0, 1], angles[0])
-    spine = root @ turn([1, 0, 0], angles[1]) @ turn([0, 1, 0], angles[2])
-    chest = spine @ turn([0, 0, 1], angles[3])
+    root = rotation_about([0, 0, 1], angles[0])
+    spine = root @ rotation_about([1, 0, 0], angles[1]) @ rotation_about([0, 1, 0], angles[2])
+    chest = spine @ rotation_about([0, 0, 1], angles[3])
     puppet.set("pelvis", root)
     puppet.set("spine", spine)
     puppet.set("chest", chest)
-    puppet.set("neck", chest @ turn([1, 0, 0], angles[4]) @ turn([0, 0, 1], angles[5]))
+    puppet.set("neck", chest @ rotation_about([1, 0, 0], angles[4]) @ rotation_about([0, 0, 1], angles[5]))
 
 
 def apply(puppet: Puppet, frame: Keyframe) -> None:
@@ -123,7 +123,7 @@ class Doer:
         return Keyframe(self.angles, left, right)
 
 
-def lips(person: Person) -> Array:
+def lips(person: GesturePerson) -> Array:
     """The middle of the lips at rest: 4 cm below the tip of the nose."""
     head = person.joint("head")
     v = person.vertices
@@ -210,7 +210,7 @@ def _volume_up(do: Doer) -> Keyframe:
     thumb = unit(person.joint(f"{do.lead}_thumb_3") - person.joint(f"{do.lead}_thumb_2"))
     up = unit(do.puppet.rotation(f"{do.lead}_wrist").T @ do.way(0, 0, 1, 0.08))
     axis = np.cross(thumb, up)
-    raised = turn(axis, 0.8 * float(np.arcsin(min(1.0, np.linalg.norm(axis)))))
+    raised = rotation_about(axis, 0.8 * float(np.arcsin(min(1.0, np.linalg.norm(axis)))))
     shape = HandShape(fist.flexion, fist.spread, np.stack([raised] * 3))
     return do.keyframe(ArmGoal(wrist, f, n, elbow, shape))
 

@@ -11,13 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.compute import Depth, depth_sensor
+from hypose.compute import DepthImage, depth_sensor
 from hypose.geometry import Array
-from hypose.gestures.depth_pictures import KINECT, Lens
-from hypose.synthetic.gesture_people import Person, Puppet, turn
+from hypose.gestures.depth_pictures import KINECT, DepthLens
+from hypose.synthetic.gesture_people import GesturePerson, Puppet, rotation_about
 
-SIZE = (640, 480)
-LEVELS = ("empty", "furnished", "cluttered")
+PICTURE_SIZE = (640, 480)
 _BOX = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 _BOX_FACES = np.array(
     [
@@ -41,7 +40,7 @@ _FLOOR = _floor()
 
 
 @dataclass(frozen=True)
-class Room:
+class GestureRoom:
     """vertices (V, 3) m in the world, faces (F, 3); wall: distance of the back wall behind the person, m."""
 
     vertices: Array
@@ -50,7 +49,7 @@ class Room:
 
 
 @dataclass(frozen=True)
-class View:
+class _View:
     """A camera: camera_from_world rotation (3, 3) and its position (3,) m in the world."""
 
     rotation: Array
@@ -61,12 +60,12 @@ class View:
         return (world - self.position) @ self.rotation.T
 
 
-def make_room(rng: np.random.Generator, level: str) -> Room:
+def make_gesture_room(rng: np.random.Generator, level: str) -> GestureRoom:
     """A random room: empty (floor and a wall far behind), furnished, or cluttered close to the person."""
     parts: list[tuple[Array, NDArray[np.int32]]] = []
 
     def box(centre: Sequence[float], size: Sequence[float], yaw: float) -> None:
-        parts.append((_BOX * size @ turn([0, 0, 1], yaw).T + centre, _BOX_FACES))
+        parts.append((_BOX * size @ rotation_about([0, 0, 1], yaw).T + centre, _BOX_FACES))
 
     wall = rng.uniform(1.6, 2.6) if level == "empty" else rng.uniform(0.5, 2.5)
     box([0, wall + 0.1, 1.5], [14, 0.2, 5], rng.uniform(-0.25, 0.25))
@@ -84,34 +83,34 @@ def make_room(rng: np.random.Generator, level: str) -> Room:
     vertices = np.concatenate([v for v, _ in parts])
     first = np.cumsum([0, *(len(v) for v, _ in parts[:-1])])
     faces = np.concatenate([f + n for n, (_, f) in zip(first, parts, strict=True)]).astype(np.int32)
-    return Room(vertices, faces, float(wall))
+    return GestureRoom(vertices, faces, float(wall))
 
 
-def make_view(rng: np.random.Generator, distance: float) -> View:
+def make_view(rng: np.random.Generator, distance: float) -> _View:
     """A camera `distance` m before the person, 1.0 to 1.6 m high, up to 20 degrees to the side."""
     height, yaw = rng.uniform(1.0, 1.6), np.deg2rad(rng.uniform(-20, 20))
     tilt = np.arctan2(height - 1.25, distance) + rng.normal(0, 0.03)
     position = np.array([np.sin(yaw) * distance, -np.cos(yaw) * distance, height])
-    forward = turn([0, 0, 1], yaw + rng.normal(0, 0.06)) @ np.array([0.0, 1, 0])
+    forward = rotation_about([0, 0, 1], yaw + rng.normal(0, 0.06)) @ np.array([0.0, 1, 0])
     right = np.cross(forward, [0, 0, 1])
-    forward = turn(right, -tilt) @ forward
-    return View(np.stack([right, np.cross(forward, right), forward]), position)
+    forward = rotation_about(right, -tilt) @ forward
+    return _View(np.stack([right, np.cross(forward, right), forward]), position)
 
 
-def backdrop(room: Room, view: View, lens: Lens = KINECT) -> NDArray[np.float32]:
+def backdrop(room: GestureRoom, view: _View, lens: DepthLens = KINECT) -> NDArray[np.float32]:
     """Inverse depth (480, 640) 1/m of a room without people: drawn once where the camera stands still."""
-    inverse = np.zeros((SIZE[1], SIZE[0]), np.float32)
+    inverse = np.zeros((PICTURE_SIZE[1], PICTURE_SIZE[0]), np.float32)
     depth_sensor.draw(view.points(room.vertices), room.faces, (lens.fx, lens.fy, lens.cx, lens.cy), inverse)
     return inverse
 
 
 def render(
-    people: Sequence[tuple[Person, Array]],
+    people: Sequence[tuple[GesturePerson, Array]],
     behind: NDArray[np.float32],
-    view: View,
+    view: _View,
     rng: np.random.Generator,
-    lens: Lens = KINECT,
-) -> tuple[Depth, NDArray[np.float32]]:
+    lens: DepthLens = KINECT,
+) -> tuple[DepthImage, NDArray[np.float32]]:
     """Depth (480, 640) uint16 mm of posed people (person, vertices in the world) before a backdrop, and the exact
     inverse depth (1/m)."""
     inverse = behind.copy()
@@ -121,9 +120,9 @@ def render(
     return depth_sensor.sense(inverse, lens.fx, rng), inverse
 
 
-def in_world(puppet: Puppet, yaw: float = 0.0, at: Sequence[float] = (0, 0)) -> Array:
+def stand_at(puppet: Puppet, yaw: float = 0.0, at: Sequence[float] = (0, 0)) -> Array:
     """Vertices (V, 3) m of a posed person standing on the floor at a place, turned by yaw (rad)."""
-    return puppet.skin() @ turn([0, 0, 1], yaw).T + [at[0], at[1], -puppet.person.ground]
+    return puppet.skin() @ rotation_about([0, 0, 1], yaw).T + [at[0], at[1], -puppet.person.ground]
 
 
 def handedness(person: int) -> str:
@@ -135,11 +134,11 @@ def handedness(person: int) -> str:
 class Setting:
     """A room seen by a camera, and what it looks like empty."""
 
-    room: Room
-    view: View
+    room: GestureRoom
+    view: _View
     behind: NDArray[np.float32]
 
     @staticmethod
-    def new(room: Room, view: View) -> Setting:
+    def new(room: GestureRoom, view: _View) -> Setting:
         """The setting with its backdrop drawn."""
         return Setting(room, view, backdrop(room, view))

@@ -19,7 +19,7 @@ from hypose.errors import InputError
 from hypose.geometry import Array
 from hypose.synthetic.gait import Take, jog, sample_times, walk
 from hypose.synthetic.performance import Angles, Performance, Stance, centred, chain, perform
-from hypose.synthetic.subjects import Subject
+from hypose.synthetic.subjects import SyntheticSubject
 
 # key poses: channel values in degrees; both_ = left_ and right_
 _RELAXED = {
@@ -104,7 +104,7 @@ def _jab(side: str, reach: float = 1.0) -> dict[str, float]:
 
 
 def box(
-    subject: Subject,
+    subject: SyntheticSubject,
     duration: float,
     frame_rate: float,
     rng: np.random.Generator | None = None,
@@ -135,7 +135,7 @@ def box(
 
 
 def punch(
-    subject: Subject,
+    subject: SyntheticSubject,
     duration: float,
     frame_rate: float,
     rng: np.random.Generator | None = None,
@@ -164,7 +164,7 @@ def punch(
 
 
 def wave(
-    subject: Subject,
+    subject: SyntheticSubject,
     duration: float,
     frame_rate: float,
     rng: np.random.Generator | None = None,
@@ -195,7 +195,7 @@ def wave(
 
 
 def cross_arms(
-    subject: Subject,
+    subject: SyntheticSubject,
     duration: float,
     frame_rate: float,
     rng: np.random.Generator | None = None,
@@ -222,7 +222,7 @@ def cross_arms(
 
 
 def sit_down(
-    subject: Subject,
+    subject: SyntheticSubject,
     duration: float,
     frame_rate: float,
     rng: np.random.Generator | None = None,
@@ -249,7 +249,7 @@ def sit_down(
 
 
 def serve(
-    subject: Subject,
+    subject: SyntheticSubject,
     duration: float,
     frame_rate: float,
     rng: np.random.Generator | None = None,
@@ -335,7 +335,7 @@ def serve(
 
 
 def combo(
-    subject: Subject,
+    subject: SyntheticSubject,
     duration: float,
     frame_rate: float,
     rng: np.random.Generator | None = None,
@@ -360,7 +360,7 @@ MOTIONS: dict[str, Callable[..., Performance]] = {
 
 def act(
     name: str,
-    subject: Subject,
+    subject: SyntheticSubject,
     duration: float,
     frame_rate: float,
     rng: np.random.Generator | None = None,

@@ -15,7 +15,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from hypose.body.ready_bodies import JOINT_NAMES, PARENTS
 from hypose.geometry import Array, rotation_between, so3_exp, so3_log
-from hypose.synthetic.subjects import Subject
+from hypose.synthetic.subjects import SyntheticSubject
 
 CHANNELS = (
     # the whole body: degrees (lean forwards, list to the left, turn to the left), m per m of leg length
@@ -128,7 +128,7 @@ class OfPerformance:
         return self.performance.rotations
 
 
-def assemble(name: str, subject: Subject, times: Array, rotations: Array, root: Array) -> Performance:
+def assemble(name: str, subject: SyntheticSubject, times: Array, rotations: Array, root: Array) -> Performance:
     """A Performance with the joint centres that the subject's own bones give."""
     return Performance(name, times, rotations, root, subject.place_joints(rotations, root))
 
@@ -140,7 +140,7 @@ def turn(axis: int, degrees: Array) -> Array:
     return so3_exp(v)
 
 
-def hanging_from_rest(subject: Subject) -> Array:
+def hanging_from_rest(subject: SyntheticSubject) -> Array:
     """(19, 3, 3) rotations that take the subject's rest pose to upright standing with arms and legs hanging
     straight down, the smallest ones; feet stay level. Angles are measured from there."""
     down, j = np.array([0.0, 0.0, -1.0]), subject.joints
@@ -153,7 +153,7 @@ def hanging_from_rest(subject: Subject) -> Array:
     return out
 
 
-def local_rotations(angles: Angles) -> Array:
+def joint_rotations(angles: Angles) -> Array:
     """Rotations (T, 19, 3, 3) of each joint in its parent's frame, relative to the hanging pose.
 
     x = left, y = backward, z = up: a lean forwards is a positive turn about x, flexion of hip, shoulder and
@@ -191,9 +191,9 @@ def global_rotations(local: Array) -> Array:
     return out
 
 
-def perform(angles: Angles, subject: Subject) -> Performance:
+def perform(angles: Angles, subject: SyntheticSubject) -> Performance:
     """The subject doing the motion, about the origin of the world, facing -y at the start."""
-    world = global_rotations(local_rotations(angles))
+    world = global_rotations(joint_rotations(angles))
     align = hanging_from_rest(subject)
     times = angles.times
     if angles.stance is None:
@@ -207,7 +207,7 @@ def perform(angles: Angles, subject: Subject) -> Performance:
     return out
 
 
-def soles(subject: Subject, rotations: Array, joints: Array) -> tuple[Array, Array]:
+def soles(subject: SyntheticSubject, rotations: Array, joints: Array) -> tuple[Array, Array]:
     """Lowest point of each foot (left, right): (T, 2) heights (m) and (T, 2, 3) the motion of that point of
     the foot per frame (m), for rotations (T, 19, 3, 3) and joints (T, 19, 3)."""
     low, motion = [], []
@@ -231,7 +231,7 @@ def _soft_minimum(values: Array, width: float) -> Array:
     return lowest[..., 0] - width * np.log(np.exp(-(values - lowest) / width).sum(-1))
 
 
-def _travel(angles: Angles, subject: Subject, rotations: Array) -> tuple[Array, Array]:
+def _travel(angles: Angles, subject: SyntheticSubject, rotations: Array) -> tuple[Array, Array]:
     """Root path (T, 3) and heading rotations (T, 3, 3) of a body whose feet push it along a circle."""
     times = angles.times
     dt = np.gradient(times) if len(times) > 1 else np.ones(1)
@@ -272,7 +272,7 @@ def _travel(angles: Angles, subject: Subject, rotations: Array) -> tuple[Array, 
     return root, turn(2, np.degrees(yaw))
 
 
-def _planted(angles: Angles, subject: Subject, world: Array, align: Array) -> tuple[Array, Array]:
+def _planted(angles: Angles, subject: SyntheticSubject, world: Array, align: Array) -> tuple[Array, Array]:
     """Rotations (T, 19, 3, 3) and root (T, 3) with the feet at their stance, the legs by inverse
     kinematics."""
     stance, scale, g = angles.stance or Stance(), subject.leg_length, angles.get
@@ -353,7 +353,7 @@ def heading(rotation: Array) -> float:
     return float(np.arctan2(facing[0], -facing[1]))
 
 
-def chain(name: str, parts: list[Performance], subject: Subject, blend: float = 0.5) -> Performance:
+def chain(name: str, parts: list[Performance], subject: SyntheticSubject, blend: float = 0.5) -> Performance:
     """Performances one after the other, each starting where (and facing as) the one before ends, cross-faded
     over `blend` seconds; the ground contact is restored in the blends."""
     out = parts[0]

@@ -14,12 +14,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from hypose.body.skin_weights import vertex_normals
 from hypose.cameras.camera import Camera
-from hypose.compute import blend_shaded, darken, expose, interpolate, rasterize, silhouette
-from hypose.geometry import Array
-from hypose.synthetic.subjects import Subject, vertex_normals
+from hypose.compute import blend_shaded, covered, darken, expose, interpolate, rasterize
+from hypose.geometry import Array, Image
+from hypose.synthetic.subjects import SyntheticSubject
 
-Image = NDArray[np.uint8]
 Floats = NDArray[np.float32]
 
 LIGHT = np.array([0.42, -0.28, 0.86])
@@ -143,7 +143,7 @@ class Outfit:
     gloss: float = 0.0
 
 
-def make_outfit(subject: Subject, rng: np.random.Generator, hands_only: bool = False) -> Outfit:
+def make_outfit(subject: SyntheticSubject, rng: np.random.Generator, hands_only: bool = False) -> Outfit:
     """Shirt, trousers, shoes, skin and hair by body part, colours from the rng.
 
     hands_only: only face and hands are bare, and no cloth has the colour of skin."""
@@ -209,7 +209,7 @@ def render_person(
     picture: Floats,
     backdrop: Backdrop,
     camera: Camera,
-    subject: Subject,
+    subject: SyntheticSubject,
     outfit: Outfit,
     vertices: Array,
     samples: int,
@@ -257,7 +257,9 @@ def _highlight(camera: Camera, vertices: Array, normals: Array, gloss: float) ->
     return gloss * mirrored / shade
 
 
-def cast_shadow(picture: Floats, backdrop: Backdrop, camera: Camera, subject: Subject, vertices: Array) -> None:
+def cast_shadow(
+    picture: Floats, backdrop: Backdrop, camera: Camera, subject: SyntheticSubject, vertices: Array
+) -> None:
     """Darken the floor where the body hides the main light; the edge is as soft as a lamp's."""
     mask = shadow_mask(camera, subject.faces, vertices)
     x, y, w, h = cv2.boundingRect(mask)
@@ -273,8 +275,7 @@ def shadow_mask(camera: Camera, faces: NDArray[np.int32], vertices: Array) -> ND
     drawn)."""
     ground = vertices - LIGHT * (vertices[:, 2:] / LIGHT[2])
     ground[:, 2] = 0.0
-    mask = silhouette(camera.project(ground), _depth(camera, ground), faces, camera.size)
-    return mask.astype(np.uint8, copy=False)
+    return covered(camera.project(ground), _depth(camera, ground), faces, camera.size[::-1])
 
 
 def develop(picture: Floats, gain: Array, noise: NDArray[np.int16], rng: np.random.Generator) -> Image:

@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.cameras.camera import Camera, CameraRig
-from hypose.compute import rasterize, silhouette
+from hypose.compute import covered, rasterize
 from hypose.errors import InputError
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.keypoints import BODY_25, to_keypoints
-from hypose.geometry import Array
+from hypose.geometry import Array, Image
 from hypose.synthetic.corruptions import (
     Corruptions,
     corrupt_mask,
@@ -33,7 +33,6 @@ from hypose.synthetic.motions import act
 from hypose.synthetic.performance import OfPerformance, Performance, moved
 from hypose.synthetic.render_rgb import (
     Backdrop,
-    Image,
     Outfit,
     Room,
     Sensor,
@@ -48,7 +47,7 @@ from hypose.synthetic.render_rgb import (
 )
 from hypose.synthetic.rigs import rig as named_rig
 from hypose.synthetic.simulated_keypoints import keypoint_detections
-from hypose.synthetic.subjects import Subject, dress, load_subjects
+from hypose.synthetic.subjects import SyntheticSubject, dress, load_subjects
 
 # first numbers of the random streams: (seed, stream, ...)
 _CLOTHES, _MOTION, _ROOM, _RIG, _DROPS, _MASKS, _NOISE, _PHASE, _OTHER = range(9)
@@ -62,13 +61,13 @@ class Scene(OfPerformance):
     and hands bare, and none has the colour of skin."""
 
     name: str
-    subject: Subject
+    subject: SyntheticSubject
     performance: Performance
     rig: CameraRig
     given_rig: CameraRig
     corruption: Corruptions
     seed: int
-    others: tuple[tuple[Subject, Performance], ...] = ()
+    others: tuple[tuple[SyntheticSubject, Performance], ...] = ()
     sensor: Sensor = field(default_factory=Sensor)
     hands_only: bool = False
 
@@ -235,17 +234,19 @@ def _projected(camera: Camera, vertices: Array) -> tuple[Array, Array]:
     return camera.project_pinhole(vertices), z
 
 
-def _mask(camera: Camera, subject: Subject, vertices: Array, hidden: NDArray[np.float32] | None) -> NDArray[np.uint8]:
+def _mask(
+    camera: Camera, subject: SyntheticSubject, vertices: Array, hidden: NDArray[np.float32] | None
+) -> NDArray[np.uint8]:
     uv, z = _projected(camera, vertices)
     if hidden is None:
-        return silhouette(uv, z, subject.faces, camera.size).astype(np.uint8, copy=False)
+        return covered(uv, z, subject.faces, camera.size[::-1])
     depth = rasterize(uv, z, subject.faces, camera.size)[0]
     return (depth < hidden).astype(np.uint8)
 
 
 def make_scene(
     motion: str | Performance = "walk",
-    subject: str | Subject = "",
+    subject: str | SyntheticSubject = "",
     rig: str | CameraRig = "humaneva-4",
     *,
     seconds: float = 4.0,
@@ -263,8 +264,8 @@ def make_scene(
     ("": chosen by the seed) or a Subject, dressed in clothing_m (0 to 0.04); rig: a name (rigs.rig) or a rig;
     corruption: Corruptions or names of them. `court-4` puts a second person into view.
     """
-    known = {} if isinstance(subject, Subject) else load_subjects()
-    if isinstance(subject, Subject):
+    known = {} if isinstance(subject, SyntheticSubject) else load_subjects()
+    if isinstance(subject, SyntheticSubject):
         body = subject
     elif subject in known:
         body = known[subject]
@@ -282,7 +283,7 @@ def make_scene(
     cameras = named_rig(rig, distorted=distorted) if isinstance(rig, str) else rig
     what = corruption if isinstance(corruption, Corruptions) else corruptions(*corruption)
     given = disturb_rig(cameras, what.calibration_error, np.random.default_rng([seed, _RIG]))
-    others: tuple[tuple[Subject, Performance], ...] = ()
+    others: tuple[tuple[SyntheticSubject, Performance], ...] = ()
     if rig == "court-4":
         second = known[sorted(known)[(seed + 1) % len(known)]] if known else body
         rng = np.random.default_rng([seed, _OTHER])

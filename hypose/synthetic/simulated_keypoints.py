@@ -11,14 +11,14 @@ from hypose.cameras.camera import CameraRig
 from hypose.evidence.keypoints import BODY_25
 from hypose.geometry import Array
 from hypose.synthetic.performance import Performance
-from hypose.synthetic.subjects import Subject
+from hypose.synthetic.subjects import SyntheticSubject
 
 
 class Filmed(Protocol):
     """What is filmed of a scene (`hypose.synthetic.scenes.Scene`)."""
 
     @property
-    def subject(self) -> Subject:
+    def subject(self) -> SyntheticSubject:
         """Who moves."""
         ...
 
@@ -50,7 +50,7 @@ class Filmed(Protocol):
         ...
 
 
-def surface_landmarks(subject: Subject) -> dict[str, tuple[int, Array]]:
+def surface_landmarks(subject: SyntheticSubject) -> dict[str, tuple[int, Array]]:
     """Nose, eyes, ears, toes and heels of a subject: name -> (joint, point (3,) m in the model frame at
     rest)."""
     v, j, part = subject.vertices, subject.joints, subject.main_joint
@@ -73,7 +73,7 @@ def surface_landmarks(subject: Subject) -> dict[str, tuple[int, Array]]:
     return out
 
 
-def keypoint_places(subject: Subject, rotations: Array, joints: Array) -> Array:
+def keypoint_places(subject: SyntheticSubject, rotations: Array, joints: Array) -> Array:
     """(T, 25, 3) m: where the points of BODY_25 are on a subject; rotations (T, 19, 3, 3) world_from_joint, joints
     (T, 19, 3)."""
     marks = surface_landmarks(subject)

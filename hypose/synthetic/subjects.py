@@ -16,12 +16,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.body.ready_bodies import JOINT_NAMES, PARENTS
+from hypose.body.skin_weights import vertex_normals
 from hypose.errors import InputError
 from hypose.geometry import Array
 
 
 @dataclass(frozen=True)
-class Subject:
+class SyntheticSubject:
     """A person whose every point is known.
 
     vertices (V, 3) m and joints (19, 3) m in the model frame at rest (origin at the pelvis joint, x = the
@@ -92,7 +93,7 @@ class Subject:
 
 
 @lru_cache(maxsize=1)
-def load_subjects() -> dict[str, Subject]:
+def load_subjects() -> dict[str, SyntheticSubject]:
     """The baked subjects by name; an InputError when the asset is missing from the installation."""
     file = resources.files("hypose.assets").joinpath("subjects.npz")
     try:
@@ -107,7 +108,7 @@ def load_subjects() -> dict[str, Subject]:
     out = {}
     for k, name in enumerate(data["names"].tolist()):
         joints = data["joints"][k].astype(np.float64)
-        out[str(name)] = Subject(
+        out[str(name)] = SyntheticSubject(
             str(name),
             vertices[k] - joints[0],
             joints - joints[0],
@@ -119,20 +120,10 @@ def load_subjects() -> dict[str, Subject]:
     return out
 
 
-def vertex_normals(vertices: Array, faces: NDArray[np.int32]) -> Array:
-    """Unit outward normals (V, 3) of vertices (V, 3), weighted by the area of the faces (F, 3)."""
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    n = np.cross(b - a, c - a)
-    flat = faces.ravel()
-    rows = np.repeat(n, 3, axis=0)
-    out = np.stack([np.bincount(flat, rows[:, k], len(vertices)) for k in range(3)], 1)
-    return out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-12)
-
-
 MAX_CLOTHING_M = 0.04
 
 
-def dress(subject: Subject, thickness_m: float, rng: np.random.Generator) -> Subject:
+def dress(subject: SyntheticSubject, thickness_m: float, rng: np.random.Generator) -> SyntheticSubject:
     """The subject in clothes: a smooth outward displacement of 0.3 to 1 times thickness_m (<= 4 cm) where
     cloth_weight is 1, less towards the naked parts. Joints stay where they are.
 

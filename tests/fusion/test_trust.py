@@ -11,7 +11,7 @@ from hypose.fusion import trust
 from hypose.fusion.fuse import FusionSettings, fuse_clip
 from tests.fusion.people import REST, moving_person, seen, sensor_poses
 
-LENGTHS = np.linalg.norm(REST[jt.BONES[:, 0]] - REST[jt.BONES[:, 1]], axis=-1)
+LENGTHS = np.linalg.norm(REST[jt.SKELETON_BONES[:, 0]] - REST[jt.SKELETON_BONES[:, 1]], axis=-1)
 LEFT = np.array([1.0, 0.0, 0.0])  # the person at rest faces -y
 FRONT, LEFT_SIDE, RIGHT_SIDE, BACK = ([0, -2.5, 1.2], [2.5, 0, 1.2], [-2.5, 0, 1.2], [0, 2.5, 1.2])
 ARMS = {"left": [jt.LEFT_ELBOW, jt.LEFT_HAND], "right": [jt.RIGHT_ELBOW, jt.RIGHT_HAND]}

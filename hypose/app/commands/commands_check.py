@@ -14,7 +14,7 @@ from hypose.errors import EvidenceError, InputError
 
 if TYPE_CHECKING:
     from hypose.app.commands.console import ProgressCall
-    from hypose.calibration.diagnostics import Cured, Report
+    from hypose.calibration.diagnostics import Cured, PersonReport
     from hypose.geometry import Array
     from hypose.io.recordings.recording import Recording
     from hypose.io.recordings.recording_people import RecordedPerson
@@ -112,7 +112,7 @@ def check(
     say("No problem found.", "green")
 
 
-def _verdicts(report: Report) -> None:
+def _verdicts(report: PersonReport) -> None:
     for view in report.views:
         numbers = []
         if view.left_out_px == view.left_out_px:

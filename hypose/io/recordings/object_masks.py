@@ -23,7 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.errors import InputError
-from hypose.evidence.silhouettes import Mask, as_mask
+from hypose.evidence.silhouettes import as_mask
+from hypose.geometry import Mask
 from hypose.io.file_names import last_number, natural_key
 from hypose.io.files import MAX_TEXT_BYTES, read_json
 from hypose.io.videos.video import (

@@ -154,7 +154,7 @@ class LiveEngine:
 
     def start(self) -> None:
         """Open the cameras and begin; an InputError when one cannot be opened."""
-        parts = (*compute.FOLLOWING, *(("depth",) if any_depth(self.views) else ()))
+        parts = (*compute.TRACKING_KERNELS, *(("depth",) if any_depth(self.views) else ()))
         compute.warm_up(*parts, load=False)  # what is compiled here the other process finds
         warm = self._beside.submit(compute.warm_up, *parts)
         self._eyes = EyesProcess(self.rig, self.views, self.options.eyes, self._stop)

@@ -30,8 +30,8 @@ from hypose.evidence.background import BackgroundModel
 from hypose.evidence.depth_background import DepthBackground
 from hypose.evidence.outlines import ViewOutline
 from hypose.evidence.shared_masks import BodyShape
-from hypose.evidence.silhouettes import Mask, SilhouetteSettings
-from hypose.geometry import Array
+from hypose.evidence.silhouettes import SilhouetteSettings
+from hypose.geometry import Array, Mask
 from hypose.io.recordings.frames import working_rig
 from hypose.io.sensors.depth import DEPTH_PNG, open_depth_camera
 from hypose.io.videos.camera_sources import CameraSource, Shot, open_camera

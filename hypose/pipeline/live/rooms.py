@@ -15,12 +15,18 @@ from numpy.typing import NDArray
 
 from hypose.cameras.camera import Camera
 from hypose.compute import mask_runs
-from hypose.evidence.background import BackgroundModel, Image, from_frames, gain_between
+from hypose.evidence.background import BackgroundModel, from_frames, gain_between
 from hypose.evidence.depth_background import DepthBackground, learn_background, person_before
 from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.frame import Silhouettes
 from hypose.evidence.outlines import OUTLINE_POINTS, WORKING_HEIGHT, ViewOutline, outline_of_runs, view_outline
-from hypose.evidence.silhouettes import Mask, Segmenter, SilhouetteSettings, bounding_box, make_segmenter
+from hypose.evidence.silhouettes import (
+    Segmenter,
+    SilhouetteSettings,
+    bounding_box,
+    make_segmenter,
+)
+from hypose.geometry import DepthMap, Image, Mask
 from hypose.io.recordings.view_source import DepthPreparer, Preparer, mask_in
 
 EVERY_S = 1.0
@@ -108,7 +114,6 @@ def _around(mask: Mask) -> Mask:
     return np.asarray(cv2.dilate(mask, np.ones((size, size), np.uint8)), dtype=np.uint8)
 
 
-DepthMap = NDArray[np.float32]
 Millimetres = NDArray[np.uint16]
 _MOVED_M, _MOVED_GREY, _MOVED_SHARE = 0.05, 12.0, 0.01
 """m, grey levels, and share of the pixels, that change where somebody has not left"""
