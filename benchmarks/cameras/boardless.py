@@ -17,7 +17,7 @@ from benchmarks.synthetic.wandering import RATE, Wandering, WanderingSettings, w
 from hypose.app.jobs.person_calibration import person_of
 from hypose.body.ready_bodies import human
 from hypose.calibration.from_person import PersonCalibration, calibrate_from_person
-from hypose.calibration.refine_points import in_world, rescaled
+from hypose.calibration.refine_points import scale_rig, transform_rig
 from hypose.cameras.camera import CameraRig, triangulate
 from hypose.errors import HyposeError
 from hypose.evidence.keypoints import BODY_25
@@ -59,13 +59,13 @@ def errors(found: PersonCalibration, true: CameraRig, late: Array) -> dict[str, 
     place_by_height_mm without, focal_pct, lag_frames, up_deg; and most of them in their standard deviations."""
 
     def laid(rig: CameraRig) -> CameraRig:
-        return in_world(rig, procrustes(_marks(rig), _marks(true))[0])
+        return transform_rig(rig, procrustes(_marks(rig), _marks(true))[0])
 
     def away(rig: CameraRig) -> Array:
         return np.linalg.norm(laid(rig).positions - true.positions, axis=1)
 
     spread = [np.linalg.norm(r.positions - r.positions.mean(0)) for r in (true, found.rig)]
-    freed = rescaled(found.rig, float(spread[0] / spread[1]))
+    freed = scale_rig(found.rig, float(spread[0] / spread[1]))
     both = zip(true, laid(freed), strict=True)
     turns = [so3_log(b.camera_from_world[:3, :3] @ a.camera_from_world[:3, :3].T) for a, b in both]
     turn = np.degrees(np.linalg.norm(turns, axis=1))

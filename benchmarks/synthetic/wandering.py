@@ -17,7 +17,7 @@ from hypose.synthetic.motions import act
 from hypose.synthetic.performance import Performance, centred, chain
 from hypose.synthetic.rigs import DISTORTION, look_at
 from hypose.synthetic.simulated_keypoints import keypoint_places
-from hypose.synthetic.subjects import Subject, dress, load_subjects
+from hypose.synthetic.subjects import SyntheticSubject, dress, load_subjects
 
 RATE = 30.0
 _MARGIN = 2.0  # s of motion before the first and after the last frame
@@ -103,7 +103,7 @@ def _rig(rng: np.random.Generator, settings: WanderingSettings) -> CameraRig:
     return CameraRig(tuple(out))
 
 
-def _wander(subject: Subject, seconds: float, rng: np.random.Generator) -> Performance:
+def _wander(subject: SyntheticSubject, seconds: float, rng: np.random.Generator) -> Performance:
     """Turns to the left and right with gestures between them; of five draws the one that stays most in the middle."""
     best = None
     n = int(seconds * RATE)

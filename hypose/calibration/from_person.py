@@ -17,7 +17,14 @@ from numpy.typing import NDArray
 
 from hypose.body.ready_bodies import human
 from hypose.calibration.person_uncertainty import Uncertainty, limbs_of, uncertainty
-from hypose.calibration.refine_points import CameraUnknowns, PointBundle, adjust, default_scale, in_world, rescaled
+from hypose.calibration.refine_points import (
+    CameraUnknowns,
+    PointBundle,
+    adjust,
+    default_scale,
+    scale_rig,
+    transform_rig,
+)
 from hypose.calibration.sync_motion import Curves, keypoint_curves, solve_offsets
 from hypose.calibration.synchronisation import point_sd
 from hypose.calibration.two_views import (
@@ -199,10 +206,10 @@ class _Search:
         shown = [on_common_clock(p, late, frames) for p in (self.undistorted(rig), self.raw if free else self.points)]
         (uv, _), (given, seen) = ((p.reshape(len(rig), -1, 3)[..., :2], p[..., 2].reshape(len(rig), -1)) for p in shown)
         seen = np.where(seen > SEEN, 1.0, 0.0)
-        rough = rescaled(rig, self.scale(triangulate(rig, uv, seen)[0])).pinhole()
+        rough = scale_rig(rig, self.scale(triangulate(rig, uv, seen)[0])).pinhole()
         found = adjust(rough, given, seen, focal=free, radial=free, hold=LOOSE, iterations=60)
         factor = self.scale(found.points)
-        new, points = rescaled(found.rig, factor), found.points * factor
+        new, points = scale_rig(found.rig, factor), found.points * factor
         keep = (seen > 0).sum(0) >= 2
         unknowns = CameraUnknowns(new, free, None, free, LOOSE)
         bundle = PointBundle(given[:, keep], seen[:, keep], default_scale(given, seen), unknowns)
@@ -269,7 +276,7 @@ class _Search:
         if upright:  # limbs and the head's height above the floor tell the scale equally well
             head = [k for k, n in enumerate(self.names) if n in _HEAD]
             tall = float(np.median(np.nanmedian(points[:, head] @ up - floor, axis=0) / self.rest()[head]))
-            rig, middle, floor = rescaled(rig, tall**-0.5), middle * tall**-0.5, floor * tall**-0.5
+            rig, middle, floor = scale_rig(rig, tall**-0.5), middle * tall**-0.5, floor * tall**-0.5
         turn = rotation_between(up, [0, 0, 1.0])
         x, y, _ = turn @ rig[0].camera_from_world[0, :3]
         turn = np.array([[x, y, 0], [-y, x, 0], [0, 0, np.hypot(x, y)]]) / np.hypot(x, y) @ turn
@@ -277,7 +284,7 @@ class _Search:
         more = _DOUBT if any(true for true, _ in doubts[:-1]) else 1.0
         sds = replace(sds, **{key: more * getattr(sds, key) for key in ("turn_deg", "place_m", "focal", "late")})
         told = tuple(sentence for true, sentence in doubts if true)
-        return PersonCalibration(in_world(rig, world), late, sds, median_px, told)
+        return PersonCalibration(transform_rig(rig, world), late, sds, median_px, told)
 
     def rest(self) -> Array:
         """(K,) m by which key points are above the floor when a person of the given height stands."""
