@@ -39,7 +39,7 @@ class Entity:
 # Lengths: sigma / mean of Table 2.1 (head 25 +- 2.2 cm, clavicles 35 +- 2.6, upper arms 25.5 +- 2, lower arms 30.5
 # +- 3.2, torso 52 +- 2.8; legs 90.5 +- 4.1 for thigh and shank together, which vary against each other about as much).
 # What the table lacks is set by hand: girths as anthropometric surveys have them, rounded.
-ENTITIES: tuple[Entity, ...] = (
+SHAPE_FACTORS: tuple[Entity, ...] = (
     Entity("scale", "scale", 0.12),
     Entity("torso length", "length", 0.054),
     Entity("neck length", "length", 0.10),
@@ -65,7 +65,7 @@ ENTITIES: tuple[Entity, ...] = (
     Entity("shank girth", "girth", 0.12, 0.08),
     Entity("clothing", "clothing", 0.06, 0.0, 0.09),
 )
-ENTITY_NAMES = tuple(e.name for e in ENTITIES)
+SHAPE_FACTOR_NAMES = tuple(e.name for e in SHAPE_FACTORS)
 
 CLOTHING_UNIT = 0.1
 """m: the factor "clothing" is not a logarithm but a thickness in this unit, 9 +- 6 mm in the prior."""
@@ -88,11 +88,11 @@ _TRUNK = (("chest", "chest"), ("waist", "spine"), ("pelvis", "pelvis"))
 
 
 def _shape_of(log_factors: ArrayLike) -> Shape:
-    """The Shape of log factors (K,) in the order of ENTITIES, for `hypose.body.body.deform`."""
+    """The Shape of log factors (K,) in the order of SHAPE_FACTORS, for `hypose.body.body.deform`."""
     x = np.asarray(log_factors, dtype=np.float64)
-    if x.shape != (len(ENTITIES),):
-        raise InputError(f"A shape has {len(ENTITIES)} log factors, got shape {x.shape}.")
-    f = dict(zip(ENTITY_NAMES, np.exp(x).tolist(), strict=True))
+    if x.shape != (len(SHAPE_FACTORS),):
+        raise InputError(f"A shape has {len(SHAPE_FACTORS)} log factors, got shape {x.shape}.")
+    f = dict(zip(SHAPE_FACTOR_NAMES, np.exp(x).tolist(), strict=True))
     torso, shoulders, head, neck = f["torso length"], f["shoulder width"], f["head"], f["neck girth"]
     length: dict[str, float] = dict.fromkeys(("pelvis", "spine", "chest"), torso)
     length |= {"neck": f["neck length"], "head": head}
@@ -149,12 +149,12 @@ def dressed(mesh: Mesh, thickness: float) -> Mesh:
 
 def prior_mean() -> Array:
     """(K,) of the factors."""
-    return np.array([e.mean for e in ENTITIES])
+    return np.array([e.mean for e in SHAPE_FACTORS])
 
 
 def prior_covariance() -> Array:
     """(K, K) covariance of the log factors at equal stature: own variances plus the common slim-to-heavy factor."""
-    sd, fat = np.array([e.sd for e in ENTITIES]), np.array([e.fat for e in ENTITIES])
+    sd, fat = np.array([e.sd for e in SHAPE_FACTORS]), np.array([e.fat for e in SHAPE_FACTORS])
     return np.diag(sd**2 - fat**2) + np.outer(fat, fat)
 
 
@@ -164,7 +164,7 @@ def length_rows(body: Body) -> tuple[Array, Array, Array]:
     lengths = body.segment_lengths()
     ua, fa = lengths["left_upper_arm"], lengths["left_forearm"]
     th, sh, torso = lengths["left_thigh"], lengths["left_shank"], lengths["torso"]
-    rows = np.zeros((3, len(ENTITIES)))
+    rows = np.zeros((3, len(SHAPE_FACTORS)))
     rows[0, [entity("upper arm length"), entity("forearm length")]] = np.array([ua, fa]) / (ua + fa)
     rows[1, [entity("thigh length"), entity("shank length")]] = np.array([th, sh]) / (th + sh)
     parts = [entity("torso length"), entity("thigh length"), entity("shank length")]
@@ -175,9 +175,9 @@ def length_rows(body: Body) -> tuple[Array, Array, Array]:
 
 def entity(name: str) -> int:
     """Index of an entity; an InputError lists the names."""
-    if name not in ENTITY_NAMES:
-        raise InputError(f"There is no entity {name!r}; the entities are {', '.join(ENTITY_NAMES)}.")
-    return ENTITY_NAMES.index(name)
+    if name not in SHAPE_FACTOR_NAMES:
+        raise InputError(f"There is no entity {name!r}; the entities are {', '.join(SHAPE_FACTOR_NAMES)}.")
+    return SHAPE_FACTOR_NAMES.index(name)
 
 
 # --- sizes measured on a mesh ---------------------------------------------------------------------------------------

@@ -31,8 +31,7 @@ from hypose.fusion.confidence import (
 )
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
-from hypose.inference.layer import Layer, Recipe, search
-from hypose.inference.random_streams import stream
+from hypose.inference.layer import Layer, Recipe, search, stream
 
 NEGLIGIBLE = 7.0
 """Scales h beyond which exp(-d / h) < 0.001 counts as 0."""
@@ -218,7 +217,7 @@ def swarm_step(
     due = due or (settings.restart_turn > 0 and turned > settings.restart_turn)
     candidates = _candidates(state.candidates, due, frame, last, seed, state.frame)
     result = search(candidates, _recipe(settings), frame, partial(stream, seed, state.frame))
-    chosen = result.selected
+    chosen = result.resampled
     mean = result.estimate if settings.weighted else mean_position(chosen)
     used = (chosen.origin >= 0) & np.isfinite(chosen.log_weights)
     weights, distinct = np.where(used, _shares(chosen), 0.0), used.sum(1)

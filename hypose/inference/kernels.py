@@ -2,7 +2,7 @@
 a mixture sets the origins.
 
 Every kernel draws its numbers as one block with a row per hypothesis (and a column per coordinate that it moves),
-filled in row order, and hypothesis i reads row i (see ``random_streams``). Products are formed with einsum and plain
+filled in row order, and hypothesis i reads row i (see ``layer.stream``). Products are formed with einsum and plain
 loops, never with a threaded BLAS, so the numbers do not depend on the number of threads.
 """
 
@@ -171,7 +171,7 @@ class Compose:
 
 @dataclass(frozen=True)
 class RejectionSampling:
-    """Steps that a prior may refuse: a candidate x' from ``propose`` is accepted if P(x') > tau P(x).
+    """Steps that a prior may refuse: a candidate x' from ``propagate`` is accepted if P(x') > tau P(x).
 
     Refused hypotheses try again, ``trials`` times at most, and then stay where they are (the thesis says
     only that the trials are limited). A state of probability 0 accepts any candidate that is possible at
@@ -179,7 +179,7 @@ class RejectionSampling:
     tau = 0.7 there.
     """
 
-    propose: Kernel
+    propagate: Kernel
     log_prior: LogPrior
     tau: float = 0.7
     trials: int = 10
@@ -193,7 +193,7 @@ class RejectionSampling:
         threshold = np.log(self.tau) + self.log_prior(h.values)
         values, waiting = h.values, np.ones(h.log_weights.shape, bool)
         for _ in range(self.trials):
-            candidate = self.propose(h, frame, rng).values
+            candidate = self.propagate(h, frame, rng).values
             accepted = waiting & (self.log_prior(candidate) > threshold)
             values = np.where(accepted[..., None], candidate, values)
             waiting = waiting & ~accepted

@@ -9,9 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.random.bit_generator import ISeedSequence
 from numpy.typing import NDArray
 
 from hypose.inference.hypotheses import FloatArray, Hypotheses
@@ -41,7 +43,7 @@ class Weigh(Protocol):
         ...
 
 
-class Select(Protocol):
+class Resample(Protocol):
     """Chooses which hypotheses go on, and resets their weights (only ``keep`` does not)."""
 
     def __call__(self, h: Hypotheses, rng: np.random.Generator, /) -> Hypotheses:
@@ -64,9 +66,9 @@ class Layer:
     """One turn of the cycle. weigh None: it moves without weighing. needed(h, frame) False: the layer is left out of
     this frame; None: it never is."""
 
-    propose: Kernel
+    propagate: Kernel
     weigh: Weigh | None
-    select: Select
+    resample: Resample
     name: str = ""
     needed: Callable[[Hypotheses, Any], bool] | None = None
 
@@ -156,7 +158,7 @@ class SearchResult:
 
     estimate: FloatArray
     weighted: Hypotheses
-    selected: Hypotheses
+    resampled: Hypotheses
 
 
 def search(h: Hypotheses, recipe: Recipe, frame: Any, rng_of_layer: RngOfLayer) -> SearchResult:
@@ -172,8 +174,41 @@ def search(h: Hypotheses, recipe: Recipe, frame: Any, rng_of_layer: RngOfLayer) 
         if layer.needed is not None and not layer.needed(h, frame):
             continue
         rng = rng_of_layer(index)
-        weighted = layer.propose(h, frame, rng)
+        weighted = layer.propagate(h, frame, rng)
         if layer.weigh is not None:
             weighted = weighted.reweighted(layer.weigh(weighted, frame))
-        h = layer.select(weighted, rng)
+        h = layer.resample(weighted, rng)
     return SearchResult(recipe.estimate(weighted), weighted, h)
+
+
+_WORD = 2**64
+
+
+def stream(seed: int, frame: int, layer: int) -> np.random.Generator:
+    """The generator of one layer of one frame, counter-based (Philox 4x64, Salmon et al. 2011).
+
+    The key is the hashed seed; the two high words of the 256-bit counter are (frame, layer), so that the
+    streams of different layers never overlap and each is reached without drawing any other: a resumed run
+    reads the same numbers. The per-particle rule is kept by drawing one (N, D) block per kernel from this
+    stream: it is filled in row order by one thread, so that row i is a function of (seed, frame, layer, i)
+    alone, and a larger N does not change it. Integers of any sign; frame and layer count modulo 2^64
+    (layer -1 is free for what happens between two frames).
+    """
+    counter = np.array([0, 0, layer % _WORD, frame % _WORD], dtype=np.uint64)
+    return np.random.Generator(np.random.Philox(_key(seed % 2**128), counter=counter))
+
+
+class _Key(ISeedSequence):
+    """A key as a generator asks for it: given as such, numpy first asks the system for chance that it then leaves."""
+
+    def __init__(self, seed: int) -> None:
+        self._words = np.random.SeedSequence(seed).generate_state(2, np.uint64)
+
+    def generate_state(self, n_words: int, dtype: Any = np.uint32) -> Any:
+        """The key, two words of 64 bits."""
+        return self._words
+
+
+@lru_cache(16)
+def _key(seed: int) -> Any:  # numpy takes a sequence of one's own, its stubs do not say so
+    return _Key(seed)

@@ -71,7 +71,7 @@ def keep(h: Hypotheses, rng: np.random.Generator, /) -> Hypotheses:
 
 
 @dataclass(frozen=True)
-class LayeredSystematic:
+class LayeredResampling:
     """Systematic resampling of the coordinates filtered so far; the others keep their own values.
 
     filtered (D,) bool is the union of the coordinate subsets of the layers up to this one. Diversity
