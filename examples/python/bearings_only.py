@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from hypose import Hypotheses, Layer, Recipe, kernels, search, resampling, stream
+from hypose import Hypotheses, Layer, Recipe, kernels, resampling, search, stream
 
 STEP, NOISE, N = 10.0, np.radians(0.5), 5000  # s between two bearings, rad, hypotheses
 rng, drift = np.random.default_rng(1), np.eye(4) + STEP * np.eye(4, k=2)

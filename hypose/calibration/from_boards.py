@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.calibration.boards import Board
-from hypose.calibration.intrinsics import FOCAL_SD, CalibratedLens, board_poses, calibrate_lens
+from hypose.calibration.bundle import FOCAL_SD, CalibratedLens, board_poses, calibrate_lens
 from hypose.calibration.refine_points import transform_rig
 from hypose.calibration.rig import PoseComparison, RigCalibration, calibrate_rig
 from hypose.calibration.synchronisation import estimate_lags

@@ -15,8 +15,16 @@ from itertools import combinations
 import numpy as np
 
 from hypose.calibration.boards import Board, BoardDetection, IntArray
-from hypose.calibration.bundle import NOISE_PX, Observations, Refined, bundle_adjust
-from hypose.calibration.intrinsics import CalibratedLens, board_poses, collect_observations, spread_out
+from hypose.calibration.bundle import (
+    NOISE_PX,
+    CalibratedLens,
+    Observations,
+    Refined,
+    board_poses,
+    bundle_adjust,
+    collect_observations,
+    spread_out,
+)
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import CalibrationError
 from hypose.geometry import Array, se3_inverse, so3_log, transform

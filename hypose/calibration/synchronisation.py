@@ -20,7 +20,7 @@ from scipy.signal import butter, resample_poly, sosfiltfilt
 
 from hypose import compute
 from hypose.calibration.boards import Board, BoardDetection
-from hypose.calibration.intrinsics import board_poses
+from hypose.calibration.bundle import board_poses
 from hypose.calibration.sync_motion import (
     Curves,
     Offsets,

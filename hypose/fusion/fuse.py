@@ -1,4 +1,4 @@
-"""Entry points: a recorded clip (`fuse_clip`) or a stream, frame by frame (`start`, `step`).
+"""Entry points: a recorded clip (`fuse_clip`) or a stream, frame by frame (`start`, `fuse_frame`).
 
 Both run the same steps: registration, heading, and one of the methods. A clip is registered and measured as a whole
 before it is fused; a stream refits its registration every second to the last seconds, and learns bone lengths as it
@@ -7,21 +7,21 @@ goes.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.body.motion import Motion
+from hypose.body.motion import Motion, isotropic
+from hypose.body.skeleton import Skeleton
 from hypose.errors import InputError
 from hypose.evidence.frame import SensorJoints
 from hypose.fusion import joints as jt
-from hypose.fusion.confidence import confidence_step, normalised, start_confidence
-from hypose.fusion.fit import clip_lengths, fit_step, start_fit
-from hypose.fusion.point_motion import anchors_of, points_motion
+from hypose.fusion.confidence import ConfidenceState, confidence_step, normalised, start_confidence
+from hypose.fusion.fit import DOUBTFUL_P, FitSettings, FitState, clip_lengths, fit_step, start_fit, what_is_open
 from hypose.fusion.register import (
     Registration,
     alone,
@@ -35,32 +35,103 @@ from hypose.fusion.register import (
     register,
     upward,
 )
-from hypose.fusion.state import FIT, FUSION_METHODS, FusedFrame, FusionSettings, FusionState
-from hypose.fusion.swarm import start_swarm, swarm_step
-from hypose.fusion.trust import what_is_open
+from hypose.fusion.swarm import IMPROVED, PUBLISHED, SwarmSettings, SwarmState, start_swarm, swarm_step
 from hypose.geometry import Array
+
+FIT, SWARM, PUBLISHED_SWARM, PUBLISHED_WINDOW = "fit", "swarm", "published", "published-window"
+FUSION_METHODS = (FIT, SWARM, PUBLISHED_SWARM, PUBLISHED_WINDOW)
+
+
+@dataclass(frozen=True)
+class FusionSettings:
+    """method: one of FUSION_METHODS ("swarm" is the improved one; "published" is Asteriadis et al. 2013 with their
+    registration, by the triangle of every frame; "published-window" the same swarm, registered as the other methods
+    are); reference: the sensor whose frame is the common one; registered: positions come in a common frame already;
+    window_s, refit_s: a stream's registration uses the last window_s and is refitted every refit_s;
+    diagnose: run the swarm beside the fit and report its choice of sensors; up (3,): direction of up in the common
+    frame, default from the person; seed: of the swarm; check: refuse sensors that see different people."""
+
+    method: str = FIT
+    reference: int = 0
+    registered: bool = False
+    window_s: float = 5.0
+    refit_s: float = 1.0
+    diagnose: bool = False
+    up: tuple[float, float, float] | None = None
+    seed: int = 0
+    check: bool = True
+    fit: FitSettings = field(default_factory=FitSettings)
+    swarm: SwarmSettings | None = None
+
+    def __post_init__(self) -> None:
+        if self.method not in FUSION_METHODS:
+            raise InputError(f"There is no fusion method {self.method!r}; choose one of {', '.join(FUSION_METHODS)}.")
+
+    @property
+    def swarm_settings(self) -> SwarmSettings:
+        """The swarm's settings: given ones, else those of the method."""
+        return self.swarm or (PUBLISHED if self.method in (PUBLISHED_SWARM, PUBLISHED_WINDOW) else IMPROVED)
+
+    @property
+    def per_frame(self) -> bool:
+        """Every frame is registered by its own triangle."""
+        return self.method == PUBLISHED_SWARM and not self.registered
+
+
+@dataclass(frozen=True)
+class FusedFrame:
+    """One instant. time s; joint_names (J,): the 15 common ones, then the sensor's others; joints (J, 3) m in the
+    common frame, NaN where never seen; sd (J,) m per axis, of which systematic (J,) would remain with more frames or
+    sensors, and wrong (J,): how likely the joint is off by more than trust.WRONG_M, NaN where unknown; shares (15, K):
+    what each sensor carried of each common joint (fit: weights; swarm: population); choice (15, K) the swarm's
+    population when it runs as diagnosis; lost; n_sensors with evidence; swapped (K,) sensors whose sides were
+    exchanged; restarted: the swarm was initialised again."""
+
+    time: float
+    joint_names: tuple[str, ...]
+    joints: Array
+    sd: Array
+    systematic: Array
+    wrong: Array
+    shares: Array
+    choice: Array | None
+    lost: bool
+    n_sensors: int
+    swapped: NDArray[np.bool_]
+    restarted: bool
+
+
+@dataclass(frozen=True)
+class FusionState:
+    """Everything a stream remembers. window: recent (positions, state, time) for the registration; heading: smoothed
+    heading rad; swarm and confidence None unless the swarm runs; fixed_registration: do not refit; rest: indices of the
+    set's joints beyond the common ones; joint_names: of the fused joints."""
+
+    settings: FusionSettings
+    sensor_names: tuple[str, ...]
+    joint_set: jt.JointSet
+    registration: Registration
+    next_refit: float
+    window: tuple[tuple[Array, NDArray[np.uint8], float], ...]
+    fit: FitState
+    swarm: SwarmState | None
+    confidence: ConfidenceState | None
+    up: Array | None
+    heading: float | None
+    fixed_registration: bool
+    rest: NDArray[np.int64]
+    joint_names: tuple[str, ...]
+
 
 WINDOW_FRAMES = 40
 """Frames that a stream's registration is fitted to; up to twice as many are kept."""
-
-__all__ = [
-    "FIT",
-    "FUSION_METHODS",
-    "Fused",
-    "FusedFrame",
-    "FusionSettings",
-    "FusionState",
-    "fuse_clip",
-    "start",
-    "fuse_frame",
-]
 
 
 @dataclass(frozen=True)
 class Fused:
     """A fused clip: the motion (15 common joints first, then the set's others; poses None), and what is behind it:
     shares (T, 15, K) of the sensors in each joint, choice (T, 15, K) of the swarm or None, registration, lengths (18,)
-    m of joints.BONES, swapped (T, K), restarts (T,)."""
+    m of joints.SKELETON_BONES, swapped (T, K), restarts (T,)."""
 
     motion: Motion
     shares: Array
@@ -330,3 +401,105 @@ def _motion(
         np.stack([f.systematic for f in frames]),
         np.stack([f.wrong for f in frames]),
     )
+
+
+# ---- motion of points ------------------------------------------------------------------------------------------------
+# Fused points as a Motion: a skeleton that only names joints, parents before children.
+
+
+def point_skeleton(
+    joint_names: Sequence[str], parents: Sequence[int], lengths: Mapping[str, float] | None = None
+) -> Skeleton:
+    """A skeleton that only names joints: rigid, six degrees of freedom, for motions without poses. Joints stand above
+    each other at rest by their bones' lengths (m, by joint name)."""
+    n = len(joint_names)
+    offsets = np.zeros((n, 3))
+    offsets[1:, 2] = [(lengths or {}).get(name, 0.2) for name in joint_names[1:]]
+    dofs = tuple(f"{joint_names[0]}_{a}" for a in ("tx", "ty", "tz", "rx", "ry", "rz"))
+    return Skeleton(
+        tuple(joint_names),
+        np.array(parents, dtype=np.int64),
+        offsets,
+        np.arange(n) == 0,
+        np.tile(np.eye(3), (2, 1)),
+        np.zeros(6, dtype=np.int64),
+        dofs,
+        np.full(6, -1e3),
+        np.full(6, 1e3),
+        np.full(6, 0.1),
+    )
+
+
+def points_motion(
+    names: tuple[str, ...],
+    joints: Array,
+    sd: Array,
+    times: Array,
+    lost: NDArray[np.bool_],
+    n_sensors: NDArray[np.int64],
+    lengths: Array,
+    provenance: Mapping[str, Any],
+    systematic: Array | None = None,
+    wrong: Array | None = None,
+) -> Motion:
+    """A Motion with parents before children: the torso first, as the root. sd (T, J) m, of which systematic (T, J)
+    would remain with more frames or sensors; wrong (T, J): how likely a joint is wrong."""
+    order, parents = _topological(names)
+    bone = {tuple(sorted(b)): float(v) for b, v in zip(jt.SKELETON_BONES.tolist(), lengths, strict=True)}
+    by_name = {
+        n: bone.get(tuple(sorted((i, int(jt.PARENT[i])))), 0.2) for i, n in enumerate(jt.COMMON) if jt.PARENT[i] >= 0
+    }
+    skeleton = point_skeleton([names[i] for i in order], parents, by_name)
+    motion = Motion(
+        skeleton,
+        times,
+        joints[:, order],
+        None,
+        isotropic(sd[:, order]),
+        lost,
+        n_sensors == 0,
+        n_sensors,
+        np.full(len(times), np.nan),
+        provenance,
+    )
+    if wrong is None or systematic is None:
+        return motion
+    lasting = isotropic(systematic[:, order])
+    p = np.nan_to_num(np.where(lost[:, None], np.fmax(wrong, 0.5), wrong)[:, order]).astype(np.float32)
+    doubtful = p > DOUBTFUL_P
+    return replace(motion, p_wrong=p, doubtful_joints=doubtful, doubtful=doubtful.any(1), systematic_covariance=lasting)
+
+
+def _topological(names: tuple[str, ...]) -> tuple[list[int], list[int]]:
+    """Order of the joints with parents first, and each one's parent in that order."""
+    parent = [int(p) for p in jt.PARENT]
+    if len(names) > 15:
+        sets = [k for k in jt.joint_sets() if len(k.joint_names) == len(names)]
+        known = sets[0] if sets else None
+        anchors = anchors_of(known) if known is not None else {}
+        at = {jt.plain_name(n): i for i, n in enumerate(known.joint_names)} if known is not None else {}
+        parent += [anchors.get(at.get(jt.plain_name(n), -1), jt.TORSO) for n in names[15:]]
+    order = [jt.TORSO]
+    for j in order:
+        order += [i for i, p in enumerate(parent) if p == j]
+    place = {j: i for i, j in enumerate(order)}
+    return order, [place[parent[j]] if parent[j] >= 0 else -1 for j in order]
+
+
+def anchors_of(known: jt.JointSet) -> dict[int, int]:
+    """For every joint of the set the common joint (0-14) it hangs from: the nearest towards the root, else a
+    neighbour."""
+    place = {int(j): i for i, j in enumerate(known.common)}
+    out: dict[int, int] = {}
+    for j in range(len(known.joint_names)):
+        a = j
+        while a >= 0 and a not in place:
+            a = int(known.parent[a])
+        out[j] = place.get(a, jt.TORSO)
+    return out
+
+
+def common_positions(motion: Motion) -> Array:
+    """(T, 15, 3) m: the fused common joints in the order of joints.COMMON (a motion's own order starts at the
+    torso)."""
+    return motion.joints[:, [motion.skeleton.joint(n) for n in jt.COMMON]]

@@ -14,8 +14,7 @@ from hypose.compute import GrowingArrays
 from hypose.errors import InputError
 from hypose.gestures.forest import MAX_CLASSES, Forest, ForestSettings, GrowingForest
 from hypose.gestures.localise import LocaliseSettings
-from hypose.gestures.online import Learner
-from hypose.gestures.pixels import LearnSettings
+from hypose.gestures.online import Learner, LearnSettings
 
 _FORMAT, VERSION = "hypose-gesture", 2
 _KINDS = {

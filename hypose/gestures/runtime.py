@@ -1,6 +1,6 @@
 """An exported gesture forest in plain numpy: this file alone runs it, without the rest of hypose.
 
-    model = load("forest.npz", "forest.json")
+    model = load_forest("forest.npz", "forest.json")
     x, y, score = find(model, depth_mm, focal_px=575.8)[0]      # one (x, y, score) per gesture
 
 forest.npz: test (T, N, 5) int16, left (T, N) int16, share (T, N, C) uint16; T trees of N nodes, C classes, class 0 is

@@ -23,7 +23,7 @@ from hypose.errors import InputError
 from hypose.geometry import Array, DepthMap, so3_exp
 from hypose.synthetic.corruptions import smooth_noise
 from hypose.synthetic.performance import OfPerformance, Performance, assemble
-from hypose.synthetic.rigs import look_at
+from hypose.synthetic.scenes import look_at
 from hypose.synthetic.subjects import SyntheticSubject
 
 KINECT_SIZE, FOCAL_PX = (320, 288), 252.0

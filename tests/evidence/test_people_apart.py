@@ -6,9 +6,9 @@ import pytest
 
 from hypose.evidence.frame import Silhouettes
 from hypose.pipeline.one_of_several import NOW_AND_THEN, several_apart
-from hypose.synthetic.rigs import rig
+from hypose.synthetic.scenes import camera_rig
 
-CAMERAS = rig("ring-3").scaled(0.25).pinhole()
+CAMERAS = camera_rig("ring-3").scaled(0.25).pinhole()
 
 
 def masks_with(*boxes, views=(0, 1)):

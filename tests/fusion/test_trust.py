@@ -6,8 +6,8 @@ from scipy.stats import ncx2
 
 from hypose.body.motion import sd_per_axis
 from hypose.compute import fusion
+from hypose.fusion import fit as trust
 from hypose.fusion import joints as jt
-from hypose.fusion import trust
 from hypose.fusion.fuse import FusionSettings, fuse_clip
 from tests.fusion.people import REST, moving_person, seen, sensor_poses
 

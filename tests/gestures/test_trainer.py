@@ -6,8 +6,7 @@ import pytest
 from benchmarks.depth_gestures.gesture_data import teach
 from hypose.gestures.forest import ForestSettings
 from hypose.gestures.localise import localise
-from hypose.gestures.online import Learner
-from hypose.gestures.pixels import Example, LearnSettings, PixelSampler
+from hypose.gestures.online import Example, Learner, LearnSettings, PixelSampler
 from hypose.gestures.session import SessionSettings
 from hypose.gestures.trainer import Trainer, balanced
 

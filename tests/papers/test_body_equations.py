@@ -16,7 +16,7 @@ from hypose.evidence.body_parts import assign_ends
 from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.inference.hypotheses import Hypotheses
-from hypose.synthetic.rigs import rig
+from hypose.synthetic.scenes import camera_rig
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.partitioned_observations import PartitionedXor, chain_region
 from hypose.tracking.starts import known_pose
@@ -160,7 +160,7 @@ def seen_from_the_front(body, pose, small_rig: CameraRig):
 
 
 def test_equation_2_15_counts_the_difference_inside_the_box_over_the_box(body):
-    small, pose = rig("humaneva-4").scaled(0.375), known_pose(body, "standing")
+    small, pose = camera_rig("humaneva-4").scaled(0.375), known_pose(body, "standing")
     pose[2] -= body.skin(pose)[:, 2].min()
     observed = seen_from_the_front(body, pose, small)
     silhouettes = make_silhouettes([m.astype(np.uint8) for m in observed], small)
