@@ -28,7 +28,7 @@ from hypose.body.motion import Motion
 from hypose.body.ready_bodies import human
 from hypose.calibration.depth_registration import place_error
 from hypose.cameras.camera import CameraRig
-from hypose.compute import silhouette
+from hypose.compute import covered
 from hypose.errors import HyposeError
 from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.depth_floor import camera_on_floor
@@ -259,7 +259,7 @@ def _with_colour(seed: int, seconds: float, options: BenchOptions) -> dict[str, 
     for frame in depth_frames(scene):
         vertices = scene.subject.skin(p.rotations[frame.index], p.root[frame.index])
         z = vertices @ side.camera_from_world[2, :3] + side.camera_from_world[2, 3]
-        mask = silhouette(side.project_pinhole(vertices), z, scene.subject.faces, side.size).astype(np.uint8)
+        mask = covered(side.project_pinhole(vertices), z, scene.subject.faces, side.size[::-1]).astype(np.uint8)
         rng = np.random.default_rng([seed, 8, frame.index])
         mask = corrupt_mask(mask, np.zeros_like(mask), what, rng)
         assert frame.depth is not None

@@ -13,7 +13,7 @@ from benchmarks.multiview.action_scenes import action_scene, subject_of_seed, tr
 from hypose.body.anthropometry import Sizes, measure, sizes_of
 from hypose.body.body import Body
 from hypose.body.ready_bodies import human
-from hypose.compute import silhouette
+from hypose.compute import covered
 from hypose.geometry import Array
 from hypose.pipeline.subject_from_motion import AnthropometryOptions, SubjectEstimate, estimate_subject
 from hypose.synthetic.performance import Angles, Performance, Stance, perform
@@ -175,7 +175,7 @@ def clean_iou(scene: Scene, body: Body, poses: Array, indices: tuple[int, ...]) 
         v = body.skin(pose, body.fine)
         for c, camera in enumerate(cameras):
             z = v @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
-            own = silhouette(camera.project_pinhole(v), z, body.fine.faces, camera.size) > 0
+            own = covered(camera.project_pinhole(v), z, body.fine.faces, camera.size[::-1]) > 0
             true = scene.clean_mask(c, i, SCALE) > 0
             out[f, c] = (own & true).sum() / max((own | true).sum(), 1)
     return out

@@ -4,8 +4,9 @@ Two cameras that see the same person at the same instant agree in what their epi
 that is the epipolar constraint of every point; for silhouettes it is the planes through the baseline: the pencil of
 these planes is common to both views, so the two planes that just touch the person are the same (frontier points), and
 where along the pencil the silhouette changes is the same. Each pair of views gives a curve of disagreement over the
-offset; the offsets of all views are those that fit all curves together. Constant disagreement (a biased calibration, a
-detector that sets a joint too high) is removed first, so that timing can be judged before the calibration is.
+offset; the offsets of all views are those that fit all curves together. What disagrees for long (a biased
+calibration, a detector that sets a joint too high) is removed first, so that timing can be judged before the
+calibration is.
 
 Sources: epipolar residuals over time lags as in Elhayek et al. 2012 and Wolf & Zomet 2002; frontier points for timing
 from Sinha & Pollefeys 2010, "Camera network calibration and synchronization from silhouettes", section 5. The activity
@@ -39,6 +40,8 @@ BINS = 8
 _SPAN = 2  # frames to either side between which a change is looked for
 _STEP = 0.25  # of the offsets at which the curves are sampled, frames
 _TOGETHER = 2.0  # sd of a detection within which points share their error
+_LASTING = 12.0
+"""frames, sd: what lasts longer is an error, of a point or of the calibration, and tells no time"""
 _SMOOTH_POINTS, _SMOOTH_MASKS = 2.0, 1.0  # frames: so that interpolation smooths no more than the frames are already
 
 
@@ -114,10 +117,10 @@ def keypoint_curves(
             if not enough.any():
                 continue
             e, both = ((xb * lines_b).sum(-1) / np.maximum(size, 1e-12))[:, enough], both[:, enough]
-            e = e - _middle(e, both, scale_px)
-            # errors of one point last for several frames and all points share the calibration's: count a tenth
+            e = np.where(both, e - _running_mean(e, both, scale_px), 0.0)
+            # what is left lasts for several frames and all points share the calibration's errors: count a seventh
             mean = np.average(lorentzian((e / (2 * scale_px)) ** 2)[0], weights=both * counts[enough])
-            cost[p, k] = 0.2 * mean * counts[enough].sum() * len(times)
+            cost[p, k] = 0.3 * mean * counts[enough].sum() * len(times)
     return Curves(pairs, lags, cost)
 
 
@@ -361,14 +364,14 @@ def _starts(splines: dict[tuple[int, int], CubicSpline], lags: Array, n: int) ->
     return out
 
 
-def _middle(e: Array, known: NDArray[np.bool_], scale: float) -> Array:
-    """(K,) robust mean over the frames of e (T, K) where known."""
-    w = known.astype(np.float64)
-    middle = np.zeros(e.shape[1])
+def _running_mean(e: Array, known: NDArray[np.bool_], scale: float) -> Array:
+    """(T, K) robust mean over time of e (T, K) around each frame, where known."""
+    w, middle = known.astype(np.float64), np.zeros(e.shape)
     for _ in range(3):
-        middle = (w * e).sum(0) / np.maximum(w.sum(0), 1e-9)
+        weight = gaussian_filter1d(w, _LASTING, axis=0, mode="constant")
+        middle = gaussian_filter1d(w * e, _LASTING, axis=0, mode="constant") / np.maximum(weight, 1e-9)
         w = lorentzian_weight(((e - middle) / (2 * scale)) ** 2, known)
-    return np.asarray(middle, dtype=np.float64)
+    return middle
 
 
 def offsets_within(largest: float, frames: int) -> float:

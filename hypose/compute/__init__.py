@@ -72,8 +72,15 @@ from hypose.compute.mono_terms import (
 )
 from hypose.compute.part_colours import colour_sums, rim_edges, shown_parts
 from hypose.compute.parts import covered, draw_parts, parts_against_mask, projected, touched_area
-from hypose.compute.picture_to_mask import Box, Undistortion, make_lens, new_picture, order_statistic, shrink_undistort
-from hypose.compute.render import blend_shaded, darken, expose, silhouette
+from hypose.compute.picture_to_mask import (
+    Box,
+    Undistortion,
+    make_lens,
+    new_picture,
+    order_statistic,
+    shrink_undistort,
+)
+from hypose.compute.render import blend_shaded, darken, expose
 from hypose.compute.rows import outline_points
 from hypose.compute.scorer import limb_energies, silhouette_xor
 from hypose.compute.shape_rows import OutlineRows, joined_rows, outline_rows
@@ -192,7 +199,6 @@ __all__ = [
     "shrink_mask",
     "shrink_undistort",
     "signed_distance",
-    "silhouette",
     "silhouette_xor",
     "skin",
     "solve",

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import cv2
@@ -13,9 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from hypose.compute.arrays import plain
 from hypose.compute.compiled import kernel
+from hypose.compute.coverage import NEAR, cover_faces, fill_strip, row_stride
 from hypose.compute.mask_runs import ALL, Bits, mask_of, u8
 from hypose.compute.simd import lowest_bit, popcount
-from hypose.compute.zbuffer import NEAR
 from hypose.geometry import Array
 
 _NONE = np.zeros((0, 0), np.uint8)
@@ -49,26 +48,23 @@ def draw_parts(
     part: NDArray[np.uint8],
     n_parts: int,
     shape: tuple[int, int],
+    closed: bool = False,
 ) -> Bits:
     """(n_parts, W, h) bits of what faces (F, 3) of the part (F,) cover of a picture of shape (h, w); uv (V, 2) px, z
-    (V,) m."""
+    (V,) m. closed: the faces of a part have no holes, so those that turn to the camera cover what all of them cover."""
     h, w = shape
-    size = n_parts * h * -(-w // 64)
-    flat = np.zeros(size + ROWS - 1, np.uint64)
-    _draw_parts(plain(uv, np.float64), plain(z, np.float64), faces, part, w, h, flat)
-    return flat[:size].reshape(n_parts, -1, h)
+    bits = np.zeros((n_parts, -(-w // 64), h), np.uint64)
+    _draw_parts(plain(uv, np.float64), plain(z, np.float64), faces, part, closed, w, h, bits.view(np.uint8))
+    return bits
 
 
 def covered(
     uv: ArrayLike, z: ArrayLike, faces: NDArray[np.int32], shape: tuple[int, int], closed: bool = False
 ) -> NDArray[np.uint8]:
-    """(h, w) = shape: 1 where faces (F, 3) cover a pixel's centre, else 0; uv (V, 2) px, z (V,) m. closed: those of a
-    mesh without holes, of which the ones that turn to the camera, drawn alone, cover what all of them cover."""
+    """(h, w) = shape: 1 where faces (F, 3) of any orientation cover a pixel's centre, else 0; uv (V, 2) px, z (V,) m;
+    closed: as of `draw_parts`."""
     f = plain(faces, np.int32)
-    if closed:
-        front = np.empty_like(f)
-        f = front[: _turned(plain(uv, np.float64), f, front)]
-    return mask_of(draw_parts(uv, z, f, np.zeros(len(f), np.uint8), 1, shape)[0], shape[1])
+    return mask_of(draw_parts(uv, z, f, np.zeros(len(f), np.uint8), 1, shape, closed)[0], shape[1])
 
 
 def parts_against_mask(
@@ -115,12 +111,6 @@ def touched_area(
     return int(areas[touched].sum()), int(areas[~touched].max(initial=0))
 
 
-i4 = np.int32
-
-ROWS = 8
-"""Rows of a triangle that are drawn at once"""
-
-
 @kernel
 def _place(points, projection, uv, z, reach):
     """Pixels uv (N, 2), NaN behind the camera, and z (N,) m along the axis of it, of points (N, 3) m; projection
@@ -141,68 +131,14 @@ def _place(points, projection, uv, z, reach):
 
 
 @kernel
-def _turned(uv, faces, out):
-    """Puts those of faces (F, 3) that turn their outside to the camera, of corners at uv (V, 2) px, first into out (F,
-    3); returns how many."""
-    n = 0
-    for f in range(faces.shape[0]):
-        a, b, c = u8(faces[f, 0]), u8(faces[f, 1]), u8(faces[f, 2])
-        out[n, 0], out[n, 1], out[n, 2] = a, b, c
-        x, y = uv[a, 0], uv[a, 1]
-        n += (uv[b, 0] - x) * (uv[c, 1] - y) <= (uv[c, 0] - x) * (uv[b, 1] - y)
-    return n
-
-
-@kernel
-def _draw_parts(uv, z, faces, part, width, h, bits):
-    """Set the pixels in the picture part[f] of bits (P W h + ROWS - 1,), each (W, h) and width columns wide, whose
-    centres face f of faces (F, 3) covers, of either orientation; the last ones stay. uv (V, 2) px, z (V,) m."""
-    words, most, high = (width + 63) >> 6, float(width - 1), float(h)
-    for f in range(faces.shape[0]):
-        a, b, c = u8(faces[f, 0]), u8(faces[f, 1]), u8(faces[f, 2])
-        if not (z[a] > NEAR and z[b] > NEAR and z[c] > NEAR):
-            continue
-        xa, ya, xb, yb, xc, yc = uv[a, 0], uv[a, 1], uv[b, 0], uv[b, 1], uv[c, 0], uv[c, 1]
-        if not np.isfinite(xa + ya + xb + yb + xc + yc):
-            continue
-        if ya > yb:
-            xa, ya, xb, yb = xb, yb, xa, ya
-        if ya > yc:
-            xa, ya, xc, yc = xc, yc, xa, ya
-        if yb > yc:
-            xb, yb, xc, yc = xc, yc, xb, yb
-        begin = int(math.ceil(min(max(ya, 0.0), high)))
-        end = int(math.floor(max(min(yc, high - 1.0), -1.0))) + 1
-        if begin >= end or yc <= ya:
-            continue
-        # the side from a to c, and the two with b, of which the lower one begins at this row
-        middle = i4(math.ceil(min(max(yb, 0.0), high)))
-        long = (xc - xa) / (yc - ya)
-        upper = (xb - xa) / (yb - ya) if yb > ya else 0.0
-        lower = (xc - xb) / (yc - yb) if yc > yb else 0.0
-        left = int(min(max(min(xa, min(xb, xc)) - 1.0, 0.0), most)) >> 6
-        right = int(max(min(max(xa, max(xb, xc)) + 1.0, most), 0.0)) >> 6
-        for k in range(left, right + 1):
-            x0, x1 = float(64 * k), min(float(64 * k + 63), most)
-            for row in range(begin, end, ROWS):
-                at = (part[f] * words + k) * h + row
-                _set(bits, at, i4(row), i4(end), i4(64 * k), x0, x1, xa, ya, long, xb, yb, upper, lower, middle)
-
-
-@kernel
-def _set(bits, at, row, end, column, x0, x1, xa, ya, long, xb, yb, upper, lower, middle):
-    """Sets the pixels of a face in ROWS rows of a word of columns, from number `at` of the bits (N,) on: what lies
-    between its side from a and the one from a or, from the row `middle` on, from b. It becomes vectors by itself."""
-    for i in range(ROWS):
-        r = row + i4(i)
-        y, under = float(r), r >= middle
-        p = xa + (y - ya) * long
-        q = (xb if under else xa) + (y - (yb if under else ya)) * (lower if under else upper)
-        first = u8(i4(np.ceil(min(max(min(p, q), x0), x1 + 1.0))) - column)
-        count = u8(i4(np.floor(max(min(max(p, q), x1), x0 - 1.0))) + i4(1) - column)
-        after = ALL << (first & u8(63)) if first < u8(64) else u8(0)
-        before = ALL >> ((u8(64) - count) & u8(63)) if count > u8(0) else u8(0)
-        bits[u8(at + i)] |= after & before if r < end else u8(0)
+def _draw_parts(uv, z, faces, part, closed, width, height, bits):
+    """bits (P, W, 8 h) u1: of what the faces of each part cover, 64 columns of a row in eight bytes."""
+    stride, unread = row_stride(width), np.zeros(2, np.int64)
+    difference = np.zeros((bits.shape[0], height + 1, stride), np.int8)
+    cover_faces(uv, z, faces, part, closed, width, height, difference)
+    for p in range(bits.shape[0]):
+        for k in range(bits.shape[1]):
+            fill_strip(difference[p], 64 * k, stride, height, bits[p], bits[p], 8 * height * k, 8, unread)
 
 
 @kernel

@@ -1,8 +1,4 @@
-"""Silhouettes and shaded pictures of known scenes.
-
-This is the renderer of the truth, kept apart from the scorer of the trackers (which approximates): a pixel belongs to a
-triangle when its centre lies inside.
-"""
+"""Shaded pictures of known scenes."""
 
 from __future__ import annotations
 
@@ -10,13 +6,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.compute.compiled import kernel
-from hypose.compute.parts import covered
-
-
-def silhouette(uv: ArrayLike, z: ArrayLike, faces: NDArray[np.int32], size: tuple[int, int]) -> NDArray[np.uint8]:
-    """Exact silhouette of a mesh, (h, w) of 0 and 1: uv (V, 2) px, z (V,) m, faces (F, 3) of any orientation, size
-    (width, height)."""
-    return covered(uv, z, faces, (size[1], size[0]))
 
 
 @kernel

@@ -24,11 +24,10 @@ from hypose.compute.arrays import (
 )
 from hypose.compute.compiled import kernel
 from hypose.compute.contours import contour_rows
+from hypose.compute.coverage import VIEWS, contours_of_any, front_views, project_views, row_stride
 from hypose.compute.depth_rows import depth_rows
 from hypose.compute.kinematics import joint_frames, skin_about_root
 from hypose.compute.rows import add_row, form_rows, keypoint_rows, point_rows, sum_rows
-from hypose.compute.silhouettes import VIEWS, contours_of_any, front_views, project_views
-from hypose.compute.vectors import row_stride
 from hypose.errors import SolverError
 from hypose.geometry import Array
 

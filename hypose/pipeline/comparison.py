@@ -11,7 +11,7 @@ Sources: the rigid alignment is Umeyama's (1991) in iterated reweighting; limits
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -32,6 +32,14 @@ _ALIKE, _APART_M = 0.2, 0.08
 other movements explain 0.06 at most and leave 0.1 m or more; the same one with 40 mm of noise per axis explains 0.76 or
 more, or, where the person hardly moves, leaves 0.05 m (walking, boxing, waving, sitting down, serving; simulated, seed
 5)"""
+
+
+_BONES = (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"))
+_WRONG_UNITS = (1000.0, 100.0, 39.37, 25.4, 10.0, 1.0, 0.01, 0.001)
+"""How often a length is counted too long by a wrong unit."""
+_ALIKE_LENGTHS = 0.26  # log of the ratio (1.3) by which people and the joints of programs differ
+_MIRRORED = 0.5  # a mirrored world must lower the cost to this share
+_SENTINEL_FRAMES, _SENTINEL_SHARE = 5, 0.05
 
 
 @dataclass(frozen=True)
@@ -92,6 +100,8 @@ class Comparison:
 def compare_motions(ours: Motion, other: OtherMotion, options: CompareOptions | None = None) -> Comparison:
     """Ours against the other's points and angles. An InputError when they have nothing in common."""
     o = options or CompareOptions()
+    notes = list(other.notes)
+    other = _in_metres(ours, _without_sentinels(other, notes), notes)
     names = [n for n in ours.skeleton.joint_names if n in other.points]
     our_angles = angles_of(ours)
     angle_names = [n for n in our_angles if n in other.angles]
@@ -106,13 +116,21 @@ def compare_motions(ours: Motion, other: OtherMotion, options: CompareOptions | 
     index = [ours.skeleton.joint(n) for n in names]
     mine = np.where(used[:, None, None], ours.joints[:, index], np.nan) if names else np.zeros((len(ours), 0, 3))
     theirs = np.stack([other.points[n] for n in names], 1) if names else np.zeros((len(other.times), 0, 3))
-    notes: list[str] = []
     angles_mine = np.stack([our_angles[n] for n in angle_names], 1) if angle_names else np.zeros((len(ours), 0))
     angles_mine = np.where(used[:, None], angles_mine, np.nan)
     angles_theirs = np.stack([other.angles[n] for n in angle_names], 1) if angle_names else None
     offset = o.offset
+    mirrored = theirs * [1.0, -1.0, 1.0]
     if offset is None:
-        offset = _offset(ours.times, mine, angles_mine, other.times, theirs, angles_theirs, o.align, notes)
+        offset, cost = _offset(ours.times, mine, angles_mine, other.times, theirs, angles_theirs, o.align)
+        if o.align and names:
+            turned, less = _offset(ours.times, mine, angles_mine, other.times, mirrored, angles_theirs, True)
+            if less < _MIRRORED * cost:
+                theirs, offset = mirrored, turned
+                notes.append(f"The world of {other.path.name} is left-handed: it is mirrored before the comparison.")
+    if abs(offset) > 0.5 * _frame(ours.times) and o.offset is None:
+        late = "late" if offset < 0 else "early"
+        notes.append(f"The other motion is {late} by {abs(offset):.3f} s, which is taken off.")
     at = ours.times - offset
     shown = resampled(other.times, theirs, at)
     motion = _rigid(shown, mine) if o.align and names else np.eye(4)
@@ -206,9 +224,9 @@ def _offset(
     theirs: Array,
     their_angles: Array | None,
     align: bool,
-    notes: list[str],
-) -> float:
-    """Seconds to add to their times: where joints and angles agree best, constant offsets aside."""
+) -> tuple[float, float]:
+    """Find the seconds to add to their times, where joints and angles agree best, constant offsets aside, and the cost
+    there."""
 
     def cost(offset: float) -> float:
         at = times - offset
@@ -234,13 +252,13 @@ def _offset(
 
     with np.errstate(all="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # medians of points never seen
-        step = max(float(np.median(np.diff(times))), 1 / 120) if len(times) > 1 else 0.02
+        step = _frame(times)
         same = times[0] - their_times[0]  # both began together
         lags = np.arange(-_MOST_LAG, _MOST_LAG + step, 2 * step)
         starts = np.unique(np.concatenate([lags, lags + same, [0.0, same]]))
         costs = np.array([cost(lag) for lag in starts])
         if not np.isfinite(costs).any():
-            return 0.0
+            return 0.0, np.inf
         best = float(starts[np.argmin(costs)])
         near = best + step * np.linspace(-1.5, 1.5, 13)
         squares = np.array([cost(lag) for lag in near]) ** 2
@@ -253,9 +271,51 @@ def _offset(
     # a movement that hardly moves says nothing about time
     if plain <= 1.1 * cost(best):
         best = 0.0 if cost(0.0) <= 1.1 * cost(best) else same
-    if abs(best) > 0.5 * step:
-        notes.append(f"The other motion is {'late' if best < 0 else 'early'} by {abs(best):.3f} s, which is taken off.")
-    return best
+    return best, cost(best)
+
+
+def _frame(times: Array) -> float:
+    """The duration of a frame in s."""
+    return max(float(np.median(np.diff(times))), 1 / 120) if len(times) > 1 else 0.02
+
+
+def _without_sentinels(other: OtherMotion, notes: list[str]) -> OtherMotion:
+    """Drop positions that stand for "not seen": the same three numbers, to the last digit, in many frames."""
+    points, dropped = dict(other.points), list[str]()
+    for name, p in other.points.items():
+        _, which, count = np.unique(p, axis=0, return_inverse=True, return_counts=True, equal_nan=True)
+        fixed = (count > max(_SENTINEL_FRAMES, _SENTINEL_SHARE * len(p)))[which.ravel()] & np.isfinite(p).all(1)
+        if fixed.any():
+            points[name] = np.where(fixed[:, None], np.nan, p)
+            dropped.append(f"{name} in {fixed.sum()} frames")
+    if dropped:
+        listed = ", ".join(dropped[:4])
+        notes.append(f"{other.path.name}: positions that repeat to the last digit count as not seen ({listed}).")
+    return replace(other, points=points)
+
+
+def _in_metres(ours: Motion, other: OtherMotion, notes: list[str]) -> OtherMotion:
+    """Rescale the other's points where its bones are as much too long or too short as a wrong unit makes them."""
+    bones = [(f"{side}_{a}", f"{side}_{b}") for side in ("left", "right") for a, b in _BONES]
+    ratios = []
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # joints that are never seen
+        for a, b in bones:
+            if a in other.points and b in other.points and {a, b} <= set(ours.skeleton.joint_names):
+                i, j = ours.skeleton.joint(a), ours.skeleton.joint(b)
+                own = np.nanmedian(np.linalg.norm(ours.joints[:, i] - ours.joints[:, j], axis=-1))
+                ratios.append(np.nanmedian(np.linalg.norm(other.points[a] - other.points[b], axis=-1)) / own)
+    ratio = max(float(np.nanmedian(ratios)), 1e-9) if np.isfinite(ratios).any() else 1.0
+    factor = min(_WRONG_UNITS, key=lambda f: abs(np.log(ratio / f)))
+    if factor != 1 and abs(np.log(ratio / factor)) < _ALIKE_LENGTHS:
+        notes.append(
+            f"The bones of {other.path.name} are {ratio:.3g} times as long as ours: its unit is not what it states, "
+            f"and its points are divided by {factor:g}."
+        )
+        return replace(other, points={n: p / factor for n, p in other.points.items()})
+    if abs(np.log(ratio)) > _ALIKE_LENGTHS:
+        notes.append(f"The bones of {other.path.name} are {ratio:.3g} times as long as ours: another unit or person.")
+    return other
 
 
 def _joints(ours: Motion, names: list[str], index: list[int], mine: Array, moved: Array) -> tuple[tuple, Array]:

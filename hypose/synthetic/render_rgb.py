@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from hypose.body.skin_weights import vertex_normals
 from hypose.cameras.camera import Camera
-from hypose.compute import blend_shaded, darken, expose, interpolate, rasterize, silhouette
+from hypose.compute import blend_shaded, covered, darken, expose, interpolate, rasterize
 from hypose.geometry import Array, Image
 from hypose.synthetic.subjects import SyntheticSubject
 
@@ -275,8 +275,7 @@ def shadow_mask(camera: Camera, faces: NDArray[np.int32], vertices: Array) -> ND
     drawn)."""
     ground = vertices - LIGHT * (vertices[:, 2:] / LIGHT[2])
     ground[:, 2] = 0.0
-    mask = silhouette(camera.project(ground), _depth(camera, ground), faces, camera.size)
-    return mask.astype(np.uint8, copy=False)
+    return covered(camera.project(ground), _depth(camera, ground), faces, camera.size[::-1])
 
 
 def develop(picture: Floats, gain: Array, noise: NDArray[np.int16], rng: np.random.Generator) -> Image:

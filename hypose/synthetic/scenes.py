@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.cameras.camera import Camera, CameraRig
-from hypose.compute import rasterize, silhouette
+from hypose.compute import covered, rasterize
 from hypose.errors import InputError
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.keypoints import BODY_25, to_keypoints
@@ -319,7 +319,7 @@ def _mask(
 ) -> NDArray[np.uint8]:
     uv, z = _projected(camera, vertices)
     if hidden is None:
-        return silhouette(uv, z, subject.faces, camera.size).astype(np.uint8, copy=False)
+        return covered(uv, z, subject.faces, camera.size[::-1])
     depth = rasterize(uv, z, subject.faces, camera.size)[0]
     return (depth < hidden).astype(np.uint8)
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter1d
 
 from benchmarks.cameras import planted_faults
 from benchmarks.cameras.planted_faults import FAULTS, healthy, judged, planted, with_bystander
@@ -202,3 +203,12 @@ def test_points_of_a_face_and_hands_count_as_one_each():
     points[1, 2:] = points[1, :-2].copy()
     found, alone = (late_views(o.rig, p, Limits())[0] for p in (points, points[:, :, :25]))
     assert found == pytest.approx(alone, abs=0.1) and found[1] > 1.5
+
+
+def test_errors_that_last_are_not_taken_for_motion_that_comes_late():
+    """A network places a point wrong in many frames alike, in each view in its own way."""
+    o, rng = healthy(15).observed, np.random.default_rng(15)
+    error = gaussian_filter1d(rng.normal(0, 1, o.keypoints[..., :2].shape), 12, axis=1)
+    points = o.keypoints.copy()
+    points[..., :2] += np.where(points[..., 2:] > 0, 20 * error / error.std(), 0)
+    assert not late_views(o.rig, points, Limits())[0].any()  # taken for white: 16 frames

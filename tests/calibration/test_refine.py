@@ -19,7 +19,7 @@ from hypose.calibration.refine_points import (
     transform_rig,
 )
 from hypose.cameras.camera import CameraRig
-from hypose.compute.render import silhouette
+from hypose.compute.parts import covered
 from hypose.errors import EvidenceError
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.fitting.articulated import contour_term
@@ -120,7 +120,7 @@ def silhouettes_of(body, poses, rig):
         masks = []
         for c in rig:
             z = v @ c.camera_from_world[2, :3] + c.camera_from_world[2, 3]
-            masks.append(silhouette(c.project_pinhole(v), z, body.coarse.faces, c.size).astype(np.uint8))
+            masks.append(covered(c.project_pinhole(v), z, body.coarse.faces, c.size[::-1]).astype(np.uint8))
         out.append(make_silhouettes(masks, rig))
     return out
 

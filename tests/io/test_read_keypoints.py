@@ -17,7 +17,7 @@ from benchmarks.robustness.keypoint_layouts import (
 )
 from hypose.errors import InputError
 from hypose.evidence.keypoint_check import misread
-from hypose.evidence.keypoints import keypoint_names
+from hypose.evidence.keypoints import keypoint_names, parse_openpose
 from hypose.io.keypoints.read_keypoints import keypoints_of_views, read_keypoints
 from hypose.io.recordings.frames import FrameSettings, load_keypoints
 from hypose.io.recordings.recording import load_recording
@@ -301,3 +301,25 @@ def test_mirrored_pictures_are_told_where_cameras_stand_evenly(name):
     points[..., 0] = np.where(points[..., 2] > 0, width - 1 - points[..., 0], 0)
     people = [[view[t][None] for t in range(FRAMES)] for view in points]
     assert "mirrored" in str(misread(people, keypoint_names("BODY_25"), cameras))
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("alphapose_cmu", "AlphaPose results"),
+        ("ultralytics_id_missing", "Ultralytics labels"),
+        ("pose_sync", "pose-sync"),
+    ],
+)
+def test_recordings_of_other_programs(shared_data, name, words):
+    """One of them has lines without the track's number, one has key points that Pose2Sim has synchronised."""
+    recording, found = loaded(shared_data("outside_cases") / name)
+    assert any(words in n for n in recording.notes) and found.shape[:2] == (4, 60)
+    assert (found[..., 2] > 0.3).mean() > 0.5
+    if name == "pose_sync":
+        assert all(v.keypoints.parent.name == "pose-sync" for v in recording.views)
+
+
+def test_openpose_1_0_is_read():
+    flat = [1.0, 2.0, 0.5] * 18
+    assert parse_openpose({"people": [{"pose_keypoints": flat}]}, raw=True).shape == (1, 18, 3)

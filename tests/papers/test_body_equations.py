@@ -11,7 +11,7 @@ from hypose.body.anthropometry import SHAPE_FACTORS, TABLE_2_1, body_of, entity
 from hypose.body.body import Shape, deform
 from hypose.body.ready_bodies import human
 from hypose.cameras.camera import CameraRig
-from hypose.compute.render import silhouette
+from hypose.compute.parts import covered
 from hypose.evidence.body_parts import assign_ends
 from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes
@@ -155,7 +155,7 @@ def seen_from_the_front(body, pose, small_rig: CameraRig):
     vertices, masks = body.skin(pose), []
     for camera in small_rig:
         depth = vertices @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
-        masks.append(silhouette(camera.project_pinhole(vertices), depth, body.coarse.faces, camera.size) > 0)
+        masks.append(covered(camera.project_pinhole(vertices), depth, body.coarse.faces, camera.size[::-1]) > 0)
     return masks
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from hypose.body.ready_bodies import human
 from hypose.cameras.camera import CameraRig
-from hypose.compute.render import silhouette
+from hypose.compute.parts import covered
 from hypose.errors import EvidenceError
 from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes
@@ -36,7 +36,7 @@ def seen(views, pose_name="standing", shift=(0.0, 0.0)):
         camera = replace(camera, K=moved)
         cameras.append(camera)
         depth = vertices @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
-        masks.append(silhouette(camera.project_pinhole(vertices), depth, body.coarse.faces, camera.size))
+        masks.append(covered(camera.project_pinhole(vertices), depth, body.coarse.faces, camera.size[::-1]))
     return Frame(0.0, 0, silhouettes=make_silhouettes([m.astype(np.uint8) for m in masks], CameraRig(tuple(cameras))))
 
 
