@@ -26,8 +26,14 @@ _SIDES = ("left", "right")
 
 @dataclass(frozen=True)
 class Entity:
-    """One symmetric shape factor. name; kind: 'scale', 'length', 'girth' or 'clothing'; sd: of its log in the
-    population, at equal stature; fat: the part of that sd which follows the common factor from slim to heavy; mean."""
+    """One symmetric shape factor.
+
+    name.
+    kind: 'scale', 'length', 'girth' or 'clothing'.
+    sd: of its log in the population, at equal stature.
+    fat: the part of that sd which follows the common factor from slim to heavy.
+    mean.
+    """
 
     name: str
     kind: str
@@ -88,7 +94,7 @@ _TRUNK = (("chest", "chest"), ("waist", "spine"), ("pelvis", "pelvis"))
 
 
 def _shape_of(log_factors: ArrayLike) -> Shape:
-    """The Shape of log factors (K,) in the order of SHAPE_FACTORS, for `hypose.body.body.deform`."""
+    """Return the Shape of log factors (K,) in the order of SHAPE_FACTORS, for `hypose.body.body.deform`."""
     x = np.asarray(log_factors, dtype=np.float64)
     if x.shape != (len(SHAPE_FACTORS),):
         raise InputError(f"A shape has {len(SHAPE_FACTORS)} log factors, got shape {x.shape}.")
@@ -119,7 +125,7 @@ def _shape_of(log_factors: ArrayLike) -> Shape:
 
 
 def body_of(template: Body, factors: ArrayLike, *, clothed: bool = True) -> Body:
-    """The template with the shape of factors (K,), in its clothes or without them."""
+    """Return the template with the shape of factors (K,), in its clothes or without them."""
     x = np.asarray(factors, dtype=np.float64)
     shaped = deform(template, _shape_of(x))
     thickness = CLOTHING_UNIT * float(x[entity("clothing")])
@@ -131,7 +137,7 @@ def body_of(template: Body, factors: ArrayLike, *, clothed: bool = True) -> Body
 
 
 def dressed(mesh: Mesh, thickness: float) -> Mesh:
-    """The mesh of the 19-joint body moved outwards by `thickness` m where clothes usually are."""
+    """Return the mesh of the 19-joint body moved outwards by `thickness` m where clothes usually are."""
     v, f = mesh.vertices, mesh.faces
     flat = np.cross(v[f[:, 1]] - v[f[:, 0]], v[f[:, 2]] - v[f[:, 0]])
     normals = np.zeros_like(v)
@@ -148,12 +154,13 @@ def dressed(mesh: Mesh, thickness: float) -> Mesh:
 
 
 def prior_mean() -> Array:
-    """(K,) of the factors."""
+    """Return (K,) of the factors."""
     return np.array([e.mean for e in SHAPE_FACTORS])
 
 
 def prior_covariance() -> Array:
-    """(K, K) covariance of the log factors at equal stature: own variances plus the common slim-to-heavy factor."""
+    """Return (K, K) covariance of the log factors at equal stature: own variances plus the common slim-to-heavy
+    factor."""
     sd, fat = np.array([e.sd for e in SHAPE_FACTORS]), np.array([e.fat for e in SHAPE_FACTORS])
     return np.diag(sd**2 - fat**2) + np.outer(fat, fat)
 
@@ -216,7 +223,7 @@ class Sizes:
 
     @property
     def in_cm(self) -> dict[str, float]:
-        """All sizes in cm, girths under '<site> girth'."""
+        """Return all sizes in cm, girths under '<site> girth'."""
         out = {"stature": self.stature, "shoulder height": self.shoulder_height, **self.lengths}
         out |= {f"{k} girth": v for k, v in self.girths.items()}
         return {k: 100 * v for k, v in out.items()}
@@ -326,7 +333,12 @@ _CUBE = 0.01  # m
 
 @dataclass(frozen=True)
 class SegmentMass:
-    """mass kg; centre (3,) m in the model frame at rest; inertia (3, 3) kg m^2 about the centre, along its axes."""
+    """Segment mass.
+
+    mass kg.
+    centre (3,) m in the model frame at rest.
+    inertia (3, 3) kg m^2 about the centre, along its axes.
+    """
 
     mass: float
     centre: Array
@@ -362,7 +374,7 @@ def segment_masses(
 
 
 def _inside(mesh: Mesh) -> Array:
-    """(N, 3) m: centres of the cubes inside a closed mesh: an odd number of faces lies above them."""
+    """Return (N, 3) m: centres of the cubes inside a closed mesh: an odd number of faces lies above them."""
     corners = mesh.vertices[mesh.faces]
     low, high = mesh.vertices.min(0), mesh.vertices.max(0)
     # a hair off the regular grid: no ray runs along an edge of a symmetric mesh

@@ -34,8 +34,11 @@ NOISE_PX = 0.3
 
 @dataclass(frozen=True)
 class Observations:
-    """M corners seen. camera, frame, corner (M,): indices of the camera, of the board's pose and of the board's corner;
-    pixels (M, 2)."""
+    """M corners seen.
+
+    camera, frame, corner (M,): indices of the camera, of the board's pose and of the board's corner.
+    pixels (M, 2).
+    """
 
     camera: IntArray
     frame: IntArray
@@ -52,9 +55,13 @@ class Observations:
 
 @dataclass(frozen=True)
 class LensPrior:
-    """Standard deviations of what is known of lenses beforehand. centre: of the principal point from the picture's
-    middle, as a share of its width; aspect: of fx / fy from 1; radial, tangential: of the coefficients k1 k2 (and the
-    fisheye's four) and p1 p2 from 0; k3: of the third radial coefficient."""
+    """Prior standard deviations of lens parameters.
+
+    centre: of the principal point from the picture's middle, as a share of its width.
+    aspect: of fx / fy from 1.
+    radial, tangential: of the coefficients k1 k2 (and the fisheye's four) and p1 p2 from 0.
+    k3: of the third radial coefficient.
+    """
 
     centre: float = 0.05
     aspect: float = 0.01
@@ -65,9 +72,16 @@ class LensPrior:
 
 @dataclass(frozen=True)
 class Refined:
-    """cameras; frames (F, 4, 4) world_from_board; residuals (M, 2) px, measured minus projected; rms_px per coordinate;
+    """Refined.
+
+    cameras.
+    frames (F, 4, 4) world_from_board.
+    residuals (M, 2) px, measured minus projected.
+    rms_px per coordinate.
     focal_sd (C,) px and position_sd (C,) m: standard deviations, of the positions relative to the first camera, NaN
-    where they were not free; iterations."""
+        where they were not free.
+    iterations.
+    """
 
     cameras: tuple[Camera, ...]
     frames: Array
@@ -108,10 +122,12 @@ def bundle_adjust(
 ) -> Refined:
     """Cameras and boards that explain the corners best. The first camera stays where it is, unless boards are fixed.
 
-    frames (F, 4, 4) world_from_board at the start; board_points (N, 3) m; free_intrinsics: whether to change K and
-    distortion, per camera (C,) or for all; fixed_frames (F,): boards whose poses are known (measured points);
-    noise_px: standard deviation of a corner's coordinate, for all or each (M,); robust_px: errors beyond are weighed
-    down (Huber), more where the noise is more.
+    frames (F, 4, 4) world_from_board at the start.
+    board_points (N, 3) m.
+    free_intrinsics: whether to change K and distortion, per camera (C,) or for all.
+    fixed_frames (F,): boards whose poses are known (measured points).
+    noise_px: standard deviation of a corner's coordinate, for all or each (M,).
+    robust_px: errors beyond are weighed down (Huber), more where the noise is more.
     """
     problem = _Problem(cameras, board_points, observations, prior, noise_px, robust_px, free_intrinsics, fixed_frames)
     rule = Rule(1e-3, least=1e-9, most=1e9, tries=8, gain=1e-9)
@@ -184,7 +200,7 @@ class _Problem:
         return self.o.pixels[s] - project_with_derivatives(camera, x)[0]
 
     def residuals(self, cameras: Sequence[Camera], frames: Array) -> Array:
-        """(M, 2) px in the order of the observations given."""
+        """Return (M, 2) px in the order of the observations given."""
         out = np.empty((len(self.o), 2))
         for camera, s in zip(cameras, self.slices, strict=True):
             out[self.order[s]] = self._errors(camera, frames, s)
@@ -325,7 +341,7 @@ class _Problem:
 
 
 def _lens_size(camera: Camera) -> int:
-    """Number of distortion coefficients that are refined: those of the lens itself, not of a tilted sensor."""
+    """Return number of distortion coefficients that are refined: those of the lens itself, not of a tilted sensor."""
     return min(len(camera.distortion), 4 if camera.fisheye else 5)
 
 
@@ -343,8 +359,14 @@ FOCAL_SD = 0.03
 
 @dataclass(frozen=True)
 class CalibratedLens:
-    """camera: the lens with pose = identity; frames: the board pictures that were used; rms_px per coordinate;
-    focal_sd px; given: taken from a file, not calibrated."""
+    """Calibrated lens.
+
+    camera: the lens with pose = identity.
+    frames: the board pictures that were used.
+    rms_px per coordinate.
+    focal_sd px.
+    given: taken from a file, not calibrated.
+    """
 
     camera: Camera
     frames: tuple[int, ...]
@@ -364,7 +386,7 @@ def calibrate_lens(
 ) -> CalibratedLens:
     """K and distortion (k1 k2 p1 p2 k3, or four fisheye coefficients) from boards seen by frame number.
 
-    A CalibrationError says what is missing when the pictures do not determine the focal length; with strict = False an
+    A CalibrationError names the missing pictures when they do not determine the focal length; with strict = False an
     uncertain one is returned, since boards that other cameras saw as well may settle it.
     """
     chosen = spread_out(sightings, size, MAX_VIEWS)
@@ -416,8 +438,8 @@ def calibrate_lens(
 def spread_out(
     sightings: Mapping[int, BoardDetection], size: tuple[int, int], count: int, apart: float = 0.0
 ) -> list[int]:
-    """At most `count` frames whose boards lie as differently as possible (farthest-point sampling), no two nearer than
-    `apart` (share of the picture's width); in order of time."""
+    """Return at most `count` frames whose boards lie as differently as possible (farthest-point sampling), no two
+    nearer than `apart` (share of the picture's width); in order of time."""
     frames = list(sightings)
     if not frames:
         return []
@@ -434,7 +456,8 @@ def spread_out(
 
 
 def collect_observations(sightings: Mapping[int, Mapping[int, BoardDetection]], frames: Sequence[int]) -> Observations:
-    """The corners of cameras (by index) in the given frames, as arrays; the frame's index is its place in `frames`."""
+    """Return the corners of cameras (by index) in the given frames, as arrays; the frame's index is its place in
+    `frames`."""
     place = {f: k for k, f in enumerate(frames)}
     parts = [
         (np.full(len(s.ids), c), np.full(len(s.ids), place[f]), s.ids, s.pixels)

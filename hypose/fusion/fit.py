@@ -4,7 +4,7 @@ Constant distances between joints, a robust loss that is graduated in every fram
 wrong sensor), a constant-velocity prediction, the SDK's confidence as weight, and sides exchanged back when a sensor
 that sees the back takes left for right. 45 unknowns with distances as stiff rows rather than joint angles: a sensor
 skeleton has no shape behind it, and distances between shoulders, hips and torso hold a trunk that is not rigid.
-Uncertainty: the solve's own variance, plus what the sensors' systematic errors leave open (fusion.trust).
+Uncertainty: the solve's own variance, plus what the sensors' systematic errors leave open.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _BONE = np.array(
 _SIDE_SIGNS = np.array([0, 0, 1, 1, 1, -1, -1, -1, 0, 1, 1, 1, -1, -1, -1])
 
 
-def what_is_open(
+def remaining_uncertainty(
     positions: Array,
     states: NDArray[np.uint8],
     eyes: Array,
@@ -58,10 +58,12 @@ def what_is_open(
     """Of fused joints (15, 3) m: the variance (15,) m^2 per axis that more frames or sensors would not reduce, and how
     likely (15,) each is wrong by more than LARGE_ERROR_M.
 
-    positions (K, 15, 3) m registered, states (K, 15): of which they were fused; eyes (K, 3) m: where the sensors stand,
-    NaN where it is not known; left (3,): to the person's left, of any length; lengths (18,) m of
-    joints.SKELETON_BONES, 0 where
-    unknown; variance (15,) m^2 per axis: of what averages away."""
+    positions (K, 15, 3) m registered, states (K, 15): of which they were fused.
+    eyes (K, 3) m: where the sensors stand, NaN where it is not known.
+    left (3,): to the person's left, of any length.
+    lengths (18,) m of joints.SKELETON_BONES, 0 where unknown.
+    variance (15,) m^2 per axis: of what averages away.
+    """
     seen = seen_joints(positions, states, eyes, left, lengths)
     points, to = np.where(seen[..., None] > 0, positions, 0.0), eyes - joints[jt.TORSO]
     apart = ((points[:, None] - points) ** 2).sum(-1)
@@ -87,8 +89,8 @@ def what_is_open(
 
 
 def seen_joints(positions: Array, states: NDArray[np.uint8], eyes: Array, left: Array, lengths: Array) -> Array:
-    """(K, 15) how likely each sensor sees each joint rather than guesses it, 0 where it reports none; see
-    `what_is_open`."""
+    """Return (K, 15) how likely each sensor sees each joint rather than guesses it, 0 where it reports none; see
+    `remaining_uncertainty`."""
     to = eyes - positions[:, jt.TORSO]
     up = positions[:, jt.NECK] - (positions[:, jt.LEFT_HIP] + positions[:, jt.RIGHT_HIP]) / 2
     away = np.maximum(-_SIDE_SIGNS * _cosine(left, to), 0.0)
@@ -106,7 +108,7 @@ def seen_joints(positions: Array, states: NDArray[np.uint8], eyes: Array, left: 
 
 
 def _cosine(a: Array, b: Array) -> Array:
-    """(..., 1) of the angles between vectors (..., 3), 0 where it is not known."""
+    """Return (..., 1) of the angles between vectors (..., 3), 0 where it is not known."""
     square = (a * a).sum(-1) * (b * b).sum(-1)
     return np.nan_to_num((a * b).sum(-1) / np.sqrt(np.where(square > 0, square, np.nan)))[..., None]
 
@@ -117,7 +119,7 @@ _AGAINST = -0.3
 
 
 def _bone_sd() -> Array:
-    """(18,) m: limbs hold their length, the trunk's stays give more."""
+    """Return (18,) m: limbs hold their length, the trunk's stays give more."""
     limb = {(2, 3), (3, 4), (5, 6), (6, 7), (9, 10), (10, 11), (12, 13), (13, 14)}
     stay = {(8, 9), (8, 12), (2, 8), (5, 8)}
     return np.array(
@@ -127,10 +129,18 @@ def _bone_sd() -> Array:
 
 @dataclass(frozen=True)
 class FitSettings:
-    """data_sd_m, scale_m: sd and Cauchy scale of a sensor's joint; coarse: the scale starts at this multiple and is
-    halved per iteration; iterations; bone_sd_m (18,); prediction_sd_m: per frame of 1/30 s; blend: how fast the
-    velocity follows; inferred: weight of inferred joints; unswap: exchange sides back; lost_after_s: without
-    any joint for this long the person is lost."""
+    """Fit settings.
+
+    data_sd_m, scale_m: sd and Cauchy scale of a sensor's joint.
+    coarse: the scale starts at this multiple and is halved per iteration.
+    iterations.
+    bone_sd_m (18,).
+    prediction_sd_m: per frame of 1/30 s.
+    blend: how fast the velocity follows.
+    inferred: weight of inferred joints.
+    unswap: exchange sides back.
+    lost_after_s: without any joint for this long the person is lost.
+    """
 
     data_sd_m: float = 0.02
     scale_m: float = 0.05
@@ -145,15 +155,21 @@ class FitSettings:
 
     @cached_property
     def bone_weight(self) -> Array:
-        """(18,) 1/m^2."""
+        """Return (18,) 1/m^2."""
         return 1 / self.bone_sd_m**2
 
 
 @dataclass(frozen=True)
 class FitState:
-    """joints (15, 3) m and velocity (15, 3) m/s of the last frame, or None before the first; time s of that frame; seen
-    (15,) s when each joint last had evidence; side (3,): remembered direction to the person's left, a sum of unit
-    vectors; lengths (18,) m and samples (18,) of the bones; fixed: lengths are given and do not adapt."""
+    """Fit state.
+
+    joints (15, 3) m and velocity (15, 3) m/s of the last frame, or None before the first.
+    time s of that frame.
+    seen (15,) s when each joint last had evidence.
+    side (3,): remembered direction to the person's left, a sum of unit vectors.
+    lengths (18,) m and samples (18,) of the bones.
+    fixed: lengths are given and do not adapt.
+    """
 
     joints: Array | None
     velocity: Array
@@ -167,10 +183,15 @@ class FitState:
 
 @dataclass(frozen=True)
 class FitEstimate:
-    """joints (15, 3) m; variance (15,) m^2 per axis that more frames or sensors would reduce, and systematic (15,),
-    which they would not; wrong (15,): how likely a joint is off by more than trust.WRONG_M; shares (15, K): what each
-    sensor carried of each joint (0 everywhere where no sensor saw it); swapped (K,) sensors whose sides were exchanged;
-    lost: no evidence for too long."""
+    """Fit estimate.
+
+    joints (15, 3) m.
+    variance (15,) m^2 per axis that more frames or sensors would reduce, and systematic (15,), which they would not.
+    wrong (15,): how likely a joint is off by more than LARGE_ERROR_M.
+    shares (15, K): what each sensor carried of each joint (0 everywhere where no sensor saw it).
+    swapped (K,) sensors whose sides were exchanged.
+    lost: no evidence for too long.
+    """
 
     joints: Array
     variance: Array
@@ -249,7 +270,7 @@ def fit_step(
     new = FitState(x, velocity, time, seen, side, lengths, samples, state.fixed)
     if lost or (state.joints is None and not evidence.any()):
         new = replace(new, joints=None, velocity=np.zeros((15, 3)), side=np.zeros(3))
-    systematic, wrong = what_is_open(positions, states, eyes, side, lengths, x, variance)
+    systematic, wrong = remaining_uncertainty(positions, states, eyes, side, lengths, x, variance)
     return new, FitEstimate(x, variance, systematic, wrong, share.T.copy(), swapped, lost)
 
 
@@ -258,8 +279,11 @@ def unswap(
 ) -> tuple[Array, NDArray[np.uint8], Array, NDArray[np.bool_]]:
     """Exchanges left and right of sensors whose sides contradict the others and the memory.
 
-    positions (K, 15, 3) registered; side (3,): remembered direction to the left. Returns positions, states, the new
-    memory and which sensors were exchanged (K,)."""
+    positions (K, 15, 3) registered.
+    side (3,): remembered direction to the left.
+
+    Returns positions, states, the new memory and which sensors were exchanged (K,).
+    """
     left, right = _SIDES.T
     known = (states[:, left] > 0) & (states[:, right] > 0)
     to_left = np.where(known[..., None], positions[:, left] - positions[:, right], 0.0).sum(1)
@@ -292,9 +316,8 @@ def adapt_lengths(positions: Array, states: NDArray[np.uint8], lengths: Array, s
 
 
 def clip_lengths(positions: ArrayLike, states: ArrayLike) -> Array:
-    """(18,) m lengths of joints.SKELETON_BONES from a whole clip, positions (T, K, 15, 3): median over the tracked
-    samples, over
-    all samples where there are fewer than 20 of those, 0 where there is none."""
+    """Return (18,) m lengths of joints.SKELETON_BONES from a whole clip, positions (T, K, 15, 3): median over the
+    tracked samples, over all samples where there are fewer than 20 of those, 0 where there is none."""
     s = np.asarray(positions, dtype=np.float64)
     a, b = jt.SKELETON_BONES[:, 0], jt.SKELETON_BONES[:, 1]
     length = np.linalg.norm(s[:, :, a] - s[:, :, b], axis=-1)
@@ -309,7 +332,7 @@ def clip_lengths(positions: ArrayLike, states: ArrayLike) -> Array:
 
 
 def _first_guess(points: Array, weights: Array) -> Array:
-    """Weighted means; joints that nobody sees start at the mean of the others."""
+    """Return weighted means; joints that no sensor sees start at the mean of the others."""
     total = weights.sum(0)
     if not (total > 0).any():
         return np.zeros((15, 3))

@@ -1,8 +1,8 @@
 """Which skeleton of which sensor is which person: sensors are registered to each other by the persons they share,
 persons are matched by the distance of their trunks in the common frame.
 
-The common frame is that of the first sensor that saw somebody, and stays it when that sensor dies. A sensor that comes
-back is registered anew, since it may have been moved; it keeps its place if that puts its persons on those of the
+The common frame is that of the first sensor that saw a person, and stays it when that sensor dies. A sensor that comes
+back is registered again, since it may have been moved; it keeps its place if that puts its persons on those of the
 others, or if no other sensor sees anybody.
 """
 
@@ -28,14 +28,19 @@ from hypose.geometry import Array, procrustes
 class PeopleSettings:
     """Distances in m, durations in s.
 
-    gate: a skeleton further from a person's trunk is not that person; faithful: how much nearer another person must be
-    than the one a sensor's person was before; birth: instants before a new person is believed; linger, forget: how long
-    a person nobody sees is still reported, and remembered; blind: how long persons are remembered beyond that while no
-    sensor reports at all, so that a pause of the whole machine makes nobody new; window: of skeletons that a
-    registration rests on, one every
-    `note`, renewed every `refit`; attempt: between tries to register; shots: fewest shared instants; residual: largest
-    median distance of a registration; distinct: ratio to the next best pairing; strays: instants without a match after
-    which a sensor has been moved; most: persons.
+    gate: a skeleton further from a person's trunk is not that person.
+    faithful: how much nearer another person must be than the one a sensor's person was before.
+    birth: instants before a new person is believed.
+    linger, forget: how long an unseen person is still reported, and remembered.
+    blind: how long persons are remembered beyond that while no sensor reports at all, so that a pause of the whole
+        machine creates no new person.
+    window: of skeletons that a registration rests on, one every `note`, renewed every `refit`.
+    attempt: between tries to register.
+    shots: fewest shared instants.
+    residual: largest median distance of a registration.
+    distinct: ratio to the next best pairing.
+    strays: instants without a match after which a sensor has been moved.
+    most: persons.
     """
 
     gate: float = 0.6
@@ -57,8 +62,12 @@ class PeopleSettings:
 
 @dataclass(frozen=True)
 class SeenPerson:
-    """A person at one instant: id, never used twice; bodies: its skeleton by sensor, in the sensor's frame; placed: the
-    same positions (15, 3) in the common frame."""
+    """A person at one instant.
+
+    id, never used twice.
+    bodies: its skeleton by sensor, in the sensor's frame.
+    placed: the same positions (15, 3) in the common frame.
+    """
 
     id: int
     bodies: Mapping[str, SensorBody]
@@ -66,11 +75,11 @@ class SeenPerson:
 
     @property
     def seen(self) -> bool:
-        """Some sensor sees it now."""
+        """Return whether a sensor sees it now."""
         return bool(self.bodies)
 
     def joints(self, sensors: Sequence[str], time: float, common: bool = False) -> SensorJoints:
-        """The skeletons of the named sensors (K), each in its sensor's frame or all in the common one."""
+        """Return the skeletons of the named sensors (K), each in its sensor's frame or all in the common one."""
         positions = np.full((len(sensors), 15, 3), np.nan)
         state: NDArray[np.uint8] = np.zeros((len(sensors), 15), dtype=np.uint8)
         times = np.full(len(sensors), np.nan)
@@ -114,7 +123,7 @@ class _Link:
         self.tried = self.fitted = self.noted = -np.inf
 
     def lose(self) -> None:
-        """The sensor may stand elsewhere: begin anew."""
+        """Begin again: the sensor may stand elsewhere."""
         self.before = self.motion if self.motion is not None else self.before
         self.motion, self.trusted, self.anchor, self.strays = None, False, False, 0
         self.shots.clear()
@@ -144,11 +153,11 @@ class PeopleTracker:
 
     @property
     def residuals(self) -> dict[str, float]:
-        """Median distance (m) of each registered sensor's joints to those of the others; NaN where not known."""
+        """Return median distance (m) of each registered sensor's joints to those of the others; NaN where not known."""
         return {n: float(link.residual) for n, link in self._links.items() if link.motion is not None}
 
     def update(self, instant: Instant) -> list[SeenPerson]:
-        """The persons at this instant, oldest first."""
+        """Return the persons at this instant, oldest first."""
         s, now = self.settings, instant.time
         views = {v.name: v for v in instant.sensors}
         for name in [n for n, link in self._links.items() if n not in views and not link.known]:
@@ -351,8 +360,8 @@ class PeopleTracker:
 
 
 def is_swapped(joints: Array, like: Array) -> bool:
-    """Whether joints (15, 3) with left and right exchanged are more like another skeleton in the same frame: a sensor
-    that sees the back takes it for the front."""
+    """Return whether joints (15, 3) with left and right exchanged are more like another skeleton in the same frame: a
+    sensor that sees the back takes it for the front."""
     a, b = joints - like, joints[MIRROR] - like
     plain, mirrored = float(np.vdot(a, a)), float(np.vdot(b, b))
     if plain != plain or mirrored != mirrored:  # NaN: only the joints that all three have
@@ -362,7 +371,7 @@ def is_swapped(joints: Array, like: Array) -> bool:
 
 
 # ---- places of sensors -----------------------------------------------------------------------------------------------
-# Where a sensor stands, found from the persons that it shares with others, when nobody knows who is who.
+# Where a sensor stands, found from the persons that it shares with others, when identities are unknown.
 
 
 _SensorInstant = tuple[Mapping[int, Array], Mapping[int, Array]]
@@ -376,10 +385,14 @@ def find_place(
     shots: Sequence[_SensorInstant], fewest: int, residual: float, distinct: float
 ) -> tuple[Array, float] | None:
     """common_from_sensor (4, 4) and its median distance m, or None: every pairing of one of its persons with one of
-    ours gives a place, and the best one puts all on persons. fewest: shared instants of a pairing; residual: largest
-    distance m; distinct: the next best pairing must be worse by this ratio.
+    ours gives a place, and the best one puts all on persons.
 
-    All pairings are looked at in one batch, so that with many persons no frame is late."""
+    fewest: shared instants of a pairing.
+    residual: largest distance m.
+    distinct: the next best pairing must be worse by this ratio.
+
+    All pairings are looked at in one batch, so that with many persons no frame is late.
+    """
     some = list(shots)[:: max(1, len(shots) // 12)]
     pairs, skeletons = [], []
     for b, p in sorted({(b, p) for bodies, people in some for b in bodies for p in people}):
@@ -418,8 +431,8 @@ def find_place(
 
 
 def place_score(motion: Array, shots: Sequence[_SensorInstant]) -> float:
-    """Median distance (m) of the joints of a sensor's persons to those of ours at a place (4, 4) that is believed
-    already, infinite when they share no instant. Persons that only one side sees do not count."""
+    """Return median distance (m) of the joints of a sensor's persons to those of ours at a place (4, 4) that is
+    believed already, infinite when they share no instant. Persons that only one side sees do not count."""
     scores = []
     for bodies, people in shots:
         if not bodies or not people:
@@ -438,7 +451,7 @@ def transform_points(motion: Array, points: Array) -> Array:
 
 
 def trunk_centre(joints: Array) -> Array | None:
-    """Mean (3,) of a skeleton's trunk, None when fewer than three of its joints are known."""
+    """Return mean (3,) of a skeleton's trunk, None when fewer than three of its joints are known."""
     trunk = joints[_TRUNK]
     mean = trunk.sum(0) / len(_TRUNK)
     if mean[0] == mean[0]:
@@ -479,8 +492,8 @@ def _centres(shots: Sequence[_SensorInstant]) -> tuple[Array, Array]:
 
 
 def _misplaced(motions: Array, theirs: Array, ours: Array) -> Array:
-    """(P,) for motions (P, 4, 4): mean distance (m, each at most 0.5) of the sensor's persons to the nearest of ours,
-    less what is noise."""
+    """Return (P,) for motions (P, 4, 4): mean distance (m, each at most 0.5) of the sensor's persons to the nearest of
+    ours, less the noise."""
     # whom only one side sees says nothing: as many as both can share
     both = np.minimum(np.isfinite(theirs[..., 0]).sum(1), np.isfinite(ours[..., 0]).sum(1))
     counted = np.arange(theirs.shape[1]) < both[:, None]

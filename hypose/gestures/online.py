@@ -24,15 +24,19 @@ Pixels = tuple[NDArray[np.int64], NDArray[np.int64]]
 
 @dataclass(frozen=True)
 class LearnSettings:
-    """How many pixels of a frame are learned. positives within box_mm of the marked point and surface_mm of its depth;
-    around: negatives between rim_mm and clear_mm of it, which teach where the gesture's place ends; beside: random
-    negatives outside clear_mm; hard: most hard negatives, within box_mm of the maximum; few: random negatives that go
-    with them; many: random negatives without hard ones (the baseline). look: how the forest is asked while it
-    learns."""
+    """How many pixels of a frame are learned. positives within box_mm of the marked point and surface_mm of its depth.
+
+    around: negatives between rim_mm and clear_mm of it, which teach where the gesture's place ends.
+    random: random negatives outside clear_mm.
+    hard: most hard negatives, within box_mm of the maximum.
+    few: random negatives that go with them.
+    many: random negatives without hard ones (the baseline).
+    look: how the forest is asked while it learns.
+    """
 
     positives: int = 30
     around: int = 10
-    beside: int = 8
+    random: int = 8
     hard: int = 30
     few: int = 2
     many: int = 10
@@ -43,14 +47,18 @@ class LearnSettings:
     look: LocaliseSettings = LocaliseSettings(ScanPlan(stride=8, coarse=0), sigma_px=10.0)
 
     def __post_init__(self) -> None:
-        counts = dict.fromkeys(("positives", "around", "beside", "hard", "few", "many"), (0, 1000))
+        counts = dict.fromkeys(("positives", "around", "random", "hard", "few", "many"), (0, 1000))
         lengths = dict.fromkeys(("box_mm", "rim_mm", "surface_mm", "clear_mm"), (1, 1000))
         check_settings("Learning's", self, {**counts, **lengths})
 
 
 @dataclass(frozen=True)
 class Example:
-    """A frame to learn from: depth (h, w) uint16 mm; gesture from 1 on at pixel (x, y), or 0 for none."""
+    """A frame to learn from.
+
+    depth (h, w) uint16 mm.
+    gesture from 1 on at pixel (x, y), or 0 for none.
+    """
 
     depth: DepthImage
     lens: DepthLens
@@ -113,7 +121,7 @@ class PixelSampler:
         return rows[ok][:n], columns[ok][:n]
 
     def anywhere(self, depth: DepthImage, n: int, clear: tuple[float, float, float] | None) -> Pixels:
-        """At most n usable pixels of the whole picture, but for a circle (x, y, radius px)."""
+        """Return at most n usable pixels of the whole picture, but for a circle (x, y, radius px)."""
         rows = self.rng.integers(0, depth.shape[0], 6 * n)
         columns = self.rng.integers(0, depth.shape[1], 6 * n)
         ok = self._usable(depth[rows, columns].astype(np.int64))
@@ -122,7 +130,7 @@ class PixelSampler:
         return rows[ok][:n], columns[ok][:n]
 
     def surface(self, depth: DepthImage, x: float, y: float) -> float | None:
-        """Depth (mm) of what is marked, if it is where the forest looks."""
+        """Return the depth (mm) of the marked surface, if it is where the forest looks."""
         surface, plan = surface_depth(depth, x, y), self.settings.look.plan
         return surface if surface is not None and plan.near_mm <= surface <= plan.far_mm else None
 
@@ -160,7 +168,7 @@ class Learner:
         settings: LearnSettings | None = None,
         gestures: int = 1,
     ) -> Learner:
-        """A learner that knows nothing yet."""
+        """Return a learner that knows nothing yet."""
         grown = GrowingForest.new(forest or ForestSettings(), gestures + 1, rng)
         return Learner(grown, rng, settings or LearnSettings())
 
@@ -183,7 +191,7 @@ class Learner:
         clear = (x, y, s.clear_mm * scale)
         counts = [0] * self.forest.classes
         self._learn(draw.inside(depth, x, y, scale, surface, s.positives), gesture, counts)
-        self._learn(draw.anywhere(depth, s.beside if mine else s.many, clear), BACKGROUND, counts)
+        self._learn(draw.anywhere(depth, s.random if mine else s.many, clear), BACKGROUND, counts)
         if mine:
             self._learn(draw.rim(depth, x, y, scale), BACKGROUND, counts)
         mined = []

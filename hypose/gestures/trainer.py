@@ -34,17 +34,19 @@ class Feedback:
 
 
 def half_way(gestures: Sequence[float], others: Sequence[float]) -> float:
-    """Half way between the strongest of the others' scores (0 without any) and the weaker gestures (lower quartile)."""
+    """Return half way between the strongest of the others' scores (0 without any) and the weaker gestures (lower
+    quartile)."""
     return 0.5 * (float(np.quantile(gestures, 0.25)) + max(others, default=0.0))
 
 
 def balanced(gestures: Sequence[float], others: Sequence[float]) -> float:
-    """A threshold (cm^2) 0.3 of the way, on a logarithmic scale, from what every tenth frame of other movement reaches
-    to what the gesture usually (median) scores.
+    """Return a threshold (cm^2) 0.3 of the way, on a logarithmic scale, from what every tenth frame of other movement
+    reaches to what the gesture usually (median) scores.
 
     What every tenth frame reaches is read off an exponential tail above the median of the others' scores: all frames
     have a say in it, where the strongest one alone is chance. At least a tenth of the usual score, because movement
-    that never scored says nothing about movement to come."""
+    that never scored says nothing about movement to come.
+    """
     usual, middle = float(np.median(gestures)), float(np.median(others))
     above = [v - middle for v in others if v > middle]
     level = middle + (float(np.mean(above)) * np.log(0.5 * _ONE_IN) if above else 0.0)
@@ -75,14 +77,14 @@ class Trainer:
         self.session = Session()
         self._before: _Snapshot | None = None
         self._segment = 0
-        # frames that show the gesture; every one has the same chance of being kept; drawn apart from what is learned
+        # frames that show the gesture; every one has the same chance of being kept; drawn apart from the learned pixels
         self._keep, self._shown = np.random.default_rng(0), 0
         self._kept: list[tuple[DepthImage, DepthLens]] = []
         self._movement: list[float] = []  # what the forest scored in frames of other movement before it learned them
 
     @property
     def threshold(self) -> float | None:
-        """The automatic threshold (cm^2); None until gesture and movement have been seen."""
+        """Return the automatic threshold (cm^2); None until gesture and movement have been seen."""
         return self.session.threshold(self.settings)
 
     def frame(
@@ -187,9 +189,15 @@ STEP_MM = 6
 
 @dataclass(frozen=True)
 class OfflineSettings:
-    """forest: trees, deepest, clip_mm and reach_mm are used; per_class: samples per class and tree; tests, thresholds:
-    random candidates per node; sample: most samples that judge a node; learning: "trees" (boosted, each tree gets the
-    errors of the one before), "subforests" (boosted, every `group` trees), "plain"."""
+    """Offline settings.
+
+    forest: trees, deepest, clip_mm and reach_mm are used.
+    per_class: samples per class and tree.
+    tests, thresholds: random candidates per node.
+    sample: most samples that judge a node.
+    learning: "trees" (boosted, each tree gets the errors of the one before), "subforests" (boosted, every `group`
+        trees), "plain".
+    """
 
     forest: ForestSettings = field(default_factory=ForestSettings)
     per_class: int = 20000
@@ -202,7 +210,11 @@ class OfflineSettings:
 
 @dataclass(frozen=True)
 class Pool:
-    """patches (n, P, P) i2: depth around each sample relative to its own, mm; labels (n,) i1."""
+    """Pool.
+
+    patches (n, P, P) i2: depth around each sample relative to its own, mm.
+    labels (n,) i1.
+    """
 
     patches: NDArray[np.int16]
     labels: NDArray[np.int8]
@@ -236,10 +248,11 @@ def collect(
 
 
 def train_offline(pool: Pool, rng: np.random.Generator, settings: OfflineSettings | None = None) -> Forest:
-    """A forest from a pool of samples; InputError when a class has no samples.
+    """Return a forest from a pool of samples; InputError when a class has no samples.
 
     "trees" is the boosted learning of Alcoverro 2014, section 3.2.3: the first tree from a balanced draw, every further
-    one from the errors of the tree before on what that has not seen, filled up until balanced."""
+    one from the errors of the tree before on what that has not seen, filled up until balanced.
+    """
     s = settings or OfflineSettings()
     f = s.forest
     classes = int(pool.labels.max()) + 1 if len(pool.labels) else 0

@@ -22,7 +22,7 @@ class Energy(Protocol):
     """
 
     def __call__(self, h: Hypotheses, frame: Any, /) -> ArrayLike:
-        """One cost per hypothesis."""
+        """Return one cost per hypothesis."""
         ...
 
 
@@ -30,13 +30,13 @@ class AnnealingRate(Protocol):
     """The exponent beta (*B,) for energies (*B, N)."""
 
     def __call__(self, energies: FloatArray, /) -> FloatArray:
-        """One exponent per population."""
+        """Return one exponent per population."""
         ...
 
 
 def survival_rate(energies: ArrayLike, beta: ArrayLike) -> FloatArray:
-    """(*B,) share of a set that survives selection, (sum w)^2 / (N sum w^2), w = exp(-beta E) of energies
-    (*B, N).
+    """Return (*B,) share of a set that survives selection, (sum w)^2 / (N sum w^2), w = exp(-beta E) of energies (*B,
+    N).
 
     Non-finite energies weigh 0; a set with none finite has rate 0. Source: Deutscher & Reid 2005.
     """
@@ -84,7 +84,7 @@ class FixedAnnealingRate:
             raise ValueError(f"beta must be finite and not negative, got {self.beta}")
 
     def __call__(self, energies: FloatArray, /) -> FloatArray:
-        """The same exponent for every population."""
+        """Return the same exponent for every population."""
         return np.full(energies.shape[:-1], float(self.beta))
 
 

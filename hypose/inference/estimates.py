@@ -30,7 +30,7 @@ class TangentMean:
     iterations: int = 30
 
     def __call__(self, h: Hypotheses, /) -> FloatArray:
-        """The mean state (*B, D)."""
+        """Return the mean state (*B, D)."""
         mean = h.mean()
         if not self.rotations:
             return mean
@@ -47,15 +47,17 @@ class TangentMean:
         return mean
 
     def _columns(self) -> NDArray[np.intp]:
-        """(R, 3) the columns of the rotation vectors."""
+        """Return (R, 3) the columns of the rotation vectors."""
         return np.asarray(self.rotations, dtype=np.intp)[:, None] + np.arange(3)
 
 
 def likeliest_path(costs: Sequence[FloatArray], steps: Sequence[FloatArray]) -> tuple[list[int], list[FloatArray]]:
-    """The states of least cost, one of each time, and the probability of each state, (N_t,) per time.
+    """Return the states of least cost, one of each time, and the probability of each state, (N_t,) per time.
 
-    costs: negative log-likelihoods (N_t,) of the states of each time t; steps: of going from each to each of the next
-    time (N_t, N_t+1), one fewer. Source: Viterbi 1967; forward and backward sums, Baum et al. 1970.
+    costs: negative log-likelihoods (N_t,) of the states of each time t.
+    steps: of going from each to each of the next time (N_t, N_t+1), one fewer.
+
+    Source: Viterbi 1967; forward and backward sums, Baum et al. 1970.
     """
     best, came = [costs[0]], list[np.ndarray]()
     ahead = [-costs[0]]

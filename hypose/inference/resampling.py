@@ -88,6 +88,6 @@ class LayeredResampling:
         object.__setattr__(self, "filtered", filtered)
 
     def __call__(self, h: Hypotheses, rng: np.random.Generator, /) -> Hypotheses:
-        """The set with its filtered coordinates resampled."""
+        """Return the set with its filtered coordinates resampled."""
         drawn = h.take(systematic_indices(h.weights, rng.random(h.values.shape[:-2])))
         return drawn.equal(np.where(self.filtered, drawn.values, h.values))

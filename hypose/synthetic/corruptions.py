@@ -24,14 +24,15 @@ from hypose.synthetic.subjects import SyntheticSubject
 class Corruptions:
     """Switches; the defaults corrupt nothing. Lengths in px are those of the camera's own image size.
 
-    boundary_px: sd of the smooth displacement of a mask's outline. holes, blobs: mean number of missing and
-    false pieces per mask (ellipses of 4-14 px). shadow: 0..1, share of the cast shadow that is taken for the
-    person (in RGB frames the shadow is always there). occluder: "" or "table" or "treadmill", in front of the
-    person in several views; it belongs to the room. dropped: share of frames that a camera does not deliver
-    (its last image is repeated). dead_camera: index of a camera whose images are black from a third of the
-    recording on, -1 for none. desync: the c-th camera is late by desync[c % len] frames, so (0, 1, 0, 2)
-    delays the second camera by one frame and the fourth by two. calibration_error: relative; 0.01 changes
-    focal lengths and positions by 1 % (1 sd).
+    boundary_px: sd of the smooth displacement of a mask's outline.
+    holes, blobs: mean number of missing and false pieces per mask (ellipses of 4-14 px).
+    shadow: 0..1, share of the cast shadow that is taken for the person (in RGB frames the shadow is always there).
+    occluder: "" or "table" or "treadmill", in front of the person in several views; it belongs to the room.
+    dropped: share of frames that a camera does not deliver (its last image is repeated).
+    dead_camera: index of a camera whose images are black from a third of the recording on, -1 for none.
+    desync: the c-th camera is late by desync[c % len] frames, so (0, 1, 0, 2) delays the second camera by one frame and
+        the fourth by two.
+    calibration_error: relative; 0.01 changes focal lengths and positions by 1 % (1 sd).
     """
 
     boundary_px: float = 0.0
@@ -66,7 +67,7 @@ one."""
 
 
 def corruptions(*names: str) -> Corruptions:
-    """The named corruptions (CORRUPTIONS) together; where two set the same switch, the later one counts."""
+    """Return the named corruptions (CORRUPTIONS) together; where two set the same switch, the later one counts."""
     out = Corruptions()
     for name in names:
         if name not in CORRUPTIONS:
@@ -87,10 +88,12 @@ def smooth_noise(rng: np.random.Generator, shape: tuple[int, int], cell: float) 
 
 
 def corrupt_mask(mask: Mask, shadow: Mask, what: Corruptions, rng: np.random.Generator, scale: float = 1.0) -> Mask:
-    """A mask as a background model would deliver it.
+    """Return a mask as a background model would deliver it.
 
-    mask, shadow: (h, w) uint8 0/1, the true silhouette and the person's cast shadow (without the silhouette);
-    scale: working size / camera size, by which lengths in px are multiplied. Returns a new (h, w) mask.
+    mask, shadow: (h, w) uint8 0/1, the true silhouette and the person's cast shadow (without the silhouette).
+    scale: working size / camera size, by which lengths in px are multiplied.
+
+    Returns a new (h, w) mask.
     """
     out = mask.copy()
     x, y, w, h = cv2.boundingRect(mask)
@@ -128,7 +131,7 @@ def corrupt_mask(mask: Mask, shadow: Mask, what: Corruptions, rng: np.random.Gen
 
 
 def box_mesh(low: tuple[float, float, float], high: tuple[float, float, float]) -> tuple[Array, NDArray[np.int32]]:
-    """An axis-aligned box as a mesh: vertices (8, 3) m, faces (12, 3) counter-clockwise from outside."""
+    """Return an axis-aligned box as a mesh: vertices (8, 3) m, faces (12, 3) counter-clockwise from outside."""
     x, y, z = zip(low, high, strict=True)
     v = np.array([[a, b, c] for a in x for b in y for c in z], dtype=np.float64)
     quads = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
@@ -168,9 +171,9 @@ def occluder_mesh(name: str) -> tuple[Array, NDArray[np.int32]] | None:
 
 
 def disturb_rig(rig: CameraRig, relative: float, rng: np.random.Generator) -> CameraRig:
-    """The rig as a careless calibration gives it: for `relative` = 0.01, focal lengths off by 1 % and camera
-    positions by 1 % of the distance to the volume's centre per axis, and the centre seen up to 1 % of the
-    image's half width beside where it is (each 1 sd). Image size and lens distortion stay."""
+    """Return the rig as a careless calibration gives it: for `relative` = 0.01, focal lengths off by 1 % and camera
+    positions by 1 % of the distance to the volume's centre per axis, and the centre seen up to 1 % of the image's half
+    width away from where it is (each 1 sd). Image size and lens distortion stay."""
     if relative <= 0:
         return rig
     out = []
@@ -193,7 +196,7 @@ def disturb_rig(rig: CameraRig, relative: float, rng: np.random.Generator) -> Ca
 
 
 def dropped_frames(n_frames: int, share: float, rng: np.random.Generator) -> NDArray[np.bool_]:
-    """(T,) True where a camera delivers no image; single frames and short runs, never the first frame."""
+    """Return (T,) True where a camera delivers no image; single frames and short runs, never the first frame."""
     out = np.zeros(n_frames, dtype=bool)
     t = 1
     while share > 0 and t < n_frames:
@@ -210,7 +213,7 @@ def dropped_frames(n_frames: int, share: float, rng: np.random.Generator) -> NDA
 
 
 class Filmed(Protocol):
-    """What is filmed of a scene (`hypose.synthetic.scenes.Scene`)."""
+    """The filmed views of a scene (`hypose.synthetic.scenes.Scene`)."""
 
     @property
     def subject(self) -> SyntheticSubject:
@@ -233,11 +236,11 @@ class Filmed(Protocol):
         ...
 
     def __len__(self) -> int:
-        """Number of frames."""
+        """Return number of frames."""
         ...
 
     def shown(self, view: int, index: int, /) -> int:
-        """The frame that a view shows at frame index."""
+        """Return the frame that a view shows at frame index."""
         ...
 
     def dead(self, view: int, index: int, /) -> bool:
@@ -269,8 +272,8 @@ def surface_landmarks(subject: SyntheticSubject) -> dict[str, tuple[int, Array]]
 
 
 def keypoint_places(subject: SyntheticSubject, rotations: Array, joints: Array) -> Array:
-    """(T, 25, 3) m: where the points of BODY_25 are on a subject; rotations (T, 19, 3, 3) world_from_joint, joints
-    (T, 19, 3)."""
+    """Return (T, 25, 3) m: where the points of BODY_25 are on a subject; rotations (T, 19, 3, 3) world_from_joint,
+    joints (T, 19, 3)."""
     marks = surface_landmarks(subject)
     world = np.zeros((len(joints), len(BODY_25), 3))
     for k, name in enumerate(BODY_25):
@@ -286,13 +289,13 @@ def keypoint_places(subject: SyntheticSubject, rotations: Array, joints: Array) 
 
 
 def keypoint_detections(scene: Filmed, view: int, noise_px: float = 4.0) -> Array:
-    """(T, 25, 3) = (u px, v px, confidence): BODY_25 detections of the subject in the camera's own
-    (distorted) images.
+    """Return (T, 25, 3) = (u px, v px, confidence): BODY_25 detections of the subject in the camera's own (distorted)
+    images.
 
-    Where joints and surface landmarks really are, plus noise of noise_px at a person 250 px tall, in
-    proportion to the size: half of it white, half slow (detectors err alike in neighbouring frames). 2 % of
-    the points are off by ten times that, with low confidence, 2 % are missing. Detectors' systematic offsets
-    and left-right swaps are not imitated.
+    Where joints and surface landmarks really are, plus noise of noise_px at a person 250 px tall, in proportion to the
+    size: half of it white, half slow (detectors err alike in neighbouring frames). 2 % of the points are off by ten
+    times that, with low confidence, 2 % are missing. Detectors' systematic offsets and left-right swaps are not
+    imitated.
     """
     p, camera = scene.performance, scene.rig[view]
     t = np.array([scene.shown(view, k) for k in range(len(scene))])

@@ -30,7 +30,7 @@ _BOX_FACES = np.array(
 
 
 def _floor() -> tuple[Array, NDArray[np.int32]]:
-    """The floor, 8 x 8 m, in tiles: those that reach behind the camera are left out when it is drawn."""
+    """Return the floor, 8 x 8 m, in tiles: those that reach behind the camera are left out when it is drawn."""
     x, y = np.meshgrid(np.arange(-4, 5.0), 0.8 * np.arange(-5, 6), indexing="ij")
     i, j = (g.ravel() for g in np.mgrid[:8, :10])
     a = i * 11 + j
@@ -43,7 +43,11 @@ _FLOOR = _floor()
 
 @dataclass(frozen=True)
 class GestureRoom:
-    """vertices (V, 3) m in the world, faces (F, 3); wall: distance of the back wall behind the person, m."""
+    """Gesture room.
+
+    vertices (V, 3) m in the world, faces (F, 3).
+    wall: distance of the back wall behind the person, m.
+    """
 
     vertices: Array
     faces: NDArray[np.int32]
@@ -58,12 +62,12 @@ class _View:
     position: Array
 
     def points(self, world: NDArray) -> NDArray:
-        """Points (N, 3) of the world in the camera's frame."""
+        """Return points (N, 3) of the world in the camera's frame."""
         return (world - self.position) @ self.rotation.T
 
 
 def make_gesture_room(rng: np.random.Generator, level: str) -> GestureRoom:
-    """A random room: empty (floor and a wall far behind), furnished, or cluttered close to the person."""
+    """Return a random room: empty (floor and a wall far behind), furnished, or cluttered close to the person."""
     parts: list[tuple[Array, NDArray[np.int32]]] = []
 
     def box(centre: Sequence[float], size: Sequence[float], yaw: float) -> None:
@@ -89,7 +93,7 @@ def make_gesture_room(rng: np.random.Generator, level: str) -> GestureRoom:
 
 
 def make_view(rng: np.random.Generator, distance: float) -> _View:
-    """A camera `distance` m before the person, 1.0 to 1.6 m high, up to 20 degrees to the side."""
+    """Return a camera `distance` m before the person, 1.0 to 1.6 m high, up to 20 degrees to the side."""
     height, yaw = rng.uniform(1.0, 1.6), np.deg2rad(rng.uniform(-20, 20))
     tilt = np.arctan2(height - 1.25, distance) + rng.normal(0, 0.03)
     position = np.array([np.sin(yaw) * distance, -np.cos(yaw) * distance, height])
@@ -128,7 +132,7 @@ def stand_at(puppet: Puppet, yaw: float = 0.0, at: Sequence[float] = (0, 0)) -> 
 
 
 def handedness(person: int) -> str:
-    """Every fourth person is left-handed."""
+    """Return the handedness of a person: every fourth one is left-handed."""
     return "left" if person % 4 == 3 else "right"
 
 
@@ -142,7 +146,7 @@ class Setting:
 
     @staticmethod
     def new(room: GestureRoom, view: _View) -> Setting:
-        """The setting with its backdrop drawn."""
+        """Return the setting with its backdrop drawn."""
         return Setting(room, view, backdrop(room, view))
 
 
@@ -163,8 +167,12 @@ _REACH, _VARY, _MOVE = (0.55, 0.8), (0.4, 0.7), (0.5, 1.2)
 
 @dataclass(frozen=True)
 class SimulatedFrame:
-    """depth (480, 640) uint16 mm; point: the pixel of the gesture, None while it is not done or not seen; clear: the
-    gesture is done and seen, or not done at all: not on the way to or from it, and not hidden."""
+    """Simulated frame.
+
+    depth (480, 640) uint16 mm.
+    point: the pixel of the gesture, None while it is not done or not seen.
+    clear: the gesture is done and seen, or not done at all: not on the way to or from it, and not hidden.
+    """
 
     depth: DepthImage
     point: tuple[float, float] | None

@@ -81,7 +81,7 @@ def _keyed(
 
 
 def _scaled(pose: Mapping[str, float], base: Mapping[str, float], amplitude: float) -> dict[str, float]:
-    """The pose with its distance from the base pose scaled."""
+    """Return the pose with its distance from the base pose scaled."""
     keys = set(pose) | set(base)
     return {k: base.get(k, 0.0) + amplitude * (pose.get(k, 0.0) - base.get(k, 0.0)) for k in keys}
 
@@ -255,7 +255,7 @@ def serve(
     amplitude: float = 1.0,
     speed: float = 1.0,
 ) -> Performance:
-    """A right-handed tennis serve without racket: toss, trophy pose with bent knees, strike, follow-through;
+    """Return a right-handed tennis serve without racket: toss, trophy pose with bent knees, strike, follow-through;
     every 3.2 s."""
     take, t = Take(rng), sample_times(duration, frame_rate)
     ready = _pose(_RELAXED, {"both_shoulder_flexion": 32, "both_elbow_flexion": 55, "both_shoulder_internal": 35})
@@ -361,7 +361,7 @@ def act(
     amplitude: float = 1.0,
     speed: float = 1.0,
 ) -> Performance:
-    """A built-in motion by name (MOTIONS) of `duration` s at `frame_rate` Hz about the origin; an InputError
+    """Return a built-in motion by name (MOTIONS) of `duration` s at `frame_rate` Hz about the origin; an InputError
     lists them."""
     if name not in MOTIONS:
         raise InputError(f"There is no motion {name!r}; the motions are {', '.join(MOTIONS)}.")
@@ -373,7 +373,7 @@ def act(
 
 
 def sample_times(duration: float, frame_rate: float) -> Array:
-    """(T,) s: at least two times from 0 on."""
+    """Return (T,) s: at least two times from 0 on."""
     if not (duration > 0 and frame_rate > 0):
         raise InputError(f"A motion needs a positive duration and frame rate, got {duration} s and {frame_rate} Hz.")
     return np.arange(max(2, round(duration * frame_rate))) / frame_rate
@@ -386,15 +386,15 @@ class Take:
         self.rng = rng
 
     def factor(self, share: float) -> float:
-        """A factor of relative sd `share`."""
+        """Return a factor of relative sd `share`."""
         return 1.0 if self.rng is None else float(np.exp(np.clip(self.rng.normal(0, share), -2 * share, 2 * share)))
 
     def offset(self, size: float) -> float:
-        """An offset of sd `size`."""
+        """Return an offset of sd `size`."""
         return 0.0 if self.rng is None else float(np.clip(self.rng.normal(0, size), -2 * size, 2 * size))
 
     def drift(self, t: Array, size: float, period: float = 2.5) -> Array:
-        """A smooth random course of the given sd: people are never quite periodic."""
+        """Return a smooth random course of the given sd: people are never quite periodic."""
         if self.rng is None:
             return np.zeros_like(t)
         n = 4
@@ -507,7 +507,7 @@ def jog(
 
 
 def _around(p: Performance) -> Performance:
-    """A circle stays about its centre; anything that covers less than half of one is centred."""
+    """Centre a motion that covers less than half a circle; a circle stays about its centre."""
     spread = np.ptp(p.root[:, :2], axis=0)
     return p if spread.min() > 0.6 * spread.max() else centred(p)
 

@@ -63,7 +63,7 @@ def look_at(
     size: tuple[int, int],
     distortion: Array | None = None,
 ) -> Camera:
-    """A camera at `position` (3,) m that looks at `target` (3,) m, upright."""
+    """Return a camera at `position` (3,) m that looks at `target` (3,) m, upright."""
     c, t = np.asarray(position, dtype=np.float64), np.asarray(target, dtype=np.float64)
     forward = (t - c) / np.linalg.norm(t - c)
     up = np.array([0.0, 0.0, 1.0]) if abs(forward[2]) < 0.999 else np.array([0.0, 1.0, 0.0])
@@ -98,13 +98,12 @@ def circle(
 
 
 def camera_rig(name: str, *, distorted: bool = False) -> CameraRig:
-    """A rig by name: humaneva-4, humaneva-7, ixmas-5, court-4, or ring-N with N from 1 to 16.
+    """Return a rig by name: humaneva-4, humaneva-7, ixmas-5, court-4, or ring-N with N from 1 to 16.
 
-    The volume is centred at the world's origin; a person within about 1 m of it (court-4: 3 m) is seen whole
-    by every camera. distorted: with the lens distortion DISTORTION instead of ideal pinholes. humaneva-*:
-    640x480, indoor corners, 4.1 m away, the person about 270 px tall. ixmas-5: 390x291, four cameras high on
-    the walls and one overhead. court-4: 640x480, 14 m away in the court's corners 5 m up, the person about 80
-    px tall.
+    The volume is centred at the world's origin; a person within about 1 m of it (court-4: 3 m) is seen whole by every
+    camera. distorted: with the lens distortion DISTORTION instead of ideal pinholes. humaneva-*: 640x480, indoor
+    corners, 4.1 m away, the person about 270 px tall. ixmas-5: 390x291, four cameras high on the walls and one
+    overhead. court-4: 640x480, 14 m away in the court's corners 5 m up, the person about 80 px tall.
     """
     d = DISTORTION if distorted else None
     ring = re.fullmatch(r"ring-(\d+)", name)
@@ -135,10 +134,16 @@ _CLOTHES, _MOTION, _ROOM, _RIG, _DROPS, _MASKS, _NOISE, _PHASE, _OTHER = range(9
 
 @dataclass(frozen=True)
 class Scene(OfPerformance):
-    """subject: the truth body (dressed). performance: what it does. rig: the cameras as they are, given_rig:
-    the calibration that the user has. corruption: what goes wrong. seed: of everything random. others:
-    further people in view (subject, performance) that are not to be tracked. hands_only: the clothes leave only face
-    and hands bare, and none has the colour of skin."""
+    """Scene.
+
+    subject: the truth body (dressed).
+    performance: what it does.
+    rig: the cameras as they are, given_rig: the calibration that the user has.
+    corruption: what goes wrong.
+    seed: of everything random.
+    others: further people in view (subject, performance) that are not to be tracked.
+    hands_only: the clothes leave only face and hands bare, and none has the colour of skin.
+    """
 
     name: str
     subject: SyntheticSubject
@@ -152,7 +157,7 @@ class Scene(OfPerformance):
     hands_only: bool = False
 
     def vertices(self, index: int) -> Array:
-        """(V, 3) m: the subject's skin (and clothes) in frame `index`."""
+        """Return (V, 3) m: the subject's skin (and clothes) in frame `index`."""
         p = self.performance
         return self.subject.skin(p.rotations[index], p.root[index])
 
@@ -164,7 +169,7 @@ class Scene(OfPerformance):
         return max(0, index - self.corruption.desync[view % len(self.corruption.desync)])
 
     def dead(self, view: int, index: int) -> bool:
-        """True when the camera's images are black."""
+        """Return True when the camera's images are black."""
         return view == self.corruption.dead_camera and index >= len(self) // 3
 
     def clean_mask(self, view: int, index: int, scale: float = 1.0) -> NDArray[np.uint8]:
@@ -178,7 +183,7 @@ class Scene(OfPerformance):
         cameras' size.
 
         Views without an image (dropped, dead) are marked unusable with the reason. keypoints: with noisy 2D key points
-        (detections.keypoint_detections) beside the masks.
+        (detections.keypoint_detections) in addition to the masks.
         """
         given = self.given_rig.pinhole().scaled(scale)
         cameras = self.rig.pinhole().scaled(scale)
@@ -217,7 +222,7 @@ class Scene(OfPerformance):
         return corrupt_mask(mask, shadow.astype(np.uint8) & (1 - mask), self.corruption, rng, scale)
 
     def rgb_frames(self, view: int) -> Iterator[Image]:
-        """The T pictures (h, w, 3) uint8 BGR of camera `view`, with its lens distortion."""
+        """Return the T pictures (h, w, 3) uint8 BGR of camera `view`, with its lens distortion."""
         for t in range(len(self)):
             yield self.rgb_frame(view, t)
 
@@ -338,10 +343,11 @@ def make_scene(
     amplitude: float = 1.0,
     speed: float = 1.0,
 ) -> Scene:
-    """A scene by names.
+    """Return a scene by names.
 
-    motion: a name of motions.MOTIONS, or a Performance of that subject; subject: a name of `load_subjects`
-    ("": chosen by the seed) or a Subject, dressed in clothing_m (0 to 0.04); rig: a name (camera_rig) or a rig;
+    motion: a name of motions.MOTIONS, or a Performance of that subject.
+    subject: a name of `load_subjects` ("": chosen by the seed) or a Subject, dressed in clothing_m (0 to 0.04).
+    rig: a name (camera_rig) or a rig.
     corruption: Corruptions or names of them. `court-4` puts a second person into view.
     """
     known = {} if isinstance(subject, SyntheticSubject) else load_subjects()

@@ -34,7 +34,7 @@ from hypose.synthetic.subjects import dress, load_subjects
 
 
 def check_folder(folder: Path) -> None:
-    """An InputError when a recording cannot be written to the folder, because something else is there; one that
+    """Raise InputError when a recording cannot be written to the folder, because something else is there; one that
     `write_scene` has begun is written again."""
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder} is a file; give a folder.")
@@ -132,7 +132,8 @@ EMPTY_FRAMES = 20
 def walking_scene(
     motion: str, subject: str, sensors: str, *, seconds: float, frame_rate: float, seed: int, clothing_m: float = 0.02
 ) -> DepthScene:
-    """A built-in motion of a subject (name, "": chosen by the seed), who turns to both profiles, before sensors."""
+    """Return a built-in motion of a subject (name, "": chosen by the seed), who turns to both profiles, before
+    sensors."""
     known = load_subjects()
     body = known[subject or sorted(known)[seed % len(known)]]
     body = dress(body, clothing_m, np.random.default_rng([seed, 0])) if clothing_m > 0 else body
@@ -177,14 +178,14 @@ _FINE = 3  # rays per pixel and axis
 
 
 def board_sheet(board: Board) -> NDArray[np.float32]:
-    """(h, w) grey levels of the print, SQUARE_PX pixels per square, with a white rim of one square."""
+    """Return (h, w) grey levels of the print, SQUARE_PX pixels per square, with a white rim of one square."""
     cells = (np.indices((board.rows + 1, board.columns + 1)).sum(0) % 2) * 210.0 + 20
     inner = np.kron(cells, np.ones((SQUARE_PX, SQUARE_PX)))
     return np.pad(inner, _RIM * SQUARE_PX, constant_values=235.0).astype(np.float32)
 
 
 def board_from_sheet(board: Board) -> Array:
-    """(3, 3) from the sheet's pixels to the board's metres; the origin is the first inner corner."""
+    """Return (3, 3) from the sheet's pixels to the board's metres; the origin is the first inner corner."""
     scale = board.square / SQUARE_PX
     shift = -(1 + _RIM) * board.square + 0.5 * scale
     return np.array([[scale, 0, shift], [0, scale, shift], [0, 0, 1]])
@@ -233,7 +234,7 @@ class BoardPainter:
 
     @cached_property
     def _ideal(self) -> NDArray[np.float32]:
-        """(h, w, 2) where a camera without distortion sees what each pixel sees."""
+        """Return (h, w, 2) where a camera without distortion sees what each pixel sees."""
         w, h = self.camera.size
         grid = np.stack(np.meshgrid(np.arange(w), np.arange(h)), -1)
         return self.camera.undistort_points(grid).astype(np.float32)
@@ -274,7 +275,7 @@ def write_session(scene: Scene, folder: str | Path, *, progress: Callable[[int, 
 
 
 def _boards(scene: Scene, view: int, poses: Array) -> Iterator[Image]:
-    """The pictures of one camera while the board is carried about."""
+    """Return the pictures of one camera while the board is carried about."""
     painter = BoardPainter(scene.rig[view], BOARD)
     for n, pose in enumerate(poses):
         paint = partial(painter, world_from_board=pose)
@@ -282,7 +283,8 @@ def _boards(scene: Scene, view: int, poses: Array) -> Iterator[Image]:
 
 
 def carried_board(board: Board, rng: np.random.Generator) -> Array:
-    """(F, 4, 4) world_from_board of each frame: from place to place, held still in each, at last flat on the floor."""
+    """Return (F, 4, 4) world_from_board of each frame: from place to place, held still in each, at last flat on the
+    floor."""
     centre = board.points.mean(0)
     places, turns = [], []
     for _ in range(_STATIONS):

@@ -20,7 +20,7 @@ ARMS = {"left": [jt.LEFT_ELBOW, jt.LEFT_HAND], "right": [jt.RIGHT_ELBOW, jt.RIGH
 def open_at(positions, eyes, states=2, joints=REST, lengths=LENGTHS, variance=0.0):
     positions = np.asarray(positions, dtype=float)
     states = np.full(positions.shape[:2], states, np.uint8)
-    return trust.what_is_open(
+    return trust.remaining_uncertainty(
         positions, states, np.array(eyes, dtype=float), LEFT, lengths, joints, np.full(15, variance)
     )
 
