@@ -2,7 +2,7 @@
 
 Every recipe is a function of the body and a few numbers. What is published starts from the pose that is given, neither
 predicts nor recovers, and states the spread of its set. Layer settings are the printed ones; the step sizes are half of
-what one would first guess (too large is worse than too small: limbs jump) and the rate is solved for a survival
+what one would first guess (too large is worse than too small: limbs jump) and beta is solved for a survival
 rate, because a fixed exponent <= 1 hardly selects on the flat energies of eq. 2.8.
 """
 
