@@ -173,7 +173,7 @@ class KernelCache(NullCache):
         return found
 
     def save_overload(self, sig: Any, cres: Any) -> None:
-        """Keep a compiled kernel, unless it holds what is true in this process only."""
+        """Keep a compiled kernel, unless it holds values of this process only."""
         path = self._path(sig)
         if cres.library.has_dynamic_globals or path is None:
             return

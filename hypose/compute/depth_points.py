@@ -133,7 +133,7 @@ def _surface_points(depth, person, box, lens, jump, points, normals, cosines):
     ray, of places evenly over the person in a map (h, w) f4 m; returns how many were found.
 
     box: x0, y0, x1, y1 around the person; lens: fx, fy, cx, cy. A place is the median of 3 x 3 px that lie on one
-    surface, its normal is that of the medians beside it, which must lie on the surface too."""
+    surface, its normal is that of the neighbouring medians, which must lie on the surface too."""
     height, width = depth.shape
     x0, y0 = max(box[0], _AROUND), max(box[1], _AROUND)
     x1, y1 = min(box[2], width - _AROUND), min(box[3], height - _AROUND)
@@ -142,7 +142,7 @@ def _surface_points(depth, person, box, lens, jump, points, normals, cosines):
     found = np.empty((x1 - x0) * (y1 - y0), np.int64)
     n = _sound(depth, person, x0, y0, x1, y1, f4(jump), found)
     count = min(n, points.shape[0])
-    nine, beside = np.empty(9, np.float32), np.empty((5, 3))
+    nine, neighbours = np.empty(9, np.float32), np.empty((5, 3))
     made = 0
     for k in range(count):
         for i in range(k * n // count, (k + 1) * n // count):
@@ -155,18 +155,26 @@ def _surface_points(depth, person, box, lens, jump, points, normals, cosines):
                 if not own > f4(0) or abs(own - z) >= f4(jump):
                     smooth = False
                     break
-                beside[m, 0], beside[m, 1] = (u - lens[2]) / lens[0] * own, (v - lens[3]) / lens[1] * own
-                beside[m, 2] = own
+                neighbours[m, 0], neighbours[m, 1] = (u - lens[2]) / lens[0] * own, (v - lens[3]) / lens[1] * own
+                neighbours[m, 2] = own
             if not smooth:
                 continue
-            ax, ay, az = (beside[1, 0] - beside[2, 0], beside[1, 1] - beside[2, 1], beside[1, 2] - beside[2, 2])
-            bx, by, bz = (beside[3, 0] - beside[4, 0], beside[3, 1] - beside[4, 1], beside[3, 2] - beside[4, 2])
+            ax, ay, az = (
+                neighbours[1, 0] - neighbours[2, 0],
+                neighbours[1, 1] - neighbours[2, 1],
+                neighbours[1, 2] - neighbours[2, 2],
+            )
+            bx, by, bz = (
+                neighbours[3, 0] - neighbours[4, 0],
+                neighbours[3, 1] - neighbours[4, 1],
+                neighbours[3, 2] - neighbours[4, 2],
+            )
             # x right, y down: the product looks away from the camera
             nx, ny, nz = az * by - ay * bz, ax * bz - az * bx, ay * bx - ax * by
             length = math.sqrt(nx * nx + ny * ny + nz * nz)
             if not length > 1e-12:
                 continue
-            px, py, pz = beside[0, 0], beside[0, 1], beside[0, 2]
+            px, py, pz = neighbours[0, 0], neighbours[0, 1], neighbours[0, 2]
             cosine = -(nx * px + ny * py + nz * pz) / (length * math.sqrt(px * px + py * py + pz * pz))
             if not cosine > _LEAST_COSINE:
                 continue

@@ -205,7 +205,7 @@ _HALF = f4(4096.5)
 
 @kernel
 def _pad(depth, border, out):
-    """out (h + 2 border, w + 2 border) i2 = depth (h, w) u2 mm inside, holes and what is beyond FAR as FAR_MM."""
+    """out (h + 2 border, w + 2 border) i2 = depth (h, w) u2 mm inside, holes and depths beyond FAR as FAR_MM."""
     for y in range(depth.shape[0]):
         line, made = depth[y], out[y + border]
         for x in range(depth.shape[1]):
@@ -356,7 +356,7 @@ def _grow(flat, width, cells, labels, focal, near, clip, half, spread, rate, alp
     """Algorithm 6 for samples: cells (S,) i8 of the flat padded picture, labels (S,) i4 class. g: GrowingArrays.
 
     Deviation: a leaf gets candidates only once it has seen two samples of each of two classes, and counts |S_j| from
-    then on. Deviation: a slot that has seen 3 alpha samples without a gainful test is given back and drawn anew.
+    then on. Deviation: a slot that has seen 3 alpha samples without a gainful test is given back and drawn again.
     Deviation: the Poisson number of repeats is added at once, so that a split waits for all of them. Deviation: the
     numbers of nodes and of leaves with candidates are bounded, which bounds the memory.
     """

@@ -83,7 +83,7 @@ def fit_frame(
 
 @kernel
 def judge_claims(off, apart, alike, weights, order, variance, own, elsewhere, jitter, limit, systematic, wrong):
-    """What is left open of joints that were fused of those of sensors, seen with probability weights (K, J).
+    """Remaining uncertainty of joints fused from those of sensors, seen with probability weights (K, J).
 
     Either the first sensor in order (K, J) is right, and those that follow are right or guess; or it guesses and the
     next one is right, ...; or all guess. How far they are apart (K, K, J) m^2 tells which. What a sensor sees is off by

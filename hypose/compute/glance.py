@@ -25,7 +25,7 @@ AMONG = 3
 
 class Glance(NamedTuple):
     """What the pixels looked at should be. low, high (m, n, 4) u1: the grey levels that are still the room there, or
-    one pixel of the working size beside it, for a sharp edge in the room lies elsewhere in every 2 x 2 pixels; the
+    one pixel of the working size next to it, for a sharp edge in the room lies elsewhere in every 2 x 2 pixels; the
     fourth number says nothing."""
 
     low: Image
@@ -52,7 +52,7 @@ def stored_pixels(stored: tuple[int, int], map_x: ArrayLike, map_y: ArrayLike) -
 
 
 def differing_box(image: Image, at: NDArray[np.int32], glance: Glance, size: tuple[int, int]) -> Box | None:
-    """The box (y0, y1, x0, x1) of the working size (width, height) that holds what is not the room in a stored picture
+    """The box (y0, y1, x0, x1) of the working size (width, height) that holds the foreground in a stored picture
     (H, W, 3), with a margin; None when there is nothing. at: of `stored_pixels`."""
     found = np.zeros(4, np.int64)
     _differing_box(plain(image, np.uint8), at, *glance, AMONG, found)

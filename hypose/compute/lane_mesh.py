@@ -51,7 +51,7 @@ _KEPT = 24  # two bodies with ten layers of parts each
 
 def prepare_lanes(mesh: MeshArrays, tree: TreeArrays, faces: NDArray[np.bool_] | None) -> LaneMesh:
     """The mesh, or its faces where faces (F,) is True. What depends on topology and weights is kept for the next call;
-    vertices are read anew."""
+    vertices are read again."""
     wanted = None if faces is None else faces.tobytes()
     with _lock:
         for k, plan in enumerate(_plans):

@@ -81,7 +81,7 @@ class SharedEquations:
 
 @dataclass(frozen=True)
 class Reduced:
-    """What is left for the shared unknowns, hessian (S, S) and gradient (S,), and what gives the groups back: factor
+    """The reduced system of the shared unknowns, hessian (S, S) and gradient (S,), and the groups' solution: factor
     (N, n, n) L of their matrices, and L^-1 of their gradient (N, n) and of cross (N, n, S)."""
 
     hessian: Array
@@ -133,7 +133,7 @@ def solve_coupled(own: ArrayLike, bands: ArrayLike, right: ArrayLike) -> Array |
 def frame_covariances(own: ArrayLike, bands: ArrayLike) -> Array | None:
     """(T, D, D) the diagonal blocks of the inverse of the same matrix; None when it is not positive definite.
 
-    When own is what is known of each frame and bands couple them, these are the covariances of the frames: one of which
+    When own holds each frame's information and bands couple them, these are the covariances of the frames: one of which
     nothing is known is known through its neighbours alone, the less the farther those are."""
     o = np.asarray(own, dtype=np.float64)
     found = _eliminated(o, np.asarray(bands, dtype=np.float64))
@@ -149,7 +149,7 @@ def frame_covariances(own: ArrayLike, bands: ArrayLike) -> Array | None:
 
 
 def _eliminated(own: Array, bands: Array) -> tuple[list[Array], Array] | None:
-    """Of pairs of frames: the inverse of what is left of their block (2 D, 2 D) after all before them are eliminated,
+    """Of pairs of frames: the inverse of the rest of their block (2 D, 2 D) after all before them are eliminated,
     and what joins them to the next pair (P, 2 D, 2 D); None: not positive definite.
 
     Pairs, because a frame is coupled to the next two: so the matrix is block-tridiagonal. Blocks of this size are

@@ -18,7 +18,7 @@ STRAIGHT, DIAGONAL, KNIGHT = 5, 7, 11
 """Steps to the next pixel, across a corner and by a knight's move, in fifths of a pixel (Borgefors, G. (1986). Distance
 transformations in digital images. CVGIP 34: within 2 % of Euclid)."""
 _FARTHEST = 16000
-"""fifths of a pixel, 3200 px: what is farther counts as that far"""
+"""fifths of a pixel, 3200 px: larger distances count as that far"""
 
 
 STEPS = 32

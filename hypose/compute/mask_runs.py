@@ -1,7 +1,7 @@
 """Masks as bits, cleaned, and as runs of pixels.
 
 Bits (words, h) u8 hold 64 pixels of a row in a word, lowest bit first, zero beyond the mask's width; the words of a
-column lie side by side, so that what is done to all rows takes vectors of them. A box (4,) is y0, y1, x0, x1, half
+column lie side by side, so that work on all rows takes vectors of them. A box (4,) is y0, y1, x0, x1, half
 open, px. Spans (n, 4) say what belongs to a structuring element: rows first..last about a pixel, and in each the
 columns left..right, all inclusive.
 """
@@ -170,8 +170,8 @@ def close_to(bits, box):
 
 @kernel
 def grown(bits, spans, box, flip, out):
-    """out = bits, grown by the spans, in the box, out of which nothing comes. flip: 0, or ALL: what is not set grows,
-    and out is what is left."""
+    """out = bits, grown by the spans, in the box, out of which nothing comes. flip: 0, or ALL: the unset pixels grow,
+    and out is the rest."""
     begin, words, n = box[2] >> 6, ((box[3] + 63) >> 6) - (box[2] >> 6), box[1] - box[0]
     union = np.zeros((words + 2, n), np.uint64)  # of the rows of a span; a word more on both sides
     for k in range(words):
@@ -221,7 +221,7 @@ def _closed(bits, spans, box, out):
 
 @kernel
 def _bounds(bits, box):
-    """Fills the box around what is set; whether anything is."""
+    """Fills the box around the set pixels; returns whether there are any."""
     words, h = bits.shape
     rows, columns = np.zeros(h, np.uint64), np.zeros((words, 1), np.uint64)
     for k in range(words):
@@ -277,7 +277,7 @@ def _root(parent, i):
 
 @kernel
 def _label(bits, box, flip, reach, runs, parent):
-    """Runs of what is set in bits ^ flip in the box, joined to regions (reach 1: also over corners); returns their
+    """Runs of the pixels set in bits ^ flip in the box, joined to regions (reach 1: also over corners); returns their
     number. runs (n, 3): row, start, end; parent (n,): the first run of the region."""
     n = 0
     before = 0  # first run of the row above
@@ -305,7 +305,7 @@ def _label(bits, box, flip, reach, runs, parent):
 
 @kernel
 def _most_runs(bits, box):
-    """How many runs of what is set in the box, or of what is not, there can be."""
+    """Returns how many runs of set or of unset pixels the box can hold."""
     total = box[1] - box[0]
     for k in range(bits.shape[0]):
         for y in range(box[0], box[1]):

@@ -82,7 +82,7 @@ def parts_against_mask(
     drawn (P, W, h): each part in that small picture, as `draw_parts` gives it; it is used up. box: columns, rows, half
     open, of the mask; points (N, 2) px, radius (N,) px of the small picture: around which bare mask is counted. hidden
     (H, B): what says nothing: it is neither bare nor outside, and nothing is exposed there. Rims of one pixel count
-    neither as bare nor as outside, nor does what is thinner than three pixels.
+    neither as bare nor as outside, nor do parts thinner than three pixels.
     """
     x0, x1, y0, _ = box
     uv, r, width = plain(points, np.float64), plain(radius, np.float64), -(-(x1 - x0) // step)
@@ -96,7 +96,7 @@ def touched_area(
     bits: NDArray[np.uint8], others: NDArray[np.uint8], size: tuple[int, int], step: int, at: NDArray[np.float64]
 ) -> tuple[int, int]:
     """Pixels of the pieces, corners connect, that points touch, and of the largest of the others, of every step-th row
-    and column of what is set in both of two masks of size (width, height), packed as `prepare_masks` does (H, B). at
+    and column of the pixels set in both of two masks of size (width, height), packed as `prepare_masks` does (H, B). at
     (N, 2) px of the masks; what lies outside them touches nothing."""
     w, h = size
     both = np.unpackbits(bits & others, axis=1, count=w, bitorder="little")[:h:step, ::step]
@@ -194,7 +194,7 @@ def _against_mask(mask, hidden, top, left, step, width, parts, points, radius, c
     n, words, h = parts.shape
     room, wide = np.zeros((5, words + 2, h), np.uint64), np.zeros(h + 2, np.uint64)
     inner = room[:, 1 : words + 1]
-    no, shut, made, beside, found = inner[0], inner[1], inner[2], inner[3], inner[4]
+    no, shut, made, close, found = inner[0], inner[1], inner[2], inner[3], inner[4]
     for k in range(2):
         packed = hidden if k else mask
         if packed.shape[0]:
@@ -204,12 +204,12 @@ def _against_mask(mask, hidden, top, left, step, width, parts, points, radius, c
         for r in range(h):
             made[k, r] = no[k, r] | shut[k, r]
             no[k, r] = (~no[k, r] & columns) | shut[k, r]  # where no mask may be bare
-    for last in range(2):  # what is far from the mask; then, of the mask, what is far from the body
+    for last in range(2):  # pixels far from the mask; then, of the mask, those far from the body
         _grown(room[2], width, wide, room[3])
         if last:
             for k in range(words):
                 for r in range(h):
-                    beside[k, r] |= no[k, r]
+                    close[k, r] |= no[k, r]
         _grown(room[3], width, wide, room[2])  # eroded, beyond the picture all is set
         for k in range(words):
             columns = _columns(k, words, width)

@@ -141,7 +141,7 @@ def _score_points(points, weights, rotation, centre, prepared, bits, cutoff, out
             n = 0
             for i in range(n_alive):
                 alive[n] = alive[i]
-                n += not total[alive[i]] - left > cutoff  # else what is left cannot make up for it
+                n += not total[alive[i]] - left > cutoff  # else the rest cannot make up for it
             n_alive = n
             left -= weights[p] * seen
             worth_of[0], worth_of[1] = weights[p], -weights[p]  # no mask; a mask alone; what stands, or nothing
@@ -152,13 +152,13 @@ def _score_points(points, weights, rotation, centre, prepared, bits, cutoff, out
                 if prepared.usable[c]:
                     pixels(m[c], x, y, z, n_alive, prepared.sizes[c, 0], prepared.sizes[c, 1], line, place)
                     mask, drawn = prepared.bits[c, 0], bits[c, 0]  # and on, as if the view were one row
-                    for i in range(n_alive):  # without branches, which nobody could foretell
+                    for i in range(n_alive):  # without branches, which cannot be predicted
                         at = place[i]
                         byte, bit = np.uint32(max(at, np.int32(0))) >> np.uint32(3), np.uint8(at & 7)
-                        told = mask[byte]
+                        decided = mask[byte]
                         if hidden:
-                            told |= prepared.hidden[c, 0, byte]
-                        kind = ((told >> bit) & 1) + (((told & drawn[byte]) >> bit) & 1)
+                            decided |= prepared.hidden[c, 0, byte]
+                        kind = ((decided >> bit) & 1) + (((decided & drawn[byte]) >> bit) & 1)
                         total[alive[i]] += worth_of[np.uint8(kind) if at >= 0 else np.uint8(2)]
         for n in range(n_block):
             out[first + n] = total[n]

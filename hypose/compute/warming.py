@@ -117,7 +117,7 @@ def _parts() -> None:
 
 
 def _evidence(depth: DepthArrays | None = None) -> tuple[np.ndarray, tuple[Any, ...], Any]:
-    """A pose, and all that the solver takes beside it."""
+    """A pose, and all other arguments of the solver."""
     tree, mesh, q, projection = _toy()
     mask, sizes = _mask()
     sdf = np.zeros(mask.shape, dtype=np.float32)
@@ -160,12 +160,12 @@ KERNEL_GROUPS: dict[str, tuple[Callable[[], None], ...]] = {
     "depth": (_depth,),
 }
 """By name, what takes longest of following in masks first. solver: poses from contours, key points and points; scorer:
-silhouettes of many poses; outlines: what is followed of masks, and a body's parts against them; shape: what a body is
+silhouettes of many poses; outlines: outlines of masks, and a body's parts against them; shape: rows that a body is
 fitted to outlines with; pictures: masks from pictures; monocular: one camera; depth: poses from depth as well."""
 
 
 def _run(parts: Iterable[str]) -> None:
-    """Call all kernels of these parts in this process, and note what is in the cache then."""
+    """Call all kernels of these parts in this process, and note the state of the cache then."""
     was = gc.isenabled()
     gc.disable()  # a compiler makes many objects that live, which would be looked at again and again
     try:

@@ -1,7 +1,7 @@
-"""The z-buffer: triangles into pictures of which each pixel keeps the nearest, and what is read from such pictures.
+"""The z-buffer: triangles into pictures of which each pixel keeps the nearest, and values read from such pictures.
 
-A pixel belongs to a triangle when its centre lies inside; pixel centres are at integer coordinates. What is compared is
-the inverse of the depth along the optical axis (1/m, 0 where nothing is), which is a plane over the picture.
+A pixel belongs to a triangle when its centre lies inside; pixel centres are at integer coordinates. The compared value
+is the inverse of the depth along the optical axis (1/m, 0 where nothing is), which is a plane over the picture.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ NEAR = 0.05
 
 @kernel
 def draw_nearest(u, v, inverse, faces, chosen, cull, nearest, face):
-    """Draw the chosen faces (N,) of faces (F, 3) into nearest (h, w) f4, where they lie before what is there, and their
-    numbers into face (h, w) i4; None: numbers are not wanted.
+    """Draw the chosen faces (N,) of faces (F, 3) into nearest (h, w) f4, where they lie before the present ones, and
+    their numbers into face (h, w) i4; None: numbers are not wanted.
 
     u, v (V,) px; inverse (V,) 1/m, 0: faces with this corner are left out; cull: so are those seen from inside (the
     corners of the others run clockwise in a picture whose y points down)."""

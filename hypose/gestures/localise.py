@@ -163,7 +163,9 @@ def settle(
             scratch.densities = scratch.densities or {}
             last = scratch.densities.get(gesture)
             if last is not None and last.shape == density.shape:
-                density = (np.float32(s.adaptation_rate) * density + np.float32(1 - s.adaptation_rate) * last).astype(np.float32)
+                density = (np.float32(s.adaptation_rate) * density + np.float32(1 - s.adaptation_rate) * last).astype(
+                    np.float32
+                )
                 at = int(density.argmax())
             scratch.densities[gesture] = density
         out.append(peak(gesture, density, at, depth, lens, s))

@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.compute import beside, over_chunks, reach
+from hypose.compute import in_background, over_chunks, reach
 from hypose.fitting.articulated import PoseFit, SolveSettings
 from hypose.geometry import Array
 from hypose.inference.hypotheses import BEFORE, Hypotheses
@@ -121,14 +121,14 @@ class RefineRivals:
         """Begins with solving the rivals of the last frame."""
         if frame.masks is not None and frame.rivals is not None:
             for q in frame.body.skeleton.on_branch(_best_first(frame)[0].values[1:], frame.prediction):
-                frame.shared[_SOLVE, q.tobytes()] = beside(partial(self._solved_rival, q, frame))
+                frame.shared[_SOLVE, q.tobytes()] = in_background(partial(self._solved_rival, q, frame))
 
     def before_search(self, h: Hypotheses, frame: PreparedFrame, /) -> None:
         """Begins with looking arms up, where no evidence of the user's own is asked, which may be in one thread
         only."""
         if frame.masks is not None and frame.rivals is not None and not frame.own:
             old = frame.body.skeleton.on_branch(_best_first(frame)[0].values[1:], frame.prediction)
-            frame.shared[_LOOK] = beside(partial(self._look, h, member(h, SOLVED), old, frame))
+            frame.shared[_LOOK] = in_background(partial(self._look, h, member(h, SOLVED), old, frame))
 
     def _look(
         self, h: Hypotheses, winner: Array, old: Array, frame: PreparedFrame

@@ -250,7 +250,9 @@ class Watching:
         lens = self.feed.source.lens
         began = clock.perf_counter()
         maps = densities(taken.depth, lens, self._forests, self._look, self._scratch)
-        found = settle(maps, taken.depth, lens, self._look if fresh else replace(self._look, adaptation_rate=1.0), self._scratch)
+        found = settle(
+            maps, taken.depth, lens, self._look if fresh else replace(self._look, adaptation_rate=1.0), self._scratch
+        )
         spent = clock.perf_counter() - began
         limits = [controls.threshold or t for t in self._limits]
         events = []
