@@ -83,7 +83,7 @@ from hypose.compute.picture_to_mask import (
 from hypose.compute.render import blend_shaded, darken, expose
 from hypose.compute.rows import outline_points
 from hypose.compute.scorer import limb_energies, silhouette_xor
-from hypose.compute.shape_rows import OutlineRows, joined_rows, outline_rows
+from hypose.compute.shape_rows import outline_rows
 from hypose.compute.solver import Evaluation, Solution, bounded_step, evaluate, row_sums, solve, workspace
 from hypose.compute.threads import beside, default_threads, over_chunks
 from hypose.compute.visibility import nearest_visible
@@ -121,7 +121,6 @@ __all__ = [
     "NO_CONTOURS",
     "NO_KEYPOINTS",
     "NO_POINTS",
-    "OutlineRows",
     "Packed",
     "PaddedDepth",
     "PointArrays",
@@ -164,7 +163,6 @@ __all__ = [
     "holes_filled",
     "huber",
     "interpolate",
-    "joined_rows",
     "joint_covariances",
     "joint_jacobians",
     "kept",

@@ -37,9 +37,8 @@ from hypose.evidence.frame import Silhouettes
 from hypose.evidence.outlines import OUTLINE_POINTS as REFERENCE_OUTLINE
 from hypose.evidence.outlines import SMALLEST, shrunk_projection
 from hypose.fitting.depth_surface import DepthTerm, depth_arrays
-from hypose.fitting.least_squares import Rule
-from hypose.fitting.own_rows import RowTerm, row_sums
-from hypose.fitting.own_rows import solve as solve_with_rows
+from hypose.fitting.own_rows import FrameProblem, RowTerm, row_sums
+from hypose.fitting.problem import Quadratic, Rule
 from hypose.geometry import Array, nearest_branch, so3_turns
 
 # Reference density of the contour rows, for a person `height` px tall: weights are per arc length, so changing the
@@ -120,17 +119,6 @@ class PointTerm:
                 f"PointTerm needs points_world (M, 3), weight (M,), joint (M,), offset (M, 3) and "
                 f"scale_m > 0, got {shapes} and {self.scale_m}."
             )
-
-
-@dataclass(frozen=True)
-class Quadratic:
-    """Prior 1/2 sum_d weight_d (q_d - centre_d)^2: centre (D,), weight (D,) >= 0 (inverse variances).
-
-    Balls are compared by their rotation-vector components; the root's centre is taken on the branch nearest to the
-    start."""
-
-    centre: Array
-    weight: Array
 
 
 @dataclass(frozen=True)
@@ -384,7 +372,7 @@ class _Problem:
 
         coarse = min(o.coarse_iterations, o.iterations) if len(self.contours.sdf) else 0
         rule = Rule(o.damping, slack=1.002, moved=o.tolerance)
-        return solve_with_rows(q, evaluate, self.lower, self.upper, (coarse, o.iterations - coarse), rule)
+        return FrameProblem(evaluate, self.lower, self.upper).solution(q, (coarse, o.iterations - coarse), rule)
 
 
 def _fits(ws: Workspace, body: Body, contours: ContourTerm | None) -> bool:

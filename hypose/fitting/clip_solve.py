@@ -15,7 +15,6 @@ from hypose.errors import SolverError
 from hypose.fitting.articulated import (
     KeypointTerm,
     PointTerm,
-    Quadratic,
     SolveSettings,
     by_turns,
     keypoint_arrays,
@@ -23,8 +22,8 @@ from hypose.fitting.articulated import (
     prior_arrays,
     workspace_for,
 )
-from hypose.fitting.least_squares import Rule, descend
 from hypose.fitting.own_rows import LARGEST_TURN
+from hypose.fitting.problem import Problem, Quadratic, Rule
 from hypose.geometry import Array, nearest_branch, so3_exp, so3_left_jacobian, so3_log, so3_turns
 
 
@@ -81,7 +80,7 @@ def fit_clip(
     coupling = Coupling(n_frames, weights, np.broadcast_to(velocity, (n_frames - 1, dof)), _cuts(body, q))
     problem = _Clip(body, coupling, points, keypoints, gaussians, priors)
     rule = Rule(o.damping, least=1e-6, most=1e6, tries=5, slack=1.0, moved=o.tolerance)
-    q = descend(q, problem.evaluate, problem.propose, o.iterations, rule).state
+    q = problem.solve(q, o.iterations, rule).state
     q[:, 3:6] = nearest_branch(q[:, 3:6], given[:, 3:6])
     return q
 
@@ -178,7 +177,7 @@ class _Around:
         return 0.5 * float((off * pull).sum()), gradient, hessian
 
 
-class _Clip:
+class _Clip(Problem[Array, tuple[Array, Array]]):
     """Evidence of all frames as flat arrays; cost, gradient (T, D) and diagonal blocks (T, D, D) of the whole clip."""
 
     def __init__(
@@ -206,7 +205,8 @@ class _Clip:
         self.coupling, self.around = coupling, _Around(body, gaussians or none)
         self.ws = workspace_for(body)
 
-    def evaluate(self, q: Array) -> tuple[float, Callable[[], tuple[Array, Array]]]:
+    def evaluate(self, state: Array) -> tuple[float, Callable[[], tuple[Array, Array]]]:
+        q = state
         (cost, by_known, curved), (t, d) = self.around(q), q.shape
         gradient, hessian = np.empty((t, d)), np.empty((t, d, d))
         for k in range(t):
@@ -230,14 +230,13 @@ class _Clip:
         coupled, pull = self.coupling.cost(q)
         return cost + coupled, lambda: (gradient + pull, hessian + curved)
 
-    def propose(self, q: Array, equations: tuple[Array, Array], damping: float) -> tuple[Array, float] | None:
-        """Poses after a step, no joint turning further than LARGEST_TURN, and how far they moved."""
-        step = self.step(*equations, q, damping)
+    def propose(self, state: Array, equations: tuple[Array, Array], damping: float) -> tuple[Array, float] | None:
+        step = self.step(*equations, state, damping)
         if step is None:
             return None
         step *= min(1.0, LARGEST_TURN / max(float(np.abs(step[:, 3:]).max()), 1e-9))
         moved = max(2 * float(np.abs(step[:, :3]).max()), float(np.abs(step[:, 3:]).max()))
-        return np.clip(_moved(q, step), self.lower, self.upper), moved
+        return np.clip(_moved(state, step), self.lower, self.upper), moved
 
     def step(self, gradient: Array, hessian: Array, q: Array, damping: float) -> Array | None:
         """Damped Newton step (T, D) with the dof that push against a limit held; None when not positive definite."""

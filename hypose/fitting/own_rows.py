@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from hypose import compute
 from hypose.compute import TreeArrays, bounded_step, lorentzian
 from hypose.errors import InputError
-from hypose.fitting.least_squares import Rule, descend
+from hypose.fitting.problem import Problem, Rule
 from hypose.geometry import Array
 
 LARGEST_TURN = 0.35
@@ -84,36 +84,34 @@ def row_sums(pose: Array, tree: TreeArrays, rows: Sequence[RowTerm]) -> Sums:
     return Sums(cost, gradient, hessian, count)
 
 
-def solve(
-    start: Array,
-    evaluate: Callable[[Array, bool], compute.Evaluation],
-    lower: Array,
-    upper: Array,
-    iterations: tuple[int, int],
-    rule: Rule,
-) -> compute.Solution:
-    """The compiled solve's steps, one by one, for an evaluation that needs Python: evaluate(pose, coarse); iterations:
-    coarse ones and fine ones."""
+class FrameProblem(Problem[Array, compute.Evaluation]):
+    """The compiled solve's steps, one by one, for an evaluation that needs Python: evaluation(pose, coarse)."""
 
-    def propose(q: Array, e: compute.Evaluation, damping: float) -> tuple[Array, float] | None:
-        step = bounded_step(e.hessian, e.gradient, q, lower, upper, damping)
+    def __init__(self, evaluation: Callable[[Array, bool], compute.Evaluation], lower: Array, upper: Array) -> None:
+        self.evaluation, self.lower, self.upper, self.coarse = evaluation, lower, upper, False
+
+    def evaluate(self, state: Array) -> tuple[float, Callable[[], compute.Evaluation]]:
+        """Cost and equations at once."""
+        e = self.evaluation(state, self.coarse)
+        return e.cost, lambda: e
+
+    def propose(self, state: Array, equations: compute.Evaluation, damping: float) -> tuple[Array, float] | None:
+        """The bounded step, no joint turning further than LARGEST_TURN."""
+        step = bounded_step(equations.hessian, equations.gradient, state, self.lower, self.upper, damping)
         if step is None:
             return None
         step *= min(1.0, LARGEST_TURN / max(float(np.abs(step[3:]).max()), 1e-9))
         moved = max(2 * float(np.abs(step[:3]).max()), float(np.abs(step[3:]).max()))
-        return np.clip(q + step, lower, upper), moved
+        return np.clip(state + step, self.lower, self.upper), moved
 
-    q, evaluations, used = np.clip(start, lower, upper), 0, 0
-    damping, found = rule.damping, None
-    for coarse, n in zip((True, False), iterations, strict=True):
-        if n or not coarse:
-
-            def cost(at: Array, coarse: bool = coarse) -> tuple[float, Callable[[], compute.Evaluation]]:
-                e = evaluate(at, coarse)
-                return e.cost, lambda: e
-
-            found = descend(q, cost, propose, n, replace(rule, damping=damping))
-            q, damping = found.state, found.damping
-            used, evaluations = used + found.iterations, evaluations + found.evaluations
-    assert found is not None
-    return compute.Solution(q, found.equations, used, evaluations, found.converged)
+    def solution(self, start: Array, iterations: tuple[int, int], rule: Rule) -> compute.Solution:
+        """Solve with so many coarse and fine iterations."""
+        found, used, evaluations = None, 0, 0
+        q = np.clip(start, self.lower, self.upper)
+        for self.coarse, n in zip((True, False), iterations, strict=True):
+            if n or not self.coarse:
+                found = self.solve(q, n, rule)
+                q, rule = found.state, replace(rule, damping=found.damping)
+                used, evaluations = used + found.iterations, evaluations + found.evaluations
+        assert found is not None
+        return compute.Solution(q, found.equations, used, evaluations, found.converged)

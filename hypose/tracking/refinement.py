@@ -15,7 +15,8 @@ import numpy as np
 
 from hypose.body.body import Body
 from hypose.body.skeleton import Skeleton
-from hypose.fitting.articulated import PoseFit, Quadratic, SolveSettings, fit_poses
+from hypose.fitting.articulated import PoseFit, SolveSettings, fit_poses
+from hypose.fitting.problem import Quadratic
 from hypose.geometry import Array
 from hypose.inference.estimates import TangentMean
 from hypose.inference.hypotheses import Hypotheses

@@ -28,7 +28,8 @@ from hypose.body.motion import Motion, isotropic
 from hypose.body.ready_bodies import JOINT_NAMES, human
 from hypose.cameras.camera import CameraRig, triangulate
 from hypose.errors import InputError
-from hypose.fitting.articulated import KeypointTerm, PoseFit, Quadratic, SolveSettings, fit_pose
+from hypose.fitting.articulated import KeypointTerm, PoseFit, SolveSettings, fit_pose
+from hypose.fitting.problem import Quadratic
 from hypose.geometry import Array, quaternion_from_matrix
 from hypose.io.files import read_json
 from hypose.io.motions.results import ResultsFolder, load_body, load_motion

@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from hypose.body.body import Body
 from hypose.cameras.camera import Camera
 from hypose.errors import SolverError
-from hypose.fitting.articulated import PointTerm, Quadratic, SolveSettings, fit_pose
+from hypose.fitting.articulated import PointTerm, SolveSettings, fit_pose
+from hypose.fitting.problem import Quadratic
 from hypose.geometry import Array
 
 CHAINS = tuple(

@@ -18,7 +18,8 @@ from hypose.body.body import Body
 from hypose.cameras.camera import Camera
 from hypose.errors import EvidenceError
 from hypose.evidence.frame import Frame
-from hypose.fitting.articulated import KeypointTerm, Quadratic, SolveSettings, fit_pose
+from hypose.fitting.articulated import KeypointTerm, SolveSettings, fit_pose
+from hypose.fitting.problem import Quadratic
 from hypose.geometry import Array, so3_exp, so3_log
 from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.monocular.evidence import checked
