@@ -8,18 +8,9 @@ from __future__ import annotations
 
 from numpy.typing import ArrayLike
 
+from hypose.pipeline.settings import SETTINGS
 from hypose.tracking.audit import more_than_body
 from hypose.tracking.fitted_spread import beyond_usual
-
-LOOK_APART_M, WRONG_APART_M = 0.006, 0.015
-"""m by which views contradict each other beyond the usual, from which on a clip is worth a look, and not to be trusted.
-On scenes (seeds 600 to 607) it was less than 5.5 mm through the right cameras, with things in the masks as well, 9 to
-16 mm with a calibration that is 1 % off, which costs 20 mm, 17 to 23 with one that is 3 % off, 12 to 14 with cameras
-that are a frame or two late."""
-LOOK_MORE_M2 = 0.003
-"""m^2 of bare mask about a joint in a view, mean over the joints, median over the clip, from which on the masks show
-more than the body. Bodies alone had 0.0005 to 0.0019, and 0.0026 in bad masks of three views; with a chair, a skirt, a
-bag or a backpack there were 0.0034 to 0.009, in a coat 0.0024 to 0.008 (the same scenes)."""
 
 
 def against_the_clip(audit: ArrayLike, n_views: ArrayLike, evidence: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -29,13 +20,13 @@ def against_the_clip(audit: ArrayLike, n_views: ArrayLike, evidence: str) -> tup
     if evidence != "silhouettes":
         return (), ()
     beyond = beyond_usual(audit, evidence)
-    if beyond > LOOK_APART_M:
+    if beyond > SETTINGS.contradiction_look_apart_m:
         said = (
             f"the views contradict each other by {1e3 * beyond:.0f} mm from beginning to end, so the calibration, the "
             "synchronisation or the body is wrong: run hypose check"
         )
-        (wrong if beyond > WRONG_APART_M else look).append(said)
-    if more_than_body(audit, n_views) > LOOK_MORE_M2:
+        (wrong if beyond > SETTINGS.contradiction_wrong_apart_m else look).append(said)
+    if more_than_body(audit, n_views) > SETTINGS.contradiction_look_more_m2:
         look.append(
             "the masks show more than the body from beginning to end (a chair, wide clothes, a bag, somebody else?), "
             "and limbs may have been put there: compare the overlay with the images"

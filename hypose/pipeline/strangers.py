@@ -10,10 +10,7 @@ from hypose.compute import projected, touched_area
 from hypose.evidence.ahead import prepared_masks
 from hypose.evidence.frame import Silhouettes
 from hypose.geometry import Array
-
-_LOOKED_AT = 160
-"""px: of the longer side of the thinned masks in which parts are counted; a limb stays two or three pixels wide."""
-_ALONG = (0.25, 0.5, 0.75)
+from hypose.pipeline.settings import SETTINGS
 
 
 def strangers_share(now: Silhouettes, before: Silhouettes, skeleton: Skeleton, joints: Array) -> NDArray[np.float32]:
@@ -23,7 +20,7 @@ def strangers_share(now: Silhouettes, before: Silhouettes, skeleton: Skeleton, j
     Only what was there in the frame before as well is looked at: noise comes and goes."""
     points = _points(skeleton, joints)
     cameras, seen, then = now.rig, prepared_masks(now), prepared_masks(before)
-    step = max(1, round(int(cameras.sizes.max()) / _LOOKED_AT))
+    step = max(1, round(int(cameras.sizes.max()) / SETTINGS.stranger_looked_at))
     out = np.full(len(cameras), np.nan, np.float32)
     for c in np.flatnonzero(now.usable & before.usable).tolist():
         w, h = (int(n) for n in cameras.sizes[c])
@@ -38,4 +35,6 @@ def _points(skeleton: Skeleton, joints: Array) -> Array:
     """(N, 3) joints, and points along the bones between them."""
     child = np.flatnonzero(np.asarray(skeleton.parents) >= 0)
     parent = np.asarray(skeleton.parents)[child]
-    return np.concatenate([joints, *(joints[parent] + a * (joints[child] - joints[parent]) for a in _ALONG)])
+    return np.concatenate(
+        [joints, *(joints[parent] + a * (joints[child] - joints[parent]) for a in SETTINGS.stranger_along)]
+    )
