@@ -18,13 +18,15 @@ from scipy.ndimage import binary_closing, binary_opening, median_filter
 
 from hypose.body.body import Body
 from hypose.body.motion import Motion
+from hypose.body.skeleton import Skeleton
+from hypose.compute import projected, touched_area
 from hypose.evidence.ahead import prepared_masks
-from hypose.evidence.frame import Frame, Keypoints
+from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.geometry import Array
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.strangers import strangers_share
-from hypose.tracking.audit import audit_frame
+from hypose.tracking.audit import audit_frame, more_than_body
 from hypose.tracking.contacts import runs
+from hypose.tracking.fitted_spread import beyond_usual
 from hypose.tracking.several import visible_share
 from hypose.tracking.tracker import FrameEstimate, Tracker
 
@@ -292,3 +294,53 @@ def in_words(found: Sequence[range]) -> str:
     shown = [f"{r.start}-{r.stop - 1}" if len(r) > 1 else str(r.start) for r in found[:5]]
     more = f" and {len(found) - 5} more" if len(found) > 5 else ""
     return f"frame{'s' if sum(map(len, found)) > 1 else ''} {', '.join(shown)}{more}"
+
+
+def against_the_clip(audit: ArrayLike, n_views: ArrayLike, evidence: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Sentences on why the clip is not to be trusted, and on why it is worth a look; audit (T, J, A), n_views (T,).
+    Nothing with key points, which say where limbs are, and which view is wrong, whatever masks show."""
+    wrong, look = list[str](), list[str]()
+    if evidence != "silhouettes":
+        return (), ()
+    beyond = beyond_usual(audit, evidence)
+    if beyond > SETTINGS.contradiction_look_apart_m:
+        said = (
+            f"the views contradict each other by {1e3 * beyond:.0f} mm from beginning to end, so the calibration, the "
+            "synchronisation or the body is wrong: run hypose check"
+        )
+        (wrong if beyond > SETTINGS.contradiction_wrong_apart_m else look).append(said)
+    if more_than_body(audit, n_views) > SETTINGS.contradiction_look_more_m2:
+        look.append(
+            "the masks show more than the body from beginning to end (a chair, wide clothes, a bag, somebody else?), "
+            "and limbs may have been put there: compare the overlay with the images"
+        )
+    if len(look) > 1:  # things in the masks do not set views apart; late or wrong cameras do both (seeds 600 to 617)
+        wrong, look = look, []
+    return tuple(wrong), tuple(look)
+
+
+def strangers_share(now: Silhouettes, before: Silhouettes, skeleton: Skeleton, joints: Array) -> NDArray[np.float32]:
+    """(C,) area of the largest part of each view's mask that the body does not touch, over the area of what it touches;
+    NaN where it touches nothing, or the mask is not usable. joints (J, 3): m, world, of the tracked body.
+
+    Only what was there in the frame before as well is looked at: noise comes and goes."""
+    points = _points(skeleton, joints)
+    cameras, seen, then = now.rig, prepared_masks(now), prepared_masks(before)
+    step = max(1, round(int(cameras.sizes.max()) / SETTINGS.stranger_looked_at))
+    out = np.full(len(cameras), np.nan, np.float32)
+    for c in np.flatnonzero(now.usable & before.usable).tolist():
+        w, h = (int(n) for n in cameras.sizes[c])
+        at = projected(points, cameras.projections[c])[0]
+        own, other = touched_area(seen.bits[c], then.bits[c], (w, h), step, at)
+        if own:
+            out[c] = other / own
+    return out
+
+
+def _points(skeleton: Skeleton, joints: Array) -> Array:
+    """(N, 3) joints, and points along the bones between them."""
+    child = np.flatnonzero(np.asarray(skeleton.parents) >= 0)
+    parent = np.asarray(skeleton.parents)[child]
+    return np.concatenate(
+        [joints, *(joints[parent] + a * (joints[child] - joints[parent]) for a in SETTINGS.stranger_along)]
+    )

@@ -21,8 +21,7 @@ from hypose.io.motions.results import ResultsFolder, identity, save_modes, save_
 from hypose.io.recordings.frames import FrameSettings, FrameStream
 from hypose.io.recordings.recording import Recording
 from hypose.pipeline.both_ways import both_ways_notes, look_both_ways
-from hypose.pipeline.contradictions import against_the_clip
-from hypose.pipeline.doubts import with_doubts, with_repeated_points
+from hypose.pipeline.doubts import against_the_clip, with_doubts, with_repeated_points
 from hypose.pipeline.first_frame import SUBJECT, Subject, SubjectOptions, find_subject, keep_subject, kept_subject
 from hypose.pipeline.first_look import first_look, of_measured, places_refuted, sentences
 from hypose.pipeline.mend_sides import look_back, look_back_notes, mend_sides, sides_notes
