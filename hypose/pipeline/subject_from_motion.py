@@ -19,6 +19,7 @@ from hypose.body.body import Body
 from hypose.body.ready_bodies import human
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Frame
+from hypose.evidence.keypoints import lasting_m
 from hypose.fitting import DepthTerm, depth_term
 from hypose.fitting.articulated import ContourTerm, SolveSettings, contour_term
 from hypose.geometry import Array
@@ -267,11 +268,10 @@ def with_outlines(fitted: KeypointSubject, frames: Sequence[Frame]) -> tuple[Bod
     poses, overlap = fitted.poses[usable], np.array([found[n] for n in usable])
     chosen = different_poses(fitted.body, poses, overlap, SETTINGS.subject_poses)
     seen = [usable[k] for k in chosen]
-    known = Known(
-        bones=float(
-            np.clip(SETTINGS.subject_bones * float(np.nanmedian(fitted.residual)) ** 2, *SETTINGS.subject_sure_bones)
-        )
-    )
+    square = float(np.nanmedian(fitted.residual)) ** 2
+    scatter = np.clip(SETTINGS.subject_bones * square, *SETTINGS.subject_sure_bones)
+    lasting = np.sqrt(2) * lasting_m(fitted.keypoints.names) / SETTINGS.subject_bone_m
+    known = Known(bones=float(np.hypot(scatter, lasting)))
     contours, depths = contours_of(frames, seen), depths_of(frames, seen)
     fit = refine_shape(fitted.body, poses[chosen], contours, known=known, depths=depths)
     after = np.mean([mean_overlap(fit.body, q, views[n]) for q, n in zip(fit.poses, seen, strict=True)])
