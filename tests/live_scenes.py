@@ -25,8 +25,7 @@ from hypose.pipeline.live.eyes import Eyes, Question, Sight
 from hypose.pipeline.live.live_people import LivePeople, LivePose
 from hypose.pipeline.live.live_search import LOOKING, LivePersonOptions
 from hypose.pipeline.settings import SETTINGS
-from hypose.synthetic.rigs import rig
-from hypose.synthetic.scenes import Scene, make_scene
+from hypose.synthetic.scenes import Scene, camera_rig, make_scene
 from tests.conftest import HANG_S
 
 RATE = 25.0
@@ -139,7 +138,7 @@ class Clock:
 
 def slow_walk() -> Scene:
     """3 s at 8 Hz by four cameras of 160 x 120 px, slow enough to be played forwards and backwards."""
-    cameras = rig("humaneva-4").scaled(0.25)
+    cameras = camera_rig("humaneva-4").scaled(0.25)
     return make_scene("walk", "neutral", cameras, seconds=3.0, frame_rate=8.0, seed=1, speed=0.3)
 
 

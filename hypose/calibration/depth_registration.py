@@ -45,8 +45,8 @@ class CoarseAlignment:
 
 def rough_registration(times_a: Array, joints_a: Array, times_b: Array, joints_b: Array) -> CoarseAlignment:
     """From the same person's joints as two sensors alone see them: times (T,) s of each sensor's own clock, joints
-    (T, J, 3) m in each sensor's own world, in which the floor is z = 0: what is looked for turns about the vertical and
-    moves along the floor. A CalibrationError when the movements do not belong together."""
+    (T, J, 3) m in each sensor's own world, in which the floor is z = 0: the motion searched turns about the vertical
+    and moves along the floor. A CalibrationError when the movements do not belong together."""
     seconds, correlation = offset_by_movement(times_a, joints_a, times_b, joints_b)
     tb = np.asarray(times_b) + seconds
     inside = np.flatnonzero((times_a >= tb[0]) & (times_a <= tb[-1]))

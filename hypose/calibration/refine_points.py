@@ -286,14 +286,17 @@ class PointBundle(SharedProblem[_Shared]):
         )
 
     def evaluate(self, state: tuple[_Shared, Array]) -> tuple[float, Callable[[], SharedEquations]]:
+        """Cost and, when asked for, equations."""
         (cameras, radial), points = state
         cost = self.residuals(cameras, radial, points)[2] + self.unknowns.held(cameras, radial)[1]
         return cost, partial(self.equations, cameras, radial, points)
 
     def length(self, step: Array) -> float:
+        """The largest turn of a camera, rad."""
         return float(np.abs(step.reshape(-1, self.unknowns.count)[:, :3]).max())
 
     def moved(self, state: tuple[_Shared, Array], step: Array, own: Array) -> tuple[tuple[_Shared, Array], float]:
+        """Apply a step."""
         (cameras, radial), points = state
         x = step.reshape(len(cameras), self.unknowns.count)
         new = [apply_parameters(c, d if self.unknowns.focal else d[:6]) for c, d in zip(cameras, x, strict=True)]

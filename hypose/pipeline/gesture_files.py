@@ -25,7 +25,7 @@ from hypose.errors import InputError
 from hypose.gestures import model as model_arrays
 from hypose.gestures.depth_pictures import DepthLens, millimetres
 from hypose.gestures.model import GestureModel
-from hypose.gestures.pixels import Example
+from hypose.gestures.online import Example
 from hypose.io.files import RecordingFolder, read_bytes, read_json, text_lines, write_text
 from hypose.io.motions.results import load_archive, to_json, write_archive
 from hypose.io.sensors.depth import read_depth_png, write_millimetres_png

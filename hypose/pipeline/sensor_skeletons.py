@@ -23,7 +23,7 @@ from hypose.evidence.frame import TRACKED, Frame, SensorJoints
 from hypose.fitting import PointTerm, fit_clip
 from hypose.fusion import joints as jt
 from hypose.fusion.clocks import offset_by_movement
-from hypose.fusion.point_motion import common_positions
+from hypose.fusion.fuse import common_positions
 from hypose.fusion.register import LARGEST_RESIDUAL_M, Registration, common_joints, register
 from hypose.geometry import Array
 from hypose.io.motions.results import ResultsFolder

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hypose.body.anthropometry import CLOTHING_UNIT, ENTITY_NAMES, Sizes, body_of, entity, prior_mean, sizes_of
+from hypose.body.anthropometry import CLOTHING_UNIT, SHAPE_FACTOR_NAMES, Sizes, body_of, entity, prior_mean, sizes_of
 from hypose.body.body import Body
 from hypose.body.ready_bodies import human
 from hypose.errors import EvidenceError, InputError
@@ -73,7 +73,7 @@ class AnthropometryOptions:
 @dataclass(frozen=True)
 class SubjectEstimate:
     """body: in its clothes, as cameras see it; naked: without them; factors (K,) with covariance (K, K) of
-    hypose.body.anthropometry.ENTITIES about the template; start (D,): pose in the first frame looked at; frames: the
+    anthropometry.SHAPE_FACTORS about the template; start (D,): pose in the first frame looked at; frames: the
     fitted instants, poses (F, D) there; iou (F, C) of the body before and after; notes in words; unsure (2, J): how
     likely a joint is elsewhere at the start than it is taken to be, by the other starts that the masks allow."""
 
@@ -305,7 +305,7 @@ def save_subject(folder: str | Path, estimate: SubjectEstimate, template: Body, 
             lines.append(f"over_clothes_cm = {over[name]:.2f}")
     lines += ["", "[factors]  # natural logarithms relative to the template; clothing in units of 10 cm"]
     spread = np.sqrt(np.diag(estimate.covariance))
-    for name, value, width in zip(ENTITY_NAMES, estimate.factors, spread, strict=True):
+    for name, value, width in zip(SHAPE_FACTOR_NAMES, estimate.factors, spread, strict=True):
         lines.append(f'"{name}" = {{ value = {value:.5f}, sd = {width:.5f} }}')
     write_text(toml, "\n".join(lines) + "\n")
     return body, toml
@@ -330,7 +330,7 @@ def size_uncertainty(estimate: SubjectEstimate, template: Body, draws: int = 24)
     root = np.linalg.cholesky(estimate.covariance)
     light = replace(template, coarse=template.fine)
     rows = []
-    for z in rng.standard_normal((draws, len(ENTITY_NAMES))):
+    for z in rng.standard_normal((draws, len(SHAPE_FACTOR_NAMES))):
         rows.append(sizes_of(body_of(light, estimate.factors + root @ z, clothed=False)).in_cm)
     return {k: float(np.std([r[k] for r in rows])) / 100 for k in rows[0]}
 

@@ -7,9 +7,9 @@ import pytest
 from hypose.evidence.frame import Silhouettes
 from hypose.pipeline.one_of_several import several_apart
 from hypose.pipeline.settings import SETTINGS
-from hypose.synthetic.rigs import rig
+from hypose.synthetic.scenes import camera_rig
 
-CAMERAS = rig("ring-3").scaled(0.25).pinhole()
+CAMERAS = camera_rig("ring-3").scaled(0.25).pinhole()
 
 
 def masks_with(*boxes, views=(0, 1)):

@@ -10,8 +10,8 @@ from hypose.compute import forest_votes, forests
 from hypose.compute.forests import UNCLIPPED_MM
 from hypose.gestures.forest import ForestSettings, GrowingForest
 from hypose.gestures.localise import LocaliseSettings, Scratch, pad, settle
-from hypose.gestures.offline import OfflineSettings, Pool, train_offline
 from hypose.gestures.session import Session, SessionSettings, advance, update_maximum
+from hypose.gestures.trainer import OfflineSettings, Pool, train_offline
 from tests.gestures.toys import LENS, grown, samples, toy
 
 FAR = 10000

@@ -9,13 +9,13 @@ from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.keypoints import BODY_25
 from hypose.pipeline.one_camera import against_the_picture, beside_the_picture
 from hypose.pipeline.settings import SETTINGS
-from hypose.synthetic.rigs import rig
+from hypose.synthetic.scenes import camera_rig
 from hypose.tracking.keypoint_evidence import keypoint_model
 from hypose.tracking.starts import known_pose
 from tests.depth_pictures import frame_of
 
 BODY = human()
-RIG = CameraRig((rig("humaneva-4", distorted=False)[0],))
+RIG = CameraRig((camera_rig("humaneva-4", distorted=False)[0],))
 
 
 def poses(count=10):

@@ -12,7 +12,7 @@ from hypose.pipeline.first_frame import Subject
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.tracked_people import Followed
 from hypose.pipeline.wardrobe import exchange, look_at_clothes
-from hypose.synthetic.rigs import rig as named_rig
+from hypose.synthetic.scenes import camera_rig as named_rig
 from hypose.tracking.clothes import Clothes, Wardrobe, clothes_in, nothing_seen
 from hypose.tracking.recipes import recipe
 from hypose.tracking.several import Member, nobody_in, shape_of

@@ -71,7 +71,7 @@ def keep(h: Hypotheses, rng: np.random.Generator, /) -> Hypotheses:
 
 
 @dataclass(frozen=True)
-class LayeredSystematic:
+class LayeredResampling:
     """Systematic resampling of the coordinates filtered so far; the others keep their own values.
 
     filtered (D,) bool is the union of the coordinate subsets of the layers up to this one. Diversity
@@ -88,6 +88,6 @@ class LayeredSystematic:
         object.__setattr__(self, "filtered", filtered)
 
     def __call__(self, h: Hypotheses, rng: np.random.Generator, /) -> Hypotheses:
-        """The set with its filtered coordinates resampled."""
+        """Return the set with its filtered coordinates resampled."""
         drawn = h.take(systematic_indices(h.weights, rng.random(h.values.shape[:-2])))
         return drawn.equal(np.where(self.filtered, drawn.values, h.values))

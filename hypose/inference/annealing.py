@@ -22,21 +22,21 @@ class Energy(Protocol):
     """
 
     def __call__(self, h: Hypotheses, frame: Any, /) -> ArrayLike:
-        """One cost per hypothesis."""
+        """Return one cost per hypothesis."""
         ...
 
 
-class Selectivity(Protocol):
+class AnnealingRate(Protocol):
     """The exponent beta (*B,) for energies (*B, N)."""
 
     def __call__(self, energies: FloatArray, /) -> FloatArray:
-        """One exponent per population."""
+        """Return one exponent per population."""
         ...
 
 
 def survival_rate(energies: ArrayLike, beta: ArrayLike) -> FloatArray:
-    """(*B,) share of a set that survives selection, (sum w)^2 / (N sum w^2), w = exp(-beta E) of energies
-    (*B, N).
+    """Return (*B,) share of a set that survives selection, (sum w)^2 / (N sum w^2), w = exp(-beta E) of energies (*B,
+    N).
 
     Non-finite energies weigh 0; a set with none finite has rate 0. Source: Deutscher & Reid 2005.
     """
@@ -44,7 +44,7 @@ def survival_rate(energies: ArrayLike, beta: ArrayLike) -> FloatArray:
     return _rate(excess, usable, np.asarray(beta, np.float64))
 
 
-def solve_selectivity(energies: ArrayLike, target: float, iterations: int = 56) -> FloatArray:
+def solve_annealing_rate(energies: ArrayLike, target: float, iterations: int = 56) -> FloatArray:
     """beta (*B,) at which the survival rate of energies (*B, N) equals target, by bisection in log beta.
 
     The rate falls from the share of finite energies (beta = 0) to the share tied at the minimum (beta ->
@@ -74,7 +74,7 @@ def solve_selectivity(energies: ArrayLike, target: float, iterations: int = 56) 
 
 
 @dataclass(frozen=True)
-class FixedSelectivity:
+class FixedAnnealingRate:
     """A beta given beforehand, as in the papers. Source: Alcoverro 2014, eq. (2.9)."""
 
     beta: float = 1.0
@@ -84,7 +84,7 @@ class FixedSelectivity:
             raise ValueError(f"beta must be finite and not negative, got {self.beta}")
 
     def __call__(self, energies: FloatArray, /) -> FloatArray:
-        """The same exponent for every population."""
+        """Return the same exponent for every population."""
         return np.full(energies.shape[:-1], float(self.beta))
 
 
@@ -100,11 +100,11 @@ class SurvivalRate:
 
     def __call__(self, energies: FloatArray, /) -> FloatArray:
         """Solved for each population by itself."""
-        return solve_selectivity(energies, self.target)
+        return solve_annealing_rate(energies, self.target)
 
 
 @dataclass(frozen=True)
-class Annealed:
+class SmoothedWeight:
     """A weighing function w^beta out of an energy: log-weights -beta (E - min E), beta by the selectivity.
 
     The minimum is taken off because weights only count up to a factor, and a large beta would otherwise eat
@@ -113,12 +113,12 @@ class Annealed:
     """
 
     energy: Energy
-    selectivity: Selectivity = SurvivalRate()
+    rate: AnnealingRate = SurvivalRate()
 
     def __call__(self, h: Hypotheses, frame: Any, /) -> FloatArray:
         """Log-weights (*B, N), at most 0."""
         energies = np.asarray(self.energy(h, frame), dtype=np.float64)
-        beta = self.selectivity(energies)
+        beta = self.rate(energies)
         excess, usable = _excess(energies)
         return np.where(usable, -beta[..., None] * excess, -np.inf)
 

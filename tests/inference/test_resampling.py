@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from hypose.inference.hypotheses import Hypotheses
-from hypose.inference.selectors import (
-    LayeredSystematic,
+from hypose.inference.resampling import (
+    LayeredResampling,
     roulette_indices,
     systematic,
     systematic_indices,
@@ -77,11 +77,11 @@ def test_layered_copies_only_filtered_coordinates():
     rng = np.random.default_rng(4)
     h = Hypotheses(rng.normal(size=(30, 3)), 3 * rng.normal(size=30), np.arange(30, dtype=np.int32))
     all_of_it = systematic(h, np.random.default_rng(9))
-    some = LayeredSystematic(np.array([True, False, True]))(h, np.random.default_rng(9))
+    some = LayeredResampling(np.array([True, False, True]))(h, np.random.default_rng(9))
     np.testing.assert_array_equal(some.values[:, [0, 2]], all_of_it.values[:, [0, 2]])
     np.testing.assert_array_equal(some.values[:, 1], h.values[:, 1])
     np.testing.assert_array_equal(some.origin, all_of_it.origin)
-    full = LayeredSystematic(np.ones(3, bool))(h, np.random.default_rng(9))
+    full = LayeredResampling(np.ones(3, bool))(h, np.random.default_rng(9))
     np.testing.assert_array_equal(full.values, all_of_it.values)
     with pytest.raises(ValueError, match="mask of bools"):
-        LayeredSystematic(np.array([0, 2]))
+        LayeredResampling(np.array([0, 2]))
