@@ -17,8 +17,7 @@ import numpy as np
 from hypose.body.body import Body
 from hypose.errors import CalibrationError
 from hypose.evidence.depth_evidence import SurfacePoints
-from hypose.fitting import DepthTerm
-from hypose.fitting.depth_surface import BODY_SD, SCALE_M
+from hypose.evidence.depth_surface import BODY_SD, SCALE_M, DepthTerm
 from hypose.fitting.problem import Cue, Posed, PoseProblem, Quadratic, Rows, Rule
 from hypose.fitting.rows import rows_of_depth
 from hypose.fusion.clocks import offset_by_movement

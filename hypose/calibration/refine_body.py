@@ -20,7 +20,7 @@ from hypose.body.body import Body
 from hypose.calibration.refine_points import CameraUnknowns, apply_parameters, by_camera
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import EvidenceError
-from hypose.fitting.articulated import ContourTerm, KeypointTerm
+from hypose.evidence.terms import ContourTerm, KeypointTerm
 from hypose.fitting.problem import Cue, Posed, PoseProblem, Quadratic, Rows
 from hypose.fitting.rows import rows_of_contours, rows_of_keypoints
 from hypose.geometry import Array, transform

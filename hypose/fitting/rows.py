@@ -13,8 +13,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from hypose.compute import geman_mcclure, lorentzian, outline_rows
-from hypose.fitting.articulated import ContourTerm, KeypointTerm
-from hypose.fitting.depth_surface import DepthTerm
+from hypose.evidence.depth_surface import DepthTerm
+from hypose.evidence.terms import ContourTerm, KeypointTerm
 from hypose.fitting.problem import Posed, Rows
 from hypose.geometry import Array
 

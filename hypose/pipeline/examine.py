@@ -32,7 +32,7 @@ from hypose.errors import EvidenceError, InputError
 from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.evidence.keypoints import triangulate_keypoints
-from hypose.fitting.articulated import contour_term
+from hypose.evidence.terms import contour_term
 from hypose.geometry import Array, transform
 from hypose.io.recordings.frames import FrameStream, load_keypoints
 from hypose.io.recordings.recording import Recording

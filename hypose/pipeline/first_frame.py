@@ -188,7 +188,7 @@ def _followed_back(
     for i, keypoints in reversed(frames[:-1]):
         term = keypoint_term(keypoints, body, model, pose)
         if term is not None and (term.points[..., 2] > 0).any(0).sum() >= LEAST_POINTS:
-            pose, at = fit_pose(body, pose, keypoints=term, priors=prior, options=options).pose, i
+            pose, at = fit_pose(body, pose, [term], priors=prior, options=options).pose, i
     return pose, at
 
 

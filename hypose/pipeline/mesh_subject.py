@@ -26,7 +26,8 @@ from hypose.body.joint_names import match_rig
 from hypose.body.ready_bodies import human
 from hypose.body.skin_weights import body_bones, carried_weights, heat_weights, influences, vertex_normals
 from hypose.errors import EvidenceError, InputError
-from hypose.fitting.articulated import PointTerm, SolveSettings, fit_pose
+from hypose.evidence.terms import PointTerm
+from hypose.fitting.articulated import SolveSettings, fit_pose
 from hypose.geometry import Array
 from hypose.io.file_names import text_of
 from hypose.io.motions.meshes import PersonMesh, closed_surface, read_person
@@ -260,7 +261,7 @@ def _pose_from_joints(joints: Array, vertices: Array) -> tuple[Body, Array]:
     fit = fit_pose(
         sized,
         start,
-        points=term,
+        [term],
         priors=(anatomical_prior(s),),
         options=SolveSettings(iterations=60, coarse_iterations=10),
     )

@@ -20,7 +20,8 @@ from hypose.body.ready_bodies import human
 from hypose.calibration.diagnose_person import UNIT_ERRORS
 from hypose.errors import InputError
 from hypose.evidence.frame import TRACKED, Frame, SensorJoints
-from hypose.fitting import PointTerm, fit_clip
+from hypose.evidence.terms import PointTerm
+from hypose.fitting import fit_clip
 from hypose.fusion import joints as jt
 from hypose.fusion.clocks import offset_by_movement
 from hypose.fusion.fuse import common_positions
@@ -328,14 +329,9 @@ def pose_fused(fused: Motion, body: Body | None = None, smoothness: float = 1.0)
     known = np.flatnonzero(model.known)
     solved = np.flatnonzero(np.isfinite(subject.poses).all(1))
     nearest = solved[np.abs(np.arange(len(points))[:, None] - solved).argmin(1)]
-    terms = [
-        PointTerm(p[known], np.ones(len(known)), model.joint[known], model.offset[known], 0.03)
-        if np.isfinite(p).any()
-        else None
-        for p in points
-    ]
+    terms = [[PointTerm(p[known], np.ones(len(known)), model.joint[known], model.offset[known], 0.03)] for p in points]
     prior = anatomical_prior(subject.body.skeleton)
-    poses = fit_clip(subject.body, subject.poses[nearest], points=terms, acceleration=smoothness, priors=(prior,))
+    poses = fit_clip(subject.body, subject.poses[nearest], terms, acceleration=smoothness, priors=(prior,))
     skeleton = subject.body.skeleton
     joints = subject.body.joints(poses)
     names = [NAMES[k] for k in known if NAMES[k] in skeleton.joint_names]

@@ -18,10 +18,11 @@ from hypose.body.anthropometry import CLOTHING_UNIT, SHAPE_FACTOR_NAMES, Sizes, 
 from hypose.body.body import Body
 from hypose.body.ready_bodies import human
 from hypose.errors import EvidenceError, InputError
+from hypose.evidence.depth_surface import DepthTerm, depth_term
 from hypose.evidence.frame import Frame
 from hypose.evidence.keypoints import lasting_m
-from hypose.fitting import DepthTerm, depth_term
-from hypose.fitting.articulated import ContourTerm, SolveSettings, contour_term
+from hypose.evidence.terms import ContourTerm, contour_term
+from hypose.fitting.articulated import SolveSettings
 from hypose.geometry import Array
 from hypose.io.files import write_text
 from hypose.io.motions.results import load_body, save_body

@@ -226,17 +226,7 @@ def solve(body: Body, starts: Array, frame: PreparedFrame, options: SolveSetting
     priors = (trunk, prediction_prior(frame.prediction, frame.prediction_weight))
     if frame.depth is not None:
         options = replace(options, tries=min(options.tries, DEPTH_TRIES))
-    return fit_poses(
-        body,
-        starts,
-        contours=frame.contours,
-        keypoints=frame.keypoints if frame.beside_masks is None else frame.beside_masks,
-        points=frame.points,
-        rows=frame.rows,
-        depth=frame.depth,
-        priors=priors,
-        options=options,
-    )
+    return fit_poses(body, starts, frame.terms, priors=priors, options=options)
 
 
 def pose_mean(skeleton: Skeleton) -> TangentMean:

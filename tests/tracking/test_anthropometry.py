@@ -17,7 +17,7 @@ from benchmarks.papers.layered_anthropometry import (
 )
 from hypose.body.anthropometry import SHAPE_FACTORS, body_of, entity, sizes_of
 from hypose.errors import EvidenceError, InputError
-from hypose.fitting.articulated import contour_term
+from hypose.evidence.terms import contour_term
 from hypose.inference.hypotheses import Hypotheses
 from hypose.pipeline.first_frame import SubjectOptions, find_subject
 from hypose.pipeline.subject_from_motion import (
