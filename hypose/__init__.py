@@ -39,8 +39,8 @@ _PLACES = {
     "Silhouettes": "hypose.evidence.frame",
     "FrameList": "hypose.pipeline.track_loop",
     "OwnEvidence": "hypose.tracking.frame_evidence",
-    "PointTerm": "hypose.fitting.articulated",
-    "RowTerm": "hypose.fitting.own_rows",
+    "PointTerm": "hypose.evidence.terms",
+    "RowTerm": "hypose.evidence.terms",
     "Tracker": "hypose.tracking.tracker",
     "TrackerSettings": "hypose.tracking.tracker",
     # a method of one's own

@@ -10,8 +10,8 @@ from hypose.errors import HyposeError as HyposeError
 from hypose.errors import InputError as InputError
 from hypose.evidence.frame import Frame as Frame
 from hypose.evidence.frame import Silhouettes as Silhouettes
-from hypose.fitting.articulated import PointTerm as PointTerm
-from hypose.fitting.own_rows import RowTerm as RowTerm
+from hypose.evidence.terms import PointTerm as PointTerm
+from hypose.evidence.terms import RowTerm as RowTerm
 from hypose.fusion.fuse import fuse_clip as fuse_clip
 from hypose.fusion.live import LiveFuser as LiveFuser
 from hypose.inference import kernels as kernels

@@ -24,6 +24,7 @@ from hypose.pipeline.live.engine import LiveEngine, Seen
 from hypose.pipeline.live.eyes import Eyes, Question, Sight
 from hypose.pipeline.live.live_people import LivePeople, LivePose
 from hypose.pipeline.live.live_search import LOOKING, LivePersonOptions
+from hypose.pipeline.settings import SETTINGS
 from hypose.synthetic.scenes import Scene, camera_rig, make_scene
 from tests.conftest import HANG_S
 
@@ -240,8 +241,7 @@ def in_step(
         monkeypatch.setattr(module, "time", clock)
     monkeypatch.setattr(engine, "ThreadPoolExecutor", Pool)
     monkeypatch.setattr(engine, "EyesProcess", made := partial(EyesInStep, clock, searches, pause))
-    monkeypatch.setattr(feeds, "_AGAIN_S", 0.01)
-    monkeypatch.setattr(feeds, "_LONGEST_S", 0.02)
+    monkeypatch.setattr(feeds, "SETTINGS", replace(SETTINGS, feeds_again_s=0.01, feeds_longest_s=0.02))
     if stage:
         monkeypatch.setattr(eyes, "_opener", lambda view, *_: lambda: stage.open(view.name))
     return made

@@ -16,7 +16,8 @@ from hypose.geometry import Array
 
 TAILS = 7.0
 """Degrees of freedom of the law of errors: clips differ in how well they fit, so that most errors are smaller, and some
-larger, than a normal distribution with the same 90 % regions has them. Chosen on scenes (docs/notebook/doubt.md)."""
+larger, than a normal distribution with the same 90 % regions has them. Chosen on scenes
+(docs/decisions/error-model.md)."""
 
 
 def region_reach(level: ArrayLike, dimensions: int = 3) -> Array:

@@ -188,7 +188,7 @@ def carried_weights(
     return out
 
 
-def vertex_normals(vertices: Array, faces: NDArray[np.int32]) -> Array:
+def vertex_normals(vertices: Array, faces: NDArray[np.integer]) -> Array:
     """Compute unit outward normals (V, 3) of vertices (V, 3), weighted by the areas of the faces (F, 3)."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     n = np.cross(b - a, c - a)

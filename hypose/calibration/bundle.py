@@ -22,7 +22,7 @@ from hypose.calibration.views import positions
 from hypose.cameras.camera import Camera
 from hypose.compute import SharedEquations, huber
 from hypose.errors import CalibrationError, SolverError
-from hypose.fitting.least_squares import Rule, descend
+from hypose.fitting.problem import Rule, SharedProblem
 from hypose.geometry import Array, se3, skew, so3_exp
 
 _State = tuple[list[Camera], Array]
@@ -133,7 +133,7 @@ def bundle_adjust(
     rule = Rule(1e-3, least=1e-9, most=1e9, tries=8, gain=1e-9)
     start = list(cameras), np.array(frames, dtype=np.float64)
     try:
-        found = descend(start, problem.evaluate, problem.propose, iterations, rule)
+        found = problem.solve(start, iterations, rule)
     except SolverError as error:
         raise SolverError(
             "The calibration cannot be refined from this start: a corner lies behind its camera. Remove the pictures "
@@ -147,7 +147,7 @@ def bundle_adjust(
     return Refined(tuple(cams), poses, residuals, rms, factor * focal, factor * position, found.iterations)
 
 
-class _Problem:
+class _Problem(SharedProblem[list[Camera]]):
     """Cost and normal equations. A camera's unknowns: rotation (3, on the left), translation (3), intrinsics; a
     board's: rotation (3, on the left of its own rotation), translation (3)."""
 
@@ -178,11 +178,11 @@ class _Problem:
         self.slices = [slice(*np.searchsorted(o.camera, [i, i + 1])) for i in range(c)]
         self.free_lens = np.broadcast_to(np.asarray(free, dtype=bool), (c,))
         self.fixed_frames = fixed
-        self.free = np.zeros((c, self.p), bool)
+        free_of = np.zeros((c, self.p), bool)
         for i, camera in enumerate(cameras):
-            self.free[i, :6] = i > 0 or (fixed is not None and bool(fixed.any()))
-            if self.free_lens[i]:
-                self.free[i, 6 : 10 + _lens_size(camera)] = True
+            free_of[i, :6] = i > 0 or (fixed is not None and bool(fixed.any()))
+            free_of[i, 6 : 10 + _lens_size(camera)] = self.free_lens[i]
+        self.free = free_of.ravel()
 
     def _at(self, camera: Camera, frames: Array, s: slice) -> tuple[Array, Array]:
         """Corners turned and moved: (in the board turned only (M, 3), in the camera's frame (M, 3))."""
@@ -280,17 +280,10 @@ class _Problem:
     def evaluate(self, state: _State) -> tuple[float, Callable[[], SharedEquations]]:
         return self.cost(*state), partial(self.equations, *state)
 
-    def propose(self, state: _State, equations: SharedEquations, damping: float) -> tuple[_State, float] | None:
-        reduced = equations.reduced(damping)
-        step = reduced.step(self.free.ravel())
-        if step is None:
-            return None
-        return self.apply(*state, (step.reshape(self.free.shape), reduced.own_steps(step))), np.inf
-
-    def apply(self, cameras: Sequence[Camera], frames: Array, step: tuple[Array, Array]) -> tuple[list[Camera], Array]:
-        cams, boards = step
+    def moved(self, state: _State, step: Array, own: Array) -> tuple[_State, float]:
+        cameras, frames = state
         out = []
-        for camera, d, free in zip(cameras, cams, self.free_lens, strict=True):
+        for camera, d, free in zip(cameras, step.reshape(-1, self.p), self.free_lens, strict=True):
             pose = camera.camera_from_world
             pose = se3(so3_exp(d[:3]) @ pose[:3, :3], pose[:3, 3] + d[3:6])
             k, distortion = camera.K, camera.distortion
@@ -301,8 +294,8 @@ class _Problem:
                 n = _lens_size(camera)
                 distortion = np.concatenate([distortion[:n] + d[10 : 10 + n], distortion[n:]])
             out.append(replace(camera, K=k, distortion=distortion, camera_from_world=pose))
-        poses = se3(so3_exp(boards[:, :3]) @ frames[:, :3, :3], frames[:, :3, 3] + boards[:, 3:])
-        return out, poses
+        poses = se3(so3_exp(own[:, :3]) @ frames[:, :3, :3], frames[:, :3, 3] + own[:, 3:])
+        return (out, poses), np.inf
 
     def noise_factor(self, residuals: Array) -> float:
         """By how much the corners scatter more or less than assumed, where there are enough to tell; not below a
@@ -318,9 +311,8 @@ class _Problem:
 
     def deviations(self, cameras: Sequence[Camera], equations: SharedEquations) -> tuple[Array, Array]:
         """Standard deviations of focal lengths (C,) px and of camera positions (C,) m."""
-        c, p = self.free.shape
+        c, p, free = len(cameras), self.p, self.free
         focal, position = np.full(c, np.nan), np.full(c, np.nan)
-        free = self.free.ravel()
         if not free.any():
             return focal, position
         s = equations.reduced().hessian[np.ix_(free, free)]

@@ -17,6 +17,7 @@ from hypose.compute.arrays import (
     NO_POINTS,
     NOT_KNOWN,
     ContourArrays,
+    Cues,
     DepthArrays,
     KeypointArrays,
     MeshArrays,
@@ -83,7 +84,7 @@ from hypose.compute.picture_to_mask import (
 from hypose.compute.render import blend_shaded, darken, expose
 from hypose.compute.rows import outline_points
 from hypose.compute.scorer import limb_energies, silhouette_xor
-from hypose.compute.shape_rows import OutlineRows, joined_rows, outline_rows
+from hypose.compute.shape_rows import outline_rows
 from hypose.compute.solver import Evaluation, Solution, bounded_step, evaluate, row_sums, solve, workspace
 from hypose.compute.threads import default_threads, in_background, over_chunks
 from hypose.compute.visibility import nearest_visible
@@ -94,6 +95,7 @@ __all__ = [
     "BALL",
     "Box",
     "ContourArrays",
+    "Cues",
     "DepthImage",
     "DepthArrays",
     "EdgeArrays",
@@ -121,7 +123,6 @@ __all__ = [
     "NO_CONTOURS",
     "NO_KEYPOINTS",
     "NO_POINTS",
-    "OutlineRows",
     "Packed",
     "PaddedDepth",
     "PointArrays",
@@ -164,7 +165,6 @@ __all__ = [
     "holes_filled",
     "huber",
     "interpolate",
-    "joined_rows",
     "joint_covariances",
     "joint_jacobians",
     "kept",

@@ -150,8 +150,8 @@ class PointArrays(NamedTuple):
     """(M,)"""
     offset: NDArray[np.float64]
     """(M, 3) m in the joint's frame"""
-    scale: float
-    """m, 1 sd"""
+    scale: NDArray[np.float64]
+    """(M,) m, 1 sd"""
 
 
 class DepthArrays(NamedTuple):
@@ -197,7 +197,16 @@ def _no_contours() -> ContourArrays:
 NO_CONTOURS = _no_contours()
 """Of a frame without silhouettes; shared by all, for without a row there is nothing that anybody could change."""
 NO_KEYPOINTS = KeypointArrays(np.zeros((0, 0, 3)), np.zeros((0, 3, 4)), np.zeros(0, np.int64), np.zeros((0, 3)), 1.0)
-NO_POINTS = PointArrays(np.zeros((0, 3)), np.zeros(0), np.zeros(0, np.int64), np.zeros((0, 3)), 1.0)
+NO_POINTS = PointArrays(np.zeros((0, 3)), np.zeros(0), np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0))
+
+
+class Cues(NamedTuple):
+    """What a solve of one frame takes of its evidence. depth: None is compiled by itself."""
+
+    contours: ContourArrays
+    keypoints: KeypointArrays
+    points: PointArrays
+    depth: DepthArrays | None
 
 
 class PriorArrays(NamedTuple):

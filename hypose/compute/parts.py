@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from hypose.compute.arrays import plain
 from hypose.compute.compiled import kernel
 from hypose.compute.coverage import NEAR, cover_faces, fill_strip, row_stride
-from hypose.compute.mask_runs import ALL, Bits, mask_of, u8
+from hypose.compute.mask_runs import Bits, grown, mask_of, opened, square_spans, u8
 from hypose.compute.simd import lowest_bit, popcount
 from hypose.geometry import Array
 
@@ -88,7 +88,7 @@ def parts_against_mask(
     uv, r, width = plain(points, np.float64), plain(radius, np.float64), -(-(x1 - x0) // step)
     counts, bare = np.zeros((3, len(drawn)), np.int64), np.zeros(len(uv), np.int64)
     shown = plain(bits, np.uint8), _NONE if hidden is None else plain(hidden, np.uint8)
-    _against_mask(*shown, y0, x0, step, width, drawn, uv, r, counts, bare)
+    _against_mask(*shown, y0, x0, step, width, square_spans(3), drawn, uv, r, counts, bare)
     return PartView(*counts, bare, drawn[0])
 
 
@@ -142,18 +142,13 @@ def _draw_parts(uv, z, faces, part, closed, width, height, bits):
 
 
 @kernel
-def _columns(k, words, width):
-    """The bits of word k that are columns of a picture."""
-    return ALL if k < words - 1 else ALL >> u8(64 * words - width)
-
-
-@kernel
 def _thin(packed, top, left, step, width, out):
-    """Every step-th pixel of a mask, eight to a byte (H, B), from row top and column left on, as bits out (W, h)."""
+    """Every step-th pixel of a mask, eight to a byte (H, B), from row top and column left on, as bits out (W, h); what
+    lies beyond the width means nothing."""
     words, h = out.shape
     size, shift = packed.shape[1], u8(left & 7)
     for k in range(words):
-        begin, columns = (left >> 3) + 8 * k, _columns(k, words, width)
+        begin = (left >> 3) + 8 * k
         for r in range(h):
             word, y = u8(0), top + r * step
             if step == 1:  # then bits only move
@@ -167,55 +162,33 @@ def _thin(packed, top, left, step, width, out):
                 for i in range(min(width - 64 * k, 64)):
                     word |= u8((packed[y, x >> u8(3)] >> np.uint8(x & u8(7))) & np.uint8(1)) << u8(i)
                     x += u8(step)
-            out[k, r] = word & columns
+            out[k, r] = word
 
 
 @kernel
-def _grown(bits, width, wide, out):
-    """out = bits, grown by three by three pixels, both (W + 2, h): the first and the last word of each row are 0; wide
-    (h + 2,): scratch, which begins and ends with 0."""
-    words, h = bits.shape[0] - 2, bits.shape[1]
-    above, middle, below = wide[:h], wide[1 : h + 1], wide[2:]
-    for k in range(words):
-        before, here, after, made = bits[k], bits[k + 1], bits[k + 2], out[k + 1]
-        inside = _columns(k, words, width)
-        for r in range(h):
-            left, right = (here[r] << u8(1)) | (before[r] >> u8(63)), (here[r] >> u8(1)) | (after[r] << u8(63))
-            middle[r] = left | here[r] | right
-        for r in range(h):
-            made[r] = (above[r] | middle[r] | below[r]) & inside
-
-
-@kernel
-def _against_mask(mask, hidden, top, left, step, width, parts, points, radius, counts, bare):
+def _against_mask(mask, hidden, top, left, step, width, square, parts, points, radius, counts, bare):
     """Counts of `parts.PartView`: of parts (P, W, h) drawn where every step-th pixel of a packed mask (H, B), from
-    row top and column left on, is a pixel; hidden (H, B), (0, 0): none. points (N, 2) and radius (N,) in those pixels.
-    counts (3, P): area, exposed and outside. parts[0] holds all of them afterwards."""
+    row top and column left on, is a pixel; hidden (H, B), (0, 0): none. square: spans of 3 x 3 pixels. points (N, 2)
+    and radius (N,) in those pixels. counts (3, P): area, exposed and outside. parts[0] holds all of them afterwards."""
     n, words, h = parts.shape
-    room, wide = np.zeros((5, words + 2, h), np.uint64), np.zeros(h + 2, np.uint64)
-    inner = room[:, 1 : words + 1]
-    no, shut, made, close, found = inner[0], inner[1], inner[2], inner[3], inner[4]
+    room, box = np.zeros((5, words, h), np.uint64), np.zeros(4, np.int64)
+    no, shut, made, close, found = room[0], room[1], room[2], room[3], room[4]
+    box[1], box[3] = h, width
     for k in range(2):
         packed = hidden if k else mask
         if packed.shape[0]:
-            _thin(packed, top, left, step, width, inner[k])
+            _thin(packed, top, left, step, width, room[k])
     for k in range(words):
-        columns = _columns(k, words, width)
         for r in range(h):
             made[k, r] = no[k, r] | shut[k, r]
-            no[k, r] = (~no[k, r] & columns) | shut[k, r]  # where no mask may be bare
+            no[k, r] = ~no[k, r] | shut[k, r]  # where no mask may be bare
     for last in range(2):  # pixels far from the mask; then, of the mask, those far from the body
-        _grown(room[2], width, wide, room[3])
-        if last:
-            for k in range(words):
-                for r in range(h):
-                    close[k, r] |= no[k, r]
-        _grown(room[3], width, wide, room[2])  # eroded, beyond the picture all is set
+        grown(made, square, box, u8(0), close)
         for k in range(words):
-            columns = _columns(k, words, width)
             for r in range(h):
-                made[k, r] = ~made[k, r] & columns
-        _grown(room[2], width, wide, room[4])
+                near = close[k, r] | no[k, r] if last else close[k, r]
+                made[k, r] = ~near
+        opened(made, square, box, found)
         if last:
             break
         for k in range(words):

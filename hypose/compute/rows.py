@@ -185,13 +185,12 @@ def keypoint_rows(q, keypoints, rotations, centres, hessian, gradient, count):
 def point_rows(q, points, rotations, centres, hessian, gradient, count):
     """Rows of 3D points; returns the cost, 1/2 w 4 log(1 + e^2 / 4) with e = distance / scale (Cauchy, 2 sd)."""
     cost = 0.0
-    i2 = 1.0 / (points.scale * points.scale)
     d = np.empty(3)
     for m in range(points.joint.shape[0]):
         w = points.weight[m]
         if not w > 0:
             continue
-        j = points.joint[m]
+        j, i2 = points.joint[m], 1.0 / (points.scale[m] * points.scale[m])
         o, r = points.offset[m], rotations[j]
         px = centres[j, 0] + r[0, 0] * o[0] + r[0, 1] * o[1] + r[0, 2] * o[2]
         py = centres[j, 1] + r[1, 0] * o[0] + r[1, 1] * o[1] + r[1, 2] * o[2]

@@ -10,11 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from hypose.compute.arrays import (
     RIM,
-    ContourArrays,
-    DepthArrays,
-    KeypointArrays,
+    Cues,
     MeshArrays,
-    PointArrays,
     PriorArrays,
     SolveLimits,
     TreeArrays,
@@ -383,17 +380,14 @@ def evaluate(
     pose: Array,
     tree: TreeArrays,
     mesh: MeshArrays,
-    contours: ContourArrays,
-    keypoints: KeypointArrays,
-    points: PointArrays,
-    depth: DepthArrays | None,
+    cues: Cues,
     priors: PriorArrays,
     ws: Workspace,
     *,
     coarse: bool = False,
 ) -> Evaluation:
     """Cost and derivatives of all evidence at one pose (D,)."""
-    evidence = tree, mesh, contours, keypoints, points, depth, priors
+    evidence = tree, mesh, *cues, priors
     return _solved(np.array(pose, dtype=np.float64), evidence, SolveLimits(0, int(coarse), 0.0, 0.0, 0), ws)[0]
 
 
@@ -411,17 +405,14 @@ def solve(
     start: Array,
     tree: TreeArrays,
     mesh: MeshArrays,
-    contours: ContourArrays,
-    keypoints: KeypointArrays,
-    points: PointArrays,
-    depth: DepthArrays | None,
+    cues: Cues,
     priors: PriorArrays,
     settings: SolveLimits,
     ws: Workspace,
 ) -> Solution:
     """Bounded damped Gauss-Newton from pose start (D,). Releases the GIL."""
     q = np.minimum(np.maximum(np.asarray(start, dtype=np.float64), priors.lower), priors.upper)  # sooner than np.clip
-    evaluation, info = _solved(q, (tree, mesh, contours, keypoints, points, depth, priors), settings, ws)
+    evaluation, info = _solved(q, (tree, mesh, *cues, priors), settings, ws)
     if info[2] == 0:
         raise SolverError(
             "The cost at the start pose is not finite; check the start pose, the key points and the masks for NaN."

@@ -30,6 +30,7 @@ from hypose.compute.arrays import (
     NO_KEYPOINTS,
     NO_POINTS,
     ContourArrays,
+    Cues,
     DepthArrays,
     MeshArrays,
     PriorArrays,
@@ -126,7 +127,7 @@ def _evidence(depth: DepthArrays | None = None) -> tuple[np.ndarray, tuple[Any, 
         sdf, outline, np.array([True]), sizes, projection, 1.0, 1.0, 2.0, 4.0, 2.0, 2, np.ones(1), 0 * sizes, sizes
     )
     priors = PriorArrays(np.zeros((1, 6)), np.ones((1, 6)), np.full(6, -np.inf), np.full(6, np.inf))
-    given = (tree, mesh, contours, NO_KEYPOINTS, NO_POINTS, depth, priors)
+    given = (tree, mesh, Cues(contours, NO_KEYPOINTS, NO_POINTS, depth), priors)
     return q, given, workspace(tree, mesh, 32, 32)
 
 

@@ -324,7 +324,7 @@ def _mask(
 ) -> NDArray[np.uint8]:
     uv, z = _projected(camera, vertices)
     if hidden is None:
-        return covered(uv, z, subject.faces, camera.size[::-1])
+        return covered(uv, z, subject.faces, (camera.size[1], camera.size[0]))
     depth = rasterize(uv, z, subject.faces, camera.size)[0]
     return (depth < hidden).astype(np.uint8)
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from hypose import compute
 from hypose.body.body import Body
-from hypose.fitting.articulated import KeypointTerm
+from hypose.evidence.terms import KeypointTerm
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.depth_costs import DEPTH_COSTS, MEASURED, depth_cost, depth_views, with_limb_depth

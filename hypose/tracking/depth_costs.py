@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from hypose import compute
 from hypose.body.body import Body
 from hypose.evidence.depth_evidence import Depth
-from hypose.fitting.depth_surface import shrunk
+from hypose.evidence.depth_surface import shrunk
 from hypose.geometry import Array
 from hypose.tracking.frame_evidence import PoseMemory, PreparedFrame
 

@@ -18,7 +18,8 @@ import numpy as np
 from hypose.body.body import Body
 from hypose.body.skeleton import Skeleton
 from hypose.compute import over_chunks
-from hypose.fitting.articulated import PointTerm, SolveSettings, fit_pose
+from hypose.evidence.terms import PointTerm
+from hypose.fitting.articulated import SolveSettings, fit_pose
 from hypose.geometry import Array
 from hypose.tracking.costs import agreement
 from hypose.tracking.frame_evidence import PoseMemory, PreparedFrame
@@ -129,7 +130,7 @@ def _with_joints_at(body: Body, wanted: Array, start: Array) -> Array:
     """(D,) solved from a pose (D,) so that the joint centres lie at `wanted` (J, 3) m."""
     count = len(wanted)
     points = PointTerm(wanted, np.ones(count), np.arange(count), np.zeros((count, 3)), 0.03)
-    return fit_pose(body, start, points=points, priors=(anatomical_prior(body.skeleton),), options=_TO_JOINTS).pose
+    return fit_pose(body, start, [points], priors=(anatomical_prior(body.skeleton),), options=_TO_JOINTS).pose
 
 
 def _other_side(name: str) -> str:

@@ -16,11 +16,11 @@ from hypose import compute
 from hypose.body.body import Body
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.ahead import prepared_masks
+from hypose.evidence.depth_surface import DepthTerm, depth_term
 from hypose.evidence.frame import Frame
 from hypose.evidence.outlines import WORKING_HEIGHT
-from hypose.fitting import DepthTerm, depth_term
-from hypose.fitting.articulated import ContourTerm, KeypointTerm, PointTerm, PoseFit, contour_term
-from hypose.fitting.own_rows import RowTerm
+from hypose.evidence.terms import ContourTerm, Evidence, KeypointTerm, PointTerm, RowTerm, contour_term
+from hypose.fitting.articulated import PoseFit
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.keypoint_evidence import KeypointModel, beside_masks, keypoint_model, keypoint_term
@@ -120,6 +120,13 @@ class PreparedFrame:
         """True when some evidence is left."""
         pieces = (self.masks, self.keypoints, self.points, self.frame.picture, self.depth)
         return any(piece is not None for piece in pieces) or bool(self.rows)
+
+    @property
+    def terms(self) -> list[Evidence]:
+        """What solves take."""
+        keypoints = self.keypoints if self.beside_masks is None else self.beside_masks
+        given = (self.contours, keypoints, self.points, self.depth, *self.rows)
+        return [one for one in given if one is not None]
 
     def own_energy(self, poses: Array) -> Array:
         """(N,) what poses (N, D) cost by the user's evidence."""

@@ -25,7 +25,7 @@ from hypose import compute
 from hypose.body.body import Body
 from hypose.compute import reach
 from hypose.evidence.colours import COLOURS, SHADES
-from hypose.fitting.articulated import PointTerm
+from hypose.evidence.terms import PointTerm
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.layer import Memory

@@ -15,7 +15,8 @@ import numpy as np
 
 from hypose.body.body import Body
 from hypose.body.skeleton import Skeleton
-from hypose.fitting.articulated import PoseFit, Quadratic, SolveSettings, fit_poses
+from hypose.fitting.articulated import PoseFit, SolveSettings, fit_poses
+from hypose.fitting.problem import Quadratic
 from hypose.geometry import Array
 from hypose.inference.estimates import TangentMean
 from hypose.inference.hypotheses import Hypotheses
@@ -225,17 +226,7 @@ def solve(body: Body, starts: Array, frame: PreparedFrame, options: SolveSetting
     priors = (trunk, prediction_prior(frame.prediction, frame.prediction_weight))
     if frame.depth is not None:
         options = replace(options, tries=min(options.tries, DEPTH_TRIES))
-    return fit_poses(
-        body,
-        starts,
-        contours=frame.contours,
-        keypoints=frame.keypoints if frame.beside_masks is None else frame.beside_masks,
-        points=frame.points,
-        rows=frame.rows,
-        depth=frame.depth,
-        priors=priors,
-        options=options,
-    )
+    return fit_poses(body, starts, frame.terms, priors=priors, options=options)
 
 
 def pose_mean(skeleton: Skeleton) -> TangentMean:

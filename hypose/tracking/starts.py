@@ -11,7 +11,8 @@ from hypose.body.body import Body
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.depth_people import space_behind
 from hypose.evidence.hull import Hull, visual_hull
-from hypose.fitting.articulated import PointTerm, PoseFit, SolveSettings, fit_pose
+from hypose.evidence.terms import PointTerm
+from hypose.fitting.articulated import PoseFit, SolveSettings, fit_pose
 from hypose.geometry import Array, procrustes, rotation_between, so3_exp, so3_log
 from hypose.tracking.costs import evidence_energy
 from hypose.tracking.frame_evidence import PreparedFrame
@@ -68,7 +69,7 @@ def start_from_keypoints(
             fit = fit_pose(
                 body,
                 start,
-                points=term,
+                [term],
                 priors=(anatomical_prior(body.skeleton),),
                 options=SolveSettings(iterations=40, coarse_iterations=20),
             )

@@ -22,7 +22,7 @@ from hypose.cameras.camera import CameraRig
 from hypose.compute.parts import covered
 from hypose.errors import EvidenceError
 from hypose.evidence.silhouettes import make_silhouettes
-from hypose.fitting.articulated import contour_term
+from hypose.evidence.terms import contour_term
 from hypose.geometry import se3, so3_exp, transform
 from hypose.synthetic.scenes import camera_rig as named_rig
 from hypose.tracking.starts import known_pose

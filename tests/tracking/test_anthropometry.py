@@ -17,7 +17,7 @@ from benchmarks.papers.layered_anthropometry import (
 )
 from hypose.body.anthropometry import SHAPE_FACTORS, body_of, entity, sizes_of
 from hypose.errors import EvidenceError, InputError
-from hypose.fitting.articulated import contour_term
+from hypose.evidence.terms import contour_term
 from hypose.inference.hypotheses import Hypotheses
 from hypose.pipeline.first_frame import SubjectOptions, find_subject
 from hypose.pipeline.subject_from_motion import (
@@ -27,13 +27,7 @@ from hypose.pipeline.subject_from_motion import (
     save_subject,
 )
 from hypose.tracking.frame_evidence import prepare
-from hypose.tracking.shape_refinement import Known, ShapeSettings, outlines_of, refine_shape
-
-
-def rows_of(*arguments):
-    rows = outlines_of(*arguments)
-    assert rows is not None
-    return rows
+from hypose.tracking.shape_refinement import Known, ShapeSettings, refine_shape
 
 
 def shape(**factors):
@@ -109,32 +103,6 @@ def test_height_and_mass_are_kept(body, moving, frame_of):
 def test_no_frame_is_refused(body):
     with pytest.raises(EvidenceError, match="at least one frame"):
         refine_shape(body, np.zeros((0, body.skeleton.dof)), [])
-
-
-def test_rows_of_an_outline_by_pose_and_sizes(body, standing, frame_of):
-    """The derivatives are those of each row's point along the residual's gradient, by differences; for a joint that
-    moves a part of a blended vertex they are near."""
-    contours = contour_term(frame_of(body, standing).silhouettes)
-    vertices, step = body.skin(standing), 1e-5
-    rows = rows_of(body.coarse, vertices, contours, 0, 4.0, 0.5)
-    moves = body.coarse.dense_weights(len(body.skeleton.joint_names)) @ body.skeleton.moves.T.astype(float)
-    slopes = np.stack(
-        [(body_of(body, step * e).skin(standing) - vertices) / step for e in np.eye(len(SHAPE_FACTORS))], 1
-    )
-    found = rows.jacobian(vertices, body.skeleton.world_twists(standing), moves, slopes)
-    dof = len(standing)
-    assert found.shape == (len(rows.ends), dof + len(SHAPE_FACTORS))
-    at = rows.points(vertices)
-    for d in (0, 4, 5, int(body.skeleton.dofs_of("left_elbow")[0])):
-        there = rows.points(body.skin(standing + step * np.eye(dof)[d]))
-        share = moves[rows.ends, d]
-        whole = (np.abs(share - np.rint(share)) < 1e-5).all(1)
-        assert whole.mean() > 0.9
-        told = (rows.gradient * (there - at)).sum(1) / step
-        np.testing.assert_allclose(found[whole, d], told[whole], rtol=1e-3, atol=0.05)
-    k = entity("thigh length")
-    by_size = (rows.gradient * (rows.points(vertices + slopes[:, k]) - at)).sum(1)
-    np.testing.assert_allclose(found[:, dof + k], by_size, rtol=1e-6, atol=1e-6)
 
 
 def test_subject_from_the_hull_alone(body, standing, frame_of, tmp_path):

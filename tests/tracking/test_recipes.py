@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hypose.errors import InputError
-from hypose.fitting.articulated import PointTerm
+from hypose.evidence.terms import PointTerm
 from hypose.inference.annealing import SmoothedWeight, SurvivalRate
 from hypose.inference.kernels import GaussianDiffusion
 from hypose.inference.layer import Layer, Recipe

@@ -257,7 +257,7 @@ def sync(
     for view, x, word in zip(loaded.views, late, words, strict=True):
         say(f"{view.name}: {abs(x):.2f} frames {'late' if x >= 0 else 'early'} ({word})")
     if to is None:
-        _keep(loaded, by if offsets is None else "given", late, words)
+        keep_offsets(loaded, by if offsets is None else "given", late, words)
         say(f"To bring the evidence in step: hypose sync {recording} --out NEW_FOLDER")
         return
     with claimed(to), Stages() as progress:
@@ -265,7 +265,7 @@ def sync(
     say(f"Evidence in step: {path}", "green")
 
 
-def _keep(recording: Recording, by: str, late: list[float], words: list[str]) -> None:
+def keep_offsets(recording: Recording, by: str, late: list[float], words: list[str]) -> None:
     """results/sync.json, for the studio; where it cannot be written, what was said has to do."""
     import contextlib
 

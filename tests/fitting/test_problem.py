@@ -5,24 +5,27 @@ import pytest
 
 from hypose.compute.solver import bounded_step
 from hypose.errors import SolverError
-from hypose.fitting.least_squares import Rule, descend
+from hypose.fitting.problem import Problem, Rule
+
+
+class Bounded(Problem):
+    """A cost with gradient and Hessian, bounded."""
+
+    def __init__(self, cost, lower, upper):
+        self.cost, self.lower, self.upper = cost, lower, upper
+
+    def evaluate(self, state):
+        value, gradient, hessian = self.cost(state)
+        return value, lambda: (gradient, hessian)
+
+    def propose(self, state, equations, damping):
+        step = bounded_step(equations[1], equations[0], state, self.lower, self.upper, damping)
+        return None if step is None else (np.clip(state + step, self.lower, self.upper), float(np.abs(step).max()))
 
 
 def minimise(cost, start, lower=-np.inf, upper=np.inf, iterations=200, rule=None):
-    """A cost with gradient and Hessian, bounded."""
-    low, high = np.broadcast_to(lower, len(start)), np.broadcast_to(upper, len(start))
-
-    def evaluate(x):
-        value, gradient, hessian = cost(x)
-        return value, lambda: (gradient, hessian)
-
-    def propose(x, equations, damping):
-        step = bounded_step(equations[1], equations[0], x, low, high, damping)
-        return None if step is None else (np.clip(x + step, low, high), float(np.abs(step).max()))
-
-    return descend(
-        np.array(start, dtype=np.float64), evaluate, propose, iterations, rule or Rule(moved=1e-12, least=1e-9)
-    )
+    problem = Bounded(cost, *(np.broadcast_to(limit, len(start)) for limit in (lower, upper)))
+    return problem.solve(np.array(start, dtype=np.float64), iterations, rule or Rule(moved=1e-12, least=1e-9))
 
 
 def squares(residuals):

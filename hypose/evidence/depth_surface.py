@@ -17,6 +17,7 @@ from hypose.body.body import Body
 from hypose.compute import DepthArrays
 from hypose.errors import InputError
 from hypose.evidence.depth_evidence import Depth
+from hypose.evidence.terms import Evidence
 from hypose.geometry import Array
 
 BODY_SD = 0.012
@@ -30,7 +31,7 @@ _MAP_SIDE = 160
 
 
 @dataclass(frozen=True)
-class DepthTerm:
+class DepthTerm(Evidence):
     """Built by `depth_term`. points, normals (M, 3) m, world; weight (M,); first (C + 1,): the points of each sensor;
     eyes (C, 3) m; maps (C, h, w) float32 m, 0: not known; sizes (C, 2) width, height; projections (C, 3, 4); scale_m:
     Geman-McClure scale; free_share: weight of body before what was seen, per point; free_scale_m; slack_m before what
@@ -60,18 +61,18 @@ class DepthTerm:
         if not (self.scale_m > 0 and self.free_scale_m > 0):
             raise InputError("DepthTerm.scale_m and free_scale_m must be positive.")
 
+    def arrays(self, body: Body) -> DepthArrays | None:
+        """What the solver takes; None where there are no points."""
+        scales = float(self.scale_m), float(self.free_share), float(self.free_scale_m), float(self.slack_m)
+        return DepthArrays._make((*self._flat, *rings(body), *scales)) if len(self.points) else None
+
     @cached_property
-    def flat(self) -> tuple[NDArray, ...]:
-        """The arrays as the solver takes them, in its order, made once for all solves of a frame."""
+    def _flat(self) -> tuple[NDArray, ...]:
+        """The arrays in the solver's order, made once for all solves of a frame."""
         given: list[tuple[NDArray, type]] = [(self.points, np.float64), (self.normals, np.float64)]
         given += [(self.weight, np.float64), (self.first, np.int64), (self.eyes, np.float64), (self.maps, np.float32)]
         given += [(self.sizes, np.int64), (self.projections, np.float64)]
         return tuple(np.require(a, kind, ["C", "W"]) for a, kind in given)
-
-    @property
-    def scales(self) -> tuple[float, float, float, float]:
-        """The numbers, in the solver's order."""
-        return float(self.scale_m), float(self.free_share), float(self.free_scale_m), float(self.slack_m)
 
 
 def depth_term(depth: Depth, weight: float = WEIGHT, scale_m: float = SCALE_M) -> DepthTerm | None:
@@ -131,10 +132,3 @@ def rings(body: Body) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
         ring = np.column_stack([others, beside])
         kept = _RINGS[id(body.coarse)] = body, first, np.ascontiguousarray(ring, dtype=np.int32)
     return kept[1], kept[2]
-
-
-def depth_arrays(term: DepthTerm | None, body: Body) -> DepthArrays | None:
-    """Flat arrays of a depth term for a body; None where it has no points."""
-    if term is None or not len(term.flat[0]):
-        return None
-    return DepthArrays._make((*term.flat, *rings(body), *term.scales))
