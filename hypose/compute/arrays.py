@@ -290,14 +290,15 @@ _Arrays = TypeVar("_Arrays", bound=NamedTuple)
 
 
 def plain(a: ArrayLike, dtype: type) -> NDArray:
-    """The array, contiguous and writable: numba compiles a kernel again for every layout and for read-only arrays."""
+    """Return the array, contiguous and writable: numba compiles a kernel again for every layout and for read-only
+    arrays."""
     if type(a) is np.ndarray and a.dtype == dtype and a.flags.carray:  # as nearly always
         return a
     return np.require(a, dtype, ["C", "W", "A"])
 
 
 def tidy(arrays: _Arrays) -> _Arrays:
-    """The same for all arrays of a tuple."""
+    """Return the same for all arrays of a tuple."""
     for a in arrays:
         if type(a) is np.ndarray and not a.flags.carray:
             break
@@ -316,8 +317,9 @@ def prepare_masks(
 ) -> PreparedMasks:
     """Masks (C, h, w) non-zero = person, usable (C,), sizes (C, 2) width and height, pinhole projections (C, 3, 4).
 
-    ignored (C, h, w) 0 and 1: pixels that say nothing, neither for nor against a body there; norm (C,) px: what counts
-    as the whole person (default, and where NaN: the masks' areas)."""
+    ignored (C, h, w) 0 and 1: pixels that say nothing, neither for nor against a body there.
+    norm (C,) px: what counts as the whole person (default, and where NaN: the masks' areas).
+    """
     m = np.ascontiguousarray(masks)
     if m.dtype != np.uint8:
         m = (m != 0).view(np.uint8)

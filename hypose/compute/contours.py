@@ -174,7 +174,11 @@ def _interpolate(work, i2, weight):
 @kernel
 def _forward_rows(n, stride, rim, edge, ws, sdf, corner, size, i2, weight, n_found, count):
     """Adds to the found rows, as contour_rows does, every stride-th of n points of the rim; returns their cost in
-    forward weights, and how many have been found then. corner, size (2,): of sdf in the image; weight: / scale^2."""
+    forward weights, and how many have been found then.
+
+    corner, size (2,): of sdf in the image.
+    weight: / scale^2.
+    """
     left, top, across, down, row = corner[0], corner[1], size[0] - 1, size[1] - 1, u4(sdf.shape[1])
     work, spot, ends, found = ws.work, ws.spot, ws.ends, ws.found
     cost, last, flat = 0.0, ends.shape[1] - 1, sdf[0]

@@ -61,9 +61,9 @@ class StandingDepth(NamedTuple):
 def depth_energy(
     poses: ArrayLike, tree: TreeArrays, mesh: MeshArrays, seen: SeenDepth, most_m: float, threads: int | None = None
 ) -> NDArray[np.float64]:
-    """(N, C) of poses (N, D): sum over the pixels that show the person and the drawn body of min(|z - z'|, most_m) /
-    most_m, over the person's pixels; what only one of both shows is the silhouettes' affair. 0 for a view without the
-    person. The same for any number of threads, and for a pose alone or among others."""
+    """Return (N, C) of poses (N, D): sum over the pixels that show the person and the drawn body of min(|z - z'|,
+    most_m) / most_m, over the person's pixels; what only one of both shows is the silhouettes' affair. 0 for a view
+    without the person. The same for any number of threads, and for a pose alone or among others."""
     q = plain(poses, np.float64)
     out = np.zeros((len(q), len(seen.maps)))
     score, given = _energies, (tidy(tree), tidy(mesh), *_against(seen, most_m))
@@ -119,10 +119,10 @@ def limb_shown(
     reach_m: float,
     apart_m: float,
 ) -> NDArray[np.float64]:
-    """(C, 3) m^2, at the distance of a centre (3,) m, world, of the limb that was left out of what stands, in the pose
-    that this was drawn at: what of it is in sight; what of that lies within apart_m of what the sensor saw; and what
-    the sensor saw, no further than reach_m from the centre, that lies more than apart_m before all of the body, or
-    next to it."""
+    """Return (C, 3) m^2, at the distance of a centre (3,) m, world, of the limb that was left out of what stands, in
+    the pose that this was drawn at: what of it is in sight; what of that lies within apart_m of what the sensor saw;
+    and what the sensor saw, no further than reach_m from the centre, that lies more than apart_m before all of the
+    body, or next to it."""
     out = np.zeros((len(seen.maps), 3))
     maps, projections, sizes, apart = _against(seen, apart_m)
     at = plain(np.asarray(centre, dtype=np.float64) - standing.pose[:3], np.float64)

@@ -175,8 +175,9 @@ def _by_height(vertices, normals, ex, ey, ez, faces_it, place):
 def _form_rows(n, corners, found, n_rows, vertices, skin_index, skin_weight, skin_count, rows, joints):
     """Appends the rows of n points of the surface to rows (M, 8) and joints (M,), as rows.form_rows does.
 
-    corners (n, 3): vertices of which a point is a blend; found (n, 8) f4: their shares, direction of the residual,
-    weight, residual."""
+    corners (n, 3): vertices of which a point is a blend.
+    found (n, 8) f4: their shares, direction of the residual, weight, residual.
+    """
     for i in range(n):
         own = found[i]
         gx, gy, gz, w, r = own[3], own[4], own[5], own[6], own[7]

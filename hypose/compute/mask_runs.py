@@ -60,13 +60,13 @@ def bits_of(mask: Mask) -> Bits:
 
 
 def mask_of(bits: Bits, width: int) -> Mask:
-    """The mask (h, width) of bits, 0 and 1."""
+    """Return the mask (h, width) of bits, 0 and 1."""
     rows = np.ascontiguousarray(bits.T).view(np.uint8)
     return np.unpackbits(rows, axis=1, count=width, bitorder="little")
 
 
 def clean(bits: Bits, shape: tuple[int, int], how: Cleaning) -> MaskRuns:
-    """The mask (h, w) = shape of bits (which are changed), cleaned, as runs."""
+    """Return the mask (h, w) = shape of bits (which are changed), cleaned, as runs."""
     about = np.zeros(5, np.int64)
     spans = square_spans(how.open_px), disc_spans(how.close_px)
     rules = how.close_px + 1, int(how.hole_px), float(how.keep_share), float(min(how.keep_gap, 1e9))
@@ -81,7 +81,7 @@ def runs_of(mask: Mask) -> MaskRuns:
 
 
 def draw(runs: MaskRuns, out: Mask | None = None, corner: tuple[int, int] = (0, 0)) -> Mask:
-    """The mask (h, w) again; or set where it is in out, whose first pixel is the corner (y, x) of the mask."""
+    """Return the mask (h, w) again; or set where it is in out, whose first pixel is the corner (y, x) of the mask."""
     made = np.zeros(runs.shape, np.uint8) if out is None else out
     y0, y1, x0, _ = runs.box
     _draw(runs.code, y0, y1, x0, made, *corner)
@@ -90,23 +90,23 @@ def draw(runs: MaskRuns, out: Mask | None = None, corner: tuple[int, int] = (0, 
 
 @lru_cache(maxsize=256)
 def square_spans(size: int) -> NDArray[np.int64]:
-    """(n, 4) spans of a square; none for a size below 2, which changes nothing."""
+    """Return (n, 4) spans of a square; none for a size below 2, which changes nothing."""
     return _spans(np.ones((size, size), np.uint8))
 
 
 @lru_cache(maxsize=256)
 def disc_spans(size: int) -> NDArray[np.int64]:
-    """The same of OpenCV's disc."""
+    """Return the same of OpenCV's disc."""
     return _spans(disc(size)) if size > 1 else _spans(np.ones((size, size), np.uint8))
 
 
 def disc(size: int) -> Mask:
-    """(size, size) OpenCV's disc, 1 where it is."""
+    """Return (size, size) OpenCV's disc, 1 where it is."""
     return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), dtype=np.uint8)
 
 
 def _spans(element: Mask) -> NDArray[np.int64]:
-    """Rows of an element with the same columns are one span; OpenCV's middle of n is n // 2."""
+    """Return rows of an element with the same columns are one span; OpenCV's middle of n is n // 2."""
     size, spans = len(element), list[list[int]]()
     for y, row in enumerate(element if size > 1 else ()):
         x = np.flatnonzero(row) - size // 2
@@ -278,7 +278,11 @@ def _root(parent, i):
 @kernel
 def _label(bits, box, flip, reach, runs, parent):
     """Runs of the pixels set in bits ^ flip in the box, joined to regions (reach 1: also over corners); returns their
-    number. runs (n, 3): row, start, end; parent (n,): the first run of the region."""
+    number.
+
+    runs (n, 3): row, start, end.
+    parent (n,): the first run of the region.
+    """
     n = 0
     before = 0  # first run of the row above
     for y in range(box[0], box[1]):

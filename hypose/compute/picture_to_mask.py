@@ -31,12 +31,15 @@ class Undistortion(NamedTuple):
     """How stored pictures of one camera become undistorted ones (h, w) of the working size.
 
     stored: (width, height) of the stored pictures. First they are shrunk by area: working row y is the sum over k of
-    row_weights[y, k] (h, L) u2 times stored row rows[y] + k, and columns likewise after, with column_weights (w, K) i4;
-    rounding (5,): half and shift of rows, factor, half and shift of columns. corner (h, w): number of the pixel up and
-    left of the undistorted one in the shrunk picture, in rows with one pixel of black on the left and two on the right
-    (one above, two below); part (h, w) u2: further right, and 32 times further down, in 32nds of a pixel. row_reach
-    (h, 2), column_reach (w, 2): first and last shrunk row (column) that the corners of an undistorted row (column) lie
-    in. straight: the shrunk picture is the undistorted one.
+        row_weights[y, k] (h, L) u2 times stored row rows[y] + k, and columns likewise after, with column_weights (w, K)
+        i4.
+    rounding (5,): half and shift of rows, factor, half and shift of columns.
+    corner (h, w): number of the pixel up and left of the undistorted one in the shrunk picture, in rows with one pixel
+        of black on the left and two on the right (one above, two below).
+    part (h, w) u2: further right, and 32 times further down, in 32nds of a pixel.
+    row_reach (h, 2), column_reach (w, 2): first and last shrunk row (column) that the corners of an undistorted row
+        (column) lie in.
+    straight: the shrunk picture is the undistorted one.
     """
 
     stored: tuple[int, int]
@@ -59,9 +62,14 @@ _SHARES = _SHARES.astype(np.uint16)
 
 
 class BackgroundLevels(NamedTuple):
-    """What the empty room looks like: low, high (h, w, 3) u1, the grey levels that are still the room; mean (h, w, 3)
-    f4, for the shadow test; shadow: whether that is made; darkest, lightest: brightness of a shadow relative to the lit
-    room; chroma: squared colour distance a shadow may have, grey levels."""
+    """What the empty room looks like.
+
+    low, high (h, w, 3) u1, the grey levels that are still the room.
+    mean (h, w, 3) f4, for the shadow test.
+    shadow: whether that is made.
+    darkest, lightest: brightness of a shadow relative to the lit room.
+    chroma: squared colour distance a shadow may have, grey levels.
+    """
 
     low: Image
     high: Image

@@ -107,7 +107,11 @@ def _wrenches(work, p):
 def form_rows(first, last, ends, found, work, n_rows, vertices, mesh, p, rows, joints):
     """Appends the rows of found points first to last, all of one view with the camera p (3, 4) f4, to rows (M, 8) =
     wrench, weight, residual, and joints (M,), from row n_rows on, one for each joint that moves the point; returns the
-    number of rows then. ends, found: as in contours.contour_rows; work (9 x LANES,) f4: scratch."""
+    number of rows then.
+
+    ends, found: as in contours.contour_rows.
+    work (9 x LANES,) f4: scratch.
+    """
     skin_index, skin_weight, skin_count = mesh.skin_index, mesh.skin_weight, mesh.skin_count
     for block in range(first, last, LANES):
         some = min(LANES, last - block)

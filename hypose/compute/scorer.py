@@ -182,9 +182,11 @@ def camera_lanes(projection, poses, first, p):
 def lane_windows(bounds, box, lanes, window, origin):
     """The image window of each lane: what of its silhouette's bounds lies in the box (x0, x1, y0, y1).
 
-    window (5, LANES) f4: origin x, y, first and end column, rows; origin (LANES, 4) i8: x, y, columns, rows. Windows
-    begin at a multiple of 8 columns, where the mask's bits begin a byte. Returns two masks of lanes: those to draw and
-    those that reach the near plane (their window is the whole box).
+    window (5, LANES) f4: origin x, y, first and end column, rows.
+    origin (LANES, 4) i8: x, y, columns, rows. Windows begin at a multiple of 8 columns, where the mask's bits begin a
+        byte.
+
+    Returns two masks of lanes: those to draw and those that reach the near plane (their window is the whole box).
     """
     some, near = np.uint32(0), np.uint32(0)
     for k in range(lanes):
@@ -236,12 +238,15 @@ def _silhouette_xor(
     scratch,
     out,
 ):
-    """Blocks first..last (of LANES poses) of out (N, C, 3) = (xor, model, intersection) pixels inside boxes (C, 4),
-    of the views that are usable (C,).
+    """Blocks first..last (of LANES poses) of out (N, C, 3) = (xor, model, intersection) pixels inside boxes (C, 4), of
+    the views that are usable (C,).
 
     moved_joints (J,): joints that must be placed for the first block, turning (J,): those that are elsewhere in the
-    others. drawn (C, h, B) packed as the masks, drawn_counts (C, 2) model, intersection: pixels that belong to the body
-    in every pose. scratch: of lane_scratch.py, for this mesh and these images."""
+        others.
+    drawn (C, h, B) packed as the masks, drawn_counts (C, 2) model, intersection: pixels that belong to the body in
+        every pose.
+    scratch: of lane_scratch.py, for this mesh and these images.
+    """
     views, image_rows, _ = prepared.masks.shape
     frames, centres, axis, turn, maps, points, u, v, p, bounds, window, origin = scratch[:12]
     front, union, edge, columns, lists, ends, difference, counts = scratch[12:]
@@ -419,14 +424,17 @@ def silhouette_xor(
 ) -> NDArray[np.int64]:
     """Silhouettes of the mesh at poses (N, D) against the frame's masks: (N, C, 3) = (xor, model, intersection) pixels.
 
-    boxes (C, 4) = x0, x1, y0, y1 (half open, px) restricts the counting; default: each view's whole image. faces (F,)
-    bool: only these triangles of the mesh, as seen from outside (body parts, where a hierarchical search has not placed
-    the rest yet). moving (J,) bool: only these joints turn, everything else stands as in the last pose, and what they
-    do not move is drawn once; rest: that drawing, where `reach.standing` has made it (then without boxes and faces).
-    Views that are not usable give zeros. The same counts for any number of threads, and for a pose alone or among
-    others. Exact up to 1-2 pixels of a silhouette whose edge passes through a pixel's centre.
-    Parts nearer than 0.05 m to a camera's plane, or behind it, are cut off. A SolverError for poses that are not
-    finite.
+    boxes (C, 4) = x0, x1, y0, y1 (half open, px) restricts the counting; default: each view's whole image.
+    faces (F,) bool: only these triangles of the mesh, as seen from outside (body parts, where a hierarchical search has
+        not placed the rest yet).
+    moving (J,) bool: only these joints turn, everything else stands as in the last pose, and what they do not move is
+        drawn once.
+    rest: that drawing, where `reach.standing` has made it (then without boxes and faces). Views that are not usable
+        give zeros.
+
+    The same counts for any number of threads, and for a pose alone or among others. Exact up to 1-2 pixels of a
+    silhouette whose edge passes through a pixel's centre. Parts nearer than 0.05 m to a camera's plane, or behind it,
+    are cut off. A SolverError for poses that are not finite.
     """
     q = _finite(poses)
     n, c = len(q), len(prepared.masks)
@@ -484,8 +492,8 @@ def limb_energies(
     slack: float = 1.0,
     more: float = 0.0,
 ) -> Array:
-    """(N,) energies (eq. 2.8) of poses (N, D) in which only the joints `moving` (J,) turn; infinite where they are
-    certainly above `slack` times the energy of the first pose, and `more`. moving, rest: as for `silhouette_xor`.
+    """Return (N,) energies (eq. 2.8) of poses (N, D) in which only the joints `moving` (J,) turn; infinite where they
+    are certainly above `slack` times the energy of the first pose, and `more`. moving, rest: as for `silhouette_xor`.
 
     Most poses of a limb are worse than the one that it is in, and a view or two tell: a limb cannot explain more of a
     mask than what lies uncovered in its window. The others have the energies that `silhouette_xor` gives them.

@@ -118,7 +118,7 @@ def _parts() -> None:
 
 
 def _evidence(depth: DepthArrays | None = None) -> tuple[np.ndarray, tuple[Any, ...], Any]:
-    """A pose, and all other arguments of the solver."""
+    """Return a pose, and all other arguments of the solver."""
     tree, mesh, q, projection = _toy()
     mask, sizes = _mask()
     sdf = np.zeros(mask.shape, dtype=np.float32)
@@ -211,18 +211,18 @@ def warm_up(*names: str, load: bool = True) -> float:
 
 
 def kept(*names: str) -> bool:
-    """Whether all kernels of these parts of the room are on disk, for later starts."""
+    """Return whether all kernels of these parts of the room are on disk, for later starts."""
     return all(map(_is_ready, names))
 
 
 def _is_ready(part: str) -> bool:
-    """Whether all kernels of a part are in the cache: a file says so, by being there."""
+    """Return whether all kernels of a part are in the cache: a file says so, by being there."""
     mark = _mark(part)
     return mark is not None and os.path.exists(mark)
 
 
 def _can_keep() -> bool:
-    """Whether this process will find what others compile."""
+    """Return whether this process will find what others compile."""
     mark = _mark("")
     if mark is None:
         return False
