@@ -320,7 +320,8 @@ def scan(
 
 
 def scan_classes(picture: PaddedDepth, packed: Packed, clip_mm: int, plan: ScanPlan) -> tuple[NDArray[np.float32], int]:
-    """Return (C - 1, rows, columns): mean share of each gesture where it wins, else 0; and the number of tree descents."""
+    """Return (C - 1, rows, columns): mean share of each gesture where it wins, else 0; and the number of tree
+    descents."""
     raster = _raster(picture, plan.near_mm, plan.far_mm)
     shares = packed.shares.reshape(-1, packed.shares.shape[2])
     out = np.empty((shares.shape[1] - 1, *grid_shape(picture.shape, plan.stride)), np.float32)

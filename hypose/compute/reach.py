@@ -167,7 +167,8 @@ def _score_points(points, weights, rotation, centre, prepared, bits, cutoff, out
 def standing(
     pose: ArrayLike, tree: TreeArrays, mesh: MeshArrays, prepared: PreparedMasks, moving: ArrayLike
 ) -> Standing:
-    """Return the silhouettes at a pose (D,) of what the joints `moving` (J,) bool, and those below them, do not move."""
+    """Return the silhouettes at a pose (D,) of what the joints `moving` (J,) bool, and those below them, do not
+    move."""
     q, turning = plain(pose, np.float64), plain(moving, np.bool_)
     parts = lane_mesh.moving_parts(mesh, tree, turning, None)
     bits, counts = np.zeros_like(prepared.bits), np.zeros((len(prepared.masks), 2), dtype=np.int64)
