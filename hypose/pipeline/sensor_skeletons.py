@@ -48,7 +48,7 @@ _FEWEST = 10
 
 @dataclass(frozen=True)
 class SkeletonRows:
-    """Joints of sensors' skeletons as evidence of one's own (`hypose.tracking.frame_evidence.OwnEvidence`).
+    """Joints of sensors' skeletons as evidence of one's own (`hypose.evidence.cues.OwnEvidence`).
 
     points (T, P, 3) m, world, NaN where missing; weight (T, P); joint (P,), offset (P, 3) m in the joint's frame: where
     they sit on the body; row: of a frame's index."""
