@@ -17,7 +17,7 @@ from hypose.body.skeleton import Skeleton
 from hypose.evidence.terms import PointTerm
 from hypose.fitting.articulated import SolveSettings, fit_pose
 from hypose.geometry import Array, so3_log
-from hypose.synthetic.subjects import Subject
+from hypose.synthetic.subjects import SyntheticSubject
 from hypose.tracking.refinement import anatomical_prior
 from hypose.tracking.subject import PAIRED, TRUNK, shape_from_keypoints
 
@@ -46,7 +46,7 @@ class MeasuringError:
     girth: float = 0.07
 
 
-def measured_body(template: Body, subject: Subject, error: MeasuringError, rng: np.random.Generator) -> Body:
+def measured_body(template: Body, subject: SyntheticSubject, error: MeasuringError, rng: np.random.Generator) -> Body:
     """The template with the lengths and girths of a (dressed) subject, left and right alike, wrong by `error`."""
     names = tuple(dict.fromkeys(LIMBS))
     points = subject.joints[[JOINT_NAMES.index(n) for n in names]]
@@ -61,7 +61,7 @@ def measured_body(template: Body, subject: Subject, error: MeasuringError, rng: 
 
 
 def _girths(
-    body: Body, subject: Subject, error: float, rng: np.random.Generator
+    body: Body, subject: SyntheticSubject, error: float, rng: np.random.Generator
 ) -> dict[str, float | tuple[float, float, float]]:
     """Girth factors (x, y, z) per joint that give the body's parts the mean thickness of the subject's."""
     ours = _thickness(body.fine.vertices, body.fine.main_joint, body.skeleton.rest_joints)

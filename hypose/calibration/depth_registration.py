@@ -33,7 +33,7 @@ _POSE_SD = 0.5
 
 
 @dataclass(frozen=True)
-class Rough:
+class CoarseAlignment:
     """a_from_b (4, 4); seconds to add to b's times; apart m: median distance of the
     joints then."""
 
@@ -42,10 +42,10 @@ class Rough:
     apart: float
 
 
-def rough_registration(times_a: Array, joints_a: Array, times_b: Array, joints_b: Array) -> Rough:
+def rough_registration(times_a: Array, joints_a: Array, times_b: Array, joints_b: Array) -> CoarseAlignment:
     """From the same person's joints as two sensors alone see them: times (T,) s of each sensor's own clock, joints
-    (T, J, 3) m in each sensor's own world, in which the floor is z = 0: what is looked for turns about the vertical and
-    moves along the floor. A CalibrationError when the movements do not belong together."""
+    (T, J, 3) m in each sensor's own world, in which the floor is z = 0: the motion searched turns about the vertical
+    and moves along the floor. A CalibrationError when the movements do not belong together."""
     seconds, correlation = offset_by_movement(times_a, joints_a, times_b, joints_b)
     tb = np.asarray(times_b) + seconds
     inside = np.flatnonzero((times_a >= tb[0]) & (times_a <= tb[-1]))
@@ -70,7 +70,7 @@ def rough_registration(times_a: Array, joints_a: Array, times_b: Array, joints_b
             f"What two depth cameras saw does not fit together ({1000 * apart:.0f} mm apart); one of them took the "
             "front for the back: record somebody who walks about and turns before all of them."
         )
-    return Rough(motion, seconds, apart)
+    return CoarseAlignment(motion, seconds, apart)
 
 
 def _level(source: Array, target: Array, weight: Array) -> Array:
@@ -80,7 +80,7 @@ def _level(source: Array, target: Array, weight: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Registration:
+class DepthRegistration:
     """camera_from_world (C, 4, 4); poses (F, D) of the body."""
 
     camera_from_world: Array
@@ -93,7 +93,7 @@ def refine_registration(
     seen: Sequence[Sequence[SurfacePoints]],
     camera_from_world: Array,
     iterations: int = 12,
-) -> Registration:
+) -> DepthRegistration:
     """Places of sensors and poses (F, D) together. seen: per sensor, per frame, what it measured, in the CAMERA's own
     frame; camera_from_world (C, 4, 4): where to begin; the first is held, the others turn about the vertical and move
     along the floor, for each knows the floor better than a body can tell. Poses are eliminated frame by frame."""
@@ -105,7 +105,7 @@ def refine_registration(
     frames = [[_cue(sensor[f], s) for s, sensor in enumerate(seen)] for f in range(len(poses))]
     start = np.array(camera_from_world, dtype=np.float64), anchor.centre
     problem = _SensorProblem(body, frames, [usual, anchor], len(camera_from_world))
-    return Registration(*problem.solve(start, iterations, Rule(slack=1.002, moved=1e-4)).state)
+    return DepthRegistration(*problem.solve(start, iterations, Rule(slack=1.002, moved=1e-4)).state)
 
 
 def _cue(seen: SurfacePoints, sensor: int) -> Cue[Array]:

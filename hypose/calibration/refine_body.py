@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.body import Body
-from hypose.calibration.refine_points import CameraUnknowns, by_camera, changed
+from hypose.calibration.refine_points import CameraUnknowns, apply_parameters, by_camera
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import EvidenceError
 from hypose.evidence.terms import ContourTerm, Evidence, KeypointTerm
@@ -117,7 +117,7 @@ class _BodyProblem(PoseProblem[_Cameras]):
         return self.unknowns.held(shared)[1]
 
     def shared_moved(self, shared: _Cameras, step: Array) -> _Cameras:
-        return [changed(c, x) for c, x in zip(shared, step.reshape(len(shared), -1), strict=True)]
+        return [apply_parameters(c, x) for c, x in zip(shared, step.reshape(len(shared), -1), strict=True)]
 
     def shared_rows(
         self, shared: _Cameras, posed: Sequence[Posed], rows: Sequence[Rows]

@@ -242,7 +242,7 @@ class Workspace(NamedTuple):
     vertices: NDArray[np.float32]
     turned: NDArray[np.float32]
     uv: NDArray[np.float32]
-    """(V, 2, VIEWS) px, and so on: see silhouettes.py"""
+    """(V, 2, VIEWS) px, and so on: see coverage.py"""
     bounds: NDArray[np.float32]
     front: NDArray[np.uint8]
     union: NDArray[np.int32]

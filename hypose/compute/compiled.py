@@ -46,7 +46,7 @@ _log = logging.getLogger("hypose")
 
 
 @cache
-def note(text: str) -> None:
+def log_cache(text: str) -> None:
     """Say something about the cache, each sentence once per process; without a handler it goes to stderr."""
     _log.warning("%s", text)
 
@@ -59,8 +59,8 @@ def cache_folder() -> Path | None:
         if not problem:
             return folder
         if folder == _named():
-            note(f"{VARIABLE}={str(folder)!r} cannot be used ({problem}); another place is taken for the cache.")
-    note(f"No folder can be written for the cache, so every start compiles again; name one with {VARIABLE}.")
+            log_cache(f"{VARIABLE}={str(folder)!r} cannot be used ({problem}); another place is taken for the cache.")
+    log_cache(f"No folder can be written for the cache, so every start compiles again; name one with {VARIABLE}.")
     return None
 
 
@@ -166,7 +166,7 @@ class KernelCache(NullCache):
             # numba keeps kernels in no other form than as pickles; a private folder and the checksum vouch for this one
             found = CompileResult._rebuild(target_context, *loads(data[32:]))  # noqa: S301
         except Exception:  # of any kind: the kernel is compiled, and its file replaced
-            note(f"Damaged files of compiled code in {path.parent} are compiled again.")
+            log_cache(f"Damaged files of compiled code in {path.parent} are compiled again.")
             return None
         with contextlib.suppress(OSError):
             os.utime(path)  # in use: not thrown away
@@ -188,7 +188,7 @@ class KernelCache(NullCache):
                 temporary.unlink(missing_ok=True)
             failures.append(error)
             reason = (error.strerror or str(error)).lower()
-            note(f"Compiled code cannot be kept in {path.parent} ({reason}); the next start compiles it again.")
+            log_cache(f"Compiled code cannot be kept in {path.parent} ({reason}); the next start compiles it again.")
 
     def _path(self, sig: Any) -> Path | None:
         f = self._function

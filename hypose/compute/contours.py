@@ -13,10 +13,9 @@ import numpy as np
 
 from hypose.compute.arrays import NOT_KNOWN, RIM
 from hypose.compute.compiled import kernel
+from hypose.compute.coverage import LANES, NEAR, STRIP, contours_of_view, emit_lines, fill_strip
 from hypose.compute.losses import geman_mcclure_kernel as geman_mcclure
 from hypose.compute.rows import BORDER
-from hypose.compute.silhouettes import NEAR, contours_of_view, emit_lines
-from hypose.compute.vectors import LANES, STRIP, fill_strip
 
 f4, i4, u4, u8 = np.float32, np.int32, np.uint32, np.uint64
 _BAND, _BANDS = 8, 64

@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from hypose.compute.arrays import plain
 from hypose.compute.compiled import kernel
+from hypose.geometry import Array
 
-Array = NDArray[np.float64]
 Box = tuple[int, int, int, int]
 f4 = np.float32
 _AROUND = 2

@@ -30,7 +30,7 @@ _LANES = 16
 
 
 @kernel
-def vertex_normals(vertices, faces, normals):
+def _vertex_normals(vertices, faces, normals):
     """normals (V, 3) f4: unit, of vertices (V, 3) of a closed mesh, by the areas of the faces around."""
     normals[:] = f4(0)
     for f in range(faces.shape[0]):
@@ -223,7 +223,7 @@ def depth_rows(q, mesh, depth, factor, ws, kept, count):
     vertices = ws.vertices
     n_vertices = vertices.shape[0]
     normals = np.empty((n_vertices, 3), np.float32)
-    vertex_normals(vertices, mesh.faces, normals)
+    _vertex_normals(vertices, mesh.faces, normals)
     room = (n_vertices + 15) // 16 * 16
     fx, fy, fz = np.empty(room, np.float32), np.empty(room, np.float32), np.empty(room, np.float32)
     nx, ny, nz = np.empty(room, np.float32), np.empty(room, np.float32), np.empty(room, np.float32)

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hypose.compute.compiled import kernel
 
-Depth = NDArray[np.uint16]
+DepthImage = NDArray[np.uint16]
 FAR_MM = 10000
 """What a hole, the outside of the picture and everything beyond counts as."""
 UNCLIPPED_MM = 20000
@@ -85,7 +85,9 @@ class PaddedDepth:
         return (r + self.border) * self.width + c + self.border
 
 
-def pad_depth(depth: Depth, focal: float, near_mm: int, reach_mm: int, reuse: PaddedDepth | None = None) -> PaddedDepth:
+def pad_depth(
+    depth: DepthImage, focal: float, near_mm: int, reach_mm: int, reuse: PaddedDepth | None = None
+) -> PaddedDepth:
     """The padded picture; written into `reuse` when that has the same shape and border."""
     border = math.ceil(reach_mm * focal / near_mm) + 2
     h, w = depth.shape

@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from hypose.compute.arrays import plain
 from hypose.compute.compiled import kernel
-from hypose.compute.picture_to_mask import Box, Image, Room, mean_outside
+from hypose.compute.picture_to_mask import BackgroundLevels, Box, mean_outside
+from hypose.geometry import Image
 
 STEP = 4
 """px of the working size between the pixels looked at"""
@@ -31,7 +32,7 @@ class Glance(NamedTuple):
     high: Image
 
 
-def glance_at(room: Room) -> Glance:
+def glance_at(room: BackgroundLevels) -> Glance:
     """The pixels of a room that are looked at."""
     around = np.ones((3, 3), np.uint8)
     low, high = cv2.erode(room.low, around), cv2.dilate(room.high, around)
@@ -70,7 +71,7 @@ def warm_up() -> None:
     """Compile (or load from disk) the kernel."""
     picture, (x, y) = np.zeros((24, 30, 3), np.uint8), np.meshgrid(np.arange(15.0), np.arange(12.0))
     low = np.zeros((12, 15, 3), np.uint8)
-    room = Room(low, low, low.astype(np.float32), False, 0.5, 0.9, 100.0)
+    room = BackgroundLevels(low, low, low.astype(np.float32), False, 0.5, 0.9, 100.0)
     differing_box(picture, stored_pixels((30, 24), x, y), glance_at(room), (15, 12))
 
 

@@ -9,9 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from hypose.compute.arrays import plain
 from hypose.compute.compiled import kernel
+from hypose.geometry import Array
 
-Array = NDArray[np.float64]
-LEAST = 1e-12
+_DAMPING_SHARE = 1e-12
 """Share of its diagonal (of 1 at least) that is added to a group of unknowns, of which nothing may be known"""
 
 
@@ -69,7 +69,7 @@ class SharedEquations:
         Source: Triggs et al. 2000, "Bundle adjustment - a modern synthesis", section 6.1."""
         own = self.own.copy()
         diagonal = np.einsum("kii->ki", own)  # a view
-        diagonal += max(damping, LEAST) * np.maximum(diagonal, 1.0)
+        diagonal += max(damping, _DAMPING_SHARE) * np.maximum(diagonal, 1.0)
         factor = np.linalg.cholesky(own)
         inner = np.linalg.solve(factor, np.concatenate([self.cross, self.own_gradient[..., None]], 2))
         cross, pull = inner[..., :-1], inner[..., -1]
@@ -97,7 +97,7 @@ class Reduced:
         if not (hessian.diagonal() > 0).all():
             return None
         scale = np.sqrt(hessian.diagonal())  # unknowns have units
-        scaled = hessian / np.outer(scale, scale) + LEAST * np.eye(len(scale))
+        scaled = hessian / np.outer(scale, scale) + _DAMPING_SHARE * np.eye(len(scale))
         if not _is_positive(scaled):
             return None
         x = np.zeros(len(use))

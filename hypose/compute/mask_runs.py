@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from hypose.compute.arrays import plain
 from hypose.compute.compiled import kernel
 from hypose.compute.simd import lowest_bit, popcount
+from hypose.geometry import Mask
 
-Mask = NDArray[np.uint8]
 Bits = NDArray[np.uint64]
 """(words, h) of a mask (h, w): 64 pixels of a row in a word, lowest bit first, zero beyond the width"""
 

@@ -22,7 +22,7 @@ from hypose.compute.mono_nodes import bilinear
 from hypose.compute.mono_terms import GAUSSIAN, LORENTZIAN
 
 f4 = np.float32
-SHARE = 0.1
+_SHARE = 0.1
 """least second derivative along a residual, as a share of that without rho''"""
 
 
@@ -46,7 +46,7 @@ def curvature(first, second, s, second_order):
     the peak it is negative and a Newton step would climb."""
     if not second_order:
         return first
-    return max(along(first, second, s), SHARE * first)
+    return max(along(first, second, s), _SHARE * first)
 
 
 @kernel

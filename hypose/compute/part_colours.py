@@ -13,8 +13,8 @@ from hypose.compute.compiled import kernel
 from hypose.compute.parts import projected
 from hypose.compute.threads import over_chunks
 from hypose.compute.zbuffer import draw_faces, draw_nearest, inverse_depth
+from hypose.geometry import Array
 
-Array = NDArray[np.float64]
 _LIMB = 32
 """Labels of one limb; there are at most so many parts."""
 _ENOUGH = 1500

@@ -19,15 +19,15 @@ from hypose.compute.compiled import kernel
 from hypose.compute.mask_runs import Bits, close_to, no_bits, opened, square_spans
 from hypose.compute.simd import at_least, bits, cast, load, ramp, shuffle, splat, store, where
 from hypose.errors import InputError
+from hypose.geometry import Image
 
 f4, u1, i2, u2, i4, u4, u8 = np.float32, np.uint8, np.int16, np.uint16, np.int32, np.uint32, np.uint64
-Image = NDArray[np.uint8]
 Box = tuple[int, int, int, int]
 _LEAST = 16
 """Pixels that the kernels compare at once"""
 
 
-class Lens(NamedTuple):
+class Undistortion(NamedTuple):
     """How stored pictures of one camera become undistorted ones (h, w) of the working size.
 
     stored: (width, height) of the stored pictures. First they are shrunk by area: working row y is the sum over k of
@@ -55,10 +55,10 @@ class Lens(NamedTuple):
 _FX, _FY = np.meshgrid(np.arange(32), np.arange(32))
 _SHARES = np.stack([(32 - _FX) * (32 - _FY), _FX * (32 - _FY), (32 - _FX) * _FY, _FX * _FY], -1).reshape(-1, 4)
 _SHARES = _SHARES.astype(np.uint16)
-"""(1024, 4): of a pixel, the one on its right, and the two below, in 1024ths, by Lens.part"""
+"""(1024, 4): of a pixel, the one on its right, and the two below, in 1024ths, by Undistortion.part"""
 
 
-class Room(NamedTuple):
+class BackgroundLevels(NamedTuple):
     """What the empty room looks like: low, high (h, w, 3) u1, the grey levels that are still the room; mean (h, w, 3)
     f4, for the shadow test; shadow: whether that is made; darkest, lightest: brightness of a shadow relative to the lit
     room; chroma: squared colour distance a shadow may have, grey levels."""
@@ -72,9 +72,11 @@ class Room(NamedTuple):
     chroma: float
 
 
-def make_lens(stored: tuple[int, int], map_x: ArrayLike, map_y: ArrayLike) -> Lens:
-    """Lens for stored pictures (width, height) from maps (h, w) in pixels of the working size: where in a picture
-    shrunk to that size each undistorted pixel lies (as for cv2.remap). Pictures are never enlarged: an InputError."""
+def make_lens(stored: tuple[int, int], map_x: ArrayLike, map_y: ArrayLike) -> Undistortion:
+    """Make the undistortion of stored pictures (width, height) from maps (h, w) in pixels of the working size.
+
+    map_x, map_y: place of each undistorted pixel in a picture shrunk to that size, as for cv2.remap.
+    InputError when a picture would be enlarged."""
     mx, my = np.asarray(map_x), np.asarray(map_y)
     h, w = mx.shape
     if stored[0] < w or stored[1] < h:
@@ -90,7 +92,7 @@ def make_lens(stored: tuple[int, int], map_x: ArrayLike, map_y: ArrayLike) -> Le
         rounding = (0, 0, (16777216 + n // 2) // n, 8388608, 24)
     i, j = _parts(mx, 32 * w), _parts(my, 32 * h)
     column, row = (i >> 5) + 1, (j >> 5) + 1
-    return Lens(
+    return Undistortion(
         stored,
         columns,
         column_weights.astype(np.int32),
@@ -126,7 +128,7 @@ def _averages(source: int, target: int) -> tuple[NDArray[np.int64], NDArray[np.i
     return first, np.diff(cumulative, axis=1)
 
 
-def shrink_undistort(image: Image, lens: Lens, box: Box | None = None, out: Image | None = None) -> Image:
+def shrink_undistort(image: Image, lens: Undistortion, box: Box | None = None, out: Image | None = None) -> Image:
     """Stored picture (H, W, 3) -> undistorted (h, w, 3) of the working size, black where the camera does not see, and
     outside `box` (default: everywhere) undefined. out: of `new_picture`, to be used for it."""
     h, w = lens.corner.shape
@@ -167,7 +169,7 @@ def _scratch(h: int, w: int) -> NDArray[np.uint8]:
     return known[1]
 
 
-def _needed(lens: Lens, box: Box | None) -> Box:
+def _needed(lens: Undistortion, box: Box | None) -> Box:
     """A part of the shrunk picture that holds all that undistorted pixels in the box are made of."""
     h, w = lens.corner.shape
     if box is None:
@@ -181,7 +183,7 @@ def _needed(lens: Lens, box: Box | None) -> Box:
     )
 
 
-def not_the_room(image: Image, room: Room, box: Box | None = None) -> Bits:
+def not_the_room(image: Image, room: BackgroundLevels, box: Box | None = None) -> Bits:
     """Bits (mask_runs.bits_of) of the person in an undistorted picture (h, w, 3), in the box (default: everywhere):
     what is neither the room nor its shadow, the same colour but darker. A shadow is an area: single pixels along the
     edge of dark clothing before a bright wall are mixed colours, so shadows are opened 3 x 3."""
@@ -215,7 +217,7 @@ def warm_up() -> None:
     for lens in (make_lens((30, 24), x, y), make_lens((30, 24), x + 0.3, y)):
         small = shrink_undistort(picture, lens)
         mean = small.astype(np.float32)
-        not_the_room(small, Room(small, small, mean, True, 0.5, 0.9, 100.0))
+        not_the_room(small, BackgroundLevels(small, small, mean, True, 0.5, 0.9, 100.0))
     order_statistic(picture, None, np.zeros(30, np.int64))
     order_statistic(picture, np.zeros((24, 30), np.bool_), np.zeros(30, np.int64))
 
@@ -223,7 +225,7 @@ def warm_up() -> None:
 @kernel
 def _shrink(image, columns, column_weights, rows, row_weights, rounding, y0, y1, x0, x1, out, begin, stride):
     """Area average of image (H, W, 3) u1 for y0 <= y < y1, x0 <= x < x1: pixel (y, x) is three bytes of out (u1) from
-    begin + stride y + 3 x on. See picture_to_mask.Lens; the byte after each row becomes 0."""
+    begin + stride y + 3 x on. See Undistortion; the byte after each row becomes 0."""
     taps, lines = column_weights.shape[1], row_weights.shape[1]
     first, last = columns[x0], columns[x1 - 1] + taps
     width, line = 3 * (last - first), 3 * image.shape[1]

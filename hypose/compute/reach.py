@@ -13,19 +13,22 @@ from numpy.typing import ArrayLike, NDArray
 from hypose.compute import lane_mesh
 from hypose.compute.arrays import MeshArrays, PreparedMasks, Standing, TreeArrays, plain, tidy
 from hypose.compute.compiled import kernel
-from hypose.compute.kinematics import joint_frames, skin_about_root
-from hypose.compute.silhouettes import (
+from hypose.compute.coverage import (
     NEAR,
+    STRIP,
     VIEWS,
     contours_of_any,
     contours_of_view,
     emit_clipped_faces,
     emit_lines,
+    fill_strip,
     front_views,
     project_views,
+    row_stride,
 )
+from hypose.compute.kinematics import joint_frames, skin_about_root
 from hypose.compute.threads import over_chunks
-from hypose.compute.vectors import STRIP, fill_strip, row_stride
+from hypose.geometry import Array
 
 f4 = np.float32
 
@@ -159,9 +162,6 @@ def _score_points(points, weights, rotation, centre, prepared, bits, cutoff, out
                         total[alive[i]] += worth_of[np.uint8(kind) if at >= 0 else np.uint8(2)]
         for n in range(n_block):
             out[first + n] = total[n]
-
-
-Array = NDArray[np.float64]
 
 
 def standing(

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from hypose.compute.arrays import plain
 from hypose.compute.compiled import kernel
+from hypose.compute.coverage import LANES
 from hypose.compute.losses import lorentzian_kernel as lorentzian
 from hypose.compute.simd import lane, load, shuffle, splat
-from hypose.compute.vectors import LANES
 
 f4, u4 = np.float32, np.uint32
 BORDER = 3

@@ -16,8 +16,8 @@ from hypose.compute.arrays import NOT_KNOWN, MeshArrays, plain
 from hypose.compute.compiled import kernel
 from hypose.compute.parts import covered
 from hypose.compute.rows import BORDER
+from hypose.geometry import Array
 
-Array = NDArray[np.float64]
 _REFERENCE_PX, _HEIGHT_PX, _OUTLINE = 6.0, 260.0, 130
 """Rows of weight 1 lie so far apart on a person so tall; and so many points of the mask's outline."""
 _FARTHEST = 0.25

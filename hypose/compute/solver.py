@@ -21,19 +21,18 @@ from hypose.compute.arrays import (
 )
 from hypose.compute.compiled import kernel
 from hypose.compute.contours import contour_rows
+from hypose.compute.coverage import VIEWS, contours_of_any, front_views, project_views, row_stride
 from hypose.compute.depth_rows import depth_rows
 from hypose.compute.kinematics import joint_frames, skin_about_root
 from hypose.compute.rows import add_row, form_rows, keypoint_rows, point_rows, sum_rows
-from hypose.compute.silhouettes import VIEWS, contours_of_any, front_views, project_views
-from hypose.compute.vectors import row_stride
 from hypose.errors import SolverError
+from hypose.geometry import Array
 
-LARGEST_TURN = 0.35
+_LARGEST_TURN = 0.35
 """rad: steps that turn a joint further are shortened"""
 ACCEPT = 1.002
 """a step may raise the cost by this factor: contour costs jump when the outline changes"""
 _ROWS, _VIEWS, _FORMED = 0, 1, 2
-Array = NDArray[np.float64]
 
 
 @kernel
@@ -290,7 +289,7 @@ def _solve(q, tree, mesh, contours, keypoints, points, depth, priors, settings, 
             turn = 0.0
             for d in range(3, n):
                 turn = max(turn, abs(step[d]))
-            shorten = min(1.0, LARGEST_TURN / max(turn, 1e-9))
+            shorten = min(1.0, _LARGEST_TURN / max(turn, 1e-9))
             moved = 0.0
             for d in range(n):
                 trial[d] = min(max(q[d] + shorten * step[d], priors.lower[d]), priors.upper[d])

@@ -151,7 +151,7 @@ def _monocular() -> None:
     mono.warm_up(tree, mesh, q, projection[0])
 
 
-PARTS: dict[str, tuple[Callable[[], None], ...]] = {
+KERNEL_GROUPS: dict[str, tuple[Callable[[], None], ...]] = {
     "solver": (_solver,),
     "scorer": (_scorer, _points),
     "outlines": (_outlines, picture_to_mask.warm_up_masks, mask_runs.warm_up, _parts),
@@ -165,13 +165,13 @@ silhouettes of many poses; outlines: what is followed of masks, and a body's par
 fitted to outlines with; pictures: masks from pictures; monocular: one camera; depth: poses from depth as well."""
 
 
-def run(parts: Iterable[str]) -> None:
+def _run(parts: Iterable[str]) -> None:
     """Call all kernels of these parts in this process, and note what is in the cache then."""
     was = gc.isenabled()
     gc.disable()  # a compiler makes many objects that live, which would be looked at again and again
     try:
         for part in parts:
-            for call in PARTS[part]:
+            for call in KERNEL_GROUPS[part]:
                 call()
             mark = _mark(part)
             if mark is not None and not failures:
@@ -182,19 +182,19 @@ def run(parts: Iterable[str]) -> None:
             gc.enable()
 
 
-FOLLOWING = ("solver", "scorer", "outlines", "shape", "pictures")
+TRACKING_KERNELS = ("solver", "scorer", "outlines", "shape", "pictures")
 """The parts of the room that following a person in silhouettes needs."""
 
 
 def warm_up(*names: str, load: bool = True) -> float:
-    """Compile what these parts of the room need (PARTS; default: FOLLOWING), in one process per core where that is
-    worth it; returns the seconds it took.
+    """Compile groups of kernels (names in KERNEL_GROUPS; default: TRACKING_KERNELS), in one process per core where
+    that is worth it; return the seconds it took.
 
     The first time on a machine this takes some tens of seconds; afterwards the compiled code is on disk. load: have it
     in this process as well when it was on disk; without, kernels are read when they are first called.
     """
     start = time.perf_counter()
-    parts = [part for part in PARTS if part in (names or FOLLOWING)]
+    parts = [part for part in KERNEL_GROUPS if part in (names or TRACKING_KERNELS)]
     missing = [part for part in parts if not _is_ready(part)]
     # in a program that Python is embedded in or frozen into, sys.executable is that program
     if len(missing) > 1 and _can_keep() and Path(sys.executable or "").name.lower().startswith("python"):
@@ -206,7 +206,7 @@ def warm_up(*names: str, load: bool = True) -> float:
                 pool.shutdown(wait=False, cancel_futures=True)
                 for process in began:
                     process.kill()
-    run([part for part in parts if load or not _is_ready(part)])
+    _run([part for part in parts if load or not _is_ready(part)])
     return time.perf_counter() - start
 
 
@@ -269,4 +269,4 @@ def run_for_another() -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
-    run(sys.argv[2:])
+    _run(sys.argv[2:])

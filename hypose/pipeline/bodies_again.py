@@ -25,6 +25,7 @@ from hypose.fitting.articulated import SolveSettings
 from hypose.geometry import Array
 from hypose.pipeline.first_frame import Subject
 from hypose.pipeline.rough_bodies import seen_well
+from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.subject_from_motion import different_poses
 from hypose.pipeline.tracked_people import Followed, Wanted
 from hypose.tracking.costs import mean_overlap
@@ -35,11 +36,6 @@ from hypose.tracking.shape_refinement import Known, refine_shape
 from hypose.tracking.tracker import FrameEstimate
 
 AGAIN = "the body was fitted again beside those of the others"
-POSES = 12
-"""Poses to which a body is fitted: with 8 and 20 arms and legs were as far off (seeds 440 and 441)."""
-_LEAST_WON = 0.3
-"""Sum over frames of IoU that the way back must win for what it says of the start to be taken: where nothing was wrong
-it won up to .21 (seeds 432, 440 and 441), where legs were exchanged .80 (432)."""
 Way = dict[int, tuple[FrameEstimate, NDArray[np.float64]]]
 """By frame number, somebody's estimate and how much of them each view (C,) shows."""
 
@@ -87,7 +83,7 @@ def _put_right(there: Way, back: Way, numbers: Sequence[int]) -> Way:
     both = [t in there and t in back for t in numbers]
     won = np.cumsum([there[t][0].cost - back[t][0].cost if b else 0.0 for t, b in zip(numbers, both, strict=True)])
     best = int(won.argmax())
-    if won[best] < _LEAST_WON:
+    if won[best] < SETTINGS.again_least_won:
         return there
     return there | {t: back[t] for t in numbers[: best + 1] if t in back}
 
@@ -103,7 +99,7 @@ def _again(
     template, noted = human(), replace(subject, notes=(*subject.notes, AGAIN))
     seen = seen_well({t: shown for t, (_, shown) in way.items()})
     poses, iou = np.stack([way[t][0].pose for t in seen]), np.array([1 - way[t][0].cost for t in seen])
-    chosen = different_poses(subject.body, poses, iou, POSES)
+    chosen = different_poses(subject.body, poses, iou, SETTINGS.again_poses)
     frames = [own_at(who, seen[k]) for k in chosen]
     x = prior_mean()
     x[0] = np.log(subject.body.stature / template.stature)

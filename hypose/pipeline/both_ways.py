@@ -21,9 +21,9 @@ from hypose.compute import beside
 from hypose.evidence.ahead import look_ahead
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array
+from hypose.inference.estimates import likeliest_path
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.layer import Memory
-from hypose.inference.paths import likeliest_path
 from hypose.pipeline.doubts import looked_again
 from hypose.pipeline.mend_sides import FrameRange, backwards, pace_of, read_once
 from hypose.tracking.costs import agreement, silhouette_iou

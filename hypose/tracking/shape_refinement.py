@@ -71,8 +71,8 @@ class ShapeSettings:
 
 @dataclass(frozen=True)
 class ShapeFit:
-    """body; log_factors (K,) of ENTITIES relative to the body given, covariance (K, K) of them (poses marginalised;
-    see EFFECTIVE); poses (F, D); cost before and after."""
+    """body; log_factors (K,) of SHAPE_FACTORS relative to the body given, covariance (K, K) of them (poses
+    marginalised; see EFFECTIVE); poses (F, D); cost before and after."""
 
     body: Body
     log_factors: Array

@@ -21,8 +21,7 @@ from hypose.evidence.cues import OwnEvidence
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array
 from hypose.inference.hypotheses import BEFORE, Hypotheses
-from hypose.inference.layer import Memory, Recipe, Recovery, search, stand_still
-from hypose.inference.random_streams import stream
+from hypose.inference.layer import Memory, Recipe, Recovery, search, stand_still, stream
 from hypose.tracking.costs import agreement, mean_overlap, silhouette_iou
 from hypose.tracking.frame_evidence import PreparedFrame, prepare, view_count
 from hypose.tracking.keypoint_evidence import KeypointModel
@@ -210,7 +209,7 @@ class Tracker:
             best = h.take(np.repeat(h.relative_log_weights.argmax(), recipe.particles)).equal()
             h, prepared = replace(best, columns={}), replace(prepared, rivals=h)
         result = search(h, recipe, prepared, partial(stream, self.settings.seed, frame.index))
-        pose, selected = self._within(result.estimate), result.selected
+        pose, selected = self._within(result.estimate), result.resampled
         iou = agreement(self.body, pose, prepared)
         lost = self._is_lost(iou, state.usual_iou)
         if recipe.lost is not None:

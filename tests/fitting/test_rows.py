@@ -6,7 +6,7 @@ import inspect
 import numpy as np
 import pytest
 
-from hypose.body.anthropometry import ENTITIES, entity
+from hypose.body.anthropometry import SHAPE_FACTORS, entity
 from hypose.body.ready_bodies import human
 from hypose.calibration import depth_registration, refine_body
 from hypose.calibration.refine_points import CameraUnknowns
@@ -115,7 +115,7 @@ def test_a_cue_brings_a_pose_back(name, rng):
 def shape(cue):
     known = shape_refinement.Known(height=1.8, mass=80.0, bones=0.1)
     made = shape_refinement._ShapeProblem(BODY, [[cue]] * 2, [], known, 1.0, 1.01)
-    return made, 0.02 * np.cos(np.arange(len(ENTITIES)))
+    return made, 0.02 * np.cos(np.arange(len(SHAPE_FACTORS)))
 
 
 def cameras(cue):

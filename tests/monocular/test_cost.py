@@ -174,7 +174,7 @@ def test_the_search_finds_what_scipys_bounded_solver_finds():
     upper[knee] = truth[active[knee]] - 0.2
     problem = problem._replace(priors=problem.priors._replace(upper=upper))
     start = np.clip(truth + np.random.default_rng(4).normal(0, 0.05, s.dof), s.lower, s.upper)
-    found = mono.search(start, start, problem, 0, 60, ws)
+    found = mono.newton_descent(start, start, problem, 0, 60, ws)
 
     def cost(x):
         q = start.copy()

@@ -15,7 +15,7 @@ from benchmarks.papers.layered_anthropometry import (
     shape_energy,
     sizes_2_1,
 )
-from hypose.body.anthropometry import ENTITIES, body_of, entity, sizes_of
+from hypose.body.anthropometry import SHAPE_FACTORS, body_of, entity, sizes_of
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.terms import contour_term
 from hypose.inference.hypotheses import Hypotheses
@@ -31,7 +31,7 @@ from hypose.tracking.shape_refinement import Known, ShapeSettings, refine_shape
 
 
 def shape(**factors):
-    x = np.zeros(len(ENTITIES))
+    x = np.zeros(len(SHAPE_FACTORS))
     for name, value in factors.items():
         x[entity(name.replace("_", " "))] = value
     return x
@@ -76,7 +76,9 @@ def test_shape_of_another_body_is_found_from_motion(body, moving, frame_of, rng)
     assert error < 0.4 * before
     assert np.linalg.eigvalsh(fit.covariance).min() > 0
     # evidence can only take uncertainty away
-    assert fit.covariance[entity("thigh length"), entity("thigh length")] < ENTITIES[entity("thigh length")].sd ** 2
+    assert (
+        fit.covariance[entity("thigh length"), entity("thigh length")] < SHAPE_FACTORS[entity("thigh length")].sd ** 2
+    )
 
 
 def test_fit_is_the_same_twice(body, moving, frame_of):
@@ -120,7 +122,7 @@ def test_subject_from_the_hull_alone(body, standing, frame_of, tmp_path):
     saved, toml = save_subject(tmp_path / "anna", found, body, 'the "first"')
     document = tomllib.loads(toml.read_text())
     assert document["sizes"]["stature"]["cm"] == pytest.approx(100 * found.naked.stature, abs=0.01)
-    assert 0 < document["sizes"]["thigh"]["sd"] < 5 and set(document["factors"]) == {e.name for e in ENTITIES}
+    assert 0 < document["sizes"]["thigh"]["sd"] < 5 and set(document["factors"]) == {e.name for e in SHAPE_FACTORS}
     for path in (saved, toml, saved.parent):
         np.testing.assert_array_equal(load_subject(path).fine.vertices, found.body.fine.vertices)
     again = find_subject(lambda i: frames[i], 3, SubjectOptions(body=load_subject(saved), start="standing", known=True))
@@ -163,7 +165,7 @@ def test_layers_move_their_own_coordinates_within_the_prior(body, standing, fram
     frame = prepare(frame_of(body, standing), body, standing)
     state = np.concatenate([np.zeros(K), standing])
     h = Hypotheses.uniform(np.repeat(state[None], 12, 0))
-    lower_arms = recipe.layers[6].propose(h, frame, rng)
+    lower_arms = recipe.layers[6].propagate(h, frame, rng)
     moved = np.flatnonzero((lower_arms.values != h.values).any(0))
     own = {entity(n) for n in ("forearm length", "forearm girth", "hands")}
     own |= {int(K + d) for d in body.skeleton.dofs_of("left_elbow", "right_elbow")}

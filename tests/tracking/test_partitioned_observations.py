@@ -103,7 +103,7 @@ def test_the_presets_have_the_published_numbers(body):
         recipe = make(body)
         assert (len(recipe.layers), recipe.particles) == (8, 500)
     fixed = hpf_apo(body, betas=[0.5] * 8)
-    assert all(layer.weigh.selectivity.beta == 0.5 for layer in fixed.layers)  # type: ignore[attr-defined]
+    assert all(layer.weigh.rate.beta == 0.5 for layer in fixed.layers)  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("make", [hpf_apo, hpf_apo_plus])

@@ -8,10 +8,10 @@ import pytest
 from hypose.errors import InputError
 from hypose.evidence.terms import PointTerm
 from hypose.fitting import SolveSettings, fit_pose
+from hypose.inference.annealing import SmoothedWeight, SurvivalRate
 from hypose.inference.kernels import GaussianDiffusion
 from hypose.inference.layer import Layer, Recipe
-from hypose.inference.selectivity import Annealed, SurvivalRate
-from hypose.inference.selectors import systematic
+from hypose.inference.resampling import systematic
 from hypose.tracking import refinement
 from hypose.tracking.costs import SilhouetteXor
 from hypose.tracking.frame_evidence import prepare
@@ -93,7 +93,9 @@ def test_a_recipe_is_refused_the_evidence_that_it_needs(body):
 def own_recipe(body, particles=150):
     s = body.skeleton
     layer = Layer(
-        GaussianDiffusion(0.5 * s.sigma, s.lower, s.upper), Annealed(SilhouetteXor(), SurvivalRate(0.2)), systematic
+        GaussianDiffusion(0.5 * s.sigma, s.lower, s.upper),
+        SmoothedWeight(SilhouetteXor(), SurvivalRate(0.2)),
+        systematic,
     )
     return Recipe("mine", [layer] * 4, particles, needs=("silhouettes",), estimate=pose_mean(s))
 

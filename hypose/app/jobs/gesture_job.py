@@ -16,9 +16,9 @@ from hypose.app.live.gesture_sources import Source, Taken
 from hypose.compute import ScanPlan
 from hypose.errors import EvidenceError, InputError
 from hypose.gestures.depth_pictures import surface_depth
-from hypose.gestures.events import Event, EventSettings, EventState, average_precision, step
+from hypose.gestures.events import Event, EventSettings, EventState, average_precision, detect_events
 from hypose.gestures.forest import Forest, ForestSettings, GrowingForest
-from hypose.gestures.localise import Found, LocaliseSettings, Scratch, localise
+from hypose.gestures.localise import Localisation, LocaliseSettings, Scratch, localise
 from hypose.gestures.model import GestureModel
 from hypose.gestures.online import Learner
 from hypose.gestures.session import Command, Instruction, SessionSettings
@@ -242,7 +242,7 @@ class Watched:
     """A frame that was looked at: time (s), what was found, and the events in it."""
 
     time: float
-    found: list[Found]
+    found: list[Localisation]
     events: list[Event]
 
 
@@ -269,7 +269,7 @@ def watch(
             if empty == EMPTY:
                 say(f"{source.name}: {EMPTY} frames have no depth {_range(plan)}, where gestures are looked for.")
             found = localise(taken.depth, source.lens, forests, settings, scratch)
-            state, events = step(state, found, taken.time, limits)
+            state, events = detect_events(state, found, taken.time, limits)
             yield Watched(taken.time, found, events)
         if not near:
             raise EvidenceError(

@@ -6,7 +6,7 @@ import pytest
 from hypose.cameras.camera import Camera
 from hypose.evidence.silhouettes import SilhouetteSettings
 from hypose.pipeline.live.rooms import ViewRoom
-from hypose.synthetic.rigs import rig
+from hypose.synthetic.scenes import camera_rig
 
 W, H = 160, 120
 PERSON = (slice(30, 100), slice(40, 62))
@@ -15,7 +15,7 @@ CHAIR = (slice(70, 100), slice(110, 135))
 
 @pytest.fixture
 def camera() -> Camera:
-    return rig("humaneva-4").scaled(0.25)[0]
+    return camera_rig("humaneva-4").scaled(0.25)[0]
 
 
 @pytest.fixture
