@@ -1,7 +1,7 @@
 """Cameras from one person who walks about, and the person's height: no board, no measured points.
 
 The start is `two_views`: offsets from the epipolar geometry of pairs, a rig chained from essential matrices, focal
-lengths tried where they are unknown. The bundle adjustment is that which refines a rig, and its scores correct the offsets.
+lengths tried where they are unknown. The bundle adjustment is that which refines a rig, and its scores correct offsets.
 What such a recording cannot tell is refused: steady walking in a circle looks the same from cameras that are turned
 about its middle and late by a stride, so the start is made at the second best offsets as well and has to be clearly
 worse there.
