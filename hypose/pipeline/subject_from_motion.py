@@ -259,8 +259,8 @@ _BONES, _SURE_BONES = 50.0, (0.005, 0.05)
 points from the body fitted to them, for what scatter does to a length grows so; and between which shares. Chosen on
 bodies from plain, detector-like and thinned out key points (combo, seeds 1248 to 1253)"""
 _BONE_M = 0.3
-"""Length of a bone between two points whose errors last (`lasting_m`). Outlines then tell more of it: 14.1 -> 12.4 mm on
-six scenes (seeds 6100 to 6107)"""
+"""Length of a bone between two points whose errors last (`lasting_m`). Outlines then tell more of it: 14.1 -> 12.5 mm
+on six scenes (seeds 6100 to 6107)"""
 
 
 def with_outlines(fitted: KeypointSubject, frames: Sequence[Frame]) -> tuple[Body, str] | None:
