@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from hypose.geometry import transform
 from hypose.io.motions.marker_files import write_trc
 from hypose.io.sensors.skeleton_files import KINECT_V2
-from hypose.synthetic.gait import jog, walk
+from hypose.synthetic.motions import jog, walk
 from hypose.synthetic.performance import Performance, soles
 from hypose.synthetic.subjects import SyntheticSubject, load_subjects
 from tests import depth_sensors, missing

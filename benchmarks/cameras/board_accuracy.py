@@ -14,9 +14,8 @@ from benchmarks.depth_sensors.fusion_benchmarks import jitter
 from benchmarks.multiview.real_recordings import uu4cam_recording
 from benchmarks.synthetic.calibration_boards import BoardScene, compare_rigs, film_board, ring_of_cameras
 from hypose.calibration.boards import Board, BoardDetection
-from hypose.calibration.bundle import project_with_derivatives
+from hypose.calibration.bundle import board_poses, calibrate_lens, collect_observations, project_with_derivatives
 from hypose.calibration.from_boards import BoardCalibration, CalibrateOptions, calibrate_from_boards
-from hypose.calibration.intrinsics import board_poses, calibrate_lens, collect_observations
 from hypose.calibration.rig import RigCalibration, calibrate_rig
 from hypose.calibration.views import BoardFootage
 from hypose.cameras.camera import CameraRig

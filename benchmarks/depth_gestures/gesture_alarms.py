@@ -17,13 +17,11 @@ from hypose.gestures.depth_pictures import KINECT
 from hypose.gestures.events import EventSettings, EventState, detect_events
 from hypose.gestures.forest import Forest
 from hypose.gestures.localise import LocaliseSettings, Scratch, densities, localise, settle
-from hypose.gestures.online import Learner
-from hypose.gestures.pixels import Example
+from hypose.gestures.online import Example, Learner
 from hypose.gestures.trainer import Trainer, half_way
-from hypose.synthetic.gesture_live import live_person
 from hypose.synthetic.gesture_people import Puppet, load_people
 from hypose.synthetic.gesture_poses import GESTURES, Keyframe, apply, movement
-from hypose.synthetic.gesture_scenes import Setting, make_gesture_room, make_view, render, stand_at
+from hypose.synthetic.gesture_scenes import Setting, live_person, make_gesture_room, make_view, render, stand_at
 
 WATCHED_FPS = 5.0
 """Of the free movement."""
@@ -96,7 +94,7 @@ class _Watcher:
         for mode, forests in self._learned.forests.items():
             maps = densities(depth, KINECT, forests, LocaliseSettings(), self._looking[mode])
             for memory, share in _MEMORIES.items():
-                look = LocaliseSettings(memory=share)
+                look = LocaliseSettings(adaptation_rate=share)
                 found[mode, memory] = settle(maps, depth, KINECT, look, self._kept[mode, memory])
         out = {}
         for case in self.cases:

@@ -17,8 +17,7 @@ from hypose.compute import DepthImage
 from hypose.errors import InputError
 from hypose.gestures.depth_pictures import KINECT
 from hypose.gestures.forest import ForestSettings
-from hypose.gestures.online import Learner
-from hypose.gestures.pixels import Example, LearnSettings
+from hypose.gestures.online import Example, Learner, LearnSettings
 from hypose.io.sensors.depth import read_depth_png
 
 LETTERS = "abcdefghiklmnopqrstuvwxy"

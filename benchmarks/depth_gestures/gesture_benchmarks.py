@@ -33,9 +33,8 @@ from benchmarks.depth_gestures.gesture_data import (
 from benchmarks.depth_gestures.gesture_pictures import GestureFrame, Stage
 from benchmarks.depth_gestures.gesture_scores import THOROUGH, Judged, judge
 from hypose.gestures.forest import Forest, ForestSettings
-from hypose.gestures.offline import OfflineSettings, Pool, collect, train_offline
-from hypose.gestures.online import Learner
-from hypose.gestures.pixels import Example
+from hypose.gestures.online import Example, Learner
+from hypose.gestures.trainer import OfflineSettings, Pool, collect, train_offline
 from hypose.synthetic.gesture_poses import GESTURES
 
 PASSES = 4

@@ -19,9 +19,8 @@ from benchmarks.short_calls import best
 from hypose.gestures.depth_pictures import KINECT
 from hypose.gestures.forest import Forest, ForestSettings
 from hypose.gestures.localise import Scratch, localise, pad
-from hypose.gestures.offline import OfflineSettings, Pool, collect, train_offline
-from hypose.gestures.online import Learner
-from hypose.gestures.pixels import Example, LearnSettings
+from hypose.gestures.online import Example, Learner, LearnSettings
+from hypose.gestures.trainer import OfflineSettings, Pool, collect, train_offline
 from hypose.synthetic.gesture_poses import GESTURES
 
 

@@ -35,8 +35,7 @@ from hypose.evidence.depth_floor import camera_on_floor
 from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.fusion import joints as jt
-from hypose.fusion.fuse import FusionSettings, fuse_clip
-from hypose.fusion.point_motion import common_positions
+from hypose.fusion.fuse import FusionSettings, common_positions, fuse_clip
 from hypose.geometry import Array, se3_inverse, transform
 from hypose.pipeline.import_depth import register_depth
 from hypose.pipeline.run import TrackOptions, track_source
@@ -45,7 +44,7 @@ from hypose.synthetic.corruptions import corrupt_mask, corruptions
 from hypose.synthetic.depth_scenes import DepthScene, depth_rig, depth_scene, to_profile, turning
 from hypose.synthetic.metrics import EVALUATED, population_offsets, with_offsets
 from hypose.synthetic.motions import act
-from hypose.synthetic.rigs import look_at
+from hypose.synthetic.scenes import look_at
 from hypose.synthetic.subjects import dress
 from hypose.tracking.costs import silhouette_iou
 from hypose.tracking.doubt import WRONG_M

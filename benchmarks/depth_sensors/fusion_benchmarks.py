@@ -22,10 +22,9 @@ from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.evidence.frame import SensorJoints
 from hypose.fusion import joints as jt
-from hypose.fusion.fuse import FusionSettings, fuse_clip, fuse_frame, start
-from hypose.fusion.point_motion import common_positions
+from hypose.fusion.fit import LARGE_ERROR_M
+from hypose.fusion.fuse import FusionSettings, common_positions, fuse_clip, fuse_frame, start
 from hypose.fusion.register import common_joints, register
-from hypose.fusion.trust import LARGE_ERROR_M
 from hypose.geometry import Array
 from hypose.io.motions.results import ResultsFolder
 from hypose.io.sensors.skeleton_files import read_kinect_csv
@@ -110,7 +109,7 @@ def real(options: BenchOptions) -> BenchReport:
     """fusion-real: two Kinect v2 on one person, no truth: agreement between the sensors after registration, bone
     lengths and jitter after fusion, leaving one sensor out. Three recordings per configuration, their first 400 common
     frames; with "/all" every recording, whole; with "/even" those that are even by their number in the order of their
-    names, on which nothing was chosen that `hypose.fusion.trust` holds."""
+    names, on which nothing was chosen that `hypose.fusion.fit` holds."""
     folder = options.folder("kinect_multitrack")
     found: dict[tuple[str, str, str], list[float]] = {}
     used: dict[str, int] = {}

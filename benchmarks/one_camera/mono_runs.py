@@ -133,7 +133,7 @@ class _Clocked:
             return run
 
         assert recipe.uncertainty is not None
-        layers = [replace(layer, propose=marked(layer.propose, layer.name)) for layer in recipe.layers]
+        layers = [replace(layer, propagate=marked(layer.propagate, layer.name)) for layer in recipe.layers]
         timed = replace(recipe, layers=layers, uncertainty=marked(recipe.uncertainty, STAGES[-1]))
         return _Clocked(Tracker(body, timed, TrackerSettings("both", frame_rate=FRAME_RATE)), marks)
 

@@ -31,11 +31,11 @@ from hypose.pipeline.people_run import PeopleRun
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.tracked_people import OnePerson
+from hypose.synthetic.corruptions import keypoint_detections
 from hypose.synthetic.metrics import joint_errors, population_offsets
 from hypose.synthetic.motions import act
 from hypose.synthetic.performance import Performance, moved
 from hypose.synthetic.scenes import Scene, make_scene
-from hypose.synthetic.simulated_keypoints import keypoint_detections
 from hypose.synthetic.subjects import SyntheticSubject
 
 RATE = 25.0

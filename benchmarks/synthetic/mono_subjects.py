@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from hypose.body.body import BONE_END, Body, deform
 from hypose.body.ready_bodies import JOINT_NAMES
 from hypose.body.skeleton import Skeleton
-from hypose.fitting.articulated import PointTerm, SolveSettings, fit_pose
+from hypose.evidence.terms import PointTerm
+from hypose.fitting.articulated import SolveSettings, fit_pose
 from hypose.geometry import Array, so3_log
 from hypose.synthetic.subjects import SyntheticSubject
 from hypose.tracking.refinement import anatomical_prior
@@ -118,7 +119,7 @@ def pose_of_truth(body: Body, rotations: Array, joints: Array) -> Array:
     start = np.zeros(body.skeleton.dof)
     start[:3], start[3:6] = joints[0], so3_log(rotations[0])
     options = SolveSettings(iterations=60, coarse_iterations=30)
-    return fit_pose(body, start, points=term, priors=(anatomical_prior(body.skeleton),), options=options).pose
+    return fit_pose(body, start, [term], priors=(anatomical_prior(body.skeleton),), options=options).pose
 
 
 # degrees: lower, upper, usual motion per frame at 25 fps

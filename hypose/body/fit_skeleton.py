@@ -76,8 +76,13 @@ class _ScanSamples:
 
 @dataclass(frozen=True)
 class ScanPose:
-    """How a scan stands: upright_from_file (3, 3), a rotation after which z is up and the person faces -y; arms: the
-    pose of the arms; score: mean distance to the template over the stature; up: the file's up axis, such as '+y'."""
+    """How a scan stands.
+
+    upright_from_file (3, 3), a rotation after which z is up and the person faces -y.
+    arms: the pose of the arms.
+    score: mean distance to the template over the stature.
+    up: the file's up axis, such as '+y'.
+    """
 
     upright_from_file: Array
     arms: str
@@ -87,9 +92,14 @@ class ScanPose:
 
 @dataclass(frozen=True)
 class ScanFit:
-    """The template in the scan: body, with the scan's proportions, at rest; pose (D,) in the upright frame of the
-    scan; factors (K,) the logarithms of FACTORS; distance: median distance between the two surfaces, m, both ways, and
-    far: the share of the samples farther than 5 % of the stature."""
+    """The template in the scan.
+
+    body, with the scan's proportions, at rest.
+    pose (D,) in the upright frame of the scan.
+    factors (K,) the logarithms of FACTORS.
+    distance: median distance between the two surfaces, m, both ways, and far: the share of the samples farther than 5 %
+        of the stature.
+    """
 
     body: Body
     pose: Array
@@ -114,7 +124,8 @@ def surface_samples(vertices: ArrayLike, faces: ArrayLike, count: int, rng: np.r
 
 
 def scan_pose(body: Body, name: str) -> Array:
-    """(D,) the pose of SCAN_POSES with straight arms, at the origin, facing -y; an InputError lists the poses."""
+    """Return (D,) the pose of SCAN_POSES with straight arms, at the origin, facing -y; an InputError lists the
+    poses."""
     if name not in _ARMS:
         raise InputError(f"There is no scan pose {name!r}; the poses are auto, {', '.join(SCAN_POSES)}.")
     s, pose = body.skeleton, np.zeros(body.skeleton.dof)
@@ -129,9 +140,10 @@ def scan_pose(body: Body, name: str) -> Array:
 
 
 def find_stances(surface: _ScanSamples, template: Body) -> list[ScanPose]:
-    """The ways a scan may stand, best first; units do not matter.
+    """Return the ways a scan may stand, best first; units do not matter.
 
-    Any axis may be up; z and then y are preferred when the scores are near each other."""
+    Any axis may be up; z and then y are preferred when the scores are near each other.
+    """
     from scipy.spatial import KDTree  # takes long to import
 
     step = max(1, len(surface.points) // 700)
@@ -171,14 +183,14 @@ _UPS = (
 
 
 def _boxed(points: Array) -> tuple[Array, float]:
-    """Points with feet at z = 0, centred over the origin, height 1."""
+    """Return points with feet at z = 0, centred over the origin, height 1."""
     low, high = points.min(0), points.max(0)
     height = float(high[2] - low[2])
     return (points - [*(0.5 * (low + high))[:2], low[2]]) / max(height, 1e-12), height
 
 
 def fit_template(surface: _ScanSamples, template: Body, stances: list[ScanPose]) -> tuple[ScanFit, ScanPose]:
-    """The template fitted to a scan in metres; tries the first few stances shortly and the best one thoroughly.
+    """Return the template fitted to a scan in metres; tries the first few stances shortly and the best one thoroughly.
 
     Returns the fit, in the frame into which the stance turns the file, and its stance.
     """
@@ -203,14 +215,14 @@ def fit_template(surface: _ScanSamples, template: Body, stances: list[ScanPose])
 
 
 def _light(body: Body) -> Body:
-    """The body without display mesh and landmarks, which would only cost time when it is deformed often."""
+    """Return the body without display mesh and landmarks, which would only cost time when it is deformed often."""
     body.coarse.arrays  # noqa: B018 - builds the edges once, before the copies
     nothing = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros((0, 4), np.int32), np.zeros((0, 4)))
     return replace(body, fine=nothing, landmarks=Landmarks((), np.zeros(0, np.int64), np.zeros((0, 3))))
 
 
 def shape_from_factors(factors: ArrayLike) -> Shape:
-    """The Shape of the logarithms (K,) of FACTORS."""
+    """Return the Shape of the logarithms (K,) of FACTORS."""
     length: dict[str, float] = {}
     girth: dict[str, list[float]] = {}
     offset: dict[str, tuple[float, float, float]] = {}
@@ -231,8 +243,8 @@ def shape_from_factors(factors: ArrayLike) -> Shape:
 
 
 def unposed(body: Body, pose: ArrayLike, points_world: ArrayLike, weights: ArrayLike) -> Array:
-    """Points (P, 3) m of a surface at a pose (D,), with dense skinning weights (P, J), brought to the body's rest pose:
-    the inverse of linear blend skinning, so that skinning them again gives points_world."""
+    """Return points (P, 3) m of a surface at a pose (D,), with dense skinning weights (P, J), brought to the body's
+    rest pose: the inverse of linear blend skinning, so that skinning them again gives points_world."""
     rotations, centres = body.skeleton.forward(pose)
     rest = body.skeleton.rest_joints - body.skeleton.rest_joints[0]
     moves = np.asarray(weights, dtype=np.float64) @ np.hstack(
@@ -245,8 +257,12 @@ def unposed(body: Body, pose: ArrayLike, points_world: ArrayLike, weights: Array
 
 @dataclass(frozen=True)
 class _Stage:
-    """iterations; first and last scale of the robust weight as shares of the stature; shape: all proportions are free,
-    else only the scale."""
+    """Stage.
+
+    iterations.
+    first and last scale of the robust weight as shares of the stature.
+    shape: all proportions are free, else only the scale.
+    """
 
     iterations: int
     first: float
@@ -283,7 +299,7 @@ class _Search:
         self.stature = float(high[2] - low[2])
 
     def start(self, arms: str) -> Array:
-        """The start vector: the template with the scan's height, over its middle."""
+        """Return the start vector: the template with the scan's height, over its middle."""
         pose = scan_pose(self.body, arms)
         v = self.body.skin(pose)
         scale = self.stature / np.ptp(v[:, 2])
@@ -357,12 +373,12 @@ class _Search:
         return face, corner[index % len(corner)], target, normal, weight * 1500
 
     def quality(self, x: Array) -> tuple[float, float]:
-        """Median distance between the surfaces, m, and the share of samples farther than 5 % of the stature."""
+        """Return median distance between the surfaces, m, and the share of samples farther than 5 % of the stature."""
         self.match(self.skin(x))
         return float(np.median(self.gaps)), float((self.gaps > 0.05 * self.stature).mean())
 
     def run(self, x: Array, stage: _Stage) -> tuple[Array, float]:
-        """The improved vector and its cost: mean robust distance of the samples, in shares of the stature."""
+        """Return the improved vector and its cost: mean robust distance of the samples, in shares of the stature."""
         free = np.arange(self.dof + (len(FACTORS) if stage.shape else 1))
         cost = np.inf
         for k in range(stage.iterations):

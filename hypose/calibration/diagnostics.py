@@ -1,4 +1,4 @@
-"""The doctor: is this calibration right for this recording, and if not, what is wrong with which camera?
+"""Diagnostics of a calibration: does it fit this recording, and if not, which camera has which fault?
 
 Each fault is looked for by undoing it: if the views agree much better afterwards, it is there. Gross faults come
 first (mirrored or turned images, exchanged cameras, another image size, lens coefficients of another convention), then
@@ -54,7 +54,7 @@ from hypose.geometry import Array
 # The doctor's checks on silhouettes alone: tangent planes of pairs of views in place of key points.
 #
 # They know less than key points: two planes per pair and frame. Mirrored, turned and exchanged views, timing, wrong
-# poses and units can be told; lens coefficients cannot.
+# poses and units can be found; lens coefficients cannot.
 
 
 _SCATTER = 0.08
@@ -86,12 +86,12 @@ def examine_silhouettes(
     timed = list(findings)
     late = _timing(rig, small, tracks, size, timed, o)
     in_step = [_delayed(t, x) for t, x in zip(tracks, late, strict=True)]
-    # somebody who walks straight on looks through a late camera as through one that stands elsewhere
+    # a person who walks straight on looks through a late camera as through one that stands elsewhere
     left = _score(small, _few(in_step, _JUDGED), size)
     placed = _displaced(rig, small, tracks, size, silhouettes, left, o) if not findings else None
     if placed is None:
         findings, tracks = timed, in_step
-    else:  # a camera that stands elsewhere sees the person move at other times: told in its own place
+    else:  # a camera that stands elsewhere sees the person move at other times: reported as moved
         findings.append(placed[0])
         small = placed[1]
         late = _timing(rig, small, tracks, size, findings, o)
@@ -100,7 +100,7 @@ def examine_silhouettes(
         findings += focal_findings(focal_by_masks(small, _few(tracks, _JUDGED)))
     if not findings or all(f.kind == "late" for f in findings):
         poses = _poses(rig, small, tracks, size, silhouettes, o)
-        if any(f.kind == "scatter" for f in poses):  # no lag is told by masks that do not show one person
+        if any(f.kind == "scatter" for f in poses):  # masks that do not show one person give no lag
             return poses, reports, np.zeros(n)
         findings += poses
         findings += _unit(small, size, o)
@@ -129,7 +129,7 @@ def _sizes(tracks: Sequence[MaskTrack]) -> Array:
 
 
 def _score(rig: CameraRig, tracks: Sequence[MaskTrack], size: Array) -> float:
-    """Mean over the views of their disagreement in shares of the person's size; 10 when planes never meet. Views
+    """Return mean over the views of their disagreement in shares of the person's size; 10 when planes never meet. Views
     without a whole mask (size 0) say nothing."""
     seen = size > 0
     by_view = tangency_by_view(tangency(rig, tracks), len(rig))[seen] / size[seen]
@@ -173,7 +173,7 @@ def _trials(rig: CameraRig, tracks: list[MaskTrack]) -> Iterator[Trial[list[Mask
 
 
 def _delayed(track: MaskTrack, late: float) -> MaskTrack:
-    """The track as it is when frame t + late is shown at t."""
+    """Return the track as it is when frame t + late is shown at t."""
     return track.at(np.arange(len(track.area)) + round(late))
 
 
@@ -206,8 +206,8 @@ def _displaced(
     in_step: float,
     o: Limits,
 ) -> tuple[Finding, CameraRig] | None:
-    """A camera whose other place alone cures the disagreement of the tangent planes, far better than what is left of it
-    when the views are brought in step, and the rig with it there."""
+    """Find the camera whose other place alone cures the disagreement of the tangent planes, far better than
+    synchronisation does; return it and the rig with the camera there."""
     few = _few(tracks, _JUDGED)
     before = _score(small, few, size)
     if before < o.tangency or len(rig) < 3:
@@ -226,7 +226,7 @@ def _poses(
     silhouettes: Sequence[Silhouettes | None],
     o: Limits,
 ) -> list[Finding]:
-    """Whether one camera alone, moved, makes the tangent planes agree."""
+    """Return whether one camera alone, moved, makes the tangent planes agree."""
     few = _few(tracks, _JUDGED)
     before = _score(small, few, size)
     if before < o.tangency or len(rig) < 3:
@@ -236,7 +236,7 @@ def _poses(
     change = changes(small, moved, _person(silhouettes))[c]
     far = change.turn_deg > FAR_DEG or change.move_m > FAR_M
     if min(before, value) > _SCATTER or (far and value > o.tangency):
-        if before <= _SCATTER and value <= _SCATTER:  # the views show one person, and it is not told what is wrong
+        if before <= _SCATTER and value <= _SCATTER:  # the views show one person; the fault is unknown
             return [Finding("extrinsics", (), disagree, "run hypose check --refine, and hypose sync", before)]
         found = _scattered(small, few, size, before)
         text = f"{found.text}, and no lag that these frames can tell and no other place of one camera cures that"
@@ -288,7 +288,7 @@ def _elsewhere(
 
 
 def _moved_alone(rig: CameraRig, tracks: list[MaskTrack], size: Array, c: int) -> CameraRig:
-    """The rig with camera c where its tangent planes agree best with the others'."""
+    """Return the rig with camera c where its tangent planes agree best with the others'."""
     from scipy.optimize import least_squares  # takes long to import
 
     mine = [k for k in range(len(rig)) if k != c]
@@ -313,7 +313,7 @@ def _moved_alone(rig: CameraRig, tracks: list[MaskTrack], size: Array, c: int) -
 
 
 def _person(silhouettes: Sequence[Silhouettes | None]) -> Array:
-    """Some points (N, 3) of the person, m, from a visual hull; the origin when there is none."""
+    """Return some points (N, 3) of the person, m, from a visual hull; the origin when there is none."""
     for s in silhouettes[:: max(1, len(silhouettes) // 5)]:
         if s is not None and s.usable.sum() > 1:
             try:
@@ -324,7 +324,8 @@ def _person(silhouettes: Sequence[Silhouettes | None]) -> Array:
 
 
 def _unit(rig: CameraRig, size: Array, o: Limits) -> Iterator[Finding]:
-    """The person's height from its size in the images and the distance to where the cameras look: good to a third."""
+    """Return the person's height from its size in the images and the distance to where the cameras look: good to a
+    third."""
     look = np.stack([c.camera_from_world[2, :3] for c in rig])
     across = np.eye(3) - look[:, :, None] * look[:, None, :]
     middle = np.linalg.lstsq(across.sum(0), (across @ rig.positions[..., None]).sum(0)[:, 0], rcond=None)[0]
@@ -341,10 +342,15 @@ def _unit(rig: CameraRig, size: Array, o: Limits) -> Iterator[Finding]:
 class Observed:
     """What the doctor looks at: consecutive frames of one recording.
 
-    rig: as calibrated, with lens distortion; keypoints (C, T, K, 3) in px of the calibrated, distorted images
-    (confidence 0: missing) and their names; silhouettes: T, undistorted, at any working size, made without the key
-    points (else they agree with them whatever is wrong); clips: one per view; height: of the person, m, when known;
-    people: sentences about who else is there; depths: of some frames, where there are depth cameras."""
+    rig: as calibrated, with lens distortion.
+    keypoints (C, T, K, 3) in px of the calibrated, distorted images (confidence 0: missing) and their names.
+    silhouettes: T, undistorted, at any working size, made without the key points (else they agree with them whatever is
+        wrong).
+    clips: one per view.
+    height: of the person, m, when known.
+    people: sentences about who else is there.
+    depths: of some frames, where there are depth cameras.
+    """
 
     rig: CameraRig
     keypoints: Array | None = None
@@ -359,8 +365,13 @@ class Observed:
 
 @dataclass(frozen=True)
 class Cured:
-    """The observations after the cures: rig, key points in step and in place; late (C,) frames; shift (C, 2) px of the
-    calibrated size to add to the images; keypoint_lag in frames."""
+    """The observations after the cures.
+
+    rig, key points in step and in place.
+    late (C,) frames.
+    shift (C, 2) px of the calibrated size to add to the images.
+    keypoint_lag in frames.
+    """
 
     rig: CameraRig
     keypoints: Array | None
@@ -377,12 +388,12 @@ class _State:
 
 
 def examine(observed: Observed, limits: Limits | None = None) -> PersonReport:
-    """All checks that the evidence allows. An EvidenceError when there is neither key point nor silhouette."""
+    """Return all checks that the evidence allows. An EvidenceError when there is neither key point nor silhouette."""
     return examine_and_cure(observed, limits)[0]
 
 
 def examine_and_cure(observed: Observed, limits: Limits | None = None) -> tuple[PersonReport, Cured]:
-    """The report, and the observations as they are after the faults were undone (for a refinement)."""
+    """Return the report, and the observations as they are after the faults were undone (for a refinement)."""
     o = limits or Limits()
     n = len(observed.rig)
     findings = list(clip_findings(observed.rig, observed.clips, observed.frame_rate))
@@ -490,7 +501,7 @@ def _against_masks(
         spread = np.maximum(spread, 0.0025)
         least = np.maximum(np.maximum(o.shift_sd * sd, o.shift * size[c]), o.shift_spread * spread * size[c])
         least = np.maximum(least, o.shift_px * ratio)
-        least[1] *= 1.5  # limbs hang: what is above and below is told by few of them
+        least[1] *= 1.5  # limbs hang: few of them show the vertical place
         significant = np.abs(move) > least
         if significant.any():
             shift[c] = np.where(significant, move, 0.0)
@@ -511,8 +522,8 @@ def _against_masks(
 
 
 def _own_shifts(made: Sequence[Alignment | None], rig: CameraRig, small: CameraRig) -> Array:
-    """(C, 2) px of the calibrated size by which each view's images would have to move, less what the views share: that
-    is a matter of the detector's joints. NaN where unknown."""
+    """Return (C, 2) px of the calibrated size by which each view's images would have to move, less what the views
+    share: that is a matter of the detector's joints. NaN where unknown."""
     own = np.full((len(made), 2), np.nan)
     for c, a in enumerate(made):
         if a is not None:
@@ -527,7 +538,7 @@ def _own_shifts(made: Sequence[Alignment | None], rig: CameraRig, small: CameraR
 
 
 def _common_lag(made: Sequence[Alignment | None], o: Limits) -> tuple[int, int]:
-    """The lag (whole frames) that most views ask for, and how many of them; 0 when they do not agree."""
+    """Return the lag (whole frames) that most views ask for, and how many of them; 0 when they do not agree."""
     known = [a for a in made if a is not None]
     if not known:
         return 0, 0

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.calibration.boards import Board
-from hypose.calibration.intrinsics import FOCAL_SD, CalibratedLens, board_poses, calibrate_lens
+from hypose.calibration.bundle import FOCAL_SD, CalibratedLens, board_poses, calibrate_lens
 from hypose.calibration.refine_points import transform_rig
 from hypose.calibration.rig import PoseComparison, RigCalibration, calibrate_rig
 from hypose.calibration.synchronisation import estimate_lags
@@ -44,10 +44,12 @@ def floor_likelihood(
     d_from_c: Array,
     other: Array,
 ) -> float:
-    """How many times better the floor of cameras c and d agrees under d_from_c than under `other` (both (4, 4)):
+    """Return how many times better the floor of cameras c and d agrees under d_from_c than under `other` (both (4, 4)):
     quotient of the unexplained shares 1 - correlation; 1 when there is nothing to compare.
 
-    images: by camera, BGR (h, w, 3) with the board lying still; camera_from_board: its pose in each."""
+    images: by camera, BGR (h, w, 3) with the board lying still.
+    camera_from_board: its pose in each.
+    """
     base = camera_from_board[c]
     one = _from_above(images[c], replace(cameras[c], camera_from_world=base), board)
     scores = []
@@ -60,7 +62,7 @@ def floor_likelihood(
 
 
 def _from_above(image: Picture, camera: Camera, board: Board) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """The floor around the board as seen from above (n, n, 3), and where it is seen well. camera: in the board's
+    """Return the floor around the board as seen from above (n, n, 3), and where it is seen well. camera: in the board's
     frame."""
     low, high = board.points.min(0), board.points.max(0)
     middle, length = 0.5 * (low + high), float((high - low).max())
@@ -85,8 +87,8 @@ def _from_above(image: Picture, camera: Camera, board: Board) -> tuple[NDArray[n
 def _correlation(
     one: tuple[NDArray[np.float32], NDArray[np.bool_]], two: tuple[NDArray[np.float32], NDArray[np.bool_]]
 ) -> float:
-    """Mean correlation of the colours over the common floor, each colour relative to its surroundings so that shading
-    does not count; NaN with too little in common."""
+    """Return mean correlation of the colours over the common floor, each colour relative to its surroundings so that
+    shading does not count; NaN with too little in common."""
     mask = one[1] & two[1]
     if mask.mean() < _MIN_SHARE:
         return float("nan")
@@ -115,10 +117,11 @@ _STILL_FRAMES = 3
 def floor_frame(
     rig: CameraRig, boards: Mapping[int, Array], board: Board, wanted: int | None, still: bool
 ) -> tuple[int | None, str]:
-    """The frame in which the board lies on the floor, None if there is none, and a sentence about it.
+    """Return the frame in which the board lies on the floor, None if there is none, and a sentence about it.
 
-    wanted: the user's choice, the nearest frame with a board is taken; still: the board never moved. Otherwise the
-    first frame of the longest time in which the board stays where it is, flat against the cameras' common up.
+    wanted: the user's choice, the nearest frame with a board is taken.
+    still: the board never moved. Otherwise the first frame of the longest time in which the board stays where it is,
+        flat against the cameras' common up.
     """
     if not boards:
         return None, ""
@@ -180,8 +183,8 @@ def place_on_floor(
 
 
 def _common_up(rig: CameraRig) -> Array:
-    """(3,) mean of the cameras' upward directions, without the part along their views that tilting adds: the direction
-    most perpendicular to all cameras' x axes, since cameras are tilted but seldom rolled."""
+    """Return (3,) mean of the cameras' upward directions, without the part along their views that tilting adds: the
+    direction most perpendicular to all cameras' x axes, since cameras are tilted but seldom rolled."""
     right = np.stack([c.camera_from_world[0, :3] for c in rig])
     mean = -np.stack([c.camera_from_world[1, :3] for c in rig]).mean(0)
     _, s, vt = np.linalg.svd(right)
@@ -198,8 +201,13 @@ _TWO_SIDED = "a board printed on both sides, of which cameras see different ones
 
 @dataclass(frozen=True)
 class CalibrateOptions:
-    """lenses: cameras whose K and distortion are known, by name, kept unless refine_lenses; fisheye: all other lenses;
-    floor: frame in which the board lies on the floor; max_frames: pictures looked at per camera."""
+    """Calibrate options.
+
+    lenses: cameras whose K and distortion are known, by name, kept unless refine_lenses.
+    fisheye: all other lenses.
+    floor: frame in which the board lies on the floor.
+    max_frames: pictures looked at per camera.
+    """
 
     lenses: CameraRig | None = None
     refine_lenses: bool = False
@@ -211,8 +219,15 @@ class CalibrateOptions:
 
 @dataclass(frozen=True)
 class BoardCalibration:
-    """rig: world z up, m. views: what each camera saw; lens_views: in the lens pictures, if there were any; fit: the
-    joint refinement; lenses; notes and warnings: sentences."""
+    """Board calibration.
+
+    rig: world z up, m.
+    views: what each camera saw.
+    lens_views: in the lens pictures, if there were any.
+    fit: the joint refinement.
+    lenses.
+    notes and warnings: sentences.
+    """
 
     rig: CameraRig
     views: tuple[CameraViews, ...]
@@ -326,7 +341,7 @@ def _lens(
 
 
 def _scaled(lens: Camera, view: CameraViews, whose: str) -> Camera:
-    """A lens at the size of a view's pictures; a CalibrationError when they have another shape."""
+    """Return a lens at the size of a view's pictures; a CalibrationError when they have another shape."""
     (w, h), (lens_w, lens_h) = view.size, lens.size
     if abs((w / h) / (lens_w / lens_h) - 1) > 0.01:
         raise CalibrationError(
@@ -337,7 +352,7 @@ def _scaled(lens: Camera, view: CameraViews, whose: str) -> Camera:
 
 
 def _lag_hint(lenses: Sequence[CalibratedLens], views: Sequence[CameraViews], board: Board) -> str:
-    """A sentence about videos that are clearly late, or ''."""
+    """Return a sentence about videos that are clearly late, or ''."""
     if len(lenses) < len(views) or any(v.still for v in views):
         return ""
     lags = estimate_lags([n.camera for n in lenses], [v.sightings for v in views], board)

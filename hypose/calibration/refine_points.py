@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from hypose.cameras.camera import Camera, CameraRig, triangulate
 from hypose.compute import SharedEquations, lorentzian
 from hypose.errors import EvidenceError
-from hypose.fitting.least_squares import Rule, descend
+from hypose.fitting.problem import Rule, SharedProblem
 from hypose.geometry import Array, procrustes, se3, se3_inverse, so3_exp, so3_log, transform
 from hypose.io.calibrations import calibration_camera
 
@@ -133,8 +133,8 @@ def free_cameras(rig: CameraRig, fixed: tuple[str, ...]) -> NDArray[np.bool_]:
     return np.array([c.name not in fixed for c in rig])
 
 
-_State = tuple[list[Camera], Array, Array]
-"""cameras, radial (C,), points (N, 3)"""
+_Shared = tuple[list[Camera], Array]
+"""cameras, radial (C,)"""
 _ITERATIONS = 30
 FEWEST_POINTS = 60
 """3D points (over all frames) below which a rig is not adjusted"""
@@ -218,7 +218,7 @@ def adjust(
             "are needed to refine a calibration: use more frames, or silhouettes."
         )
     unknowns = CameraUnknowns(rig, focal, free, radial, hold)
-    found = PointBundle(uv[:, keep], w[:, keep], default_scale(uv, w), unknowns).solve(iterations)
+    found = PointBundle(uv[:, keep], w[:, keep], default_scale(uv, w), unknowns).adjusted(iterations)
     points = np.full((uv.shape[1], 3), np.nan)
     points[keep] = found.points
     return replace(found, points=points)
@@ -230,12 +230,13 @@ def default_scale(pixels: Array, confidence: Array) -> float:
     return max(0.008 * float(np.median(spread)) if spread else 2.0, 0.5)
 
 
-class PointBundle:
+class PointBundle(SharedProblem[_Shared]):
     """The least-squares problem of `adjust`: pixels (C, N, 2), confidence (C, N) of points that two views see; scale:
     sd of a detection, px."""
 
     def __init__(self, pixels: Array, confidence: Array, scale: float, unknowns: CameraUnknowns) -> None:
         self.uv, self.confidence, self.scale, self.unknowns = pixels, confidence, 2 * scale, unknowns
+        self.free, self.largest = unknowns.free, 0.2
 
     def residuals(self, cameras: list[Camera], radial: Array, points: Array) -> tuple[Array, Array, float]:
         """(C, N, 2) px, (C, N) weights of squared px, and the robust cost."""
@@ -284,38 +285,38 @@ class PointBundle:
             np.einsum("cnxp,cnxi->nicp", wjc, jp).reshape(n, 3, -1),
         )
 
-    def _evaluate(self, state: _State) -> tuple[float, Callable[[], SharedEquations]]:
-        cameras, radial, points = state
+    def evaluate(self, state: tuple[_Shared, Array]) -> tuple[float, Callable[[], SharedEquations]]:
+        """Cost and, when asked for, equations."""
+        (cameras, radial), points = state
         cost = self.residuals(cameras, radial, points)[2] + self.unknowns.held(cameras, radial)[1]
         return cost, partial(self.equations, cameras, radial, points)
 
-    def _propose(self, state: _State, equations: SharedEquations, damping: float) -> tuple[_State, float] | None:
-        cameras, radial, points = state
-        reduced = equations.reduced(damping)
-        step = reduced.step(self.unknowns.free)
-        if step is None:
-            return None
-        x = step.reshape(len(cameras), self.unknowns.count)
-        x *= min(1.0, 0.2 / max(float(np.abs(x[:, :3]).max()), 1e-12))
-        moved = points + reduced.own_steps(x.ravel())
-        new = [apply_parameters(c, d if self.unknowns.focal else d[:6]) for c, d in zip(cameras, x, strict=True)]
-        return (new, radial + (x[:, -1] if self.unknowns.radial else 0.0), moved), float(np.abs(x).max())
+    def length(self, step: Array) -> float:
+        """The largest turn of a camera, rad."""
+        return float(np.abs(step.reshape(-1, self.unknowns.count)[:, :3]).max())
 
-    def solve(self, iterations: int) -> PointAdjustment:
+    def moved(self, state: tuple[_Shared, Array], step: Array, own: Array) -> tuple[tuple[_Shared, Array], float]:
+        """Apply a step."""
+        (cameras, radial), points = state
+        x = step.reshape(len(cameras), self.unknowns.count)
+        new = [apply_parameters(c, d if self.unknowns.focal else d[:6]) for c, d in zip(cameras, x, strict=True)]
+        shared = new, radial + (x[:, -1] if self.unknowns.radial else 0.0)
+        return (shared, points + own), float(np.abs(x).max())
+
+    def adjusted(self, iterations: int) -> PointAdjustment:
         """Triangulate the points with the cameras at the start, and adjust both."""
         rig = self.unknowns.start
         points = triangulate(rig, self.uv, self.confidence)[0]
         lost = ~np.isfinite(points).all(1)
         points[lost] = np.nanmedian(points[~lost], axis=0)
-        start = list(rig), np.zeros(len(rig)), points
-        rule = Rule(damping=1e-3, least=1e-7, gain=1e-6)
-        found = descend(start, self._evaluate, self._propose, iterations, rule)
-        cameras, radial, points = found.state
+        start = (list(rig), np.zeros(len(rig))), points
+        found = self.solve(start, iterations, Rule(damping=1e-3, least=1e-7, gain=1e-6))
+        (cameras, radial), points = found.state
         sd = np.zeros(len(cameras))
         if self.unknowns.radial:
             s = found.equations.reduced().hessian
             sd = np.sqrt(np.maximum(np.diag(np.linalg.pinv(s)).reshape(len(cameras), -1)[:, -1], 0))
-        before, after = self._median(*start), self._median(*found.state)
+        before, after = self._median(*start[0], start[1]), self._median(cameras, radial, points)
         return PointAdjustment(CameraRig(tuple(cameras)), points, radial, sd, before, after)
 
     def _median(self, cameras: list[Camera], radial: Array, points: Array) -> float:

@@ -15,8 +15,16 @@ from itertools import combinations
 import numpy as np
 
 from hypose.calibration.boards import Board, BoardDetection, IntArray
-from hypose.calibration.bundle import NOISE_PX, Observations, Refined, bundle_adjust
-from hypose.calibration.intrinsics import CalibratedLens, board_poses, collect_observations, spread_out
+from hypose.calibration.bundle import (
+    NOISE_PX,
+    CalibratedLens,
+    Observations,
+    Refined,
+    board_poses,
+    bundle_adjust,
+    collect_observations,
+    spread_out,
+)
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import CalibrationError
 from hypose.geometry import Array, se3_inverse, so3_log, transform
@@ -78,8 +86,12 @@ _AGREE = 0.3  # share of the common boards that must agree with a relative pose
 
 @dataclass(frozen=True)
 class Link:
-    """Two cameras' relative pose. d_from_c (4, 4); frames shared and how many of them agree; other: a second answer
-    that explains the boards as well, when there is one; error: median over the frames, px."""
+    """Two cameras' relative pose.
+
+    d_from_c (4, 4); frames shared and how many of them agree.
+    other: a second answer that explains the boards as well, when there is one.
+    error: median over the frames, px.
+    """
 
     c: int
     d: int
@@ -92,11 +104,20 @@ class Link:
 
 @dataclass(frozen=True)
 class RigCalibration:
-    """rig: in the frame of the first camera (see `floor`); boards: world_from_board (4, 4) by frame; sightings: those
-    used, numbered alike in all cameras, by camera index and frame; errors: rms px per coordinate by (camera, frame);
-    rms_px: over all; weighted_px: with moving boards counted less, as in the fit; camera_rms (C,); focal_sd (C,) px;
-    position_sd (C,) m; dropped: (camera, frame) that do not fit; notes:
-    sentences for the user."""
+    """Rig calibration.
+
+    rig: in the frame of the first camera (see `floor`).
+    boards: world_from_board (4, 4) by frame.
+    sightings: those used, numbered alike in all cameras, by camera index and frame.
+    errors: rms px per coordinate by (camera, frame).
+    rms_px: over all.
+    weighted_px: with moving boards counted less, as in the fit.
+    camera_rms (C,).
+    focal_sd (C,) px.
+    position_sd (C,) m.
+    dropped: (camera, frame) that do not fit.
+    notes: sentences for the user.
+    """
 
     rig: CameraRig
     boards: Mapping[int, Array]
@@ -120,9 +141,11 @@ def calibrate_rig(
 ) -> RigCalibration:
     """Poses of all cameras from boards seen at the same time.
 
-    sightings: per camera, by frame of the common time. choose: decides between two relative poses of a symmetric board
-    that did not move. lens_sightings: more boards, each for its own camera's lens
-    only. A CalibrationError names cameras that share no board with the others.
+    sightings: per camera, by frame of the common time.
+    choose: decides between two relative poses of a symmetric board that did not move.
+    lens_sightings: more boards, each for its own camera's lens only.
+
+    A CalibrationError names cameras that share no board with the others.
     """
     cameras = [n.camera for n in lenses]
     poses = [
@@ -158,7 +181,7 @@ def _link(
     poses: Sequence[Mapping[int, list[tuple[Array, float]]]],
     board: Board,
 ) -> Link | None:
-    """The relative pose under which the most shared frames agree, and the next best different one."""
+    """Return the relative pose under which the most shared frames agree, and the next best different one."""
     shared = [f for f in sightings[c] if f in sightings[d]]
     shared = [f for f in shared if poses[c][f][0][1] < 5 and poses[d][f][0][1] < 5]
     if not shared:
@@ -209,7 +232,8 @@ def _disagreement(
     poses: Sequence[Mapping[int, list[tuple[Array, float]]]],
     board: Board,
 ) -> Array:
-    """(F,) px: rms error in camera d of the boards seen by camera c, under the better of their poses and numberings."""
+    """Return (F,) px: rms error in camera d of the boards seen by camera c, under the better of their poses and
+    numberings."""
     out = np.empty(len(shared))
     for k, f in enumerate(shared):
         s = sightings[d][f]
@@ -353,7 +377,7 @@ def _numbered(
 
 
 def _choose_frames(named: _Numbered, cameras: Sequence[Camera], count: int) -> list[int]:
-    """At most `count` frames: for each pair of cameras those that differ most, then the rest for the lenses."""
+    """Return at most `count` frames: for each pair of cameras those that differ most, then the rest for the lenses."""
     seen = named.sightings
     if len(named.boards) <= count:
         return sorted(named.boards)
@@ -466,7 +490,7 @@ def _refined(
 
 
 def _in_front(camera: Camera, world_from_board: Array, board: Board) -> bool:
-    """Whether the whole board lies in front of the camera."""
+    """Return whether the whole board lies in front of the camera."""
     return bool((transform(camera.camera_from_world @ world_from_board, board.points)[:, 2] > 0.01).all())
 
 
@@ -476,7 +500,7 @@ def _filmed(seen: Mapping[int, BoardDetection]) -> dict[int, BoardDetection]:
 
 
 def _by_view(obs: Observations, residuals: Array, c: int, f: int) -> tuple[Array, IntArray]:
-    """(C, F) rms px per coordinate, NaN where a camera saw no board, and number of corners."""
+    """Return (C, F) rms px per coordinate, NaN where a camera saw no board, and number of corners."""
     at = obs.camera * f + obs.frame
     count = np.bincount(at, minlength=c * f).reshape(c, f).astype(np.int64)
     total = np.bincount(at, (residuals**2).sum(1), c * f).reshape(c, f)

@@ -25,7 +25,7 @@ _COLOURS = {
     False: "the board is printed white on black: give --inverted",
     True: "the board is printed black on white: leave --inverted out",
 }
-_COARSE = 4  # every 4th frame is looked at first, the others only beside a frame that shows the board
+_COARSE = 4  # every 4th frame is looked at first, the others only next to a frame that shows the board
 _STILL = 3.0  # mean difference in grey levels between two pictures of a scene in which nothing moves
 _STILL_FRAMES = 60
 
@@ -53,8 +53,12 @@ class Look:
 
 @dataclass(frozen=True)
 class CameraViews:
-    """What one camera saw. looks: by frame number (of the common time; photos: by order); size (width, height) px;
-    still: the pictures do not change, and frame 0 stands for their mean."""
+    """What one camera saw.
+
+    looks: by frame number (of the common time; photos: by order).
+    size (width, height) px.
+    still: the pictures do not change, and frame 0 stands for their mean.
+    """
 
     name: str
     path: Path
@@ -66,12 +70,12 @@ class CameraViews:
 
     @property
     def sightings(self) -> dict[int, BoardDetection]:
-        """The sharp boards by frame number."""
+        """Return the sharp boards by frame number."""
         return {f: k.sighting for f, k in self.looks.items() if k.sighting is not None and k.reason == ""}
 
     @property
     def coverage(self) -> float:
-        """Share of the picture's 6 x 6 fields in which a corner was seen."""
+        """Return share of the picture's 6 x 6 fields in which a corner was seen."""
         seen = np.zeros((6, 6), bool)
         for s in self.sightings.values():
             x, y = np.clip(6 * s.pixels / self.size, 0, 5.99).astype(int).T
@@ -79,7 +83,7 @@ class CameraViews:
         return float(seen.mean())
 
     def summary(self) -> str:
-        """One sentence on what was found."""
+        """Return one sentence on what was found."""
         n = len(self.sightings)
         why: dict[str, int] = {}
         for look in self.looks.values():
@@ -93,9 +97,11 @@ class CameraViews:
 
 
 def find_sources(paths: Sequence[Path], what: str = "board videos") -> list[BoardFootage]:
-    """One source per camera: from a folder with one video or photo folder per camera, or from the paths themselves.
+    """Return one source per camera: from a folder with one video or photo folder per camera, or from the paths
+    themselves.
 
-    Cameras are named by their files; where all files are called the same, by their folders."""
+    Cameras are named by their files; where all files are called the same, by their folders.
+    """
     found: list[Path] = []
     for path in paths:
         if not path.exists():
@@ -143,10 +149,11 @@ def look_for_board(
     together: bool = True,
     progress: BoardProgress = lambda stage, done, total: None,
 ) -> tuple[CameraViews, ...]:
-    """The board in all pictures of all cameras; an InputError names a file that cannot be read.
+    """Return the board in all pictures of all cameras; an InputError names a file that cannot be read.
 
-    max_frames: pictures looked at per camera, evenly spread. together: the cameras filmed at the same time, so the same
-    frames are looked at in all."""
+    max_frames: pictures looked at per camera, evenly spread.
+    together: the cameras filmed at the same time, so the same frames are looked at in all.
+    """
     count = [0, 1]
 
     def step(total: int) -> None:
@@ -185,7 +192,7 @@ def _look(source: BoardFootage, numbers: Sequence[int], board: Board, step: Call
         else:
             near: dict[int, bool] = {}
             coarse = set(numbers) if photos or len(numbers) < 2 * _COARSE else {*numbers[::_COARSE], numbers[-1]}
-            # first the coarse pass, then the gaps beside what was found: a video is decoded twice, but seldom searched
+            # first the coarse pass, then the gaps next to detections: a video is decoded twice, but seldom searched
             for chosen in (coarse, set(numbers) - coarse):
                 for i, number in enumerate(numbers):
                     if number not in chosen:
@@ -203,7 +210,7 @@ def _look(source: BoardFootage, numbers: Sequence[int], board: Board, step: Call
 
 
 def _still_mean(source: BoardFootage, numbers: Sequence[int]) -> Gray | None:
-    """Mean picture of a clip in which nothing moves (noise is less in it), else None."""
+    """Return mean picture of a clip in which nothing moves (noise is less in it), else None."""
     if len(numbers) < 3:
         return None
     with open_video(source.path) as reader:
@@ -340,7 +347,7 @@ def _diagnose_markers(grays: Sequence[Gray], board: Board) -> str:
 
 
 def positions(sightings: Mapping[int, BoardDetection], size: tuple[int, int]) -> Array:
-    """(F, 4): where each board lies in the picture: centre, size and slant, in units of the picture's width."""
+    """Return (F, 4): where each board lies in the picture: centre, size and slant, in units of the picture's width."""
     out = []
     for s in sightings.values():
         spread = s.pixels.std(0) / size[0]
@@ -349,7 +356,7 @@ def positions(sightings: Mapping[int, BoardDetection], size: tuple[int, int]) ->
 
 
 # ---- counted corners -----------------------------------------------------------------------------------------------
-# Which chessboard is it? Its corners, counted in the pictures, so that nobody has to count them.
+# Which chessboard is it? Its corners, counted in the pictures, so that the user need not count them.
 
 
 _PICTURES = 8

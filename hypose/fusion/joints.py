@@ -95,7 +95,7 @@ _AZURE_COMMON = (
 
 
 def plain_name(name: str) -> str:
-    """A joint's name for comparison: lower case, letters only, the side in front."""
+    """Return a joint's name for comparison: lower case, letters only, the side in front."""
     letters = re.sub(r"[^a-z]", "", name.lower())
     for side in ("left", "right"):
         if side in letters:
@@ -114,8 +114,8 @@ def joint_sets() -> tuple[JointSet, ...]:
 
 
 def joint_set(names: Sequence[str]) -> JointSet:
-    """The set that these joint names are (in any order); common, parent and mirror index into `names`. An InputError
-    names what is missing when it is none of them."""
+    """Return the set that these joint names are (in any order); common, parent and mirror index into `names`. An
+    InputError names the missing joints when it is none of them."""
     given = [plain_name(n) for n in names]
     best: tuple[int, str] = (10**6, "")
     for known in joint_sets():

@@ -30,9 +30,15 @@ class LiveSettings:
 
 @dataclass(frozen=True)
 class LiveSkeleton:
-    """One fused person: id; joints (15, 3) m (joints.COMMON) in the frame of the first sensor; sd (15,) m per axis;
-    sensors that see the person now; shares (15, K): what each of `LiveFrame.sensors` carried of each joint; seen:
-    some sensor sees it (else prediction)."""
+    """One fused person.
+
+    id.
+    joints (15, 3) m (joints.COMMON) in the frame of the first sensor.
+    sd (15,) m per axis.
+    sensors that see the person now.
+    shares (15, K): what each of `LiveFrame.sensors` carried of each joint.
+    seen: some sensor sees it (else prediction).
+    """
 
     id: int
     joints: Array
@@ -44,7 +50,13 @@ class LiveSkeleton:
 
 @dataclass(frozen=True)
 class LiveFrame:
-    """One output frame: index from 0; time s on the host's clock that it describes; people; sensors known so far."""
+    """One output frame.
+
+    index from 0.
+    time s on the host's clock that it describes.
+    people.
+    sensors known so far.
+    """
 
     index: int
     time: float
@@ -71,12 +83,12 @@ class LiveFuser:
         return self.aligner.due()
 
     def poll(self, now: float) -> list[LiveFrame]:
-        """The frames that are ready, in order."""
+        """Return the frames that are ready, in order."""
         return [self._fuse(instant) for instant in self.aligner.poll(now)]
 
     def frames(self, reports: Iterable[SensorReport]) -> Iterator[LiveFrame]:
         """The frames as reports bring them, for a caller with nothing else to do: live (an iterator that waits for the
-        next report) or recorded. Reports that are of no use are passed over; see `push` for what is an error."""
+        next report) or recorded. Reports that are of no use are passed over; see `push` for errors."""
         for r in reports:
             self.push(r)
             yield from self.poll(r.time if r.arrival is None else r.arrival)

@@ -1,4 +1,4 @@
-"""Depth pictures as they come, turned into what forests read; what is unusable is refused in one sentence."""
+"""Depth pictures as they come, turned into the input of forests; unusable ones are refused in one sentence."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ class DepthLens:
             )
 
     def point(self, x: float, y: float, depth_m: float) -> NDArray[np.float64]:
-        """The point (3,) m in the camera's frame (x right, y down, z forward) seen at pixel (x, y)."""
+        """Return the point (3,) m in the camera's frame (x right, y down, z forward) seen at pixel (x, y)."""
         return np.array([(x - self.cx) / self.fx * depth_m, (y - self.cy) / self.fy * depth_m, depth_m])
 
     def scaled(self, factor: float) -> DepthLens:
-        """The lens of the picture made `factor` times as large; pixel centres at whole numbers."""
+        """Return the lens of the picture made `factor` times as large; pixel centres at whole numbers."""
         cx, cy = (self.cx + 0.5) * factor - 0.5, (self.cy + 0.5) * factor - 0.5
         return DepthLens(self.fx * factor, self.fy * factor, cx, cy)
 
@@ -47,7 +47,7 @@ KINECT = DepthLens(575.8, 575.8, 319.5, 239.5)
 
 
 def millimetres(depth: ArrayLike, where: str = "The depth picture") -> DepthImage:
-    """A depth picture (h, w) as uint16 mm, 0 = hole: whole numbers are millimetres, floats are metres.
+    """Return a depth picture (h, w) as uint16 mm, 0 = hole: whole numbers are millimetres, floats are metres.
 
     Raises InputError when it is no picture, or when whole numbers can only be metres.
     """
@@ -90,7 +90,7 @@ def surface_depth(depth: DepthImage, x: float, y: float, radius: int = 6, near_m
 
 
 def check_settings(what: str, settings: object, bounds: Mapping[str, tuple[float, float]]) -> None:
-    """InputError when an attribute of the settings is outside its bounds (inclusive) or no number."""
+    """Raise InputError when an attribute of the settings is outside its bounds (inclusive) or no number."""
     for name, (low, high) in bounds.items():
         value = getattr(settings, name)
         if not low <= value <= high:  # NaN is not within either

@@ -21,23 +21,29 @@ from hypose.gestures.forest import Forest, GrowingForest
 
 @dataclass(frozen=True)
 class LocaliseSettings:
-    """plan: where to look; majority: share that a pixel needs to vote; sigma_px: Parzen kernel; memory: share of the
-    new frame in the density, alpha of eq. 3.4 (1 = no memory); disc_mm: radius of the volume test's disc.
+    """Localise settings.
+
+    plan: where to look.
+    majority: share that a pixel needs to vote.
+    sigma_px: Parzen kernel.
+    adaptation_rate: share of the new frame in the density, alpha of eq. 3.4 (1 = no memory).
+    disc_mm: radius of the volume test's disc.
 
     The plan's stride and sigma_px are meant for a focal length of 575.8 px (the first Kinect at 640 x 480) and are
-    scaled with the lens, so that a picture of half the size gives the same answer."""
+    scaled with the lens, so that a picture of half the size gives the same answer.
+    """
 
     plan: ScanPlan = ScanPlan()
     majority: float = 0.5
     sigma_px: float = 8.0
-    memory: float = 1.0
+    adaptation_rate: float = 1.0
     disc_mm: float = 60.0
 
     def __post_init__(self) -> None:
         check_settings(
             "The localization's",
             self,
-            {"majority": (0, 1), "sigma_px": (0.01, 1000), "memory": (0, 1), "disc_mm": (1, 1000)},
+            {"majority": (0, 1), "sigma_px": (0.01, 1000), "adaptation_rate": (0, 1), "disc_mm": (1, 1000)},
         )
         check_settings(
             "The scan's",
@@ -53,7 +59,7 @@ class LocaliseSettings:
         )
 
     def at(self, lens: DepthLens) -> LocaliseSettings:
-        """The settings in the pixels of a lens."""
+        """Return the settings in the pixels of a lens."""
         factor = lens.fx / KINECT.fx
         plan = replace(self.plan, stride=max(1, round(self.plan.stride * factor)))
         return replace(self, plan=plan, sigma_px=self.sigma_px * factor)
@@ -61,8 +67,12 @@ class LocaliseSettings:
 
 @dataclass(frozen=True)
 class Localisation:
-    """The best place for one gesture in one picture: gesture (number from 1 on); pixel x, y; position (3,) m in the
-    camera's frame, or None where no depth was measured; score = V (eq. 3.5) in cm^2, 0 when nothing voted."""
+    """The best place for one gesture in one picture.
+
+    gesture (number from 1 on); pixel x, y.
+    position (3,) m in the camera's frame, or None where no depth was measured.
+    score = V (eq. 3.5) in cm^2, 0 when nothing voted.
+    """
 
     gesture: int
     x: float
@@ -83,7 +93,7 @@ class Scratch:
 def pad(
     depth: DepthImage, lens: DepthLens, reach_mm: int, near_mm: int, reuse: PaddedDepth | None = None
 ) -> PaddedDepth:
-    """The picture as forests read it. A lens of another focal length may have a picture of any size."""
+    """Return the picture as forests read it. A lens of another focal length may have a picture of any size."""
     return forests.pad_depth(depth, lens.fx, near_mm, reach_mm, reuse)
 
 
@@ -98,10 +108,11 @@ def localise(
     settings: LocaliseSettings | None = None,
     scratch: Scratch | None = None,
 ) -> list[Localisation]:
-    """The best place of every gesture in a depth picture (h, w) uint16 mm, in the order of the gestures.
+    """Return the best place of every gesture in a depth picture (h, w) uint16 mm, in the order of the gestures.
 
     forest_list: one two-class forest per gesture (one against all; they share the padded picture), or a single forest
-    of several gestures. scratch: keep it between the frames of one stream; it holds the density's memory (eq. 3.4).
+        of several gestures.
+    scratch: keep it between the frames of one stream; it holds the density's memory (eq. 3.4).
     """
     s, kept = settings or LocaliseSettings(), scratch or Scratch()
     return settle(densities(depth, lens, forest_list, s, kept), depth, lens, s, kept)
@@ -114,7 +125,7 @@ def densities(
     settings: LocaliseSettings,
     scratch: Scratch,
 ) -> list[Density]:
-    """The density of every gesture's votes in this picture alone: the first half of `localise`."""
+    """Return the density of every gesture's votes in this picture alone: the first half of `localise`."""
     s = settings.at(lens)
     if not forest_list:
         raise InputError("There is no forest to look with; train a gesture first.")
@@ -141,16 +152,20 @@ def densities(
 def settle(
     maps: Sequence[Density], depth: DepthImage, lens: DepthLens, settings: LocaliseSettings, scratch: Scratch
 ) -> list[Localisation]:
-    """The best place of every gesture, from the densities of this picture and the memory of the last ones (eq. 3.4).
+    """Return the best place of every gesture, from the densities of this picture and the memory of the last ones (eq.
+    3.4).
 
-    Deviation: alpha is 1, no memory, unless it is set; `hypose gesture` sets the printed 0.8."""
+    Deviation: alpha is 1, no memory, unless it is set; `hypose gesture` sets the printed 0.8.
+    """
     s, out = settings.at(lens), []
     for gesture, (density, at) in enumerate(maps, 1):
-        if s.memory < 1:
+        if s.adaptation_rate < 1:
             scratch.densities = scratch.densities or {}
             last = scratch.densities.get(gesture)
             if last is not None and last.shape == density.shape:
-                density = (np.float32(s.memory) * density + np.float32(1 - s.memory) * last).astype(np.float32)
+                density = (np.float32(s.adaptation_rate) * density + np.float32(1 - s.adaptation_rate) * last).astype(
+                    np.float32
+                )
                 at = int(density.argmax())
             scratch.densities[gesture] = density
         out.append(peak(gesture, density, at, depth, lens, s))
@@ -160,9 +175,10 @@ def settle(
 def peak(
     gesture: int, density: NDArray[np.float32], at: int, depth: DepthImage, lens: DepthLens, s: LocaliseSettings
 ) -> Localisation:
-    """The maximum of a density with its volume (eq. 3.5) and position; sub-cell by a parabola per axis.
+    """Return the maximum of a density with its volume (eq. 3.5) and position; sub-cell by a parabola per axis.
 
-    Deviation: V is an area, the cm^2 of surface that vote within the disc, so that it does not depend on distance."""
+    Deviation: V is an area, the cm^2 of surface that vote within the disc, so that it does not depend on distance.
+    """
     i, j = divmod(at, density.shape[1])
     stride = s.plan.stride
     if density[i, j] <= 0:

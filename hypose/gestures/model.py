@@ -14,8 +14,7 @@ from hypose.compute import GrowingArrays
 from hypose.errors import InputError
 from hypose.gestures.forest import MAX_CLASSES, Forest, ForestSettings, GrowingForest
 from hypose.gestures.localise import LocaliseSettings
-from hypose.gestures.online import Learner
-from hypose.gestures.pixels import LearnSettings
+from hypose.gestures.online import Learner, LearnSettings
 
 _FORMAT, VERSION = "hypose-gesture", 2
 _KINDS = {
@@ -26,8 +25,8 @@ _KINDS = {
 
 
 def check_gesture_name(name: str) -> None:
-    """An InputError for what is no name: names go into files and, as words, to commands, which must not take one for
-    an option of theirs."""
+    """Raise InputError for text that is no name: names go into files and, as words, to commands, which must not take
+    one for an option of theirs."""
     if not 1 <= len(name) <= 64 or not all(c.isalnum() or c in "_-" for c in name) or name.startswith("-"):
         raise InputError(
             f"{name[:80]!r} is no name for a gesture; use up to 64 letters, digits, - and _, and no - in front."
@@ -36,9 +35,15 @@ def check_gesture_name(name: str) -> None:
 
 @dataclass(frozen=True)
 class GestureModel:
-    """names: of gesture 1, 2, ...; forest: finished or still growing; thresholds: per gesture (cm^2), None = not known
-    yet; settings: how it looks; learner: what teaching needs to go on (None for a finished forest); history: what it
-    was trained on, plain values."""
+    """Gesture model.
+
+    names: of gesture 1, 2, ...
+    forest: finished or still growing.
+    thresholds: per gesture (cm^2), None = not known yet.
+    settings: how it looks.
+    learner: what teaching needs to go on (None for a finished forest).
+    history: what it was trained on, plain values.
+    """
 
     names: tuple[str, ...]
     forest: Forest | GrowingForest
@@ -61,7 +66,7 @@ class GestureModel:
         return bool(content) and any(entry.get("content") == content for entry in self.history)
 
     def with_thresholds(self, *thresholds: float | None) -> GestureModel:
-        """The model with other thresholds."""
+        """Return the model with other thresholds."""
         return replace(self, thresholds=thresholds)
 
 
@@ -98,7 +103,7 @@ def to_arrays(model: GestureModel) -> dict[str, NDArray]:
 
 
 def from_arrays(arrays: Mapping[str, NDArray]) -> GestureModel:
-    """The model of `to_arrays`; ValueError with a short reason when it is none or cannot be walked safely."""
+    """Return the model of `to_arrays`; ValueError with a short reason when it is none or cannot be walked safely."""
     value = _description(arrays)
     settings = _made(ForestSettings, value.get("forest"))
     growing = value.get("growing") is True

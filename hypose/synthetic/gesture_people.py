@@ -72,15 +72,19 @@ def _align(a0: ArrayLike, b0: ArrayLike, a1: ArrayLike, b1: ArrayLike) -> Array:
 
 @dataclass(frozen=True)
 class HandShape:
-    """flexion (4, 3) rad of index to little finger; spread rad between neighbours; thumb (3, 3, 3): rotations of its
-    joints relative to the hand."""
+    """Hand shape.
+
+    flexion (4, 3) rad of index to little finger.
+    spread rad between neighbours.
+    thumb (3, 3, 3): rotations of its joints relative to the hand.
+    """
 
     flexion: Array
     spread: float
     thumb: Array
 
     def towards(self, other: HandShape, t: float) -> HandShape:
-        """The shape a share t of the way to another."""
+        """Return the shape a share t of the way to another."""
         u, _, v = np.linalg.svd((1 - t) * self.thumb + t * other.thumb)
         return HandShape((1 - t) * self.flexion + t * other.flexion, (1 - t) * self.spread + t * other.spread, u @ v)
 
@@ -98,8 +102,14 @@ class ArmGoal:
 
 @dataclass(frozen=True)
 class GesturePerson:
-    """vertices (V, 3) f4 and joints (51, 3) m in the body's frame (origin at the pelvis, x = the person's left, y =
-    backward, z = up); faces (F, 3); weights (V, 51) f4; ends (2, 5, 3) of the fingers of the left and right hand."""
+    """Gesture person.
+
+    vertices (V, 3) f4 and joints (51, 3) m in the body's frame (origin at the pelvis, x = the person's left, y =
+        backward, z = up).
+    faces (F, 3).
+    weights (V, 51) f4.
+    ends (2, 5, 3) of the fingers of the left and right hand.
+    """
 
     name: str
     joint_names: tuple[str, ...]
@@ -129,7 +139,7 @@ class GesturePerson:
         return along, unit(palm - along * (along @ palm)), float(np.linalg.norm(middle - wrist))
 
     def shape(self, side: str, kind: str, rng: np.random.Generator | None = None, jitter_deg: float = 0.0) -> HandShape:
-        """A named hand shape, with every joint off by jitter_deg (sd) where it is not to touch."""
+        """Return a named hand shape, with every joint off by jitter_deg (sd) where it is not to touch."""
         if kind not in _FLEXION:
             raise InputError(f"There is no hand shape {kind!r}; the shapes are {', '.join(HAND_SHAPES)}.")
         touches = kind not in _THUMB
@@ -161,8 +171,8 @@ class GesturePerson:
 
 @lru_cache(maxsize=4)
 def load_people(cloth_m: float = 0.008) -> tuple[GesturePerson, ...]:
-    """The baked people, dressed: clothes stand off by up to 1.5 cloth_m (each person another share) except on head and
-    hands. InputError when the asset is missing."""
+    """Return the baked people, dressed: clothes stand off by up to 1.5 cloth_m (each person another share) except on
+    head and hands. InputError when the asset is missing."""
     file = resources.files("hypose.assets").joinpath("gesture_people.npz")
     try:
         with file.open("rb") as stream:
@@ -235,7 +245,7 @@ class Puppet:
         return self.place()[0][self._index[name]]
 
     def carried(self, name: str, point: Array) -> Array:
-        """Where a point (3,) of the rest pose is that moves with a joint."""
+        """Return where a point (3,) of the rest pose is that moves with a joint."""
         r, c = self.place()
         j = self._index[name]
         return c[j] + r[j] @ (point - self.person.joints[j])

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.evidence.frame import Frame, Keypoints
-from hypose.evidence.keypoints import BLAZEPOSE_33
+from hypose.evidence.keypoints import lasting_m
 from hypose.fitting import SolveSettings
 from hypose.geometry import Array
 from hypose.tracking.frame_evidence import PreparedFrame, prepare
@@ -32,9 +32,6 @@ STEEP = 3
 is far than on one that is near, so points are followed long before they know as much. On scenes (walk, box, serve,
 cross-arms; seeds 1040 and 1041) a third to a tenth of the weight is better; on balancing all of it is needed, and
 kept."""
-LASTING_M = 0.02
-"""m per axis by which BlazePose's points err in all views alike and all along, so that no scatter shows it: on rendered
-people (seeds 5200 to 5215) they lay 10 to 20 mm from where they lie in the mean."""
 LEAST = 0.03
 """Share of their weight that points keep beside masks that are right."""
 CLEARLY = 2.0
@@ -65,7 +62,7 @@ def weighed_beside_masks(body: Body, model: KeypointModel, frames: Sequence[Fram
         return model
     own, other = (residual_rows(body, model, seen, poses) for poses in (by_points, by_masks))
     rows = 2 * np.median((own.confidence[:, :, model.known] > 0).sum((1, 2)))
-    lasting = LASTING_M**2 if model.names == BLAZEPOSE_33 else 0.0
+    lasting = lasting_m(model.names) ** 2
     left = max(1 - body.skeleton.dof / max(float(rows), 1.0), _LEAST_LEFT)
     usual, beside = np.nanmedian(_scatter(own, model.known)), np.full((len(seen[0].rig), len(model.names)), np.nan)
     for members in _parts(model.names):
@@ -94,7 +91,7 @@ def weighed_beside_masks(body: Body, model: KeypointModel, frames: Sequence[Fram
 def start_beside_masks(body: Body, model: KeypointModel, frame: Frame, start: Array) -> Array:
     """Solve a start pose (D,) from key points on the masks of its frame as well; as it is without masks."""
     prepared = prepare(frame, body, start, use_keypoints=True, keypoints_on_body=model, prediction_weight=0.0)
-    return start if prepared.contours is None else settled(start, prepared)
+    return settled(start, prepared) if prepared.silhouettes.seen else start
 
 
 def _times(model: KeypointModel, frames: Sequence[Frame]) -> int:
@@ -116,7 +113,7 @@ def _solved_either_way(
             continue
         pose = solved_frames(body, model, [points], start[None])[0]
         prepared = prepare(replace(frame, keypoints=None), body, pose, prediction_weight=0.0)
-        if prepared.contours is not None:
+        if prepared.silhouettes.seen:
             kept.append(points)
             by_points.append(pose)
             outlines.append(prepared)

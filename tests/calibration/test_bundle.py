@@ -5,8 +5,13 @@ import pytest
 
 from benchmarks.synthetic.calibration_boards import compare_rigs, film_board, ring_of_cameras
 from hypose.calibration.boards import Board
-from hypose.calibration.bundle import NOISE_PX, Observations, bundle_adjust, project_with_derivatives
-from hypose.calibration.intrinsics import collect_observations
+from hypose.calibration.bundle import (
+    NOISE_PX,
+    Observations,
+    bundle_adjust,
+    collect_observations,
+    project_with_derivatives,
+)
 from hypose.cameras.camera import Camera
 from hypose.geometry import se3, so3_exp
 

@@ -21,7 +21,7 @@ from hypose.cameras.camera import CameraRig
 from hypose.errors import EvidenceError
 from hypose.evidence.keypoints import BODY_25
 from hypose.geometry import se3, so3_exp
-from hypose.synthetic.rigs import rig as named_rig
+from hypose.synthetic.scenes import camera_rig as named_rig
 
 SEED = 7  # walks before humaneva-4
 

@@ -6,8 +6,7 @@ from benchmarks.depth_sensors import baselines
 from hypose.compute import fusion
 from hypose.fusion import joints as jt
 from hypose.fusion.fit import FitSettings, adapt_lengths, clip_lengths, fit_step, start_fit, unswap
-from hypose.fusion.fuse import FUSION_METHODS, FusionSettings, fuse_clip
-from hypose.fusion.point_motion import common_positions
+from hypose.fusion.fuse import FUSION_METHODS, FusionSettings, common_positions, fuse_clip
 from tests.fusion.people import moving_person, seen, sensor_poses
 
 TRUE_LENGTHS = np.linalg.norm(np.diff(moving_person(2)[0][jt.SKELETON_BONES], axis=1)[:, 0], axis=-1)

@@ -7,8 +7,7 @@ from benchmarks.synthetic.treadmill import treadmill_recording
 from hypose.errors import InputError
 from hypose.evidence.frame import SensorJoints
 from hypose.fusion import joints as jt
-from hypose.fusion.fuse import FusionSettings, fuse_clip, fuse_frame, start
-from hypose.fusion.point_motion import common_positions
+from hypose.fusion.fuse import FusionSettings, common_positions, fuse_clip, fuse_frame, start
 from tests.fusion.people import in_reference, moving_person, seen, sensor_poses
 
 

@@ -6,8 +6,8 @@ from scipy.stats import ncx2
 
 from hypose.body.motion import sd_per_axis
 from hypose.compute import fusion
+from hypose.fusion import fit as trust
 from hypose.fusion import joints as jt
-from hypose.fusion import trust
 from hypose.fusion.fuse import FusionSettings, fuse_clip
 from tests.fusion.people import REST, moving_person, seen, sensor_poses
 
@@ -20,7 +20,7 @@ ARMS = {"left": [jt.LEFT_ELBOW, jt.LEFT_HAND], "right": [jt.RIGHT_ELBOW, jt.RIGH
 def open_at(positions, eyes, states=2, joints=REST, lengths=LENGTHS, variance=0.0):
     positions = np.asarray(positions, dtype=float)
     states = np.full(positions.shape[:2], states, np.uint8)
-    return trust.what_is_open(
+    return trust.remaining_uncertainty(
         positions, states, np.array(eyes, dtype=float), LEFT, lengths, joints, np.full(15, variance)
     )
 

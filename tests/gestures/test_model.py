@@ -10,9 +10,8 @@ from hypose.errors import InputError
 from hypose.gestures.forest import ForestSettings
 from hypose.gestures.localise import LocaliseSettings
 from hypose.gestures.model import GestureModel, from_arrays, to_arrays
-from hypose.gestures.offline import OfflineSettings, collect, train_offline
-from hypose.gestures.online import Learner
-from hypose.gestures.pixels import Example
+from hypose.gestures.online import Example, Learner
+from hypose.gestures.trainer import OfflineSettings, collect, train_offline
 from hypose.pipeline.gesture_files import SessionWriter, export_model, load_model, read_recording, save_model
 
 from .toys import LENS, SHAPE, toy
@@ -128,7 +127,7 @@ def test_export_runs_alone(taught, tmp_path):
     files = export_model(model_of(taught), tmp_path / "out")
     namespace: dict = {"__name__": "gesture_runtime"}
     exec(compile(files[2].read_text(), "gesture_runtime.py", "exec"), namespace)  # noqa: S102
-    model = namespace["load"](str(files[0]), str(files[1]))
+    model = namespace["load_forest"](str(files[0]), str(files[1]))
     depth, (x, y), _ = toy(np.random.default_rng(30), 1200, holes=False)
     at = namespace["find"](model, depth, LENS.fx)[0]
     assert np.hypot(at[0] - x, at[1] - y) < 8

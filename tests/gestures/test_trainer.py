@@ -6,8 +6,7 @@ import pytest
 from benchmarks.depth_gestures.gesture_data import teach
 from hypose.gestures.forest import ForestSettings
 from hypose.gestures.localise import localise
-from hypose.gestures.online import Learner
-from hypose.gestures.pixels import Example, LearnSettings, PixelSampler
+from hypose.gestures.online import Example, Learner, LearnSettings, PixelSampler
 from hypose.gestures.session import SessionSettings
 from hypose.gestures.trainer import Trainer, balanced
 
@@ -125,7 +124,7 @@ def test_pixels_around_the_place_are_learned_as_background():
     depth = np.full((150, 200), 1000, np.uint16)
     learned = {}
     for around in (0, 10):
-        settings = LearnSettings(positives=5, around=around, beside=0, hard=0, rim_mm=20, clear_mm=45)
+        settings = LearnSettings(positives=5, around=around, random=0, hard=0, rim_mm=20, clear_mm=45)
         learner = Learner.new(np.random.default_rng(0), None, settings)
         taught = learner.show(depth, LENS, 1, 100.0, 75.0)
         assert taught is not None

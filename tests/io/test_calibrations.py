@@ -17,7 +17,7 @@ from hypose.io.calibrations.calibration_formats import find_calibration, read_an
 from hypose.io.calibrations.calibration_systems import read_plain_pickle
 from hypose.io.calibrations.calibration_text import parse_xml, parse_yaml, write_calibration
 from hypose.io.files import toml_value
-from hypose.synthetic.rigs import rig
+from hypose.synthetic.scenes import camera_rig
 from tests.io.recordings import make_camera, make_rig
 
 POINTS = np.random.default_rng(3).uniform(-0.5, 0.5, (20, 3))
@@ -488,7 +488,7 @@ def test_what_a_format_cannot_hold_is_not_written(tmp_path, rng):
 # Calibrations of CMU Panoptic, BioCV, OptiTrack, projection matrices, OpenCV's folders: read as they write them.
 
 
-RIG = rig("humaneva-4", distorted=True)
+RIG = camera_rig("humaneva-4", distorted=True)
 
 
 def assert_same_cameras(found, wanted, tolerance=1e-9):

@@ -21,11 +21,11 @@ from hypose.evidence.keypoints import keypoint_names, parse_openpose
 from hypose.io.keypoints.read_keypoints import keypoints_of_views, read_keypoints
 from hypose.io.recordings.frames import FrameSettings, load_keypoints
 from hypose.io.recordings.recording import load_recording
-from hypose.synthetic.rigs import rig
+from hypose.synthetic.scenes import camera_rig
 from tests import missing
 
 FRAMES = 14
-RIG = rig("humaneva-4")
+RIG = camera_rig("humaneva-4")
 
 
 def written(folder, layout, points=None, stated=None, keypoint_set=None):
@@ -295,7 +295,7 @@ def test_two_models_are_refused(tmp_path):
 @pytest.mark.parametrize("name", ["humaneva-4", "ring-3", "ring-4"])
 def test_mirrored_pictures_are_told_where_cameras_stand_evenly(name):
     # such cameras, two of them exchanged, fit mirrored points nearly as well
-    cameras = rig(name)
+    cameras = camera_rig(name)
     points = detections("BODY_25", cameras, FRAMES)
     width = cameras.sizes[:, 0, None, None]
     points[..., 0] = np.where(points[..., 2] > 0, width - 1 - points[..., 0], 0)

@@ -28,7 +28,7 @@ from hypose.fusion.register import triangle_transform
 from hypose.fusion.swarm import PUBLISHED, MergedWheel, SwarmFrame, SwarmSettings, energy, ride, start_swarm, swarm_step
 from hypose.geometry import so3_exp, transform
 from hypose.inference.hypotheses import Hypotheses
-from hypose.inference.selectors import roulette
+from hypose.inference.resampling import roulette
 
 
 def random_rotation(rng):

@@ -10,8 +10,8 @@ from hypose.compute import forest_votes, forests
 from hypose.compute.forests import UNCLIPPED_MM
 from hypose.gestures.forest import ForestSettings, GrowingForest
 from hypose.gestures.localise import LocaliseSettings, Scratch, pad, settle
-from hypose.gestures.offline import OfflineSettings, Pool, train_offline
 from hypose.gestures.session import Session, SessionSettings, advance, update_maximum
+from hypose.gestures.trainer import OfflineSettings, Pool, train_offline
 from tests.gestures.toys import LENS, grown, samples, toy
 
 FAR = 10000
@@ -244,7 +244,7 @@ def test_section_3_2_4_the_density_is_a_parzen_estimate_of_the_votes(rng):
 
 def test_equations_3_4_and_3_5_recursion_maximum_and_volume(rng):
     depth = np.full((150, 200), 1500, np.uint16)
-    settings, scratch = LocaliseSettings(memory=0.8, disc_mm=60.0), Scratch()
+    settings, scratch = LocaliseSettings(adaptation_rate=0.8, disc_mm=60.0), Scratch()
     stride = settings.at(LENS).plan.stride
     shape = (-(-(150 - stride // 2) // stride), -(-(200 - stride // 2) // stride))
     remembered = None

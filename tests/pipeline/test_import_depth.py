@@ -15,7 +15,7 @@ from hypose.io.recordings.recording import load_recording
 from hypose.io.sensors.depth import DepthFile, DepthFrame, read_depth_png, write_depth_png
 from hypose.pipeline import import_depth as module
 from hypose.pipeline.import_depth import RegisteredSensors, import_depth
-from hypose.synthetic.rigs import look_at
+from hypose.synthetic.scenes import look_at
 from tests.depth_pictures import seen_in_room
 
 LENS = np.array([-0.25, 0.05, 0.0, 0.0, 0.0])

@@ -13,13 +13,13 @@ from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.pipeline.subject_checks import apparent_height, check_borders, check_start, cut_edges
 from hypose.pipeline.subject_from_motion import AnthropometryOptions, estimate_subject
-from hypose.synthetic.rigs import rig
+from hypose.synthetic.scenes import camera_rig
 from hypose.tracking.starts import known_pose
 
 
 @pytest.fixture(scope="module")
 def views():
-    return rig("humaneva-4").scaled(0.375)
+    return camera_rig("humaneva-4").scaled(0.375)
 
 
 def seen(views, pose_name="standing", shift=(0.0, 0.0)):

@@ -5,13 +5,13 @@ from hypose.compute.parts import covered
 from hypose.compute.render import blend_shaded
 from hypose.compute.zbuffer import interpolate, rasterize
 from hypose.synthetic.motions import act
-from hypose.synthetic.rigs import rig
+from hypose.synthetic.scenes import camera_rig
 from tests import reference
 
 
 def test_interpolation_is_perspective_correct():
     """A slanted floor-like triangle: interpolated world points project back to the pixels they were drawn at."""
-    camera = rig("ring-1")[0]
+    camera = camera_rig("ring-1")[0]
     v = np.array([[-1.0, -1.0, 0.0], [1.2, -0.9, 0.1], [0.1, 1.5, 1.2]])
     z = v @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
     f = np.array([[0, 1, 2]], np.int32)
@@ -48,7 +48,7 @@ def test_the_nearest_faces_are_those_of_the_definition(cull, rng):
 def test_both_rasterizers_agree_on_a_body(person):
     p = act("box", person, 1.0, 10.0, np.random.default_rng(0))
     v = person.skin(p.rotations[5], p.root[5])
-    for camera in rig("humaneva-4"):
+    for camera in camera_rig("humaneva-4"):
         uv = camera.project_pinhole(v)
         z = v @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
         mask = covered(uv, z, person.faces, camera.size[::-1])

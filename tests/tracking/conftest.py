@@ -12,7 +12,7 @@ from hypose.compute.parts import covered
 from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.geometry import Array
-from hypose.synthetic.rigs import rig
+from hypose.synthetic.scenes import camera_rig
 from hypose.tracking.starts import known_pose
 
 FrameOf = Callable[..., Frame]
@@ -26,7 +26,7 @@ def body() -> Body:
 @pytest.fixture(scope="session")
 def small_rig() -> CameraRig:
     """Four cameras around the origin, 240 x 180 px: the person is about 100 px tall."""
-    return rig("humaneva-4").scaled(0.375)
+    return camera_rig("humaneva-4").scaled(0.375)
 
 
 @pytest.fixture(scope="session")

@@ -10,7 +10,7 @@ from hypose.compute import covered
 from hypose.errors import EvidenceError
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.geometry import so3_exp, so3_log
-from hypose.synthetic.rigs import rig
+from hypose.synthetic.scenes import camera_rig
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.postures import posture_names, postures
 from hypose.tracking.start_search import starts_in_frame, weighed
@@ -33,7 +33,7 @@ def masks_of(body, pose, cameras, also=()):
 
 @pytest.fixture(scope="module")
 def cameras():
-    return CameraRig(tuple(rig("humaneva-4").scaled(0.4)))
+    return CameraRig(tuple(camera_rig("humaneva-4").scaled(0.4)))
 
 
 def sitting(body, name="sitting, arms on thighs", heading=2.0):

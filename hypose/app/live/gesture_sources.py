@@ -106,7 +106,7 @@ def _of_frames(name: str, lens: DepthLens, size: tuple[int, int], frames: Iterat
 
 
 def _simulated(who: str, gesture: str, seed: int) -> Source:
-    from hypose.synthetic.gesture_live import live_person
+    from hypose.synthetic.gesture_scenes import live_person
 
     if not who.isdigit():
         raise InputError(f"There is no simulated person {who!r}; give simulated:0, for example.")

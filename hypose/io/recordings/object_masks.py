@@ -7,7 +7,7 @@
 | a folder that holds folders of masks | a folder, by its name |
 | a COCO or YouTube-VIS .json with run lengths or polygons | track_id, object_id or instance_id, else id |
 
-Which object is which person across views is found by `hypose.evidence.objects`.
+Which object is which person across views is found by `hypose.evidence.association`.
 """
 
 from __future__ import annotations
