@@ -18,6 +18,7 @@ from benchmarks.bench_origin import beside_yardstick, command, commit, machine, 
 from benchmarks.bench_report import BenchOptions, BenchReport, Progress, Row
 from benchmarks.cameras import (
     board_accuracy,
+    boardless,
     caliscope_person,
     cameras_bench,
     doctor_real,
@@ -107,6 +108,7 @@ def benchmarks() -> dict[str, Benchmark]:
         "caliscope": Benchmark(caliscope_person.caliscope, "data"),
         "cameras": Benchmark(cameras_bench.cameras, "seeds", "first_seed", "data", "parts"),
         "calibration": Benchmark(board_accuracy.boards, "seeds", "first_seed", "data"),
+        "boardless": Benchmark(boardless.boardless, "seeds", "first_seed", "data", "parts"),
         "doctor": Benchmark(planted_faults.doctor, "seeds", "first_seed"),
         "doctor-real": Benchmark(doctor_real.doctor_real, "data"),
         "sync": Benchmark(sync_accuracy.sync, "seeds", "first_seed"),

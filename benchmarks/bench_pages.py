@@ -22,7 +22,6 @@ _CAMERAS = (
             Column("from the given, degrees", "agreement_deg, worst camera"),
             Column("hull IoU", "hull_iou, worst view"),
         ),
-        notebook="cameras.md#calibration",
     ),
     Page(
         "doctor",
@@ -35,7 +34,6 @@ _CAMERAS = (
             Column("healthy without a finding", "healthy_without_finding"),
         ),
         (Line("key points and masks", "all", (least(0.95, 0), least(0.95, 1))), Line("masks alone", "silhouettes")),
-        notebook="cameras.md#doctor",
         picture=Panels(("verdict_precision", "verdict_recall", "recall")),
     ),
     Page(
@@ -54,7 +52,6 @@ _CAMERAS = (
             Line("from silhouettes, starts 140 mm off", "silhouettes, starts 140 mm off", (most(8, 0),)),
             Line("from both", "both"),
         ),
-        notebook="cameras.md#doctor",
     ),
     Page(
         "sync",
@@ -67,7 +64,6 @@ _CAMERAS = (
             for name in ("keypoints", "silhouettes", "both")
         )
         + (Line("sound", "sound"), Line("lamp", "lamp")),
-        notebook="cameras.md#doctor",
         picture=Panels(("sync_error_frames", "sync_error_largest_frames"), lines={"sync_error_largest_frames": 0.2}),
     ),
 )
@@ -85,14 +81,12 @@ _FUSION = (
             Line("published (paper: 87.5, 83.3; 91.7, 95.0)", "published"),
             Line("improved", "swarm", (*(least(90, c) for c in range(3)), least(95, 3), least(92, 4), least(95, 5))),
         ),
-        notebook="fusion.md",
         picture=Panels(("success", "within_share")),
     ),
     Page(
         "fusion-departures",
         """What each departure from the paper is worth: success with one changed at a time, on seeds below 1000.""",
         (Column("success", "success"),),
-        notebook="fusion.md",
     ),
     Page(
         "fusion-human4d",
@@ -107,7 +101,6 @@ _FUSION = (
             Line("fit", "fit", tuple(most(0.6, c, "best_single") for c in range(3))),
             Line("fit, causal", "fit/causal"),
         ),
-        notebook="fusion.md",
     ),
     Page(
         "fusion-real",
@@ -145,7 +138,6 @@ _FUSION = (
             Line("of the mean", "mean", metric="jitter_mm"),
             Line("of the improved swarm", "swarm", metric="jitter_mm"),
         ),
-        notebook="fusion.md",
         picture=Panels(("agreement_mm", "jitter_mm")),
     ),
     Page(
@@ -164,7 +156,6 @@ _FUSION = (
             Line("latency, median", "all", metric="latency_median_ms"),
             Line("latency, 99 %", "all", (most(20),), "latency_p99_ms"),
         ),
-        notebook="fusion.md#speed",
         picture=Panels(("ms_per_frame",)),
     ),
     Page(
@@ -231,7 +222,6 @@ _GESTURES = (
             Line("not clipped", "unclipped"),
             Line("boosted sub-forests, not clipped", "subforest"),
         ),
-        notebook="gestures.md#table-31",
     ),
     Page(
         "gesture-table-3.2",
@@ -250,20 +240,17 @@ _GESTURES = (
             Line("offline boosted as published", "offline_boosted"),
         ),
         "published, mean",
-        "gestures.md#table-32",
     ),
     Page(
         "gesture-sweeps",
         """Alpha and beta of the online forest for one gesture ("pause"), and the balance of its trees.""",
         (Column("AP", "ap"),),
-        notebook="gestures.md#table-32",
     ),
     Page(
         "gesture-table-3.3",
         """Three sessions of 3 minutes of one person, the forest resumed, against offline learning on the same frames;
         average precision at 10 px and 5 cm, tested in other rooms.""",
         (Column("10 px", "ap_10px", spread=True), Column("5 cm", "ap_5cm", spread=True), Column("min", "minutes")),
-        notebook="gestures.md#table-33",
     ),
     Page(
         "gesture-semi-synthetic",
@@ -271,7 +258,6 @@ _GESTURES = (
         every letter against all others.""",
         (Column("mean AP", "mean_ap"),),
         (Line("10 px", "letters", (least(0.8),)), Line("5 cm", "letters/5cm")),
-        notebook="gestures.md#semi-synthetic",
     ),
     Page(
         "gesture-speed",
@@ -286,7 +272,6 @@ _GESTURES = (
             Line("offline fit of 15 trees", "all", metric="offline_fit_s"),
             Line("learn one sample", "all", metric="learn_one_us"),
         ),
-        notebook="gestures.md#speed",
     ),
     Page(
         "gesture-false-alarms",
@@ -296,7 +281,6 @@ _GESTURES = (
             Column("false alarms per minute", "false_alarms_per_minute", spread=True),
             Column("holds found", "holds_found", spread=True),
         ),
-        notebook="gestures.md#false-alarms",
     ),
 )
 
@@ -314,14 +298,12 @@ _ONE_CAMERA = (
         Kept: in the picture to the end, and the median in space below 150 mm. Whole clip: tracked both ways and
         solved as one.""",
         (Column("mean, mm", "mean_error_mm", spread=True), Column("at most 80 mm", "at_most_80"), *_MONO),
-        notebook="monocular.md",
     ),
     Page(
         "mono-body",
         """One camera, 30 dof, 1.2 s (and 8 s), 7 hypotheses; 14 joints, pelves made to coincide; and what each part
         of the method is worth.""",
         (Column("mean, mm", "root_aligned_mm", spread=True), *_MONO),
-        notebook="monocular.md",
     ),
     Page(
         "mono-speed",
@@ -331,7 +313,6 @@ _ONE_CAMERA = (
             Line("arm, 3 hypotheses", "arm", (most(0.06),), "seconds_per_frame"),
             Line("body, 7 hypotheses", "body", (most(0.15),), "seconds_per_frame"),
         ),
-        notebook="monocular.md#speed",
         picture=Panels(("seconds_per_frame", "stage_share")),
     ),
     Page(
@@ -344,7 +325,6 @@ _ONE_CAMERA = (
             Column("depth, mm", "depth_mm"),
             Column("picture, px", "image_error_px"),
         ),
-        notebook="monocular.md#the-real-clip",
     ),
 )
 
@@ -392,7 +372,6 @@ _ROBUSTNESS = (
             Column("half written", "half_written"),
             Column("same bytes", "resumed_identical"),
         ),
-        notebook="robustness.md#kills",
     ),
     Page(
         "faults",
@@ -407,7 +386,6 @@ _ROBUSTNESS = (
             Column("wrong", "wrong", scale=100),
             Column("not flagged", "unflagged_wrong", scale=100),
         ),
-        notebook="robustness.md#faults",
     ),
     Page(
         "batch",
@@ -416,7 +394,6 @@ _ROBUSTNESS = (
             Line("two workers", "two workers", (least(1.8),), "speed_up"),
             Line("results that are the same bytes", "two kills", (least(1),), "identical"),
         ),
-        notebook="robustness.md#batch",
     ),
 )
 

@@ -53,15 +53,14 @@ class Line:
 @dataclass(frozen=True)
 class Page:
     """What docs/benchmarks.md says of a benchmark: prose of at most five lines; columns and lines (none: one for each
-    case of the first column's metric); more: title of a last column with what others published; notebook: page and
-    anchor in docs/notebook of what was tried; picture: what is drawn of it."""
+    case of the first column's metric); more: title of a last column with what others published; picture: what is drawn
+    of it."""
 
     name: str
     prose: str
     columns: tuple[Column, ...] = (Column("measured"),)
     lines: tuple[Line, ...] = ()
     more: str = ""
-    notebook: str = ""
     picture: Panels | None = None
 
 

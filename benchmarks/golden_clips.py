@@ -32,8 +32,7 @@ from hypose.body.motion import Motion
 from hypose.evidence.frame import Frame
 from hypose.evidence.keypoints import BODY_25B
 from hypose.fusion import joints as jt
-from hypose.fusion.fuse import fuse_clip
-from hypose.fusion.point_motion import common_positions
+from hypose.fusion.fuse import common_positions, fuse_clip
 from hypose.geometry import Array
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording

@@ -31,8 +31,8 @@ Made by `python -m benchmarks.pages` from `benchmarks/results`; what is not ther
 measures again and keeps. Bars are what was asked for. DATA is the folder with the recordings that a benchmark names,
 PARTS one that keeps what a long table has so far. The machines are shared with other work, so seconds are upper bounds:
 every speed has its ratio to a baseline of the same run, which such work slows as well ("OpenCV fill": filling 550
-triangles in 640 x 480 and comparing, about one silhouette). What was tried, and figures of earlier versions, are in the
-[notebook](notebook/index.md).
+triangles in 640 x 480 and comparing, about one silhouette). What was tried is in the
+[decisions](decisions/ledger.md).
 """
 
 
@@ -84,8 +84,6 @@ def _entry(page: Page, document: Document | None) -> str:
     else:
         parts += [table(page, rows_of(document)), wrapped(_origin(document))]
         parts.append(f"![{page.name}](images/{picture_path(page.name).name})")
-    if page.notebook:
-        parts.append(f"Tried, and measured before: [notebook](notebook/{page.notebook}).")
     return "\n\n".join(parts)
 
 

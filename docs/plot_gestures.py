@@ -1,4 +1,4 @@
-"""Draws the pictures of docs/gestures.md and docs/notebook/gestures.md: what the simulated sensor delivers; curves of
+"""Draws the pictures of docs/gestures.md: what the simulated sensor delivers; curves of
 recall over 1 - precision (mean over seeds); alpha, beta and the trees' balance; sessions.
 
 python docs/plot_gestures.py [FILE.json ...]     (of `./run bench gesture-table-3.1`, `-3.2`, `-3.3`, `gesture-sweeps`;

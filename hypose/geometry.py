@@ -12,6 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+"""(h, w, 3) blue, green, red, or (h, w) grey"""
+Mask = NDArray[np.uint8]
+"""(h, w), 0 or 255"""
+DepthMap = NDArray[np.float32]
+"""(h, w) m along the optical axis, 0 where nothing was measured"""
 
 
 def skew(vector: ArrayLike) -> Array:
@@ -92,7 +98,7 @@ _FEW = 4
 
 
 def _other_branch(r: list[float], reference: list[float]) -> float:
-    """The angle of a rotation vector (3,) whose other branch is nearer to a reference (3,), else 0."""
+    """Return the angle of a rotation vector (3,) whose other branch is nearer to a reference (3,), else 0."""
     (x, y, z), (a, b, c) = r, reference
     squared = x * x + y * y + z * z
     angle = math.sqrt(squared)
@@ -100,7 +106,7 @@ def _other_branch(r: list[float], reference: list[float]) -> float:
 
 
 def nearest_branch(rotation_vector: ArrayLike, reference: ArrayLike) -> Array:
-    """The rotation vector of the same rotation that lies nearest to `reference`; both (..., 3).
+    """Return the rotation vector of the same rotation that lies nearest to `reference`; both (..., 3).
 
     r and r (1 - 2 pi / |r|) are one rotation; differences and means of rotation vectors are only meaningful on one
     branch.
@@ -124,7 +130,7 @@ def nearest_branch(rotation_vector: ArrayLike, reference: ArrayLike) -> Array:
 
 
 def rotation_mean(rotations: ArrayLike, weights: ArrayLike | None = None, iterations: int = 10) -> Array:
-    """Weighted Karcher mean on SO(3): rotations (N, ..., 3, 3), weights (N,) -> (..., 3, 3)."""
+    """Return weighted Karcher mean on SO(3): rotations (N, ..., 3, 3), weights (N,) -> (..., 3, 3)."""
     m = np.asarray(rotations, dtype=np.float64)
     w = np.full(len(m), 1 / len(m)) if weights is None else np.asarray(weights, dtype=np.float64) / np.sum(weights)
     mean = m[int(w.argmax())]

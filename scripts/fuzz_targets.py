@@ -198,10 +198,10 @@ def write_good(folder: Path) -> None:
     from hypose.io.sensors.depth import write_depth_png
     from hypose.io.videos.video import VideoWriter
     from hypose.pipeline.gesture_files import save_model
-    from hypose.synthetic.rigs import rig
+    from hypose.synthetic.scenes import camera_rig
 
     rng = np.random.default_rng(5)
-    cameras = CameraRig(rig("humaneva-4", distorted=True).scaled(0.25).cameras[:2])
+    cameras = CameraRig(camera_rig("humaneva-4", distorted=True).scaled(0.25).cameras[:2])
     for name in ("calibration.toml", "caliscope/camera_array.toml", "easymocap/extri.yml"):
         write_any(cameras, folder / "rig" / name)
     write_any(cameras, folder / "rig" / "opencap" / "cam1.pickle")

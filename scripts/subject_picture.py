@@ -13,7 +13,7 @@ from PIL import Image as Pillow
 
 from benchmarks.multiview.body_measures import fit_scene
 from hypose.body.body import Body
-from hypose.compute.render import silhouette
+from hypose.compute.parts import covered
 from hypose.geometry import Array
 from hypose.synthetic.scenes import Scene, make_scene
 from hypose.synthetic.subjects import load_subjects
@@ -41,7 +41,7 @@ def tile(scene: Scene, view: int, index: int, body: Body, pose: Array) -> np.nda
     picture = cv2.GaussianBlur(scene.rgb_frame(view, index)[..., ::-1], (0, 0), 1.5)  # smooth pictures are small
     v = body.skin(pose, body.fine)
     depth = v @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
-    own = silhouette(camera.project_pinhole(v), depth, body.fine.faces, camera.size) > 0
+    own = covered(camera.project_pinhole(v), depth, body.fine.faces, camera.size[::-1]) > 0
     out = picture.astype(np.float64)
     out[own] = 0.5 * out[own] + 0.5 * np.array(BODY)
     true = scene.clean_mask(view, index)

@@ -8,7 +8,7 @@ from hypose.compute import rasterize
 from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes
-from hypose.synthetic.rigs import look_at
+from hypose.synthetic.scenes import look_at
 
 WALL_M = 5.0
 

@@ -24,8 +24,8 @@ from hypose.pipeline.live.engine import LiveEngine, Seen
 from hypose.pipeline.live.eyes import Eyes, Question, Sight
 from hypose.pipeline.live.live_people import LivePeople, LivePose
 from hypose.pipeline.live.live_search import LOOKING, LivePersonOptions
-from hypose.synthetic.rigs import rig
-from hypose.synthetic.scenes import Scene, make_scene
+from hypose.pipeline.settings import SETTINGS
+from hypose.synthetic.scenes import Scene, camera_rig, make_scene
 from tests.conftest import HANG_S
 
 RATE = 25.0
@@ -138,7 +138,7 @@ class Clock:
 
 def slow_walk() -> Scene:
     """3 s at 8 Hz by four cameras of 160 x 120 px, slow enough to be played forwards and backwards."""
-    cameras = rig("humaneva-4").scaled(0.25)
+    cameras = camera_rig("humaneva-4").scaled(0.25)
     return make_scene("walk", "neutral", cameras, seconds=3.0, frame_rate=8.0, seed=1, speed=0.3)
 
 
@@ -241,8 +241,7 @@ def in_step(
         monkeypatch.setattr(module, "time", clock)
     monkeypatch.setattr(engine, "ThreadPoolExecutor", Pool)
     monkeypatch.setattr(engine, "EyesProcess", made := partial(EyesInStep, clock, searches, pause))
-    monkeypatch.setattr(feeds, "_AGAIN_S", 0.01)
-    monkeypatch.setattr(feeds, "_LONGEST_S", 0.02)
+    monkeypatch.setattr(feeds, "SETTINGS", replace(SETTINGS, feeds_again_s=0.01, feeds_longest_s=0.02))
     if stage:
         monkeypatch.setattr(eyes, "_opener", lambda view, *_: lambda: stage.open(view.name))
     return made

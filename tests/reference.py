@@ -104,6 +104,28 @@ def _cover(triangles: Array, size: tuple[int, int]) -> NDArray[np.bool_]:
     return np.cumsum(layers, 0)[:h] > 0
 
 
+def nearest_faces(
+    uv: Array, z: Array, faces: NDArray[np.int32], size: tuple[int, int], *, cull: bool
+) -> tuple[Array, NDArray[np.int64]]:
+    """Inverse depth (h, w) 1/m of the nearest triangle at each pixel's centre, 0 where there is none, and its number,
+    -1: corners at uv (V, 2) px and z (V,) m, those nearer than NEAR are left out; cull: so are those seen from inside.
+    Inverse depth is a plane over the image."""
+    w, h = size
+    x, y = np.meshgrid(np.arange(w), np.arange(h))
+    nearest, number = np.zeros((h, w)), np.full((h, w), -1)
+    for f, face in enumerate(faces):
+        (a, b, c), inverse = uv[face], 1 / z[face]
+        area = (b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1])
+        if (z[face] <= NEAR).any() or area == 0 or (cull and area > 0):
+            continue
+        second = ((x - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (y - a[1])) / area
+        third = ((b[0] - a[0]) * (y - a[1]) - (x - a[0]) * (b[1] - a[1])) / area
+        value = (1 - second - third) * inverse[0] + second * inverse[1] + third * inverse[2]
+        before = (second >= 0) & (third >= 0) & (second + third <= 1) & (value > nearest)
+        nearest[before], number[before] = value[before], f
+    return nearest, number
+
+
 def silhouette_xor(
     poses: Array,
     tree: TreeArrays,

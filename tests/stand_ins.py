@@ -15,9 +15,9 @@ from scipy.spatial.transform import Rotation
 from hypose.geometry import transform
 from hypose.io.motions.marker_files import write_trc
 from hypose.io.sensors.skeleton_files import KINECT_V2
-from hypose.synthetic.gait import jog, walk
+from hypose.synthetic.motions import jog, walk
 from hypose.synthetic.performance import Performance, soles
-from hypose.synthetic.subjects import Subject, load_subjects
+from hypose.synthetic.subjects import SyntheticSubject, load_subjects
 from tests import depth_sensors, missing
 
 UNIT = 0.0254 / 0.45  # metres per unit of length in CMU's files
@@ -28,7 +28,7 @@ _HAND = [("hand", "wrist", None), ("fingers", "hand", None), ("thumb", "wrist", 
 _LEG = [("hipjoint", "root", None), ("femur", "hipjoint", 0), ("tibia", "femur", 1), ("foot", "tibia", 2)]
 
 
-def _bones(subject: Subject) -> list[tuple[str, str, int | None, np.ndarray]]:
+def _bones(subject: SyntheticSubject) -> list[tuple[str, str, int | None, np.ndarray]]:
     """CMU's bones below the root, parents first: name, parent, the joint that turns it or None, and from the bone's
     beginning to its end in the subject's rest (m, world)."""
     j = subject.joints
@@ -52,7 +52,7 @@ def _bones(subject: Subject) -> list[tuple[str, str, int | None, np.ndarray]]:
     return bones
 
 
-def write_asf(path: Path, subject: Subject) -> None:
+def write_asf(path: Path, subject: SyntheticSubject) -> None:
     """The subject as a skeleton of CMU's: 30 bones, none of them with axes of its own."""
     bones = _bones(subject)
     lines = [":version 1.10", ":name VICON", ":units", "  mass 1.0", "  length 0.45", "  angle deg", ":root"]
@@ -69,7 +69,7 @@ def write_asf(path: Path, subject: Subject) -> None:
     path.write_text("\n".join([*lines, "  end"]) + "\n")
 
 
-def write_amc(path: Path, subject: Subject, performance: Performance) -> None:
+def write_amc(path: Path, subject: SyntheticSubject, performance: Performance) -> None:
     """The motion, on the skeleton that `write_asf` writes of the same subject."""
     world = {"root": FILE @ performance.rotations[:, 0] @ FILE.T}
     channels = {"root": np.hstack([performance.root @ FILE.T / UNIT, _angles(world["root"])])}

@@ -13,12 +13,11 @@ from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
 from benchmarks.depth_sensors.fusion_benchmarks import jitter
 from benchmarks.multiview.real_recordings import uu4cam_recording
 from benchmarks.synthetic.calibration_boards import BoardScene, compare_rigs, film_board, ring_of_cameras
-from hypose.calibration.boards import Board, Sighting
-from hypose.calibration.bundle import project_with_derivatives
+from hypose.calibration.boards import Board, BoardDetection
+from hypose.calibration.bundle import board_poses, calibrate_lens, collect_observations, project_with_derivatives
 from hypose.calibration.from_boards import BoardCalibration, CalibrateOptions, calibrate_from_boards
-from hypose.calibration.intrinsics import board_poses, calibrate_lens, observe
 from hypose.calibration.rig import RigCalibration, calibrate_rig
-from hypose.calibration.views import Source
+from hypose.calibration.views import BoardFootage
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.hull import hull_iou, visual_hull
 from hypose.geometry import Array, se3, se3_inverse, skew, so3_exp
@@ -114,9 +113,11 @@ def fit_of_poses(rig: CameraRig, fit: RigCalibration, board: Board) -> float:
     return float(np.sqrt(squares / max(count, 1)))
 
 
-def _board_alone(rig: CameraRig, start: Array, board: Board, seen: dict[int, dict[int, Sighting]], frame: int) -> Array:
+def _board_alone(
+    rig: CameraRig, start: Array, board: Board, seen: dict[int, dict[int, BoardDetection]], frame: int
+) -> Array:
     """Residuals (M, 2) px after Gauss-Newton on the board's pose alone."""
-    obs = observe(seen, [frame])
+    obs = collect_observations(seen, [frame])
     pose = start[0]
     residual = np.full((len(obs), 2), np.inf)
     for _ in range(15):
@@ -143,7 +144,7 @@ def _board_alone(rig: CameraRig, start: Array, board: Board, seen: dict[int, dic
 def _caliscope(folder: Path, options: BenchOptions) -> list[Row]:
     session = folder / "post_optimization"
     given = read_any(session / "camera_array.toml")[0]
-    sources = [Source(f"cam_{n}", session / f"calibration/extrinsic/cam_{n}.mp4") for n in range(4)]
+    sources = [BoardFootage(f"cam_{n}", session / f"calibration/extrinsic/cam_{n}.mp4") for n in range(4)]
     board = Board("charuco", 4, 5, 0.054, 0.75 * 0.054, "DICT_4X4_1000", inverted=True)
     rows = []
     for case, lenses in (("caliscope_charuco, given lenses", given), ("caliscope_charuco, own lenses", None)):
@@ -172,7 +173,7 @@ def _uu4cam(folder: Path, options: BenchOptions) -> list[Row]:
     """Lenses given (the clip shows one board position), places from the board clip; then hulls and a tracked man."""
     recording = uu4cam_recording(folder)
     board = Board("chessboard", 8, 6, 0.115)
-    sources = [Source(f"cam{n}", folder / f"cam{n}" / "checkerboard.avi") for n in range(1, 5)]
+    sources = [BoardFootage(f"cam{n}", folder / f"cam{n}" / "checkerboard.avi") for n in range(1, 5)]
     found = calibrate_from_boards(sources, board, CalibrateOptions(recording.rig, progress=options.progress))
     rows = _real("uu4cam", found, recording.rig, board)
     own = replace(recording, rig=found.rig)

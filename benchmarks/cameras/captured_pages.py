@@ -24,7 +24,6 @@ CAPTURED = (
             Line("all", "all", (most(16), within(85, 95, 5))),
             *(Line(a, a) for a in ("walk", "run", "box", "vicon-run", "balancing", "uu4cam", "human4d")),
         ),
-        notebook="cameras.md#captured-movement",
         picture=Panels(("mean_mm", "triangulation_mm", "coverage_90")),
     ),
     Page(
@@ -45,7 +44,6 @@ CAPTURED = (
             Line("strike, from the force plate, frames", "force plates", metric="foot_strike_bias_frames"),
             Line("off, from the force plates, frames", "force plates", metric="foot_off_bias_frames"),
         ),
-        notebook="cameras.md#captured-movement",
         picture=Panels(("coverage_90", "foot_strike_frames", "step_length_mm")),
     ),
     Page(
@@ -63,7 +61,6 @@ CAPTURED = (
             Line("hypose", "hypose", (most(1.0, 0, "caliscope"),)),
             Line("Caliscope's triangulation", "caliscope"),
         ),
-        notebook="cameras.md#captured-movement",
         picture=Panels(("loco_px",)),
     ),
 )

@@ -6,7 +6,7 @@ import numpy as np
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row
 from hypose.body.body import Body
-from hypose.calibration.diagnostics import Cured, Report, examine_and_cure
+from hypose.calibration.diagnostics import Cured, PersonReport, examine_and_cure
 from hypose.geometry import Array
 from hypose.io.recordings.recording import Recording, load_recording
 from hypose.pipeline.examine import Refinement, cured_recording, observe, refine_recording
@@ -64,7 +64,7 @@ def _refined(recording: Recording, cured: Cured, case: str) -> Refinement:
     return refine_recording(recording, method, late=cured.late, disturb=disturb)
 
 
-def _found(report: Report, cured: Cured) -> dict[str, float]:
+def _found(report: PersonReport, cured: Cured) -> dict[str, float]:
     def has(kind: str, view: str = "") -> bool:
         return any(f.kind == kind and (not view or view in f.views) for f in report.findings)
 

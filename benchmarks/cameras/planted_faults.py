@@ -15,15 +15,15 @@ import numpy as np
 from benchmarks.bench_report import BenchOptions, BenchReport, Row
 from hypose.calibration.diagnose_person import Finding, Limits
 from hypose.calibration.diagnose_points import mirrored_names
-from hypose.calibration.diagnostics import Clip, Observed, examine
+from hypose.calibration.diagnostics import Observed, ViewFile, examine
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.evidence.frame import Silhouettes
 from hypose.evidence.keypoints import BODY_25
 from hypose.evidence.one_person import one_person
 from hypose.geometry import Array, se3, so3_exp
+from hypose.synthetic.corruptions import keypoint_detections
 from hypose.synthetic.performance import moved
 from hypose.synthetic.scenes import Scene, make_scene
-from hypose.synthetic.simulated_keypoints import keypoint_detections
 
 FIRST_SEED = 1000
 _LEAD = 6  # frames before the recording, so that a late camera has something to show
@@ -76,7 +76,7 @@ def observe(scene: Scene, noise_px: float | None, scale: float = 0.5) -> Observe
         points = np.stack(
             [keypoint_detections(scene, c, noise_px)[rows[0] : rows[-1] + 1] for c in range(len(scene.rig))]
         )
-    clips = tuple(Clip(c.size, scene.frame_rate, len(rows)) for c in scene.given_rig)
+    clips = tuple(ViewFile(c.size, scene.frame_rate, len(rows)) for c in scene.given_rig)
     return Observed(scene.given_rig, points, BODY_25, masks, clips, scene.frame_rate)
 
 
@@ -145,7 +145,7 @@ def _between(true: Camera, given: Camera, small: Camera) -> tuple[np.ndarray, np
     return back[..., 0].astype(np.float32), back[..., 1].astype(np.float32)
 
 
-def _clip(o: Observed, c: int, clip: Clip) -> Observed:
+def _clip(o: Observed, c: int, clip: ViewFile) -> Observed:
     clips = list(o.clips)
     clips[c] = clip
     return replace(o, clips=tuple(clips))

@@ -12,18 +12,16 @@ import numpy as np
 from benchmarks.bench_report import BenchOptions, BenchReport, row
 from benchmarks.depth_gestures.gesture_data import SEEDS
 from benchmarks.depth_gestures.gesture_sessions import PUBLISHED, example, live_step, session_frames, test_frames
-from hypose.compute import Depth
+from hypose.compute import DepthImage
 from hypose.gestures.depth_pictures import KINECT
-from hypose.gestures.events import EventSettings, EventState, step
+from hypose.gestures.events import EventSettings, EventState, detect_events
 from hypose.gestures.forest import Forest
 from hypose.gestures.localise import LocaliseSettings, Scratch, densities, localise, settle
-from hypose.gestures.online import Learner
-from hypose.gestures.pixels import Example
+from hypose.gestures.online import Example, Learner
 from hypose.gestures.trainer import Trainer, half_way
-from hypose.synthetic.gesture_live import live_person
 from hypose.synthetic.gesture_people import Puppet, load_people
 from hypose.synthetic.gesture_poses import GESTURES, Keyframe, apply, movement
-from hypose.synthetic.gesture_scenes import Setting, in_world, make_room, make_view, render
+from hypose.synthetic.gesture_scenes import Setting, live_person, make_gesture_room, make_view, render, stand_at
 
 WATCHED_FPS = 5.0
 """Of the free movement."""
@@ -90,19 +88,19 @@ class _Watcher:
         self._kept = {(mode, memory): Scratch() for mode in self._learned.forests for memory in _MEMORIES}
         self._states = dict.fromkeys(self.cases, EventState())
 
-    def started(self, depth: Depth, seconds: float) -> dict[str, list[int]]:
+    def started(self, depth: DepthImage, seconds: float) -> dict[str, list[int]]:
         """The gestures (from 1 on) that start in a frame, by case."""
         found = {}
         for mode, forests in self._learned.forests.items():
             maps = densities(depth, KINECT, forests, LocaliseSettings(), self._looking[mode])
             for memory, share in _MEMORIES.items():
-                look = LocaliseSettings(memory=share)
+                look = LocaliseSettings(adaptation_rate=share)
                 found[mode, memory] = settle(maps, depth, KINECT, look, self._kept[mode, memory])
         out = {}
         for case in self.cases:
             limit, _, memory = case.rpartition("/")
             seen = found[limit.partition("/")[0], memory]
-            self._states[case], events = step(self._states[case], seen, seconds, self._limits[limit])
+            self._states[case], events = detect_events(self._states[case], seen, seconds, self._limits[limit])
             out[case] = [e.gesture for e in events if e.kind == "start"]
         return out
 
@@ -111,7 +109,7 @@ def _count_alarms(
     watcher: _Watcher, person: int, seconds: float, rng: np.random.Generator, options: BenchOptions
 ) -> dict[str, int]:
     """Events that start while the person moves freely, by case."""
-    setting = Setting.new(make_room(rng, "furnished"), make_view(rng, 2.0))
+    setting = Setting.new(make_gesture_room(rng, "furnished"), make_view(rng, 2.0))
     puppet, out = Puppet(load_people()[person]), dict.fromkeys(watcher.cases, 0)
     watcher.rest()
     for k, pose in enumerate(continuous(puppet, rng, seconds, WATCHED_FPS)):
@@ -191,7 +189,7 @@ def continuous(puppet: Puppet, rng: np.random.Generator, seconds: float, rate: f
         yield last.towards(following, t * t * (3 - 2 * t))
 
 
-def moment(puppet: Puppet, frame: Keyframe, setting: Setting, rng: np.random.Generator) -> Depth:
+def moment(puppet: Puppet, frame: Keyframe, setting: Setting, rng: np.random.Generator) -> DepthImage:
     """The picture of a person in a given pose (of a continuous movement)."""
     apply(puppet, frame)
-    return render([(puppet.person, in_world(puppet))], setting.behind, setting.view, rng)[0]
+    return render([(puppet.person, stand_at(puppet))], setting.behind, setting.view, rng)[0]

@@ -13,12 +13,11 @@ from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
 from benchmarks.depth_gestures.gesture_data import SEEDS, TESTED, TRAINED, teach
 from benchmarks.depth_gestures.gesture_pictures import CLUTTERED, GestureFrame, picture
 from benchmarks.depth_gestures.gesture_scores import Judged, judge
-from hypose.compute import Depth
+from hypose.compute import DepthImage
 from hypose.errors import InputError
 from hypose.gestures.depth_pictures import KINECT
 from hypose.gestures.forest import ForestSettings
-from hypose.gestures.online import Learner
-from hypose.gestures.pixels import Example, LearnSettings
+from hypose.gestures.online import Example, Learner, LearnSettings
 from hypose.io.sensors.depth import read_depth_png
 
 LETTERS = "abcdefghiklmnopqrstuvwxy"
@@ -30,7 +29,7 @@ _REACH_MM = 90
 """The crops end about there."""
 
 
-def load_letters(folder: Path) -> dict[str, list[Depth]]:
+def load_letters(folder: Path) -> dict[str, list[DepthImage]]:
     """The crops (h, w) uint16 mm of every letter in the order of time."""
     out = {}
     for letter in LETTERS:
@@ -41,7 +40,7 @@ def load_letters(folder: Path) -> dict[str, list[Depth]]:
     return out
 
 
-def hand_point(crop: Depth) -> tuple[float, float, float] | None:
+def hand_point(crop: DepthImage) -> tuple[float, float, float] | None:
     """(x, y) px and depth mm of the middle of the near surface (within 12 cm of the nearest); None without one."""
     measured = crop[crop > 0]
     if len(measured) < 200:
@@ -54,7 +53,7 @@ def hand_point(crop: Depth) -> tuple[float, float, float] | None:
     return float(columns[k]), float(rows[k]), float(crop[rows[k], columns[k]])
 
 
-def paste(crop: Depth, background: Depth, rng: np.random.Generator) -> tuple[Depth, int, int]:
+def paste(crop: DepthImage, background: DepthImage, rng: np.random.Generator) -> tuple[DepthImage, int, int]:
     """The crop somewhere in a room whose contents nearer than 1.3 m are removed."""
     out = background.copy()
     out[out < 1300] = 0
@@ -64,7 +63,9 @@ def paste(crop: Depth, background: Depth, rng: np.random.Generator) -> tuple[Dep
     return out, x, y
 
 
-def _frames(crops: Mapping[str, list[Depth]], rooms: list[Depth], rng: np.random.Generator) -> list[GestureFrame]:
+def _frames(
+    crops: Mapping[str, list[DepthImage]], rooms: list[DepthImage], rng: np.random.Generator
+) -> list[GestureFrame]:
     out = []
     for k, (letter, several) in enumerate(crops.items()):
         for crop in several:
@@ -100,7 +101,7 @@ def semi_synthetic(options: BenchOptions) -> BenchReport:
     return BenchReport(tuple(rows), settings | {"split_by_time": TRAINED_SHARE, "share_of_positives": share})
 
 
-def _rooms(seed: int) -> tuple[list[Depth], list[Depth]]:
+def _rooms(seed: int) -> tuple[list[DepthImage], list[DepthImage]]:
     """Pictures of rooms to paste into, to learn and to test."""
     rng = np.random.default_rng([85, seed])
     both = [
@@ -111,7 +112,10 @@ def _rooms(seed: int) -> tuple[list[Depth], list[Depth]]:
 
 
 def _learn_letter(
-    crops: Mapping[str, list[Depth]], rooms: Callable[[], tuple[list[Depth], list[Depth]]], letter: str, seed: int
+    crops: Mapping[str, list[DepthImage]],
+    rooms: Callable[[], tuple[list[DepthImage], list[DepthImage]]],
+    letter: str,
+    seed: int,
 ) -> dict[str, Any]:
     to_learn, to_test = rooms()
     split = {c: round(TRAINED_SHARE * len(v)) for c, v in crops.items()}

@@ -33,9 +33,8 @@ from benchmarks.depth_gestures.gesture_data import (
 from benchmarks.depth_gestures.gesture_pictures import GestureFrame, Stage
 from benchmarks.depth_gestures.gesture_scores import THOROUGH, Judged, judge
 from hypose.gestures.forest import Forest, ForestSettings
-from hypose.gestures.offline import OfflineSettings, Pool, collect, train
-from hypose.gestures.online import Learner
-from hypose.gestures.pixels import Example
+from hypose.gestures.online import Example, Learner
+from hypose.gestures.trainer import OfflineSettings, Pool, collect, train_offline
 from hypose.synthetic.gesture_poses import GESTURES
 
 PASSES = 4
@@ -77,7 +76,7 @@ def learn_online(
 
 def learn_offline(pool: Pool, seed: int, settings: OfflineSettings | None = None) -> Forest:
     """A forest trained on a pool of samples."""
-    return train(pool, np.random.default_rng([82, seed]), settings)
+    return train_offline(pool, np.random.default_rng([82, seed]), settings)
 
 
 def table_3_2(options: BenchOptions) -> BenchReport:

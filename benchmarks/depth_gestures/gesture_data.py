@@ -9,10 +9,9 @@ import numpy as np
 
 from benchmarks.depth_gestures.gesture_pictures import CLUTTERED, TRAINING, UNSEEN, GestureFrame, Stage, picture
 from hypose.gestures.depth_pictures import KINECT
-from hypose.gestures.online import Learner
-from hypose.gestures.pixels import Example
+from hypose.gestures.online import Example, Learner
 from hypose.synthetic.gesture_poses import GESTURES
-from hypose.synthetic.gesture_scenes import Setting, make_room, make_view
+from hypose.synthetic.gesture_scenes import Setting, make_gesture_room, make_view
 
 TRAINED = tuple(range(12))
 """People in training pictures; three of them left-handed."""
@@ -79,7 +78,7 @@ def for_gesture(frames: Sequence[GestureFrame], gesture: int) -> list[GestureFra
 
 def two_fixed_rooms(rng: np.random.Generator, distance: float = 1.8) -> Stage:
     """Training as in the thesis: two empty rooms, each with its own fixed camera, nobody else."""
-    settings = tuple(Setting.new(make_room(rng, "empty"), make_view(rng, distance)) for _ in range(2))
+    settings = tuple(Setting.new(make_gesture_room(rng, "empty"), make_view(rng, distance)) for _ in range(2))
     return Stage(("empty",), 0.0, settings=settings)
 
 

@@ -7,13 +7,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hypose.compute import Depth
+from hypose.compute import DepthImage
 from hypose.errors import InputError
 from hypose.geometry import Array
 from hypose.gestures.depth_pictures import KINECT
-from hypose.synthetic.gesture_people import ArmGoal, Person, Puppet, load_people
+from hypose.synthetic.gesture_people import ArmGoal, GesturePerson, Puppet, load_people
 from hypose.synthetic.gesture_poses import GESTURES, Doer, Keyframe, apply, gesture, movement
-from hypose.synthetic.gesture_scenes import SIZE, Room, Setting, handedness, in_world, make_room, make_view, render
+from hypose.synthetic.gesture_scenes import (
+    PICTURE_SIZE,
+    GestureRoom,
+    Setting,
+    handedness,
+    make_gesture_room,
+    make_view,
+    render,
+    stand_at,
+)
 
 UNSEEN = ("folded_arms", "hands_on_hips", "phone", "three_fingers", "bottle")
 """Kinds of negative that occur in tests only, never in training."""
@@ -24,7 +33,7 @@ class GestureFrame:
     """depth (480, 640) uint16 mm; gesture: 1 to 6, 0 = none; x, y px and position (3,) m in the camera's frame of the
     annotated point (NaN when there is none); person: number; kind: what is shown."""
 
-    depth: Depth
+    depth: DepthImage
     gesture: int
     x: float
     y: float
@@ -47,7 +56,9 @@ class Stage:
         """A room and a camera."""
         if self.settings:
             return self.settings[int(rng.integers(len(self.settings)))]
-        return Setting.new(make_room(rng, str(rng.choice(self.levels))), make_view(rng, rng.uniform(*self.distance)))
+        return Setting.new(
+            make_gesture_room(rng, str(rng.choice(self.levels))), make_view(rng, rng.uniform(*self.distance))
+        )
 
 
 TRAINING, CLUTTERED = Stage(), Stage(("cluttered",), 0.7)
@@ -70,7 +81,7 @@ def picture(person: int, kind: str, stage: Stage, rng: np.random.Generator, othe
             apply(puppet, unseen(puppet, kind, rng, handedness(person)))
         else:
             apply(puppet, movement(puppet, rng))
-        shown = [(puppet.person, in_world(puppet))]
+        shown = [(puppet.person, stand_at(puppet))]
         if others and rng.random() < stage.second:
             shown.append(bystander(everyone[others[int(rng.integers(len(others)))]], setting.room, rng))
         x = y = np.nan
@@ -79,7 +90,7 @@ def picture(person: int, kind: str, stage: Stage, rng: np.random.Generator, othe
             position = view.points(point)
             x = float(position[0] / position[2] * KINECT.fx + KINECT.cx)
             y = float(position[1] / position[2] * KINECT.fy + KINECT.cy)
-            if not (25 < x < SIZE[0] - 25 and 25 < y < SIZE[1] - 25):
+            if not (25 < x < PICTURE_SIZE[0] - 25 and 25 < y < PICTURE_SIZE[1] - 25):
                 continue
         depth, inverse = render(shown, setting.behind, view, rng)
         if point is not None:
@@ -92,12 +103,12 @@ def picture(person: int, kind: str, stage: Stage, rng: np.random.Generator, othe
         return GestureFrame(depth, number, x, y, position, person, kind)
 
 
-def bystander(person: Person, room: Room, rng: np.random.Generator) -> tuple[Person, Array]:
+def bystander(person: GesturePerson, room: GestureRoom, rng: np.random.Generator) -> tuple[GesturePerson, Array]:
     """A second person who moves beside or behind the first."""
     puppet = Puppet(person)
     apply(puppet, movement(puppet, rng))
     at = (float(rng.choice([-1, 1]) * rng.uniform(0.25, 1.1)), float(rng.uniform(0.3, max(0.5, room.wall))))
-    return person, in_world(puppet, rng.uniform(-3, 3), at)
+    return person, stand_at(puppet, rng.uniform(-3, 3), at)
 
 
 def unseen(puppet: Puppet, kind: str, rng: np.random.Generator, leading: str = "right") -> Keyframe:

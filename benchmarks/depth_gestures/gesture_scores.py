@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from benchmarks.depth_gestures.gesture_pictures import GestureFrame
 from hypose.compute import ScanPlan
 from hypose.geometry import Array
-from hypose.gestures.depth_pictures import KINECT, Lens
+from hypose.gestures.depth_pictures import KINECT, DepthLens
 from hypose.gestures.events import RADIUS_M, average_precision, precision_recall
 from hypose.gestures.forest import Forest, GrowingForest
 from hypose.gestures.localise import LocaliseSettings, Scratch, localise
@@ -72,7 +72,7 @@ def judge(
     frames: Sequence[GestureFrame],
     gesture: int,
     settings: LocaliseSettings | None = None,
-    lens: Lens = KINECT,
+    lens: DepthLens = KINECT,
 ) -> Judged:
     """What a one-gesture forest finds in every frame, held against the truth for that gesture."""
     scratch, rows = Scratch(), []

@@ -15,12 +15,10 @@ from benchmarks.depth_gestures.gesture_data import SEEDS, SHARE
 from benchmarks.depth_gestures.gesture_pictures import UNSEEN, GestureFrame, Stage, picture
 from benchmarks.depth_gestures.gesture_scores import Judged, judge
 from hypose.gestures.depth_pictures import KINECT
-from hypose.gestures.offline import OfflineSettings, collect, train
-from hypose.gestures.online import Learner
-from hypose.gestures.pixels import Example
-from hypose.gestures.trainer import Trainer
+from hypose.gestures.online import Example, Learner
+from hypose.gestures.trainer import OfflineSettings, Trainer, collect, train_offline
 from hypose.synthetic.gesture_poses import GESTURES
-from hypose.synthetic.gesture_scenes import Setting, make_room, make_view
+from hypose.synthetic.gesture_scenes import Setting, make_gesture_room, make_view
 
 ROUNDS = 6
 PUBLISHED = ("tee", "silence", "cross")
@@ -36,7 +34,7 @@ class _Size:
 
 def session_frames(person: int, name: str, frames: int, rng: np.random.Generator) -> Iterator[tuple[GestureFrame, str]]:
     """One session: a furnished room with a fixed camera, ROUNDS times the gesture and then other movement."""
-    setting = Setting.new(make_room(rng, "furnished"), make_view(rng, rng.uniform(1.3, 2.6)))
+    setting = Setting.new(make_gesture_room(rng, "furnished"), make_view(rng, rng.uniform(1.3, 2.6)))
     stage = Stage(("furnished",), 0.0, settings=(setting,))
     others = [g for g in GESTURES if g != name]
     for k in range(frames):
@@ -118,7 +116,7 @@ def _three_sessions(seed: int, n: int, name: str, size: _Size) -> dict[str, Any]
         judged[f"interactive/{case}"] = judge(forest, test, number).plain()
         began = time.thread_time()
         pool = collect(every, np.random.default_rng([87, seed]), positives=20, negatives=20)
-        offline = train(pool, np.random.default_rng([88, seed]), OfflineSettings(per_class=8000))
+        offline = train_offline(pool, np.random.default_rng([88, seed]), OfflineSettings(per_class=8000))
         waited = time.thread_time() - began
         judged[f"offline/{case}"] = judge(offline, test, number).plain()
         minutes[f"interactive/{case}"] = 3.0 * (k + 1)

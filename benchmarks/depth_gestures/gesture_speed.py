@@ -19,9 +19,8 @@ from benchmarks.short_calls import best
 from hypose.gestures.depth_pictures import KINECT
 from hypose.gestures.forest import Forest, ForestSettings
 from hypose.gestures.localise import Scratch, localise, pad
-from hypose.gestures.offline import OfflineSettings, Pool, collect, train
-from hypose.gestures.online import Learner
-from hypose.gestures.pixels import Example, LearnSettings
+from hypose.gestures.online import Example, Learner, LearnSettings
+from hypose.gestures.trainer import OfflineSettings, Pool, collect, train_offline
 from hypose.synthetic.gesture_poses import GESTURES
 
 
@@ -100,9 +99,9 @@ def _compared(shown: list[Example], rng: np.random.Generator, options: BenchOpti
     """Our learning beside scikit-learn (fit of as many trees on 100 ready-made features, all tried at every node) and
     river (one sample); alone where they are not installed."""
     pool = collect(shown, rng)
-    train(pool, rng, OfflineSettings(ForestSettings(trees=1), per_class=100))  # compiles
+    train_offline(pool, rng, OfflineSettings(ForestSettings(trees=1), per_class=100))  # compiles
     settings = OfflineSettings(per_class=len(pool.labels) // 2)
-    ours = _cpu(lambda: train(pool, np.random.default_rng(0), settings))
+    ours = _cpu(lambda: train_offline(pool, np.random.default_rng(0), settings))
     features, theirs = _features(pool, rng), dict[str, Any]()
     if (ensemble := _optional("sklearn.ensemble")) is not None:
         model = ensemble.RandomForestClassifier(15, max_depth=20, max_features=None, n_jobs=1, random_state=0)

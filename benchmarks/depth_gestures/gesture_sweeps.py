@@ -12,7 +12,7 @@ from benchmarks.depth_gestures.gesture_benchmarks import learn_offline, learn_on
 from benchmarks.depth_gestures.gesture_data import FULL, QUICK, SEEDS, examples, for_gesture
 from benchmarks.depth_gestures.gesture_scores import Judged, judge
 from hypose.gestures.forest import Forest, ForestSettings
-from hypose.gestures.offline import collect
+from hypose.gestures.trainer import collect
 from hypose.synthetic.gesture_poses import GESTURES
 
 ALPHAS, BETAS = (50, 100, 300, 600, 1200), (0.0, 0.02, 0.05, 0.1)

@@ -13,7 +13,7 @@ from benchmarks.bench_report import BenchOptions, BenchReport, Row
 from benchmarks.depth_sensors.depth_tracking import scene_of
 from hypose.geometry import Array
 from hypose.io.sensors.depth import read_azure_mkv, read_depth_png
-from hypose.synthetic.depth_scenes import FOCAL_PX, SIZE, SensorFaults, sensed
+from hypose.synthetic.depth_scenes import FOCAL_PX, KINECT_SIZE, SensorFaults, sensed
 
 _WINDOW = 9
 _BINS = ((0.6, 0.9), (0.9, 1.5), (1.5, 2.5), (2.5, 3.5), (3.5, 5.5))
@@ -32,7 +32,7 @@ def depth_noise(options: BenchOptions) -> BenchReport:
     files = sorted(options.folder("asl_depth_crops").glob("*/*.png"))[::_EVERY]
     hands = [read_depth_png(f) for f in files]
     scene = scene_of(700, "depth-1", 0.2, options)
-    camera, shape = scene.rig[0], SIZE[::-1]
+    camera, shape = scene.rig[0], KINECT_SIZE[::-1]
     rng = np.random.default_rng(700)
     walls = [np.full(shape, sum(b) / 2, np.float32) for b in _BINS]
     pattern = np.zeros(shape, np.float32)
@@ -50,7 +50,7 @@ def depth_noise(options: BenchOptions) -> BenchReport:
         holes, between = np.mean([e for m in (people if name == "simulated" else maps) for e in _edges(m)], axis=0)
         rows.append(Row("edge_holes", name, float(holes), "1", None, len(maps)))
         rows.append(Row("edge_between", name, float(between), "1", None, len(maps)))
-    return BenchReport(tuple(rows), {"hands": len(hands), "simulated_size": list(SIZE)})
+    return BenchReport(tuple(rows), {"hands": len(hands), "simulated_size": list(KINECT_SIZE)})
 
 
 def _planes(depth: NDArray[np.float32], focal_px: float) -> Array:

@@ -28,15 +28,14 @@ from hypose.body.motion import Motion
 from hypose.body.ready_bodies import human
 from hypose.calibration.depth_registration import place_error
 from hypose.cameras.camera import CameraRig
-from hypose.compute import silhouette
+from hypose.compute import covered
 from hypose.errors import HyposeError
 from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.depth_floor import camera_on_floor
 from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.fusion import joints as jt
-from hypose.fusion.fuse import FusionSettings, fuse_clip
-from hypose.fusion.point_motion import common_positions
+from hypose.fusion.fuse import FusionSettings, common_positions, fuse_clip
 from hypose.geometry import Array, se3_inverse, transform
 from hypose.pipeline.import_depth import register_depth
 from hypose.pipeline.run import TrackOptions, track_source
@@ -45,7 +44,7 @@ from hypose.synthetic.corruptions import corrupt_mask, corruptions
 from hypose.synthetic.depth_scenes import DepthScene, depth_rig, depth_scene, to_profile, turning
 from hypose.synthetic.metrics import EVALUATED, population_offsets, with_offsets
 from hypose.synthetic.motions import act
-from hypose.synthetic.rigs import look_at
+from hypose.synthetic.scenes import look_at
 from hypose.synthetic.subjects import dress
 from hypose.tracking.costs import silhouette_iou
 from hypose.tracking.doubt import WRONG_M
@@ -260,7 +259,7 @@ def _with_colour(seed: int, seconds: float, options: BenchOptions) -> dict[str, 
     for frame in depth_frames(scene):
         vertices = scene.subject.skin(p.rotations[frame.index], p.root[frame.index])
         z = vertices @ side.camera_from_world[2, :3] + side.camera_from_world[2, 3]
-        mask = silhouette(side.project_pinhole(vertices), z, scene.subject.faces, side.size).astype(np.uint8)
+        mask = covered(side.project_pinhole(vertices), z, scene.subject.faces, side.size[::-1]).astype(np.uint8)
         rng = np.random.default_rng([seed, 8, frame.index])
         mask = corrupt_mask(mask, np.zeros_like(mask), what, rng)
         assert frame.depth is not None

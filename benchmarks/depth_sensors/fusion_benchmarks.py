@@ -22,10 +22,9 @@ from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.evidence.frame import SensorJoints
 from hypose.fusion import joints as jt
-from hypose.fusion.fuse import FusionSettings, fuse_clip, start, step
-from hypose.fusion.point_motion import common_positions
+from hypose.fusion.fit import LARGE_ERROR_M
+from hypose.fusion.fuse import FusionSettings, common_positions, fuse_clip, fuse_frame, start
 from hypose.fusion.register import common_joints, register
-from hypose.fusion.trust import WRONG_M
 from hypose.geometry import Array
 from hypose.io.motions.results import ResultsFolder
 from hypose.io.sensors.skeleton_files import read_kinect_csv
@@ -73,7 +72,7 @@ def _trusted(motion: Motion, error: Array) -> dict[str, float]:
     order = [motion.skeleton.joint(n) for n in jt.COMMON]
     # 90 % of an isotropic normal error in 3D lie within 2.5003 sd per axis
     known, inside = np.isfinite(error), error < 2.5003 * motion.joint_sd[:, order]
-    p, wrong = np.asarray(motion.p_wrong)[:, order], error > WRONG_M
+    p, wrong = np.asarray(motion.p_wrong)[:, order], error > LARGE_ERROR_M
     out = {"coverage_90": inside, "wrong": wrong, "p_wrong": p}
     shares = {metric: float(value[known].mean()) for metric, value in out.items()}
     return shares | ({"wrong_auroc": auroc(p[known], wrong[known])} if wrong.any() else {})
@@ -85,7 +84,7 @@ def _causal(frames: Sequence[SensorJoints], truth: Array) -> float:
     state = start(frames[0])
     errors = []
     for t, frame in enumerate(frames):
-        state, fused = step(state, frame)
+        state, fused = fuse_frame(state, frame)
         if t >= min(5 * FRAME_RATE, len(frames) // 2):
             errors.append(np.linalg.norm(fused.joints - truth[t], axis=-1))
     return float(np.mean(errors))
@@ -110,7 +109,7 @@ def real(options: BenchOptions) -> BenchReport:
     """fusion-real: two Kinect v2 on one person, no truth: agreement between the sensors after registration, bone
     lengths and jitter after fusion, leaving one sensor out. Three recordings per configuration, their first 400 common
     frames; with "/all" every recording, whole; with "/even" those that are even by their number in the order of their
-    names, on which nothing was chosen that `hypose.fusion.trust` holds."""
+    names, on which nothing was chosen that `hypose.fusion.fit` holds."""
     folder = options.folder("kinect_multitrack")
     found: dict[tuple[str, str, str], list[float]] = {}
     used: dict[str, int] = {}
@@ -262,14 +261,14 @@ def _causal_world(frames: list[SensorJoints]) -> Array:
     state = start(frames[0])
     out = []
     for frame in frames:
-        state, _ = step(state, frame)
+        state, _ = fuse_frame(state, frame)
         out.append(state.registration.apply(frame.positions))
     return np.array(out)
 
 
 def bone_sd(joints: Array) -> float:
     """m: sd over time of the length of arms' and legs' bones and of the shoulders', mean over the bones."""
-    limbs = [b for b in jt.BONES[2:14].tolist() if jt.TORSO not in b]
+    limbs = [b for b in jt.SKELETON_BONES[2:14].tolist() if jt.TORSO not in b]
     return float(np.mean([np.nanstd(np.linalg.norm(joints[:, a] - joints[:, b], axis=-1)) for a, b in limbs]))
 
 

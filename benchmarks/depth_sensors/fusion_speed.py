@@ -15,7 +15,7 @@ from hypose.evidence.frame import SensorJoints, SensorReport
 from hypose.fusion import joints as jt
 from hypose.fusion import live
 from hypose.fusion.fit import FitSettings, fit_step, start_fit
-from hypose.fusion.fuse import FusionSettings, start, step
+from hypose.fusion.fuse import FusionSettings, fuse_frame, start
 from hypose.fusion.register import Registration, register
 from hypose.geometry import Array
 
@@ -50,7 +50,7 @@ def _frame_times(frames: list[SensorJoints], registration: Registration | None, 
         state = start(frames[0], FusionSettings(method=method), registration)
         for t, frame in enumerate(frames):
             begin = time.perf_counter()
-            state, _ = step(state, frame)
+            state, _ = fuse_frame(state, frame)
             if r:
                 out[r - 1, t] = time.perf_counter() - begin
     return 1e3 * out.min(0)

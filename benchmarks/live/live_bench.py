@@ -32,8 +32,7 @@ from hypose.pipeline.live.live_people import LivePose
 from hypose.pipeline.live.live_rig import LiveRig, live_rig
 from hypose.pipeline.run import TrackOptions
 from hypose.pipeline.track import track
-from hypose.synthetic.rigs import circle
-from hypose.synthetic.scenes import make_scene
+from hypose.synthetic.scenes import circle, make_scene
 from hypose.synthetic.write_recording import write_scene
 
 _CLIP_S = 6.0

@@ -17,7 +17,7 @@ from hypose.evidence.frame import Frame
 from hypose.pipeline.first_frame import Subject as TrackedSubject
 from hypose.synthetic.metrics import EVALUATED, JointErrors, carriers, joint_errors, population_offsets
 from hypose.synthetic.scenes import Scene, make_scene
-from hypose.synthetic.subjects import Subject, load_subjects
+from hypose.synthetic.subjects import SyntheticSubject, load_subjects
 from hypose.tracking.recipes import recipe
 from hypose.tracking.starts import start_from_keypoints
 from hypose.tracking.subject import scaled_to_height
@@ -60,7 +60,7 @@ def captured(options: BenchOptions) -> bool:
     return options.data is not None and (options.data / "mocap" / "02.asf").exists()
 
 
-def subject_of_seed(seed: int) -> Subject:
+def subject_of_seed(seed: int) -> SyntheticSubject:
     """The truth body of a seed: spread over all subjects, the neutral one left out."""
     subjects = [s for name, s in load_subjects().items() if name != "neutral"]
     return subjects[(7 * seed) % len(subjects)]

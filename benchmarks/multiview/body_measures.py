@@ -13,12 +13,12 @@ from benchmarks.multiview.action_scenes import action_scene, subject_of_seed, tr
 from hypose.body.anthropometry import Sizes, measure, sizes_of
 from hypose.body.body import Body
 from hypose.body.ready_bodies import human
-from hypose.compute import silhouette
+from hypose.compute import covered
 from hypose.geometry import Array
 from hypose.pipeline.subject_from_motion import AnthropometryOptions, SubjectEstimate, estimate_subject
 from hypose.synthetic.performance import Angles, Performance, Stance, perform
 from hypose.synthetic.scenes import Scene, make_scene
-from hypose.synthetic.subjects import Subject, dress, load_subjects
+from hypose.synthetic.subjects import SyntheticSubject, dress, load_subjects
 from hypose.tracking.subject import scaled_to_height
 
 SCALE = 0.5
@@ -91,19 +91,19 @@ def anthropometry(options: BenchOptions) -> BenchReport:
     return BenchReport(tuple(rows), settings)
 
 
-def motion_scene(subject: Subject, seed: int) -> Scene:
+def motion_scene(subject: SyntheticSubject, seed: int) -> Scene:
     """3 s of movement of a dressed subject before five cameras."""
     return make_scene("combo", subject, "ring-5", seconds=3.0, seed=seed, corruption=("level-1",))
 
 
-def pose_scene(subject: Subject, seed: int) -> Scene:
+def pose_scene(subject: SyntheticSubject, seed: int) -> Scene:
     """A held pose (hands-up, A or T by the seed), eight frames."""
     dressed = dress(subject, 0.02, np.random.default_rng([seed, 0]))
     held = held_pose(tuple(_POSES)[seed % 3], dressed)
     return make_scene(held, dressed, "ring-5", seed=seed, corruption=("level-1",))
 
 
-def held_pose(name: str, subject: Subject, frames: int = 8, frame_rate: float = 25.0) -> Performance:
+def held_pose(name: str, subject: SyntheticSubject, frames: int = 8, frame_rate: float = 25.0) -> Performance:
     """A subject that holds a known pose with its legs slightly open."""
     t = np.arange(frames) / frame_rate
     values = {f"{side}_{k}": np.full(frames, v) for side in ("left", "right") for k, v in _POSES[name].items()}
@@ -121,7 +121,9 @@ def fit_scene(scene: Scene, pose: str | None) -> tuple[SubjectEstimate, tuple[fl
     return estimate, (time.perf_counter() - begin, time.process_time() - cpu)
 
 
-def fit_errors(scene: Scene, naked: Subject, estimate: SubjectEstimate, seconds: tuple[float, float]) -> FitErrors:
+def fit_errors(
+    scene: Scene, naked: SyntheticSubject, estimate: SubjectEstimate, seconds: tuple[float, float]
+) -> FitErrors:
     """Errors of an estimate; see FitErrors."""
     iou = clean_iou(scene, estimate.body, estimate.poses, estimate.frames)
     found = _size_errors(estimate.body, scene.subject)
@@ -136,12 +138,12 @@ def fit_errors(scene: Scene, naked: Subject, estimate: SubjectEstimate, seconds:
     )
 
 
-def _template_errors(dressed: Subject, naked: Subject) -> FitErrors:
+def _template_errors(dressed: SyntheticSubject, naked: SyntheticSubject) -> FitErrors:
     body = scaled_to_height(human(), dressed.stature)
     return replace(_size_errors(body, dressed), naked_girths=_size_errors(body, naked).girths)
 
 
-def _size_errors(body: Body, subject: Subject) -> FitErrors:
+def _size_errors(body: Body, subject: SyntheticSubject) -> FitErrors:
     got, true = sizes_of(body), subject_sizes(subject)
     ratio, shoulder = definition_ratios()
     return FitErrors(
@@ -153,7 +155,7 @@ def _size_errors(body: Body, subject: Subject) -> FitErrors:
     )
 
 
-def subject_sizes(subject: Subject) -> Sizes:
+def subject_sizes(subject: SyntheticSubject) -> Sizes:
     """Sizes of a subject's own mesh and joints."""
     return measure(subject.vertices, subject.faces, subject.joints)
 
@@ -173,7 +175,7 @@ def clean_iou(scene: Scene, body: Body, poses: Array, indices: tuple[int, ...]) 
         v = body.skin(pose, body.fine)
         for c, camera in enumerate(cameras):
             z = v @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
-            own = silhouette(camera.project_pinhole(v), z, body.fine.faces, camera.size) > 0
+            own = covered(camera.project_pinhole(v), z, body.fine.faces, camera.size[::-1]) > 0
             true = scene.clean_mask(c, i, SCALE) > 0
             out[f, c] = (own & true).sum() / max((own | true).sum(), 1)
     return out

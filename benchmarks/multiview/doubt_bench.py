@@ -41,7 +41,7 @@ from hypose.evidence.keypoints import BODY_25B
 from hypose.geometry import Array, se3
 from hypose.io.recordings.frames import FrameSettings, FrameStream
 from hypose.io.recordings.recording import Recording
-from hypose.pipeline.contradictions import against_the_clip
+from hypose.pipeline.doubts import against_the_clip
 from hypose.pipeline.first_look import first_look
 from hypose.pipeline.run import TrackOptions, TrackResult, track_source
 from hypose.pipeline.track_loop import FrameList

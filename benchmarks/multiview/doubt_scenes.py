@@ -33,9 +33,9 @@ from hypose.geometry import Array, procrustes, se3, transform
 from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.track_loop import FrameList
+from hypose.synthetic.corruptions import keypoint_detections
 from hypose.synthetic.depth_scenes import DepthScene
 from hypose.synthetic.scenes import Scene, make_scene
-from hypose.synthetic.simulated_keypoints import keypoint_detections
 from hypose.tracking.doubt import as_mixture, judged, without_mixture
 from hypose.tracking.fitted_spread import apart_factors, beyond_usual, fitted, kind_of
 

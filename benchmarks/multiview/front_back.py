@@ -17,8 +17,7 @@ from hypose.pipeline.mend_sides import FrameRange, mend_sides
 from hypose.pipeline.run import TrackOptions, tracker_of
 from hypose.pipeline.track_loop import FrameList, track_frames
 from hypose.synthetic.metrics import joint_errors, population_offsets
-from hypose.synthetic.rigs import rig
-from hypose.synthetic.scenes import Scene, make_scene
+from hypose.synthetic.scenes import Scene, camera_rig, make_scene
 from hypose.tracking.exchanged_sides import turned_around
 from hypose.tracking.tracker import FrameEstimate, Tracker
 
@@ -41,7 +40,7 @@ def front_back(options: BenchOptions) -> BenchReport:
     touched, seconds_with, seconds_without = 0, list[float](), list[float]()
     for n, (seed, motion) in enumerate((s, m) for s in seeds for m in motions):
         options.progress("front and back", n, len(seeds) * len(motions))
-        cameras = rig("humaneva-4").scaled(0.5)
+        cameras = camera_rig("humaneva-4").scaled(0.5)
         scene = make_scene(motion, "", cameras, seconds=seconds, seed=seed, corruption=("level-1",))
         source = FrameList(list(scene.mask_frames()), scene.frame_rate)
         wanted = SubjectOptions("hull", height=scene.subject.stature, frame_rate=scene.frame_rate)

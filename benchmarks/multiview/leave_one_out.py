@@ -14,7 +14,8 @@ from hypose.body.ready_bodies import human
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.evidence.keypoints import triangulate_keypoints
-from hypose.fitting import contour_term, fit_pose
+from hypose.evidence.terms import contour_term
+from hypose.fitting import fit_pose
 from hypose.geometry import Array
 from hypose.io.motions.marker_files import read_trc
 from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
@@ -130,7 +131,9 @@ def both_clip(subject: Subject, frames: Sequence[Frame], poses: Array, rate: flo
         points = None if f.keypoints is None else keypoint_term(f.keypoints, subject.body, subject.keypoints, q)
         seen = f.silhouettes is not None and f.silhouettes.usable.any()
         contours = contour_term(f.silhouettes, weight) if f.silhouettes is not None and seen else None
-        fits.append(fit_pose(subject.body, q, contours=contours, keypoints=points, priors=(anatomical_prior(s),)))
+        fits.append(
+            fit_pose(subject.body, q, [t for t in (contours, points) if t is not None], priors=(anatomical_prior(s),))
+        )
     return smooth_poses(subject.body, np.stack([f.pose for f in fits]), np.stack([f.information for f in fits]), rate)
 
 

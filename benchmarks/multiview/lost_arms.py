@@ -143,8 +143,8 @@ def _rows(case: str, runs: Sequence[Array], *, whole: bool) -> list[Row]:
 def without_rivals(recipe: Recipe) -> Recipe:
     """The same recipe, in which no arm is looked up and one hypothesis goes on."""
     layers = [
-        replace(layer, propose=replace(layer.propose, arms=(), keep=1))
-        if isinstance(layer.propose, RefineRivals)
+        replace(layer, propagate=replace(layer.propagate, arms=(), keep=1))
+        if isinstance(layer.propagate, RefineRivals)
         else layer
         for layer in recipe.layers
     ]

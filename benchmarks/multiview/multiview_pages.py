@@ -31,7 +31,6 @@ _TABLE_2_3 = Page(
         Line("**default, estimated body**", "default, estimated body", (most(16, 4), most(0, 6), most(0.5, 5, "apf"))),
     ),
     "published, all",
-    "search.md",
     Panels((_ERROR, "sd_error_mm", "lost_share")),
 )
 
@@ -57,7 +56,6 @@ _TABLE_2_4 = Page(
         Line("dd-hpf+, rivals", "dd-hpf+rivals", (most(30),)),
     ),
     "published, all",
-    "search.md",
     Panels(("extremity_error_mm", "hand_error_mm"), lines={"extremity_error_mm": 40.0}),
 )
 
@@ -82,7 +80,6 @@ _COURT = Page(
         Line("hpf+", "hpf+", (most(1, 2),)),
         Line("default", "default", (most(1, 2),)),
     ),
-    notebook="search.md",
     picture=Panels(("tracked_share", _ERROR, "recovery_s"), lines={"recovery_s": 1.0}),
 )
 
@@ -110,7 +107,6 @@ _ARMS = Page(
         Line("demo", "demo", (most(1), most(13.6, 2), most(40, 4))),
         Line("balancing", "balancing", (most(40, 4),)),
     ),
-    notebook="search.md#the-body-decides",
     picture=Panels(("wrong_100", "wrong_150")),
 )
 
@@ -184,7 +180,6 @@ _UNCERTAINTY = Page(
         Line("key points alone", "keypoints/", _HELD),
         Line("both", "both/", _HELD),
     ),
-    notebook="search.md#uncertainty",
     picture=Panels(
         ("coverage_50", "coverage_90", "coverage_95"),
         "silhouettes",
@@ -215,7 +210,6 @@ _BALANCING = Page(
         Line("Pose2Sim's method", "pose2sim"),
         Line("triangulation", "triangulation"),
     ),
-    notebook="solver.md#balancing",
     picture=Panels(("median_mm", "p95_mm", "iou", "loco_px"), lines={"iou": 0.83}),
 )
 
@@ -229,7 +223,6 @@ _UU4CAM = Page(
         *(Line(f"cam{c}", f"cam{c}") for c in range(1, 5)),
         Line("worst view", "worst view", (least(0.9, 0), least(0.85, 1))),
     ),
-    notebook="cameras.md",
     picture=Panels(("mask_iou", "hull_iou"), lines={"mask_iou": 0.9, "hull_iou": 0.85}),
 )
 
@@ -249,7 +242,6 @@ _REGIONS_REAL = Page(
             for case in ("45", "90")
         ),
     ),
-    notebook="doubt.md",
 )
 
 _DETECTOR = Page(
@@ -269,7 +261,6 @@ _DETECTOR = Page(
         Line("silhouettes", "silhouettes"),
         Line("key points", "keypoints"),
     ),
-    notebook="doubt.md",
 )
 
 _OPENSIM = Page(
@@ -284,7 +275,6 @@ _OPENSIM = Page(
         Column("angles apart, degrees", "angle_difference_deg"),
     ),
     (Line("balancing", "balancing", (most(15, 0), most(0, 2))),),
-    notebook="robustness.md",
 )
 
 _SCORER = Page(
@@ -306,7 +296,6 @@ _SCORER = Page(
         ),
         Line("the same, walking", "walking", (least(0.999),), "spearman_to_fine", digits=4),
     ),
-    notebook="speed.md#silhouettes",
     picture=Panels(("us_per_silhouette",)),
 )
 
@@ -328,7 +317,6 @@ _SOLVE = Page(
         Line("the same after 8, 90th percentile", "8 iterations, p90", metric="to_converged_mm"),
         Line("balancing, solve alone", "balancing", (most(1.06, 0, "slow reference"),), "median_mm"),
     ),
-    notebook="solver.md",
     picture=Panels(("ms_per_frame", "to_converged_mm")),
 )
 
@@ -352,7 +340,6 @@ _SPEED = Page(
         Line("growth, frames x 2", "frames x 2", metric="growth"),
         Line("peak memory", "all", (most(1024),), "peak_memory_mib"),
     ),
-    notebook="speed.md#the-whole-path",
     picture=Panels(("frames_per_second", "growth")),
 )
 
@@ -376,7 +363,6 @@ _FRONT_BACK = Page(
         Line("turned start, mended", "turned start, mended", (most(0, 0),)),
         Line("tracking with looks", "own start"),
     ),
-    notebook="sides.md",
     picture=Panels(("turned", "error_mm")),
 )
 
@@ -409,7 +395,6 @@ BODIES = (
             for metric in ("joints, mean error", "joints, largest error", "whole rigging")
             for case in ("t", "a", "standing")
         ),
-        notebook="anthropometry.md",
     ),
     Page(
         "anthropometry",
@@ -428,7 +413,6 @@ BODIES = (
             Line("gain", "all", (least(0.25),), "tracking_gain"),
             Line("least gain of a subject", "worst", (least(-0.05),), "tracking_gain"),
         ),
-        notebook="anthropometry.md",
     ),
     Page(
         "subject-balancing",
@@ -438,6 +422,5 @@ BODIES = (
             Line("first pose from key points", "start from key points", (most(50),)),
             Line("first pose from the hull", "start from the hull", (most(50),)),
         ),
-        notebook="anthropometry.md",
     ),
 )

@@ -25,7 +25,7 @@ from hypose.evidence.background import BackgroundModel
 from hypose.evidence.frame import Frame
 from hypose.evidence.outlines import WORKING_HEIGHT
 from hypose.evidence.silhouettes import make_silhouettes
-from hypose.fitting.articulated import contour_term
+from hypose.evidence.terms import contour_term
 from hypose.io.recordings.frames import FrameSettings, FrameStream, build_backgrounds
 from hypose.io.recordings.recording import Recording, load_recording
 from hypose.io.videos.video import VideoWriter, open_video

@@ -16,14 +16,14 @@ from hypose.body.skin_weights import Bones, body_bones, heat_weights
 from hypose.geometry import Array
 from hypose.io.motions.meshes import PersonMesh
 from hypose.pipeline.mesh_subject import rig_mesh
-from hypose.synthetic.subjects import Subject, load_subjects
+from hypose.synthetic.subjects import SyntheticSubject, load_subjects
 
 _LEGS = ((13, 14, 15), (16, 17, 18))
 _ARMS = ((6, 7, 8), (10, 11, 12))
 _TORSO = (0, 1, 2)
 
 
-def scan_of(subject: Subject, arms: str, noise_m: float, rng: np.random.Generator) -> tuple[Array, Array]:
+def scan_of(subject: SyntheticSubject, arms: str, noise_m: float, rng: np.random.Generator) -> tuple[Array, Array]:
     """Vertices (V, 3) m and true joints (19, 3) m of a subject as a scanner sees them: in a pose of SCAN_POSES with
     every limb some degrees off it (5 sd), and noise on the vertices (1 sd)."""
     body = human()
@@ -68,7 +68,7 @@ def weight_rows(
     ]
 
 
-def _subject_bones(subject: Subject) -> Bones:
+def _subject_bones(subject: SyntheticSubject) -> Bones:
     """The template's bones moved to a subject's own joints."""
     body = human()
     bones, rest = body_bones(body), body.skeleton.rest_joints

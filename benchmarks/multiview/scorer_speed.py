@@ -87,7 +87,7 @@ def ways_to_count(body: Body, masks: compute.PreparedMasks) -> dict[str, dict]:
 
 def _silhouette(vertices: Array, faces: np.ndarray, projection: Array, size: tuple[int, int]) -> np.ndarray:
     uv, z, _ = compute.projected(vertices, projection)
-    return compute.silhouette(uv, z, faces, size)
+    return compute.covered(uv, z, faces, size[::-1])
 
 
 def _ranking(body: Body, pose: Array, masks: compute.PreparedMasks, n: int) -> float:

@@ -14,7 +14,8 @@ from benchmarks.short_calls import best
 from hypose.body.body import Body
 from hypose.evidence.frame import Frame
 from hypose.evidence.outlines import WORKING_HEIGHT
-from hypose.fitting.articulated import ContourTerm, KeypointTerm, PoseFit, SolveSettings, contour_term, fit_pose
+from hypose.evidence.terms import ContourTerm, KeypointTerm, contour_term
+from hypose.fitting.articulated import PoseFit, SolveSettings, fit_pose
 from hypose.geometry import Array
 from hypose.io.recordings.frames import FrameSettings, FrameStream
 from hypose.pipeline.first_frame import SubjectOptions, find_subject
@@ -80,7 +81,7 @@ def _solve(
     body: Body, q: Array, contours: ContourTerm | None, points: KeypointTerm | None, options: SolveSettings
 ) -> PoseFit:
     priors = (anatomical_prior(body.skeleton), prediction_prior(q, 0.1))
-    return fit_pose(body, q, contours=contours, keypoints=points, priors=priors, options=options)
+    return fit_pose(body, q, [t for t in (contours, points) if t is not None], priors=priors, options=options)
 
 
 def _follow(

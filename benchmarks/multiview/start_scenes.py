@@ -10,11 +10,10 @@ import numpy as np
 from benchmarks.multiview.action_scenes import subject_of_seed
 from benchmarks.multiview.things_in_masks import with_thing
 from hypose.evidence.frame import Frame
-from hypose.synthetic.gait import Take, sample_times
+from hypose.synthetic.motions import Take, sample_times
 from hypose.synthetic.performance import Angles, Performance, Stance, moved, perform
-from hypose.synthetic.rigs import rig
-from hypose.synthetic.scenes import Scene, make_scene
-from hypose.synthetic.subjects import Subject
+from hypose.synthetic.scenes import Scene, camera_rig, make_scene
+from hypose.synthetic.subjects import SyntheticSubject
 
 SCALE = 0.5
 """of the cameras' pictures"""
@@ -42,7 +41,9 @@ CHAIRED = ("seated", "seated, arms folded")
 RIGS = ("humaneva-4", "ring-5")
 
 
-def performance(posture: str, subject: Subject, rng: np.random.Generator, seconds: float, rate: float) -> Performance:
+def performance(
+    posture: str, subject: SyntheticSubject, rng: np.random.Generator, seconds: float, rate: float
+) -> Performance:
     """Somebody who holds a posture as people do: not quite, not still, and facing anywhere."""
     trunk, arms, stance = POSTURES[posture]
     take, t = Take(rng), sample_times(seconds, rate)
@@ -68,7 +69,7 @@ def start_scene(posture: str, cameras: str, seed: int, seconds: float = 1.4) -> 
     subject = subject_of_seed(seed)
     rng = np.random.default_rng([seed, list(POSTURES).index(posture), RIGS.index(cameras)])
     acted = performance(posture, subject, rng, seconds, 25.0)
-    return make_scene(acted, subject, rig(cameras), seed=seed, corruption=("level-1",))
+    return make_scene(acted, subject, camera_rig(cameras), seed=seed, corruption=("level-1",))
 
 
 def frames_of(scene: Scene, chair: bool) -> list[Frame]:

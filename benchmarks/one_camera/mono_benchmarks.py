@@ -27,7 +27,7 @@ from benchmarks.one_camera.mono_runs import (
 )
 from benchmarks.synthetic.mono_motions import STRAIGHT_KNEE
 from benchmarks.synthetic.mono_scenes import MonoScene, arm_scene, body_scene
-from hypose.synthetic.render_rgb import Image
+from hypose.geometry import Image
 from hypose.tracking.monocular.evidence import grey
 from hypose.tracking.monocular.settings import MonoSettings
 

@@ -15,10 +15,9 @@ from benchmarks.synthetic.mono_scenes import FRAME_RATE, MonoScene
 from hypose.body.body import Body
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.frame import Frame, Keypoints, Picture
-from hypose.geometry import Array, so3_turns
+from hypose.geometry import Array, Image, so3_turns
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.layer import Recipe
-from hypose.synthetic.render_rgb import Image
 from hypose.tracking.monocular.picture_search import PictureSearch
 from hypose.tracking.monocular.points import points_from_keypoints
 from hypose.tracking.monocular.recipe import WholeClip, backwards, information, picture_recipe, together
@@ -134,7 +133,7 @@ class _Clocked:
             return run
 
         assert recipe.uncertainty is not None
-        layers = [replace(layer, propose=marked(layer.propose, layer.name)) for layer in recipe.layers]
+        layers = [replace(layer, propagate=marked(layer.propagate, layer.name)) for layer in recipe.layers]
         timed = replace(recipe, layers=layers, uncertainty=marked(recipe.uncertainty, STAGES[-1]))
         return _Clocked(Tracker(body, timed, TrackerSettings("both", frame_rate=FRAME_RATE)), marks)
 

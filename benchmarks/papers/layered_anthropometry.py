@@ -1,6 +1,6 @@
 """Anthropometry by layered particle filtering from one known pose, as the thesis has it.
 
-State X = {shape factors, pose}: the K factors of hypose.body.anthropometry.ENTITIES, then the D degrees of freedom.
+State X = {shape factors, pose}: the K of hypose.body.anthropometry.SHAPE_FACTORS, then the D degrees of freedom.
 The start is found limb by limb with Powell's method; the layers of Table 2.2 follow, with the rejection-sampling kernel
 whose prior is eq. 2.13 over the sizes of Table 2.1. It is a recipe for the common search loop. The joint contour
 solution over several poses (shape_refinement.py) is more exact and is what the product uses.
@@ -16,23 +16,22 @@ from functools import partial
 import numpy as np
 from scipy.optimize import minimize
 
-from hypose.body.anthropometry import ENTITIES, TABLE_2_1, body_of, entity
+from hypose.body.anthropometry import SHAPE_FACTORS, TABLE_2_1, body_of, entity
 from hypose.body.body import Body, Landmarks
 from hypose.body.ready_bodies import JOINT_NAMES
 from hypose.body.skeleton import Skeleton
 from hypose.geometry import Array
+from hypose.inference.annealing import AnnealingRate, FixedAnnealingRate, SmoothedWeight, SurvivalRate
 from hypose.inference.estimates import TangentMean
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.kernels import GaussianDiffusion, RejectionSampling, layered_sigma
-from hypose.inference.layer import Layer, Recipe, search
-from hypose.inference.random_streams import stream
-from hypose.inference.selectivity import Annealed, FixedSelectivity, Selectivity, SurvivalRate
-from hypose.inference.selectors import systematic
+from hypose.inference.layer import Layer, Recipe, search, stream
+from hypose.inference.resampling import systematic
 from hypose.tracking.costs import xor_energy
 from hypose.tracking.frame_evidence import PreparedFrame
 from hypose.tracking.recipes import THESIS
 
-K = len(ENTITIES)
+K = len(SHAPE_FACTORS)
 BETAS = (0.1, 0.3, 0.8, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
 """Annealing rates of Table 2.2."""
 
@@ -120,7 +119,7 @@ def shape_energy(template: Body, state: Array, frame: PreparedFrame) -> float:
 
 
 def anthropometry_recipe(
-    template: Body, particles: int = 150, decay: float = 0.8, betas: Sequence[float] | None = None, step: float = 0.25
+    template: Body, particles: int = 150, nu: float = 0.8, betas: Sequence[float] | None = None, step: float = 0.25
 ) -> Recipe:
     """The layers of Table 2.2 with the rejection-sampling kernel (tau = 0.7, ten trials).
 
@@ -131,7 +130,7 @@ def anthropometry_recipe(
     """
     light = without_display(template)
     s = light.skeleton
-    sigma = step * np.concatenate([[0.35 * e.sd for e in ENTITIES], s.sigma])
+    sigma = step * np.concatenate([[0.35 * e.sd for e in SHAPE_FACTORS], s.sigma])
     sigma[entity("clothing")] = 0.0  # the thesis does not know clothes: they are girth here
     sigma[entity("scale")] = 0.02 * step
     psi = [_coordinates(s, entities, joints) for _, entities, joints in TABLE_2_2]
@@ -141,10 +140,10 @@ def anthropometry_recipe(
     for n, (name, _, _) in enumerate(TABLE_2_2):
         own = np.zeros(K + s.dof)
         # the first four layers anneal the same coordinates; afterwards each layer moves its own
-        own[psi[n]] = layered_sigma(sigma, psi[:4], decay, n)[psi[n]] if n < 4 else sigma[psi[n]]
-        selectivity: Selectivity = SurvivalRate(0.15) if betas is None else FixedSelectivity(betas[n])
+        own[psi[n]] = layered_sigma(sigma, psi[:4], nu, n)[psi[n]] if n < 4 else sigma[psi[n]]
+        rate: AnnealingRate = SurvivalRate(0.15) if betas is None else FixedAnnealingRate(betas[n])
         kernel = RejectionSampling(GaussianDiffusion(own, lower, upper), SizePrior(light), 0.7, 10)
-        layers.append(Layer(kernel, Annealed(ShapeXor(light), selectivity), systematic, name))
+        layers.append(Layer(kernel, SmoothedWeight(ShapeXor(light), rate), systematic, name))
     balls = tuple(int(K + b) for b in s.ball_starts)
     return Recipe("anthropometry", layers, particles, ("silhouettes",), estimate=TangentMean(balls), citation=THESIS)
 

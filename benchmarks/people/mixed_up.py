@@ -22,10 +22,10 @@ from hypose.evidence.one_person import one_person
 from hypose.geometry import Array
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.track_loop import FrameList
+from hypose.synthetic.corruptions import keypoint_detections
 from hypose.synthetic.metrics import EVALUATED
 from hypose.synthetic.performance import moved
 from hypose.synthetic.scenes import Scene, make_scene
-from hypose.synthetic.simulated_keypoints import keypoint_detections
 
 FIRST_SEED = 3000
 _SECONDS = 3.0

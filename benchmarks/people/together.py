@@ -31,18 +31,18 @@ from hypose.pipeline.people_run import PeopleRun
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.tracked_people import OnePerson
+from hypose.synthetic.corruptions import keypoint_detections
 from hypose.synthetic.metrics import joint_errors, population_offsets
 from hypose.synthetic.motions import act
 from hypose.synthetic.performance import Performance, moved
 from hypose.synthetic.scenes import Scene, make_scene
-from hypose.synthetic.simulated_keypoints import keypoint_detections
-from hypose.synthetic.subjects import Subject
+from hypose.synthetic.subjects import SyntheticSubject
 
 RATE = 25.0
 SECONDS = 4.0
 FAR_MM, SOON_S, GOOD_MM = 120.0, 0.4, 30.0
 RIGS = {"4": "humaneva-4", "5": "ring-5", "8": "ring-8"}
-Performer = tuple[Subject, Performance]
+Performer = tuple[SyntheticSubject, Performance]
 
 
 @dataclass(frozen=True)
@@ -56,11 +56,11 @@ class Setting:
     away: tuple[float, float] | None = None
 
 
-def _subjects(seed: int, count: int) -> list[Subject]:
+def _subjects(seed: int, count: int) -> list[SyntheticSubject]:
     return [subject_of_seed(3 * seed + 5 * k + 1) for k in range(count)]
 
 
-def _motion(name: str, subject: Subject, seed: int, captures: Path | None) -> Performance:
+def _motion(name: str, subject: SyntheticSubject, seed: int, captures: Path | None) -> Performance:
     """A motion about the origin: boxing is a captured one where the folder of captures is there."""
     if name == "box" and captures is not None:
         start = 2.5 + 0.5 * (seed % 8)

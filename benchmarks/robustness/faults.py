@@ -19,8 +19,7 @@ from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.track_loop import FrameList
 from hypose.synthetic.metrics import joint_errors, population_offsets
 from hypose.synthetic.performance import moved
-from hypose.synthetic.rigs import rig
-from hypose.synthetic.scenes import Scene, make_scene
+from hypose.synthetic.scenes import Scene, camera_rig, make_scene
 from hypose.synthetic.subjects import load_subjects
 from hypose.tracking.subject import scaled_to_height
 
@@ -253,7 +252,7 @@ def faults(options: BenchOptions) -> BenchReport:
     cases = [(n, True) for n in names] + [(n, False) for n in WITH_TEMPLATE if n in names]
     found: dict[str, list[Aftermath]] = {}
     for k, seed in enumerate(seeds):
-        cameras = rig("humaneva-4").scaled(0.5)
+        cameras = camera_rig("humaneva-4").scaled(0.5)
         scene = make_scene("walk", "", cameras, seconds=6.0, seed=seed, corruption=("level-1",))
         subjects = {fitted: subject_of(scene, fitted=fitted) for fitted in (True, False)}
         for n, (name, fitted) in enumerate(cases):

@@ -26,7 +26,7 @@ from hypose.io.recordings.frames import load_keypoints
 from hypose.io.recordings.recording import load_recording
 from hypose.pipeline.run import TrackOptions
 from hypose.pipeline.track import track
-from hypose.synthetic.rigs import rig
+from hypose.synthetic.scenes import camera_rig
 
 _SPOILT = 40
 _SAME_PX = 1.0  # points that come back otherwise were guessed wrong
@@ -37,7 +37,7 @@ def bench_inputs(options: BenchOptions) -> BenchReport:
     OpenPose files. refused: share of 40 spoilt files that end in a sentence; guessed_wrong: share that is read, and not
     as what was meant."""
     frames = 30 if options.quick else 100
-    cameras = rig("humaneva-4", distorted=True)
+    cameras = camera_rig("humaneva-4", distorted=True)
     names = [n for n in LAYOUTS if n != "openpose" and not (n in NEED_H5PY and not _has_h5py())]
     results, plain = [], {}
     for done, name in enumerate(names):

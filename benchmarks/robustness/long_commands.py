@@ -18,8 +18,7 @@ from benchmarks.robustness.small_recordings import small_scene, write_board_pict
 from hypose.body.ready_bodies import JOINT_NAMES
 from hypose.io.files import write_text
 from hypose.io.motions.results import load_motion
-from hypose.synthetic.rigs import rig
-from hypose.synthetic.scenes import make_scene
+from hypose.synthetic.scenes import camera_rig, make_scene
 from hypose.synthetic.write_recording import write_scene
 
 _FRAMES, _FILMED = 240, 80  # track keeps its state every 25 frames, with one camera every 50
@@ -98,7 +97,7 @@ def _run(*arguments: str | int | Path) -> None:
 
 def _filmed(folder: Path) -> Path:
     """A recording with videos and key points, and the true joints of its first picture of cam2 as clicks."""
-    cameras = rig("humaneva-4", distorted=True).scaled(0.25)
+    cameras = camera_rig("humaneva-4", distorted=True).scaled(0.25)
     scene = make_scene("walk", "neutral", cameras, seconds=_FILMED / 25, seed=3)
     write_scene(scene, folder, background_frames=10, keypoints=True)
     names = [*(f"{side}_{part}" for side in ("left", "right") for part in _CLICKED), "neck", "head"]

@@ -20,9 +20,8 @@ from hypose.io.files import atomic_path
 from hypose.io.recordings.recording import Recording, View, write_recording
 from hypose.io.sensors.skeleton_streams import SensorStream, SkeletonRecording
 from hypose.pipeline.gesture_files import SessionWriter
-from hypose.synthetic.film_session import board_from_sheet, board_sheet
-from hypose.synthetic.rigs import rig
-from hypose.synthetic.scenes import Scene, make_scene
+from hypose.synthetic.scenes import Scene, camera_rig, make_scene
+from hypose.synthetic.write_recording import board_from_sheet, board_sheet
 
 BOARD = Board("chessboard", 6, 5, 0.12)
 """The board of `write_board_pictures`."""
@@ -30,7 +29,7 @@ BOARD = Board("chessboard", 6, 5, 0.12)
 
 def small_scene(seed: int, frames: int, motion: str = "walk") -> Scene:
     """Four cameras of 160 x 120 px around a person; 25 frames/s."""
-    return make_scene(motion, "neutral", rig("humaneva-4").scaled(0.25), seconds=frames / 25, seed=seed)
+    return make_scene(motion, "neutral", camera_rig("humaneva-4").scaled(0.25), seconds=frames / 25, seed=seed)
 
 
 def write_masks(scene: Scene, folder: Path) -> Path:

@@ -15,7 +15,7 @@ from hypose.gestures.localise import LocaliseSettings
 from hypose.gestures.model import GestureModel
 from hypose.io.motions.results import load_motion, save_motion
 from hypose.pipeline.gesture_files import SessionWriter, save_model
-from hypose.synthetic.gesture_live import live_person
+from hypose.synthetic.gesture_scenes import live_person
 
 _SERIES = ("poses", "joints", "joint_covariance", "lost", "extrapolated", "n_views", "cost")
 _SERIES += ("doubtful", "p_wrong", "doubtful_joints", "angle_sd", "systematic_covariance", "rivals", "rival_weights")

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hypose.calibration.boards import Board, Sighting
+from hypose.calibration.boards import Board, BoardDetection
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.geometry import Array, procrustes, rotation_mean, se3, se3_inverse, so3_exp, so3_log, transform
 
@@ -20,7 +20,7 @@ class BoardScene:
     rig: CameraRig
     board: Board
     boards: Array
-    sightings: tuple[dict[int, Sighting], ...]
+    sightings: tuple[dict[int, BoardDetection], ...]
 
 
 def ring_of_cameras(
@@ -76,9 +76,9 @@ def film_board(
         rotation = np.stack([x, np.cross(z, x), z], 1) @ so3_exp([0, 0, rng.normal(0, 0.5)])
         place = np.array([*rng.uniform(-0.9, 0.9, 2), rng.uniform(0.5, 1.8)])
         poses.append(se3(rotation, place - rotation @ centre))
-    sightings: list[dict[int, Sighting]] = []
+    sightings: list[dict[int, BoardDetection]] = []
     for camera in rig:
-        seen: dict[int, Sighting] = {}
+        seen: dict[int, BoardDetection] = {}
         for f, pose in enumerate(poses):
             world = transform(pose, board.points)
             uv = camera.project(world)
@@ -88,7 +88,7 @@ def film_board(
             if inside and slant > _SLANT:
                 number = rng.integers(len(board.turns)) if turn else 0
                 ids = np.arange(len(uv))
-                s = Sighting(ids, uv + rng.normal(0, noise_px, uv.shape), 2.0)
+                s = BoardDetection(ids, uv + rng.normal(0, noise_px, uv.shape), 2.0)
                 seen[f] = s.turned(board.turns[number])
         sightings.append(seen)
     return BoardScene(rig, board, np.stack(poses), tuple(sightings))

@@ -21,7 +21,8 @@ from hypose.evidence.depth_background import (
 from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes
-from hypose.synthetic.depth_scenes import DepthMap, DepthScene
+from hypose.geometry import DepthMap
+from hypose.synthetic.depth_scenes import DepthScene
 
 
 def empty_rooms(scene: DepthScene, frames: int = 20) -> list[DepthBackground]:

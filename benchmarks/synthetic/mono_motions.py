@@ -19,11 +19,11 @@ from hypose.synthetic.performance import (
     assemble,
     global_rotations,
     hanging_from_rest,
-    local_rotations,
+    joint_rotations,
     perform,
     turn,
 )
-from hypose.synthetic.subjects import Subject
+from hypose.synthetic.subjects import SyntheticSubject
 
 # key poses of the right arm, degrees: flexion, abduction and inward turn of the shoulder, elbow, twist of the forearm,
 # bend and deviation of the wrist
@@ -42,7 +42,7 @@ _REACH = np.array(
 _SPREAD_DEG = 6.0
 
 
-def arm_reach(subject: Subject, seconds: float, frame_rate: float, rng: np.random.Generator) -> Performance:
+def arm_reach(subject: SyntheticSubject, seconds: float, frame_rate: float, rng: np.random.Generator) -> Performance:
     """The right arm of somebody who stands still: across the trunk and the face, out past the pillar, and back the same
     way in the second half (the published sequence ends with the reversed way)."""
     n = round(seconds * frame_rate)
@@ -61,7 +61,7 @@ def arm_reach(subject: Subject, seconds: float, frame_rate: float, rng: np.rando
         "right_elbow_flexion": elbow,
     }
     still = perform(Angles("reach", times, values, Stance()), subject)
-    local = local_rotations(Angles("reach", times, values))
+    local = joint_rotations(Angles("reach", times, values))
     elbow_joint, wrist = JOINT_NAMES.index("right_elbow"), JOINT_NAMES.index("right_wrist")
     local[:, elbow_joint] = local[:, elbow_joint] @ turn(2, twist)
     local[:, wrist] = turn(0, -bend) @ turn(1, deviation)
@@ -78,7 +78,7 @@ STRAIGHT_KNEE = "straight-knee"
 
 
 def body_motion(
-    name: str, subject: Subject, seconds: float, frame_rate: float, seed: int, mocap: Path | None
+    name: str, subject: SyntheticSubject, seconds: float, frame_rate: float, seed: int, mocap: Path | None
 ) -> Performance:
     """A motion of a whole body by name: captured-walk, captured-punch, captured-punch-2 (need the folder `mocap` with
     CMU's subject 02), a built-in one (motions.MOTIONS), or 'straight-knee'; '' lets the seed choose, captured ones in
@@ -103,7 +103,9 @@ def body_motion(
     return retarget(mocap / "02.asf", mocap / f"{file}.amc", subject, frame_rate, start=start, seconds=seconds)
 
 
-def _straight_knee(subject: Subject, seconds: float, frame_rate: float, rng: np.random.Generator) -> Performance:
+def _straight_knee(
+    subject: SyntheticSubject, seconds: float, frame_rate: float, rng: np.random.Generator
+) -> Performance:
     """The left leg swings forward and back with a knee that stays between 0 and 8 degrees, so that the image alone
     would often rather bend it the wrong way."""
     times = np.arange(round(seconds * frame_rate)) / frame_rate

@@ -22,14 +22,20 @@ from hypose.body.body import Body
 from hypose.body.ready_bodies import JOINT_NAMES, human
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.evidence.keypoints import BODY_25
-from hypose.geometry import Array
+from hypose.geometry import Array, Image
+from hypose.synthetic.corruptions import keypoint_detections
 from hypose.synthetic.metrics import carriers, population_offsets
 from hypose.synthetic.performance import Performance, heading
-from hypose.synthetic.render_rgb import Backdrop, Image, Outfit, develop, make_outfit, noise_bank, render_person
-from hypose.synthetic.rigs import look_at
-from hypose.synthetic.scenes import Scene, make_scene
-from hypose.synthetic.simulated_keypoints import keypoint_detections
-from hypose.synthetic.subjects import Subject, dress, load_subjects
+from hypose.synthetic.render_rgb import (
+    Backdrop,
+    Outfit,
+    develop,
+    make_outfit,
+    noise_bank,
+    render_person,
+)
+from hypose.synthetic.scenes import Scene, look_at, make_scene
+from hypose.synthetic.subjects import SyntheticSubject, dress, load_subjects
 from hypose.tracking.monocular.settings import body_dofs
 
 SIZE = (384, 288)
@@ -67,8 +73,8 @@ class MonoScene:
 
     name: str
     seed: int
-    subject: Subject
-    other_folds: Subject
+    subject: SyntheticSubject
+    other_folds: SyntheticSubject
     performance: Performance
     camera: Camera
     backdrop: Backdrop
@@ -80,7 +86,7 @@ class MonoScene:
     root_aligned: bool
     noise: NDArray[np.int16] = field(repr=False)
 
-    def dressed(self, index: int) -> Subject:
+    def dressed(self, index: int) -> SyntheticSubject:
         """The subject with its clothes as they hang in frame `index`."""
         share = 0.5 + 0.5 * np.sin(2 * np.pi * self.performance.times[index] / FOLDS_PERIOD_S + self.seed)
         vertices = (1 - share) * self.subject.vertices + share * self.other_folds.vertices
@@ -166,18 +172,18 @@ def body_scene(seed: int, seconds: float = 1.2, *, mocap: Path | None = None, mo
     return _scene(name, seed, subject, folds, performance, camera, body, active, marks, (0.50, 0.57), True)
 
 
-def _dressed(seed: int) -> tuple[Subject, Subject]:
+def _dressed(seed: int) -> tuple[SyntheticSubject, SyntheticSubject]:
     known = load_subjects()
     naked = known[sorted(known)[seed % len(known)]]
     first, second = (dress(naked, CLOTHING_M, np.random.default_rng([seed, k])) for k in (_CLOTHES, _OTHER_FOLDS))
     return first, second
 
 
-def _measured(subject: Subject, seed: int) -> Body:
+def _measured(subject: SyntheticSubject, seed: int) -> Body:
     return measured_body(human(), subject, MeasuringError(), np.random.default_rng([seed, _MEASURE]))
 
 
-def _mark(body: Body, subject: Subject, name: str) -> Mark:
+def _mark(body: Body, subject: SyntheticSubject, name: str) -> Mark:
     joint = JOINT_NAMES.index(name)
     definition = population_offsets(human())[joint] * subject.stature
     return Mark(name, joint, np.zeros(3), int(carriers()[joint]), definition)
@@ -186,8 +192,8 @@ def _mark(body: Body, subject: Subject, name: str) -> Mark:
 def _scene(
     name: str,
     seed: int,
-    subject: Subject,
-    folds: Subject,
+    subject: SyntheticSubject,
+    folds: SyntheticSubject,
     performance: Performance,
     camera: Camera,
     body: Body,

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from hypose.body.body import BONE_END, Body, deform
 from hypose.body.ready_bodies import JOINT_NAMES
 from hypose.body.skeleton import Skeleton
-from hypose.fitting.articulated import PointTerm, SolveSettings, fit_pose
+from hypose.evidence.terms import PointTerm
+from hypose.fitting.articulated import SolveSettings, fit_pose
 from hypose.geometry import Array, so3_log
-from hypose.synthetic.subjects import Subject
+from hypose.synthetic.subjects import SyntheticSubject
 from hypose.tracking.refinement import anatomical_prior
 from hypose.tracking.subject import PAIRED, TRUNK, shape_from_keypoints
 
@@ -45,7 +46,7 @@ class MeasuringError:
     girth: float = 0.07
 
 
-def measured_body(template: Body, subject: Subject, error: MeasuringError, rng: np.random.Generator) -> Body:
+def measured_body(template: Body, subject: SyntheticSubject, error: MeasuringError, rng: np.random.Generator) -> Body:
     """The template with the lengths and girths of a (dressed) subject, left and right alike, wrong by `error`."""
     names = tuple(dict.fromkeys(LIMBS))
     points = subject.joints[[JOINT_NAMES.index(n) for n in names]]
@@ -60,7 +61,7 @@ def measured_body(template: Body, subject: Subject, error: MeasuringError, rng: 
 
 
 def _girths(
-    body: Body, subject: Subject, error: float, rng: np.random.Generator
+    body: Body, subject: SyntheticSubject, error: float, rng: np.random.Generator
 ) -> dict[str, float | tuple[float, float, float]]:
     """Girth factors (x, y, z) per joint that give the body's parts the mean thickness of the subject's."""
     ours = _thickness(body.fine.vertices, body.fine.main_joint, body.skeleton.rest_joints)
@@ -118,7 +119,7 @@ def pose_of_truth(body: Body, rotations: Array, joints: Array) -> Array:
     start = np.zeros(body.skeleton.dof)
     start[:3], start[3:6] = joints[0], so3_log(rotations[0])
     options = SolveSettings(iterations=60, coarse_iterations=30)
-    return fit_pose(body, start, points=term, priors=(anatomical_prior(body.skeleton),), options=options).pose
+    return fit_pose(body, start, [term], priors=(anatomical_prior(body.skeleton),), options=options).pose
 
 
 # degrees: lower, upper, usual motion per frame at 25 fps

@@ -12,7 +12,7 @@ from benchmarks.synthetic.asf import global_rotations, read_amc, read_asf
 from hypose.errors import InputError
 from hypose.geometry import Array, rotation_between, so3_exp, so3_log
 from hypose.synthetic.performance import Performance, assemble, soles
-from hypose.synthetic.subjects import Subject
+from hypose.synthetic.subjects import SyntheticSubject
 
 # CMU's files: y up, facing +z, x = the subject's left -> z up, facing -y
 _WORLD = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
@@ -27,7 +27,7 @@ _DRIVE = (
 def retarget(
     asf: str | Path,
     amc: str | Path,
-    subject: Subject,
+    subject: SyntheticSubject,
     frame_rate: float = 25.0,
     *,
     captured_rate: float = 120.0,
@@ -84,7 +84,7 @@ def retarget(
     return assemble(Path(amc).stem, subject, times, out, root)
 
 
-def _alignment(subject: Subject, direction: dict[str, Array]) -> Array:
+def _alignment(subject: SyntheticSubject, direction: dict[str, Array]) -> Array:
     """(19, 3, 3): from the subject's rest to the capture skeleton's rest, per joint."""
     j = subject.joints
     out = np.tile(np.eye(3), (len(j), 1, 1))

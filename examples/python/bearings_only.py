@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from hypose import Hypotheses, Layer, Recipe, kernels, search, selectors, stream
+from hypose import Hypotheses, Layer, Recipe, kernels, resampling, search, stream
 
 STEP, NOISE, N = 10.0, np.radians(0.5), 5000  # s between two bearings, rad, hypotheses
 rng, drift = np.random.default_rng(1), np.eye(4) + STEP * np.eye(4, k=2)
@@ -19,12 +19,12 @@ sail = lambda h, frame, rng: h.equal(np.einsum("ij,nj->ni", drift, h.values))  #
 off = lambda h, frame: np.arctan2(*(h.values[:, :2] - frame[0]).T[::-1]) - frame[1]  # noqa: E731
 weigh = lambda h, frame: -0.5 * (np.angle(np.exp(1j * off(h, frame))) / NOISE) ** 2  # noqa: E731
 moves = kernels.Compose((sail, kernels.GaussianDiffusion(np.array([3.0, 3.0, 0.02, 0.02]))))
-recipe = Recipe("bearings", [Layer(moves, weigh, selectors.systematic)])
+recipe = Recipe("bearings", [Layer(moves, weigh, resampling.systematic)])
 
 away, at = rng.uniform(1000, 15000, N), heard[0] + NOISE * rng.normal(size=N)
 start = np.stack([away * np.cos(at), away * np.sin(at), *rng.normal(0, 4, (2, N))], 1) + [*listener[0], 0, 0]
 h = Hypotheses.uniform(start)
 for t in range(len(times)):
     result = search(h, recipe, (listener[t], heard[t]), partial(stream, 0, t))
-    h = result.selected
+    h = result.resampled
     print(f"{t} bearings: {np.linalg.norm(result.estimate[:2] - ship[t]):.0f} m off, sd {h.spread()[:2].max():.0f} m")

@@ -21,13 +21,19 @@ from hypose.body.ready_bodies import JOINT_NAMES
 from hypose.errors import InputError
 from hypose.geometry import Array
 
-SIDES = ("left", "right")
+_SIDES = ("left", "right")
 
 
 @dataclass(frozen=True)
 class Entity:
-    """One symmetric shape factor. name; kind: 'scale', 'length', 'girth' or 'clothing'; sd: of its log in the
-    population, at equal stature; fat: the part of that sd which follows the common factor from slim to heavy; mean."""
+    """One symmetric shape factor.
+
+    name.
+    kind: 'scale', 'length', 'girth' or 'clothing'.
+    sd: of its log in the population, at equal stature.
+    fat: the part of that sd which follows the common factor from slim to heavy.
+    mean.
+    """
 
     name: str
     kind: str
@@ -39,7 +45,7 @@ class Entity:
 # Lengths: sigma / mean of Table 2.1 (head 25 +- 2.2 cm, clavicles 35 +- 2.6, upper arms 25.5 +- 2, lower arms 30.5
 # +- 3.2, torso 52 +- 2.8; legs 90.5 +- 4.1 for thigh and shank together, which vary against each other about as much).
 # What the table lacks is set by hand: girths as anthropometric surveys have them, rounded.
-ENTITIES: tuple[Entity, ...] = (
+SHAPE_FACTORS: tuple[Entity, ...] = (
     Entity("scale", "scale", 0.12),
     Entity("torso length", "length", 0.054),
     Entity("neck length", "length", 0.10),
@@ -65,7 +71,7 @@ ENTITIES: tuple[Entity, ...] = (
     Entity("shank girth", "girth", 0.12, 0.08),
     Entity("clothing", "clothing", 0.06, 0.0, 0.09),
 )
-ENTITY_NAMES = tuple(e.name for e in ENTITIES)
+SHAPE_FACTOR_NAMES = tuple(e.name for e in SHAPE_FACTORS)
 
 CLOTHING_UNIT = 0.1
 """m: the factor "clothing" is not a logarithm but a thickness in this unit, 9 +- 6 mm in the prior."""
@@ -87,12 +93,12 @@ TABLE_2_1: dict[str, tuple[float, float]] = {
 _TRUNK = (("chest", "chest"), ("waist", "spine"), ("pelvis", "pelvis"))
 
 
-def shape_of(log_factors: ArrayLike) -> Shape:
-    """The Shape of log factors (K,) in the order of ENTITIES, for `hypose.body.body.deform`."""
+def _shape_of(log_factors: ArrayLike) -> Shape:
+    """Return the Shape of log factors (K,) in the order of SHAPE_FACTORS, for `hypose.body.body.deform`."""
     x = np.asarray(log_factors, dtype=np.float64)
-    if x.shape != (len(ENTITIES),):
-        raise InputError(f"A shape has {len(ENTITIES)} log factors, got shape {x.shape}.")
-    f = dict(zip(ENTITY_NAMES, np.exp(x).tolist(), strict=True))
+    if x.shape != (len(SHAPE_FACTORS),):
+        raise InputError(f"A shape has {len(SHAPE_FACTORS)} log factors, got shape {x.shape}.")
+    f = dict(zip(SHAPE_FACTOR_NAMES, np.exp(x).tolist(), strict=True))
     torso, shoulders, head, neck = f["torso length"], f["shoulder width"], f["head"], f["neck girth"]
     length: dict[str, float] = dict.fromkeys(("pelvis", "spine", "chest"), torso)
     length |= {"neck": f["neck length"], "head": head}
@@ -103,7 +109,7 @@ def shape_of(log_factors: ArrayLike) -> Shape:
     offset: dict[str, tuple[float, float, float]] = {}
     for joint in ("spine", "chest", "neck"):
         offset[joint] = (1.0, 1 / torso, 1.0)  # the torso grows upwards only
-    for side in SIDES:
+    for side in _SIDES:
         for joint, part in (("shoulder", "upper arm"), ("elbow", "forearm"), ("hip", "thigh"), ("knee", "shank")):
             length[f"{side}_{joint}"] = f[f"{part} length"]
             girth[f"{side}_{joint}"] = f[f"{part} girth"]
@@ -119,9 +125,9 @@ def shape_of(log_factors: ArrayLike) -> Shape:
 
 
 def body_of(template: Body, factors: ArrayLike, *, clothed: bool = True) -> Body:
-    """The template with the shape of factors (K,), in its clothes or without them."""
+    """Return the template with the shape of factors (K,), in its clothes or without them."""
     x = np.asarray(factors, dtype=np.float64)
-    shaped = deform(template, shape_of(x))
+    shaped = deform(template, _shape_of(x))
     thickness = CLOTHING_UNIT * float(x[entity("clothing")])
     if not clothed or thickness == 0:
         return shaped
@@ -131,7 +137,7 @@ def body_of(template: Body, factors: ArrayLike, *, clothed: bool = True) -> Body
 
 
 def dressed(mesh: Mesh, thickness: float) -> Mesh:
-    """The mesh of the 19-joint body moved outwards by `thickness` m where clothes usually are."""
+    """Return the mesh of the 19-joint body moved outwards by `thickness` m where clothes usually are."""
     v, f = mesh.vertices, mesh.faces
     flat = np.cross(v[f[:, 1]] - v[f[:, 0]], v[f[:, 2]] - v[f[:, 0]])
     normals = np.zeros_like(v)
@@ -148,13 +154,14 @@ def dressed(mesh: Mesh, thickness: float) -> Mesh:
 
 
 def prior_mean() -> Array:
-    """(K,) of the factors."""
-    return np.array([e.mean for e in ENTITIES])
+    """Return (K,) of the factors."""
+    return np.array([e.mean for e in SHAPE_FACTORS])
 
 
 def prior_covariance() -> Array:
-    """(K, K) covariance of the log factors at equal stature: own variances plus the common slim-to-heavy factor."""
-    sd, fat = np.array([e.sd for e in ENTITIES]), np.array([e.fat for e in ENTITIES])
+    """Return (K, K) covariance of the log factors at equal stature: own variances plus the common slim-to-heavy
+    factor."""
+    sd, fat = np.array([e.sd for e in SHAPE_FACTORS]), np.array([e.fat for e in SHAPE_FACTORS])
     return np.diag(sd**2 - fat**2) + np.outer(fat, fat)
 
 
@@ -164,7 +171,7 @@ def length_rows(body: Body) -> tuple[Array, Array, Array]:
     lengths = body.segment_lengths()
     ua, fa = lengths["left_upper_arm"], lengths["left_forearm"]
     th, sh, torso = lengths["left_thigh"], lengths["left_shank"], lengths["torso"]
-    rows = np.zeros((3, len(ENTITIES)))
+    rows = np.zeros((3, len(SHAPE_FACTORS)))
     rows[0, [entity("upper arm length"), entity("forearm length")]] = np.array([ua, fa]) / (ua + fa)
     rows[1, [entity("thigh length"), entity("shank length")]] = np.array([th, sh]) / (th + sh)
     parts = [entity("torso length"), entity("thigh length"), entity("shank length")]
@@ -175,9 +182,9 @@ def length_rows(body: Body) -> tuple[Array, Array, Array]:
 
 def entity(name: str) -> int:
     """Index of an entity; an InputError lists the names."""
-    if name not in ENTITY_NAMES:
-        raise InputError(f"There is no entity {name!r}; the entities are {', '.join(ENTITY_NAMES)}.")
-    return ENTITY_NAMES.index(name)
+    if name not in SHAPE_FACTOR_NAMES:
+        raise InputError(f"There is no entity {name!r}; the entities are {', '.join(SHAPE_FACTOR_NAMES)}.")
+    return SHAPE_FACTOR_NAMES.index(name)
 
 
 # --- sizes measured on a mesh ---------------------------------------------------------------------------------------
@@ -216,7 +223,7 @@ class Sizes:
 
     @property
     def in_cm(self) -> dict[str, float]:
-        """All sizes in cm, girths under '<site> girth'."""
+        """Return all sizes in cm, girths under '<site> girth'."""
         out = {"stature": self.stature, "shoulder height": self.shoulder_height, **self.lengths}
         out |= {f"{k} girth": v for k, v in self.girths.items()}
         return {k: 100 * v for k, v in out.items()}
@@ -238,14 +245,14 @@ def measure(vertices: Array, faces: NDArray[np.integer], joints: Array) -> Sizes
     at = JOINT_NAMES.index
 
     def distance(a: str, b: str) -> float:
-        pairs = [(a, b)] if a in JOINT_NAMES and b in JOINT_NAMES else [(f"{s}_{a}", f"{s}_{b}") for s in SIDES]
+        pairs = [(a, b)] if a in JOINT_NAMES and b in JOINT_NAMES else [(f"{s}_{a}", f"{s}_{b}") for s in _SIDES]
         return float(np.mean([np.linalg.norm(j[at(p)] - j[at(q)]) for p, q in pairs]))
 
     floor = float(np.min(vertices[:, 2]))
-    shoulders = float(np.mean([j[at(f"{s}_shoulder"), 2] for s in SIDES])) - floor
+    shoulders = float(np.mean([j[at(f"{s}_shoulder"), 2] for s in _SIDES])) - floor
     girths = {}
     for site, (a, b, share, along) in _GIRTH_SITES.items():
-        pairs = [(a, b)] if a in JOINT_NAMES else [(f"{s}_{a}", f"{s}_{b}") for s in SIDES]
+        pairs = [(a, b)] if a in JOINT_NAMES else [(f"{s}_{a}", f"{s}_{b}") for s in _SIDES]
         found = []
         for p, q in pairs:
             start, bone = j[at(p)], j[at(q)] - j[at(p)]
@@ -319,14 +326,19 @@ def _tape(flat: Array) -> float:
         return 0.0
 
 
-DENSITY = 1000.0
+_DENSITY = 1000.0
 """kg/m^3."""
 _CUBE = 0.01  # m
 
 
 @dataclass(frozen=True)
 class SegmentMass:
-    """mass kg; centre (3,) m in the model frame at rest; inertia (3, 3) kg m^2 about the centre, along its axes."""
+    """Segment mass.
+
+    mass kg.
+    centre (3,) m in the model frame at rest.
+    inertia (3, 3) kg m^2 about the centre, along its axes.
+    """
 
     mass: float
     centre: Array
@@ -345,7 +357,7 @@ def segment_masses(
 
     points = _inside(body.fine)
     carrier = body.fine.main_joint[KDTree(body.fine.vertices).query(points)[1]]
-    density = DENSITY if mass is None else mass / (len(points) * _CUBE**3)
+    density = _DENSITY if mass is None else mass / (len(points) * _CUBE**3)
     out = {}
     for name, joints in segments.items():
         own = points[np.isin(carrier, [body.skeleton.joint(j) for j in joints])]
@@ -362,7 +374,7 @@ def segment_masses(
 
 
 def _inside(mesh: Mesh) -> Array:
-    """(N, 3) m: centres of the cubes inside a closed mesh: an odd number of faces lies above them."""
+    """Return (N, 3) m: centres of the cubes inside a closed mesh: an odd number of faces lies above them."""
     corners = mesh.vertices[mesh.faces]
     low, high = mesh.vertices.min(0), mesh.vertices.max(0)
     # a hair off the regular grid: no ray runs along an edge of a symmetric mesh

@@ -23,8 +23,10 @@ from hypose.geometry import Array
 class Mesh:
     """Skinned triangle mesh in the model frame at rest.
 
-    vertices (V, 3) m; faces (F, 3), counter-clockwise from outside; skin_index, skin_weight (V, 4): the joints that
-    carry a vertex and their weights (sum 1, unused 0)."""
+    vertices (V, 3) m.
+    faces (F, 3), counter-clockwise from outside.
+    skin_index, skin_weight (V, 4): the joints that carry a vertex and their weights (sum 1, unused 0).
+    """
 
     vertices: Array
     faces: NDArray[np.int32]
@@ -42,7 +44,7 @@ class Mesh:
 
     @cached_property
     def edges(self) -> NDArray[np.int32]:
-        """(E, 4): a, b, face with a->b, face with b->a. An InputError when the mesh is not a closed manifold."""
+        """Return (E, 4): a, b, face with a->b, face with b->a. An InputError when the mesh is not a closed manifold."""
         owner: dict[tuple[int, int], int] = {}
         for f, (a, b, c) in enumerate(self.faces.tolist()):
             for edge in ((a, b), (b, c), (c, a)):
@@ -72,12 +74,12 @@ class Mesh:
 
     @cached_property
     def main_joint(self) -> NDArray[np.int64]:
-        """(V,) the joint of largest weight: the body part a vertex belongs to."""
+        """Return (V,) the joint of largest weight: the body part a vertex belongs to."""
         best = self.skin_weight.argmax(1)[:, None]
         return np.take_along_axis(self.skin_index, best, 1)[:, 0].astype(np.int64)
 
     def dense_weights(self, n_joints: int) -> Array:
-        """(V, J) weights."""
+        """Return (V, J) weights."""
         v = len(self.vertices)
         place = n_joints * np.arange(v)[:, None] + self.skin_index
         weights = np.bincount(place.ravel(), self.skin_weight.ravel(), v * n_joints)
@@ -95,10 +97,13 @@ class Shape:
     """Factors relative to the body they are applied to; missing joints keep 1.
 
     length: joint -> factor on the bone from that joint to its child (the skin is stretched along the bone, children are
-    carried: eq. "scale" of section 2.3.2). girth: joint -> factor, or (3,) factors along model x, y, z, on the distance
-    of the skin from the bone ("radial"; direction-weighted for torso width and depth). offset: joint -> (3,) factors
-    along model x, y, z on the offset of the joint from its parent (hip and shoulder width).
-    scale: uniform factor on everything, applied first."""
+        carried: eq. "scale" of section 2.3.2).
+    girth: joint -> factor, or (3,) factors along model x, y, z, on the distance of the skin from the bone ("radial";
+        direction-weighted for torso width and depth).
+    offset: joint -> (3,) factors along model x, y, z on the offset of the joint from its parent (hip and shoulder
+        width).
+    scale: uniform factor on everything, applied first.
+    """
 
     scale: float = 1.0
     length: dict[str, float] = field(default_factory=dict)
@@ -181,7 +186,7 @@ BONE_END = {
 
 
 def deform(body: Body, shape: Shape, name: str | None = None) -> Body:
-    """The body with other bone lengths and girths.
+    """Return the body with other bone lengths and girths.
 
     Every vertex is moved by the blend of its joints' deformations, so segments stay joined. Limb bones stretch along
     the bone and widen across it; the other joints (pelvis, spine, chest, neck, head, hands, feet) stretch along model z
@@ -208,7 +213,7 @@ def deform(body: Body, shape: Shape, name: str | None = None) -> Body:
     skeleton = _with_offsets(s, offsets)
     new = skeleton.rest_joints
 
-    # what is about a joint stretches along an axis and widens across it
+    # the skin about a joint stretches along an axis and widens across it
     girths, stretch, axes = np.ones((len(names), 3)), np.ones(len(names)), np.tile([0.0, 0.0, 1.0], (len(names), 1))
     for joint, girth in shape.girth.items():
         girths[names.index(joint)] = girth

@@ -23,9 +23,10 @@ _AGGRESSIVENESS = (5, 6, 4, 7, 3, 8)
 
 
 def decimated(vertices: ArrayLike, faces: ArrayLike, target: int) -> tuple[Array, Faces]:
-    """A closed manifold with about `target` vertices, or the mesh itself when it has no more.
+    """Return a closed manifold with about `target` vertices, or the mesh itself when it has no more.
 
-    vertices (V, 3) m, faces (F, 3) of a closed manifold. An InputError when no closed mesh of that size comes out."""
+    vertices (V, 3) m, faces (F, 3) of a closed manifold. An InputError when no closed mesh of that size comes out.
+    """
     library = extra("fast_simplification", "A mesh of a person", "mesh", "fast-simplification")
     v = np.ascontiguousarray(vertices, dtype=np.float64)
     f = np.ascontiguousarray(faces, dtype=np.int32)
@@ -49,9 +50,10 @@ def decimated(vertices: ArrayLike, faces: ArrayLike, target: int) -> tuple[Array
 
 
 def coarse_mesh(vertices: ArrayLike, faces: ArrayLike, target: int = 550) -> tuple[Array, Faces]:
-    """The mesh for scoring: about `target` vertices, closed, through the middle of the surface, volume kept.
+    """Return the mesh for scoring: about `target` vertices, closed, through the middle of the surface, volume kept.
 
-    vertices (V, 3) m, faces (F, 3) of a closed manifold that looks outward."""
+    vertices (V, 3) m, faces (F, 3) of a closed manifold that looks outward.
+    """
     v = np.asarray(vertices, dtype=np.float64)
     f = np.asarray(faces, dtype=np.int32)
     out, g = decimated(v, f, target)
@@ -77,7 +79,7 @@ def enclosed_volume(vertices: ArrayLike, faces: ArrayLike) -> float:
 
 
 def is_closed(faces: ArrayLike) -> bool:
-    """Every edge belongs to two faces that run through it in opposite directions."""
+    """Return whether every edge belongs to two faces that run through it in opposite directions."""
     f = np.asarray(faces, dtype=np.int64)
     edges = np.concatenate([f[:, [0, 1]], f[:, [1, 2]], f[:, [2, 0]]])
     n = int(f.max()) + 1
@@ -135,7 +137,7 @@ def _fitted(v: Array, f: Faces, samples: Array, rounds: int = 3) -> Array:
 
 
 def _normals(v: Array, f: Faces) -> tuple[Array, Array]:
-    """Unit vertex normals (V, 3) and the double areas (F,) of the faces."""
+    """Return unit vertex normals (V, 3) and the double areas (F,) of the faces."""
     across = np.cross(v[f[:, 1]] - v[f[:, 0]], v[f[:, 2]] - v[f[:, 0]])
     out = np.zeros_like(v)
     for k in range(3):

@@ -67,7 +67,7 @@ FACTORS: tuple[_Factor, ...] = (
 
 
 @dataclass(frozen=True)
-class Surface:
+class _ScanSamples:
     """Samples of a scan: points (N, 3) m and outward unit normals (N, 3)."""
 
     points: Array
@@ -75,9 +75,14 @@ class Surface:
 
 
 @dataclass(frozen=True)
-class Stance:
-    """How a scan stands: upright_from_file (3, 3), a rotation after which z is up and the person faces -y; arms: the
-    pose of the arms; score: mean distance to the template over the stature; up: the file's up axis, such as '+y'."""
+class ScanPose:
+    """How a scan stands.
+
+    upright_from_file (3, 3), a rotation after which z is up and the person faces -y.
+    arms: the pose of the arms.
+    score: mean distance to the template over the stature.
+    up: the file's up axis, such as '+y'.
+    """
 
     upright_from_file: Array
     arms: str
@@ -87,9 +92,14 @@ class Stance:
 
 @dataclass(frozen=True)
 class ScanFit:
-    """The template in the scan: body, with the scan's proportions, at rest; pose (D,) in the upright frame of the
-    scan; factors (K,) the logarithms of FACTORS; distance: median distance between the two surfaces, m, both ways, and
-    far: the share of the samples farther than 5 % of the stature."""
+    """The template in the scan.
+
+    body, with the scan's proportions, at rest.
+    pose (D,) in the upright frame of the scan.
+    factors (K,) the logarithms of FACTORS.
+    distance: median distance between the two surfaces, m, both ways, and far: the share of the samples farther than 5 %
+        of the stature.
+    """
 
     body: Body
     pose: Array
@@ -98,7 +108,7 @@ class ScanFit:
     far: float
 
 
-def surface_samples(vertices: ArrayLike, faces: ArrayLike, count: int, rng: np.random.Generator) -> Surface:
+def surface_samples(vertices: ArrayLike, faces: ArrayLike, count: int, rng: np.random.Generator) -> _ScanSamples:
     """`count` points spread evenly over the surface of a mesh (V, 3), (F, 3) of positive area."""
     v, f = np.asarray(vertices, dtype=np.float64), np.asarray(faces)
     a, b, c = (v[f[:, k]] for k in range(3))
@@ -110,11 +120,12 @@ def surface_samples(vertices: ArrayLike, faces: ArrayLike, count: int, rng: np.r
     chosen = np.minimum(np.searchsorted(edges, (np.arange(count) + rng.random(count)) / count), len(f) - 1)
     s, t = np.sqrt(rng.random(count))[:, None], rng.random(count)[:, None]
     points = (1 - s) * a[chosen] + s * (1 - t) * b[chosen] + s * t * c[chosen]
-    return Surface(points, normal[chosen] / np.maximum(double[chosen], 1e-30)[:, None])
+    return _ScanSamples(points, normal[chosen] / np.maximum(double[chosen], 1e-30)[:, None])
 
 
 def scan_pose(body: Body, name: str) -> Array:
-    """(D,) the pose of SCAN_POSES with straight arms, at the origin, facing -y; an InputError lists the poses."""
+    """Return (D,) the pose of SCAN_POSES with straight arms, at the origin, facing -y; an InputError lists the
+    poses."""
     if name not in _ARMS:
         raise InputError(f"There is no scan pose {name!r}; the poses are auto, {', '.join(SCAN_POSES)}.")
     s, pose = body.skeleton, np.zeros(body.skeleton.dof)
@@ -128,10 +139,11 @@ def scan_pose(body: Body, name: str) -> Array:
     return s.clamp(pose)
 
 
-def find_stances(surface: Surface, template: Body) -> list[Stance]:
-    """The ways a scan may stand, best first; units do not matter.
+def find_stances(surface: _ScanSamples, template: Body) -> list[ScanPose]:
+    """Return the ways a scan may stand, best first; units do not matter.
 
-    Any axis may be up; z and then y are preferred when the scores are near each other."""
+    Any axis may be up; z and then y are preferred when the scores are near each other.
+    """
     from scipy.spatial import KDTree  # takes long to import
 
     step = max(1, len(surface.points) // 700)
@@ -155,7 +167,7 @@ def find_stances(surface: Surface, template: Body) -> list[Stance]:
                 # normals count like a distance of a twelfth of the stature: front and back differ by little else
                 a, b = np.hstack([boxed, facing / 12]), np.hstack([v, n / 12])
                 d = np.concatenate([KDTree(b).query(a)[0], KDTree(a).query(b)[0]])
-                out.append(Stance(turn, name, float(np.minimum(d, 0.2).mean()), label))
+                out.append(ScanPose(turn, name, float(np.minimum(d, 0.2).mean()), label))
     preference = {label: prefer for label, _, prefer in _UPS}
     return sorted(out, key=lambda s: s.score * preference[s.up])
 
@@ -171,19 +183,19 @@ _UPS = (
 
 
 def _boxed(points: Array) -> tuple[Array, float]:
-    """Points with feet at z = 0, centred over the origin, height 1."""
+    """Return points with feet at z = 0, centred over the origin, height 1."""
     low, high = points.min(0), points.max(0)
     height = float(high[2] - low[2])
     return (points - [*(0.5 * (low + high))[:2], low[2]]) / max(height, 1e-12), height
 
 
-def fit_template(surface: Surface, template: Body, stances: list[Stance]) -> tuple[ScanFit, Stance]:
-    """The template fitted to a scan in metres; tries the first few stances shortly and the best one thoroughly.
+def fit_template(surface: _ScanSamples, template: Body, stances: list[ScanPose]) -> tuple[ScanFit, ScanPose]:
+    """Return the template fitted to a scan in metres; tries the first few stances shortly and the best one thoroughly.
 
     Returns the fit, in the frame into which the stance turns the file, and its stance.
     """
     light = _light(template)
-    few: list[Stance] = []
+    few: list[ScanPose] = []
     for s in stances:
         if s.score < 1.6 * stances[0].score and len(few) < 4:
             few.append(s)
@@ -197,20 +209,20 @@ def fit_template(surface: Surface, template: Body, stances: list[Stance]) -> tup
     search.start(stance.arms)
     x, _ = search.run(x, _FINE)
     k = template.skeleton.dof
-    body = deform(template, shape_of(x[k:]), template.name)
+    body = deform(template, shape_from_factors(x[k:]), template.name)
     distance, far = search.quality(x)
     return ScanFit(body, x[:k], x[k:], distance, far), stance
 
 
 def _light(body: Body) -> Body:
-    """The body without display mesh and landmarks, which would only cost time when it is deformed often."""
+    """Return the body without display mesh and landmarks, which would only cost time when it is deformed often."""
     body.coarse.arrays  # noqa: B018 - builds the edges once, before the copies
     nothing = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros((0, 4), np.int32), np.zeros((0, 4)))
     return replace(body, fine=nothing, landmarks=Landmarks((), np.zeros(0, np.int64), np.zeros((0, 3))))
 
 
-def shape_of(factors: ArrayLike) -> Shape:
-    """The Shape of the logarithms (K,) of FACTORS."""
+def shape_from_factors(factors: ArrayLike) -> Shape:
+    """Return the Shape of the logarithms (K,) of FACTORS."""
     length: dict[str, float] = {}
     girth: dict[str, list[float]] = {}
     offset: dict[str, tuple[float, float, float]] = {}
@@ -231,8 +243,8 @@ def shape_of(factors: ArrayLike) -> Shape:
 
 
 def unposed(body: Body, pose: ArrayLike, points_world: ArrayLike, weights: ArrayLike) -> Array:
-    """Points (P, 3) m of a surface at a pose (D,), with dense skinning weights (P, J), brought to the body's rest pose:
-    the inverse of linear blend skinning, so that skinning them again gives points_world."""
+    """Return points (P, 3) m of a surface at a pose (D,), with dense skinning weights (P, J), brought to the body's
+    rest pose: the inverse of linear blend skinning, so that skinning them again gives points_world."""
     rotations, centres = body.skeleton.forward(pose)
     rest = body.skeleton.rest_joints - body.skeleton.rest_joints[0]
     moves = np.asarray(weights, dtype=np.float64) @ np.hstack(
@@ -245,8 +257,12 @@ def unposed(body: Body, pose: ArrayLike, points_world: ArrayLike, weights: Array
 
 @dataclass(frozen=True)
 class _Stage:
-    """iterations; first and last scale of the robust weight as shares of the stature; shape: all proportions are free,
-    else only the scale."""
+    """Stage.
+
+    iterations.
+    first and last scale of the robust weight as shares of the stature.
+    shape: all proportions are free, else only the scale.
+    """
 
     iterations: int
     first: float
@@ -271,7 +287,7 @@ def _corners() -> Array:
 class _Search:
     """Damped Gauss-Newton on the vector x = (pose, logarithms of the factors)."""
 
-    def __init__(self, body: Body, surface: Surface) -> None:
+    def __init__(self, body: Body, surface: _ScanSamples) -> None:
         from scipy.spatial import KDTree  # takes long to import
 
         self.body, self.surface = body, surface
@@ -283,7 +299,7 @@ class _Search:
         self.stature = float(high[2] - low[2])
 
     def start(self, arms: str) -> Array:
-        """The start vector: the template with the scan's height, over its middle."""
+        """Return the start vector: the template with the scan's height, over its middle."""
         pose = scan_pose(self.body, arms)
         v = self.body.skin(pose)
         scale = self.stature / np.ptp(v[:, 2])
@@ -309,12 +325,12 @@ class _Search:
         return x
 
     def skin(self, x: Array) -> Array:
-        return deform(self.body, shape_of(x[self.dof :])).skin(x[: self.dof])
+        return deform(self.body, shape_from_factors(x[self.dof :])).skin(x[: self.dof])
 
     def derivative(self, x: Array, free: NDArray[np.int64], fresh: bool) -> tuple[Array, Array]:
         """Vertices (V, 3) and their derivatives (P, V, 3), by differences wide enough for float32 skinning. Those by
         the factors change little and are kept from the last call unless fresh."""
-        shaped = deform(self.body, shape_of(x[self.dof :]))
+        shaped = deform(self.body, shape_from_factors(x[self.dof :]))
         h = 2e-3
         turns = free[free < self.dof]
         poses = np.tile(x[: self.dof], (1 + len(turns), 1))
@@ -357,12 +373,12 @@ class _Search:
         return face, corner[index % len(corner)], target, normal, weight * 1500
 
     def quality(self, x: Array) -> tuple[float, float]:
-        """Median distance between the surfaces, m, and the share of samples farther than 5 % of the stature."""
+        """Return median distance between the surfaces, m, and the share of samples farther than 5 % of the stature."""
         self.match(self.skin(x))
         return float(np.median(self.gaps)), float((self.gaps > 0.05 * self.stature).mean())
 
     def run(self, x: Array, stage: _Stage) -> tuple[Array, float]:
-        """The improved vector and its cost: mean robust distance of the samples, in shares of the stature."""
+        """Return the improved vector and its cost: mean robust distance of the samples, in shares of the stature."""
         free = np.arange(self.dof + (len(FACTORS) if stage.shape else 1))
         cost = np.inf
         for k in range(stage.iterations):
@@ -397,5 +413,5 @@ class _Search:
         return x, cost
 
 
-def _turned(surface: Surface, rotation: Array, step: int = 1) -> Surface:
-    return Surface(surface.points[::step] @ rotation.T, surface.normals[::step] @ rotation.T)
+def _turned(surface: _ScanSamples, rotation: Array, step: int = 1) -> _ScanSamples:
+    return _ScanSamples(surface.points[::step] @ rotation.T, surface.normals[::step] @ rotation.T)

@@ -90,7 +90,7 @@ ANGLE_NAMES: tuple[str, ...] = (
 
 
 def is_length(name: str) -> bool:
-    """True for the names whose values are metres rather than radians."""
+    """Return True for the names whose values are metres rather than radians."""
     return name.endswith(("_tx", "_ty", "_tz"))
 
 
@@ -113,8 +113,8 @@ def joint_angles(skeleton: Skeleton, poses: ArrayLike) -> tuple[tuple[str, ...],
 
 
 def angles_of_frames(skeleton: Skeleton, world_from_joint: Array, centres: Array) -> Array:
-    """(T, A) as `joint_angles` gives them, of joints' frames (T, J, 3, 3), identity in the skeleton's rest pose, and
-    centres (T, J, 3) m."""
+    """Return (T, A) as `joint_angles` gives them, of joints' frames (T, J, 3, 3), identity in the skeleton's rest pose,
+    and centres (T, J, 3) m."""
     return angles_in_time(turns_reader(skeleton)(world_from_joint, centres)).T
 
 
@@ -143,7 +143,7 @@ def turns_reader(skeleton: Skeleton) -> Callable[[Array, Array], Array]:
 
 
 def angles_in_time(turns: Array) -> Array:
-    """(A, T) as `joint_angles` gives them, of what a `turns_reader` read of consecutive frames (TURNS, T)."""
+    """Return (A, T) as `joint_angles` gives them, of what a `turns_reader` read of consecutive frames (TURNS, T)."""
     out: dict[str, Array] = {}
     out["pelvis_tilt"], out["pelvis_list"], out["pelvis_rotation"] = _continuous(turns[:3], prior_axis=1)
     out["pelvis_tx"], out["pelvis_ty"], out["pelvis_tz"] = turns[-3:]
@@ -201,14 +201,14 @@ def straight_offset(skeleton: Skeleton, name: str) -> float:
 
 
 def _turn_about(r: Array, axis: Array) -> Array:
-    """(T,) rad in (-pi, pi]: the turn about an axis (3,) that is nearest to rotations (3, 3, T)."""
+    """Return (T,) rad in (-pi, pi]: the turn about an axis (3,) that is nearest to rotations (3, 3, T)."""
     skew = axis[0] * (r[2, 1] - r[1, 2]) + axis[1] * (r[0, 2] - r[2, 0]) + axis[2] * (r[1, 0] - r[0, 1])
     along = sum(axis[i] * axis[k] * r[i, k] for i in range(3) for k in range(3))
     return np.arctan2(skew, r[0, 0] + r[1, 1] + r[2, 2] - along)
 
 
 def hinge_axis(skeleton: Skeleton, name: str) -> Array:
-    """(3,) axis in the skeleton's rest frame of a joint with one hinge; an InputError for any other joint."""
+    """Return (3,) axis in the skeleton's rest frame of a joint with one hinge; an InputError for any other joint."""
     dofs = skeleton.dofs_of(name)
     if len(dofs) != 1:
         raise InputError(f"Joint angles need a hinge at {name!r}, this skeleton has {len(dofs)} degrees of freedom.")
@@ -264,7 +264,7 @@ def _continuous(zxy: Sequence[Array] | Array, prior_axis: int = 2) -> tuple[Arra
 
 
 def _unwrapped(angle: Array) -> Array:
-    """(T, ...) without the jumps of whole turns."""
+    """Return (T, ...) without the jumps of whole turns."""
     turns = np.rint(np.diff(angle, axis=0) / (2 * np.pi))
     if not turns.any():
         return angle
@@ -283,12 +283,13 @@ def _hold(values: Array, defined: NDArray[np.bool_]) -> Array:
 
 
 def _second_branch(z: Array, x: Array, y: Array, prior_axis: int) -> NDArray[np.bool_]:
-    """Where (T, ...) the other one of the triples (z, x, y), each (T, ...), is on the sequence with the
-    least change plus the price of unlikely angles.
+    """Return where (T, ...) the other one of the triples (z, x, y), each (T, ...), is on the sequence with the least
+    change plus the price of unlikely angles.
 
     From frame to frame both branches cost the same to stay on and the same to leave for the other, for they are each
     other's mirror. So all that has to be known of the way so far is by how much the second one is dearer. To change
-    costs 3 pi - |dz| - |dy| - |x + x'| where to stay costs |dz| + |dy| + |x - x'|, for |x| <= pi / 2."""
+    costs 3 pi - |dz| - |dy| - |x + x'| where to stay costs |dz| + |dy| + |x - x'|, for |x| <= pi / 2.
+    """
     usual, price = np.radians(100.0), 0.2
     here, aside = np.abs((x, y)[prior_axis - 1]), np.abs(x)
     extra = price * (np.maximum(np.pi - here - usual, 0) - np.maximum(here - usual, 0))
@@ -303,8 +304,8 @@ def _second_branch(z: Array, x: Array, y: Array, prior_axis: int) -> NDArray[np.
 
 
 def _cheapest(dearer: list[float], extra: list[float]) -> list[int]:
-    """The cheapest way over frames with two branches: dearer (T - 1), by how much it costs more to change the branch
-    than to stay; extra (T), by how much the second branch costs more in a frame."""
+    """Return the cheapest way over frames with two branches: dearer (T - 1), by how much it costs more to change the
+    branch than to stay; extra (T), by how much the second branch costs more in a frame."""
     ahead = extra[0]  # by how much the way to the second branch is dearer
     came_from: list[tuple[int, int]] = []
     for g, n in zip(dearer, extra[1:], strict=True):

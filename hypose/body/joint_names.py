@@ -67,7 +67,7 @@ _CALLED = {
 
 
 def renamed_skeleton(skeleton: Skeleton, names: Mapping[str, str]) -> Skeleton:
-    """The skeleton with joints called names[ours]; a joint that is not in `names` keeps its own."""
+    """Return the skeleton with joints called names[ours]; a joint that is not in `names` keeps its own."""
     new = tuple(names.get(n, n) for n in skeleton.joint_names)
     if len(set(new)) < len(new):
         twice = next(n for n in new if new.count(n) > 1)
@@ -76,12 +76,12 @@ def renamed_skeleton(skeleton: Skeleton, names: Mapping[str, str]) -> Skeleton:
 
 
 def renamed_motion(motion: Motion, names: Mapping[str, str]) -> Motion:
-    """A motion whose BVH and GLB have joints of other names, for example MIXAMO."""
+    """Return a motion whose BVH and GLB have joints of other names, for example MIXAMO."""
     return replace(motion, skeleton=renamed_skeleton(motion.skeleton, names))
 
 
 def renamed_body(body: Body, names: Mapping[str, str]) -> Body:
-    """The body that belongs to a renamed motion."""
+    """Return the body that belongs to a renamed motion."""
     return replace(body, skeleton=renamed_skeleton(body.skeleton, names))
 
 
@@ -98,7 +98,7 @@ class MatchedRig:
 def match_rig(
     names: Sequence[str], parents: ArrayLike, joints: ArrayLike, weights: ArrayLike, where: str
 ) -> MatchedRig:
-    """The joints and weights of a rig of Mixamo, Rigify, SMPL, OpenSim or our own names as ours.
+    """Return the joints and weights of a rig of Mixamo, Rigify, SMPL, OpenSim or our own names as ours.
 
     names (n), parents (n,) (-1 = none, any order), joints (n, 3), weights (V, n). Fingers, toes, twist bones and the
     rest go to the nearest ancestor that we have. The trunk's joints are chosen by their place between pelvis and neck.
@@ -128,7 +128,8 @@ def match_rig(
 
 
 def _plain(name: str) -> tuple[str, str]:
-    """(side, rest) of a joint's name: ("left", "upperarm") of "mixamorig:LeftUpperArm", "upper_arm.L", "upperarm_l"."""
+    """Return (side, rest) of a joint's name: ("left", "upperarm") of "mixamorig:LeftUpperArm", "upper_arm.L",
+    "upperarm_l"."""
     words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", name.split(":")[-1])
     tokens = [
         t for t in re.split(r"[^A-Za-z0-9]+", words.lower()) if t and t not in ("def", "bip01", "bip", "j", "jnt")
@@ -198,7 +199,7 @@ def _owners(found: Mapping[str, int], parents: NDArray[np.int64]) -> NDArray[np.
 
 
 def _placed(found: Mapping[str, int], at: Array) -> Array:
-    """(19, 3) places of our joints; those that the rig lacks by the template's proportions."""
+    """Return (19, 3) places of our joints; those that the rig lacks by the template's proportions."""
     rest, names = human().skeleton.rest_joints, JOINT_NAMES
     have = np.array([names.index(n) for n in found])
     there = at[list(found.values())]

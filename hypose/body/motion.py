@@ -16,7 +16,8 @@ from hypose.geometry import Array
 
 TAILS = 7.0
 """Degrees of freedom of the law of errors: clips differ in how well they fit, so that most errors are smaller, and some
-larger, than a normal distribution with the same 90 % regions has them. Chosen on scenes (docs/notebook/doubt.md)."""
+larger, than a normal distribution with the same 90 % regions has them. Chosen on scenes
+(docs/decisions/error-model.md)."""
 
 
 def region_reach(level: ArrayLike, dimensions: int = 3) -> Array:
@@ -125,7 +126,7 @@ class Motion:
 
     @property
     def frame_rate(self) -> float:
-        """Frames per second, from the median time step (1 for a single frame)."""
+        """Return frames per second, from the median time step (1 for a single frame)."""
         return float(1 / np.median(np.diff(self.times))) if len(self.times) > 1 else 1.0
 
 
@@ -144,7 +145,8 @@ class Modes:
     covariances (T, K, D, D): of the poses, 32 bit, the root's rotation as a small turn in the world.
     joint_covariance (T, J, 3, 3): m^2, of the best mode.
     depth_sd (T, J): m along the line of sight, of the best mode.
-    alive (T,): number of modes."""
+    alive (T,): number of modes.
+    """
 
     poses: Array
     joints: Array
@@ -175,7 +177,7 @@ class Modes:
         return len(self.poses)
 
     def rows(self) -> list[Modes]:
-        """Each frame by itself, with as many modes as it has."""
+        """Return each frame by itself, with as many modes as it has."""
         single = [{k: v[t : t + 1] for k, v in modes_arrays(self).items()} for t in range(len(self))]
         return [
             Modes(**{k: v[:, :n] if k in _PER_MODE else v for k, v in one.items()})
@@ -189,7 +191,7 @@ def modes_arrays(modes: Modes) -> dict[str, np.ndarray]:
 
 
 def joined_modes(parts: Sequence[Modes]) -> Modes:
-    """The modes of consecutive frames as one, padded with NaN to the largest number of modes."""
+    """Return the modes of consecutive frames as one, padded with NaN to the largest number of modes."""
     most = max(p.poses.shape[1] for p in parts)
 
     def stacked(name: str) -> np.ndarray:
@@ -205,11 +207,11 @@ def joined_modes(parts: Sequence[Modes]) -> Modes:
 
 
 def isotropic(joint_sd: ArrayLike) -> NDArray[np.float32]:
-    """(..., J, 3, 3) m^2 from what is known per axis, (..., J) m: the same in every direction."""
+    """Return isotropic covariances (..., J, 3, 3) m^2 of standard deviations per axis (..., J) m."""
     return (np.asarray(joint_sd, dtype=np.float64)[..., None, None] ** 2 * np.eye(3)).astype(np.float32)
 
 
 def sd_per_axis(joint_covariance: ArrayLike) -> Array:
-    """(..., J) m: root mean square over the axes, of covariances (..., J, 3, 3) m^2."""
+    """Return (..., J) m: root mean square over the axes, of covariances (..., J, 3, 3) m^2."""
     xx, yy, zz = (np.asarray(joint_covariance)[..., k, k].astype(np.float64) for k in range(3))
     return np.sqrt((xx + yy + zz) / 3)

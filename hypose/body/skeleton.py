@@ -27,10 +27,15 @@ GRID = 2.0**20
 class Skeleton:
     """Joint tree. J joints (parent < child), D dof.
 
-    joint_names (J); parents (J,); rest_offsets (J, 3) m: joint centre minus its parent's at rest (zeros for the root);
-    ball (J,): the joint is a ball; axes (D, 3): rotation axis of each dof in the model frame (translation direction for
-    the first three); joint_of_dof (D,); dof_names (D); lower, upper (D,) limits (rad, m); sigma (D,): usual motion per
-    frame at 25 fps (1 sd).
+    joint_names (J).
+    parents (J,).
+    rest_offsets (J, 3) m: joint centre minus its parent's at rest (zeros for the root).
+    ball (J,): the joint is a ball.
+    axes (D, 3): rotation axis of each dof in the model frame (translation direction for the first three).
+    joint_of_dof (D,).
+    dof_names (D).
+    lower, upper (D,) limits (rad, m).
+    sigma (D,): usual motion per frame at 25 fps (1 sd).
     """
 
     joint_names: tuple[str, ...]
@@ -66,7 +71,7 @@ class Skeleton:
 
     @property
     def dof(self) -> int:
-        """Number of degrees of freedom D."""
+        """Return number of degrees of freedom D."""
         return len(self.dof_names)
 
     def joint(self, name: str) -> int:
@@ -77,7 +82,7 @@ class Skeleton:
             raise InputError(f"There is no joint {name!r}; the joints are {', '.join(self.joint_names)}.") from None
 
     def dofs_of(self, *names: str) -> NDArray[np.int64]:
-        """Indices of the rotational dof of the named joints (for the root: all six)."""
+        """Return indices of the rotational dof of the named joints (for the root: all six)."""
         joints = np.array([self.joint(n) for n in names], dtype=np.int64)
         return np.flatnonzero((self.joint_of_dof[:, None] == joints).any(1))
 
@@ -92,7 +97,7 @@ class Skeleton:
 
     @cached_property
     def rest_joints(self) -> Array:
-        """(J, 3) joint centres in the model frame at rest, m."""
+        """Return (J, 3) joint centres in the model frame at rest, m."""
         out = np.zeros_like(self.rest_offsets)
         for j, p in enumerate(self.parents):
             out[j] = self.rest_offsets[j] + (out[p] if p >= 0 else 0)
@@ -100,7 +105,7 @@ class Skeleton:
 
     @cached_property
     def tree(self) -> TreeArrays:
-        """The flat arrays that compute works on."""
+        """Return the flat arrays that compute works on."""
         j = len(self.joint_names)
         kind, start, count = (np.zeros(j, dtype=np.int64) for _ in range(3))
         for n in range(j):
@@ -123,7 +128,8 @@ class Skeleton:
 
     @cached_property
     def twists(self) -> Array:
-        """(D, 6) twists (w, v) of the dof in the model frame at rest; v = -w x p for a turn about a line through p."""
+        """Return (D, 6) twists (w, v) of the dof in the model frame at rest; v = -w x p for a turn about a line through
+        p."""
         out = np.zeros((self.dof, 6))
         out[:3, 3:] = self.axes[:3]
         out[3:, :3] = self.axes[3:]
@@ -136,7 +142,7 @@ class Skeleton:
         return self.tree.dof_start[self.tree.kind == BALL]
 
     def rest_pose(self) -> Array:
-        """(D,) zeros, moved into the limits."""
+        """Return (D,) zeros, moved into the limits."""
         return np.clip(np.zeros(self.dof), self.lower, self.upper)
 
     def forward(self, poses: ArrayLike) -> tuple[Array, Array]:
@@ -182,7 +188,7 @@ class Skeleton:
 
     @cached_property
     def moves(self) -> NDArray[np.bool_]:
-        """(D, J): dof d moves joint j's frame."""
+        """Return (D, J): dof d moves joint j's frame."""
         out = np.zeros((self.dof, len(self.joint_names)), dtype=bool)
         for j in range(len(self.joint_names)):
             a = j
@@ -243,7 +249,8 @@ class Skeleton:
         return q
 
     def mean(self, poses: ArrayLike, weights: ArrayLike) -> Array:
-        """Weighted mean pose (D,) of poses (N, D): rotations of balls and root averaged on SO(3), the rest plainly.
+        """Return weighted mean pose (D,) of poses (N, D): rotations of balls and root averaged on SO(3), the rest
+        plainly.
 
         Source: spec of the estimate (weighted mean in the tangent space, never raw angles across +-pi).
         """

@@ -2,7 +2,7 @@
 
 Source: Baran & Popovic 2007, "Automatic rigging and animation of 3D characters", section 4: (-Laplacian + H) w = H p,
 H = c / d^2 with the distance d to the nearest bone, p = 1 for that bone. Deviations: the nearest bone among those that
-the vertex sees through the inside (so a hand that hangs beside a thigh keeps off it), several segments per joint, a
+the vertex sees through the inside (so a hand that hangs near a thigh keeps off it), several segments per joint, a
 Laplacian that bears needles and non-manifold edges (Sharp & Crane 2020), and at most four influences.
 """
 
@@ -19,7 +19,7 @@ from hypose.compute import nearest_visible
 from hypose.errors import InputError, extra
 from hypose.geometry import Array
 
-SMALLEST = 0.01
+_SMALLEST = 0.01
 """Weights below this are dropped before the rest is scaled to sum 1: no eye sees them and they cost time."""
 
 
@@ -38,7 +38,7 @@ class Bones:
     joint: NDArray[np.int64]
 
 
-# Segments of a human body: joint, start and end, each a mean of joints and landmarks. Beside the bones proper: ribs
+# Segments of a human body: joint, start and end, each a mean of joints and landmarks. Next to the bones proper: ribs
 # (the chest is wide, and with the spine alone the collar bones would carry its front), jaw and ears (the head's joint
 # lies level with the nose, and with the skull alone the neck would carry the face), and no heat from the inner half of
 # the collar bones, which lies on the chest.
@@ -74,10 +74,11 @@ _HUMAN: tuple[tuple[str, tuple[str, ...], tuple[str, ...]], ...] = (
 def bones_of(
     skeleton: Skeleton, joints: Array, landmarks: Landmarks | None = None, points: Array | None = None
 ) -> Bones:
-    """The segments of a skeleton with joint centres joints (J, 3) m: from every joint to its children; on a human body
-    with landmarks at points (L, 3) m in the same frame also ribs, jaw, knuckles, toes and heels.
+    """Return the segments of a skeleton with joint centres joints (J, 3) m: from every joint to its children; on a
+    human body with landmarks at points (L, 3) m in the same frame also ribs, jaw, knuckles, toes and heels.
 
-    A joint without child and landmark gets a segment in the direction of the one before it, half as long."""
+    A joint without child and landmark gets a segment in the direction of the one before it, half as long.
+    """
     place = {n: joints[k] for k, n in enumerate(skeleton.joint_names)}
     if landmarks is not None and points is not None:
         place |= {n: points[k] for k, n in enumerate(landmarks.names) if n not in place}
@@ -97,7 +98,7 @@ def bones_of(
 
 
 def body_bones(body: Body, pose: ArrayLike | None = None) -> Bones:
-    """The segments of a ready body, at a pose (D,); at rest in the model frame when None."""
+    """Return the segments of a ready body, at a pose (D,); at rest in the model frame when None."""
     marks = body.landmarks
     if pose is None:
         joints = body.skeleton.rest_joints
@@ -110,9 +111,10 @@ def heat_weights(
 ) -> Array:
     """Dense weights (V, J), rows sum to 1, none negative: vertices (V, 3) m, faces (F, 3) of one surface.
 
-    heat: the constant c; less makes
-    wider transitions. visible: only bones that a vertex sees are sources. An
-    InputError when the mesh has no face or a vertex without face.
+    heat: the constant c; less makes wider transitions.
+    visible: only bones that a vertex sees are sources.
+
+    An InputError when the mesh has no face or a vertex without face.
     """
     from scipy.sparse import csc_matrix, diags
     from scipy.sparse.linalg import splu
@@ -146,14 +148,14 @@ def heat_weights(
 
 
 def influences(weights: ArrayLike, count: int = 4) -> tuple[NDArray[np.int32], Array]:
-    """The `count` largest of dense weights (V, J) as (V, 4) joints and weights, descending, sum 1, unused 0."""
+    """Return the `count` largest of dense weights (V, J) as (V, 4) joints and weights, descending, sum 1, unused 0."""
     w = np.asarray(weights, dtype=np.float64)
     keep = min(4, count, w.shape[1])
     index = np.zeros((len(w), 4), dtype=np.int32)
     value = np.zeros((len(w), 4))
     index[:, :keep] = np.argsort(-w, axis=1, kind="stable")[:, :keep]
     value[:, :keep] = np.take_along_axis(w, index[:, :keep].astype(np.int64), 1)
-    value[:, 1:] = np.where(value[:, 1:] < SMALLEST, 0.0, value[:, 1:])
+    value[:, 1:] = np.where(value[:, 1:] < _SMALLEST, 0.0, value[:, 1:])
     return np.where(value > 0, index, 0).astype(np.int32), value / value.sum(1, keepdims=True)
 
 
@@ -161,7 +163,7 @@ def carried_weights(
     points: ArrayLike, normals: ArrayLike, vertices: ArrayLike, faces: ArrayLike, weights: ArrayLike
 ) -> Array:
     """Dense weights (P, J) at points (P, 3) with outward normals (P, 3) near the surface of a mesh with dense weights
-    (V, J): the mean over the nearest places of the mesh that face the same way, so that a hand beside a thigh does not
+    (V, J): the mean over the nearest places of the mesh that face the same way, so that a hand next to a thigh does not
     get the thigh's."""
     from scipy.spatial import KDTree
 
@@ -186,14 +188,14 @@ def carried_weights(
     return out
 
 
-def vertex_normals(vertices: ArrayLike, faces: ArrayLike) -> Array:
-    """Outward unit normals (V, 3) of a mesh, weighted by the areas of the faces."""
-    v, f = np.asarray(vertices, dtype=np.float64), np.asarray(faces)
-    across = np.cross(v[f[:, 1]] - v[f[:, 0]], v[f[:, 2]] - v[f[:, 0]])
-    out = np.zeros_like(v)
-    for k in range(3):
-        np.add.at(out, f[:, k], across)
-    return out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-15)
+def vertex_normals(vertices: Array, faces: NDArray[np.integer]) -> Array:
+    """Compute unit outward normals (V, 3) of vertices (V, 3), weighted by the areas of the faces (F, 3)."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    n = np.cross(b - a, c - a)
+    flat = faces.ravel()
+    rows = np.repeat(n, 3, axis=0)
+    out = np.stack([np.bincount(flat, rows[:, k], len(vertices)) for k in range(3)], 1)
+    return out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-12)
 
 
 def _closest_points(v: Array, bones: Bones) -> tuple[Array, Array]:
@@ -205,7 +207,7 @@ def _closest_points(v: Array, bones: Bones) -> tuple[Array, Array]:
 
 
 def _warm_every_part(near: NDArray[np.bool_], distance: Array, faces: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """A connected part in which no vertex sees a bone would have no heat at all: there the nearest bone counts."""
+    """Give heat to connected parts in which no vertex sees a bone: there the nearest bone counts."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 

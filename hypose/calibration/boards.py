@@ -1,4 +1,4 @@
-"""Calibration boards: what is printed on them, and where their corners are in a picture.
+"""Calibration boards: their patterns, and detection of their corners in pictures.
 
 Chessboards and ChArUco boards are found by OpenCV. Two things are added for chessboards: a picture without a board is
 searched again in rectified views of its bright sheets, since OpenCV's detectors miss boards that lie on the floor far
@@ -34,9 +34,12 @@ _SHEETS = 4  # bright quadrilaterals that are looked at closer
 class Board:
     """A flat calibration board.
 
-    columns, rows: inner corners of a chessboard, squares of a ChArUco board (as OpenCV counts each). square: side of a
-    square, m. marker: side of a ChArUco board's markers, m. dictionary: OpenCV's name of its markers. legacy: ChArUco
-    boards of OpenCV before 4.6 with an even number of rows. inverted: printed white on black.
+    columns, rows: inner corners of a chessboard, squares of a ChArUco board (as OpenCV counts each).
+    square: side of a square, m.
+    marker: side of a ChArUco board's markers, m.
+    dictionary: OpenCV's name of its markers.
+    legacy: ChArUco boards of OpenCV before 4.6 with an even number of rows.
+    inverted: printed white on black.
     """
 
     kind: Literal["chessboard", "charuco"]
@@ -102,33 +105,37 @@ class Board:
 
 
 @dataclass(frozen=True)
-class Sighting:
-    """A board in a picture. ids (n,): numbers of the corners, rows of Board.points; pixels (n, 2); edge_px: width of
-    the edges between black and white, which is about 2 px in a sharp picture and grows with blur."""
+class BoardDetection:
+    """A board in a picture.
+
+    ids (n,): numbers of the corners, rows of Board.points.
+    pixels (n, 2).
+    edge_px: width of the edges between black and white, which is about 2 px in a sharp picture and grows with blur.
+    """
 
     ids: IntArray
     pixels: Array
     edge_px: float
 
-    def turned(self, turn: IntArray) -> Sighting:
-        """The same sighting with other numbers."""
-        return Sighting(turn[self.ids], self.pixels, self.edge_px)
+    def turned(self, turn: IntArray) -> BoardDetection:
+        """Return the same sighting with other numbers."""
+        return BoardDetection(turn[self.ids], self.pixels, self.edge_px)
 
 
-Detector = Callable[[Gray], Sighting | None]
+Detector = Callable[[Gray], BoardDetection | None]
 
 
 def dictionaries() -> tuple[str, ...]:
-    """Names of OpenCV's marker dictionaries."""
+    """Return names of OpenCV's marker dictionaries."""
     return tuple(sorted(n for n in dir(cv2.aruco) if n.startswith("DICT_") and n == n.upper()))
 
 
 def make_detector(board: Board) -> Detector:
-    """Gray picture (h, w) -> Sighting, or None without a board."""
+    """Gray picture (h, w) -> BoardDetection, or None without a board."""
     if board.kind == "charuco":
         return _charuco_detector(board)
 
-    def detect(gray: Gray) -> Sighting | None:
+    def detect(gray: Gray) -> BoardDetection | None:
         picture = 255 - gray if board.inverted else gray
         found = _find_chessboard(picture, board.size)
         if found is None:
@@ -136,7 +143,7 @@ def make_detector(board: Board) -> Detector:
         pixels = _refined(gray, _numbered(picture, found, board.size), board.size)
         if not _regular(pixels, board.size):
             return None
-        return Sighting(np.arange(len(pixels)), pixels, edge_width(gray, pixels, _spacing(pixels, board.size)))
+        return BoardDetection(np.arange(len(pixels)), pixels, edge_width(gray, pixels, _spacing(pixels, board.size)))
 
     return detect
 
@@ -146,7 +153,7 @@ def _charuco_detector(board: Board) -> Detector:
     detector = cv2.aruco.CharucoDetector(pattern)
     nx = board.size[0]
 
-    def detect(gray: Gray) -> Sighting | None:
+    def detect(gray: Gray) -> BoardDetection | None:
         corners, ids = detector.detectBoard(255 - gray if board.inverted else gray)[:2]
         if ids is None or len(ids) < _MIN_CORNERS:
             return None
@@ -156,7 +163,7 @@ def _charuco_detector(board: Board) -> Detector:
             return None
         pixels = np.asarray(corners, dtype=np.float64).reshape(-1, 2)
         order = np.argsort(numbers)
-        return Sighting(numbers[order], pixels[order], edge_width(gray, pixels, _nearest(pixels)))
+        return BoardDetection(numbers[order], pixels[order], edge_width(gray, pixels, _nearest(pixels)))
 
     return detect
 
@@ -195,7 +202,7 @@ def _find_chessboard(gray: Gray, size: tuple[int, int]) -> Array | None:
 
 
 def sheet_views(gray: Gray, size: tuple[int, int]) -> Iterator[tuple[Gray, Array]]:
-    """The bright sheets of a picture as seen from the front, for a board of about `size` corners: pictures and
+    """Return the bright sheets of a picture as seen from the front, for a board of about `size` corners: pictures and
     sheet_from_image (3, 3)."""
     for quad in _sheets(gray):
         width, height = 32 * (size[0] + 3), 32 * (size[1] + 3)
@@ -210,7 +217,7 @@ def sheet_views(gray: Gray, size: tuple[int, int]) -> Iterator[tuple[Gray, Array
 
 
 def _sheets(gray: Gray) -> list[Array]:
-    """The largest different bright quadrilaterals (4, 2) px, as a board on a white sheet is seen from aside."""
+    """Return the largest different bright quadrilaterals (4, 2) px, as a board on a white sheet is seen from aside."""
     kept: list[tuple[float, Array]] = []
     for level in np.unique(np.percentile(gray, [50, 60, 70, 80, 86, 91, 95, 98]).astype(int)):
         contours, _ = cv2.findContours((gray > level).astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_SIMPLE)
@@ -240,8 +247,8 @@ def _sheets(gray: Gray) -> list[Array]:
 
 
 def _numbered(gray: Gray, corners: Array, size: tuple[int, int]) -> Array:
-    """The corners in the one order (or, see Board.turns, one of the orders) that the pattern tells: right-handed as
-    seen from the front, and with a dark first inner square where the opposite one is light."""
+    """Return the corners in the one order (or, see Board.turns, one of the orders) that the pattern tells: right-handed
+    as seen from the front, and with a dark first inner square where the opposite one is light."""
     nx, ny = size
     grid = corners.reshape(ny, nx, 2)
     right, down = grid[:, -1].mean(0) - grid[:, 0].mean(0), grid[-1].mean(0) - grid[0].mean(0)
@@ -257,7 +264,7 @@ def _numbered(gray: Gray, corners: Array, size: tuple[int, int]) -> Array:
 
 
 def _square_level(gray: Gray, corners: Array) -> float:
-    """Mean brightness of the middle of a square (2, 2, 2) px."""
+    """Return mean brightness of the middle of a square (2, 2, 2) px."""
     middle = corners.reshape(4, 2).mean(0)
     ring = middle + 0.5 * (corners.reshape(4, 2) - middle)
     h, w = gray.shape
@@ -322,7 +329,7 @@ def _refined(gray: Gray, corners: Array, size: tuple[int, int]) -> Array:
 
 
 def _spacing(corners: Array, size: tuple[int, int]) -> Array:
-    """(N,) px: distance of each corner from its nearest neighbour in the grid."""
+    """Return (N,) px: distance of each corner from its nearest neighbour in the grid."""
     grid = corners.reshape(size[1], size[0], 2)
     out = np.full(grid.shape[:2], np.inf)
     for axis in (0, 1):
@@ -336,14 +343,14 @@ def _spacing(corners: Array, size: tuple[int, int]) -> Array:
 
 
 def _nearest(corners: Array) -> Array:
-    """(N,) px: distance of each corner from the nearest other one."""
+    """Return (N,) px: distance of each corner from the nearest other one."""
     distance = np.linalg.norm(corners[:, None] - corners[None], axis=-1)
     np.fill_diagonal(distance, np.inf)
     return distance.min(1)
 
 
 def _regular(corners: Array, size: tuple[int, int]) -> bool:
-    """Whether the corners form a grid: neighbouring steps hardly change, which perspective and lens keep."""
+    """Return whether the corners form a grid: neighbouring steps hardly change, which perspective and lens keep."""
     grid = corners.reshape(size[1], size[0], 2)
     for axis in (0, 1):
         step = np.diff(grid, axis=axis)
@@ -354,7 +361,7 @@ def _regular(corners: Array, size: tuple[int, int]) -> bool:
 
 
 def edge_width(gray: Gray, corners: Array, spacing: Array) -> float:
-    """Median width in px of the edges at the corners: contrast over the steepest gradient in a window."""
+    """Return median width in px of the edges at the corners: contrast over the steepest gradient in a window."""
     h, w = gray.shape
     widths = []
     for (x, y), gap in zip(corners[:: max(1, len(corners) // 24)], spacing[:: max(1, len(corners) // 24)], strict=True):

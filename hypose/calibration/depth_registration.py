@@ -9,34 +9,31 @@ adjustment (Triggs et al. 2000) with an articulated body in place of points.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hypose.body.body import Body
-from hypose.compute import SharedEquations, weighted_squares
 from hypose.errors import CalibrationError
 from hypose.evidence.depth_evidence import SurfacePoints
-from hypose.fitting import DepthTerm
-from hypose.fitting.depth_surface import BODY_SD, SCALE_M
-from hypose.fitting.least_squares import Rule, descend
+from hypose.evidence.depth_surface import BODY_SD, SCALE_M, DepthTerm
+from hypose.fitting.problem import Cue, Posed, PoseProblem, Quadratic, Rows, Rule
+from hypose.fitting.rows import rows_of_depth
 from hypose.fusion.clocks import offset_by_movement
 from hypose.geometry import Array, procrustes, se3, se3_inverse, so3_exp, transform
-from hypose.tracking.depth_shape_rows import depth_shape_rows
 from hypose.tracking.refinement import anatomical_prior
 
 SURE, AGREE_M = 0.5, 0.25
 """Correlation of the two movements, and how far apart (m) the two motions may lie, for a registration to be believed"""
-_WEIGHT = 1.0
-_ON_FLOOR = np.array([False, False, True, True, True, False])
-"""of turns and steps along x, y and z"""
+_ON_FLOOR = [2, 3, 4]
+"""of turns and steps along x, y and z: about the vertical, and along the floor"""
 _POSE_SD = 0.5
 """rad: how far a pose may turn from where it was tracked"""
 
 
 @dataclass(frozen=True)
-class Rough:
+class CoarseAlignment:
     """a_from_b (4, 4); seconds to add to b's times; apart m: median distance of the
     joints then."""
 
@@ -45,10 +42,10 @@ class Rough:
     apart: float
 
 
-def rough_registration(times_a: Array, joints_a: Array, times_b: Array, joints_b: Array) -> Rough:
+def rough_registration(times_a: Array, joints_a: Array, times_b: Array, joints_b: Array) -> CoarseAlignment:
     """From the same person's joints as two sensors alone see them: times (T,) s of each sensor's own clock, joints
-    (T, J, 3) m in each sensor's own world, in which the floor is z = 0: what is looked for turns about the vertical and
-    moves along the floor. A CalibrationError when the movements do not belong together."""
+    (T, J, 3) m in each sensor's own world, in which the floor is z = 0: the motion searched turns about the vertical
+    and moves along the floor. A CalibrationError when the movements do not belong together."""
     seconds, correlation = offset_by_movement(times_a, joints_a, times_b, joints_b)
     tb = np.asarray(times_b) + seconds
     inside = np.flatnonzero((times_a >= tb[0]) & (times_a <= tb[-1]))
@@ -73,7 +70,7 @@ def rough_registration(times_a: Array, joints_a: Array, times_b: Array, joints_b
             f"What two depth cameras saw does not fit together ({1000 * apart:.0f} mm apart); one of them took the "
             "front for the back: record somebody who walks about and turns before all of them."
         )
-    return Rough(motion, seconds, apart)
+    return CoarseAlignment(motion, seconds, apart)
 
 
 def _level(source: Array, target: Array, weight: Array) -> Array:
@@ -83,7 +80,7 @@ def _level(source: Array, target: Array, weight: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Registration:
+class DepthRegistration:
     """camera_from_world (C, 4, 4); poses (F, D) of the body."""
 
     camera_from_world: Array
@@ -96,83 +93,67 @@ def refine_registration(
     seen: Sequence[Sequence[SurfacePoints]],
     camera_from_world: Array,
     iterations: int = 12,
-) -> Registration:
+) -> DepthRegistration:
     """Places of sensors and poses (F, D) together. seen: per sensor, per frame, what it measured, in the CAMERA's own
     frame; camera_from_world (C, 4, 4): where to begin; the first is held, the others turn about the vertical and move
     along the floor, for each knows the floor better than a body can tell. Poses are eliminated frame by frame."""
-    problem = _Problem(body, np.asarray(poses, dtype=np.float64), seen)
-    start = np.array(camera_from_world, dtype=np.float64), np.array(poses, dtype=np.float64)
-    found = descend(start, problem.evaluate, problem.propose, iterations, Rule(slack=1.002, moved=1e-4))
-    cameras, solved = found.state
-    return Registration(cameras, solved)
+    weight = np.full(body.skeleton.dof, _POSE_SD**-2)
+    weight[:6] = 0
+    # rows of a frame err together: as in the pose solver the anatomy counts with that weight
+    usual = Quadratic(np.zeros(body.skeleton.dof), anatomical_prior(body.skeleton).weight)
+    anchor = Quadratic(np.array(poses, dtype=np.float64), weight)
+    frames = [[_cue(sensor[f], s) for s, sensor in enumerate(seen)] for f in range(len(poses))]
+    start = np.array(camera_from_world, dtype=np.float64), anchor.centre
+    problem = _SensorProblem(body, frames, [usual, anchor], len(camera_from_world))
+    return DepthRegistration(*problem.solve(start, iterations, Rule(slack=1.002, moved=1e-4)).state)
 
 
-class _Problem:
-    def __init__(self, body: Body, anchor: Array, seen: Sequence[Sequence[SurfacePoints]]) -> None:
-        self.body, self.anchor, self.seen = body, anchor, seen
-        joints = len(body.skeleton.joint_names)
-        self.moves = body.coarse.dense_weights(joints) @ body.skeleton.moves.T.astype(np.float64)
-        # rows of a frame err together: as in the pose solver the anatomy counts with that weight
-        self.pose_weight = anatomical_prior(body.skeleton).weight
-        self.anchor_weight = np.full(body.skeleton.dof, _POSE_SD**-2)
-        self.anchor_weight[:6] = 0
+def _cue(seen: SurfacePoints, sensor: int) -> Cue[Array]:
+    """What one sensor measured in one frame, wherever the sensor stands."""
 
-    def evaluate(self, state: tuple[Array, Array]) -> tuple[float, Callable[[], SharedEquations]]:
-        cameras, q = state
-        (f, d), c = q.shape, len(cameras)
-        k = 6 * max(c - 1, 0)
-        hessian, gradient = 1e-6 * np.eye(max(k, 1)), np.zeros(max(k, 1))
-        own, own_gradient, cross = np.empty((f, d, d)), np.empty((f, d)), np.zeros((f, d, max(k, 1)))
-        off = q - self.anchor
-        cost = 0.5 * float((self.pose_weight * q**2).sum() + (self.anchor_weight * off**2).sum())
-        vertices = self.body.skin(q)
-        for t in range(f):
-            twists = self.body.skeleton.world_twists(q[t])
-            own[t] = np.diag(self.pose_weight + self.anchor_weight)
-            own_gradient[t] = self.pose_weight * q[t] + self.anchor_weight * off[t]
-            # a sensor that turns and moves a little in the world moves its points; the residual is seen the other way
-            x = vertices[t]
-            zero = np.zeros(len(x))
-            turns = [[zero, x[:, 2], -x[:, 1]], [-x[:, 2], zero, x[:, 0]], [x[:, 1], -x[:, 0], zero]]
-            fields = np.stack([*(np.stack(r, 1) for r in turns), *(np.tile(-e, (len(x), 1)) for e in np.eye(3))], 1)
-            for s in range(c):
-                term = _term(self.seen[s][t], cameras[s])
-                if term is None:
-                    continue
-                r = depth_shape_rows(self.body.coarse, x, fields, twists, self.moves, term, 1.0, _WEIGHT)
-                cost += r.cost
-                h, g = weighted_squares(*r[:3])
-                own[t] += h[:d, :d]
-                own_gradient[t] += g[:d]
-                if s > 0:
-                    at = slice(6 * (s - 1), 6 * s)
-                    hessian[at, at] += h[d:, d:]
-                    gradient[at] += g[d:]
-                    cross[t, :, at] = h[:d, d:]
-        return cost, lambda: SharedEquations(hessian, gradient, own, own_gradient, cross)
+    def rows(at: Posed, cameras: Array, factor: float) -> Iterable[Rows]:
+        parts = rows_of_depth(at, _term(seen, cameras[sensor]), factor) if len(seen.points) else ()
+        return (part._replace(view=part.view + sensor) for part in parts)
 
-    def propose(
-        self, state: tuple[Array, Array], equations: SharedEquations, damping: float
-    ) -> tuple[tuple[Array, Array], float] | None:
-        reduced = equations.reduced(damping)
-        step = reduced.step(np.tile(_ON_FLOOR, len(state[0]) - 1))
-        if step is None:
-            return None
-        step = step * min(1.0, 0.1 / max(float(np.abs(step).max()), 1e-9))
-        dq = reduced.own_steps(step)
-        dq *= np.minimum(1, 0.3 / np.maximum(np.abs(dq[:, 3:]).max(1, keepdims=True), 1e-9))
-        cameras, q = state
-        moved = cameras.copy()
-        for s in range(1, len(cameras)):
-            xi = step[6 * (s - 1) : 6 * s]
-            world_moves = se3(so3_exp(xi[:3]), xi[3:])
-            moved[s] = cameras[s] @ se3_inverse(world_moves)
-        return (moved, self.body.skeleton.clamp(q + dq)), float(np.abs(step).max())
+    return rows
 
 
-def _term(seen: SurfacePoints, camera_from_world: Array) -> DepthTerm | None:
-    if not len(seen.points):
-        return None
+class _SensorProblem(PoseProblem[Array]):
+    """The sensors' places, camera_from_world (C, 4, 4), are what the frames share: of each a turn about the vertical
+    and a step along the floor."""
+
+    largest = 0.1
+
+    def __init__(
+        self, body: Body, frames: Sequence[Sequence[Cue[Array]]], priors: Sequence[Quadratic], sensors: int
+    ) -> None:
+        super().__init__(body, frames, priors)
+        self.free = np.repeat(np.arange(sensors) > 0, len(_ON_FLOOR))
+
+    def shared_cost(self, shared: Array, body: Body) -> float:
+        return 0.0
+
+    def shared_moved(self, shared: Array, step: Array) -> Array:
+        xi = np.zeros((len(shared), 6))
+        xi[:, _ON_FLOOR] = step.reshape(len(shared), -1)
+        return shared @ se3_inverse(se3(so3_exp(xi[:, :3]), xi[:, 3:]))
+
+    def shared_rows(
+        self, shared: Array, posed: Sequence[Posed], rows: Sequence[Rows]
+    ) -> tuple[Array, Array, Sequence[Array]]:
+        by_frame = []
+        for r in rows:
+            # a sensor that turns and moves in the world moves its points: the residual sees it the other way
+            by_all = np.zeros((len(r.view), len(shared), len(_ON_FLOOR)))
+            wrench = np.concatenate([np.cross(r.point, r.slope), r.slope], 1)
+            by_all[np.arange(len(r.view)), r.view] = -wrench[:, _ON_FLOOR]
+            by_frame.append(by_all.reshape(len(r.view), -1))
+        count = len(self.free)
+        return 1e-6 * np.eye(count), np.zeros(count), by_frame
+
+
+def _term(seen: SurfacePoints, camera_from_world: Array) -> DepthTerm:
+    """Its points in the world, seen by a sensor that stands there."""
     world_from_camera = se3_inverse(camera_from_world)
     weight = BODY_SD**2 / (BODY_SD**2 + seen.sd**2)
     return DepthTerm(

@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 
 from hypose.calibration.diagnose_points import sizes, undistorted
 from hypose.calibration.findings import Finding
-from hypose.calibration.refine_points import changed
+from hypose.calibration.refine_points import apply_parameters
 from hypose.calibration.sync_motion import MaskTrack, tangent_planes
 from hypose.cameras.camera import CameraRig, triangulate
 from hypose.compute import lorentzian_weight, weighted_squares
 from hypose.evidence.frame import Silhouettes
 from hypose.geometry import Array
 
-LIMBS = tuple(
+_LIMBS = tuple(
     (f"{side}_{a}", f"{side}_{b}")
     for side in ("left", "right")
     for a, b in (("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"))
@@ -57,9 +57,13 @@ class LimbOffsets:
 
 @dataclass(frozen=True)
 class Alignment:
-    """Key points of one view against its masks. lag: key points t belong to video frame t + lag, and its sd; shift (2,)
-    px to add to the images so that they agree, and its sd (2,); left: median distance of bone and middle of the limb
-    after both, px of the working size; samples: how many limbs were compared."""
+    """Key points of one view against its masks.
+
+    lag: key points t belong to video frame t + lag, and its sd.
+    shift (2,) px to add to the images so that they agree, and its sd (2,).
+    left: median distance of bone and middle of the limb after both, px of the working size.
+    samples: how many limbs were compared.
+    """
 
     lag: float
     lag_sd: float
@@ -72,11 +76,14 @@ class Alignment:
 def limb_offsets(
     points: Array, velocities: Array, names: Sequence[str], masks: Sequence[NDArray[np.uint8] | None], lag: int
 ) -> LimbOffsets:
-    """Offsets of one view. points (T, K, 3) px of the masks, velocities (T, K, 2) px per frame; masks (T) of (h, w) or
-    None; mask t + lag is compared."""
+    """Offsets of one view.
+
+    points (T, K, 3) px of the masks, velocities (T, K, 2) px per frame.
+    masks (T) of (h, w) or None; mask t + lag is compared.
+    """
     column = {n: k for k, n in enumerate(names)}
-    limbs = np.array([(column[a], column[b]) for a, b in LIMBS if a in column and b in column]).reshape(-1, 2)
-    bones = np.array([(column[a], column[b]) for a, b in (*LIMBS, *_TRUNK) if a in column and b in column])
+    limbs = np.array([(column[a], column[b]) for a, b in _LIMBS if a in column and b in column]).reshape(-1, 2)
+    bones = np.array([(column[a], column[b]) for a, b in (*_LIMBS, *_TRUNK) if a in column and b in column])
     parts: list[tuple[Array, ...]] = []
     for t, p in enumerate(points):
         mask = masks[t + lag] if 0 <= t + lag < len(masks) else None
@@ -126,8 +133,8 @@ def limb_offsets(
 def _clearance(
     start: Array, limb: NDArray[np.int64], p: Array, limbs: NDArray[np.int64], bones: NDArray[np.int64]
 ) -> Array:
-    """(N,) px from points (N, 2) on limbs (N,) to the nearest other bone that does not share a joint with the limb; a
-    limb before another part of the body has no outline of its own."""
+    """Return (N,) px from points (N, 2) on limbs (N,) to the nearest other bone that does not share a joint with the
+    limb; a limb before another part of the body has no outline of its own."""
     a, b = p[bones[:, 0], :2], p[bones[:, 1], :2]
     along = b - a
     t = ((start[:, None] - a) * along).sum(-1) / np.maximum((along**2).sum(-1), 1e-9)
@@ -138,9 +145,10 @@ def _clearance(
 
 
 def _alone(limb: NDArray[np.int64], across: Array, n_limbs: int) -> NDArray[np.bool_]:
-    """(N,) True where the mask is about as wide as the limb: wider where it lies before another part of the body."""
+    """Return (N,) True where the mask is about as wide as the limb: wider where it lies before another part of the
+    body."""
     out = np.zeros(len(limb), dtype=bool)
-    half = max(n_limbs // 2, 1)  # LIMBS lists the left side first, then the right in the same order
+    half = max(n_limbs // 2, 1)  # _LIMBS lists the left side first, then the right in the same order
     for k in range(half):
         pair = np.flatnonzero(limb % half == k)
         if len(pair):
@@ -154,7 +162,7 @@ def _size(points: Array) -> float:
 
 
 def _reach(mask: NDArray[np.uint8], start: Array, direction: Array, steps: Array) -> Array:
-    """(N,) px that the mask goes on from each start (N, 2) in its direction; 0 when the start lies outside."""
+    """Return (N,) px that the mask goes on from each start (N, 2) in its direction; 0 when the start lies outside."""
     at = np.rint(start[:, None] + direction[:, None] * steps[None, :, None]).astype(int)
     h, w = mask.shape
     inside = (at >= 0).all(-1) & (at[..., 0] < w) & (at[..., 1] < h)
@@ -164,7 +172,7 @@ def _reach(mask: NDArray[np.uint8], start: Array, direction: Array, steps: Array
     return steps[first_off]
 
 
-def align(
+def align_to_masks(
     points: Array, names: Sequence[str], masks: Sequence[NDArray[np.uint8] | None], largest: int = 6
 ) -> Alignment | None:
     """Lag and shift of one view's key points (T, K, 3), px of the masks; None when too few limbs are seen.
@@ -203,7 +211,7 @@ def _views_of_limbs(found: LimbOffsets, size: float) -> float:
 
 
 def _velocities(points: Array) -> Array:
-    """(T, K, 2) px per frame by central differences over four frames; NaN where a neighbour is missing."""
+    """Return (T, K, 2) px per frame by central differences over four frames; NaN where a neighbour is missing."""
     n = len(points)
     xy = np.where(points[..., 2:] > 0.4, points[..., :2], np.nan)
     a, b = np.clip(np.arange(n) - 2, 0, n - 1), np.clip(np.arange(n) + 2, 0, n - 1)
@@ -211,7 +219,7 @@ def _velocities(points: Array) -> Array:
 
 
 def _regressed(found: LimbOffsets, scale_px: float) -> tuple[Array, Array, float]:
-    """(shift x, shift y, time) with their sd (3,), and the median distance left, px."""
+    """Return (shift x, shift y, time) with their sd (3,), and the median distance left, px."""
     rows = np.concatenate([found.normal, (found.normal * found.velocity).sum(1)[:, None]], 1)
     y, x, h = found.offset, np.zeros(3), np.eye(3)
     # a calf bulges backwards in every frame: limbs that are often seen may not outvote the others
@@ -240,7 +248,7 @@ def _regressed(found: LimbOffsets, scale_px: float) -> tuple[Array, Array, float
 
 
 def view_masks(silhouettes: Sequence[Silhouettes | None], view: int) -> list[NDArray[np.uint8] | None]:
-    """The usable masks of one view, without padding."""
+    """Return the usable masks of one view, without padding."""
     out: list[NDArray[np.uint8] | None] = []
     for s in silhouettes:
         if s is None or not s.usable[view]:
@@ -263,7 +271,8 @@ def tangency(rig: CameraRig, tracks: Sequence[MaskTrack]) -> dict[tuple[int, int
 
 
 def tangency_by_view(pairs: dict[tuple[int, int], Array], n_views: int) -> Array:
-    """(C,) px: median over frames and tangents of a view's disagreement with its best partners (median of pairs)."""
+    """Return (C,) px: median over frames and tangents of a view's disagreement with its best partners (median of
+    pairs)."""
     out = np.full(n_views, np.nan)
     for c in range(n_views):
         mine = [np.nanmedian(np.abs(v)) for k, v in pairs.items() if c in k and np.isfinite(v).any()]
@@ -275,10 +284,10 @@ def tangency_by_view(pairs: dict[tuple[int, int], Array], n_views: int) -> Array
 # ---- common focal --------------------------------------------------------------------------------------------------
 # By which factor all focal lengths together are wrong, as far as a moving person tells.
 #
-# Cameras whose focal lengths are all too long by the same factor show a smaller world: somebody who stays where all
+# Cameras whose focal lengths are all too long by the same factor show a smaller world: a person who stays where all
 # of them look only becomes shorter, and no view contradicts another. Off that middle the rays miss each other, along
-# lines that are known, and the factor follows from that by least squares. How far it can be trusted is told by
-# leaving out each view, since what is wrong with one of them is wrong in all frames, and each key point or tangent,
+# lines that are known, and the factor follows from that by least squares. Its uncertainty is estimated by
+# leaving out each view, since an error of one of them is the same in all frames, and each key point or tangent,
 # whose errors last.
 
 
@@ -302,16 +311,16 @@ class CommonFocal:
     sd: float
 
 
-FAR, CERTAIN, LIKELY, KNOWN = 0.06, 3.5, 2.7, 0.08
-"""A factor is a fault when its logarithm is beyond FAR and beyond CERTAIN of its sd, which is KNOWN at most, and worth
-a look beyond LIKELY of it. Of 33 scenes with spoilt key points, things in the masks or late cameras (seeds 600 to 602)
-none had more than 3.4 sd."""
+_FAULT_LOG_FACTOR, CERTAIN, LIKELY, KNOWN = 0.06, 3.5, 2.7, 0.08
+"""A factor is a fault when its logarithm is beyond _FAULT_LOG_FACTOR and beyond CERTAIN of its sd, which is KNOWN at
+most, and worth a look beyond LIKELY of it. Of 33 scenes with spoilt key points, things in the masks or late cameras
+(seeds 600 to 602) none had more than 3.4 sd."""
 
 
 def focal_findings(found: CommonFocal) -> Iterator[Finding]:
-    """What is said of a factor."""
+    """Describe a factor."""
     off = abs(float(np.log(found.factor)))
-    if off > FAR and off > LIKELY * found.sd and found.sd < KNOWN:
+    if off > _FAULT_LOG_FACTOR and off > LIKELY * found.sd and found.sd < KNOWN:
         text = (
             f"All cameras: the views agree best if every focal length were {found.factor:.2f} times as long (sd "
             f"{found.factor * found.sd:.2f}); as they are, the person comes out {found.factor:.2f} times as large"
@@ -353,7 +362,7 @@ def focal_by_masks(rig: CameraRig, tracks: Sequence[MaskTrack]) -> CommonFocal:
 
 def _factor(rig: CameraRig, rows: Rows) -> CommonFocal:
     views = list(range(len(rig)))
-    found = _solve(rig, rows, views, 0.0) if len(views) > 2 else None  # two views cannot be told from a wrong pose
+    found = _solve(rig, rows, views, 0.0) if len(views) > 2 else None  # of two views, a wrong pose looks the same
     if found is None or abs(found[0]) >= _LARGEST:
         return CommonFocal(1.0, float("inf"))
     x, slope, residual, weight = found
@@ -370,7 +379,7 @@ def _factor(rig: CameraRig, rows: Rows) -> CommonFocal:
 def _solve(
     rig: CameraRig, rows: Rows, views: list[int], begin: float, *, once: bool = False
 ) -> tuple[float, Array, Array, Array] | None:
-    """The factor's logarithm, and the rows' slopes by it, residuals and weights; None where nothing is known."""
+    """Return the factor's logarithm, and the rows' slopes by it, residuals and weights; None where nothing is known."""
     x = begin
     slope = residual = weight = np.zeros((0, 1))
     for _ in range(2 if once else _ROUNDS):
@@ -394,4 +403,4 @@ def _tukey(residual: Array) -> Array:
 
 
 def _scaled(rig: CameraRig, log_factor: float) -> CameraRig:
-    return CameraRig(tuple(changed(c, np.r_[np.zeros(6), log_factor]) for c in rig))
+    return CameraRig(tuple(apply_parameters(c, np.r_[np.zeros(6), log_factor]) for c in rig))

@@ -1,7 +1,7 @@
 """What the person says about a recording's key points and world: whose slots they are, which way is up, which side is
 left.
 
-Bones have nearly the same proportions in everybody, left and right are alike, and no bone changes its length. Points
+Bones have nearly the same proportions in all people, left and right are alike, and no bone changes its length. Points
 that are read in the order of another detector break all three at once, in every view alike, so that no comparison of
 the views finds it.
 """
@@ -17,7 +17,7 @@ import numpy as np
 from hypose.body.ready_bodies import human
 from hypose.calibration.diagnose_masks import Alignment
 from hypose.calibration.diagnose_points import undistorted
-from hypose.calibration.findings import Clip, Finding, Limits
+from hypose.calibration.findings import Finding, Limits, ViewFile
 from hypose.calibration.refine_points import CameraChange
 from hypose.cameras.camera import CameraRig, triangulate
 from hypose.errors import EvidenceError
@@ -29,7 +29,7 @@ WRONG_SET, RIGHT_SET, TELLS = 0.2, 0.15, 0.4
 """A set is taken for another one when its bones are off by more than WRONG_SET (in the logarithm of their length), the
 other's by less than RIGHT_SET, and by less than TELLS times as much. BODY_25 read as BODY_25B is off by 0.6 to 0.9, a
 detector's points in their own order by 0.03 to 0.1."""
-MOST = 0.8
+_WRONG_WAY_SHARE = 0.8
 """Share of the frames in which the person must stand, or be made, the wrong way round."""
 _PAIRS = tuple(
     (f"{side}_{a}", f"{side}_{b}")
@@ -60,7 +60,7 @@ _SIDED = (
 
 
 def wrong_set(points_world: Array, names: Sequence[str]) -> Finding | None:
-    """The finding that key points (T, K, 3) m, NaN where missing, are another set's than `names` (K,) says."""
+    """Return the finding that key points (T, K, 3) m, NaN where missing, are another set's than `names` (K,) says."""
     own = _disorder(points_world, names)
     if not own > WRONG_SET:
         return None
@@ -88,12 +88,13 @@ def wrong_set(points_world: Array, names: Sequence[str]) -> Finding | None:
 
 
 def _disorder(points_world: Array, names: Sequence[str]) -> float:
-    """How far bones are from a person's, beyond what noise makes of them: mean over bones of the distance of their
-    length from the template's (as a logarithm, less what all share), plus that of left from right, plus how each
+    """Return how far bones are from a person's, beyond what noise makes of them: mean over bones of the distance of
+    their length from the template's (as a logarithm, less what all share), plus that of left from right, plus how each
     changes. NaN with too few bones.
 
     Noise of the points makes bones longer and short ones change most: it is taken off as far as it is the same for all
-    bones, and no more than a detector has (_NOISE_M)."""
+    bones, and no more than a detector has (_NOISE_M).
+    """
     template = _template(tuple(names))
     column = {n: k for k, n in enumerate(names)}
     lengths: dict[tuple[str, str], Array] = {}
@@ -123,7 +124,7 @@ def _disorder(points_world: Array, names: Sequence[str]) -> float:
 
 @cache
 def _template(names: tuple[str, ...]) -> dict[tuple[str, str], float]:
-    """Lengths (m) of the template's bones between key points of these names."""
+    """Return lengths (m) of the template's bones between key points of these names."""
     body = human()
     joint, offset, known = landmark_of(names, body)
     at = body.skeleton.rest_joints[joint] + offset
@@ -134,7 +135,11 @@ def _template(names: tuple[str, ...]) -> dict[tuple[str, str], float]:
 
 
 def wrong_way_up(points_world: Array, names: Sequence[str], pixels: Array, rig: CameraRig) -> Iterator[Finding]:
-    """Findings about up and left. points_world (T, K, 3) m, NaN where missing; pixels (C, T, K, 3) of the rig."""
+    """Findings about up and left.
+
+    points_world (T, K, 3) m, NaN where missing.
+    pixels (C, T, K, 3) of the rig.
+    """
     top, feet = _middle(points_world, names, "shoulder"), _middle(points_world, names, "ankle")
     along = _unit(top - feet)
     known = np.isfinite(along).all(1)
@@ -142,7 +147,7 @@ def wrong_way_up(points_world: Array, names: Sequence[str], pixels: Array, rig: 
         return
     up = along[known, 2]
     in_images = _upright_in_images(pixels, names)
-    turned = (up < -_UPRIGHT).mean() > MOST
+    turned = (up < -_UPRIGHT).mean() > _WRONG_WAY_SHARE
     if turned and in_images < -_UPRIGHT:
         text = "All cameras: the key points stand on their heads in the images: their y seems to count from the bottom"
         cure = "write y as the image's height minus y (or flip the videos back, if they are turned, too)"
@@ -153,7 +158,7 @@ def wrong_way_up(points_world: Array, names: Sequence[str], pixels: Array, rig: 
             "world's up is upside down"
         )
         yield Finding("up", (), text, "give world_up in recording.toml the opposite sign", 1.0)
-    elif (np.abs(up) < _UPRIGHT).mean() > MOST and in_images > _UPRIGHT:
+    elif (np.abs(up) < _UPRIGHT).mean() > _WRONG_WAY_SHARE and in_images > _UPRIGHT:
         mean = _unit(along[known].mean(0))
         axis = "xyz"[int(np.argmax(np.abs(mean)))]
         if abs(mean[int(np.argmax(np.abs(mean)))]) > 0.8 and float(cameras_up(rig) @ mean) > _UPRIGHT:
@@ -161,14 +166,14 @@ def wrong_way_up(points_world: Array, names: Sequence[str], pixels: Array, rig: 
             text = f"All cameras: the person stands along the world's {sign}{axis} axis, not along z"
             cure = f"set world_up in recording.toml so that what is now {sign}{axis} points up"
             yield Finding("up", (), text, cure, 1.0)
-    elif (np.abs(up) < _UPRIGHT).mean() > MOST and not in_images > _UPRIGHT:
+    elif (np.abs(up) < _UPRIGHT).mean() > _WRONG_WAY_SHARE and not in_images > _UPRIGHT:
         # cameras that hang on their side show neither
         text = "All cameras: the person lies in the calibration's world from beginning to end"
         cure = "if they stand, set world_up in recording.toml to the axis along which they do"
         yield Finding("lying", (), text, cure, 1.0, fault=False)
     sides = _sides(points_world, names, pixels, rig)
     against = -sides[sides < 0].sum()
-    if not turned and against > EXCHANGED and against > MOST * np.abs(sides).sum():
+    if not turned and against > EXCHANGED and against > _WRONG_WAY_SHARE * np.abs(sides).sum():
         text = (
             "All cameras: the person's left and right are exchanged (toes, nose or bent knees point backwards): "
             "mirrored images, exchanged cameras, or the sides' names"
@@ -178,7 +183,7 @@ def wrong_way_up(points_world: Array, names: Sequence[str], pixels: Array, rig: 
 
 
 def up_by_cameras(rig: CameraRig) -> Iterator[Finding]:
-    """The finding that the cameras agree on which way is up, and that it is not the world's z."""
+    """Return the finding that the cameras agree on which way is up, and that it is not the world's z."""
     mean = cameras_up(rig)
     agreed = float(np.linalg.norm(mean))
     if agreed > 0.75 and mean[2] / agreed < 0.3:
@@ -190,12 +195,12 @@ def up_by_cameras(rig: CameraRig) -> Iterator[Finding]:
 
 
 def cameras_up(rig: CameraRig) -> Array:
-    """(3,) mean of the directions in the world in which the cameras' images have their top."""
+    """Return (3,) mean of the directions in the world in which the cameras' images have their top."""
     return np.mean([-c.camera_from_world[1, :3] for c in rig], axis=0)
 
 
 def _upright_in_images(pixels: Array, names: Sequence[str]) -> float:
-    """Mean over views and frames of +1 (shoulders above ankles), -1 (below); NaN where never seen."""
+    """Return mean over views and frames of +1 (shoulders above ankles), -1 (below); NaN where never seen."""
     column = {n: k for k, n in enumerate(names)}
     signs = []
     for side in ("left", "right"):
@@ -208,8 +213,8 @@ def _upright_in_images(pixels: Array, names: Sequence[str]) -> float:
 
 
 def _sides(points_world: Array, names: Sequence[str], pixels: Array, rig: CameraRig) -> Array:
-    """(T, 5) log likelihood ratios that left and right are as named (negative: exchanged), by how far the knees, feet
-    and nose point ahead; 0 where that is unknown or within the noise."""
+    """Return (T, 5) log likelihood ratios that left and right are as named (negative: exchanged), by how far the knees,
+    feet and nose point ahead; 0 where that is unknown or within the noise."""
     column = {n: k for k, n in enumerate(names) if n in _SIDED and np.isfinite(points_world[:, k]).any()}
     known, own = [n in column for n in _SIDED], [column[n] for n in _SIDED if n in column]
     shape = (len(points_world), len(_SIDED), 3)
@@ -229,8 +234,9 @@ def _sides(points_world: Array, names: Sequence[str], pixels: Array, rig: Camera
 
 
 def _ahead(points: Array) -> Array:
-    """(T, 5) shares of a leg by which two knees, two feet and the nose of points (T, 15, 3), as _SIDED names them,
-    point ahead: along left times up of the same part of the body, so that the posture of the others does not matter."""
+    """Return (T, 5) shares of a leg by which two knees, two feet and the nose of points (T, 15, 3), as _SIDED names
+    them, point ahead: along left times up of the same part of the body, so that the posture of the others does not
+    matter."""
     by = dict(zip(_SIDED, np.moveaxis(points, 1, 0), strict=True))
     hips, shoulders = (by[f"left_{n}"] - by[f"right_{n}"] for n in ("hip", "shoulder"))
     legs = [[by[f"{side}_{n}"] for n in ("hip", "knee", "ankle", "heel", "big_toe")] for side in ("left", "right")]
@@ -266,7 +272,7 @@ def _noise(points_world: Array, pixels: Array, rig: CameraRig) -> tuple[Array, A
 
 
 def _middle(points_world: Array, names: Sequence[str], part: str) -> Array:
-    """(T, 3) between left and right."""
+    """Return (T, 3) between left and right."""
     column = {n: k for k, n in enumerate(names)}
     pair = [points_world[:, column[n]] for side in ("left", "right") if (n := f"{side}_{part}") in column]
     return np.mean(pair, axis=0) if len(pair) == 2 else np.full((len(points_world), 3), np.nan)
@@ -282,7 +288,7 @@ def _unit(vectors: Array) -> Array:
 # What the doctor says: findings with their evidence and next step, and the checks that need no geometry.
 
 
-UNITS = (
+UNIT_ERRORS = (
     (1000.0, "metres are given as if they were millimetres, or the other way round"),
     (100.0, "centimetres and metres are mixed up"),
     (10.0, "centimetres and millimetres are mixed up"),
@@ -293,10 +299,14 @@ UNITS = (
 
 @dataclass(frozen=True)
 class ViewReport:
-    """One camera. residual_px: median distance of its key points from the triangulation of all views; left_out_px:
-    from that of the others; tangency_px: median disagreement of its silhouette's tangent planes with the other views;
-    change: how far a refinement moves it; alignment of key points and masks. px of the calibrated size, NaN where
-    unknown."""
+    """One camera.
+
+    residual_px: median distance of its key points from the triangulation of all views.
+    left_out_px: from that of the others.
+    tangency_px: median disagreement of its silhouette's tangent planes with the other views.
+    change: how far a refinement moves it.
+    alignment of key points and masks. px of the calibrated size, NaN where unknown.
+    """
 
     name: str
     residual_px: float = float("nan")
@@ -307,8 +317,12 @@ class ViewReport:
 
 
 @dataclass(frozen=True)
-class Report:
-    """findings, worst kind first as they were found; views in the rig's order."""
+class PersonReport:
+    """Person report.
+
+    findings, worst kind first as they were found.
+    views in the rig's order.
+    """
 
     findings: tuple[Finding, ...]
     views: tuple[ViewReport, ...]
@@ -319,18 +333,18 @@ class Report:
         return not any(f.fault for f in self.findings)
 
     def of(self, view: str) -> tuple[Finding, ...]:
-        """The findings about one camera, or about all."""
+        """Return the findings about one camera, or about all."""
         return tuple(f for f in self.findings if view in f.views or not f.views)
 
     def verdict(self, view: str) -> str:
-        """One line about one camera."""
+        """Return one line about one camera."""
         found = self.of(view)
         if not found:
             return f"{view}: no fault found"
         return " ".join(f.sentence if f.text.startswith(view) else f"{view}: {f.sentence}" for f in found)
 
 
-def clip_findings(rig: CameraRig, clips: Sequence[Clip], frame_rate: float) -> Iterator[Finding]:
+def clip_findings(rig: CameraRig, clips: Sequence[ViewFile], frame_rate: float) -> Iterator[Finding]:
     """Sizes, frame rates and numbers of frames of the files."""
     if not clips:
         return
@@ -376,7 +390,7 @@ def clip_findings(rig: CameraRig, clips: Sequence[Clip], frame_rate: float) -> I
 def person_findings(
     rig: CameraRig, pixels: Array, names: Sequence[str], height: float | None, o: Limits
 ) -> Iterator[Finding]:
-    """The size of the person: units of the calibration, and its scale where the height is known."""
+    """Return the size of the person: units of the calibration, and its scale where the height is known."""
     if len(rig) < 2:
         return
     uv, confidence = undistorted(rig, pixels)
@@ -403,7 +417,7 @@ def height_findings(found: float, height: float | None, o: Limits) -> Iterator[F
     """What a measured height of `found` metres says about the calibration's unit and scale."""
     if not o.heights[0] <= found <= o.heights[1]:
         best = "the scale of the calibration is wrong"
-        for factor, words in UNITS:
+        for factor, words in UNIT_ERRORS:
             if any(1.3 <= found * f <= 2.1 for f in (factor, 1 / factor)):
                 best = words
                 break

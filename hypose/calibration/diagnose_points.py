@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.calibration.findings import Finding, Limits, Seen, Trial
+from hypose.calibration.findings import Finding, Limits, SeenT, Trial
 from hypose.calibration.refine_points import (
     CameraChange,
     PointAdjustment,
@@ -22,8 +22,8 @@ from hypose.calibration.refine_points import (
     bent,
     changes,
     gauge,
-    in_world,
     point_residual,
+    transform_rig,
 )
 from hypose.calibration.sync_motion import Curves, farther, keypoint_curves, offsets_within, solve_offsets, solve_widely
 from hypose.calibration.synchronisation import point_sd
@@ -48,11 +48,14 @@ _TURNS = (
 
 
 def geometric_trials(
-    rig: CameraRig, seen: Seen, turned: Callable[[int, Array], Seen], ordered: Callable[[NDArray[np.int64]], Seen]
-) -> Iterator[Trial[Seen]]:
+    rig: CameraRig, seen: SeenT, turned: Callable[[int, Array], SeenT], ordered: Callable[[NDArray[np.int64]], SeenT]
+) -> Iterator[Trial[SeenT]]:
     """Images of one camera that are mirrored or turned, views of two cameras that are exchanged, poses that are
-    inverted. turned: what is seen when a view's positions are multiplied by factors (2,) about the picture's middle;
-    ordered: when the views come in another order."""
+    inverted.
+
+    turned: key points when a view's positions are multiplied by factors (2,) about the picture's middle.
+    ordered: when the views come in another order.
+    """
     for c, camera in enumerate(rig):
         for kind, words, factor, cure in _TURNS:
             cure = f"{cure}, or calibrate {camera.name} from such images"
@@ -69,7 +72,8 @@ def geometric_trials(
 
 
 def gross_finding(rig: CameraRig, trial: Trial[Any], before: float, after: float, who: str = "views") -> Finding:
-    """The finding that a suspected fault is there: `who` agree when it is undone, to shares of the person's size."""
+    """Return the finding that a suspected fault is there: `who` agree when it is undone, to shares of the person's
+    size."""
     names = tuple(rig.names[k] for k in trial.views)
     text = (
         f"{' and '.join(names) if 0 < len(names) < len(rig) else 'All cameras'}: {trial.words}; with that undone the "
@@ -90,11 +94,12 @@ def mirrored_names(names: Sequence[str]) -> list[int]:
 
 
 def disagreement(rig: CameraRig, pixels: Array, views: Sequence[int] = ()) -> float:
-    """Mean over `views` (default all) of the median distance of their key points (C, T, K, 3; distorted px) from the
-    triangulation, in shares of the person's size, at most 10.
+    """Return mean over `views` (default all) of the median distance of their key points (C, T, K, 3; distorted px) from
+    the triangulation, in shares of the person's size, at most 10.
 
     Triangulated from the other views when two are left, so that a bad view does not spoil the points it is judged by;
-    else from all. Points behind a camera count as far away."""
+    else from all. Points behind a camera count as far away.
+    """
     c = len(rig)
     judged = list(views) or list(range(c))
     others = [k for k in range(c) if k not in judged]
@@ -125,7 +130,7 @@ def undistorted(rig: CameraRig, pixels: Array) -> tuple[Array, Array]:
 
 
 def sizes(pixels: Array) -> Array:
-    """(C,) median over the frames of the person's longer side in px; 0 where nobody is seen."""
+    """Return (C,) median over the frames of the person's longer side in px; 0 where no person is seen."""
     out = np.zeros(len(pixels))
     for c, view in enumerate(pixels):
         found = [np.ptp(p[p[:, 2] > 0.3, :2], axis=0).max() for p in view if (p[:, 2] > 0.3).sum() > 5]
@@ -136,8 +141,8 @@ def sizes(pixels: Array) -> Array:
 def trials(
     rig: CameraRig, pixels: Array, names: Sequence[str], stored: Sequence[tuple[int, int] | None]
 ) -> Iterator[Trial[Array]]:
-    """All suspected faults of a rig and key points (C, T, K, 3), undone one at a time. stored: size of each view's
-    stored images, None when unknown."""
+    """Return all suspected faults of a rig and key points (C, T, K, 3), undone one at a time. stored: size of each
+    view's stored images, None when unknown."""
     twin = mirrored_names(names)
 
     def turned(c: int, factor: Array) -> Array:
@@ -151,7 +156,7 @@ def trials(
         words = "the videos belong to other cameras: their order is shifted by one"
         cure = 'give each view its camera = "..." in recording.toml'
         yield Trial("swapped", every, words, cure, rig, pixels[np.roll(np.arange(len(rig)), shift)])
-    # what is mirrored shows the other side; what only counts the other way has its names right
+    # a mirrored picture shows the other side; an axis counted the other way has its names right
     for kind, words, factor, other, cure in (
         (
             "mirrored",
@@ -238,8 +243,8 @@ def _sizes(rig: CameraRig, pixels: Array, c: int, stored: tuple[int, int] | None
 def best_trial(
     rig: CameraRig, pixels: Array, names: Sequence[str], stored: Sequence[tuple[int, int] | None], every: int = 4
 ) -> tuple[Trial[Array] | None, float, float]:
-    """The trial after which the views concerned agree best, and their disagreement before and after it (shares of the
-    person's size), judged on every n-th frame. Trials that leave all views together worse are not believed."""
+    """Return the trial after which the views concerned agree best, and their disagreement before and after it (shares
+    of the person's size), judged on every n-th frame. Trials that leave all views together worse are not believed."""
     few = pixels[:, ::every]
     all_before = disagreement(rig, few)
     before: dict[tuple[int, ...], float] = {}
@@ -270,8 +275,8 @@ _PART = 0.62
 
 
 def late_views(rig: CameraRig, pixels: Array, o: Limits) -> tuple[Array, Array]:
-    """(C,) frames by which each view is late, 0 where that is not certain, and its sd, infinite where the clip is too
-    short to tell how much more it is. pixels (C, T, K, 3) distorted px of consecutive frames."""
+    """Return (C,) frames by which each view is late, 0 where that is not certain, and its sd, infinite where the clip
+    is too short to tell how much more it is. pixels (C, T, K, 3) distorted px of consecutive frames."""
     n, frames = pixels.shape[:2]
     late, sd = np.zeros(n), np.zeros(n)
     if n < 2 or frames < _LEAST_FRAMES:
@@ -299,9 +304,9 @@ def late_views(rig: CameraRig, pixels: Array, o: Limits) -> tuple[Array, Array]:
 def _contradicted(
     rig: CameraRig, uv: Array, confidence: Array, scatter: float, found: Array, o: Limits
 ) -> NDArray[np.bool_]:
-    """(C,) views that the earlier or the later part of the clip, where it tells, puts elsewhere than the whole, found
-    (C,) frames late. Who stands and waves moves few points, whose errors last and look like motion that comes late;
-    they are others in another part."""
+    """Return (C,) views that the earlier or the later part of the clip, where it tells, puts elsewhere than the whole,
+    found (C,) frames late. Who stands and waves moves few points, whose errors last and look like motion that comes
+    late; they are others in another part."""
     out, long = np.zeros(len(rig), np.bool_), round(_PART * uv.shape[1])
     if long < _LEAST_FRAMES:
         return out
@@ -318,7 +323,7 @@ def _contradicted(
 
 
 def _by_first_of_two(frames: Array) -> Array:
-    """(C,) frames by which views are late; of two views, against the first one."""
+    """Return (C,) frames by which views are late; of two views, against the first one."""
     return frames - (frames[0] if len(frames) == 2 else 0.0)
 
 
@@ -351,8 +356,14 @@ _COMMON = 60  # points that two views have to see together to judge each other
 
 @dataclass(frozen=True)
 class Extrinsics:
-    """findings; changes per camera; before_px, after_px: median residual on frames not used; radial (C,) terms that the
-    lenses ask for and their sd; lens_cured: the rig given, refined: the rig that fits (in the old gauge)."""
+    """Extrinsics.
+
+    findings.
+    changes per camera.
+    before_px, after_px: median residual on frames not used.
+    radial (C,) terms that the lenses ask for and their sd.
+    lens_cured: the rig given, refined: the rig that fits (in the old gauge).
+    """
 
     findings: tuple[Finding, ...]
     changes: tuple[CameraChange, ...]
@@ -382,7 +393,7 @@ def judge_extrinsics(rig: CameraRig, pixels: Array, o: Limits) -> Extrinsics | N
     except (EvidenceError, np.linalg.LinAlgError):
         return None
     old_from_new = gauge(found.rig, ideal, found.points)
-    refined = in_world(found.rig, old_from_new)
+    refined = transform_rig(found.rig, old_from_new)
     size = sizes(pixels)
     person = float(np.median(size[size > 0])) if (size > 0).any() else 1.0
     before, after = (_residual(r, *of(rest)) for r in (ideal, refined))
@@ -441,7 +452,7 @@ def _no_one_person(rig: CameraRig, pixels: Array, before: float, after: float) -
 
 
 def _witnesses(confidence: Array) -> NDArray[np.int64]:
-    """(C,) by how many other views each view's points (C, T, K) can be judged."""
+    """Return (C,) by how many other views each view's points (C, T, K) can be judged."""
     seen = (confidence > 0.3).reshape(len(confidence), -1)
     common = (seen[:, None] & seen[None]).sum(-1)
     np.fill_diagonal(common, 0)
@@ -451,7 +462,7 @@ def _witnesses(confidence: Array) -> NDArray[np.int64]:
 def _undecided(
     rig: CameraRig, views: list[int], confidence: Array, before: float, after: float, image_px: float
 ) -> Finding:
-    """Cameras that disagree with one other alone: which of them is off cannot be told."""
+    """Find pairs of cameras that disagree with each other alone: which one is off stays unknown."""
     seen = (confidence > 0.3).reshape(len(confidence), -1)
     partners = {j for k in views for j in range(len(rig)) if (seen[k] & seen[j]).sum() >= _COMMON}
     names = tuple(rig.names[k] for k in sorted({*views, *partners}))
@@ -463,7 +474,7 @@ def _undecided(
 
 
 def _with_lenses(rig: CameraRig, like: CameraRig) -> CameraRig:
-    """The rig's poses and focal lengths with the lens distortion of another."""
+    """Return the rig's poses and focal lengths with the lens distortion of another."""
     return CameraRig(
         tuple(replace(a, distortion=b.distortion, fisheye=b.fisheye) for a, b in zip(rig, like, strict=True))
     )
@@ -515,7 +526,7 @@ def _lenses(
 
 def _bent_residual(lens: PointAdjustment, pixels: Array, confidence: Array) -> float:
     """px between points (C, N, 2) as they were filmed and where the cameras with their radial terms see them: pixels
-    made straight first would be another size, and no measure beside those as they are."""
+    made straight first would be another size, and no measure next to those as they are."""
     straight = np.stack([_bent_back(k, pixels[n], lens.radial[n]) for n, k in enumerate(lens.rig)])
     points, _ = triangulate(lens.rig, straight, np.where(confidence > 0.3, confidence, 0.0))
     r = np.stack([bent(k, k.project_pinhole(points), lens.radial[n]) for n, k in enumerate(lens.rig)]) - pixels

@@ -1,4 +1,4 @@
-"""The doctor: is this calibration right for this recording, and if not, what is wrong with which camera?
+"""Diagnostics of a calibration: does it fit this recording, and if not, which camera has which fault?
 
 Each fault is looked for by undoing it: if the views agree much better afterwards, it is there. Gross faults come
 first (mirrored or turned images, exchanged cameras, another image size, lens coefficients of another convention), then
@@ -16,7 +16,7 @@ import numpy as np
 
 from hypose.calibration.diagnose_masks import (
     Alignment,
-    align,
+    align_to_masks,
     focal_by_masks,
     focal_by_points,
     focal_findings,
@@ -24,7 +24,7 @@ from hypose.calibration.diagnose_masks import (
     tangency_by_view,
     view_masks,
 )
-from hypose.calibration.diagnose_person import Report, ViewReport, clip_findings, height_findings, person_findings
+from hypose.calibration.diagnose_person import PersonReport, ViewReport, clip_findings, height_findings, person_findings
 from hypose.calibration.diagnose_points import (
     FAR_DEG,
     FAR_M,
@@ -39,8 +39,8 @@ from hypose.calibration.diagnose_points import (
     timing_findings,
     undistorted,
 )
-from hypose.calibration.findings import Clip, Finding, Limits, Trial, depth_findings
-from hypose.calibration.refine_points import changed, changes, left_out_residual, point_residual
+from hypose.calibration.findings import Finding, Limits, Trial, ViewFile, depth_findings
+from hypose.calibration.refine_points import apply_parameters, changes, left_out_residual, point_residual
 from hypose.calibration.sync_motion import MaskTrack, farther, mask_tracks, silhouette_curves, solve_widely
 from hypose.calibration.synchronisation import points_at
 from hypose.cameras.camera import CameraRig
@@ -54,10 +54,10 @@ from hypose.geometry import Array
 # The doctor's checks on silhouettes alone: tangent planes of pairs of views in place of key points.
 #
 # They know less than key points: two planes per pair and frame. Mirrored, turned and exchanged views, timing, wrong
-# poses and units can be told; lens coefficients cannot.
+# poses and units can be found; lens coefficients cannot.
 
 
-SCATTER = 0.08
+_SCATTER = 0.08
 """Share of the person's size by which tangent planes may disagree: tables and treadmills cut masks, too."""
 _JUDGED = 40  # frames on which poses are judged
 _LOOK_AT_MASKS = (
@@ -86,12 +86,12 @@ def examine_silhouettes(
     timed = list(findings)
     late = _timing(rig, small, tracks, size, timed, o)
     in_step = [_delayed(t, x) for t, x in zip(tracks, late, strict=True)]
-    # somebody who walks straight on looks through a late camera as through one that stands elsewhere
+    # a person who walks straight on looks through a late camera as through one that stands elsewhere
     left = _score(small, _few(in_step, _JUDGED), size)
     placed = _displaced(rig, small, tracks, size, silhouettes, left, o) if not findings else None
     if placed is None:
         findings, tracks = timed, in_step
-    else:  # a camera that stands elsewhere sees the person move at other times: told in its own place
+    else:  # a camera that stands elsewhere sees the person move at other times: reported as moved
         findings.append(placed[0])
         small = placed[1]
         late = _timing(rig, small, tracks, size, findings, o)
@@ -100,7 +100,7 @@ def examine_silhouettes(
         findings += focal_findings(focal_by_masks(small, _few(tracks, _JUDGED)))
     if not findings or all(f.kind == "late" for f in findings):
         poses = _poses(rig, small, tracks, size, silhouettes, o)
-        if any(f.kind == "scatter" for f in poses):  # no lag is told by masks that do not show one person
+        if any(f.kind == "scatter" for f in poses):  # masks that do not show one person give no lag
             return poses, reports, np.zeros(n)
         findings += poses
         findings += _unit(small, size, o)
@@ -117,7 +117,7 @@ def gross_silhouettes(rig: CameraRig, silhouettes: Sequence[Silhouettes | None],
         return ()
     cured, tracks = _gross_masks(rig, tracks, size, findings, o)
     left = _score(cured, tracks, size)
-    if not findings and left > SCATTER:
+    if not findings and left > _SCATTER:
         found = _scattered(cured, tracks, size, left)
         findings.append(replace(found, cure="run hypose check, which looks for the cause"))
     findings += _unit(cured, size, o)
@@ -129,7 +129,7 @@ def _sizes(tracks: Sequence[MaskTrack]) -> Array:
 
 
 def _score(rig: CameraRig, tracks: Sequence[MaskTrack], size: Array) -> float:
-    """Mean over the views of their disagreement in shares of the person's size; 10 when planes never meet. Views
+    """Return mean over the views of their disagreement in shares of the person's size; 10 when planes never meet. Views
     without a whole mask (size 0) say nothing."""
     seen = size > 0
     by_view = tangency_by_view(tangency(rig, tracks), len(rig))[seen] / size[seen]
@@ -152,7 +152,7 @@ def _gross_masks(
             break
         scored = [(_score(t.rig, t.seen, size), k) for k, t in enumerate(_trials(rig, few))]
         after, k = min(scored)
-        if after > min(o.gross_cured * before, SCATTER):
+        if after > min(o.gross_cured * before, _SCATTER):
             break
         trial = next(itertools.islice(_trials(rig, tracks), k, None))
         findings.append(gross_finding(rig, trial, before, after, "silhouettes"))
@@ -173,7 +173,7 @@ def _trials(rig: CameraRig, tracks: list[MaskTrack]) -> Iterator[Trial[list[Mask
 
 
 def _delayed(track: MaskTrack, late: float) -> MaskTrack:
-    """The track as it is when frame t + late is shown at t."""
+    """Return the track as it is when frame t + late is shown at t."""
     return track.at(np.arange(len(track.area)) + round(late))
 
 
@@ -206,8 +206,8 @@ def _displaced(
     in_step: float,
     o: Limits,
 ) -> tuple[Finding, CameraRig] | None:
-    """A camera whose other place alone cures the disagreement of the tangent planes, far better than what is left of it
-    when the views are brought in step, and the rig with it there."""
+    """Find the camera whose other place alone cures the disagreement of the tangent planes, far better than
+    synchronisation does; return it and the rig with the camera there."""
     few = _few(tracks, _JUDGED)
     before = _score(small, few, size)
     if before < o.tangency or len(rig) < 3:
@@ -226,7 +226,7 @@ def _poses(
     silhouettes: Sequence[Silhouettes | None],
     o: Limits,
 ) -> list[Finding]:
-    """Whether one camera alone, moved, makes the tangent planes agree."""
+    """Return whether one camera alone, moved, makes the tangent planes agree."""
     few = _few(tracks, _JUDGED)
     before = _score(small, few, size)
     if before < o.tangency or len(rig) < 3:
@@ -235,8 +235,8 @@ def _poses(
     disagree = f"All cameras: the silhouettes' tangent planes disagree by {100 * before:.1f} % of the person's size"
     change = changes(small, moved, _person(silhouettes))[c]
     far = change.turn_deg > FAR_DEG or change.move_m > FAR_M
-    if min(before, value) > SCATTER or (far and value > o.tangency):
-        if before <= SCATTER and value <= SCATTER:  # the views show one person, and it is not told what is wrong
+    if min(before, value) > _SCATTER or (far and value > o.tangency):
+        if before <= _SCATTER and value <= _SCATTER:  # the views show one person; the fault is unknown
             return [Finding("extrinsics", (), disagree, "run hypose check --refine, and hypose sync", before)]
         found = _scattered(small, few, size, before)
         text = f"{found.text}, and no lag that these frames can tell and no other place of one camera cures that"
@@ -253,7 +253,7 @@ def _scattered(small: CameraRig, tracks: Sequence[MaskTrack], size: Array, befor
     for c in seen if len(seen) > 3 else ():
         rest = [int(k) for k in seen if k != c]
         left = _score(small.select([small.names[k] for k in rest]), [tracks[k] for k in rest], size[rest])
-        if left < min(0.5 * SCATTER, 0.25 * before):
+        if left < min(0.5 * _SCATTER, 0.25 * before):
             text = f"{small.names[c]}: {disagree}, by {100 * left:.0f} % without this view"
             return Finding("scatter", (small.names[c],), text, _LOOK_AT_MASKS, before)
     return Finding("scatter", (), f"All cameras: {disagree}", _LOOK_AT_MASKS, before)
@@ -288,7 +288,7 @@ def _elsewhere(
 
 
 def _moved_alone(rig: CameraRig, tracks: list[MaskTrack], size: Array, c: int) -> CameraRig:
-    """The rig with camera c where its tangent planes agree best with the others'."""
+    """Return the rig with camera c where its tangent planes agree best with the others'."""
     from scipy.optimize import least_squares  # takes long to import
 
     mine = [k for k in range(len(rig)) if k != c]
@@ -296,7 +296,7 @@ def _moved_alone(rig: CameraRig, tracks: list[MaskTrack], size: Array, c: int) -
 
     def at(x: Array) -> CameraRig:
         cameras = list(rig)
-        cameras[c] = changed(rig[c], x * np.array([0.02] * 3 + [0.1] * 3))
+        cameras[c] = apply_parameters(rig[c], x * np.array([0.02] * 3 + [0.1] * 3))
         return CameraRig(tuple(cameras))
 
     def rows(x: Array) -> Array:
@@ -313,7 +313,7 @@ def _moved_alone(rig: CameraRig, tracks: list[MaskTrack], size: Array, c: int) -
 
 
 def _person(silhouettes: Sequence[Silhouettes | None]) -> Array:
-    """Some points (N, 3) of the person, m, from a visual hull; the origin when there is none."""
+    """Return some points (N, 3) of the person, m, from a visual hull; the origin when there is none."""
     for s in silhouettes[:: max(1, len(silhouettes) // 5)]:
         if s is not None and s.usable.sum() > 1:
             try:
@@ -324,7 +324,8 @@ def _person(silhouettes: Sequence[Silhouettes | None]) -> Array:
 
 
 def _unit(rig: CameraRig, size: Array, o: Limits) -> Iterator[Finding]:
-    """The person's height from its size in the images and the distance to where the cameras look: good to a third."""
+    """Return the person's height from its size in the images and the distance to where the cameras look: good to a
+    third."""
     look = np.stack([c.camera_from_world[2, :3] for c in rig])
     across = np.eye(3) - look[:, :, None] * look[:, None, :]
     middle = np.linalg.lstsq(across.sum(0), (across @ rig.positions[..., None]).sum(0)[:, 0], rcond=None)[0]
@@ -341,16 +342,21 @@ def _unit(rig: CameraRig, size: Array, o: Limits) -> Iterator[Finding]:
 class Observed:
     """What the doctor looks at: consecutive frames of one recording.
 
-    rig: as calibrated, with lens distortion; keypoints (C, T, K, 3) in px of the calibrated, distorted images
-    (confidence 0: missing) and their names; silhouettes: T, undistorted, at any working size, made without the key
-    points (else they agree with them whatever is wrong); clips: one per view; height: of the person, m, when known;
-    people: sentences about who else is there; depths: of some frames, where there are depth cameras."""
+    rig: as calibrated, with lens distortion.
+    keypoints (C, T, K, 3) in px of the calibrated, distorted images (confidence 0: missing) and their names.
+    silhouettes: T, undistorted, at any working size, made without the key points (else they agree with them whatever is
+        wrong).
+    clips: one per view.
+    height: of the person, m, when known.
+    people: sentences about who else is there.
+    depths: of some frames, where there are depth cameras.
+    """
 
     rig: CameraRig
     keypoints: Array | None = None
     names: tuple[str, ...] = ()
     silhouettes: Sequence[Silhouettes | None] | None = None
-    clips: tuple[Clip, ...] = ()
+    clips: tuple[ViewFile, ...] = ()
     frame_rate: float = 25.0
     height: float | None = None
     people: tuple[str, ...] = ()
@@ -359,8 +365,13 @@ class Observed:
 
 @dataclass(frozen=True)
 class Cured:
-    """The observations after the cures: rig, key points in step and in place; late (C,) frames; shift (C, 2) px of the
-    calibrated size to add to the images; keypoint_lag in frames."""
+    """The observations after the cures.
+
+    rig, key points in step and in place.
+    late (C,) frames.
+    shift (C, 2) px of the calibrated size to add to the images.
+    keypoint_lag in frames.
+    """
 
     rig: CameraRig
     keypoints: Array | None
@@ -376,13 +387,13 @@ class _State:
     findings: list[Finding] = field(default_factory=list)
 
 
-def examine(observed: Observed, limits: Limits | None = None) -> Report:
-    """All checks that the evidence allows. An EvidenceError when there is neither key point nor silhouette."""
+def examine(observed: Observed, limits: Limits | None = None) -> PersonReport:
+    """Return all checks that the evidence allows. An EvidenceError when there is neither key point nor silhouette."""
     return examine_and_cure(observed, limits)[0]
 
 
-def examine_and_cure(observed: Observed, limits: Limits | None = None) -> tuple[Report, Cured]:
-    """The report, and the observations as they are after the faults were undone (for a refinement)."""
+def examine_and_cure(observed: Observed, limits: Limits | None = None) -> tuple[PersonReport, Cured]:
+    """Return the report, and the observations as they are after the faults were undone (for a refinement)."""
     o = limits or Limits()
     n = len(observed.rig)
     findings = list(clip_findings(observed.rig, observed.clips, observed.frame_rate))
@@ -398,7 +409,7 @@ def examine_and_cure(observed: Observed, limits: Limits | None = None) -> tuple[
         found, views, late = examine_silhouettes(observed.rig, observed.silhouettes, o)
         # of cameras that measure, masks tell nothing better: their faults are those of the depth maps, guessed
         findings += [] if any(f.fault for f in by_depth) else found
-        return Report(tuple(findings), views), Cured(observed.rig, observed.keypoints, late, np.zeros((n, 2)), 0)
+        return PersonReport(tuple(findings), views), Cured(observed.rig, observed.keypoints, late, np.zeros((n, 2)), 0)
     state = _State(observed.rig, observed.keypoints)
     _gross(state, observed, o)
     gross = {f.kind for f in state.findings}
@@ -425,7 +436,7 @@ def examine_and_cure(observed: Observed, limits: Limits | None = None) -> tuple[
         late, pixels = np.zeros(n), state.pixels
     elif not later:
         findings += person_findings(state.rig, pixels, observed.names, observed.height, o)
-    report = Report(tuple(findings), _views(observed, pixels, alignments, extrinsics))
+    report = PersonReport(tuple(findings), _views(observed, pixels, alignments, extrinsics))
     return report, Cured(state.rig, pixels, late, shift, lag)
 
 
@@ -461,7 +472,7 @@ def _against_masks(
         ratio = np.array(small[c].size) / np.array(camera.size)
         source = (cured[c], cured_confidence[c]) if camera.name in scaled else (uv[c], confidence[c])
         points = np.concatenate([(source[0] + 0.5) * ratio - 0.5, source[1][..., None]], -1)
-        made.append(align(points, observed.names, view_masks(observed.silhouettes, c)))
+        made.append(align_to_masks(points, observed.names, view_masks(observed.silhouettes, c)))
     lag, lagging = _common_lag(made, o)
     if lag:
         text = (
@@ -490,7 +501,7 @@ def _against_masks(
         spread = np.maximum(spread, 0.0025)
         least = np.maximum(np.maximum(o.shift_sd * sd, o.shift * size[c]), o.shift_spread * spread * size[c])
         least = np.maximum(least, o.shift_px * ratio)
-        least[1] *= 1.5  # limbs hang: what is above and below is told by few of them
+        least[1] *= 1.5  # limbs hang: few of them show the vertical place
         significant = np.abs(move) > least
         if significant.any():
             shift[c] = np.where(significant, move, 0.0)
@@ -511,8 +522,8 @@ def _against_masks(
 
 
 def _own_shifts(made: Sequence[Alignment | None], rig: CameraRig, small: CameraRig) -> Array:
-    """(C, 2) px of the calibrated size by which each view's images would have to move, less what the views share: that
-    is a matter of the detector's joints. NaN where unknown."""
+    """Return (C, 2) px of the calibrated size by which each view's images would have to move, less what the views
+    share: that is a matter of the detector's joints. NaN where unknown."""
     own = np.full((len(made), 2), np.nan)
     for c, a in enumerate(made):
         if a is not None:
@@ -527,7 +538,7 @@ def _own_shifts(made: Sequence[Alignment | None], rig: CameraRig, small: CameraR
 
 
 def _common_lag(made: Sequence[Alignment | None], o: Limits) -> tuple[int, int]:
-    """The lag (whole frames) that most views ask for, and how many of them; 0 when they do not agree."""
+    """Return the lag (whole frames) that most views ask for, and how many of them; 0 when they do not agree."""
     known = [a for a in made if a is not None]
     if not known:
         return 0, 0
@@ -570,4 +581,14 @@ def _views(
     return tuple(out)
 
 
-__all__ = ["Clip", "Cured", "Finding", "Limits", "Observed", "Report", "disagreement", "examine", "examine_and_cure"]
+__all__ = [
+    "ViewFile",
+    "Cured",
+    "Finding",
+    "Limits",
+    "Observed",
+    "PersonReport",
+    "disagreement",
+    "examine",
+    "examine_and_cure",
+]

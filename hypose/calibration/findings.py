@@ -1,4 +1,4 @@
-"""What the doctor is told of a view's file, what counts as a fault, and a fault."""
+"""Findings of the diagnostics: properties of the files, limits of faults, and faults."""
 
 from __future__ import annotations
 
@@ -18,9 +18,12 @@ from hypose.geometry import transform
 
 
 @dataclass(frozen=True)
-class Clip:
-    """What one view's file says: size (w, h) px of the stored images, frames/s, number of frames; None = unknown.
-    accepted: the user has said that the images were only stretched (accept_scaled)."""
+class ViewFile:
+    """What one view's file says.
+
+    size (w, h) px of the stored images, frames/s, number of frames; None = unknown.
+    accepted: the user has said that the images were only stretched (accept_scaled).
+    """
 
     size: tuple[int, int] | None = None
     frame_rate: float | None = None
@@ -30,19 +33,34 @@ class Clip:
 
 @dataclass(frozen=True)
 class Limits:
-    """What counts as a fault. Shares are of the person's size in the image (its longer side).
+    """Limits above which the diagnostics report a fault; shares are of the person's longer side in the image.
 
-    gross: disagreement of a view with the others above which gross faults are tried, gross_lens: the same for lens
-    conventions, gross_cured: what must be left of it at most. largest_lag: frames; late: frames, late_sd: in sd,
-    late_gain: half log likelihood. keypoint_lag_sd, own_lag_sd: of all and of one view's key points against the masks,
-    in sd. shift: share, shift_sd: in sd, shift_spread: in the spread of the other views' shifts,
-    shift_px: least, px of the masks. extrinsics: share of the residual that may be left after refinement, scatter:
-    share of the person's size of which no more is left when cameras were only off and are refined (detectors reach 0.01
-    to 0.02), moved: share by which a camera's image of the person moves, gain:
-    least fall of the residual. lens_z: sd of a radial term, lens_gain: share of the residual that may be left after
-    freeing it, lens_px: its effect on the person. heights: of a person, m, usual_heights: of nearly all;
-    height_share: against the known height, height_doubt: worth a look;
-    tangency: disagreement of the silhouettes' tangent planes."""
+    gross: share, disagreement of a view with the others above which gross faults are tried.
+    gross_lens: share, the same for lens conventions.
+    gross_cured: share of the disagreement that may be left after the cure.
+    largest_lag: frames.
+    late: frames from which a view is late.
+    late_sd: sd from which a view is late.
+    late_gain: gain of half the log likelihood from which a view is late.
+    keypoint_lag_sd: sd of the lag of all views' key points against the masks.
+    own_lag_sd: sd of the lag of one view's key points against the masks.
+    shift: share by which a view's image is shifted.
+    shift_sd: sd from which a view's image is shifted.
+    shift_spread: multiple of the spread of the other views' shifts.
+    shift_px: px of the masks, smallest shift.
+    extrinsics: share of the residual that may be left after refinement.
+    scatter: share that may be left when cameras were only off and are refined (detectors reach 0.01 to 0.02).
+    moved: share by which a camera's image of the person moves.
+    gain: share, smallest fall of the residual.
+    lens_z: sd of a radial term.
+    lens_gain: share of the residual that may be left after freeing the radial term.
+    lens_px: share, effect of the radial term on the person.
+    heights: m, range of a person's height.
+    usual_heights: m, range of nearly all heights.
+    height_share: share of the known height that is a fault.
+    height_doubt: share of the known height that is worth a look.
+    tangency: share, disagreement of the silhouettes' tangent planes.
+    """
 
     gross: float = 0.03
     gross_lens: float = 0.012
@@ -71,26 +89,36 @@ class Limits:
     tangency: float = 0.02
 
 
-Seen = TypeVar("Seen")
+SeenT = TypeVar("SeenT")
 
 
 @dataclass(frozen=True)
-class Trial(Generic[Seen]):
-    """One suspected fault undone. kind, views (indices) and words as in a Finding; rig and what the views see (key
-    points (C, T, K, 3), tracks of masks, depth maps) after the cure."""
+class Trial(Generic[SeenT]):
+    """One suspected fault undone.
+
+    kind, views (indices) and words as in a Finding.
+    rig and what the views see (key points (C, T, K, 3), tracks of masks, depth maps) after the cure.
+    """
 
     kind: str
     views: tuple[int, ...]
     words: str
     cure: str
     rig: CameraRig
-    seen: Seen
+    seen: SeenT
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One fault. kind: one word; views: the cameras' names, () = all; text: what and the evidence; cure: the next step;
-    size: how large it is in its own unit; fault: False for what only has to be known."""
+    """One fault.
+
+    kind: one word.
+    views: the cameras' names, () = all.
+    text: what and the evidence.
+    cure: the next step.
+    size: how large it is in its own unit.
+    fault: False for what only has to be known.
+    """
 
     kind: str
     views: tuple[str, ...]
@@ -101,27 +129,27 @@ class Finding:
 
     @property
     def sentence(self) -> str:
-        """What is wrong and what to do."""
+        """Return the fault and the next step."""
         return f"{self.text}. Next: {self.cure}."
 
 
 # ---- doctor depth --------------------------------------------------------------------------------------------------
 # What depth maps say of their cameras: whether they measure at all, the floor that each sees, and people whom one sees
-# where another sees that nobody is.
+# at a place that another one sees to be empty.
 
 
 FLOOR_M, FLOOR_DEGREES, PLAINLY = 0.03, 1.5, 4.0
-"""m and degrees by which the floor may lie beside z = 0, or be tilted, before a depth camera; from so many times that
+"""m and degrees by which the floor may lie off z = 0, or be tilted, before a depth camera; from so many times that
 on its maps are not to be trusted. Through the right cameras it was 4 mm and 0.1 degrees at most (simulated, seeds 0 to
 5); a scale that is 5 % off makes 60 mm."""
 _BEHIND_M = 0.3
-"""m by which a camera must see past a place to show that nobody is there: late cameras and cameras that have been moved
-a little see the person half a step further"""
+"""m by which a camera must see past a place to show that no person is there: late cameras and cameras that have been
+moved a little see the person half a step further"""
 _REFUTED, _CURED, _AS_LIKELY = 0.7, 0.35, 0.1
 """share of the points on people that another camera sees past, in a third of the frames: 0.13 at most in right
 recordings of one person and of two, 0.32 with a camera 150 mm and 3 degrees off, 0.93 to 0.97 of maps that are
 exchanged before who walks about (simulated, seeds 20 to 31; who stays in the middle stands there before them, too: 0.26
-at most); what is left of it at most once the cause is undone, and how much more of it still makes a cause as likely"""
+at most); the rest of it at most once the cause is undone, and how much more of it still makes a cause as likely"""
 REFUTED_PLACES = frozenset({"places", "swapped", "mirrored"})
 """kinds of findings by which the cameras do not stand where they are said to, so that one person may seem to be two"""
 _POINTS, _FRAMES = 20, 3
@@ -138,14 +166,14 @@ def depth_findings(depths: Sequence[Depth]) -> tuple[Finding, ...]:
     """Of the depth maps of some instants, in the order of time: cameras that measure nothing, or have holes all over,
     each camera's floor at the first and the last of them, and cameras that see past the person whom another one
     sees."""
-    told: dict[tuple[str, ...], Finding] = {}
+    floors: dict[tuple[str, ...], Finding] = {}
     for depth, when in zip([*depths[:1], *depths[-1:]], ("", " at the end"), strict=False):
-        told = {f.views: f for f in _by_floor(depth, when)} | told
-    return (*_measuring_nothing(depths), *_riddled(depths), *told.values(), *_by_people(depths))
+        floors = {f.views: f for f in _by_floor(depth, when)} | floors
+    return (*_measuring_nothing(depths), *_riddled(depths), *floors.values(), *_by_people(depths))
 
 
 def _riddled(depths: Sequence[Depth]) -> Iterator[Finding]:
-    """Cameras whose maps have holes all over what they measure: what is left shows no surface."""
+    """Find cameras whose maps have so many holes that no surface is left."""
     for c in _cameras(depths):
         w, h = depths[0].rig[c].size
         shares = list[float]()
@@ -205,7 +233,7 @@ def _by_floor(depth: Depth, when: str) -> Iterator[Finding]:
 
 def seen_past(depth: Depth) -> tuple[int, int]:
     """Of the points that each camera measures on people and another one looks at: how many, and how many of these it
-    sees past, so that nobody is there."""
+    sees past, so that no person is there."""
     surface, looked, past = depth.surface, 0, 0
     for a, b in permutations(np.flatnonzero(depth.usable).tolist(), 2):
         camera = depth.rig[b]
@@ -222,14 +250,14 @@ def seen_past(depth: Depth) -> tuple[int, int]:
 
 
 def _share(depths: Sequence[Depth]) -> float:
-    """The share of points that are seen past, which a third of the frames exceed (who passes the middle stands there
-    before wrong cameras, too); NaN when too few frames tell."""
+    """Return the share of points that are seen past, which a third of the frames exceed (who passes the middle stands
+    there before wrong cameras, too); NaN when too few frames tell."""
     counted = [(past, looked) for looked, past in map(seen_past, depths) if looked >= _POINTS]
     return float(np.quantile([p / n for p, n in counted], 2 / 3)) if len(counted) >= _FRAMES else float("nan")
 
 
 def _cameras(depths: Sequence[Depth]) -> list[int]:
-    """The views that are depth cameras."""
+    """Return the views that are depth cameras."""
     return np.flatnonzero(np.any([d.usable for d in depths], axis=0)).tolist()
 
 
@@ -244,7 +272,7 @@ def _by_people(depths: Sequence[Depth]) -> Iterator[Finding]:
     text = f"{who} do not see the person at one place: one sees past {100 * share:.0f} % of what the other sees of them"
     best = min([_CURED, *(left + _AS_LIKELY)])
     likely = [trials[k] for k in np.argsort(left, kind="stable") if left[k] < best]
-    if likely:  # two cameras whose maps are exchanged see the same as two that are mirrored, turned about what is seen
+    if likely:  # two cameras whose maps are exchanged see the same as two that are mirrored, turned about the scene
         text += f"; that is not so if {' or if '.join(t.words for t in likely)}"
         cure = "look which it is, and " * (len(likely) > 1) + ", or ".join(t.cure for t in likely)
         views = tuple(depths[0].rig.names[c] for c in likely[0].views) if len(likely) == 1 else tuple(names)

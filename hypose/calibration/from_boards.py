@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.calibration.boards import Board
-from hypose.calibration.intrinsics import FOCAL_SD, Lens, board_poses, calibrate_lens
-from hypose.calibration.refine_points import in_world
-from hypose.calibration.rig import Chooser, RigCalibration, calibrate_rig
+from hypose.calibration.bundle import FOCAL_SD, CalibratedLens, board_poses, calibrate_lens
+from hypose.calibration.refine_points import transform_rig
+from hypose.calibration.rig import PoseComparison, RigCalibration, calibrate_rig
 from hypose.calibration.synchronisation import estimate_lags
-from hypose.calibration.views import CameraViews, Progress, Source, diagnose, look_for_board
+from hypose.calibration.views import BoardFootage, BoardProgress, CameraViews, diagnose, look_for_board
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import CalibrationError
 from hypose.geometry import Array, rotation_between, se3, se3_inverse, so3_log, transform
@@ -44,10 +44,12 @@ def floor_likelihood(
     d_from_c: Array,
     other: Array,
 ) -> float:
-    """How many times better the floor of cameras c and d agrees under d_from_c than under `other` (both (4, 4)):
+    """Return how many times better the floor of cameras c and d agrees under d_from_c than under `other` (both (4, 4)):
     quotient of the unexplained shares 1 - correlation; 1 when there is nothing to compare.
 
-    images: by camera, BGR (h, w, 3) with the board lying still; camera_from_board: its pose in each."""
+    images: by camera, BGR (h, w, 3) with the board lying still.
+    camera_from_board: its pose in each.
+    """
     base = camera_from_board[c]
     one = _from_above(images[c], replace(cameras[c], camera_from_world=base), board)
     scores = []
@@ -60,7 +62,7 @@ def floor_likelihood(
 
 
 def _from_above(image: Picture, camera: Camera, board: Board) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """The floor around the board as seen from above (n, n, 3), and where it is seen well. camera: in the board's
+    """Return the floor around the board as seen from above (n, n, 3), and where it is seen well. camera: in the board's
     frame."""
     low, high = board.points.min(0), board.points.max(0)
     middle, length = 0.5 * (low + high), float((high - low).max())
@@ -85,8 +87,8 @@ def _from_above(image: Picture, camera: Camera, board: Board) -> tuple[NDArray[n
 def _correlation(
     one: tuple[NDArray[np.float32], NDArray[np.bool_]], two: tuple[NDArray[np.float32], NDArray[np.bool_]]
 ) -> float:
-    """Mean correlation of the colours over the common floor, each colour relative to its surroundings so that shading
-    does not count; NaN with too little in common."""
+    """Return mean correlation of the colours over the common floor, each colour relative to its surroundings so that
+    shading does not count; NaN with too little in common."""
     mask = one[1] & two[1]
     if mask.mean() < _MIN_SHARE:
         return float("nan")
@@ -115,10 +117,11 @@ _STILL_FRAMES = 3
 def floor_frame(
     rig: CameraRig, boards: Mapping[int, Array], board: Board, wanted: int | None, still: bool
 ) -> tuple[int | None, str]:
-    """The frame in which the board lies on the floor, None if there is none, and a sentence about it.
+    """Return the frame in which the board lies on the floor, None if there is none, and a sentence about it.
 
-    wanted: the user's choice, the nearest frame with a board is taken; still: the board never moved. Otherwise the
-    first frame of the longest time in which the board stays where it is, flat against the cameras' common up.
+    wanted: the user's choice, the nearest frame with a board is taken.
+    still: the board never moved. Otherwise the first frame of the longest time in which the board stays where it is,
+        flat against the cameras' common up.
     """
     if not boards:
         return None, ""
@@ -176,12 +179,12 @@ def place_on_floor(
         corners = np.concatenate([transform(b, board.points) for b in boards.values()]) @ turn.T
         origin = np.array([*corners[:, :2].mean(0), corners[:, 2].min()])
         world_from_old = se3(turn, -origin)
-    return in_world(rig, world_from_old), {f: world_from_old @ b for f, b in boards.items()}
+    return transform_rig(rig, world_from_old), {f: world_from_old @ b for f, b in boards.items()}
 
 
 def _common_up(rig: CameraRig) -> Array:
-    """(3,) mean of the cameras' upward directions, without the part along their views that tilting adds: the direction
-    most perpendicular to all cameras' x axes, since cameras are tilted but seldom rolled."""
+    """Return (3,) mean of the cameras' upward directions, without the part along their views that tilting adds: the
+    direction most perpendicular to all cameras' x axes, since cameras are tilted but seldom rolled."""
     right = np.stack([c.camera_from_world[0, :3] for c in rig])
     mean = -np.stack([c.camera_from_world[1, :3] for c in rig]).mean(0)
     _, s, vt = np.linalg.svd(right)
@@ -198,27 +201,39 @@ _TWO_SIDED = "a board printed on both sides, of which cameras see different ones
 
 @dataclass(frozen=True)
 class CalibrateOptions:
-    """lenses: cameras whose K and distortion are known, by name, kept unless refine_lenses; fisheye: all other lenses;
-    floor: frame in which the board lies on the floor; max_frames: pictures looked at per camera."""
+    """Calibrate options.
+
+    lenses: cameras whose K and distortion are known, by name, kept unless refine_lenses.
+    fisheye: all other lenses.
+    floor: frame in which the board lies on the floor.
+    max_frames: pictures looked at per camera.
+    """
 
     lenses: CameraRig | None = None
     refine_lenses: bool = False
     fisheye: bool = False
     floor: int | None = None
     max_frames: int = 120
-    progress: Progress = field(default=lambda stage, done, total: None)
+    progress: BoardProgress = field(default=lambda stage, done, total: None)
 
 
 @dataclass(frozen=True)
 class BoardCalibration:
-    """rig: world z up, m. views: what each camera saw; lens_views: in the lens pictures, if there were any; fit: the
-    joint refinement; lenses; notes and warnings: sentences."""
+    """Board calibration.
+
+    rig: world z up, m.
+    views: what each camera saw.
+    lens_views: in the lens pictures, if there were any.
+    fit: the joint refinement.
+    lenses.
+    notes and warnings: sentences.
+    """
 
     rig: CameraRig
     views: tuple[CameraViews, ...]
     lens_views: tuple[CameraViews, ...]
     fit: RigCalibration
-    lenses: tuple[Lens, ...]
+    lenses: tuple[CalibratedLens, ...]
     notes: tuple[str, ...]
     warnings: tuple[str, ...]
 
@@ -232,10 +247,10 @@ class BoardsNotFound(CalibrationError):
 
 
 def calibrate_from_boards(
-    sources: Sequence[Source],
+    sources: Sequence[BoardFootage],
     board: Board,
     options: CalibrateOptions | None = None,
-    lens_sources: Sequence[Source] | None = None,
+    lens_sources: Sequence[BoardFootage] | None = None,
 ) -> BoardCalibration:
     """Rig from one board video (or photo folder) per camera, filmed at the same time.
 
@@ -257,7 +272,7 @@ def calibrate_from_boards(
     views = look_for_board(sources, board, o.max_frames, True, o.progress)
     both = (*lens_views, *views)
     _all_found(views, board, both)
-    lenses: tuple[Lens, ...] = ()
+    lenses: tuple[CalibratedLens, ...] = ()
     try:
         lenses = tuple(_lens(i, views, lens_views, board, o) for i in range(len(views)))
         o.progress("solve", 0, 2)
@@ -305,7 +320,7 @@ def _all_found(views: Sequence[CameraViews], board: Board, all_views: tuple[Came
 
 def _lens(
     i: int, views: Sequence[CameraViews], lens_views: Sequence[CameraViews], board: Board, o: CalibrateOptions
-) -> Lens:
+) -> CalibratedLens:
     view = views[i]
     if o.lenses is not None:
         given = o.lenses.select([view.name])[0] if view.name in o.lenses.names else None
@@ -316,7 +331,7 @@ def _lens(
         assert given is not None
         camera = replace(_scaled(given, view, "the given lens"), camera_from_world=np.eye(4))
         errors = [board_poses(camera, s, board.points)[0][1] for s in view.sightings.values()]
-        return Lens(camera, (), float(np.median(errors)), float("nan"), not o.refine_lenses)
+        return CalibratedLens(camera, (), float(np.median(errors)), float("nan"), not o.refine_lenses)
     seen = lens_views[i].sightings if lens_views else view.sightings
     size = lens_views[i].size if lens_views else view.size
     lens = calibrate_lens(view.name, seen, board, size, fisheye=o.fisheye, strict=False)
@@ -326,7 +341,7 @@ def _lens(
 
 
 def _scaled(lens: Camera, view: CameraViews, whose: str) -> Camera:
-    """A lens at the size of a view's pictures; a CalibrationError when they have another shape."""
+    """Return a lens at the size of a view's pictures; a CalibrationError when they have another shape."""
     (w, h), (lens_w, lens_h) = view.size, lens.size
     if abs((w / h) / (lens_w / lens_h) - 1) > 0.01:
         raise CalibrationError(
@@ -336,8 +351,8 @@ def _scaled(lens: Camera, view: CameraViews, whose: str) -> Camera:
     return lens if view.size == lens.size else lens.scaled(view.size)
 
 
-def _lag_hint(lenses: Sequence[Lens], views: Sequence[CameraViews], board: Board) -> str:
-    """A sentence about videos that are clearly late, or ''."""
+def _lag_hint(lenses: Sequence[CalibratedLens], views: Sequence[CameraViews], board: Board) -> str:
+    """Return a sentence about videos that are clearly late, or ''."""
     if len(lenses) < len(views) or any(v.still for v in views):
         return ""
     lags = estimate_lags([n.camera for n in lenses], [v.sightings for v in views], board)
@@ -358,7 +373,7 @@ def _determined(fit: RigCalibration) -> None:
             )
 
 
-def _chooser(views: Sequence[CameraViews], lenses: Sequence[Lens], board: Board) -> Chooser:
+def _chooser(views: Sequence[CameraViews], lenses: Sequence[CalibratedLens], board: Board) -> PoseComparison:
     """Compares the floor around a symmetric board, in the first frame that both cameras saw."""
     pictures: dict[tuple[int, int], Picture] = {}
 
@@ -379,7 +394,7 @@ def _chooser(views: Sequence[CameraViews], lenses: Sequence[Lens], board: Board)
     return choose
 
 
-def _warnings(fit: RigCalibration, lenses: Sequence[Lens], views: Sequence[CameraViews]) -> list[str]:
+def _warnings(fit: RigCalibration, lenses: Sequence[CalibratedLens], views: Sequence[CameraViews]) -> list[str]:
     out = []
     names = fit.rig.names
     for c, name in enumerate(names):

@@ -10,7 +10,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from hypose.calibration.bundle import LensPrior, Observations, refine
+from hypose.calibration.bundle import LensPrior, Observations, bundle_adjust
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import CalibrationError, InputError
 from hypose.geometry import Array, se3
@@ -25,7 +25,12 @@ _PRIOR = LensPrior(centre=0.02, aspect=0.003, radial=0.1, tangential=0.001, k3=0
 
 @dataclass(frozen=True)
 class ScenePoints:
-    """points: (3,) m by name, world z up; clicks: by camera and point, (2,) px; sizes: of the pictures, where given."""
+    """Scene points.
+
+    points: (3,) m by name, world z up.
+    clicks: by camera and point, (2,) px.
+    sizes: of the pictures, where given.
+    """
 
     points: Mapping[str, Array]
     clicks: Mapping[str, Mapping[str, Array]]
@@ -34,8 +39,14 @@ class ScenePoints:
 
 @dataclass(frozen=True)
 class PointCalibration:
-    """rig; errors: px by camera and point; rms_px per coordinate; position_sd (C,) m for clicks of 1 px; notes and
-    warnings: sentences."""
+    """Point calibration.
+
+    rig.
+    errors: px by camera and point.
+    rms_px per coordinate.
+    position_sd (C,) m for clicks of 1 px.
+    notes and warnings: sentences.
+    """
 
     rig: CameraRig
     errors: Mapping[str, Mapping[str, float]]
@@ -46,7 +57,7 @@ class PointCalibration:
 
 
 def read_scene_points(path: str | Path) -> ScenePoints:
-    """Points and clicks of a TOML file (paths.toml in docs/calibration.md):
+    """Return points and clicks of a TOML file (paths.toml in docs/calibration.md):
 
     unit = "m"                      # of the points: m, cm or mm
     [points]
@@ -104,7 +115,7 @@ def calibrate_from_points(scene: ScenePoints, lenses: CameraRig | None = None) -
         lens = lenses.select([name])[0] if lenses is not None else None
         camera = _start(name, world[index], pixels, lens, scene.sizes.get(name))
         obs = Observations(np.zeros(len(index), np.int64), np.zeros(len(index), np.int64), index, pixels)
-        found = refine(
+        found = bundle_adjust(
             [camera],
             np.eye(4)[None],
             world,
@@ -169,8 +180,8 @@ def _start(name: str, world: Array, pixels: Array, lens: Camera | None, size: tu
 
 
 def _posed(camera: Camera, world: Array, pixels: Array) -> tuple[Camera, float]:
-    """The camera where most clicks fit, and the median error, px: with all points, and with each left out, because one
-    wrong click bends everything."""
+    """Return the camera where most clicks fit, and the median error, px: with all points, and with each left out,
+    because one wrong click bends everything."""
     undistorted = camera.undistort_points(pixels)
     best: tuple[Camera, float] | None = None
     count = len(world)

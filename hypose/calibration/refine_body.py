@@ -10,26 +10,23 @@ silhouettes of an articulated body in this way, the nearest is Sinha & Pollefeys
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.body.body import Body, Landmarks
-from hypose.calibration.refine_points import CameraUnknowns, by_camera, changed, pinhole_derivative
+from hypose.body.body import Body
+from hypose.calibration.refine_points import CameraUnknowns, apply_parameters, by_camera
 from hypose.cameras.camera import Camera, CameraRig
-from hypose.compute import SharedEquations, geman_mcclure, lorentzian, weighted_squares
 from hypose.errors import EvidenceError
-from hypose.fitting.articulated import ContourTerm, KeypointTerm
-from hypose.fitting.least_squares import Rule, descend
+from hypose.evidence.terms import ContourTerm, Evidence, KeypointTerm
+from hypose.fitting.problem import Cue, Posed, PoseProblem, Quadratic, Rows
+from hypose.fitting.rows import rows_of_contours, rows_of_keypoints
 from hypose.geometry import Array, transform
 from hypose.tracking.refinement import anatomical_prior
-from hypose.tracking.shape_refinement import outlines_of
 
-_State = tuple[list[Camera], Array]
-"""cameras, poses (F, D)"""
+_Cameras = list[Camera]
 
 
 @dataclass(frozen=True)
@@ -56,181 +53,83 @@ class BodyAdjustment:
     cost: float
 
 
-@dataclass(frozen=True)
-class _Rows:
-    """Rows of one frame: residual r (R,), weight w (R,), camera (R,), by_pose (R, D), by_camera (R, P), cost."""
-
-    r: Array
-    w: Array
-    camera: NDArray[np.int64]
-    by_pose: Array
-    by_camera: Array
-    cost: float
-
-
 def adjust_with_body(
     body: Body,
     rig: CameraRig,
     poses: Array,
-    contours: Sequence[ContourTerm | None] | None,
-    keypoints: Sequence[KeypointTerm | None] | None = None,
+    evidence: Sequence[Sequence[Evidence]],
     options: BodySettings | None = None,
     free: NDArray[np.bool_] | None = None,
 ) -> BodyAdjustment:
     """Refines a rig of pinhole cameras and the poses (F, D) of a body in F frames.
 
     rig: at the working size, whose pixels those of the evidence are (the projections inside the terms are not used);
-    contours, keypoints: one term (or None) per frame. free (C,): cameras that may move. An EvidenceError when no frame
+    evidence: outlines and key points of each frame. free (C,): cameras that may move. An EvidenceError when no frame
     has evidence."""
     o = options or BodySettings()
-    n = len(poses)
-    none: list[None] = [None] * n
-    problem = _BodyProblem(body, rig, list(contours or none), list(keypoints or none), o, free)
-    if n == 0 or all(c is None and k is None for c, k in zip(problem.contours, problem.keypoints, strict=True)):
+    cues = [[_cue(one, o) for one in of] for of in evidence]
+    if not any(cues):
         raise EvidenceError("No frame has silhouettes or key points to refine the calibration with; choose others.")
-    q, cameras = np.array(poses, dtype=np.float64), list(rig)
-    before = problem.linearise(cameras, q, o.coarse[-1])[1]
-    stages = zip(o.coarse, o.iterations, strict=True) if contours is not None else [(1.0, sum(o.iterations))]
-    for factor, iterations in stages:
-        cameras, q = problem.solve(cameras, q, iterations, factor)
-    cost = problem.linearise(cameras, q, o.coarse[-1])[1]
-    return BodyAdjustment(CameraRig(tuple(cameras)), q, before, cost)
+    problem = _BodyProblem(body, cues, [anatomical_prior(body.skeleton)], CameraUnknowns(rig, o.focal, free))
+    state = list(rig), np.array(poses, dtype=np.float64)
+    problem.factor = o.coarse[-1]
+    before = problem.evaluate(state)[0]
+    outlines = any(isinstance(one, ContourTerm) for of in evidence for one in of)
+    stages = (o.coarse, o.iterations) if outlines else ((1.0,), (sum(o.iterations),))
+    found = problem.stages(state, *stages, 1e-4)
+    cameras, q = found.state
+    return BodyAdjustment(CameraRig(tuple(cameras)), q, before, found.cost)
 
 
-class _BodyProblem:
-    """Evidence and priors of one refinement."""
+def _cue(one: Evidence, o: BodySettings) -> Cue[_Cameras]:
+    """Rows in the images of the cameras as they are changed."""
+
+    def rows(at: Posed, cameras: _Cameras, factor: float) -> Iterable[Rows]:
+        projections = np.stack([c.projection for c in cameras])
+        if isinstance(one, ContourTerm):
+            given = o.contour_weight, one.row_spacing_px, o.normals
+            return rows_of_contours(at, one, factor, *given, projections)
+        assert isinstance(one, KeypointTerm), "cameras are refined on outlines and key points"
+        return [rows_of_keypoints(at, one, projections, o.keypoint_weight)]
+
+    return rows
+
+
+class _BodyProblem(PoseProblem[_Cameras]):
+    """The cameras are what the frames share."""
+
+    largest = 0.1
 
     def __init__(
         self,
         body: Body,
-        rig: CameraRig,
-        contours: list[ContourTerm | None],
-        keypoints: list[KeypointTerm | None],
-        options: BodySettings,
-        free: NDArray[np.bool_] | None,
+        frames: Sequence[Sequence[Cue[_Cameras]]],
+        priors: Sequence[Quadratic],
+        unknowns: CameraUnknowns,
     ) -> None:
-        marks = Landmarks((), np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
-        self.body = replace(body, fine=body.coarse, landmarks=marks)
-        self.contours, self.keypoints, self.o = contours, keypoints, options
-        joints = len(body.skeleton.joint_names)
-        self.moves = body.coarse.dense_weights(joints) @ body.skeleton.moves.T.astype(np.float64)
-        prior = anatomical_prior(body.skeleton)
-        self.centre, self.pull = prior.centre, prior.weight
-        self.cameras = CameraUnknowns(rig, options.focal, free)
-        self.unknowns = self.cameras.count
+        super().__init__(body, frames, priors)
+        self.unknowns, self.free = unknowns, unknowns.free
 
-    def linearise(self, cameras: list[Camera], q: Array, factor: float) -> tuple[list[_Rows], float]:
-        """Rows of all frames and the whole cost."""
-        projections = np.stack([c.projection for c in cameras])
-        skins = self.body.skin(q)
-        rows = []
-        for f in range(len(q)):
-            parts = [*self._contour_rows(f, q[f], skins[f], cameras, projections, factor)]
-            parts += self._keypoint_rows(f, q[f], cameras)
-            rows.append(_joined(parts, len(self.pull), self.unknowns))
-        cost = sum(r.cost for r in rows) + 0.5 * float((self.pull * (q - self.centre) ** 2).sum())
-        return rows, cost + self.cameras.held(cameras)[1]
+    def length(self, step: Array) -> float:
+        return float(np.abs(step.reshape(-1, self.unknowns.count)[:, :3]).max())
 
-    def _contour_rows(
-        self, f: int, pose: Array, vertices: Array, cameras: list[Camera], projections: Array, factor: float
-    ) -> list[_Rows]:
-        term = self.contours[f]
-        if term is None:
-            return []
-        term = replace(term, projections=projections)
-        twists = self.body.skeleton.world_twists(pose)
-        scale, out = term.scale_px * factor, []
-        for c in np.flatnonzero(term.usable):
-            made = outlines_of(self.body.coarse, vertices, term, int(c), term.row_spacing_px, self.o.normals)
-            if made is None:
-                continue
-            r, point, by_pose = made.residual, made.points(vertices), made.jacobian(vertices, twists, self.moves)
-            camera = cameras[c]
-            turn = camera.camera_from_world[:3, :3]
-            by_cam = by_camera(transform(camera.camera_from_world, point), made.gradient @ turn.T, self.unknowns)
-            w0 = self.o.contour_weight * made.weight
-            rho, slope, _ = geman_mcclure((r / scale) ** 2, w0 / scale**2)
-            cost = 0.5 * float((w0 * rho).sum())
-            out.append(_Rows(r, slope, np.full(len(r), c), by_pose, by_cam, cost))
-        return out
+    def shared_cost(self, shared: _Cameras, body: Body) -> float:
+        return self.unknowns.held(shared)[1]
 
-    def _keypoint_rows(self, f: int, pose: Array, cameras: list[Camera]) -> list[_Rows]:
-        term = self.keypoints[f]
-        if term is None:
-            return []
-        rotations, centres = self.body.skeleton.forward(pose)
-        point = centres[term.joint] + np.einsum("kab,kb->ka", rotations[term.joint], term.offset)
-        twists = self.body.skeleton.world_twists(pose)
-        motion = np.cross(twists[None, :, :3], point[:, None]) + twists[None, :, 3:]  # (K, D, 3)
-        motion = motion * self.body.skeleton.moves.T[term.joint][..., None]
-        scale, out = 2 * term.scale_px, []
-        for c, camera in enumerate(cameras):
-            seen = np.flatnonzero(term.points[c, :, 2] > term.min_confidence)
-            p = transform(camera.camera_from_world, point[seen])
-            seen, p = seen[p[:, 2] > 0.05], p[p[:, 2] > 0.05]
-            if len(seen) == 0:
-                continue
-            offset, d = pinhole_derivative(camera, p)
-            r = offset + camera.K[:2, 2] - term.points[c, seen, :2]
-            weight = self.o.keypoint_weight * term.points[c, seen, 2]
-            world = d @ camera.camera_from_world[:3, :3]
-            by_pose = np.einsum("kxa,kda->kxd", world, motion[seen]).reshape(-1, len(pose))
-            by_cam = by_camera(np.repeat(p, 2, 0), d.reshape(-1, 3), self.unknowns)
-            rho, slope, _ = lorentzian((r**2).sum(1) / scale**2, 4 * weight / scale**2)
-            cost = 2 * float((weight * rho).sum())
-            out.append(_Rows(r.ravel(), np.repeat(slope, 2), np.full(2 * len(seen), c), by_pose, by_cam, cost))
-        return out
+    def shared_moved(self, shared: _Cameras, step: Array) -> _Cameras:
+        return [apply_parameters(c, x) for c, x in zip(shared, step.reshape(len(shared), -1), strict=True)]
 
-    def equations(self, rows: list[_Rows], cameras: list[Camera], q: Array) -> SharedEquations:
-        """Of the cameras' unknowns (C P,), shared by the frames' poses."""
-        n, p, dof = len(cameras), self.unknowns, q.shape[1]
-        hold = self.cameras.hold
-        hessian, gradient = np.diag(np.tile(hold, n)), (hold * self.cameras.held(cameras)[0]).ravel()
-        own, own_gradient = np.empty((len(q), dof, dof)), np.empty(q.shape)
-        cross = np.empty((len(q), dof, n * p))
-        for f, row in enumerate(rows):
-            by_all = np.zeros((len(row.r), dof + n * p))
-            by_all[:, :dof] = row.by_pose
-            by_all[np.arange(len(row.r))[:, None], dof + p * row.camera[:, None] + np.arange(p)] = row.by_camera
-            h, g = weighted_squares(by_all, row.w, row.r)
-            own[f], cross[f] = h[:dof, :dof] + np.diag(self.pull), h[:dof, dof:]
-            own_gradient[f] = g[:dof] + self.pull * (q[f] - self.centre)
-            hessian += h[dof:, dof:]
-            gradient += g[dof:]
-        return SharedEquations(hessian, gradient, own, own_gradient, cross)
-
-    def solve(self, cameras: list[Camera], q: Array, iterations: int, factor: float) -> tuple[list[Camera], Array]:
-        def evaluate(state: _State) -> tuple[float, Callable[[], SharedEquations]]:
-            rows, cost = self.linearise(*state, factor)
-            return cost, partial(self.equations, rows, *state)
-
-        # contour costs jump when the outline changes
-        return descend((cameras, q), evaluate, self.propose, iterations, Rule(slack=1.002, moved=1e-4)).state
-
-    def propose(self, state: _State, equations: SharedEquations, damping: float) -> tuple[_State, float] | None:
-        cameras, q = state
-        reduced = equations.reduced(damping)
-        x = reduced.step(self.cameras.free)
-        if x is None:
-            return None
-        each = x.reshape(len(cameras), -1)
-        x *= min(1.0, 0.1 / max(float(np.abs(each[:, :3]).max()), 1e-9))
-        dq = reduced.own_steps(x)
-        dq *= np.minimum(1, 0.3 / np.maximum(np.abs(dq[:, 3:]).max(1, keepdims=True), 1e-9))
-        trial = [changed(c, d) for c, d in zip(cameras, each, strict=True)]
-        moved = max(float(np.abs(x).max()), float(np.abs(dq).max()) / 20)
-        return (trial, self.body.skeleton.clamp(q + dq)), moved
-
-
-def _joined(parts: list[_Rows], dof: int, unknowns: int) -> _Rows:
-    if not parts:
-        zero = np.zeros(0)
-        return _Rows(zero, zero, np.zeros(0, np.int64), np.zeros((0, dof)), np.zeros((0, unknowns)), 0.0)
-    return _Rows(
-        np.concatenate([p.r for p in parts]),
-        np.concatenate([p.w for p in parts]),
-        np.concatenate([p.camera for p in parts]),
-        np.concatenate([p.by_pose for p in parts]),
-        np.concatenate([p.by_camera for p in parts]),
-        sum(p.cost for p in parts),
-    )
+    def shared_rows(
+        self, shared: _Cameras, posed: Sequence[Posed], rows: Sequence[Rows]
+    ) -> tuple[Array, Array, Sequence[Array]]:
+        hold, count = self.unknowns.hold, self.unknowns.count
+        by_frame = []
+        for r in rows:
+            by_all = np.zeros((len(r.view), len(shared), count))
+            for c, camera in enumerate(shared):
+                own, turn = r.view == c, camera.camera_from_world[:3, :3]
+                by_all[own, c] = by_camera(
+                    transform(camera.camera_from_world, r.point[own]), r.slope[own] @ turn.T, count
+                )
+            by_frame.append(by_all.reshape(len(r.view), -1))
+        return np.diag(np.tile(hold, len(shared))), (hold * self.unknowns.held(shared)[0]).ravel(), by_frame

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from hypose.cameras.camera import Camera, CameraRig, triangulate
 from hypose.compute import SharedEquations, lorentzian
 from hypose.errors import EvidenceError
-from hypose.fitting.least_squares import Rule, descend
+from hypose.fitting.problem import Rule, SharedProblem
 from hypose.geometry import Array, procrustes, se3, se3_inverse, so3_exp, so3_log, transform
 from hypose.io.calibrations import calibration_camera
 
@@ -43,7 +43,7 @@ class CameraChange:
     image_px: float
 
 
-def changed(camera: Camera, x: Array) -> Camera:
+def apply_parameters(camera: Camera, x: Array) -> Camera:
     """The camera changed by x (6,) or more; a radial term is not part of a Camera and is left to the caller."""
     motion = se3(so3_exp(x[:3]), x[3:6])
     k = camera.K
@@ -70,7 +70,7 @@ def change_from(old: Camera, new: Camera) -> Array:
     return np.r_[so3_log(motion[:3, :3]), motion[:3, 3], np.log(new.K[0, 0] / old.K[0, 0])]
 
 
-def in_world(rig: CameraRig, new_from_old: Array) -> CameraRig:
+def transform_rig(rig: CameraRig, new_from_old: Array) -> CameraRig:
     """The same cameras after the whole world moved rigidly: points x -> new_from_old x."""
     back = se3_inverse(new_from_old)
     return CameraRig(tuple(replace(c, camera_from_world=c.camera_from_world @ back) for c in rig))
@@ -121,7 +121,7 @@ def changes(old: CameraRig, new: CameraRig, points_world: Array) -> tuple[Camera
     return tuple(out)
 
 
-def rescaled(rig: CameraRig, factor: float) -> CameraRig:
+def scale_rig(rig: CameraRig, factor: float) -> CameraRig:
     """The rig with all lengths multiplied by a factor."""
     return CameraRig(tuple(calibration_camera.rescaled(c, factor) for c in rig))
 
@@ -133,24 +133,31 @@ def free_cameras(rig: CameraRig, fixed: tuple[str, ...]) -> NDArray[np.bool_]:
     return np.array([c.name not in fixed for c in rig])
 
 
-_State = tuple[list[Camera], Array, Array]
-"""cameras, radial (C,), points (N, 3)"""
+_Shared = tuple[list[Camera], Array]
+"""cameras, radial (C,)"""
 _ITERATIONS = 30
 FEWEST_POINTS = 60
 """3D points (over all frames) below which a rig is not adjusted"""
 
 
-HOLD_RAD, HOLD_M, HOLD_FOCAL = 0.3, 0.5, 0.05
-"""sd of the weak pull of every camera to where it is, which fixes the gauge"""
+HOLD = (0.3, 0.5, 0.05)
+"""sd (rad, m, share of the focal length) of the weak pull of every camera to where it is, which fixes the gauge"""
 
 
 class CameraUnknowns:
     """What changes of a rig's cameras, P numbers each: `changed`, and one radial distortion term where that is asked
-    for. free (C,): cameras that may move, None: all."""
+    for. free (C,): cameras that may move, None: all. hold: as `HOLD`."""
 
-    def __init__(self, rig: CameraRig, focal: bool, free: NDArray[np.bool_] | None, radial: bool = False) -> None:
+    def __init__(
+        self,
+        rig: CameraRig,
+        focal: bool,
+        free: NDArray[np.bool_] | None,
+        radial: bool = False,
+        hold: tuple[float, float, float] = HOLD,
+    ) -> None:
         self.start, self.focal, self.radial = rig, focal, radial
-        pull = [HOLD_RAD] * 3 + [HOLD_M] * 3 + [HOLD_FOCAL] * focal + [1.0] * radial
+        pull = [hold[0]] * 3 + [hold[1]] * 3 + [hold[2]] * focal + [1.0] * radial
         self.hold = np.array(pull) ** -2.0
         self.count = len(pull)
         self.free = np.repeat(
@@ -194,11 +201,13 @@ def adjust(
     *,
     focal: bool = False,
     radial: bool = False,
+    hold: tuple[float, float, float] = HOLD,
+    iterations: int = _ITERATIONS,
 ) -> PointAdjustment:
     """Refines a rig on key points.
 
     pixels (C, N, 2) undistorted px of the rig; confidence (C, N), 0 = not seen; free (C,): cameras that may move;
-    focal: focal lengths are unknowns too; radial: so is one radial distortion term per camera.
+    focal: focal lengths are unknowns too; radial: so is one radial distortion term per camera; hold: as `HOLD`.
     An EvidenceError when too few points are seen by two views."""
     w = np.where((confidence > 0.3) & np.isfinite(pixels).all(-1), confidence, 0.0)
     uv = np.nan_to_num(pixels)
@@ -208,8 +217,8 @@ def adjust(
             f"Only {int(keep.sum())} key points are seen by two cameras; at least {FEWEST_POINTS} (over all frames) "
             "are needed to refine a calibration: use more frames, or silhouettes."
         )
-    problem = _Bundle(uv[:, keep], w[:, keep], default_scale(uv, w), CameraUnknowns(rig, focal, free, radial))
-    found = problem.solve()
+    unknowns = CameraUnknowns(rig, focal, free, radial, hold)
+    found = PointBundle(uv[:, keep], w[:, keep], default_scale(uv, w), unknowns).adjusted(iterations)
     points = np.full((uv.shape[1], 3), np.nan)
     points[keep] = found.points
     return replace(found, points=points)
@@ -221,11 +230,13 @@ def default_scale(pixels: Array, confidence: Array) -> float:
     return max(0.008 * float(np.median(spread)) if spread else 2.0, 0.5)
 
 
-class _Bundle:
-    """pixels (C, N, 2), confidence (C, N) of points that two views see."""
+class PointBundle(SharedProblem[_Shared]):
+    """The least-squares problem of `adjust`: pixels (C, N, 2), confidence (C, N) of points that two views see; scale:
+    sd of a detection, px."""
 
     def __init__(self, pixels: Array, confidence: Array, scale: float, unknowns: CameraUnknowns) -> None:
         self.uv, self.confidence, self.scale, self.unknowns = pixels, confidence, 2 * scale, unknowns
+        self.free, self.largest = unknowns.free, 0.2
 
     def residuals(self, cameras: list[Camera], radial: Array, points: Array) -> tuple[Array, Array, float]:
         """(C, N, 2) px, (C, N) weights of squared px, and the robust cost."""
@@ -240,8 +251,9 @@ class _Bundle:
         weight = np.where(behind, 0.0, slope)
         return r, weight, cost
 
-    def equations(self, cameras: list[Camera], radial: Array, points: Array) -> SharedEquations:
-        """Of the cameras' unknowns (C P,), shared by the points'."""
+    def rows(self, cameras: list[Camera], radial: Array, points: Array) -> tuple[Array, Array, Array, Array]:
+        """(C, N, 2) px, (C, N) weights, and derivatives by the cameras' unknowns (C, N, 2, P) and by the points
+        (C, N, 2, 3)."""
         r, weight, _ = self.residuals(cameras, radial, points)
         size, (n_cameras, n) = self.unknowns.count, weight.shape
         jc, jp = np.zeros((n_cameras, n, 2, size)), np.zeros((n_cameras, n, 2, 3))
@@ -254,6 +266,12 @@ class _Bundle:
             more = [offset] * self.unknowns.focal + [offset * r2[:, None]] * self.unknowns.radial
             jc[c] = np.concatenate([np.cross(p[:, None], d), d, *(m[..., None] for m in more)], -1)
             jp[c] = d @ camera.camera_from_world[:3, :3]
+        return r, weight, jc, jp
+
+    def equations(self, cameras: list[Camera], radial: Array, points: Array) -> SharedEquations:
+        """Of the cameras' unknowns (C P,), shared by the points'."""
+        r, weight, jc, jp = self.rows(cameras, radial, points)
+        size, (n_cameras, n) = self.unknowns.count, weight.shape
         wjc = weight[..., None, None] * jc
         x, _ = self.unknowns.held(cameras, radial)
         hessian = np.zeros((n_cameras, size, n_cameras, size))
@@ -267,37 +285,38 @@ class _Bundle:
             np.einsum("cnxp,cnxi->nicp", wjc, jp).reshape(n, 3, -1),
         )
 
-    def evaluate(self, state: _State) -> tuple[float, Callable[[], SharedEquations]]:
-        cameras, radial, points = state
+    def evaluate(self, state: tuple[_Shared, Array]) -> tuple[float, Callable[[], SharedEquations]]:
+        """Cost and, when asked for, equations."""
+        (cameras, radial), points = state
         cost = self.residuals(cameras, radial, points)[2] + self.unknowns.held(cameras, radial)[1]
         return cost, partial(self.equations, cameras, radial, points)
 
-    def propose(self, state: _State, equations: SharedEquations, damping: float) -> tuple[_State, float] | None:
-        cameras, radial, points = state
-        reduced = equations.reduced(damping)
-        step = reduced.step(self.unknowns.free)
-        if step is None:
-            return None
-        x = step.reshape(len(cameras), self.unknowns.count)
-        x *= min(1.0, 0.2 / max(float(np.abs(x[:, :3]).max()), 1e-12))
-        moved = points + reduced.own_steps(x.ravel())
-        new = [changed(c, d if self.unknowns.focal else d[:6]) for c, d in zip(cameras, x, strict=True)]
-        return (new, radial + (x[:, -1] if self.unknowns.radial else 0.0), moved), float(np.abs(x).max())
+    def length(self, step: Array) -> float:
+        """The largest turn of a camera, rad."""
+        return float(np.abs(step.reshape(-1, self.unknowns.count)[:, :3]).max())
 
-    def solve(self) -> PointAdjustment:
+    def moved(self, state: tuple[_Shared, Array], step: Array, own: Array) -> tuple[tuple[_Shared, Array], float]:
+        """Apply a step."""
+        (cameras, radial), points = state
+        x = step.reshape(len(cameras), self.unknowns.count)
+        new = [apply_parameters(c, d if self.unknowns.focal else d[:6]) for c, d in zip(cameras, x, strict=True)]
+        shared = new, radial + (x[:, -1] if self.unknowns.radial else 0.0)
+        return (shared, points + own), float(np.abs(x).max())
+
+    def adjusted(self, iterations: int) -> PointAdjustment:
+        """Triangulate the points with the cameras at the start, and adjust both."""
         rig = self.unknowns.start
         points = triangulate(rig, self.uv, self.confidence)[0]
         lost = ~np.isfinite(points).all(1)
         points[lost] = np.nanmedian(points[~lost], axis=0)
-        start = list(rig), np.zeros(len(rig)), points
-        rule = Rule(damping=1e-3, least=1e-7, gain=1e-6)
-        found = descend(start, self.evaluate, self.propose, _ITERATIONS, rule)
-        cameras, radial, points = found.state
+        start = (list(rig), np.zeros(len(rig))), points
+        found = self.solve(start, iterations, Rule(damping=1e-3, least=1e-7, gain=1e-6))
+        (cameras, radial), points = found.state
         sd = np.zeros(len(cameras))
         if self.unknowns.radial:
             s = found.equations.reduced().hessian
             sd = np.sqrt(np.maximum(np.diag(np.linalg.pinv(s)).reshape(len(cameras), -1)[:, -1], 0))
-        before, after = self._median(*start), self._median(*found.state)
+        before, after = self._median(*start[0], start[1]), self._median(cameras, radial, points)
         return PointAdjustment(CameraRig(tuple(cameras)), points, radial, sd, before, after)
 
     def _median(self, cameras: list[Camera], radial: Array, points: Array) -> float:

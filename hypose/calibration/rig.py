@@ -14,9 +14,17 @@ from itertools import combinations
 
 import numpy as np
 
-from hypose.calibration.boards import Board, IntArray, Sighting
-from hypose.calibration.bundle import NOISE_PX, Observations, Refined, refine
-from hypose.calibration.intrinsics import Lens, board_poses, observe, spread_out
+from hypose.calibration.boards import Board, BoardDetection, IntArray
+from hypose.calibration.bundle import (
+    NOISE_PX,
+    CalibratedLens,
+    Observations,
+    Refined,
+    board_poses,
+    bundle_adjust,
+    collect_observations,
+    spread_out,
+)
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import CalibrationError
 from hypose.geometry import Array, se3_inverse, so3_log, transform
@@ -40,7 +48,7 @@ _REACH = 2  # frames: a neighbour farther away says nothing about the velocity
 def motion_noise(
     cameras: Sequence[Camera],
     boards: Mapping[int, Array],
-    sightings: Mapping[int, Mapping[int, Sighting]],
+    sightings: Mapping[int, Mapping[int, BoardDetection]],
     board: Board,
 ) -> dict[tuple[int, int], float]:
     """Standard deviation (px) that a board's motion adds to its corners, by (camera, frame).
@@ -65,7 +73,7 @@ def motion_noise(
     return out | dict.fromkeys(unknown, usual)
 
 
-Chooser = Callable[[int, int, Array, Array], float]
+PoseComparison = Callable[[int, int, Array, Array], float]
 """(camera c, camera d, d_from_c, another d_from_c) -> how much more likely the first is: > 1.1 or < 1 / 1.1 decide"""
 
 _MAX_FRAMES = 120
@@ -78,8 +86,12 @@ _AGREE = 0.3  # share of the common boards that must agree with a relative pose
 
 @dataclass(frozen=True)
 class Link:
-    """Two cameras' relative pose. d_from_c (4, 4); frames shared and how many of them agree; other: a second answer
-    that explains the boards as well, when there is one; error: median over the frames, px."""
+    """Two cameras' relative pose.
+
+    d_from_c (4, 4); frames shared and how many of them agree.
+    other: a second answer that explains the boards as well, when there is one.
+    error: median over the frames, px.
+    """
 
     c: int
     d: int
@@ -92,15 +104,24 @@ class Link:
 
 @dataclass(frozen=True)
 class RigCalibration:
-    """rig: in the frame of the first camera (see `floor`); boards: world_from_board (4, 4) by frame; sightings: those
-    used, numbered alike in all cameras, by camera index and frame; errors: rms px per coordinate by (camera, frame);
-    rms_px: over all; weighted_px: with moving boards counted less, as in the fit; camera_rms (C,); focal_sd (C,) px;
-    position_sd (C,) m; dropped: (camera, frame) that do not fit; notes:
-    sentences for the user."""
+    """Rig calibration.
+
+    rig: in the frame of the first camera (see `floor`).
+    boards: world_from_board (4, 4) by frame.
+    sightings: those used, numbered alike in all cameras, by camera index and frame.
+    errors: rms px per coordinate by (camera, frame).
+    rms_px: over all.
+    weighted_px: with moving boards counted less, as in the fit.
+    camera_rms (C,).
+    focal_sd (C,) px.
+    position_sd (C,) m.
+    dropped: (camera, frame) that do not fit.
+    notes: sentences for the user.
+    """
 
     rig: CameraRig
     boards: Mapping[int, Array]
-    sightings: Mapping[int, Mapping[int, Sighting]]
+    sightings: Mapping[int, Mapping[int, BoardDetection]]
     errors: Mapping[tuple[int, int], float]
     rms_px: float
     weighted_px: float
@@ -112,17 +133,19 @@ class RigCalibration:
 
 
 def calibrate_rig(
-    lenses: Sequence[Lens],
-    sightings: Sequence[Mapping[int, Sighting]],
+    lenses: Sequence[CalibratedLens],
+    sightings: Sequence[Mapping[int, BoardDetection]],
     board: Board,
-    choose: Chooser | None = None,
-    lens_sightings: Sequence[Mapping[int, Sighting]] | None = None,
+    choose: PoseComparison | None = None,
+    lens_sightings: Sequence[Mapping[int, BoardDetection]] | None = None,
 ) -> RigCalibration:
     """Poses of all cameras from boards seen at the same time.
 
-    sightings: per camera, by frame of the common time. choose: decides between two relative poses of a symmetric board
-    that did not move. lens_sightings: more boards, each for its own camera's lens
-    only. A CalibrationError names cameras that share no board with the others.
+    sightings: per camera, by frame of the common time.
+    choose: decides between two relative poses of a symmetric board that did not move.
+    lens_sightings: more boards, each for its own camera's lens only.
+
+    A CalibrationError names cameras that share no board with the others.
     """
     cameras = [n.camera for n in lenses]
     poses = [
@@ -138,7 +161,7 @@ def calibrate_rig(
     placed = _placed(tree, cameras)
     named = _numbered(placed, sightings, poses, board)
     frames = _choose_frames(named, cameras, _MAX_FRAMES)
-    extra: dict[int, dict[int, Sighting]] = {}
+    extra: dict[int, dict[int, BoardDetection]] = {}
     number = -1
     for c, seen in enumerate(lens_sightings or ()):
         for f in () if lenses[c].given else spread_out(seen, cameras[c].size, 30):
@@ -154,11 +177,11 @@ def _link(
     c: int,
     d: int,
     cameras: Sequence[Camera],
-    sightings: Sequence[Mapping[int, Sighting]],
+    sightings: Sequence[Mapping[int, BoardDetection]],
     poses: Sequence[Mapping[int, list[tuple[Array, float]]]],
     board: Board,
 ) -> Link | None:
-    """The relative pose under which the most shared frames agree, and the next best different one."""
+    """Return the relative pose under which the most shared frames agree, and the next best different one."""
     shared = [f for f in sightings[c] if f in sightings[d]]
     shared = [f for f in shared if poses[c][f][0][1] < 5 and poses[d][f][0][1] < 5]
     if not shared:
@@ -205,11 +228,12 @@ def _disagreement(
     d: int,
     cameras: Sequence[Camera],
     shared: Sequence[int],
-    sightings: Sequence[Mapping[int, Sighting]],
+    sightings: Sequence[Mapping[int, BoardDetection]],
     poses: Sequence[Mapping[int, list[tuple[Array, float]]]],
     board: Board,
 ) -> Array:
-    """(F,) px: rms error in camera d of the boards seen by camera c, under the better of their poses and numberings."""
+    """Return (F,) px: rms error in camera d of the boards seen by camera c, under the better of their poses and
+    numberings."""
     out = np.empty(len(shared))
     for k, f in enumerate(shared):
         s = sightings[d][f]
@@ -228,8 +252,8 @@ def _disagreement(
 def _tree(
     links: Sequence[Link],
     cameras: Sequence[Camera],
-    sightings: Sequence[Mapping[int, Sighting]],
-    choose: Chooser | None,
+    sightings: Sequence[Mapping[int, BoardDetection]],
+    choose: PoseComparison | None,
     notes: list[str],
 ) -> list[Link]:
     """Links that join all cameras: unambiguous ones first, those on which most frames agree first."""
@@ -291,7 +315,7 @@ def _tree(
     return out
 
 
-def _span(seen: Mapping[int, Sighting]) -> str:
+def _span(seen: Mapping[int, BoardDetection]) -> str:
     return f"{len(seen)} boards, frames {min(seen)} to {max(seen)}" if seen else "no board"
 
 
@@ -313,19 +337,19 @@ def _placed(tree: Sequence[Link], cameras: Sequence[Camera]) -> list[Camera]:
 class _Numbered:
     """Sightings by camera and frame, numbered alike, and the boards' poses in the world."""
 
-    sightings: dict[int, dict[int, Sighting]]
+    sightings: dict[int, dict[int, BoardDetection]]
     boards: dict[int, Array]
 
 
 def _numbered(
     cameras: Sequence[Camera],
-    sightings: Sequence[Mapping[int, Sighting]],
+    sightings: Sequence[Mapping[int, BoardDetection]],
     poses: Sequence[Mapping[int, list[tuple[Array, float]]]],
     board: Board,
 ) -> _Numbered:
     """Per frame the board pose of one camera that the others agree with best, and the numbering each needs for it."""
     boards: dict[int, Array] = {}
-    out: dict[int, dict[int, Sighting]] = {c: {} for c in range(len(cameras))}
+    out: dict[int, dict[int, BoardDetection]] = {c: {} for c in range(len(cameras))}
     for f in sorted({f for seen in sightings for f in seen}):
         who = [c for c in range(len(cameras)) if f in sightings[c]]
         best: tuple[float, Array, list[int]] | None = None
@@ -353,7 +377,7 @@ def _numbered(
 
 
 def _choose_frames(named: _Numbered, cameras: Sequence[Camera], count: int) -> list[int]:
-    """At most `count` frames: for each pair of cameras those that differ most, then the rest for the lenses."""
+    """Return at most `count` frames: for each pair of cameras those that differ most, then the rest for the lenses."""
     seen = named.sightings
     if len(named.boards) <= count:
         return sorted(named.boards)
@@ -375,8 +399,8 @@ def _refined(
     cameras: Sequence[Camera],
     named: _Numbered,
     frames: Sequence[int],
-    extra: Mapping[int, Mapping[int, Sighting]],
-    lenses: Sequence[Lens],
+    extra: Mapping[int, Mapping[int, BoardDetection]],
+    lenses: Sequence[CalibratedLens],
     board: Board,
     notes: tuple[str, ...],
 ) -> RigCalibration:
@@ -395,7 +419,7 @@ def _refined(
     dropped: list[tuple[int, int]] = []
     moving: dict[tuple[int, int], float] = {}
     result: Refined | None = None
-    obs = observe(seen, all_frames)
+    obs = collect_observations(seen, all_frames)
     motion = np.zeros(len(obs))
     start_shape = (len(cameras), len(all_frames))
     for attempt in range(_ROUNDS):
@@ -403,7 +427,7 @@ def _refined(
         motion = np.array(
             [moving.get((int(c), all_frames[f]), 0.0) for c, f in zip(obs.camera, obs.frame, strict=True)]
         )
-        result = refine(
+        result = bundle_adjust(
             cameras,
             start,
             board.points,
@@ -425,7 +449,7 @@ def _refined(
         rest = {c: {f: s for f, s in v.items() if (c, f) not in gone} for c, v in seen.items()}
         if gone and all(rest.values()):
             seen, dropped = rest, dropped + gone
-            obs = observe(seen, all_frames)
+            obs = collect_observations(seen, all_frames)
         elif attempt and (moving or not gone):
             break
         # each camera by itself fits its boards, together they do not: the instants differ
@@ -466,17 +490,17 @@ def _refined(
 
 
 def _in_front(camera: Camera, world_from_board: Array, board: Board) -> bool:
-    """Whether the whole board lies in front of the camera."""
+    """Return whether the whole board lies in front of the camera."""
     return bool((transform(camera.camera_from_world @ world_from_board, board.points)[:, 2] > 0.01).all())
 
 
-def _filmed(seen: Mapping[int, Sighting]) -> dict[int, Sighting]:
+def _filmed(seen: Mapping[int, BoardDetection]) -> dict[int, BoardDetection]:
     """Without the pictures taken for the lens, which have no common time."""
     return {f: s for f, s in seen.items() if f >= 0}
 
 
 def _by_view(obs: Observations, residuals: Array, c: int, f: int) -> tuple[Array, IntArray]:
-    """(C, F) rms px per coordinate, NaN where a camera saw no board, and number of corners."""
+    """Return (C, F) rms px per coordinate, NaN where a camera saw no board, and number of corners."""
     at = obs.camera * f + obs.frame
     count = np.bincount(at, minlength=c * f).reshape(c, f).astype(np.int64)
     total = np.bincount(at, (residuals**2).sum(1), c * f).reshape(c, f)

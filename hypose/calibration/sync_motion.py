@@ -47,15 +47,19 @@ _SMOOTH_POINTS, _SMOOTH_MASKS = 2.0, 1.0  # frames: so that interpolation smooth
 
 @dataclass(frozen=True)
 class Curves:
-    """Disagreement of pairs of views over the offset. pairs (P, 2); lags (L,) frames: view b is later than view a by
-    that much; cost (P, L), half a log likelihood ratio, NaN where a pair has nothing in common."""
+    """Disagreement of pairs of views over the offset.
+
+    pairs (P, 2).
+    lags (L,) frames: view b is later than view a by that much.
+    cost (P, L), half a log likelihood ratio, NaN where a pair has nothing in common.
+    """
 
     pairs: tuple[tuple[int, int], ...]
     lags: Array
     cost: Array
 
     def __add__(self, other: Curves) -> Curves:
-        """Both together; a pair that one does not know is taken from the other."""
+        """Return both together; a pair that one does not know is taken from the other."""
         both = np.stack([self.cost, other.cost])
         none = np.isnan(both).all(0)
         return Curves(self.pairs, self.lags, np.where(none, np.nan, np.nansum(both, axis=0)))
@@ -63,9 +67,12 @@ class Curves:
 
 @dataclass(frozen=True)
 class Offsets:
-    """frames (C,): how many frames each view is late, against the median view; sd (C,) frames, inf for a view without
-    motion in common with the others; gain: by how much the disagreement falls against no offset, in units of half a
-    log likelihood."""
+    """Offsets.
+
+    frames (C,): how many frames each view is late, against the median view.
+    sd (C,) frames, inf for a view without motion in common with the others.
+    gain: by how much the disagreement falls against no offset, in units of half a log likelihood.
+    """
 
     frames: Array
     sd: Array
@@ -73,7 +80,7 @@ class Offsets:
 
 
 def fundamental(rig: CameraRig, a: int, b: int) -> Array:
-    """(3, 3) F with x_b^T F x_a = 0 for pinhole cameras a and b."""
+    """Return (3, 3) F with x_b^T F x_a = 0 for pinhole cameras a and b."""
     ca, cb = rig[a], rig[b]
     motion = cb.camera_from_world @ np.linalg.inv(ca.camera_from_world)
     e = skew(motion[:3, 3]) @ motion[:3, :3]
@@ -89,8 +96,13 @@ def keypoint_curves(
     *,
     step: float = _STEP,
 ) -> Curves:
-    """Curves from key points. pixels (C, T, K, 2) undistorted px of the rig, confidence (C, T, K); largest: offset in
-    frames; scale_px: sd of a detection; step: of the offsets, frames."""
+    """Curves from key points.
+
+    pixels (C, T, K, 2) undistorted px of the rig, confidence (C, T, K).
+    largest: offset in frames.
+    scale_px: sd of a detection.
+    step: of the offsets, frames.
+    """
     n, frames = pixels.shape[:2]
     lags = _lags(largest, frames, step)
     margin = int(np.ceil(lags[-1])) + 1
@@ -118,15 +130,15 @@ def keypoint_curves(
                 continue
             e, both = ((xb * lines_b).sum(-1) / np.maximum(size, 1e-12))[:, enough], both[:, enough]
             e = np.where(both, e - _running_mean(e, both, scale_px), 0.0)
-            # what is left lasts for several frames and all points share the calibration's errors: count a seventh
+            # the residual lasts for several frames and all points share the calibration's errors: count a seventh
             mean = np.average(lorentzian((e / (2 * scale_px)) ** 2)[0], weights=both * counts[enough])
             cost[p, k] = 0.3 * mean * counts[enough].sum() * len(times)
     return Curves(pairs, lags, cost)
 
 
 def _independent(pixels: Array, scale_px: float) -> Array:
-    """(K,) as how many points each of pixels (C, T, K, 2) counts: of points that lie together in every view, as those
-    of a face or a hand, a detector places all with the same error, scale_px."""
+    """Return (K,) as how many points each of pixels (C, T, K, 2) counts: of points that lie together in every view, as
+    those of a face or a hand, a detector places all with the same error, scale_px."""
     apart = np.zeros((pixels.shape[2], pixels.shape[2]))
     for view in pixels:
         between = [np.median(np.linalg.norm(view - view[:, [k]], axis=-1), axis=0) for k in range(len(apart))]
@@ -136,8 +148,13 @@ def _independent(pixels: Array, scale_px: float) -> Array:
 
 @dataclass(frozen=True)
 class MaskTrack:
-    """What timing needs of one view's masks: outline (T) of convex hulls (n, 2) px or None; changed (T) of (m, 2) px
-    where frame t + 2 differs from t - 2, or None; area (T,); cut (T,): the mask touches the image border."""
+    """What timing needs of one view's masks.
+
+    outline (T) of convex hulls (n, 2) px or None.
+    changed (T) of (m, 2) px where frame t + 2 differs from t - 2, or None.
+    area (T,).
+    cut (T,): the mask touches the image border.
+    """
 
     outline: tuple[Array | None, ...]
     changed: tuple[Array | None, ...]
@@ -145,7 +162,7 @@ class MaskTrack:
     cut: NDArray[np.bool_]
 
     def at(self, frames: NDArray[np.int64]) -> MaskTrack:
-        """The track as it is when these frames are shown; outside of it there is no mask."""
+        """Return the track as it is when these frames are shown; outside of it there is no mask."""
         n = len(self.area)
         inside, near = (frames >= 0) & (frames < n), np.clip(frames, 0, n - 1)
         shown = list(zip(near.tolist(), inside.tolist(), strict=True))
@@ -158,12 +175,12 @@ class MaskTrack:
 
     @property
     def size(self) -> float:
-        """Median over the frames of the person's longer side, px; 0 where there is no mask."""
+        """Return median over the frames of the person's longer side, px; 0 where there is no mask."""
         return float(np.median([np.ptp(h, axis=0).max() for h in self.outline if h is not None] or [0.0]))
 
 
 def mask_tracks(silhouettes: Sequence[Silhouettes | None]) -> list[MaskTrack]:
-    """The tracks of all views from the masks of consecutive frames."""
+    """Return the tracks of all views from the masks of consecutive frames."""
     known = next((s for s in silhouettes if s is not None), None)
     if known is None:
         raise EvidenceError("There are no silhouettes to take the timing from.")
@@ -262,10 +279,11 @@ def silhouette_curves(rig: CameraRig, tracks: Sequence[MaskTrack], largest: floa
 
 
 def solve_offsets(curves: Curves, n_views: int) -> Offsets:
-    """The offsets of all views that fit the curves of all pairs best.
+    """Return the offsets of all views that fit the curves of all pairs best.
 
     Coordinate descent on whole frames from several starts, then a continuous search. An EvidenceError when no pair of
-    views has motion in common."""
+    views has motion in common.
+    """
     from scipy.optimize import minimize  # takes long to import
 
     lags = curves.lags
@@ -332,7 +350,7 @@ def solve_widely(curves_of: Callable[[float], Curves], n_views: int, largest: fl
             if found is None:
                 raise
             return found, reach
-        if found is not None and not at_the_end(wider, reach):  # no farther: the more frames told it better
+        if found is not None and not at_the_end(wider, reach):  # no farther: more frames decide better
             return found, float(curves.lags[-1])
         found, reach = wider, float(curves.lags[-1])
         if not at_the_end(found, reach) or reach < largest - 1:  # the clip is too short to look farther
@@ -347,12 +365,12 @@ def at_the_end(found: Offsets, reach: float) -> bool:
 
 
 def farther(found: Offsets, frames: Array, reach: float) -> NDArray[np.bool_]:
-    """(C,) views late by frames (C,) that may be later still, when reach frames were looked for."""
+    """Return (C,) views late by frames (C,) that may be later still, when reach frames were looked for."""
     return np.asarray(at_the_end(found, reach) & (np.abs(frames) > 0.5 * reach))
 
 
 def _starts(splines: dict[tuple[int, int], CubicSpline], lags: Array, n: int) -> list[Array]:
-    """All zero, and every view as a reference to which the others are put by their pair's best offset."""
+    """Return start offsets: all zero, and for every view as reference the best offsets of its pairs."""
     out = [np.zeros(n)]
     for reference in range(n):
         x = np.zeros(n)
@@ -365,7 +383,7 @@ def _starts(splines: dict[tuple[int, int], CubicSpline], lags: Array, n: int) ->
 
 
 def _running_mean(e: Array, known: NDArray[np.bool_], scale: float) -> Array:
-    """(T, K) robust mean over time of e (T, K) around each frame, where known."""
+    """Return (T, K) robust mean over time of e (T, K) around each frame, where known."""
     w, middle = known.astype(np.float64), np.zeros(e.shape)
     for _ in range(3):
         weight = gaussian_filter1d(w, _LASTING, axis=0, mode="constant")
@@ -375,7 +393,7 @@ def _running_mean(e: Array, known: NDArray[np.bool_], scale: float) -> Array:
 
 
 def offsets_within(largest: float, frames: int) -> float:
-    """The largest offset that can be looked for in so many frames, when `largest` is wanted."""
+    """Return the largest offset that can be looked for in so many frames, when `largest` is wanted."""
     return min(float(largest), (frames - 12) / 3)
 
 
@@ -390,7 +408,7 @@ def _lags(largest: float, frames: int, step: float = _STEP) -> Array:
 
 
 def _smoothed(values: Array, seen: NDArray[np.bool_], sd: float) -> Array:
-    """(T, K, d) or (T, d) smoothed over time, gaps bridged by interpolation; never seen: 0."""
+    """Return (T, K, d) or (T, d) smoothed over time, gaps bridged by interpolation; never seen: 0."""
     t = np.arange(len(values))
     flat = np.array(values, dtype=np.float64).reshape(len(values), -1)
     known = np.broadcast_to(np.asarray(seen).reshape(len(values), -1, 1), (*_two(values), values.shape[-1]))
@@ -418,8 +436,8 @@ def _homogeneous(x: Array) -> Array:
 
 
 def _pencil(rig: CameraRig, a: int, b: int) -> Array:
-    """(3, 3) rows: the baseline's direction and two perpendicular ones, world; planes are told by their angle about
-    the first, counted from the middle of where both cameras look."""
+    """Return (3, 3) rows: the baseline's direction and two perpendicular ones, world; planes are identified by their
+    angle about the first, counted from the middle of where both cameras look."""
     base = rig[b].position - rig[a].position
     e0 = base / max(float(np.linalg.norm(base)), 1e-12)
     look = rig[a].camera_from_world[2, :3] + rig[b].camera_from_world[2, :3]
@@ -442,7 +460,7 @@ def _angles(rig: CameraRig, c: int, pixels: Array, pencil: Array) -> tuple[Array
 
 
 def _activity(rig: CameraRig, tracks: Sequence[MaskTrack], a: int, b: int, planes: Array) -> tuple[Array, Array] | None:
-    """(T, BINS) per view: share of the mask that changed, by where along the pencil. None without masks."""
+    """Return (T, BINS) per view: share of the mask that changed, by where along the pencil. None without masks."""
     known = planes[np.isfinite(planes).all(-1)]
     if len(known) < 8:
         return None

@@ -19,8 +19,8 @@ from scipy.ndimage import median_filter
 from scipy.signal import butter, resample_poly, sosfiltfilt
 
 from hypose import compute
-from hypose.calibration.boards import Board, Sighting
-from hypose.calibration.intrinsics import board_poses
+from hypose.calibration.boards import Board, BoardDetection
+from hypose.calibration.bundle import board_poses
 from hypose.calibration.sync_motion import (
     Curves,
     Offsets,
@@ -39,10 +39,10 @@ WHOLE = 0.05
 """frames: offsets nearer than this to a whole number are taken as whole, and nothing is interpolated"""
 
 
-_BESIDE = 0.25  # weight of silhouettes beside key points, whose errors are the smaller ones
+_MASK_SHARE = 0.25  # weight of silhouettes relative to key points, whose errors are the smaller ones
 
 
-class Frames(Protocol):
+class FrameSequence(Protocol):
     """Frames by number."""
 
     def __len__(self) -> int: ...
@@ -59,11 +59,15 @@ def offsets_from_motion(
     *,
     largest: float = 12.0,
 ) -> Offsets:
-    """How late each view is, from consecutive frames of key points, silhouettes or both.
+    """Return how late each view is, from consecutive frames of key points, silhouettes or both.
 
-    rig: as calibrated; keypoints: pixels (C, T, K, 2) undistorted px of the calibrated size and confidence (C, T, K);
-    silhouettes: T, at any working size. largest: offset in frames that is looked for. An EvidenceError when the
-    recording is too short or nobody moves."""
+    rig: as calibrated.
+    keypoints: pixels (C, T, K, 2) undistorted px of the calibrated size and confidence (C, T, K).
+    silhouettes: T, at any working size.
+    largest: offset in frames that is looked for.
+
+    An EvidenceError when the recording is too short or no person moves.
+    """
     curves: Curves | None = None
     n = len(rig)
     if keypoints is not None:
@@ -74,7 +78,7 @@ def offsets_from_motion(
         tracks = mask_tracks(silhouettes)
         extent = np.nanmedian([np.ptp(h, axis=0).max() for t in tracks for h in t.outline if h is not None])
         more = silhouette_curves(masks.rig, tracks, largest, max(float(extent) / 130, 0.5))
-        curves = more if curves is None else curves + replace(more, cost=_BESIDE * more.cost)
+        curves = more if curves is None else curves + replace(more, cost=_MASK_SHARE * more.cost)
     if curves is None:
         raise EvidenceError("There are neither key points nor silhouettes to take the timing from.")
     return solve_offsets(curves, n)
@@ -93,7 +97,7 @@ def point_sd(pixels: Array, confidence: Array) -> float:
 
 def points_at(points: Array, late: float) -> Array:
     """Key points (T, K, 3) of one view at t + late for t = 0..T-1; confidence 0 outside, and where a neighbour that is
-    needed is missing; at most half a frame beside a missing one its neighbour serves."""
+    needed is missing; at most half a frame from a missing one its neighbour serves."""
     n = len(points)
     out = np.zeros_like(points)
     at = np.arange(n) + (round(late) if abs(late - round(late)) < WHOLE else late)
@@ -111,9 +115,11 @@ def points_at(points: Array, late: float) -> Array:
 
 
 def mask_between(before: NDArray[np.uint8], after: NDArray[np.uint8], share: float) -> NDArray[np.uint8]:
-    """The mask (h, w) 0/1 at `share` of the way from one mask to the next: zero set of the mixed signed distances.
+    """Return the mask (h, w) 0/1 at `share` of the way from one mask to the next: zero set of the mixed signed
+    distances.
 
-    Parts that do not overlap in the two masks would vanish in the middle; they are taken from the nearer one."""
+    Parts that do not overlap in the two masks would vanish in the middle; they are taken from the nearer one.
+    """
     if share <= WHOLE or not after.any():
         return before
     if share >= 1 - WHOLE or not before.any():
@@ -128,7 +134,7 @@ def mask_between(before: NDArray[np.uint8], after: NDArray[np.uint8], share: flo
 class Resampled:
     """Frames of a source on the common clock. late (C,): frames by which each view is late."""
 
-    def __init__(self, source: Frames, late: Sequence[float] | Array) -> None:
+    def __init__(self, source: FrameSequence, late: Sequence[float] | Array) -> None:
         self.source = source
         if not np.isfinite(np.asarray(late, dtype=np.float64)).all():
             raise InputError(f"Offsets must be finite numbers of frames, got {list(late)}.")
@@ -205,8 +211,8 @@ _LEAST_PEAK = 6.0  # a peak of the correlation in its own sd, below which there 
 
 
 def offsets_from_sound(sounds: Sequence[Sound], names: Sequence[str], largest_s: float = 10.0) -> tuple[Array, Array]:
-    """(C,) seconds by which each view is late, against the median view, and (C,) strength of the evidence (peak of the
-    correlation with the others in sd). An EvidenceError names the views that share no sound with the others."""
+    """Return (C,) seconds by which each view is late, against the median view, and (C,) strength of the evidence (peak
+    of the correlation with the others in sd). An EvidenceError names the views that share no sound with the others."""
     prepared = [_prepared(s, n) for s, n in zip(sounds, names, strict=True)]
     c = len(prepared)
     rows, values, weights = [], [], []
@@ -254,7 +260,7 @@ def _prepared(sound: Sound, name: str) -> Array:
 
 
 def _pair(a: Array, b: Array, largest_s: float) -> tuple[float, float]:
-    """Seconds by which b is late against a, and the height of the peak in sd."""
+    """Return seconds by which b is late against a, and the height of the peak in sd."""
     n = 1 << int(np.ceil(np.log2(len(a) + len(b))))
     cross = np.fft.rfft(b, n) * np.conj(np.fft.rfft(a, n))
     size = np.abs(cross)
@@ -271,9 +277,11 @@ def _pair(a: Array, b: Array, largest_s: float) -> tuple[float, float]:
 
 
 def offsets_from_light(brightness: Sequence[Array], names: Sequence[str]) -> tuple[Array, tuple[str, ...]]:
-    """(C,) frames by which each view is late, against the median view, and what was seen in each ("lamp", "flash").
+    """Return (C,) frames by which each view is late, against the median view, and what was seen in each ("lamp",
+    "flash").
 
-    brightness: mean of every frame of each view. An EvidenceError names a view without such an event."""
+    brightness: mean of every frame of each view. An EvidenceError names a view without such an event.
+    """
     found = [light_event(np.asarray(b, dtype=np.float64), n) for b, n in zip(brightness, names, strict=True)]
     kinds = tuple(k for _, k in found)
     if len(set(kinds)) > 1:
@@ -300,7 +308,7 @@ def light_event(brightness: Array, name: str) -> tuple[float, str]:
     low, high = max(0, k - 3), min(len(b), k + 5)
     before, after = float(np.median(b[max(0, low - 6) : low + 1])), float(np.median(b[high - 1 : high + 6]))
     if abs(after - before) > 0.5 * abs(step[k]):
-        # what is missing to the new level, summed over the frames, is the time before the switch
+        # the difference to the new level, summed over the frames, is the time before the switch
         share = np.clip((after - b[low:high]) / (after - before), 0.0, 1.0)
         share[: max(k - low, 0)] = 1.0
         return low + float(share.sum()), "lamp"
@@ -321,10 +329,10 @@ _BETTER = 0.1  # by how much it must exceed that without lag
 
 
 def estimate_lags(
-    cameras: Sequence[Camera], sightings: Sequence[Mapping[int, Sighting]], board: Board, longest: int = 150
+    cameras: Sequence[Camera], sightings: Sequence[Mapping[int, BoardDetection]], board: Board, longest: int = 150
 ) -> dict[int, int]:
-    """Frames by which cameras (by index) are late against the camera that saw most boards; only those that are clearly
-    not synchronous with it. Frame i + lag of such a camera shows what frame i of that one shows."""
+    """Return frames by which cameras (by index) are late against the camera that saw most boards; only those that are
+    clearly not synchronous with it. Frame i + lag of such a camera shows what frame i of that one shows."""
     speeds = [_speed(c, s, board) for c, s in zip(cameras, sightings, strict=True)]
     base = int(np.argmax([len(s[0]) for s in speeds]))
     out = {}
@@ -343,7 +351,7 @@ def estimate_lags(
     return out
 
 
-def _speed(camera: Camera, sightings: Mapping[int, Sighting], board: Board) -> tuple[Array, Array]:
+def _speed(camera: Camera, sightings: Mapping[int, BoardDetection], board: Board) -> tuple[Array, Array]:
     """Moments (n,) in frames and the board's middle's speed (n,) there, m per frame, from neighbouring looks."""
     frames = sorted(sightings)
     if len(frames) < 3:

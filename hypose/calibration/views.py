@@ -11,13 +11,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from hypose.calibration.boards import Board, Detector, Gray, Sighting, make_detector, sheet_views
+from hypose.calibration.boards import Board, BoardDetection, Detector, Gray, make_detector, sheet_views
 from hypose.errors import CalibrationError, InputError
 from hypose.geometry import Array
 from hypose.io.file_names import natural_key, text_of
 from hypose.io.videos.video import IMAGE_ENDINGS, VIDEO_ENDINGS, evenly_spread, list_images, open_video
 
-Progress = Callable[[str, int, int], None]
+BoardProgress = Callable[[str, int, int], None]
 
 BLURRED_PX = 5.0
 """Edges wider than this make corners too uncertain to be used."""
@@ -25,13 +25,13 @@ _COLOURS = {
     False: "the board is printed white on black: give --inverted",
     True: "the board is printed black on white: leave --inverted out",
 }
-_COARSE = 4  # every 4th frame is looked at first, the others only beside a frame that shows the board
+_COARSE = 4  # every 4th frame is looked at first, the others only next to a frame that shows the board
 _STILL = 3.0  # mean difference in grey levels between two pictures of a scene in which nothing moves
 _STILL_FRAMES = 60
 
 
 @dataclass(frozen=True)
-class Source:
+class BoardFootage:
     """Where a camera's board pictures are: a video, a folder of photos or one photo. lag: frames by which the video
     is late, so that its frame i + lag belongs to frame i of the others."""
 
@@ -44,7 +44,7 @@ class Source:
 class Look:
     """What one picture showed: the board, or why not."""
 
-    sighting: Sighting | None
+    sighting: BoardDetection | None
     reason: str
     focus: float
     """Mean of the squared Laplacian, compared with other pictures of the same camera only."""
@@ -53,8 +53,12 @@ class Look:
 
 @dataclass(frozen=True)
 class CameraViews:
-    """What one camera saw. looks: by frame number (of the common time; photos: by order); size (width, height) px;
-    still: the pictures do not change, and frame 0 stands for their mean."""
+    """What one camera saw.
+
+    looks: by frame number (of the common time; photos: by order).
+    size (width, height) px.
+    still: the pictures do not change, and frame 0 stands for their mean.
+    """
 
     name: str
     path: Path
@@ -65,13 +69,13 @@ class CameraViews:
     still: bool = False
 
     @property
-    def sightings(self) -> dict[int, Sighting]:
-        """The sharp boards by frame number."""
+    def sightings(self) -> dict[int, BoardDetection]:
+        """Return the sharp boards by frame number."""
         return {f: k.sighting for f, k in self.looks.items() if k.sighting is not None and k.reason == ""}
 
     @property
     def coverage(self) -> float:
-        """Share of the picture's 6 x 6 fields in which a corner was seen."""
+        """Return share of the picture's 6 x 6 fields in which a corner was seen."""
         seen = np.zeros((6, 6), bool)
         for s in self.sightings.values():
             x, y = np.clip(6 * s.pixels / self.size, 0, 5.99).astype(int).T
@@ -79,7 +83,7 @@ class CameraViews:
         return float(seen.mean())
 
     def summary(self) -> str:
-        """One sentence on what was found."""
+        """Return one sentence on what was found."""
         n = len(self.sightings)
         why: dict[str, int] = {}
         for look in self.looks.values():
@@ -92,10 +96,12 @@ class CameraViews:
         return text + (f" ({rest})" if rest else "")
 
 
-def find_sources(paths: Sequence[Path], what: str = "board videos") -> list[Source]:
-    """One source per camera: from a folder with one video or photo folder per camera, or from the paths themselves.
+def find_sources(paths: Sequence[Path], what: str = "board videos") -> list[BoardFootage]:
+    """Return one source per camera: from a folder with one video or photo folder per camera, or from the paths
+    themselves.
 
-    Cameras are named by their files; where all files are called the same, by their folders."""
+    Cameras are named by their files; where all files are called the same, by their folders.
+    """
     found: list[Path] = []
     for path in paths:
         if not path.exists():
@@ -114,7 +120,7 @@ def find_sources(paths: Sequence[Path], what: str = "board videos") -> list[Sour
         raise InputError(
             f"The {what} cannot be told apart by their names ({', '.join(stems)}); name the files by their cameras."
         )
-    return [Source(n, p) for n, p in zip(names, found, strict=True)]
+    return [BoardFootage(n, p) for n, p in zip(names, found, strict=True)]
 
 
 def _inside(folder: Path, what: str) -> list[Path]:
@@ -137,16 +143,17 @@ def _inside(folder: Path, what: str) -> list[Path]:
 
 
 def look_for_board(
-    sources: Sequence[Source],
+    sources: Sequence[BoardFootage],
     board: Board,
     max_frames: int = 120,
     together: bool = True,
-    progress: Progress = lambda stage, done, total: None,
+    progress: BoardProgress = lambda stage, done, total: None,
 ) -> tuple[CameraViews, ...]:
-    """The board in all pictures of all cameras; an InputError names a file that cannot be read.
+    """Return the board in all pictures of all cameras; an InputError names a file that cannot be read.
 
-    max_frames: pictures looked at per camera, evenly spread. together: the cameras filmed at the same time, so the same
-    frames are looked at in all."""
+    max_frames: pictures looked at per camera, evenly spread.
+    together: the cameras filmed at the same time, so the same frames are looked at in all.
+    """
     count = [0, 1]
 
     def step(total: int) -> None:
@@ -163,7 +170,7 @@ def look_for_board(
         numbers = evenly_spread(first, common, max_frames)
     total = sum(len(numbers or evenly_spread(0, n, max_frames)) for n in lengths)
 
-    def one(source: Source, n: int) -> CameraViews:
+    def one(source: BoardFootage, n: int) -> CameraViews:
         return _look(source, numbers or evenly_spread(0, n, max_frames), board, lambda: step(total))
 
     with ThreadPoolExecutor(2) as pool:
@@ -172,7 +179,7 @@ def look_for_board(
     return out
 
 
-def _look(source: Source, numbers: Sequence[int], board: Board, step: Callable[[], None]) -> CameraViews:
+def _look(source: BoardFootage, numbers: Sequence[int], board: Board, step: Callable[[], None]) -> CameraViews:
     detect = make_detector(board)
     looks: dict[int, Look] = {}
     with open_video(source.path) as reader:
@@ -185,7 +192,7 @@ def _look(source: Source, numbers: Sequence[int], board: Board, step: Callable[[
         else:
             near: dict[int, bool] = {}
             coarse = set(numbers) if photos or len(numbers) < 2 * _COARSE else {*numbers[::_COARSE], numbers[-1]}
-            # first the coarse pass, then the gaps beside what was found: a video is decoded twice, but seldom searched
+            # first the coarse pass, then the gaps next to detections: a video is decoded twice, but seldom searched
             for chosen in (coarse, set(numbers) - coarse):
                 for i, number in enumerate(numbers):
                     if number not in chosen:
@@ -202,8 +209,8 @@ def _look(source: Source, numbers: Sequence[int], board: Board, step: Callable[[
     return CameraViews(source.name, source.path, size, n_frames, _with_reasons(looks), source.lag, mean is not None)
 
 
-def _still_mean(source: Source, numbers: Sequence[int]) -> Gray | None:
-    """Mean picture of a clip in which nothing moves (noise is less in it), else None."""
+def _still_mean(source: BoardFootage, numbers: Sequence[int]) -> Gray | None:
+    """Return mean picture of a clip in which nothing moves (noise is less in it), else None."""
     if len(numbers) < 3:
         return None
     with open_video(source.path) as reader:
@@ -339,8 +346,8 @@ def _diagnose_markers(grays: Sequence[Gray], board: Board) -> str:
     return f"a chessboard of {seen[0]} x {seen[1]} inner corners without markers was seen instead" if seen else ""
 
 
-def positions(sightings: Mapping[int, Sighting], size: tuple[int, int]) -> Array:
-    """(F, 4): where each board lies in the picture: centre, size and slant, in units of the picture's width."""
+def positions(sightings: Mapping[int, BoardDetection], size: tuple[int, int]) -> Array:
+    """Return (F, 4): where each board lies in the picture: centre, size and slant, in units of the picture's width."""
     out = []
     for s in sightings.values():
         spread = s.pixels.std(0) / size[0]
@@ -349,7 +356,7 @@ def positions(sightings: Mapping[int, Sighting], size: tuple[int, int]) -> Array
 
 
 # ---- counted corners -----------------------------------------------------------------------------------------------
-# Which chessboard is it? Its corners, counted in the pictures, so that nobody has to count them.
+# Which chessboard is it? Its corners, counted in the pictures, so that the user need not count them.
 
 
 _PICTURES = 8
@@ -358,7 +365,7 @@ _ENOUGH = 4
 """Pictures that must show the same number of corners before no further camera is looked at."""
 
 
-def count_corners(sources: Sequence[Source]) -> tuple[int, int]:
+def count_corners(sources: Sequence[BoardFootage]) -> tuple[int, int]:
     """Inner corners (columns, rows), the larger number first, of the chessboard in board videos or photos.
 
     A board that is partly hidden or partly found shows fewer corners than it has, so that number counts which most
@@ -380,7 +387,7 @@ def count_corners(sources: Sequence[Source]) -> tuple[int, int]:
     return found
 
 
-def _spread_counted(source: Source) -> Iterator[Gray]:
+def _spread_counted(source: BoardFootage) -> Iterator[Gray]:
     with open_video(source.path) as reader:
         for frame in evenly_spread(0, reader.n_frames, _PICTURES):
             yield np.asarray(cv2.cvtColor(reader.read(frame), cv2.COLOR_BGR2GRAY), dtype=np.uint8)

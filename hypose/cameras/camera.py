@@ -16,9 +16,14 @@ from hypose.geometry import Array, se3_inverse
 
 @dataclass(frozen=True)
 class Camera:
-    """One camera. name; K (3, 3) px; distortion (k,) OpenCV coefficients (k1 k2 p1 p2 [k3 ...]; four fisheye
-    coefficients when `fisheye`); camera_from_world (4, 4) m, x right, y down, z forward; size (width, height) px.
-    Pixel centres lie at integer coordinates."""
+    """One camera.
+
+    name.
+    K (3, 3) px.
+    distortion (k,) OpenCV coefficients (k1 k2 p1 p2 [k3 ...]; four fisheye coefficients when `fisheye`).
+    camera_from_world (4, 4) m, x right, y down, z forward.
+    size (width, height) px. Pixel centres lie at integer coordinates.
+    """
 
     name: str
     K: Array
@@ -48,12 +53,12 @@ class Camera:
 
     @property
     def position(self) -> Array:
-        """(3,) camera centre in the world, m."""
+        """Return (3,) camera centre in the world, m."""
         return se3_inverse(self.camera_from_world)[:3, 3]
 
     @property
     def projection(self) -> Array:
-        """(3, 4) pinhole projection K [R | t] (no distortion)."""
+        """Return (3, 4) pinhole projection K [R | t] (no distortion)."""
         return self.K @ self.camera_from_world[:3]
 
     def project(self, points_world: ArrayLike) -> Array:
@@ -80,7 +85,7 @@ class Camera:
             else:
                 uv = cv2.projectPoints(points, zero, zero, self.K, self.distortion)[0]
             return np.asarray(uv, dtype=np.float64).reshape(-1, 2)
-        # as OpenCV's projectPoints, which works out derivatives that nobody asks for and takes ten times as long
+        # as OpenCV's projectPoints, which computes derivatives that are not needed and takes ten times as long
         x, y = u, v = np.ascontiguousarray(directions.T)
         if self.distortion.any():
             k1, k2, p1, p2, k3, k4, k5, k6 = np.concatenate([np.ravel(self.distortion), np.zeros(8)])[:8]
@@ -117,7 +122,7 @@ class Camera:
         return self.position, d / np.linalg.norm(d, axis=-1, keepdims=True)
 
     def scaled(self, size: tuple[int, int]) -> Camera:
-        """The same camera with images resampled to size (width, height); pixel centres at integers are kept."""
+        """Return the same camera with images resampled to size (width, height); pixel centres at integers are kept."""
         sx, sy = size[0] / self.size[0], size[1] / self.size[1]
         k = np.diag([sx, sy, 1.0]) @ self.K
         k[0, 2] += 0.5 * sx - 0.5
@@ -125,7 +130,7 @@ class Camera:
         return replace(self, K=k, size=(int(size[0]), int(size[1])))
 
     def pinhole(self) -> Camera:
-        """The same camera without lens distortion."""
+        """Return the same camera without lens distortion."""
         return replace(self, distortion=np.zeros(5), fisheye=False)
 
     def undistort_maps(
@@ -174,22 +179,22 @@ class CameraRig:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The C camera names."""
+        """Return the C camera names."""
         return tuple(c.name for c in self.cameras)
 
     @property
     def projections(self) -> Array:
-        """(C, 3, 4) pinhole projection matrices."""
+        """Return (C, 3, 4) pinhole projection matrices."""
         return self._made[0].copy()
 
     @property
     def positions(self) -> Array:
-        """(C, 3) camera centres in the world, m."""
+        """Return (C, 3) camera centres in the world, m."""
         return self._made[1].copy()
 
     @property
     def sizes(self) -> NDArray[np.int64]:
-        """(C, 2) image width and height, px."""
+        """Return (C, 2) image width and height, px."""
         return self._made[2].copy()
 
     @cached_property
@@ -199,7 +204,7 @@ class CameraRig:
         return np.stack([c.projection for c in self.cameras]), np.stack([c.position for c in self.cameras]), sizes
 
     def select(self, names: Sequence[str]) -> CameraRig:
-        """The rig of the named cameras in that order; a CalibrationError lists what exists."""
+        """Return the rig of the named cameras in that order; a CalibrationError lists what exists."""
         by_name = {c.name: c for c in self.cameras}
         missing = [n for n in names if n not in by_name]
         if missing:
@@ -210,11 +215,11 @@ class CameraRig:
         return CameraRig(tuple(by_name[n] for n in names))
 
     def pinhole(self) -> CameraRig:
-        """The same rig without lens distortion."""
+        """Return the same rig without lens distortion."""
         return CameraRig(tuple(c.pinhole() for c in self.cameras))
 
     def scaled(self, factor: float) -> CameraRig:
-        """The rig with every image resampled by `factor` (sizes rounded to whole pixels)."""
+        """Return the rig with every image resampled by `factor` (sizes rounded to whole pixels)."""
         return CameraRig(
             tuple(
                 c.scaled((max(1, round(c.size[0] * factor)), max(1, round(c.size[1] * factor)))) for c in self.cameras
@@ -227,9 +232,11 @@ def triangulate(
 ) -> tuple[Array, NDArray[np.int64]]:
     """Confidence-weighted linear triangulation (DLT).
 
-    pixels (C, ..., 2) undistorted px of the rig's pinhole cameras; confidence (C, ...) >= 0, 0 = not seen.
-    Returns points_world (..., 3), NaN with fewer than min_views views, and the number of views (...).
-    Source: Hartley & Zisserman 2004, section 12.2.
+    pixels (C, ..., 2) undistorted px of the rig's pinhole cameras.
+    confidence (C, ...) >= 0, 0 = not seen.
+
+    Returns points_world (..., 3), NaN with fewer than min_views views, and the number of views (...). Source: Hartley &
+    Zisserman 2004, section 12.2.
     """
     uv, w = np.asarray(pixels, dtype=np.float64), np.asarray(confidence, dtype=np.float64)
     w = np.where(np.isfinite(uv).all(-1), w, 0.0)
@@ -250,8 +257,8 @@ PARALLEL = 0.26
 
 
 def widest_angle(rig: CameraRig, pixels: ArrayLike, confidence: ArrayLike) -> Array:
-    """(...) sine of the angle between those two rays through pixels (C, ..., 2) with confidence (C, ...) > 0 that are
-    least parallel; undistorted px of the rig's pinhole cameras; 0 with fewer than two."""
+    """Return (...) sine of the angle between those two rays through pixels (C, ..., 2) with confidence (C, ...) > 0
+    that are least parallel; undistorted px of the rig's pinhole cameras; 0 with fewer than two."""
     uv, seen = np.nan_to_num(np.asarray(pixels, dtype=np.float64)), np.asarray(confidence) > 0
     rays = np.stack([camera.rays(p)[1] for camera, p in zip(rig.pinhole(), uv, strict=True)])
     sine = np.linalg.norm(np.cross(rays[:, None], rays[None]), axis=-1)

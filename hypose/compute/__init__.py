@@ -1,8 +1,8 @@
 """Compute: the only room whose code numba compiles; every hot function takes and returns arrays.
 
-A kernel is a function under `compiled.kernel`; what is public here checks and tidies arrays, calls kernels and spreads
-work over threads. This module is the room's only door: what is not named here is not used outside (checked with the
-import contracts).
+A kernel is a function under `compiled.kernel`; public functions here check and tidy arrays, call kernels and spread
+work over threads. This module is the room's only door: names that are not listed here are not used outside (checked
+with the import contracts).
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from hypose.compute.arrays import (
     NO_POINTS,
     NOT_KNOWN,
     ContourArrays,
+    Cues,
     DepthArrays,
     KeypointArrays,
     MeshArrays,
@@ -48,7 +49,7 @@ from hypose.compute.depth_points import (
     things_before,
 )
 from hypose.compute.forest_votes import Packed, ScanPlan
-from hypose.compute.forests import Depth, GrowingArrays, PaddedDepth, TreeArraysOffline
+from hypose.compute.forests import DepthImage, GrowingArrays, PaddedDepth, TreeArraysOffline
 from hypose.compute.glance import Glance, differing_box, glance_at, stored_pixels
 from hypose.compute.kinematics import forward_kinematics, joint_covariances, joint_jacobians, skin
 from hypose.compute.linear import SharedEquations, frame_covariances, solve_coupled, weighted_squares
@@ -72,27 +73,35 @@ from hypose.compute.mono_terms import (
 )
 from hypose.compute.part_colours import colour_sums, rim_edges, shown_parts
 from hypose.compute.parts import covered, draw_parts, parts_against_mask, projected, touched_area
-from hypose.compute.picture_to_mask import Box, Lens, make_lens, new_picture, order_statistic, shrink_undistort
-from hypose.compute.render import blend_shaded, darken, expose, silhouette
+from hypose.compute.picture_to_mask import (
+    Box,
+    Undistortion,
+    make_lens,
+    new_picture,
+    order_statistic,
+    shrink_undistort,
+)
+from hypose.compute.render import blend_shaded, darken, expose
 from hypose.compute.rows import outline_points
 from hypose.compute.scorer import limb_energies, silhouette_xor
-from hypose.compute.shape_rows import OutlineRows, joined_rows, outline_rows
+from hypose.compute.shape_rows import outline_rows
 from hypose.compute.solver import Evaluation, Solution, bounded_step, evaluate, row_sums, solve, workspace
-from hypose.compute.threads import beside, default_threads, over_chunks
+from hypose.compute.threads import default_threads, in_background, over_chunks
 from hypose.compute.visibility import nearest_visible
-from hypose.compute.warming import FOLLOWING, kept, warm_up
+from hypose.compute.warming import TRACKING_KERNELS, kept, warm_up
 from hypose.compute.zbuffer import interpolate, rasterize
 
 __all__ = [
     "BALL",
     "Box",
     "ContourArrays",
-    "Depth",
+    "Cues",
+    "DepthImage",
     "DepthArrays",
     "EdgeArrays",
     "Evaluation",
     "FIXED",
-    "FOLLOWING",
+    "TRACKING_KERNELS",
     "FloorArrays",
     "FlowArrays",
     "GAUSSIAN",
@@ -102,7 +111,7 @@ __all__ = [
     "KeypointArrays",
     "LECLERC",
     "LORENTZIAN",
-    "Lens",
+    "Undistortion",
     "MarkArrays",
     "MaskArrays",
     "MeshArrays",
@@ -114,7 +123,6 @@ __all__ = [
     "NO_CONTOURS",
     "NO_KEYPOINTS",
     "NO_POINTS",
-    "OutlineRows",
     "Packed",
     "PaddedDepth",
     "PointArrays",
@@ -133,7 +141,7 @@ __all__ = [
     "VARIABLE",
     "Workspace",
     "before_room",
-    "beside",
+    "in_background",
     "blend_shaded",
     "bounded_step",
     "cache_folder",
@@ -157,7 +165,6 @@ __all__ = [
     "holes_filled",
     "huber",
     "interpolate",
-    "joined_rows",
     "joint_covariances",
     "joint_jacobians",
     "kept",
@@ -192,7 +199,6 @@ __all__ = [
     "shrink_mask",
     "shrink_undistort",
     "signed_distance",
-    "silhouette",
     "silhouette_xor",
     "skin",
     "solve",

@@ -46,21 +46,21 @@ _log = logging.getLogger("hypose")
 
 
 @cache
-def note(text: str) -> None:
+def log_cache(text: str) -> None:
     """Say something about the cache, each sentence once per process; without a handler it goes to stderr."""
     _log.warning("%s", text)
 
 
 @cache
 def cache_folder() -> Path | None:
-    """The folder of this process, or None where no folder can be used; it may be read-only when it is filled."""
+    """Return the folder of this process, or None where no folder can be used; it may be read-only when it is filled."""
     for folder in _candidates():
         problem = _problem(folder)
         if not problem:
             return folder
         if folder == _named():
-            note(f"{VARIABLE}={str(folder)!r} cannot be used ({problem}); another place is taken for the cache.")
-    note(f"No folder can be written for the cache, so every start compiles again; name one with {VARIABLE}.")
+            log_cache(f"{VARIABLE}={str(folder)!r} cannot be used ({problem}); another place is taken for the cache.")
+    log_cache(f"No folder can be written for the cache, so every start compiles again; name one with {VARIABLE}.")
     return None
 
 
@@ -80,7 +80,7 @@ def make_folder(folder: Path) -> None:
 
 
 def _named() -> Path | None:
-    """The folder that the variable names; a ~ that no shell has read is the home."""
+    """Return the folder that the variable names; a ~ that no shell has read is the home."""
     name = os.environ.get(VARIABLE)
     return Path(os.path.expanduser(name)) if name else None
 
@@ -154,7 +154,7 @@ class KernelCache(NullCache):
         self._function = function
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """The kernel compiled for a signature, or None."""
+        """Return the kernel compiled for a signature, or None."""
         path = self._path(sig)
         if path is None or not os.path.exists(path):
             return None
@@ -166,14 +166,14 @@ class KernelCache(NullCache):
             # numba keeps kernels in no other form than as pickles; a private folder and the checksum vouch for this one
             found = CompileResult._rebuild(target_context, *loads(data[32:]))  # noqa: S301
         except Exception:  # of any kind: the kernel is compiled, and its file replaced
-            note(f"Damaged files of compiled code in {path.parent} are compiled again.")
+            log_cache(f"Damaged files of compiled code in {path.parent} are compiled again.")
             return None
         with contextlib.suppress(OSError):
             os.utime(path)  # in use: not thrown away
         return found
 
     def save_overload(self, sig: Any, cres: Any) -> None:
-        """Keep a compiled kernel, unless it holds what is true in this process only."""
+        """Keep a compiled kernel, unless it holds values of this process only."""
         path = self._path(sig)
         if cres.library.has_dynamic_globals or path is None:
             return
@@ -188,7 +188,7 @@ class KernelCache(NullCache):
                 temporary.unlink(missing_ok=True)
             failures.append(error)
             reason = (error.strerror or str(error)).lower()
-            note(f"Compiled code cannot be kept in {path.parent} ({reason}); the next start compiles it again.")
+            log_cache(f"Compiled code cannot be kept in {path.parent} ({reason}); the next start compiles it again.")
 
     def _path(self, sig: Any) -> Path | None:
         f = self._function
@@ -198,7 +198,7 @@ class KernelCache(NullCache):
 
 
 def cache_file(name: str, kind: str, *key: Any) -> Path | None:
-    """A file of the cache, for this processor and these versions."""
+    """Return a file of the cache, for this processor and these versions."""
     folder, processor = cache_folder(), cpu_target.target_context.codegen().magic_tuple()
     text = repr((key, processor, numba.__version__, llvmlite.__version__, sys.implementation.cache_tag))
     digest = hashlib.sha256(text.encode()).hexdigest()[:24]

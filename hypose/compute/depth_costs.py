@@ -10,7 +10,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from hypose.compute.arrays import BALL, MeshArrays, TreeArrays, plain, tidy
 from hypose.compute.compiled import kernel
-from hypose.compute.kinematics import bone_map, camera_about_root, joint_frames, multiply, skin_about_root, so3_exp
+from hypose.compute.kinematics import (
+    bone_map,
+    camera_about_root,
+    joint_frames,
+    multiply,
+    rotation_matrix,
+    skin_about_root,
+    skin_vertices,
+)
 from hypose.compute.lane_mesh import moving_parts
 from hypose.compute.threads import over_chunks
 from hypose.compute.zbuffer import NEAR, draw_nearest
@@ -53,9 +61,9 @@ class StandingDepth(NamedTuple):
 def depth_energy(
     poses: ArrayLike, tree: TreeArrays, mesh: MeshArrays, seen: SeenDepth, most_m: float, threads: int | None = None
 ) -> NDArray[np.float64]:
-    """(N, C) of poses (N, D): sum over the pixels that show the person and the drawn body of min(|z - z'|, most_m) /
-    most_m, over the person's pixels; what only one of both shows is the silhouettes' affair. 0 for a view without the
-    person. The same for any number of threads, and for a pose alone or among others."""
+    """Return (N, C) of poses (N, D): sum over the pixels that show the person and the drawn body of min(|z - z'|,
+    most_m) / most_m, over the person's pixels; what only one of both shows is the silhouettes' affair. 0 for a view
+    without the person. The same for any number of threads, and for a pose alone or among others."""
     q = plain(poses, np.float64)
     out = np.zeros((len(q), len(seen.maps)))
     score, given = _energies, (tidy(tree), tidy(mesh), *_against(seen, most_m))
@@ -111,10 +119,10 @@ def limb_shown(
     reach_m: float,
     apart_m: float,
 ) -> NDArray[np.float64]:
-    """(C, 3) m^2, at the distance of a centre (3,) m, world, of the limb that was left out of what stands, in the pose
-    that this was drawn at: what of it is in sight; what of that lies within apart_m of what the sensor saw; and what
-    the sensor saw, no further than reach_m from the centre, that lies more than apart_m before all of the body, or
-    beside it."""
+    """Return (C, 3) m^2, at the distance of a centre (3,) m, world, of the limb that was left out of what stands, in
+    the pose that this was drawn at: what of it is in sight; what of that lies within apart_m of what the sensor saw;
+    and what the sensor saw, no further than reach_m from the centre, that lies more than apart_m before all of the
+    body, or next to it."""
     out = np.zeros((len(seen.maps), 3))
     maps, projections, sizes, apart = _against(seen, apart_m)
     at = plain(np.asarray(centre, dtype=np.float64) - standing.pose[:3], np.float64)
@@ -191,12 +199,12 @@ def _turned(q, tree, joints, rotations, centres):
                 frame[i, k] = r[i, k]
         first = tree.dof_start[j]
         if tree.kind[j] == BALL:
-            so3_exp(q[first], q[first + 1], q[first + 2], local)
+            rotation_matrix(q[first], q[first + 1], q[first + 2], local)
             multiply(frame, local, rotations[j])
             continue
         for m in range(tree.dof_count[j]):
             d = first + m
-            so3_exp(q[d] * tree.axes[d, 0], q[d] * tree.axes[d, 1], q[d] * tree.axes[d, 2], local)
+            rotation_matrix(q[d] * tree.axes[d, 0], q[d] * tree.axes[d, 1], q[d] * tree.axes[d, 2], local)
             multiply(frame, local, rotations[j])
             for i in range(3):
                 for k in range(3):
@@ -204,21 +212,6 @@ def _turned(q, tree, joints, rotations, centres):
         for i in range(3):
             for k in range(3):
                 rotations[j, i, k] = frame[i, k]
-
-
-@kernel
-def _skin(maps, mesh, chosen, vertices):
-    """The chosen vertices about the root's position: linear blend skinning in float32."""
-    for k in range(chosen.shape[0]):
-        v = chosen[k]
-        x, y, z = mesh.vertices[v, 0], mesh.vertices[v, 1], mesh.vertices[v, 2]
-        px = py = pz = f4(0)
-        for m in range(mesh.skin_count[v]):
-            b, w = maps[mesh.skin_index[v, m]], mesh.skin_weight[v, m]
-            px += w * (b[0] * x + b[1] * y + b[2] * z + b[3])
-            py += w * (b[4] * x + b[5] * y + b[6] * z + b[7])
-            pz += w * (b[8] * x + b[9] * y + b[10] * z + b[11])
-        vertices[v, 0], vertices[v, 1], vertices[v, 2] = px, py, pz
 
 
 @kernel
@@ -292,7 +285,7 @@ def _limb_energies(poses, first, last, tree, mesh, standing, seen, projections, 
         for k in range(joints.shape[0]):
             j = joints[k]
             bone_map(rotations[j], centres[j], tree.joints[j], maps[j])
-        _skin(maps, mesh, moved, vertices)
+        skin_vertices(maps, mesh, moved, vertices)
         for c in range(seen.shape[0]):
             width, height = sizes[c, 0], sizes[c, 1]
             _project(p[c], vertices, moved, u, v, z, inverse, sizes[c], box)
@@ -313,14 +306,14 @@ def _limb_shown(tree, mesh, standing, seen, projections, sizes, centre, reach, a
     """out (C, 3), zero, of the limb that was left out of what stands, in the pose that this was drawn at, in m^2 at the
     distance of a centre (3,), from the root: what of it is in sight; what of that lies within `apart` m of what the
     sensor saw; and what the sensor saw, no further than `reach` m from the centre, that lies more than `apart` before
-    all of the body, or beside it."""
+    all of the body, or next to it."""
     n_vertices = mesh.vertices.shape[0]
     maps, vertices = np.empty((tree.parents.shape[0], 12), np.float32), np.empty((n_vertices, 3), np.float32)
     u, v, z = np.empty(n_vertices, np.float32), np.empty(n_vertices, np.float32), np.empty(n_vertices, np.float32)
     inverse, box, p = np.empty(n_vertices, np.float32), np.empty(4, np.int64), np.empty((3, 4), np.float32)
     for j in range(tree.parents.shape[0]):
         bone_map(standing.rotations[j], standing.centres[j], tree.joints[j], maps[j])
-    _skin(maps, mesh, standing.vertices, vertices)
+    skin_vertices(maps, mesh, standing.vertices, vertices)
     for c in range(seen.shape[0]):
         whole, width, height = standing.drawn[c].copy(), sizes[c, 0], sizes[c, 1]
         camera_about_root(projections[c], standing.pose, p)
@@ -331,8 +324,8 @@ def _limb_shown(tree, mesh, standing, seen, projections, sizes, centre, reach, a
         down = p[1, 0] * centre[0] + p[1, 1] * centre[1] + p[1, 2] * centre[2] + p[1, 3]
         away = max(away, 0.05)
         left, top = across / away, down / away
-        beside = p[0, 0] * p[2, 0] + p[0, 1] * p[2, 1] + p[0, 2] * p[2, 2]  # the last row has unit length
-        squared = p[0, 0] * p[0, 0] + p[0, 1] * p[0, 1] + p[0, 2] * p[0, 2] - beside * beside
+        along_axis = p[0, 0] * p[2, 0] + p[0, 1] * p[2, 1] + p[0, 2] * p[2, 2]  # the last row has unit length
+        squared = p[0, 0] * p[0, 0] + p[0, 1] * p[0, 1] + p[0, 2] * p[0, 2] - along_axis * along_axis
         metre = math.sqrt(squared) / away
         within = reach * reach * metre * metre
         for y in range(height):

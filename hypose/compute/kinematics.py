@@ -5,16 +5,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from hypose.compute.arrays import BALL, HINGES, MeshArrays, TreeArrays, plain, tidy
 from hypose.compute.compiled import kernel
-
-Array = NDArray[np.float64]
+from hypose.geometry import Array
 
 
 @kernel
-def so3_exp(x, y, z, rotation):
+def rotation_matrix(x, y, z, rotation):
     """Rodrigues' formula: the rotation (3, 3) of the rotation vector (x, y, z)."""
     a, b, _, t2 = _rodrigues(x, y, z)
     _turning(x, y, z, t2, a, b, rotation)
@@ -64,8 +63,11 @@ def multiply(a, b, out):
 
 @kernel
 def joint_frames(q, tree, rotations, centres, twists):
-    """Frames and twists of one pose q (D,), all about the root's position: rotations (J, 3, 3); centres (J, 3) minus
-    q[0:3]; twists (D, 6) = (w, v), a point x (minus q[0:3]) moves with w x x + v per unit of the dof."""
+    """Frames and twists of one pose q (D,), all about the root's position: rotations (J, 3, 3).
+
+    centres (J, 3) minus q[0:3].
+    twists (D, 6) = (w, v), a point x (minus q[0:3]) moves with w x x + v per unit of the dof.
+    """
     local = np.empty((3, 3))
     jacobian = np.empty((3, 3))
     turned = np.empty((3, 3))
@@ -165,14 +167,11 @@ def bone_map(rotation, centre, joint, out):
 
 
 @kernel
-def skin_about_root(rotations, centres, tree, mesh, out):
-    """Linear blend skinning of one pose in float32 about the root's position (float32 is then good to 1e-4 mm)."""
-    n_joints = rotations.shape[0]
-    maps = np.empty((n_joints, 12), np.float32)
-    for j in range(n_joints):
-        bone_map(rotations[j], centres[j], tree.joints[j], maps[j])
+def skin_vertices(maps, mesh, chosen, out):
+    """Linear blend skinning in float32 of the chosen vertices alone, by the maps (J, 12) of `bone_map`."""
     b = np.empty(12, np.float32)
-    for v in range(mesh.vertices.shape[0]):
+    for n in range(chosen.shape[0]):
+        v = chosen[n]
         w = mesh.skin_weight[v, 0]
         m = maps[mesh.skin_index[v, 0]]
         for i in range(12):
@@ -186,6 +185,16 @@ def skin_about_root(rotations, centres, tree, mesh, out):
         out[v, 0] = b[0] * x + b[1] * y + b[2] * z + b[3]
         out[v, 1] = b[4] * x + b[5] * y + b[6] * z + b[7]
         out[v, 2] = b[8] * x + b[9] * y + b[10] * z + b[11]
+
+
+@kernel
+def skin_about_root(rotations, centres, tree, mesh, out):
+    """Linear blend skinning of one pose in float32 about the root's position (float32 is then good to 1e-4 mm)."""
+    n_joints = rotations.shape[0]
+    maps = np.empty((n_joints, 12), np.float32)
+    for j in range(n_joints):
+        bone_map(rotations[j], centres[j], tree.joints[j], maps[j])
+    skin_vertices(maps, mesh, np.arange(mesh.vertices.shape[0]), out)
 
 
 @kernel
@@ -237,7 +246,8 @@ def skin(rotations: ArrayLike, centres: ArrayLike, tree: TreeArrays, mesh: MeshA
 
 
 def joint_jacobians(pose: ArrayLike, tree: TreeArrays) -> Array:
-    """(J, 3, D) derivatives of the joint centres by a pose (D,), the root's rotation as a small turn in the world."""
+    """Return (J, 3, D) derivatives of the joint centres by a pose (D,), the root's rotation as a small turn in the
+    world."""
     q = plain(pose, np.float64)
     out = np.zeros((len(tree.parents), 3, len(q)))
     _joint_jacobians(q, tidy(tree), out)
@@ -245,10 +255,11 @@ def joint_jacobians(pose: ArrayLike, tree: TreeArrays) -> Array:
 
 
 def joint_covariances(pose: ArrayLike, tree: TreeArrays, information: Array, ridge: float = 1e-9) -> Array:
-    """(J, 3, 3) m^2: covariances of the joint centres when the pose (D,) has the covariance (information + ridge)^-1:
-    G C G^T with G the Jacobian of the centre.
+    """Return (J, 3, 3) m^2: covariances of the joint centres when the pose (D,) has the covariance (information +
+    ridge)^-1: G C G^T with G the Jacobian of the centre.
 
-    ridge: relative to the diagonal of the information, which counts as 1 at least, and makes it positive definite."""
+    ridge: relative to the diagonal of the information, which counts as 1 at least, and makes it positive definite.
+    """
     jacobian = joint_jacobians(pose, tree)
     flat = jacobian.reshape(-1, jacobian.shape[2])
     known = information + np.diag(ridge * np.maximum(information.diagonal(), 1.0))

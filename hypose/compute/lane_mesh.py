@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.compute.arrays import MeshArrays, TreeArrays
-from hypose.compute.vectors import LANES, row_stride
+from hypose.compute.coverage import LANES, row_stride
 
 
 class LaneMesh(NamedTuple):
@@ -49,9 +49,9 @@ _lock = threading.Lock()
 _KEPT = 24  # two bodies with ten layers of parts each
 
 
-def prepare(mesh: MeshArrays, tree: TreeArrays, faces: NDArray[np.bool_] | None) -> LaneMesh:
-    """The mesh, or its faces where faces (F,) is True. What depends on topology and weights is kept for the next call;
-    vertices are read anew."""
+def prepare_lanes(mesh: MeshArrays, tree: TreeArrays, faces: NDArray[np.bool_] | None) -> LaneMesh:
+    """Return the mesh, or its faces where faces (F,) is True. What depends on topology and weights is kept for the next
+    call; vertices are read again."""
     wanted = None if faces is None else faces.tobytes()
     with _lock:
         for k, plan in enumerate(_plans):
@@ -128,7 +128,7 @@ _moving: list[tuple[NDArray[np.int32], bytes, MovingParts]] = []
 def moving_parts(
     mesh: MeshArrays, tree: TreeArrays, moving: NDArray[np.bool_], faces: NDArray[np.bool_] | None
 ) -> MovingParts:
-    """The parts when the joints `moving` (J,) turn, of the faces (F,) asked for; kept for the next call."""
+    """Return the parts when the joints `moving` (J,) turn, of the faces (F,) asked for; kept for the next call."""
     wanted = moving.tobytes() + (b"" if faces is None else faces.tobytes())
     with _lock:
         for index_of, key, parts in _moving:
@@ -165,14 +165,9 @@ def lane_scratch(mesh: LaneMesh, image: tuple[int, int]) -> tuple[Any, ...]:
 
 
 def _make(j: int, v: int, f: int, e: int, rows: int, columns: int) -> tuple[Any, ...]:
-    """Of LANES poses at a time: 12 arrays of placing and projecting, 8 of drawing, and those of `scorer.score_safely`;
-    the difference images are zero between calls."""
+    """Of LANES poses at a time: 12 arrays of placing and projecting, 8 of drawing; the difference
+    image is zero between calls."""
     f4, i4, lanes = np.float32, np.int32, LANES
-    single = (
-        *(np.empty((v, 3), f4), np.empty(v, f4), np.empty(v, f4), np.empty((3, 4), f4)),
-        *(np.empty(f + 1, np.uint8), np.empty(e, i4), np.empty(e, i4), np.zeros((rows + 1, columns), np.int16)),
-        *(np.empty(columns, np.int16), np.empty(columns, np.uint16), np.empty(columns, np.uint16)),
-    )
     return (
         *(np.empty((j + 1, 9, lanes)), np.empty((j, 3, lanes)), np.empty((3, lanes)), np.empty((9, lanes))),
         *(np.empty((j, 12, lanes), f4), np.empty((v, 3, lanes), f4), np.empty((v, lanes), f4)),
@@ -182,5 +177,5 @@ def _make(j: int, v: int, f: int, e: int, rows: int, columns: int) -> tuple[Any,
         # an outline crosses a column some 5 times each way; memory that is not touched costs nothing
         *(np.empty((2 * lanes, 16 * columns + 1024), i4), np.zeros(2 * lanes, np.int64)),
         # a window begins at a multiple of 8
-        *(np.zeros((rows + 1) * row_stride(columns + 8), np.int8), np.zeros(3, np.int64), single),
+        *(np.zeros((rows + 1) * row_stride(columns + 8) + 8, np.int8), np.zeros(2, np.int64)),
     )

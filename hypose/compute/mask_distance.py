@@ -17,8 +17,8 @@ i2 = np.int16
 STRAIGHT, DIAGONAL, KNIGHT = 5, 7, 11
 """Steps to the next pixel, across a corner and by a knight's move, in fifths of a pixel (Borgefors, G. (1986). Distance
 transformations in digital images. CVGIP 34: within 2 % of Euclid)."""
-FAR = 16000
-"""fifths of a pixel, 3200 px: what is farther counts as that far"""
+_FARTHEST = 16000
+"""fifths of a pixel, 3200 px: larger distances count as that far"""
 
 
 STEPS = 32
@@ -66,30 +66,30 @@ def _by_other_rows(line, near, far):
 @kernel
 def _along(line, first, last):
     """Shortens the distances first..last of a row (w,) i2 by way of its pixels on the left."""
-    d = line[first - 1] if first > 0 else i2(FAR)
+    d = line[first - 1] if first > 0 else i2(_FARTHEST)
     for x in range(first, last):
         d = min(line[x], i2(d + i2(STRAIGHT)))
         line[x] = d
 
 
 @kernel
-def distances(mask, target, out):
+def _distances(mask, target, out):
     """out (h, w + 4) i2, from column 2 on = distance of each pixel of the mask (h, w) to the nearest that is (target 1)
-    or is not (0) set, in fifths of a pixel; FAR where there is none."""
+    or is not (0) set, in fifths of a pixel; _FARTHEST where there is none."""
     h, w = mask.shape
-    beyond = np.full(w + 4, FAR, np.int16)
+    beyond = np.full(w + 4, _FARTHEST, np.int16)
     for y in range(h):
         row, inside, m = out[y], out[y, 2 : w + 2], mask[y]
-        row[0], row[1], row[w + 2], row[w + 3] = i2(FAR), i2(FAR), i2(FAR), i2(FAR)
+        row[0], row[1], row[w + 2], row[w + 3] = i2(_FARTHEST), i2(_FARTHEST), i2(_FARTHEST), i2(_FARTHEST)
         for x in range(w):
-            inside[x] = i2(0) if (m[x] != 0) == (target != 0) else i2(FAR)
+            inside[x] = i2(0) if (m[x] != 0) == (target != 0) else i2(_FARTHEST)
         _by_other_rows(inside, out[y - 1] if y > 0 else beyond, out[y - 2] if y > 1 else beyond)
-        nearest_from(inside, STRAIGHT, FAR, False)
+        nearest_from(inside, STRAIGHT, _FARTHEST, False)
         _along(inside, w // STEPS * STEPS, w)
     for y in range(h - 1, -1, -1):
         inside = out[y, 2 : w + 2]
         _by_other_rows(inside, out[y + 1] if y < h - 1 else beyond, out[y + 2] if y < h - 2 else beyond)
-        nearest_from(inside, STRAIGHT, FAR, True)
+        nearest_from(inside, STRAIGHT, _FARTHEST, True)
         _along(inside[::-1], w // STEPS * STEPS, w)
 
 
@@ -102,8 +102,8 @@ def _signed_distance(box, x0, y0, own_x, own_y, own_w, own_h, out):
     bh, bw = box.shape
     outside = np.empty((bh, bw + 4), np.int16)
     inside = np.empty((own_h, own_w + 4), np.int16)
-    distances(box, 1, outside)
-    distances(box[own_y : own_y + own_h, own_x : own_x + own_w], 0, inside)
+    _distances(box, 1, outside)
+    _distances(box[own_y : own_y + own_h, own_x : own_x + own_w], 0, inside)
     for y in range(bh):
         line, made = outside[y, 2 : bw + 2], out[y0 + y, x0 : x0 + bw]
         for x in range(bw):  # the edge lies half a pixel from the centres on both sides
@@ -166,11 +166,13 @@ def _shrink_mask(mask, halves, out):
 def signed_distance(masks: ArrayLike, sizes: ArrayLike, margin: int | None = None) -> NDArray[np.float32]:
     """Signed distance to the edge of each mask, px, negative inside; 0 between the last inside and first outside pixel.
 
-    masks (C, h, w) uint8, non-zero = person; sizes (C, 2) own width and height of each view. Returns (C, h, w)
-    float32, zero in the padding. margin: px around the mask inside which the distance is a true one (default: a sixth
-    of the mask's larger side, at least 32); further out the rows and columns to that box are added, a continuous
-    upper bound. An empty (full) mask gives the image's diagonal (minus it) everywhere. Distances are those of a 5 x 5
-    chamfer mask (within 2 % of Euclid)."""
+    masks (C, h, w) uint8, non-zero = person.
+    sizes (C, 2) own width and height of each view. Returns (C, h, w) float32, zero in the padding.
+    margin: px around the mask inside which the distance is a true one (default: a sixth of the mask's larger side, at
+        least 32); further out the rows and columns to that box are added, a continuous upper bound. An empty (full)
+        mask gives the image's diagonal (minus it) everywhere. Distances are those of a 5 x 5 chamfer mask (within 2 %
+        of Euclid).
+    """
     m = np.asarray(masks)
     m = m if m.dtype == np.uint8 else (m != 0).view(np.uint8)
     out = np.empty(m.shape, dtype=np.float32)
@@ -194,8 +196,8 @@ def signed_distance(masks: ArrayLike, sizes: ArrayLike, margin: int | None = Non
 
 
 def shrink_mask(mask: NDArray[np.uint8], halves: int) -> NDArray[np.uint8]:
-    """(2 h / halves, 2 w / halves) of a mask (h, w), non-zero = person, whose sides are multiples of halves: of each
-    block of halves x halves pixels 2 x 2 are made, set where at least half of their area is."""
+    """Return (2 h / halves, 2 w / halves) of a mask (h, w), non-zero = person, whose sides are multiples of halves: of
+    each block of halves x halves pixels 2 x 2 are made, set where at least half of their area is."""
     h, w = mask.shape
     out = np.empty((2 * (h // halves), 2 * (w // halves)), np.uint8)
     _shrink_mask(np.ascontiguousarray(mask), halves, out)

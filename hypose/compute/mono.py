@@ -39,8 +39,8 @@ from hypose.compute.mono_terms import (
 )
 from hypose.compute.solver import bounded_step_kernel
 from hypose.errors import SolverError
+from hypose.geometry import Array
 
-Array = NDArray[np.float64]
 MOST_NODES, MOST_INNER = 3000, 3000
 
 
@@ -94,8 +94,14 @@ def workspace(m: MonoModel, height: int, width: int) -> MonoWorkspace:
 
 
 class MonoSolution(NamedTuple):
-    """A pose (D,) at a minimum; cost of everything; evidence: cost without flow, by which hypotheses are ranked;
-    gradient (A,) of the cost; hessian (A, A) of evidence, flow and rest posture; counts as in MonoWorkspace."""
+    """A pose (D,) at a minimum.
+
+    cost of everything.
+    evidence: cost without flow, by which hypotheses are ranked.
+    gradient (A,) of the cost.
+    hessian (A, A) of evidence, flow and rest posture.
+    counts as in MonoWorkspace.
+    """
 
     pose: Array
     cost: float
@@ -105,7 +111,7 @@ class MonoSolution(NamedTuple):
     counts: NDArray[np.int64]
 
 
-def search(
+def newton_descent(
     start: ArrayLike, before: ArrayLike, problem: MonoProblem, coarse: int, iterations: int, ws: MonoWorkspace
 ) -> MonoSolution:
     """Damped Newton from pose start (D,); inner nodes come from pose before (D,). Releases the GIL."""
@@ -120,7 +126,7 @@ def search(
 
 
 def score(poses: ArrayLike, problem: MonoProblem, ws: MonoWorkspace) -> Array:
-    """Costs (N,) without flow at poses (N, D). Releases the GIL."""
+    """Return costs (N,) without flow at poses (N, D). Releases the GIL."""
     q = plain(poses, np.float64)
     costs = np.empty(len(q))
     _score(q, problem, ws, costs)
@@ -216,14 +222,14 @@ def expected_gain(hessian, gradient, step, scale):
 
 
 @kernel
-def descend(q, problem, sigma, n_flow, iterations, ws, hessian, gradient):
+def _descend(q, problem, sigma, n_flow, iterations, ws, hessian, gradient):
     """Damped Newton within the limits from pose q (D,), which is overwritten, as hessian and gradient are; returns the
     cost.
 
     Equation (11), (H + lambda W) step = -g, W the diagonal of H (at least 1), with an active set of limits (section
     4.1). A step is cut to the trusted reach (1: priors.longest); one that does not lower the cost is tried again,
     shorter and with more damping, at most four times. The _search ends when no step promises to lower the cost by
-    GAIN."""
+    _GAIN."""
     priors, active = problem.priors, problem.model.active
     n, dof = active.shape[0], q.shape[0]
     new_hessian, new_gradient = np.empty((n, n)), np.empty(n)
@@ -242,7 +248,7 @@ def descend(q, problem, sigma, n_flow, iterations, ws, hessian, gradient):
             for k in range(n):
                 length = max(length, abs(step[k]) / priors.longest[k])
             scale = min(1.0, reach / length)
-            if expected_gain(hessian, gradient, step, scale) < GAIN:
+            if expected_gain(hessian, gradient, step, scale) < _GAIN:
                 break
             for d in range(dof):
                 trial[d] = q[d]
@@ -271,8 +277,10 @@ def _search(q, before, problem, coarse, iterations, ws, hessian, gradient, info)
     """One hypothesis in one frame: inner nodes from the pose `before` (D,) in the previous picture, then a coarse and a
     fine descent from q (D,), which is overwritten.
 
-    hessian (A, A) is that of the evidence and the rest posture at the result, without the prediction; gradient (A,) of
-    all. info (3,): full cost, cost without flow, number of inner nodes. False when the cost is not finite."""
+    hessian (A, A) is that of the evidence and the rest posture at the result, without the prediction.
+    gradient (A,) of all.
+    info (3,): full cost, cost without flow, number of inner nodes. False when the cost is not finite.
+    """
     model, priors = problem.model, problem.priors
     for k in range(model.active.shape[0]):
         d = model.active[k]
@@ -286,8 +294,8 @@ def _search(q, before, problem, coarse, iterations, ws, hessian, gradient, info)
     draw_still(q, model, ws)
     ws.counts[7] = 0
     if coarse > 0:
-        descend(q, problem, problem.edges.coarse_sigma, n_flow, coarse, ws, hessian, gradient)
-    cost = descend(q, problem, problem.edges.sigma, n_flow, iterations, ws, hessian, gradient)
+        _descend(q, problem, problem.edges.coarse_sigma, n_flow, coarse, ws, hessian, gradient)
+    cost = _descend(q, problem, problem.edges.sigma, n_flow, iterations, ws, hessian, gradient)
     info[0] = cost
     for k in range(model.active.shape[0]):
         hessian[k, k] -= priors.weight[0, k]
@@ -328,9 +336,9 @@ def warm_up(tree: TreeArrays, mesh: MeshArrays, pose: Array, projection: Array) 
         True,
     )
     ws = workspace(problem.model, 32, 32)
-    found = search(pose, pose, problem, 1, 1, ws)
+    found = newton_descent(pose, pose, problem, 1, 1, ws)
     score(found.pose[None], problem, ws)
 
 
-GAIN = 0.02
+_GAIN = 0.02
 """a _search ends when no step promises to lower the cost by more"""

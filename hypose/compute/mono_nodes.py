@@ -13,11 +13,11 @@ from hypose.compute.zbuffer import draw_nearest
 f4 = np.float32
 NEAR = f4(0.1)
 """m: faces with a corner nearer than this are not drawn"""
-EMPTY = f4(1e9)
-HIDDEN, BEYOND, ROUND = 0.03, 0.03, 0.12
-"""m: a contour node is occluded when its outer side lies HIDDEN behind something or its inner side ROUND (a trunk's own
-surface rises by 6 cm within the two pixels), and is a contour at all when what is seen on its outer side lies BEYOND
-it"""
+_EMPTY = f4(1e9)
+_HIDDEN, BEYOND, ROUND = 0.03, 0.03, 0.12
+"""m of depth at a contour node: it is occluded when its outer side lies _HIDDEN behind something, or its inner side
+ROUND (a trunk's own surface rises by 6 cm within the two pixels); it is a contour when the surface on its outer side
+lies BEYOND it"""
 INNER, OUTER = 1.5, 1.7
 """px from the contour at which these two are looked up"""
 
@@ -48,8 +48,8 @@ def pose_mesh(q, model, ws):
 
 @kernel(inline=True)
 def _depth(nearest):
-    """m of an inverse depth; EMPTY where nothing is."""
-    return f4(1) / nearest if nearest > f4(0) else EMPTY
+    """m of an inverse depth; _EMPTY where nothing is."""
+    return f4(1) / nearest if nearest > f4(0) else _EMPTY
 
 
 @kernel
@@ -131,7 +131,7 @@ def contour_nodes(model, spacing, ws):
             if min(min(xi, yi), min(xo, yo)) < 2 or max(xi, xo) >= w - 2 or max(yi, yo) >= h - 2:
                 continue
             outside = _depth(depth[yo, xo])
-            if outside < z - HIDDEN or _depth(depth[yi, xi]) < z - ROUND:
+            if outside < z - _HIDDEN or _depth(depth[yi, xi]) < z - ROUND:
                 seen = 0.0
             elif outside > z + BEYOND:
                 seen = 1.0

@@ -22,7 +22,7 @@ from hypose.compute.mono_nodes import bilinear
 from hypose.compute.mono_terms import GAUSSIAN, LORENTZIAN
 
 f4 = np.float32
-SHARE = 0.1
+_SHARE = 0.1
 """least second derivative along a residual, as a share of that without rho''"""
 
 
@@ -46,7 +46,7 @@ def curvature(first, second, s, second_order):
     the peak it is negative and a Newton step would climb."""
     if not second_order:
         return first
-    return max(along(first, second, s), SHARE * first)
+    return max(along(first, second, s), _SHARE * first)
 
 
 @kernel
@@ -301,7 +301,7 @@ def edge_terms(n_nodes, problem, sigma, want, ws, n_rows):
     """Cost of the contour nodes: equation (7), first sum, over all edges of each node's window; appends rows when
     derivatives are wanted. Returns cost and rows.
 
-    Deviation: a node's edges share the weight 1, less when they are weak in sum; what is left counts as unassigned, at
+    Deviation: a node's edges share the weight 1, less when they are weak in sum; the rest counts as unassigned, at
     the cost of the window's end. Deviation: an occluded node costs k nu / 2, so that k is its share of what a node
     costs that finds no edge. Deviation: a node stands for its length of contour, and the sum is not divided by N nu of
     equation (6), so that it is a log-likelihood to which priors can be added. Deviation: back-facing nodes cost

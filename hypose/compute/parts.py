@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import cv2
@@ -13,18 +12,21 @@ from numpy.typing import ArrayLike, NDArray
 
 from hypose.compute.arrays import plain
 from hypose.compute.compiled import kernel
-from hypose.compute.mask_runs import ALL, Bits, mask_of, u8
+from hypose.compute.coverage import NEAR, cover_faces, fill_strip, row_stride
+from hypose.compute.mask_runs import Bits, grown, mask_of, opened, square_spans, u8
 from hypose.compute.simd import lowest_bit, popcount
-from hypose.compute.zbuffer import NEAR
+from hypose.geometry import Array
 
-Array = NDArray[np.float64]
 _NONE = np.zeros((0, 0), np.uint8)
 
 
 class PartView(NamedTuple):
-    """A body's parts against one mask, in pixels: area, exposed (covered by no other part) and outside (of the mask,
-    less its rim) of each part (P,); bare (N,): pixels of the mask without body within a radius of each point; bits (W,
-    h): where it is drawn."""
+    """A body's parts against one mask, in pixels.
+
+    area, exposed (covered by no other part) and outside (of the mask, less its rim) of each part (P,).
+    bare (N,): pixels of the mask without body within a radius of each point.
+    bits (W, h): where it is drawn.
+    """
 
     area: NDArray[np.int64]
     exposed: NDArray[np.int64]
@@ -34,8 +36,8 @@ class PartView(NamedTuple):
 
 
 def projected(points_world: ArrayLike, projection: ArrayLike) -> tuple[Array, Array, Array]:
-    """(N, 2) px, NaN behind the camera, (N,) m along its axis, and (2, 2) px, the least and the most across and down,
-    infinite where nothing is before it, of points (N, 3) m through a projection (3, 4)."""
+    """Return (N, 2) px, NaN behind the camera, (N,) m along its axis, and (2, 2) px, the least and the most across and
+    down, infinite where nothing is before it, of points (N, 3) m through a projection (3, 4)."""
     points = plain(points_world, np.float64)
     uv, z, reach = np.empty((len(points), 2)), np.empty(len(points)), np.empty((2, 2))
     _place(points, plain(projection, np.float64), uv, z, reach)
@@ -49,26 +51,29 @@ def draw_parts(
     part: NDArray[np.uint8],
     n_parts: int,
     shape: tuple[int, int],
+    closed: bool = False,
 ) -> Bits:
-    """(n_parts, W, h) bits of what faces (F, 3) of the part (F,) cover of a picture of shape (h, w); uv (V, 2) px, z
-    (V,) m."""
+    """Return (n_parts, W, h) bits of what faces (F, 3) of the part (F,) cover of a picture of shape (h, w).
+
+    uv (V, 2) px, z (V,) m.
+    closed: the faces of a part have no holes, so those that turn to the camera cover what all of them cover.
+    """
     h, w = shape
-    size = n_parts * h * -(-w // 64)
-    flat = np.zeros(size + ROWS - 1, np.uint64)
-    _draw_parts(plain(uv, np.float64), plain(z, np.float64), faces, part, w, h, flat)
-    return flat[:size].reshape(n_parts, -1, h)
+    bits = np.zeros((n_parts, -(-w // 64), h), np.uint64)
+    _draw_parts(plain(uv, np.float64), plain(z, np.float64), faces, part, closed, w, h, bits.view(np.uint8))
+    return bits
 
 
 def covered(
     uv: ArrayLike, z: ArrayLike, faces: NDArray[np.int32], shape: tuple[int, int], closed: bool = False
 ) -> NDArray[np.uint8]:
-    """(h, w) = shape: 1 where faces (F, 3) cover a pixel's centre, else 0; uv (V, 2) px, z (V,) m. closed: those of a
-    mesh without holes, of which the ones that turn to the camera, drawn alone, cover what all of them cover."""
+    """Return (h, w) = shape: 1 where faces (F, 3) of any orientation cover a pixel's centre, else 0.
+
+    uv (V, 2) px, z (V,) m.
+    closed: as of `draw_parts`.
+    """
     f = plain(faces, np.int32)
-    if closed:
-        front = np.empty_like(f)
-        f = front[: _turned(plain(uv, np.float64), f, front)]
-    return mask_of(draw_parts(uv, z, f, np.zeros(len(f), np.uint8), 1, shape)[0], shape[1])
+    return mask_of(draw_parts(uv, z, f, np.zeros(len(f), np.uint8), 1, shape, closed)[0], shape[1])
 
 
 def parts_against_mask(
@@ -83,16 +88,17 @@ def parts_against_mask(
     """Parts of a body against every step-th row and column of a mask in a box of it, packed as `prepare_masks` does (H,
     B).
 
-    drawn (P, W, h): each part in that small picture, as `draw_parts` gives it; it is used up. box: columns, rows, half
-    open, of the mask; points (N, 2) px, radius (N,) px of the small picture: around which bare mask is counted. hidden
-    (H, B): what says nothing: it is neither bare nor outside, and nothing is exposed there. Rims of one pixel count
-    neither as bare nor as outside, nor does what is thinner than three pixels.
+    drawn (P, W, h): each part in that small picture, as `draw_parts` gives it; it is used up.
+    box: columns, rows, half open, of the mask.
+    points (N, 2) px, radius (N,) px of the small picture: around which bare mask is counted.
+    hidden (H, B): what says nothing: it is neither bare nor outside, and nothing is exposed there. Rims of one pixel
+        count neither as bare nor as outside, nor do parts thinner than three pixels.
     """
     x0, x1, y0, _ = box
     uv, r, width = plain(points, np.float64), plain(radius, np.float64), -(-(x1 - x0) // step)
     counts, bare = np.zeros((3, len(drawn)), np.int64), np.zeros(len(uv), np.int64)
     shown = plain(bits, np.uint8), _NONE if hidden is None else plain(hidden, np.uint8)
-    _against_mask(*shown, y0, x0, step, width, drawn, uv, r, counts, bare)
+    _against_mask(*shown, y0, x0, step, width, square_spans(3), drawn, uv, r, counts, bare)
     return PartView(*counts, bare, drawn[0])
 
 
@@ -100,7 +106,7 @@ def touched_area(
     bits: NDArray[np.uint8], others: NDArray[np.uint8], size: tuple[int, int], step: int, at: NDArray[np.float64]
 ) -> tuple[int, int]:
     """Pixels of the pieces, corners connect, that points touch, and of the largest of the others, of every step-th row
-    and column of what is set in both of two masks of size (width, height), packed as `prepare_masks` does (H, B). at
+    and column of the pixels set in both of two masks of size (width, height), packed as `prepare_masks` does (H, B). at
     (N, 2) px of the masks; what lies outside them touches nothing."""
     w, h = size
     both = np.unpackbits(bits & others, axis=1, count=w, bitorder="little")[:h:step, ::step]
@@ -115,16 +121,13 @@ def touched_area(
     return int(areas[touched].sum()), int(areas[~touched].max(initial=0))
 
 
-i4 = np.int32
-
-ROWS = 8
-"""Rows of a triangle that are drawn at once"""
-
-
 @kernel
 def _place(points, projection, uv, z, reach):
-    """Pixels uv (N, 2), NaN behind the camera, and z (N,) m along the axis of it, of points (N, 3) m; projection
-    (3, 4); reach (2, 2): the least and the most of u and of v, infinite without any."""
+    """Pixels uv (N, 2), NaN behind the camera, and z (N,) m along the axis of it, of points (N, 3) m.
+
+    projection (3, 4).
+    reach (2, 2): the least and the most of u and of v, infinite without any.
+    """
     p = projection
     for k in range(2):
         reach[k, 0], reach[k, 1] = np.inf, -np.inf
@@ -141,83 +144,24 @@ def _place(points, projection, uv, z, reach):
 
 
 @kernel
-def _turned(uv, faces, out):
-    """Puts those of faces (F, 3) that turn their outside to the camera, of corners at uv (V, 2) px, first into out (F,
-    3); returns how many."""
-    n = 0
-    for f in range(faces.shape[0]):
-        a, b, c = u8(faces[f, 0]), u8(faces[f, 1]), u8(faces[f, 2])
-        out[n, 0], out[n, 1], out[n, 2] = a, b, c
-        x, y = uv[a, 0], uv[a, 1]
-        n += (uv[b, 0] - x) * (uv[c, 1] - y) <= (uv[c, 0] - x) * (uv[b, 1] - y)
-    return n
-
-
-@kernel
-def _draw_parts(uv, z, faces, part, width, h, bits):
-    """Set the pixels in the picture part[f] of bits (P W h + ROWS - 1,), each (W, h) and width columns wide, whose
-    centres face f of faces (F, 3) covers, of either orientation; the last ones stay. uv (V, 2) px, z (V,) m."""
-    words, most, high = (width + 63) >> 6, float(width - 1), float(h)
-    for f in range(faces.shape[0]):
-        a, b, c = u8(faces[f, 0]), u8(faces[f, 1]), u8(faces[f, 2])
-        if not (z[a] > NEAR and z[b] > NEAR and z[c] > NEAR):
-            continue
-        xa, ya, xb, yb, xc, yc = uv[a, 0], uv[a, 1], uv[b, 0], uv[b, 1], uv[c, 0], uv[c, 1]
-        if not np.isfinite(xa + ya + xb + yb + xc + yc):
-            continue
-        if ya > yb:
-            xa, ya, xb, yb = xb, yb, xa, ya
-        if ya > yc:
-            xa, ya, xc, yc = xc, yc, xa, ya
-        if yb > yc:
-            xb, yb, xc, yc = xc, yc, xb, yb
-        begin = int(math.ceil(min(max(ya, 0.0), high)))
-        end = int(math.floor(max(min(yc, high - 1.0), -1.0))) + 1
-        if begin >= end or yc <= ya:
-            continue
-        # the side from a to c, and the two with b, of which the lower one begins at this row
-        middle = i4(math.ceil(min(max(yb, 0.0), high)))
-        long = (xc - xa) / (yc - ya)
-        upper = (xb - xa) / (yb - ya) if yb > ya else 0.0
-        lower = (xc - xb) / (yc - yb) if yc > yb else 0.0
-        left = int(min(max(min(xa, min(xb, xc)) - 1.0, 0.0), most)) >> 6
-        right = int(max(min(max(xa, max(xb, xc)) + 1.0, most), 0.0)) >> 6
-        for k in range(left, right + 1):
-            x0, x1 = float(64 * k), min(float(64 * k + 63), most)
-            for row in range(begin, end, ROWS):
-                at = (part[f] * words + k) * h + row
-                _set(bits, at, i4(row), i4(end), i4(64 * k), x0, x1, xa, ya, long, xb, yb, upper, lower, middle)
-
-
-@kernel
-def _set(bits, at, row, end, column, x0, x1, xa, ya, long, xb, yb, upper, lower, middle):
-    """Sets the pixels of a face in ROWS rows of a word of columns, from number `at` of the bits (N,) on: what lies
-    between its side from a and the one from a or, from the row `middle` on, from b. It becomes vectors by itself."""
-    for i in range(ROWS):
-        r = row + i4(i)
-        y, under = float(r), r >= middle
-        p = xa + (y - ya) * long
-        q = (xb if under else xa) + (y - (yb if under else ya)) * (lower if under else upper)
-        first = u8(i4(np.ceil(min(max(min(p, q), x0), x1 + 1.0))) - column)
-        count = u8(i4(np.floor(max(min(max(p, q), x1), x0 - 1.0))) + i4(1) - column)
-        after = ALL << (first & u8(63)) if first < u8(64) else u8(0)
-        before = ALL >> ((u8(64) - count) & u8(63)) if count > u8(0) else u8(0)
-        bits[u8(at + i)] |= after & before if r < end else u8(0)
-
-
-@kernel
-def _columns(k, words, width):
-    """The bits of word k that are columns of a picture."""
-    return ALL if k < words - 1 else ALL >> u8(64 * words - width)
+def _draw_parts(uv, z, faces, part, closed, width, height, bits):
+    """bits (P, W, 8 h) u1: of what the faces of each part cover, 64 columns of a row in eight bytes."""
+    stride, unread = row_stride(width), np.zeros(2, np.int64)
+    difference = np.zeros((bits.shape[0], height + 1, stride), np.int8)
+    cover_faces(uv, z, faces, part, closed, width, height, difference)
+    for p in range(bits.shape[0]):
+        for k in range(bits.shape[1]):
+            fill_strip(difference[p], 64 * k, stride, height, bits[p], bits[p], 8 * height * k, 8, unread)
 
 
 @kernel
 def _thin(packed, top, left, step, width, out):
-    """Every step-th pixel of a mask, eight to a byte (H, B), from row top and column left on, as bits out (W, h)."""
+    """Every step-th pixel of a mask, eight to a byte (H, B), from row top and column left on, as bits out (W, h); what
+    lies beyond the width means nothing."""
     words, h = out.shape
     size, shift = packed.shape[1], u8(left & 7)
     for k in range(words):
-        begin, columns = (left >> 3) + 8 * k, _columns(k, words, width)
+        begin = (left >> 3) + 8 * k
         for r in range(h):
             word, y = u8(0), top + r * step
             if step == 1:  # then bits only move
@@ -231,55 +175,38 @@ def _thin(packed, top, left, step, width, out):
                 for i in range(min(width - 64 * k, 64)):
                     word |= u8((packed[y, x >> u8(3)] >> np.uint8(x & u8(7))) & np.uint8(1)) << u8(i)
                     x += u8(step)
-            out[k, r] = word & columns
+            out[k, r] = word
 
 
 @kernel
-def _grown(bits, width, wide, out):
-    """out = bits, grown by three by three pixels, both (W + 2, h): the first and the last word of each row are 0; wide
-    (h + 2,): scratch, which begins and ends with 0."""
-    words, h = bits.shape[0] - 2, bits.shape[1]
-    above, middle, below = wide[:h], wide[1 : h + 1], wide[2:]
-    for k in range(words):
-        before, here, after, made = bits[k], bits[k + 1], bits[k + 2], out[k + 1]
-        inside = _columns(k, words, width)
-        for r in range(h):
-            left, right = (here[r] << u8(1)) | (before[r] >> u8(63)), (here[r] >> u8(1)) | (after[r] << u8(63))
-            middle[r] = left | here[r] | right
-        for r in range(h):
-            made[r] = (above[r] | middle[r] | below[r]) & inside
+def _against_mask(mask, hidden, top, left, step, width, square, parts, points, radius, counts, bare):
+    """Counts of `parts.PartView`: of parts (P, W, h) drawn where every step-th pixel of a packed mask (H, B), from row
+    top and column left on, is a pixel.
 
-
-@kernel
-def _against_mask(mask, hidden, top, left, step, width, parts, points, radius, counts, bare):
-    """Counts of `parts.PartView`: of parts (P, W, h) drawn where every step-th pixel of a packed mask (H, B), from
-    row top and column left on, is a pixel; hidden (H, B), (0, 0): none. points (N, 2) and radius (N,) in those pixels.
-    counts (3, P): area, exposed and outside. parts[0] holds all of them afterwards."""
+    hidden (H, B), (0, 0): none.
+    square: spans of 3 x 3 pixels.
+    points (N, 2) and radius (N,) in those pixels.
+    counts (3, P): area, exposed and outside. parts[0] holds all of them afterwards.
+    """
     n, words, h = parts.shape
-    room, wide = np.zeros((5, words + 2, h), np.uint64), np.zeros(h + 2, np.uint64)
-    inner = room[:, 1 : words + 1]
-    no, shut, made, beside, found = inner[0], inner[1], inner[2], inner[3], inner[4]
+    room, box = np.zeros((5, words, h), np.uint64), np.zeros(4, np.int64)
+    no, shut, made, close, found = room[0], room[1], room[2], room[3], room[4]
+    box[1], box[3] = h, width
     for k in range(2):
         packed = hidden if k else mask
         if packed.shape[0]:
-            _thin(packed, top, left, step, width, inner[k])
+            _thin(packed, top, left, step, width, room[k])
     for k in range(words):
-        columns = _columns(k, words, width)
         for r in range(h):
             made[k, r] = no[k, r] | shut[k, r]
-            no[k, r] = (~no[k, r] & columns) | shut[k, r]  # where no mask may be bare
-    for last in range(2):  # what is far from the mask; then, of the mask, what is far from the body
-        _grown(room[2], width, wide, room[3])
-        if last:
-            for k in range(words):
-                for r in range(h):
-                    beside[k, r] |= no[k, r]
-        _grown(room[3], width, wide, room[2])  # eroded, beyond the picture all is set
+            no[k, r] = ~no[k, r] | shut[k, r]  # where no mask may be bare
+    for last in range(2):  # pixels far from the mask; then, of the mask, those far from the body
+        grown(made, square, box, u8(0), close)
         for k in range(words):
-            columns = _columns(k, words, width)
             for r in range(h):
-                made[k, r] = ~made[k, r] & columns
-        _grown(room[2], width, wide, room[4])
+                near = close[k, r] | no[k, r] if last else close[k, r]
+                made[k, r] = ~near
+        opened(made, square, box, found)
         if last:
             break
         for k in range(words):

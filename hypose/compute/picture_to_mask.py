@@ -1,4 +1,4 @@
-"""From a decoded picture to what is not the room: shrink and undistort, difference from the room with the shadow cone.
+"""From a decoded picture to its foreground: shrink and undistort, difference from the room with the shadow cone.
 
 Images are BGR uint8, a box is (y0, y1, x0, x1), half open, px. The functions release the GIL and keep no state, so each
 camera can have its own thread. The inner steps are explicit vectors, because the compiler does not see that the three
@@ -19,24 +19,27 @@ from hypose.compute.compiled import kernel
 from hypose.compute.mask_runs import Bits, close_to, no_bits, opened, square_spans
 from hypose.compute.simd import at_least, bits, cast, load, ramp, shuffle, splat, store, where
 from hypose.errors import InputError
+from hypose.geometry import Image
 
 f4, u1, i2, u2, i4, u4, u8 = np.float32, np.uint8, np.int16, np.uint16, np.int32, np.uint32, np.uint64
-Image = NDArray[np.uint8]
 Box = tuple[int, int, int, int]
 _LEAST = 16
 """Pixels that the kernels compare at once"""
 
 
-class Lens(NamedTuple):
+class Undistortion(NamedTuple):
     """How stored pictures of one camera become undistorted ones (h, w) of the working size.
 
     stored: (width, height) of the stored pictures. First they are shrunk by area: working row y is the sum over k of
-    row_weights[y, k] (h, L) u2 times stored row rows[y] + k, and columns likewise after, with column_weights (w, K) i4;
-    rounding (5,): half and shift of rows, factor, half and shift of columns. corner (h, w): number of the pixel up and
-    left of the undistorted one in the shrunk picture, in rows with one pixel of black on the left and two on the right
-    (one above, two below); part (h, w) u2: further right, and 32 times further down, in 32nds of a pixel. row_reach
-    (h, 2), column_reach (w, 2): first and last shrunk row (column) that the corners of an undistorted row (column) lie
-    in. straight: the shrunk picture is the undistorted one.
+        row_weights[y, k] (h, L) u2 times stored row rows[y] + k, and columns likewise after, with column_weights (w, K)
+        i4.
+    rounding (5,): half and shift of rows, factor, half and shift of columns.
+    corner (h, w): number of the pixel up and left of the undistorted one in the shrunk picture, in rows with one pixel
+        of black on the left and two on the right (one above, two below).
+    part (h, w) u2: further right, and 32 times further down, in 32nds of a pixel.
+    row_reach (h, 2), column_reach (w, 2): first and last shrunk row (column) that the corners of an undistorted row
+        (column) lie in.
+    straight: the shrunk picture is the undistorted one.
     """
 
     stored: tuple[int, int]
@@ -55,13 +58,18 @@ class Lens(NamedTuple):
 _FX, _FY = np.meshgrid(np.arange(32), np.arange(32))
 _SHARES = np.stack([(32 - _FX) * (32 - _FY), _FX * (32 - _FY), (32 - _FX) * _FY, _FX * _FY], -1).reshape(-1, 4)
 _SHARES = _SHARES.astype(np.uint16)
-"""(1024, 4): of a pixel, the one on its right, and the two below, in 1024ths, by Lens.part"""
+"""(1024, 4): of a pixel, the one on its right, and the two below, in 1024ths, by Undistortion.part"""
 
 
-class Room(NamedTuple):
-    """What the empty room looks like: low, high (h, w, 3) u1, the grey levels that are still the room; mean (h, w, 3)
-    f4, for the shadow test; shadow: whether that is made; darkest, lightest: brightness of a shadow relative to the lit
-    room; chroma: squared colour distance a shadow may have, grey levels."""
+class BackgroundLevels(NamedTuple):
+    """What the empty room looks like.
+
+    low, high (h, w, 3) u1, the grey levels that are still the room.
+    mean (h, w, 3) f4, for the shadow test.
+    shadow: whether that is made.
+    darkest, lightest: brightness of a shadow relative to the lit room.
+    chroma: squared colour distance a shadow may have, grey levels.
+    """
 
     low: Image
     high: Image
@@ -72,9 +80,11 @@ class Room(NamedTuple):
     chroma: float
 
 
-def make_lens(stored: tuple[int, int], map_x: ArrayLike, map_y: ArrayLike) -> Lens:
-    """Lens for stored pictures (width, height) from maps (h, w) in pixels of the working size: where in a picture
-    shrunk to that size each undistorted pixel lies (as for cv2.remap). Pictures are never enlarged: an InputError."""
+def make_lens(stored: tuple[int, int], map_x: ArrayLike, map_y: ArrayLike) -> Undistortion:
+    """Make the undistortion of stored pictures (width, height) from maps (h, w) in pixels of the working size.
+
+    map_x, map_y: place of each undistorted pixel in a picture shrunk to that size, as for cv2.remap.
+    InputError when a picture would be enlarged."""
     mx, my = np.asarray(map_x), np.asarray(map_y)
     h, w = mx.shape
     if stored[0] < w or stored[1] < h:
@@ -83,14 +93,14 @@ def make_lens(stored: tuple[int, int], map_x: ArrayLike, map_y: ArrayLike) -> Le
         raise InputError(f"Pictures of {(w, h)} px are too small; choose a working size of {_LEAST} pixels at least.")
     columns, column_weights = _averages(stored[0], w)
     rows, row_weights = _averages(stored[1], h)
-    rounding = (8, 4, 1, 2048, 12)  # weights are 256ths, and what is between rows and columns 16ths
+    rounding = (8, 4, 1, 2048, 12)  # weights are 256ths, and values between rows and columns 16ths
     n = stored[0] // w * (stored[1] // h)
     if stored[0] % w == 0 and stored[1] % h == 0 and n <= 257:  # of whole blocks all pixels weigh the same
         column_weights, row_weights = np.ones_like(column_weights), np.ones_like(row_weights)
         rounding = (0, 0, (16777216 + n // 2) // n, 8388608, 24)
     i, j = _parts(mx, 32 * w), _parts(my, 32 * h)
     column, row = (i >> 5) + 1, (j >> 5) + 1
-    return Lens(
+    return Undistortion(
         stored,
         columns,
         column_weights.astype(np.int32),
@@ -106,7 +116,7 @@ def make_lens(stored: tuple[int, int], map_x: ArrayLike, map_y: ArrayLike) -> Le
 
 
 def _parts(at: NDArray[np.floating], most: int) -> NDArray[np.int32]:
-    """32nds of pixels; what is not seen lies beyond the picture."""
+    """32nds of pixels; unseen places lie beyond the picture."""
     return np.clip(np.nan_to_num(np.rint(32 * at), nan=-32), -32, most).astype(np.int32)
 
 
@@ -126,7 +136,7 @@ def _averages(source: int, target: int) -> tuple[NDArray[np.int64], NDArray[np.i
     return first, np.diff(cumulative, axis=1)
 
 
-def shrink_undistort(image: Image, lens: Lens, box: Box | None = None, out: Image | None = None) -> Image:
+def shrink_undistort(image: Image, lens: Undistortion, box: Box | None = None, out: Image | None = None) -> Image:
     """Stored picture (H, W, 3) -> undistorted (h, w, 3) of the working size, black where the camera does not see, and
     outside `box` (default: everywhere) undefined. out: of `new_picture`, to be used for it."""
     h, w = lens.corner.shape
@@ -167,7 +177,7 @@ def _scratch(h: int, w: int) -> NDArray[np.uint8]:
     return known[1]
 
 
-def _needed(lens: Lens, box: Box | None) -> Box:
+def _needed(lens: Undistortion, box: Box | None) -> Box:
     """A part of the shrunk picture that holds all that undistorted pixels in the box are made of."""
     h, w = lens.corner.shape
     if box is None:
@@ -181,9 +191,9 @@ def _needed(lens: Lens, box: Box | None) -> Box:
     )
 
 
-def not_the_room(image: Image, room: Room, box: Box | None = None) -> Bits:
+def not_the_room(image: Image, room: BackgroundLevels, box: Box | None = None) -> Bits:
     """Bits (mask_runs.bits_of) of the person in an undistorted picture (h, w, 3), in the box (default: everywhere):
-    what is neither the room nor its shadow, the same colour but darker. A shadow is an area: single pixels along the
+    pixels of neither the room nor its shadow, the same colour but darker. A shadow is an area: single pixels along the
     edge of dark clothing before a bright wall are mixed colours, so shadows are opened 3 x 3."""
     h, w = image.shape[:2]
     y0, y1, x0, x1 = box or (0, h, 0, w)
@@ -215,7 +225,7 @@ def warm_up() -> None:
     for lens in (make_lens((30, 24), x, y), make_lens((30, 24), x + 0.3, y)):
         small = shrink_undistort(picture, lens)
         mean = small.astype(np.float32)
-        not_the_room(small, Room(small, small, mean, True, 0.5, 0.9, 100.0))
+        not_the_room(small, BackgroundLevels(small, small, mean, True, 0.5, 0.9, 100.0))
     order_statistic(picture, None, np.zeros(30, np.int64))
     order_statistic(picture, np.zeros((24, 30), np.bool_), np.zeros(30, np.int64))
 
@@ -223,7 +233,7 @@ def warm_up() -> None:
 @kernel
 def _shrink(image, columns, column_weights, rows, row_weights, rounding, y0, y1, x0, x1, out, begin, stride):
     """Area average of image (H, W, 3) u1 for y0 <= y < y1, x0 <= x < x1: pixel (y, x) is three bytes of out (u1) from
-    begin + stride y + 3 x on. See picture_to_mask.Lens; the byte after each row becomes 0."""
+    begin + stride y + 3 x on. See Undistortion; the byte after each row becomes 0."""
     taps, lines = column_weights.shape[1], row_weights.shape[1]
     first, last = columns[x0], columns[x1 - 1] + taps
     width, line = 3 * (last - first), 3 * image.shape[1]
@@ -247,7 +257,7 @@ def _shrink(image, columns, column_weights, rows, row_weights, rounding, y0, y1,
 @kernel
 def _remap(small, corner, part, shares, y0, y1, x0, x1, out):
     """out (3 h w + 1,) u1, pixels in the box = those of the flat picture small (h + 3, w + 3) u1 at corner (h, w) and
-    beside it, with shares[part (h, w)] (K, 4) in 1024ths."""
+    next to it, with shares[part (h, w)] (K, 4) in 1024ths."""
     w = corner.shape[1]
     corners, parts, four, step = corner.reshape(-1), part.reshape(-1), shares.reshape(-1), 3 * (w + 3)
     for y in range(y0, y1):

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from hypose.compute.arrays import plain
 from hypose.compute.compiled import kernel
+from hypose.compute.coverage import LANES
 from hypose.compute.losses import lorentzian_kernel as lorentzian
 from hypose.compute.simd import lane, load, shuffle, splat
-from hypose.compute.vectors import LANES
 
 f4, u4 = np.float32, np.uint32
 BORDER = 3
@@ -107,7 +107,11 @@ def _wrenches(work, p):
 def form_rows(first, last, ends, found, work, n_rows, vertices, mesh, p, rows, joints):
     """Appends the rows of found points first to last, all of one view with the camera p (3, 4) f4, to rows (M, 8) =
     wrench, weight, residual, and joints (M,), from row n_rows on, one for each joint that moves the point; returns the
-    number of rows then. ends, found: as in contours.contour_rows; work (9 x LANES,) f4: scratch."""
+    number of rows then.
+
+    ends, found: as in contours.contour_rows.
+    work (9 x LANES,) f4: scratch.
+    """
     skin_index, skin_weight, skin_count = mesh.skin_index, mesh.skin_weight, mesh.skin_count
     for block in range(first, last, LANES):
         some = min(LANES, last - block)
@@ -185,13 +189,12 @@ def keypoint_rows(q, keypoints, rotations, centres, hessian, gradient, count):
 def point_rows(q, points, rotations, centres, hessian, gradient, count):
     """Rows of 3D points; returns the cost, 1/2 w 4 log(1 + e^2 / 4) with e = distance / scale (Cauchy, 2 sd)."""
     cost = 0.0
-    i2 = 1.0 / (points.scale * points.scale)
     d = np.empty(3)
     for m in range(points.joint.shape[0]):
         w = points.weight[m]
         if not w > 0:
             continue
-        j = points.joint[m]
+        j, i2 = points.joint[m], 1.0 / (points.scale[m] * points.scale[m])
         o, r = points.offset[m], rotations[j]
         px = centres[j, 0] + r[0, 0] * o[0] + r[0, 1] * o[1] + r[0, 2] * o[2]
         py = centres[j, 1] + r[1, 0] * o[0] + r[1, 1] * o[1] + r[1, 2] * o[2]
@@ -263,7 +266,7 @@ _low, _high = shuffle(range(4)), shuffle(range(4, 8))
 def wrench_sums(lanes, row, first, last, sums):
     """sums (27,) of the columns first..last, a multiple of EIGHT, of lanes (9, row) f8: wrench (6), weight w,
     residual, scratch. In the order x y: w x . y for y = 0..x, then w x . residual, for x = 0..5."""
-    s = sums  # in three loops of nine, whose sums share what is loaded
+    s = sums  # in three loops of nine, whose sums share loaded values
     s[0], s[1], s[2], s[3], s[4], s[5], s[6], s[7], s[8] = _among(lanes, row, first, last, 0)
     s[12], s[13], s[17], s[18], s[19], s[23], s[24], s[25], s[26] = _among(lanes, row, first, last, 3)
     s[9], s[10], s[11], s[14], s[15], s[16], s[20], s[21], s[22] = _between(lanes, row, first, last)

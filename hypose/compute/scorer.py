@@ -1,13 +1,10 @@
 """Silhouettes of many poses against the masks of a frame, LANES poses at a time, by contour winding differences.
 
-The method is that of silhouettes.py (which serves as the safe way for single poses); here every step before the drawing
-works on LANES poses at once, and drawing has no branch per pixel: each contour edge writes the indices of the pixels
-where it crosses columns to one of two lists per pose (up or down), the lists are added into an int8 image, and one pass
-of running sums compares STRIP columns at a time with the mask's packed bits.
-
-What the fast way cannot hold is drawn again by the safe way in int16: poses that reach the near plane, more than 63
-layers of the body on a pixel, and bodies so near that their lists are full.
-Before any of it is drawn a limb cannot explain more of a mask than what is uncovered in its window.
+The drawing is that of coverage.py: each contour edge writes the indices of the pixels where it crosses columns to one
+of two lists per pose (up or down), the lists are added into an int8 image, and one pass of running sums compares STRIP
+columns at a time with the mask's packed bits. Poses that reach the near plane, and bodies so near that their lists are
+full, are drawn face by face.
+Before any of it is drawn a limb cannot explain more of a mask than the uncovered pixels in its window.
 """
 
 from __future__ import annotations
@@ -21,32 +18,23 @@ from numpy.typing import ArrayLike, NDArray
 from hypose.compute import lane_mesh, reach
 from hypose.compute.arrays import BALL, HINGES, MeshArrays, PreparedMasks, Standing, TreeArrays, plain, tidy
 from hypose.compute.compiled import kernel
-from hypose.compute.lane_mesh import lane_scratch
-from hypose.compute.reach import draw_standing
-from hypose.compute.silhouettes import (
-    NEAR,
-    areas_in_boxes,
-    contour_edges,
-    count_window,
-    emit_clipped_faces,
-    emit_contours,
-    front_faces,
-)
-from hypose.compute.simd import lowest_bit
-from hypose.compute.threads import over_chunks
-from hypose.compute.vectors import (
-    GUARD,
+from hypose.compute.coverage import (
     LANES,
+    NEAR,
     STRIP,
     count_strip,
-    front_lanes,
-    prepare_edge,
+    draw_lists,
+    emit_clipped_faces,
+    list_crossings,
     project_vertices,
     row_stride,
-    skin_vertex,
-    write_crossings,
 )
+from hypose.compute.lane_mesh import lane_scratch
+from hypose.compute.reach import draw_standing
+from hypose.compute.simd import load, splat, store, times_plus
+from hypose.compute.threads import over_chunks
 from hypose.errors import InputError, SolverError
+from hypose.geometry import Array
 
 f4 = np.float32
 
@@ -144,6 +132,29 @@ def bone_maps(poses, first, tree, needed, frames, centres, axis, scratch, maps):
 
 
 @kernel
+def skin_vertex(maps, joint, weight, first, end, x, y, z, out, vertex):
+    """Linear blend skinning of one vertex x, y, z (f4) in all lanes: influences first..end of joint (i4), weight (f4);
+    maps (J, 12, LANES) f4 rows of the (3, 4) maps; into row vertex of out (V, 3, LANES) f4."""
+    a, b, c = splat(f4(0), LANES), splat(f4(0), LANES), splat(f4(0), LANES)
+    for k in range(first, end):
+        w, at = weight[k], joint[k] * (12 * LANES)
+        a = _add_row(maps, at, w * x, w * y, w * z, w, a)
+        b = _add_row(maps, at + 4 * LANES, w * x, w * y, w * z, w, b)
+        c = _add_row(maps, at + 8 * LANES, w * x, w * y, w * z, w, c)
+    store(out, vertex * (3 * LANES), a)
+    store(out, vertex * (3 * LANES) + LANES, b)
+    store(out, vertex * (3 * LANES) + 2 * LANES, c)
+
+
+@kernel
+def _add_row(maps, at, x, y, z, w, total):
+    total = times_plus(load(maps, at, LANES), x, total)
+    total = times_plus(load(maps, at + LANES, LANES), y, total)
+    total = times_plus(load(maps, at + 2 * LANES, LANES), z, total)
+    return times_plus(load(maps, at + 3 * LANES, LANES), w, total)
+
+
+@kernel
 def skin_lanes(poses, first, tree, mesh, turning, frames, centres, axis, scratch, maps, points):
     """points (V, 3, LANES) f4: the mesh about each pose's root; turning (J,): the joints that are not where they were
     the last time, the other arguments as for `bone_maps`."""
@@ -171,9 +182,11 @@ def camera_lanes(projection, poses, first, p):
 def lane_windows(bounds, box, lanes, window, origin):
     """The image window of each lane: what of its silhouette's bounds lies in the box (x0, x1, y0, y1).
 
-    window (5, LANES) f4: origin x, y, first and end column, rows; origin (LANES, 4) i8: x, y, columns, rows. Windows
-    begin at a multiple of 8 columns, where the mask's bits begin a byte. Returns two masks of lanes: those to draw and
-    those that reach the near plane (their window is the whole box).
+    window (5, LANES) f4: origin x, y, first and end column, rows.
+    origin (LANES, 4) i8: x, y, columns, rows. Windows begin at a multiple of 8 columns, where the mask's bits begin a
+        byte.
+
+    Returns two masks of lanes: those to draw and those that reach the near plane (their window is the whole box).
     """
     some, near = np.uint32(0), np.uint32(0)
     for k in range(lanes):
@@ -195,107 +208,53 @@ def lane_windows(bounds, box, lanes, window, origin):
 
 
 @kernel
-def list_crossings(mesh, u, v, some, window, origin, front, union, edge, columns, lists, ends):
-    """Pixels where the contours cross columns, per lane: lists (2 LANES, capacity) i4, up at 2 lane and down after it,
-    ends (2 LANES,) how many. Returns the lanes whose lists are full (to be drawn otherwise)."""
-    full = np.uint32(0)
-    for f in range(mesh.faces.shape[0]):
-        front[f] = front_lanes(u, v, mesh.faces[f, 0], mesh.faces[f, 1], mesh.faces[f, 2])
-    front[mesh.faces.shape[0]] = 0  # the missing neighbour of an open edge
-    n = 0
-    for e in range(mesh.edges.shape[0]):
-        union[n] = e
-        n += ((front[mesh.edges[e, 2]] ^ front[mesh.edges[e, 3]]) & some) != 0
-    for k in range(2 * LANES):
-        ends[k] = 0
-    capacity = lists.shape[1] - LANES
-    for i in range(n):
-        e = union[i]
-        left = np.uint32(front[mesh.edges[e, 2]])
-        masks = prepare_edge(u, v, mesh.edges[e, 0], mesh.edges[e, 1], window, edge, columns)
-        todo = (left ^ np.uint32(front[mesh.edges[e, 3]])) & some & masks
-        down = left ^ (masks >> np.uint32(16))
-        while todo != 0:
-            k = lowest_bit(todo)
-            todo &= todo - np.uint32(1)
-            which = 2 * k + np.int64((down >> np.uint32(k)) & np.uint32(1))
-            count = np.int64(columns[k])
-            end = ends[which]
-            if end + count > capacity:
-                full |= np.uint32(1) << np.uint32(k)
-                continue
-            done = 0
-            stride = np.int32(row_stride(origin[k, 2]))
-            while True:
-                place = which * lists.shape[1] + end + done
-                write_crossings(edge, k, f4(done), window[4, k], stride, lists, place)
-                done += LANES
-                if done >= count:
-                    break
-            ends[which] = end + count
-    return full
-
-
-@kernel
-def draw_lists(up, down, difference):
-    """Adds the two lists of pixels into difference (i1, flat). False when a pixel got more than it should hold."""
-    seen = 0
-    for i in range(up.shape[0]):
-        p = np.uint32(up[i])
-        t = np.int64(difference[p]) + 1
-        difference[p] = t
-        seen |= t
-    for i in range(down.shape[0]):
-        p = np.uint32(down[i])
-        t = np.int64(difference[p]) - 1
-        difference[p] = t
-        seen |= t + GUARD
-    return 0 <= seen < 2 * GUARD
-
-
-@kernel
-def score_safely(mesh, points, u, v, p, lane, near, mask, drawn, origin, first_column, safe, counts):
-    """One lane drawn by the plain way in int16, for what the fast way cannot hold. counts (3,) model, hit."""
-    vertices, single_u, single_v, camera, front, start, end, difference, running, model, hit = safe
-    n = points.shape[0]
-    x0, y0 = origin[0] + first_column, origin[1]
-    width, height = origin[2] - first_column, origin[3]
-    if near:
-        for i in range(n):
-            for c in range(3):
-                vertices[i, c] = points[i, c, lane]
-        for r in range(3):
-            for c in range(4):
-                camera[r, c] = p[4 * r + c, lane]
-        emit_clipped_faces(vertices, mesh.faces, camera, x0, y0, width, height, difference, mesh.one_sided)
-    else:
-        for i in range(n):
-            single_u[i], single_v[i] = u[i, lane], v[i, lane]
-        front_faces(mesh.faces, single_u, single_v, front)
-        front[mesh.faces.shape[0]] = 0
-        k = contour_edges(mesh.edges, front, start, end)
-        emit_contours(k, start, end, single_u, single_v, x0, y0, width, height, difference)
-    count_window(mask, drawn, x0, y0, width, height, difference, running, model, hit, counts)
+def draw_safely(mesh, points, p, lane, one_sided, x0, y0, width, height, difference):
+    """Draws one lane face by face, for what the lists cannot hold."""
+    vertices, camera = np.empty((points.shape[0], 3), np.float32), np.empty((3, 4), np.float32)
+    for i in range(points.shape[0]):
+        for c in range(3):
+            vertices[i, c] = points[i, c, lane]
+    for r in range(3):
+        for c in range(4):
+            camera[r, c] = p[4 * r + c, lane]
+    emit_clipped_faces(vertices, mesh.faces, camera, x0, y0, width, height, difference, one_sided)
 
 
 @kernel
 def _silhouette_xor(
-    poses, first, last, tree, mesh, anew, turning, prepared, usable, boxes, box_areas, drawn, drawn_counts, scratch, out
+    poses,
+    first,
+    last,
+    tree,
+    mesh,
+    moved_joints,
+    turning,
+    prepared,
+    usable,
+    boxes,
+    box_areas,
+    drawn,
+    drawn_counts,
+    scratch,
+    out,
 ):
-    """Blocks first..last (of LANES poses) of out (N, C, 3) = (xor, model, intersection) pixels inside boxes (C, 4),
-    of the views that are usable (C,).
+    """Blocks first..last (of LANES poses) of out (N, C, 3) = (xor, model, intersection) pixels inside boxes (C, 4), of
+    the views that are usable (C,).
 
-    anew (J,): joints that must be placed for the first block, turning (J,): those that are elsewhere in the others.
+    moved_joints (J,): joints that must be placed for the first block, turning (J,): those that are elsewhere in the
+        others.
     drawn (C, h, B) packed as the masks, drawn_counts (C, 2) model, intersection: pixels that belong to the body in
-    every pose. scratch: of lane_scratch.py, for this mesh and these images."""
+        every pose.
+    scratch: of lane_scratch.py, for this mesh and these images.
+    """
     views, image_rows, _ = prepared.masks.shape
     frames, centres, axis, turn, maps, points, u, v, p, bounds, window, origin = scratch[:12]
-    front, union, edge, columns, lists, ends, difference, counts, single = scratch[12:]
+    front, union, edge, columns, lists, ends, difference, counts = scratch[12:]
     mask_stride = prepared.bits.shape[2]
     for block in range(first, last):
         begin = block * LANES
         lanes = min(LANES, poses.shape[0] - begin)
-        moved = anew if block == first else turning
+        moved = moved_joints if block == first else turning
         skin_lanes(poses, begin, tree, mesh, moved, frames, centres, axis, turn, maps, points)
         for c in range(views):
             if not usable[c]:
@@ -308,39 +267,24 @@ def _silhouette_xor(
                 full = list_crossings(mesh, u, v, some, window, origin, front, union, edge, columns, lists, ends)
             for k in range(lanes):
                 bit = np.uint32(1) << np.uint32(k)
-                counts[0] = counts[1] = counts[2] = 0
-                again = ((near | full) & bit) != 0
-                if (some & bit) != 0 and not again:
+                counts[0] = counts[1] = 0
+                if ((some | near) & bit) != 0:
                     stride, rows = row_stride(origin[k, 2]), origin[k, 3]
-                    up, down = lists[2 * k, : ends[2 * k]], lists[2 * k + 1, : ends[2 * k + 1]]
-                    again = not draw_lists(up, down, difference)
-                    if not again:
-                        corner = (c * image_rows + origin[k, 1]) * mask_stride + (origin[k, 0] >> 3)
-                        for s in range(0, origin[k, 2], STRIP):
-                            place = corner + (s >> 3)
-                            count_strip(difference, s, stride, rows, prepared.bits, drawn, place, mask_stride, counts)
-                            for x in range(s, s + STRIP):
-                                difference[rows * stride + x] = 0
-                        again = counts[2] != 0
+                    if ((near | full) & bit) != 0:
+                        aside = np.int64(window[2, k])
+                        plane = difference[aside : aside + (rows + 1) * stride].reshape(rows + 1, stride)
+                        left, width = origin[k, 0] + aside, origin[k, 2] - aside
+                        one_sided = mesh.one_sided or (near & bit) == 0
+                        draw_safely(mesh, points, p, k, one_sided, left, origin[k, 1], width, rows, plane)
                     else:
-                        difference[: (rows + 1) * stride] = 0
-                if again:
-                    counts[0] = counts[1] = 0
-                    score_safely(
-                        mesh,
-                        points,
-                        u,
-                        v,
-                        p,
-                        k,
-                        (near & bit) != 0,
-                        prepared.masks[c],
-                        drawn[c],
-                        origin[k],
-                        np.int64(window[2, k]),
-                        single,
-                        counts,
-                    )
+                        up, down = lists[2 * k, : ends[2 * k]], lists[2 * k + 1, : ends[2 * k + 1]]
+                        draw_lists(up, down, difference)
+                    corner = (c * image_rows + origin[k, 1]) * mask_stride + (origin[k, 0] >> 3)
+                    for s in range(0, origin[k, 2], STRIP):
+                        place = corner + (s >> 3)
+                        count_strip(difference, s, stride, rows, prepared.bits, drawn, place, mask_stride, counts)
+                        for x in range(s, s + STRIP):
+                            difference[rows * stride + x] = 0
                 model, hits = counts[0] + drawn_counts[c, 0], counts[1] + drawn_counts[c, 1]
                 out[begin + k, c, 0] = model + box_areas[c] - 2 * hits
                 out[begin + k, c, 1] = model
@@ -412,15 +356,15 @@ def view_that_tells(cells, norm, left):
 
 @kernel
 def _limb_energies(
-    poses, slack, more, tree, mesh, turning, prepared, boxes, drawn, drawn_counts, cells, scratch, counts, told
+    poses, slack, more, tree, mesh, turning, prepared, boxes, drawn, drawn_counts, cells, scratch, counts, decided
 ):
-    """counts (N, C, 3), zero, as of _silhouette_xor, and told (N,), False: whether they are those of all views, as of
-    the first poses and of all that cost at most `slack` times as much as the first one, and `more`. cells: zero; other
-    arguments as for _silhouette_xor."""
+    """counts (N, C, 3), zero, as of _silhouette_xor, and decided (N,), False: whether they are those of all views, as
+    of the first poses and of all that cost at most `slack` times as much as the first one, and `more`. cells: zero;
+    other arguments as for _silhouette_xor."""
     n, views, n_dof = poses.shape[0], prepared.bits.shape[0], poses.shape[1]
     norm, left, limit, view = prepared.norm, prepared.usable.copy(), more + 1e-9 * abs(more), -1
     alive, n_alive = np.arange(n), min(n, LANES)  # the first block is as much work as the first pose alone
-    least, total, only, anew = np.zeros((n, views)), np.zeros(n), prepared.usable, mesh.needed
+    least, total, only, moved_joints = np.zeros((n, views)), np.zeros(n), prepared.usable, mesh.needed
     while True:
         tried, out = np.empty((n_alive, n_dof)), np.zeros((n_alive, views, 3), np.int64)
         for i in range(n_alive):
@@ -428,7 +372,7 @@ def _limb_energies(
                 tried[i, d] = poses[alive[i], d]
         blocks = (n_alive + LANES - 1) // LANES
         _silhouette_xor(
-            *(tried, 0, blocks, tree, mesh, anew, turning),
+            *(tried, 0, blocks, tree, mesh, moved_joints, turning),
             *(prepared, only, boxes, prepared.areas, drawn, drawn_counts, scratch, out),
         )
         kept = 0
@@ -442,7 +386,7 @@ def _limb_energies(
                         total[a] += out[i, c, 0] / norm[c] - least[a, c]
                     elif a == 0:
                         limit += out[i, c, 0] / norm[c] * slack * (1 + 1e-9)  # sums may round otherwise
-            told[a] = view < 0
+            decided[a] = view < 0
             alive[kept] = a
             kept += total[a] <= limit
         n_alive = kept
@@ -462,12 +406,9 @@ def _limb_energies(
         only = np.zeros(views, np.bool_)
         only[view] = True
         left[view] = False
-        anew = turning
+        moved_joints = turning
     for i in range(n_alive):
-        told[alive[i]] = True
-
-
-Array = NDArray[np.float64]
+        decided[alive[i]] = True
 
 
 def silhouette_xor(
@@ -483,14 +424,17 @@ def silhouette_xor(
 ) -> NDArray[np.int64]:
     """Silhouettes of the mesh at poses (N, D) against the frame's masks: (N, C, 3) = (xor, model, intersection) pixels.
 
-    boxes (C, 4) = x0, x1, y0, y1 (half open, px) restricts the counting; default: each view's whole image. faces (F,)
-    bool: only these triangles of the mesh, as seen from outside (body parts, where a hierarchical search has not placed
-    the rest yet). moving (J,) bool: only these joints turn, everything else stands as in the last pose, and what they
-    do not move is drawn once; rest: that drawing, where `reach.standing` has made it (then without boxes and faces).
-    Views that are not usable give zeros. The same counts for any number of threads, and for a pose alone or among
-    others. Exact up to 1-2 pixels of a silhouette whose edge passes through a pixel's centre.
-    Parts nearer than 0.05 m to a camera's plane, or behind it, are cut off. A SolverError for poses that are not
-    finite.
+    boxes (C, 4) = x0, x1, y0, y1 (half open, px) restricts the counting; default: each view's whole image.
+    faces (F,) bool: only these triangles of the mesh, as seen from outside (body parts, where a hierarchical search has
+        not placed the rest yet).
+    moving (J,) bool: only these joints turn, everything else stands as in the last pose, and what they do not move is
+        drawn once.
+    rest: that drawing, where `reach.standing` has made it (then without boxes and faces). Views that are not usable
+        give zeros.
+
+    The same counts for any number of threads, and for a pose alone or among others. Exact up to 1-2 pixels of a
+    silhouette whose edge passes through a pixel's centre. Parts nearer than 0.05 m to a camera's plane, or behind it,
+    are cut off. A SolverError for poses that are not finite.
     """
     q = _finite(poses)
     n, c = len(q), len(prepared.masks)
@@ -510,8 +454,8 @@ def silhouette_xor(
     t, prepared = tidy(tree), tidy(prepared)
     areas = prepared.areas
     if boxes is not None:
-        areas = np.empty(c, dtype=np.int64)
-        areas_in_boxes(prepared.masks, b, areas)
+        inside = (m[y0:y1, x0:x1] for m, (x0, x1, y0, y1) in zip(prepared.masks, b, strict=True))
+        areas = np.array([np.count_nonzero(m) for m in inside], dtype=np.int64)
     drawn, drawn_counts, turned = _nothing(prepared.bits.shape), np.zeros((c, 2), dtype=np.int64), None
     if turning is not None and n:
         wanted, standing, corners, turned, _ = lane_mesh.moving_parts(mesh, tree, turning, wanted)
@@ -522,8 +466,8 @@ def silhouette_xor(
             draw_standing(q[-1], t, tidy(mesh), corners, standing, prepared, b, drawn, drawn_counts)
             reach.hide(prepared, drawn, drawn_counts)
     elif prepared.hidden.size:
-        drawn = prepared.hidden  # one more standing part, of somebody else: it counts nowhere
-    m = lane_mesh.prepare(mesh, tree, wanted)
+        drawn = prepared.hidden  # one more standing part, of another person: it counts nowhere
+    m = lane_mesh.prepare_lanes(mesh, tree, wanted)
     turned = m.needed if turned is None else m.needed & turned
     out = np.zeros((n, c, 3), dtype=np.int64)
 
@@ -548,8 +492,8 @@ def limb_energies(
     slack: float = 1.0,
     more: float = 0.0,
 ) -> Array:
-    """(N,) energies (eq. 2.8) of poses (N, D) in which only the joints `moving` (J,) turn; infinite where they are
-    certainly above `slack` times the energy of the first pose, and `more`. moving, rest: as for `silhouette_xor`.
+    """Return (N,) energies (eq. 2.8) of poses (N, D) in which only the joints `moving` (J,) turn; infinite where they
+    are certainly above `slack` times the energy of the first pose, and `more`. moving, rest: as for `silhouette_xor`.
 
     Most poses of a limb are worse than the one that it is in, and a view or two tell: a limb cannot explain more of a
     mask than what lies uncovered in its window. The others have the energies that `silhouette_xor` gives them.
@@ -560,13 +504,13 @@ def limb_energies(
     prepared = tidy(prepared)
     drawn, drawn_counts = reach.standing(q[-1], tree, mesh, prepared, turning) if rest is None else rest
     parts = lane_mesh.moving_parts(mesh, tree, turning, None)
-    m = lane_mesh.prepare(mesh, tree, parts.moved)
+    m = lane_mesh.prepare_lanes(mesh, tree, parts.moved)
     scratch = lane_scratch(m, prepared.masks.shape[1:])
     cells = np.zeros((len(use), -(-drawn.shape[1] // CELL) + 1, drawn.shape[2] + 1), dtype=np.int32)
-    counts, told = np.zeros((len(q), len(use), 3), dtype=np.int64), np.zeros(len(q), dtype=np.bool_)
+    counts, decided = np.zeros((len(q), len(use), 3), dtype=np.int64), np.zeros(len(q), dtype=np.bool_)
     given = tidy(tree), m, m.needed & parts.turning, prepared, reach.whole_images(prepared), drawn, drawn_counts
-    _limb_energies(q, float(slack), float(more), *given, cells, scratch, counts, told)
-    return np.where(told, (counts[:, use, 0] / prepared.norm[use]).sum(1), np.inf)
+    _limb_energies(q, float(slack), float(more), *given, cells, scratch, counts, decided)
+    return np.where(decided, (counts[:, use, 0] / prepared.norm[use]).sum(1), np.inf)
 
 
 def _finite(poses: ArrayLike) -> Array:

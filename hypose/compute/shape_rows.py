@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,8 +16,8 @@ from hypose.compute.arrays import NOT_KNOWN, MeshArrays, plain
 from hypose.compute.compiled import kernel
 from hypose.compute.parts import covered
 from hypose.compute.rows import BORDER
+from hypose.geometry import Array
 
-Array = NDArray[np.float64]
 _REFERENCE_PX, _HEIGHT_PX, _OUTLINE = 6.0, 260.0, 130
 """Rows of weight 1 lie so far apart on a person so tall; and so many points of the mask's outline."""
 _FARTHEST = 0.25
@@ -26,52 +25,6 @@ _FARTHEST = 0.25
 _USUAL = 1024
 """rows of a view, for which there is room at first"""
 _NEAR_M = 0.05
-
-
-@dataclass(frozen=True)
-class OutlineRows:
-    """ends (R, 2): two mesh vertices a, b; values (R, 6): along, so that the row's point is (1 - along) a + along b,
-    residual px, its gradient with respect to the point, px/m, and weight, rows per reference row."""
-
-    ends: NDArray[np.int64]
-    values: Array
-
-    @property
-    def residual(self) -> Array:
-        """(R,) px."""
-        return self.values[:, 1]
-
-    @property
-    def gradient(self) -> Array:
-        """(R, 3) px/m."""
-        return self.values[:, 2:5]
-
-    @property
-    def weight(self) -> Array:
-        """(R,)"""
-        return self.values[:, 5]
-
-    def points(self, vertices: Array) -> Array:
-        """(R, 3) m, where the rows are on a mesh with vertices (V, 3)."""
-        t = self.values[:, :1]
-        return (1 - t) * vertices[self.ends[:, 0]] + t * vertices[self.ends[:, 1]]
-
-    def jacobian(self, vertices: Array, twists: Array, moves: Array, slopes: Array | None = None) -> Array:
-        """(R, D + K): derivatives by a pose with these world twists (D, 6), then by K sizes.
-
-        vertices (V, 3) m; moves (V, D): share of a dof's motion at a vertex; slopes (V, K, 3) of the vertices by the
-        sizes, None: there are none."""
-        by_size = np.zeros((len(vertices), 0, 3)) if slopes is None else slopes
-        out = np.empty((len(self.ends), twists.shape[0] + by_size.shape[1]))
-        given = (plain(x, np.float64) for x in (self.values, vertices, twists, moves, by_size))
-        _row_jacobian(plain(self.ends, np.int64), *given, out)
-        return out
-
-
-def joined_rows(parts: Sequence[OutlineRows]) -> OutlineRows:
-    """The rows of several views, one after the other."""
-    none = OutlineRows(np.zeros((0, 2), np.int64), np.zeros((0, 6)))
-    return OutlineRows(*(np.concatenate([getattr(p, n) for p in (none, *parts)]) for n in ("ends", "values")))
 
 
 def outline_rows(
@@ -85,13 +38,19 @@ def outline_rows(
     height_px: float,
     spacing_px: float,
     least_cosine: float,
-) -> OutlineRows | None:
-    """Rows of one view: the body's outline in the mask's distances, and the mask's to the body's nearest.
+) -> tuple[NDArray[np.int64], Array] | None:
+    """Return rows of one view: the body's outline in the mask's distances, and the mask's to the body's nearest. ends
+    (R, 2): vertices a, b; values (R, 6): along, so that the row's point is (1 - along) a + along b, residual px, its
+    gradient (3) by the point, px/m, and weight, rows per reference row.
 
-    vertices (V, 3) m of a closed mesh with faces (F, 3) and edges (E, 4); projection (3, 4); size (2,): width, height
-    px; sdf (h, w) px, negative inside, and outline (K, 2) px of the mask; height_px of the person; spacing_px: of the
-    first kind of rows. Rows whose outlines have normals with a cosine below least_cosine are left out; None when the
-    body is not in the view. Which points are the outline, and which is nearest, is held fixed in the derivatives."""
+    vertices (V, 3) m of a closed mesh with faces (F, 3) and edges (E, 4).
+    projection (3, 4).
+    size (2,): width, height px.
+    sdf (h, w) px, negative inside, and outline (K, 2) px of the mask; height_px of the person.
+    spacing_px: of the first kind of rows. Rows whose outlines have normals with a cosine below least_cosine are left
+        out; None when the body is not in the view. Which points are the outline, and which is nearest, is held fixed in
+        the derivatives.
+    """
     reference = max(_REFERENCE_PX / _HEIGHT_PX * height_px, 1.0)
     lengths = np.array([reference, _FARTHEST * height_px, _OUTLINE / max(len(outline), 1)])
     v, p = plain(vertices, np.float64), plain(projection, np.float64)
@@ -106,13 +65,11 @@ def outline_rows(
         ends, values = np.empty((-n, 2), np.int64), np.empty((-n, 6))
         find = _outline_rows
         n = find(*given, float(spacing_px), float(least_cosine), lengths, ends, values)
-    return None if n < 0 else OutlineRows(ends[:n], values[:n])
+    return None if n < 0 else (ends[:n], values[:n])
 
 
 def warm_up(mesh: MeshArrays) -> None:
-    """Both kernels once, on a toy."""
-    row = OutlineRows(np.zeros((1, 2), np.int64), np.zeros((1, 6)))
-    row.jacobian(np.float64(mesh.vertices), np.zeros((6, 6)), np.zeros((len(mesh.vertices), 6)))
+    """The kernel once, on a toy."""
     picture, outline = np.zeros((8, 8), np.float32), np.zeros((1, 2), np.float32)
     outline_rows(mesh.vertices + 1.0, mesh.faces, mesh.edges, np.eye(3, 4), [8, 8], picture, outline, 8.0, 4.0, 0.5)
 
@@ -142,9 +99,14 @@ def bilinear(image, x, y, out):
 def _outline_rows(vertices, uv, faces, edges, p, own, sdf, marks, spacing, least_cosine, lengths, ends, rows):
     """Two-way rows of one view into ends (M, 2) and rows (M, 6) = place on the edge, residual, gradient, weight.
 
-    uv (V, 2) px of the vertices; own (h, w): the body's silhouette; marks (K, 2): the mask's outline; lengths (3,): px
-    between the reference's rows, px that an outline may lie off, and what a reverse row weighs. Returns how many there
-    are; -1: the body is not in the view; less: M must be at least that many, and nothing was written."""
+    uv (V, 2) px of the vertices.
+    own (h, w): the body's silhouette.
+    marks (K, 2): the mask's outline.
+    lengths (3,): px between the reference's rows, px that an outline may lie off, and what a reverse row weighs.
+
+    Returns how many there are; -1: the body is not in the view; less: M must be at least that many, and nothing was
+    written.
+    """
     front = np.empty(faces.shape[0], np.uint8)
     for f in range(faces.shape[0]):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
@@ -236,28 +198,3 @@ def _outline_rows(vertices, uv, faces, edges, p, own, sdf, marks, spacing, least
         for c in range(3):
             row[2 + c] = (gu * (p[0, c] - u * p[2, c]) + gv * (p[1, c] - v * p[2, c])) / deep
     return n
-
-
-@kernel
-def _row_jacobian(ends, rows, vertices, twists, moves, slopes, out):
-    """out (R, D + K): rows (R, 6) by a pose with twists (D, 6), moves (V, D), and by sizes with slopes (V, K, 3)."""
-    n_dof, n_sizes = twists.shape[0], slopes.shape[1]
-    for r in range(ends.shape[0]):
-        a, b, t = ends[r, 0], ends[r, 1], rows[r, 0]
-        gx, gy, gz = rows[r, 2], rows[r, 3], rows[r, 4]
-        s = 1 - t
-        x = s * vertices[a, 0] + t * vertices[b, 0]
-        y = s * vertices[a, 1] + t * vertices[b, 1]
-        z = s * vertices[a, 2] + t * vertices[b, 2]
-        tx, ty, tz = y * gz - z * gy, z * gx - x * gz, x * gy - y * gx
-        line = out[r]
-        for d in range(n_dof):
-            share = s * moves[a, d] + t * moves[b, d]
-            line[d] = 0.0
-            if share > 0:
-                w = twists[d]
-                turn = w[0] * tx + w[1] * ty + w[2] * tz
-                line[d] = share * (turn + (w[3] * gx + w[4] * gy + w[5] * gz))
-        for k in range(n_sizes):
-            p, q = slopes[a, k], slopes[b, k]
-            line[n_dof + k] = s * (gx * p[0] + gy * p[1] + gz * p[2]) + t * (gx * q[0] + gy * q[1] + gz * q[2])

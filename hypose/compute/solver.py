@@ -10,11 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from hypose.compute.arrays import (
     RIM,
-    ContourArrays,
-    DepthArrays,
-    KeypointArrays,
+    Cues,
     MeshArrays,
-    PointArrays,
     PriorArrays,
     SolveLimits,
     TreeArrays,
@@ -24,19 +21,18 @@ from hypose.compute.arrays import (
 )
 from hypose.compute.compiled import kernel
 from hypose.compute.contours import contour_rows
+from hypose.compute.coverage import VIEWS, contours_of_any, front_views, project_views, row_stride
 from hypose.compute.depth_rows import depth_rows
 from hypose.compute.kinematics import joint_frames, skin_about_root
 from hypose.compute.rows import add_row, form_rows, keypoint_rows, point_rows, sum_rows
-from hypose.compute.silhouettes import VIEWS, contours_of_any, front_views, project_views
-from hypose.compute.vectors import row_stride
 from hypose.errors import SolverError
+from hypose.geometry import Array
 
-LARGEST_TURN = 0.35
+_LARGEST_TURN = 0.35
 """rad: steps that turn a joint further are shortened"""
 ACCEPT = 1.002
 """a step may raise the cost by this factor: contour costs jump when the outline changes"""
 _ROWS, _VIEWS, _FORMED = 0, 1, 2
-Array = NDArray[np.float64]
 
 
 @kernel
@@ -158,8 +154,8 @@ def bounded_step_kernel(hessian, gradient, q, lower, upper, damping, step):
 def bounded_step(
     hessian: ArrayLike, gradient: ArrayLike, at: ArrayLike, lower: ArrayLike, upper: ArrayLike, damping: float
 ) -> Array | None:
-    """The step (D,) from `at` that minimises 1/2 s' (H + damping max(diag H, 1)) s + g' s within lower <= at + s <=
-    upper; None when the matrix is not positive definite."""
+    """Return the step (D,) from `at` that minimises 1/2 s' (H + damping max(diag H, 1)) s + g' s within lower <= at + s
+    <= upper; None when the matrix is not positive definite."""
     h, g, q, low, high = (plain(x, np.float64) for x in (hessian, gradient, at, lower, upper))
     step = np.empty(len(q))
     try:
@@ -186,11 +182,14 @@ def form_found(found_of, mesh, ws):
 
 @kernel
 def cost_at(q, tree, mesh, contours, scale, keypoints, points, depth, priors, ws, found_of, counts):
-    """Cost at pose q (D,); counts (C + 3, 2): forward and reverse rows of each view, then the key points, the points,
-    and those of depth; depth: None is compiled by itself, without what only depth needs.
+    """Cost at pose q (D,).
 
-    found_of: what waits in the workspace for `normal_equations`: cameras (C + VIEWS, 3, 4) f4 about the root, first
-    (C + 1,) point found of each view, and state (3,): rows, views looked at, views whose rows are made."""
+    counts (C + 3, 2): forward and reverse rows of each view, then the key points, the points, and those of depth.
+    depth: None is compiled by itself, without what only depth needs.
+
+    found_of: what waits in the workspace for `normal_equations`: cameras (C + VIEWS, 3, 4) f4 about the root, first (C
+        + 1,) point found of each view, and state (3,): rows, views looked at, views whose rows are made.
+    """
     cameras, first, state = found_of
     joint_frames(q, tree, ws.rotations, ws.centres, ws.twists)
     ws.wrench_hessian[:] = 0.0
@@ -293,7 +292,7 @@ def _solve(q, tree, mesh, contours, keypoints, points, depth, priors, settings, 
             turn = 0.0
             for d in range(3, n):
                 turn = max(turn, abs(step[d]))
-            shorten = min(1.0, LARGEST_TURN / max(turn, 1e-9))
+            shorten = min(1.0, _LARGEST_TURN / max(turn, 1e-9))
             moved = 0.0
             for d in range(n):
                 trial[d] = min(max(q[d] + shorten * step[d], priors.lower[d]), priors.upper[d])
@@ -384,17 +383,14 @@ def evaluate(
     pose: Array,
     tree: TreeArrays,
     mesh: MeshArrays,
-    contours: ContourArrays,
-    keypoints: KeypointArrays,
-    points: PointArrays,
-    depth: DepthArrays | None,
+    cues: Cues,
     priors: PriorArrays,
     ws: Workspace,
     *,
     coarse: bool = False,
 ) -> Evaluation:
-    """Cost and derivatives of all evidence at one pose (D,)."""
-    evidence = tree, mesh, contours, keypoints, points, depth, priors
+    """Return cost and derivatives of all evidence at one pose (D,)."""
+    evidence = tree, mesh, *cues, priors
     return _solved(np.array(pose, dtype=np.float64), evidence, SolveLimits(0, int(coarse), 0.0, 0.0, 0), ws)[0]
 
 
@@ -412,17 +408,14 @@ def solve(
     start: Array,
     tree: TreeArrays,
     mesh: MeshArrays,
-    contours: ContourArrays,
-    keypoints: KeypointArrays,
-    points: PointArrays,
-    depth: DepthArrays | None,
+    cues: Cues,
     priors: PriorArrays,
     settings: SolveLimits,
     ws: Workspace,
 ) -> Solution:
     """Bounded damped Gauss-Newton from pose start (D,). Releases the GIL."""
     q = np.minimum(np.maximum(np.asarray(start, dtype=np.float64), priors.lower), priors.upper)  # sooner than np.clip
-    evaluation, info = _solved(q, (tree, mesh, contours, keypoints, points, depth, priors), settings, ws)
+    evaluation, info = _solved(q, (tree, mesh, *cues, priors), settings, ws)
     if info[2] == 0:
         raise SolverError(
             "The cost at the start pose is not finite; check the start pose, the key points and the masks for NaN."

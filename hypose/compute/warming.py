@@ -30,6 +30,7 @@ from hypose.compute.arrays import (
     NO_KEYPOINTS,
     NO_POINTS,
     ContourArrays,
+    Cues,
     DepthArrays,
     MeshArrays,
     PriorArrays,
@@ -117,7 +118,7 @@ def _parts() -> None:
 
 
 def _evidence(depth: DepthArrays | None = None) -> tuple[np.ndarray, tuple[Any, ...], Any]:
-    """A pose, and all that the solver takes beside it."""
+    """Return a pose, and all other arguments of the solver."""
     tree, mesh, q, projection = _toy()
     mask, sizes = _mask()
     sdf = np.zeros(mask.shape, dtype=np.float32)
@@ -126,7 +127,7 @@ def _evidence(depth: DepthArrays | None = None) -> tuple[np.ndarray, tuple[Any, 
         sdf, outline, np.array([True]), sizes, projection, 1.0, 1.0, 2.0, 4.0, 2.0, 2, np.ones(1), 0 * sizes, sizes
     )
     priors = PriorArrays(np.zeros((1, 6)), np.ones((1, 6)), np.full(6, -np.inf), np.full(6, np.inf))
-    given = (tree, mesh, contours, NO_KEYPOINTS, NO_POINTS, depth, priors)
+    given = (tree, mesh, Cues(contours, NO_KEYPOINTS, NO_POINTS, depth), priors)
     return q, given, workspace(tree, mesh, 32, 32)
 
 
@@ -150,7 +151,7 @@ def _monocular() -> None:
     mono.warm_up(tree, mesh, q, projection[0])
 
 
-PARTS: dict[str, tuple[Callable[[], None], ...]] = {
+KERNEL_GROUPS: dict[str, tuple[Callable[[], None], ...]] = {
     "solver": (_solver,),
     "scorer": (_scorer, _points),
     "outlines": (_outlines, picture_to_mask.warm_up_masks, mask_runs.warm_up, _parts),
@@ -160,17 +161,17 @@ PARTS: dict[str, tuple[Callable[[], None], ...]] = {
     "depth": (_depth,),
 }
 """By name, what takes longest of following in masks first. solver: poses from contours, key points and points; scorer:
-silhouettes of many poses; outlines: what is followed of masks, and a body's parts against them; shape: what a body is
+silhouettes of many poses; outlines: outlines of masks, and a body's parts against them; shape: rows that a body is
 fitted to outlines with; pictures: masks from pictures; monocular: one camera; depth: poses from depth as well."""
 
 
-def run(parts: Iterable[str]) -> None:
-    """Call all kernels of these parts in this process, and note what is in the cache then."""
+def _run(parts: Iterable[str]) -> None:
+    """Call all kernels of these parts in this process, and note the state of the cache then."""
     was = gc.isenabled()
     gc.disable()  # a compiler makes many objects that live, which would be looked at again and again
     try:
         for part in parts:
-            for call in PARTS[part]:
+            for call in KERNEL_GROUPS[part]:
                 call()
             mark = _mark(part)
             if mark is not None and not failures:
@@ -181,19 +182,19 @@ def run(parts: Iterable[str]) -> None:
             gc.enable()
 
 
-FOLLOWING = ("solver", "scorer", "outlines", "shape", "pictures")
+TRACKING_KERNELS = ("solver", "scorer", "outlines", "shape", "pictures")
 """The parts of the room that following a person in silhouettes needs."""
 
 
 def warm_up(*names: str, load: bool = True) -> float:
-    """Compile what these parts of the room need (PARTS; default: FOLLOWING), in one process per core where that is
-    worth it; returns the seconds it took.
+    """Compile groups of kernels (names in KERNEL_GROUPS; default: TRACKING_KERNELS), in one process per core where
+    that is worth it; return the seconds it took.
 
     The first time on a machine this takes some tens of seconds; afterwards the compiled code is on disk. load: have it
     in this process as well when it was on disk; without, kernels are read when they are first called.
     """
     start = time.perf_counter()
-    parts = [part for part in PARTS if part in (names or FOLLOWING)]
+    parts = [part for part in KERNEL_GROUPS if part in (names or TRACKING_KERNELS)]
     missing = [part for part in parts if not _is_ready(part)]
     # in a program that Python is embedded in or frozen into, sys.executable is that program
     if len(missing) > 1 and _can_keep() and Path(sys.executable or "").name.lower().startswith("python"):
@@ -205,23 +206,23 @@ def warm_up(*names: str, load: bool = True) -> float:
                 pool.shutdown(wait=False, cancel_futures=True)
                 for process in began:
                     process.kill()
-    run([part for part in parts if load or not _is_ready(part)])
+    _run([part for part in parts if load or not _is_ready(part)])
     return time.perf_counter() - start
 
 
 def kept(*names: str) -> bool:
-    """Whether all kernels of these parts of the room are on disk, for later starts."""
+    """Return whether all kernels of these parts of the room are on disk, for later starts."""
     return all(map(_is_ready, names))
 
 
 def _is_ready(part: str) -> bool:
-    """Whether all kernels of a part are in the cache: a file says so, by being there."""
+    """Return whether all kernels of a part are in the cache: a file says so, by being there."""
     mark = _mark(part)
     return mark is not None and os.path.exists(mark)
 
 
 def _can_keep() -> bool:
-    """Whether this process will find what others compile."""
+    """Return whether this process will find what others compile."""
     mark = _mark("")
     if mark is None:
         return False
@@ -268,4 +269,4 @@ def run_for_another() -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
-    run(sys.argv[2:])
+    _run(sys.argv[2:])

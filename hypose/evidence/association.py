@@ -11,7 +11,7 @@ problem) with whole skeletons, and distances of rays, in the place of graphs of 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -491,3 +491,41 @@ def clusters(apart: Array, birth: float) -> list[list[int]]:
             of[member] = i
         group[j] = []
     return sorted((g for g in group if len(g) > 1), key=len, reverse=True)
+
+
+_TOGETHER = 0.35  # m, mean distance of rays up to which two views' objects are one person: outlines are no points
+_LIMIT, _LEAST_COMMON = 1.0, 6
+
+
+def object_points(mask: NDArray[np.uint8]) -> Array:
+    """(3, 2) px: the middle of a mask (h, w), of its top tenth and of its bottom tenth; NaN when it is empty."""
+    rows = np.flatnonzero(mask.any(1))
+    if not len(rows):
+        return np.full((3, 2), np.nan)
+    tenth = max(1, (rows[-1] - rows[0] + 1) // 10)
+    out, first, last = [], rows[0], rows[-1] + 1
+    for part in (slice(first, last), slice(first, first + tenth), slice(last - tenth, last)):
+        v, u = np.nonzero(mask[part])
+        out.append([u.mean(), v.mean() + part.start])
+    return np.array(out)
+
+
+def people_of_objects(points: Sequence[Mapping[str, Array]], rig: CameraRig) -> list[dict[int, str]]:
+    """People as {view: object}, those seen in most views and frames first; an object that no other view shows is a
+    person of its own.
+
+    points: per view and object (S, 3, 2) undistorted px of the pinhole `rig` in S common frames (`object_points`), NaN
+    where it is not there."""
+    at = [(c, name) for c, view in enumerate(points) for name in view]
+    if not at:
+        return []
+    found = np.stack([np.reshape(points[c][name], (-1, 2)) for c, name in at])
+    known = np.isfinite(found[..., 0])
+    found = np.concatenate([np.nan_to_num(found), known[..., None].astype(np.float64)], -1)
+    which = np.array([c for c, _ in at], dtype=np.int64)
+    apart = between_rays(Views(rig), which, found, _LIMIT, _LEAST_COMMON)
+    groups = clusters(apart, _TOGETHER)
+    alone = [[i] for i in range(len(at)) if not any(i in g for g in groups)]
+    there = known.sum(1)
+    ordered = sorted([*groups, *alone], key=lambda g: (-len(g) * int(there[g].sum()), at[g[0]]))
+    return [{at[i][0]: at[i][1] for i in sorted(g)} for g in ordered]

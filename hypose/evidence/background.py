@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from hypose.compute import order_statistic
 from hypose.errors import InputError
+from hypose.geometry import Image
 
-Image = NDArray[np.uint8]
 Images = NDArray[np.uint8] | Sequence[NDArray[np.uint8]]
 
 _PLATE_SD = 5.0  # grey levels: a photo says nothing about noise, and light differs a little between photo and video

@@ -19,9 +19,8 @@ from hypose.compute import before_room, holes_filled, middle_of_piece, things_be
 from hypose.errors import InputError
 from hypose.evidence.depth_evidence import JUMP_M, Depth, DepthNoise, back_projected, in_world
 from hypose.evidence.frame import Expected, Silhouettes
+from hypose.geometry import DepthMap, Mask
 
-DepthMap = NDArray[np.float32]
-Mask = NDArray[np.uint8]
 _LEAST_M, _SDS = 0.03, 4.0
 """m, and standard deviations: how far before the room somebody has to stand"""
 _USUAL_SD = 0.006

@@ -147,7 +147,8 @@ def parse_openpose(
     for number, person in enumerate(found):
         if person == {}:
             continue
-        flat = person.get("pose_keypoints_2d") if isinstance(person, Mapping) else None
+        keys = ("pose_keypoints_2d", "pose_keypoints")  # the latter: OpenPose 1.0
+        flat = next((person[k] for k in keys if k in person), None) if isinstance(person, Mapping) else None
         if flat is None:
             raise InputError(f'{source}, person {number}: "pose_keypoints_2d" is missing; export body key points.')
         try:

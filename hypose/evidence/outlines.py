@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose import compute
-from hypose.evidence.silhouettes import Mask, MaskRuns, bounding_box
-from hypose.geometry import Array
+from hypose.compute.mask_runs import MaskRuns
+from hypose.evidence.silhouettes import bounding_box
+from hypose.geometry import Array, Mask
 
 OUTLINE_POINTS = 130
 """Points per view, unless told otherwise: two pixels apart on a person 260 px tall are enough."""

@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.evidence.keypoints import BLAZEPOSE_33
-from hypose.geometry import Array
+from hypose.geometry import Array, Image
 
-Image = NDArray[np.uint8]
 CROP, DETECTOR = 256, 224
 """px: side of the pictures that the networks take"""
 MASK = 0.5

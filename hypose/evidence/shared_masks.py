@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.cameras.camera import CameraRig
-from hypose.compute import silhouette
+from hypose.compute import covered
 from hypose.evidence.frame import Expected, Silhouettes
 from hypose.geometry import Array
 
@@ -58,16 +58,6 @@ class BodyShape:
         return np.where((high > low).all(1)[:, None], out, 0)
 
     @cached_property
-    def _one_side(self) -> NDArray[np.bool_] | None:
-        """(C, F) the faces that are seen from one side: a pixel that any face of a closed surface covers is covered by
-        as many from either side. None where a part lies behind a camera: what is left is not closed."""
-        uv, z = self._projected
-        if not z.min() > _NEAR:
-            return None
-        a, b, c = (uv[:, :, corner] for corner in self.faces.T)
-        return (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) > (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
-
-    @cached_property
     def _kept(self) -> dict[int, NDArray[np.uint8]]:
         return {}
 
@@ -76,10 +66,9 @@ class BodyShape:
         if view not in self._kept:
             y0, y1, x0, x1 = self.boxes[view].tolist()
             uv, z = (a[view] for a in self._projected)
-            size = (max(x1 - x0, 0), max(y1 - y0, 0))
-            faces = self.faces if self._one_side is None else self.faces[self._one_side[view]]
-            mask = silhouette(uv.T - (x0, y0), z, faces, size) if min(size) else np.zeros(size[::-1], np.uint8)
-            self._kept[view] = mask.astype(np.uint8, copy=False)
+            closed = bool(z.min() > _NEAR)  # else a part lies behind the camera, and what is left has a hole
+            shape = max(y1 - y0, 0), max(x1 - x0, 0)
+            self._kept[view] = covered(uv.T - (x0, y0), z, self.faces, shape, closed)
         return self._kept[view]
 
 

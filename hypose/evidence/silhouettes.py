@@ -17,12 +17,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from hypose.cameras.camera import CameraRig
 from hypose.compute import Glance, glance_at, mask_runs, picture_to_mask
+from hypose.compute.mask_runs import MaskRuns
 from hypose.errors import InputError
-from hypose.evidence.background import BackgroundModel, Image
+from hypose.evidence.background import BackgroundModel
 from hypose.evidence.frame import Silhouettes
+from hypose.geometry import Image, Mask
 
-Mask = NDArray[np.uint8]
-MaskRuns = mask_runs.MaskRuns
 _RANGES = {
     "threshold": (1e-3, 1e3),
     "min_sd": (1e-3, 255.0),
@@ -155,7 +155,7 @@ class _Segmenter:
         return mask_runs.runs_of(refine_rim(image, mask_runs.draw(runs), o.rim_px, band))
 
 
-def _room(background: BackgroundModel, options: SilhouetteSettings) -> picture_to_mask.Room:
+def _room(background: BackgroundModel, options: SilhouetteSettings) -> picture_to_mask.BackgroundLevels:
     """Single Gaussian per pixel and channel, with the brightness cone for shadows.
 
     Foreground: some channel more than `threshold` sd from the mean. Shadow: the pixel's colour a seen as s
@@ -166,7 +166,7 @@ def _room(background: BackgroundModel, options: SilhouetteSettings) -> picture_t
     """
     reach = options.threshold * np.maximum(background.sd, np.float32(options.min_sd))
     mean = np.ascontiguousarray(background.mean, dtype=np.float32)
-    return picture_to_mask.Room(
+    return picture_to_mask.BackgroundLevels(
         np.clip(np.ceil(mean - reach), 0, 255).astype(np.uint8),
         np.clip(np.floor(mean + reach), 0, 255).astype(np.uint8),
         mean,

@@ -13,8 +13,8 @@ Deviation: outline association is by nearest point of the visible outline, not a
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -23,114 +23,24 @@ from numpy.typing import ArrayLike, NDArray
 from hypose import compute
 from hypose.body.body import Body
 from hypose.compute import (
-    ContourArrays,
-    KeypointArrays,
+    Cues,
     PointArrays,
     PriorArrays,
     SolveLimits,
+    TreeArrays,
     Workspace,
+    bounded_step,
+    lorentzian,
     over_chunks,
 )
-from hypose.errors import EvidenceError, InputError, SolverError
-from hypose.evidence.ahead import outlines
-from hypose.evidence.frame import Silhouettes
-from hypose.evidence.outlines import OUTLINE_POINTS as REFERENCE_OUTLINE
-from hypose.evidence.outlines import SMALLEST, shrunk_projection
-from hypose.fitting.depth_surface import DepthTerm, depth_arrays
-from hypose.fitting.least_squares import Rule
-from hypose.fitting.own_rows import RowTerm, row_sums
-from hypose.fitting.own_rows import solve as solve_with_rows
+from hypose.errors import InputError, SolverError
+from hypose.evidence.depth_surface import DepthTerm
+from hypose.evidence.terms import ContourTerm, Evidence, KeypointTerm, PointTerm, RowTerm, checked_joints
+from hypose.fitting.problem import Problem, Quadratic, Rule
 from hypose.geometry import Array, nearest_branch, so3_turns
 
-# Reference density of the contour rows, for a person `height` px tall: weights are per arc length, so changing the
-# spacing or the number of points does not change the balance with key points and priors.
-SPACING_OF_HEIGHT = 6 / 260
-SCALE_OF_HEIGHT = 2.5 / 260
-
-
-@dataclass(frozen=True)
-class ContourTerm:
-    """Silhouette contours of one frame, both ways (body outline -> mask, mask outline -> body). Built by
-    `contour_term`.
-
-    sdf (C, h, w) float32 signed distance px, negative inside; outline (C, K, 2) float32 px points on the mask's edge;
-    usable (C,); sizes (C, 2) width, height; projections (C, 3, 4) pinhole; weight: of one row at the reference density
-    (rows 6 px apart on a person 260 px tall, 130 outline points a view); scale_px, coarse_scale_px: Geman-McClure scale
-    of the distance; row_spacing_px: distance of the forward rows along the body's outline; outline_count: K (at most
-    1000); height_px: apparent height of the person (median over the usable views); shrunk (C,): sdf, outline, sizes and
-    projections are in pixels that are so many times as large as those of all other lengths here; corners
-    (C, 2), sdf_sizes (C, 2): the part of each image that its sdf covers; outside it rows cost what they
-    cost at infinite distance."""
-
-    sdf: NDArray[np.float32]
-    outline: NDArray[np.float32]
-    usable: NDArray[np.bool_]
-    sizes: NDArray[np.int64]
-    projections: Array
-    weight: float
-    scale_px: float
-    coarse_scale_px: float
-    row_spacing_px: float
-    outline_count: int
-    height_px: float
-    shrunk: Array
-    corners: NDArray[np.int64]
-    sdf_sizes: NDArray[np.int64]
-
-    @cached_property
-    def arrays(self) -> ContourArrays:
-        """What the solver takes, made once for all solves of a frame."""
-        return contour_arrays(self)
-
-
-@dataclass(frozen=True)
-class KeypointTerm:
-    """2D key points of one frame. Cauchy (Lorentzian) cost with scale 2 sd: 2 w log(1 + (r / 2 sd)^2).
-
-    points (C, K, 3) = u, v px, confidence (the row's weight; rows below min_confidence or not finite are left out);
-    projections (C, 3, 4) pinhole of these pixels; joint (K,), offset (K, 3) m in the joint's frame: where the key point
-    sits on the body; scale_px: 1 sd."""
-
-    points: Array
-    projections: Array
-    joint: NDArray[np.int64]
-    offset: Array
-    scale_px: float
-    min_confidence: float = 0.3
-
-
-@dataclass(frozen=True)
-class PointTerm:
-    """3D points of one frame. Cauchy (Lorentzian) cost with scale 2 sd, as for key points.
-
-    points_world (M, 3) m, NaN where missing; weight (M,); joint (M,), offset (M, 3) m in the joint's frame; scale_m: 1
-    sd."""
-
-    points_world: Array
-    weight: Array
-    joint: NDArray[np.int64]
-    offset: Array
-    scale_m: float
-
-    def __post_init__(self) -> None:
-        m = len(self.points_world)
-        shapes = (self.points_world.shape, np.shape(self.weight), np.shape(self.joint), np.shape(self.offset))
-        if shapes != ((m, 3), (m,), (m,), (m, 3)) or not self.scale_m > 0:
-            raise InputError(
-                f"PointTerm needs points_world (M, 3), weight (M,), joint (M,), offset (M, 3) and "
-                f"scale_m > 0, got {shapes} and {self.scale_m}."
-            )
-
-
-@dataclass(frozen=True)
-class Quadratic:
-    """Prior 1/2 sum_d weight_d (q_d - centre_d)^2: centre (D,), weight (D,) >= 0 (inverse variances).
-
-    Balls are compared by their rotation-vector components; the root's centre is taken on the branch nearest to the
-    start."""
-
-    centre: Array
-    weight: Array
+LARGEST_TURN = 0.35
+"""rad: steps that turn a joint further are shortened, as in the compiled solve"""
 
 
 @dataclass(frozen=True)
@@ -183,101 +93,56 @@ def by_turns(hessian: Array, pose: Array) -> Array:
     return out
 
 
-def contour_term(
-    silhouettes: Silhouettes,
-    weight: float = 0.05,
-    *,
-    outline_count: int = REFERENCE_OUTLINE,
-    working_height: int | None = None,
-) -> ContourTerm:
-    """The contour evidence of a frame's masks.
-
-    weight: of one row at the reference density. The Geman-McClure scale is 2.5 px for a person 260 px tall, in
-    proportion (10 px in a 1080p image), in the first iterations twice that.
-    working_height px: for tracking; views in which the person is 1.5 times as tall are worked on in shrunk pixels,
-    and distances are made around the person only. Views that are not usable, or whose mask has no outline away from the
-    image border, are left out; an EvidenceError when none is left."""
-    made = outlines(silhouettes, outline_count, working_height)
-    sizes = (silhouettes.rig.sizes // made.shrunk[:, None]).astype(np.int64)
-    projections = np.stack(
-        [shrunk_projection(p, f) for p, f in zip(silhouettes.rig.projections, made.shrunk, strict=True)]
+def cues_of(body: Body, evidence: Sequence[Evidence]) -> tuple[Cues, tuple[RowTerm, ...]]:
+    """The terms of evidence as the flat arrays of the compiled solve, and those that need Python. An InputError when
+    there are two of a kind that a frame has once, or a joint is none of the body's."""
+    terms = [term for one in evidence for term in one.terms]
+    once: dict[type[Evidence], Evidence] = {}
+    for term in terms:
+        if isinstance(term, ContourTerm | KeypointTerm | DepthTerm) and once.setdefault(type(term), term) is not term:
+            raise InputError(f"A frame has one {type(term).__name__} of all its views; join the two.")
+    contours, keypoints, depth = (once.get(kind) for kind in (ContourTerm, KeypointTerm, DepthTerm))
+    places = [term.arrays(body) for term in terms if isinstance(term, PointTerm)]
+    rows = tuple(term for term in terms if isinstance(term, RowTerm))
+    for term in rows:
+        checked_joints(term, body)
+    cues = Cues(
+        contours.arrays if isinstance(contours, ContourTerm) else compute.NO_CONTOURS,
+        keypoints.arrays(body) if isinstance(keypoints, KeypointTerm) else compute.NO_KEYPOINTS,
+        PointArrays._make(map(np.concatenate, zip(*places, strict=True))) if places else compute.NO_POINTS,
+        depth.arrays(body) if isinstance(depth, DepthTerm) else None,
     )
-    usable = np.array(silhouettes.usable, dtype=np.bool_) & (made.extent > SMALLEST) & (made.found >= 20)
-    if not usable.any():
-        reasons = "; ".join(
-            f"{n}: {r or 'no outline'}" for n, r in zip(silhouettes.rig.names, silhouettes.reasons, strict=True)
-        )
-        raise EvidenceError(f"No view has a usable silhouette ({reasons}); leave the contours out of this frame.")
-    height = _median(made.extent[usable])
-    scale = max(SCALE_OF_HEIGHT * height, 0.5)
-    return ContourTerm(
-        made.distance,
-        made.points,
-        usable,
-        sizes,
-        projections,
-        weight,
-        scale,
-        2.0 * scale,
-        max(SPACING_OF_HEIGHT * height, 1.0),
-        outline_count,
-        height,
-        made.shrunk,
-        made.corners,
-        made.sizes,
-    )
-
-
-def _median(values: NDArray[np.int64]) -> float:
-    """Of a few numbers, for which numpy's takes longer than a limb's kinematics."""
-    v = sorted(values.tolist())
-    return 0.5 * (v[(len(v) - 1) // 2] + v[len(v) // 2])
-
-
-def workspace_for(body: Body, contours: ContourTerm | None = None) -> Workspace:
-    """Scratch memory for fits of this body to images of this size. Not shared between threads."""
-    w, h = (2, 2) if contours is None else contours.sizes.max(0)
-    return compute.workspace(body.skeleton.tree, body.coarse.arrays, h, w)
+    return cues, rows
 
 
 def fit_pose(
     body: Body,
     start: ArrayLike,
+    evidence: Sequence[Evidence],
     *,
-    contours: ContourTerm | None = None,
-    keypoints: KeypointTerm | None = None,
-    points: PointTerm | None = None,
     priors: Sequence[Quadratic] = (),
     options: SolveSettings | None = None,
-    rows: Sequence[RowTerm] = (),
-    depth: DepthTerm | None = None,
 ) -> PoseFit:
-    """The pose near start (D,) that explains the evidence best, inside the joint limits. rows: of one's own; they cost
-    a call of Python for every evaluation.
+    """The pose near start (D,) that explains the evidence best, inside the joint limits.
 
     A SolverError when the start has the wrong size or its cost is not finite. A step is taken when its cost is finite
     and at most 0.2 % higher (contour costs jump when the outline changes); no joint turns more than 0.35 rad per
     step."""
-    problem = _Problem(body, contours, keypoints, points, priors, options or SolveSettings(), rows, depth)
-    return problem.fit(start)
+    return _Problem(body, evidence, priors, options or SolveSettings()).fit(start)
 
 
 def fit_poses(
     body: Body,
     starts: ArrayLike,
+    evidence: Sequence[Evidence],
     *,
-    contours: ContourTerm | None = None,
-    keypoints: KeypointTerm | None = None,
-    points: PointTerm | None = None,
     priors: Sequence[Quadratic] = (),
     options: SolveSettings | None = None,
-    rows: Sequence[RowTerm] = (),
-    depth: DepthTerm | None = None,
 ) -> list[PoseFit]:
     """Independent solves from starts (N, D) on the same evidence, over threads; the same results for any number of
     them."""
     q = np.asarray(starts, dtype=np.float64)
-    problem = _Problem(body, contours, keypoints, points, priors, options or SolveSettings(), rows, depth)
+    problem = _Problem(body, evidence, priors, options or SolveSettings())
     fits: list[PoseFit | None] = [None] * len(q)
 
     def work(first: int, last: int) -> None:
@@ -291,36 +156,28 @@ def fit_poses(
 _OWN = threading.local()
 
 
-def _own_workspace(body: Body, contours: ContourTerm | None) -> Workspace:
-    """This thread's scratch memory: made anew, touching its pages takes as long as two evaluations."""
+def workspace_for(body: Body, cues: Cues) -> Workspace:
+    """This thread's scratch memory for fits of this body to images of this size: to make it and touch its pages takes
+    as long as two evaluations."""
+    (w, h), mesh, tree = cues.contours.sizes.max(0, initial=2), body.coarse.arrays, body.skeleton.tree
     known: Workspace | None = getattr(_OWN, "workspace", None)
-    if known is None or not _fits(known, body, contours):
-        known = _OWN.workspace = workspace_for(body, contours)
-    return known
+    counts = len(mesh.vertices), len(mesh.faces), len(mesh.edges), len(tree.parents), len(tree.axes)
+    if known is not None and known.difference.shape[0] > h and known.difference.shape[1] >= w:
+        kept = known.vertices, known.front, known.start, known.centres, known.twists
+        if counts == tuple(map(len, kept)):
+            return known
+    _OWN.workspace = made = compute.workspace(tree, mesh, h, w)
+    return made
 
 
 class _Problem:
     """Evidence and priors as the flat arrays of the kernel, made once for any number of starts."""
 
     def __init__(
-        self,
-        body: Body,
-        contours: ContourTerm | None,
-        keypoints: KeypointTerm | None,
-        points: PointTerm | None,
-        priors: Sequence[Quadratic],
-        options: SolveSettings,
-        rows: Sequence[RowTerm] = (),
-        depth: DepthTerm | None = None,
+        self, body: Body, evidence: Sequence[Evidence], priors: Sequence[Quadratic], options: SolveSettings
     ) -> None:
-        self.body, self.contour_term, self.rows = body, contours, tuple(rows)
-        for term in self.rows:
-            _joints(term.joint, len(body.skeleton.tree.parents), "RowTerm")
+        self.body, (self.cues, self.rows) = body, cues_of(body, evidence)
         self.tree, self.mesh = body.skeleton.tree, body.coarse.arrays
-        self.contours = contour_arrays(None) if contours is None else contours.arrays
-        self.keypoints = keypoint_arrays(keypoints, len(self.tree.parents))
-        self.points = point_arrays(points, len(self.tree.parents))
-        self.depth = depth_arrays(depth, body)
         self.centre, self.weight = prior_arrays(priors, body.skeleton.dof)
         self.lower = np.ascontiguousarray(body.skeleton.lower, dtype=np.float64)
         self.upper = np.ascontiguousarray(body.skeleton.upper, dtype=np.float64)
@@ -350,7 +207,7 @@ class _Problem:
 
     def fit(self, start: ArrayLike) -> PoseFit:
         q = self.start(start)
-        out = self._solve(q, self.priors(q), _own_workspace(self.body, self.contour_term))
+        out = self._solve(q, self.priors(q), workspace_for(self.body, self.cues))
         pose = out.pose.copy()
         pose[3:6] = nearest_branch(pose[3:6], np.asarray(start, dtype=np.float64)[3:6])
         counts = out.evaluation.counts
@@ -364,105 +221,21 @@ class _Problem:
             out.evaluations,
             out.converged,
             int(counts.sum()),
-            counts[: len(self.contours.sdf)].copy(),
+            counts[: len(self.cues.contours.sdf)].copy(),
         )
 
     def _solve(self, q: Array, priors: PriorArrays, ws: Workspace) -> compute.Solution:
-        evidence = self.tree, self.mesh, self.contours, self.keypoints, self.points, self.depth, priors
         o = self.settings
         if not self.rows:
-            return compute.solve(q, *evidence, o, ws)
+            return compute.solve(q, self.tree, self.mesh, self.cues, priors, o, ws)
 
         def evaluate(pose: Array, coarse: bool) -> compute.Evaluation:
-            known, own = compute.evaluate(pose, *evidence, ws, coarse=coarse), row_sums(pose, self.tree, self.rows)
-            return compute.Evaluation(
-                known.cost + own.cost,
-                known.gradient + own.gradient,
-                known.hessian + own.hessian,
-                np.concatenate([known.counts, [[own.count, 0]]]),
-            )
+            known = compute.evaluate(pose, self.tree, self.mesh, self.cues, priors, ws, coarse=coarse)
+            return with_rows(known, pose, self.tree, self.rows)
 
-        coarse = min(o.coarse_iterations, o.iterations) if len(self.contours.sdf) else 0
+        coarse = min(o.coarse_iterations, o.iterations) if len(self.cues.contours.sdf) else 0
         rule = Rule(o.damping, slack=1.002, moved=o.tolerance)
-        return solve_with_rows(q, evaluate, self.lower, self.upper, (coarse, o.iterations - coarse), rule)
-
-
-def _fits(ws: Workspace, body: Body, contours: ContourTerm | None) -> bool:
-    w, h = (0, 0) if contours is None else contours.sizes.max(0)
-    mesh, tree = body.coarse.arrays, body.skeleton.tree
-    return bool(
-        len(ws.vertices) == len(mesh.vertices)
-        and len(ws.front) == len(mesh.faces)
-        and len(ws.start) == len(mesh.edges)
-        and len(ws.centres) == len(tree.parents)
-        and len(ws.twists) == len(tree.axes)
-        and ws.difference.shape[0] > h
-        and ws.difference.shape[1] >= w
-    )
-
-
-def contour_arrays(term: ContourTerm | None) -> ContourArrays:
-    """Flat arrays of a contour term (no views when None)."""
-    if term is None:
-        return compute.NO_CONTOURS
-    stride = 2 if term.row_spacing_px >= 2 else 1
-    return ContourArrays(
-        np.require(term.sdf, np.float32, ["C", "W"]),
-        np.require(term.outline, np.float32, ["C", "W"]),
-        np.require(term.usable, np.bool_, ["C", "W"]),
-        np.require(term.sizes, np.int64, ["C", "W"]),
-        np.require(term.projections, np.float64, ["C", "W"]),
-        float(term.weight * term.row_spacing_px / (SPACING_OF_HEIGHT * term.height_px)),
-        float(term.weight * REFERENCE_OUTLINE / term.outline_count),
-        float(term.scale_px),
-        float(term.coarse_scale_px),
-        float(term.row_spacing_px / stride),
-        stride,
-        np.require(term.shrunk, np.float64, ["C", "W"]),
-        np.require(term.corners, np.int64, ["C", "W"]),
-        np.require(term.sdf_sizes, np.int64, ["C", "W"]),
-    )
-
-
-def _joints(joint: ArrayLike, n_joints: int, what: str) -> NDArray[np.int64]:
-    j = np.array(joint, dtype=np.int64)
-    if len(j) and (j.min() < 0 or j.max() >= n_joints):
-        raise InputError(
-            f"{what}.joint refers to joint {int(j.max() if j.max() >= n_joints else j.min())} of {n_joints}."
-        )
-    return j
-
-
-def keypoint_arrays(term: KeypointTerm | None, n_joints: int) -> KeypointArrays:
-    """Flat arrays of a key-point term (none when None); rows to leave out get weight 0."""
-    if term is None:
-        return compute.NO_KEYPOINTS
-    points = np.array(term.points, dtype=np.float64)
-    seen = np.isfinite(points).all(-1) & (points[..., 2] > max(term.min_confidence, 0.0))
-    points[~seen] = 0
-    return KeypointArrays(
-        points,
-        np.require(term.projections, np.float64, ["C", "W"]),
-        _joints(term.joint, n_joints, "KeypointTerm"),
-        np.require(term.offset, np.float64, ["C", "W"]),
-        float(term.scale_px),
-    )
-
-
-def point_arrays(term: PointTerm | None, n_joints: int) -> PointArrays:
-    """Flat arrays of a 3D point term (none when None); missing points get weight 0."""
-    if term is None:
-        return compute.NO_POINTS
-    points, weight = np.array(term.points_world, dtype=np.float64), np.array(term.weight, dtype=np.float64)
-    missing = ~(np.isfinite(points).all(1) & np.isfinite(weight))
-    points[missing], weight[missing] = 0, 0
-    return PointArrays(
-        points,
-        weight,
-        _joints(term.joint, n_joints, "PointTerm"),
-        np.require(term.offset, np.float64, ["C", "W"]),
-        float(term.scale_m),
-    )
+        return FrameProblem(evaluate, self.lower, self.upper).solution(q, (coarse, o.iterations - coarse), rule)
 
 
 def prior_arrays(priors: Sequence[Quadratic], dof: int) -> tuple[Array, Array]:
@@ -475,3 +248,65 @@ def prior_arrays(priors: Sequence[Quadratic], dof: int) -> tuple[Array, Array]:
     if not (weight >= 0).all():
         raise InputError("The weights of a Quadratic prior must not be negative or NaN.")
     return centre, weight
+
+
+def with_rows(known: compute.Evaluation, pose: Array, tree: TreeArrays, rows: Sequence[RowTerm]) -> compute.Evaluation:
+    """Add cost and derivatives of rows at a pose (D,), and how many points there were. An InputError names residuals
+    of the wrong shape."""
+    rotations, centres = (x[0] for x in compute.forward_kinematics(pose[None], tree))
+    cost, count = known.cost, 0
+    gradient, hessian = known.gradient.copy(), known.hessian.copy()
+    for term in rows:
+        joint = np.asarray(term.joint, dtype=np.int64)
+        offset = np.zeros((len(joint), 3)) if term.offset is None else np.asarray(term.offset, dtype=np.float64)
+        points = centres[joint] + np.einsum("pab,pb->pa", rotations[joint], offset)
+        r, slope = (np.asarray(x, dtype=np.float64) for x in term.residuals(points))
+        if r.ndim != 2 or len(r) != len(joint) or slope.shape != (*r.shape, 3):
+            raise InputError(
+                f"The residuals of {len(joint)} points must have the shape (P, R) and their derivatives (P, R, 3), got "
+                f"{r.shape} and {slope.shape}."
+            )
+        weight = np.ones(len(joint)) if term.weight is None else np.asarray(term.weight, dtype=np.float64)
+        seen = (weight > 0) & np.isfinite(r).all(1) & np.isfinite(slope).all((1, 2))
+        weight, r, slope = np.where(seen, weight, 0.0), np.where(seen[:, None], r, 0.0), slope.copy()
+        slope[~seen] = 0.0
+        rho, pull, _ = lorentzian(0.25 * (r**2).sum(1), weight)
+        cost += 2 * float((weight * rho).sum())
+        count += int(seen.sum())
+        more = compute.row_sums(pose, tree, joint, offset, pull, r, slope)
+        gradient += more[0]
+        hessian += more[1]
+    return compute.Evaluation(cost, gradient, hessian, np.concatenate([known.counts, [[count, 0]]]))
+
+
+class FrameProblem(Problem[Array, compute.Evaluation]):
+    """The compiled solve's steps, one by one, for an evaluation that needs Python: evaluation(pose, coarse)."""
+
+    def __init__(self, evaluation: Callable[[Array, bool], compute.Evaluation], lower: Array, upper: Array) -> None:
+        self.evaluation, self.lower, self.upper, self.coarse = evaluation, lower, upper, False
+
+    def evaluate(self, state: Array) -> tuple[float, Callable[[], compute.Evaluation]]:
+        """Cost and equations at once."""
+        e = self.evaluation(state, self.coarse)
+        return e.cost, lambda: e
+
+    def propose(self, state: Array, equations: compute.Evaluation, damping: float) -> tuple[Array, float] | None:
+        """The bounded step, no joint turning further than LARGEST_TURN."""
+        step = bounded_step(equations.hessian, equations.gradient, state, self.lower, self.upper, damping)
+        if step is None:
+            return None
+        step *= min(1.0, LARGEST_TURN / max(float(np.abs(step[3:]).max()), 1e-9))
+        moved = max(2 * float(np.abs(step[:3]).max()), float(np.abs(step[3:]).max()))
+        return np.clip(state + step, self.lower, self.upper), moved
+
+    def solution(self, start: Array, iterations: tuple[int, int], rule: Rule) -> compute.Solution:
+        """Solve with so many coarse and fine iterations."""
+        found, used, evaluations = None, 0, 0
+        q = np.clip(start, self.lower, self.upper)
+        for self.coarse, n in zip((True, False), iterations, strict=True):
+            if n or not self.coarse:
+                found = self.solve(q, n, rule)
+                q, rule = found.state, replace(rule, damping=found.damping)
+                used, evaluations = used + found.iterations, evaluations + found.evaluations
+        assert found is not None
+        return compute.Solution(q, found.equations, used, evaluations, found.converged)

@@ -12,24 +12,22 @@ from hypose import compute
 from hypose.body.body import Body
 from hypose.compute import PriorArrays, solve_coupled
 from hypose.errors import SolverError
+from hypose.evidence.terms import Evidence
 from hypose.fitting.articulated import (
-    KeypointTerm,
-    PointTerm,
-    Quadratic,
+    LARGEST_TURN,
     SolveSettings,
     by_turns,
-    keypoint_arrays,
-    point_arrays,
+    cues_of,
     prior_arrays,
+    with_rows,
     workspace_for,
 )
-from hypose.fitting.least_squares import Rule, descend
-from hypose.fitting.own_rows import LARGEST_TURN
+from hypose.fitting.problem import Problem, Quadratic, Rule
 from hypose.geometry import Array, nearest_branch, so3_exp, so3_left_jacobian, so3_log, so3_turns
 
 
 @dataclass(frozen=True)
-class Gaussian:
+class Gaussian(Evidence):
     """Summary of what one frame says of its pose: the cost 1/2 off' information off.
 
     centre (D,); information (D, D): an inverse covariance, the root's rotation as a small turn in the world
@@ -50,10 +48,8 @@ def default_acceleration(dof: int, strength: float = 1.0) -> Array:
 def fit_clip(
     body: Body,
     starts: ArrayLike,
+    evidence: Sequence[Sequence[Evidence]],
     *,
-    points: Sequence[PointTerm | None] | None = None,
-    keypoints: Sequence[KeypointTerm | None] | None = None,
-    gaussians: Sequence[Gaussian | None] | None = None,
     acceleration: float | ArrayLike = 1.0,
     velocity: ArrayLike = 0.0,
     priors: Sequence[Quadratic] = (),
@@ -64,7 +60,7 @@ def fit_clip(
     the next, log(R_{t+1} R_t'): those of rotation vectors mean nothing near a full turn. It is solved for as a small
     turn in the world, and returned on the branch nearest to its start.
 
-    points, keypoints, gaussians: one term (or None) per frame. acceleration: strength a (times
+    evidence: of each frame; masks and depth are sooner known by a `Gaussian`. acceleration: strength a (times
     `default_acceleration`), or weights (D,), or (T - 2, D); velocity: weights v, (D,), (T - 1, D) or one for all:
     without it what is extrapolated goes on for ever. priors act on every frame. Damped Gauss-Newton on all frames
     together: the matrix couples each frame to the next two, so the cost is linear in T. Joint limits are kept by
@@ -79,9 +75,9 @@ def fit_clip(
         weights = default_acceleration(dof, float(weights))
     q = np.clip(q, body.skeleton.lower, body.skeleton.upper)
     coupling = Coupling(n_frames, weights, np.broadcast_to(velocity, (n_frames - 1, dof)), _cuts(body, q))
-    problem = _Clip(body, coupling, points, keypoints, gaussians, priors)
+    problem = _Clip(body, coupling, evidence, priors)
     rule = Rule(o.damping, least=1e-6, most=1e6, tries=5, slack=1.0, moved=o.tolerance)
-    q = descend(q, problem.evaluate, problem.propose, o.iterations, rule).state
+    q = problem.solve(q, o.iterations, rule).state
     q[:, 3:6] = nearest_branch(q[:, 3:6], given[:, 3:6])
     return q
 
@@ -178,66 +174,51 @@ class _Around:
         return 0.5 * float((off * pull).sum()), gradient, hessian
 
 
-class _Clip:
+class _Clip(Problem[Array, tuple[Array, Array]]):
     """Evidence of all frames as flat arrays; cost, gradient (T, D) and diagonal blocks (T, D, D) of the whole clip."""
 
     def __init__(
         self,
         body: Body,
         coupling: Coupling,
-        points: Sequence[PointTerm | None] | None,
-        keypoints: Sequence[KeypointTerm | None] | None,
-        gaussians: Sequence[Gaussian | None] | None,
+        evidence: Sequence[Sequence[Evidence]],
         priors: Sequence[Quadratic],
     ) -> None:
         n_frames = coupling.n_frames
-        given = {"points": points, "keypoints": keypoints, "gaussians": gaussians}
-        for name, terms in given.items():
-            if terms is not None and len(terms) != n_frames:
-                raise SolverError(f"fit_clip needs one entry of {name} per frame: {n_frames}, got {len(terms)}.")
-        joints = len(body.skeleton.parents)
-        none = [None] * n_frames
-        self.tree, self.mesh = body.skeleton.tree, body.coarse.arrays
-        self.points = [point_arrays(t, joints) for t in points or none]
-        self.keypoints = [keypoint_arrays(t, joints) for t in keypoints or none]
+        if len(evidence) != n_frames:
+            raise SolverError(f"fit_clip needs the evidence of every frame: {n_frames}, got {len(evidence)}.")
+        self.body, self.tree, self.mesh = body, body.skeleton.tree, body.coarse.arrays
+        gaussians = [[one for one in of if isinstance(one, Gaussian)] for of in evidence]
+        self.cues = [cues_of(body, of) for of in evidence]
         self.centre, self.weight = prior_arrays(priors, body.skeleton.dof)
         self.lower = np.ascontiguousarray(body.skeleton.lower, dtype=np.float64)
         self.upper = np.ascontiguousarray(body.skeleton.upper, dtype=np.float64)
-        self.coupling, self.around = coupling, _Around(body, gaussians or none)
-        self.ws = workspace_for(body)
+        self.coupling, self.around = coupling, _Around(body, [of[0] if of else None for of in gaussians])
 
-    def evaluate(self, q: Array) -> tuple[float, Callable[[], tuple[Array, Array]]]:
+    def evaluate(self, state: Array) -> tuple[float, Callable[[], tuple[Array, Array]]]:
+        q = state
         (cost, by_known, curved), (t, d) = self.around(q), q.shape
         gradient, hessian = np.empty((t, d)), np.empty((t, d, d))
         for k in range(t):
             centre = self.centre.copy()
             centre[:, 3:6] = nearest_branch(centre[:, 3:6], q[k, 3:6])
-            e = compute.evaluate(
-                q[k],
-                self.tree,
-                self.mesh,
-                compute.NO_CONTOURS,  # clips know masks and depth by their frames' Gaussians
-                self.keypoints[k],
-                self.points[k],
-                None,
-                PriorArrays(centre, self.weight, self.lower, self.upper),
-                self.ws,
-                coarse=False,
-            )
+            (cues, rows), priors = self.cues[k], PriorArrays(centre, self.weight, self.lower, self.upper)
+            e = compute.evaluate(q[k], self.tree, self.mesh, cues, priors, workspace_for(self.body, cues))
+            if rows:
+                e = with_rows(e, q[k], self.tree, rows)
             cost += e.cost
             gradient[k], hessian[k] = e.gradient, by_turns(e.hessian, q[k])
         gradient = _by_turn(gradient, q) + by_known
         coupled, pull = self.coupling.cost(q)
         return cost + coupled, lambda: (gradient + pull, hessian + curved)
 
-    def propose(self, q: Array, equations: tuple[Array, Array], damping: float) -> tuple[Array, float] | None:
-        """Poses after a step, no joint turning further than LARGEST_TURN, and how far they moved."""
-        step = self.step(*equations, q, damping)
+    def propose(self, state: Array, equations: tuple[Array, Array], damping: float) -> tuple[Array, float] | None:
+        step = self.step(*equations, state, damping)
         if step is None:
             return None
         step *= min(1.0, LARGEST_TURN / max(float(np.abs(step[:, 3:]).max()), 1e-9))
         moved = max(2 * float(np.abs(step[:, :3]).max()), float(np.abs(step[:, 3:]).max()))
-        return np.clip(_moved(q, step), self.lower, self.upper), moved
+        return np.clip(_moved(state, step), self.lower, self.upper), moved
 
     def step(self, gradient: Array, hessian: Array, q: Array, damping: float) -> Array | None:
         """Damped Newton step (T, D) with the dof that push against a limit held; None when not positive definite."""

@@ -25,11 +25,14 @@ from hypose.geometry import Array
 class AlignSettings:
     """How output instants are made.
 
-    rate: Hz. wait: s after its instant that a frame waits for sensors that have not reported yet; the bound of the
-    latency. timeout: s of silence after which a sensor is dead: nothing waits for it. hold: s that a skeleton is
-    carried on after its last report. horizon: s that movement is continued over, at most. max_behind: s that the output
-    may lag after a pause of the whole program before frames are skipped. latency: s per sensor, a known constant delay
-    between exposure and sending. most_sensors, most_people (per sensor): what is beyond is refused.
+    rate: Hz.
+    wait: s after its instant that a frame waits for sensors that have not reported yet; the bound of the latency.
+    timeout: s of silence after which a sensor is dead: nothing waits for it.
+    hold: s that a skeleton is carried on after its last report.
+    horizon: s that movement is continued over, at most.
+    max_behind: s that the output may lag after a pause of the whole program before frames are skipped.
+    latency: s per sensor, a known constant delay between exposure and sending.
+    most_sensors, most_people (per sensor): more are refused.
     """
 
     rate: float = 30.0
@@ -52,8 +55,13 @@ class AlignSettings:
 
 @dataclass(frozen=True)
 class SensorBody:
-    """One person as one sensor sees it: person the sensor's number; positions (15, 3) m in the sensor's frame, NaN
-    where missing; state (15,); age s: how far behind the instant its last report lies (0 when it lies between two)."""
+    """One person as one sensor sees it.
+
+    person the sensor's number.
+    positions (15, 3) m in the sensor's frame, NaN where missing.
+    state (15,).
+    age s: how far behind the instant its last report lies (0 when it lies between two).
+    """
 
     person: int
     positions: Array
@@ -63,7 +71,11 @@ class SensorBody:
 
 @dataclass(frozen=True)
 class SensorView:
-    """One sensor at an instant. alive: it reported within the time-out before; life: counts its returns."""
+    """One sensor at an instant.
+
+    alive: it reported within the time-out before.
+    life: counts its returns.
+    """
 
     name: str
     alive: bool
@@ -82,8 +94,14 @@ class Instant:
 
 @dataclass(frozen=True)
 class SensorStatus:
-    """For display: alive; rate Hz of its reports; offset s of its clock to the host's; jumps of its clock; returns
-    after silence; reports used and refused (late beyond use, time not believed)."""
+    """For display.
+
+    alive.
+    rate Hz of its reports.
+    offset s of its clock to the host's.
+    jumps of its clock.
+    returns after silence; reports used and refused (late beyond use, time not believed).
+    """
 
     name: str
     alive: bool
@@ -202,7 +220,7 @@ class _Sensor:
 
     @property
     def shift(self) -> float:
-        """Seconds to add to its times to have the host's."""
+        """Return seconds to add to its times to have the host's."""
         return self.clock.offset - self.latency
 
     def wake(self, time: float, now: float, s: AlignSettings) -> None:
@@ -295,7 +313,7 @@ class Aligner:
     def _checked(
         self, sensor: str, names: Sequence[str], positions: ArrayLike, state: ArrayLike
     ) -> tuple[Array, NDArray[np.uint8]]:
-        """The fifteen common joints of a report, with one way to say "missing"."""
+        """Return the fifteen common joints of a report, with one way to say "missing"."""
         key = tuple(names)
         common = self._common.get(key)
         if common is None:
@@ -343,7 +361,7 @@ class Aligner:
         return self._instant(self._next) + self.settings.wait
 
     def poll(self, now: float) -> list[Instant]:
-        """The frames that are ready, in order."""
+        """Return the frames that are ready, in order."""
         if math.isnan(self._start):
             return []
         s = self.settings

@@ -15,9 +15,13 @@ from hypose.geometry import Array, procrustes, transform
 
 @dataclass(frozen=True)
 class ClockSettings:
-    """window s: the offset is the smallest of this long (drift of 100 ppm makes 1 ms in 10 s); jump s: a message that
-    is off by more is suspicious; confirm: so many that agree to `agree` s make it a jump of the clock; give_in: so many
-    suspicious ones in a row are believed even if they do not agree."""
+    """Clock settings.
+
+    window s: the offset is the smallest of this long (drift of 100 ppm makes 1 ms in 10 s).
+    jump s: a message that is off by more is suspicious.
+    confirm: so many that agree to `agree` s make it a jump of the clock.
+    give_in: so many suspicious ones in a row are believed even if they do not agree.
+    """
 
     window: float = 10.0
     jump: float = 0.25
@@ -44,7 +48,7 @@ class SensorClock:
 
     @property
     def offset(self) -> float:
-        """Seconds to add to the sensor's time; NaN before the first message."""
+        """Return seconds to add to the sensor's time; NaN before the first message."""
         return self._smallest[0][1] if self._smallest else math.nan
 
     def update(self, sensor_time: float, arrival: float) -> float | None:
@@ -74,8 +78,9 @@ class SensorClock:
         return all(abs(b - a) <= self._settings.agree for a, b in zip(last, last[1:], strict=False))
 
 
-def movement(times: ArrayLike, positions: ArrayLike, at: ArrayLike) -> Array:
-    """How much a body moves at given times (N,), m/s: the mean speed of its joints, positions (T, J, 3) m with NaN.
+def _body_speed(times: ArrayLike, positions: ArrayLike, at: ArrayLike) -> Array:
+    """Return how much a body moves at given times (N,), m/s: the mean speed of its joints, positions (T, J, 3) m with
+    NaN.
 
     It is the same from every sensor, whatever its position: steps over a tenth of a second, in which noise counts
     little. Gaps give 0.
@@ -100,7 +105,7 @@ def offset_by_movement(
     rate: float = 100.0,
     limit: float = 60.0,
 ) -> tuple[float, float]:
-    """(seconds to add to b's times so that both see the same movement, correlation 0..1).
+    """Return (seconds to add to b's times so that both see the same movement, correlation 0..1).
 
     Times (T,) s from each sensor's own start, positions (T, J, 3) m in each sensor's frame. Walking repeats itself, so
     of the peaks of the normalised cross-correlation of both movements the one is taken at which a rigid motion brings
@@ -110,7 +115,7 @@ def offset_by_movement(
     ta, tb = np.asarray(times_a, dtype=np.float64), np.asarray(times_b, dtype=np.float64)
     start, stop = min(ta[0], tb[0]), max(ta[-1], tb[-1])
     at = np.arange(start, stop, 1 / rate)
-    a, b = movement(ta, positions_a, at), movement(tb, positions_b, at)
+    a, b = _body_speed(ta, positions_a, at), _body_speed(tb, positions_b, at)
     width = max(1, round(0.1 * rate))  # sensors smooth differently: compare what lasts a tenth of a second
     box = np.ones(width) / width
     a, b = np.convolve(a, box, "same"), np.convolve(b, box, "same")

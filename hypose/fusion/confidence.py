@@ -35,10 +35,19 @@ _INFERRED_M = 0.15
 
 @dataclass(frozen=True)
 class ConfidenceSettings:
-    """window: frames of F; use_f, use_d, use_a: switches of the inputs; thickness: subtract THICKNESS_M; hold: keep the
-    last depth error over holes instead of taking a hole's depth as 0; clip_m: largest D; floor_m: D is divided by at
-    least this; merge_bones: D is at least twice the bone's deviation from its usual length; merge_state: D of an
-    inferred joint is at least 0.15 m. The defaults are the paper's."""
+    """Confidence settings.
+
+    window: frames of F.
+    use_f, use_d, use_a: switches of the inputs.
+    thickness: subtract THICKNESS_M.
+    hold: keep the last depth error over holes instead of taking a hole's depth as 0.
+    clip_m: largest D.
+    floor_m: D is divided by at least this.
+    merge_bones: D is at least twice the bone's deviation from its usual length.
+    merge_state: D of an inferred joint is at least 0.15 m.
+
+    The defaults are the paper's.
+    """
 
     window: int = 15
     use_f: bool = True
@@ -143,11 +152,12 @@ def depth_error(z: Array, depth: Array, held: Array, settings: ConfidenceSetting
 
 
 def unnatural(positions: ArrayLike) -> Array:
-    """A (..., 15) = 1 - P(angle), eq. 6: the inner angle of elbows and knees against a normal distribution of mean pi/2
-    and sd pi/6; 0 for all other joints, 1 where a neighbour is missing.
+    """Return a (..., 15) = 1 - P(angle), eq. 6: the inner angle of elbows and knees against a normal distribution of
+    mean pi/2 and sd pi/6; 0 for all other joints, 1 where a neighbour is missing.
 
     Deviation: the density is scaled to 1 at its mean, so that 1 - P is 0 there. The inner product that the paper takes
-    cannot see its "unnatural" angles beyond pi."""
+    cannot see its "unnatural" angles beyond pi.
+    """
     s = np.asarray(positions, dtype=np.float64)
     out = np.zeros(s.shape[:-1])
     j, a, b = _ANGLES
@@ -206,8 +216,12 @@ LOW, MEDIUM, HIGH = "low", "medium", "high"
 
 @dataclass(frozen=True)
 class NoiseRules:
-    """low_centre, high_centre, slope of the sigmoids; medium_centre, medium_sd of the Gaussian, on inputs and output
-    in [0, 1]; points: samples of the output for the centroid."""
+    """Noise rules.
+
+    low_centre, high_centre, slope of the sigmoids.
+    medium_centre, medium_sd of the Gaussian, on inputs and output in [0, 1].
+    points: samples of the output for the centroid.
+    """
 
     low_centre: float = 0.25
     high_centre: float = 0.75
@@ -248,7 +262,7 @@ class NoiseRules:
         return out, np.stack([low, high, medium, medium, medium])
 
     def aggregate(self, f: ArrayLike, d: ArrayLike, a: ArrayLike) -> Array:
-        """(..., points): the output set over [0, 1], algebraic sum of the scaled consequents."""
+        """Return (..., points): the output set over [0, 1], algebraic sum of the scaled consequents."""
         strength = self.firing(f, d, a)
         sets = self._consequents[1]
         rest = 1 - strength[0][..., None] * sets[0]

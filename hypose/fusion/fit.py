@@ -4,7 +4,7 @@ Constant distances between joints, a robust loss that is graduated in every fram
 wrong sensor), a constant-velocity prediction, the SDK's confidence as weight, and sides exchanged back when a sensor
 that sees the back takes left for right. 45 unknowns with distances as stiff rows rather than joint angles: a sensor
 skeleton has no shape behind it, and distances between shoulders, hips and torso hold a trunk that is not rigid.
-Uncertainty: the solve's own variance, plus what the sensors' systematic errors leave open (fusion.trust).
+Uncertainty: the solve's own variance, plus what the sensors' systematic errors leave open.
 """
 
 from __future__ import annotations
@@ -18,8 +18,100 @@ from numpy.typing import ArrayLike, NDArray
 from hypose import compute
 from hypose.evidence.frame import TRACKED
 from hypose.fusion import joints as jt
-from hypose.fusion.trust import what_is_open
 from hypose.geometry import Array
+
+_PARTS = np.array([0, 0, 1, 2, 2, 1, 2, 2, 0, 3, 4, 4, 3, 4, 4])  # trunk, shoulders, arms, hips, legs
+OWN_SD_M = np.array([0.027, 0.033, 0.027, 0.044, 0.022])[_PARTS]
+"""(15,) m per axis: sd of what a sensor that sees a joint puts wrong all along. It is that of the difference of two
+sensors at right angles: half of it is the other one's, and stands for what all sensors have in common, such as where
+in a hip its centre is, which no difference shows."""
+HIDDEN_P = np.array([0.0, 0.56, 0.9, 0.12, 0.63])[_PARTS]
+"""(15,) how likely a joint is guessed that the body hides wholly, on the side turned away from the sensor."""
+BEHIND_P = np.where(_PARTS > 0, 0.8, 0.0)
+"""(15,) how likely a joint is guessed by a sensor that sees the back."""
+GUESSED_P, LEAST_P, _INFERRED = 0.064, 0.05, 0.5
+"""How likely any joint is guessed; how likely it is seen at least, before its bone is looked at; what of the rest is
+left to a joint that the sensor itself calls inferred (an assumption: the recordings hold no states)."""
+GUESS_SD_M, JITTER_M = 0.1, 0.0085
+"""m per axis: sd of a guess, and what neighbouring frames differ by."""
+BONE_SD_M, MOST_OFF_M = (0.016, 0.052), 0.1
+"""m: by how much the length of a joint's bone is off where a sensor sees it, and where it guesses; more counts as
+much as MOST_OFF_M."""
+LARGE_ERROR_M, DOUBTFUL_P = 0.1, 0.3
+"""m from which on a joint is wrong, and how likely it must be so for the joint to be doubtful: hips of which nothing is
+wrong have 0.2 to 0.28."""
+_BONE = np.array(
+    [jt.SKELETON_BONES.tolist().index(sorted((j, int(p)))) if p >= 0 else -1 for j, p in enumerate(jt.PARENT)]
+)
+_SIDE_SIGNS = np.array([0, 0, 1, 1, 1, -1, -1, -1, 0, 1, 1, 1, -1, -1, -1])
+
+
+def remaining_uncertainty(
+    positions: Array,
+    states: NDArray[np.uint8],
+    eyes: Array,
+    left: Array,
+    lengths: Array,
+    joints: Array,
+    variance: ArrayLike,
+) -> tuple[Array, Array]:
+    """Of fused joints (15, 3) m: the variance (15,) m^2 per axis that more frames or sensors would not reduce, and how
+    likely (15,) each is wrong by more than LARGE_ERROR_M.
+
+    positions (K, 15, 3) m registered, states (K, 15): of which they were fused.
+    eyes (K, 3) m: where the sensors stand, NaN where it is not known.
+    left (3,): to the person's left, of any length.
+    lengths (18,) m of joints.SKELETON_BONES, 0 where unknown.
+    variance (15,) m^2 per axis: of what averages away.
+    """
+    seen = seen_joints(positions, states, eyes, left, lengths)
+    points, to = np.where(seen[..., None] > 0, positions, 0.0), eyes - joints[jt.TORSO]
+    apart = ((points[:, None] - points) ** 2).sum(-1)
+    alike = np.maximum(_cosine(to[:, None], to)[..., 0], 0.0)
+    order = np.argsort(-seen, axis=0, kind="stable")
+    systematic, wrong = np.empty(15), np.empty(15)
+    compute.fusion.judge_claims(
+        *(
+            points - joints,
+            apart,
+            alike,
+            seen,
+            order,
+            np.asarray(variance),
+            OWN_SD_M,
+            GUESS_SD_M,
+            JITTER_M,
+            LARGE_ERROR_M,
+        ),
+        *(systematic, wrong),
+    )
+    return systematic, wrong
+
+
+def seen_joints(positions: Array, states: NDArray[np.uint8], eyes: Array, left: Array, lengths: Array) -> Array:
+    """Return (K, 15) how likely each sensor sees each joint rather than guesses it, 0 where it reports none; see
+    `remaining_uncertainty`."""
+    to = eyes - positions[:, jt.TORSO]
+    up = positions[:, jt.NECK] - (positions[:, jt.LEFT_HIP] + positions[:, jt.RIGHT_HIP]) / 2
+    away = np.maximum(-_SIDE_SIGNS * _cosine(left, to), 0.0)
+    behind = np.maximum(_cosine(np.cross(up, left), to), 0.0)
+    seen = np.maximum(1 - GUESSED_P - HIDDEN_P * away**2 - BEHIND_P * behind, LEAST_P)
+    seen = np.where(states == TRACKED, seen, _INFERRED * seen)
+    off = np.linalg.norm(positions - positions[:, jt.PARENT], axis=-1) - np.where(_BONE >= 0, lengths[_BONE], 0.0)
+    off = np.minimum(np.abs(off), MOST_OFF_M)
+    right, guessed = (
+        p * np.exp(-0.5 * (off / sd) ** 2) / sd for p, sd in zip((seen, 1 - seen), BONE_SD_M, strict=True)
+    )
+    known = np.isfinite(off) & (_BONE >= 0) & (lengths[_BONE] > 0)
+    seen = np.where(known, right / (right + guessed), seen)
+    return np.where((states > 0) & np.isfinite(positions[..., 0]), seen, 0.0)
+
+
+def _cosine(a: Array, b: Array) -> Array:
+    """Return (..., 1) of the angles between vectors (..., 3), 0 where it is not known."""
+    square = (a * a).sum(-1) * (b * b).sum(-1)
+    return np.nan_to_num((a * b).sum(-1) / np.sqrt(np.where(square > 0, square, np.nan)))[..., None]
+
 
 _SIDES = np.array([(jt.LEFT_SHOULDER, jt.RIGHT_SHOULDER), (jt.LEFT_HIP, jt.RIGHT_HIP)])
 _AGAINST = -0.3
@@ -27,18 +119,28 @@ _AGAINST = -0.3
 
 
 def _bone_sd() -> Array:
-    """(18,) m: limbs hold their length, the trunk's stays give more."""
+    """Return (18,) m: limbs hold their length, the trunk's stays give more."""
     limb = {(2, 3), (3, 4), (5, 6), (6, 7), (9, 10), (10, 11), (12, 13), (13, 14)}
     stay = {(8, 9), (8, 12), (2, 8), (5, 8)}
-    return np.array([0.008 if tuple(b) in limb else 0.020 if tuple(b) in stay else 0.015 for b in jt.BONES.tolist()])
+    return np.array(
+        [0.008 if tuple(b) in limb else 0.020 if tuple(b) in stay else 0.015 for b in jt.SKELETON_BONES.tolist()]
+    )
 
 
 @dataclass(frozen=True)
 class FitSettings:
-    """data_sd_m, scale_m: sd and Cauchy scale of a sensor's joint; coarse: the scale starts at this multiple and is
-    halved per iteration; iterations; bone_sd_m (18,); prediction_sd_m: per frame of 1/30 s; blend: how fast the
-    velocity follows; inferred: weight of inferred joints; unswap: exchange sides back; lost_after_s: without
-    any joint for this long the person is lost."""
+    """Fit settings.
+
+    data_sd_m, scale_m: sd and Cauchy scale of a sensor's joint.
+    coarse: the scale starts at this multiple and is halved per iteration.
+    iterations.
+    bone_sd_m (18,).
+    prediction_sd_m: per frame of 1/30 s.
+    blend: how fast the velocity follows.
+    inferred: weight of inferred joints.
+    unswap: exchange sides back.
+    lost_after_s: without any joint for this long the person is lost.
+    """
 
     data_sd_m: float = 0.02
     scale_m: float = 0.05
@@ -53,15 +155,21 @@ class FitSettings:
 
     @cached_property
     def bone_weight(self) -> Array:
-        """(18,) 1/m^2."""
+        """Return (18,) 1/m^2."""
         return 1 / self.bone_sd_m**2
 
 
 @dataclass(frozen=True)
 class FitState:
-    """joints (15, 3) m and velocity (15, 3) m/s of the last frame, or None before the first; time s of that frame; seen
-    (15,) s when each joint last had evidence; side (3,): remembered direction to the person's left, a sum of unit
-    vectors; lengths (18,) m and samples (18,) of the bones; fixed: lengths are given and do not adapt."""
+    """Fit state.
+
+    joints (15, 3) m and velocity (15, 3) m/s of the last frame, or None before the first.
+    time s of that frame.
+    seen (15,) s when each joint last had evidence.
+    side (3,): remembered direction to the person's left, a sum of unit vectors.
+    lengths (18,) m and samples (18,) of the bones.
+    fixed: lengths are given and do not adapt.
+    """
 
     joints: Array | None
     velocity: Array
@@ -75,10 +183,15 @@ class FitState:
 
 @dataclass(frozen=True)
 class FitEstimate:
-    """joints (15, 3) m; variance (15,) m^2 per axis that more frames or sensors would reduce, and systematic (15,),
-    which they would not; wrong (15,): how likely a joint is off by more than trust.WRONG_M; shares (15, K): what each
-    sensor carried of each joint (0 everywhere where no sensor saw it); swapped (K,) sensors whose sides were exchanged;
-    lost: no evidence for too long."""
+    """Fit estimate.
+
+    joints (15, 3) m.
+    variance (15,) m^2 per axis that more frames or sensors would reduce, and systematic (15,), which they would not.
+    wrong (15,): how likely a joint is off by more than LARGE_ERROR_M.
+    shares (15, K): what each sensor carried of each joint (0 everywhere where no sensor saw it).
+    swapped (K,) sensors whose sides were exchanged.
+    lost: no evidence for too long.
+    """
 
     joints: Array
     variance: Array
@@ -90,7 +203,7 @@ class FitEstimate:
 
 
 def start_fit(lengths: ArrayLike | None = None) -> FitState:
-    """Before the first frame; lengths (18,) m of joints.BONES when they are known (0 = unknown), else they are
+    """Before the first frame; lengths (18,) m of joints.SKELETON_BONES when they are known (0 = unknown), else they are
     estimated as frames come in."""
     return FitState(
         None,
@@ -98,8 +211,8 @@ def start_fit(lengths: ArrayLike | None = None) -> FitState:
         np.nan,
         np.full(15, -np.inf),
         np.zeros(3),
-        np.zeros(len(jt.BONES)) if lengths is None else np.array(lengths, dtype=np.float64),
-        np.zeros(len(jt.BONES)),
+        np.zeros(len(jt.SKELETON_BONES)) if lengths is None else np.array(lengths, dtype=np.float64),
+        np.zeros(len(jt.SKELETON_BONES)),
         lengths is not None,
     )
 
@@ -137,7 +250,7 @@ def fit_step(
         weights,
         predicted,
         prior,
-        jt.BONES,
+        jt.SKELETON_BONES,
         lengths,
         settings.bone_weight,
         1 / settings.data_sd_m**2,
@@ -157,7 +270,7 @@ def fit_step(
     new = FitState(x, velocity, time, seen, side, lengths, samples, state.fixed)
     if lost or (state.joints is None and not evidence.any()):
         new = replace(new, joints=None, velocity=np.zeros((15, 3)), side=np.zeros(3))
-    systematic, wrong = what_is_open(positions, states, eyes, side, lengths, x, variance)
+    systematic, wrong = remaining_uncertainty(positions, states, eyes, side, lengths, x, variance)
     return new, FitEstimate(x, variance, systematic, wrong, share.T.copy(), swapped, lost)
 
 
@@ -166,8 +279,11 @@ def unswap(
 ) -> tuple[Array, NDArray[np.uint8], Array, NDArray[np.bool_]]:
     """Exchanges left and right of sensors whose sides contradict the others and the memory.
 
-    positions (K, 15, 3) registered; side (3,): remembered direction to the left. Returns positions, states, the new
-    memory and which sensors were exchanged (K,)."""
+    positions (K, 15, 3) registered.
+    side (3,): remembered direction to the left.
+
+    Returns positions, states, the new memory and which sensors were exchanged (K,).
+    """
     left, right = _SIDES.T
     known = (states[:, left] > 0) & (states[:, right] > 0)
     to_left = np.where(known[..., None], positions[:, left] - positions[:, right], 0.0).sum(1)
@@ -184,10 +300,10 @@ def unswap(
 def adapt_lengths(positions: Array, states: NDArray[np.uint8], lengths: Array, samples: Array) -> tuple[Array, Array]:
     """Causal bone lengths: a limited step towards every tracked sample, smaller as samples accumulate (a slow median
     that one bad episode does not move)."""
-    d = positions[:, jt.BONES[:, 0]] - positions[:, jt.BONES[:, 1]]
+    d = positions[:, jt.SKELETON_BONES[:, 0]] - positions[:, jt.SKELETON_BONES[:, 1]]
     measured = np.sqrt((d * d).sum(-1))
     tracked = states == TRACKED
-    good = tracked[:, jt.BONES[:, 0]] & tracked[:, jt.BONES[:, 1]]
+    good = tracked[:, jt.SKELETON_BONES[:, 0]] & tracked[:, jt.SKELETON_BONES[:, 1]]
     n = good.sum(0)
     fresh = (samples == 0) & (n > 0)
     if fresh.any():
@@ -200,14 +316,14 @@ def adapt_lengths(positions: Array, states: NDArray[np.uint8], lengths: Array, s
 
 
 def clip_lengths(positions: ArrayLike, states: ArrayLike) -> Array:
-    """(18,) m lengths of joints.BONES from a whole clip, positions (T, K, 15, 3): median over the tracked samples, over
-    all samples where there are fewer than 20 of those, 0 where there is none."""
+    """Return (18,) m lengths of joints.SKELETON_BONES from a whole clip, positions (T, K, 15, 3): median over the
+    tracked samples, over all samples where there are fewer than 20 of those, 0 where there is none."""
     s = np.asarray(positions, dtype=np.float64)
-    a, b = jt.BONES[:, 0], jt.BONES[:, 1]
+    a, b = jt.SKELETON_BONES[:, 0], jt.SKELETON_BONES[:, 1]
     length = np.linalg.norm(s[:, :, a] - s[:, :, b], axis=-1)
     tracked = np.asarray(states) == TRACKED
     good = tracked[:, :, a] & tracked[:, :, b] & np.isfinite(length)
-    out = np.zeros(len(jt.BONES))
+    out = np.zeros(len(jt.SKELETON_BONES))
     for i in range(len(out)):
         use = good[..., i] if good[..., i].sum() > 20 else np.isfinite(length[..., i])
         if use.any():
@@ -216,7 +332,7 @@ def clip_lengths(positions: ArrayLike, states: ArrayLike) -> Array:
 
 
 def _first_guess(points: Array, weights: Array) -> Array:
-    """Weighted means; joints that nobody sees start at the mean of the others."""
+    """Return weighted means; joints that no sensor sees start at the mean of the others."""
     total = weights.sum(0)
     if not (total > 0).any():
         return np.zeros((15, 3))

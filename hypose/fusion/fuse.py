@@ -1,4 +1,4 @@
-"""Entry points: a recorded clip (`fuse_clip`) or a stream, frame by frame (`start`, `step`).
+"""Entry points: a recorded clip (`fuse_clip`) or a stream, frame by frame (`start`, `fuse_frame`).
 
 Both run the same steps: registration, heading, and one of the methods. A clip is registered and measured as a whole
 before it is fused; a stream refits its registration every second to the last seconds, and learns bone lengths as it
@@ -7,21 +7,29 @@ goes.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.body.motion import Motion
+from hypose.body.motion import Motion, isotropic
+from hypose.body.skeleton import Skeleton
 from hypose.errors import InputError
 from hypose.evidence.frame import SensorJoints
 from hypose.fusion import joints as jt
-from hypose.fusion.confidence import confidence_step, normalised, start_confidence
-from hypose.fusion.fit import clip_lengths, fit_step, start_fit
-from hypose.fusion.point_motion import anchors_of, points_motion
+from hypose.fusion.confidence import ConfidenceState, confidence_step, normalised, start_confidence
+from hypose.fusion.fit import (
+    DOUBTFUL_P,
+    FitSettings,
+    FitState,
+    clip_lengths,
+    fit_step,
+    remaining_uncertainty,
+    start_fit,
+)
 from hypose.fusion.register import (
     Registration,
     alone,
@@ -29,38 +37,129 @@ from hypose.fusion.register import (
     check_same_person,
     common_joints,
     confidence_of,
-    depth_at_joints,
     horizontal_axes,
-    identity,
+    identity_registration,
+    measured_joint_depth,
     register,
     upward,
 )
-from hypose.fusion.state import FIT, METHODS, FusedFrame, FusionSettings, FusionState
-from hypose.fusion.swarm import start_swarm, swarm_step
-from hypose.fusion.trust import what_is_open
+from hypose.fusion.swarm import IMPROVED, PUBLISHED, SwarmSettings, SwarmState, start_swarm, swarm_step
 from hypose.geometry import Array
+
+FIT, SWARM, PUBLISHED_SWARM, PUBLISHED_WINDOW = "fit", "swarm", "published", "published-window"
+FUSION_METHODS = (FIT, SWARM, PUBLISHED_SWARM, PUBLISHED_WINDOW)
+
+
+@dataclass(frozen=True)
+class FusionSettings:
+    """Fusion settings.
+
+    method: one of FUSION_METHODS ("swarm" is the improved one; "published" is Asteriadis et al. 2013 with their
+        registration, by the triangle of every frame; "published-window" the same swarm, registered as the other methods
+        are).
+    reference: the sensor whose frame is the common one.
+    registered: positions come in a common frame already.
+    window_s, refit_s: a stream's registration uses the last window_s and is refitted every refit_s.
+    diagnose: run the swarm in parallel to the fit and report its choice of sensors.
+    up (3,): direction of up in the common frame, default from the person.
+    seed: of the swarm.
+    check: refuse sensors that see different people.
+    """
+
+    method: str = FIT
+    reference: int = 0
+    registered: bool = False
+    window_s: float = 5.0
+    refit_s: float = 1.0
+    diagnose: bool = False
+    up: tuple[float, float, float] | None = None
+    seed: int = 0
+    check: bool = True
+    fit: FitSettings = field(default_factory=FitSettings)
+    swarm: SwarmSettings | None = None
+
+    def __post_init__(self) -> None:
+        if self.method not in FUSION_METHODS:
+            raise InputError(f"There is no fusion method {self.method!r}; choose one of {', '.join(FUSION_METHODS)}.")
+
+    @property
+    def swarm_settings(self) -> SwarmSettings:
+        """Return the swarm's settings: given ones, else those of the method."""
+        return self.swarm or (PUBLISHED if self.method in (PUBLISHED_SWARM, PUBLISHED_WINDOW) else IMPROVED)
+
+    @property
+    def per_frame(self) -> bool:
+        """Return whether every frame is registered by its own triangle."""
+        return self.method == PUBLISHED_SWARM and not self.registered
+
+
+@dataclass(frozen=True)
+class FusedFrame:
+    """One instant. time s.
+
+    joint_names (J,): the 15 common ones, then the sensor's others.
+    joints (J, 3) m in the common frame, NaN where never seen.
+    sd (J,) m per axis, of which systematic (J,) would remain with more frames or sensors, and wrong (J,): how likely
+        the joint is off by more than trust.WRONG_M, NaN where unknown.
+    shares (15, K): what each sensor carried of each common joint (fit: weights; swarm: population).
+    choice (15, K) the swarm's population when it runs as diagnosis.
+    lost.
+    n_sensors with evidence.
+    swapped (K,) sensors whose sides were exchanged.
+    restarted: the swarm was initialised again.
+    """
+
+    time: float
+    joint_names: tuple[str, ...]
+    joints: Array
+    sd: Array
+    systematic: Array
+    wrong: Array
+    shares: Array
+    choice: Array | None
+    lost: bool
+    n_sensors: int
+    swapped: NDArray[np.bool_]
+    restarted: bool
+
+
+@dataclass(frozen=True)
+class FusionState:
+    """Everything a stream remembers.
+
+    window: recent (positions, state, time) for the registration.
+    heading: smoothed heading rad.
+    swarm and confidence None unless the swarm runs.
+    fixed_registration: do not refit.
+    rest: indices of the set's joints beyond the common ones.
+    joint_names: of the fused joints.
+    """
+
+    settings: FusionSettings
+    sensor_names: tuple[str, ...]
+    joint_set: jt.JointSet
+    registration: Registration
+    next_refit: float
+    window: tuple[tuple[Array, NDArray[np.uint8], float], ...]
+    fit: FitState
+    swarm: SwarmState | None
+    confidence: ConfidenceState | None
+    up: Array | None
+    heading: float | None
+    fixed_registration: bool
+    rest: NDArray[np.int64]
+    joint_names: tuple[str, ...]
+
 
 WINDOW_FRAMES = 40
 """Frames that a stream's registration is fitted to; up to twice as many are kept."""
 
-__all__ = [
-    "FIT",
-    "METHODS",
-    "Fused",
-    "FusedFrame",
-    "FusionSettings",
-    "FusionState",
-    "fuse_clip",
-    "start",
-    "step",
-]
-
 
 @dataclass(frozen=True)
 class Fused:
-    """A fused clip: the motion (15 common joints first, then the set's others; poses None), and what is behind it:
+    """A fused clip: the motion (15 common joints first, then the set's others; poses None), and its sources:
     shares (T, 15, K) of the sensors in each joint, choice (T, 15, K) of the swarm or None, registration, lengths (18,)
-    m of joints.BONES, swapped (T, K), restarts (T,)."""
+    m of joints.SKELETON_BONES, swapped (T, K), restarts (T,)."""
 
     motion: Motion
     shares: Array
@@ -78,9 +177,10 @@ def start(
     registration: Registration | None = None,
     lengths: Array | None = None,
 ) -> FusionState:
-    """A stream's state before its first frame; the sensors and joint set are those of `first` from here on.
+    """Return a stream's state before its first frame; the sensors and joint set are those of `first` from here on.
 
-    registration, lengths (18,) m: known ones, which are then kept (but "published" registers every frame anew)."""
+    registration, lengths (18,) m: known ones, which are then kept (but "published" registers every frame again).
+    """
     s = settings or FusionSettings()
     sensors = len(first.sensor_names)
     if not 0 <= s.reference < sensors:
@@ -90,7 +190,7 @@ def start(
     rest = np.setdiff1d(np.arange(len(first.joint_names)), known_set.common)
     known = None if s.per_frame else registration
     if known is None:
-        known = identity(sensors, s.reference) if s.registered else alone(sensors, s.reference)
+        known = identity_registration(sensors, s.reference) if s.registered else alone(sensors, s.reference)
     return FusionState(
         s,
         first.sensor_names,
@@ -109,8 +209,8 @@ def start(
     )
 
 
-def step(state: FusionState, frame: SensorJoints) -> tuple[FusionState, FusedFrame]:
-    """The next frame of a stream, causally. An InputError when its sensors or joints are not those of the start."""
+def fuse_frame(state: FusionState, frame: SensorJoints) -> tuple[FusionState, FusedFrame]:
+    """Fuse the next frame of a stream, causally. InputError when its sensors or joints are not those of the start."""
     _check_alike(frame, state.sensor_names, state.joint_set.joint_names)
     s = state.settings
     raw = common_joints(frame)
@@ -137,7 +237,7 @@ def step(state: FusionState, frame: SensorJoints) -> tuple[FusionState, FusedFra
         fit = replace(state.fit, time=time, seen=seen)
         joints, variance, shares = estimate.joints, estimate.spread**2 / 3, estimate.shares
         left = joints[jt.LEFT_SHOULDER] - joints[jt.RIGHT_SHOULDER]
-        systematic, wrong = what_is_open(world, raw.state, eyes, left, state.fit.lengths, joints, variance)
+        systematic, wrong = remaining_uncertainty(world, raw.state, eyes, left, state.fit.lengths, joints, variance)
         lost = not known and time - seen.max() > s.fit.lost_after_s
         swapped = np.zeros(len(world), dtype=np.bool_)
     sd, systematic = np.sqrt(variance + systematic), np.sqrt(systematic)
@@ -160,10 +260,12 @@ def fuse_clip(
     """Fuses the skeletons of one person from a recorded clip.
 
     joints: one per frame, all of the same sensors and joint set (`register.combine` brings different sets together).
-    The registration is robust over the whole clip and all joints unless it is given, but for "published", which
-    registers every frame by its triangle and returns the last one's; bone lengths are medians over the clip. watch:
-    called after every frame with how many are fused. InputErrors name frames whose sensors or joints differ, and
-    sensors that see different people."""
+        The registration is robust over the whole clip and all joints unless it is given, but for "published", which
+        registers every frame by its triangle and returns the last one's; bone lengths are medians over the clip.
+    watch: called after every frame with how many are fused.
+
+    InputErrors name frames whose sensors or joints differ, and sensors that see different people.
+    """
     if not len(joints):
         raise InputError("There are no frames to fuse; give at least one.")
     s = replace(settings or FusionSettings(), method=method)
@@ -176,7 +278,9 @@ def fuse_clip(
     if registration is None:
         sensors = positions.shape[1]
         registration = (
-            identity(sensors, s.reference) if s.registered else register(positions, states, reference=s.reference)
+            identity_registration(sensors, s.reference)
+            if s.registered
+            else register(positions, states, reference=s.reference)
         )
         if s.check:
             check_same_person(positions, registration, joints[0].sensor_names)
@@ -187,9 +291,9 @@ def fuse_clip(
     state = start(joints[0], replace(s, up=tuple(up)), registration, lengths)
     frames: list[FusedFrame] = []
     for t, frame in enumerate(joints):
-        if not np.isfinite(frame.times).any():  # nobody saw the person: time goes on all the same, so that it is lost
+        if not np.isfinite(frame.times).any():  # seen by no sensor: time goes on, so that it is lost
             frame = replace(frame, times=np.full(len(frame.times), times[t]))
-        state, fused = step(state, frame)
+        state, fused = fuse_frame(state, frame)
         frames.append(fused)
         if watch is not None:
             watch(len(frames))
@@ -224,7 +328,8 @@ def _check_alike(
 
 
 def _refit(state: FusionState, raw: SensorJoints, time: float) -> FusionState:
-    """The window with this frame, and a registration refitted to it when that is due; "published": this frame's."""
+    """Return the window with this frame, and a registration refitted to it when that is due; "published": this
+    frame's."""
     s = state.settings
     if s.per_frame:
         return replace(state, registration=by_triangles(state.registration, raw.positions))
@@ -258,7 +363,7 @@ def _noise(state: FusionState, raw: SensorJoints, world: Array) -> tuple[FusionS
         return state, None, 0.0
     s = state.settings.swarm_settings
     memory, inputs = confidence_step(
-        state.confidence, raw.positions, raw.state, depth_at_joints(raw), raw.times, s.confidence
+        state.confidence, raw.positions, raw.state, measured_joint_depth(raw), raw.times, s.confidence
     )
     noise = s.rules.noise(*normalised(inputs, s.confidence))
     up = state.up if state.up is not None else upward(world)
@@ -282,9 +387,9 @@ def _axes(x: float, y: float, z: float) -> tuple[Array, Array]:
 def _with_rest(
     state: FusionState, frame: SensorJoints, joints: Array, known: Sequence[Array], shares: Array
 ) -> list[Array]:
-    """The fused joints, and what is known of them (15,), each followed by the set's others. Those move rigidly with
-    their sensor's nearest common joints, are averaged with the sensors' shares in the joint that they hang from, and
-    are as sure as that one."""
+    """Return the fused joints and their uncertainty (15,), each followed by the set's others. Those move rigidly
+    with their sensor's nearest common joints, are averaged with the sensors' shares in the joint that they hang from,
+    and are as sure as that one."""
     rest = state.rest
     raw, common = frame.positions, state.joint_set.common
     out = np.full((len(rest), 3), np.nan)
@@ -328,3 +433,108 @@ def _motion(
         np.stack([f.systematic for f in frames]),
         np.stack([f.wrong for f in frames]),
     )
+
+
+# ---- motion of points ------------------------------------------------------------------------------------------------
+# Fused points as a Motion: a skeleton that only names joints, parents before children.
+
+
+def point_skeleton(
+    joint_names: Sequence[str], parents: Sequence[int], lengths: Mapping[str, float] | None = None
+) -> Skeleton:
+    """Return a skeleton that only names joints: rigid, six degrees of freedom, for motions without poses. Joints stand
+    above each other at rest by their bones' lengths (m, by joint name)."""
+    n = len(joint_names)
+    offsets = np.zeros((n, 3))
+    offsets[1:, 2] = [(lengths or {}).get(name, 0.2) for name in joint_names[1:]]
+    dofs = tuple(f"{joint_names[0]}_{a}" for a in ("tx", "ty", "tz", "rx", "ry", "rz"))
+    return Skeleton(
+        tuple(joint_names),
+        np.array(parents, dtype=np.int64),
+        offsets,
+        np.arange(n) == 0,
+        np.tile(np.eye(3), (2, 1)),
+        np.zeros(6, dtype=np.int64),
+        dofs,
+        np.full(6, -1e3),
+        np.full(6, 1e3),
+        np.full(6, 0.1),
+    )
+
+
+def points_motion(
+    names: tuple[str, ...],
+    joints: Array,
+    sd: Array,
+    times: Array,
+    lost: NDArray[np.bool_],
+    n_sensors: NDArray[np.int64],
+    lengths: Array,
+    provenance: Mapping[str, Any],
+    systematic: Array | None = None,
+    wrong: Array | None = None,
+) -> Motion:
+    """Return a Motion with parents before children: the torso first, as the root.
+
+    sd (T, J) m, of which systematic (T, J) would remain with more frames or sensors.
+    wrong (T, J): how likely a joint is wrong.
+    """
+    order, parents = _topological(names)
+    bone = {tuple(sorted(b)): float(v) for b, v in zip(jt.SKELETON_BONES.tolist(), lengths, strict=True)}
+    by_name = {
+        n: bone.get(tuple(sorted((i, int(jt.PARENT[i])))), 0.2) for i, n in enumerate(jt.COMMON) if jt.PARENT[i] >= 0
+    }
+    skeleton = point_skeleton([names[i] for i in order], parents, by_name)
+    motion = Motion(
+        skeleton,
+        times,
+        joints[:, order],
+        None,
+        isotropic(sd[:, order]),
+        lost,
+        n_sensors == 0,
+        n_sensors,
+        np.full(len(times), np.nan),
+        provenance,
+    )
+    if wrong is None or systematic is None:
+        return motion
+    lasting = isotropic(systematic[:, order])
+    p = np.nan_to_num(np.where(lost[:, None], np.fmax(wrong, 0.5), wrong)[:, order]).astype(np.float32)
+    doubtful = p > DOUBTFUL_P
+    return replace(motion, p_wrong=p, doubtful_joints=doubtful, doubtful=doubtful.any(1), systematic_covariance=lasting)
+
+
+def _topological(names: tuple[str, ...]) -> tuple[list[int], list[int]]:
+    """Order of the joints with parents first, and each one's parent in that order."""
+    parent = [int(p) for p in jt.PARENT]
+    if len(names) > 15:
+        sets = [k for k in jt.joint_sets() if len(k.joint_names) == len(names)]
+        known = sets[0] if sets else None
+        anchors = anchors_of(known) if known is not None else {}
+        at = {jt.plain_name(n): i for i, n in enumerate(known.joint_names)} if known is not None else {}
+        parent += [anchors.get(at.get(jt.plain_name(n), -1), jt.TORSO) for n in names[15:]]
+    order = [jt.TORSO]
+    for j in order:
+        order += [i for i, p in enumerate(parent) if p == j]
+    place = {j: i for i, j in enumerate(order)}
+    return order, [place[parent[j]] if parent[j] >= 0 else -1 for j in order]
+
+
+def anchors_of(known: jt.JointSet) -> dict[int, int]:
+    """For every joint of the set the common joint (0-14) it hangs from: the nearest towards the root, else a
+    neighbour."""
+    place = {int(j): i for i, j in enumerate(known.common)}
+    out: dict[int, int] = {}
+    for j in range(len(known.joint_names)):
+        a = j
+        while a >= 0 and a not in place:
+            a = int(known.parent[a])
+        out[j] = place.get(a, jt.TORSO)
+    return out
+
+
+def common_positions(motion: Motion) -> Array:
+    """Return (T, 15, 3) m: the fused common joints in the order of joints.COMMON (a motion's own order starts at the
+    torso)."""
+    return motion.joints[:, [motion.skeleton.joint(n) for n in jt.COMMON]]

@@ -39,7 +39,7 @@ COMMON = (
 
 HEAD, NECK, LEFT_SHOULDER, LEFT_ELBOW, LEFT_HAND, RIGHT_SHOULDER, RIGHT_ELBOW, RIGHT_HAND = range(8)
 TORSO, LEFT_HIP, LEFT_KNEE, LEFT_FOOT, RIGHT_HIP, RIGHT_KNEE, RIGHT_FOOT = range(8, 15)
-TRUNK = (HEAD, NECK, LEFT_SHOULDER, RIGHT_SHOULDER, TORSO, LEFT_HIP, RIGHT_HIP)
+TRUNK_JOINTS = (HEAD, NECK, LEFT_SHOULDER, RIGHT_SHOULDER, TORSO, LEFT_HIP, RIGHT_HIP)
 """Joints that every sensor finds reliably."""
 TRIANGLE = (LEFT_SHOULDER, RIGHT_SHOULDER, TORSO)
 """Asteriadis 2013, section 2.1."""
@@ -47,7 +47,7 @@ MIRROR = np.array([0, 1, 5, 6, 7, 2, 3, 4, 8, 12, 13, 14, 9, 10, 11])
 """(15,) the joint on the other side."""
 PARENT = np.array([1, 8, 1, 2, 3, 1, 5, 6, -1, 8, 9, 10, 8, 12, 13])
 """(15,) the neighbour towards the torso."""
-BONES = np.array(
+SKELETON_BONES = np.array(
     [(0, 1), (1, 2), (2, 3), (3, 4), (1, 5), (5, 6), (6, 7), (1, 8), (8, 9), (9, 10), (10, 11), (8, 12), (12, 13)]
     + [(13, 14), (2, 5), (9, 12), (2, 8), (5, 8)]
 )
@@ -95,7 +95,7 @@ _AZURE_COMMON = (
 
 
 def plain_name(name: str) -> str:
-    """A joint's name for comparison: lower case, letters only, the side in front."""
+    """Return a joint's name for comparison: lower case, letters only, the side in front."""
     letters = re.sub(r"[^a-z]", "", name.lower())
     for side in ("left", "right"):
         if side in letters:
@@ -114,8 +114,8 @@ def joint_sets() -> tuple[JointSet, ...]:
 
 
 def joint_set(names: Sequence[str]) -> JointSet:
-    """The set that these joint names are (in any order); common, parent and mirror index into `names`. An InputError
-    names what is missing when it is none of them."""
+    """Return the set that these joint names are (in any order); common, parent and mirror index into `names`. An
+    InputError names the missing joints when it is none of them."""
     given = [plain_name(n) for n in names]
     best: tuple[int, str] = (10**6, "")
     for known in joint_sets():

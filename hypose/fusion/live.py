@@ -29,10 +29,16 @@ class LiveSettings:
 
 
 @dataclass(frozen=True)
-class LivePerson:
-    """One fused person: id; joints (15, 3) m (joints.COMMON) in the frame of the first sensor; sd (15,) m per axis;
-    sensors that see the person now; shares (15, K): what each of `LiveFrame.sensors` carried of each joint; seen:
-    some sensor sees it (else prediction)."""
+class LiveSkeleton:
+    """One fused person.
+
+    id.
+    joints (15, 3) m (joints.COMMON) in the frame of the first sensor.
+    sd (15,) m per axis.
+    sensors that see the person now.
+    shares (15, K): what each of `LiveFrame.sensors` carried of each joint.
+    seen: some sensor sees it (else prediction).
+    """
 
     id: int
     joints: Array
@@ -44,11 +50,17 @@ class LivePerson:
 
 @dataclass(frozen=True)
 class LiveFrame:
-    """One output frame: index from 0; time s on the host's clock that it describes; people; sensors known so far."""
+    """One output frame.
+
+    index from 0.
+    time s on the host's clock that it describes.
+    people.
+    sensors known so far.
+    """
 
     index: int
     time: float
-    people: tuple[LivePerson, ...]
+    people: tuple[LiveSkeleton, ...]
     sensors: tuple[str, ...]
 
 
@@ -60,7 +72,7 @@ class LiveFuser:
         self.aligner = Aligner(self.settings.align)
         self.people = PeopleTracker(self.settings.people)
         self._states: dict[int, FitState] = {}
-        warm_up(self.settings.fit)
+        _warm_up(self.settings.fit)
 
     def push(self, report: SensorReport, now: float | None = None) -> bool:
         """See `Aligner.push`."""
@@ -71,12 +83,12 @@ class LiveFuser:
         return self.aligner.due()
 
     def poll(self, now: float) -> list[LiveFrame]:
-        """The frames that are ready, in order."""
+        """Return the frames that are ready, in order."""
         return [self._fuse(instant) for instant in self.aligner.poll(now)]
 
     def frames(self, reports: Iterable[SensorReport]) -> Iterator[LiveFrame]:
         """The frames as reports bring them, for a caller with nothing else to do: live (an iterator that waits for the
-        next report) or recorded. Reports that are of no use are passed over; see `push` for what is an error."""
+        next report) or recorded. Reports that are of no use are passed over; see `push` for errors."""
         for r in reports:
             self.push(r)
             yield from self.poll(r.time if r.arrival is None else r.arrival)
@@ -94,7 +106,7 @@ class LiveFuser:
             instant.index, instant.time, tuple(self._person(p, names, instant.time) for p in people), names
         )
 
-    def _person(self, p: SeenPerson, names: tuple[str, ...], now: float) -> LivePerson:
+    def _person(self, p: SeenPerson, names: tuple[str, ...], now: float) -> LiveSkeleton:
         positions, eyes = np.full((len(names), 15, 3), np.nan), np.full((len(names), 3), np.nan)
         state = np.zeros((len(names), 15), dtype=np.uint8)
         for k, name in enumerate(names):
@@ -104,10 +116,10 @@ class LiveFuser:
         before = self._states.get(p.id) or start_fit()
         self._states[p.id], estimate = fit_step(before, positions, state, now, self.settings.fit, eyes)
         sd = np.sqrt(estimate.variance + estimate.systematic)
-        return LivePerson(p.id, estimate.joints, sd, tuple(p.bodies), estimate.shares, p.seen)
+        return LiveSkeleton(p.id, estimate.joints, sd, tuple(p.bodies), estimate.shares, p.seen)
 
 
-def warm_up(settings: FitSettings) -> None:
+def _warm_up(settings: FitSettings) -> None:
     """Compile what a frame needs, so that the first one is not late."""
     standing = np.linspace(0, 1, 45).reshape(1, 15, 3)
     state = start_fit()

@@ -32,8 +32,13 @@ FEWEST_PAIRS = 12
 
 @dataclass(frozen=True)
 class Registration:
-    """common_from_sensor (K, 4, 4): the common frame is the reference sensor's. residual (K,) m median distance to the
-    reference (or the sensor it was tied to), NaN when not registered; registered (K,) bool; reference: its index."""
+    """Registration.
+
+    common_from_sensor (K, 4, 4): the common frame is the reference sensor's.
+    residual (K,) m median distance to the reference (or the sensor it was tied to), NaN when not registered.
+    registered (K,) bool.
+    reference: its index.
+    """
 
     common_from_sensor: Array
     residual: Array
@@ -49,7 +54,7 @@ class Registration:
 
 
 def common_joints(frame: SensorJoints) -> SensorJoints:
-    """The frame with the 15 common joints in their order; an InputError when its joints are no known set."""
+    """Return the frame with the 15 common joints in their order; an InputError when its joints are no known set."""
     if frame.joint_names == jt.COMMON:
         return frame
     pick = jt.joint_set(frame.joint_names).common
@@ -65,8 +70,9 @@ def common_joints(frame: SensorJoints) -> SensorJoints:
     )
 
 
-def depth_at_joints(frame: SensorJoints) -> Array | None:
-    """(K, J) m depth map value at each joint's pixel, 0 where there is none (hole, outside); None without depth."""
+def measured_joint_depth(frame: SensorJoints) -> Array | None:
+    """Return (K, J) m depth map value at each joint's pixel, 0 where there is none (hole, outside); None without
+    depth."""
     if frame.joint_depth is not None:
         return frame.joint_depth
     if frame.depth is None or frame.intrinsics is None:
@@ -91,11 +97,12 @@ def triangle_transform(reference: ArrayLike, moving: ArrayLike) -> Array:
 
 
 def by_triangles(last: Registration, positions: ArrayLike) -> Registration:
-    """The published registration of one frame: positions (K, 15, 3) m in the sensors' frames.
+    """Return the published registration of one frame: positions (K, 15, 3) m in the sensors' frames.
 
     Every sensor is aligned on the reference by the triangle of shoulders and torso of this frame alone. Deviation: a
     sensor whose triangle is not complete keeps its last transform, and is missing before its first (so do all when the
-    reference's is not), of which the paper says nothing."""
+    reference's is not), of which the paper says nothing.
+    """
     triangles = np.asarray(positions, dtype=np.float64)[:, list(jt.TRIANGLE)]
     complete = np.asarray(np.isfinite(triangles).all(axis=(1, 2)))
     transforms, residual = last.common_from_sensor.copy(), last.residual.copy()
@@ -117,7 +124,7 @@ def register(
     iterations: int = 15,
     start: Registration | None = None,
 ) -> Registration:
-    """One transform per sensor from positions (T, K, J, 3) m of a window, in the sensors' frames.
+    """Return one transform per sensor from positions (T, K, J, 3) m of a window, in the sensors' frames.
 
     Iterated Procrustes with Cauchy weights of scale `scale_m`, times the states' confidences (T, K, J): tracked 1,
     inferred 1/2. A sensor that shares too little with the reference is tied to a sensor already registered; one that
@@ -179,11 +186,11 @@ def _robust(
 def check_same_person(
     positions: ArrayLike, registration: Registration, names: Sequence[str], residual_m: float = LARGEST_RESIDUAL_M
 ) -> None:
-    """An InputError when two sensors cannot have seen the same person at the same time: positions (T, K, 15, 3) m in
+    """Raise InputError when two sensors cannot have seen the same person at the same time: positions (T, K, 15, 3) m in
     the sensors' frames are too far apart after registration, or the limbs' lengths differ too much; and when a sensor
     reports no body but a point."""
     s = np.asarray(positions, dtype=np.float64)
-    a, b = jt.BONES[:, 0], jt.BONES[:, 1]
+    a, b = jt.SKELETON_BONES[:, 0], jt.SKELETON_BONES[:, 1]
     with np.errstate(invalid="ignore"):
         lengths = np.linalg.norm(s[:, :, a] - s[:, :, b], axis=-1)
     known = [np.isfinite(lengths[:, k]).sum(0) > 10 for k in range(s.shape[1])]
@@ -219,7 +226,7 @@ def confidence_of(state: ArrayLike, inferred: float = 0.5) -> Array:
 
 
 def horizontal_axes(up: ArrayLike) -> tuple[Array, Array]:
-    """Two unit vectors (3,) that span the plane across `up`."""
+    """Return two unit vectors (3,) that span the plane across `up`."""
     u = np.asarray(up, dtype=np.float64)
     u = u / np.linalg.norm(u)
     x = np.asarray(np.cross(u, np.eye(3)[int(np.abs(u).argmin())]), dtype=np.float64)
@@ -228,7 +235,7 @@ def horizontal_axes(up: ArrayLike) -> tuple[Array, Array]:
 
 
 def upward(positions: ArrayLike) -> Array:
-    """(3,) unit vector from the hips to the neck, median over registered positions (..., 15, 3)."""
+    """Return (3,) unit vector from the hips to the neck, median over registered positions (..., 15, 3)."""
     s = np.asarray(positions, dtype=np.float64).reshape(-1, 15, 3)
     trunk = s[:, jt.NECK] - (s[:, jt.LEFT_HIP] + s[:, jt.RIGHT_HIP]) / 2
     trunk = trunk[np.isfinite(trunk).all(1)]
@@ -239,7 +246,7 @@ def upward(positions: ArrayLike) -> Array:
 
 
 def upright_axes(up: Array) -> Array:
-    """(3, 3) world_from_sensor rotation of which z is `up` (3,) and y points away from the sensor."""
+    """Return (3, 3) world_from_sensor rotation of which z is `up` (3,) and y points away from the sensor."""
     away: Array = np.array([0.0, 0.0, 1.0]) - up[2] * up
     if np.linalg.norm(away) < 0.2:  # the sensor looks straight down
         away = np.array([1.0, 0.0, 0.0]) - up[0] * up
@@ -257,7 +264,7 @@ def alone(sensors: int, reference: int = 0) -> Registration:
     )
 
 
-def identity(sensors: int, reference: int = 0) -> Registration:
+def identity_registration(sensors: int, reference: int = 0) -> Registration:
     """Sensors that report in a common frame already."""
     return Registration(
         np.tile(se3(np.eye(3), np.zeros(3)), (sensors, 1, 1)),

@@ -31,8 +31,7 @@ from hypose.fusion.confidence import (
 )
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
-from hypose.inference.layer import Layer, Recipe, search
-from hypose.inference.random_streams import stream
+from hypose.inference.layer import Layer, Recipe, search, stream
 
 NEGLIGIBLE = 7.0
 """Scales h beyond which exp(-d / h) < 0.001 counts as 0."""
@@ -40,12 +39,21 @@ NEGLIGIBLE = 7.0
 
 @dataclass(frozen=True)
 class SwarmSettings:
-    """count: candidates per joint; radius_m: of the ball they start in; h_m: length scale of the energy; power: the
-    energy's weights are lambda^-power; pressure: the wheel's shares are E^pressure (fitness scaling); immigrants: fresh
-    candidates per sensor and frame (within count); jitter_m: sd of a random step per frame; universal: Baker's sampling
-    instead of independent spins; weighted: the joint is the mean weighted by energy, before the wheel adds its noise,
-    instead of the plain mean of the candidates that the wheel leaves; restart_every: frames (0 = never); restart_turn:
-    rad of turning since the last restart (0 = never)."""
+    """Swarm settings.
+
+    count: candidates per joint.
+    radius_m: of the ball they start in.
+    h_m: length scale of the energy.
+    power: the energy's weights are lambda^-power.
+    pressure: the wheel's shares are E^pressure (fitness scaling).
+    immigrants: fresh candidates per sensor and frame (within count).
+    jitter_m: sd of a random step per frame.
+    universal: Baker's sampling instead of independent spins.
+    weighted: the joint is the mean weighted by energy, before the wheel adds its noise, instead of the plain mean of
+        the candidates that the wheel leaves.
+    restart_every: frames (0 = never).
+    restart_turn: rad of turning since the last restart (0 = never).
+    """
 
     count: int = 2100
     radius_m: float = 0.1
@@ -80,8 +88,13 @@ the candidates settle on one of them."""
 
 @dataclass(frozen=True)
 class SwarmFrame:
-    """Evidence of one frame: positions (K, J, 3) m registered, NaN missing; moved (K, J, 3): their change since last
-    seen (0 when missing); weights (K, J) = lambda^-power, 0 where missing; settings."""
+    """Evidence of one frame.
+
+    positions (K, J, 3) m registered, NaN missing.
+    moved (K, J, 3): their change since last seen (0 when missing).
+    weights (K, J) = lambda^-power, 0 where missing.
+    settings.
+    """
 
     positions: Array
     moved: Array
@@ -123,14 +136,15 @@ def energy(h: Hypotheses, frame: SwarmFrame, /) -> Array:
 
 
 def mean_position(h: Hypotheses, /) -> Array:
-    """(J, 3) m weighted mean of the candidates.
+    """Return (J, 3) m weighted mean of the candidates.
 
-    Deviation: eq. 1 is printed as the best candidate; section 2.5 says averaging, and so it is done."""
+    Deviation: eq. 1 is printed as the best candidate; section 2.5 says averaging, and so it is done.
+    """
     return np.einsum("jm,jma->ja", _shares(h), h.values)
 
 
 def _shares(h: Hypotheses) -> Array:
-    """(J, M) normalised weights; 0 for a joint without candidates."""
+    """Return (J, M) normalised weights; 0 for a joint without candidates."""
     peak = h.log_weights.max(1, keepdims=True)
     shares = np.exp(h.log_weights - np.where(np.isfinite(peak), peak, 0.0))
     return shares / np.maximum(shares.sum(1, keepdims=True), 1e-300)
@@ -145,7 +159,7 @@ class MergedWheel:
     universal: bool = False
 
     def __call__(self, h: Hypotheses, rng: np.random.Generator, /) -> Hypotheses:
-        """The distinct candidates drawn, with log-weights log(copies / count)."""
+        """Return the distinct candidates drawn, with log-weights log(copies / count)."""
         shares = _shares(h)
         some = np.asarray(shares.any(1))
         if self.universal:
@@ -168,16 +182,22 @@ class MergedWheel:
         return Hypotheses(values, log_weights, origin.astype(np.int32))
 
 
-def recipe(settings: SwarmSettings) -> Recipe:
-    """The swarm as data for the common loop."""
+def _recipe(settings: SwarmSettings) -> Recipe:
+    """Return the swarm as data for the common loop."""
     layer = Layer(ride, energy, MergedWheel(settings.count, settings.universal), "swarm")
     return Recipe("swarm", (layer,), settings.count, estimate=mean_position, citation="Asteriadis et al. 2013")
 
 
 @dataclass(frozen=True)
 class SwarmState:
-    """candidates: the population after selection (J populations); last (K, J, 3) m: where each sensor last saw each
-    joint, NaN before; age: frames since the last restart; heading_at_restart rad; frame: number of the next frame."""
+    """Swarm state.
+
+    candidates: the population after selection (J populations).
+    last (K, J, 3) m: where each sensor last saw each joint, NaN before.
+    age: frames since the last restart.
+    heading_at_restart rad.
+    frame: number of the next frame.
+    """
 
     candidates: Hypotheses | None
     last: Array
@@ -217,8 +237,8 @@ def swarm_step(
     turned = abs(heading - state.heading_at_restart)
     due = due or (settings.restart_turn > 0 and turned > settings.restart_turn)
     candidates = _candidates(state.candidates, due, frame, last, seed, state.frame)
-    result = search(candidates, recipe(settings), frame, partial(stream, seed, state.frame))
-    chosen = result.selected
+    result = search(candidates, _recipe(settings), frame, partial(stream, seed, state.frame))
+    chosen = result.resampled
     mean = result.estimate if settings.weighted else mean_position(chosen)
     used = (chosen.origin >= 0) & np.isfinite(chosen.log_weights)
     weights, distinct = np.where(used, _shares(chosen), 0.0), used.sum(1)
@@ -238,7 +258,7 @@ def swarm_step(
 def _candidates(
     old: Hypotheses | None, due: bool, frame: SwarmFrame, last: Array, seed: int, number: int
 ) -> Hypotheses:
-    """The old population, renewed where a restart is due or a joint is seen for the first time."""
+    """Return the old population, renewed where a restart is due or a joint is seen for the first time."""
     s = frame.settings
     joints = frame.positions.shape[1]
     seen = np.asarray(frame.weights > 0)
@@ -247,7 +267,7 @@ def _candidates(
     renew = np.asarray((due & np.isfinite(last[..., 0]).any(0)) | ((old.origin < 0).all(1) & seen.any(0)))
     if not renew.any():
         return old
-    # a joint that nobody sees at a restart starts around where it was seen last; ride() has yet to add this frame's
+    # a joint that no sensor sees at a restart starts around where it was seen last; ride() has yet to add this frame's
     # movement
     usable = np.where(seen.any(0), seen, np.isfinite(last[..., 0]))
     placed = _placed(last - frame.moved, usable, renew, s.count, s.radius_m, stream(seed, number, -1))

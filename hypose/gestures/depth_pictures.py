@@ -1,4 +1,4 @@
-"""Depth pictures as they come, turned into what forests read; what is unusable is refused in one sentence."""
+"""Depth pictures as they come, turned into the input of forests; unusable ones are refused in one sentence."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hypose.compute import Depth
+from hypose.compute import DepthImage
 from hypose.errors import InputError
 
-SMALLEST, LARGEST = 32, 4096
+_SMALLEST, _LARGEST = 32, 4096
 """Sides of a picture, px."""
 _NEAR_METRES = 20.0
 
 
 @dataclass(frozen=True)
-class Lens:
+class DepthLens:
     """Pinhole of a depth camera: fx, fy, cx, cy px. One focal length (fx) scales the tests."""
 
     fx: float
@@ -33,28 +33,28 @@ class Lens:
             )
 
     def point(self, x: float, y: float, depth_m: float) -> NDArray[np.float64]:
-        """The point (3,) m in the camera's frame (x right, y down, z forward) seen at pixel (x, y)."""
+        """Return the point (3,) m in the camera's frame (x right, y down, z forward) seen at pixel (x, y)."""
         return np.array([(x - self.cx) / self.fx * depth_m, (y - self.cy) / self.fy * depth_m, depth_m])
 
-    def scaled(self, factor: float) -> Lens:
-        """The lens of the picture made `factor` times as large; pixel centres at whole numbers."""
+    def scaled(self, factor: float) -> DepthLens:
+        """Return the lens of the picture made `factor` times as large; pixel centres at whole numbers."""
         cx, cy = (self.cx + 0.5) * factor - 0.5, (self.cy + 0.5) * factor - 0.5
-        return Lens(self.fx * factor, self.fy * factor, cx, cy)
+        return DepthLens(self.fx * factor, self.fy * factor, cx, cy)
 
 
-KINECT = Lens(575.8, 575.8, 319.5, 239.5)
+KINECT = DepthLens(575.8, 575.8, 319.5, 239.5)
 """The first Kinect's depth camera at 640 x 480, nominal."""
 
 
-def millimetres(depth: ArrayLike, where: str = "The depth picture") -> Depth:
-    """A depth picture (h, w) as uint16 mm, 0 = hole: whole numbers are millimetres, floats are metres.
+def millimetres(depth: ArrayLike, where: str = "The depth picture") -> DepthImage:
+    """Return a depth picture (h, w) as uint16 mm, 0 = hole: whole numbers are millimetres, floats are metres.
 
     Raises InputError when it is no picture, or when whole numbers can only be metres.
     """
     d = np.asarray(depth)
-    if d.ndim != 2 or not all(SMALLEST <= n <= LARGEST for n in d.shape):
+    if d.ndim != 2 or not all(_SMALLEST <= n <= _LARGEST for n in d.shape):
         raise InputError(
-            f"{where} has shape {d.shape}; a depth picture is (height, width) with {SMALLEST} to {LARGEST} pixels a "
+            f"{where} has shape {d.shape}; a depth picture is (height, width) with {_SMALLEST} to {_LARGEST} pixels a "
             "side."
         )
     if d.dtype.kind == "f":
@@ -81,7 +81,7 @@ def millimetres(depth: ArrayLike, where: str = "The depth picture") -> Depth:
     return np.ascontiguousarray(d, dtype=np.uint16)
 
 
-def surface_depth(depth: Depth, x: float, y: float, radius: int = 6, near_mm: int = 400) -> float | None:
+def surface_depth(depth: DepthImage, x: float, y: float, radius: int = 6, near_mm: int = 400) -> float | None:
     """Depth (mm) of the nearer surface around a pixel: the 30th percentile of the window; None if it has < 5 values."""
     i, j = round(y), round(x)
     window = depth[max(0, i - radius) : max(0, i + radius + 1), max(0, j - radius) : max(0, j + radius + 1)]
@@ -89,8 +89,8 @@ def surface_depth(depth: Depth, x: float, y: float, radius: int = 6, near_mm: in
     return None if len(values) < 5 else float(np.percentile(values, 30))
 
 
-def check(what: str, settings: object, bounds: Mapping[str, tuple[float, float]]) -> None:
-    """InputError when an attribute of the settings is outside its bounds (inclusive) or no number."""
+def check_settings(what: str, settings: object, bounds: Mapping[str, tuple[float, float]]) -> None:
+    """Raise InputError when an attribute of the settings is outside its bounds (inclusive) or no number."""
     for name, (low, high) in bounds.items():
         value = getattr(settings, name)
         if not low <= value <= high:  # NaN is not within either

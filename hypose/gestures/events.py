@@ -11,14 +11,18 @@ from numpy.typing import NDArray
 
 from hypose.errors import InputError
 from hypose.geometry import Array
-from hypose.gestures.localise import Found
+from hypose.gestures.localise import Localisation
 
 
 @dataclass(frozen=True)
 class EventSettings:
-    """threshold: score (cm^2) from which a gesture counts; release: share of it below which it is let go (hysteresis);
-    hold_s: how long it must be held to start, let_go_s: to end; refractory_s: rest after the end in which the same
-    gesture does not start."""
+    """Event settings.
+
+    threshold: score (cm^2) from which a gesture counts.
+    release: share of it below which it is let go (hysteresis).
+    hold_s: how long it must be held to start, let_go_s: to end.
+    refractory_s: rest after the end in which the same gesture does not start.
+    """
 
     threshold: float
     release: float = 0.6
@@ -59,7 +63,7 @@ class _Watch:
 
 @dataclass(frozen=True)
 class EventState:
-    """What is going on with every gesture."""
+    """Progress of every gesture."""
 
     watches: Mapping[int, _Watch] = field(default_factory=dict)
 
@@ -68,10 +72,10 @@ class EventState:
         return [g for g, w in self.watches.items() if w.on]
 
 
-def step(
-    state: EventState, found: Sequence[Found], time: float, settings: Sequence[EventSettings]
+def detect_events(
+    state: EventState, found: Sequence[Localisation], time: float, settings: Sequence[EventSettings]
 ) -> tuple[EventState, list[Event]]:
-    """The next state and what happened in the frame of this time (s); settings in the order of the gestures."""
+    """Return the next state and what happened in the frame of this time (s); settings in the order of the gestures."""
     watches, events = dict(state.watches), []
     for f in found:
         s = settings[f.gesture - 1]
@@ -108,6 +112,6 @@ def precision_recall(scores: Array, correct: NDArray[np.bool_], positives: int) 
 
 
 def average_precision(scores: Array, correct: NDArray[np.bool_], positives: int) -> float:
-    """Mean precision at each correct detection, missed ones counting 0."""
+    """Return mean precision at each correct detection, missed ones counting 0."""
     precision, recall = precision_recall(scores, correct, positives)
     return float((precision * np.diff(recall, prepend=0.0)).sum())

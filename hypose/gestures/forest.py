@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hypose.compute import GrowingArrays, Packed, PaddedDepth, forest_votes, forests
 from hypose.errors import InputError
-from hypose.gestures.depth_pictures import check
+from hypose.gestures.depth_pictures import check_settings
 
 MAX_CLASSES = 17
 """The background and 16 gestures."""
@@ -23,11 +23,17 @@ MAX_CLASSES = 17
 class ForestSettings:
     """How a forest grows.
 
-    trees; deepest: levels below the root; clip_mm: the distance kappa at which both depths of a test are clipped around
-    the pixel's own (eq. 3.6), None = not at all (eq. 3.3); reach_mm: half side of the square that offsets are drawn
-    from (150 mm = 85 px at 2 m with the first Kinect); candidates: random tests per leaf; alpha: samples before a
-    split, beta: least information gain (bits), rate: mean of the Poisson number of repeats (Algorithm 6); most_slots:
-    leaves per tree that can hold candidates at a time, most_nodes: of one tree. The last two bound the memory.
+    trees.
+    deepest: levels below the root.
+    clip_mm: the distance kappa at which both depths of a test are clipped around the pixel's own (eq. 3.6), None = not
+        at all (eq. 3.3).
+    reach_mm: half side of the square that offsets are drawn from (150 mm = 85 px at 2 m with the first Kinect).
+    candidates: random tests per leaf.
+    alpha: samples before a split, beta: least information gain (bits), rate: mean of the Poisson number of repeats
+        (Algorithm 6).
+    most_slots: leaves per tree that can hold candidates at a time, most_nodes: of one tree.
+
+    The last two bound the memory.
     """
 
     trees: int = 15
@@ -51,7 +57,7 @@ class ForestSettings:
             "most_slots": (1, 8000),
             "most_nodes": (3, forests.MAX_NODES),
         }
-        check("A forest's", self, bounds)
+        check_settings("A forest's", self, bounds)
         if self.clip_mm is not None and not 1 <= self.clip_mm <= forests.UNCLIPPED_MM:
             raise InputError(f"A forest's clip_mm is {self.clip_mm}; it must be 1 to {forests.UNCLIPPED_MM}, or None.")
         if not 0 < self.rate <= 20 or not 0 <= self.beta <= 1:
@@ -85,18 +91,18 @@ class Forest:
 
     @cached_property
     def packed(self) -> Packed:
-        """The layout that scanning reads."""
+        """Return the layout that scanning reads."""
         return forest_votes.pack(self.test, self.left, self.seen, self.size)
 
     def probabilities(self, picture: PaddedDepth, rows: NDArray, columns: NDArray) -> NDArray[np.float64]:
-        """(S, C) mean class shares (eq. 3.1) at pixels; meaningless where there is no depth."""
+        """Return (S, C) mean class shares (eq. 3.1) at pixels; meaningless where there is no depth."""
         reached = forest_votes.leaves(picture, picture.cells(rows, columns), self.packed, self.settings.clip)
         shares = self.packed.shares[np.arange(len(self.left))[None], reached]
         return shares.mean(1) / 10000.0
 
 
 def new_arrays(settings: ForestSettings, classes: int, rng: np.random.Generator) -> GrowingArrays:
-    """A forest of bare roots; each tree gets its own random numbers from rng."""
+    """Return a forest of bare roots; each tree gets its own random numbers from rng."""
     if not 2 <= classes <= MAX_CLASSES:
         raise InputError(f"A forest tells {classes} classes; it must be 2 to {MAX_CLASSES}, the background included.")
     nt, n, s, t = settings.trees, min(64, settings.most_nodes), min(8, settings.most_slots), settings.candidates
@@ -130,7 +136,7 @@ class GrowingForest:
 
     @staticmethod
     def new(settings: ForestSettings, classes: int, rng: np.random.Generator) -> GrowingForest:
-        """A forest that has seen nothing."""
+        """Return a forest that has seen nothing."""
         return GrowingForest(settings, new_arrays(settings, classes, rng))
 
     @property
@@ -170,13 +176,13 @@ class GrowingForest:
             )
 
     def freeze(self) -> Forest:
-        """The forest as it is now; later growth does not change it."""
+        """Return the forest as it is now; later growth does not change it."""
         a, n = self.arrays, int(self.arrays.size.max())
         return Forest(self.settings, a.test[:, :n].copy(), a.left[:, :n].copy(), a.seen[:, :n].copy(), a.size.copy())
 
     @property
     def packed(self) -> Packed:
-        """The layout for scanning, now."""
+        """Return the layout for scanning, now."""
         a = self.arrays
         return forest_votes.pack(a.test, a.left, a.seen, a.size)
 

@@ -13,33 +13,39 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.compute import Depth, PaddedDepth, ScanPlan, forest_votes, forests
+from hypose.compute import DepthImage, PaddedDepth, ScanPlan, forest_votes, forests
 from hypose.errors import InputError
-from hypose.gestures.depth_pictures import KINECT, Lens, check, surface_depth
+from hypose.gestures.depth_pictures import KINECT, DepthLens, check_settings, surface_depth
 from hypose.gestures.forest import Forest, GrowingForest
 
 
 @dataclass(frozen=True)
 class LocaliseSettings:
-    """plan: where to look; majority: share that a pixel needs to vote; sigma_px: Parzen kernel; memory: share of the
-    new frame in the density, alpha of eq. 3.4 (1 = no memory); disc_mm: radius of the volume test's disc.
+    """Localise settings.
+
+    plan: where to look.
+    majority: share that a pixel needs to vote.
+    sigma_px: Parzen kernel.
+    adaptation_rate: share of the new frame in the density, alpha of eq. 3.4 (1 = no memory).
+    disc_mm: radius of the volume test's disc.
 
     The plan's stride and sigma_px are meant for a focal length of 575.8 px (the first Kinect at 640 x 480) and are
-    scaled with the lens, so that a picture of half the size gives the same answer."""
+    scaled with the lens, so that a picture of half the size gives the same answer.
+    """
 
     plan: ScanPlan = ScanPlan()
     majority: float = 0.5
     sigma_px: float = 8.0
-    memory: float = 1.0
+    adaptation_rate: float = 1.0
     disc_mm: float = 60.0
 
     def __post_init__(self) -> None:
-        check(
+        check_settings(
             "The localization's",
             self,
-            {"majority": (0, 1), "sigma_px": (0.01, 1000), "memory": (0, 1), "disc_mm": (1, 1000)},
+            {"majority": (0, 1), "sigma_px": (0.01, 1000), "adaptation_rate": (0, 1), "disc_mm": (1, 1000)},
         )
-        check(
+        check_settings(
             "The scan's",
             self.plan,
             {
@@ -52,17 +58,21 @@ class LocaliseSettings:
             },
         )
 
-    def at(self, lens: Lens) -> LocaliseSettings:
-        """The settings in the pixels of a lens."""
+    def at(self, lens: DepthLens) -> LocaliseSettings:
+        """Return the settings in the pixels of a lens."""
         factor = lens.fx / KINECT.fx
         plan = replace(self.plan, stride=max(1, round(self.plan.stride * factor)))
         return replace(self, plan=plan, sigma_px=self.sigma_px * factor)
 
 
 @dataclass(frozen=True)
-class Found:
-    """The best place for one gesture in one picture: gesture (number from 1 on); pixel x, y; position (3,) m in the
-    camera's frame, or None where no depth was measured; score = V (eq. 3.5) in cm^2, 0 when nothing voted."""
+class Localisation:
+    """The best place for one gesture in one picture.
+
+    gesture (number from 1 on); pixel x, y.
+    position (3,) m in the camera's frame, or None where no depth was measured.
+    score = V (eq. 3.5) in cm^2, 0 when nothing voted.
+    """
 
     gesture: int
     x: float
@@ -80,8 +90,10 @@ class Scratch:
     descents: int = 0
 
 
-def pad(depth: Depth, lens: Lens, reach_mm: int, near_mm: int, reuse: PaddedDepth | None = None) -> PaddedDepth:
-    """The picture as forests read it. A lens of another focal length may have a picture of any size."""
+def pad(
+    depth: DepthImage, lens: DepthLens, reach_mm: int, near_mm: int, reuse: PaddedDepth | None = None
+) -> PaddedDepth:
+    """Return the picture as forests read it. A lens of another focal length may have a picture of any size."""
     return forests.pad_depth(depth, lens.fx, near_mm, reach_mm, reuse)
 
 
@@ -90,29 +102,30 @@ Density = tuple[NDArray[np.float32], int]
 
 
 def localise(
-    depth: Depth,
-    lens: Lens,
+    depth: DepthImage,
+    lens: DepthLens,
     forest_list: Sequence[Forest | GrowingForest],
     settings: LocaliseSettings | None = None,
     scratch: Scratch | None = None,
-) -> list[Found]:
-    """The best place of every gesture in a depth picture (h, w) uint16 mm, in the order of the gestures.
+) -> list[Localisation]:
+    """Return the best place of every gesture in a depth picture (h, w) uint16 mm, in the order of the gestures.
 
     forest_list: one two-class forest per gesture (one against all; they share the padded picture), or a single forest
-    of several gestures. scratch: keep it between the frames of one stream; it holds the density's memory (eq. 3.4).
+        of several gestures.
+    scratch: keep it between the frames of one stream; it holds the density's memory (eq. 3.4).
     """
     s, kept = settings or LocaliseSettings(), scratch or Scratch()
     return settle(densities(depth, lens, forest_list, s, kept), depth, lens, s, kept)
 
 
 def densities(
-    depth: Depth,
-    lens: Lens,
+    depth: DepthImage,
+    lens: DepthLens,
     forest_list: Sequence[Forest | GrowingForest],
     settings: LocaliseSettings,
     scratch: Scratch,
 ) -> list[Density]:
-    """The density of every gesture's votes in this picture alone: the first half of `localise`."""
+    """Return the density of every gesture's votes in this picture alone: the first half of `localise`."""
     s = settings.at(lens)
     if not forest_list:
         raise InputError("There is no forest to look with; train a gesture first.")
@@ -137,32 +150,39 @@ def densities(
 
 
 def settle(
-    maps: Sequence[Density], depth: Depth, lens: Lens, settings: LocaliseSettings, scratch: Scratch
-) -> list[Found]:
-    """The best place of every gesture, from the densities of this picture and the memory of the last ones (eq. 3.4).
+    maps: Sequence[Density], depth: DepthImage, lens: DepthLens, settings: LocaliseSettings, scratch: Scratch
+) -> list[Localisation]:
+    """Return the best place of every gesture, from the densities of this picture and the memory of the last ones (eq.
+    3.4).
 
-    Deviation: alpha is 1, no memory, unless it is set; `hypose gesture` sets the printed 0.8."""
+    Deviation: alpha is 1, no memory, unless it is set; `hypose gesture` sets the printed 0.8.
+    """
     s, out = settings.at(lens), []
     for gesture, (density, at) in enumerate(maps, 1):
-        if s.memory < 1:
+        if s.adaptation_rate < 1:
             scratch.densities = scratch.densities or {}
             last = scratch.densities.get(gesture)
             if last is not None and last.shape == density.shape:
-                density = (np.float32(s.memory) * density + np.float32(1 - s.memory) * last).astype(np.float32)
+                density = (np.float32(s.adaptation_rate) * density + np.float32(1 - s.adaptation_rate) * last).astype(
+                    np.float32
+                )
                 at = int(density.argmax())
             scratch.densities[gesture] = density
         out.append(peak(gesture, density, at, depth, lens, s))
     return out
 
 
-def peak(gesture: int, density: NDArray[np.float32], at: int, depth: Depth, lens: Lens, s: LocaliseSettings) -> Found:
-    """The maximum of a density with its volume (eq. 3.5) and position; sub-cell by a parabola per axis.
+def peak(
+    gesture: int, density: NDArray[np.float32], at: int, depth: DepthImage, lens: DepthLens, s: LocaliseSettings
+) -> Localisation:
+    """Return the maximum of a density with its volume (eq. 3.5) and position; sub-cell by a parabola per axis.
 
-    Deviation: V is an area, the cm^2 of surface that vote within the disc, so that it does not depend on distance."""
+    Deviation: V is an area, the cm^2 of surface that vote within the disc, so that it does not depend on distance.
+    """
     i, j = divmod(at, density.shape[1])
     stride = s.plan.stride
     if density[i, j] <= 0:
-        return Found(gesture, float(j * stride + stride // 2), float(i * stride + stride // 2), 0.0, None)
+        return Localisation(gesture, float(j * stride + stride // 2), float(i * stride + stride // 2), 0.0, None)
     y, x = (i + _vertex(density[:, j], i)) * stride + stride // 2, (j + _vertex(density[i], j)) * stride + stride // 2
     z = surface_depth(depth, x, y)
     # with memory the maximum may lie where the hand was; the disc then takes the middle of the room
@@ -172,7 +192,7 @@ def peak(gesture: int, density: NDArray[np.float32], at: int, depth: Depth, lens
     rows, columns = np.ogrid[a.start : min(a.stop, density.shape[0]), b.start : min(b.stop, density.shape[1])]
     inside = (rows - i) ** 2 + (columns - j) ** 2 <= radius**2
     score = 1e4 * float(density[a, b][inside].sum())
-    return Found(gesture, float(x), float(y), score, None if z is None else lens.point(x, y, z / 1000))
+    return Localisation(gesture, float(x), float(y), score, None if z is None else lens.point(x, y, z / 1000))
 
 
 def _vertex(line: NDArray[np.float32], k: int) -> float:

@@ -14,10 +14,9 @@ from hypose.compute import GrowingArrays
 from hypose.errors import InputError
 from hypose.gestures.forest import MAX_CLASSES, Forest, ForestSettings, GrowingForest
 from hypose.gestures.localise import LocaliseSettings
-from hypose.gestures.online import Learner
-from hypose.gestures.pixels import LearnSettings
+from hypose.gestures.online import Learner, LearnSettings
 
-FORMAT, VERSION = "hypose-gesture", 2
+_FORMAT, VERSION = "hypose-gesture", 2
 _KINDS = {
     "test": ("<i2", 3), "left": ("<i2", 2), "seen": ("<u4", 3), "level": ("|u1", 2), "slot": ("<i2", 2),
     "size": ("<i4", 1), "free": ("<i2", 2), "n_free": ("<i4", 1), "candidate": ("<i2", 4), "left_count": ("<u2", 4),
@@ -26,8 +25,8 @@ _KINDS = {
 
 
 def check_gesture_name(name: str) -> None:
-    """An InputError for what is no name: names go into files and, as words, to commands, which must not take one for
-    an option of theirs."""
+    """Raise InputError for text that is no name: names go into files and, as words, to commands, which must not take
+    one for an option of theirs."""
     if not 1 <= len(name) <= 64 or not all(c.isalnum() or c in "_-" for c in name) or name.startswith("-"):
         raise InputError(
             f"{name[:80]!r} is no name for a gesture; use up to 64 letters, digits, - and _, and no - in front."
@@ -36,9 +35,15 @@ def check_gesture_name(name: str) -> None:
 
 @dataclass(frozen=True)
 class GestureModel:
-    """names: of gesture 1, 2, ...; forest: finished or still growing; thresholds: per gesture (cm^2), None = not known
-    yet; settings: how it looks; learner: what teaching needs to go on (None for a finished forest); history: what it
-    was trained on, plain values."""
+    """Gesture model.
+
+    names: of gesture 1, 2, ...
+    forest: finished or still growing.
+    thresholds: per gesture (cm^2), None = not known yet.
+    settings: how it looks.
+    learner: what teaching needs to go on (None for a finished forest).
+    history: what it was trained on, plain values.
+    """
 
     names: tuple[str, ...]
     forest: Forest | GrowingForest
@@ -61,7 +66,7 @@ class GestureModel:
         return bool(content) and any(entry.get("content") == content for entry in self.history)
 
     def with_thresholds(self, *thresholds: float | None) -> GestureModel:
-        """The model with other thresholds."""
+        """Return the model with other thresholds."""
         return replace(self, thresholds=thresholds)
 
 
@@ -75,7 +80,7 @@ def to_arrays(model: GestureModel) -> dict[str, NDArray]:
         arrays = {"test": f.test, "left": f.left, "seen": f.seen, "size": f.size}
     look = model.settings
     value: dict[str, Any] = {
-        "format": FORMAT,
+        "format": _FORMAT,
         "version": VERSION,
         "growing": growing,
         "names": list(model.names),
@@ -98,7 +103,7 @@ def to_arrays(model: GestureModel) -> dict[str, NDArray]:
 
 
 def from_arrays(arrays: Mapping[str, NDArray]) -> GestureModel:
-    """The model of `to_arrays`; ValueError with a short reason when it is none or cannot be walked safely."""
+    """Return the model of `to_arrays`; ValueError with a short reason when it is none or cannot be walked safely."""
     value = _description(arrays)
     settings = _made(ForestSettings, value.get("forest"))
     growing = value.get("growing") is True
@@ -132,7 +137,7 @@ def _description(arrays: Mapping[str, NDArray]) -> dict[str, Any]:
         value = json.loads(str(text))
     except (ValueError, RecursionError):
         raise ValueError("its description is no JSON") from None
-    if not isinstance(value, dict) or value.get("format") != FORMAT:
+    if not isinstance(value, dict) or value.get("format") != _FORMAT:
         raise ValueError("it is no gesture model")
     if value.get("version") != VERSION:
         raise ValueError(f"it is of version {value.get('version')}, this hypose reads version {VERSION}")

@@ -1,7 +1,7 @@
 """Learning while you watch: positives around the marked point, hard negatives where the forest is wrong just now.
 
-Alcoverro 2014, 3.3.1-3.3.2. Deviations, from measurements, beside those of pixels.py: a few random negatives go with
-the hard ones; their number is proportional to the maximum relative to what gestures reach.
+Alcoverro 2014, 3.3.1-3.3.2. Deviations, from measurements: a few random negatives go with the hard ones; the number of
+hard ones is proportional to the maximum relative to the maxima that gestures reach.
 """
 
 from __future__ import annotations
@@ -9,13 +9,134 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hypose.compute import Depth
+from hypose.compute import DepthImage, ScanPlan
 from hypose.errors import InputError
-from hypose.gestures.depth_pictures import Lens, surface_depth
+from hypose.gestures.depth_pictures import DepthLens, check_settings, surface_depth
 from hypose.gestures.forest import ForestSettings, GrowingForest
-from hypose.gestures.localise import Found, Scratch, localise, pad
-from hypose.gestures.pixels import BACKGROUND, Chooser, LearnSettings, Pixels
+from hypose.gestures.localise import Localisation, LocaliseSettings, Scratch, localise, pad
+
+BACKGROUND = 0
+Pixels = tuple[NDArray[np.int64], NDArray[np.int64]]
+"""Rows (S,) and columns (S,)."""
+
+
+@dataclass(frozen=True)
+class LearnSettings:
+    """How many pixels of a frame are learned. positives within box_mm of the marked point and surface_mm of its depth.
+
+    around: negatives between rim_mm and clear_mm of it, which teach where the gesture's place ends.
+    random: random negatives outside clear_mm.
+    hard: most hard negatives, within box_mm of the maximum.
+    few: random negatives that go with them.
+    many: random negatives without hard ones (the baseline).
+    look: how the forest is asked while it learns.
+    """
+
+    positives: int = 30
+    around: int = 10
+    random: int = 8
+    hard: int = 30
+    few: int = 2
+    many: int = 10
+    box_mm: float = 15.0
+    rim_mm: float = 20.0
+    surface_mm: float = 80.0
+    clear_mm: float = 45.0
+    look: LocaliseSettings = LocaliseSettings(ScanPlan(stride=8, coarse=0), sigma_px=10.0)
+
+    def __post_init__(self) -> None:
+        counts = dict.fromkeys(("positives", "around", "random", "hard", "few", "many"), (0, 1000))
+        lengths = dict.fromkeys(("box_mm", "rim_mm", "surface_mm", "clear_mm"), (1, 1000))
+        check_settings("Learning's", self, {**counts, **lengths})
+
+
+@dataclass(frozen=True)
+class Example:
+    """A frame to learn from.
+
+    depth (h, w) uint16 mm.
+    gesture from 1 on at pixel (x, y), or 0 for none.
+    """
+
+    depth: DepthImage
+    lens: DepthLens
+    gesture: int = 0
+    x: float = 0.0
+    y: float = 0.0
+
+
+@dataclass
+class PixelSampler:
+    """Draws pixels of frames with its random numbers."""
+
+    rng: np.random.Generator
+    settings: LearnSettings
+
+    def choose(self, example: Example, positives: int, negatives: int) -> list[tuple[Pixels, int]]:
+        """Pixels to learn offline from an example with their classes, drawn as in online learning."""
+        e, s = example, self.settings
+        if not e.gesture:
+            return [(self.anywhere(e.depth, negatives, None), BACKGROUND)]
+        surface = self.surface(e.depth, e.x, e.y)
+        if surface is None:
+            return []
+        scale = e.lens.fx / surface
+        return [
+            (self.inside(e.depth, e.x, e.y, scale, surface, positives), e.gesture),
+            (self.anywhere(e.depth, negatives, (e.x, e.y, s.clear_mm * scale)), BACKGROUND),
+            (self.rim(e.depth, e.x, e.y, scale), BACKGROUND),
+        ]
+
+    def inside(self, depth: DepthImage, x: float, y: float, scale: float, surface: float, n: int) -> Pixels:
+        """Pixels of the gesture's own surface around the marked point; scale: px per mm there."""
+        s = self.settings
+        return self.ring(depth, x, y, (0.0, s.box_mm * scale), n, (surface - s.surface_mm, surface + s.surface_mm))
+
+    def rim(self, depth: DepthImage, x: float, y: float, scale: float) -> Pixels:
+        """Pixels around the gesture's place."""
+        s = self.settings
+        return self.ring(depth, x, y, (s.rim_mm * scale, s.clear_mm * scale), s.around)
+
+    def ring(
+        self,
+        depth: DepthImage,
+        x: float,
+        y: float,
+        radii: tuple[float, float],
+        n: int,
+        between: tuple[float, float] = (0.0, np.inf),
+    ) -> Pixels:
+        """At most n pixels at a distance (px) of (x, y) within `radii`, evenly over the area, and at a depth (mm) that
+        is usable and within `between`."""
+        angle = self.rng.uniform(0, 2 * np.pi, 4 * n)
+        r = np.sqrt(self.rng.uniform(radii[0] ** 2, radii[1] ** 2, 4 * n))
+        columns = np.rint(x + r * np.cos(angle)).astype(np.int64)
+        rows = np.rint(y + r * np.sin(angle)).astype(np.int64)
+        ok = (columns >= 0) & (rows >= 0) & (columns < depth.shape[1]) & (rows < depth.shape[0])
+        rows, columns = rows[ok], columns[ok]
+        d = depth[rows, columns].astype(np.int64)
+        ok = self._usable(d) & (d >= between[0]) & (d <= between[1])
+        return rows[ok][:n], columns[ok][:n]
+
+    def anywhere(self, depth: DepthImage, n: int, clear: tuple[float, float, float] | None) -> Pixels:
+        """Return at most n usable pixels of the whole picture, but for a circle (x, y, radius px)."""
+        rows = self.rng.integers(0, depth.shape[0], 6 * n)
+        columns = self.rng.integers(0, depth.shape[1], 6 * n)
+        ok = self._usable(depth[rows, columns].astype(np.int64))
+        if clear is not None:
+            ok &= (columns - clear[0]) ** 2 + (rows - clear[1]) ** 2 > clear[2] ** 2
+        return rows[ok][:n], columns[ok][:n]
+
+    def surface(self, depth: DepthImage, x: float, y: float) -> float | None:
+        """Return the depth (mm) of the marked surface, if it is where the forest looks."""
+        surface, plan = surface_depth(depth, x, y), self.settings.look.plan
+        return surface if surface is not None and plan.near_mm <= surface <= plan.far_mm else None
+
+    def _usable(self, d: NDArray) -> NDArray[np.bool_]:
+        plan = self.settings.look.plan
+        return (d >= plan.near_mm) & (d <= plan.far_mm)
 
 
 @dataclass(frozen=True)
@@ -24,8 +145,8 @@ class Taught:
     maximum."""
 
     learned: tuple[int, ...]
-    mined: tuple[Found, ...]
-    maxima: tuple[Found, ...]
+    mined: tuple[Localisation, ...]
+    maxima: tuple[Localisation, ...]
 
 
 @dataclass
@@ -47,11 +168,13 @@ class Learner:
         settings: LearnSettings | None = None,
         gestures: int = 1,
     ) -> Learner:
-        """A learner that knows nothing yet."""
+        """Return a learner that knows nothing yet."""
         grown = GrowingForest.new(forest or ForestSettings(), gestures + 1, rng)
         return Learner(grown, rng, settings or LearnSettings())
 
-    def show(self, depth: Depth, lens: Lens, gesture: int, x: float, y: float, *, mine: bool = True) -> Taught | None:
+    def show(
+        self, depth: DepthImage, lens: DepthLens, gesture: int, x: float, y: float, *, mine: bool = True
+    ) -> Taught | None:
         """Learn a frame (h, w) uint16 mm in which a gesture (number from 1) is done at pixel (x, y).
 
         None when no surface is measured at that pixel between the nearest and farthest range. mine: also learn hard
@@ -68,7 +191,7 @@ class Learner:
         clear = (x, y, s.clear_mm * scale)
         counts = [0] * self.forest.classes
         self._learn(draw.inside(depth, x, y, scale, surface, s.positives), gesture, counts)
-        self._learn(draw.anywhere(depth, s.beside if mine else s.many, clear), BACKGROUND, counts)
+        self._learn(draw.anywhere(depth, s.random if mine else s.many, clear), BACKGROUND, counts)
         if mine:
             self._learn(draw.rim(depth, x, y, scale), BACKGROUND, counts)
         mined = []
@@ -80,7 +203,7 @@ class Learner:
                 mined.append(found)
         return Taught(tuple(counts), tuple(mined), maxima)
 
-    def reject(self, depth: Depth, lens: Lens, *, mine: bool = True) -> Taught:
+    def reject(self, depth: DepthImage, lens: DepthLens, *, mine: bool = True) -> Taught:
         """Learn a frame in which no gesture is done: hard negatives at every maximum and a few random ones, or only
         random ones (mine = False).
 
@@ -94,10 +217,10 @@ class Learner:
         return Taught(tuple(counts), mined, maxima)
 
     @property
-    def _draw(self) -> Chooser:
-        return Chooser(self.rng, self.settings)
+    def _draw(self) -> PixelSampler:
+        return PixelSampler(self.rng, self.settings)
 
-    def _take(self, depth: Depth, lens: Lens, look: bool) -> tuple[Found, ...]:
+    def _take(self, depth: DepthImage, lens: DepthLens, look: bool) -> tuple[Localisation, ...]:
         """Pad the picture for learning, and look for the maxima if wanted."""
         s = self.settings.look
         if look:
@@ -105,7 +228,7 @@ class Learner:
         self.scratch.picture = pad(depth, lens, self.forest.settings.reach_mm, s.plan.near_mm, self.scratch.picture)
         return ()
 
-    def _mine(self, depth: Depth, lens: Lens, found: Found, counts: list[int]) -> bool:
+    def _mine(self, depth: DepthImage, lens: DepthLens, found: Localisation, counts: list[int]) -> bool:
         surface = surface_depth(depth, found.x, found.y)
         if found.score <= 0 or surface is None:
             return False

@@ -1,6 +1,6 @@
 """An exported gesture forest in plain numpy: this file alone runs it, without the rest of hypose.
 
-    model = load("forest.npz", "forest.json")
+    model = load_forest("forest.npz", "forest.json")
     x, y, score = find(model, depth_mm, focal_px=575.8)[0]      # one (x, y, score) per gesture
 
 forest.npz: test (T, N, 5) int16, left (T, N) int16, share (T, N, C) uint16; T trees of N nodes, C classes, class 0 is
@@ -23,10 +23,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-FAR = 10000
+_OUTSIDE_DEPTH = 10000
 
 
-def load(arrays: str, description: str) -> dict[str, Any]:
+def load_forest(arrays: str, description: str) -> dict[str, Any]:
     """Read forest.npz and forest.json."""
     with open(description, encoding="utf-8") as file:
         model = json.load(file)
@@ -37,7 +37,7 @@ def load(arrays: str, description: str) -> dict[str, Any]:
 def shares(
     model: dict[str, Any], depth: NDArray[np.uint16], rows: NDArray, columns: NDArray, focal_px: float
 ) -> NDArray[np.float64]:
-    """(S, C) mean class probabilities at the pixels (rows, columns) of a depth picture (h, w) in mm."""
+    """Return (S, C) mean class probabilities at the pixels (rows, columns) of a depth picture (h, w) in mm."""
     d = depth[rows, columns].astype(np.int32)
     # the same order of single-precision operations as the compiled version, so that the same pixels are read
     scale = (float(focal_px) / np.maximum(d, 1)).astype(np.float32)
@@ -47,9 +47,9 @@ def shares(
         r = rows + (dy.astype(np.float32) * scale + np.float32(4096.5)).astype(np.int32) - 4096
         c = columns + (dx.astype(np.float32) * scale + np.float32(4096.5)).astype(np.int32) - 4096
         inside = (r >= 0) & (c >= 0) & (r < depth.shape[0]) & (c < depth.shape[1])
-        value = np.full(len(d), FAR, np.int32)
+        value = np.full(len(d), _OUTSIDE_DEPTH, np.int32)
         value[inside] = depth[r[inside], c[inside]]
-        value[(value == 0) | (value > FAR)] = FAR
+        value[(value == 0) | (value > _OUTSIDE_DEPTH)] = _OUTSIDE_DEPTH
         return np.clip(value, d - clip, d + clip)
 
     total = np.zeros((len(d), model["share"].shape[2]))
@@ -66,7 +66,8 @@ def shares(
 def find(
     model: dict[str, Any], depth: NDArray[np.uint16], focal_px: float, stride: int = 0
 ) -> list[tuple[float, float, float]]:
-    """(x, y, score) of the best place of each gesture; score in cm^2 of surface that votes within the disc (eq. 3.5).
+    """Return (x, y, score) of the best place of each gesture; score in cm^2 of surface that votes within the disc (eq.
+    3.5).
 
     stride: every how many pixels to look; 0: 4 at a focal length of 575.8 px, in proportion at others.
     """

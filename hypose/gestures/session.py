@@ -1,8 +1,8 @@
-"""The training session as a pure state machine: what the person is asked to do, what is learned, the threshold.
+"""The training session as a pure state machine: instructions to the person, learned frames, the threshold.
 
 Alcoverro 2014, 3.4, Fig. 3.10: do gesture, update positive, release, do negatives, repeated, then test. A step takes
 the time and the commands given since the last one and returns the next state and an instruction; drawing, learning and
-recording belong to whoever drives it, so that a session can be replayed exactly.
+recording belong to the caller, so that a session can be replayed exactly.
 """
 
 from __future__ import annotations
@@ -33,8 +33,12 @@ _PROMPTS: dict[Phase, str] = {
 
 @dataclass(frozen=True)
 class SessionSettings:
-    """Seconds of every phase; rounds until the test; sigma: share of the newest frame in the moving averages of the
-    threshold; rho: weight of the positive one (0.8: few false alarms)."""
+    """Seconds of every phase.
+
+    rounds until the test.
+    sigma: share of the newest frame in the moving averages of the threshold.
+    rho: weight of the positive one (0.8: few false alarms).
+    """
 
     do_gesture_s: float = 3.0
     positive_s: float = 5.0
@@ -52,15 +56,21 @@ class SessionSettings:
             raise InputError(f"sigma is {self.sigma} and rho {self.rho}; both must be between 0 and 1.")
 
     def seconds(self, phase: Phase) -> float:
-        """How long a phase lasts; the test does not end."""
+        """Return how long a phase lasts; the test does not end."""
         return float("inf") if phase == "test" else float(getattr(self, f"{phase}_s"))
 
 
 @dataclass(frozen=True)
 class Session:
-    """phase, entered at a time (s), in a round (from 0); segment: number of the learning segment, counted up whenever
-    one begins; paused since; undone: segments that were taken back; high, low: the moving averages th+ and th- with
-    which the threshold is made, and what they were when the segment began (for undo)."""
+    """Session.
+
+    phase, entered at a time (s), in a round (from 0).
+    segment: number of the learning segment, counted up whenever one begins.
+    paused since.
+    undone: segments that were taken back.
+    high, low: the moving averages th+ and th- with which the threshold is made, and what they were when the segment
+        began (for undo).
+    """
 
     phase: Phase = "do_gesture"
     entered: float = 0.0
@@ -82,8 +92,11 @@ class Session:
 @dataclass(frozen=True)
 class Instruction:
     """What to do in this frame: show the prompt and the time left (s; inf in the test), learn the gesture in the box,
-    learn negatives, or nothing; segment: which one the frame belongs to (0 = none); restart: the forest must go back to
-    where the last segment began."""
+    learn negatives, or nothing.
+
+    segment: which one the frame belongs to (0 = none).
+    restart: the forest must go back to where the last segment began.
+    """
 
     phase: Phase
     prompt: str
@@ -93,11 +106,11 @@ class Instruction:
     restart: bool = False
 
 
-def step(
+def advance(
     session: Session, settings: SessionSettings, time: float, commands: Sequence[Command] = ()
 ) -> tuple[Session, Instruction]:
-    """The session at a time (s), after commands: next phase now; undo the last learned segment; pause and continue;
-    again (another round); test."""
+    """Return the session at a time (s), after commands: next phase now; undo the last learned segment; pause and
+    continue; again (another round); test."""
     s, restart = session, False
     for c in commands:
         if c not in COMMANDS:
@@ -133,7 +146,7 @@ def step(
     return s, Instruction(s.phase, prompt, max(0.0, left), learn, s.segment if learn else 0, restart)
 
 
-def observe(session: Session, settings: SessionSettings, maximum: float) -> Session:
+def update_maximum(session: Session, settings: SessionSettings, maximum: float) -> Session:
     """Take the forest's maximum in a frame into the moving average of its phase (th+ or th-)."""
     if session.paused is not None or session.phase not in ("positive", "negative"):
         return session
@@ -144,7 +157,7 @@ def observe(session: Session, settings: SessionSettings, maximum: float) -> Sess
 
 
 def _follow(s: Session, settings: SessionSettings, time: float) -> Session:
-    """The phase after this one; after the negatives another round, or the test when that was the last."""
+    """Return the phase after this one; after the negatives another round, or the test when that was the last."""
     if s.phase != "negative":
         return _enter(s, _AFTER[s.phase], time)
     if s.round + 1 >= settings.rounds:

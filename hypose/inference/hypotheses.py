@@ -19,14 +19,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int32]
+_IntArray = NDArray[np.int32]
 
 
 BEFORE = "before"
 """Column: the state (D,) that each hypothesis had a step ago, its own history."""
 
 
-def _none() -> IntArray:
+def _none() -> _IntArray:
     return np.zeros((), np.int32)
 
 
@@ -34,19 +34,22 @@ def _none() -> IntArray:
 class Hypotheses:
     """N states per population with their log-weights. Never mutated: every operation returns a new set.
 
-    values (*B, N, D) float64, in the units of the caller; log_weights (*B, N) float64, up to a constant per
-    population, NaN and +inf count as no evidence for that hypothesis (weight 0). origin (*B, N) int32: the number of
-    the sensor, kernel or parent that it comes from. role (*B, N) int32: any number of roles, bit k stands for
-    role_names[k]; read it with ``has`` and write it with ``marked``. One number for a column stands for all
-    hypotheses. covariance (*B, N, D, D) float64 of each single hypothesis, or None. columns: whatever else belongs to
-    each single hypothesis (a velocity, a cost), arrays (*B, N, ...) by name. Raises ValueError when the shapes do not
-    agree or a population is empty.
+    values (*B, N, D) float64, in the units of the caller.
+    log_weights (*B, N) float64, up to a constant per population, NaN and +inf count as no evidence for that hypothesis
+        (weight 0).
+    origin (*B, N) int32: the number of the sensor, kernel or parent that it comes from.
+    role (*B, N) int32: any number of roles, bit k stands for role_names[k]; read it with ``has`` and write it with
+        ``marked``. One number for a column stands for all hypotheses.
+    covariance (*B, N, D, D) float64 of each single hypothesis, or None.
+    columns: whatever else belongs to each single hypothesis (a velocity, a cost), arrays (*B, N, ...) by name.
+
+    Raises ValueError when the shapes do not agree or a population is empty.
     """
 
     values: FloatArray
     log_weights: FloatArray
-    origin: IntArray = field(default_factory=_none)
-    role: IntArray = field(default_factory=_none)
+    origin: _IntArray = field(default_factory=_none)
+    role: _IntArray = field(default_factory=_none)
     role_names: tuple[str, ...] = ()
     covariance: FloatArray | None = None
     columns: Mapping[str, NDArray[Any]] = field(default_factory=dict)
@@ -86,11 +89,11 @@ class Hypotheses:
         return Hypotheses(states, _equal_log_weights(states), np.asarray(origin, np.int32))
 
     def equal(self, values: FloatArray | None = None) -> Hypotheses:
-        """The same hypotheses, or other values (*B, N, D) for them, with equal weights 1/N."""
+        """Return the same hypotheses, or other values (*B, N, D) for them, with equal weights 1/N."""
         return (self if values is None else self.at(values))._with(log_weights=_equal_log_weights(self.values))
 
     def at(self, values: FloatArray) -> Hypotheses:
-        """The same hypotheses at other values (*B, N, D)."""
+        """Return the same hypotheses at other values (*B, N, D)."""
         assert values.shape == self.values.shape and values.dtype == np.float64
         return self._with(values=values)
 
@@ -102,13 +105,14 @@ class Hypotheses:
         return out
 
     def has(self, role: str) -> NDArray[np.bool_]:
-        """(*B, N) True for the hypotheses in this role; a role that nobody has been given is nobody's."""
+        """Return (*B, N) True for the hypotheses in this role; False everywhere for an unknown role."""
         if role not in self.role_names:
             return np.zeros(self.role.shape, np.bool_)
         return (self.role >> self.role_names.index(role) & 1).astype(np.bool_)
 
     def marked(self, role: str, members: ArrayLike) -> Hypotheses:
-        """The same set with this role given to the members (*B, N) bool, or their indices, and taken from all others.
+        """Return the same set with this role given to the members (*B, N) bool, or their indices, and taken from all
+        others.
 
         A set knows at most 31 roles; ValueError at the next one.
         """
@@ -152,13 +156,13 @@ class Hypotheses:
 
     @cached_property
     def weights(self) -> FloatArray:
-        """(*B, N) weights, non-negative, finite and summing to 1; all 1/N where the evidence is lost."""
+        """Return (*B, N) weights, non-negative, finite and summing to 1; all 1/N where the evidence is lost."""
         weights = np.exp(self.relative_log_weights)
         return weights / weights.sum(axis=-1, keepdims=True)
 
     @property
     def ess(self) -> FloatArray:
-        """(*B,) effective number of hypotheses 1 / sum(weights^2), between 1 and N."""
+        """Return (*B,) effective number of hypotheses 1 / sum(weights^2), between 1 and N."""
         return 1.0 / np.square(self.weights).sum(axis=-1)
 
     def reweighted(self, log_likelihood: ArrayLike) -> Hypotheses:
@@ -180,22 +184,22 @@ class Hypotheses:
         return np.einsum("...n,...nd->...d", self.weights, self.values)
 
     def best(self) -> FloatArray:
-        """(*B, D) the state of largest weight (the first one among equals)."""
+        """Return (*B, D) the state of largest weight (the first one among equals)."""
         index = self.weights.argmax(axis=-1)[..., None, None]
         return np.take_along_axis(self.values, index, axis=-2)[..., 0, :]
 
     def scatter(self) -> FloatArray:
-        """(*B, D, D) weighted covariance of the states around their mean (no small-sample correction)."""
+        """Return (*B, D, D) weighted covariance of the states around their mean (no small-sample correction)."""
         deviation = self.values - self.mean()[..., None, :]
         return np.einsum("...nd,...ne->...de", self.weights[..., None] * deviation, deviation)
 
     def spread(self) -> FloatArray:
-        """(*B, D) weighted standard deviation per coordinate, in the units of the coordinates."""
+        """Return (*B, D) weighted standard deviation per coordinate, in the units of the coordinates."""
         deviation = self.values - self.mean()[..., None, :]
         return np.sqrt(np.einsum("...n,...nd->...d", self.weights, np.square(deviation)))
 
     def take(self, index: ArrayLike) -> Hypotheses:
-        """The hypotheses at index (*B, M), with their log-weights, origins, roles, covariances and columns."""
+        """Return the hypotheses at index (*B, M), with their log-weights, origins, roles, covariances and columns."""
         chosen = np.asarray(index, dtype=np.intp)
         return self._with(
             values=_taken(self.values, chosen),
@@ -223,7 +227,6 @@ def _taken(column: NDArray[Any], chosen: NDArray[np.intp]) -> NDArray[Any]:
 
 
 def _usable(log_weights: FloatArray) -> NDArray[np.bool_]:
-    """True where a log-weight is a finite number: -inf is weight 0, NaN and +inf come from a failed
-    measurement.
-    """
+    """Return True where a log-weight is a finite number: -inf is weight 0, NaN and +inf come from a failed
+    measurement."""
     return np.isfinite(log_weights)

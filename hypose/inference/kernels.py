@@ -2,7 +2,7 @@
 a mixture sets the origins.
 
 Every kernel draws its numbers as one block with a row per hypothesis (and a column per coordinate that it moves),
-filled in row order, and hypothesis i reads row i (see ``random_streams``). Products are formed with einsum and plain
+filled in row order, and hypothesis i reads row i (see ``layer.stream``). Products are formed with einsum and plain
 loops, never with a threaded BLAS, so the numbers do not depend on the number of threads.
 """
 
@@ -24,7 +24,7 @@ class LogPrior(Protocol):
     """Log-probability (*B, N) of states (*B, N, D), up to a constant."""
 
     def __call__(self, values: FloatArray, /) -> FloatArray:
-        """One number per state."""
+        """Return one number per state."""
         ...
 
 
@@ -65,7 +65,7 @@ class HeavyTail:
             raise ValueError(f"a heavy tail needs a share in [0, 1] and a factor >= 0, got {self.share}, {self.factor}")
 
     def gain(self, count: int, dimension: int) -> FloatArray:
-        """(N, D) factors on the steps."""
+        """Return (N, D) factors on the steps."""
         gain = np.ones((count, dimension))
         gain[np.ix_(every(self.share, count), _mask(self.coordinates, dimension))] = self.factor
         return gain
@@ -101,7 +101,7 @@ class GaussianDiffusion:
         object.__setattr__(self, "sigma", sigma)
 
     def __call__(self, h: Hypotheses, frame: Any, rng: np.random.Generator, /) -> Hypotheses:
-        """One Gaussian step for every hypothesis."""
+        """Return one Gaussian step for every hypothesis."""
         own = np.flatnonzero(self.sigma > 0)
         step = rng.standard_normal((*h.values.shape[:-1], own.size)) * self.sigma[own]
         if self.heavy_tail is not None:
@@ -130,7 +130,7 @@ class AdaptiveDiffusion:
             raise ValueError(f"the scale of an adaptive diffusion must be finite and not negative, got {self.scale}")
 
     def __call__(self, h: Hypotheses, frame: Any, rng: np.random.Generator, /) -> Hypotheses:
-        """One step in the shape of the current set."""
+        """Return one step in the shape of the current set."""
         factor = semidefinite_cholesky(self.scale**2 * h.scatter())
         step = np.einsum("...nk,...dk->...nd", rng.standard_normal(h.values.shape), factor)
         return replace(h, values=reflect(h.values + step, self.lower, self.upper))
@@ -150,7 +150,7 @@ class ConstantVelocity:
     upper: FloatArray | None = None
 
     def __call__(self, h: Hypotheses, frame: Any, rng: np.random.Generator, /) -> Hypotheses:
-        """The same step for every hypothesis."""
+        """Return the same step for every hypothesis."""
         step = self.gain * np.asarray(self.velocity, np.float64)
         moved = reflect(h.values + step, self.lower, self.upper)
         return replace(h, values=np.where(step != 0, moved, h.values))
@@ -163,7 +163,7 @@ class Compose:
     kernels: tuple[Kernel, ...]
 
     def __call__(self, h: Hypotheses, frame: Any, rng: np.random.Generator, /) -> Hypotheses:
-        """The last kernel's result."""
+        """Return the last kernel's result."""
         for kernel in self.kernels:
             h = kernel(h, frame, rng)
         return h
@@ -171,7 +171,7 @@ class Compose:
 
 @dataclass(frozen=True)
 class RejectionSampling:
-    """Steps that a prior may refuse: a candidate x' from ``propose`` is accepted if P(x') > tau P(x).
+    """Steps that a prior may refuse: a candidate x' from ``propagate`` is accepted if P(x') > tau P(x).
 
     Refused hypotheses try again, ``trials`` times at most, and then stay where they are (the thesis says
     only that the trials are limited). A state of probability 0 accepts any candidate that is possible at
@@ -179,7 +179,7 @@ class RejectionSampling:
     tau = 0.7 there.
     """
 
-    propose: Kernel
+    propagate: Kernel
     log_prior: LogPrior
     tau: float = 0.7
     trials: int = 10
@@ -189,11 +189,11 @@ class RejectionSampling:
             raise ValueError(f"rejection sampling needs tau > 0 and at least one trial, got {self.tau}, {self.trials}")
 
     def __call__(self, h: Hypotheses, frame: Any, rng: np.random.Generator, /) -> Hypotheses:
-        """The accepted steps."""
+        """Return the accepted steps."""
         threshold = np.log(self.tau) + self.log_prior(h.values)
         values, waiting = h.values, np.ones(h.log_weights.shape, bool)
         for _ in range(self.trials):
-            candidate = self.propose(h, frame, rng).values
+            candidate = self.propagate(h, frame, rng).values
             accepted = waiting & (self.log_prior(candidate) > threshold)
             values = np.where(accepted[..., None], candidate, values)
             waiting = waiting & ~accepted
@@ -202,23 +202,24 @@ class RejectionSampling:
         return replace(h, values=values)
 
 
-def layered_sigma(sigma: ArrayLike, partitions: Sequence[ArrayLike], decay: float, layer: int) -> FloatArray:
+def layered_sigma(sigma: ArrayLike, partitions: Sequence[ArrayLike], nu: float, layer: int) -> FloatArray:
     """Step sizes (D,) of one layer of a layered filter.
 
-    sigma (D,) per frame; partitions: the coordinate indices (or (D,) bool mask) of each layer; layer counts
-    from 0. A coordinate first filtered at this layer gets sigma, one first filtered at layer m < l gets
-    decay^(l - m) sigma, one not filtered yet gets 0. With every partition = all coordinates this is the
-    annealed schedule (2.10). Source: Alcoverro 2014, Algorithm 3. As printed, its loop over m overwrites a
-    hit with 0 at the next m, and only Psi_(l-1) is asked for the first visit; this is the meaning of the
-    text around it.
+    sigma (D,) per frame.
+    partitions: the coordinate indices (or (D,) bool mask) of each layer; layer counts from 0. A coordinate first
+        filtered at this layer gets sigma, one first filtered at layer m < l gets nu^(l - m) sigma, one not filtered
+        yet gets 0. With every partition = all coordinates this is the annealed schedule (2.10).
+
+    Source: Alcoverro 2014, Algorithm 3. As printed, its loop over m overwrites a hit with 0 at the next m, and only
+    Psi_(l-1) is asked for the first visit; this is the meaning of the text around it.
     """
     sigma_frame = np.asarray(sigma, dtype=np.float64)
     first = first_layer(partitions, sigma_frame.size)
-    return np.where(first <= layer, sigma_frame * float(decay) ** np.maximum(layer - first, 0), 0.0)
+    return np.where(first <= layer, sigma_frame * float(nu) ** np.maximum(layer - first, 0), 0.0)
 
 
 def first_layer(partitions: Sequence[ArrayLike], dimension: int) -> NDArray[np.intp]:
-    """(D,) the first layer whose partition holds each coordinate; len(partitions) where none does."""
+    """Return (D,) the first layer whose partition holds each coordinate; len(partitions) where none does."""
     first = np.full(dimension, len(partitions), dtype=np.intp)
     for number in range(len(partitions) - 1, -1, -1):
         first[_mask(partitions[number], dimension)] = number
@@ -226,9 +227,8 @@ def first_layer(partitions: Sequence[ArrayLike], dimension: int) -> NDArray[np.i
 
 
 def filtered_mask(partitions: Sequence[ArrayLike], dimension: int, layer: int) -> NDArray[np.bool_]:
-    """(D,) True for the coordinates in the union of the partitions of layers 0..layer: what Algorithm 4
-    resamples.
-    """
+    """Return (D,) True for the coordinates in the union of the partitions of layers 0..layer: what Algorithm 4
+    resamples."""
     return first_layer(partitions, dimension) <= min(layer, len(partitions) - 1)
 
 
@@ -264,13 +264,14 @@ def semidefinite_cholesky(covariance: ArrayLike) -> FloatArray:
 
 @lru_cache(64)
 def every(share: float, count: int) -> NDArray[np.intp]:
-    """The numbers of a share of `count` rows, spread evenly; which of the first rows does not depend on count."""
+    """Return the numbers of a share of `count` rows, spread evenly; which of the first rows does not depend on
+    count."""
     return np.flatnonzero(np.diff(np.floor(np.arange(count + 1) * share)) > 0)
 
 
 @lru_cache(64)
 def _stretch(share: float, factor: float, count: int) -> FloatArray:
-    """(N, 1) the factor in the rows of `every`, else 1."""
+    """Return (N, 1) the factor in the rows of `every`, else 1."""
     out = np.ones((count, 1))
     out[every(share, count)] = factor
     return out

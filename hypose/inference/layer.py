@@ -9,9 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.random.bit_generator import ISeedSequence
 from numpy.typing import NDArray
 
 from hypose.inference.hypotheses import FloatArray, Hypotheses
@@ -27,7 +29,7 @@ class Kernel(Protocol):
     """
 
     def __call__(self, h: Hypotheses, frame: Any, rng: np.random.Generator, /) -> Hypotheses:
-        """The moved set, of the same number of populations."""
+        """Return the moved set, of the same number of populations."""
         ...
 
 
@@ -41,11 +43,11 @@ class Weigh(Protocol):
         ...
 
 
-class Select(Protocol):
+class Resample(Protocol):
     """Chooses which hypotheses go on, and resets their weights (only ``keep`` does not)."""
 
     def __call__(self, h: Hypotheses, rng: np.random.Generator, /) -> Hypotheses:
-        """The set that goes on."""
+        """Return the set that goes on."""
         ...
 
 
@@ -55,7 +57,7 @@ class Estimate(Protocol):
     """
 
     def __call__(self, h: Hypotheses, /) -> FloatArray:
-        """The state that the set stands for."""
+        """Return the state that the set stands for."""
         ...
 
 
@@ -64,9 +66,9 @@ class Layer:
     """One turn of the cycle. weigh None: it moves without weighing. needed(h, frame) False: the layer is left out of
     this frame; None: it never is."""
 
-    propose: Kernel
+    propagate: Kernel
     weigh: Weigh | None
-    select: Select
+    resample: Resample
     name: str = ""
     needed: Callable[[Hypotheses, Any], bool] | None = None
 
@@ -90,7 +92,7 @@ class GoOn:
     gain: float = 0.8
 
     def __call__(self, step: FloatArray, blind: int, /) -> FloatArray:
-        """The step (D,) that is expected."""
+        """Return the step (D,) that is expected."""
         return self.gain ** (1 + blind) * step
 
 
@@ -106,20 +108,26 @@ class Recovery:
 
 @dataclass(frozen=True)
 class Recipe:
-    """A method as one value. What is not said is that of a plain particle filter. Raises ValueError without layers.
+    """A method as one value; the defaults are a plain particle filter. Raises ValueError without layers.
 
-    layers: one turn of propose, weigh, select after the other. particles: how many hypotheses. needs: kinds of evidence
-    that the layers look at ('silhouettes', 'keypoints', 'detections', 'picture': that of one camera). start(pose,
-    frame): where the first frame's search begins, from the pose that is given. predict(step, blind): the step expected
-    of the next frame after the last step and so many frames without evidence; None: every hypothesis goes on by itself,
-    which the layers see to, as to its limits. estimate(h): the state that a weighted set stands for.
-    uncertainty(pose, h, frame): what is known of it; None: the spread of the set. lost(pose, h, frame): whether nobody
-    is there; None: that is told by the overlap with the masks. recover: None: it does not. rivals: how many hypotheses
-    the last layer hands on, with the column BEFORE, each of which is then expected by its own last step; 0: the set
-    moves as one. smooth(clip): the motion with all frames solved together at the end, and sentences about it; None: it
-    is not. learn(memory, pose, h, frame): what the method remembers from frame to frame beside its hypotheses, arrays
-    by name, after a frame in which the person was not lost; None: nothing. likes: kinds of evidence that the layers
-    look at where it is at hand ('colours'). citation: where the method comes from.
+    name: of the method.
+    layers: turns of propagate, weigh, resample, one after the other.
+    particles: number of hypotheses N.
+    needs: kinds of evidence the layers require: 'silhouettes', 'keypoints', 'detections', 'picture' (one camera).
+    start(pose, frame): pose (D,) at which the first frame's search begins, from the given one.
+    predict(step, blind): step (D,) expected after the last step and `blind` frames without evidence; None: the layers
+        move every hypothesis by itself and keep its limits.
+    estimate(h): state (*B, D) of a weighted set.
+    uncertainty(pose, h, frame): uncertainty of the estimate; None: the spread of the set.
+    lost(pose, h, frame): whether the person is lost; None: decided by the overlap with the masks.
+    recover: search after a loss; None: no search.
+    rivals: number of hypotheses the last layer hands on, with the column BEFORE, each predicted by its own last step;
+        0: the set moves as one.
+    smooth(clip): the motion with all frames solved together at the end, and sentences about it; None: no smoothing.
+    learn(memory, pose, h, frame): arrays by name that the method keeps from frame to frame in addition to its
+        hypotheses, after a frame in which the person was not lost; None: nothing.
+    likes: kinds of evidence the layers use where it is available ('colours').
+    citation: source of the method.
     """
 
     name: str
@@ -156,7 +164,7 @@ class SearchResult:
 
     estimate: FloatArray
     weighted: Hypotheses
-    selected: Hypotheses
+    resampled: Hypotheses
 
 
 def search(h: Hypotheses, recipe: Recipe, frame: Any, rng_of_layer: RngOfLayer) -> SearchResult:
@@ -172,8 +180,40 @@ def search(h: Hypotheses, recipe: Recipe, frame: Any, rng_of_layer: RngOfLayer) 
         if layer.needed is not None and not layer.needed(h, frame):
             continue
         rng = rng_of_layer(index)
-        weighted = layer.propose(h, frame, rng)
+        weighted = layer.propagate(h, frame, rng)
         if layer.weigh is not None:
             weighted = weighted.reweighted(layer.weigh(weighted, frame))
-        h = layer.select(weighted, rng)
+        h = layer.resample(weighted, rng)
     return SearchResult(recipe.estimate(weighted), weighted, h)
+
+
+_WORD = 2**64
+
+
+def stream(seed: int, frame: int, layer: int) -> np.random.Generator:
+    """Return the generator of one layer of one frame, counter-based (Philox 4x64, Salmon et al. 2011).
+
+    The key is the hashed seed; the two high words of the 256-bit counter are (frame, layer), so that the streams of
+    different layers never overlap and each is reached without drawing any other: a resumed run reads the same numbers.
+    The per-particle rule is kept by drawing one (N, D) block per kernel from this stream: it is filled in row order by
+    one thread, so that row i is a function of (seed, frame, layer, i) alone, and a larger N does not change it.
+    Integers of any sign; frame and layer count modulo 2^64 (layer -1 is free for what happens between two frames).
+    """
+    counter = np.array([0, 0, layer % _WORD, frame % _WORD], dtype=np.uint64)
+    return np.random.Generator(np.random.Philox(_key(seed % 2**128), counter=counter))
+
+
+class _Key(ISeedSequence):
+    """A key as a generator asks for it: given as such, numpy first asks the system for chance that it then leaves."""
+
+    def __init__(self, seed: int) -> None:
+        self._words = np.random.SeedSequence(seed).generate_state(2, np.uint64)
+
+    def generate_state(self, n_words: int, dtype: Any = np.uint32) -> Any:
+        """Return the key, two words of 64 bits."""
+        return self._words
+
+
+@lru_cache(16)
+def _key(seed: int) -> Any:  # numpy takes a sequence of one's own, its stubs do not say so
+    return _Key(seed)

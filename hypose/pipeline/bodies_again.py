@@ -17,6 +17,7 @@ from hypose.body.anthropometry import prior_mean
 from hypose.body.body import Body
 from hypose.body.ready_bodies import human
 from hypose.errors import HyposeError
+from hypose.evidence.cues import surface_evidence
 from hypose.evidence.depth_people import own_frame
 from hypose.evidence.frame import Frame
 from hypose.evidence.shared_masks import SOLVED, Other
@@ -24,7 +25,8 @@ from hypose.fitting.articulated import SolveSettings
 from hypose.geometry import Array
 from hypose.pipeline.first_frame import Subject
 from hypose.pipeline.rough_bodies import seen_well
-from hypose.pipeline.subject_from_motion import contours_of, depths_of, different_poses
+from hypose.pipeline.settings import SETTINGS
+from hypose.pipeline.subject_from_motion import different_poses
 from hypose.pipeline.tracked_people import Followed, Wanted
 from hypose.tracking.costs import mean_overlap
 from hypose.tracking.frame_evidence import prepare
@@ -34,11 +36,6 @@ from hypose.tracking.shape_refinement import Known, refine_shape
 from hypose.tracking.tracker import FrameEstimate
 
 AGAIN = "the body was fitted again beside those of the others"
-POSES = 12
-"""Poses to which a body is fitted: with 8 and 20 arms and legs were as far off (seeds 440 and 441)."""
-_LEAST_WON = 0.3
-"""Sum over frames of IoU that the way back must win for what it says of the start to be taken: where nothing was wrong
-it won up to .21 (seeds 432, 440 and 441), where legs were exchanged .80 (432)."""
 Way = dict[int, tuple[FrameEstimate, NDArray[np.float64]]]
 """By frame number, somebody's estimate and how much of them each view (C,) shows."""
 
@@ -86,7 +83,7 @@ def _put_right(there: Way, back: Way, numbers: Sequence[int]) -> Way:
     both = [t in there and t in back for t in numbers]
     won = np.cumsum([there[t][0].cost - back[t][0].cost if b else 0.0 for t, b in zip(numbers, both, strict=True)])
     best = int(won.argmax())
-    if won[best] < _LEAST_WON:
+    if won[best] < SETTINGS.again_least_won:
         return there
     return there | {t: back[t] for t in numbers[: best + 1] if t in back}
 
@@ -102,13 +99,13 @@ def _again(
     template, noted = human(), replace(subject, notes=(*subject.notes, AGAIN))
     seen = seen_well({t: shown for t, (_, shown) in way.items()})
     poses, iou = np.stack([way[t][0].pose for t in seen]), np.array([1 - way[t][0].cost for t in seen])
-    chosen = different_poses(subject.body, poses, iou, POSES)
-    frames, every = [own_at(who, seen[k]) for k in chosen], range(len(chosen))
+    chosen = different_poses(subject.body, poses, iou, SETTINGS.again_poses)
+    frames = [own_at(who, seen[k]) for k in chosen]
     x = prior_mean()
     x[0] = np.log(subject.body.stature / template.stature)
     try:
-        contours, depths = contours_of(frames, every), depths_of(frames, every)
-        fit = refine_shape(template, poses[chosen], contours, known=Known(height), start=x, depths=depths)
+        outlines = [surface_evidence(frame) for frame in frames]
+        fit = refine_shape(template, poses[chosen], outlines, known=Known(height), start=x)
     except HyposeError:
         return noted
     if _overlap(fit.body, fit.poses, frames) <= _overlap(subject.body, poses[chosen], frames):

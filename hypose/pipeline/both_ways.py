@@ -17,13 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.body import Body
-from hypose.compute import beside
+from hypose.compute import in_background
 from hypose.evidence.ahead import look_ahead
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array
+from hypose.inference.estimates import likeliest_path
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.layer import Memory
-from hypose.inference.paths import likeliest_path
 from hypose.pipeline.doubts import looked_again
 from hypose.pipeline.mend_sides import FrameRange, backwards, pace_of, read_once
 from hypose.tracking.costs import agreement, silhouette_iou
@@ -152,7 +152,7 @@ def _looked_back(
     most = range(stop, max(-1, stop - round(o.longest * pace)), -1)
     for t, (frame, last) in zip(most, _evidence_ahead(backwards(frames, stop + 1)), strict=False):
         prepared = replace(tracker.prepare_frame(frame, old[t].pose), memory=memory or {})
-        if prepared.masks is None or frame.depth is not None or not _known(old[t]):
+        if not prepared.silhouettes.seen or frame.depth is not None or not _known(old[t]):
             break
         state, back = tracker.step(state, frame)
         if not _known(back):
@@ -225,7 +225,7 @@ def _chosen(
 
     path, weights = likeliest_path(costs, [step(a, b) for a, b in zip(poses[:-1], poses[1:], strict=True)])
     rows = zip(seen, path[before:], weights[before:], range(first, stop), strict=False)
-    begun = [beside(partial(_estimate, tracker, old[t], x, n, w)) for x, n, w, t in rows]
+    begun = [in_background(partial(_estimate, tracker, old[t], x, n, w)) for x, n, w, t in rows]
     return [result() for result in reversed(begun)][::-1]  # others begin at the other end
 
 

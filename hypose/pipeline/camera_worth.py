@@ -15,13 +15,7 @@ from numpy.typing import NDArray
 from hypose.body.motion import Motion
 from hypose.cameras.camera import CameraRig
 from hypose.geometry import Array
-
-_FRAMES = 60
-"""looked at, spread over the motion"""
-_PRIOR = 0.25  # m: how well a body places a joint that the cameras leave open
-_NOISE = 2.0 / 480  # of a picture's longer side
-_PLACES = 36
-"""around the person, where one more camera is tried"""
+from hypose.pipeline.settings import SETTINGS
 
 
 @dataclass(frozen=True)
@@ -70,7 +64,7 @@ def _best_place(points: Array, rig: CameraRig, whole: Array, now: float) -> Best
     height = float(np.median(places[:, 2]))
     lens = sorted(rig, key=lambda c: c.K[0, 0] / max(c.size))[len(rig) // 2]
     tried = []
-    for azimuth in np.linspace(-np.pi, np.pi, _PLACES, endpoint=False).tolist():
+    for azimuth in np.linspace(-np.pi, np.pi, SETTINGS.worth_places, endpoint=False).tolist():
         place = np.array([middle[0] + away * np.cos(azimuth), middle[1] + away * np.sin(azimuth), height])
         _, more = _information(points, lens.K, _looking(place, middle), lens.size)
         tried.append(BestPlace(azimuth, place, _spread(whole + more) / now))
@@ -80,7 +74,11 @@ def _best_place(points: Array, rig: CameraRig, whole: Array, now: float) -> Best
 def _points(motion: Motion) -> Array:
     """(N, 3) m: joints of frames that are known."""
     known = np.flatnonzero(~(motion.lost | motion.extrapolated).astype(bool) & np.isfinite(motion.joints).all((1, 2)))
-    chosen = known[np.linspace(0, len(known) - 1, min(_FRAMES, len(known))).astype(int)] if len(known) else known
+    chosen = (
+        known[np.linspace(0, len(known) - 1, min(SETTINGS.worth_frames, len(known))).astype(int)]
+        if len(known)
+        else known
+    )
     return np.asarray(motion.joints[chosen], dtype=np.float64).reshape(-1, 3)
 
 
@@ -96,13 +94,13 @@ def _information(
     derivative = np.zeros((len(points), 2, 3))
     derivative[:, 0, 0], derivative[:, 1, 1] = k[0, 0] / z, k[1, 1] / z
     derivative[:, :, 2] = -local[:, :2] / z[:, None] ** 2 * [k[0, 0], k[1, 1]]
-    j = np.where(seen[:, None, None], derivative @ camera_from_world[:3, :3], 0.0) / (_NOISE * max(size))
+    j = np.where(seen[:, None, None], derivative @ camera_from_world[:3, :3], 0.0) / (SETTINGS.worth_noise * max(size))
     return np.asarray(seen, dtype=np.bool_), np.swapaxes(j, 1, 2) @ j
 
 
 def _spread(information: Array) -> float:
     """m: root mean square over the points of their standard deviation per axis."""
-    covariance = np.linalg.inv(information + np.eye(3) / _PRIOR**2)
+    covariance = np.linalg.inv(information + np.eye(3) / SETTINGS.worth_prior**2)
     return float(np.sqrt(np.trace(covariance, axis1=1, axis2=2).mean() / 3))
 
 

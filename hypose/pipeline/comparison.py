@@ -11,7 +11,7 @@ Sources: the rigid alignment is Umeyama's (1991) in iterated reweighting; limits
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,17 +21,10 @@ from hypose.body.ready_bodies import JOINT_NAMES
 from hypose.errors import InputError
 from hypose.geometry import Array, procrustes, transform
 from hypose.io.motions.compared_files import OtherMotion, angles_of
+from hypose.pipeline.settings import SETTINGS
 from hypose.synthetic.metrics import carriers, coverage
 
-LEVELS = (0.5, 0.9, 0.95)
-_MOST_LAG = 5.0  # s
-_LONGEST_GAP = 0.1  # s over which the other motion is interpolated
-_LEAST_JOINTS, _LEAST_FRAMES = 4, 8  # that tell whether it is the same movement
-_ALIKE, _APART_M = 0.2, 0.08
-"""share of how joints move beside each other that the other motion must explain, and m that may be left all the same:
-other movements explain 0.06 at most and leave 0.1 m or more; the same one with 40 mm of noise per axis explains 0.76 or
-more, or, where the person hardly moves, leaves 0.05 m (walking, boxing, waving, sitting down, serving; simulated, seed
-5)"""
+_BONES = (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"))
 
 
 @dataclass(frozen=True)
@@ -92,6 +85,8 @@ class Comparison:
 def compare_motions(ours: Motion, other: OtherMotion, options: CompareOptions | None = None) -> Comparison:
     """Ours against the other's points and angles. An InputError when they have nothing in common."""
     o = options or CompareOptions()
+    notes = list(other.notes)
+    other = _in_metres(ours, _without_sentinels(other, notes), notes)
     names = [n for n in ours.skeleton.joint_names if n in other.points]
     our_angles = angles_of(ours)
     angle_names = [n for n in our_angles if n in other.angles]
@@ -106,13 +101,21 @@ def compare_motions(ours: Motion, other: OtherMotion, options: CompareOptions | 
     index = [ours.skeleton.joint(n) for n in names]
     mine = np.where(used[:, None, None], ours.joints[:, index], np.nan) if names else np.zeros((len(ours), 0, 3))
     theirs = np.stack([other.points[n] for n in names], 1) if names else np.zeros((len(other.times), 0, 3))
-    notes: list[str] = []
     angles_mine = np.stack([our_angles[n] for n in angle_names], 1) if angle_names else np.zeros((len(ours), 0))
     angles_mine = np.where(used[:, None], angles_mine, np.nan)
     angles_theirs = np.stack([other.angles[n] for n in angle_names], 1) if angle_names else None
     offset = o.offset
+    mirrored = theirs * [1.0, -1.0, 1.0]
     if offset is None:
-        offset = _offset(ours.times, mine, angles_mine, other.times, theirs, angles_theirs, o.align, notes)
+        offset, cost = _offset(ours.times, mine, angles_mine, other.times, theirs, angles_theirs, o.align)
+        if o.align and names:
+            turned, less = _offset(ours.times, mine, angles_mine, other.times, mirrored, angles_theirs, True)
+            if less < SETTINGS.compare_mirrored * cost:
+                theirs, offset = mirrored, turned
+                notes.append(f"The world of {other.path.name} is left-handed: it is mirrored before the comparison.")
+    if abs(offset) > 0.5 * _frame(ours.times) and o.offset is None:
+        late = "late" if offset < 0 else "early"
+        notes.append(f"The other motion is {late} by {abs(offset):.3f} s, which is taken off.")
     at = ours.times - offset
     shown = resampled(other.times, theirs, at)
     motion = _rigid(shown, mine) if o.align and names else np.eye(4)
@@ -146,7 +149,7 @@ def resampled(times: Array, points: Array, at: Array) -> Array:
     share = (at - t0) / (t1 - t0)
     step = float(np.median(np.diff(times)))
     share = np.where(np.abs(share - np.round(share)) < 1e-6, np.round(share), share)
-    near = (t1 - t0 <= max(_LONGEST_GAP, 1.5 * step)) | (share == 0) | (share == 1)
+    near = (t1 - t0 <= max(SETTINGS.compare_longest_gap, 1.5 * step)) | (share == 0) | (share == 1)
     fine = (share >= 0) & (share <= 1) & near
     w = np.clip(share, 0, 1).reshape(-1, *[1] * (p.ndim - 1))
     # exactly on a frame, the neighbour need not be seen
@@ -174,8 +177,8 @@ def _unlike(mine: Array, moved: Array, o: CompareOptions, name: str) -> list[str
     """A sentence when the joints (T, J, 3) m of both do not move alike beside each other: wherever people go, one
     place and time never make another movement explain ours."""
     seen = np.isfinite(mine).all(-1) & np.isfinite(moved).all(-1)
-    seen &= (seen.sum(1) >= _LEAST_JOINTS)[:, None]
-    if seen.any(1).sum() < _LEAST_FRAMES:
+    seen &= (seen.sum(1) >= SETTINGS.compare_least_joints)[:, None]
+    if seen.any(1).sum() < SETTINGS.compare_least_frames:
         return []
 
     def beside_each_other(points: Array) -> float:
@@ -187,9 +190,11 @@ def _unlike(mine: Array, moved: Array, o: CompareOptions, name: str) -> list[str
         return float(np.sqrt((shown[seen] ** 2).sum(-1).mean()))
 
     left, moves = beside_each_other(moved - mine), beside_each_other(mine)
-    if left <= _APART_M or left**2 <= (1 - _ALIKE) * moves**2:
+    if left <= SETTINGS.compare_apart_m or left**2 <= (1 - SETTINGS.compare_alike) * moves**2:
         return []
-    tried = f"At no offset within {_MOST_LAG:g} s" if o.offset is None else "At the offset that was given"
+    tried = (
+        f"At no offset within {SETTINGS.compare_most_lag:g} s" if o.offset is None else "At the offset that was given"
+    )
     worlds = "" if o.align else ", or has another frame of reference (leave out --no-align)"
     return [
         f"{tried} do the joints of {name} move as ours do: beside each other they move by {1000 * moves:.0f} mm, and "
@@ -206,9 +211,9 @@ def _offset(
     theirs: Array,
     their_angles: Array | None,
     align: bool,
-    notes: list[str],
-) -> float:
-    """Seconds to add to their times: where joints and angles agree best, constant offsets aside."""
+) -> tuple[float, float]:
+    """Find the seconds to add to their times, where joints and angles agree best, constant offsets aside, and the cost
+    there."""
 
     def cost(offset: float) -> float:
         at = times - offset
@@ -234,13 +239,13 @@ def _offset(
 
     with np.errstate(all="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # medians of points never seen
-        step = max(float(np.median(np.diff(times))), 1 / 120) if len(times) > 1 else 0.02
+        step = _frame(times)
         same = times[0] - their_times[0]  # both began together
-        lags = np.arange(-_MOST_LAG, _MOST_LAG + step, 2 * step)
+        lags = np.arange(-SETTINGS.compare_most_lag, SETTINGS.compare_most_lag + step, 2 * step)
         starts = np.unique(np.concatenate([lags, lags + same, [0.0, same]]))
         costs = np.array([cost(lag) for lag in starts])
         if not np.isfinite(costs).any():
-            return 0.0
+            return 0.0, np.inf
         best = float(starts[np.argmin(costs)])
         near = best + step * np.linspace(-1.5, 1.5, 13)
         squares = np.array([cost(lag) for lag in near]) ** 2
@@ -253,9 +258,53 @@ def _offset(
     # a movement that hardly moves says nothing about time
     if plain <= 1.1 * cost(best):
         best = 0.0 if cost(0.0) <= 1.1 * cost(best) else same
-    if abs(best) > 0.5 * step:
-        notes.append(f"The other motion is {'late' if best < 0 else 'early'} by {abs(best):.3f} s, which is taken off.")
-    return best
+    return best, cost(best)
+
+
+def _frame(times: Array) -> float:
+    """The duration of a frame in s."""
+    return max(float(np.median(np.diff(times))), 1 / 120) if len(times) > 1 else 0.02
+
+
+def _without_sentinels(other: OtherMotion, notes: list[str]) -> OtherMotion:
+    """Drop positions that stand for "not seen": the same three numbers, to the last digit, in many frames."""
+    points, dropped = dict(other.points), list[str]()
+    for name, p in other.points.items():
+        _, which, count = np.unique(p, axis=0, return_inverse=True, return_counts=True, equal_nan=True)
+        fixed = (count > max(SETTINGS.compare_sentinel_frames, SETTINGS.compare_sentinel_share * len(p)))[
+            which.ravel()
+        ] & np.isfinite(p).all(1)
+        if fixed.any():
+            points[name] = np.where(fixed[:, None], np.nan, p)
+            dropped.append(f"{name} in {fixed.sum()} frames")
+    if dropped:
+        listed = ", ".join(dropped[:4])
+        notes.append(f"{other.path.name}: positions that repeat to the last digit count as not seen ({listed}).")
+    return replace(other, points=points)
+
+
+def _in_metres(ours: Motion, other: OtherMotion, notes: list[str]) -> OtherMotion:
+    """Rescale the other's points where its bones are as much too long or too short as a wrong unit makes them."""
+    bones = [(f"{side}_{a}", f"{side}_{b}") for side in ("left", "right") for a, b in _BONES]
+    ratios = []
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # joints that are never seen
+        for a, b in bones:
+            if a in other.points and b in other.points and {a, b} <= set(ours.skeleton.joint_names):
+                i, j = ours.skeleton.joint(a), ours.skeleton.joint(b)
+                own = np.nanmedian(np.linalg.norm(ours.joints[:, i] - ours.joints[:, j], axis=-1))
+                ratios.append(np.nanmedian(np.linalg.norm(other.points[a] - other.points[b], axis=-1)) / own)
+    ratio = max(float(np.nanmedian(ratios)), 1e-9) if np.isfinite(ratios).any() else 1.0
+    factor = min(SETTINGS.compare_wrong_units, key=lambda f: abs(np.log(ratio / f)))
+    if factor != 1 and abs(np.log(ratio / factor)) < SETTINGS.compare_alike_lengths:
+        notes.append(
+            f"The bones of {other.path.name} are {ratio:.3g} times as long as ours: its unit is not what it states, "
+            f"and its points are divided by {factor:g}."
+        )
+        return replace(other, points={n: p / factor for n, p in other.points.items()})
+    if abs(np.log(ratio)) > SETTINGS.compare_alike_lengths:
+        notes.append(f"The bones of {other.path.name} are {ratio:.3g} times as long as ours: another unit or person.")
+    return other
 
 
 def _joints(ours: Motion, names: list[str], index: list[int], mine: Array, moved: Array) -> tuple[tuple, Array]:
@@ -300,12 +349,12 @@ def _segment_axes(ours: Motion, index: list[int]) -> Array:
 
 def _covered(ours: Motion, index: list[int], mine: Array, theirs: Array) -> tuple[Array, ...]:
     if not index:
-        return tuple(np.zeros(0) for _ in LEVELS)
+        return tuple(np.zeros(0) for _ in SETTINGS.compare_levels)
     covariance = np.array(ours.joint_covariance, dtype=np.float64)[:, index]
     fine = np.asarray(np.isfinite(covariance).all((-1, -2)))
     safe = np.where(fine[..., None, None], covariance, np.nan)
-    found = coverage(mine, safe, theirs, LEVELS)
-    return tuple(found[level] for level in LEVELS)
+    found = coverage(mine, safe, theirs, SETTINGS.compare_levels)
+    return tuple(found[level] for level in SETTINGS.compare_levels)
 
 
 def _angle(name: str, mine: Array, theirs: Array) -> Agreement | None:
@@ -318,7 +367,7 @@ def _angle(name: str, mine: Array, theirs: Array) -> Agreement | None:
     if rows.sum() < 3:
         return None
     offset = float(np.median(d[rows]))
-    unknown = (float("nan"),) * len(LEVELS)
+    unknown = (float("nan"),) * len(SETTINGS.compare_levels)
     return _agreement(
         name, unit, np.abs(d[rows]), np.abs(d[rows] - offset), abs(offset), d[rows, None], mine[rows, None],
         theirs[rows, None], unknown,

@@ -18,34 +18,17 @@ from scipy.ndimage import binary_closing, binary_opening, median_filter
 
 from hypose.body.body import Body
 from hypose.body.motion import Motion
+from hypose.body.skeleton import Skeleton
+from hypose.compute import projected, touched_area
 from hypose.evidence.ahead import prepared_masks
-from hypose.evidence.frame import Frame, Keypoints
+from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.geometry import Array
-from hypose.pipeline.strangers import strangers_share
-from hypose.tracking.audit import audit_frame
+from hypose.pipeline.settings import SETTINGS
+from hypose.tracking.audit import audit_frame, more_than_body
 from hypose.tracking.contacts import runs
+from hypose.tracking.fitted_spread import beyond_usual
 from hypose.tracking.several import visible_share
 from hypose.tracking.tracker import FrameEstimate, Tracker
-
-JUMP, LEAST_JUMP, SUDDEN = 1.8, 0.12, 1.3
-"""A mask jumps when it changes by more than this many times the usual within a second, by this much more, and by this
-many times what it changed in the frame before."""
-WORSE, SPREAD = 0.15, 4.0
-"""A view disagrees when its overlap, over half a second, lies this far below its usual one, and so many times its usual
-spread, and that of the other views is not half as far below theirs. Chosen on clean walks (seeds 0 and 3)."""
-STRANGER = 0.15
-"""Somebody else is there when a part of so much of the body's area lies apart from it in two views, and in half of
-them. Chosen, as LESS, on walks with and without somebody else (seeds 10 to 13)."""
-LESS = 0.06
-"""After something doubtful tracking is not back while the mean overlap lies so far below that before it."""
-_STILL = 0.02
-_STILL_POINTS, _FEW_POINTS = 0.0005, 6
-"""Share of the person's size that key points move from frame to frame, beyond a detector's own digits; fewer points of
-a view tell nothing."""
-_SHOWN = 0.75
-"""Share of a person that others must leave visible in a view whose overlap is compared with that of the other views.
-Chosen on people in the same masks (seed 430)."""
-_AFTER_S = 0.4
 
 
 def looked_at(
@@ -93,7 +76,9 @@ def what_was_seen(
     if silhouettes is None:
         return np.zeros((0, 3), np.float32)
     out = np.full((len(silhouettes.masks), 3), np.nan, np.float32)
-    seen = visible_share(frame)[: len(estimate.overlap)] >= _SHOWN  # an arm's breadth left beside others tells nothing
+    seen = (
+        visible_share(frame)[: len(estimate.overlap)] >= SETTINGS.doubts_shown
+    )  # an arm's breadth left beside others tells nothing
     out[: len(estimate.overlap), 0] = np.where(seen, estimate.overlap, np.nan)
     change = mask_change(frame, last) if change is None else change
     if before is not None and change is not None:
@@ -151,10 +136,10 @@ def with_repeated_points(motion: Motion, keypoints: Sequence[Keypoints | None]) 
     moved = np.linalg.norm(np.diff(points[..., :2], axis=0, prepend=points[:1, ..., :2]), axis=-1)
     moved = np.where(both, moved, 0.0).sum(-1) / np.maximum(both.sum(-1), 1)
     low, high = (np.where(seen[..., None], points[..., :2], x) for x in (np.inf, -np.inf))
-    size = np.where(seen.sum(-1) >= _FEW_POINTS, (high.max(2) - low.min(2)).max(-1), np.nan)
-    change = np.where(both.sum(-1) >= _FEW_POINTS, moved / size, np.nan)
+    size = np.where(seen.sum(-1) >= SETTINGS.doubts_few_points, (high.max(2) - low.min(2)).max(-1), np.nan)
+    change = np.where(both.sum(-1) >= SETTINGS.doubts_few_points, moved / size, np.nan)
     change[0] = np.nan
-    same = _repeats(change, motion.frame_rate, _STILL_POINTS)
+    same = _repeats(change, motion.frame_rate, SETTINGS.doubts_still_points)
     found = _repeated(same, change, motion.frame_rate, first.rig.names)
     return _marked(motion, [(what, frames) for what, frames in found if frames.any()])
 
@@ -205,7 +190,7 @@ def _numbered(count: int) -> list[str]:
     return [f"view {c + 1}" for c in range(count)]
 
 
-def _repeats(change: Array, frame_rate: float, still: float = _STILL) -> NDArray[np.bool_]:
+def _repeats(change: Array, frame_rate: float, still: float = SETTINGS.doubts_still) -> NDArray[np.bool_]:
     """(T, C): what is seen is that of the frame before, although the person moves; where nothing else is seen for
     longer than a second, what is usual in the clip tells."""
     some = np.where(change > 0, change, np.nan)
@@ -236,8 +221,8 @@ def _jumps(change: Array, frame_rate: float) -> NDArray[np.bool_]:
     sight moves more and more in it."""
     usual = _local(np.where(change > 0, change, np.nan), frame_rate)
     before = np.concatenate([change[:1], change[:-1]])
-    sudden = ~(change < SUDDEN * before)  # the frame before may not be known
-    return (change > JUMP * usual) & (change > usual + LEAST_JUMP) & sudden
+    sudden = ~(change < SETTINGS.doubts_sudden * before)  # the frame before may not be known
+    return (change > SETTINGS.doubts_jump * usual) & (change > usual + SETTINGS.doubts_least_jump) & sudden
 
 
 def _local(values: Array, frame_rate: float) -> Array:
@@ -253,7 +238,7 @@ def _local(values: Array, frame_rate: float) -> Array:
 
 def _during(at: NDArray[np.bool_], frame_rate: float) -> NDArray[np.bool_]:
     """From the first to the last of events that lie close together, and a little after: tracking has to catch up."""
-    gap = max(1, round(_AFTER_S * frame_rate))
+    gap = max(1, round(SETTINGS.doubts_after_s * frame_rate))
     closed = np.asarray(binary_closing(np.pad(at, gap), np.ones(gap + 1))[gap:-gap], dtype=bool) | at
     return np.convolve(closed, np.ones(gap + 1))[: len(at)] > 0
 
@@ -263,7 +248,7 @@ def _strangers(others: ArrayLike, known: NDArray[np.bool_], frame_rate: float) -
     touch it for a moment, they are still there."""
     share = np.where(known[:, None], np.asarray(others, dtype=np.float64), np.nan)
     views = np.isfinite(share).sum(1)
-    at = ((share > STRANGER).sum(1) >= np.maximum(2, 0.5 * views)) & (views > 0)
+    at = ((share > SETTINGS.doubts_stranger).sum(1) >= np.maximum(2, 0.5 * views)) & (views > 0)
     lasting = binary_opening(at, np.ones(max(2, round(0.2 * frame_rate))))
     gap = max(1, round(frame_rate))
     closed = binary_closing(np.pad(lasting, gap), np.ones(gap + 1))[gap:-gap]
@@ -284,7 +269,7 @@ def _not_back(
     for t in range(1, len(out)):
         if doubted[t] and not (doubted[t - 1] or out[t - 1]):
             good = seen[:t] & ~doubted[:t] & ~out[:t]
-            limit = float(np.median(mean[:t][good])) - LESS if good.sum() >= half else float("nan")
+            limit = float(np.median(mean[:t][good])) - SETTINGS.doubts_less if good.sum() >= half else float("nan")
         out[t] = smooth[t] < limit and not doubted[t] and (doubted[t - 1] or out[t - 1])
     return out
 
@@ -298,7 +283,9 @@ def _worse(overlap: Array, known: NDArray[np.bool_], frame_rate: float) -> NDArr
         usual = np.array([np.nanmedian(v) if np.isfinite(v).any() else np.nan for v in values.T])
     below = median_filter(np.nan_to_num(usual - values), (max(3, round(0.5 * frame_rate)), 1), mode="nearest")
     others = (below.sum(1, keepdims=True) - below) / (below.shape[1] - 1)
-    least = np.maximum(WORSE, SPREAD * 1.48 * np.median(np.abs(below - np.median(below, 0)), 0))
+    least = np.maximum(
+        SETTINGS.doubts_worse, SETTINGS.doubts_spread * 1.48 * np.median(np.abs(below - np.median(below, 0)), 0)
+    )
     return (below > least) & (below - others > 0.5 * least)
 
 
@@ -307,3 +294,53 @@ def in_words(found: Sequence[range]) -> str:
     shown = [f"{r.start}-{r.stop - 1}" if len(r) > 1 else str(r.start) for r in found[:5]]
     more = f" and {len(found) - 5} more" if len(found) > 5 else ""
     return f"frame{'s' if sum(map(len, found)) > 1 else ''} {', '.join(shown)}{more}"
+
+
+def against_the_clip(audit: ArrayLike, n_views: ArrayLike, evidence: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Sentences on why the clip is not to be trusted, and on why it is worth a look; audit (T, J, A), n_views (T,).
+    Nothing with key points, which say where limbs are, and which view is wrong, whatever masks show."""
+    wrong, look = list[str](), list[str]()
+    if evidence != "silhouettes":
+        return (), ()
+    beyond = beyond_usual(audit, evidence)
+    if beyond > SETTINGS.contradiction_look_apart_m:
+        said = (
+            f"the views contradict each other by {1e3 * beyond:.0f} mm from beginning to end, so the calibration, the "
+            "synchronisation or the body is wrong: run hypose check"
+        )
+        (wrong if beyond > SETTINGS.contradiction_wrong_apart_m else look).append(said)
+    if more_than_body(audit, n_views) > SETTINGS.contradiction_look_more_m2:
+        look.append(
+            "the masks show more than the body from beginning to end (a chair, wide clothes, a bag, somebody else?), "
+            "and limbs may have been put there: compare the overlay with the images"
+        )
+    if len(look) > 1:  # things in the masks do not set views apart; late or wrong cameras do both (seeds 600 to 617)
+        wrong, look = look, []
+    return tuple(wrong), tuple(look)
+
+
+def strangers_share(now: Silhouettes, before: Silhouettes, skeleton: Skeleton, joints: Array) -> NDArray[np.float32]:
+    """(C,) area of the largest part of each view's mask that the body does not touch, over the area of what it touches;
+    NaN where it touches nothing, or the mask is not usable. joints (J, 3): m, world, of the tracked body.
+
+    Only what was there in the frame before as well is looked at: noise comes and goes."""
+    points = _points(skeleton, joints)
+    cameras, seen, then = now.rig, prepared_masks(now), prepared_masks(before)
+    step = max(1, round(int(cameras.sizes.max()) / SETTINGS.stranger_looked_at))
+    out = np.full(len(cameras), np.nan, np.float32)
+    for c in np.flatnonzero(now.usable & before.usable).tolist():
+        w, h = (int(n) for n in cameras.sizes[c])
+        at = projected(points, cameras.projections[c])[0]
+        own, other = touched_area(seen.bits[c], then.bits[c], (w, h), step, at)
+        if own:
+            out[c] = other / own
+    return out
+
+
+def _points(skeleton: Skeleton, joints: Array) -> Array:
+    """(N, 3) joints, and points along the bones between them."""
+    child = np.flatnonzero(np.asarray(skeleton.parents) >= 0)
+    parent = np.asarray(skeleton.parents)[child]
+    return np.concatenate(
+        [joints, *(joints[parent] + a * (joints[child] - joints[parent]) for a in SETTINGS.stranger_along)]
+    )

@@ -12,7 +12,7 @@ from hypose.body.body import Body
 from hypose.body.ready_bodies import human
 from hypose.calibration.diagnose_masks import tangency, tangency_by_view
 from hypose.calibration.diagnose_points import FAR_DEG, FAR_M, undistorted
-from hypose.calibration.diagnostics import Clip, Cured, Observed
+from hypose.calibration.diagnostics import Cured, Observed, ViewFile
 from hypose.calibration.refine_body import BodySettings, adjust_with_body
 from hypose.calibration.refine_points import (
     CameraChange,
@@ -20,10 +20,10 @@ from hypose.calibration.refine_points import (
     changes,
     free_cameras,
     gauge,
-    in_world,
     left_out_residual,
     point_residual,
-    rescaled,
+    scale_rig,
+    transform_rig,
 )
 from hypose.calibration.sync_motion import mask_tracks
 from hypose.calibration.synchronisation import Resampled, points_at
@@ -32,7 +32,7 @@ from hypose.errors import EvidenceError, InputError
 from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.evidence.keypoints import triangulate_keypoints
-from hypose.fitting.articulated import contour_term
+from hypose.evidence.terms import Evidence, contour_term
 from hypose.geometry import Array, transform
 from hypose.io.recordings.frames import FrameStream, load_keypoints
 from hypose.io.recordings.recording import Recording
@@ -41,16 +41,13 @@ from hypose.io.recordings.recording_views import View, open_pictures
 from hypose.pipeline.first_frame import SubjectOptions, find_subject
 from hypose.pipeline.one_of_several import frames_to_examine
 from hypose.pipeline.run import TrackOptions, track_source
+from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.subject_from_motion import with_outlines
 from hypose.tracking.keypoint_evidence import KeypointModel, keypoint_model, keypoint_term
 from hypose.tracking.subject import shape_from_keypoints, subject_from_keypoints
 
 Progress = Callable[[str, int, int], None]
-LOOKS = 12
-"""frames whose depth maps are looked at"""
 METHODS = ("keypoints", "silhouettes", "both")
-_AROUND = 0.3  # of the person's size, around the key points, in which a mask is the person's when others are there
-_USED = 17  # frames that a refinement looks at, as the rest has to judge it
 
 
 def _ignore(stage: str, done: int, total: int) -> None:
@@ -122,7 +119,9 @@ def observe(recording: Recording, most: int = 100, progress: Progress = _ignore)
     if together and person is None:
         notes = ("several people stand in the masks, and are looked at together",)
     about = recording.frame_rate, recording.subject_height, notes
-    return Observed(few.rig, points, names, silhouettes, clips, *about, depths[:: max(1, len(depths) // LOOKS)])
+    return Observed(
+        few.rig, points, names, silhouettes, clips, *about, depths[:: max(1, len(depths) // SETTINGS.examine_looks)]
+    )
 
 
 def _near(silhouettes: Silhouettes, keypoints: Keypoints) -> Silhouettes:
@@ -136,7 +135,7 @@ def _near(silhouettes: Silhouettes, keypoints: Keypoints) -> Silhouettes:
         if len(p) < 4:
             masks[c], usable[c] = 0, False
             continue
-        margin = _AROUND * float(np.ptp(p, axis=0).max())
+        margin = SETTINGS.examine_around * float(np.ptp(p, axis=0).max())
         low = np.clip(np.floor(p.min(0) - margin), 0, (w, h)).astype(int)
         high = np.clip(np.ceil(p.max(0) + margin), 0, (w, h)).astype(int)
         inside = masks[c, low[1] : high[1], low[0] : high[0]].copy()
@@ -146,11 +145,11 @@ def _near(silhouettes: Silhouettes, keypoints: Keypoints) -> Silhouettes:
     return replace(silhouettes, masks=masks, usable=usable)
 
 
-def _clip(view: View) -> Clip:
+def _clip(view: View) -> ViewFile:
     if view.source is None and view.masks is None:
-        return Clip()
+        return ViewFile()
     with open_pictures(view) as reader:
-        return Clip(reader.size, reader.frame_rate, reader.n_frames)
+        return ViewFile(reader.size, reader.frame_rate, reader.n_frames)
 
 
 def raw_person(recording: Recording) -> RecordedPerson | None:
@@ -201,7 +200,7 @@ def refine_recording(
     if points is not None:
         points = np.stack([points_at(p, x) for p, x in zip(points, late, strict=True)])
     n = len(few.frames)
-    used = np.unique(np.linspace(0, n - 1, min(_USED, (n + 1) // 2) + 2).astype(np.int64))[1:-1]
+    used = np.unique(np.linspace(0, n - 1, min(SETTINGS.examine_used, (n + 1) // 2) + 2).astype(np.int64))[1:-1]
     if len(used) < 3:
         raise InputError(f"{n} frames are too few to refine a calibration and to judge it; give at least 10.")
     rest = np.setdiff1d(np.arange(n, dtype=np.int64), used).astype(np.int64)
@@ -217,9 +216,9 @@ def refine_recording(
             few, points, names, late, method, used, rest, focal, free, disturb, progress
         )
     factor = _scale(few.rig, refined, points, used, names, height, notes)
-    refined = rescaled(refined, factor)
+    refined = scale_rig(refined, factor)
     old_from_new = gauge(refined, few.rig, there * factor)
-    refined = in_world(refined, old_from_new)
+    refined = transform_rig(refined, old_from_new)
     here = transform(old_from_new, there * factor)
     tangents = [_tangency(r, before_silhouettes) for r in (few.rig, refined)]
     return Refinement(
@@ -318,26 +317,20 @@ def _by_body(
     kept = [i for i, f in enumerate(frames) if np.isfinite(poses[i]).all() and f.silhouettes is not None]
     if not kept:
         raise EvidenceError("No frame has both silhouettes and a pose to refine the calibration with.")
-    contours, marks = [], []
+    evidence = list[list[Evidence]]()
     for i in kept:
         silhouettes = frames[i].silhouettes
         assert silhouettes is not None
-        contours.append(contour_term(silhouettes) if silhouettes.usable.any() else None)
-        both = method == "both" and keypoints is not None and model is not None
-        seen = keypoints[int(used[i])] if both and keypoints is not None else None
-        marks.append(None if seen is None else keypoint_term(seen, body, model, scale_px=_mark_scale(seen)))
+        evidence.append([contour_term(silhouettes)] if silhouettes.usable.any() else [])
+        if method == "both" and keypoints is not None and model is not None:
+            seen = keypoints[int(used[i])]
+            mark = keypoint_term(seen, body, model, scale_px=_mark_scale(seen))
+            evidence[-1] += [] if mark is None else [mark]
     small = stream.rig
     progress("refine", 0, 1)
     weight = 0.1 if method == "both" else 1.0  # rows of a contour err together; key points weigh as detections
-    found = adjust_with_body(
-        body,
-        small,
-        poses[kept],
-        contours,
-        marks if method == "both" else None,
-        BodySettings(contour_weight=weight, focal=focal),
-        free,
-    )
+    settings = BodySettings(contour_weight=weight, focal=focal)
+    found = adjust_with_body(body, small, poses[kept], evidence, settings, free)
     progress("refine", 1, 1)
     person = body.joints(found.poses).reshape(-1, 3)
     return _poses_into(recording.rig, found.rig), person, judged, notes

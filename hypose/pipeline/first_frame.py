@@ -17,6 +17,7 @@ from hypose.fitting import SolveSettings, fit_pose
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
 from hypose.io.motions.results import Checkpoint, ResultsFolder, file_identity, load_body, save_body
+from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.start_choice import best_ways
 from hypose.pipeline.subject_from_motion import AnthropometryOptions, estimate_subject, with_outlines
 from hypose.tracking.frame_evidence import prepare
@@ -32,11 +33,6 @@ from hypose.tracking.view_noise import view_factors
 
 FrameAt = Callable[[int], Frame]
 GIVEN = "the subject's body is given"
-TRACKED = 24
-"""instants from which a body is fitted"""
-_AS_MANY, _AS_WELL = 0.8, 0.03
-"""Share of the most points of a frame from which on a start is as good, and by how much fewer of its detections may
-agree: one limb of one view is 3 of 100."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +91,7 @@ def find_subject(frame_at: FrameAt, n_frames: int, options: SubjectOptions) -> S
     poses = KNOWN_POSES if options.start in ("auto", "hull") else (options.start,)
     if options.known:
         if options.tried:
-            frames = [frame_at(k) for k in range(min(n_frames, TRACKED))]
+            frames = [frame_at(k) for k in range(min(n_frames, SETTINGS.first_tracked))]
             known = {"height": template.stature, "seed": options.seed, "tried": options.tried}
             way = best_ways(template, frames, options.frame_rate, shared=options.shared, **known).ways[0]
             return Subject(template, None, way.poses[0], (GIVEN,))
@@ -106,7 +102,7 @@ def find_subject(frame_at: FrameAt, n_frames: int, options: SubjectOptions) -> S
         poses=poses,
         seed=options.seed,
         frames=8,
-        tracked=TRACKED,
+        tracked=SETTINGS.first_tracked,
         passes=1,
         shared=options.shared,
         tried=options.tried,
@@ -177,9 +173,9 @@ def _agreeing(frames: Sequence[Keypoints], model: KeypointModel) -> list[int]:
     count = (np.isfinite(points).all(-1) & model.known).sum(1)
     seen = np.stack([((k.points[..., 2] > MIN_CONFIDENCE) & model.known).sum() for k in frames])
     agree = (used * model.known).sum(1) / np.maximum(seen, 1)
-    many = count >= _AS_MANY * count.max()
+    many = count >= SETTINGS.first_as_many * count.max()
     # the first is kept unless another is clearly better: less is to be followed back
-    steps = np.ceil((agree[many].max(initial=0.0) - agree) / _AS_WELL)
+    steps = np.ceil((agree[many].max(initial=0.0) - agree) / SETTINGS.first_as_well)
     return np.lexsort((np.arange(len(frames)), steps, ~many)).tolist()
 
 
@@ -192,7 +188,7 @@ def _followed_back(
     for i, keypoints in reversed(frames[:-1]):
         term = keypoint_term(keypoints, body, model, pose)
         if term is not None and (term.points[..., 2] > 0).any(0).sum() >= LEAST_POINTS:
-            pose, at = fit_pose(body, pose, keypoints=term, priors=prior, options=options).pose, i
+            pose, at = fit_pose(body, pose, [term], priors=prior, options=options).pose, i
     return pose, at
 
 

@@ -24,22 +24,9 @@ from hypose.calibration.sync_motion import mask_tracks
 from hypose.cameras.camera import PARALLEL, triangulate, widest_angle
 from hypose.errors import EvidenceError, HyposeError
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
+from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.track_loop import FrameList, FrameSource
 from hypose.tracking.subject import shape_from_keypoints
-
-FRAMES = 12
-SCATTER = 0.035
-"""Share of the person's size by which the views' key points may disagree (median); detectors reach 0.01 to 0.02, with
-another camera's calibration 0.1 and more."""
-
-
-LATE_S = 0.08
-"""s by which views' key points may be out of step before the result is not to be trusted: somebody who walks is 10 cm
-further by then"""
-_OUTVOTE = 3
-"""views in step that show where the person is whatever another one says"""
-_IN_STEP = 240
-"""frames, those in the middle, by which it is told whether views are in step: .2 s of work"""
 
 
 def first_look(
@@ -85,7 +72,7 @@ def _some(source: FrameSource) -> list[Frame]:
 
 
 def _rows(total: int) -> NDArray[np.int64]:
-    return np.unique(np.linspace(0, total - 1, min(total, FRAMES)).round().astype(np.int64))
+    return np.unique(np.linspace(0, total - 1, min(total, SETTINGS.look_frames)).round().astype(np.int64))
 
 
 def of_measured(stature: float) -> tuple[Finding, ...]:
@@ -105,20 +92,16 @@ def sentences(found: Sequence[Finding], *, fault: bool = True) -> tuple[str, ...
 
 def _in_step(keypoints: Sequence[Keypoints | None], frame_rate: float, o: Limits) -> Iterator[Finding]:
     """Of the key points of consecutive frames: a view that is late, or early."""
-    begin = max(0, (len(keypoints) - _IN_STEP) // 2)
-    some = keypoints[begin : begin + _IN_STEP]
+    begin = max(0, (len(keypoints) - SETTINGS.look_in_step) // 2)
+    some = keypoints[begin : begin + SETTINGS.look_in_step]
     first = next((k for k in some if k is not None), None)
     if first is None:
         return
     none = np.zeros((len(first.rig), len(first.names), 3))
     pixels = np.stack([none if k is None else np.nan_to_num(k.points) for k in some], 1)
     late, sd = late_views(first.rig, pixels, o)
-    fault = np.ptp(late) > LATE_S * frame_rate and (late == 0).sum() < _OUTVOTE
+    fault = np.ptp(late) > SETTINGS.look_late_s * frame_rate and (late == 0).sum() < SETTINGS.look_outvote
     yield from timing_findings(first.rig, late, sd, fault=bool(fault))
-
-
-MOST_PARALLEL = 1 / 3
-"""Share of the key points up to which all rays may be parallel."""
 
 
 def _by_points(keypoints: Sequence[Keypoints], height: float | None, o: Limits) -> Iterator[Finding]:
@@ -128,7 +111,7 @@ def _by_points(keypoints: Sequence[Keypoints], height: float | None, o: Limits) 
     if (pixels[..., 2] > 0.3).any((1, 2)).sum() < 2:
         return
     apart, agreed = disagreement(rig, pixels), True
-    if apart > SCATTER:
+    if apart > SETTINGS.look_scatter:
         trial, before, after = best_trial(rig, pixels, names, [None] * len(rig), 1)
         agreed = trial is not None and before > o.gross and after < o.gross_cured * before
         if trial is not None and agreed:
@@ -141,7 +124,7 @@ def _by_points(keypoints: Sequence[Keypoints], height: float | None, o: Limits) 
     seen = np.where(flat[..., 2] > 0.3, flat[..., 2], 0.0)
     points, views = triangulate(rig, flat[..., :2], seen)
     parallel = (widest_angle(rig, flat[..., :2], seen) < PARALLEL)[views > 1]
-    if len(parallel) and parallel.mean() > MOST_PARALLEL:
+    if len(parallel) and parallel.mean() > SETTINGS.look_most_parallel:
         text = (
             "All cameras: they stand side by side, or face each other: how far away "
             f"{100 * parallel.mean():.0f} % of the key points are cannot be told, since the rays to them are parallel"

@@ -23,18 +23,8 @@ from hypose.body.joint_angles import ANGLE_NAMES, is_length, joint_angles
 from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.geometry import Array
+from hypose.pipeline.settings import SETTINGS
 from hypose.tracking.contacts import soles_of
-
-CORRELATION = 0.15
-"""s over which a smoothed motion errs alike."""
-HEEL_SD = 0.006
-"""m by which a heel is known less well than its ankle, per axis: the size of the foot and its turn. Chosen so that nine
-in ten step lengths lie in their 90 % intervals, on a captured walk on the bodies of the seeds 10 to 19."""
-_LEAST_SWING = 0.12  # m that a foot goes to and fro along the facing direction in a step
-_LEAST_SEEN = 0.03  # m of that which must be seen where the clip begins or ends meanwhile
-_BETWEEN_FRAMES = 0.05  # of a frame: what the parabola through the frames misses
-_LEAST_STEP = 0.25  # s between two strikes of a foot
-_FACING = 0.4  # s over which the facing direction is averaged
 
 
 @dataclass(frozen=True)
@@ -126,7 +116,9 @@ def facing_of(rotations: Array, rate: float) -> Array:
     """(T, 3) horizontal unit vectors that a pelvis of world_from_pelvis (T, 3, 3) faces at rate Hz; the model looks
     along -y."""
     forward = -rotations[:, :, 1] * [1, 1, 0]
-    smooth = uniform_filter1d(np.nan_to_num(forward), max(1, round(_FACING * rate)), axis=0, mode="nearest")
+    smooth = uniform_filter1d(
+        np.nan_to_num(forward), max(1, round(SETTINGS.gait_facing * rate)), axis=0, mode="nearest"
+    )
     return smooth / np.maximum(np.linalg.norm(smooth, axis=1, keepdims=True), 1e-9)
 
 
@@ -138,7 +130,7 @@ def turns(
     filled = np.where(np.isfinite(series), series, np.nanmin(series) if np.isfinite(series).any() else 0.0)
     from scipy.signal import find_peaks  # takes long to import
 
-    peaks, _ = find_peaks(filled, distance=max(1, round(_LEAST_STEP * rate)))
+    peaks, _ = find_peaks(filled, distance=max(1, round(SETTINGS.gait_least_step * rate)))
     out = []
     reach = max(1, round(0.04 * rate))
     for k in peaks[_swings(filled, peaks)].tolist():
@@ -149,8 +141,14 @@ def turns(
         if curve[0] >= 0:
             continue
         shift = float(np.clip(-curve[1] / (2 * curve[0]), -1 / rate, 1 / rate))
-        speed_sd = np.sqrt(2) * sd[k] / CORRELATION
-        out.append((float(times[k]) + shift, float(np.hypot(speed_sd / (2 * -curve[0]), _BETWEEN_FRAMES / rate)), k))
+        speed_sd = np.sqrt(2) * sd[k] / SETTINGS.gait_correlation
+        out.append(
+            (
+                float(times[k]) + shift,
+                float(np.hypot(speed_sd / (2 * -curve[0]), SETTINGS.gait_between_frames / rate)),
+                k,
+            )
+        )
     return out
 
 
@@ -163,8 +161,8 @@ def _swings(series: Array, peaks: NDArray[np.int64]) -> NDArray[np.bool_]:
     tops = series[peaks]
     first = np.maximum.accumulate(series)[peaks] <= tops  # nothing before is higher
     last = np.maximum.accumulate(series[::-1])[::-1][peaks] <= tops
-    needed = [np.where(edge, _LEAST_SEEN, _LEAST_SWING) for edge in (first, last)]
-    swing = np.maximum(tops - left, tops - right) >= _LEAST_SWING
+    needed = [np.where(edge, SETTINGS.gait_least_seen, SETTINGS.gait_least_swing) for edge in (first, last)]
+    swing = np.maximum(tops - left, tops - right) >= SETTINGS.gait_least_swing
     return np.asarray(swing & (tops - left >= needed[0]) & (tops - right >= needed[1]))
 
 
@@ -181,7 +179,7 @@ def _steps(
         t = int(np.argmin(np.abs(motion.times - now.time)))
         across = np.array([-facing[t, 1], facing[t, 0], 0.0])
         apart = feet[t, heel[now.side]] - feet[t, heel[before.side]]
-        both = covariance["left_ankle"][t] + covariance["right_ankle"][t] + 2 * HEEL_SD**2 * np.eye(3)
+        both = covariance["left_ankle"][t] + covariance["right_ankle"][t] + 2 * SETTINGS.gait_heel_sd**2 * np.eye(3)
         left = offs[before.side]
         after = int(np.searchsorted(left, now.time, "right"))
         off = left[after] if after < len(left) else np.nan
@@ -236,7 +234,6 @@ def _figures(
 
 
 PERCENT = np.linspace(0.0, 100.0, 101)
-_SHORTEST, _LONGEST = 0.6, 2.5  # s of a stride
 
 
 @dataclass(frozen=True)
@@ -260,7 +257,7 @@ def strides(events: Sequence[GaitEvent], motion: Motion, side: str) -> list[tupl
     out = []
     for a, b in zip(strikes, strikes[1:], strict=False):
         first, stop = np.searchsorted(motion.times, a), np.searchsorted(motion.times, b, "right")
-        if _SHORTEST <= b - a <= _LONGEST and first < stop and known[first:stop].all():
+        if SETTINGS.gait_shortest <= b - a <= SETTINGS.gait_longest and first < stop and known[first:stop].all():
             out.append((a, b))
     return out
 
@@ -281,7 +278,7 @@ def angle_cycles(events: Sequence[GaitEvent], motion: Motion) -> list[AngleCycle
         at = begin + PERCENT / 100 * (end - begin)
         curves, sds = (np.interp(at, motion.times, a[:, k]) for a in (values, given))
         # strides lie farther apart than an error lasts, so each counts anew
-        apart = min(1.0, CORRELATION / np.mean([b - a for a, b in spans]))
+        apart = min(1.0, SETTINGS.gait_correlation / np.mean([b - a for a, b in spans]))
         count = max(1.0, len(spans) * (1 - apart) + apart)
         sd = curves.std(axis=0, ddof=1) if len(spans) > 1 else np.full(len(PERCENT), np.nan)
         uncertainty = np.sqrt((sds**2).mean(0) / count)

@@ -20,25 +20,21 @@ from typing import Any
 
 import numpy as np
 
-from hypose.compute import Depth
+from hypose.compute import DepthImage
 from hypose.errors import InputError
 from hypose.gestures import model as model_arrays
-from hypose.gestures.depth_pictures import Lens, millimetres
+from hypose.gestures.depth_pictures import DepthLens, millimetres
 from hypose.gestures.model import GestureModel
-from hypose.gestures.pixels import Example
+from hypose.gestures.online import Example
 from hypose.io.files import RecordingFolder, read_bytes, read_json, text_lines, write_text
 from hypose.io.motions.results import load_archive, to_json, write_archive
 from hypose.io.sensors.depth import read_depth_png, write_millimetres_png
 from hypose.io.videos.video import list_images
+from hypose.pipeline.settings import SETTINGS
 
 FORMAT = "hypose-gesture-session"
 PHASES = ("do_gesture", "positive", "release", "negative", "test", "free")
 _FRAMES = ["frame", "time", "file", "phase", "segment", "gesture", "x", "y"]
-MAX_FRAMES = 1_000_000
-MAX_GESTURES = 16
-_WAITING = 4
-_TELLING = 10
-"""pictures by which a session is known"""
 
 
 def save_model(model: GestureModel, path: str | Path) -> None:
@@ -61,7 +57,7 @@ def load_model(path: str | Path) -> GestureModel:
 def content_of(folder: Path) -> str:
     """What tells a session from others, whatever its folder is called, as soon as it has begun: the hash of its first
     pictures, "" where there are none."""
-    pictures = list_images(folder / "depth")[:_TELLING] if (folder / "depth").is_dir() else []
+    pictures = list_images(folder / "depth")[: SETTINGS.gesture_telling] if (folder / "depth").is_dir() else []
     digest = hashlib.sha256()
     for picture in pictures:
         digest.update(read_bytes(picture, "a depth picture", 1 << 26))
@@ -81,7 +77,7 @@ class RecordedFrame:
     x: float
     y: float
 
-    def depth(self) -> Depth:
+    def depth(self) -> DepthImage:
         """The picture (h, w) uint16 mm; InputError names the file when it cannot be read."""
         return np.rint(read_depth_png(self.file) * 1000).astype(np.uint16)
 
@@ -92,7 +88,7 @@ class GestureRecording:
 
     folder: Path
     gestures: tuple[str, ...]
-    lens: Lens
+    lens: DepthLens
     size: tuple[int, int]
     frames: tuple[RecordedFrame, ...]
     undone: frozenset[int]
@@ -123,12 +119,12 @@ class GestureRecording:
             else:
                 yield Example(depth, self.lens)
 
-    def pictures(self) -> Iterator[tuple[RecordedFrame, Depth]]:
+    def pictures(self) -> Iterator[tuple[RecordedFrame, DepthImage]]:
         """Every frame with its picture."""
         for f in self.frames:
             yield f, self.picture(f)
 
-    def picture(self, frame: RecordedFrame) -> Depth:
+    def picture(self, frame: RecordedFrame) -> DepthImage:
         """A frame's picture (h, w) uint16 mm; InputError when it is no depth in millimetres or of another size."""
         depth = millimetres(frame.depth(), str(frame.file))
         if depth.shape != (self.size[1], self.size[0]):
@@ -151,10 +147,10 @@ def read_recording(folder: str | Path) -> GestureRecording:
     gestures, lens, size = value.get("gestures"), value.get("lens"), value.get("size")
     if (
         not isinstance(gestures, list)
-        or not len(gestures) <= MAX_GESTURES
+        or not len(gestures) <= SETTINGS.gesture_max_gestures
         or not all(isinstance(g, str) for g in gestures)
     ):
-        raise InputError(f"{path}: gestures must be a list of at most {MAX_GESTURES} names.")
+        raise InputError(f"{path}: gestures must be a list of at most {SETTINGS.gesture_max_gestures} names.")
     if not isinstance(lens, list) or len(lens) != 4 or not all(isinstance(v, int | float) for v in lens):
         raise InputError(f"{path}: lens must be fx, fy, cx, cy in pixels.")
     if not isinstance(size, list) or len(size) != 2 or not all(isinstance(v, int) and v > 0 for v in size):
@@ -164,7 +160,7 @@ def read_recording(folder: str | Path) -> GestureRecording:
     return GestureRecording(
         folder,
         tuple(gestures),
-        Lens(*(float(v) for v in lens)),
+        DepthLens(*(float(v) for v in lens)),
         (size[0], size[1]),
         tuple(frames),
         _undone(folder / "actions.csv"),
@@ -178,8 +174,10 @@ def _read_frames(folder: Path, gestures: int) -> list[RecordedFrame]:
     if not lines or lines[0].split(",") != _FRAMES:
         raise InputError(f"{path}: the first line must be {','.join(_FRAMES)}.")
     out: list[RecordedFrame] = []
-    if len(lines) > MAX_FRAMES:
-        raise InputError(f"{path} has {len(lines)} frames, at most {MAX_FRAMES} are read; cut it into pieces.")
+    if len(lines) > SETTINGS.gesture_max_frames:
+        raise InputError(
+            f"{path} has {len(lines)} frames, at most {SETTINGS.gesture_max_frames} are read; cut it into pieces."
+        )
     for number, line in enumerate(lines[1:], 2):
         if not line.strip():
             continue
@@ -227,7 +225,7 @@ class SessionWriter:
         self,
         folder: str | Path,
         gestures: Sequence[str],
-        lens: Lens,
+        lens: DepthLens,
         size: tuple[int, int],
         settings: Mapping[str, Any] | None = None,
     ) -> None:
@@ -253,7 +251,7 @@ class SessionWriter:
     def add(
         self,
         time: float,
-        depth: Depth,
+        depth: DepthImage,
         phase: str = "free",
         segment: int = 0,
         gesture: int = 0,
@@ -262,11 +260,11 @@ class SessionWriter:
         """One picture (h, w) uint16 mm of a time (s), with what it was for."""
         file = f"depth/{self._count:06d}.png"
         row = f"{self._count},{time:.6f},{file},{phase},{segment},{gesture},{float(at[0])!r},{float(at[1])!r}\n"
-        self._settle(_WAITING - 1)
+        self._settle(SETTINGS.gesture_waiting - 1)
         self._waiting.append(self._thread.submit(self._write, file, depth.copy(), row))
         self._count += 1
 
-    def _write(self, file: str, depth: Depth, row: str) -> None:
+    def _write(self, file: str, depth: DepthImage, row: str) -> None:
         write_millimetres_png(self.folder / file, depth)
         with self._folder.writing():
             self._frames.write(row)

@@ -14,19 +14,7 @@ from hypose.evidence.frame import Frame
 from hypose.evidence.hull_people import HullPerson
 from hypose.evidence.shared_masks import Other
 from hypose.geometry import Array
-
-SURPRISE = 1.0
-"""m/s: by which somebody moves otherwise than expected."""
-SLACK = 0.25
-"""m: by which the axis of a hull may jump besides."""
-SEEN_SHARE = 0.5
-"""Share of the looks in which somebody must be found to be there: of two whose arms touch, the hull keeps one apart in
-every other look."""
-OTHERS_WIDENED = 0.02
-CORE_M = 0.3
-"""m about their axis: what of another's hull hides a person. The rest may be the person's own."""
-_GONE_S = 0.8
-_PART = 0.4
+from hypose.pipeline.settings import SETTINGS
 
 
 @dataclass(eq=False)
@@ -81,12 +69,18 @@ def follow_places(
         known_hulls = [(h.litres, h.hull.height) for p in paths for h in p.found.values()]
         litres, height = np.median(known_hulls, axis=0) if known_hulls else (0.0, 1.0)
         # a rest of somebody is nobody's place; children have less, and are less tall
-        here = [h for h in here if h.litres > _PART * litres * min(1.0, (h.hull.height / height) ** 3)]
-        alive = [p for p in paths if t - p.last <= max(_GONE_S * frame_rate, 2 * max(np.diff([*numbers, t + 1])))]
+        here = [h for h in here if h.litres > SETTINGS.path_part * litres * min(1.0, (h.hull.height / height) ** 3)]
+        alive = [
+            p
+            for p in paths
+            if t - p.last <= max(SETTINGS.path_gone_s * frame_rate, 2 * max(np.diff([*numbers, t + 1])))
+        ]
         taken: set[int] = set()
         if alive and here:
             away = np.array([[float(np.linalg.norm(p.expected(t) - h.axis)) for h in here] for p in alive])
-            reach = np.array([[SLACK + SURPRISE * (t - p.last) / frame_rate] for p in alive])
+            reach = np.array(
+                [[SETTINGS.path_slack + SETTINGS.path_surprise * (t - p.last) / frame_rate] for p in alive]
+            )
             for a, b in zip(*linear_sum_assignment(np.where(away < reach, away, 1e3)), strict=True):
                 if away[a, b] < reach[a, 0]:
                     alive[a].found[t] = here[b]
@@ -97,18 +91,14 @@ def follow_places(
 
 def lasting(paths: Sequence[Path], looks: Sequence[int]) -> list[Path]:
     """Those who are found in most of the frames `looks`."""
-    return [p for p in paths if sum(t in p.found for t in looks) >= max(2, SEEN_SHARE * len(looks))]
-
-
-CLEARLY_M = 0.6
-"""m: people who stand nearer to each other are not counted as several unless several are asked for."""
+    return [p for p in paths if sum(t in p.found for t in looks) >= max(2, SETTINGS.path_seen_share * len(looks))]
 
 
 def _apart(people: Sequence[HullPerson]) -> int:
     """How many stand clearly apart from all larger ones."""
     kept: list[HullPerson] = []
     for p in people:
-        if all(np.linalg.norm(p.axis - q.axis) > CLEARLY_M for q in kept):
+        if all(np.linalg.norm(p.axis - q.axis) > SETTINGS.path_clearly_m for q in kept):
             kept.append(p)
     return len(kept)
 

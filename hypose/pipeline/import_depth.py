@@ -17,7 +17,7 @@ from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.body.ready_bodies import human
 from hypose.calibration.depth_registration import (
-    Rough,
+    CoarseAlignment,
     in_camera,
     refine_registration,
     rough_registration,
@@ -38,19 +38,11 @@ from hypose.io.videos.video import list_images
 from hypose.pipeline.first_frame import Subject
 from hypose.pipeline.hull_paths import count_people
 from hypose.pipeline.run import TrackOptions, TrackResult, track_source
+from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.subject_from_motion import AnthropometryOptions, different_poses, estimate_subject
 from hypose.pipeline.track_loop import FrameList, Progress
 
-LOOKED_AT = 400
-"""frames from which places are found; the person should have walked and turned by then"""
 _MADE = ("read", "depth", "background", "calibration.toml", "recording.toml")
-_CALM = 9
-_LOWEST_M, _HIGHEST_M = 0.05, 4.0
-"""m: no depth camera that sees a person hangs lower or higher above the floor: other distances are another unit"""
-_NEAR = 0.6
-"""share of a frame's time by which a map may have been seen before or after its instant"""
-_LEAST_SHARE = 0.003
-"""of a picture: what is smaller is nobody"""
 
 
 def import_depth(
@@ -153,9 +145,10 @@ def _imported(
         except HyposeError as error:
             shared = [v.name for v, c in zip(views, cameras, strict=True) if empty and _several(folder, v, c, rate)]
             if shared:
+                first_s = SETTINGS.placing_looked_at / rate
                 raise type(error)(
                     f"Several people stand before {' and '.join(shared)}, and the places of cameras are found from one "
-                    f"person alone: let one move before all of them for the first {LOOKED_AT / rate:.0f} s, and the "
+                    f"person alone: let one move before all of them for the first {first_s:.0f} s, and the "
                     f"others come then. ({error})"
                 ) from error
             places = ", ".join(f"{c.name} {c.position[2]:.2f} m" for c in cameras)
@@ -195,7 +188,7 @@ def _on_floor(source: str | Path, folder: Path, camera: Camera) -> Array:
     """camera_from_world (4, 4) by the floor in what a camera saw in most of its first maps, holes filled from others;
     an error names the source."""
     maps = DepthSource(View(camera.name, depth=folder), camera, camera.pinhole())
-    first = np.stack([maps.map(k) for k in range(min(_CALM, len(list_images(folder))))])
+    first = np.stack([maps.map(k) for k in range(min(SETTINGS.placing_calm, len(list_images(folder))))])
     first[first <= 0] = np.nan
     known = np.isfinite(first).any(0)
     calm = np.zeros(first.shape[1:], np.float32)
@@ -205,7 +198,7 @@ def _on_floor(source: str | Path, folder: Path, camera: Camera) -> Array:
     except EvidenceError as error:
         raise EvidenceError(f"{source}: {error}") from None
     height = float(se3_inverse(found)[2, 3])
-    if not _LOWEST_M < height < _HIGHEST_M:
+    if not SETTINGS.placing_lowest_m < height < SETTINGS.placing_highest_m:
         raise InputError(
             f"{source}: the camera would hang {height:.2f} m above the floor; if the steps of its values are no "
             "millimetres, say with --millimetres how many one is."
@@ -238,7 +231,7 @@ def _in_step(times: Array, rate: float) -> tuple[NDArray[np.int64], NDArray[np.b
     right = np.minimum(np.searchsorted(after, at), len(after) - 1)
     left = np.maximum(right - 1, 0)
     nearest = np.where(at - after[left] < after[right] - at, left, right)
-    return nearest, np.abs(after[nearest] - at) <= _NEAR / rate
+    return nearest, np.abs(after[nearest] - at) <= SETTINGS.placing_near / rate
 
 
 def _moved(
@@ -271,10 +264,10 @@ def _clip(recording: Recording) -> list[Frame]:
         for frame in frames:
             assert frame.silhouettes is not None
             area = int(frame.silhouettes.areas[0]) if frame.silhouettes.usable[0] else 0
-            if found or area > _LEAST_SHARE * frame.silhouettes.masks[0].size:
+            if found or area > SETTINGS.placing_least_share * frame.silhouettes.masks[0].size:
                 found.append(frame)
                 areas.append(area)
-            if len(found) == LOOKED_AT:
+            if len(found) == SETTINGS.placing_looked_at:
                 break
     if not found:
         raise EvidenceError(
@@ -289,7 +282,7 @@ def _several(folder: Path, view: View, camera: Camera, rate: float) -> bool:
     """Do the frames by which a camera is placed show several people? The empty room is known."""
     recording = _recording(folder, CameraRig((camera,)), [view], rate)
     with FrameStream(recording, FrameSettings(silhouettes=recording.silhouettes, people=True)) as frames:
-        return count_people(frames.frame, min(len(frames), LOOKED_AT)) > 1
+        return count_people(frames.frame, min(len(frames), SETTINGS.placing_looked_at)) > 1
 
 
 def _without_first(view: View, count: int) -> None:
@@ -310,11 +303,6 @@ def _free(name: str, taken: Sequence[str]) -> str:
     return name if name not in taken else next(n for n in numbered if n not in taken)
 
 
-_FRAMES = 24
-"""different poses that are solved for together"""
-_ROUNDS = 2
-
-
 @dataclass(frozen=True)
 class RegisteredSensors:
     """rig: the sensors in the world of the first; seconds (C,): to add to each one's times; body; rough: what each of
@@ -323,7 +311,7 @@ class RegisteredSensors:
     rig: CameraRig
     seconds: Array
     body: Body
-    rough: tuple[Rough, ...]
+    rough: tuple[CoarseAlignment, ...]
 
 
 def register_depth(
@@ -354,7 +342,7 @@ def register_depth(
         with _named(alone[k].name):
             found = track_source(FrameList(clip, frame_rate), frame_rate, options, progress=tracked_alone)
             joints.append(_whole(found).joints)
-    rough = list[Rough]()
+    rough = list[CoarseAlignment]()
     for k in range(1, len(clips)):
         with _named(f"{alone[0].name} and {alone[k].name}"):
             rough.append(rough_registration(times[0], joints[0], times[k], joints[k]))
@@ -365,8 +353,8 @@ def register_depth(
     )
     paired = _pairs(times, seconds, frame_rate)
     body = human()
-    for n in range(_ROUNDS):
-        report("together", n, _ROUNDS)
+    for n in range(SETTINGS.placing_rounds):
+        report("together", n, SETTINGS.placing_rounds)
         rig = CameraRig(tuple(replace(c, camera_from_world=e) for c, e in zip(alone, cameras, strict=True)))
         frames = [_together(clips, row, rig) for row in paired]
         how = AnthropometryOptions(frames=8, tracked=24, passes=1, seed=seed)
@@ -377,10 +365,10 @@ def register_depth(
         tracked = _whole(track_source(source, frame_rate, options, subject=subject, find_places=False))
         poses = tracked.poses
         assert poses is not None
-        chosen = different_poses(body, poses, 1 - tracked.cost, _FRAMES)
+        chosen = different_poses(body, poses, 1 - tracked.cost, SETTINGS.placing_frames)
         seen = [[_surface(clips[k][paired[t][k]]) for t in chosen] for k in range(len(clips))]
         cameras = refine_registration(body, poses[chosen], seen, cameras).camera_from_world
-    report("together", _ROUNDS, _ROUNDS)
+    report("together", SETTINGS.placing_rounds, SETTINGS.placing_rounds)
     rig = CameraRig(tuple(replace(c, camera_from_world=e) for c, e in zip(alone, cameras, strict=True)))
     return RegisteredSensors(rig, seconds, body, tuple(rough))
 

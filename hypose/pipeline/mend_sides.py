@@ -17,28 +17,14 @@ from hypose.body.body import Body
 from hypose.evidence.frame import Frame
 from hypose.inference.layer import Memory
 from hypose.pipeline.doubts import in_words, looked_again
+from hypose.pipeline.settings import SETTINGS
 from hypose.tracking.contacts import runs
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState
 
 FrameRange = Callable[[range], Iterable[Frame]]
 """The frames of a range of numbers, one after the other."""
 
-# What follows counts frames at up to 25 frames/s; at more it grows with the frame rate.
-_GIVE_UP = 0.3
-"""Sum over frames of 1 - IoU that tracking anew may lie above its best before it is broken off."""
-_LEAST = 0.15
-"""Sum over frames of IoU that has to be won: a turned body costs 0.05 to 0.1 in each."""
-_UNDECIDED = 50
-"""Frames after its best after which it is broken off as well."""
-_FOUND_BY, _LEAST_BACK = 25, 0.05
-"""Frame from which the first ones are looked at again, and sum over frames of IoU that has to be won."""
-_MET_M, _MET_FRAMES = 0.02, 8
-"""m, frames: both tracks are one where their joints lie so near for so long."""
-_ELSEWHERE_M = 0.15
-"""m: a body whose joints lie so far off in the mean had been lost."""
 _LIMBS = ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
-_BLOCK = 25
-"""Frames read at once to go backwards: videos are read forwards."""
 
 
 def mend_sides(
@@ -56,7 +42,7 @@ def mend_sides(
     tried, replaced = set[int](), np.zeros(len(out), dtype=bool)
     while (at := _most_suspicious(out, tried)) is not None:
         anew = _tracked_anew(tracker, out, at, frames, memory)
-        if anew.won < _LEAST * pace_of(tracker) or (sure_start and anew.first == 0):
+        if anew.won < SETTINGS.sides_least * pace_of(tracker) or (sure_start and anew.first == 0):
             tried.update(anew.compared)  # what fits as well both ways is gone through once
             continue
         tried.add(at)
@@ -71,14 +57,14 @@ def look_back(
     """The estimates with those of the first frames replaced that tracking backwards explains better, from where it had
     found its way, and which these are: what a start got wrong is put right by what came after it."""
     out, pace = list(estimates), pace_of(tracker)
-    at = min(round(_FOUND_BY * pace), len(out) - 1)
+    at = min(round(SETTINGS.sides_found_by * pace), len(out) - 1)
     if at < 1 or tracker.recipe.recover is None:
         return out, range(0)
     start = tracker.start(out[at].pose, memory)
     better, won, _ = _while_better(tracker, start, out, range(at - 1, -1, -1), backwards(frames, at), False)
-    if len(better) < at or won < _LEAST_BACK * pace:  # not as far as the first frame
+    if len(better) < at or won < SETTINGS.sides_least_back * pace:  # not as far as the first frame
         return out, range(0)
-    moved = [t for t in range(at) if _apart(tracker.body, out[t], better[at - 1 - t]) > _MET_M]
+    moved = [t for t in range(at) if _apart(tracker.body, out[t], better[at - 1 - t]) > SETTINGS.sides_met_m]
     out[:at] = better[::-1]
     return out, range(max(moved, default=-1) + 1)
 
@@ -148,9 +134,9 @@ def _while_better(
         won += float(np.nan_to_num(old[t].cost - estimate.cost))
         if won > best:
             best, kept = won, len(new)
-        met = met + 1 if _apart(tracker.body, old[t], estimate) < _MET_M else 0
-        both = until_met and met >= _MET_FRAMES * pace
-        if won < best - _GIVE_UP * pace or len(new) - kept > _UNDECIDED * pace or both:
+        met = met + 1 if _apart(tracker.body, old[t], estimate) < SETTINGS.sides_met_m else 0
+        both = until_met and met >= SETTINGS.sides_met_frames * pace
+        if won < best - SETTINGS.sides_give_up * pace or len(new) - kept > SETTINGS.sides_undecided * pace or both:
             break
     if not until_met:
         return new, won, len(new)
@@ -177,7 +163,7 @@ def _forwards(frames: FrameRange, first: int, stop: int) -> Iterator[tuple[Frame
 def backwards(frames: FrameRange, stop: int) -> Iterator[tuple[Frame, Frame | None]]:
     """The frames stop - 1, stop - 2, ..., 0 with the one before each."""
     while stop > 0:
-        begin = max(0, stop - _BLOCK)
+        begin = max(0, stop - SETTINGS.sides_block)
         yield from list(_forwards(frames, begin, stop))[::-1]
         stop = begin
 
@@ -205,7 +191,7 @@ def _much_the_same(body: Body, a: FrameEstimate, b: FrameEstimate) -> bool:
     joints = body.joints(np.stack([a.pose, b.pose]))
     left, right = (joints[:, [s.joint(f"{side}_{name}") for name in _LIMBS]] for side in ("left", "right"))
     across = left - right
-    return bool(((across[0] * across[1]).sum(-1) > 0).all()) and _apart(body, a, b) < _ELSEWHERE_M
+    return bool(((across[0] * across[1]).sum(-1) > 0).all()) and _apart(body, a, b) < SETTINGS.sides_elsewhere_m
 
 
 def _apart(body: Body, a: FrameEstimate, b: FrameEstimate) -> float:

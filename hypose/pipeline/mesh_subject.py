@@ -16,7 +16,7 @@ from hypose.body.coarse_mesh import coarse_mesh, decimated
 from hypose.body.fit_skeleton import (
     SCAN_POSES,
     ScanFit,
-    Stance,
+    ScanPose,
     find_stances,
     fit_template,
     surface_samples,
@@ -26,22 +26,16 @@ from hypose.body.joint_names import match_rig
 from hypose.body.ready_bodies import human
 from hypose.body.skin_weights import body_bones, carried_weights, heat_weights, influences, vertex_normals
 from hypose.errors import EvidenceError, InputError
-from hypose.fitting.articulated import PointTerm, SolveSettings, fit_pose
+from hypose.evidence.terms import PointTerm
+from hypose.fitting.articulated import SolveSettings, fit_pose
 from hypose.geometry import Array
 from hypose.io.file_names import text_of
 from hypose.io.motions.meshes import PersonMesh, closed_surface, read_person
 from hypose.io.motions.results import save_body
+from hypose.pipeline.settings import SETTINGS
 from hypose.tracking.refinement import anatomical_prior
 
 UNITS = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
-STATURES = (0.6, 2.4)
-"""Heights (m) that are taken for a person's, arms raised included."""
-FINE_VERTICES = 8000
-_SAMPLES = 2500
-_COARSE = 550  # vertices of the mesh for scoring
-# a fit worse than this is no person in a known pose: share of samples farther than 5 % of the stature from the template
-# (0.000 for 30 scans of ten people in three poses, 0.07 and more for people squeezed to half their width and less)
-_MOST_FAR = 0.04
 
 
 @dataclass(frozen=True)
@@ -73,8 +67,9 @@ def rig_mesh(mesh: str | Path | PersonMesh | Mesh, *, unit: str = "m", height: f
     whatever the unit. InputErrors say what is wrong with it (open, in parts, unit, pose) and what to do."""
     if unit not in UNITS:
         raise InputError(f"There is no unit {unit!r}; the units are {', '.join(UNITS)}.")
-    if height is not None and not STATURES[0] <= height <= STATURES[1]:
-        raise InputError(f"A height of {height} m was given; it must lie between {STATURES[0]} and {STATURES[1]} m.")
+    least, most = SETTINGS.mesh_statures
+    if height is not None and not least <= height <= most:
+        raise InputError(f"A height of {height} m was given; it must lie between {least} and {most} m.")
     if isinstance(mesh, Mesh):
         person = PersonMesh(np.asarray(mesh.vertices, dtype=np.float64), mesh.faces)
     else:
@@ -89,7 +84,7 @@ def rig_mesh(mesh: str | Path | PersonMesh | Mesh, *, unit: str = "m", height: f
 
 def _with_new_rig(person: PersonMesh, unit: str, height: float | None) -> MeshSubject:
     template = human()
-    surface = surface_samples(person.vertices, person.faces, _SAMPLES, np.random.default_rng(0))
+    surface = surface_samples(person.vertices, person.faces, SETTINGS.mesh_samples, np.random.default_rng(0))
     stances = find_stances(surface, template)
     upright = person.vertices @ stances[0].upright_from_file.T
     extent = float(np.ptp(upright[:, 2]))
@@ -105,9 +100,9 @@ def _with_new_rig(person: PersonMesh, unit: str, height: float | None) -> MeshSu
     notes = [*person.notes, *_stance_notes(stance, unit, height)]
     vertices = person.vertices @ stance.upright_from_file.T * scale
     faces = person.faces
-    if len(vertices) > FINE_VERTICES:
-        notes.append(f"the display mesh has {FINE_VERTICES // 2} of the scan's {len(vertices)} vertices")
-        vertices, faces = decimated(vertices, faces, FINE_VERTICES // 2)
+    if len(vertices) > SETTINGS.mesh_fine_vertices:
+        notes.append(f"the display mesh has {SETTINGS.mesh_fine_vertices // 2} of the scan's {len(vertices)} vertices")
+        vertices, faces = decimated(vertices, faces, SETTINGS.mesh_fine_vertices // 2)
     weights = heat_weights(vertices, faces, body_bones(fit.body, fit.pose), len(template.skeleton.joint_names))
     names = template.skeleton.joint_names
     body = _assembled(person, fit.body, fit.pose, vertices, faces, weights)
@@ -128,7 +123,7 @@ def _assembled(
     weights: Array,
 ) -> Body:
     """The body on the skeleton of `frame`, from a surface at a pose with dense weights (V, J)."""
-    rough, rough_faces = coarse_mesh(vertices, faces, _COARSE)
+    rough, rough_faces = coarse_mesh(vertices, faces, SETTINGS.mesh_coarse)
     rough_weights = carried_weights(rough, vertex_normals(rough, rough_faces), vertices, faces, weights)
     meshes = []
     for v, f, w in ((rough, rough_faces, rough_weights), (vertices, faces, weights)):
@@ -148,7 +143,7 @@ def _metres(extent: float, source: str, unit: str, height: float | None) -> floa
     if height is not None:
         return height / extent
     scale = UNITS[unit]
-    low, high = STATURES
+    low, high = SETTINGS.mesh_statures
     if low <= extent * scale <= high:
         return scale
     fitting = [u for u, s in UNITS.items() if low <= extent * s <= high]
@@ -163,8 +158,8 @@ def _metres(extent: float, source: str, unit: str, height: float | None) -> floa
     raise InputError(f"{source}: in {unit} the person would be {shown} tall; {advice}.")
 
 
-def _check_fit(fit: ScanFit, stance: Stance, source: str) -> None:
-    if fit.far <= _MOST_FAR and fit.distance < 0.02 * fit.body.stature:
+def _check_fit(fit: ScanFit, stance: ScanPose, source: str) -> None:
+    if fit.far <= SETTINGS.mesh_most_far and fit.distance < 0.02 * fit.body.stature:
         return
     raise InputError(
         f"{source} does not look like one person in any known pose: {fit.far:.0%} of the surfaces lie more than "
@@ -173,7 +168,7 @@ def _check_fit(fit: ScanFit, stance: Stance, source: str) -> None:
     )
 
 
-def _stance_notes(stance: Stance, unit: str, height: float | None) -> list[str]:
+def _stance_notes(stance: ScanPose, unit: str, height: float | None) -> list[str]:
     notes = []
     if unit != "m" and height is None:
         notes.append(f"coordinates in {unit} became metres")
@@ -215,11 +210,11 @@ def _with_own_rig(person: PersonMesh, unit: str, height: float | None) -> MeshSu
     vertices = person.vertices @ turn.T * scale
     joints = matched.joints @ turn.T * scale
     frame, pose = _pose_from_joints(joints, vertices)
-    notes = [*person.notes, *_stance_notes(Stance(turn, "", 0.0, up), unit, height)]
+    notes = [*person.notes, *_stance_notes(ScanPose(turn, "", 0.0, up), unit, height)]
     weights, faces = matched.weights, person.faces
-    if len(vertices) > 2 * FINE_VERTICES:
-        notes.append(f"the display mesh has {FINE_VERTICES // 2} of the file's {before} vertices")
-        small, small_faces = decimated(vertices, faces, FINE_VERTICES // 2)
+    if len(vertices) > 2 * SETTINGS.mesh_fine_vertices:
+        notes.append(f"the display mesh has {SETTINGS.mesh_fine_vertices // 2} of the file's {before} vertices")
+        small, small_faces = decimated(vertices, faces, SETTINGS.mesh_fine_vertices // 2)
         weights = carried_weights(small, vertex_normals(small, small_faces), vertices, faces, weights)
         vertices, faces = small, small_faces
     body = _assembled(person, frame, pose, vertices, faces, weights)
@@ -266,7 +261,7 @@ def _pose_from_joints(joints: Array, vertices: Array) -> tuple[Body, Array]:
     fit = fit_pose(
         sized,
         start,
-        points=term,
+        [term],
         priors=(anatomical_prior(s),),
         options=SolveSettings(iterations=60, coarse_iterations=10),
     )

@@ -21,18 +21,11 @@ from hypose.evidence.frame import Frame
 from hypose.fitting.articulated import SolveSettings
 from hypose.geometry import Array
 from hypose.pipeline.one_camera import FrameSource
+from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.subject_from_motion import different_poses
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.refinement import refine
 
-OFF_DEGREES, OFF_M = 4.0, 0.025
-"""from which on a sensor stands elsewhere than is told, m where the person is: how it turns about somebody who does not
-turn is hardly told (2.4 degrees before right cameras, in 1 s), and matters as little"""
-_FRAMES, _LEAST_S = 12, 0.6
-"""poses that tell where sensors stand; s of a stretch in which they are known to stand still, at least"""
-_ROUGH, _SURE = (6, 3), 0.5
-"""poses and steps of a rough look, and share of OFF_DEGREES and OFF_M that it must see before all is looked at: sensors
-that stand where they should, as nearly always, cost a fifth so"""
 _FAR = SolveSettings(iterations=12, coarse_iterations=6)
 
 
@@ -68,12 +61,12 @@ def moved_sensors(
     fewer than two. poses (T, D), as tracked; iou (T,): how well each agrees with what was seen, NaN: it does not
     tell."""
     depth = source.frame(0).depth
-    count, least = len(poses), max(round(_LEAST_S * frame_rate), 3)
+    count, least = len(poses), max(round(SETTINGS.moved_least_s * frame_rate), 3)
     if depth is None or depth.usable.sum() < 2 or count < least:
         return (), ()
     told = _cameras(depth)
 
-    def places(frames: range, count: int = _FRAMES, iterations: int = 12) -> Array:
+    def places(frames: range, count: int = SETTINGS.moved_frames, iterations: int = 12) -> Array:
         known = np.flatnonzero(np.isfinite(iou[frames.start : frames.stop])) + frames.start
         if len(known) < least:
             return told
@@ -82,7 +75,9 @@ def moved_sensors(
 
     third = max(count // 3, least)
     ends = range(third), range(count - third, count)
-    if not any(_off(told, places(end, *_ROUGH), poses[end[len(end) // 2]], _SURE) for end in ends):
+    if not any(
+        _off(told, places(end, *SETTINGS.moved_rough), poses[end[len(end) // 2]], SETTINGS.moved_sure) for end in ends
+    ):
         return (), ()
     first, last = places(ends[0]), places(ends[1])
     change = 0
@@ -125,7 +120,11 @@ def _off(told: Array, found: Array, pose: Array, share: float = 1.0) -> dict[int
     """Degrees, and m where the person stands (pose (D,)), by which cameras are off: those that are, by more than a
     share of what counts."""
     errors = [place_error(f, t, pose[:3]) for f, t in zip(found, told, strict=True)]
-    return {c: e for c, e in enumerate(errors) if e[0] > share * OFF_DEGREES or e[1] > share * OFF_M}
+    return {
+        c: e
+        for c, e in enumerate(errors)
+        if e[0] > share * SETTINGS.moved_off_degrees or e[1] > share * SETTINGS.moved_off_m
+    }
 
 
 def _refined(

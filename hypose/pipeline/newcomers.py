@@ -15,27 +15,14 @@ from hypose.evidence.hull_people import VIEWS, HullPerson
 from hypose.evidence.shared_masks import Other, without
 from hypose.geometry import Array
 from hypose.pipeline.first_frame import Subject
-from hypose.pipeline.hull_paths import OTHERS_WIDENED
+from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.tracked_people import Followed
-from hypose.pipeline.wardrobe import UNLIKE, exchange, same_clothes
+from hypose.pipeline.wardrobe import exchange, same_clothes
 from hypose.tracking.clothes import clothes_in
 from hypose.tracking.costs import mean_overlap
 from hypose.tracking.frame_evidence import PreparedFrame, prepare
 from hypose.tracking.several import shape_of
 from hypose.tracking.start_search import start_from_hull
-
-LEFT_SHARE = 0.1
-"""Share of a tracked person's box that must be unexplained in VIEWS views to be worth a look at the hull."""
-SHORTER_M, TALLER_M = 0.35, 0.5
-"""m: by how much the hull of one who returns may be lower (bent) or higher (arms up) than their body is tall."""
-ONE_PLACE_M = 0.2
-"""m: two bodies whose roots are so near to each other are one person"""
-NOTHING = 0.2
-"""Mean IoU below which a body explains nothing: a double had .01 (seed 450), people .78 and more (431, 441 to 444)"""
-WALKING, BESIDE = 3.0, 0.6
-"""m/s, and m: how fast, and how much further, somebody who returns may have come from where they left."""
-DRAWN_S = 0.4
-"""s: somebody who comes is found within that, by the next looks"""
 
 
 def explained_by(people: Sequence[Followed], silhouettes: Silhouettes) -> list[Other]:
@@ -52,7 +39,7 @@ def somebody_more(known: Sequence[Other], silhouettes: Silhouettes, least: int =
     boxes = np.concatenate([o.shape.boxes for o in known])
     sizes = (boxes[:, 1] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 2])
     usual = float(np.median(sizes[sizes > 0])) if (sizes > 0).any() else 0.0
-    views = thin.usable & (without(thin, known).areas > LEFT_SHARE * usual)
+    views = thin.usable & (without(thin, known).areas > SETTINGS.newcomer_left_share * usual)
     return int(views.sum()) >= min(least, int(thin.usable.sum()))
 
 
@@ -63,7 +50,7 @@ def part_doubles(people: Sequence[Followed], frames: int) -> None:
             if not (a.member.present and b.member.present) or min(len(a.estimates), len(b.estimates)) < frames:
                 continue
             poses = [np.stack([e.pose[:3] for e in p.estimates[-frames:]]) for p in (a, b)]
-            if (np.linalg.norm(poses[0] - poses[1], axis=1) < ONE_PLACE_M).all():
+            if (np.linalg.norm(poses[0] - poses[1], axis=1) < SETTINGS.newcomer_one_place_m).all():
                 costs = [np.mean([np.nan_to_num(e.cost, nan=1.0) for e in p.estimates[-frames:]]) for p in (a, b)]
                 worse = a if costs[0] >= costs[1] else b
                 worse.member = replace(worse.member, present=False)
@@ -77,8 +64,12 @@ def without_doubles(people: Sequence[Followed], frame: Frame) -> dict[str, Subje
     for p in people:
         for name, q in kept.items():
             away, rest = _away(p, q), [o for o in people if o is not p and o is not q]
-            alone = min(_explains(a, [*rest, b], frame) for a, b in ((p, q), (q, p))) if away < BESIDE else 1.0
-            if away < ONE_PLACE_M or alone < NOTHING:
+            alone = (
+                min(_explains(a, [*rest, b], frame) for a, b in ((p, q), (q, p)))
+                if away < SETTINGS.newcomer_beside
+                else 1.0
+            )
+            if away < SETTINGS.newcomer_one_place_m or alone < SETTINGS.newcomer_nothing:
                 kept[name] = max((q, p), key=lambda o, rest=rest: _explains(o, rest, frame))
                 break
         else:
@@ -97,20 +88,20 @@ def _explains(p: Followed, others: Sequence[Followed], frame: Frame) -> float:
     assert s is not None
     hide = [Other(shape_of(o.subject.body, o.subject.start, s.rig)) for o in others]
     prepared = prepare(own_frame(frame, shape_of(body, start, s.rig), hide), body, start)
-    return 0.0 if prepared.masks is None else mean_overlap(body, start, prepared)
+    return mean_overlap(body, start, prepared)
 
 
 def not_parts(found: Sequence[HullPerson], people: Sequence[Followed]) -> list[HullPerson]:
     """Those in the hull who are no limb of somebody who is tracked: whoever is no taller than a child stands apart."""
     at = [p.estimates[-1].pose[:2] for p in people if p.member.sure]
-    return [h for h in found if h.tall or all(np.linalg.norm(h.axis - q) > BESIDE for q in at)]
+    return [h for h in found if h.tall or all(np.linalg.norm(h.axis - q) > SETTINGS.newcomer_beside for q in at)]
 
 
 def evidence_of(person: HullPerson, frame: Frame, known: Sequence[Other], beside: Sequence[HullPerson] = ()) -> Frame:
     """The frame as evidence for somebody in the hull; known: who is explained; beside: others in the hull."""
     s = frame.silhouettes
     assert s is not None
-    rest = [Other(p.shape(s.rig), OTHERS_WIDENED) for p in beside if p is not person]
+    rest = [Other(p.shape(s.rig), SETTINGS.path_others_widened) for p in beside if p is not person]
     return own_frame(frame, person.shape(s.rig), [*known, *rest])
 
 
@@ -136,19 +127,19 @@ def returned(
             continue
         seen = p.last_seen
         if seen is not None:
-            reach = BESIDE + WALKING * max(1, seen[1]) / frame_rate
+            reach = SETTINGS.newcomer_beside + SETTINGS.newcomer_walking * max(1, seen[1]) / frame_rate
             if np.linalg.norm(seen[0][:2] - person.axis) > reach:
                 continue
         with contextlib.suppress(EvidenceError):
             prepared, pose = found_again(p, own)
             like = same_clothes(p, clothes_in(p.subject.body, pose, own))
             score = mean_overlap(p.subject.body, pose, prepared) + like
-            if like > UNLIKE and (best is None or score > best[0]):
+            if like > SETTINGS.wardrobe_unlike and (best is None or score > best[0]):
                 best = (score, p, pose)
     if best is None:
         return None
     higher = person.hull.height - best[1].subject.body.stature
-    return (best[1], best[2]) if -SHORTER_M < higher < TALLER_M else None
+    return (best[1], best[2]) if -SETTINGS.newcomer_shorter_m < higher < SETTINGS.newcomer_taller_m else None
 
 
 def drawn_away(person: HullPerson, people: Sequence[Followed], frame_rate: float) -> tuple[Followed, int] | None:
@@ -159,10 +150,12 @@ def drawn_away(person: HullPerson, people: Sequence[Followed], frame_rate: float
     for q in people:
         if not q.member.sure:
             continue
-        at = np.array([e.pose[:2] for e in q.estimates[-max(2, round(DRAWN_S * frame_rate)) :]])
-        near = np.flatnonzero(np.linalg.norm(at - person.axis, axis=1) < BESIDE / 2)
+        at = np.array([e.pose[:2] for e in q.estimates[-max(2, round(SETTINGS.newcomer_drawn_s * frame_rate)) :]])
+        near = np.flatnonzero(np.linalg.norm(at - person.axis, axis=1) < SETTINGS.newcomer_beside / 2)
         frames = len(at) - 1 - near[-1] if len(near) else 0
-        if frames and np.linalg.norm(at[-1] - at[near[-1]]) > max(BESIDE, WALKING * frames / frame_rate):
+        if frames and np.linalg.norm(at[-1] - at[near[-1]]) > max(
+            SETTINGS.newcomer_beside, SETTINGS.newcomer_walking * frames / frame_rate
+        ):
             return q, len(q.estimates) - int(frames)
     return None
 

@@ -42,6 +42,7 @@ from hypose.io.recordings.view_source import ViewSource
 from hypose.io.videos.video import open_video
 from hypose.pipeline.doubts import in_words
 from hypose.pipeline.first_frame import Subject
+from hypose.pipeline.settings import SETTINGS
 from hypose.tracking.contacts import runs
 from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, keypoint_model
 from hypose.tracking.monocular.evidence import SMALLEST_MASK
@@ -49,12 +50,6 @@ from hypose.tracking.monocular.initialise import LEAST_POINTS, initialise
 from hypose.tracking.monocular.points import FEWEST_PX, clicked_joints, keypoints_on
 from hypose.tracking.monocular.points_fit import PointsOn
 from hypose.tracking.monocular.settings import MonoSettings
-
-TARGET_PX = 250.0
-"""The person's size in the pictures that are worked on: larger ones cost time, smaller ones limbs."""
-SMALLEST_SIDE = 320
-_AHEAD_BYTES = 250_000_000
-"""Of pictures that are read forwards and kept, so that no video is decoded backwards."""
 
 
 def one_view(recording: Recording, camera: str | None) -> Recording:
@@ -84,7 +79,13 @@ def working_side(recording: Recording, person_px: float, picture: tuple[int, int
     (width, height) is about TARGET_PX tall."""
     longest = max(recording.rig[0].size)
     share = person_px / max(picture)
-    return round(float(np.clip(TARGET_PX / max(share, 1e-3), min(SMALLEST_SIDE, longest), longest)))
+    return round(
+        float(
+            np.clip(
+                SETTINGS.picture_target_px / max(share, 1e-3), min(SETTINGS.picture_smallest_side, longest), longest
+            )
+        )
+    )
 
 
 def has_masks(recording: Recording) -> bool:
@@ -162,7 +163,10 @@ class PictureFrames:
         if index not in self._kept:
             first = self.frame(index) if not self._kept else next(iter(self._kept.values()))
             size = 1 if first.picture is None else first.picture.image.nbytes
-            self._kept = {i: self.frame(i) for i in range(max(0, index + 1 - max(1, _AHEAD_BYTES // size)), index + 1)}
+            self._kept = {
+                i: self.frame(i)
+                for i in range(max(0, index + 1 - max(1, SETTINGS.picture_ahead_bytes // size)), index + 1)
+            }
         return self._kept[index]
 
     def close(self) -> None:
@@ -272,10 +276,6 @@ def centre_of(silhouettes: Silhouettes) -> Array | None:
 
 POINT_STARTS = ("auto", "keypoints")
 """Starts that are no file of clicks."""
-CLICK_SHARE = 0.010
-"""1 sd of a click, as a share of the person's size in the picture."""
-LENGTH_FRAMES = 10
-"""So many further frames with key points decide the lengths of somebody whose body is not known."""
 
 Clicks = Mapping[str, tuple[float, float]]
 """Joints clicked in a recorded picture: name -> (u, v) px."""
@@ -401,7 +401,7 @@ def subject_in_picture(
             clicks = load_clicks(start, source.recording)
             told = f"{len(clicks)} clicked joints"
             pixels = clicked_pixels(clicks, source.recording, source.rig[0])
-            scale = max(FEWEST_PX, CLICK_SHARE * _extent(np.array(list(pixels.values()))))
+            scale = max(FEWEST_PX, SETTINGS.picture_click_share * _extent(np.array(list(pixels.values()))))
             points_on = partial(clicked_joints, clicks=pixels, scale_px=scale)
         else:
             raise InputError(f"Clicks ({start}) belong to a recording; frames in memory start from their key points.")
@@ -451,7 +451,7 @@ def _evidence_note(source: FrameSource, evidence: str, keypoints: bool) -> str:
 
 def _later_points(seen: Sequence[Keypoints | None], first: int) -> tuple[PointsOn, ...]:
     """The key points of LENGTH_FRAMES frames over the whole clip, to measure lengths with."""
-    rows = np.unique(np.linspace(first, len(seen) - 1, LENGTH_FRAMES + 1).astype(int))[1:]
+    rows = np.unique(np.linspace(first, len(seen) - 1, SETTINGS.picture_length_frames + 1).astype(int))[1:]
     some = [k for k in (seen[i] for i in rows) if k is not None and _enough(k)]
     return tuple(partial(keypoints_on, names=k.names, keypoints=np.asarray(k.points[0])) for k in some)
 
@@ -480,13 +480,6 @@ def _first_keypoints(
     )
 
 
-FAR, OUTSIDE = 0.12, 0.04
-"""Share of the person's size by which a key point lies elsewhere than on the body, and a joint outside of the mask:
-detectors put necks and hips up to 0.07 beside the body's"""
-BESIDE, BESIDE_FRAME = 0.15, 0.2
-"""Share of the key points, or joints, that are elsewhere from which on a motion is not to be trusted, and a frame is
-doubtful. Motions that lay on the person had 0.00 to 0.04, and 0.18 at most in a frame (four real cameras, four
-simulated), those with limbs elsewhere, or key points half a second late, 0.30 to 0.65 (simulated)"""
 _LEAST, _LIMBS = 4, ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
 """key points that tell, and of what: a face has many, beside which an arm would not count"""
 
@@ -507,9 +500,9 @@ def beside_the_picture(body: Body, poses: Array, frames: Iterable[Frame]) -> Arr
 
 def against_the_picture(share: Array) -> tuple[str, ...]:
     """Sentences that make a motion not to be trusted, by `beside_the_picture`."""
-    if not np.isfinite(share).any() or np.nanmean(share) <= BESIDE:
+    if not np.isfinite(share).any() or np.nanmean(share) <= SETTINGS.picture_beside:
         return ()
-    where = in_words(runs(np.nan_to_num(share) > BESIDE))
+    where = in_words(runs(np.nan_to_num(share) > SETTINGS.picture_beside))
     return (
         f"{100 * np.nanmean(share):.0f} % of what the picture shows of the person lies elsewhere than on the body, "
         f"above all in {where}: look at the overlay, and whether key points and camera are those of this video; begin "
@@ -534,7 +527,7 @@ def _far(body: Body, pose: Array, keypoints: Keypoints) -> float:
     if seen.sum() < _LEAST or not size > 0:
         return np.nan
     uv = keypoints.rig[0].project_pinhole(model.positions(body, pose))
-    return float((np.linalg.norm(uv - points[:, :2], axis=1)[seen] > FAR * size).mean())
+    return float((np.linalg.norm(uv - points[:, :2], axis=1)[seen] > SETTINGS.picture_far * size).mean())
 
 
 def _outside(body: Body, pose: Array, silhouettes: Silhouettes) -> float:
@@ -547,4 +540,6 @@ def _outside(body: Body, pose: Array, silhouettes: Silhouettes) -> float:
     inside = (uv >= 0).all(1) & (uv[:, 0] < w) & (uv[:, 1] < h)
     if not inside.any():
         return np.nan
-    return float((away[uv[inside, 1], uv[inside, 0]] > OUTSIDE * max(cv2.boundingRect(mask)[2:])).mean())
+    return float(
+        (away[uv[inside, 1], uv[inside, 0]] > SETTINGS.picture_outside * max(cv2.boundingRect(mask)[2:])).mean()
+    )

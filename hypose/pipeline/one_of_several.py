@@ -30,27 +30,21 @@ from hypose.pipeline.hull_paths import count_people
 from hypose.pipeline.people_points import KeypointPeople
 from hypose.pipeline.people_run import PeopleRun
 from hypose.pipeline.run import TrackOptions, TrackResult
+from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.subject_from_motion import load_subject
 from hypose.pipeline.track_loop import FrameSource, Progress
 from hypose.pipeline.tracked_people import Wanted, said_of_places
 from hypose.pipeline.verdict import left_out
 
-_LARGE, _TALL = 0.3, 0.5
-"""Share of the largest part's area, and of its height, from which a part of a mask is somebody, too: a person who is
-nearly twice as far away."""
-OFTEN, NOW_AND_THEN, _VIEWS = 0.5, 0.25, 2
-"""Share of the frames in which a view must show several, without and with other evidence of them, and how many views
-must: an arm or a chair that a table cuts off is seen so by one."""
 
-
-def several_apart(silhouettes: Sequence[Silhouettes], often: float = OFTEN) -> bool:
+def several_apart(silhouettes: Sequence[Silhouettes], often: float = SETTINGS.several_often) -> bool:
     """Whether so many of these frames, a share of them, show people beside each other in two views or more."""
     if not silhouettes:
         return False
     usable = np.array([s.usable for s in silhouettes])
     shown = [[u and _beside(m) > 1 for m, u in zip(s.masks, s.usable, strict=True)] for s in silhouettes]
     views = np.array(shown).sum(0) > often * np.maximum(usable.sum(0), 1)
-    return int(views.sum()) >= _VIEWS
+    return int(views.sum()) >= SETTINGS.several_views
 
 
 def _beside(mask: NDArray[np.uint8]) -> int:
@@ -61,7 +55,7 @@ def _beside(mask: NDArray[np.uint8]) -> int:
         return 0
     area, height = parts[:, cv2.CC_STAT_AREA], parts[:, cv2.CC_STAT_HEIGHT]
     first = int(area.argmax())
-    large = parts[(area >= _LARGE * area[first]) & (height >= _TALL * height[first])]
+    large = parts[(area >= SETTINGS.several_large * area[first]) & (height >= SETTINGS.several_tall * height[first])]
     count, end = 0, -1
     for left, width in sorted(large[:, [cv2.CC_STAT_LEFT, cv2.CC_STAT_WIDTH]].tolist()):
         count += left > end
@@ -70,7 +64,6 @@ def _beside(mask: NDArray[np.uint8]) -> int:
 
 
 _EVERYBODY = "everybody"
-_LOOKS = 7
 _COUNT = re.compile(r"[1-9][0-9]?")
 
 
@@ -148,10 +141,12 @@ def frames_to_examine(recording: Recording) -> tuple[FrameStream, bool]:
         several = count_people(everybody.frame, len(everybody)) > 1
         (one if several else everybody).close()
         return (everybody, True) if several else (one, False)
-    rows = np.unique(np.linspace(0, len(everybody) - 1, _LOOKS).astype(int)).tolist()
+    rows = np.unique(np.linspace(0, len(everybody) - 1, SETTINGS.several_looks).astype(int)).tolist()
     masks = [s for i in rows if (s := everybody.frame(i).silhouettes) is not None]
     several = several_apart(masks)
-    if not several and several_apart(masks, NOW_AND_THEN):  # who pass behind each other: if the cameras agree on it
+    if not several and several_apart(
+        masks, SETTINGS.several_now_and_then
+    ):  # who pass behind each other: if the cameras agree on it
         several = count_people(everybody.frame, len(everybody)) > 1
     (one if several else everybody).close()
     return (everybody, True) if several else (one, False)

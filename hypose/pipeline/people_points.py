@@ -12,12 +12,8 @@ from hypose.cameras.camera import CameraRig
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.person_tracks import PersonTrack
 from hypose.geometry import Array
+from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.track_loop import FrameSource
-
-POINTS_M = 0.6
-"""m: key points belong to who stands no further from them."""
-LEAST_SHARE = 0.1
-"""Share of the frames through which somebody is followed who is tracked."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +31,7 @@ class KeypointPeople:
 
     def lasting(self, total: int) -> list[int]:
         """Who is followed through a good part of so many frames; whoever is followed longest at least."""
-        long = [k for k, t in enumerate(self.tracks) if len(t) >= max(5, LEAST_SHARE * total)]
+        long = [k for k, t in enumerate(self.tracks) if len(t) >= max(5, SETTINGS.points_least_share * total)]
         return long or sorted(range(len(self.tracks)), key=lambda k: -len(self.tracks[k]))[:1]
 
     def at(
@@ -44,7 +40,7 @@ class KeypointPeople:
         """Whose key points (the number of a track) are those of somebody at a place (2,) m, and these: of the one
         `so_far`, while that is followed, else of the nearest who is not taken; None when there is nobody."""
         away = [float(np.linalg.norm(t.place(frame)[:2] - place)) for t in self.tracks]
-        free = [k for k in range(len(away)) if k not in taken and away[k] < POINTS_M]
+        free = [k for k in range(len(away)) if k not in taken and away[k] < SETTINGS.points_m]
         if not free:
             return None
         best = so_far if so_far in free else min(free, key=lambda k: away[k])

@@ -41,8 +41,9 @@ from hypose.pipeline.newcomers import (
     without_doubles,
 )
 from hypose.pipeline.people_points import KeypointPeople, PointFrames, padded
-from hypose.pipeline.rough_bodies import HIDDEN, Rough, least_hidden, own_frame, rough_bodies
+from hypose.pipeline.rough_bodies import Rough, least_hidden, own_frame, rough_bodies
 from hypose.pipeline.run import TrackOptions, finish, track_source, tracker_of
+from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.track_loop import Deferred, FrameSource, Progress, Tracked
 from hypose.pipeline.tracked_people import (
     Followed,
@@ -63,19 +64,6 @@ from hypose.pipeline.wardrobe import exchange, look_at_clothes
 from hypose.tracking.contacts import runs
 from hypose.tracking.several import Member, nobody_in, step_together, visible_share
 from hypose.tracking.tracker import Tracker
-
-START_S = 0.5
-"""s: the looks at the beginning that say who is there."""
-LOOK_S = 0.12
-"""s between two looks for somebody new, who must be there in two."""
-FIT_S, FIT_HZ = 3.0, 12.5
-"""s of frames, and their rate, from which a body is fitted."""
-FEWEST = 6
-"""frames in which somebody new must be found to be fitted"""
-GONE_S = 0.4
-"""s without evidence after which a person has left."""
-TOGETHER_S = 0.3
-"""s: two bodies that stay in one place for so long are one person."""
 
 
 @dataclass(frozen=True)
@@ -196,7 +184,7 @@ class PeopleRun:
     def _begin(self) -> list[Followed]:
         """The people of the first frames: first those who are wanted, then whoever stands nearest to where the cameras
         look."""
-        last = min(len(self.source), max(2, round(START_S * self.frame_rate)))
+        last = min(len(self.source), max(2, round(SETTINGS.people_start_s * self.frame_rate)))
         looks = np.unique(np.linspace(0, last - 1, min(last, 6)).astype(int)).tolist()
         paths = lasting(self._places([*looks, *range(last, self._named_at + 1, self._look_every)]), looks)
         if not paths:
@@ -249,7 +237,7 @@ class PeopleRun:
 
     def _stood(self, path: Path, t: int) -> Array:
         """(2,) m: where somebody stood in about a frame; NaN where that is not known."""
-        return path.axis(t, within=START_S * self.frame_rate)
+        return path.axis(t, within=SETTINGS.people_start_s * self.frame_rate)
 
     def _roughly(self, paths: Sequence[Path], names: Sequence[str], numbers: Sequence[int]) -> list[Rough | None]:
         """Everybody's body and poses in the frames `numbers`, roughly; nobody's where key points tell who is where, and
@@ -279,8 +267,8 @@ class PeopleRun:
         return None if self.results is None else ResultsFolder(self.results.path / self.under / name)
 
     def _fit_numbers(self, first: int) -> list[int]:
-        step = max(1, round(self.frame_rate / FIT_HZ))
-        return list(range(first, min(len(self.source), first + round(FIT_S * self.frame_rate)), step))
+        step = max(1, round(self.frame_rate / SETTINGS.people_fit_hz))
+        return list(range(first, min(len(self.source), first + round(SETTINGS.people_fit_s * self.frame_rate)), step))
 
     def _followed(self, paths: Sequence[Path], numbers: Sequence[int]) -> list[Path]:
         """The same people through the frames from which bodies are fitted."""
@@ -394,7 +382,7 @@ class PeopleRun:
         for p, member, estimate, own in zip(people, members, looked, seen, strict=True):
             there = p.member.present
             p.gone = p.gone + 1 if member.state.lost or member.state.blind > 0 else 0
-            if there and p.gone > GONE_S * self.frame_rate:
+            if there and p.gone > SETTINGS.people_gone_s * self.frame_rate:
                 member, there = replace(member, present=False), False
                 since = len(p.present) - p.gone + 1
                 p.present[since:] = [False] * len(p.present[since:])
@@ -402,15 +390,15 @@ class PeopleRun:
             p.member, shown = member, visible_share(own)
             p.estimates.append(estimate)
             p.present.append(there)
-            p.hidden.append(bool(there and len(shown) and (shown > HIDDEN).sum() < least))
+            p.hidden.append(bool(there and len(shown) and (shown > SETTINGS.rough_hidden).sum() < least))
         if t % self._look_every == 0:
             for p, q, since in look_at_clothes(people, seen):
                 exchange(p, q, since)
-        part_doubles(people, max(2, round(TOGETHER_S * self.frame_rate)))
+        part_doubles(people, max(2, round(SETTINGS.people_together_s * self.frame_rate)))
 
     @property
     def _look_every(self) -> int:
-        return max(1, round(LOOK_S * self.frame_rate))
+        return max(1, round(SETTINGS.people_look_s * self.frame_rate))
 
     def _look(
         self, people: list[Followed], frame: Frame, t: int, before: Sequence[Array], progress: Progress
@@ -459,7 +447,7 @@ class PeopleRun:
         # beyond this frame nobody has been tracked yet: all are told apart by the hull alone
         paths = self._places(numbers)
         mine = [k for k, q in enumerate(paths) if t in q.found and np.linalg.norm(q.found[t].axis - person.axis) < 0.4]
-        if not mine or len(paths[mine[0]].found) < min(len(numbers), FEWEST):
+        if not mine or len(paths[mine[0]].found) < min(len(numbers), SETTINGS.people_fewest):
             return False
         taken, own_path = [p.name for p in people], paths[mine[0]]
         rest = [w for w in self.wanted if w.name not in taken]

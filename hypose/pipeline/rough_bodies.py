@@ -21,21 +21,11 @@ from hypose.evidence.frame import Frame
 from hypose.evidence.hull_people import HullPerson
 from hypose.evidence.shared_masks import Other
 from hypose.geometry import Array
-from hypose.pipeline.hull_paths import CORE_M, OTHERS_WIDENED, Path
+from hypose.pipeline.hull_paths import Path
+from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.start_choice import best_ways, way_of
 from hypose.tracking.several import nobody_in, shape_of, visible_share
 from hypose.tracking.start_search import Start
-
-HIDDEN = 0.5
-"""A view shows a person when no more than this share of the body is hidden."""
-FEW_SEEN = 16
-"""frames from which a body is fitted, at least, if there are so many"""
-_TRIED = 16
-"""frames that decide on the rough start"""
-_RIVALS = 2
-"""so many other starts are tried again beside the others' bodies"""
-_LOST = 0.6
-"""1 - IoU from which on a rough body is nowhere"""
 
 
 @dataclass(frozen=True)
@@ -50,7 +40,7 @@ class Rough:
     def other(self, number: int, rig: CameraRig) -> Other | None:
         """What of the views they hide in a frame; None when they are not known there."""
         pose = self.poses.get(number)
-        return None if pose is None else Other(shape_of(self.body, pose, rig), OTHERS_WIDENED)
+        return None if pose is None else Other(shape_of(self.body, pose, rig), SETTINGS.path_others_widened)
 
     def starts(self, numbers: Sequence[int]) -> tuple[tuple[int, Start], ...]:
         """Where they are in the first of the frames `numbers`, and the rivals, each with its place among these."""
@@ -80,7 +70,9 @@ def own_frame(
 
 def _hiding(rough: Rough | None, hull: HullPerson | None, number: int, rig: CameraRig) -> Other | None:
     known = None if rough is None else rough.other(number, rig)
-    return known or (None if hull is None else Other(hull.shape(rig, CORE_M), OTHERS_WIDENED))
+    return known or (
+        None if hull is None else Other(hull.shape(rig, SETTINGS.path_core_m), SETTINGS.path_others_widened)
+    )
 
 
 def least_hidden(own: Mapping[int, Frame]) -> list[int]:
@@ -94,9 +86,9 @@ def seen_well(shares: Mapping[int, NDArray[np.float64]]) -> list[int]:
     share = np.array([np.sort(shares[t]) for t in numbers])
     if not share.size:
         return numbers
-    good = np.flatnonzero(share[:, min(1, share.shape[1] - 1)] > HIDDEN)
-    if len(good) < FEW_SEEN:
-        good = np.sort(np.argsort(-share.sum(1), kind="stable")[:FEW_SEEN])
+    good = np.flatnonzero(share[:, min(1, share.shape[1] - 1)] > SETTINGS.rough_hidden)
+    if len(good) < SETTINGS.rough_few_seen:
+        good = np.sort(np.argsort(-share.sum(1), kind="stable")[: SETTINGS.rough_few_seen])
     return [numbers[k] for k in good]
 
 
@@ -127,7 +119,7 @@ def _rough(
     seed: int,
 ) -> Rough | None:
     own = {t: own_frame(frame_at(t), t, who, paths) for t in numbers}
-    seen = least_hidden(own)[:_TRIED]
+    seen = least_hidden(own)[: SETTINGS.rough_tried]
     try:
         found = best_ways(template, [own[t] for t in seen], rate, height=height, seed=seed, shared=len(paths) > 1)
     except HyposeError:
@@ -138,7 +130,7 @@ def _rough(
         at = int(np.where(np.isfinite(costs), costs, np.inf).argmin())
         start = replace(start, pose=found.ways[0].poses[at])
     way = way_of(start, numbers.index(seen[at]), [own[t] for t in numbers], rate, seed)
-    if way is None or way.cost > _LOST:
+    if way is None or way.cost > SETTINGS.rough_lost:
         return None
-    rivals = tuple((seen[w.at], w.start) for w in found.ways[1 : 1 + _RIVALS])
+    rivals = tuple((seen[w.at], w.start) for w in found.ways[1 : 1 + SETTINGS.rough_rivals])
     return Rough(start.body, dict(zip(numbers, way.poses, strict=True)), rivals)

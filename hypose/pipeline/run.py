@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from hypose.body.body import Body
 from hypose.body.motion import Modes, Motion
 from hypose.errors import EvidenceError, HyposeError, InputError
+from hypose.evidence.cues import OwnEvidence
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.geometry import Array
 from hypose.inference.layer import Recipe
@@ -21,14 +22,12 @@ from hypose.io.motions.results import ResultsFolder, identity, save_modes, save_
 from hypose.io.recordings.frames import FrameSettings, FrameStream
 from hypose.io.recordings.recording import Recording
 from hypose.pipeline.both_ways import both_ways_notes, look_both_ways
-from hypose.pipeline.contradictions import against_the_clip
-from hypose.pipeline.doubts import with_doubts, with_repeated_points
+from hypose.pipeline.doubts import against_the_clip, with_doubts, with_repeated_points
 from hypose.pipeline.first_frame import SUBJECT, Subject, SubjectOptions, find_subject, keep_subject, kept_subject
 from hypose.pipeline.first_look import first_look, of_measured, places_refuted, sentences
 from hypose.pipeline.mend_sides import look_back, look_back_notes, mend_sides, sides_notes
 from hypose.pipeline.moved_sensors import PlacedSource, Places, moved_sensors
 from hypose.pipeline.one_camera import (
-    BESIDE_FRAME,
     against_the_picture,
     beside_the_picture,
     depth_note,
@@ -38,7 +37,8 @@ from hypose.pipeline.one_camera import (
     subject_in_picture,
     tracked_frames,
 )
-from hypose.pipeline.subject_from_motion import HEIGHT_DOUBT, HEIGHT_WRONG, height_sentence, height_told
+from hypose.pipeline.settings import SETTINGS
+from hypose.pipeline.subject_from_motion import height_sentence, height_told
 from hypose.pipeline.track_loop import FrameList, FrameSource, Keep, Progress, Tracked, track_frames, tracked_before
 from hypose.pipeline.verdict import Verdict, left_out, not_shown, verdict_of
 from hypose.tracking.audit import audit_frame
@@ -50,7 +50,6 @@ from hypose.tracking.fitted_spread import (
     with_fitted_angles,
     with_fitted_joints,
 )
-from hypose.tracking.frame_evidence import OwnEvidence
 from hypose.tracking.keypoint_clip import track_keypoint_clip
 from hypose.tracking.keypoint_evidence import keypoint_model
 from hypose.tracking.pose_covariance import unpacked
@@ -284,10 +283,10 @@ def _of_height(
     poses, iou = np.stack([e.pose for e in done.estimates]), 1 - np.array([e.cost for e in done.estimates])
     told = height_told(source.frame, subject.body, poses, iou)
     off = 0.0 if told is None else abs(told / asked - 1)
-    if told is None or off <= HEIGHT_DOUBT:
+    if told is None or off <= SETTINGS.subject_height_doubt:
         return (), ()
     sentence = (height_sentence(told, asked),)
-    return (sentence, ()) if off > HEIGHT_WRONG else ((), sentence)
+    return (sentence, ()) if off > SETTINGS.subject_height_wrong else ((), sentence)
 
 
 def subject_of(
@@ -360,7 +359,7 @@ def finish(
     if tracked.modes is not None:  # one camera: its modes say what else may be
         assert motion.poses is not None
         beside = beside_the_picture(subject.body, motion.poses, seen(range(len(motion))))
-        doubtful = beside > BESIDE_FRAME
+        doubtful = beside > SETTINGS.picture_beside_frame
         motion = replace(motion, doubtful=doubtful if motion.doubtful is None else motion.doubtful | doubtful)
         said = (*faults, *against_the_picture(beside)), (*noticed, doubt_of_depth(tracked.modes))
         out = replace(tracked, motion=motion, complete=done.complete, notes=notes, faults=said[0], looks=said[1])

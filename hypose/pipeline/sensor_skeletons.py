@@ -17,13 +17,14 @@ from numpy.typing import NDArray
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.body.ready_bodies import human
-from hypose.calibration.diagnose_person import UNITS
+from hypose.calibration.diagnose_person import UNIT_ERRORS
 from hypose.errors import InputError
 from hypose.evidence.frame import TRACKED, Frame, SensorJoints
-from hypose.fitting import PointTerm, fit_clip
+from hypose.evidence.terms import PointTerm
+from hypose.fitting import fit_clip
 from hypose.fusion import joints as jt
 from hypose.fusion.clocks import offset_by_movement
-from hypose.fusion.point_motion import common_positions
+from hypose.fusion.fuse import common_positions
 from hypose.fusion.register import LARGEST_RESIDUAL_M, Registration, common_joints, register
 from hypose.geometry import Array
 from hypose.io.motions.results import ResultsFolder
@@ -35,19 +36,16 @@ from hypose.io.sensors.skeleton_streams import (
     shifted,
 )
 from hypose.pipeline.run import TrackOptions, TrackResult, track_source
+from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.track_loop import FrameSource, Progress
-from hypose.pipeline.verdict import LOST_SHARE, Verdict, verdict_of
+from hypose.pipeline.verdict import Verdict, verdict_of
 from hypose.tracking.refinement import KEYPOINT_SHARE, anatomical_prior
 from hypose.tracking.subject import subject_from_keypoints
-
-SCALE_M, WEIGHT = 0.04, 0.3
-"""m: sd of a reported joint; weight of one in units of the robust rows' cost, half of it where it was inferred"""
-_FEWEST = 10
 
 
 @dataclass(frozen=True)
 class SkeletonRows:
-    """Joints of sensors' skeletons as evidence of one's own (`hypose.tracking.frame_evidence.OwnEvidence`).
+    """Joints of sensors' skeletons as evidence of one's own (`hypose.evidence.cues.OwnEvidence`).
 
     points (T, P, 3) m, world, NaN where missing; weight (T, P); joint (P,), offset (P, 3) m in the joint's frame: where
     they sit on the body; row: of a frame's index."""
@@ -63,7 +61,7 @@ class SkeletonRows:
         n = self.row.get(frame.index)
         if n is None or not (self.weight[n] > 0).any():
             return None
-        return PointTerm(self.points[n], self.weight[n], self.joint, self.offset, SCALE_M)
+        return PointTerm(self.points[n], self.weight[n], self.joint, self.offset, SETTINGS.sensor_scale_m)
 
     def energy(self, body: Body, poses: Array, frame: Frame, /) -> Array:
         """(N,) for the search: the same cost, in shares of the masks."""
@@ -74,7 +72,7 @@ class SkeletonRows:
         rotations, centres = body.skeleton.forward(poses)
         joint = self.joint[used]
         at = centres[:, joint] + np.einsum("nkab,kb->nka", rotations[:, joint], self.offset[used])
-        squared = ((at - self.points[n, used]) ** 2).sum(-1) / (2 * SCALE_M) ** 2
+        squared = ((at - self.points[n, used]) ** 2).sum(-1) / (2 * SETTINGS.sensor_scale_m) ** 2
         return KEYPOINT_SHARE * 2 * (self.weight[n, used] * np.log1p(squared)).sum(-1)
 
 
@@ -160,12 +158,12 @@ def skeleton_rows(
     own = np.einsum("tjba,tkjb->tkja", rotations, world - centres[:, None])
     own = np.where((state == TRACKED)[..., None], own, np.nan)
     sensors = world.shape[1]
-    enough = np.isfinite(own[..., 0]).sum(0) >= _FEWEST  # (K, 15)
+    enough = np.isfinite(own[..., 0]).sum(0) >= SETTINGS.sensor_fewest  # (K, 15)
     offset = np.zeros((sensors, 15, 3))
     for k, j in np.argwhere(enough):
         offset[k, j] = np.nanmedian(own[:, k, j], axis=0)
     there = np.isfinite(world).all(-1) & enough
-    weight = np.where(there, WEIGHT * state / TRACKED, 0.0)
+    weight = np.where(there, SETTINGS.sensor_weight * state / TRACKED, 0.0)
     flat = world.reshape(len(world), -1, 3)
     rows = SkeletonRows(
         np.where(there.reshape(len(world), -1)[..., None], flat, np.nan),
@@ -184,10 +182,6 @@ def _median_away(points: Array, known: Array) -> Array:
     counted = np.isfinite(away)
     middle = np.nanmedian(np.where(counted.any(-1, keepdims=True), away, 1e9), axis=-1)
     return np.where(counted.any(-1), middle, np.inf)
-
-
-_ALIKE = 0.5
-"""correlation of movements below which two clocks cannot be brought together"""
 
 
 def skeletons_at_frames(recording: SkeletonRecording, motion: Motion) -> list[SensorJoints]:
@@ -221,7 +215,7 @@ def _offset(motion: Motion, known: Array, stream: SensorStream) -> float:
     begin = float(motion.times[0] - stream.times[0])
     seen = stream.positions[:, _longest(stream.state)][:, common]
     found, likeness = offset_by_movement(motion.times, known, stream.times + begin, seen)
-    if likeness < _ALIKE:
+    if likeness < SETTINGS.sensor_alike:
         raise InputError(
             f"The skeletons of {stream.name} move otherwise than the person before the cameras (correlation "
             f"{likeness:.2f}), so their clock cannot be set; give recordings of one person at one time."
@@ -229,22 +223,8 @@ def _offset(motion: Motion, known: Array, stream: SensorStream) -> float:
     return begin + found
 
 
-APART_LOOK_M, APART_M = 0.085, 0.15
-"""m by which the joints of two sensors lie apart (median) from which on it is worth a look, and not to be trusted: 14
-to 67 mm on 39 recordings of two real sensors; where one of them is 15 % too large 113, a second late 122, with left and
-right exchanged in every frame 240"""
-LATE_S, LIKE = 0.2, 0.85
-"""s by which a sensor's clock may be off, and the correlation of both movements from which on they tell: 0.12 s at most
-on the recordings above, where they tell"""
-_NEARER = 0.8
-"""what is left at most of the distance between two sensors' joints when a clock is put right: who walks moves alike
-half a step later, with arms or sides exchanged"""
-_LEGS_M = 0.39, 0.99
-"""m of thigh and shank together, of people 0.9 to 2.3 m tall: sensors say 0.64 to 0.86 of adults"""
 _LEGS = ((jt.LEFT_HIP, jt.LEFT_KNEE, jt.LEFT_FOOT), (jt.RIGHT_HIP, jt.RIGHT_KNEE, jt.RIGHT_FOOT))
 _CURE = "place the sensors so that one of them sees each side of the person, and nothing is in between"
-_OF_HEIGHT = 0.43
-"""thigh and shank as sensors see them, as a share of the height"""
 
 
 def fused_verdict(
@@ -255,15 +235,15 @@ def fused_verdict(
     late = list(_of_clocks(motion.times, clip, registration.reference, names))
     because += late
     for name, apart in zip(names, registration.residual.tolist(), strict=True):
-        if apart > APART_LOOK_M and not late:
+        if apart > SETTINGS.sensor_apart_look_m and not late:
             text = (
                 f"{name} and {names[registration.reference]} see the joints {1e3 * apart:.0f} mm apart (median), more "
                 "than two sensors of one person do: look whether both are in metres, name left and right alike, are "
                 "not mirrored, and saw the same movement"
             )
-            (because if apart > APART_M else looks).append(text)
+            (because if apart > SETTINGS.sensor_apart_m else looks).append(text)
     # a sensor reports whom it sees: who is away is not there to be found
-    if (away := float(motion.lost.mean())) > LOST_SHARE:
+    if (away := float(motion.lost.mean())) > SETTINGS.verdict_lost_share:
         looks.append(f"no sensor saw the person in {100 * away:.0f} % of the frames")
     there = motion if motion.doubtful is None else replace(motion, doubtful=motion.doubtful & ~motion.lost)
     return verdict_of(there, because, looks, _CURE, 1.0)
@@ -273,9 +253,9 @@ def _of_size(motion: Motion) -> Iterator[str]:
     joints = motion.joints[:, [motion.skeleton.joint(n) for n in jt.COMMON]]
     legs = [_length(joints, a, b) + _length(joints, b, c) for a, b, c in _LEGS]
     long = float(np.nanmedian(np.concatenate(legs)[np.tile(~motion.lost, 2)])) if (~motion.lost).any() else np.nan
-    if np.isfinite(long) and not _LEGS_M[0] <= long <= _LEGS_M[1]:
-        tall = long / _OF_HEIGHT
-        units = [w for factor, w in UNITS for f in (factor, 1 / factor) if 1.3 <= tall / f <= 2.1]
+    if np.isfinite(long) and not SETTINGS.sensor_legs_m[0] <= long <= SETTINGS.sensor_legs_m[1]:
+        tall = long / SETTINGS.sensor_of_height
+        units = [w for factor, w in UNIT_ERRORS for f in (factor, 1 / factor) if 1.3 <= tall / f <= 2.1]
         unit = f": {units[0]}" if units else ""
         yield (
             f"the person would be {tall:.3g} m tall, by their legs{unit}; correct the unit, since skeletons must be in "
@@ -293,10 +273,10 @@ def _of_clocks(times: Array, clip: Sequence[SensorJoints], reference: int, names
         if k == reference or not np.isfinite(seen[:, k]).any() or not np.isfinite(seen[:, reference]).any():
             continue
         late, likeness = offset_by_movement(times, seen[:, reference], times, seen[:, k])
-        if likeness < LIKE or abs(late) < LATE_S:
+        if likeness < SETTINGS.sensor_like or abs(late) < SETTINGS.sensor_late_s:
             continue
         there, then = _apart(seen[:, [reference, k]], 0), _apart(seen[:, [reference, k]], round(late * rate))
-        if then < min(APART_LOOK_M, _NEARER * there):
+        if then < min(SETTINGS.sensor_apart_look_m, SETTINGS.sensor_nearer * there):
             when = f"{abs(late):.2f} s {'early' if late > 0 else 'late'}"
             yield (
                 f"{name} reports the movements of {names[reference]} {when}, so their clocks differ: correct its "
@@ -349,14 +329,9 @@ def pose_fused(fused: Motion, body: Body | None = None, smoothness: float = 1.0)
     known = np.flatnonzero(model.known)
     solved = np.flatnonzero(np.isfinite(subject.poses).all(1))
     nearest = solved[np.abs(np.arange(len(points))[:, None] - solved).argmin(1)]
-    terms = [
-        PointTerm(p[known], np.ones(len(known)), model.joint[known], model.offset[known], 0.03)
-        if np.isfinite(p).any()
-        else None
-        for p in points
-    ]
+    terms = [[PointTerm(p[known], np.ones(len(known)), model.joint[known], model.offset[known], 0.03)] for p in points]
     prior = anatomical_prior(subject.body.skeleton)
-    poses = fit_clip(subject.body, subject.poses[nearest], points=terms, acceleration=smoothness, priors=(prior,))
+    poses = fit_clip(subject.body, subject.poses[nearest], terms, acceleration=smoothness, priors=(prior,))
     skeleton = subject.body.skeleton
     joints = subject.body.joints(poses)
     names = [NAMES[k] for k in known if NAMES[k] in skeleton.joint_names]

@@ -19,6 +19,7 @@ from hypose.evidence.ahead import make_now
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array
 from hypose.inference.layer import Recovery
+from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.subject_checks import check_named_pose, check_start
 from hypose.tracking.costs import mean_overlap
 from hypose.tracking.frame_evidence import prepare
@@ -27,18 +28,6 @@ from hypose.tracking.start_search import Start, Starts, by_their_ways, starts_in
 from hypose.tracking.starts import KNOWN_POSES, hull_of, recover, start_in_pose
 from hypose.tracking.subject import scaled_to_height
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerSettings
-
-_PLAIN, _SURE = 0.6, 0.9
-"""Mean IoU and weight from which on a start needs no other frame."""
-_CLEARLY = 0.02
-"""mean IoU by which another frame's start must be better, where nobody else hides anything"""
-_LATER = (1, 2, 3, 4, 5)
-"""Instants after a start that decide between its rivals; no step is so long that who walks is lost in it."""
-_BEST, _LIKELY = 2, 0.05
-"""How many starts of a frame are tracked through the others, and how much each must be believed for it."""
-_ENOUGH, _HOPELESS = 6, 0.04
-"""After so many frames a way that costs so much more than the best one is not gone on."""
-_PARTICLES, _NEVER_S = 32, 1e6
 
 
 def follow(tracker: Tracker, start: Array, frames: Sequence[Frame], tick: Callable[[], None]) -> list[FrameEstimate]:
@@ -73,8 +62,8 @@ def way_of(
     """A start tracked through the frames after it and before it, with few particles and without looking for rivals;
     rate Hz. None as soon as it is clear that it costs more than the `best` one so far."""
     body = start.body
-    recipe = replace(default(body, _PARTICLES, rate, rivals=1), recover=Recovery(find=recover))
-    tracker = Tracker(body, recipe, TrackerSettings(seed=seed, frame_rate=rate, rival_every=_NEVER_S))
+    recipe = replace(default(body, SETTINGS.choice_particles, rate, rivals=1), recover=Recovery(find=recover))
+    tracker = Tracker(body, recipe, TrackerSettings(seed=seed, frame_rate=rate, rival_every=SETTINGS.choice_never_s))
     found: dict[int, FrameEstimate] = {}
     pose = start.pose
     for numbers in (range(at, len(frames)), range(at - 1, -1, -1)):
@@ -82,7 +71,11 @@ def way_of(
             numbers, tracker.follow(tracker.start(pose), (frames[k] for k in numbers)), strict=True
         ):
             found[k] = estimate
-            if best is not None and len(found) >= _ENOUGH and _mean_more(found, best) > _HOPELESS:
+            if (
+                best is not None
+                and len(found) >= SETTINGS.choice_enough
+                and _mean_more(found, best) > SETTINGS.choice_hopeless
+            ):
                 return None
         pose = found[at].pose
     costs = np.array([found[k].cost for k in range(len(frames))])
@@ -151,9 +144,9 @@ def best_ways(
             _check_named(template, frames[0], named, starts.best, extent)
         found.append((k, starts))
         value = _overlap(starts.best, frames[k])
-        if alone is None or value > alone[0] + _CLEARLY:
+        if alone is None or value > alone[0] + SETTINGS.choice_clearly:
             alone = value, BestWays(starts, k)
-        if not shared and alone[0] > _PLAIN and alone[1].starts.weights[0] > _SURE:
+        if not shared and alone[0] > SETTINGS.choice_plain and alone[1].starts.weights[0] > SETTINGS.choice_sure:
             break
     if not found and not tried:
         raise failed or EvidenceError("No frame has a visual hull to start from; check the calibration and the masks.")
@@ -166,8 +159,8 @@ def _likely(found: Sequence[tuple[int, Starts]]) -> list[tuple[int, Start]]:
     return [
         (k, start)
         for k, starts in found
-        for start, weight in list(zip(starts.starts, starts.weights, strict=True))[:_BEST]
-        if weight > _LIKELY
+        for start, weight in list(zip(starts.starts, starts.weights, strict=True))[: SETTINGS.choice_best]
+        if weight > SETTINGS.choice_likely
     ]
 
 
@@ -198,10 +191,12 @@ def _searched(template: Body, frames: Sequence[Frame], at: int, height: float | 
     """The starts in frame number `at` of the instants looked at, weighed by those that follow, or by those before it
     where none follow."""
     zero = np.zeros(template.skeleton.dof)
-    others = [at + k for k in _LATER if at + k < len(frames)] or [at - k for k in _LATER if at - k >= 0]
+    others = [at + k for k in SETTINGS.choice_later if at + k < len(frames)] or [
+        at - k for k in SETTINGS.choice_later if at - k >= 0
+    ]
     later = [prepare(frames[k], template, zero) for k in others]
     here = prepare(frames[at], template, zero)
-    return weighed(starts_in_frame(template, here, height, extent), [f for f in later if f.masks is not None])
+    return weighed(starts_in_frame(template, here, height, extent), [f for f in later if f.silhouettes.seen])
 
 
 def _in_named_pose(template: Body, frame: Frame, name: str, height: float | None, extent: float | None) -> Starts:

@@ -8,13 +8,8 @@ import numpy as np
 
 from hypose.errors import EvidenceError
 from hypose.evidence.frame import Frame, Silhouettes
+from hypose.pipeline.settings import SETTINGS
 
-TALLEST, SMALLEST = 3.2, 0.4
-"""m: what silhouettes of people span; arms raised and lying down included."""
-LEAST_OVERLAP = 0.4
-"""Mean IoU of the best start; in the right pose the template has 0.6 (heavy people) to 0.85."""
-WORSE_POSE = 0.05
-"""How much less a named pose may overlap than another one; arms move to their place from up to 45 degrees away."""
 _EDGES = ("left", "right", "top", "bottom")
 _UNITS = {"cm": 0.01, "mm": 0.001, "m": 1.0}
 
@@ -38,7 +33,7 @@ def no_two_views(frame: Frame) -> str:
 def check_size(frame: Frame) -> None:
     """An EvidenceError when the person of a frame is a giant or a dwarf, with the calibration's likely unit."""
     height = apparent_height(frame.silhouettes) if frame.silhouettes is not None else None
-    if height is None or SMALLEST <= height <= TALLEST:
+    if height is None or SETTINGS.check_smallest <= height <= SETTINGS.check_tallest:
         return
     fitting = [u for u, k in _UNITS.items() if 1.0 <= height * k <= 2.4]
     advice = (
@@ -111,7 +106,7 @@ def check_borders(frames: Sequence[Frame], height: float | None) -> tuple[str, .
 
 def check_start(value: float, frame: int) -> None:
     """An EvidenceError when the best start explains too little of the silhouettes. value: its mean IoU."""
-    if value < LEAST_OVERLAP:
+    if value < SETTINGS.check_least_overlap:
         raise EvidenceError(
             f"Frame {frame}: no body in a known pose explains the silhouettes, the best overlaps {value:.0%} of them; "
             "run hypose check, which looks at masks, calibration and synchronisation, or begin with --frames where the "
@@ -122,7 +117,7 @@ def check_start(value: float, frame: int) -> None:
 def check_named_pose(named: str, value: float, others: Mapping[str, float], frame: int) -> None:
     """An EvidenceError when another known pose explains a frame clearly better than the named one; mean IoU of each."""
     best = max(others, key=lambda k: others[k])
-    if value < others[best] - WORSE_POSE:
+    if value < others[best] - SETTINGS.check_worse_pose:
         raise EvidenceError(
             f"Frame {frame} does not show the pose {named!r}: a body in it overlaps {value:.0%} of the silhouettes, in "
             f"the pose {best!r} {others[best]:.0%}; give --start {best} or --start hull (find out), or begin with "

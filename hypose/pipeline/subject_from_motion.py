@@ -14,18 +14,19 @@ from pathlib import Path
 
 import numpy as np
 
-from hypose.body.anthropometry import CLOTHING_UNIT, ENTITY_NAMES, Sizes, body_of, entity, prior_mean, sizes_of
+from hypose.body.anthropometry import CLOTHING_UNIT, SHAPE_FACTOR_NAMES, Sizes, body_of, entity, prior_mean, sizes_of
 from hypose.body.body import Body
 from hypose.body.ready_bodies import human
 from hypose.errors import EvidenceError, InputError
+from hypose.evidence.cues import surface_evidence
 from hypose.evidence.frame import Frame
 from hypose.evidence.keypoints import lasting_m
-from hypose.fitting import DepthTerm, depth_term
-from hypose.fitting.articulated import ContourTerm, SolveSettings, contour_term
+from hypose.fitting.articulated import SolveSettings
 from hypose.geometry import Array
 from hypose.io.files import write_text
 from hypose.io.motions.results import load_body, save_body
 from hypose.pipeline.mend_sides import mend_sides
+from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.start_choice import best_ways, follow
 from hypose.pipeline.subject_checks import check_borders, check_size, no_two_views
 from hypose.tracking.costs import mean_overlap, silhouette_iou
@@ -72,7 +73,7 @@ class AnthropometryOptions:
 @dataclass(frozen=True)
 class SubjectEstimate:
     """body: in its clothes, as cameras see it; naked: without them; factors (K,) with covariance (K, K) of
-    hypose.body.anthropometry.ENTITIES about the template; start (D,): pose in the first frame looked at; frames: the
+    anthropometry.SHAPE_FACTORS about the template; start (D,): pose in the first frame looked at; frames: the
     fitted instants, poses (F, D) there; iou (F, C) of the body before and after; notes in words; unsure (2, J): how
     likely a joint is elsewhere at the start than it is taken to be, by the other starts that the masks allow."""
 
@@ -158,15 +159,15 @@ def estimate_subject(
     x[0] = np.log(body.stature / template.stature)
     by_template, iou = _both_ways(body, start_pose, at, seen, rate, options, tick)
     chosen, tracked = different_poses(body, by_template, iou, options.frames), by_template
-    contours, depths = contours_of(seen, chosen), depths_of(seen, chosen)
-    fit = refine_shape(template, tracked[chosen], contours, known=known, options=options.shape, start=x, depths=depths)
+    outlines = [surface_evidence(seen[k]) for k in chosen]
+    fit = refine_shape(template, tracked[chosen], outlines, known=known, options=options.shape, start=x)
     for _ in range(options.passes - 1):
         # the fitted body loses fewer limbs, so other frames and better poses are there to be fitted
         tracked, iou = _both_ways(fit.body, tracked[at], at, seen, rate, options, tick)
         chosen = different_poses(fit.body, tracked, iou, options.frames)
         again = replace(options.shape, iterations=(0, *options.shape.iterations[1:]))
-        contours, depths, x = contours_of(seen, chosen), depths_of(seen, chosen), fit.log_factors
-        fit = refine_shape(template, tracked[chosen], contours, known=known, options=again, start=x, depths=depths)
+        outlines, x = [surface_evidence(seen[k]) for k in chosen], fit.log_factors
+        fit = refine_shape(template, tracked[chosen], outlines, known=known, options=again, start=x)
     if progress is not None:
         progress(total, total)
     before = by_template[chosen]
@@ -234,33 +235,8 @@ def different_poses(body: Body, poses: Array, iou: Array, count: int) -> list[in
     return sorted(chosen)
 
 
-def contours_of(frames: Sequence[Frame], chosen: Sequence[int]) -> list[ContourTerm]:
-    """The contour terms of the chosen frames that have silhouettes."""
-    found = [frames[k].silhouettes for k in chosen]
-    return [contour_term(f) for f in found if f is not None]
-
-
-def depths_of(frames: Sequence[Frame], chosen: Sequence[int]) -> list[DepthTerm | None]:
-    """The depth terms of the chosen frames, None where there is no depth."""
-    found = [frames[k].depth for k in chosen]
-    return [None if d is None else depth_term(d) for d in found]
-
-
 def _ious(body: Body, poses: Array, frames: Sequence[PreparedFrame]) -> Array:
     return np.stack([silhouette_iou(body, q, f) for q, f in zip(poses, frames, strict=True)])
-
-
-_POSES, _LOOKED_AT = 8, 24
-"""How many poses the outlines are fitted in, and among how many frames they are chosen"""
-_THE_PERSON = 0.3
-"""Mean IoU of the template's girths up to which masks are not of the person whose key points these are"""
-_BONES, _SURE_BONES = 50.0, (0.005, 0.05)
-"""per m^2: by what share (1 sd) bones may differ from those that key points give, of the squared median distance of key
-points from the body fitted to them, for what scatter does to a length grows so; and between which shares. Chosen on
-bodies from plain, detector-like and thinned out key points (combo, seeds 1248 to 1253)"""
-_BONE_M = 0.3
-"""Length of a bone between two points whose errors last (`lasting_m`). Outlines then tell more of it: 14.1 -> 12.5 mm
-on six scenes (seeds 6100 to 6107)"""
 
 
 def with_outlines(fitted: KeypointSubject, frames: Sequence[Frame]) -> tuple[Body, str] | None:
@@ -268,20 +244,23 @@ def with_outlines(fitted: KeypointSubject, frames: Sequence[Frame]) -> tuple[Bod
     girths, clothes, and the sizes that no key point shows; and a sentence. None where no frame has masks of that
     person."""
     solved = np.flatnonzero(np.isfinite(fitted.poses).all(1))
-    looked_at = solved[np.unique(np.linspace(0, len(solved) - 1, min(_LOOKED_AT, len(solved))).astype(int))]
+    looked_at = solved[
+        np.unique(np.linspace(0, len(solved) - 1, min(SETTINGS.subject_looked_at, len(solved))).astype(int))
+    ]
     shown = [n for n in looked_at.tolist() if frames[n].silhouettes is not None]
     views = {n: prepare(frames[n], fitted.body, fitted.poses[n]) for n in shown}
     found = {n: mean_overlap(fitted.body, fitted.poses[n], views[n]) for n in shown}
-    usable = [n for n in shown if found[n] > _THE_PERSON]
+    usable = [n for n in shown if found[n] > SETTINGS.subject_the_person]
     if not usable:
         return None
     poses, overlap = fitted.poses[usable], np.array([found[n] for n in usable])
-    chosen = different_poses(fitted.body, poses, overlap, _POSES)
+    chosen = different_poses(fitted.body, poses, overlap, SETTINGS.subject_poses)
     seen = [usable[k] for k in chosen]
-    scatter = np.clip(_BONES * float(np.nanmedian(fitted.residual)) ** 2, *_SURE_BONES)
-    known = Known(bones=float(np.hypot(scatter, np.sqrt(2) * lasting_m(fitted.keypoints.names) / _BONE_M)))
-    contours, depths = contours_of(frames, seen), depths_of(frames, seen)
-    fit = refine_shape(fitted.body, poses[chosen], contours, known=known, depths=depths)
+    square = float(np.nanmedian(fitted.residual)) ** 2
+    scatter = np.clip(SETTINGS.subject_bones * square, *SETTINGS.subject_sure_bones)
+    lasting = np.sqrt(2) * lasting_m(fitted.keypoints.names) / SETTINGS.subject_bone_m
+    known = Known(bones=float(np.hypot(scatter, lasting)))
+    fit = refine_shape(fitted.body, poses[chosen], [surface_evidence(frames[n]) for n in seen], known=known)
     after = np.mean([mean_overlap(fit.body, q, views[n]) for q, n in zip(fit.poses, seen, strict=True)])
     before = overlap[chosen].mean()
     if after < before:  # the masks are not of this body
@@ -313,7 +292,7 @@ def save_subject(folder: str | Path, estimate: SubjectEstimate, template: Body, 
             lines.append(f"over_clothes_cm = {over[name]:.2f}")
     lines += ["", "[factors]  # natural logarithms relative to the template; clothing in units of 10 cm"]
     spread = np.sqrt(np.diag(estimate.covariance))
-    for name, value, width in zip(ENTITY_NAMES, estimate.factors, spread, strict=True):
+    for name, value, width in zip(SHAPE_FACTOR_NAMES, estimate.factors, spread, strict=True):
         lines.append(f'"{name}" = {{ value = {value:.5f}, sd = {width:.5f} }}')
     write_text(toml, "\n".join(lines) + "\n")
     return body, toml
@@ -338,18 +317,9 @@ def size_uncertainty(estimate: SubjectEstimate, template: Body, draws: int = 24)
     root = np.linalg.cholesky(estimate.covariance)
     light = replace(template, coarse=template.fine)
     rows = []
-    for z in rng.standard_normal((draws, len(ENTITY_NAMES))):
+    for z in rng.standard_normal((draws, len(SHAPE_FACTOR_NAMES))):
         rows.append(sizes_of(body_of(light, estimate.factors + root @ z, clothed=False)).in_cm)
     return {k: float(np.std([r[k] for r in rows])) / 100 for k in rows[0]}
-
-
-HEIGHT_WRONG, HEIGHT_DOUBT = 0.12, 0.07
-"""share by which the height that masks or depth show may differ from the one that is given before a motion is not to be
-trusted, and before it is worth a look"""
-_SURE, _NO_WORSE = 0.03, 1.02
-"""sd of the height's logarithm up to which it is told at all, and the share of the mismatch that is left at most with
-it. Four people (seeds 50 to 53) whose height was given rightly came out within 0.5 %; given 13 % too small, 5 to 9 %
-below their own height at worst (poses were fitted to the wrong body), 8 to 15 % above the given one"""
 
 
 def height_told(frame_at: FrameAt, body: Body, poses: Array, iou: Array) -> float | None:
@@ -364,14 +334,14 @@ def height_told(frame_at: FrameAt, body: Body, poses: Array, iou: Array) -> floa
         return None
     at, template, start = list(range(len(seen))), human(), prior_mean()
     start[0] = np.log(body.stature / template.stature)
-    contours, depths = contours_of(seen, at), depths_of(seen, at)
+    outlines = [surface_evidence(seen[k]) for k in at]
     views = [prepare(f, body, poses[k]) for f, k in zip(seen, chosen, strict=True)]
     how = AnthropometryOptions().shape
-    free = refine_shape(template, poses[chosen], contours, known=Known(), options=how, start=start, depths=depths)
-    if not np.sqrt(free.covariance[0, 0]) < _SURE:
+    free = refine_shape(template, poses[chosen], outlines, known=Known(), options=how, start=start)
+    if not np.sqrt(free.covariance[0, 0]) < SETTINGS.subject_sure:
         return None
     before, after = (np.nanmean(_ious(b, q, views)) for b, q in ((body, poses[chosen]), (free.body, free.poses)))
-    return free.body.stature if 1 - after < _NO_WORSE * (1 - before) else None
+    return free.body.stature if 1 - after < SETTINGS.subject_no_worse * (1 - before) else None
 
 
 def height_sentence(told: float, given: float) -> str:

@@ -20,16 +20,13 @@ from hypose.io.motions.results import Checkpoint, ResultsFolder, identity
 from hypose.pipeline.first_frame import Subject, kept_subject
 from hypose.pipeline.people_points import KeypointPeople, per_frame
 from hypose.pipeline.run import TrackResult
+from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.track_loop import FrameSource
 from hypose.pipeline.verdict import Verdict, verdict_of
 from hypose.tracking.clothes import Wardrobe
 from hypose.tracking.contacts import runs
 from hypose.tracking.several import Member, nobody_in, shape_of
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState, estimates_from_arrays, estimates_to_arrays
-
-_PLACED_M, _EARLY_S = 1.0, 0.5
-"""m: a person who is wanted at a place stands no further from it; s: a place of so long before the first frame still
-tells of it."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +43,7 @@ class Wanted:
     @property
     def early(self) -> bool:
         """The place is of too long before the first frame to tell who they are."""
-        return self.place is not None and self.time < -_EARLY_S
+        return self.place is not None and self.time < -SETTINGS.tracked_early_s
 
     @property
     def not_found(self) -> str:
@@ -130,7 +127,7 @@ def names_at_places(
         if one.place is not None and not one.early:
             t = max(0, round(one.time * frame_rate))
             away = [float(np.linalg.norm(place(k, t) - np.array(one.place))) for k in range(count)]
-            free = [k for k in range(count) if names[k] is None and away[k] < _PLACED_M]
+            free = [k for k in range(count) if names[k] is None and away[k] < SETTINGS.tracked_placed_m]
             if free:
                 names[min(free, key=lambda k: away[k])] = one.name
     rest = [one.name for one in wanted if one.place is None or one.early]

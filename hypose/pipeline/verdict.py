@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from hypose.body.motion import Motion
 from hypose.pipeline.doubts import in_words
+from hypose.pipeline.settings import SETTINGS
 from hypose.tracking.contacts import runs
 from hypose.tracking.doubt import LOOK_P
 from hypose.tracking.doubt_features import AROUND_S
@@ -18,26 +19,11 @@ from hypose.tracking.doubt_features import AROUND_S
 GOOD, LOOK, UNTRUSTED = "good", "look", "not to be trusted"
 EXIT_UNTRUSTED = 3
 """The exit code of a command whose result is not to be trusted."""
-WRONG_SHARE = 0.12
-"""Mean probability over joints and frames of being wrong from which on nothing is trusted."""
-LIMB_SHARE = 0.5
-"""Share of the frames in which one and the same joint is doubtful, from which on nothing is trusted: who looks at the
-rest does not know what to believe of it."""
 LIMB_S = 2 * AROUND_S
 """s that a limb must be doubtful for it: a joint is judged by what is nearby in time, so that a few bad frames make
 all of a shorter clip doubtful; they are worth a look"""
-LIMB_P = 0.35
-"""How likely it must be wrong in those frames, in the mean: joints are doubtful long before they are likely wrong. On
-scenes (seeds 600 to 617) joints doubtful in half of the frames had .14 to .31 where the clip was never wrong, .19 to
-.40 where it was for some frames, and .28 to .91 where a limb was wrong all along. Where something else makes the whole
-clip worth a look, to be doubtful in half of the frames is enough: that is so in no usual clip of these seeds, and in
-three others, whose joints are off by 34 to 70 mm."""
 _ALONE = ("neck", "head")
 """joints on which no other depends: key points without a head leave the rest to be looked at"""
-LOST_SHARE = 0.3
-"""Share of the frames without the person from which on the motion is not that of the recording."""
-FEW_S = 0.12
-"""s: doubtful stretches that are shorter are not worth a look by themselves: they are named as what is not good"""
 
 
 @dataclass(frozen=True)
@@ -107,7 +93,7 @@ def verdict_of(
     faults: Sequence[str] = (),
     looks: Sequence[str] = (),
     cure: str | None = None,
-    most_lost: float = LOST_SHARE,
+    most_lost: float = SETTINGS.verdict_lost_share,
 ) -> Verdict:
     """The verdict on a motion; faults: sentences of what was found wrong with it as a whole; looks: of what makes the
     whole of it worth a look; cure: what to do when too many joints are likely wrong; most_lost: share of the frames
@@ -118,14 +104,16 @@ def verdict_of(
         because.append(f"the person was not found in {100 * gone.mean():.0f} % of the frames")
     doubtful = motion.doubtful_joints
     if doubtful is not None and motion.p_wrong is not None and (~gone).any():
-        because += _too_doubtful(motion, doubtful, ~gone, 0.0 if looks else LIMB_P, cure or _cure(motion))
+        because += _too_doubtful(
+            motion, doubtful, ~gone, 0.0 if looks else SETTINGS.verdict_limb_p, cure or _cure(motion)
+        )
     if because:
         return Verdict(UNTRUSTED, (*because, *looks))
     frames = np.zeros(len(motion), dtype=bool) if motion.doubtful is None else motion.doubtful.astype(bool)
-    least = max(2, round(FEW_S * motion.frame_rate))
+    least = max(2, round(SETTINGS.verdict_few_s * motion.frame_rate))
     found = runs(frames)
     stretches = tuple(r for r in found if len(r) >= least and _worth_a_look(motion, doubtful, r))
-    if frames.mean() > LIMB_SHARE:
+    if frames.mean() > SETTINGS.verdict_limb_share:
         stretches = tuple(found)
     if stretches:
         return Verdict(LOOK, (*looks, _what(motion, doubtful, stretches)), stretches)
@@ -150,13 +138,13 @@ def _too_doubtful(
     assert motion.p_wrong is not None
     names = motion.skeleton.joint_names
     share, often = float(motion.p_wrong[seen].mean()), doubtful[seen].mean(0)
-    if share > WRONG_SHARE:
+    if share > SETTINGS.verdict_wrong_share:
         worst = [names[j].replace("_", " ") for j in np.argsort(-often)[:4] if often[j] > 0.2]
         what = f", above all {', '.join(worst)}" if worst else ""
         return [f"the evidence speaks against the body in {100 * share:.0f} % of the joints{what}: {cure}"]
     likely = np.where(doubtful, motion.p_wrong, 0.0)[seen].sum(0) / np.maximum(doubtful[seen].sum(0), 1)
     lasting = doubtful[seen].sum(0) >= LIMB_S * motion.frame_rate
-    found = np.flatnonzero((often > LIMB_SHARE) & lasting & (likely >= least))
+    found = np.flatnonzero((often > SETTINGS.verdict_limb_share) & lasting & (likely >= least))
     bad = np.array([j for j in found if names[j] not in _ALONE], dtype=np.int64)
     if len(bad):
         which = ", ".join(names[j].replace("_", " ") for j in bad)

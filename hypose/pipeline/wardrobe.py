@@ -8,16 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from hypose.evidence.frame import Frame
+from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.tracked_people import Followed
 from hypose.tracking.clothes import Clothes, clothes_in, nothing_seen
-
-NEAR_M = 0.7
-"""m between two people in which they may be taken for each other, and are not learnt from."""
-LOOKS = 3
-"""How often somebody is looked at, apart from others, before it is told who it is."""
-UNLIKE, CLEARLY = 0.7, 0.2
-"""Likeness of clothes below which it is somebody else, and by which others must be more alike for two to have been
-exchanged. On walks past each other (seeds 20 to 23) one and the same had 0.98 and more, two people 0.5 and less."""
 
 
 def _apart(a: Followed, b: Followed, t: int = -1) -> float:
@@ -31,7 +24,7 @@ def look_at_clothes(people: Sequence[Followed], seen: Sequence[Frame]) -> list[t
     for p, frame in zip(people, seen, strict=True):
         if frame.colours is None or p not in there:
             continue
-        w, near = p.wardrobe, [q for q in there if q is not p and _apart(p, q) < NEAR_M]
+        w, near = p.wardrobe, [q for q in there if q is not p and _apart(p, q) < SETTINGS.wardrobe_near_m]
         for q in near:
             _remember(p, q)
         if near:
@@ -56,18 +49,18 @@ def _exchanged(there: Sequence[Followed]) -> list[tuple[Followed, Followed, int]
         a = p.wardrobe
         for q in there[:i]:
             b = q.wardrobe
-            if min(a.looks, b.looks) < LOOKS or not (q.name in a.met and p.name in b.met):
+            if min(a.looks, b.looks) < SETTINGS.wardrobe_looks or not (q.name in a.met and p.name in b.met):
                 continue
             own = a.worn.likeness(a.lately) + b.worn.likeness(b.lately)
             other = a.worn.likeness(b.lately) + b.worn.likeness(a.lately)
-            if other > own + CLEARLY:  # not where one of them has not been seen
+            if other > own + SETTINGS.wardrobe_clearly:  # not where one of them has not been seen
                 out.append((p, q, min(a.met[q.name], b.met[p.name])))
                 a.lately, b.lately = b.lately, a.lately
             del a.met[q.name], b.met[p.name]
     for p in there:  # whom they met and who has left since
         names = {q.name for q in there}
         w = p.wardrobe
-        if w.looks >= LOOKS and not names & set(w.met):
+        if w.looks >= SETTINGS.wardrobe_looks and not names & set(w.met):
             w.settle()
     return out
 

@@ -5,30 +5,34 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from statistics import NormalDist
+from typing import Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from hypose.body.ready_bodies import JOINT_NAMES
 from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError
-from hypose.geometry import Array, se3, so3_exp
-
-Mask = NDArray[np.uint8]
+from hypose.evidence.keypoints import BODY_25
+from hypose.geometry import Array, Mask, se3, so3_exp
+from hypose.synthetic.performance import Performance
+from hypose.synthetic.subjects import SyntheticSubject
 
 
 @dataclass(frozen=True)
 class Corruptions:
     """Switches; the defaults corrupt nothing. Lengths in px are those of the camera's own image size.
 
-    boundary_px: sd of the smooth displacement of a mask's outline. holes, blobs: mean number of missing and
-    false pieces per mask (ellipses of 4-14 px). shadow: 0..1, share of the cast shadow that is taken for the
-    person (in RGB frames the shadow is always there). occluder: "" or "table" or "treadmill", in front of the
-    person in several views; it belongs to the room. dropped: share of frames that a camera does not deliver
-    (its last image is repeated). dead_camera: index of a camera whose images are black from a third of the
-    recording on, -1 for none. desync: the c-th camera is late by desync[c % len] frames, so (0, 1, 0, 2)
-    delays the second camera by one frame and the fourth by two. calibration_error: relative; 0.01 changes
-    focal lengths and positions by 1 % (1 sd).
+    boundary_px: sd of the smooth displacement of a mask's outline.
+    holes, blobs: mean number of missing and false pieces per mask (ellipses of 4-14 px).
+    shadow: 0..1, share of the cast shadow that is taken for the person (in RGB frames the shadow is always there).
+    occluder: "" or "table" or "treadmill", in front of the person in several views; it belongs to the room.
+    dropped: share of frames that a camera does not deliver (its last image is repeated).
+    dead_camera: index of a camera whose images are black from a third of the recording on, -1 for none.
+    desync: the c-th camera is late by desync[c % len] frames, so (0, 1, 0, 2) delays the second camera by one frame and
+        the fourth by two.
+    calibration_error: relative; 0.01 changes focal lengths and positions by 1 % (1 sd).
     """
 
     boundary_px: float = 0.0
@@ -63,7 +67,7 @@ one."""
 
 
 def corruptions(*names: str) -> Corruptions:
-    """The named corruptions (CORRUPTIONS) together; where two set the same switch, the later one counts."""
+    """Return the named corruptions (CORRUPTIONS) together; where two set the same switch, the later one counts."""
     out = Corruptions()
     for name in names:
         if name not in CORRUPTIONS:
@@ -84,10 +88,12 @@ def smooth_noise(rng: np.random.Generator, shape: tuple[int, int], cell: float) 
 
 
 def corrupt_mask(mask: Mask, shadow: Mask, what: Corruptions, rng: np.random.Generator, scale: float = 1.0) -> Mask:
-    """A mask as a background model would deliver it.
+    """Return a mask as a background model would deliver it.
 
-    mask, shadow: (h, w) uint8 0/1, the true silhouette and the person's cast shadow (without the silhouette);
-    scale: working size / camera size, by which lengths in px are multiplied. Returns a new (h, w) mask.
+    mask, shadow: (h, w) uint8 0/1, the true silhouette and the person's cast shadow (without the silhouette).
+    scale: working size / camera size, by which lengths in px are multiplied.
+
+    Returns a new (h, w) mask.
     """
     out = mask.copy()
     x, y, w, h = cv2.boundingRect(mask)
@@ -124,8 +130,8 @@ def corrupt_mask(mask: Mask, shadow: Mask, what: Corruptions, rng: np.random.Gen
     return out
 
 
-def box(low: tuple[float, float, float], high: tuple[float, float, float]) -> tuple[Array, NDArray[np.int32]]:
-    """An axis-aligned box as a mesh: vertices (8, 3) m, faces (12, 3) counter-clockwise from outside."""
+def box_mesh(low: tuple[float, float, float], high: tuple[float, float, float]) -> tuple[Array, NDArray[np.int32]]:
+    """Return an axis-aligned box as a mesh: vertices (8, 3) m, faces (12, 3) counter-clockwise from outside."""
     x, y, z = zip(low, high, strict=True)
     v = np.array([[a, b, c] for a in x for b in y for c in z], dtype=np.float64)
     quads = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
@@ -158,16 +164,16 @@ def occluder_mesh(name: str) -> tuple[Array, NDArray[np.int32]] | None:
         raise InputError(f"There is no occluder {name!r}; the occluders are table and treadmill.")
     vertices, faces = [], []
     for low, high in boxes:
-        v, f = box(low, high)
+        v, f = box_mesh(low, high)
         faces.append(f + 8 * len(vertices))
         vertices.append(v)
     return np.concatenate(vertices) @ turn.T, np.concatenate(faces).astype(np.int32)
 
 
 def disturb_rig(rig: CameraRig, relative: float, rng: np.random.Generator) -> CameraRig:
-    """The rig as a careless calibration gives it: for `relative` = 0.01, focal lengths off by 1 % and camera
-    positions by 1 % of the distance to the volume's centre per axis, and the centre seen up to 1 % of the
-    image's half width beside where it is (each 1 sd). Image size and lens distortion stay."""
+    """Return the rig as a careless calibration gives it: for `relative` = 0.01, focal lengths off by 1 % and camera
+    positions by 1 % of the distance to the volume's centre per axis, and the centre seen up to 1 % of the image's half
+    width away from where it is (each 1 sd). Image size and lens distortion stay."""
     if relative <= 0:
         return rig
     out = []
@@ -190,7 +196,7 @@ def disturb_rig(rig: CameraRig, relative: float, rng: np.random.Generator) -> Ca
 
 
 def dropped_frames(n_frames: int, share: float, rng: np.random.Generator) -> NDArray[np.bool_]:
-    """(T,) True where a camera delivers no image; single frames and short runs, never the first frame."""
+    """Return (T,) True where a camera delivers no image; single frames and short runs, never the first frame."""
     out = np.zeros(n_frames, dtype=bool)
     t = 1
     while share > 0 and t < n_frames:
@@ -200,3 +206,116 @@ def dropped_frames(n_frames: int, share: float, rng: np.random.Generator) -> NDA
             t += length
         t += 1
     return out
+
+
+# ---- simulated key points --------------------------------------------------------------------------------------------
+# 2D key points of a synthetic scene, as a detector would give them.
+
+
+class Filmed(Protocol):
+    """The filmed views of a scene (`hypose.synthetic.scenes.Scene`)."""
+
+    @property
+    def subject(self) -> SyntheticSubject:
+        """Who moves."""
+        ...
+
+    @property
+    def performance(self) -> Performance:
+        """How."""
+        ...
+
+    @property
+    def rig(self) -> CameraRig:
+        """What films it."""
+        ...
+
+    @property
+    def seed(self) -> int:
+        """Of the noise."""
+        ...
+
+    def __len__(self) -> int:
+        """Return number of frames."""
+        ...
+
+    def shown(self, view: int, index: int, /) -> int:
+        """Return the frame that a view shows at frame index."""
+        ...
+
+    def dead(self, view: int, index: int, /) -> bool:
+        """Does the view show nothing then?"""
+        ...
+
+
+def surface_landmarks(subject: SyntheticSubject) -> dict[str, tuple[int, Array]]:
+    """Nose, eyes, ears, toes and heels of a subject: name -> (joint, point (3,) m in the model frame at
+    rest)."""
+    v, j, part = subject.vertices, subject.joints, subject.main_joint
+    out: dict[str, tuple[int, Array]] = {}
+    head = v[part == 4] if (part == 4).any() else j[4:5] + [[0, -0.1, 0.08], [0, 0.1, 0.08], [0, 0, 0.2]]
+    low, high = head.min(0), head.max(0)
+    size = high - low
+    face = j[4] * [1, 0, 0] + [0, low[1], low[2] + 0.48 * size[2]]
+    out["nose"] = (4, face)
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        out[f"{side}_eye"] = (4, face + [sign * 0.2 * size[0], 0.09 * size[1], 0.12 * size[2]])
+        out[f"{side}_ear"] = (4, face + [sign * 0.47 * size[0], 0.5 * size[1], 0.05 * size[2]])
+        k = 15 if side == "left" else 18
+        foot = v[part == k] if (part == k).any() else j[k] + np.array([[0, -0.18, -0.08], [0, 0.06, -0.08]])
+        ground = foot[:, 2].min() + 0.02
+        front, back, middle = foot[:, 1].min(), foot[:, 1].max(), float(foot[:, 0].mean())
+        out[f"{side}_big_toe"] = (k, np.array([middle - sign * 0.02, front + 0.02, ground]))
+        out[f"{side}_small_toe"] = (k, np.array([middle + sign * 0.03, front + 0.05, ground]))
+        out[f"{side}_heel"] = (k, np.array([middle, back - 0.01, ground]))
+    return out
+
+
+def keypoint_places(subject: SyntheticSubject, rotations: Array, joints: Array) -> Array:
+    """Return (T, 25, 3) m: where the points of BODY_25 are on a subject; rotations (T, 19, 3, 3) world_from_joint,
+    joints (T, 19, 3)."""
+    marks = surface_landmarks(subject)
+    world = np.zeros((len(joints), len(BODY_25), 3))
+    for k, name in enumerate(BODY_25):
+        if name in ("neck", "mid_hip"):
+            a, b = (6, 10) if name == "neck" else (13, 16)
+            world[:, k] = (joints[:, a] + joints[:, b]) / 2
+        elif name in marks:
+            j, point = marks[name]
+            world[:, k] = joints[:, j] + rotations[:, j] @ (point - subject.joints[j])
+        else:
+            world[:, k] = joints[:, JOINT_NAMES.index(name)]
+    return world
+
+
+def keypoint_detections(scene: Filmed, view: int, noise_px: float = 4.0) -> Array:
+    """Return (T, 25, 3) = (u px, v px, confidence): BODY_25 detections of the subject in the camera's own (distorted)
+    images.
+
+    Where joints and surface landmarks really are, plus noise of noise_px at a person 250 px tall, in proportion to the
+    size: half of it white, half slow (detectors err alike in neighbouring frames). 2 % of the points are off by ten
+    times that, with low confidence, 2 % are missing. Detectors' systematic offsets and left-right swaps are not
+    imitated.
+    """
+    p, camera = scene.performance, scene.rig[view]
+    t = np.array([scene.shown(view, k) for k in range(len(scene))])
+    world = keypoint_places(scene.subject, p.rotations[t], p.joints[t])
+    uv = camera.project(world)
+    rng = np.random.default_rng([scene.seed, 100, view])
+    height = np.nanmax(uv[..., 1], axis=1) - np.nanmin(uv[..., 1], axis=1)
+    sd = noise_px * height[:, None] / 250.0
+    knots = rng.normal(size=(len(t) // 8 + 3, len(BODY_25), 2))
+    at = np.arange(len(t)) / 8
+    low = at.astype(int)
+    s = (at - low)[:, None, None]
+    slow = ((1 - s) * knots[low] + s * knots[low + 1]) / np.sqrt((1 - s) ** 2 + s**2)
+    white = rng.normal(size=uv.shape)
+    wild = rng.random(uv.shape[:2]) < 0.02
+    error = (slow + white) / np.sqrt(2) * np.where(wild, 10.0, 1.0)[..., None]
+    points = uv + sd[..., None] * error
+    confidence = np.clip(rng.normal(0.8, 0.08, uv.shape[:2]) - 0.45 * wild, 0.05, 1.0)
+    w, h = camera.size
+    inside = np.isfinite(points).all(-1) & (points >= 0).all(-1) & (points < [w, h]).all(-1)
+    dead = np.array([scene.dead(view, k) for k in range(len(scene))])
+    seen = inside & (rng.random(uv.shape[:2]) > 0.02) & ~dead[:, None]
+    return np.where(seen[..., None], np.concatenate([points, confidence[..., None]], -1), 0.0)

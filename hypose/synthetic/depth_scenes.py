@@ -20,14 +20,13 @@ from numpy.typing import NDArray
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.compute import rasterize
 from hypose.errors import InputError
-from hypose.geometry import Array, so3_exp
+from hypose.geometry import Array, DepthMap, so3_exp
 from hypose.synthetic.corruptions import smooth_noise
 from hypose.synthetic.performance import OfPerformance, Performance, assemble
-from hypose.synthetic.rigs import look_at
-from hypose.synthetic.subjects import Subject
+from hypose.synthetic.scenes import look_at
+from hypose.synthetic.subjects import SyntheticSubject
 
-DepthMap = NDArray[np.float32]
-SIZE, FOCAL_PX = (320, 288), 252.0
+KINECT_SIZE, FOCAL_PX = (320, 288), 252.0
 """the Azure Kinect's narrow binned mode"""
 AZIMUTHS = {1: (0.0,), 2: (0.0, 90.0), 3: (0.0, 120.0, 240.0)}
 """degrees from straight in front of a person who faces -y, towards the person's left"""
@@ -36,11 +35,19 @@ _PATTERN, _EMPTY, _FRAME = range(3)
 
 @dataclass(frozen=True)
 class SensorFaults:
-    """What a depth camera does wrong. constant_m, square: sd of a value, as `DepthNoise`; pattern_m: sd of what stays
-    the same per pixel, smooth; flying: share of the pixels on an edge whose value lies between both sides, half of
-    which are holes; multipath: share of the depth round about that is mixed into a value; grazing: cosine below which
-    holes begin; holes: share at random; hair: share of the head's crown; disturbed: share of a frame that each other
-    sensor disturbs, where noise is three times as large and a tenth are holes; near_m, far_m: range."""
+    """What a depth camera does wrong.
+
+    constant_m, square: sd of a value, as `DepthNoise`.
+    pattern_m: sd of what stays the same per pixel, smooth.
+    flying: share of the pixels on an edge whose value lies between both sides, half of which are holes.
+    multipath: share of the depth round about that is mixed into a value.
+    grazing: cosine below which holes begin.
+    holes: share at random.
+    hair: share of the head's crown.
+    disturbed: share of a frame that each other sensor disturbs, where noise is three times as large and a tenth are
+        holes.
+    near_m, far_m: range.
+    """
 
     constant_m: float = 0.0015
     square: float = 0.0012
@@ -65,12 +72,12 @@ def depth_rig(name: str, distance: float = 2.7, height: float = 1.2) -> CameraRi
     cameras = []
     for k, a in enumerate(np.radians(azimuths)):
         eye = [distance * np.sin(a), -distance * np.cos(a), height]
-        cameras.append(look_at(f"depth{k + 1}", eye, (0, 0, 0.95), FOCAL_PX, SIZE))
+        cameras.append(look_at(f"depth{k + 1}", eye, (0, 0, 0.95), FOCAL_PX, KINECT_SIZE))
     return CameraRig(tuple(cameras))
 
 
-def turning(performance: Performance, subject: Subject, heading: Array) -> Performance:
-    """The performance turned about the vertical axis of the world by heading (T,) rad, frame by frame."""
+def turning(performance: Performance, subject: SyntheticSubject, heading: Array) -> Performance:
+    """Return the performance turned about the vertical axis of the world by heading (T,) rad, frame by frame."""
     r = so3_exp(np.asarray(heading, dtype=np.float64)[:, None] * np.array([0, 0, 1.0]))
     rotations = np.einsum("tab,tjbc->tjac", r, performance.rotations)
     root = np.einsum("tab,tb->ta", r, performance.root)
@@ -78,7 +85,8 @@ def turning(performance: Performance, subject: Subject, heading: Array) -> Perfo
 
 
 def to_profile(frames: int, seed: int) -> Array:
-    """(T,) rad: facing the first sensor, one profile, back, the other one, and back; the seed says which first."""
+    """Return (T,) rad: facing the first sensor, one profile, back, the other one, and back; the seed says which
+    first."""
     x = np.linspace(0, 1, frames)
     side = 1.0 if seed % 2 else -1.0
     return side * np.radians(90) * np.sin(2 * np.pi * x)
@@ -86,18 +94,25 @@ def to_profile(frames: int, seed: int) -> Array:
 
 @dataclass(frozen=True)
 class DepthScene(OfPerformance):
-    """subject: the truth body (dressed); performance; rig: the sensors, pinhole; faults; seed of everything random;
-    furniture: boxes that stand where they may hide the person, x, y of their middle, width along x, along y, height,
-    m; others: people beside, with what they do."""
+    """Depth scene.
+
+    subject: the truth body (dressed).
+    performance.
+    rig: the sensors, pinhole.
+    faults.
+    seed of everything random.
+    furniture: boxes that stand where they may hide the person, x, y of their middle, width along x, along y, height, m.
+    others: further people, with their motions.
+    """
 
     name: str
-    subject: Subject
+    subject: SyntheticSubject
     performance: Performance
     rig: CameraRig
     faults: SensorFaults = SensorFaults()
     seed: int = 0
     furniture: tuple[tuple[float, float, float, float, float], ...] = ()
-    others: tuple[tuple[Subject, Performance], ...] = ()
+    others: tuple[tuple[SyntheticSubject, Performance], ...] = ()
 
     def clean_map(self, view: int, index: int) -> tuple[DepthMap, NDArray[np.uint8]]:
         """What sensor `view` would measure of frame `index` without any fault, (h, w) m, and the person's pixels."""
@@ -127,7 +142,7 @@ class DepthScene(OfPerformance):
         return sensed(clean, camera, self.faults, self._patterns[view], rng, len(self.rig) - 1, hair)
 
     def empty_map(self, view: int, index: int) -> DepthMap:
-        """A map (h, w) m of the room without anybody."""
+        """Return a map (h, w) m of the empty room."""
         rng = np.random.default_rng([self.seed, _EMPTY, view, index])
         return sensed(
             self._rooms[view], self.rig[view], self.faults, self._patterns[view], rng, len(self.rig) - 1, None
@@ -150,13 +165,13 @@ class DepthScene(OfPerformance):
 
 def depth_scene(
     performance: Performance,
-    subject: Subject,
+    subject: SyntheticSubject,
     sensors: str | CameraRig,
     *,
     seed: int = 0,
     faults: SensorFaults | None = None,
 ) -> DepthScene:
-    """The scene of a performance of that subject before sensors (`depth_rig`)."""
+    """Return the scene of a performance of that subject before sensors (`depth_rig`)."""
     rig = depth_rig(sensors) if isinstance(sensors, str) else sensors
     what = sensors if isinstance(sensors, str) else f"{len(rig)} sensors"
     name = f"{performance.name}-{subject.name}-{what}-{seed}"
@@ -172,7 +187,8 @@ def sensed(
     others: int,
     hair: NDArray[np.bool_] | None,
 ) -> DepthMap:
-    """A map (h, w) m without faults as a sensor with `faults` delivers it, beside so many others; hair (h, w): dark."""
+    """Return a map (h, w) m without faults as a sensor with `faults` delivers it, with so many other sensors; hair (h,
+    w): dark."""
     z = clean.astype(np.float32)
     h, w = z.shape
     kernel = np.ones((3, 3), np.uint8)
@@ -204,7 +220,7 @@ def sensed(
 
 
 def _cosines(z: DepthMap, camera: Camera) -> DepthMap:
-    """(h, w) of the angle between ray and normal; of the two one-sided differences the smaller."""
+    """Return (h, w) of the angle between ray and normal; of the two one-sided differences the smaller."""
     ax = np.minimum(np.abs(np.diff(z, axis=1, append=z[:, -1:])), np.abs(np.diff(z, axis=1, prepend=z[:, :1])))
     ay = np.minimum(np.abs(np.diff(z, axis=0, append=z[-1:])), np.abs(np.diff(z, axis=0, prepend=z[:1])))
     slope = np.hypot(ax * camera.K[0, 0] / z, ay * camera.K[1, 1] / z)
@@ -217,7 +233,7 @@ def _drawn(camera: Camera, vertices: Array, faces: NDArray[np.int32]) -> DepthMa
 
 
 def _room(camera: Camera, things: tuple[Array, NDArray[np.int32]]) -> DepthMap:
-    """(h, w) m: floor, four walls and ceiling, and things in it."""
+    """Return (h, w) m: floor, four walls and ceiling, and things in it."""
     v, u = np.indices((camera.size[1], camera.size[0]))
     k, r = camera.K, camera.camera_from_world[:3, :3]
     rays = np.stack([(u - k[0, 2]) / k[0, 0], (v - k[1, 2]) / k[1, 1], np.ones(u.shape)], -1) @ r
@@ -243,7 +259,7 @@ _SIDES = np.array(
 def _things(
     rng: np.random.Generator, furniture: Sequence[tuple[float, float, float, float, float]]
 ) -> tuple[Array, NDArray[np.int32]]:
-    """Boxes on the floor, beside the space in which people move and not before the sensors of AZIMUTHS, and those that
+    """Boxes on the floor, outside the space in which people move and not before the sensors of AZIMUTHS, and those that
     are asked for."""
     vertices = []
     for azimuth in (45, 160, 200, 285, 315):

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
 
+from hypose.body.skin_weights import vertex_normals
 from hypose.errors import InputError
 from hypose.geometry import Array
-from hypose.synthetic.subjects import vertex_normals
 
 SIDES = ("left", "right")
 FINGERS = ("thumb", "index", "middle", "ring", "pinky")
@@ -51,7 +51,7 @@ def unit(v: ArrayLike) -> Array:
     return a / np.linalg.norm(a)
 
 
-def turn(axis: ArrayLike, angle: float) -> Array:
+def rotation_about(axis: ArrayLike, angle: float) -> Array:
     """Rotation (3, 3) about an axis by an angle (rad), Rodrigues' formula."""
     x, y, z = unit(axis)
     k = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
@@ -65,22 +65,26 @@ def _frame(a: ArrayLike, b: ArrayLike) -> Array:
     return np.stack([a, b, np.cross(a, b)], 1)
 
 
-def align(a0: ArrayLike, b0: ArrayLike, a1: ArrayLike, b1: ArrayLike) -> Array:
+def _align(a0: ArrayLike, b0: ArrayLike, a1: ArrayLike, b1: ArrayLike) -> Array:
     """Rotation that takes direction a0 to a1 and b0 into the half plane of a1 and b1."""
     return _frame(a1, b1) @ _frame(a0, b0).T
 
 
 @dataclass(frozen=True)
 class HandShape:
-    """flexion (4, 3) rad of index to little finger; spread rad between neighbours; thumb (3, 3, 3): rotations of its
-    joints relative to the hand."""
+    """Hand shape.
+
+    flexion (4, 3) rad of index to little finger.
+    spread rad between neighbours.
+    thumb (3, 3, 3): rotations of its joints relative to the hand.
+    """
 
     flexion: Array
     spread: float
     thumb: Array
 
     def towards(self, other: HandShape, t: float) -> HandShape:
-        """The shape a share t of the way to another."""
+        """Return the shape a share t of the way to another."""
         u, _, v = np.linalg.svd((1 - t) * self.thumb + t * other.thumb)
         return HandShape((1 - t) * self.flexion + t * other.flexion, (1 - t) * self.spread + t * other.spread, u @ v)
 
@@ -97,9 +101,15 @@ class ArmGoal:
 
 
 @dataclass(frozen=True)
-class Person:
-    """vertices (V, 3) f4 and joints (51, 3) m in the body's frame (origin at the pelvis, x = the person's left, y =
-    backward, z = up); faces (F, 3); weights (V, 51) f4; ends (2, 5, 3) of the fingers of the left and right hand."""
+class GesturePerson:
+    """Gesture person.
+
+    vertices (V, 3) f4 and joints (51, 3) m in the body's frame (origin at the pelvis, x = the person's left, y =
+        backward, z = up).
+    faces (F, 3).
+    weights (V, 51) f4.
+    ends (2, 5, 3) of the fingers of the left and right hand.
+    """
 
     name: str
     joint_names: tuple[str, ...]
@@ -129,7 +139,7 @@ class Person:
         return along, unit(palm - along * (along @ palm)), float(np.linalg.norm(middle - wrist))
 
     def shape(self, side: str, kind: str, rng: np.random.Generator | None = None, jitter_deg: float = 0.0) -> HandShape:
-        """A named hand shape, with every joint off by jitter_deg (sd) where it is not to touch."""
+        """Return a named hand shape, with every joint off by jitter_deg (sd) where it is not to touch."""
         if kind not in _FLEXION:
             raise InputError(f"There is no hand shape {kind!r}; the shapes are {', '.join(HAND_SHAPES)}.")
         touches = kind not in _THUMB
@@ -155,14 +165,14 @@ class Person:
         o, a, b = np.deg2rad(degrees)
         t = unit(self.joint(f"{side}_thumb_2") - self.joint(f"{side}_thumb_1"))
         axis = np.cross(t, palm)
-        first = turn(axis, o * 0.6) @ turn(along, -o * 0.7 * (1 if side == "right" else -1))
-        return np.stack([first, first @ turn(axis, a), first @ turn(axis, a + b)])
+        first = rotation_about(axis, o * 0.6) @ rotation_about(along, -o * 0.7 * (1 if side == "right" else -1))
+        return np.stack([first, first @ rotation_about(axis, a), first @ rotation_about(axis, a + b)])
 
 
 @lru_cache(maxsize=4)
-def load_people(cloth_m: float = 0.008) -> tuple[Person, ...]:
-    """The baked people, dressed: clothes stand off by up to 1.5 cloth_m (each person another share) except on head and
-    hands. InputError when the asset is missing."""
+def load_people(cloth_m: float = 0.008) -> tuple[GesturePerson, ...]:
+    """Return the baked people, dressed: clothes stand off by up to 1.5 cloth_m (each person another share) except on
+    head and hands. InputError when the asset is missing."""
     file = resources.files("hypose.assets").joinpath("gesture_people.npz")
     try:
         with file.open("rb") as stream:
@@ -186,7 +196,7 @@ def load_people(cloth_m: float = 0.008) -> tuple[Person, ...]:
         thickness = cloth_m * (0.4 + 1.1 * ((k * 7) % 18) / 17)
         v = v + (thickness * dressed)[:, None] * vertex_normals(v, faces)
         out.append(
-            Person(
+            GesturePerson(
                 str(name),
                 names,
                 tuple(int(p) for p in data["parents"]),
@@ -203,7 +213,7 @@ def load_people(cloth_m: float = 0.008) -> tuple[Person, ...]:
 class Puppet:
     """A person being posed: joints that are not turned follow their parent."""
 
-    def __init__(self, person: Person) -> None:
+    def __init__(self, person: GesturePerson) -> None:
         self.person = person
         self._index = {n: i for i, n in enumerate(person.joint_names)}
         self._turned: dict[int, Array] = {0: np.eye(3)}
@@ -235,7 +245,7 @@ class Puppet:
         return self.place()[0][self._index[name]]
 
     def carried(self, name: str, point: Array) -> Array:
-        """Where a point (3,) of the rest pose is that moves with a joint."""
+        """Return where a point (3,) of the rest pose is that moves with a joint."""
         r, c = self.place()
         j = self._index[name]
         return c[j] + r[j] @ (point - self.person.joints[j])
@@ -262,16 +272,16 @@ class Puppet:
         wrist = shoulder + length * to
         d1, d2, e1, e2 = b - a, c - b, elbow - shoulder, wrist - elbow
         n0, n1 = np.cross(d1, d2), np.cross(e1, e2)
-        r_upper, r_fore = align(d1, n0, e1, n1), align(d2, n0, e2, n1)
+        r_upper, r_fore = _align(d1, n0, e1, n1), _align(d2, n0, e2, n1)
         along, palm, _ = p.hand_axes(side)
-        r_hand = align(along, palm, goal.fingers, goal.palm)
+        r_hand = _align(along, palm, goal.fingers, goal.palm)
         axis = unit(d2)
         v = _frame(axis, palm)
         q = v.T @ (r_fore.T @ r_hand) @ v
         twist = float(np.arctan2(q[2, 1] - q[1, 2], q[1, 1] + q[2, 2]))
         self.set(f"{side}_shoulder", r_upper)
-        self.set(f"{side}_elbow", r_fore @ turn(axis, 0.15 * twist))
-        self.set(f"{side}_forearm_twist", r_fore @ turn(axis, 0.55 * twist))
+        self.set(f"{side}_elbow", r_fore @ rotation_about(axis, 0.15 * twist))
+        self.set(f"{side}_forearm_twist", r_fore @ rotation_about(axis, 0.55 * twist))
         self.set(f"{side}_wrist", r_hand)
         self.shape_hand(side, goal.hand, r_hand)
 
@@ -280,9 +290,9 @@ class Puppet:
         along, palm, _ = self.person.hand_axes(side)
         axis = np.cross(along, palm)
         for k, finger in enumerate(FINGERS[1:]):
-            apart = turn(palm, (1.5 - k) * shape.spread * (-1 if side == "right" else 1))
+            apart = rotation_about(palm, (1.5 - k) * shape.spread * (-1 if side == "right" else 1))
             for q, bend in enumerate(np.cumsum(shape.flexion[k])):
-                self.set(f"{side}_{finger}_{q + 1}", r_hand @ apart @ turn(axis, bend))
+                self.set(f"{side}_{finger}_{q + 1}", r_hand @ apart @ rotation_about(axis, bend))
         for q in range(3):
             self.set(f"{side}_thumb_{q + 1}", r_hand @ shape.thumb[q])
 
@@ -296,19 +306,19 @@ class Puppet:
         return out.astype(np.float32, copy=False)
 
 
-def _thumb_of(person: Person, side: str, x: Array) -> Array:
+def _thumb_of(person: GesturePerson, side: str, x: Array) -> Array:
     """Rotations of the thumb for a rotation vector of its root (x[:3]) and two flexions (x[3:5])."""
     base = person.joint(f"{side}_thumb_1")
     t = unit(person.joint(f"{side}_thumb_3") - base)
     axis = unit(np.cross(t, unit(person.joint(f"{side}_index_1") - person.joint(f"{side}_thumb_2"))))
     angle = float(np.linalg.norm(x[:3]))
-    out = [turn(x[:3], angle) if angle > 1e-6 else np.eye(3)]
+    out = [rotation_about(x[:3], angle) if angle > 1e-6 else np.eye(3)]
     for flex in x[3:5]:
-        out.append(out[-1] @ turn(axis, float(flex)))
+        out.append(out[-1] @ rotation_about(axis, float(flex)))
     return np.stack(out)
 
 
-def _chain_end(person: Person, side: str, finger: int, rotations: Sequence[Array]) -> Array:
+def _chain_end(person: GesturePerson, side: str, finger: int, rotations: Sequence[Array]) -> Array:
     """End (3,) of a finger whose joints have these rotations, with the hand at rest."""
     at = [person.joint(f"{side}_{FINGERS[finger]}_{k}") for k in (1, 2, 3)]
     at.append(person.ends[SIDES.index(side), finger])
@@ -318,12 +328,12 @@ def _chain_end(person: Person, side: str, finger: int, rotations: Sequence[Array
     return out
 
 
-def _fit_thumb(person: Person, side: str, kind: str) -> Array:
+def _fit_thumb(person: GesturePerson, side: str, kind: str) -> Array:
     """Angles (8,) with which the thumb's end meets the index finger's ("ok") or lies on the folded middle finger."""
     along, palm, _ = person.hand_axes(side)
     axis = np.cross(along, palm)
     flexion = np.deg2rad(np.array(_FLEXION[kind]))
-    middle = [turn(axis, a) for a in np.cumsum(flexion[1])]
+    middle = [rotation_about(axis, a) for a in np.cumsum(flexion[1])]
     joints = [person.joint(f"{side}_middle_{k}") for k in (1, 2, 3)]
     second = joints[0] + middle[0] @ (joints[1] - joints[0])
     third = second + middle[1] @ (joints[2] - joints[1])
@@ -333,7 +343,7 @@ def _fit_thumb(person: Person, side: str, kind: str) -> Array:
         end = _chain_end(person, side, 0, list(_thumb_of(person, side, x)))
         if kind == "ok":
             bends = np.cumsum(flexion[0] * np.exp(x[5:8]))
-            end = end - _chain_end(person, side, 1, [turn(axis, a) for a in bends])
+            end = end - _chain_end(person, side, 1, [rotation_about(axis, a) for a in bends])
         else:
             end = end - on_finger
         return np.r_[end * 100, 0.15 * x[:3], 0.3 * (x[3:5] - 0.3), 0.8 * x[5:]]

@@ -12,7 +12,7 @@ import numpy as np
 
 from hypose.errors import InputError
 from hypose.geometry import Array
-from hypose.synthetic.gesture_people import SIDES, ArmGoal, HandShape, Person, Puppet, turn, unit
+from hypose.synthetic.gesture_people import SIDES, ArmGoal, GesturePerson, HandShape, Puppet, rotation_about, unit
 
 GESTURES = ("tee", "cross", "pause", "silence", "ok", "volume_up")
 """What the detectors learn. volume_up is a thumb up: the thesis does not say what it is."""
@@ -28,7 +28,7 @@ class Keyframe:
     right: ArmGoal
 
     def towards(self, other: Keyframe, t: float) -> Keyframe:
-        """The pose a share t of the way to another."""
+        """Return the pose a share t of the way to another."""
         return Keyframe(
             (1 - t) * self.angles + t * other.angles,
             _blend(self.left, other.left, t),
@@ -52,13 +52,13 @@ def _blend(a: ArmGoal, b: ArmGoal, t: float) -> ArmGoal:
 
 def bend(puppet: Puppet, angles: Array) -> None:
     """Turn trunk and head."""
-    root = turn([0, 0, 1], angles[0])
-    spine = root @ turn([1, 0, 0], angles[1]) @ turn([0, 1, 0], angles[2])
-    chest = spine @ turn([0, 0, 1], angles[3])
+    root = rotation_about([0, 0, 1], angles[0])
+    spine = root @ rotation_about([1, 0, 0], angles[1]) @ rotation_about([0, 1, 0], angles[2])
+    chest = spine @ rotation_about([0, 0, 1], angles[3])
     puppet.set("pelvis", root)
     puppet.set("spine", spine)
     puppet.set("chest", chest)
-    puppet.set("neck", chest @ turn([1, 0, 0], angles[4]) @ turn([0, 0, 1], angles[5]))
+    puppet.set("neck", chest @ rotation_about([1, 0, 0], angles[4]) @ rotation_about([0, 0, 1], angles[5]))
 
 
 def apply(puppet: Puppet, frame: Keyframe) -> None:
@@ -88,7 +88,7 @@ class Doer:
         self.middle = 0.5 * (self.lead_shoulder + self.other_shoulder)
 
     def way(self, x: float, y: float, z: float, noise: float = 0.0) -> Array:
-        """A direction or offset seen from the chest, mirrored for left-handed people, with noise (sd)."""
+        """Return a direction or offset seen from the chest, mirrored for left-handed people, with noise (sd)."""
         return self.chest @ (np.array([x, y, z]) * self.mirror) + self.rng.normal(0, noise, 3) * self.amount
 
     def elbow(self, x: float, y: float, z: float) -> Array:
@@ -101,11 +101,11 @@ class Doer:
         return person.ends[SIDES.index(side), 2] - person.joint(f"{side}_wrist")
 
     def shape(self, side: str, kind: str, jitter: float = 6.0) -> HandShape:
-        """A hand of one of HAND_SHAPES, fingers varied by `jitter` degrees."""
+        """Return a hand of one of HAND_SHAPES, fingers varied by `jitter` degrees."""
         return self.puppet.person.shape(side, kind, self.rng, jitter)
 
     def hanging(self, side: str) -> ArmGoal:
-        """An arm that hangs beside the body."""
+        """Return an arm that hangs at the side of the body."""
         x, rng = _SHOULDER[side], self.rng
         offset = [x * rng.uniform(0.05, 0.2), rng.uniform(-0.15, 0.05), -rng.uniform(0.45, 0.6)]
         return ArmGoal(
@@ -117,14 +117,14 @@ class Doer:
         )
 
     def keyframe(self, lead: ArmGoal, other: ArmGoal | None = None) -> Keyframe:
-        """The pose with the leading arm and the other one, which hangs by default."""
+        """Return the pose with the leading arm and the other one, which hangs by default."""
         other = self.hanging(self.other) if other is None else other
         left, right = (other, lead) if self.lead == "right" else (lead, other)
         return Keyframe(self.angles, left, right)
 
 
-def lips(person: Person) -> Array:
-    """The middle of the lips at rest: 4 cm below the tip of the nose."""
+def lips(person: GesturePerson) -> Array:
+    """Return the middle of the lips at rest: 4 cm below the tip of the nose."""
     head = person.joint("head")
     v = person.vertices
     front = v[(np.abs(v[:, 0]) < 0.01) & (v[:, 2] > head[2] - 0.08) & (v[:, 2] < head[2] + 0.2)]
@@ -210,7 +210,7 @@ def _volume_up(do: Doer) -> Keyframe:
     thumb = unit(person.joint(f"{do.lead}_thumb_3") - person.joint(f"{do.lead}_thumb_2"))
     up = unit(do.puppet.rotation(f"{do.lead}_wrist").T @ do.way(0, 0, 1, 0.08))
     axis = np.cross(thumb, up)
-    raised = turn(axis, 0.8 * float(np.arcsin(min(1.0, np.linalg.norm(axis)))))
+    raised = rotation_about(axis, 0.8 * float(np.arcsin(min(1.0, np.linalg.norm(axis)))))
     shape = HandShape(fist.flexion, fist.spread, np.stack([raised] * 3))
     return do.keyframe(ArmGoal(wrist, f, n, elbow, shape))
 
@@ -226,7 +226,7 @@ _GESTURES = {
 
 
 def annotated(puppet: Puppet, name: str, leading: str) -> Array:
-    """The point (3,) m on the surface that a gesture is annotated at, of a person who is doing it."""
+    """Return the point (3,) m on the surface that a gesture is annotated at, of a person who is doing it."""
     lead, other = leading, "left" if leading == "right" else "right"
     chest = puppet.rotation("chest")
     if name == "tee":  # where the fingers of the upright hand meet the flat one
@@ -248,8 +248,8 @@ def annotated(puppet: Puppet, name: str, leading: str) -> Array:
 
 
 def movement(puppet: Puppet, rng: np.random.Generator) -> Keyframe:
-    """A random pose that is none of the gestures: arms hanging or anywhere in front, hands of any shape but "ok"; a
-    quarter of the hands are near misses (a fist, a pointing finger, ... held up to the camera)."""
+    """Return a random pose that is none of the gestures: arms hanging or anywhere in front, hands of any shape but
+    "ok"; a quarter of the hands are near misses (a fist, a pointing finger, ... held up to the camera)."""
     do = Doer(puppet, rng, "right", 1.5)
     goals = {}
     for side, x in _SHOULDER.items():

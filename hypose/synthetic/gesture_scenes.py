@@ -5,19 +5,20 @@ World: the person stands at the origin and faces -y, z up, floor at z = 0, metre
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.compute import Depth, depth_sensor
+from hypose.compute import DepthImage, depth_sensor
+from hypose.errors import InputError
 from hypose.geometry import Array
-from hypose.gestures.depth_pictures import KINECT, Lens
-from hypose.synthetic.gesture_people import Person, Puppet, turn
+from hypose.gestures.depth_pictures import KINECT, DepthLens
+from hypose.synthetic.gesture_people import GesturePerson, Puppet, load_people, rotation_about
+from hypose.synthetic.gesture_poses import GESTURES, Keyframe, annotated, apply, gesture, movement
 
-SIZE = (640, 480)
-LEVELS = ("empty", "furnished", "cluttered")
+PICTURE_SIZE = (640, 480)
 _BOX = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 _BOX_FACES = np.array(
     [
@@ -29,7 +30,7 @@ _BOX_FACES = np.array(
 
 
 def _floor() -> tuple[Array, NDArray[np.int32]]:
-    """The floor, 8 x 8 m, in tiles: those that reach behind the camera are left out when it is drawn."""
+    """Return the floor, 8 x 8 m, in tiles: those that reach behind the camera are left out when it is drawn."""
     x, y = np.meshgrid(np.arange(-4, 5.0), 0.8 * np.arange(-5, 6), indexing="ij")
     i, j = (g.ravel() for g in np.mgrid[:8, :10])
     a = i * 11 + j
@@ -41,8 +42,12 @@ _FLOOR = _floor()
 
 
 @dataclass(frozen=True)
-class Room:
-    """vertices (V, 3) m in the world, faces (F, 3); wall: distance of the back wall behind the person, m."""
+class GestureRoom:
+    """Gesture room.
+
+    vertices (V, 3) m in the world, faces (F, 3).
+    wall: distance of the back wall behind the person, m.
+    """
 
     vertices: Array
     faces: NDArray[np.int32]
@@ -50,23 +55,23 @@ class Room:
 
 
 @dataclass(frozen=True)
-class View:
+class _View:
     """A camera: camera_from_world rotation (3, 3) and its position (3,) m in the world."""
 
     rotation: Array
     position: Array
 
     def points(self, world: NDArray) -> NDArray:
-        """Points (N, 3) of the world in the camera's frame."""
+        """Return points (N, 3) of the world in the camera's frame."""
         return (world - self.position) @ self.rotation.T
 
 
-def make_room(rng: np.random.Generator, level: str) -> Room:
-    """A random room: empty (floor and a wall far behind), furnished, or cluttered close to the person."""
+def make_gesture_room(rng: np.random.Generator, level: str) -> GestureRoom:
+    """Return a random room: empty (floor and a wall far behind), furnished, or cluttered close to the person."""
     parts: list[tuple[Array, NDArray[np.int32]]] = []
 
     def box(centre: Sequence[float], size: Sequence[float], yaw: float) -> None:
-        parts.append((_BOX * size @ turn([0, 0, 1], yaw).T + centre, _BOX_FACES))
+        parts.append((_BOX * size @ rotation_about([0, 0, 1], yaw).T + centre, _BOX_FACES))
 
     wall = rng.uniform(1.6, 2.6) if level == "empty" else rng.uniform(0.5, 2.5)
     box([0, wall + 0.1, 1.5], [14, 0.2, 5], rng.uniform(-0.25, 0.25))
@@ -84,34 +89,34 @@ def make_room(rng: np.random.Generator, level: str) -> Room:
     vertices = np.concatenate([v for v, _ in parts])
     first = np.cumsum([0, *(len(v) for v, _ in parts[:-1])])
     faces = np.concatenate([f + n for n, (_, f) in zip(first, parts, strict=True)]).astype(np.int32)
-    return Room(vertices, faces, float(wall))
+    return GestureRoom(vertices, faces, float(wall))
 
 
-def make_view(rng: np.random.Generator, distance: float) -> View:
-    """A camera `distance` m before the person, 1.0 to 1.6 m high, up to 20 degrees to the side."""
+def make_view(rng: np.random.Generator, distance: float) -> _View:
+    """Return a camera `distance` m before the person, 1.0 to 1.6 m high, up to 20 degrees to the side."""
     height, yaw = rng.uniform(1.0, 1.6), np.deg2rad(rng.uniform(-20, 20))
     tilt = np.arctan2(height - 1.25, distance) + rng.normal(0, 0.03)
     position = np.array([np.sin(yaw) * distance, -np.cos(yaw) * distance, height])
-    forward = turn([0, 0, 1], yaw + rng.normal(0, 0.06)) @ np.array([0.0, 1, 0])
+    forward = rotation_about([0, 0, 1], yaw + rng.normal(0, 0.06)) @ np.array([0.0, 1, 0])
     right = np.cross(forward, [0, 0, 1])
-    forward = turn(right, -tilt) @ forward
-    return View(np.stack([right, np.cross(forward, right), forward]), position)
+    forward = rotation_about(right, -tilt) @ forward
+    return _View(np.stack([right, np.cross(forward, right), forward]), position)
 
 
-def backdrop(room: Room, view: View, lens: Lens = KINECT) -> NDArray[np.float32]:
+def backdrop(room: GestureRoom, view: _View, lens: DepthLens = KINECT) -> NDArray[np.float32]:
     """Inverse depth (480, 640) 1/m of a room without people: drawn once where the camera stands still."""
-    inverse = np.zeros((SIZE[1], SIZE[0]), np.float32)
+    inverse = np.zeros((PICTURE_SIZE[1], PICTURE_SIZE[0]), np.float32)
     depth_sensor.draw(view.points(room.vertices), room.faces, (lens.fx, lens.fy, lens.cx, lens.cy), inverse)
     return inverse
 
 
 def render(
-    people: Sequence[tuple[Person, Array]],
+    people: Sequence[tuple[GesturePerson, Array]],
     behind: NDArray[np.float32],
-    view: View,
+    view: _View,
     rng: np.random.Generator,
-    lens: Lens = KINECT,
-) -> tuple[Depth, NDArray[np.float32]]:
+    lens: DepthLens = KINECT,
+) -> tuple[DepthImage, NDArray[np.float32]]:
     """Depth (480, 640) uint16 mm of posed people (person, vertices in the world) before a backdrop, and the exact
     inverse depth (1/m)."""
     inverse = behind.copy()
@@ -121,13 +126,13 @@ def render(
     return depth_sensor.sense(inverse, lens.fx, rng), inverse
 
 
-def in_world(puppet: Puppet, yaw: float = 0.0, at: Sequence[float] = (0, 0)) -> Array:
+def stand_at(puppet: Puppet, yaw: float = 0.0, at: Sequence[float] = (0, 0)) -> Array:
     """Vertices (V, 3) m of a posed person standing on the floor at a place, turned by yaw (rad)."""
-    return puppet.skin() @ turn([0, 0, 1], yaw).T + [at[0], at[1], -puppet.person.ground]
+    return puppet.skin() @ rotation_about([0, 0, 1], yaw).T + [at[0], at[1], -puppet.person.ground]
 
 
 def handedness(person: int) -> str:
-    """Every fourth person is left-handed."""
+    """Return the handedness of a person: every fourth one is left-handed."""
     return "left" if person % 4 == 3 else "right"
 
 
@@ -135,11 +140,102 @@ def handedness(person: int) -> str:
 class Setting:
     """A room seen by a camera, and what it looks like empty."""
 
-    room: Room
-    view: View
+    room: GestureRoom
+    view: _View
     behind: NDArray[np.float32]
 
     @staticmethod
-    def new(room: Room, view: View) -> Setting:
-        """The setting with its backdrop drawn."""
+    def new(room: GestureRoom, view: _View) -> Setting:
+        """Return the setting with its backdrop drawn."""
         return Setting(room, view, backdrop(room, view))
+
+
+# ---- a simulated depth camera that films gestures --------------------------------------------------------------------
+# A simulated person who moves as it is asked to: smooth ways between poses, seen by the simulated sensor.
+#
+# What a session with a screen shows where there is no camera. Unlike the independent pictures of `gesture_sessions`,
+# neighbouring frames are alike, as they are of a real person.
+
+
+_OTHERS = 0.3
+"""Share of ways that lead to another gesture while none is asked for."""
+_HIDDEN = 0.06
+"""m: something nearer than the annotated point by more hides it."""
+_REACH, _VARY, _MOVE = (0.55, 0.8), (0.4, 0.7), (0.5, 1.2)
+"""s: how long the way into the gesture takes, from one variation of it to the next, and any other way."""
+
+
+@dataclass(frozen=True)
+class SimulatedFrame:
+    """Simulated frame.
+
+    depth (480, 640) uint16 mm.
+    point: the pixel of the gesture, None while it is not done or not seen.
+    clear: the gesture is done and seen, or not done at all: not on the way to or from it, and not hidden.
+    """
+
+    depth: DepthImage
+    point: tuple[float, float] | None
+    clear: bool
+
+
+def live_person(number: int, name: str, rng: np.random.Generator, rate: float) -> Generator[SimulatedFrame, bool, None]:
+    """Endless frames at a rate (Hz) of person `number` in a furnished room before a fixed camera.
+
+    `send(True)` after the first frame asks for the gesture, `send(False)` for anything else. InputError when there is
+    no such person or gesture."""
+    people = load_people()
+    if not 0 <= number < len(people):
+        raise InputError(f"There is no simulated person {number}; they have the numbers 0 to {len(people) - 1}.")
+    if name not in GESTURES:
+        raise InputError(f"The simulated person cannot do {name!r}; the gestures are {', '.join(GESTURES)}.")
+    return _frames(number, Puppet(people[number]), name, rng, rate)
+
+
+def _frames(
+    number: int, puppet: Puppet, name: str, rng: np.random.Generator, rate: float
+) -> Generator[SimulatedFrame, bool, None]:
+    setting = Setting.new(make_gesture_room(rng, "furnished"), make_view(rng, rng.uniform(1.5, 2.3)))
+    leading = handedness(number)
+    others = [g for g in GESTURES if g != name]
+    start = goal = movement(puppet, rng)
+    shows = asked = False  # the goal is the gesture; the gesture is wanted
+    arrived = leaving = False  # the way leads from one variation of the gesture to the next; out of the gesture
+    share, seconds = 1.0, 1.0
+    while True:
+        if asked != shows or share >= 1:
+            start = start.towards(goal, _eased(share))
+            leaving = shows and not asked
+            arrived = shows and asked and share >= 1
+            goal = _goal(puppet, name if asked else None, others, leading, rng)
+            seconds = float(rng.uniform(*(_MOVE if not asked else _VARY if arrived else _REACH)))
+            share, shows = 0.0, asked
+        share = min(1.0, share + 1 / (rate * seconds))
+        apply(puppet, start.towards(goal, _eased(share)))
+        doing = shows and (arrived or share >= 1)
+        frame = _seen(puppet, setting, name if doing else None, leading, rng)
+        asked = bool((yield frame if doing or not (shows or leaving) else replace(frame, clear=False)))
+
+
+def _eased(share: float) -> float:
+    return share * share * (3 - 2 * share)
+
+
+def _goal(puppet: Puppet, name: str | None, others: list[str], leading: str, rng: np.random.Generator) -> Keyframe:
+    if name is None and rng.random() >= _OTHERS:
+        return movement(puppet, rng)
+    return gesture(puppet, name or str(rng.choice(others)), rng, leading)[0]
+
+
+def _seen(puppet: Puppet, setting: Setting, name: str | None, leading: str, rng: np.random.Generator) -> SimulatedFrame:
+    view = setting.view
+    depth, inverse = render([(puppet.person, stand_at(puppet))], setting.behind, view, rng)
+    if name is None:
+        return SimulatedFrame(depth, None, True)
+    p = view.points(annotated(puppet, name, leading) - [0, 0, puppet.person.ground])
+    x, y = float(p[0] / p[2] * KINECT.fx + KINECT.cx), float(p[1] / p[2] * KINECT.fy + KINECT.cy)
+    if not (25 < x < PICTURE_SIZE[0] - 25 and 25 < y < PICTURE_SIZE[1] - 25):
+        return SimulatedFrame(depth, None, False)
+    window = inverse[int(y) - 3 : int(y) + 4, int(x) - 3 : int(x) + 4]
+    hidden = np.abs(1 / np.maximum(window, 1e-3) - p[2]).min() > _HIDDEN
+    return SimulatedFrame(depth, None if hidden else (x, y), not hidden)

@@ -39,22 +39,21 @@ _CARRIER = np.array([j if JOINT_NAMES[j] in ("pelvis", "head") else int(PARENTS[
 
 
 def carriers() -> NDArray[np.int64]:
-    """(19,) joint whose frame carries each joint's definition offset."""
+    """Return (19,) joint whose frame carries each joint's definition offset."""
     return _CARRIER.copy()
 
 
 def definition_offsets(
     estimated_rest: ArrayLike, true_rest: ArrayLike, estimated_stature: float, true_stature: float
 ) -> Array:
-    """(19, 3) offsets: where the truth defines each joint, seen from where the estimate's body defines it, in
+    """Return (19, 3) offsets: where the truth defines each joint, seen from where the estimate's body defines it, in
     the rest frame, per metre of stature.
 
-    estimated_rest, true_rest: (19, 3) rest joints of two NEUTRAL bodies in the model frame (e.g. the
-    tracker's template and the mean of all subjects), measured once; statures in m. Both are scaled to stature
-    1 and placed so that all joints agree in the mean. A limb segment that rests more than 10 degrees apart in
-    the two bodies is turned to the same direction first: that is posture, not definition. Multiply by the
-    subject's stature and give to `joint_errors`; no information about a subject or a sequence is used except
-    that stature.
+    estimated_rest, true_rest: (19, 3) rest joints of two NEUTRAL bodies in the model frame (e.g. the tracker's template
+        and the mean of all subjects), measured once; statures in m. Both are scaled to stature 1 and placed so that all
+        joints agree in the mean. A limb segment that rests more than 10 degrees apart in the two bodies is turned to
+        the same direction first: that is posture, not definition. Multiply by the subject's stature and give to
+        `joint_errors`; no information about a subject or a sequence is used except that stature.
     """
     a = np.asarray(estimated_rest, dtype=np.float64) / estimated_stature
     b = np.asarray(true_rest, dtype=np.float64) / true_stature
@@ -84,7 +83,7 @@ def _posed_like(joints: Array, other: Array) -> Array:
 
 
 def with_offsets(estimated: ArrayLike, rotations: ArrayLike, offsets: ArrayLike) -> Array:
-    """(T, 19, 3) m: estimated joints moved by offsets (19, 3) m, fixed in their carrying segments.
+    """Return (T, 19, 3) m: estimated joints moved by offsets (19, 3) m, fixed in their carrying segments.
 
     rotations (T, 19, 3, 3): world_from_joint of the estimate (`Skeleton.forward`).
     """
@@ -94,15 +93,20 @@ def with_offsets(estimated: ArrayLike, rotations: ArrayLike, offsets: ArrayLike)
 
 @dataclass(frozen=True)
 class JointErrors:
-    """distances: (T, J) m, joint by joint and frame by frame; frames with NaN in the truth or the estimate
-    are NaN. names: the J joints. The figures below ignore NaN."""
+    """Joint errors.
+
+    distances: (T, J) m, joint by joint and frame by frame; frames with NaN in the truth or the estimate are NaN.
+    names: the J joints.
+
+    The figures below ignore NaN.
+    """
 
     distances: Array
     names: tuple[str, ...]
 
     @property
     def frame_means(self) -> Array:
-        """(T,) m: mean over the joints; NaN where none is known."""
+        """Return (T,) m: mean over the joints; NaN where none is known."""
         known = np.isfinite(self.distances)
         with np.errstate(invalid="ignore"):
             return np.where(known, self.distances, 0.0).sum(1) / known.sum(1)
@@ -129,7 +133,7 @@ class JointErrors:
 
     @property
     def lost_share(self) -> float:
-        """Share of the frames (0..1) whose mean exceeds LOST_M (120 mm)."""
+        """Return share of the frames (0..1) whose mean exceeds LOST_M (120 mm)."""
         m = self.frame_means
         return float((m[np.isfinite(m)] > LOST_M).mean())
 
@@ -146,11 +150,10 @@ def joint_errors(
     rotations: ArrayLike | None = None,
     joints: ArrayLike | None = None,
 ) -> JointErrors:
-    """Distances between estimated and true joints (T, 19, 3) m in world coordinates, no alignment of any
-    frame.
+    """Distances between estimated and true joints (T, 19, 3) m in world coordinates, no alignment of any frame.
 
-    offsets (19, 3) m: added to the estimate in its carrying segments (needs rotations (T, 19, 3, 3) of the
-    estimate). joints: indices of the joints that count, EVALUATED (15) by default.
+    offsets (19, 3) m: added to the estimate in its carrying segments (needs rotations (T, 19, 3, 3) of the estimate).
+    joints: indices of the joints that count, EVALUATED (15) by default.
     """
     e, t = np.asarray(estimated, dtype=np.float64), np.asarray(truth, dtype=np.float64)
     _check_joints(e, t)
@@ -166,11 +169,13 @@ def joint_errors(
 def coverage(
     estimated: ArrayLike, joint_sd: ArrayLike, truth: ArrayLike, levels: tuple[float, ...] = (0.5, 0.9, 0.95)
 ) -> dict[float, Array]:
-    """Share of the frames in which the true joint lies in the reported region, per level: {level: (J,)}.
+    """Return share of the frames in which the true joint lies in the reported region, per level: {level: (J,)}.
 
-    estimated, truth (T, J, 3) m; joint_sd (T, J) m per axis, or covariances (T, J, 3, 3) m^2. The region of a
-    level is the sphere (ellipsoid) of `hypose.body.motion.region_reach`. A well calibrated method has coverage =
-    level. NaN where no sd is known.
+    estimated, truth (T, J, 3) m.
+    joint_sd (T, J) m per axis, or covariances (T, J, 3, 3) m^2.
+
+    The region of a level is the sphere (ellipsoid) of `hypose.body.motion.region_reach`. A well calibrated method has
+    coverage = level. NaN where no sd is known.
     """
     d = np.asarray(truth, dtype=np.float64) - np.asarray(estimated, dtype=np.float64)
     s = np.asarray(joint_sd, dtype=np.float64)

@@ -15,7 +15,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from hypose.body.ready_bodies import JOINT_NAMES, PARENTS
 from hypose.geometry import Array, rotation_between, so3_exp, so3_log
-from hypose.synthetic.subjects import Subject
+from hypose.synthetic.subjects import SyntheticSubject
 
 CHANNELS = (
     # the whole body: degrees (lean forwards, list to the left, turn to the left), m per m of leg length
@@ -59,10 +59,14 @@ class Stance(NamedTuple):
 
 @dataclass(frozen=True)
 class Angles:
-    """A motion as angles over time. times (T,) s; values: channel -> (T,), absent ones are 0. stance: the
-    feet stay planted there and the legs follow by inverse kinematics (leg channels are ignored); None: the
-    legs follow the channels, and the body travels as far as its feet push it, on a circle of `turn_radius` m
-    (infinite: straight)."""
+    """A motion as angles over time.
+
+    times (T,) s.
+    values: channel -> (T,), absent ones are 0.
+    stance: the feet stay planted there and the legs follow by inverse kinematics (leg channels are ignored); None: the
+        legs follow the channels, and the body travels as far as its feet push it, on a circle of `turn_radius` m
+        (infinite: straight).
+    """
 
     name: str
     times: Array
@@ -75,14 +79,19 @@ class Angles:
         assert not unknown, f"unknown channels {sorted(unknown)}"
 
     def get(self, channel: str) -> Array:
-        """(T,) values of a channel."""
+        """Return (T,) values of a channel."""
         return np.broadcast_to(np.asarray(self.values.get(channel, 0.0), dtype=np.float64), self.times.shape)
 
 
 @dataclass(frozen=True)
 class Performance:
-    """What a subject does, exactly. times (T,) s; rotations (T, 19, 3, 3) world_from_joint; root (T, 3) m:
-    pelvis in the world; joints (T, 19, 3) m, world."""
+    """What a subject does, exactly.
+
+    times (T,) s.
+    rotations (T, 19, 3, 3) world_from_joint.
+    root (T, 3) m: pelvis in the world.
+    joints (T, 19, 3) m, world.
+    """
 
     name: str
     times: Array
@@ -95,12 +104,12 @@ class Performance:
 
     @property
     def frame_rate(self) -> float:
-        """Frames per second."""
+        """Return frames per second."""
         return float((len(self.times) - 1) / (self.times[-1] - self.times[0])) if len(self.times) > 1 else 25.0
 
 
 class OfPerformance:
-    """What whoever has a `performance` says of it."""
+    """Attributes of an object that has a `performance`."""
 
     performance: Performance
 
@@ -109,27 +118,27 @@ class OfPerformance:
 
     @property
     def times(self) -> Array:
-        """(T,) s."""
+        """Return (T,) s."""
         return self.performance.times
 
     @property
     def frame_rate(self) -> float:
-        """Frames per second."""
+        """Return frames per second."""
         return self.performance.frame_rate
 
     @property
     def joints(self) -> Array:
-        """(T, 19, 3) true joint centres, m, world."""
+        """Return (T, 19, 3) true joint centres, m, world."""
         return self.performance.joints
 
     @property
     def rotations(self) -> Array:
-        """(T, 19, 3, 3) true world_from_joint rotations; identity in the subject's rest pose."""
+        """Return (T, 19, 3, 3) true world_from_joint rotations; identity in the subject's rest pose."""
         return self.performance.rotations
 
 
-def assemble(name: str, subject: Subject, times: Array, rotations: Array, root: Array) -> Performance:
-    """A Performance with the joint centres that the subject's own bones give."""
+def assemble(name: str, subject: SyntheticSubject, times: Array, rotations: Array, root: Array) -> Performance:
+    """Return a Performance with the joint centres that the subject's own bones give."""
     return Performance(name, times, rotations, root, subject.place_joints(rotations, root))
 
 
@@ -140,8 +149,8 @@ def turn(axis: int, degrees: Array) -> Array:
     return so3_exp(v)
 
 
-def hanging_from_rest(subject: Subject) -> Array:
-    """(19, 3, 3) rotations that take the subject's rest pose to upright standing with arms and legs hanging
+def hanging_from_rest(subject: SyntheticSubject) -> Array:
+    """Return (19, 3, 3) rotations that take the subject's rest pose to upright standing with arms and legs hanging
     straight down, the smallest ones; feet stay level. Angles are measured from there."""
     down, j = np.array([0.0, 0.0, -1.0]), subject.joints
     out = np.tile(np.eye(3), (len(JOINT_NAMES), 1, 1))
@@ -153,7 +162,7 @@ def hanging_from_rest(subject: Subject) -> Array:
     return out
 
 
-def local_rotations(angles: Angles) -> Array:
+def joint_rotations(angles: Angles) -> Array:
     """Rotations (T, 19, 3, 3) of each joint in its parent's frame, relative to the hanging pose.
 
     x = left, y = backward, z = up: a lean forwards is a positive turn about x, flexion of hip, shoulder and
@@ -183,7 +192,7 @@ def local_rotations(angles: Angles) -> Array:
 
 
 def global_rotations(local: Array) -> Array:
-    """(T, 19, 3, 3) local -> world rotations down the joint tree."""
+    """Return (T, 19, 3, 3) local -> world rotations down the joint tree."""
     out = local.copy()
     for j, p in enumerate(PARENTS):
         if p >= 0:
@@ -191,9 +200,9 @@ def global_rotations(local: Array) -> Array:
     return out
 
 
-def perform(angles: Angles, subject: Subject) -> Performance:
-    """The subject doing the motion, about the origin of the world, facing -y at the start."""
-    world = global_rotations(local_rotations(angles))
+def perform(angles: Angles, subject: SyntheticSubject) -> Performance:
+    """Return the subject doing the motion, about the origin of the world, facing -y at the start."""
+    world = global_rotations(joint_rotations(angles))
     align = hanging_from_rest(subject)
     times = angles.times
     if angles.stance is None:
@@ -207,7 +216,7 @@ def perform(angles: Angles, subject: Subject) -> Performance:
     return out
 
 
-def soles(subject: Subject, rotations: Array, joints: Array) -> tuple[Array, Array]:
+def soles(subject: SyntheticSubject, rotations: Array, joints: Array) -> tuple[Array, Array]:
     """Lowest point of each foot (left, right): (T, 2) heights (m) and (T, 2, 3) the motion of that point of
     the foot per frame (m), for rotations (T, 19, 3, 3) and joints (T, 19, 3)."""
     low, motion = [], []
@@ -231,7 +240,7 @@ def _soft_minimum(values: Array, width: float) -> Array:
     return lowest[..., 0] - width * np.log(np.exp(-(values - lowest) / width).sum(-1))
 
 
-def _travel(angles: Angles, subject: Subject, rotations: Array) -> tuple[Array, Array]:
+def _travel(angles: Angles, subject: SyntheticSubject, rotations: Array) -> tuple[Array, Array]:
     """Root path (T, 3) and heading rotations (T, 3, 3) of a body whose feet push it along a circle."""
     times = angles.times
     dt = np.gradient(times) if len(times) > 1 else np.ones(1)
@@ -272,7 +281,7 @@ def _travel(angles: Angles, subject: Subject, rotations: Array) -> tuple[Array, 
     return root, turn(2, np.degrees(yaw))
 
 
-def _planted(angles: Angles, subject: Subject, world: Array, align: Array) -> tuple[Array, Array]:
+def _planted(angles: Angles, subject: SyntheticSubject, world: Array, align: Array) -> tuple[Array, Array]:
     """Rotations (T, 19, 3, 3) and root (T, 3) with the feet at their stance, the legs by inverse
     kinematics."""
     stance, scale, g = angles.stance or Stance(), subject.leg_length, angles.get
@@ -341,7 +350,7 @@ def _leg(to_ankle: Array, thigh: float, shank: float, forward: Array) -> tuple[A
 
 
 def moved(p: Performance, yaw: float = 0.0, shift: tuple[float, float] = (0.0, 0.0)) -> Performance:
-    """The performance turned about the world's z axis by yaw (rad), then shifted on the floor (m)."""
+    """Return the performance turned about the world's z axis by yaw (rad), then shifted on the floor (m)."""
     r = so3_exp([0.0, 0.0, yaw])
     offset = np.array([shift[0], shift[1], 0.0])
     return Performance(p.name, p.times, r @ p.rotations, p.root @ r.T + offset, p.joints @ r.T + offset)
@@ -353,7 +362,7 @@ def heading(rotation: Array) -> float:
     return float(np.arctan2(facing[0], -facing[1]))
 
 
-def chain(name: str, parts: list[Performance], subject: Subject, blend: float = 0.5) -> Performance:
+def chain(name: str, parts: list[Performance], subject: SyntheticSubject, blend: float = 0.5) -> Performance:
     """Performances one after the other, each starting where (and facing as) the one before ends, cross-faded
     over `blend` seconds; the ground contact is restored in the blends."""
     out = parts[0]
@@ -386,6 +395,6 @@ def chain(name: str, parts: list[Performance], subject: Subject, blend: float = 
 
 
 def centred(p: Performance) -> Performance:
-    """The performance with the middle of its root's range at the world's origin."""
+    """Return the performance with the middle of its root's range at the world's origin."""
     middle = (p.root[:, :2].min(0) + p.root[:, :2].max(0)) / 2
     return moved(p, 0.0, (-float(middle[0]), -float(middle[1])))

@@ -14,12 +14,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from hypose.body.skin_weights import vertex_normals
 from hypose.cameras.camera import Camera
-from hypose.compute import blend_shaded, darken, expose, interpolate, rasterize, silhouette
-from hypose.geometry import Array
-from hypose.synthetic.subjects import Subject, vertex_normals
+from hypose.compute import blend_shaded, covered, darken, expose, interpolate, rasterize
+from hypose.geometry import Array, Image
+from hypose.synthetic.subjects import SyntheticSubject
 
-Image = NDArray[np.uint8]
 Floats = NDArray[np.float32]
 
 LIGHT = np.array([0.42, -0.28, 0.86])
@@ -31,8 +31,11 @@ SHADOW_DEPTH = 0.42
 
 @dataclass(frozen=True)
 class Room:
-    """A box-shaped room about the origin with procedural textures. half: (3,) m half width, half depth,
-    height. floor, walls: BGR colours; tile: (256, 256) float32 noise of unit range, repeated."""
+    """A box-shaped room about the origin with procedural textures.
+
+    half: (3,) m half width, half depth, height.
+    floor, walls: BGR colours; tile: (256, 256) float32 noise of unit range, repeated.
+    """
 
     half: Array
     floor: Array
@@ -41,7 +44,7 @@ class Room:
 
 
 def make_room(rng: np.random.Generator, reach: float = 5.0) -> Room:
-    """A room that holds every camera within `reach` m of its centre; colours and textures from the rng."""
+    """Return a room that holds every camera within `reach` m of its centre; colours and textures from the rng."""
     floor = np.array([70.0, 95.0, 120.0]) * rng.uniform(0.85, 1.25) + rng.normal(0, 8, 3)
     walls = np.array([150.0, 160.0, 165.0]) * rng.uniform(0.85, 1.15) + rng.normal(0, 8, 3)
     tiles = []
@@ -64,8 +67,12 @@ def _sample(tile: Floats, u: Array, v: Array, per_metre: float) -> Floats:
 
 @dataclass(frozen=True)
 class Backdrop:
-    """What one camera sees of the empty room: image (h, w, 3) float32 BGR; floor (h, w) bool: pixels of the
-    floor that nothing hides; depth (h, w) m of the occluders (inf elsewhere)."""
+    """What one camera sees of the empty room.
+
+    image (h, w, 3) float32 BGR.
+    floor (h, w) bool: pixels of the floor that nothing hides.
+    depth (h, w) m of the occluders (inf elsewhere).
+    """
 
     image: Floats
     floor: NDArray[np.bool_]
@@ -73,7 +80,7 @@ class Backdrop:
 
 
 def render_room(room: Room, camera: Camera, occluder: tuple[Array, NDArray[np.int32]] | None = None) -> Backdrop:
-    """The empty room through a camera with its lens distortion, and what stands in it."""
+    """Return the empty room through a camera with its lens distortion, and what stands in it."""
     w, h = camera.size
     uv = np.stack(np.meshgrid(np.arange(w), np.arange(h)), -1).astype(np.float64)
     origin, d = camera.rays(uv)
@@ -134,8 +141,11 @@ def _depth(camera: Camera, points: Array) -> Array:
 
 @dataclass(frozen=True)
 class Outfit:
-    """Colours of a subject: color (V, 3) BGR per vertex, weave (V,) strength of the cloth's pattern, pattern
-    (3, 3) wave vectors of it (1/m); gloss: grey levels of the highlight where the surface mirrors the main light."""
+    """Colours of a subject.
+
+    color (V, 3) BGR per vertex, weave (V,) strength of the cloth's pattern, pattern (3, 3) wave vectors of it (1/m).
+    gloss: grey levels of the highlight where the surface mirrors the main light.
+    """
 
     color: Floats
     weave: Floats
@@ -143,7 +153,7 @@ class Outfit:
     gloss: float = 0.0
 
 
-def make_outfit(subject: Subject, rng: np.random.Generator, hands_only: bool = False) -> Outfit:
+def make_outfit(subject: SyntheticSubject, rng: np.random.Generator, hands_only: bool = False) -> Outfit:
     """Shirt, trousers, shoes, skin and hair by body part, colours from the rng.
 
     hands_only: only face and hands are bare, and no cloth has the colour of skin."""
@@ -189,8 +199,12 @@ def make_outfit(subject: Subject, rng: np.random.Generator, hands_only: bool = F
 
 @dataclass(frozen=True)
 class Sensor:
-    """noise_sd: grey levels of Gaussian noise per channel; drift: relative sd of the slow change of the
-    light; samples: supersampling of the body's outline."""
+    """Sensor.
+
+    noise_sd: grey levels of Gaussian noise per channel.
+    drift: relative sd of the slow change of the light.
+    samples: supersampling of the body's outline.
+    """
 
     noise_sd: float = 2.5
     drift: float = 0.012
@@ -198,7 +212,7 @@ class Sensor:
 
 
 def light_at(time: float, drift: float, phase: Array) -> Array:
-    """(3,) gain per colour channel at a time (s): slow drift of the light, periods of 20 to 90 s, colour
+    """Return (3,) gain per colour channel at a time (s): slow drift of the light, periods of 20 to 90 s, colour
     included."""
     common = np.sin(2 * np.pi * time / 37.0 + phase[0]) + 0.6 * np.sin(2 * np.pi * time / 90.0 + phase[1])
     color = 0.35 * np.sin(2 * np.pi * time / 23.0 + phase[2:5])
@@ -209,7 +223,7 @@ def render_person(
     picture: Floats,
     backdrop: Backdrop,
     camera: Camera,
-    subject: Subject,
+    subject: SyntheticSubject,
     outfit: Outfit,
     vertices: Array,
     samples: int,
@@ -247,7 +261,8 @@ _SHARPNESS = 24
 
 
 def _highlight(camera: Camera, vertices: Array, normals: Array, gloss: float) -> Array:
-    """(V,) grey levels to add to the vertices' colours so that, once shaded, a highlight of `gloss` remains (Blinn)."""
+    """Return (V,) grey levels to add to the vertices' colours so that, once shaded, a highlight of `gloss` remains
+    (Blinn)."""
     to_eye = camera.position - vertices
     half = to_eye / np.linalg.norm(to_eye, axis=1, keepdims=True) + LIGHT
     half /= np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
@@ -257,7 +272,9 @@ def _highlight(camera: Camera, vertices: Array, normals: Array, gloss: float) ->
     return gloss * mirrored / shade
 
 
-def cast_shadow(picture: Floats, backdrop: Backdrop, camera: Camera, subject: Subject, vertices: Array) -> None:
+def cast_shadow(
+    picture: Floats, backdrop: Backdrop, camera: Camera, subject: SyntheticSubject, vertices: Array
+) -> None:
     """Darken the floor where the body hides the main light; the edge is as soft as a lamp's."""
     mask = shadow_mask(camera, subject.faces, vertices)
     x, y, w, h = cv2.boundingRect(mask)
@@ -269,12 +286,11 @@ def cast_shadow(picture: Floats, backdrop: Backdrop, camera: Camera, subject: Su
 
 
 def shadow_mask(camera: Camera, faces: NDArray[np.int32], vertices: Array) -> NDArray[np.uint8]:
-    """(h, w) 0/1: floor that the body (V, 3) m hides from the main light, as the camera sees it (body not
+    """Return (h, w) 0/1: floor that the body (V, 3) m hides from the main light, as the camera sees it (body not
     drawn)."""
     ground = vertices - LIGHT * (vertices[:, 2:] / LIGHT[2])
     ground[:, 2] = 0.0
-    mask = silhouette(camera.project(ground), _depth(camera, ground), faces, camera.size)
-    return mask.astype(np.uint8, copy=False)
+    return covered(camera.project(ground), _depth(camera, ground), faces, (camera.size[1], camera.size[0]))
 
 
 def develop(picture: Floats, gain: Array, noise: NDArray[np.int16], rng: np.random.Generator) -> Image:
@@ -293,6 +309,6 @@ def develop(picture: Floats, gain: Array, noise: NDArray[np.int16], rng: np.rand
 
 
 def noise_bank(size: tuple[int, int], sd: float, rng: np.random.Generator) -> NDArray[np.int16]:
-    """(h + 64, w + 64, 3) whole grey levels of Gaussian noise for `develop`."""
+    """Return (h + 64, w + 64, 3) whole grey levels of Gaussian noise for `develop`."""
     w, h = size
     return np.round(rng.normal(0, sd, (h + 64, w + 64, 3))).astype(np.int16)

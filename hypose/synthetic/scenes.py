@@ -8,32 +8,33 @@ model). The same seed gives the same scene, picture for picture, in whatever ord
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import re
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from hypose.cameras.camera import Camera, CameraRig
-from hypose.compute import rasterize, silhouette
+from hypose.compute import covered, rasterize
 from hypose.errors import InputError
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.keypoints import BODY_25, to_keypoints
-from hypose.geometry import Array
+from hypose.geometry import Array, Image, se3
 from hypose.synthetic.corruptions import (
     Corruptions,
     corrupt_mask,
     corruptions,
     disturb_rig,
     dropped_frames,
+    keypoint_detections,
     occluder_mesh,
 )
 from hypose.synthetic.motions import act
 from hypose.synthetic.performance import OfPerformance, Performance, moved
 from hypose.synthetic.render_rgb import (
     Backdrop,
-    Image,
     Outfit,
     Room,
     Sensor,
@@ -46,9 +47,86 @@ from hypose.synthetic.render_rgb import (
     render_room,
     shadow_mask,
 )
-from hypose.synthetic.rigs import rig as named_rig
-from hypose.synthetic.simulated_keypoints import keypoint_detections
-from hypose.synthetic.subjects import Subject, dress, load_subjects
+from hypose.synthetic.subjects import SyntheticSubject, dress, load_subjects
+
+RIG_NAMES = ("humaneva-4", "humaneva-7", "ixmas-5", "court-4", "ring-N")
+DISTORTION = np.array([-0.18, 0.06, 0.0008, -0.0006, 0.0])
+"""A common wide lens: barrel distortion of about 20 px in the corners of a 640x480 image."""
+_HEIGHTS = (1.6, 2.0, 1.3, 1.8, 1.5, 1.9, 1.4, 2.2)
+
+
+def look_at(
+    name: str,
+    position: ArrayLike,
+    target: ArrayLike,
+    focal_px: float,
+    size: tuple[int, int],
+    distortion: Array | None = None,
+) -> Camera:
+    """Return a camera at `position` (3,) m that looks at `target` (3,) m, upright."""
+    c, t = np.asarray(position, dtype=np.float64), np.asarray(target, dtype=np.float64)
+    forward = (t - c) / np.linalg.norm(t - c)
+    up = np.array([0.0, 0.0, 1.0]) if abs(forward[2]) < 0.999 else np.array([0.0, 1.0, 0.0])
+    right = np.cross(forward, up)
+    right /= np.linalg.norm(right)
+    r = np.stack([right, np.cross(forward, right), forward])
+    k = np.array([[focal_px, 0, (size[0] - 1) / 2], [0, focal_px, (size[1] - 1) / 2], [0, 0, 1.0]])
+    return Camera(name, k, np.zeros(5) if distortion is None else distortion, se3(r, -r @ c), size)
+
+
+def circle(
+    azimuths_deg: Sequence[float],
+    radius: float,
+    heights: Sequence[float],
+    focal_px: float,
+    size: tuple[int, int],
+    target: ArrayLike = (0.0, 0.0, 0.95),
+    distortion: Array | None = None,
+) -> list[Camera]:
+    """Cameras cam1, cam2, ... on a circle of `radius` m about the z axis that look at `target`."""
+    return [
+        look_at(
+            f"cam{k + 1}",
+            [radius * np.cos(np.radians(a)), radius * np.sin(np.radians(a)), h],
+            target,
+            focal_px,
+            size,
+            distortion,
+        )
+        for k, (a, h) in enumerate(zip(azimuths_deg, heights, strict=True))
+    ]
+
+
+def camera_rig(name: str, *, distorted: bool = False) -> CameraRig:
+    """Return a rig by name: humaneva-4, humaneva-7, ixmas-5, court-4, or ring-N with N from 1 to 16.
+
+    The volume is centred at the world's origin; a person within about 1 m of it (court-4: 3 m) is seen whole by every
+    camera. distorted: with the lens distortion DISTORTION instead of ideal pinholes. humaneva-*: 640x480, indoor
+    corners, 4.1 m away, the person about 270 px tall. ixmas-5: 390x291, four cameras high on the walls and one
+    overhead. court-4: 640x480, 14 m away in the court's corners 5 m up, the person about 80 px tall.
+    """
+    d = DISTORTION if distorted else None
+    ring = re.fullmatch(r"ring-(\d+)", name)
+    if name == "humaneva-4":
+        cameras = circle((35, 145, 215, 325), 4.1, _HEIGHTS[:4], 600, (640, 480), distortion=d)
+    elif name == "humaneva-7":
+        azimuths = (35, 145, 215, 325, 5, 120, 245)
+        cameras = circle(azimuths, 4.1, _HEIGHTS[:7], 600, (640, 480), distortion=d)
+    elif name == "ixmas-5":
+        cameras = circle((20, 70, 150, 225), 3.8, (2.0, 2.5, 1.8, 2.3), 340, (390, 291), distortion=d)
+        cameras.append(look_at("cam5", (0.25, 0.45, 4.9), (0.0, 0.0, 0.9), 330, (390, 291), d))
+    elif name == "court-4":
+        cameras = circle((40, 140, 220, 320), 13.5, (5.0, 5.0, 5.0, 5.0), 640, (640, 480), distortion=d)
+    elif ring and 1 <= int(ring[1]) <= 16:
+        n = int(ring[1])
+        azimuths = [20 + 360 * k / n for k in range(n)]
+        cameras = circle(azimuths, 4.1, [_HEIGHTS[k % 8] for k in range(n)], 600, (640, 480), distortion=d)
+    else:
+        raise InputError(
+            f"There is no camera rig {name!r}; the rigs are {', '.join(RIG_NAMES)} (N = 1 to 16 cameras in a ring)."
+        )
+    return CameraRig(tuple(cameras))
+
 
 # first numbers of the random streams: (seed, stream, ...)
 _CLOTHES, _MOTION, _ROOM, _RIG, _DROPS, _MASKS, _NOISE, _PHASE, _OTHER = range(9)
@@ -56,24 +134,30 @@ _CLOTHES, _MOTION, _ROOM, _RIG, _DROPS, _MASKS, _NOISE, _PHASE, _OTHER = range(9
 
 @dataclass(frozen=True)
 class Scene(OfPerformance):
-    """subject: the truth body (dressed). performance: what it does. rig: the cameras as they are, given_rig:
-    the calibration that the user has. corruption: what goes wrong. seed: of everything random. others:
-    further people in view (subject, performance) that are not to be tracked. hands_only: the clothes leave only face
-    and hands bare, and none has the colour of skin."""
+    """Scene.
+
+    subject: the truth body (dressed).
+    performance: what it does.
+    rig: the cameras as they are, given_rig: the calibration that the user has.
+    corruption: what goes wrong.
+    seed: of everything random.
+    others: further people in view (subject, performance) that are not to be tracked.
+    hands_only: the clothes leave only face and hands bare, and none has the colour of skin.
+    """
 
     name: str
-    subject: Subject
+    subject: SyntheticSubject
     performance: Performance
     rig: CameraRig
     given_rig: CameraRig
     corruption: Corruptions
     seed: int
-    others: tuple[tuple[Subject, Performance], ...] = ()
+    others: tuple[tuple[SyntheticSubject, Performance], ...] = ()
     sensor: Sensor = field(default_factory=Sensor)
     hands_only: bool = False
 
     def vertices(self, index: int) -> Array:
-        """(V, 3) m: the subject's skin (and clothes) in frame `index`."""
+        """Return (V, 3) m: the subject's skin (and clothes) in frame `index`."""
         p = self.performance
         return self.subject.skin(p.rotations[index], p.root[index])
 
@@ -85,7 +169,7 @@ class Scene(OfPerformance):
         return max(0, index - self.corruption.desync[view % len(self.corruption.desync)])
 
     def dead(self, view: int, index: int) -> bool:
-        """True when the camera's images are black."""
+        """Return True when the camera's images are black."""
         return view == self.corruption.dead_camera and index >= len(self) // 3
 
     def clean_mask(self, view: int, index: int, scale: float = 1.0) -> NDArray[np.uint8]:
@@ -99,7 +183,7 @@ class Scene(OfPerformance):
         cameras' size.
 
         Views without an image (dropped, dead) are marked unusable with the reason. keypoints: with noisy 2D key points
-        (detections.keypoint_detections) beside the masks.
+        (detections.keypoint_detections) in addition to the masks.
         """
         given = self.given_rig.pinhole().scaled(scale)
         cameras = self.rig.pinhole().scaled(scale)
@@ -138,7 +222,7 @@ class Scene(OfPerformance):
         return corrupt_mask(mask, shadow.astype(np.uint8) & (1 - mask), self.corruption, rng, scale)
 
     def rgb_frames(self, view: int) -> Iterator[Image]:
-        """The T pictures (h, w, 3) uint8 BGR of camera `view`, with its lens distortion."""
+        """Return the T pictures (h, w, 3) uint8 BGR of camera `view`, with its lens distortion."""
         for t in range(len(self)):
             yield self.rgb_frame(view, t)
 
@@ -235,17 +319,19 @@ def _projected(camera: Camera, vertices: Array) -> tuple[Array, Array]:
     return camera.project_pinhole(vertices), z
 
 
-def _mask(camera: Camera, subject: Subject, vertices: Array, hidden: NDArray[np.float32] | None) -> NDArray[np.uint8]:
+def _mask(
+    camera: Camera, subject: SyntheticSubject, vertices: Array, hidden: NDArray[np.float32] | None
+) -> NDArray[np.uint8]:
     uv, z = _projected(camera, vertices)
     if hidden is None:
-        return silhouette(uv, z, subject.faces, camera.size).astype(np.uint8, copy=False)
+        return covered(uv, z, subject.faces, (camera.size[1], camera.size[0]))
     depth = rasterize(uv, z, subject.faces, camera.size)[0]
     return (depth < hidden).astype(np.uint8)
 
 
 def make_scene(
     motion: str | Performance = "walk",
-    subject: str | Subject = "",
+    subject: str | SyntheticSubject = "",
     rig: str | CameraRig = "humaneva-4",
     *,
     seconds: float = 4.0,
@@ -257,14 +343,15 @@ def make_scene(
     amplitude: float = 1.0,
     speed: float = 1.0,
 ) -> Scene:
-    """A scene by names.
+    """Return a scene by names.
 
-    motion: a name of motions.MOTIONS, or a Performance of that subject; subject: a name of `load_subjects`
-    ("": chosen by the seed) or a Subject, dressed in clothing_m (0 to 0.04); rig: a name (rigs.rig) or a rig;
+    motion: a name of motions.MOTIONS, or a Performance of that subject.
+    subject: a name of `load_subjects` ("": chosen by the seed) or a Subject, dressed in clothing_m (0 to 0.04).
+    rig: a name (camera_rig) or a rig.
     corruption: Corruptions or names of them. `court-4` puts a second person into view.
     """
-    known = {} if isinstance(subject, Subject) else load_subjects()
-    if isinstance(subject, Subject):
+    known = {} if isinstance(subject, SyntheticSubject) else load_subjects()
+    if isinstance(subject, SyntheticSubject):
         body = subject
     elif subject in known:
         body = known[subject]
@@ -279,10 +366,10 @@ def make_scene(
     else:
         rng = np.random.default_rng([seed, _MOTION])
         performance = act(motion, body, seconds, frame_rate, rng, amplitude, speed)
-    cameras = named_rig(rig, distorted=distorted) if isinstance(rig, str) else rig
+    cameras = camera_rig(rig, distorted=distorted) if isinstance(rig, str) else rig
     what = corruption if isinstance(corruption, Corruptions) else corruptions(*corruption)
     given = disturb_rig(cameras, what.calibration_error, np.random.default_rng([seed, _RIG]))
-    others: tuple[tuple[Subject, Performance], ...] = ()
+    others: tuple[tuple[SyntheticSubject, Performance], ...] = ()
     if rig == "court-4":
         second = known[sorted(known)[(seed + 1) % len(known)]] if known else body
         rng = np.random.default_rng([seed, _OTHER])

@@ -16,18 +16,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.body.ready_bodies import JOINT_NAMES, PARENTS
+from hypose.body.skin_weights import vertex_normals
 from hypose.errors import InputError
 from hypose.geometry import Array
 
 
 @dataclass(frozen=True)
-class Subject:
+class SyntheticSubject:
     """A person whose every point is known.
 
-    vertices (V, 3) m and joints (19, 3) m in the model frame at rest (origin at the pelvis joint, x = the
-    subject's left, y = backward, z = up); faces (F, 3) counter-clockwise from outside; skin_index,
-    skin_weight (V, 4); cloth_weight (V,) 0..1: where clothing may lie; clothing_m: the thickness it was
-    dressed with.
+    vertices (V, 3) m and joints (19, 3) m in the model frame at rest (origin at the pelvis joint, x = the subject's
+        left, y = backward, z = up).
+    faces (F, 3) counter-clockwise from outside.
+    skin_index, skin_weight (V, 4).
+    cloth_weight (V,) 0..1: where clothing may lie.
+    clothing_m: the thickness it was dressed with.
     """
 
     name: str
@@ -59,7 +62,7 @@ class Subject:
 
     @cached_property
     def dense_weights(self) -> Array:
-        """(V, 19) skinning weights, rows sum to 1."""
+        """Return (V, 19) skinning weights, rows sum to 1."""
         w = np.zeros((len(self.vertices), len(JOINT_NAMES)))
         for k in range(4):
             np.add.at(w, (np.arange(len(w)), self.skin_index[:, k]), self.skin_weight[:, k])
@@ -67,7 +70,7 @@ class Subject:
 
     @cached_property
     def main_joint(self) -> NDArray[np.int64]:
-        """(V,) the joint of largest weight."""
+        """Return (V,) the joint of largest weight."""
         return self.dense_weights.argmax(1)
 
     def place_joints(self, rotations: ArrayLike, root: ArrayLike) -> Array:
@@ -92,8 +95,8 @@ class Subject:
 
 
 @lru_cache(maxsize=1)
-def load_subjects() -> dict[str, Subject]:
-    """The baked subjects by name; an InputError when the asset is missing from the installation."""
+def load_subjects() -> dict[str, SyntheticSubject]:
+    """Return the baked subjects by name; an InputError when the asset is missing from the installation."""
     file = resources.files("hypose.assets").joinpath("subjects.npz")
     try:
         with file.open("rb") as stream:
@@ -107,7 +110,7 @@ def load_subjects() -> dict[str, Subject]:
     out = {}
     for k, name in enumerate(data["names"].tolist()):
         joints = data["joints"][k].astype(np.float64)
-        out[str(name)] = Subject(
+        out[str(name)] = SyntheticSubject(
             str(name),
             vertices[k] - joints[0],
             joints - joints[0],
@@ -119,25 +122,15 @@ def load_subjects() -> dict[str, Subject]:
     return out
 
 
-def vertex_normals(vertices: Array, faces: NDArray[np.int32]) -> Array:
-    """Unit outward normals (V, 3) of vertices (V, 3), weighted by the area of the faces (F, 3)."""
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    n = np.cross(b - a, c - a)
-    flat = faces.ravel()
-    rows = np.repeat(n, 3, axis=0)
-    out = np.stack([np.bincount(flat, rows[:, k], len(vertices)) for k in range(3)], 1)
-    return out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-12)
-
-
 MAX_CLOTHING_M = 0.04
 
 
-def dress(subject: Subject, thickness_m: float, rng: np.random.Generator) -> Subject:
-    """The subject in clothes: a smooth outward displacement of 0.3 to 1 times thickness_m (<= 4 cm) where
+def dress(subject: SyntheticSubject, thickness_m: float, rng: np.random.Generator) -> SyntheticSubject:
+    """Return the subject in clothes: a smooth outward displacement of 0.3 to 1 times thickness_m (<= 4 cm) where
     cloth_weight is 1, less towards the naked parts. Joints stay where they are.
 
-    The folds are a sum of random plane waves over the body (wavelengths about 15 to 60 cm), so that clothing
-    differs from place to place, as it does on real people, without roughness that no silhouette would show.
+    The folds are a sum of random plane waves over the body (wavelengths about 15 to 60 cm), so that clothing differs
+    from place to place, as it does on real people, without roughness that no silhouette would show.
     """
     if not 0 <= thickness_m <= MAX_CLOTHING_M:
         raise InputError(f"Clothing of {thickness_m} m was asked for; between 0 and {MAX_CLOTHING_M} m is possible.")

@@ -4,31 +4,37 @@ points."""
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from pathlib import Path
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation, Slerp
 
 from hypose.body.ready_bodies import JOINT_NAMES
+from hypose.calibration.boards import Board
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import InputError
 from hypose.evidence.detector import openpose_document
-from hypose.geometry import Array
+from hypose.geometry import Array, Image, se3, transform
 from hypose.io.file_names import file_name
 from hypose.io.files import atomic_path, write_text
 from hypose.io.recordings.recording import Recording, View, write_recording
 from hypose.io.sensors.depth import write_depth_png
 from hypose.io.videos.video import VideoWriter
+from hypose.synthetic.corruptions import keypoint_detections
 from hypose.synthetic.depth_scenes import DepthScene, depth_rig, depth_scene, to_profile, turning
 from hypose.synthetic.motions import act
+from hypose.synthetic.render_rgb import LIGHT
 from hypose.synthetic.scenes import Scene
-from hypose.synthetic.simulated_keypoints import keypoint_detections
 from hypose.synthetic.subjects import dress, load_subjects
 
 
 def check_folder(folder: Path) -> None:
-    """An InputError when a recording cannot be written to the folder, because something else is there; one that
+    """Raise InputError when a recording cannot be written to the folder, because something else is there; one that
     `write_scene` has begun is written again."""
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder} is a file; give a folder.")
@@ -126,7 +132,8 @@ EMPTY_FRAMES = 20
 def walking_scene(
     motion: str, subject: str, sensors: str, *, seconds: float, frame_rate: float, seed: int, clothing_m: float = 0.02
 ) -> DepthScene:
-    """A built-in motion of a subject (name, "": chosen by the seed), who turns to both profiles, before sensors."""
+    """Return a built-in motion of a subject (name, "": chosen by the seed), who turns to both profiles, before
+    sensors."""
     known = load_subjects()
     body = known[subject or sorted(known)[seed % len(known)]]
     body = dress(body, clothing_m, np.random.default_rng([seed, 0])) if clothing_m > 0 else body
@@ -158,3 +165,145 @@ def write_depth_scene(
         folder, scene.name, scene.rig, tuple(views), scene.frame_rate, None, keypoint_set=None, n_frames=len(scene)
     )
     return write_recording(recording, folder)
+
+
+# ---- film session ----------------------------------------------------------------------------------------------------
+# A scene as it is filmed: videos of a board, of the empty room and of the person, and nothing else. What a newcomer
+# has, to practise the whole way on it, from calibration to the motion.
+
+
+SQUARE_PX = 40
+_RIM = 1  # squares of white paper around the pattern
+_FINE = 3  # rays per pixel and axis
+
+
+def board_sheet(board: Board) -> NDArray[np.float32]:
+    """Return (h, w) grey levels of the print, SQUARE_PX pixels per square, with a white rim of one square."""
+    cells = (np.indices((board.rows + 1, board.columns + 1)).sum(0) % 2) * 210.0 + 20
+    inner = np.kron(cells, np.ones((SQUARE_PX, SQUARE_PX)))
+    return np.pad(inner, _RIM * SQUARE_PX, constant_values=235.0).astype(np.float32)
+
+
+def board_from_sheet(board: Board) -> Array:
+    """Return (3, 3) from the sheet's pixels to the board's metres; the origin is the first inner corner."""
+    scale = board.square / SQUARE_PX
+    shift = -(1 + _RIM) * board.square + 0.5 * scale
+    return np.array([[scale, 0, shift], [0, scale, shift], [0, 0, 1]])
+
+
+@dataclass(frozen=True)
+class BoardPainter:
+    """Paints a board into pictures (h, w, 3) of one camera, with its lens, where nothing is in front of it; its back is
+    plain cardboard."""
+
+    camera: Camera
+    board: Board
+
+    def __call__(self, picture: NDArray[np.float32], world_from_board: Array) -> None:
+        """The board at a pose (4, 4)."""
+        h, w = self._sheet.shape
+        rim = np.array([[0, 0], [w / 2, 0], [w, 0], [w, h / 2], [w, h], [w / 2, h], [0, h], [0, h / 2]]) - 0.5
+        flat = np.c_[rim, np.ones(len(rim))] @ board_from_sheet(self.board).T
+        uv = self.camera.project(transform(world_from_board, np.c_[flat[:, :2], np.zeros(len(flat))]))
+        if not np.isfinite(uv).all():
+            return  # behind the camera
+        low, high = np.floor(uv.min(0)).astype(int) - 3, np.ceil(uv.max(0)).astype(int) + 4
+        (x0, y0), (x1, y1) = np.maximum(low, 0), np.minimum(high, self.camera.size)
+        if x0 >= x1 or y0 >= y1:
+            return
+        camera_from_board = self.camera.camera_from_world @ world_from_board
+        homography = self.camera.K @ camera_from_board[:3, [0, 1, 3]] @ board_from_sheet(self.board)
+        fine = cv2.resize(self._ideal[y0:y1, x0:x1], None, fx=_FINE, fy=_FINE, interpolation=cv2.INTER_LINEAR)
+        at = cv2.perspectiveTransform(np.asarray(fine), np.linalg.inv(homography))
+        covered = np.asarray(((at > -0.5) & (at < (w - 0.5, h - 0.5))).all(-1), dtype=np.float32)
+        front = float(camera_from_board[:3, 2] @ camera_from_board[:3, 3]) > 0  # its z points into it
+        x, y = (np.ascontiguousarray(at[..., k], dtype=np.float32) for k in range(2))
+        seen = cv2.remap(self._sheet, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        normal = world_from_board[:3, 2] * (-1 if front else 1)
+        light = 0.6 + 0.4 * max(0.0, float(normal @ LIGHT))
+        grey = np.asarray(seen if front else np.full_like(covered, 120.0), dtype=np.float32)
+        lit = covered * grey * np.float32(light)
+        size = (x1 - x0, y1 - y0)
+        part = cv2.resize(covered, size, interpolation=cv2.INTER_AREA)[..., None]
+        tone = cv2.resize(lit, size, interpolation=cv2.INTER_AREA)[..., None]
+        picture[y0:y1, x0:x1] = (1 - part) * picture[y0:y1, x0:x1] + tone
+
+    @cached_property
+    def _sheet(self) -> NDArray[np.float32]:
+        return board_sheet(self.board)
+
+    @cached_property
+    def _ideal(self) -> NDArray[np.float32]:
+        """Return (h, w, 2) where a camera without distortion sees what each pixel sees."""
+        w, h = self.camera.size
+        grid = np.stack(np.meshgrid(np.arange(w), np.arange(h)), -1)
+        return self.camera.undistort_points(grid).astype(np.float32)
+
+
+BOARD = Board("chessboard", 9, 6, 0.08)
+"""Corners and size of the board that is filmed."""
+_EMPTY_S = 2.0
+_STATIONS, _LYING = 28, 25
+_HELD, _MOVED = (5, 10), (4, 10)
+"""Places to which the board is carried; frames on the floor; frames (from, to) held in a place, and carried on."""
+
+
+def write_session(scene: Scene, folder: str | Path, *, progress: Callable[[int, int], None] | None = None) -> Path:
+    """Write board/NAME.mp4, empty/NAME.mp4 and walk/NAME.mp4 for each camera, and truth.npz (see `write_scene`), in the
+    world that the board on the floor gives: the first corner is the origin, its first row x. Returns the folder.
+    progress(done, total) is called after every picture."""
+    folder = Path(folder)
+    write_truth(scene, folder)
+    poses = carried_board(BOARD, np.random.default_rng([scene.seed, 31]))
+    empty = round(_EMPTY_S * scene.frame_rate)
+    total, done = len(scene.rig) * (len(poses) + empty + len(scene)), 0
+    for c, camera in enumerate(scene.rig):
+        w, h = (n // 2 * 2 for n in camera.size)
+        for name, pictures in (
+            ("board", _boards(scene, c, poses)),
+            ("empty", scene.background_frames(c, empty)),
+            ("walk", scene.rgb_frames(c)),
+        ):
+            (folder / name).mkdir(exist_ok=True)
+            with VideoWriter(folder / name / f"{file_name(camera.name)}.mp4", scene.frame_rate, (w, h)) as writer:
+                for picture in pictures:
+                    writer.write(picture[:h, :w])
+                    done += 1
+                    if progress is not None:
+                        progress(done, total)
+    return folder
+
+
+def _boards(scene: Scene, view: int, poses: Array) -> Iterator[Image]:
+    """Return the pictures of one camera while the board is carried about."""
+    painter = BoardPainter(scene.rig[view], BOARD)
+    for n, pose in enumerate(poses):
+        paint = partial(painter, world_from_board=pose)
+        yield scene.room_frame(view, n / scene.frame_rate - 60.0, -1000 - n, paint)
+
+
+def carried_board(board: Board, rng: np.random.Generator) -> Array:
+    """Return (F, 4, 4) world_from_board of each frame: from place to place, held still in each, at last flat on the
+    floor."""
+    centre = board.points.mean(0)
+    places, turns = [], []
+    for _ in range(_STATIONS):
+        facing, up = rng.uniform(0, 2 * np.pi), np.deg2rad(rng.uniform(-5, 45))
+        z = -np.array([np.cos(facing) * np.cos(up), np.sin(facing) * np.cos(up), np.sin(up)])  # into the board
+        x = np.cross([0, 0, 1.0], z)
+        x /= np.linalg.norm(x)
+        upright = Rotation.from_matrix(np.stack([x, np.cross(z, x), z], 1))
+        turns.append(upright * Rotation.from_rotvec([0, 0, rng.normal(0, 0.4)]))
+        places.append([*rng.uniform(-1.3, 1.3, 2), rng.uniform(0.4, 2.1)])
+    lying = Rotation.from_matrix(np.diag([1.0, -1.0, -1.0]))
+    turns.append(lying)
+    places.append(lying.apply(centre))
+    steps = []
+    for n in range(_STATIONS):
+        moved = rng.integers(*_MOVED)
+        steps += [float(n)] * rng.integers(*_HELD) + [n + (k + 1) / (moved + 1) for k in range(moved)]
+    steps += [float(_STATIONS)] * _LYING
+    path = np.array(places)
+    middle = np.stack([np.interp(steps, np.arange(len(path)), path[:, k]) for k in range(3)], 1)
+    rotation = Slerp(np.arange(len(path)), Rotation.concatenate(turns))(steps)
+    return np.stack([se3(r.as_matrix(), m - r.apply(centre)) for r, m in zip(rotation, middle, strict=True)])

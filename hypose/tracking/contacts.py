@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.body import Body
-from hypose.fitting import PointTerm
+from hypose.evidence.terms import PointTerm
 from hypose.geometry import Array
 
 
@@ -99,11 +99,11 @@ def find_contacts(
     return Contacts(touching, place, floor)
 
 
-def contact_terms(contacts: Contacts, soles: Soles, settings: ContactSettings | None = None) -> list[PointTerm | None]:
-    """Points that hold the soles in every frame with a contact, None elsewhere."""
+def contact_terms(contacts: Contacts, soles: Soles, settings: ContactSettings | None = None) -> list[list[PointTerm]]:
+    """Points that hold the soles of every frame."""
     o = settings or ContactSettings()
     return [
-        PointTerm(place[on], np.ones(int(on.sum())), soles.joint[on], soles.offset[on], o.hold) if on.any() else None
+        [PointTerm(place[on], np.ones(int(on.sum())), soles.joint[on], soles.offset[on], o.hold)]
         for on, place in zip(contacts.touching, contacts.place, strict=True)
     ]
 

@@ -15,10 +15,10 @@ from hypose.body.body import Body
 from hypose.evidence.body_parts import UNNAMED, assign_ends
 from hypose.evidence.keypoints import triangulate_keypoints
 from hypose.geometry import Array, nearest_branch, so3_exp, so3_log
+from hypose.inference.annealing import Energy
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.kernels import reflect
 from hypose.inference.layer import Kernel
-from hypose.inference.selectivity import Energy
 from hypose.tracking.frame_evidence import PreparedFrame
 
 END_NAMES = ("left_hand", "right_hand", "head", "left_wrist", "right_wrist", "left_ankle", "right_ankle")

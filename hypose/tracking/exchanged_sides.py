@@ -18,10 +18,12 @@ import numpy as np
 from hypose.body.body import Body
 from hypose.body.skeleton import Skeleton
 from hypose.compute import over_chunks
-from hypose.fitting.articulated import PointTerm, SolveSettings, fit_pose
+from hypose.evidence.cues import KeypointEvidence
+from hypose.evidence.terms import PointTerm
+from hypose.fitting.articulated import SolveSettings, fit_pose
 from hypose.geometry import Array
 from hypose.tracking.costs import agreement
-from hypose.tracking.frame_evidence import PoseMemory, PreparedFrame
+from hypose.tracking.frame_evidence import PreparedFrame
 from hypose.tracking.refinement import anatomical_prior, refine
 from hypose.tracking.starts import turned
 
@@ -95,9 +97,9 @@ def look_for_exchange(pose: Array, frame: PreparedFrame, /) -> tuple[float, Arra
 
     Where there are key points, arms are tried as well, on either girdle: a detector exchanges their names. Judged by
     the masks alone, `pose` solved on them, too: points follow the sides that they were named by."""
-    body, named = frame.body, frame.keypoints is not None
+    body, named = frame.body, frame.keypoints.seen
     if named:
-        frame = replace(frame, keypoints=None, beside_masks=None, fits=PoseMemory())
+        frame = frame.without(KeypointEvidence)
 
     def worth(q: Array) -> float:
         return agreement(body, q, frame) - float(strain(body.skeleton, q[None])[0])
@@ -129,7 +131,7 @@ def _with_joints_at(body: Body, wanted: Array, start: Array) -> Array:
     """(D,) solved from a pose (D,) so that the joint centres lie at `wanted` (J, 3) m."""
     count = len(wanted)
     points = PointTerm(wanted, np.ones(count), np.arange(count), np.zeros((count, 3)), 0.03)
-    return fit_pose(body, start, points=points, priors=(anatomical_prior(body.skeleton),), options=_TO_JOINTS).pose
+    return fit_pose(body, start, [points], priors=(anatomical_prior(body.skeleton),), options=_TO_JOINTS).pose
 
 
 def _other_side(name: str) -> str:

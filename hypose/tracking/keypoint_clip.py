@@ -18,7 +18,8 @@ from hypose.body.motion import Motion
 from hypose.errors import EvidenceError
 from hypose.evidence.frame import Keypoints
 from hypose.evidence.keypoints import triangulate_keypoints
-from hypose.fitting import KeypointTerm, PointTerm, SolveSettings, fit_clip, fit_pose
+from hypose.evidence.terms import Evidence, KeypointTerm, PointTerm
+from hypose.fitting import SolveSettings, fit_clip, fit_pose
 from hypose.geometry import Array
 from hypose.tracking.exchanged_sides import limbs_exchanged
 from hypose.tracking.keypoint_evidence import (
@@ -117,7 +118,7 @@ def track_keypoint_clip(
         {},
     )
 
-    def held(contacts: list[PointTerm | None]) -> Array:
+    def held(contacts: list[list[PointTerm]]) -> Array:
         return _together(body, free, terms, frame_rate, settings, contacts)
 
     return replace(with_feet(body, motion, own, free, held, settings), one_by_one=first)
@@ -180,7 +181,7 @@ def _one_by_one(
         unseen = 0.0 if term is not None else unseen + 1
         poses[t] = expected  # unseen: ever less of the last velocity
         if term is not None:
-            found = fit_pose(body, expected, keypoints=term, priors=prior, options=_QUICK).pose
+            found = fit_pose(body, expected, [term], priors=prior, options=_QUICK).pose
             # beyond half a turn a shoulder would run into the corner of its limits, though the arm goes on
             poses[t] = s.unwound(found)
             last += poses[t] - found  # the step stays what it was
@@ -219,16 +220,18 @@ def _together(
     terms: list[KeypointTerm | None],
     frame_rate: float,
     settings: ClipSettings,
-    contacts: list[PointTerm | None] | None = None,
+    contacts: list[list[PointTerm]] | None = None,
 ) -> Array:
     """All frames on their rows, from the poses given (T, D)."""
+    evidence: list[list[Evidence]] = [[] if term is None else [term] for term in terms]
+    for of, more in zip(evidence, contacts or [], strict=False):
+        of += more
 
     def solve(part: slice, starts: Array, weights: tuple[Array, Array]) -> Array:
         return fit_clip(
             body,
             starts,
-            keypoints=terms[part],
-            points=None if contacts is None else contacts[part],
+            evidence[part],
             acceleration=weights[0],
             velocity=weights[1],
             priors=(anatomical_prior(body.skeleton, keypoints=True),),
@@ -241,9 +244,8 @@ def _together(
 def _information(body: Body, pose: Array, term: KeypointTerm | None) -> Array:
     """(D, D): what a frame by itself says of its pose."""
     still = SolveSettings(iterations=0, coarse_iterations=0)
-    return fit_pose(
-        body, pose, keypoints=term, priors=(anatomical_prior(body.skeleton, keypoints=True),), options=still
-    ).information
+    priors = (anatomical_prior(body.skeleton, keypoints=True),)
+    return fit_pose(body, pose, [] if term is None else [term], priors=priors, options=still).information
 
 
 def _lost(known: NDArray[np.bool_], patience: float) -> NDArray[np.bool_]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from hypose.body.body import Body
 from hypose.evidence.frame import Keypoints
 from hypose.evidence.keypoints import landmark_of, triangulate_keypoints
-from hypose.fitting.articulated import KeypointTerm
+from hypose.evidence.terms import KeypointTerm
 from hypose.geometry import Array
 
 MIN_CONFIDENCE = 0.3

@@ -99,7 +99,7 @@ def solved_frames(
         if term is not None:
             scores = term.points[..., 2:] * (1.0 if weights is None else weights[model.known, None])
             term = replace(term, points=np.concatenate([term.points[..., :2], scores], -1))
-            out[t] = fit_pose(body, poses[t], keypoints=term, priors=prior, options=options).pose
+            out[t] = fit_pose(body, poses[t], [term], priors=prior, options=options).pose
     return out
 
 

@@ -8,7 +8,8 @@ from functools import lru_cache
 import numpy as np
 
 from hypose.body.body import Body
-from hypose.fitting.articulated import PointTerm, SolveSettings, fit_pose
+from hypose.evidence.terms import PointTerm
+from hypose.fitting.articulated import SolveSettings, fit_pose
 from hypose.geometry import Array, so3_exp
 from hypose.tracking.refinement import anatomical_prior
 
@@ -136,7 +137,7 @@ def _posed(body: Body, legs: str, left_arm: str, right_arm: str) -> Array:
         start[s.dofs_of(f"{side}_knee")] = 0.4
     count = len(rest)
     points = PointTerm(wanted, np.ones(count), np.arange(count), np.zeros((count, 3)), 0.05)
-    return fit_pose(body, s.clamp(start), points=points, priors=(anatomical_prior(s),), options=_TO_JOINTS).pose
+    return fit_pose(body, s.clamp(start), [points], priors=(anatomical_prior(s),), options=_TO_JOINTS).pose
 
 
 def _mirrored(way: Vector) -> Vector:

@@ -2,7 +2,7 @@
 
 Every recipe is a function of the body and a few numbers. What is published starts from the pose that is given, neither
 predicts nor recovers, and states the spread of its set. Layer settings are the printed ones; the step sizes are half of
-what one would first guess (too large is worse than too small: limbs jump) and the selectivity is solved for a survival
+what one would first guess (too large is worse than too small: limbs jump) and beta is solved for a survival
 rate, because a fixed exponent <= 1 hardly selects on the flat energies of eq. 2.8.
 """
 
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from hypose.body.body import Body
 from hypose.body.skeleton import Skeleton
 from hypose.geometry import Array
+from hypose.inference.annealing import AnnealingRate, FixedAnnealingRate, SmoothedWeight, SurvivalRate
 from hypose.inference.kernels import (
     AdaptiveDiffusion,
     GaussianDiffusion,
@@ -25,8 +26,7 @@ from hypose.inference.kernels import (
     stay,
 )
 from hypose.inference.layer import Kernel, Layer, Recipe
-from hypose.inference.selectivity import Annealed, FixedSelectivity, Selectivity, SurvivalRate
-from hypose.inference.selectors import LayeredSystematic, systematic
+from hypose.inference.resampling import LayeredResampling, systematic
 from hypose.tracking.costs import SilhouetteXor
 from hypose.tracking.detection_kernels import DetectionCost, DetectorDriven, ends_of
 from hypose.tracking.partitioned_observations import (
@@ -117,13 +117,13 @@ def hpf(
     body: Body,
     particles: int = 572,
     survival: float = 0.10,
-    decay: float = 0.8,
+    nu: float = 0.8,
     frame_rate: float = 25.0,
     betas: Sequence[float] | None = None,
 ) -> Recipe:
     """Hierarchical (layered) particle filter: 7 layers x 572 particles as published.
 
-    Coordinates are first filtered in their own layer with full steps and go on moving with steps shrinking by `decay`
+    Coordinates are first filtered in their own layer with full steps and go on moving with steps shrinking by `nu`
     (Algorithm 3); only coordinates filtered so far are resampled (Algorithm 4). `betas` gives fixed exponents, one per
     layer, as the thesis has them; by default the survival rate sets them.
     Source: Alcoverro 2014, sections 2.2.4 and 2.4.
@@ -133,12 +133,12 @@ def hpf(
     psi = partitions_of(s, HPF_LAYERS)
     rows = []
     for n, (name, _) in enumerate(HPF_LAYERS):
-        selectivity = selectivity_of(n, betas, survival)
+        rate = annealing_rate_of(n, betas, survival)
         rows.append(
             Layer(
-                diffusion(s, layered_sigma(sigma, psi, decay, n)),
-                _weigh(selectivity),
-                LayeredSystematic(filtered_mask(psi, s.dof, n)),
+                diffusion(s, layered_sigma(sigma, psi, nu, n)),
+                _weigh(rate),
+                LayeredResampling(filtered_mask(psi, s.dof, n)),
                 name,
             )
         )
@@ -155,13 +155,13 @@ def diffusion(skeleton: Skeleton, sigma: Array, tail: HeavyTail | None = None) -
     return GaussianDiffusion(sigma, skeleton.lower, skeleton.upper, tail)
 
 
-def selectivity_of(layer: int, betas: Sequence[float] | None, survival: float) -> Selectivity:
+def annealing_rate_of(layer: int, betas: Sequence[float] | None, survival: float) -> AnnealingRate:
     """A fixed exponent per layer, as the thesis has them, or the exponent at which the share `survival` lives on."""
-    return SurvivalRate(survival) if betas is None else FixedSelectivity(betas[layer])
+    return SurvivalRate(survival) if betas is None else FixedAnnealingRate(betas[layer])
 
 
-def _weigh(selectivity: Selectivity) -> Annealed:
-    return Annealed(SilhouetteXor(), selectivity)
+def _weigh(rate: AnnealingRate) -> SmoothedWeight:
+    return SmoothedWeight(SilhouetteXor(), rate)
 
 
 def _published(
@@ -223,7 +223,7 @@ def hpf_apo(
     body: Body,
     particles: int = 500,
     survival: float = 0.15,
-    decay: float = 0.8,
+    nu: float = 0.8,
     frame_rate: float = 25.0,
     betas: Sequence[float] | None = None,
     *,
@@ -245,18 +245,18 @@ def hpf_apo(
     regions = layer_regions(body, bounding=improved)
     rows = []
     for n in range(len(HPF_LAYERS) + 1):
-        selectivity = selectivity_of(n, betas, survival)
+        rate = annealing_rate_of(n, betas, survival)
         region, faces = regions[n]
         last = n == len(HPF_LAYERS)
         kernel: Kernel = stay
         if not last:
-            step = layered_sigma(sigma, psi, decay, n)
+            step = layered_sigma(sigma, psi, nu, n)
             kernel = _steps(body, sigma, step, psi, n) if improved else LimbDiffusion(s, step)
         rows.append(
             Layer(
                 kernel,
-                Annealed(PartitionedXor(body, region, None if last else faces), selectivity),
-                LayeredSystematic(filtered_mask(psi, s.dof, n)),
+                SmoothedWeight(PartitionedXor(body, region, None if last else faces), rate),
+                LayeredResampling(filtered_mask(psi, s.dof, n)),
                 "whole body" if last else HPF_LAYERS[n][0],
             )
         )
@@ -302,7 +302,7 @@ def dd_hpf(
     body: Body,
     particles: int = 500,
     survival: float = 0.15,
-    decay: float = 0.8,
+    nu: float = 0.8,
     frame_rate: float = 25.0,
     betas: Sequence[float] | None = None,
     *,
@@ -324,8 +324,8 @@ def dd_hpf(
     ends, sigma, psi = ends_of(body), step_sigma(s, frame_rate), partitions_of(s, layers)
     rows = []
     for n, (layer, _) in enumerate(layers):
-        selectivity = selectivity_of(n, betas, survival)
-        step = layered_sigma(sigma, psi, decay, n)
+        rate = annealing_rate_of(n, betas, survival)
+        step = layered_sigma(sigma, psi, nu, n)
         limb = layer if layer in _DRIVEN else layer.split("_")[0]
         own = np.zeros(s.dof)
         own[psi[n]] = sigma[psi[n]]
@@ -334,13 +334,13 @@ def dd_hpf(
         if layer.endswith("shoulder"):
             filtered = filtered.copy()
             filtered[s.dofs_of(layer.replace("shoulder", "elbow"))] = True
-        weigh = _weigh(selectivity)
-        rows.append(Layer(kernel, weigh, LayeredSystematic(filtered), layer))
+        weigh = _weigh(rate)
+        rows.append(Layer(kernel, weigh, LayeredResampling(filtered), layer))
     if refinement:
-        last = selectivity_of(len(layers), betas, last_survival)
-        weigh = Annealed(DetectionCost(body, ends, SilhouetteXor(), kappa), last)
+        last = annealing_rate_of(len(layers), betas, last_survival)
+        weigh = SmoothedWeight(DetectionCost(body, ends, SilhouetteXor(), kappa), last)
         everything = filtered_mask(psi, s.dof, len(layers))
-        rows.append(Layer(stay, weigh, LayeredSystematic(everything), "refinement"))
+        rows.append(Layer(stay, weigh, LayeredResampling(everything), "refinement"))
     return _published(name, rows, s, particles, ("silhouettes", "detections"))
 
 

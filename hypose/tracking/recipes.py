@@ -15,7 +15,7 @@ from hypose.body.body import Body
 from hypose.errors import InputError
 from hypose.fitting.articulated import SolveSettings
 from hypose.inference.layer import GoOn, Layer, Recipe, Recovery
-from hypose.inference.selectors import keep
+from hypose.inference.resampling import keep
 from hypose.tracking import published_recipes as published
 from hypose.tracking.exchanged_sides import look_for_exchange
 from hypose.tracking.limb_search import LimbSearch

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.evidence.frame import Frame
-from hypose.fitting import PointTerm
+from hypose.evidence.terms import PointTerm
 from hypose.geometry import Array
 from hypose.tracking.contacts import FootMotion, contact_terms, find_contacts, foot_motion, soles_of
 from hypose.tracking.fitted_spread import pose_covariance
@@ -93,7 +93,7 @@ def smooth_motion(body: Body, motion: Motion, information: ArrayLike, settings: 
     own = unpacked(information, body.skeleton.dof) * known[:, None, None]
     given = motion.poses
 
-    def held(contacts: list[PointTerm | None] | None) -> Array:
+    def held(contacts: list[list[PointTerm]] | None) -> Array:
         return smooth_poses(body, given, own, rate, settings, contacts)
 
     return with_feet(body, motion, own, held(None), held, settings)
@@ -104,13 +104,13 @@ def with_feet(
     motion: Motion,
     own: Array,
     free: Array,
-    held: Callable[[list[PointTerm | None]], Array],
+    held: Callable[[list[list[PointTerm]]], Array],
     settings: ClipSettings,
 ) -> Smoothed:
     """The motion with poses solved again where the soles stand, its covariances grown in gaps.
 
     own (T, D, D): what each frame says of its pose (zero: nothing); free (T, D): the clip solved without contacts;
-    held: solves it with points that hold still, one term or None per frame."""
+    held: solves it with points that hold still, of each frame."""
     assert motion.poses is not None
     known, rate = np.asarray(own.any((1, 2))), motion.frame_rate
     soles = soles_of(body)

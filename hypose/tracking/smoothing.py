@@ -19,7 +19,8 @@ from scipy.ndimage import uniform_filter1d
 from hypose.body.body import Body
 from hypose.body.skeleton import Skeleton
 from hypose.compute import frame_covariances
-from hypose.fitting import PointTerm, SolveSettings, fit_clip
+from hypose.evidence.terms import PointTerm
+from hypose.fitting import SolveSettings, fit_clip
 from hypose.fitting.clip_solve import Coupling, Gaussian, pose_steps
 from hypose.geometry import Array, nearest_branch
 
@@ -115,22 +116,23 @@ def smooth_poses(
     information: Array,
     frame_rate: float,
     settings: ClipSettings | None = None,
-    contacts: Sequence[PointTerm | None] | None = None,
+    contacts: Sequence[Sequence[PointTerm]] | None = None,
 ) -> Array:
     """Poses (T, D) of a clip from those of its frames (T, D) and what is known of each: information (T, D, D), zero in
     frames without evidence, whose pose does not matter. contacts: points that hold still, per frame."""
     settings = settings or ClipSettings()
     known = np.asarray(information.any((1, 2)))
     given = bridged(poses, known)
-    terms = [Gaussian(q, i) if k else None for q, i, k in zip(given, information, known, strict=True)]
+    evidence = [[Gaussian(q, i)] * k for q, i, k in zip(given, information, known.tolist(), strict=True)]
+    if contacts is not None:
+        evidence = [[*of, *held] for of, held in zip(evidence, contacts, strict=True)]
     options = SolveSettings(iterations=6, coarse_iterations=0, damping=1e-6)
 
     def solve(part: slice, starts: Array, weights: tuple[Array, Array]) -> Array:
         return fit_clip(
             body,
             starts,
-            points=None if contacts is None else contacts[part],
-            gaussians=terms[part],
+            evidence[part],
             acceleration=weights[0],
             velocity=weights[1],
             options=options,

@@ -15,7 +15,8 @@ import numpy as np
 from hypose.body.body import Body, Shape, deform
 from hypose.errors import EvidenceError
 from hypose.evidence.keypoints import BLAZEPOSE_33, landmark_of
-from hypose.fitting.articulated import PointTerm, SolveSettings, fit_pose
+from hypose.evidence.terms import PointTerm
+from hypose.fitting.articulated import SolveSettings, fit_pose
 from hypose.geometry import Array
 from hypose.tracking.keypoint_evidence import KeypointModel, keypoint_model
 from hypose.tracking.keypoint_offsets import leg_weights, offset_limits
@@ -170,9 +171,8 @@ def _solve_frames(body: Body, points: Array, model: KeypointModel, frames: np.nd
             start = poses[t] if np.isfinite(poses[t]).all() else last
             term = PointTerm(seen, weights, joint, offset, 0.03)
             options = SolveSettings(iterations=20, coarse_iterations=8)
-            poses[t] = fit_pose(
-                body, start, points=term, priors=(anatomical_prior(body.skeleton, keypoints=True),), options=options
-            ).pose
+            priors = (anatomical_prior(body.skeleton, keypoints=True),)
+            poses[t] = fit_pose(body, start, [term], priors=priors, options=options).pose
         last = poses[t]
 
 

@@ -7,14 +7,13 @@ import time
 import pytest
 
 from hypose.app.cli import main
-from hypose.synthetic.rigs import rig
-from hypose.synthetic.scenes import make_scene
+from hypose.synthetic.scenes import camera_rig, make_scene
 from hypose.synthetic.write_recording import write_scene
 from tests.conftest import HANG_S
 
 
 def write_tiny(folder, seconds):
-    cameras = rig("humaneva-4", distorted=True).scaled(0.25)
+    cameras = camera_rig("humaneva-4", distorted=True).scaled(0.25)
     scene = make_scene("walk", "neutral", cameras, seconds=seconds, seed=3)
     write_scene(scene, folder, background_frames=10)
     return folder
@@ -71,7 +70,7 @@ def tracked(tiny, tmp_path_factory):
 @pytest.fixture(scope="session")
 def walk_by_points(tmp_path_factory):
     """A recording of 1.2 s with key points; read only."""
-    cameras = rig("humaneva-4", distorted=True).scaled(0.25)
+    cameras = camera_rig("humaneva-4", distorted=True).scaled(0.25)
     folder = tmp_path_factory.mktemp("points") / "points"
     write_scene(
         make_scene("walk", "neutral", cameras, seconds=1.2, seed=3), folder, background_frames=10, keypoints=True

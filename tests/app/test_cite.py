@@ -4,12 +4,12 @@ import pytest
 
 from hypose.app.jobs.cite import PAPERS, papers_of
 from hypose.errors import InputError
-from hypose.fusion.fuse import METHODS
+from hypose.fusion.fuse import FUSION_METHODS
 from hypose.tracking.recipes import RECIPES
 
 
 def test_every_recipe_and_fusion_has_its_papers():
-    for name in (*RECIPES, *(f"fusion-{m}" for m in METHODS)):
+    for name in (*RECIPES, *(f"fusion-{m}" for m in FUSION_METHODS)):
         assert papers_of(name)[0].key == "hypose"
     assert {"alcoverro2014"} == {p.key for p in papers_of("hpf")[1:]}
 

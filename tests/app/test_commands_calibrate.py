@@ -114,4 +114,4 @@ def test_lenses_of_unknown_pictures_are_refused(hypose, tmp_path):
                           "--out", tmp_path / "c.toml")  # fmt: skip
     assert code == 2 and not (tmp_path / "c.toml").exists()
     assert "--intrinsics: lens.yml does not say how large the images of lens are, and lenses fit only pictures" in err
-    assert "add image_width and image_height to the file" in err
+    assert "lens.yml" in err and "add the size" in err

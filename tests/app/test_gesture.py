@@ -134,7 +134,7 @@ def test_bad_input_ends_in_a_sentence(folder, tmp_path, capsys):
         capsys, "gesture", "run", model, "--command", "nothing-here", "--threshold", "1"
     )
     assert "same gesture" in refused(capsys, "gesture", "run", model, model, "--threshold", "1", "--source", session)
-    assert "--memory" in refused(capsys, "gesture", "run", model, "--memory", "0")
+    assert "--adaptation-rate" in refused(capsys, "gesture", "run", model, "--adaptation-rate", "0")
     assert "no gesture 'tee'" in refused(
         capsys, "gesture", "train", tmp_path / "x.npz", "--gesture", "tee", "--recording", session
     )
@@ -151,7 +151,7 @@ def test_bad_input_ends_in_a_sentence(folder, tmp_path, capsys):
 def blank(depth_mm, frames=60):
     """A camera that sees one depth everywhere."""
     from hypose.app.live.gesture_sources import Source, Taken
-    from hypose.gestures.depth_pictures import Lens
+    from hypose.gestures.depth_pictures import DepthLens
 
     times = iter(range(frames))
     picture = np.full((64, 64), depth_mm, np.uint16)
@@ -160,7 +160,7 @@ def blank(depth_mm, frames=60):
         k = next(times, None)
         return None if k is None else Taken(0.1 * k, picture, None)
 
-    return Source("blank", Lens(100, 100, 31.5, 31.5), (64, 64), take)
+    return Source("blank", DepthLens(100, 100, 31.5, 31.5), (64, 64), take)
 
 
 @pytest.mark.parametrize("depth_mm", [0, 8000])
@@ -183,9 +183,9 @@ def test_nothing_within_reach_is_said(depth_mm):
 
 
 def test_recordings_without_a_usable_gesture_are_refused(tmp_path, capsys):
-    from hypose.gestures.depth_pictures import Lens
+    from hypose.gestures.depth_pictures import DepthLens
 
-    writer = SessionWriter(tmp_path / "far", ["tee"], Lens(100, 100, 31.5, 31.5), (64, 64))
+    writer = SessionWriter(tmp_path / "far", ["tee"], DepthLens(100, 100, 31.5, 31.5), (64, 64))
     for k in range(6):
         picture = np.full((64, 64), 8000 if k % 2 else 2000, np.uint16)
         writer.add(0.1 * k, picture, "positive" if k % 2 else "negative", k + 1, k % 2, (32.0, 32.0))
@@ -205,10 +205,10 @@ def test_websocket_listeners_get_scores_and_events():
     from hypose.app.jobs.gesture_job import Watched
     from hypose.app.live.gesture_outputs import WebSocketOut
     from hypose.gestures.events import Event
-    from hypose.gestures.localise import Found
+    from hypose.gestures.localise import Localisation
 
     out = WebSocketOut(0, ["tee"])
-    frame = Watched(1.5, [Found(1, 3.0, 4.0, 12.0, None)], [Event("start", 1, 1.5, 3.0, 4.0, None, 12.0)])
+    frame = Watched(1.5, [Localisation(1, 3.0, 4.0, 12.0, None)], [Event("start", 1, 1.5, 3.0, 4.0, None, 12.0)])
     with connect(f"ws://127.0.0.1:{out.port}") as listener:
         for _ in range(30_000):  # the listener is entered by another thread
             out.send(frame)

@@ -8,14 +8,14 @@ from hypose.app.jobs.gesture_job import Watched
 from hypose.app.live import gesture_outputs as actions
 from hypose.errors import InputError
 from hypose.gestures.events import Event
-from hypose.gestures.localise import Found
+from hypose.gestures.localise import Localisation
 from tests.conftest import HANG_S
 
 NAMES = ["tee", "ok"]
 
 
 def frame(*scores, events=()):
-    found = [Found(k, 1.0, 2.0, s, None) for k, s in enumerate(scores, 1)]
+    found = [Localisation(k, 1.0, 2.0, s, None) for k, s in enumerate(scores, 1)]
     return Watched(0.5, found, [Event(kind, g, 0.5, 1.0, 2.0, None, 9.0) for kind, g in events])
 
 

@@ -13,7 +13,7 @@ from benchmarks.robustness.keypoint_layouts import (
 from hypose.body.ready_bodies import human
 from hypose.io.motions.marker_files import write_trc
 from hypose.io.motions.results import load_motion
-from hypose.synthetic.rigs import rig
+from hypose.synthetic.scenes import camera_rig
 
 FRAMES = 30
 
@@ -21,7 +21,7 @@ FRAMES = 30
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory):
     folder = tmp_path_factory.mktemp("alone")
-    cameras = rig("humaneva-4", distorted=True)
+    cameras = camera_rig("humaneva-4", distorted=True)
     paths = write_keypoints(
         "mmpose-results", folder / "points", detections("HALPE_26", cameras, FRAMES), cameras, "HALPE_26"
     )

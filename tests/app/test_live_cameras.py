@@ -13,8 +13,7 @@ import pytest
 from benchmarks.robustness.small_recordings import small_scene
 from hypose.io.calibrations.calibration_text import write_calibration
 from hypose.io.recordings.recording import load_recording
-from hypose.synthetic.rigs import rig
-from hypose.synthetic.scenes import make_scene
+from hypose.synthetic.scenes import camera_rig, make_scene
 from hypose.synthetic.write_recording import write_scene
 from tests.app.conftest import fails
 from tests.conftest import HANG_S, ROOT
@@ -76,7 +75,7 @@ def test_a_folder_that_holds_something_is_not_recorded_to(hypose, calibration, t
 @pytest.fixture(scope="module")
 def walk(tmp_path_factory):
     """24 s at 5 Hz: a film that is not over while a busy computer begins."""
-    cameras = rig("humaneva-4").scaled(0.25)
+    cameras = camera_rig("humaneva-4").scaled(0.25)
     scene = make_scene("walk", "neutral", cameras, seconds=24.0, frame_rate=5.0, seed=3, speed=0.3)
     return write_scene(scene, tmp_path_factory.mktemp("live") / "walk", background_frames=10)
 

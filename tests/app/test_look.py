@@ -15,11 +15,11 @@ from hypose.app.reports.result_pictures import (
 )
 from hypose.app.studio.view_bundle import ViewResult
 from hypose.body.ready_bodies import human
-from hypose.compute.render import silhouette
+from hypose.compute.parts import covered
 from hypose.io.motions.results import load_body, load_motion
 from hypose.io.recordings.recording import View, load_recording
 from hypose.io.videos.video import open_video
-from hypose.synthetic.rigs import rig
+from hypose.synthetic.scenes import camera_rig
 
 
 def test_check_shows_every_camera_and_finds_nothing_wrong(hypose, tiny, tmp_path):
@@ -121,7 +121,7 @@ def test_the_report_says_what_went_wrong(result):
 
 
 def wide(size=(640, 480)):
-    return rig("humaneva-4", distorted=True)[0].scaled(size)
+    return camera_rig("humaneva-4", distorted=True)[0].scaled(size)
 
 
 def test_points_are_drawn_with_distortion_scale_and_shift(rng):
@@ -142,7 +142,7 @@ def test_the_outline_of_an_undistorted_mask_lies_on_the_recorded_person():
 
     def shape(uv, size):
         depth = vertices @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
-        return silhouette(uv, depth, body.fine.faces, size).astype(np.uint8)
+        return covered(uv, depth, body.fine.faces, size[::-1]).astype(np.uint8)
 
     mask = shape(working.project_pinhole(vertices), working.size)
     recorded = shape(camera.project(vertices), camera.size)

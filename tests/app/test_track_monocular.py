@@ -14,7 +14,7 @@ from hypose.evidence.frame import Frame, Keypoints, Picture
 from hypose.inference.hypotheses import Hypotheses
 from hypose.io.motions.results import load_modes, load_motion
 from hypose.io.videos.video import open_video
-from hypose.synthetic.rigs import look_at, rig
+from hypose.synthetic.scenes import camera_rig, look_at
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.recipes import recipe
 
@@ -31,7 +31,7 @@ def clicks(tiny, tmp_path_factory):
     """Joints clicked in the first picture of cam2."""
     with np.load(tiny / "truth.npz") as truth:
         joints = truth["joints"][0]
-    uv = rig("humaneva-4", distorted=True).scaled(0.25)[1].project(joints)
+    uv = camera_rig("humaneva-4", distorted=True).scaled(0.25)[1].project(joints)
     at = {n: uv[JOINT_NAMES.index(n)].round(1).tolist() for n in CLICKED}
     path = tmp_path_factory.mktemp("clicks") / "clicks.json"
     path.write_text(json.dumps({"camera": "cam2", "frame": 0, "joints": at}))

@@ -8,9 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from hypose.synthetic.rigs import rig
-from hypose.synthetic.scenes import make_scene
-from hypose.synthetic.simulated_keypoints import keypoint_detections
+from hypose.synthetic.corruptions import keypoint_detections
+from hypose.synthetic.scenes import camera_rig, make_scene
 from hypose.synthetic.write_recording import write_scene
 from tests.standing_people import name_people, standing_at, where
 
@@ -22,7 +21,7 @@ LIGHT = ("--no-overlay", "--formats", "trc")
 def two(tmp_path_factory):
     """Bert, who comes first, and Anna beside him; recording.toml names Anna first. Read only."""
     folder = tmp_path_factory.mktemp("two") / "two"
-    cameras = rig("humaneva-4", distorted=True).scaled(0.4)
+    cameras = camera_rig("humaneva-4", distorted=True).scaled(0.4)
     bert, anna = (make_scene("wave", "neutral", cameras, seconds=0.2, seed=3 + k) for k in range(2))
     bert = replace(bert, performance=standing_at(bert.performance, PLACES["Bert"]))
     anna = replace(anna, performance=standing_at(anna.performance, PLACES["Anna"]))
@@ -73,7 +72,7 @@ def test_who_is_nobody_is_refused_with_the_names_there_are(hypose, two, who):
 @pytest.mark.slow
 def test_who_else_is_seen_is_said_at_the_end(hypose, two, tmp_path):
     recording = shutil.copytree(two, tmp_path / "two")
-    cameras = rig("humaneva-4", distorted=True).scaled(0.4)
+    cameras = camera_rig("humaneva-4", distorted=True).scaled(0.4)
     seen = []
     for k, place in enumerate((PLACES["Bert"], PLACES["Anna"])):
         scene = make_scene("wave", "neutral", cameras, seconds=0.2, seed=3 + k)

@@ -13,8 +13,8 @@ from hypose.app.live.vmc import BONES
 from hypose.body.motion import Motion, isotropic
 from hypose.body.ready_bodies import human
 from hypose.errors import InputError
+from hypose.fusion.fuse import points_motion
 from hypose.fusion.joints import COMMON
-from hypose.fusion.point_motion import points_motion
 from hypose.io.motions.results import save_body, save_motion
 from tests.depth_sensors import walker
 from tests.osc_packets import parse_osc

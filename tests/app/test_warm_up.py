@@ -8,11 +8,11 @@ from hypose.compute import warming
 
 @pytest.mark.slow
 def test_nothing_is_left_to_compile_after_it(hypose, monkeypatch):
-    had = compute.kept(*compute.FOLLOWING, "monocular", "depth")
+    had = compute.kept(*compute.TRACKING_KERNELS, "monocular", "depth")
     code, out, _ = hypose("warm-up")
     assert code == 0 and out.startswith("All of it had been compiled." if had else "Compiled; kept in ")
     began = []
-    monkeypatch.setattr(warming, "run", lambda parts: began.extend(parts))
+    monkeypatch.setattr(warming, "_run", lambda parts: began.extend(parts))
     compute.warm_up(load=False)
     assert not began
     assert hypose("warm-up")[1].startswith("All of it had been compiled.")

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from benchmarks.multiview.pose2sim_method import pose2sim_points
-from hypose.synthetic.rigs import rig
+from hypose.synthetic.scenes import camera_rig
 
-RIG = rig("ring-4").pinhole()
+RIG = camera_rig("ring-4").pinhole()
 
 
 @pytest.fixture

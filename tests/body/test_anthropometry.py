@@ -5,8 +5,8 @@ import pytest
 import trimesh
 
 from hypose.body.anthropometry import (
-    ENTITIES,
-    ENTITY_NAMES,
+    SHAPE_FACTOR_NAMES,
+    SHAPE_FACTORS,
     body_of,
     cross_section,
     dressed,
@@ -25,7 +25,7 @@ def body():
 
 
 def one(name, value):
-    x = np.zeros(len(ENTITIES))
+    x = np.zeros(len(SHAPE_FACTORS))
     x[entity(name)] = value
     return x
 
@@ -112,12 +112,12 @@ def test_clothes_lie_where_clothes_are(body):
 
 def test_prior_is_a_distribution_with_the_sds_it_names():
     covariance = prior_covariance()
-    np.testing.assert_allclose(np.sqrt(np.diag(covariance)), [e.sd for e in ENTITIES])
+    np.testing.assert_allclose(np.sqrt(np.diag(covariance)), [e.sd for e in SHAPE_FACTORS])
     assert np.linalg.eigvalsh(covariance).min() > 0
     # girths go together, lengths do not
     assert covariance[entity("waist width"), entity("thigh girth")] > 0
     assert covariance[entity("thigh length"), entity("waist width")] == 0
-    assert len(set(ENTITY_NAMES)) == len(ENTITY_NAMES)
+    assert len(set(SHAPE_FACTOR_NAMES)) == len(SHAPE_FACTOR_NAMES)
 
 
 def test_length_rows_are_log_derivatives(body):

@@ -11,7 +11,7 @@ from hypose.body.fit_skeleton import (
     find_stances,
     fit_template,
     scan_pose,
-    shape_of,
+    shape_from_factors,
     surface_samples,
     unposed,
 )
@@ -64,13 +64,13 @@ def test_undoing_a_pose_is_the_inverse_of_skinning(rng):
 
 def test_factors_are_shapes():
     body = human()
-    assert shape_of(np.zeros(len(FACTORS))).scale == 1.0
-    same = deform(body, shape_of(np.zeros(len(FACTORS))))
+    assert shape_from_factors(np.zeros(len(FACTORS))).scale == 1.0
+    same = deform(body, shape_from_factors(np.zeros(len(FACTORS))))
     np.testing.assert_allclose(same.fine.vertices, body.fine.vertices, atol=1e-12)
     index = {f.name: k for k, f in enumerate(FACTORS)}
     x = np.zeros(len(FACTORS))
     x[index["scale"]], x[index["thigh"]], x[index["chest width"]] = np.log([1.1, 1.2, 1.3])
-    shape = shape_of(x)
+    shape = shape_from_factors(x)
     assert isinstance(shape, Shape)
     longer = deform(body, shape).segment_lengths()["left_thigh"]
     assert longer == pytest.approx(body.segment_lengths()["left_thigh"] * 1.1 * 1.2)

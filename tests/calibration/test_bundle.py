@@ -5,8 +5,13 @@ import pytest
 
 from benchmarks.synthetic.calibration_boards import compare_rigs, film_board, ring_of_cameras
 from hypose.calibration.boards import Board
-from hypose.calibration.bundle import NOISE_PX, Observations, project_with_derivatives, refine
-from hypose.calibration.intrinsics import observe
+from hypose.calibration.bundle import (
+    NOISE_PX,
+    Observations,
+    bundle_adjust,
+    collect_observations,
+    project_with_derivatives,
+)
 from hypose.cameras.camera import Camera
 from hypose.geometry import se3, so3_exp
 
@@ -51,8 +56,8 @@ def _disturbed(scene, rng):
 def test_the_truth_is_recovered_without_noise(rng):
     scene = film_board(ring_of_cameras(rng, 3), BOARD, rng, 25, noise_px=0.0)
     cameras, boards = _disturbed(scene, rng)
-    obs = observe(dict(enumerate(scene.sightings)), range(25))
-    found = refine(cameras, boards, BOARD.points, obs, noise_px=1e-3)
+    obs = collect_observations(dict(enumerate(scene.sightings)), range(25))
+    found = bundle_adjust(cameras, boards, BOARD.points, obs, noise_px=1e-3)
     assert found.rms_px < 1e-3
     for a, b in zip(found.cameras, scene.rig, strict=True):
         assert abs(a.K[0, 0] - b.K[0, 0]) < 0.02
@@ -67,8 +72,8 @@ def test_standard_deviations_are_those_of_the_errors():
     for seed in range(6):
         rng = np.random.default_rng(100 + seed)
         scene = film_board(ring_of_cameras(rng, 3), BOARD, rng, 25, noise_px=NOISE_PX)
-        obs = observe(dict(enumerate(scene.sightings)), range(25))
-        found = refine(list(scene.rig), scene.boards, BOARD.points, obs)
+        obs = collect_observations(dict(enumerate(scene.sightings)), range(25))
+        found = bundle_adjust(list(scene.rig), scene.boards, BOARD.points, obs)
         error = [a.K[0, 0] - b.K[0, 0] for a, b in zip(found.cameras, scene.rig, strict=True)]
         ratios += list(np.array(error) / found.focal_sd)
         assert found.rms_px == pytest.approx(NOISE_PX, rel=0.1)
@@ -78,8 +83,10 @@ def test_standard_deviations_are_those_of_the_errors():
 def test_known_boards_fix_the_world(rng):
     scene = film_board(ring_of_cameras(rng, 2), BOARD, rng, 12, noise_px=0.1)
     cameras, _ = _disturbed(scene, rng)
-    obs = observe(dict(enumerate(scene.sightings)), range(12))
-    found = refine(cameras, scene.boards, BOARD.points, obs, free_intrinsics=True, fixed_frames=np.ones(12, dtype=bool))
+    obs = collect_observations(dict(enumerate(scene.sightings)), range(12))
+    found = bundle_adjust(
+        cameras, scene.boards, BOARD.points, obs, free_intrinsics=True, fixed_frames=np.ones(12, dtype=bool)
+    )
     np.testing.assert_array_equal(found.frames, scene.boards)
     for a, b in zip(found.cameras, scene.rig, strict=True):
         assert np.linalg.norm(a.position - b.position) < 0.03
@@ -87,10 +94,10 @@ def test_known_boards_fix_the_world(rng):
 
 def test_a_wrong_corner_hardly_matters(rng):
     scene = film_board(ring_of_cameras(rng, 3), BOARD, rng, 25, noise_px=0.1)
-    obs = observe(dict(enumerate(scene.sightings)), range(25))
+    obs = collect_observations(dict(enumerate(scene.sightings)), range(25))
     pixels = obs.pixels.copy()
     pixels[::60] += 40
     wrong = Observations(obs.camera, obs.frame, obs.corner, pixels)
-    found = refine(list(scene.rig), scene.boards, BOARD.points, wrong)
+    found = bundle_adjust(list(scene.rig), scene.boards, BOARD.points, wrong)
     errors = compare_rigs(type(scene.rig)(found.cameras), scene.rig)
     assert errors.position_m.max() < 0.03

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from hypose.calibration.views import Source, count_corners
+from hypose.calibration.views import BoardFootage, count_corners
 from hypose.errors import CalibrationError
 from tests.calibration.painted_boards import paint
 from tests.calibration.test_from_boards import BOARD, board_poses, make_rig
@@ -21,7 +21,7 @@ def photos(tmp_path_factory):
 
 
 def test_corners_are_counted(photos):
-    sources = [Source(p.name, p) for p in sorted(photos.iterdir())]
+    sources = [BoardFootage(p.name, p) for p in sorted(photos.iterdir())]
     assert count_corners(sources) == (max(BOARD.size), min(BOARD.size))
 
 
@@ -29,4 +29,4 @@ def test_pictures_without_a_board_say_what_to_do(tmp_path):
     for k in range(3):
         cv2.imwrite(str(tmp_path / f"{k}.png"), np.full((120, 160, 3), 90, np.uint8))
     with pytest.raises(CalibrationError, match="--chessboard COLUMNSxROWS"):
-        count_corners([Source("cam1", tmp_path)])
+        count_corners([BoardFootage("cam1", tmp_path)])

@@ -8,20 +8,20 @@ from scipy.ndimage import gaussian_filter1d
 
 from benchmarks.cameras import planted_faults
 from benchmarks.cameras.planted_faults import FAULTS, healthy, judged, planted, with_bystander
-from hypose.calibration.diagnose_masks import align
+from hypose.calibration.diagnose_masks import align_to_masks
 from hypose.calibration.diagnose_points import (
     disagreement,
     judge_extrinsics,
     late_views,
     timing_findings,
 )
-from hypose.calibration.diagnostics import Clip, Observed, examine, examine_and_cure
+from hypose.calibration.diagnostics import Observed, ViewFile, examine, examine_and_cure
 from hypose.calibration.findings import Limits
 from hypose.cameras.camera import CameraRig
 from hypose.errors import EvidenceError
 from hypose.evidence.keypoints import BODY_25
 from hypose.geometry import se3, so3_exp
-from hypose.synthetic.rigs import rig as named_rig
+from hypose.synthetic.scenes import camera_rig as named_rig
 
 SEED = 7  # walks before humaneva-4
 
@@ -100,11 +100,11 @@ def test_key_points_moved_by_three_pixels_and_two_frames_are_measured(walk):
     masks = [s.masks[0] for s in o.silhouettes]
     points = o.keypoints[0].copy()
     points[..., :2] = (o.rig[0].undistort_points(points[..., :2]) + 0.5) * 0.5 - 0.5
-    usual = align(points, BODY_25, masks)
+    usual = align_to_masks(points, BODY_25, masks)
     early = np.zeros_like(points)
     early[:-2] = points[2:]
     early[..., 0] += np.where(early[..., 2] > 0, 3.0, 0.0)
-    moved = align(early, BODY_25, masks)
+    moved = align_to_masks(early, BODY_25, masks)
     assert abs(usual.lag) < 0.5 and moved.lag == pytest.approx(2, abs=0.5)
     # bones pushed out of thin limbs are not seen, so that a shift of half a limb is measured too small
     assert 1.5 < moved.shift[0] - usual.shift[0] < 4.0
@@ -172,7 +172,12 @@ def test_the_known_height_shows_a_wrong_scale(walk):
 
 def test_files_that_disagree_are_told(walk):
     o = walk.observed
-    clips = (Clip((320, 240), 25.0, 64), Clip((640, 480), 50.0, 64), Clip((640, 400), 25.0, 30), *o.clips[3:])
+    clips = (
+        ViewFile((320, 240), 25.0, 64),
+        ViewFile((640, 480), 50.0, 64),
+        ViewFile((640, 400), 25.0, 30),
+        *o.clips[3:],
+    )
     found = {(f.kind, f.views): f for f in examine(replace(o, clips=clips)).findings}
     assert not found["size", ("cam1",)].fault  # scaled alike in both directions: only to be known
     assert found["size", ("cam3",)].fault and "or cut by 0 x 80 px" in found["size", ("cam3",)].text

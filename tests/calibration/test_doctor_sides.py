@@ -11,8 +11,8 @@ from hypose.calibration.diagnose_person import wrong_way_up
 from hypose.calibration.diagnose_points import mirrored_names
 from hypose.cameras.camera import triangulate
 from hypose.evidence.keypoints import BODY_25
-from hypose.synthetic.rigs import rig as named_rig
-from hypose.synthetic.simulated_keypoints import keypoint_places
+from hypose.synthetic.corruptions import keypoint_places
+from hypose.synthetic.scenes import camera_rig as named_rig
 from hypose.synthetic.subjects import load_subjects
 from tests import missing
 

@@ -7,7 +7,7 @@ import pytest
 from benchmarks.synthetic.calibration_boards import compare_rigs
 from hypose.calibration.boards import Board
 from hypose.calibration.from_boards import BoardsNotFound, CalibrateOptions, calibrate_from_boards
-from hypose.calibration.views import Source, diagnose, find_sources, look_for_board
+from hypose.calibration.views import BoardFootage, diagnose, find_sources, look_for_board
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import InputError
 from hypose.geometry import se3, so3_exp
@@ -91,7 +91,7 @@ def test_why_pictures_show_no_board(result):
 @pytest.mark.slow
 def test_wrong_pattern_size_is_named(folder):
     wrong = Board("chessboard", 7, 6, 0.06)
-    sources = [Source("cam2", folder / "cam2")]
+    sources = [BoardFootage("cam2", folder / "cam2")]
     with pytest.raises(
         BoardsNotFound, match=r"a chessboard of 6 x 5 inner corners was seen instead.*count the corners"
     ):
@@ -114,7 +114,7 @@ def test_other_markers_are_named(tmp_path):
         ("m.png", shown, "mirrored"),
         ("a.png", Board("charuco", 6, 5, 0.06, 0.045, "DICT_5X5_1000", inverted=True), "black on white"),
     ):
-        (view,) = look_for_board([Source("c", tmp_path / file)], asked)
+        (view,) = look_for_board([BoardFootage("c", tmp_path / file)], asked)
         assert not view.sightings
         assert words in diagnose(view, asked)
 
@@ -140,7 +140,7 @@ def test_real_floor_board(shared_data):
     data = shared_data("uu4cam")
     given = uu4cam_recording(data).rig
     board = Board("chessboard", 8, 6, 0.115)
-    sources = [Source(f"cam{n}", data / f"cam{n}" / "checkerboard.avi") for n in range(1, 5)]
+    sources = [BoardFootage(f"cam{n}", data / f"cam{n}" / "checkerboard.avi") for n in range(1, 5)]
     found = calibrate_from_boards(sources, board, CalibrateOptions(lenses=given, max_frames=12))
     assert found.fit.rms_px < 0.2
     assert fit_of_poses(given, found.fit, board) > 0.4  # the reference itself fits its board to 0.4-0.7 px

@@ -9,22 +9,22 @@ from hypose.body.ready_bodies import human
 from hypose.calibration.refine_body import BodySettings, adjust_with_body
 from hypose.calibration.refine_points import (
     adjust,
+    apply_parameters,
     by_camera,
-    changed,
     changes,
     gauge,
-    in_world,
     left_out_residual,
     point_residual,
-    rescaled,
+    scale_rig,
+    transform_rig,
 )
 from hypose.cameras.camera import CameraRig
-from hypose.compute.render import silhouette
+from hypose.compute.parts import covered
 from hypose.errors import EvidenceError
 from hypose.evidence.silhouettes import make_silhouettes
-from hypose.fitting.articulated import contour_term
+from hypose.evidence.terms import contour_term
 from hypose.geometry import se3, so3_exp, transform
-from hypose.synthetic.rigs import rig as named_rig
+from hypose.synthetic.scenes import camera_rig as named_rig
 from hypose.tracking.starts import known_pose
 
 
@@ -42,7 +42,7 @@ def test_derivative_by_the_camera_is_that_of_finite_differences(rng):
     for axis in range(2):
 
         def value(x, axis=axis):
-            return changed(camera, x).project_pinhole(point)[axis]
+            return apply_parameters(camera, x).project_pinhole(point)[axis]
 
         p = transform(camera.camera_from_world, point[None])[0]
         f, z = camera.K[axis, axis], p[2]
@@ -56,8 +56,8 @@ def test_gauge_lets_the_one_camera_go_that_moved(rng):
     rig = named_rig("ring-5").pinhole()
     points = rng.normal(0, 0.4, (50, 3)) + [0, 0, 1]
     world = se3(so3_exp([0.05, -0.02, 0.1]), [0.2, -0.1, 0.05])
-    moved = in_world(turned(rig, 2, [0, 3, 0], [0.1, 0, 0]), world)
-    back = in_world(moved, gauge(moved, rig, transform(world, points)))
+    moved = transform_rig(turned(rig, 2, [0, 3, 0], [0.1, 0, 0]), world)
+    back = transform_rig(moved, gauge(moved, rig, transform(world, points)))
     found = changes(rig, back, points)
     others = [f for k, f in enumerate(found) if k != 2]
     assert found[2].turn_deg == pytest.approx(3, abs=0.15) and max(f.turn_deg for f in others) < 0.15
@@ -68,9 +68,9 @@ def test_a_moved_world_and_another_scale_leave_the_images_alone(rng):
     rig = named_rig("humaneva-4").pinhole()
     x = rng.normal(0, 0.4, (10, 3)) + [0, 0, 1]
     world = se3(so3_exp([0.3, 0.1, -0.2]), [1, 2, 3])
-    for a, b in zip(rig, in_world(rig, world), strict=True):
+    for a, b in zip(rig, transform_rig(rig, world), strict=True):
         assert np.allclose(a.project_pinhole(x), b.project_pinhole(transform(world, x)), atol=1e-6)
-    for a, b in zip(rig, rescaled(rig, 3.0), strict=True):
+    for a, b in zip(rig, scale_rig(rig, 3.0), strict=True):
         assert np.allclose(a.project_pinhole(x), b.project_pinhole(3 * x), atol=1e-6)
 
 
@@ -90,7 +90,7 @@ def test_key_points_bring_a_turned_camera_back_to_the_noise(rng):
     assert np.nanmedian(point_residual(off, uv, w)) > 4 * floor
     assert np.nanmedian(point_residual(found.rig, uv, w)) < 1.1 * floor
     assert np.nanmedian(left_out_residual(found.rig, uv, w)) < 1.15 * np.nanmedian(left_out_residual(true, uv, w))
-    back = in_world(found.rig, gauge(found.rig, off, found.points))
+    back = transform_rig(found.rig, gauge(found.rig, off, found.points))
     change = changes(off, back, found.points[:50])
     assert change[2].turn_deg > 1.5 and max(change[k].turn_deg for k in (0, 1, 3)) < 0.5
 
@@ -120,7 +120,7 @@ def silhouettes_of(body, poses, rig):
         masks = []
         for c in rig:
             z = v @ c.camera_from_world[2, :3] + c.camera_from_world[2, 3]
-            masks.append(silhouette(c.project_pinhole(v), z, body.coarse.faces, c.size).astype(np.uint8))
+            masks.append(covered(c.project_pinhole(v), z, body.coarse.faces, c.size[::-1]).astype(np.uint8))
         out.append(make_silhouettes(masks, rig))
     return out
 
@@ -141,9 +141,9 @@ def test_silhouettes_alone_bring_a_turned_camera_back(rng):
     off = turned(true, 1, [1.0, 1.5, 0.0], [0.03, 0, 0.02])
     start = body.skeleton.clamp(poses + rng.normal(size=poses.shape) * np.r_[[0.02] * 3, [0.05] * 33])
     options = BodySettings(coarse=(3.0, 1.0), iterations=(5, 5), contour_weight=1.0)
-    found = adjust_with_body(body, off, start, [contour_term(s) for s in masks], None, options)
+    found = adjust_with_body(body, off, start, [[contour_term(s)] for s in masks], options)
     person = body.joints(poses).reshape(-1, 3)
-    back = in_world(found.rig, gauge(found.rig, true, body.joints(found.poses).reshape(-1, 3)))
+    back = transform_rig(found.rig, gauge(found.rig, true, body.joints(found.poses).reshape(-1, 3)))
     before, after = (np.median([c.image_px for c in changes(true, r, person)]) for r in (off, back))
     worst_before, worst_after = (np.max([c.image_px for c in changes(true, r, person)]) for r in (off, back))
     assert worst_after < 0.35 * worst_before and after < 1.5, (before, after, worst_before, worst_after)
@@ -154,4 +154,4 @@ def test_no_evidence_is_told():
     body = human()
     rig = named_rig("humaneva-4").pinhole()
     with pytest.raises(EvidenceError, match="No frame has silhouettes or key points"):
-        adjust_with_body(body, rig, np.zeros((1, body.skeleton.dof)), [None])
+        adjust_with_body(body, rig, np.zeros((1, body.skeleton.dof)), [[]])

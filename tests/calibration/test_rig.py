@@ -7,9 +7,9 @@ import pytest
 
 from benchmarks.cameras.board_accuracy import solve_scene
 from benchmarks.synthetic.calibration_boards import compare_rigs, film_board, ring_of_cameras
-from hypose.calibration.boards import Board, Sighting
+from hypose.calibration.boards import Board, BoardDetection
+from hypose.calibration.bundle import CalibratedLens, calibrate_lens
 from hypose.calibration.from_boards import floor_frame, place_on_floor
-from hypose.calibration.intrinsics import Lens, calibrate_lens
 from hypose.calibration.rig import calibrate_rig
 from hypose.calibration.synchronisation import estimate_lags
 from hypose.cameras.camera import CameraRig
@@ -20,7 +20,7 @@ EVEN = Board("chessboard", 8, 6, 0.08)
 
 
 def given_lenses(rig):
-    return [Lens(replace(c, camera_from_world=np.eye(4)), (), 0.2, float("nan"), True) for c in rig]
+    return [CalibratedLens(replace(c, camera_from_world=np.eye(4)), (), 0.2, float("nan"), True) for c in rig]
 
 
 @pytest.mark.parametrize("fisheye", [False, True])
@@ -85,7 +85,7 @@ def test_lens_from_boards_all_facing_the_camera(rng):
         place = np.array([*rng.uniform(-0.5, 0.3, 2), 3.0]) - EVEN.points.mean(0) * 0.5
         uv = replace(camera, camera_from_world=se3(r, place)).project(EVEN.points)
         if (uv > 5).all() and (uv < [634, 474]).all():
-            seen[f] = Sighting(np.arange(48), uv + rng.normal(0, 0.3, uv.shape), 2.0)
+            seen[f] = BoardDetection(np.arange(48), uv + rng.normal(0, 0.3, uv.shape), 2.0)
     with pytest.raises(CalibrationError, match="uncertain by .*tilted by 30 to 45 degrees"):
         calibrate_lens("cam1", seen, EVEN, camera.size)
 
@@ -131,7 +131,7 @@ def test_late_videos_are_named(rng):
                 continue
             pose = se3(look @ so3_exp([0.3, 0.2, 0]), place[moment] + [0, 0, 0.3])
             uv = camera.project(EVEN.points @ pose[:3, :3].T + pose[:3, 3])
-            seen[c][f] = Sighting(np.arange(48), uv + rng.normal(0, 0.1, uv.shape), 2.0)
+            seen[c][f] = BoardDetection(np.arange(48), uv + rng.normal(0, 0.1, uv.shape), 2.0)
     ((camera_number, lag),) = estimate_lags(list(rig), seen, EVEN).items()
     assert abs(abs(lag) - 7) <= 1 and (lag > 0) == (camera_number == 1)
     assert estimate_lags(list(rig), [seen[0], {f - 7: s for f, s in seen[1].items()}], EVEN) == {}

@@ -18,7 +18,7 @@ from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.io.videos.sound import Sound, read_sound
-from hypose.synthetic.rigs import rig as named_rig
+from hypose.synthetic.scenes import camera_rig as named_rig
 
 
 def test_fundamental_matrix_puts_points_on_their_epipolar_lines(rng):

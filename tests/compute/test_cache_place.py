@@ -26,7 +26,7 @@ def choose(tmp_path, monkeypatch, caplog):
             monkeypatch.delenv(compiled.VARIABLE, raising=False)
         else:
             monkeypatch.setenv(compiled.VARIABLE, str(variable))
-        compiled.note.cache_clear()
+        compiled.log_cache.cache_clear()
         return compiled.cache_folder.__wrapped__()
 
     return chosen

@@ -5,14 +5,14 @@ import numpy as np
 import pytest
 
 from hypose.compute.glance import AMONG, MARGIN, STEP, differing_box, glance_at, stored_pixels
-from hypose.compute.picture_to_mask import Room, make_lens, shrink_undistort
+from hypose.compute.picture_to_mask import BackgroundLevels, make_lens, shrink_undistort
 
 SIZE = (160, 120)
 
 
 def room_of(mean, slack=12):
     low, high = (np.clip(mean.astype(int) + s, 0, 255).astype(np.uint8) for s in (-slack, slack))
-    return Room(low, high, mean.astype(np.float32), False, 0.5, 0.9, 100.0)
+    return BackgroundLevels(low, high, mean.astype(np.float32), False, 0.5, 0.9, 100.0)
 
 
 def maps():

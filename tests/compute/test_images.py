@@ -96,7 +96,7 @@ def test_what_is_not_the_room_is_that_of_the_definition(rng, shadow, size):
     picture = np.clip(mean * light + rng.normal(0, 3, mean.shape), 0, 255).astype(np.uint8)
     picture[h // 3 : h // 2, w // 5 : w // 2] = rng.integers(0, 256, (h // 2 - h // 3, w // 2 - w // 5, 3))
     low, high = np.clip(mean - 20, 0, 255).astype(np.uint8), np.clip(mean + 20, 0, 255).astype(np.uint8)
-    room = picture_to_mask.Room(low, high, mean, shadow, 0.45, 0.97, 144.0)
+    room = picture_to_mask.BackgroundLevels(low, high, mean, shadow, 0.45, 0.97, 144.0)
     other = ((picture < low) | (picture > high)).any(2)
     for box in (None, (h // 9, 2 * h // 3, w // 6, 4 * w // 5)):
         fast = picture_to_mask.not_the_room(picture, room, box)

@@ -25,10 +25,10 @@ def add(a, b):
 def place(tmp_path, monkeypatch, caplog):
     caplog.set_level(logging.WARNING, "hypose")
     monkeypatch.setattr(compiled, "cache_folder", lambda: tmp_path)
-    compiled.note.cache_clear()
+    compiled.log_cache.cache_clear()
     compiled.make_folder.cache_clear()
     yield tmp_path
-    compiled.note.cache_clear()
+    compiled.log_cache.cache_clear()
     compiled.make_folder.cache_clear()
 
 

@@ -7,7 +7,6 @@ from numpy.typing import ArrayLike
 
 from hypose.body.ready_bodies import human
 from hypose.compute import covered, draw_parts, mask_of, parts_against_mask, projected
-from hypose.compute.render import silhouette
 
 PARTS = 5
 
@@ -60,7 +59,7 @@ def test_counts_are_those_of_their_definitions(width: int, rng: np.random.Genera
         drawn = draw_parts(uv, z, faces, part, PARTS, (h, width))
         planes = np.stack([mask_of(p, width) for p in drawn]).astype(bool)
         for p in range(PARTS):
-            np.testing.assert_array_equal(planes[p], silhouette(uv, z, faces[part == p], (width, h)))
+            np.testing.assert_array_equal(planes[p], covered(uv, z, faces[part == p], (h, width)))
         hidden = None if ignored is None else packed(ignored)
         seen = parts_against_mask(packed(mask, ignored), drawn, (0, width, 0, h), 1, points, radius, hidden)
         nothing = np.zeros_like(mask)
@@ -92,7 +91,7 @@ def test_faces_cover_the_pixels_whose_centres_they_hold(rng: np.random.Generator
         side = [(q[0] - p[0]) * (y - p[1]) - (q[1] - p[1]) * (x - p[0]) for p, q in ((a, b), (b, c), (c, a))]
         inside = np.all(np.array(side) >= 0, axis=0) | np.all(np.array(side) <= 0, axis=0)
         face = np.array([[0, 1, 2]], np.int32)
-        np.testing.assert_array_equal(silhouette(uv, np.ones(3), face, (70, 40)), inside)
+        np.testing.assert_array_equal(covered(uv, np.ones(3), face, (40, 70)), inside)
 
 
 def test_points_through_a_camera_and_what_they_reach() -> None:

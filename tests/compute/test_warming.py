@@ -15,8 +15,8 @@ def parts(tmp_path, monkeypatch):
     """(the parts that ran in this process, those that another was asked for) with a cache of its own; the other fails
     with what fits a body."""
     here, others = [], []
-    made = {name: (lambda part=name: here.append(part),) for name in warming.PARTS}
-    monkeypatch.setattr(warming, "PARTS", made)
+    made = {name: (lambda part=name: here.append(part),) for name in warming.KERNEL_GROUPS}
+    monkeypatch.setattr(warming, "KERNEL_GROUPS", made)
     monkeypatch.setattr(compiled, "cache_folder", lambda: tmp_path)
     monkeypatch.setattr(warming, "failures", [])
     assert warming._can_keep()  # makes the folder
@@ -43,7 +43,7 @@ def test_what_is_there_is_not_done_again_and_nothing_twice(parts):
 def test_what_another_process_could_not_do_is_done_here(parts):
     here, others = parts
     compute.warm_up(load=False)
-    assert here == ["shape"] and sorted(others) == sorted(compute.FOLLOWING)
+    assert here == ["shape"] and sorted(others) == sorted(compute.TRACKING_KERNELS)
 
 
 @pytest.mark.parametrize("change", [(compiled, "cache_folder", lambda: None), (sys, "executable", "/opt/bin/studio")])
@@ -55,7 +55,7 @@ def test_where_nothing_can_be_kept_or_python_is_embedded_only_this_process_compi
 
 
 def test_what_could_not_be_kept_is_not_said_to_be_there(parts, monkeypatch):
-    monkeypatch.setitem(warming.PARTS, "solver", (lambda: warming.failures.append(OSError()),))
+    monkeypatch.setitem(warming.KERNEL_GROUPS, "solver", (lambda: warming.failures.append(OSError()),))
     compute.warm_up("solver", load=False)
     assert not compute.kept("solver")
 

@@ -18,7 +18,7 @@ from hypose.evidence.frame import Silhouettes
 from hypose.evidence.hull import Hull
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.evidence.skin import learned_table, skin_map, skin_posterior, skin_table
-from hypose.synthetic.rigs import look_at
+from hypose.synthetic.scenes import look_at
 
 SIZE = (200, 160)
 

@@ -21,7 +21,7 @@ from hypose.geometry import se3, se3_inverse
 from hypose.synthetic.depth_scenes import depth_scene
 from hypose.synthetic.motions import act
 from hypose.synthetic.performance import assemble, moved
-from hypose.synthetic.rigs import look_at
+from hypose.synthetic.scenes import look_at
 from hypose.synthetic.subjects import load_subjects
 from hypose.tracking.starts import known_pose
 from tests.depth_pictures import WALL_M, frame_of, seen_in_room, sensors

@@ -5,10 +5,11 @@ import numpy as np
 import pytest
 
 from hypose.evidence.frame import Silhouettes
-from hypose.pipeline.one_of_several import NOW_AND_THEN, several_apart
-from hypose.synthetic.rigs import rig
+from hypose.pipeline.one_of_several import several_apart
+from hypose.pipeline.settings import SETTINGS
+from hypose.synthetic.scenes import camera_rig
 
-CAMERAS = rig("ring-3").scaled(0.25).pinhole()
+CAMERAS = camera_rig("ring-3").scaled(0.25).pinhole()
 
 
 def masks_with(*boxes, views=(0, 1)):
@@ -41,4 +42,4 @@ def test_what_one_view_shows_is_nobody():
 
 def test_who_is_there_now_and_then_is_left_to_the_rays():
     now_and_then = [masks_with(PERSON, BESIDE), masks_with(PERSON), masks_with(PERSON)]
-    assert not several_apart(now_and_then) and several_apart(now_and_then, NOW_AND_THEN)
+    assert not several_apart(now_and_then) and several_apart(now_and_then, SETTINGS.several_now_and_then)

@@ -9,7 +9,8 @@ from hypose import compute, fitting
 from hypose.compute.arrays import PriorArrays
 from hypose.errors import InputError, SolverError
 from hypose.evidence.frame import Silhouettes
-from hypose.fitting.articulated import contour_arrays, keypoint_arrays, point_arrays
+from hypose.evidence.terms import KeypointTerm, PointTerm, contour_term
+from hypose.fitting.articulated import cues_of, workspace_for
 from hypose.geometry import so3_exp, so3_log
 from tests import reference
 from tests.capsule_person import capsule_person, random_pose, ring
@@ -42,7 +43,7 @@ def silhouettes_of(pose, rig, usable=None):
 @pytest.fixture(scope="module")
 def scene(rig):
     pose = random_pose(BODY, np.random.default_rng(3), 0.25)
-    return pose, fitting.contour_term(silhouettes_of(pose, rig))
+    return pose, contour_term(silhouettes_of(pose, rig))
 
 
 def keypoints_of(pose, rig, rng, noise=0.0):
@@ -53,46 +54,36 @@ def keypoints_of(pose, rig, rng, noise=0.0):
     uv = np.stack([c.project_pinhole(world) for c in rig])
     uv += noise * rng.normal(size=uv.shape)
     points = np.concatenate([uv, np.full((*uv.shape[:2], 1), 0.8)], -1)
-    return fitting.KeypointTerm(points, rig.projections, joint, offset, scale_px=2.0)
+    return KeypointTerm(points, rig.projections, joint, offset, scale_px=2.0)
 
 
 def points_of(pose, rng):
     joint = np.arange(JOINTS)
     offset = rng.normal(size=(JOINTS, 3)) * 0.05
     r, p = SKELETON.forward(pose)
-    return fitting.PointTerm(p + np.einsum("jab,jb->ja", r, offset), np.ones(JOINTS), joint, offset, scale_m=0.03)
+    return PointTerm(p + np.einsum("jab,jb->ja", r, offset), np.ones(JOINTS), joint, offset, scale_m=0.03)
 
 
-def evaluate(pose, contours=None, keypoints=None, points=None, forward=None):
-    rows = contour_arrays(contours)
-    rows = rows if forward is None else rows._replace(forward_weight=forward)
+def evaluate(pose, *evidence, forward=None):
+    cues, _ = cues_of(BODY, evidence)
+    if forward is not None:
+        cues = cues._replace(contours=cues.contours._replace(forward_weight=forward))
     d = SKELETON.dof
     priors = PriorArrays(np.zeros((0, d)), np.zeros((0, d)), np.full(d, -np.inf), np.full(d, np.inf))
-    ws = fitting.workspace_for(BODY, contours)
-    return compute.evaluate(
-        pose,
-        SKELETON.tree,
-        BODY.coarse.arrays,
-        rows,
-        keypoint_arrays(keypoints, JOINTS),
-        point_arrays(points, JOINTS),
-        None,
-        priors,
-        ws,
-    )
+    return compute.evaluate(pose, SKELETON.tree, BODY.coarse.arrays, cues, priors, workspace_for(BODY, cues))
 
 
-def numeric_gradient(pose, step=1e-5, **terms):
+def numeric_gradient(pose, term, step=1e-5):
     e = np.eye(len(pose)) * step
-    return np.array([(evaluate(pose + a, **terms).cost - evaluate(pose - a, **terms).cost) / (2 * step) for a in e])
+    return np.array([(evaluate(pose + a, term).cost - evaluate(pose - a, term).cost) / (2 * step) for a in e])
 
 
 @pytest.mark.parametrize("cue", ["keypoints", "points"])
 def test_gradient_of_point_rows_by_finite_differences(cue, rig, rng):
     truth = random_pose(BODY, rng, 0.3)
-    term = {"keypoints": keypoints_of(truth, rig, rng)} if cue == "keypoints" else {"points": points_of(truth, rng)}
+    term = keypoints_of(truth, rig, rng) if cue == "keypoints" else points_of(truth, rng)
     pose = start_near(truth, rng, 0.2, 0.05)
-    analytic, numeric = evaluate(pose, **term).gradient, numeric_gradient(pose, **term)
+    analytic, numeric = evaluate(pose, term).gradient, numeric_gradient(pose, term)
     assert np.abs(analytic - numeric).max() < 1e-6 * np.abs(numeric).max()
 
 
@@ -101,7 +92,7 @@ def test_matrix_of_point_rows_is_the_rows_own_product(rng):
     truth = random_pose(BODY, rng, 0.3)
     term = points_of(truth, rng)
     pose = start_near(truth, rng)
-    out = evaluate(pose, points=term)
+    out = evaluate(pose, term)
     r, p = SKELETON.forward(pose)
     expected, pull = np.zeros((SKELETON.dof, SKELETON.dof)), np.zeros(SKELETON.dof)
     for m in range(JOINTS):
@@ -124,7 +115,7 @@ def test_contour_gradient_follows_the_cost(direction, agreement, scene, rng):
     dense = replace(term, row_spacing_px=1.0)
 
     def at(q):
-        return evaluate(q, contours=dense, forward=0.0 if direction == "reverse" else None)
+        return evaluate(q, dense, forward=0.0 if direction == "reverse" else None)
 
     step = 8e-3 * np.eye(SKELETON.dof)
     numeric = np.array([(at(near + e).cost - at(near - e).cost) / 1.6e-2 for e in step])
@@ -141,7 +132,7 @@ def test_recovers_a_pose_from_its_own_silhouettes(rig):
         fit = fitting.fit_pose(
             BODY,
             start,
-            contours=fitting.contour_term(silhouettes_of(pose, rig)),
+            [contour_term(silhouettes_of(pose, rig))],
             priors=[fitting.Quadratic(start, np.full(SKELETON.dof, 0.3))],
             options=fitting.SolveSettings(iterations=24, coarse_iterations=12),
         )
@@ -155,8 +146,8 @@ def test_recovers_a_pose_from_key_points_and_from_points(rig, rng):
     pose = random_pose(BODY, rng, 0.3)
     start = start_near(pose, rng, 0.15, 0.1)
     options = fitting.SolveSettings(iterations=30, coarse_iterations=0, tolerance=1e-8)
-    for term in ({"keypoints": keypoints_of(pose, rig, rng)}, {"points": points_of(pose, rng)}):
-        fit = fitting.fit_pose(BODY, start, **term, options=options)
+    for term in (keypoints_of(pose, rig, rng), points_of(pose, rng)):
+        fit = fitting.fit_pose(BODY, start, [term], options=options)
         assert joint_error_mm(fit.pose, pose) < 0.01
         assert fit.converged and fit.rows > 0 and fit.cost < 1e-6
 
@@ -165,10 +156,10 @@ def test_one_wild_key_point_does_little(rig, rng):
     pose = random_pose(BODY, rng, 0.3)
     term = keypoints_of(pose, rig, rng, noise=0.5)
     options = fitting.SolveSettings(iterations=30, coarse_iterations=0)
-    good = fitting.fit_pose(BODY, pose, keypoints=term, options=options)
+    good = fitting.fit_pose(BODY, pose, [term], options=options)
     wild = term.points.copy()
     wild[0, 8, :2] += 150
-    bad = fitting.fit_pose(BODY, pose, keypoints=replace(term, points=wild), options=options)
+    bad = fitting.fit_pose(BODY, pose, [replace(term, points=wild)], options=options)
     assert joint_error_mm(good.pose, bad.pose) < 5
 
 
@@ -180,9 +171,7 @@ def test_missing_points_are_left_out(rig, rng):
     uvc[1, 4, 2] = 0.1
     xyz = points.points_world.copy()
     xyz[2] = np.nan
-    fit = fitting.fit_pose(
-        BODY, pose, keypoints=replace(keypoints, points=uvc), points=replace(points, points_world=xyz)
-    )
+    fit = fitting.fit_pose(BODY, pose, [replace(keypoints, points=uvc), replace(points, points_world=xyz)])
     assert np.isfinite(fit.pose).all()
     assert fit.rows == uvc.shape[0] * uvc.shape[1] - 2 + JOINTS - 1
 
@@ -192,7 +181,7 @@ def test_limits_hold_and_bind(rng):
     knee = int(SKELETON.dofs_of("left_knee")[0])
     beyond = pose.copy()
     beyond[knee] = SKELETON.lower[knee] - 0.5
-    fit = fitting.fit_pose(BODY, pose, points=points_of(beyond, rng), options=fitting.SolveSettings(30, 0))
+    fit = fitting.fit_pose(BODY, pose, [points_of(beyond, rng)], options=fitting.SolveSettings(30, 0))
     assert (fit.pose >= SKELETON.lower).all() and (fit.pose <= SKELETON.upper).all()
     assert fit.pose[knee] == SKELETON.lower[knee]
     assert fit.gradient[knee] > 0  # it pushes outwards
@@ -204,6 +193,7 @@ def test_priors_alone_give_their_weighted_mean():
     fit = fitting.fit_pose(
         BODY,
         np.zeros(SKELETON.dof),
+        [],
         priors=[fitting.Quadratic(a, w), fitting.Quadratic(b, 3 * w)],
         options=fitting.SolveSettings(60, 0, tolerance=1e-9),
     )
@@ -218,9 +208,7 @@ def test_heading_beyond_half_a_turn_is_kept_on_the_branch_of_the_start(rng):
     start = start_near(pose, rng, 0.05)
     prior = fitting.Quadratic(pose * 1.0, np.full(SKELETON.dof, 1e-3))
     prior.centre[3:6] = so3_log(so3_exp(pose[3:6]))  # the same heading on the other branch
-    fit = fitting.fit_pose(
-        BODY, start, points=points_of(pose, rng), priors=[prior], options=fitting.SolveSettings(30, 0)
-    )
+    fit = fitting.fit_pose(BODY, start, [points_of(pose, rng)], priors=[prior], options=fitting.SolveSettings(30, 0))
     assert joint_error_mm(fit.pose, pose) < 0.5
     np.testing.assert_allclose(fit.pose[3:6], pose[3:6], atol=1e-2)
 
@@ -228,10 +216,10 @@ def test_heading_beyond_half_a_turn_is_kept_on_the_branch_of_the_start(rng):
 @pytest.mark.parametrize("views", [3, 6])
 def test_views_cost_what_each_of_them_costs_alone(views, rng):
     pose = random_pose(BODY, rng)
-    term = fitting.contour_term(silhouettes_of(pose, ring(views, f=420.0, size=(400, 460))))
+    term = contour_term(silhouettes_of(pose, ring(views, f=420.0, size=(400, 460))))
     start = start_near(pose, rng)
-    whole = evaluate(start, contours=term)
-    alone = [evaluate(start, contours=replace(term, usable=np.arange(views) == c)) for c in range(views)]
+    whole = evaluate(start, term)
+    alone = [evaluate(start, replace(term, usable=np.arange(views) == c)) for c in range(views)]
     assert whole.cost == pytest.approx(sum(one.cost for one in alone), rel=1e-12)
     np.testing.assert_allclose(whole.gradient, sum(one.gradient for one in alone), rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(whole.hessian, sum(one.hessian for one in alone), rtol=1e-9, atol=1e-9)
@@ -243,22 +231,22 @@ def test_unusable_starts_are_refused_loudly(scene, rig, rng):
     bad = pose.copy()
     bad[5] = np.nan
     with pytest.raises(SolverError, match="pelvis_rz"):
-        fitting.fit_pose(BODY, bad, contours=term)
+        fitting.fit_pose(BODY, bad, [term])
     with pytest.raises(SolverError, match="36 numbers"):
-        fitting.fit_pose(BODY, pose[:-1], contours=term)
+        fitting.fit_pose(BODY, pose[:-1], [term])
     sdf = term.sdf.copy()
     sdf[:] = np.nan
     with pytest.raises(SolverError, match="not finite"):
-        fitting.fit_pose(BODY, pose, contours=replace(term, sdf=sdf))
+        fitting.fit_pose(BODY, pose, [replace(term, sdf=sdf)])
     with pytest.raises(InputError, match="joint 99"):
-        fitting.fit_pose(BODY, pose, points=replace(points_of(pose, rng), joint=np.full(JOINTS, 99)))
+        fitting.fit_pose(BODY, pose, [replace(points_of(pose, rng), joint=np.full(JOINTS, 99))])
 
 
 def test_many_starts_end_as_each_alone(scene, rng):
     pose, term = scene
     starts = np.stack([start_near(pose, rng) for _ in range(5)])
-    for a, s in zip(fitting.fit_poses(BODY, starts, contours=term), starts, strict=True):
-        b = fitting.fit_pose(BODY, s, contours=term)
+    for a, s in zip(fitting.fit_poses(BODY, starts, [term]), starts, strict=True):
+        b = fitting.fit_pose(BODY, s, [term])
         np.testing.assert_array_equal(a.pose, b.pose)
         assert a.cost == b.cost
 
@@ -269,9 +257,9 @@ def test_what_is_known_of_a_pose_is_the_same_on_both_branches_of_its_rotation():
     other = pose.copy()
     other[3:6] *= 1 - 2 * np.pi / np.linalg.norm(pose[3:6])
     joints = np.arange(len(points))
-    term = fitting.PointTerm(BODY.joints(pose), np.ones(len(points)), joints, np.zeros_like(points), 0.01)
+    term = PointTerm(BODY.joints(pose), np.ones(len(points)), joints, np.zeros_like(points), 0.01)
     still = fitting.SolveSettings(iterations=0, coarse_iterations=0)
-    one, two = (fitting.fit_pose(BODY, q, points=term, options=still) for q in (pose, other))
+    one, two = (fitting.fit_pose(BODY, q, [term], options=still) for q in (pose, other))
     np.testing.assert_allclose(two.pose, other)
     np.testing.assert_allclose(one.information, two.information, rtol=1e-9, atol=1e-6)
     around = [compute.joint_covariances(q, SKELETON.tree, one.information + np.eye(len(q))) for q in (pose, other)]
@@ -293,13 +281,13 @@ def test_covariances_of_joints_are_those_of_the_pose(rng):
 def test_evidence_for_tracking_gives_the_same_cost_near_the_person(rig):
     pose = random_pose(BODY, np.random.default_rng(3), 0.25)
     silhouettes = silhouettes_of(pose, rig)
-    whole = fitting.contour_term(silhouettes)
-    around = fitting.contour_term(silhouettes, working_height=10**6)  # distances around the person, nothing shrunk
+    whole = contour_term(silhouettes)
+    around = contour_term(silhouettes, working_height=10**6)  # distances around the person, nothing shrunk
     assert around.sdf.size < whole.sdf.size
     near = pose.copy()
     near[:3] += 0.03
     options = fitting.SolveSettings(iterations=0, coarse_iterations=0)
-    a, b = (fitting.fit_pose(BODY, near, contours=t, options=options) for t in (whole, around))
+    a, b = (fitting.fit_pose(BODY, near, [t], options=options) for t in (whole, around))
     assert a.cost == pytest.approx(b.cost, rel=1e-6)  # outline points are float32
     np.testing.assert_allclose(a.gradient, b.gradient, rtol=1e-4, atol=1e-3)
 
@@ -307,13 +295,13 @@ def test_evidence_for_tracking_gives_the_same_cost_near_the_person(rig):
 def test_shrunk_evidence_weighs_and_places_the_person_alike(rig):
     pose = random_pose(BODY, np.random.default_rng(3), 0.25)
     silhouettes = silhouettes_of(pose, rig)
-    small = fitting.contour_term(silhouettes, working_height=60)
+    small = contour_term(silhouettes, working_height=60)
     assert (small.shrunk > 1).any()
     start = pose.copy()
     start[:3] += 0.03
     fits = [
-        fitting.fit_pose(BODY, start, contours=t, options=fitting.SolveSettings(16, 4))
-        for t in (fitting.contour_term(silhouettes), small)
+        fitting.fit_pose(BODY, start, [t], options=fitting.SolveSettings(16, 4))
+        for t in (contour_term(silhouettes), small)
     ]
     assert joint_error_mm(fits[0].pose, fits[1].pose) < 10
     assert fits[1].hessian[0, 0] == pytest.approx(fits[0].hessian[0, 0], rel=0.3)

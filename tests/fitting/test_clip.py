@@ -5,6 +5,7 @@ import pytest
 
 from hypose import fitting
 from hypose.compute.linear import frame_covariances
+from hypose.evidence.terms import PointTerm
 from hypose.fitting.clip_solve import Coupling, _Clip, _moved, default_acceleration
 from hypose.geometry import so3_exp, so3_log
 from tests.capsule_person import capsule_person, random_pose
@@ -23,7 +24,7 @@ def motion(rng):
 
 def point_terms(motion, rng, noise):
     return [
-        fitting.PointTerm(p + noise * rng.normal(size=p.shape), np.ones(J), np.arange(J), np.zeros((J, 3)), 0.02)
+        [PointTerm(p + noise * rng.normal(size=p.shape), np.ones(J), np.arange(J), np.zeros((J, 3)), 0.02)]
         for p in BODY.joints(motion)
     ]
 
@@ -31,10 +32,8 @@ def point_terms(motion, rng, noise):
 def test_smooth_clip_is_closer_to_the_truth_than_single_frames(motion, rng):
     terms = point_terms(motion, rng, 0.02)
     prior = [fitting.Quadratic(np.zeros(S.dof), np.full(S.dof, 0.3))]
-    single = np.stack(
-        [fitting.fit_pose(BODY, m, points=t, priors=prior).pose for m, t in zip(motion, terms, strict=True)]
-    )
-    clip = fitting.fit_clip(BODY, motion, points=terms, acceleration=10.0, priors=prior)
+    single = np.stack([fitting.fit_pose(BODY, m, t, priors=prior).pose for m, t in zip(motion, terms, strict=True)])
+    clip = fitting.fit_clip(BODY, motion, terms, acceleration=10.0, priors=prior)
     truth = BODY.joints(motion)
     error = [np.linalg.norm(BODY.joints(q) - truth, axis=-1).mean() for q in (single, clip)]
     assert error[1] < 0.75 * error[0]
@@ -44,10 +43,10 @@ def test_smooth_clip_is_closer_to_the_truth_than_single_frames(motion, rng):
 
 def test_frames_without_evidence_are_bridged(motion, rng):
     terms = point_terms(motion, rng, 0.0)
-    gap = [None if 8 <= t < 12 else term for t, term in enumerate(terms)]
+    gap = [[] if 8 <= t < 12 else term for t, term in enumerate(terms)]
     start = motion.copy()
     start[8:12] = motion[7]
-    clip = fitting.fit_clip(BODY, start, points=gap, acceleration=1.0)
+    clip = fitting.fit_clip(BODY, start, gap, acceleration=1.0)
     assert np.linalg.norm(BODY.joints(clip) - BODY.joints(motion), axis=-1).max() < 0.02
 
 
@@ -57,7 +56,7 @@ def test_step_is_the_dense_step(motion, rng, cut_at):
     if cut_at is not None:  # the way of one shoulder from frame 3 to 4 does not count
         cut[cut_at, S.dofs_of("left_shoulder")] = True
     coupling = Coupling(6, default_acceleration(S.dof, 2.0), velocity, cut)
-    problem = _Clip(BODY, coupling, point_terms(motion[:6], rng, 0.02), None, None, ())
+    problem = _Clip(BODY, coupling, point_terms(motion[:6], rng, 0.02), ())
     q = motion[:6] + 0.02 * rng.normal(size=(6, S.dof))
     gradient, hessian = problem.evaluate(q)[1]()
     problem.lower, problem.upper = np.full(S.dof, -np.inf), np.full(S.dof, np.inf)
@@ -78,7 +77,9 @@ def test_clip_gradient_by_finite_differences(motion, rng):
     a = rng.normal(size=(4, S.dof, S.dof))
     known = [fitting.Gaussian(m + 0.1, x @ x.T) for m, x in zip(motion[:4], a, strict=True)]
     coupling = Coupling(4, default_acceleration(S.dof), np.full(S.dof, 2.0))
-    problem = _Clip(BODY, coupling, point_terms(motion[:4], rng, 0.02), None, known, ())
+    problem = _Clip(
+        BODY, coupling, [[*t, k] for t, k in zip(point_terms(motion[:4], rng, 0.02), known, strict=True)], ()
+    )
     q = motion[:4] + 0.02 * rng.normal(size=(4, S.dof))
     gradient, _ = problem.evaluate(q)[1]()
     numeric = np.zeros_like(q)
@@ -101,7 +102,7 @@ def test_somebody_who_turns_round_and_round_is_smoothed_like_anybody_else(rng):
         seen[3:6] = so3_log(so3_exp(0.01 * rng.normal(size=3)) @ so3_exp(q[3:6]))
         known.append(fitting.Gaussian(seen, np.eye(S.dof)))
     starts = np.stack([k.centre for k in known])
-    clip = fitting.fit_clip(BODY, starts, gaussians=known, acceleration=10.0)
+    clip = fitting.fit_clip(BODY, starts, [[k] for k in known], acceleration=10.0)
     error = np.linalg.norm(BODY.joints(clip) - BODY.joints(truth), axis=-1)
     assert error.mean() < 0.5 * np.linalg.norm(BODY.joints(starts) - BODY.joints(truth), axis=-1).mean()
     assert error.max() < 0.02
@@ -123,7 +124,7 @@ def test_an_arm_that_is_open_about_itself_is_turned_without_carrying_its_elbow_a
         others = np.full(S.dof, 1e4)
         others[arm] = 1e-2
         known.append(fitting.Gaussian(q, where.T @ where + np.diag(others)))
-    clip = fitting.fit_clip(BODY, raised, gaussians=known, acceleration=10.0)
+    clip = fitting.fit_clip(BODY, raised, [[k] for k in known], acceleration=10.0)
     away = np.linalg.norm(BODY.joints(clip)[:, elbow] - BODY.joints(raised)[:, elbow], axis=1)
     assert np.abs(S.difference(clip, raised)[:, arm]).max() > 0.5
     assert away.max() < 0.001

@@ -6,7 +6,7 @@ import pytest
 from hypose import fitting
 from hypose.body.ready_bodies import human
 from hypose.errors import InputError
-from hypose.fitting.depth_surface import DepthTerm, depth_term
+from hypose.evidence.depth_surface import DepthTerm, depth_term
 from hypose.tracking.starts import known_pose
 from tests.depth_pictures import frame_of, sensors
 
@@ -31,7 +31,7 @@ def term(truth):
 
 
 def cost(pose, term):
-    fit = fitting.fit_pose(BODY, pose, depth=term, options=fitting.SolveSettings(iterations=0, coarse_iterations=0))
+    fit = fitting.fit_pose(BODY, pose, [term], options=fitting.SolveSettings(iterations=0, coarse_iterations=0))
     return fit
 
 
@@ -53,7 +53,7 @@ def test_a_pose_is_found_again_from_two_sensors(truth, term, rng):
     start = BODY.skeleton.clamp(truth + np.r_[[0.03] * 3, [0.08] * (D - 3)] * rng.normal(size=D))
     options = fitting.SolveSettings(iterations=25, coarse_iterations=0)
     prior = fitting.Quadratic(truth * 0 + start, np.full(D, 0.01))
-    found = fitting.fit_pose(BODY, start, depth=term, priors=[prior], options=options)
+    found = fitting.fit_pose(BODY, start, [term], priors=[prior], options=options)
     before, after = (
         1000 * np.linalg.norm(BODY.joints(q) - BODY.joints(truth), axis=-1).mean() for q in (start, found.pose)
     )

@@ -5,7 +5,7 @@ import pytest
 
 from hypose import fitting
 from hypose.errors import InputError
-from hypose.fitting.own_rows import RowTerm, row_sums
+from hypose.evidence.terms import PointTerm, RowTerm
 from tests.capsule_person import capsule_person, random_pose
 
 BODY = capsule_person(0.09)
@@ -36,14 +36,16 @@ def test_the_gradient_is_that_of_finite_differences(rng):
     offset = rng.normal(0, 0.1, (J, 3))
     far = np.linalg.norm(BODY.joints(other)[:, None] - ANCHORS, axis=-1)
     terms = [RowTerm(np.arange(J), ranges(far), offset, rng.random(J)), RowTerm(np.array([3]), ranges(far[3:4]))]
-    found = row_sums(pose, S.tree, terms)
-    assert found.count == J + 1 and np.linalg.eigvalsh(found.hessian).min() > -1e-6
-    h = 1e-6
-    numeric = [
-        (row_sums(pose + h * e, S.tree, terms).cost - row_sums(pose - h * e, S.tree, terms).cost) / (2 * h)
-        for e in np.eye(S.dof)
-    ]
-    np.testing.assert_allclose(found.gradient, numeric, rtol=1e-4, atol=1e-3)
+    still = fitting.SolveSettings(0, 0)
+
+    def at(q):
+        return fitting.fit_pose(BODY, q, terms, options=still)
+
+    found, h = at(pose), 1e-6
+    assert found.rows == J + 1 and np.linalg.eigvalsh(found.hessian).min() > -1e-6
+    numeric = [(at(pose + h * e).cost - at(pose - h * e).cost) / (2 * h) for e in np.eye(S.dof)]
+    free = (pose > S.lower + h) & (pose < S.upper - h)
+    np.testing.assert_allclose(found.gradient[free], np.array(numeric)[free], rtol=1e-4, atol=1e-3)
 
 
 def test_points_as_rows_of_ones_own_are_a_point_term(rng):
@@ -53,10 +55,10 @@ def test_points_as_rows_of_ones_own_are_a_point_term(rng):
     weight = rng.uniform(0.5, 1, J)
     joint, offset = np.arange(J), np.zeros((J, 3))
     options = fitting.SolveSettings(30, 0, tolerance=1e-6)
-    given = fitting.PointTerm(measured, weight, joint, offset, 0.02)
-    known = fitting.fit_pose(BODY, S.rest_pose(), points=given, priors=PRIOR, options=options)
+    given = PointTerm(measured, weight, joint, offset, 0.02)
+    known = fitting.fit_pose(BODY, S.rest_pose(), [given], priors=PRIOR, options=options)
     rows = (RowTerm(joint, places(measured, 0.02), offset, weight),)
-    own = fitting.fit_pose(BODY, S.rest_pose(), rows=rows, priors=PRIOR, options=options)
+    own = fitting.fit_pose(BODY, S.rest_pose(), rows, priors=PRIOR, options=options)
     np.testing.assert_allclose(own.pose, known.pose, atol=1e-6)
     np.testing.assert_allclose(own.cost, known.cost, rtol=1e-9)
     np.testing.assert_allclose(own.hessian, known.hessian, rtol=1e-4, atol=1e-3)
@@ -67,7 +69,7 @@ def test_ranges_find_the_pose(rng):
     pose = random_pose(BODY, rng, 0.2)
     far = np.linalg.norm(BODY.joints(pose)[:, None] - ANCHORS, axis=-1)
     rows = (RowTerm(np.arange(J), ranges(far, 0.02)),)
-    found = fitting.fit_pose(BODY, S.rest_pose(), rows=rows, priors=PRIOR, options=fitting.SolveSettings(40, 0))
+    found = fitting.fit_pose(BODY, S.rest_pose(), rows, priors=PRIOR, options=fitting.SolveSettings(40, 0))
     assert np.linalg.norm(BODY.joints(found.pose) - BODY.joints(pose), axis=1).max() < 0.005
     assert (found.pose >= S.lower).all() and (found.pose <= S.upper).all()
 
@@ -75,8 +77,8 @@ def test_ranges_find_the_pose(rng):
 def test_rows_of_the_wrong_shape_are_told():
     flat = RowTerm(np.array([1]), lambda points: (points[:, 0], points))
     with pytest.raises(InputError, match=r"must have the shape \(P, R\)"):
-        fitting.fit_pose(BODY, S.rest_pose(), rows=(flat,))
+        fitting.fit_pose(BODY, S.rest_pose(), [flat])
     with pytest.raises(InputError, match="RowTerm needs"):
         RowTerm(np.array([1, 2]), ranges(0.0), np.zeros(3))
     with pytest.raises(InputError, match=f"joint {J} of {J}"):
-        fitting.fit_pose(BODY, S.rest_pose(), rows=(RowTerm(np.array([J]), ranges(0.0)),))
+        fitting.fit_pose(BODY, S.rest_pose(), [RowTerm(np.array([J]), ranges(0.0))])

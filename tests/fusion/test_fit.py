@@ -6,11 +6,10 @@ from benchmarks.depth_sensors import baselines
 from hypose.compute import fusion
 from hypose.fusion import joints as jt
 from hypose.fusion.fit import FitSettings, adapt_lengths, clip_lengths, fit_step, start_fit, unswap
-from hypose.fusion.fuse import METHODS, FusionSettings, fuse_clip
-from hypose.fusion.point_motion import common_positions
+from hypose.fusion.fuse import FUSION_METHODS, FusionSettings, common_positions, fuse_clip
 from tests.fusion.people import moving_person, seen, sensor_poses
 
-TRUE_LENGTHS = np.linalg.norm(np.diff(moving_person(2)[0][jt.BONES], axis=1)[:, 0], axis=-1)
+TRUE_LENGTHS = np.linalg.norm(np.diff(moving_person(2)[0][jt.SKELETON_BONES], axis=1)[:, 0], axis=-1)
 
 UNKNOWN = np.full((3, 3), np.nan)
 """where sensors stand that report in a common frame"""
@@ -19,7 +18,7 @@ UNKNOWN = np.full((3, 3), np.nan)
 def solve(points, weights, predicted, prior, lengths, bone_weight, data, scale, iterations=30):
     x, share = predicted.copy(), np.zeros(weights.shape)
     variance = np.zeros(15)
-    given = points, weights, predicted, prior, jt.BONES, lengths, bone_weight, data, scale, 1.0, iterations
+    given = points, weights, predicted, prior, jt.SKELETON_BONES, lengths, bone_weight, data, scale, 1.0, iterations
     fusion.fit_frame(*given, x, share, variance)
     return x, share, variance
 
@@ -34,7 +33,7 @@ def test_the_kernel_finds_the_minimum_of_its_cost_and_the_covariance_of_its_matr
 
     def residuals(flat):  # plain squares: the robust scale is endless
         y = flat.reshape(15, 3)
-        d = np.linalg.norm(y[jt.BONES[:, 0]] - y[jt.BONES[:, 1]], axis=1)
+        d = np.linalg.norm(y[jt.SKELETON_BONES[:, 0]] - y[jt.SKELETON_BONES[:, 1]], axis=1)
         return np.concatenate(
             [
                 (np.sqrt(weights * 2500)[..., None] * (points - y)).ravel(),
@@ -59,7 +58,7 @@ def test_the_robust_solve_is_stationary_for_the_lorentzian_cost(rng):
 
     def cost(flat):
         y = flat.reshape(15, 3)
-        d = np.linalg.norm(y[jt.BONES[:, 0]] - y[jt.BONES[:, 1]], axis=1)
+        d = np.linalg.norm(y[jt.SKELETON_BONES[:, 0]] - y[jt.SKELETON_BONES[:, 1]], axis=1)
         square = ((points - y) ** 2).sum(-1)
         return (
             0.5 * 2500 * 0.05**2 * np.log1p(square / 0.05**2).sum()
@@ -82,7 +81,7 @@ def test_noise_goes_down_and_bones_keep_their_length(rng):
     error = np.linalg.norm(joints - target, axis=-1)[10:]
     mean = np.linalg.norm(baselines.fuse_baseline(frames, "weighted_mean") - target, axis=-1)[10:]
     assert error.mean() < 0.85 * mean.mean()
-    sd = [np.std(np.linalg.norm(joints[10:, a] - joints[10:, b], axis=-1)) for a, b in jt.BONES.tolist()]
+    sd = [np.std(np.linalg.norm(joints[10:, a] - joints[10:, b], axis=-1)) for a, b in jt.SKELETON_BONES.tolist()]
     assert max(sd) < 0.008
     assert fused.shares.sum(-1) == pytest.approx(np.ones((150, 15)))
     np.testing.assert_allclose(fused.lengths, TRUE_LENGTHS, atol=0.012)
@@ -147,7 +146,7 @@ def test_missing_joints_are_held_by_their_bones_and_their_sd_grows(rng):
     assert np.all(found.shares[jt.LEFT_HAND] == 0)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", FUSION_METHODS)
 def test_the_same_seed_gives_the_same_result_and_another_one_another_swarm(method, rng):
     frames = seen(moving_person(20), sensor_poses(rng, 3), rng, noise=0.02)
     a, b, c = (fuse_clip(frames, method, FusionSettings(seed=s)).motion.joints for s in (1, 1, 2))

@@ -7,8 +7,7 @@ from benchmarks.synthetic.treadmill import treadmill_recording
 from hypose.errors import InputError
 from hypose.evidence.frame import SensorJoints
 from hypose.fusion import joints as jt
-from hypose.fusion.fuse import FusionSettings, fuse_clip, start, step
-from hypose.fusion.point_motion import common_positions
+from hypose.fusion.fuse import FusionSettings, common_positions, fuse_clip, fuse_frame, start
 from tests.fusion.people import in_reference, moving_person, seen, sensor_poses
 
 
@@ -18,7 +17,7 @@ def test_a_stream_learns_where_its_sensors_stand(rng):
     state, target = start(frames[0]), in_reference(truth, poses)
     errors = []
     for t, frame in enumerate(frames):
-        state, fused = step(state, frame)
+        state, fused = fuse_frame(state, frame)
         errors.append(np.linalg.norm(fused.joints - target[t], axis=-1).mean())
     assert np.mean(errors[60:]) < 0.012
     assert state.registration.registered.all()
@@ -78,7 +77,7 @@ def test_bad_input_is_refused_in_a_sentence(rng):
     with pytest.raises(InputError, match=r"Frame 3 has 25 joints .* instead of 15"):
         fuse_clip([*frames[:3], wide])
     with pytest.raises(InputError, match="A frame has 25 joints"):
-        step(start(frames[0]), wide)
+        fuse_frame(start(frames[0]), wide)
     nothing = [SensorJoints(np.full((2, 15, 3), np.nan), f.state, f.times, jt.COMMON, ("s0", "s1")) for f in frames]
     with pytest.raises(InputError, match="No sensor reports any joint in the whole clip"):
         fuse_clip(nothing)

@@ -5,7 +5,7 @@ import pytest
 
 from hypose.app.live.simulated_sensors import builtin_joints
 from hypose.fusion.joints import MIRROR
-from hypose.fusion.places import _plain_fits, find_place
+from hypose.fusion.people import _plain_fits, find_place
 from hypose.geometry import procrustes, se3, se3_inverse, so3_exp, transform
 
 

@@ -5,7 +5,7 @@ from benchmarks.depth_sensors.sensor_choice import heading, register_per_frame
 from hypose.errors import InputError
 from hypose.evidence.frame import SensorJoints
 from hypose.fusion import joints as jt
-from hypose.fusion.register import check_same_person, depth_at_joints, identity, register, upward
+from hypose.fusion.register import check_same_person, identity_registration, measured_joint_depth, register, upward
 from tests.fusion.people import in_reference, moving_person, seen, sensor_poses
 
 
@@ -91,7 +91,7 @@ def test_depth_is_read_at_the_joints_pixels_and_nothing_outside_the_image():
     p = np.full((1, 15, 3), np.nan)
     p[0, 0], p[0, 1], p[0, 2] = (0, 0, 2.0), (0.2, 0.2, 2.0), (5, 0, 2.0)
     f = SensorJoints(p, np.full((1, 15), 2), np.zeros(1), jt.COMMON, ("a",), depth, k[None])
-    assert depth_at_joints(f)[0, :4] == pytest.approx([2.0, 1.9, 0, 0])
+    assert measured_joint_depth(f)[0, :4] == pytest.approx([2.0, 1.9, 0, 0])
 
 
 def test_heading_follows_a_turn_and_up_is_up():
@@ -108,4 +108,4 @@ def test_a_sensor_that_reports_a_point_is_refused(rng):
     positions = rng.normal(size=(20, 2, 15, 3))
     positions[:, 1] = [0.0, 0.0, 2.0]
     with pytest.raises(InputError, match="'b' reports all joints at one point"):
-        check_same_person(positions, identity(2), ("a", "b"))
+        check_same_person(positions, identity_registration(2), ("a", "b"))

@@ -6,12 +6,12 @@ from scipy.stats import ncx2
 
 from hypose.body.motion import sd_per_axis
 from hypose.compute import fusion
+from hypose.fusion import fit as trust
 from hypose.fusion import joints as jt
-from hypose.fusion import trust
 from hypose.fusion.fuse import FusionSettings, fuse_clip
 from tests.fusion.people import REST, moving_person, seen, sensor_poses
 
-LENGTHS = np.linalg.norm(REST[jt.BONES[:, 0]] - REST[jt.BONES[:, 1]], axis=-1)
+LENGTHS = np.linalg.norm(REST[jt.SKELETON_BONES[:, 0]] - REST[jt.SKELETON_BONES[:, 1]], axis=-1)
 LEFT = np.array([1.0, 0.0, 0.0])  # the person at rest faces -y
 FRONT, LEFT_SIDE, RIGHT_SIDE, BACK = ([0, -2.5, 1.2], [2.5, 0, 1.2], [-2.5, 0, 1.2], [0, 2.5, 1.2])
 ARMS = {"left": [jt.LEFT_ELBOW, jt.LEFT_HAND], "right": [jt.RIGHT_ELBOW, jt.RIGHT_HAND]}
@@ -20,7 +20,7 @@ ARMS = {"left": [jt.LEFT_ELBOW, jt.LEFT_HAND], "right": [jt.RIGHT_ELBOW, jt.RIGH
 def open_at(positions, eyes, states=2, joints=REST, lengths=LENGTHS, variance=0.0):
     positions = np.asarray(positions, dtype=float)
     states = np.full(positions.shape[:2], states, np.uint8)
-    return trust.what_is_open(
+    return trust.remaining_uncertainty(
         positions, states, np.array(eyes, dtype=float), LEFT, lengths, joints, np.full(15, variance)
     )
 

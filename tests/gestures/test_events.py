@@ -3,8 +3,8 @@
 import pytest
 
 from hypose.errors import InputError
-from hypose.gestures.events import EventSettings, EventState, step
-from hypose.gestures.localise import Found
+from hypose.gestures.events import EventSettings, EventState, detect_events
+from hypose.gestures.localise import Localisation
 
 SETTINGS = [EventSettings(10.0, release=0.6, hold_s=0.15, let_go_s=0.15, refractory_s=0.5)]
 
@@ -12,7 +12,7 @@ SETTINGS = [EventSettings(10.0, release=0.6, hold_s=0.15, let_go_s=0.15, refract
 def run(scores, rate=20.0, settings=SETTINGS):
     state, out = EventState(), []
     for k, s in enumerate(scores):
-        state, events = step(state, [Found(1, 5.0, 6.0, s, None)], k / rate, settings)
+        state, events = detect_events(state, [Localisation(1, 5.0, 6.0, s, None)], k / rate, settings)
         out += [(e.kind, round(e.time, 3)) for e in events]
     return out, state
 
@@ -39,8 +39,8 @@ def test_rest_after_the_end():
 def test_gestures_do_not_disturb_each_other():
     state, seen = EventState(), []
     for k in range(20):
-        found = [Found(1, 0.0, 0.0, 15.0 if k < 10 else 0.0, None), Found(2, 0.0, 0.0, 15.0, None)]
-        state, events = step(state, found, k / 20, SETTINGS * 2)
+        found = [Localisation(1, 0.0, 0.0, 15.0 if k < 10 else 0.0, None), Localisation(2, 0.0, 0.0, 15.0, None)]
+        state, events = detect_events(state, found, k / 20, SETTINGS * 2)
         seen += [(e.kind, e.gesture) for e in events]
     assert seen == [("start", 1), ("start", 2), ("end", 1)]
 

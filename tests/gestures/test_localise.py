@@ -6,7 +6,7 @@ import pytest
 from hypose.compute.forest_votes import ScanPlan
 from hypose.errors import InputError
 from hypose.gestures import runtime
-from hypose.gestures.depth_pictures import Lens, millimetres
+from hypose.gestures.depth_pictures import DepthLens, millimetres
 from hypose.gestures.forest import ForestSettings
 from hypose.gestures.localise import LocaliseSettings, Scratch, localise
 from hypose.gestures.online import Learner
@@ -98,7 +98,7 @@ def test_what_is_no_picture_is_refused(picture):
 
 def test_lenses_that_cannot_be_are_refused():
     with pytest.raises(InputError, match="lens"):
-        Lens(0.0, 0.0, 1.0, 1.0)
+        DepthLens(0.0, 0.0, 1.0, 1.0)
 
 
 def test_no_forest_is_refused():

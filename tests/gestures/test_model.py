@@ -10,9 +10,8 @@ from hypose.errors import InputError
 from hypose.gestures.forest import ForestSettings
 from hypose.gestures.localise import LocaliseSettings
 from hypose.gestures.model import GestureModel, from_arrays, to_arrays
-from hypose.gestures.offline import OfflineSettings, collect, train
-from hypose.gestures.online import Learner
-from hypose.gestures.pixels import Example
+from hypose.gestures.online import Example, Learner
+from hypose.gestures.trainer import OfflineSettings, collect, train_offline
 from hypose.pipeline.gesture_files import SessionWriter, export_model, load_model, read_recording, save_model
 
 from .toys import LENS, SHAPE, toy
@@ -128,7 +127,7 @@ def test_export_runs_alone(taught, tmp_path):
     files = export_model(model_of(taught), tmp_path / "out")
     namespace: dict = {"__name__": "gesture_runtime"}
     exec(compile(files[2].read_text(), "gesture_runtime.py", "exec"), namespace)  # noqa: S102
-    model = namespace["load"](str(files[0]), str(files[1]))
+    model = namespace["load_forest"](str(files[0]), str(files[1]))
     depth, (x, y), _ = toy(np.random.default_rng(30), 1200, holes=False)
     at = namespace["find"](model, depth, LENS.fx)[0]
     assert np.hypot(at[0] - x, at[1] - y) < 8
@@ -142,7 +141,9 @@ def test_offline_forests_learn_and_are_kept(tmp_path):
     pool = collect(examples, rng)
     assert set(pool.labels.tolist()) == {0, 1}
     for learning in ("trees", "subforests", "plain"):
-        forest = train(pool, rng, OfflineSettings(ForestSettings(trees=6), per_class=600, learning=learning, group=3))
+        forest = train_offline(
+            pool, rng, OfflineSettings(ForestSettings(trees=6), per_class=600, learning=learning, group=3)
+        )
         found = []
         from hypose.gestures.localise import localise
 
@@ -159,7 +160,7 @@ def test_offline_forests_learn_and_are_kept(tmp_path):
 def test_a_pool_without_a_gesture_is_refused():
     pool = collect([e for e in toy_examples(6, 1) if not e.gesture], np.random.default_rng(0))
     with pytest.raises(InputError, match="every gesture"):
-        train(pool, np.random.default_rng(0))
+        train_offline(pool, np.random.default_rng(0))
 
 
 def test_sessions_are_recorded_and_read_again(tmp_path):

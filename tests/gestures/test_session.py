@@ -3,7 +3,7 @@
 import pytest
 
 from hypose.errors import InputError
-from hypose.gestures.session import Session, SessionSettings, observe, step
+from hypose.gestures.session import Session, SessionSettings, advance, update_maximum
 
 SETTINGS = SessionSettings(do_gesture_s=1, positive_s=2, release_s=1, negative_s=3, rounds=2)
 
@@ -11,7 +11,7 @@ SETTINGS = SessionSettings(do_gesture_s=1, positive_s=2, release_s=1, negative_s
 def drive(commands=None, until=20.0, rate=10.0, settings=SETTINGS):
     s, seen = Session(), []
     for k in range(int(until * rate)):
-        s, i = step(s, settings, k / rate, (commands or {}).get(k, ()))
+        s, i = advance(s, settings, k / rate, (commands or {}).get(k, ()))
         seen.append(i)
     return s, seen
 
@@ -46,12 +46,12 @@ def test_undo_takes_the_last_segment_back_once():
 
 def test_undo_restores_the_threshold():
     s = Session()
-    s, _ = step(s, SETTINGS, 0.0, ["next"])
-    s = observe(s, SETTINGS, 50.0)
-    s, _ = step(s, SETTINGS, 0.1, ["next", "next"])
-    s = observe(s, SETTINGS, 10.0)
+    s, _ = advance(s, SETTINGS, 0.0, ["next"])
+    s = update_maximum(s, SETTINGS, 50.0)
+    s, _ = advance(s, SETTINGS, 0.1, ["next", "next"])
+    s = update_maximum(s, SETTINGS, 10.0)
     assert s.threshold(SETTINGS) == pytest.approx(0.8 * 50 + 0.2 * 10)
-    s, i = step(s, SETTINGS, 0.2, ["undo"])
+    s, i = advance(s, SETTINGS, 0.2, ["undo"])
     assert i.restart and s.low is None and s.high == 50.0
 
 
@@ -65,7 +65,7 @@ def test_pause_stops_the_clock_and_the_learning():
 
 def test_unknown_commands_and_settings_are_refused():
     with pytest.raises(InputError, match="commands are"):
-        step(Session(), SETTINGS, 0.0, ["jump"])  # type: ignore[list-item]
+        advance(Session(), SETTINGS, 0.0, ["jump"])  # type: ignore[list-item]
     with pytest.raises(InputError, match="rounds"):
         SessionSettings(rounds=0)
     with pytest.raises(InputError, match="rho"):

@@ -6,8 +6,7 @@ import pytest
 from benchmarks.depth_gestures.gesture_data import teach
 from hypose.gestures.forest import ForestSettings
 from hypose.gestures.localise import localise
-from hypose.gestures.online import Learner
-from hypose.gestures.pixels import Chooser, Example, LearnSettings
+from hypose.gestures.online import Example, Learner, LearnSettings, PixelSampler
 from hypose.gestures.session import SessionSettings
 from hypose.gestures.trainer import Trainer, balanced
 
@@ -125,13 +124,13 @@ def test_pixels_around_the_place_are_learned_as_background():
     depth = np.full((150, 200), 1000, np.uint16)
     learned = {}
     for around in (0, 10):
-        settings = LearnSettings(positives=5, around=around, beside=0, hard=0, rim_mm=20, clear_mm=45)
+        settings = LearnSettings(positives=5, around=around, random=0, hard=0, rim_mm=20, clear_mm=45)
         learner = Learner.new(np.random.default_rng(0), None, settings)
         taught = learner.show(depth, LENS, 1, 100.0, 75.0)
         assert taught is not None
         learned[around] = taught.learned
     assert learned == {0: (0, 5), 10: (10, 5)}
-    chooser = Chooser(np.random.default_rng(0), LearnSettings(rim_mm=20, clear_mm=45))
+    chooser = PixelSampler(np.random.default_rng(0), LearnSettings(rim_mm=20, clear_mm=45))
     (rows, columns), label = chooser.choose(Example(depth, LENS, 1, 100.0, 75.0), 5, 0)[2]
     distance = np.hypot(rows - 75, columns - 100) / (LENS.fx / 1000)
     assert label == 0 and distance.min() > 17 and distance.max() < 48  # half a pixel is 2.5 mm

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from hypose.gestures.depth_pictures import Lens
+from hypose.gestures.depth_pictures import DepthLens
 from hypose.gestures.forest import ForestSettings, GrowingForest
 from hypose.gestures.localise import pad
 
-LENS = Lens(200.0, 200.0, 99.5, 74.5)
+LENS = DepthLens(200.0, 200.0, 99.5, 74.5)
 SHAPE = (150, 200)
 
 

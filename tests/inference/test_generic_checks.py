@@ -10,7 +10,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from hypose.inference import kernels, selectivity, selectors
+from hypose.inference import annealing, kernels, resampling
 from hypose.inference.hypotheses import Hypotheses
 
 D = 4
@@ -51,21 +51,21 @@ KERNELS = {
     ],
 }
 SELECTORS = {
-    "systematic": [selectors.systematic],
-    "roulette": [selectors.roulette],
-    "keep": [selectors.keep],
-    "LayeredSystematic": [selectors.LayeredSystematic(SOME), selectors.LayeredSystematic(np.zeros(D, bool))],
+    "systematic": [resampling.systematic],
+    "roulette": [resampling.roulette],
+    "keep": [resampling.keep],
+    "LayeredResampling": [resampling.LayeredResampling(SOME), resampling.LayeredResampling(np.zeros(D, bool))],
 }
 SELECTIVITIES = {
-    "FixedSelectivity": [selectivity.FixedSelectivity(0.5), selectivity.FixedSelectivity(0.0)],
+    "FixedAnnealingRate": [annealing.FixedAnnealingRate(0.5), annealing.FixedAnnealingRate(0.0)],
     "SurvivalRate": [
-        selectivity.SurvivalRate(),
-        selectivity.SurvivalRate(1.0),
-        selectivity.SurvivalRate(1e-3),
+        annealing.SurvivalRate(),
+        annealing.SurvivalRate(1.0),
+        annealing.SurvivalRate(1e-3),
     ],
 }
 # what looks like one of them by its signature but is the type itself
-PROTOCOLS = {"Kernel", "Weigh", "Select", "Energy", "Selectivity", "LogPrior", "Estimate"}
+PROTOCOLS = {"Kernel", "Weigh", "Resample", "Energy", "AnnealingRate", "LogPrior", "Estimate"}
 
 
 def discovered(module: ModuleType, arguments: tuple[str, ...]) -> set[str]:
@@ -88,9 +88,9 @@ def examples(table: dict) -> list:
 
 def test_every_part_has_an_example():
     assert discovered(kernels, ("h", "frame", "rng")) == set(KERNELS)
-    assert discovered(selectors, ("h", "rng")) == set(SELECTORS)
-    assert discovered(selectivity, ("energies",)) == set(SELECTIVITIES)
-    assert discovered(selectivity, ("h", "frame")) == {"Annealed"}
+    assert discovered(resampling, ("h", "rng")) == set(SELECTORS)
+    assert discovered(annealing, ("energies",)) == set(SELECTIVITIES)
+    assert discovered(annealing, ("h", "frame")) == {"SmoothedWeight"}
 
 
 def population(shape: tuple[int, ...], lost: bool = False, covariance: bool = False) -> Hypotheses:
@@ -151,7 +151,7 @@ def test_selectors(selector, h):
     assert snapshot(h) == before
     well_formed(chosen, h)
     assert snapshot(chosen) == snapshot(selector(h, np.random.default_rng(3)))
-    if selector is not selectors.keep:
+    if selector is not resampling.keep:
         np.testing.assert_array_equal(chosen.log_weights, np.full(chosen.origin.shape, -np.log(chosen.count)))
     for d in range(D):  # nothing is invented: each coordinate comes from the set
         assert np.isin(chosen.values[..., d], h.values[..., d]).all()
@@ -178,7 +178,7 @@ ENERGIES = {
 def test_weights(chooser, energies):
     h = Hypotheses.uniform(np.zeros((*energies.shape, D)))
     before = energies.tobytes()
-    weigh = selectivity.Annealed(lambda h, frame: energies, chooser)
+    weigh = annealing.SmoothedWeight(lambda h, frame: energies, chooser)
     log_weights, beta = weigh(h, None), chooser(energies)
     assert energies.tobytes() == before
     assert log_weights.shape == energies.shape and beta.shape == energies.shape[:-1]

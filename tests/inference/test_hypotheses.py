@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hypose.inference.hypotheses import Hypotheses
-from hypose.inference.random_streams import stream
+from hypose.inference.layer import stream
 
 
 def make(log_weights, values=None):

@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 
-from hypose.inference.paths import likeliest_path
+from hypose.inference.estimates import likeliest_path
 
 
 def test_path_and_weights_are_those_of_all_paths():

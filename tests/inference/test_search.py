@@ -5,6 +5,7 @@ from functools import partial
 
 import numpy as np
 
+from hypose.inference.annealing import FixedAnnealingRate, SmoothedWeight, SurvivalRate
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.kernels import (
     Compose,
@@ -15,10 +16,8 @@ from hypose.inference.kernels import (
     layered_sigma,
     stay,
 )
-from hypose.inference.layer import Layer, Recipe, search
-from hypose.inference.random_streams import stream
-from hypose.inference.selectivity import Annealed, FixedSelectivity, SurvivalRate
-from hypose.inference.selectors import LayeredSystematic, systematic
+from hypose.inference.layer import Layer, Recipe, search, stream
+from hypose.inference.resampling import LayeredResampling, systematic
 
 N, D, FRAMES = 80, 4, 6
 SIGMA = np.array([0.3, 0.2, 0.25, 0.15])
@@ -43,7 +42,7 @@ def run(recipe, seed=3):
     h, estimates = Hypotheses.uniform(START), []
     for t in range(FRAMES):
         result = search(h, recipe, TRUTH[t], partial(stream, seed, t))
-        h = result.selected
+        h = result.resampled
         estimates.append(result.estimate)
     return np.array(estimates), h
 
@@ -97,7 +96,9 @@ EVERYTHING = range(D)
 
 
 def test_plain_particle_filter():
-    recipe = Recipe("sir", (Layer(GaussianDiffusion(SIGMA), Annealed(energy, FixedSelectivity(0.4)), systematic),))
+    recipe = Recipe(
+        "sir", (Layer(GaussianDiffusion(SIGMA), SmoothedWeight(energy, FixedAnnealingRate(0.4)), systematic),)
+    )
     same(recipe, [(SIGMA, energy_one, 0.4, EVERYTHING)])
 
 
@@ -108,7 +109,7 @@ def test_annealed_particle_filter():
         tuple(
             Layer(
                 GaussianDiffusion(annealed_sigma(SIGMA, alphas, k)),
-                Annealed(energy, FixedSelectivity(b)),
+                SmoothedWeight(energy, FixedAnnealingRate(b)),
                 systematic,
             )
             for k, b in enumerate(betas)
@@ -125,7 +126,7 @@ def test_partitioned_sampling():
     for part in parts:
         sigma = np.where(np.isin(np.arange(D), part), SIGMA, 0.0)
         cost = partial(partition_energy, part)
-        layers.append(Layer(GaussianDiffusion(sigma), Annealed(cost, FixedSelectivity(0.5)), systematic))
+        layers.append(Layer(GaussianDiffusion(sigma), SmoothedWeight(cost, FixedAnnealingRate(0.5)), systematic))
         expected.append((sigma, lambda x, z, p=part: energy_one(x[p], z[p]), 0.5, EVERYTHING))
     same(Recipe("partitioned", tuple(layers)), expected)
 
@@ -136,8 +137,8 @@ def test_layered_particle_filter():
     for number, part in enumerate(parts):
         sigma = layered_sigma(SIGMA, parts, 0.8, number)
         done = sorted([*done, *part])
-        select = LayeredSystematic(filtered_mask(parts, D, number))
-        layers.append(Layer(GaussianDiffusion(sigma), Annealed(energy, FixedSelectivity(0.3)), select))
+        select = LayeredResampling(filtered_mask(parts, D, number))
+        layers.append(Layer(GaussianDiffusion(sigma), SmoothedWeight(energy, FixedAnnealingRate(0.3)), select))
         by_hand = [SIGMA[d] * 0.8 ** (number - [0, 1, 0, 2][d]) if d in done else 0.0 for d in range(D)]
         expected.append((by_hand, energy_one, 0.3, done))
     same(Recipe("hpf", tuple(layers)), expected)
@@ -153,23 +154,23 @@ def test_weigh_sees_the_population_and_the_estimate_comes_before_selection():
 
     recipe = Recipe("box", (Layer(stay, far_from_mean, only_best),), estimate=Hypotheses.mean)
     result = search(Hypotheses.uniform(START), recipe, None, partial(stream, 0, 0))
-    assert result.selected.count == 1 and result.weighted.count == N
+    assert result.resampled.count == 1 and result.weighted.count == N
     np.testing.assert_allclose(result.estimate, result.weighted.mean())
     best = search(Hypotheses.uniform(START), replace(recipe, estimate=Hypotheses.best), None, partial(stream, 0, 0))
-    np.testing.assert_array_equal(best.estimate, result.selected.values[0])
+    np.testing.assert_array_equal(best.estimate, result.resampled.values[0])
 
 
 def test_lost_evidence_is_survived():
-    blind = Annealed(lambda h, z: np.full(h.count, np.nan))
+    blind = SmoothedWeight(lambda h, z: np.full(h.count, np.nan))
     recipe = Recipe("blind", (Layer(GaussianDiffusion(SIGMA), blind, systematic),))
     result = search(Hypotheses.uniform(START), recipe, None, partial(stream, 0, 0))
     assert result.weighted.evidence_lost
     np.testing.assert_allclose(result.estimate, result.weighted.values.mean(0))
-    np.testing.assert_array_equal(result.selected.values, result.weighted.values)  # nobody dies of a blind frame
+    np.testing.assert_array_equal(result.resampled.values, result.weighted.values)  # nobody dies of a blind frame
 
 
 def test_same_seed_is_bit_identical_and_a_resumed_run_too():
-    layer = Layer(GaussianDiffusion(SIGMA), Annealed(energy), systematic)
+    layer = Layer(GaussianDiffusion(SIGMA), SmoothedWeight(energy), systematic)
     recipe = Recipe("sir", (layer, layer))
     estimates, h = run(recipe)
     again, h_again = run(recipe)
@@ -177,10 +178,10 @@ def test_same_seed_is_bit_identical_and_a_resumed_run_too():
     assert run(recipe, seed=4)[0].tobytes() != estimates.tobytes()
     middle = Hypotheses.uniform(START)
     for t in range(3):
-        middle = search(middle, recipe, TRUTH[t], partial(stream, 3, t)).selected
+        middle = search(middle, recipe, TRUTH[t], partial(stream, 3, t)).resampled
     resumed = Hypotheses(middle.values.copy(), middle.log_weights.copy(), middle.origin.copy())
     for t in range(3, FRAMES):
-        resumed = search(resumed, recipe, TRUTH[t], partial(stream, 3, t)).selected
+        resumed = search(resumed, recipe, TRUTH[t], partial(stream, 3, t)).resampled
     assert resumed.values.tobytes() == h.values.tobytes()
 
 
@@ -188,7 +189,7 @@ def test_batched_populations_run_side_by_side():
     shifted = np.stack([START, START + 1.0])
     layer = Layer(
         Compose((ConstantVelocity(np.ones(D) * 0.1), GaussianDiffusion(SIGMA))),
-        Annealed(lambda h, z: np.square(h.values - z[:, None, :]).sum(-1), SurvivalRate(0.2)),
+        SmoothedWeight(lambda h, z: np.square(h.values - z[:, None, :]).sum(-1), SurvivalRate(0.2)),
         systematic,
     )
     z = np.stack([np.zeros(D), np.ones(D)])
@@ -228,7 +229,7 @@ def test_particle_filter_converges_to_the_kalman_filter():
         h, weighted = Hypotheses.uniform(start), None
         for t, z in enumerate(seen):
             result = search(h, recipe, z, partial(stream, 2, t + 100 * int(n)))
-            h, weighted = result.selected, result.weighted
+            h, weighted = result.resampled, result.weighted
         error_mean = np.sqrt(np.mean((result.estimate - mean) ** 2))
         error_covariance = np.sqrt(np.mean((weighted.scatter() - covariance) ** 2))
         errors.append((error_mean, error_covariance))

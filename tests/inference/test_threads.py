@@ -13,14 +13,14 @@ from hypose.inference.estimates import TangentMean
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.kernels import AdaptiveDiffusion
 from hypose.inference.layer import Layer, Recipe, search
-from hypose.inference.random_streams import stream
+from hypose.inference.layer import stream
 from hypose.compute.losses import geman_mcclure
 from hypose.compute.linear import SharedEquations, weighted_squares
-from hypose.inference.selectivity import Annealed
-from hypose.inference.selectors import systematic
+from hypose.inference.annealing import SmoothedWeight
+from hypose.inference.resampling import systematic
 
 rng = np.random.default_rng(0)
-weigh = Annealed(lambda h, z: (h.values**2).sum(-1))
+weigh = SmoothedWeight(lambda h, z: (h.values**2).sum(-1))
 layer = Layer(AdaptiveDiffusion(0.4), weigh, systematic)
 start = Hypotheses.uniform(rng.normal(size=(600, 36)))
 result = search(start, Recipe("r", (layer,) * 3, estimate=TangentMean((3, 6))), None, partial(stream, 0, 0))
@@ -31,7 +31,7 @@ own = np.repeat(hessian[None, 6:, 6:], 5, 0)
 cross = np.repeat(hessian[None, 6:, :6], 5, 0)
 equations = SharedEquations(10 * hessian[:6, :6], gradient[:6], own, np.repeat(gradient[None, 6:], 5, 0), cross)
 step = equations.reduced(0.01).step()
-parts = result.estimate, result.selected.values, result.weighted.log_weights, hessian, step
+parts = result.estimate, result.resampled.values, result.weighted.log_weights, hessian, step
 print(hashlib.sha256(b"".join(p.tobytes() for p in parts)).hexdigest())
 """
 

@@ -30,7 +30,7 @@ from hypose.io.recordings.frames import (
 from hypose.io.recordings.recording import Recording, View, load_recording, write_recording
 from hypose.io.recordings.view_source import DepthSource, Preparer, mask_in
 from hypose.io.sensors.depth import write_depth_png
-from hypose.synthetic.rigs import look_at
+from hypose.synthetic.scenes import look_at
 from tests.depth_pictures import seen_in_room
 from tests.evidence.scenes import ellipse, iou, picture, ring, room
 

@@ -17,15 +17,15 @@ from benchmarks.robustness.keypoint_layouts import (
 )
 from hypose.errors import InputError
 from hypose.evidence.keypoint_check import misread
-from hypose.evidence.keypoints import keypoint_names
+from hypose.evidence.keypoints import keypoint_names, parse_openpose
 from hypose.io.keypoints.read_keypoints import keypoints_of_views, read_keypoints
 from hypose.io.recordings.frames import FrameSettings, load_keypoints
 from hypose.io.recordings.recording import load_recording
-from hypose.synthetic.rigs import rig
+from hypose.synthetic.scenes import camera_rig
 from tests import missing
 
 FRAMES = 14
-RIG = rig("humaneva-4")
+RIG = camera_rig("humaneva-4")
 
 
 def written(folder, layout, points=None, stated=None, keypoint_set=None):
@@ -295,9 +295,31 @@ def test_two_models_are_refused(tmp_path):
 @pytest.mark.parametrize("name", ["humaneva-4", "ring-3", "ring-4"])
 def test_mirrored_pictures_are_told_where_cameras_stand_evenly(name):
     # such cameras, two of them exchanged, fit mirrored points nearly as well
-    cameras = rig(name)
+    cameras = camera_rig(name)
     points = detections("BODY_25", cameras, FRAMES)
     width = cameras.sizes[:, 0, None, None]
     points[..., 0] = np.where(points[..., 2] > 0, width - 1 - points[..., 0], 0)
     people = [[view[t][None] for t in range(FRAMES)] for view in points]
     assert "mirrored" in str(misread(people, keypoint_names("BODY_25"), cameras))
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("alphapose_cmu", "AlphaPose results"),
+        ("ultralytics_id_missing", "Ultralytics labels"),
+        ("pose_sync", "pose-sync"),
+    ],
+)
+def test_recordings_of_other_programs(shared_data, name, words):
+    """One of them has lines without the track's number, one has key points that Pose2Sim has synchronised."""
+    recording, found = loaded(shared_data("outside_cases") / name)
+    assert any(words in n for n in recording.notes) and found.shape[:2] == (4, 60)
+    assert (found[..., 2] > 0.3).mean() > 0.5
+    if name == "pose_sync":
+        assert all(v.keypoints.parent.name == "pose-sync" for v in recording.views)
+
+
+def test_openpose_1_0_is_read():
+    flat = [1.0, 2.0, 0.5] * 18
+    assert parse_openpose({"people": [{"pose_keypoints": flat}]}, raw=True).shape == (1, 18, 3)

@@ -12,7 +12,7 @@ from benchmarks.synthetic.skeleton_folders import write_folder
 from hypose.errors import InputError
 from hypose.evidence.frame import SensorReport
 from hypose.io.files import bounded_lines
-from hypose.io.sensors.depth import read_azure_mkv, read_depth_png, write_depth_png
+from hypose.io.sensors.depth import read_azure_mkv, read_depth_png, write_depth_png, write_millimetres_png
 from hypose.io.sensors.skeleton_files import KINECT_V2, FolderWriter, read_ntu, read_skeletons
 from hypose.io.sensors.skeleton_streams import (
     MAX_SKELETON_LINE,
@@ -482,3 +482,20 @@ def test_a_file_of_lines(tmp_path, rng):
     (tmp_path / "t.jsonl").write_text("\n".join([*lines[:3], lines[0].replace("head", "tail")]))
     with pytest.raises(InputError, match="line 4: the sensor a reports"):
         read_lines(tmp_path / "t.jsonl")
+
+
+def test_offline_processor_of_azure_kinect(shared_data, tmp_path):
+    made = read_skeletons(shared_data("outside_cases") / "offline.json")
+    (stream,) = made.streams
+    assert len(stream.times) == 60 and stream.rate == pytest.approx(25) and "WRIST_LEFT" in stream.joint_names
+    assert 2 < np.nanmedian(stream.positions[..., 2]) < 4  # metres
+    document = json.loads((shared_data("outside_cases") / "offline.json").read_text())
+    for damage in ({"frames": 3}, {"frames": [{}]}, {"frames": [{"timestamp_usec": 0, "bodies": [{"body_id": 1}]}]}):
+        (tmp_path / "a.json").write_text(json.dumps(document | damage))
+        with pytest.raises(InputError, match=r"a\.json"):
+            read_skeletons(tmp_path / "a.json")
+
+
+def test_depth_that_was_not_measured_is_a_hole(tmp_path):
+    write_millimetres_png(tmp_path / "a.png", np.array([[0, 65535, 1500]], dtype=np.uint16))
+    assert read_depth_png(tmp_path / "a.png").tolist() == [[0.0, 0.0, 1.5]]

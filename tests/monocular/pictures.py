@@ -5,7 +5,7 @@ import numpy as np
 
 from hypose.cameras.camera import Camera
 from hypose.compute.zbuffer import interpolate, rasterize
-from hypose.synthetic.rigs import look_at
+from hypose.synthetic.scenes import look_at
 
 SIZE = (240, 200)
 

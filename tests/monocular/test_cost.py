@@ -14,7 +14,7 @@ from hypose.compute import mono, mono_nodes, mono_rows
 from hypose.compute.mono_terms import FlowArrays
 from hypose.compute.solver import bounded_step
 from hypose.evidence.frame import Picture
-from hypose.fitting.least_squares import Rule, descend
+from hypose.fitting.problem import Problem, Rule
 from hypose.tracking.contacts import soles_of
 from hypose.tracking.monocular.points import clicked_joints
 from hypose.tracking.monocular.problem import field_of, fixed_parts, frame_problem, with_prediction
@@ -174,7 +174,7 @@ def test_the_search_finds_what_scipys_bounded_solver_finds():
     upper[knee] = truth[active[knee]] - 0.2
     problem = problem._replace(priors=problem.priors._replace(upper=upper))
     start = np.clip(truth + np.random.default_rng(4).normal(0, 0.05, s.dof), s.lower, s.upper)
-    found = mono.search(start, start, problem, 0, 60, ws)
+    found = mono.newton_descent(start, start, problem, 0, 60, ws)
 
     def cost(x):
         q = start.copy()
@@ -191,15 +191,16 @@ def test_the_search_finds_what_scipys_bounded_solver_finds():
     assert (found.pose[active] <= upper).all()
     assert (found.pose[active] >= problem.priors.lower).all()
 
-    def at(x):
-        value, gradient, hessian = cost(x)[:3]
-        return value, lambda: (gradient, hessian)
+    class Slow(Problem):
+        def evaluate(self, state):
+            value, gradient, hessian = cost(state)[:3]
+            return value, lambda: (gradient, hessian)
 
-    def propose(x, equations, damping):
-        step = bounded_step(equations[1], equations[0], x, problem.priors.lower, upper, damping)
-        return None if step is None else (np.clip(x + step, problem.priors.lower, upper), 1.0)
+        def propose(self, state, equations, damping):
+            step = bounded_step(equations[1], equations[0], state, problem.priors.lower, upper, damping)
+            return None if step is None else (np.clip(state + step, problem.priors.lower, upper), 1.0)
 
-    assert found.cost <= descend(first, at, propose, 60, Rule(tries=20, gain=1e-9)).cost + 0.05
+    assert found.cost <= Slow().solve(first, 60, Rule(tries=20, gain=1e-9)).cost + 0.05
 
 
 def test_occluding_contour_runs_along_the_silhouette():

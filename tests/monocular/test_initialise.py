@@ -7,7 +7,7 @@ from benchmarks.synthetic.mono_scenes import body_scene
 from hypose.body.ready_bodies import human
 from hypose.errors import InputError
 from hypose.evidence.frame import Frame, Picture
-from hypose.synthetic.rigs import look_at
+from hypose.synthetic.scenes import look_at
 from hypose.tracking.monocular.initialise import initialise, rival_poses
 from hypose.tracking.monocular.points import clicked_joints
 from hypose.tracking.monocular.proportions import NAMES, proportions, shaped

@@ -3,7 +3,7 @@
 import numpy as np
 
 from hypose.body.ready_bodies import human
-from hypose.synthetic.rigs import look_at
+from hypose.synthetic.scenes import look_at
 from hypose.tracking.contacts import soles_of
 from hypose.tracking.monocular.points import clicked_joints
 from hypose.tracking.monocular.points_fit import fit_proportions, image_jacobian, points_on_body

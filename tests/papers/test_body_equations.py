@@ -7,16 +7,16 @@ import pytest
 from scipy.linalg import expm
 
 from benchmarks.papers.layered_anthropometry import BETAS, TABLE_2_2, SizePrior, sizes_2_1
-from hypose.body.anthropometry import ENTITIES, TABLE_2_1, body_of, entity
+from hypose.body.anthropometry import SHAPE_FACTORS, TABLE_2_1, body_of, entity
 from hypose.body.body import Shape, deform
 from hypose.body.ready_bodies import human
 from hypose.cameras.camera import CameraRig
-from hypose.compute.render import silhouette
+from hypose.compute.parts import covered
 from hypose.evidence.body_parts import assign_ends
 from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.inference.hypotheses import Hypotheses
-from hypose.synthetic.rigs import rig
+from hypose.synthetic.scenes import camera_rig
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.partitioned_observations import PartitionedXor, chain_region
 from hypose.tracking.starts import known_pose
@@ -120,14 +120,14 @@ def test_table_2_1():
 def test_equation_2_13_is_the_product_over_the_entities_of_table_2_1(body):
     prior, base = SizePrior(body), sizes_2_1(body)
     for scale in (0.0, 0.05, -0.08):
-        x = np.zeros(len(ENTITIES) + body.skeleton.dof)
+        x = np.zeros(len(SHAPE_FACTORS) + body.skeleton.dof)
         x[entity("scale")] = scale
         p = np.prod([np.exp(-((np.exp(scale) * base[n] - m) ** 2) / (2 * v)) for n, (m, v) in PRINTED_2_1.items()])
         assert np.exp(prior(x)) == pytest.approx(p, rel=1e-9)
     # and of a shape that is no scaling, from sizes measured on its mesh
     x[:] = 0
     x[[entity("upper arm length"), entity("torso length")]] = 0.03, -0.02
-    measured = sizes_2_1(body_of(body, x[: len(ENTITIES)]))
+    measured = sizes_2_1(body_of(body, x[: len(SHAPE_FACTORS)]))
     expected = -sum((measured[n] - m) ** 2 / (2 * v) for n, (m, v) in PRINTED_2_1.items())
     assert prior(x) == pytest.approx(expected, abs=0.35)
 
@@ -155,12 +155,12 @@ def seen_from_the_front(body, pose, small_rig: CameraRig):
     vertices, masks = body.skin(pose), []
     for camera in small_rig:
         depth = vertices @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
-        masks.append(silhouette(camera.project_pinhole(vertices), depth, body.coarse.faces, camera.size) > 0)
+        masks.append(covered(camera.project_pinhole(vertices), depth, body.coarse.faces, camera.size[::-1]) > 0)
     return masks
 
 
 def test_equation_2_15_counts_the_difference_inside_the_box_over_the_box(body):
-    small, pose = rig("humaneva-4").scaled(0.375), known_pose(body, "standing")
+    small, pose = camera_rig("humaneva-4").scaled(0.375), known_pose(body, "standing")
     pose[2] -= body.skin(pose)[:, 2].min()
     observed = seen_from_the_front(body, pose, small)
     silhouettes = make_silhouettes([m.astype(np.uint8) for m in observed], small)

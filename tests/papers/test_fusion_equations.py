@@ -23,12 +23,12 @@ from hypose.fusion.confidence import (
     start_confidence,
     unnatural,
 )
-from hypose.fusion.fuse import FusionSettings, fuse_clip, start, step
+from hypose.fusion.fuse import FusionSettings, fuse_clip, fuse_frame, start
 from hypose.fusion.register import triangle_transform
 from hypose.fusion.swarm import PUBLISHED, MergedWheel, SwarmFrame, SwarmSettings, energy, ride, start_swarm, swarm_step
 from hypose.geometry import so3_exp, transform
 from hypose.inference.hypotheses import Hypotheses
-from hypose.inference.selectors import roulette
+from hypose.inference.resampling import roulette
 
 
 def random_rotation(rng):
@@ -81,7 +81,7 @@ def test_published_registers_every_frame_by_its_triangle_alone(rng):
     clip = fuse_clip(frames, "published", settings)
     state = start(frames[0], replace(settings, method="published"))
     for t, frame in enumerate(frames):
-        state, found = step(state, frame)
+        state, found = fuse_frame(state, frame)
         # the candidates of both sensors ride on the same place, but for frame 7
         spread = np.linalg.norm(found.joints - truth, axis=-1).max()
         assert (spread < 1e-4) if t != 7 else (spread > 0.01), t

@@ -10,8 +10,8 @@ from hypose.compute import forest_votes, forests
 from hypose.compute.forests import UNCLIPPED_MM
 from hypose.gestures.forest import ForestSettings, GrowingForest
 from hypose.gestures.localise import LocaliseSettings, Scratch, pad, settle
-from hypose.gestures.offline import OfflineSettings, Pool, train
-from hypose.gestures.session import Session, SessionSettings, observe, step
+from hypose.gestures.session import Session, SessionSettings, advance, update_maximum
+from hypose.gestures.trainer import OfflineSettings, Pool, train_offline
 from tests.gestures.toys import LENS, grown, samples, toy
 
 FAR = 10000
@@ -206,7 +206,7 @@ def test_section_3_2_3_a_tree_learns_from_the_errors_of_the_one_before(monkeypat
 
     monkeypatch.setattr(forests, "grow_tree", noted)
     settings = OfflineSettings(ForestSettings(trees=4, deepest=3), per_class=220, tests=20)
-    train(Pool(patches, labels), rng, settings)
+    train_offline(Pool(patches, labels), rng, settings)
     assert np.bincount(labels[drawn[0][0]]).tolist() == [220, 220]  # the first draw is balanced
     clip = settings.forest.clip
     for (order, tree), (following, _) in itertools.pairwise(drawn):
@@ -244,7 +244,7 @@ def test_section_3_2_4_the_density_is_a_parzen_estimate_of_the_votes(rng):
 
 def test_equations_3_4_and_3_5_recursion_maximum_and_volume(rng):
     depth = np.full((150, 200), 1500, np.uint16)
-    settings, scratch = LocaliseSettings(memory=0.8, disc_mm=60.0), Scratch()
+    settings, scratch = LocaliseSettings(adaptation_rate=0.8, disc_mm=60.0), Scratch()
     stride = settings.at(LENS).plan.stride
     shape = (-(-(150 - stride // 2) // stride), -(-(200 - stride // 2) // stride))
     remembered = None
@@ -261,12 +261,12 @@ def test_equations_3_4_and_3_5_recursion_maximum_and_volume(rng):
 
 def test_section_3_4_1_the_threshold_is_the_weighted_mean_of_two_moving_averages(rng):
     settings = SessionSettings(sigma=0.9, rho=0.8)
-    session, _ = step(Session(), settings, 0.0, ["next"])
+    session, _ = advance(Session(), settings, 0.0, ["next"])
     averages = {}
     for phase in ("positive", "negative"):
         for m in rng.uniform(1, 50, 6).tolist():
             assert session.phase == phase
-            session = observe(session, settings, m)
+            session = update_maximum(session, settings, m)
             averages[phase] = m if phase not in averages else 0.9 * m + 0.1 * averages[phase]
-        session, _ = step(step(session, settings, 0.1, ["next"])[0], settings, 0.1, ["next"])
+        session, _ = advance(advance(session, settings, 0.1, ["next"])[0], settings, 0.1, ["next"])
     assert session.threshold(settings) == pytest.approx(0.8 * averages["positive"] + 0.2 * averages["negative"])

@@ -7,12 +7,11 @@ from functools import partial
 import numpy as np
 import pytest
 
+from hypose.inference.annealing import FixedAnnealingRate, SmoothedWeight, solve_annealing_rate, survival_rate
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.kernels import GaussianDiffusion, RejectionSampling, annealed_sigma, layered_sigma, stay
-from hypose.inference.layer import Layer, Recipe, search
-from hypose.inference.random_streams import stream
-from hypose.inference.selectivity import Annealed, FixedSelectivity, solve_selectivity, survival_rate
-from hypose.inference.selectors import LayeredSystematic, systematic, systematic_indices
+from hypose.inference.layer import Layer, Recipe, search, stream
+from hypose.inference.resampling import LayeredResampling, systematic, systematic_indices
 
 
 def test_equation_2_5_weighted_set_stands_for_a_distribution():
@@ -35,7 +34,7 @@ def test_algorithm_1_generic_run():
     weights = np.array([0.1, 0.4, 0.0, 0.5])
     with np.errstate(divide="ignore"):
         layer = Layer(stay, lambda h, z: np.log(np.broadcast_to(7 * weights, (4000, 4))), systematic)
-        after = search(Hypotheses.uniform(states), Recipe("gpf", (layer,)), None, partial(stream, 0, 0)).selected
+        after = search(Hypotheses.uniform(states), Recipe("gpf", (layer,)), None, partial(stream, 0, 0)).resampled
     np.testing.assert_allclose(np.bincount(after.values.astype(int).ravel()) / 16000, weights, atol=0.01)
     np.testing.assert_allclose(after.weights, 0.25)
 
@@ -44,7 +43,7 @@ def test_algorithm_1_generic_run():
 def test_equation_2_9_smoothed_weight(beta):
     cost = np.array([0.3, 1.1, 0.7, 2.4])
     h = Hypotheses.uniform(np.zeros((4, 1)))
-    smoothed = h.reweighted(Annealed(lambda h, z: cost, FixedSelectivity(beta))(h, None)).weights
+    smoothed = h.reweighted(SmoothedWeight(lambda h, z: cost, FixedAnnealingRate(beta))(h, None)).weights
     expected = np.exp(-cost) ** beta
     np.testing.assert_allclose(smoothed, expected / expected.sum())
 
@@ -69,9 +68,9 @@ def test_algorithm_2_annealed_run_concentrates_the_set():
                 tuple(
                     Layer(
                         GaussianDiffusion(annealed_sigma(np.full(3, 0.3), [0.4] * layers, k)),
-                        Annealed(
+                        SmoothedWeight(
                             lambda h, z: 20 * np.square(h.values - z).sum(-1),
-                            FixedSelectivity((k + 1) / layers),
+                            FixedAnnealingRate((k + 1) / layers),
                         ),
                         systematic,
                     )
@@ -153,7 +152,7 @@ def test_algorithm_4_corrected():
             def random(self, shape, u=u):
                 return np.full(shape, u)
 
-        np.testing.assert_array_equal(LayeredSystematic(filtered)(h, Fixed()).values, expected)
+        np.testing.assert_array_equal(LayeredResampling(filtered)(h, Fixed()).values, expected)
 
 
 def test_algorithm_4_as_printed_ignores_the_weights():
@@ -171,10 +170,10 @@ def test_algorithm_5_keeps_the_diversity_of_what_was_not_filtered():
     h = Hypotheses.uniform(stream(0, -1, 0).normal(size=(200, 2)))
     layer = Layer(
         GaussianDiffusion(layered_sigma(sigma, parts, 0.8, 0)),
-        Annealed(lambda h, z: 50 * np.square(h.values[:, 0]), FixedSelectivity(1.0)),
-        LayeredSystematic(np.array([True, False])),
+        SmoothedWeight(lambda h, z: 50 * np.square(h.values[:, 0]), FixedAnnealingRate(1.0)),
+        LayeredResampling(np.array([True, False])),
     )
-    after = search(h, Recipe("lpf", (layer,)), None, partial(stream, 0, 0)).selected
+    after = search(h, Recipe("lpf", (layer,)), None, partial(stream, 0, 0)).resampled
     np.testing.assert_array_equal(after.values[:, 1], h.values[:, 1])
     assert after.values[:, 0].std() < 0.2 * h.values[:, 0].std()
 
@@ -200,6 +199,6 @@ def test_survival_rate_of_deutscher_and_reid():
     p = w / w.sum()
     np.testing.assert_allclose(survival_rate(energies, beta), 1 / (4 * (p**2).sum()))
     np.testing.assert_allclose(survival_rate(energies, beta), w.sum() ** 2 / (4 * (w**2).sum()))
-    solved = solve_selectivity(energies, 0.5)
+    solved = solve_annealing_rate(energies, 0.5)
     np.testing.assert_allclose(survival_rate(energies, solved), 0.5, rtol=1e-9)
     assert survival_rate(energies, 0.0) == 1

@@ -15,7 +15,7 @@ from hypose.compute.solver import bounded_step_kernel
 from hypose.evidence.edges_flow import Flow, edge_field, optical_flow
 from hypose.evidence.frame import Picture
 from hypose.inference.layer import Layer, Recipe, search
-from hypose.inference.selectors import keep
+from hypose.inference.resampling import keep
 from hypose.tracking.monocular.evidence import edge_arrays
 from hypose.tracking.monocular.pool import OPTIMISED, accumulated, candidates, prune, uncertain_samples
 from hypose.tracking.monocular.problem import field_of, fixed_parts, frame_problem, with_prediction

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.body.anthropometry import ENTITIES, body_of, entity
+from hypose.body.anthropometry import SHAPE_FACTORS, body_of, entity
 from hypose.body.ready_bodies import human
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.pipeline import bodies_again
@@ -47,7 +47,7 @@ def passing():
             for c, (y0, y1, x0, x1) in enumerate(shape.boxes):
                 masks[c, y0:y1, x0:x1] |= shape.drawn(c)
         frames.append(Frame(t / RATE, t, Silhouettes(masks, rig, np.ones(len(rig), bool), ("",) * len(rig))))
-    x = np.zeros(len(ENTITIES))
+    x = np.zeros(len(SHAPE_FACTORS))
     x[[entity("upper arm length"), entity("forearm length")]] = 0.15
     wrong, people = body_of(true, x), []
     for name, way in zip(("a", "b"), poses, strict=True):

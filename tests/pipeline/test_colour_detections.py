@@ -12,14 +12,13 @@ from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import load_recording
 from hypose.pipeline.one_camera import ColourDetections, centre_of, tracked_frames
 from hypose.pipeline.run import TrackOptions, track_source
-from hypose.synthetic.rigs import rig
-from hypose.synthetic.scenes import make_scene
+from hypose.synthetic.scenes import camera_rig, make_scene
 from hypose.synthetic.write_recording import write_scene
 
 
 @pytest.fixture(scope="module")
 def scene():
-    made = make_scene("wave", "man_01", rig("ring-4").scaled(0.6), seconds=0.24, seed=3)
+    made = make_scene("wave", "man_01", camera_rig("ring-4").scaled(0.6), seconds=0.24, seed=3)
     return dataclasses.replace(made, hands_only=True)
 
 

@@ -207,3 +207,36 @@ def test_the_command(tmp_path, capsys):
     assert "one of the files has no partner" in capsys.readouterr().err
     assert run("compare", tmp_path / "r", tmp_path / "m.trc", "--joint", "knee=A") == 2
     assert "--joint 'knee=A' is not understood" in capsys.readouterr().err
+
+
+def other_of(ours, path, points):
+    return OtherMotion(path, ours.times, dict(zip(ours.skeleton.joint_names, points.swapaxes(0, 1), strict=True)))
+
+
+@pytest.mark.parametrize("factor", [1000, 100, 39.37, 0.001])
+def test_a_wrong_unit_is_known_by_the_bones(tmp_path, factor):
+    ours = motion()
+    found = compare_motions(ours, other_of(ours, tmp_path / "other.trc", factor * ours.joints))
+    assert found.left_mm[2] < 1 and found.offset == 0
+    assert any("its unit is not" in n for n in found.notes)
+
+
+def test_a_left_handed_world_is_mirrored(tmp_path):
+    ours = motion()
+    found = compare_motions(ours, other_of(ours, tmp_path / "other.trc", ours.joints * [1, 1, -1]))
+    assert found.left_mm[2] < 1 and any("left-handed" in n for n in found.notes)
+    assert not any("left-handed" in n for n in compare_motions(ours, other_of(ours, tmp_path, ours.joints)).notes)
+
+
+def test_numbers_that_stand_for_not_seen_are_dropped(tmp_path):
+    ours = motion()
+    points = ours.joints.copy()
+    points[40:60, 3], points[10:20, 5] = -9.999, points[9, 5]
+    found = compare_motions(ours, other_of(ours, tmp_path / "other.trc", points))
+    assert found.left_mm[2] < 1 and any("repeat to the last digit" in n for n in found.notes)
+    assert np.isnan(found.errors[45, 3]) and np.isfinite(found.errors[45, 4])
+
+
+def test_points_of_one_name_are_left_out(shared_data):
+    other = read_other(shared_data("outside_cases") / "compare" / "dup.c3d")
+    assert "left_hip" not in other.points and any("LHip" in n for n in other.notes)

@@ -63,7 +63,7 @@ def test_the_true_pose_costs_least_and_a_solve_on_the_rows_finds_it(walked):
     energy = rows.energy(body, np.stack([motion.poses[5], away]), frame)
     assert energy[0] < energy[1]
     points = rows.rows(body, frame)
-    found = fit_pose(body, away, points=points, priors=(anatomical_prior(body.skeleton),)).pose
+    found = fit_pose(body, away, [points], priors=(anatomical_prior(body.skeleton),)).pose
     off = np.linalg.norm(body.joints(found) - motion.joints[5], axis=-1)[jt.BODY_JOINT]
     assert off.mean() < 0.02
     assert rows.rows(body, Frame(9.0, 900)) is None

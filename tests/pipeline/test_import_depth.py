@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.calibration.depth_registration import Rough
+from hypose.calibration.depth_registration import CoarseAlignment
 from hypose.cameras.camera import CameraRig
 from hypose.errors import CalibrationError, EvidenceError, InputError
 from hypose.geometry import se3_inverse
@@ -15,7 +15,7 @@ from hypose.io.recordings.recording import load_recording
 from hypose.io.sensors.depth import DepthFile, DepthFrame, read_depth_png, write_depth_png
 from hypose.pipeline import import_depth as module
 from hypose.pipeline.import_depth import RegisteredSensors, import_depth
-from hypose.synthetic.rigs import look_at
+from hypose.synthetic.scenes import look_at
 from tests.depth_pictures import seen_in_room
 
 LENS = np.array([-0.25, 0.05, 0.0, 0.0, 0.0])
@@ -125,7 +125,7 @@ def test_cameras_brought_together_keep_their_lenses_and_begin_together(tmp_path,
         apart[0, 3] = 2.0
         moved = replace(rig[1], camera_from_world=rig[1].camera_from_world @ apart)
         seconds = np.array([0.0, 6 / frame_rate + 0.004])
-        return RegisteredSensors(CameraRig((rig[0], moved)), seconds, None, (Rough(apart, seconds[1], 0.02),))
+        return RegisteredSensors(CameraRig((rig[0], moved)), seconds, None, (CoarseAlignment(apart, seconds[1], 0.02),))
 
     monkeypatch.setattr(module, "register_depth", together)
     path, notes = import_depth(sources, tmp_path / "rec", empty=empty)

@@ -9,7 +9,8 @@ from hypose.body.ready_bodies import human
 from hypose.calibration.depth_registration import place_error
 from hypose.cameras.camera import CameraRig
 from hypose.geometry import se3, so3_exp
-from hypose.pipeline.moved_sensors import OFF_M, PlacedSource, moved_sensors, placed
+from hypose.pipeline.moved_sensors import PlacedSource, moved_sensors, placed
+from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.track_loop import FrameList
 from hypose.tracking.starts import known_pose
 from tests.depth_pictures import frame_of, sensors
@@ -51,7 +52,7 @@ def test_a_camera_that_stands_elsewhere_is_found_and_put_right(change):
     places, said = moved_sensors(source, BODY, poses, np.full(24, 0.9), RATE)
     assert [abs(p.since - change) <= 1 for p in places] == [True]
     degrees, metres = place_error(places[0].camera_from_world[1], elsewhere()[1].camera_from_world, HERE)
-    assert degrees < 0.5 and metres < OFF_M / 2
+    assert degrees < 0.5 and metres < SETTINGS.moved_off_m / 2
     assert np.array_equal(places[0].camera_from_world[0], RIG[0].camera_from_world)
     assert len(said) == 1 and said[0].startswith("d1 stood") and ("from frame" in said[0]) == (change > 0)
     right = PlacedSource(source, places)

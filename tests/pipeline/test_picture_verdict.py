@@ -7,14 +7,15 @@ from hypose.body.ready_bodies import human
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.keypoints import BODY_25
-from hypose.pipeline.one_camera import BESIDE, BESIDE_FRAME, against_the_picture, beside_the_picture
-from hypose.synthetic.rigs import rig
+from hypose.pipeline.one_camera import against_the_picture, beside_the_picture
+from hypose.pipeline.settings import SETTINGS
+from hypose.synthetic.scenes import camera_rig
 from hypose.tracking.keypoint_evidence import keypoint_model
 from hypose.tracking.starts import known_pose
 from tests.depth_pictures import frame_of
 
 BODY = human()
-RIG = CameraRig((rig("humaneva-4", distorted=False)[0],))
+RIG = CameraRig((camera_rig("humaneva-4", distorted=False)[0],))
 
 
 def poses(count=10):
@@ -51,7 +52,7 @@ def test_limbs_elsewhere_in_the_picture_are_told_with_their_frames():
     wrong = poses()
     wrong[2:] = with_arms_elsewhere(wrong[2:])
     share = beside_the_picture(BODY, wrong, frames_of(poses()))
-    assert (share[:2] == 0).all() and (share[2:] > BESIDE).all()
+    assert (share[:2] == 0).all() and (share[2:] > SETTINGS.picture_beside).all()
     (sentence,) = against_the_picture(share)
     assert "frames 2-9" in sentence and "overlay" in sentence and "--start" in sentence
 
@@ -60,7 +61,7 @@ def test_another_persons_key_points_make_every_frame_doubtful():
     moved = poses()
     moved[:, 0] += 0.8
     share = beside_the_picture(BODY, poses(), frames_of(moved))
-    assert (share > BESIDE_FRAME).all() and against_the_picture(share)
+    assert (share > SETTINGS.picture_beside_frame).all() and against_the_picture(share)
 
 
 def test_without_key_points_the_mask_tells():
@@ -69,4 +70,4 @@ def test_without_key_points_the_mask_tells():
     moved = poses(4)
     moved[:, 1] += 0.8
     share = beside_the_picture(BODY, moved, frames)
-    assert (share > BESIDE_FRAME).all() and len(against_the_picture(share)) == 1
+    assert (share > SETTINGS.picture_beside_frame).all() and len(against_the_picture(share)) == 1

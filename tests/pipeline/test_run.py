@@ -12,8 +12,7 @@ from hypose.pipeline.first_frame import SubjectOptions, find_subject
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.track import track
 from hypose.pipeline.track_loop import FrameList
-from hypose.synthetic.rigs import rig
-from hypose.synthetic.scenes import make_scene
+from hypose.synthetic.scenes import camera_rig, make_scene
 from hypose.tracking.recipes import recipe
 
 
@@ -34,7 +33,7 @@ class Frames:
 
 @pytest.fixture(scope="module")
 def scene():
-    return make_scene("walk", "broad", rig("ring-4").scaled(0.4), seconds=0.48, seed=3)
+    return make_scene("walk", "broad", camera_rig("ring-4").scaled(0.4), seconds=0.48, seed=3)
 
 
 @pytest.fixture(scope="module")

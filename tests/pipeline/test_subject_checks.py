@@ -7,19 +7,19 @@ import pytest
 
 from hypose.body.ready_bodies import human
 from hypose.cameras.camera import CameraRig
-from hypose.compute.render import silhouette
+from hypose.compute.parts import covered
 from hypose.errors import EvidenceError
 from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.pipeline.subject_checks import apparent_height, check_borders, check_start, cut_edges
 from hypose.pipeline.subject_from_motion import AnthropometryOptions, estimate_subject
-from hypose.synthetic.rigs import rig
+from hypose.synthetic.scenes import camera_rig
 from hypose.tracking.starts import known_pose
 
 
 @pytest.fixture(scope="module")
 def views():
-    return rig("humaneva-4").scaled(0.375)
+    return camera_rig("humaneva-4").scaled(0.375)
 
 
 def seen(views, pose_name="standing", shift=(0.0, 0.0)):
@@ -36,7 +36,7 @@ def seen(views, pose_name="standing", shift=(0.0, 0.0)):
         camera = replace(camera, K=moved)
         cameras.append(camera)
         depth = vertices @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
-        masks.append(silhouette(camera.project_pinhole(vertices), depth, body.coarse.faces, camera.size))
+        masks.append(covered(camera.project_pinhole(vertices), depth, body.coarse.faces, camera.size[::-1]))
     return Frame(0.0, 0, silhouettes=make_silhouettes([m.astype(np.uint8) for m in masks], CameraRig(tuple(cameras))))
 
 

@@ -9,9 +9,10 @@ from hypose.body.ready_bodies import human
 from hypose.evidence.colours import COLOURS
 from hypose.evidence.frame import Colours, Frame, Silhouettes
 from hypose.pipeline.first_frame import Subject
+from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.tracked_people import Followed
-from hypose.pipeline.wardrobe import LOOKS, exchange, look_at_clothes
-from hypose.synthetic.rigs import rig as named_rig
+from hypose.pipeline.wardrobe import exchange, look_at_clothes
+from hypose.synthetic.scenes import camera_rig as named_rig
 from hypose.tracking.clothes import Clothes, Wardrobe, clothes_in, nothing_seen
 from hypose.tracking.recipes import recipe
 from hypose.tracking.several import Member, nobody_in, shape_of
@@ -68,7 +69,7 @@ def met(anna, bert):
     """They were nearest in the frame before the last; since then both were looked at often enough."""
     since = len(anna.estimates) - 2
     for p, q in ((anna, bert), (bert, anna)):
-        p.wardrobe.met, p.wardrobe.looks = {q.name: since}, LOOKS
+        p.wardrobe.met, p.wardrobe.looks = {q.name: since}, SETTINGS.wardrobe_looks
 
 
 def test_two_who_wear_each_others_clothes_after_a_meeting_were_exchanged():

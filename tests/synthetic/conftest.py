@@ -1,8 +1,8 @@
 import pytest
 
-from hypose.synthetic.subjects import Subject, load_subjects
+from hypose.synthetic.subjects import SyntheticSubject, load_subjects
 
 
 @pytest.fixture(scope="session")
-def person() -> Subject:
+def person() -> SyntheticSubject:
     return load_subjects()["neutral"]

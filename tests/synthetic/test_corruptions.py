@@ -11,7 +11,7 @@ from hypose.synthetic.corruptions import (
     disturb_rig,
     occluder_mesh,
 )
-from hypose.synthetic.rigs import rig
+from hypose.synthetic.scenes import camera_rig
 
 
 @pytest.fixture
@@ -69,7 +69,7 @@ def test_names_combine_and_unknown_ones_are_refused():
 
 
 def test_calibration_error_is_about_one_percent():
-    true = rig("humaneva-4")
+    true = camera_rig("humaneva-4")
     focal, place, pixels = [], [], []
     for seed in range(40):
         off = disturb_rig(true, 0.01, np.random.default_rng(seed))

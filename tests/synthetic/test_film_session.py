@@ -6,14 +6,13 @@ import pytest
 from hypose.calibration.boards import make_detector
 from hypose.geometry import se3, so3_exp, transform
 from hypose.io.videos.video import open_video
-from hypose.synthetic.film_session import BOARD, BoardPainter, write_session
-from hypose.synthetic.rigs import rig
-from hypose.synthetic.scenes import make_scene
+from hypose.synthetic.scenes import camera_rig, make_scene
+from hypose.synthetic.write_recording import BOARD, BoardPainter, write_session
 
 
 @pytest.fixture(scope="module")
 def scene():
-    return make_scene("walk", "neutral", rig("humaneva-4", distorted=True), seconds=0.08, seed=3)
+    return make_scene("walk", "neutral", camera_rig("humaneva-4", distorted=True), seconds=0.08, seed=3)
 
 
 def test_corners_are_seen_where_the_lens_puts_them(scene):
@@ -40,7 +39,7 @@ def test_what_is_behind_the_camera_or_turned_away_shows_no_pattern(scene):
 
 
 def test_a_session_is_videos_and_the_truth(tmp_path):
-    small = make_scene("walk", "neutral", rig("ring-1").scaled(0.2), seconds=0.08, seed=3)
+    small = make_scene("walk", "neutral", camera_rig("ring-1").scaled(0.2), seconds=0.08, seed=3)
     write_session(small, tmp_path)
     lengths = {}
     for name in ("board", "empty", "walk"):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hypose.errors import InputError
-from hypose.synthetic.gesture_live import live_person
+from hypose.synthetic.gesture_scenes import live_person
 
 RATE = 8.0
 

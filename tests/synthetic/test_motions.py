@@ -4,8 +4,7 @@ import pytest
 from hypose.body.ready_bodies import PARENTS
 from hypose.errors import InputError
 from hypose.geometry import so3_log
-from hypose.synthetic.gait import walk
-from hypose.synthetic.motions import MOTIONS, act
+from hypose.synthetic.motions import MOTIONS, act, walk
 from hypose.synthetic.performance import Angles, hanging_from_rest, soles
 
 

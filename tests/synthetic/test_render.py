@@ -1,14 +1,17 @@
 import numpy as np
+import pytest
 
-from hypose.compute.render import blend_shaded, silhouette
+from hypose.compute.parts import covered
+from hypose.compute.render import blend_shaded
 from hypose.compute.zbuffer import interpolate, rasterize
 from hypose.synthetic.motions import act
-from hypose.synthetic.rigs import rig
+from hypose.synthetic.scenes import camera_rig
+from tests import reference
 
 
 def test_interpolation_is_perspective_correct():
     """A slanted floor-like triangle: interpolated world points project back to the pixels they were drawn at."""
-    camera = rig("ring-1")[0]
+    camera = camera_rig("ring-1")[0]
     v = np.array([[-1.0, -1.0, 0.0], [1.2, -0.9, 0.1], [0.1, 1.5, 1.2]])
     z = v @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
     f = np.array([[0, 1, 2]], np.int32)
@@ -31,13 +34,24 @@ def test_the_nearer_face_wins_and_faces_from_behind_are_culled():
     assert rasterize(v, z * 0, f, (10, 10))[1].max() == -1  # at the camera: not drawn
 
 
+@pytest.mark.parametrize("cull", [True, False])
+def test_the_nearest_faces_are_those_of_the_definition(cull, rng):
+    uv, z = rng.uniform(-10, [90, 70], (60, 2)), rng.uniform(0.02, 3, 60)
+    faces = rng.integers(0, 60, (40, 3)).astype(np.int32)
+    depth, face, _ = rasterize(uv, z, faces, (80, 60), cull=cull)
+    nearest, number = reference.nearest_faces(uv, z, faces, (80, 60), cull=cull)
+    np.testing.assert_array_equal(face, number)
+    np.testing.assert_allclose(1 / depth, nearest, atol=1e-5)
+    assert (number >= 0).mean() > 0.5
+
+
 def test_both_rasterizers_agree_on_a_body(person):
     p = act("box", person, 1.0, 10.0, np.random.default_rng(0))
     v = person.skin(p.rotations[5], p.root[5])
-    for camera in rig("humaneva-4"):
+    for camera in camera_rig("humaneva-4"):
         uv = camera.project_pinhole(v)
         z = v @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
-        mask = silhouette(uv, z, person.faces, camera.size)
+        mask = covered(uv, z, person.faces, camera.size[::-1])
         drawn = rasterize(uv, z, person.faces, camera.size)[1] >= 0
         assert mask.sum() > 5000
         assert (drawn != (mask > 0)).sum() <= 3  # rounding of pixels exactly on an edge

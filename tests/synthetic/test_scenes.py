@@ -6,8 +6,7 @@ import pytest
 from hypose.body.ready_bodies import JOINT_NAMES
 from hypose.errors import InputError
 from hypose.synthetic.motions import act
-from hypose.synthetic.rigs import RIG_NAMES, rig
-from hypose.synthetic.scenes import make_scene
+from hypose.synthetic.scenes import RIG_NAMES, camera_rig, make_scene
 
 RIGS = [n.replace("ring-N", "ring-6") for n in RIG_NAMES]
 
@@ -21,14 +20,14 @@ def test_rigs_see_the_whole_body(person, name):
     """Standing with raised arms anywhere within 0.8 m of the centre."""
     p = act("wave", person, 2.0, 10.0)
     v = np.concatenate([person.skin(p.rotations[t], p.root[t]) for t in (0, 8, 12)])
-    for camera in rig(name):
+    for camera in camera_rig(name):
         for a in np.linspace(0, 6.28, 8):
             uv = camera.project(v + [0.8 * np.cos(a), 0.8 * np.sin(a), 0])
             assert (uv >= 0).all() and (uv <= np.array(camera.size) - 1).all(), (camera.name, a)
 
 
 def test_rigs_are_upright_distinct_and_optionally_distorted():
-    plain, bent = rig("humaneva-7"), rig("humaneva-7", distorted=True)
+    plain, bent = camera_rig("humaneva-7"), camera_rig("humaneva-7", distorted=True)
     assert len(plain) == 7
     for camera in plain:
         up = camera.project([[0, 0, 0.5], [0, 0, 1.5]])
@@ -36,10 +35,10 @@ def test_rigs_are_upright_distinct_and_optionally_distorted():
     corner = plain[0].rays(np.array([2.0, 2.0]))
     point = corner[0] + 3 * corner[1]
     assert np.linalg.norm(bent[0].project(point) - plain[0].project(point)) > 8
-    assert len(rig("ring-3")) == 3
+    assert len(camera_rig("ring-3")) == 3
     for bad in ("ring-0", "ring-99", "mars"):
         with pytest.raises(InputError, match="humaneva-4"):
-            rig(bad)
+            camera_rig(bad)
 
 
 @pytest.mark.parametrize("name", RIGS)

@@ -5,7 +5,7 @@ from benchmarks.synthetic import sensors as sim
 from benchmarks.synthetic.treadmill import treadmill_recording
 from hypose.app.live.simulated_sensors import ring_sensors
 from hypose.fusion import joints as jt
-from hypose.fusion.register import depth_at_joints
+from hypose.fusion.register import measured_joint_depth
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +64,7 @@ def test_the_depth_map_and_the_joints_depth_tell_the_same(recording):
         depth[None].astype(np.float32),
         k[None],
     )
-    sampled, given = depth_at_joints(alone)[0], recording.joint_depth[100, 1]
+    sampled, given = measured_joint_depth(alone)[0], recording.joint_depth[100, 1]
     use = (sampled > 0) & (given > 0)
     assert use.sum() > 8
     # the sensor's noise and the pixel grid: most agree to two centimetres

@@ -6,12 +6,12 @@ import pytest
 from benchmarks.synthetic.spoilt_keypoints import SPOILS, spoilt
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.keypoints import BODY_25
-from hypose.synthetic.rigs import rig
+from hypose.synthetic.scenes import camera_rig
 
 
 @pytest.fixture(scope="module")
 def frames():
-    cameras, rng = rig("humaneva-4"), np.random.default_rng(0)
+    cameras, rng = camera_rig("humaneva-4"), np.random.default_rng(0)
     base = np.concatenate([rng.uniform(100, 400, (4, 25, 2)), np.ones((4, 25, 1))], -1)
     drift = np.array([0.5, 0.2, 0.0])
     return [Frame(t / 25, t, None, Keypoints(base + t * drift, BODY_25, cameras)) for t in range(60)]

@@ -3,10 +3,11 @@ import pytest
 
 from hypose.body.body import Mesh
 from hypose.body.ready_bodies import JOINT_NAMES
+from hypose.body.skin_weights import vertex_normals
 from hypose.errors import InputError
 from hypose.geometry import so3_exp
 from hypose.synthetic import subjects as module
-from hypose.synthetic.subjects import dress, load_subjects, vertex_normals
+from hypose.synthetic.subjects import dress, load_subjects
 
 
 def test_rest_pose_reproduces_the_rest_mesh_and_joints(person):

@@ -8,11 +8,11 @@ import pytest
 from hypose.body.body import Body
 from hypose.body.ready_bodies import human
 from hypose.cameras.camera import CameraRig
-from hypose.compute.render import silhouette
+from hypose.compute.parts import covered
 from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.geometry import Array
-from hypose.synthetic.rigs import rig
+from hypose.synthetic.scenes import camera_rig
 from hypose.tracking.starts import known_pose
 
 FrameOf = Callable[..., Frame]
@@ -26,7 +26,7 @@ def body() -> Body:
 @pytest.fixture(scope="session")
 def small_rig() -> CameraRig:
     """Four cameras around the origin, 240 x 180 px: the person is about 100 px tall."""
-    return rig("humaneva-4").scaled(0.375)
+    return camera_rig("humaneva-4").scaled(0.375)
 
 
 @pytest.fixture(scope="session")
@@ -47,7 +47,7 @@ def frame_of(small_rig: CameraRig) -> FrameOf:
         masks = []
         for c, camera in enumerate(small_rig):
             depth = vertices @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
-            mask = silhouette(camera.project_pinhole(vertices), depth, body.coarse.faces, camera.size)
+            mask = covered(camera.project_pinhole(vertices), depth, body.coarse.faces, camera.size[::-1])
             masks.append(np.zeros_like(mask) if c in dead else mask.astype(np.uint8))
         return Frame(index / 25, index, silhouettes=make_silhouettes(masks, small_rig))
 

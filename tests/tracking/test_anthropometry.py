@@ -15,9 +15,9 @@ from benchmarks.papers.layered_anthropometry import (
     shape_energy,
     sizes_2_1,
 )
-from hypose.body.anthropometry import ENTITIES, body_of, entity, sizes_of
+from hypose.body.anthropometry import SHAPE_FACTORS, body_of, entity, sizes_of
 from hypose.errors import EvidenceError, InputError
-from hypose.fitting.articulated import contour_term
+from hypose.evidence.terms import contour_term
 from hypose.inference.hypotheses import Hypotheses
 from hypose.pipeline.first_frame import SubjectOptions, find_subject
 from hypose.pipeline.subject_from_motion import (
@@ -27,17 +27,11 @@ from hypose.pipeline.subject_from_motion import (
     save_subject,
 )
 from hypose.tracking.frame_evidence import prepare
-from hypose.tracking.shape_refinement import Known, ShapeSettings, outlines_of, refine_shape
-
-
-def rows_of(*arguments):
-    rows = outlines_of(*arguments)
-    assert rows is not None
-    return rows
+from hypose.tracking.shape_refinement import Known, ShapeSettings, refine_shape
 
 
 def shape(**factors):
-    x = np.zeros(len(ENTITIES))
+    x = np.zeros(len(SHAPE_FACTORS))
     for name, value in factors.items():
         x[entity(name.replace("_", " "))] = value
     return x
@@ -70,7 +64,7 @@ def test_shape_of_another_body_is_found_from_motion(body, moving, frame_of, rng)
     starts[:, 6:] += rng.normal(0, 0.04, starts[:, 6:].shape)
     starts[:, :3] += rng.normal(0, 0.01, (len(starts), 3))
     starts = body.skeleton.clamp(starts)
-    contours = [contour_term(f.silhouettes) for f in frames]
+    contours = [[contour_term(f.silhouettes)] for f in frames]
     fit = refine_shape(body, starts, contours, known=Known(height=person.stature))
     want, got = person.segment_lengths(), fit.body.segment_lengths()
     for name in ("upper_arm", "forearm", "thigh", "shank"):
@@ -82,11 +76,13 @@ def test_shape_of_another_body_is_found_from_motion(body, moving, frame_of, rng)
     assert error < 0.4 * before
     assert np.linalg.eigvalsh(fit.covariance).min() > 0
     # evidence can only take uncertainty away
-    assert fit.covariance[entity("thigh length"), entity("thigh length")] < ENTITIES[entity("thigh length")].sd ** 2
+    assert (
+        fit.covariance[entity("thigh length"), entity("thigh length")] < SHAPE_FACTORS[entity("thigh length")].sd ** 2
+    )
 
 
 def test_fit_is_the_same_twice(body, moving, frame_of):
-    contours = [contour_term(frame_of(body, q, k).silhouettes) for k, q in enumerate(moving[:2])]
+    contours = [[contour_term(frame_of(body, q, k).silhouettes)] for k, q in enumerate(moving[:2])]
     quick = ShapeSettings(iterations=(1, 1, 1))
     a = refine_shape(body, moving[:2], contours, options=quick)
     b = refine_shape(body, moving[:2], contours, options=quick)
@@ -96,7 +92,7 @@ def test_fit_is_the_same_twice(body, moving, frame_of):
 
 def test_height_and_mass_are_kept(body, moving, frame_of):
     quick = ShapeSettings(iterations=(2, 3), coarse=(2.0, 1.0))
-    contours = [contour_term(frame_of(body, moving[0]).silhouettes)]
+    contours = [[contour_term(frame_of(body, moving[0]).silhouettes)]]
     taller = refine_shape(body, moving[:1], contours, known=Known(height=body.stature + 0.02), options=quick)
     free = refine_shape(body, moving[:1], contours, options=quick)
     assert taller.body.stature > free.body.stature + 0.002
@@ -107,30 +103,6 @@ def test_height_and_mass_are_kept(body, moving, frame_of):
 def test_no_frame_is_refused(body):
     with pytest.raises(EvidenceError, match="at least one frame"):
         refine_shape(body, np.zeros((0, body.skeleton.dof)), [])
-
-
-def test_rows_of_an_outline_by_pose_and_sizes(body, standing, frame_of):
-    """The derivatives are those of each row's point along the residual's gradient, by differences; for a joint that
-    moves a part of a blended vertex they are near."""
-    contours = contour_term(frame_of(body, standing).silhouettes)
-    vertices, step = body.skin(standing), 1e-5
-    rows = rows_of(body.coarse, vertices, contours, 0, 4.0, 0.5)
-    moves = body.coarse.dense_weights(len(body.skeleton.joint_names)) @ body.skeleton.moves.T.astype(float)
-    slopes = np.stack([(body_of(body, step * e).skin(standing) - vertices) / step for e in np.eye(len(ENTITIES))], 1)
-    found = rows.jacobian(vertices, body.skeleton.world_twists(standing), moves, slopes)
-    dof = len(standing)
-    assert found.shape == (len(rows.ends), dof + len(ENTITIES))
-    at = rows.points(vertices)
-    for d in (0, 4, 5, int(body.skeleton.dofs_of("left_elbow")[0])):
-        there = rows.points(body.skin(standing + step * np.eye(dof)[d]))
-        share = moves[rows.ends, d]
-        whole = (np.abs(share - np.rint(share)) < 1e-5).all(1)
-        assert whole.mean() > 0.9
-        told = (rows.gradient * (there - at)).sum(1) / step
-        np.testing.assert_allclose(found[whole, d], told[whole], rtol=1e-3, atol=0.05)
-    k = entity("thigh length")
-    by_size = (rows.gradient * (rows.points(vertices + slopes[:, k]) - at)).sum(1)
-    np.testing.assert_allclose(found[:, dof + k], by_size, rtol=1e-6, atol=1e-6)
 
 
 def test_subject_from_the_hull_alone(body, standing, frame_of, tmp_path):
@@ -150,7 +122,7 @@ def test_subject_from_the_hull_alone(body, standing, frame_of, tmp_path):
     saved, toml = save_subject(tmp_path / "anna", found, body, 'the "first"')
     document = tomllib.loads(toml.read_text())
     assert document["sizes"]["stature"]["cm"] == pytest.approx(100 * found.naked.stature, abs=0.01)
-    assert 0 < document["sizes"]["thigh"]["sd"] < 5 and set(document["factors"]) == {e.name for e in ENTITIES}
+    assert 0 < document["sizes"]["thigh"]["sd"] < 5 and set(document["factors"]) == {e.name for e in SHAPE_FACTORS}
     for path in (saved, toml, saved.parent):
         np.testing.assert_array_equal(load_subject(path).fine.vertices, found.body.fine.vertices)
     again = find_subject(lambda i: frames[i], 3, SubjectOptions(body=load_subject(saved), start="standing", known=True))
@@ -193,7 +165,7 @@ def test_layers_move_their_own_coordinates_within_the_prior(body, standing, fram
     frame = prepare(frame_of(body, standing), body, standing)
     state = np.concatenate([np.zeros(K), standing])
     h = Hypotheses.uniform(np.repeat(state[None], 12, 0))
-    lower_arms = recipe.layers[6].propose(h, frame, rng)
+    lower_arms = recipe.layers[6].propagate(h, frame, rng)
     moved = np.flatnonzero((lower_arms.values != h.values).any(0))
     own = {entity(n) for n in ("forearm length", "forearm girth", "hands")}
     own |= {int(K + d) for d in body.skeleton.dofs_of("left_elbow", "right_elbow")}

@@ -99,7 +99,7 @@ def test_a_pose_survives_exchanged_sides_and_a_stranger(body, model, standing, s
     points[2, :, 0] += 100.0
     start = body.skeleton.clamp(standing + 0.05)
     term = keypoint_term(with_points(given, points), body, model, start)
-    fit = fit_pose(body, start, keypoints=term, priors=(anatomical_prior(body.skeleton),))
+    fit = fit_pose(body, start, [term], priors=(anatomical_prior(body.skeleton),))
     assert joint_error(body, fit.pose, standing) < 0.015
 
 

@@ -11,7 +11,7 @@ from hypose.evidence.colours import COLOURS
 from hypose.evidence.frame import Colours, Frame
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.inference.hypotheses import Hypotheses
-from hypose.synthetic.rigs import rig
+from hypose.synthetic.scenes import camera_rig
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.part_colours import (
     COUNTS,
@@ -41,7 +41,7 @@ def part_of_face(body):
 @pytest.fixture(scope="module")
 def painted(body):
     """painted(pose, index=0, clothes): the frame of a pose with a colour of its own for each part; 200 px tall."""
-    cameras = rig("humaneva-4").scaled(0.75)
+    cameras = camera_rig("humaneva-4").scaled(0.75)
 
     def paint(pose, index=0, clothes=CLOTHES):
         part, v = part_of_face(body), body.skin(pose)

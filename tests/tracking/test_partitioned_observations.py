@@ -66,13 +66,13 @@ def test_parts_of_later_layers_are_not_drawn(body, standing, frame_of):
 def test_the_whole_box_gives_the_plain_cost_on_another_scale(body, standing, frame_of):
     """Eq. 2.15 with Omega = everything is eq. 2.14 with the image's pixels in place of the silhouette's."""
     frame = prepare(frame_of(body, standing), body, standing)
-    assert frame.masks is not None and frame.frame.silhouettes is not None
+    assert frame.frame.silhouettes is not None
     sizes = frame.frame.silhouettes.rig.sizes
     boxes = np.stack([0 * sizes[:, 0], sizes[:, 0], 0 * sizes[:, 1], sizes[:, 1]], 1)
     moved = standing[None].copy()
     moved[0, 0] += 0.05
     per_view = partitioned_energy(body, moved, frame, boxes)[0] * sizes.prod(1).mean()
-    plain = xor_energy(body, moved, frame)[0] * frame.masks.areas.mean()
+    plain = xor_energy(body, moved, frame)[0] * frame.silhouettes.masks.areas.mean()
     assert per_view == pytest.approx(plain, rel=0.1)
 
 
@@ -103,7 +103,7 @@ def test_the_presets_have_the_published_numbers(body):
         recipe = make(body)
         assert (len(recipe.layers), recipe.particles) == (8, 500)
     fixed = hpf_apo(body, betas=[0.5] * 8)
-    assert all(layer.weigh.selectivity.beta == 0.5 for layer in fixed.layers)  # type: ignore[attr-defined]
+    assert all(layer.weigh.rate.beta == 0.5 for layer in fixed.layers)  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("make", [hpf_apo, hpf_apo_plus])

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from hypose.cameras.camera import CameraRig
-from hypose.compute import silhouette
+from hypose.compute import covered
 from hypose.errors import EvidenceError
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.geometry import so3_exp, so3_log
-from hypose.synthetic.rigs import rig
+from hypose.synthetic.scenes import camera_rig
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.postures import posture_names, postures
 from hypose.tracking.start_search import starts_in_frame, weighed
@@ -25,7 +25,7 @@ def masks_of(body, pose, cameras, also=()):
         for vertices, faces in [(body.skin(pose), body.coarse.faces), *also]:
             z = vertices @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
             for side in (faces, faces[:, ::-1]):
-                mask |= silhouette(camera.project_pinhole(vertices), z, np.ascontiguousarray(side), camera.size) > 0
+                mask |= covered(camera.project_pinhole(vertices), z, np.ascontiguousarray(side), camera.size[::-1]) > 0
         out.append(mask.astype(np.uint8))
     masks = np.stack(out)
     return Silhouettes(masks, cameras, np.ones(len(masks), bool), ("",) * len(masks))
@@ -33,7 +33,7 @@ def masks_of(body, pose, cameras, also=()):
 
 @pytest.fixture(scope="module")
 def cameras():
-    return CameraRig(tuple(rig("humaneva-4").scaled(0.4)))
+    return CameraRig(tuple(camera_rig("humaneva-4").scaled(0.4)))
 
 
 def sitting(body, name="sitting, arms on thighs", heading=2.0):

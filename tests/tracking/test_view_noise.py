@@ -8,7 +8,7 @@ import pytest
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.frame import Keypoints
 from hypose.evidence.keypoints import BODY_25B, other_sides, triangulate_keypoints
-from hypose.synthetic.rigs import rig as named_rig
+from hypose.synthetic.scenes import camera_rig as named_rig
 from hypose.tracking.keypoint_evidence import keypoint_model, keypoint_term
 from hypose.tracking.keypoint_offsets import calibrate_keypoints
 from hypose.tracking.view_noise import LARGEST, view_factors

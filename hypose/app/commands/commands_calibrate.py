@@ -1,4 +1,5 @@
-"""`hypose calibrate`: cameras from boards, from measured points, or from another program's calibration file."""
+"""`hypose calibrate`: cameras from boards, from measured points, from a person who walks about, or from a file of
+another program."""
 
 from __future__ import annotations
 
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hypose.app.commands.console import Stages, note, out, say
-from hypose.app.commands.options import MOST_FRAMES, number
+from hypose.app.commands.options import HEIGHT, MOST_FRAMES, number
 from hypose.errors import CalibrationError, InputError
 
 if TYPE_CHECKING:
@@ -25,7 +26,10 @@ if TYPE_CHECKING:
 def calibrate(
     sources: Annotated[
         list[Path] | None,
-        typer.Argument(help="Board videos or photo folders, one per camera, or a folder that holds them."),
+        typer.Argument(
+            help="Board videos or photo folders, one per camera, or a folder that holds them; a recording for "
+            "--from-person."
+        ),
     ] = None,
     chessboard: Annotated[
         str | None,
@@ -62,21 +66,50 @@ def calibrate(
     ] = None,
     convert: Annotated[Path | None, typer.Option(help="Instead: a calibration file of another program.")] = None,
     unit: Annotated[str, typer.Option(help="Unit of the file given with --convert: auto, m, cm or mm.")] = "auto",
+    from_person: Annotated[
+        bool, typer.Option("--from-person", help="Instead of a board: by the person who walks about in a recording.")
+    ] = False,
+    height: Annotated[float | None, number("Of that person: how tall, in metres.", *HEIGHT, unit="metres")] = None,
+    largest: Annotated[
+        float | None,
+        number(
+            "Of --from-person: videos start within so many seconds. [default: found out]",
+            0,
+            600,
+            above=True,
+            unit="seconds",
+        ),  # fmt: skip
+    ] = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Fetch the detector's models, once, without asking.")] = False,
     target: Annotated[
-        Path, typer.Option("--out", help="File to write; its ending tells the format (see docs/calibration.md).")
-    ] = Path("calibration.toml"),
+        Path | None,
+        typer.Option(
+            "--out",
+            help="File to write; its ending tells the format (see docs/calibration.md). [default: calibration.toml, of "
+            "--from-person in the recording's folder]",
+        ),
+    ] = None,
     sheet: Annotated[Path | None, typer.Option(help="Picture of what was seen. [default: beside --out, .png]")] = None,
 ) -> None:
-    """Calibrate cameras: lenses and places from a chessboard or ChArUco board, or from measured points; or convert."""
+    """Calibrate cameras: lenses and places from a board, from measured points, or from a person; or convert."""
     from hypose.io.calibrations.calibration_formats import check_format, write_any
     from hypose.io.files import check_writable
 
-    check_format(target)
+    check_format(target or Path("calibration.toml"))
     given = [bool(sources), points is not None, convert is not None]
-    if sum(given) != 1:
+    if sum(given) != 1 or (from_person and len(sources or []) != 1):
         raise InputError(
-            "Give board videos (with --chessboard or --charuco and --square), or --points FILE, or --convert FILE."
+            "Give board videos (with --chessboard or --charuco and --square), or --points FILE, or --convert FILE, or "
+            "one recording with --from-person."
         )
+    if from_person and sources:
+        from hypose.app.jobs.person_calibration import calibrate_recording
+
+        rig, target = calibrate_recording(sources[0], intrinsics, height, largest, yes, target)
+        for path in write_any(rig, target):
+            say(f"Calibration: {path}")
+        return
+    target = target or Path("calibration.toml")
     check_writable(target.parent)
     if convert is not None:
         from hypose.io.calibrations.calibration_formats import read_any
@@ -185,7 +218,7 @@ def _show_points(result: PointCalibration) -> None:
             camera.name, str(len(errors)), f"{worst} {errors[worst]:.1f}", f"{camera.K[0, 0]:.0f}",
             f"{x:.3f} {y:.3f} {z:.3f}", f"{1e3 * sd:.0f}",
         )  # fmt: skip
-    _print(table)
+    print_table(table)
     for text in result.notes:
         say(f"note: {text}")
     for text in result.warnings:
@@ -268,14 +301,15 @@ def _show(result: BoardCalibration) -> None:
             f"{x:.3f} {y:.3f} {z:.3f}",
             f"{1e3 * position_sd:.0f}" if position_sd == position_sd else "-",
         )
-    _print(table)
+    print_table(table)
     for text in result.notes:
         say(f"note: {text}")
     for text in result.warnings:
         say(f"warning: {text}", "yellow")
 
 
-def _print(table: object) -> None:
+def print_table(table: object) -> None:
+    """Print a table, at full width where no terminal sets one."""
     console = out()
     if not console.is_terminal:
         console.width = 160

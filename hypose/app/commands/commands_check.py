@@ -14,7 +14,7 @@ from hypose.errors import EvidenceError, InputError
 
 if TYPE_CHECKING:
     from hypose.app.commands.console import ProgressCall
-    from hypose.calibration.diagnostics import Cured, Report
+    from hypose.calibration.diagnostics import Cured, PersonReport
     from hypose.geometry import Array
     from hypose.io.recordings.recording import Recording
     from hypose.io.recordings.recording_people import RecordedPerson
@@ -112,7 +112,7 @@ def check(
     say("No problem found.", "green")
 
 
-def _verdicts(report: Report) -> None:
+def _verdicts(report: PersonReport) -> None:
     for view in report.views:
         numbers = []
         if view.left_out_px == view.left_out_px:
@@ -257,7 +257,7 @@ def sync(
     for view, x, word in zip(loaded.views, late, words, strict=True):
         say(f"{view.name}: {abs(x):.2f} frames {'late' if x >= 0 else 'early'} ({word})")
     if to is None:
-        _keep(loaded, by if offsets is None else "given", late, words)
+        keep_offsets(loaded, by if offsets is None else "given", late, words)
         say(f"To bring the evidence in step: hypose sync {recording} --out NEW_FOLDER")
         return
     with claimed(to), Stages() as progress:
@@ -265,7 +265,7 @@ def sync(
     say(f"Evidence in step: {path}", "green")
 
 
-def _keep(recording: Recording, by: str, late: list[float], words: list[str]) -> None:
+def keep_offsets(recording: Recording, by: str, late: list[float], words: list[str]) -> None:
     """results/sync.json, for the studio; where it cannot be written, what was said has to do."""
     import contextlib
 

@@ -101,9 +101,15 @@ def synth(
     set_threads(threads)
     from hypose.io.files import claimed
     from hypose.synthetic.depth_scenes import DepthScene
-    from hypose.synthetic.film_session import BOARD, write_session
     from hypose.synthetic.scenes import make_scene
-    from hypose.synthetic.write_recording import check_folder, walking_scene, write_depth_scene, write_scene
+    from hypose.synthetic.write_recording import (
+        BOARD,
+        check_folder,
+        walking_scene,
+        write_depth_scene,
+        write_scene,
+        write_session,
+    )
 
     if raw and keypoints:
         raise InputError("--raw writes what cameras give, and key points are not; leave one of the two out.")

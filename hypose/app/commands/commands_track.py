@@ -328,7 +328,7 @@ def warm_up(threads: Threads = None) -> None:
     from hypose.synthetic.scenes import make_scene
     from hypose.synthetic.write_recording import write_scene
 
-    folder, parts = compute.cache_folder(), (*compute.FOLLOWING, "monocular", "depth")
+    folder, parts = compute.cache_folder(), (*compute.TRACKING_KERNELS, "monocular", "depth")
     if folder is None:
         raise InputError(f"There is no place for what is compiled; name a folder with {compute.VARIABLE}.")
     before = compute.kept(*parts)

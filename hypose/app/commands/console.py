@@ -42,6 +42,8 @@ TITLES = {
     "doctor": "Examine the calibration",
     "refine": "Refine the calibration",
     "sync": "Synchronise",
+    "offsets": "Look how late the views are",
+    "start": "Find the cameras",
     "board": "Look for the board",
     "solve": "Solve",
     "plan": "Look at the recordings",

@@ -12,11 +12,17 @@ from rich.table import Table
 
 from hypose.app.commands.console import ProgressCall, ignore
 from hypose.app.reports.check_page import residual_picture, write_page
-from hypose.app.reports.result_pictures import Drawing, Image, draw_all, layout, open_images
-from hypose.calibration.diagnostics import Cured, Report, examine_and_cure
+from hypose.app.reports.result_pictures import (
+    Drawing,
+    draw_all,
+    layout,
+    open_images,
+)
+from hypose.calibration.diagnostics import Cured, PersonReport, examine_and_cure
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Silhouettes
 from hypose.evidence.hull import hull_iou, visual_hull
+from hypose.geometry import Image
 from hypose.io.files import write_bytes, write_text
 from hypose.io.motions.results import to_json
 from hypose.io.recordings.frames import FrameStream
@@ -141,7 +147,7 @@ def examine_recording(
     sheet: Path,
     found: Findings,
     progress: ProgressCall = ignore,
-) -> tuple[Report | None, Cured | None]:
+) -> tuple[PersonReport | None, Cured | None]:
     """The doctor on `frames` consecutive frames; writes the page. None when there is nothing to examine."""
     if len(recording.views) < 2 and all(view.depth is None for view in recording.views):
         return None, None
@@ -158,7 +164,7 @@ def examine_recording(
     return report, cured
 
 
-def write_findings(path: Path, found: Findings, report: Report | None) -> None:
+def write_findings(path: Path, found: Findings, report: PersonReport | None) -> None:
     """What was found as JSON, for the studio: facts, warnings, findings, figures per view, the page's name."""
     value = {
         "healthy": not found.warnings and (report is None or report.healthy),

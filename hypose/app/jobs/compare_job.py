@@ -18,7 +18,8 @@ from hypose.errors import InputError
 from hypose.io.files import write_text
 from hypose.io.motions.compared_files import read_other
 from hypose.io.motions.results import load_result
-from hypose.pipeline.comparison import LEVELS, Agreement, CompareOptions, Comparison, compare_motions
+from hypose.pipeline.comparison import Agreement, CompareOptions, Comparison, compare_motions
+from hypose.pipeline.settings import SETTINGS
 
 _AXES = ("x", "y", "z")
 
@@ -67,7 +68,7 @@ def exceeded(
 
 def mean_coverage(found: Comparison) -> float:
     """Mean over the joints of the share inside our 90 % regions; NaN where we state none."""
-    shares = [a.covered[LEVELS.index(0.9)] for a in found.joints]
+    shares = [a.covered[SETTINGS.compare_levels.index(0.9)] for a in found.joints]
     known = [s for s in shares if np.isfinite(s)]
     return float(np.mean(known)) if known else float("nan")
 
@@ -93,7 +94,7 @@ def write_csv(path: Path, compared: Sequence[Compared]) -> None:
     """One row per joint and angle of every pair."""
     header = ["result", "other", "name", "unit", "frames", "median", "p95", "rmse", "offset", "median_left", "p95_left"]
     header += ["rmse_left", *(f"{k}_{a}" for k in ("bias", "low", "high", "r") for a in _AXES)]
-    header += [f"covered_{100 * level:g}" for level in LEVELS]
+    header += [f"covered_{100 * level:g}" for level in SETTINGS.compare_levels]
     table = io.StringIO()
     rows = csv.writer(table, lineterminator="\n")
     rows.writerow(header)
@@ -147,7 +148,7 @@ def _table(rows: Sequence[Agreement]) -> str:
     for a in rows:
         numbers = (a.median, a.p95, a.rmse, a.offset, a.median_left, a.p95_left, a.rmse_left)
         limits = " / ".join(f"{low:.0f}..{high:.0f}" for low, high in zip(a.low, a.high, strict=True))
-        covered = a.covered[LEVELS.index(0.9)]
+        covered = a.covered[SETTINGS.compare_levels.index(0.9)]
         cells = [html.escape(a.name), a.unit, str(a.n), *(_number(v) for v in numbers)]
         cells += [" / ".join(_number(v) for v in a.bias.tolist()), limits, " / ".join(f"{v:.3f}" for v in a.r.tolist())]
         cells.append("-" if covered != covered else f"{100 * covered:.0f} %")

@@ -19,7 +19,7 @@ from hypose.errors import InputError
 from hypose.evidence.frame import SensorJoints
 from hypose.fusion.align import Instant, SensorBody, SensorView
 from hypose.fusion.clocks import offset_by_movement
-from hypose.fusion.fuse import METHODS, Fused, FusionSettings, fuse_clip
+from hypose.fusion.fuse import FUSION_METHODS, Fused, FusionSettings, fuse_clip
 from hypose.fusion.joints import COMMON, joint_set
 from hypose.fusion.people import PeopleTracker
 from hypose.fusion.register import Registration, check_same_person, common_joints, register, upright_axes, upward
@@ -45,7 +45,7 @@ _FOOT_HEIGHT_M = 0.08  # of the ankle, which stands for the foot, above the floo
 
 @dataclass(frozen=True)
 class FuseJob:
-    """recording; results; method: of fusion.fuse.METHODS; rate Hz of the result (None: the reference sensor's);
+    """recording; results; method: of fusion.fuse.FUSION_METHODS; rate Hz of the result (None: the reference sensor's);
     reference: name of a sensor (None: the recording's); formats: of POINT_FORMATS; up: "person" (the mean direction
     from hips to neck) or "sensor" (the reference sensor's y axis); diagnose: the swarm's choice of sensors beside the
     result; seed; run: for the record only."""
@@ -62,8 +62,8 @@ class FuseJob:
     run: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if self.method not in METHODS:
-            raise InputError(f"There is no fusion method {self.method!r}; choose one of {', '.join(METHODS)}.")
+        if self.method not in FUSION_METHODS:
+            raise InputError(f"There is no fusion method {self.method!r}; choose one of {', '.join(FUSION_METHODS)}.")
         known_formats(self.formats)
         posed = [name for name in self.formats if name not in POINT_FORMATS]
         if posed:

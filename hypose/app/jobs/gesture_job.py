@@ -16,9 +16,9 @@ from hypose.app.live.gesture_sources import Source, Taken
 from hypose.compute import ScanPlan
 from hypose.errors import EvidenceError, InputError
 from hypose.gestures.depth_pictures import surface_depth
-from hypose.gestures.events import Event, EventSettings, EventState, average_precision, step
+from hypose.gestures.events import Event, EventSettings, EventState, average_precision, detect_events
 from hypose.gestures.forest import Forest, ForestSettings, GrowingForest
-from hypose.gestures.localise import Found, LocaliseSettings, Scratch, localise
+from hypose.gestures.localise import Localisation, LocaliseSettings, Scratch, localise
 from hypose.gestures.model import GestureModel
 from hypose.gestures.online import Learner
 from hypose.gestures.session import Command, Instruction, SessionSettings
@@ -242,7 +242,7 @@ class Watched:
     """A frame that was looked at: time (s), what was found, and the events in it."""
 
     time: float
-    found: list[Found]
+    found: list[Localisation]
     events: list[Event]
 
 
@@ -269,7 +269,7 @@ def watch(
             if empty == EMPTY:
                 say(f"{source.name}: {EMPTY} frames have no depth {_range(plan)}, where gestures are looked for.")
             found = localise(taken.depth, source.lens, forests, settings, scratch)
-            state, events = step(state, found, taken.time, limits)
+            state, events = detect_events(state, found, taken.time, limits)
             yield Watched(taken.time, found, events)
         if not near:
             raise EvidenceError(
@@ -290,10 +290,10 @@ def finished(models: Sequence[GestureModel]) -> list[Forest]:
     return [m.forest.freeze() if isinstance(m.forest, GrowingForest) else m.forest for m in models]
 
 
-def looking(models: Sequence[GestureModel], memory: float = 1.0) -> LocaliseSettings:
+def looking(models: Sequence[GestureModel], adaptation_rate: float = 1.0) -> LocaliseSettings:
     """How the models look, with a share of the new frame in the density; InputError when they look differently."""
-    settings = replace(models[0].settings, memory=memory)
-    if any(replace(m.settings, memory=memory) != settings for m in models):
+    settings = replace(models[0].settings, adaptation_rate=adaptation_rate)
+    if any(replace(m.settings, adaptation_rate=adaptation_rate) != settings for m in models):
         names = ", ".join(n for m in models for n in m.names)
         raise InputError(f"The models of {names} were made to look differently; run them one by one.")
     return settings

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hypose.compute import Depth
+from hypose.compute import DepthImage
 from hypose.errors import InputError
-from hypose.gestures.depth_pictures import KINECT, Lens, millimetres
+from hypose.gestures.depth_pictures import KINECT, DepthLens, millimetres
 
 if TYPE_CHECKING:
     from hypose.io.sensors.depth import DepthFrame
@@ -27,7 +27,7 @@ class Taken:
     """A depth picture (h, w) uint16 mm, its time (s), and where the gesture is done (x, y px), if the source knows."""
 
     time: float
-    depth: Depth
+    depth: DepthImage
     box: tuple[float, float] | None = None
 
 
@@ -38,7 +38,7 @@ class Source:
     gesture or clearly does not, as far as the source knows."""
 
     name: str
-    lens: Lens
+    lens: DepthLens
     size: tuple[int, int]
     take: Callable[[str], Taken | None]
     close: Callable[[], None] = lambda: None
@@ -85,7 +85,7 @@ def _filmed(path: Path) -> Source:
 
     opened = open_depth(path)
     k = opened.camera.K  # distortion is left out: tests span a hand
-    lens = Lens(*(float(v) for v in (k[0, 0], k[1, 1], k[0, 2], k[1, 2])))
+    lens = DepthLens(*(float(v) for v in (k[0, 0], k[1, 1], k[0, 2], k[1, 2])))
     return _of_frames(path.name, lens, opened.camera.size, opened.frames)
 
 
@@ -94,10 +94,10 @@ def _realsense(path: Path | None) -> Source:
 
     opened = open_realsense() if path is None else read_realsense(path)
     name = "realsense" if path is None else path.name
-    return _of_frames(name, Lens(*opened.intrinsics), opened.size, opened.frames)
+    return _of_frames(name, DepthLens(*opened.intrinsics), opened.size, opened.frames)
 
 
-def _of_frames(name: str, lens: Lens, size: tuple[int, int], frames: Iterator[DepthFrame]) -> Source:
+def _of_frames(name: str, lens: DepthLens, size: tuple[int, int], frames: Iterator[DepthFrame]) -> Source:
     def take(phase: str) -> Taken | None:
         frame = next(frames, None)
         return None if frame is None else Taken(frame.time, millimetres(frame.depth, name))
@@ -106,7 +106,7 @@ def _of_frames(name: str, lens: Lens, size: tuple[int, int], frames: Iterator[De
 
 
 def _simulated(who: str, gesture: str, seed: int) -> Source:
-    from hypose.synthetic.gesture_live import live_person
+    from hypose.synthetic.gesture_scenes import live_person
 
     if not who.isdigit():
         raise InputError(f"There is no simulated person {who!r}; give simulated:0, for example.")

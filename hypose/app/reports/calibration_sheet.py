@@ -9,11 +9,12 @@ from collections.abc import Mapping, Sequence
 import cv2
 import numpy as np
 
-from hypose.app.reports.result_pictures import Image, write_text
-from hypose.calibration.boards import Board, Sighting
+from hypose.app.reports.result_pictures import write_text
+from hypose.calibration.boards import Board, BoardDetection
 from hypose.calibration.from_boards import BoardCalibration
 from hypose.calibration.views import CameraViews
 from hypose.errors import InputError
+from hypose.geometry import Image
 from hypose.io.videos.video import open_video
 
 _WIDTH = 520  # px of one picture
@@ -44,7 +45,7 @@ def draw_sheet(views: Sequence[CameraViews], board: Board, result: BoardCalibrat
 def _row(
     view: CameraViews,
     board: Board,
-    sightings: Mapping[int, Sighting],
+    sightings: Mapping[int, BoardDetection],
     errors: Mapping[int, float],
     common: Sequence[int],
 ) -> Image:
@@ -95,7 +96,7 @@ def _picture(view: CameraViews, frame: int | None, size: tuple[int, int], text: 
     return image
 
 
-def _draw_board(image: Image, sighting: Sighting, board: Board, scale: float) -> None:
+def _draw_board(image: Image, sighting: BoardDetection, board: Board, scale: float) -> None:
     nx = board.size[0]
     at = dict(zip(sighting.ids.tolist(), (scale * sighting.pixels).round().astype(int).tolist(), strict=True))
     for i, (x, y) in at.items():

@@ -10,11 +10,12 @@ import cv2
 import numpy as np
 
 from hypose import __version__
-from hypose.app.reports.result_pictures import Image, jpeg, open_images
+from hypose.app.reports.result_pictures import jpeg, open_images
 from hypose.app.reports.summary import page, picture_of
 from hypose.calibration.diagnose_points import undistorted
-from hypose.calibration.diagnostics import Cured, Observed, Report
+from hypose.calibration.diagnostics import Cured, Observed, PersonReport
 from hypose.cameras.camera import CameraRig, triangulate
+from hypose.geometry import Image
 from hypose.io.files import write_text
 from hypose.io.recordings.recording import Recording
 from hypose.pipeline.examine import window
@@ -85,7 +86,7 @@ def _drawn(picture: Image, found: np.ndarray, expected: np.ndarray, confidence: 
 def write_page(
     path: Path,
     title: str,
-    report: Report,
+    report: PersonReport,
     sheet: Path,
     picture: Image | None,
     facts: Sequence[str],

@@ -16,7 +16,6 @@ from hypose.app.reports.result_pictures import (
     ALARM,
     Canvas,
     Drawing,
-    Image,
     draw_close_ups,
     jpeg,
     layout,
@@ -25,7 +24,7 @@ from hypose.app.reports.result_pictures import (
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.errors import InputError
-from hypose.geometry import Array
+from hypose.geometry import Array, Image
 from hypose.io.recordings.recording import Recording
 from hypose.io.videos.video import VideoWriter
 from hypose.pipeline.track_loop import FrameSource

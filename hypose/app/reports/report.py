@@ -17,12 +17,13 @@ from hypose import __version__
 from hypose.app.commands.console import ProgressCall
 from hypose.app.reports import charts
 from hypose.app.reports.overlay import PictureRows, Shown, still_rows, write_overlay
-from hypose.app.reports.result_pictures import Image, jpeg
+from hypose.app.reports.result_pictures import jpeg
 from hypose.app.reports.summary import DESCRIPTIONS, page, picture_of, subject_rows, summarize
 from hypose.app.studio.view_bundle import ViewResult, view_bundle
 from hypose.body.body import Body
 from hypose.body.motion import Motion, sd_per_axis
 from hypose.cameras.camera import CameraRig
+from hypose.geometry import Image
 from hypose.io.files import write_text
 from hypose.io.motions.results import ResultsFolder, to_json
 from hypose.io.recordings.frames import FrameSettings, FrameStream

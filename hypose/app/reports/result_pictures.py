@@ -19,13 +19,11 @@ from hypose.body.body import Body, Mesh
 from hypose.cameras.camera import Camera
 from hypose.errors import InputError, visible
 from hypose.evidence.frame import Silhouettes
-from hypose.geometry import Array
+from hypose.geometry import Array, Image
 from hypose.io.recordings.object_masks import ObjectMasks
 from hypose.io.recordings.recording import Recording, View
 from hypose.io.recordings.recording_views import open_pictures
 from hypose.io.videos.video import VideoReader
-
-Image = NDArray[np.uint8]
 
 # BGR, told apart also by people who see red and green alike
 LEFT, RIGHT, MIDDLE = (40, 130, 240), (225, 140, 40), (235, 235, 235)

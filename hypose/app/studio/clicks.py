@@ -28,7 +28,9 @@ from hypose.body.motion import Motion, isotropic
 from hypose.body.ready_bodies import JOINT_NAMES, human
 from hypose.cameras.camera import CameraRig, triangulate
 from hypose.errors import InputError
-from hypose.fitting.articulated import KeypointTerm, PoseFit, Quadratic, SolveSettings, fit_pose
+from hypose.evidence.terms import KeypointTerm
+from hypose.fitting.articulated import PoseFit, SolveSettings, fit_pose
+from hypose.fitting.problem import Quadratic
 from hypose.geometry import Array, quaternion_from_matrix
 from hypose.io.files import read_json
 from hypose.io.motions.results import ResultsFolder, load_body, load_motion
@@ -161,7 +163,7 @@ def _fit(body: Body, clicks: _Clicks, start: Array | None, known_height: bool, c
 
     def solve(pose: Array) -> PoseFit:
         options = SolveSettings(iterations=40, coarse_iterations=10)
-        return fit_pose(body, pose, keypoints=term, priors=(pull,), options=options)
+        return fit_pose(body, pose, [term], priors=(pull,), options=options)
 
     starts = [start] if start is not None else _starts(body, clicks, scale)
     best, *others = sorted((solve(q) for q in starts), key=lambda f: f.cost)

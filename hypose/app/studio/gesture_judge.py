@@ -7,11 +7,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hypose.compute import Depth
-from hypose.gestures.depth_pictures import Lens, surface_depth
-from hypose.gestures.events import RADIUS_M, EventSettings, EventState, average_precision, precision_recall, step
+from hypose.compute import DepthImage
+from hypose.gestures.depth_pictures import DepthLens, surface_depth
+from hypose.gestures.events import (
+    RADIUS_M,
+    EventSettings,
+    EventState,
+    average_precision,
+    detect_events,
+    precision_recall,
+)
 from hypose.gestures.forest import Forest
-from hypose.gestures.localise import Found, Scratch, localise
+from hypose.gestures.localise import Localisation, Scratch, localise
 
 KEPT = 40
 """Frames of each kind that are kept; every frame has the same chance."""
@@ -32,16 +39,16 @@ class _Seen(NamedTuple):
 class HeldBack:
     """Frames that are kept from a forest; judged in a thread of its own, so that the session does not wait."""
 
-    def __init__(self, lens: Lens) -> None:
+    def __init__(self, lens: DepthLens) -> None:
         self._lens, self._keep = lens, np.random.default_rng(0)
         # by whether the gesture is done: depth, its pixel (None: it is not done), segment
-        self._frames: dict[bool, list[tuple[Depth, tuple[float, float] | None, int]]] = {True: [], False: []}
+        self._frames: dict[bool, list[tuple[DepthImage, tuple[float, float] | None, int]]] = {True: [], False: []}
         self._count = {True: 0, False: 0}
         self._tested: list[_Seen] = []
         self._busy: threading.Thread | None = None
         self._result: dict[str, Any] | None = None
 
-    def keep(self, depth: Depth, at: tuple[float, float] | None, segment: int) -> None:
+    def keep(self, depth: DepthImage, at: tuple[float, float] | None, segment: int) -> None:
         """A frame of a learning segment that is not learned; at: pixel of the gesture, None for other movement."""
         kept, shown = self._frames[at is not None], at is not None
         self._count[shown] += 1
@@ -50,7 +57,7 @@ class HeldBack:
         elif (place := int(self._keep.integers(self._count[shown]))) < KEPT:
             kept[place] = depth, at, segment
 
-    def test(self, depth: Depth, at: tuple[float, float] | None, found: Found) -> None:
+    def test(self, depth: DepthImage, at: tuple[float, float] | None, found: Localisation) -> None:
         """A frame of the test whose truth is known."""
         self._tested.append(_judged(depth, self._lens, at, found))
 
@@ -65,7 +72,7 @@ class HeldBack:
             self._busy = threading.Thread(target=self._look, args=(forest, frames), daemon=True)
             self._busy.start()
 
-    def _look(self, forest: Forest, frames: list[tuple[Depth, tuple[float, float] | None, int]]) -> None:
+    def _look(self, forest: Forest, frames: list[tuple[DepthImage, tuple[float, float] | None, int]]) -> None:
         scratch = Scratch()
         found = [(d, at, localise(d, self._lens, [forest], None, scratch)[0]) for d, at, _ in frames]
         self._result = _curve([_judged(d, self._lens, at, f) for d, at, f in found]) | {"on": "held-back"}
@@ -79,7 +86,7 @@ class HeldBack:
         return None if new is None else new | {"at": _at(new, threshold)}
 
 
-def _judged(depth: Depth, lens: Lens, at: tuple[float, float] | None, found: Found) -> _Seen:
+def _judged(depth: DepthImage, lens: DepthLens, at: tuple[float, float] | None, found: Localisation) -> _Seen:
     z = None if at is None else surface_depth(depth, *at)
     if at is None or z is None:
         return _Seen(found.score, np.inf, at is not None)
@@ -122,7 +129,7 @@ class FalseAlarms:
         self._last: float | None = None
         self._starts: list[float] = []
 
-    def see(self, time: float, found: Found, threshold: float | None, hold_s: float) -> None:
+    def see(self, time: float, found: Localisation, threshold: float | None, hold_s: float) -> None:
         """A frame of other movement, looked at before it is learned."""
         if self._last is not None and 0 < time - self._last < 1:
             self._clock += time - self._last
@@ -132,7 +139,7 @@ class FalseAlarms:
         if threshold is None or threshold <= 0:
             return
         settings = [EventSettings(threshold, hold_s=hold_s)] * found.gesture
-        self._state, events = step(self._state, [found], self._clock, settings)
+        self._state, events = detect_events(self._state, [found], self._clock, settings)
         self._starts += [self._clock for e in events if e.kind == "start"]
 
     def told(self) -> dict[str, float | None]:

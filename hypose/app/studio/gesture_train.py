@@ -17,17 +17,17 @@ from hypose.app.live.gesture_sources import Taken
 from hypose.app.studio.gesture_judge import FalseAlarms, HeldBack
 from hypose.app.studio.gesture_start import PHASES, Controls, Feed, Start
 from hypose.gestures.depth_pictures import surface_depth
-from hypose.gestures.events import Event, EventSettings, EventState, step
-from hypose.gestures.localise import Found, LocaliseSettings, Scratch, densities, settle
+from hypose.gestures.events import Event, EventSettings, EventState, detect_events
+from hypose.gestures.localise import Localisation, LocaliseSettings, Scratch, densities, settle
 from hypose.gestures.model import GestureModel
 from hypose.gestures.session import Command
-from hypose.gestures.session import step as peek
+from hypose.gestures.session import advance as peek
 from hypose.gestures.trainer import Feedback, Trainer
 from hypose.pipeline.gesture_files import SessionWriter, content_of, save_model
 
 BOX_M = 0.1
 """Half side of the box that is shown, at the surface in it."""
-_MEMORY = 0.8
+_ADAPTATION_RATE = 0.8
 """Share of the new frame in the density while watching, as `hypose gesture run` has it."""
 _HELD_EVERY = 5
 """Every so many seconds of learning, one second is kept from the forest."""
@@ -104,7 +104,7 @@ class Training:
                 self._write(taken, f)
             if self.asks == "test" and threshold is not None and threshold > 0:
                 settings = [EventSettings(threshold, hold_s=controls.hold_s)]
-                self._events, events = step(self._events, [found], taken.time, settings)
+                self._events, events = detect_events(self._events, [found], taken.time, settings)
         for c in commands:
             gone = trainer.session.undone[len(before.undone) :] if c == "undo" else ()
             self._writer.act(taken.time, c, str(gone[0]) if gone else "")
@@ -112,7 +112,7 @@ class Training:
         message["ms"] = {"learn": round(1e3 * (learned - began), 2), "look": round(1e3 * (looked - learned), 2)}
         return message, density
 
-    def _look(self, taken: Taken, f: Feedback, wanted: bool) -> tuple[Found, NDArray[np.float32] | None]:
+    def _look(self, taken: Taken, f: Feedback, wanted: bool) -> tuple[Localisation, NDArray[np.float32] | None]:
         """Where the forest sees the gesture: in a frame that is learned, before it was."""
         maxima = f.taught.maxima if f.taught is not None else ()
         if maxima and not wanted:
@@ -127,7 +127,7 @@ class Training:
         return controls.threshold or (self._final if self.asks == "test" else None) or self.trainer.threshold
 
     def _keep(
-        self, taken: Taken, f: Feedback, found: Found, kept: bool, threshold: float | None, hold_s: float
+        self, taken: Taken, f: Feedback, found: Localisation, kept: bool, threshold: float | None, hold_s: float
     ) -> None:
         """Count what was learned; put aside what is judged."""
         kind, phase = f.instruction.learn, f.instruction.phase
@@ -155,7 +155,7 @@ class Training:
         )
 
     def _message(
-        self, taken: Taken, f: Feedback, found: Found, threshold: float | None, c: Controls, events: list[Event]
+        self, taken: Taken, f: Feedback, found: Localisation, threshold: float | None, c: Controls, events: list[Event]
     ) -> dict[str, Any]:
         s, i = self.trainer.session, f.instruction
         z = surface_depth(taken.depth, *self._place)
@@ -235,7 +235,7 @@ class Watching:
         self.feed = feed
         self.names = [n for m in models for n in m.names]
         self._forests, self._limits = finished(models), thresholds(models, None)
-        self._look = LocaliseSettings(memory=_MEMORY)
+        self._look = LocaliseSettings(adaptation_rate=_ADAPTATION_RATE)
         self._scratch, self._state, self._pause = Scratch(), EventState(), False
 
     @property
@@ -250,13 +250,15 @@ class Watching:
         lens = self.feed.source.lens
         began = clock.perf_counter()
         maps = densities(taken.depth, lens, self._forests, self._look, self._scratch)
-        found = settle(maps, taken.depth, lens, self._look if fresh else replace(self._look, memory=1.0), self._scratch)
+        found = settle(
+            maps, taken.depth, lens, self._look if fresh else replace(self._look, adaptation_rate=1.0), self._scratch
+        )
         spent = clock.perf_counter() - began
         limits = [controls.threshold or t for t in self._limits]
         events = []
         if fresh:
             settings = [EventSettings(t, hold_s=controls.hold_s) for t in limits]
-            self._state, events = step(self._state, found, taken.time, settings)
+            self._state, events = detect_events(self._state, found, taken.time, settings)
         best = max(found, key=lambda f: f.score / limits[f.gesture - 1])
         limit = limits[best.gesture - 1]
         message = {
@@ -318,7 +320,7 @@ def event_message(event: Event, names: Sequence[str]) -> dict[str, Any]:
     }
 
 
-def position(found: Found) -> list[float] | None:
+def position(found: Localisation) -> list[float] | None:
     """m in the camera's frame."""
     return None if found.position is None else [round(float(v), 3) for v in found.position]
 

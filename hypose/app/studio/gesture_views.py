@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.app.studio.catalog import Catalog
-from hypose.compute import Depth
+from hypose.compute import DepthImage
 from hypose.errors import HyposeError
 from hypose.gestures.depth_pictures import surface_depth
 from hypose.io.files import read_bytes, read_json
@@ -41,12 +41,12 @@ _COLOURS = (
 _HOLE = (22, 15, 12)
 
 
-def depth_jpeg(depth: Depth) -> bytes:
+def depth_jpeg(depth: DepthImage) -> bytes:
     """A depth picture (h, w) uint16 mm in colours."""
     return cv2.imencode(".jpg", coloured(depth), [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1].tobytes()
 
 
-def coloured(depth: Depth) -> NDArray[np.uint8]:
+def coloured(depth: DepthImage) -> NDArray[np.uint8]:
     """(h, w, 3) BGR of a depth picture (h, w) uint16 mm; holes are dark."""
     return cv2.applyColorMap(np.take(_levels(), depth), _palette())  # type: ignore[return-value] - uint8, as it says
 

@@ -31,11 +31,12 @@ from hypose.fusion.align import AlignSettings
 from hypose.fusion.joints import COMMON, PARENT
 from hypose.fusion.live import LiveSettings
 from hypose.io.videos.camera_sources import Shot, is_device
-from hypose.pipeline.live.engine import MOST_PEOPLE, LiveEngine, LiveOptions, LiveStatus, Seen
+from hypose.pipeline.live.engine import LiveEngine, LiveOptions, LiveStatus, Seen
 from hypose.pipeline.live.eyes import EyesOptions
 from hypose.pipeline.live.live_rig import LiveRig, live_rig
 from hypose.pipeline.live.live_search import LivePersonOptions
 from hypose.pipeline.live.recorder import LiveRecorder
+from hypose.pipeline.settings import SETTINGS
 
 FOLDER = "live"
 """Where recordings go, in the served folder."""
@@ -221,7 +222,7 @@ class CameraTopic(LiveTopic):
         countdown = number(message.get("countdown", 5), "the countdown", 0, 600)
         rate = number(message["rate"], "the rate", 1, 240) if message.get("rate") else None
         ws = whole(message.get("ws", 0), "the ws port", 0, 65535)
-        people = whole(message.get("people", 1), "the number of people", 1, MOST_PEOPLE)
+        people = whole(message.get("people", 1), "the number of people", 1, SETTINGS.engine_most_people)
         osc, vmc = _target(message, "osc", 9000), _target(message, "vmc", 39539)
         cameras = await run_in_threadpool(live_rig, recording.path, sources, rate)
         names = tuple(v.name for v in cameras.views)

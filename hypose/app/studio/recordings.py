@@ -24,8 +24,9 @@ from hypose.calibration.views import find_sources
 from hypose.cameras.camera import Camera
 from hypose.compute import mask_runs
 from hypose.errors import HyposeError, InputError
-from hypose.evidence.background import BackgroundModel, Image
-from hypose.evidence.silhouettes import Mask, SilhouetteSettings, make_segmenter
+from hypose.evidence.background import BackgroundModel
+from hypose.evidence.silhouettes import SilhouetteSettings, make_segmenter
+from hypose.geometry import Image, Mask
 from hypose.io.files import read_json, read_text, read_toml, write_text
 from hypose.io.recordings.frames import build_backgrounds, working_rig
 from hypose.io.recordings.recording import (

@@ -13,7 +13,6 @@ from typing import Any
 import cv2
 import numpy as np
 
-from hypose.app.reports.result_pictures import Image
 from hypose.app.reports.summary import DESCRIPTIONS
 from hypose.app.studio.catalog import Catalog, Item, NotFound
 from hypose.app.studio.job_kinds import Plan
@@ -25,7 +24,7 @@ from hypose.app.studio.view_result import first_frame, in_recording, load_view, 
 from hypose.body.motion import Motion
 from hypose.body.skeleton import Skeleton
 from hypose.errors import HyposeError
-from hypose.geometry import Array
+from hypose.geometry import Array, Image
 from hypose.io.motions.results import Checkpoint, load_body, load_motion
 from hypose.io.recordings.recording import load_recording
 from hypose.pipeline.gait import angle_cycles, gait_of

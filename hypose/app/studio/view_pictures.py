@@ -17,10 +17,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.app.reports.result_pictures import Image, image_points, jpeg, mask_outline
+from hypose.app.reports.result_pictures import image_points, jpeg, mask_outline
 from hypose.app.studio.memory_cache import Kept
 from hypose.errors import InputError
-from hypose.geometry import Array
+from hypose.geometry import Array, Image
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.object_masks import ObjectMasks
 from hypose.io.recordings.recording import Recording, View

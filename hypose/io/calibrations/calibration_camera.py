@@ -127,6 +127,11 @@ class RigFile:
             )
         if unit == "auto":
             unit = self._likely_unit()
+        for i, a in enumerate(self._cameras):
+            pose = a.camera_from_world
+            same = [c.name for c in self._cameras[i + 1 :] if np.allclose(c.camera_from_world, pose)]
+            if same and not np.array_equal(pose, np.eye(4)):  # lenses alone stand at the origin
+                self.notes.append(f"{self.path.name}: cameras {a.name} and {same[0]} stand in one place; correct one.")
         try:
             return CameraRig(tuple(rescaled(c, UNITS[unit]) for c in self._cameras)), tuple(self.notes)
         except CalibrationError as error:

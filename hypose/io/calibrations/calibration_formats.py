@@ -18,14 +18,11 @@ from hypose.io.calibrations.calibration_camera import UNITS
 from hypose.io.calibrations.calibration_systems import opencap_files, read_opencap, read_system_xml, write_opencap
 from hypose.io.calibrations.calibration_text import (
     Found,
-    easymocap_pair,
     is_storage,
     plain_files,
-    read_calibration_json,
-    read_calibration_toml,
     read_plain,
-    read_storage,
-    storage_files,
+    read_tables,
+    tables_folder,
     write_calibration_toml,
     write_easymocap,
 )
@@ -53,15 +50,17 @@ FORMATS = (
     Format(
         "hypose, Pose2Sim, anipose, FreeMoCap, Caliscope",
         (".toml",),
-        read_calibration_toml,
+        read_tables,
         write=write_calibration_toml,
     ),
-    Format("EasyMocap; OpenCV", (".yml", ".yaml"), read_storage, easymocap_pair, write=write_easymocap),
+    Format(
+        "EasyMocap, OpenCV, Kalibr, ROS, MC-Calib", (".yml", ".yaml"), read_tables, tables_folder, write=write_easymocap
+    ),
     Format("OpenCap", (".pickle", ".pkl"), read_opencap, opencap_files, write=write_opencap),
-    Format("CMU Panoptic, 3 x 4 projections", (".json",), read_calibration_json),
+    Format("CMU Panoptic, XRMoCap, 3 x 4 projections", (".json",), read_tables),
     Format("Qualisys, Vicon, OptiTrack Motive", (".qca.txt", ".qca", ".xcp", ".mcal"), read_system_xml),
     Format("BioCV, 3 x 4 projections", (".txt", ".calib", ""), read_plain, plain_files),
-    Format("OpenCV", (".xml",), read_storage, storage_files, is_storage),
+    Format("OpenCV", (".xml",), read_tables, holds=is_storage),
     Format("Qualisys, Vicon", (".xml",), read_system_xml),
 )
 _READ = (

@@ -372,7 +372,7 @@ def read_keypoint_json(path: Path) -> KeypointTable:
         return _mmpose(table["instance_info"], table.get("meta_info"), where)
     if isinstance(table.get("annotations"), list):
         return _coco(table["annotations"], table.get("images"), where)
-    if table and all_hold("people"):
+    if table and (all_hold("people") or all_hold("bodies")):
         return _alphapose_frames(table, where)
     if "people" in table:
         raise InputError(f"{where} holds the people of one frame; name the folder that has one such file per frame.")
@@ -464,9 +464,11 @@ def _alphapose_frames(document: Mapping[str, Any], where: str) -> KeypointTable:
         number = last_number(Path(name).stem)
         if number is None:
             raise InputError(f"{where}: the frame {name[:40]!r} has no number; export the results again.")
+        if isinstance(bodies := frame.get("bodies"), list):  # its form "cmu": Panoptic's words, OpenPose's 18 points
+            frame = {"people": [{"pose_keypoints_2d": b.get("joints")} for b in bodies if isinstance(b, Mapping)]}
         people[number] = parse_openpose(frame, source=f"{where}, frame {name}", raw=True)
     plain = all(re.fullmatch(r"(0|[1-9]\d*)\.(jpg|png)", n) for n in document)
-    return KeypointTable("AlphaPose results (OpenPose form)", people, 0 if plain else None)
+    return KeypointTable("AlphaPose results (form open or cmu)", people, 0 if plain else None)
 
 
 # ---- keypoint folder -----------------------------------------------------------------------------------------------
@@ -554,22 +556,15 @@ def _easymocap(path: Path) -> Array:
 
 
 def _ultralytics(folder: Path, files: dict[int, Path]) -> KeypointTable:
-    columns = {len(line.split()) for p in list(files.values())[:100] for line in text_lines_or_none(p)}
-    if len(columns) != 1:
-        raise InputError(
-            f"The files in {folder} have lines of {', '.join(map(str, sorted(columns))) or 'no'} numbers; write all "
-            "with the same settings of save_conf and tracking."
-        )
-    (width,) = columns
-    # the numbers of each point, and of what may follow: the person's confidence, its track
-    for per_point, further in itertools.product((3, 2), (0, 1, 2)):
-        count, rest = divmod(width - 5 - further, per_point)
-        if rest == 0 and count in _COUNTS:
+    widths = {len(line.split()) for p in list(files.values())[:100] for line in text_lines_or_none(p)}
+    # the numbers of each point, and of what may follow: the person's confidence, its track where it is followed
+    for per_point, count in itertools.product((3, 2), _COUNTS):
+        if widths and all(0 <= width - 5 - per_point * count <= 2 for width in widths):
             layout = f"Ultralytics labels ({'with' if per_point == 3 else 'without'} confidences)"
-            people = _FrameFiles(files, _row_reader(width, count, per_point))
+            people = _FrameFiles(files, _row_reader(count, per_point))
             return KeypointTable(layout, people, min(1, *files), shares=True, scored=per_point == 3)
     raise InputError(
-        f"The files in {folder} have {width} numbers a line, which is no pose of "
+        f"The files in {folder} have {', '.join(map(str, sorted(widths))) or 'no'} numbers a line, which is no pose of "
         f"{', '.join(map(str, _COUNTS))} points; write labels of a pose model (class x y w h, then the points)."
     )
 
@@ -581,14 +576,16 @@ def text_lines_or_none(path: Path) -> list[str]:
     return [line for line in text_lines(path, "a label file of Ultralytics", _MAX_FILE) if line.strip()]
 
 
-def _row_reader(width: int, count: int, per_point: int) -> Callable[[Path], Array]:
+def _row_reader(count: int, per_point: int) -> Callable[[Path], Array]:
     def read(path: Path) -> Array:
         people = []
         for line in text_lines_or_none(path):
             with numbers_of(str(path)):
                 values = np.array([float(c) for c in line.split()])
-            if len(values) != width:
-                raise InputError(f"{path}: a line has {len(values)} numbers, the others {width}; write them again.")
+            if not 0 <= len(values) - 5 - count * per_point <= 2:
+                raise InputError(
+                    f"{path}: a line has {len(values)} numbers, which are not {count} points; write it again."
+                )
             points = values[5 : 5 + count * per_point].reshape(count, per_point)
             if np.nanmax(np.abs(points[:, :2])) > 1.5:
                 raise InputError(f"{path}: positions must be shares of the picture (0 to 1); write the labels again.")

@@ -29,12 +29,14 @@ _CENTRES = {"s": "shoulder", "e": "elbow", "w": "wrist", "h": "hip", "k": "knee"
 
 @dataclass(frozen=True)
 class OtherMotion:
-    """times (T,) s; points by joint name (T, 3) m, NaN where not seen; angles by OpenSim's name (T,) rad, or m."""
+    """times (T,) s; points by joint name (T, 3) m, NaN where not seen; angles by OpenSim's name (T,) rad, or m; notes:
+    sentences on what was left out."""
 
     path: Path
     times: Array
     points: Mapping[str, Array] = field(default_factory=dict)
     angles: Mapping[str, Array] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
 
 def read_other(
@@ -56,8 +58,16 @@ def read_other(
         raise InputError(f"{path} cannot be compared with; give results of hypose, .c3d, .trc, .mot or .sto.")
     markers = read_c3d(path) if ending == ".c3d" else read_trc(path)
     names, kept = _of_subject(path, markers.names, subject)
+    twice = {n for n in names if names.count(n) > 1}
+    notes = (
+        (f"{path.name} has several points of the name {', '.join(sorted(twice))}, which are left out.",)
+        if twice
+        else ()
+    )
+    single = [i for i, n in enumerate(names) if n not in twice]
+    names, kept = tuple(names[i] for i in single), [kept[i] for i in single]
     points = _joints_of(path, names, markers.points[:, kept], joints or {})
-    return OtherMotion(path, np.arange(len(markers.points)) / markers.frame_rate, points)
+    return OtherMotion(path, np.arange(len(markers.points)) / markers.frame_rate, points, notes=notes)
 
 
 def angles_of(motion: Motion) -> dict[str, Array]:

@@ -24,7 +24,12 @@ from hypose.cameras.camera import Camera, CameraRig
 from hypose.compute import default_threads
 from hypose.errors import InputError
 from hypose.evidence.ahead import make_ahead
-from hypose.evidence.background import BackgroundModel, Image, from_frames, from_plates, from_recording
+from hypose.evidence.background import (
+    BackgroundModel,
+    from_frames,
+    from_plates,
+    from_recording,
+)
 from hypose.evidence.colours import colour_codes, colour_edges
 from hypose.evidence.depth_background import behind_things
 from hypose.evidence.depth_evidence import Depth
@@ -33,14 +38,13 @@ from hypose.evidence.frame import Colours, Frame, Keypoints, Silhouettes
 from hypose.evidence.keypoints import person_size, thick_skeleton
 from hypose.evidence.outlines import OUTLINE_POINTS, WORKING_HEIGHT, ViewOutline, outline_of_runs
 from hypose.evidence.silhouettes import (
-    Mask,
     MaskRuns,
     SilhouetteSettings,
     flag_collapsed,
     make_segmenter,
     make_silhouettes,
 )
-from hypose.geometry import Array
+from hypose.geometry import Array, Image, Mask
 from hypose.io.file_names import folder_for
 from hypose.io.files import write_bytes, write_text
 from hypose.io.recordings.recording import Recording

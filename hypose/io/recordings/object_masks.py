@@ -7,7 +7,7 @@
 | a folder that holds folders of masks | a folder, by its name |
 | a COCO or YouTube-VIS .json with run lengths or polygons | track_id, object_id or instance_id, else id |
 
-Which object is which person across views is found by `hypose.evidence.objects`.
+Which object is which person across views is found by `hypose.evidence.association`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.errors import InputError
-from hypose.evidence.silhouettes import Mask, as_mask
+from hypose.evidence.silhouettes import as_mask
+from hypose.geometry import Mask
 from hypose.io.file_names import last_number, natural_key
 from hypose.io.files import MAX_TEXT_BYTES, read_json
 from hypose.io.videos.video import (

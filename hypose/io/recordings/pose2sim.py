@@ -50,7 +50,7 @@ def read_project(folder: Path) -> tuple[dict[str, Any], list[str]]:
     config = _merged_config(folder)
     videos = _subfolder(folder, "videos")
     clips = [] if videos is None else _clips(videos)
-    posed = [] if clips else _pose_folders(folder)
+    posed = [] if clips else _pose_folders(folder, "pose-sync") or _pose_folders(folder)
     if not clips and not posed:
         trials = [p.name for p in sorted(folder.iterdir()) if p.is_dir() and _is_trial(p)]
         if trials:
@@ -89,7 +89,7 @@ def read_project(folder: Path) -> tuple[dict[str, Any], list[str]]:
     for view, clip in zip(views, clips, strict=False):
         view["video" if clip.is_file() else "images"] = str(clip)
     if posed:
-        notes.append(f"There are no videos in {folder}; the key points in pose are used alone.")
+        notes.append(f"There are no videos in {folder}; the key points in {posed[0].parent.name} are used alone.")
     keypoints: list[Path | None] = [*posed] or _keypoint_folders(folder, names, notes)
     for view, path in zip(views, keypoints, strict=True):
         if path is not None:
@@ -194,9 +194,9 @@ def _clips(videos: Path) -> list[Path]:
     return sorted(files or folders, key=lambda p: natural_key(p.name))
 
 
-def _pose_folders(folder: Path) -> list[Path]:
-    """The folders of pose that hold key points, in natural order."""
-    pose = _subfolder(folder, "pose")
+def _pose_folders(folder: Path, name: str = "pose") -> list[Path]:
+    """The folders of pose, or pose-sync, that hold key points, in natural order."""
+    pose = _subfolder(folder, name)
     inside = [] if pose is None else [p for p in pose.iterdir() if p.is_dir() and next(p.glob("*.json"), None)]
     return sorted(inside, key=lambda p: natural_key(p.name))
 

@@ -62,7 +62,7 @@ from typing import Any
 
 import numpy as np
 
-from hypose.cameras.camera import CameraRig
+from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import CalibrationError, InputError
 from hypose.evidence.keypoints import keypoint_names
 from hypose.evidence.silhouettes import SilhouetteSettings
@@ -304,11 +304,12 @@ class Recording:
         return out
 
 
-def load_recording(path: str | Path, calibration: str | Path | None = None) -> Recording:
+def load_recording(path: str | Path, calibration: str | Path | None = None, *, uncalibrated: bool = False) -> Recording:
     """Load and check a recording folder, a recording.toml, or a Pose2Sim project or trial folder.
 
-    calibration: a calibration file to use instead of the recording's own. An InputError (CalibrationError for the
-    cameras) names the file or camera, what is allowed and the next step.
+    calibration: a calibration file to use instead of the recording's own; uncalibrated: use none, the cameras are those
+    of `cameras_of_pictures`. An InputError (CalibrationError for the cameras) names the file or camera, what is allowed
+    and the next step.
     """
     path = Path(path)
     if not path.exists():
@@ -320,17 +321,17 @@ def load_recording(path: str | Path, calibration: str | Path | None = None) -> R
             raise InputError(
                 f"{path} is no recording; give a folder with recording.toml, that file, or a Pose2Sim project folder."
             )
-        return _build(path.parent, path, _with_calibration(read_toml(path), calibration), [])
+        return _build(path.parent, path, _with_calibration(read_toml(path), calibration), [], uncalibrated)
     toml = path / "recording.toml"
     if toml.is_file():
         given, notes = read_toml(toml), list[str]()
         if "calibration" not in given and not (path / "calibration.toml").exists() and pose2sim.is_project(path):
             project, notes = pose2sim.read_project(path)
             given = pose2sim.changed(project, given, toml)
-        return _build(path, toml, _with_calibration(given, calibration), notes)
+        return _build(path, toml, _with_calibration(given, calibration), notes, uncalibrated)
     if pose2sim.is_project(path):
         settings, notes = pose2sim.read_project(path)
-        return _build(path, path, _with_calibration(settings, calibration), notes)
+        return _build(path, path, _with_calibration(settings, calibration), notes, uncalibrated)
     inside = [p.name for p in sorted(path.iterdir()) if p.is_dir() and (p / "recording.toml").is_file()]
     hint = f"it holds the recordings {', '.join(inside)}: name one" if inside else "write recording.toml"
     raise InputError(
@@ -410,7 +411,7 @@ def _relative(path: Path | None, folder: Path) -> str | None:
 # ---- checks ------------------------------------------------------------------------------------------------
 
 
-def _build(folder: Path, origin: Path, settings: Mapping[str, Any], notes: list[str]) -> Recording:
+def _build(folder: Path, origin: Path, settings: Mapping[str, Any], notes: list[str], uncalibrated: bool) -> Recording:
     """The recording of a (translated) recording.toml; origin: the file or folder that errors name."""
     where = str(origin)
     check_keys(where, settings, RECORDING_KEYS)
@@ -429,8 +430,12 @@ def _build(folder: Path, origin: Path, settings: Mapping[str, Any], notes: list[
     if len(set(names)) < len(names):
         raise InputError(f"{where}: view names must differ, got {', '.join(names)}; rename one.")
 
-    calibration, rig = _calibration(folder, where, settings, notes)
-    rig = _match_cameras(rig, calibration, views, [t.get("camera") for t in tables], notes)
+    calibration: Path | None = None
+    if uncalibrated:
+        rig = cameras_of_pictures(where, views)
+    else:
+        calibration, rig = _calibration(folder, where, settings, notes)
+        rig = _match_cameras(rig, calibration, views, [t.get("camera") for t in tables], notes)
 
     views, clips = look_together(views, notes)
     for view, camera, found in zip(views, rig, clips, strict=True):
@@ -602,6 +607,22 @@ def _calibration(folder: Path, where: str, settings: Mapping[str, Any], notes: l
         rig = CameraRig(tuple(replace(c, camera_from_world=c.camera_from_world @ turn) for c in rig))
         notes.append(f"The world is turned so that the calibration's {up} axis points up (z).")
     return path, rig
+
+
+def cameras_of_pictures(where: str, views: Sequence[View]) -> CameraRig:
+    """Cameras of which the size of the pictures alone is known: a focal length of the longer side, all in one place."""
+    cameras = []
+    for view in views:
+        path = view.source or view.masks
+        if path is None:
+            raise InputError(
+                f"{where}, view {view.name}: it has no pictures, so their size is not known; give its video, or the "
+                "cameras' lenses with --intrinsics FILE."
+            )
+        (width, height), focal = frame_size(path), max(frame_size(path))
+        k = np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1.0]])
+        cameras.append(Camera(view.name, k, np.zeros(5), np.eye(4), (width, height)))
+    return CameraRig(tuple(cameras))
 
 
 def _match_cameras(

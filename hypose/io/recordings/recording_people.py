@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hypose.cameras.camera import CameraRig
+from hypose.evidence.association import object_points, people_of_objects
 from hypose.evidence.frame import Keypoints
 from hypose.evidence.held_points import without_held
 from hypose.evidence.keypoints import keypoint_names
-from hypose.evidence.objects import object_points, people_of_objects
 from hypose.evidence.one_person import OnePerson, one_person
 from hypose.geometry import Array
 from hypose.io.recordings.object_masks import ObjectMasks
@@ -88,7 +88,7 @@ def objects_of_people(
     recording: Recording, small: CameraRig, masks: Sequence[ObjectMasks | None]
 ) -> list[dict[int, str]]:
     """Which objects of the views' masks are one person: {view: object} per person, those seen most first
-    (`hypose.evidence.objects`); views without objects (None) are left out."""
+    (`hypose.evidence.association`); views without objects (None) are left out."""
     frames = _sampled(recording)
     points: list[dict[str, Array]] = [{} for _ in masks]
     for c, (view, camera, into) in enumerate(zip(masks, recording.rig, small, strict=True)):

@@ -16,7 +16,7 @@ from hypose.cameras.camera import Camera
 from hypose.compute import (
     Box,
     Glance,
-    Lens,
+    Undistortion,
     default_threads,
     differing_box,
     make_lens,
@@ -26,11 +26,9 @@ from hypose.compute import (
     stored_pixels,
 )
 from hypose.errors import InputError
-from hypose.evidence.background import Image
 from hypose.evidence.depth_background import (
     STILL_FRAMES,
     DepthBackground,
-    DepthMap,
     learn_background,
     people_before,
     people_on_floor,
@@ -39,7 +37,13 @@ from hypose.evidence.depth_background import (
     unlike_people,
     with_still_things,
 )
-from hypose.evidence.silhouettes import Mask, MaskRuns, Segmenter, as_mask, bounding_box
+from hypose.evidence.silhouettes import (
+    MaskRuns,
+    Segmenter,
+    as_mask,
+    bounding_box,
+)
+from hypose.geometry import DepthMap, Image, Mask
 from hypose.io.recordings.object_masks import ObjectMasks, open_masks
 from hypose.io.recordings.recording_views import SIDECAR, View
 from hypose.io.sensors.depth import read_depth_png
@@ -180,7 +184,7 @@ class Preparer:
         mx, my = camera.undistort_maps(self.size, self.size)
         scale = self.size[0] / camera.size[0], self.size[1] / camera.size[1]
         self._maps = mx - np.float32(shift[0] * scale[0]), my - np.float32(shift[1] * scale[1])
-        self._lenses: dict[tuple[int, int], Lens] = {}
+        self._lenses: dict[tuple[int, int], Undistortion] = {}
         self._memory = new_picture(self.size[1], self.size[0])
         self._pixels: dict[tuple[int, int], NDArray[np.int32]] = {}
 
@@ -194,7 +198,7 @@ class Preparer:
         image = self._enlarged(image)
         return shrink_undistort(image, self._lens(image), box, self._memory)
 
-    def _lens(self, image: Image) -> Lens:
+    def _lens(self, image: Image) -> Undistortion:
         stored = (image.shape[1], image.shape[0])
         if stored not in self._lenses:
             self._lenses[stored] = make_lens(stored, *self._maps)

@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hypose.cameras.camera import Camera
 from hypose.errors import HyposeError, InputError, extra
-from hypose.geometry import Array
+from hypose.geometry import Array, DepthMap
 from hypose.io.calibrations.calibration_formats import read_any
 from hypose.io.file_names import utf8_path
 from hypose.io.files import open_file, read_bytes, readable_size, unreadable, write_bytes
@@ -33,7 +33,6 @@ from hypose.io.videos.camera_sources import CameraSource, Played, Shot, StreamEn
 from hypose.io.videos.video import PNG_SIGNATURE, is_cut_png, list_images
 from hypose.json_text import parse_json
 
-DepthMap = NDArray[np.float32]
 MAX_SIDE = 4096
 # Steps of a noisy depth picture are no better predicted from the pixel beside: without a filter files are a third
 # smaller, and no slower to write.
@@ -55,8 +54,13 @@ def write_millimetres_png(path: str | Path, depth: NDArray[np.uint16]) -> None:
     write_bytes(path, data.tobytes(), synced=False)
 
 
+_NOT_MEASURED = 65535
+"""What some recorders write in place of 0 (mm)."""
+
+
 def read_depth_png(path: str | Path) -> DepthMap:
-    """Read a 16-bit PNG in millimetres; the size in its header is checked before anything is unpacked."""
+    """Read a 16-bit PNG in millimetres as m, 0 where nothing was measured; the size in its header is checked before
+    anything is unpacked."""
     data = read_bytes(path, "a 16-bit depth PNG", _MAX_BYTES)
     if not data.startswith(PNG_SIGNATURE) or data[12:16] != b"IHDR" or len(data) < 33:
         raise InputError(f"{path} is not a PNG; depth maps are 16-bit PNG in millimetres.")
@@ -70,7 +74,7 @@ def read_depth_png(path: str | Path) -> DepthMap:
     image = None if cut else cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
     if image is None or image.dtype != np.uint16 or image.shape != (height, width):
         raise InputError(f"{path} is a damaged PNG; write it again.")
-    return image.astype(np.float32) / np.float32(1000)
+    return np.where(image < _NOT_MEASURED, image, 0).astype(np.float32) / np.float32(1000)
 
 
 def depth_at_joints(

@@ -25,7 +25,16 @@ from numpy.typing import NDArray
 from hypose.errors import InputError
 from hypose.geometry import Array, so3_exp
 from hypose.io.file_names import text_of
-from hypose.io.files import RecordingFolder, bounded_lines, csv_rows, numbers_of, read_json, text_lines, write_text
+from hypose.io.files import (
+    MAX_TEXT_BYTES,
+    RecordingFolder,
+    bounded_lines,
+    csv_rows,
+    numbers_of,
+    read_json,
+    text_lines,
+    write_text,
+)
 from hypose.io.motions.results import to_json
 from hypose.io.sensors.depth import depth_at_joints, read_depth_png
 from hypose.io.sensors.skeleton_streams import (
@@ -400,6 +409,44 @@ def _ntu_rows(path: Path, name: str) -> StreamRows:
     return rows
 
 
+_AZURE = "an offline_processor's .json of Azure Kinect"
+
+
+def read_azure(files: Sequence[str | Path]) -> SkeletonRecording:
+    """Read what Azure Kinect's offline_processor writes, one .json per sensor, each with its own clock.
+
+    Positions are millimetres; confidence_level (0 none, 1 low, 2 medium, 3 high) is the joint's state. Without it every
+    joint counts as tracked.
+    """
+    paths = [Path(f) for f in files]
+    sensors = [_azure_rows(p) for p in paths]
+    inputs = {p.name: p for p in paths}
+    return checked_recording(text_of(paths[0].stem), sensors, str(paths[0]), inputs, common_clock=len(paths) == 1)
+
+
+def _azure_rows(path: Path) -> StreamRows:
+    value = read_json(path, _AZURE, MAX_TEXT_BYTES)
+    names, frames = (value.get(k) if isinstance(value, dict) else None for k in ("joint_names", "frames"))
+    if not isinstance(names, list) or not isinstance(frames, list) or not 1 <= len(names) <= MAX_JOINTS:
+        raise InputError(f"{path} is not {_AZURE}: it needs joint_names and frames.")
+    rows = StreamRows(text_of(path.stem), tuple(map(str, names)))
+    for i, frame in enumerate(frames):
+        try:
+            time = float(frame["timestamp_usec"]) * 1e-6
+            bodies = frame["bodies"]
+            for body in bodies:
+                xyz = np.array(body["joint_positions"], dtype=np.float64).reshape(len(names), 3) * 1e-3
+                state = np.minimum(np.array(body.get("confidence_level", [2] * len(names)), dtype=np.uint8), 2)
+                rows.add(time, int(body["body_id"]), xyz, state.reshape(len(names)))
+        except (TypeError, KeyError, ValueError, OverflowError, AttributeError) as error:
+            raise InputError(
+                f"{path}, frame {i}: {error!r} is missing or no number; run offline_processor again."
+            ) from None
+        if not bodies:
+            rows.empty.append(time)
+    return rows
+
+
 # ---- skeleton formats ----------------------------------------------------------------------------------------------
 # Recorded skeletons of any known program: which reader takes a file or folder.
 
@@ -407,8 +454,8 @@ def _ntu_rows(path: Path, name: str) -> StreamRows:
 def read_skeletons(path: str | Path) -> SkeletonRecording:
     """Read recorded skeletons in any known form; an InputError says in one sentence what cannot be used.
 
-    A folder with session.json; a folder of NTU .skeleton files, one per camera; .csv or .csv.gz of several Kinects;
-    .skeleton; .jsonl or .jsonl.gz.
+    A folder with session.json; a folder of NTU .skeleton files or Azure Kinect's .json, one per camera; .csv or .csv.gz
+    of several Kinects; .skeleton; .json; .jsonl or .jsonl.gz.
     """
     p = Path(path)
     name = p.name.lower().removesuffix(".gz")
@@ -417,12 +464,14 @@ def read_skeletons(path: str | Path) -> SkeletonRecording:
         return read_folder(p)
     if p.is_dir() and (files := sorted(p.glob("*.skeleton"))):
         return read_ntu(files)
+    if p.is_dir() and (files := sorted(p.glob("*.json"))):
+        return read_azure(files)
     if p.is_file() and read is not None:
         return read(p)
     what = "does not exist" if not p.exists() else "holds no skeletons" if p.is_dir() else "has no known form"
     raise InputError(
-        f"{p} {what}; give a folder with session.json or .skeleton files, or a .csv, .skeleton or .jsonl file (.gz is "
-        "fine; of an archive the folder that is unpacked)."
+        f"{p} {what}; give a folder with session.json or .skeleton files, or a .csv, .skeleton, .json or .jsonl file "
+        "(.gz is fine; of an archive the folder that is unpacked)."
     )
 
 
@@ -430,6 +479,7 @@ _READERS: Mapping[str, Callable[[Path], SkeletonRecording]] = {
     "session.json": lambda p: read_folder(p.parent),
     ".csv": read_kinect_csv,
     ".skeleton": lambda p: read_ntu([p]),
+    ".json": lambda p: read_azure([p]),
     ".jsonl": read_lines,
     ".ndjson": read_lines,
 }

@@ -18,6 +18,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple
 
+from hypose.geometry import Image
 from hypose.io.files import read_bytes
 
 # FFmpeg's own complaints would appear between our sentences; read by OpenCV when it first opens a video.
@@ -30,8 +31,6 @@ from numpy.typing import NDArray
 from hypose.errors import InputError
 from hypose.io.file_names import natural_key, utf8_path
 from hypose.io.files import atomic_path
-
-Image = NDArray[np.uint8]
 
 VIDEO_ENDINGS = (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm", ".mpg", ".mpeg", ".wmv", ".mts")
 IMAGE_ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")

@@ -26,14 +26,10 @@ from hypose.evidence.frame import Expected, Frame, Silhouettes
 from hypose.geometry import Array
 from hypose.pipeline.live.processes import belong_to_parent, deaf_to_ctrl_c
 from hypose.pipeline.live.rooms import KeptDepth
+from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.subject_from_motion import AnthropometryOptions, estimate_subject
 
 T = TypeVar("T")
-LARGEST_LAG_S = 0.4
-"""s by which a camera's pictures may come later than another's"""
-_SURE, _GAIN = 0.2, 6.0
-"""Frames: sd of an offset that is believed; half a log likelihood by which the offsets must be better than none"""
-_SCALE_PX = 1.5
 
 
 @dataclass(frozen=True)
@@ -89,11 +85,14 @@ def offsets_of(kept: Sequence[KeptMasks], rig: CameraRig, rate: float) -> Array 
     or where no camera is late."""
     tracks = mask_tracks([k.silhouettes(rig) for k in kept])
     try:
-        found = solve_offsets(silhouette_curves(rig, tracks, LARGEST_LAG_S * rate, _SCALE_PX), len(rig))
+        found = solve_offsets(
+            silhouette_curves(rig, tracks, SETTINGS.background_largest_lag_s * rate, SETTINGS.background_scale_px),
+            len(rig),
+        )
     except EvidenceError:
         return None
-    told = np.isfinite(found.sd) & (found.sd < _SURE)
-    if found.gain < _GAIN or not told.any() or np.abs(found.frames[told]).max() < 0.5:
+    told = np.isfinite(found.sd) & (found.sd < SETTINGS.background_sure)
+    if found.gain < SETTINGS.background_gain or not told.any() or np.abs(found.frames[told]).max() < 0.5:
         return None
     return np.where(told, found.frames, 0.0) / rate
 

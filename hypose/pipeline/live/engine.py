@@ -33,21 +33,13 @@ from hypose.pipeline.live.eyes import (
 )
 from hypose.pipeline.live.feeds import FeedStatus
 from hypose.pipeline.live.live_people import FOLLOWING, LOST, LivePeople, LivePose
-from hypose.pipeline.live.live_search import LOOKING, NOBODY, SLOWLY_HZ, LivePersonOptions
+from hypose.pipeline.live.live_search import LOOKING, NOBODY, LivePersonOptions
 from hypose.pipeline.live.processes import punctual
 from hypose.pipeline.live.rooms import depth_of
+from hypose.pipeline.settings import SETTINGS
 
 EMPTY_ROOM = "empty room"
 """What `LiveEngine.phase` is while the room is learnt; then it is the person's."""
-MOST_PEOPLE = 8
-"""who can be followed at once: no computer keeps pace with more"""
-_HISTORY = 11
-"""areas that say what is usual, one every fifth instant"""
-_LATENCIES = 1800
-_SEARCHES = 2
-"""searches and duels at one time"""
-_MISSES = (0.05, 0.1, 0.2, 0.5)
-"""shares of its pictures that a camera loses, from the one on that is worth a word"""
 
 
 @dataclass(frozen=True)
@@ -129,14 +121,16 @@ class LiveEngine:
         self.ended = threading.Event()
         self.failed: BaseException | None = None
         self._eyes: EyesProcess | None = None
-        self._beside = ThreadPoolExecutor(min(self.options.people, _SEARCHES), thread_name_prefix="start")
+        self._beside = ThreadPoolExecutor(
+            min(self.options.people, SETTINGS.engine_searches), thread_name_prefix="start"
+        )
         self._work = BackgroundWork() if self.options.measure else None
         self._people = self._new_people()
-        self._areas: deque[NDArray[np.int64]] = deque(maxlen=_HISTORY)
+        self._areas: deque[NDArray[np.int64]] = deque(maxlen=SETTINGS.engine_history)
         self._frames = self._poses = 0
         self._since: tuple[int, int] | None = None
-        self._latency: deque[float] = deque(maxlen=_LATENCIES)
-        self._given: deque[float] = deque(maxlen=_LATENCIES)
+        self._latency: deque[float] = deque(maxlen=SETTINGS.engine_latencies)
+        self._given: deque[float] = deque(maxlen=SETTINGS.engine_latencies)
         self._stages: dict[str, deque[float]] = {k: deque(maxlen=120) for k in ("masks", "track", "tell", "judge")}
         self._told = -np.inf
         self._sight: Sight | None = None
@@ -154,7 +148,7 @@ class LiveEngine:
 
     def start(self) -> None:
         """Open the cameras and begin; an InputError when one cannot be opened."""
-        parts = (*compute.FOLLOWING, *(("depth",) if any_depth(self.views) else ()))
+        parts = (*compute.TRACKING_KERNELS, *(("depth",) if any_depth(self.views) else ()))
         compute.warm_up(*parts, load=False)  # what is compiled here the other process finds
         warm = self._beside.submit(compute.warm_up, *parts)
         self._eyes = EyesProcess(self.rig, self.views, self.options.eyes, self._stop)
@@ -212,7 +206,7 @@ class LiveEngine:
             if phase == FOLLOWING and p.motion.poses is not None
         )
         # a search has the processor: more often than it looks nothing is made
-        pause = 0.5 / SLOWLY_HZ if phase in (NOBODY, LOOKING) else 0.0
+        pause = 0.5 / SETTINGS.search_slowly_hz if phase in (NOBODY, LOOKING) else 0.0
         room, self._learn = self._learn, False
         offsets, self._offsets = self._offsets, None
         return Question(pause, bodies, phase in (FOLLOWING, LOST), self.options.pictures, room, offsets)
@@ -311,7 +305,7 @@ def _words(cameras: Sequence[FeedStatus], least: int) -> list[str]:
         some = "Fewer than two cameras show" if least > 1 else "No camera shows"
         out.append(f"{some} anything, so nobody can be followed.")
     for c in cameras:
-        if c.received > 100 and c.loss > _MISSES[0]:  # in steps: what changes is said anew
-            share = max(m for m in _MISSES if c.loss > m)
+        if c.received > 100 and c.loss > SETTINGS.engine_misses[0]:  # in steps: what changes is said anew
+            share = max(m for m in SETTINGS.engine_misses if c.loss > m)
             out.append(f"{c.name} loses more than {100 * share:.0f} % of its pictures.")
     return out

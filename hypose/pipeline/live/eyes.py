@@ -30,8 +30,8 @@ from hypose.evidence.background import BackgroundModel
 from hypose.evidence.depth_background import DepthBackground
 from hypose.evidence.outlines import ViewOutline
 from hypose.evidence.shared_masks import BodyShape
-from hypose.evidence.silhouettes import Mask, SilhouetteSettings
-from hypose.geometry import Array
+from hypose.evidence.silhouettes import SilhouetteSettings
+from hypose.geometry import Array, Mask
 from hypose.io.keypoints.detectors import open_network
 from hypose.io.recordings.frames import working_rig
 from hypose.io.sensors.depth import DEPTH_PNG, open_depth_camera
@@ -39,18 +39,7 @@ from hypose.io.videos.camera_sources import CameraSource, Shot, open_camera
 from hypose.pipeline.live.feeds import Feed, FeedStatus, newest_instant
 from hypose.pipeline.live.processes import belong_to_parent, deaf_to_ctrl_c, punctual
 from hypose.pipeline.live.rooms import DepthRoom, NetworkRoom, ViewRoom
-
-ROOM_S, ROOM_PICTURES = 2.0, 12
-"""s and pictures from which the empty room is learnt"""
-_OTHER_SHAPE = 0.01
-"""share by which width over height may differ from the calibration's"""
-_DAMAGED = 5
-"""pictures in a row that cannot be read before a word is said"""
-_QUALITY = 85
-_LOOK_S = 0.2
-"""s after which whoever waits for the other process looks whether it is to go on waiting"""
-_CLOSING_S = 5.0
-"""s in which it may let go of its cameras"""
+from hypose.pipeline.settings import SETTINGS
 
 
 @dataclass(frozen=True)
@@ -263,12 +252,12 @@ class Eyes:
         image, (cw, ch), name = shot.picture(self._rooms[view].size), self._sizes[view], self._views[view].name
         self._damaged[view] = self._damaged[view] + 1 if image is None else 0
         if image is None:
-            if self._damaged[view] >= _DAMAGED:
+            if self._damaged[view] >= SETTINGS.eyes_damaged:
                 self._wrong[view] = f"{name} sends pictures that cannot be read; look what the address shows."
             return None
         w, h = shot.size or (image.shape[1], image.shape[0])
-        wrong = not self._views[view].stretched and abs(w * ch - h * cw) > _OTHER_SHAPE * h * cw
-        turned = abs(w * cw - h * ch) <= _OTHER_SHAPE * h * ch
+        wrong = not self._views[view].stretched and abs(w * ch - h * cw) > SETTINGS.eyes_other_shape * h * cw
+        turned = abs(w * cw - h * ch) <= SETTINGS.eyes_other_shape * h * ch
         self._wrong[view] = (
             f"{name} shows pictures of {w} x {h} px and is calibrated for {cw} x {ch} px; "
             + ("turn it back." if turned else "set it to pictures of that shape, or calibrate it as it is.")
@@ -298,11 +287,11 @@ class Eyes:
         if passed < 0:
             return
         for view, (kept, shot) in enumerate(zip(self._pictures, shots, strict=True)):
-            if shot is not None and len(kept) <= min(passed / ROOM_S, 1.0) * ROOM_PICTURES:
+            if shot is not None and len(kept) <= min(passed / SETTINGS.eyes_room_s, 1.0) * SETTINGS.eyes_room_pictures:
                 image = self._picture(view, shot)
                 if image is not None:
                     kept.append(image)
-        if passed < ROOM_S or any(len(k) < 3 for k in self._pictures):
+        if passed < SETTINGS.eyes_room_s or any(len(k) < 3 for k in self._pictures):
             return
         moved = []
         for view, room, images in zip(self._views, self._rooms, self._pictures, strict=True):
@@ -348,7 +337,7 @@ def stored(image: NDArray[Any]) -> bytes | None:
     if image.ndim == 2:
         ok, data = cv2.imencode(".png", np.minimum(image * 1000 + 0.5, 65535).astype(np.uint16), DEPTH_PNG)
     else:
-        ok, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+        ok, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, SETTINGS.eyes_quality])
     return data.tobytes() if ok else None
 
 
@@ -380,7 +369,7 @@ class EyesProcess:
             self._process.join(5)
             raise opened
         if opened is not None:
-            self._closing_s = _CLOSING_S
+            self._closing_s = SETTINGS.eyes_closing_s
 
     def ask(self, question: Question) -> None:
         """Have an instant looked at."""
@@ -406,11 +395,11 @@ class EyesProcess:
         waited = 0.0
         try:
             while waited < wait:  # counted, not by the clock: who was stopped and goes on has not waited
-                if self._pipe.poll(_LOOK_S):
+                if self._pipe.poll(SETTINGS.eyes_look_s):
                     return self._pipe.recv()
                 if self._stop.is_set():
                     return None
-                waited += _LOOK_S
+                waited += SETTINGS.eyes_look_s
             what = f"has not answered for {wait:.0f} s"
         except (EOFError, OSError):
             what = "has ended"

@@ -16,17 +16,7 @@ from hypose.errors import HyposeError, InputError
 from hypose.fusion.clocks import SensorClock
 from hypose.geometry import Array
 from hypose.io.videos.camera_sources import CameraSource, Shot
-
-KEPT = 12
-"""pictures of each camera that are kept, beside those that others have not come to yet"""
-_PACE, _KNOWN = 31, 4
-"""pictures by which the rate is judged, and from which on it is"""
-_RECENT = 300
-"""pictures by which it is judged how many are lost"""
-_NONSENSE = 45
-"""pictures with times that cannot be, more than with others, after which a camera's own times are left alone"""
-_AGAIN_S, _LONGEST_S = 0.2, 2.0
-"""s after which a camera that has gone is asked for again: at first, at most"""
+from hypose.pipeline.settings import SETTINGS
 
 
 @dataclass(frozen=True)
@@ -53,10 +43,10 @@ class Feed:
         self.name, self.offset, self.ahead = name, 0.0, 0.0
         self._opener, self._arrived = opener, arrived
         self._shots: deque[tuple[float, Shot]] = deque()
-        self._pace: deque[float] = deque(maxlen=_PACE)
+        self._pace: deque[float] = deque(maxlen=SETTINGS.feeds_pace)
         self._clock, self._nonsense = SensorClock(), 0
         self._received = self._lost = self._returns = 0
-        self._recent: deque[int] = deque(maxlen=_RECENT)
+        self._recent: deque[int] = deque(maxlen=SETTINGS.feeds_recent)
         self._trouble, self._ended = "", False
         self._begun = time.monotonic()
         self._stop = threading.Event()
@@ -92,7 +82,7 @@ class Feed:
         with self._arrived:
             period, trouble = self._period(), self._trouble
             silent = time.monotonic() - (self._shots[-1][1].arrival if self._shots else self._begun)
-            if not trouble and silent > 2 * GONE_S:
+            if not trouble and silent > 2 * SETTINGS.feeds_gone_s:
                 trouble = f"no picture for {silent:.0f} s"
             rate = 1 / period if np.isfinite(period) and not trouble else 0.0
             lost = max(sum(self._recent), 0)
@@ -100,7 +90,7 @@ class Feed:
             return FeedStatus(self.name, self._received, self._lost, rate, self._returns, trouble, self._ended, loss)
 
     def _period(self) -> float:
-        if len(self._pace) < _KNOWN:
+        if len(self._pace) < SETTINGS.feeds_known:
             return float("nan")
         steps = np.diff(self._pace)
         usual = float(np.median(steps))
@@ -108,14 +98,14 @@ class Feed:
         return usual if usual > 0.5 * mean else mean  # a network may deliver pictures in bunches
 
     def _run(self) -> None:
-        source, wait, back = self._source, _AGAIN_S, False
+        source, wait, back = self._source, SETTINGS.feeds_again_s, False
         while not self._stop.is_set():
             try:
                 if source is None:
                     source, back = self._opener(), True
                 self._take(source.read())
                 self._returns += back
-                wait, back = _AGAIN_S, False
+                wait, back = SETTINGS.feeds_again_s, False
             except HyposeError as error:
                 over = source is not None and not source.live  # a damaged file stays damaged
                 if source is not None:
@@ -128,7 +118,7 @@ class Feed:
                 if over:
                     return
                 self._stop.wait(wait)
-                wait = min(2 * wait, _LONGEST_S)
+                wait = min(2 * wait, SETTINGS.feeds_longest_s)
         if source is not None:
             with contextlib.suppress(HyposeError):
                 source.close()
@@ -136,7 +126,7 @@ class Feed:
     def _when(self, shot: Shot) -> float | None:
         """When it was taken, on this computer's clock; None: that is not known. Many programs send a time that never
         changes, or in another unit."""
-        if shot.stamp is None or self._nonsense >= _NONSENSE:
+        if shot.stamp is None or self._nonsense >= SETTINGS.feeds_nonsense:
             return shot.arrival
         at = self._clock.update(shot.stamp, shot.arrival)
         known = at is not None and not (self._shots and at <= self._shots[-1][0])
@@ -150,12 +140,12 @@ class Feed:
                 if self._shots and shot.arrival - self._shots[-1][1].arrival > 1.0:
                     self._shots.clear()  # the clock was set back
                 return
-            if len(self._pace) >= _KNOWN:
+            if len(self._pace) >= SETTINGS.feeds_known:
                 # what comes too soon after another was only late, and not lost before
                 self._recent.append(round((at - self._pace[-1]) / _usual(np.diff([*self._pace, at]))) - 1)
                 self._lost = max(0, self._lost + self._recent[-1])
             self._shots.append((at, shot))
-            while len(self._shots) > KEPT and self._shots[KEPT][0] <= at - self.ahead:
+            while len(self._shots) > SETTINGS.feeds_kept and self._shots[SETTINGS.feeds_kept][0] <= at - self.ahead:
                 self._shots.popleft()
             self._pace.append(at)
             self._received += 1
@@ -164,25 +154,13 @@ class Feed:
 
 
 def _without_pauses(steps: Array) -> Array:
-    return steps[steps < max(GONE_S, 2 * float(np.median(steps)))]
+    return steps[steps < max(SETTINGS.feeds_gone_s, 2 * float(np.median(steps)))]
 
 
 def _usual(steps: Array) -> float:
     """s from one picture to the next for half of the time, however many came at once when whoever reads was held up."""
     ordered = np.sort(_without_pauses(steps))
     return float(ordered[np.searchsorted(np.cumsum(ordered), ordered.sum() / 2)])
-
-
-SLACK_S = 0.015
-"""s that a picture may come later than the rate of its camera promises; after that it is not waited for"""
-GONE_S, GONE_PERIODS = 0.5, 6.0
-"""s, and frames, without a picture after which a camera is not there"""
-_NEW = 0.6
-"""share of a period by which an instant lies behind the one before"""
-_CANDIDATES = 8
-"""newest instants of which nothing more will come that are looked at"""
-_SAME = 0.55
-"""share of a period within which a picture shows the instant"""
 
 
 @dataclass(frozen=True)
@@ -216,10 +194,10 @@ def newest_instant(
         return None, now + 0.05
     period = float(np.median(known))
     times = np.unique(np.concatenate([cameras[c].times for c in there]))
-    times = times[times > last + _NEW * period]
+    times = times[times > last + SETTINGS.feeds_new * period]
     waits = [_still_to_come(cameras[c], period, now) for c in there]
     told = times < min(begin for begin, _ in waits)
-    for at in times[told][::-1][:_CANDIDATES]:
+    for at in times[told][::-1][: SETTINGS.feeds_candidates]:
         shots = [_nearest(d, float(at), period) if c in there else None for c, d in enumerate(cameras)]
         if sum(s is not None for s in shots) >= least:
             return Instant(float(at), tuple(shots)), now
@@ -230,7 +208,9 @@ def newest_instant(
 def is_there(camera: Delivered, now: float) -> bool:
     """Whether a camera still delivers."""
     period = camera.period if np.isfinite(camera.period) else 0.0
-    return len(camera.arrivals) > 0 and bool(now - camera.arrivals[-1] < max(GONE_S, GONE_PERIODS * period))
+    return len(camera.arrivals) > 0 and bool(
+        now - camera.arrivals[-1] < max(SETTINGS.feeds_gone_s, SETTINGS.feeds_gone_periods * period)
+    )
 
 
 def _still_to_come(camera: Delivered, period: float, now: float) -> tuple[float, float]:
@@ -238,11 +218,11 @@ def _still_to_come(camera: Delivered, period: float, now: float) -> tuple[float,
     when the first of them may (this computer's clock)."""
     own = camera.period if np.isfinite(camera.period) else period
     # of one that is later than others the pictures after a lost one are not due yet
-    n = max(1, math.floor((now - SLACK_S - camera.arrivals[-1]) / own) + 1)
-    return float(camera.times[-1]) + (n - 0.5) * own, float(camera.arrivals[-1]) + n * own + SLACK_S
+    n = max(1, math.floor((now - SETTINGS.feeds_slack_s - camera.arrivals[-1]) / own) + 1)
+    return float(camera.times[-1]) + (n - 0.5) * own, float(camera.arrivals[-1]) + n * own + SETTINGS.feeds_slack_s
 
 
 def _nearest(camera: Delivered, time: float, period: float) -> int | None:
     own = max(period, camera.period) if np.isfinite(camera.period) else period
     k = int(np.abs(camera.times - time).argmin())
-    return k if abs(float(camera.times[k]) - time) <= _SAME * own else None
+    return k if abs(float(camera.times[k]) - time) <= SETTINGS.feeds_same * own else None

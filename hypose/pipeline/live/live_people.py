@@ -23,7 +23,8 @@ from hypose.evidence.shared_masks import PREDICTED, SOLVED, Other, own_silhouett
 from hypose.geometry import Array
 from hypose.pipeline.doubts import as_now, looked_at, mask_change
 from hypose.pipeline.live.background_work import BackgroundWork, KeptMasks
-from hypose.pipeline.live.live_search import GAP_S, SLOWLY_HZ, Found, LivePersonOptions, LiveSearch, paced
+from hypose.pipeline.live.live_search import Found, LivePersonOptions, LiveSearch, paced
+from hypose.pipeline.settings import SETTINGS
 from hypose.tracking.costs import mean_overlap
 from hypose.tracking.doubt import as_mixture, evidence_of, judged
 from hypose.tracking.fitted_spread import beyond_usual, with_fitted_joints
@@ -31,21 +32,6 @@ from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.refinement import SETTLING, refine
 from hypose.tracking.several import BLIND, shape_of
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState, motion_of
-
-_FITTED_S = 3.6
-"""s of motion that a body is fitted to"""
-_SYNC_S = 8.0
-"""s of motion that the cameras' offsets are found from"""
-_GIVE_UP_S = 2.0
-"""s after which somebody who is lost is looked for as at the start"""
-_PACE, _OTHER = 0.1, 1.3
-"""share of a step by which the usual one follows; by how much it must differ from what the tracker expects"""
-_DUEL, _WON, _GIVE_UP, _SHARED = 25, 0.1, 0.15, 0.4
-"""Instants of a duel; sum over them of IoU that has to be won; that may be lost again, alone and in shared masks"""
-_CHALLENGE_S = 2.5
-"""s from the first duel in shared masks, in which starts are turned more often, to the next; then twice as long"""
-_EASE_S = 0.3
-"""time constant by which a step from one body to another is taken up"""
 
 
 @dataclass(frozen=True)
@@ -135,7 +121,7 @@ class LivePerson:
         self._sync: Future[Array | None] | None = None
         self._kept: list[KeptMasks] = []
         self._shared = shared
-        self._challenge, self._between = (found.time if shared else np.inf), _CHALLENGE_S
+        self._challenge, self._between = (found.time if shared else np.inf), SETTINGS.live_challenge_s
         self._shift: Array | None = None
 
     @property
@@ -149,7 +135,7 @@ class LivePerson:
 
     def _state_at(self, time: float) -> TrackerState:
         passed = time - self._time
-        share = 0.0 if passed > GAP_S else passed / self._step_s
+        share = 0.0 if passed > SETTINGS.search_gap_s else passed / self._step_s
         return paced(self.state, share, self.tracker.body.skeleton)
 
     def step(self, frame: Frame, whole: Frame | None = None) -> Stepped | None:
@@ -161,19 +147,19 @@ class LivePerson:
                 self.state, self._time = won
         passed = frame.time - self._time
         state = self._state_at(frame.time)
-        self._keep_pace(min(passed, GAP_S))
+        self._keep_pace(min(passed, SETTINGS.search_gap_s))
         self.state, estimate = self.tracker.step(state, frame)
         self._time, self._step_s = frame.time, max(passed, 1e-3)
         self._fight(frame, estimate)
         if estimate.lost:
             self._lost_since = frame.time if self._lost_since is None else self._lost_since
-            if frame.time - self._lost_since > _GIVE_UP_S:
+            if frame.time - self._lost_since > SETTINGS.live_give_up_s:
                 return None
         else:
             self._lost_since = None
             self._measure(frame)
         if self._shift is not None:
-            shift = self._shift * np.exp(-passed / _EASE_S)
+            shift = self._shift * np.exp(-passed / SETTINGS.live_ease_s)
             self._shift = shift if np.abs(shift).max() > 1e-4 else None
         return Stepped(self.number, frame, whole or frame, estimate, self.tracker, self._doubt, self._shift)
 
@@ -193,14 +179,17 @@ class LivePerson:
         self, body: Body, pose: Array, first: Frame, frames: queue.SimpleQueue[tuple[Frame, float]]
     ) -> tuple[TrackerState, float] | None:
         """In another thread; limits as for whole clips (`hypose.pipeline.mend_sides`), at half their rate."""
-        slow, give_up = self.options.tracker(body, SLOWLY_HZ), _SHARED if self._shared else _GIVE_UP
+        slow, give_up = (
+            self.options.tracker(body, SETTINGS.search_slowly_hz),
+            SETTINGS.live_shared if self._shared else SETTINGS.live_give_up,
+        )
         state, last = slow.start(slow.rival(pose, first)), first.time
         won = best = 0.0
-        for _ in range(_DUEL):
+        for _ in range(SETTINGS.live_duel):
             try:
-                frame, cost = frames.get(timeout=GAP_S)
-                while frame.time - last < 0.9 / SLOWLY_HZ:
-                    frame, cost = frames.get(timeout=GAP_S)
+                frame, cost = frames.get(timeout=SETTINGS.search_gap_s)
+                while frame.time - last < 0.9 / SETTINGS.search_slowly_hz:
+                    frame, cost = frames.get(timeout=SETTINGS.search_gap_s)
             except queue.Empty:
                 return None
             state, estimate = slow.step(state, frame)
@@ -209,16 +198,16 @@ class LivePerson:
             best = max(best, won)
             if won < best - give_up:
                 return None
-            if won > _WON:
+            if won > SETTINGS.live_won:
                 return state, last
         return None
 
     def _keep_pace(self, passed: float) -> None:
         """Where frames come more seldom than the tracker expects, more happens between two of them."""
-        self._usual_s += _PACE * (passed - self._usual_s)
+        self._usual_s += SETTINGS.live_pace * (passed - self._usual_s)
         rate = self.tracker.settings.frame_rate
-        if not 1 / _OTHER < self._usual_s * rate < _OTHER:
-            pace = float(np.clip(1 / self._usual_s, SLOWLY_HZ, self.rate))
+        if not 1 / SETTINGS.live_other < self._usual_s * rate < SETTINGS.live_other:
+            pace = float(np.clip(1 / self._usual_s, SETTINGS.search_slowly_hz, self.rate))
             self.tracker = self.options.tracker(self.tracker.body, pace)
 
     def _measure(self, frame: Frame) -> None:
@@ -235,11 +224,11 @@ class LivePerson:
         self._kept.append(KeptMasks.of(frame))
         passed = frame.time - self._kept[0].time
         rate = (len(self._kept) - 1) / max(passed, 1e-3)
-        if wants_body and passed > _FITTED_S:
-            step = max(1, round(rate / SLOWLY_HZ))
-            some = self._kept[-round(_FITTED_S * rate) :: step]
+        if wants_body and passed > SETTINGS.live_fitted_s:
+            step = max(1, round(rate / SETTINGS.search_slowly_hz))
+            some = self._kept[-round(SETTINGS.live_fitted_s * rate) :: step]
             self._fit = self._work.body(some, self.rig, rate / step, self.options.height, self.options.track.seed)
-        if passed > _SYNC_S:
+        if passed > SETTINGS.live_sync_s:
             if wants_sync and not any(k.ignored is not None for k in self._kept):
                 self._sync = self._work.offsets(self._kept, self.rig, rate)
             self._kept = []
@@ -276,11 +265,6 @@ def on_body(pose: Array, before: Body, body: Body) -> Array:
     return moved
 
 
-WINDOW_S, EVERY_S, AUDIT_HZ = 1.5, 0.2, 10.0
-"""s that a frame is judged with, and between two looks at all of them; how many frames are audited. `hypose track` also
-knows what comes after; live nobody does."""
-
-
 class LiveDoubt:
     """Of one body: `told` of every frame what is known by then, and then `look` at it, in order. So a pose need not
     wait for what is found about it, which is told with the next."""
@@ -310,14 +294,14 @@ class LiveDoubt:
         """Audit the frame, if it is time for that, and judge it by those of the last seconds. whole: with everybody in
         it."""
         known = self._audited
-        look = self._p is None or frame.time - self._looked > 0.95 * EVERY_S
-        if look or frame.time - known[-1][0] > 0.95 / AUDIT_HZ:
+        look = self._p is None or frame.time - self._looked > 0.95 * SETTINGS.live_every_s
+        if look or frame.time - known[-1][0] > 0.95 / SETTINGS.live_audit_hz:
             before = None if self._before is None else as_now(frame, self._before)
             whole = whole or frame
             change = mask_change(whole, self._before)
             known.append((frame.time, looked_at(tracker, estimate, frame, before, change)))
             self._before = whole
-            while known[0][0] < frame.time - WINDOW_S:
+            while known[0][0] < frame.time - SETTINGS.live_window_s:
                 known.popleft()
         if look:
             self._looked = frame.time
@@ -330,8 +314,6 @@ class LiveDoubt:
 
 FOLLOWING, LOST = "following", "lost"
 """What `LivePeople.phase` can be beside what a search is doing."""
-_TOGETHER_M, _TOGETHER_S = 0.2, 0.3
-"""m, s: two bodies whose roots stay so near to each other for so long are one person"""
 
 
 class LivePeople:
@@ -447,11 +429,11 @@ class LivePeople:
         self._near = {k: v for k, v in self._near.items() if at.keys() >= set(k)}
         for a, b in ((a, b) for a in at for b in at if a < b):
             near = self._near.setdefault((a, b), deque())
-            if np.linalg.norm(at[a] - at[b]) >= _TOGETHER_M:
+            if np.linalg.norm(at[a] - at[b]) >= SETTINGS.live_together_m:
                 near.clear()
                 continue
             near.append((time, cost[a], cost[b]))
-            if time - near[0][0] >= _TOGETHER_S:
+            if time - near[0][0] >= SETTINGS.live_together_s:
                 worse = a if sum(n[1] for n in near) > sum(n[2] for n in near) else b
                 return [s for s in stepped if s.person != worse]
         return stepped

@@ -17,8 +17,7 @@ from hypose.io.recordings.view_source import DepthSource
 from hypose.io.sensors.depth import FOLDER, is_depth
 from hypose.io.videos.camera_sources import is_device, without_password
 from hypose.pipeline.live.eyes import LiveView
-
-USUAL_RATE = 30.0
+from hypose.pipeline.settings import SETTINGS
 
 
 @dataclass(frozen=True)
@@ -73,7 +72,7 @@ def live_rig(path: str | Path, sources: Mapping[str, str], rate: float | None = 
     return LiveRig(
         CameraRig(tuple(rig[k] for k in used)),
         views,
-        rate or USUAL_RATE,
+        rate or SETTINGS.live_rig_usual_rate,
         SilhouetteSettings() if recording is None else recording.silhouettes,
         None if recording is None else recording.subject_height,
         notes,

@@ -24,6 +24,7 @@ from hypose.inference.hypotheses import BEFORE
 from hypose.pipeline.first_frame import Subject
 from hypose.pipeline.newcomers import evidence_of, somebody_more
 from hypose.pipeline.run import TrackOptions, tracker_of
+from hypose.pipeline.settings import SETTINGS
 from hypose.tracking.costs import mean_overlap
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.several import Member, step_together
@@ -32,20 +33,6 @@ from hypose.tracking.tracker import Tracker, TrackerState
 
 NOBODY, LOOKING = "nobody", "looking"
 """What `LiveSearch.phase` can be."""
-SLOWLY_HZ = 12.5
-"""at which a start is looked for, and a body is fitted"""
-GAP_S = 1.0
-"""s without pictures after which nobody goes on as before"""
-_DECIDE, _LONGEST = 6, 250
-"""instants that decide on a start; that are kept while it is looked for"""
-_PLAIN = 0.5
-"""mean IoU from which on a start is believed"""
-_LEAST_AREA = 0.002
-"""share of a picture that a person takes"""
-_STRIDE = 0.4
-"""m that somebody goes between two frames in which they are looked for"""
-_AGAIN_S, _SELDOM_S = 2.0, 60.0
-"""s until somebody more is looked for again where nobody was found, doubled each time; at most"""
 
 
 @dataclass(frozen=True)
@@ -120,25 +107,25 @@ class LiveSearch:
             self._waiting.clear()
             if look.others:  # whatever it is that no body explains, those who are followed need the processor
                 self._failed += 1
-                self._not_before = frame.time + min(_AGAIN_S * 2**self._failed, _SELDOM_S)
+                self._not_before = frame.time + min(SETTINGS.search_again_s * 2**self._failed, SETTINGS.search_seldom_s)
         if frame.time < self._not_before:
             return
         kept = self._waiting if self._search is not None else self._first
-        if kept and frame.time - kept[-1].frame.time < 0.9 / SLOWLY_HZ:
+        if kept and frame.time - kept[-1].frame.time < 0.9 / SETTINGS.search_slowly_hz:
             return
         if not _somebody(look):
             if self._search is None:
                 self.phase, self._first = NOBODY, []
             return
         if self._search is not None:
-            if len(self._waiting) < _LONGEST:
+            if len(self._waiting) < SETTINGS.search_longest:
                 self._waiting.append(look)
             return
-        if self._first and frame.time - self._first[-1].frame.time > GAP_S:
+        if self._first and frame.time - self._first[-1].frame.time > SETTINGS.search_gap_s:
             self._first = []
         self._first.append(look)
         self.phase = LOOKING
-        if len(self._first) == _DECIDE:
+        if len(self._first) == SETTINGS.search_decide:
             self._search = self._beside.submit(self._find, self._first, most, body or human(), height)
 
     def _find(self, looks: list[_Look], most: int, template: Body, height: float | None) -> None:
@@ -148,25 +135,27 @@ class LiveSearch:
         for frames in _each_alone(looks, most) if self.several else [[k.frame for k in looks]]:
             prepared = [prepare(f, template, zero) for f in frames]
             best = weighed(starts_in_frame(template, prepared[0], height), prepared[1:]).best
-            if mean_overlap(best.body, best.pose, prepared[0]) >= _PLAIN:
-                slow = options.tracker(best.body, SLOWLY_HZ)
+            if mean_overlap(best.body, best.pose, prepared[0]) >= SETTINGS.search_plain:
+                slow = options.tracker(best.body, SETTINGS.search_slowly_hz)
                 members.append(Member(slow, slow.start(best.pose)))
         if not members:
             raise EvidenceError("Nobody's body explains the masks.")
-        last, step_s, spent = looks[0].frame.time, 1 / SLOWLY_HZ, 0.0
+        last, step_s, spent = looks[0].frame.time, 1 / SETTINGS.search_slowly_hz, 0.0
         for look in looks:
             members, last = self._step(members, look), look.frame.time
         while True:
             with self._lock:
                 # a computer on which a step takes longer than it has would never reach the present
-                while len(self._waiting) > 1 and self._waiting[1].frame.time - last < min(1.5 * spent, GAP_S):
+                while len(self._waiting) > 1 and self._waiting[1].frame.time - last < min(
+                    1.5 * spent, SETTINGS.search_gap_s
+                ):
                     self._waiting.popleft()
                 if not self._waiting:
                     self._found = [Found(m.tracker.body, m.state, last, step_s) for m in members]
                     return
                 look = self._waiting.popleft()
             begin, before_s, step_s = time.monotonic(), step_s, look.frame.time - last
-            share = 0.0 if step_s > GAP_S else step_s / before_s
+            share = 0.0 if step_s > SETTINGS.search_gap_s else step_s / before_s
             members = [replace(m, state=paced(m.state, share, m.tracker.body.skeleton)) for m in members]
             members = self._step(members, look)
             last, spent = look.frame.time, time.monotonic() - begin
@@ -196,7 +185,7 @@ def _somebody(look: _Look) -> bool:
         return False
     if look.others:
         return somebody_more(look.others, s)
-    large = s.areas > _LEAST_AREA * s.rig.sizes.prod(1)
+    large = s.areas > SETTINGS.search_least_area * s.rig.sizes.prod(1)
     return int((large & s.usable).sum()) >= (2 if look.frame.depth is None else 1)
 
 
@@ -212,7 +201,7 @@ def _each_alone(looks: Sequence[_Look], most: int) -> list[list[Frame]]:
             axes = [p.axis for p in found[:most]]
             own = [[] for _ in axes]
         for k, axis in enumerate(axes):
-            near = [p for p in found if np.linalg.norm(p.axis - axis) < _STRIDE]
+            near = [p for p in found if np.linalg.norm(p.axis - axis) < SETTINGS.search_stride]
             if near:
                 person = min(near, key=lambda p: float(np.linalg.norm(p.axis - axis)))
                 own[k].append(evidence_of(person, look.frame, look.others, found))

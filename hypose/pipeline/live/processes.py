@@ -12,15 +12,14 @@ import threading
 from collections.abc import Iterator
 from multiprocessing.process import BaseProcess
 
-_SWITCH_S = 0.0005
-"""s that who takes or sends pictures waits at most for who computes; Python's own 5 ms are a share of a frame's time"""
+from hypose.pipeline.settings import SETTINGS
 
 
 @contextlib.contextmanager
 def punctual() -> Iterator[None]:
     """Meanwhile threads take turns often, and what is loaded now is never looked through for garbage."""
     before = sys.getswitchinterval()
-    sys.setswitchinterval(_SWITCH_S)
+    sys.setswitchinterval(SETTINGS.processes_switch_s)
     gc.collect()
     gc.freeze()
     try:

@@ -25,13 +25,8 @@ from hypose.io.recordings.recording import Recording, write_recording
 from hypose.io.recordings.recording_views import View
 from hypose.pipeline.live.engine import LiveStatus, Seen
 from hypose.pipeline.live.eyes import LiveView, live_working_rig, stored
+from hypose.pipeline.settings import SETTINGS
 
-_WAITING = 90
-"""instants that may wait to be written; more are left out, and counted"""
-_PAUSE_S = 1.0
-"""s from one instant to the next, at a usual pace: that is a pause, not the pace"""
-_DESCRIBE_S = 5.0
-"""s after which what has been written since is a part of the recording"""
 _POSES = "poses.jsonl"
 
 
@@ -59,7 +54,7 @@ class LiveRecorder:
         self._followed: list[bool] = []
         self._rows, self._described = 0, -np.inf
         self._last: list[bytes | None] = [None] * len(views)
-        self._waiting: queue.Queue[Seen | None] = queue.Queue(_WAITING)
+        self._waiting: queue.Queue[Seen | None] = queue.Queue(SETTINGS.recorder_waiting)
         self._masks: list[Path] = []
         self._pictures: list[Path] = []
         self._empty: dict[int, Path] = {}
@@ -125,7 +120,7 @@ class LiveRecorder:
         steps, followed = np.diff(self._times), np.array(self._followed)
         known = followed[1:] & followed[:-1]
         steps = steps[known] if known.any() else steps
-        return float(1 / steps[steps < max(_PAUSE_S, 2 * np.median(steps))].mean())
+        return float(1 / steps[steps < max(SETTINGS.recorder_pause_s, 2 * np.median(steps))].mean())
 
     def _run(self) -> None:
         poses: TextIO | None = None
@@ -196,7 +191,7 @@ class LiveRecorder:
         self._followed.append(len(people) > 0)
         self.written += 1
         if (
-            self.written > 1 and time.monotonic() - self._described >= _DESCRIBE_S
+            self.written > 1 and time.monotonic() - self._described >= SETTINGS.recorder_describe_s
         ):  # whoever is killed has recorded, too
             self._describe()
             self._described = time.monotonic()

@@ -15,24 +15,22 @@ from numpy.typing import NDArray
 
 from hypose.cameras.camera import Camera
 from hypose.compute import mask_runs
-from hypose.evidence.background import BackgroundModel, Image, from_frames, gain_between
+from hypose.evidence.background import BackgroundModel, from_frames, gain_between
 from hypose.evidence.depth_background import DepthBackground, learn_background, person_before
 from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.detector import PoseDetector
 from hypose.evidence.frame import Silhouettes
 from hypose.evidence.outlines import OUTLINE_POINTS, WORKING_HEIGHT, ViewOutline, outline_of_runs, view_outline
 from hypose.evidence.pose_network import Crop, mask_of_people
-from hypose.evidence.silhouettes import Mask, Segmenter, SilhouetteSettings, bounding_box, make_segmenter
+from hypose.evidence.silhouettes import (
+    Segmenter,
+    SilhouetteSettings,
+    bounding_box,
+    make_segmenter,
+)
+from hypose.geometry import DepthMap, Image, Mask
 from hypose.io.recordings.view_source import DepthPreparer, Preparer, mask_in, places_in_stored
-
-EVERY_S = 1.0
-"""s between two looks at what has changed"""
-_LIGHT_S, _THING_S = 10.0, 30.0
-"""Time constants: of the room where it looks like the room, and of what is not the room and not the person"""
-_SPARSE = 3
-"""px between two that tell how much brighter the light is"""
-_MARGIN = 0.15
-"""of the person's height in the picture, about the person, in which nothing is learnt"""
+from hypose.pipeline.settings import SETTINGS
 
 
 class ViewRoom:
@@ -59,7 +57,9 @@ class ViewRoom:
     def moved(self) -> bool:
         """Something moved while the room was learnt: somebody has not left."""
         room = self.background
-        return room is not None and float((room.sd.max(2) > _MOVED_GREY).mean()) > _MOVED_SHARE
+        return (
+            room is not None and float((room.sd.max(2) > SETTINGS.rooms_moved_grey).mean()) > SETTINGS.rooms_moved_share
+        )
 
     def learn(self, images: Sequence[Image]) -> None:
         """Take stored pictures (H, W, 3) for those of the empty room."""
@@ -74,7 +74,7 @@ class ViewRoom:
 
     def due(self, time: float) -> bool:
         """Whether it is time to look at what has changed."""
-        return self.background is not None and time - self._learnt >= EVERY_S
+        return self.background is not None and time - self._learnt >= SETTINGS.rooms_every_s
 
     def follow(self, image: Image, time: float, person: Mask | None) -> None:
         """Learn what has changed, if it is time for that. person (h, w): where the person is, None where that is not
@@ -86,14 +86,14 @@ class ViewRoom:
             return
         assert self._segment is not None
         found, picture = mask_runs.draw(mask_in(image, self._prepare, self._segment)[0]), self._prepare(image)
-        sparse, before = np.s_[::_SPARSE, ::_SPARSE], self.background.mean
+        sparse, before = np.s_[:: SETTINGS.rooms_sparse, :: SETTINGS.rooms_sparse], self.background.mean
         gain = gain_between(before[sparse], picture[sparse].astype(np.float32))
         mean = np.clip(before * gain, 0, 255)
         other = _around(found)
         free = np.ones_like(other) if person is None else 1 - _around(person)
-        cv2.accumulateWeighted(picture, mean, -np.expm1(-passed / _LIGHT_S), free & (1 - other))
+        cv2.accumulateWeighted(picture, mean, -np.expm1(-passed / SETTINGS.rooms_light_s), free & (1 - other))
         if person is not None:
-            cv2.accumulateWeighted(picture, mean, -np.expm1(-passed / _THING_S), free & other)
+            cv2.accumulateWeighted(picture, mean, -np.expm1(-passed / SETTINGS.rooms_thing_s), free & other)
         self._take(replace(self.background, mean=mean))
 
     def _take(self, background: BackgroundModel) -> None:
@@ -106,7 +106,7 @@ def _around(mask: Mask) -> Mask:
     box = bounding_box(mask)
     if box is None:
         return mask
-    size = 2 * max(2, round(_MARGIN * (box[1] - box[0]))) + 1
+    size = 2 * max(2, round(SETTINGS.rooms_margin * (box[1] - box[0]))) + 1
     return np.asarray(cv2.dilate(mask, np.ones((size, size), np.uint8)), dtype=np.uint8)
 
 
@@ -137,10 +137,7 @@ class NetworkRoom:
         return mask, view_outline(mask, working_height=WORKING_HEIGHT) if mask.any() else None
 
 
-DepthMap = NDArray[np.float32]
 Millimetres = NDArray[np.uint16]
-_MOVED_M, _MOVED_GREY, _MOVED_SHARE = 0.05, 12.0, 0.01
-"""m, grey levels, and share of the pixels, that change where somebody has not left"""
 
 
 class DepthRoom:
@@ -162,7 +159,7 @@ class DepthRoom:
         known = None if room is None else room.depth > 0
         if room is None or known is None or not known.any():
             return False
-        return float((room.sd[known] > _MOVED_M).mean()) > _MOVED_SHARE
+        return float((room.sd[known] > SETTINGS.rooms_moved_m).mean()) > SETTINGS.rooms_moved_share
 
     def learn(self, maps: Sequence[DepthMap]) -> None:
         """Take stored maps (H, W) m for those of the empty room."""

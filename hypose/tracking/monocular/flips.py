@@ -13,7 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 from hypose.body.body import Body
 from hypose.cameras.camera import Camera
 from hypose.errors import SolverError
-from hypose.fitting.articulated import PointTerm, Quadratic, SolveSettings, fit_pose
+from hypose.evidence.terms import PointTerm
+from hypose.fitting.articulated import SolveSettings, fit_pose
+from hypose.fitting.problem import Quadratic
 from hypose.geometry import Array
 
 CHAINS = tuple(
@@ -63,7 +65,7 @@ def _reach(body: Body, pose: Array, target: Array, held: NDArray[np.bool_]) -> A
     term = PointTerm(target, np.ones(j), np.arange(j, dtype=np.int64), np.zeros((j, 3)), 0.05)
     stay = Quadratic(pose, np.where(held, HELD, LOOSE))
     try:
-        fit = fit_pose(body, pose, points=term, priors=(stay,), options=SolveSettings(iterations=20, damping=1e-3))
+        fit = fit_pose(body, pose, [term], priors=(stay,), options=SolveSettings(iterations=20, damping=1e-3))
     except SolverError:
         return None
     return np.where(held, pose, fit.pose)

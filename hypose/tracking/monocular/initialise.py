@@ -18,7 +18,9 @@ from hypose.body.body import Body
 from hypose.cameras.camera import Camera
 from hypose.errors import EvidenceError
 from hypose.evidence.frame import Frame
-from hypose.fitting.articulated import KeypointTerm, Quadratic, SolveSettings, fit_pose
+from hypose.evidence.terms import KeypointTerm
+from hypose.fitting.articulated import SolveSettings, fit_pose
+from hypose.fitting.problem import Quadratic
 from hypose.geometry import Array, so3_exp, so3_log
 from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.monocular.evidence import checked
@@ -183,7 +185,7 @@ def _solved(
     fits = []
     for start in starts:
         priors = (anatomical_prior(body.skeleton), Quadratic(start, held))
-        fits.append(fit_pose(body, start, keypoints=term, priors=priors, options=options))
+        fits.append(fit_pose(body, start, [term], priors=priors, options=options))
     return np.stack([f.pose for f in fits]), np.array([f.cost for f in fits])
 
 

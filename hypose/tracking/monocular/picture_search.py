@@ -244,7 +244,7 @@ class PictureSearch:
             ws = free.pop()
             for n in range(first, last):
                 own = with_prediction(problem, starts[n], place.fixed.spread) if predict else problem
-                solutions[n] = mono.search(starts[n], before[n], own, coarse, iterations, ws)
+                solutions[n] = mono.newton_descent(starts[n], before[n], own, coarse, iterations, ws)
             free.append(ws)
 
         over_chunks(work, len(starts), len(free))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from hypose.body.body import Body
 from hypose.cameras.camera import Camera
 from hypose.compute import FloorArrays, bounded_step, lorentzian
-from hypose.fitting.least_squares import Rule, descend
+from hypose.fitting.problem import Problem, Rule
 from hypose.geometry import Array
 from hypose.tracking.monocular.points import MonoPoints
 from hypose.tracking.monocular.proportions import INTERNAL, Proportions, shaped, skeleton_only
@@ -46,20 +46,47 @@ def fit_proportions(
     """Poses (M, D) and factors (K,), one body for all M pictures, and their cost: bounded Newton from the given ones,
     over the active dof (A,) of every pose and the factors that move joints. floor: what the person stands on; without
     it one view cannot tell long legs that point away from shorter ones that do not."""
-    bare, pull = skeleton_only(template), anatomical_prior(template.skeleton)
-    m, a = len(pictures), len(active)
+    start = np.array(poses, dtype=np.float64), np.array(factors, dtype=np.float64)
+    problem = _PointsProblem(template, camera, pictures, start, prior, active, floor)
+    found = problem.solve(problem.begin, 30, Rule(1e-3, easier=9, least=1e-9, gain=1e-5))
+    return *problem.unpack(found.state), found.cost
 
-    def unpack(x: Array) -> tuple[Array, Array]:
-        q, f = np.array(poses), factors.copy()
-        q[:, active], f[INTERNAL] = x[: m * a].reshape(m, a), x[m * a :]
+
+class _PointsProblem(Problem[Array, tuple[Array, Array]]):
+    """The active dof of every picture's pose, then the factors, as one vector (M A + I,)."""
+
+    def __init__(
+        self,
+        template: Body,
+        camera: Camera,
+        pictures: Sequence[PointsOn],
+        start: tuple[Array, Array],
+        prior: Proportions,
+        active: NDArray[np.int64],
+        floor: FloorArrays | None,
+    ) -> None:
+        self.bare, self.camera, self.pictures, self.start = skeleton_only(template), camera, pictures, start
+        self.active, self.floor = active, floor
+        s, pull, m = template.skeleton, anatomical_prior(template.skeleton), len(pictures)
+        self.centre = np.concatenate([np.tile(pull.centre[active], m), prior.centre[INTERNAL]])
+        self.stiffness = np.concatenate([np.tile(pull.weight[active], m), prior.sd[INTERNAL] ** -2])
+        self.lower = np.concatenate([np.tile(s.lower[active], m), prior.lower[INTERNAL]])
+        self.upper = np.concatenate([np.tile(s.upper[active], m), prior.upper[INTERNAL]])
+        first = np.concatenate([start[0][:, active].ravel(), start[1][INTERNAL]])
+        self.begin = np.clip(first, self.lower, self.upper)
+
+    def unpack(self, x: Array) -> tuple[Array, Array]:
+        """Poses (M, D) and factors (K,)."""
+        (q, f), known = (a.copy() for a in self.start), len(self.pictures) * len(self.active)
+        q[:, self.active], f[INTERNAL] = x[:known].reshape(len(q), -1), x[known:]
         return q, f
 
-    def evaluate(x: Array) -> tuple[float, Callable[[], tuple[Array, Array]]]:
-        q, f = unpack(x)
-        body = shaped(bare, f)
-        moved = [shaped(bare, f + _STEP * (np.arange(len(f)) == i)) for i in INTERNAL]
+    def evaluate(self, state: Array) -> tuple[float, Callable[[], tuple[Array, Array]]]:
+        (q, f), x, active, floor = self.unpack(state), state, self.active, self.floor
+        body, camera, (m, a) = shaped(self.bare, f), self.camera, (len(self.pictures), len(self.active))
+        moved = [shaped(self.bare, f + _STEP * (np.arange(len(f)) == i)) for i in INTERNAL]
         value, gradient, hessian = 0.0, np.zeros(len(x)), np.zeros((len(x), len(x)))
-        for k, points_on in enumerate(pictures):
+        for k, points_on in enumerate(self.pictures):
             points = points_on(body)
             r = _residuals(body, camera, points, q[k])
             by_pose = image_jacobian(body, camera, points, q[k])[:, :, active] / points.scale_px[:, None, None]
@@ -77,22 +104,13 @@ def fit_proportions(
             value += 2 * float((confidence * rho).sum())
             gradient[at] += np.einsum("p,pxd,px->d", weight, rows, r)
             hessian[np.ix_(at, at)] += np.einsum("p,pxd,pxe->de", weight, rows, rows)
-        away = x - centre
-        value += 0.5 * float(stiffness @ away**2)
-        return value, lambda: (gradient + stiffness * away, hessian + np.diag(stiffness))
+        pull = self.stiffness * (x - self.centre)
+        value += 0.5 * float(pull @ (x - self.centre))
+        return value, lambda: (gradient + pull, hessian + np.diag(self.stiffness))
 
-    def propose(x: Array, equations: tuple[Array, Array], damping: float) -> tuple[Array, float] | None:
-        step = bounded_step(equations[1], equations[0], x, lower, upper, damping)
-        return None if step is None else (np.clip(x + step, lower, upper), float(np.abs(step).max()))
-
-    centre = np.concatenate([np.tile(pull.centre[active], m), prior.centre[INTERNAL]])
-    stiffness = np.concatenate([np.tile(pull.weight[active], m), prior.sd[INTERNAL] ** -2])
-    s = template.skeleton
-    lower = np.concatenate([np.tile(s.lower[active], m), prior.lower[INTERNAL]])
-    upper = np.concatenate([np.tile(s.upper[active], m), prior.upper[INTERNAL]])
-    start = np.clip(np.concatenate([np.array(poses)[:, active].ravel(), factors[INTERNAL]]), lower, upper)
-    found = descend(start, evaluate, propose, 30, Rule(1e-3, easier=9, least=1e-9, gain=1e-5))
-    return *unpack(found.state), found.cost
+    def propose(self, state: Array, equations: tuple[Array, Array], damping: float) -> tuple[Array, float] | None:
+        step = bounded_step(equations[1], equations[0], state, self.lower, self.upper, damping)
+        return None if step is None else (np.clip(state + step, self.lower, self.upper), float(np.abs(step).max()))
 
 
 def _residuals(body: Body, camera: Camera, points: MonoPoints, pose: Array) -> Array:

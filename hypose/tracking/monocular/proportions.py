@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.body.body import Body, Mesh, deform
-from hypose.body.fit_skeleton import FACTORS, shape_of
+from hypose.body.fit_skeleton import FACTORS, shape_from_factors
 from hypose.errors import InputError
 from hypose.geometry import Array
 
@@ -61,7 +61,7 @@ def proportions(template: Body, height: float | None) -> Proportions:
 
 def shaped(template: Body, factors: ArrayLike) -> Body:
     """The template with the proportions (K,)."""
-    return deform(template, shape_of(factors), template.name)
+    return deform(template, shape_from_factors(factors), template.name)
 
 
 def skeleton_only(body: Body) -> Body:

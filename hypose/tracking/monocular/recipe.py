@@ -23,7 +23,7 @@ from hypose.evidence.frame import Frame
 from hypose.geometry import Array, nearest_branch, so3_left_jacobian
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.layer import Layer, Recipe
-from hypose.inference.selectors import keep
+from hypose.inference.resampling import keep
 from hypose.tracking.monocular.picture_search import PictureSearch
 from hypose.tracking.monocular.pool import OPTIMISED, accumulated, best_of
 from hypose.tracking.monocular.settings import MonoSettings, body_dofs

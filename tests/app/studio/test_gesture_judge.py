@@ -7,13 +7,13 @@ from hypose.app.studio.gesture_judge import FalseAlarms, HeldBack
 from hypose.app.studio.gesture_start import Controls, change, read_command, read_start
 from hypose.errors import InputError
 from hypose.gestures.depth_pictures import KINECT
-from hypose.gestures.localise import Found
+from hypose.gestures.localise import Localisation
 
 DEPTH = np.full((480, 640), 2000, np.uint16)
 
 
 def found(score, x=320.0, y=240.0):
-    return Found(1, x, y, score, None)
+    return Localisation(1, x, y, score, None)
 
 
 def test_a_test_with_known_truth_is_judged_by_place_and_score():

@@ -13,7 +13,7 @@ from hypose.app.studio import gesture_views
 from hypose.app.studio.hub import IN_FLIGHT, MAP
 from hypose.gestures.depth_pictures import KINECT
 from hypose.pipeline.gesture_files import SessionWriter, load_model, read_recording
-from hypose.synthetic.gesture_live import live_person
+from hypose.synthetic.gesture_scenes import live_person
 from tests.app.studio.conftest import serving
 from tests.conftest import HANG_S
 

@@ -8,9 +8,8 @@ import pytest
 
 from hypose.app.jobs.truth import compare
 from hypose.io.motions.results import load_motion
-from hypose.synthetic import film_session
-from hypose.synthetic.rigs import rig
-from hypose.synthetic.scenes import make_scene
+from hypose.synthetic import write_recording
+from hypose.synthetic.scenes import camera_rig, make_scene
 from tests.app.studio.browser import WEB, go
 from tests.app.studio.conftest import serving
 
@@ -24,11 +23,11 @@ def session(tmp_path_factory):
     """A folder with the session of four cameras, at half of their size; the board is carried about quickly, so that
     there are fewer pictures to look at."""
     root = tmp_path_factory.mktemp("raw")
-    scene = make_scene("walk", "neutral", rig("humaneva-4", distorted=True).scaled(0.5), seconds=1.2, seed=3)
+    scene = make_scene("walk", "neutral", camera_rig("humaneva-4", distorted=True).scaled(0.5), seconds=1.2, seed=3)
     with pytest.MonkeyPatch.context() as hurry:
         for name, value in {"_STATIONS": 16, "_LYING": 8, "_HELD": (2, 3), "_MOVED": (1, 2)}.items():
-            hurry.setattr(film_session, name, value)
-        film_session.write_session(scene, root / "session")
+            hurry.setattr(write_recording, name, value)
+        write_recording.write_session(scene, root / "session")
     return root
 
 

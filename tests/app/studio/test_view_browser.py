@@ -18,8 +18,7 @@ from hypose.app.studio.view_result import load_view
 from hypose.io.motions.results import load_body, load_motion, save_motion
 from hypose.io.recordings.recording import load_recording
 from hypose.pipeline.verdict import verdict_of
-from hypose.synthetic.rigs import rig
-from hypose.synthetic.scenes import make_scene
+from hypose.synthetic.scenes import camera_rig, make_scene
 from hypose.synthetic.write_recording import write_scene
 from tests.app.studio.browser import WEB, go
 from tests.app.studio.conftest import serving
@@ -97,7 +96,7 @@ def true_pixels(recording, motion, row, cameras):
 def longer(tmp_path_factory):
     """A recording of 1.6 s with its result, large enough that a limb can be told to a few centimetres."""
     root = tmp_path_factory.mktemp("longer")
-    scene = make_scene("walk", "neutral", rig("humaneva-4", distorted=True).scaled(0.5), seconds=1.6, seed=3)
+    scene = make_scene("walk", "neutral", camera_rig("humaneva-4", distorted=True).scaled(0.5), seconds=1.6, seed=3)
     write_scene(scene, root / "walk", background_frames=10)
     with pytest.raises(SystemExit) as stopped:
         main(["track", str(root / "walk"), "--formats", "csv", "--no-overlay"])

@@ -14,12 +14,11 @@ from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.pipeline.live.background_work import BackgroundWork, KeptMasks, fitted_body, offsets_of
 from hypose.synthetic.corruptions import Corruptions
-from hypose.synthetic.rigs import rig
-from hypose.synthetic.scenes import make_scene
+from hypose.synthetic.scenes import camera_rig, make_scene
 
 
 def test_masks_are_kept_bit_for_bit(rng):
-    cameras = rig("humaneva-4")
+    cameras = camera_rig("humaneva-4")
     mixed = CameraRig(
         tuple(c.scaled(size) for c, size in zip(cameras, ((160, 120), (130, 97), (197, 151), (64, 90)), strict=True))
     )
@@ -33,7 +32,7 @@ def test_masks_are_kept_bit_for_bit(rng):
 
 
 def kept_of(desync, seconds=6.0, seed=2):
-    cameras = rig("humaneva-4").scaled(0.5)
+    cameras = camera_rig("humaneva-4").scaled(0.5)
     what = replace(Corruptions(), desync=desync)
     scene = make_scene("walk", "neutral", cameras, seconds=seconds, seed=seed, corruption=what)
     frames = list(scene.mask_frames())

@@ -9,7 +9,7 @@ from hypose.errors import InputError
 from hypose.pipeline.live.engine import EMPTY_ROOM, LiveEngine, LiveOptions
 from hypose.pipeline.live.eyes import EyesOptions, LiveView
 from hypose.pipeline.live.live_people import FOLLOWING
-from hypose.synthetic.rigs import rig
+from hypose.synthetic.scenes import camera_rig
 from tests.conftest import HANG_S
 from tests.live_scenes import Stage, in_step, slow_walk, until
 
@@ -65,13 +65,13 @@ def test_cameras_in_and_poses_out_while_one_is_unplugged(monkeypatch):
 
 
 def test_one_camera_is_not_enough():
-    cameras = rig("humaneva-4")
+    cameras = camera_rig("humaneva-4")
     with pytest.raises(InputError, match="needs two cameras or more, or one depth camera, and 1 is given"):
         LiveEngine(cameras.select(["cam1"]), [LiveView("cam1", "0")])
 
 
 def test_a_camera_that_cannot_be_opened_is_named_and_nothing_stays(tmp_path):
-    cameras = rig("humaneva-4")
+    cameras = camera_rig("humaneva-4")
     views = [LiveView(n, str(tmp_path / f"{n}.mp4")) for n in cameras.names]
     engine = LiveEngine(cameras, views, LiveOptions(measure=False))
     try:

@@ -14,7 +14,7 @@ from hypose.evidence.background import from_frames
 from hypose.evidence.pose_network import CROP, DetectorOutput, LandmarkOutput, PoseNetwork
 from hypose.io.videos.camera_sources import Shot
 from hypose.pipeline.live.eyes import EyesOptions, EyesProcess, LiveView, Question
-from hypose.synthetic.rigs import rig
+from hypose.synthetic.scenes import camera_rig
 from tests.conftest import HANG_S
 from tests.live_scenes import in_step
 
@@ -24,7 +24,7 @@ RATE = 20.0
 @pytest.fixture(scope="module")
 def cameras():
     """Two of 160 x 120 px."""
-    return rig("humaneva-4").scaled(0.25).select(["cam1", "cam2"])
+    return camera_rig("humaneva-4").scaled(0.25).select(["cam1", "cam2"])
 
 
 def folder(path, size, rng, count=60):

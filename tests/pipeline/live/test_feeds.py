@@ -4,6 +4,7 @@ import contextlib
 import queue
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,8 @@ import pytest
 from hypose.errors import InputError
 from hypose.io.videos.camera_sources import Shot, StreamEnded
 from hypose.pipeline.live import feeds
-from hypose.pipeline.live.feeds import KEPT, Feed
+from hypose.pipeline.live.feeds import Feed
+from hypose.pipeline.settings import SETTINGS
 from tests.conftest import HANG_S
 from tests.live_scenes import Clock
 
@@ -79,7 +81,7 @@ def test_the_newest_pictures_are_kept_with_their_times():
         play(camera, range(20))
         until(arrived, lambda: made.status().received == 20)
         told, shots = made.delivered()
-        assert len(shots) == KEPT and told.times == pytest.approx(BEGIN + np.arange(8, 20) / 20)
+        assert len(shots) == SETTINGS.feeds_kept and told.times == pytest.approx(BEGIN + np.arange(8, 20) / 20)
         assert told.period == pytest.approx(0.05) and (told.arrivals == told.times).all()
         status = made.status()
         assert (status.lost, status.returns, status.ended) == (0, 0, False)
@@ -118,7 +120,7 @@ def test_what_the_camera_tells_of_time_is_kept_to():
 
 
 def test_a_camera_comes_back_and_its_absence_is_no_loss(monkeypatch):
-    monkeypatch.setattr(feeds, "_AGAIN_S", 0.01)
+    monkeypatch.setattr(feeds, "SETTINGS", replace(SETTINGS, feeds_again_s=0.01))
     camera = Camera()
     with feed(camera) as (made, arrived):
         play(camera, range(10))
@@ -139,8 +141,7 @@ def test_a_camera_comes_back_and_its_absence_is_no_loss(monkeypatch):
 
 
 def test_a_camera_that_is_opened_and_shows_nothing_has_not_come_back(monkeypatch):
-    monkeypatch.setattr(feeds, "_AGAIN_S", 0.01)
-    monkeypatch.setattr(feeds, "_LONGEST_S", 0.02)
+    monkeypatch.setattr(feeds, "SETTINGS", replace(SETTINGS, feeds_again_s=0.01, feeds_longest_s=0.02))
     camera = Camera()
     with feed(camera) as (made, arrived):
         play(camera, range(5))

@@ -7,6 +7,7 @@ from hypose.body.ready_bodies import human
 from hypose.pipeline.first_frame import Subject
 from hypose.pipeline.live.live_people import LiveDoubt
 from hypose.pipeline.run import TrackOptions, tracker_of
+from hypose.pipeline.settings import SETTINGS
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.starts import KNOWN_POSES, start_in_pose
 from hypose.tracking.subject import scaled_to_height
@@ -59,5 +60,5 @@ def test_frames_are_looked_at_a_few_times_a_second(followed, monkeypatch):
     doubt = LiveDoubt()
     for frame, estimate in known:  # 25 frames in a second
         doubt.look(tracker, estimate, frame)
-    assert abs(counted["judged"] - 1 / live_doubt.EVERY_S) <= 2
-    assert abs(counted["audited"] - live_doubt.AUDIT_HZ) <= 4
+    assert abs(counted["judged"] - 1 / SETTINGS.live_every_s) <= 2
+    assert abs(counted["audited"] - SETTINGS.live_audit_hz) <= 4

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from hypose.pipeline.live.feeds import GONE_S, SLACK_S, Delivered, is_there, newest_instant
+from hypose.pipeline.live.feeds import Delivered, is_there, newest_instant
+from hypose.pipeline.settings import SETTINGS
 
 PERIOD = 1 / 30
 DELAY = 0.004  # s from a picture to its arrival
@@ -49,7 +50,7 @@ def test_free_running_cameras_give_one_instant_per_period_of_their_nearest_pictu
     assert len(found) >= 58 and np.diff(instants).min() > 0.6 * PERIOD - 1e-9
     for now, instant, times in found:
         assert None not in times and np.abs(np.array(times) - instant.time).max() <= 0.55 * PERIOD
-        assert now - instant.time < PERIOD + SLACK_S
+        assert now - instant.time < PERIOD + SETTINGS.feeds_slack_s
 
 
 def test_jitter_loses_no_instant_and_never_goes_back():
@@ -75,7 +76,7 @@ def test_a_lost_picture_is_waited_for_a_little_and_then_done_without():
     found = run(lambda now: [camera(now), camera(now), camera(now, without=(lost,))])
     (now, instant, times) = next(f for f in found if abs(f[1].time - (100 + lost * PERIOD)) < 1e-6)
     assert times[2] is None and times[:2] == [instant.time] * 2
-    assert instant.time + DELAY < now <= instant.time + DELAY + SLACK_S + 0.0021
+    assert instant.time + DELAY < now <= instant.time + DELAY + SETTINGS.feeds_slack_s + 0.0021
     assert all(None not in times for _, i, times in found if i is not instant)
 
 
@@ -86,7 +87,7 @@ def test_a_camera_that_has_gone_is_waited_for_until_it_counts_as_gone_and_then_n
     found = run(at, 2.5)
     assert len(found) > 72  # the output does not stop
     assert np.diff([i.time for _, i, _ in found]).max() < 2.1 * PERIOD
-    gone = [f for f in found if f[0] > 101.5 + GONE_S + PERIOD]
+    gone = [f for f in found if f[0] > 101.5 + SETTINGS.feeds_gone_s + PERIOD]
     assert len(gone) > 28
     for now, instant, times in gone:
         assert times[2] is None and now - instant.time < DELAY + 0.0021
@@ -109,7 +110,7 @@ def test_a_camera_that_is_late_makes_all_of_it_late_and_ends_nothing(late, phase
 
     found = run(at, 2.0, step=0.004)
     assert len(found) > 55 and all(None not in times for _, _, times in found)
-    assert max(now - instant.time for now, instant, _ in found) < late + PERIOD + SLACK_S
+    assert max(now - instant.time for now, instant, _ in found) < late + PERIOD + SETTINGS.feeds_slack_s
 
 
 def test_who_is_slow_gets_the_newest_and_skips_what_was_between():

@@ -16,6 +16,7 @@ from hypose.io.videos.video import open_video
 from hypose.pipeline.live import recorder as recorder_module
 from hypose.pipeline.live.eyes import LiveView
 from hypose.pipeline.live.recorder import LiveRecorder
+from hypose.pipeline.settings import SETTINGS
 from tests.conftest import HANG_S
 from tests.live_scenes import follow, people_for, seen
 
@@ -61,7 +62,7 @@ def test_what_is_recorded_is_loaded_with_the_masks_that_were_seen(tmp_path, walk
 
 
 def test_who_is_killed_has_recorded_too(tmp_path, walk, frames, monkeypatch):
-    monkeypatch.setattr(recorder_module, "_DESCRIBE_S", 0.0)
+    monkeypatch.setattr(recorder_module, "SETTINGS", replace(SETTINGS, recorder_describe_s=0.0))
     made = recorder(tmp_path / "live", walk)
     for frame in frames[:8]:
         made.seen(seen(frame, None))

@@ -10,8 +10,7 @@ from hypose.pipeline.live.live_people import FOLLOWING, LivePeople
 from hypose.pipeline.live.live_search import LivePersonOptions
 from hypose.synthetic.motions import act
 from hypose.synthetic.performance import moved
-from hypose.synthetic.rigs import rig
-from hypose.synthetic.scenes import make_scene
+from hypose.synthetic.scenes import camera_rig, make_scene
 from tests.live_scenes import RATE, Beside, at
 
 TOGETHER, ALONE = 40, 75
@@ -27,7 +26,7 @@ def scenes():
     for k, (name, x) in enumerate((("box", -0.55), ("wave", 0.55))):
         subject = subject_of_seed(7 + k)
         p = act(name, subject, (TOGETHER + ALONE) / RATE, RATE, np.random.default_rng(k))
-        out.append(make_scene(moved(p, 0.0, (x, 0.0)), subject, rig("humaneva-4").scaled(0.5), seed=k))
+        out.append(make_scene(moved(p, 0.0, (x, 0.0)), subject, camera_rig("humaneva-4").scaled(0.5), seed=k))
     return out
 
 

@@ -7,7 +7,7 @@ from hypose.cameras.camera import Camera
 from hypose.evidence.pose_network import CROP, Crop, Sighting
 from hypose.evidence.silhouettes import SilhouetteSettings
 from hypose.pipeline.live.rooms import NetworkRoom, ViewRoom
-from hypose.synthetic.rigs import rig
+from hypose.synthetic.scenes import camera_rig
 
 W, H = 160, 120
 PERSON = (slice(30, 100), slice(40, 62))
@@ -16,7 +16,7 @@ CHAIR = (slice(70, 100), slice(110, 135))
 
 @pytest.fixture
 def camera() -> Camera:
-    return rig("humaneva-4").scaled(0.25)[0]
+    return camera_rig("humaneva-4").scaled(0.25)[0]
 
 
 @pytest.fixture
@@ -103,7 +103,7 @@ def test_a_room_that_is_known_need_not_be_learnt(camera, room, wall, rng):
 
 def test_a_network_needs_no_empty_room():
     """Its masks lie where the person is in the undistorted picture, and it looks next where the person was."""
-    camera = rig("humaneva-4").scaled(0.5)[0]
+    camera = camera_rig("humaneva-4").scaled(0.5)[0]
     small, asked = camera.pinhole().scaled((160, 120)), []
 
     class Network:

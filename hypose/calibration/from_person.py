@@ -1,0 +1,318 @@
+"""Cameras from one person who walks about, and the person's height: no board, no measured points.
+
+The start is `two_views`: offsets from the epipolar geometry of pairs, a rig chained from essential matrices, focal
+lengths tried where they are unknown. The bundle adjustment is that which refines a rig, and its scores correct offsets.
+What such a recording cannot tell is refused: steady walking in a circle looks the same from cameras that are turned
+about its middle and late by a stride, so the start is made at the second best offsets as well and has to be clearly
+worse there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.body.ready_bodies import human
+from hypose.calibration.person_uncertainty import Uncertainty, limbs_of, uncertainty
+from hypose.calibration.refine_points import (
+    CameraUnknowns,
+    PointBundle,
+    adjust,
+    default_scale,
+    scale_rig,
+    transform_rig,
+)
+from hypose.calibration.sync_motion import Curves, solve_offsets
+from hypose.calibration.synchronisation import point_sd
+from hypose.calibration.two_views import (
+    FACTORS,
+    LOOSE,
+    SEEN,
+    epipolar_curves,
+    on_common_clock,
+    rival_offsets,
+    start_rig,
+)
+from hypose.cameras.camera import CameraRig, triangulate
+from hypose.errors import CalibrationError
+from hypose.evidence.keypoints import landmark_of
+from hypose.geometry import Array, rotation_between, se3
+from hypose.tracking.subject import shape_from_keypoints
+
+WALK = "film somebody who walks about irregularly, turns both ways and raises an arm now and then, for 20 s"
+_MOMENTS, _STEP = 120, 2.0  # frames that are looked at; over how many frames a point's speed is taken
+_WIDER = 6  # times that offsets are looked for, each time twice as far as before
+_CLEAR, _CLOSE, _DUEL = 0.65, 0.3, 0.1  # depth of a clear minimum; rivals that are so near are tried, and must be worse
+_FEWEST_S, _SHORT_S, _SPREAD_M, _DOUBT = 1.0, 10.0, 0.25, 3.0  # approximate results; their sd are multiplied by _DOUBT
+_ANGLE_DEG, _RESIDUAL, _FOCAL_SD, _PLACE_SD = 10.0, 0.025, 0.08, 0.3  # refused results; the residual in person's sizes
+_HEAD = ("nose", "left_eye", "right_eye", "left_ear", "right_ear")
+_FEET = tuple(f"{side}_{part}" for side in ("left", "right") for part in ("heel", "big_toe", "small_toe", "ankle"))
+
+
+@dataclass(frozen=True)
+class PersonCalibration:
+    """Person calibration.
+
+    rig: metres, z up, floor at 0.
+    late (C,): frames by which each view is late, against the median view.
+    sds: of cameras and offsets.
+    median_px: of the residuals.
+    approximate: sentences on badly determined results.
+    """
+
+    rig: CameraRig
+    late: Array
+    sds: Uncertainty
+    median_px: float
+    approximate: tuple[str, ...]
+
+
+def calibrate_from_person(
+    points: Array,
+    names: Sequence[str],
+    lenses: CameraRig,
+    height: float,
+    frame_rate: float,
+    *,
+    lenses_known: bool,
+    largest_s: float | None = None,
+    progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
+) -> PersonCalibration:
+    """Find cameras, offsets, vertical and floor.
+
+    points (C, T, K, 3): px of the stored pictures and confidence of one person; lenses: cameras whose poses do not
+    count, and whose lenses do not either unless lenses_known; height m; largest_s: offset that is looked for, s (None:
+    one second, and more where that is not enough).
+    A CalibrationError says why it cannot be done, and what would help."""
+    if len(points) < (2 if lenses_known else 3):
+        raise CalibrationError(
+            "Cameras are found from three views, or from two whose focal lengths are known: give these with "
+            "--intrinsics FILE, or film with a third camera."
+        )
+    search = _Search(points, tuple(names), lenses, height, frame_rate, lenses_known, progress)
+    rig, late = search.start(largest_s)
+    rig, world, median_px, sds = search.refine(rig, late)
+    for k in range(3):
+        progress("refine", k, 3)
+        late = late + sds.later
+        rig, world, median_px, sds = search.refine(rig, late)
+    progress("refine", 3, 3)
+    return search.judged(rig, late - np.median(late), world, median_px, sds)
+
+
+class _Search:
+    """One calibration under way. Frames of the common clock are those of the median view."""
+
+    def __init__(
+        self,
+        raw: Array,
+        names: tuple[str, ...],
+        lenses: CameraRig,
+        height: float,
+        frame_rate: float,
+        known: bool,
+        progress: Callable[[str, int, int], None],
+    ) -> None:
+        self.raw, self.names, self.lenses, self.height = raw, names, lenses, height
+        self.frame_rate, self.known, self.progress = frame_rate, known, progress
+        self.points = self.undistorted(lenses)
+        self.sd = point_sd(raw[..., :2], raw[..., 2]) / 1.6  # 1 % of the person's size
+
+    def undistorted(self, rig: CameraRig) -> Array:
+        """Key points as pinhole cameras would show them."""
+        pixels = [c.undistort_points(p[..., :2]) for c, p in zip(rig, self.raw, strict=True)]
+        return np.concatenate([pixels, self.raw[..., 2:]], -1)
+
+    def moments(self, late: Array) -> NDArray[np.int64]:
+        """Return frames of the common clock that all views have, evenly chosen."""
+        first, last = np.ceil(max(0, -late.min())), np.floor(self.raw.shape[1] - 1 - max(0, late.max()))
+        if last - first < _FEWEST_S * self.frame_rate:
+            raise CalibrationError(
+                f"The views have {max(last - first, 0) / self.frame_rate:.1f} s in common, which is too little; {WALK}."
+            )
+        return np.unique(np.linspace(first, last, _MOMENTS).round().astype(np.int64))
+
+    # ---- start
+
+    def start(self, largest_s: float | None) -> tuple[CameraRig, Array]:
+        """Return a rig at an arbitrary scale, and offsets; a CalibrationError when other offsets explain as much."""
+        curves = self.curves(largest_s)
+        late = solve_offsets(curves, len(self.raw)).frames
+        best = self.rig(late)
+        if not self.known:  # essential matrices tell offsets better than fundamental ones
+            curves = epipolar_curves(self.points, [c.K for c in best[1]], self.sd, int(curves.lags[-1]))
+            late = solve_offsets(curves, len(self.raw)).frames
+        rival = rival_offsets(curves, late)
+        if rival is None or rival[0] > _CLOSE:
+            return best[1], late
+        other = rival[1] - np.median(rival[1])
+        costs = [self.rig(x, best[1])[0] for x in (late, other)]
+        if max(costs) < (1 + _DUEL) * min(costs):
+            away = float(np.ptp(other - late)) / self.frame_rate
+            raise CalibrationError(
+                f"The recording does not tell how late the cameras are: offsets that differ by {away:.1f} s, with "
+                f"cameras at other places, explain it as well; {WALK}, or say with --largest 0.25 that the videos "
+                "start within a quarter of a second."
+            )
+        late = late if costs[0] < costs[1] else other
+        return self.rig(late)[1], late
+
+    def curves(self, largest_s: float | None) -> Curves:
+        """Epipolar curves over as many offsets as are needed until pairs with a clear minimum join all views."""
+        largest = max(4, round((largest_s or 1.0) * self.frame_rate))
+        lenses = [c.K for c in self.lenses] if self.known else None
+        tried: list[Curves] = []
+        for k in range(1 if largest_s else _WIDER):
+            self.progress("offsets", k, _WIDER)
+            tried.append(epipolar_curves(self.points, lenses, self.sd, largest))
+            group = np.arange(len(self.raw))
+            for (a, b), cost in zip(tried[-1].pairs, tried[-1].cost, strict=True):
+                if cost.min() < _CLEAR * np.median(cost):
+                    group[group == group[b]] = group[a]
+            if (group == group[0]).all():
+                return tried[-1]
+            largest = min(2 * largest, self.raw.shape[1] // 2)
+            if largest <= tried[-1].lags[-1]:
+                break
+        return tried[0]
+
+    def rig(self, late: Array, lenses: CameraRig | None = None) -> tuple[float, CameraRig]:
+        """Return the cheapest start at offsets and its cost; lenses: whose focal lengths are taken."""
+        points = on_common_clock(self.points, late, self.moments(late))
+        factors = FACTORS if lenses is None and not self.known else (1.0,)
+        found = []
+        for k, factor in enumerate(factors):
+            self.progress("start", k, len(factors))
+            wider = np.array([[factor, factor, 1.0], [factor, factor, 1.0], [1.0, 1.0, 1.0]])
+            rig = CameraRig(tuple(replace(c.pinhole(), K=c.K * wider) for c in lenses or self.lenses))
+            found += start_rig(points, rig, self.sd)
+        if not found:
+            raise CalibrationError(f"The views have too little of the person in common to find the cameras; {WALK}.")
+        return min(found, key=lambda f: f[0])
+
+    # ---- refinement
+
+    def scale(self, points: Array) -> float:
+        """Return the factor that makes points (N, 3) those of a person of the given height."""
+        shape = shape_from_keypoints(human(), points.reshape(-1, len(self.names), 3), self.names)
+        return self.height / (shape.scale * human().stature)
+
+    def refine(self, rig: CameraRig, late: Array) -> tuple[CameraRig, Array, float, Uncertainty]:
+        """Return the rig by all points at these offsets, in metres; its points (F, K, 3), median residual and
+        uncertainty."""
+        frames, free = self.moments(late), not self.known
+        shown = [on_common_clock(p, late, frames) for p in (self.undistorted(rig), self.raw if free else self.points)]
+        (uv, _), (given, seen) = ((p.reshape(len(rig), -1, 3)[..., :2], p[..., 2].reshape(len(rig), -1)) for p in shown)
+        seen = np.where(seen > SEEN, 1.0, 0.0)
+        rough = scale_rig(rig, self.scale(triangulate(rig, uv, seen)[0])).pinhole()
+        found = adjust(rough, given, seen, focal=free, radial=free, hold=LOOSE, iterations=60)
+        factor = self.scale(found.points)
+        new, points = scale_rig(found.rig, factor), found.points * factor
+        keep = (seen > 0).sum(0) >= 2
+        unknowns = CameraUnknowns(new, free, None, free, LOOSE)
+        bundle = PointBundle(given[:, keep], seen[:, keep], default_scale(given, seen), unknowns)
+        near = (on_common_clock(self.points, late + d, frames).reshape(len(rig), -1, 3) for d in (-_STEP, _STEP))
+        before, after = (p[:, keep] for p in near)
+        both = ((before[..., 2] > SEEN) & (after[..., 2] > SEEN))[..., None]
+        velocity = np.where(both, (after - before)[..., :2] / (2 * _STEP), 0.0)
+        moment, kind = np.divmod(np.flatnonzero(keep), len(self.names))
+        labels = np.stack([moment, kind, limbs_of(self.names)[kind]], 1)
+        sds = uncertainty(bundle, list(new), found.radial, points[keep], velocity, labels)
+        lenses = zip(new, self.lenses, found.radial, strict=True)
+        bent = tuple(replace(c, distortion=np.r_[k, 0.0, 0, 0, 0] if free else d.distortion) for c, d, k in lenses)
+        return CameraRig(bent), points.reshape(len(frames), -1, 3), found.after, sds
+
+    # ---- checks of the result
+
+    def judged(
+        self, rig: CameraRig, late: Array, points: Array, median_px: float, sds: Uncertainty
+    ) -> PersonCalibration:
+        """Return the rig on its floor, with its uncertainty; a CalibrationError when that is too large."""
+        middle = np.nanmedian(points.reshape(-1, 3), axis=0)
+        rays = (middle - rig.positions) / np.linalg.norm(middle - rig.positions, axis=1)[:, None]
+        widest = float(np.degrees(np.arcsin(np.linalg.norm(np.cross(rays[:, None], rays), axis=-1).max())))
+        share, (focal, place) = median_px / (100 * self.sd), (x.argmax() for x in (sds.focal, sds.place_m))
+        for wrong, sentence in (
+            (
+                widest < _ANGLE_DEG,
+                f"All cameras look from nearly the same side (within {widest:.0f} degrees): put one of them elsewhere.",
+            ),
+            (
+                share > _RESIDUAL,
+                f"The views do not agree on one person: the median residual is {100 * share:.1f} % of the person's "
+                "size; see whether the key points are one person's in all views, and whether the cameras stood still.",
+            ),
+            (
+                sds.focal[focal] > _FOCAL_SD,
+                f"{rig.names[focal]}: the focal length stays uncertain by {100 * sds.focal[focal]:.0f} %; give focal "
+                f"lengths with --intrinsics FILE, or {WALK}.",
+            ),
+            (
+                sds.place_m[place] > _PLACE_SD,
+                f"{rig.names[place]}: its place stays uncertain by {sds.place_m[place]:.1f} m; {WALK}.",
+            ),
+        ):
+            if wrong:
+                raise CalibrationError(sentence)
+        path = np.nanmedian(points, axis=1)
+        path = float(np.sqrt(np.linalg.eigvalsh(np.cov(path[np.isfinite(path).all(1)].T))[-1]))
+        seconds = self.raw.shape[1] / self.frame_rate
+        up, floor, upright = self.upright(points, self.moments(late))
+        doubts = (
+            (
+                len(rig) == 3 and not self.known,
+                "three cameras hardly tell their focal lengths: give them with --intrinsics FILE",
+            ),
+            (path < _SPREAD_M, f"the person stays within {path:.1f} m, which hardly tells places and offsets"),
+            (seconds < _SHORT_S, f"{seconds:.1f} s are short: film 20 s"),
+            (
+                not upright,
+                "the vertical is not measured, because the feet stay in one place: up is where the person's trunk "
+                "points on average, which is wrong when the person leans",
+            ),
+        )
+        if upright:  # limbs and the head's height above the floor tell the scale equally well
+            head = [k for k, n in enumerate(self.names) if n in _HEAD]
+            tall = float(np.median(np.nanmedian(points[:, head] @ up - floor, axis=0) / self.rest()[head]))
+            rig, middle, floor = scale_rig(rig, tall**-0.5), middle * tall**-0.5, floor * tall**-0.5
+        turn = rotation_between(up, [0, 0, 1.0])
+        x, y, _ = turn @ rig[0].camera_from_world[0, :3]
+        turn = np.array([[x, y, 0], [-y, x, 0], [0, 0, np.hypot(x, y)]]) / np.hypot(x, y) @ turn
+        world = se3(turn, -np.array([*(turn @ middle)[:2], floor]))
+        more = _DOUBT if any(true for true, _ in doubts[:-1]) else 1.0
+        sds = replace(sds, **{key: more * getattr(sds, key) for key in ("turn_deg", "place_m", "focal", "late")})
+        approximate = tuple(sentence for true, sentence in doubts if true)
+        return PersonCalibration(transform_rig(rig, world), late, sds, median_px, approximate)
+
+    def rest(self) -> Array:
+        """Return (K,) m by which key points are above the floor when a person of the given height stands."""
+        body = human()
+        joint, offset, _ = landmark_of(self.names, body)
+        sole = body.skin(np.zeros(len(body.skeleton.lower)))[:, 2].min()
+        return self.height / body.stature * ((body.skeleton.rest_joints[joint] + offset)[:, 2] - sole)
+
+    def upright(self, points: Array, frames: NDArray[np.int64]) -> tuple[Array, float, bool]:
+        """Return (3,) up, the floor's height along it, and whether feet on the floor show up; else the trunk."""
+        ends = [[self.names.index(f"{side}_{part}") for side in ("left", "right")] for part in ("ankle", "shoulder")]
+        up = np.nanmean(points[:, ends[1]] - points[:, ends[0]], axis=(0, 1))
+        up /= np.linalg.norm(up)
+        feet = [k for k, n in enumerate(self.names) if n in _FEET]
+        places = points[:, feet]
+        speed = np.linalg.norm(np.gradient(places, axis=0), axis=-1) * self.frame_rate / (frames[1] - frames[0])
+        still = (speed < 0.6) & np.isfinite(places).all(-1)
+        weight, places = still.astype(float), np.nan_to_num(places)
+        normal, width = up, 0.0
+        for _ in range(15 if still.sum() > 30 else 0):  # a plane per key point, all parallel
+            total = np.maximum(weight.sum(0), 1e-9)
+            centred = places - (weight[..., None] * places).sum(0) / total[:, None]
+            values, vectors = np.linalg.eigh(np.einsum("fk,fki,fkj->ij", weight, centred, centred))
+            normal = vectors[:, 0] * np.sign(vectors[:, 0] @ up)
+            width = float(np.sqrt(values[1] / weight.sum()))
+            weight = still / (1 + (centred @ normal / 0.03) ** 2)
+        up = normal if width > _SPREAD_M else up
+        above = np.where(still, places @ up - self.rest()[feet], np.nan)
+        floor = float(np.nanmedian(above)) if still.any() else float(np.nanmin(points @ up))
+        return up, floor, width > _SPREAD_M

@@ -1,0 +1,194 @@
+"""Cameras and offsets from scratch: epipolar geometry of pairs of views that see one moving person.
+
+Nothing is known but the pictures' key points and, perhaps, the lenses. The offset of a pair is the one at which its key
+points fit an epipolar geometry best; the rig starts with the pair of the best essential matrix, and the other cameras
+are joined one by one to the points that are triangulated already (perspective n points).
+Source: Hartley & Zisserman 2004, chapters 9 to 12; MAGSAC++ by Barath et al. 2020; SQPnP by Terzakis & Lourakis 2020.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.calibration.refine_points import adjust
+from hypose.calibration.sync_motion import Curves
+from hypose.calibration.synchronisation import points_at
+from hypose.cameras.camera import Camera, CameraRig, triangulate
+from hypose.geometry import Array, se3, so3_exp
+
+SEEN = 0.3  # confidence above which a key point counts
+LOOSE = (2.0, 5.0, 0.7)  # sd (rad, m, share of the focal length) within which a rig from scratch may move
+FACTORS = (0.55, 0.75, 1.0, 1.35, 1.8, 2.4)  # focal lengths that are tried, in pictures' longer sides
+_COARSE = 3  # frames between the offsets that are tried first
+_FEW, _MANY = 500, 4000  # correspondences that an epipolar geometry is found from, and judged by
+_LEAST = 40
+_POINTS, _TRIES = 1500, 4  # that a start is made from, and pairs of views that it is begun with
+
+
+def on_common_clock(points: Array, late: Array, frames: NDArray[np.int64]) -> Array:
+    """Return (C, F, K, 3) of points (C, T, K, 3) at frames of the common clock, when views are late by late (C,)
+    frames."""
+    return np.stack([points_at(p, float(x))[frames] for p, x in zip(points, late, strict=True)])
+
+
+def epipolar_curves(points: Array, lenses: Sequence[Array] | None, sd: float, largest: int) -> Curves:
+    """Disagreement of pairs of views with the epipolar geometry that fits them best, over whole offsets up to largest.
+
+    points (C, T, K, 3) undistorted px.
+    lenses: K (3, 3) of each view, None: unknown.
+    sd: of a detection, px.
+    """
+    rng = np.random.default_rng(0)
+    count, frames, kinds = points.shape[:3]
+    lags = np.arange(-largest, largest + 1)
+    pairs = tuple(itertools.combinations(range(count), 2))
+    cost = np.full((len(pairs), len(lags)), np.nan)
+    for (a, b), curve in zip(pairs, cost, strict=True):
+        wanted = list(range(0, len(lags), _COARSE))
+        for _ in range(2):
+            for k in wanted:
+                first, last = max(0, -int(lags[k])), min(frames, frames - int(lags[k]))
+                pa, pb = points[a, first:last], points[b, first + lags[k] : last + lags[k]]
+                both = (pa[..., 2] > SEEN) & (pb[..., 2] > SEEN)
+                chosen = rng.permutation(int(both.sum()))[:_MANY]
+                xa, xb = pa[both][chosen, :2], pb[both][chosen, :2]
+                if len(chosen) < _LEAST:
+                    continue
+                known = None if lenses is None else (lenses[a], lenses[b])
+                found = _epipolar(xa[:_FEW], xb[:_FEW], known, sd, 300)
+                if found is not None:  # errors of one point last for several frames, as in keypoint_curves
+                    curve[k] = 0.2 * kinds * frames / 3 * _disagreement(found[0], xa, xb, sd)
+            best = np.argsort(np.nan_to_num(curve, nan=np.inf))[:_COARSE]
+            near = {k for o in best for k in range(o - _COARSE, o + _COARSE + 1) if 0 <= k < len(lags)}
+            wanted = [k for k in near if np.isnan(curve[k])]
+        known_lags = np.isfinite(curve)
+        if known_lags.any():
+            curve[:] = np.interp(lags, lags[known_lags], curve[known_lags])
+    return Curves(pairs, lags.astype(np.float64), cost)
+
+
+def rival_offsets(curves: Curves, frames: Array, apart: float = 5.0) -> tuple[float, Array] | None:
+    """Return the best other offsets (C,), of which one pair's is at least `apart` frames away from that of frames (C,),
+    and by which share their disagreement is greater; None when there are none."""
+    usable = [(pair, c) for pair, c in zip(curves.pairs, curves.cost, strict=True) if np.isfinite(c).all()]
+
+    def total(x: Array) -> float:
+        return sum(float(np.interp(x[b] - x[a], curves.lags, c)) for (a, b), c in usable)
+
+    found = []
+    for (a, b), c in usable:
+        far = np.abs(curves.lags - (frames[b] - frames[a])) > apart
+        dip = np.r_[False, (c[1:-1] <= c[:-2]) & (c[1:-1] <= c[2:]), False]
+        for k in sorted(np.flatnonzero(far & dip), key=lambda k: float(c[k]))[:2]:
+            x = frames.copy()
+            x[b] = x[a] + curves.lags[k]
+            for j in [j for j in range(len(frames)) if j not in (a, b)] * 4:
+                trials = [np.r_[x[:j], x[a] + lag, x[j + 1 :]] for lag in curves.lags]
+                x = trials[int(np.argmin([total(t) for t in trials]))]
+            found.append((total(x) / total(frames) - 1, x))
+    return min(found, key=lambda f: f[0]) if found else None
+
+
+def start_rig(points: Array, rig: CameraRig, sd: float) -> list[tuple[float, CameraRig]]:
+    """Return the rig, at an arbitrary scale, that explains points (C, F, K, 3) on one clock best, and its mean robust
+    cost of a detection, from the lenses of `rig`, whose poses do not count; nothing when no pair of views leads to one.
+    """
+    count = len(rig)
+    uv = points.reshape(count, -1, 3)
+    if uv.shape[1] > _POINTS:
+        uv = uv[:, np.random.default_rng(0).choice(uv.shape[1], _POINTS, replace=False)]
+    seen = uv[..., 2] > SEEN
+    pairs = []
+    for a, b in itertools.combinations(range(count), 2):
+        both = seen[a] & seen[b]
+        if both.sum() >= 1.5 * _LEAST:
+            pairs += [(*found, a, b) for found in _pair(rig[a], rig[b], uv[a, both, :2], uv[b, both, :2], sd)]
+    found = []
+    for _, pose, a, b in sorted(pairs, key=lambda p: p[0])[:_TRIES]:
+        two = {a: replace(rig[a], camera_from_world=np.eye(4)), b: replace(rig[b], camera_from_world=pose)}
+        chained = _chained(two, rig, uv, seen, sd)
+        if chained is None:
+            continue
+        adjusted = adjust(chained, uv[..., :2], seen.astype(float), hold=LOOSE, iterations=12)
+        off = np.linalg.norm(
+            np.stack([c.project_pinhole(adjusted.points) for c in adjusted.rig]) - uv[..., :2], axis=-1
+        )
+        off = np.where(np.isfinite(off), off, 20 * sd)[seen]
+        found.append((float(np.log1p((off / (2 * sd)) ** 2).mean()), adjusted.rig))
+    return sorted(found, key=lambda f: f[0])[:1]
+
+
+def _chained(
+    cameras: dict[int, Camera], rig: CameraRig, uv: Array, seen: NDArray[np.bool_], sd: float
+) -> CameraRig | None:
+    """Return all cameras, joined to a pair of them one by one: the one next that most of the triangulated points agree
+    on."""
+    while len(cameras) < len(rig):
+        have = sorted(cameras)
+        known = CameraRig(tuple(cameras[c] for c in have))
+        x, _ = triangulate(known, uv[have, :, :2], seen[have].astype(float))
+        off = np.linalg.norm(np.stack([c.project_pinhole(x) for c in known]) - uv[have, :, :2], axis=-1)
+        fine = np.isfinite(x).all(1) & (np.where(seen[have], off, 0).max(0) < 4 * sd)
+        found = []
+        for k in set(range(len(rig))) - set(have):
+            use = fine & seen[k]
+            if use.sum() >= _LEAST:
+                ok, turn, shift, inliers = cv2.solvePnPRansac(
+                    x[use], uv[k, use, :2], rig[k].K, np.zeros(5),
+                    iterationsCount=300, reprojectionError=4 * sd, flags=cv2.SOLVEPNP_SQPNP,
+                )  # fmt: skip
+                if ok and inliers is not None:
+                    found.append((len(inliers) / use.sum(), k, se3(so3_exp(turn[:, 0]), shift[:, 0])))
+        if not found:
+            return None
+        _, k, pose = max(found, key=lambda f: f[0])
+        cameras[k] = replace(rig[k], camera_from_world=pose)
+    return CameraRig(tuple(cameras[k] for k in range(len(rig))))
+
+
+def _pair(a: Camera, b: Camera, xa: Array, xb: Array, sd: float) -> list[tuple[float, Array]]:
+    """Return how bad a pair is to begin with (its disagreement, rays that are nearly parallel, points behind the
+    cameras), and camera b from camera a (4, 4); nothing without an epipolar geometry."""
+    found = _epipolar(xa, xb, (a.K, b.K), sd, 1000)
+    if found is None:
+        return []
+    fundamental, essential, na, nb = found
+    front, turn, shift = cv2.recoverPose(essential, na, nb, np.eye(3))[:3]
+    pose = se3(turn, shift[:, 0])
+    two = CameraRig((replace(a, camera_from_world=np.eye(4)), replace(b, camera_from_world=pose)))
+    x = triangulate(two, np.stack([xa, xb]), np.ones((2, len(xa))))[0]
+    sine = np.linalg.norm(
+        np.cross(*(r / (np.linalg.norm(r, axis=1)[:, None] + 1e-12) for r in x - two.positions[:, None])), axis=1
+    )
+    return [(_disagreement(fundamental, xa, xb, sd) - 0.6 * float(np.nanmedian(sine)) - 0.5 * front / len(xa), pose)]
+
+
+def _epipolar(
+    xa: Array, xb: Array, lenses: tuple[Array, Array] | None, sd: float, iterations: int
+) -> tuple[Array, Array, Array, Array] | None:
+    """Fundamental matrix F, x_b^T F x_a = 0, essential matrix, and xa, xb (N, 2) as the lenses (K of both) see them at
+    depth 1; without lenses the pixels, and no essential matrix."""
+    if lenses is None:
+        f, _ = cv2.findFundamentalMat(xa, xb, cv2.USAC_MAGSAC, 1.5 * sd, 0.999, iterations)
+        return None if f is None or f.shape != (3, 3) else (np.asarray(f, np.float64), xa[:0], xa, xb)
+    ia, ib = (np.linalg.inv(k) for k in lenses)
+    na, nb = ((np.c_[x, np.ones(len(x))] @ i.T)[:, :2] for x, i in ((xa, ia), (xb, ib)))
+    focal = np.sqrt(lenses[0][0, 0] * lenses[1][0, 0])
+    e, _ = cv2.findEssentialMat(
+        na, nb, np.eye(3), method=cv2.USAC_MAGSAC, prob=0.999, threshold=1.5 * sd / focal, maxIters=iterations
+    )
+    return None if e is None or e.shape != (3, 3) else (ib.T @ e @ ia, np.asarray(e, np.float64), na, nb)
+
+
+def _disagreement(fundamental: Array, xa: Array, xb: Array, sd: float) -> float:
+    """Return mean robust Sampson error."""
+    ha, hb = np.c_[xa, np.ones(len(xa))], np.c_[xb, np.ones(len(xb))]
+    lines_b, lines_a = ha @ fundamental.T, hb @ fundamental
+    size = np.sqrt((lines_b[:, :2] ** 2).sum(1) + (lines_a[:, :2] ** 2).sum(1) + 1e-12)
+    return float(np.log1p(((hb * lines_b).sum(1) / size / (2 * sd)) ** 2).mean())

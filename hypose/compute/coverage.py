@@ -1,0 +1,408 @@
+"""Coverage: which pixels triangles cover, by contour winding differences; kernels, each for many silhouettes at once.
+
+A pixel is covered when its centre lies in at least one triangle. The number of triangles over the pixels of an image
+column changes only at their sides, so +-1 at the pixel below every crossing of a directed side and a running sum down
+the rows count the layers, without a test per pixel. Sides of two triangles that are drawn in the same sense cancel:
+of a mesh seen from outside only the contour edges, front on exactly one side, are drawn. Sampling is half open (a
+triangle covers column x when ceil(left) <= x < ceil(right), and there the rows ceil(top) <= y < ceil(bottom)), as in
+the tests' definition; float32 against float64 moves 1-2 pixels of a silhouette at most. Differences are int8 and may
+wrap: the sums of up to 127 layers are right.
+
+VIEWS views of one pose (solver, what stands), LANES poses in one view (scorer), or any faces (parts of a body).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hypose.compute.compiled import kernel
+from hypose.compute.kinematics import camera_about_root
+from hypose.compute.simd import (
+    as_bytes,
+    as_word,
+    at_least,
+    at_most,
+    bits,
+    cast,
+    ceil,
+    load,
+    lowest_bit,
+    popcount,
+    ramp,
+    splat,
+    store,
+    times_plus,
+    where,
+)
+
+f4, i1, i4, u1, u4 = np.float32, np.int8, np.int32, np.uint8, np.uint32
+NEAR = 0.05
+"""Near plane, m: what lies closer (or behind) is cut off."""
+
+
+@kernel
+def cross_columns(xa, ya, xb, yb, sign, width, height, difference):
+    """+-sign at the first row on or below the directed segment, for every column it crosses; x, y about the window."""
+    s = np.int16(-sign)
+    if xa > xb:
+        xa, xb, ya, yb = xb, xa, yb, ya
+        s = np.int16(sign)
+    # clip as floats: far outside the image the numbers do not fit an integer
+    c0 = int(np.ceil(max(xa, f4(0))))
+    c1 = int(np.ceil(min(xb, f4(width))))
+    if c0 < c1:
+        slope = (yb - ya) / (xb - xa)
+        for c in range(c0, c1):
+            y = min(max(ya + (f4(c) - xa) * slope, f4(0)), f4(height))
+            difference[np.uint32(np.ceil(y)), np.uint32(c)] += s  # unsigned: no test for indices from the end
+
+
+@kernel
+def emit_clipped_faces(vertices, faces, p, x0, y0, width, height, difference, one_sided):
+    """Draws every face, cut at NEAR, by itself, front or back (where the plane opens the body its inside is seen; not
+    if one_sided): slow, for what reaches the near plane."""
+    polygon = np.empty((4, 2), np.float32)
+    depth = np.empty(3, np.float32)
+    for f in range(faces.shape[0]):
+        for k in range(3):
+            w = vertices[faces[f, k]]
+            depth[k] = p[2, 0] * w[0] + p[2, 1] * w[1] + p[2, 2] * w[2] + p[2, 3]
+        n = 0
+        for k in range(3):
+            m = (k + 1) % 3
+            a, b = vertices[faces[f, k]], vertices[faces[f, m]]
+            if depth[k] >= NEAR:
+                polygon[n, 0] = (p[0, 0] * a[0] + p[0, 1] * a[1] + p[0, 2] * a[2] + p[0, 3]) / depth[k]
+                polygon[n, 1] = (p[1, 0] * a[0] + p[1, 1] * a[1] + p[1, 2] * a[2] + p[1, 3]) / depth[k]
+                n += 1
+            if (depth[k] >= NEAR) != (depth[m] >= NEAR):
+                if depth[k] < depth[m]:  # one direction for both faces of an edge: the same float on both sides
+                    lo, hi, dlo, dhi = a, b, depth[k], depth[m]
+                else:
+                    lo, hi, dlo, dhi = b, a, depth[m], depth[k]
+                t = (f4(NEAR) - dlo) / (dhi - dlo)
+                x, y, z = lo[0] + t * (hi[0] - lo[0]), lo[1] + t * (hi[1] - lo[1]), lo[2] + t * (hi[2] - lo[2])
+                polygon[n, 0] = (p[0, 0] * x + p[0, 1] * y + p[0, 2] * z + p[0, 3]) / f4(NEAR)
+                polygon[n, 1] = (p[1, 0] * x + p[1, 1] * y + p[1, 2] * z + p[1, 3]) / f4(NEAR)
+                n += 1
+        if n < 3:
+            continue
+        area = f4(0)
+        for k in range(n):
+            m = (k + 1) % n
+            area += (polygon[k, 0] - polygon[0, 0]) * (polygon[m, 1] - polygon[0, 1])
+            area -= (polygon[m, 0] - polygon[0, 0]) * (polygon[k, 1] - polygon[0, 1])
+        if one_sided and area >= 0:
+            continue
+        sign = 1 if area < 0 else -1
+        fx, fy = f4(x0), f4(y0)
+        for k in range(n):
+            m = (k + 1) % n
+            cross_columns(
+                polygon[k, 0] - fx,
+                polygon[k, 1] - fy,
+                polygon[m, 0] - fx,
+                polygon[m, 1] - fy,
+                sign,
+                width,
+                height,
+                difference,
+            )
+
+
+@kernel
+def cover_faces(uv, z, faces, part, one_sided, width, height, difference):
+    """Adds the winding differences of faces (F, 3) of corners at uv (V, 2) px and z (V,) m to difference (P, height +
+    1, B), those of their parts (F,); faces nearer than NEAR, and those with a corner that is not finite, are left out;
+    one_sided: so are those seen from inside."""
+    for f in range(faces.shape[0]):
+        a, b, c = u4(faces[f, 0]), u4(faces[f, 1]), u4(faces[f, 2])
+        xa, ya, xb, yb, xc, yc = uv[a, 0], uv[a, 1], uv[b, 0], uv[b, 1], uv[c, 0], uv[c, 1]
+        if not (z[a] > NEAR and z[b] > NEAR and z[c] > NEAR and np.isfinite(xa + ya + xb + yb + xc + yc)):
+            continue
+        area = (xb - xa) * (yc - ya) - (xc - xa) * (yb - ya)
+        if one_sided and area >= 0:
+            continue
+        sign, own = 1 if area < 0 else -1, difference[part[f]]
+        cross_columns(xa, ya, xb, yb, sign, width, height, own)
+        cross_columns(xb, yb, xc, yc, sign, width, height, own)
+        cross_columns(xc, yc, xa, ya, sign, width, height, own)
+
+
+VIEWS = 4
+"""views that are looked at together: a register of every processor"""
+
+
+@kernel
+def _project_views(vertices, p, uv, bounds):
+    """Pixels uv (V, 2, VIEWS) of vertices (V, 3) under projections p (12, VIEWS), all f4; bounds (5, VIEWS) gets
+    x0, x1, y0, y1 and the nearest depth."""
+    left, right, top = splat(f4(1e9), VIEWS), splat(f4(-1e9), VIEWS), splat(f4(1e9), VIEWS)
+    bottom, near = splat(f4(-1e9), VIEWS), splat(f4(1e9), VIEWS)
+    for k in range(vertices.shape[0]):
+        x, y, z = vertices[k, 0], vertices[k, 1], vertices[k, 2]
+        depth = _row_of_views(p, 8 * VIEWS, x, y, z)
+        inverse = f4(1) / depth
+        u, v = _row_of_views(p, 0, x, y, z) * inverse, _row_of_views(p, 4 * VIEWS, x, y, z) * inverse
+        store(uv, 2 * VIEWS * k, u)
+        store(uv, 2 * VIEWS * k + VIEWS, v)
+        left, right, top, bottom = at_most(u, left), at_least(u, right), at_most(v, top), at_least(v, bottom)
+        near = at_most(depth, near)
+    store(bounds, 0, left)
+    store(bounds, VIEWS, right)
+    store(bounds, 2 * VIEWS, top)
+    store(bounds, 3 * VIEWS, bottom)
+    store(bounds, 4 * VIEWS, near)
+
+
+@kernel
+def _row_of_views(p, at, x, y, z):
+    """A row of projections times a point."""
+    value = load(p, at, VIEWS) * x + load(p, at + VIEWS, VIEWS) * y + load(p, at + 2 * VIEWS, VIEWS) * z
+    return value + load(p, at + 3 * VIEWS, VIEWS)
+
+
+@kernel
+def _front_views(uv, a, b, c):
+    """Bit k of the result: the triangle of vertices a, b, c (rows of uv (V, 2, VIEWS) f4) is clockwise in view k."""
+    i, j, k = a * (2 * VIEWS), b * (2 * VIEWS), c * (2 * VIEWS)
+    ua, ub, uc = load(uv, i, VIEWS), load(uv, j, VIEWS), load(uv, k, VIEWS)
+    va, vb, vc = load(uv, i + VIEWS, VIEWS), load(uv, j + VIEWS, VIEWS), load(uv, k + VIEWS, VIEWS)
+    return bits((ub - ua) * (vc - va) < (uc - ua) * (vb - va))
+
+
+@kernel
+def project_views(vertices, projections, first, q, p, turned, uv, bounds):
+    """Pixels uv (V, 2, VIEWS) of vertices (V, 3) f4, about the root of pose q, in the views from `first` on (the last
+    one repeated) of projections (C, 3, 4) f8, which become p (VIEWS, 3, 4) f4.
+
+    bounds (5, VIEWS) gets x0, x1, y0, y1 and the nearest depth.
+    turned (12, VIEWS) f4: scratch.
+    """
+    for k in range(VIEWS):
+        camera_about_root(projections[min(first + k, projections.shape[0] - 1)], q, p[k])
+        for r in range(3):
+            for c in range(4):
+                turned[4 * r + c, k] = p[k, r, c]
+    _project_views(vertices, turned, uv, bounds)
+
+
+@kernel
+def front_views(faces, uv, front):
+    """front (F,) u1: bit k where a face turns its outside to the camera of view k."""
+    for f in range(faces.shape[0]):
+        front[f] = _front_views(uv, faces[f, 0], faces[f, 1], faces[f, 2])
+
+
+@kernel
+def contours_of_any(edges, front, union):
+    """union (E,) i4: the edges that are on a contour in some view; returns how many."""
+    n = 0
+    for e in range(edges.shape[0]):
+        union[n] = e
+        n += front[u4(edges[e, 2])] != front[u4(edges[e, 3])]
+    return n
+
+
+@kernel
+def contours_of_view(k, n_union, union, edges, front, uv, start, end, lines):
+    """Directed contour edges of view k as in contour_edges, and lines (4, E) f4: where they start and
+    end, u, v, u, v px; returns how many."""
+    n, bit = 0, np.uint8(1 << k)
+    for i in range(n_union):
+        e = u4(union[i])
+        left, right = front[u4(edges[e, 2])] & bit, front[u4(edges[e, 3])] & bit
+        a, b = edges[e, 0], edges[e, 1]
+        start[n] = a if left else b
+        end[n] = b if left else a
+        n += left != right
+    for i in range(n):
+        a, b = u4(start[i]), u4(end[i])
+        lines[0, i], lines[1, i], lines[2, i], lines[3, i] = uv[a, 0, k], uv[a, 1, k], uv[b, 0, k], uv[b, 1, k]
+    return n
+
+
+@kernel
+def emit_lines(n, lines, x0, y0, width, height, difference):
+    """Winding differences of n directed contour edges, as emit_contours makes them."""
+    fx, fy = f4(x0), f4(y0)
+    for e in range(n):
+        xa, ya, xb, yb = lines[0, e] - fx, lines[1, e] - fy, lines[2, e] - fx, lines[3, e] - fy
+        cross_columns(xa, ya, xb, yb, 1, width, height, difference)
+
+
+LANES = 16
+"""Particles per block; one AVX-512 register of float32."""
+STRIP = 64
+"""Image columns per strip of the counting pass; one AVX-512 register of int8."""
+
+
+@kernel
+def project_vertices(points, p, u, v, bounds):
+    """Pixels u, v (V, LANES) of points (V, 3, LANES) under projections p (12, LANES), all f4; bounds (5, LANES) gets
+    x0, x1, y0, y1 and the nearest depth."""
+    left, right, top = splat(f4(1e9), LANES), splat(f4(-1e9), LANES), splat(f4(1e9), LANES)
+    bottom, near = splat(f4(-1e9), LANES), splat(f4(1e9), LANES)
+    for k in range(points.shape[0]):
+        at = 3 * LANES * k
+        x, y, z = load(points, at, LANES), load(points, at + LANES, LANES), load(points, at + 2 * LANES, LANES)
+        depth = _row_of_lanes(p, 8 * LANES, x, y, z)
+        inverse = f4(1) / depth
+        a, b = _row_of_lanes(p, 0, x, y, z) * inverse, _row_of_lanes(p, 4 * LANES, x, y, z) * inverse
+        store(u, LANES * k, a)
+        store(v, LANES * k, b)
+        left, right, top, bottom = at_most(a, left), at_least(a, right), at_most(b, top), at_least(b, bottom)
+        near = at_most(depth, near)
+    store(bounds, 0, left)
+    store(bounds, LANES, right)
+    store(bounds, 2 * LANES, top)
+    store(bounds, 3 * LANES, bottom)
+    store(bounds, 4 * LANES, near)
+
+
+@kernel
+def _row_of_lanes(p, at, x, y, z):
+    """A row of projections times points."""
+    value = times_plus(load(p, at + 2 * LANES, LANES), z, load(p, at + 3 * LANES, LANES))
+    return times_plus(load(p, at, LANES), x, times_plus(load(p, at + LANES, LANES), y, value))
+
+
+@kernel
+def front_lanes(u, v, a, b, c):
+    """Bit l of the result: the triangle of vertices a, b, c (rows of u, v (V, LANES)) is clockwise in lane l."""
+    ua, ub, uc = load(u, a * LANES, LANES), load(u, b * LANES, LANES), load(u, c * LANES, LANES)
+    va, vb, vc = load(v, a * LANES, LANES), load(v, b * LANES, LANES), load(v, c * LANES, LANES)
+    return bits((ub - ua) * (vc - va) < (uc - ua) * (vb - va))
+
+
+@kernel
+def prepare_edge(u, v, a, b, window, edge, columns):
+    """The edge from vertex a to b in every lane: where it starts in the lane's window and how it runs.
+
+    window (5, LANES) f4: origin x, y, first and end column, rows. Writes edge (4, LANES) f4: left end x, y in the
+        window, slope, first column.
+    columns (LANES,) i4: how many it crosses.
+
+    Returns two masks of lanes: bits 0-15 it crosses columns and is not wholly below the window, bits 16-31 it runs
+    right to left.
+    """
+    left, top, rows = load(window, 0, LANES), load(window, LANES, LANES), load(window, 4 * LANES, LANES)
+    xa, xb = load(u, a * LANES, LANES) - left, load(u, b * LANES, LANES) - left
+    ya, yb = load(v, a * LANES, LANES) - top, load(v, b * LANES, LANES) - top
+    swap = xa > xb
+    x0, x1, y0, y1 = where(swap, xb, xa), where(swap, xa, xb), where(swap, yb, ya), where(swap, ya, yb)
+    first, end = ceil(at_least(x0, load(window, 2 * LANES, LANES))), ceil(at_most(x1, load(window, 3 * LANES, LANES)))
+    active = (first < end) & ((y0 < rows) | (y1 < rows))
+    store(edge, 0, x0)
+    store(edge, LANES, y0)
+    store(edge, 2 * LANES, (y1 - y0) / (x1 - x0))
+    store(edge, 3 * LANES, first)
+    store(columns, 0, cast(where(active, end - first, splat(f4(0), LANES)), i4))
+    return u4(bits(active)) | (u4(bits(swap)) << u4(16))
+
+
+@kernel
+def write_crossings(edge, lane, skip, rows, stride, out, place):
+    """LANES pixel indices row * stride + column into out (i4, flat index place): where the prepared edge of a lane
+    crosses its columns, from the skip-th on. Those past its end are rubbish, for the next edge to overwrite."""
+    x0, y0, slope, first = edge[0, lane], edge[1, lane], edge[2, lane], edge[3, lane]
+    column = cast(ramp(LANES), f4) + (first + f4(skip))
+    y = (column - x0) * slope + y0
+    # the last clamp: rubbish past the image must convert too
+    row = ceil(at_most(at_least(y, f4(0)), f4(rows)))
+    store(out, place, cast(row, i4) * stride + cast(column, i4))
+
+
+@kernel
+def count_strip(difference, start, stride, rows, mask, drawn, mask_start, mask_stride, counts):
+    """Running sums down STRIP columns of difference (i1, flat, from index start), cleared with it: adds to counts (2,)
+    i8 the pixels where the sum is positive and that are not set in drawn, and those of them set in mask (both u1,
+    packed, low bit first, flat index mask_start)."""
+    zero = splat(i1(0), STRIP)
+    total, model, hit = zero, 0, 0
+    for k in range(rows):
+        here, at = start + k * stride, mask_start + k * mask_stride
+        total = total + load(difference, here, STRIP)
+        store(difference, here, zero)
+        inside = bits(total > zero) & ~as_word(load(drawn, at, 8))
+        model += popcount(inside)
+        hit += popcount(inside & as_word(load(mask, at, 8)))
+    counts[0] += model
+    counts[1] += hit
+
+
+@kernel
+def fill_strip(difference, start, stride, rows, mask, out, place, line, counts):
+    """Running sums down STRIP columns of difference (i1, flat, from index start), cleared with it. In out (u1, packed,
+    low bit first, flat index `place`, `line` bytes a row) the pixels where the sum is positive are set and no others;
+    adds to counts (2,) i8 those pixels, and those of them that were set in mask, packed alike."""
+    zero = splat(i1(0), STRIP)
+    total, model, hit = zero, 0, 0
+    for k in range(rows):
+        here, at = start + k * stride, place + k * line
+        total = total + load(difference, here, STRIP)
+        store(difference, here, zero)
+        inside = bits(total > zero)
+        model += popcount(inside)
+        hit += popcount(inside & as_word(load(mask, at, 8)))
+        store(out, at, as_bytes(inside))
+    counts[0] += model
+    counts[1] += hit
+
+
+@kernel
+def row_stride(columns):
+    """Bytes per row of the difference image of a window: whole strips, an odd number so that a column of them does
+    not fall on few sets of the cache."""
+    return STRIP * (((columns + STRIP - 1) // STRIP) | 1)
+
+
+@kernel
+def list_crossings(mesh, u, v, some, window, origin, front, union, edge, columns, lists, ends):
+    """Pixels where the contours cross columns, per lane: lists (2 LANES, capacity) i4, up at 2 lane and down after it,
+    ends (2 LANES,) how many. Returns the lanes whose lists are full (to be drawn otherwise)."""
+    full = u4(0)
+    for f in range(mesh.faces.shape[0]):
+        front[f] = front_lanes(u, v, mesh.faces[f, 0], mesh.faces[f, 1], mesh.faces[f, 2])
+    front[mesh.faces.shape[0]] = 0  # the missing neighbour of an open edge
+    n = 0
+    for e in range(mesh.edges.shape[0]):
+        union[n] = e
+        n += ((front[mesh.edges[e, 2]] ^ front[mesh.edges[e, 3]]) & some) != 0
+    for k in range(2 * LANES):
+        ends[k] = 0
+    capacity = lists.shape[1] - LANES
+    for i in range(n):
+        e = union[i]
+        left = u4(front[mesh.edges[e, 2]])
+        masks = prepare_edge(u, v, mesh.edges[e, 0], mesh.edges[e, 1], window, edge, columns)
+        todo = (left ^ u4(front[mesh.edges[e, 3]])) & some & masks
+        down = left ^ (masks >> u4(16))
+        while todo != 0:
+            k = lowest_bit(todo)
+            todo &= todo - u4(1)
+            which = 2 * k + np.int64((down >> u4(k)) & u4(1))
+            count = np.int64(columns[k])
+            end = ends[which]
+            if end + count > capacity:
+                full |= u4(1) << u4(k)
+                continue
+            done = 0
+            stride = i4(row_stride(origin[k, 2]))
+            while True:
+                place = which * lists.shape[1] + end + done
+                write_crossings(edge, k, f4(done), window[4, k], stride, lists, place)
+                done += LANES
+                if done >= count:
+                    break
+            ends[which] = end + count
+    return full
+
+
+@kernel
+def draw_lists(up, down, difference):
+    """Adds the two lists of pixels into difference (i1, flat)."""
+    for i in range(up.shape[0]):
+        difference[u4(up[i])] += i1(1)
+    for i in range(down.shape[0]):
+        difference[u4(down[i])] -= i1(1)

@@ -1,0 +1,134 @@
+"""Depth maps of one frame as a term of the solver: points on the body's surface, and space that is empty.
+
+Source: points drawn to the surface as in articulated ICP (Knoop et al. 2006; Ganapathi et al. 2012, who also keep the
+body out of what was seen to be empty). Deviation: the nearest place is looked for among all of the body that faces the
+sensor and looks about as the point does, instead of drawing the body in every iteration.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.body.body import Body
+from hypose.compute import DepthArrays
+from hypose.errors import InputError
+from hypose.evidence.depth_evidence import Depth
+from hypose.evidence.terms import Evidence
+from hypose.geometry import Array
+
+BODY_SD = 0.012
+"""m: how far a person's surface lies beside that of a body of the right size: clothes, folds, flesh"""
+WEIGHT, SCALE_M = 0.1, 0.025
+"""Of one point, the robust scale of its distance. Chosen on simulated recordings of the seeds 0 to 9
+(benchmark `depth`)."""
+FREE_SHARE, FREE_SCALE_M, SLACK_M = 0.5, 0.06, 0.02
+_MAP_SIDE = 160
+"""px: maps in which the body is looked up need no more"""
+
+
+@dataclass(frozen=True)
+class DepthTerm(Evidence):
+    """Built by `depth_term`. points, normals (M, 3) m, world; weight (M,); first (C + 1,): the points of each sensor;
+    eyes (C, 3) m; maps (C, h, w) float32 m, 0: not known; sizes (C, 2) width, height; projections (C, 3, 4); scale_m:
+    Geman-McClure scale; free_share: weight of body before what was seen, per point; free_scale_m; slack_m before what
+    was seen that cost nothing."""
+
+    points: Array
+    normals: Array
+    weight: Array
+    first: NDArray[np.int64]
+    eyes: Array
+    maps: NDArray[np.float32]
+    sizes: NDArray[np.int64]
+    projections: Array
+    scale_m: float = SCALE_M
+    free_share: float = FREE_SHARE * WEIGHT
+    free_scale_m: float = FREE_SCALE_M
+    slack_m: float = SLACK_M
+
+    def __post_init__(self) -> None:
+        m, c = len(self.points), len(self.eyes)
+        shapes = self.points.shape, self.normals.shape, self.weight.shape, self.first.shape, self.projections.shape
+        if shapes != ((m, 3), (m, 3), (m,), (c + 1,), (c, 3, 4)) or len(self.maps) != c:
+            raise InputError(
+                f"DepthTerm of {c} sensors needs points and normals (M, 3), weight (M,), first ({c + 1},), projections "
+                f"({c}, 3, 4) and {c} maps, got {shapes} and {len(self.maps)} maps."
+            )
+        if not (self.scale_m > 0 and self.free_scale_m > 0):
+            raise InputError("DepthTerm.scale_m and free_scale_m must be positive.")
+
+    def arrays(self, body: Body) -> DepthArrays | None:
+        """What the solver takes; None where there are no points."""
+        scales = float(self.scale_m), float(self.free_share), float(self.free_scale_m), float(self.slack_m)
+        return DepthArrays._make((*self._flat, *rings(body), *scales)) if len(self.points) else None
+
+    @cached_property
+    def _flat(self) -> tuple[NDArray, ...]:
+        """The arrays in the solver's order, made once for all solves of a frame."""
+        given: list[tuple[NDArray, type]] = [(self.points, np.float64), (self.normals, np.float64)]
+        given += [(self.weight, np.float64), (self.first, np.int64), (self.eyes, np.float64), (self.maps, np.float32)]
+        given += [(self.sizes, np.int64), (self.projections, np.float64)]
+        return tuple(np.require(a, kind, ["C", "W"]) for a, kind in given)
+
+
+def depth_term(depth: Depth, weight: float = WEIGHT, scale_m: float = SCALE_M) -> DepthTerm | None:
+    """The depth evidence of a frame; None when no sensor shows a surface of the person.
+
+    weight: of one point that the sensor knows as well as one can know where a body's surface is; noisier points weigh
+    less."""
+    surface = depth.surface
+    if len(surface.points) == 0:
+        return None
+    sure = BODY_SD**2 / (BODY_SD**2 + surface.sd**2)
+    rig = depth.rig
+    step = max(1, -(-int(rig.sizes.max()) // _MAP_SIDE))
+    maps = np.ascontiguousarray(depth.maps[:, ::step, ::step])
+    return DepthTerm(
+        surface.points,
+        surface.normals,
+        weight * sure,
+        surface.first,
+        rig.positions,
+        maps,
+        -(-rig.sizes // step),
+        shrunk(rig.projections, step),
+        scale_m,
+        FREE_SHARE * weight,
+    )
+
+
+def shrunk(projections: Array, step: int) -> Array:
+    """Projections (C, 3, 4) of pictures of which every step-th pixel is kept, the first one included."""
+    out = np.array(projections, dtype=np.float64)
+    out[:, :2] /= step
+    return out
+
+
+_RINGS: dict[int, tuple[Body, NDArray[np.int64], NDArray[np.int32]]] = {}
+
+
+def rings(body: Body) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+    """The faces around each vertex of the scoring mesh: first (V + 1,), and (3 F, 3) their other corners in the face's
+    order and the row of the face around this vertex that shares the edge to the first of them (its own where none
+    does); kept for the last bodies."""
+    kept = _RINGS.get(id(body.coarse))
+    if kept is None or kept[0].coarse is not body.coarse:
+        while len(_RINGS) > 15:
+            _RINGS.pop(next(iter(_RINGS)))
+        faces = np.asarray(body.coarse.faces)
+        corners = faces.ravel()
+        order = np.argsort(corners, kind="stable")
+        count = len(body.coarse.vertices)
+        first = np.searchsorted(corners[order], np.arange(count + 1)).astype(np.int64)
+        others = np.stack([np.roll(faces, -k, axis=1)[:, 1:] for k in range(3)], 1).reshape(-1, 2)[order]
+        begins, ends = (corners[order] * count + others[:, k] for k in (0, 1))
+        by_end = np.argsort(ends, kind="stable")
+        beside = by_end[np.minimum(np.searchsorted(ends[by_end], begins), len(ends) - 1)]
+        beside = np.where(ends[beside] == begins, beside, np.arange(len(ends)))
+        ring = np.column_stack([others, beside])
+        kept = _RINGS[id(body.coarse)] = body, first, np.ascontiguousarray(ring, dtype=np.int32)
+    return kept[1], kept[2]

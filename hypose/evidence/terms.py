@@ -1,0 +1,272 @@
+"""Evidence: a cue of one frame, prepared once for all that ask it, and the cues that solves know.
+
+A solver takes any of them, in any number, as one tuple; a search asks what poses cost by them. A cue of one's own is a
+`PointTerm`, a `RowTerm`, or both with an energy (hypose.evidence.cues.OwnEvidence).
+Sources: two-way contour distances with a robust weight as in the silhouette trackers of Alcoverro 2014, chapter 4, and
+Gall et al. 2009.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hypose.body.body import Body
+from hypose.compute import ContourArrays, KeypointArrays, PointArrays, Standing
+from hypose.errors import EvidenceError, InputError
+from hypose.evidence.ahead import outlines
+from hypose.evidence.frame import Silhouettes
+from hypose.evidence.outlines import OUTLINE_POINTS as REFERENCE_OUTLINE
+from hypose.evidence.outlines import SMALLEST, shrunk_projection
+from hypose.geometry import Array
+
+# Reference density of the contour rows, for a person `height` px tall: weights are per arc length, so changing the
+# spacing or the number of points does not change the balance with key points and priors.
+SPACING_OF_HEIGHT = 6 / 260
+SCALE_OF_HEIGHT = 2.5 / 260
+
+
+class Limb(NamedTuple):
+    """What differs between poses of one limb: moving (J,) bool, the joints that turn; everything else stands as in the
+    last pose; rest: its silhouettes, where they have been drawn."""
+
+    moving: NDArray[np.bool_]
+    rest: Standing | None = None
+
+
+class Evidence:
+    """A cue of one frame. name: which kind it is."""
+
+    name: str = "own"
+
+    @property
+    def views(self) -> NDArray[np.bool_]:
+        """(C,) which views or sensors carry it; empty where it belongs to none."""
+        return np.zeros(0, np.bool_)
+
+    @property
+    def seen(self) -> bool:
+        """Whether any view carries it."""
+        return bool(self.views.any())
+
+    @property
+    def terms(self) -> tuple[Evidence, ...]:
+        """What a solve takes of it: itself, or the terms that it is made of."""
+        return (self,)
+
+    def energy(self, body: Body, poses: Array, limb: Limb | None = None) -> Array:
+        """(N,) what poses (N, D) of a body cost in a search, where it says that: low is good, the silhouettes of one
+        view cost between 0 and 2. limb: all that differs in the poses."""
+        return np.zeros(len(poses))
+
+    def same(self, body: Body, pose: Array, other: Array) -> None:
+        """What has been found out about a pose (D,) holds for another, which differs from it in its last digits."""
+
+
+@dataclass(frozen=True)
+class ContourTerm(Evidence):
+    """Silhouette contours of one frame, both ways (body outline -> mask, mask outline -> body). Built by
+    `contour_term`.
+
+    sdf (C, h, w) float32 signed distance px, negative inside; outline (C, K, 2) float32 px points on the mask's edge;
+    usable (C,); sizes (C, 2) width, height; projections (C, 3, 4) pinhole; weight: of one row at the reference density
+    (rows 6 px apart on a person 260 px tall, 130 outline points a view); scale_px, coarse_scale_px: Geman-McClure scale
+    of the distance; row_spacing_px: distance of the forward rows along the body's outline; outline_count: K (at most
+    1000); height_px: apparent height of the person (median over the usable views); shrunk (C,): sdf, outline, sizes and
+    projections are in pixels that are so many times as large as those of all other lengths here; corners
+    (C, 2), sdf_sizes (C, 2): the part of each image that its sdf covers; outside it rows cost what they
+    cost at infinite distance."""
+
+    sdf: NDArray[np.float32]
+    outline: NDArray[np.float32]
+    usable: NDArray[np.bool_]
+    sizes: NDArray[np.int64]
+    projections: Array
+    weight: float
+    scale_px: float
+    coarse_scale_px: float
+    row_spacing_px: float
+    outline_count: int
+    height_px: float
+    shrunk: Array
+    corners: NDArray[np.int64]
+    sdf_sizes: NDArray[np.int64]
+
+    @cached_property
+    def arrays(self) -> ContourArrays:
+        """What the solver takes, made once for all solves of a frame."""
+        stride = 2 if self.row_spacing_px >= 2 else 1
+        return ContourArrays(
+            np.require(self.sdf, np.float32, ["C", "W"]),
+            np.require(self.outline, np.float32, ["C", "W"]),
+            np.require(self.usable, np.bool_, ["C", "W"]),
+            np.require(self.sizes, np.int64, ["C", "W"]),
+            np.require(self.projections, np.float64, ["C", "W"]),
+            float(self.weight * self.row_spacing_px / (SPACING_OF_HEIGHT * self.height_px)),
+            float(self.weight * REFERENCE_OUTLINE / self.outline_count),
+            float(self.scale_px),
+            float(self.coarse_scale_px),
+            float(self.row_spacing_px / stride),
+            stride,
+            np.require(self.shrunk, np.float64, ["C", "W"]),
+            np.require(self.corners, np.int64, ["C", "W"]),
+            np.require(self.sdf_sizes, np.int64, ["C", "W"]),
+        )
+
+
+@dataclass(frozen=True)
+class KeypointTerm(Evidence):
+    """2D key points of one frame. Cauchy (Lorentzian) cost with scale 2 sd: 2 w log(1 + (r / 2 sd)^2).
+
+    points (C, K, 3) = u, v px, confidence (the row's weight; rows below min_confidence or not finite are left out);
+    projections (C, 3, 4) pinhole of these pixels; joint (K,), offset (K, 3) m in the joint's frame: where the key point
+    sits on the body; scale_px: 1 sd."""
+
+    points: Array
+    projections: Array
+    joint: NDArray[np.int64]
+    offset: Array
+    scale_px: float
+    min_confidence: float = 0.3
+
+    def arrays(self, body: Body) -> KeypointArrays:
+        """What the solver takes; rows to leave out get weight 0."""
+        points = np.array(self.points, dtype=np.float64)
+        seen = np.isfinite(points).all(-1) & (points[..., 2] > max(self.min_confidence, 0.0))
+        points[~seen] = 0
+        return KeypointArrays(
+            points,
+            np.require(self.projections, np.float64, ["C", "W"]),
+            checked_joints(self, body),
+            np.require(self.offset, np.float64, ["C", "W"]),
+            float(self.scale_px),
+        )
+
+
+@dataclass(frozen=True)
+class PointTerm(Evidence):
+    """3D points of one frame. Cauchy (Lorentzian) cost with scale 2 sd, as for key points.
+
+    points_world (M, 3) m, NaN where missing; weight (M,); joint (M,), offset (M, 3) m in the joint's frame; scale_m: 1
+    sd."""
+
+    points_world: Array
+    weight: Array
+    joint: NDArray[np.int64]
+    offset: Array
+    scale_m: float
+
+    def __post_init__(self) -> None:
+        m = len(self.points_world)
+        shapes = (self.points_world.shape, np.shape(self.weight), np.shape(self.joint), np.shape(self.offset))
+        if shapes != ((m, 3), (m,), (m,), (m, 3)) or not self.scale_m > 0:
+            raise InputError(
+                f"PointTerm needs points_world (M, 3), weight (M,), joint (M,), offset (M, 3) and "
+                f"scale_m > 0, got {shapes} and {self.scale_m}."
+            )
+
+    def arrays(self, body: Body) -> PointArrays:
+        """What the solver takes; missing points get weight 0."""
+        points, weight = np.array(self.points_world, dtype=np.float64), np.array(self.weight, dtype=np.float64)
+        missing = ~(np.isfinite(points).all(1) & np.isfinite(weight))
+        points[missing], weight[missing] = 0, 0
+        return PointArrays(
+            points,
+            weight,
+            checked_joints(self, body),
+            np.require(self.offset, np.float64, ["C", "W"]),
+            np.full(len(points), float(self.scale_m)),
+        )
+
+
+Residuals = Callable[[Array], tuple[ArrayLike, ArrayLike]]
+
+
+@dataclass(frozen=True)
+class RowTerm(Evidence):
+    """Residuals of points of one frame. Cauchy (Lorentzian) cost of each point's residuals together, 2 w log(1 +
+    |r|^2 / 4) with r in standard deviations, as for key points.
+
+    joint (P,), offset (P, 3) m in the joint's frame (default: its centre); residuals(points (P, 3) m, world) returns
+    r (P, R) in sd, and its derivative by the point (P, R, 3) in sd per m; weight (P,): factors on the points' costs, 0
+    for one that is not seen (default 1)."""
+
+    joint: NDArray[np.int64]
+    residuals: Residuals
+    offset: Array | None = None
+    weight: Array | None = None
+
+    def __post_init__(self) -> None:
+        n = np.shape(self.joint)
+        given = np.shape(self.offset) if self.offset is not None else (*n, 3)
+        weights = np.shape(self.weight) if self.weight is not None else n
+        if len(n) != 1 or given != (*n, 3) or weights != n:
+            raise InputError(
+                f"RowTerm needs joint (P,), offset (P, 3) and weight (P,), got {n}, {given} and {weights}."
+            )
+
+
+def checked_joints(term: KeypointTerm | PointTerm | RowTerm, body: Body) -> NDArray[np.int64]:
+    """The joints (P,) that a term refers to; an InputError when the body does not have one of them."""
+    j, count = np.array(term.joint, dtype=np.int64), len(body.skeleton.parents)
+    if len(j) and (j.min() < 0 or j.max() >= count):
+        raise InputError(
+            f"{type(term).__name__}.joint refers to joint {int(j.max() if j.max() >= count else j.min())} of {count}."
+        )
+    return j
+
+
+def contour_term(
+    silhouettes: Silhouettes,
+    weight: float = 0.05,
+    *,
+    outline_count: int = REFERENCE_OUTLINE,
+    working_height: int | None = None,
+) -> ContourTerm:
+    """The contour evidence of a frame's masks.
+
+    weight: of one row at the reference density. The Geman-McClure scale is 2.5 px for a person 260 px tall, in
+    proportion (10 px in a 1080p image), in the first iterations twice that.
+    working_height px: for tracking; views in which the person is 1.5 times as tall are worked on in shrunk pixels,
+    and distances are made around the person only. Views that are not usable, or whose mask has no outline away from the
+    image border, are left out; an EvidenceError when none is left."""
+    made = outlines(silhouettes, outline_count, working_height)
+    sizes = (silhouettes.rig.sizes // made.shrunk[:, None]).astype(np.int64)
+    projections = np.stack(
+        [shrunk_projection(p, f) for p, f in zip(silhouettes.rig.projections, made.shrunk, strict=True)]
+    )
+    usable = np.array(silhouettes.usable, dtype=np.bool_) & (made.extent > SMALLEST) & (made.found >= 20)
+    if not usable.any():
+        reasons = "; ".join(
+            f"{n}: {r or 'no outline'}" for n, r in zip(silhouettes.rig.names, silhouettes.reasons, strict=True)
+        )
+        raise EvidenceError(f"No view has a usable silhouette ({reasons}); leave the contours out of this frame.")
+    height = _median(made.extent[usable])
+    scale = max(SCALE_OF_HEIGHT * height, 0.5)
+    return ContourTerm(
+        made.distance,
+        made.points,
+        usable,
+        sizes,
+        projections,
+        weight,
+        scale,
+        2.0 * scale,
+        max(SPACING_OF_HEIGHT * height, 1.0),
+        outline_count,
+        height,
+        made.shrunk,
+        made.corners,
+        made.sizes,
+    )
+
+
+def _median(values: NDArray[np.int64]) -> float:
+    """Of a few numbers, for which numpy's takes longer than a limb's kinematics."""
+    v = sorted(values.tolist())
+    return 0.5 * (v[(len(v) - 1) // 2] + v[len(v) // 2])

@@ -1,0 +1,303 @@
+"""The one least-squares problem above the compiled solve of a frame: damped Gauss-Newton on whatever is unknown.
+
+A `Problem` says what a state costs, what its normal equations are and which step they propose; `solve` decides how far
+to trust them. `SharedProblem`: groups of unknowns (poses of frames, points, boards) that meet only in unknowns which
+all of them share (shape, cameras); groups are eliminated (Schur complement), so the cost of a step grows linearly with
+them. `PoseProblem`: the groups are poses of a body, and the cues of a frame give `Rows`, residuals of points of the
+body, from which the derivatives by poses and by what is shared follow.
+Deviation: a skinned point turns about its blended place, where each of its joints carries an image of its own; over a
+body's vertices the derivatives by a pose are off by 0.2 % (rms).
+Sources: Levenberg 1944, Marquardt 1963, damping relative to the diagonal; Triggs et al. 2000, section 6.1.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Generic, NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose.body.body import Body, Landmarks, Mesh
+from hypose.compute import SharedEquations, weighted_squares
+from hypose.errors import SolverError
+from hypose.geometry import Array
+
+State = TypeVar("State")
+Equations = TypeVar("Equations")
+Shared = TypeVar("Shared")
+_LARGEST_TURN = 0.3
+"""rad: steps of one pose that turn a joint further are shortened"""
+
+
+@dataclass(frozen=True)
+class Rule:
+    """How a descent is damped and when it ends.
+
+    damping: at the start; harder, easier: factors after a refused and a taken step; least, most: its bounds; tries: of
+    one iteration; slack: a step may raise the cost by this factor (contour costs jump when the outline changes); moved:
+    it ends with a step that moves less; gain: or lowers the cost by a smaller share."""
+
+    damping: float = 1e-2
+    harder: float = 6.0
+    easier: float = 4.0
+    least: float = 1e-4
+    most: float = 1e4
+    tries: int = 4
+    slack: float = 1.0
+    moved: float = 0.0
+    gain: float = 0.0
+
+
+@dataclass(frozen=True)
+class Descent(Generic[State, Equations]):
+    """Where a descent ended: state, its cost and equations, the damping there, iterations, evaluations of the cost, and
+    whether it converged (it did not run out of iterations)."""
+
+    state: State
+    cost: float
+    equations: Equations
+    damping: float
+    iterations: int
+    evaluations: int
+    converged: bool
+
+
+class Problem(Generic[State, Equations]):
+    """A sum of robust squares over a state; subclasses give `evaluate` and `propose`."""
+
+    def evaluate(self, state: State) -> tuple[float, Callable[[], Equations]]:
+        """Cost of a state, and a function that makes its equations, called where they are needed."""
+        raise NotImplementedError
+
+    def propose(self, state: State, equations: Equations, damping: float) -> tuple[State, float] | None:
+        """Another state and how far that is in the units of Rule.moved; None: equations not positive definite."""
+        raise NotImplementedError
+
+    def solve(self, start: State, iterations: int, rule: Rule) -> Descent[State, Equations]:
+        """Descend from a state; a SolverError when its cost is not finite."""
+        state, (cost, make) = start, self.evaluate(start)
+        if not math.isfinite(cost):
+            raise SolverError("The cost at the start is not finite; check the start and the evidence for NaN.")
+        equations, damping, evaluations, converged, n = make(), rule.damping, 1, False, 0
+        while n < iterations and not converged:
+            n += 1
+            moved, gain, accepted = math.inf, math.inf, False
+            for _ in range(rule.tries):
+                proposed = self.propose(state, equations, damping)
+                if proposed is not None:
+                    trial, moved = proposed
+                    new, make = self.evaluate(trial)
+                    evaluations += 1
+                    if math.isfinite(new) and new < cost * rule.slack:
+                        accepted, gain = True, abs(cost - new) / max(cost, 1e-300)
+                        state, cost, equations = trial, new, make()
+                        damping = max(damping / rule.easier, rule.least)
+                        break
+                    if moved < rule.moved:
+                        break
+                damping = min(damping * rule.harder, rule.most)
+            converged = not accepted or moved < rule.moved or gain < rule.gain
+        return Descent(state, cost, equations, damping, n, evaluations, converged)
+
+
+class SharedProblem(Problem[tuple[Shared, Array], SharedEquations], Generic[Shared]):
+    """A problem over what is shared (any value, S unknowns) and groups (N, ...) that meet only there.
+
+    free (S,): shared unknowns that may change; largest: a longer step of what is shared is shortened."""
+
+    free: NDArray[np.bool_]
+    largest: float = math.inf
+
+    def length(self, step: Array) -> float:
+        """What of a step (S,) of what is shared must not exceed `largest`."""
+        return float(np.abs(step).max(initial=0.0))
+
+    def moved(self, state: tuple[Shared, Array], step: Array, own: Array) -> tuple[tuple[Shared, Array], float]:
+        """The state after steps of what is shared (S,) and of the groups (N, n), and how far it moved."""
+        raise NotImplementedError
+
+    def propose(
+        self, state: tuple[Shared, Array], equations: SharedEquations, damping: float
+    ) -> tuple[tuple[Shared, Array], float] | None:
+        """Eliminate the groups, and step."""
+        reduced = equations.reduced(damping)
+        step = reduced.step(self.free)
+        if step is None:
+            return None
+        step *= min(1.0, self.largest / max(self.length(step), 1e-9))
+        return self.moved(state, step, reduced.own_steps(step))
+
+
+@dataclass(frozen=True)
+class Quadratic:
+    """Prior 1/2 sum_d weight_d (q_d - centre_d)^2: centre (D,), weight (D,) >= 0 (inverse variances).
+
+    Balls are compared by their rotation-vector components; the root's centre is taken on the branch nearest to the
+    start."""
+
+    centre: Array
+    weight: Array
+
+
+class Rows(NamedTuple):
+    """R residuals of points of a body in one frame, linearised.
+
+    carrier (R, 3): what carries the point, vertices of the scoring mesh or V + a joint, and share (R, 3) of each; point
+    (R, 3) m, world; slope (R, 3): derivative of the residual by the point; residual (R,); weight (R,) of its square,
+    the loss included; view (R,): its camera; cost: robust cost of all, of what has no row too."""
+
+    carrier: NDArray[np.int64]
+    share: Array
+    point: Array
+    slope: Array
+    residual: Array
+    weight: Array
+    view: NDArray[np.int64]
+    cost: float
+
+    @staticmethod
+    def joined(parts: Iterable[Rows]) -> Rows:
+        """The rows of several cues or views, one after the other."""
+        three, one, none = np.zeros((0, 3)), np.zeros(0), np.zeros(0, np.int64)
+        every = [Rows(np.zeros((0, 3), np.int64), three, three, three, one, one, none, 0.0), *parts]
+        *fields, costs = zip(*every, strict=True)
+        return Rows._make([*(np.concatenate(field) for field in fields), sum(costs)])
+
+    def by_pose(self, twists: Array, moves: Array) -> Array:
+        """(R, D) derivatives of the residuals by a pose with world twists (D, 6); moves (V + J, D): share of a dof's
+        motion at each carrier."""
+        wrench = np.concatenate([np.cross(self.point, self.slope), self.slope], 1)
+        return (wrench @ twists.T) * (self._blend(self.share, 1, len(moves)) @ moves)
+
+    def by_vertices(self, slopes: Array) -> Array:
+        """(R, K) derivatives by what moves the vertices by slopes (V, 3, K); joints are not moved."""
+        vertices = len(slopes)
+        share = np.where(self.carrier < vertices, self.share, 0.0)
+        where = self._replace(carrier=np.minimum(self.carrier, vertices - 1))
+        weights = share[:, :, None] * self.slope[:, None]
+        return np.asarray(where._blend(weights, 3, 3 * vertices) @ slopes.reshape(3 * vertices, -1))
+
+    def _blend(self, weights: Array, size: int, columns: int) -> Any:
+        """The sparse matrix (R, columns) with these weights in the `size` columns of each carrier."""
+        from scipy.sparse import csr_array  # takes long to import
+
+        index = (size * self.carrier[..., None] + np.arange(size)).reshape(len(self.carrier), -1)
+        first = np.arange(len(index) + 1) * (3 * size)
+        return csr_array((weights.ravel(), index.ravel(), first), (len(index), columns))
+
+
+@dataclass(frozen=True)
+class Posed:
+    """A body in one frame: pose (D,), vertices (V, 3) m of its scoring mesh."""
+
+    body: Body
+    pose: Array
+    vertices: Array
+
+    @property
+    def mesh(self) -> Mesh:
+        """The scoring mesh."""
+        return self.body.coarse
+
+    @cached_property
+    def normals(self) -> tuple[Array, Array]:
+        """Unit outward normals of the faces (F, 3) and of the vertices (V, 3)."""
+        faces = np.asarray(self.mesh.faces)
+        corner = self.vertices[faces]
+        across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+        smooth = np.zeros_like(self.vertices)
+        for k in range(3):
+            np.add.at(smooth, faces[:, k], across)
+        flat, round_ = (n / np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-12) for n in (across, smooth))
+        return flat, round_
+
+
+Cue = Callable[[Posed, Shared, float], Iterable[Rows]]
+"""Rows of a cue of one frame on a body, with what is shared, at a factor of its robust scale"""
+
+
+class PoseProblem(SharedProblem[Shared]):
+    """Poses (F, D) of one body, and what its frames share: shape or cameras. Subclasses say what that is.
+
+    frames: the cues of each frame; priors: quadratics on every pose, centre (D,) or (F, D). The state is (what is
+    shared, poses); rotation vectors are stepped as they are."""
+
+    def __init__(self, body: Body, frames: Sequence[Sequence[Cue[Shared]]], priors: Sequence[Quadratic]) -> None:
+        marks = Landmarks((), np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
+        body.coarse.edges  # noqa: B018 - built once, shared by all deformed copies
+        self.template = replace(body, fine=body.coarse, landmarks=marks)
+        self.frames, self.priors, self.factor = frames, priors, 1.0
+        moves = body.skeleton.moves.T.astype(np.float64)
+        self.moves = np.concatenate([body.coarse.dense_weights(len(moves)) @ moves, moves])
+
+    def body(self, shared: Shared) -> Body:
+        """The body with what is shared."""
+        return self.template
+
+    def shared_cost(self, shared: Shared, body: Body) -> float:
+        """Cost of what is known of the shared unknowns beforehand."""
+        raise NotImplementedError
+
+    def shared_rows(
+        self, shared: Shared, posed: Sequence[Posed], rows: Sequence[Rows]
+    ) -> tuple[Array, Array, Sequence[Array]]:
+        """Matrix (S, S) and gradient (S,) of `shared_cost`, and each frame's rows by what is shared (R, S)."""
+        raise NotImplementedError
+
+    def shared_moved(self, shared: Shared, step: Array) -> Shared:
+        """What is shared after a step (S,)."""
+        raise NotImplementedError
+
+    def evaluate(self, state: tuple[Shared, Array]) -> tuple[float, Callable[[], SharedEquations]]:
+        """See Problem; all cues are asked, and linearised where the equations are wanted."""
+        shared, q = state
+        body = self.body(shared)
+        posed = [Posed(body, pose, vertices) for pose, vertices in zip(q, body.skin(q), strict=True)]
+        rows = [
+            Rows.joined(r for cue in cues for r in cue(at, shared, self.factor))
+            for at, cues in zip(posed, self.frames, strict=True)
+        ]
+        held = [(q - prior.centre, prior.weight) for prior in self.priors]
+        cost = self.shared_cost(shared, body) + sum(r.cost for r in rows)
+        cost += 0.5 * sum(float((weight * off**2).sum()) for off, weight in held)
+
+        def equations() -> SharedEquations:
+            hessian, gradient, by_shared = self.shared_rows(shared, posed, rows)
+            (n, dof), twists = q.shape, body.skeleton.world_twists(q)
+            own = np.tile(np.diag(sum((weight for _, weight in held), np.zeros(dof))), (n, 1, 1))
+            pull = sum((weight * off for off, weight in held), np.zeros((n, dof)))
+            cross = np.empty((n, dof, len(gradient)))
+            for f, r in enumerate(rows):
+                jacobian = np.concatenate([r.by_pose(twists[f], self.moves), by_shared[f]], 1)
+                h, g = weighted_squares(jacobian, r.weight, r.residual)
+                own[f] += h[:dof, :dof]
+                pull[f] += g[:dof]
+                cross[f] = h[:dof, dof:]
+                hessian += h[dof:, dof:]
+                gradient += g[dof:]
+            return SharedEquations(hessian, gradient, own, pull, cross)
+
+        return float(cost), equations
+
+    def moved(self, state: tuple[Shared, Array], step: Array, own: Array) -> tuple[tuple[Shared, Array], float]:
+        """See SharedProblem; joint limits are kept by cutting poses off."""
+        shared, q = state
+        own *= np.minimum(1, _LARGEST_TURN / np.maximum(np.abs(own[:, 3:]).max(1, keepdims=True), 1e-9))
+        far = max(float(np.abs(step).max(initial=0.0)), float(np.abs(own).max()) / 20)
+        return (self.shared_moved(shared, step), self.template.skeleton.clamp(q + own)), far
+
+    def stages(
+        self, start: tuple[Shared, Array], factors: Sequence[float], iterations: Sequence[int], moved: float
+    ) -> Descent[tuple[Shared, Array], SharedEquations]:
+        """Solve with one factor of the robust scales after the other, the coarsest first."""
+        found, state = None, start
+        for self.factor, n in zip(factors, iterations, strict=True):
+            # contour costs jump when the outline changes
+            found = self.solve(state, n, Rule(slack=1.002, moved=moved))
+            state = found.state
+        assert found is not None
+        return found

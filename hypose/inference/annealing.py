@@ -1,0 +1,139 @@
+"""From energies to weights: how strongly a layer selects.
+
+Silhouette energies are flat (weights near e^-0 .. e^-V, an ESS of 97 % of N), so a fixed exponent beta <= 1
+hardly selects. Both are offered: the fixed exponent of the papers, and the one solved so that a set share
+survives (default).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hypose.inference.hypotheses import FloatArray, Hypotheses
+
+
+class Energy(Protocol):
+    """Cost (*B, N) of each hypothesis, low is good, dimensionless; a non-finite cost means a failed
+    measurement.
+    """
+
+    def __call__(self, h: Hypotheses, frame: Any, /) -> ArrayLike:
+        """Return one cost per hypothesis."""
+        ...
+
+
+class AnnealingRate(Protocol):
+    """The exponent beta (*B,) for energies (*B, N)."""
+
+    def __call__(self, energies: FloatArray, /) -> FloatArray:
+        """Return one exponent per population."""
+        ...
+
+
+def survival_rate(energies: ArrayLike, beta: ArrayLike) -> FloatArray:
+    """Return (*B,) share of a set that survives selection, (sum w)^2 / (N sum w^2), w = exp(-beta E) of energies (*B,
+    N).
+
+    Non-finite energies weigh 0; a set with none finite has rate 0. Source: Deutscher & Reid 2005.
+    """
+    excess, usable = _excess(np.asarray(energies, np.float64))
+    return _rate(excess, usable, np.asarray(beta, np.float64))
+
+
+def solve_annealing_rate(energies: ArrayLike, target: float, iterations: int = 56) -> FloatArray:
+    """beta (*B,) at which the survival rate of energies (*B, N) equals target, by bisection in log beta.
+
+    The rate falls from the share of finite energies (beta = 0) to the share tied at the minimum (beta ->
+    infinity). A target above that range gives 0, one below it a beta at which only the tied survive;
+    energies that are all equal give 1, as every beta does the same. Never NaN, never infinite.
+    """
+    excess, usable = _excess(np.asarray(energies, np.float64))
+    positive = usable & (excess > 0)
+    smallest = np.where(positive, excess, np.inf).min(axis=-1)
+    largest = np.where(positive, excess, 0.0).max(axis=-1)
+    flat = ~positive.any(axis=-1)
+    # from nothing selected (largest exponent 1e-7) to all but the ties at weight 0 (smallest exponent 800)
+    low = np.log(1e-7) - np.log(np.where(flat, 1.0, largest))
+    high = np.minimum(np.log(800.0) - np.log(np.where(flat, 1.0, smallest)), 700.0)
+    wanted = target * excess.shape[-1]
+    away = np.where(usable, -excess, -np.inf)
+    for _ in range(iterations):
+        middle = 0.5 * (low + high)
+        with np.errstate(over="ignore"):
+            weights = np.exp(np.exp(middle)[..., None] * away)
+        total = weights.sum(axis=-1)
+        # a set without any usable energy has total 0, and any answer will do
+        selects_too_little = total * total > wanted * np.einsum("...n,...n->...", weights, weights)
+        low, high = np.where(selects_too_little, middle, low), np.where(selects_too_little, high, middle)
+    unreachable = usable.mean(axis=-1) <= target
+    return np.where(flat, 1.0, np.where(unreachable, 0.0, np.exp(0.5 * (low + high))))
+
+
+@dataclass(frozen=True)
+class FixedAnnealingRate:
+    """A beta given beforehand, as in the papers. Source: Alcoverro 2014, eq. (2.9)."""
+
+    beta: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.beta) and self.beta >= 0):
+            raise ValueError(f"beta must be finite and not negative, got {self.beta}")
+
+    def __call__(self, energies: FloatArray, /) -> FloatArray:
+        """Return the same exponent for every population."""
+        return np.full(energies.shape[:-1], float(self.beta))
+
+
+@dataclass(frozen=True)
+class SurvivalRate:
+    """The beta at which the share ``target`` of the set survives. Source: Deutscher & Reid 2005."""
+
+    target: float = 0.15
+
+    def __post_init__(self) -> None:
+        if not 0 < self.target <= 1:
+            raise ValueError(f"a survival rate lies in (0, 1], got {self.target}")
+
+    def __call__(self, energies: FloatArray, /) -> FloatArray:
+        """Solved for each population by itself."""
+        return solve_annealing_rate(energies, self.target)
+
+
+@dataclass(frozen=True)
+class SmoothedWeight:
+    """A weighing function w^beta out of an energy: log-weights -beta (E - min E), beta by the selectivity.
+
+    The minimum is taken off because weights only count up to a factor, and a large beta would otherwise eat
+    the digits in which energies differ. Non-finite energies get weight 0 (log-weight -inf). Source:
+    Alcoverro 2014, eqs. (2.8) and (2.9).
+    """
+
+    energy: Energy
+    rate: AnnealingRate = SurvivalRate()
+
+    def __call__(self, h: Hypotheses, frame: Any, /) -> FloatArray:
+        """Log-weights (*B, N), at most 0."""
+        energies = np.asarray(self.energy(h, frame), dtype=np.float64)
+        beta = self.rate(energies)
+        excess, usable = _excess(energies)
+        return np.where(usable, -beta[..., None] * excess, -np.inf)
+
+
+def _excess(energies: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Energies above the minimum of their set, 0 where not finite; and which are finite."""
+    usable = np.isfinite(energies)
+    minimum = np.where(usable, energies, np.inf).min(axis=-1, keepdims=True)
+    base = np.where(np.isfinite(minimum), minimum, 0.0)
+    with np.errstate(over="ignore"):
+        return np.minimum(np.where(usable, energies, base) - base, 1e300), usable
+
+
+def _rate(excess: FloatArray, usable: NDArray[np.bool_], beta: FloatArray) -> FloatArray:
+    with np.errstate(over="ignore"):
+        weights = np.where(usable, np.exp(-beta[..., None] * excess), 0.0)
+    total, squares = weights.sum(axis=-1), np.square(weights).sum(axis=-1)
+    return np.where(squares > 0, total**2 / (weights.shape[-1] * np.where(squares > 0, squares, 1.0)), 0.0)

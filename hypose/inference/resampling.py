@@ -1,0 +1,93 @@
+"""Selection: who goes on. Every selector but ``keep`` returns equal weights; origins, roles and covariances are
+inherited.
+
+Sources: Alcoverro 2014, Algorithms 1 and 4; systematic resampling after Kitagawa 1996; roulette wheel:
+Asteriadis et al. 2013; keeping the k best: Sminchisescu & Triggs 2001, Fig. 4. All work on any leading
+batch axes (*B, N).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hypose.inference.hypotheses import FloatArray, Hypotheses
+
+IndexArray = NDArray[np.intp]
+
+
+def systematic_indices(weights: FloatArray, u: ArrayLike) -> IndexArray:
+    """Ancestors (*B, N), sorted, for weights (*B, N) summing to 1 and one number u (*B,) in [0, 1) per
+    population.
+
+    The points (u + j) / N are carried along the cumulated weights, so that hypothesis i gets floor or ceil
+    of N w_i copies, N w_i on average. Source: Alcoverro 2014, Algorithm 4 lines 1-9, whose loop test is
+    printed reversed (``while u_j < cdf_i``). Deviation: on an exact tie the index advances, so that a
+    weight of 0 is never drawn.
+    """
+    count = weights.shape[-1]
+    cumulated = np.cumsum(weights.reshape(-1, count), axis=-1)
+    cumulated /= cumulated[:, -1:]
+    start = np.broadcast_to(np.asarray(u, dtype=np.float64), weights.shape[:-1]).reshape(-1, 1)
+    # points below each cumulated weight: (u + j) / N < c  <=>  j < N c - u
+    below = np.clip(np.ceil(count * cumulated - start), 0, count).astype(np.intp)
+    below[cumulated >= 1.0] = count  # whatever the rounding of N - u: the trailing zero weights are never drawn
+    rows = np.arange(len(below))[:, None]
+    # one exact integer search for all populations at once, each in its own range of keys
+    keys, points = below + rows * (count + 1), np.arange(count) + rows * (count + 1)
+    found = np.searchsorted(keys.ravel(), points.ravel(), side="right").reshape(points.shape) - rows * count
+    return found.reshape(weights.shape)
+
+
+def roulette_indices(weights: FloatArray, rng: np.random.Generator) -> IndexArray:
+    """N independent draws per population (multinomial resampling), (*B, N) for weights (*B, N) summing to
+    1.
+    """
+    count = weights.shape[-1]
+    cumulated = np.cumsum(weights.reshape(-1, count), axis=-1)
+    cumulated /= cumulated[:, -1:]
+    points = rng.random(cumulated.shape)
+    found = [np.searchsorted(c, p, side="right") for c, p in zip(cumulated, points, strict=True)]
+    return np.array(found, dtype=np.intp).reshape(weights.shape)
+
+
+def systematic(h: Hypotheses, rng: np.random.Generator, /) -> Hypotheses:
+    """Systematic resampling: one random number per population, low variance."""
+    return h.take(systematic_indices(h.weights, rng.random(h.values.shape[:-2]))).equal()
+
+
+def roulette(h: Hypotheses, rng: np.random.Generator, /) -> Hypotheses:
+    """Roulette wheel: independent draws."""
+    return h.take(roulette_indices(h.weights, rng)).equal()
+
+
+def keep(h: Hypotheses, rng: np.random.Generator, /) -> Hypotheses:
+    """No selection: states and weights go on as they are (a refinement layer, or evidence gathered over
+    layers).
+    """
+    return h
+
+
+@dataclass(frozen=True)
+class LayeredResampling:
+    """Systematic resampling of the coordinates filtered so far; the others keep their own values.
+
+    filtered (D,) bool is the union of the coordinate subsets of the layers up to this one. Diversity
+    survives in the coordinates that neither dynamics nor evidence has touched yet. Source: Alcoverro 2014,
+    Algorithm 4 (corrected).
+    """
+
+    filtered: NDArray[np.bool_]
+
+    def __post_init__(self) -> None:
+        filtered = np.asarray(self.filtered)
+        if filtered.dtype != np.bool_ or filtered.ndim != 1:
+            raise ValueError(f"filtered must be a (D,) mask of bools, got {filtered.dtype} {filtered.shape}")
+        object.__setattr__(self, "filtered", filtered)
+
+    def __call__(self, h: Hypotheses, rng: np.random.Generator, /) -> Hypotheses:
+        """Return the set with its filtered coordinates resampled."""
+        drawn = h.take(systematic_indices(h.weights, rng.random(h.values.shape[:-2])))
+        return drawn.equal(np.where(self.filtered, drawn.values, h.values))

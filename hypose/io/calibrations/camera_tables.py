@@ -1,0 +1,286 @@
+"""Cameras out of the tables of a calibration file, whatever program wrote it.
+
+A camera is a table with an intrinsic matrix (3 x 3, 4 x 4, or fx fy cx cy), lens coefficients in OpenCV's order, the
+picture's size, and a pose: a rotation (vector, matrix, quaternion) with a translation, or one matrix. Poses are
+camera_from_world unless the table says otherwise (`camera_to_world`, `world2cam: false`). Or it has a 3 x 4 projection
+matrix. Every other key is passed over, and a note names those that no known program writes; words about lens model,
+direction or unit that are not understood are refused, because a wrong guess would give a wrong result in silence.
+
+Kalibr chains its poses from camera to camera (T_cn_cnm1); its world and MC-Calib's are those of their first camera.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from hypose.errors import CalibrationError
+from hypose.geometry import Array, se3, se3_inverse, so3_exp
+from hypose.io.calibrations.calibration_camera import UNITS, RigFile, decomposed, numbers, numbers_if_any
+
+Table = Mapping[str, Any]
+# The spellings that programs use; the first is hypose's own.
+_MATRIX = (
+    *("matrix", "K", "camera_matrix", "cameraMatrix", "Camera_Matrix", "CameraMatrix", "intrinsic_matrix"),
+    *("intrinsic", "intrinsics", "mtx", "k"),
+)
+_LENS = (
+    *("distortions", "distortion", "dist", "distCoef", "dist_coeffs", "distCoeffs", "distortion_coefficients"),
+    *("Distortion_Coefficients", "DistortionCoeffs", "distortion_coeffs", "distortion_vector", "D"),
+)
+_SINGLE = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+_SIZE = ("size", "image_size", "resolution", "imgSize", "img_size", "imageSize")
+_WIDTH = ("image_width", "image_Width", "img_width", "width")
+_HEIGHT = ("image_height", "image_Height", "img_height", "height")
+_ROTATION = ("rotation", "R", "rvec", "rotation_vectors", "rotation_matrix", "extrinsic_r", "r")
+_TRANSLATION = ("translation", "T", "t", "tvec", "translation_vectors", "translation_vector", "extrinsic_t")
+_POSE = (
+    *("camera_from_world", "RT", "Rt", "extrinsic", "extrinsics", "world_to_camera", "world2camera", "w2c"),
+    *("extrinsic_matrix", "camera_pose_matrix", "T_cam_world"),
+)
+_INVERSE_POSE = ("camera_to_world", "cam_to_world", "world_from_camera", "c2w", "T_world_cam", "T_wc")
+_UNORDERED = ("quaternion", "quat", "orientation")
+_QUATERNION = ("quaternion_wxyz", "quaternion_xyzw", "qvec", *_UNORDERED)
+_PROJECTION = ("P", "projection", "projection_matrix", "proj")
+_CHAINED = "T_cn_cnm1"
+_CLEAR = 0.5
+"""The axes of quaternions in the right order pass each other by less than this share of those in the wrong one."""
+_DIRECTION = {"world2cam": True, "world_to_cam": True, "cam2world": False, "cam_to_world_pose": False}
+_AXES = ("convention", "coordinate_system", "camera_convention")
+_MODEL = ("fisheye", "fisheye_model", "is_fisheye", "distortion_model", "distortion_type", "lens_model", "camera_model")
+_FISHEYE = {"fisheye", "equidistant", "kannala_brandt", "kannalabrandt", "kb4", "opencv_fisheye", "true", "1"}
+_BROWN = {"radtan", "plumb_bob", "rational_polynomial", "brown", "brown_conrady", "standard", "false", "0"}
+_NEUTRAL = {"pinhole", "perspective", "opencv", "none", "full_opencv", ""}
+_PASSED_OVER = {
+    *("name", "camera", "camera_name", "id", "cam_id", "camera_id", "serial", "label", "index", "type", "class_name"),
+    *("rotation_count", "error", "exposure", "grid_count", "ignore", "panel", "node", "unit", "units", "fps"),
+    *("calibration_time", "nr_of_frames", "board_width", "board_height", "square_size", "flags", "rms", "metadata"),
+    *("avg_reprojection_error", "reprojection_error", "per_view_reprojection_errors", "image_points", "points"),
+    *("rectification_matrix", "cam_overlaps", "rostopic", "timeshift_cam_imu", "T_cam_imu", "camera_group"),
+    *(
+        "verified_resolutions",
+        "position",
+        "center",
+        "centre",
+        "rotation_EulerAngles",
+        "stamped",
+        "frame_rate",
+        "fisheye_rotation",
+    ),
+}
+_UNDERSTOOD = {
+    *_MATRIX, *_LENS, *_SINGLE, *_SIZE, *_WIDTH, *_HEIGHT, *_ROTATION, *_TRANSLATION, *_POSE, *_INVERSE_POSE,
+    *_QUATERNION, *_PROJECTION, _CHAINED, *_DIRECTION, *_AXES, *_MODEL, *_PASSED_OVER,
+}  # fmt: skip
+_UNIT_WORDS = {
+    "m": "m", "meter": "m", "metre": "m", "cm": "cm", "centimeter": "cm", "centimetre": "cm",
+    "mm": "mm", "millimeter": "mm", "millimetre": "mm",
+}  # fmt: skip
+_NOT_CAMERAS = {"metadata", "capture_volume", "charuco", "checkerboard", "board"}
+
+
+def tables_of(document: Any, name: str) -> dict[str, Table]:
+    """Find the cameras' tables in a document, by the cameras' names; name: of a single camera that has none."""
+    if isinstance(document, Mapping) and any(isinstance(document.get(k), list | np.ndarray) for k in _MATRIX):
+        return {str(document.get("camera_name") or name): document}
+    nested = document.get("cameras", document) if isinstance(document, Mapping) else document
+    if isinstance(nested, list):
+        nested = {f"cam_{i}": v for i, v in enumerate(nested)}
+    wanted = {*_MATRIX, *_PROJECTION}
+    if not isinstance(nested, Mapping):
+        return {}
+    found = {
+        f"cam_{k}" if str(k).isdecimal() else str(k): v
+        for k, v in nested.items()
+        if isinstance(v, Mapping) and str(k).lower() not in _NOT_CAMERAS and wanted & v.keys()
+    }
+    names = [_own_name(v) or k for k, v in found.items()]
+    return dict(zip(names if len(set(names)) == len(names) else found, found.values(), strict=True))
+
+
+def _own_name(table: Table) -> str:
+    """The name that a table gives its camera; of ROS topics what is no kind of picture."""
+    topic = [p for p in str(table.get("rostopic", "")).split("/") if p and not re.match(r"image|compressed", p)]
+    name = table.get("name", table.get("camera", "_".join(topic)))
+    return str(name) if isinstance(name, str | int) else ""
+
+
+def unit_of(document: Any, unit: str, where: str) -> str:
+    """Choose the unit of length: the given one, else the one that the document states, else auto. A CalibrationError
+    for a stated unit that is not known."""
+    if unit != "auto" or not isinstance(document, Mapping):
+        return unit
+    inner = document.get("metadata")
+    stated = [t[k] for t in (inner, document) if isinstance(t, Mapping) for k in ("unit", "units") if k in t]
+    if not stated:
+        return "auto"
+    word = str(stated[0]).lower()
+    known = _UNIT_WORDS.get(word, _UNIT_WORDS.get(word.removesuffix("s"), ""))
+    if known not in UNITS:
+        raise CalibrationError(
+            f"{where}: the unit {stated[0]!r} is not known; set the calibration unit to m, cm or mm."
+        )
+    return known
+
+
+def add_cameras(rig: RigFile, tables: Mapping[str, Table]) -> None:
+    """Add the cameras of tables to a rig. Cameras without a pose are left out with a note where others have one; a
+    camera alone is put at the origin. A CalibrationError names file, camera and key."""
+    kalibr = any(_CHAINED in t for t in tables.values())
+    unordered = any(isinstance(t.get(k), list) for t in tables.values() for k in _UNORDERED)
+    order = _likely_order(rig, tables) if unordered else ""
+    poses = dict(_chained(rig, tables) if kalibr else ((n, _pose(rig.where(n), t, order)) for n, t in tables.items()))
+    placed = [name for name, pose in poses.items() if pose is not None]
+    if tables and not placed:
+        rig.notes.append(
+            f"{rig.path.name} says nothing about where cameras stand; they are put at the origin. These are lenses "
+            "alone: run hypose calibrate with --intrinsics and this file."
+        )
+    if kalibr or any("camera_pose_matrix" in t for t in tables.values()):
+        rig.notes.append(
+            f"{rig.path.name}: the world is the first camera's, so z does not point up; results lie on their side."
+        )
+    for name, table in tables.items():
+        pose = poses[name]
+        if pose is None and placed:
+            rig.notes.append(f"{rig.path.name}: camera {name} has no rotation and translation; it is left out.")
+            continue
+        pose = np.eye(4) if pose is None else pose
+        where = rig.where(name)
+        k = _matrix(where, table)
+        rig.add(name, k, _lens(where, table), pose[:3, :3], pose[:3, 3], _size(where, table), _fisheye(where, table))
+    strange = sorted({k for t in tables.values() for k in t if k not in _UNDERSTOOD})
+    if strange:
+        rig.notes.append(f"{rig.path.name}: {', '.join(strange[:6])} of the cameras is not understood and passed over.")
+
+
+def _chained(rig: RigFile, tables: Mapping[str, Table]) -> Iterator[tuple[str, Array]]:
+    """Yield Kalibr's poses: each camera's from the camera before it, the first at the origin."""
+    pose = np.eye(4)
+    for name, table in tables.items():
+        step = numbers_if_any(rig.where(name), table, (_CHAINED,), (4, 4))
+        pose = pose if step is None else step @ pose
+        yield name, pose
+
+
+def _pose(where: str, table: Table, order: str = "") -> Array | None:
+    """The pose camera_from_world (4, 4) of a table; None when it says nothing about it."""
+    if not any(k in table for k in _MATRIX):
+        _, rotation, translation = decomposed(numbers(where, table, _PROJECTION, (3, 4)), where)
+        return _joined(rotation, translation)
+    for key in _AXES:
+        if str(table.get(key, "opencv")).lower() not in ("opencv", "cv"):
+            raise CalibrationError(f"{where}: {key} {table[key]!r} is not known; export with OpenCV's camera axes.")
+    outward = [told == want for k, want in _DIRECTION.items() if isinstance(told := table.get(k), bool)]
+    inverse = bool(outward) and not outward[0]
+    matrix = numbers_if_any(where, table, _POSE, (3, 4), (4, 4))
+    if matrix is None and (matrix := numbers_if_any(where, table, _INVERSE_POSE, (3, 4), (4, 4))) is not None:
+        inverse = True
+    if matrix is not None:
+        pose = _joined(matrix[:3, :3], matrix[:3, 3])
+    else:
+        rotation = _rotation(where, table, order)
+        translation = numbers_if_any(where, table, _TRANSLATION, (3,))
+        if rotation is None and translation is None:
+            return None
+        if rotation is None or translation is None:
+            missing = "rotation" if rotation is None else "translation"
+            raise CalibrationError(f"{where}: {missing} is missing; add this entry, or calibrate the camera again.")
+        pose = _joined(rotation, translation)
+    return se3_inverse(pose) if inverse else pose
+
+
+def _joined(rotation: Array, translation: Array) -> Array:
+    return se3(so3_exp(rotation) if rotation.size == 3 else rotation, translation)
+
+
+def _rotation(where: str, table: Table, order: str) -> Array | None:
+    """The rotation (3,) or (3, 3) of a table; None when it has none. order: of quaternions that do not state it."""
+    key = next((k for k in _QUATERNION if k in table), None)
+    if key is None:
+        return numbers_if_any(where, table, _ROTATION, (3,), (3, 3))
+    from scipy.spatial.transform import Rotation  # takes long to import
+
+    value, order = table[key], {"quaternion_wxyz": "wxyz", "quaternion_xyzw": "xyzw", "qvec": "wxyz"}.get(key, order)
+    if isinstance(value, Mapping) and value.keys() >= set("wxyz"):
+        value, order = [value[c] for c in "wxyz"], "wxyz"
+    q = numbers(where, {key: value}, (key,), (4,))
+    if not 0.9 < np.linalg.norm(q) < 1.1:
+        raise CalibrationError(f"{where}: {key} {q.tolist()} is no unit quaternion; correct this entry.")
+    return np.asarray(Rotation.from_quat(q, scalar_first=order == "wxyz").as_matrix(), dtype=np.float64)
+
+
+def _apart(poses: Sequence[Array]) -> float:
+    """The distance (rms, in the file's unit) of the cameras' optical axes from the place that they pass by nearest; inf
+    when it is behind one of them, 0 for a single camera."""
+    if len(poses) < 2:
+        return 0.0
+    turns, centres = zip(*((p[2, :3], se3_inverse(p)[:3, 3]) for p in poses), strict=True)
+    across = [np.eye(3) - np.outer(z, z) for z in turns]
+    place = np.linalg.lstsq(np.sum(across, 0), np.sum([a @ c for a, c in zip(across, centres, strict=True)], 0))[0]
+    if any(z @ (place - c) <= 0 for z, c in zip(turns, centres, strict=True)):
+        return math.inf
+    return float(np.sqrt(np.mean([np.sum((a @ (place - c)) ** 2) for a, c in zip(across, centres, strict=True)])))
+
+
+def _likely_order(rig: RigFile, tables: Mapping[str, Table]) -> str:
+    """Choose the order of quaternions that do not state it: that in which the cameras look at one place."""
+    first, second = (
+        (_apart([p for n, t in tables.items() if (p := _pose(rig.where(n), t, order)) is not None]), order)
+        for order in ("wxyz", "xyzw")
+    )
+    (best, order), (other, _) = sorted((first, second))
+    if not best < _CLEAR * other:
+        raise CalibrationError(
+            f"{rig.path}: the order of the quaternions is not stated; name them quaternion_wxyz or quaternion_xyzw."
+        )
+    rig.notes.append(f"{rig.path.name}: quaternions are taken as {' '.join(order)}, so that all cameras see one place.")
+    return order
+
+
+def _matrix(where: str, table: Table) -> Array:
+    """The intrinsic matrix (3, 3) of a table."""
+    k = numbers_if_any(where, table, _MATRIX, (3, 3), (4, 4), (4,))
+    if k is None:
+        return decomposed(numbers(where, table, _PROJECTION, (3, 4)), where)[0]
+    if k.shape == (4,):
+        return np.array([[k[0], 0, k[2]], [0, k[1], k[3]], [0, 0, 1.0]])
+    return k[:3, :3]
+
+
+def _lens(where: str, table: Table) -> Array | None:
+    """The lens coefficients of a table, in OpenCV's order; None when it has none."""
+    lens = numbers_if_any(where, table, _LENS)
+    if lens is not None or not any(k in table for k in _SINGLE[:2]):
+        return lens
+    keys = ("k1", "k2", "k3", "k4") if _fisheye(where, table) else _SINGLE
+    values = np.array([numbers(where, {"v": table.get(k, 0.0)}, ("v",), (1,))[0] for k in keys])
+    return values if len(keys) == 4 or values[5:].any() else values[:5]
+
+
+def _fisheye(where: str, table: Table) -> bool:
+    """Whether the lens coefficients are those of OpenCV's fisheye model; a CalibrationError for other models."""
+    words = {k: str(table[k]).lower().strip() for k in _MODEL if table.get(k) is not None}
+    for key, word in words.items():
+        if word not in _FISHEYE | _BROWN | _NEUTRAL or (key == "fisheye" and not isinstance(table[key], bool)):
+            allowed = "true or false" if key == "fisheye" else "OpenCV's (plumb_bob, rational_polynomial) or fisheye"
+            raise CalibrationError(f"{where}: {key} must be {allowed}, got {table[key]!r}; correct this entry.")
+    said = {word in _FISHEYE for word in words.values() if word not in _NEUTRAL}
+    if len(said) > 1:
+        raise CalibrationError(f"{where}: {' and '.join(words)} contradict each other; correct one of them.")
+    return True in said
+
+
+def _size(where: str, table: Table) -> Array | None:
+    """Width and height of the pictures; None when they are not stated."""
+    value = next((table[k] for k in _SIZE if k in table), None)
+    if isinstance(value, Mapping):
+        table, value = value, None
+    if value is not None:
+        return numbers(where, {"size": value}, ("size",), (2,))
+    sides = [numbers_if_any(where, table, keys, (1,)) for keys in (_WIDTH, _HEIGHT)]
+    return None if sides[0] is None or sides[1] is None else np.concatenate([sides[0], sides[1]])

@@ -1,0 +1,68 @@
+"""The exponent that lets a set share survive."""
+
+import numpy as np
+import pytest
+
+from hypose.inference.annealing import (
+    FixedAnnealingRate,
+    SmoothedWeight,
+    SurvivalRate,
+    solve_annealing_rate,
+    survival_rate,
+)
+from hypose.inference.hypotheses import Hypotheses
+
+
+@pytest.mark.parametrize("target", [0.01, 0.15, 0.3, 0.9, 0.999])
+@pytest.mark.parametrize("scale", [1e-9, 1.0, 1e9])
+def test_the_target_is_met_at_any_scale(target, scale):
+    energies = scale * (1e3 * (scale == 1) + np.random.default_rng(0).random((5, 400)))
+    beta = solve_annealing_rate(energies, target)
+    np.testing.assert_allclose(survival_rate(energies, beta), target, rtol=1e-8)
+
+
+def test_rate_falls_with_beta():
+    energies = np.random.default_rng(0).random(100)
+    rates = [float(survival_rate(energies, b)) for b in np.geomspace(1e-3, 1e5, 60)]
+    assert (np.diff(rates) <= 1e-15).all() and rates[0] > 0.999 and rates[-1] < 0.011
+
+
+def test_batches_are_solved_one_by_one():
+    energies = np.random.default_rng(0).random((2, 3, 50)) * np.array([1.0, 10.0, 0.1])[:, None]
+    together = solve_annealing_rate(energies, 0.2)
+    for i in np.ndindex(2, 3):
+        np.testing.assert_allclose(together[i], solve_annealing_rate(energies[i], 0.2), rtol=1e-12)
+
+
+def test_out_of_reach():
+    ties = np.repeat([1.0, 2.0, 3.0], 10)  # a third cannot be told apart: no beta goes below 1/3
+    np.testing.assert_allclose(survival_rate(ties, solve_annealing_rate(ties, 0.1)), 1 / 3, rtol=1e-9)
+    few = np.where(np.arange(30) < 3, np.arange(30.0), np.nan)  # a tenth is usable: none goes above it
+    assert solve_annealing_rate(few, 0.5) == 0
+    np.testing.assert_allclose(survival_rate(few, 0.0), 0.1)
+    np.testing.assert_allclose(survival_rate(few, solve_annealing_rate(few, 0.05)), 0.05, rtol=1e-8)
+    assert solve_annealing_rate(np.full(7, 2.5), 0.2) == 1
+    assert survival_rate(np.full(7, np.nan), 1.0) == 0
+
+
+def test_fixed_exponent_is_the_power_of_the_weight():
+    energies = np.array([0.2, 0.9, 1.4])
+    h = Hypotheses.uniform(np.zeros((3, 1)))
+    weights = h.reweighted(SmoothedWeight(lambda h, z: energies, FixedAnnealingRate(0.3))(h, None)).weights
+    expected = np.exp(-energies) ** 0.3
+    np.testing.assert_allclose(weights, expected / expected.sum(), rtol=1e-14)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: SurvivalRate(0.0),
+        lambda: SurvivalRate(1.1),
+        lambda: SurvivalRate(np.nan),
+        lambda: FixedAnnealingRate(-1.0),
+        lambda: FixedAnnealingRate(np.inf),
+    ],
+)
+def test_settings_are_checked(make):
+    with pytest.raises(ValueError, match="got"):
+        make()

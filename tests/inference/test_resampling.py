@@ -1,0 +1,87 @@
+"""Selection: unbiased, low variance, exactly Algorithm 4."""
+
+import numpy as np
+import pytest
+
+from hypose.inference.hypotheses import Hypotheses
+from hypose.inference.resampling import (
+    LayeredResampling,
+    roulette_indices,
+    systematic,
+    systematic_indices,
+)
+
+
+def copies(index, n):
+    return np.array([np.bincount(row, minlength=n) for row in index.reshape(-1, n)])
+
+
+def random_weights(rng, shape):
+    w = rng.random(shape) ** 4 + 1e-12
+    return w / w.sum(-1, keepdims=True)
+
+
+def test_systematic_copies_are_floor_or_ceil():
+    rng = np.random.default_rng(0)
+    for n in (1, 2, 7, 500):
+        w = random_weights(rng, (200, n))
+        c = copies(systematic_indices(w, rng.random(200)), n)
+        assert (c.sum(1) == n).all()
+        assert (c >= np.floor(n * w - 1e-9)).all() and (c <= np.ceil(n * w + 1e-9)).all()
+
+
+def test_systematic_is_unbiased():
+    # averaged over an even grid of starts, the copies are N w up to the grid's own resolution
+    w = random_weights(np.random.default_rng(1), 20)
+    starts = (np.arange(4000) + 0.5) / 4000
+    c = copies(systematic_indices(np.broadcast_to(w, (4000, 20)), starts), 20)
+    np.testing.assert_allclose(c.mean(0), 20 * w, atol=2 / 4000)
+
+
+def test_roulette_is_unbiased_and_varies_more():
+    rng = np.random.default_rng(2)
+    w = random_weights(rng, 20)
+    many = np.broadcast_to(w, (20000, 20))
+    r, s = copies(roulette_indices(many, rng), 20), copies(systematic_indices(many, rng.random(20000)), 20)
+    error = np.sqrt(20 * w * (1 - w) / 20000)
+    assert (np.abs(r.mean(0) - 20 * w) < 4.5 * error).all()
+    often = 20 * w > 0.05
+    spread_of_variance = np.sqrt((3 + 1 / (20 * w[often])) / 20000)  # binomial, relative
+    assert (np.abs(r.var(0) / (20 * w * (1 - w)) - 1)[often] < 4.5 * spread_of_variance).all()
+    assert s.var(0).sum() < 0.5 * r.var(0).sum()
+
+
+def test_weight_zero_is_never_drawn():
+    w = np.array([0.0, 0.5, 0.0, 0.0, 0.5, 0.0])
+    for u in (0.0, 1e-17, 0.3, np.nextafter(1, 0)):
+        assert set(systematic_indices(w, u).tolist()) <= {1, 4}
+    assert set(roulette_indices(np.tile(w, (500, 1)), np.random.default_rng(0)).ravel().tolist()) == {1, 4}
+
+
+def test_equal_weights_select_everyone_once():
+    for n in (1, 3, 10, 49, 333):
+        h = Hypotheses.uniform(np.arange(n)[:, None])
+        for seed in range(20):
+            np.testing.assert_array_equal(systematic(h, np.random.default_rng(seed)).values, h.values)
+
+
+def test_batches_are_independent():
+    rng = np.random.default_rng(3)
+    w, u = random_weights(rng, (3, 4, 25)), rng.random((3, 4))
+    together = systematic_indices(w, u)
+    for i in np.ndindex(3, 4):
+        np.testing.assert_array_equal(together[i], systematic_indices(w[i], u[i]))
+
+
+def test_layered_copies_only_filtered_coordinates():
+    rng = np.random.default_rng(4)
+    h = Hypotheses(rng.normal(size=(30, 3)), 3 * rng.normal(size=30), np.arange(30, dtype=np.int32))
+    all_of_it = systematic(h, np.random.default_rng(9))
+    some = LayeredResampling(np.array([True, False, True]))(h, np.random.default_rng(9))
+    np.testing.assert_array_equal(some.values[:, [0, 2]], all_of_it.values[:, [0, 2]])
+    np.testing.assert_array_equal(some.values[:, 1], h.values[:, 1])
+    np.testing.assert_array_equal(some.origin, all_of_it.origin)
+    full = LayeredResampling(np.ones(3, bool))(h, np.random.default_rng(9))
+    np.testing.assert_array_equal(full.values, all_of_it.values)
+    with pytest.raises(ValueError, match="mask of bools"):
+        LayeredResampling(np.array([0, 2]))
