@@ -16,7 +16,7 @@ from hypose.evidence.terms import RowTerm as RowTerm
 from hypose.fusion.fuse import fuse_clip as fuse_clip
 from hypose.fusion.live import LiveFuser as LiveFuser
 from hypose.inference import kernels as kernels
-from hypose.inference import selectors as selectors
+from hypose.inference import resampling as resampling
 from hypose.inference.annealing import FixedAnnealingRate as FixedAnnealingRate
 from hypose.inference.annealing import SmoothedWeight as SmoothedWeight
 from hypose.inference.annealing import SurvivalRate as SurvivalRate

@@ -393,6 +393,7 @@ def commands_of(name: str, arguments: List[str], folder: str, python: str) -> Li
             [program(folder, "ruff"), "check", "."],
             [program(folder, "pyright"), "--pythonpath", python],
             [program(folder, "lint-imports"), "--cache-dir", os.path.join(CACHE, "import-linter")],
+            [python, "-m", "scripts.words"],
             [python, "-m", "scripts.size"],
         ]
     if name == "bench":

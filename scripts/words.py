@@ -23,6 +23,7 @@ DONE = (
     "body",
     "calibration",
     "cameras",
+    "compute",
     "fusion",
     "gestures",
     "inference",

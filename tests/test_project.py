@@ -145,7 +145,7 @@ def test_unknown_commands_go_to_hypose_and_test_to_pytest(monkeypatch):
     monkeypatch.setattr(bootstrap.os, "sched_getaffinity", lambda process: {3}, raising=False)
     assert bootstrap.commands_of("test", [], "/e", "p") == [["p", "-m", "pytest"]]
     assert [command[1:] for command in bootstrap.commands_of("track", ["rec"], "/e", "p")] == [["track", "rec"]]
-    assert len(bootstrap.commands_of("lint", [], "/e", "p")) == 5
+    assert len(bootstrap.commands_of("lint", [], "/e", "p")) == 6
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Ctrl-C reaches processes differently on Windows")

@@ -2,7 +2,7 @@
 
 import ast
 
-from scripts import size
+from scripts import size, words
 
 TOML = "[tool.x]\nfiles = 3\n\n[tool.hypose.size]\nstatements = 100\nfiles = 10\n\n[tool.y]\nz = 1\n"
 
@@ -39,3 +39,14 @@ def test_the_command_shows_writes_and_fails(tmp_path, monkeypatch, capsys):
     assert "size: files is 11, the ceiling is 10" in printed and "statements" in printed
     assert "statements = 90\nfiles = 10" in (tmp_path / "pyproject.toml").read_text()
     assert '"metric": "files"' in (tmp_path / "size.json").read_text()
+
+
+def test_words_that_are_not_used_are_found_in_docstrings_comments_and_names():
+    source = '"""What is told."""\nbeside_masks = "beside"  # anew\n\n\ndef f(toldYou): ...\n'
+    assert sorted(words.found(source)) == [
+        (1, "What is"),
+        (1, "told"),
+        (2, "anew"),
+        (2, "beside (in beside_masks)"),
+        (5, "told (in toldYou)"),
+    ]

@@ -94,7 +94,7 @@ class _Watcher:
         for mode, forests in self._learned.forests.items():
             maps = densities(depth, KINECT, forests, LocaliseSettings(), self._looking[mode])
             for memory, share in _MEMORIES.items():
-                look = LocaliseSettings(memory=share)
+                look = LocaliseSettings(adaptation_rate=share)
                 found[mode, memory] = settle(maps, depth, KINECT, look, self._kept[mode, memory])
         out = {}
         for case in self.cases:

@@ -118,7 +118,7 @@ def shape_energy(template: Body, state: Array, frame: PreparedFrame) -> float:
 
 
 def anthropometry_recipe(
-    template: Body, particles: int = 150, decay: float = 0.8, betas: Sequence[float] | None = None, step: float = 0.25
+    template: Body, particles: int = 150, nu: float = 0.8, betas: Sequence[float] | None = None, step: float = 0.25
 ) -> Recipe:
     """The layers of Table 2.2 with the rejection-sampling kernel (tau = 0.7, ten trials).
 
@@ -139,7 +139,7 @@ def anthropometry_recipe(
     for n, (name, _, _) in enumerate(TABLE_2_2):
         own = np.zeros(K + s.dof)
         # the first four layers anneal the same coordinates; afterwards each layer moves its own
-        own[psi[n]] = layered_sigma(sigma, psi[:4], decay, n)[psi[n]] if n < 4 else sigma[psi[n]]
+        own[psi[n]] = layered_sigma(sigma, psi[:4], nu, n)[psi[n]] if n < 4 else sigma[psi[n]]
         rate: AnnealingRate = SurvivalRate(0.15) if betas is None else FixedAnnealingRate(betas[n])
         kernel = RejectionSampling(GaussianDiffusion(own, lower, upper), SizePrior(light), 0.7, 10)
         layers.append(Layer(kernel, SmoothedWeight(ShapeXor(light), rate), systematic, name))

@@ -1,7 +1,7 @@
 """Cameras from one person who walks about, and the person's height: no board, no measured points.
 
 The start is `two_views`: offsets from the epipolar geometry of pairs, a rig chained from essential matrices, focal
-lengths tried where they are unknown. Synchronisation and bundle adjustment are those that refine a rig which is known.
+lengths tried where they are unknown. The bundle adjustment is that which refines a rig, and its scores correct offsets.
 What such a recording cannot tell is refused: steady walking in a circle looks the same from cameras that are turned
 about its middle and late by a stride, so the start is made at the second best offsets as well and has to be clearly
 worse there.
@@ -25,7 +25,7 @@ from hypose.calibration.refine_points import (
     scale_rig,
     transform_rig,
 )
-from hypose.calibration.sync_motion import Curves, keypoint_curves, solve_offsets
+from hypose.calibration.sync_motion import Curves, solve_offsets
 from hypose.calibration.synchronisation import point_sd
 from hypose.calibration.two_views import (
     FACTORS,
@@ -46,16 +46,22 @@ WALK = "film somebody who walks about irregularly, turns both ways and raises an
 _MOMENTS, _STEP = 120, 2.0  # frames that are looked at; over how many frames a point's speed is taken
 _WIDER = 6  # times that offsets are looked for, each time twice as far as before
 _CLEAR, _CLOSE, _DUEL = 0.65, 0.3, 0.1  # depth of a clear minimum; rivals that are so near are tried, and must be worse
-_FEWEST_S, _SHORT_S, _SPREAD_M, _DOUBT = 1.0, 10.0, 0.25, 3.0  # what is approximate; its sd are multiplied by _DOUBT
-_ANGLE_DEG, _RESIDUAL, _FOCAL_SD, _PLACE_SD = 10.0, 0.025, 0.08, 0.3  # what is refused; the residual in person's sizes
+_FEWEST_S, _SHORT_S, _SPREAD_M, _DOUBT = 1.0, 10.0, 0.25, 3.0  # approximate results; their sd are multiplied by _DOUBT
+_ANGLE_DEG, _RESIDUAL, _FOCAL_SD, _PLACE_SD = 10.0, 0.025, 0.08, 0.3  # refused results; the residual in person's sizes
 _HEAD = ("nose", "left_eye", "right_eye", "left_ear", "right_ear")
 _FEET = tuple(f"{side}_{part}" for side in ("left", "right") for part in ("heel", "big_toe", "small_toe", "ankle"))
 
 
 @dataclass(frozen=True)
 class PersonCalibration:
-    """rig: metres, z up, floor at 0; late (C,): frames by which each view is late, against the median view; sds: of
-    cameras and offsets; median_px: of the residuals; approximate: sentences on what is hardly known."""
+    """Person calibration.
+
+    rig: metres, z up, floor at 0.
+    late (C,): frames by which each view is late, against the median view.
+    sds: of cameras and offsets.
+    median_px: of the residuals.
+    approximate: sentences on badly determined results.
+    """
 
     rig: CameraRig
     late: Array
@@ -89,11 +95,11 @@ def calibrate_from_person(
     search = _Search(points, tuple(names), lenses, height, frame_rate, lenses_known, progress)
     rig, late = search.start(largest_s)
     rig, world, median_px, sds = search.refine(rig, late)
-    late = late + search.offsets(rig, late)
-    for k in range(2):
-        progress("refine", k, 2)
-        rig, world, median_px, sds = search.refine(rig, late)
+    for k in range(3):
+        progress("refine", k, 3)
         late = late + sds.later
+        rig, world, median_px, sds = search.refine(rig, late)
+    progress("refine", 3, 3)
     return search.judged(rig, late - np.median(late), world, median_px, sds)
 
 
@@ -121,7 +127,7 @@ class _Search:
         return np.concatenate([pixels, self.raw[..., 2:]], -1)
 
     def moments(self, late: Array) -> NDArray[np.int64]:
-        """Frames of the common clock that all views have, evenly chosen."""
+        """Return frames of the common clock that all views have, evenly chosen."""
         first, last = np.ceil(max(0, -late.min())), np.floor(self.raw.shape[1] - 1 - max(0, late.max()))
         if last - first < _FEWEST_S * self.frame_rate:
             raise CalibrationError(
@@ -132,7 +138,7 @@ class _Search:
     # ---- start
 
     def start(self, largest_s: float | None) -> tuple[CameraRig, Array]:
-        """A rig at an arbitrary scale, and offsets; a CalibrationError when other offsets explain as much."""
+        """Return a rig at an arbitrary scale, and offsets; a CalibrationError when other offsets explain as much."""
         curves = self.curves(largest_s)
         late = solve_offsets(curves, len(self.raw)).frames
         best = self.rig(late)
@@ -174,7 +180,7 @@ class _Search:
         return tried[0]
 
     def rig(self, late: Array, lenses: CameraRig | None = None) -> tuple[float, CameraRig]:
-        """The cheapest start at offsets and its cost; lenses: whose focal lengths are taken."""
+        """Return the cheapest start at offsets and its cost; lenses: whose focal lengths are taken."""
         points = on_common_clock(self.points, late, self.moments(late))
         factors = FACTORS if lenses is None and not self.known else (1.0,)
         found = []
@@ -189,19 +195,14 @@ class _Search:
 
     # ---- refinement
 
-    def offsets(self, rig: CameraRig, late: Array) -> Array:
-        """(C,) what is to be added to offsets by the epipolar geometry of a rig."""
-        here = on_common_clock(self.undistorted(rig), late, np.arange(self.raw.shape[1]))
-        curves = keypoint_curves(rig, here[..., :2], here[..., 2], 4.0, 1.6 * self.sd)
-        return solve_offsets(curves, len(rig)).frames
-
     def scale(self, points: Array) -> float:
-        """The factor that makes points (N, 3) those of a person of the given height."""
+        """Return the factor that makes points (N, 3) those of a person of the given height."""
         shape = shape_from_keypoints(human(), points.reshape(-1, len(self.names), 3), self.names)
         return self.height / (shape.scale * human().stature)
 
     def refine(self, rig: CameraRig, late: Array) -> tuple[CameraRig, Array, float, Uncertainty]:
-        """The rig by all points at these offsets, in metres; its points (F, K, 3), median residual and uncertainty."""
+        """Return the rig by all points at these offsets, in metres; its points (F, K, 3), median residual and
+        uncertainty."""
         frames, free = self.moments(late), not self.known
         shown = [on_common_clock(p, late, frames) for p in (self.undistorted(rig), self.raw if free else self.points)]
         (uv, _), (given, seen) = ((p.reshape(len(rig), -1, 3)[..., :2], p[..., 2].reshape(len(rig), -1)) for p in shown)
@@ -224,12 +225,12 @@ class _Search:
         bent = tuple(replace(c, distortion=np.r_[k, 0.0, 0, 0, 0] if free else d.distortion) for c, d, k in lenses)
         return CameraRig(bent), points.reshape(len(frames), -1, 3), found.after, sds
 
-    # ---- what is known of it
+    # ---- checks of the result
 
     def judged(
         self, rig: CameraRig, late: Array, points: Array, median_px: float, sds: Uncertainty
     ) -> PersonCalibration:
-        """The rig on its floor, with its uncertainty; a CalibrationError when that is too large."""
+        """Return the rig on its floor, with its uncertainty; a CalibrationError when that is too large."""
         middle = np.nanmedian(points.reshape(-1, 3), axis=0)
         rays = (middle - rig.positions) / np.linalg.norm(middle - rig.positions, axis=1)[:, None]
         widest = float(np.degrees(np.arcsin(np.linalg.norm(np.cross(rays[:, None], rays), axis=-1).max())))
@@ -283,18 +284,18 @@ class _Search:
         world = se3(turn, -np.array([*(turn @ middle)[:2], floor]))
         more = _DOUBT if any(true for true, _ in doubts[:-1]) else 1.0
         sds = replace(sds, **{key: more * getattr(sds, key) for key in ("turn_deg", "place_m", "focal", "late")})
-        told = tuple(sentence for true, sentence in doubts if true)
-        return PersonCalibration(transform_rig(rig, world), late, sds, median_px, told)
+        approximate = tuple(sentence for true, sentence in doubts if true)
+        return PersonCalibration(transform_rig(rig, world), late, sds, median_px, approximate)
 
     def rest(self) -> Array:
-        """(K,) m by which key points are above the floor when a person of the given height stands."""
+        """Return (K,) m by which key points are above the floor when a person of the given height stands."""
         body = human()
         joint, offset, _ = landmark_of(self.names, body)
         sole = body.skin(np.zeros(len(body.skeleton.lower)))[:, 2].min()
         return self.height / body.stature * ((body.skeleton.rest_joints[joint] + offset)[:, 2] - sole)
 
     def upright(self, points: Array, frames: NDArray[np.int64]) -> tuple[Array, float, bool]:
-        """(3,) up, the floor's height along it, and whether feet on the floor tell up; else it is the trunk's."""
+        """Return (3,) up, the floor's height along it, and whether feet on the floor show up; else the trunk."""
         ends = [[self.names.index(f"{side}_{part}") for side in ("left", "right")] for part in ("ankle", "shoulder")]
         up = np.nanmean(points[:, ends[1]] - points[:, ends[0]], axis=(0, 1))
         up /= np.linalg.norm(up)

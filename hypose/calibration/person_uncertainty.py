@@ -27,9 +27,11 @@ _PARTS = (
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Standard deviations of C cameras when the rig is laid onto the truth by a similarity: turn_deg, place_m, focal
-    (share; 0 where it is given), late (frames); later (C,): frames by which the offsets should still be changed, which
-    the bundle adjustment takes as given."""
+    """Standard deviations of C cameras when the rig is laid onto the truth by a similarity.
+
+    turn_deg, place_m, focal (share; 0 where it is given), late (frames).
+    later (C,): frames by which the offsets should still be changed, which the bundle adjustment takes as given.
+    """
 
     turn_deg: Array
     place_m: Array
@@ -39,7 +41,7 @@ class Uncertainty:
 
 
 def limbs_of(names: Sequence[str]) -> Array:
-    """(K,) which part of the body each key point belongs to: head, arms, legs, or the trunk."""
+    """Return (K,) which part of the body each key point belongs to: head, arms, legs, or the trunk."""
     return np.array([next((k for k, words in enumerate(_PARTS) if any(w in n for w in words)), 3) for n in names])
 
 
@@ -48,8 +50,10 @@ def uncertainty(
 ) -> Uncertainty:
     """Uncertainty at a solution of `adjust`.
 
-    points (N, 3) m; velocity (C, N, 2) px per frame of the detections, for the offsets are unknown as well; labels
-    (N, 3): moment, key point and limb of each point."""
+    points (N, 3) m.
+    velocity (C, N, 2) px per frame of the detections, for the offsets are unknown as well.
+    labels (N, 3): moment, key point and limb of each point.
+    """
     r, weight, jc, jp = bundle.rows(list(cameras), radial, points)
     count, n = weight.shape
     jc = np.concatenate([jc, -velocity[..., None]], -1)
@@ -84,8 +88,8 @@ def uncertainty(
 
 
 def _without_gauge(cameras: Sequence[Camera], points: Array, size: int) -> Array:
-    """(S, S) the projection of the cameras' unknowns that takes out what no picture tells: a motion and the scale of
-    the whole world, and the start of the common clock."""
+    """Return (S, S) the projection of the cameras' unknowns that takes out what no picture tells: a motion and the
+    scale of the whole world, and the start of the common clock."""
     count = len(cameras)
     middle = np.median(points, axis=0)
     reach = float(np.median([np.linalg.norm(c.position - middle) for c in cameras]))

@@ -32,14 +32,18 @@ _POINTS, _TRIES = 1500, 4  # that a start is made from, and pairs of views that 
 
 
 def on_common_clock(points: Array, late: Array, frames: NDArray[np.int64]) -> Array:
-    """(C, F, K, 3) of points (C, T, K, 3) at frames of the common clock, when views are late by late (C,) frames."""
+    """Return (C, F, K, 3) of points (C, T, K, 3) at frames of the common clock, when views are late by late (C,)
+    frames."""
     return np.stack([points_at(p, float(x))[frames] for p, x in zip(points, late, strict=True)])
 
 
 def epipolar_curves(points: Array, lenses: Sequence[Array] | None, sd: float, largest: int) -> Curves:
     """Disagreement of pairs of views with the epipolar geometry that fits them best, over whole offsets up to largest.
 
-    points (C, T, K, 3) undistorted px; lenses: K (3, 3) of each view, None: unknown; sd: of a detection, px."""
+    points (C, T, K, 3) undistorted px.
+    lenses: K (3, 3) of each view, None: unknown.
+    sd: of a detection, px.
+    """
     rng = np.random.default_rng(0)
     count, frames, kinds = points.shape[:3]
     lags = np.arange(-largest, largest + 1)
@@ -70,8 +74,8 @@ def epipolar_curves(points: Array, lenses: Sequence[Array] | None, sd: float, la
 
 
 def rival_offsets(curves: Curves, frames: Array, apart: float = 5.0) -> tuple[float, Array] | None:
-    """The best other offsets (C,), of which one pair's is at least `apart` frames away from that of frames (C,), and
-    by which share their disagreement is greater; None when there are none."""
+    """Return the best other offsets (C,), of which one pair's is at least `apart` frames away from that of frames (C,),
+    and by which share their disagreement is greater; None when there are none."""
     usable = [(pair, c) for pair, c in zip(curves.pairs, curves.cost, strict=True) if np.isfinite(c).all()]
 
     def total(x: Array) -> float:
@@ -92,8 +96,9 @@ def rival_offsets(curves: Curves, frames: Array, apart: float = 5.0) -> tuple[fl
 
 
 def start_rig(points: Array, rig: CameraRig, sd: float) -> list[tuple[float, CameraRig]]:
-    """The rig, at an arbitrary scale, that explains points (C, F, K, 3) on one clock best, and its mean robust cost of
-    a detection, from the lenses of `rig`, whose poses do not count; nothing when no pair of views leads to one."""
+    """Return the rig, at an arbitrary scale, that explains points (C, F, K, 3) on one clock best, and its mean robust
+    cost of a detection, from the lenses of `rig`, whose poses do not count; nothing when no pair of views leads to one.
+    """
     count = len(rig)
     uv = points.reshape(count, -1, 3)
     if uv.shape[1] > _POINTS:
@@ -122,7 +127,8 @@ def start_rig(points: Array, rig: CameraRig, sd: float) -> list[tuple[float, Cam
 def _chained(
     cameras: dict[int, Camera], rig: CameraRig, uv: Array, seen: NDArray[np.bool_], sd: float
 ) -> CameraRig | None:
-    """All cameras, joined to a pair of them one by one: the one next that most of the triangulated points agree on."""
+    """Return all cameras, joined to a pair of them one by one: the one next that most of the triangulated points agree
+    on."""
     while len(cameras) < len(rig):
         have = sorted(cameras)
         known = CameraRig(tuple(cameras[c] for c in have))
@@ -147,8 +153,8 @@ def _chained(
 
 
 def _pair(a: Camera, b: Camera, xa: Array, xb: Array, sd: float) -> list[tuple[float, Array]]:
-    """How bad a pair is to begin with (its disagreement, rays that are nearly parallel, points behind the cameras), and
-    camera b from camera a (4, 4); nothing without an epipolar geometry."""
+    """Return how bad a pair is to begin with (its disagreement, rays that are nearly parallel, points behind the
+    cameras), and camera b from camera a (4, 4); nothing without an epipolar geometry."""
     found = _epipolar(xa, xb, (a.K, b.K), sd, 1000)
     if found is None:
         return []
@@ -181,7 +187,7 @@ def _epipolar(
 
 
 def _disagreement(fundamental: Array, xa: Array, xb: Array, sd: float) -> float:
-    """Mean robust Sampson error."""
+    """Return mean robust Sampson error."""
     ha, hb = np.c_[xa, np.ones(len(xa))], np.c_[xb, np.ones(len(xb))]
     lines_b, lines_a = ha @ fundamental.T, hb @ fundamental
     size = np.sqrt((lines_b[:, :2] ** 2).sum(1) + (lines_a[:, :2] ** 2).sum(1) + 1e-12)

@@ -1,8 +1,8 @@
 """Compute: the only room whose code numba compiles; every hot function takes and returns arrays.
 
-A kernel is a function under `compiled.kernel`; what is public here checks and tidies arrays, calls kernels and spreads
-work over threads. This module is the room's only door: what is not named here is not used outside (checked with the
-import contracts).
+A kernel is a function under `compiled.kernel`; public functions here check and tidy arrays, call kernels and spread
+work over threads. This module is the room's only door: names that are not listed here are not used outside (checked
+with the import contracts).
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ from hypose.compute.rows import outline_points
 from hypose.compute.scorer import limb_energies, silhouette_xor
 from hypose.compute.shape_rows import outline_rows
 from hypose.compute.solver import Evaluation, Solution, bounded_step, evaluate, solve, workspace
-from hypose.compute.threads import beside, default_threads, over_chunks
+from hypose.compute.threads import default_threads, in_background, over_chunks
 from hypose.compute.visibility import nearest_visible
 from hypose.compute.warming import TRACKING_KERNELS, kept, warm_up
 from hypose.compute.zbuffer import interpolate, rasterize
@@ -141,7 +141,7 @@ __all__ = [
     "VARIABLE",
     "Workspace",
     "before_room",
-    "beside",
+    "in_background",
     "blend_shaded",
     "bounded_step",
     "cache_folder",

@@ -51,7 +51,7 @@ class MeshArrays(NamedTuple):
 
 
 NOT_KNOWN = 1e5
-"""px, in a signed distance: here nobody knows how far the mask's edge is, and rows that fall there are left out"""
+"""px, in a signed distance: the distance to the mask's edge is unknown there, and rows that fall there are left out"""
 
 RIM = 2032
 """most outline points of the body in one view (their numbers must fit 11 bits)"""
@@ -73,7 +73,7 @@ class PreparedMasks(NamedTuple):
     bits: NDArray[np.uint8]
     """(C, h, ceil(w / 8) + 16) the masks packed, lowest bit first, zeros after the last column."""
     norm: NDArray[np.float64]
-    """(C,) pixels that count as the whole person: the areas, or what is expected where somebody hides a part."""
+    """(C,) pixels that count as the whole person: the areas, or the expected ones where another person hides a part."""
     hidden: NDArray[np.uint8]
     """(C, h, B) packed like the bits: pixels that say nothing (the masks are 0 there); (0, 0, 0): none."""
     open_masks: NDArray[np.uint8]
@@ -177,7 +177,7 @@ class DepthArrays(NamedTuple):
     ring_first: NDArray[np.int64]
     """(V + 1,): ring[ring_first[v]] and on, to that of v + 1, are the faces around vertex v"""
     ring: NDArray[np.int32]
-    """(3 F, 3) their other corners, in the face's order, and the row of the face beside the edge to the first"""
+    """(3 F, 3) their other corners, in the face's order, and the row of the face at the edge to the first"""
     scale: float
     """m, Geman-McClure scale of the points"""
     free_weight: float
@@ -258,7 +258,7 @@ class Workspace(NamedTuple):
     """(3, R) points of the body's outline in one view: share of the edge, u, v px"""
     rim_edge: NDArray[np.int32]
     work: NDArray[np.float32]
-    """flat, of LANES points at a time: what is worked out of them in vector lanes"""
+    """flat, of LANES points at a time: values computed from them in vector lanes"""
     spot: NDArray[np.int32]
     """(LANES,)"""
     sorted: NDArray[np.float32]
@@ -290,14 +290,15 @@ _Arrays = TypeVar("_Arrays", bound=NamedTuple)
 
 
 def plain(a: ArrayLike, dtype: type) -> NDArray:
-    """The array, contiguous and writable: numba compiles a kernel again for every layout and for read-only arrays."""
+    """Return the array, contiguous and writable: numba compiles a kernel again for every layout and for read-only
+    arrays."""
     if type(a) is np.ndarray and a.dtype == dtype and a.flags.carray:  # as nearly always
         return a
     return np.require(a, dtype, ["C", "W", "A"])
 
 
 def tidy(arrays: _Arrays) -> _Arrays:
-    """The same for all arrays of a tuple."""
+    """Return the same for all arrays of a tuple."""
     for a in arrays:
         if type(a) is np.ndarray and not a.flags.carray:
             break
@@ -316,8 +317,9 @@ def prepare_masks(
 ) -> PreparedMasks:
     """Masks (C, h, w) non-zero = person, usable (C,), sizes (C, 2) width and height, pinhole projections (C, 3, 4).
 
-    ignored (C, h, w) 0 and 1: pixels that say nothing, neither for nor against a body there; norm (C,) px: what counts
-    as the whole person (default, and where NaN: the masks' areas)."""
+    ignored (C, h, w) 0 and 1: pixels that say nothing, neither for nor against a body there.
+    norm (C,) px: what counts as the whole person (default, and where NaN: the masks' areas).
+    """
     m = np.ascontiguousarray(masks)
     if m.dtype != np.uint8:
         m = (m != 0).view(np.uint8)

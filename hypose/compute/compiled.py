@@ -53,7 +53,7 @@ def log_cache(text: str) -> None:
 
 @cache
 def cache_folder() -> Path | None:
-    """The folder of this process, or None where no folder can be used; it may be read-only when it is filled."""
+    """Return the folder of this process, or None where no folder can be used; it may be read-only when it is filled."""
     for folder in _candidates():
         problem = _problem(folder)
         if not problem:
@@ -80,7 +80,7 @@ def make_folder(folder: Path) -> None:
 
 
 def _named() -> Path | None:
-    """The folder that the variable names; a ~ that no shell has read is the home."""
+    """Return the folder that the variable names; a ~ that no shell has read is the home."""
     name = os.environ.get(VARIABLE)
     return Path(os.path.expanduser(name)) if name else None
 
@@ -154,7 +154,7 @@ class KernelCache(NullCache):
         self._function = function
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """The kernel compiled for a signature, or None."""
+        """Return the kernel compiled for a signature, or None."""
         path = self._path(sig)
         if path is None or not os.path.exists(path):
             return None
@@ -173,7 +173,7 @@ class KernelCache(NullCache):
         return found
 
     def save_overload(self, sig: Any, cres: Any) -> None:
-        """Keep a compiled kernel, unless it holds what is true in this process only."""
+        """Keep a compiled kernel, unless it holds values of this process only."""
         path = self._path(sig)
         if cres.library.has_dynamic_globals or path is None:
             return
@@ -198,7 +198,7 @@ class KernelCache(NullCache):
 
 
 def cache_file(name: str, kind: str, *key: Any) -> Path | None:
-    """A file of the cache, for this processor and these versions."""
+    """Return a file of the cache, for this processor and these versions."""
     folder, processor = cache_folder(), cpu_target.target_context.codegen().magic_tuple()
     text = repr((key, processor, numba.__version__, llvmlite.__version__, sys.implementation.cache_tag))
     digest = hashlib.sha256(text.encode()).hexdigest()[:24]

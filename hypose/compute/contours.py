@@ -1,7 +1,7 @@
 """Two-way contour distances of a body in one view, as residuals on edges of its mesh; rows.py makes rows of
 them.
 
-What is long is in loops of its own without branches, which the compiler makes vectors of; what is chosen is written
+Long work is in loops of its own without branches, which the compiler makes vectors of; chosen values are written
 where the next one goes, and the place moves on when it counts.
 """
 
@@ -42,7 +42,7 @@ def _nearest(u, v, number, begin, end, x, y):
 def _by_row(n, rim_u, rim_v, low, u, v, number, place):
     """The first n points of the rim in the order of their bands of _BAND rows, which begin at row `low`, and their
     numbers: u, v (R,) f4, number (R,) i4, far away beyond the last point; place (B + 1,): where each band begins. The
-    last band holds what is below."""
+    last band holds everything below."""
     bands = place.shape[0] - 1
     place[:] = 0
     for i in range(n):
@@ -64,7 +64,7 @@ def _by_row(n, rim_u, rim_v, low, u, v, number, place):
 @kernel
 def nearest(n, u, v, number, place, low, points, found):
     """found (K,) i4: the numbers of the nearest of n points in the order of `_by_row` to points (K, 2) f4, each looked
-    for in the bands beside it first, where that lies nearer than all others can; 0 for points that are left out."""
+    for in the neighbouring bands first, where that lies nearer than all others can; 0 for points that are left out."""
     bands = place.shape[0] - 1
     for m in range(points.shape[0]):
         x, y = points[m, 0], points[m, 1]
@@ -72,7 +72,7 @@ def nearest(n, u, v, number, place, low, points, found):
         if x < f4(-1e5):
             continue
         band = int(np.floor((y - low) * f4(1 / _BAND)))
-        # whole vectors, for what is left of them takes as long
+        # whole vectors, for a part of one takes as long
         begin = place[min(max(band - 1, 0), bands)] // 8 * 8
         end = (place[min(max(band + 2, 0), bands)] + 7) // 8 * 8
         best = _nearest(u, v, number, begin, end, x, y)
@@ -118,9 +118,9 @@ def _place_rim(work, spot, w, h, x0, y0, width, height, line):
         t = work[k] / length
         x, y = xa + t * dx, ya + t * dy
         work[k], work[LANES + k], work[2 * LANES + k] = t, x, y
-        beside, below = x + -dy / length + f4(0.5), y + dx / length + f4(0.5)
+        side, below = x + -dy / length + f4(0.5), y + dx / length + f4(0.5)
         # as whole numbers only what fits them
-        tx = i4(i4(min(max(beside, f4(-2)), f4(1e6))) - left)
+        tx = i4(i4(min(max(side, f4(-2)), f4(1e6))) - left)
         ty = i4(i4(min(max(below, f4(-2)), f4(1e6))) - top)
         at = i4(ty * row + tx)
         at = at if tx >= i4(0) else i4(_OPEN)
@@ -136,7 +136,7 @@ def _place_rim(work, spot, w, h, x0, y0, width, height, line):
 @kernel
 def _rim(n, lines, own, w, h, x0, y0, width, height, line, edge, rim, work, spot):
     """Of n points on edges: edge (R,), rim (3, R) f4: share of the edge (px along it before), u, v px of those that are
-    to be seen: beside them the own silhouette, of `line` bits a row, ends. Returns how many."""
+    to be seen: next to them the own silhouette, of `line` bits a row, ends. Returns how many."""
     seen = 0
     for first in range(0, n, LANES):
         some = min(LANES, n - first)
@@ -173,8 +173,12 @@ def _interpolate(work, i2, weight):
 
 @kernel
 def _forward_rows(n, stride, rim, edge, ws, sdf, corner, size, i2, weight, n_found, count):
-    """Adds to what is found, as contour_rows does, every stride-th of n points of the rim; returns their cost in
-    forward weights, and how many have been found then. corner, size (2,): of sdf in the image; weight: / scale^2."""
+    """Adds to the found rows, as contour_rows does, every stride-th of n points of the rim; returns their cost in
+    forward weights, and how many have been found then.
+
+    corner, size (2,): of sdf in the image.
+    weight: / scale^2.
+    """
     left, top, across, down, row = corner[0], corner[1], size[0] - 1, size[1] - 1, u4(sdf.shape[1])
     work, spot, ends, found = ws.work, ws.spot, ws.ends, ws.found
     cost, last, flat = 0.0, ends.shape[1] - 1, sdf[0]
@@ -228,7 +232,7 @@ def _onto_edges(work, i2, weight):
 
 @kernel
 def _reverse_rows(n, low, outline, edge, lines, ws, i2, weight, n_found, count):
-    """Adds to what is found, as contour_rows does, the mask's outline (K, 2) on the nearest of n points of the rim, in
+    """Adds to the found rows, as contour_rows does, the mask's outline (K, 2) on the nearest of n points of the rim, in
     bands from row `low` on; returns its cost in reverse weights, and how many have been found then."""
     work, spot, ends, found = ws.work, ws.spot, ws.ends, ws.found
     cost, last = 0.0, ends.shape[1] - 1
@@ -243,7 +247,7 @@ def _reverse_rows(n, low, outline, edge, lines, ws, i2, weight, n_found, count):
                 work[(r + 2) * LANES + k] = lines[r, e]
         _onto_edges(work, i2, weight)
         for k in range(some):
-            if outline[first + k, 0] < f4(-1e5):  # marked: it may be somebody else's outline
+            if outline[first + k, 0] < f4(-1e5):  # marked: it may be another person's outline
                 continue
             cost += work[5 * LANES + k]
             count[1] += 1
@@ -257,7 +261,7 @@ def _reverse_rows(n, low, outline, edge, lines, ws, i2, weight, n_found, count):
 
 @kernel
 def contour_rows(c, k, n_union, bounds, mesh, contours, scale, ws, n_found, count):
-    """What is found of view c, lane k of those in the workspace, from ws.found[:, n_found] on; count[0] forward and
+    """Found rows of view c, lane k of those in the workspace, from ws.found[:, n_found] on; count[0] forward and
     count[1] reverse rows are added; returns the view's cost and how many have been found then.
 
     ws.ends (2, M): the vertices of the edge; ws.found (5, M) f4: place on the edge 0..1, gradient of the residual along

@@ -174,8 +174,11 @@ def _front_views(uv, a, b, c):
 @kernel
 def project_views(vertices, projections, first, q, p, turned, uv, bounds):
     """Pixels uv (V, 2, VIEWS) of vertices (V, 3) f4, about the root of pose q, in the views from `first` on (the last
-    one repeated) of projections (C, 3, 4) f8, which become p (VIEWS, 3, 4) f4; bounds (5, VIEWS) gets x0, x1, y0, y1
-    and the nearest depth; turned (12, VIEWS) f4: scratch."""
+    one repeated) of projections (C, 3, 4) f8, which become p (VIEWS, 3, 4) f4.
+
+    bounds (5, VIEWS) gets x0, x1, y0, y1 and the nearest depth.
+    turned (12, VIEWS) f4: scratch.
+    """
     for k in range(VIEWS):
         camera_about_root(projections[min(first + k, projections.shape[0] - 1)], q, p[k])
         for r in range(3):
@@ -277,8 +280,11 @@ def prepare_edge(u, v, a, b, window, edge, columns):
     """The edge from vertex a to b in every lane: where it starts in the lane's window and how it runs.
 
     window (5, LANES) f4: origin x, y, first and end column, rows. Writes edge (4, LANES) f4: left end x, y in the
-    window, slope, first column; columns (LANES,) i4: how many it crosses. Returns two masks of lanes: bits 0-15 it
-    crosses columns and is not wholly below the window, bits 16-31 it runs right to left.
+        window, slope, first column.
+    columns (LANES,) i4: how many it crosses.
+
+    Returns two masks of lanes: bits 0-15 it crosses columns and is not wholly below the window, bits 16-31 it runs
+    right to left.
     """
     left, top, rows = load(window, 0, LANES), load(window, LANES, LANES), load(window, 4 * LANES, LANES)
     xa, xb = load(u, a * LANES, LANES) - left, load(u, b * LANES, LANES) - left

@@ -61,9 +61,9 @@ class StandingDepth(NamedTuple):
 def depth_energy(
     poses: ArrayLike, tree: TreeArrays, mesh: MeshArrays, seen: SeenDepth, most_m: float, threads: int | None = None
 ) -> NDArray[np.float64]:
-    """(N, C) of poses (N, D): sum over the pixels that show the person and the drawn body of min(|z - z'|, most_m) /
-    most_m, over the person's pixels; what only one of both shows is the silhouettes' affair. 0 for a view without the
-    person. The same for any number of threads, and for a pose alone or among others."""
+    """Return (N, C) of poses (N, D): sum over the pixels that show the person and the drawn body of min(|z - z'|,
+    most_m) / most_m, over the person's pixels; what only one of both shows is the silhouettes' affair. 0 for a view
+    without the person. The same for any number of threads, and for a pose alone or among others."""
     q = plain(poses, np.float64)
     out = np.zeros((len(q), len(seen.maps)))
     score, given = _energies, (tidy(tree), tidy(mesh), *_against(seen, most_m))
@@ -119,10 +119,10 @@ def limb_shown(
     reach_m: float,
     apart_m: float,
 ) -> NDArray[np.float64]:
-    """(C, 3) m^2, at the distance of a centre (3,) m, world, of the limb that was left out of what stands, in the pose
-    that this was drawn at: what of it is in sight; what of that lies within apart_m of what the sensor saw; and what
-    the sensor saw, no further than reach_m from the centre, that lies more than apart_m before all of the body, or
-    beside it."""
+    """Return (C, 3) m^2, at the distance of a centre (3,) m, world, of the limb that was left out of what stands, in
+    the pose that this was drawn at: what of it is in sight; what of that lies within apart_m of what the sensor saw;
+    and what the sensor saw, no further than reach_m from the centre, that lies more than apart_m before all of the
+    body, or next to it."""
     out = np.zeros((len(seen.maps), 3))
     maps, projections, sizes, apart = _against(seen, apart_m)
     at = plain(np.asarray(centre, dtype=np.float64) - standing.pose[:3], np.float64)
@@ -306,7 +306,7 @@ def _limb_shown(tree, mesh, standing, seen, projections, sizes, centre, reach, a
     """out (C, 3), zero, of the limb that was left out of what stands, in the pose that this was drawn at, in m^2 at the
     distance of a centre (3,), from the root: what of it is in sight; what of that lies within `apart` m of what the
     sensor saw; and what the sensor saw, no further than `reach` m from the centre, that lies more than `apart` before
-    all of the body, or beside it."""
+    all of the body, or next to it."""
     n_vertices = mesh.vertices.shape[0]
     maps, vertices = np.empty((tree.parents.shape[0], 12), np.float32), np.empty((n_vertices, 3), np.float32)
     u, v, z = np.empty(n_vertices, np.float32), np.empty(n_vertices, np.float32), np.empty(n_vertices, np.float32)
@@ -324,8 +324,8 @@ def _limb_shown(tree, mesh, standing, seen, projections, sizes, centre, reach, a
         down = p[1, 0] * centre[0] + p[1, 1] * centre[1] + p[1, 2] * centre[2] + p[1, 3]
         away = max(away, 0.05)
         left, top = across / away, down / away
-        beside = p[0, 0] * p[2, 0] + p[0, 1] * p[2, 1] + p[0, 2] * p[2, 2]  # the last row has unit length
-        squared = p[0, 0] * p[0, 0] + p[0, 1] * p[0, 1] + p[0, 2] * p[0, 2] - beside * beside
+        along_axis = p[0, 0] * p[2, 0] + p[0, 1] * p[2, 1] + p[0, 2] * p[2, 2]  # the last row has unit length
+        squared = p[0, 0] * p[0, 0] + p[0, 1] * p[0, 1] + p[0, 2] * p[0, 2] - along_axis * along_axis
         metre = math.sqrt(squared) / away
         within = reach * reach * metre * metre
         for y in range(height):

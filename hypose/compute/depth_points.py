@@ -23,12 +23,14 @@ _LEAST_COSINE = 0.05
 def points_of_surface(
     depth: NDArray[np.float32], person: NDArray[np.uint8], box: Box, k: ArrayLike, jump_m: float, count: int
 ) -> tuple[Array, Array, Array]:
-    """At most `count` points (N, 3) m of the person's surface, evenly over the person, unit outward normals (N, 3),
-    both in the camera's frame, and the cosine (N,) between normal and ray.
+    """Return at most `count` points (N, 3) m of the person's surface, evenly over the person, unit outward normals (N,
+    3), both in the camera's frame, and the cosine (N,) between normal and ray.
 
-    depth (h, w) m, 0 = hole; person (h, w) 0/1 and the box x0, y0, x1, y1 around it (half open); k (3, 3) of a pinhole
-    camera. A point is the median of 3 x 3 px without a hole or a jump of jump_m, so values between both sides of an
-    edge are none."""
+    depth (h, w) m, 0 = hole.
+    person (h, w) 0/1 and the box x0, y0, x1, y1 around it (half open).
+    k (3, 3) of a pinhole camera. A point is the median of 3 x 3 px without a hole or a jump of jump_m, so values
+        between both sides of an edge are none.
+    """
     lens = np.asarray(k, dtype=np.float64)[[0, 1, 0, 1], [0, 1, 2, 2]]
     points, normals, cosines = np.empty((count, 3)), np.empty((count, 3)), np.empty(count)
     at = np.array(box, dtype=np.int64)
@@ -40,8 +42,8 @@ def points_of_surface(
 def before_room(
     depth: NDArray[np.float32], room: NDArray[np.float32], sd: NDArray[np.float32], sds: float, least_m: float
 ) -> NDArray[np.uint8]:
-    """(h, w) 1 where a depth map (h, w) m lies before the empty room (h, w), 0 = not known, by more than `sds` of its
-    standard deviations (h, w) and least_m."""
+    """Return (h, w) 1 where a depth map (h, w) m lies before the empty room (h, w), 0 = not known, by more than `sds`
+    of its standard deviations (h, w) and least_m."""
     near = room - depth > np.maximum(np.float32(sds) * sd, np.float32(least_m))
     return ((near | (room <= 0)) & (depth > 0)).view(np.uint8)
 
@@ -55,9 +57,13 @@ def things_before(
     floor_m: float,
     calm: Callable[[NDArray[np.uint8]], NDArray[np.uint8]],
 ) -> tuple[NDArray[np.uint8], int]:
-    """(h, w) 1 where a room (h, w) m is known and nearer than limit_m, higher than floor_m and not the person's (h, w),
-    and how many pixels these are. corner: px x, y of the map at which the arrays begin; camera: K (3, 3) and
-    camera_from_world (4, 4); calm: takes single pixels away, before the floor is."""
+    """Return (h, w) 1 where a room (h, w) m is known and nearer than limit_m, higher than floor_m and not the person's
+    (h, w), and how many pixels these are.
+
+    corner: px x, y of the map at which the arrays begin.
+    camera: K (3, 3) and camera_from_world (4, 4).
+    calm: takes single pixels away, before the floor is.
+    """
     out = np.array(calm(((room > 0) & (room < limit_m) & (person == 0)).view(np.uint8)), dtype=np.uint8)
     v, u = np.nonzero(out)
     k, pose = (np.asarray(a, dtype=np.float64) for a in camera)
@@ -84,8 +90,8 @@ def middle(values: NDArray[np.float32]) -> float:
 
 
 def holes_filled(mask: NDArray[np.uint8], depth: NDArray[np.float32], solid: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """(h, w) 0/1: a mask (h, w) with the holes of a depth map (h, w) m that it closes over (a morphological closing of
-    5 px where solid (h, w), else of 3 px)."""
+    """Return (h, w) 0/1: a mask (h, w) with the holes of a depth map (h, w) m that it closes over (a morphological
+    closing of 5 px where solid (h, w), else of 3 px)."""
     own = (mask != 0).view(np.uint8)
     five, three = (cv2.morphologyEx(own, cv2.MORPH_CLOSE, np.ones((n, n), np.uint8)) for n in (5, 3))
     return own | (np.where(solid, five, three) & (depth <= 0))
@@ -132,8 +138,10 @@ def _surface_points(depth, person, box, lens, jump, points, normals, cosines):
     """Points (N, 3) m and unit outward normals (N, 3), both in the camera's frame, and cosines (N,) between normal and
     ray, of places evenly over the person in a map (h, w) f4 m; returns how many were found.
 
-    box: x0, y0, x1, y1 around the person; lens: fx, fy, cx, cy. A place is the median of 3 x 3 px that lie on one
-    surface, its normal is that of the medians beside it, which must lie on the surface too."""
+    box: x0, y0, x1, y1 around the person.
+    lens: fx, fy, cx, cy. A place is the median of 3 x 3 px that lie on one surface, its normal is that of the
+        neighbouring medians, which must lie on the surface too.
+    """
     height, width = depth.shape
     x0, y0 = max(box[0], _AROUND), max(box[1], _AROUND)
     x1, y1 = min(box[2], width - _AROUND), min(box[3], height - _AROUND)
@@ -142,7 +150,7 @@ def _surface_points(depth, person, box, lens, jump, points, normals, cosines):
     found = np.empty((x1 - x0) * (y1 - y0), np.int64)
     n = _sound(depth, person, x0, y0, x1, y1, f4(jump), found)
     count = min(n, points.shape[0])
-    nine, beside = np.empty(9, np.float32), np.empty((5, 3))
+    nine, neighbours = np.empty(9, np.float32), np.empty((5, 3))
     made = 0
     for k in range(count):
         for i in range(k * n // count, (k + 1) * n // count):
@@ -155,18 +163,26 @@ def _surface_points(depth, person, box, lens, jump, points, normals, cosines):
                 if not own > f4(0) or abs(own - z) >= f4(jump):
                     smooth = False
                     break
-                beside[m, 0], beside[m, 1] = (u - lens[2]) / lens[0] * own, (v - lens[3]) / lens[1] * own
-                beside[m, 2] = own
+                neighbours[m, 0], neighbours[m, 1] = (u - lens[2]) / lens[0] * own, (v - lens[3]) / lens[1] * own
+                neighbours[m, 2] = own
             if not smooth:
                 continue
-            ax, ay, az = (beside[1, 0] - beside[2, 0], beside[1, 1] - beside[2, 1], beside[1, 2] - beside[2, 2])
-            bx, by, bz = (beside[3, 0] - beside[4, 0], beside[3, 1] - beside[4, 1], beside[3, 2] - beside[4, 2])
+            ax, ay, az = (
+                neighbours[1, 0] - neighbours[2, 0],
+                neighbours[1, 1] - neighbours[2, 1],
+                neighbours[1, 2] - neighbours[2, 2],
+            )
+            bx, by, bz = (
+                neighbours[3, 0] - neighbours[4, 0],
+                neighbours[3, 1] - neighbours[4, 1],
+                neighbours[3, 2] - neighbours[4, 2],
+            )
             # x right, y down: the product looks away from the camera
             nx, ny, nz = az * by - ay * bz, ax * bz - az * bx, ay * bx - ax * by
             length = math.sqrt(nx * nx + ny * ny + nz * nz)
             if not length > 1e-12:
                 continue
-            px, py, pz = beside[0, 0], beside[0, 1], beside[0, 2]
+            px, py, pz = neighbours[0, 0], neighbours[0, 1], neighbours[0, 2]
             cosine = -(nx * px + ny * py + nz * pz) / (length * math.sqrt(px * px + py * py + pz * pz))
             if not cosine > _LEAST_COSINE:
                 continue

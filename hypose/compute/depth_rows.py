@@ -17,8 +17,8 @@ _MOST = 1e6
 _TURNED = 0.0036
 """m^2 by which a surface that looks the other way counts as further off, half of it at right angles"""
 _BAND_M, _BANDS, _REACH = 0.12, 24, 2
-"""m: a point looks for its place in a band of height and so many on either side of it: what is further off pulls
-nowhere. The last band holds what is higher"""
+"""m: a point looks for its place in a band of height and so many on either side of it: points further off pull
+nowhere. The last band holds everything higher"""
 _NEXT_BAND = 0.99 * _BAND_M**2 * _PER_M2
 """a squared distance, packed, that no place has which lies a whole band or more above or below"""
 _ON_SURFACE = 0.004
@@ -119,7 +119,7 @@ def _nearest_places(n, vertices, ring_first, ring, corners, found):
     """The places on the faces around n vertices that are nearest to points: corners (N, 3) gets the faces' vertices,
     beginning with the one that corners[:, 0] has, and found (N, 8) f4 their shares and, in its fourth column, the
     squared distance; in columns 3 to 5 it has the points, relative to that vertex. Each is in one of the two faces
-    beside the edge that is nearest to the point."""
+    at the edge that is nearest to the point."""
     work, sides = np.zeros(12 * _LANES, np.float32), np.empty(_LANES, np.int64)
     for begin in range(0, n, _LANES // 2):
         some = min(n - begin, _LANES // 2)
@@ -175,8 +175,9 @@ def _by_height(vertices, normals, ex, ey, ez, faces_it, place):
 def _form_rows(n, corners, found, n_rows, vertices, skin_index, skin_weight, skin_count, rows, joints):
     """Appends the rows of n points of the surface to rows (M, 8) and joints (M,), as rows.form_rows does.
 
-    corners (n, 3): vertices of which a point is a blend; found (n, 8) f4: their shares, direction of the residual,
-    weight, residual."""
+    corners (n, 3): vertices of which a point is a blend.
+    found (n, 8) f4: their shares, direction of the residual, weight, residual.
+    """
     for i in range(n):
         own = found[i]
         gx, gy, gz, w, r = own[3], own[4], own[5], own[6], own[7]
@@ -262,7 +263,7 @@ def depth_rows(q, mesh, depth, factor, ws, kept, count):
             for reach in range(1, _REACH + 1):
                 if (best >> 11) < i4(_NEXT_BAND):  # all that was not looked at lies further off
                     break
-                # whole vectors, for what is left of them takes as long
+                # whole vectors, for a part of one takes as long
                 begin = place[min(max(band - reach, 0), _BANDS)] // 8 * 8
                 end = (place[min(max(band + reach + 1, 0), _BANDS)] + 7) // 8 * 8
                 best = _nearest(

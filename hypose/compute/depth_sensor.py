@@ -35,7 +35,7 @@ def _sense(inverse, fx, baseline, smooth, rows, normals, uniforms, out):
         for x in range(w):
             out[y, x] = 0
             seen = inverse[y, x]
-            # the projector stands beside the camera: going along the baseline, a point is lit only when it lies
+            # the projector stands next to the camera: going along the baseline, a point is lit only when it lies
             # beyond every column that was lit before it
             if seen > 0:
                 lit = x + fx * baseline * seen

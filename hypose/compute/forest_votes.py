@@ -221,16 +221,23 @@ def _parzen(raster, stride, scores, majority, sigma, sums, out):
 
 
 class Packed(NamedTuple):
-    """A forest laid out for scanning: records (nt, N, 8) i2: the test, the left child, the share of class 1 in
-    ten-thousandths; shares (nt, N, C) u2: those of all classes."""
+    """A forest laid out for scanning.
+
+    records (nt, N, 8) i2: the test, the left child, the share of class 1 in ten-thousandths.
+    shares (nt, N, C) u2: those of all classes.
+    """
 
     records: NDArray[np.int16]
     shares: NDArray[np.uint16]
 
 
 class Raster(NamedTuple):
-    """A padded picture as scanning reads it: flat (n,) i2 mm, its width and border; rows and columns of the picture;
-    depths from near to far (mm) are looked at; focal length px."""
+    """A padded picture as scanning reads it.
+
+    flat (n,) i2 mm, its width and border.
+    rows and columns of the picture; depths from near to far (mm) are looked at.
+    focal length px.
+    """
 
     flat: NDArray[np.int16]
     width: int
@@ -245,7 +252,7 @@ class Raster(NamedTuple):
 def pack(
     test: NDArray[np.int16], left: NDArray[np.int16], count: NDArray[np.uint32], size: NDArray[np.int32]
 ) -> Packed:
-    """The scanning layout of trees: test (nt, N, 5), left (nt, N), count (nt, N, C), size (nt,)."""
+    """Return the scanning layout of trees: test (nt, N, 5), left (nt, N), count (nt, N, C), size (nt,)."""
     n = int(size.max())
     records = np.zeros((len(left), n, 8), np.int16)
     shares = np.zeros((len(left), n, count.shape[2]), np.uint16)
@@ -254,7 +261,7 @@ def pack(
 
 
 def leaves(picture: PaddedDepth, cells: NDArray[np.int64], packed: Packed, clip_mm: int) -> NDArray[np.int32]:
-    """(S, nt) the leaf that each cell reaches in each tree."""
+    """Return (S, nt) the leaf that each cell reaches in each tree."""
     out = np.empty((len(cells), len(packed.records)), np.int32)
     records = packed.records.reshape(-1, 8)
     _leaves(picture.flat, picture.width, cells, picture.focal, clip_mm, records, len(packed.records), out)
@@ -276,7 +283,7 @@ class ScanPlan:
 
 
 def grid_shape(shape: tuple[int, int], stride: int) -> tuple[int, int]:
-    """Rows and columns of the scanning grid; cell (i, j) stands for pixel (i, j) stride + stride // 2."""
+    """Return rows and columns of the scanning grid; cell (i, j) stands for pixel (i, j) stride + stride // 2."""
     return -(-shape[0] // stride), -(-shape[1] // stride)
 
 
@@ -293,8 +300,8 @@ MOST_FORESTS = 32
 def scan(
     picture: PaddedDepth, packed: Sequence[Packed], clip_mm: Sequence[int], plan: ScanPlan
 ) -> tuple[NDArray[np.float32], int]:
-    """Mean share (G, rows, columns) of class 1 of each of at most 32 forests on the grid (0 where rejected), and the
-    number of tree descents. All forests share one coarse pass and one walk over the picture."""
+    """Return mean share (G, rows, columns) of class 1 of each of at most 32 forests on the grid (0 where rejected), and
+    the number of tree descents. All forests share one coarse pass and one walk over the picture."""
     raster = _raster(picture, plan.near_mm, plan.far_mm)
     records = [p.records.reshape(-1, 8) for p in packed]
     starts = np.cumsum([0, *(len(r) for r in records)])
@@ -313,7 +320,8 @@ def scan(
 
 
 def scan_classes(picture: PaddedDepth, packed: Packed, clip_mm: int, plan: ScanPlan) -> tuple[NDArray[np.float32], int]:
-    """(C - 1, rows, columns): mean share of each gesture where it wins, else 0; and the number of tree descents."""
+    """Return (C - 1, rows, columns): mean share of each gesture where it wins, else 0; and the number of tree
+    descents."""
     raster = _raster(picture, plan.near_mm, plan.far_mm)
     shares = packed.shares.reshape(-1, packed.shares.shape[2])
     out = np.empty((shares.shape[1] - 1, *grid_shape(picture.shape, plan.stride)), np.float32)

@@ -31,11 +31,19 @@ MAX_NODES = 32766
 class GrowingArrays(NamedTuple):
     """A forest that grows: nt trees of N nodes, S slots with T candidate tests per tree, C classes.
 
-    test (nt, N, 5) i2: uy, ux, vy, vx, threshold in mm; left (nt, N) i2: left child or -1 (right = left + 1); seen
-    (nt, N, C) u4: samples seen; level (nt, N) u1: depth of the node; slot (nt, N) i2 or -1; size (nt,) i4: nodes in
-    use; free (nt, S) i2 and n_free (nt,) i4: stack of unused slots; candidate (nt, S, T, 5) i2; left_count (nt, S, T,
-    C) u2; total (nt, S, C) i4; random (nt,) u8: state of each tree's random numbers; tally (2,) i8: splits, refusals
-    for want of a slot.
+    test (nt, N, 5) i2: uy, ux, vy, vx, threshold in mm.
+    left (nt, N) i2:.
+    left child or -1 (right = left + 1).
+    seen (nt, N, C) u4: samples seen.
+    level (nt, N) u1: depth of the node.
+    slot (nt, N) i2 or -1.
+    size (nt,) i4: nodes in use.
+    free (nt, S) i2 and n_free (nt,) i4: stack of unused slots.
+    candidate (nt, S, T, 5) i2.
+    left_count (nt, S, T, C) u2.
+    total (nt, S, C) i4.
+    random (nt,) u8: state of each tree's random numbers.
+    tally (2,) i8: splits, refusals for want of a slot.
     """
 
     test: NDArray[np.int16]
@@ -55,8 +63,11 @@ class GrowingArrays(NamedTuple):
 
 @dataclass(frozen=True)
 class PaddedDepth:
-    """A depth picture with a border of FAR_MM: values (h + 2 border, w + 2 border) i2; focal length px; tests of up to
-    reach_mm may be read at pixels not nearer than near_mm."""
+    """A depth picture with a border of FAR_MM.
+
+    values (h + 2 border, w + 2 border) i2.
+    focal length px; tests of up to reach_mm may be read at pixels not nearer than near_mm.
+    """
 
     values: NDArray[np.int16]
     border: int
@@ -88,7 +99,7 @@ class PaddedDepth:
 def pad_depth(
     depth: DepthImage, focal: float, near_mm: int, reach_mm: int, reuse: PaddedDepth | None = None
 ) -> PaddedDepth:
-    """The padded picture; written into `reuse` when that has the same shape and border."""
+    """Return the padded picture; written into `reuse` when that has the same shape and border."""
     border = math.ceil(reach_mm * focal / near_mm) + 2
     h, w = depth.shape
     shape = (h + 2 * border, w + 2 * border)
@@ -133,7 +144,7 @@ def grow(
 
 
 def cut_patches(picture: PaddedDepth, cells: NDArray[np.int64], step_mm: int) -> NDArray[np.int16]:
-    """(S, P, P) depth relative to the centre's, mm, every step_mm over the square that tests may reach."""
+    """Return (S, P, P) depth relative to the centre's, mm, every step_mm over the square that tests may reach."""
     side = 2 * (picture.reach_mm // step_mm) + 1
     out = np.empty((len(cells), side, side), np.int16)
     _cut_patches(picture.flat, picture.width, cells, picture.focal, step_mm, out)
@@ -164,7 +175,7 @@ def grow_tree(
     sample: int,
     fewest: int = 4,
 ) -> TreeArraysOffline:
-    """One tree from the patches named in `order` (with repetitions), by information gain (eq. 3.2)."""
+    """Return one tree from the patches named in `order` (with repetitions), by information gain (eq. 3.2)."""
     room = min(MAX_NODES, 2 * len(order) + 1)
     tree = TreeArraysOffline(
         np.zeros((room, 5), np.int16),
@@ -190,7 +201,7 @@ def grow_tree(
 
 
 def patch_leaves(patches: NDArray[np.int16], tree: TreeArraysOffline, clip_mm: int) -> NDArray[np.int32]:
-    """(S,) the leaf that each patch reaches."""
+    """Return (S,) the leaf that each patch reaches."""
     out = np.empty(len(patches), np.int32)
     _patch_leaves(patches, clip_mm, tree.test, tree.left, out)
     return out
@@ -205,7 +216,7 @@ _HALF = f4(4096.5)
 
 @kernel
 def _pad(depth, border, out):
-    """out (h + 2 border, w + 2 border) i2 = depth (h, w) u2 mm inside, holes and what is beyond FAR as FAR_MM."""
+    """out (h + 2 border, w + 2 border) i2 = depth (h, w) u2 mm inside, holes and depths beyond FAR as FAR_MM."""
     for y in range(depth.shape[0]):
         line, made = depth[y], out[y + border]
         for x in range(depth.shape[1]):
@@ -286,11 +297,14 @@ def _entropy(counts, n):
 
 @kernel
 def best_test(left, total, side):
-    """(index, gain) of the candidate of largest information gain (eq. 3.2), in bits; -1 where none gains anything. left
-    (T, C): counts of the left side per candidate; total (C,); side (2, C) is scratch.
+    """(index, gain) of the candidate of largest information gain (eq. 3.2), in bits; -1 where none gains anything.
 
-    Deviation: the entropy before the split is added, which eq. 3.2 leaves out, so that beta of Algorithm 6 is a
-    gain."""
+    left (T, C): counts of the left side per candidate.
+    total (C,).
+    side (2, C) is scratch.
+
+    Deviation: the entropy before the split is added, which eq. 3.2 leaves out, so that beta of Algorithm 6 is a gain.
+    """
     n = 0
     for c in range(total.shape[0]):
         n += total[c]
@@ -356,7 +370,7 @@ def _grow(flat, width, cells, labels, focal, near, clip, half, spread, rate, alp
     """Algorithm 6 for samples: cells (S,) i8 of the flat padded picture, labels (S,) i4 class. g: GrowingArrays.
 
     Deviation: a leaf gets candidates only once it has seen two samples of each of two classes, and counts |S_j| from
-    then on. Deviation: a slot that has seen 3 alpha samples without a gainful test is given back and drawn anew.
+    then on. Deviation: a slot that has seen 3 alpha samples without a gainful test is given back and drawn again.
     Deviation: the Poisson number of repeats is added at once, so that a split waits for all of them. Deviation: the
     numbers of nodes and of leaves with candidates are bounded, which bounds the memory.
     """
@@ -436,9 +450,15 @@ def _grow_tree(
     patches, labels, order, deepest, tests, thresholds, clip, sample, fewest, state, test, left, count, level
 ):
     """One tree from all samples at once: at every node `tests` random pairs of patch pixels with `thresholds` cuts
-    each, drawn evenly from the range of what the node's samples read there; judged on at most `sample` samples. order
-    (n,) i8 is permuted. test (N, 5) i2: patch indices and threshold; left (N,) i2; count (N, C) u4. Returns the number
-    of nodes."""
+    each, drawn evenly from the range of what the node's samples read there; judged on at most `sample` samples.
+
+    order (n,) i8 is permuted.
+    test (N, 5) i2: patch indices and threshold.
+    left (N,) i2.
+    count (N, C) u4.
+
+    Returns the number of nodes.
+    """
     classes, side = count.shape[1], patches.shape[1]
     stack = np.empty((2 * deepest + 8, 3), np.int64)
     stack[0, 0], stack[0, 1], stack[0, 2] = 0, order.shape[0], 0

@@ -20,11 +20,18 @@ def fit_frame(
 ):  # fmt: skip
     """The 3D joints of one frame: robust data, constant distances, and a prediction; graduated Gauss-Newton.
 
-    Minimises 1/2 sum_kj w_kj d c^2 log(1 + |s_kj - x_j|^2 / c^2) + 1/2 sum_b b_b (|x_i - x_j| - l_b)^2 +
-    1/2 sum_j p_j |x_j - predicted_j|^2. points (K, J, 3) m, weights (K, J) 0 = missing; predicted (J, 3); prior_weight
-    (J,) 1/m^2; bones (B, 2), lengths (B,) m (0 = unknown), bone_weight (B,) 1/m^2; data_weight d 1/m^2; scale c m,
-    multiplied by coarse, coarse / 2, ... down to 1. x (J, 3): start and result. share (K, J): the sensors' part in each
-    joint; variance (J,) m^2 per axis, of the quadratic at the result."""
+    Minimises 1/2 sum_kj w_kj d c^2 log(1 + |s_kj - x_j|^2 / c^2) + 1/2 sum_b b_b (|x_i - x_j| - l_b)^2 + 1/2 sum_j p_j
+    |x_j - predicted_j|^2.
+
+    points (K, J, 3) m, weights (K, J) 0 = missing.
+    predicted (J, 3).
+    prior_weight (J,) 1/m^2.
+    bones (B, 2), lengths (B,) m (0 = unknown), bone_weight (B,) 1/m^2; data_weight d 1/m^2; scale c m, multiplied by
+        coarse, coarse / 2, ... down to 1.
+    x (J, 3): start and result.
+    share (K, J): the sensors' part in each joint.
+    variance (J,) m^2 per axis, of the quadratic at the result.
+    """
     sensors, joints = weights.shape
     n = 3 * joints
     h, g, u = np.empty((n, n)), np.empty(n), np.empty(3)
@@ -83,14 +90,16 @@ def fit_frame(
 
 @kernel
 def judge_claims(off, apart, alike, weights, order, variance, own, elsewhere, jitter, limit, systematic, wrong):
-    """What is left open of joints that were fused of those of sensors, seen with probability weights (K, J).
+    """Remaining uncertainty of joints fused from those of sensors, seen with probability weights (K, J).
 
     Either the first sensor in order (K, J) is right, and those that follow are right or guess; or it guesses and the
     next one is right, ...; or all guess. How far they are apart (K, K, J) m^2 tells which. What a sensor sees is off by
-    sd own (J,) m per axis, of which two sensors share alike (K, K), and by `jitter`; a guess by `elsewhere`. off
-    (K, J, 3) m: from the fused joints to the sensors'; variance (J,) m^2 per axis: what the fused ones have of their
-    own. Written are systematic (J,) m^2 per axis, the variance about them of all these cases, and wrong (J,), how
-    likely they are off by more than limit m."""
+    sd own (J,) m per axis, of which two sensors share alike (K, K), and by `jitter`; a guess by `elsewhere`.
+
+    off (K, J, 3) m: from the fused joints to the sensors'.
+    variance (J,) m^2 per axis: what the fused ones have of their own. Written are systematic (J,) m^2 per axis, the
+        variance about them of all these cases, and wrong (J,), how likely they are off by more than limit m.
+    """
     centre = np.empty(3)
     for j in range(own.shape[0]):
         n, seen, guess = int((weights[:, j] > 0).sum()), own[j] ** 2, elsewhere**2

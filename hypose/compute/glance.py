@@ -25,7 +25,7 @@ AMONG = 3
 
 class Glance(NamedTuple):
     """What the pixels looked at should be. low, high (m, n, 4) u1: the grey levels that are still the room there, or
-    one pixel of the working size beside it, for a sharp edge in the room lies elsewhere in every 2 x 2 pixels; the
+    one pixel of the working size next to it, for a sharp edge in the room lies elsewhere in every 2 x 2 pixels; the
     fourth number says nothing."""
 
     low: Image
@@ -33,15 +33,15 @@ class Glance(NamedTuple):
 
 
 def glance_at(room: BackgroundLevels) -> Glance:
-    """The pixels of a room that are looked at."""
+    """Return the pixels of a room that are looked at."""
     around = np.ones((3, 3), np.uint8)
     low, high = cv2.erode(room.low, around), cv2.dilate(room.high, around)
     return Glance(*(np.pad(a[::STEP, ::STEP], ((0, 0), (0, 0), (0, 1))) for a in (low, high)))
 
 
 def stored_pixels(stored: tuple[int, int], map_x: ArrayLike, map_y: ArrayLike) -> NDArray[np.int32]:
-    """(m, n) number of the pixel of a stored picture (width, height), up and left of where each pixel looked at lies,
-    from the maps (h, w) of `picture_to_mask.make_lens`; -1 where that is outside the picture."""
+    """Return (m, n) number of the pixel of a stored picture (width, height), up and left of where each pixel looked at
+    lies, from the maps (h, w) of `picture_to_mask.make_lens`; -1 where that is outside the picture."""
     mx, my = (np.asarray(m, dtype=np.float64) for m in (map_x, map_y))
     h, w = mx.shape
     x = np.floor((mx[::STEP, ::STEP] + 0.5) * stored[0] / w - 0.5)
@@ -52,7 +52,7 @@ def stored_pixels(stored: tuple[int, int], map_x: ArrayLike, map_y: ArrayLike) -
 
 
 def differing_box(image: Image, at: NDArray[np.int32], glance: Glance, size: tuple[int, int]) -> Box | None:
-    """The box (y0, y1, x0, x1) of the working size (width, height) that holds what is not the room in a stored picture
+    """Return the box (y0, y1, x0, x1) of the working size (width, height) that holds the foreground in a stored picture
     (H, W, 3), with a margin; None when there is nothing. at: of `stored_pixels`."""
     found = np.zeros(4, np.int64)
     _differing_box(plain(image, np.uint8), at, *glance, AMONG, found)

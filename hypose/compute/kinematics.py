@@ -63,8 +63,11 @@ def multiply(a, b, out):
 
 @kernel
 def joint_frames(q, tree, rotations, centres, twists):
-    """Frames and twists of one pose q (D,), all about the root's position: rotations (J, 3, 3); centres (J, 3) minus
-    q[0:3]; twists (D, 6) = (w, v), a point x (minus q[0:3]) moves with w x x + v per unit of the dof."""
+    """Frames and twists of one pose q (D,), all about the root's position: rotations (J, 3, 3).
+
+    centres (J, 3) minus q[0:3].
+    twists (D, 6) = (w, v), a point x (minus q[0:3]) moves with w x x + v per unit of the dof.
+    """
     local = np.empty((3, 3))
     jacobian = np.empty((3, 3))
     turned = np.empty((3, 3))
@@ -243,7 +246,8 @@ def skin(rotations: ArrayLike, centres: ArrayLike, tree: TreeArrays, mesh: MeshA
 
 
 def joint_jacobians(pose: ArrayLike, tree: TreeArrays) -> Array:
-    """(J, 3, D) derivatives of the joint centres by a pose (D,), the root's rotation as a small turn in the world."""
+    """Return (J, 3, D) derivatives of the joint centres by a pose (D,), the root's rotation as a small turn in the
+    world."""
     q = plain(pose, np.float64)
     out = np.zeros((len(tree.parents), 3, len(q)))
     _joint_jacobians(q, tidy(tree), out)
@@ -251,10 +255,11 @@ def joint_jacobians(pose: ArrayLike, tree: TreeArrays) -> Array:
 
 
 def joint_covariances(pose: ArrayLike, tree: TreeArrays, information: Array, ridge: float = 1e-9) -> Array:
-    """(J, 3, 3) m^2: covariances of the joint centres when the pose (D,) has the covariance (information + ridge)^-1:
-    G C G^T with G the Jacobian of the centre.
+    """Return (J, 3, 3) m^2: covariances of the joint centres when the pose (D,) has the covariance (information +
+    ridge)^-1: G C G^T with G the Jacobian of the centre.
 
-    ridge: relative to the diagonal of the information, which counts as 1 at least, and makes it positive definite."""
+    ridge: relative to the diagonal of the information, which counts as 1 at least, and makes it positive definite.
+    """
     jacobian = joint_jacobians(pose, tree)
     flat = jacobian.reshape(-1, jacobian.shape[2])
     known = information + np.diag(ridge * np.maximum(information.diagonal(), 1.0))

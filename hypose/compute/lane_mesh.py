@@ -50,8 +50,8 @@ _KEPT = 24  # two bodies with ten layers of parts each
 
 
 def prepare_lanes(mesh: MeshArrays, tree: TreeArrays, faces: NDArray[np.bool_] | None) -> LaneMesh:
-    """The mesh, or its faces where faces (F,) is True. What depends on topology and weights is kept for the next call;
-    vertices are read anew."""
+    """Return the mesh, or its faces where faces (F,) is True. What depends on topology and weights is kept for the next
+    call; vertices are read again."""
     wanted = None if faces is None else faces.tobytes()
     with _lock:
         for k, plan in enumerate(_plans):
@@ -128,7 +128,7 @@ _moving: list[tuple[NDArray[np.int32], bytes, MovingParts]] = []
 def moving_parts(
     mesh: MeshArrays, tree: TreeArrays, moving: NDArray[np.bool_], faces: NDArray[np.bool_] | None
 ) -> MovingParts:
-    """The parts when the joints `moving` (J,) turn, of the faces (F,) asked for; kept for the next call."""
+    """Return the parts when the joints `moving` (J,) turn, of the faces (F,) asked for; kept for the next call."""
     wanted = moving.tobytes() + (b"" if faces is None else faces.tobytes())
     with _lock:
         for index_of, key, parts in _moving:

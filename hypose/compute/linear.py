@@ -64,9 +64,10 @@ class SharedEquations:
     cross: Array
 
     def reduced(self, damping: float = 0.0) -> Reduced:
-        """The groups eliminated (Schur complement); damping is relative to the diagonal (at least 1).
+        """Return the groups eliminated (Schur complement); damping is relative to the diagonal (at least 1).
 
-        Source: Triggs et al. 2000, "Bundle adjustment - a modern synthesis", section 6.1."""
+        Source: Triggs et al. 2000, "Bundle adjustment - a modern synthesis", section 6.1.
+        """
         own = self.own.copy()
         diagonal = np.einsum("kii->ki", own)  # a view
         diagonal += max(damping, _DAMPING_SHARE) * np.maximum(diagonal, 1.0)
@@ -81,7 +82,7 @@ class SharedEquations:
 
 @dataclass(frozen=True)
 class Reduced:
-    """What is left for the shared unknowns, hessian (S, S) and gradient (S,), and what gives the groups back: factor
+    """The reduced system of the shared unknowns, hessian (S, S) and gradient (S,), and the groups' solution: factor
     (N, n, n) L of their matrices, and L^-1 of their gradient (N, n) and of cross (N, n, S)."""
 
     hessian: Array
@@ -91,7 +92,7 @@ class Reduced:
     cross: Array
 
     def step(self, free: NDArray[np.bool_] | None = None) -> Array | None:
-        """(S,) the shared unknowns' step, 0 for those that are not free (S,); None when nothing holds them."""
+        """Return (S,) the shared unknowns' step, 0 for those that are not free (S,); None when nothing holds them."""
         use = np.ones(len(self.gradient), np.bool_) if free is None else free
         hessian = self.hessian[np.ix_(use, use)]
         if not (hessian.diagonal() > 0).all():
@@ -105,7 +106,7 @@ class Reduced:
         return x
 
     def own_steps(self, shared: Array) -> Array:
-        """(N, n) the groups' steps when the shared unknowns step by `shared` (S,)."""
+        """Return (N, n) the groups' steps when the shared unknowns step by `shared` (S,)."""
         pull = self.own_gradient + np.einsum("kns,s->kn", self.cross, shared)
         return np.linalg.solve(np.swapaxes(self.factor, 1, 2), -pull[..., None])[..., 0]
 
@@ -113,8 +114,10 @@ class Reduced:
 def solve_coupled(own: ArrayLike, bands: ArrayLike, right: ArrayLike) -> Array | None:
     """x (T, D) with M x = right (T, D), in time linear in T; None when M is not positive definite.
 
-    own (T, D, D): the frames' symmetric blocks; bands (3, T, D): diagonal weights of every frame with itself and with
-    the frames one and two later (what would reach beyond the last frame is ignored)."""
+    own (T, D, D): the frames' symmetric blocks.
+    bands (3, T, D): diagonal weights of every frame with itself and with the frames one and two later (what would reach
+        beyond the last frame is ignored).
+    """
     b = np.asarray(right, dtype=np.float64)
     found = _eliminated(np.asarray(own, dtype=np.float64), np.asarray(bands, dtype=np.float64))
     if found is None:
@@ -131,10 +134,11 @@ def solve_coupled(own: ArrayLike, bands: ArrayLike, right: ArrayLike) -> Array |
 
 
 def frame_covariances(own: ArrayLike, bands: ArrayLike) -> Array | None:
-    """(T, D, D) the diagonal blocks of the inverse of the same matrix; None when it is not positive definite.
+    """Return (T, D, D) the diagonal blocks of the inverse of the same matrix; None when it is not positive definite.
 
-    When own is what is known of each frame and bands couple them, these are the covariances of the frames: one of which
-    nothing is known is known through its neighbours alone, the less the farther those are."""
+    When own holds each frame's information and bands couple them, these are the covariances of the frames: one of which
+    nothing is known is known through its neighbours alone, the less the farther those are.
+    """
     o = np.asarray(own, dtype=np.float64)
     found = _eliminated(o, np.asarray(bands, dtype=np.float64))
     if found is None:
@@ -149,7 +153,7 @@ def frame_covariances(own: ArrayLike, bands: ArrayLike) -> Array | None:
 
 
 def _eliminated(own: Array, bands: Array) -> tuple[list[Array], Array] | None:
-    """Of pairs of frames: the inverse of what is left of their block (2 D, 2 D) after all before them are eliminated,
+    """Of pairs of frames: the inverse of the rest of their block (2 D, 2 D) after all before them are eliminated,
     and what joins them to the next pair (P, 2 D, 2 D); None: not positive definite.
 
     Pairs, because a frame is coupled to the next two: so the matrix is block-tridiagonal. Blocks of this size are
@@ -165,7 +169,7 @@ def _eliminated(own: Array, bands: Array) -> tuple[list[Array], Array] | None:
 
 
 def _is_positive(matrix: Array) -> bool:
-    """Whether a symmetric matrix is finite and positive definite."""
+    """Return whether a symmetric matrix is finite and positive definite."""
     try:
         return bool(np.isfinite(np.linalg.cholesky(matrix)).all())
     except np.linalg.LinAlgError:

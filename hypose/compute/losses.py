@@ -30,7 +30,7 @@ def lorentzian(s: Any, gain: Any = 1.0, one: Any = 1.0) -> tuple[Any, Any, Any]:
 
 
 def lorentzian_weight(s: Any, gain: Any = 1.0) -> Any:
-    """The weight alone, for reweighted sums whose cost nobody asks for."""
+    """Return the weight alone, for reweighted sums whose cost is not needed."""
     return gain / (1.0 + s)
 
 

@@ -18,7 +18,7 @@ STRAIGHT, DIAGONAL, KNIGHT = 5, 7, 11
 """Steps to the next pixel, across a corner and by a knight's move, in fifths of a pixel (Borgefors, G. (1986). Distance
 transformations in digital images. CVGIP 34: within 2 % of Euclid)."""
 _FARTHEST = 16000
-"""fifths of a pixel, 3200 px: what is farther counts as that far"""
+"""fifths of a pixel, 3200 px: larger distances count as that far"""
 
 
 STEPS = 32
@@ -166,11 +166,13 @@ def _shrink_mask(mask, halves, out):
 def signed_distance(masks: ArrayLike, sizes: ArrayLike, margin: int | None = None) -> NDArray[np.float32]:
     """Signed distance to the edge of each mask, px, negative inside; 0 between the last inside and first outside pixel.
 
-    masks (C, h, w) uint8, non-zero = person; sizes (C, 2) own width and height of each view. Returns (C, h, w)
-    float32, zero in the padding. margin: px around the mask inside which the distance is a true one (default: a sixth
-    of the mask's larger side, at least 32); further out the rows and columns to that box are added, a continuous
-    upper bound. An empty (full) mask gives the image's diagonal (minus it) everywhere. Distances are those of a 5 x 5
-    chamfer mask (within 2 % of Euclid)."""
+    masks (C, h, w) uint8, non-zero = person.
+    sizes (C, 2) own width and height of each view. Returns (C, h, w) float32, zero in the padding.
+    margin: px around the mask inside which the distance is a true one (default: a sixth of the mask's larger side, at
+        least 32); further out the rows and columns to that box are added, a continuous upper bound. An empty (full)
+        mask gives the image's diagonal (minus it) everywhere. Distances are those of a 5 x 5 chamfer mask (within 2 %
+        of Euclid).
+    """
     m = np.asarray(masks)
     m = m if m.dtype == np.uint8 else (m != 0).view(np.uint8)
     out = np.empty(m.shape, dtype=np.float32)
@@ -194,8 +196,8 @@ def signed_distance(masks: ArrayLike, sizes: ArrayLike, margin: int | None = Non
 
 
 def shrink_mask(mask: NDArray[np.uint8], halves: int) -> NDArray[np.uint8]:
-    """(2 h / halves, 2 w / halves) of a mask (h, w), non-zero = person, whose sides are multiples of halves: of each
-    block of halves x halves pixels 2 x 2 are made, set where at least half of their area is."""
+    """Return (2 h / halves, 2 w / halves) of a mask (h, w), non-zero = person, whose sides are multiples of halves: of
+    each block of halves x halves pixels 2 x 2 are made, set where at least half of their area is."""
     h, w = mask.shape
     out = np.empty((2 * (h // halves), 2 * (w // halves)), np.uint8)
     _shrink_mask(np.ascontiguousarray(mask), halves, out)

@@ -1,7 +1,7 @@
 """Masks as bits, cleaned, and as runs of pixels.
 
 Bits (words, h) u8 hold 64 pixels of a row in a word, lowest bit first, zero beyond the mask's width; the words of a
-column lie side by side, so that what is done to all rows takes vectors of them. A box (4,) is y0, y1, x0, x1, half
+column lie side by side, so that work on all rows takes vectors of them. A box (4,) is y0, y1, x0, x1, half
 open, px. Spans (n, 4) say what belongs to a structuring element: rows first..last about a pixel, and in each the
 columns left..right, all inclusive.
 """
@@ -60,13 +60,13 @@ def bits_of(mask: Mask) -> Bits:
 
 
 def mask_of(bits: Bits, width: int) -> Mask:
-    """The mask (h, width) of bits, 0 and 1."""
+    """Return the mask (h, width) of bits, 0 and 1."""
     rows = np.ascontiguousarray(bits.T).view(np.uint8)
     return np.unpackbits(rows, axis=1, count=width, bitorder="little")
 
 
 def clean(bits: Bits, shape: tuple[int, int], how: Cleaning) -> MaskRuns:
-    """The mask (h, w) = shape of bits (which are changed), cleaned, as runs."""
+    """Return the mask (h, w) = shape of bits (which are changed), cleaned, as runs."""
     about = np.zeros(5, np.int64)
     spans = square_spans(how.open_px), disc_spans(how.close_px)
     rules = how.close_px + 1, int(how.hole_px), float(how.keep_share), float(min(how.keep_gap, 1e9))
@@ -81,7 +81,7 @@ def runs_of(mask: Mask) -> MaskRuns:
 
 
 def draw(runs: MaskRuns, out: Mask | None = None, corner: tuple[int, int] = (0, 0)) -> Mask:
-    """The mask (h, w) again; or set where it is in out, whose first pixel is the corner (y, x) of the mask."""
+    """Return the mask (h, w) again; or set where it is in out, whose first pixel is the corner (y, x) of the mask."""
     made = np.zeros(runs.shape, np.uint8) if out is None else out
     y0, y1, x0, _ = runs.box
     _draw(runs.code, y0, y1, x0, made, *corner)
@@ -90,23 +90,23 @@ def draw(runs: MaskRuns, out: Mask | None = None, corner: tuple[int, int] = (0, 
 
 @lru_cache(maxsize=256)
 def square_spans(size: int) -> NDArray[np.int64]:
-    """(n, 4) spans of a square; none for a size below 2, which changes nothing."""
+    """Return (n, 4) spans of a square; none for a size below 2, which changes nothing."""
     return _spans(np.ones((size, size), np.uint8))
 
 
 @lru_cache(maxsize=256)
 def disc_spans(size: int) -> NDArray[np.int64]:
-    """The same of OpenCV's disc."""
+    """Return the same of OpenCV's disc."""
     return _spans(disc(size)) if size > 1 else _spans(np.ones((size, size), np.uint8))
 
 
 def disc(size: int) -> Mask:
-    """(size, size) OpenCV's disc, 1 where it is."""
+    """Return (size, size) OpenCV's disc, 1 where it is."""
     return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), dtype=np.uint8)
 
 
 def _spans(element: Mask) -> NDArray[np.int64]:
-    """Rows of an element with the same columns are one span; OpenCV's middle of n is n // 2."""
+    """Return rows of an element with the same columns are one span; OpenCV's middle of n is n // 2."""
     size, spans = len(element), list[list[int]]()
     for y, row in enumerate(element if size > 1 else ()):
         x = np.flatnonzero(row) - size // 2
@@ -170,8 +170,8 @@ def close_to(bits, box):
 
 @kernel
 def grown(bits, spans, box, flip, out):
-    """out = bits, grown by the spans, in the box, out of which nothing comes. flip: 0, or ALL: what is not set grows,
-    and out is what is left."""
+    """out = bits, grown by the spans, in the box, out of which nothing comes. flip: 0, or ALL: the unset pixels grow,
+    and out is the rest."""
     begin, words, n = box[2] >> 6, ((box[3] + 63) >> 6) - (box[2] >> 6), box[1] - box[0]
     union = np.zeros((words + 2, n), np.uint64)  # of the rows of a span; a word more on both sides
     for k in range(words):
@@ -221,7 +221,7 @@ def _closed(bits, spans, box, out):
 
 @kernel
 def _bounds(bits, box):
-    """Fills the box around what is set; whether anything is."""
+    """Fills the box around the set pixels; returns whether there are any."""
     words, h = bits.shape
     rows, columns = np.zeros(h, np.uint64), np.zeros((words, 1), np.uint64)
     for k in range(words):
@@ -277,8 +277,12 @@ def _root(parent, i):
 
 @kernel
 def _label(bits, box, flip, reach, runs, parent):
-    """Runs of what is set in bits ^ flip in the box, joined to regions (reach 1: also over corners); returns their
-    number. runs (n, 3): row, start, end; parent (n,): the first run of the region."""
+    """Runs of the pixels set in bits ^ flip in the box, joined to regions (reach 1: also over corners); returns their
+    number.
+
+    runs (n, 3): row, start, end.
+    parent (n,): the first run of the region.
+    """
     n = 0
     before = 0  # first run of the row above
     for y in range(box[0], box[1]):
@@ -305,7 +309,7 @@ def _label(bits, box, flip, reach, runs, parent):
 
 @kernel
 def _most_runs(bits, box):
-    """How many runs of what is set in the box, or of what is not, there can be."""
+    """Returns how many runs of set or of unset pixels the box can hold."""
     total = box[1] - box[0]
     for k in range(bits.shape[0]):
         for y in range(box[0], box[1]):

@@ -94,8 +94,14 @@ def workspace(m: MonoModel, height: int, width: int) -> MonoWorkspace:
 
 
 class MonoSolution(NamedTuple):
-    """A pose (D,) at a minimum; cost of everything; evidence: cost without flow, by which hypotheses are ranked;
-    gradient (A,) of the cost; hessian (A, A) of evidence, flow and rest posture; counts as in MonoWorkspace."""
+    """A pose (D,) at a minimum.
+
+    cost of everything.
+    evidence: cost without flow, by which hypotheses are ranked.
+    gradient (A,) of the cost.
+    hessian (A, A) of evidence, flow and rest posture.
+    counts as in MonoWorkspace.
+    """
 
     pose: Array
     cost: float
@@ -120,7 +126,7 @@ def newton_descent(
 
 
 def score(poses: ArrayLike, problem: MonoProblem, ws: MonoWorkspace) -> Array:
-    """Costs (N,) without flow at poses (N, D). Releases the GIL."""
+    """Return costs (N,) without flow at poses (N, D). Releases the GIL."""
     q = plain(poses, np.float64)
     costs = np.empty(len(q))
     _score(q, problem, ws, costs)
@@ -271,8 +277,10 @@ def _search(q, before, problem, coarse, iterations, ws, hessian, gradient, info)
     """One hypothesis in one frame: inner nodes from the pose `before` (D,) in the previous picture, then a coarse and a
     fine descent from q (D,), which is overwritten.
 
-    hessian (A, A) is that of the evidence and the rest posture at the result, without the prediction; gradient (A,) of
-    all. info (3,): full cost, cost without flow, number of inner nodes. False when the cost is not finite."""
+    hessian (A, A) is that of the evidence and the rest posture at the result, without the prediction.
+    gradient (A,) of all.
+    info (3,): full cost, cost without flow, number of inner nodes. False when the cost is not finite.
+    """
     model, priors = problem.model, problem.priors
     for k in range(model.active.shape[0]):
         d = model.active[k]

@@ -301,7 +301,7 @@ def edge_terms(n_nodes, problem, sigma, want, ws, n_rows):
     """Cost of the contour nodes: equation (7), first sum, over all edges of each node's window; appends rows when
     derivatives are wanted. Returns cost and rows.
 
-    Deviation: a node's edges share the weight 1, less when they are weak in sum; what is left counts as unassigned, at
+    Deviation: a node's edges share the weight 1, less when they are weak in sum; the rest counts as unassigned, at
     the cost of the window's end. Deviation: an occluded node costs k nu / 2, so that k is its share of what a node
     costs that finds no edge. Deviation: a node stands for its length of contour, and the sum is not divided by N nu of
     equation (6), so that it is a log-likelihood to which priors can be added. Deviation: back-facing nodes cost

@@ -30,8 +30,8 @@ def shown_parts(
     projection: ArrayLike,
     shape: tuple[int, int],
 ) -> tuple[NDArray[np.uint8], tuple[slice, slice]]:
-    """(h, w) = shape: 1 + the part (F,) of the face in front, 0 where there is no body; and the rows and columns that
-    the body is in. vertices (V, 3) m, projection (3, 4)."""
+    """Return (h, w) = shape: 1 + the part (F,) of the face in front, 0 where there is no body; and the rows and columns
+    that the body is in. vertices (V, 3) m, projection (3, 4)."""
     out, (uv, z, reach) = np.zeros(shape, np.uint8), projected(vertices, projection)
     x0, y0 = (int(np.clip(np.ceil(reach[k, 0]), 0, shape[1 - k])) for k in range(2))
     x1, y1 = (int(np.clip(np.floor(reach[k, 1]) + 1, n, shape[1 - k])) for k, n in enumerate((x0, y0)))
@@ -75,10 +75,10 @@ def colour_sums(
     limb: NDArray[np.uint8] | None = None,
     edges: tuple[NDArray[np.float32], ...] | None = None,
 ) -> tuple[Array, Array]:
-    """(N, C): the sum of table (C, P, K), by part and colour, over the pixels of each view's mask in which a body with
-    vertices (N, V, 3) m shows a part (F,); codes (C, h, w): the colours. And (N, C): the sum of edges (`rim_edges`)
-    along the rims of limbs (F,) before others. 0 in views that are not usable. Of large masks every second pixel or so
-    stands for those around it."""
+    """Return (N, C): the sum of table (C, P, K), by part and colour, over the pixels of each view's mask in which a
+    body with vertices (N, V, 3) m shows a part (F,); codes (C, h, w): the colours. And (N, C): the sum of edges
+    (`rim_edges`) along the rims of limbs (F,) before others. 0 in views that are not usable. Of large masks every
+    second pixel or so stands for those around it."""
     v = plain(vertices, np.float64)
     out, rims = np.zeros((2, len(masks.usable), len(v)))
     use, f = np.flatnonzero(masks.usable), plain(faces, np.int32)

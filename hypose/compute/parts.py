@@ -21,9 +21,12 @@ _NONE = np.zeros((0, 0), np.uint8)
 
 
 class PartView(NamedTuple):
-    """A body's parts against one mask, in pixels: area, exposed (covered by no other part) and outside (of the mask,
-    less its rim) of each part (P,); bare (N,): pixels of the mask without body within a radius of each point; bits (W,
-    h): where it is drawn."""
+    """A body's parts against one mask, in pixels.
+
+    area, exposed (covered by no other part) and outside (of the mask, less its rim) of each part (P,).
+    bare (N,): pixels of the mask without body within a radius of each point.
+    bits (W, h): where it is drawn.
+    """
 
     area: NDArray[np.int64]
     exposed: NDArray[np.int64]
@@ -33,8 +36,8 @@ class PartView(NamedTuple):
 
 
 def projected(points_world: ArrayLike, projection: ArrayLike) -> tuple[Array, Array, Array]:
-    """(N, 2) px, NaN behind the camera, (N,) m along its axis, and (2, 2) px, the least and the most across and down,
-    infinite where nothing is before it, of points (N, 3) m through a projection (3, 4)."""
+    """Return (N, 2) px, NaN behind the camera, (N,) m along its axis, and (2, 2) px, the least and the most across and
+    down, infinite where nothing is before it, of points (N, 3) m through a projection (3, 4)."""
     points = plain(points_world, np.float64)
     uv, z, reach = np.empty((len(points), 2)), np.empty(len(points)), np.empty((2, 2))
     _place(points, plain(projection, np.float64), uv, z, reach)
@@ -50,8 +53,11 @@ def draw_parts(
     shape: tuple[int, int],
     closed: bool = False,
 ) -> Bits:
-    """(n_parts, W, h) bits of what faces (F, 3) of the part (F,) cover of a picture of shape (h, w); uv (V, 2) px, z
-    (V,) m. closed: the faces of a part have no holes, so those that turn to the camera cover what all of them cover."""
+    """Return (n_parts, W, h) bits of what faces (F, 3) of the part (F,) cover of a picture of shape (h, w).
+
+    uv (V, 2) px, z (V,) m.
+    closed: the faces of a part have no holes, so those that turn to the camera cover what all of them cover.
+    """
     h, w = shape
     bits = np.zeros((n_parts, -(-w // 64), h), np.uint64)
     _draw_parts(plain(uv, np.float64), plain(z, np.float64), faces, part, closed, w, h, bits.view(np.uint8))
@@ -61,8 +67,11 @@ def draw_parts(
 def covered(
     uv: ArrayLike, z: ArrayLike, faces: NDArray[np.int32], shape: tuple[int, int], closed: bool = False
 ) -> NDArray[np.uint8]:
-    """(h, w) = shape: 1 where faces (F, 3) of any orientation cover a pixel's centre, else 0; uv (V, 2) px, z (V,) m;
-    closed: as of `draw_parts`."""
+    """Return (h, w) = shape: 1 where faces (F, 3) of any orientation cover a pixel's centre, else 0.
+
+    uv (V, 2) px, z (V,) m.
+    closed: as of `draw_parts`.
+    """
     f = plain(faces, np.int32)
     return mask_of(draw_parts(uv, z, f, np.zeros(len(f), np.uint8), 1, shape, closed)[0], shape[1])
 
@@ -79,10 +88,11 @@ def parts_against_mask(
     """Parts of a body against every step-th row and column of a mask in a box of it, packed as `prepare_masks` does (H,
     B).
 
-    drawn (P, W, h): each part in that small picture, as `draw_parts` gives it; it is used up. box: columns, rows, half
-    open, of the mask; points (N, 2) px, radius (N,) px of the small picture: around which bare mask is counted. hidden
-    (H, B): what says nothing: it is neither bare nor outside, and nothing is exposed there. Rims of one pixel count
-    neither as bare nor as outside, nor does what is thinner than three pixels.
+    drawn (P, W, h): each part in that small picture, as `draw_parts` gives it; it is used up.
+    box: columns, rows, half open, of the mask.
+    points (N, 2) px, radius (N,) px of the small picture: around which bare mask is counted.
+    hidden (H, B): what says nothing: it is neither bare nor outside, and nothing is exposed there. Rims of one pixel
+        count neither as bare nor as outside, nor do parts thinner than three pixels.
     """
     x0, x1, y0, _ = box
     uv, r, width = plain(points, np.float64), plain(radius, np.float64), -(-(x1 - x0) // step)
@@ -96,7 +106,7 @@ def touched_area(
     bits: NDArray[np.uint8], others: NDArray[np.uint8], size: tuple[int, int], step: int, at: NDArray[np.float64]
 ) -> tuple[int, int]:
     """Pixels of the pieces, corners connect, that points touch, and of the largest of the others, of every step-th row
-    and column of what is set in both of two masks of size (width, height), packed as `prepare_masks` does (H, B). at
+    and column of the pixels set in both of two masks of size (width, height), packed as `prepare_masks` does (H, B). at
     (N, 2) px of the masks; what lies outside them touches nothing."""
     w, h = size
     both = np.unpackbits(bits & others, axis=1, count=w, bitorder="little")[:h:step, ::step]
@@ -113,8 +123,11 @@ def touched_area(
 
 @kernel
 def _place(points, projection, uv, z, reach):
-    """Pixels uv (N, 2), NaN behind the camera, and z (N,) m along the axis of it, of points (N, 3) m; projection
-    (3, 4); reach (2, 2): the least and the most of u and of v, infinite without any."""
+    """Pixels uv (N, 2), NaN behind the camera, and z (N,) m along the axis of it, of points (N, 3) m.
+
+    projection (3, 4).
+    reach (2, 2): the least and the most of u and of v, infinite without any.
+    """
     p = projection
     for k in range(2):
         reach[k, 0], reach[k, 1] = np.inf, -np.inf
@@ -167,12 +180,17 @@ def _thin(packed, top, left, step, width, out):
 
 @kernel
 def _against_mask(mask, hidden, top, left, step, width, square, parts, points, radius, counts, bare):
-    """Counts of `parts.PartView`: of parts (P, W, h) drawn where every step-th pixel of a packed mask (H, B), from
-    row top and column left on, is a pixel; hidden (H, B), (0, 0): none. square: spans of 3 x 3 pixels. points (N, 2)
-    and radius (N,) in those pixels. counts (3, P): area, exposed and outside. parts[0] holds all of them afterwards."""
+    """Counts of `parts.PartView`: of parts (P, W, h) drawn where every step-th pixel of a packed mask (H, B), from row
+    top and column left on, is a pixel.
+
+    hidden (H, B), (0, 0): none.
+    square: spans of 3 x 3 pixels.
+    points (N, 2) and radius (N,) in those pixels.
+    counts (3, P): area, exposed and outside. parts[0] holds all of them afterwards.
+    """
     n, words, h = parts.shape
     room, box = np.zeros((5, words, h), np.uint64), np.zeros(4, np.int64)
-    no, shut, made, beside, found = room[0], room[1], room[2], room[3], room[4]
+    no, shut, made, close, found = room[0], room[1], room[2], room[3], room[4]
     box[1], box[3] = h, width
     for k in range(2):
         packed = hidden if k else mask
@@ -182,11 +200,11 @@ def _against_mask(mask, hidden, top, left, step, width, square, parts, points, r
         for r in range(h):
             made[k, r] = no[k, r] | shut[k, r]
             no[k, r] = ~no[k, r] | shut[k, r]  # where no mask may be bare
-    for last in range(2):  # what is far from the mask; then, of the mask, what is far from the body
-        grown(made, square, box, u8(0), beside)
+    for last in range(2):  # pixels far from the mask; then, of the mask, those far from the body
+        grown(made, square, box, u8(0), close)
         for k in range(words):
             for r in range(h):
-                near = beside[k, r] | no[k, r] if last else beside[k, r]
+                near = close[k, r] | no[k, r] if last else close[k, r]
                 made[k, r] = ~near
         opened(made, square, box, found)
         if last:

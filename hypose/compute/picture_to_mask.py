@@ -1,4 +1,4 @@
-"""From a decoded picture to what is not the room: shrink and undistort, difference from the room with the shadow cone.
+"""From a decoded picture to its foreground: shrink and undistort, difference from the room with the shadow cone.
 
 Images are BGR uint8, a box is (y0, y1, x0, x1), half open, px. The functions release the GIL and keep no state, so each
 camera can have its own thread. The inner steps are explicit vectors, because the compiler does not see that the three
@@ -31,12 +31,15 @@ class Undistortion(NamedTuple):
     """How stored pictures of one camera become undistorted ones (h, w) of the working size.
 
     stored: (width, height) of the stored pictures. First they are shrunk by area: working row y is the sum over k of
-    row_weights[y, k] (h, L) u2 times stored row rows[y] + k, and columns likewise after, with column_weights (w, K) i4;
-    rounding (5,): half and shift of rows, factor, half and shift of columns. corner (h, w): number of the pixel up and
-    left of the undistorted one in the shrunk picture, in rows with one pixel of black on the left and two on the right
-    (one above, two below); part (h, w) u2: further right, and 32 times further down, in 32nds of a pixel. row_reach
-    (h, 2), column_reach (w, 2): first and last shrunk row (column) that the corners of an undistorted row (column) lie
-    in. straight: the shrunk picture is the undistorted one.
+        row_weights[y, k] (h, L) u2 times stored row rows[y] + k, and columns likewise after, with column_weights (w, K)
+        i4.
+    rounding (5,): half and shift of rows, factor, half and shift of columns.
+    corner (h, w): number of the pixel up and left of the undistorted one in the shrunk picture, in rows with one pixel
+        of black on the left and two on the right (one above, two below).
+    part (h, w) u2: further right, and 32 times further down, in 32nds of a pixel.
+    row_reach (h, 2), column_reach (w, 2): first and last shrunk row (column) that the corners of an undistorted row
+        (column) lie in.
+    straight: the shrunk picture is the undistorted one.
     """
 
     stored: tuple[int, int]
@@ -59,9 +62,14 @@ _SHARES = _SHARES.astype(np.uint16)
 
 
 class BackgroundLevels(NamedTuple):
-    """What the empty room looks like: low, high (h, w, 3) u1, the grey levels that are still the room; mean (h, w, 3)
-    f4, for the shadow test; shadow: whether that is made; darkest, lightest: brightness of a shadow relative to the lit
-    room; chroma: squared colour distance a shadow may have, grey levels."""
+    """What the empty room looks like.
+
+    low, high (h, w, 3) u1, the grey levels that are still the room.
+    mean (h, w, 3) f4, for the shadow test.
+    shadow: whether that is made.
+    darkest, lightest: brightness of a shadow relative to the lit room.
+    chroma: squared colour distance a shadow may have, grey levels.
+    """
 
     low: Image
     high: Image
@@ -85,7 +93,7 @@ def make_lens(stored: tuple[int, int], map_x: ArrayLike, map_y: ArrayLike) -> Un
         raise InputError(f"Pictures of {(w, h)} px are too small; choose a working size of {_LEAST} pixels at least.")
     columns, column_weights = _averages(stored[0], w)
     rows, row_weights = _averages(stored[1], h)
-    rounding = (8, 4, 1, 2048, 12)  # weights are 256ths, and what is between rows and columns 16ths
+    rounding = (8, 4, 1, 2048, 12)  # weights are 256ths, and values between rows and columns 16ths
     n = stored[0] // w * (stored[1] // h)
     if stored[0] % w == 0 and stored[1] % h == 0 and n <= 257:  # of whole blocks all pixels weigh the same
         column_weights, row_weights = np.ones_like(column_weights), np.ones_like(row_weights)
@@ -108,7 +116,7 @@ def make_lens(stored: tuple[int, int], map_x: ArrayLike, map_y: ArrayLike) -> Un
 
 
 def _parts(at: NDArray[np.floating], most: int) -> NDArray[np.int32]:
-    """32nds of pixels; what is not seen lies beyond the picture."""
+    """32nds of pixels; unseen places lie beyond the picture."""
     return np.clip(np.nan_to_num(np.rint(32 * at), nan=-32), -32, most).astype(np.int32)
 
 
@@ -185,7 +193,7 @@ def _needed(lens: Undistortion, box: Box | None) -> Box:
 
 def not_the_room(image: Image, room: BackgroundLevels, box: Box | None = None) -> Bits:
     """Bits (mask_runs.bits_of) of the person in an undistorted picture (h, w, 3), in the box (default: everywhere):
-    what is neither the room nor its shadow, the same colour but darker. A shadow is an area: single pixels along the
+    pixels of neither the room nor its shadow, the same colour but darker. A shadow is an area: single pixels along the
     edge of dark clothing before a bright wall are mixed colours, so shadows are opened 3 x 3."""
     h, w = image.shape[:2]
     y0, y1, x0, x1 = box or (0, h, 0, w)
@@ -249,7 +257,7 @@ def _shrink(image, columns, column_weights, rows, row_weights, rounding, y0, y1,
 @kernel
 def _remap(small, corner, part, shares, y0, y1, x0, x1, out):
     """out (3 h w + 1,) u1, pixels in the box = those of the flat picture small (h + 3, w + 3) u1 at corner (h, w) and
-    beside it, with shares[part (h, w)] (K, 4) in 1024ths."""
+    next to it, with shares[part (h, w)] (K, 4) in 1024ths."""
     w = corner.shape[1]
     corners, parts, four, step = corner.reshape(-1), part.reshape(-1), shares.reshape(-1), 3 * (w + 3)
     for y in range(y0, y1):

@@ -141,7 +141,7 @@ def _score_points(points, weights, rotation, centre, prepared, bits, cutoff, out
             n = 0
             for i in range(n_alive):
                 alive[n] = alive[i]
-                n += not total[alive[i]] - left > cutoff  # else what is left cannot make up for it
+                n += not total[alive[i]] - left > cutoff  # else the rest cannot make up for it
             n_alive = n
             left -= weights[p] * seen
             worth_of[0], worth_of[1] = weights[p], -weights[p]  # no mask; a mask alone; what stands, or nothing
@@ -152,13 +152,13 @@ def _score_points(points, weights, rotation, centre, prepared, bits, cutoff, out
                 if prepared.usable[c]:
                     pixels(m[c], x, y, z, n_alive, prepared.sizes[c, 0], prepared.sizes[c, 1], line, place)
                     mask, drawn = prepared.bits[c, 0], bits[c, 0]  # and on, as if the view were one row
-                    for i in range(n_alive):  # without branches, which nobody could foretell
+                    for i in range(n_alive):  # without branches, which cannot be predicted
                         at = place[i]
                         byte, bit = np.uint32(max(at, np.int32(0))) >> np.uint32(3), np.uint8(at & 7)
-                        told = mask[byte]
+                        decided = mask[byte]
                         if hidden:
-                            told |= prepared.hidden[c, 0, byte]
-                        kind = ((told >> bit) & 1) + (((told & drawn[byte]) >> bit) & 1)
+                            decided |= prepared.hidden[c, 0, byte]
+                        kind = ((decided >> bit) & 1) + (((decided & drawn[byte]) >> bit) & 1)
                         total[alive[i]] += worth_of[np.uint8(kind) if at >= 0 else np.uint8(2)]
         for n in range(n_block):
             out[first + n] = total[n]
@@ -167,7 +167,8 @@ def _score_points(points, weights, rotation, centre, prepared, bits, cutoff, out
 def standing(
     pose: ArrayLike, tree: TreeArrays, mesh: MeshArrays, prepared: PreparedMasks, moving: ArrayLike
 ) -> Standing:
-    """The silhouettes at a pose (D,) of what the joints `moving` (J,) bool, and those below them, do not move."""
+    """Return the silhouettes at a pose (D,) of what the joints `moving` (J,) bool, and those below them, do not
+    move."""
     q, turning = plain(pose, np.float64), plain(moving, np.bool_)
     parts = lane_mesh.moving_parts(mesh, tree, turning, None)
     bits, counts = np.zeros_like(prepared.bits), np.zeros((len(prepared.masks), 2), dtype=np.int64)
@@ -178,7 +179,7 @@ def standing(
 
 
 def whole_images(prepared: PreparedMasks) -> NDArray[np.int64]:
-    """(C, 4) the boxes x0, x1, y0, y1 of whole views."""
+    """Return (C, 4) the boxes x0, x1, y0, y1 of whole views."""
     boxes = np.zeros((len(prepared.sizes), 4), dtype=np.int64)
     boxes[:, 1::2] = prepared.sizes
     return boxes
@@ -201,9 +202,9 @@ def score_points(
     rest: Standing,
     cutoff: float = np.inf,
 ) -> Array:
-    """(N,) how badly points (N, P, 3) m lie, as a joint sees them that is turned by rotation (3, 3) and lies at centre
-    (3,), world: the sum over usable views and points of weights (P,), plus where there is no mask, minus in the mask
-    where the standing rest of the body is not; 0 on the rest, outside the image, and nearer than 0.05 m. Above the
+    """Return (N,) how badly points (N, P, 3) m lie, as a joint sees them that is turned by rotation (3, 3) and lies at
+    centre (3,), world: the sum over usable views and points of weights (P,), plus where there is no mask, minus in the
+    mask where the standing rest of the body is not; 0 on the rest, outside the image, and nearer than 0.05 m. Above the
     cutoff a score says no more than that it lies above it."""
     p, w = plain(points, np.float64), plain(weights, np.float64)
     r, c = plain(rotation, np.float64), plain(centre, np.float64)

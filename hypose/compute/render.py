@@ -19,9 +19,10 @@ def blend_shaded(
 ) -> None:
     """Blend a drawn mesh into picture (h, w, 3), in place.
 
-    face, bary: what `rasterize` drew at samples x samples per pixel; values (V, 5): BGR colour, cosine to the
-    light, and upward component of the normal, per vertex; light: (ambient, direct, sky). A pixel gets the
-    mean of its samples, Lambert-shaded, the picture showing through where there are none.
+    face, bary: what `rasterize` drew at samples x samples per pixel.
+    values (V, 5): BGR colour, cosine to the light, and upward component of the normal, per vertex.
+    light: (ambient, direct, sky). A pixel gets the mean of its samples, Lambert-shaded, the picture showing through
+        where there are none.
     """
     (h, w), drawn = picture.shape[:2], face >= 0
     ambient, direct, sky = (np.float32(x) for x in light)

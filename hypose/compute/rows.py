@@ -109,7 +109,11 @@ def _wrenches(work, p):
 def form_rows(first, last, ends, found, work, n_rows, vertices, mesh, p, rows, joints):
     """Appends the rows of found points first to last, all of one view with the camera p (3, 4) f4, to rows (M, 8) =
     wrench, weight, residual, and joints (M,), from row n_rows on, one for each joint that moves the point; returns the
-    number of rows then. ends, found: as in contours.contour_rows; work (9 x LANES,) f4: scratch."""
+    number of rows then.
+
+    ends, found: as in contours.contour_rows.
+    work (9 x LANES,) f4: scratch.
+    """
     skin_index, skin_weight, skin_count = mesh.skin_index, mesh.skin_weight, mesh.skin_count
     for block in range(first, last, LANES):
         some = min(LANES, last - block)
@@ -264,7 +268,7 @@ _low, _high = shuffle(range(4)), shuffle(range(4, 8))
 def wrench_sums(lanes, row, first, last, sums):
     """sums (27,) of the columns first..last, a multiple of EIGHT, of lanes (9, row) f8: wrench (6), weight w,
     residual, scratch. In the order x y: w x . y for y = 0..x, then w x . residual, for x = 0..5."""
-    s = sums  # in three loops of nine, whose sums share what is loaded
+    s = sums  # in three loops of nine, whose sums share loaded values
     s[0], s[1], s[2], s[3], s[4], s[5], s[6], s[7], s[8] = _among(lanes, row, first, last, 0)
     s[12], s[13], s[17], s[18], s[19], s[23], s[24], s[25], s[26] = _among(lanes, row, first, last, 3)
     s[9], s[10], s[11], s[14], s[15], s[16], s[20], s[21], s[22] = _between(lanes, row, first, last)

@@ -4,7 +4,7 @@ The drawing is that of coverage.py: each contour edge writes the indices of the 
 of two lists per pose (up or down), the lists are added into an int8 image, and one pass of running sums compares STRIP
 columns at a time with the mask's packed bits. Poses that reach the near plane, and bodies so near that their lists are
 full, are drawn face by face.
-Before any of it is drawn a limb cannot explain more of a mask than what is uncovered in its window.
+Before any of it is drawn a limb cannot explain more of a mask than the uncovered pixels in its window.
 """
 
 from __future__ import annotations
@@ -182,9 +182,11 @@ def camera_lanes(projection, poses, first, p):
 def lane_windows(bounds, box, lanes, window, origin):
     """The image window of each lane: what of its silhouette's bounds lies in the box (x0, x1, y0, y1).
 
-    window (5, LANES) f4: origin x, y, first and end column, rows; origin (LANES, 4) i8: x, y, columns, rows. Windows
-    begin at a multiple of 8 columns, where the mask's bits begin a byte. Returns two masks of lanes: those to draw and
-    those that reach the near plane (their window is the whole box).
+    window (5, LANES) f4: origin x, y, first and end column, rows.
+    origin (LANES, 4) i8: x, y, columns, rows. Windows begin at a multiple of 8 columns, where the mask's bits begin a
+        byte.
+
+    Returns two masks of lanes: those to draw and those that reach the near plane (their window is the whole box).
     """
     some, near = np.uint32(0), np.uint32(0)
     for k in range(lanes):
@@ -220,14 +222,31 @@ def draw_safely(mesh, points, p, lane, one_sided, x0, y0, width, height, differe
 
 @kernel
 def _silhouette_xor(
-    poses, first, last, tree, mesh, anew, turning, prepared, usable, boxes, box_areas, drawn, drawn_counts, scratch, out
+    poses,
+    first,
+    last,
+    tree,
+    mesh,
+    moved_joints,
+    turning,
+    prepared,
+    usable,
+    boxes,
+    box_areas,
+    drawn,
+    drawn_counts,
+    scratch,
+    out,
 ):
-    """Blocks first..last (of LANES poses) of out (N, C, 3) = (xor, model, intersection) pixels inside boxes (C, 4),
-    of the views that are usable (C,).
+    """Blocks first..last (of LANES poses) of out (N, C, 3) = (xor, model, intersection) pixels inside boxes (C, 4), of
+    the views that are usable (C,).
 
-    anew (J,): joints that must be placed for the first block, turning (J,): those that are elsewhere in the others.
+    moved_joints (J,): joints that must be placed for the first block, turning (J,): those that are elsewhere in the
+        others.
     drawn (C, h, B) packed as the masks, drawn_counts (C, 2) model, intersection: pixels that belong to the body in
-    every pose. scratch: of lane_scratch.py, for this mesh and these images."""
+        every pose.
+    scratch: of lane_scratch.py, for this mesh and these images.
+    """
     views, image_rows, _ = prepared.masks.shape
     frames, centres, axis, turn, maps, points, u, v, p, bounds, window, origin = scratch[:12]
     front, union, edge, columns, lists, ends, difference, counts = scratch[12:]
@@ -235,7 +254,7 @@ def _silhouette_xor(
     for block in range(first, last):
         begin = block * LANES
         lanes = min(LANES, poses.shape[0] - begin)
-        moved = anew if block == first else turning
+        moved = moved_joints if block == first else turning
         skin_lanes(poses, begin, tree, mesh, moved, frames, centres, axis, turn, maps, points)
         for c in range(views):
             if not usable[c]:
@@ -337,15 +356,15 @@ def view_that_tells(cells, norm, left):
 
 @kernel
 def _limb_energies(
-    poses, slack, more, tree, mesh, turning, prepared, boxes, drawn, drawn_counts, cells, scratch, counts, told
+    poses, slack, more, tree, mesh, turning, prepared, boxes, drawn, drawn_counts, cells, scratch, counts, decided
 ):
-    """counts (N, C, 3), zero, as of _silhouette_xor, and told (N,), False: whether they are those of all views, as of
-    the first poses and of all that cost at most `slack` times as much as the first one, and `more`. cells: zero; other
-    arguments as for _silhouette_xor."""
+    """counts (N, C, 3), zero, as of _silhouette_xor, and decided (N,), False: whether they are those of all views, as
+    of the first poses and of all that cost at most `slack` times as much as the first one, and `more`. cells: zero;
+    other arguments as for _silhouette_xor."""
     n, views, n_dof = poses.shape[0], prepared.bits.shape[0], poses.shape[1]
     norm, left, limit, view = prepared.norm, prepared.usable.copy(), more + 1e-9 * abs(more), -1
     alive, n_alive = np.arange(n), min(n, LANES)  # the first block is as much work as the first pose alone
-    least, total, only, anew = np.zeros((n, views)), np.zeros(n), prepared.usable, mesh.needed
+    least, total, only, moved_joints = np.zeros((n, views)), np.zeros(n), prepared.usable, mesh.needed
     while True:
         tried, out = np.empty((n_alive, n_dof)), np.zeros((n_alive, views, 3), np.int64)
         for i in range(n_alive):
@@ -353,7 +372,7 @@ def _limb_energies(
                 tried[i, d] = poses[alive[i], d]
         blocks = (n_alive + LANES - 1) // LANES
         _silhouette_xor(
-            *(tried, 0, blocks, tree, mesh, anew, turning),
+            *(tried, 0, blocks, tree, mesh, moved_joints, turning),
             *(prepared, only, boxes, prepared.areas, drawn, drawn_counts, scratch, out),
         )
         kept = 0
@@ -367,7 +386,7 @@ def _limb_energies(
                         total[a] += out[i, c, 0] / norm[c] - least[a, c]
                     elif a == 0:
                         limit += out[i, c, 0] / norm[c] * slack * (1 + 1e-9)  # sums may round otherwise
-            told[a] = view < 0
+            decided[a] = view < 0
             alive[kept] = a
             kept += total[a] <= limit
         n_alive = kept
@@ -387,9 +406,9 @@ def _limb_energies(
         only = np.zeros(views, np.bool_)
         only[view] = True
         left[view] = False
-        anew = turning
+        moved_joints = turning
     for i in range(n_alive):
-        told[alive[i]] = True
+        decided[alive[i]] = True
 
 
 def silhouette_xor(
@@ -405,14 +424,17 @@ def silhouette_xor(
 ) -> NDArray[np.int64]:
     """Silhouettes of the mesh at poses (N, D) against the frame's masks: (N, C, 3) = (xor, model, intersection) pixels.
 
-    boxes (C, 4) = x0, x1, y0, y1 (half open, px) restricts the counting; default: each view's whole image. faces (F,)
-    bool: only these triangles of the mesh, as seen from outside (body parts, where a hierarchical search has not placed
-    the rest yet). moving (J,) bool: only these joints turn, everything else stands as in the last pose, and what they
-    do not move is drawn once; rest: that drawing, where `reach.standing` has made it (then without boxes and faces).
-    Views that are not usable give zeros. The same counts for any number of threads, and for a pose alone or among
-    others. Exact up to 1-2 pixels of a silhouette whose edge passes through a pixel's centre.
-    Parts nearer than 0.05 m to a camera's plane, or behind it, are cut off. A SolverError for poses that are not
-    finite.
+    boxes (C, 4) = x0, x1, y0, y1 (half open, px) restricts the counting; default: each view's whole image.
+    faces (F,) bool: only these triangles of the mesh, as seen from outside (body parts, where a hierarchical search has
+        not placed the rest yet).
+    moving (J,) bool: only these joints turn, everything else stands as in the last pose, and what they do not move is
+        drawn once.
+    rest: that drawing, where `reach.standing` has made it (then without boxes and faces). Views that are not usable
+        give zeros.
+
+    The same counts for any number of threads, and for a pose alone or among others. Exact up to 1-2 pixels of a
+    silhouette whose edge passes through a pixel's centre. Parts nearer than 0.05 m to a camera's plane, or behind it,
+    are cut off. A SolverError for poses that are not finite.
     """
     q = _finite(poses)
     n, c = len(q), len(prepared.masks)
@@ -444,7 +466,7 @@ def silhouette_xor(
             draw_standing(q[-1], t, tidy(mesh), corners, standing, prepared, b, drawn, drawn_counts)
             reach.hide(prepared, drawn, drawn_counts)
     elif prepared.hidden.size:
-        drawn = prepared.hidden  # one more standing part, of somebody else: it counts nowhere
+        drawn = prepared.hidden  # one more standing part, of another person: it counts nowhere
     m = lane_mesh.prepare_lanes(mesh, tree, wanted)
     turned = m.needed if turned is None else m.needed & turned
     out = np.zeros((n, c, 3), dtype=np.int64)
@@ -470,8 +492,8 @@ def limb_energies(
     slack: float = 1.0,
     more: float = 0.0,
 ) -> Array:
-    """(N,) energies (eq. 2.8) of poses (N, D) in which only the joints `moving` (J,) turn; infinite where they are
-    certainly above `slack` times the energy of the first pose, and `more`. moving, rest: as for `silhouette_xor`.
+    """Return (N,) energies (eq. 2.8) of poses (N, D) in which only the joints `moving` (J,) turn; infinite where they
+    are certainly above `slack` times the energy of the first pose, and `more`. moving, rest: as for `silhouette_xor`.
 
     Most poses of a limb are worse than the one that it is in, and a view or two tell: a limb cannot explain more of a
     mask than what lies uncovered in its window. The others have the energies that `silhouette_xor` gives them.
@@ -485,10 +507,10 @@ def limb_energies(
     m = lane_mesh.prepare_lanes(mesh, tree, parts.moved)
     scratch = lane_scratch(m, prepared.masks.shape[1:])
     cells = np.zeros((len(use), -(-drawn.shape[1] // CELL) + 1, drawn.shape[2] + 1), dtype=np.int32)
-    counts, told = np.zeros((len(q), len(use), 3), dtype=np.int64), np.zeros(len(q), dtype=np.bool_)
+    counts, decided = np.zeros((len(q), len(use), 3), dtype=np.int64), np.zeros(len(q), dtype=np.bool_)
     given = tidy(tree), m, m.needed & parts.turning, prepared, reach.whole_images(prepared), drawn, drawn_counts
-    _limb_energies(q, float(slack), float(more), *given, cells, scratch, counts, told)
-    return np.where(told, (counts[:, use, 0] / prepared.norm[use]).sum(1), np.inf)
+    _limb_energies(q, float(slack), float(more), *given, cells, scratch, counts, decided)
+    return np.where(decided, (counts[:, use, 0] / prepared.norm[use]).sum(1), np.inf)
 
 
 def _finite(poses: ArrayLike) -> Array:

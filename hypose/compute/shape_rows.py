@@ -39,15 +39,18 @@ def outline_rows(
     spacing_px: float,
     least_cosine: float,
 ) -> tuple[NDArray[np.int64], Array] | None:
-    """Rows of one view: the body's outline in the mask's distances, and the mask's to the body's nearest. ends (R, 2):
-    vertices a, b; values (R, 6): along, so that the row's point is (1 - along) a + along b, residual px, its gradient
-    (3) by the point, px/m, and weight, rows per reference row.
+    """Return rows of one view: the body's outline in the mask's distances, and the mask's to the body's nearest. ends
+    (R, 2): vertices a, b; values (R, 6): along, so that the row's point is (1 - along) a + along b, residual px, its
+    gradient (3) by the point, px/m, and weight, rows per reference row.
 
-    vertices (V, 3) m of a closed mesh with faces (F, 3) and edges (E, 4); projection (3, 4); size (2,): width, height
-    px; sdf (h, w) px, negative inside, and outline (K, 2) px of the mask; height_px of the person; spacing_px: of the
-    first kind of rows. Rows whose outlines have normals with a cosine below least_cosine are left out; None when
-    the body is not in the view. Which points are the outline, and which is nearest, is held fixed in the
-    derivatives."""
+    vertices (V, 3) m of a closed mesh with faces (F, 3) and edges (E, 4).
+    projection (3, 4).
+    size (2,): width, height px.
+    sdf (h, w) px, negative inside, and outline (K, 2) px of the mask; height_px of the person.
+    spacing_px: of the first kind of rows. Rows whose outlines have normals with a cosine below least_cosine are left
+        out; None when the body is not in the view. Which points are the outline, and which is nearest, is held fixed in
+        the derivatives.
+    """
     reference = max(_REFERENCE_PX / _HEIGHT_PX * height_px, 1.0)
     lengths = np.array([reference, _FARTHEST * height_px, _OUTLINE / max(len(outline), 1)])
     v, p = plain(vertices, np.float64), plain(projection, np.float64)
@@ -96,9 +99,14 @@ def bilinear(image, x, y, out):
 def _outline_rows(vertices, uv, faces, edges, p, own, sdf, marks, spacing, least_cosine, lengths, ends, rows):
     """Two-way rows of one view into ends (M, 2) and rows (M, 6) = place on the edge, residual, gradient, weight.
 
-    uv (V, 2) px of the vertices; own (h, w): the body's silhouette; marks (K, 2): the mask's outline; lengths (3,): px
-    between the reference's rows, px that an outline may lie off, and what a reverse row weighs. Returns how many there
-    are; -1: the body is not in the view; less: M must be at least that many, and nothing was written."""
+    uv (V, 2) px of the vertices.
+    own (h, w): the body's silhouette.
+    marks (K, 2): the mask's outline.
+    lengths (3,): px between the reference's rows, px that an outline may lie off, and what a reverse row weighs.
+
+    Returns how many there are; -1: the body is not in the view; less: M must be at least that many, and nothing was
+    written.
+    """
     front = np.empty(faces.shape[0], np.uint8)
     for f in range(faces.shape[0]):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]

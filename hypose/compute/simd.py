@@ -46,7 +46,7 @@ def _is_signed(kind: Vec) -> bool:
 
 
 def _in_all_lanes(builder: Any, value: Any, n: int) -> Any:
-    """A number as a vector; a vector as it is."""
+    """Return a number as a vector; a vector as it is."""
     if isinstance(value.type, ir.VectorType):
         return value
     kind = ir.VectorType(value.type, n)
@@ -213,7 +213,7 @@ def cast(typingctx: Any, x, dtype):
 
 
 def shuffle(order: Sequence[int]) -> Any:
-    """A function (x, y) -> vector of these lanes of x and, counted on, of y."""
+    """Return a function (x, y) -> vector of these lanes of x and, counted on, of y."""
 
     def shuffled(typingctx: Any, x, y):
         lanes = ir.Constant(ir.VectorType(_I32, len(order)), list(order))

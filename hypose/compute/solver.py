@@ -133,8 +133,8 @@ def bounded_step_kernel(hessian, gradient, q, lower, upper, damping, step):
 def bounded_step(
     hessian: ArrayLike, gradient: ArrayLike, at: ArrayLike, lower: ArrayLike, upper: ArrayLike, damping: float
 ) -> Array | None:
-    """The step (D,) from `at` that minimises 1/2 s' (H + damping max(diag H, 1)) s + g' s within lower <= at + s <=
-    upper; None when the matrix is not positive definite."""
+    """Return the step (D,) from `at` that minimises 1/2 s' (H + damping max(diag H, 1)) s + g' s within lower <= at + s
+    <= upper; None when the matrix is not positive definite."""
     h, g, q, low, high = (plain(x, np.float64) for x in (hessian, gradient, at, lower, upper))
     step = np.empty(len(q))
     try:
@@ -161,11 +161,14 @@ def form_found(found_of, mesh, ws):
 
 @kernel
 def cost_at(q, tree, mesh, contours, scale, keypoints, points, depth, priors, ws, found_of, counts):
-    """Cost at pose q (D,); counts (C + 3, 2): forward and reverse rows of each view, then the key points, the points,
-    and those of depth; depth: None is compiled by itself, without what only depth needs.
+    """Cost at pose q (D,).
 
-    found_of: what waits in the workspace for `normal_equations`: cameras (C + VIEWS, 3, 4) f4 about the root, first
-    (C + 1,) point found of each view, and state (3,): rows, views looked at, views whose rows are made."""
+    counts (C + 3, 2): forward and reverse rows of each view, then the key points, the points, and those of depth.
+    depth: None is compiled by itself, without what only depth needs.
+
+    found_of: what waits in the workspace for `normal_equations`: cameras (C + VIEWS, 3, 4) f4 about the root, first (C
+        + 1,) point found of each view, and state (3,): rows, views looked at, views whose rows are made.
+    """
     cameras, first, state = found_of
     joint_frames(q, tree, ws.rotations, ws.centres, ws.twists)
     ws.wrench_hessian[:] = 0.0
@@ -365,7 +368,7 @@ def evaluate(
     *,
     coarse: bool = False,
 ) -> Evaluation:
-    """Cost and derivatives of all evidence at one pose (D,)."""
+    """Return cost and derivatives of all evidence at one pose (D,)."""
     evidence = tree, mesh, *cues, priors
     return _solved(np.array(pose, dtype=np.float64), evidence, SolveLimits(0, int(coarse), 0.0, 0.0, 0), ws)[0]
 

@@ -13,7 +13,7 @@ _Result = TypeVar("_Result")
 
 
 def default_threads() -> int:
-    """Threads a call may use when it is not told: NUMBA_NUM_THREADS when set, else the cores of this process."""
+    """Threads a call may use by default: NUMBA_NUM_THREADS when set, else the cores of this process."""
     wanted = os.environ.get("NUMBA_NUM_THREADS", "")
     if wanted.isdigit() and int(wanted) > 0:
         return int(wanted)
@@ -50,16 +50,16 @@ def over_chunks(work: Callable[[int, int], None], n: int, threads: int | None, s
     waiting = [_pool(count - 1, os.getpid()).submit(take) for _ in range(count - 1)]
     try:
         take()
-    finally:  # whatever happened, nobody may go on working on the caller's arrays
+    finally:  # whatever happened, no thread may go on working on the caller's arrays
         begun = [future for future in waiting if not future.cancel()]
         wait(begun)
     for future in begun:
         future.result()
 
 
-def beside(work: Callable[[], _Result]) -> Callable[[], _Result]:
-    """Begin a call beside the caller's own work, where there is a thread for it; what is returned waits for its result,
-    or makes it, when nobody has begun."""
+def in_background(work: Callable[[], _Result]) -> Callable[[], _Result]:
+    """Begin a call in parallel to the caller's own work, where there is a thread for it; the returned function waits
+    for its result, or computes it when no thread has begun."""
     threads = default_threads()
     if threads < 2:
         return work

@@ -13,12 +13,14 @@ from hypose.compute.compiled import kernel
 def nearest_visible(
     vertices: ArrayLike, faces: ArrayLike, normals: ArrayLike, closest: ArrayLike, distance: ArrayLike
 ) -> NDArray[np.bool_]:
-    """(V, B): segment b is the nearest one that vertex v sees, or as near as that.
+    """Return (V, B): segment b is the nearest one that vertex v sees, or as near as that.
 
-    vertices (V, 3), faces (F, 3), outward unit normals (V, 3); closest (V, B, 3): the point of segment b nearest to
-    vertex v, distance (V, B) to it. Seen: no face that does not contain the vertex lies between the two, and the way
-    does not start outwards: where a hand is pressed into a thigh, the thigh's skin has the hand's bone before it
-    without a face between. Rows of a vertex that sees none are False.
+    vertices (V, 3), faces (F, 3), outward unit normals (V, 3).
+    closest (V, B, 3): the point of segment b nearest to vertex v, distance (V, B) to it. Seen: no face that does not
+        contain the vertex lies between the two, and the way does not start outwards: where a hand is pressed into a
+        thigh, the thigh's skin has the hand's bone before it without a face between. Rows of a vertex that sees none
+        are False.
+
     Source: the visibility test of Baran & Popovic 2007, section 4; deviation: a ray test instead of a distance field,
     and the nearest of the visible bones instead of the nearest bone if it is visible.
     """

@@ -118,7 +118,7 @@ def _parts() -> None:
 
 
 def _evidence(depth: DepthArrays | None = None) -> tuple[np.ndarray, tuple[Any, ...], Any]:
-    """A pose, and all that the solver takes beside it."""
+    """Return a pose, and all other arguments of the solver."""
     tree, mesh, q, projection = _toy()
     mask, sizes = _mask()
     sdf = np.zeros(mask.shape, dtype=np.float32)
@@ -161,12 +161,12 @@ KERNEL_GROUPS: dict[str, tuple[Callable[[], None], ...]] = {
     "depth": (_depth,),
 }
 """By name, what takes longest of following in masks first. solver: poses from contours, key points and points; scorer:
-silhouettes of many poses; outlines: what is followed of masks, and a body's parts against them; shape: what a body is
+silhouettes of many poses; outlines: outlines of masks, and a body's parts against them; shape: rows that a body is
 fitted to outlines with; pictures: masks from pictures; monocular: one camera; depth: poses from depth as well."""
 
 
 def _run(parts: Iterable[str]) -> None:
-    """Call all kernels of these parts in this process, and note what is in the cache then."""
+    """Call all kernels of these parts in this process, and note the state of the cache then."""
     was = gc.isenabled()
     gc.disable()  # a compiler makes many objects that live, which would be looked at again and again
     try:
@@ -211,18 +211,18 @@ def warm_up(*names: str, load: bool = True) -> float:
 
 
 def kept(*names: str) -> bool:
-    """Whether all kernels of these parts of the room are on disk, for later starts."""
+    """Return whether all kernels of these parts of the room are on disk, for later starts."""
     return all(map(_is_ready, names))
 
 
 def _is_ready(part: str) -> bool:
-    """Whether all kernels of a part are in the cache: a file says so, by being there."""
+    """Return whether all kernels of a part are in the cache: a file says so, by being there."""
     mark = _mark(part)
     return mark is not None and os.path.exists(mark)
 
 
 def _can_keep() -> bool:
-    """Whether this process will find what others compile."""
+    """Return whether this process will find what others compile."""
     mark = _mark("")
     if mark is None:
         return False

@@ -1,7 +1,7 @@
-"""The z-buffer: triangles into pictures of which each pixel keeps the nearest, and what is read from such pictures.
+"""The z-buffer: triangles into pictures of which each pixel keeps the nearest, and values read from such pictures.
 
-A pixel belongs to a triangle when its centre lies inside; pixel centres are at integer coordinates. What is compared is
-the inverse of the depth along the optical axis (1/m, 0 where nothing is), which is a plane over the picture.
+A pixel belongs to a triangle when its centre lies inside; pixel centres are at integer coordinates. The compared value
+is the inverse of the depth along the optical axis (1/m, 0 where nothing is), which is a plane over the picture.
 """
 
 from __future__ import annotations
@@ -21,11 +21,13 @@ NEAR = 0.05
 
 @kernel
 def draw_nearest(u, v, inverse, faces, chosen, cull, nearest, face):
-    """Draw the chosen faces (N,) of faces (F, 3) into nearest (h, w) f4, where they lie before what is there, and their
-    numbers into face (h, w) i4; None: numbers are not wanted.
+    """Draw the chosen faces (N,) of faces (F, 3) into nearest (h, w) f4, where they lie before the present ones, and
+    their numbers into face (h, w) i4; None: numbers are not wanted.
 
-    u, v (V,) px; inverse (V,) 1/m, 0: faces with this corner are left out; cull: so are those seen from inside (the
-    corners of the others run clockwise in a picture whose y points down)."""
+    u, v (V,) px.
+    inverse (V,) 1/m, 0: faces with this corner are left out.
+    cull: so are those seen from inside (the corners of the others run clockwise in a picture whose y points down).
+    """
     h, w = nearest.shape
     for n in range(chosen.shape[0]):
         f = chosen[n]
@@ -85,7 +87,7 @@ def _weights(u, v, inverse, faces, face, nearest, bary):
 
 
 def inverse_depth(z: ArrayLike, near: float = NEAR) -> NDArray[np.float64]:
-    """(V,) 1/m of depths (V,) m, 0 where they are below near m (or NaN)."""
+    """Return (V,) 1/m of depths (V,) m, 0 where they are below near m (or NaN)."""
     depth = np.asarray(z, dtype=np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(depth > near, 1 / depth, 0.0)
@@ -111,9 +113,12 @@ def rasterize(
 ) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.float32]]:
     """Draw triangles with a z-buffer.
 
-    uv (V, 2) px and z (V,) m: projected vertices and their depth along the optical axis; faces (F, 3),
-    counter-clockwise from outside; size (width, height); cull: leave out faces seen from inside. Returns
-    depth (h, w) m (inf where empty), face_id (h, w) (-1 where empty) and bary (h, w, 2): perspective-correct
+    uv (V, 2) px and z (V,) m: projected vertices and their depth along the optical axis.
+    faces (F, 3), counter-clockwise from outside.
+    size (width, height).
+    cull: leave out faces seen from inside.
+
+    Returns depth (h, w) m (inf where empty), face_id (h, w) (-1 where empty) and bary (h, w, 2): perspective-correct
     weights of the face's second and third corner. A triangle that reaches nearer than NEAR is left out.
     """
     w, h = size

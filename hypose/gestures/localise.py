@@ -26,7 +26,7 @@ class LocaliseSettings:
     plan: where to look.
     majority: share that a pixel needs to vote.
     sigma_px: Parzen kernel.
-    memory: share of the new frame in the density, alpha of eq. 3.4 (1 = no memory).
+    adaptation_rate: share of the new frame in the density, alpha of eq. 3.4 (1 = no memory).
     disc_mm: radius of the volume test's disc.
 
     The plan's stride and sigma_px are meant for a focal length of 575.8 px (the first Kinect at 640 x 480) and are
@@ -36,14 +36,14 @@ class LocaliseSettings:
     plan: ScanPlan = ScanPlan()
     majority: float = 0.5
     sigma_px: float = 8.0
-    memory: float = 1.0
+    adaptation_rate: float = 1.0
     disc_mm: float = 60.0
 
     def __post_init__(self) -> None:
         check_settings(
             "The localization's",
             self,
-            {"majority": (0, 1), "sigma_px": (0.01, 1000), "memory": (0, 1), "disc_mm": (1, 1000)},
+            {"majority": (0, 1), "sigma_px": (0.01, 1000), "adaptation_rate": (0, 1), "disc_mm": (1, 1000)},
         )
         check_settings(
             "The scan's",
@@ -159,11 +159,13 @@ def settle(
     """
     s, out = settings.at(lens), []
     for gesture, (density, at) in enumerate(maps, 1):
-        if s.memory < 1:
+        if s.adaptation_rate < 1:
             scratch.densities = scratch.densities or {}
             last = scratch.densities.get(gesture)
             if last is not None and last.shape == density.shape:
-                density = (np.float32(s.memory) * density + np.float32(1 - s.memory) * last).astype(np.float32)
+                density = (np.float32(s.adaptation_rate) * density + np.float32(1 - s.adaptation_rate) * last).astype(
+                    np.float32
+                )
                 at = int(density.argmax())
             scratch.densities[gesture] = density
         out.append(peak(gesture, density, at, depth, lens, s))

@@ -202,12 +202,12 @@ class RejectionSampling:
         return replace(h, values=values)
 
 
-def layered_sigma(sigma: ArrayLike, partitions: Sequence[ArrayLike], decay: float, layer: int) -> FloatArray:
+def layered_sigma(sigma: ArrayLike, partitions: Sequence[ArrayLike], nu: float, layer: int) -> FloatArray:
     """Step sizes (D,) of one layer of a layered filter.
 
     sigma (D,) per frame.
     partitions: the coordinate indices (or (D,) bool mask) of each layer; layer counts from 0. A coordinate first
-        filtered at this layer gets sigma, one first filtered at layer m < l gets decay^(l - m) sigma, one not filtered
+        filtered at this layer gets sigma, one first filtered at layer m < l gets nu^(l - m) sigma, one not filtered
         yet gets 0. With every partition = all coordinates this is the annealed schedule (2.10).
 
     Source: Alcoverro 2014, Algorithm 3. As printed, its loop over m overwrites a hit with 0 at the next m, and only
@@ -215,7 +215,7 @@ def layered_sigma(sigma: ArrayLike, partitions: Sequence[ArrayLike], decay: floa
     """
     sigma_frame = np.asarray(sigma, dtype=np.float64)
     first = first_layer(partitions, sigma_frame.size)
-    return np.where(first <= layer, sigma_frame * float(decay) ** np.maximum(layer - first, 0), 0.0)
+    return np.where(first <= layer, sigma_frame * float(nu) ** np.maximum(layer - first, 0), 0.0)
 
 
 def first_layer(partitions: Sequence[ArrayLike], dimension: int) -> NDArray[np.intp]:

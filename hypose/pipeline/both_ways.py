@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.body import Body
-from hypose.compute import beside
+from hypose.compute import in_background
 from hypose.evidence.ahead import look_ahead
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array
@@ -225,7 +225,7 @@ def _chosen(
 
     path, weights = likeliest_path(costs, [step(a, b) for a, b in zip(poses[:-1], poses[1:], strict=True)])
     rows = zip(seen, path[before:], weights[before:], range(first, stop), strict=False)
-    begun = [beside(partial(_estimate, tracker, old[t], x, n, w)) for x, n, w, t in rows]
+    begun = [in_background(partial(_estimate, tracker, old[t], x, n, w)) for x, n, w, t in rows]
     return [result() for result in reversed(begun)][::-1]  # others begin at the other end
 
 

@@ -2,7 +2,7 @@
 
 Every recipe is a function of the body and a few numbers. What is published starts from the pose that is given, neither
 predicts nor recovers, and states the spread of its set. Layer settings are the printed ones; the step sizes are half of
-what one would first guess (too large is worse than too small: limbs jump) and the rate is solved for a survival
+what one would first guess (too large is worse than too small: limbs jump) and beta is solved for a survival
 rate, because a fixed exponent <= 1 hardly selects on the flat energies of eq. 2.8.
 """
 
@@ -117,13 +117,13 @@ def hpf(
     body: Body,
     particles: int = 572,
     survival: float = 0.10,
-    decay: float = 0.8,
+    nu: float = 0.8,
     frame_rate: float = 25.0,
     betas: Sequence[float] | None = None,
 ) -> Recipe:
     """Hierarchical (layered) particle filter: 7 layers x 572 particles as published.
 
-    Coordinates are first filtered in their own layer with full steps and go on moving with steps shrinking by `decay`
+    Coordinates are first filtered in their own layer with full steps and go on moving with steps shrinking by `nu`
     (Algorithm 3); only coordinates filtered so far are resampled (Algorithm 4). `betas` gives fixed exponents, one per
     layer, as the thesis has them; by default the survival rate sets them.
     Source: Alcoverro 2014, sections 2.2.4 and 2.4.
@@ -136,7 +136,7 @@ def hpf(
         rate = annealing_rate_of(n, betas, survival)
         rows.append(
             Layer(
-                diffusion(s, layered_sigma(sigma, psi, decay, n)),
+                diffusion(s, layered_sigma(sigma, psi, nu, n)),
                 _weigh(rate),
                 LayeredResampling(filtered_mask(psi, s.dof, n)),
                 name,
@@ -223,7 +223,7 @@ def hpf_apo(
     body: Body,
     particles: int = 500,
     survival: float = 0.15,
-    decay: float = 0.8,
+    nu: float = 0.8,
     frame_rate: float = 25.0,
     betas: Sequence[float] | None = None,
     *,
@@ -250,7 +250,7 @@ def hpf_apo(
         last = n == len(HPF_LAYERS)
         kernel: Kernel = stay
         if not last:
-            step = layered_sigma(sigma, psi, decay, n)
+            step = layered_sigma(sigma, psi, nu, n)
             kernel = _steps(body, sigma, step, psi, n) if improved else LimbDiffusion(s, step)
         rows.append(
             Layer(
@@ -302,7 +302,7 @@ def dd_hpf(
     body: Body,
     particles: int = 500,
     survival: float = 0.15,
-    decay: float = 0.8,
+    nu: float = 0.8,
     frame_rate: float = 25.0,
     betas: Sequence[float] | None = None,
     *,
@@ -325,7 +325,7 @@ def dd_hpf(
     rows = []
     for n, (layer, _) in enumerate(layers):
         rate = annealing_rate_of(n, betas, survival)
-        step = layered_sigma(sigma, psi, decay, n)
+        step = layered_sigma(sigma, psi, nu, n)
         limb = layer if layer in _DRIVEN else layer.split("_")[0]
         own = np.zeros(s.dof)
         own[psi[n]] = sigma[psi[n]]

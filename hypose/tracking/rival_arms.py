@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.compute import beside, over_chunks, reach
+from hypose.compute import in_background, over_chunks, reach
 from hypose.evidence.cues import PoseMemory
 from hypose.evidence.terms import Evidence, PointTerm
 from hypose.fitting.articulated import PoseFit, SolveSettings
@@ -123,13 +123,13 @@ class RefineRivals:
         """Begins with solving the rivals of the last frame."""
         if frame.silhouettes.seen and frame.rivals is not None:
             for q in frame.body.skeleton.on_branch(_best_first(frame)[0].values[1:], frame.prediction):
-                frame.shared[_SOLVE, q.tobytes()] = beside(partial(self._solved_rival, q, frame))
+                frame.shared[_SOLVE, q.tobytes()] = in_background(partial(self._solved_rival, q, frame))
 
     def before_search(self, h: Hypotheses, frame: PreparedFrame, /) -> None:
         """Begins with looking arms up."""
         if frame.silhouettes.seen and frame.rivals is not None:
             old = frame.body.skeleton.on_branch(_best_first(frame)[0].values[1:], frame.prediction)
-            frame.shared[_LOOK] = beside(partial(self._look, h, member(h, SOLVED), old, frame))
+            frame.shared[_LOOK] = in_background(partial(self._look, h, member(h, SOLVED), old, frame))
 
     def _look(
         self, h: Hypotheses, winner: Array, old: Array, frame: PreparedFrame

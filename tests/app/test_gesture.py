@@ -134,7 +134,7 @@ def test_bad_input_ends_in_a_sentence(folder, tmp_path, capsys):
         capsys, "gesture", "run", model, "--command", "nothing-here", "--threshold", "1"
     )
     assert "same gesture" in refused(capsys, "gesture", "run", model, model, "--threshold", "1", "--source", session)
-    assert "--memory" in refused(capsys, "gesture", "run", model, "--memory", "0")
+    assert "--adaptation-rate" in refused(capsys, "gesture", "run", model, "--adaptation-rate", "0")
     assert "no gesture 'tee'" in refused(
         capsys, "gesture", "train", tmp_path / "x.npz", "--gesture", "tee", "--recording", session
     )

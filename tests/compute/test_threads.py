@@ -30,13 +30,13 @@ def test_an_error_in_any_chunk_is_raised():
 def test_a_call_beside_is_made_once_whoever_makes_it(threads, monkeypatch):
     monkeypatch.setenv("NUMBA_NUM_THREADS", threads)
     made = []
-    results = [threads_of.beside(lambda n=n: made.append(n) or n * n) for n in range(5)]
+    results = [threads_of.in_background(lambda n=n: made.append(n) or n * n) for n in range(5)]
     assert [result() for result in results] == [0, 1, 4, 9, 16]
     assert sorted(made) == [0, 1, 2, 3, 4]
 
 
 def test_an_error_beside_is_raised_where_its_result_is_asked(monkeypatch):
     monkeypatch.setenv("NUMBA_NUM_THREADS", "2")
-    result = threads_of.beside(lambda: 1 // 0)
+    result = threads_of.in_background(lambda: 1 // 0)
     with pytest.raises(ZeroDivisionError):
         result()

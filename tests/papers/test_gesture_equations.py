@@ -244,7 +244,7 @@ def test_section_3_2_4_the_density_is_a_parzen_estimate_of_the_votes(rng):
 
 def test_equations_3_4_and_3_5_recursion_maximum_and_volume(rng):
     depth = np.full((150, 200), 1500, np.uint16)
-    settings, scratch = LocaliseSettings(memory=0.8, disc_mm=60.0), Scratch()
+    settings, scratch = LocaliseSettings(adaptation_rate=0.8, disc_mm=60.0), Scratch()
     stride = settings.at(LENS).plan.stride
     shape = (-(-(150 - stride // 2) // stride), -(-(200 - stride // 2) // stride))
     remembered = None

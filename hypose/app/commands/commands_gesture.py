@@ -114,7 +114,7 @@ def run(
     threshold: Annotated[
         float | None, number("cm² instead of the models' own.", 0, 1_000_000, above=True, unit="cm²")
     ] = None,
-    memory: Annotated[
+    adaptation_rate: Annotated[
         float, number("Share of the new frame in the density (1: no temporal recursion).", 0, 1, above=True)
     ] = 0.8,
     hold: Annotated[float, number("Seconds a gesture must be held.", 0, 3600)] = 0.15,
@@ -141,7 +141,7 @@ def run(
         if command is not None:
             outs.append(opened.enter_context(contextlib.closing(CommandOut(command, names))))
         pictures = open_source(source, names[0], seed)
-        for k, watched in enumerate(watch(pictures, loaded, looking(loaded, memory), limits, note), 1):
+        for k, watched in enumerate(watch(pictures, loaded, looking(loaded, adaptation_rate), limits, note), 1):
             for event in watched.events:
                 print(event_line(event, names), flush=True)
             for out in outs:

@@ -290,10 +290,10 @@ def finished(models: Sequence[GestureModel]) -> list[Forest]:
     return [m.forest.freeze() if isinstance(m.forest, GrowingForest) else m.forest for m in models]
 
 
-def looking(models: Sequence[GestureModel], memory: float = 1.0) -> LocaliseSettings:
+def looking(models: Sequence[GestureModel], adaptation_rate: float = 1.0) -> LocaliseSettings:
     """How the models look, with a share of the new frame in the density; InputError when they look differently."""
-    settings = replace(models[0].settings, memory=memory)
-    if any(replace(m.settings, memory=memory) != settings for m in models):
+    settings = replace(models[0].settings, adaptation_rate=adaptation_rate)
+    if any(replace(m.settings, adaptation_rate=adaptation_rate) != settings for m in models):
         names = ", ".join(n for m in models for n in m.names)
         raise InputError(f"The models of {names} were made to look differently; run them one by one.")
     return settings

@@ -27,7 +27,7 @@ from hypose.pipeline.gesture_files import SessionWriter, content_of, save_model
 
 BOX_M = 0.1
 """Half side of the box that is shown, at the surface in it."""
-_MEMORY = 0.8
+_ADAPTATION_RATE = 0.8
 """Share of the new frame in the density while watching, as `hypose gesture run` has it."""
 _HELD_EVERY = 5
 """Every so many seconds of learning, one second is kept from the forest."""
@@ -235,7 +235,7 @@ class Watching:
         self.feed = feed
         self.names = [n for m in models for n in m.names]
         self._forests, self._limits = finished(models), thresholds(models, None)
-        self._look = LocaliseSettings(memory=_MEMORY)
+        self._look = LocaliseSettings(adaptation_rate=_ADAPTATION_RATE)
         self._scratch, self._state, self._pause = Scratch(), EventState(), False
 
     @property
@@ -250,7 +250,9 @@ class Watching:
         lens = self.feed.source.lens
         began = clock.perf_counter()
         maps = densities(taken.depth, lens, self._forests, self._look, self._scratch)
-        found = settle(maps, taken.depth, lens, self._look if fresh else replace(self._look, memory=1.0), self._scratch)
+        found = settle(
+            maps, taken.depth, lens, self._look if fresh else replace(self._look, adaptation_rate=1.0), self._scratch
+        )
         spent = clock.perf_counter() - began
         limits = [controls.threshold or t for t in self._limits]
         events = []
