@@ -37,7 +37,7 @@ from hypose.synthetic.corruptions import keypoint_detections
 from hypose.synthetic.depth_scenes import DepthScene
 from hypose.synthetic.scenes import Scene, make_scene
 from hypose.tracking.doubt import as_mixture, judged, without_mixture
-from hypose.tracking.fitted_spread import apart_factors, beyond_usual, fitted, kind_of
+from hypose.tracking.fitted_spread import apart_factors, beyond_usual, fitted_spread_table, kind_of
 
 
 @dataclass(frozen=True)
@@ -353,7 +353,7 @@ def load_all(folder: Path) -> list[Tracked]:
 
 def as_curved(motion: Motion, evidence: str, beyond: float = 0.0) -> Motion:
     """What `with_fitted_joints` and `with_fitted_angles` were given of V: for fitting anew."""
-    joints, angles = (fitted()[what][evidence] for what in ("joints", "angles"))
+    joints, angles = (fitted_spread_table()[what][evidence] for what in ("joints", "angles"))
     _, by_joint, by_angle = apart_factors(evidence)
     a, b = np.array([joints.get(kind_of(n), (1.0, 0.0)) for n in motion.skeleton.joint_names]).T
     floor = b**2 + (by_joint * beyond) ** 2

@@ -28,14 +28,14 @@ from hypose.evidence.outlines import (
 
 LEAST_AREA = 200
 """px: a person of whom less is expected weighs no more than that"""
-Views = Callable[[], list[ViewOutline | None] | None]
+_Views = Callable[[], list[ViewOutline | None] | None]
 
 
 @dataclass(frozen=True)
 class _Made:
     """views: waits for the outlines for tracking; stacked, masks: what `outlines` and `prepared_masks` return."""
 
-    views: Views | None = None
+    views: _Views | None = None
     stacked: Outlines | None = None
     masks: compute.PreparedMasks | None = None
 
@@ -47,7 +47,7 @@ def _keep(silhouettes: Silhouettes, made: _Made) -> None:
     object.__setattr__(silhouettes, "ahead", made)  # a value with a memory, as with a cached property
 
 
-def make_ahead(silhouettes: Silhouettes, views: Views) -> None:
+def make_ahead(silhouettes: Silhouettes, views: _Views) -> None:
     """Tell that the outlines for tracking of these silhouettes are being made: `views` waits for them and returns one
     per view (None where there is none), or None when they will not come. They are forgotten with the silhouettes."""
     _keep(silhouettes, _Made(views))

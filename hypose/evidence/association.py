@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.person_tracks import PersonTrack
-from hypose.evidence.ray_matching import FAR, Views, between_rays, distances, mean_of_known, meet
+from hypose.evidence.ray_matching import NOT_COMPARABLE_M, Views, between_rays, distances, mean_of_known, meet
 from hypose.geometry import Array
 
 _MEASURED, _REMEMBERED = 10, 50  # frames after which a bone's length is known, and over which it is averaged
 _WRUNG = -0.5  # cosine of the angle between the lines of the shoulders and of the hips that no trunk reaches
-_LEAST = 4  # key points that a candidate needs to be somebody, fewer are parts that can complete one
+_LEAST_POINTS = 4  # key points that a candidate needs to be somebody, fewer are parts that can complete one
 _GROUPS = (
     ("shoulder", "elbow", "wrist"),
     ("hip", "knee", "ankle", "big_toe", "small_toe", "heel"),
@@ -159,7 +159,7 @@ class Association:
         """One frame: per view the candidates (P, K, columns), None for none."""
         found = self._stacked(views)
         count = np.count_nonzero(found[..., 2] > 0.1, axis=-1)
-        somebody, free = count >= _LEAST, count > 0
+        somebody, free = count >= _LEAST_POINTS, count > 0
         expected = self._expected()
         seen, which = self._taken(found, somebody, free, expected)
         new = self._born(found, somebody & free, free)
@@ -221,8 +221,8 @@ class Association:
         plain, turned = self._both(found, expected)
         exchange = self._better_exchanged(plain, turned, np.stack([t.exchanged for t in self._alive], 1)[:, :, None])
         each = np.where(exchange[..., self._group], turned, plain)
-        cost = mean_of_known(each, _LEAST)
-        cost = np.where(somebody[:, None], cost, FAR)
+        cost = mean_of_known(each, _LEAST_POINTS)
+        cost = np.where(somebody[:, None], cost, NOT_COMPARABLE_M)
         for c in range(len(found)):
             rows, columns = linear_sum_assignment(np.minimum(cost[c], 2 * o.gate))
             for i, j in zip(rows, columns, strict=True):
@@ -253,7 +253,7 @@ class Association:
             of = self._group == g
             if of.any():
                 a, b = mean_of_known(plain[..., of], 2), mean_of_known(turned[..., of], 2)
-                out[..., g] = (b < o.exchanged * a) & (a - b > o.exchanged_m) & (a < FAR)
+                out[..., g] = (b < o.exchanged * a) & (a - b > o.exchanged_m) & (a < NOT_COMPARABLE_M)
                 if before is not None:
                     out[..., g] |= before[..., g] & (b < a)
         return out
@@ -340,7 +340,7 @@ class Association:
         view, number = np.nonzero(somebody)
         if len(np.unique(view)) < 2:
             return []
-        apart = between_rays(self._views, view, found[view, number], o.limit, _LEAST)
+        apart = between_rays(self._views, view, found[view, number], o.limit, _LEAST_POINTS)
         new = []
         for members in clusters(apart, o.birth):
             q = [(int(view[m]), int(number[m])) for m in members]
@@ -372,7 +372,7 @@ class Association:
         """Whether the bones of points (K, 3) m have lengths of a body."""
         length = [(float(np.linalg.norm(points[a] - points[b])), lo, hi) for a, b, lo, hi in self._bones]
         right = [lo <= x <= hi for x, lo, hi in length if np.isfinite(x)]
-        return len(right) >= _LEAST and float(np.mean(right)) >= self.settings.plausible
+        return len(right) >= _LEAST_POINTS and float(np.mean(right)) >= self.settings.plausible
 
     def _taken_already(self, points: Array) -> bool:
         return any(_apart(t.points, points) < self.settings.apart for t in self._alive)
@@ -394,7 +394,7 @@ class Association:
         missing = seen[..., 2] <= 0.1  # (C, N, K)
         d = distances(self._views, expected, left, self.settings.limit)
         allowed = parts[:, None] | (which >= 0)[..., None]
-        d = np.where(np.isfinite(d) & allowed[..., None], d, FAR)
+        d = np.where(np.isfinite(d) & allowed[..., None], d, NOT_COMPARABLE_M)
         best = d.argmin(2)
         near = np.take_along_axis(d, best[:, :, None], 2)[:, :, 0] < self.settings.complete
         c, n, k = np.nonzero(near & missing)
@@ -425,7 +425,7 @@ class Association:
         for n, t in enumerate(self._alive):
             got = np.isfinite(world[n, :, 0])
             fresh = len(t.seen) == 0
-            followed = int((which[:, n] >= 0).sum()) >= 2 and int(got.sum()) >= _LEAST
+            followed = int((which[:, n] >= 0).sum()) >= 2 and int(got.sum()) >= _LEAST_POINTS
             t.hits, t.missed = (t.hits + 1, 0) if followed else (t.hits, t.missed + 1)
             both = got & np.isfinite(t.points[:, 0]) & (t.stale == 0)
             step = world[n] - t.points
@@ -434,7 +434,7 @@ class Association:
                 motion[both] = 0.6 * step[both]
                 jumped = np.sqrt((motion * motion).sum(1)) > 0.12
                 motion[jumped] = 0.0
-            common = np.median(step[both], axis=0) if both.sum() >= _LEAST and not fresh else np.zeros(3)
+            common = np.median(step[both], axis=0) if both.sum() >= _LEAST_POINTS and not fresh else np.zeros(3)
             motion[~both] = np.median(motion[both], axis=0) if both.any() else 0.5 * t.motion[~both]
             t.points = np.where(got[:, None], world[n], t.points + common)
             t.motion = motion
@@ -472,7 +472,7 @@ def _apart(a: Array, b: Array) -> float:
     """m, mean distance of the points (K, 3) that both have; FAR without any."""
     d = np.sqrt(((a - b) ** 2).sum(-1))
     known = np.isfinite(d)
-    return float(d[known].mean()) if known.any() else FAR
+    return float(d[known].mean()) if known.any() else NOT_COMPARABLE_M
 
 
 def clusters(apart: Array, birth: float) -> list[list[int]]:

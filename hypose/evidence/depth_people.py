@@ -21,8 +21,8 @@ from hypose.errors import EvidenceError
 from hypose.evidence.depth_evidence import JUMP_M, Depth, back_projected, in_world, smooth_surface
 from hypose.evidence.frame import Expected, Frame, Silhouettes
 from hypose.evidence.hull import Hull
-from hypose.evidence.hull_people import BESIDE, SMALL, VOXEL, HullPerson, people_in_hull, people_of_hull
-from hypose.evidence.shared_masks import DrawnShape, Other, Shape, own_silhouettes
+from hypose.evidence.hull_people import PART_OF_LARGER_M, SMALL, VOXEL, HullPerson, people_in_hull, people_of_hull
+from hypose.evidence.shared_masks import DrawnShape, Other, StandingShape, own_silhouettes
 from hypose.geometry import Array
 
 _THICK_M, _VOXEL_M = 0.16, 0.03
@@ -113,7 +113,7 @@ def _without_parts(found: Sequence[HullPerson]) -> list[HullPerson]:
     """People, the largest first, with the pixels of what is only a part of them: an arm held out."""
     kept = list[HullPerson]()
     for person in found:
-        near = [k for k, o in enumerate(kept) if np.linalg.norm(o.axis - person.axis) < BESIDE]
+        near = [k for k, o in enumerate(kept) if np.linalg.norm(o.axis - person.axis) < PART_OF_LARGER_M]
         larger = next((k for k in near if person.litres < SMALL * kept[k].litres), None)
         if larger is None:
             kept.append(person)
@@ -124,7 +124,7 @@ def _without_parts(found: Sequence[HullPerson]) -> list[HullPerson]:
     return kept
 
 
-def own_frame(frame: Frame, own: Shape, others: Sequence[Other], anywhere: bool = False) -> Frame:
+def own_frame(frame: Frame, own: StandingShape, others: Sequence[Other], anywhere: bool = False) -> Frame:
     """A frame of several people as evidence for one of them; own, others, anywhere: as for `own_silhouettes`."""
     if frame.silhouettes is None:
         return frame
@@ -157,7 +157,7 @@ def _beside(of_depth: Silhouettes, of_colour: Silhouettes, colour: NDArray[np.bo
 
 
 def own_depth(
-    silhouettes: Silhouettes, depth: Depth, own: Shape, others: Sequence[Other], anywhere: bool = False
+    silhouettes: Silhouettes, depth: Depth, own: StandingShape, others: Sequence[Other], anywhere: bool = False
 ) -> tuple[Silhouettes, Depth]:
     """What of maps that show several people is one person's, and the outlines to it; nothing of other cameras."""
     at, points = depth.pixels
@@ -195,7 +195,7 @@ def own_depth(
     return outlines, replace(depth, person=masks, usable=usable.copy())
 
 
-def _away(shape: Shape, at: NDArray[np.int64], points: Array) -> Array:
+def _away(shape: StandingShape, at: NDArray[np.int64], points: Array) -> Array:
     """(N,) m: how far measured pixels (N, 3), at points (N, 3) m, lie from somebody; inf where it is too far to
     matter."""
     from scipy.spatial import KDTree  # takes long to import

@@ -23,20 +23,20 @@ from hypose.evidence.shared_masks import DrawnShape, Other, without
 from hypose.geometry import Array
 
 VOXEL = 0.04
-LITRES, TALL, FROM_FLOOR = 20.0, 1.0, 0.5
+LITRES, _TALL, FROM_FLOOR = 20.0, 1.0, 0.5
 """A person has at least so many litres of hull, reaches so high, m, and begins that near to the floor, m."""
 CHILD_LITRES, CHILD, SLENDER = 12.0, 0.75, 42.0
 """A child has at least so many litres, reaches so high, m, and has no more litres than this times the cube of that: of
 children of 0.9 to 1.1 m it was 23 to 39 in four views, of people of any age 20 to 36; of stools, chairs, dogs, bins and
 suitcases 48 to 140."""
-VIEWS = 3
+FEWEST_VIEWS = 3
 """So many views must show a person in pixels that nobody else explains; with two there are ghosts."""
-ABOUT, REACH, APART = 0.3, 0.9, 0.42
+ABOUT, REACH, _APART = 0.3, 0.9, 0.42
 """m: what of the hull lies so near to an upright axis makes a person; what lies further away may be theirs, too; no two
 axes lie nearer to each other."""
 OWN_SHARE = 0.12
 """Share of what a person fills of a view that nobody else may fill."""
-BESIDE, SMALL = 0.5, 0.6
+PART_OF_LARGER_M, SMALL = 0.5, 0.6
 """Whoever stands that near to somebody larger, m, and has no more than this share of their hull is a part of them: a
 seated person's knees, an arm held out."""
 _SPREAD, _FINE = 0.12, 0.06
@@ -63,7 +63,7 @@ class HullPerson:
     @property
     def tall(self) -> bool:
         """As tall as most people are; a child may not be."""
-        return self.hull.height > TALL
+        return self.hull.height > _TALL
 
     @property
     def is_somebody(self) -> bool:
@@ -106,7 +106,7 @@ def people_in_hull(
     floor: m, height of the floor. The space searched is the cameras' common view, between the floor and what a person
     reaches. A voxel belongs to whose axis it is nearest to."""
     views = int(silhouettes.usable.sum())
-    least = min(VIEWS, views)
+    least = min(FEWEST_VIEWS, views)
     left = without(silhouettes, known)
     if views < 2 or (left.told.any((1, 2)) & left.usable).sum() < least:
         return []
@@ -132,7 +132,7 @@ def _axes(hull: Hull, floor: float, most: int, surface: float) -> list[tuple[Arr
     litre, points = 1e3 * hull.voxel**3, hull.points
     filled = np.pad(hull.occupancy.sum(2), _RIM)
     density = np.asarray(ndimage.gaussian_filter(filled * litre, _SPREAD / hull.voxel))
-    disc, small, wide = (_disc(r / hull.voxel) for r in (ABOUT, _FINE, APART))
+    disc, small, wide = (_disc(r / hull.voxel) for r in (ABOUT, _FINE, _APART))
     beyond = wide.shape[0] // 2
     free = np.pad(density > 0, beyond)  # so that no disc ends at the plan's border
     axes: list[Array] = []
@@ -147,7 +147,7 @@ def _axes(hull: Hull, floor: float, most: int, surface: float) -> list[tuple[Arr
         if _within(filled, i, j, disc) * litre > (surface or CHILD_LITRES):
             axis = hull.origin[:2] + (np.array([i, j]) - _RIM) * hull.voxel
             away = np.linalg.norm(points[:, :2] - axis, axis=1)
-            if _stands(points[away < ABOUT], np.count_nonzero(away < BESIDE) * litre, litre, floor, surface):
+            if _stands(points[away < ABOUT], np.count_nonzero(away < PART_OF_LARGER_M) * litre, litre, floor, surface):
                 axes.append(axis)
                 taken = wide  # nobody else stands so near
         r = taken.shape[0] // 2
@@ -158,7 +158,7 @@ def _axes(hull: Hull, floor: float, most: int, surface: float) -> list[tuple[Arr
     while True:
         away = np.linalg.norm(points[:, None, :2] - np.array(axes), axis=2)
         nearest = away.argmin(1)
-        beside = (away < BESIDE).sum(0) * litre
+        beside = (away < PART_OF_LARGER_M).sum(0) * litre
         near = [points[(nearest == k) & (away[:, k] < ABOUT)] for k in range(len(axes))]
         stands = [_stands(own, beside[k], litre, floor, surface) for k, own in enumerate(near)]
         if all(stands) or len(axes) == 1:
@@ -184,12 +184,12 @@ def _within(filled: NDArray[np.integer], i: int, j: int, disc: NDArray[np.bool_]
 
 
 def _stands(near: Array, beside: float, litre: float, floor: float, surface: float) -> bool:
-    """Do the voxels (M, 3) m about an axis make a person? beside: litres as near as BESIDE, of whomever: a part of
-    something wide is no child; a child's surface alone is no more than a piece of furniture shows."""
+    """Do the voxels (M, 3) m about an axis make a person? beside: litres as near as PART_OF_LARGER_M, of whomever: a
+    part of something wide is no child; a child's surface alone is no more than a piece of furniture shows."""
     if not len(near) or near[:, 2].min() - floor > FROM_FLOOR:
         return False
     litres, height = len(near) * litre, float(np.ptp(near[:, 2]))
-    if height > TALL:
+    if height > _TALL:
         return litres > (surface or LITRES)
     return not surface and height > CHILD and litres > CHILD_LITRES and beside < SLENDER * height**3
 
@@ -198,7 +198,7 @@ def _not_ghosts(left: Silhouettes, found: list[HullPerson], least: int) -> list[
     """Those who show something of their own in several views: ghosts lie where the masks belong to others."""
     told, kept, others = left.told, list[HullPerson](), list[Other]()
     for person in found:
-        near = [k for k in kept if np.linalg.norm(k.axis - person.axis) < BESIDE]
+        near = [k for k in kept if np.linalg.norm(k.axis - person.axis) < PART_OF_LARGER_M]
         if any(person.litres < SMALL * k.litres for k in near):
             continue
         shape = person.shape(left.rig)

@@ -22,13 +22,13 @@ from hypose.evidence.ray_matching import Views, meet
 from hypose.evidence.view_tracks import ViewTrack, moves_as, taken, view_tracks
 from hypose.geometry import Array
 
-_SEEN = 0.1
-_LEAST = 4
+_LEAST_CONFIDENCE = 0.1
+_LEAST_POINTS = 4
 _PATIENCE = 1.2  # s for which a view follows somebody by itself
 _PART = 0.1  # share of the clip for which somebody has to be there to be looked at
 _AGREED = 0.3  # share of the frames in which two views show somebody, in which rays have to agree on the person
 _FITS = 0.25  # share of a view's frames with somebody, from which it sees the person where the others do
-_NEAR, _HITS = 0.08, 0.75  # m from the person's points, and share of a view's key points that lie so near to them
+_NEAR_M, _HITS = 0.08, 0.75  # m from the person's points, and share of a view's key points that lie so near to them
 _SAME = 0.06  # distance from the epipolar lines, in sizes of the person, up to which it may be the same one
 _COMPARED = 3  # people per view that are compared by their motion
 
@@ -134,17 +134,19 @@ def _passes_by(person: PersonTrack, rig: CameraRig, absent: NDArray[np.bool_]) -
     points[absent] = 0.0
     out = np.zeros(len(rig), dtype=np.bool_)
     world = person.world
-    while (points[..., 2] > _SEEN).any((1, 2)).sum() > 2:
+    while (points[..., 2] > _LEAST_CONFIDENCE).any((1, 2)).sum() > 2:
         uv, metres = views.seen_at(world)
         with np.errstate(invalid="ignore"):
             far = np.linalg.norm(uv - points[..., :2], axis=-1) * metres
-        known = np.isfinite(far) & (points[..., 2] > _SEEN)
-        hits = np.where(known.any((1, 2)), (known & (far < _NEAR)).sum((1, 2)) / np.maximum(known.sum((1, 2)), 1), 1.0)
+        known = np.isfinite(far) & (points[..., 2] > _LEAST_CONFIDENCE)
+        hits = np.where(
+            known.any((1, 2)), (known & (far < _NEAR_M)).sum((1, 2)) / np.maximum(known.sum((1, 2)), 1), 1.0
+        )
         worst = int(hits.argmin())
         if hits[worst] >= _HITS:
             break
         out[worst], points[worst] = True, 0.0
-        world, _ = meet(views, points, _NEAR)
+        world, _ = meet(views, points, _NEAR_M)
     return out
 
 
@@ -162,7 +164,7 @@ def _anybody(people: Array | None) -> bool:
 
 
 def _how_many(people: Array | None) -> int:
-    return 0 if people is None else int(np.count_nonzero((people[..., 2] > _SEEN).sum(-1) >= _LEAST))
+    return 0 if people is None else int(np.count_nonzero((people[..., 2] > _LEAST_CONFIDENCE).sum(-1) >= _LEAST_POINTS))
 
 
 def _stranger(column: Sequence[Array | None], tracks: Sequence[PersonTrack], c: int, frames: int) -> bool:
@@ -203,7 +205,7 @@ def _alike_in_all(points: Sequence[Sequence[Array]]) -> list[int]:
         for i, one in enumerate(points[a]):
             for j, other in enumerate(points[b]):
                 apart[a, i, b, j] = moves_as(one, other)
-    there = [[float((p[..., 2] > _SEEN).any(1).sum()) for p in v] for v in points]
+    there = [[float((p[..., 2] > _LEAST_CONFIDENCE).any(1).sum()) for p in v] for v in points]
     most = [max(t, default=1.0) for t in there]
     best, least = [0] * len(points), np.inf
     for choice in itertools.product(*(range(len(points[c])) for c in views)):

@@ -131,7 +131,7 @@ def _no_outline(shape: tuple[int, ...], count: int, extent: int, working_height:
 
 KNOWN_PX = 0.75
 """By how much a distance may differ with the ignored pixels in the mask, or not, and still be known."""
-_FEW, _BESIDE = 8, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
+_FEW_POINTS, _BESIDE = 8, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
 
 
 def shared_outline(
@@ -170,7 +170,7 @@ def shared_outline(
     beside = cv2.dilate(open_pixels, _BESIDE)
     at = np.clip(np.rint(points), 0, np.array(size) - 1).astype(int)
     own = beside[at[:, 1], at[:, 0]] == 0
-    if own.sum() < _FEW:
+    if own.sum() < _FEW_POINTS:
         return nothing
     points = np.where(own[:, None], points + np.array(corner, np.float32), np.float32(-1e6))
     return ViewOutline(distance, points, found, extent, halves / 2, corner, working_height)

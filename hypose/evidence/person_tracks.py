@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from hypose.geometry import Array
 
-_SEEN = 4  # key points in a view from which it sees the person
+_SEEN_POINTS = 4  # key points in a view from which it sees the person
 _BONES = tuple(
     (f"{side}_{a}", f"{side}_{b}")
     for side in ("left", "right")
     for a, b in (("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"), ("shoulder", "hip"))
 )
-_WALK, _NEAR = 2.5, 0.5  # m/s and m that somebody is away after not having been seen
+_WALK, _NEAR_M = 2.5, 0.5  # m/s and m that somebody is away after not having been seen
 _ALIKE = 0.12  # mean difference of the logarithms of bones' lengths up to which it may be the same body
 
 
@@ -44,7 +44,7 @@ class PersonTrack:
     @property
     def seen(self) -> NDArray[np.bool_]:
         """(T, C) whether a view sees the person."""
-        return (self.points[..., 2] > 0).sum(-1) >= _SEEN
+        return (self.points[..., 2] > 0).sum(-1) >= _SEEN_POINTS
 
     @property
     def agreed(self) -> float:
@@ -92,7 +92,7 @@ def joined(tracks: Sequence[PersonTrack], names: Sequence[str], frame_rate: floa
             for j, b in enumerate(left):
                 gap = b.first - a.last
                 if gap > 0 and _same_body(sizes[i], sizes[j]):
-                    reach = _NEAR + _WALK * gap / frame_rate
+                    reach = _NEAR_M + _WALK * gap / frame_rate
                     away = float(np.linalg.norm(b.place(b.first) - a.place(a.last)))
                     if not away > reach:
                         fits.append((gap, i, j))

@@ -19,7 +19,7 @@ from hypose.geometry import Array, Image
 
 CROP, DETECTOR = 256, 224
 """px: side of the pictures that the networks take"""
-MASK = 0.5
+MASK_PROBABILITY = 0.5
 """Probability from which a pixel of a crop is the person."""
 _LEAST_SCORE, _LEAST_PRESENCE = 0.5, 0.5
 _WIDER = 1.25

@@ -20,13 +20,13 @@ from hypose.compute import covered
 from hypose.evidence.frame import Expected, Silhouettes
 from hypose.geometry import Array
 
-SOLVED, PREDICTED = 0.008, 0.016
+SOLVED_WIDENING, PREDICTED_WIDENING = 0.008, 0.016
 """Share of a body's longer side in the picture by which it is widened where it hides others: when its pose has been
 solved in this frame, and when it is predicted (2 and 4 px of 250)."""
 _BESIDE, _LEAST_PX = 0.35, 32
 """Margin around a person's box inside which masks are evidence: share of the longer side, and px at least."""
 _SMALLEST_PX = 50
-_NEAR = 0.05
+_NEAR_M = 0.05
 
 
 @dataclass(frozen=True)
@@ -43,10 +43,10 @@ class BodyShape:
         p = self.rig.projections
         x = p[:, :, :3] @ self.vertices.T + p[:, :, 3:]
         z = x[:, 2:]
-        if z.min() > _NEAR:
+        if z.min() > _NEAR_M:
             return x[:, :2] / z, x[:, 2]
         with np.errstate(divide="ignore", invalid="ignore"):
-            return np.where(z > _NEAR, x[:, :2] / z, np.nan), x[:, 2]
+            return np.where(z > _NEAR_M, x[:, :2] / z, np.nan), x[:, 2]
 
     @cached_property
     def boxes(self) -> NDArray[np.int64]:
@@ -66,7 +66,7 @@ class BodyShape:
         if view not in self._kept:
             y0, y1, x0, x1 = self.boxes[view].tolist()
             uv, z = (a[view] for a in self._projected)
-            closed = bool(z.min() > _NEAR)  # else a part lies behind the camera, and what is left has a hole
+            closed = bool(z.min() > _NEAR_M)  # else a part lies behind the camera, and what is left has a hole
             shape = max(y1 - y0, 0), max(x1 - x0, 0)
             self._kept[view] = covered(uv.T - (x0, y0), z, self.faces, shape, closed)
         return self._kept[view]
@@ -90,7 +90,7 @@ class DrawnShape:
         return self.masks[view, y0:y1, x0:x1]
 
 
-Shape = BodyShape | DrawnShape
+StandingShape = BodyShape | DrawnShape
 """Something that stands somewhere: a posed body, or a part of a hull."""
 
 
@@ -98,8 +98,8 @@ Shape = BodyShape | DrawnShape
 class Other:
     """Somebody else: their shape, and by how much of its longer side it is widened."""
 
-    shape: Shape
-    widened: float = PREDICTED
+    shape: StandingShape
+    widened: float = PREDICTED_WIDENING
 
     def thinned(self, rig: CameraRig) -> Other:
         """The same in every other pixel, as the cameras of such masks see it."""
@@ -108,7 +108,7 @@ class Other:
         return Other(thin, self.widened)
 
 
-def hide(ignored: NDArray[np.uint8], shape: Shape, view: int, share: float, within: Sequence[int]) -> None:
+def _hide(ignored: NDArray[np.uint8], shape: StandingShape, view: int, share: float, within: Sequence[int]) -> None:
     """Sets the widened silhouette of a shape in ignored (h, w), inside y0, y1, x0, x1, in place."""
     y0, y1, x0, x1 = shape.boxes[view].tolist()
     px = max(1, round(share * max(y1 - y0, x1 - x0)))
@@ -138,12 +138,12 @@ def without(silhouettes: Silhouettes, others: Sequence[Other]) -> Silhouettes:
     ignored = np.zeros_like(silhouettes.masks)
     for c, (w, h) in enumerate(silhouettes.rig.sizes.tolist()):
         for one in others:
-            hide(ignored[c], one.shape, c, one.widened, (0, h, 0, w))
+            _hide(ignored[c], one.shape, c, one.widened, (0, h, 0, w))
     return replace(silhouettes, ignored=ignored)
 
 
 def own_silhouettes(
-    silhouettes: Silhouettes, own: Shape, others: Sequence[Other], anywhere: bool = False
+    silhouettes: Silhouettes, own: StandingShape, others: Sequence[Other], anywhere: bool = False
 ) -> Silhouettes:
     """The evidence for one person in masks of several.
 
@@ -172,7 +172,7 @@ def own_silhouettes(
         if near:
             ignored = np.zeros_like(masks) if ignored is None else ignored
             for one in near:
-                hide(ignored[c], one.shape, c, one.widened, part)
+                _hide(ignored[c], one.shape, c, one.widened, part)
             areas[c] = np.count_nonzero(own.drawn(c))
         if anywhere and y1 <= y0:
             boxes[c] = part

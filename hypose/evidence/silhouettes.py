@@ -216,7 +216,7 @@ def bounding_box(mask: ArrayLike, margin: int = 0) -> tuple[int, int, int, int] 
     return max(y - margin, 0), min(y + height + margin, h), max(x - margin, 0), min(x + width + margin, w)
 
 
-def clean(mask: Mask, options: SilhouetteSettings | None = None) -> Mask:
+def clean_mask(mask: Mask, options: SilhouetteSettings | None = None) -> Mask:
     """Opening, closing, small holes filled, small parts dropped."""
     return _cleaned(mask, (options or SilhouetteSettings()).cleaning)
 

@@ -17,7 +17,7 @@ from hypose.cameras.camera import Camera
 from hypose.compute import default_threads
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.detector import PoseDetector, openpose_document
-from hypose.evidence.pose_network import MASK, Crop, Sighting
+from hypose.evidence.pose_network import MASK_PROBABILITY, Crop, Sighting
 from hypose.geometry import Array
 from hypose.io.file_names import folder_for
 from hypose.io.files import read_json, write_bytes, write_text
@@ -141,7 +141,7 @@ class _Lane:
             turn = found.crop.from_picture.astype(np.float32)
             at = self._stored @ turn[:, :2].T + turn[:, 2]
             out = np.maximum(out, cv2.remap(found.mask, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderValue=0))
-        return np.asarray(out > MASK).astype(np.uint8) * np.uint8(255)
+        return np.asarray(out > MASK_PROBABILITY).astype(np.uint8) * np.uint8(255)
 
     def close(self) -> None:
         """Release the video."""

@@ -22,7 +22,7 @@ from hypose.evidence import depth_people
 from hypose.evidence.ahead import pack_once
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.hull import common_view_bounds
-from hypose.evidence.hull_people import VIEWS, HullPerson
+from hypose.evidence.hull_people import FEWEST_VIEWS, HullPerson
 from hypose.geometry import Array
 from hypose.io.motions.results import ResultsFolder, identity, save_motion
 from hypose.pipeline.bodies_again import fitted_again
@@ -410,7 +410,7 @@ class PeopleRun:
         if silhouettes is None:
             return []
         known = explained_by(people, silhouettes)
-        if not somebody_more(known, silhouettes, VIEWS if frame.depth is None else 1):
+        if not somebody_more(known, silhouettes, FEWEST_VIEWS if frame.depth is None else 1):
             return []
         found = not_parts(depth_people.people_seen(frame, known, floor=self.floor), people)
         coming = list[Array]()

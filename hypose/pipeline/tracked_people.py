@@ -14,7 +14,7 @@ from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.evidence import depth_people
 from hypose.evidence.frame import Frame
-from hypose.evidence.shared_masks import SOLVED, Other
+from hypose.evidence.shared_masks import SOLVED_WIDENING, Other
 from hypose.geometry import Array
 from hypose.io.motions.results import Checkpoint, ResultsFolder, identity
 from hypose.pipeline.first_frame import Subject, kept_subject
@@ -288,7 +288,7 @@ class OwnFrames:
             return nobody_in(frame)
         own = shape_of(self._who.subject.body, self._who.estimates[index].pose, s.rig)
         others = [
-            Other(shape_of(p.subject.body, p.estimates[index].pose, s.rig), SOLVED)
+            Other(shape_of(p.subject.body, p.estimates[index].pose, s.rig), SOLVED_WIDENING)
             for p in self._people
             if p is not self._who and p.present[index] and not p.estimates[index].lost
         ]

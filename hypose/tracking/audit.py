@@ -33,14 +33,14 @@ from hypose.compute import (
 from hypose.evidence.ahead import prepared_masks
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.geometry import Array
-from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, KeypointModel, checked, pixels_per_metre
+from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, KeypointModel, check_sides_and_views, pixels_per_metre
 from hypose.tracking.named_sides import views_by_names
 from hypose.tracking.reach_table import ArmReach, arm_reach, ends, in_practice
 
 _SCALE_M = 0.025
 """Outlines that lie further apart count less (Tukey's weight, zero at three times that): they are of something else."""
 _ROUNDS, _SETTLED_PX = 8, 0.01
-_LEAST = 30
+_LEAST_POINTS = 30
 """points of the outline without which a view's shift is not known"""
 
 
@@ -57,7 +57,7 @@ def shift_of_mask(
     if ignored is not None:
         inside &= ignored[y, x] == 0
     x, y = x[inside], y[inside]
-    if len(x) < _LEAST:
+    if len(x) < _LEAST_POINTS:
         return np.full(2, np.nan)
     # what lies further from the outline than this has no weight
     margin = int(2 * 3 * _SCALE_M * metre) + 2
@@ -107,7 +107,7 @@ AUDITED = (
     ),
     *("points_agree", "points_against", "renamed", "named", "apart"),
 )
-"""Columns of an audit: m^2 of bare mask within NEAR_M of the joint, summed over the views, and in the second-barest
+"""Columns of an audit: m^2 of bare mask within _NEAR_M of the joint, summed over the views, and in the second-barest
 one; within the limb's reach of its root, summed; share of the joint's part that no other part covers, summed over the
 views, and in the second-best; share of the part outside the masks, summed; m, spread of the rivals; m, spread of
 the arms elsewhere that fit the masks about as well as the one that is believed, over its whole reach (0 of other
@@ -120,7 +120,7 @@ the joint, and with one that speaks against it; views whose points of both its l
 side's names where the body has them, and by their own (0 of joints of no limb); m, by how much the views' masks as a
 whole contradict each other (`hypose.tracking.audit`), the same of all joints (NaN: not looked at in this frame).
 """
-NEAR_M = 0.25
+_NEAR_M = 0.25
 _TALL = 110
 """px: how tall a person is in the pictures that are compared; a forearm is five pixels wide"""
 _PARTS = (
@@ -148,7 +148,7 @@ def _layout(names: tuple[str, ...]) -> tuple[NDArray[np.int64], NDArray[np.int64
             arm = name.endswith(("shoulder", "elbow", "wrist"))
             limb[j] = (0 if arm else 2) + name.startswith("right")
     roots = np.array([names.index(n) for n, _ in _ROOTS if n in names])
-    return part, limb, roots, np.concatenate([np.full(len(names), NEAR_M), [r for _, r in _ROOTS]])
+    return part, limb, roots, np.concatenate([np.full(len(names), _NEAR_M), [r for _, r in _ROOTS]])
 
 
 def views_apart(audit: ArrayLike) -> float:
@@ -391,7 +391,7 @@ def _points(names: tuple[str, ...], rotations: Array, joints: Array, seen: Keypo
     raw = np.linalg.norm(points[..., :2] - uv, axis=-1) / size[:, None]
     there = (own >= 0)[None] & ((points[..., 2] > 0) & model.known & np.isfinite(uv).all(-1))[:, own]
     agree, against = (there & (raw[:, own] < _AGREE_M)).any(-1), (there & (raw[:, own] > 2 * _AGREE_M)).any(-1)
-    points = checked(points, uv, model.names, size, model.known)
+    points = check_sides_and_views(points, uv, model.names, size, model.known)
     known = (points[..., 2] > 0) & model.known & np.isfinite(uv).all(-1)
     away = np.minimum(np.linalg.norm(points[..., :2] - uv, axis=-1) / size[:, None], _FAR_M)
     away = np.where(known, away, np.inf)

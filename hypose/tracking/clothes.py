@@ -18,7 +18,7 @@ from hypose.body.body import Body
 from hypose.evidence.colours import COLOURS
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array
-from hypose.tracking.part_colours import counted_colours, layout
+from hypose.tracking.part_colours import counted_colours, part_layout
 
 ZONES = ((1, 2), (5, 6))
 """Of part_colours.PARTS: trunk and sleeves, thighs and shanks."""
@@ -90,7 +90,7 @@ def clothes_in(body: Body, pose: Array, frame: Frame) -> Clothes:
     out, s, colours = nothing_seen(), frame.silhouettes, frame.colours
     if s is None or colours is None:
         return out
-    vertices, (faces, part, _) = body.skin(pose), layout(body)
+    vertices, (faces, part, _) = body.skin(pose), part_layout(body)
     told = s.told
     for c in np.flatnonzero(s.usable & colours.seen).tolist():
         w, h = s.rig[c].size

@@ -167,13 +167,13 @@ VISIBLE = 0.2
 """Share of a body that must be visible in a view which is to tell of its overlap."""
 _OVERLAPS = "overlaps"
 """What is kept in a frame's `shared`: the overlap of single poses, asked for several times."""
-_FEW = 12
+_REMEMBERED_POSES = 12
 """sets of no more poses are looked up, and remembered: the same pose is judged several times in a frame"""
 
 
 def _counts(body: Body, poses: Array, frame: PreparedFrame) -> NDArray[np.int64]:
     assert frame.masks is not None
-    if len(poses) > _FEW:
+    if len(poses) > _REMEMBERED_POSES:
         return _count(body, poses, frame.masks)
     masks = frame.masks
     return frame.counts.all(body, poses, lambda new: _count(body, new, masks))

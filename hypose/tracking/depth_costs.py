@@ -14,23 +14,23 @@ from hypose.evidence.depth_surface import shrunk
 from hypose.geometry import Array
 from hypose.tracking.frame_evidence import PoseMemory, PreparedFrame
 
-SHARE = 1.0
+_SHARE = 1.0
 """What a pixel at the wrong depth costs against one outside the mask. Chosen on the seeds 0 to 9 (benchmark
 `depth`)."""
 MOST_M = 0.15
 """m: a pixel that is further off costs no more"""
-TALL = 60
+_TALL = 60
 """px: how tall a person is in the pictures that are compared, at least"""
 MEASURED, HOPEFUL = 16, 1.1
 """of many poses of a limb so many are drawn, and none that costs so much more than the limb as it is by a rough look.
 Chosen on the seeds 0 to 15, and 0 to 29 (benchmark `depth`)."""
 ARM_M2, ARM_REACH_M, EXPLAINED_M = 0.055, 0.75, 0.08
 """m^2 of an arm that is seen from its side; m from the shoulder; m between what was drawn and seen"""
-LEAST_SHOWN, AGREED, BESIDE = 0.7, 0.8, 0.4
+LEAST_SHOWN, AGREED, _NEXT_TO = 0.7, 0.8, 0.4
 """shares of an arm: in sight; of what is in sight, where it was seen; seen in its reach, but no part of the body. An
 arm that is so much in sight is looked for nowhere else. Chosen on the seeds 0 to 15 (benchmark `depth`)."""
-_SEEN, DEPTH_COSTS = "seen depth", "depth costs"
-_FEW = 12
+_SEEN_DEPTH, DEPTH_COSTS = "seen depth", "depth costs"
+_REMEMBERED_POSES = 12
 """sets of no more poses are remembered: the same pose is judged several times in a frame"""
 
 
@@ -43,9 +43,9 @@ def depth_cost(body: Body, poses: Array, frame: PreparedFrame) -> Array:
 
     def measured(of: Array) -> Array:
         energy = compute.depth_energy(of, body.skeleton.tree, body.coarse.arrays, seen, MOST_M)
-        return np.asarray(SHARE * energy.sum(1))
+        return np.asarray(_SHARE * energy.sum(1))
 
-    if len(poses) > _FEW:
+    if len(poses) > _REMEMBERED_POSES:
         return measured(poses)
     memory: PoseMemory[float] = frame.shared.setdefault(DEPTH_COSTS, PoseMemory())
     return memory.all(body, poses, measured)
@@ -71,11 +71,11 @@ def with_limb_depth(
         standing = compute.standing_depth(poses[-1], *given, moving)
 
     def limb(chosen: NDArray[np.intp], rough: bool = False) -> Array:
-        return SHARE * compute.limb_depth_energy(poses[chosen], *given, standing, rough).sum(1)
+        return _SHARE * compute.limb_depth_energy(poses[chosen], *given, standing, rough).sum(1)
 
     out = np.full(len(poses), np.inf)
     here = limb(np.zeros(1, np.intp))
-    alone = SHARE * float((standing.cost / np.maximum(seen.counts, 1)).sum())
+    alone = _SHARE * float((standing.cost / np.maximum(seen.counts, 1)).sum())
     before = outlines(HOPEFUL, HOPEFUL * float(here[0]) - alone)
     out[:1] = before[:1] + here
     most = HOPEFUL * out[0]
@@ -102,7 +102,7 @@ def arm_is_seen(body: Body, frame: PreparedFrame, standing: compute.StandingDept
     given = body.skeleton.tree, body.coarse.arrays, seen, standing, at, ARM_REACH_M, EXPLAINED_M
     in_sight, agreed, beside = compute.limb_shown(*given).T
     shown = (in_sight >= LEAST_SHOWN * ARM_M2) & (agreed >= AGREED * in_sight)
-    return bool(shown.any() and (beside <= BESIDE * ARM_M2).all())
+    return bool(shown.any() and (beside <= _NEXT_TO * ARM_M2).all())
 
 
 def depth_views(frame: PreparedFrame) -> int:
@@ -111,13 +111,13 @@ def depth_views(frame: PreparedFrame) -> int:
 
 
 def _seen(frame: PreparedFrame, depth: Depth) -> compute.SeenDepth:
-    seen: compute.SeenDepth | None = frame.shared.get(_SEEN)
+    seen: compute.SeenDepth | None = frame.shared.get(_SEEN_DEPTH)
     if seen is None:
-        seen = frame.shared[_SEEN] = seen_depth(depth)
+        seen = frame.shared[_SEEN_DEPTH] = seen_depth(depth)
     return seen
 
 
-def seen_depth(depth: Depth, tall: int = TALL) -> compute.SeenDepth:
+def seen_depth(depth: Depth, tall: int = _TALL) -> compute.SeenDepth:
     """The person's pixels of a frame's maps, so small that the person is still `tall` px, and cut to its box."""
     used = [c for c in np.flatnonzero(depth.usable) if depth.boxes[c][2] > 0]
     maps, projections, counts = [], [], []

@@ -20,7 +20,7 @@ _SLOW, _USUAL_PACE = 0.05, 0.35
 _USUAL_LOOSE_M = 0.01  # of arms that were not looked at
 _LITTLE = 3e-4  # m^2 of bare mask
 _OF_BODIES_M2 = 0.0022  # m^2 of it about a joint in a view, median over a clip, that bodies alone in usual masks have
-_SEEN = 0.25  # share of a part that is exposed in two views at least
+_EXPOSED_SHARE = 0.25  # share of a part that is exposed in two views at least
 OF_CLIP = ("cost", "outside_body", "bare_body", "log_sd", "loose", "outside", "bare_second", "rival")
 """Features whose mean over a clip tells what kind of clip it is: the same patch of bare mask tells much in one that
 fits well, and little where somebody wears a coat."""
@@ -80,7 +80,7 @@ def clip_features(motion: Motion, raw_joints: Array, audit: ArrayLike) -> Array:
         accel[1:-1] = np.linalg.norm(np.diff(raw_joints, 2, axis=0), axis=-1) * rate**2
     log_sd = np.log(np.clip(np.nan_to_num(motion.joint_sd, nan=1.0), 0.001, 1.0))
     cost = np.nan_to_num(motion.cost)[:, None] * np.ones(count)
-    seen = np.where(masks, a["exposed_second"] > _SEEN, False)
+    seen = np.where(masks, a["exposed_second"] > _EXPOSED_SHARE, False)
     two = a["points_views"] >= 2
     # a frame that shows no point of a joint has no distance to it; what is nearby in time has
     gone = (a["points_views"] == 0) & points & (seconds_away(a["points_views"] > 0, rate) <= AROUND_S)

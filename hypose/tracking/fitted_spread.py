@@ -34,7 +34,7 @@ from hypose.evidence.frame import Keypoints
 from hypose.evidence.keypoints import BLAZEPOSE_33
 from hypose.geometry import Array, so3_exp, so3_log
 from hypose.tracking.audit import columns_of_joints, views_apart
-from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, KeypointModel, checked, pixels_per_metre
+from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, KeypointModel, check_sides_and_views, pixels_per_metre
 
 LASTING_S = 0.5
 """s from which on two residuals of one point in one view share only what lasts: errors of detections are correlated
@@ -71,7 +71,7 @@ def lasting_residuals(
         points[~(points[..., 2] > MIN_CONFIDENCE)] = 0.0
         size = pixels_per_metre(seen, poses[t, :3])
         uv = np.stack([camera.project_pinhole(places[t]) for camera in seen.rig])
-        points = checked(points, uv, model.names, size, model.known)
+        points = check_sides_and_views(points, uv, model.names, size, model.known)
         used = (points[..., 2] > 0) & model.known & np.isfinite(uv).all(-1)
         away = np.where(used[..., None], points[..., :2] - uv, 0.0) / size[:, None, None]
         weights[t] = used / (1 + (away**2).sum(-1) / scale**2)
@@ -130,7 +130,7 @@ def systematic_covariance(
 
 
 _STEP = 1e-4
-_LEAST = 0.05  # information that anatomy gives every coordinate, 1 / rad^2: nothing turns more than it can
+_PRIOR_INFORMATION = 0.05  # information that anatomy gives every coordinate, 1 / rad^2: nothing turns more than it can
 _SETS = {
     "pelvis": (("pelvis",), ("pelvis",)),
     "lumbar": (("lumbar",), ("spine", "chest")),
@@ -157,7 +157,7 @@ def kind_of(name: str) -> str:
 
 
 @cache
-def fitted() -> Mapping[str, Mapping[str, Mapping[str, tuple[float, float]]]]:
+def fitted_spread_table() -> Mapping[str, Mapping[str, Mapping[str, tuple[float, float]]]]:
     """{"joints" or "angles": {evidence: {kind: (a, b)}}}; b in m, or rad."""
     kept = _kept()
     return {
@@ -186,7 +186,7 @@ def beyond_usual(audit: ArrayLike, evidence: str) -> float:
 def with_fitted_joints(motion: Motion, evidence: str, beyond: float = 0.0) -> Motion:
     """The motion with covariances a^2 V + S + (b^2 + c^2 beyond^2) I, all but the first of which is systematic; its own
     systematic_covariance is S, what is known of it besides (None: nothing); beyond: m, see `beyond_usual`."""
-    own = fitted()["joints"][evidence]
+    own = fitted_spread_table()["joints"][evidence]
     pairs = np.array([own.get(kind_of(n), (1.0, 0.0)) for n in motion.skeleton.joint_names])
     a, b = pairs[:, 0], pairs[:, 1]
     floor = b**2 + (apart_factors(evidence)[1] * beyond) ** 2
@@ -205,7 +205,7 @@ def with_fitted_angles(motion: Motion, covariance: Array, evidence: str, beyond:
 
 def with_angle_variance(motion: Motion, variance: Array, evidence: str, beyond: float = 0.0) -> Motion:
     """The same from the variances (T, A) rad^2 that the curvature says."""
-    own = fitted()["angles"][evidence]
+    own = fitted_spread_table()["angles"][evidence]
     pairs = np.array([own.get(kind_of(n), (1.0, 0.0)) for n in ANGLE_NAMES])
     floor = pairs[:, 1] ** 2 + (apart_factors(evidence)[2] * beyond) ** 2
     return replace(motion, angle_sd=np.sqrt(pairs[:, 0] ** 2 * variance + floor).astype(np.float32))
@@ -213,7 +213,7 @@ def with_angle_variance(motion: Motion, variance: Array, evidence: str, beyond: 
 
 def pose_covariance(information: Array) -> Array:
     """(T, D, D) from what is known of poses (T, D, D): inverse, with the little that anatomy knows."""
-    least = np.diag(np.r_[np.zeros(3) + 1e-2, np.full(information.shape[-1] - 3, _LEAST)])
+    least = np.diag(np.r_[np.zeros(3) + 1e-2, np.full(information.shape[-1] - 3, _PRIOR_INFORMATION)])
     return np.asarray(np.linalg.inv(information + least), dtype=np.float64)
 
 

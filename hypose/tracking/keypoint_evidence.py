@@ -91,7 +91,7 @@ def keypoint_term(
         expected = model.positions(body, prediction)
         size = pixels_per_metre(keypoints, prediction[:3])
         uv = np.stack([camera.project_pinhole(expected) for camera in keypoints.rig])
-        points = checked(points, uv, model.names, size, known)
+        points = check_sides_and_views(points, uv, model.names, size, known)
         points[..., 2] /= model.worse(len(size))[:, None] ** 2
         if model.sd is not None:
             sd_px = model.sd * size[:, None]
@@ -147,7 +147,7 @@ def pixels_per_metre(keypoints: Keypoints, position_world: Array) -> Array:
     return np.maximum(np.array(sizes), 1.0)
 
 
-def checked(
+def check_sides_and_views(
     points: Array,
     expected: Array,
     names: tuple[str, ...],

@@ -159,7 +159,7 @@ def colour_scores(poses: Array, frame: PreparedFrame, settings: ColourSettings) 
     known = known_colours(frame, settings)
     if known is None:
         return np.zeros(len(poses))
-    faces, part, arm = layout(frame.body)
+    faces, part, arm = part_layout(frame.body)
     limb = (1 + arm).astype(np.uint8)
     about = known.masks, known.codes, known.table, limb, known.edges
     sums, rims = compute.colour_sums(frame.body.skin(poses), faces, part, *about)
@@ -187,7 +187,7 @@ class LearnColours:
         colours, o = frame.frame.colours, self.settings
         if colours is None or frame.masks is None or h.weights.max() < o.surely:
             return memory
-        body, (faces, part, arm) = frame.body, layout(frame.body)
+        body, (faces, part, arm) = frame.body, part_layout(frame.body)
         vertices = body.skin(pose)
         doubted = self._doubted(pose, h, body)
         for side in np.flatnonzero(doubted):
@@ -228,7 +228,7 @@ def counted_colours(
     return np.stack(spread).reshape(len(PARTS), COLOURS).astype(np.float32)
 
 
-def layout(body: Body) -> tuple[NDArray[np.int32], NDArray[np.uint8], NDArray[np.int64]]:
+def part_layout(body: Body) -> tuple[NDArray[np.int32], NDArray[np.uint8], NDArray[np.int64]]:
     """Faces of the coarse mesh, the part of each (F,), and its arm: 0 left, 1 right, -1 none."""
     names = body.skeleton.joint_names
     number = np.array([next((k for k, own in enumerate(PARTS) if n in own), 1) for n in names])

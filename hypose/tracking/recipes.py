@@ -28,7 +28,7 @@ from hypose.tracking.refinement import (
     ContourRefinement,
     InTurn,
     SolvePrediction,
-    settled,
+    settled_start,
     solved,
 )
 from hypose.tracking.rival_arms import RefineRivals
@@ -103,7 +103,7 @@ def _turns(frame_rate: float) -> list[InTurn]:
     return [InTurn(turn, period, seldom=_WITH_DEPTH // max(period, 2)) for turn, period in turns]
 
 
-def refined(base: Recipe, name: str | None = None) -> Recipe:
+def _refined(base: Recipe, name: str | None = None) -> Recipe:
     """A recipe with contour refinement after its last layer, whose result is the estimate and moves the set."""
     layer = Layer(ContourRefinement(), None, keep, "refinement")
     return _solving(replace(base, name=name or f"{base.name}+refine", layers=(*base.layers, layer)))
@@ -111,7 +111,7 @@ def refined(base: Recipe, name: str | None = None) -> Recipe:
 
 def hpf_plus(body: Body, particles: int = 572, frame_rate: float = 25.0) -> Recipe:
     """`published_recipes.hpf` with contour refinement, a solved start, prediction and recovery."""
-    return refined(published.hpf(body, particles, frame_rate=frame_rate), "hpf+")
+    return _refined(published.hpf(body, particles, frame_rate=frame_rate), "hpf+")
 
 
 def dd_hpf_rivals(body: Body, particles: int = 500, frame_rate: float = 25.0, rivals: int = 3) -> Recipe:
@@ -129,7 +129,7 @@ def dd_hpf_rivals(body: Body, particles: int = 500, frame_rate: float = 25.0, ri
 def _solving(base: Recipe) -> Recipe:
     return replace(
         base,
-        start=settled,
+        start=settled_start,
         predict=GoOn(),
         estimate=solved,
         uncertainty=uncertainty_of_pose,
@@ -206,7 +206,7 @@ def recipe(
     count = {} if particles is None else {"particles": particles}
     made = RECIPES[name].make(body, frame_rate=frame_rate, **count, **own)
     if refine and made.smooth is None:  # what is solved has been refined
-        made = refined(made)
+        made = _refined(made)
     return replace(made, citation=citation_of(name, refine))
 
 

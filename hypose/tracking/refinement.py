@@ -74,7 +74,7 @@ def prediction_prior(prediction: Array, weight: float) -> Quadratic:
     return Quadratic(prediction, np.full(len(prediction), weight))
 
 
-def settled(pose: Array, frame: PreparedFrame, /) -> Array:
+def settled_start(pose: Array, frame: PreparedFrame, /) -> Array:
     """Start: the pose (D,) of a long solve from the one that is given, which may be centimetres off."""
     return refine(frame.body, pose[None], frame, SETTLING)[0].pose
 
@@ -208,7 +208,7 @@ def best_fit(fits: list[PoseFit], frame: PreparedFrame) -> PoseFit:
 
 def refine(body: Body, starts: Array, frame: PreparedFrame, options: SolveSettings) -> list[PoseFit]:
     """Independent robust solves from starts (N, D) on a frame's evidence, with anatomical and prediction priors."""
-    fits = solve(body, starts, frame, options)
+    fits = solve_poses(body, starts, frame, options)
     keep_fits(frame, fits, body)
     return fits
 
@@ -220,7 +220,7 @@ def keep_fits(frame: PreparedFrame, fits: Sequence[PoseFit], body: Body | None =
         frame.fits.keep(body, body.skeleton.clamp(fit.pose), fit)
 
 
-def solve(body: Body, starts: Array, frame: PreparedFrame, options: SolveSettings) -> list[PoseFit]:
+def solve_poses(body: Body, starts: Array, frame: PreparedFrame, options: SolveSettings) -> list[PoseFit]:
     """`refine` without keeping anything."""
     trunk = anatomical_prior(body.skeleton, frame.keypoints is not None)
     priors = (trunk, prediction_prior(frame.prediction, frame.prediction_weight))

@@ -23,8 +23,8 @@ from hypose.tracking.costs import frame_energy, limb_energy, same_cost
 from hypose.tracking.depth_costs import arm_is_seen, without_limb
 from hypose.tracking.frame_evidence import PoseMemory, PreparedFrame
 from hypose.tracking.part_colours import ColourSettings, colour_scores, known_colours, pictured_arms
-from hypose.tracking.reach_table import ArmReach, ends, ends_of
-from hypose.tracking.refinement import COMPOSITE, RIVAL, SOLVED, keep_fits, member, mismatch, refine, solve
+from hypose.tracking.reach_table import ArmReach, arm_ends, ends
+from hypose.tracking.refinement import COMPOSITE, RIVAL, SOLVED, keep_fits, member, mismatch, refine, solve_poses
 
 _SOLVE, _LOOK, _ORDERED = "rivals solved", "arms looked up", "rivals in order"
 """What has been begun beside other layers, and the hypotheses of the last frame, in a frame's `shared`."""
@@ -105,7 +105,7 @@ class RefineRivals:
         scores = (
             costs + colours + c.doubt * costs[0] * fresh - c.memory * c.softness * alive.relative_log_weights[parents]
         )
-        at = ends_of([arm for arm, _ in self.arms], poses)
+        at = arm_ends([arm for arm, _ in self.arms], poses)
         before = last[parents]
         for k, (arm, _) in enumerate(self.arms):
             jumped = fresh & (_farthest(at[:, k], at[0, k]) > self.look.far)
@@ -201,13 +201,13 @@ class RefineRivals:
         """(K, A) which arms of rivals (K, D) are far from the winner's."""
         if not len(old):
             return np.zeros((0, len(self.arms)), np.bool_)
-        at = ends_of([arm for arm, _ in self.arms], np.concatenate([winner[None], old]))
+        at = arm_ends([arm for arm, _ in self.arms], np.concatenate([winner[None], old]))
         return np.linalg.norm(at[1:] - at[0], axis=-1).max(-1, initial=0.0) > self.look.far
 
     def _solved(self, starts: list[Array], old: Array, frame: PreparedFrame) -> list[Array]:
         """The solutions (D,) from starts and from the predictions (K, D) of rivals, over threads."""
         near = self.near if frame.depth is None else self.with_depth
-        tasks = [partial(solve, frame.body, q[None], frame, near) for q in starts]
+        tasks = [partial(solve_poses, frame.body, q[None], frame, near) for q in starts]
         tasks += [frame.shared.pop((_SOLVE, q.tobytes()), partial(self._solved_rival, q, frame)) for q in old]
         solved: dict[int, PoseFit] = {}
 
@@ -223,7 +223,7 @@ class RefineRivals:
     def _solved_rival(self, q: Array, frame: PreparedFrame) -> list[PoseFit]:
         """The fit of a rival from where it is expected (D,)."""
         options = self.options if frame.depth is None else self.with_depth
-        return solve(frame.body, q[None], replace(frame, prediction=q), options)
+        return solve_poses(frame.body, q[None], replace(frame, prediction=q), options)
 
     def _living(self, scores: Array, costs: Array, at: Array, frame: PreparedFrame) -> list[int]:
         """Which hypotheses live on, best first: those with arms (E, 3) elsewhere that are not far behind."""

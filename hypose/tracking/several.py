@@ -18,7 +18,7 @@ from hypose.cameras.camera import CameraRig
 from hypose.evidence.ahead import pack_once
 from hypose.evidence.depth_people import own_frame
 from hypose.evidence.frame import Frame, Keypoints
-from hypose.evidence.shared_masks import PREDICTED, SOLVED, BodyShape, Other
+from hypose.evidence.shared_masks import PREDICTED_WIDENING, SOLVED_WIDENING, BodyShape, Other
 from hypose.geometry import Array
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState
 
@@ -73,7 +73,9 @@ def step_together(
             own = nobody_in(own)
         elif shapes is not None and frame.silhouettes is not None:
             beside = [
-                Other(shapes[j], SOLVED if done[j] else PREDICTED) for j in range(count) if j != i and after[j].sure
+                Other(shapes[j], SOLVED_WIDENING if done[j] else PREDICTED_WIDENING)
+                for j in range(count)
+                if j != i and after[j].sure
             ]
             lost = m.state.lost or m.state.blind > BLIND
             own = own_frame(own, shapes[i], [*others, *beside], anywhere=lost)

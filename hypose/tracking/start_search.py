@@ -30,9 +30,9 @@ from hypose.tracking.subject import scaled_to_height
 BARE = 0.6
 """What bare mask counts against as much body outside the masks. Chosen, as what is odd and soft, on scenes (benchmark
 `starts`) of the seeds 700 to 702."""
-HEADINGS = 24
-_YAWS = np.arange(HEADINGS) * 2 * np.pi / HEADINGS
-USUAL_M, SPREAD = 1.70, 0.12
+_HEADINGS = 24
+_YAWS = np.arange(_HEADINGS) * 2 * np.pi / _HEADINGS
+USUAL_M, _SPREAD = 1.70, 0.12
 """m, and share: how tall people are, where nothing is known"""
 _BINS = 0.04
 """logarithm of two sizes tried"""
@@ -90,8 +90,8 @@ def starts_in_frame(
         body = template if stature == template.stature else scaled_to_height(template, stature)
         places = np.concatenate([_placed(body, base[n], turns[n], hull) for n in own])
         cost = mask_cost(body, places, frame) + _odd(stature, height)
-        for first in range(0, len(places), HEADINGS):
-            for i in first + np.argsort(cost[first : first + HEADINGS], kind="stable")[:_PER_POSTURE]:
+        for first in range(0, len(places), _HEADINGS):
+            for i in first + np.argsort(cost[first : first + _HEADINGS], kind="stable")[:_PER_POSTURE]:
                 found.append(Start(body, places[i], float(cost[i])))
     if not found and frame.depth is not None:
         raise EvidenceError(
@@ -160,7 +160,7 @@ class Starts:
         return self.starts[0]
 
 
-def weighed(starts: Sequence[Start], frames: Sequence[PreparedFrame]) -> Starts:
+def weigh_starts(starts: Sequence[Start], frames: Sequence[PreparedFrame]) -> Starts:
     """Starts of one frame followed through the frames after it, which decide between them."""
     some = [s for s in starts if s.cost < starts[0].cost + _HOPELESS][:_FOLLOWED]
     ways = [_followed(s, frames) for s in some]
@@ -227,23 +227,23 @@ def _by_size(template: Body, spans: Array, tall: float, height: float | None) ->
 
 def _odd(stature: float, height: float | None) -> float:
     """What an unusual stature costs, where it is not known."""
-    return 0.0 if height is not None else 0.002 * float(np.log(stature / USUAL_M) / SPREAD) ** 2
+    return 0.0 if height is not None else 0.002 * float(np.log(stature / USUAL_M) / _SPREAD) ** 2
 
 
 def _every_way(poses: Array) -> Array:
-    """(N, HEADINGS, 3) rotation vectors of poses (N, D), turned every way about the vertical."""
-    about = np.zeros((HEADINGS, 3))
+    """(N, _HEADINGS, 3) rotation vectors of poses (N, D), turned every way about the vertical."""
+    about = np.zeros((_HEADINGS, 3))
     about[:, 2] = _YAWS
     return so3_log(so3_exp(about) @ so3_exp(poses[:, None, 3:6]))
 
 
 def _placed(body: Body, pose: Array, turns: Array, hull: Hull) -> Array:
-    """(HEADINGS, D) the pose turned every way and put where the hull is: its feet on the hull's lowest point."""
+    """(_HEADINGS, D) the pose turned every way and put where the hull is: its feet on the hull's lowest point."""
     low, high = hull.points.min(0), hull.points.max(0)
     middle = 0.5 * (0.5 * (low + high) + hull.centroid)
     vertices = body.skin(pose)
     own = 0.5 * (0.5 * (vertices.min(0) + vertices.max(0)) + vertices.mean(0)) - pose[:3]
-    out = np.repeat(pose[None], HEADINGS, 0)
+    out = np.repeat(pose[None], _HEADINGS, 0)
     out[:, 0] = middle[0] - (np.cos(_YAWS) * own[0] - np.sin(_YAWS) * own[1])
     out[:, 1] = middle[1] - (np.sin(_YAWS) * own[0] + np.cos(_YAWS) * own[1])
     out[:, 2] = low[2] - (vertices[:, 2].min() - pose[2])

@@ -29,9 +29,9 @@ from hypose.tracking.published_recipes import step_sigma
 
 BETWEEN_FRAMES, RECOVERY, START = -1, -2, -3
 """Layer numbers of the random streams used outside a recipe's layers."""
-NOBODY = 0.3
+_NO_PERSON = 0.3
 """Share of the usual mean IoU below which the masks hold nobody where the body is, or the rim of somebody else."""
-LOOSE, FOUND, LOOKS = 0.75, 0.1, 4
+_LOOSE, FOUND, _LOOKS = 0.75, 0.1, 4
 """Mean IoU below which a body may be lost whatever is usual, since who is wrong from the start sets what is usual; how
 much better it must lie elsewhere to have been lost: turning around costs no more; and how many looks for a rival there
 are to one of these, which takes longer."""
@@ -257,8 +257,8 @@ class Tracker:
         and by how much the IoU has grown, when a lost person has been looked for and found (else NaN)."""
         lost, gain = self._is_lost(iou, state.usual_iou), float("nan")
         known = lost or state.lost or state.blind > 2
-        looks = np.isfinite(iou) and self._has_look(state, LOOKS)
-        loose = looks and mean_overlap(self.body, pose, prepared) < LOOSE
+        looks = np.isfinite(iou) and self._has_look(state, _LOOKS)
+        loose = looks and mean_overlap(self.body, pose, prepared) < _LOOSE
         if known or loose:
             found = how.find(pose, state.pose, prepared)
             found_iou = _mean_iou(self.body, found, prepared)
@@ -378,7 +378,7 @@ class Tracker:
         return bool(iou < floor)
 
     def _is_nobody(self, iou: float, usual: float) -> bool:
-        return bool(iou < NOBODY * (1.0 if np.isnan(usual) else usual))
+        return bool(iou < _NO_PERSON * (1.0 if np.isnan(usual) else usual))
 
     def _extrapolate(
         self, state: TrackerState, prediction: Array, expected: Hypotheses

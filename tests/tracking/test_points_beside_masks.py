@@ -14,7 +14,7 @@ from hypose.geometry import se3
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.keypoint_evidence import keypoint_model
 from hypose.tracking.keypoint_offsets import calibrate_keypoints
-from hypose.tracking.points_beside_masks import LEAST, weighed_beside_masks
+from hypose.tracking.points_beside_masks import LEAST_POINT_WEIGHT, weighed_beside_masks
 from hypose.tracking.subject import scaled_to_height
 
 N = 6
@@ -90,7 +90,11 @@ def test_a_limb_guessed_in_one_of_two_views_weighs_nothing_there(clip, guessed):
     (_, body), (frames, leg) = clip, guessed
     beside = weighed_beside_masks(body, calibrated(body, frames), frames).beside
     others = np.setdiff1d(np.arange(len(BODY_25)), leg)
-    assert (beside[1, leg] < 1e-3).all() and (beside[0, leg] >= LEAST).all() and (beside[:, others] >= LEAST).all()
+    assert (
+        (beside[1, leg] < 1e-3).all()
+        and (beside[0, leg] >= LEAST_POINT_WEIGHT).all()
+        and (beside[:, others] >= LEAST_POINT_WEIGHT).all()
+    )
 
 
 def test_solves_weigh_points_less_where_there_are_masks(clip, model):

@@ -21,7 +21,7 @@ OUTLINE = 130
 """points on a silhouette's outline"""
 
 
-def checked(frame: Frame) -> Picture:
+def checked_picture(frame: Frame) -> Picture:
     """The picture of a frame; an InputError or EvidenceError, naming the frame, when there is none, or picture or mask
     cannot belong to its camera."""
     picture = frame.picture
