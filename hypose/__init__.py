@@ -38,7 +38,7 @@ _PLACES = {
     "Frame": "hypose.evidence.frame",
     "Silhouettes": "hypose.evidence.frame",
     "FrameList": "hypose.pipeline.track_loop",
-    "OwnEvidence": "hypose.tracking.frame_evidence",
+    "OwnEvidence": "hypose.evidence.cues",
     "PointTerm": "hypose.evidence.terms",
     "RowTerm": "hypose.evidence.terms",
     "Tracker": "hypose.tracking.tracker",

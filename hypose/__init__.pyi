@@ -8,6 +8,7 @@ from hypose.cameras.camera import Camera as Camera
 from hypose.cameras.camera import CameraRig as CameraRig
 from hypose.errors import HyposeError as HyposeError
 from hypose.errors import InputError as InputError
+from hypose.evidence.cues import OwnEvidence as OwnEvidence
 from hypose.evidence.frame import Frame as Frame
 from hypose.evidence.frame import Silhouettes as Silhouettes
 from hypose.evidence.terms import PointTerm as PointTerm
@@ -41,7 +42,6 @@ from hypose.pipeline.track import track as track
 from hypose.pipeline.track_loop import FrameList as FrameList
 from hypose.synthetic.scenes import make_scene as make_scene
 from hypose.tracking.costs import SilhouetteXor as SilhouetteXor
-from hypose.tracking.frame_evidence import OwnEvidence as OwnEvidence
 from hypose.tracking.recipes import recipe as recipe
 from hypose.tracking.refinement import pose_mean as pose_mean
 from hypose.tracking.tracker import Tracker as Tracker

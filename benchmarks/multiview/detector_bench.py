@@ -50,7 +50,8 @@ def detector(options: BenchOptions) -> BenchReport:
     """Track videos alone by the detector's points and masks.
 
     balancing: distance of 12 limb joints to triangulated key points of another detector, as in real-balancing, with
-    refined cameras; loco_px: what three cameras say, in the fourth, to the detector's points there; verdict of the
+    refined cameras; loco_px: what three cameras say, in the fourth, to the detector's points there and to those of
+    another; verdict of the
     cameras as shipped (0 good, 1 look, 2 not to be trusted). scenes: mean joint error on rendered people, baseline:
     background subtraction with simulated key points (both). crossing: two rendered people."""
     rows: list[Row] = []
@@ -127,10 +128,14 @@ def _balancing(options: BenchOptions) -> list[Row]:
             ]
             rows.append(Row("iou", evidence, float(np.nanmean(overlap)), "1", n=n))
             rows += regions_of_balancing(result.motion, evidence, reference, reference_error)
-        left_out = [_camera_left_out(source.frames, c, recording.frame_rate) for c in range(len(recording.views))]
-        for camera, found in zip(recording.rig.names, left_out, strict=True):
-            rows.append(Row("loco_px", f"both/{camera}", float(np.median(found)), "px", n=len(found)))
-        rows.append(Row("loco_px", "both", float(np.median(np.concatenate(left_out))), "px"))
+        others = in_memory(given, n).frames
+        left_out = [_left_out(source.frames, others, c, recording.frame_rate) for c in range(len(recording.views))]
+        for k, whose in enumerate(("its own points", "another detector's")):
+            for camera, found in zip(recording.rig.names, left_out, strict=True):
+                case = f"both/{whose}/{camera}"
+                rows.append(Row("loco_px", case, float(np.median(found[k])), "px", n=len(found[k])))
+            together = np.concatenate([found[k] for found in left_out])
+            rows.append(Row("loco_px", f"both/{whose}", float(np.median(together)), "px", n=len(together)))
         shipped, _ = seen_by_detector(load_recording(folder), Path(place) / "shipped", n)
         result = track_source(in_memory(shipped, n), shipped.frame_rate, TrackOptions(evidence="both"))
         word = VERDICTS.index(result.verdict.word)
@@ -152,23 +157,30 @@ def limb_errors(motion: Motion, reference: Array) -> Array:
     return np.array(out)
 
 
-def _camera_left_out(frames: Sequence[Frame], view: int, rate: float) -> Array:
-    """(N,) px of the stored picture: how far the detector's limb points in a camera are from what the others say."""
+def _left_out(frames: Sequence[Frame], others: Sequence[Frame], view: int, rate: float) -> tuple[Array, Array]:
+    """(N,) px of the stored picture: how far the limb points of the detector, and of another one, in a camera are from
+    what the other cameras say."""
     source = FrameList([without_view(f, view) for f in frames], rate)
     subject = find_subject(source.frame, len(source), SubjectOptions("keypoints", frame_rate=rate))
     motion = track_source(source, rate, TrackOptions(evidence="both"), subject=subject).motion
     model = subject.keypoints
     assert model is not None and motion.poses is not None
-    places, out = model.positions(subject.body, motion.poses), list[float]()
-    for frame, points in zip(frames, places, strict=True):
-        assert frame.keypoints is not None
-        camera = frame.keypoints.rig[view]
-        scale = 1920 / max(camera.size)
-        for k in [model.names.index(BODY_25B[n]) for n in LIMBS]:
-            u, v, confidence = frame.keypoints.points[view, k]
-            if confidence > CONFIDENT:
-                out.append(scale * float(np.linalg.norm(camera.project_pinhole(points[k]) - (u, v))))
-    return np.array(out)
+    places = model.positions(subject.body, motion.poses)
+
+    def away(frames: Sequence[Frame]) -> Array:
+        out = list[float]()
+        for frame, points in zip(frames, places, strict=True):
+            if frame.keypoints is None:
+                continue
+            camera, names = frame.keypoints.rig[view], frame.keypoints.names
+            for name in (BODY_25B[n] for n in LIMBS):
+                u, v, confidence = frame.keypoints.points[view, names.index(name)]
+                if confidence > CONFIDENT:
+                    gap = camera.project_pinhole(points[model.names.index(name)]) - (u, v)
+                    out.append(1920 / max(camera.size) * float(np.linalg.norm(gap)))
+        return np.array(out)
+
+    return away(frames), away(others)
 
 
 def scene_errors(name: str, rig: str, seed: int) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """Cameras from one person who walks about, and the person's height: no board, no measured points.
 
 The start is `two_views`: offsets from the epipolar geometry of pairs, a rig chained from essential matrices, focal
-lengths tried where they are unknown. Synchronisation and bundle adjustment are those that refine a rig which is known.
+lengths tried where they are unknown. The bundle adjustment is that which refines a rig, and its scores correct offsets.
 What such a recording cannot tell is refused: steady walking in a circle looks the same from cameras that are turned
 about its middle and late by a stride, so the start is made at the second best offsets as well and has to be clearly
 worse there.
@@ -25,7 +25,7 @@ from hypose.calibration.refine_points import (
     scale_rig,
     transform_rig,
 )
-from hypose.calibration.sync_motion import Curves, keypoint_curves, solve_offsets
+from hypose.calibration.sync_motion import Curves, solve_offsets
 from hypose.calibration.synchronisation import point_sd
 from hypose.calibration.two_views import (
     FOCAL_FACTORS,
@@ -95,11 +95,11 @@ def calibrate_from_person(
     search = _Search(points, tuple(names), lenses, height, frame_rate, lenses_known, progress)
     rig, late = search.start(largest_s)
     rig, world, median_px, sds = search.refine(rig, late)
-    late = late + search.offsets(rig, late)
-    for k in range(2):
-        progress("refine", k, 2)
-        rig, world, median_px, sds = search.refine(rig, late)
+    for k in range(3):
+        progress("refine", k, 3)
         late = late + sds.later
+        rig, world, median_px, sds = search.refine(rig, late)
+    progress("refine", 3, 3)
     return search.judged(rig, late - np.median(late), world, median_px, sds)
 
 
@@ -194,12 +194,6 @@ class _Search:
         return min(found, key=lambda f: f[0])
 
     # ---- refinement
-
-    def offsets(self, rig: CameraRig, late: Array) -> Array:
-        """Return corrections (C,) of offsets by the epipolar geometry of a rig."""
-        here = on_common_clock(self.undistorted(rig), late, np.arange(self.raw.shape[1]))
-        curves = keypoint_curves(rig, here[..., :2], here[..., 2], 4.0, 1.6 * self.sd)
-        return solve_offsets(curves, len(rig)).frames
 
     def scale(self, points: Array) -> float:
         """Return the factor that makes points (N, 3) those of a person of the given height."""

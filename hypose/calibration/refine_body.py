@@ -20,7 +20,7 @@ from hypose.body.body import Body
 from hypose.calibration.refine_points import CameraUnknowns, apply_parameters, by_camera
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import EvidenceError
-from hypose.evidence.terms import ContourTerm, KeypointTerm
+from hypose.evidence.terms import ContourTerm, Evidence, KeypointTerm
 from hypose.fitting.problem import Cue, Posed, PoseProblem, Quadratic, Rows
 from hypose.fitting.rows import rows_of_contours, rows_of_keypoints
 from hypose.geometry import Array, transform
@@ -57,48 +57,42 @@ def adjust_with_body(
     body: Body,
     rig: CameraRig,
     poses: Array,
-    contours: Sequence[ContourTerm | None] | None,
-    keypoints: Sequence[KeypointTerm | None] | None = None,
+    evidence: Sequence[Sequence[Evidence]],
     options: BodySettings | None = None,
     free: NDArray[np.bool_] | None = None,
 ) -> BodyAdjustment:
     """Refines a rig of pinhole cameras and the poses (F, D) of a body in F frames.
 
     rig: at the working size, whose pixels those of the evidence are (the projections inside the terms are not used);
-    contours, keypoints: one term (or None) per frame. free (C,): cameras that may move. An EvidenceError when no frame
+    evidence: outlines and key points of each frame. free (C,): cameras that may move. An EvidenceError when no frame
     has evidence."""
     o = options or BodySettings()
-    none: list[None] = [None] * len(poses)
-    cues = [_cues(c, k, o) for c, k in zip(contours or none, keypoints or none, strict=True)]
+    cues = [[_cue(one, o) for one in of] for of in evidence]
     if not any(cues):
         raise EvidenceError("No frame has silhouettes or key points to refine the calibration with; choose others.")
     problem = _BodyProblem(body, cues, [anatomical_prior(body.skeleton)], CameraUnknowns(rig, o.focal, free))
     state = list(rig), np.array(poses, dtype=np.float64)
     problem.factor = o.coarse[-1]
     before = problem.evaluate(state)[0]
-    stages = (o.coarse, o.iterations) if contours is not None else ((1.0,), (sum(o.iterations),))
+    outlines = any(isinstance(one, ContourTerm) for of in evidence for one in of)
+    stages = (o.coarse, o.iterations) if outlines else ((1.0,), (sum(o.iterations),))
     found = problem.stages(state, *stages, 1e-4)
     cameras, q = found.state
     return BodyAdjustment(CameraRig(tuple(cameras)), q, before, found.cost)
 
 
-def _cues(contour: ContourTerm | None, keypoints: KeypointTerm | None, o: BodySettings) -> list[Cue[_Cameras]]:
-    """The cues that one frame has, in the images of the cameras as they are changed."""
-    out = list[Cue[_Cameras]]()
-    if contour is not None:
+def _cue(one: Evidence, o: BodySettings) -> Cue[_Cameras]:
+    """Rows in the images of the cameras as they are changed."""
 
-        def outlines(at: Posed, cameras: _Cameras, factor: float, term: ContourTerm = contour) -> Iterable[Rows]:
-            given = o.contour_weight, term.row_spacing_px, o.normals
-            return rows_of_contours(at, term, factor, *given, np.stack([c.projection for c in cameras]))
+    def rows(at: Posed, cameras: _Cameras, factor: float) -> Iterable[Rows]:
+        projections = np.stack([c.projection for c in cameras])
+        if isinstance(one, ContourTerm):
+            given = o.contour_weight, one.row_spacing_px, o.normals
+            return rows_of_contours(at, one, factor, *given, projections)
+        assert isinstance(one, KeypointTerm), "cameras are refined on outlines and key points"
+        return [rows_of_keypoints(at, one, projections, o.keypoint_weight)]
 
-        out.append(outlines)
-    if keypoints is not None:
-
-        def points(at: Posed, cameras: _Cameras, _: float, term: KeypointTerm = keypoints) -> Iterable[Rows]:
-            return [rows_of_keypoints(at, term, np.stack([c.projection for c in cameras]), o.keypoint_weight)]
-
-        out.append(points)
-    return out
+    return rows
 
 
 class _BodyProblem(PoseProblem[_Cameras]):

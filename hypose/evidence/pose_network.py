@@ -204,6 +204,18 @@ def _apart(a: Crop, b: Crop) -> float:
     return float(np.linalg.norm(a.hips - b.hips)) / max(min(a.radius, b.radius), 1.0)
 
 
+def mask_of_people(people: Sequence[Sighting], places: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """(h, w), 1 where somebody is. places (h, w, 2): where its pixels lie in the picture."""
+    out = np.zeros(places.shape[:2], np.float32)
+    for found in people:
+        if found.crop is None or found.mask is None:
+            continue
+        turn = found.crop.from_picture.astype(np.float32)
+        at = places @ turn[:, :2].T + turn[:, 2]
+        out = np.maximum(out, cv2.remap(found.mask, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderValue=0))
+    return np.asarray(out > MASK_PROBABILITY).astype(np.uint8)
+
+
 def sigmoid(logits: NDArray[np.float32]) -> NDArray[np.float32]:
     """1 / (1 + exp(-x))."""
     return np.asarray(1 / (1 + np.exp(-np.clip(logits, -_LOGIT, _LOGIT))), dtype=np.float32)

@@ -1,7 +1,7 @@
 """Evidence: a cue of one frame, prepared once for all that ask it, and the cues that solves know.
 
 A solver takes any of them, in any number, as one tuple; a search asks what poses cost by them. A cue of one's own is a
-`PointTerm`, a `RowTerm`, or both with an energy (hypose.tracking.frame_evidence.OwnEvidence).
+`PointTerm`, a `RowTerm`, or both with an energy (hypose.evidence.cues.OwnEvidence).
 Sources: two-way contour distances with a robust weight as in the silhouette trackers of Alcoverro 2014, chapter 4, and
 Gall et al. 2009.
 """
@@ -11,12 +11,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.body.body import Body
-from hypose.compute import ContourArrays, KeypointArrays, PointArrays
+from hypose.compute import ContourArrays, KeypointArrays, PointArrays, Standing
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.ahead import outlines
 from hypose.evidence.frame import Silhouettes
@@ -30,24 +31,37 @@ SPACING_OF_HEIGHT = 6 / 260
 SCALE_OF_HEIGHT = 2.5 / 260
 
 
+class Limb(NamedTuple):
+    """What differs between poses of one limb: moving (J,) bool, the joints that turn; everything else stands as in the
+    last pose; rest: its silhouettes, where they have been drawn."""
+
+    moving: NDArray[np.bool_]
+    rest: Standing | None = None
+
+
 class Evidence:
-    """A cue of one frame. name: which kind it is; views: how many views or sensors carry it."""
+    """A cue of one frame. name: which kind it is."""
 
     name: str = "own"
 
     @property
-    def views(self) -> int:
-        """How many views or sensors carry it."""
-        return 0
+    def views(self) -> NDArray[np.bool_]:
+        """(C,) which views or sensors carry it; empty where it belongs to none."""
+        return np.zeros(0, np.bool_)
+
+    @property
+    def seen(self) -> bool:
+        """Whether any view carries it."""
+        return bool(self.views.any())
 
     @property
     def terms(self) -> tuple[Evidence, ...]:
         """What a solve takes of it: itself, or the terms that it is made of."""
         return (self,)
 
-    def energy(self, body: Body, poses: Array) -> Array:
+    def energy(self, body: Body, poses: Array, limb: Limb | None = None) -> Array:
         """(N,) what poses (N, D) of a body cost in a search, where it says that: low is good, the silhouettes of one
-        view cost between 0 and 2."""
+        view cost between 0 and 2. limb: all that differs in the poses."""
         return np.zeros(len(poses))
 
     def same(self, body: Body, pose: Array, other: Array) -> None:

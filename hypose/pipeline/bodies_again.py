@@ -17,6 +17,7 @@ from hypose.body.anthropometry import prior_mean
 from hypose.body.body import Body
 from hypose.body.ready_bodies import human
 from hypose.errors import HyposeError
+from hypose.evidence.cues import surface_evidence
 from hypose.evidence.depth_people import own_frame
 from hypose.evidence.frame import Frame
 from hypose.evidence.shared_masks import SOLVED_WIDENING, Other
@@ -25,7 +26,7 @@ from hypose.geometry import Array
 from hypose.pipeline.first_frame import Subject
 from hypose.pipeline.rough_bodies import seen_well
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.subject_from_motion import contours_of, depths_of, different_poses
+from hypose.pipeline.subject_from_motion import different_poses
 from hypose.pipeline.tracked_people import Followed, Wanted
 from hypose.tracking.costs import mean_overlap
 from hypose.tracking.frame_evidence import prepare
@@ -99,12 +100,12 @@ def _again(
     seen = seen_well({t: shown for t, (_, shown) in way.items()})
     poses, iou = np.stack([way[t][0].pose for t in seen]), np.array([1 - way[t][0].cost for t in seen])
     chosen = different_poses(subject.body, poses, iou, SETTINGS.again_poses)
-    frames, every = [own_at(who, seen[k]) for k in chosen], range(len(chosen))
+    frames = [own_at(who, seen[k]) for k in chosen]
     x = prior_mean()
     x[0] = np.log(subject.body.stature / template.stature)
     try:
-        contours, depths = contours_of(frames, every), depths_of(frames, every)
-        fit = refine_shape(template, poses[chosen], contours, known=Known(height), start=x, depths=depths)
+        outlines = [surface_evidence(frame) for frame in frames]
+        fit = refine_shape(template, poses[chosen], outlines, known=Known(height), start=x)
     except HyposeError:
         return noted
     if _overlap(fit.body, fit.poses, frames) <= _overlap(subject.body, poses[chosen], frames):

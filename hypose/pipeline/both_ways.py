@@ -152,7 +152,7 @@ def _looked_back(
     most = range(stop, max(-1, stop - round(o.longest * pace)), -1)
     for t, (frame, last) in zip(most, _evidence_ahead(backwards(frames, stop + 1)), strict=False):
         prepared = replace(tracker.prepare_frame(frame, old[t].pose), memory=memory or {})
-        if prepared.masks is None or frame.depth is not None or not _known(old[t]):
+        if not prepared.silhouettes.seen or frame.depth is not None or not _known(old[t]):
             break
         state, back = tracker.step(state, frame)
         if not _known(back):

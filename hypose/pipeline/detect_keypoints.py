@@ -4,27 +4,26 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from hypose.cameras.camera import Camera
 from hypose.compute import default_threads
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.detector import PoseDetector, openpose_document
-from hypose.evidence.pose_network import MASK_PROBABILITY, Crop, Sighting
+from hypose.evidence.pose_network import Crop, mask_of_people
 from hypose.geometry import Array
 from hypose.io.file_names import folder_for
 from hypose.io.files import read_json, write_bytes, write_text
 from hypose.io.keypoints.read_keypoints import MASKS, DetectedKeypoints, load_detected
 from hypose.io.recordings.frames import working_rig
 from hypose.io.recordings.recording import Recording, View
-from hypose.io.recordings.view_source import SIDECAR
+from hypose.io.recordings.view_source import SIDECAR, places_in_stored
 from hypose.io.videos.video import open_video
 
 
@@ -105,9 +104,7 @@ class _Lane:
             write_text(work.masks(view.name) / SIDECAR, json.dumps(size) + "\n")
             if work.frames.start and not work.file(view.name, 0).exists():  # files are counted from the first
                 write_text(work.file(view.name, 0), json.dumps(openpose_document([])) + "\n")
-        # where the pixels of the working size lie in the stored picture
-        shift = np.array(view.image_shift) * self._reader.size / np.array(camera.size)
-        self._stored = np.stack(camera.undistort_maps(small.size, self._reader.size), -1) - shift.astype(np.float32)
+        self._places = places_in_stored(camera, small.size, view.image_shift, self._reader.size)
 
     def look(self, frame: int) -> bool:
         """Look at a frame, unless its files are there; whether somebody is seen."""
@@ -122,7 +119,7 @@ class _Lane:
         people = [f for f in people if (f.points[:, 2] > 0).any()]
         self._before = frame, [f.following for f in people if f.following is not None]
         if work.with_masks:
-            data = cv2.imencode(".png", self._mask(people))[1].tobytes()
+            data = cv2.imencode(".png", 255 * mask_of_people(people, self._places))[1].tobytes()
             write_bytes(work.mask(name, frame), data, synced=False)
         points = np.array([f.points for f in people])
         document = openpose_document(_calibrated(points, self._reader.size, self._camera, self._view))
@@ -131,17 +128,6 @@ class _Lane:
                 person["following"] = [*found.following.hips.tolist(), *found.following.top.tolist()]
         write_text(path, json.dumps(document) + "\n")
         return bool(people)
-
-    def _mask(self, people: Sequence[Sighting]) -> NDArray[np.uint8]:
-        """(h, w), 0 and 255, undistorted, at working size: everybody."""
-        out = np.zeros(self._stored.shape[:2], np.float32)
-        for found in people:
-            if found.crop is None or found.mask is None:
-                continue
-            turn = found.crop.from_picture.astype(np.float32)
-            at = self._stored @ turn[:, :2].T + turn[:, 2]
-            out = np.maximum(out, cv2.remap(found.mask, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderValue=0))
-        return np.asarray(out > MASK_PROBABILITY).astype(np.uint8) * np.uint8(255)
 
     def close(self) -> None:
         """Release the video."""

@@ -32,7 +32,7 @@ from hypose.errors import EvidenceError, InputError
 from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.evidence.keypoints import triangulate_keypoints
-from hypose.evidence.terms import contour_term
+from hypose.evidence.terms import Evidence, contour_term
 from hypose.geometry import Array, transform
 from hypose.io.recordings.frames import FrameStream, load_keypoints
 from hypose.io.recordings.recording import Recording
@@ -317,26 +317,20 @@ def _by_body(
     kept = [i for i, f in enumerate(frames) if np.isfinite(poses[i]).all() and f.silhouettes is not None]
     if not kept:
         raise EvidenceError("No frame has both silhouettes and a pose to refine the calibration with.")
-    contours, marks = [], []
+    evidence = list[list[Evidence]]()
     for i in kept:
         silhouettes = frames[i].silhouettes
         assert silhouettes is not None
-        contours.append(contour_term(silhouettes) if silhouettes.usable.any() else None)
-        both = method == "both" and keypoints is not None and model is not None
-        seen = keypoints[int(used[i])] if both and keypoints is not None else None
-        marks.append(None if seen is None else keypoint_term(seen, body, model, scale_px=_mark_scale(seen)))
+        evidence.append([contour_term(silhouettes)] if silhouettes.usable.any() else [])
+        if method == "both" and keypoints is not None and model is not None:
+            seen = keypoints[int(used[i])]
+            mark = keypoint_term(seen, body, model, scale_px=_mark_scale(seen))
+            evidence[-1] += [] if mark is None else [mark]
     small = stream.rig
     progress("refine", 0, 1)
     weight = 0.1 if method == "both" else 1.0  # rows of a contour err together; key points weigh as detections
-    found = adjust_with_body(
-        body,
-        small,
-        poses[kept],
-        contours,
-        marks if method == "both" else None,
-        BodySettings(contour_weight=weight, focal=focal),
-        free,
-    )
+    settings = BodySettings(contour_weight=weight, focal=focal)
+    found = adjust_with_body(body, small, poses[kept], evidence, settings, free)
     progress("refine", 1, 1)
     person = body.joints(found.poses).reshape(-1, 3)
     return _poses_into(recording.rig, found.rig), person, judged, notes

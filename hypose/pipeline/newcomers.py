@@ -88,7 +88,7 @@ def _explains(p: Followed, others: Sequence[Followed], frame: Frame) -> float:
     assert s is not None
     hide = [Other(shape_of(o.subject.body, o.subject.start, s.rig)) for o in others]
     prepared = prepare(own_frame(frame, shape_of(body, start, s.rig), hide), body, start)
-    return 0.0 if prepared.masks is None else mean_overlap(body, start, prepared)
+    return mean_overlap(body, start, prepared)
 
 
 def not_parts(found: Sequence[HullPerson], people: Sequence[Followed]) -> list[HullPerson]:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from hypose.body.body import Body
 from hypose.body.motion import Modes, Motion
 from hypose.errors import EvidenceError, HyposeError, InputError
+from hypose.evidence.cues import OwnEvidence
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.geometry import Array
 from hypose.inference.layer import Recipe
@@ -49,7 +50,6 @@ from hypose.tracking.fitted_spread import (
     with_fitted_angles,
     with_fitted_joints,
 )
-from hypose.tracking.frame_evidence import OwnEvidence
 from hypose.tracking.keypoint_clip import track_keypoint_clip
 from hypose.tracking.keypoint_evidence import keypoint_model
 from hypose.tracking.pose_covariance import unpacked

@@ -45,7 +45,7 @@ from hypose.tracking.subject import subject_from_keypoints
 
 @dataclass(frozen=True)
 class SkeletonRows:
-    """Joints of sensors' skeletons as evidence of one's own (`hypose.tracking.frame_evidence.OwnEvidence`).
+    """Joints of sensors' skeletons as evidence of one's own (`hypose.evidence.cues.OwnEvidence`).
 
     points (T, P, 3) m, world, NaN where missing; weight (T, P); joint (P,), offset (P, 3) m in the joint's frame: where
     they sit on the body; row: of a frame's index."""

@@ -196,7 +196,7 @@ def _searched(template: Body, frames: Sequence[Frame], at: int, height: float | 
     ]
     later = [prepare(frames[k], template, zero) for k in others]
     here = prepare(frames[at], template, zero)
-    return weigh_starts(starts_in_frame(template, here, height, extent), [f for f in later if f.masks is not None])
+    return weigh_starts(starts_in_frame(template, here, height, extent), [f for f in later if f.silhouettes.seen])
 
 
 def _in_named_pose(template: Body, frame: Frame, name: str, height: float | None, extent: float | None) -> Starts:

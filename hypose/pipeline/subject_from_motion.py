@@ -18,10 +18,9 @@ from hypose.body.anthropometry import CLOTHING_UNIT, SHAPE_FACTOR_NAMES, Sizes, 
 from hypose.body.body import Body
 from hypose.body.ready_bodies import human
 from hypose.errors import EvidenceError, InputError
-from hypose.evidence.depth_surface import DepthTerm, depth_term
+from hypose.evidence.cues import surface_evidence
 from hypose.evidence.frame import Frame
 from hypose.evidence.keypoints import lasting_m
-from hypose.evidence.terms import ContourTerm, contour_term
 from hypose.fitting.articulated import SolveSettings
 from hypose.geometry import Array
 from hypose.io.files import write_text
@@ -160,15 +159,15 @@ def estimate_subject(
     x[0] = np.log(body.stature / template.stature)
     by_template, iou = _both_ways(body, start_pose, at, seen, rate, options, tick)
     chosen, tracked = different_poses(body, by_template, iou, options.frames), by_template
-    contours, depths = contours_of(seen, chosen), depths_of(seen, chosen)
-    fit = refine_shape(template, tracked[chosen], contours, known=known, options=options.shape, start=x, depths=depths)
+    outlines = [surface_evidence(seen[k]) for k in chosen]
+    fit = refine_shape(template, tracked[chosen], outlines, known=known, options=options.shape, start=x)
     for _ in range(options.passes - 1):
         # the fitted body loses fewer limbs, so other frames and better poses are there to be fitted
         tracked, iou = _both_ways(fit.body, tracked[at], at, seen, rate, options, tick)
         chosen = different_poses(fit.body, tracked, iou, options.frames)
         again = replace(options.shape, iterations=(0, *options.shape.iterations[1:]))
-        contours, depths, x = contours_of(seen, chosen), depths_of(seen, chosen), fit.log_factors
-        fit = refine_shape(template, tracked[chosen], contours, known=known, options=again, start=x, depths=depths)
+        outlines, x = [surface_evidence(seen[k]) for k in chosen], fit.log_factors
+        fit = refine_shape(template, tracked[chosen], outlines, known=known, options=again, start=x)
     if progress is not None:
         progress(total, total)
     before = by_template[chosen]
@@ -236,18 +235,6 @@ def different_poses(body: Body, poses: Array, iou: Array, count: int) -> list[in
     return sorted(chosen)
 
 
-def contours_of(frames: Sequence[Frame], chosen: Sequence[int]) -> list[ContourTerm]:
-    """The contour terms of the chosen frames that have silhouettes."""
-    found = [frames[k].silhouettes for k in chosen]
-    return [contour_term(f) for f in found if f is not None]
-
-
-def depths_of(frames: Sequence[Frame], chosen: Sequence[int]) -> list[DepthTerm | None]:
-    """The depth terms of the chosen frames, None where there is no depth."""
-    found = [frames[k].depth for k in chosen]
-    return [None if d is None else depth_term(d) for d in found]
-
-
 def _ious(body: Body, poses: Array, frames: Sequence[PreparedFrame]) -> Array:
     return np.stack([silhouette_iou(body, q, f) for q, f in zip(poses, frames, strict=True)])
 
@@ -273,8 +260,7 @@ def with_outlines(fitted: KeypointSubject, frames: Sequence[Frame]) -> tuple[Bod
     scatter = np.clip(SETTINGS.subject_bones * square, *SETTINGS.subject_sure_bones)
     lasting = np.sqrt(2) * lasting_m(fitted.keypoints.names) / SETTINGS.subject_bone_m
     known = Known(bones=float(np.hypot(scatter, lasting)))
-    contours, depths = contours_of(frames, seen), depths_of(frames, seen)
-    fit = refine_shape(fitted.body, poses[chosen], contours, known=known, depths=depths)
+    fit = refine_shape(fitted.body, poses[chosen], [surface_evidence(frames[n]) for n in seen], known=known)
     after = np.mean([mean_overlap(fit.body, q, views[n]) for q, n in zip(fit.poses, seen, strict=True)])
     before = overlap[chosen].mean()
     if after < before:  # the masks are not of this body
@@ -348,10 +334,10 @@ def height_told(frame_at: FrameAt, body: Body, poses: Array, iou: Array) -> floa
         return None
     at, template, start = list(range(len(seen))), human(), prior_mean()
     start[0] = np.log(body.stature / template.stature)
-    contours, depths = contours_of(seen, at), depths_of(seen, at)
+    outlines = [surface_evidence(seen[k]) for k in at]
     views = [prepare(f, body, poses[k]) for f, k in zip(seen, chosen, strict=True)]
     how = AnthropometryOptions().shape
-    free = refine_shape(template, poses[chosen], contours, known=Known(), options=how, start=start, depths=depths)
+    free = refine_shape(template, poses[chosen], outlines, known=Known(), options=how, start=start)
     if not np.sqrt(free.covariance[0, 0]) < SETTINGS.subject_sure:
         return None
     before, after = (np.nanmean(_ious(b, q, views)) for b, q in ((body, poses[chosen]), (free.body, free.poses)))

@@ -10,6 +10,7 @@ from typing import Any, overload
 
 from hypose.body.body import Body
 from hypose.errors import InputError
+from hypose.evidence.cues import OwnEvidence
 from hypose.inference.layer import Recipe
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording, load_recording
@@ -27,7 +28,6 @@ from hypose.pipeline.run import TrackOptions, TrackResult, check_views, frames_w
 from hypose.pipeline.subject_from_motion import load_subject
 from hypose.pipeline.track_loop import FrameList, Progress
 from hypose.pipeline.tracked_people import PeopleResult
-from hypose.tracking.frame_evidence import OwnEvidence
 
 
 @overload

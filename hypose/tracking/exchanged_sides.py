@@ -18,11 +18,12 @@ import numpy as np
 from hypose.body.body import Body
 from hypose.body.skeleton import Skeleton
 from hypose.compute import over_chunks
+from hypose.evidence.cues import KeypointEvidence
 from hypose.evidence.terms import PointTerm
 from hypose.fitting.articulated import SolveSettings, fit_pose
 from hypose.geometry import Array
 from hypose.tracking.costs import agreement
-from hypose.tracking.frame_evidence import PoseMemory, PreparedFrame
+from hypose.tracking.frame_evidence import PreparedFrame
 from hypose.tracking.refinement import anatomical_prior, refine
 from hypose.tracking.starts import turn_pose
 
@@ -96,9 +97,9 @@ def look_for_exchange(pose: Array, frame: PreparedFrame, /) -> tuple[float, Arra
 
     Where there are key points, arms are tried as well, on either girdle: a detector exchanges their names. Judged by
     the masks alone, `pose` solved on them, too: points follow the sides that they were named by."""
-    body, named = frame.body, frame.keypoints is not None
+    body, named = frame.body, frame.keypoints.seen
     if named:
-        frame = replace(frame, keypoints=None, beside_masks=None, fits=PoseMemory())
+        frame = frame.without(KeypointEvidence)
 
     def worth(q: Array) -> float:
         return agreement(body, q, frame) - float(strain(body.skeleton, q[None])[0])

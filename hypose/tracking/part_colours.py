@@ -58,10 +58,9 @@ def _one_arm(
     arm: ArmReach, pose: Array, frame: PreparedFrame, settings: ColourSettings, rng: np.random.Generator
 ) -> Array:
     """The pose (D,) with this arm where it is liked best; the pose itself when that is where it is."""
-    assert frame.masks is not None
-    body, o = frame.body, settings
-    rest = reach.standing(pose, body.skeleton.tree, body.coarse.arrays, frame.masks, arm.moving)
-    views = max(int(frame.masks.usable.sum()), 1)
+    body, o, masks = frame.body, settings, frame.silhouettes.masks
+    rest = reach.standing(pose, body.skeleton.tree, body.coarse.arrays, masks, arm.moving)
+    views = max(int(masks.usable.sum()), 1)
     best, least, most = pose, np.inf, np.inf
     for step in o.steps:
         poses = np.repeat(best[None], 1 + o.draws, 0)
@@ -141,8 +140,8 @@ class KnownColours:
 def known_colours(frame: PreparedFrame, settings: ColourSettings) -> KnownColours | None:
     """None where there are no pictures, or nothing has been learnt."""
     if "known colours" not in frame.shared:
-        counts, colours, masks, known = frame.memory.get(COUNTS), frame.frame.colours, frame.masks, None
-        if counts is not None and colours is not None and masks is not None and len(counts) == len(masks.masks):
+        counts, colours, masks, known = frame.memory.get(COUNTS), frame.frame.colours, frame.silhouettes.masks, None
+        if counts is not None and colours is not None and len(counts) == len(masks.masks):
             seen = masks._replace(usable=masks.usable & colours.seen)
             if seen.usable.any():
                 table, edges = table_of(counts, settings), compute.rim_edges(seen, colours.edges)
@@ -185,19 +184,20 @@ class LearnColours:
     def __call__(self, memory: Memory, pose: Array, h: Hypotheses, frame: PreparedFrame, /) -> Memory:
         """The memory after a frame; see `Recipe.learn`."""
         colours, o = frame.frame.colours, self.settings
-        if colours is None or frame.masks is None or h.weights.max() < o.surely:
+        if colours is None or not frame.silhouettes.seen or h.weights.max() < o.surely:
             return memory
         body, (faces, part, arm) = frame.body, part_layout(frame.body)
         vertices = body.skin(pose)
         doubted = self._doubted(pose, h, body)
         for side in np.flatnonzero(doubted):
             part[arm == side] = len(PARTS)  # in front of others, but nothing to learn from
-        use = frame.masks.usable & colours.seen
+        masks = frame.silhouettes.masks
+        use = masks.usable & colours.seen
         found = np.zeros((len(use), len(PARTS), COLOURS), np.float32)
         for c in np.flatnonzero(use).tolist():
-            w, height = frame.masks.sizes[c].tolist()
-            shown, box = compute.shown_parts(vertices, faces, part, frame.masks.projections[c], (height, w))
-            found[c] = counted_colours(shown[box], frame.masks.masks[c][box], colours.codes[c][box])
+            w, height = masks.sizes[c].tolist()
+            shown, box = compute.shown_parts(vertices, faces, part, masks.projections[c], (height, w))
+            found[c] = counted_colours(shown[box], masks.masks[c][box], colours.codes[c][box])
         before = memory.get(COUNTS)
         if before is None or before.shape != found.shape:
             return {**memory, COUNTS: found}

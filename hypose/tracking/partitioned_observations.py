@@ -22,9 +22,11 @@ from hypose import compute
 from hypose.body.body import Body
 from hypose.body.skeleton import Skeleton
 from hypose.cameras.camera import CameraRig
+from hypose.evidence.cues import OwnCue
 from hypose.geometry import Array, nearest_branch, so3_exp, so3_log
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.kernels import HeavyTail, reflect
+from hypose.tracking.costs import evidence_energy
 from hypose.tracking.frame_evidence import PreparedFrame
 
 
@@ -175,22 +177,24 @@ class PartitionedXor:
     def __call__(self, h: Hypotheses, frame: PreparedFrame, /) -> Array:
         """(N,) energies of h.values (N, D), with the user's own evidence added."""
         silhouettes = frame.frame.silhouettes
-        if frame.masks is None or silhouettes is None:
-            return frame.own_energy(h.values)
+        others = [one for one in frame.evidence if isinstance(one, OwnCue)]
+        own = evidence_energy(self.body, h.values, others)
+        if silhouettes is None or not frame.silhouettes.seen:
+            return own
         # a box needs no mean on SO(3): a set around one pose has its rotation vectors on one branch
         boxes = boxes_in_views(self.region.box(self.body, h.mean()), silhouettes.rig)
-        return partitioned_energy(self.body, h.values, frame, boxes, self.faces) + frame.own_energy(h.values)
+        return partitioned_energy(self.body, h.values, frame, boxes, self.faces) + own
 
 
 def partitioned_energy(
     body: Body, poses: Array, frame: PreparedFrame, boxes: NDArray[np.int64], faces: NDArray[np.bool_] | None = None
 ) -> Array:
     """(N,) energies of eq. 2.15 for poses (N, D) in boxes (C, 4) px; zeros when no usable view has a box."""
-    assert frame.masks is not None
+    masks = frame.silhouettes.masks
     pixels = (boxes[:, 1] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 2])
-    use = frame.masks.usable & (pixels > 0)
+    use = masks.usable & (pixels > 0)
     if not use.any():
         return np.zeros(len(poses))
     flat = np.ascontiguousarray(poses, dtype=np.float64)
-    counts = compute.silhouette_xor(flat, body.skeleton.tree, body.coarse.arrays, frame.masks, boxes, faces=faces)
+    counts = compute.silhouette_xor(flat, body.skeleton.tree, body.coarse.arrays, masks, boxes, faces=faces)
     return (counts[:, use, 0] / pixels[use]).sum(1)

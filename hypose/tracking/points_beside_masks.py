@@ -91,7 +91,7 @@ def weighed_beside_masks(body: Body, model: KeypointModel, frames: Sequence[Fram
 def start_beside_masks(body: Body, model: KeypointModel, frame: Frame, start: Array) -> Array:
     """Solve a start pose (D,) from key points on the masks of its frame as well; as it is without masks."""
     prepared = prepare(frame, body, start, use_keypoints=True, keypoints_on_body=model, prediction_weight=0.0)
-    return start if prepared.contours is None else settled_start(start, prepared)
+    return settled_start(start, prepared) if prepared.silhouettes.seen else start
 
 
 def _times(model: KeypointModel, frames: Sequence[Frame]) -> int:
@@ -113,7 +113,7 @@ def _solved_either_way(
             continue
         pose = solved_frames(body, model, [points], start[None])[0]
         prepared = prepare(replace(frame, keypoints=None), body, pose, prediction_weight=0.0)
-        if prepared.contours is not None:
+        if prepared.silhouettes.seen:
             kept.append(points)
             by_points.append(pose)
             outlines.append(prepared)

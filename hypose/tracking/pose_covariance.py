@@ -63,8 +63,7 @@ def uncertainty_of_pose(pose: Array, h: Hypotheses, frame: PreparedFrame, /) -> 
     if fit is None:
         fit = refine(body, pose[None], frame, SolveSettings(iterations=0, coarse_iterations=0))[0]
     information = fit.information - frame.prediction_weight * np.eye(len(pose))
-    evidence = "keypoints" if frame.contours is None else "silhouettes" if frame.keypoints is None else "both"
-    around = joint_covariance_of(body, pose, fit.information, evidence if frame.depth is None else "depth")
+    around = joint_covariance_of(body, pose, fit.information, frame.kind)
     if (rivals := h.has(RIVAL)).any():
         joints = body.joints(np.concatenate([pose[None], h.values[rivals]]))
         apart = joints[1:] - joints[0]

@@ -64,8 +64,7 @@ class ArmReach:
     def score(self, points: Array, pose: Array, frame: PreparedFrame, rest: compute.Standing, cutoff: float) -> Array:
         """(N,) m^2: what of an arm at points (N, 8, 3) of a body at a pose (D,) lies outside the masks, less what of it
         explains them, summed over the views; no more than `above cutoff` where it lies above."""
-        assert frame.masks is not None
-        return self.score_in(points, pose, frame.masks, rest, cutoff)
+        return self.score_in(points, pose, frame.silhouettes.masks, rest, cutoff)
 
     def score_in(
         self, points: Array, pose: Array, masks: compute.PreparedMasks, rest: compute.Standing, cutoff: float

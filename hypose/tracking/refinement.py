@@ -20,7 +20,7 @@ from hypose.fitting.problem import Quadratic
 from hypose.geometry import Array
 from hypose.inference.estimates import TangentMean
 from hypose.inference.hypotheses import Hypotheses
-from hypose.tracking.costs import frame_energy, keypoint_cost, mean_overlap
+from hypose.tracking.costs import frame_energy, mean_overlap
 from hypose.tracking.frame_evidence import PreparedFrame
 
 SOLVED, COMPOSITE, RIVAL = "solved", "composite", "rival"
@@ -154,9 +154,9 @@ class InTurn:
 
     def __call__(self, h: Hypotheses, frame: PreparedFrame) -> bool:
         """True when the limb is to be searched in this frame."""
-        if frame.masks is None:
+        if not frame.silhouettes.seen:
             return False  # particles are weighed by silhouettes only
-        times = 1 if frame.depth is None else self.seldom
+        times = self.seldom if frame.depth.seen else 1
         if frame.frame.index % (self.period * times) == self.turn * times:
             return True
         pose = member(h, SOLVED)
@@ -186,22 +186,19 @@ def mismatch(poses: Array, frame: PreparedFrame, step_penalty: float = 0.002, ex
     where each was expected (N, D)) in large steps (three usual motions) + KEYPOINT_SHARE x what the key points cost:
     what chooses between solved poses. The penalty keeps equal silhouettes from flipping a limb, and what overlaps the
     masks better may not leave key points that are sure of themselves."""
-    assert frame.masks is not None
-    views = max(int(frame.masks.usable.sum()), 1)
+    views = max(int(frame.silhouettes.views.sum()), 1)
     skeleton = frame.body.skeleton
     expected = frame.prediction if expected is None else expected
     step = (skeleton.on_branch(poses, expected) - expected) / (3 * skeleton.sigma)
     cost = frame_energy(poses, frame) / views + step_penalty * (step[:, 3:] ** 2).mean(1)
-    if frame.keypoints is None:
-        return cost
-    return cost + KEYPOINT_SHARE * keypoint_cost(frame.body, poses, frame.keypoints)
+    return cost + KEYPOINT_SHARE * frame.keypoints.cost(frame.body, poses)
 
 
 def best_fit(fits: list[PoseFit], frame: PreparedFrame) -> PoseFit:
     """The fit of least mismatch; of least cost when there are no silhouettes."""
     if len(fits) == 1:
         return fits[0]
-    if frame.masks is None:
+    if not frame.silhouettes.seen:
         return fits[int(np.argmin([f.cost for f in fits]))]
     return fits[int(np.argmin(mismatch(np.stack([f.pose for f in fits]), frame)))]
 
@@ -222,9 +219,9 @@ def keep_fits(frame: PreparedFrame, fits: Sequence[PoseFit], body: Body | None =
 
 def solve_poses(body: Body, starts: Array, frame: PreparedFrame, options: SolveSettings) -> list[PoseFit]:
     """`refine` without keeping anything."""
-    trunk = anatomical_prior(body.skeleton, frame.keypoints is not None)
+    trunk = anatomical_prior(body.skeleton, frame.keypoints.seen)
     priors = (trunk, prediction_prior(frame.prediction, frame.prediction_weight))
-    if frame.depth is not None:
+    if frame.depth.seen:
         options = replace(options, tries=min(options.tries, DEPTH_TRIES))
     return fit_poses(body, starts, frame.terms, priors=priors, options=options)
 

@@ -16,12 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.compute import in_background, over_chunks, reach
+from hypose.evidence.cues import PoseMemory
+from hypose.evidence.terms import PointTerm
 from hypose.fitting.articulated import PoseFit, SolveSettings
 from hypose.geometry import Array
 from hypose.inference.hypotheses import BEFORE, Hypotheses
-from hypose.tracking.costs import frame_energy, limb_energy, same_cost
-from hypose.tracking.depth_costs import arm_is_seen, without_limb
-from hypose.tracking.frame_evidence import PoseMemory, PreparedFrame
+from hypose.tracking.costs import frame_energy, limb_energy
+from hypose.tracking.frame_evidence import PreparedFrame
 from hypose.tracking.part_colours import ColourSettings, colour_scores, known_colours, pictured_arms
 from hypose.tracking.reach_table import ArmReach, arm_ends, ends
 from hypose.tracking.refinement import COMPOSITE, RIVAL, SOLVED, keep_fits, member, mismatch, refine, solve_poses
@@ -90,7 +91,7 @@ class RefineRivals:
         """The hypotheses that live on."""
         s, c = frame.body.skeleton, self.contest
         winner, alive, last = member(h, SOLVED), *_best_first(frame)
-        if frame.masks is None:  # nothing to compare them by
+        if not frame.silhouettes.seen:  # nothing to compare them by
             return _roles(Hypotheses(s.clamp(winner[None]), np.zeros(1), columns={BEFORE: last[:1]}))
         old = s.on_branch(alive.values[1:], frame.prediction)
         composite = self._composite(h, winner, frame)
@@ -114,19 +115,19 @@ class RefineRivals:
             before[row, self.arms[n][0].own] = last[1 + k, self.arms[n][0].own]
         found = Hypotheses(s.clamp(poses), -scores / c.softness, parents, columns={BEFORE: before})
         living = self._living(scores, costs, at.reshape(len(poses), -1, 3), frame)
-        same_cost(frame.body, poses[living[0]], found.values[living[0]], frame)  # the estimate is asked about again
+        for one in frame.evidence:  # the estimate, which is clamped, is asked about again
+            one.same(frame.body, poses[living[0]], found.values[living[0]])
         return _roles(found.take(living))
 
     def before_solve(self, frame: PreparedFrame, /) -> None:
         """Begins with solving the rivals of the last frame."""
-        if frame.masks is not None and frame.rivals is not None:
+        if frame.silhouettes.seen and frame.rivals is not None:
             for q in frame.body.skeleton.on_branch(_best_first(frame)[0].values[1:], frame.prediction):
                 frame.shared[_SOLVE, q.tobytes()] = in_background(partial(self._solved_rival, q, frame))
 
     def before_search(self, h: Hypotheses, frame: PreparedFrame, /) -> None:
-        """Begins with looking arms up, where no evidence of the user's own is asked, which may be in one thread
-        only."""
-        if frame.masks is not None and frame.rivals is not None and not frame.own:
+        """Begins with looking arms up."""
+        if frame.silhouettes.seen and frame.rivals is not None:
             old = frame.body.skeleton.on_branch(_best_first(frame)[0].values[1:], frame.prediction)
             frame.shared[_LOOK] = in_background(partial(self._look, h, member(h, SOLVED), old, frame))
 
@@ -149,7 +150,8 @@ class RefineRivals:
         costs = mismatch(poses, frame, expected=expected)
         said = self.colours.weight * colour_scores(poses, frame, self.colours)
         # key points know better where hands are
-        if frame.keypoints is not None or frame.points is not None or known_colours(frame, self.colours) is None:
+        told = frame.keypoints.seen or any(isinstance(term, PointTerm) for term in frame.terms)
+        if told or known_colours(frame, self.colours) is None:
             return poses, costs, said
         arms = [arm for arm, _ in self.arms]
         poses, costs, said = poses.copy(), costs.copy(), said.copy()
@@ -157,7 +159,8 @@ class RefineRivals:
             found = pictured_arms(arms, poses[n], frame, self.colours, rng)
             if found is None:
                 continue
-            own = replace(frame, points=found[1], prediction=expected[n], fits=PoseMemory())
+            seen = *frame.evidence, found[1]
+            own = replace(frame, evidence=seen, prediction=expected[n], fits=PoseMemory())
             pose = refine(frame.body, found[0][None], own, self.near)[0].pose
             cost = mismatch(pose[None], frame, expected=expected[n][None])[0]
             say = self.colours.weight * colour_scores(pose[None], frame, self.colours)[0]
@@ -206,7 +209,7 @@ class RefineRivals:
 
     def _solved(self, starts: list[Array], old: Array, frame: PreparedFrame) -> list[Array]:
         """The solutions (D,) from starts and from the predictions (K, D) of rivals, over threads."""
-        near = self.near if frame.depth is None else self.with_depth
+        near = self.with_depth if frame.depth.seen else self.near
         tasks = [partial(solve_poses, frame.body, q[None], frame, near) for q in starts]
         tasks += [frame.shared.pop((_SOLVE, q.tobytes()), partial(self._solved_rival, q, frame)) for q in old]
         solved: dict[int, PoseFit] = {}
@@ -222,7 +225,7 @@ class RefineRivals:
 
     def _solved_rival(self, q: Array, frame: PreparedFrame) -> list[PoseFit]:
         """The fit of a rival from where it is expected (D,)."""
-        options = self.options if frame.depth is None else self.with_depth
+        options = self.with_depth if frame.depth.seen else self.options
         return solve_poses(frame.body, q[None], replace(frame, prediction=q), options)
 
     def _living(self, scores: Array, costs: Array, at: Array, frame: PreparedFrame) -> list[int]:
@@ -232,7 +235,7 @@ class RefineRivals:
             alone = all(_farthest(at[n, None], at[k]) > self.contest.apart for k in kept)
             if alone and scores[n] - scores[[*kept, n][0]] <= self.contest.behind * costs[n]:
                 kept.append(int(n))
-            if len(kept) == (self.keep if frame.depth is None else min(self.keep, DEPTH_KEEPS)):
+            if len(kept) == (min(self.keep, DEPTH_KEEPS) if frame.depth.seen else self.keep):
                 break
         return kept
 
@@ -242,13 +245,14 @@ def rival_arms(
 ) -> list[Array]:
     """Poses (D,) that differ from a pose in one arm, which lies in the masks where the body is not, elsewhere than in
     the pose and in those that are known (K, D). Nowhere else where depth cameras show the arm as it is in the pose."""
-    assert frame.masks is not None
-    standing = None if frame.depth is None else without_limb(frame.body, pose, frame, arm.moving)
-    if standing is not None and arm_is_seen(frame.body, frame, standing, arm.chain[0]):
-        return []
-    body, there = frame.body, arm.here(pose[None] if known is None else np.concatenate([pose[None], known]))
+    body, standing = frame.body, None
+    if frame.depth.seen:
+        standing = frame.depth.standing(body, pose, arm.moving)
+        if frame.depth.shows_arm(body, standing, arm.chain[0]):
+            return []
+    there = arm.here(pose[None] if known is None else np.concatenate([pose[None], known]))
     here = there[:1]
-    rest = reach.standing(pose, body.skeleton.tree, body.coarse.arrays, frame.masks, arm.moving)
+    rest = reach.standing(pose, body.skeleton.tree, body.coarse.arrays, frame.silhouettes.masks, arm.moving)
     limit = arm.score(here, pose, frame, rest, np.inf)[0] + look.cutoff
     score = arm.score(arm.points, pose, frame, rest, limit)
     good = np.flatnonzero(score <= limit)

@@ -21,7 +21,7 @@ from hypose.body.anthropometry import body_of, entity, length_rows, prior_covari
 from hypose.body.body import Body
 from hypose.errors import EvidenceError
 from hypose.evidence.depth_surface import DepthTerm
-from hypose.evidence.terms import ContourTerm
+from hypose.evidence.terms import ContourTerm, Evidence
 from hypose.fitting.problem import Cue, Posed, PoseProblem, Quadratic, Rows
 from hypose.fitting.rows import rows_of_contours, rows_of_depth
 from hypose.geometry import Array
@@ -85,26 +85,22 @@ class ShapeFit:
 def refine_shape(
     body: Body,
     poses: Array,
-    contours: Sequence[ContourTerm],
+    evidence: Sequence[Sequence[Evidence]],
     *,
     known: Known | None = None,
     options: ShapeSettings | None = None,
     start: Array | None = None,
-    depths: Sequence[DepthTerm | None] | None = None,
 ) -> ShapeFit:
-    """Shape of `body` and poses that explain the contours of F frames best.
+    """Shape of `body` and poses that explain the outlines and the depth of F frames best.
 
     body: the template, whose log factors are 0; start (K,): log factors to begin with (default 0, and the prior is
-    about 0 except for the scale). poses (F, D), contours F terms; depths: F terms of depth
-    cameras, if any. An EvidenceError when there is no frame.
+    about 0 except for the scale). poses (F, D); evidence: of each frame. An EvidenceError when there is no frame.
     """
-    if len(poses) == 0 or len(poses) != len(contours):
+    if len(poses) == 0 or len(poses) != len(evidence):
         raise EvidenceError("The subject's shape needs at least one frame with silhouettes and its pose.")
     options, known = options or ShapeSettings(), known or Known()
     ratio = body.stature / float(np.ptp(body.coarse.vertices[:, 2]))  # decimation cuts the crown
-    cues = [
-        _cues(contour, depth, options) for contour, depth in zip(contours, depths or [None] * len(poses), strict=True)
-    ]
+    cues = [[_cue(one, options) for one in of] for of in evidence]
     # in the same balance with the contours as in the pose solver, whose rows weigh 0.05
     usual = Quadratic(
         np.zeros(body.skeleton.dof), anatomical_prior(body.skeleton).weight * options.weight / CONTOUR_WEIGHT
@@ -122,16 +118,14 @@ def refine_shape(
     return ShapeFit(body_of(body, x), x, covariance, q, before, found.cost)
 
 
-def _cues(contour: ContourTerm, depth: DepthTerm | None, options: ShapeSettings) -> list[Cue[Array]]:
-    """The cues of one frame."""
+def _cue(one: Evidence, options: ShapeSettings) -> Cue[Array]:
+    def rows(at: Posed, _: Array, factor: float) -> Iterable[Rows]:
+        if isinstance(one, ContourTerm):
+            return rows_of_contours(at, one, factor, options.weight, options.row_spacing_px, options.normals)
+        assert isinstance(one, DepthTerm), "a shape is fitted to outlines and depth"
+        return rows_of_depth(at, one, factor, options.weight / CONTOUR_WEIGHT)
 
-    def outlines(at: Posed, _: Array, factor: float) -> Iterable[Rows]:
-        return rows_of_contours(at, contour, factor, options.weight, options.row_spacing_px, options.normals)
-
-    def surface(at: Posed, _: Array, factor: float) -> Iterable[Rows]:
-        return () if depth is None else rows_of_depth(at, depth, factor, options.weight / CONTOUR_WEIGHT)
-
-    return [outlines, surface]
+    return rows
 
 
 class _ShapeProblem(PoseProblem[Array]):

@@ -19,7 +19,6 @@ from hypose.errors import EvidenceError
 from hypose.evidence.hull import Hull
 from hypose.fitting.articulated import SolveSettings
 from hypose.geometry import Array, so3_exp, so3_log
-from hypose.tracking.depth_costs import depth_cost
 from hypose.tracking.exchanged_sides import strain, turned_around
 from hypose.tracking.frame_evidence import PreparedFrame
 from hypose.tracking.postures import postures
@@ -62,15 +61,15 @@ class Start:
 def mask_cost(body: Body, poses: Array, frame: PreparedFrame) -> Array:
     """(N,) of poses (N, D): body outside the masks and, less, bare mask; shares of the masks, mean over the views.
     Where depth cameras see, also how far the body is off."""
-    assert frame.masks is not None
+    masks = frame.silhouettes.masks
     flat = np.ascontiguousarray(poses, dtype=np.float64)
-    counts = compute.silhouette_xor(flat, body.skeleton.tree, body.coarse.arrays, frame.masks)
-    use = frame.masks.usable
-    area, whole = frame.masks.areas[use].astype(np.float64), frame.masks.norm[use]
+    counts = compute.silhouette_xor(flat, body.skeleton.tree, body.coarse.arrays, masks)
+    use = masks.usable
+    area, whole = masks.areas[use].astype(np.float64), masks.norm[use]
     bare = area - counts[:, use, 2]
     outside = counts[:, use, 0] - bare
     cost = ((outside + BARE * bare) / whole).mean(1)
-    return cost if frame.depth is None else cost + depth_cost(body, flat, frame) / use.sum()
+    return cost + frame.depth.energy(body, flat) / use.sum()
 
 
 def starts_in_frame(
@@ -93,7 +92,7 @@ def starts_in_frame(
         for first in range(0, len(places), _HEADINGS):
             for i in first + np.argsort(cost[first : first + _HEADINGS], kind="stable")[:_PER_POSTURE]:
                 found.append(Start(body, places[i], float(cost[i])))
-    if not found and frame.depth is not None:
+    if not found and frame.depth.seen:
         raise EvidenceError(
             f"Frame {frame.frame.index}: what depth cameras see of somebody is {tall:.2f} m high, and no person; look "
             "whether sunlight, dark clothes or the distance leave holes in their maps, or choose other frames."

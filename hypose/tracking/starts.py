@@ -157,7 +157,7 @@ def hull_of(frame: PreparedFrame, bounds: Array | None = None) -> Hull:
     """The visual hull of a frame, inside bounds (2, 3) m (default: the cameras' common view); an EvidenceError naming
     the frame when nothing is left of it."""
     silhouettes = frame.frame.silhouettes
-    if silhouettes is None or frame.masks is None:
+    if silhouettes is None or not frame.silhouettes.seen:
         raise EvidenceError(f"Frame {frame.frame.index} has no usable silhouette to start from; choose another frame.")
     hull = (
         space_behind(frame.frame.depth, bounds) if frame.frame.depth is not None else visual_hull(silhouettes, bounds)
@@ -185,9 +185,9 @@ def _best_refined(
 ) -> PoseFit:
     """Ranks candidates (N, D) by XOR, solves the `tried` best briefly and the `keep` best of those at length; gives
     the best by XOR: a wrong heading may overlap better than the right one until the limbs have moved."""
-    order = np.argsort(evidence_energy(body, candidates, frame), kind="stable")[:tried]
+    order = np.argsort(evidence_energy(body, candidates, frame.evidence), kind="stable")[:tried]
     brief = SolveSettings(iterations=8, coarse_iterations=8)
     moved = np.stack([f.pose for f in refine(body, candidates[order], frame, brief)])
-    order = np.argsort(evidence_energy(body, moved, frame), kind="stable")[:keep]
+    order = np.argsort(evidence_energy(body, moved, frame.evidence), kind="stable")[:keep]
     fits = refine(body, moved[order], frame, options)
-    return fits[int(np.argmin(evidence_energy(body, np.stack([f.pose for f in fits]), frame)))]
+    return fits[int(np.argmin(evidence_energy(body, np.stack([f.pose for f in fits]), frame.evidence)))]

@@ -17,12 +17,13 @@ from numpy.typing import NDArray
 from hypose.body.body import Body
 from hypose.body.motion import Modes, Motion, joined_modes, modes_arrays, sd_per_axis
 from hypose.errors import InputError
+from hypose.evidence.cues import OwnEvidence
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array
 from hypose.inference.hypotheses import BEFORE, Hypotheses
 from hypose.inference.layer import Memory, Recipe, Recovery, search, stand_still, stream
 from hypose.tracking.costs import agreement, mean_overlap, silhouette_iou
-from hypose.tracking.frame_evidence import OwnEvidence, PreparedFrame, prepare, view_count
+from hypose.tracking.frame_evidence import PreparedFrame, prepare, view_count
 from hypose.tracking.keypoint_evidence import KeypointModel
 from hypose.tracking.pose_covariance import PoseUncertainty, nothing_known, uncertainty_of_set
 from hypose.tracking.published_recipes import step_sigma
@@ -209,12 +210,12 @@ class Tracker:
             h, prepared = replace(best, columns={}), replace(prepared, rivals=h)
         result = search(h, recipe, prepared, partial(stream, self.settings.seed, frame.index))
         pose, selected = self._within(result.estimate), result.resampled
-        iou = _mean_iou(self.body, pose, prepared)
+        iou = agreement(self.body, pose, prepared)
         lost = self._is_lost(iou, state.usual_iou)
         if recipe.lost is not None:
             lost = recipe.lost(pose, result.weighted, prepared)
         gain = float("nan")
-        if recipe.recover is not None and prepared.masks is not None:
+        if recipe.recover is not None and prepared.silhouettes.seen:
             state, pose, selected, iou, lost, gain = self._recover(recipe.recover, state, pose, selected, iou, prepared)
         known = (recipe.uncertainty or uncertainty_of_set)(pose, result.weighted, prepared)
         usual = state.usual_iou
@@ -261,7 +262,7 @@ class Tracker:
         loose = looks and mean_overlap(self.body, pose, prepared) < _LOOSE
         if known or loose:
             found = how.find(pose, state.pose, prepared)
-            found_iou = _mean_iou(self.body, found, prepared)
+            found_iou = agreement(self.body, found, prepared)
             # from nowhere only to a whole person: the rim of somebody else's hull is no find
             cut_off = self._is_nobody(iou, state.usual_iou) and self._is_lost(found_iou, state.usual_iou)
             if found_iou > iou + (0.02 if known else FOUND) and not cut_off:
@@ -278,18 +279,18 @@ class Tracker:
         """Where tracking may begin anew from a pose (D,), on a frame's evidence: its rival, or the body looked for as
         one that is lost, or the pose if neither is better."""
         how, prepared = self.recipe.recover, self.prepare_frame(frame, pose)
-        if how is None or prepared.masks is None:
+        if how is None or not prepared.silhouettes.seen:
             return pose
         tried = [pose, how.find(pose, pose, prepared)]
         if how.rival is not None:
             tried.append(how.rival(pose, prepared)[1])
-        return tried[int(np.argmax([_mean_iou(self.body, q, prepared) for q in tried]))]
+        return tried[int(np.argmax([agreement(self.body, q, prepared) for q in tried]))]
 
     def _rival_gain(self, state: TrackerState, pose: Array, prepared: PreparedFrame) -> float:
         """Looked for now and then, where there are silhouettes."""
         look = self.recipe.recover.rival if self.recipe.recover is not None else None
-        seldom = 1 if prepared.depth is None else RIVAL_WITH_DEPTH
-        if look is None or prepared.masks is None or not self._has_look(state, seldom):
+        seldom = RIVAL_WITH_DEPTH if prepared.depth.seen else 1
+        if look is None or not prepared.silhouettes.seen or not self._has_look(state, seldom):
             return float("nan")
         return look(pose, prepared)[0]
 
@@ -397,12 +398,6 @@ class Tracker:
         return following, FrameEstimate(
             prediction, nothing, float("nan"), lost, True, 0, rivals=rivals, rival_weights=weights
         )
-
-
-def _mean_iou(body: Body, pose: Array, prepared: PreparedFrame) -> float:
-    if prepared.masks is None:
-        return float("nan")
-    return agreement(body, pose, prepared)
 
 
 def motion_of(

@@ -141,7 +141,7 @@ def test_silhouettes_alone_bring_a_turned_camera_back(rng):
     off = turned(true, 1, [1.0, 1.5, 0.0], [0.03, 0, 0.02])
     start = body.skeleton.clamp(poses + rng.normal(size=poses.shape) * np.r_[[0.02] * 3, [0.05] * 33])
     options = BodySettings(coarse=(3.0, 1.0), iterations=(5, 5), contour_weight=1.0)
-    found = adjust_with_body(body, off, start, [contour_term(s) for s in masks], None, options)
+    found = adjust_with_body(body, off, start, [[contour_term(s)] for s in masks], options)
     person = body.joints(poses).reshape(-1, 3)
     back = transform_rig(found.rig, gauge(found.rig, true, body.joints(found.poses).reshape(-1, 3)))
     before, after = (np.median([c.image_px for c in changes(true, r, person)]) for r in (off, back))
@@ -154,4 +154,4 @@ def test_no_evidence_is_told():
     body = human()
     rig = named_rig("humaneva-4").pinhole()
     with pytest.raises(EvidenceError, match="No frame has silhouettes or key points"):
-        adjust_with_body(body, rig, np.zeros((1, body.skeleton.dof)), [None])
+        adjust_with_body(body, rig, np.zeros((1, body.skeleton.dof)), [[]])

@@ -1,6 +1,7 @@
 """The detector's models: fetched once, checked, and found; with the real ones where they are."""
 
 import hashlib
+import json
 import socket
 import subprocess
 import zipfile
@@ -11,6 +12,8 @@ import cv2
 import numpy as np
 import pytest
 
+from benchmarks.multiview.detector_bench import bare
+from benchmarks.multiview.real_recordings import balancing_recording
 from hypose.app.cli import main
 from hypose.errors import InputError
 from hypose.io.keypoints import detectors as pose_models
@@ -102,3 +105,19 @@ def test_the_real_networks_find_nobody_in_grey(network, capfd, monkeypatch):
     noise = np.random.default_rng(0).integers(0, 255, (240, 320, 3), dtype=np.uint8)
     assert network.look(cv2.blur(noise, (5, 5)), 0) == []
     assert capfd.readouterr().err == ""  # the runtime is quiet
+
+
+def test_four_videos_are_tracked_with_the_network_refused(network, shared_data, tmp_path, monkeypatch, capsys):
+    folder = tmp_path / "rec"
+    bare(balancing_recording(shared_data("pose2sim_balancing")), folder)
+    for name in ("connect", "connect_ex"):
+        monkeypatch.setattr(socket.socket, name, lambda *a: pytest.fail("the network was asked"))
+    monkeypatch.setattr(socket, "getaddrinfo", lambda *a, **more: pytest.fail("the network was asked"))
+    with pytest.raises(SystemExit) as stopped:
+        main(["track", str(folder), "--frames", "0:16", "--formats", "trc", "--no-overlay", "--no-report"])
+    told = capsys.readouterr()
+    assert stopped.value.code in (0, None), told.err
+    assert "the detector finds people" in told.err and "Verdict: Good" in told.out
+    assert len(list(folder.glob("keypoints/*/masks/*.png"))) == 4 * 16
+    (results,) = folder.glob("results/*")
+    assert (results / "motion.trc").exists() and json.loads((results / "verdict.json").read_text())["verdict"] == "good"

@@ -64,7 +64,7 @@ def test_shape_of_another_body_is_found_from_motion(body, moving, frame_of, rng)
     starts[:, 6:] += rng.normal(0, 0.04, starts[:, 6:].shape)
     starts[:, :3] += rng.normal(0, 0.01, (len(starts), 3))
     starts = body.skeleton.clamp(starts)
-    contours = [contour_term(f.silhouettes) for f in frames]
+    contours = [[contour_term(f.silhouettes)] for f in frames]
     fit = refine_shape(body, starts, contours, known=Known(height=person.stature))
     want, got = person.segment_lengths(), fit.body.segment_lengths()
     for name in ("upper_arm", "forearm", "thigh", "shank"):
@@ -82,7 +82,7 @@ def test_shape_of_another_body_is_found_from_motion(body, moving, frame_of, rng)
 
 
 def test_fit_is_the_same_twice(body, moving, frame_of):
-    contours = [contour_term(frame_of(body, q, k).silhouettes) for k, q in enumerate(moving[:2])]
+    contours = [[contour_term(frame_of(body, q, k).silhouettes)] for k, q in enumerate(moving[:2])]
     quick = ShapeSettings(iterations=(1, 1, 1))
     a = refine_shape(body, moving[:2], contours, options=quick)
     b = refine_shape(body, moving[:2], contours, options=quick)
@@ -92,7 +92,7 @@ def test_fit_is_the_same_twice(body, moving, frame_of):
 
 def test_height_and_mass_are_kept(body, moving, frame_of):
     quick = ShapeSettings(iterations=(2, 3), coarse=(2.0, 1.0))
-    contours = [contour_term(frame_of(body, moving[0]).silhouettes)]
+    contours = [[contour_term(frame_of(body, moving[0]).silhouettes)]]
     taller = refine_shape(body, moving[:1], contours, known=Known(height=body.stature + 0.02), options=quick)
     free = refine_shape(body, moving[:1], contours, options=quick)
     assert taller.body.stature > free.body.stature + 0.002

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from hypose.body.ready_bodies import human
+from hypose.evidence.cues import MEASURED
 from hypose.tracking.costs import frame_energy, limb_energy
-from hypose.tracking.depth_costs import MEASURED, arm_is_seen, without_limb
 from hypose.tracking.doubt import GROUPS, depth_doubt
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.reach_table import arm_reach, in_practice
@@ -42,7 +42,7 @@ def test_an_arm_that_is_seen_where_it_is_is_looked_for_nowhere_else(frame, monke
     arm = arm_reach(BODY, ("left_clavicle", "left_shoulder", "left_elbow"), *in_practice(s))
 
     def is_seen(pose):
-        return arm_is_seen(BODY, frame, without_limb(BODY, pose, frame, arm.moving), s.joint("left_shoulder"))
+        return frame.depth.shows_arm(BODY, frame.depth.standing(BODY, pose, arm.moving), s.joint("left_shoulder"))
 
     other = frame.prediction.copy()
     other[s.dofs_of("left_shoulder")] -= (0, 1.2, 0)

@@ -7,6 +7,7 @@ import pytest
 
 from hypose.errors import InputError
 from hypose.evidence.terms import PointTerm
+from hypose.fitting import SolveSettings, fit_pose
 from hypose.inference.annealing import SmoothedWeight, SurvivalRate
 from hypose.inference.kernels import GaussianDiffusion
 from hypose.inference.layer import Layer, Recipe
@@ -15,7 +16,7 @@ from hypose.tracking import refinement
 from hypose.tracking.costs import SilhouetteXor
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.recipes import RECIPES, citation_of, recipe
-from hypose.tracking.refinement import pose_mean
+from hypose.tracking.refinement import pose_mean, refine
 from hypose.tracking.tracker import Tracker, TrackerSettings
 from tests.tracking.measures import joint_error
 
@@ -132,9 +133,14 @@ def test_evidence_of_ones_own_finds_an_arm_that_no_mask_shows(body, standing, fr
     assert errors[1] < 0.6 * errors[0]
 
 
-def test_own_rows_of_two_scales_are_refused_and_those_of_one_joined(body, standing, frame_of):
+def test_own_points_of_two_scales_are_one_solve(body, standing, frame_of):
+    """Halved weight and scale halved: four times the pull near the point, and the cost of a twice as sure one."""
     frame = frame_of(body, standing)
-    joined = prepare(frame, body, standing, own=[Wrist(body, [standing]), Wrist(body, [standing + 0.1])]).points
-    assert joined is not None and len(joined.points_world) == 2
-    with pytest.raises(InputError, match="2 scales in frame 0"):
-        prepare(frame, body, standing, own=[Wrist(body, [standing]), Wrist(body, [standing], 0.05)])
+    own = [Wrist(body, [standing]), Wrist(body, [standing + 0.1], 0.05)]
+    prepared = prepare(frame, body, standing, own=own)
+    assert len(prepared.terms) == 3 and np.isfinite(refine(body, standing[None], prepared, SolveSettings())[0].cost)
+    both, one, other = (
+        fit_pose(body, standing, terms, options=SolveSettings(0, 0)).cost
+        for terms in (prepared.terms[1:], prepared.terms[1:2], prepared.terms[2:])
+    )
+    assert both == pytest.approx(one + other)

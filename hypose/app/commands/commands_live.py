@@ -44,6 +44,14 @@ def live(
     countdown: Annotated[
         float, number("Seconds in which to leave the view before the empty room is learnt.", 0, 600)
     ] = 5.0,
+    detector: Annotated[
+        bool | None,
+        typer.Option(
+            "--detector/--no-detector",
+            help="Find people by hypose's detector: nobody has to leave the view. [default: where a recording is "
+            "played that shows no empty room]",
+        ),
+    ] = None,
     people: Annotated[int, number("Follow so many people at most.", 1, 8)] = 1,
     height: Annotated[float | None, number("The person's height in metres, when known.", *HEIGHT)] = None,
     subject: Annotated[
@@ -84,7 +92,9 @@ def live(
         note(f"note: {text}")
     body = None if subject is None else load_subject(subject)
     person = LivePersonOptions(TrackOptions(seed=seed), height or cameras.height, body)
-    eyes = EyesOptions(cameras.rate, countdown, cameras.silhouettes)
+    roomless = not source and any(v.background is None and not v.depth for v in cameras.views)
+    network = people if _finds_people(detector, roomless) else 0
+    eyes = EyesOptions(cameras.rate, countdown, cameras.silhouettes, network=network)
     names = tuple(v.name for v in cameras.views)
     with Stages() as progress:  # the first time it takes a while, and Ctrl-C still ends it
         compile_before(progress)
@@ -120,6 +130,23 @@ def live(
     if engine.failed is not None and not interrupted:  # what stops this may stop its processes first
         raise engine.failed
     say(f"{status.poses} poses. {_summary(status)}")
+
+
+def _finds_people(wanted: bool | None, roomless: bool) -> bool:
+    """Whether the detector finds people, asked for or for want of the empty room."""
+    from hypose.io.keypoints.detectors import open_network
+
+    if wanted is False or not (wanted or roomless):
+        return False
+    try:
+        open_network()
+    except InputError as error:
+        if wanted:
+            raise
+        note(f"note: the empty room is learnt at the start. {error}")
+        return False
+    note("note: no empty room is learnt: the detector finds people.")
+    return True
 
 
 def _sources(given: list[str]) -> dict[str, str]:

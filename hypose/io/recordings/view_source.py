@@ -166,6 +166,15 @@ class DepthSource:
         return depth
 
 
+def places_in_stored(
+    camera: Camera, size: tuple[int, int], shift: tuple[float, float], stored: tuple[int, int]
+) -> NDArray[np.float32]:
+    """(h, w, 2) px: where the pixels of the undistorted picture of a size (width, height) lie in a stored one of
+    another size. shift: px of the calibrated size added to image positions."""
+    moved = np.array(shift) * stored / np.array(camera.size)
+    return np.asarray(np.stack(camera.undistort_maps(size, stored), -1) - moved, dtype=np.float32)
+
+
 class Preparer:
     """Stored images (any size) of a camera -> undistorted images of the working-size camera `small`. shift: px of the
     calibrated size added to image positions."""

@@ -32,12 +32,13 @@ from hypose.evidence.outlines import ViewOutline
 from hypose.evidence.shared_masks import BodyShape
 from hypose.evidence.silhouettes import SilhouetteSettings
 from hypose.geometry import Array, Mask
+from hypose.io.keypoints.detectors import open_network
 from hypose.io.recordings.frames import working_rig
 from hypose.io.sensors.depth import DEPTH_PNG, open_depth_camera
 from hypose.io.videos.camera_sources import CameraSource, Shot, open_camera
 from hypose.pipeline.live.feeds import Feed, FeedStatus, newest_instant
 from hypose.pipeline.live.processes import belong_to_parent, deaf_to_ctrl_c, punctual
-from hypose.pipeline.live.rooms import DepthRoom, ViewRoom
+from hypose.pipeline.live.rooms import DepthRoom, NetworkRoom, ViewRoom
 from hypose.pipeline.settings import SETTINGS
 
 
@@ -59,12 +60,14 @@ class LiveView:
 @dataclass(frozen=True)
 class EyesOptions:
     """rate Hz: of the cameras, asked of devices and taken for files that do not say; countdown s: before the empty room
-    is learnt; silhouettes: how masks are made; adapt: what changes in the room is learnt."""
+    is learnt; silhouettes: how masks are made; adapt: what changes in the room is learnt; network: so many people are
+    found by it where the room is not known, 0: the room is learnt."""
 
     rate: float = 30.0
     countdown: float = 5.0
     silhouettes: SilhouetteSettings = field(default_factory=SilhouetteSettings)
     adapt: bool = True
+    network: int = 0
 
 
 @dataclass(frozen=True)
@@ -110,6 +113,7 @@ class Eyes:
         self._views, self._options, self.small = tuple(views), options, live_working_rig(rig, views)
         self._sizes, self._wrong, self._damaged = tuple(c.size for c in rig), [""] * len(views), [0] * len(views)
         self._arrived = threading.Condition()
+        network = replace(open_network(), people=options.network) if options.network else None
         begin = time.monotonic() + 0.3
         self._feeds = [
             Feed(v.name, _opener(v, c.size, options.rate, begin), self._arrived)
@@ -119,6 +123,8 @@ class Eyes:
         self._rooms = [
             DepthRoom(c, small, v.shift, v.depth_room)
             if v.depth
+            else NetworkRoom(c, small, v.shift, network)
+            if v.background is None and network is not None
             else ViewRoom(c, small, v.shift, options.silhouettes, v.background)
             for v, c, small in shapes
         ]

@@ -18,8 +18,10 @@ from hypose.compute import mask_runs
 from hypose.evidence.background import BackgroundModel, from_frames, gain_between
 from hypose.evidence.depth_background import DepthBackground, learn_background, person_before
 from hypose.evidence.depth_evidence import Depth
+from hypose.evidence.detector import PoseDetector
 from hypose.evidence.frame import Silhouettes
 from hypose.evidence.outlines import OUTLINE_POINTS, WORKING_HEIGHT, ViewOutline, outline_of_runs, view_outline
+from hypose.evidence.pose_network import Crop, mask_of_people
 from hypose.evidence.silhouettes import (
     Segmenter,
     SilhouetteSettings,
@@ -27,7 +29,7 @@ from hypose.evidence.silhouettes import (
     make_segmenter,
 )
 from hypose.geometry import DepthMap, Image, Mask
-from hypose.io.recordings.view_source import DepthPreparer, Preparer, mask_in
+from hypose.io.recordings.view_source import DepthPreparer, Preparer, mask_in, places_in_stored
 from hypose.pipeline.settings import SETTINGS
 
 
@@ -106,6 +108,33 @@ def _around(mask: Mask) -> Mask:
         return mask
     size = 2 * max(2, round(SETTINGS.rooms_margin * (box[1] - box[0]))) + 1
     return np.asarray(cv2.dilate(mask, np.ones((size, size), np.uint8)), dtype=np.uint8)
+
+
+class NetworkRoom:
+    """One view in whose pictures a network finds people, in place of a `ViewRoom`: no empty room has to be known.
+    camera: as calibrated; small: pinhole, of the working size. Used by one thread at a time."""
+
+    background, moved = "not needed", False
+
+    def __init__(self, camera: Camera, small: Camera, shift: tuple[float, float], network: PoseDetector) -> None:
+        self._camera, self._small, self._shift, self._network = camera, small.size, shift, network
+        self.size = 2 * small.size[0], 2 * small.size[1]
+        self._number, self._before = 0, list[Crop]()
+        self._places: dict[tuple[int, int], NDArray[np.float32]] = {}
+
+    def learn(self, images: Sequence[Image]) -> None:
+        """Forget where people were; the room is nothing to it."""
+        self._before = []
+
+    def mask(self, image: Image) -> tuple[Mask, ViewOutline | None]:
+        """The people in a stored picture, (h, w), and their outline for tracking (None: nobody is seen)."""
+        stored = (image.shape[1], image.shape[0])
+        if stored not in self._places:
+            self._places[stored] = places_in_stored(self._camera, self._small, self._shift, stored)
+        people = self._network.look(image, self._number, self._before)
+        self._number, self._before = self._number + 1, [p.following for p in people if p.following is not None]
+        mask = mask_of_people(people, self._places[stored])
+        return mask, view_outline(mask, working_height=WORKING_HEIGHT) if mask.any() else None
 
 
 Millimetres = NDArray[np.uint16]

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from hypose.evidence.background import from_frames
+from hypose.evidence.pose_network import CROP, DetectorOutput, LandmarkOutput, PoseNetwork
 from hypose.io.videos.camera_sources import Shot
 from hypose.pipeline.live.eyes import EyesOptions, EyesProcess, LiveView, Question
 from hypose.synthetic.scenes import camera_rig
@@ -132,3 +133,16 @@ def test_pictures_that_cannot_be_read_are_told(begun, cameras, tmp_path, rng, mo
     assert looked(eyes, lambda s: s.words != ()).words == (
         "cam2 sends pictures that cannot be read; look what the address shows.",
     )
+
+
+def test_where_a_network_finds_people_no_empty_room_is_learnt(begun, cameras, tmp_path, rng, monkeypatch):
+    scores, points = np.full(2254, -9.0, np.float32), np.full((39, 5), CROP / 2, np.float32)
+    scores[1100], points[34, 1] = 9, CROP / 4
+    boxes, mask = np.zeros((2254, 12), np.float32), np.full((CROP, CROP), 9, np.float32)
+    boxes[:, 7] = -60
+    network = PoseNetwork(lambda _: DetectorOutput(boxes, scores), lambda _: LandmarkOutput(points, 0.9, mask), {})
+    monkeypatch.setattr("hypose.pipeline.live.eyes.open_network", lambda: network)
+    views = [LiveView(c.name, folder(tmp_path / c.name, (160, 120), rng)) for c in cameras]
+    sight = looked(begun(cameras, views, EyesOptions(RATE, network=1)), lambda s: np.isfinite(s.time))
+    assert not sight.room and not sight.words
+    assert all(view is not None and view[0].any() and view[1] is not None for view in sight.views)

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from hypose.cameras.camera import Camera
+from hypose.evidence.pose_network import CROP, Crop, Sighting
 from hypose.evidence.silhouettes import SilhouetteSettings
-from hypose.pipeline.live.rooms import ViewRoom
+from hypose.pipeline.live.rooms import NetworkRoom, ViewRoom
 from hypose.synthetic.scenes import camera_rig
 
 W, H = 160, 120
@@ -98,3 +99,28 @@ def test_a_room_that_is_known_need_not_be_learnt(camera, room, wall, rng):
     other = ViewRoom(camera, camera, (0.0, 0.0), SilhouetteSettings(), room.background)
     seen = picture(wall, rng, 1.0, (PERSON, RED))
     assert (other.mask(seen)[0] == room.mask(seen)[0]).all()
+
+
+def test_a_network_needs_no_empty_room():
+    """Its masks lie where the person is in the undistorted picture, and it looks next where the person was."""
+    camera = camera_rig("humaneva-4").scaled(0.5)[0]
+    small, asked = camera.pinhole().scaled((160, 120)), []
+
+    class Network:
+        def look(self, image, number, before):
+            asked.append((number, len(before)))
+            assert image.shape == (240, 320, 3)
+            crop = Crop(np.array([160.0, 120.0]), np.array([160.0, 60.0]))
+            return [Sighting(np.ones((33, 3)), np.full((CROP, CROP), number < 2, np.float32), crop, crop)]
+
+    room = NetworkRoom(camera, small, (8.0, 0.0), Network())
+    room.learn([])
+    mask, outline = room.mask(np.zeros((240, 320, 3), np.uint8))
+    assert mask.shape == small.size[::-1] and outline is not None
+    middle = camera.undistort_points(np.array([[160.0 + 8, 120.0]]))[0] / 2
+    np.testing.assert_allclose(np.argwhere(mask).mean(0)[::-1], middle, atol=1.0)
+    assert mask.sum() == pytest.approx(75**2, rel=0.1)  # half side 1.25 x 60 px, in half the size
+    assert not room.moved and room.background is not None
+    room.mask(np.zeros((240, 320, 3), np.uint8))
+    assert room.mask(np.zeros((240, 320, 3), np.uint8))[1] is None
+    assert asked == [(0, 0), (1, 1), (2, 1)]

@@ -1,0 +1,384 @@
+"""The cues of a frame that a search asks: silhouettes, depth, key points, and evidence of the user's own.
+
+Each is prepared once for all that ask it, and remembers what it has said of single poses. A frame has a tuple of them;
+where it has none of a kind, NO_SILHOUETTES, NO_DEPTH and NO_KEYPOINTS say nothing of any pose.
+Sources: silhouettes by Alcoverro 2014, eq. 2.8; the depth cost is hypose's own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hypose import compute
+from hypose.body.body import Body
+from hypose.compute import MeshArrays, PreparedMasks, SeenDepth, StandingDepth, TreeArrays
+from hypose.errors import EvidenceError
+from hypose.evidence.ahead import prepared_masks
+from hypose.evidence.depth_evidence import Depth
+from hypose.evidence.depth_surface import DepthTerm, depth_term, shrunk
+from hypose.evidence.frame import Frame, Silhouettes
+from hypose.evidence.outlines import WORKING_HEIGHT
+from hypose.evidence.terms import ContourTerm, Evidence, KeypointTerm, Limb, PointTerm, RowTerm, contour_term
+from hypose.geometry import Array
+
+_Found = TypeVar("_Found")
+VISIBLE = 0.2
+"""Share of a body that must be visible in a view which is to tell of its overlap."""
+SHARE = 1.0
+"""What a pixel at the wrong depth costs against one outside the mask. Chosen on the seeds 0 to 9 (benchmark
+`depth`)."""
+MOST_M = 0.15
+"""m: a pixel that is further off costs no more"""
+TALL = 60
+"""px: how tall a person is in the depth maps that are compared, at least"""
+MEASURED, HOPEFUL = 16, 1.1
+"""of many poses of a limb so many are drawn, and none that costs so much more than the limb as it is by a rough look.
+Chosen on the seeds 0 to 15, and 0 to 29 (benchmark `depth`)."""
+ARM_M2, ARM_REACH_M, EXPLAINED_M = 0.055, 0.75, 0.08
+"""m^2 of an arm that is seen from its side; m from the shoulder; m between what was drawn and seen"""
+LEAST_SHOWN, AGREED, BESIDE = 0.7, 0.8, 0.4
+"""shares of an arm: in sight; of what is in sight, where it was seen; seen in its reach, but no part of the body. An
+arm that is so much in sight is looked for nowhere else. Chosen on the seeds 0 to 15 (benchmark `depth`)."""
+_FEW = 12
+"""sets of no more poses are looked up, and remembered: the same pose is judged several times in a frame"""
+
+
+class PoseMemory(Generic[_Found]):
+    """What has been found out about single poses of a body, so that it is done once."""
+
+    def __init__(self) -> None:
+        # with the bodies, so that no other one gets the identity of a body that is gone
+        self._found: dict[tuple[int, bytes], tuple[Body, _Found]] = {}
+
+    def get(self, body: Body, pose: Array) -> _Found | None:
+        """What was kept of a pose (D,), or None."""
+        known = self._found.get((id(body), pose.tobytes()))
+        return None if known is None else known[1]
+
+    def keep(self, body: Body, pose: Array, found: _Found) -> _Found:
+        """Keeps what was found, and returns it."""
+        self._found[id(body), pose.tobytes()] = body, found
+        return found
+
+    def same(self, body: Body, pose: Array, other: Array) -> None:
+        """What is kept of a pose (D,) is kept of another, too."""
+        known = self.get(body, pose)
+        if known is not None:
+            self.keep(body, other, known)
+
+    def all(self, body: Body, poses: Array, find: Callable[[Array], NDArray[Any]]) -> NDArray[Any]:
+        """What is kept of the poses (N, D), row by row; `find` finds it for those of which nothing is, and of many
+        poses for all."""
+        if len(poses) > _FEW:
+            return find(poses)
+        found = [self.get(body, pose) for pose in poses]
+        new = [n for n, one in enumerate(found) if one is None]
+        if len(new) == len(poses):
+            rows = find(poses)
+            for pose, one in zip(poses, rows, strict=True):
+                self.keep(body, pose, one)
+            return rows
+        if new:
+            for n, one in zip(new, find(poses[new]), strict=True):
+                found[n] = self.keep(body, poses[n], one)
+        return np.array(found)
+
+
+@dataclass(frozen=True)
+class SilhouetteEvidence(Evidence):
+    """masks: for the search; contours: for solves."""
+
+    masks: PreparedMasks
+    contours: ContourTerm | None
+    _counts: PoseMemory[NDArray[np.int64]] = field(default_factory=PoseMemory, compare=False, repr=False)
+    _overlaps: PoseMemory[Array] = field(default_factory=PoseMemory, compare=False, repr=False)
+    name = "silhouettes"
+
+    @property
+    def views(self) -> NDArray[np.bool_]:
+        """(C,) which views have it."""
+        return self.masks.usable
+
+    @property
+    def terms(self) -> tuple[Evidence, ...]:
+        """What solves take."""
+        return () if self.contours is None else (self.contours,)
+
+    def energy(self, body: Body, poses: Array, limb: Limb | None = None) -> Array:
+        """(N,) energies of eq. 2.8."""
+        use = self.masks.usable
+        return (self.counts(body, poses, limb)[:, use, 0] / self.masks.norm[use]).sum(1)
+
+    def counts(self, body: Body, poses: Array, limb: Limb | None = None) -> NDArray[np.int64]:
+        """(N, C, 3) pixels of each view: XOR, model, intersection."""
+        if not len(self.masks.usable):
+            return np.zeros((len(poses), 0, 3), np.int64)
+        given = body.skeleton.tree, body.coarse.arrays, self.masks
+
+        def count(of: Array) -> NDArray[np.int64]:
+            flat = np.ascontiguousarray(of, dtype=np.float64)
+            moving, rest = (None, None) if limb is None else limb[:2]
+            return compute.silhouette_xor(flat, *given, moving=moving, rest=rest)
+
+        return count(poses) if limb is not None else self._counts.all(body, poses, count)
+
+    def overlap(self, body: Body, pose: Array) -> Array:
+        """(C,) intersection over union of the body and the mask of each view; NaN for views without a usable mask, or
+        in which others hide nearly all of the body. Over the pixels that say something."""
+        known = self._overlaps.get(body, pose)
+        if known is not None:
+            return known
+        counts, use = self.counts(body, pose[None])[0], self.masks.usable
+        union = counts[:, 0] + counts[:, 2]  # XOR and intersection are disjoint
+        with np.errstate(invalid="ignore", divide="ignore"):
+            if self.masks.hidden.size:
+                use = use & (counts[:, 1] > VISIBLE * self.masks.norm)
+            return self._overlaps.keep(body, pose, np.where(use, counts[:, 2] / union, np.nan))
+
+    def same(self, body: Body, pose: Array, other: Array) -> None:
+        """Remember of the other pose what is remembered of the first."""
+        self._counts.same(body, pose, other)
+        self._overlaps.same(body, pose, other)
+
+
+@dataclass(frozen=True)
+class KeypointEvidence(Evidence):
+    """term: the key points as they are, for what chooses between solutions; beside: as solves weigh them with the
+    frame's other evidence. A search does not ask them."""
+
+    term: KeypointTerm
+    beside: KeypointTerm
+    name = "keypoints"
+
+    @property
+    def views(self) -> NDArray[np.bool_]:
+        """(C,) which views have it."""
+        return np.asarray((self.term.points[..., 2] > 0).any(1))
+
+    @property
+    def terms(self) -> tuple[Evidence, ...]:
+        """What solves take."""
+        return (self.beside,) if self.seen else ()
+
+    def cost(self, body: Body, poses: Array) -> Array:
+        """(N,) the robust cost of the solver, in which a difference of 1 is a difference of 1 in log-likelihood."""
+        term, (rotations, centres) = self.term, body.skeleton.forward(poses)
+        x = centres[:, term.joint] + np.einsum("nkab,kb->nka", rotations[:, term.joint], term.offset)
+        h = np.einsum("cij,nkj->ncki", term.projections[:, :, :3], x) + term.projections[:, None, :, 3]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            away = np.linalg.norm(h[..., :2] / h[..., 2:] - term.points[..., :2], axis=-1)
+        away = np.where(h[..., 2] > 0, np.nan_to_num(away, nan=np.inf), np.inf)
+        ratio = np.minimum(away / (2 * term.scale_px), 1e3)  # a point behind a camera is as far off as can be
+        used = np.where(term.points[..., 2] > term.min_confidence, term.points[..., 2], 0.0)
+        return 2 * (used * np.log1p(ratio**2)).sum((1, 2))
+
+
+class _SeenBy(NamedTuple):
+    """What sensors see of a person, and which do (C,)."""
+
+    maps: SeenDepth
+    views: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class DepthEvidence(Evidence):
+    """depth: the maps, for the search; term: for solves."""
+
+    depth: Depth | None
+    term: DepthTerm | None
+    _costs: PoseMemory[float] = field(default_factory=PoseMemory, compare=False, repr=False)
+    name = "depth"
+
+    @property
+    def views(self) -> NDArray[np.bool_]:
+        """(C,) which views have it."""
+        return self._seen.views
+
+    @property
+    def terms(self) -> tuple[Evidence, ...]:
+        """What solves take."""
+        return () if self.term is None else (self.term,)
+
+    @cached_property
+    def _seen(self) -> _SeenBy:
+        return _SeenBy(_NOTHING_SEEN, np.zeros(0, np.bool_)) if self.depth is None else seen_depth(self.depth)
+
+    def _about(self, body: Body) -> tuple[TreeArrays, MeshArrays, SeenDepth, float]:
+        return body.skeleton.tree, body.coarse.arrays, self._seen.maps, MOST_M
+
+    def energy(self, body: Body, poses: Array, limb: Limb | None = None) -> Array:
+        """(N,) mean difference of depth over the pixels of the person that the body covers, sum over the sensors; what
+        is not covered is the silhouettes' affair."""
+        if not self.seen:
+            return np.zeros(len(poses))
+
+        def measured(of: Array) -> Array:
+            return np.asarray(SHARE * compute.depth_energy(of, *self._about(body)).sum(1))
+
+        return self._costs.all(body, poses, measured)
+
+    def same(self, body: Body, pose: Array, other: Array) -> None:
+        """Remember of the other pose what is remembered of the first."""
+        self._costs.same(body, pose, other)
+
+    def limb_energy(
+        self,
+        body: Body,
+        poses: Array,
+        moving: NDArray[np.bool_],
+        outlines: Callable[[float, float], Array],
+        standing: StandingDepth | None = None,
+    ) -> Array:
+        """(N,) what poses (N, D) cost whose joints `moving` (J,) alone differ, everything else as in the last one;
+        infinite for those that are not worth a measurement: the first one is the limb as it is, and of the others only
+        the best by a rough look are measured. outlines(slack, more): what all of them cost without depth, (N,),
+        infinite where that is certainly above `slack` times what the first one costs, and `more`; standing: what does
+        not move, where it has been drawn."""
+        seen = self._seen.maps
+        standing = standing or self.standing(body, poses[-1], moving)
+
+        def limb(chosen: NDArray[np.intp], rough: bool = False) -> Array:
+            return SHARE * compute.limb_depth_energy(poses[chosen], *self._about(body), standing, rough).sum(1)
+
+        out = np.full(len(poses), np.inf)
+        here = limb(np.zeros(1, np.intp))
+        alone = SHARE * float((standing.cost / np.maximum(seen.counts, 1)).sum())
+        before = outlines(HOPEFUL, HOPEFUL * float(here[0]) - alone)
+        out[:1] = before[:1] + here
+        most = HOPEFUL * out[0]
+        chosen = 1 + np.flatnonzero(before[1:] + alone <= most)
+        rough = before[chosen] + limb(chosen, rough=True)
+        chosen = chosen[np.argsort(rough, kind="stable")[: min(MEASURED - 1, int((rough <= most).sum()))]]
+        out[chosen] = before[chosen] + limb(chosen)
+        return out
+
+    def standing(self, body: Body, pose: Array, moving: NDArray[np.bool_]) -> StandingDepth:
+        """What depth cameras would see of a body at a pose (D,) without what the joints `moving` (J,) move."""
+        return compute.standing_depth(pose, *self._about(body), moving)
+
+    def shows_arm(self, body: Body, standing: StandingDepth, shoulder: int) -> bool:
+        """Whether depth cameras show an arm where it is in the pose that the rest of the body stands in (`standing`),
+        and nothing in its reach that the body does not explain. shoulder: its joint."""
+        at = standing.pose[:3] + standing.centres[shoulder]
+        given = body.skeleton.tree, body.coarse.arrays, self._seen.maps
+        in_sight, agreed, beside = compute.limb_shown(*given, standing, at, ARM_REACH_M, EXPLAINED_M).T
+        shown = (in_sight >= LEAST_SHOWN * ARM_M2) & (agreed >= AGREED * in_sight)
+        return bool(shown.any() and (beside <= BESIDE * ARM_M2).all())
+
+
+def seen_depth(depth: Depth, tall: int = TALL) -> _SeenBy:
+    """The person's pixels of a frame's maps, so small that the person is still `tall` px, and cut to its box."""
+    views = np.array([bool(u) and box[2] > 0 for u, box in zip(depth.usable, depth.boxes, strict=True)])
+    maps, projections, counts = [], [], []
+    used = np.flatnonzero(views)
+    step = max(1, min((depth.boxes[c][3] - depth.boxes[c][1] for c in used), default=0) // tall)
+    for c in used:
+        x0, y0, x1, y1 = depth.boxes[c]
+        every = slice(y0, y1, step), slice(x0, x1, step)
+        box = np.where(depth.person[c][every] > 0, depth.maps[c][every], 0.0)
+        p = depth.rig.projections[c].copy()
+        p[0] -= x0 * p[2]
+        p[1] -= y0 * p[2]
+        maps.append(box)
+        projections.append(shrunk(p[None], step)[0])
+        counts.append(int((box > 0).sum()))
+    h, w = (max((m.shape[k] for m in maps), default=1) for k in (0, 1))
+    out = np.zeros((len(maps), h, w), np.float32)
+    for k, m in enumerate(maps):
+        out[k, : m.shape[0], : m.shape[1]] = m
+    sizes = np.array([m.shape[::-1] for m in maps], dtype=np.int64).reshape(len(maps), 2)
+    stacked = np.array(projections, dtype=np.float64).reshape(len(maps), 3, 4)
+    return _SeenBy(SeenDepth(out, sizes, stacked, np.array(counts, dtype=np.int64)), views)
+
+
+def silhouette_evidence(silhouettes: Silhouettes | None, weight: float) -> list[Evidence]:
+    """Masks prepared for tracking; nothing where no view has an outline. weight: of a contour row."""
+    if silhouettes is None:
+        return []
+    masks = prepared_masks(silhouettes)
+    try:
+        contours = contour_term(silhouettes, weight=weight, working_height=WORKING_HEIGHT)
+    except EvidenceError:  # masks that are foreground from border to border have no outline: no evidence either
+        return []
+    return [SilhouetteEvidence(masks, contours)]
+
+
+def depth_evidence(depth: Depth | None) -> list[Evidence]:
+    """What depth cameras see of the person; nothing where none does."""
+    term = None if depth is None else depth_term(depth)
+    return [] if term is None else [DepthEvidence(depth, term)]
+
+
+def surface_evidence(frame: Frame) -> list[Evidence]:
+    """What a frame tells of a body's surface, for fits of its shape: outlines, and depth where there is any."""
+    outlines: list[Evidence] = [] if frame.silhouettes is None else [contour_term(frame.silhouettes)]
+    return outlines + [term for one in depth_evidence(frame.depth) for term in one.terms]
+
+
+class OwnEvidence(Protocol):
+    """Evidence that the product does not know: what a sensor, a marker or a rule of yours says of the body.
+
+    Both see the frame, whose index and time tell which measurement belongs to it.
+    """
+
+    def rows(self, body: Body, frame: Frame, /) -> PointTerm | RowTerm | None:
+        """For the solver: where points of the body are, or any residuals of them; None when the frame says nothing."""
+        ...
+
+    def energy(self, body: Body, poses: Array, frame: Frame, /) -> Array:
+        """For the search: (N,) cost of poses (N, D), low is good; the silhouettes of one view cost between 0 and 2."""
+        ...
+
+
+@dataclass(frozen=True)
+class OwnCue(Evidence):
+    """What evidence of the user's own says in a frame; term: for solves, of the body that the frame is prepared for."""
+
+    source: OwnEvidence
+    frame: Frame
+    term: PointTerm | RowTerm | None
+    name = "own"
+
+    @staticmethod
+    def of(source: OwnEvidence, body: Body, frame: Frame) -> OwnCue:
+        """Ask evidence of the user's own for its rows in a frame."""
+        return OwnCue(source, frame, source.rows(body, frame))
+
+    @property
+    def terms(self) -> tuple[Evidence, ...]:
+        """What solves take."""
+        return () if self.term is None else (self.term,)
+
+    def energy(self, body: Body, poses: Array, limb: Limb | None = None) -> Array:
+        """(N,) what its author says that poses cost."""
+        return np.asarray(self.source.energy(body, poses, self.frame))
+
+
+def _nothing(*shape: int) -> NDArray[np.uint8]:
+    return np.zeros(shape, np.uint8)
+
+
+_NO_SIZES, _NO_CAMERAS = np.zeros((0, 2), np.int64), np.zeros((0, 3, 4))
+_NOTHING_SEEN = SeenDepth(np.zeros((0, 1, 1), np.float32), _NO_SIZES, _NO_CAMERAS, np.zeros(0, np.int64))
+_NO_TERM = KeypointTerm(np.zeros((0, 0, 3)), _NO_CAMERAS, np.zeros(0, np.int64), np.zeros((0, 3)), 1.0)
+NO_SILHOUETTES = SilhouetteEvidence(
+    PreparedMasks(
+        _nothing(0, 1, 1),
+        np.zeros(0, np.int64),
+        np.zeros(0, np.bool_),
+        _NO_SIZES,
+        _NO_CAMERAS,
+        _nothing(0, 1, 17),
+        np.zeros(0),
+        _nothing(0, 0, 0),
+        _nothing(0, 1, 1),
+    ),
+    None,
+)
+NO_KEYPOINTS, NO_DEPTH = KeypointEvidence(_NO_TERM, _NO_TERM), DepthEvidence(None, None)
