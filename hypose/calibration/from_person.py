@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.calibration.person_uncertainty import Uncertainty, limbs_of, uncertainty
 from hypose.calibration.refine_points import (
     CameraUnknowns,

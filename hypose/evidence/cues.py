@@ -19,11 +19,11 @@ from hypose import compute
 from hypose.body.body import Body
 from hypose.compute import MeshArrays, PreparedMasks, SeenDepth, StandingDepth, TreeArrays
 from hypose.errors import EvidenceError
-from hypose.evidence.ahead import prepared_masks
 from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.depth_surface import DepthTerm, depth_term, shrunk
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.outlines import WORKING_HEIGHT
+from hypose.evidence.prefetch import prepared_masks
 from hypose.evidence.terms import ContourTerm, Evidence, KeypointTerm, Limb, PointTerm, RowTerm, contour_term
 from hypose.geometry import Array
 

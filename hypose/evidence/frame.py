@@ -50,7 +50,7 @@ class Silhouettes:
     ignored: NDArray[np.uint8] | None = None
     expected: Expected | None = None
     ahead: Any = field(default=None, init=False, compare=False, repr=False)
-    """what hypose.evidence.ahead keeps of these very masks, so that it is made once; a copy begins without"""
+    """what hypose.evidence.prefetch keeps of these very masks, so that it is made once; a copy begins without"""
 
     @cached_property
     def areas(self) -> NDArray[np.int64]:

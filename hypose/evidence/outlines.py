@@ -1,4 +1,4 @@
-"""Outlines of masks: signed distances and points on the edge. `hypose.evidence.ahead` has those of a frame."""
+"""Outlines of masks: signed distances and points on the edge. `hypose.evidence.prefetch` has those of a frame."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from hypose.body.anthropometry import prior_mean
 from hypose.body.body import Body
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.errors import HyposeError
 from hypose.evidence.cues import surface_evidence
 from hypose.evidence.depth_people import own_frame

@@ -18,7 +18,7 @@ from hypose.pipeline.first_frame import Subject
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.tracked_people import Followed
 from hypose.pipeline.wardrobe import exchange, same_clothes
-from hypose.tracking.clothes import clothes_in
+from hypose.tracking.appearance import clothes_in
 from hypose.tracking.costs import mean_overlap
 from hypose.tracking.frame_evidence import PreparedFrame, prepare
 from hypose.tracking.several import shape_of

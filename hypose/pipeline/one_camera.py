@@ -25,8 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.body import Body
+from hypose.body.default_body import JOINT_NAMES, human
 from hypose.body.motion import Modes, Motion
-from hypose.body.ready_bodies import JOINT_NAMES, human
 from hypose.cameras.camera import Camera, CameraRig, triangulate
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.body_parts import detect_ends, end_colors

@@ -15,8 +15,8 @@ import numpy as np
 
 from hypose.body.body import Body
 from hypose.errors import EvidenceError
-from hypose.evidence.ahead import make_now
 from hypose.evidence.frame import Frame
+from hypose.evidence.prefetch import make_now
 from hypose.geometry import Array
 from hypose.inference.layer import Recovery
 from hypose.pipeline.settings import SETTINGS

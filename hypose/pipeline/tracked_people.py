@@ -23,7 +23,7 @@ from hypose.pipeline.run import TrackResult
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.track_loop import FrameSource
 from hypose.pipeline.verdict import Verdict, verdict_of
-from hypose.tracking.clothes import Wardrobe
+from hypose.tracking.appearance import Wardrobe
 from hypose.tracking.contacts import runs
 from hypose.tracking.several import Member, nobody_in, shape_of
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState, estimates_from_arrays, estimates_to_arrays

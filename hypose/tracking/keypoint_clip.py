@@ -21,13 +21,13 @@ from hypose.evidence.keypoints import triangulate_keypoints
 from hypose.evidence.terms import Evidence, KeypointTerm, PointTerm
 from hypose.fitting import SolveSettings, fit_clip, fit_pose
 from hypose.geometry import Array
-from hypose.tracking.exchanged_sides import limbs_exchanged
 from hypose.tracking.keypoint_evidence import (
     STRANGER_M,
     KeypointModel,
     keypoint_term,
     shows_somebody_else,
 )
+from hypose.tracking.left_right import limbs_exchanged
 from hypose.tracking.named_sides import LIMBS, exchanged_by_names
 from hypose.tracking.pose_covariance import from_neighbours, joint_covariance_of
 from hypose.tracking.refinement import anatomical_prior

@@ -42,7 +42,7 @@ class KeypointModel:
     """Where named key points sit on a body: joint (K,), offset (K, 3) m in that joint's frame, known (K,). sd (K,) m:
     noise of a detection at the body's distance, per axis, at confidence 1; None: not measured. view (C,): by how much
     the noise of each view is larger (`hypose.tracking.view_noise`); None: all are alike. beside (C, K): what is
-    left of each point's weight in solves beside masks (`hypose.tracking.points_beside_masks`); None: all."""
+    left of each point's weight in solves beside masks (`hypose.tracking.cue_weights`); None: all."""
 
     names: tuple[str, ...]
     joint: NDArray[np.int64]

@@ -29,9 +29,9 @@ from hypose.evidence.terms import PointTerm
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.layer import Memory
+from hypose.tracking.arm_workspace import ArmReach
 from hypose.tracking.costs import frame_energy
 from hypose.tracking.frame_evidence import PreparedFrame
-from hypose.tracking.reach_table import ArmReach
 
 
 def pictured_arms(

@@ -27,7 +27,7 @@ CURVATURE_FACTOR: Mapping[str, Mapping[str, float]] = {
     "silhouettes": {"torso": 0.70, "arms": 0.58, "legs": 0.49, "head": 0.14},
     "keypoints": {"torso": 0.48, "arms": 0.44, "legs": 0.42, "head": 0.60},
     "both": {"torso": 0.55, "arms": 0.51, "legs": 0.41, "head": 0.63},
-    # with depth cameras the whole calibration is that of hypose.tracking.fitted_spread
+    # with depth cameras the whole calibration is that of hypose.tracking.covariance_calibration
     "depth": {"torso": 0.5, "arms": 0.5, "legs": 0.5, "head": 0.5},
 }
 FLOOR = 0.004

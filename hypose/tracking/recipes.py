@@ -17,13 +17,14 @@ from hypose.fitting.articulated import SolveSettings
 from hypose.inference.layer import GoOn, Layer, Recipe, Recovery
 from hypose.inference.resampling import keep
 from hypose.tracking import published_recipes as published
-from hypose.tracking.exchanged_sides import look_for_exchange
+from hypose.tracking.arm_hypotheses import RefineRivals
+from hypose.tracking.arm_workspace import arm_reach, in_practice
+from hypose.tracking.left_right import look_for_exchange
 from hypose.tracking.limb_search import LimbSearch
 from hypose.tracking.monocular.recipe import PICTURE_CUES, TRIGGS, monocular
 from hypose.tracking.part_colours import LearnColours
 from hypose.tracking.pose_covariance import uncertainty_of_pose
 from hypose.tracking.published_recipes import LIMB_LAYERS, step_sigma
-from hypose.tracking.reach_table import arm_reach, in_practice
 from hypose.tracking.refinement import (
     ContourRefinement,
     InTurn,
@@ -31,7 +32,6 @@ from hypose.tracking.refinement import (
     settled_start,
     solved,
 )
-from hypose.tracking.rival_arms import RefineRivals
 from hypose.tracking.smooth_motion import smooth_clip
 from hypose.tracking.starts import recover
 

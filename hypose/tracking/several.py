@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.cameras.camera import CameraRig
-from hypose.evidence.ahead import pack_once
 from hypose.evidence.depth_people import own_frame
 from hypose.evidence.frame import Frame, Keypoints
+from hypose.evidence.prefetch import pack_once
 from hypose.evidence.shared_masks import PREDICTED_WIDENING, SOLVED_WIDENING, BodyShape, Other
 from hypose.geometry import Array
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState

@@ -19,8 +19,8 @@ from hypose.errors import EvidenceError
 from hypose.evidence.hull import Hull
 from hypose.fitting.articulated import SolveSettings
 from hypose.geometry import Array, so3_exp, so3_log
-from hypose.tracking.exchanged_sides import strain, turned_around
 from hypose.tracking.frame_evidence import PreparedFrame
+from hypose.tracking.left_right import strain, turned_around
 from hypose.tracking.postures import postures
 from hypose.tracking.refinement import SETTLING, refine
 from hypose.tracking.starts import KNOWN_POSES, hull_of, start_in_pose

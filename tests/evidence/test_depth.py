@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.synthetic.depth_frames import depth_frames, empty_rooms
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.depth_background import (
     learn_background,

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.depth_people import own_frame, people_seen
 from hypose.evidence.frame import Frame

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from hypose import compute
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.compute import reach
-from hypose.evidence.ahead import outlines, prepared_masks
 from hypose.evidence.frame import Expected
 from hypose.evidence.hull import visual_hull
 from hypose.evidence.outlines import WORKING_HEIGHT
+from hypose.evidence.prefetch import outlines, prepared_masks
 from hypose.evidence.shared_masks import Other, own_silhouettes, without
 from hypose.synthetic.scenes import make_scene
 from hypose.tracking.several import shape_of

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hypose.body.default_body import human
 from hypose.body.motion import Modes
-from hypose.body.ready_bodies import human
 from hypose.evidence.frame import Frame, Picture
 from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.monocular.picture_search import PictureSearch

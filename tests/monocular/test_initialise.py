@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.synthetic.mono_scenes import body_scene
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.errors import InputError
 from hypose.evidence.frame import Frame, Picture
 from hypose.synthetic.scenes import look_at

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.synthetic.scenes import look_at
 from hypose.tracking.contacts import soles_of
 from hypose.tracking.monocular.points import clicked_joints

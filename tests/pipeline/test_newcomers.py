@@ -6,7 +6,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.evidence.hull_people import HullPerson
 from hypose.pipeline import newcomers
 from hypose.pipeline.first_frame import Subject

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.pipeline.hull_paths import follow_places
 from hypose.pipeline.rough_bodies import Rough, own_frame, rough_bodies

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.evidence.colours import COLOURS
 from hypose.evidence.frame import Colours, Frame, Silhouettes
 from hypose.pipeline.first_frame import Subject
@@ -13,7 +13,7 @@ from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.tracked_people import Followed
 from hypose.pipeline.wardrobe import exchange, look_at_clothes
 from hypose.synthetic.scenes import camera_rig as named_rig
-from hypose.tracking.clothes import Clothes, Wardrobe, clothes_in, nothing_seen
+from hypose.tracking.appearance import Clothes, Wardrobe, clothes_in, nothing_seen
 from hypose.tracking.recipes import recipe
 from hypose.tracking.several import Member, nobody_in, shape_of
 from hypose.tracking.starts import known_pose

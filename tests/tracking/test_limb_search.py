@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from hypose.inference.hypotheses import Hypotheses
+from hypose.tracking.arm_workspace import in_practice
 from hypose.tracking.costs import frame_energy, limb_energy
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.limb_search import LimbSearch
 from hypose.tracking.published_recipes import LIMB_LAYERS, step_sigma
-from hypose.tracking.reach_table import in_practice
 from hypose.tracking.refinement import COMPOSITE, SOLVED
 
 

@@ -24,8 +24,8 @@ from hypose.app.studio.recordings import Recordings
 from hypose.app.studio.view_bundle import ViewResult, view_bundle
 from hypose.app.studio.view_result import first_frame
 from hypose.body.body import Body
+from hypose.body.default_body import JOINT_NAMES, human
 from hypose.body.motion import Motion, isotropic
-from hypose.body.ready_bodies import JOINT_NAMES, human
 from hypose.cameras.camera import CameraRig, triangulate
 from hypose.errors import InputError
 from hypose.evidence.terms import KeypointTerm

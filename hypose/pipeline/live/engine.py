@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from hypose import compute
 from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError
-from hypose.evidence.ahead import make_ahead
 from hypose.evidence.frame import Frame
+from hypose.evidence.prefetch import make_ahead
 from hypose.evidence.silhouettes import flag_collapsed, make_silhouettes
 from hypose.pipeline.live.background_work import BackgroundWork
 from hypose.pipeline.live.eyes import (

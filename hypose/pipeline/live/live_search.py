@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hypose.body.body import Body
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.body.skeleton import Skeleton
 from hypose.errors import EvidenceError
 from hypose.evidence.frame import Frame

@@ -8,7 +8,7 @@ from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from hypose.body.motion import Motion
 from hypose.geometry import Array
-from hypose.tracking.audit import AUDITED, more_than_body, views_apart
+from hypose.tracking.joint_features import AUDITED, more_than_body, views_apart
 
 AROUND_S = 0.25
 """s before and after that a joint is judged by as well: what is wrong lasts"""

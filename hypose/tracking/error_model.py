@@ -19,10 +19,10 @@ from numpy.typing import ArrayLike, NDArray
 from hypose.body.joint_angles import ANGLE_NAMES
 from hypose.body.motion import Motion
 from hypose.geometry import Array
-from hypose.tracking.audit import AUDITED
-from hypose.tracking.doubt_features import AROUND_S, FEATURES, MOST_SD, clip_features, mean_nearby, seconds_away
-from hypose.tracking.exchanged_sides import legs_crossed
-from hypose.tracking.fitted_spread import beyond_usual, with_fitted_joints
+from hypose.tracking.covariance_calibration import beyond_usual, with_fitted_joints
+from hypose.tracking.error_features import AROUND_S, FEATURES, MOST_SD, clip_features, mean_nearby, seconds_away
+from hypose.tracking.joint_features import AUDITED
+from hypose.tracking.left_right import legs_crossed
 
 WRONG_M = 0.1
 GROUPS = ("head", "shoulders", "hips", "elbows", "wrists", "knees", "ankles")

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 
 from benchmarks.multiview.doubt_scenes import as_curved
+from hypose.body.default_body import human
 from hypose.body.joint_angles import ANGLE_NAMES, joint_angles
 from hypose.body.motion import Motion, isotropic
-from hypose.body.ready_bodies import human
-from hypose.tracking.audit import AUDITED
-from hypose.tracking.fitted_spread import (
+from hypose.tracking.covariance_calibration import (
     angle_variance,
     apart_factors,
     beyond_usual,
@@ -18,6 +17,7 @@ from hypose.tracking.fitted_spread import (
     with_fitted_angles,
     with_fitted_joints,
 )
+from hypose.tracking.joint_features import AUDITED
 
 BODY = human()
 

@@ -1,7 +1,7 @@
 """What speaks for and against every joint of a tracked frame: bare mask, body outside the masks, key points, rivals.
 
 A wrong limb nearly always leaves a trace in the evidence: the true one stands uncovered in a mask, the wrong one sticks
-out of it, key points lie elsewhere, another pose fits as well. None of them tells alone; `hypose.tracking.doubt`
+out of it, key points lie elsewhere, another pose fits as well. None of them tells alone; `hypose.tracking.error_model`
 weighs them.
 
 How far each view's mask lies from the body as a whole: what is left of a wrong calibration, a lag, a wrong body.
@@ -30,12 +30,12 @@ from hypose.compute import (
     silhouette_xor,
     skin,
 )
-from hypose.evidence.ahead import prepared_masks
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
+from hypose.evidence.prefetch import prepared_masks
 from hypose.geometry import Array
+from hypose.tracking.arm_workspace import ArmReach, arm_reach, ends, in_practice
 from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, KeypointModel, check_sides_and_views, pixels_per_metre
 from hypose.tracking.named_sides import views_by_names
-from hypose.tracking.reach_table import ArmReach, arm_reach, ends, in_practice
 
 _SCALE_M = 0.025
 """Outlines that lie further apart count less (Tukey's weight, zero at three times that): they are of something else."""
@@ -118,7 +118,8 @@ masks better (NaN: not looked at in this frame); m, distance of the joint's key 
 the views; views with one; m, median over all points of the frame; views with one, as it was detected, that agrees with
 the joint, and with one that speaks against it; views whose points of both its legs, or arms, are called by the other
 side's names where the body has them, and by their own (0 of joints of no limb); m, by how much the views' masks as a
-whole contradict each other (`hypose.tracking.audit`), the same of all joints (NaN: not looked at in this frame).
+whole contradict each other (`hypose.tracking.joint_features`), the same of all joints (NaN: not looked at in this
+frame).
 """
 _NEAR_M = 0.25
 _TALL = 110

@@ -4,8 +4,8 @@ The curvature of a cost tells how well the evidence fixes a pose, not how far th
 anatomical one. So the variance is a^2 V + b^2: V from the curvature, a because rows err together, b for the definition
 and the body, the same all along. a and b were fitted to errors on scenes (scripts/train_doubt.py), per joint, angle and
 kind of evidence, so that regions of 90 % hold 90 % of them, and others theirs (`hypose.body.motion`). What lasts in
-the residuals of key points is added to b^2 (`hypose.tracking.fitted_spread`). Views that
-contradict each other as a whole (`hypose.tracking.audit`) by more than they do in such scenes add (c x)^2, x
+the residuals of key points is added to b^2 (`hypose.tracking.covariance_calibration`). Views that
+contradict each other as a whole (`hypose.tracking.joint_features`) by more than they do in such scenes add (c x)^2, x
 being what is beyond: calibrations, lags and bodies that are wrong are wrong in all frames.
 
 Systematic error of joints found from key points: what more frames, and more such views, would not average away.
@@ -33,7 +33,7 @@ from hypose.body.skeleton import Skeleton
 from hypose.evidence.frame import Keypoints
 from hypose.evidence.keypoints import BLAZEPOSE_33
 from hypose.geometry import Array, so3_exp, so3_log
-from hypose.tracking.audit import columns_of_joints, views_apart
+from hypose.tracking.joint_features import columns_of_joints, views_apart
 from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, KeypointModel, check_sides_and_views, pixels_per_metre
 
 LASTING_S = 0.5

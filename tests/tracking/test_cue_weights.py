@@ -7,14 +7,14 @@ import pytest
 
 from benchmarks.robustness.small_recordings import small_scene
 from benchmarks.synthetic.spoilt_keypoints import spoilt
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.keypoints import BODY_25
 from hypose.geometry import se3
+from hypose.tracking.cue_weights import LEAST_POINT_WEIGHT, weighed_beside_masks
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.keypoint_evidence import keypoint_model
 from hypose.tracking.keypoint_offsets import calibrate_keypoints
-from hypose.tracking.points_beside_masks import LEAST_POINT_WEIGHT, weighed_beside_masks
 from hypose.tracking.subject import scaled_to_height
 
 N = 6
