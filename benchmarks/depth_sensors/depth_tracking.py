@@ -46,7 +46,6 @@ from hypose.synthetic.metrics import EVALUATED, population_offsets, with_offsets
 from hypose.synthetic.motions import act
 from hypose.synthetic.scenes import look_at
 from hypose.synthetic.subjects import dress
-from hypose.tracking.costs import silhouette_iou
 from hypose.tracking.error_model import WRONG_M
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.recipes import recipe
@@ -285,7 +284,7 @@ def _with_colour(seed: int, seconds: float, options: BenchOptions) -> dict[str, 
     colour = motion_of(result.body, scene.times, found)
     out["colour_mm"] = _errors(colour, scene)["mean_mm"]
     first = prepare(frames[0], result.body, result.motion.poses[0])
-    out["iou"] = silhouette_iou(result.body, result.motion.poses[0], first)
+    out["iou"] = first.silhouettes.overlap(result.body, result.motion.poses[0])
     return out
 
 

@@ -33,7 +33,6 @@ from hypose.pipeline.verdict import GOOD, LOOK, UNTRUSTED
 from hypose.synthetic.metrics import EVALUATED
 from hypose.synthetic.scenes import Scene, make_scene
 from hypose.synthetic.write_recording import write_scene
-from hypose.tracking.costs import silhouette_iou
 from hypose.tracking.frame_evidence import prepare
 
 VERDICTS = (GOOD, LOOK, UNTRUSTED)
@@ -123,7 +122,7 @@ def _balancing(options: BenchOptions) -> list[Row]:
             poses = result.motion.poses
             assert poses is not None
             overlap = [
-                silhouette_iou(result.body, q, prepare(f, result.body, q))
+                prepare(f, result.body, q).silhouettes.overlap(result.body, q)
                 for q, f in zip(poses, source.frames, strict=True)
             ]
             rows.append(Row("iou", evidence, float(np.nanmean(overlap)), "1", n=n))

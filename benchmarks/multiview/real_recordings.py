@@ -26,7 +26,6 @@ from hypose.io.videos.video import open_video
 from hypose.pipeline.first_frame import SubjectOptions, find_subject
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.track_loop import FrameList
-from hypose.tracking.costs import silhouette_iou
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.keypoint_evidence import KeypointModel
 
@@ -111,7 +110,7 @@ def in_memory(recording: Recording, n: int) -> FrameList:
 def _overlap(case: str, body: Body, poses: Array, source: FrameList) -> list[Row]:
     """IoU of body and masks, mean over the frames, in each view and over all."""
     by_view = [
-        silhouette_iou(body, pose, prepare(frame, body, pose))
+        prepare(frame, body, pose).silhouettes.overlap(body, pose)
         for pose, frame in zip(poses, source.frames, strict=True)
         if frame.silhouettes is not None
     ]

@@ -1,7 +1,7 @@
 """Cameras from one person who walks about, and the person's height: no board, no measured points.
 
 The start is `two_views`: offsets from the epipolar geometry of pairs, a rig chained from essential matrices, focal
-lengths tried where they are unknown. The bundle adjustment is that which refines a rig, and its scores correct offsets.
+lengths tried where they are unknown. The bundle adjustment is the one that refines a rig; its scores correct offsets.
 What such a recording cannot tell is refused: steady walking in a circle looks the same from cameras that are turned
 about its middle and late by a stride, so the start is made at the second best offsets as well and has to be clearly
 worse there.
@@ -170,7 +170,8 @@ class _Search:
             tried.append(epipolar_curves(self.points, lenses, self.sd, largest))
             group = np.arange(len(self.raw))
             for (a, b), cost in zip(tried[-1].pairs, tried[-1].cost, strict=True):
-                if cost.min() < _CLEAR * np.median(cost):
+                inside = abs(tried[-1].lags[cost.argmin()]) < largest - 2  # at the end the minimum lies farther
+                if inside and cost.min() < _CLEAR * np.median(cost):
                     group[group == group[b]] = group[a]
             if (group == group[0]).all():
                 return tried[-1]

@@ -17,7 +17,7 @@ from hypose.body.body import Body
 from hypose.compute import DepthArrays
 from hypose.errors import InputError
 from hypose.evidence.depth_evidence import Depth
-from hypose.evidence.terms import Evidence
+from hypose.evidence.terms import Term
 from hypose.geometry import Array
 
 BODY_SD = 0.012
@@ -31,7 +31,7 @@ _MAP_SIDE = 160
 
 
 @dataclass(frozen=True)
-class DepthTerm(Evidence):
+class DepthTerm(Term):
     """Built by `depth_term`. points, normals (M, 3) m, world; weight (M,); first (C + 1,): the points of each sensor;
     eyes (C, 3) m; maps (C, h, w) float32 m, 0: not known; sizes (C, 2) width, height; projections (C, 3, 4); scale_m:
     Geman-McClure scale; free_share: weight of body before what was seen, per point; free_scale_m; slack_m before what

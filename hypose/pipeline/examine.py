@@ -32,7 +32,7 @@ from hypose.errors import EvidenceError, InputError
 from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.evidence.keypoints import triangulate_keypoints
-from hypose.evidence.terms import Evidence, contour_term
+from hypose.evidence.terms import Term, contour_term
 from hypose.geometry import Array, transform
 from hypose.io.recordings.frames import FrameStream, load_keypoints
 from hypose.io.recordings.recording import Recording
@@ -317,7 +317,7 @@ def _by_body(
     kept = [i for i, f in enumerate(frames) if np.isfinite(poses[i]).all() and f.silhouettes is not None]
     if not kept:
         raise EvidenceError("No frame has both silhouettes and a pose to refine the calibration with.")
-    evidence = list[list[Evidence]]()
+    evidence = list[list[Term]]()
     for i in kept:
         silhouettes = frames[i].silhouettes
         assert silhouettes is not None

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from hypose.compute import in_background, over_chunks, reach
 from hypose.evidence.cues import PoseMemory
-from hypose.evidence.terms import PointTerm
+from hypose.evidence.terms import Evidence, PointTerm
 from hypose.fitting.articulated import PoseFit, SolveSettings
 from hypose.geometry import Array
 from hypose.inference.hypotheses import BEFORE, Hypotheses
@@ -159,7 +159,7 @@ class RefineRivals:
             found = pictured_arms(arms, poses[n], frame, self.colours, rng)
             if found is None:
                 continue
-            seen = *frame.evidence, found[1]
+            seen = *frame.evidence, Evidence(np.zeros(0, np.bool_), (found[1],))
             own = replace(frame, evidence=seen, prediction=expected[n], fits=PoseMemory())
             pose = refine(frame.body, found[0][None], own, self.near)[0].pose
             cost = mismatch(pose[None], frame, expected=expected[n][None])[0]

@@ -21,7 +21,7 @@ from hypose.body.anthropometry import body_of, entity, length_rows, prior_covari
 from hypose.body.body import Body
 from hypose.errors import EvidenceError
 from hypose.evidence.depth_surface import DepthTerm
-from hypose.evidence.terms import ContourTerm, Evidence
+from hypose.evidence.terms import ContourTerm, Term
 from hypose.fitting.problem import Cue, Posed, PoseProblem, Quadratic, Rows
 from hypose.fitting.rows import rows_of_contours, rows_of_depth
 from hypose.geometry import Array
@@ -85,7 +85,7 @@ class ShapeFit:
 def refine_shape(
     body: Body,
     poses: Array,
-    evidence: Sequence[Sequence[Evidence]],
+    evidence: Sequence[Sequence[Term]],
     *,
     known: Known | None = None,
     options: ShapeSettings | None = None,
@@ -118,7 +118,7 @@ def refine_shape(
     return ShapeFit(body_of(body, x), x, covariance, q, before, found.cost)
 
 
-def _cue(one: Evidence, options: ShapeSettings) -> Cue[Array]:
+def _cue(one: Term, options: ShapeSettings) -> Cue[Array]:
     def rows(at: Posed, _: Array, factor: float) -> Iterable[Rows]:
         if isinstance(one, ContourTerm):
             return rows_of_contours(at, one, factor, options.weight, options.row_spacing_px, options.normals)

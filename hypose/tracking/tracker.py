@@ -22,7 +22,7 @@ from hypose.evidence.frame import Frame
 from hypose.geometry import Array
 from hypose.inference.hypotheses import BEFORE, Hypotheses
 from hypose.inference.layer import Memory, Recipe, Recovery, search, stand_still, stream
-from hypose.tracking.costs import agreement, mean_overlap, silhouette_iou
+from hypose.tracking.costs import agreement, mean_overlap
 from hypose.tracking.frame_evidence import PreparedFrame, prepare, view_count
 from hypose.tracking.keypoint_evidence import KeypointModel
 from hypose.tracking.pose_covariance import PoseUncertainty, nothing_known, uncertainty_of_set
@@ -228,7 +228,7 @@ class Tracker:
             memory = recipe.learn(memory, pose, selected, prepared)
         following = TrackerState(state.frames + 1, selected, pose, last, known.joint_covariance, usual, 0, lost, memory)
         cost = 1 - iou if np.isfinite(iou) else float("nan")
-        overlap = silhouette_iou(self.body, pose, prepared)
+        overlap = prepared.silhouettes.overlap(self.body, pose)
         if not lost and np.isnan(gain):
             gain = self._rival_gain(state, pose, prepared)
         rivals, weights = self._rivals(None if lost else selected)

@@ -103,8 +103,8 @@ def test_solves_weigh_points_less_where_there_are_masks(clip, model):
     pose = np.zeros(body.skeleton.dof)
     pose[:3] = (0, 0, 1)
     alone = prepare(replace(frames[0], silhouettes=None), body, pose, use_keypoints=True, keypoints_on_body=model)
-    assert alone.keypoints.beside is alone.keypoints.term
+    assert alone.terms == (alone.keypoints.term,)
     both = prepare(frames[0], body, pose, use_keypoints=True, keypoints_on_body=model)
     np.testing.assert_array_equal(both.keypoints.term.points, alone.keypoints.term.points)
     expected = both.keypoints.term.points[..., 2] * model.beside[:, model.known]
-    np.testing.assert_allclose(both.keypoints.beside.points[..., 2], expected)
+    np.testing.assert_allclose(both.keypoints.terms[0].points[..., 2], expected)
