@@ -1,9 +1,9 @@
 """Which detections of all views belong to which person, through a whole clip: candidates -> people with 3D points.
 
 Frame by frame: those who are followed take their detections first, view by view (an assignment problem, solved exactly,
-on the distance in metres between detection and prediction); what is left may be somebody new, when its rays meet in
-points whose bones a body can have. What one view alone sees is nobody. A person dies after a while with fewer than two
-views. Left and right of arms, legs or face are exchanged where that, and only that, explains a view.
+on the distance in metres between detection and prediction); the rest may be a person new, when its rays meet in
+points whose bones a body can have. What one view alone sees is no person. A person dies after a while with fewer than
+two views. Left and right of arms, legs or face are exchanged where that, and only that, explains a view.
 
 After the idea of tracking first (4D Association, Zhang et al. 2020: candidates of all views and the last frame in one
 problem) with whole skeletons, and distances of rays, in the place of graphs of limbs; no learning.
@@ -24,7 +24,7 @@ from hypose.geometry import Array
 
 _MEASURED, _REMEMBERED = 10, 50  # frames after which a bone's length is known, and over which it is averaged
 _WRUNG = -0.5  # cosine of the angle between the lines of the shoulders and of the hips that no trunk reaches
-_LEAST_POINTS = 4  # key points that a candidate needs to be somebody, fewer are parts that can complete one
+_LEAST_POINTS = 4  # key points that a candidate needs to be a person, fewer are parts that can complete one
 _GROUPS = (
     ("shoulder", "elbow", "wrist"),
     ("hip", "knee", "ankle", "big_toe", "small_toe", "heel"),
@@ -49,13 +49,14 @@ _BONES = (
 @dataclass(frozen=True)
 class AssociationSettings:
     """gate: m, mean distance from the prediction up to which a detection is the person's. birth: m, mean distance of
-    the rays of two detections of somebody new; all others of that person may pass each other 1.5 times as far. near:
-    m, of a ray that counts for a point. complete: m, up to which a single point that nobody has completes a person.
+    the rays of two detections of a person new; all others of that person may pass each other 1.5 times as far. near:
+    m, of a ray that counts for a point. complete: m, up to which a single point that no person has completes a person.
     limit: m, at which distances end. merge: m, nearer than which two people are one; apart: m, nearer than which
-    nobody new is born. patience: s without two views after which a person is no longer followed; stale: s for which a
-    point that is not seen is expected with the others; trial: s for which somebody seen by two views has to be followed
-    to be believed; three views are believed at once. exchanged: share of the distance that may be left where left and
-    right are exchanged; exchanged_m: m that it has to win. plausible: share of bones that have a body's lengths.
+    no person new is born. patience: s without two views after which a person is no longer followed; stale: s for which
+    a point that is not seen is expected with the others; trial: s for which a person seen by two views has to be
+    followed to be believed; three views are believed at once. exchanged: share of the distance that may be left where
+    left and right are exchanged; exchanged_m: m that it has to win. plausible: share of bones that have a body's
+    lengths.
     stretched: times the usual length of a person's bone from which the end of a limb is not believed when only two
     views show it."""
 
@@ -85,9 +86,9 @@ def people_of(
     """The people of a clip, those seen most first.
 
     candidates: per frame and view the detections (P, K, 3 or more) = (u px, v px, confidence, ...) in undistorted
-    pixels of the pinhole `rig`, confidence 0 where missing; None or none: nobody is seen. Further columns are carried
-    along. A candidate with fewer than four points is a part that may complete a person. names: of the K points. With
-    one view alone, or two that do not agree, there is nobody: see `hypose.evidence.one_person`."""
+    pixels of the pinhole `rig`, confidence 0 where missing; None or none: no person is seen. Further columns are
+    carried along. A candidate with fewer than four points is a part that may complete a person. names: of the K points.
+    With one view alone, or two that do not agree, there is no person: see `hypose.evidence.one_person`."""
     given = (view.shape[2] for frame in candidates for view in frame if view is not None and len(view))
     at = Association(names, rig, frame_rate, settings, columns=max(given, default=3))
     for frame in candidates:
@@ -97,7 +98,7 @@ def people_of(
 
 @dataclass(eq=False)  # two of the same frame are two
 class _Followed:
-    """Somebody who is followed: points (K, 3) m (the last known), their motion per frame, for how many frames each has
+    """A person who is followed: points (K, 3) m (the last known), their motion per frame, for how many frames each has
     not been seen, in which views (C, G + 1) which group's sides are exchanged, for how many frames most views had all
     sides reversed, lengths (B,) m of the limbs' bones and how often each was measured."""
 
@@ -172,7 +173,7 @@ class Association:
             seen, which = np.concatenate([seen, again], 1), np.concatenate([which, chosen], 1)
         if self._alive:
             self._complete(seen, found, free, free & ~somebody, which, expected)
-            if new:  # labels of those born are mended by what most views say
+            if new:  # labels of those born are repaired by what most views say
                 first = len(self._alive) - len(new)
                 seen[:, first:] = self._mended_births(seen[:, first:], which[:, first:], expected[first:])
             world, used = meet(self._views, seen, self.settings.near, expected)
@@ -307,7 +308,7 @@ class Association:
         return out
 
     def _wrung(self, t: _Followed) -> bool:
-        """Whether somebody's left shoulder lies above the right hip."""
+        """Whether a person's left shoulder lies above the right hip."""
         if self._girdles is None:
             return False
         a, b, c, d = t.points[self._girdles]
@@ -335,7 +336,7 @@ class Association:
         t.otherwise[group] = 0
 
     def _born(self, found: Array, somebody: NDArray[np.bool_], free: NDArray[np.bool_]) -> list[list[tuple[int, int]]]:
-        """Somebody new among the candidates left: the views and candidates of each; they are followed from now on."""
+        """A person new among the candidates left: the views and candidates of each; they are followed from now on."""
         o = self.settings
         view, number = np.nonzero(somebody)
         if len(np.unique(view)) < 2:
@@ -386,8 +387,8 @@ class Association:
         which: NDArray[np.int64],
         expected: Array,
     ) -> None:
-        """Points that nobody has, near to where a person's missing one is expected; whoever is somebody, but nobody's
-        detection, only completes a person whom that view sees (who was detected in two pieces)."""
+        """Points that no person has, near to where a person's missing one is expected; the person who is a person, but
+        no person's detection, only completes a person whom that view sees (who was detected in two pieces)."""
         if not free.any():
             return
         left = np.where(free[..., None, None], found, 0.0)
@@ -403,7 +404,7 @@ class Association:
 
     def _of_own_size(self, world: Array, used: NDArray[np.bool_]) -> Array:
         """Points (N, K, 3) without ends of limbs that two rays alone put farther away than the person's bones reach;
-        used (C, N, K). What is left tells how long the bones are."""
+        used (C, N, K). The rest tells how long the bones are."""
         if not len(self._limbs):
             return world
         a, b = self._limbs.T
@@ -444,7 +445,7 @@ class Association:
             t.which.append(which[:, n].copy())
 
     def _end(self) -> None:
-        """Those who are no longer seen, never were, or are somebody else as well."""
+        """Those who are no longer seen, never were, or are another person as well."""
         alive = []
         for t in self._alive:
             age = len(t.seen)
@@ -477,7 +478,7 @@ def _apart(a: Array, b: Array) -> float:
 
 def clusters(apart: Array, birth: float) -> list[list[int]]:
     """Groups of two or more candidates of different views, of distances (M, M) m: nearest pairs first, each group with
-    everybody near to everybody (cycle consistency)."""
+    all people near to all people (cycle consistency)."""
     m = len(apart)
     group = [[i] for i in range(m)]
     of = list(range(m))

@@ -44,7 +44,7 @@ ARM_M2, ARM_REACH_M, EXPLAINED_M = 0.055, 0.75, 0.08
 LEAST_SHOWN, AGREED, BESIDE = 0.7, 0.8, 0.4
 """shares of an arm: in sight; of what is in sight, where it was seen; seen in its reach, but no part of the body. An
 arm that is so much in sight is looked for nowhere else. Chosen on the seeds 0 to 15 (benchmark `depth`)."""
-_FEW = 12
+_REMEMBERED_POSES = 12
 """sets of no more poses are looked up, and remembered: the same pose is judged several times in a frame"""
 
 
@@ -74,7 +74,7 @@ class PoseMemory(Generic[_Found]):
     def all(self, body: Body, poses: Array, find: Callable[[Array], NDArray[Any]]) -> NDArray[Any]:
         """What is kept of the poses (N, D), row by row; `find` finds it for those of which nothing is, and of many
         poses for all."""
-        if len(poses) > _FEW:
+        if len(poses) > _REMEMBERED_POSES:
             return find(poses)
         found = [self.get(body, pose) for pose in poses]
         new = [n for n, one in enumerate(found) if one is None]

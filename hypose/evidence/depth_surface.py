@@ -21,7 +21,7 @@ from hypose.evidence.terms import Term
 from hypose.geometry import Array
 
 BODY_SD = 0.012
-"""m: how far a person's surface lies beside that of a body of the right size: clothes, folds, flesh"""
+"""m: how far a person's surface lies next to that of a body of the right size: clothes, folds, flesh"""
 WEIGHT, SCALE_M = 0.1, 0.025
 """Of one point, the robust scale of its distance. Chosen on simulated recordings of the seeds 0 to 9
 (benchmark `depth`)."""

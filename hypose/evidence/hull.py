@@ -148,7 +148,7 @@ def visual_hull(
             hits += hit
             if sure and not level:
                 plain += _free_cells(camera, told[c], sums[int(c)], centres, 0.0)[1]
-            # nobody looks again at what is out already
+            # no person looks again at what is out already
             left = len(views) - 1 - k
             open_ = (free <= miss) & (hits + left >= min_views) & (plain + left >= sure if not level else True)
             index, centres = index[open_], centres[open_]

@@ -1,8 +1,9 @@
 """People in the visual hull: parts of it that stand on the floor, each about one upright axis.
 
 A hull of several people has parts of each of them, and ghosts where the rays of one camera that see one person cross
-those of another camera that see another. Whoever is explained already is left out first (`hypose.evidence.shared_masks`
-ignores their pixels), and a person must be shown by several views in pixels that nobody explains.
+those of another camera that see another. The person who is explained already is left out first
+(`hypose.evidence.shared_masks` ignores their pixels), and a person must be shown by several views in pixels that no
+person explains.
 """
 
 from __future__ import annotations
@@ -30,15 +31,15 @@ CHILD_LITRES, CHILD, SLENDER = 12.0, 0.75, 42.0
 children of 0.9 to 1.1 m it was 23 to 39 in four views, of people of any age 20 to 36; of stools, chairs, dogs, bins and
 suitcases 48 to 140."""
 FEWEST_VIEWS = 3
-"""So many views must show a person in pixels that nobody else explains; with two there are ghosts."""
+"""So many views must show a person in pixels that no other person explains; with two there are ghosts."""
 ABOUT, REACH, _APART = 0.3, 0.9, 0.42
 """m: what of the hull lies so near to an upright axis makes a person; what lies further away may be theirs, too; no two
 axes lie nearer to each other."""
 OWN_SHARE = 0.12
-"""Share of what a person fills of a view that nobody else may fill."""
+"""Share of what a person fills of a view that no other person may fill."""
 PART_OF_LARGER_M, SMALL = 0.5, 0.6
-"""Whoever stands that near to somebody larger, m, and has no more than this share of their hull is a part of them: a
-seated person's knees, an arm held out."""
+"""The person who stands that near to a person larger, m, and has no more than this share of their hull is a part of
+them: a seated person's knees, an arm held out."""
 _SPREAD, _FINE = 0.12, 0.06
 _WIDENED = 0.01
 _NEAR_CAMERA = 0.2
@@ -101,7 +102,7 @@ def people_in_hull(
     floor: float = 0.0,
     most: int = 8,
 ) -> list[HullPerson]:
-    """Who stands in the masks beside those that are known, the largest first; none when too few views are usable.
+    """Who stands in the masks next to those that are known, the largest first; none when too few views are usable.
 
     floor: m, height of the floor. The space searched is the cameras' common view, between the floor and what a person
     reaches. A voxel belongs to whose axis it is nearest to."""
@@ -113,7 +114,7 @@ def people_in_hull(
     try:
         bounds = common_view_bounds(silhouettes.rig)
         bounds = np.array([[*bounds[0, :2], floor - 0.3], [*bounds[1, :2], floor + 2.6]])
-        # nobody known: all views that see the place; somebody known: what they cover may be in the mask or not
+        # no person known: all views that see the place; a person known: what they cover may be in the mask or not
         hull = visual_hull(left, bounds, VOXEL, min_views=least, largest=False, surely=least)
     except EvidenceError:
         return []
@@ -149,12 +150,12 @@ def _axes(hull: Hull, floor: float, most: int, surface: float) -> list[tuple[Arr
             away = np.linalg.norm(points[:, :2] - axis, axis=1)
             if _stands(points[away < ABOUT], np.count_nonzero(away < PART_OF_LARGER_M) * litre, litre, floor, surface):
                 axes.append(axis)
-                taken = wide  # nobody else stands so near
+                taken = wide  # no other person stands so near
         r = taken.shape[0] // 2
         free[i + beyond - r : i + beyond + r + 1, j + beyond - r : j + beyond + r + 1] &= ~taken
     if not axes:
         return []
-    # judged again by what is nearest to each: knees and arms before a trunk are nobody
+    # judged again by what is nearest to each: knees and arms before a trunk are no person
     while True:
         away = np.linalg.norm(points[:, None, :2] - np.array(axes), axis=2)
         nearest = away.argmin(1)
@@ -184,7 +185,7 @@ def _within(filled: NDArray[np.integer], i: int, j: int, disc: NDArray[np.bool_]
 
 
 def _stands(near: Array, beside: float, litre: float, floor: float, surface: float) -> bool:
-    """Do the voxels (M, 3) m about an axis make a person? beside: litres as near as PART_OF_LARGER_M, of whomever: a
+    """Do the voxels (M, 3) m about an axis make a person? next to: litres as near as PART_OF_LARGER_M, of whomever: a
     part of something wide is no child; a child's surface alone is no more than a piece of furniture shows."""
     if not len(near) or near[:, 2].min() - floor > FROM_FLOOR:
         return False

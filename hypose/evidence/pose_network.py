@@ -97,7 +97,7 @@ class PoseNetwork:
     landmarks: (256, 256, 3) float32 RGB 0..1 -> LandmarkOutput.
     identity: what decides the result, as JSON values.
     people: most people in a picture.
-    every: number of pictures after which the detector looks for newcomers, even where somebody is followed."""
+    every: number of pictures after which the detector looks for newcomers, even where a person is followed."""
 
     detect: Callable[[NDArray[np.float32]], DetectorOutput]
     landmarks: Callable[[NDArray[np.float32]], LandmarkOutput]
@@ -205,7 +205,7 @@ def _apart(a: Crop, b: Crop) -> float:
 
 
 def mask_of_people(people: Sequence[Sighting], places: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """(h, w), 1 where somebody is. places (h, w, 2): where its pixels lie in the picture."""
+    """(h, w), 1 where a person is. places (h, w, 2): where its pixels lie in the picture."""
     out = np.zeros(places.shape[:2], np.float32)
     for found in people:
         if found.crop is None or found.mask is None:

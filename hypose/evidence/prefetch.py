@@ -1,7 +1,7 @@
 """What the tracker wants of a frame's masks, made by other threads while the frame before is being tracked.
 
-It depends on the masks alone, so whoever has the masks may make it: `make_ahead` tells that somebody does, `look_ahead`
-does so for the frames to come, and `outlines` and `prepared_masks` take it from there or make it.
+It depends on the masks alone, so the person who has the masks may make it: `make_ahead` tells that a person does,
+`look_ahead` does so for the frames to come, and `outlines` and `prepared_masks` take it from there or make it.
 """
 
 from __future__ import annotations
@@ -76,7 +76,8 @@ def _next(source: Iterator[Frame]) -> Frame | None:
 
 
 def make_now(silhouettes: Silhouettes) -> None:
-    """Makes all that tracking wants of these masks, and keeps it with them for whoever tracks them more than once."""
+    """Makes all that tracking wants of these masks, and keeps it with them for the person who tracks them more than
+    once."""
     made = outlines(silhouettes, OUTLINE_POINTS, WORKING_HEIGHT)
     _keep(silhouettes, _Made(None, made, prepared_masks(silhouettes)))
 
@@ -100,7 +101,7 @@ def outlines(silhouettes: Silhouettes, count: int = OUTLINE_POINTS, working_heig
 def _outline(
     silhouettes: Silhouettes, view: int, size: tuple[int, int], count: int, working_height: int | None
 ) -> ViewOutline:
-    """The outline of one view, of size (w, h); of what is told where a part is ignored."""
+    """The outline of one view, of size (w, h); of the known part where a part is ignored."""
     w, h = size
     mask, ignored = silhouettes.masks[view, :h, :w], silhouettes.ignored
     if ignored is None or silhouettes.expected is None or not silhouettes.shared[view]:
@@ -110,7 +111,7 @@ def _outline(
 
 
 def pack_once(silhouettes: Silhouettes) -> None:
-    """Makes the masks for the scorer now, and keeps them with the silhouettes for whoever wants them."""
+    """Makes the masks for the scorer now, and keeps them with the silhouettes for the person who wants them."""
     known: _Made = silhouettes.ahead or _NOTHING
     if known.masks is None:
         _keep(silhouettes, replace(known, masks=prepared_masks(silhouettes)))

@@ -1,8 +1,8 @@
 """What of masks that show several people is evidence for one of them.
 
 Where another person's body covers a pixel, mask or no mask says nothing of this one. Which of the two stands in front
-does not matter: the pixel is in the mask either way. In views in which nobody is near, the masks are cut to where the
-person is expected, and all of their pixels tell.
+does not matter: the pixel is in the mask either way. In views in which no person is near, the masks are cut to where
+the person is expected, and all of their pixels tell.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class BodyShape:
 
     @cached_property
     def _projected(self) -> tuple[Array, Array]:
-        """(C, 2, V) px, NaN beside and behind the camera, and (C, V) m along its axis."""
+        """(C, 2, V) px, NaN next to and behind the camera, and (C, V) m along its axis."""
         p = self.rig.projections
         x = p[:, :, :3] @ self.vertices.T + p[:, :, 3:]
         z = x[:, 2:]
@@ -66,7 +66,7 @@ class BodyShape:
         if view not in self._kept:
             y0, y1, x0, x1 = self.boxes[view].tolist()
             uv, z = (a[view] for a in self._projected)
-            closed = bool(z.min() > _NEAR_M)  # else a part lies behind the camera, and what is left has a hole
+            closed = bool(z.min() > _NEAR_M)  # else a part lies behind the camera, and the rest has a hole
             shape = max(y1 - y0, 0), max(x1 - x0, 0)
             self._kept[view] = covered(uv.T - (x0, y0), z, self.faces, shape, closed)
         return self._kept[view]
@@ -96,7 +96,7 @@ StandingShape = BodyShape | DrawnShape
 
 @dataclass(frozen=True)
 class Other:
-    """Somebody else: their shape, and by how much of its longer side it is widened."""
+    """Another person: their shape, and by how much of its longer side it is widened."""
 
     shape: StandingShape
     widened: float = PREDICTED_WIDENING
@@ -131,8 +131,8 @@ def _disc(radius: int) -> cv2.typing.MatLike:
 
 
 def without(silhouettes: Silhouettes, others: Sequence[Other]) -> Silhouettes:
-    """The silhouettes of whoever is left: the pixels of all the others are ignored. Nobody is expected anywhere, so
-    these are for hulls and not for outlines."""
+    """The silhouettes of the person who is left: the pixels of all the others are ignored. No person is expected
+    anywhere, so these are for hulls and not for outlines."""
     if not others:
         return silhouettes
     ignored = np.zeros_like(silhouettes.masks)
@@ -147,9 +147,9 @@ def own_silhouettes(
 ) -> Silhouettes:
     """The evidence for one person in masks of several.
 
-    own: where the person is expected; others: everybody else. anywhere: the person has been lost, and may be in all of
-    the masks that nobody else covers. Views in which nobody else is near have no ignored pixels; a view in which the
-    person is not expected to be is not usable."""
+    own: where the person is expected; others: all other people. anywhere: the person has been lost, and may be in all
+    of the masks that no other person covers. Views in which no other person is near have no ignored pixels; a view in
+    which the person is not expected to be is not usable."""
     sizes, boxes = silhouettes.rig.sizes.tolist(), own.boxes.copy()
     masks, ignored = np.zeros_like(silhouettes.masks), None
     usable, reasons = np.array(silhouettes.usable, dtype=np.bool_), list(silhouettes.reasons)

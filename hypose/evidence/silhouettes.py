@@ -295,7 +295,7 @@ def _dim_level(a: NDArray[Any], top: int, half: float, source: str) -> float:
             f"{source} holds the labels {shown}, and which of them is the person is not known; write masks of the "
             "person alone (0 and 255)."
         )
-    return half  # faint grey, as of a picture in which nobody was found
+    return half  # faint grey, as of a picture in which no person was found
 
 
 def flag_collapsed(
@@ -310,7 +310,7 @@ def flag_collapsed(
 
     areas (C,) foreground pixels of this frame; history (C, H) of frames around or before it (H may be 0).
     A view is left out when its mask is empty, above `highest` times its median area, below `lowest` times the second
-    smallest area of the history, or below half of `lowest` times the median. The smallest areas count, because somebody
+    smallest area of the history, or below half of `lowest` times the median. The smallest areas count, because a person
     who turns sideways and walks away from a camera loses half the area within two seconds and has not collapsed.
     """
     now = np.asarray(areas, dtype=np.float64)

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from hypose.geometry import Array
 
 _LEAST_CONFIDENCE = 0.1  # least confidence of a point that counts
-_LEAST_POINTS = 4  # key points of somebody
+_LEAST_POINTS = 4  # key points of a person
 _JUMP = 0.35  # share of the person's size that its points move from frame to frame (median)
 _MOST_PAIRS = 1500  # pairs of points that a fundamental matrix is made of
-_FEWEST_PAIRS = 60  # with fewer nothing is told
+_FEWEST_PAIRS = 60  # with fewer nothing is known
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class ViewTrack:
 def view_tracks(frames: Sequence[Array | None], patience: int) -> list[ViewTrack]:
     """People of one view: candidates (P, K, 3) per frame joined to whom they lie nearest to; those there longest first.
 
-    patience: frames after which somebody who is not seen is followed no more. In each frame candidates and people are
+    patience: frames after which a person who is not seen is followed no more. In each frame candidates and people are
     assigned exactly, so that two do not take each other's place."""
     from scipy.optimize import linear_sum_assignment  # takes long to import
 
@@ -71,7 +71,7 @@ def view_tracks(frames: Sequence[Array | None], patience: int) -> list[ViewTrack
 
 
 def _moved(before: Array, now: Array, gap: int) -> float:
-    """How far one candidate (K, 3) lies from another, 1 = as far as somebody moves in `gap` frames."""
+    """How far one candidate (K, 3) lies from another, 1 = as far as a person moves in `gap` frames."""
     both = (before[:, 2] > _LEAST_CONFIDENCE) & (now[:, 2] > _LEAST_CONFIDENCE)
     if both.sum() < 3:
         return 2.0
@@ -93,7 +93,7 @@ def moves_as(one: Array, other: Array) -> float:
     """How badly points (T, K, 3) of two views can be one body's: median distance from the epipolar lines of the
     fundamental matrix that explains them best, in sizes of the person; NaN when they share too little.
 
-    The normalised eight-point algorithm (Hartley 1997), weighted anew by what is left (three rounds), as detections
+    The normalised eight-point algorithm (Hartley 1997), weighted again by the rest (three rounds), as detections
     have outliers."""
     both = (one[..., 2] > _LEAST_CONFIDENCE) & (other[..., 2] > _LEAST_CONFIDENCE)
     a, b = one[both][:, :2], other[both][:, :2]

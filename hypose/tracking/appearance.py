@@ -1,4 +1,4 @@
-"""Whom one sees by the colours of their clothes: people of one size at one place are told apart by nothing else.
+"""Whom one sees by the colours of their clothes: people of one size at one place are distinguished by nothing else.
 
 What covers trunk and legs where the body is in front is counted by colour, all views together: who turns round shows
 the same shirt to another camera.
@@ -51,7 +51,7 @@ class Clothes:
 
 
 def nothing_seen() -> Clothes:
-    """Of somebody who has not been looked at."""
+    """Of a person who has not been looked at."""
     return Clothes(np.zeros((len(ZONES), COLOURS), np.float32))
 
 
@@ -85,8 +85,8 @@ class Wardrobe:
 
 
 def clothes_in(body: Body, pose: Array, frame: Frame) -> Clothes:
-    """What a frame shows of the clothes of somebody at a pose (D,): in the person's mask, where nobody else covers it;
-    nothing where the frame has no pictures."""
+    """What a frame shows of the clothes of a person at a pose (D,): in the person's mask, where no other person covers
+    it; nothing where the frame has no pictures."""
     out, s, colours = nothing_seen(), frame.silhouettes, frame.colours
     if s is None or colours is None:
         return out

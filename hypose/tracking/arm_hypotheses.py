@@ -1,7 +1,7 @@
 """Rival arms: the estimate and the best of what the arms could be instead, carried along from frame to frame.
 
 A lost arm lies in plain sight, yet its pose overlaps the masks better only once the body, which has made up for the
-wrong arm, is solved anew. So the arms that a table of reach finds in the masks are solved before they are compared,
+wrong arm, is solved again. So the arms that a table of reach finds in the masks are solved before they are compared,
 and a few that are nearly as good live on, each with its own history, until what they predict decides. Source: as for
 the pruned multiple hypotheses of Sminchisescu & Triggs 2001; the scores and the table are hypose's own.
 """
@@ -28,7 +28,7 @@ from hypose.tracking.part_colours import ColourSettings, colour_scores, known_co
 from hypose.tracking.refinement import COMPOSITE, RIVAL, SOLVED, keep_fits, member, mismatch, refine, solve_poses
 
 _SOLVE, _LOOK, _ORDERED = "rivals solved", "arms looked up", "rivals in order"
-"""What has been begun beside other layers, and the hypotheses of the last frame, in a frame's `shared`."""
+"""What has been begun next to other layers, and the hypotheses of the last frame, in a frame's `shared`."""
 
 DEPTH_KEEPS = 2
 """hypotheses that live on where depth cameras see, which leave less open; a third one is no gain there. Chosen on the

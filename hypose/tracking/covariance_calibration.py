@@ -99,7 +99,7 @@ def systematic_covariance(
     body: Body, model: KeypointModel, keypoints: Sequence[Keypoints | None], poses: Array, frame_rate: float
 ) -> Array:
     """(T, J, 3, 3) m^2: systematic error of the joints of a clip solved on its key points, of which less is left where
-    BlazePose's, which are seldom right to the centimetre, weigh less beside masks.
+    BlazePose's, which are seldom right to the centimetre, weigh less next to masks.
 
     That of single views goes through the triangulation of the views that see the point in the frame, weighted as the
     solve weighs them; the shared one (SHARED) is the same in all directions. Joints without a key point of their own
@@ -185,7 +185,7 @@ def beyond_usual(audit: ArrayLike, evidence: str) -> float:
 
 def with_fitted_joints(motion: Motion, evidence: str, beyond: float = 0.0) -> Motion:
     """The motion with covariances a^2 V + S + (b^2 + c^2 beyond^2) I, all but the first of which is systematic; its own
-    systematic_covariance is S, what is known of it besides (None: nothing); beyond: m, see `beyond_usual`."""
+    systematic_covariance is S, the information on it besides (None: nothing); beyond: m, see `beyond_usual`."""
     own = fitted_spread_table()["joints"][evidence]
     pairs = np.array([own.get(kind_of(n), (1.0, 0.0)) for n in motion.skeleton.joint_names])
     a, b = pairs[:, 0], pairs[:, 1]
@@ -212,7 +212,7 @@ def with_angle_variance(motion: Motion, variance: Array, evidence: str, beyond: 
 
 
 def pose_covariance(information: Array) -> Array:
-    """(T, D, D) from what is known of poses (T, D, D): inverse, with the little that anatomy knows."""
+    """(T, D, D) from the information on poses (T, D, D): inverse, with the little that anatomy knows."""
     least = np.diag(np.r_[np.zeros(3) + 1e-2, np.full(information.shape[-1] - 3, _PRIOR_INFORMATION)])
     return np.asarray(np.linalg.inv(information + least), dtype=np.float64)
 

@@ -1,10 +1,10 @@
-"""How much key points may say beside masks: measured on a few frames of the clip, limb by limb.
+"""How much key points may say next to masks: measured on a few frames of the clip, limb by limb.
 
 Outlines know where they are right to about a centimetre, but their cost hardly grows beyond that: points that scatter
-by more pull a limb out of its outline, and are not averaged against it as two measurements would be. So beside masks
+by more pull a limb out of its outline, and are not averaged against it as two measurements would be. So next to masks
 points weigh as if they knew no better than outlines that hold, and in full where outlines do not. Whether they do is
-told by the points: a body that is fitted to the outlines alone lies as near to them as they scatter, or else further
-(a skirt, a bag, a chair, somebody else, shadows).
+ known by the points: a body that is fitted to the outlines alone lies as near to them as they scatter, or else further
+(a skirt, a bag, a chair, another person, shadows).
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from hypose.tracking.keypoint_offsets import OffsetResiduals, residual_rows, sol
 from hypose.tracking.refinement import settled_start, solve_poses
 
 OUTLINES_M = 0.015
-"""m: points that scatter by no more weigh in full beside masks, whatever these say."""
+"""m: points that scatter by no more weigh in full next to masks, whatever these say."""
 _STEEP = 3
 """Power of that share of their weight that points keep which scatter by more: outlines pull hardly more on a limb that
 is far than on one that is near, so points are followed long before they know as much. On scenes (walk, box, serve,
 cross-arms; seeds 1040 and 1041) a third to a tenth of the weight is better; on balancing all of it is needed, and
 kept."""
 LEAST_POINT_WEIGHT = 0.03
-"""Share of their weight that points keep beside masks that are right."""
+"""Share of their weight that points keep next to masks that are right."""
 _CLEARLY = 2.0
 """So many times further from the outlines' solve than in half of the views are points that are wrong in a view."""
 _APART = 1.5
@@ -47,7 +47,7 @@ _SOLVE = SolveSettings(iterations=12, coarse_iterations=4)
 
 
 def weighed_beside_masks(body: Body, model: KeypointModel, frames: Sequence[Frame]) -> KeypointModel:
-    """The model with what is left of its points' weights beside masks (`KeypointModel.beside`); as it is when fewer
+    """The model with the rest of its points' weights next to masks (`KeypointModel.next to`); as it is when fewer
     than three of the frames (of one person) tell.
 
     Of the points of each part of the body, noise: variance per axis about the body that is solved for by them, which

@@ -4,9 +4,9 @@ A wrong limb nearly always leaves a trace in the evidence: the true one stands u
 out of it, key points lie elsewhere, another pose fits as well. None of them tells alone; `hypose.tracking.error_model`
 weighs them.
 
-How far each view's mask lies from the body as a whole: what is left of a wrong calibration, a lag, a wrong body.
+How far each view's mask lies from the body as a whole: the rest of a wrong calibration, a lag, a wrong body.
 
-A solve halves the difference between views that contradict each other; what is left points one way in each of them and
+A solve halves the difference between views that contradict each other; the rest points one way in each of them and
 stays, while the noise of outlines points everywhere. It tells errors that no curvature of a cost knows.
 """
 
@@ -256,7 +256,7 @@ def _masks(
 
 
 def _span(reach: Array, beside: float, most: int) -> tuple[int, int]:
-    """The pixels 0 to `most` from the first to the last that are reached (2,), and so many beside them; none where
+    """The pixels 0 to `most` from the first to the last that are reached (2,), and so many next to them; none where
     nothing is."""
     first, last = reach.tolist()  # plain numbers take a tenth of the time
     low, high = first - beside, last + beside
@@ -310,7 +310,7 @@ scenes of the seeds 600 to 617"""
 
 
 def _elsewhere(body: Body, pose: Array, masks: PreparedMasks, index: int) -> Array:
-    """(J, 2): what the reach of the arms allows, each in its turn, for it is dear; see AUDITED."""
+    """(J, 2): what the reach of the arms allows, each in its turn, for it is slow; see AUDITED."""
     out = np.zeros((len(body.skeleton.joint_names), 2))
     s, mesh = body.skeleton, body.coarse.arrays
     for k, arm in enumerate(_kept(body).arms):

@@ -40,7 +40,7 @@ VELOCITY_GAIN = 0.8
 EXTRAPOLATE_S = 1.0
 """s without key points after which the person counts as lost, as for the tracker."""
 FASTEST, FARTHEST = 4.0, 1.3
-"""m/s, m: how much faster than expected, and how far, somebody may go on unseen and still be the same person."""
+"""m/s, m: how much faster than expected, and how far, a person may go on unseen and still be the same person."""
 SAME_SIZE = 0.1
 """A lost person may be found anywhere when the limbs' lengths (median) differ from the body's by less than this."""
 _LIMBS = [
@@ -48,7 +48,7 @@ _LIMBS = [
     for side in ("left", "right")
     for a, b in (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"))
 ]
-_LOOK_EVERY = 5  # frames; looking everywhere is dear
+_LOOK_EVERY = 5  # frames; looking everywhere is slow
 LEAST_POINTS = 6
 """A frame with fewer points (in all views together) says nothing of the pose by itself."""
 _QUICK = SolveSettings(iterations=6, coarse_iterations=0, tolerance=3e-3)

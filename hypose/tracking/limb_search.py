@@ -20,8 +20,8 @@ from hypose.tracking.refinement import COMPOSITE, SOLVED
 @dataclass(frozen=True)
 class LimbSearch:
     """Kernel: a greedy step of a search of single limbs. The limb takes Gaussian steps in all hypotheses, in a share
-    `long` of them `longer` times as long, and in a share `anew` it is drawn anew between lower and upper (D,); then
-    that of the best is everybody's, with the rest of each body as it was.
+    `long` of them `longer` times as long, and in a share `again` it is drawn again between lower and upper (D,); then
+    that of the best is all people's, with the rest of each body as it was.
 
     The hypothesis in the role SOLVED never moves, and the one in the role COMPOSITE is tried as it is, so that the
     search never loses its start. skeleton; joints: of the limb, by name; sigma (D,): sd of a step. With a budget of

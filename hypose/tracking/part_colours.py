@@ -9,7 +9,7 @@ Arms where pictures show them: looked for about where they are held to be, befor
 
 What lies before the trunk has no outline. Its colours and the rims of its sleeves are in the pictures, and tell an arm
 from one ten centimetres off, over which the masks are of two minds. So arms are drawn about their place, narrower and
-narrower, and what the masks and the pictures like best holds the arm while the body is solved anew.
+narrower, and what the masks and the pictures like best holds the arm while the body is solved again.
 """
 
 from __future__ import annotations
@@ -104,9 +104,9 @@ class ColourSettings:
     surely: weight among its rivals that a pose must have to be learnt from; elsewhere: m, a rival's arm that is farther
     off is not learnt from; memory: share of what was counted before that counts in the next frame; few: pixels that a
     part must have shown to be half known; most: log-likelihood ratio of one pixel, at most. weight: of the pictures'
-    score beside the mismatch of rivals; edges: of the rims of arms in it, beside the colours. tried: rivals whose arms
-    are looked for nearby, with so many draws at each of the steps (rad, sd); ratio: of their energy to that of where
-    they are held to be, at most; hold, strength: m (one sd) and weight of the points that hold them in a solve.
+    score next to the mismatch of rivals; edges: of the rims of arms in it, next to the colours. tried: rivals whose
+    arms are looked for nearby, with so many draws at each of the steps (rad, sd); ratio: of their energy to that of
+    where they are held to be, at most; hold, strength: m (one sd) and weight of the points that hold them in a solve.
 
     Chosen on folded arms of the seeds 503 and 505."""
 
@@ -127,7 +127,7 @@ class ColourSettings:
 
 @dataclass(frozen=True)
 class KnownColours:
-    """What is known of a person's colours, and what a frame shows of them. codes (C, h, w); table (C, P, COLOURS):
+    """The information on a person's colours, and what a frame shows of them. codes (C, h, w); table (C, P, COLOURS):
     log-likelihood ratios of each colour, in a part against anywhere on the person; masks: usable where there is a
     picture; edges: of `compute.rim_edges`."""
 

@@ -83,7 +83,7 @@ def _less_sure(information: Array, step: Array, weight: float) -> Array:
 
 
 def joint_covariance_of(body: Body, pose: Array, information: Array, evidence: str) -> NDArray[np.float32]:
-    """(J, 3, 3) m^2: covariances of the joint centres at a solved pose (D,) from what is known of it, (D, D), see
+    """(J, 3, 3) m^2: covariances of the joint centres at a solved pose (D,) from the information on it, (D, D), see
     `PoseFit.information`; evidence: what the cost was made of, one of CURVATURE_FACTOR."""
     factor = _factors(evidence, tuple(body.skeleton.joint_names))
     curvature = compute.joint_covariances(pose, body.skeleton.tree, information)

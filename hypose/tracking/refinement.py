@@ -25,7 +25,7 @@ from hypose.tracking.frame_evidence import PreparedFrame
 
 SOLVED, COMPOSITE, RIVAL = "solved", "composite", "rival"
 """Roles: the hypothesis that a solve put in, the one that a search of single limbs puts together, and another solved
-one that is alive beside the first."""
+one that is alive next to the first."""
 LUMBAR_SD = 0.28
 """rad: how far the spine is flexed or extended, as a rule: root mean square over captured walking, running and boxing
 (7.8, 7.7 and 25 degrees, CMU 02_01, 02_03 and 02_05, equal shares). Bending to the ground takes three times as much,
@@ -103,7 +103,7 @@ class ContourRefinement:
 
 
 class LaterLayer(Protocol):
-    """A layer that can begin with parts of its work before its turn, beside the others."""
+    """A layer that can begin with parts of its work before its turn, next to the others."""
 
     def before_solve(self, frame: PreparedFrame, /) -> None:
         """Begins with what depends on the last frame alone."""
@@ -119,7 +119,7 @@ class SolvePrediction:
     """Kernel: solves from the prediction and puts all hypotheses there: where a search of single limbs wants to start.
 
     One of them is in the role SOLVED, and one in the role COMPOSITE, to which the search adds limb by limb. later: a
-    layer that may begin beside this one and the next ones.
+    layer that may begin next to this one and the next ones.
     """
 
     options: SolveSettings = SolveSettings()

@@ -29,7 +29,7 @@ BLIND = 2
 @dataclass(frozen=True)
 class Member:
     """One of several people: how they are tracked, the state, and whether they are there at all: who has left, or has
-    not come yet, hides nobody and is not looked for."""
+    not come yet, hides no person and is not looked for."""
 
     tracker: Tracker
     state: TrackerState
@@ -56,9 +56,10 @@ def step_together(
     keypoints: Sequence[Keypoints | None] | None = None,
     others: Sequence[Other] = (),
 ) -> tuple[list[Member], list[FrameEstimate], list[Frame]]:
-    """One frame: everybody's next state and estimate, and the frame as each saw it, without what others hide.
+    """One frame: all people's next state and estimate, and the frame as each saw it, without what others hide.
 
-    keypoints: those of each person, already told apart; None: the frame's are nobody's. others: who else is there."""
+    keypoints: those of each person, already distinguished; None: the frame's are no person's. others: who else is
+        there."""
     count, after = len(members), list(members)
     estimates: list[FrameEstimate | None] = [None] * count
     seen = [frame] * count
@@ -80,7 +81,7 @@ def step_together(
             lost = m.state.lost or m.state.blind > BLIND
             own = own_frame(own, shapes[i], [*others, *beside], anywhere=lost)
             assert own.silhouettes is not None
-            pack_once(own.silhouettes)  # the tracker wants them, and whoever judges what it has found
+            pack_once(own.silhouettes)  # the tracker wants them, and the person who judges what it has found
         state, estimate = m.tracker.step(m.state, own)
         after[i], estimates[i], seen[i], done[i] = replace(m, state=state), estimate, own, True
         if shapes is not None and rig is not None and not done.all():

@@ -1,7 +1,7 @@
 """A start from silhouettes alone: dozens of postures, turned every way, at the visual hull; the few that explain the
 masks in their own way are solved, followed for a while, and weighed.
 
-One frame does not tell a person who sits from one who stands in front of a chair, nor front from back. What nobody's
+One frame does not tell a person who sits from one who stands in front of a chair, nor front from back. What no person's
 body explains (a chair, a bag) stays bare in the masks; what a wrong pose costs is body where there is no mask. So bare
 mask counts less than body outside, and several frames decide.
 """
@@ -78,7 +78,7 @@ def starts_in_frame(
     """The starts that a frame allows, best first, which differ from each other.
 
     frame: prepared for any body; height m of the person, when known; extent m of the hull, where another frame's is
-    truer. An EvidenceError when the views have no common hull, or one that is nobody's."""
+    truer. An EvidenceError when the views have no common hull, or one that is no person's."""
     hull = hull_of(frame)
     tall = extent or hull.height
     base = postures(template)
@@ -178,7 +178,7 @@ def by_their_ways(starts: Sequence[Start], ways: Sequence[Array], costs: Array) 
     joints = np.stack([starts[k].body.joints(ways[k]) for k in order])
     away = np.linalg.norm(joints - joints[0], axis=-1)
     arm = np.array([n.endswith(("elbow", "wrist")) for n in starts[0].body.skeleton.joint_names])
-    other = away[..., ~arm].mean((1, 2)) > _APART_M  # arms that alone differ are found by whoever tracks
+    other = away[..., ~arm].mean((1, 2)) > _APART_M  # arms that alone differ are found by the person who tracks
     far = weights[:, None] * (away > _FAR_M).mean(1) * other[:, None]
     left, right = (starts[0].body.skeleton.joint(f"{side}_hip") for side in ("left", "right"))
     across = joints[:, :, right] - joints[:, :, left]
@@ -197,8 +197,8 @@ def start_from_hull(body: Body, frame: PreparedFrame, poses: Sequence[str] = KNO
 
 
 def _followed(start: Start, frames: Sequence[PreparedFrame]) -> tuple[Array, Array]:
-    """(F, D) poses of a start in the frames that come after it, and (F,) what they cost. Whoever walks goes on: else
-    the true start loses its legs, and a body that is too small wins."""
+    """(F, D) poses of a start in the frames that come after it, and (F,) what they cost. The person who walks goes on:
+    else the true start loses its legs, and a body that is too small wins."""
     poses, costs, pose, moved = [], [], start.pose, np.zeros(3)
     for frame in frames:
         expected = pose.copy()

@@ -130,14 +130,14 @@ def turn_pose(pose: Array, heading: float) -> Array:
 
 
 RECOVERY_REACH = 1.3
-"""m: how far from the last pose a lost person is looked for; whoever is farther away is somebody else."""
+"""m: how far from the last pose a lost person is looked for; the person who is farther away is another person."""
 
 
 def recover(pose: Array, last: Array, frame: PreparedFrame, /) -> Array:
     """The best pose (D,) after a loss: the given one, carried to the hull and turned, and known poses; refined.
 
     Only the space within RECOVERY_REACH of the last pose (D,) in which the person was seen is looked at, and who is
-    solved to stand further away was only reached into: with nobody there the pose stays, so that another person in
+    solved to stand further away was only reached into: with no person there the pose stays, so that another person in
     view is not taken for the one who left.
     """
     body = frame.body

@@ -116,7 +116,7 @@ def shape_from_keypoints(body: Body, points_world: Array, names: tuple[str, ...]
     }
     trunk = _of_sides(*(factor(f"{side}_shoulder", f"{side}_hip") for side in ("left", "right")))
     unseen = [segment for segment, value in limbs.items() if np.isnan(value)]
-    if unseen:  # legs below a desk: in proportion to what is seen
+    if unseen:  # legs below a desk: in proportion to the visible part
         seen = [v for v in (*limbs.values(), trunk) if v > 0]
         if len(seen) < 2:
             raise EvidenceError(

@@ -31,7 +31,7 @@ from hypose.tracking.published_recipes import step_sigma
 BETWEEN_FRAMES, RECOVERY, START = -1, -2, -3
 """Layer numbers of the random streams used outside a recipe's layers."""
 _NO_PERSON = 0.3
-"""Share of the usual mean IoU below which the masks hold nobody where the body is, or the rim of somebody else."""
+"""Share of the usual mean IoU below which the masks hold no person where the body is, or the rim of another person."""
 _LOOSE, FOUND, _LOOKS = 0.75, 0.1, 4
 """Mean IoU below which a body may be lost whatever is usual, since who is wrong from the start sets what is usual; how
 much better it must lie elsewhere to have been lost: turning around costs no more; and how many looks for a rival there
@@ -44,7 +44,7 @@ _COLUMN, _MODES, _MEMORY = "column_", "modes_", "memory_"
 
 @dataclass(frozen=True)
 class TrackerSettings:
-    """What the tracker is told.
+    """What the tracker is known.
 
     evidence: 'silhouettes', 'keypoints' or 'both'; with the picture of one camera also 'edges', nothing else, and
     'auto', all there is. seed: of every random draw. frame_rate: Hz. prediction_weight: pull
@@ -99,7 +99,7 @@ class FrameEstimate:
 class TrackerState:
     """What the next frame needs. frames: frames done; pose, previous (D,); joint_covariance (J, 3, 3) m^2;
     usual_iou: running mean of the IoU while not lost (NaN before the first); blind: frames since the last evidence;
-    lost: in the last frame; memory: what the recipe remembers beside."""
+    lost: in the last frame; memory: what the recipe remembers next to."""
 
     frames: int
     hypotheses: Hypotheses
@@ -263,7 +263,7 @@ class Tracker:
         if known or loose:
             found = how.find(pose, state.pose, prepared)
             found_iou = agreement(self.body, found, prepared)
-            # from nowhere only to a whole person: the rim of somebody else's hull is no find
+            # from nowhere only to a whole person: the rim of another person's hull is no find
             cut_off = self._is_nobody(iou, state.usual_iou) and self._is_lost(found_iou, state.usual_iou)
             if found_iou > iou + (0.02 if known else FOUND) and not cut_off:
                 pose, iou, gain = found, found_iou, found_iou - iou
@@ -276,7 +276,7 @@ class Tracker:
         return state, pose, selected, iou, lost, gain
 
     def rival(self, pose: Array, frame: Frame) -> Array:
-        """Where tracking may begin anew from a pose (D,), on a frame's evidence: its rival, or the body looked for as
+        """Where tracking may begin again from a pose (D,), on a frame's evidence: its rival, or the body looked for as
         one that is lost, or the pose if neither is better."""
         how, prepared = self.recipe.recover, self.prepare_frame(frame, pose)
         if how is None or not prepared.silhouettes.seen:
@@ -295,7 +295,7 @@ class Tracker:
         return look(pose, prepared)[0]
 
     def _has_look(self, state: TrackerState, times: int = 1) -> bool:
-        """It is the turn of what is looked for now and then, or so many times as seldom."""
+        """It is the turn of the target now and then, or so many times as seldom."""
         return state.frames % max(1, round(times * self.settings.rival_every * self.settings.frame_rate)) == 0
 
     def _around(self, pose: Array, steps: float, rng: np.random.Generator) -> Hypotheses:
@@ -305,7 +305,7 @@ class Tracker:
         return Hypotheses.uniform(s.clamp(pose + noise * step_sigma(s, self.settings.frame_rate)))
 
     def _rivals(self, h: Hypotheses | None) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """The hypotheses beside the best, and their weights, as an estimate has them."""
+        """The hypotheses next to the best, and their weights, as an estimate has them."""
         count = max(self.recipe.rivals - 1, 0)
         poses = np.full((count, self.body.skeleton.dof), np.nan, np.float32)
         weights = np.zeros(count, np.float32)

@@ -16,7 +16,7 @@ from hypose.tracking.monocular.settings import CueSettings, EdgeSettings, FlowSe
 
 FORMS = {"gaussian": GAUSSIAN, "lorentzian": LORENTZIAN, "leclerc": LECLERC}
 SMALLEST_MASK = 50
-"""px: a silhouette of fewer pixels shows nobody"""
+"""px: a silhouette of fewer pixels shows no person"""
 OUTLINE = 130
 """points on a silhouette's outline"""
 
