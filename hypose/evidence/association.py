@@ -160,10 +160,10 @@ class Association:
         """One frame: per view the candidates (P, K, columns), None for none."""
         found = self._stacked(views)
         count = np.count_nonzero(found[..., 2] > 0.1, axis=-1)
-        somebody, free = count >= _LEAST_POINTS, count > 0
+        is_person, free = count >= _LEAST_POINTS, count > 0
         expected = self._expected()
-        seen, which = self._taken(found, somebody, free, expected)
-        new = self._born(found, somebody & free, free)
+        seen, which = self._taken(found, is_person, free, expected)
+        new = self._born(found, is_person & free, free)
         if new:
             expected = self._expected()
             again, chosen = np.zeros((len(found), len(new), *found.shape[2:])), np.full((len(found), len(new)), -1)
@@ -172,10 +172,10 @@ class Association:
                     again[c, n], chosen[c, n] = found[c, p], p
             seen, which = np.concatenate([seen, again], 1), np.concatenate([which, chosen], 1)
         if self._alive:
-            self._complete(seen, found, free, free & ~somebody, which, expected)
+            self._complete(seen, found, free, free & ~is_person, which, expected)
             if new:  # labels of those born are repaired by what most views say
                 first = len(self._alive) - len(new)
-                seen[:, first:] = self._mended_births(seen[:, first:], which[:, first:], expected[first:])
+                seen[:, first:] = self._repaired_births(seen[:, first:], which[:, first:], expected[first:])
             world, used = meet(self._views, seen, self.settings.near, expected)
             self._update(seen, self._of_own_size(world, used), which)
         self._end()
@@ -209,7 +209,7 @@ class Association:
         return np.stack([np.where((t.stale < self._stale)[:, None], t.points + t.motion, np.nan) for t in self._alive])
 
     def _taken(
-        self, found: Array, somebody: NDArray[np.bool_], free: NDArray[np.bool_], expected: Array
+        self, found: Array, is_person: NDArray[np.bool_], free: NDArray[np.bool_], expected: Array
     ) -> tuple[Array, NDArray[np.int64]]:
         """What those followed see of themselves: points (C, N, K, 3) and candidates (C, N); `free` loses them."""
         from scipy.optimize import linear_sum_assignment  # takes long to import
@@ -223,7 +223,7 @@ class Association:
         exchange = self._better_exchanged(plain, turned, np.stack([t.exchanged for t in self._alive], 1)[:, :, None])
         each = np.where(exchange[..., self._group], turned, plain)
         cost = mean_of_known(each, _LEAST_POINTS)
-        cost = np.where(somebody[:, None], cost, NOT_COMPARABLE_M)
+        cost = np.where(is_person[:, None], cost, NOT_COMPARABLE_M)
         for c in range(len(found)):
             rows, columns = linear_sum_assignment(np.minimum(cost[c], 2 * o.gate))
             for i, j in zip(rows, columns, strict=True):
@@ -233,7 +233,7 @@ class Association:
         views, who = np.nonzero(which >= 0)
         seen[views, who] = found[views, which[views, who]]
         at = (views, who, which[views, who])
-        return self._mended(seen, views, who, plain[at], turned[at], exchange[at]), which
+        return self._repaired(seen, views, who, plain[at], turned[at], exchange[at]), which
 
     def _both(self, found: Array, expected: Array) -> tuple[Array, Array]:
         """Distances (C, N, P, K) m of candidates (C, P, K, 3) as they are, and with left and right exchanged."""
@@ -259,7 +259,7 @@ class Association:
                     out[..., g] |= before[..., g] & (b < a)
         return out
 
-    def _mended(
+    def _repaired(
         self,
         seen: Array,
         views: NDArray[np.int64],
@@ -315,7 +315,7 @@ class Association:
         size = float(np.linalg.norm(a - b) * np.linalg.norm(c - d))
         return bool((a - b) @ (c - d) < _WRUNG * size)
 
-    def _mended_births(self, seen: Array, which: NDArray[np.int64], expected: Array) -> Array:
+    def _repaired_births(self, seen: Array, which: NDArray[np.int64], expected: Array) -> Array:
         """Points (C, B, K, 3) of those born, left and right as most of their views say: `expected` (B, K, 3)."""
         out = seen.copy()
         for b in range(len(expected)):
@@ -335,10 +335,10 @@ class Association:
             t.world[-back][of] = t.world[-back][self._twin][of]
         t.otherwise[group] = 0
 
-    def _born(self, found: Array, somebody: NDArray[np.bool_], free: NDArray[np.bool_]) -> list[list[tuple[int, int]]]:
+    def _born(self, found: Array, is_person: NDArray[np.bool_], free: NDArray[np.bool_]) -> list[list[tuple[int, int]]]:
         """A person new among the candidates left: the views and candidates of each; they are followed from now on."""
         o = self.settings
-        view, number = np.nonzero(somebody)
+        view, number = np.nonzero(is_person)
         if len(np.unique(view)) < 2:
             return []
         apart = between_rays(self._views, view, found[view, number], o.limit, _LEAST_POINTS)

@@ -41,7 +41,7 @@ MEASURED, HOPEFUL = 16, 1.1
 Chosen on the seeds 0 to 15, and 0 to 29 (benchmark `depth`)."""
 ARM_M2, ARM_REACH_M, EXPLAINED_M = 0.055, 0.75, 0.08
 """m^2 of an arm that is seen from its side; m from the shoulder; m between what was drawn and seen"""
-LEAST_SHOWN, AGREED, BESIDE = 0.7, 0.8, 0.4
+LEAST_SHOWN, AGREED, NEARBY = 0.7, 0.8, 0.4
 """shares of an arm: in sight; of what is in sight, where it was seen; seen in its reach, but no part of the body. An
 arm that is so much in sight is looked for nowhere else. Chosen on the seeds 0 to 15 (benchmark `depth`)."""
 _REMEMBERED_POSES = 12
@@ -219,9 +219,9 @@ class DepthEvidence(Evidence):
         and nothing in its reach that the body does not explain. shoulder: its joint."""
         at = standing.pose[:3] + standing.centres[shoulder]
         given = body.skeleton.tree, body.coarse.arrays, self.maps
-        in_sight, agreed, beside = compute.limb_shown(*given, standing, at, ARM_REACH_M, EXPLAINED_M).T
+        in_sight, agreed, nearby = compute.limb_shown(*given, standing, at, ARM_REACH_M, EXPLAINED_M).T
         shown = (in_sight >= LEAST_SHOWN * ARM_M2) & (agreed >= AGREED * in_sight)
-        return bool(shown.any() and (beside <= BESIDE * ARM_M2).all())
+        return bool(shown.any() and (nearby <= NEARBY * ARM_M2).all())
 
 
 def seen_depth(depth: Depth, tall: int = TALL) -> tuple[NDArray[np.bool_], SeenDepth]:

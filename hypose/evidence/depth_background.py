@@ -41,13 +41,13 @@ _FARTHER_SHARE, _WHOLE = 0.15, 0.7
 """share of the maps that may show something behind what stands still, and share of a thing that does"""
 _SPAN_M, _AREA_M2 = 1.75, 0.55
 """m, m^2: how tall a person is, and shows"""
-_BEFORE_M, _BESIDE_M, _HIDES = 0.25, 0.4, 0.03
+_BEFORE_M, _NEARBY_M, _HIDES = 0.25, 0.4, 0.03
 """m by which a thing stands before the middle of who is seen, and next to; share of a person's area that it covers"""
 _APART_M = 0.35
 """m between the sides of the person and of a thing that is none of theirs"""
 _STILL_SHARE, _STILL_M = 0.8, 0.01
 """share of a recording's maps in which a thing is to be seen, and m by which its values may scatter"""
-_ELSEWHERE_M, _ELSEWHERE_SHARE, _SOMEBODY_PX = 0.9, 0.25, 300
+_ELSEWHERE_M, _ELSEWHERE_SHARE, _PERSON_PX = 0.9, 0.25, 300
 """m that who moves stands away from a thing, in which share of the maps; px of a person, at least"""
 _RIM = 3
 """px around what stands before the room that may still be the person's"""
@@ -95,7 +95,7 @@ def with_still_things(room: DepthBackground, maps: Sequence[DepthMap], camera: C
     sd[often] = 1.4826 * np.nanmedian(np.abs(values - middle[often]), axis=0)
     still = _calm((often & (sd < np.maximum(_SDS * room.sd, _STILL_M))).astype(np.uint8)) > 0
     others = before & (cv2.dilate(still.astype(np.uint8), np.ones((5, 5), np.uint8)) == 0)
-    at = [_place(camera, own, m) for own, m in zip(others, maps, strict=True) if own.sum() > _SOMEBODY_PX]
+    at = [_place(camera, own, m) for own, m in zip(others, maps, strict=True) if own.sum() > _PERSON_PX]
     labels, n = _pieces(still, middle)
     things, spread, area = np.full_like(room.depth, np.inf), room.sd.copy(), 0.0
     for k in range(1, n + 1):
@@ -175,12 +175,12 @@ def unlike_people(maps: Sequence[DepthMap], camera: Camera) -> DepthMap:
     still = known & (1.4826 * np.nanmedian(np.abs(values - middle), axis=0) < apart)
     still &= (values > middle + apart).mean(0) < _FARTHER_SHARE  # else a person stood there, and went
     found = _standing(middle, camera)
-    nobody = found.above & (found.people(_HEAD_M) == 0)
+    no_person = found.above & (found.people(_HEAD_M) == 0)
     count = int(found.labels.max()) + 1
     share = np.bincount(found.labels[still], minlength=count) / np.maximum(np.bincount(found.labels.ravel()), 1)
     whole = (share > _WHOLE)[found.labels] & (found.labels > 0)  # not the middle of where a person passed
     rim = cv2.dilate(whole.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
-    return np.where(still & nobody & rim, middle, 0).astype(np.float32)
+    return np.where(still & no_person & rim, middle, 0).astype(np.float32)
 
 
 def _tolerance(depth: DepthMap) -> DepthMap:
@@ -224,10 +224,10 @@ class _Standing:
         """(h, w) 0/1: these pieces, and those among others that may be limbs of theirs, before or behind the trunk."""
         middles = [self.pieces[k].middle for k in people]
 
-        def beside(p: _Piece) -> bool:
+        def nearby(p: _Piece) -> bool:
             return p.wide < 1 and any(np.linalg.norm(p.middle - m) < _REACH_M for m in middles)
 
-        own = np.isin(self.labels, [*people, *(k for k, p in among.items() if beside(p))]).astype(np.uint8)
+        own = np.isin(self.labels, [*people, *(k for k, p in among.items() if nearby(p))]).astype(np.uint8)
         rim = cv2.dilate(own, np.ones((3, 3), np.uint8)) > 0  # which no piece has
         return (rim & self.above).astype(np.uint8)
 
@@ -275,7 +275,7 @@ def behind_things(
         whole = int(_SPAN_M * metre)
         # the visible part may be all but the legs, or all but the head
         top, low = max(min(y0, y1 - whole), 0), min(max(y1, y0 + whole), h)
-        left, right = max(int(x0 - _BESIDE_M * metre), 0), min(int(x1 + _BESIDE_M * metre), w)
+        left, right = max(int(x0 - _NEARBY_M * metre), 0), min(int(x1 + _NEARBY_M * metre), w)
         part = slice(top, low), slice(left, right)
         where = (left, top), (camera.K, camera.camera_from_world), away - _BEFORE_M, _ABOVE_FLOOR_M
         before, count = things_before(room.depth[part], depth.person[c][part], *where, _calm)
@@ -326,10 +326,10 @@ def _one_thing(before: Mask, depth: DepthMap, solid: NDArray[np.bool_], focal_px
     usual = middle_of_piece(labels, main, depth)
     if np.isnan(usual):  # a speck of holes
         return np.zeros(depth.shape, np.uint8)
-    beside = _APART_M / usual * (np.inf if focal_px is None else focal_px)
+    nearby = _APART_M / usual * (np.inf if focal_px is None else focal_px)
     keep = np.zeros(n, dtype=np.uint8)
     for k in np.flatnonzero(areas >= max(12, 0.01 * areas[main])):  # specks are many, and each costs a look
-        if left[k] - right[main] > beside or left[main] - right[k] > beside:
+        if left[k] - right[main] > nearby or left[main] - right[k] > nearby:
             continue
         keep[k] = k == main or abs(middle_of_piece(labels, int(k), depth) - usual) < 0.8  # never where all are holes
     keep[main] = 1

@@ -134,11 +134,11 @@ def own_frame(frame: Frame, own: StandingShape, others: Sequence[Other], anywher
     colour = frame.silhouettes.usable & ~frame.depth.usable
     if colour.any():
         alone = replace(frame.silhouettes, usable=colour)
-        silhouettes = _beside(silhouettes, own_silhouettes(alone, own, others, anywhere), colour)
+        silhouettes = _nearby(silhouettes, own_silhouettes(alone, own, others, anywhere), colour)
     return replace(frame, silhouettes=silhouettes, depth=depth)
 
 
-def _beside(of_depth: Silhouettes, of_colour: Silhouettes, colour: NDArray[np.bool_]) -> Silhouettes:
+def _nearby(of_depth: Silhouettes, of_colour: Silhouettes, colour: NDArray[np.bool_]) -> Silhouettes:
     """The outlines of depth cameras with those of colour cameras, where `colour` (C,)."""
 
     def merged(a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:

@@ -55,7 +55,7 @@ class Silhouettes:
     @cached_property
     def areas(self) -> NDArray[np.int64]:
         """(C,) foreground pixels."""
-        return np.array([np.count_nonzero(view) for view in self.told], dtype=np.int64)
+        return np.array([np.count_nonzero(view) for view in self.informative], dtype=np.int64)
 
     @cached_property
     def shared(self) -> NDArray[np.bool_]:
@@ -65,7 +65,7 @@ class Silhouettes:
         return np.array([view.any() for view in self.ignored], dtype=np.bool_)
 
     @property
-    def told(self) -> NDArray[np.uint8]:
+    def informative(self) -> NDArray[np.uint8]:
         """(C, h, w) the masks without what is ignored."""
         return self.masks if self.ignored is None else np.greater(self.masks, self.ignored).view(np.uint8)
 

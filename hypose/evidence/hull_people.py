@@ -67,7 +67,7 @@ class HullPerson:
         return self.hull.height > _TALL
 
     @property
-    def is_somebody(self) -> bool:
+    def is_person(self) -> bool:
         """Whether there is as much of it as there is of a person, or of a child."""
         if self.tall:
             return self.litres > LITRES
@@ -109,7 +109,7 @@ def people_in_hull(
     views = int(silhouettes.usable.sum())
     least = min(FEWEST_VIEWS, views)
     left = without(silhouettes, known)
-    if views < 2 or (left.told.any((1, 2)) & left.usable).sum() < least:
+    if views < 2 or (left.informative.any((1, 2)) & left.usable).sum() < least:
         return []
     try:
         bounds = common_view_bounds(silhouettes.rig)
@@ -159,9 +159,9 @@ def _axes(hull: Hull, floor: float, most: int, surface: float) -> list[tuple[Arr
     while True:
         away = np.linalg.norm(points[:, None, :2] - np.array(axes), axis=2)
         nearest = away.argmin(1)
-        beside = (away < PART_OF_LARGER_M).sum(0) * litre
+        nearby = (away < PART_OF_LARGER_M).sum(0) * litre
         near = [points[(nearest == k) & (away[:, k] < ABOUT)] for k in range(len(axes))]
-        stands = [_stands(own, beside[k], litre, floor, surface) for k, own in enumerate(near)]
+        stands = [_stands(own, nearby[k], litre, floor, surface) for k, own in enumerate(near)]
         if all(stands) or len(axes) == 1:
             return [(axis, (nearest == k) & (away[:, k] < REACH)) for k, axis in enumerate(axes)]
         worst = max(k for k, ok in enumerate(stands) if not ok)  # they come in the order of their density
@@ -184,7 +184,7 @@ def _within(filled: NDArray[np.integer], i: int, j: int, disc: NDArray[np.bool_]
     return int(part[own].sum())
 
 
-def _stands(near: Array, beside: float, litre: float, floor: float, surface: float) -> bool:
+def _stands(near: Array, nearby: float, litre: float, floor: float, surface: float) -> bool:
     """Do the voxels (M, 3) m about an axis make a person? next to: litres as near as PART_OF_LARGER_M, of whomever: a
     part of something wide is no child; a child's surface alone is no more than a piece of furniture shows."""
     if not len(near) or near[:, 2].min() - floor > FROM_FLOOR:
@@ -192,21 +192,21 @@ def _stands(near: Array, beside: float, litre: float, floor: float, surface: flo
     litres, height = len(near) * litre, float(np.ptp(near[:, 2]))
     if height > _TALL:
         return litres > (surface or LITRES)
-    return not surface and height > CHILD and litres > CHILD_LITRES and beside < SLENDER * height**3
+    return not surface and height > CHILD and litres > CHILD_LITRES and nearby < SLENDER * height**3
 
 
 def _not_ghosts(left: Silhouettes, found: list[HullPerson], least: int) -> list[HullPerson]:
     """Those who show something of their own in several views: ghosts lie where the masks belong to others."""
-    told, kept, others = left.told, list[HullPerson](), list[Other]()
+    given, kept, others = left.informative, list[HullPerson](), list[Other]()
     for person in found:
         near = [k for k in kept if np.linalg.norm(k.axis - person.axis) < PART_OF_LARGER_M]
         if any(person.litres < SMALL * k.litres for k in near):
             continue
         shape = person.shape(left.rig)
-        rest = told & without(left, others).told
+        rest = given & without(left, others).informative
         own = np.array([int((shape.masks[c] & rest[c]).sum()) for c in np.flatnonzero(left.usable)])
         whole = np.array([max(int(shape.masks[c].sum()), 1) for c in np.flatnonzero(left.usable)])
-        if (own > OWN_SHARE * whole).sum() >= least and person.is_somebody:
+        if (own > OWN_SHARE * whole).sum() >= least and person.is_person:
             kept.append(person)
             others.append(Other(shape, _WIDENED))
     return kept

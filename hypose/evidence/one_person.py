@@ -37,7 +37,7 @@ _COMPARED = 3  # people per view that are compared by their motion
 class OnePerson:
     """points (T, C, K, 3 or more): as they were given, confidence 0 where the person is not seen. several: another
      person is there for a good part of the clip. people: those seen by two views or more, the one meant first. by_rays:
-    whether rays told who is who; else motion did. apart: views whose detections do not fit the person's place. notes:
+    whether rays stated who is who; else motion did. apart: views whose detections do not fit the person's place. notes:
     sentences for the user; of_all: those of them that hold as well where all people is followed."""
 
     points: Array
@@ -90,8 +90,8 @@ def one_person(
     there = slice(person.first, person.last + 1)
     seen, offered = person.seen.sum(0), shown[there].sum(0)
     absent = (offered > _PART * frames) & (seen < _FITS * offered)
-    beside = absent if doubting else absent | _passes_by(person, rig, absent)
-    apart = tuple(int(c) for c in np.flatnonzero(beside))
+    nearby = absent if doubting else absent | _passes_by(person, rig, absent)
+    apart = tuple(int(c) for c in np.flatnonzero(nearby))
     notes = []
     others = [t for i, t in enumerate(tracks) if i != number and len(t) >= max(5, _PART * frames)]
     twice = [t for t in others if _never_together(person, t)]

@@ -16,7 +16,7 @@ from hypose.evidence.silhouettes import bounding_box
 from hypose.geometry import Array, Mask
 
 OUTLINE_POINTS = 130
-"""Points per view, unless told otherwise: two pixels apart on a person 260 px tall are enough."""
+"""Points per view, unless given otherwise: two pixels apart on a person 260 px tall are enough."""
 SMALLEST = 8
 """px: masks no longer than this have no outline worth following"""
 WORKING_HEIGHT = 170
@@ -131,7 +131,7 @@ def _no_outline(shape: tuple[int, ...], count: int, extent: int, working_height:
 
 KNOWN_PX = 0.75
 """By how much a distance may differ with the ignored pixels in the mask, or not, and still be known."""
-_FEW_POINTS, _BESIDE = 8, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
+_FEW_POINTS, _NEARBY = 8, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
 
 
 def shared_outline(
@@ -167,9 +167,9 @@ def shared_outline(
         return ViewOutline(low, points, found, extent, halves / 2, corner, working_height)
     high = compute.signed_distance(most[None], np.array([size]), reach)[0]
     distance = np.where(low - high > KNOWN_PX, np.float32(compute.NOT_KNOWN), low)  # as it is in all open pixels
-    beside = cv2.dilate(open_pixels, _BESIDE)
+    nearby = cv2.dilate(open_pixels, _NEARBY)
     at = np.clip(np.rint(points), 0, np.array(size) - 1).astype(int)
-    own = beside[at[:, 1], at[:, 0]] == 0
+    own = nearby[at[:, 1], at[:, 0]] == 0
     if own.sum() < _FEW_POINTS:
         return nothing
     points = np.where(own[:, None], points + np.array(corner, np.float32), np.float32(-1e6))

@@ -24,7 +24,7 @@ MASK_PROBABILITY = 0.5
 _LEAST_SCORE, _LEAST_PRESENCE = 0.5, 0.5
 _WIDER = 1.25
 """Half side of a crop in radii of the circle around the body."""
-_SAME, _BESIDE = 0.35, 0.5
+_SAME, _NEARBY = 0.35, 0.5
 """Distances between middles of the hips, in radii: two crops show the same person; a detection is of a person who is
 followed already."""
 _PART = 0.75
@@ -112,7 +112,7 @@ class PoseNetwork:
         found = self._in_crops(image, before, [])
         if not found or (number % self.every == 0 and len(found) < self.people):
             known = [f.following for f in found if f.following is not None]
-            new = [c for c in self._detected(image) if all(_apart(c, k) > _BESIDE for k in known)]
+            new = [c for c in self._detected(image) if all(_apart(c, k) > _NEARBY for k in known)]
             found = self._in_crops(image, new[: self.people - len(found)], found)
         return found
 

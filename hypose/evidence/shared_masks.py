@@ -23,7 +23,7 @@ from hypose.geometry import Array
 SOLVED_WIDENING, PREDICTED_WIDENING = 0.008, 0.016
 """Share of a body's longer side in the picture by which it is widened where it hides others: when its pose has been
 solved in this frame, and when it is predicted (2 and 4 px of 250)."""
-_BESIDE, _LEAST_PX = 0.35, 32
+_NEARBY, _LEAST_PX = 0.35, 32
 """Margin around a person's box inside which masks are evidence: share of the longer side, and px at least."""
 _SMALLEST_PX = 50
 _NEAR_M = 0.05
@@ -164,7 +164,7 @@ def own_silhouettes(
             usable[c], reasons[c] = False, f"{silhouettes.rig.names[c]}: the person is out of view"
             continue
         else:
-            m = max(_LEAST_PX, round(_BESIDE * max(y1 - y0, x1 - x0)))
+            m = max(_LEAST_PX, round(_NEARBY * max(y1 - y0, x1 - x0)))
             part = (max(y0 - m, 0), min(y1 + m, h), max(x0 - m, 0), min(x1 + m, w))
         at = (c, slice(part[0], part[1]), slice(part[2], part[3]))
         masks[at] = silhouettes.masks[at]
@@ -176,8 +176,8 @@ def own_silhouettes(
             areas[c] = np.count_nonzero(own.drawn(c))
         if anywhere and y1 <= y0:
             boxes[c] = part
-        told = masks[at] if ignored is None else masks[at] > ignored[at]
-        if not told.any():
+        known = masks[at] if ignored is None else masks[at] > ignored[at]
+        if not known.any():
             usable[c], reasons[c] = False, f"{silhouettes.rig.names[c]}: nothing of the person is to be seen"
     expected = None if ignored is None else Expected(boxes, areas)
     return Silhouettes(masks, silhouettes.rig, usable, tuple(reasons), ignored, expected)

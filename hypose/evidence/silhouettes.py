@@ -90,7 +90,7 @@ class SilhouetteSettings:
         return mask_runs.Cleaning(self.open_px, self.close_px, self.hole_px, self.keep_share, self.keep_gap)
 
     @property
-    def of_everybody(self) -> SilhouetteSettings:
+    def of_all_people(self) -> SilhouetteSettings:
         """The same for several people, who may be anywhere in the picture."""
         return replace(self, keep_gap=_RANGES["keep_gap"][1])
 

@@ -49,15 +49,15 @@ def view_tracks(frames: Sequence[Array | None], patience: int) -> list[ViewTrack
         alive = [i for i in alive if t - at[i] <= patience]
         if people is None:
             continue
-        somebody = np.flatnonzero((people[..., 2] > _LEAST_CONFIDENCE).sum(-1) >= _LEAST_POINTS)
-        if not len(somebody):
+        is_person = np.flatnonzero((people[..., 2] > _LEAST_CONFIDENCE).sum(-1) >= _LEAST_POINTS)
+        if not len(is_person):
             continue
-        free = set(somebody.tolist())
+        free = set(is_person.tolist())
         if alive:
-            cost = np.array([[_moved(last[i], people[p], t - at[i]) for p in somebody] for i in alive])
+            cost = np.array([[_moved(last[i], people[p], t - at[i]) for p in is_person] for i in alive])
             for i, j in zip(*linear_sum_assignment(np.minimum(cost, 2.0)), strict=True):
                 if cost[i, j] < 1.0:
-                    n, p = alive[int(i)], int(somebody[j])
+                    n, p = alive[int(i)], int(is_person[j])
                     tracks[n][t], last[n], at[n] = p, people[p], t
                     free.discard(p)
         for p in sorted(free):

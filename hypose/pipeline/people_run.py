@@ -62,7 +62,7 @@ from hypose.pipeline.tracked_people import (
 )
 from hypose.pipeline.wardrobe import exchange, look_at_clothes
 from hypose.tracking.contacts import runs
-from hypose.tracking.several import Member, nobody_in, step_together, visible_share
+from hypose.tracking.several import Member, no_person_in, step_together, visible_share
 from hypose.tracking.tracker import Tracker
 
 
@@ -456,7 +456,7 @@ class PeopleRun:
             new = self._fitted(name or free_name(taken, self.wanted), paths, mine[0], numbers)
         except HyposeError:
             return False
-        nobody, done = nobody_in(frame), len(people[0].estimates)
+        nobody, done = no_person_in(frame), len(people[0].estimates)
         blank = looked_at(new.member.tracker, new.member.tracker.step(new.member.state, nobody)[1], nobody, None)
         new.estimates = [replace(blank, lost=True) for _ in range(done)]
         new.present, new.hidden = [False] * done, [False] * done

@@ -25,7 +25,7 @@ from hypose.pipeline.track_loop import FrameSource
 from hypose.pipeline.verdict import Verdict, verdict_of
 from hypose.tracking.appearance import Wardrobe
 from hypose.tracking.contacts import runs
-from hypose.tracking.several import Member, nobody_in, shape_of
+from hypose.tracking.several import Member, no_person_in, shape_of
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState, estimates_from_arrays, estimates_to_arrays
 
 
@@ -285,7 +285,7 @@ class OwnFrames:
         if s is None:
             return frame
         if not self._who.present[index]:
-            return nobody_in(frame)
+            return no_person_in(frame)
         own = shape_of(self._who.subject.body, self._who.estimates[index].pose, s.rig)
         others = [
             Other(shape_of(p.subject.body, p.estimates[index].pose, s.rig), SOLVED_WIDENING)

@@ -91,10 +91,10 @@ def clothes_in(body: Body, pose: Array, frame: Frame) -> Clothes:
     if s is None or colours is None:
         return out
     vertices, (faces, part, _) = body.skin(pose), part_layout(body)
-    told = s.told
+    given = s.informative
     for c in np.flatnonzero(s.usable & colours.seen).tolist():
         w, h = s.rig[c].size
         shown, box = compute.shown_parts(vertices, faces, part, s.rig.projections[c], (h, w))
-        found = counted_colours(shown[box], told[c][box].astype(np.uint8), colours.codes[c][box])
+        found = counted_colours(shown[box], given[c][box].astype(np.uint8), colours.codes[c][box])
         out = out + Clothes(np.stack([found[list(zone)].sum(0) for zone in ZONES]))
     return out

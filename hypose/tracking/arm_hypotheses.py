@@ -150,8 +150,8 @@ class RefineRivals:
         costs = mismatch(poses, frame, expected=expected)
         said = self.colours.weight * colour_scores(poses, frame, self.colours)
         # key points know better where hands are
-        told = frame.keypoints.seen or any(isinstance(term, PointTerm) for term in frame.terms)
-        if told or known_colours(frame, self.colours) is None:
+        given = frame.keypoints.seen or any(isinstance(term, PointTerm) for term in frame.terms)
+        if given or known_colours(frame, self.colours) is None:
             return poses, costs, said
         arms = [arm for arm, _ in self.arms]
         poses, costs, said = poses.copy(), costs.copy(), said.copy()

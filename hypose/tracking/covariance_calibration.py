@@ -109,8 +109,8 @@ def systematic_covariance(
     usual = weights.sum(0) / np.maximum((weights > 0).sum(0), 1) * model.worse(len(first.rig))[:, None] ** -2.0
     centres = np.stack([camera.position for camera in first.rig])
     shared = np.minimum(SHARED**2 * np.median(lasting, 0), MOST_SHARED_M**2)
-    beside = model.beside if model.names == BLAZEPOSE_33 else None
-    said = np.ones(len(model.names)) if beside is None else beside.max(0)
+    cue_weight = model.cue_weight if model.names == BLAZEPOSE_33 else None
+    said = np.ones(len(model.names)) if cue_weight is None else cue_weight.max(0)
     own = columns_of_joints(tuple(body.skeleton.joint_names), model.names)
     some = (own >= 0) & model.known[own]
     out = np.zeros((len(poses), len(own), 3, 3))

@@ -46,7 +46,7 @@ _LEAST_FRAMES, _LEAST_ROWS, _LEAST_LEFT = 3, 8, 0.2
 _SOLVE = SolveSettings(iterations=12, coarse_iterations=4)
 
 
-def weighed_beside_masks(body: Body, model: KeypointModel, frames: Sequence[Frame]) -> KeypointModel:
+def weigh_against_masks(body: Body, model: KeypointModel, frames: Sequence[Frame]) -> KeypointModel:
     """The model with the rest of its points' weights next to masks (`KeypointModel.next to`); as it is when fewer
     than three of the frames (of one person) tell.
 
@@ -64,10 +64,10 @@ def weighed_beside_masks(body: Body, model: KeypointModel, frames: Sequence[Fram
     rows = 2 * np.median((own.confidence[:, :, model.known] > 0).sum((1, 2)))
     lasting = lasting_m(model.names) ** 2
     left = max(1 - body.skeleton.dof / max(float(rows), 1.0), _LEAST_LEFT)
-    usual, beside = np.nanmedian(_scatter(own, model.known)), np.full((len(seen[0].rig), len(model.names)), np.nan)
+    usual, cue_weight = np.nanmedian(_scatter(own, model.known)), np.full((len(seen[0].rig), len(model.names)), np.nan)
     for members in _parts(model.names):
-        told = members & model.known
-        scatter, away = _scatter(own, told), _scatter(other, told) ** 2
+        given = members & model.known
+        scatter, away = _scatter(own, given), _scatter(other, given) ** 2
         tell = np.isfinite(scatter) & np.isfinite(away)
         if not tell.any():
             continue
@@ -81,14 +81,14 @@ def weighed_beside_masks(body: Body, model: KeypointModel, frames: Sequence[Fram
         theirs = np.where(off, np.fmax(away - wrong, noise), noise) + lasting
         weight = ((OUTLINES_M**2 + wrong) / theirs) ** _STEEP
         apart = np.max(scatter[tell]) > _APART * usual
-        beside[:, members] = np.clip(weight, np.where(off & apart, 0.0, LEAST_POINT_WEIGHT), 1.0)[:, None]
-    known = np.isfinite(beside).any(0)
+        cue_weight[:, members] = np.clip(weight, np.where(off & apart, 0.0, LEAST_POINT_WEIGHT), 1.0)[:, None]
+    known = np.isfinite(cue_weight).any(0)
     # limbs of which too little is seen to tell are no better known than the others
-    beside[:, ~known] = np.median(beside[:, known], axis=1, keepdims=True) if known.any() else 1.0
-    return replace(model, beside=beside)
+    cue_weight[:, ~known] = np.median(cue_weight[:, known], axis=1, keepdims=True) if known.any() else 1.0
+    return replace(model, cue_weight=cue_weight)
 
 
-def start_beside_masks(body: Body, model: KeypointModel, frame: Frame, start: Array) -> Array:
+def start_with_masks(body: Body, model: KeypointModel, frame: Frame, start: Array) -> Array:
     """Solve a start pose (D,) from key points on the masks of its frame as well; as it is without masks."""
     prepared = prepare(frame, body, start, use_keypoints=True, keypoints_on_body=model, prediction_weight=0.0)
     return settled_start(start, prepared) if prepared.silhouettes.seen else start

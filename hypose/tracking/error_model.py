@@ -57,7 +57,7 @@ def groups_of(names: tuple[str, ...]) -> NDArray[np.int64]:
 
 
 @cache
-def _beside(names: tuple[str, ...]) -> Array:
+def _nearby(names: tuple[str, ...]) -> Array:
     """(J, J) what each joint's neighbours count in their mean, of who has none the joint itself."""
     out = np.zeros((len(names), len(names)))
     for j, name in enumerate(names):
@@ -105,7 +105,7 @@ _SUREST = 9.0  # log-odds of a neighbour
 def within_clip(odds: Array, names: tuple[str, ...], clip: ArrayLike) -> Array:
     """(T, J, 6) what `DoubtModel.in_clip` weighs, from log-odds (T, J) of joints by themselves and the clip's doubt."""
     doubt = np.broadcast_to(np.asarray(clip)[..., None], odds.shape)
-    near = np.clip(odds, -_SUREST, _SUREST) @ _beside(names).T
+    near = np.clip(odds, -_SUREST, _SUREST) @ _nearby(names).T
     return np.stack([np.ones(odds.shape), doubt, odds, odds * doubt, near, near * doubt], -1)
 
 

@@ -132,7 +132,7 @@ _PARTS = (
 """Joints whose skin is one part."""
 _ROOTS = (("left_shoulder", 0.75), ("right_shoulder", 0.75), ("left_hip", 1.0), ("right_hip", 1.0))
 """Where limbs begin, and how far they reach, m."""
-_BESIDE_M = 0.4
+_NEARBY_M = 0.4
 _AGREE_M = 0.06
 """a key point that lies so near to its joint speaks for it, one that lies twice as far against it"""
 _FAR_M = 0.5  # key points further away are no worse
@@ -229,7 +229,7 @@ def _masks(
         step = max(1, int(1.7 * per_metre / _TALL))
         uv, z, (across, down) = projected(points, p)
         # what lies further from the body says nothing of its joints
-        (x0, x1), (y0, y1) = _span(across, _BESIDE_M * per_metre, w), _span(down, _BESIDE_M * per_metre, h)
+        (x0, x1), (y0, y1) = _span(across, _NEARBY_M * per_metre, w), _span(down, _NEARBY_M * per_metre, h)
         if x0 >= x1 or y0 >= y1:
             continue
         size, shape = per_metre / step, (-((y0 - y1) // step), -((x0 - x1) // step))
@@ -255,11 +255,11 @@ def _masks(
         out[:, -1] = apart(shifts)
 
 
-def _span(reach: Array, beside: float, most: int) -> tuple[int, int]:
+def _span(reach: Array, nearby: float, most: int) -> tuple[int, int]:
     """The pixels 0 to `most` from the first to the last that are reached (2,), and so many next to them; none where
     nothing is."""
     first, last = reach.tolist()  # plain numbers take a tenth of the time
-    low, high = first - beside, last + beside
+    low, high = first - nearby, last + nearby
     return (int(min(max(low, 0.0), most)), int(min(max(high, 0.0), most))) if low <= high else (0, 0)
 
 

@@ -25,7 +25,7 @@ from hypose.tracking.keypoint_evidence import (
     STRANGER_M,
     KeypointModel,
     keypoint_term,
-    shows_somebody_else,
+    shows_another_person,
 )
 from hypose.tracking.left_right import limbs_exchanged
 from hypose.tracking.named_sides import LIMBS, exchanged_by_names
@@ -148,8 +148,8 @@ def _on_named_sides(
         while wrong.any():
             at = int(np.argmax(wrong))
             begin = limbs_exchanged(body, poses[at], limb)
-            anew, own = _one_by_one(body, model, keypoints[at:], begin, frame_rate)
-            found = np.concatenate([poses[:at], anew])
+            afresh, own = _one_by_one(body, model, keypoints[at:], begin, frame_rate)
+            found = np.concatenate([poses[:at], afresh])
             wrong, left = exchanged_by_names(body, model, found, keypoints, limb, sure_start=sure_start)
             if left >= worth:
                 break
@@ -175,7 +175,7 @@ def _one_by_one(
     for t, seen in enumerate(keypoints):
         expected = s.clamp(last + VELOCITY_GAIN * (last - s.on_branch(before, last)))
         reach = min(STRANGER_M + FASTEST * unseen / frame_rate, FARTHEST)
-        if seen is not None and shows_somebody_else(seen, body, model, expected, reach):
+        if seen is not None and shows_another_person(seen, body, model, expected, reach):
             lost = unseen > EXTRAPOLATE_S * frame_rate
             found = _returned(body, model, seen) if lost and int(unseen) % _LOOK_EVERY == 0 else None
             if found is None:

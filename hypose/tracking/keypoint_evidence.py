@@ -50,7 +50,7 @@ class KeypointModel:
     known: NDArray[np.bool_]
     sd: Array | None = None
     view: Array | None = None
-    beside: Array | None = None
+    cue_weight: Array | None = None
 
     def positions(self, body: Body, poses: Array) -> Array:
         """(..., K, 3) m: the points in the world at poses (..., D)."""
@@ -110,16 +110,16 @@ def keypoint_term(
     )
 
 
-def beside_masks(term: KeypointTerm, model: KeypointModel) -> KeypointTerm:
+def with_masks(term: KeypointTerm, model: KeypointModel) -> KeypointTerm:
     """The term of a frame's key points as solves weigh it when there are masks as well."""
-    if model.beside is None or len(model.beside) != len(term.points):
+    if model.cue_weight is None or len(model.cue_weight) != len(term.points):
         return term
     points = term.points.copy()
-    points[..., 2] *= model.beside[:, model.known]
+    points[..., 2] *= model.cue_weight[:, model.known]
     return replace(term, points=points)
 
 
-def shows_somebody_else(keypoints: Keypoints, body: Body, model: KeypointModel, expected: Array, reach: float) -> bool:
+def shows_another_person(keypoints: Keypoints, body: Body, model: KeypointModel, expected: Array, reach: float) -> bool:
     """Whether the person seen stands further than `reach` (m) from the expected pose (D,): no person gets there so
     fast.
 

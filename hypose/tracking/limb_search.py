@@ -34,7 +34,7 @@ class LimbSearch:
     sigma: Array
     lower: Array
     upper: Array
-    anew: float = 0.0
+    redrawn: float = 0.0
     long: float = 0.3
     longer: float = 4.0
 
@@ -60,8 +60,8 @@ class LimbSearch:
         steps = rng.standard_normal(limb.shape) * self.sigma[own]
         self._tail.stretch(steps, np.arange(len(own)), len(own))
         tried = reflect(limb + steps, s.lower[own], s.upper[own])
-        if self.anew > 0:
-            rows, low, high = every(self.anew, h.count), self.lower[own], self.upper[own]
+        if self.redrawn > 0:
+            rows, low, high = every(self.redrawn, h.count), self.lower[own], self.upper[own]
             tried[rows] = low + (high - low) * rng.random((len(rows), len(own)))
         solved = h.has(SOLVED)
         staying = solved | h.has(COMPOSITE)

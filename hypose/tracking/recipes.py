@@ -79,7 +79,7 @@ def default(
     rival_arms = _rivals(body, turns, rivals, options)
     rows = [Layer(SolvePrediction(options, rival_arms), None, keep, "contours")]
     for (name, joints), turn in zip(LIMB_LAYERS, turns, strict=True):
-        search = LimbSearch(s, joints, sigma, *in_practice(s), anew=0.25 if name.endswith("arm") else 0.0)
+        search = LimbSearch(s, joints, sigma, *in_practice(s), redrawn=0.25 if name.endswith("arm") else 0.0)
         rows.append(Layer(search, None, keep, name, turn))
     rows.append(Layer(rival_arms, None, keep, "rivals"))
     base = Recipe("default", rows, particles, rivals=rivals)

@@ -71,15 +71,15 @@ def step_together(
         m = after[i]
         own = replace(frame, keypoints=None if keypoints is None else keypoints[i])
         if not m.present:
-            own = nobody_in(own)
+            own = no_person_in(own)
         elif shapes is not None and frame.silhouettes is not None:
-            beside = [
+            nearby = [
                 Other(shapes[j], SOLVED_WIDENING if done[j] else PREDICTED_WIDENING)
                 for j in range(count)
                 if j != i and after[j].sure
             ]
             lost = m.state.lost or m.state.blind > BLIND
-            own = own_frame(own, shapes[i], [*others, *beside], anywhere=lost)
+            own = own_frame(own, shapes[i], [*others, *nearby], anywhere=lost)
             assert own.silhouettes is not None
             pack_once(own.silhouettes)  # the tracker wants them, and the person who judges what it has found
         state, estimate = m.tracker.step(m.state, own)
@@ -89,7 +89,7 @@ def step_together(
     return after, [e for e in estimates if e is not None], seen
 
 
-def nobody_in(frame: Frame) -> Frame:
+def no_person_in(frame: Frame) -> Frame:
     """The frame without any evidence."""
     s = frame.silhouettes
     if s is not None:

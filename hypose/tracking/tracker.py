@@ -264,13 +264,13 @@ class Tracker:
             found = how.find(pose, state.pose, prepared)
             found_iou = agreement(self.body, found, prepared)
             # from nowhere only to a whole person: the rim of another person's hull is no find
-            cut_off = self._is_nobody(iou, state.usual_iou) and self._is_lost(found_iou, state.usual_iou)
+            cut_off = self._no_person(iou, state.usual_iou) and self._is_lost(found_iou, state.usual_iou)
             if found_iou > iou + (0.02 if known else FOUND) and not cut_off:
                 pose, iou, gain = found, found_iou, found_iou - iou
                 selected = self._around(pose, 1.0, stream(self.settings.seed, prepared.frame.index, RECOVERY))
                 lost = self._is_lost(iou, state.usual_iou)
                 state = replace(state, pose=pose)  # the step back is no velocity
-        if lost and self._is_nobody(iou, state.usual_iou):
+        if lost and self._no_person(iou, state.usual_iou):
             # stay where the person was last seen: a solve would drift to whatever else is in the masks
             pose, selected = state.pose, state.hypotheses
         return state, pose, selected, iou, lost, gain
@@ -378,7 +378,7 @@ class Tracker:
         )
         return bool(iou < floor)
 
-    def _is_nobody(self, iou: float, usual: float) -> bool:
+    def _no_person(self, iou: float, usual: float) -> bool:
         return bool(iou < _NO_PERSON * (1.0 if np.isnan(usual) else usual))
 
     def _extrapolate(
@@ -428,8 +428,8 @@ def _stacked(of_frames: Sequence[NDArray[np.float32]]) -> NDArray[np.float32] | 
 
 def modes_of(estimates: Sequence[FrameEstimate]) -> Modes | None:
     """The poses that each of the frames allows, where the method tells them."""
-    told = [e.uncertainty.modes for e in estimates if e.uncertainty.modes is not None]
-    return joined_modes(told) if told and len(told) == len(estimates) else None
+    stated = [e.uncertainty.modes for e in estimates if e.uncertainty.modes is not None]
+    return joined_modes(stated) if stated and len(stated) == len(estimates) else None
 
 
 def estimates_to_arrays(estimates: Sequence[FrameEstimate]) -> dict[str, NDArray[Any]]:
@@ -453,8 +453,8 @@ def estimates_to_arrays(estimates: Sequence[FrameEstimate]) -> dict[str, NDArray
 
 def estimates_from_arrays(arrays: Mapping[str, np.ndarray]) -> list[FrameEstimate]:
     """The estimates that `estimates_to_arrays` wrote."""
-    told = {k.removeprefix(_MODES): v for k, v in arrays.items() if k.startswith(_MODES)}
-    modes = Modes(**told).rows() if told else [None] * len(arrays["poses"])
+    stated = {k.removeprefix(_MODES): v for k, v in arrays.items() if k.startswith(_MODES)}
+    modes = Modes(**stated).rows() if stated else [None] * len(arrays["poses"])
     return [
         FrameEstimate(
             pose,

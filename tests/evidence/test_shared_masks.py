@@ -143,6 +143,6 @@ def test_without_hides_everybody_else(pair):
     _, shapes, silhouettes = pair
     left = without(silhouettes, [Other(shapes[1])])
     for c, (y0, y1, x0, x1) in enumerate(shapes[1].boxes):
-        assert not left.told[c, y0:y1, x0:x1][shapes[1].drawn(c) > 0].any()
+        assert not left.informative[c, y0:y1, x0:x1][shapes[1].drawn(c) > 0].any()
     assert without(silhouettes, []) is silhouettes
     assert isinstance(Expected(shapes[0].boxes, np.ones(4, int)), Expected)

@@ -15,7 +15,7 @@ from hypose.tracking.refinement import COMPOSITE, SOLVED
 @pytest.fixture(scope="module")
 def search(body):
     s = body.skeleton
-    return LimbSearch(s, dict(LIMB_LAYERS)["left_arm"], 2 * step_sigma(s, 25.0), *in_practice(s), anew=0.25)
+    return LimbSearch(s, dict(LIMB_LAYERS)["left_arm"], 2 * step_sigma(s, 25.0), *in_practice(s), redrawn=0.25)
 
 
 @pytest.fixture(scope="module")

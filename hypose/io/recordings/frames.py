@@ -350,7 +350,7 @@ class FrameStream:
     ) -> None:
         self.recording, self.options = recording, options or FrameSettings(silhouettes=recording.silhouettes)
         if self.options.people and self.options.silhouettes is not None:
-            self.options = replace(self.options, silhouettes=self.options.silhouettes.of_everybody, band=False)
+            self.options = replace(self.options, silhouettes=self.options.silhouettes.of_all_people, band=False)
         self.rig = _rig_of(recording, self.options)
         self.frames = recording.frames
         if len(self.frames) == 0:

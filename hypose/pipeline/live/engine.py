@@ -114,7 +114,7 @@ class LiveEngine:
             raise InputError("Depth cameras follow one person; leave --people out.")
         self.options, self.views, self.rig = options or LiveOptions(), tuple(views), rig
         if self.options.people > 1:
-            eyes = replace(self.options.eyes, silhouettes=self.options.eyes.silhouettes.of_everybody)
+            eyes = replace(self.options.eyes, silhouettes=self.options.eyes.silhouettes.of_all_people)
             self.options = replace(self.options, eyes=eyes)
         self.small = live_working_rig(rig, views)
         self.listeners = list(listeners)
