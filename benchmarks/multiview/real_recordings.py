@@ -13,7 +13,7 @@ import numpy as np
 from benchmarks.bench_report import BenchOptions, BenchReport, Row
 from benchmarks.multiview.leave_one_out import agreement_with_the_tool, leave_one_out, pose2sim_of, rows_of
 from hypose.body.body import Body
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.cameras.camera import Camera, CameraRig, triangulate
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.hull import hull_iou, visual_hull
@@ -26,7 +26,6 @@ from hypose.io.videos.video import open_video
 from hypose.pipeline.first_frame import SubjectOptions, find_subject
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.track_loop import FrameList
-from hypose.tracking.costs import silhouette_iou
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.keypoint_evidence import KeypointModel
 
@@ -111,7 +110,7 @@ def in_memory(recording: Recording, n: int) -> FrameList:
 def _overlap(case: str, body: Body, poses: Array, source: FrameList) -> list[Row]:
     """IoU of body and masks, mean over the frames, in each view and over all."""
     by_view = [
-        silhouette_iou(body, pose, prepare(frame, body, pose))
+        prepare(frame, body, pose).silhouettes.overlap(body, pose)
         for pose, frame in zip(poses, source.frames, strict=True)
         if frame.silhouettes is not None
     ]

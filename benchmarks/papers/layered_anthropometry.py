@@ -18,7 +18,7 @@ from scipy.optimize import minimize
 
 from hypose.body.anthropometry import SHAPE_FACTORS, TABLE_2_1, body_of, entity
 from hypose.body.body import Body, Landmarks
-from hypose.body.ready_bodies import JOINT_NAMES
+from hypose.body.default_body import JOINT_NAMES
 from hypose.body.skeleton import Skeleton
 from hypose.geometry import Array
 from hypose.inference.annealing import AnnealingRate, FixedAnnealingRate, SmoothedWeight, SurvivalRate
@@ -27,7 +27,6 @@ from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.kernels import GaussianDiffusion, RejectionSampling, layered_sigma
 from hypose.inference.layer import Layer, Recipe, search, stream
 from hypose.inference.resampling import systematic
-from hypose.tracking.costs import xor_energy
 from hypose.tracking.frame_evidence import PreparedFrame
 from hypose.tracking.recipes import THESIS
 
@@ -115,7 +114,7 @@ class ShapeXor:
 
 def shape_energy(template: Body, state: Array, frame: PreparedFrame) -> float:
     """Silhouette energy (eq. 2.8) of one state (K + D,)."""
-    return float(xor_energy(body_of(template, state[:K]), state[None, K:], frame)[0])
+    return float(frame.silhouettes.energy(body_of(template, state[:K]), state[None, K:])[0])
 
 
 def anthropometry_recipe(

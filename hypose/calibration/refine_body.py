@@ -20,7 +20,7 @@ from hypose.body.body import Body
 from hypose.calibration.refine_points import CameraUnknowns, apply_parameters, by_camera
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import EvidenceError
-from hypose.evidence.terms import ContourTerm, Evidence, KeypointTerm
+from hypose.evidence.terms import ContourTerm, KeypointTerm, Term
 from hypose.fitting.problem import Cue, Posed, PoseProblem, Quadratic, Rows
 from hypose.fitting.rows import rows_of_contours, rows_of_keypoints
 from hypose.geometry import Array, transform
@@ -57,7 +57,7 @@ def adjust_with_body(
     body: Body,
     rig: CameraRig,
     poses: Array,
-    evidence: Sequence[Sequence[Evidence]],
+    evidence: Sequence[Sequence[Term]],
     options: BodySettings | None = None,
     free: NDArray[np.bool_] | None = None,
 ) -> BodyAdjustment:
@@ -81,7 +81,7 @@ def adjust_with_body(
     return BodyAdjustment(CameraRig(tuple(cameras)), q, before, found.cost)
 
 
-def _cue(one: Evidence, o: BodySettings) -> Cue[_Cameras]:
+def _cue(one: Term, o: BodySettings) -> Cue[_Cameras]:
     """Rows in the images of the cameras as they are changed."""
 
     def rows(at: Posed, cameras: _Cameras, factor: float) -> Iterable[Rows]:
@@ -108,10 +108,7 @@ class _BodyProblem(PoseProblem[_Cameras]):
         unknowns: CameraUnknowns,
     ) -> None:
         super().__init__(body, frames, priors)
-        self.unknowns, self.free = unknowns, unknowns.free
-
-    def length(self, step: Array) -> float:
-        return float(np.abs(step.reshape(-1, self.unknowns.count)[:, :3]).max())
+        self.unknowns, self.free, self.limited = unknowns, unknowns.free, unknowns.turns
 
     def shared_cost(self, shared: _Cameras, body: Body) -> float:
         return self.unknowns.held(shared)[1]

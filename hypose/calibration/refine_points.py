@@ -160,6 +160,7 @@ class CameraUnknowns:
         pull = [hold[0]] * 3 + [hold[1]] * 3 + [hold[2]] * focal + [1.0] * radial
         self.hold = np.array(pull) ** -2.0
         self.count = len(pull)
+        self.turns = np.tile(np.arange(len(pull)) < 3, len(rig))
         self.free = np.repeat(
             np.ones(len(rig), dtype=bool) if free is None else np.asarray(free, dtype=bool), len(pull)
         )
@@ -236,7 +237,7 @@ class PointBundle(SharedProblem[_Shared]):
 
     def __init__(self, pixels: Array, confidence: Array, scale: float, unknowns: CameraUnknowns) -> None:
         self.uv, self.confidence, self.scale, self.unknowns = pixels, confidence, 2 * scale, unknowns
-        self.free, self.largest = unknowns.free, 0.2
+        self.free, self.limited, self.largest = unknowns.free, unknowns.turns, 0.2
 
     def residuals(self, cameras: list[Camera], radial: Array, points: Array) -> tuple[Array, Array, float]:
         """(C, N, 2) px, (C, N) weights of squared px, and the robust cost."""
@@ -290,10 +291,6 @@ class PointBundle(SharedProblem[_Shared]):
         (cameras, radial), points = state
         cost = self.residuals(cameras, radial, points)[2] + self.unknowns.held(cameras, radial)[1]
         return cost, partial(self.equations, cameras, radial, points)
-
-    def length(self, step: Array) -> float:
-        """The largest turn of a camera, rad."""
-        return float(np.abs(step.reshape(-1, self.unknowns.count)[:, :3]).max())
 
     def moved(self, state: tuple[_Shared, Array], step: Array, own: Array) -> tuple[tuple[_Shared, Array], float]:
         """Apply a step."""

@@ -85,7 +85,7 @@ from hypose.compute.render import blend_shaded, darken, expose
 from hypose.compute.rows import outline_points
 from hypose.compute.scorer import limb_energies, silhouette_xor
 from hypose.compute.shape_rows import outline_rows
-from hypose.compute.solver import Evaluation, Solution, bounded_step, evaluate, row_sums, solve, workspace
+from hypose.compute.solver import Evaluation, Solution, bounded_step, evaluate, solve, workspace
 from hypose.compute.threads import default_threads, in_background, over_chunks
 from hypose.compute.visibility import nearest_visible
 from hypose.compute.warming import TRACKING_KERNELS, kept, warm_up
@@ -194,7 +194,6 @@ __all__ = [
     "rasterize",
     "reach",
     "rim_edges",
-    "row_sums",
     "shown_parts",
     "shrink_mask",
     "shrink_undistort",

@@ -4,8 +4,10 @@ Every cue is a set of rows (point p, g = d residual / d point, residual r, weigh
 dof d is S_d . x with the dof's twist S_d and the row's wrench x = (p x g, g), everything about the root's position; so
 w x x^T (21 numbers) and w r x (6) are added to joint j, and no row as wide as the pose ever exists. solver.py folds the
 sums up the tree.
-A skinned point is a blend of joints: its row goes to each joint, times the skinning weight. The gradient is then exact;
-the second-order sum drops cross terms between the joints of one point and keeps w_j instead of w_j^2, which only damps.
+A skinned point is a blend of joints: its row goes to each joint, times the skinning weight. The gradient takes all of
+them to turn the blended point, where each joint turns an image of its own: over a body's vertices it is off by 0.2 %
+(rms). The second-order sum drops cross terms between the joints of one point and keeps w_j instead of w_j^2, which only
+damps.
 """
 
 from __future__ import annotations

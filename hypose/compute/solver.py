@@ -17,14 +17,13 @@ from hypose.compute.arrays import (
     TreeArrays,
     Workspace,
     plain,
-    tidy,
 )
 from hypose.compute.compiled import kernel
 from hypose.compute.contours import contour_rows
 from hypose.compute.coverage import VIEWS, contours_of_any, front_views, project_views, row_stride
 from hypose.compute.depth_rows import depth_rows
 from hypose.compute.kinematics import joint_frames, skin_about_root
-from hypose.compute.rows import add_row, form_rows, keypoint_rows, point_rows, sum_rows
+from hypose.compute.rows import form_rows, keypoint_rows, point_rows, sum_rows
 from hypose.errors import SolverError
 from hypose.geometry import Array
 
@@ -80,26 +79,6 @@ def fold(tree, twists, wrench_hessian, wrench_gradient, hessian, gradient):
                 hessian[d, e] = s
                 hessian[e, d] = s
             a = tree.parents[a]
-
-
-@kernel
-def _row_sums(q, tree, joint, offset, weight, residual, slope, hessian, gradient):
-    """hessian (D, D) and gradient (D,), overwritten, of rows at pose q: points (P,) on joints at offset (P, 3) with
-    weight (P,), residual (P, R) and slope (P, R, 3), its derivative by the point."""
-    n_joints = tree.parents.shape[0]
-    rotations, centres = np.empty((n_joints, 3, 3)), np.empty((n_joints, 3))
-    twists = np.empty((q.shape[0], 6))
-    joint_frames(q, tree, rotations, centres, twists)
-    sums, pulls = np.zeros((n_joints, 21)), np.zeros((n_joints, 6))
-    for m in range(joint.shape[0]):
-        j, o, g = joint[m], offset[m], slope[m]
-        r = rotations[j]
-        x = centres[j, 0] + r[0, 0] * o[0] + r[0, 1] * o[1] + r[0, 2] * o[2]
-        y = centres[j, 1] + r[1, 0] * o[0] + r[1, 1] * o[1] + r[1, 2] * o[2]
-        z = centres[j, 2] + r[2, 0] * o[0] + r[2, 1] * o[1] + r[2, 2] * o[2]
-        for k in range(residual.shape[1]):
-            add_row(sums, pulls, j, weight[m], residual[m, k], x, y, z, g[k, 0], g[k, 1], g[k, 2])
-    fold(tree, twists, sums, pulls, hessian, gradient)
 
 
 @kernel
@@ -430,21 +409,3 @@ def _solved(q: Array, evidence: tuple[Any, ...], settings: SolveLimits, ws: Work
     counts = np.zeros((len(evidence[2].sdf) + 3, 2), dtype=np.int64)
     _solve(q, *evidence, settings, ws, hessian, gradient, counts, info)
     return Evaluation(float(info[0]), gradient, hessian, counts), info
-
-
-def row_sums(
-    pose: Array,
-    tree: TreeArrays,
-    joint: NDArray[np.int64],
-    offset: ArrayLike,
-    weight: ArrayLike,
-    residual: ArrayLike,
-    slope: ArrayLike,
-) -> tuple[Array, Array]:
-    """Gradient (D,) and Gauss-Newton matrix (D, D) of rows of any kind at a pose (D,): points on joint (P,) at offset
-    (P, 3) m, with weight (P,), residual (P, R) and slope (P, R, 3), its derivative by the point in the world."""
-    d = len(pose)
-    gradient, hessian = np.empty(d), np.empty((d, d))
-    given = (plain(x, np.float64) for x in (offset, weight, residual, slope))
-    _row_sums(plain(pose, np.float64), tidy(tree), plain(joint, np.int64), *given, hessian, gradient)
-    return gradient, hessian

@@ -7,10 +7,9 @@ Sources: silhouettes by Alcoverro 2014, eq. 2.8; the depth cost is hypose's own.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,12 +18,12 @@ from hypose import compute
 from hypose.body.body import Body
 from hypose.compute import MeshArrays, PreparedMasks, SeenDepth, StandingDepth, TreeArrays
 from hypose.errors import EvidenceError
-from hypose.evidence.ahead import prepared_masks
 from hypose.evidence.depth_evidence import Depth
-from hypose.evidence.depth_surface import DepthTerm, depth_term, shrunk
+from hypose.evidence.depth_surface import depth_term, shrunk
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.outlines import WORKING_HEIGHT
-from hypose.evidence.terms import ContourTerm, Evidence, KeypointTerm, Limb, PointTerm, RowTerm, contour_term
+from hypose.evidence.prefetch import prepared_masks
+from hypose.evidence.terms import Evidence, KeypointTerm, Limb, PointTerm, RowTerm, Term, contour_term
 from hypose.geometry import Array
 
 _Found = TypeVar("_Found")
@@ -42,10 +41,10 @@ MEASURED, HOPEFUL = 16, 1.1
 Chosen on the seeds 0 to 15, and 0 to 29 (benchmark `depth`)."""
 ARM_M2, ARM_REACH_M, EXPLAINED_M = 0.055, 0.75, 0.08
 """m^2 of an arm that is seen from its side; m from the shoulder; m between what was drawn and seen"""
-LEAST_SHOWN, AGREED, BESIDE = 0.7, 0.8, 0.4
+LEAST_SHOWN, AGREED, NEARBY = 0.7, 0.8, 0.4
 """shares of an arm: in sight; of what is in sight, where it was seen; seen in its reach, but no part of the body. An
 arm that is so much in sight is looked for nowhere else. Chosen on the seeds 0 to 15 (benchmark `depth`)."""
-_FEW = 12
+_REMEMBERED_POSES = 12
 """sets of no more poses are looked up, and remembered: the same pose is judged several times in a frame"""
 
 
@@ -75,7 +74,7 @@ class PoseMemory(Generic[_Found]):
     def all(self, body: Body, poses: Array, find: Callable[[Array], NDArray[Any]]) -> NDArray[Any]:
         """What is kept of the poses (N, D), row by row; `find` finds it for those of which nothing is, and of many
         poses for all."""
-        if len(poses) > _FEW:
+        if len(poses) > _REMEMBERED_POSES:
             return find(poses)
         found = [self.get(body, pose) for pose in poses]
         new = [n for n, one in enumerate(found) if one is None]
@@ -92,23 +91,11 @@ class PoseMemory(Generic[_Found]):
 
 @dataclass(frozen=True)
 class SilhouetteEvidence(Evidence):
-    """masks: for the search; contours: for solves."""
+    """masks: for the search."""
 
     masks: PreparedMasks
-    contours: ContourTerm | None
     _counts: PoseMemory[NDArray[np.int64]] = field(default_factory=PoseMemory, compare=False, repr=False)
     _overlaps: PoseMemory[Array] = field(default_factory=PoseMemory, compare=False, repr=False)
-    name = "silhouettes"
-
-    @property
-    def views(self) -> NDArray[np.bool_]:
-        """(C,) which views have it."""
-        return self.masks.usable
-
-    @property
-    def terms(self) -> tuple[Evidence, ...]:
-        """What solves take."""
-        return () if self.contours is None else (self.contours,)
 
     def energy(self, body: Body, poses: Array, limb: Limb | None = None) -> Array:
         """(N,) energies of eq. 2.8."""
@@ -149,22 +136,10 @@ class SilhouetteEvidence(Evidence):
 
 @dataclass(frozen=True)
 class KeypointEvidence(Evidence):
-    """term: the key points as they are, for what chooses between solutions; beside: as solves weigh them with the
-    frame's other evidence. A search does not ask them."""
+    """term: the key points as they are, for what chooses between solutions; solves may weigh them less. A search does
+    not ask them."""
 
     term: KeypointTerm
-    beside: KeypointTerm
-    name = "keypoints"
-
-    @property
-    def views(self) -> NDArray[np.bool_]:
-        """(C,) which views have it."""
-        return np.asarray((self.term.points[..., 2] > 0).any(1))
-
-    @property
-    def terms(self) -> tuple[Evidence, ...]:
-        """What solves take."""
-        return (self.beside,) if self.seen else ()
 
     def cost(self, body: Body, poses: Array) -> Array:
         """(N,) the robust cost of the solver, in which a difference of 1 is a difference of 1 in log-likelihood."""
@@ -179,38 +154,15 @@ class KeypointEvidence(Evidence):
         return 2 * (used * np.log1p(ratio**2)).sum((1, 2))
 
 
-class _SeenBy(NamedTuple):
-    """What sensors see of a person, and which do (C,)."""
-
-    maps: SeenDepth
-    views: NDArray[np.bool_]
-
-
 @dataclass(frozen=True)
 class DepthEvidence(Evidence):
-    """depth: the maps, for the search; term: for solves."""
+    """maps: for the search."""
 
-    depth: Depth | None
-    term: DepthTerm | None
+    maps: SeenDepth
     _costs: PoseMemory[float] = field(default_factory=PoseMemory, compare=False, repr=False)
-    name = "depth"
-
-    @property
-    def views(self) -> NDArray[np.bool_]:
-        """(C,) which views have it."""
-        return self._seen.views
-
-    @property
-    def terms(self) -> tuple[Evidence, ...]:
-        """What solves take."""
-        return () if self.term is None else (self.term,)
-
-    @cached_property
-    def _seen(self) -> _SeenBy:
-        return _SeenBy(_NOTHING_SEEN, np.zeros(0, np.bool_)) if self.depth is None else seen_depth(self.depth)
 
     def _about(self, body: Body) -> tuple[TreeArrays, MeshArrays, SeenDepth, float]:
-        return body.skeleton.tree, body.coarse.arrays, self._seen.maps, MOST_M
+        return body.skeleton.tree, body.coarse.arrays, self.maps, MOST_M
 
     def energy(self, body: Body, poses: Array, limb: Limb | None = None) -> Array:
         """(N,) mean difference of depth over the pixels of the person that the body covers, sum over the sensors; what
@@ -240,7 +192,7 @@ class DepthEvidence(Evidence):
         the best by a rough look are measured. outlines(slack, more): what all of them cost without depth, (N,),
         infinite where that is certainly above `slack` times what the first one costs, and `more`; standing: what does
         not move, where it has been drawn."""
-        seen = self._seen.maps
+        seen = self.maps
         standing = standing or self.standing(body, poses[-1], moving)
 
         def limb(chosen: NDArray[np.intp], rough: bool = False) -> Array:
@@ -266,14 +218,14 @@ class DepthEvidence(Evidence):
         """Whether depth cameras show an arm where it is in the pose that the rest of the body stands in (`standing`),
         and nothing in its reach that the body does not explain. shoulder: its joint."""
         at = standing.pose[:3] + standing.centres[shoulder]
-        given = body.skeleton.tree, body.coarse.arrays, self._seen.maps
-        in_sight, agreed, beside = compute.limb_shown(*given, standing, at, ARM_REACH_M, EXPLAINED_M).T
+        given = body.skeleton.tree, body.coarse.arrays, self.maps
+        in_sight, agreed, nearby = compute.limb_shown(*given, standing, at, ARM_REACH_M, EXPLAINED_M).T
         shown = (in_sight >= LEAST_SHOWN * ARM_M2) & (agreed >= AGREED * in_sight)
-        return bool(shown.any() and (beside <= BESIDE * ARM_M2).all())
+        return bool(shown.any() and (nearby <= NEARBY * ARM_M2).all())
 
 
-def seen_depth(depth: Depth, tall: int = TALL) -> _SeenBy:
-    """The person's pixels of a frame's maps, so small that the person is still `tall` px, and cut to its box."""
+def seen_depth(depth: Depth, tall: int = TALL) -> tuple[NDArray[np.bool_], SeenDepth]:
+    """Which sensors (C,) see the person, and the pixels of it, so small that it is still `tall` px, cut to its box."""
     views = np.array([bool(u) and box[2] > 0 for u, box in zip(depth.usable, depth.boxes, strict=True)])
     maps, projections, counts = [], [], []
     used = np.flatnonzero(views)
@@ -294,7 +246,7 @@ def seen_depth(depth: Depth, tall: int = TALL) -> _SeenBy:
         out[k, : m.shape[0], : m.shape[1]] = m
     sizes = np.array([m.shape[::-1] for m in maps], dtype=np.int64).reshape(len(maps), 2)
     stacked = np.array(projections, dtype=np.float64).reshape(len(maps), 3, 4)
-    return _SeenBy(SeenDepth(out, sizes, stacked, np.array(counts, dtype=np.int64)), views)
+    return views, SeenDepth(out, sizes, stacked, np.array(counts, dtype=np.int64))
 
 
 def silhouette_evidence(silhouettes: Silhouettes | None, weight: float) -> list[Evidence]:
@@ -306,18 +258,27 @@ def silhouette_evidence(silhouettes: Silhouettes | None, weight: float) -> list[
         contours = contour_term(silhouettes, weight=weight, working_height=WORKING_HEIGHT)
     except EvidenceError:  # masks that are foreground from border to border have no outline: no evidence either
         return []
-    return [SilhouetteEvidence(masks, contours)]
+    return [SilhouetteEvidence(masks.usable, (contours,), masks)]
 
 
 def depth_evidence(depth: Depth | None) -> list[Evidence]:
     """What depth cameras see of the person; nothing where none does."""
-    term = None if depth is None else depth_term(depth)
-    return [] if term is None else [DepthEvidence(depth, term)]
+    if depth is None or (term := depth_term(depth)) is None:
+        return []
+    views, maps = seen_depth(depth)
+    return [DepthEvidence(views, (term,), maps)]
 
 
-def surface_evidence(frame: Frame) -> list[Evidence]:
+def keypoint_evidence(term: KeypointTerm | None, weaker: KeypointTerm | None) -> list[Evidence]:
+    """Key points of a frame, and as solves weigh them; nothing where none is known and confident."""
+    if term is None or weaker is None:
+        return []
+    return [KeypointEvidence(np.asarray((term.points[..., 2] > 0).any(1)), (weaker,), term)]
+
+
+def surface_evidence(frame: Frame) -> list[Term]:
     """What a frame tells of a body's surface, for fits of its shape: outlines, and depth where there is any."""
-    outlines: list[Evidence] = [] if frame.silhouettes is None else [contour_term(frame.silhouettes)]
+    outlines: list[Term] = [] if frame.silhouettes is None else [contour_term(frame.silhouettes)]
     return outlines + [term for one in depth_evidence(frame.depth) for term in one.terms]
 
 
@@ -338,47 +299,28 @@ class OwnEvidence(Protocol):
 
 @dataclass(frozen=True)
 class OwnCue(Evidence):
-    """What evidence of the user's own says in a frame; term: for solves, of the body that the frame is prepared for."""
+    """What evidence of the user's own says in a frame."""
 
     source: OwnEvidence
     frame: Frame
-    term: PointTerm | RowTerm | None
-    name = "own"
-
-    @staticmethod
-    def of(source: OwnEvidence, body: Body, frame: Frame) -> OwnCue:
-        """Ask evidence of the user's own for its rows in a frame."""
-        return OwnCue(source, frame, source.rows(body, frame))
-
-    @property
-    def terms(self) -> tuple[Evidence, ...]:
-        """What solves take."""
-        return () if self.term is None else (self.term,)
 
     def energy(self, body: Body, poses: Array, limb: Limb | None = None) -> Array:
         """(N,) what its author says that poses cost."""
         return np.asarray(self.source.energy(body, poses, self.frame))
 
 
-def _nothing(*shape: int) -> NDArray[np.uint8]:
-    return np.zeros(shape, np.uint8)
+def own_evidence(sources: Sequence[OwnEvidence], body: Body, frame: Frame) -> list[Evidence]:
+    """What evidence of the user's own says in a frame of a body."""
+    rows = [one.rows(body, frame) for one in sources]
+    terms = [() if term is None else (term,) for term in rows]
+    return [OwnCue(_NO_VIEWS, own, one, frame) for one, own in zip(sources, terms, strict=True)]
 
 
+_NO_VIEWS, _NO_MASK, _NO_COUNT = np.zeros(0, np.bool_), np.zeros((0, 1, 1), np.uint8), np.zeros(0, np.int64)
 _NO_SIZES, _NO_CAMERAS = np.zeros((0, 2), np.int64), np.zeros((0, 3, 4))
-_NOTHING_SEEN = SeenDepth(np.zeros((0, 1, 1), np.float32), _NO_SIZES, _NO_CAMERAS, np.zeros(0, np.int64))
-_NO_TERM = KeypointTerm(np.zeros((0, 0, 3)), _NO_CAMERAS, np.zeros(0, np.int64), np.zeros((0, 3)), 1.0)
-NO_SILHOUETTES = SilhouetteEvidence(
-    PreparedMasks(
-        _nothing(0, 1, 1),
-        np.zeros(0, np.int64),
-        np.zeros(0, np.bool_),
-        _NO_SIZES,
-        _NO_CAMERAS,
-        _nothing(0, 1, 17),
-        np.zeros(0),
-        _nothing(0, 0, 0),
-        _nothing(0, 1, 1),
-    ),
-    None,
-)
-NO_KEYPOINTS, NO_DEPTH = KeypointEvidence(_NO_TERM, _NO_TERM), DepthEvidence(None, None)
+_NO_MASKS = (_NO_MASK, _NO_COUNT, _NO_VIEWS, _NO_SIZES, _NO_CAMERAS, _NO_MASK, np.zeros(0), _NO_MASK[:, :0], _NO_MASK)
+_NO_POINTS = KeypointTerm(np.zeros((0, 0, 3)), _NO_CAMERAS, _NO_COUNT, np.zeros((0, 3)), 1.0)
+_NO_MAPS = SeenDepth(np.zeros((0, 1, 1), np.float32), _NO_SIZES, _NO_CAMERAS, _NO_COUNT)
+NO_SILHOUETTES = SilhouetteEvidence(_NO_VIEWS, (), PreparedMasks(*_NO_MASKS))
+NO_KEYPOINTS = KeypointEvidence(_NO_VIEWS, (), _NO_POINTS)
+NO_DEPTH = DepthEvidence(_NO_VIEWS, (), _NO_MAPS)

@@ -1,4 +1,4 @@
-"""Evidence: a cue of one frame, prepared once for all that ask it, and the cues that solves know.
+"""Evidence: a cue of one frame, prepared once for all that ask it, and the terms that solves know.
 
 A solver takes any of them, in any number, as one tuple; a search asks what poses cost by them. A cue of one's own is a
 `PointTerm`, a `RowTerm`, or both with an energy (hypose.evidence.cues.OwnEvidence).
@@ -19,10 +19,10 @@ from numpy.typing import ArrayLike, NDArray
 from hypose.body.body import Body
 from hypose.compute import ContourArrays, KeypointArrays, PointArrays, Standing
 from hypose.errors import EvidenceError, InputError
-from hypose.evidence.ahead import outlines
 from hypose.evidence.frame import Silhouettes
 from hypose.evidence.outlines import OUTLINE_POINTS as REFERENCE_OUTLINE
 from hypose.evidence.outlines import SMALLEST, shrunk_projection
+from hypose.evidence.prefetch import outlines
 from hypose.geometry import Array
 
 # Reference density of the contour rows, for a person `height` px tall: weights are per arc length, so changing the
@@ -39,25 +39,25 @@ class Limb(NamedTuple):
     rest: Standing | None = None
 
 
+class Term:
+    """What solves take of a cue: residuals of one frame."""
+
+
+@dataclass(frozen=True)
 class Evidence:
-    """A cue of one frame. name: which kind it is."""
+    """A cue of one frame, prepared once for all that ask it.
 
-    name: str = "own"
+    views: (C,) which views or sensors carry it, empty where it belongs to none.
+    terms: what solves take of it.
+    """
 
-    @property
-    def views(self) -> NDArray[np.bool_]:
-        """(C,) which views or sensors carry it; empty where it belongs to none."""
-        return np.zeros(0, np.bool_)
+    views: NDArray[np.bool_]
+    terms: tuple[Term, ...]
 
     @property
     def seen(self) -> bool:
         """Whether any view carries it."""
         return bool(self.views.any())
-
-    @property
-    def terms(self) -> tuple[Evidence, ...]:
-        """What a solve takes of it: itself, or the terms that it is made of."""
-        return (self,)
 
     def energy(self, body: Body, poses: Array, limb: Limb | None = None) -> Array:
         """(N,) what poses (N, D) of a body cost in a search, where it says that: low is good, the silhouettes of one
@@ -69,7 +69,7 @@ class Evidence:
 
 
 @dataclass(frozen=True)
-class ContourTerm(Evidence):
+class ContourTerm(Term):
     """Silhouette contours of one frame, both ways (body outline -> mask, mask outline -> body). Built by
     `contour_term`.
 
@@ -120,7 +120,7 @@ class ContourTerm(Evidence):
 
 
 @dataclass(frozen=True)
-class KeypointTerm(Evidence):
+class KeypointTerm(Term):
     """2D key points of one frame. Cauchy (Lorentzian) cost with scale 2 sd: 2 w log(1 + (r / 2 sd)^2).
 
     points (C, K, 3) = u, v px, confidence (the row's weight; rows below min_confidence or not finite are left out);
@@ -149,7 +149,7 @@ class KeypointTerm(Evidence):
 
 
 @dataclass(frozen=True)
-class PointTerm(Evidence):
+class PointTerm(Term):
     """3D points of one frame. Cauchy (Lorentzian) cost with scale 2 sd, as for key points.
 
     points_world (M, 3) m, NaN where missing; weight (M,); joint (M,), offset (M, 3) m in the joint's frame; scale_m: 1
@@ -188,7 +188,7 @@ Residuals = Callable[[Array], tuple[ArrayLike, ArrayLike]]
 
 
 @dataclass(frozen=True)
-class RowTerm(Evidence):
+class RowTerm(Term):
     """Residuals of points of one frame. Cauchy (Lorentzian) cost of each point's residuals together, 2 w log(1 +
     |r|^2 / 4) with r in standard deviations, as for key points.
 

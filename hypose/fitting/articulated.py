@@ -27,15 +27,15 @@ from hypose.compute import (
     PointArrays,
     PriorArrays,
     SolveLimits,
-    TreeArrays,
     Workspace,
     bounded_step,
     lorentzian,
     over_chunks,
+    weighted_squares,
 )
 from hypose.errors import InputError, SolverError
 from hypose.evidence.depth_surface import DepthTerm
-from hypose.evidence.terms import ContourTerm, Evidence, KeypointTerm, PointTerm, RowTerm, checked_joints
+from hypose.evidence.terms import ContourTerm, KeypointTerm, PointTerm, RowTerm, Term, checked_joints
 from hypose.fitting.problem import Problem, Quadratic, Rule
 from hypose.geometry import Array, nearest_branch, so3_turns
 
@@ -93,17 +93,16 @@ def by_turns(hessian: Array, pose: Array) -> Array:
     return out
 
 
-def cues_of(body: Body, evidence: Sequence[Evidence]) -> tuple[Cues, tuple[RowTerm, ...]]:
+def cues_of(body: Body, evidence: Sequence[Term]) -> tuple[Cues, tuple[RowTerm, ...]]:
     """The terms of evidence as the flat arrays of the compiled solve, and those that need Python. An InputError when
     there are two of a kind that a frame has once, or a joint is none of the body's."""
-    terms = [term for one in evidence for term in one.terms]
-    once: dict[type[Evidence], Evidence] = {}
-    for term in terms:
+    once: dict[type[Term], Term] = {}
+    for term in evidence:
         if isinstance(term, ContourTerm | KeypointTerm | DepthTerm) and once.setdefault(type(term), term) is not term:
             raise InputError(f"A frame has one {type(term).__name__} of all its views; join the two.")
     contours, keypoints, depth = (once.get(kind) for kind in (ContourTerm, KeypointTerm, DepthTerm))
-    places = [term.arrays(body) for term in terms if isinstance(term, PointTerm)]
-    rows = tuple(term for term in terms if isinstance(term, RowTerm))
+    places = [term.arrays(body) for term in evidence if isinstance(term, PointTerm)]
+    rows = tuple(term for term in evidence if isinstance(term, RowTerm))
     for term in rows:
         checked_joints(term, body)
     cues = Cues(
@@ -118,7 +117,7 @@ def cues_of(body: Body, evidence: Sequence[Evidence]) -> tuple[Cues, tuple[RowTe
 def fit_pose(
     body: Body,
     start: ArrayLike,
-    evidence: Sequence[Evidence],
+    evidence: Sequence[Term],
     *,
     priors: Sequence[Quadratic] = (),
     options: SolveSettings | None = None,
@@ -128,28 +127,27 @@ def fit_pose(
     A SolverError when the start has the wrong size or its cost is not finite. A step is taken when its cost is finite
     and at most 0.2 % higher (contour costs jump when the outline changes); no joint turns more than 0.35 rad per
     step."""
-    return _Problem(body, evidence, priors, options or SolveSettings()).fit(start)
+    return fit_poses(body, [start], evidence, priors=priors, options=options)[0]
 
 
 def fit_poses(
     body: Body,
-    starts: ArrayLike,
-    evidence: Sequence[Evidence],
+    starts: Sequence[ArrayLike] | Array,
+    evidence: Sequence[Term],
     *,
     priors: Sequence[Quadratic] = (),
     options: SolveSettings | None = None,
 ) -> list[PoseFit]:
     """Independent solves from starts (N, D) on the same evidence, over threads; the same results for any number of
     them."""
-    q = np.asarray(starts, dtype=np.float64)
     problem = _Problem(body, evidence, priors, options or SolveSettings())
-    fits: list[PoseFit | None] = [None] * len(q)
+    fits: list[PoseFit | None] = [None] * len(starts)
 
     def work(first: int, last: int) -> None:
         for n in range(first, last):
-            fits[n] = problem.fit(q[n])
+            fits[n] = problem.fit(starts[n])
 
-    over_chunks(work, len(q), None)
+    over_chunks(work, len(starts), None)
     return [f for f in fits if f is not None]
 
 
@@ -174,7 +172,7 @@ class _Problem:
     """Evidence and priors as the flat arrays of the kernel, made once for any number of starts."""
 
     def __init__(
-        self, body: Body, evidence: Sequence[Evidence], priors: Sequence[Quadratic], options: SolveSettings
+        self, body: Body, evidence: Sequence[Term], priors: Sequence[Quadratic], options: SolveSettings
     ) -> None:
         self.body, (self.cues, self.rows) = body, cues_of(body, evidence)
         self.tree, self.mesh = body.skeleton.tree, body.coarse.arrays
@@ -231,7 +229,7 @@ class _Problem:
 
         def evaluate(pose: Array, coarse: bool) -> compute.Evaluation:
             known = compute.evaluate(pose, self.tree, self.mesh, self.cues, priors, ws, coarse=coarse)
-            return with_rows(known, pose, self.tree, self.rows)
+            return with_rows(known, pose, self.body, self.rows)
 
         coarse = min(o.coarse_iterations, o.iterations) if len(self.cues.contours.sdf) else 0
         rule = Rule(o.damping, slack=1.002, moved=o.tolerance)
@@ -250,12 +248,15 @@ def prior_arrays(priors: Sequence[Quadratic], dof: int) -> tuple[Array, Array]:
     return centre, weight
 
 
-def with_rows(known: compute.Evaluation, pose: Array, tree: TreeArrays, rows: Sequence[RowTerm]) -> compute.Evaluation:
+def with_rows(known: compute.Evaluation, pose: Array, body: Body, rows: Sequence[RowTerm]) -> compute.Evaluation:
     """Add cost and derivatives of rows at a pose (D,), and how many points there were. An InputError names residuals
     of the wrong shape."""
-    rotations, centres = (x[0] for x in compute.forward_kinematics(pose[None], tree))
-    cost, count = known.cost, 0
-    gradient, hessian = known.gradient.copy(), known.hessian.copy()
+    (rotations, centres), twists, moves = (
+        body.skeleton.forward(pose),
+        body.skeleton.world_twists(pose),
+        body.skeleton.moves,
+    )
+    cost, gradient, hessian, count = known.cost, known.gradient.copy(), known.hessian.copy(), 0
     for term in rows:
         joint = np.asarray(term.joint, dtype=np.int64)
         offset = np.zeros((len(joint), 3)) if term.offset is None else np.asarray(term.offset, dtype=np.float64)
@@ -268,14 +269,15 @@ def with_rows(known: compute.Evaluation, pose: Array, tree: TreeArrays, rows: Se
             )
         weight = np.ones(len(joint)) if term.weight is None else np.asarray(term.weight, dtype=np.float64)
         seen = (weight > 0) & np.isfinite(r).all(1) & np.isfinite(slope).all((1, 2))
-        weight, r, slope = np.where(seen, weight, 0.0), np.where(seen[:, None], r, 0.0), slope.copy()
-        slope[~seen] = 0.0
+        joint, (weight, r, slope, points) = joint[seen], (x[seen] for x in (weight, r, slope, points))
         rho, pull, _ = lorentzian(0.25 * (r**2).sum(1), weight)
+        wrench = np.concatenate([np.cross(points[:, None], slope), slope], -1)
+        jacobian = ((wrench @ twists.T) * moves.T[joint][:, None]).reshape(-1, len(pose))
+        more = weighted_squares(jacobian, np.repeat(pull, r.shape[1]), r.ravel())
         cost += 2 * float((weight * rho).sum())
-        count += int(seen.sum())
-        more = compute.row_sums(pose, tree, joint, offset, pull, r, slope)
-        gradient += more[0]
-        hessian += more[1]
+        count += len(joint)
+        hessian += more[0]
+        gradient += more[1]
     return compute.Evaluation(cost, gradient, hessian, np.concatenate([known.counts, [[count, 0]]]))
 
 

@@ -12,7 +12,7 @@ from hypose import compute
 from hypose.body.body import Body
 from hypose.compute import PriorArrays, solve_coupled
 from hypose.errors import SolverError
-from hypose.evidence.terms import Evidence
+from hypose.evidence.terms import Term
 from hypose.fitting.articulated import (
     LARGEST_TURN,
     SolveSettings,
@@ -27,12 +27,12 @@ from hypose.geometry import Array, nearest_branch, so3_exp, so3_left_jacobian, s
 
 
 @dataclass(frozen=True)
-class Gaussian(Evidence):
+class Gaussian(Term):
     """Summary of what one frame says of its pose: the cost 1/2 off' information off.
 
     centre (D,); information (D, D): an inverse covariance, the root's rotation as a small turn in the world
     (`PoseFit.information`); off (D,): from the centre, for the root the turn in the world, log(R R0'), for other balls
-    along the turn from there, log(R0' R), in the coordinates at the centre. So what is left open of a stretched arm,
+    along the turn from there, log(R0' R), in the coordinates at the centre. So the rest open of a stretched arm,
     how it is turned about itself, is open however far it turns: along a line of rotation vectors its elbow would be
     carried away."""
 
@@ -48,7 +48,7 @@ def default_acceleration(dof: int, strength: float = 1.0) -> Array:
 def fit_clip(
     body: Body,
     starts: ArrayLike,
-    evidence: Sequence[Sequence[Evidence]],
+    evidence: Sequence[Sequence[Term]],
     *,
     acceleration: float | ArrayLike = 1.0,
     velocity: ArrayLike = 0.0,
@@ -181,7 +181,7 @@ class _Clip(Problem[Array, tuple[Array, Array]]):
         self,
         body: Body,
         coupling: Coupling,
-        evidence: Sequence[Sequence[Evidence]],
+        evidence: Sequence[Sequence[Term]],
         priors: Sequence[Quadratic],
     ) -> None:
         n_frames = coupling.n_frames
@@ -205,7 +205,7 @@ class _Clip(Problem[Array, tuple[Array, Array]]):
             (cues, rows), priors = self.cues[k], PriorArrays(centre, self.weight, self.lower, self.upper)
             e = compute.evaluate(q[k], self.tree, self.mesh, cues, priors, workspace_for(self.body, cues))
             if rows:
-                e = with_rows(e, q[k], self.tree, rows)
+                e = with_rows(e, q[k], self.body, rows)
             cost += e.cost
             gradient[k], hessian[k] = e.gradient, by_turns(e.hessian, q[k])
         gradient = _by_turn(gradient, q) + by_known

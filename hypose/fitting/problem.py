@@ -13,6 +13,7 @@ Sources: Levenberg 1944, Marquardt 1963, damping relative to the diagonal; Trigg
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -66,16 +67,16 @@ class Descent(Generic[State, Equations]):
     converged: bool
 
 
-class Problem(Generic[State, Equations]):
+class Problem(ABC, Generic[State, Equations]):
     """A sum of robust squares over a state; subclasses give `evaluate` and `propose`."""
 
+    @abstractmethod
     def evaluate(self, state: State) -> tuple[float, Callable[[], Equations]]:
         """Cost of a state, and a function that makes its equations, called where they are needed."""
-        raise NotImplementedError
 
+    @abstractmethod
     def propose(self, state: State, equations: Equations, damping: float) -> tuple[State, float] | None:
         """Another state and how far that is in the units of Rule.moved; None: equations not positive definite."""
-        raise NotImplementedError
 
     def solve(self, start: State, iterations: int, rule: Rule) -> Descent[State, Equations]:
         """Descend from a state; a SolverError when its cost is not finite."""
@@ -107,18 +108,16 @@ class Problem(Generic[State, Equations]):
 class SharedProblem(Problem[tuple[Shared, Array], SharedEquations], Generic[Shared]):
     """A problem over what is shared (any value, S unknowns) and groups (N, ...) that meet only there.
 
-    free (S,): shared unknowns that may change; largest: a longer step of what is shared is shortened."""
+    free (S,): shared unknowns that may change; largest: a step in which one of the unknowns `limited` (default: all)
+    changes more is shortened."""
 
     free: NDArray[np.bool_]
+    limited: NDArray[np.bool_] | slice = slice(None)
     largest: float = math.inf
 
-    def length(self, step: Array) -> float:
-        """What of a step (S,) of what is shared must not exceed `largest`."""
-        return float(np.abs(step).max(initial=0.0))
-
+    @abstractmethod
     def moved(self, state: tuple[Shared, Array], step: Array, own: Array) -> tuple[tuple[Shared, Array], float]:
         """The state after steps of what is shared (S,) and of the groups (N, n), and how far it moved."""
-        raise NotImplementedError
 
     def propose(
         self, state: tuple[Shared, Array], equations: SharedEquations, damping: float
@@ -128,7 +127,7 @@ class SharedProblem(Problem[tuple[Shared, Array], SharedEquations], Generic[Shar
         step = reduced.step(self.free)
         if step is None:
             return None
-        step *= min(1.0, self.largest / max(self.length(step), 1e-9))
+        step *= min(1.0, self.largest / max(float(np.abs(step[self.limited]).max(initial=0.0)), 1e-9))
         return self.moved(state, step, reduced.own_steps(step))
 
 
@@ -238,19 +237,19 @@ class PoseProblem(SharedProblem[Shared]):
         """The body with what is shared."""
         return self.template
 
+    @abstractmethod
     def shared_cost(self, shared: Shared, body: Body) -> float:
-        """Cost of what is known of the shared unknowns beforehand."""
-        raise NotImplementedError
+        """Cost of the information on the shared unknowns beforehand."""
 
+    @abstractmethod
     def shared_rows(
         self, shared: Shared, posed: Sequence[Posed], rows: Sequence[Rows]
     ) -> tuple[Array, Array, Sequence[Array]]:
         """Matrix (S, S) and gradient (S,) of `shared_cost`, and each frame's rows by what is shared (R, S)."""
-        raise NotImplementedError
 
+    @abstractmethod
     def shared_moved(self, shared: Shared, step: Array) -> Shared:
         """What is shared after a step (S,)."""
-        raise NotImplementedError
 
     def evaluate(self, state: tuple[Shared, Array]) -> tuple[float, Callable[[], SharedEquations]]:
         """See Problem; all cues are asked, and linearised where the equations are wanted."""

@@ -18,15 +18,15 @@ from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.compute import in_background
-from hypose.evidence.ahead import look_ahead
 from hypose.evidence.frame import Frame
+from hypose.evidence.prefetch import look_ahead
 from hypose.geometry import Array
 from hypose.inference.estimates import likeliest_path
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.layer import Memory
 from hypose.pipeline.doubts import looked_again
 from hypose.pipeline.mend_sides import FrameRange, backwards, pace_of, read_once
-from hypose.tracking.costs import agreement, silhouette_iou
+from hypose.tracking.costs import agreement
 from hypose.tracking.frame_evidence import PreparedFrame
 from hypose.tracking.part_colours import ColourSettings, colour_scores
 from hypose.tracking.pose_covariance import uncertainty_of_pose
@@ -246,7 +246,7 @@ def _estimate(tracker: Tracker, old: FrameEstimate, seen: _Seen, best: int, weig
         pose=pose,
         uncertainty=known,
         cost=cost,
-        overlap=silhouette_iou(tracker.body, pose, prepared),
+        overlap=prepared.silhouettes.overlap(tracker.body, pose),
         rivals=rivals,
         rival_weights=shares,
     )

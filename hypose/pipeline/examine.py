@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.body import Body
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.calibration.diagnose_masks import tangency, tangency_by_view
 from hypose.calibration.diagnose_points import FAR_DEG, FAR_M, undistorted
 from hypose.calibration.diagnostics import Cured, Observed, ViewFile
@@ -32,7 +32,7 @@ from hypose.errors import EvidenceError, InputError
 from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.evidence.keypoints import triangulate_keypoints
-from hypose.evidence.terms import Evidence, contour_term
+from hypose.evidence.terms import Term, contour_term
 from hypose.geometry import Array, transform
 from hypose.io.recordings.frames import FrameStream, load_keypoints
 from hypose.io.recordings.recording import Recording
@@ -317,7 +317,7 @@ def _by_body(
     kept = [i for i, f in enumerate(frames) if np.isfinite(poses[i]).all() and f.silhouettes is not None]
     if not kept:
         raise EvidenceError("No frame has both silhouettes and a pose to refine the calibration with.")
-    evidence = list[list[Evidence]]()
+    evidence = list[list[Term]]()
     for i in kept:
         silhouettes = frames[i].silhouettes
         assert silhouettes is not None

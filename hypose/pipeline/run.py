@@ -41,15 +41,15 @@ from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.subject_from_motion import height_sentence, height_told
 from hypose.pipeline.track_loop import FrameList, FrameSource, Keep, Progress, Tracked, track_frames, tracked_before
 from hypose.pipeline.verdict import Verdict, left_out, not_shown, verdict_of
-from hypose.tracking.audit import audit_frame
-from hypose.tracking.doubt import as_mixture, evidence_of, judged, not_in_set, worth_a_look
-from hypose.tracking.fitted_spread import (
+from hypose.tracking.covariance_calibration import (
     beyond_usual,
     pose_covariance,
     systematic_covariance,
     with_fitted_angles,
     with_fitted_joints,
 )
+from hypose.tracking.error_model import as_mixture, evidence_of, judged, not_in_set, worth_a_look
+from hypose.tracking.joint_features import audit_frame
 from hypose.tracking.keypoint_clip import track_keypoint_clip
 from hypose.tracking.keypoint_evidence import keypoint_model
 from hypose.tracking.pose_covariance import unpacked
@@ -151,8 +151,9 @@ def check_views(recording: Recording, of_picture: bool = False) -> None:
 class TrackResult:
     """motion; the subject's body; complete: every frame was tracked; notes for the report; modes: the poses that each
     frame allows, where the recipe tells them. one_by_one (T, D): the poses as each frame was tracked, audit (T, J, A):
-    what spoke for and against each joint (hypose.tracking.audit), None where that was not kept; faults: sentences on
-    what was found wrong before tracking, or with the clip as a whole; looks: on what makes the whole clip worth a look;
+    what spoke for and against each joint (hypose.tracking.joint_features), None where that was not kept; faults:
+    sentences on what was found wrong before tracking, or with the clip as a whole; looks: on what makes the whole clip
+    worth a look;
     beside: on who else is there; places: of depth cameras that stand elsewhere than the source says; unsure: of the
     `Subject`."""
 
@@ -195,7 +196,7 @@ def track_source(
     body: the subject's own, of which only the start is looked for (default: the human template, fitted); subject: a
     known subject and start, which skips both. method: a recipe of the caller's own instead of the options'; own:
     evidence beside that of the frames. find_places: depth cameras that turn out to stand elsewhere than the source says
-    are put right, and everything is tracked again, where there is no such evidence. With `results` a checkpoint is
+    are put right, and everything is tracked again. With `results` a checkpoint is
     written every `checkpoint_every` frames (later every twentieth of what is done), and motion.npz at the end or when
     interrupted. `record` is the provenance; its identity must match for `resume`.
     """
@@ -226,8 +227,8 @@ def track_source(
         keep_subject(subject, results, key)
         keep = Keep(results.checkpoint, key, options.checkpoint_every)
     tracker = tracker_of(subject, options, frame_rate, method, own)
-    if options.whole_clip and method is None and not own:
-        solved, audit = track_keypoints(source, frame_rate, subject, report, sure_start=options.sure_start)
+    if options.whole_clip and method is None:
+        solved, audit = track_keypoints(source, frame_rate, subject, report, own, sure_start=options.sure_start)
         motion = replace(solved.motion, provenance=record or {})
         points = [source.frame(i).keypoints for i in range(total)]
         motion, doubts = with_repeated_points(motion, points)
@@ -250,14 +251,14 @@ def track_source(
         ) from done.error
     places: tuple[Places, ...] = ()
     try:
-        if find_places and done.complete and not own and not options.of_picture:
+        if find_places and done.complete and not options.of_picture:
             poses, costs = np.stack([e.pose for e in done.estimates]), np.array([e.cost for e in done.estimates])
             places, moved = moved_sensors(source, subject.body, poses, 1 - costs, frame_rate)
             if places:
                 source, noticed = PlacedSource(source, places), (*noticed, *moved)
                 if places[0].since == 0 and not given:  # the body was found before cameras that stood elsewhere
                     subject = subject_of(source, frame_rate, options, body, None, key, report)
-                tracker = tracker_of(subject, options, frame_rate, method)
+                tracker = tracker_of(subject, options, frame_rate, method, own)
                 begin = tracker.start(subject.start if subject.rivals is None else subject.rivals)
                 done = track_frames(source, tracker, begin, subject, progress=report)
         measured = not given and subject.keypoints is None and options.height is None and body is None
@@ -440,7 +441,13 @@ def tracker_of(
 
 
 def track_keypoints(
-    source: FrameSource, frame_rate: float, subject: Subject, progress: Progress, *, sure_start: bool = False
+    source: FrameSource,
+    frame_rate: float,
+    subject: Subject,
+    progress: Progress,
+    own: Sequence[OwnEvidence] = (),
+    *,
+    sure_start: bool = False,
 ) -> tuple[Smoothed, NDArray[np.float32]]:
     """The motion of the frames of a source (hypose.tracking.keypoint_clip), and their audits (T, J, A);
     sure_start: the start is the right way round. An EvidenceError when they have no key points."""
@@ -454,6 +461,7 @@ def track_keypoints(
         *(subject.body, model, seen, subject.start, frame_rate),
         progress=lambda done, all_: progress("track", done, all_),
         sure_start=sure_start,
+        others=[[term for one in own if (term := one.rows(subject.body, f)) is not None] for f in frames],
     )
     assert solved.motion.poses is not None
     audits = [audit_frame(subject.body, q, f, model) for q, f in zip(solved.motion.poses, frames, strict=True)]

@@ -16,7 +16,7 @@ import numpy as np
 
 from hypose.body.anthropometry import CLOTHING_UNIT, SHAPE_FACTOR_NAMES, Sizes, body_of, entity, prior_mean, sizes_of
 from hypose.body.body import Body
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.cues import surface_evidence
 from hypose.evidence.frame import Frame
@@ -29,7 +29,7 @@ from hypose.pipeline.mend_sides import mend_sides
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.start_choice import best_ways, follow
 from hypose.pipeline.subject_checks import check_borders, check_size, no_two_views
-from hypose.tracking.costs import mean_overlap, silhouette_iou
+from hypose.tracking.costs import mean_overlap
 from hypose.tracking.frame_evidence import PreparedFrame, prepare
 from hypose.tracking.recipes import default
 from hypose.tracking.refinement import refine
@@ -236,7 +236,7 @@ def different_poses(body: Body, poses: Array, iou: Array, count: int) -> list[in
 
 
 def _ious(body: Body, poses: Array, frames: Sequence[PreparedFrame]) -> Array:
-    return np.stack([silhouette_iou(body, q, f) for q, f in zip(poses, frames, strict=True)])
+    return np.stack([f.silhouettes.overlap(body, q) for q, f in zip(poses, frames, strict=True)])
 
 
 def with_outlines(fitted: KeypointSubject, frames: Sequence[Frame]) -> tuple[Body, str] | None:

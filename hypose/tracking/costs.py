@@ -76,23 +76,13 @@ def limb_energy(
     return depth.limb_energy(body, poses, moving, outlines, rest_depth) if depth.seen else outlines(slack)
 
 
-def xor_energy(body: Body, poses: Array, frame: PreparedFrame) -> Array:
-    """(N,) energies of eq. 2.8 for poses (N, D); zeros when no view is usable."""
-    return frame.silhouettes.energy(body, poses)
-
-
-def silhouette_iou(body: Body, pose: Array, frame: PreparedFrame) -> Array:
-    """(C,) intersection over union of the posed body and the mask per view; see `SilhouetteEvidence.overlap`."""
-    return frame.silhouettes.overlap(body, pose)
-
-
 _IN_LANES = 8
 """From so many numbers on numpy adds them in another order."""
 
 
 def mean_overlap(body: Body, pose: Array, frame: PreparedFrame) -> float:
     """Mean IoU over the views that tell; 0 when none does."""
-    return _mean_of_known(silhouette_iou(body, pose, frame), 0.0)
+    return _mean_of_known(frame.silhouettes.overlap(body, pose), 0.0)
 
 
 def _mean_of_known(overlap: Array, otherwise: float) -> float:
@@ -110,5 +100,5 @@ def agreement(body: Body, pose: Array, frame: PreparedFrame) -> float:
     """How well a pose (D,) agrees with the masks: mean IoU over the views, less half of what it is off in depth where
     depth cameras see; NaN when no view tells. Who stands back to front has nearly the same outline, but other
     depths."""
-    mean, depth = _mean_of_known(silhouette_iou(body, pose, frame), float("nan")), frame.depth
+    mean, depth = _mean_of_known(frame.silhouettes.overlap(body, pose), float("nan")), frame.depth
     return mean - 0.5 * float(depth.energy(body, pose[None])[0]) / max(int(depth.views.sum()), 1)

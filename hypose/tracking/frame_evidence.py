@@ -18,19 +18,20 @@ from hypose.evidence.cues import (
     NO_SILHOUETTES,
     DepthEvidence,
     KeypointEvidence,
-    OwnCue,
     OwnEvidence,
     PoseMemory,
     SilhouetteEvidence,
     depth_evidence,
+    keypoint_evidence,
+    own_evidence,
     silhouette_evidence,
 )
 from hypose.evidence.frame import Frame
-from hypose.evidence.terms import Evidence
+from hypose.evidence.terms import Evidence, Term
 from hypose.fitting import PoseFit
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
-from hypose.tracking.keypoint_evidence import KeypointModel, beside_masks, keypoint_model, keypoint_term
+from hypose.tracking.keypoint_evidence import KeypointModel, keypoint_model, keypoint_term, with_masks
 
 _Cue = TypeVar("_Cue", bound=Evidence)
 
@@ -62,7 +63,7 @@ class PreparedFrame:
         return bool(self.terms) or self.frame.picture is not None
 
     @cached_property
-    def terms(self) -> tuple[Evidence, ...]:
+    def terms(self) -> tuple[Term, ...]:
         """What solves take."""
         return tuple(term for one in self.evidence for term in one.terms)
 
@@ -133,11 +134,10 @@ def prepare(
                 f"with ({len(model.names)}); fit the subject again from this recording."
             )
         term = keypoint_term(points, body, model, prediction, keypoint_scale_px)
-        if term is not None:
-            found.append(KeypointEvidence(term, beside_masks(term, model) if masks else term))
+        found += keypoint_evidence(term, with_masks(term, model) if masks and term is not None else term)
     if masks:
         found += depth_evidence(frame.depth)
-    found += [OwnCue.of(one, body, frame) for one in own]
+    found += own_evidence(own, body, frame)
     return PreparedFrame(frame, body, prediction, tuple(found), prediction_weight, usual_iou, done)
 
 

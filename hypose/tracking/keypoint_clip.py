@@ -18,16 +18,16 @@ from hypose.body.motion import Motion
 from hypose.errors import EvidenceError
 from hypose.evidence.frame import Keypoints
 from hypose.evidence.keypoints import triangulate_keypoints
-from hypose.evidence.terms import Evidence, KeypointTerm, PointTerm
+from hypose.evidence.terms import KeypointTerm, PointTerm, Term
 from hypose.fitting import SolveSettings, fit_clip, fit_pose
 from hypose.geometry import Array
-from hypose.tracking.exchanged_sides import limbs_exchanged
 from hypose.tracking.keypoint_evidence import (
     STRANGER_M,
     KeypointModel,
     keypoint_term,
-    shows_somebody_else,
+    shows_another_person,
 )
+from hypose.tracking.left_right import limbs_exchanged
 from hypose.tracking.named_sides import LIMBS, exchanged_by_names
 from hypose.tracking.pose_covariance import from_neighbours, joint_covariance_of
 from hypose.tracking.refinement import anatomical_prior
@@ -40,7 +40,7 @@ VELOCITY_GAIN = 0.8
 EXTRAPOLATE_S = 1.0
 """s without key points after which the person counts as lost, as for the tracker."""
 FASTEST, FARTHEST = 4.0, 1.3
-"""m/s, m: how much faster than expected, and how far, somebody may go on unseen and still be the same person."""
+"""m/s, m: how much faster than expected, and how far, a person may go on unseen and still be the same person."""
 SAME_SIZE = 0.1
 """A lost person may be found anywhere when the limbs' lengths (median) differ from the body's by less than this."""
 _LIMBS = [
@@ -48,7 +48,7 @@ _LIMBS = [
     for side in ("left", "right")
     for a, b in (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"))
 ]
-_LOOK_EVERY = 5  # frames; looking everywhere is dear
+_LOOK_EVERY = 5  # frames; looking everywhere is slow
 LEAST_POINTS = 6
 """A frame with fewer points (in all views together) says nothing of the pose by itself."""
 _QUICK = SolveSettings(iterations=6, coarse_iterations=0, tolerance=3e-3)
@@ -69,7 +69,8 @@ def solve_keypoint_clip(
 
     start (D,): pose in the first frame."""
     first, terms = _on_named_sides(body, model, keypoints, start, frame_rate)
-    return _together(body, first, terms, frame_rate, settings or ClipSettings()), terms
+    evidence = [[] if term is None else [term] for term in terms]
+    return _together(body, first, evidence, frame_rate, settings or ClipSettings()), terms
 
 
 def track_keypoint_clip(
@@ -82,13 +83,15 @@ def track_keypoint_clip(
     progress: Report | None = None,
     *,
     sure_start: bool = False,
+    others: Sequence[Sequence[Term]] = (),
 ) -> Smoothed:
     """The motion of a clip from its key points alone; start (D,): pose in the first frame, with sure_start the right
     way round whatever its points are called.
 
     Frames with fewer than LEAST_POINTS are bridged from their neighbours, flagged as extrapolated (as lost after a
     second), and their sd grows with the distance from the others. progress(done, total) is called after every frame of
-    the first pass. An EvidenceError when fewer than two frames have so many points."""
+    the first pass. others: other evidence of each frame, asked where all frames are solved together. An EvidenceError
+    when fewer than two frames have so many points."""
     settings = settings or ClipSettings()
     first, terms = _on_named_sides(body, model, keypoints, start, frame_rate, progress, sure_start=sure_start)
     seen = [np.zeros((1, 1), dtype=bool) if term is None else term.points[..., 2] > 0 for term in terms]
@@ -98,11 +101,13 @@ def track_keypoint_clip(
             f"{int(known.sum())} of {len(terms)} frames have {LEAST_POINTS} confident key points or more; check the "
             "detector's files, or use silhouettes."
         )
-    free = _together(body, first, terms, frame_rate, settings)
+    evidence = [[] if term is None else [term] for term in terms]
+    evidence = [[*of, *more] for of, more in zip(evidence, others or [[]] * len(terms), strict=True)]
+    free = _together(body, first, evidence, frame_rate, settings)
     own = np.zeros((len(terms), body.skeleton.dof, body.skeleton.dof))
     around = np.full((len(terms), len(body.skeleton.joint_names), 3, 3), np.nan, np.float32)
     for t in np.flatnonzero(known):
-        own[t] = _information(body, free[t], terms[t])
+        own[t] = _information(body, free[t], evidence[t])
         around[t] = joint_covariance_of(body, free[t], own[t], "keypoints")
     around = from_neighbours(around, frame_rate)
     motion = Motion(
@@ -119,7 +124,8 @@ def track_keypoint_clip(
     )
 
     def held(contacts: list[list[PointTerm]]) -> Array:
-        return _together(body, free, terms, frame_rate, settings, contacts)
+        every = [[*of, *held] for of, held in zip(evidence, contacts, strict=True)]
+        return _together(body, free, every, frame_rate, settings)
 
     return replace(with_feet(body, motion, own, free, held, settings), one_by_one=first)
 
@@ -142,8 +148,8 @@ def _on_named_sides(
         while wrong.any():
             at = int(np.argmax(wrong))
             begin = limbs_exchanged(body, poses[at], limb)
-            anew, own = _one_by_one(body, model, keypoints[at:], begin, frame_rate)
-            found = np.concatenate([poses[:at], anew])
+            afresh, own = _one_by_one(body, model, keypoints[at:], begin, frame_rate)
+            found = np.concatenate([poses[:at], afresh])
             wrong, left = exchanged_by_names(body, model, found, keypoints, limb, sure_start=sure_start)
             if left >= worth:
                 break
@@ -169,7 +175,7 @@ def _one_by_one(
     for t, seen in enumerate(keypoints):
         expected = s.clamp(last + VELOCITY_GAIN * (last - s.on_branch(before, last)))
         reach = min(STRANGER_M + FASTEST * unseen / frame_rate, FARTHEST)
-        if seen is not None and shows_somebody_else(seen, body, model, expected, reach):
+        if seen is not None and shows_another_person(seen, body, model, expected, reach):
             lost = unseen > EXTRAPOLATE_S * frame_rate
             found = _returned(body, model, seen) if lost and int(unseen) % _LOOK_EVERY == 0 else None
             if found is None:
@@ -217,15 +223,11 @@ def _returned(body: Body, model: KeypointModel, seen: Keypoints) -> Array | None
 def _together(
     body: Body,
     given: Array,
-    terms: list[KeypointTerm | None],
+    evidence: Sequence[Sequence[Term]],
     frame_rate: float,
     settings: ClipSettings,
-    contacts: list[list[PointTerm]] | None = None,
 ) -> Array:
-    """All frames on their rows, from the poses given (T, D)."""
-    evidence: list[list[Evidence]] = [[] if term is None else [term] for term in terms]
-    for of, more in zip(evidence, contacts or [], strict=False):
-        of += more
+    """All frames on their evidence, from the poses given (T, D)."""
 
     def solve(part: slice, starts: Array, weights: tuple[Array, Array]) -> Array:
         return fit_clip(
@@ -241,11 +243,11 @@ def _together(
     return at_own_pace(body.skeleton, _in_a_row(body, given), frame_rate, settings, solve)
 
 
-def _information(body: Body, pose: Array, term: KeypointTerm | None) -> Array:
+def _information(body: Body, pose: Array, evidence: Sequence[Term]) -> Array:
     """(D, D): what a frame by itself says of its pose."""
     still = SolveSettings(iterations=0, coarse_iterations=0)
     priors = (anatomical_prior(body.skeleton, keypoints=True),)
-    return fit_pose(body, pose, [] if term is None else [term], priors=priors, options=still).information
+    return fit_pose(body, pose, evidence, priors=priors, options=still).information
 
 
 def _lost(known: NDArray[np.bool_], patience: float) -> NDArray[np.bool_]:

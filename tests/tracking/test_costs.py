@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hypose.inference.hypotheses import Hypotheses
-from hypose.tracking.costs import SilhouetteXor, silhouette_iou, xor_energy
+from hypose.tracking.costs import SilhouetteXor
 from hypose.tracking.frame_evidence import prepare, view_count
 
 
@@ -13,7 +13,7 @@ def test_energy_is_zero_at_the_truth_and_grows_with_distance(body, standing, fra
     shifts = np.array([0.0, 0.05, 0.10, 0.20])
     poses = np.repeat(standing[None], 4, 0)
     poses[:, 0] += shifts
-    energy = xor_energy(body, poses, frame)
+    energy = frame.silhouettes.energy(body, poses)
     assert energy[0] < 0.02
     assert (np.diff(energy) > 0.1).all()
 
@@ -26,7 +26,7 @@ def test_energy_is_the_printed_sum_over_views(body, standing, frame_of):
     own = frame_of(body, moved).silhouettes
     assert frame.silhouettes is not None and own is not None
     expected = sum(float((a != b).sum()) / a.sum() for a, b in zip(frame.silhouettes.masks, own.masks, strict=True))
-    energy = xor_energy(body, moved[None], prepare(frame, body, standing))[0]
+    energy = prepare(frame, body, standing).silhouettes.energy(body, moved[None])[0]
     assert energy == pytest.approx(expected, abs=0.02)
 
 
@@ -35,8 +35,8 @@ def test_an_empty_view_is_left_out_not_divided_by_zero(body, standing, frame_of)
     without = prepare(frame_of(body, standing, dead=(1,)), body, standing)
     moved = standing + np.r_[0.05, np.zeros(len(standing) - 1)]
     assert view_count(without) == 3
-    assert np.isfinite(xor_energy(body, moved[None], without)).all()
-    assert xor_energy(body, moved[None], without)[0] < xor_energy(body, moved[None], whole)[0]
+    assert np.isfinite(without.silhouettes.energy(body, moved[None])).all()
+    assert without.silhouettes.energy(body, moved[None])[0] < whole.silhouettes.energy(body, moved[None])[0]
 
 
 def test_no_usable_view_costs_the_same_for_all(body, standing, frame_of):
@@ -48,6 +48,6 @@ def test_no_usable_view_costs_the_same_for_all(body, standing, frame_of):
 
 def test_iou_is_one_at_the_truth_and_nan_for_a_dead_view(body, standing, frame_of):
     frame = prepare(frame_of(body, standing, dead=(2,)), body, standing)
-    iou = silhouette_iou(body, standing, frame)
+    iou = frame.silhouettes.overlap(body, standing)
     assert np.isnan(iou[2])
     assert (iou[[0, 1, 3]] > 0.98).all()

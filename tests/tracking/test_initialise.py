@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from hypose.errors import EvidenceError, InputError
-from hypose.tracking.costs import xor_energy
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.start_search import start_from_hull
 from hypose.tracking.starts import known_pose, recover, start_from_keypoints
@@ -51,5 +50,5 @@ def test_recover_brings_back_a_lost_body(body, standing, frame_of):
     lost[:2] += [0.8, -0.6]
     lost[5] += 1.2
     found = recover(lost, lost, prepared)
-    assert xor_energy(body, found[None], prepared)[0] < 0.25 * xor_energy(body, lost[None], prepared)[0]
+    assert prepared.silhouettes.energy(body, found[None])[0] < 0.25 * prepared.silhouettes.energy(body, lost[None])[0]
     assert joint_error(body, found, standing) < 0.06

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from hypose.inference.hypotheses import Hypotheses
-from hypose.tracking.costs import xor_energy
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.partitioned_observations import (
     LimbDiffusion,
@@ -72,7 +71,7 @@ def test_the_whole_box_gives_the_plain_cost_on_another_scale(body, standing, fra
     moved = standing[None].copy()
     moved[0, 0] += 0.05
     per_view = partitioned_energy(body, moved, frame, boxes)[0] * sizes.prod(1).mean()
-    plain = xor_energy(body, moved, frame)[0] * frame.silhouettes.masks.areas.mean()
+    plain = frame.silhouettes.energy(body, moved)[0] * frame.silhouettes.masks.areas.mean()
     assert per_view == pytest.approx(plain, rel=0.1)
 
 

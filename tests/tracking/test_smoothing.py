@@ -8,6 +8,7 @@ import pytest
 from hypose.body.motion import Motion, isotropic
 from hypose.errors import EvidenceError
 from hypose.evidence.keypoints import BODY_25B
+from hypose.evidence.terms import PointTerm
 from hypose.tracking.keypoint_clip import solve_keypoint_clip, track_keypoint_clip
 from hypose.tracking.keypoint_evidence import keypoint_model
 from hypose.tracking.pose_covariance import packed
@@ -119,6 +120,23 @@ def test_key_point_clip_with_exchanged_sides_and_a_gap(body, swing, small_rig, r
     poses, terms = solve_keypoint_clip(body, model, seen, swing[0], RATE)
     assert distances(body, poses, swing).mean() < 0.015
     assert [t for t, term in enumerate(terms) if term is None] == [20, 21, 22]
+
+
+def test_other_evidence_counts_in_a_clip_of_key_points(body, swing, small_rig, rng):
+    model, wrist, swing = keypoint_model(body, BODY_25B), body.skeleton.joint("left_wrist"), swing[:12]
+    seen = [seen_by(small_rig, model, body, q, rng, 0.5) for q in swing]
+    for frame in seen:
+        frame.points[:, [model.names.index(n) for n in ("left_wrist", "left_elbow")], 2] = 0
+    places = body.joints(swing)[:, wrist]
+    others = [[PointTerm(p[None], np.ones(1), np.array([wrist]), np.zeros((1, 3)), 0.01)] for p in places]
+    off = [
+        np.linalg.norm(
+            track_keypoint_clip(body, model, seen, swing[0], RATE, others=given).motion.joints[:, wrist] - places,
+            axis=1,
+        ).mean()
+        for given in ((), others)
+    ]
+    assert off[1] < 0.02 and off[1] < 0.5 * off[0], off
 
 
 def test_key_points_of_a_whole_clip_are_tracked(body, swing, small_rig, rng):

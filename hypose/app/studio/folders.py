@@ -20,7 +20,7 @@ from hypose.io.keypoints.read_keypoints import read_keypoints
 from hypose.io.recordings.recording import load_recording
 from hypose.io.videos.video import IMAGE_ENDINGS, VIDEO_ENDINGS, open_video
 
-_MOST, _DEPTH = 60, 3
+_MOST_LISTED, _DEPTH = 60, 3
 """Files of a folder that are listed, and folders below it that are looked into."""
 _SERIES = 3
 """So many pictures or files of key points in one folder are the frames of one camera."""
@@ -37,14 +37,14 @@ def listed(catalog: Catalog, folder: Path, within: bool) -> dict[str, Any]:
     a recording, each with its path from there and what it is."""
     entries = _entries(folder)
     found = list(_usable(folder, entries, _DEPTH)) if within else []
-    facts = [(p, _facts(p)) for p in found[:_MOST]]
+    facts = [(p, _facts(p)) for p in found[:_MOST_LISTED]]
     return {
         "name": text_of(folder.name),
         "path": catalog.shown(folder) if folder != catalog.root else "",
         "recording": catalog.id_of("recording", folder) if is_recording(folder) else None,
         "folders": [{"name": text_of(p.name), "path": catalog.shown(p)} for p in entries if p.is_dir()],
         "files": [{"path": text_of(p.relative_to(folder).as_posix()), **f} for p, f in facts if f],
-        "left_out": max(0, len(found) - _MOST),
+        "left_out": max(0, len(found) - _MOST_LISTED),
     }
 
 
