@@ -47,7 +47,13 @@ _MOMENTS, _STEP = 120, 2.0  # frames that are looked at; over how many frames a 
 _WIDER = 6  # times that offsets are looked for, each time twice as far as before
 _CLEAR, _CLOSE, _DUEL = 0.65, 0.3, 0.1  # depth of a clear minimum; rivals that are so near are tried, and must be worse
 _FEWEST_S, _SHORT_S, _SPREAD_M, _DOUBT = 1.0, 10.0, 0.25, 3.0  # approximate results; their sd are multiplied by _DOUBT
-_ANGLE_DEG, _RESIDUAL, _FOCAL_SD, _PLACE_SD = 10.0, 0.025, 0.08, 0.3  # refused results; the residual in person's sizes
+_ANGLE_DEG, _NARROW_DEG, _RESIDUAL, _FOCAL_SD, _PLACE_SD = (
+    10.0,
+    25.0,
+    0.025,
+    0.08,
+    0.3,
+)  # refused results; the residual in person's sizes
 _HEAD = ("nose", "left_eye", "right_eye", "left_ear", "right_ear")
 _FEET = tuple(f"{side}_{part}" for side in ("left", "right") for part in ("heel", "big_toe", "small_toe", "ankle"))
 
@@ -267,7 +273,8 @@ class _Search:
                 len(rig) == 3 and not self.known,
                 "three cameras hardly tell their focal lengths: give them with --intrinsics FILE",
             ),
-            (path < _SPREAD_M, f"the person stays within {path:.1f} m, which hardly tells places and offsets"),
+            (path < _SPREAD_M, f"the person stays within {path:.2f} m, which hardly tells places and offsets"),
+            (widest < _NARROW_DEG, f"all cameras look from one side (within {widest:.0f} degrees)"),
             (seconds < _SHORT_S, f"{seconds:.1f} s are short: film 20 s"),
             (
                 not upright,
