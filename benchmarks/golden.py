@@ -23,7 +23,7 @@ from hypose import compute
 from hypose.errors import HyposeError
 from hypose.io.files import write_text
 from hypose.io.motions.results import to_json
-from hypose.tracking.doubt import WRONG_M
+from hypose.tracking.error_model import WRONG_M
 
 KEPT = Path(__file__).with_name("golden.json")
 SEEDS = {"golden": 1400, "other": 1500}

@@ -26,7 +26,7 @@ _PLACES = {
     "joint_angles": "hypose.body.joint_angles",
     # bodies
     "Body": "hypose.body.body",
-    "human": "hypose.body.ready_bodies",
+    "human": "hypose.body.default_body",
     "load_body": "hypose.io.motions.results",
     "save_body": "hypose.io.motions.results",
     # cameras

@@ -1,9 +1,9 @@
 """Types of the names that `hypose/__init__.py` imports when they are used."""
 
 from hypose.body.body import Body as Body
+from hypose.body.default_body import human as human
 from hypose.body.joint_angles import joint_angles as joint_angles
 from hypose.body.motion import Motion as Motion
-from hypose.body.ready_bodies import human as human
 from hypose.cameras.camera import Camera as Camera
 from hypose.cameras.camera import CameraRig as CameraRig
 from hypose.errors import HyposeError as HyposeError

@@ -93,7 +93,7 @@ def so3_turns(rotation_vector: ArrayLike) -> Array:
     return np.asarray(np.linalg.inv(so3_left_jacobian(rotation_vector)), dtype=np.float64)
 
 
-_FEW = 4
+_FEW_VECTORS = 4
 """rotation vectors that are looked at one by one, which is sooner than together"""
 
 
@@ -116,7 +116,7 @@ def nearest_branch(rotation_vector: ArrayLike, reference: ArrayLike) -> Array:
     if r.ndim == ref.ndim == 1:  # the same, many times sooner
         angle = _other_branch(r.tolist(), ref.tolist())
         return r - 2 * np.pi * r / angle if angle else r.copy()
-    if r.ndim == 2 and len(r) <= _FEW and ref.shape in (r.shape, r.shape[1:]):
+    if r.ndim == 2 and len(r) <= _FEW_VECTORS and ref.shape in (r.shape, r.shape[1:]):
         rows = ref.tolist() if ref.ndim == 2 else [ref.tolist()] * len(r)
         if not any(map(_other_branch, r.tolist(), rows)):
             return r.copy()

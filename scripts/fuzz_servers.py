@@ -116,8 +116,8 @@ def _recording(root: Path) -> None:
     import numpy as np
 
     from benchmarks.robustness.small_recordings import small_scene, write_masks
+    from hypose.body.default_body import human
     from hypose.body.motion import Motion, isotropic
-    from hypose.body.ready_bodies import human
     from hypose.io.motions.results import save_body, save_motion
 
     write_masks(small_scene(1, 2), root / "walk")

@@ -186,8 +186,8 @@ def write_good(folder: Path) -> None:
     """The good inputs of all targets, written by the package's own writers where it has them."""
     import trimesh
 
+    from hypose.body.default_body import human
     from hypose.body.motion import Motion, isotropic
-    from hypose.body.ready_bodies import human
     from hypose.gestures.forest import ForestSettings
     from hypose.gestures.localise import LocaliseSettings
     from hypose.gestures.model import GestureModel

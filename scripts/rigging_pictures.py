@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 
 from benchmarks.multiview.rigging import scan_of
 from hypose.body.body import Body
-from hypose.body.ready_bodies import JOINT_NAMES
+from hypose.body.default_body import JOINT_NAMES
 from hypose.io.motions.meshes import PersonMesh
 from hypose.pipeline.mesh_subject import MeshSubject, rig_mesh
 from hypose.synthetic.subjects import load_subjects

@@ -6,7 +6,7 @@ import numpy as np
 from skimage.measure import marching_cubes
 
 from hypose.body.body import Body, Landmarks, Mesh
-from hypose.body.ready_bodies import JOINT_NAMES, human_skeleton
+from hypose.body.default_body import JOINT_NAMES, human_skeleton
 
 LEFT = {
     "clavicle": (0.03, 0.0, 0.42),

@@ -1,6 +1,6 @@
 """People who stand at places of a recording, named in its recording.toml, and where they were found."""
 
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.io.motions.results import load_motion, save_body
 from hypose.synthetic.performance import moved
 

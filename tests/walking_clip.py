@@ -3,7 +3,7 @@
 import numpy as np
 
 from benchmarks.robustness.small_recordings import small_scene
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.recipes import default
 from hypose.tracking.starts import KNOWN_POSES, start_in_pose

@@ -24,8 +24,8 @@ from benchmarks.cameras.captured_motion import (
 )
 from benchmarks.multiview.pose2sim_method import pose2sim_points
 from benchmarks.multiview.spread_fit import held_rows, squares
+from hypose.body.default_body import human
 from hypose.body.motion import Motion
-from hypose.body.ready_bodies import human
 from hypose.cameras.camera import CameraRig
 from hypose.errors import HyposeError
 from hypose.evidence.frame import Frame

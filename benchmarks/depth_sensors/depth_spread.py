@@ -1,5 +1,5 @@
-"""Fits the spread of depth (`hypose.tracking.fitted_spread`) and how likely a joint is wrong before depth cameras
-(`hypose.tracking.doubt.DepthDoubt`) to errors on simulated recordings, and judges both.
+"""Fits the spread of depth (`hypose.tracking.covariance_calibration`) and how likely a joint is wrong before depth
+cameras (`hypose.tracking.error_model.DepthDoubt`) to errors on simulated recordings, and judges both.
 
 Unlike with masks, what is far off counts too: an arm that the only sensor does not see is a guess, and its region has
 to say so. Clips before one, two and three sensors are families, none of which pays for another.
@@ -22,13 +22,15 @@ from benchmarks.depth_sensors.depth_tracking import RATE, SENSORS, aligned, scen
 from benchmarks.multiview.doubt_scenes import angles_of, as_curved, true_angles
 from benchmarks.multiview.spread_fit import ASSET, TILTED, fit_angle, fit_joint, pelvis_floor, squares
 from benchmarks.synthetic.depth_frames import depth_frames
+from hypose.body.default_body import JOINT_NAMES
 from hypose.body.joint_angles import ANGLE_NAMES
-from hypose.body.ready_bodies import JOINT_NAMES
 from hypose.geometry import Array
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.track_loop import FrameList
 from hypose.synthetic.metrics import EVALUATED
-from hypose.tracking.doubt import (
+from hypose.tracking.covariance_calibration import kind_of
+from hypose.tracking.error_features import clip_features
+from hypose.tracking.error_model import (
     GROUPS,
     TRUNK,
     WRONG_M,
@@ -37,8 +39,6 @@ from hypose.tracking.doubt import (
     groups_of,
     probability,
 )
-from hypose.tracking.doubt_features import clip_features
-from hypose.tracking.fitted_spread import kind_of
 
 TRAINED = range(100)
 """seeds that may be trained on; the benchmark reports others"""

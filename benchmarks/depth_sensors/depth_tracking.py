@@ -24,8 +24,8 @@ from benchmarks.multiview.doubt_fit import auroc, ece
 from benchmarks.synthetic.depth_frames import depth_frames, empty_rooms, seen_before
 from benchmarks.synthetic.retarget import retarget
 from benchmarks.synthetic.sensors import SensorModel, simulate
+from hypose.body.default_body import human
 from hypose.body.motion import Motion
-from hypose.body.ready_bodies import human
 from hypose.calibration.depth_registration import place_error
 from hypose.cameras.camera import CameraRig
 from hypose.compute import covered
@@ -46,7 +46,7 @@ from hypose.synthetic.metrics import EVALUATED, population_offsets, with_offsets
 from hypose.synthetic.motions import act
 from hypose.synthetic.scenes import look_at
 from hypose.synthetic.subjects import dress
-from hypose.tracking.doubt import WRONG_M
+from hypose.tracking.error_model import WRONG_M
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.recipes import recipe
 from hypose.tracking.tracker import Tracker, TrackerSettings, motion_of

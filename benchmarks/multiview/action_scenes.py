@@ -12,7 +12,7 @@ import numpy as np
 from benchmarks.bench_report import BenchOptions, Row
 from benchmarks.synthetic.retarget import retarget
 from hypose.body.body import Body
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.evidence.frame import Frame
 from hypose.pipeline.first_frame import Subject as TrackedSubject
 from hypose.synthetic.metrics import EVALUATED, JointErrors, carriers, joint_errors, population_offsets

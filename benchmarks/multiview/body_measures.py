@@ -12,7 +12,7 @@ from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
 from benchmarks.multiview.action_scenes import action_scene, subject_of_seed, track_scene
 from hypose.body.anthropometry import Sizes, measure, sizes_of
 from hypose.body.body import Body
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.compute import covered
 from hypose.geometry import Array
 from hypose.pipeline.subject_from_motion import AnthropometryOptions, SubjectEstimate, estimate_subject

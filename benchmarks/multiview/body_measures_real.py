@@ -6,7 +6,7 @@ import numpy as np
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row
 from benchmarks.multiview.real_recordings import FirstFrames, against_keypoints, balancing_recording
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.evidence.keypoints import BODY_25B
 from hypose.io.recordings.frames import FrameStream
 from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject, first_start

@@ -32,9 +32,9 @@ from benchmarks.multiview.real_recordings import balancing_recording, clicked_jo
 from benchmarks.multiview.real_regions import errors_of_points, regions_of_balancing
 from benchmarks.multiview.spread_fit import as_told, held_rows, plain_enough, squares
 from hypose import compute
+from hypose.body.default_body import JOINT_NAMES, human
 from hypose.body.joint_angles import ANGLE_NAMES, joint_angles
 from hypose.body.motion import Motion
-from hypose.body.ready_bodies import JOINT_NAMES, human
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.keypoints import BODY_25B
@@ -47,8 +47,8 @@ from hypose.pipeline.run import TrackOptions, TrackResult, track_source
 from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.verdict import GOOD, UNTRUSTED, verdict_of
 from hypose.synthetic.metrics import EVALUATED
-from hypose.tracking.audit import audit_frame
-from hypose.tracking.doubt import WRONG_M, doubt_models, worth_a_look
+from hypose.tracking.error_model import WRONG_M, doubt_models, worth_a_look
+from hypose.tracking.joint_features import audit_frame
 from hypose.tracking.keypoint_evidence import keypoint_model
 from hypose.tracking.pose_covariance import joint_group
 

@@ -1,4 +1,5 @@
-"""The logistic fit of `hypose.tracking.doubt`, and how well it tells wrong joints on scenes that it was not fitted to.
+"""The logistic fit of `hypose.tracking.error_model`, and how well it tells wrong joints on scenes that it was not
+fitted to.
 
 The weights' signs are held: more bare mask never speaks for a joint. What is learnt of some motions must hold for
 others, and a weight that only a chance of these motions has turned around does not.
@@ -17,11 +18,12 @@ from scipy.optimize import minimize
 from scipy.stats import rankdata
 
 from benchmarks.multiview.doubt_scenes import ALL, EVIDENCE, JUDGES, Tracked
+from hypose.body.default_body import JOINT_NAMES
 from hypose.body.motion import Motion
-from hypose.body.ready_bodies import JOINT_NAMES
 from hypose.geometry import Array
 from hypose.synthetic.metrics import EVALUATED
-from hypose.tracking.doubt import (
+from hypose.tracking.error_features import FEATURES, MOST_SD, OF_CLIP, clip_features
+from hypose.tracking.error_model import (
     BY_ITSELF,
     GROUPS,
     WRONG_M,
@@ -33,7 +35,6 @@ from hypose.tracking.doubt import (
     within_clip,
     worth_a_look,
 )
-from hypose.tracking.doubt_features import FEATURES, MOST_SD, OF_CLIP, clip_features
 
 ASSET = Path(__file__).parents[2] / "hypose" / "assets" / "doubt.json"
 _NAMES = tuple(JOINT_NAMES[j] for j in EVALUATED)

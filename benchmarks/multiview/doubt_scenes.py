@@ -22,9 +22,9 @@ from benchmarks.multiview.things_in_masks import with_thing
 from benchmarks.synthetic.retarget import retarget
 from benchmarks.synthetic.spoilt_keypoints import SPOILS, moved_camera, spoilt
 from hypose.body.body import Body
+from hypose.body.default_body import human
 from hypose.body.joint_angles import ANGLE_NAMES, angles_of_frames, joint_angles
 from hypose.body.motion import Motion
-from hypose.body.ready_bodies import human
 from hypose.cameras.camera import CameraRig
 from hypose.errors import HyposeError
 from hypose.evidence.frame import Frame, Silhouettes
@@ -36,8 +36,8 @@ from hypose.pipeline.track_loop import FrameList
 from hypose.synthetic.corruptions import keypoint_detections
 from hypose.synthetic.depth_scenes import DepthScene
 from hypose.synthetic.scenes import Scene, make_scene
-from hypose.tracking.doubt import as_mixture, judged, without_mixture
-from hypose.tracking.fitted_spread import apart_factors, beyond_usual, fitted, kind_of
+from hypose.tracking.covariance_calibration import apart_factors, beyond_usual, fitted_spread_table, kind_of
+from hypose.tracking.error_model import as_mixture, judged, without_mixture
 
 
 @dataclass(frozen=True)
@@ -353,7 +353,7 @@ def load_all(folder: Path) -> list[Tracked]:
 
 def as_curved(motion: Motion, evidence: str, beyond: float = 0.0) -> Motion:
     """What `with_fitted_joints` and `with_fitted_angles` were given of V: for fitting anew."""
-    joints, angles = (fitted()[what][evidence] for what in ("joints", "angles"))
+    joints, angles = (fitted_spread_table()[what][evidence] for what in ("joints", "angles"))
     _, by_joint, by_angle = apart_factors(evidence)
     a, b = np.array([joints.get(kind_of(n), (1.0, 0.0)) for n in motion.skeleton.joint_names]).T
     floor = b**2 + (by_joint * beyond) ** 2

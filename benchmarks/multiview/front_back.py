@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
 from hypose.body.body import Body
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.geometry import Array
 from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
 from hypose.pipeline.mend_sides import FrameRange, mend_sides
@@ -18,7 +18,7 @@ from hypose.pipeline.run import TrackOptions, tracker_of
 from hypose.pipeline.track_loop import FrameList, track_frames
 from hypose.synthetic.metrics import joint_errors, population_offsets
 from hypose.synthetic.scenes import Scene, camera_rig, make_scene
-from hypose.tracking.exchanged_sides import turned_around
+from hypose.tracking.left_right import turned_around
 from hypose.tracking.tracker import FrameEstimate, Tracker
 
 _MOTIONS = ("walk", "jog", "combo")

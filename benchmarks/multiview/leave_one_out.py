@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.bench_report import Row
 from benchmarks.multiview.pose2sim_method import pose2sim_points
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.evidence.keypoints import triangulate_keypoints

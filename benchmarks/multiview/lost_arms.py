@@ -17,7 +17,7 @@ from benchmarks.multiview.action_scenes import ACTIONS, action_scene, known_subj
 from benchmarks.multiview.product import estimated_body
 from benchmarks.multiview.real_recordings import balancing_recording, in_memory
 from hypose.body.body import Body
-from hypose.body.ready_bodies import JOINT_NAMES, human
+from hypose.body.default_body import JOINT_NAMES, human
 from hypose.evidence.colours import colour_codes, colour_edges
 from hypose.evidence.frame import Colours, Frame
 from hypose.geometry import Array
@@ -29,8 +29,8 @@ from hypose.pipeline.track_loop import FrameList, track_frames
 from hypose.synthetic.metrics import EVALUATED, population_offsets, with_offsets
 from hypose.synthetic.scenes import Scene, make_scene
 from hypose.synthetic.write_recording import write_scene
+from hypose.tracking.arm_hypotheses import RefineRivals
 from hypose.tracking.recipes import default
-from hypose.tracking.rival_arms import RefineRivals
 from hypose.tracking.tracker import Tracker, TrackerSettings
 
 _ARMS = [list(EVALUATED).index(JOINT_NAMES.index(f"{s}_{j}")) for s in ("left", "right") for j in ("elbow", "wrist")]

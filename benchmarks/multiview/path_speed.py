@@ -20,10 +20,10 @@ from benchmarks.multiview.clip_speed import keypoint_clip_rows
 from benchmarks.multiview.real_recordings import balancing_recording
 from hypose.cameras.camera import CameraRig
 from hypose.compute import default_threads
-from hypose.evidence.ahead import look_ahead
 from hypose.evidence.background import BackgroundModel
 from hypose.evidence.frame import Frame
 from hypose.evidence.outlines import WORKING_HEIGHT
+from hypose.evidence.prefetch import look_ahead
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.evidence.terms import contour_term
 from hypose.io.recordings.frames import FrameSettings, FrameStream, build_backgrounds

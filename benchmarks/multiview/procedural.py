@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.body import Body, Landmarks, Mesh
-from hypose.body.ready_bodies import JOINT_NAMES, human_skeleton
+from hypose.body.default_body import JOINT_NAMES, human_skeleton
 from hypose.errors import InputError
 from hypose.geometry import Array
 

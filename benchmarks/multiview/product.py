@@ -6,8 +6,8 @@ from __future__ import annotations
 from benchmarks.bench_report import BenchOptions
 from benchmarks.multiview.action_scenes import action_scene, known_subject
 from hypose.body.body import Body
+from hypose.body.default_body import human
 from hypose.body.motion import Motion
-from hypose.body.ready_bodies import human
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array
 from hypose.pipeline.first_frame import SubjectOptions, find_subject

@@ -13,7 +13,7 @@ import numpy as np
 from benchmarks.bench_report import BenchOptions, BenchReport, Row
 from benchmarks.multiview.leave_one_out import agreement_with_the_tool, leave_one_out, pose2sim_of, rows_of
 from hypose.body.body import Body
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.cameras.camera import Camera, CameraRig, triangulate
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.hull import hull_iou, visual_hull

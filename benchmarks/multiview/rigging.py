@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
 from benchmarks.multiview.procedural import procedural_body
 from hypose.body.body import Body
+from hypose.body.default_body import JOINT_NAMES, human
 from hypose.body.fit_skeleton import SCAN_POSES, scan_pose
-from hypose.body.ready_bodies import JOINT_NAMES, human
 from hypose.body.skin_weights import Bones, body_bones, heat_weights
 from hypose.geometry import Array
 from hypose.io.motions.meshes import PersonMesh

@@ -12,8 +12,8 @@ from benchmarks.multiview.action_scenes import action_scene, known_subject
 from benchmarks.short_calls import best
 from hypose import compute
 from hypose.body.body import Body, Mesh
-from hypose.evidence.ahead import prepared_masks
 from hypose.evidence.frame import Frame
+from hypose.evidence.prefetch import prepared_masks
 from hypose.geometry import Array
 
 _UPPER = ("pelvis", "spine", "chest", "neck", "head", "left_clavicle", "right_clavicle")

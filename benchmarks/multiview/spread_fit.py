@@ -1,4 +1,4 @@
-"""Fits a and b of `hypose.tracking.fitted_spread` to errors on scenes, and measures what regions then hold."""
+"""Fits a and b of `hypose.tracking.covariance_calibration` to errors on scenes, and measures what regions then hold."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from scipy.stats import f as fisher
 
 from benchmarks.bench_report import Row
 from benchmarks.multiview.doubt_scenes import CAMERAS, EVIDENCE, Tracked
+from hypose.body.default_body import JOINT_NAMES
 from hypose.body.joint_angles import ANGLE_NAMES
 from hypose.body.motion import TAILS, Motion, region_reach
-from hypose.body.ready_bodies import JOINT_NAMES
 from hypose.geometry import Array
 from hypose.synthetic.metrics import EVALUATED
-from hypose.tracking.audit import views_apart
-from hypose.tracking.doubt import as_mixture
-from hypose.tracking.fitted_spread import (
+from hypose.tracking.covariance_calibration import (
     apart_factors,
     beyond_usual,
     kind_of,
     with_angle_variance,
     with_fitted_joints,
 )
+from hypose.tracking.error_model import as_mixture
+from hypose.tracking.joint_features import views_apart
 from hypose.tracking.pose_covariance import joint_group
 from hypose.tracking.refinement import LUMBAR_SD
 
@@ -179,7 +179,7 @@ def fit_spread(clips: Sequence[Tracked], without: int | None = None) -> dict[str
 
 
 def beyond(c: Tracked, usual: float) -> float:
-    """m, beyond what is usual; as `hypose.tracking.fitted_spread.beyond_usual`."""
+    """m, beyond what is usual; as `hypose.tracking.covariance_calibration.beyond_usual`."""
     return float(np.sqrt(max(views_apart(c.audit) ** 2 - usual**2, 0.0)))
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.bench_report import BenchOptions, BenchReport, Row
 from benchmarks.multiview.product import aligned_joints
 from benchmarks.multiview.start_scenes import CHAIRED, POSTURES, RIGS, frames_of, start_scene
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.errors import HyposeError
 from hypose.evidence.frame import Frame
 from hypose.pipeline.run import TrackOptions, track_source

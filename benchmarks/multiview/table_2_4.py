@@ -137,7 +137,7 @@ def estimated_ends(body: Body, pose: Array) -> Array:
 
 
 def _joint(name: str) -> int:
-    from hypose.body.ready_bodies import JOINT_NAMES
+    from hypose.body.default_body import JOINT_NAMES
 
     return JOINT_NAMES.index(name)
 

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.body.ready_bodies import JOINT_NAMES
+from hypose.body.default_body import JOINT_NAMES
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array, so3_exp

@@ -14,7 +14,7 @@ from benchmarks.multiview.product import (
     keypoint_motions,
     product_motion,
 )
-from hypose.body.ready_bodies import JOINT_NAMES
+from hypose.body.default_body import JOINT_NAMES
 from hypose.geometry import Array
 from hypose.synthetic.metrics import EVALUATED, coverage
 from hypose.tracking.pose_covariance import joint_group

@@ -20,7 +20,7 @@ from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.layer import Recipe
 from hypose.tracking.monocular.picture_search import PictureSearch
 from hypose.tracking.monocular.points import points_from_keypoints
-from hypose.tracking.monocular.recipe import WholeClip, backwards, information, picture_recipe, together
+from hypose.tracking.monocular.recipe import WholeClip, backward_estimates, information, picture_recipe, together
 from hypose.tracking.monocular.settings import MonoSettings
 from hypose.tracking.smoothing import smooth_poses
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerSettings, TrackerState, modes_of
@@ -95,7 +95,7 @@ def solve_scene(scene: MonoScene, settings: MonoSettings, images: Sequence[Image
     n = len(there.rows)
     turned = [frames[k] for k in range(n - 1, 0, -1)]
     behind = [frames[k + 1] for k in range(n - 1, 0, -1)]
-    way_back = backwards(tracker.tracker, there.state, _with_before(turned, behind))
+    way_back = backward_estimates(tracker.tracker, there.state, _with_before(turned, behind))
     back = [*reversed(tracker.timed(way_back)), there.rows[-1]]
     modes, others = (modes_of([e for e, _ in rows]) for rows in (there.rows, back))
     assert modes is not None and others is not None

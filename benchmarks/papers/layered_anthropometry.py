@@ -18,7 +18,7 @@ from scipy.optimize import minimize
 
 from hypose.body.anthropometry import SHAPE_FACTORS, TABLE_2_1, body_of, entity
 from hypose.body.body import Body, Landmarks
-from hypose.body.ready_bodies import JOINT_NAMES
+from hypose.body.default_body import JOINT_NAMES
 from hypose.body.skeleton import Skeleton
 from hypose.geometry import Array
 from hypose.inference.annealing import AnnealingRate, FixedAnnealingRate, SmoothedWeight, SurvivalRate

@@ -15,8 +15,8 @@ import numpy as np
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
 from benchmarks.multiview.court import DISTURBED, court_scene
+from hypose.body.default_body import human
 from hypose.body.motion import Motion
-from hypose.body.ready_bodies import human
 from hypose.calibration.synchronisation import Resampled, offsets_from_motion
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array

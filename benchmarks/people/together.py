@@ -20,8 +20,8 @@ from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
 from benchmarks.multiview.action_scenes import captured, subject_of_seed
 from benchmarks.synthetic.retarget import retarget
 from hypose import compute
+from hypose.body.default_body import human
 from hypose.body.motion import Motion
-from hypose.body.ready_bodies import human
 from hypose.errors import HyposeError
 from hypose.evidence.association import people_of
 from hypose.evidence.keypoints import BODY_25, to_keypoints

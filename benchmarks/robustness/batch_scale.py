@@ -14,7 +14,7 @@ import numpy as np
 from benchmarks.bench_report import BenchOptions, BenchReport, Row
 from benchmarks.robustness.programs import HYPOSE, workers_of
 from benchmarks.robustness.small_recordings import small_scene, write_masks
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.io.motions.results import save_body
 
 _FRAMES = 30

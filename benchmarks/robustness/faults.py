@@ -10,8 +10,8 @@ import numpy as np
 from scipy.signal import medfilt
 
 from benchmarks.bench_report import BenchOptions, BenchReport, Row
+from hypose.body.default_body import human
 from hypose.body.motion import Motion
-from hypose.body.ready_bodies import human
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array
 from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.keypoints import keypoint_names, landmark_of
 from hypose.geometry import Array

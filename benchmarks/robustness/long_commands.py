@@ -15,7 +15,7 @@ import numpy as np
 
 from benchmarks.robustness.programs import run
 from benchmarks.robustness.small_recordings import small_scene, write_board_pictures, write_masks, write_skeletons
-from hypose.body.ready_bodies import JOINT_NAMES
+from hypose.body.default_body import JOINT_NAMES
 from hypose.io.files import write_text
 from hypose.io.motions.results import load_motion
 from hypose.synthetic.scenes import camera_rig, make_scene

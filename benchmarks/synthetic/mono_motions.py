@@ -9,7 +9,7 @@ from scipy.interpolate import PchipInterpolator
 from scipy.ndimage import gaussian_filter1d
 
 from benchmarks.synthetic.retarget import retarget
-from hypose.body.ready_bodies import JOINT_NAMES
+from hypose.body.default_body import JOINT_NAMES
 from hypose.errors import InputError
 from hypose.synthetic.motions import act
 from hypose.synthetic.performance import (

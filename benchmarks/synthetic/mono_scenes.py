@@ -19,7 +19,7 @@ from benchmarks.synthetic.mono_backdrops import cluttered, woven
 from benchmarks.synthetic.mono_motions import arm_reach, body_motion
 from benchmarks.synthetic.mono_subjects import MeasuringError, arm_dofs, measured_body, pose_of_truth, with_hand
 from hypose.body.body import Body
-from hypose.body.ready_bodies import JOINT_NAMES, human
+from hypose.body.default_body import JOINT_NAMES, human
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.evidence.keypoints import BODY_25
 from hypose.geometry import Array, Image

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.body.body import Body, Mesh, Shape, deform
-from hypose.body.ready_bodies import JOINT_NAMES
+from hypose.body.default_body import JOINT_NAMES
 from hypose.errors import InputError
 from hypose.geometry import Array
 
@@ -236,7 +236,7 @@ def sizes_of(body: Body) -> Sizes:
 
 def measure(vertices: Array, faces: NDArray[np.integer], joints: Array) -> Sizes:
     """Sizes of a person at rest (standing, arms off the body): vertices (V, 3) m with z up, faces (F, 3), joint centres
-    (19, 3) m in the order of hypose.body.ready_bodies.JOINT_NAMES.
+    (19, 3) m in the order of hypose.body.default_body.JOINT_NAMES.
 
     A girth is the length of the convex outline of the cross-section's loop around the bone. An InputError when a plane
     misses the mesh.

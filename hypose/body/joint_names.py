@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.body.body import Body
+from hypose.body.default_body import JOINT_NAMES, human
 from hypose.body.motion import Motion
-from hypose.body.ready_bodies import JOINT_NAMES, human
 from hypose.body.skeleton import Skeleton
 from hypose.errors import InputError
 from hypose.geometry import Array

@@ -297,7 +297,7 @@ _STEP = 1e-3
 _ROUNDS = 8
 _TUKEY = 4.7
 _LEAST_ROWS = 40
-Rows = Callable[[CameraRig, list[int]], Array]
+FactorRows = Callable[[CameraRig, list[int]], Array]
 """Residuals (R, G) of some views through a rig, NaN where there is none: G kinds whose errors last over the R moments,
 in shares of the person's size."""
 
@@ -360,7 +360,7 @@ def focal_by_masks(rig: CameraRig, tracks: Sequence[MaskTrack]) -> CommonFocal:
     return _factor(rig, rows)
 
 
-def _factor(rig: CameraRig, rows: Rows) -> CommonFocal:
+def _factor(rig: CameraRig, rows: FactorRows) -> CommonFocal:
     views = list(range(len(rig)))
     found = _solve(rig, rows, views, 0.0) if len(views) > 2 else None  # of two views, a wrong pose looks the same
     if found is None or abs(found[0]) >= _LARGEST:
@@ -377,7 +377,7 @@ def _factor(rig: CameraRig, rows: Rows) -> CommonFocal:
 
 
 def _solve(
-    rig: CameraRig, rows: Rows, views: list[int], begin: float, *, once: bool = False
+    rig: CameraRig, rows: FactorRows, views: list[int], begin: float, *, once: bool = False
 ) -> tuple[float, Array, Array, Array] | None:
     """Return the factor's logarithm, and the rows' slopes by it, residuals and weights; None where nothing is known."""
     x = begin

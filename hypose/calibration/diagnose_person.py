@@ -14,7 +14,7 @@ from functools import cache
 
 import numpy as np
 
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.calibration.diagnose_masks import Alignment
 from hypose.calibration.diagnose_points import undistorted
 from hypose.calibration.findings import Finding, Limits, ViewFile

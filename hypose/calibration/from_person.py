@@ -1,7 +1,7 @@
 """Cameras from one person who walks about, and the person's height: no board, no measured points.
 
 The start is `two_views`: offsets from the epipolar geometry of pairs, a rig chained from essential matrices, focal
-lengths tried where they are unknown. The bundle adjustment is that which refines a rig, and its scores correct offsets.
+lengths tried where they are unknown. The bundle adjustment is the one that refines a rig; its scores correct offsets.
 What such a recording cannot tell is refused: steady walking in a circle looks the same from cameras that are turned
 about its middle and late by a stride, so the start is made at the second best offsets as well and has to be clearly
 worse there.
@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.calibration.person_uncertainty import Uncertainty, limbs_of, uncertainty
 from hypose.calibration.refine_points import (
     CameraUnknowns,
@@ -28,9 +28,9 @@ from hypose.calibration.refine_points import (
 from hypose.calibration.sync_motion import Curves, solve_offsets
 from hypose.calibration.synchronisation import point_sd
 from hypose.calibration.two_views import (
-    FACTORS,
-    LOOSE,
-    SEEN,
+    FOCAL_FACTORS,
+    LOOSE_PX,
+    SEEN_CONFIDENCE,
     epipolar_curves,
     on_common_clock,
     rival_offsets,
@@ -170,7 +170,8 @@ class _Search:
             tried.append(epipolar_curves(self.points, lenses, self.sd, largest))
             group = np.arange(len(self.raw))
             for (a, b), cost in zip(tried[-1].pairs, tried[-1].cost, strict=True):
-                if cost.min() < _CLEAR * np.median(cost):
+                inside = abs(tried[-1].lags[cost.argmin()]) < largest - 2  # at the end the minimum lies farther
+                if inside and cost.min() < _CLEAR * np.median(cost):
                     group[group == group[b]] = group[a]
             if (group == group[0]).all():
                 return tried[-1]
@@ -182,7 +183,7 @@ class _Search:
     def rig(self, late: Array, lenses: CameraRig | None = None) -> tuple[float, CameraRig]:
         """Return the cheapest start at offsets and its cost; lenses: whose focal lengths are taken."""
         points = on_common_clock(self.points, late, self.moments(late))
-        factors = FACTORS if lenses is None and not self.known else (1.0,)
+        factors = FOCAL_FACTORS if lenses is None and not self.known else (1.0,)
         found = []
         for k, factor in enumerate(factors):
             self.progress("start", k, len(factors))
@@ -206,17 +207,17 @@ class _Search:
         frames, free = self.moments(late), not self.known
         shown = [on_common_clock(p, late, frames) for p in (self.undistorted(rig), self.raw if free else self.points)]
         (uv, _), (given, seen) = ((p.reshape(len(rig), -1, 3)[..., :2], p[..., 2].reshape(len(rig), -1)) for p in shown)
-        seen = np.where(seen > SEEN, 1.0, 0.0)
+        seen = np.where(seen > SEEN_CONFIDENCE, 1.0, 0.0)
         rough = scale_rig(rig, self.scale(triangulate(rig, uv, seen)[0])).pinhole()
-        found = adjust(rough, given, seen, focal=free, radial=free, hold=LOOSE, iterations=60)
+        found = adjust(rough, given, seen, focal=free, radial=free, hold=LOOSE_PX, iterations=60)
         factor = self.scale(found.points)
         new, points = scale_rig(found.rig, factor), found.points * factor
         keep = (seen > 0).sum(0) >= 2
-        unknowns = CameraUnknowns(new, free, None, free, LOOSE)
+        unknowns = CameraUnknowns(new, free, None, free, LOOSE_PX)
         bundle = PointBundle(given[:, keep], seen[:, keep], default_scale(given, seen), unknowns)
         near = (on_common_clock(self.points, late + d, frames).reshape(len(rig), -1, 3) for d in (-_STEP, _STEP))
         before, after = (p[:, keep] for p in near)
-        both = ((before[..., 2] > SEEN) & (after[..., 2] > SEEN))[..., None]
+        both = ((before[..., 2] > SEEN_CONFIDENCE) & (after[..., 2] > SEEN_CONFIDENCE))[..., None]
         velocity = np.where(both, (after - before)[..., :2] / (2 * _STEP), 0.0)
         moment, kind = np.divmod(np.flatnonzero(keep), len(self.names))
         labels = np.stack([moment, kind, limbs_of(self.names)[kind]], 1)

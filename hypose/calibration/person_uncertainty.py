@@ -84,7 +84,7 @@ def uncertainty(
     focal = sd[:, 6] if bundle.unknowns.focal else np.zeros(count)
     turn, place = (np.linalg.norm(sd[:, k : k + 3], axis=1) for k in (0, 3))
     later = -(free @ inverse @ score.sum((0, 1))).reshape(count, size)[:, -1]
-    return Uncertainty(np.degrees(turn), place, focal, sd[:, -1], later)
+    return Uncertainty(np.degrees(turn), place, focal, np.hypot(sd[:, -1], later), later)
 
 
 def _without_gauge(cameras: Sequence[Camera], points: Array, size: int) -> Array:

@@ -323,7 +323,7 @@ def light_event(brightness: Array, name: str) -> tuple[float, str]:
 # cause when boards contradict each other.
 
 
-_LEAST = 12  # moments with a known speed in both cameras
+_LEAST_MOMENTS = 12  # moments with a known speed in both cameras
 _CLEAR = 0.7  # correlation of the speeds at the right lag
 _BETTER = 0.1  # by how much it must exceed that without lag
 
@@ -337,7 +337,7 @@ def estimate_lags(
     base = int(np.argmax([len(s[0]) for s in speeds]))
     out = {}
     for c in range(len(cameras)):
-        if c == base or len(speeds[c][0]) < _LEAST or len(speeds[base][0]) < _LEAST:
+        if c == base or len(speeds[c][0]) < _LEAST_MOMENTS or len(speeds[base][0]) < _LEAST_MOMENTS:
             continue
         step = float(np.median(np.diff(speeds[base][0])))
         tried = np.arange(-longest, longest + 1, max(1, round(step / 2)))
@@ -373,7 +373,7 @@ def _correlation(base: tuple[Array, Array], other: tuple[Array, Array], lag: int
     after = np.clip(np.searchsorted(other[0], t), 1, len(other[0]) - 1)
     known[other[0][after] - other[0][after - 1] > reach] = np.nan  # a gap in which the board was not seen
     ok = np.isfinite(known)
-    if ok.sum() < _LEAST:
+    if ok.sum() < _LEAST_MOMENTS:
         return float("nan")
     a, b = np.log(value[ok] + 1e-3), np.log(known[ok] + 1e-3)
     return float(np.corrcoef(a, b)[0, 1]) if a.std() * b.std() > 1e-9 else float("nan")

@@ -22,12 +22,12 @@ from hypose.calibration.synchronisation import points_at
 from hypose.cameras.camera import Camera, CameraRig, triangulate
 from hypose.geometry import Array, se3, so3_exp
 
-SEEN = 0.3  # confidence above which a key point counts
-LOOSE = (2.0, 5.0, 0.7)  # sd (rad, m, share of the focal length) within which a rig from scratch may move
-FACTORS = (0.55, 0.75, 1.0, 1.35, 1.8, 2.4)  # focal lengths that are tried, in pictures' longer sides
+SEEN_CONFIDENCE = 0.3  # confidence above which a key point counts
+LOOSE_PX = (2.0, 5.0, 0.7)  # sd (rad, m, share of the focal length) within which a rig from scratch may move
+FOCAL_FACTORS = (0.55, 0.75, 1.0, 1.35, 1.8, 2.4)  # focal lengths that are tried, in pictures' longer sides
 _COARSE = 3  # frames between the offsets that are tried first
-_FEW, _MANY = 500, 4000  # correspondences that an epipolar geometry is found from, and judged by
-_LEAST = 40
+_FEWEST_PAIRS, _MANY = 500, 4000  # correspondences that an epipolar geometry is found from, and judged by
+_LEAST_PAIRS = 40
 _POINTS, _TRIES = 1500, 4  # that a start is made from, and pairs of views that it is begun with
 
 
@@ -55,13 +55,13 @@ def epipolar_curves(points: Array, lenses: Sequence[Array] | None, sd: float, la
             for k in wanted:
                 first, last = max(0, -int(lags[k])), min(frames, frames - int(lags[k]))
                 pa, pb = points[a, first:last], points[b, first + lags[k] : last + lags[k]]
-                both = (pa[..., 2] > SEEN) & (pb[..., 2] > SEEN)
+                both = (pa[..., 2] > SEEN_CONFIDENCE) & (pb[..., 2] > SEEN_CONFIDENCE)
                 chosen = rng.permutation(int(both.sum()))[:_MANY]
                 xa, xb = pa[both][chosen, :2], pb[both][chosen, :2]
-                if len(chosen) < _LEAST:
+                if len(chosen) < _LEAST_PAIRS:
                     continue
                 known = None if lenses is None else (lenses[a], lenses[b])
-                found = _epipolar(xa[:_FEW], xb[:_FEW], known, sd, 300)
+                found = _epipolar(xa[:_FEWEST_PAIRS], xb[:_FEWEST_PAIRS], known, sd, 300)
                 if found is not None:  # errors of one point last for several frames, as in keypoint_curves
                     curve[k] = 0.2 * kinds * frames / 3 * _disagreement(found[0], xa, xb, sd)
             best = np.argsort(np.nan_to_num(curve, nan=np.inf))[:_COARSE]
@@ -103,11 +103,11 @@ def start_rig(points: Array, rig: CameraRig, sd: float) -> list[tuple[float, Cam
     uv = points.reshape(count, -1, 3)
     if uv.shape[1] > _POINTS:
         uv = uv[:, np.random.default_rng(0).choice(uv.shape[1], _POINTS, replace=False)]
-    seen = uv[..., 2] > SEEN
+    seen = uv[..., 2] > SEEN_CONFIDENCE
     pairs = []
     for a, b in itertools.combinations(range(count), 2):
         both = seen[a] & seen[b]
-        if both.sum() >= 1.5 * _LEAST:
+        if both.sum() >= 1.5 * _LEAST_PAIRS:
             pairs += [(*found, a, b) for found in _pair(rig[a], rig[b], uv[a, both, :2], uv[b, both, :2], sd)]
     found = []
     for _, pose, a, b in sorted(pairs, key=lambda p: p[0])[:_TRIES]:
@@ -115,7 +115,7 @@ def start_rig(points: Array, rig: CameraRig, sd: float) -> list[tuple[float, Cam
         chained = _chained(two, rig, uv, seen, sd)
         if chained is None:
             continue
-        adjusted = adjust(chained, uv[..., :2], seen.astype(float), hold=LOOSE, iterations=12)
+        adjusted = adjust(chained, uv[..., :2], seen.astype(float), hold=LOOSE_PX, iterations=12)
         off = np.linalg.norm(
             np.stack([c.project_pinhole(adjusted.points) for c in adjusted.rig]) - uv[..., :2], axis=-1
         )
@@ -138,7 +138,7 @@ def _chained(
         found = []
         for k in set(range(len(rig))) - set(have):
             use = fine & seen[k]
-            if use.sum() >= _LEAST:
+            if use.sum() >= _LEAST_PAIRS:
                 ok, turn, shift, inliers = cv2.solvePnPRansac(
                     x[use], uv[k, use, :2], rig[k].K, np.zeros(5),
                     iterationsCount=300, reprojectionError=4 * sd, flags=cv2.SOLVEPNP_SQPNP,

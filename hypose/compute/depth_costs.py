@@ -138,7 +138,7 @@ def _against(
 
 
 f4 = np.float32
-_FAR = f4(1e9)
+_NO_SURFACE = f4(1e9)
 
 
 @kernel(inline=True)
@@ -330,7 +330,7 @@ def _limb_shown(tree, mesh, standing, seen, projections, sizes, centre, reach, a
         within = reach * reach * metre * metre
         for y in range(height):
             for x in range(width):
-                other, own = seen[c, y, x], _FAR
+                other, own = seen[c, y, x], _NO_SURFACE
                 if whole[y, x] > f4(0):
                     own = f4(1) / whole[y, x]
                 if whole[y, x] > standing.drawn[c, y, x]:

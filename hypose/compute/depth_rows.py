@@ -13,7 +13,7 @@ from hypose.compute.rows import sum_rows
 f4, i4 = np.float32, np.int32
 _PER_M2 = 4e6
 """units of a squared distance that is packed into 20 bits: half a millimetre squared, up to half a metre"""
-_MOST = 1e6
+_LARGEST_SHARE = 1e6
 _TURNED = 0.0036
 """m^2 by which a surface that looks the other way counts as further off, half of it at right angles"""
 _BAND_M, _BANDS, _REACH = 0.12, 24, 2
@@ -59,7 +59,7 @@ def _nearest(fx, fy, fz, nx, ny, nz, px, py, pz, ox, oy, oz):
         dx, dy, dz = fx[i] - px, fy[i] - py, fz[i] - pz
         turned = f4(1) - (nx[i] * ox + ny[i] * oy + nz[i] * oz)
         far = (dx * dx + dy * dy + dz * dz + f4(_TURNED * 0.5) * turned) * f4(_PER_M2)
-        best = min(best, i4(i4(i4(min(far, f4(_MOST))) << i4(11)) | i4(i)))
+        best = min(best, i4(i4(i4(min(far, f4(_LARGEST_SHARE))) << i4(11)) | i4(i)))
     return best
 
 
@@ -270,7 +270,7 @@ def depth_rows(q, mesh, depth, factor, ws, kept, count):
                     *(fx[begin:end], fy[begin:end], fz[begin:end], nx[begin:end], ny[begin:end], nz[begin:end]),
                     *(px, py, pz, ox, oy, oz),
                 )
-            if (best >> 11) >= i4(_MOST) - 1:
+            if (best >> 11) >= i4(_LARGEST_SHARE) - 1:
                 cost += 0.5 * depth.weight[m]  # nothing near: it costs what it costs at infinite distance
                 continue
             a = which[begin + (best & 2047)]

@@ -23,7 +23,7 @@ from hypose.geometry import Image
 
 f4, u1, i2, u2, i4, u4, u8 = np.float32, np.uint8, np.int16, np.uint16, np.int32, np.uint32, np.uint64
 Box = tuple[int, int, int, int]
-_LEAST = 16
+_LANES = 16
 """Pixels that the kernels compare at once"""
 
 
@@ -89,8 +89,8 @@ def make_lens(stored: tuple[int, int], map_x: ArrayLike, map_y: ArrayLike) -> Un
     h, w = mx.shape
     if stored[0] < w or stored[1] < h:
         raise InputError(f"A picture of {stored} px cannot be enlarged to {(w, h)} px; choose a smaller working size.")
-    if h * w < _LEAST:
-        raise InputError(f"Pictures of {(w, h)} px are too small; choose a working size of {_LEAST} pixels at least.")
+    if h * w < _LANES:
+        raise InputError(f"Pictures of {(w, h)} px are too small; choose a working size of {_LANES} pixels at least.")
     columns, column_weights = _averages(stored[0], w)
     rows, row_weights = _averages(stored[1], h)
     rounding = (8, 4, 1, 2048, 12)  # weights are 256ths, and values between rows and columns 16ths

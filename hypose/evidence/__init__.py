@@ -1,1 +1,1 @@
-"""Evidence: what is measured in images, and how it is measured."""
+"""Evidence: the measurement in images, and how it is measured."""

@@ -1,9 +1,9 @@
 """Which detections of all views belong to which person, through a whole clip: candidates -> people with 3D points.
 
 Frame by frame: those who are followed take their detections first, view by view (an assignment problem, solved exactly,
-on the distance in metres between detection and prediction); what is left may be somebody new, when its rays meet in
-points whose bones a body can have. What one view alone sees is nobody. A person dies after a while with fewer than two
-views. Left and right of arms, legs or face are exchanged where that, and only that, explains a view.
+on the distance in metres between detection and prediction); the rest may be a person new, when its rays meet in
+points whose bones a body can have. What one view alone sees is no person. A person dies after a while with fewer than
+two views. Left and right of arms, legs or face are exchanged where that, and only that, explains a view.
 
 After the idea of tracking first (4D Association, Zhang et al. 2020: candidates of all views and the last frame in one
 problem) with whole skeletons, and distances of rays, in the place of graphs of limbs; no learning.
@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.person_tracks import PersonTrack
-from hypose.evidence.ray_matching import FAR, Views, between_rays, distances, mean_of_known, meet
+from hypose.evidence.ray_matching import NOT_COMPARABLE_M, Views, between_rays, distances, mean_of_known, meet
 from hypose.geometry import Array
 
 _MEASURED, _REMEMBERED = 10, 50  # frames after which a bone's length is known, and over which it is averaged
 _WRUNG = -0.5  # cosine of the angle between the lines of the shoulders and of the hips that no trunk reaches
-_LEAST = 4  # key points that a candidate needs to be somebody, fewer are parts that can complete one
+_LEAST_POINTS = 4  # key points that a candidate needs to be a person, fewer are parts that can complete one
 _GROUPS = (
     ("shoulder", "elbow", "wrist"),
     ("hip", "knee", "ankle", "big_toe", "small_toe", "heel"),
@@ -49,13 +49,14 @@ _BONES = (
 @dataclass(frozen=True)
 class AssociationSettings:
     """gate: m, mean distance from the prediction up to which a detection is the person's. birth: m, mean distance of
-    the rays of two detections of somebody new; all others of that person may pass each other 1.5 times as far. near:
-    m, of a ray that counts for a point. complete: m, up to which a single point that nobody has completes a person.
+    the rays of two detections of a person new; all others of that person may pass each other 1.5 times as far. near:
+    m, of a ray that counts for a point. complete: m, up to which a single point that no person has completes a person.
     limit: m, at which distances end. merge: m, nearer than which two people are one; apart: m, nearer than which
-    nobody new is born. patience: s without two views after which a person is no longer followed; stale: s for which a
-    point that is not seen is expected with the others; trial: s for which somebody seen by two views has to be followed
-    to be believed; three views are believed at once. exchanged: share of the distance that may be left where left and
-    right are exchanged; exchanged_m: m that it has to win. plausible: share of bones that have a body's lengths.
+    no person new is born. patience: s without two views after which a person is no longer followed; stale: s for which
+    a point that is not seen is expected with the others; trial: s for which a person seen by two views has to be
+    followed to be believed; three views are believed at once. exchanged: share of the distance that may be left where
+    left and right are exchanged; exchanged_m: m that it has to win. plausible: share of bones that have a body's
+    lengths.
     stretched: times the usual length of a person's bone from which the end of a limb is not believed when only two
     views show it."""
 
@@ -85,9 +86,9 @@ def people_of(
     """The people of a clip, those seen most first.
 
     candidates: per frame and view the detections (P, K, 3 or more) = (u px, v px, confidence, ...) in undistorted
-    pixels of the pinhole `rig`, confidence 0 where missing; None or none: nobody is seen. Further columns are carried
-    along. A candidate with fewer than four points is a part that may complete a person. names: of the K points. With
-    one view alone, or two that do not agree, there is nobody: see `hypose.evidence.one_person`."""
+    pixels of the pinhole `rig`, confidence 0 where missing; None or none: no person is seen. Further columns are
+    carried along. A candidate with fewer than four points is a part that may complete a person. names: of the K points.
+    With one view alone, or two that do not agree, there is no person: see `hypose.evidence.one_person`."""
     given = (view.shape[2] for frame in candidates for view in frame if view is not None and len(view))
     at = Association(names, rig, frame_rate, settings, columns=max(given, default=3))
     for frame in candidates:
@@ -97,7 +98,7 @@ def people_of(
 
 @dataclass(eq=False)  # two of the same frame are two
 class _Followed:
-    """Somebody who is followed: points (K, 3) m (the last known), their motion per frame, for how many frames each has
+    """A person who is followed: points (K, 3) m (the last known), their motion per frame, for how many frames each has
     not been seen, in which views (C, G + 1) which group's sides are exchanged, for how many frames most views had all
     sides reversed, lengths (B,) m of the limbs' bones and how often each was measured."""
 
@@ -159,10 +160,10 @@ class Association:
         """One frame: per view the candidates (P, K, columns), None for none."""
         found = self._stacked(views)
         count = np.count_nonzero(found[..., 2] > 0.1, axis=-1)
-        somebody, free = count >= _LEAST, count > 0
+        is_person, free = count >= _LEAST_POINTS, count > 0
         expected = self._expected()
-        seen, which = self._taken(found, somebody, free, expected)
-        new = self._born(found, somebody & free, free)
+        seen, which = self._taken(found, is_person, free, expected)
+        new = self._born(found, is_person & free, free)
         if new:
             expected = self._expected()
             again, chosen = np.zeros((len(found), len(new), *found.shape[2:])), np.full((len(found), len(new)), -1)
@@ -171,10 +172,10 @@ class Association:
                     again[c, n], chosen[c, n] = found[c, p], p
             seen, which = np.concatenate([seen, again], 1), np.concatenate([which, chosen], 1)
         if self._alive:
-            self._complete(seen, found, free, free & ~somebody, which, expected)
-            if new:  # labels of those born are mended by what most views say
+            self._complete(seen, found, free, free & ~is_person, which, expected)
+            if new:  # labels of those born are repaired by what most views say
                 first = len(self._alive) - len(new)
-                seen[:, first:] = self._mended_births(seen[:, first:], which[:, first:], expected[first:])
+                seen[:, first:] = self._repaired_births(seen[:, first:], which[:, first:], expected[first:])
             world, used = meet(self._views, seen, self.settings.near, expected)
             self._update(seen, self._of_own_size(world, used), which)
         self._end()
@@ -208,7 +209,7 @@ class Association:
         return np.stack([np.where((t.stale < self._stale)[:, None], t.points + t.motion, np.nan) for t in self._alive])
 
     def _taken(
-        self, found: Array, somebody: NDArray[np.bool_], free: NDArray[np.bool_], expected: Array
+        self, found: Array, is_person: NDArray[np.bool_], free: NDArray[np.bool_], expected: Array
     ) -> tuple[Array, NDArray[np.int64]]:
         """What those followed see of themselves: points (C, N, K, 3) and candidates (C, N); `free` loses them."""
         from scipy.optimize import linear_sum_assignment  # takes long to import
@@ -221,8 +222,8 @@ class Association:
         plain, turned = self._both(found, expected)
         exchange = self._better_exchanged(plain, turned, np.stack([t.exchanged for t in self._alive], 1)[:, :, None])
         each = np.where(exchange[..., self._group], turned, plain)
-        cost = mean_of_known(each, _LEAST)
-        cost = np.where(somebody[:, None], cost, FAR)
+        cost = mean_of_known(each, _LEAST_POINTS)
+        cost = np.where(is_person[:, None], cost, NOT_COMPARABLE_M)
         for c in range(len(found)):
             rows, columns = linear_sum_assignment(np.minimum(cost[c], 2 * o.gate))
             for i, j in zip(rows, columns, strict=True):
@@ -232,7 +233,7 @@ class Association:
         views, who = np.nonzero(which >= 0)
         seen[views, who] = found[views, which[views, who]]
         at = (views, who, which[views, who])
-        return self._mended(seen, views, who, plain[at], turned[at], exchange[at]), which
+        return self._repaired(seen, views, who, plain[at], turned[at], exchange[at]), which
 
     def _both(self, found: Array, expected: Array) -> tuple[Array, Array]:
         """Distances (C, N, P, K) m of candidates (C, P, K, 3) as they are, and with left and right exchanged."""
@@ -253,12 +254,12 @@ class Association:
             of = self._group == g
             if of.any():
                 a, b = mean_of_known(plain[..., of], 2), mean_of_known(turned[..., of], 2)
-                out[..., g] = (b < o.exchanged * a) & (a - b > o.exchanged_m) & (a < FAR)
+                out[..., g] = (b < o.exchanged * a) & (a - b > o.exchanged_m) & (a < NOT_COMPARABLE_M)
                 if before is not None:
                     out[..., g] |= before[..., g] & (b < a)
         return out
 
-    def _mended(
+    def _repaired(
         self,
         seen: Array,
         views: NDArray[np.int64],
@@ -307,14 +308,14 @@ class Association:
         return out
 
     def _wrung(self, t: _Followed) -> bool:
-        """Whether somebody's left shoulder lies above the right hip."""
+        """Whether a person's left shoulder lies above the right hip."""
         if self._girdles is None:
             return False
         a, b, c, d = t.points[self._girdles]
         size = float(np.linalg.norm(a - b) * np.linalg.norm(c - d))
         return bool((a - b) @ (c - d) < _WRUNG * size)
 
-    def _mended_births(self, seen: Array, which: NDArray[np.int64], expected: Array) -> Array:
+    def _repaired_births(self, seen: Array, which: NDArray[np.int64], expected: Array) -> Array:
         """Points (C, B, K, 3) of those born, left and right as most of their views say: `expected` (B, K, 3)."""
         out = seen.copy()
         for b in range(len(expected)):
@@ -334,13 +335,13 @@ class Association:
             t.world[-back][of] = t.world[-back][self._twin][of]
         t.otherwise[group] = 0
 
-    def _born(self, found: Array, somebody: NDArray[np.bool_], free: NDArray[np.bool_]) -> list[list[tuple[int, int]]]:
-        """Somebody new among the candidates left: the views and candidates of each; they are followed from now on."""
+    def _born(self, found: Array, is_person: NDArray[np.bool_], free: NDArray[np.bool_]) -> list[list[tuple[int, int]]]:
+        """A person new among the candidates left: the views and candidates of each; they are followed from now on."""
         o = self.settings
-        view, number = np.nonzero(somebody)
+        view, number = np.nonzero(is_person)
         if len(np.unique(view)) < 2:
             return []
-        apart = between_rays(self._views, view, found[view, number], o.limit, _LEAST)
+        apart = between_rays(self._views, view, found[view, number], o.limit, _LEAST_POINTS)
         new = []
         for members in clusters(apart, o.birth):
             q = [(int(view[m]), int(number[m])) for m in members]
@@ -372,7 +373,7 @@ class Association:
         """Whether the bones of points (K, 3) m have lengths of a body."""
         length = [(float(np.linalg.norm(points[a] - points[b])), lo, hi) for a, b, lo, hi in self._bones]
         right = [lo <= x <= hi for x, lo, hi in length if np.isfinite(x)]
-        return len(right) >= _LEAST and float(np.mean(right)) >= self.settings.plausible
+        return len(right) >= _LEAST_POINTS and float(np.mean(right)) >= self.settings.plausible
 
     def _taken_already(self, points: Array) -> bool:
         return any(_apart(t.points, points) < self.settings.apart for t in self._alive)
@@ -386,15 +387,15 @@ class Association:
         which: NDArray[np.int64],
         expected: Array,
     ) -> None:
-        """Points that nobody has, near to where a person's missing one is expected; whoever is somebody, but nobody's
-        detection, only completes a person whom that view sees (who was detected in two pieces)."""
+        """Points that no person has, near to where a person's missing one is expected; the person who is a person, but
+        no person's detection, only completes a person whom that view sees (who was detected in two pieces)."""
         if not free.any():
             return
         left = np.where(free[..., None, None], found, 0.0)
         missing = seen[..., 2] <= 0.1  # (C, N, K)
         d = distances(self._views, expected, left, self.settings.limit)
         allowed = parts[:, None] | (which >= 0)[..., None]
-        d = np.where(np.isfinite(d) & allowed[..., None], d, FAR)
+        d = np.where(np.isfinite(d) & allowed[..., None], d, NOT_COMPARABLE_M)
         best = d.argmin(2)
         near = np.take_along_axis(d, best[:, :, None], 2)[:, :, 0] < self.settings.complete
         c, n, k = np.nonzero(near & missing)
@@ -403,7 +404,7 @@ class Association:
 
     def _of_own_size(self, world: Array, used: NDArray[np.bool_]) -> Array:
         """Points (N, K, 3) without ends of limbs that two rays alone put farther away than the person's bones reach;
-        used (C, N, K). What is left tells how long the bones are."""
+        used (C, N, K). The rest tells how long the bones are."""
         if not len(self._limbs):
             return world
         a, b = self._limbs.T
@@ -425,7 +426,7 @@ class Association:
         for n, t in enumerate(self._alive):
             got = np.isfinite(world[n, :, 0])
             fresh = len(t.seen) == 0
-            followed = int((which[:, n] >= 0).sum()) >= 2 and int(got.sum()) >= _LEAST
+            followed = int((which[:, n] >= 0).sum()) >= 2 and int(got.sum()) >= _LEAST_POINTS
             t.hits, t.missed = (t.hits + 1, 0) if followed else (t.hits, t.missed + 1)
             both = got & np.isfinite(t.points[:, 0]) & (t.stale == 0)
             step = world[n] - t.points
@@ -434,7 +435,7 @@ class Association:
                 motion[both] = 0.6 * step[both]
                 jumped = np.sqrt((motion * motion).sum(1)) > 0.12
                 motion[jumped] = 0.0
-            common = np.median(step[both], axis=0) if both.sum() >= _LEAST and not fresh else np.zeros(3)
+            common = np.median(step[both], axis=0) if both.sum() >= _LEAST_POINTS and not fresh else np.zeros(3)
             motion[~both] = np.median(motion[both], axis=0) if both.any() else 0.5 * t.motion[~both]
             t.points = np.where(got[:, None], world[n], t.points + common)
             t.motion = motion
@@ -444,7 +445,7 @@ class Association:
             t.which.append(which[:, n].copy())
 
     def _end(self) -> None:
-        """Those who are no longer seen, never were, or are somebody else as well."""
+        """Those who are no longer seen, never were, or are another person as well."""
         alive = []
         for t in self._alive:
             age = len(t.seen)
@@ -472,12 +473,12 @@ def _apart(a: Array, b: Array) -> float:
     """m, mean distance of the points (K, 3) that both have; FAR without any."""
     d = np.sqrt(((a - b) ** 2).sum(-1))
     known = np.isfinite(d)
-    return float(d[known].mean()) if known.any() else FAR
+    return float(d[known].mean()) if known.any() else NOT_COMPARABLE_M
 
 
 def clusters(apart: Array, birth: float) -> list[list[int]]:
     """Groups of two or more candidates of different views, of distances (M, M) m: nearest pairs first, each group with
-    everybody near to everybody (cycle consistency)."""
+    all people near to all people (cycle consistency)."""
     m = len(apart)
     group = [[i] for i in range(m)]
     of = list(range(m))

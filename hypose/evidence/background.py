@@ -82,7 +82,7 @@ def from_recording(
     or may be (thick skeleton of key points, or the silhouette of a tracked model): a pixel is the median
     over the frames in which it is free, the photo where it never is. Without `covered`, the photo, except
     where the recording shows another thing there nearly all the time (a box that was moved after the
-    photo, somebody in the photo): there the temporal median. Such a static thing is kept out of the room
+    photo, a person in the photo): there the temporal median. Such a static thing is kept out of the room
     when its outline moves: then it is a part of the person that stands still. Without `plate` and
     `covered` the temporal median; `note` says what to mistrust.
     """
@@ -216,7 +216,7 @@ def _cure_ghosts(
 
 
 def _person_who_never_moves(ghost: NDArray[np.bool_], unlike: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The largest static region unlike the photo, when little else differs from the photo: somebody who sits
+    """The largest static region unlike the photo, when little else differs from the photo: a person who sits
     through the whole recording. Empty when a person of comparable size is seen besides.
 
     ghost (h, w): what would become room. unlike (N, h, w): differs from the photo, per frame.
@@ -240,7 +240,7 @@ def _parts_of_the_person(ghost: NDArray[np.bool_], differs: NDArray[np.floating]
     """Of the static regions that contradict the photo, those whose surroundings come and go.
 
     ghost (h, w): static and unlike the photo. differs (h, w): share of frames that differ from the photo.
-    The torso of somebody who moves the limbs is static too, but along its outline pixels are now person,
+    The torso of a person who moves the limbs is static too, but along its outline pixels are now person,
     now room.
     """
     count, label = cv2.connectedComponents(ghost.astype(np.uint8), connectivity=4)

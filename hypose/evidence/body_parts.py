@@ -78,7 +78,7 @@ def visibility(surface: Surface, rig: CameraRig, usable: NDArray[np.bool_] | Non
         low = at[front].min(0)
         size = at[front].max(0) - low + 1
         if size.prod() > 4_000_000:
-            continue  # points beside the camera, spread over a nearly endless image
+            continue  # points next to the camera, spread over a nearly endless image
         key = (at[:, 1] - low[1]) * size[0] + at[:, 0] - low[0]
         nearest = np.full(int(size.prod()), np.inf)
         np.minimum.at(nearest, key[front], depth[front])

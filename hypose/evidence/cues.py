@@ -18,11 +18,11 @@ from hypose import compute
 from hypose.body.body import Body
 from hypose.compute import MeshArrays, PreparedMasks, SeenDepth, StandingDepth, TreeArrays
 from hypose.errors import EvidenceError
-from hypose.evidence.ahead import prepared_masks
 from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.depth_surface import depth_term, shrunk
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.outlines import WORKING_HEIGHT
+from hypose.evidence.prefetch import prepared_masks
 from hypose.evidence.terms import Evidence, KeypointTerm, Limb, PointTerm, RowTerm, Term, contour_term
 from hypose.geometry import Array
 
@@ -41,10 +41,10 @@ MEASURED, HOPEFUL = 16, 1.1
 Chosen on the seeds 0 to 15, and 0 to 29 (benchmark `depth`)."""
 ARM_M2, ARM_REACH_M, EXPLAINED_M = 0.055, 0.75, 0.08
 """m^2 of an arm that is seen from its side; m from the shoulder; m between what was drawn and seen"""
-LEAST_SHOWN, AGREED, BESIDE = 0.7, 0.8, 0.4
+LEAST_SHOWN, AGREED, NEARBY = 0.7, 0.8, 0.4
 """shares of an arm: in sight; of what is in sight, where it was seen; seen in its reach, but no part of the body. An
 arm that is so much in sight is looked for nowhere else. Chosen on the seeds 0 to 15 (benchmark `depth`)."""
-_FEW = 12
+_REMEMBERED_POSES = 12
 """sets of no more poses are looked up, and remembered: the same pose is judged several times in a frame"""
 
 
@@ -74,7 +74,7 @@ class PoseMemory(Generic[_Found]):
     def all(self, body: Body, poses: Array, find: Callable[[Array], NDArray[Any]]) -> NDArray[Any]:
         """What is kept of the poses (N, D), row by row; `find` finds it for those of which nothing is, and of many
         poses for all."""
-        if len(poses) > _FEW:
+        if len(poses) > _REMEMBERED_POSES:
             return find(poses)
         found = [self.get(body, pose) for pose in poses]
         new = [n for n, one in enumerate(found) if one is None]
@@ -219,9 +219,9 @@ class DepthEvidence(Evidence):
         and nothing in its reach that the body does not explain. shoulder: its joint."""
         at = standing.pose[:3] + standing.centres[shoulder]
         given = body.skeleton.tree, body.coarse.arrays, self.maps
-        in_sight, agreed, beside = compute.limb_shown(*given, standing, at, ARM_REACH_M, EXPLAINED_M).T
+        in_sight, agreed, nearby = compute.limb_shown(*given, standing, at, ARM_REACH_M, EXPLAINED_M).T
         shown = (in_sight >= LEAST_SHOWN * ARM_M2) & (agreed >= AGREED * in_sight)
-        return bool(shown.any() and (beside <= BESIDE * ARM_M2).all())
+        return bool(shown.any() and (nearby <= NEARBY * ARM_M2).all())
 
 
 def seen_depth(depth: Depth, tall: int = TALL) -> tuple[NDArray[np.bool_], SeenDepth]:

@@ -22,7 +22,7 @@ from hypose.evidence.frame import Expected, Silhouettes
 from hypose.geometry import DepthMap, Mask
 
 _LEAST_M, _SDS = 0.03, 4.0
-"""m, and standard deviations: how far before the room somebody has to stand"""
+"""m, and standard deviations: how far before the room a person has to stand"""
 _USUAL_SD = 0.006
 _ABOVE_FLOOR_M = 0.05
 _TALL_M, _SMALL_M, _WIDE_M = 2.4, 0.5, 2.2
@@ -31,7 +31,7 @@ _LEAST_PX, _REACH_M = 15, 0.6
 _LIKE = 0.1
 """how much like a person a piece is from which it may be one, or half of one behind another: 0.12 to 2.5 m^2 of it"""
 _TOP_M, _HEAD_M = 0.2, 0.35
-"""m from the top of somebody down, and how much they fill there across: a head .13 to .2, with hands beside it .34 at
+"""m from the top of a person down, and how much they fill there across: a head .13 to .2, with hands next to it .34 at
 most (eight motions, seeds 1 to 17)"""
 STILL_FRAMES = 16
 """maps, spread over a recording, that are looked at, at most, for things that stand still"""
@@ -40,15 +40,15 @@ _SEEN_SHARE = 0.5
 _FARTHER_SHARE, _WHOLE = 0.15, 0.7
 """share of the maps that may show something behind what stands still, and share of a thing that does"""
 _SPAN_M, _AREA_M2 = 1.75, 0.55
-"""m, m^2: how tall somebody is, and shows"""
-_BEFORE_M, _BESIDE_M, _HIDES = 0.25, 0.4, 0.03
-"""m by which a thing stands before the middle of who is seen, and beside; share of a person's area that it covers"""
+"""m, m^2: how tall a person is, and shows"""
+_BEFORE_M, _NEARBY_M, _HIDES = 0.25, 0.4, 0.03
+"""m by which a thing stands before the middle of who is seen, and next to; share of a person's area that it covers"""
 _APART_M = 0.35
 """m between the sides of the person and of a thing that is none of theirs"""
 _STILL_SHARE, _STILL_M = 0.8, 0.01
 """share of a recording's maps in which a thing is to be seen, and m by which its values may scatter"""
-_ELSEWHERE_M, _ELSEWHERE_SHARE, _SOMEBODY_PX = 0.9, 0.25, 300
-"""m that who moves stands away from a thing, in which share of the maps; px of somebody, at least"""
+_ELSEWHERE_M, _ELSEWHERE_SHARE, _PERSON_PX = 0.9, 0.25, 300
+"""m that who moves stands away from a thing, in which share of the maps; px of a person, at least"""
 _RIM = 3
 """px around what stands before the room that may still be the person's"""
 
@@ -82,8 +82,8 @@ def learn_background(maps: Sequence[DepthMap]) -> DepthBackground:
 
 def with_still_things(room: DepthBackground, maps: Sequence[DepthMap], camera: Camera) -> tuple[DepthBackground, float]:
     """The room with things in it that were not there when it was empty, and how much of them is seen, m^2, by maps
-    (h, w) m spread over a recording: what keeps its place while somebody moves elsewhere. The same room when nobody
-    is ever so far away that this can be told."""
+    (h, w) m spread over a recording: what keeps its place while a person moves elsewhere. The same room when no person
+     is ever so far away that this can be known."""
     stack = np.stack(maps)
     before = np.stack([_calm(before_room(m, room.depth, room.sd, _SDS, _LEAST_M)) for m in maps]) > 0
     often = before.sum(0) >= _STILL_SHARE * np.maximum((stack > 0).sum(0), 0.5 * len(maps))
@@ -95,7 +95,7 @@ def with_still_things(room: DepthBackground, maps: Sequence[DepthMap], camera: C
     sd[often] = 1.4826 * np.nanmedian(np.abs(values - middle[often]), axis=0)
     still = _calm((often & (sd < np.maximum(_SDS * room.sd, _STILL_M))).astype(np.uint8)) > 0
     others = before & (cv2.dilate(still.astype(np.uint8), np.ones((5, 5), np.uint8)) == 0)
-    at = [_place(camera, own, m) for own, m in zip(others, maps, strict=True) if own.sum() > _SOMEBODY_PX]
+    at = [_place(camera, own, m) for own, m in zip(others, maps, strict=True) if own.sum() > _PERSON_PX]
     labels, n = _pieces(still, middle)
     things, spread, area = np.full_like(room.depth, np.inf), room.sd.copy(), 0.0
     for k in range(1, n + 1):
@@ -121,7 +121,7 @@ def _place(camera: Camera, own: NDArray[np.bool_], depth: DepthMap) -> NDArray[n
 
 def person_before(depth: DepthMap, background: DepthBackground, focal_px: float | None = None) -> Mask:
     """(h, w) 0/1: what stands before the empty room, its holes filled; the largest thing and what is near it, also to
-    its sides, where the focal length is known: somebody else who stands beside the person is left out."""
+    its sides, where the focal length is known: another person who stands next to the person is left out."""
     if depth.shape != background.depth.shape:
         raise InputError(
             f"The depth map is {depth.shape[1]} x {depth.shape[0]} px, the empty room "
@@ -147,7 +147,8 @@ def people_before(depth: DepthMap, background: DepthBackground) -> Mask:
 
 def person_on_floor(depth: DepthMap, camera: Camera, room: DepthMap | None = None) -> Mask:
     """(h, w) 0/1: of what stands on the floor (z = 0 in the world), cut apart at jumps of depth, what is most like a
-    person; nobody when nothing is of a person's size. room (h, w) m: what is none, 0 = not known (`unlike_people`)."""
+    person; no person when nothing is of a person's size. room (h, w) m: what is none, 0 = not known
+    (`unlike_people`)."""
     found = _standing(_without(depth, room), camera)
     best = max(found.pieces, key=lambda k: found.pieces[k].like, default=0)
     if not best or not found.pieces[best].like:
@@ -157,29 +158,29 @@ def person_on_floor(depth: DepthMap, camera: Camera, room: DepthMap | None = Non
 
 
 def people_on_floor(depth: DepthMap, camera: Camera, room: DepthMap | None = None) -> Mask:
-    """(h, w) 0/1: the same of everything that may be a person, or what of one is seen beside another."""
+    """(h, w) 0/1: the same of everything that may be a person, or what of one is seen next to another."""
     own = _standing(_without(depth, room), camera).people()
     return holes_filled(_calm(own), depth, np.zeros(depth.shape, dtype=np.bool_))
 
 
 def unlike_people(maps: Sequence[DepthMap], camera: Camera) -> DepthMap:
     """(h, w) m: what stands still in maps spread over a recording and is not like a person, 0 elsewhere: walls, also
-    where somebody passes before them, what is small, and what is as wide at its top as a box. Whoever stands still the
-    whole time is none of it."""
+    where a person passes before them, what is small, and what is as wide at its top as a box. The person who stands
+    still the whole time is none of it."""
     stack = np.stack(maps)
     known = (stack > 0).mean(0) >= _SEEN_SHARE
     values = np.where(known, np.where(stack > 0, stack, np.nan), 0.0)
     middle = np.asarray(np.nanmedian(values, axis=0), dtype=np.float32)
     apart = _tolerance(middle)
     still = known & (1.4826 * np.nanmedian(np.abs(values - middle), axis=0) < apart)
-    still &= (values > middle + apart).mean(0) < _FARTHER_SHARE  # else somebody stood there, and went
+    still &= (values > middle + apart).mean(0) < _FARTHER_SHARE  # else a person stood there, and went
     found = _standing(middle, camera)
-    nobody = found.above & (found.people(_HEAD_M) == 0)
+    no_person = found.above & (found.people(_HEAD_M) == 0)
     count = int(found.labels.max()) + 1
     share = np.bincount(found.labels[still], minlength=count) / np.maximum(np.bincount(found.labels.ravel()), 1)
-    whole = (share > _WHOLE)[found.labels] & (found.labels > 0)  # not the middle of where somebody passed
+    whole = (share > _WHOLE)[found.labels] & (found.labels > 0)  # not the middle of where a person passed
     rim = cv2.dilate(whole.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
-    return np.where(still & nobody & rim, middle, 0).astype(np.float32)
+    return np.where(still & no_person & rim, middle, 0).astype(np.float32)
 
 
 def _tolerance(depth: DepthMap) -> DepthMap:
@@ -188,7 +189,7 @@ def _tolerance(depth: DepthMap) -> DepthMap:
 
 
 def _without(depth: DepthMap, room: DepthMap | None) -> DepthMap:
-    """The map without what is known to be of the room."""
+    """The map without the known part to be of the room."""
     if room is None:
         return depth
     return np.where((room > 0) & (depth > room - _tolerance(room)), 0, depth).astype(np.float32)
@@ -223,10 +224,10 @@ class _Standing:
         """(h, w) 0/1: these pieces, and those among others that may be limbs of theirs, before or behind the trunk."""
         middles = [self.pieces[k].middle for k in people]
 
-        def beside(p: _Piece) -> bool:
+        def nearby(p: _Piece) -> bool:
             return p.wide < 1 and any(np.linalg.norm(p.middle - m) < _REACH_M for m in middles)
 
-        own = np.isin(self.labels, [*people, *(k for k, p in among.items() if beside(p))]).astype(np.uint8)
+        own = np.isin(self.labels, [*people, *(k for k, p in among.items() if nearby(p))]).astype(np.uint8)
         rim = cv2.dilate(own, np.ones((3, 3), np.uint8)) > 0  # which no piece has
         return (rim & self.above).astype(np.uint8)
 
@@ -272,9 +273,9 @@ def behind_things(
         h, w = room.depth.shape
         metre = camera.K[0, 0] / away
         whole = int(_SPAN_M * metre)
-        # what is seen may be all but the legs, or all but the head
+        # the visible part may be all but the legs, or all but the head
         top, low = max(min(y0, y1 - whole), 0), min(max(y1, y0 + whole), h)
-        left, right = max(int(x0 - _BESIDE_M * metre), 0), min(int(x1 + _BESIDE_M * metre), w)
+        left, right = max(int(x0 - _NEARBY_M * metre), 0), min(int(x1 + _NEARBY_M * metre), w)
         part = slice(top, low), slice(left, right)
         where = (left, top), (camera.K, camera.camera_from_world), away - _BEFORE_M, _ABOVE_FLOOR_M
         before, count = things_before(room.depth[part], depth.person[c][part], *where, _calm)
@@ -295,7 +296,7 @@ def _pieces(mask: NDArray[np.bool_], depth: DepthMap) -> tuple[NDArray[np.int32]
     near = np.where(mask, depth, 1e3).astype(np.float32)
     calm = mask & (cv2.dilate(far, kernel) - cv2.erode(near, kernel) < 2 * JUMP_M)
     labels, n = _labelled(calm)
-    # edge pixels go to the piece beside them
+    # edge pixels go to the piece next to them
     grown = cv2.dilate(labels.astype(np.float32), kernel).astype(np.int32)
     return np.where(mask & (labels == 0), grown, labels).astype(np.int32), n
 
@@ -325,10 +326,10 @@ def _one_thing(before: Mask, depth: DepthMap, solid: NDArray[np.bool_], focal_px
     usual = middle_of_piece(labels, main, depth)
     if np.isnan(usual):  # a speck of holes
         return np.zeros(depth.shape, np.uint8)
-    beside = _APART_M / usual * (np.inf if focal_px is None else focal_px)
+    nearby = _APART_M / usual * (np.inf if focal_px is None else focal_px)
     keep = np.zeros(n, dtype=np.uint8)
     for k in np.flatnonzero(areas >= max(12, 0.01 * areas[main])):  # specks are many, and each costs a look
-        if left[k] - right[main] > beside or left[main] - right[k] > beside:
+        if left[k] - right[main] > nearby or left[main] - right[k] > nearby:
             continue
         keep[k] = k == main or abs(middle_of_piece(labels, int(k), depth) - usual) < 0.8  # never where all are holes
     keep[main] = 1

@@ -1,7 +1,7 @@
 """Depth: what depth cameras measure of a person, as points of the surface and as space that is known to be empty.
 
 A depth pixel says two things: the surface is there, within the noise of the sensor; and nothing lies before it. Values
-beside jumps of depth are mixtures of both sides (flying pixels), and are left out.
+next to jumps of depth are mixtures of both sides (flying pixels), and are left out.
 Source of the form of the noise: Khoshelham & Elberink 2012 (growing with the square of the distance); Nguyen, Izadi &
 Lovell 2012 (growing at grazing angles).
 """
@@ -79,7 +79,7 @@ class Depth:
 
     @cached_property
     def boxes(self) -> list[tuple[int, int, int, int]]:
-        """x0, y0, x1, y1 (half open, px) around each view's person; all 0 where there is nobody."""
+        """x0, y0, x1, y1 (half open, px) around each view's person; all 0 where there is no person."""
         around = [cv2.boundingRect(own) for own in self.person]
         return [(x, y, x + w, y + h) for x, y, w, h in around]
 

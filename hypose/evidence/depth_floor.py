@@ -12,7 +12,7 @@ from hypose.geometry import Array, rotation_between, se3
 
 _DRAWS, _POINTS = 300, 4000
 _NEAR_M, _TILTED = 0.02, np.cos(np.radians(50))
-_LEAST = 0.04
+_LEAST_SHARE = 0.04
 """share of the map that the floor must fill"""
 _BELOW_M, _LEVEL = 0.15, np.cos(np.radians(8))
 """m: a floor lies lower than that below a table; level planes are parallel but for so much"""
@@ -29,7 +29,7 @@ def camera_on_floor(depth: NDArray[np.float32], camera: Camera) -> Array:
     v, u = v[chosen], u[chosen]
     points = back_projected(camera, u, v, depth[v, u])
     rng = np.random.default_rng(0)
-    found = _plane(points, rng, _LEAST * len(points))
+    found = _plane(points, rng, _LEAST_SHARE * len(points))
     if found is None:
         raise EvidenceError(
             "The depth map shows no floor; turn the sensor so that it stands upright and sees the floor before it, or "
@@ -38,7 +38,7 @@ def camera_on_floor(depth: NDArray[np.float32], camera: Camera) -> Array:
     normal, offset = found
     while True:
         below = points[points @ normal - offset < -_BELOW_M]
-        lower = _plane(below, rng, _LEAST * len(points)) if len(below) >= _LEAST * len(points) else None
+        lower = _plane(below, rng, _LEAST_SHARE * len(points)) if len(below) >= _LEAST_SHARE * len(points) else None
         if lower is None or lower[0] @ normal < _LEVEL:
             break
         normal, offset = lower

@@ -1,8 +1,8 @@
 """People before depth cameras: clusters of the points that all sensors measure, and which pixels are whose.
 
-A measured pixel is a place in the world, so that it belongs to whose body, or cluster, it is nearest to: nobody has to
-be told apart in the picture. Pixels of others say nothing of a person who may be hidden behind them; of others who
-stand behind the person they say that the person is not there.
+A measured pixel is a place in the world, so that it belongs to whose body, or cluster, it is nearest to: no person has
+to be distinguished in the picture. Pixels of others say nothing of a person who may be hidden behind them; of others
+who stand behind the person they say that the person is not there.
 
 Where a person whom depth cameras see may be: the seen surface and what lies behind it.
 """
@@ -21,8 +21,8 @@ from hypose.errors import EvidenceError
 from hypose.evidence.depth_evidence import JUMP_M, Depth, back_projected, in_world, smooth_surface
 from hypose.evidence.frame import Expected, Frame, Silhouettes
 from hypose.evidence.hull import Hull
-from hypose.evidence.hull_people import BESIDE, SMALL, VOXEL, HullPerson, people_in_hull, people_of_hull
-from hypose.evidence.shared_masks import DrawnShape, Other, Shape, own_silhouettes
+from hypose.evidence.hull_people import PART_OF_LARGER_M, SMALL, VOXEL, HullPerson, people_in_hull, people_of_hull
+from hypose.evidence.shared_masks import DrawnShape, Other, StandingShape, own_silhouettes
 from hypose.geometry import Array
 
 _THICK_M, _VOXEL_M = 0.16, 0.03
@@ -60,17 +60,17 @@ def space_behind(depth: Depth, bounds: Array | None = None) -> Hull:
 SURFACE_LITRES = 15.0
 """A person shows at least so much of their surface, in voxels of VOXEL, to one sensor; arms between two show less."""
 _EXPLAINED_M, _REACH_M = 0.2, 0.5
-"""m: what lies so near to a body is explained by it; what lies further away than the second is nobody's yet"""
+"""m: what lies so near to a body is explained by it; what lies further away than the second is no person's yet"""
 _CLUSTER_M = 0.08
 """m: a pixel of a cluster that is nearer than this to another's body is theirs"""
 _BEHIND_M = 0.4
-"""m behind what is seen of a person: others there do not hide them"""
+"""m behind the visible part of a person: others there do not hide them"""
 _LEAST_PX, _PER_VOXEL = 50, 2
 _EDGE = np.ones((5, 5), np.uint8)
 
 
 def people_seen(frame: Frame, known: Sequence[Other] = (), *, floor: float = 0.0) -> list[HullPerson]:
-    """Who stands before the cameras of a frame beside those that are known, the largest first: by depth where there is
+    """Who stands before the cameras of a frame next to those that are known, the largest first: by depth where there is
     depth, else by the visual hull. floor: m, its height."""
     if frame.depth is not None:
         return people_in_depth(frame.depth, known, floor=floor)
@@ -80,8 +80,8 @@ def people_seen(frame: Frame, known: Sequence[Other] = (), *, floor: float = 0.0
 def people_in_depth(
     depth: Depth, known: Sequence[Other] = (), *, floor: float = 0.0, most: int = 8
 ) -> list[HullPerson]:
-    """Who is in the maps beside those that are known, the largest first; a pixel belongs to whose axis it is nearest
-    to. Values between both sides of an edge are nobody."""
+    """Who is in the maps next to those that are known, the largest first; a pixel belongs to whose axis it is nearest
+    to. Values between both sides of an edge are no person."""
     at, points = depth.pixels
     calm = np.stack([cv2.dilate(m, _EDGE[:3, :3]) - cv2.erode(m, _EDGE[:3, :3]) < 2 * JUMP_M for m in depth.maps])
     rest = calm[tuple(at.T)]
@@ -113,7 +113,7 @@ def _without_parts(found: Sequence[HullPerson]) -> list[HullPerson]:
     """People, the largest first, with the pixels of what is only a part of them: an arm held out."""
     kept = list[HullPerson]()
     for person in found:
-        near = [k for k, o in enumerate(kept) if np.linalg.norm(o.axis - person.axis) < BESIDE]
+        near = [k for k, o in enumerate(kept) if np.linalg.norm(o.axis - person.axis) < PART_OF_LARGER_M]
         larger = next((k for k in near if person.litres < SMALL * kept[k].litres), None)
         if larger is None:
             kept.append(person)
@@ -124,7 +124,7 @@ def _without_parts(found: Sequence[HullPerson]) -> list[HullPerson]:
     return kept
 
 
-def own_frame(frame: Frame, own: Shape, others: Sequence[Other], anywhere: bool = False) -> Frame:
+def own_frame(frame: Frame, own: StandingShape, others: Sequence[Other], anywhere: bool = False) -> Frame:
     """A frame of several people as evidence for one of them; own, others, anywhere: as for `own_silhouettes`."""
     if frame.silhouettes is None:
         return frame
@@ -134,11 +134,11 @@ def own_frame(frame: Frame, own: Shape, others: Sequence[Other], anywhere: bool 
     colour = frame.silhouettes.usable & ~frame.depth.usable
     if colour.any():
         alone = replace(frame.silhouettes, usable=colour)
-        silhouettes = _beside(silhouettes, own_silhouettes(alone, own, others, anywhere), colour)
+        silhouettes = _nearby(silhouettes, own_silhouettes(alone, own, others, anywhere), colour)
     return replace(frame, silhouettes=silhouettes, depth=depth)
 
 
-def _beside(of_depth: Silhouettes, of_colour: Silhouettes, colour: NDArray[np.bool_]) -> Silhouettes:
+def _nearby(of_depth: Silhouettes, of_colour: Silhouettes, colour: NDArray[np.bool_]) -> Silhouettes:
     """The outlines of depth cameras with those of colour cameras, where `colour` (C,)."""
 
     def merged(a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:
@@ -157,7 +157,7 @@ def _beside(of_depth: Silhouettes, of_colour: Silhouettes, colour: NDArray[np.bo
 
 
 def own_depth(
-    silhouettes: Silhouettes, depth: Depth, own: Shape, others: Sequence[Other], anywhere: bool = False
+    silhouettes: Silhouettes, depth: Depth, own: StandingShape, others: Sequence[Other], anywhere: bool = False
 ) -> tuple[Silhouettes, Depth]:
     """What of maps that show several people is one person's, and the outlines to it; nothing of other cameras."""
     at, points = depth.pixels
@@ -180,7 +180,7 @@ def own_depth(
             body[:] = 0
             continue
         whole, last = depth.person[c] > 0, float(np.percentile(seen[body > 0], 98)) + _BEHIND_M
-        # what lies between both sides of an edge, and holes, are of whoever is beside, as for one person alone
+        # what lies between both sides of an edge, and holes, are of the person who is next to, as for one person alone
         body[whole & (taken[c] == 0) & (cv2.dilate(body, _EDGE) > 0)] = 1
         near = (taken[c] > 0) & (seen < last)
         rim = cv2.dilate(near.astype(np.uint8), _EDGE) > 0
@@ -195,8 +195,8 @@ def own_depth(
     return outlines, replace(depth, person=masks, usable=usable.copy())
 
 
-def _away(shape: Shape, at: NDArray[np.int64], points: Array) -> Array:
-    """(N,) m: how far measured pixels (N, 3), at points (N, 3) m, lie from somebody; inf where it is too far to
+def _away(shape: StandingShape, at: NDArray[np.int64], points: Array) -> Array:
+    """(N,) m: how far measured pixels (N, 3), at points (N, 3) m, lie from a person; inf where it is too far to
     matter."""
     from scipy.spatial import KDTree  # takes long to import
 

@@ -21,7 +21,7 @@ from hypose.evidence.terms import Term
 from hypose.geometry import Array
 
 BODY_SD = 0.012
-"""m: how far a person's surface lies beside that of a body of the right size: clothes, folds, flesh"""
+"""m: how far a person's surface lies next to that of a body of the right size: clothes, folds, flesh"""
 WEIGHT, SCALE_M = 0.1, 0.025
 """Of one point, the robust scale of its distance. Chosen on simulated recordings of the seeds 0 to 9
 (benchmark `depth`)."""
@@ -127,8 +127,8 @@ def rings(body: Body) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
         others = np.stack([np.roll(faces, -k, axis=1)[:, 1:] for k in range(3)], 1).reshape(-1, 2)[order]
         begins, ends = (corners[order] * count + others[:, k] for k in (0, 1))
         by_end = np.argsort(ends, kind="stable")
-        beside = by_end[np.minimum(np.searchsorted(ends[by_end], begins), len(ends) - 1)]
-        beside = np.where(ends[beside] == begins, beside, np.arange(len(ends)))
-        ring = np.column_stack([others, beside])
+        nearby = by_end[np.minimum(np.searchsorted(ends[by_end], begins), len(ends) - 1)]
+        nearby = np.where(ends[nearby] == begins, nearby, np.arange(len(ends)))
+        ring = np.column_stack([others, nearby])
         kept = _RINGS[id(body.coarse)] = body, first, np.ascontiguousarray(ring, dtype=np.int32)
     return kept[1], kept[2]

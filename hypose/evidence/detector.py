@@ -41,5 +41,6 @@ def openpose_document(people: ArrayLike) -> dict[str, Any]:
     seen = [p for p in np.asarray(people, dtype=np.float64) if (p[:, 2] > 0).any()]
     return {
         "version": 1.3,
+        "program": "hypose",
         "people": [{"person_id": [-1], "pose_keypoints_2d": np.round(p, 3).ravel().tolist()} for p in seen],
     }

@@ -44,11 +44,11 @@ def _strongest_gradient(image: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.asarray(field, dtype=np.float32)
 
 
-STEEP, WRONG = 6.0, 2.0
+_STEEP, WRONG = 6.0, 2.0
 """Sobel slope of the flow and forward-backward error (px) that make a full motion boundary"""
 SMOOTHING, GAIN = 3.0, 1.6
 """px by which boundaries are smoothed, and what makes up for the height that this takes"""
-LEAST = 48
+_LEAST_SIDE_PX = 48
 """px: the flow of a smaller part of a picture has no support at its coarse scales"""
 
 
@@ -81,15 +81,17 @@ def optical_flow(
         )
     h, w = current.shape
     x0, x1, y0, y1 = _wide_enough(box or (0, w, 0, h), w, h)
-    if min(x1 - x0, y1 - y0) < LEAST:
-        raise InputError(f"Flow needs pictures of at least {LEAST} x {LEAST} px, got {w} x {h}; give larger ones.")
+    if min(x1 - x0, y1 - y0) < _LEAST_SIDE_PX:
+        raise InputError(
+            f"Flow needs pictures of at least {_LEAST_SIDE_PX} x {_LEAST_SIDE_PX} px, got {w} x {h}; give larger ones."
+        )
     a, b = (np.ascontiguousarray(p[y0:y1, x0:x1]) for p in (previous, current))
     solver = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     there = np.asarray(solver.calc(a, b, None), dtype=np.float32)  # type: ignore[call-overload]
     back = np.asarray(solver.calc(b, a, None), dtype=np.float32)  # type: ignore[call-overload]
     slopes = [cv2.Sobel(back, cv2.CV_32F, 1 - k, k, borderType=cv2.BORDER_REPLICATE) for k in range(2)]
     steepness = np.sqrt((np.stack(slopes) ** 2).sum((0, 3)))
-    raw = np.minimum(steepness / STEEP, 1) + np.minimum(_flow_error(back, there) / WRONG, 1)
+    raw = np.minimum(steepness / _STEEP, 1) + np.minimum(_flow_error(back, there) / WRONG, 1)
     smooth = np.minimum(cv2.GaussianBlur(raw, (0, 0), SMOOTHING) * np.float32(GAIN), np.float32(1))
     return Flow(there, _flow_error(there, back), np.asarray(smooth, dtype=np.float32), (x0, y0))
 
@@ -104,12 +106,12 @@ def _flow_error(there: NDArray[np.float32], back: NDArray[np.float32]) -> NDArra
 
 
 def _wide_enough(box: tuple[int, int, int, int], w: int, h: int) -> tuple[int, int, int, int]:
-    """The box inside the picture, at least LEAST px wide and high where the picture is."""
+    """The box inside the picture, at least _LEAST_SIDE_PX px wide and high where the picture is."""
     out: list[int] = []
     for low, high, size in ((box[0], box[1], w), (box[2], box[3], h)):
         low, high = max(int(low), 0), min(int(high), size)
-        if high - low < LEAST:
-            low = max(min((low + high - LEAST) // 2, size - LEAST), 0)
-            high = min(low + LEAST, size)
+        if high - low < _LEAST_SIDE_PX:
+            low = max(min((low + high - _LEAST_SIDE_PX) // 2, size - _LEAST_SIDE_PX), 0)
+            high = min(low + _LEAST_SIDE_PX, size)
         out += [low, high]
     return out[0], out[1], out[2], out[3]

@@ -37,8 +37,8 @@ class Silhouettes:
 
     masks: (C, h, w) uint8, 1 = person; views of different size are padded with 0 to the common (h, w), `rig.sizes`
     tells each view's own size. rig: the pinhole cameras of these masks. usable: (C,) bool, False for a view that is
-    left out (empty, collapsed, or its camera delivered no frame). reasons: (C,) short text, "" when usable.
-    ignored: (C, h, w) uint8, 1 = the pixel says nothing of this person, for somebody else's body covers it: neither
+     left out (empty, collapsed, or its camera delivered no frame). reasons: (C,) short text, "" when usable.
+    ignored: (C, h, w) uint8, 1 = the pixel says nothing of this person, for another person's body covers it: neither
     mask nor "no mask"; None: all pixels tell. expected: where this person is expected, which must be known then: the
     masks themselves, of several people, do not tell how tall one of them is.
     """
@@ -50,12 +50,12 @@ class Silhouettes:
     ignored: NDArray[np.uint8] | None = None
     expected: Expected | None = None
     ahead: Any = field(default=None, init=False, compare=False, repr=False)
-    """what hypose.evidence.ahead keeps of these very masks, so that it is made once; a copy begins without"""
+    """what hypose.evidence.prefetch keeps of these very masks, so that it is made once; a copy begins without"""
 
     @cached_property
     def areas(self) -> NDArray[np.int64]:
         """(C,) foreground pixels."""
-        return np.array([np.count_nonzero(view) for view in self.told], dtype=np.int64)
+        return np.array([np.count_nonzero(view) for view in self.informative], dtype=np.int64)
 
     @cached_property
     def shared(self) -> NDArray[np.bool_]:
@@ -65,7 +65,7 @@ class Silhouettes:
         return np.array([view.any() for view in self.ignored], dtype=np.bool_)
 
     @property
-    def told(self) -> NDArray[np.uint8]:
+    def informative(self) -> NDArray[np.uint8]:
         """(C, h, w) the masks without what is ignored."""
         return self.masks if self.ignored is None else np.greater(self.masks, self.ignored).view(np.uint8)
 
@@ -96,7 +96,7 @@ class Detections:
 @dataclass(frozen=True)
 class SensorReport:
     """What a sensor says of one person at one instant. time: s on its own clock; person: its number, None when it sees
-    nobody (the arrays are empty); positions (J, 3) m in the sensor's frame, NaN where missing; state (J,) uint8 0
+    no person (the arrays are empty); positions (J, 3) m in the sensor's frame, NaN where missing; state (J,) uint8 0
     not tracked, 1 inferred, 2 tracked; arrival: s on the clock of the computer that received it, None: not known."""
 
     sensor: str

@@ -1,6 +1,6 @@
 """Key points that were held over gaps: a detector, or what filled its gaps, went on giving the last place it knew.
 
-Detections of somebody who stands still differ in their last digits; what is the same to the last digit in several
+Detections of a person who stands still differ in their last digits; what is the same to the last digit in several
 frames, while most other points of the same view move on, was not seen there.
 """
 
@@ -16,7 +16,7 @@ from hypose.geometry import Array
 _HELD = 3  # frames with the same place from which on it is held; the first of them is a detection
 _MOVING = 0.7  # share of the people's points in a frame that have to move on
 _COARSE = 0.1  # share of a view's places that repeat from which on they are rounded too far, or too still, to tell
-_LEAST = 6  # points of a frame that tell whether the others move
+_LEAST_POINTS = 6  # points of a frame that tell whether the others move
 
 
 def without_held(column: Sequence[Array | None], first: int = 0) -> tuple[list[Array | None], int]:
@@ -37,7 +37,7 @@ def without_held(column: Sequence[Array | None], first: int = 0) -> tuple[list[A
             places, ages = before
             same = (place[:, None] == places[None]).all(-1)  # (P, P', K)
             age = np.where(there, 1 + np.where(same, ages[None], 0).max(1), 1)
-            moving = there.sum() >= _LEAST and (age[there] == 1).mean() >= _MOVING
+            moving = there.sum() >= _LEAST_POINTS and (age[there] == 1).mean() >= _MOVING
             seen, repeated = seen + int(there.sum()), repeated + int((age[there] > 1).sum())
             held = there & (age >= _HELD) & moving
             people[held, 2], count = 0.0, count + int(held.sum())

@@ -130,11 +130,11 @@ def visual_hull(
     levels = max(0, int(np.ceil(np.log2(extent.max() / (voxel * _COARSE)))))
     cells = np.ceil(extent / (voxel * 2**levels)).astype(np.int64)
     index = np.stack(np.meshgrid(*(np.arange(n) for n in cells), indexing="ij"), -1).reshape(-1, 3)
-    told, ignored = silhouettes.told, silhouettes.ignored
+    given, ignored = silhouettes.informative, silhouettes.ignored
     if surely is None:
         surely = min(len(views), 3 if silhouettes.expected is None else 2)
     sure = 0 if ignored is None else surely
-    free_of = told if ignored is None else silhouettes.masks | ignored
+    free_of = given if ignored is None else silhouettes.masks | ignored
     sums = {int(c): _summed(free_of[c]) for c in views}
     corner = np.stack(np.meshgrid(*[(0, 1)] * 3, indexing="ij"), -1).reshape(8, 3)
     for level in range(levels, -1, -1):
@@ -147,8 +147,8 @@ def visual_hull(
             free += empty
             hits += hit
             if sure and not level:
-                plain += _free_cells(camera, told[c], sums[int(c)], centres, 0.0)[1]
-            # nobody looks again at what is out already
+                plain += _free_cells(camera, given[c], sums[int(c)], centres, 0.0)[1]
+            # no person looks again at what is out already
             left = len(views) - 1 - k
             open_ = (free <= miss) & (hits + left >= min_views) & (plain + left >= sure if not level else True)
             index, centres = index[open_], centres[open_]

@@ -1,8 +1,9 @@
 """People in the visual hull: parts of it that stand on the floor, each about one upright axis.
 
 A hull of several people has parts of each of them, and ghosts where the rays of one camera that see one person cross
-those of another camera that see another. Whoever is explained already is left out first (`hypose.evidence.shared_masks`
-ignores their pixels), and a person must be shown by several views in pixels that nobody explains.
+those of another camera that see another. The person who is explained already is left out first
+(`hypose.evidence.shared_masks` ignores their pixels), and a person must be shown by several views in pixels that no
+person explains.
 """
 
 from __future__ import annotations
@@ -23,22 +24,22 @@ from hypose.evidence.shared_masks import DrawnShape, Other, without
 from hypose.geometry import Array
 
 VOXEL = 0.04
-LITRES, TALL, FROM_FLOOR = 20.0, 1.0, 0.5
+LITRES, _TALL, FROM_FLOOR = 20.0, 1.0, 0.5
 """A person has at least so many litres of hull, reaches so high, m, and begins that near to the floor, m."""
 CHILD_LITRES, CHILD, SLENDER = 12.0, 0.75, 42.0
 """A child has at least so many litres, reaches so high, m, and has no more litres than this times the cube of that: of
 children of 0.9 to 1.1 m it was 23 to 39 in four views, of people of any age 20 to 36; of stools, chairs, dogs, bins and
 suitcases 48 to 140."""
-VIEWS = 3
-"""So many views must show a person in pixels that nobody else explains; with two there are ghosts."""
-ABOUT, REACH, APART = 0.3, 0.9, 0.42
+FEWEST_VIEWS = 3
+"""So many views must show a person in pixels that no other person explains; with two there are ghosts."""
+ABOUT, REACH, _APART = 0.3, 0.9, 0.42
 """m: what of the hull lies so near to an upright axis makes a person; what lies further away may be theirs, too; no two
 axes lie nearer to each other."""
 OWN_SHARE = 0.12
-"""Share of what a person fills of a view that nobody else may fill."""
-BESIDE, SMALL = 0.5, 0.6
-"""Whoever stands that near to somebody larger, m, and has no more than this share of their hull is a part of them: a
-seated person's knees, an arm held out."""
+"""Share of what a person fills of a view that no other person may fill."""
+PART_OF_LARGER_M, SMALL = 0.5, 0.6
+"""The person who stands that near to a person larger, m, and has no more than this share of their hull is a part of
+them: a seated person's knees, an arm held out."""
 _SPREAD, _FINE = 0.12, 0.06
 _WIDENED = 0.01
 _NEAR_CAMERA = 0.2
@@ -63,10 +64,10 @@ class HullPerson:
     @property
     def tall(self) -> bool:
         """As tall as most people are; a child may not be."""
-        return self.hull.height > TALL
+        return self.hull.height > _TALL
 
     @property
-    def is_somebody(self) -> bool:
+    def is_person(self) -> bool:
         """Whether there is as much of it as there is of a person, or of a child."""
         if self.tall:
             return self.litres > LITRES
@@ -101,19 +102,19 @@ def people_in_hull(
     floor: float = 0.0,
     most: int = 8,
 ) -> list[HullPerson]:
-    """Who stands in the masks beside those that are known, the largest first; none when too few views are usable.
+    """Who stands in the masks next to those that are known, the largest first; none when too few views are usable.
 
     floor: m, height of the floor. The space searched is the cameras' common view, between the floor and what a person
     reaches. A voxel belongs to whose axis it is nearest to."""
     views = int(silhouettes.usable.sum())
-    least = min(VIEWS, views)
+    least = min(FEWEST_VIEWS, views)
     left = without(silhouettes, known)
-    if views < 2 or (left.told.any((1, 2)) & left.usable).sum() < least:
+    if views < 2 or (left.informative.any((1, 2)) & left.usable).sum() < least:
         return []
     try:
         bounds = common_view_bounds(silhouettes.rig)
         bounds = np.array([[*bounds[0, :2], floor - 0.3], [*bounds[1, :2], floor + 2.6]])
-        # nobody known: all views that see the place; somebody known: what they cover may be in the mask or not
+        # no person known: all views that see the place; a person known: what they cover may be in the mask or not
         hull = visual_hull(left, bounds, VOXEL, min_views=least, largest=False, surely=least)
     except EvidenceError:
         return []
@@ -132,7 +133,7 @@ def _axes(hull: Hull, floor: float, most: int, surface: float) -> list[tuple[Arr
     litre, points = 1e3 * hull.voxel**3, hull.points
     filled = np.pad(hull.occupancy.sum(2), _RIM)
     density = np.asarray(ndimage.gaussian_filter(filled * litre, _SPREAD / hull.voxel))
-    disc, small, wide = (_disc(r / hull.voxel) for r in (ABOUT, _FINE, APART))
+    disc, small, wide = (_disc(r / hull.voxel) for r in (ABOUT, _FINE, _APART))
     beyond = wide.shape[0] // 2
     free = np.pad(density > 0, beyond)  # so that no disc ends at the plan's border
     axes: list[Array] = []
@@ -147,20 +148,20 @@ def _axes(hull: Hull, floor: float, most: int, surface: float) -> list[tuple[Arr
         if _within(filled, i, j, disc) * litre > (surface or CHILD_LITRES):
             axis = hull.origin[:2] + (np.array([i, j]) - _RIM) * hull.voxel
             away = np.linalg.norm(points[:, :2] - axis, axis=1)
-            if _stands(points[away < ABOUT], np.count_nonzero(away < BESIDE) * litre, litre, floor, surface):
+            if _stands(points[away < ABOUT], np.count_nonzero(away < PART_OF_LARGER_M) * litre, litre, floor, surface):
                 axes.append(axis)
-                taken = wide  # nobody else stands so near
+                taken = wide  # no other person stands so near
         r = taken.shape[0] // 2
         free[i + beyond - r : i + beyond + r + 1, j + beyond - r : j + beyond + r + 1] &= ~taken
     if not axes:
         return []
-    # judged again by what is nearest to each: knees and arms before a trunk are nobody
+    # judged again by what is nearest to each: knees and arms before a trunk are no person
     while True:
         away = np.linalg.norm(points[:, None, :2] - np.array(axes), axis=2)
         nearest = away.argmin(1)
-        beside = (away < BESIDE).sum(0) * litre
+        nearby = (away < PART_OF_LARGER_M).sum(0) * litre
         near = [points[(nearest == k) & (away[:, k] < ABOUT)] for k in range(len(axes))]
-        stands = [_stands(own, beside[k], litre, floor, surface) for k, own in enumerate(near)]
+        stands = [_stands(own, nearby[k], litre, floor, surface) for k, own in enumerate(near)]
         if all(stands) or len(axes) == 1:
             return [(axis, (nearest == k) & (away[:, k] < REACH)) for k, axis in enumerate(axes)]
         worst = max(k for k, ok in enumerate(stands) if not ok)  # they come in the order of their density
@@ -183,29 +184,29 @@ def _within(filled: NDArray[np.integer], i: int, j: int, disc: NDArray[np.bool_]
     return int(part[own].sum())
 
 
-def _stands(near: Array, beside: float, litre: float, floor: float, surface: float) -> bool:
-    """Do the voxels (M, 3) m about an axis make a person? beside: litres as near as BESIDE, of whomever: a part of
-    something wide is no child; a child's surface alone is no more than a piece of furniture shows."""
+def _stands(near: Array, nearby: float, litre: float, floor: float, surface: float) -> bool:
+    """Do the voxels (M, 3) m about an axis make a person? next to: litres as near as PART_OF_LARGER_M, of whomever: a
+    part of something wide is no child; a child's surface alone is no more than a piece of furniture shows."""
     if not len(near) or near[:, 2].min() - floor > FROM_FLOOR:
         return False
     litres, height = len(near) * litre, float(np.ptp(near[:, 2]))
-    if height > TALL:
+    if height > _TALL:
         return litres > (surface or LITRES)
-    return not surface and height > CHILD and litres > CHILD_LITRES and beside < SLENDER * height**3
+    return not surface and height > CHILD and litres > CHILD_LITRES and nearby < SLENDER * height**3
 
 
 def _not_ghosts(left: Silhouettes, found: list[HullPerson], least: int) -> list[HullPerson]:
     """Those who show something of their own in several views: ghosts lie where the masks belong to others."""
-    told, kept, others = left.told, list[HullPerson](), list[Other]()
+    given, kept, others = left.informative, list[HullPerson](), list[Other]()
     for person in found:
-        near = [k for k in kept if np.linalg.norm(k.axis - person.axis) < BESIDE]
+        near = [k for k in kept if np.linalg.norm(k.axis - person.axis) < PART_OF_LARGER_M]
         if any(person.litres < SMALL * k.litres for k in near):
             continue
         shape = person.shape(left.rig)
-        rest = told & without(left, others).told
+        rest = given & without(left, others).informative
         own = np.array([int((shape.masks[c] & rest[c]).sum()) for c in np.flatnonzero(left.usable)])
         whole = np.array([max(int(shape.masks[c].sum()), 1) for c in np.flatnonzero(left.usable)])
-        if (own > OWN_SHARE * whole).sum() >= least and person.is_somebody:
+        if (own > OWN_SHARE * whole).sum() >= least and person.is_person:
             kept.append(person)
             others.append(Other(shape, _WIDENED))
     return kept

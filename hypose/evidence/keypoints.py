@@ -181,7 +181,7 @@ def parse_openpose(
 
 
 def tallest(people: ArrayLike, min_confidence: float = 0.2) -> int | None:
-    """Index of the person (P, K, 3) who reaches over most of the picture from top to bottom, None for nobody."""
+    """Index of the person (P, K, 3) who reaches over most of the picture from top to bottom, None for no person."""
     p = np.asarray(people, dtype=np.float64)
     if len(p) == 0:
         return None

@@ -1,8 +1,8 @@
 """The one person that a recording is about, of all whom its views' key points show.
 
-Where the cameras' rays agree, people are told apart by them (`hypose.evidence.association`). Where they do not, because
-there is one camera or the calibration is wrong, each view follows people by itself, and who is who across views is told
-by how they move (`hypose.evidence.view_tracks`): a calibration can then still be examined, on one person.
+Where the cameras' rays agree, people are distinguished by them (`hypose.evidence.association`). Where they do not,
+because there is one camera or the calibration is wrong, each view follows people by itself, and who is who across views
+ is decided by how they move (`hypose.evidence.view_tracks`): a calibration can then still be examined, on one person.
 """
 
 from __future__ import annotations
@@ -22,23 +22,23 @@ from hypose.evidence.ray_matching import Views, meet
 from hypose.evidence.view_tracks import ViewTrack, moves_as, taken, view_tracks
 from hypose.geometry import Array
 
-_SEEN = 0.1
-_LEAST = 4
-_PATIENCE = 1.2  # s for which a view follows somebody by itself
-_PART = 0.1  # share of the clip for which somebody has to be there to be looked at
-_AGREED = 0.3  # share of the frames in which two views show somebody, in which rays have to agree on the person
-_FITS = 0.25  # share of a view's frames with somebody, from which it sees the person where the others do
-_NEAR, _HITS = 0.08, 0.75  # m from the person's points, and share of a view's key points that lie so near to them
+_LEAST_CONFIDENCE = 0.1
+_LEAST_POINTS = 4
+_PATIENCE = 1.2  # s for which a view follows a person by itself
+_PART = 0.1  # share of the clip for which a person has to be there to be looked at
+_AGREED = 0.3  # share of the frames in which two views show a person, in which rays have to agree on the person
+_FITS = 0.25  # share of a view's frames with a person, from which it sees the person where the others do
+_NEAR_M, _HITS = 0.08, 0.75  # m from the person's points, and share of a view's key points that lie so near to them
 _SAME = 0.06  # distance from the epipolar lines, in sizes of the person, up to which it may be the same one
 _COMPARED = 3  # people per view that are compared by their motion
 
 
 @dataclass(frozen=True)
 class OnePerson:
-    """points (T, C, K, 3 or more): as they were given, confidence 0 where the person is not seen. several: somebody
-    else is there for a good part of the clip. people: those seen by two views or more, the one meant first. by_rays:
-    whether rays told who is who; else motion did. apart: views whose detections do not fit the person's place. notes:
-    sentences for the user; of_all: those of them that hold as well where everybody is followed."""
+    """points (T, C, K, 3 or more): as they were given, confidence 0 where the person is not seen. several: another
+     person is there for a good part of the clip. people: those seen by two views or more, the one meant first. by_rays:
+    whether rays stated who is who; else motion did. apart: views whose detections do not fit the person's place. notes:
+    sentences for the user; of_all: those of them that hold as well where all people is followed."""
 
     points: Array
     several: bool
@@ -62,7 +62,7 @@ def one_person(
 
     candidates, names, rig, settings: as in `hypose.evidence.association.people_of`. doubting: the calibration itself is
     in question, so that a view that does not fit keeps the person who moves like the one of the other views; else it is
-    left out."""
+     left out."""
     frames, views = len(candidates), len(rig)
     columns = [[frame[c] for frame in candidates] for c in range(views)]
     shown = np.array([[_anybody(people) for people in column] for column in columns]).T  # (T, C)
@@ -90,8 +90,8 @@ def one_person(
     there = slice(person.first, person.last + 1)
     seen, offered = person.seen.sum(0), shown[there].sum(0)
     absent = (offered > _PART * frames) & (seen < _FITS * offered)
-    beside = absent if doubting else absent | _passes_by(person, rig, absent)
-    apart = tuple(int(c) for c in np.flatnonzero(beside))
+    nearby = absent if doubting else absent | _passes_by(person, rig, absent)
+    apart = tuple(int(c) for c in np.flatnonzero(nearby))
     notes = []
     others = [t for i, t in enumerate(tracks) if i != number and len(t) >= max(5, _PART * frames)]
     twice = [t for t in others if _never_together(person, t)]
@@ -127,24 +127,26 @@ def one_person(
 
 
 def _passes_by(person: PersonTrack, rig: CameraRig, absent: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """(C,) views that seem to see the person, but whose key points lie beside where the rays of the others meet: the
+    """(C,) views that seem to see the person, but whose key points lie next to where the rays of the others meet: the
     worst first, as long as three or more are left to tell."""
     views = Views(rig)
     points = person.points.transpose(1, 0, 2, 3)[..., :3].copy()
     points[absent] = 0.0
     out = np.zeros(len(rig), dtype=np.bool_)
     world = person.world
-    while (points[..., 2] > _SEEN).any((1, 2)).sum() > 2:
+    while (points[..., 2] > _LEAST_CONFIDENCE).any((1, 2)).sum() > 2:
         uv, metres = views.seen_at(world)
         with np.errstate(invalid="ignore"):
             far = np.linalg.norm(uv - points[..., :2], axis=-1) * metres
-        known = np.isfinite(far) & (points[..., 2] > _SEEN)
-        hits = np.where(known.any((1, 2)), (known & (far < _NEAR)).sum((1, 2)) / np.maximum(known.sum((1, 2)), 1), 1.0)
+        known = np.isfinite(far) & (points[..., 2] > _LEAST_CONFIDENCE)
+        hits = np.where(
+            known.any((1, 2)), (known & (far < _NEAR_M)).sum((1, 2)) / np.maximum(known.sum((1, 2)), 1), 1.0
+        )
         worst = int(hits.argmin())
         if hits[worst] >= _HITS:
             break
         out[worst], points[worst] = True, 0.0
-        world, _ = meet(views, points, _NEAR)
+        world, _ = meet(views, points, _NEAR_M)
     return out
 
 
@@ -162,11 +164,11 @@ def _anybody(people: Array | None) -> bool:
 
 
 def _how_many(people: Array | None) -> int:
-    return 0 if people is None else int(np.count_nonzero((people[..., 2] > _SEEN).sum(-1) >= _LEAST))
+    return 0 if people is None else int(np.count_nonzero((people[..., 2] > _LEAST_CONFIDENCE).sum(-1) >= _LEAST_POINTS))
 
 
 def _stranger(column: Sequence[Array | None], tracks: Sequence[PersonTrack], c: int, frames: int) -> bool:
-    """Whether a view shows somebody who is none of the people, for a good part of the clip."""
+    """Whether a view shows a person who is none of the people, for a good part of the clip."""
     known = np.zeros(frames, dtype=np.int64)
     for t in tracks:
         known[t.first : t.last + 1] += t.candidates[:, c] >= 0
@@ -203,7 +205,7 @@ def _alike_in_all(points: Sequence[Sequence[Array]]) -> list[int]:
         for i, one in enumerate(points[a]):
             for j, other in enumerate(points[b]):
                 apart[a, i, b, j] = moves_as(one, other)
-    there = [[float((p[..., 2] > _SEEN).any(1).sum()) for p in v] for v in points]
+    there = [[float((p[..., 2] > _LEAST_CONFIDENCE).any(1).sum()) for p in v] for v in points]
     most = [max(t, default=1.0) for t in there]
     best, least = [0] * len(points), np.inf
     for choice in itertools.product(*(range(len(points[c])) for c in views)):
@@ -225,7 +227,7 @@ def _alike_in_all(points: Sequence[Sequence[Array]]) -> list[int]:
 def _alike(
     column: Sequence[Array | None], tracks: Sequence[ViewTrack], others: Array, names: Sequence[str], width: int
 ) -> Array:
-    """Points (T, K, width) of whom of a view's people moves like the person (T, C, K, 3) of the other views; nobody
+    """Points (T, K, width) of whom of a view's people moves like the person (T, C, K, 3) of the other views; no person
     where none does."""
     twin = other_sides(names)
     scored = []

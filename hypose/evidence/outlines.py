@@ -1,4 +1,4 @@
-"""Outlines of masks: signed distances and points on the edge. `hypose.evidence.ahead` has those of a frame."""
+"""Outlines of masks: signed distances and points on the edge. `hypose.evidence.prefetch` has those of a frame."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hypose.evidence.silhouettes import bounding_box
 from hypose.geometry import Array, Mask
 
 OUTLINE_POINTS = 130
-"""Points per view, unless told otherwise: two pixels apart on a person 260 px tall are enough."""
+"""Points per view, unless given otherwise: two pixels apart on a person 260 px tall are enough."""
 SMALLEST = 8
 """px: masks no longer than this have no outline worth following"""
 WORKING_HEIGHT = 170
@@ -72,7 +72,7 @@ def view_outline(mask: Mask, count: int = OUTLINE_POINTS, working_height: int | 
 def outline_in_box(
     part: Mask, box: tuple[int, int, int, int], shape: tuple[int, ...], count: int, working_height: int
 ) -> ViewOutline:
-    """Outline of a mask (h, w) = shape that is the part in the box (y0, y1, x0, x1), and zero beside it, for tracking:
+    """Outline of a mask (h, w) = shape that is the part in the box (y0, y1, x0, x1), and zero next to it, for tracking:
     one that is taller than working_height px is shrunk by the largest multiple of 1/2 that leaves it at least as tall,
     and distances are made around the person only (a sixth of its size, at least 32 px): further out rows weigh
     nothing."""
@@ -131,7 +131,7 @@ def _no_outline(shape: tuple[int, ...], count: int, extent: int, working_height:
 
 KNOWN_PX = 0.75
 """By how much a distance may differ with the ignored pixels in the mask, or not, and still be known."""
-_FEW, _BESIDE = 8, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
+_FEW_POINTS, _NEARBY = 8, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
 
 
 def shared_outline(
@@ -140,8 +140,8 @@ def shared_outline(
     """Outline of a mask (h, w) in which the pixels `ignored` (h, w) say nothing, of a person expected in box (y0, y1,
     x0, x1) px; working_height as for `outline_in_box`.
 
-    Distances that depend on ignored pixels are compute.NOT_KNOWN, outline points beside them are marked (-1e6): the
-    outline there may be somebody else's."""
+    Distances that depend on ignored pixels are compute.NOT_KNOWN, outline points next to them are marked (-1e6): the
+    outline there may be another person's."""
     whose = tuple(int(n) for n in np.asarray(box))
     extent = max(whose[1] - whose[0], whose[3] - whose[2])
     nothing = _no_outline((2, 2), count, extent, working_height)
@@ -162,15 +162,15 @@ def shared_outline(
         return nothing
     open_pixels = most - least
     corner = (2 * left // halves, 2 * top // halves)
-    if not cv2.countNonZero(open_pixels):  # nobody is ignored so near to the person
+    if not cv2.countNonZero(open_pixels):  # no person is ignored so near to the person
         points += np.array(corner, np.float32)
         return ViewOutline(low, points, found, extent, halves / 2, corner, working_height)
     high = compute.signed_distance(most[None], np.array([size]), reach)[0]
     distance = np.where(low - high > KNOWN_PX, np.float32(compute.NOT_KNOWN), low)  # as it is in all open pixels
-    beside = cv2.dilate(open_pixels, _BESIDE)
+    nearby = cv2.dilate(open_pixels, _NEARBY)
     at = np.clip(np.rint(points), 0, np.array(size) - 1).astype(int)
-    own = beside[at[:, 1], at[:, 0]] == 0
-    if own.sum() < _FEW:
+    own = nearby[at[:, 1], at[:, 0]] == 0
+    if own.sum() < _FEW_POINTS:
         return nothing
     points = np.where(own[:, None], points + np.array(corner, np.float32), np.float32(-1e6))
     return ViewOutline(distance, points, found, extent, halves / 2, corner, working_height)

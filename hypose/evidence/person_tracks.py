@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from hypose.geometry import Array
 
-_SEEN = 4  # key points in a view from which it sees the person
+_SEEN_POINTS = 4  # key points in a view from which it sees the person
 _BONES = tuple(
     (f"{side}_{a}", f"{side}_{b}")
     for side in ("left", "right")
     for a, b in (("shoulder", "elbow"), ("elbow", "wrist"), ("hip", "knee"), ("knee", "ankle"), ("shoulder", "hip"))
 )
-_WALK, _NEAR = 2.5, 0.5  # m/s and m that somebody is away after not having been seen
+_WALK, _NEAR_M = 2.5, 0.5  # m/s and m that a person is away after not having been seen
 _ALIKE = 0.12  # mean difference of the logarithms of bones' lengths up to which it may be the same body
 
 
@@ -24,7 +24,7 @@ _ALIKE = 0.12  # mean difference of the logarithms of bones' lengths up to which
 class PersonTrack:
     """One person from frame `first` (of the clip, from 0) on, T frames.
 
-    points (T, C, K, 3 or more): key points in each view, px and confidence as they were given, left and right mended,
+    points (T, C, K, 3 or more): key points in each view, px and confidence as they were given, left and right repaired,
     confidence 0 where the person is not seen; further columns as they were given. world (T, K, 3) m: where the rays
     meet, NaN where fewer than two do. candidates (T, C): which of the view's candidates it is, -1 for none."""
 
@@ -44,11 +44,11 @@ class PersonTrack:
     @property
     def seen(self) -> NDArray[np.bool_]:
         """(T, C) whether a view sees the person."""
-        return (self.points[..., 2] > 0).sum(-1) >= _SEEN
+        return (self.points[..., 2] > 0).sum(-1) >= _SEEN_POINTS
 
     @property
     def agreed(self) -> float:
-        """Share of the points that two views or more show whose rays meet: low for somebody made of the detections of
+        """Share of the points that two views or more show whose rays meet: low for a person made of the detections of
         several, or of views that are exchanged."""
         shown = (self.points[..., 2] > 0).sum(1) >= 2
         return float((shown & np.isfinite(self.world[..., 0])).sum() / max(int(shown.sum()), 1))
@@ -72,7 +72,7 @@ class PersonTrack:
 
 
 def choose(tracks: Sequence[PersonTrack]) -> int | None:
-    """Which of the people is meant, None when there is nobody: who is seen in most frames and views, by points whose
+    """Which of the people is meant, None when there is no person: who is seen in most frames and views, by points whose
     rays meet; of those with nearly as much, who is largest in the pictures."""
     if not tracks:
         return None
@@ -83,7 +83,7 @@ def choose(tracks: Sequence[PersonTrack]) -> int | None:
 
 def joined(tracks: Sequence[PersonTrack], names: Sequence[str], frame_rate: float) -> list[PersonTrack]:
     """The tracks with those made one that are one person before and after not having been seen: of a body as large, at
-    a place that can be reached meanwhile, and nobody else comes into question. Those seen most first."""
+    a place that can be reached meanwhile, and no other person comes into question. Those seen most first."""
     left = sorted(tracks, key=lambda t: t.first)
     sizes = [_bones(t, names) for t in left]
     while True:
@@ -92,7 +92,7 @@ def joined(tracks: Sequence[PersonTrack], names: Sequence[str], frame_rate: floa
             for j, b in enumerate(left):
                 gap = b.first - a.last
                 if gap > 0 and _same_body(sizes[i], sizes[j]):
-                    reach = _NEAR + _WALK * gap / frame_rate
+                    reach = _NEAR_M + _WALK * gap / frame_rate
                     away = float(np.linalg.norm(b.place(b.first) - a.place(a.last)))
                     if not away > reach:
                         fits.append((gap, i, j))

@@ -19,12 +19,12 @@ from hypose.geometry import Array, Image
 
 CROP, DETECTOR = 256, 224
 """px: side of the pictures that the networks take"""
-MASK = 0.5
+MASK_PROBABILITY = 0.5
 """Probability from which a pixel of a crop is the person."""
 _LEAST_SCORE, _LEAST_PRESENCE = 0.5, 0.5
 _WIDER = 1.25
 """Half side of a crop in radii of the circle around the body."""
-_SAME, _BESIDE = 0.35, 0.5
+_SAME, _NEARBY = 0.35, 0.5
 """Distances between middles of the hips, in radii: two crops show the same person; a detection is of a person who is
 followed already."""
 _PART = 0.75
@@ -97,7 +97,7 @@ class PoseNetwork:
     landmarks: (256, 256, 3) float32 RGB 0..1 -> LandmarkOutput.
     identity: what decides the result, as JSON values.
     people: most people in a picture.
-    every: number of pictures after which the detector looks for newcomers, even where somebody is followed."""
+    every: number of pictures after which the detector looks for newcomers, even where a person is followed."""
 
     detect: Callable[[NDArray[np.float32]], DetectorOutput]
     landmarks: Callable[[NDArray[np.float32]], LandmarkOutput]
@@ -112,7 +112,7 @@ class PoseNetwork:
         found = self._in_crops(image, before, [])
         if not found or (number % self.every == 0 and len(found) < self.people):
             known = [f.following for f in found if f.following is not None]
-            new = [c for c in self._detected(image) if all(_apart(c, k) > _BESIDE for k in known)]
+            new = [c for c in self._detected(image) if all(_apart(c, k) > _NEARBY for k in known)]
             found = self._in_crops(image, new[: self.people - len(found)], found)
         return found
 
@@ -205,7 +205,7 @@ def _apart(a: Crop, b: Crop) -> float:
 
 
 def mask_of_people(people: Sequence[Sighting], places: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """(h, w), 1 where somebody is. places (h, w, 2): where its pixels lie in the picture."""
+    """(h, w), 1 where a person is. places (h, w, 2): where its pixels lie in the picture."""
     out = np.zeros(places.shape[:2], np.float32)
     for found in people:
         if found.crop is None or found.mask is None:
@@ -213,7 +213,7 @@ def mask_of_people(people: Sequence[Sighting], places: NDArray[np.float32]) -> N
         turn = found.crop.from_picture.astype(np.float32)
         at = places @ turn[:, :2].T + turn[:, 2]
         out = np.maximum(out, cv2.remap(found.mask, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderValue=0))
-    return np.asarray(out > MASK).astype(np.uint8)
+    return np.asarray(out > MASK_PROBABILITY).astype(np.uint8)
 
 
 def sigmoid(logits: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from hypose.cameras.camera import CameraRig
 from hypose.geometry import Array
 
-FAR = 9.0
+NOT_COMPARABLE_M = 9.0
 """m: the distance of what cannot be compared."""
-_SEEN = 0.1  # least confidence of a point that counts
+_LEAST_CONFIDENCE = 0.1  # least confidence of a point that counts
 _NEAREST = 0.3  # m before a camera
 _PARALLEL = 0.05  # sine of the angle between two rays below which their distance says nothing
 _PRIOR = 0.7  # how many views a prediction counts for
@@ -62,21 +62,23 @@ def distances(views: Views, expected: Array, found: Array, limit: float) -> Arra
     uv, metres = views.seen_at(expected)
     e = uv[:, :, None] - found[:, None, :, :, :2]
     e = np.sqrt((e * e).sum(-1)) * metres[:, :, None]
-    return np.where(found[:, None, ..., 2] > _SEEN, np.minimum(e, limit), np.nan)
+    return np.where(found[:, None, ..., 2] > _LEAST_CONFIDENCE, np.minimum(e, limit), np.nan)
 
 
 def mean_of_known(values: Array, least: int, weights: Array | None = None) -> Array:
-    """(...) means over the last axis of values (..., K) without NaN, FAR where fewer than `least` are known."""
+    """(...) means over the last axis of values (..., K) without NaN, NOT_COMPARABLE_M where fewer than `least` are
+    known."""
     known = np.isfinite(values)
     w = known if weights is None else known * weights
     n = w.sum(-1)
     total = (np.where(known, values, 0.0) * w).sum(-1)
-    return np.where(n >= least, total / np.maximum(n, 1e-9), FAR)
+    return np.where(n >= least, total / np.maximum(n, 1e-9), NOT_COMPARABLE_M)
 
 
 def between_rays(views: Views, which: NDArray[np.int64], found: Array, limit: float, least: int) -> Array:
     """(M, M) m: how far the rays of the same points of M candidates (M, K, 3), seen by views `which` (M,), pass each
-    other: means over their common points, FAR for candidates of one view or with fewer than `least` in common."""
+    other: means over their common points, NOT_COMPARABLE_M for candidates of one view or with fewer than `least` in
+        common."""
     d = np.empty((*found.shape[:-1], 3))
     for c in np.unique(which):
         d[which == c] = _of_view(views, int(c), found[which == c])
@@ -89,10 +91,10 @@ def between_rays(views: Views, which: NDArray[np.int64], found: Array, limit: fl
     w = (centre[None, :] - centre[:, None])[:, :, None]
     along = np.abs(n0 * w[..., 0] + n1 * w[..., 1] + n2 * w[..., 2])
     apart = np.where(size > _PARALLEL, along / np.maximum(size, 1e-9), 0.5 * limit)
-    seen = found[..., 2] > _SEEN
+    seen = found[..., 2] > _LEAST_CONFIDENCE
     both = seen[:, None] & seen[None]
     out = mean_of_known(np.where(both, np.minimum(apart, limit), np.nan), least)
-    return np.where(which[:, None] == which[None], FAR, out)
+    return np.where(which[:, None] == which[None], NOT_COMPARABLE_M, out)
 
 
 def _of_view(views: Views, c: int, found: Array) -> Array:
@@ -109,7 +111,7 @@ def meet(views: Views, found: Array, near: float, prior: Array | None = None) ->
     views), the pair with most support wins, and all rays near it are solved for by least squares, weighted by
     confidence and by the metres of a pixel."""
     count, n, k = found.shape[:3]
-    seen = found[..., 2] > _SEEN
+    seen = found[..., 2] > _LEAST_CONFIDENCE
     if count < 2 or n == 0:
         return np.full((n, k, 3), np.nan), np.zeros(seen.shape, dtype=np.bool_)
     d = views.rays(found[..., :2])

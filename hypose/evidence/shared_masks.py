@@ -1,8 +1,8 @@
 """What of masks that show several people is evidence for one of them.
 
 Where another person's body covers a pixel, mask or no mask says nothing of this one. Which of the two stands in front
-does not matter: the pixel is in the mask either way. In views in which nobody is near, the masks are cut to where the
-person is expected, and all of their pixels tell.
+does not matter: the pixel is in the mask either way. In views in which no person is near, the masks are cut to where
+the person is expected, and all of their pixels tell.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from hypose.compute import covered
 from hypose.evidence.frame import Expected, Silhouettes
 from hypose.geometry import Array
 
-SOLVED, PREDICTED = 0.008, 0.016
+SOLVED_WIDENING, PREDICTED_WIDENING = 0.008, 0.016
 """Share of a body's longer side in the picture by which it is widened where it hides others: when its pose has been
 solved in this frame, and when it is predicted (2 and 4 px of 250)."""
-_BESIDE, _LEAST_PX = 0.35, 32
+_NEARBY, _LEAST_PX = 0.35, 32
 """Margin around a person's box inside which masks are evidence: share of the longer side, and px at least."""
 _SMALLEST_PX = 50
-_NEAR = 0.05
+_NEAR_M = 0.05
 
 
 @dataclass(frozen=True)
@@ -39,14 +39,14 @@ class BodyShape:
 
     @cached_property
     def _projected(self) -> tuple[Array, Array]:
-        """(C, 2, V) px, NaN beside and behind the camera, and (C, V) m along its axis."""
+        """(C, 2, V) px, NaN next to and behind the camera, and (C, V) m along its axis."""
         p = self.rig.projections
         x = p[:, :, :3] @ self.vertices.T + p[:, :, 3:]
         z = x[:, 2:]
-        if z.min() > _NEAR:
+        if z.min() > _NEAR_M:
             return x[:, :2] / z, x[:, 2]
         with np.errstate(divide="ignore", invalid="ignore"):
-            return np.where(z > _NEAR, x[:, :2] / z, np.nan), x[:, 2]
+            return np.where(z > _NEAR_M, x[:, :2] / z, np.nan), x[:, 2]
 
     @cached_property
     def boxes(self) -> NDArray[np.int64]:
@@ -66,7 +66,7 @@ class BodyShape:
         if view not in self._kept:
             y0, y1, x0, x1 = self.boxes[view].tolist()
             uv, z = (a[view] for a in self._projected)
-            closed = bool(z.min() > _NEAR)  # else a part lies behind the camera, and what is left has a hole
+            closed = bool(z.min() > _NEAR_M)  # else a part lies behind the camera, and the rest has a hole
             shape = max(y1 - y0, 0), max(x1 - x0, 0)
             self._kept[view] = covered(uv.T - (x0, y0), z, self.faces, shape, closed)
         return self._kept[view]
@@ -90,16 +90,16 @@ class DrawnShape:
         return self.masks[view, y0:y1, x0:x1]
 
 
-Shape = BodyShape | DrawnShape
+StandingShape = BodyShape | DrawnShape
 """Something that stands somewhere: a posed body, or a part of a hull."""
 
 
 @dataclass(frozen=True)
 class Other:
-    """Somebody else: their shape, and by how much of its longer side it is widened."""
+    """Another person: their shape, and by how much of its longer side it is widened."""
 
-    shape: Shape
-    widened: float = PREDICTED
+    shape: StandingShape
+    widened: float = PREDICTED_WIDENING
 
     def thinned(self, rig: CameraRig) -> Other:
         """The same in every other pixel, as the cameras of such masks see it."""
@@ -108,7 +108,7 @@ class Other:
         return Other(thin, self.widened)
 
 
-def hide(ignored: NDArray[np.uint8], shape: Shape, view: int, share: float, within: Sequence[int]) -> None:
+def _hide(ignored: NDArray[np.uint8], shape: StandingShape, view: int, share: float, within: Sequence[int]) -> None:
     """Sets the widened silhouette of a shape in ignored (h, w), inside y0, y1, x0, x1, in place."""
     y0, y1, x0, x1 = shape.boxes[view].tolist()
     px = max(1, round(share * max(y1 - y0, x1 - x0)))
@@ -131,25 +131,25 @@ def _disc(radius: int) -> cv2.typing.MatLike:
 
 
 def without(silhouettes: Silhouettes, others: Sequence[Other]) -> Silhouettes:
-    """The silhouettes of whoever is left: the pixels of all the others are ignored. Nobody is expected anywhere, so
-    these are for hulls and not for outlines."""
+    """The silhouettes of the person who is left: the pixels of all the others are ignored. No person is expected
+    anywhere, so these are for hulls and not for outlines."""
     if not others:
         return silhouettes
     ignored = np.zeros_like(silhouettes.masks)
     for c, (w, h) in enumerate(silhouettes.rig.sizes.tolist()):
         for one in others:
-            hide(ignored[c], one.shape, c, one.widened, (0, h, 0, w))
+            _hide(ignored[c], one.shape, c, one.widened, (0, h, 0, w))
     return replace(silhouettes, ignored=ignored)
 
 
 def own_silhouettes(
-    silhouettes: Silhouettes, own: Shape, others: Sequence[Other], anywhere: bool = False
+    silhouettes: Silhouettes, own: StandingShape, others: Sequence[Other], anywhere: bool = False
 ) -> Silhouettes:
     """The evidence for one person in masks of several.
 
-    own: where the person is expected; others: everybody else. anywhere: the person has been lost, and may be in all of
-    the masks that nobody else covers. Views in which nobody else is near have no ignored pixels; a view in which the
-    person is not expected to be is not usable."""
+    own: where the person is expected; others: all other people. anywhere: the person has been lost, and may be in all
+    of the masks that no other person covers. Views in which no other person is near have no ignored pixels; a view in
+    which the person is not expected to be is not usable."""
     sizes, boxes = silhouettes.rig.sizes.tolist(), own.boxes.copy()
     masks, ignored = np.zeros_like(silhouettes.masks), None
     usable, reasons = np.array(silhouettes.usable, dtype=np.bool_), list(silhouettes.reasons)
@@ -164,7 +164,7 @@ def own_silhouettes(
             usable[c], reasons[c] = False, f"{silhouettes.rig.names[c]}: the person is out of view"
             continue
         else:
-            m = max(_LEAST_PX, round(_BESIDE * max(y1 - y0, x1 - x0)))
+            m = max(_LEAST_PX, round(_NEARBY * max(y1 - y0, x1 - x0)))
             part = (max(y0 - m, 0), min(y1 + m, h), max(x0 - m, 0), min(x1 + m, w))
         at = (c, slice(part[0], part[1]), slice(part[2], part[3]))
         masks[at] = silhouettes.masks[at]
@@ -172,12 +172,12 @@ def own_silhouettes(
         if near:
             ignored = np.zeros_like(masks) if ignored is None else ignored
             for one in near:
-                hide(ignored[c], one.shape, c, one.widened, part)
+                _hide(ignored[c], one.shape, c, one.widened, part)
             areas[c] = np.count_nonzero(own.drawn(c))
         if anywhere and y1 <= y0:
             boxes[c] = part
-        told = masks[at] if ignored is None else masks[at] > ignored[at]
-        if not told.any():
+        known = masks[at] if ignored is None else masks[at] > ignored[at]
+        if not known.any():
             usable[c], reasons[c] = False, f"{silhouettes.rig.names[c]}: nothing of the person is to be seen"
     expected = None if ignored is None else Expected(boxes, areas)
     return Silhouettes(masks, silhouettes.rig, usable, tuple(reasons), ignored, expected)

@@ -90,7 +90,7 @@ class SilhouetteSettings:
         return mask_runs.Cleaning(self.open_px, self.close_px, self.hole_px, self.keep_share, self.keep_gap)
 
     @property
-    def of_everybody(self) -> SilhouetteSettings:
+    def of_all_people(self) -> SilhouetteSettings:
         """The same for several people, who may be anywhere in the picture."""
         return replace(self, keep_gap=_RANGES["keep_gap"][1])
 
@@ -216,7 +216,7 @@ def bounding_box(mask: ArrayLike, margin: int = 0) -> tuple[int, int, int, int] 
     return max(y - margin, 0), min(y + height + margin, h), max(x - margin, 0), min(x + width + margin, w)
 
 
-def clean(mask: Mask, options: SilhouetteSettings | None = None) -> Mask:
+def clean_mask(mask: Mask, options: SilhouetteSettings | None = None) -> Mask:
     """Opening, closing, small holes filled, small parts dropped."""
     return _cleaned(mask, (options or SilhouetteSettings()).cleaning)
 
@@ -295,7 +295,7 @@ def _dim_level(a: NDArray[Any], top: int, half: float, source: str) -> float:
             f"{source} holds the labels {shown}, and which of them is the person is not known; write masks of the "
             "person alone (0 and 255)."
         )
-    return half  # faint grey, as of a picture in which nobody was found
+    return half  # faint grey, as of a picture in which no person was found
 
 
 def flag_collapsed(
@@ -310,7 +310,7 @@ def flag_collapsed(
 
     areas (C,) foreground pixels of this frame; history (C, H) of frames around or before it (H may be 0).
     A view is left out when its mask is empty, above `highest` times its median area, below `lowest` times the second
-    smallest area of the history, or below half of `lowest` times the median. The smallest areas count, because somebody
+    smallest area of the history, or below half of `lowest` times the median. The smallest areas count, because a person
     who turns sideways and walks away from a camera loses half the area within two seconds and has not collapsed.
     """
     now = np.asarray(areas, dtype=np.float64)

@@ -19,10 +19,10 @@ from numpy.typing import ArrayLike, NDArray
 from hypose.body.body import Body
 from hypose.compute import ContourArrays, KeypointArrays, PointArrays, Standing
 from hypose.errors import EvidenceError, InputError
-from hypose.evidence.ahead import outlines
 from hypose.evidence.frame import Silhouettes
 from hypose.evidence.outlines import OUTLINE_POINTS as REFERENCE_OUTLINE
 from hypose.evidence.outlines import SMALLEST, shrunk_projection
+from hypose.evidence.prefetch import outlines
 from hypose.geometry import Array
 
 # Reference density of the contour rows, for a person `height` px tall: weights are per arc length, so changing the

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from hypose.geometry import Array
 
-_SEEN = 0.1  # least confidence of a point that counts
-_LEAST = 4  # key points of somebody
+_LEAST_CONFIDENCE = 0.1  # least confidence of a point that counts
+_LEAST_POINTS = 4  # key points of a person
 _JUMP = 0.35  # share of the person's size that its points move from frame to frame (median)
-_MOST = 1500  # pairs of points that a fundamental matrix is made of
-_FEW = 60  # with fewer nothing is told
+_MOST_PAIRS = 1500  # pairs of points that a fundamental matrix is made of
+_FEWEST_PAIRS = 60  # with fewer nothing is known
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class ViewTrack:
 def view_tracks(frames: Sequence[Array | None], patience: int) -> list[ViewTrack]:
     """People of one view: candidates (P, K, 3) per frame joined to whom they lie nearest to; those there longest first.
 
-    patience: frames after which somebody who is not seen is followed no more. In each frame candidates and people are
+    patience: frames after which a person who is not seen is followed no more. In each frame candidates and people are
     assigned exactly, so that two do not take each other's place."""
     from scipy.optimize import linear_sum_assignment  # takes long to import
 
@@ -49,15 +49,15 @@ def view_tracks(frames: Sequence[Array | None], patience: int) -> list[ViewTrack
         alive = [i for i in alive if t - at[i] <= patience]
         if people is None:
             continue
-        somebody = np.flatnonzero((people[..., 2] > _SEEN).sum(-1) >= _LEAST)
-        if not len(somebody):
+        is_person = np.flatnonzero((people[..., 2] > _LEAST_CONFIDENCE).sum(-1) >= _LEAST_POINTS)
+        if not len(is_person):
             continue
-        free = set(somebody.tolist())
+        free = set(is_person.tolist())
         if alive:
-            cost = np.array([[_moved(last[i], people[p], t - at[i]) for p in somebody] for i in alive])
+            cost = np.array([[_moved(last[i], people[p], t - at[i]) for p in is_person] for i in alive])
             for i, j in zip(*linear_sum_assignment(np.minimum(cost, 2.0)), strict=True):
                 if cost[i, j] < 1.0:
-                    n, p = alive[int(i)], int(somebody[j])
+                    n, p = alive[int(i)], int(is_person[j])
                     tracks[n][t], last[n], at[n] = p, people[p], t
                     free.discard(p)
         for p in sorted(free):
@@ -71,11 +71,11 @@ def view_tracks(frames: Sequence[Array | None], patience: int) -> list[ViewTrack
 
 
 def _moved(before: Array, now: Array, gap: int) -> float:
-    """How far one candidate (K, 3) lies from another, 1 = as far as somebody moves in `gap` frames."""
-    both = (before[:, 2] > _SEEN) & (now[:, 2] > _SEEN)
+    """How far one candidate (K, 3) lies from another, 1 = as far as a person moves in `gap` frames."""
+    both = (before[:, 2] > _LEAST_CONFIDENCE) & (now[:, 2] > _LEAST_CONFIDENCE)
     if both.sum() < 3:
         return 2.0
-    size = max(float(np.ptp(p[p[:, 2] > _SEEN, :2], axis=0).max()) for p in (before, now))
+    size = max(float(np.ptp(p[p[:, 2] > _LEAST_CONFIDENCE, :2], axis=0).max()) for p in (before, now))
     apart = float(np.median(np.linalg.norm(before[both, :2] - now[both, :2], axis=1)))
     return apart / max(_JUMP * size * min(1.0 + 0.1 * (gap - 1), 2.0), 1e-6)
 
@@ -93,13 +93,13 @@ def moves_as(one: Array, other: Array) -> float:
     """How badly points (T, K, 3) of two views can be one body's: median distance from the epipolar lines of the
     fundamental matrix that explains them best, in sizes of the person; NaN when they share too little.
 
-    The normalised eight-point algorithm (Hartley 1997), weighted anew by what is left (three rounds), as detections
+    The normalised eight-point algorithm (Hartley 1997), weighted again by the rest (three rounds), as detections
     have outliers."""
-    both = (one[..., 2] > _SEEN) & (other[..., 2] > _SEEN)
+    both = (one[..., 2] > _LEAST_CONFIDENCE) & (other[..., 2] > _LEAST_CONFIDENCE)
     a, b = one[both][:, :2], other[both][:, :2]
-    if len(a) < _FEW:
+    if len(a) < _FEWEST_PAIRS:
         return float("nan")
-    every = max(1, len(a) // _MOST)
+    every = max(1, len(a) // _MOST_PAIRS)
     a, b = a[::every], b[::every]
     sizes = [_size(p) for p in (one, other)]
     (a, ta), (b, tb) = _normalised(a), _normalised(b)
@@ -130,8 +130,8 @@ def _normalised(points: Array) -> tuple[Array, float]:
 
 def _size(points: Array) -> float:
     """px: median over frames of the longer side of points (T, K, 3)."""
-    seen = points[..., 2] > _SEEN
-    enough = seen.sum(1) >= _LEAST
+    seen = points[..., 2] > _LEAST_CONFIDENCE
+    enough = seen.sum(1) >= _LEAST_POINTS
     p, s = points[enough], seen[enough][..., None]
     if not len(p):
         return 1.0

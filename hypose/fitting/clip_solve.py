@@ -32,7 +32,7 @@ class Gaussian(Term):
 
     centre (D,); information (D, D): an inverse covariance, the root's rotation as a small turn in the world
     (`PoseFit.information`); off (D,): from the centre, for the root the turn in the world, log(R R0'), for other balls
-    along the turn from there, log(R0' R), in the coordinates at the centre. So what is left open of a stretched arm,
+    along the turn from there, log(R0' R), in the coordinates at the centre. So the rest open of a stretched arm,
     how it is turned about itself, is open however far it turns: along a line of rotation vectors its elbow would be
     carried away."""
 

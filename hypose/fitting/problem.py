@@ -239,7 +239,7 @@ class PoseProblem(SharedProblem[Shared]):
 
     @abstractmethod
     def shared_cost(self, shared: Shared, body: Body) -> float:
-        """Cost of what is known of the shared unknowns beforehand."""
+        """Cost of the information on the shared unknowns beforehand."""
 
     @abstractmethod
     def shared_rows(

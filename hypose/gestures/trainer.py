@@ -50,10 +50,10 @@ def balanced(gestures: Sequence[float], others: Sequence[float]) -> float:
     usual, middle = float(np.median(gestures)), float(np.median(others))
     above = [v - middle for v in others if v > middle]
     level = middle + (float(np.mean(above)) * np.log(0.5 * _ONE_IN) if above else 0.0)
-    return float(max(level, _LEAST * usual) ** (1 - _TOWARDS) * usual**_TOWARDS)
+    return float(max(level, _LEAST_THRESHOLD * usual) ** (1 - _TOWARDS) * usual**_TOWARDS)
 
 
-_ONE_IN, _TOWARDS, _LEAST = 10, 0.3, 0.1  # chosen on people of whom no figure is reported
+_ONE_IN, _TOWARDS, _LEAST_THRESHOLD = 10, 0.3, 0.1  # chosen on people of whom no figure is reported
 _KEPT = 16
 """Frames that show the gesture that are kept to find the threshold in the end."""
 

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from hypose.body.anthropometry import prior_mean
 from hypose.body.body import Body
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.errors import HyposeError
 from hypose.evidence.cues import surface_evidence
 from hypose.evidence.depth_people import own_frame
 from hypose.evidence.frame import Frame
-from hypose.evidence.shared_masks import SOLVED, Other
+from hypose.evidence.shared_masks import SOLVED_WIDENING, Other
 from hypose.fitting.articulated import SolveSettings
 from hypose.geometry import Array
 from hypose.pipeline.first_frame import Subject
@@ -68,7 +68,7 @@ def fitted_again(
         assert frame.silhouettes is not None
         rig = frame.silhouettes.rig
         shapes = {k: shape_of(p.subject.body, found[k][t][0].pose, rig) for k, p in enumerate(people) if t in found[k]}
-        return own_frame(frame, shapes[who], [Other(s, SOLVED) for k, s in shapes.items() if k != who])
+        return own_frame(frame, shapes[who], [Other(s, SOLVED_WIDENING) for k, s in shapes.items() if k != who])
 
     return {
         k: _again(people[k].subject, found[k], own_at, k, known(people[k].name).height)

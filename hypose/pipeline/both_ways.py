@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.compute import in_background
-from hypose.evidence.ahead import look_ahead
 from hypose.evidence.frame import Frame
+from hypose.evidence.prefetch import look_ahead
 from hypose.geometry import Array
 from hypose.inference.estimates import likeliest_path
 from hypose.inference.hypotheses import Hypotheses

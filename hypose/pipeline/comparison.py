@@ -15,9 +15,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hypose.body.default_body import JOINT_NAMES
 from hypose.body.joint_angles import is_length
 from hypose.body.motion import Motion
-from hypose.body.ready_bodies import JOINT_NAMES
 from hypose.errors import InputError
 from hypose.geometry import Array, procrustes, transform
 from hypose.io.motions.compared_files import OtherMotion, angles_of

@@ -96,7 +96,7 @@ class _Lane:
     ) -> None:
         assert view.source is not None
         self._work, self._detector, self._view, self._camera = work, detector, view, camera
-        self._reader = open_video(view.source, 1)
+        self._reader = open_video(view.source, 1, rate=view.rate)
         self._before: tuple[int, list[Crop]] = -1, []
         folder_for(work.folder, view.name)
         if work.with_masks:

@@ -20,13 +20,13 @@ from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.body.skeleton import Skeleton
 from hypose.compute import projected, touched_area
-from hypose.evidence.ahead import prepared_masks
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
+from hypose.evidence.prefetch import prepared_masks
 from hypose.geometry import Array
 from hypose.pipeline.settings import SETTINGS
-from hypose.tracking.audit import audit_frame, more_than_body
 from hypose.tracking.contacts import runs
-from hypose.tracking.fitted_spread import beyond_usual
+from hypose.tracking.covariance_calibration import beyond_usual
+from hypose.tracking.joint_features import audit_frame, more_than_body
 from hypose.tracking.several import visible_share
 from hypose.tracking.tracker import FrameEstimate, Tracker
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.body import Body
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.calibration.diagnose_masks import tangency, tangency_by_view
 from hypose.calibration.diagnose_points import FAR_DEG, FAR_M, undistorted
 from hypose.calibration.diagnostics import Cured, Observed, ViewFile

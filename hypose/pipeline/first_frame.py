@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from hypose.body.body import Body
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.errors import EvidenceError, HyposeError, InputError
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.keypoints import triangulate_keypoints
@@ -20,11 +20,11 @@ from hypose.io.motions.results import Checkpoint, ResultsFolder, file_identity, 
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.start_choice import best_ways
 from hypose.pipeline.subject_from_motion import AnthropometryOptions, estimate_subject, with_outlines
+from hypose.tracking.cue_weights import start_with_masks, weigh_against_masks
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.keypoint_clip import LEAST_POINTS
 from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, KeypointModel, keypoint_model, keypoint_term
 from hypose.tracking.keypoint_offsets import calibrate_keypoints
-from hypose.tracking.points_beside_masks import start_beside_masks, weighed_beside_masks
 from hypose.tracking.refinement import anatomical_prior
 from hypose.tracking.start_search import Start, start_from_hull
 from hypose.tracking.starts import KNOWN_POSES, start_from_keypoints
@@ -133,12 +133,12 @@ def _by_points(
             notes.append(note)
     # where they sit on the body as it is now, for landmarks on the skin move with its girths
     model = calibrate_keypoints(body, keypoint_model(body, keypoints[0].names), keypoints, poses)
-    model = weighed_beside_masks(body, model, seen)
+    model = weigh_against_masks(body, model, seen)
     assert model.sd is not None
     scatter = 1e3 * float(np.median(model.sd[model.known]))
     notes.append(f"key points weigh as if they scattered by {scatter:.0f} mm per axis")
     start, at = first_start(body, model, frame_at, min(n_frames, 1 + int(options.frame_rate)))
-    start = start_beside_masks(body, model, frame_at(at), start)
+    start = start_with_masks(body, model, frame_at(at), start)
     if at:
         notes.append(f"the start is the pose of frame {at}, the first with enough key points")
     return Subject(body, model, start, tuple(notes))

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.calibration.diagnose_masks import focal_by_masks, focal_by_points, focal_findings
 from hypose.calibration.diagnose_person import height_findings, up_by_cameras, wrong_set, wrong_way_up
 from hypose.calibration.diagnose_points import best_trial, disagreement, gross_finding, late_views, timing_findings

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.body import Body
+from hypose.body.default_body import human
 from hypose.body.motion import Motion
-from hypose.body.ready_bodies import human
 from hypose.calibration.depth_registration import (
     CoarseAlignment,
     in_camera,

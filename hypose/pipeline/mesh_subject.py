@@ -13,6 +13,7 @@ import numpy as np
 
 from hypose.body.body import Body, Landmarks, Mesh
 from hypose.body.coarse_mesh import coarse_mesh, decimated
+from hypose.body.default_body import human
 from hypose.body.fit_skeleton import (
     SCAN_POSES,
     ScanFit,
@@ -23,7 +24,6 @@ from hypose.body.fit_skeleton import (
     unposed,
 )
 from hypose.body.joint_names import match_rig
-from hypose.body.ready_bodies import human
 from hypose.body.skin_weights import body_bones, carried_weights, heat_weights, influences, vertex_normals
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.terms import PointTerm

@@ -26,7 +26,7 @@ from hypose.pipeline.subject_from_motion import different_poses
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.refinement import refine
 
-_FAR = SolveSettings(iterations=12, coarse_iterations=6)
+_LONG_SOLVE = SolveSettings(iterations=12, coarse_iterations=6)
 
 
 @dataclass(frozen=True)
@@ -159,7 +159,7 @@ def _changes(source: FrameSource, body: Body, poses: Array, first: Array, last: 
         if frame.depth is None or frame.depth.usable.sum() < 2:
             continue
         costs = [
-            refine(body, pose[None], prepare(placed(frame, places), body, pose), _FAR)[0].cost
+            refine(body, pose[None], prepare(placed(frame, places), body, pose), _LONG_SOLVE)[0].cost
             for places in (first, last)
         ]
         gain[t] = costs[1] - costs[0]

@@ -11,14 +11,14 @@ import numpy as np
 from hypose.errors import EvidenceError
 from hypose.evidence.depth_people import own_frame
 from hypose.evidence.frame import Frame, Silhouettes
-from hypose.evidence.hull_people import VIEWS, HullPerson
+from hypose.evidence.hull_people import FEWEST_VIEWS, HullPerson
 from hypose.evidence.shared_masks import Other, without
 from hypose.geometry import Array
 from hypose.pipeline.first_frame import Subject
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.tracked_people import Followed
 from hypose.pipeline.wardrobe import exchange, same_clothes
-from hypose.tracking.clothes import clothes_in
+from hypose.tracking.appearance import clothes_in
 from hypose.tracking.costs import mean_overlap
 from hypose.tracking.frame_evidence import PreparedFrame, prepare
 from hypose.tracking.several import shape_of
@@ -30,7 +30,7 @@ def explained_by(people: Sequence[Followed], silhouettes: Silhouettes) -> list[O
     return [Other(p.member.shape(silhouettes.rig, p.estimates[-1].pose)) for p in people if p.member.sure]
 
 
-def somebody_more(known: Sequence[Other], silhouettes: Silhouettes, least: int = VIEWS) -> bool:
+def somebody_more(known: Sequence[Other], silhouettes: Silhouettes, least: int = FEWEST_VIEWS) -> bool:
     """Is enough of the masks unexplained, in `least` views or all, to look for a person? Every other pixel tells."""
     if not known:
         return True

@@ -25,8 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.body import Body
+from hypose.body.default_body import JOINT_NAMES, human
 from hypose.body.motion import Modes, Motion
-from hypose.body.ready_bodies import JOINT_NAMES, human
 from hypose.cameras.camera import Camera, CameraRig, triangulate
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.body_parts import detect_ends, end_colors
@@ -46,7 +46,7 @@ from hypose.pipeline.settings import SETTINGS
 from hypose.tracking.contacts import runs
 from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, keypoint_model
 from hypose.tracking.monocular.evidence import SMALLEST_MASK
-from hypose.tracking.monocular.initialise import LEAST_POINTS, initialise
+from hypose.tracking.monocular.initialise import LEAST_CLICKS, initialise
 from hypose.tracking.monocular.points import FEWEST_PX, clicked_joints, keypoints_on
 from hypose.tracking.monocular.points_fit import PointsOn
 from hypose.tracking.monocular.settings import MonoSettings
@@ -302,8 +302,8 @@ def load_clicks(path: str | Path, recording: Recording) -> Clicks:
     with open_video(_source(recording)) as reader:
         size = reader.size
     joints = {name: _click(path, name, at, size) for name, at in document["joints"].items()}
-    if len(joints) < LEAST_POINTS:
-        raise InputError(f"{path} holds {len(joints)} clicked joints; at least {LEAST_POINTS} are needed to start.")
+    if len(joints) < LEAST_CLICKS:
+        raise InputError(f"{path} holds {len(joints)} clicked joints; at least {LEAST_CLICKS} are needed to start.")
     return joints
 
 
@@ -458,7 +458,7 @@ def _later_points(seen: Sequence[Keypoints | None], first: int) -> tuple[PointsO
 
 def _enough(seen: Keypoints) -> bool:
     points = keypoints_on(human(), seen.names, np.asarray(seen.points[0]))
-    return int((points.confidence > 0).sum()) >= LEAST_POINTS
+    return int((points.confidence > 0).sum()) >= LEAST_CLICKS
 
 
 def _first_keypoints(
@@ -475,12 +475,12 @@ def _first_keypoints(
         if k is not None and _enough(k):
             return i, np.asarray(k.points[0]), k.names
     raise EvidenceError(
-        f"Camera {name}: no frame of the first second has {LEAST_POINTS} confident key points; give --frames to begin "
+        f"Camera {name}: no frame of the first second has {LEAST_CLICKS} confident key points; give --frames to begin "
         "later, or --start clicks.json."
     )
 
 
-_LEAST, _LIMBS = 4, ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
+_LEAST_POINTS, _LIMBS = 4, ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
 """key points that tell, and of what: a face has many, beside which an arm would not count"""
 
 
@@ -524,7 +524,7 @@ def _far(body: Body, pose: Array, keypoints: Keypoints) -> float:
     limb = np.array([n.startswith(("left_", "right_")) and n.endswith(_LIMBS) for n in keypoints.names])
     seen = limb & model.known & (points[:, 2] > MIN_CONFIDENCE)
     size = person_size(points)
-    if seen.sum() < _LEAST or not size > 0:
+    if seen.sum() < _LEAST_POINTS or not size > 0:
         return np.nan
     uv = keypoints.rig[0].project_pinhole(model.positions(body, pose))
     return float((np.linalg.norm(uv - points[:, :2], axis=1)[seen] > SETTINGS.picture_far * size).mean())

@@ -15,14 +15,14 @@ from typing import Any
 
 import numpy as np
 
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.calibration.findings import Finding
 from hypose.errors import EvidenceError, HyposeError, InputError
 from hypose.evidence import depth_people
-from hypose.evidence.ahead import pack_once
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.hull import common_view_bounds
-from hypose.evidence.hull_people import VIEWS, HullPerson
+from hypose.evidence.hull_people import FEWEST_VIEWS, HullPerson
+from hypose.evidence.prefetch import pack_once
 from hypose.geometry import Array
 from hypose.io.motions.results import ResultsFolder, identity, save_motion
 from hypose.pipeline.bodies_again import fitted_again
@@ -62,7 +62,7 @@ from hypose.pipeline.tracked_people import (
 )
 from hypose.pipeline.wardrobe import exchange, look_at_clothes
 from hypose.tracking.contacts import runs
-from hypose.tracking.several import Member, nobody_in, step_together, visible_share
+from hypose.tracking.several import Member, no_person_in, step_together, visible_share
 from hypose.tracking.tracker import Tracker
 
 
@@ -410,7 +410,7 @@ class PeopleRun:
         if silhouettes is None:
             return []
         known = explained_by(people, silhouettes)
-        if not somebody_more(known, silhouettes, VIEWS if frame.depth is None else 1):
+        if not somebody_more(known, silhouettes, FEWEST_VIEWS if frame.depth is None else 1):
             return []
         found = not_parts(depth_people.people_seen(frame, known, floor=self.floor), people)
         coming = list[Array]()
@@ -456,7 +456,7 @@ class PeopleRun:
             new = self._fitted(name or free_name(taken, self.wanted), paths, mine[0], numbers)
         except HyposeError:
             return False
-        nobody, done = nobody_in(frame), len(people[0].estimates)
+        nobody, done = no_person_in(frame), len(people[0].estimates)
         blank = looked_at(new.member.tracker, new.member.tracker.step(new.member.state, nobody)[1], nobody, None)
         new.estimates = [replace(blank, lost=True) for _ in range(done)]
         new.present, new.hidden = [False] * done, [False] * done

@@ -24,7 +24,7 @@ from hypose.geometry import Array
 from hypose.pipeline.hull_paths import Path
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.start_choice import best_ways, way_of
-from hypose.tracking.several import nobody_in, shape_of, visible_share
+from hypose.tracking.several import no_person_in, shape_of, visible_share
 from hypose.tracking.start_search import Start
 
 
@@ -59,7 +59,7 @@ def own_frame(
         return frame
     here = paths[who].found.get(number)
     if here is None:
-        return nobody_in(frame)
+        return no_person_in(frame)
     others = [
         other
         for k, p in enumerate(paths)

@@ -41,15 +41,15 @@ from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.subject_from_motion import height_sentence, height_told
 from hypose.pipeline.track_loop import FrameList, FrameSource, Keep, Progress, Tracked, track_frames, tracked_before
 from hypose.pipeline.verdict import Verdict, left_out, not_shown, verdict_of
-from hypose.tracking.audit import audit_frame
-from hypose.tracking.doubt import as_mixture, evidence_of, judged, not_in_set, worth_a_look
-from hypose.tracking.fitted_spread import (
+from hypose.tracking.covariance_calibration import (
     beyond_usual,
     pose_covariance,
     systematic_covariance,
     with_fitted_angles,
     with_fitted_joints,
 )
+from hypose.tracking.error_model import as_mixture, evidence_of, judged, not_in_set, worth_a_look
+from hypose.tracking.joint_features import audit_frame
 from hypose.tracking.keypoint_clip import track_keypoint_clip
 from hypose.tracking.keypoint_evidence import keypoint_model
 from hypose.tracking.pose_covariance import unpacked
@@ -151,8 +151,9 @@ def check_views(recording: Recording, of_picture: bool = False) -> None:
 class TrackResult:
     """motion; the subject's body; complete: every frame was tracked; notes for the report; modes: the poses that each
     frame allows, where the recipe tells them. one_by_one (T, D): the poses as each frame was tracked, audit (T, J, A):
-    what spoke for and against each joint (hypose.tracking.audit), None where that was not kept; faults: sentences on
-    what was found wrong before tracking, or with the clip as a whole; looks: on what makes the whole clip worth a look;
+    what spoke for and against each joint (hypose.tracking.joint_features), None where that was not kept; faults:
+    sentences on what was found wrong before tracking, or with the clip as a whole; looks: on what makes the whole clip
+    worth a look;
     beside: on who else is there; places: of depth cameras that stand elsewhere than the source says; unsure: of the
     `Subject`."""
 

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.body import Body
+from hypose.body.default_body import human
 from hypose.body.motion import Motion
-from hypose.body.ready_bodies import human
 from hypose.calibration.diagnose_person import UNIT_ERRORS
 from hypose.errors import InputError
 from hypose.evidence.frame import TRACKED, Frame, SensorJoints

@@ -15,8 +15,8 @@ import numpy as np
 
 from hypose.body.body import Body
 from hypose.errors import EvidenceError
-from hypose.evidence.ahead import make_now
 from hypose.evidence.frame import Frame
+from hypose.evidence.prefetch import make_now
 from hypose.geometry import Array
 from hypose.inference.layer import Recovery
 from hypose.pipeline.settings import SETTINGS
@@ -24,7 +24,7 @@ from hypose.pipeline.subject_checks import check_named_pose, check_start
 from hypose.tracking.costs import mean_overlap
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.recipes import default
-from hypose.tracking.start_search import Start, Starts, by_their_ways, starts_in_frame, weighed
+from hypose.tracking.start_search import Start, Starts, by_their_ways, starts_in_frame, weigh_starts
 from hypose.tracking.starts import KNOWN_POSES, hull_of, recover, start_in_pose
 from hypose.tracking.subject import scaled_to_height
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerSettings
@@ -196,7 +196,7 @@ def _searched(template: Body, frames: Sequence[Frame], at: int, height: float | 
     ]
     later = [prepare(frames[k], template, zero) for k in others]
     here = prepare(frames[at], template, zero)
-    return weighed(starts_in_frame(template, here, height, extent), [f for f in later if f.silhouettes.seen])
+    return weigh_starts(starts_in_frame(template, here, height, extent), [f for f in later if f.silhouettes.seen])
 
 
 def _in_named_pose(template: Body, frame: Frame, name: str, height: float | None, extent: float | None) -> Starts:

@@ -50,7 +50,7 @@ def apparent_height(silhouettes: Silhouettes) -> float | None:
     """
     rows, extents = [], []
     for c in np.flatnonzero(silhouettes.usable):
-        v, u = np.nonzero(silhouettes.told[c])
+        v, u = np.nonzero(silhouettes.informative[c])
         camera = silhouettes.rig[int(c)]
         pixel = np.array([0.5 * (u.min() + u.max()), 0.5 * (v.min() + v.max()), 1.0])
         rotation = camera.camera_from_world[:3, :3]
@@ -73,7 +73,7 @@ def apparent_height(silhouettes: Silhouettes) -> float | None:
 def cut_edges(silhouettes: Silhouettes, view: int) -> tuple[str, ...]:
     """Image borders ('left', 'right', 'top', 'bottom') at which a view cuts the person off."""
     width, height = (int(n) for n in silhouettes.rig.sizes[view])
-    mask = silhouettes.told[view, :height, :width]
+    mask = silhouettes.informative[view, :height, :width]
     extent = int(np.ptp(np.flatnonzero(mask.any(1)))) if mask.any() else 0
     along = [int(line.sum()) for line in (mask[:, 0], mask[:, -1], mask[0], mask[-1])]
     # a speck of noise at the border cuts nobody

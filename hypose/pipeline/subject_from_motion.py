@@ -16,7 +16,7 @@ import numpy as np
 
 from hypose.body.anthropometry import CLOTHING_UNIT, SHAPE_FACTOR_NAMES, Sizes, body_of, entity, prior_mean, sizes_of
 from hypose.body.body import Body
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.cues import surface_evidence
 from hypose.evidence.frame import Frame

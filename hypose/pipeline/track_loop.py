@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from hypose.errors import HyposeError
-from hypose.evidence.ahead import look_ahead
 from hypose.evidence.frame import Frame
+from hypose.evidence.prefetch import look_ahead
 from hypose.io.motions.results import Checkpoint
 from hypose.pipeline.doubts import looked_at
 from hypose.pipeline.first_frame import Subject

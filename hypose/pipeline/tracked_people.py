@@ -14,7 +14,7 @@ from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.evidence import depth_people
 from hypose.evidence.frame import Frame
-from hypose.evidence.shared_masks import SOLVED, Other
+from hypose.evidence.shared_masks import SOLVED_WIDENING, Other
 from hypose.geometry import Array
 from hypose.io.motions.results import Checkpoint, ResultsFolder, identity
 from hypose.pipeline.first_frame import Subject, kept_subject
@@ -23,9 +23,9 @@ from hypose.pipeline.run import TrackResult
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.track_loop import FrameSource
 from hypose.pipeline.verdict import Verdict, verdict_of
-from hypose.tracking.clothes import Wardrobe
+from hypose.tracking.appearance import Wardrobe
 from hypose.tracking.contacts import runs
-from hypose.tracking.several import Member, nobody_in, shape_of
+from hypose.tracking.several import Member, no_person_in, shape_of
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState, estimates_from_arrays, estimates_to_arrays
 
 
@@ -285,10 +285,10 @@ class OwnFrames:
         if s is None:
             return frame
         if not self._who.present[index]:
-            return nobody_in(frame)
+            return no_person_in(frame)
         own = shape_of(self._who.subject.body, self._who.estimates[index].pose, s.rig)
         others = [
-            Other(shape_of(p.subject.body, p.estimates[index].pose, s.rig), SOLVED)
+            Other(shape_of(p.subject.body, p.estimates[index].pose, s.rig), SOLVED_WIDENING)
             for p in self._people
             if p is not self._who and p.present[index] and not p.estimates[index].lost
         ]

@@ -13,8 +13,8 @@ from hypose.body.motion import Motion
 from hypose.pipeline.doubts import in_words
 from hypose.pipeline.settings import SETTINGS
 from hypose.tracking.contacts import runs
-from hypose.tracking.doubt import LOOK_P
-from hypose.tracking.doubt_features import AROUND_S
+from hypose.tracking.error_features import AROUND_S
+from hypose.tracking.error_model import LOOK_P
 
 GOOD, LOOK, UNTRUSTED = "good", "look", "not to be trusted"
 EXIT_UNTRUSTED = 3

@@ -10,7 +10,7 @@ import numpy as np
 from hypose.evidence.frame import Frame
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.tracked_people import Followed
-from hypose.tracking.clothes import Clothes, clothes_in, nothing_seen
+from hypose.tracking.appearance import Clothes, clothes_in, nothing_seen
 
 
 def _apart(a: Followed, b: Followed, t: int = -1) -> float:

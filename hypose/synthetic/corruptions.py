@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.body.ready_bodies import JOINT_NAMES
+from hypose.body.default_body import JOINT_NAMES
 from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError
 from hypose.evidence.keypoints import BODY_25

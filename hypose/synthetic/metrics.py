@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hypose.body.body import Body
+from hypose.body.default_body import JOINT_NAMES, PARENTS
 from hypose.body.motion import region_reach
-from hypose.body.ready_bodies import JOINT_NAMES, PARENTS
 from hypose.errors import InputError
 from hypose.geometry import Array, rotation_between, so3_log
 from hypose.synthetic.subjects import load_subjects

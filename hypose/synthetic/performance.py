@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from hypose.body.ready_bodies import JOINT_NAMES, PARENTS
+from hypose.body.default_body import JOINT_NAMES, PARENTS
 from hypose.geometry import Array, rotation_between, so3_exp, so3_log
 from hypose.synthetic.subjects import SyntheticSubject
 

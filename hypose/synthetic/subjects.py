@@ -15,7 +15,7 @@ from importlib import resources
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hypose.body.ready_bodies import JOINT_NAMES, PARENTS
+from hypose.body.default_body import JOINT_NAMES, PARENTS
 from hypose.body.skin_weights import vertex_normals
 from hypose.errors import InputError
 from hypose.geometry import Array

@@ -31,7 +31,7 @@ from hypose.evidence.terms import Evidence, Term
 from hypose.fitting.articulated import PoseFit
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
-from hypose.tracking.keypoint_evidence import KeypointModel, beside_masks, keypoint_model, keypoint_term
+from hypose.tracking.keypoint_evidence import KeypointModel, keypoint_model, keypoint_term, with_masks
 
 _Cue = TypeVar("_Cue", bound=Evidence)
 
@@ -134,7 +134,7 @@ def prepare(
                 f"with ({len(model.names)}); fit the subject again from this recording."
             )
         term = keypoint_term(points, body, model, prediction, keypoint_scale_px)
-        found += keypoint_evidence(term, beside_masks(term, model) if masks and term is not None else term)
+        found += keypoint_evidence(term, with_masks(term, model) if masks and term is not None else term)
     if masks:
         found += depth_evidence(frame.depth)
     found += own_evidence(own, body, frame)

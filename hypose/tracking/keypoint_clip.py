@@ -21,13 +21,13 @@ from hypose.evidence.keypoints import triangulate_keypoints
 from hypose.evidence.terms import KeypointTerm, PointTerm, Term
 from hypose.fitting import SolveSettings, fit_clip, fit_pose
 from hypose.geometry import Array
-from hypose.tracking.exchanged_sides import limbs_exchanged
 from hypose.tracking.keypoint_evidence import (
     STRANGER_M,
     KeypointModel,
     keypoint_term,
-    shows_somebody_else,
+    shows_another_person,
 )
+from hypose.tracking.left_right import limbs_exchanged
 from hypose.tracking.named_sides import LIMBS, exchanged_by_names
 from hypose.tracking.pose_covariance import from_neighbours, joint_covariance_of
 from hypose.tracking.refinement import anatomical_prior
@@ -40,7 +40,7 @@ VELOCITY_GAIN = 0.8
 EXTRAPOLATE_S = 1.0
 """s without key points after which the person counts as lost, as for the tracker."""
 FASTEST, FARTHEST = 4.0, 1.3
-"""m/s, m: how much faster than expected, and how far, somebody may go on unseen and still be the same person."""
+"""m/s, m: how much faster than expected, and how far, a person may go on unseen and still be the same person."""
 SAME_SIZE = 0.1
 """A lost person may be found anywhere when the limbs' lengths (median) differ from the body's by less than this."""
 _LIMBS = [
@@ -48,7 +48,7 @@ _LIMBS = [
     for side in ("left", "right")
     for a, b in (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"))
 ]
-_LOOK_EVERY = 5  # frames; looking everywhere is dear
+_LOOK_EVERY = 5  # frames; looking everywhere is slow
 LEAST_POINTS = 6
 """A frame with fewer points (in all views together) says nothing of the pose by itself."""
 _QUICK = SolveSettings(iterations=6, coarse_iterations=0, tolerance=3e-3)
@@ -148,8 +148,8 @@ def _on_named_sides(
         while wrong.any():
             at = int(np.argmax(wrong))
             begin = limbs_exchanged(body, poses[at], limb)
-            anew, own = _one_by_one(body, model, keypoints[at:], begin, frame_rate)
-            found = np.concatenate([poses[:at], anew])
+            afresh, own = _one_by_one(body, model, keypoints[at:], begin, frame_rate)
+            found = np.concatenate([poses[:at], afresh])
             wrong, left = exchanged_by_names(body, model, found, keypoints, limb, sure_start=sure_start)
             if left >= worth:
                 break
@@ -175,7 +175,7 @@ def _one_by_one(
     for t, seen in enumerate(keypoints):
         expected = s.clamp(last + VELOCITY_GAIN * (last - s.on_branch(before, last)))
         reach = min(STRANGER_M + FASTEST * unseen / frame_rate, FARTHEST)
-        if seen is not None and shows_somebody_else(seen, body, model, expected, reach):
+        if seen is not None and shows_another_person(seen, body, model, expected, reach):
             lost = unseen > EXTRAPOLATE_S * frame_rate
             found = _returned(body, model, seen) if lost and int(unseen) % _LOOK_EVERY == 0 else None
             if found is None:

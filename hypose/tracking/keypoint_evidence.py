@@ -1,5 +1,5 @@
 """2D key points as evidence of a tracked body: where they sit on it, how far they are to be trusted, and what a
-detector gets wrong (left for right, somebody else)."""
+detector gets wrong (left for right, another person)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from hypose.geometry import Array
 MIN_CONFIDENCE = 0.3
 """Points of less confidence are left out, as in the solver."""
 STRANGER_M = 0.35
-"""A view whose points lie further than this from the expected ones (median) shows somebody else."""
+"""A view whose points lie further than this from the expected ones (median) shows another person."""
 SWAPPED_M = 0.15
 """Left and right are taken for exchanged when the points lie further than this from the expected ones as they are
 named, and at most half as far when exchanged."""
@@ -41,8 +41,8 @@ _CHAINS = (
 class KeypointModel:
     """Where named key points sit on a body: joint (K,), offset (K, 3) m in that joint's frame, known (K,). sd (K,) m:
     noise of a detection at the body's distance, per axis, at confidence 1; None: not measured. view (C,): by how much
-    the noise of each view is larger (`hypose.tracking.view_noise`); None: all are alike. beside (C, K): what is
-    left of each point's weight in solves beside masks (`hypose.tracking.points_beside_masks`); None: all."""
+    the noise of each view is larger (`hypose.tracking.view_noise`); None: all are alike. next to (C, K): the rest
+     of each point's weight in solves next to masks (`hypose.tracking.cue_weights`); None: all."""
 
     names: tuple[str, ...]
     joint: NDArray[np.int64]
@@ -50,7 +50,7 @@ class KeypointModel:
     known: NDArray[np.bool_]
     sd: Array | None = None
     view: Array | None = None
-    beside: Array | None = None
+    cue_weight: Array | None = None
 
     def positions(self, body: Body, poses: Array) -> Array:
         """(..., K, 3) m: the points in the world at poses (..., D)."""
@@ -79,7 +79,7 @@ def keypoint_term(
     """The key points of one frame as rows of the solver, None when none of them is known and confident.
 
     model: where the points sit (default: where the body's landmarks say). prediction (D,): the expected pose, by which
-    views that show somebody else are left out, exchanged sides put right (`checked`), and the model's noise in metres
+    views that show another person are left out, exchanged sides put right (`checked`), and the model's noise in metres
     becomes pixels; without it the points are taken as they are. scale_px: noise in pixels of the key points' rig where
     the model's is not measured.
     """
@@ -91,7 +91,7 @@ def keypoint_term(
         expected = model.positions(body, prediction)
         size = pixels_per_metre(keypoints, prediction[:3])
         uv = np.stack([camera.project_pinhole(expected) for camera in keypoints.rig])
-        points = checked(points, uv, model.names, size, known)
+        points = check_sides_and_views(points, uv, model.names, size, known)
         points[..., 2] /= model.worse(len(size))[:, None] ** 2
         if model.sd is not None:
             sd_px = model.sd * size[:, None]
@@ -110,20 +110,21 @@ def keypoint_term(
     )
 
 
-def beside_masks(term: KeypointTerm, model: KeypointModel) -> KeypointTerm:
+def with_masks(term: KeypointTerm, model: KeypointModel) -> KeypointTerm:
     """The term of a frame's key points as solves weigh it when there are masks as well."""
-    if model.beside is None or len(model.beside) != len(term.points):
+    if model.cue_weight is None or len(model.cue_weight) != len(term.points):
         return term
     points = term.points.copy()
-    points[..., 2] *= model.beside[:, model.known]
+    points[..., 2] *= model.cue_weight[:, model.known]
     return replace(term, points=points)
 
 
-def shows_somebody_else(keypoints: Keypoints, body: Body, model: KeypointModel, expected: Array, reach: float) -> bool:
-    """Whether the person seen stands further than `reach` (m) from the expected pose (D,): nobody gets there so fast.
+def shows_another_person(keypoints: Keypoints, body: Body, model: KeypointModel, expected: Array, reach: float) -> bool:
+    """Whether the person seen stands further than `reach` (m) from the expected pose (D,): no person gets there so
+    fast.
 
     Where two views agree with the expectation the others are `checked`'s matter. Judged by the median over the
-    triangulated points, or, of fewer than four, by the view with the larger median; nobody is nobody."""
+    triangulated points, or, of fewer than four, by the view with the larger median; no person is no person."""
     points, expected_points = np.nan_to_num(keypoints.points), model.positions(body, expected)
     uv = np.stack([camera.project_pinhole(expected_points) for camera in keypoints.rig])
     seen = (points[..., 2] > MIN_CONFIDENCE) & model.known & np.isfinite(uv).all(-1)
@@ -147,14 +148,14 @@ def pixels_per_metre(keypoints: Keypoints, position_world: Array) -> Array:
     return np.maximum(np.array(sizes), 1.0)
 
 
-def checked(
+def check_sides_and_views(
     points: Array,
     expected: Array,
     names: tuple[str, ...],
     size: Array,
     known: NDArray[np.bool_] | None = None,
 ) -> Array:
-    """Key points (C, K, 3) with views of somebody else left out (confidence 0) and exchanged sides put right.
+    """Key points (C, K, 3) with views of another person left out (confidence 0) and exchanged sides put right.
 
     expected (C, K, 2) px: where the points should be about; size (C,): pixels per metre; known (K,): points that the
     body has. A view is left out only when two others agree with the expectation: where none does it is the expectation

@@ -103,7 +103,7 @@ def solved_frames(
     return out
 
 
-class Residuals:
+class OffsetResiduals:
     """Residual (T, C, K, 2) px, its derivative by the offset (T, C, K, 2, 3) px/m, confidence (T, C, K) and pixels per
     metre (T, C), times how much worse the view is than others, of all points; confidence 0 where there is none."""
 
@@ -111,7 +111,7 @@ class Residuals:
         self.residual, self.slope, self.confidence, self.size = residual, slope, confidence, size
 
 
-def residual_rows(body: Body, model: KeypointModel, keypoints: Sequence[Keypoints], poses: Array) -> Residuals:
+def residual_rows(body: Body, model: KeypointModel, keypoints: Sequence[Keypoints], poses: Array) -> OffsetResiduals:
     """Of key points, exchanged sides put right, about a body in these poses (T, D)."""
     rotations, centres = body.skeleton.forward(poses)
     r = rotations[:, model.joint]
@@ -136,10 +136,10 @@ def residual_rows(body: Body, model: KeypointModel, keypoints: Sequence[Keypoint
             residual[t, c, model.known] = uv[model.known] - term.points[c, :, :2]
     bad = ~np.isfinite(residual).all(-1) | ~np.isfinite(slope).all((-1, -2))
     confidence[bad], residual[bad], slope[bad] = 0.0, 0.0, 0.0
-    return Residuals(residual, slope, confidence, size)
+    return OffsetResiduals(residual, slope, confidence, size)
 
 
-def _offsets(base: KeypointModel, model: KeypointModel, rows: Residuals) -> Array:
+def _offsets(base: KeypointModel, model: KeypointModel, rows: OffsetResiduals) -> Array:
     """(K, 3): one robust Gauss-Newton step of every offset on all frames, held by its prior and cut at its limit."""
     limit = offset_limits(base.names)
     sd_px = (model.sd if model.sd is not None else np.full(len(limit), 0.02)) * rows.size[..., None]
@@ -147,7 +147,7 @@ def _offsets(base: KeypointModel, model: KeypointModel, rows: Residuals) -> Arra
     weight = lorentzian_weight(0.25 * square, rows.confidence / sd_px**2)
     hessian = np.einsum("tck,tckia,tckib->kab", weight, rows.slope, rows.slope)
     gradient = np.einsum("tck,tckia,tcki->ka", weight, rows.slope, rows.residual)
-    # frames of a clip err alike: their number is no measure of what is known
+    # frames of a clip err alike: their number is no measure of the known part
     prior = len(rows.residual) * (2 / limit) ** 2 * 0.1
     shift = model.offset - base.offset
     hessian += prior[:, None, None] * np.eye(3)
@@ -158,7 +158,7 @@ def _offsets(base: KeypointModel, model: KeypointModel, rows: Residuals) -> Arra
     return np.where(model.known[:, None], base.offset + moved, base.offset)
 
 
-def _noise(rows: Residuals) -> Array:
+def _noise(rows: OffsetResiduals) -> Array:
     """(K,) m per axis at confidence 1, from the median distances; see TOGETHER."""
     metres = np.abs(rows.residual) / rows.size[..., None, None]
     by_point = [

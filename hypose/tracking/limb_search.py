@@ -20,8 +20,8 @@ from hypose.tracking.refinement import COMPOSITE, SOLVED
 @dataclass(frozen=True)
 class LimbSearch:
     """Kernel: a greedy step of a search of single limbs. The limb takes Gaussian steps in all hypotheses, in a share
-    `long` of them `longer` times as long, and in a share `anew` it is drawn anew between lower and upper (D,); then
-    that of the best is everybody's, with the rest of each body as it was.
+    `long` of them `longer` times as long, and in a share `again` it is drawn again between lower and upper (D,); then
+    that of the best is all people's, with the rest of each body as it was.
 
     The hypothesis in the role SOLVED never moves, and the one in the role COMPOSITE is tried as it is, so that the
     search never loses its start. skeleton; joints: of the limb, by name; sigma (D,): sd of a step. With a budget of
@@ -34,7 +34,7 @@ class LimbSearch:
     sigma: Array
     lower: Array
     upper: Array
-    anew: float = 0.0
+    redrawn: float = 0.0
     long: float = 0.3
     longer: float = 4.0
 
@@ -60,8 +60,8 @@ class LimbSearch:
         steps = rng.standard_normal(limb.shape) * self.sigma[own]
         self._tail.stretch(steps, np.arange(len(own)), len(own))
         tried = reflect(limb + steps, s.lower[own], s.upper[own])
-        if self.anew > 0:
-            rows, low, high = every(self.anew, h.count), self.lower[own], self.upper[own]
+        if self.redrawn > 0:
+            rows, low, high = every(self.redrawn, h.count), self.lower[own], self.upper[own]
             tried[rows] = low + (high - low) * rng.random((len(rows), len(own)))
         solved = h.has(SOLVED)
         staying = solved | h.has(COMPOSITE)

@@ -9,7 +9,7 @@ Arms where pictures show them: looked for about where they are held to be, befor
 
 What lies before the trunk has no outline. Its colours and the rims of its sleeves are in the pictures, and tell an arm
 from one ten centimetres off, over which the masks are of two minds. So arms are drawn about their place, narrower and
-narrower, and what the masks and the pictures like best holds the arm while the body is solved anew.
+narrower, and what the masks and the pictures like best holds the arm while the body is solved again.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ from hypose.evidence.terms import PointTerm
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.layer import Memory
+from hypose.tracking.arm_workspace import ArmReach
 from hypose.tracking.costs import frame_energy
 from hypose.tracking.frame_evidence import PreparedFrame
-from hypose.tracking.reach_table import ArmReach
 
 
 def pictured_arms(
@@ -104,9 +104,9 @@ class ColourSettings:
     surely: weight among its rivals that a pose must have to be learnt from; elsewhere: m, a rival's arm that is farther
     off is not learnt from; memory: share of what was counted before that counts in the next frame; few: pixels that a
     part must have shown to be half known; most: log-likelihood ratio of one pixel, at most. weight: of the pictures'
-    score beside the mismatch of rivals; edges: of the rims of arms in it, beside the colours. tried: rivals whose arms
-    are looked for nearby, with so many draws at each of the steps (rad, sd); ratio: of their energy to that of where
-    they are held to be, at most; hold, strength: m (one sd) and weight of the points that hold them in a solve.
+    score next to the mismatch of rivals; edges: of the rims of arms in it, next to the colours. tried: rivals whose
+    arms are looked for nearby, with so many draws at each of the steps (rad, sd); ratio: of their energy to that of
+    where they are held to be, at most; hold, strength: m (one sd) and weight of the points that hold them in a solve.
 
     Chosen on folded arms of the seeds 503 and 505."""
 
@@ -127,7 +127,7 @@ class ColourSettings:
 
 @dataclass(frozen=True)
 class KnownColours:
-    """What is known of a person's colours, and what a frame shows of them. codes (C, h, w); table (C, P, COLOURS):
+    """The information on a person's colours, and what a frame shows of them. codes (C, h, w); table (C, P, COLOURS):
     log-likelihood ratios of each colour, in a part against anywhere on the person; masks: usable where there is a
     picture; edges: of `compute.rim_edges`."""
 
@@ -158,7 +158,7 @@ def colour_scores(poses: Array, frame: PreparedFrame, settings: ColourSettings) 
     known = known_colours(frame, settings)
     if known is None:
         return np.zeros(len(poses))
-    faces, part, arm = layout(frame.body)
+    faces, part, arm = part_layout(frame.body)
     limb = (1 + arm).astype(np.uint8)
     about = known.masks, known.codes, known.table, limb, known.edges
     sums, rims = compute.colour_sums(frame.body.skin(poses), faces, part, *about)
@@ -186,7 +186,7 @@ class LearnColours:
         colours, o = frame.frame.colours, self.settings
         if colours is None or not frame.silhouettes.seen or h.weights.max() < o.surely:
             return memory
-        body, (faces, part, arm) = frame.body, layout(frame.body)
+        body, (faces, part, arm) = frame.body, part_layout(frame.body)
         vertices = body.skin(pose)
         doubted = self._doubted(pose, h, body)
         for side in np.flatnonzero(doubted):
@@ -228,7 +228,7 @@ def counted_colours(
     return np.stack(spread).reshape(len(PARTS), COLOURS).astype(np.float32)
 
 
-def layout(body: Body) -> tuple[NDArray[np.int32], NDArray[np.uint8], NDArray[np.int64]]:
+def part_layout(body: Body) -> tuple[NDArray[np.int32], NDArray[np.uint8], NDArray[np.int64]]:
     """Faces of the coarse mesh, the part of each (F,), and its arm: 0 left, 1 right, -1 none."""
     names = body.skeleton.joint_names
     number = np.array([next((k for k, own in enumerate(PARTS) if n in own), 1) for n in names])

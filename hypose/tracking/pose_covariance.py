@@ -27,7 +27,7 @@ CURVATURE_FACTOR: Mapping[str, Mapping[str, float]] = {
     "silhouettes": {"torso": 0.70, "arms": 0.58, "legs": 0.49, "head": 0.14},
     "keypoints": {"torso": 0.48, "arms": 0.44, "legs": 0.42, "head": 0.60},
     "both": {"torso": 0.55, "arms": 0.51, "legs": 0.41, "head": 0.63},
-    # with depth cameras the whole calibration is that of hypose.tracking.fitted_spread
+    # with depth cameras the whole calibration is that of hypose.tracking.covariance_calibration
     "depth": {"torso": 0.5, "arms": 0.5, "legs": 0.5, "head": 0.5},
 }
 FLOOR = 0.004
@@ -83,7 +83,7 @@ def _less_sure(information: Array, step: Array, weight: float) -> Array:
 
 
 def joint_covariance_of(body: Body, pose: Array, information: Array, evidence: str) -> NDArray[np.float32]:
-    """(J, 3, 3) m^2: covariances of the joint centres at a solved pose (D,) from what is known of it, (D, D), see
+    """(J, 3, 3) m^2: covariances of the joint centres at a solved pose (D,) from the information on it, (D, D), see
     `PoseFit.information`; evidence: what the cost was made of, one of CURVATURE_FACTOR."""
     factor = _factors(evidence, tuple(body.skeleton.joint_names))
     curvature = compute.joint_covariances(pose, body.skeleton.tree, information)

@@ -166,7 +166,7 @@ def _published(
 
 
 # what a layer of the partitioned filter places: (points of its box: joints, landmarks), parts drawn first in it
-_SEEN: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]] = {
+_SEEN_PARTS: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]] = {
     "torso": (
         ("pelvis", "chest", "neck", "head", "left_shoulder", "right_shoulder", "left_hip", "right_hip"),
         ("head_top",),
@@ -174,13 +174,13 @@ _SEEN: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]] = {
     ),
 }
 for _side in ("left", "right"):
-    _SEEN[f"{_side}_leg"] = (
+    _SEEN_PARTS[f"{_side}_leg"] = (
         (f"{_side}_hip", f"{_side}_knee", f"{_side}_ankle"),
         (f"{_side}_big_toe",),
         (f"{_side}_hip", f"{_side}_knee", f"{_side}_ankle"),
     )
-    _SEEN[f"{_side}_shoulder"] = ((f"{_side}_shoulder", f"{_side}_elbow"), (), (f"{_side}_shoulder",))
-    _SEEN[f"{_side}_elbow"] = (
+    _SEEN_PARTS[f"{_side}_shoulder"] = ((f"{_side}_shoulder", f"{_side}_elbow"), (), (f"{_side}_shoulder",))
+    _SEEN_PARTS[f"{_side}_elbow"] = (
         (f"{_side}_elbow", f"{_side}_wrist"),
         (f"{_side}_hand_tip",),
         (f"{_side}_elbow", f"{_side}_wrist"),
@@ -192,7 +192,7 @@ def layer_regions(body: Body, *, bounding: bool, margin: float = 0.18) -> list[t
     one more of the whole body. bounding: boxes about the posed limb instead of fixed ones."""
     s, out, drawn = body.skeleton, [], []
     for name, _ in HPF_LAYERS:
-        joints, ends, parts = _SEEN[name]
+        joints, ends, parts = _SEEN_PARTS[name]
         drawn += parts
         if bounding:
             region = bounding_region(body, joints, ends, margin=margin)

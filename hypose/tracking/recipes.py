@@ -17,21 +17,21 @@ from hypose.fitting.articulated import SolveSettings
 from hypose.inference.layer import GoOn, Layer, Recipe, Recovery
 from hypose.inference.resampling import keep
 from hypose.tracking import published_recipes as published
-from hypose.tracking.exchanged_sides import look_for_exchange
+from hypose.tracking.arm_hypotheses import RefineRivals
+from hypose.tracking.arm_workspace import arm_reach, in_practice
+from hypose.tracking.left_right import look_for_exchange
 from hypose.tracking.limb_search import LimbSearch
 from hypose.tracking.monocular.recipe import PICTURE_CUES, TRIGGS, monocular
 from hypose.tracking.part_colours import LearnColours
 from hypose.tracking.pose_covariance import uncertainty_of_pose
 from hypose.tracking.published_recipes import LIMB_LAYERS
-from hypose.tracking.reach_table import arm_reach, in_practice
 from hypose.tracking.refinement import (
     ContourRefinement,
     InTurn,
     SolvePrediction,
-    settled,
+    settled_start,
     solved,
 )
-from hypose.tracking.rival_arms import RefineRivals
 from hypose.tracking.smooth_motion import smooth_clip
 from hypose.tracking.starts import recover
 
@@ -65,10 +65,10 @@ def default(
     The first solve puts the body within centimetres; the particles find limbs that went elsewhere (a local solve cannot
     pull in what lies beyond about 10 cm); the silhouettes choose between the first solve and the second. Each limb's
     best is kept (`LimbSearch`) instead of resampled: with 200 particles the mean of survivors mixes a found arm with a
-    lost one. A quarter of an arm's particles are drawn anew over its whole reach, for a punch is faster than any
+    lost one. A quarter of an arm's particles are drawn again over its whole reach, for a punch is faster than any
     diffusion. An arm is searched per frame, and a leg in every other one; all four when the first solve overlaps the
     masks worse than usual, and below 20 frames per second, where more happens between two frames. In the same frames an
-    arm's whole reach is looked up; of what is found there the best live on beside the estimate, `rivals` poses in all.
+    arm's whole reach is looked up; of what is found there the best live on next to the estimate, `rivals` poses in all.
     With `colours` it learns, where there are pictures, what colours the person's parts have, and asks them, and the
     edges of sleeves, where arms are: it helps folded arms and costs half as much again, so it is asked for.
     """
@@ -79,7 +79,7 @@ def default(
     rival_arms = _rivals(body, turns, rivals, options)
     rows = [Layer(SolvePrediction(options, rival_arms), None, keep, "contours")]
     for (name, joints), turn in zip(LIMB_LAYERS, turns, strict=True):
-        search = LimbSearch(s, joints, sigma, *in_practice(s), anew=0.25 if name.endswith("arm") else 0.0)
+        search = LimbSearch(s, joints, sigma, *in_practice(s), redrawn=0.25 if name.endswith("arm") else 0.0)
         rows.append(Layer(search, None, keep, name, turn))
     rows.append(Layer(rival_arms, None, keep, "rivals"))
     base = Recipe("default", rows, particles, rivals=rivals)
@@ -103,7 +103,7 @@ def _turns(frame_rate: float) -> list[InTurn]:
     return [InTurn(turn, period, seldom=_WITH_DEPTH // max(period, 2)) for turn, period in turns]
 
 
-def refined(base: Recipe, name: str | None = None) -> Recipe:
+def _refined(base: Recipe, name: str | None = None) -> Recipe:
     """A recipe with contour refinement after its last layer, whose result is the estimate and moves the set."""
     layer = Layer(ContourRefinement(), None, keep, "refinement")
     return _solving(replace(base, name=name or f"{base.name}+refine", layers=(*base.layers, layer)))
@@ -111,7 +111,7 @@ def refined(base: Recipe, name: str | None = None) -> Recipe:
 
 def hpf_plus(body: Body, particles: int = 572, frame_rate: float = 25.0) -> Recipe:
     """`published_recipes.hpf` with contour refinement, a solved start, prediction and recovery."""
-    return refined(published.hpf(body, particles, frame_rate=frame_rate), "hpf+")
+    return _refined(published.hpf(body, particles, frame_rate=frame_rate), "hpf+")
 
 
 def dd_hpf_rivals(body: Body, particles: int = 500, frame_rate: float = 25.0, rivals: int = 3) -> Recipe:
@@ -129,7 +129,7 @@ def dd_hpf_rivals(body: Body, particles: int = 500, frame_rate: float = 25.0, ri
 def _solving(base: Recipe) -> Recipe:
     return replace(
         base,
-        start=settled,
+        start=settled_start,
         predict=GoOn(),
         estimate=solved,
         uncertainty=uncertainty_of_pose,
@@ -140,7 +140,7 @@ def _solving(base: Recipe) -> Recipe:
 
 @dataclass(frozen=True)
 class Preset:
-    """What is known of a recipe before there is a body. make(body, frame_rate=Hz): the recipe for a body, whose other
+    """The information on a recipe before there is a body. make(body, frame_rate=Hz): the recipe for a body, whose other
     parameters are the options that only this method has; citation; whole_clip: key points alone are enough, and are
     solved in all frames together instead of frame by frame; needs: as those of the recipe, as far as they decide which
     recordings it can be used on; likes: those that are looked at where they are at hand; evidence: the choices, the
@@ -206,7 +206,7 @@ def recipe(
     count = {} if particles is None else {"particles": particles}
     made = RECIPES[name].make(body, frame_rate=frame_rate, **count, **own)
     if refine and made.smooth is None:  # what is solved has been refined
-        made = refined(made)
+        made = _refined(made)
     return replace(made, citation=citation_of(name, refine))
 
 

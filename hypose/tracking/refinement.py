@@ -25,7 +25,7 @@ from hypose.tracking.frame_evidence import PreparedFrame
 
 SOLVED, COMPOSITE, RIVAL = "solved", "composite", "rival"
 """Roles: the hypothesis that a solve put in, the one that a search of single limbs puts together, and another solved
-one that is alive beside the first."""
+one that is alive next to the first."""
 LUMBAR_SD = 0.28
 """rad: how far the spine is flexed or extended, as a rule: root mean square over captured walking, running and boxing
 (7.8, 7.7 and 25 degrees, CMU 02_01, 02_03 and 02_05, equal shares). Bending to the ground takes three times as much,
@@ -74,7 +74,7 @@ def prediction_prior(prediction: Array, weight: float) -> Quadratic:
     return Quadratic(prediction, np.full(len(prediction), weight))
 
 
-def settled(pose: Array, frame: PreparedFrame, /) -> Array:
+def settled_start(pose: Array, frame: PreparedFrame, /) -> Array:
     """Start: the pose (D,) of a long solve from the one that is given, which may be centimetres off."""
     return refine(frame.body, pose[None], frame, SETTLING)[0].pose
 
@@ -103,7 +103,7 @@ class ContourRefinement:
 
 
 class LaterLayer(Protocol):
-    """A layer that can begin with parts of its work before its turn, beside the others."""
+    """A layer that can begin with parts of its work before its turn, next to the others."""
 
     def before_solve(self, frame: PreparedFrame, /) -> None:
         """Begins with what depends on the last frame alone."""
@@ -119,7 +119,7 @@ class SolvePrediction:
     """Kernel: solves from the prediction and puts all hypotheses there: where a search of single limbs wants to start.
 
     One of them is in the role SOLVED, and one in the role COMPOSITE, to which the search adds limb by limb. later: a
-    layer that may begin beside this one and the next ones.
+    layer that may begin next to this one and the next ones.
     """
 
     options: SolveSettings = SolveSettings()
@@ -205,7 +205,7 @@ def best_fit(fits: list[PoseFit], frame: PreparedFrame) -> PoseFit:
 
 def refine(body: Body, starts: Array, frame: PreparedFrame, options: SolveSettings) -> list[PoseFit]:
     """Independent robust solves from starts (N, D) on a frame's evidence, with anatomical and prediction priors."""
-    fits = solve(body, starts, frame, options)
+    fits = solve_poses(body, starts, frame, options)
     keep_fits(frame, fits, body)
     return fits
 
@@ -217,7 +217,7 @@ def keep_fits(frame: PreparedFrame, fits: Sequence[PoseFit], body: Body | None =
         frame.fits.keep(body, body.skeleton.clamp(fit.pose), fit)
 
 
-def solve(body: Body, starts: Array, frame: PreparedFrame, options: SolveSettings) -> list[PoseFit]:
+def solve_poses(body: Body, starts: Array, frame: PreparedFrame, options: SolveSettings) -> list[PoseFit]:
     """`refine` without keeping anything."""
     trunk = anatomical_prior(body.skeleton, frame.keypoints.seen)
     priors = (trunk, prediction_prior(frame.prediction, frame.prediction_weight))

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from hypose.body.body import Body
 from hypose.cameras.camera import CameraRig
-from hypose.evidence.ahead import pack_once
 from hypose.evidence.depth_people import own_frame
 from hypose.evidence.frame import Frame, Keypoints
-from hypose.evidence.shared_masks import PREDICTED, SOLVED, BodyShape, Other
+from hypose.evidence.prefetch import pack_once
+from hypose.evidence.shared_masks import PREDICTED_WIDENING, SOLVED_WIDENING, BodyShape, Other
 from hypose.geometry import Array
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState
 
@@ -29,7 +29,7 @@ BLIND = 2
 @dataclass(frozen=True)
 class Member:
     """One of several people: how they are tracked, the state, and whether they are there at all: who has left, or has
-    not come yet, hides nobody and is not looked for."""
+    not come yet, hides no person and is not looked for."""
 
     tracker: Tracker
     state: TrackerState
@@ -56,9 +56,10 @@ def step_together(
     keypoints: Sequence[Keypoints | None] | None = None,
     others: Sequence[Other] = (),
 ) -> tuple[list[Member], list[FrameEstimate], list[Frame]]:
-    """One frame: everybody's next state and estimate, and the frame as each saw it, without what others hide.
+    """One frame: all people's next state and estimate, and the frame as each saw it, without what others hide.
 
-    keypoints: those of each person, already told apart; None: the frame's are nobody's. others: who else is there."""
+    keypoints: those of each person, already distinguished; None: the frame's are no person's. others: who else is
+        there."""
     count, after = len(members), list(members)
     estimates: list[FrameEstimate | None] = [None] * count
     seen = [frame] * count
@@ -70,15 +71,17 @@ def step_together(
         m = after[i]
         own = replace(frame, keypoints=None if keypoints is None else keypoints[i])
         if not m.present:
-            own = nobody_in(own)
+            own = no_person_in(own)
         elif shapes is not None and frame.silhouettes is not None:
-            beside = [
-                Other(shapes[j], SOLVED if done[j] else PREDICTED) for j in range(count) if j != i and after[j].sure
+            nearby = [
+                Other(shapes[j], SOLVED_WIDENING if done[j] else PREDICTED_WIDENING)
+                for j in range(count)
+                if j != i and after[j].sure
             ]
             lost = m.state.lost or m.state.blind > BLIND
-            own = own_frame(own, shapes[i], [*others, *beside], anywhere=lost)
+            own = own_frame(own, shapes[i], [*others, *nearby], anywhere=lost)
             assert own.silhouettes is not None
-            pack_once(own.silhouettes)  # the tracker wants them, and whoever judges what it has found
+            pack_once(own.silhouettes)  # the tracker wants them, and the person who judges what it has found
         state, estimate = m.tracker.step(m.state, own)
         after[i], estimates[i], seen[i], done[i] = replace(m, state=state), estimate, own, True
         if shapes is not None and rig is not None and not done.all():
@@ -86,7 +89,7 @@ def step_together(
     return after, [e for e in estimates if e is not None], seen
 
 
-def nobody_in(frame: Frame) -> Frame:
+def no_person_in(frame: Frame) -> Frame:
     """The frame without any evidence."""
     s = frame.silhouettes
     if s is not None:

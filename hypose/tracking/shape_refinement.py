@@ -32,11 +32,11 @@ EFFECTIVE = 9.0
 Measured on the subjects of the anthropometry benchmark, where the errors are about three times the formal ones."""
 CONTOUR_WEIGHT = 0.05
 """of a contour row in the pose solver"""
-DENSITY = 1000.0
+_DENSITY = 1000.0
 """kg/m^3 of a person with air in the lungs, with the mesh's volume"""
 
 
-BONES = (
+_BONES = (
     *("torso length", "upper arm length", "forearm length", "thigh length", "shank length"),
     *("shoulder width", "hip width"),
 )
@@ -45,8 +45,8 @@ BONES = (
 
 @dataclass(frozen=True)
 class Known:
-    """What is known of the subject: height m (sd 1 cm), mass kg (sd 6 %: the mesh is not the body); bones: the BONES of
-    the body given, by what share they may differ (1 sd). None = unknown."""
+    """The information on the subject: height m (sd 1 cm), mass kg (sd 6 %: the mesh is not the body); bones: the _BONES
+    of the body given, by what share they may differ (1 sd). None = unknown."""
 
     height: float | None = None
     mass: float | None = None
@@ -146,8 +146,8 @@ class _ShapeProblem(PoseProblem[Array]):
         self.mean, rows, sd = prior_mean(), *length_rows(body)[::2]
         self.precision = prior * (np.linalg.inv(prior_covariance()) + (rows / sd[:, None]).T @ (rows / sd[:, None]))
         if known.bones is not None:
-            sure = np.zeros((len(BONES), len(self.mean)))
-            sure[:, entity("scale")] = sure[np.arange(len(BONES)), [entity(n) for n in BONES]] = 1 / known.bones
+            sure = np.zeros((len(_BONES), len(self.mean)))
+            sure[:, entity("scale")] = sure[np.arange(len(_BONES)), [entity(n) for n in _BONES]] = 1 / known.bones
             self.precision += sure.T @ sure
         self.free = np.ones(len(self.mean), dtype=np.bool_)
         # what may be known: its logarithm, the sd of that, and how it is measured
@@ -156,7 +156,7 @@ class _ShapeProblem(PoseProblem[Array]):
             crown = lambda b: height_ratio * float(np.ptp(b.coarse.vertices[:, 2]))  # noqa: E731
             self._measures.append((float(np.log(known.height)), 0.01 / known.height, crown))
         if known.mass is not None:
-            self._measures.append((float(np.log(known.mass)), 0.06, lambda b: DENSITY * b.coarse.volume))
+            self._measures.append((float(np.log(known.mass)), 0.06, lambda b: _DENSITY * b.coarse.volume))
 
     def body(self, shared: Array) -> Body:
         return body_of(self.template, shared)
@@ -170,7 +170,7 @@ class _ShapeProblem(PoseProblem[Array]):
         return shared + step
 
     def prior(self, x: Array) -> tuple[Array, Array, list[Body]]:
-        """Matrix (K, K) and gradient (K,) of what is known of the shape without the views, and the body with each
+        """Matrix (K, K) and gradient (K,) of the information on the shape without the views, and the body with each
         factor changed by a step."""
         varied = [self.body(x + self._STEP * e) for e in np.eye(len(x))]
         hessian, gradient = self.precision.copy(), self.precision @ (x - self.mean)

@@ -17,7 +17,7 @@ from hypose.evidence.frame import Frame
 from hypose.evidence.terms import PointTerm
 from hypose.geometry import Array
 from hypose.tracking.contacts import FootMotion, contact_terms, find_contacts, foot_motion, soles_of
-from hypose.tracking.fitted_spread import pose_covariance
+from hypose.tracking.covariance_calibration import pose_covariance
 from hypose.tracking.pose_covariance import unpacked
 from hypose.tracking.smoothing import ClipSettings, gap_covariance, smooth_poses
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState

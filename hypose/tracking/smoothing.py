@@ -25,7 +25,7 @@ from hypose.fitting.clip_solve import Coupling, Gaussian, pose_steps
 from hypose.geometry import Array, nearest_branch
 
 _FARTHEST_M = 2.0
-"""m: sd of the place of somebody who has not been seen for long; of an angle it is 1 rad"""
+"""m: sd of the place of a person who has not been seen for long; of an angle it is 1 rad"""
 
 
 @dataclass(frozen=True)
@@ -118,8 +118,8 @@ def smooth_poses(
     settings: ClipSettings | None = None,
     contacts: Sequence[Sequence[PointTerm]] | None = None,
 ) -> Array:
-    """Poses (T, D) of a clip from those of its frames (T, D) and what is known of each: information (T, D, D), zero in
-    frames without evidence, whose pose does not matter. contacts: points that hold still, per frame."""
+    """Poses (T, D) of a clip from those of its frames (T, D) and the information on each: information (T, D, D), zero
+    in frames without evidence, whose pose does not matter. contacts: points that hold still, per frame."""
     settings = settings or ClipSettings()
     known = np.asarray(information.any((1, 2)))
     given = bridged(poses, known)

@@ -1,7 +1,7 @@
 """A start from silhouettes alone: dozens of postures, turned every way, at the visual hull; the few that explain the
 masks in their own way are solved, followed for a while, and weighed.
 
-One frame does not tell a person who sits from one who stands in front of a chair, nor front from back. What nobody's
+One frame does not tell a person who sits from one who stands in front of a chair, nor front from back. What no person's
 body explains (a chair, a bag) stays bare in the masks; what a wrong pose costs is body where there is no mask. So bare
 mask counts less than body outside, and several frames decide.
 """
@@ -19,8 +19,8 @@ from hypose.errors import EvidenceError
 from hypose.evidence.hull import Hull
 from hypose.fitting.articulated import SolveSettings
 from hypose.geometry import Array, so3_exp, so3_log
-from hypose.tracking.exchanged_sides import strain, turned_around
 from hypose.tracking.frame_evidence import PreparedFrame
+from hypose.tracking.left_right import strain, turned_around
 from hypose.tracking.postures import postures
 from hypose.tracking.refinement import SETTLING, refine
 from hypose.tracking.starts import KNOWN_POSES, hull_of, start_in_pose
@@ -29,9 +29,9 @@ from hypose.tracking.subject import scaled_to_height
 BARE = 0.6
 """What bare mask counts against as much body outside the masks. Chosen, as what is odd and soft, on scenes (benchmark
 `starts`) of the seeds 700 to 702."""
-HEADINGS = 24
-_YAWS = np.arange(HEADINGS) * 2 * np.pi / HEADINGS
-USUAL_M, SPREAD = 1.70, 0.12
+_HEADINGS = 24
+_YAWS = np.arange(_HEADINGS) * 2 * np.pi / _HEADINGS
+USUAL_M, _SPREAD = 1.70, 0.12
 """m, and share: how tall people are, where nothing is known"""
 _BINS = 0.04
 """logarithm of two sizes tried"""
@@ -78,7 +78,7 @@ def starts_in_frame(
     """The starts that a frame allows, best first, which differ from each other.
 
     frame: prepared for any body; height m of the person, when known; extent m of the hull, where another frame's is
-    truer. An EvidenceError when the views have no common hull, or one that is nobody's."""
+    truer. An EvidenceError when the views have no common hull, or one that is no person's."""
     hull = hull_of(frame)
     tall = extent or hull.height
     base = postures(template)
@@ -89,8 +89,8 @@ def starts_in_frame(
         body = template if stature == template.stature else scaled_to_height(template, stature)
         places = np.concatenate([_placed(body, base[n], turns[n], hull) for n in own])
         cost = mask_cost(body, places, frame) + _odd(stature, height)
-        for first in range(0, len(places), HEADINGS):
-            for i in first + np.argsort(cost[first : first + HEADINGS], kind="stable")[:_PER_POSTURE]:
+        for first in range(0, len(places), _HEADINGS):
+            for i in first + np.argsort(cost[first : first + _HEADINGS], kind="stable")[:_PER_POSTURE]:
                 found.append(Start(body, places[i], float(cost[i])))
     if not found and frame.depth.seen:
         raise EvidenceError(
@@ -159,7 +159,7 @@ class Starts:
         return self.starts[0]
 
 
-def weighed(starts: Sequence[Start], frames: Sequence[PreparedFrame]) -> Starts:
+def weigh_starts(starts: Sequence[Start], frames: Sequence[PreparedFrame]) -> Starts:
     """Starts of one frame followed through the frames after it, which decide between them."""
     some = [s for s in starts if s.cost < starts[0].cost + _HOPELESS][:_FOLLOWED]
     ways = [_followed(s, frames) for s in some]
@@ -178,7 +178,7 @@ def by_their_ways(starts: Sequence[Start], ways: Sequence[Array], costs: Array) 
     joints = np.stack([starts[k].body.joints(ways[k]) for k in order])
     away = np.linalg.norm(joints - joints[0], axis=-1)
     arm = np.array([n.endswith(("elbow", "wrist")) for n in starts[0].body.skeleton.joint_names])
-    other = away[..., ~arm].mean((1, 2)) > _APART_M  # arms that alone differ are found by whoever tracks
+    other = away[..., ~arm].mean((1, 2)) > _APART_M  # arms that alone differ are found by the person who tracks
     far = weights[:, None] * (away > _FAR_M).mean(1) * other[:, None]
     left, right = (starts[0].body.skeleton.joint(f"{side}_hip") for side in ("left", "right"))
     across = joints[:, :, right] - joints[:, :, left]
@@ -197,8 +197,8 @@ def start_from_hull(body: Body, frame: PreparedFrame, poses: Sequence[str] = KNO
 
 
 def _followed(start: Start, frames: Sequence[PreparedFrame]) -> tuple[Array, Array]:
-    """(F, D) poses of a start in the frames that come after it, and (F,) what they cost. Whoever walks goes on: else
-    the true start loses its legs, and a body that is too small wins."""
+    """(F, D) poses of a start in the frames that come after it, and (F,) what they cost. The person who walks goes on:
+    else the true start loses its legs, and a body that is too small wins."""
     poses, costs, pose, moved = [], [], start.pose, np.zeros(3)
     for frame in frames:
         expected = pose.copy()
@@ -226,23 +226,23 @@ def _by_size(template: Body, spans: Array, tall: float, height: float | None) ->
 
 def _odd(stature: float, height: float | None) -> float:
     """What an unusual stature costs, where it is not known."""
-    return 0.0 if height is not None else 0.002 * float(np.log(stature / USUAL_M) / SPREAD) ** 2
+    return 0.0 if height is not None else 0.002 * float(np.log(stature / USUAL_M) / _SPREAD) ** 2
 
 
 def _every_way(poses: Array) -> Array:
-    """(N, HEADINGS, 3) rotation vectors of poses (N, D), turned every way about the vertical."""
-    about = np.zeros((HEADINGS, 3))
+    """(N, _HEADINGS, 3) rotation vectors of poses (N, D), turned every way about the vertical."""
+    about = np.zeros((_HEADINGS, 3))
     about[:, 2] = _YAWS
     return so3_log(so3_exp(about) @ so3_exp(poses[:, None, 3:6]))
 
 
 def _placed(body: Body, pose: Array, turns: Array, hull: Hull) -> Array:
-    """(HEADINGS, D) the pose turned every way and put where the hull is: its feet on the hull's lowest point."""
+    """(_HEADINGS, D) the pose turned every way and put where the hull is: its feet on the hull's lowest point."""
     low, high = hull.points.min(0), hull.points.max(0)
     middle = 0.5 * (0.5 * (low + high) + hull.centroid)
     vertices = body.skin(pose)
     own = 0.5 * (0.5 * (vertices.min(0) + vertices.max(0)) + vertices.mean(0)) - pose[:3]
-    out = np.repeat(pose[None], HEADINGS, 0)
+    out = np.repeat(pose[None], _HEADINGS, 0)
     out[:, 0] = middle[0] - (np.cos(_YAWS) * own[0] - np.sin(_YAWS) * own[1])
     out[:, 1] = middle[1] - (np.sin(_YAWS) * own[0] + np.cos(_YAWS) * own[1])
     out[:, 2] = low[2] - (vertices[:, 2].min() - pose[2])

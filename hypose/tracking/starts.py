@@ -115,14 +115,14 @@ def start_in_pose(
     solved. An EvidenceError when the views have no common hull. Source: Alcoverro 2014, section 2.3.3 step 1."""
     hull = hull_of(frame)
     candidates = [
-        _centred(body, turned(known_pose(body, name), heading), hull)
+        _centred(body, turn_pose(known_pose(body, name), heading), hull)
         for name in names
         for heading in np.arange(headings) * 2 * np.pi / headings
     ]
     return _best_refined(body, np.stack(candidates), frame, options or SETTLING)
 
 
-def turned(pose: Array, heading: float) -> Array:
+def turn_pose(pose: Array, heading: float) -> Array:
     """The pose (D,) turned about the vertical through its root by heading (rad)."""
     out = pose.copy()
     out[3:6] = so3_log(so3_exp([0, 0, heading]) @ so3_exp(pose[3:6]))
@@ -130,14 +130,14 @@ def turned(pose: Array, heading: float) -> Array:
 
 
 RECOVERY_REACH = 1.3
-"""m: how far from the last pose a lost person is looked for; whoever is farther away is somebody else."""
+"""m: how far from the last pose a lost person is looked for; the person who is farther away is another person."""
 
 
 def recover(pose: Array, last: Array, frame: PreparedFrame, /) -> Array:
     """The best pose (D,) after a loss: the given one, carried to the hull and turned, and known poses; refined.
 
     Only the space within RECOVERY_REACH of the last pose (D,) in which the person was seen is looked at, and who is
-    solved to stand further away was only reached into: with nobody there the pose stays, so that another person in
+    solved to stand further away was only reached into: with no person there the pose stays, so that another person in
     view is not taken for the one who left.
     """
     body = frame.body
@@ -148,7 +148,7 @@ def recover(pose: Array, last: Array, frame: PreparedFrame, /) -> Array:
     candidates = [pose]
     for base in (pose, known_pose(body, "standing"), known_pose(body, "a")):
         for heading in np.arange(8) * np.pi / 4:
-            candidates.append(_centred(body, turned(base, heading), hull))
+            candidates.append(_centred(body, turn_pose(base, heading), hull))
     found = _best_refined(body, np.stack(candidates), frame, SETTLING).pose
     return found if np.linalg.norm(found[:3] - last[:3]) <= RECOVERY_REACH else pose
 

@@ -29,7 +29,7 @@ PAIRED = {
     "thigh": ("hip", "knee"),
     "shank": ("knee", "ankle"),
 }
-TRUNK = ("pelvis", "spine", "chest")
+TRUNK_SEGMENTS = ("pelvis", "spine", "chest")
 
 ACROSS, _SD_OF_MAD, _SHORTEST = 2, 1.4826, 0.7
 """Directions across a bone; standard deviations in a median distance from the median; and the least share of a length
@@ -116,7 +116,7 @@ def shape_from_keypoints(body: Body, points_world: Array, names: tuple[str, ...]
     }
     trunk = _of_sides(*(factor(f"{side}_shoulder", f"{side}_hip") for side in ("left", "right")))
     unseen = [segment for segment, value in limbs.items() if np.isnan(value)]
-    if unseen:  # legs below a desk: in proportion to what is seen
+    if unseen:  # legs below a desk: in proportion to the visible part
         seen = [v for v in (*limbs.values(), trunk) if v > 0]
         if len(seen) < 2:
             raise EvidenceError(
@@ -130,7 +130,7 @@ def shape_from_keypoints(body: Body, points_world: Array, names: tuple[str, ...]
     shoulders, _ = factor("left_shoulder", "right_shoulder")
     shoulders = scale if np.isnan(shoulders) else float(np.clip(shoulders, 0.8 * scale, 1.2 * scale))
     trunk = scale if np.isnan(trunk) else float(trunk)
-    length: dict[str, float] = {j: trunk / scale for j in TRUNK}
+    length: dict[str, float] = {j: trunk / scale for j in TRUNK_SEGMENTS}
     offset: dict[str, tuple[float, float, float]] = {}
     for side in ("left", "right"):
         for segment, (joint, _) in PAIRED.items():

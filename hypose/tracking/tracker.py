@@ -29,9 +29,9 @@ from hypose.tracking.pose_covariance import PoseUncertainty, nothing_known, unce
 
 BETWEEN_FRAMES, RECOVERY, START = -1, -2, -3
 """Layer numbers of the random streams used outside a recipe's layers."""
-NOBODY = 0.3
-"""Share of the usual mean IoU below which the masks hold nobody where the body is, or the rim of somebody else."""
-LOOSE, FOUND, LOOKS = 0.75, 0.1, 4
+_NO_PERSON = 0.3
+"""Share of the usual mean IoU below which the masks hold no person where the body is, or the rim of another person."""
+_LOOSE, FOUND, _LOOKS = 0.75, 0.1, 4
 """Mean IoU below which a body may be lost whatever is usual, since who is wrong from the start sets what is usual; how
 much better it must lie elsewhere to have been lost: turning around costs no more; and how many looks for a rival there
 are to one of these, which takes longer."""
@@ -43,7 +43,7 @@ _COLUMN, _MODES, _MEMORY = "column_", "modes_", "memory_"
 
 @dataclass(frozen=True)
 class TrackerSettings:
-    """What the tracker is told.
+    """What the tracker is known.
 
     evidence: 'silhouettes', 'keypoints' or 'both'; with the picture of one camera also 'edges', nothing else, and
     'auto', all there is. seed: of every random draw. frame_rate: Hz. prediction_weight: pull
@@ -72,8 +72,8 @@ class FrameEstimate:
     how much a rival (the body with its sides exchanged) overlaps the masks better, or a body that was lost and found
     than where it was held to be, NaN when not looked at.
     seen (C, 3): what hypose.pipeline.doubts keeps of each view, (0, 3) when nothing; audit (J, A): what speaks for and
-    against each joint (hypose.tracking.audit), (0, 0) when not looked at. rivals (K, D), rival_weights (K,): other
-    poses that the evidence allows, as in `Motion`."""
+    against each joint (hypose.tracking.joint_features), (0, 0) when not looked at. rivals (K, D), rival_weights (K,):
+    other poses that the evidence allows, as in `Motion`."""
 
     pose: Array
     uncertainty: PoseUncertainty
@@ -98,7 +98,7 @@ class FrameEstimate:
 class TrackerState:
     """What the next frame needs. frames: frames done; pose, previous (D,); joint_covariance (J, 3, 3) m^2;
     usual_iou: running mean of the IoU while not lost (NaN before the first); blind: frames since the last evidence;
-    lost: in the last frame; memory: what the recipe remembers beside."""
+    lost: in the last frame; memory: what the recipe remembers next to."""
 
     frames: int
     hypotheses: Hypotheses
@@ -257,25 +257,25 @@ class Tracker:
         and by how much the IoU has grown, when a lost person has been looked for and found (else NaN)."""
         lost, gain = self._is_lost(iou, state.usual_iou), float("nan")
         known = lost or state.lost or state.blind > 2
-        looks = np.isfinite(iou) and self._has_look(state, LOOKS)
-        loose = looks and mean_overlap(self.body, pose, prepared) < LOOSE
+        looks = np.isfinite(iou) and self._has_look(state, _LOOKS)
+        loose = looks and mean_overlap(self.body, pose, prepared) < _LOOSE
         if known or loose:
             found = how.find(pose, state.pose, prepared)
             found_iou = agreement(self.body, found, prepared)
-            # from nowhere only to a whole person: the rim of somebody else's hull is no find
-            cut_off = self._is_nobody(iou, state.usual_iou) and self._is_lost(found_iou, state.usual_iou)
+            # from nowhere only to a whole person: the rim of another person's hull is no find
+            cut_off = self._no_person(iou, state.usual_iou) and self._is_lost(found_iou, state.usual_iou)
             if found_iou > iou + (0.02 if known else FOUND) and not cut_off:
                 pose, iou, gain = found, found_iou, found_iou - iou
                 selected = self._around(pose, 1.0, stream(self.settings.seed, prepared.frame.index, RECOVERY))
                 lost = self._is_lost(iou, state.usual_iou)
                 state = replace(state, pose=pose)  # the step back is no velocity
-        if lost and self._is_nobody(iou, state.usual_iou):
+        if lost and self._no_person(iou, state.usual_iou):
             # stay where the person was last seen: a solve would drift to whatever else is in the masks
             pose, selected = state.pose, state.hypotheses
         return state, pose, selected, iou, lost, gain
 
     def rival(self, pose: Array, frame: Frame) -> Array:
-        """Where tracking may begin anew from a pose (D,), on a frame's evidence: its rival, or the body looked for as
+        """Where tracking may begin again from a pose (D,), on a frame's evidence: its rival, or the body looked for as
         one that is lost, or the pose if neither is better."""
         how, prepared = self.recipe.recover, self.prepare_frame(frame, pose)
         if how is None or not prepared.silhouettes.seen:
@@ -294,7 +294,7 @@ class Tracker:
         return look(pose, prepared)[0]
 
     def _has_look(self, state: TrackerState, times: int = 1) -> bool:
-        """It is the turn of what is looked for now and then, or so many times as seldom."""
+        """It is the turn of the target now and then, or so many times as seldom."""
         return state.frames % max(1, round(times * self.settings.rival_every * self.settings.frame_rate)) == 0
 
     def _around(self, pose: Array, steps: float, rng: np.random.Generator) -> Hypotheses:
@@ -304,7 +304,7 @@ class Tracker:
         return Hypotheses.uniform(s.clamp(pose + noise * s.step_sigma(self.settings.frame_rate)))
 
     def _rivals(self, h: Hypotheses | None) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """The hypotheses beside the best, and their weights, as an estimate has them."""
+        """The hypotheses next to the best, and their weights, as an estimate has them."""
         count = max(self.recipe.rivals - 1, 0)
         poses = np.full((count, self.body.skeleton.dof), np.nan, np.float32)
         weights = np.zeros(count, np.float32)
@@ -377,8 +377,8 @@ class Tracker:
         )
         return bool(iou < floor)
 
-    def _is_nobody(self, iou: float, usual: float) -> bool:
-        return bool(iou < NOBODY * (1.0 if np.isnan(usual) else usual))
+    def _no_person(self, iou: float, usual: float) -> bool:
+        return bool(iou < _NO_PERSON * (1.0 if np.isnan(usual) else usual))
 
     def _extrapolate(
         self, state: TrackerState, prediction: Array, expected: Hypotheses
@@ -427,8 +427,8 @@ def _stacked(of_frames: Sequence[NDArray[np.float32]]) -> NDArray[np.float32] | 
 
 def modes_of(estimates: Sequence[FrameEstimate]) -> Modes | None:
     """The poses that each of the frames allows, where the method tells them."""
-    told = [e.uncertainty.modes for e in estimates if e.uncertainty.modes is not None]
-    return joined_modes(told) if told and len(told) == len(estimates) else None
+    stated = [e.uncertainty.modes for e in estimates if e.uncertainty.modes is not None]
+    return joined_modes(stated) if stated and len(stated) == len(estimates) else None
 
 
 def estimates_to_arrays(estimates: Sequence[FrameEstimate]) -> dict[str, NDArray[Any]]:
@@ -452,8 +452,8 @@ def estimates_to_arrays(estimates: Sequence[FrameEstimate]) -> dict[str, NDArray
 
 def estimates_from_arrays(arrays: Mapping[str, np.ndarray]) -> list[FrameEstimate]:
     """The estimates that `estimates_to_arrays` wrote."""
-    told = {k.removeprefix(_MODES): v for k, v in arrays.items() if k.startswith(_MODES)}
-    modes = Modes(**told).rows() if told else [None] * len(arrays["poses"])
+    stated = {k.removeprefix(_MODES): v for k, v in arrays.items() if k.startswith(_MODES)}
+    modes = Modes(**stated).rows() if stated else [None] * len(arrays["poses"])
     return [
         FrameEstimate(
             pose,

@@ -1,7 +1,7 @@
 """How much worse the key points of one view are than those of the others: a camera that was moved, lags, or whose
 detections are shifted.
 
-A view that is wrong as a whole is not told by its detector's confidence, and a robust cost does not leave it out when
+A view that is wrong as a whole is not known by its detector's confidence, and a robust cost does not leave it out when
 the wrong distances are as large as the noise that was measured with them. The views' noise is estimated from what they
 leave of each other's triangulation: variance components, whose sums of squares are divided by the share of them that
 is left in the residuals (Förstner, W. 1979, Ein Verfahren zur Schätzung von Varianz- und Kovarianzkomponenten), with

@@ -14,7 +14,7 @@ from benchmarks.robustness.fork_server import ForkServer
 from benchmarks.robustness.programs import Program, run
 from benchmarks.robustness.small_recordings import small_scene, write_masks, write_skeletons
 from hypose import compute
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.compute.compiled import cache_folder
 from hypose.io.motions.results import save_body
 from tests import missing

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks.robustness.small_recordings import small_scene, write_masks
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.io.motions.results import load_motion, save_body
 
 LIGHT = ("--no-overlay", "--formats", "trc")

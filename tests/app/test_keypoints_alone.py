@@ -10,7 +10,7 @@ from benchmarks.robustness.keypoint_layouts import (
     write_keypoint_recording,
     write_keypoints,
 )
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.io.motions.marker_files import write_trc
 from hypose.io.motions.results import load_motion
 from hypose.synthetic.scenes import camera_rig

@@ -14,7 +14,7 @@ from hypose.app.reports.result_pictures import (
     mask_outline,
 )
 from hypose.app.studio.view_bundle import ViewResult
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.compute.parts import covered
 from hypose.io.motions.results import load_body, load_motion
 from hypose.io.recordings.recording import View, load_recording

@@ -15,7 +15,7 @@ from websockets.sync.client import connect
 
 from benchmarks.robustness.small_recordings import small_scene
 from hypose.app.live.pose_outputs import PoseOutputs, pose_json
-from hypose.body.ready_bodies import JOINT_NAMES
+from hypose.body.default_body import JOINT_NAMES
 from hypose.errors import InputError
 from hypose.pipeline.live.engine import LiveStatus
 from hypose.pipeline.live.feeds import FeedStatus

@@ -8,7 +8,7 @@ import pytest
 from hypose.app.cli import main
 from hypose.app.commands import console
 from hypose.app.jobs.job import DESCRIPTIONS
-from hypose.body.ready_bodies import JOINT_NAMES, human
+from hypose.body.default_body import JOINT_NAMES, human
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.frame import Frame, Keypoints, Picture
 from hypose.inference.hypotheses import Hypotheses

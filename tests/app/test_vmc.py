@@ -10,8 +10,8 @@ from hypose.app.cli import main
 from hypose.app.commands.commands_results import play_motion
 from hypose.app.live.osc import OscTarget, osc_bundles
 from hypose.app.live.vmc import BONES
+from hypose.body.default_body import human
 from hypose.body.motion import Motion, isotropic
-from hypose.body.ready_bodies import human
 from hypose.errors import InputError
 from hypose.fusion.fuse import points_motion
 from hypose.fusion.joints import COMMON

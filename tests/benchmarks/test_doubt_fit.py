@@ -8,12 +8,12 @@ import pytest
 from benchmarks.multiview.doubt_fit import Rows, auroc, ece, in_clip, said
 from benchmarks.multiview.spread_fit import UNSEEN, covered, fit_joint, level_error, squares
 from hypose.synthetic.metrics import EVALUATED
-from hypose.tracking.doubt import (
+from hypose.tracking.error_features import FEATURES
+from hypose.tracking.error_model import (
     BY_ITSELF,
     GROUPS,
     DoubtModel,
 )
-from hypose.tracking.doubt_features import FEATURES
 from tests.tailed import tailed
 
 

@@ -16,7 +16,7 @@ from hypose.body.anthropometry import (
     prior_covariance,
     sizes_of,
 )
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ from scipy.spatial import KDTree
 
 from benchmarks.multiview.procedural import Proportions, procedural_body
 from hypose.body.body import Body, Mesh
-from hypose.body.ready_bodies import JOINT_NAMES, PARENTS, human, human_skeleton
+from hypose.body.default_body import JOINT_NAMES, PARENTS, human, human_skeleton
 from hypose.errors import InputError
 
 MIRROR = [

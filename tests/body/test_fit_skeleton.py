@@ -5,6 +5,7 @@ import pytest
 
 from benchmarks.multiview.rigging import scan_of
 from hypose.body.body import Shape, deform
+from hypose.body.default_body import human
 from hypose.body.fit_skeleton import (
     FACTORS,
     SCAN_POSES,
@@ -15,7 +16,6 @@ from hypose.body.fit_skeleton import (
     surface_samples,
     unposed,
 )
-from hypose.body.ready_bodies import human
 from hypose.errors import InputError
 from hypose.geometry import so3_exp
 from hypose.synthetic.subjects import load_subjects

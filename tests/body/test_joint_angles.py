@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from hypose.body.default_body import JOINT_NAMES, human_skeleton
 from hypose.body.joint_angles import (
     ANGLE_NAMES,
     BODY_AXES,
@@ -13,7 +14,6 @@ from hypose.body.joint_angles import (
     neutral_frames,
     straight_offset,
 )
-from hypose.body.ready_bodies import JOINT_NAMES, human_skeleton
 from hypose.errors import InputError
 from hypose.geometry import so3_exp, so3_log
 from tests import missing

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from hypose.body.default_body import JOINT_NAMES, PARENTS, human
 from hypose.body.joint_names import MIXAMO, match_rig, renamed_body
-from hypose.body.ready_bodies import JOINT_NAMES, PARENTS, human
 from hypose.errors import InputError
 
 

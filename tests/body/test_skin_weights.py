@@ -6,8 +6,8 @@ import pytest
 from benchmarks.multiview.procedural import procedural_body
 from hypose.body.body import Body, Mesh
 from hypose.body.coarse_mesh import coarse_mesh, decimated, enclosed_volume, is_closed
+from hypose.body.default_body import JOINT_NAMES, human
 from hypose.body.fit_skeleton import scan_pose
-from hypose.body.ready_bodies import JOINT_NAMES, human
 from hypose.body.skin_weights import (
     body_bones,
     carried_weights,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.papers.superquadrics import PARAMETERS, fit_parts, grid, nodes, superquadric_body
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.errors import InputError
 
 PART = np.array([0.06, 0.05, 0.20, 0.7, 0.9, -0.3, 0.2, 1.5, 0.4])

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.calibration.refine_body import BodySettings, adjust_with_body
 from hypose.calibration.refine_points import (
     adjust,

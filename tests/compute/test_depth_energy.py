@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hypose import compute
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.compute import SeenDepth
 from hypose.tracking.starts import known_pose
 from tests.depth_pictures import drawn, sensors

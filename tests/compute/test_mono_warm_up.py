@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hypose import compute
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.cameras.camera import CameraRig
 from hypose.compute import mono
 from hypose.evidence.frame import Frame, Keypoints, Picture

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.compute import covered, draw_parts, mask_of, parts_against_mask, projected
 
 PARTS = 5

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import spearmanr
 
 from hypose import compute
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.compute import lane_mesh
 from hypose.errors import InputError
 from tests import reference

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.synthetic.depth_frames import depth_frames, empty_rooms
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.depth_background import (
     learn_background,
@@ -136,7 +136,7 @@ def test_a_table_before_the_person_says_nothing_of_their_legs(scene):
     behind = person & (with_table.clean_map(0, 0)[1] == 0)
     assert behind.sum() > 300  # of the legs, from in front
     assert hidden.ignored[0][behind].mean() > 0.9
-    assert hidden.told[0][person & ~behind].mean() > 0.85
+    assert hidden.informative[0][person & ~behind].mean() > 0.85
     assert hidden.areas[0] < free.areas[0] < 1.5 * hidden.expected.areas[0]
 
 

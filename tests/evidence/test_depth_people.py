@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.depth_people import own_frame, people_seen
 from hypose.evidence.frame import Frame
@@ -90,12 +90,12 @@ def test_a_colour_camera_beside_shows_what_the_other_body_leaves(who):
     frame = Frame(0.0, 0, silhouettes, depth=depth)
     shapes = [BodyShape(body.skin(q), body.coarse.faces, rig) for q in poses]
     own = own_frame(frame, shapes[who], [Other(shapes[1 - who])])
-    told, mine, theirs = own.silhouettes.told[1] > 0, owners[who, 1], owners[1 - who, 1]
+    told, mine, theirs = own.silhouettes.informative[1] > 0, owners[who, 1], owners[1 - who, 1]
     assert own.silhouettes.usable.all() and own.depth.usable.tolist() == [True, False]
     assert told[mine & ~theirs].mean() > 0.8 and told[theirs].sum() == 0
     blind = replace(frame, silhouettes=replace(silhouettes, usable=depth.usable))
     without_colour = own_frame(blind, shapes[who], [Other(shapes[1 - who])]).silhouettes
-    assert np.array_equal(own.silhouettes.told[0], without_colour.told[0])
+    assert np.array_equal(own.silhouettes.informative[0], without_colour.informative[0])
     # whoever is only known by what depth cameras measure is not looked for in pictures
     seen = own_frame(frame, people_seen(frame)[0].shape(rig), [])
     assert seen.silhouettes.usable.tolist() == [True, False]

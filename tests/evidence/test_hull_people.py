@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.hull_people import people_in_hull
 from hypose.evidence.shared_masks import BodyShape

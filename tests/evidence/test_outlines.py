@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from hypose.evidence.ahead import look_ahead, outlines
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.outlines import WORKING_HEIGHT, outline_in_box, view_outline
+from hypose.evidence.prefetch import look_ahead, outlines
 from tests.capsule_person import ring
 
 

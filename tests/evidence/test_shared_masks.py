@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from hypose import compute
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.compute import reach
-from hypose.evidence.ahead import outlines, prepared_masks
 from hypose.evidence.frame import Expected
 from hypose.evidence.hull import visual_hull
 from hypose.evidence.outlines import WORKING_HEIGHT
+from hypose.evidence.prefetch import outlines, prepared_masks
 from hypose.evidence.shared_masks import Other, own_silhouettes, without
 from hypose.synthetic.scenes import make_scene
 from hypose.tracking.several import shape_of
@@ -143,6 +143,6 @@ def test_without_hides_everybody_else(pair):
     _, shapes, silhouettes = pair
     left = without(silhouettes, [Other(shapes[1])])
     for c, (y0, y1, x0, x1) in enumerate(shapes[1].boxes):
-        assert not left.told[c, y0:y1, x0:x1][shapes[1].drawn(c) > 0].any()
+        assert not left.informative[c, y0:y1, x0:x1][shapes[1].drawn(c) > 0].any()
     assert without(silhouettes, []) is silhouettes
     assert isinstance(Expected(shapes[0].boxes, np.ones(4, int)), Expected)

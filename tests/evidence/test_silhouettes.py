@@ -7,7 +7,7 @@ from hypose.evidence.silhouettes import (
     SilhouetteSettings,
     as_mask,
     biggest_parts,
-    clean,
+    clean_mask,
     flag_collapsed,
     make_segmenter,
     make_silhouettes,
@@ -82,9 +82,9 @@ def test_clean_up_fills_small_holes_and_drops_far_parts():
     mask[50:54, 50:54] = 0
     mask[80:84, 120:124] = 1  # a speck far away
     mask[60:80, 73:80] = 1  # a hand cut off by three pixels
-    out = clean(mask, SilhouetteSettings(close_px=0))
+    out = clean_mask(mask, SilhouetteSettings(close_px=0))
     assert out[52, 52] and not out[82, 122] and out[70, 76]
-    assert not clean(np.zeros((20, 20), np.uint8)).any()
+    assert not clean_mask(np.zeros((20, 20), np.uint8)).any()
     assert biggest_parts(mask, 1.0)[70, 76] == 0
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hypose import fitting
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.errors import InputError
 from hypose.evidence.depth_surface import DepthTerm, depth_term
 from hypose.tracking.starts import known_pose

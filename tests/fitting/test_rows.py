@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hypose.body.anthropometry import SHAPE_FACTORS, entity
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.calibration import depth_registration, refine_body
 from hypose.calibration.refine_points import CameraUnknowns
 from hypose.evidence.depth_surface import depth_term

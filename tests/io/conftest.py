@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from hypose.body.body import Body, Landmarks, Mesh
+from hypose.body.default_body import JOINT_NAMES, PARENTS, human_skeleton
 from hypose.body.motion import Motion, isotropic
-from hypose.body.ready_bodies import JOINT_NAMES, PARENTS, human_skeleton
 from tests import missing
 
 # joint centres of a standing adult, arms 45 degrees out, elbows a little bent; x left, y backward, z up

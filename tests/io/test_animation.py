@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from hypose.body.ready_bodies import human_skeleton
+from hypose.body.default_body import human_skeleton
 from hypose.errors import InputError
 from hypose.geometry import so3_exp
 from hypose.io.motions.animation import Y_UP, write_bvh

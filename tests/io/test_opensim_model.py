@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from hypose.body.anthropometry import segment_masses
+from hypose.body.default_body import human
 from hypose.body.joint_angles import GROUND_AXES, joint_angles
-from hypose.body.ready_bodies import human
 from hypose.io.motions.export import export_motion
 from hypose.io.motions.marker_files import read_mot
 from hypose.io.motions.opensim_model import marker_names, marker_weights, shoulder_places, write_osim

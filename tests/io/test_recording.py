@@ -403,11 +403,6 @@ def test_size_of_background_and_masks(good):
     refuses(edit(good, masks="plate.png"), r"View cam_1: .*plate\.png is 96 x 48 px", CalibrationError)
 
 
-def test_different_frame_rates(good):
-    make_video(good / "cam_2.avi", frame_rate=30)
-    refuses(good, r"the videos have different frame rates \(cam_1 25, cam_2 30 frames/s\); convert them to one rate")
-
-
 def test_images_without_frame_rate(good):
     views = []
     for name in ("cam_1", "cam_2"):

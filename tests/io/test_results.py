@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hypose.body.default_body import human
 from hypose.body.motion import Modes, Motion
-from hypose.body.ready_bodies import human
 from hypose.errors import InputError
 from hypose.io.files import atomic_path, check_writable
 from hypose.io.motions.results import (

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hypose.body.default_body import human
 from hypose.body.motion import Modes
-from hypose.body.ready_bodies import human
 from hypose.evidence.frame import Frame, Picture
 from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.monocular.picture_search import PictureSearch
-from hypose.tracking.monocular.recipe import backwards, picture_recipe, summed_up, together
+from hypose.tracking.monocular.recipe import backward_estimates, picture_recipe, summed_up, together
 from hypose.tracking.monocular.settings import MonoSettings, body_dofs
 from hypose.tracking.tracker import Tracker
 from tests.monocular.pictures import camera, picture, wall
@@ -67,6 +67,6 @@ def test_the_way_back_finds_the_way_back():
     tracker = Tracker(body, picture_recipe(PictureSearch(body, settings, body_dofs(s), threads=1)))
     last = Hypotheses(poses[-1:], np.zeros(1), columns={"velocity": poses[-1:] - poses[-2:-1]})
     way = [Frame(i / RATE, i, picture=Picture(view, images[i], images[i + 1])) for i in range(3, -1, -1)]
-    found = list(backwards(tracker, tracker.start(last), way))
+    found = list(backward_estimates(tracker, tracker.start(last), way))
     joints = body.joints(np.stack([e.pose for e in found]))
     assert np.linalg.norm(joints - body.joints(poses[3::-1]), axis=-1).mean() < 0.02

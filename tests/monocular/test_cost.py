@@ -9,7 +9,7 @@ from scipy.optimize import minimize
 
 from benchmarks.papers.superquadrics import superquadric_body
 from benchmarks.synthetic.mono_subjects import arm_dofs, with_hand
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.compute import mono, mono_nodes, mono_rows
 from hypose.compute.mono_terms import FlowArrays
 from hypose.compute.solver import bounded_step

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from benchmarks.synthetic.mono_scenes import body_scene
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.errors import InputError
 from hypose.evidence.frame import Frame, Picture
 from hypose.synthetic.scenes import look_at
 from hypose.tracking.monocular.initialise import initialise, rival_poses
 from hypose.tracking.monocular.points import clicked_joints
-from hypose.tracking.monocular.proportions import NAMES, proportions, shaped
+from hypose.tracking.monocular.proportions import PROPORTION_NAMES, proportions, shaped
 from hypose.tracking.monocular.settings import body_dofs
 
 CLICKED = tuple(
@@ -95,7 +95,7 @@ def test_a_height_that_is_none() -> None:
 
 
 def test_the_height_is_known_or_that_of_adults() -> None:
-    scale = NAMES.index("scale")
+    scale = PROPORTION_NAMES.index("scale")
     known, unknown = proportions(human(), 1.9), proportions(human(), None)
     assert shaped(human(), known.centre).stature == pytest.approx(1.9, abs=0.01)
     assert known.sd[scale] < unknown.sd[scale] / 4

@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.synthetic.scenes import look_at
 from hypose.tracking.contacts import soles_of
 from hypose.tracking.monocular.points import clicked_joints
 from hypose.tracking.monocular.points_fit import fit_proportions, image_jacobian, points_on_body
 from hypose.tracking.monocular.problem import floor_arrays
-from hypose.tracking.monocular.proportions import NAMES, proportions, shaped
+from hypose.tracking.monocular.proportions import PROPORTION_NAMES, proportions, shaped
 from hypose.tracking.monocular.settings import MonoSettings, body_dofs
 
 POINTS = tuple(
@@ -48,7 +48,7 @@ def test_the_jacobian_of_the_points_is_exact() -> None:
 def test_more_pictures_measure_lengths_better() -> None:
     template = human()
     prior, active = proportions(template, template.stature), body_dofs(template.skeleton)
-    wanted = [NAMES.index(n) for n in ("upper arm", "forearm", "thigh", "shank")]
+    wanted = [PROPORTION_NAMES.index(n) for n in ("upper arm", "forearm", "thigh", "shank")]
     truth = prior.centre.copy()
     truth[wanted] += [0.08, -0.08, 0.07, -0.07]
     person = shaped(template, truth)
@@ -76,7 +76,7 @@ def test_more_pictures_measure_lengths_better() -> None:
 def test_who_stands_on_a_known_floor_is_measured_better() -> None:
     template = human()
     prior, active = proportions(template, template.stature), body_dofs(template.skeleton)
-    wanted = [NAMES.index(n) for n in ("thigh", "shank")]
+    wanted = [PROPORTION_NAMES.index(n) for n in ("thigh", "shank")]
     truth = prior.centre.copy()
     truth[wanted] -= 0.06
     person = shaped(template, truth)

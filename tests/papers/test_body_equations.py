@@ -9,7 +9,7 @@ from scipy.linalg import expm
 from benchmarks.papers.layered_anthropometry import BETAS, TABLE_2_2, SizePrior, sizes_2_1
 from hypose.body.anthropometry import SHAPE_FACTORS, TABLE_2_1, body_of, entity
 from hypose.body.body import Shape, deform
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.cameras.camera import CameraRig
 from hypose.compute.parts import covered
 from hypose.evidence.body_parts import assign_ends

@@ -8,7 +8,7 @@ import pytest
 from scipy.ndimage import correlate, gaussian_filter
 
 from benchmarks.papers.superquadrics import grid, nodes, superquadric_body
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.compute import mono, mono_rows
 from hypose.compute.mono_terms import GAUSSIAN, LECLERC, LORENTZIAN, FlowArrays
 from hypose.compute.solver import bounded_step_kernel

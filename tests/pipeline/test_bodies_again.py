@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hypose.body.anthropometry import SHAPE_FACTORS, body_of, entity
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.pipeline import bodies_again
 from hypose.pipeline.bodies_again import AGAIN, fitted_again

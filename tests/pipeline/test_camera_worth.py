@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hypose.body.default_body import human
 from hypose.body.motion import Motion, isotropic
-from hypose.body.ready_bodies import human
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.pipeline.camera_worth import _looking, camera_worth
 

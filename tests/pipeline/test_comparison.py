@@ -7,9 +7,9 @@ import pytest
 
 from benchmarks.robustness.keypoint_layouts import walker
 from hypose.app.cli import main
+from hypose.body.default_body import human
 from hypose.body.joint_angles import joint_angles
 from hypose.body.motion import Motion, isotropic
-from hypose.body.ready_bodies import human
 from hypose.errors import InputError
 from hypose.geometry import se3, so3_exp, transform
 from hypose.io.motions.c3d import write_c3d

@@ -5,8 +5,8 @@ import pytest
 
 from hypose.pipeline.doubts import against_the_clip
 from hypose.pipeline.settings import SETTINGS
-from hypose.tracking.audit import AUDITED
-from hypose.tracking.fitted_spread import apart_factors
+from hypose.tracking.covariance_calibration import apart_factors
+from hypose.tracking.joint_features import AUDITED
 
 FRAMES, JOINTS = 30, 19
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.synthetic.depth_frames import depth_frames, empty_rooms, seen_before
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.calibration.depth_registration import in_camera, place_error, refine_registration, rough_registration
 from hypose.cameras.camera import CameraRig
 from hypose.errors import CalibrationError, EvidenceError, InputError

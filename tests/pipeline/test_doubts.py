@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from benchmarks.robustness.small_recordings import small_scene
+from hypose.body.default_body import human
 from hypose.body.motion import Motion, isotropic
-from hypose.body.ready_bodies import human
 from hypose.evidence.frame import Expected, Keypoints
 from hypose.pipeline.doubts import find_doubts, what_was_seen, with_repeated_points
 from hypose.tracking.pose_covariance import PoseUncertainty

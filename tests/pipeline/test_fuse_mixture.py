@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from benchmarks.robustness.small_recordings import small_scene
+from hypose.body.default_body import human
 from hypose.body.motion import Motion
-from hypose.body.ready_bodies import human
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.frame import Frame, SensorJoints
 from hypose.evidence.silhouettes import make_silhouettes

@@ -6,8 +6,8 @@ import pytest
 
 from hypose.app.cli import main
 from hypose.app.reports.report import gait_section
+from hypose.body.default_body import human
 from hypose.body.motion import Motion, isotropic
-from hypose.body.ready_bodies import human
 from hypose.errors import InputError
 from hypose.io.motions.results import save_body, save_motion
 from hypose.pipeline.gait import angle_cycles, gait_of, strides

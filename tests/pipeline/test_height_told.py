@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.subject_from_motion import height_told
 from hypose.pipeline.track_loop import FrameList

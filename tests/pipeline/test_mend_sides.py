@@ -9,7 +9,7 @@ from hypose.pipeline.doubts import what_was_seen
 from hypose.pipeline.first_frame import Subject
 from hypose.pipeline.mend_sides import look_back, look_back_notes, mend_sides, sides_notes
 from hypose.pipeline.run import TrackOptions, track_source
-from hypose.tracking.exchanged_sides import turned_around
+from hypose.tracking.left_right import turned_around
 from hypose.tracking.starts import known_pose
 from tests.walking_clip import walking_clip
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.calibration.depth_registration import place_error
 from hypose.cameras.camera import CameraRig
 from hypose.geometry import se3, so3_exp

@@ -11,8 +11,8 @@ from hypose.synthetic.metrics import EVALUATED, population_offsets, with_offsets
 from hypose.synthetic.performance import Angles, Stance, moved, perform
 from hypose.synthetic.scenes import make_scene
 from hypose.synthetic.subjects import load_subjects
-from hypose.tracking.audit import audit_frame
-from hypose.tracking.doubt import judged
+from hypose.tracking.error_model import judged
+from hypose.tracking.joint_features import audit_frame
 
 POSE = {
     "right_shoulder_flexion": -35,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError
 from hypose.evidence.frame import Frame, Keypoints, Picture

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from hypose.body.default_body import human
 from hypose.body.motion import Motion
-from hypose.body.ready_bodies import human
 from hypose.errors import InputError
 from hypose.fusion import joints as jt
 from hypose.geometry import se3, so3_exp, transform

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.pipeline.hull_paths import follow_places
 from hypose.pipeline.rough_bodies import Rough, own_frame, rough_bodies
@@ -47,7 +47,7 @@ def test_a_rough_body_hides_what_it_covers_and_hardly_more(beside):
     rough = [Rough(human(), dict(enumerate(truth[:, k]))) for k in range(2)]
     for t in (0, FRAMES - 1):
         by_hull, by_body = own_frame(frames[t], t, 0, paths), own_frame(frames[t], t, 0, paths, rough)
-        left = [f.silhouettes.told for f in (by_hull, by_body)]
+        left = [f.silhouettes.informative for f in (by_hull, by_body)]
         own, other = alone[t, 0] > 0, alone[t, 1] > 0
         foreign = [int((m[other & ~own] > 0).sum()) for m in left]
         assert foreign[1] == 0  # nothing of the other one is taken for this one

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from benchmarks.robustness.small_recordings import small_scene
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.errors import EvidenceError
 from hypose.evidence.frame import Frame
 from hypose.pipeline.start_choice import BestWays, Way, best_ways, way_of
-from hypose.tracking.exchanged_sides import turned_around
 from hypose.tracking.frame_evidence import prepare
+from hypose.tracking.left_right import turned_around
 from hypose.tracking.start_search import Start, by_their_ways
 from hypose.tracking.starts import KNOWN_POSES, start_in_pose
 from hypose.tracking.subject import scaled_to_height

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from hypose.body.default_body import human
 from hypose.body.motion import Motion, isotropic
-from hypose.body.ready_bodies import human
 from hypose.pipeline.verdict import GOOD, LOOK, UNTRUSTED, Verdict, verdict_of
 
 BODY = human()

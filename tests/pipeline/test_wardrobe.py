@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.evidence.colours import COLOURS
 from hypose.evidence.frame import Colours, Frame, Silhouettes
 from hypose.pipeline.first_frame import Subject
@@ -13,9 +13,9 @@ from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.tracked_people import Followed
 from hypose.pipeline.wardrobe import exchange, look_at_clothes
 from hypose.synthetic.scenes import camera_rig as named_rig
-from hypose.tracking.clothes import Clothes, Wardrobe, clothes_in, nothing_seen
+from hypose.tracking.appearance import Clothes, Wardrobe, clothes_in, nothing_seen
 from hypose.tracking.recipes import recipe
-from hypose.tracking.several import Member, nobody_in, shape_of
+from hypose.tracking.several import Member, no_person_in, shape_of
 from hypose.tracking.starts import known_pose
 from hypose.tracking.tracker import Tracker, TrackerSettings
 
@@ -49,7 +49,7 @@ def followed(name, places):
     """Somebody who was at these x, m, in one frame after the other."""
     tracker = Tracker(BODY, recipe("default", BODY, frame_rate=25.0), TrackerSettings(frame_rate=25.0))
     state = tracker.start(standing(places[-1]))
-    _, estimate = tracker.step(state, nobody_in(frame_of([])))
+    _, estimate = tracker.step(state, no_person_in(frame_of([])))
     out = Followed(name, Subject(BODY, None, standing(places[0]), ()), Member(tracker, state))
     out.estimates = [replace(estimate, pose=standing(x)) for x in places]
     out.present, out.hidden = [True] * len(places), [False] * len(places)

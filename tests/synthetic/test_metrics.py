@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from hypose.body.ready_bodies import JOINT_NAMES
+from hypose.body.default_body import JOINT_NAMES
 from hypose.errors import InputError
 from hypose.synthetic.metrics import (
     EVALUATED,

@@ -5,7 +5,7 @@ import pytest
 
 from benchmarks.synthetic.mono_scenes import arm_scene, body_scene
 from benchmarks.synthetic.mono_subjects import MeasuringError, measured_body
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.synthetic.subjects import load_subjects
 
 

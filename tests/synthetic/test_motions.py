@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from hypose.body.ready_bodies import PARENTS
+from hypose.body.default_body import PARENTS
 from hypose.errors import InputError
 from hypose.geometry import so3_log
 from hypose.synthetic.motions import MOTIONS, act, walk

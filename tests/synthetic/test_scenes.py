@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.body.ready_bodies import JOINT_NAMES
+from hypose.body.default_body import JOINT_NAMES
 from hypose.errors import InputError
 from hypose.synthetic.motions import act
 from hypose.synthetic.scenes import RIG_NAMES, camera_rig, make_scene

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from hypose.body.body import Mesh
-from hypose.body.ready_bodies import JOINT_NAMES
+from hypose.body.default_body import JOINT_NAMES
 from hypose.body.skin_weights import vertex_normals
 from hypose.errors import InputError
 from hypose.geometry import so3_exp

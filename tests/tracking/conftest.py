@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hypose.body.body import Body
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.cameras.camera import CameraRig
 from hypose.compute.parts import covered
 from hypose.evidence.frame import Frame

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.evidence.cues import MEASURED
+from hypose.tracking.arm_hypotheses import LookedUp, rival_arms
+from hypose.tracking.arm_workspace import arm_reach, in_practice
 from hypose.tracking.costs import frame_energy, limb_energy
-from hypose.tracking.doubt import GROUPS, depth_doubt
+from hypose.tracking.error_model import GROUPS, depth_doubt
 from hypose.tracking.frame_evidence import prepare
-from hypose.tracking.reach_table import arm_reach, in_practice
-from hypose.tracking.rival_arms import LookedUp, rival_arms
 from hypose.tracking.starts import known_pose
 from tests.depth_pictures import frame_of, sensors
 
@@ -48,7 +48,7 @@ def test_an_arm_that_is_seen_where_it_is_is_looked_for_nowhere_else(frame, monke
     other[s.dofs_of("left_shoulder")] -= (0, 1.2, 0)
     assert is_seen(frame.prediction) and not is_seen(other)
     assert len(rival_arms(arm, other, frame, LookedUp()))
-    monkeypatch.setattr("hypose.tracking.rival_arms.limb_energy", None)
+    monkeypatch.setattr("hypose.tracking.arm_hypotheses.limb_energy", None)
     assert rival_arms(arm, frame.prediction, frame, LookedUp()) == []
 
 

@@ -10,7 +10,7 @@ from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.keypoints import BODY_25B
 from hypose.fitting.articulated import fit_pose
 from hypose.tracking.frame_evidence import prepare
-from hypose.tracking.keypoint_evidence import checked, keypoint_model, keypoint_term, pixels_per_metre
+from hypose.tracking.keypoint_evidence import check_sides_and_views, keypoint_model, keypoint_term, pixels_per_metre
 from hypose.tracking.keypoint_offsets import calibrate_keypoints
 from hypose.tracking.refinement import anatomical_prior
 from tests.tracking.measures import joint_error
@@ -62,7 +62,7 @@ def test_exchanged_legs_are_put_right(body, model, standing, small_rig, parts):
     wrong = exchanged(given, 1, parts)
     assert not np.allclose(wrong.points, given.points)
     # hips lie nearer together than the threshold: the outer parts decide
-    right = checked(wrong.points, expected, model.names, size)
+    right = check_sides_and_views(wrong.points, expected, model.names, size)
     ankles = [BODY_25B.index(f"{side}_{part}") for part in ("knee", "ankle") for side in ("left", "right")]
     spread = np.linalg.norm(given.points[1, ankles[0], :2] - given.points[1, ankles[1], :2]) / size[1]
     assert spread > 0.15
@@ -75,7 +75,7 @@ def test_true_points_are_left_alone(body, model, walking, small_rig, rng):
         given = seen_by(small_rig, model, body, now, rng, 1.0)
         near = body.skeleton.clamp(now + 0.2 * (before - now))
         expected = np.stack([c.project_pinhole(model.positions(body, near)) for c in small_rig])
-        out = checked(given.points, expected, model.names, pixels_per_metre(given, now[:3]), model.known)
+        out = check_sides_and_views(given.points, expected, model.names, pixels_per_metre(given, now[:3]), model.known)
         np.testing.assert_array_equal(out, given.points)
 
 
@@ -85,12 +85,12 @@ def test_somebody_else_is_left_out_but_only_where_others_agree(body, model, stan
     expected = given.points[..., :2].copy()
     points = given.points.copy()
     points[2, :, 0] += 1.5 * size[2]
-    out = checked(points, expected, model.names, size)
+    out = check_sides_and_views(points, expected, model.names, size)
     assert (out[2, :, 2] == 0).all()
     np.testing.assert_array_equal(out[[0, 1, 3]], points[[0, 1, 3]])
     everywhere = given.points.copy()
     everywhere[..., 0] += 1.5 * size[:, None]  # the person jumped, or the expectation is wrong
-    assert (checked(everywhere, expected, model.names, size)[..., 2] == everywhere[..., 2]).all()
+    assert (check_sides_and_views(everywhere, expected, model.names, size)[..., 2] == everywhere[..., 2]).all()
 
 
 def test_a_pose_survives_exchanged_sides_and_a_stranger(body, model, standing, small_rig):

@@ -7,9 +7,9 @@ import pytest
 
 from hypose.evidence.frame import Keypoints
 from hypose.evidence.keypoints import BODY_25
-from hypose.tracking.exchanged_sides import limbs_exchanged
 from hypose.tracking.keypoint_clip import track_keypoint_clip
 from hypose.tracking.keypoint_evidence import keypoint_model
+from hypose.tracking.left_right import limbs_exchanged
 from hypose.tracking.named_sides import LIMBS, exchanged_by_names
 
 RATE, FRAMES = 25.0, 40

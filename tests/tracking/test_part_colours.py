@@ -12,6 +12,7 @@ from hypose.evidence.frame import Colours, Frame
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.inference.hypotheses import Hypotheses
 from hypose.synthetic.scenes import camera_rig
+from hypose.tracking.arm_workspace import arm_reach, in_practice
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.part_colours import (
     COUNTS,
@@ -22,7 +23,6 @@ from hypose.tracking.part_colours import (
     pictured_arms,
     table_of,
 )
-from hypose.tracking.reach_table import arm_reach, in_practice
 from hypose.tracking.recipes import default
 from hypose.tracking.tracker import Tracker, TrackerState
 

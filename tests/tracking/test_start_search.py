@@ -13,8 +13,8 @@ from hypose.geometry import so3_exp, so3_log
 from hypose.synthetic.scenes import camera_rig
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.postures import posture_names, postures
-from hypose.tracking.start_search import starts_in_frame, weighed
-from hypose.tracking.starts import turned
+from hypose.tracking.start_search import starts_in_frame, weigh_starts
+from hypose.tracking.starts import turn_pose
 
 
 def masks_of(body, pose, cameras, also=()):
@@ -37,7 +37,7 @@ def cameras():
 
 
 def sitting(body, name="sitting, arms on thighs", heading=2.0):
-    pose = turned(postures(body)[posture_names().index(name)], heading)
+    pose = turn_pose(postures(body)[posture_names().index(name)], heading)
     pose[2] -= body.skin(pose)[:, 2].min()
     return pose
 
@@ -83,16 +83,16 @@ def test_what_the_frames_do_not_decide_is_unsure(body, cameras):
     away = best.pose.copy()
     away[0] += 0.3
     far = replace(best, pose=away, cost=best.cost + 0.002)
-    found = weighed([best, far], [])
+    found = weigh_starts([best, far], [])
     assert found.best.pose is best.pose and 0.5 < found.weights[0] < 0.6
     assert np.allclose(found.unsure[1], found.weights[1]) and not found.unsure[0].any()
     around = best.pose.copy()
     around[3:6] = so3_log(so3_exp(np.array([0, 0, np.pi])) @ so3_exp(around[3:6]))
-    found = weighed([best, replace(best, pose=around, cost=best.cost + 0.002)], [])
+    found = weigh_starts([best, replace(best, pose=around, cost=best.cost + 0.002)], [])
     assert found.unsure[0].max() == found.weights[1] and not found.unsure[1].any()
     arm = best.pose.copy()
     arm[body.skeleton.dofs_of("left_shoulder")] += 0.9
-    assert weighed([best, replace(best, pose=arm, cost=best.cost + 0.002)], []).unsure.max() == 0
+    assert weigh_starts([best, replace(best, pose=arm, cost=best.cost + 0.002)], []).unsure.max() == 0
 
 
 def test_what_is_too_small_for_a_person_is_said(body, cameras):

@@ -7,7 +7,7 @@ import pytest
 
 from hypose.evidence.frame import Keypoints
 from hypose.evidence.keypoints import BODY_25
-from hypose.tracking.fitted_spread import SHARED, lasting_residuals, systematic_covariance
+from hypose.tracking.covariance_calibration import SHARED, lasting_residuals, systematic_covariance
 from hypose.tracking.keypoint_evidence import keypoint_model, pixels_per_metre
 
 RATE, FRAMES = 25.0, 60

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from hypose.tracking.audit import apart, shift_of_mask
+from hypose.tracking.joint_features import apart, shift_of_mask
 
 METRE = 80.0  # px
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hypose.app.commands.console import Stages, note, out, say
+from hypose.app.commands.console import Stages, note, print_table, say
 from hypose.app.commands.options import HEIGHT, MOST_FRAMES, number
 from hypose.errors import CalibrationError, InputError
 
@@ -306,14 +306,6 @@ def _show(result: BoardCalibration) -> None:
         say(f"note: {text}")
     for text in result.warnings:
         say(f"warning: {text}", "yellow")
-
-
-def print_table(table: object) -> None:
-    """Print a table, at full width where no terminal sets one."""
-    console = out()
-    if not console.is_terminal:
-        console.width = 160
-    console.print(table)
 
 
 def _write_sheet(views: Sequence[CameraViews], board: Board, result: BoardCalibration | None, path: Path) -> Path:

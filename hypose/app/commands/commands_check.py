@@ -349,14 +349,14 @@ def _by_light(recording: Recording, progress: ProgressCall) -> tuple[list[float]
     import numpy as np
 
     from hypose.calibration.synchronisation import offsets_from_light
-    from hypose.io.videos.video import open_video
+    from hypose.io.recordings.recording_views import open_pictures
 
     levels = []
     for n, view in enumerate(recording.views):
         if view.source is None:
             raise InputError(f"View {view.name} has only masks, in which no light is seen; use --by motion.")
         progress("sync", n, len(recording.views))
-        with open_video(view.source) as reader:
+        with open_pictures(view) as reader:
             levels.append(np.array([float(image[::8, ::8].mean()) for image in reader]))
     progress("sync", len(recording.views), len(recording.views))
     late, kinds = offsets_from_light(levels, [v.name for v in recording.views])

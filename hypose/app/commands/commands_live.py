@@ -7,6 +7,7 @@ import math
 import re
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -92,8 +93,8 @@ def live(
         note(f"note: {text}")
     body = None if subject is None else load_subject(subject)
     person = LivePersonOptions(TrackOptions(seed=seed), height or cameras.height, body)
-    roomless = not source and any(v.background is None and not v.depth for v in cameras.views)
-    network = people if _finds_people(detector, roomless) else 0
+    network = people if _finds_people(detector, cameras.roomless) else 0
+    views = tuple(replace(v, background=None) for v in cameras.views) if network else cameras.views
     eyes = EyesOptions(cameras.rate, countdown, cameras.silhouettes, network=network)
     names = tuple(v.name for v in cameras.views)
     with Stages() as progress:  # the first time it takes a while, and Ctrl-C still ends it
@@ -108,7 +109,7 @@ def live(
         closing.callback(outputs.close)
         listeners = [outputs, _Told(recorder), *([] if recorder is None else [recorder])]
         options = LiveOptions(eyes, person, people, pictures=recorder is not None)
-        engine = LiveEngine(cameras.rig, cameras.views, options, listeners, ended)
+        engine = LiveEngine(cameras.rig, views, options, listeners, ended)
         closing.callback(engine.stop)
         engine.start()
         if outputs.listeners is not None:
@@ -143,9 +144,9 @@ def _finds_people(wanted: bool | None, roomless: bool) -> bool:
     except InputError as error:
         if wanted:
             raise
-        note(f"note: the empty room is learnt at the start. {error}")
+        note(f"note: the empty room is guessed from the videos. {error}")
         return False
-    note("note: no empty room is learnt: the detector finds people.")
+    note("note: the detector finds people; no empty room is needed.")
     return True
 
 

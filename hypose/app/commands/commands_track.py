@@ -382,7 +382,7 @@ def subject(
         return
     assert recording is not None
     from hypose.app.jobs.job import choose_frames
-    from hypose.body.ready_bodies import human
+    from hypose.body.default_body import human
     from hypose.io.files import claimed
     from hypose.io.recordings.frames import FrameStream
     from hypose.io.recordings.recording import load_recording

@@ -120,6 +120,14 @@ def _bars(console: Console) -> Progress:
     )
 
 
+def print_table(table: object) -> None:
+    """Print a table, at full width where no terminal sets one."""
+    console = out()
+    if not console.is_terminal:
+        console.width = 160
+    console.print(table)
+
+
 class Stages:
     """Progress of the stages of one command; call it with (stage, done, total).
 

@@ -75,7 +75,7 @@ def mean_coverage(found: Comparison) -> float:
 
 def parse_joints(texts: Sequence[str]) -> dict[str, tuple[str, ...]]:
     """joint=MARKER+MARKER options -> markers by joint; an InputError for what is not understood."""
-    from hypose.body.ready_bodies import JOINT_NAMES
+    from hypose.body.default_body import JOINT_NAMES
 
     out = {}
     for text in texts:

@@ -7,10 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from hypose.app.commands.commands_calibrate import print_table
 from hypose.app.commands.commands_check import keep_offsets
 from hypose.app.commands.commands_track import detected
-from hypose.app.commands.console import Stages, note, say
+from hypose.app.commands.console import Stages, note, print_table, say
 from hypose.calibration.from_person import PersonCalibration, calibrate_from_person
 from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from hypose.body.body import Body
+from hypose.body.default_body import human
 from hypose.body.motion import Motion
-from hypose.body.ready_bodies import human
 from hypose.errors import InputError
 from hypose.geometry import Array
 from hypose.io.motions.results import load_archive

@@ -11,7 +11,7 @@ import numpy as np
 from hypose.app.live.osc import OscTarget, people_osc
 from hypose.app.live.servers import SocketListeners
 from hypose.app.live.vmc import vmc_messages
-from hypose.body.ready_bodies import JOINT_NAMES
+from hypose.body.default_body import JOINT_NAMES
 from hypose.errors import InputError
 from hypose.geometry import Array
 from hypose.pipeline.live.engine import LiveStatus, Seen

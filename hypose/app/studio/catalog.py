@@ -24,7 +24,7 @@ from hypose.io.motions.results import open_archive
 from hypose.io.recordings import pose2sim
 
 Kind = Literal["recording", "result", "session", "model", "skeletons"]
-_DEPTH, _MOST, _MOST_FOLDERS = 5, 2000, 20_000
+_DEPTH, _MOST_RECORDINGS, _MOST_FOLDERS = 5, 2000, 20_000
 _FRESH_S = 1.0
 _DATA = (".npz", ".json", ".csv")
 _HELD = ("motion.npz", "session.json", "frames.csv", "skeleton.csv")
@@ -112,7 +112,7 @@ class Catalog:
             return
         found: dict[str, Item] = {}
         for kind, path in _search(self):
-            if len(found) < _MOST and self.contains(path):
+            if len(found) < _MOST_RECORDINGS and self.contains(path):
                 id = self.id_of(kind, path)
                 found[id] = Item(kind, id, path.resolve(), _changed(path))
         self._items, self._looked = found, time.monotonic()

@@ -24,8 +24,8 @@ from hypose.app.studio.recordings import Recordings
 from hypose.app.studio.view_bundle import ViewResult, view_bundle
 from hypose.app.studio.view_result import first_frame
 from hypose.body.body import Body
+from hypose.body.default_body import JOINT_NAMES, human
 from hypose.body.motion import Motion, isotropic
-from hypose.body.ready_bodies import JOINT_NAMES, human
 from hypose.cameras.camera import CameraRig, triangulate
 from hypose.errors import InputError
 from hypose.evidence.terms import KeypointTerm
@@ -36,7 +36,7 @@ from hypose.io.files import read_json
 from hypose.io.motions.results import ResultsFolder, load_body, load_motion
 from hypose.io.recordings.recording import Recording
 from hypose.io.videos.video import frame_size
-from hypose.pipeline.one_camera import LEAST_POINTS
+from hypose.pipeline.one_camera import LEAST_CLICKS
 from hypose.tracking.monocular.flips import CHAINS
 from hypose.tracking.monocular.initialise import rival_poses
 from hypose.tracking.monocular.points import MonoPoints
@@ -322,12 +322,12 @@ def _for_one_camera(views: Sequence[Mapping[str, Any]], wanted: Any, recording: 
     """camera and joints as `hypose track --recipe monocular --start FILE` reads them (hypose.pipeline.one_camera):
     of the wanted camera when enough is clicked there, else the one with most clicks; in pixels of the picture as it was
     recorded. Joints behind something only where there are too few others."""
-    view = max(views, key=lambda v: (v["camera"] == wanted and len(v["points"]) >= LEAST_POINTS, len(v["points"])))
+    view = max(views, key=lambda v: (v["camera"] == wanted and len(v["points"]) >= LEAST_CLICKS, len(v["points"])))
     index = recording.rig.names.index(view["camera"])
     camera, source = recording.rig[index], recording.views[index]
     points = [p for p in view["points"] if p["joint"] in JOINT_NAMES]
     clear = [p for p in points if not p.get("occluded")]
-    points = clear if len(clear) >= LEAST_POINTS else points
+    points = clear if len(clear) >= LEAST_CLICKS else points
     if not points or source.source is None:
         return {"camera": source.name, "joints": {}}
     origin, rays = camera.pinhole().rays(np.array([[p["x"], p["y"]] for p in points], dtype=np.float64))

@@ -20,7 +20,7 @@ from hypose.io.keypoints.read_keypoints import read_keypoints
 from hypose.io.recordings.recording import load_recording
 from hypose.io.videos.video import IMAGE_ENDINGS, VIDEO_ENDINGS, open_video
 
-_MOST, _DEPTH = 60, 3
+_MOST_LISTED, _DEPTH = 60, 3
 """Files of a folder that are listed, and folders below it that are looked into."""
 _SERIES = 3
 """So many pictures or files of key points in one folder are the frames of one camera."""
@@ -37,14 +37,14 @@ def listed(catalog: Catalog, folder: Path, within: bool) -> dict[str, Any]:
     a recording, each with its path from there and what it is."""
     entries = _entries(folder)
     found = list(_usable(folder, entries, _DEPTH)) if within else []
-    facts = [(p, _facts(p)) for p in found[:_MOST]]
+    facts = [(p, _facts(p)) for p in found[:_MOST_LISTED]]
     return {
         "name": text_of(folder.name),
         "path": catalog.shown(folder) if folder != catalog.root else "",
         "recording": catalog.id_of("recording", folder) if is_recording(folder) else None,
         "folders": [{"name": text_of(p.name), "path": catalog.shown(p)} for p in entries if p.is_dir()],
         "files": [{"path": text_of(p.relative_to(folder).as_posix()), **f} for p, f in facts if f],
-        "left_out": max(0, len(found) - _MOST),
+        "left_out": max(0, len(found) - _MOST_LISTED),
     }
 
 
@@ -57,7 +57,7 @@ def first_picture(catalog: Catalog, where: str) -> bytes:
 def make_recording(catalog: Catalog, wanted: Mapping[str, Any]) -> Path:
     """Write the recording.toml that a page asks for (docs/studio-protocol.md) into a folder; the files in it stay where
     they are. Returns the folder. Nothing is left when it cannot be used; one that is to be calibrated by the clips of a
-    board is looked at no further."""
+    board, or by the person, is looked at no further."""
     folder = catalog.inside(text(wanted.get("folder"), "folder", 1000, "choose one"))
     target = folder / "recording.toml"
     if target.exists():
@@ -67,13 +67,12 @@ def make_recording(catalog: Catalog, wanted: Mapping[str, Any]) -> Path:
         raise InputError("A recording needs at least one video; choose a folder that holds one.")
     calibration, boards = wanted.get("calibration"), [v for v in views if v.get("board") is not None]
     cameras = [text(v.get("camera"), "camera of a video", 200, "choose it") for v in views]
-    if calibration is None:
+    if calibration is None and (boards or len(views) < 2):
         missing = [c for c, v in zip(cameras, views, strict=True) if v not in boards]
         if missing:
             raise InputError(f"There is no clip of the board of {missing[0]}; add it, or a calibration of all cameras.")
         cameras = [s.name for s in find_sources([_placed(catalog, folder, v, "board") for v in views])]
-        calibration = CALIBRATION
-    calibration = text(calibration, "calibration", 1000, "choose one")
+    calibration = text(CALIBRATION if calibration is None else calibration, "calibration", 1000, "choose one")
     said = {k: wanted[k] for k in _SETTINGS if isinstance(wanted.get(k), str | int | float)}
     head = {"name": text(wanted.get("name"), "name", 80, "give one"), "calibration": calibration, **said}
     lines = toml_lines(head)

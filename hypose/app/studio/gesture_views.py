@@ -26,7 +26,7 @@ _SIZE, _QUALITY = 96, 82
 """px, width and height of the picture."""
 _HALF_M = 0.22
 """Half side of what is shown, at the surface where the gesture is done."""
-_NEAR, _FAR = 500, 4200
+_NEAREST_MM, _FARTHEST_MM = 500, 4200
 """mm: the colours' range; what is nearer or farther has the end's colour."""
 _JPEG_QUALITY = 75
 # from near to far: BGR, light enough to stand out on both themes' stages
@@ -64,7 +64,7 @@ def map_png(density: NDArray[np.float32], full: float) -> bytes:
 def _levels() -> NDArray[np.uint8]:
     """Level of each depth in mm: 0 = hole, then from near to far."""
     mm = np.arange(1 << 16)
-    level = 1 + np.rint(254 * np.clip((mm - _NEAR) / (_FAR - _NEAR), 0, 1))
+    level = 1 + np.rint(254 * np.clip((mm - _NEAREST_MM) / (_FARTHEST_MM - _NEAREST_MM), 0, 1))
     level[0] = 0
     return level.astype(np.uint8)
 

@@ -25,7 +25,7 @@ from hypose.app.studio.answers import NotNow, number, text, whole
 from hypose.app.studio.catalog import Catalog
 from hypose.app.studio.hub import Hub, Message, Topic
 from hypose.app.studio.job_kinds import free_folder
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.errors import InputError
 from hypose.fusion.align import AlignSettings
 from hypose.fusion.joints import COMMON, PARENT

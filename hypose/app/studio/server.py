@@ -39,7 +39,7 @@ from hypose.app.studio.live_topics import CameraTopic, FuseTopic
 from hypose.app.studio.mending import mend
 from hypose.app.studio.recordings import Recordings
 from hypose.app.studio.results import Results
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.errors import HyposeError, InputError
 
 STATIC = Path(__file__).parent / "static"

@@ -27,7 +27,7 @@ from hypose.io.recordings.recording import Recording, View
 from hypose.io.recordings.recording_views import open_pictures
 from hypose.io.videos.video import VideoReader, open_capture, open_video
 
-_NEAR = 24  # frames ahead that are sooner decoded than jumped to
+_DECODED_AHEAD = 24  # frames ahead that are sooner decoded than jumped to
 _TRIAL = 10  # the frame at which jumps are tried
 _CACHE_BYTES = 16 << 20
 _PER_PIXEL, _PER_WORKING_PIXEL = 40, 60
@@ -54,7 +54,7 @@ class AnyFrame:
         reader = self._reader
         if isinstance(reader, ObjectMasks) or self._path.is_dir():
             return reader.read(index)
-        if 0 <= index - reader.position <= _NEAR or not self._can_jump():
+        if 0 <= index - reader.position <= _DECODED_AHEAD or not self._can_jump():
             return self._reader.read(index)
         return self._jump(index)
 
@@ -74,7 +74,7 @@ class AnyFrame:
     def _jump(self, index: int) -> Image | None:
         capture = self._jumps
         assert capture is not None
-        if self._next < 0 or not 0 <= index - self._next <= _NEAR:
+        if self._next < 0 or not 0 <= index - self._next <= _DECODED_AHEAD:
             capture.set(cv2.CAP_PROP_POS_FRAMES, index)
             self._next = index
         while self._next < index:

@@ -49,7 +49,7 @@ class KeypointTable:
     frame has; None when the layout does not say, so that the smallest of all views' numbers counts. names: of the
     points, where the file gives them. shares: positions are shares of the picture's
     width and height. scored: the file has scores. spread: it has standard deviations of the points too, which are in
-    the scores (`weighed`). frame_rate: where it tells.
+    the scores (`weighed`). frame_rate: where it tells. timed: frames are counted as `VideoReader` gives them at a rate.
     """
 
     layout: str
@@ -60,6 +60,7 @@ class KeypointTable:
     scored: bool = True
     spread: bool = False
     frame_rate: float | None = None
+    timed: bool = False
 
     def sample(self) -> Array:
         """People (N, K, 3) of at most 60 frames with somebody, evenly spread; (0, 0, 3) when nobody is there."""
@@ -505,9 +506,11 @@ def read_keypoint_folder(folder: Path) -> KeypointTable:
     files = sorted(folder.glob("*.json"))
     if files:
         numbered = numbered_files(files)
-        if "annots" in _first_document(files):
+        document = _first_document(files)
+        if "annots" in document:
             return KeypointTable("EasyMocap annotations", _FrameFiles(numbered, _easymocap))
-        return KeypointTable("OpenPose files", _FrameFiles(numbered, _openpose))
+        timed = document.get("program") == "hypose"
+        return KeypointTable("OpenPose files", _FrameFiles(numbered, _openpose), timed=timed)
     texts = sorted(folder.glob("*.txt"))
     if texts:
         return _ultralytics(folder, numbered_files(texts))

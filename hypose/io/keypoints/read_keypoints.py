@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError
@@ -48,23 +49,28 @@ _CHECKED = 80  # frames that the agreement of the views looks at
 @dataclass(frozen=True)
 class ViewKeypoints:
     """Key points of one view, told apart. path: of the file or folder. first: the file's number of the video's first
-    frame. score_scale: what its scores are divided by."""
+    frame. score_scale: what its scores are divided by. frames: stored frame of each frame of a video that is read by
+    its time stamps, None: the same."""
 
     path: Path
     table: KeypointTable
     keypoint_set: str
     first: int
     score_scale: float
+    frames: NDArray[np.int64] | None = None
 
     @property
     def last(self) -> int:
         """The last frame of the video, from 0, that the file speaks of; -1 when it is empty."""
-        return max(self.table.people, default=self.first - 1) - self.first
+        last = max(self.table.people, default=self.first - 1) - self.first
+        return last if self.frames is None else int(np.searchsorted(self.frames, last, side="right")) - 1
 
     def frame(self, index: int, size: tuple[int, int], stored: tuple[int, int] | None = None) -> Array | None:
         """People (P, K, 3) in the set's order at a video's frame: px of the calibrated picture (width, height),
         confidence 0..1; None when the file does not list the frame. stored: the size of the pictures whose pixels the
         file counts, where that is another."""
+        if self.frames is not None:
+            index = int(self.frames[index]) if 0 <= index < len(self.frames) else -1
         found = self.table.people.get(index + self.first)
         if found is None:
             return None

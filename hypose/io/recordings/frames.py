@@ -23,7 +23,6 @@ from scipy.ndimage import percentile_filter
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.compute import default_threads
 from hypose.errors import InputError
-from hypose.evidence.ahead import make_ahead
 from hypose.evidence.background import (
     BackgroundModel,
     from_frames,
@@ -37,6 +36,7 @@ from hypose.evidence.doubted_limbs import with_doubted_limbs
 from hypose.evidence.frame import Colours, Frame, Keypoints, Silhouettes
 from hypose.evidence.keypoints import person_size, thick_skeleton
 from hypose.evidence.outlines import OUTLINE_POINTS, WORKING_HEIGHT, ViewOutline, outline_of_runs
+from hypose.evidence.prefetch import make_ahead
 from hypose.evidence.silhouettes import (
     MaskRuns,
     SilhouetteSettings,
@@ -350,7 +350,7 @@ class FrameStream:
     ) -> None:
         self.recording, self.options = recording, options or FrameSettings(silhouettes=recording.silhouettes)
         if self.options.people and self.options.silhouettes is not None:
-            self.options = replace(self.options, silhouettes=self.options.silhouettes.of_everybody, band=False)
+            self.options = replace(self.options, silhouettes=self.options.silhouettes.of_all_people, band=False)
         self.rig = _rig_of(recording, self.options)
         self.frames = recording.frames
         if len(self.frames) == 0:

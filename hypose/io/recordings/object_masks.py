@@ -38,7 +38,7 @@ from hypose.io.videos.video import (
 )
 
 _LOOKED_AT = 9  # images of a folder that tell what it holds
-_MOST = 32  # objects
+_MOST_OBJECTS = 32  # objects
 Objects = Mapping[str, Mask]
 """Object -> where it is, (h, w) of 0 and 1; only those that are there."""
 
@@ -148,14 +148,14 @@ def _of_labels(path: Path, images: list[Path]) -> ObjectMasks | None:
         if values is None:
             return None
         found, counts = np.unique(values, return_counts=True)
-        if len(found) > _MOST + 1:
+        if len(found) > _MOST_OBJECTS + 1:
             return None
         for v, n in zip(found.tolist(), counts.tolist(), strict=True):
             areas[v] = areas.get(v, 0) + n
         indexed.append(is_palette)
     areas.pop(0, None)
     levels = sorted(areas)
-    if not 2 <= len(levels) <= _MOST:
+    if not 2 <= len(levels) <= _MOST_OBJECTS:
         return None
     if not any(indexed):  # a white mask may have soft edges, or grey where it is not sure
         full = 65535 if levels[-1] > 255 else 255
@@ -269,7 +269,7 @@ def _of_coco(path: Path) -> ObjectMasks:
         return out
 
     count = max(len(order), 1 + max(frames))
-    if len(names) > 4 * _MOST:
+    if len(names) > 4 * _MOST_OBJECTS:
         raise InputError(
             f"{path} gives every mask another id, so that nobody can be followed; export track_id with the masks."
         )

@@ -79,8 +79,9 @@ from hypose.io.recordings.recording_views import (
     check_background,
     check_size,
     common_frames,
-    frame_rate_of,
     look_together,
+    on_one_clock,
+    stored_numbers,
 )
 from hypose.io.videos.video import frame_size
 
@@ -454,7 +455,8 @@ def _build(folder: Path, origin: Path, settings: Mapping[str, Any], notes: list[
     stored = stored if pixels == "image" else [None] * len(views)
     keypoint_set, keypoints = _told_keypoints(where, settings, views, rig, notes)
     told = next((k.table.frame_rate for k in keypoints if k is not None and k.table.frame_rate is not None), None)
-    frame_rate = frame_rate_of(where, settings.get("frame_rate"), views, clips, told, notes)
+    views, clips, frame_rate = on_one_clock(where, settings.get("frame_rate"), views, clips, told, notes)
+    keypoints = _by_stored_frames(keypoints, views)
     if any(clips):
         n_frames = common_frames(views, clips, notes)
     else:
@@ -502,12 +504,19 @@ def _build(folder: Path, origin: Path, settings: Mapping[str, Any], notes: list[
 
 def keypoints_of_recording(recording: Recording) -> tuple[list[ViewKeypoints | None], list[str]]:
     """The key points of a recording's views, and sentences about them; an InputError names what cannot be used."""
-    return keypoints_of_views(
-        [v.keypoints for v in recording.views],
-        [v.name for v in recording.views],
-        recording.rig.names,
-        recording.keypoint_set,
+    views = recording.views
+    found, said = keypoints_of_views(
+        [v.keypoints for v in views], [v.name for v in views], recording.rig.names, recording.keypoint_set
     )
+    return _by_stored_frames(found, views), said
+
+
+def _by_stored_frames(keypoints: Sequence[ViewKeypoints | None], views: Sequence[View]) -> list[ViewKeypoints | None]:
+    """Key points of other programs are numbered by the stored frames of a video."""
+    return [
+        k if k is None or k.table.timed else replace(k, frames=stored_numbers(v))
+        for k, v in zip(keypoints, views, strict=True)
+    ]
 
 
 def stored_sizes(recording: Recording) -> list[tuple[int, int] | None]:

@@ -8,12 +8,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hypose.cameras.camera import Camera
 from hypose.errors import CalibrationError, InputError
+from hypose.geometry import Array
 from hypose.io.recordings.object_masks import ObjectMasks, open_masks
-from hypose.io.videos.video import VideoReader, check_numbers, frame_size, open_video
+from hypose.io.videos.video import VideoReader, check_numbers, frame_size, frame_times, open_video, stored_frames
 
+_ALIKE = 1.005
+"""29.97 against 30 frames/s is a rounding of the container."""
 SIDECAR = "hypose-masks.json"
 """lies beside masks that are undistorted already, which are found by their frames' numbers"""
 
@@ -21,7 +25,8 @@ SIDECAR = "hypose-masks.json"
 @dataclass(frozen=True)
 class View:
     """What one camera delivered. Paths exist; None = not given. See the module for the meaning of each. first_mask: the
-    number of the first frame, of masks in one folder per object, None: the view's own least."""
+    number of the first frame, of masks in one folder per object, None: the view's own least. rate: frames/s at which
+    its video is read by its time stamps, None: frame by frame."""
 
     name: str
     video: Path | None = None
@@ -33,6 +38,7 @@ class View:
     image_shift: tuple[float, float] = (0.0, 0.0)
     accept_scaled: bool = False
     first_mask: int | None = None
+    rate: float | None = None
 
     @property
     def source(self) -> Path | None:
@@ -93,7 +99,7 @@ def open_pictures(view: View, threads: int | None = None) -> VideoReader | Objec
     """What shows a view: its video or images, else its masks; an InputError when it has neither. threads: that may
     decode a video (None: all)."""
     if view.source is not None:
-        return open_video(view.source, threads)
+        return open_video(view.source, threads, rate=view.rate)
     if view.masks is None:
         raise InputError(f"View {view.name} has neither video, images nor masks.")
     made_here = (view.masks / SIDECAR).is_file()
@@ -143,38 +149,68 @@ def check_background(view: View, camera: Camera, size: tuple[int, int] | None) -
         )
 
 
-def frame_rate_of(
+def stored_numbers(view: View) -> NDArray[np.int64] | None:
+    """The stored frame of each frame of a view whose video is read by its time stamps; None: the same."""
+    return None if view.video is None or view.rate is None else stored_frames(view.video, view.rate)
+
+
+def on_one_clock(
     where: str,
     given: float | None,
     views: Sequence[View],
     clips: Sequence[list[Clip]],
     told: float | None,
     notes: list[str],
-) -> float:
-    """Frames per second: as given, else as the videos say, else as told by the key points' file."""
+) -> tuple[list[View], list[list[Clip]], float]:
+    """Choose the recording's frames per second: as given, else as the videos say (the lowest), else as told by the key
+    points' file; and have videos that lost frames, or have another or a varying rate, read by their time stamps."""
     if given is not None and not 0.1 <= given <= 10_000:
         raise InputError(f"{where}: frame_rate = {given:g} is implausible; give frames per second (0.1 to 10000).")
-    rates = {
-        v.name: c.frame_rate
-        for v, found in zip(views, clips, strict=True)
+    times = [None if v.video is None else frame_times(v.video) for v in views]
+    rates = [
+        c.frame_rate if t is None else 1 / _step(t)
+        for v, t, found in zip(views, times, clips, strict=True)
         for c in found
         if c.path == v.video and c.frame_rate is not None
-    }
-    # 29.97 against 30 is a rounding of the container
-    if rates and max(rates.values()) / min(rates.values()) > 1.005:
-        said = ", ".join(f"{n} {r:g}" for n, r in rates.items())
-        raise InputError(
-            f"{where}: the videos have different frame rates ({said} frames/s); convert them to one rate, "
-            "for example with: ffmpeg -i INPUT -r 30 OUTPUT.mp4."
-        )
-    found = float(np.median(list(rates.values()))) if rates else told
+    ]
+    alike = not rates or max(rates) / min(rates) <= _ALIKE
+    found = (float(np.median(rates)) if alike else min(rates)) if rates else told
     if given is None and found is None:
         what = "images" if any(clips) else "key points"
         raise InputError(f"{where}: {what} carry no frame rate; add frame_rate = ... (frames per second).")
     if given is not None and found is not None and abs(given / found - 1) > 0.005:
         says = "videos say" if rates else "file of key points says"
         notes.append(f"frame_rate = {given:g} is used as given; the {says} {found:g} frames/s.")
-    return float(given if given is not None else found or 0.0)
+    timed_views, timed_clips = list(views), list(clips)
+    for k, (view, t) in enumerate(zip(views, times, strict=True)):
+        if t is None or not rates or found is None:
+            continue
+        timed = replace(view, rate=found)
+        stored = stored_numbers(timed)
+        if stored is None:
+            continue
+        timed_views[k] = timed
+        timed_clips[k] = [replace(c, n_frames=len(stored), stated_frames=len(stored)) for c in clips[k]]
+        notes.append(f"View {view.name}: {_of_times(t)}, so it is read by its time stamps at {found:g} frames/s.")
+    return timed_views, timed_clips, float(given if given is not None else found or 0.0)
+
+
+def _step(times: Array) -> float:
+    """The mean time between two frames of which none is missing between, s."""
+    steps = np.diff(times)
+    return float(steps[steps < 1.5 * np.median(steps)].mean())
+
+
+def _of_times(times: Array) -> str:
+    """What is unsteady in the time stamps of a video."""
+    steps, step = np.diff(times), _step(times)
+    lost = np.round(steps / step) - 1
+    if lost.any():
+        first, count = float(times[int(np.argmax(lost > 0))]), int(lost.sum())
+        return f"its video lost {count} of {len(times) + count} frames, the first after {first:.2f} s"
+    if np.abs(steps / step - 1).max() > 0.05:
+        return f"the frame rate of its video varies between {1 / steps.max():.1f} and {1 / steps.min():.1f} frames/s"
+    return f"its video has {1 / step:.4g} frames/s"
 
 
 def common_frames(views: Sequence[View], clips: Sequence[list[Clip]], notes: list[str]) -> int:

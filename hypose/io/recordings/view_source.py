@@ -45,7 +45,7 @@ from hypose.evidence.silhouettes import (
 )
 from hypose.geometry import DepthMap, Image, Mask
 from hypose.io.recordings.object_masks import ObjectMasks, open_masks
-from hypose.io.recordings.recording_views import SIDECAR, View
+from hypose.io.recordings.recording_views import SIDECAR, View, stored_numbers
 from hypose.io.sensors.depth import read_depth_png
 from hypose.io.videos.video import VideoReader, evenly_spread, frame_size, list_images, open_video, read_image
 
@@ -238,10 +238,11 @@ def _holds(box: Box, other: Box) -> bool:
 
 class _MaskSource:
     """Masks made elsewhere: a video, a folder of images in order, masks of several objects, or a folder written by
-    write_masks. chosen: the objects that are the person, None: all; first: as for `open_masks`."""
+    write_masks. chosen: the objects that are the person, None: all."""
 
-    def __init__(self, path: Path, prepare: Preparer, size: tuple[int, int], first: int | None = None) -> None:
+    def __init__(self, view: View, path: Path, prepare: Preparer, size: tuple[int, int]) -> None:
         self.path, self._prepare, self._size = path, prepare, size
+        self._stored = stored_numbers(view)
         self._numbered: dict[int, Path] | None = None
         self._reader: VideoReader | None = None
         self.objects: ObjectMasks | None = None
@@ -249,7 +250,7 @@ class _MaskSource:
         if (path / SIDECAR).is_file():
             self._numbered = {int(p.stem): p for p in list_images(path) if p.stem.isdigit()}
         else:
-            opened = open_masks(path, first)
+            opened = open_masks(path, view.first_mask)
             if isinstance(opened, ObjectMasks):
                 self.objects = opened
             else:
@@ -263,6 +264,7 @@ class _MaskSource:
             if mask.shape[1::-1] != self._size:  # already undistorted, at another working size
                 mask = np.asarray(cv2.resize(mask, self._size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
         else:
+            frame = frame if self._stored is None else int(self._stored[frame])
             if self._reader is not None:
                 whole = as_mask(self._reader.read(frame), f"{self.path}, frame {frame},")
             else:
@@ -285,7 +287,7 @@ class ViewSource:
         self._threads = max(1, default_threads() // beside)
         self._prepare = Preparer(camera, small, view.image_shift)
         masks = view.masks
-        self._masks = None if masks is None else _MaskSource(masks, self._prepare, small.size, view.first_mask)
+        self._masks = None if masks is None else _MaskSource(view, masks, self._prepare, small.size)
         self.depth = None if view.depth is None else DepthSource(view, camera, small, people)
         self._reader: VideoReader | None = None
         self.segment: Segmenter | None = None
@@ -320,7 +322,7 @@ class ViewSource:
         if self._reader is None:
             if self.view.source is None:
                 raise InputError(f"View {self.view.name} has neither video nor images, only masks.")
-            self._reader = open_video(self.view.source, self._threads, in_place=True)
+            self._reader = open_video(self.view.source, self._threads, True, self.view.rate)
         return self._reader.read(frame)
 
     def mask(

@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.errors import InputError
+from hypose.geometry import Array
 from hypose.io.file_names import natural_key, utf8_path
 from hypose.io.files import atomic_path
 
@@ -46,6 +47,8 @@ _CODECS = {
     ".avi": ("MJPG", "mp4v"),
     ".mkv": ("FFV1", "mp4v"),
 }
+_MOST_REPEATS = 4
+"""A video whose time stamps need more frames than so many times its own is read frame by frame."""
 _PICTURE_PER_PACKET = {cv2.VideoWriter.fourcc(*name) for name in ("avc1", "h264", "hevc", "hvc1")}
 """Codecs whose stored packets are one frame each, so that counting packets counts frames"""
 
@@ -147,13 +150,18 @@ class VideoReader:
     stated_frames what the container says
     threads that may decode a video (None: all)
     in_place: frames of a video are good until the next one is read, which takes their memory
+    rate: frames/s at which a video is read by its time stamps (None: frame by frame); the frame before stands for one
+        that is missing
     """
 
-    def __init__(self, path: Path, threads: int | None = None, in_place: bool = False) -> None:
+    def __init__(
+        self, path: Path, threads: int | None = None, in_place: bool = False, rate: float | None = None
+    ) -> None:
         self.path, self._threads, self._in_place = path, threads, in_place
+        self._stored: NDArray[np.int64] | None = None if rate is None else stored_frames(path, rate)
         self._images: list[Path] | None = _images_of(path)
         self._capture: cv2.VideoCapture | None = None  # opened when the first frame is asked for
-        self._next = 0
+        self._next, self._decoded = 0, 0
         self._memory: Image | None = None  # of the last frame
         self.size: tuple[int, int] = frame_size(path)
         self.frame_rate: float | None = None
@@ -162,7 +170,7 @@ class VideoReader:
         else:
             about = _about(path)
             self.frame_rate, self.stated_frames = about.frame_rate, about.stated_frames
-            self.n_frames = count_frames(path)
+            self.n_frames = count_frames(path) if self._stored is None else len(self._stored)
 
     @property
     def is_sequence(self) -> bool:
@@ -186,15 +194,24 @@ class VideoReader:
                 f"{self.path} has no frame {index}; its frames are 0 to {self.n_frames - 1}: choose a frame "
                 "range inside."
             )
-        if self._images is None:
-            if index < self._next:
-                self.close()
-                self._capture, self._next = None, 0
-            while self._next < index:
-                if not self._opened().grab():
-                    raise self._broken()
-                self._next += 1
         self._next = index
+        if self._images is None and index < self.n_frames:
+            self._go_to(self._stored_number())
+
+    def _stored_number(self) -> int:
+        return self._next if self._stored is None else int(self._stored[self._next])
+
+    def _go_to(self, number: int) -> None:
+        """Let a stored frame be the next that is decoded, or the last that was, where it is still in memory."""
+        if number == self._decoded - 1 and self._stored is not None and self._memory is not None:
+            return
+        if number < self._decoded:
+            self.close()
+            self._capture, self._decoded = None, 0
+        while self._decoded < number:
+            if not self._opened().grab():
+                raise self._broken()
+            self._decoded, self._memory = self._decoded + 1, None
 
     def read(self, index: int | None = None, out: Image | None = None) -> Image:
         """Frame `index`, or the next one. out (h, w, 3): where a frame of a video may be put."""
@@ -233,29 +250,37 @@ class VideoReader:
                     "size."
                 )
         else:
-            # new memory for each frame costs a tenth of decoding it
-            ok, frame = self._opened().read(self._memory if self._in_place else out)
-            if not ok:
-                raise self._broken()
-            image = self._memory = np.asarray(frame, dtype=np.uint8)
+            number = self._stored_number()
+            self._go_to(number)
+            if number == self._decoded:
+                # new memory for each frame costs a tenth of decoding it
+                ok, frame = self._opened().read(self._memory if self._in_place else out)
+                if not ok:
+                    raise self._broken()
+                self._memory = np.asarray(frame, dtype=np.uint8)
+                self._decoded += 1
+            assert self._memory is not None
+            image = self._memory if self._stored is None else self._memory.copy()
         self._next += 1
         return image
 
     def _broken(self) -> InputError:
         return InputError(
-            f"The video {self.path} cannot be decoded beyond frame {self._next - 1} of {self.n_frames}; it "
+            f"The video {self.path} cannot be decoded beyond frame {self._decoded - 1} of {self.n_frames}; it "
             "is damaged or was changed while being read: copy it again, or set frame_range to end at frame "
-            f"{self._next}."
+            f"{self._decoded}."
         )
 
 
-def open_video(path: str | Path, threads: int | None = None, in_place: bool = False) -> VideoReader:
+def open_video(
+    path: str | Path, threads: int | None = None, in_place: bool = False, rate: float | None = None
+) -> VideoReader:
     """Open a video file, a folder of images (natural order) or one image, as a `VideoReader`; an InputError names what
     is wrong."""
     path = Path(path)
     if not path.exists():
         raise InputError(f"{path} does not exist; check the file name in recording.toml.")
-    return VideoReader(path, threads, in_place)
+    return VideoReader(path, threads, in_place, rate)
 
 
 def _images_of(path: Path) -> list[Path] | None:
@@ -287,6 +312,43 @@ def count_frames(path: str | Path) -> int:
     one."""
     images = _images_of(Path(path))
     return _about(Path(path)).n_frames if images is None else len(images)
+
+
+def frame_times(path: Path) -> Array | None:
+    """Read when each frame of a video is shown, s from the first; None where its time stamps are not one per frame and
+    increasing."""
+    about = path.stat()
+    return _stamps(path.absolute(), about.st_size, about.st_mtime_ns)
+
+
+@lru_cache(maxsize=64)
+def _stamps(path: Path, size: int, changed: int) -> Array | None:
+    capture, found = open_capture(path, raw=True), list[float]()
+    try:
+        while capture.grab():
+            found.append(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e-3)
+    finally:
+        capture.release()
+    times = np.sort(found)  # packets are stored in the order of decoding
+    if len(times) < 2 or len(times) != count_frames(path) or not (np.diff(times) > 0).all():
+        return None
+    return times - times[0]
+
+
+def stored_frames(path: Path, rate: float) -> NDArray[np.int64] | None:
+    """Choose for each moment of a steady rate (frames/s) the stored frame that is shown then; None where frames cannot
+    be told by time, or are steady at that rate."""
+    times = frame_times(path)
+    if times is None or (np.abs(times * rate - np.arange(len(times))) < 0.5).all():
+        return None
+    count = int(round(times[-1] * rate)) + 1
+    if count > _MOST_REPEATS * len(times):
+        return None
+    moments = np.arange(count) / rate
+    after = np.clip(np.searchsorted(times, moments), 1, len(times) - 1)
+    nearest = np.where(moments - times[after - 1] <= times[after] - moments, after - 1, after)
+    missing = np.abs(times[nearest] - moments) * rate > 0.75
+    return np.where(missing, np.searchsorted(times, moments, side="right") - 1, nearest)
 
 
 def evenly_spread(first: int, stop: int, count: int) -> list[int]:

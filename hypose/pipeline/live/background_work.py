@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.body import Body
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.calibration.sync_motion import mask_tracks, silhouette_curves, solve_offsets
 from hypose.cameras.camera import CameraRig
 from hypose.errors import EvidenceError

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from hypose import compute
 from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError
-from hypose.evidence.ahead import make_ahead
 from hypose.evidence.frame import Frame
+from hypose.evidence.prefetch import make_ahead
 from hypose.evidence.silhouettes import flag_collapsed, make_silhouettes
 from hypose.pipeline.live.background_work import BackgroundWork
 from hypose.pipeline.live.eyes import (
@@ -114,7 +114,7 @@ class LiveEngine:
             raise InputError("Depth cameras follow one person; leave --people out.")
         self.options, self.views, self.rig = options or LiveOptions(), tuple(views), rig
         if self.options.people > 1:
-            eyes = replace(self.options.eyes, silhouettes=self.options.eyes.silhouettes.of_everybody)
+            eyes = replace(self.options.eyes, silhouettes=self.options.eyes.silhouettes.of_all_people)
             self.options = replace(self.options, eyes=eyes)
         self.small = live_working_rig(rig, views)
         self.listeners = list(listeners)

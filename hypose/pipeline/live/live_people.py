@@ -17,17 +17,17 @@ from numpy.typing import NDArray
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.cameras.camera import CameraRig
-from hypose.evidence.ahead import pack_once
 from hypose.evidence.frame import Frame
-from hypose.evidence.shared_masks import PREDICTED, SOLVED, Other, own_silhouettes
+from hypose.evidence.prefetch import pack_once
+from hypose.evidence.shared_masks import PREDICTED_WIDENING, SOLVED_WIDENING, Other, own_silhouettes
 from hypose.geometry import Array
 from hypose.pipeline.doubts import as_now, looked_at, mask_change
 from hypose.pipeline.live.background_work import BackgroundWork, KeptMasks
 from hypose.pipeline.live.live_search import Found, LivePersonOptions, LiveSearch, paced
 from hypose.pipeline.settings import SETTINGS
 from hypose.tracking.costs import mean_overlap
-from hypose.tracking.doubt import as_mixture, evidence_of, judged
-from hypose.tracking.fitted_spread import beyond_usual, with_fitted_joints
+from hypose.tracking.covariance_calibration import beyond_usual, with_fitted_joints
+from hypose.tracking.error_model import as_mixture, evidence_of, judged
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.refinement import SETTLING, refine
 from hypose.tracking.several import BLIND, shape_of
@@ -406,7 +406,7 @@ class LivePeople:
         s, count = frame.silhouettes, len(self.people)
         assert s is not None
         shapes = {p.number: shape_of(p.tracker.body, p.expected(frame.time), s.rig) for p in self.people}
-        widened = dict.fromkeys(shapes, PREDICTED)
+        widened = dict.fromkeys(shapes, PREDICTED_WIDENING)
         sure = {p.number for p in self.people if p.sure}
         out: dict[int, Stepped] = {}
         for p in (self.people[(frame.index + k) % count] for k in range(count)):
@@ -418,7 +418,7 @@ class LivePeople:
                 sure.discard(p.number)
                 continue
             shapes[p.number] = shape_of(p.tracker.body, stepped.estimate.pose, s.rig)
-            widened[p.number] = SOLVED
+            widened[p.number] = SOLVED_WIDENING
             out[p.number] = stepped
         return [out[n] for n in sorted(out)]
 

@@ -23,7 +23,8 @@ from hypose.pipeline.settings import SETTINGS
 @dataclass(frozen=True)
 class LiveRig:
     """rig and views in one order; rate Hz; silhouettes: how masks are made; height m of the person, when known; notes
-    for the user."""
+    for the user; roomless: a recording is played that gives no picture of the empty room, which is guessed from its
+    videos."""
 
     rig: CameraRig
     views: tuple[LiveView, ...]
@@ -31,6 +32,7 @@ class LiveRig:
     silhouettes: SilhouetteSettings = SilhouetteSettings()
     height: float | None = None
     notes: tuple[str, ...] = ()
+    roomless: bool = False
 
 
 def live_rig(path: str | Path, sources: Mapping[str, str], rate: float | None = None) -> LiveRig:
@@ -117,7 +119,9 @@ def _played(recording: Recording | None, rig: CameraRig, path: Path, rate: float
         for v, b, camera, own in zip(recording.views, build_backgrounds(shown), rig, small, strict=True)
     )
     notes = tuple(f"View {v.name}: {v.background.note}" for v in views if v.background and v.background.note)
-    return LiveRig(rig, views, rate or recording.frame_rate, recording.silhouettes, recording.subject_height, notes)
+    roomless = not any(v.background or v.depth for v in recording.views)
+    rate = rate or recording.frame_rate
+    return LiveRig(rig, views, rate, recording.silhouettes, recording.subject_height, notes, roomless)
 
 
 def _recording(path: Path) -> Recording | None:

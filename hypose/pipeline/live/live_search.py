@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hypose.body.body import Body
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.body.skeleton import Skeleton
 from hypose.errors import EvidenceError
 from hypose.evidence.frame import Frame
@@ -28,7 +28,7 @@ from hypose.pipeline.settings import SETTINGS
 from hypose.tracking.costs import mean_overlap
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.several import Member, step_together
-from hypose.tracking.start_search import starts_in_frame, weighed
+from hypose.tracking.start_search import starts_in_frame, weigh_starts
 from hypose.tracking.tracker import Tracker, TrackerState
 
 NOBODY, LOOKING = "nobody", "looking"
@@ -134,7 +134,7 @@ class LiveSearch:
         members = list[Member]()
         for frames in _each_alone(looks, most) if self.several else [[k.frame for k in looks]]:
             prepared = [prepare(f, template, zero) for f in frames]
-            best = weighed(starts_in_frame(template, prepared[0], height), prepared[1:]).best
+            best = weigh_starts(starts_in_frame(template, prepared[0], height), prepared[1:]).best
             if mean_overlap(best.body, best.pose, prepared[0]) >= SETTINGS.search_plain:
                 slow = options.tracker(best.body, SETTINGS.search_slowly_hz)
                 members.append(Member(slow, slow.start(best.pose)))

@@ -16,12 +16,12 @@ from hypose.tracking.monocular.settings import CueSettings, EdgeSettings, FlowSe
 
 FORMS = {"gaussian": GAUSSIAN, "lorentzian": LORENTZIAN, "leclerc": LECLERC}
 SMALLEST_MASK = 50
-"""px: a silhouette of fewer pixels shows nobody"""
+"""px: a silhouette of fewer pixels shows no person"""
 OUTLINE = 130
 """points on a silhouette's outline"""
 
 
-def checked(frame: Frame) -> Picture:
+def checked_picture(frame: Frame) -> Picture:
     """The picture of a frame; an InputError or EvidenceError, naming the frame, when there is none, or picture or mask
     cannot belong to its camera."""
     picture = frame.picture

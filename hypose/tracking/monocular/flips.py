@@ -26,7 +26,7 @@ CHAINS = tuple(
 """Joints of the limbs; a segment joins neighbours."""
 LEAST_DEPTH = 0.06
 """m: a segment that leaves the image plane by less has no mirror image worth trying"""
-HELD, LOOSE = 1e6, 0.02
+HELD, _LOOSE = 1e6, 0.02
 """Weights (1 / rad^2) that hold a dof where it is, and that decide between poses with the same joint centres."""
 REACHED = 0.06
 """m: how near the limb's joints must come to their mirrored places; limits may forbid it"""
@@ -63,7 +63,7 @@ def _reach(body: Body, pose: Array, target: Array, held: NDArray[np.bool_]) -> A
     """The pose near `pose` whose joint centres are those of target (J, 3); held (D,): dof that stay."""
     j = len(target)
     term = PointTerm(target, np.ones(j), np.arange(j, dtype=np.int64), np.zeros((j, 3)), 0.05)
-    stay = Quadratic(pose, np.where(held, HELD, LOOSE))
+    stay = Quadratic(pose, np.where(held, HELD, _LOOSE))
     try:
         fit = fit_pose(body, pose, [term], priors=(stay,), options=SolveSettings(iterations=20, damping=1e-3))
     except SolverError:

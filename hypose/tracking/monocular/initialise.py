@@ -23,7 +23,7 @@ from hypose.fitting.articulated import SolveSettings, fit_pose
 from hypose.fitting.problem import Quadratic
 from hypose.geometry import Array, so3_exp, so3_log
 from hypose.inference.hypotheses import Hypotheses
-from hypose.tracking.monocular.evidence import checked
+from hypose.tracking.monocular.evidence import checked_picture
 from hypose.tracking.monocular.flips import mirrored
 from hypose.tracking.monocular.picture_search import PictureSearch
 from hypose.tracking.monocular.points import MonoPoints
@@ -34,8 +34,8 @@ from hypose.tracking.monocular.settings import MonoSettings, body_dofs
 from hypose.tracking.refinement import anatomical_prior
 from hypose.tracking.starts import known_pose
 
-LEAST_POINTS = 6
-HEADINGS = 8
+LEAST_CLICKS = 6
+_HEADINGS = 8
 DISTINCT_M = 0.06
 """Poses are rivals when a joint lies at least so far apart."""
 FLIP_ROUNDS = 2
@@ -80,12 +80,12 @@ def initialise(
     30). floor: height in the world of the floor that the person stands on, m. An EvidenceError when fewer than 6 points
     are seen.
     """
-    camera = checked(frame).camera
+    camera = checked_picture(frame).camera
     chosen = body_dofs(template.skeleton) if active is None else np.asarray(active, dtype=np.int64)
     seen = int((points_on(template).confidence > 0).sum())
-    if seen < LEAST_POINTS:
+    if seen < LEAST_CLICKS:
         raise EvidenceError(
-            f"Frame {frame.index}: only {seen} points of the body are seen; at least {LEAST_POINTS} are needed to "
+            f"Frame {frame.index}: only {seen} points of the body are seen; at least {LEAST_CLICKS} are needed to "
             "start: click more joints or start at another frame."
         )
     prior = proportions(template, height)
@@ -141,7 +141,7 @@ def _later_pose(body: Body, camera: Camera, points: MonoPoints, near: Array, act
 
 
 def _yaws() -> Array:
-    return np.arange(HEADINGS) * 2 * np.pi / HEADINGS
+    return np.arange(_HEADINGS) * 2 * np.pi / _HEADINGS
 
 
 def _placed(body: Body, camera: Camera, points: MonoPoints, yaw: float, name: str) -> Array:

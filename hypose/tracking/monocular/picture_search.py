@@ -21,7 +21,7 @@ from hypose.evidence.frame import Frame, Picture
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.frame_evidence import PreparedFrame
-from hypose.tracking.monocular.evidence import checked, grey
+from hypose.tracking.monocular.evidence import checked_picture, grey
 from hypose.tracking.monocular.flips import mirrored
 from hypose.tracking.monocular.points import MonoPoints, keypoints_on
 from hypose.tracking.monocular.pool import (
@@ -29,10 +29,10 @@ from hypose.tracking.monocular.pool import (
     OPTIMISED,
     SAMPLED,
     best_of,
-    by_turns,
     candidates,
+    covariances_by_turns,
+    hessian_covariance,
     pooled,
-    pose_covariance,
     prune,
     uncertain_samples,
 )
@@ -40,9 +40,9 @@ from hypose.tracking.monocular.problem import Fixed, field_of, fixed_parts, fram
 from hypose.tracking.monocular.settings import MonoSettings, body_dofs
 from hypose.tracking.pose_covariance import PoseUncertainty, packed
 
-MARGIN = 40
+_MARGIN = 40
 """px around the person in which flow is computed"""
-LOST_SHARE = 0.2
+_LOST_SHARE = 0.2
 """lost when a smaller share of the contour's nodes finds an edge"""
 CONTOUR, ASSIGNED, FLOW = 0, 1, 5
 """Of a candidate's nodes: of the contour, which are seen; of these, with an edge; inside, with usable flow."""
@@ -77,7 +77,7 @@ class PictureSearch:
 
         Raises InputError or EvidenceError, naming the frame, for a picture, mask or points that do not fit the camera.
         """
-        picture = checked(frame.frame)
+        picture = checked_picture(frame.frame)
         fixed = self._at(picture.camera).fixed
         active = fixed.model.active
         velocities = h.columns.get("velocity", np.zeros_like(h.values))
@@ -89,7 +89,7 @@ class PictureSearch:
 
     def carried(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
         """The same; flow from the picture before, and everything that hypotheses are compared with."""
-        picture = checked(frame.frame)
+        picture = checked_picture(frame.frame)
         flow = self._flow(picture, np.concatenate([h.columns["before"], h.values]))
         seen, points = frame.frame.keypoints, None
         if seen is not None:
@@ -100,7 +100,7 @@ class PictureSearch:
 
     def optimised(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
         """Candidates: every hypothesis optimised from its prediction."""
-        settings, before, place = self.settings, h.columns["before"], self._at(checked(frame.frame).camera)
+        settings, before, place = self.settings, h.columns["before"], self._at(checked_picture(frame.frame).camera)
         problem: MonoProblem = frame.shared["problem"]
         found = self._solved(place, problem, h.values, before, settings.coarse_iterations, settings.iterations)
         # where a start or a sample settles is no motion: it keeps the velocity it was born with
@@ -117,7 +117,7 @@ class PictureSearch:
 
     def mirror(self, h: Hypotheses, frame: PreparedFrame, rng: np.random.Generator, /) -> Hypotheses:
         """The candidates and mirrored limbs of the best one, optimised; they start at rest."""
-        settings, best, place = self.settings, best_of(h), self._at(checked(frame.frame).camera)
+        settings, best, place = self.settings, best_of(h), self._at(checked_picture(frame.frame).camera)
         poses = mirrored(self.body, place.camera, h.values[best], place.fixed.model.active)
         if len(poses) == 0:
             return pooled(h)
@@ -133,7 +133,7 @@ class PictureSearch:
         if self.settings.search.hypotheses == 1:
             return pooled(h)
         problem: MonoProblem = frame.shared["problem"]
-        place, history, sets = self._at(checked(frame.frame).camera), _history(h), [h]
+        place, history, sets = self._at(checked_picture(frame.frame).camera), _history(h), [h]
         fixed = place.fixed
         for k in range(h.count):
             hessian, free = h.columns["hessian"][k], h.columns["free"][k]
@@ -152,11 +152,11 @@ class PictureSearch:
 
     def uncertainty(self, pose: Array, h: Hypotheses, frame: PreparedFrame, /) -> PoseUncertainty:
         """All distinct candidates that were optimised, with covariances; the joints' (inflated) of the best one."""
-        fixed, s = self._at(checked(frame.frame).camera).fixed, self.body.skeleton
+        fixed, s = self._at(checked_picture(frame.frame).camera).fixed, self.body.skeleton
         found = prune(h.take(np.flatnonzero(~h.has(SAMPLED))), self.body, self.settings.search)
-        covariances = by_turns(self._covariances(fixed, found), found.values)
+        covariances = covariances_by_turns(self._covariances(fixed, found), found.values)
         around = s.joint_covariances(found.values[0], covariances[0])
-        sight = self.body.joints(found.values[0]) - checked(frame.frame).camera.position
+        sight = self.body.joints(found.values[0]) - checked_picture(frame.frame).camera.position
         sight = sight / np.linalg.norm(sight, axis=1, keepdims=True)
         depth = np.einsum("ja,jab,jb->j", sight, around, sight)
         modes = Modes(
@@ -175,14 +175,14 @@ class PictureSearch:
     def lost(self, pose: Array, h: Hypotheses, frame: PreparedFrame, /) -> bool:
         """Hardly any contour finds an edge, or the body is out of the picture."""
         nodes = h.columns["nodes"][best_of(h)]
-        return self.settings.edges and bool(nodes[ASSIGNED] < LOST_SHARE * max(nodes[CONTOUR], 1))
+        return self.settings.edges and bool(nodes[ASSIGNED] < _LOST_SHARE * max(nodes[CONTOUR], 1))
 
     def optimise(
         self, poses: Array, frame: Frame, points: MonoPoints | None = None, *, iterations: int = 20
     ) -> Hypotheses:
         """Poses (N, D) optimised on one still picture (edges, silhouette, points; no flow, no prediction), best first,
         each with its covariance and its `cost`: for initialisation and for mirrored poses. Costs are comparable."""
-        picture, dof = checked(frame), self.body.skeleton.dof
+        picture, dof = checked_picture(frame), self.body.skeleton.dof
         if poses.shape[1] != dof or not np.isfinite(poses).all():
             raise InputError(f"Start poses need {dof} finite numbers each, got {poses.shape[1]}; fit the first again.")
         place = self._at(picture.camera)
@@ -218,8 +218,8 @@ class PictureSearch:
         w, h = picture.camera.size
         if len(uv) == 0:
             return None
-        low = np.clip(uv.min(0) - MARGIN, 0, (w, h)).astype(int)
-        high = np.clip(uv.max(0) + MARGIN, 0, (w, h)).astype(int)
+        low = np.clip(uv.min(0) - _MARGIN, 0, (w, h)).astype(int)
+        high = np.clip(uv.max(0) + _MARGIN, 0, (w, h)).astype(int)
         if (high <= low).any():
             return None
         box = (int(low[0]), int(high[0]), int(low[1]), int(high[1]))
@@ -277,7 +277,7 @@ class PictureSearch:
     def _covariances(self, fixed: Fixed, h: Hypotheses) -> Array:
         """(N, D, D) of candidates, inflated."""
         dof, inflation = self.body.skeleton.dof, self.settings.inflation
-        each = (pose_covariance(m, fixed.spread, fixed.model.active, dof, inflation) for m in h.columns["hessian"])
+        each = (hessian_covariance(m, fixed.spread, fixed.model.active, dof, inflation) for m in h.columns["hessian"])
         return np.stack(list(each))
 
 

@@ -13,10 +13,10 @@ from hypose.errors import InputError
 from hypose.evidence.keypoints import landmark_of, person_size
 from hypose.geometry import Array
 
-KEYPOINT_SHARE = 0.016
+_KEYPOINT_SHARE = 0.016
 """1 sd of a detector's point, as a share of the person's size in the picture."""
 FEWEST_PX = 1.0
-MIN_CONFIDENCE = 0.3
+_MIN_CONFIDENCE = 0.3
 
 
 @dataclass(frozen=True)
@@ -37,12 +37,12 @@ def points_from_keypoints(
     body: Body, names: Sequence[str], keypoints: ArrayLike, *, scale_px: float = 4.0
 ) -> MonoPoints:
     """Key points (K, 3) = (u px, v px, confidence) of one view. Those that the body does not know, that are weaker than
-    MIN_CONFIDENCE or not finite get confidence 0."""
+    _MIN_CONFIDENCE or not finite get confidence 0."""
     k = np.array(keypoints, dtype=np.float64)
     if k.shape != (len(names), 3):
         raise InputError(f"{len(names)} key points need the shape {(len(names), 3)} (u, v, confidence), got {k.shape}.")
     joint, offset, known = landmark_of(names, body)
-    seen = known & np.isfinite(k).all(1) & (np.nan_to_num(k[:, 2]) >= MIN_CONFIDENCE)
+    seen = known & np.isfinite(k).all(1) & (np.nan_to_num(k[:, 2]) >= _MIN_CONFIDENCE)
     pixels = np.where(seen[:, None], k[:, :2], 0.0)
     return MonoPoints(pixels, np.where(seen, k[:, 2], 0.0), joint, offset, np.full(len(k), scale_px))
 
@@ -57,5 +57,5 @@ def clicked_joints(body: Body, clicks: Mapping[str, tuple[float, float]], scale_
 
 def keypoints_on(body: Body, names: Sequence[str], keypoints: Array) -> MonoPoints:
     """Key points (K, 3) on a body, with the error that detectors have at that size."""
-    scale = max(FEWEST_PX, KEYPOINT_SHARE * person_size(keypoints))
+    scale = max(FEWEST_PX, _KEYPOINT_SHARE * person_size(keypoints))
     return points_from_keypoints(body, names, keypoints, scale_px=scale)

@@ -114,11 +114,11 @@ def prune(pool: Hypotheses, body: Body, settings: SearchSettings) -> Hypotheses:
 
 
 def landmark_places(body: Body, poses: Array) -> Array:
-    """(N, L, 3) m: joint centres and landmarks, by which poses are told apart."""
+    """(N, L, 3) m: joint centres and landmarks, by which poses are distinguished."""
     return np.concatenate([body.joints(poses), body.landmark_points(poses)], axis=1)
 
 
-def by_turns(covariances: Array, poses: Array) -> Array:
+def covariances_by_turns(covariances: Array, poses: Array) -> Array:
     """(N, D, D): covariances of poses (N, D) with the root's rotation vector replaced by a small turn in the world."""
     out, turns = covariances.copy(), so3_left_jacobian(poses[:, 3:6])
     out[:, 3:6] = turns @ out[:, 3:6]
@@ -126,7 +126,7 @@ def by_turns(covariances: Array, poses: Array) -> Array:
     return out
 
 
-def pose_covariance(hessian: Array, spread: Array, active: NDArray[np.int64], dof: int, inflation: float) -> Array:
+def hessian_covariance(hessian: Array, spread: Array, active: NDArray[np.int64], dof: int, inflation: float) -> Array:
     """(D, D) covariance of a pose: inflation^2 H^-1 over the active dof, 0 elsewhere."""
     values, vectors = np.linalg.eigh(hessian * spread[:, None] * spread)
     root = spread[:, None] * vectors / np.sqrt(np.maximum(values, LEAST_CURVATURE))

@@ -18,7 +18,7 @@ from hypose.body.fit_skeleton import FACTORS, shape_from_factors
 from hypose.errors import InputError
 from hypose.geometry import Array
 
-NAMES = tuple(f.name for f in FACTORS)
+PROPORTION_NAMES = tuple(f.name for f in FACTORS)
 INTERNAL: NDArray[np.int64] = np.flatnonzero([f.kind in ("scale", "length", "offset") for f in FACTORS])
 """The factors that move joints."""
 VOLUMETRIC: NDArray[np.int64] = np.flatnonzero([f.kind in ("girth", "size") for f in FACTORS])
@@ -53,7 +53,7 @@ def proportions(template: Body, height: float | None) -> Proportions:
     if height is not None and not 0.4 <= height <= 2.8:
         raise InputError(f"A height of {height:g} m is implausible; give it in metres (0.4 to 2.8).")
     centre, sd = np.zeros(len(FACTORS)), np.array([f.sd for f in FACTORS])
-    scale = NAMES.index("scale")
+    scale = PROPORTION_NAMES.index("scale")
     centre[scale] = np.log((height or ADULT_HEIGHT_M) / template.stature)
     sd[scale] = KNOWN_SPREAD if height is not None else ADULT_SPREAD
     return Proportions(centre, sd)

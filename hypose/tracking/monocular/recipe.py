@@ -61,7 +61,7 @@ def solve_clip(clip: Clip, active: NDArray[np.int64]) -> tuple[Motion, tuple[str
     back = modes
     if total > 2:
         found: list[FrameEstimate] = []
-        for estimate in backwards(tracker, clip.state, clip.frames(range(total - 2, -1, -1))):
+        for estimate in backward_estimates(tracker, clip.state, clip.frames(range(total - 2, -1, -1))):
             clip.progress(len(found), total - 1)
             found.append(estimate)
         the_way = modes_of([*reversed(found), clip.estimates[-1]])
@@ -79,7 +79,7 @@ def solve_clip(clip: Clip, active: NDArray[np.int64]) -> tuple[Motion, tuple[str
     return solved, ()
 
 
-def backwards(tracker: Tracker, last: TrackerState, frames: Iterable[Frame]) -> Iterator[FrameEstimate]:
+def backward_estimates(tracker: Tracker, last: TrackerState, frames: Iterable[Frame]) -> Iterator[FrameEstimate]:
     """Estimates of a clip's frames on the way back, from the state in its last frame. frames: all but that one, whose
     pictures `before` are those of the frames after them."""
     h = last.hypotheses

@@ -1,4 +1,4 @@
-"""What a monocular tracker is told: every ablation of the method is one of these settings.
+"""What a monocular tracker is known: every ablation of the method is one of these settings.
 
 Which degrees of freedom a single view can estimate: the body's 30, and an arm's 7.
 """

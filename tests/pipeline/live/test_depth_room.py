@@ -6,7 +6,7 @@ import time
 import numpy as np
 import pytest
 
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.errors import InputError
 from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import SilhouetteSettings

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.pipeline.first_frame import Subject
 from hypose.pipeline.live.live_people import LiveDoubt
 from hypose.pipeline.run import TrackOptions, tracker_of

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.inference.hypotheses import BEFORE
 from hypose.pipeline.first_frame import Subject
 from hypose.pipeline.live.live_people import FOLLOWING, LOST
 from hypose.pipeline.live.live_search import LOOKING, NOBODY, paced
 from hypose.pipeline.run import TrackOptions, tracker_of
-from hypose.tracking.exchanged_sides import turned_around
+from hypose.tracking.left_right import turned_around
 from hypose.tracking.subject import scaled_to_height
 from tests.conftest import HANG_S
 from tests.live_scenes import RATE, at, follow, nobody, people_for

@@ -25,7 +25,7 @@ from hypose.geometry import Array
 from hypose.tracking.costs import agreement
 from hypose.tracking.frame_evidence import PreparedFrame
 from hypose.tracking.refinement import anatomical_prior, refine
-from hypose.tracking.starts import turned
+from hypose.tracking.starts import turn_pose
 
 _TO_JOINTS = SolveSettings(iterations=30, coarse_iterations=15)
 _TO_MASKS = SolveSettings(iterations=12, coarse_iterations=8)
@@ -38,7 +38,7 @@ def turned_around(body: Body, pose: Array) -> Array:
     s = body.skeleton
     joints = body.joints(pose[None])[0]
     wanted = joints[[s.joint(_other_side(name)) for name in s.joint_names]]
-    start = s.clamp(turned(pose, np.pi))
+    start = s.clamp(turn_pose(pose, np.pi))
     start[:3] += wanted.mean(0) - body.joints(start[None])[0].mean(0)
     return _with_joints_at(body, wanted, start)
 

@@ -4,8 +4,8 @@ The curvature of a cost tells how well the evidence fixes a pose, not how far th
 anatomical one. So the variance is a^2 V + b^2: V from the curvature, a because rows err together, b for the definition
 and the body, the same all along. a and b were fitted to errors on scenes (scripts/train_doubt.py), per joint, angle and
 kind of evidence, so that regions of 90 % hold 90 % of them, and others theirs (`hypose.body.motion`). What lasts in
-the residuals of key points is added to b^2 (`hypose.tracking.fitted_spread`). Views that
-contradict each other as a whole (`hypose.tracking.audit`) by more than they do in such scenes add (c x)^2, x
+the residuals of key points is added to b^2 (`hypose.tracking.covariance_calibration`). Views that
+contradict each other as a whole (`hypose.tracking.joint_features`) by more than they do in such scenes add (c x)^2, x
 being what is beyond: calibrations, lags and bodies that are wrong are wrong in all frames.
 
 Systematic error of joints found from key points: what more frames, and more such views, would not average away.
@@ -33,8 +33,8 @@ from hypose.body.skeleton import Skeleton
 from hypose.evidence.frame import Keypoints
 from hypose.evidence.keypoints import BLAZEPOSE_33
 from hypose.geometry import Array, so3_exp, so3_log
-from hypose.tracking.audit import columns_of_joints, views_apart
-from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, KeypointModel, checked, pixels_per_metre
+from hypose.tracking.joint_features import columns_of_joints, views_apart
+from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, KeypointModel, check_sides_and_views, pixels_per_metre
 
 LASTING_S = 0.5
 """s from which on two residuals of one point in one view share only what lasts: errors of detections are correlated
@@ -71,7 +71,7 @@ def lasting_residuals(
         points[~(points[..., 2] > MIN_CONFIDENCE)] = 0.0
         size = pixels_per_metre(seen, poses[t, :3])
         uv = np.stack([camera.project_pinhole(places[t]) for camera in seen.rig])
-        points = checked(points, uv, model.names, size, model.known)
+        points = check_sides_and_views(points, uv, model.names, size, model.known)
         used = (points[..., 2] > 0) & model.known & np.isfinite(uv).all(-1)
         away = np.where(used[..., None], points[..., :2] - uv, 0.0) / size[:, None, None]
         weights[t] = used / (1 + (away**2).sum(-1) / scale**2)
@@ -99,7 +99,7 @@ def systematic_covariance(
     body: Body, model: KeypointModel, keypoints: Sequence[Keypoints | None], poses: Array, frame_rate: float
 ) -> Array:
     """(T, J, 3, 3) m^2: systematic error of the joints of a clip solved on its key points, of which less is left where
-    BlazePose's, which are seldom right to the centimetre, weigh less beside masks.
+    BlazePose's, which are seldom right to the centimetre, weigh less next to masks.
 
     That of single views goes through the triangulation of the views that see the point in the frame, weighted as the
     solve weighs them; the shared one (SHARED) is the same in all directions. Joints without a key point of their own
@@ -109,8 +109,8 @@ def systematic_covariance(
     usual = weights.sum(0) / np.maximum((weights > 0).sum(0), 1) * model.worse(len(first.rig))[:, None] ** -2.0
     centres = np.stack([camera.position for camera in first.rig])
     shared = np.minimum(SHARED**2 * np.median(lasting, 0), MOST_SHARED_M**2)
-    beside = model.beside if model.names == BLAZEPOSE_33 else None
-    said = np.ones(len(model.names)) if beside is None else beside.max(0)
+    cue_weight = model.cue_weight if model.names == BLAZEPOSE_33 else None
+    said = np.ones(len(model.names)) if cue_weight is None else cue_weight.max(0)
     own = columns_of_joints(tuple(body.skeleton.joint_names), model.names)
     some = (own >= 0) & model.known[own]
     out = np.zeros((len(poses), len(own), 3, 3))
@@ -130,7 +130,7 @@ def systematic_covariance(
 
 
 _STEP = 1e-4
-_LEAST = 0.05  # information that anatomy gives every coordinate, 1 / rad^2: nothing turns more than it can
+_PRIOR_INFORMATION = 0.05  # information that anatomy gives every coordinate, 1 / rad^2: nothing turns more than it can
 _SETS = {
     "pelvis": (("pelvis",), ("pelvis",)),
     "lumbar": (("lumbar",), ("spine", "chest")),
@@ -157,7 +157,7 @@ def kind_of(name: str) -> str:
 
 
 @cache
-def fitted() -> Mapping[str, Mapping[str, Mapping[str, tuple[float, float]]]]:
+def fitted_spread_table() -> Mapping[str, Mapping[str, Mapping[str, tuple[float, float]]]]:
     """{"joints" or "angles": {evidence: {kind: (a, b)}}}; b in m, or rad."""
     kept = _kept()
     return {
@@ -185,8 +185,8 @@ def beyond_usual(audit: ArrayLike, evidence: str) -> float:
 
 def with_fitted_joints(motion: Motion, evidence: str, beyond: float = 0.0) -> Motion:
     """The motion with covariances a^2 V + S + (b^2 + c^2 beyond^2) I, all but the first of which is systematic; its own
-    systematic_covariance is S, what is known of it besides (None: nothing); beyond: m, see `beyond_usual`."""
-    own = fitted()["joints"][evidence]
+    systematic_covariance is S, the information on it besides (None: nothing); beyond: m, see `beyond_usual`."""
+    own = fitted_spread_table()["joints"][evidence]
     pairs = np.array([own.get(kind_of(n), (1.0, 0.0)) for n in motion.skeleton.joint_names])
     a, b = pairs[:, 0], pairs[:, 1]
     floor = b**2 + (apart_factors(evidence)[1] * beyond) ** 2
@@ -205,15 +205,15 @@ def with_fitted_angles(motion: Motion, covariance: Array, evidence: str, beyond:
 
 def with_angle_variance(motion: Motion, variance: Array, evidence: str, beyond: float = 0.0) -> Motion:
     """The same from the variances (T, A) rad^2 that the curvature says."""
-    own = fitted()["angles"][evidence]
+    own = fitted_spread_table()["angles"][evidence]
     pairs = np.array([own.get(kind_of(n), (1.0, 0.0)) for n in ANGLE_NAMES])
     floor = pairs[:, 1] ** 2 + (apart_factors(evidence)[2] * beyond) ** 2
     return replace(motion, angle_sd=np.sqrt(pairs[:, 0] ** 2 * variance + floor).astype(np.float32))
 
 
 def pose_covariance(information: Array) -> Array:
-    """(T, D, D) from what is known of poses (T, D, D): inverse, with the little that anatomy knows."""
-    least = np.diag(np.r_[np.zeros(3) + 1e-2, np.full(information.shape[-1] - 3, _LEAST)])
+    """(T, D, D) from the information on poses (T, D, D): inverse, with the little that anatomy knows."""
+    least = np.diag(np.r_[np.zeros(3) + 1e-2, np.full(information.shape[-1] - 3, _PRIOR_INFORMATION)])
     return np.asarray(np.linalg.inv(information + least), dtype=np.float64)
 
 

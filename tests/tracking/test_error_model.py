@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hypose.body.default_body import human
 from hypose.body.joint_angles import ANGLE_NAMES
 from hypose.body.motion import Motion, isotropic
-from hypose.body.ready_bodies import human
-from hypose.tracking.audit import AUDITED
-from hypose.tracking.doubt import (
+from hypose.tracking.error_features import AROUND_S, FEATURES, clip_features
+from hypose.tracking.error_model import (
     BY_ITSELF,
     CALM_P,
     ELSEWHERE_M,
@@ -23,7 +23,7 @@ from hypose.tracking.doubt import (
     without_mixture,
     worth_a_look,
 )
-from hypose.tracking.doubt_features import AROUND_S, FEATURES, clip_features
+from hypose.tracking.joint_features import AUDITED
 
 NAMES = human().skeleton.joint_names
 

@@ -1,8 +1,8 @@
 """How likely each joint of each frame is wrong by more than 100 mm: a logistic of what a clip's audit found.
 
 The covariance of a joint is that of the pose that is believed; no Gaussian covers the arm that is elsewhere. So this
-number is told apart from it. Its weights were fitted to scenes (scripts/train_doubt.py), one set per kind of evidence
-and group of joints.
+number is distinguished from it. Its weights were fitted to scenes (scripts/train_doubt.py), one set per kind of
+evidence and group of joints.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from numpy.typing import ArrayLike, NDArray
 from hypose.body.joint_angles import ANGLE_NAMES
 from hypose.body.motion import Motion
 from hypose.geometry import Array
-from hypose.tracking.audit import AUDITED
-from hypose.tracking.doubt_features import AROUND_S, FEATURES, MOST_SD, clip_features, mean_nearby, seconds_away
-from hypose.tracking.exchanged_sides import legs_crossed
-from hypose.tracking.fitted_spread import beyond_usual, with_fitted_joints
+from hypose.tracking.covariance_calibration import beyond_usual, with_fitted_joints
+from hypose.tracking.error_features import AROUND_S, FEATURES, MOST_SD, clip_features, mean_nearby, seconds_away
+from hypose.tracking.joint_features import AUDITED
+from hypose.tracking.left_right import legs_crossed
 
 WRONG_M = 0.1
 GROUPS = ("head", "shoulders", "hips", "elbows", "wrists", "knees", "ankles")
@@ -46,7 +46,7 @@ _NEXT: dict[str, tuple[str, ...]] = {
     "knee": ("hip", "ankle"),
     "ankle": ("knee",),
 }
-"""Joints beside a joint, by their names, or those of the same side."""
+"""Joints next to a joint, by their names, or those of the same side."""
 
 
 @cache
@@ -57,7 +57,7 @@ def groups_of(names: tuple[str, ...]) -> NDArray[np.int64]:
 
 
 @cache
-def _beside(names: tuple[str, ...]) -> Array:
+def _nearby(names: tuple[str, ...]) -> Array:
     """(J, J) what each joint's neighbours count in their mean, of who has none the joint itself."""
     out = np.zeros((len(names), len(names)))
     for j, name in enumerate(names):
@@ -105,7 +105,7 @@ _SUREST = 9.0  # log-odds of a neighbour
 def within_clip(odds: Array, names: tuple[str, ...], clip: ArrayLike) -> Array:
     """(T, J, 6) what `DoubtModel.in_clip` weighs, from log-odds (T, J) of joints by themselves and the clip's doubt."""
     doubt = np.broadcast_to(np.asarray(clip)[..., None], odds.shape)
-    near = np.clip(odds, -_SUREST, _SUREST) @ _beside(names).T
+    near = np.clip(odds, -_SUREST, _SUREST) @ _nearby(names).T
     return np.stack([np.ones(odds.shape), doubt, odds, odds * doubt, near, near * doubt], -1)
 
 
@@ -165,7 +165,7 @@ def judged(
         p = np.maximum(p, _by_few_views(motion, audit))
     if (known or evidence) in ("keypoints", "both"):  # sets without some joints; masks show the whole body
         p = np.maximum(p, _by_spread(with_fitted_joints(motion, evidence, beyond_usual(audit, evidence))))
-    if (known or evidence) == "silhouettes":  # whoever sees more than outlines sees which leg is which
+    if (known or evidence) == "silhouettes":  # the person who sees more than outlines sees which leg is which
         p = np.maximum(p, _by_crossed_legs(motion))
     if unsure is not None:
         turned, otherwise = unsure
@@ -239,7 +239,7 @@ def as_mixture(motion: Motion) -> Motion:
 
 
 def without_mixture(motion: Motion) -> Motion:
-    """What `as_mixture` was given: for fitting anew."""
+    """What `as_mixture` was given: for fitting again."""
     return _with_other_case(motion, -1.0)
 
 
@@ -263,7 +263,7 @@ def _with_other_case(motion: Motion, times: float) -> Motion:
 
 def _by_spread(motion: Motion) -> Array:
     """(T, J) how likely joints are further than WRONG_M off along the least certain axis of their covariance alone:
-    what no evidence shows is not told by what speaks against it."""
+    what no evidence shows is not known by what speaks against it."""
     from scipy.special import ndtr  # takes long to import
 
     around = np.nan_to_num(motion.joint_covariance.astype(np.float64), nan=1.0, posinf=1.0)
@@ -335,7 +335,7 @@ _TURNED = {"hip": "knee", "knee": "ankle", "arm": "elbow", "elbow": "wrist"}
 
 def _open(audit: ArrayLike) -> float:
     """How far the whole clip leaves open which way round the body is: 0 where the body with its sides exchanged, which
-    is looked at while tracking, is plainly worse in most frames, 1 where it fits as well, or nobody looked."""
+    is looked at while tracking, is plainly worse in most frames, 1 where it fits as well, or no person looked."""
     gain = np.asarray(audit, dtype=np.float64)[..., AUDITED.index("exchanged")]
     known = gain[np.isfinite(gain)]
     return float(np.clip(1 + np.median(known) / _DECIDED, 0.0, 1.0)) if len(known) else 1.0
@@ -356,7 +356,7 @@ _DECIDED = 0.03
 """IoU by which the other way round is worse in most frames where the clip has decided; in 32 clips that were right it
 was 0.03 to 0.11"""
 _OTHER_POSE_M = 0.15
-"""m, mean over the joints about the pelvis: whoever has moved so far is in another pose"""
+"""m, mean over the joints about the pelvis: the person who has moved so far is in another pose"""
 
 
 def _as_at_start(motion: Motion) -> Array:

@@ -19,7 +19,7 @@ from hypose.compute import FIXED, TreeArrays, reach
 from hypose.geometry import Array
 from hypose.tracking.frame_evidence import PreparedFrame
 
-POSES = 4096
+_POSES = 4096
 """of an arm; twice as many find nothing more"""
 _ALONG = ((0.4, 0.7, 1.0), (0.33, 0.67, 1.0), (0.5, 0.9))
 """where the points of upper arm, forearm and hand lie on their axes: at the shoulder an arm is never alone"""
@@ -89,7 +89,7 @@ def ends(points: Array) -> Array:
     return points[:, _ENDS]
 
 
-def ends_of(arms: Sequence[ArmReach], poses: Array) -> Array:
+def arm_ends(arms: Sequence[ArmReach], poses: Array) -> Array:
     """(N, A, 3, 3) m: elbow, wrist and hand of arms of one body in poses (N, D), as the arms' parents see them."""
     if not arms:
         return np.zeros((len(poses), 0, 3, 3))
@@ -101,7 +101,7 @@ def ends_of(arms: Sequence[ArmReach], poses: Array) -> Array:
     return np.einsum("naji,nakj->naki", rotations[:, parents], at - centres[:, parents, None])
 
 
-def arm_reach(body: Body, joints: tuple[str, ...], lower: Array, upper: Array, count: int = POSES) -> ArmReach:
+def arm_reach(body: Body, joints: tuple[str, ...], lower: Array, upper: Array, count: int = _POSES) -> ArmReach:
     """The table of the arm with these joints (clavicle, shoulder, elbow of a side), whose coordinates are spread evenly
     between lower and upper (D,)."""
     s, side = body.skeleton, joints[0].split("_")[0]

@@ -4,20 +4,20 @@ import numpy as np
 import pytest
 
 from benchmarks.multiview.doubt_scenes import as_curved
+from hypose.body.default_body import human
 from hypose.body.joint_angles import ANGLE_NAMES, joint_angles
 from hypose.body.motion import Motion, isotropic
-from hypose.body.ready_bodies import human
-from hypose.tracking.audit import AUDITED
-from hypose.tracking.fitted_spread import (
+from hypose.tracking.covariance_calibration import (
     angle_variance,
     apart_factors,
     beyond_usual,
-    fitted,
+    fitted_spread_table,
     kind_of,
     pose_covariance,
     with_fitted_angles,
     with_fitted_joints,
 )
+from hypose.tracking.joint_features import AUDITED
 
 BODY = human()
 
@@ -61,7 +61,7 @@ def test_fitted_parts_are_added_and_can_be_taken_off(poses, evidence):
     covariance = np.stack([1e-4 * np.eye(BODY.skeleton.dof)] * len(poses))
     full = with_fitted_angles(with_fitted_joints(motion, evidence), covariance, evidence)
     j = BODY.skeleton.joint("left_ankle")
-    a, b = fitted()["joints"][evidence]["ankle"]
+    a, b = fitted_spread_table()["joints"][evidence]["ankle"]
     assert full.joint_sd[0, j] == pytest.approx(np.hypot(a * 0.01, b), rel=1e-3)
     assert full.systematic_covariance[:, j] == pytest.approx(np.tile(b**2 * np.eye(3), (len(motion), 1, 1)))
     back = as_curved(full, evidence)
@@ -73,8 +73,8 @@ def test_fitted_parts_are_added_and_can_be_taken_off(poses, evidence):
 
 def test_every_joint_and_angle_has_its_fit():
     for evidence in ("silhouettes", "keypoints", "both"):
-        assert {kind_of(n) for n in BODY.skeleton.joint_names} <= set(fitted()["joints"][evidence])
-        assert {kind_of(n) for n in ANGLE_NAMES} == set(fitted()["angles"][evidence])
+        assert {kind_of(n) for n in BODY.skeleton.joint_names} <= set(fitted_spread_table()["joints"][evidence])
+        assert {kind_of(n) for n in ANGLE_NAMES} == set(fitted_spread_table()["angles"][evidence])
 
 
 def test_views_that_contradict_each_other_widen_what_is_said(poses):

@@ -1,4 +1,4 @@
-"""Whom one sees by the colours of their clothes: people of one size at one place are told apart by nothing else.
+"""Whom one sees by the colours of their clothes: people of one size at one place are distinguished by nothing else.
 
 What covers trunk and legs where the body is in front is counted by colour, all views together: who turns round shows
 the same shirt to another camera.
@@ -18,7 +18,7 @@ from hypose.body.body import Body
 from hypose.evidence.colours import COLOURS
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array
-from hypose.tracking.part_colours import counted_colours, layout
+from hypose.tracking.part_colours import counted_colours, part_layout
 
 ZONES = ((1, 2), (5, 6))
 """Of part_colours.PARTS: trunk and sleeves, thighs and shanks."""
@@ -51,7 +51,7 @@ class Clothes:
 
 
 def nothing_seen() -> Clothes:
-    """Of somebody who has not been looked at."""
+    """Of a person who has not been looked at."""
     return Clothes(np.zeros((len(ZONES), COLOURS), np.float32))
 
 
@@ -85,16 +85,16 @@ class Wardrobe:
 
 
 def clothes_in(body: Body, pose: Array, frame: Frame) -> Clothes:
-    """What a frame shows of the clothes of somebody at a pose (D,): in the person's mask, where nobody else covers it;
-    nothing where the frame has no pictures."""
+    """What a frame shows of the clothes of a person at a pose (D,): in the person's mask, where no other person covers
+    it; nothing where the frame has no pictures."""
     out, s, colours = nothing_seen(), frame.silhouettes, frame.colours
     if s is None or colours is None:
         return out
-    vertices, (faces, part, _) = body.skin(pose), layout(body)
-    told = s.told
+    vertices, (faces, part, _) = body.skin(pose), part_layout(body)
+    given = s.informative
     for c in np.flatnonzero(s.usable & colours.seen).tolist():
         w, h = s.rig[c].size
         shown, box = compute.shown_parts(vertices, faces, part, s.rig.projections[c], (h, w))
-        found = counted_colours(shown[box], told[c][box].astype(np.uint8), colours.codes[c][box])
+        found = counted_colours(shown[box], given[c][box].astype(np.uint8), colours.codes[c][box])
         out = out + Clothes(np.stack([found[list(zone)].sum(0) for zone in ZONES]))
     return out

@@ -1,7 +1,7 @@
 """What the tracker wants of a frame's masks, made by other threads while the frame before is being tracked.
 
-It depends on the masks alone, so whoever has the masks may make it: `make_ahead` tells that somebody does, `look_ahead`
-does so for the frames to come, and `outlines` and `prepared_masks` take it from there or make it.
+It depends on the masks alone, so the person who has the masks may make it: `make_ahead` tells that a person does,
+`look_ahead` does so for the frames to come, and `outlines` and `prepared_masks` take it from there or make it.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ from hypose.evidence.outlines import (
 
 LEAST_AREA = 200
 """px: a person of whom less is expected weighs no more than that"""
-Views = Callable[[], list[ViewOutline | None] | None]
+_Views = Callable[[], list[ViewOutline | None] | None]
 
 
 @dataclass(frozen=True)
 class _Made:
     """views: waits for the outlines for tracking; stacked, masks: what `outlines` and `prepared_masks` return."""
 
-    views: Views | None = None
+    views: _Views | None = None
     stacked: Outlines | None = None
     masks: compute.PreparedMasks | None = None
 
@@ -47,7 +47,7 @@ def _keep(silhouettes: Silhouettes, made: _Made) -> None:
     object.__setattr__(silhouettes, "ahead", made)  # a value with a memory, as with a cached property
 
 
-def make_ahead(silhouettes: Silhouettes, views: Views) -> None:
+def make_ahead(silhouettes: Silhouettes, views: _Views) -> None:
     """Tell that the outlines for tracking of these silhouettes are being made: `views` waits for them and returns one
     per view (None where there is none), or None when they will not come. They are forgotten with the silhouettes."""
     _keep(silhouettes, _Made(views))
@@ -76,7 +76,8 @@ def _next(source: Iterator[Frame]) -> Frame | None:
 
 
 def make_now(silhouettes: Silhouettes) -> None:
-    """Makes all that tracking wants of these masks, and keeps it with them for whoever tracks them more than once."""
+    """Makes all that tracking wants of these masks, and keeps it with them for the person who tracks them more than
+    once."""
     made = outlines(silhouettes, OUTLINE_POINTS, WORKING_HEIGHT)
     _keep(silhouettes, _Made(None, made, prepared_masks(silhouettes)))
 
@@ -100,7 +101,7 @@ def outlines(silhouettes: Silhouettes, count: int = OUTLINE_POINTS, working_heig
 def _outline(
     silhouettes: Silhouettes, view: int, size: tuple[int, int], count: int, working_height: int | None
 ) -> ViewOutline:
-    """The outline of one view, of size (w, h); of what is told where a part is ignored."""
+    """The outline of one view, of size (w, h); of the known part where a part is ignored."""
     w, h = size
     mask, ignored = silhouettes.masks[view, :h, :w], silhouettes.ignored
     if ignored is None or silhouettes.expected is None or not silhouettes.shared[view]:
@@ -110,7 +111,7 @@ def _outline(
 
 
 def pack_once(silhouettes: Silhouettes) -> None:
-    """Makes the masks for the scorer now, and keeps them with the silhouettes for whoever wants them."""
+    """Makes the masks for the scorer now, and keeps them with the silhouettes for the person who wants them."""
     known: _Made = silhouettes.ahead or _NOTHING
     if known.masks is None:
         _keep(silhouettes, replace(known, masks=prepared_masks(silhouettes)))

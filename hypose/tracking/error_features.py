@@ -8,10 +8,10 @@ from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from hypose.body.motion import Motion
 from hypose.geometry import Array
-from hypose.tracking.audit import AUDITED, more_than_body, views_apart
+from hypose.tracking.joint_features import AUDITED, more_than_body, views_apart
 
 AROUND_S = 0.25
-"""s before and after that a joint is judged by as well: what is wrong lasts"""
+"""s before and after that a joint is judged by as well: the error lasts"""
 _HIDDEN_S = 1.0
 _CLEAR = 0.05
 """IoU by which the body turned around, or with its legs exchanged, is worse where there is no doubt about it"""
@@ -20,10 +20,10 @@ _SLOW, _USUAL_PACE = 0.05, 0.35
 _USUAL_LOOSE_M = 0.01  # of arms that were not looked at
 _LITTLE = 3e-4  # m^2 of bare mask
 _OF_BODIES_M2 = 0.0022  # m^2 of it about a joint in a view, median over a clip, that bodies alone in usual masks have
-_SEEN = 0.25  # share of a part that is exposed in two views at least
+_EXPOSED_SHARE = 0.25  # share of a part that is exposed in two views at least
 OF_CLIP = ("cost", "outside_body", "bare_body", "log_sd", "loose", "outside", "bare_second", "rival")
 """Features whose mean over a clip tells what kind of clip it is: the same patch of bare mask tells much in one that
-fits well, and little where somebody wears a coat."""
+fits well, and little where a person wears a coat."""
 FEATURES = (
     *(
         "log_sd",
@@ -47,7 +47,7 @@ FEATURES = (
 """What a joint is judged by, see `clip_features`."""
 MOST_SD = np.array([2.0 if n.endswith("_of_clip") else 6.0 for n in FEATURES])
 """(F,) sd from where on a feature speaks no more for a joint. What kind of clip it is tells how much the rest says:
-that somebody fits badly all the time must not make a plainly wrong arm a good one."""
+that a person fits badly all the time must not make a plainly wrong arm a good one."""
 
 
 def clip_features(motion: Motion, raw_joints: Array, audit: ArrayLike) -> Array:
@@ -56,7 +56,7 @@ def clip_features(motion: Motion, raw_joints: Array, audit: ArrayLike) -> Array:
     log_sd: of the joint's sd; sd_around: its mean nearby in time; moved: largest distance of the frame's own joint from
     the clip's, nearby in time; accel: the largest of its accelerations nearby; still: how slowly it moves about the
     pelvis, since all frames of a limb at rest err alike and make each other too sure; bare*: of mask without body, near
-    the joint, beyond what is usual in the clip, in the second-barest view, there beside what is usual of all joints of
+    the joint, beyond what is usual in the clip, in the second-barest view, there next to what is usual of all joints of
     the clip (masks of one camera are worse than another's), in the limb's reach, over the whole body; exposed*: how
     much of its part nothing else covers, smoothed; hidden: s from when it was last seen, or to the next time; outside*:
     of the joint's part and of the body outside the masks; rival*: what else was believed; elsewhere*, loose: how far an
@@ -64,7 +64,7 @@ def clip_features(motion: Motion, raw_joints: Array, audit: ArrayLike) -> Array:
     points and of the frame's, how few views have it, and for how long, how many agree or do not, and how far those that
     do not outweigh those that do: one against one tells nothing, two against one does, and which share of the views
     calls its limb by the other side's name; apart: by how much the views contradict each other in this clip; more_mask:
-    log of how many times more its masks show beside the body than of a body alone: limbs may have been put into it;
+    log of how many times more its masks show next to the body than of a body alone: limbs may have been put into it;
     *_of_clip: mean over all joints, and the frames in which the person was found."""
     a = {n: np.asarray(audit, dtype=np.float64)[..., k] for k, n in enumerate(AUDITED)}
     masks, points = np.isfinite(a["bare"]), np.isfinite(a["points_all"])
@@ -80,7 +80,7 @@ def clip_features(motion: Motion, raw_joints: Array, audit: ArrayLike) -> Array:
         accel[1:-1] = np.linalg.norm(np.diff(raw_joints, 2, axis=0), axis=-1) * rate**2
     log_sd = np.log(np.clip(np.nan_to_num(motion.joint_sd, nan=1.0), 0.001, 1.0))
     cost = np.nan_to_num(motion.cost)[:, None] * np.ones(count)
-    seen = np.where(masks, a["exposed_second"] > _SEEN, False)
+    seen = np.where(masks, a["exposed_second"] > _EXPOSED_SHARE, False)
     two = a["points_views"] >= 2
     # a frame that shows no point of a joint has no distance to it; what is nearby in time has
     gone = (a["points_views"] == 0) & points & (seconds_away(a["points_views"] > 0, rate) <= AROUND_S)

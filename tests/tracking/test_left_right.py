@@ -7,13 +7,13 @@ import pytest
 
 from hypose.evidence.frame import Keypoints
 from hypose.evidence.keypoints import BODY_25
-from hypose.tracking.exchanged_sides import (
+from hypose.tracking.frame_evidence import prepare
+from hypose.tracking.keypoint_evidence import keypoint_model
+from hypose.tracking.left_right import (
     limbs_exchanged,
     look_for_exchange,
     turned_around,
 )
-from hypose.tracking.frame_evidence import prepare
-from hypose.tracking.keypoint_evidence import keypoint_model
 
 
 def striding(body, standing):

@@ -7,8 +7,8 @@ import pytest
 
 from hypose.evidence.frame import Frame
 from hypose.synthetic.scenes import make_scene
-from hypose.tracking.audit import AUDITED, audit_frame
 from hypose.tracking.frame_evidence import prepare
+from hypose.tracking.joint_features import AUDITED, audit_frame
 from hypose.tracking.keypoint_evidence import keypoint_model
 from hypose.tracking.refinement import SETTLING, refine
 from hypose.tracking.starts import start_from_keypoints
@@ -20,7 +20,7 @@ def seen():
     """A frame of a walk, the body, a pose that fits it, and the same with the right arm raised."""
     scene = make_scene("walk", rig="humaneva-4", seconds=0.08, seed=5)
     frame = next(iter(scene.mask_frames(0.5, keypoints=True)))
-    from hypose.body.ready_bodies import human
+    from hypose.body.default_body import human
 
     body = scaled_to_height(human(), scene.subject.stature)
     joints = np.arange(len(body.skeleton.joint_names))

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from hypose.inference.hypotheses import BEFORE, Hypotheses
+from hypose.tracking.arm_hypotheses import LookedUp, RefineRivals, rival_arms
+from hypose.tracking.arm_workspace import arm_reach, ends
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.pose_covariance import uncertainty_of_pose
 from hypose.tracking.published_recipes import LIMB_LAYERS
-from hypose.tracking.reach_table import arm_reach, ends
 from hypose.tracking.recipes import default
 from hypose.tracking.refinement import COMPOSITE, RIVAL, SOLVED
-from hypose.tracking.rival_arms import LookedUp, RefineRivals, rival_arms
 from hypose.tracking.tracker import (
     Tracker,
     TrackerSettings,

@@ -1,4 +1,4 @@
-"""Key points weigh less beside masks that know better, and in full beside those that do not."""
+"""Key points weigh less cue_weight masks that know better, and in full cue_weight those that do not."""
 
 from dataclasses import replace
 
@@ -7,14 +7,14 @@ import pytest
 
 from benchmarks.robustness.small_recordings import small_scene
 from benchmarks.synthetic.spoilt_keypoints import spoilt
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.keypoints import BODY_25
 from hypose.geometry import se3
+from hypose.tracking.cue_weights import LEAST_POINT_WEIGHT, weigh_against_masks
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.keypoint_evidence import keypoint_model
 from hypose.tracking.keypoint_offsets import calibrate_keypoints
-from hypose.tracking.points_beside_masks import LEAST, weighed_beside_masks
 from hypose.tracking.subject import scaled_to_height
 
 N = 6
@@ -42,7 +42,7 @@ def test_the_more_points_scatter_the_less_they_weigh(clip, model):
     frames, body = clip
     rough = spoilt(frames, "noisy", np.random.default_rng(0))
     plain, noisy = (
-        weighed_beside_masks(body, m, f).beside for m, f in ((model, frames), (calibrated(body, rough), rough))
+        weigh_against_masks(body, m, f).cue_weight for m, f in ((model, frames), (calibrated(body, rough), rough))
     )
     assert plain.shape == (4, len(BODY_25)) and (plain <= 1).all() and (noisy > 0).all()
     assert np.median(noisy[:, model.known]) < 0.5 * np.median(plain[:, model.known])
@@ -53,7 +53,7 @@ def test_points_weigh_in_full_beside_masks_that_are_elsewhere(clip, model):
     there = se3(np.eye(3), (0.0, 0.0, 0.1))
     rig = CameraRig(tuple(replace(c, camera_from_world=c.camera_from_world @ there) for c in frames[0].silhouettes.rig))
     aside = [replace(f, silhouettes=replace(f.silhouettes, rig=rig)) for f in frames]
-    right, wrong = (weighed_beside_masks(body, model, f).beside[:, model.known] for f in (frames, aside))
+    right, wrong = (weigh_against_masks(body, model, f).cue_weight[:, model.known] for f in (frames, aside))
     assert np.median(right) < 0.6 and np.median(wrong) == 1 and (wrong > right).mean() > 0.9
 
 
@@ -64,9 +64,9 @@ def test_limbs_that_are_hardly_seen_weigh_as_the_others_do(clip, model):
     for p in points[1:]:
         p[:, arms] = 0.0
     seldom = [replace(f, keypoints=replace(f.keypoints, points=p)) for f, p in zip(frames, points, strict=True)]
-    beside = weighed_beside_masks(body, model, seldom).beside
-    others = np.unique(beside[:, model.known & ~arms], axis=1)
-    assert (beside[:, arms] < 0.5).all() and (beside[:, arms] >= others.min(1, keepdims=True)).all()
+    cue_weight = weigh_against_masks(body, model, seldom).cue_weight
+    others = np.unique(cue_weight[:, model.known & ~arms], axis=1)
+    assert (cue_weight[:, arms] < 0.5).all() and (cue_weight[:, arms] >= others.min(1, keepdims=True)).all()
 
 
 BOX = small_scene(1, N, "box")
@@ -88,19 +88,23 @@ def guessed(clip):
 
 def test_a_limb_guessed_in_one_of_two_views_weighs_nothing_there(clip, guessed):
     (_, body), (frames, leg) = clip, guessed
-    beside = weighed_beside_masks(body, calibrated(body, frames), frames).beside
+    cue_weight = weigh_against_masks(body, calibrated(body, frames), frames).cue_weight
     others = np.setdiff1d(np.arange(len(BODY_25)), leg)
-    assert (beside[1, leg] < 1e-3).all() and (beside[0, leg] >= LEAST).all() and (beside[:, others] >= LEAST).all()
+    assert (
+        (cue_weight[1, leg] < 1e-3).all()
+        and (cue_weight[0, leg] >= LEAST_POINT_WEIGHT).all()
+        and (cue_weight[:, others] >= LEAST_POINT_WEIGHT).all()
+    )
 
 
 def test_solves_weigh_points_less_where_there_are_masks(clip, model):
     frames, body = clip
-    model = replace(model, beside=np.where(np.indices((4, len(BODY_25))).sum(0) % 2, 0.25, 1.0))
+    model = replace(model, cue_weight=np.where(np.indices((4, len(BODY_25))).sum(0) % 2, 0.25, 1.0))
     pose = np.zeros(body.skeleton.dof)
     pose[:3] = (0, 0, 1)
     alone = prepare(replace(frames[0], silhouettes=None), body, pose, use_keypoints=True, keypoints_on_body=model)
     assert alone.terms == (alone.keypoints.term,)
     both = prepare(frames[0], body, pose, use_keypoints=True, keypoints_on_body=model)
     np.testing.assert_array_equal(both.keypoints.term.points, alone.keypoints.term.points)
-    expected = both.keypoints.term.points[..., 2] * model.beside[:, model.known]
+    expected = both.keypoints.term.points[..., 2] * model.cue_weight[:, model.known]
     np.testing.assert_allclose(both.keypoints.terms[0].points[..., 2], expected)

@@ -1,10 +1,10 @@
-"""How much key points may say beside masks: measured on a few frames of the clip, limb by limb.
+"""How much key points may say next to masks: measured on a few frames of the clip, limb by limb.
 
 Outlines know where they are right to about a centimetre, but their cost hardly grows beyond that: points that scatter
-by more pull a limb out of its outline, and are not averaged against it as two measurements would be. So beside masks
+by more pull a limb out of its outline, and are not averaged against it as two measurements would be. So next to masks
 points weigh as if they knew no better than outlines that hold, and in full where outlines do not. Whether they do is
-told by the points: a body that is fitted to the outlines alone lies as near to them as they scatter, or else further
-(a skirt, a bag, a chair, somebody else, shadows).
+ known by the points: a body that is fitted to the outlines alone lies as near to them as they scatter, or else further
+(a skirt, a bag, a chair, another person, shadows).
 """
 
 from __future__ import annotations
@@ -22,32 +22,32 @@ from hypose.fitting import SolveSettings
 from hypose.geometry import Array
 from hypose.tracking.frame_evidence import PreparedFrame, prepare
 from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, KeypointModel
-from hypose.tracking.keypoint_offsets import Residuals, residual_rows, solved_frames, triangulated_starts
-from hypose.tracking.refinement import settled, solve
+from hypose.tracking.keypoint_offsets import OffsetResiduals, residual_rows, solved_frames, triangulated_starts
+from hypose.tracking.refinement import settled_start, solve_poses
 
 OUTLINES_M = 0.015
-"""m: points that scatter by no more weigh in full beside masks, whatever these say."""
-STEEP = 3
+"""m: points that scatter by no more weigh in full next to masks, whatever these say."""
+_STEEP = 3
 """Power of that share of their weight that points keep which scatter by more: outlines pull hardly more on a limb that
 is far than on one that is near, so points are followed long before they know as much. On scenes (walk, box, serve,
 cross-arms; seeds 1040 and 1041) a third to a tenth of the weight is better; on balancing all of it is needed, and
 kept."""
-LEAST = 0.03
-"""Share of their weight that points keep beside masks that are right."""
-CLEARLY = 2.0
+LEAST_POINT_WEIGHT = 0.03
+"""Share of their weight that points keep next to masks that are right."""
+_CLEARLY = 2.0
 """So many times further from the outlines' solve than in half of the views are points that are wrong in a view."""
-APART = 1.5
+_APART = 1.5
 """So many times further than usual from the body that is solved for by them are points of which those of a view are
 wrong; else it may be the outlines that are."""
-FRAMES, _SPARSE, _MOST = 8, 0.5, 3
+_FRAMES, _SPARSE, _MOST_TIMES = 8, 0.5, 3
 """frames in which the two are compared, and so many times more, at most, where fewer points than this share are seen"""
 _PARTS = (("elbow", "wrist"), ("knee", "ankle", "toe", "heel"), ("shoulder", "hip", "neck"), ("",))
 _LEAST_FRAMES, _LEAST_ROWS, _LEAST_LEFT = 3, 8, 0.2
 _SOLVE = SolveSettings(iterations=12, coarse_iterations=4)
 
 
-def weighed_beside_masks(body: Body, model: KeypointModel, frames: Sequence[Frame]) -> KeypointModel:
-    """The model with what is left of its points' weights beside masks (`KeypointModel.beside`); as it is when fewer
+def weigh_against_masks(body: Body, model: KeypointModel, frames: Sequence[Frame]) -> KeypointModel:
+    """The model with the rest of its points' weights next to masks (`KeypointModel.next to`); as it is when fewer
     than three of the frames (of one person) tell.
 
     Of the points of each part of the body, noise: variance per axis about the body that is solved for by them, which
@@ -55,7 +55,7 @@ def weighed_beside_masks(body: Body, model: KeypointModel, frames: Sequence[Fram
     views, and no lasting error of the points, is the outlines' fault, what is clearly more of it in others is that of
     the points there."""
     both = [f for f in frames if f.keypoints is not None and f.silhouettes is not None]
-    count = min(FRAMES * _times(model, both), len(both))
+    count = min(_FRAMES * _times(model, both), len(both))
     both = [both[int(n)] for n in np.unique(np.linspace(0, len(both) - 1, count).astype(int))]
     seen, by_points, by_masks = _solved_either_way(body, model, both)
     if len(seen) < _LEAST_FRAMES:
@@ -64,41 +64,41 @@ def weighed_beside_masks(body: Body, model: KeypointModel, frames: Sequence[Fram
     rows = 2 * np.median((own.confidence[:, :, model.known] > 0).sum((1, 2)))
     lasting = lasting_m(model.names) ** 2
     left = max(1 - body.skeleton.dof / max(float(rows), 1.0), _LEAST_LEFT)
-    usual, beside = np.nanmedian(_scatter(own, model.known)), np.full((len(seen[0].rig), len(model.names)), np.nan)
+    usual, cue_weight = np.nanmedian(_scatter(own, model.known)), np.full((len(seen[0].rig), len(model.names)), np.nan)
     for members in _parts(model.names):
-        told = members & model.known
-        scatter, away = _scatter(own, told), _scatter(other, told) ** 2
+        given = members & model.known
+        scatter, away = _scatter(own, given), _scatter(other, given) ** 2
         tell = np.isfinite(scatter) & np.isfinite(away)
         if not tell.any():
             continue
         noise = max(float(usual * np.median(scatter[tell])) / left, 1e-8)
         # half of the views are right, or the outlines are not
-        alike = tell & (away <= CLEARLY**2 * max(float(np.sort(away[tell])[(tell.sum() - 1) // 2]), noise))
+        alike = tell & (away <= _CLEARLY**2 * max(float(np.sort(away[tell])[(tell.sum() - 1) // 2]), noise))
         off = tell & ~alike
         if off.any():  # the body that is solved for by the points has come between them
             noise = min(noise, float(np.median(away[alike])))
         wrong = max(float(np.median(away[alike])) - noise - lasting, 0.0)
         theirs = np.where(off, np.fmax(away - wrong, noise), noise) + lasting
-        weight = ((OUTLINES_M**2 + wrong) / theirs) ** STEEP
-        apart = np.max(scatter[tell]) > APART * usual
-        beside[:, members] = np.clip(weight, np.where(off & apart, 0.0, LEAST), 1.0)[:, None]
-    known = np.isfinite(beside).any(0)
+        weight = ((OUTLINES_M**2 + wrong) / theirs) ** _STEEP
+        apart = np.max(scatter[tell]) > _APART * usual
+        cue_weight[:, members] = np.clip(weight, np.where(off & apart, 0.0, LEAST_POINT_WEIGHT), 1.0)[:, None]
+    known = np.isfinite(cue_weight).any(0)
     # limbs of which too little is seen to tell are no better known than the others
-    beside[:, ~known] = np.median(beside[:, known], axis=1, keepdims=True) if known.any() else 1.0
-    return replace(model, beside=beside)
+    cue_weight[:, ~known] = np.median(cue_weight[:, known], axis=1, keepdims=True) if known.any() else 1.0
+    return replace(model, cue_weight=cue_weight)
 
 
-def start_beside_masks(body: Body, model: KeypointModel, frame: Frame, start: Array) -> Array:
+def start_with_masks(body: Body, model: KeypointModel, frame: Frame, start: Array) -> Array:
     """Solve a start pose (D,) from key points on the masks of its frame as well; as it is without masks."""
     prepared = prepare(frame, body, start, use_keypoints=True, keypoints_on_body=model, prediction_weight=0.0)
-    return settled(start, prepared) if prepared.silhouettes.seen else start
+    return settled_start(start, prepared) if prepared.silhouettes.seen else start
 
 
 def _times(model: KeypointModel, frames: Sequence[Frame]) -> int:
     """How many times as many frames are compared for so few points."""
     seen = [np.nan_to_num(f.keypoints.points[:, model.known, 2]) > MIN_CONFIDENCE for f in frames if f.keypoints]
     share = float(np.mean([s.mean() for s in seen])) if seen else 1.0
-    return int(np.clip(np.ceil(_SPARSE / max(share, 1e-3)), 1, _MOST))
+    return int(np.clip(np.ceil(_SPARSE / max(share, 1e-3)), 1, _MOST_TIMES))
 
 
 def _solved_either_way(
@@ -118,7 +118,7 @@ def _solved_either_way(
             by_points.append(pose)
             outlines.append(prepared)
 
-    by_masks = [solve(body, q[None], f, _SOLVE)[0].pose for q, f in zip(by_points, outlines, strict=True)]
+    by_masks = [solve_poses(body, q[None], f, _SOLVE)[0].pose for q, f in zip(by_points, outlines, strict=True)]
     shape = len(kept), body.skeleton.dof
     return kept, np.array(by_points).reshape(shape), np.array(by_masks).reshape(shape)
 
@@ -134,7 +134,7 @@ def _parts(names: Sequence[str]) -> list[NDArray[np.bool_]]:
     return out
 
 
-def _scatter(rows: Residuals, members: NDArray[np.bool_]) -> Array:
+def _scatter(rows: OffsetResiduals, members: NDArray[np.bool_]) -> Array:
     """(C,) m per axis: robust standard deviation of the distances of these points (K,) in each view; NaN where there
     are few."""
     used = (rows.confidence > 0) & members

@@ -1,12 +1,12 @@
 """What speaks for and against every joint of a tracked frame: bare mask, body outside the masks, key points, rivals.
 
 A wrong limb nearly always leaves a trace in the evidence: the true one stands uncovered in a mask, the wrong one sticks
-out of it, key points lie elsewhere, another pose fits as well. None of them tells alone; `hypose.tracking.doubt`
+out of it, key points lie elsewhere, another pose fits as well. None of them tells alone; `hypose.tracking.error_model`
 weighs them.
 
-How far each view's mask lies from the body as a whole: what is left of a wrong calibration, a lag, a wrong body.
+How far each view's mask lies from the body as a whole: the rest of a wrong calibration, a lag, a wrong body.
 
-A solve halves the difference between views that contradict each other; what is left points one way in each of them and
+A solve halves the difference between views that contradict each other; the rest points one way in each of them and
 stays, while the noise of outlines points everywhere. It tells errors that no curvature of a cost knows.
 """
 
@@ -30,17 +30,17 @@ from hypose.compute import (
     silhouette_xor,
     skin,
 )
-from hypose.evidence.ahead import prepared_masks
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
+from hypose.evidence.prefetch import prepared_masks
 from hypose.geometry import Array
-from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, KeypointModel, checked, pixels_per_metre
+from hypose.tracking.arm_workspace import ArmReach, arm_reach, ends, in_practice
+from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, KeypointModel, check_sides_and_views, pixels_per_metre
 from hypose.tracking.named_sides import views_by_names
-from hypose.tracking.reach_table import ArmReach, arm_reach, ends, in_practice
 
 _SCALE_M = 0.025
 """Outlines that lie further apart count less (Tukey's weight, zero at three times that): they are of something else."""
 _ROUNDS, _SETTLED_PX = 8, 0.01
-_LEAST = 30
+_LEAST_POINTS = 30
 """points of the outline without which a view's shift is not known"""
 
 
@@ -57,7 +57,7 @@ def shift_of_mask(
     if ignored is not None:
         inside &= ignored[y, x] == 0
     x, y = x[inside], y[inside]
-    if len(x) < _LEAST:
+    if len(x) < _LEAST_POINTS:
         return np.full(2, np.nan)
     # what lies further from the outline than this has no weight
     margin = int(2 * 3 * _SCALE_M * metre) + 2
@@ -107,7 +107,7 @@ AUDITED = (
     ),
     *("points_agree", "points_against", "renamed", "named", "apart"),
 )
-"""Columns of an audit: m^2 of bare mask within NEAR_M of the joint, summed over the views, and in the second-barest
+"""Columns of an audit: m^2 of bare mask within _NEAR_M of the joint, summed over the views, and in the second-barest
 one; within the limb's reach of its root, summed; share of the joint's part that no other part covers, summed over the
 views, and in the second-best; share of the part outside the masks, summed; m, spread of the rivals; m, spread of
 the arms elsewhere that fit the masks about as well as the one that is believed, over its whole reach (0 of other
@@ -118,9 +118,10 @@ masks better (NaN: not looked at in this frame); m, distance of the joint's key 
 the views; views with one; m, median over all points of the frame; views with one, as it was detected, that agrees with
 the joint, and with one that speaks against it; views whose points of both its legs, or arms, are called by the other
 side's names where the body has them, and by their own (0 of joints of no limb); m, by how much the views' masks as a
-whole contradict each other (`hypose.tracking.audit`), the same of all joints (NaN: not looked at in this frame).
+whole contradict each other (`hypose.tracking.joint_features`), the same of all joints (NaN: not looked at in this
+frame).
 """
-NEAR_M = 0.25
+_NEAR_M = 0.25
 _TALL = 110
 """px: how tall a person is in the pictures that are compared; a forearm is five pixels wide"""
 _PARTS = (
@@ -131,7 +132,7 @@ _PARTS = (
 """Joints whose skin is one part."""
 _ROOTS = (("left_shoulder", 0.75), ("right_shoulder", 0.75), ("left_hip", 1.0), ("right_hip", 1.0))
 """Where limbs begin, and how far they reach, m."""
-_BESIDE_M = 0.4
+_NEARBY_M = 0.4
 _AGREE_M = 0.06
 """a key point that lies so near to its joint speaks for it, one that lies twice as far against it"""
 _FAR_M = 0.5  # key points further away are no worse
@@ -148,7 +149,7 @@ def _layout(names: tuple[str, ...]) -> tuple[NDArray[np.int64], NDArray[np.int64
             arm = name.endswith(("shoulder", "elbow", "wrist"))
             limb[j] = (0 if arm else 2) + name.startswith("right")
     roots = np.array([names.index(n) for n, _ in _ROOTS if n in names])
-    return part, limb, roots, np.concatenate([np.full(len(names), NEAR_M), [r for _, r in _ROOTS]])
+    return part, limb, roots, np.concatenate([np.full(len(names), _NEAR_M), [r for _, r in _ROOTS]])
 
 
 def views_apart(audit: ArrayLike) -> float:
@@ -228,7 +229,7 @@ def _masks(
         step = max(1, int(1.7 * per_metre / _TALL))
         uv, z, (across, down) = projected(points, p)
         # what lies further from the body says nothing of its joints
-        (x0, x1), (y0, y1) = _span(across, _BESIDE_M * per_metre, w), _span(down, _BESIDE_M * per_metre, h)
+        (x0, x1), (y0, y1) = _span(across, _NEARBY_M * per_metre, w), _span(down, _NEARBY_M * per_metre, h)
         if x0 >= x1 or y0 >= y1:
             continue
         size, shape = per_metre / step, (-((y0 - y1) // step), -((x0 - x1) // step))
@@ -254,11 +255,11 @@ def _masks(
         out[:, -1] = apart(shifts)
 
 
-def _span(reach: Array, beside: float, most: int) -> tuple[int, int]:
-    """The pixels 0 to `most` from the first to the last that are reached (2,), and so many beside them; none where
+def _span(reach: Array, nearby: float, most: int) -> tuple[int, int]:
+    """The pixels 0 to `most` from the first to the last that are reached (2,), and so many next to them; none where
     nothing is."""
     first, last = reach.tolist()  # plain numbers take a tenth of the time
-    low, high = first - beside, last + beside
+    low, high = first - nearby, last + nearby
     return (int(min(max(low, 0.0), most)), int(min(max(high, 0.0), most))) if low <= high else (0, 0)
 
 
@@ -309,7 +310,7 @@ scenes of the seeds 600 to 617"""
 
 
 def _elsewhere(body: Body, pose: Array, masks: PreparedMasks, index: int) -> Array:
-    """(J, 2): what the reach of the arms allows, each in its turn, for it is dear; see AUDITED."""
+    """(J, 2): what the reach of the arms allows, each in its turn, for it is slow; see AUDITED."""
     out = np.zeros((len(body.skeleton.joint_names), 2))
     s, mesh = body.skeleton, body.coarse.arrays
     for k, arm in enumerate(_kept(body).arms):
@@ -391,7 +392,7 @@ def _points(names: tuple[str, ...], rotations: Array, joints: Array, seen: Keypo
     raw = np.linalg.norm(points[..., :2] - uv, axis=-1) / size[:, None]
     there = (own >= 0)[None] & ((points[..., 2] > 0) & model.known & np.isfinite(uv).all(-1))[:, own]
     agree, against = (there & (raw[:, own] < _AGREE_M)).any(-1), (there & (raw[:, own] > 2 * _AGREE_M)).any(-1)
-    points = checked(points, uv, model.names, size, model.known)
+    points = check_sides_and_views(points, uv, model.names, size, model.known)
     known = (points[..., 2] > 0) & model.known & np.isfinite(uv).all(-1)
     away = np.minimum(np.linalg.norm(points[..., :2] - uv, axis=-1) / size[:, None], _FAR_M)
     away = np.where(known, away, np.inf)

@@ -1,7 +1,7 @@
 """Rival arms: the estimate and the best of what the arms could be instead, carried along from frame to frame.
 
 A lost arm lies in plain sight, yet its pose overlaps the masks better only once the body, which has made up for the
-wrong arm, is solved anew. So the arms that a table of reach finds in the masks are solved before they are compared,
+wrong arm, is solved again. So the arms that a table of reach finds in the masks are solved before they are compared,
 and a few that are nearly as good live on, each with its own history, until what they predict decides. Source: as for
 the pruned multiple hypotheses of Sminchisescu & Triggs 2001; the scores and the table are hypose's own.
 """
@@ -21,14 +21,14 @@ from hypose.evidence.terms import Evidence, PointTerm
 from hypose.fitting.articulated import PoseFit, SolveSettings
 from hypose.geometry import Array
 from hypose.inference.hypotheses import BEFORE, Hypotheses
+from hypose.tracking.arm_workspace import ArmReach, arm_ends, ends
 from hypose.tracking.costs import frame_energy, limb_energy
 from hypose.tracking.frame_evidence import PreparedFrame
 from hypose.tracking.part_colours import ColourSettings, colour_scores, known_colours, pictured_arms
-from hypose.tracking.reach_table import ArmReach, ends, ends_of
-from hypose.tracking.refinement import COMPOSITE, RIVAL, SOLVED, keep_fits, member, mismatch, refine, solve
+from hypose.tracking.refinement import COMPOSITE, RIVAL, SOLVED, keep_fits, member, mismatch, refine, solve_poses
 
 _SOLVE, _LOOK, _ORDERED = "rivals solved", "arms looked up", "rivals in order"
-"""What has been begun beside other layers, and the hypotheses of the last frame, in a frame's `shared`."""
+"""What has been begun next to other layers, and the hypotheses of the last frame, in a frame's `shared`."""
 
 DEPTH_KEEPS = 2
 """hypotheses that live on where depth cameras see, which leave less open; a third one is no gain there. Chosen on the
@@ -106,7 +106,7 @@ class RefineRivals:
         scores = (
             costs + colours + c.doubt * costs[0] * fresh - c.memory * c.softness * alive.relative_log_weights[parents]
         )
-        at = ends_of([arm for arm, _ in self.arms], poses)
+        at = arm_ends([arm for arm, _ in self.arms], poses)
         before = last[parents]
         for k, (arm, _) in enumerate(self.arms):
             jumped = fresh & (_farthest(at[:, k], at[0, k]) > self.look.far)
@@ -150,8 +150,8 @@ class RefineRivals:
         costs = mismatch(poses, frame, expected=expected)
         said = self.colours.weight * colour_scores(poses, frame, self.colours)
         # key points know better where hands are
-        told = frame.keypoints.seen or any(isinstance(term, PointTerm) for term in frame.terms)
-        if told or known_colours(frame, self.colours) is None:
+        given = frame.keypoints.seen or any(isinstance(term, PointTerm) for term in frame.terms)
+        if given or known_colours(frame, self.colours) is None:
             return poses, costs, said
         arms = [arm for arm, _ in self.arms]
         poses, costs, said = poses.copy(), costs.copy(), said.copy()
@@ -204,13 +204,13 @@ class RefineRivals:
         """(K, A) which arms of rivals (K, D) are far from the winner's."""
         if not len(old):
             return np.zeros((0, len(self.arms)), np.bool_)
-        at = ends_of([arm for arm, _ in self.arms], np.concatenate([winner[None], old]))
+        at = arm_ends([arm for arm, _ in self.arms], np.concatenate([winner[None], old]))
         return np.linalg.norm(at[1:] - at[0], axis=-1).max(-1, initial=0.0) > self.look.far
 
     def _solved(self, starts: list[Array], old: Array, frame: PreparedFrame) -> list[Array]:
         """The solutions (D,) from starts and from the predictions (K, D) of rivals, over threads."""
         near = self.with_depth if frame.depth.seen else self.near
-        tasks = [partial(solve, frame.body, q[None], frame, near) for q in starts]
+        tasks = [partial(solve_poses, frame.body, q[None], frame, near) for q in starts]
         tasks += [frame.shared.pop((_SOLVE, q.tobytes()), partial(self._solved_rival, q, frame)) for q in old]
         solved: dict[int, PoseFit] = {}
 
@@ -226,7 +226,7 @@ class RefineRivals:
     def _solved_rival(self, q: Array, frame: PreparedFrame) -> list[PoseFit]:
         """The fit of a rival from where it is expected (D,)."""
         options = self.with_depth if frame.depth.seen else self.options
-        return solve(frame.body, q[None], replace(frame, prediction=q), options)
+        return solve_poses(frame.body, q[None], replace(frame, prediction=q), options)
 
     def _living(self, scores: Array, costs: Array, at: Array, frame: PreparedFrame) -> list[int]:
         """Which hypotheses live on, best first: those with arms (E, 3) elsewhere that are not far behind."""
