@@ -217,6 +217,10 @@ class Skeleton:
         half = np.einsum("jad,de->jae", jacobian, np.asarray(covariance, dtype=np.float64))
         return np.einsum("jae,jbe->jab", half, jacobian)
 
+    def step_sigma(self, frame_rate: float) -> Array:
+        """Return (D,): usual motion per frame at a frame rate: proportional to the time of a frame, within limits."""
+        return self.sigma * float(np.clip(25.0 / frame_rate, 0.4, 2.0))
+
     def clamp(self, poses: ArrayLike) -> Array:
         """Poses (..., D) moved into the joint limits, and onto a grid of 2^-20 m and rad: the last digits, in which
         numerical libraries differ between processors, must not grow from frame to frame until another arm is found."""

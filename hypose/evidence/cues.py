@@ -285,7 +285,7 @@ def surface_evidence(frame: Frame) -> list[Term]:
 class OwnEvidence(Protocol):
     """Evidence that the product does not know: what a sensor, a marker or a rule of yours says of the body.
 
-    Both see the frame, whose index and time tell which measurement belongs to it.
+    Both see the frame, whose index and time tell which measurement belongs to it; threads may ask at the same time.
     """
 
     def rows(self, body: Body, frame: Frame, /) -> PointTerm | RowTerm | None:

@@ -30,7 +30,6 @@ from hypose.tracking.costs import agreement
 from hypose.tracking.frame_evidence import PreparedFrame
 from hypose.tracking.part_colours import ColourSettings, colour_scores
 from hypose.tracking.pose_covariance import uncertainty_of_pose
-from hypose.tracking.published_recipes import step_sigma
 from hypose.tracking.refinement import RIVAL, mismatch
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState
 
@@ -217,7 +216,7 @@ def _chosen(
         poses, costs = [old[first - 1].pose[None], *poses], [fixed, *costs]
     if stop < len(old) and _known(old[stop]):
         poses, costs = [*poses, old[stop].pose[None]], [*costs, fixed]
-    large = 3 * step_sigma(s, tracker.settings.frame_rate)
+    large = 3 * s.step_sigma(tracker.settings.frame_rate)
 
     def step(a: Array, b: Array) -> Array:
         apart = np.stack([s.on_branch(b, q) - q for q in a]) / large

@@ -28,7 +28,7 @@ from hypose.evidence.cues import (
 )
 from hypose.evidence.frame import Frame
 from hypose.evidence.terms import Evidence, Term
-from hypose.fitting import PoseFit
+from hypose.fitting.articulated import PoseFit
 from hypose.geometry import Array
 from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.keypoint_evidence import KeypointModel, keypoint_model, keypoint_term, with_masks

@@ -67,7 +67,7 @@ def partitions_of(skeleton: Skeleton, layers: Sequence[tuple[str, tuple[str, ...
 def sir(body: Body, particles: int = 4000, survival: float = 0.15, frame_rate: float = 25.0) -> Recipe:
     """Plain particle filter: one layer over all coordinates. Source: Isard & Blake 1998 (Alcoverro 2014, Alg. 1)."""
     s = body.skeleton
-    layer = Layer(diffusion(s, step_sigma(s, frame_rate)), _weigh(SurvivalRate(survival)), systematic, "all")
+    layer = Layer(diffusion(s, s.step_sigma(frame_rate)), _weigh(SurvivalRate(survival)), systematic, "all")
     return _published("sir", (layer,), s, particles)
 
 
@@ -87,7 +87,7 @@ def apf(
     """
     s = body.skeleton
     between_frames, between_layers = (
-        diffusion(s, step_sigma(s, frame_rate)),
+        diffusion(s, s.step_sigma(frame_rate)),
         AdaptiveDiffusion(scale, lower=s.lower, upper=s.upper),
     )
     rows = [
@@ -104,7 +104,7 @@ def partitioned(body: Body, particles: int = 572, survival: float = 0.15, frame_
     MacCormick & Isard 2000 (Alcoverro 2014, section 2.2.3).
     """
     s = body.skeleton
-    sigma = step_sigma(s, frame_rate)
+    sigma = s.step_sigma(frame_rate)
     rows = []
     for (name, _), psi in zip(HPF_LAYERS, partitions_of(s, HPF_LAYERS), strict=True):
         own = np.zeros(s.dof)
@@ -129,7 +129,7 @@ def hpf(
     Source: Alcoverro 2014, sections 2.2.4 and 2.4.
     """
     s = body.skeleton
-    sigma = step_sigma(s, frame_rate)
+    sigma = s.step_sigma(frame_rate)
     psi = partitions_of(s, HPF_LAYERS)
     rows = []
     for n, (name, _) in enumerate(HPF_LAYERS):
@@ -143,11 +143,6 @@ def hpf(
             )
         )
     return _published("hpf", rows, s, particles)
-
-
-def step_sigma(skeleton: Skeleton, frame_rate: float) -> Array:
-    """(D,) usual motion per frame at this frame rate: proportional to the time between frames within limits."""
-    return skeleton.sigma * float(np.clip(25.0 / frame_rate, 0.4, 2.0))
 
 
 def diffusion(skeleton: Skeleton, sigma: Array, tail: HeavyTail | None = None) -> GaussianDiffusion:
@@ -240,7 +235,7 @@ def hpf_apo(
     Source: Alcoverro 2014, section 2.4.
     """
     s = body.skeleton
-    sigma = step_sigma(s, frame_rate)
+    sigma = s.step_sigma(frame_rate)
     psi = partitions_of(s, HPF_LAYERS)
     regions = layer_regions(body, bounding=improved)
     rows = []
@@ -321,7 +316,7 @@ def dd_hpf(
     metres against the silhouettes' cost. Source: Alcoverro 2014, section 2.5.2.
     """
     s = body.skeleton
-    ends, sigma, psi = ends_of(body), step_sigma(s, frame_rate), partitions_of(s, layers)
+    ends, sigma, psi = ends_of(body), s.step_sigma(frame_rate), partitions_of(s, layers)
     rows = []
     for n, (layer, _) in enumerate(layers):
         rate = annealing_rate_of(n, betas, survival)

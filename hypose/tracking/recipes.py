@@ -24,7 +24,7 @@ from hypose.tracking.limb_search import LimbSearch
 from hypose.tracking.monocular.recipe import PICTURE_CUES, TRIGGS, monocular
 from hypose.tracking.part_colours import LearnColours
 from hypose.tracking.pose_covariance import uncertainty_of_pose
-from hypose.tracking.published_recipes import LIMB_LAYERS, step_sigma
+from hypose.tracking.published_recipes import LIMB_LAYERS
 from hypose.tracking.refinement import (
     ContourRefinement,
     InTurn,
@@ -73,7 +73,7 @@ def default(
     edges of sleeves, where arms are: it helps folded arms and costs half as much again, so it is asked for.
     """
     s = body.skeleton
-    sigma = 2.0 * step_sigma(s, frame_rate)
+    sigma = 2.0 * s.step_sigma(frame_rate)
     options = SolveSettings(iterations=iterations, coarse_iterations=iterations // 2)
     turns = _turns(frame_rate)
     rival_arms = _rivals(body, turns, rivals, options)

@@ -26,7 +26,6 @@ from hypose.tracking.costs import agreement, mean_overlap
 from hypose.tracking.frame_evidence import PreparedFrame, prepare, view_count
 from hypose.tracking.keypoint_evidence import KeypointModel
 from hypose.tracking.pose_covariance import PoseUncertainty, nothing_known, uncertainty_of_set
-from hypose.tracking.published_recipes import step_sigma
 
 BETWEEN_FRAMES, RECOVERY, START = -1, -2, -3
 """Layer numbers of the random streams used outside a recipe's layers."""
@@ -302,7 +301,7 @@ class Tracker:
         """The recipe's number of hypotheses scattered about a pose (D,), by so many usual steps."""
         s = self.body.skeleton
         noise = rng.standard_normal((self.recipe.particles, s.dof)) * steps
-        return Hypotheses.uniform(s.clamp(pose + noise * step_sigma(s, self.settings.frame_rate)))
+        return Hypotheses.uniform(s.clamp(pose + noise * s.step_sigma(self.settings.frame_rate)))
 
     def _rivals(self, h: Hypotheses | None) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """The hypotheses next to the best, and their weights, as an estimate has them."""
@@ -387,7 +386,7 @@ class Tracker:
         s = self.body.skeleton
         blind = state.blind + 1
         # what moved on unseen may have moved by its usual step: the variance of a random walk
-        growth = s.joint_covariances(prediction, np.diag(step_sigma(s, self.settings.frame_rate) ** 2))
+        growth = s.joint_covariances(prediction, np.diag(s.step_sigma(self.settings.frame_rate) ** 2))
         covariance = (np.nan_to_num(state.joint_covariance, nan=0.0) + growth).astype(np.float32)
         lost = state.lost or blind > self.settings.extrapolate * self.settings.frame_rate
         following = TrackerState(

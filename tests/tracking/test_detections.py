@@ -19,7 +19,6 @@ from hypose.tracking.detection_kernels import (
     pose_limb,
 )
 from hypose.tracking.frame_evidence import prepare
-from hypose.tracking.published_recipes import step_sigma
 from hypose.tracking.recipes import recipe
 from hypose.tracking.tracker import Tracker, TrackerSettings
 
@@ -82,7 +81,7 @@ def test_named_detections_are_taken_as_they_are(body, standing, frame_of):
 
 def driven(body, end, **settings):
     own = np.zeros(body.skeleton.dof)
-    own[:12] = step_sigma(body.skeleton, 25.0)[:12]
+    own[:12] = body.skeleton.step_sigma(25.0)[:12]
     return DetectorDriven(body, ends_of(body), stay, (end,), own, "left", **settings)
 
 

@@ -8,14 +8,14 @@ from hypose.tracking.arm_workspace import in_practice
 from hypose.tracking.costs import frame_energy, limb_energy
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.limb_search import LimbSearch
-from hypose.tracking.published_recipes import LIMB_LAYERS, step_sigma
+from hypose.tracking.published_recipes import LIMB_LAYERS
 from hypose.tracking.refinement import COMPOSITE, SOLVED
 
 
 @pytest.fixture(scope="module")
 def search(body):
     s = body.skeleton
-    return LimbSearch(s, dict(LIMB_LAYERS)["left_arm"], 2 * step_sigma(s, 25.0), *in_practice(s), redrawn=0.25)
+    return LimbSearch(s, dict(LIMB_LAYERS)["left_arm"], 2 * s.step_sigma(25.0), *in_practice(s), redrawn=0.25)
 
 
 @pytest.fixture(scope="module")
