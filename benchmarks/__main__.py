@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from hypose.app.cli import main
+from hypose.app.cli import run_cli
 from hypose.app.commands.commands_track import set_threads
 from hypose.app.commands.console import Stages, say
 from hypose.app.commands.options import Threads, number
@@ -113,4 +113,4 @@ def _number(value: Any) -> str:
 
 
 if __name__ == "__main__":
-    main(command=app, name="benchmarks")
+    run_cli(command=app, name="benchmarks")

@@ -18,12 +18,12 @@ from hypose.errors import InputError
 from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.io.videos import camera_sources
-from hypose.io.videos.camera_sources import Shot, StreamEnded
+from hypose.io.videos.camera_sources import CameraImage, StreamEnded
 from hypose.pipeline.live import engine, eyes, feeds
-from hypose.pipeline.live.engine import LiveEngine, Seen
+from hypose.pipeline.live.engine import LiveEngine, LiveResult
 from hypose.pipeline.live.eyes import Eyes, Question, Sight
 from hypose.pipeline.live.live_people import LivePeople, LivePose
-from hypose.pipeline.live.live_search import LOOKING, LivePersonOptions
+from hypose.pipeline.live.live_search import STATE_SEARCHING, LivePersonOptions
 from hypose.pipeline.settings import SETTINGS
 from hypose.synthetic.scenes import Scene, camera_rig, make_scene
 from tests.conftest import HANG_S
@@ -78,12 +78,12 @@ def follow(people: LivePeople, frames: Iterable[Frame], beside: Beside) -> list[
         for one in stepped:
             poses.append(one.told())
             one.look()
-        if not stepped and people.phase == LOOKING:
+        if not stepped and people.phase == STATE_SEARCHING:
             beside.work()
     return poses
 
 
-def seen(frame: Frame, pose: LivePose | None, missing: tuple[int, ...] = (), grey: int = 90) -> Seen:
+def seen(frame: Frame, pose: LivePose | None, missing: tuple[int, ...] = (), grey: int = 90) -> LiveResult:
     """The frame as the engine tells it, with pictures of one grey; missing: cameras that showed nothing."""
     s = frame.silhouettes
     assert s is not None
@@ -95,7 +95,7 @@ def seen(frame: Frame, pose: LivePose | None, missing: tuple[int, ...] = (), gre
         picture = np.full((h, w, 3), grey, np.uint8)
         jpegs.append(None if gone else cv2.imencode(".jpg", picture)[1].tobytes())
     sight = Sight(frame.time, frame.time + 0.01, tuple(views), tuple(jpegs), (), 1, (), False)
-    return Seen(sight, frame, () if pose is None else (pose,))
+    return LiveResult(sight, frame, () if pose is None else (pose,))
 
 
 # ---- the whole pipeline, whose clock waits for it -------------------------------------------------------------------
@@ -181,13 +181,13 @@ class StageCamera:
     def __init__(self, stage: Stage, name: str) -> None:
         self._stage, self._name = stage, name
 
-    def read(self) -> Shot:
+    def read(self) -> CameraImage:
         clock, rate = self._stage.clock, self._stage._rate
         number = int(clock.monotonic() * rate + 1.001)
         clock.sleep(number / rate - clock.monotonic())
         if self._stage.away(self._name):
             raise StreamEnded(f"Camera {self._name} was unplugged.")
-        return Shot(number / rate, None, self._stage.picture(self._name, number))
+        return CameraImage(number / rate, None, self._stage.picture(self._name, number))
 
     def close(self) -> None:
         pass
@@ -217,7 +217,7 @@ class EyesInStep:
         over = self._eyes.ended and not np.isfinite(sight.time)
         return None if over or self._stop.is_set() else sight
 
-    def _has_come(self, feed: feeds.Feed) -> bool:
+    def _has_come(self, feed: feeds.CameraFeed) -> bool:
         return self._clock.asleep(feed._thread) or bool(feed.status().trouble)
 
     def close(self) -> None:

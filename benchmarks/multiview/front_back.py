@@ -12,7 +12,7 @@ from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
 from hypose.body.body import Body
 from hypose.body.ready_bodies import human
 from hypose.geometry import Array
-from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
+from hypose.pipeline.first_frame import SubjectOptions, TrackedSubject, find_subject
 from hypose.pipeline.mend_sides import FrameRange, mend_sides
 from hypose.pipeline.run import TrackOptions, tracker_of
 from hypose.pipeline.track_loop import FrameList, track_frames
@@ -75,7 +75,7 @@ def front_back(options: BenchOptions) -> BenchReport:
     return BenchReport(tuple(rows), settings)
 
 
-def _tracked(source: FrameList, tracker: Tracker, start: Array, subject: Subject) -> list[FrameEstimate]:
+def _tracked(source: FrameList, tracker: Tracker, start: Array, subject: TrackedSubject) -> list[FrameEstimate]:
     def silent(stage: str, done: int, total: int) -> None:
         pass
 

@@ -23,7 +23,7 @@ from hypose.geometry import Array
 from hypose.pipeline.people_run import PeopleRun
 from hypose.pipeline.run import TrackOptions, TrackResult, track_source
 from hypose.pipeline.track_loop import FrameList
-from hypose.pipeline.tracked_people import OnePerson
+from hypose.pipeline.tracked_people import TrackedPerson
 from hypose.pipeline.verdict import verdict_of
 from hypose.synthetic.metrics import joint_errors, population_offsets
 from hypose.synthetic.scenes import Scene
@@ -86,7 +86,7 @@ def _in_step(frames: Sequence[Frame], late: Array) -> FrameList:
     return FrameList([source.frame(i) for i in range(len(source))], RATE)
 
 
-def _away(person: OnePerson, scene: Scene) -> float:
+def _away(person: TrackedPerson, scene: Scene) -> float:
     """m: median distance from a player's true root."""
     away = np.linalg.norm((person.result.motion.joints - scene.joints)[:, 0], axis=-1)
     return float(np.median(away[person.present])) if person.present.any() else np.inf

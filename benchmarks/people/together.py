@@ -30,7 +30,7 @@ from hypose.pipeline.people_points import KeypointPeople
 from hypose.pipeline.people_run import PeopleRun
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.track_loop import FrameList
-from hypose.pipeline.tracked_people import OnePerson
+from hypose.pipeline.tracked_people import TrackedPerson
 from hypose.synthetic.corruptions import keypoint_detections
 from hypose.synthetic.metrics import joint_errors, population_offsets
 from hypose.synthetic.motions import act
@@ -280,12 +280,12 @@ def _errors(motion: Motion, scene: Scene) -> Array:
 
 
 def _judged(
-    found: Sequence[OnePerson], scenes: Sequence[Scene], present: NDArray[np.bool_], setting: Setting
+    found: Sequence[TrackedPerson], scenes: Sequence[Scene], present: NDArray[np.bool_], setting: Setting
 ) -> dict[str, Any]:
     """Who was tracked how well. Everybody tracked is the true person whom they are nearest to in most frames; frames in
     which they are nearer to another one are exchanges of identity."""
     true = np.stack([s.joints[: present.shape[1], :1, :2].mean(1) for s in scenes])  # (P, T, 2)
-    mine: dict[int, OnePerson] = {}
+    mine: dict[int, TrackedPerson] = {}
     swaps = invented = 0
     for one in found:
         at = one.result.motion.joints[:, 0, :2]

@@ -22,13 +22,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hypose.app.commands.console import ProgressCall, Stages, ignore
-from hypose.app.jobs.job import Job, choose_frames, compile_before, record_of, run_job
+from hypose.app.jobs.job import TrackJob, choose_frames, compile_before, record_of, run_job
 from hypose.app.jobs.truth import compare_with
 from hypose.app.reports.summary import require_found, summarize
 from hypose.errors import HyposeError, InputError, extra
 from hypose.io.file_names import file_name
 from hypose.io.files import check_writable, read_json, text_lines, write_text
-from hypose.io.motions.results import ResultsFolder, identity, to_json
+from hypose.io.motions.results import ResultsFolder, provenance_identity, to_json
 from hypose.io.recordings.pose2sim import is_project
 from hypose.io.recordings.recording import load_recording
 from hypose.pipeline.run import TrackOptions
@@ -78,12 +78,12 @@ class Task:
     results: Path = Path()
 
     @property
-    def job(self) -> Job:
+    def job(self) -> TrackJob:
         """The tracking job, which goes on where an earlier one stopped."""
         options = dict(self.options)
         recording = choose_frames(load_recording(self.path), options.pop("frames", None))
         truth = recording.folder / "truth.npz"
-        return Job(
+        return TrackJob(
             recording,
             TrackOptions(**{"height": recording.subject_height, **options}),
             ResultsFolder(self.results),
@@ -138,7 +138,7 @@ def wanted(given: Sequence[Path]) -> list[Task]:
     return [Task(p) for p in folders]
 
 
-def plan(
+def ordered_tasks(
     drafts: Sequence[Task], results: Path, progress: ProgressCall = ignore
 ) -> tuple[list[Task], list[dict[str, Any]]]:
     """The tasks in their order, and a row of the table for each that cannot be one. Two recordings with the same
@@ -151,7 +151,7 @@ def plan(
             job = task.job
             name = job.recording.name
             # which recording it is decides where the results lie, so it is a part of the key
-            who = to_json({"recording": name, **identity(record_of(job))})
+            who = to_json({"recording": name, **provenance_identity(record_of(job))})
             key = hashlib.sha256(who.encode()).hexdigest()[:16]
             folder = results / file_name(name) / f"{file_name(task.name)}-{key[:8]}"
             tasks[key] = replace(task, key=key, recording=name, frames=len(job.recording.frames), results=folder)
@@ -161,7 +161,7 @@ def plan(
     return list(tasks.values()), refused
 
 
-def finished(task: Task) -> dict[str, Any] | None:
+def finished_metrics(task: Task) -> dict[str, Any] | None:
     """The figures of a task that is done: same key, same files to write, motion present."""
     try:
         found = read_json(task.results / "task.json", "the record of a task")
@@ -209,7 +209,7 @@ def run_task(task: Task, stop: Path, report: Callable[[int], None]) -> dict[str,
 
     An input that cannot be used gives state "failed", as a second attempt would; any other exception is the caller's.
     """
-    known = finished(task)
+    known = finished_metrics(task)
     if known is not None:
         return known
     stages = Stages(quiet=True)
@@ -278,7 +278,7 @@ def run_batch(
 
     KeyboardInterrupt stops the tasks in order: each keeps what it has, and the call returns; a second one ends at once
     (checkpoints stay)."""
-    out = {task.key: {**known, "before": True} for task in tasks if (known := finished(task)) is not None}
+    out = {task.key: {**known, "before": True} for task in tasks if (known := finished_metrics(task)) is not None}
     left = [t for t in tasks if t.key not in out]
     if left:
         check_writable(results)

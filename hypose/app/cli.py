@@ -51,7 +51,7 @@ _COMMANDS = (
     ("sync", commands_check.sync, "How many frames each view is late; cure it with --out."),
     ("silhouettes", commands_data.silhouettes, "Write the masks of the person, and a contact sheet."),
     ("keypoints", commands_data.keypoints, "Detect 2D key points and masks of people in the videos."),
-    ("track", commands_track.track, "Track the person: motion files, overlay video, report."),
+    ("track", commands_track.track_command, "Track the person: motion files, overlay video, report."),
     ("correct", commands_track.correct, "Track a result again from a frame corrected in the studio."),
     ("subject", commands_track.subject, "Measure a person: lengths, girths, a body for track."),
     ("fuse", commands_fuse.fuse, "One skeleton per person from several depth sensors."),
@@ -70,7 +70,9 @@ _COMMANDS = (
 )
 for _name, _command, _line in _COMMANDS:
     app.command(_name, short_help=_line)(_command)
-app.add_typer(commands_gesture.app, name="gesture", short_help="Learn still gestures in minutes, and watch for them.")
+app.add_typer(
+    commands_gesture.gesture_app, name="gesture", short_help="Learn still gestures in minutes, and watch for them."
+)
 
 
 def _version(wanted: bool) -> None:
@@ -93,7 +95,7 @@ def _global(
     pass
 
 
-def main(arguments: Sequence[str] | None = None, command: typer.Typer = app, name: str = "hypose") -> None:
+def run_cli(arguments: Sequence[str] | None = None, command: typer.Typer = app, name: str = "hypose") -> None:
     """Entry point of the console script, or of another command line that shall end as this one does; arguments default
     to those of the process. Exits the process."""
     around = ("", "")

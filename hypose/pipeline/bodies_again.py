@@ -22,7 +22,7 @@ from hypose.evidence.frame import Frame
 from hypose.evidence.shared_masks import SOLVED, Other
 from hypose.fitting.articulated import SolveSettings
 from hypose.geometry import Array
-from hypose.pipeline.first_frame import Subject
+from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.rough_bodies import seen_well
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.subject_from_motion import contours_of, depths_of, different_poses
@@ -35,7 +35,7 @@ from hypose.tracking.shape_refinement import Known, refine_shape
 from hypose.tracking.tracker import FrameEstimate
 
 AGAIN = "the body was fitted again beside those of the others"
-Way = dict[int, tuple[FrameEstimate, NDArray[np.float64]]]
+_Trial = dict[int, tuple[FrameEstimate, NDArray[np.float64]]]
 """By frame number, somebody's estimate and how much of them each view (C,) shows."""
 
 
@@ -44,14 +44,14 @@ def fitted_again(
     frame_at: Callable[[int], Frame],
     numbers: Sequence[int],
     known: Callable[[str], Wanted],
-) -> dict[int, Subject]:
+) -> dict[int, TrackedSubject]:
     """Of people who stand at their starts in the first of the frames `numbers`: the subjects of those whose bodies were
     fitted to shared masks once, by their place among the people, with bodies and starts fitted again; as they were but
     for a note where that explains the masks no better. known: what is known of somebody of that name."""
     once = [k for k, p in enumerate(people) if known(p.name).body is None and AGAIN not in p.subject.notes]
     if len(people) < 2 or not once:
         return {}
-    members, ways = [p.member for p in people], list[list[Way]]()
+    members, ways = [p.member for p in people], list[list[_Trial]]()
     for order in (numbers, numbers[::-1]):
         members = [replace(m, state=m.tracker.start(m.state.pose)) for m in members]
         ways.append([{} for _ in people])
@@ -76,7 +76,7 @@ def fitted_again(
     }
 
 
-def _put_right(there: Way, back: Way, numbers: Sequence[int]) -> Way:
+def _put_right(there: _Trial, back: _Trial, numbers: Sequence[int]) -> _Trial:
     """The way there, with the first frames of the way back as far as most is won, if enough is: a limb that the start
     got wrong is found on the way, and known from there on back."""
     both = [t in there and t in back for t in numbers]
@@ -88,12 +88,12 @@ def _put_right(there: Way, back: Way, numbers: Sequence[int]) -> Way:
 
 
 def _again(
-    subject: Subject,
-    way: Way,
+    subject: TrackedSubject,
+    way: _Trial,
     own_at: Callable[[int, int], Frame],
     who: int,
     height: float | None,
-) -> Subject:
+) -> TrackedSubject:
     """One of them, the person `who`, on their way, whose first frame is that of the start."""
     template, noted = human(), replace(subject, notes=(*subject.notes, AGAIN))
     seen = seen_well({t: shown for t, (_, shown) in way.items()})

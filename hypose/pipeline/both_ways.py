@@ -25,7 +25,7 @@ from hypose.inference.estimates import likeliest_path
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.layer import Memory
 from hypose.pipeline.doubts import looked_again
-from hypose.pipeline.mend_sides import FrameRange, backwards, pace_of, read_once
+from hypose.pipeline.mend_sides import FrameRange, pace_of, read_once, reversed_frames
 from hypose.tracking.costs import agreement, silhouette_iou
 from hypose.tracking.frame_evidence import PreparedFrame
 from hypose.tracking.part_colours import ColourSettings, colour_scores
@@ -150,7 +150,7 @@ def _looked_back(
     out, met, pace = list[_Seen](), 0, pace_of(tracker)
     state = _turned(tracker, old, stop, memory)
     most = range(stop, max(-1, stop - round(o.longest * pace)), -1)
-    for t, (frame, last) in zip(most, _evidence_ahead(backwards(frames, stop + 1)), strict=False):
+    for t, (frame, last) in zip(most, _evidence_ahead(reversed_frames(frames, stop + 1)), strict=False):
         prepared = replace(tracker.prepare_frame(frame, old[t].pose), memory=memory or {})
         if prepared.masks is None or frame.depth is not None or not _known(old[t]):
             break

@@ -23,7 +23,7 @@ from hypose.io.file_names import folder_for
 from hypose.io.files import read_json, write_bytes, write_text
 from hypose.io.keypoints.read_keypoints import MASKS, DetectedKeypoints, load_detected
 from hypose.io.recordings.frames import working_rig
-from hypose.io.recordings.recording import Recording, View
+from hypose.io.recordings.recording import Recording, ViewSettings
 from hypose.io.recordings.view_source import SIDECAR
 from hypose.io.videos.video import open_video
 
@@ -93,7 +93,7 @@ class _Lane:
     """The pictures of one view, looked at in their order."""
 
     def __init__(
-        self, work: DetectedKeypoints, detector: PoseDetector, view: View, camera: Camera, small: Camera
+        self, work: DetectedKeypoints, detector: PoseDetector, view: ViewSettings, camera: Camera, small: Camera
     ) -> None:
         assert view.source is not None
         self._work, self._detector, self._view, self._camera = work, detector, view, camera
@@ -181,7 +181,7 @@ def _make_room(work: DetectedKeypoints, resume: bool) -> DetectedKeypoints:
     return work
 
 
-def _calibrated(people: Array, size: tuple[int, int], camera: Camera, view: View) -> Array:
+def _calibrated(people: Array, size: tuple[int, int], camera: Camera, view: ViewSettings) -> Array:
     """People (P, K, 3) in a stored picture of a size (width, height) -> pixels of the calibrated camera."""
     out = np.array(people, dtype=np.float64)
     if not out.size:

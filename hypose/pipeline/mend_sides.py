@@ -61,7 +61,7 @@ def look_back(
     if at < 1 or tracker.recipe.recover is None:
         return out, range(0)
     start = tracker.start(out[at].pose, memory)
-    better, won, _ = _while_better(tracker, start, out, range(at - 1, -1, -1), backwards(frames, at), False)
+    better, won, _ = _while_better(tracker, start, out, range(at - 1, -1, -1), reversed_frames(frames, at), False)
     if len(better) < at or won < SETTINGS.sides_least_back * pace:  # not as far as the first frame
         return out, range(0)
     moved = [t for t in range(at) if _apart(tracker.body, out[t], better[at - 1 - t]) > SETTINGS.sides_met_m]
@@ -109,7 +109,7 @@ def _tracked_anew(
     start = tracker.start(tracker.rival(old[at].pose, next(iter(frames(range(at, at + 1))))), memory)
     ahead, back = range(at, len(old)), range(at - 1, -1, -1)
     later, won, after = _while_better(tracker, start, old, ahead, _forwards(frames, at, len(old)))
-    earlier, won_earlier, before = _while_better(tracker, start, old, back, backwards(frames, at))
+    earlier, won_earlier, before = _while_better(tracker, start, old, back, reversed_frames(frames, at))
     compared = range(at - before, at + after)
     return _Anew(at - len(earlier), [*earlier[::-1], *later], won + won_earlier, compared)
 
@@ -160,7 +160,7 @@ def _forwards(frames: FrameRange, first: int, stop: int) -> Iterator[tuple[Frame
         before = frame
 
 
-def backwards(frames: FrameRange, stop: int) -> Iterator[tuple[Frame, Frame | None]]:
+def reversed_frames(frames: FrameRange, stop: int) -> Iterator[tuple[Frame, Frame | None]]:
     """The frames stop - 1, stop - 2, ..., 0 with the one before each."""
     while stop > 0:
         begin = max(0, stop - SETTINGS.sides_block)

@@ -14,7 +14,7 @@ from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.hull_people import VIEWS, HullPerson
 from hypose.evidence.shared_masks import Other, without
 from hypose.geometry import Array
-from hypose.pipeline.first_frame import Subject
+from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.tracked_people import Followed
 from hypose.pipeline.wardrobe import exchange, same_clothes
@@ -56,7 +56,7 @@ def part_doubles(people: Sequence[Followed], frames: int) -> None:
                 worse.member = replace(worse.member, present=False)
 
 
-def without_doubles(people: Sequence[Followed], frame: Frame) -> dict[str, Subject]:
+def without_doubles(people: Sequence[Followed], frame: Frame) -> dict[str, TrackedSubject]:
     """By name, people at their starts in a frame, of whom no two are one: a hull may fall into two parts. Of two in one
     place, or beside each other where one explains nothing that all others leave, the one stays whose body explains
     better what everybody else leaves of the masks, by the name of the first."""
@@ -97,7 +97,9 @@ def not_parts(found: Sequence[HullPerson], people: Sequence[Followed]) -> list[H
     return [h for h in found if h.tall or all(np.linalg.norm(h.axis - q) > SETTINGS.newcomer_beside for q in at)]
 
 
-def evidence_of(person: HullPerson, frame: Frame, known: Sequence[Other], beside: Sequence[HullPerson] = ()) -> Frame:
+def candidate_evidence(
+    person: HullPerson, frame: Frame, known: Sequence[Other], beside: Sequence[HullPerson] = ()
+) -> Frame:
     """The frame as evidence for somebody in the hull; known: who is explained; beside: others in the hull."""
     s = frame.silhouettes
     assert s is not None

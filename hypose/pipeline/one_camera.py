@@ -41,7 +41,7 @@ from hypose.io.recordings.recording import Recording
 from hypose.io.recordings.view_source import ViewSource
 from hypose.io.videos.video import open_video
 from hypose.pipeline.doubts import in_words
-from hypose.pipeline.first_frame import Subject
+from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.settings import SETTINGS
 from hypose.tracking.contacts import runs
 from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, keypoint_model
@@ -193,7 +193,9 @@ def depth_note(motion: Motion, modes: Modes) -> str:
     )
 
 
-def tracked_frames(source: FrameSource, indices: range, needs: Sequence[str], subject: Subject) -> Iterator[Frame]:
+def tracked_frames(
+    source: FrameSource, indices: range, needs: Sequence[str], subject: TrackedSubject
+) -> Iterator[Frame]:
     """The frames that a recipe is to track, with what it needs: the picture of one camera; detections by colour where
     it needs detections and the recording has neither key points nor anything else that detects ends, but pictures."""
     if "picture" in needs:
@@ -385,7 +387,7 @@ def subject_in_picture(
     body: Body | None = None,
     height: float | None = None,
     floor: float | None = None,
-) -> Subject:
+) -> TrackedSubject:
     """The person in the pictures of one camera, with rival starts. body: the person's own (then only poses are looked
     for); floor: height of the floor in the world, m, None when it is not known."""
     with contextlib.closing(PictureFrames(source)) as frames:
@@ -430,7 +432,7 @@ def subject_in_picture(
             "the height is not known, so distances and lengths are as uncertain as people's heights (about 5 %); give "
             "--height"
         )
-    return Subject(fit.body, None, rivals.best(), tuple(notes), rivals)
+    return TrackedSubject(fit.body, None, rivals.best(), tuple(notes), rivals)
 
 
 def _keypoints_of(source: FrameSource) -> list[Keypoints | None]:

@@ -32,9 +32,9 @@ from hypose.pipeline.people_run import PeopleRun
 from hypose.pipeline.run import TrackOptions, TrackResult
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.subject_from_motion import load_subject
-from hypose.pipeline.track_loop import FrameSource, Progress
+from hypose.pipeline.track_loop import FrameSource, StageProgress
 from hypose.pipeline.tracked_people import Wanted, said_of_places
-from hypose.pipeline.verdict import left_out
+from hypose.pipeline.verdict import other_people_note
 
 
 def several_apart(silhouettes: Sequence[Silhouettes], often: float = SETTINGS.several_often) -> bool:
@@ -190,7 +190,7 @@ def track_one_of(
     results: ResultsFolder | None = None,
     record: Mapping[str, Any] | None = None,
     resume: bool = False,
-    progress: Progress | None = None,
+    progress: StageProgress | None = None,
     command: str = "--people all",
 ) -> TrackResult:
     """The person who is wanted first, or stands nearest to where the cameras look; of the others it is said that they
@@ -213,7 +213,7 @@ def track_one_of(
     found = run()
     one = found.people[0]
     more = found.others
-    said = (left_out(more, "masks", command),) if more and not places_refuted(run.looked) else ()
+    said = (other_people_note(more, "masks", command),) if more and not places_refuted(run.looked) else ()
     said = (*said, *(f"Note: {n}." for n in said_of_places(wanted, 1 + more)))
     faults = one.result.faults
     if wanted and wanted[0].place is not None and one.name != wanted[0].name:

@@ -24,15 +24,15 @@ from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.hull import common_view_bounds
 from hypose.evidence.hull_people import VIEWS, HullPerson
 from hypose.geometry import Array
-from hypose.io.motions.results import ResultsFolder, identity, save_motion
+from hypose.io.motions.results import ResultsFolder, provenance_identity, save_motion
 from hypose.pipeline.bodies_again import fitted_again
 from hypose.pipeline.doubts import as_now, in_words, looked_at, mask_change
-from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject, keep_subject, kept_subject
+from hypose.pipeline.first_frame import SubjectOptions, TrackedSubject, find_subject, keep_subject, kept_subject
 from hypose.pipeline.first_look import look_at_depth, sentences
 from hypose.pipeline.hull_paths import Path, follow_places, lasting
 from hypose.pipeline.newcomers import (
     back_again,
-    evidence_of,
+    candidate_evidence,
     explained_by,
     not_parts,
     part_doubles,
@@ -41,15 +41,15 @@ from hypose.pipeline.newcomers import (
     without_doubles,
 )
 from hypose.pipeline.people_points import KeypointPeople, PointFrames, padded
-from hypose.pipeline.rough_bodies import Rough, least_hidden, own_frame, rough_bodies
+from hypose.pipeline.rough_bodies import RoughTrack, frame_of_person, least_hidden, rough_bodies
 from hypose.pipeline.run import TrackOptions, finish, track_source, tracker_of
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.track_loop import Deferred, FrameSource, Progress, Tracked
+from hypose.pipeline.track_loop import Deferred, FrameSource, StageProgress, Tracked
 from hypose.pipeline.tracked_people import (
     Followed,
-    OnePerson,
     OwnFrames,
     PeopleResult,
+    TrackedPerson,
     Wanted,
     free_name,
     kept_people,
@@ -82,7 +82,7 @@ class PeopleRun:
     results: ResultsFolder | None = None
     record: Mapping[str, Any] = field(default_factory=dict)
     resume: bool = False
-    progress: Progress = lambda stage, done, total: None
+    progress: StageProgress = lambda stage, done, total: None
     points: KeypointPeople | None = None
     floor: float = 0.0
     under: str = ""
@@ -120,7 +120,7 @@ class PeopleRun:
         """Wanted people come first, in their order."""
         return next((k for k, w in enumerate(self.wanted) if w.name == name), len(self.wanted))
 
-    def _tracker(self, subject: Subject) -> Tracker:
+    def _tracker(self, subject: TrackedSubject) -> Tracker:
         return tracker_of(subject, self.options, self.frame_rate)
 
     # ---- key points alone --------------------------------------------------------------------------------------
@@ -133,7 +133,7 @@ class PeopleRun:
                 "The evidence 'keypoints' needs key points of people on whom two cameras or more agree; check them "
                 "with `hypose check`, or use silhouettes."
             )
-        total, done, tracks = len(self.source), list[OnePerson](), points.lasting(len(self.source))
+        total, done, tracks = len(self.source), list[TrackedPerson](), points.lasting(len(self.source))
         where = [points.tracks[k] for k in tracks]
         names = names_at_places(self.wanted, len(where), lambda k, t: where[k].place(t)[:2], self.frame_rate)
         order = sorted(range(len(tracks)), key=lambda k: (self._rank(names[k]), k))
@@ -157,7 +157,7 @@ class PeopleRun:
             out = replace(out, motion=padded(out.motion, source.first, total))
             if results is not None:
                 save_motion(out.motion, results.motion)
-            done.append(OnePerson(name, out, present, np.zeros(total, dtype=np.bool_)))
+            done.append(TrackedPerson(name, out, present, np.zeros(total, dtype=np.bool_)))
             if not out.complete:
                 break
         complete = all(p.result.complete for p in done)
@@ -239,7 +239,7 @@ class PeopleRun:
         """(2,) m: where somebody stood in about a frame; NaN where that is not known."""
         return path.axis(t, within=SETTINGS.people_start_s * self.frame_rate)
 
-    def _roughly(self, paths: Sequence[Path], names: Sequence[str], numbers: Sequence[int]) -> list[Rough | None]:
+    def _roughly(self, paths: Sequence[Path], names: Sequence[str], numbers: Sequence[int]) -> list[RoughTrack | None]:
         """Everybody's body and poses in the frames `numbers`, roughly; nobody's where key points tell who is where, and
         where somebody is alone."""
         if len(paths) < 2 or self._points is not None:
@@ -285,15 +285,17 @@ class PeopleRun:
         paths: Sequence[Path],
         who: int,
         numbers: Sequence[int],
-        rough: Sequence[Rough | None] | None = None,
+        rough: Sequence[RoughTrack | None] | None = None,
         alone: bool = False,
     ) -> Followed:
         """A person with a body fitted to what is theirs alone in the frames `numbers`; rough: what is known of all."""
         known = self._known(name)
-        o, key, results = self.options, identity(self.record), self._results_of(name)
+        o, key, results = self.options, provenance_identity(self.record), self._results_of(name)
         subject = kept_subject(results, key) if self.resume and results is not None else None
         if subject is None:
-            own = {t: own_frame(self.source.frame(t), t, who, paths, rough) for t in numbers if t in paths[who].found}
+            own = {
+                t: frame_of_person(self.source.frame(t), t, who, paths, rough) for t in numbers if t in paths[who].found
+            }
             seen = least_hidden(own)
 
             def frame_at(k: int) -> Frame:
@@ -315,11 +317,11 @@ class PeopleRun:
                 subject = replace(subject, start=state.pose)
         return self._placed(name, subject)
 
-    def _placed(self, name: str, subject: Subject, asked_for: bool = True) -> Followed:
+    def _placed(self, name: str, subject: TrackedSubject, asked_for: bool = True) -> Followed:
         """A person at their start, whose subject is kept."""
         tracker, results = self._tracker(subject), self._results_of(name)
         if results is not None:
-            keep_subject(subject, results, identity(self.record))
+            keep_subject(subject, results, provenance_identity(self.record))
         return Followed(name, subject, Member(tracker, tracker.start(subject.start)), results, asked_for)
 
     # ---- the loop ----------------------------------------------------------------------------------------------
@@ -401,7 +403,7 @@ class PeopleRun:
         return max(1, round(SETTINGS.people_look_s * self.frame_rate))
 
     def _look(
-        self, people: list[Followed], frame: Frame, t: int, before: Sequence[Array], progress: Progress
+        self, people: list[Followed], frame: Frame, t: int, before: Sequence[Array], progress: StageProgress
     ) -> list[Array]:
         """Looks for somebody whom nobody explains; who was there at the last look as well is tracked from now on.
         Returns of everybody new (4,): where they stand, how often no body could be fitted, and the frame from which
@@ -418,7 +420,7 @@ class PeopleRun:
             seen = next((b for b in before if np.linalg.norm(person.axis - b[:2]) < 0.5), None)
             tries, again = (0, t) if seen is None else (int(seen[2]), int(seen[3]))
             if seen is not None:
-                own = evidence_of(person, frame, known, found)
+                own = candidate_evidence(person, frame, known, found)
                 if self._back(people, person, own):
                     return []
                 if t >= again:  # a fit is dear, and who cannot be told now may not be for long
@@ -466,7 +468,7 @@ class PeopleRun:
 
     # ---- the end -----------------------------------------------------------------------------------------------
 
-    def _finished(self, p: Followed, people: Sequence[Followed], complete: bool) -> OnePerson:
+    def _finished(self, p: Followed, people: Sequence[Followed], complete: bool) -> TrackedPerson:
         found = seen_by_themselves(p, people, 3 * self._look_every)
         tracked = Tracked(found, p.member.state, complete)
         present, hidden = np.array(p.present, dtype=np.bool_), np.array(p.hidden, dtype=np.bool_)
@@ -483,4 +485,4 @@ class PeopleRun:
             notes.append(f"not there in {in_words(runs(~present))}")
         if p.results is not None:
             save_motion(motion, p.results.motion)
-        return OnePerson(p.name, replace(out, motion=motion, notes=tuple(notes)), present, hidden)
+        return TrackedPerson(p.name, replace(out, motion=motion, notes=tuple(notes)), present, hidden)

@@ -29,7 +29,7 @@ from hypose.tracking.start_search import Start
 
 
 @dataclass(frozen=True)
-class Rough:
+class RoughTrack:
     """Somebody, roughly: the body, and their poses (D,) by frame number; rivals: other starts, with their frames'
     numbers."""
 
@@ -49,8 +49,8 @@ class Rough:
         return (0, first), *near
 
 
-def own_frame(
-    frame: Frame, number: int, who: int, paths: Sequence[Path], rough: Sequence[Rough | None] | None = None
+def frame_of_person(
+    frame: Frame, number: int, who: int, paths: Sequence[Path], rough: Sequence[RoughTrack | None] | None = None
 ) -> Frame:
     """Frame `number` as evidence for one of the people on paths alone; what the others hide, by their rough bodies
     where these are known, else by their hulls, is left out."""
@@ -68,7 +68,7 @@ def own_frame(
     return depth_people.own_frame(frame, here.shape(s.rig), others)
 
 
-def _hiding(rough: Rough | None, hull: HullPerson | None, number: int, rig: CameraRig) -> Other | None:
+def _hiding(rough: RoughTrack | None, hull: HullPerson | None, number: int, rig: CameraRig) -> Other | None:
     known = None if rough is None else rough.other(number, rig)
     return known or (
         None if hull is None else Other(hull.shape(rig, SETTINGS.path_core_m), SETTINGS.path_others_widened)
@@ -99,7 +99,7 @@ def rough_bodies(
     rate: float,
     templates: Sequence[tuple[Body, float | None]],
     seed: int = 0,
-) -> list[Rough | None]:
+) -> list[RoughTrack | None]:
     """Everybody on paths in the frames `numbers`, at `rate` Hz; None for whom no start explains. templates: of each,
     with the height, m, where it is known."""
     return [
@@ -117,8 +117,8 @@ def _rough(
     template: Body,
     height: float | None,
     seed: int,
-) -> Rough | None:
-    own = {t: own_frame(frame_at(t), t, who, paths) for t in numbers}
+) -> RoughTrack | None:
+    own = {t: frame_of_person(frame_at(t), t, who, paths) for t in numbers}
     seen = least_hidden(own)[: SETTINGS.rough_tried]
     try:
         found = best_ways(template, [own[t] for t in seen], rate, height=height, seed=seed, shared=len(paths) > 1)
@@ -133,4 +133,4 @@ def _rough(
     if way is None or way.cost > SETTINGS.rough_lost:
         return None
     rivals = tuple((seen[w.at], w.start) for w in found.ways[1 : 1 + SETTINGS.rough_rivals])
-    return Rough(start.body, dict(zip(numbers, way.poses, strict=True)), rivals)
+    return RoughTrack(start.body, dict(zip(numbers, way.poses, strict=True)), rivals)

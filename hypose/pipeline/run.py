@@ -17,12 +17,19 @@ from hypose.errors import EvidenceError, HyposeError, InputError
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.geometry import Array
 from hypose.inference.layer import Recipe
-from hypose.io.motions.results import ResultsFolder, identity, save_modes, save_motion
+from hypose.io.motions.results import ResultsFolder, provenance_identity, save_modes, save_motion
 from hypose.io.recordings.frames import FrameSettings, FrameStream
 from hypose.io.recordings.recording import Recording
 from hypose.pipeline.both_ways import both_ways_notes, look_both_ways
 from hypose.pipeline.doubts import against_the_clip, with_doubts, with_repeated_points
-from hypose.pipeline.first_frame import SUBJECT, Subject, SubjectOptions, find_subject, keep_subject, kept_subject
+from hypose.pipeline.first_frame import (
+    SUBJECT,
+    SubjectOptions,
+    TrackedSubject,
+    find_subject,
+    keep_subject,
+    kept_subject,
+)
 from hypose.pipeline.first_look import first_look, of_measured, places_refuted, sentences
 from hypose.pipeline.mend_sides import look_back, look_back_notes, mend_sides, sides_notes
 from hypose.pipeline.moved_sensors import PlacedSource, Places, moved_sensors
@@ -38,8 +45,16 @@ from hypose.pipeline.one_camera import (
 )
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.subject_from_motion import height_sentence, height_told
-from hypose.pipeline.track_loop import FrameList, FrameSource, Keep, Progress, Tracked, track_frames, tracked_before
-from hypose.pipeline.verdict import Verdict, left_out, not_shown, verdict_of
+from hypose.pipeline.track_loop import (
+    FrameList,
+    FrameSource,
+    Keep,
+    StageProgress,
+    Tracked,
+    track_frames,
+    tracked_before,
+)
+from hypose.pipeline.verdict import Verdict, not_shown, other_people_note, verdict_of
 from hypose.tracking.audit import audit_frame
 from hypose.tracking.doubt import as_mixture, evidence_of, judged, not_in_set, worth_a_look
 from hypose.tracking.fitted_spread import (
@@ -181,11 +196,11 @@ def track_source(
     options: TrackOptions,
     *,
     body: Body | None = None,
-    subject: Subject | None = None,
+    subject: TrackedSubject | None = None,
     results: ResultsFolder | None = None,
     record: Mapping[str, Any] | None = None,
     resume: bool = False,
-    progress: Progress | None = None,
+    progress: StageProgress | None = None,
     method: Recipe | None = None,
     own: Sequence[OwnEvidence] = (),
     find_places: bool = True,
@@ -203,12 +218,12 @@ def track_source(
     total = len(source)
     if total == 0:
         raise InputError("The recording has no frame to track; check the frame range and the videos.")
-    key = identity(record or {})
+    key = provenance_identity(record or {})
     report("look", 0, 1)
     looked = () if options.of_picture else first_look(source, options.looks_at, options.height, frame_rate)
     faults, noticed = sentences(looked), sentences(looked, fault=False)
     more = 0 if places_refuted(looked) else getattr(source, "others", 0)  # of one person wrong cameras make two
-    others = (left_out(more, "key points", "--people all"),) if more else ()
+    others = (other_people_note(more, "key points", "--people all"),) if more else ()
     report("look", 1, 1)
     given = subject is not None
     if subject is None:
@@ -275,7 +290,7 @@ def track_source(
 
 
 def _of_height(
-    source: FrameSource, subject: Subject, done: Tracked, asked: float, options: TrackOptions
+    source: FrameSource, subject: TrackedSubject, done: Tracked, asked: float, options: TrackOptions
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """What makes a motion not to be trusted, or worth a look, when masks or depth tell another height than `asked`."""
     if options.of_picture or options.looks_at == "keypoints":
@@ -296,8 +311,8 @@ def subject_of(
     body: Body | None,
     results: ResultsFolder | None,
     key: Mapping[str, Any],
-    progress: Progress,
-) -> Subject:
+    progress: StageProgress,
+) -> TrackedSubject:
     """The subject that the run of this identity (`key`) kept in `results`, or else found in the frames."""
     progress("subject", 0, 1)
     subject = None if results is None else kept_subject(results, key)
@@ -314,13 +329,13 @@ def subject_of(
 
 def finish(
     source: FrameSource,
-    subject: Subject,
+    subject: TrackedSubject,
     tracker: Tracker,
     done: Tracked,
     options: TrackOptions,
     results: ResultsFolder | None,
     record: Mapping[str, Any] | None,
-    progress: Progress,
+    progress: StageProgress,
     faults: tuple[str, ...] = (),
     noticed: tuple[str, ...] = (),
     shared: bool = False,
@@ -378,7 +393,7 @@ def finish(
 
 def _doubted(
     motion: Motion,
-    subject: Subject,
+    subject: TrackedSubject,
     one_by_one: Array,
     audit: NDArray[np.float32],
     covariance: Array,
@@ -416,7 +431,7 @@ def _written(result: TrackResult, results: ResultsFolder | None) -> TrackResult:
 
 
 def _tracked(
-    subject: Subject, estimates: Sequence[FrameEstimate], frame_rate: float, record: Mapping[str, Any] | None
+    subject: TrackedSubject, estimates: Sequence[FrameEstimate], frame_rate: float, record: Mapping[str, Any] | None
 ) -> TrackResult:
     """What the finished frames give as they are, not complete; time 0 is the first tracked frame."""
     motion = motion_of(subject.body, np.arange(len(estimates)) / frame_rate, estimates, record or {})
@@ -426,7 +441,7 @@ def _tracked(
 
 
 def tracker_of(
-    subject: Subject,
+    subject: TrackedSubject,
     options: TrackOptions,
     frame_rate: float,
     method: Recipe | None = None,
@@ -440,7 +455,12 @@ def tracker_of(
 
 
 def track_keypoints(
-    source: FrameSource, frame_rate: float, subject: Subject, progress: Progress, *, sure_start: bool = False
+    source: FrameSource,
+    frame_rate: float,
+    subject: TrackedSubject,
+    progress: StageProgress,
+    *,
+    sure_start: bool = False,
 ) -> tuple[Smoothed, NDArray[np.float32]]:
     """The motion of the frames of a source (hypose.tracking.keypoint_clip), and their audits (T, J, A);
     sure_start: the start is the right way round. An EvidenceError when they have no key points."""

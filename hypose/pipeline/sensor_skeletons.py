@@ -31,13 +31,13 @@ from hypose.io.motions.results import ResultsFolder
 from hypose.io.sensors.skeleton_streams import (
     SensorStream,
     SkeletonRecording,
-    one_person,
+    join_observations,
     resample,
     shifted,
 )
 from hypose.pipeline.run import TrackOptions, TrackResult, track_source
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.track_loop import FrameSource, Progress
+from hypose.pipeline.track_loop import FrameSource, StageProgress
 from hypose.pipeline.verdict import Verdict, verdict_of
 from hypose.tracking.refinement import KEYPOINT_SHARE, anatomical_prior
 from hypose.tracking.subject import subject_from_keypoints
@@ -82,7 +82,7 @@ def fuse_mixture(
     skeletons: Sequence[SensorJoints] | Callable[[Motion], Sequence[SensorJoints]],
     options: TrackOptions,
     *,
-    progress: Progress | None = None,
+    progress: StageProgress | None = None,
     results: ResultsFolder | None = None,
     record: Mapping[str, Any] | None = None,
 ) -> TrackResult:
@@ -201,7 +201,7 @@ def skeletons_at_frames(recording: SkeletonRecording, motion: Motion) -> list[Se
         raise InputError(
             f"The sensors of {recording.name} report different sets of joints; give them one after the other."
         )
-    return one_person(synced, motion.times, columns)
+    return join_observations(synced, motion.times, columns)
 
 
 def _longest(state: NDArray[np.uint8]) -> int:
@@ -295,7 +295,7 @@ def _apart(pair: Array, frames: int) -> float:
 
 
 # the 15 common joints by the names of key points; the torso is no point of the body that could be told from the spine
-NAMES = (
+SENSOR_JOINT_NAMES = (
     "head",
     "neck",
     "left_shoulder",
@@ -324,7 +324,7 @@ def pose_fused(fused: Motion, body: Body | None = None, smoothness: float = 1.0)
     points[np.asarray(fused.lost)] = np.nan
     if np.isfinite(points).all(-1).sum(1).max(initial=0) < 8:
         raise InputError("No frame of the fused motion has 8 joints; poses cannot be found from so few.")
-    subject = subject_from_keypoints(body or human(), points, NAMES)
+    subject = subject_from_keypoints(body or human(), points, SENSOR_JOINT_NAMES)
     model = subject.keypoints
     known = np.flatnonzero(model.known)
     solved = np.flatnonzero(np.isfinite(subject.poses).all(1))
@@ -334,7 +334,7 @@ def pose_fused(fused: Motion, body: Body | None = None, smoothness: float = 1.0)
     poses = fit_clip(subject.body, subject.poses[nearest], terms, acceleration=smoothness, priors=(prior,))
     skeleton = subject.body.skeleton
     joints = subject.body.joints(poses)
-    names = [NAMES[k] for k in known if NAMES[k] in skeleton.joint_names]
+    names = [SENSOR_JOINT_NAMES[k] for k in known if SENSOR_JOINT_NAMES[k] in skeleton.joint_names]
     # the fused joints of a motion start at the torso; look each up by its name there
     own = [fused.skeleton.joint(n.replace("wrist", "hand").replace("ankle", "foot")) for n in names]
     there = [skeleton.joint(n) for n in names]

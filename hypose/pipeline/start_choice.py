@@ -40,7 +40,7 @@ def follow(tracker: Tracker, start: Array, frames: Sequence[Frame], tick: Callab
 
 
 @dataclass(frozen=True)
-class Way:
+class StartTrial:
     """A start in frame number `at`, tracked through all frames: poses (T, D), and what each costs (T,), 1 - IoU, NaN
     where nothing is seen."""
 
@@ -57,8 +57,8 @@ class Way:
 
 
 def way_of(
-    start: Start, at: int, frames: Sequence[Frame], rate: float, seed: int = 0, best: Way | None = None
-) -> Way | None:
+    start: Start, at: int, frames: Sequence[Frame], rate: float, seed: int = 0, best: StartTrial | None = None
+) -> StartTrial | None:
     """A start tracked through the frames after it and before it, with few particles and without looking for rivals;
     rate Hz. None as soon as it is clear that it costs more than the `best` one so far."""
     body = start.body
@@ -79,10 +79,10 @@ def way_of(
                 return None
         pose = found[at].pose
     costs = np.array([found[k].cost for k in range(len(frames))])
-    return Way(start, at, np.stack([found[k].pose for k in range(len(frames))]), costs)
+    return StartTrial(start, at, np.stack([found[k].pose for k in range(len(frames))]), costs)
 
 
-def _mean_more(found: Mapping[int, FrameEstimate], best: Way) -> float:
+def _mean_more(found: Mapping[int, FrameEstimate], best: StartTrial) -> float:
     """By how much more the frames cost than on the best way, in the mean."""
     more = np.array([e.cost - best.costs[k] for k, e in found.items()])
     return float(np.nan_to_num(more).mean())
@@ -95,7 +95,7 @@ class BestWays:
 
     starts: Starts
     at: int
-    ways: tuple[Way, ...] = ()
+    ways: tuple[StartTrial, ...] = ()
 
     def check(self, frames: Sequence[Frame]) -> None:
         """An EvidenceError when the best one does not explain its frame, of those that it was looked for in. Where its
@@ -169,7 +169,7 @@ def _by_all_frames(frames: Sequence[Frame], rate: float, tried: Sequence[tuple[i
     for frame in frames:
         if frame.silhouettes is not None:
             make_now(frame.silhouettes)
-    ways: list[Way] = []
+    ways: list[StartTrial] = []
     for k, start in tried:
         way = way_of(start, k, frames, rate, seed, min(ways, key=lambda w: w.cost, default=None))
         if way is not None:

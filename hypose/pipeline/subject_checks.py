@@ -30,7 +30,7 @@ def no_two_views(frame: Frame) -> str:
     )
 
 
-def check_size(frame: Frame) -> None:
+def check_person_size(frame: Frame) -> None:
     """An EvidenceError when the person of a frame is a giant or a dwarf, with the calibration's likely unit."""
     height = apparent_height(frame.silhouettes) if frame.silhouettes is not None else None
     if height is None or SETTINGS.check_smallest <= height <= SETTINGS.check_tallest:

@@ -29,7 +29,7 @@ from hypose.io.motions.results import load_body, save_body
 from hypose.pipeline.mend_sides import mend_sides
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.start_choice import best_ways, follow
-from hypose.pipeline.subject_checks import check_borders, check_size, no_two_views
+from hypose.pipeline.subject_checks import check_borders, check_person_size, no_two_views
 from hypose.tracking.costs import mean_overlap, silhouette_iou
 from hypose.tracking.frame_evidence import PreparedFrame, prepare
 from hypose.tracking.recipes import default
@@ -40,8 +40,8 @@ from hypose.tracking.starts import KNOWN_POSES
 from hypose.tracking.subject import KeypointSubject, scaled_to_height
 from hypose.tracking.tracker import Tracker, TrackerSettings
 
-FrameAt = Callable[[int], Frame]
-Progress = Callable[[int, int], None]
+_FrameAt = Callable[[int], Frame]
+_Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
@@ -99,13 +99,13 @@ class SubjectEstimate:
 
 
 def estimate_subject(
-    frame_at: FrameAt,
+    frame_at: _FrameAt,
     n_frames: int,
     frame_rate: float,
     template: Body,
     options: AnthropometryOptions | None = None,
     start: Array | None = None,
-    progress: Progress | None = None,
+    progress: _Progress | None = None,
 ) -> SubjectEstimate:
     """The subject of a recording from silhouettes alone. progress(done, total) is called for every frame looked at.
 
@@ -136,7 +136,7 @@ def estimate_subject(
     numbers = [i for i, ok in zip(indices, usable, strict=True) if ok]
     if not usable or not usable[0]:
         raise EvidenceError(no_two_views(frames[0]))
-    check_size(seen[0])
+    check_person_size(seen[0])
     border_notes = check_borders(seen, options.height)
     height, known = options.height, Known(options.height, options.mass)
     if start is None:
@@ -336,7 +336,7 @@ def size_uncertainty(estimate: SubjectEstimate, template: Body, draws: int = 24)
     return {k: float(np.std([r[k] for r in rows])) / 100 for k in rows[0]}
 
 
-def height_told(frame_at: FrameAt, body: Body, poses: Array, iou: Array) -> float | None:
+def height_told(frame_at: _FrameAt, body: Body, poses: Array, iou: Array) -> float | None:
     """The height, m, by the silhouettes and depth of a motion (poses (T, D) of `body`, iou (T,)) that was tracked with
     a given height or body; None where they do not tell one."""
     known = np.flatnonzero(np.isfinite(iou))

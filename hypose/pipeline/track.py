@@ -25,7 +25,7 @@ from hypose.pipeline.one_of_several import (
 from hypose.pipeline.people_run import PeopleRun
 from hypose.pipeline.run import TrackOptions, TrackResult, check_views, frames_wanted, track_source
 from hypose.pipeline.subject_from_motion import load_subject
-from hypose.pipeline.track_loop import FrameList, Progress
+from hypose.pipeline.track_loop import FrameList, StageProgress
 from hypose.pipeline.tracked_people import PeopleResult
 from hypose.tracking.frame_evidence import OwnEvidence
 
@@ -38,7 +38,7 @@ def track(
     recipe: str | Recipe | None = None,
     own: Sequence[OwnEvidence] = (),
     body: Body | None = None,
-    progress: Progress | None = None,
+    progress: StageProgress | None = None,
     people: None = None,
 ) -> TrackResult: ...
 
@@ -51,7 +51,7 @@ def track(
     recipe: str | Recipe | None = None,
     own: Sequence[OwnEvidence] = (),
     body: Body | None = None,
-    progress: Progress | None = None,
+    progress: StageProgress | None = None,
     people: str | int,
 ) -> PeopleResult: ...
 
@@ -63,7 +63,7 @@ def track(
     recipe: str | Recipe | None = None,
     own: Sequence[OwnEvidence] = (),
     body: Body | None = None,
-    progress: Progress | None = None,
+    progress: StageProgress | None = None,
     people: str | int | None = None,
 ) -> TrackResult | PeopleResult:
     """The motion of the person in a recording (or the recording in a folder, or frames in memory), and the body.
@@ -130,7 +130,7 @@ def track_person(
 
 
 def _track_people(
-    loaded: Recording | FrameList, options: TrackOptions, people: str, progress: Progress | None
+    loaded: Recording | FrameList, options: TrackOptions, people: str, progress: StageProgress | None
 ) -> PeopleResult:
     wanted = wanted_of(loaded) if isinstance(loaded, Recording) else []
     count, only = chosen_people(people, wanted)

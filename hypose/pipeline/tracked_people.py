@@ -16,8 +16,8 @@ from hypose.evidence import depth_people
 from hypose.evidence.frame import Frame
 from hypose.evidence.shared_masks import SOLVED, Other
 from hypose.geometry import Array
-from hypose.io.motions.results import Checkpoint, ResultsFolder, identity
-from hypose.pipeline.first_frame import Subject, kept_subject
+from hypose.io.motions.results import Checkpoint, ResultsFolder, provenance_identity
+from hypose.pipeline.first_frame import TrackedSubject, kept_subject
 from hypose.pipeline.people_points import KeypointPeople, per_frame
 from hypose.pipeline.run import TrackResult
 from hypose.pipeline.settings import SETTINGS
@@ -54,7 +54,7 @@ class Wanted:
 
 
 @dataclass(frozen=True)
-class OnePerson:
+class TrackedPerson:
     """name; the result; present (T,): frames in which the person is there (before they come and after they leave the
     motion is filled up, and flagged); hidden (T,): frames in which others hide them from all views but one."""
 
@@ -81,7 +81,7 @@ class PeopleResult:
     """people: in the order in which they were found; complete: all frames were tracked; notes for the report; others:
     how many more there are than were asked for."""
 
-    people: tuple[OnePerson, ...]
+    people: tuple[TrackedPerson, ...]
     complete: bool
     notes: tuple[str, ...] = ()
     others: int = 0
@@ -94,7 +94,7 @@ def while_present(motion: Motion, present: NDArray[np.bool_]) -> Motion:
     return replace(motion, **per_frame(motion, np.flatnonzero(present)))
 
 
-def said_of(people: Sequence[OnePerson], frame_rate: float) -> tuple[str, ...]:
+def said_of(people: Sequence[TrackedPerson], frame_rate: float) -> tuple[str, ...]:
     """Who was there, in words."""
     said = [f"{len(people)} {'people' if len(people) != 1 else 'person'}: {', '.join(p.name for p in people)}"]
     for p in people:
@@ -146,11 +146,11 @@ def free_name(taken: Sequence[str], wanted: Sequence[Wanted]) -> str:
 @dataclass(eq=False)
 class Followed:
     """Somebody who is tracked. results: where theirs are kept, None: nowhere; estimates, present, hidden: of each frame
-    so far, the last two as in OnePerson; gone: frames since anything was seen of them; track: number of the track of
+    so far, as in TrackedPerson; gone: frames since anything was seen of them; track: number of the track of
     key points that they have; wardrobe: their clothes; said: notes for their report."""
 
     name: str
-    subject: Subject
+    subject: TrackedSubject
     member: Member
     results: ResultsFolder | None = None
     asked_for: bool = True
@@ -235,20 +235,20 @@ def save_people(
             for p in people
         ]
     }
-    Checkpoint(len(people[0].estimates), arrays, meta, identity(record)).save(results.checkpoint)
+    Checkpoint(len(people[0].estimates), arrays, meta, provenance_identity(record)).save(results.checkpoint)
 
 
 def kept_people(
-    results: ResultsFolder, under: str, record: Mapping[str, Any], tracker_of: Callable[[Subject], Tracker]
+    results: ResultsFolder, under: str, record: Mapping[str, Any], tracker_of: Callable[[TrackedSubject], Tracker]
 ) -> tuple[list[Followed], list[Array]]:
     """What `save_people` wrote, and whose subjects lie in the folder `under`; nobody when there is none of the same
     run, or a body is gone."""
     if not results.checkpoint.exists():
         return [], []
-    saved, people = Checkpoint.load(results.checkpoint, identity(record)), list[Followed]()
+    saved, people = Checkpoint.load(results.checkpoint, provenance_identity(record)), list[Followed]()
     for k, about in enumerate(saved.meta.get("people", ())):
         own_results = ResultsFolder(results.path / under / about["name"])
-        subject = kept_subject(own_results, identity(record))
+        subject = kept_subject(own_results, provenance_identity(record))
         if subject is None:
             return [], []
         own = {n.removeprefix(f"{k}_"): v for n, v in saved.arrays.items() if n.startswith(f"{k}_")}

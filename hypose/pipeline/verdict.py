@@ -82,7 +82,7 @@ def not_shown(joints: Sequence[str]) -> str:
     return f"Note: the key points have none for {which}; where these are follows from the rest of the body."
 
 
-def left_out(more: int, where: str, command: str) -> str:
+def other_people_note(more: int, where: str, command: str) -> str:
     """A sentence on so many other people in the masks, or the key points, and the command that tracks them."""
     who = "another person is" if more == 1 else f"{more} other people are"
     return f"Note: {who} in the {where} and left out; {command} tracks everybody."

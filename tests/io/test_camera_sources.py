@@ -14,7 +14,7 @@ import pytest
 
 from hypose.errors import InputError
 from hypose.io.videos import camera_sources
-from hypose.io.videos.camera_sources import Shot, StreamEnded, open_camera
+from hypose.io.videos.camera_sources import CameraImage, StreamEnded, open_camera
 
 SIZE = (64, 48)
 
@@ -213,14 +213,14 @@ def test_a_device_that_is_not_there_is_one_sentence():
 
 def test_a_damaged_picture_is_none():
     for data in (b"", b"no picture", PICTURES[0][:40], b"\xff\xd8\xff", b"\xff\xd8" + b"\xff\xc0\x00\x02" * 3):
-        assert Shot(0.0, None, data).picture() is None
-        assert Shot(0.0, None, data).picture((8, 8)) is None
+        assert CameraImage(0.0, None, data).picture() is None
+        assert CameraImage(0.0, None, data).picture((8, 8)) is None
 
 
 @pytest.mark.parametrize("size", [(1920, 1080), (641, 479), (64, 48), (1000, 333)])
 @pytest.mark.parametrize("least", [(640, 480), (320, 240), (100, 30), (17, 13), (2000, 2000)])
 def test_a_picture_is_decoded_as_small_as_may_be_and_never_smaller(size, least):
-    picture = Shot(0.0, None, jpeg(99, size)).picture(least)
+    picture = CameraImage(0.0, None, jpeg(99, size)).picture(least)
     assert picture is not None
     h, w = picture.shape[:2]
     assert w >= min(least[0], size[0]) and h >= min(least[1], size[1])

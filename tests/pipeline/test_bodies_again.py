@@ -10,7 +10,7 @@ from hypose.body.ready_bodies import human
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.pipeline import bodies_again
 from hypose.pipeline.bodies_again import AGAIN, fitted_again
-from hypose.pipeline.first_frame import Subject
+from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.newcomers import without_doubles
 from hypose.pipeline.run import TrackOptions, tracker_of
 from hypose.pipeline.tracked_people import Followed, Wanted
@@ -51,7 +51,7 @@ def passing():
     x[[entity("upper arm length"), entity("forearm length")]] = 0.15
     wrong, people = body_of(true, x), []
     for name, way in zip(("a", "b"), poses, strict=True):
-        subject = Subject(wrong, None, way[0], ("fitted once",))
+        subject = TrackedSubject(wrong, None, way[0], ("fitted once",))
         tracker = tracker_of(subject, TrackOptions(evidence="silhouettes"), RATE)
         people.append(Followed(name, subject, Member(tracker, tracker.start(subject.start))))
     return people, frames

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.robustness.keypoint_layouts import walker
-from hypose.app.cli import main
+from hypose.app.cli import run_cli
 from hypose.body.joint_angles import joint_angles
 from hypose.body.motion import Motion, isotropic
 from hypose.body.ready_bodies import human
@@ -175,7 +175,7 @@ def test_bad_mot(tmp_path, text, message):
 
 def run(*arguments):
     with pytest.raises(SystemExit) as caught:
-        main([str(a) for a in arguments])
+        run_cli([str(a) for a in arguments])
     return caught.value.code or 0
 
 

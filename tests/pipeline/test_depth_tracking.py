@@ -14,7 +14,7 @@ from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.geometry import se3, se3_inverse, so3_exp, transform
-from hypose.pipeline.first_frame import Subject
+from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.first_look import first_look
 from hypose.pipeline.import_depth import register_depth
 from hypose.pipeline.people_run import PeopleRun
@@ -64,7 +64,7 @@ def test_depth_finds_what_one_outline_leaves_open():
     forward[s.dofs_of("left_elbow")] = s.upper[s.dofs_of("left_elbow")] * 0.0 - 1.2
     forward = s.clamp(forward)
     frame = frame_of(body, forward, rig)
-    given = Subject(body, None, pose, ())
+    given = TrackedSubject(body, None, pose, ())
     wrist = s.joint("left_wrist")
     away = {}
     for name, own in (("outline", replace(frame, depth=None)), ("depth", frame)):

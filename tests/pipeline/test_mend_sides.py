@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hypose.pipeline.doubts import what_was_seen
-from hypose.pipeline.first_frame import Subject
+from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.mend_sides import look_back, look_back_notes, mend_sides, sides_notes
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.tracking.exchanged_sides import turned_around
@@ -108,7 +108,7 @@ def test_a_recording_tracked_from_a_turned_start_comes_out_the_right_way_round(c
             return frames[index]
 
     start = turned_around(tracker.body, good[0].pose)
-    result = track_source(Source(), 25.0, TrackOptions(), subject=Subject(tracker.body, None, start, ("given",)))
+    result = track_source(Source(), 25.0, TrackOptions(), subject=TrackedSubject(tracker.body, None, start, ("given",)))
     s = tracker.body.skeleton
     across = (result.motion.joints[:, s.joint(f"{side}_hip"), :2] for side in ("left", "right"))
     true = scene.joints[:N, s.joint("left_hip"), :2] - scene.joints[:N, s.joint("right_hip"), :2]

@@ -9,7 +9,7 @@ import pytest
 from hypose.body.ready_bodies import human
 from hypose.evidence.hull_people import HullPerson
 from hypose.pipeline import newcomers
-from hypose.pipeline.first_frame import Subject
+from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.newcomers import back_again, drawn_away
 from hypose.pipeline.tracked_people import Followed
 from hypose.synthetic.scenes import make_scene
@@ -44,7 +44,7 @@ def followed(name: str, x: np.ndarray, present: np.ndarray) -> Followed:
     poses = np.repeat(pose[None], len(x), 0)
     poses[:, 0] = x
     estimates = [replace(estimate, pose=p) for p in poses]
-    subject = Subject(body, None, pose, ())
+    subject = TrackedSubject(body, None, pose, ())
     return Followed(name, subject, member, None, True, estimates, present.tolist(), [False] * len(x))
 
 

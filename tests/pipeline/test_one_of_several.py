@@ -7,7 +7,7 @@ from hypose.calibration.findings import Finding
 from hypose.pipeline import one_of_several
 from hypose.pipeline.one_of_several import track_one_of
 from hypose.pipeline.run import TrackOptions, TrackResult
-from hypose.pipeline.tracked_people import Followed, OnePerson, PeopleResult, Wanted, makes_room
+from hypose.pipeline.tracked_people import Followed, PeopleResult, TrackedPerson, Wanted, makes_room
 
 ANNA, BERT = Wanted("Anna", place=(1.0, 2.5), time=0.5), Wanted("Bert")
 
@@ -24,7 +24,7 @@ class Run:
 
 def found(name, monkeypatch, wanted, looked=()):
     there = np.ones(3, dtype=bool)
-    one = OnePerson(name, TrackResult(None, None, True, (), faults=("a fault",)), there, ~there)  # type: ignore[arg-type]
+    one = TrackedPerson(name, TrackResult(None, None, True, (), faults=("a fault",)), there, ~there)  # type: ignore[arg-type]
     monkeypatch.setattr(one_of_several, "PeopleRun", lambda *_, **__: Run(PeopleResult((one,), True, (), 1), looked))
     return track_one_of(None, 25.0, TrackOptions(), wanted=wanted)  # type: ignore[arg-type]
 

@@ -8,7 +8,7 @@ import pytest
 from hypose.body.ready_bodies import human
 from hypose.evidence.colours import COLOURS
 from hypose.evidence.frame import Colours, Frame, Silhouettes
-from hypose.pipeline.first_frame import Subject
+from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.tracked_people import Followed
 from hypose.pipeline.wardrobe import exchange, look_at_clothes
@@ -50,7 +50,7 @@ def followed(name, places):
     tracker = Tracker(BODY, recipe("default", BODY, frame_rate=25.0), TrackerSettings(frame_rate=25.0))
     state = tracker.start(standing(places[-1]))
     _, estimate = tracker.step(state, nobody_in(frame_of([])))
-    out = Followed(name, Subject(BODY, None, standing(places[0]), ()), Member(tracker, state))
+    out = Followed(name, TrackedSubject(BODY, None, standing(places[0]), ()), Member(tracker, state))
     out.estimates = [replace(estimate, pose=standing(x)) for x in places]
     out.present, out.hidden = [True] * len(places), [False] * len(places)
     return out

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hypose.app.commands.console import Stages, note, out, say
+from hypose.app.commands.console import Stages, out, print_note, say
 from hypose.app.commands.options import HEIGHT, MOST_FRAMES, number
 from hypose.errors import CalibrationError, InputError
 
@@ -116,7 +116,7 @@ def calibrate(
 
         rig, notes = read_any(convert, unit)
         for text in notes:
-            note(f"note: {text}")
+            print_note(f"note: {text}")
     elif points is not None:
         rig = _from_points(points, intrinsics)
     else:

@@ -307,9 +307,9 @@ def _by_motion(
     from hypose.calibration.diagnose_points import undistorted
     from hypose.calibration.sync_motion import at_the_end, offsets_within
     from hypose.calibration.synchronisation import offsets_from_motion
-    from hypose.pipeline.examine import observe
+    from hypose.pipeline.examine import observe_recording
 
-    seen = observe(recording, frames, progress)
+    seen = observe_recording(recording, frames, progress)
     points = None if seen.keypoints is None else undistorted(seen.rig, seen.keypoints)
     found = offsets_from_motion(seen.rig.pinhole(), points, seen.silhouettes, largest=largest)
     if found.gain < 0:

@@ -15,7 +15,7 @@ from hypose.app.commands.commands_track import (
     stopping,
     tell_verdicts,
 )
-from hypose.app.commands.console import Stages, note, say
+from hypose.app.commands.console import Stages, print_note, say
 from hypose.app.commands.options import Seed, Threads, number
 from hypose.errors import InputError
 
@@ -103,15 +103,15 @@ def fuse(
             raise InputError("--live takes no recording; leave one of the two out.")
         import asyncio
 
-        from hypose.app.live.live_server import LiveOptions, run_live
+        from hypose.app.live.live_server import FusionServerOptions, run_live
         from hypose.fusion.align import AlignSettings
         from hypose.fusion.live import LiveSettings
 
         if udp is None and ws is None:
             udp, ws = 9870, 9871
         settings = LiveSettings(AlignSettings(rate=30.0 if rate is None else rate, wait=wait / 1000))
-        options = LiveOptions(host=host, udp=udp, ws=ws, osc=osc, token=token, record=record, settings=settings)
-        asyncio.run(run_live(options, say, note))
+        options = FusionServerOptions(host=host, udp=udp, ws=ws, osc=osc, token=token, record=record, settings=settings)
+        asyncio.run(run_live(options, say, print_note))
         return
     if recording is None:
         raise InputError("There is nothing to fuse; give a recording of skeletons, or --live.")
@@ -129,14 +129,14 @@ def fuse(
                 "With --cameras everything is one solve at the cameras' rate; leave --method, --reference, --rate "
                 "and --diagnose out."
             )
-        from hypose.app.jobs.job import Job
+        from hypose.app.jobs.job import TrackJob
         from hypose.io.recordings.recording import load_recording
         from hypose.pipeline.run import TrackOptions
 
         filmed = load_recording(cameras)
         results = ResultsFolder(out) if out is not None else ResultsFolder.of(filmed.folder, "fuse-cameras")
         about = {"formats": split_names(formats), "run": {"threads": threads}, "skeletons": loaded}
-        job = Job(filmed, TrackOptions(seed=seed), results, **about)
+        job = TrackJob(filmed, TrackOptions(seed=seed), results, **about)
         report_outcome(job, run_shown(job, []))
         return
     folder = recording if recording.is_dir() else recording.parent
@@ -170,7 +170,7 @@ def _closing(outcome: FuseOutcome, name: str, sensors: int, folder: Path) -> Non
     import numpy as np
 
     for text in outcome.notes:
-        note(f"note: {text}")
+        print_note(f"note: {text}")
     if not outcome.complete:
         kept = [str(f) for p in outcome.people for f in p.files]
         say(f"Stopped. Kept: {', '.join(kept) if kept else 'nothing'}. Start again with the same command.")

@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hypose.app.commands.commands_track import set_threads
-from hypose.app.commands.console import Stages, ended_by_signals, note, say
+from hypose.app.commands.console import Stages, ended_by_signals, print_note, say
 from hypose.app.commands.options import HEIGHT, Seed, Threads, number
 from hypose.errors import InputError
 
 if TYPE_CHECKING:
-    from hypose.pipeline.live.engine import LiveStatus, Seen
+    from hypose.pipeline.live.engine import LiveResult, LiveStatus
     from hypose.pipeline.live.recorder import LiveRecorder
 
 _OUT = "Out"
@@ -69,7 +69,7 @@ def live(
     with ended_by_signals(ended):  # an interrupt between two imports can be lost
         from hypose.app.jobs.job import compile_before
         from hypose.app.live.pose_outputs import PoseOutputs
-        from hypose.pipeline.live.engine import LiveEngine, LiveOptions
+        from hypose.pipeline.live.engine import LiveEngine, LiveTrackingOptions
         from hypose.pipeline.live.eyes import EyesOptions
         from hypose.pipeline.live.live_rig import live_rig
         from hypose.pipeline.live.live_search import LivePersonOptions
@@ -81,7 +81,7 @@ def live(
 
     cameras = live_rig(rig, _sources(source or []), rate)
     for text in cameras.notes:
-        note(f"note: {text}")
+        print_note(f"note: {text}")
     body = None if subject is None else load_subject(subject)
     person = LivePersonOptions(TrackOptions(seed=seed), height or cameras.height, body)
     eyes = EyesOptions(cameras.rate, countdown, cameras.silhouettes)
@@ -97,7 +97,7 @@ def live(
         outputs = PoseOutputs(names, cameras.rate, ws=ws, udp=udp, osc=osc, vmc=vmc, clock=time.monotonic)
         closing.callback(outputs.close)
         listeners = [outputs, _Told(recorder), *([] if recorder is None else [recorder])]
-        options = LiveOptions(eyes, person, people, pictures=recorder is not None)
+        options = LiveTrackingOptions(eyes, person, people, pictures=recorder is not None)
         engine = LiveEngine(cameras.rig, cameras.views, options, listeners, ended)
         closing.callback(engine.stop)
         engine.start()
@@ -141,23 +141,23 @@ class _Told:
         self._phase, self._words, self._at = "", (), -math.inf
         self._recorder = recorder
 
-    def seen(self, seen: Seen) -> None:
+    def seen(self, seen: LiveResult) -> None:
         """See `Listener`."""
 
     def status(self, status: LiveStatus) -> None:
         """See `Listener`."""
         if status.phase != self._phase:
-            note(f"{status.phase.capitalize()}.")
+            print_note(f"{status.phase.capitalize()}.")
         failed = () if self._recorder is None or not self._recorder.failed else (self._recorder.failed,)
         words = (*status.words, *failed)
         known = {_SINCE.sub("", text) for text in self._words}
         for text in words:
             if _SINCE.sub("", text) not in known:
-                note(text)
+                print_note(text)
         self._phase, self._words = status.phase, words
         if time.monotonic() - self._at >= _REPORT_S and status.poses:
             self._at = time.monotonic()
-            note(_summary(status))
+            print_note(_summary(status))
 
 
 def _summary(status: LiveStatus) -> str:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hypose.app.commands.commands_track import set_threads, split_names, stopping
-from hypose.app.commands.console import Stages, note, say
+from hypose.app.commands.console import Stages, print_note, say
 from hypose.app.commands.options import Threads, number
 from hypose.errors import HyposeError, InputError
 
@@ -74,7 +74,7 @@ def report(
         written = write_report(target, shown, recording)
         progress("report", 1, 1)
     for text in shown.notes:
-        note(f"note: {text}")
+        print_note(f"note: {text}")
     say(f"Report: {written}")
 
 
@@ -218,12 +218,12 @@ def compare(
         progress("compare", len(pairs), len(pairs))
     failed = compare_job.exceeded(compared, max_mm, max_degrees, min_coverage)
     compare_job.write_csv(folder / "compare.csv", compared)
-    compare_job.write_page(folder / "compare.html", compared, failed)
+    compare_job.write_comparison_page(folder / "compare.html", compared, failed)
     for file in dict.fromkeys(files):
         tell_untrusted(file)
     for c in compared:
         for text in c.found.notes:
-            note(f"note: {text}")
+            print_note(f"note: {text}")
         if c.found.joints:
             median, p95, rmse = c.found.left_mm
             share = compare_job.mean_coverage(c.found)
@@ -308,9 +308,9 @@ def cite(
     bibtex: Annotated[bool, typer.Option("--bibtex", help="As BibTeX.")] = False,
 ) -> None:
     """Print the papers behind the method that gave a result."""
-    from hypose.app.jobs.cite import listed, papers_of
+    from hypose.app.jobs.cite import formatted_papers, papers_of
 
-    say(listed(papers_of(method), bibtex))
+    say(formatted_papers(papers_of(method), bibtex))
 
 
 def tell_untrusted(results: Path) -> None:
@@ -326,4 +326,4 @@ def tell_untrusted(results: Path) -> None:
     except (InputError, ValueError, KeyError, TypeError):
         return
     if kept.word == UNTRUSTED:
-        note(f"note: {folder}: {kept.sentence}")
+        print_note(f"note: {folder}: {kept.sentence}")

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from hypose.app.commands.commands_track import set_threads
-from hypose.app.commands.console import note, say
+from hypose.app.commands.console import print_note, say
 from hypose.app.commands.options import Threads, number
 from hypose.errors import InputError
 
@@ -35,24 +35,24 @@ def view(
 ) -> None:
     """Open the studio: results in 3D with their pictures, corrections by clicks, gestures, new recordings."""
     set_threads(threads)
-    from hypose.app.studio.server import NOT_BUILT, STATIC, StudioOptions, run
+    from hypose.app.studio.server import NOT_BUILT, STATIC_FOLDER, StudioOptions, run_server
 
     if not what.exists():
         raise InputError(f"{what} does not exist; give a results folder, a recording, or a folder that holds such.")
-    if not (STATIC / "index.html").is_file():
+    if not (STATIC_FOLDER / "index.html").is_file():
         raise InputError(NOT_BUILT)
     root, shown = _place(what)
 
     def ready(address: str) -> None:
         page = address + (f"#/{shown}" if shown else "")
         say(f"Studio: {page}")
-        note(f"Shows {root}. Stop with Ctrl-C.")
+        print_note(f"Shows {root}. Stop with Ctrl-C.")
         if not no_browser:
             import webbrowser
 
             webbrowser.open(page)
 
-    run(StudioOptions(root, host, port, token), ready)
+    run_server(StudioOptions(root, host, port, token), ready)
 
 
 def _place(what: Path) -> tuple[Path, str]:

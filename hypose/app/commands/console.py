@@ -86,7 +86,7 @@ def say(text: str = "", style: str | None = None) -> None:
     out().print(text, style=style, markup=False)
 
 
-def note(text: str) -> None:
+def print_note(text: str) -> None:
     """One line beside the results (stderr)."""
     err().print(text, style="dim", markup=False)
 

@@ -28,7 +28,7 @@ from hypose.io.motions.export import export_motion, known_formats
 from hypose.io.motions.results import ResultsFolder, load_body, load_motion, save_body, save_motion
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording
-from hypose.pipeline.first_frame import GIVEN, Subject, SubjectOptions, find_subject
+from hypose.pipeline.first_frame import GIVEN, SubjectOptions, TrackedSubject, find_subject
 from hypose.pipeline.one_camera import FrameSource
 from hypose.pipeline.people_points import per_frame
 from hypose.pipeline.run import TrackOptions, frames_wanted, track_source
@@ -69,7 +69,7 @@ def _is_frame(value: Any) -> bool:
     return isinstance(value, int) and not isinstance(value, bool) and value >= 0
 
 
-def correct(
+def corrected_motion(
     recording: Recording,
     old: ResultsFolder,
     correction: Correction,
@@ -103,7 +103,7 @@ def correct(
             source = Backwards(stream) if turned else stream
             subject = _subject(source, part, options, body, correction.pose)
             found = track_source(source, motion.frame_rate, sure, subject=subject, progress=progress).motion
-        return backwards(found) if turned else found
+        return _time_reversed(found) if turned else found
 
     if start < row:
         record["since"] = first + start
@@ -144,7 +144,7 @@ class Backwards:
         return replace(self._kept[number], index=turned, time=turned / self._stream.recording.frame_rate)
 
 
-def backwards(motion: Motion) -> Motion:
+def _time_reversed(motion: Motion) -> Motion:
     """A motion with its frames in the opposite order, at the same times."""
     return replace(motion, **per_frame(motion, np.arange(len(motion))[::-1]) | {"times": motion.times})
 
@@ -203,9 +203,9 @@ def _rows(motion: Motion, correction: Correction, first: int, until: int | None)
     return since - first, correction.frame - first, stop - first
 
 
-def _subject(source: FrameSource, part: Recording, options: TrackOptions, body: Body, pose: Array) -> Subject:
+def _subject(source: FrameSource, part: Recording, options: TrackOptions, body: Body, pose: Array) -> TrackedSubject:
     """The body as it is, at the corrected pose; where key points sit on it when they are evidence."""
     if options.looks_at == "silhouettes":
-        return Subject(body, None, pose, (GIVEN, _FROM_HERE))
+        return TrackedSubject(body, None, pose, (GIVEN, _FROM_HERE))
     wanted = SubjectOptions("keypoints", None, False, body, part.frame_rate, options.seed, known=True)
     return replace(find_subject(source.frame, len(source), wanted), start=pose, notes=(GIVEN, _FROM_HERE))

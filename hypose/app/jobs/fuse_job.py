@@ -31,7 +31,7 @@ from hypose.io.sensors.skeleton_streams import (
     SensorStream,
     SkeletonRecording,
     common_times,
-    one_person,
+    join_observations,
     resample,
     shifted,
 )
@@ -194,7 +194,7 @@ def _on_one_clock(streams: Sequence[SensorStream], notes: list[str]) -> list[Sen
 def _people(synced: Sequence[SensorStream], times: Array, notes: list[str]) -> list[list[SensorJoints]]:
     """One clip per person."""
     if all(s.positions.shape[1] == 1 for s in synced):
-        return [one_person(synced, times, [np.where(s.person_ids[:, 0] >= 0, 0, -1) for s in synced])]
+        return [join_observations(synced, times, [np.where(s.person_ids[:, 0] >= 0, 0, -1) for s in synced])]
     picks = [joint_set(s.joint_names).common for s in synced]
     instants = [_instant(synced, picks, n, float(t)) for n, t in enumerate(times)]
     tracker = PeopleTracker()
@@ -216,7 +216,7 @@ def _people(synced: Sequence[SensorStream], times: Array, notes: list[str]) -> l
         raise InputError("No person is seen long enough by any sensor to be followed; check the recording.")
     if dropped := len(columns) - len(kept):
         notes.append(f"{dropped} persons were seen for less than {least} frames and are left out")
-    return [one_person(synced, times, c) for c in kept]
+    return [join_observations(synced, times, c) for c in kept]
 
 
 def _instant(synced: Sequence[SensorStream], picks: Sequence[NDArray[np.int64]], n: int, time: float) -> Instant:

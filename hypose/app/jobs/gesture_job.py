@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hypose.app.live.gesture_sources import Source, Taken
+from hypose.app.live.gesture_sources import GestureSource, Taken
 from hypose.compute import ScanPlan
 from hypose.errors import EvidenceError, InputError
 from hypose.gestures.depth_pictures import surface_depth
@@ -25,7 +25,7 @@ from hypose.gestures.session import Command, Instruction, SessionSettings
 from hypose.gestures.trainer import Feedback, Trainer
 from hypose.pipeline.gesture_files import GestureRecording, SessionWriter, content_of, load_model
 
-Say = Callable[[str], None]
+_Say = Callable[[str], None]
 KEYS: dict[str, Command] = {
     "n": "next",
     "u": "undo",
@@ -71,7 +71,7 @@ def growing_model(path: Path, gesture: str) -> GestureModel:
     return model
 
 
-def replaced_model(path: Path, gesture: str, say: Say) -> None:
+def replaced_model(path: Path, gesture: str, say: _Say) -> None:
     """Say, before anything is learned, that a model will be replaced; an InputError when the file is another gesture's
     or no model."""
     try:
@@ -85,14 +85,14 @@ def replaced_model(path: Path, gesture: str, say: Say) -> None:
 
 
 def run_session(
-    source: Source,
+    source: GestureSource,
     gesture: str,
     learner: Learner,
     settings: SessionSettings,
     *,
     record: Path | None,
     commands: Callable[[], list[Command]] = list,
-    say: Say,
+    say: _Say,
     model: GestureModel | None = None,
 ) -> GestureModel:
     """An interactive session until its test begins or the source ends; the model it leaves. Everything is recorded."""
@@ -115,13 +115,13 @@ def run_session(
 
 
 def record_session(
-    source: Source,
+    source: GestureSource,
     gesture: str,
     settings: SessionSettings,
     *,
     record: Path,
     commands: Callable[[], list[Command]] = list,
-    say: Say,
+    say: _Say,
 ) -> None:
     """The same session with its prompts, recorded and not learned from."""
     _follow(source, gesture, Trainer(new_learner(0), settings), record=record, commands=commands, say=say, learn=False)
@@ -142,13 +142,13 @@ class _Counts:
 
 
 def _follow(
-    source: Source,
+    source: GestureSource,
     gesture: str,
     trainer: Trainer,
     *,
     record: Path | None,
     commands: Callable[[], list[Command]],
-    say: Say,
+    say: _Say,
     learn: bool,
 ) -> _Counts:
     """Lead through a session until its test begins or the source ends."""
@@ -208,7 +208,7 @@ def learn_recordings(
     gesture: str,
     learner: Learner,
     passes: int,
-    say: Say,
+    say: _Say,
     old: GestureModel | None = None,
 ) -> GestureModel:
     """A forest taught with recorded sessions in the order of time, as the live session would have; old: the model that
@@ -246,28 +246,28 @@ class Watched:
     events: list[Event]
 
 
-EMPTY = 30
+_EMPTY = 30
 """Frames in a row without usable depth after which it is said that there is nothing to see."""
 
 
 def watch(
-    source: Source,
+    source: GestureSource,
     models: Sequence[GestureModel],
     settings: LocaliseSettings,
     limits: Sequence[EventSettings],
-    say: Say = lambda text: None,
+    say: _Say = lambda text: None,
 ) -> Iterator[Watched]:
     """Look for the gestures of all models in every frame of a source; say: takes a sentence when nothing is near. An
     EvidenceError at the end of a source in which nothing ever was."""
-    forests, plan, empty, near = finished(models), settings.plan, 0, False
+    forests, plan, empty, near = loaded_forests(models), settings.plan, 0, False
     scratch, state = Scratch(), EventState()
     try:
         while (taken := source.take("free")) is not None:
             some = taken.depth[::8, ::8]
             empty = 0 if ((some >= plan.near_mm) & (some <= plan.far_mm)).any() else empty + 1
             near = near or not empty
-            if empty == EMPTY:
-                say(f"{source.name}: {EMPTY} frames have no depth {_range(plan)}, where gestures are looked for.")
+            if empty == _EMPTY:
+                say(f"{source.name}: {_EMPTY} frames have no depth {_range(plan)}, where gestures are looked for.")
             found = localise(taken.depth, source.lens, forests, settings, scratch)
             state, events = detect_events(state, found, taken.time, limits)
             yield Watched(taken.time, found, events)
@@ -280,7 +280,7 @@ def watch(
         source.close()
 
 
-def finished(models: Sequence[GestureModel]) -> list[Forest]:
+def loaded_forests(models: Sequence[GestureModel]) -> list[Forest]:
     """The models' forests; InputError when they cannot look together."""
     if len(models) > 1 and any(len(m.names) > 1 for m in models):
         raise InputError("A model of several gestures is used alone; give one model per gesture, or that one.")
@@ -314,12 +314,12 @@ def thresholds(models: Sequence[GestureModel], given: float | None) -> list[floa
     return out
 
 
-def evaluate(model: GestureModel, recording: GestureRecording) -> dict[str, float]:
+def evaluate_model(model: GestureModel, recording: GestureRecording) -> dict[str, float]:
     """AP at 10 px and 5 cm, hits at the threshold, false alarms, over the labelled frames of a recording."""
     name = model.names[0]
     if len(model.names) > 1:
         raise InputError("A model of several gestures cannot be judged here; give a model of one gesture.")
-    number, forest = recording.number(name), finished([model])[0]
+    number, forest = recording.number(name), loaded_forests([model])[0]
     scratch, plan = Scratch(), model.settings.plan
     scores, px, metres, measured = [], [], [], 0
     for f in recording.learned():

@@ -19,14 +19,14 @@ from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.io.files import check_writable, read_json
-from hypose.io.motions.export import FORMATS, export_motion, known_formats
+from hypose.io.motions.export import MOTION_FORMATS, export_motion, known_formats
 from hypose.io.motions.results import (
     ResultsFolder,
-    identity,
     load_body,
     load_modes,
     load_motion,
     provenance,
+    provenance_identity,
     save_body,
     to_json,
 )
@@ -48,7 +48,7 @@ VERDICT = "verdict.json"
 
 
 @dataclass(frozen=True)
-class Job:
+class TrackJob:
     """What is to be done with one recording.
 
     recording: its frame_range is what is tracked
@@ -65,7 +65,7 @@ class Job:
     recording: Recording
     options: TrackOptions
     results: ResultsFolder
-    formats: Sequence[str] = tuple(FORMATS)
+    formats: Sequence[str] = tuple(MOTION_FORMATS)
     overlay: bool = True
     report: bool = True
     resume: bool = False
@@ -113,7 +113,7 @@ def people_results(recording_folder: Path, recipe: str) -> ResultsFolder:
     return ResultsFolder.of(recording_folder, "people" if recipe == "default" else f"{recipe}-people")
 
 
-def run_job(job: Job, progress: ProgressCall = ignore, seconds: Mapping[str, float] | None = None) -> Outcome:
+def run_job(job: TrackJob, progress: ProgressCall = ignore, seconds: Mapping[str, float] | None = None) -> Outcome:
     """Track, export, draw and report. seconds: filled by the progress while this runs, read for the report.
 
     KeyboardInterrupt while tracking gives an Outcome with complete=False (checkpoint and partial motion are on disk);
@@ -181,7 +181,7 @@ def _verdict(tracked: TrackResult, results: ResultsFolder, before: bool) -> Verd
 
 
 def _track(
-    job: Job, options: TrackOptions, source: FrameStream, record: Mapping[str, Any], progress: ProgressCall
+    job: TrackJob, options: TrackOptions, source: FrameStream, record: Mapping[str, Any], progress: ProgressCall
 ) -> TrackResult:
     if (skeletons := job.skeletons) is not None:
         from hypose.pipeline.sensor_skeletons import fuse_mixture, skeletons_at_frames
@@ -206,7 +206,7 @@ def _track(
     )
 
 
-def check_job(job: Job) -> None:
+def check_job(job: TrackJob) -> None:
     """Refuse now what would be refused only after minutes of work."""
     options = job.options
     known_formats(job.formats)
@@ -232,7 +232,7 @@ def check_job(job: Job) -> None:
         )
 
 
-def record_of(job: Job) -> dict[str, Any]:
+def record_of(job: TrackJob) -> dict[str, Any]:
     """The provenance: everything that decides the result, and the run."""
     recording, options = job.recording, job.options
     frames = recording.frames
@@ -253,14 +253,16 @@ def record_of(job: Job) -> dict[str, Any]:
     return provenance(options.recipe, options.seed, settings, inputs, job.run)
 
 
-def finished_before(job: Job, record: Mapping[str, Any]) -> TrackResult | None:
+def finished_before(job: TrackJob, record: Mapping[str, Any]) -> TrackResult | None:
     """The complete motion of an earlier run with the same inputs and settings, when only later files may be missing."""
     results = job.results
     body = results.file("body.npz")
     if results.checkpoint.exists() or not results.motion.exists() or not body.exists():
         return None
     motion = load_motion(results.motion)
-    if to_json(identity(motion.provenance)) != to_json(identity(record)) or len(motion) != len(job.recording.frames):
+    if to_json(provenance_identity(motion.provenance)) != to_json(provenance_identity(record)) or len(motion) != len(
+        job.recording.frames
+    ):
         return None
     notes, modes = ("tracked in an earlier run with the same inputs and settings",), None
     if job.options.of_picture:
@@ -271,7 +273,7 @@ def finished_before(job: Job, record: Mapping[str, Any]) -> TrackResult | None:
     return TrackResult(motion, load_body(body), True, notes, modes)
 
 
-def export_all(job: Job, motion: Motion, body: Body, progress: ProgressCall) -> list[Path]:
+def export_all(job: TrackJob, motion: Motion, body: Body, progress: ProgressCall) -> list[Path]:
     """The motion in all the formats that are wanted."""
     written: list[Path] = []
     for done, name in enumerate(job.formats):
@@ -282,7 +284,7 @@ def export_all(job: Job, motion: Motion, body: Body, progress: ProgressCall) -> 
 
 
 def _draw(
-    job: Job,
+    job: TrackJob,
     options: TrackOptions,
     tracked: TrackResult,
     source: FrameStream,
@@ -293,8 +295,8 @@ def _draw(
     seconds: Mapping[str, float],
 ) -> list[Path]:
     """Overlay and report."""
-    from hypose.app.reports.overlay import PictureRows, Shown, write_overlay
-    from hypose.app.reports.report import draw
+    from hypose.app.reports.overlay import OverlayRows, PictureRows, write_overlay
+    from hypose.app.reports.report import report_pictures
     from hypose.app.studio.view_bundle import Rivals, ViewResult, pictured
 
     recording, motion, body, modes = job.recording, tracked.motion, tracked.body, tracked.modes
@@ -314,10 +316,10 @@ def _draw(
         rivals=Rivals.of_motion(motion) if modes is None else Rivals.of(modes.joints, modes.weights),
     )
 
-    def overlay(path: Path, wanted: PictureRows) -> Shown:
+    def overlay(path: Path, wanted: PictureRows) -> OverlayRows:
         return write_overlay(path, recording, source, motion, body, wanted, progress)
 
-    return draw(job.results, about, overlay, files, (job.overlay, job.report), progress)
+    return report_pictures(job.results, about, overlay, files, (job.overlay, job.report), progress)
 
 
 def remove_stale(results: ResultsFolder, written: Sequence[Path]) -> None:

@@ -11,10 +11,19 @@ from urllib.parse import quote
 import numpy as np
 
 from hypose.app.commands.console import ProgressCall, ignore
-from hypose.app.jobs.job import VERDICT, Job, Outcome, check_job, compile_before, export_all, record_of, remove_stale
-from hypose.app.reports.overlay import PictureRows, Shown, colour_of, write_overlay, write_people_overlay
-from hypose.app.reports.report import draw
-from hypose.app.reports.summary import POLICY, page
+from hypose.app.jobs.job import (
+    VERDICT,
+    Outcome,
+    TrackJob,
+    check_job,
+    compile_before,
+    export_all,
+    record_of,
+    remove_stale,
+)
+from hypose.app.reports.overlay import OverlayRows, PictureRows, colour_of, write_overlay, write_people_overlay
+from hypose.app.reports.report import report_pictures
+from hypose.app.reports.summary import CONTENT_POLICY, page
 from hypose.app.studio.view_bundle import Rivals, ViewResult, pictured
 from hypose.errors import InputError
 from hypose.io.files import check_writable
@@ -26,7 +35,7 @@ from hypose.pipeline.doubts import in_words
 from hypose.pipeline.one_of_several import chosen_people, keypoint_people, people_frames, wanted_of
 from hypose.pipeline.people_run import PeopleRun
 from hypose.pipeline.run import check_views
-from hypose.pipeline.tracked_people import OnePerson, Wanted, said_of_places
+from hypose.pipeline.tracked_people import TrackedPerson, Wanted, said_of_places
 from hypose.pipeline.verdict import UNTRUSTED, Verdict
 from hypose.tracking.contacts import runs
 from hypose.tracking.recipes import citation_of
@@ -34,7 +43,7 @@ from hypose.tracking.recipes import citation_of
 PEOPLE = "people.json"
 
 
-def run_people(job: Job, people: str, progress: ProgressCall = ignore) -> Outcome:
+def run_people(job: TrackJob, people: str, progress: ProgressCall = ignore) -> Outcome:
     """Track several people, export, draw and report; as `run_job` for one. The outcome is that of the first person,
     with everybody's files and the worst verdict."""
     recording, options, results = job.recording, job.options, job.results
@@ -88,7 +97,7 @@ def run_people(job: Job, people: str, progress: ProgressCall = ignore) -> Outcom
     return Outcome(first.result.motion, first.result.body, found.complete, tuple(files), said, None, verdict)
 
 
-def _nobody_called(name: str, wanted: Sequence[Wanted], people: Sequence[OnePerson]) -> str:
+def _nobody_called(name: str, wanted: Sequence[Wanted], people: Sequence[TrackedPerson]) -> str:
     """That the one who was asked for is not there, and who is."""
     one = next(w for w in wanted if w.name == name)
     return (
@@ -97,7 +106,7 @@ def _nobody_called(name: str, wanted: Sequence[Wanted], people: Sequence[OnePers
     )
 
 
-def worst_verdict(people: Sequence[OnePerson]) -> Verdict:
+def worst_verdict(people: Sequence[TrackedPerson]) -> Verdict:
     """Of several people: the worst word, and what each verdict says."""
     verdicts = {p.name: p.verdict for p in people}
     order = ("good", "look", UNTRUSTED)
@@ -107,7 +116,7 @@ def worst_verdict(people: Sequence[OnePerson]) -> Verdict:
     return Verdict(word, tuple(because), () if word == UNTRUSTED else frames)
 
 
-def _written(one: OnePerson, results: ResultsFolder) -> list[Path]:
+def _written(one: TrackedPerson, results: ResultsFolder) -> list[Path]:
     """What of one person there is before anything is drawn."""
     save_body(one.result.body, results.file("body.npz"))
     results.write_json("provenance.json", one.result.motion.provenance)
@@ -115,12 +124,12 @@ def _written(one: OnePerson, results: ResultsFolder) -> list[Path]:
     return [results.file(n) for n in ("motion.npz", "body.npz", "provenance.json", VERDICT)]
 
 
-def _there(one: OnePerson) -> list[list[int]]:
+def _there(one: TrackedPerson) -> list[list[int]]:
     return [[r.start, r.stop] for r in runs(one.present)]
 
 
 def _one_report(
-    job: Job, one: OnePerson, source: FrameStream, written: Sequence[Path], progress: ProgressCall
+    job: TrackJob, one: TrackedPerson, source: FrameStream, written: Sequence[Path], progress: ProgressCall
 ) -> list[Path]:
     """Motion files and report of one person."""
     own = replace(job, results=ResultsFolder(job.results.path / one.name), overlay=False)
@@ -141,17 +150,17 @@ def _one_report(
         rivals=Rivals.of_motion(motion),
     )
 
-    def overlay(path: Path, wanted: PictureRows) -> Shown:
+    def overlay(path: Path, wanted: PictureRows) -> OverlayRows:
         return write_overlay(path, job.recording, source, motion, body, wanted, progress)
 
     if job.report:
-        files += draw(own.results, about, overlay, mine, (False, True), progress)
+        files += report_pictures(own.results, about, overlay, mine, (False, True), progress)
     remove_stale(own.results, [*mine, *files])
     return files
 
 
 def _together(
-    job: Job, people: Sequence[OnePerson], source: FrameStream, notes: Sequence[str], progress: ProgressCall
+    job: TrackJob, people: Sequence[TrackedPerson], source: FrameStream, notes: Sequence[str], progress: ProgressCall
 ) -> list[Path]:
     """Overlay, C3D, GLB and index with everybody."""
     results, files = job.results, list[Path]()
@@ -182,7 +191,7 @@ def _together(
     return files
 
 
-def write_people_c3d(path: Path, people: Sequence[OnePerson]) -> Path:
+def write_people_c3d(path: Path, people: Sequence[TrackedPerson]) -> Path:
     """Joint centres of all, named NAME:JOINT, as one C3D with its subjects; points of who is not there are not seen."""
     subjects = [p.name.replace(" ", "-").replace(":", "-") for p in people]
     names = [f"{s}:{j}" for s, p in zip(subjects, people, strict=True) for j in p.result.motion.skeleton.joint_names]
@@ -197,7 +206,7 @@ def write_people_c3d(path: Path, people: Sequence[OnePerson]) -> Path:
     return path
 
 
-def _index(job: Job, people: Sequence[OnePerson], notes: Sequence[str]) -> str:
+def _index(job: TrackJob, people: Sequence[TrackedPerson], notes: Sequence[str]) -> str:
     """A page that leads to everybody's report."""
     rows = []
     for k, p in enumerate(people):
@@ -215,4 +224,4 @@ def _index(job: Job, people: Sequence[OnePerson], notes: Sequence[str]) -> str:
     said = "".join(f"<li>{html.escape(n)}</li>" for n in notes)
     heads = "".join(f"<th>{h}</th>" for h in ("", "person", "height", "there", "verdict"))
     body = f"<h1>{html.escape(job.recording.name)}</h1><table><tr>{heads}</tr>{''.join(rows)}</table>"
-    return page(job.recording.name, f"{body}{film}<ul>{said}</ul>", policy=f"{POLICY}; media-src 'self'")
+    return page(job.recording.name, f"{body}{film}<ul>{said}</ul>", policy=f"{CONTENT_POLICY}; media-src 'self'")

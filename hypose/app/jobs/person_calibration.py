@@ -10,7 +10,7 @@ import numpy as np
 from hypose.app.commands.commands_calibrate import print_table
 from hypose.app.commands.commands_check import keep_offsets
 from hypose.app.commands.commands_track import detected
-from hypose.app.commands.console import Stages, note, say
+from hypose.app.commands.console import Stages, print_note, say
 from hypose.calibration.from_person import PersonCalibration, calibrate_from_person
 from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError
@@ -58,7 +58,7 @@ def calibrate_recording(
         raise InputError("Say how tall the person is, in metres: --height 1.72 (the height gives the scale).")
     points, names = person_of(loaded, lenses is not None, yes)
     for text in loaded.notes:
-        note(f"note: {text}")
+        print_note(f"note: {text}")
     with Stages() as progress:
         found = calibrate_from_person(
             points, names, loaded.rig, height, loaded.frame_rate,

@@ -44,10 +44,10 @@ class Truth:
 
 def compare_with(path: str | Path, first: int = 0) -> Callable[[Motion, Body], Truth]:
     """A function that measures a motion, whose row 0 is frame `first`, against the truth in a truth.npz."""
-    return lambda motion, body: compare(path, motion, first)
+    return lambda motion, body: compare_with_truth(path, motion, first)
 
 
-def compare(path: str | Path, motion: Motion, first: int = 0) -> Truth:
+def compare_with_truth(path: str | Path, motion: Motion, first: int = 0) -> Truth:
     """A motion, whose row 0 is frame `first`, against the truth in a truth.npz."""
     path = Path(path)
     step = "make the recording again"

@@ -14,7 +14,7 @@ from hypose.app.live.vmc import vmc_messages
 from hypose.body.ready_bodies import JOINT_NAMES
 from hypose.errors import InputError
 from hypose.geometry import Array
-from hypose.pipeline.live.engine import LiveStatus, Seen
+from hypose.pipeline.live.engine import LiveResult, LiveStatus
 from hypose.pipeline.live.live_people import LivePose
 
 _UPPER = np.triu_indices(3)
@@ -129,7 +129,7 @@ class PoseOutputs:
         hello = {"type": "hello", "version": 1, "joints": JOINT_NAMES, "cameras": self._cameras, "rate": self._rate}
         return json.dumps(hello)
 
-    def seen(self, seen: Seen) -> None:
+    def seen(self, seen: LiveResult) -> None:
         """See `Listener`."""
         if not seen.poses:
             return

@@ -119,8 +119,8 @@ async def _until_gone(connection: ServerConnection, queue: Queue) -> None:
     put_newest(queue, None)
 
 
-T = TypeVar("T")
-MOST = 16
+_T = TypeVar("_T")
+_MAX_PENDING = 16
 
 
 class SocketListeners:
@@ -140,7 +140,7 @@ class SocketListeners:
         except OSError as error:
             self._end_loop()
             raise InputError(
-                f"Port {port} cannot be used ({refusal(error)}); choose another with --ws, 0 takes any free one."
+                f"Port {port} cannot be used ({listen_error(error)}); choose another with --ws, 0 takes any free one."
             ) from None
 
     @property
@@ -167,7 +167,7 @@ class SocketListeners:
         self._in_loop(self._close())
         self._end_loop()
 
-    def _in_loop(self, work: Coroutine[Any, Any, T]) -> T:
+    def _in_loop(self, work: Coroutine[Any, Any, _T]) -> _T:
         return asyncio.run_coroutine_threadsafe(work, self._loop).result()
 
     def _end_loop(self) -> None:
@@ -200,7 +200,7 @@ class SocketListeners:
     async def _listen(self, connection: ServerConnection) -> None:
         path = connection.request.path.partition("?")[0] if connection.request is not None else "/"
         hello = self._hello(path)
-        if len(self._outbox) >= MOST or hello is None:
+        if len(self._outbox) >= _MAX_PENDING or hello is None:
             full = hello is not None
             await connection.close(1013 if full else 1008, "too many listeners" if full else "there is no such path")
             return
@@ -210,7 +210,7 @@ class SocketListeners:
         await self._outbox.serve(connection, queue, path)
 
 
-def refusal(error: OSError | OverflowError) -> str:
+def listen_error(error: OSError | OverflowError) -> str:
     """Why a port cannot be listened on, in the system's words alone."""
     number = getattr(error, "errno", None)
     return (str(error) if number is None else os.strerror(number)).lower()

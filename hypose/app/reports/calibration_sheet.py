@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 import cv2
 import numpy as np
 
-from hypose.app.reports.result_pictures import write_text
+from hypose.app.reports.result_pictures import put_text
 from hypose.calibration.boards import Board, BoardDetection
 from hypose.calibration.from_boards import BoardCalibration
 from hypose.calibration.views import CameraViews
@@ -69,7 +69,7 @@ def _row(
         colour = (60, round(220 * (1 - share)), round(220 * share)) if np.isfinite(error) else (140, 140, 140)
         for x, y in (scale * s.pixels).round().astype(int).tolist():
             cv2.circle(cells[1], (x, y), 2, colour, -1, cv2.LINE_AA)
-    write_text(cells[1], f"{len(sightings)} boards, {100 * view.coverage:.0f} % of the area", 8, 18)
+    put_text(cells[1], f"{len(sightings)} boards, {100 * view.coverage:.0f} % of the area", 8, 18)
     strip = np.full((_STRIP, 3 * _WIDTH, 3), 20, np.uint8)
     numbers = sorted(view.looks)
     width = max(1, 3 * _WIDTH // max(len(numbers), 1))
@@ -78,7 +78,7 @@ def _row(
         x = round(k * 3 * _WIDTH / len(numbers))
         strip[4:-4, x : x + max(1, width - 1)] = _COLOURS.get(look.reason, _NOT_FOUND)
     head = np.full((30, 3 * _WIDTH, 3), 0, np.uint8)
-    write_text(head, view.summary(), 8, 20)
+    put_text(head, view.summary(), 8, 20)
     return np.concatenate([head, np.concatenate(cells, 1), strip])
 
 
@@ -92,7 +92,7 @@ def _picture(view: CameraViews, frame: int | None, size: tuple[int, int], text: 
                 )
         except InputError:
             text = f"{text}: cannot be read again"
-    write_text(image, text, 8, 18)
+    put_text(image, text, 8, 18)
     return image
 
 

@@ -20,7 +20,7 @@ from hypose.io.files import write_text
 from hypose.io.recordings.recording import Recording
 from hypose.pipeline.examine import window
 
-SEEN, EXPECTED = (60, 200, 250), (60, 60, 235)  # BGR
+_MEASURED, EXPECTED = (60, 200, 250), (60, 60, 235)  # BGR
 
 
 def residual_picture(recording: Recording, observed: Observed, cured: Cured) -> Image | None:
@@ -77,13 +77,13 @@ def _drawn(picture: Image, found: np.ndarray, expected: np.ndarray, confidence: 
         if np.isfinite(expected[k]).all():
             b = tuple(int(v) for v in np.rint(np.clip((expected[k] - [x0, y0]) * scale, -4000, 4000)))
             cv2.line(part, a, b, EXPECTED, 2, cv2.LINE_AA)
-        cv2.circle(part, a, 4, SEEN, -1, cv2.LINE_AA)
+        cv2.circle(part, a, 4, _MEASURED, -1, cv2.LINE_AA)
     cv2.rectangle(part, (0, 0), (part.shape[1], 24), (30, 30, 30), -1)
     cv2.putText(part, name, (8, 17), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (255, 255, 255), 1, cv2.LINE_AA)
     return np.asarray(part, np.uint8)
 
 
-def write_page(
+def write_check_page(
     path: Path,
     title: str,
     report: PersonReport,

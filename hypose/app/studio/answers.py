@@ -17,7 +17,7 @@ from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.routing import Route
 
 from hypose.app.studio.catalog import NotFound
-from hypose.app.studio.view_bundle import plain
+from hypose.app.studio.view_bundle import json_values
 from hypose.errors import HyposeError, InputError
 from hypose.json_text import parse_json
 
@@ -48,7 +48,7 @@ _STATUS: tuple[tuple[type[HyposeError], int], ...] = ((NotFound, 404), (NotNow, 
 
 def answer(value: Any, status: int = 200) -> JSONResponse:
     """JSON; numpy values become plain ones, NaN becomes null. Never kept by the browser: files change."""
-    return JSONResponse(plain(value), status, headers={"Cache-Control": "no-store"})
+    return JSONResponse(json_values(value), status, headers={"Cache-Control": "no-store"})
 
 
 def block_answer(block: bytes | bytearray | None) -> Response:
@@ -72,7 +72,7 @@ def jpeg_answer(data: bytes | None, seconds: int) -> Response:
     return Response(data, media_type="image/jpeg", headers={"Cache-Control": f"private, max-age={seconds}"})
 
 
-def refusal(status: int, sentence: str) -> JSONResponse:
+def error_response(status: int, sentence: str) -> JSONResponse:
     """An error as the page shows it."""
     return JSONResponse({"error": sentence}, status)
 
@@ -86,7 +86,7 @@ def route(path: str, call: Callable[..., Any], method: str = "GET", status: int 
             given = (request, await _body_of(request)) if method == "POST" else (request,)
             value = await (call(*given) if inspect.iscoroutinefunction(call) else run_in_threadpool(call, *given))
         except HyposeError as error:
-            return refusal(next((code for kind, code in _STATUS if isinstance(error, kind)), 400), str(error))
+            return error_response(next((code for kind, code in _STATUS if isinstance(error, kind)), 400), str(error))
         return value if isinstance(value, Response) else answer(value, status)
 
     return Route(path, endpoint, methods=[method])
@@ -134,7 +134,7 @@ def _inside(value: dict[str, Any] | list[Any]) -> list[Any]:
     return value if isinstance(value, list) else [*value.keys(), *value.values()]
 
 
-def number(value: Any, what: str, low: float, high: float) -> float:
+def request_number(value: Any, what: str, low: float, high: float) -> float:
     """A number from low to high."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise InputError(f"There is no number for {what} in {_short(value)}; give {low:g} to {high:g}.")
@@ -159,7 +159,7 @@ def text(value: Any, what: str, longest: int, advice: str) -> str:
     return value
 
 
-def choice(value: Any, what: str, allowed: Sequence[str]) -> str:
+def request_choice(value: Any, what: str, allowed: Sequence[str]) -> str:
     """One of some words."""
     if not isinstance(value, str) or value not in allowed:
         words = f"{', '.join(allowed[:-1])} or {allowed[-1]}" if len(allowed) > 1 else "".join(allowed)

@@ -32,7 +32,7 @@ _SETTINGS = ("calibration_unit", "world_up", "frame_rate", "subject_height")
 _ROLES = ("video", "background", "masks", "keypoints", "board")
 
 
-def listed(catalog: Catalog, folder: Path, within: bool) -> dict[str, Any]:
+def list_folder(catalog: Catalog, folder: Path, within: bool) -> dict[str, Any]:
     """List a folder of the served one: its folders, and, where `within` is set, what in it and below it can be part of
     a recording, each with its path from there and what it is."""
     entries = _entries(folder)

@@ -20,7 +20,7 @@ from hypose.gestures.events import (
 from hypose.gestures.forest import Forest
 from hypose.gestures.localise import Localisation, Scratch, localise
 
-KEPT = 40
+_KEPT = 40
 """Frames of each kind that are kept; every frame has the same chance."""
 _WINDOW_S = 60.0
 """s of movement over which false alarms are counted."""
@@ -52,9 +52,9 @@ class HeldBack:
         """A frame of a learning segment that is not learned; at: pixel of the gesture, None for other movement."""
         kept, shown = self._frames[at is not None], at is not None
         self._count[shown] += 1
-        if len(kept) < KEPT:
+        if len(kept) < _KEPT:
             kept.append((depth, at, segment))
-        elif (place := int(self._keep.integers(self._count[shown]))) < KEPT:
+        elif (place := int(self._keep.integers(self._count[shown]))) < _KEPT:
             kept[place] = depth, at, segment
 
     def test(self, depth: DepthImage, at: tuple[float, float] | None, found: Localisation) -> None:

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.app.jobs.gesture_job import finished, growing_model, new_learner, thresholds
+from hypose.app.jobs.gesture_job import growing_model, loaded_forests, new_learner, thresholds
 from hypose.app.live.gesture_sources import Taken
 from hypose.app.studio.gesture_judge import FalseAlarms, HeldBack
-from hypose.app.studio.gesture_start import PHASES, Controls, Feed, Start
+from hypose.app.studio.gesture_start import STUDIO_PHASES, Controls, GestureFeed, SessionRequest
 from hypose.gestures.depth_pictures import surface_depth
 from hypose.gestures.events import Event, EventSettings, EventState, detect_events
 from hypose.gestures.localise import Localisation, LocaliseSettings, Scratch, densities, settle
@@ -33,14 +33,14 @@ _HELD_EVERY = 5
 """Every so many seconds of learning, one second is kept from the forest."""
 
 
-Shown = tuple[dict[str, Any], NDArray[np.float32] | None]
+_Shown = tuple[dict[str, Any], NDArray[np.float32] | None]
 """What a frame gives the page: the step message (without seq), the map of votes if it was wanted."""
 
 
 class Training:
     """Only the session's thread calls it, except `save` after that thread has ended."""
 
-    def __init__(self, start: Start, feed: Feed, old: Path | None, folder: Path, model: Path) -> None:
+    def __init__(self, start: SessionRequest, feed: GestureFeed, old: Path | None, folder: Path, model: Path) -> None:
         self.feed, self.folder, self.path, self.names = feed, folder, model, [start.gesture]
         self._old = growing_model(old, start.gesture) if old is not None else None
         # checks the name before anything is written
@@ -48,7 +48,7 @@ class Training:
         GestureModel((start.gesture,), learner.forest, (None,), LocaliseSettings(), learner)
         self.trainer = Trainer(learner, start.settings)
         s = start.settings
-        seconds = {name: getattr(s, f"{name}_s") for name in PHASES}
+        seconds = {name: getattr(s, f"{name}_s") for name in STUDIO_PHASES}
         self.told = {"rounds": s.rounds, "seconds": seconds}
         source = feed.source
         self._writer = SessionWriter(folder, [start.gesture], source.lens, source.size, self.told)
@@ -71,7 +71,7 @@ class Training:
         """Nothing goes on until the page says so."""
         return self.trainer.session.paused is not None
 
-    def frame(self, taken: Taken, controls: Controls, commands: Sequence[Command], fresh: bool) -> Shown:
+    def frame(self, taken: Taken, controls: Controls, commands: Sequence[Command], fresh: bool) -> _Shown:
         """Take a picture; fresh False: it was taken before, and only the commands are new."""
         source, trainer = self.feed.source, self.trainer
         if not self.feed.knows:
@@ -231,10 +231,10 @@ class Watching:
     folder = None
     asks = "free"
 
-    def __init__(self, feed: Feed, models: Sequence[GestureModel]) -> None:
+    def __init__(self, feed: GestureFeed, models: Sequence[GestureModel]) -> None:
         self.feed = feed
         self.names = [n for m in models for n in m.names]
-        self._forests, self._limits = finished(models), thresholds(models, None)
+        self._forests, self._limits = loaded_forests(models), thresholds(models, None)
         self._look = LocaliseSettings(memory=_MEMORY)
         self._scratch, self._state, self._pause = Scratch(), EventState(), False
 
@@ -243,7 +243,7 @@ class Watching:
         """Nothing goes on until the page says so."""
         return self._pause
 
-    def frame(self, taken: Taken, controls: Controls, commands: Sequence[Command], fresh: bool) -> Shown:
+    def frame(self, taken: Taken, controls: Controls, commands: Sequence[Command], fresh: bool) -> _Shown:
         """Take a picture; fresh False: it was taken before, and only the commands are new."""
         for c in commands:
             self._pause = c == "pause" if c in ("pause", "continue") else self._pause

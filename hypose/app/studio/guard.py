@@ -15,11 +15,11 @@ from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from hypose.app.live.servers import shows_secret
-from hypose.app.studio.answers import refusal
+from hypose.app.studio.answers import error_response
 
 LOOPBACK = frozenset({"127.0.0.1", "localhost", "::1"})
 _CHANGING = frozenset({"POST", "PUT", "DELETE", "PATCH"})
-POLICY = (
+_POLICY = (
     "default-src 'self'; img-src 'self' data: blob:; style-src 'self' 'unsafe-inline'; connect-src 'self'; "
     "worker-src 'self' blob:; media-src 'self' data: blob:; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
 )
@@ -49,7 +49,7 @@ class Guard:
         if problem is None:
             await self._app(scope, receive, self._hardened(scope, send))
         elif scope["type"] == "http":
-            await refusal(problem[0].value, problem[1])(scope, receive, send)
+            await error_response(problem[0].value, problem[1])(scope, receive, send)
         else:
             await receive()
             await send({"type": "websocket.close", "code": 1008, "reason": problem[1][:120]})
@@ -82,7 +82,7 @@ class Guard:
                 extra = {"x-content-type-options": "nosniff", "referrer-policy": "no-referrer"}
                 extra["cross-origin-resource-policy"] = "same-origin"
                 if "content-security-policy" not in headers:
-                    extra["content-security-policy"] = POLICY
+                    extra["content-security-policy"] = _POLICY
                 message["headers"] = [*message["headers"], *((k.encode(), v.encode()) for k, v in extra.items())]
             await send(message)
 

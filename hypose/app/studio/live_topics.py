@@ -18,10 +18,10 @@ import numpy as np
 from starlette.concurrency import run_in_threadpool
 
 from hypose.app.live import simulated_sensors
-from hypose.app.live.live_server import LiveOptions as FuseOptions
+from hypose.app.live.live_server import FusionServerOptions as FuseOptions
 from hypose.app.live.live_server import LiveServer
 from hypose.app.live.pose_outputs import PoseOutputs, pose_json, status_json
-from hypose.app.studio.answers import NotNow, number, text, whole
+from hypose.app.studio.answers import NotNow, request_number, text, whole
 from hypose.app.studio.catalog import Catalog
 from hypose.app.studio.hub import Hub, Message, Topic
 from hypose.app.studio.job_kinds import free_folder
@@ -30,15 +30,15 @@ from hypose.errors import InputError
 from hypose.fusion.align import AlignSettings
 from hypose.fusion.joints import COMMON, PARENT
 from hypose.fusion.live import LiveSettings
-from hypose.io.videos.camera_sources import Shot, is_device
-from hypose.pipeline.live.engine import LiveEngine, LiveOptions, LiveStatus, Seen
+from hypose.io.videos.camera_sources import CameraImage, is_device
+from hypose.pipeline.live.engine import LiveEngine, LiveResult, LiveStatus, LiveTrackingOptions
 from hypose.pipeline.live.eyes import EyesOptions
 from hypose.pipeline.live.live_rig import LiveRig, live_rig
 from hypose.pipeline.live.live_search import LivePersonOptions
 from hypose.pipeline.live.recorder import LiveRecorder
 from hypose.pipeline.settings import SETTINGS
 
-FOLDER = "live"
+_FOLDER = "live"
 """Where recordings go, in the served folder."""
 _WAITING = 32
 """Messages of the fusion that wait to be told."""
@@ -135,15 +135,15 @@ class FuseTopic(LiveTopic):
         """Open the ports on this computer, and the recording where one is wanted. With `simulated` so many made-up
         sensors send to it."""
         udp, ws = (whole(message.get(k, 0), f"the {k} port", 0, 65535) for k in ("udp", "ws"))
-        rate = number(message.get("rate", 30), "the rate", 1, 240)
+        rate = request_number(message.get("rate", 30), "the rate", 1, 240)
         made_up = message.get("simulated") or 0
         if made_up:
-            whole(made_up, "the number of simulated sensors", 2, simulated_sensors.MOST)
+            whole(made_up, "the number of simulated sensors", 2, simulated_sensors.MAX_SIMULATED)
         osc = _target(message, "osc", 9000)
         seen = None
         if made_up:
             seen = await run_in_threadpool(simulated_sensors.simulated_sensors, made_up, np.random.default_rng(0))
-        record = recording_folder(self._catalog, FOLDER, "live") if message.get("record") is True else None
+        record = recording_folder(self._catalog, _FOLDER, "live") if message.get("record") is True else None
         settings = LiveSettings(AlignSettings(rate=rate))
         server = LiveServer(FuseOptions(udp=udp, ws=ws, osc=osc, record=record, settings=settings))
         try:
@@ -219,14 +219,14 @@ class CameraTopic(LiveTopic):
         played; countdown s; people: at most so many; record, osc, vmc as for the fusion."""
         recording = self._catalog.find("recording", text(message.get("recording"), "recording", 200, "choose one"))
         sources = _sources(message.get("sources") or {})
-        countdown = number(message.get("countdown", 5), "the countdown", 0, 600)
-        rate = number(message["rate"], "the rate", 1, 240) if message.get("rate") else None
+        countdown = request_number(message.get("countdown", 5), "the countdown", 0, 600)
+        rate = request_number(message["rate"], "the rate", 1, 240) if message.get("rate") else None
         ws = whole(message.get("ws", 0), "the ws port", 0, 65535)
         people = whole(message.get("people", 1), "the number of people", 1, SETTINGS.engine_most_people)
         osc, vmc = _target(message, "osc", 9000), _target(message, "vmc", 39539)
         cameras = await run_in_threadpool(live_rig, recording.path, sources, rate)
         names = tuple(v.name for v in cameras.views)
-        record = recording_folder(self._catalog, FOLDER, "cameras") if message.get("record") is True else None
+        record = recording_folder(self._catalog, _FOLDER, "cameras") if message.get("record") is True else None
         recorder = None
         async with contextlib.AsyncExitStack() as undone:  # what was begun, when the rest cannot be
             outputs = PoseOutputs(names, cameras.rate, ws=ws, osc=osc, vmc=vmc, clock=time.monotonic)
@@ -237,7 +237,7 @@ class CameraTopic(LiveTopic):
             pictures = _Pictures(self._hub, self.name, cameras)
             undone.callback(pictures.close)
             eyes = EyesOptions(cameras.rate, countdown, cameras.silhouettes)
-            how = LiveOptions(eyes, LivePersonOptions(height=cameras.height), people, pictures=True)
+            how = LiveTrackingOptions(eyes, LivePersonOptions(height=cameras.height), people, pictures=True)
             listeners = [outputs, pictures, *([recorder] if recorder else [])]
             engine = LiveEngine(cameras.rig, cameras.views, how, listeners)
             undone.push_async_callback(run_in_threadpool, engine.stop)
@@ -306,13 +306,13 @@ class _Pictures:
         self._hub, self._topic = hub, topic
         self._cameras = tuple(v.name for v in cameras.views)
         self._places = [np.linalg.inv(c.camera_from_world).round(4).tolist() for c in cameras.rig]
-        self._newest: Seen | None = None
+        self._newest: LiveResult | None = None
         self._drawn = -np.inf
         self._wake, self._ended = threading.Event(), False
         self._thread = threading.Thread(target=self._draw, name="pictures", daemon=True)
         self._thread.start()
 
-    def seen(self, seen: Seen) -> None:
+    def seen(self, seen: LiveResult) -> None:
         """See `Listener`."""
         now, people = time.monotonic(), []
         for pose in seen.poses:
@@ -353,7 +353,7 @@ class _Pictures:
 
 def _picture(jpeg: bytes | None, bits: np.ndarray | None) -> str | None:
     """A small picture with the mask as a tint, base64; None without a picture."""
-    image = None if jpeg is None else Shot(0.0, None, jpeg).picture((_WIDTH, 1))
+    image = None if jpeg is None else CameraImage(0.0, None, jpeg).picture((_WIDTH, 1))
     if image is None:
         return None
     size = _WIDTH, max(1, round(_WIDTH * image.shape[0] / image.shape[1]))

@@ -10,14 +10,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
 
-from hypose.app.studio.answers import choice, text, whole
-from hypose.app.studio.answers import number as number_of
+from hypose.app.studio.answers import request_choice, text, whole
+from hypose.app.studio.answers import request_number as number_of
 from hypose.app.studio.catalog import Catalog
 from hypose.errors import HyposeError, InputError
 from hypose.io.files import read_text, read_toml, toml_value, write_text
 from hypose.io.recordings.recording import Recording, load_recording
 
-KINDS = (
+_KINDS = (
     "accept_scaled", "leave_out", "take_back", "background", "use_refined", "keypoint_lag", "keypoint_pixels",
     "image_shift",
 )  # fmt: skip
@@ -30,13 +30,13 @@ def mend(folder: Path, recording: Recording | None, asked: dict[str, Any], catal
     """Do what is asked: {"what": one of KINDS, "view": name, "path": picture or video of an empty room, "frames": by
     which key points come too early, "x", "y": px by which a view's pictures have to move}.
     recording: as it is read now, None where it cannot be."""
-    what = choice(asked.get("what"), "way to mend", KINDS)
+    what = request_choice(asked.get("what"), "way to mend", _KINDS)
     path = folder / "recording.toml"
     if not path.is_file():
         raise InputError(f"{folder.name} has no recording.toml to be changed; a Pose2Sim project is only read.")
     before = read_text(path, "a recording.toml")
     if what == "use_refined":
-        return _try(path, before, _with_calibration(before, refined(folder)))
+        return _try(path, before, _with_calibration(before, newest_refined_calibration(folder)))
     if what == "take_back":
         return _try(path, before, "\n".join(line.removeprefix(_AWAY) for line in before.split("\n")))
     if what == "keypoint_pixels":
@@ -46,7 +46,7 @@ def mend(folder: Path, recording: Recording | None, asked: dict[str, Any], catal
         lag = frames + (0 if recording is None else recording.keypoint_lag)
         return _try(path, before, _at_top(before, "keypoint_lag", lag))
     names = _names(path, recording)
-    name = choice(asked.get("view"), "view", names)
+    name = request_choice(asked.get("view"), "view", names)
     number, value = names.index(name), cast(Any, True)
     if what == "leave_out":
         if len(names) < 2:
@@ -71,7 +71,7 @@ def _names(path: Path, recording: Recording | None) -> list[str]:
     return [str(t.get("name", t.get("camera", k))) for k, t in enumerate(tables, 1) if isinstance(t, dict)]
 
 
-def left_out(folder: Path) -> list[str]:
+def excluded_views(folder: Path) -> list[str]:
     """Names of the views that have been left out of a recording."""
     try:
         lines = read_text(folder / "recording.toml", "a recording.toml").split("\n")
@@ -84,7 +84,7 @@ def left_out(folder: Path) -> list[str]:
     return names if len(names) == blocks else [f"{blocks} views"] if blocks else []
 
 
-def refined(folder: Path) -> str | None:
+def newest_refined_calibration(folder: Path) -> str | None:
     """The newest refined calibration of a recording, relative to it."""
     files = sorted(folder.glob(_REFINED), key=lambda p: p.stat().st_mtime)
     return files[-1].relative_to(folder).as_posix() if files else None

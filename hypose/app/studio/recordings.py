@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from hypose.app.studio.catalog import Catalog, Item, NotFound
 from hypose.app.studio.job_kinds import CALIBRATION, board_files
 from hypose.app.studio.memory_cache import Kept
-from hypose.app.studio.mending import left_out, refined
+from hypose.app.studio.mending import excluded_views, newest_refined_calibration
 from hypose.app.studio.view_pictures import AnyFrame
 from hypose.calibration.views import find_sources
 from hypose.cameras.camera import Camera
@@ -118,7 +118,7 @@ class Recordings:
             "sync": read_found(item.path, "sync.json"),
             "check": read_found(item.path, "check.json"),
             "subject": read_subject(item.path),
-            "left_out": left_out(item.path),
+            "left_out": excluded_views(item.path),
             "refined": _unused(item.path),
             "starts": sorted(p.stem for p in (item.path / "starts").glob("*.json")),
         }
@@ -176,7 +176,7 @@ class Recordings:
                 raise InputError(f"{r.name} has the frames 0 to {r.n_frames - 1}, there is no {frame}.")
             if not 32 <= width <= 4096:
                 raise InputError(f"Pictures cannot be {width} px wide; ask for 32 to 4096.")
-            view, options = r.rig.names.index(camera), changed(r.silhouettes, settings)
+            view, options = r.rig.names.index(camera), _with_query(r.silhouettes, settings)
             full = r.rig[view]
             w = min(width, full.size[0])
             small = full.scaled((w, max(1, round(full.size[1] * w / full.size[0])))).pinhole()
@@ -187,7 +187,7 @@ class Recordings:
             if mask is None:
                 raise NotFound(f"{camera} has masks only, no pictures.")
             image = np.full((*mask.shape, 3), 40, np.uint8)
-        picture = image if mask is None else draw(image, mask, shown)
+        picture = image if mask is None else _draw_mask(image, mask, shown)
         return cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()
 
     def save_settings(self, item: Item, settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -226,7 +226,7 @@ class Recordings:
         return mask_runs.draw(runs)
 
 
-def draw(image: Image, mask: Mask, shown: str) -> Image:
+def _draw_mask(image: Image, mask: Mask, shown: str) -> Image:
     """A picture with a mask of any size of the same shape."""
     h, w = image.shape[:2]
     whole = np.asarray(cv2.resize(mask * np.uint8(255), (w, h), interpolation=cv2.INTER_LINEAR) > 127, np.uint8)
@@ -240,7 +240,7 @@ def draw(image: Image, mask: Mask, shown: str) -> Image:
     return out
 
 
-def changed(options: SilhouetteSettings, settings: Mapping[str, str]) -> SilhouetteSettings:
+def _with_query(options: SilhouetteSettings, settings: Mapping[str, str]) -> SilhouetteSettings:
     """The options with settings out of a query: texts as in JSON, numbers of a list with commas between."""
     table: dict[str, Any] = {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(options).items()}
     for key, text in settings.items():
@@ -283,7 +283,7 @@ def board_of(folder: Path) -> dict[str, Any] | None:
 
 def _unused(folder: Path) -> str | None:
     """A refined calibration that the recording does not use yet."""
-    found = refined(folder)
+    found = newest_refined_calibration(folder)
     with contextlib.suppress(HyposeError):
         return found if read_toml(folder / "recording.toml").get("calibration") != found else None
     return None

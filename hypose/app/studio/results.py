@@ -18,7 +18,7 @@ from hypose.app.studio.catalog import Catalog, Item, NotFound
 from hypose.app.studio.job_kinds import Plan
 from hypose.app.studio.memory_cache import Kept
 from hypose.app.studio.recordings import Recordings
-from hypose.app.studio.view_bundle import plain, view_bundle
+from hypose.app.studio.view_bundle import json_values, view_bundle
 from hypose.app.studio.view_pictures import ViewPictures
 from hypose.app.studio.view_result import first_frame, in_recording, load_view, quality_of
 from hypose.body.motion import Motion
@@ -162,7 +162,7 @@ class Results:
 
         def make() -> bytes:
             with self._one:
-                return json.dumps(plain(gait_view(item.path))).encode()
+                return json.dumps(json_values(gait_view(item.path))).encode()
 
         with self._gaits.use((item.id, _stamp(item.path)), make) as data:
             return data

@@ -29,12 +29,12 @@ from hypose.body.skeleton import Skeleton
 from hypose.cameras.camera import CameraRig
 from hypose.errors import visible
 from hypose.geometry import Array, quaternion_from_matrix
-from hypose.io.motions.export import FORMATS
+from hypose.io.motions.export import MOTION_FORMATS
 from hypose.io.recordings.recording import Recording
 from hypose.pipeline.verdict import Verdict
 
 MAGIC = b"HYPOSEV1"
-LOST, EXTRAPOLATED, DOUBTFUL = 1, 2, 3
+_LOST, _EXTRAPOLATED, _LOW_CONFIDENCE = 1, 2, 3
 MOST_RIVALS = 6
 _UNKNOWN_PERCENT = 255
 _AT_ONCE = 1 << 11
@@ -114,7 +114,7 @@ def view_bundle(result: ViewResult) -> bytearray:
         index[name] = {"dtype": a.dtype.str[1:], "shape": list(a.shape), "offset": offset}
         offset += -(-a.nbytes // 8) * 8
     header["arrays"] = index
-    text = json.dumps(plain(header), ensure_ascii=False, separators=(",", ":")).encode()
+    text = json.dumps(json_values(header), ensure_ascii=False, separators=(",", ":")).encode()
     start = -(-(len(MAGIC) + 4 + len(text)) // 8) * 8
     block = bytearray(start + offset)
     struct.pack_into(f"<{len(MAGIC)}sI{len(text)}s", block, 0, MAGIC, len(text), text)
@@ -204,7 +204,7 @@ def _flags(motion: Motion) -> np.ndarray:
     """(T,) the gravest that is said of each frame; 0 = nothing."""
     doubtful = np.zeros(len(motion), dtype=bool) if motion.doubtful is None else motion.doubtful
     cases = [motion.lost.astype(bool), motion.extrapolated.astype(bool), doubtful]
-    return np.select(cases, [LOST, EXTRAPOLATED, DOUBTFUL], 0).astype("u1")
+    return np.select(cases, [_LOST, _EXTRAPOLATED, _LOW_CONFIDENCE], 0).astype("u1")
 
 
 def _mesh(level: str, mesh: Mesh) -> dict[str, np.ndarray]:
@@ -238,7 +238,7 @@ def _header(result: ViewResult) -> dict[str, Any]:
         "joint_names": list(s.joint_names),
         "parents": s.parents,
         "floor": _floor(m, result.body),
-        "formats": list(FORMATS) if m.poses is not None else ["trc", "c3d", "csv"],
+        "formats": list(MOTION_FORMATS) if m.poses is not None else ["trc", "c3d", "csv"],
         "angles": [{"name": n, "unit": "m" if is_length(n) else "°"} for n in ANGLE_NAMES],
         "cameras": _cameras(result),
         "subject": subject_rows(result.body) if result.body is not None else [],
@@ -292,14 +292,14 @@ def _floor(motion: Motion, body: Body | None) -> float:
     return 0.0 if abs(standing) < 0.25 else standing
 
 
-def plain(value: Any) -> Any:
+def json_values(value: Any) -> Any:
     """Plain JSON values; what JSON cannot say (NaN, infinity) becomes null, what is no text in a name an escape."""
     if isinstance(value, np.ndarray | np.generic):
-        return plain(value.tolist())
+        return json_values(value.tolist())
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, Mapping):
-        return {visible(str(k)): plain(v) for k, v in value.items()}
+        return {visible(str(k)): json_values(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(v) for v in value]
+        return [json_values(v) for v in value]
     return value if isinstance(value, int | bool) or value is None else visible(str(value))

@@ -23,7 +23,7 @@ from hypose.errors import InputError
 from hypose.geometry import Array, Image
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.object_masks import ObjectMasks
-from hypose.io.recordings.recording import Recording, View
+from hypose.io.recordings.recording import Recording, ViewSettings
 from hypose.io.recordings.recording_views import open_pictures
 from hypose.io.videos.video import VideoReader, open_capture, open_video
 
@@ -37,7 +37,7 @@ _PER_PIXEL, _PER_WORKING_PIXEL = 40, 60
 class AnyFrame:
     """Frames of one view in any order. A folder of images is read directly."""
 
-    def __init__(self, view: View) -> None:
+    def __init__(self, view: ViewSettings) -> None:
         source = view.source or view.masks
         assert source is not None
         self.only_masks = view.source is None

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
-from hypose.app.jobs.truth import compare
+from hypose.app.jobs.truth import compare_with_truth
 from hypose.app.reports.summary import DESCRIPTIONS, summarize
 from hypose.app.studio.catalog import recording_above
 from hypose.app.studio.view_bundle import Rivals, ViewResult, pictured
@@ -20,7 +20,7 @@ from hypose.io.recordings.recording import Recording, load_recording
 from hypose.pipeline.verdict import Verdict, verdict_of
 from hypose.tracking.recipes import citation_of
 
-T = TypeVar("T")
+_T = TypeVar("_T")
 
 
 def load_view(results: str | Path, recording: Recording | None = None) -> ViewResult:
@@ -38,7 +38,7 @@ def load_view(results: str | Path, recording: Recording | None = None) -> ViewRe
         raise InputError(f"{path} holds a motion of no frames, so there is nothing to show; track the recording again.")
     notes: list[str] = []
 
-    def part(what: str, make: Callable[[], T | None]) -> T | None:
+    def part(what: str, make: Callable[[], _T | None]) -> _T | None:
         try:
             return make()
         except HyposeError as error:
@@ -53,7 +53,7 @@ def load_view(results: str | Path, recording: Recording | None = None) -> ViewRe
         notes += recording.notes
         known = recording.folder / "truth.npz"
         if known.is_file() and motion.poses is not None:
-            truth = part("The truth is not shown", lambda: compare(known, motion, first))
+            truth = part("The truth is not shown", lambda: compare_with_truth(known, motion, first))
     return in_recording(
         recording,
         motion,

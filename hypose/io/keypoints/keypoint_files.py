@@ -33,8 +33,8 @@ from hypose.io.motions.results import parse_array
 
 MAX_BYTES = 512 * 2**20
 MAX_POINTS = 1000
-MAX_FRAMES = 5_000_000
-SEEN = 0.3
+MAX_POINT_FRAMES = 5_000_000
+_MIN_SCORE = 0.3
 """Points of less score are not there for tracking."""
 WEIGHED = 0.31
 _SAMPLED = 60
@@ -95,11 +95,11 @@ def checked_people(values: Any, where: str) -> Array:
     return np.where(missing[..., None], 0.0, p)
 
 
-def weighed(points: Array, variance: Array) -> Array:
+def scores_from_variance(points: Array, variance: Array) -> Array:
     """Points (..., 3) with a variance (..., 2) px^2 of each as those of which the score says how much they weigh: 1 for
     a point as sure as the median one or surer, else its share of that one's information; not below WEIGHED, since what
     is less sure is told from what is not there by the score that it has. Points without a variance stay as they are."""
-    given = np.isfinite(variance).all(-1) & (variance > 0).all(-1) & (points[..., 2] > SEEN)
+    given = np.isfinite(variance).all(-1) & (variance > 0).all(-1) & (points[..., 2] > _MIN_SCORE)
     if not given.any():
         return points
     spread = variance.mean(-1)
@@ -196,13 +196,13 @@ def deeplabcut_table(
 ) -> KeypointTable:
     """The table of DeepLabCut's columns (individual, body part, coordinate) and values (T, columns)."""
     people = by_individual(columns, where)
-    if not people or not 0 < len(numbers) <= MAX_FRAMES:
+    if not people or not 0 < len(numbers) <= MAX_POINT_FRAMES:
         raise InputError(f"{where} has {len(people)} individuals and {len(numbers)} frames; analyse the video again.")
     names = tuple(p for p, _ in next(iter(people.values())))
     places = np.array([[dict(parts)[n] for n in names] for parts in people.values()])  # (P, K, 3 or 5)
     whole = values[:, places]
     spread = places.shape[2] == 5
-    points = weighed(whole[..., :3], whole[..., 3:]) if spread else whole
+    points = scores_from_variance(whole[..., :3], whole[..., 3:]) if spread else whole
     found = {n: _seen(checked_people(row, f"{where}, frame {n}")) for n, row in zip(numbers, points, strict=True)}
     return KeypointTable("DeepLabCut", found, min(found), names, spread=spread)
 

@@ -30,7 +30,7 @@ from hypose.geometry import Array
 from hypose.io.file_names import file_name, match_names
 from hypose.io.files import read_json, write_text
 from hypose.io.keypoints.keypoint_files import (
-    MAX_FRAMES,
+    MAX_POINT_FRAMES,
     KeypointTable,
     clock_file,
     read_keypoint_csv,
@@ -196,7 +196,7 @@ def _told(
 ) -> tuple[ViewKeypoints | None, str]:
     if len(sample) == 0:
         return None, ""
-    if (last := max(table.people)) - first > MAX_FRAMES:
+    if (last := max(table.people)) - first > MAX_POINT_FRAMES:
         raise InputError(f"a frame has the number {last}, the first {first}; the file is damaged: export it again.")
     if table.names is not None:
         kind, sample, left = arranged(table.names, sample)
@@ -286,7 +286,7 @@ def check_keypoints(
 # picture, numbered from the first frame of the video, and FOLDER/VIEW/masks the masks, if the detector gives any.
 
 
-FOLDER = "keypoints"
+KEYPOINT_FOLDER = "keypoints"
 """In the recording's folder."""
 MASKS = "masks"
 _SIDECAR = "detector.json"
@@ -368,7 +368,7 @@ def with_detected(folder: Path, settings: Mapping[str, Any], notes: list[str]) -
         return settings  # which the recording's own check tells
     if any("keypoints" in t for t in tables):
         return settings
-    found = load_detected(folder / FOLDER)
+    found = load_detected(folder / KEYPOINT_FOLDER)
     if found is None:
         return settings
     if not found.complete:

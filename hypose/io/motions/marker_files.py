@@ -48,7 +48,9 @@ def metres_per_unit(unit: str, where: str) -> float:
         raise InputError(f"{where} is in unit {unit!r}; known units are {', '.join(METRES)}.") from None
 
 
-def checked(names: Sequence[str], points: ArrayLike, frame_rate: float, where: str) -> tuple[tuple[str, ...], Array]:
+def checked_markers(
+    names: Sequence[str], points: ArrayLike, frame_rate: float, where: str
+) -> tuple[tuple[str, ...], Array]:
     """Names and points (T, M, 3) of a file to be written, or an InputError that says what is wrong with
     them."""
     p, n = np.asarray(points, dtype=np.float64), tuple(str(name) for name in names)
@@ -88,7 +90,7 @@ def write_trc(
 
     Cells have 0.1 micrometre; the file appears whole or not at all.
     """
-    names, p = checked(names, points, frame_rate, str(path))
+    names, p = checked_markers(names, points, frame_rate, str(path))
     scale = metres_per_unit(unit, str(path))
     digits = 7 + round(math.log10(scale))
     rows = p[..., _WORLD].reshape(len(p), -1) / scale

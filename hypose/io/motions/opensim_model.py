@@ -136,10 +136,10 @@ class _Writer:
         turn = BODY_AXES @ self.neutral[self.origin[name]]
         inertia = turn @ m.inertia @ turn.T
         entry = put(parent, "Body", name=name)
-        put(entry, "mass", numbers([m.mass]))
-        put(entry, "mass_center", numbers(self.local(name, m.centre[None])[0]))
+        put(entry, "mass", _numbers([m.mass]))
+        put(entry, "mass_center", _numbers(self.local(name, m.centre[None])[0]))
         six = [*np.diag(inertia), inertia[0, 1], inertia[0, 2], inertia[1, 2]]
-        put(entry, "inertia", numbers(six))
+        put(entry, "inertia", _numbers(six))
 
     def trunk(self, joints: Xml.Element) -> None:
         turn = [("pelvis_tilt", _Z), ("pelvis_list", _X), ("pelvis_rotation", _Y)]
@@ -220,7 +220,7 @@ class _Writer:
             segment = self.segment_of[s.joint_names[carrier]]
             entry = put(parent, "Marker", name=name)
             put(entry, "socket_parent_frame", f"/bodyset/{segment}")
-            put(entry, "location", numbers(self.local(segment, point[None])[0]))
+            put(entry, "location", _numbers(self.local(segment, point[None])[0]))
             put(entry, "fixed", "false")
 
 
@@ -246,14 +246,14 @@ def _joint(
         entry = put(coordinates, "Coordinate", name=coordinate)
         put(entry, "default_value", "0")
         low, high = (limits or {}).get(coordinate, (-10.0, 10.0) if is_length(coordinate) else (-2 * np.pi, 2 * np.pi))
-        put(entry, "range", numbers([low, high]))
+        put(entry, "range", _numbers([low, high]))
         put(entry, "clamped", "true" if coordinate in (limits or {}) else "false")
         put(entry, "locked", "true" if locked else "false")
     frames = put(joint, "frames")
     for suffix, frame, where in (("parent", above, place), ("child", f"/bodyset/{child}", np.zeros(3))):
         entry = put(frames, "PhysicalOffsetFrame", name=f"{name}_{suffix}")
         put(entry, "socket_parent", frame)
-        put(entry, "translation", numbers(where))
+        put(entry, "translation", _numbers(where))
         put(entry, "orientation", "0 0 0")
     transform = put(joint, "SpatialTransform")
     axes = _completed([axis for _, axis in turn])
@@ -282,16 +282,16 @@ def _axis(
     entry = put(parent, "TransformAxis", name=name)
     coordinates = (free,) if isinstance(free, str) else free if isinstance(free, tuple) else ()
     put(entry, "coordinates", " ".join(coordinates))
-    put(entry, "axis", numbers(axis))
+    put(entry, "axis", _numbers(axis))
     if isinstance(free, tuple):
         function = put(entry, "MultivariatePolynomialFunction", name="function")
-        put(function, "coefficients", numbers(np.asarray(law)))
+        put(function, "coefficients", _numbers(np.asarray(law)))
         put(function, "dimension", str(len(free)))
         put(function, "order", str(_ORDER))
     elif isinstance(free, str):
-        put(put(entry, "LinearFunction", name="function"), "coefficients", numbers([1, float(law)]))
+        put(put(entry, "LinearFunction", name="function"), "coefficients", _numbers([1, float(law)]))
     else:
-        put(put(entry, "Constant", name="function"), "value", numbers([free]))
+        put(put(entry, "Constant", name="function"), "value", _numbers([free]))
 
 
 def put(parent: Xml.Element, tag: str, text: str = "", **attributes: str) -> Xml.Element:
@@ -301,7 +301,7 @@ def put(parent: Xml.Element, tag: str, text: str = "", **attributes: str) -> Xml
     return entry
 
 
-def numbers(values: Sequence[float] | Array) -> str:
+def _numbers(values: Sequence[float] | Array) -> str:
     """Numbers as OpenSim's files have them."""
     return " ".join(f"{float(v):.9g}" for v in values)
 
@@ -343,7 +343,7 @@ def write_ik_setup(path: str | Path, motion: Motion, body: Body, model: str, mar
         put(task, "apply", "true")
         put(task, "weight", f"{weight:.4g}")
     put(tool, "marker_file", markers)
-    put(tool, "time_range", numbers([motion.times[0], motion.times[-1]]))
+    put(tool, "time_range", _numbers([motion.times[0], motion.times[-1]]))
     put(tool, "report_errors", "true")
     put(tool, "output_motion_file", output)
     Xml.indent(root, "\t")

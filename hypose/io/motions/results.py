@@ -37,9 +37,9 @@ _MOST_EMPTY = 1 << 20
 _ZIP_END, _ZIP_64, _MAX_LIST_BYTES = 22, 20, 4 << 20
 """Bytes of a zip archive's end, of what a large one has before it, and of the list of what it holds."""
 _FORMAT = 1
-Layout = Mapping[str, tuple[str, str, int]]
+_Layout = Mapping[str, tuple[str, str, int]]
 """Arrays of an archive by name: kind of dtype, stored dtype ("": any of the kind) and number of dimensions."""
-_SKELETON: Layout = {
+_SKELETON: _Layout = {
     "parents": ("i", "<i8", 1),
     "rest_offsets": ("f", "<f8", 2),
     "ball": ("b", "|b1", 1),
@@ -49,8 +49,8 @@ _SKELETON: Layout = {
     "upper": ("f", "<f8", 1),
     "sigma": ("f", "<f8", 1),
 }
-_NAMES: Layout = {"joint_names": ("U", "", 1), "dof_names": ("U", "", 1)}
-_SERIES: Layout = {
+_NAMES: _Layout = {"joint_names": ("U", "", 1), "dof_names": ("U", "", 1)}
+_SERIES: _Layout = {
     "times": ("f", "<f8", 1),
     "joints": ("f", "<f8", 3),
     "joint_covariance": ("f", "<f4", 4),
@@ -59,7 +59,7 @@ _SERIES: Layout = {
     "n_views": ("i", "<i8", 1),
     "cost": ("f", "<f8", 1),
 }
-_OPTIONAL: Layout = {
+_OPTIONAL: _Layout = {
     "poses": ("f", "<f8", 2),
     "doubtful": ("b", "|b1", 1),
     "p_wrong": ("f", "<f4", 2),
@@ -233,7 +233,7 @@ class Archive:
 
     what: str
     next_step: str
-    layout: Layout
+    layout: _Layout
     finite: Container[str] = ()
     optional: Container[str] = ()
 
@@ -267,7 +267,7 @@ class Archive:
             raise self.bad(path, f"it has format {version}, this version of hypose reads format {_FORMAT}")
 
 
-def _stored(values: Any, layout: Layout) -> dict[str, np.ndarray]:
+def _stored(values: Any, layout: _Layout) -> dict[str, np.ndarray]:
     """The attributes that a layout names, as they are stored; those that are None are left out."""
     found = {name: getattr(values, name) for name in layout}
     return {name: np.asarray(v).astype(layout[name][1]) for name, v in found.items() if v is not None}
@@ -443,15 +443,15 @@ def _short(value: Any) -> str:
 # ---- bodies ------------------------------------------------------------------------------------------------
 # body.npz beside motion.npz, so that exports and pictures need neither the recording nor a new fit.
 
-_MESH: Layout = {
+_MESH: _Layout = {
     "vertices": ("f", "<f8", 2),
     "faces": ("i", "<i4", 2),
     "skin_index": ("i", "<i4", 2),
     "skin_weight": ("f", "<f8", 2),
 }
-_MARKS: Layout = {"joint": ("i", "<i8", 1), "offset": ("f", "<f8", 2)}
+_MARKS: _Layout = {"joint": ("i", "<i8", 1), "offset": ("f", "<f8", 2)}
 _LEVELS = ("coarse", "fine")
-_BODY_LAYOUT: Layout = {
+_BODY_LAYOUT: _Layout = {
     **_SKELETON,
     **_NAMES,
     **{f"{level}_{k}": v for level in _LEVELS for k, v in _MESH.items()},
@@ -594,7 +594,7 @@ def provenance(
     }
 
 
-def identity(record: Mapping[str, Any]) -> dict[str, Any]:
+def provenance_identity(record: Mapping[str, Any]) -> dict[str, Any]:
     """The part of a provenance that decides the result: all but "run"."""
     return {k: v for k, v in record.items() if k != "run"}
 

@@ -78,7 +78,7 @@ class PackedMask:
         return None if self.runs is None else outline_of_runs(self.runs, OUTLINE_POINTS, WORKING_HEIGHT)
 
 
-class KeptMasks:
+class _MaskCache:
     """Masks that have been made once, by view and frame, as long as there is room; those with colours take too much."""
 
     def __init__(self) -> None:
@@ -373,7 +373,7 @@ class FrameStream:
         self._lanes: list[ThreadPoolExecutor] = []
         self._ahead: dict[int, PendingMasks] = {}
         self._given: PendingMasks | None = None
-        self._kept = KeptMasks()
+        self._kept = _MaskCache()
         self._last = -1
         self._areas: dict[int, NDArray[np.int64]] = {}
         if self.options.silhouettes is not None and recording.has_pictures:

@@ -112,7 +112,7 @@ def _is_number(value: Any) -> TypeGuard[float]:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def changed(project: Mapping[str, Any], given: Mapping[str, Any], source: Path) -> dict[str, Any]:
+def with_overrides(project: Mapping[str, Any], given: Mapping[str, Any], source: Path) -> dict[str, Any]:
     """The settings of a project with what a recording.toml beside it says otherwise; its views are those of the
     project, by name. An InputError names a view that the project does not have."""
     views = {v["name"]: dict(v) for v in project["view"]}

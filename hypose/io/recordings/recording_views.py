@@ -19,7 +19,7 @@ SIDECAR = "hypose-masks.json"
 
 
 @dataclass(frozen=True)
-class View:
+class ViewSettings:
     """What one camera delivered. Paths exist; None = not given. See the module for the meaning of each. first_mask: the
     number of the first frame, of masks in one folder per object, None: the view's own least."""
 
@@ -41,7 +41,7 @@ class View:
 
 
 @dataclass(frozen=True)
-class Clip:
+class _ClipInfo:
     """What a look into one video, image folder or mask source gave; first: as ObjectMasks have it."""
 
     path: Path
@@ -52,7 +52,7 @@ class Clip:
     first: int | None = None
 
 
-def look(view: View) -> list[Clip]:
+def look(view: ViewSettings) -> list[_ClipInfo]:
     """Open what the view's frames come from (video or images, then masks)."""
     out = []
     for path in (view.source, view.masks):
@@ -66,11 +66,11 @@ def look(view: View) -> list[Clip]:
         of_masks = path == view.masks and not made_here
         with open_masks(path, view.first_mask) if of_masks else open_video(path) as reader:
             first = reader.first if isinstance(reader, ObjectMasks) else None
-            out.append(Clip(path, reader.size, reader.n_frames, reader.stated_frames, reader.frame_rate, first))
+            out.append(_ClipInfo(path, reader.size, reader.n_frames, reader.stated_frames, reader.frame_rate, first))
     return out
 
 
-def look_together(views: Sequence[View], notes: list[str]) -> tuple[list[View], list[list[Clip]]]:
+def look_together(views: Sequence[ViewSettings], notes: list[str]) -> tuple[list[ViewSettings], list[list[_ClipInfo]]]:
     """The views, and what a look into each gave. Where files of one folder per object begin with different numbers,
     these are the frames' of all views: whoever is not seen at first has no masks then."""
     with ThreadPoolExecutor(len(views)) as pool:  # finding out how many frames can be decoded takes its time
@@ -89,7 +89,7 @@ def look_together(views: Sequence[View], notes: list[str]) -> tuple[list[View], 
     return same, [look(v) if k in numbered else clips[k] for k, v in enumerate(same)]
 
 
-def open_pictures(view: View, threads: int | None = None) -> VideoReader | ObjectMasks:
+def open_pictures(view: ViewSettings, threads: int | None = None) -> VideoReader | ObjectMasks:
     """What shows a view: its video or images, else its masks; an InputError when it has neither. threads: that may
     decode a video (None: all)."""
     if view.source is not None:
@@ -100,7 +100,9 @@ def open_pictures(view: View, threads: int | None = None) -> VideoReader | Objec
     return open_video(view.masks) if made_here else open_masks(view.masks, view.first_mask)
 
 
-def check_size(view: View, camera: Camera, path: Path, size: tuple[int, int], notes: list[str] | None) -> None:
+def check_picture_size(
+    view: ViewSettings, camera: Camera, path: Path, size: tuple[int, int], notes: list[str] | None
+) -> None:
     """An InputError when pictures of a size (width, height) cannot be the camera's; a note when they are scaled."""
     if size == camera.size:
         return
@@ -124,11 +126,11 @@ def check_size(view: View, camera: Camera, path: Path, size: tuple[int, int], no
         )
 
 
-def check_background(view: View, camera: Camera, size: tuple[int, int] | None) -> None:
+def check_background(view: ViewSettings, camera: Camera, size: tuple[int, int] | None) -> None:
     """An InputError when the background cannot be that of a view, whose pictures have this size."""
     assert view.background is not None
     if view.depth is None:
-        check_size(view, camera, view.background, frame_size(view.background), None)
+        check_picture_size(view, camera, view.background, frame_size(view.background), None)
         return
     if not view.background.is_dir():
         raise InputError(
@@ -146,8 +148,8 @@ def check_background(view: View, camera: Camera, size: tuple[int, int] | None) -
 def frame_rate_of(
     where: str,
     given: float | None,
-    views: Sequence[View],
-    clips: Sequence[list[Clip]],
+    views: Sequence[ViewSettings],
+    clips: Sequence[list[_ClipInfo]],
     told: float | None,
     notes: list[str],
 ) -> float:
@@ -177,7 +179,7 @@ def frame_rate_of(
     return float(given if given is not None else found or 0.0)
 
 
-def common_frames(views: Sequence[View], clips: Sequence[list[Clip]], notes: list[str]) -> int:
+def common_frames(views: Sequence[ViewSettings], clips: Sequence[list[_ClipInfo]], notes: list[str]) -> int:
     """The number of frames that every view has; a note when they differ."""
     counts = {}
     for view, found in zip(views, clips, strict=True):

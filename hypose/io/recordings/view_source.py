@@ -45,7 +45,7 @@ from hypose.evidence.silhouettes import (
 )
 from hypose.geometry import DepthMap, Image, Mask
 from hypose.io.recordings.object_masks import ObjectMasks, open_masks
-from hypose.io.recordings.recording_views import SIDECAR, View
+from hypose.io.recordings.recording_views import SIDECAR, ViewSettings
 from hypose.io.sensors.depth import read_depth_png
 from hypose.io.videos.video import VideoReader, evenly_spread, frame_size, list_images, open_video, read_image
 
@@ -90,7 +90,7 @@ class DepthSource:
     people: several are to be seen. Used by one thread at a time, but for maps that
     are kept."""
 
-    def __init__(self, view: View, camera: Camera, small: Camera, people: bool = False) -> None:
+    def __init__(self, view: ViewSettings, camera: Camera, small: Camera, people: bool = False) -> None:
         if view.depth is None:
             raise InputError(f"View {view.name} has no depth; give its folder of 16-bit PNG in millimetres.")
         self.view, self._small, self._people = view, small, people
@@ -271,7 +271,9 @@ class ViewSource:
     """Masks of one view by frame number; used by one thread at a time. people: of all in a depth camera's maps;
     beside: how many videos are decoded at once, which share the cores: more threads cost more in all."""
 
-    def __init__(self, view: View, camera: Camera, small: Camera, people: bool = False, beside: int = 1) -> None:
+    def __init__(
+        self, view: ViewSettings, camera: Camera, small: Camera, people: bool = False, beside: int = 1
+    ) -> None:
         self.view = view
         self._threads = max(1, default_threads() // beside)
         self._prepare = Preparer(camera, small, view.image_shift)

@@ -29,7 +29,7 @@ from hypose.geometry import Array, DepthMap
 from hypose.io.calibrations.calibration_formats import read_any
 from hypose.io.file_names import utf8_path
 from hypose.io.files import open_file, read_bytes, readable_size, unreadable, write_bytes
-from hypose.io.videos.camera_sources import CameraSource, Played, Shot, StreamEnded
+from hypose.io.videos.camera_sources import CameraImage, CameraSource, Played, StreamEnded
 from hypose.io.videos.video import PNG_SIGNATURE, is_cut_png, list_images
 from hypose.json_text import parse_json
 
@@ -77,7 +77,7 @@ def read_depth_png(path: str | Path) -> DepthMap:
     return np.where(image < _NOT_MEASURED, image, 0).astype(np.float32) / np.float32(1000)
 
 
-def depth_at_joints(
+def sample_depth(
     depth: DepthMap, positions: ArrayLike, intrinsics: tuple[float, float, float, float], y_up: bool = False
 ) -> Array:
     """Depth map's value (J,) m at the pixels of joints (J, 3) m in the sensor's frame; 0 where there is none.
@@ -482,23 +482,23 @@ def _unpacked(archive: zipfile.ZipFile, name: str) -> bytes:
 # Depth cameras as they deliver: a RealSense, and folders of depth maps played at their own pace.
 
 
-FOLDER, REALSENSE = "depth:", "realsense"
+DEPTH_PREFIX, REALSENSE = "depth:", "realsense"
 """How the address of a depth camera begins: a folder of maps, and a camera, whose serial number may follow"""
 
 
 def is_depth(address: str) -> bool:
     """Whether an address is that of a depth camera."""
-    return address.startswith(FOLDER) or address == REALSENSE or address.startswith(f"{REALSENSE}:")
+    return address.startswith(DEPTH_PREFIX) or address == REALSENSE or address.startswith(f"{REALSENSE}:")
 
 
 def open_depth_camera(address: str, rate: float, begin: float | None = None) -> CameraSource:
     """A depth camera by its address: `realsense`, `realsense:SERIAL`, or `depth:FOLDER` with 16-bit PNG in millimetres,
     which are played at `rate` Hz, the first at `begin` (s, monotonic). Its shots hold maps (h, w) float32 m. An
     InputError says what cannot be opened."""
-    if not address.startswith(FOLDER):
+    if not address.startswith(DEPTH_PREFIX):
         serial = address.partition(":")[2]
         return _RealSense(open_realsense(serial or None), address)
-    folder = Path(address.removeprefix(FOLDER))
+    folder = Path(address.removeprefix(DEPTH_PREFIX))
     if not folder.is_dir():
         raise InputError(f"There is no folder {folder}; a depth recording is a folder of 16-bit PNG in millimetres.")
     return Played(_Maps(folder), rate, time.monotonic() if begin is None else begin)
@@ -512,7 +512,7 @@ class _RealSense:
     def __init__(self, found: RealSenseDepth, what: str) -> None:
         self._what, self._frames = what, found.frames
 
-    def read(self) -> Shot:
+    def read(self) -> CameraImage:
         """See `CameraSource`."""
         try:
             frame = next(self._frames, None)
@@ -520,7 +520,7 @@ class _RealSense:
             raise StreamEnded(str(error)) from None
         if frame is None:
             raise StreamEnded(f"{self._what} delivers nothing more.")
-        return Shot(time.monotonic(), frame.time, frame.depth)
+        return CameraImage(time.monotonic(), frame.time, frame.depth)
 
     def close(self) -> None:
         """See `CameraSource`."""

@@ -36,7 +36,7 @@ from hypose.io.files import (
     write_text,
 )
 from hypose.io.motions.results import to_json
-from hypose.io.sensors.depth import depth_at_joints, read_depth_png
+from hypose.io.sensors.depth import read_depth_png, sample_depth
 from hypose.io.sensors.skeleton_streams import (
     MAX_JOINTS,
     MAX_SENSORS,
@@ -47,7 +47,7 @@ from hypose.io.sensors.skeleton_streams import (
     read_lines,
 )
 
-FORMAT = "hypose-skeletons"
+_FORMAT = "hypose-skeletons"
 _FRAMES = ["sensor", "frame", "time"]
 _SKELETON = ["sensor", "frame", "person", "joint", "x", "y", "z", "state"]
 _SCALE = {"m": 1.0, "mm": 0.001}
@@ -88,8 +88,8 @@ def read_folder(folder: str | Path) -> SkeletonRecording:
 
 def _session(path: Path) -> dict[str, Any]:
     value = read_json(path, "a session.json")
-    if not isinstance(value, dict) or value.get("format") != FORMAT or value.get("version") != 1:
-        raise InputError(f'{path} is no session of skeletons; it must say "format": "{FORMAT}", "version": 1.')
+    if not isinstance(value, dict) or value.get("format") != _FORMAT or value.get("version") != 1:
+        raise InputError(f'{path} is no session of skeletons; it must say "format": "{_FORMAT}", "version": 1.')
     sensors = value.get("sensors")
     if not isinstance(sensors, list) or not 1 <= len(sensors) <= MAX_SENSORS:
         raise InputError(f"{path}: sensors must be a list of 1 to {MAX_SENSORS} sensors.")
@@ -195,7 +195,7 @@ def _fill(sensor: _Sensor, bodies: _Bodies, folder: Path) -> None:
         for person, positions, state in seen:
             sensor.rows.add(time, person, positions, state)
             if lens is not None:
-                found = None if image is None else depth_at_joints(image, positions, lens, sensor.y_up)
+                found = None if image is None else sample_depth(image, positions, lens, sensor.y_up)
                 sensor.rows.joint_depth.append(np.zeros(len(positions)) if found is None else found)
 
 
@@ -252,7 +252,7 @@ class FolderWriter:
 
     def _session(self) -> None:
         sensors = [{"name": n, "joints": list(j)} for n, j in self._joints.items()]
-        value = {"format": FORMAT, "version": 1, "name": self._name, "clock": self._clock, "sensors": sensors}
+        value = {"format": _FORMAT, "version": 1, "name": self._name, "clock": self._clock, "sensors": sensors}
         write_text(self.folder / "session.json", to_json(value))
 
     def flush(self) -> None:

@@ -310,7 +310,7 @@ def resample(stream: SensorStream, times: ArrayLike, max_gap: float | None = Non
     return SensorStream(stream.name, at, positions, state, ids, stream.joint_names, depth)
 
 
-def one_person(
+def join_observations(
     synced: Sequence[SensorStream], times: ArrayLike, columns: Sequence[NDArray[np.int64]]
 ) -> list[SensorJoints]:
     """SensorJoints at every instant from a column per sensor and instant (-1: not seen)."""

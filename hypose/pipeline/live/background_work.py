@@ -29,11 +29,11 @@ from hypose.pipeline.live.rooms import KeptDepth
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.subject_from_motion import AnthropometryOptions, estimate_subject
 
-T = TypeVar("T")
+_T = TypeVar("_T")
 
 
 @dataclass(frozen=True)
-class KeptMasks:
+class PackedMasks:
     """Masks (C, h, w) of one instant, eight pixels to a byte, so that seconds of them take little room. time: s;
     ignored: likewise what others hide, and expected, where somebody does;
     depth: where depth cameras see."""
@@ -47,13 +47,13 @@ class KeptMasks:
     depth: KeptDepth | None = None
 
     @staticmethod
-    def of(frame: Frame) -> KeptMasks:
+    def of(frame: Frame) -> PackedMasks:
         """The masks of a frame that has some."""
         s = frame.silhouettes
         assert s is not None
         ignored = None if s.ignored is None else np.packbits(s.ignored, axis=-1)
         depth = None if frame.depth is None else KeptDepth.of(frame.depth)
-        return KeptMasks(frame.time, np.packbits(s.masks, axis=-1), s.usable, s.reasons, ignored, s.expected, depth)
+        return PackedMasks(frame.time, np.packbits(s.masks, axis=-1), s.usable, s.reasons, ignored, s.expected, depth)
 
     def frame(self, number: int, rig: CameraRig) -> Frame:
         """The frame as it was, with this number."""
@@ -71,7 +71,9 @@ class KeptMasks:
         return Silhouettes(masks, rig, self.usable, self.reasons, ignored, self.expected)
 
 
-def fitted_body(kept: Sequence[KeptMasks], rig: CameraRig, rate: float, height: float | None, seed: int) -> Body | None:
+def fitted_body(
+    kept: Sequence[PackedMasks], rig: CameraRig, rate: float, height: float | None, seed: int
+) -> Body | None:
     """The body of who is in the masks, at `rate` Hz; None where they do not tell."""
     frames = [k.frame(i, rig) for i, k in enumerate(kept)]
     options = AnthropometryOptions(height=height, seed=seed, frames=8, tracked=len(frames), passes=1, rate=rate)
@@ -80,7 +82,7 @@ def fitted_body(kept: Sequence[KeptMasks], rig: CameraRig, rate: float, height: 
     return None
 
 
-def offsets_of(kept: Sequence[KeptMasks], rig: CameraRig, rate: float) -> Array | None:
+def offsets_of(kept: Sequence[PackedMasks], rig: CameraRig, rate: float) -> Array | None:
     """(C,) s by which each camera's pictures come late, from the masks of a moving person; None where they do not tell,
     or where no camera is late."""
     tracks = mask_tracks([k.silhouettes(rig) for k in kept])
@@ -111,12 +113,12 @@ class BackgroundWork:
         self._going, self._closed, self._changing = 0, False, threading.Lock()
 
     def body(
-        self, kept: Sequence[KeptMasks], rig: CameraRig, rate: float, height: float | None, seed: int
+        self, kept: Sequence[PackedMasks], rig: CameraRig, rate: float, height: float | None, seed: int
     ) -> Future[Body | None]:
         """See `fitted_body`."""
         return self._submit(fitted_body, list(kept), rig, rate, height, seed)
 
-    def offsets(self, kept: Sequence[KeptMasks], rig: CameraRig, rate: float) -> Future[Array | None]:
+    def offsets(self, kept: Sequence[PackedMasks], rig: CameraRig, rate: float) -> Future[Array | None]:
         """See `offsets_of`."""
         return self._submit(offsets_of, list(kept), rig, rate)
 
@@ -128,14 +130,14 @@ class BackgroundWork:
                 self._process[0].terminate()
         self._thread.shutdown(wait=False)
 
-    def _submit(self, work: Callable[..., T | None], *arguments: Any) -> Future[T | None]:
+    def _submit(self, work: Callable[..., _T | None], *arguments: Any) -> Future[_T | None]:
         with self._changing:
             self._going += 1
         future = self._thread.submit(self._elsewhere, work, *arguments)
         future.add_done_callback(self._done)
         return future
 
-    def _elsewhere(self, work: Callable[..., T | None], *arguments: Any) -> T | None:
+    def _elsewhere(self, work: Callable[..., _T | None], *arguments: Any) -> _T | None:
         with self._changing:
             if self._closed:
                 return None

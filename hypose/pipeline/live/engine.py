@@ -32,8 +32,8 @@ from hypose.pipeline.live.eyes import (
     live_working_rig,
 )
 from hypose.pipeline.live.feeds import FeedStatus
-from hypose.pipeline.live.live_people import FOLLOWING, LOST, LivePeople, LivePose
-from hypose.pipeline.live.live_search import LOOKING, NOBODY, LivePersonOptions
+from hypose.pipeline.live.live_people import STATE_LOST, STATE_TRACKING, LivePeople, LivePose
+from hypose.pipeline.live.live_search import STATE_EMPTY, STATE_SEARCHING, LivePersonOptions
 from hypose.pipeline.live.processes import punctual
 from hypose.pipeline.live.rooms import depth_of
 from hypose.pipeline.settings import SETTINGS
@@ -43,7 +43,7 @@ EMPTY_ROOM = "empty room"
 
 
 @dataclass(frozen=True)
-class LiveOptions:
+class LiveTrackingOptions:
     """eyes: how cameras are looked at; person: see `LivePersonOptions`; people: as many are followed at most; measure:
     body and cameras' offsets are found in the background; pictures: listeners want them."""
 
@@ -74,7 +74,7 @@ class LiveStatus:
 
 
 @dataclass(frozen=True)
-class Seen:
+class LiveResult:
     """An instant: what the cameras showed, the frame that was tracked, and the pose of everybody who is followed."""
 
     sight: Sight
@@ -85,7 +85,7 @@ class Seen:
 class Listener(Protocol):
     """Who is told; called by the engine's thread, so it must return at once."""
 
-    def seen(self, seen: Seen, /) -> None:
+    def seen(self, seen: LiveResult, /) -> None:
         """An instant, and the poses in it."""
         ...
 
@@ -102,7 +102,7 @@ class LiveEngine:
         self,
         rig: CameraRig,
         views: Sequence[LiveView],
-        options: LiveOptions | None = None,
+        options: LiveTrackingOptions | None = None,
         listeners: Sequence[Listener] = (),
         stop: threading.Event | None = None,
     ) -> None:
@@ -110,9 +110,9 @@ class LiveEngine:
             raise InputError(
                 f"Live tracking needs two cameras or more, or one depth camera, and {len(views)} is given."
             )
-        if any_depth(views) and (options or LiveOptions()).people > 1:
+        if any_depth(views) and (options or LiveTrackingOptions()).people > 1:
             raise InputError("Depth cameras follow one person; leave --people out.")
-        self.options, self.views, self.rig = options or LiveOptions(), tuple(views), rig
+        self.options, self.views, self.rig = options or LiveTrackingOptions(), tuple(views), rig
         if self.options.people > 1:
             eyes = replace(self.options.eyes, silhouettes=self.options.eyes.silhouettes.of_everybody)
             self.options = replace(self.options, eyes=eyes)
@@ -203,13 +203,13 @@ class LiveEngine:
         bodies = tuple(
             (p.body.skin(p.motion.poses[0]), p.body.coarse.faces)
             for p in self._poses_now
-            if phase == FOLLOWING and p.motion.poses is not None
+            if phase == STATE_TRACKING and p.motion.poses is not None
         )
         # a search has the processor: more often than it looks nothing is made
-        pause = 0.5 / SETTINGS.search_slowly_hz if phase in (NOBODY, LOOKING) else 0.0
+        pause = 0.5 / SETTINGS.search_slowly_hz if phase in (STATE_EMPTY, STATE_SEARCHING) else 0.0
         room, self._learn = self._learn, False
         offsets, self._offsets = self._offsets, None
-        return Question(pause, bodies, phase in (FOLLOWING, LOST), self.options.pictures, room, offsets)
+        return Question(pause, bodies, phase in (STATE_TRACKING, STATE_LOST), self.options.pictures, room, offsets)
 
     def _one(self, sight: Sight) -> None:
         frame = self._frame(sight)
@@ -217,7 +217,7 @@ class LiveEngine:
         stepped = self._people.step(frame)
         tracked = time.perf_counter()
         self._poses_now = tuple(s.told() for s in stepped)
-        seen = Seen(sight, frame, self._poses_now)
+        seen = LiveResult(sight, frame, self._poses_now)
         for listener in self.listeners:
             listener.seen(seen)
         if stepped:
@@ -242,7 +242,7 @@ class LiveEngine:
         ]
         areas = np.array([0 if m is None else int(np.count_nonzero(m)) for m in masks])
         history = np.stack(self._areas, 1) if self._areas else np.zeros((len(masks), 0), np.int64)
-        if self._people.phase not in (FOLLOWING, LOST) or self.options.people > 1:
+        if self._people.phase not in (STATE_TRACKING, STATE_LOST) or self.options.people > 1:
             history = history[:, :0]  # who comes into view changes the area, and nothing has collapsed
             self._areas.clear()
         elif self._frames % 5 == 0:

@@ -34,8 +34,8 @@ from hypose.evidence.silhouettes import SilhouetteSettings
 from hypose.geometry import Array, Mask
 from hypose.io.recordings.frames import working_rig
 from hypose.io.sensors.depth import DEPTH_PNG, open_depth_camera
-from hypose.io.videos.camera_sources import CameraSource, Shot, open_camera
-from hypose.pipeline.live.feeds import Feed, FeedStatus, newest_instant
+from hypose.io.videos.camera_sources import CameraImage, CameraSource, open_camera
+from hypose.pipeline.live.feeds import CameraFeed, FeedStatus, newest_instant
 from hypose.pipeline.live.processes import belong_to_parent, deaf_to_ctrl_c, punctual
 from hypose.pipeline.live.rooms import DepthRoom, ViewRoom
 from hypose.pipeline.settings import SETTINGS
@@ -112,7 +112,7 @@ class Eyes:
         self._arrived = threading.Condition()
         begin = time.monotonic() + 0.3
         self._feeds = [
-            Feed(v.name, _opener(v, c.size, options.rate, begin), self._arrived)
+            CameraFeed(v.name, _opener(v, c.size, options.rate, begin), self._arrived)
             for v, c in zip(views, rig, strict=True)
         ]
         shapes = zip(views, rig, self.small, strict=True)
@@ -130,7 +130,7 @@ class Eyes:
         self._moved: tuple[str, ...] = ()
         self._empty: tuple[list[NDArray[Any]], ...] = ()
         self._to_follow: list[tuple[ViewRoom, int, NDArray[Any], float, Question]] = []
-        opened: list[Feed] = []
+        opened: list[CameraFeed] = []
         try:
             for feed in self._feeds:
                 feed.start()
@@ -210,7 +210,7 @@ class Eyes:
         room = self._room_from is not None
         return Sight(at, arrival, views, jpegs, cameras, self._instants, words, room, made)
 
-    def _newest(self, pause: float, until: float) -> tuple[float, list[Shot | None]] | None:
+    def _newest(self, pause: float, until: float) -> tuple[float, list[CameraImage | None]] | None:
         with self._arrived:
             now = time.monotonic()
             told = [feed.delivered() for feed in self._feeds]
@@ -228,7 +228,7 @@ class Eyes:
         self._instants += max(1, round((at - self._last) / float(np.median(periods)))) if known else 1
 
     def _view(
-        self, view: int, shot: Shot, at: float, question: Question
+        self, view: int, shot: CameraImage, at: float, question: Question
     ) -> tuple[NDArray[np.uint8], ViewOutline | None] | None:
         room, image = self._rooms[view], self._picture(view, shot)
         if image is None:
@@ -240,7 +240,7 @@ class Eyes:
             self._to_follow.append((room, view, image, at, question))
         return np.packbits(mask, axis=1), outline
 
-    def _picture(self, view: int, shot: Shot) -> NDArray[Any] | None:
+    def _picture(self, view: int, shot: CameraImage) -> NDArray[Any] | None:
         """None when it is damaged, or of another shape than calibrated: a telephone that was turned, a wide picture of
         a camera that was calibrated with a narrow one."""
         image, (cw, ch), name = shot.picture(self._rooms[view].size), self._sizes[view], self._views[view].name
@@ -275,7 +275,7 @@ class Eyes:
         self._room_from = time.monotonic() + self._options.countdown
         self._pictures = [[] for _ in self._views]
 
-    def _learn(self, shots: Sequence[Shot | None]) -> None:
+    def _learn(self, shots: Sequence[CameraImage | None]) -> None:
         assert self._room_from is not None
         passed = time.monotonic() - self._room_from
         if passed < 0:
@@ -322,7 +322,7 @@ def any_depth(views: Sequence[LiveView]) -> bool:
     return any(v.depth for v in views)
 
 
-def _jpeg(shot: Shot) -> bytes | None:
+def _jpeg(shot: CameraImage) -> bytes | None:
     return shot.data if isinstance(shot.data, bytes) else stored(shot.data)
 
 

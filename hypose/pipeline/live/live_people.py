@@ -1,4 +1,4 @@
-"""People, live: found, each followed by a `LivePerson` in what the others leave of the masks, given up, found again.
+"""People, live: found, each followed by a `LiveTrack` in what the others leave of the masks, given up, found again.
 
 Left and right are fought out beside who is followed, and they are measured while they move. `step` never waits. The
 body is fitted in a process of its own and taken over where it explains the masks as well as the one before.
@@ -22,8 +22,8 @@ from hypose.evidence.frame import Frame
 from hypose.evidence.shared_masks import PREDICTED, SOLVED, Other, own_silhouettes
 from hypose.geometry import Array
 from hypose.pipeline.doubts import as_now, looked_at, mask_change
-from hypose.pipeline.live.background_work import BackgroundWork, KeptMasks
-from hypose.pipeline.live.live_search import Found, LivePersonOptions, LiveSearch, paced
+from hypose.pipeline.live.background_work import BackgroundWork, PackedMasks
+from hypose.pipeline.live.live_search import FoundPerson, LivePersonOptions, LiveSearch, paced
 from hypose.pipeline.settings import SETTINGS
 from hypose.tracking.costs import mean_overlap
 from hypose.tracking.doubt import as_mixture, evidence_of, judged
@@ -91,14 +91,14 @@ class _Duel:
     won: Future[tuple[TrackerState, float] | None]
 
 
-class LivePerson:
+class LiveTrack:
     """`step` with every frame. number: see `LivePose`; rig: of the masks; rate: Hz of the frames; beside: runs duels;
     work: fits body and offsets, None: neither is done; sync: the cameras' offsets are still to be found; shared: there
     may be others in the masks. body: their own, None: not known yet; offsets (C,) s: None: not known yet."""
 
     def __init__(
         self,
-        found: Found,
+        found: FoundPerson,
         number: int,
         rig: CameraRig,
         rate: float,
@@ -119,7 +119,7 @@ class LivePerson:
         self._duel: _Duel | None = None
         self._fit: Future[Body | None] | None = None
         self._sync: Future[Array | None] | None = None
-        self._kept: list[KeptMasks] = []
+        self._kept: list[PackedMasks] = []
         self._shared = shared
         self._challenge, self._between = (found.time if shared else np.inf), SETTINGS.live_challenge_s
         self._shift: Array | None = None
@@ -221,7 +221,7 @@ class LivePerson:
         if not wants_body and not wants_sync:
             self._kept = []
             return
-        self._kept.append(KeptMasks.of(frame))
+        self._kept.append(PackedMasks.of(frame))
         passed = frame.time - self._kept[0].time
         rate = (len(self._kept) - 1) / max(passed, 1e-3)
         if wants_body and passed > SETTINGS.live_fitted_s:
@@ -312,7 +312,7 @@ class LiveDoubt:
             self._p, self._doubtful = p[-1:], joints[-1:]
 
 
-FOLLOWING, LOST = "following", "lost"
+STATE_TRACKING, STATE_LOST = "following", "lost"
 """What `LivePeople.phase` can be beside what a search is doing."""
 
 
@@ -333,7 +333,7 @@ class LivePeople:
     ) -> None:
         self._rig, self._rate, self._options, self._beside, self._work = rig, rate, options, beside, work
         self.most = most
-        self.people: list[LivePerson] = []
+        self.people: list[LiveTrack] = []
         self.offsets: Array | None = None
         self._known: Body | None = options.body
         self._search = LiveSearch(options, beside, most > 1)
@@ -344,7 +344,7 @@ class LivePeople:
         """Of those who are followed, else of the search."""
         if not self.people:
             return self._search.phase
-        return LOST if all(p.state.lost for p in self.people) else FOLLOWING
+        return STATE_LOST if all(p.state.lost for p in self.people) else STATE_TRACKING
 
     @property
     def fitted(self) -> bool:
@@ -352,7 +352,7 @@ class LivePeople:
         return bool(self.people) and all(p.body is not None for p in self.people)
 
     def measure_again(self) -> None:
-        """See `LivePerson.measure_again`."""
+        """See `LiveTrack.measure_again`."""
         self._known = self._options.body
         for p in self.people:
             p.measure_again()
@@ -378,13 +378,13 @@ class LivePeople:
             self._look(frame, stepped)
         return stepped
 
-    def _welcome(self, found: Found) -> None:
+    def _welcome(self, found: FoundPerson) -> None:
         numbers = {p.number for p in self.people}
         number = next(n for n in range(1, self.most + 1) if n not in numbers)
         body = self._known if not self.people else None
         options = replace(self._options, body=body, height=None if self.people else self._options.height)
         wants = self.offsets is None
-        made = LivePerson(found, number, self._rig, self._rate, options, self._beside, self._work, wants, self.most > 1)
+        made = LiveTrack(found, number, self._rig, self._rate, options, self._beside, self._work, wants, self.most > 1)
         self.people = sorted([*self.people, made], key=lambda p: p.number)
 
     def _look(self, frame: Frame, stepped: list[Stepped]) -> None:

@@ -21,8 +21,8 @@ from hypose.evidence.hull_people import people_in_hull
 from hypose.evidence.shared_masks import Other
 from hypose.geometry import Array
 from hypose.inference.hypotheses import BEFORE
-from hypose.pipeline.first_frame import Subject
-from hypose.pipeline.newcomers import evidence_of, somebody_more
+from hypose.pipeline.first_frame import TrackedSubject
+from hypose.pipeline.newcomers import candidate_evidence, somebody_more
 from hypose.pipeline.run import TrackOptions, tracker_of
 from hypose.pipeline.settings import SETTINGS
 from hypose.tracking.costs import mean_overlap
@@ -31,7 +31,7 @@ from hypose.tracking.several import Member, step_together
 from hypose.tracking.start_search import starts_in_frame, weighed
 from hypose.tracking.tracker import Tracker, TrackerState
 
-NOBODY, LOOKING = "nobody", "looking"
+STATE_EMPTY, STATE_SEARCHING = "nobody", "looking"
 """What `LiveSearch.phase` can be."""
 
 
@@ -45,11 +45,11 @@ class LivePersonOptions:
 
     def tracker(self, body: Body, rate: float) -> Tracker:
         """Of a body, for frames of so many Hz."""
-        return tracker_of(Subject(body, None, np.zeros(body.skeleton.dof), ()), self.track, rate)
+        return tracker_of(TrackedSubject(body, None, np.zeros(body.skeleton.dof), ()), self.track, rate)
 
 
 @dataclass(frozen=True)
-class Found:
+class FoundPerson:
     """Somebody followed to the present: the body, the state and when that was, s; the last step, s."""
 
     body: Body
@@ -72,21 +72,21 @@ class LiveSearch:
 
     def __init__(self, options: LivePersonOptions, beside: Executor, several: bool) -> None:
         self.options, self.several = options, several
-        self.phase = NOBODY
+        self.phase = STATE_EMPTY
         self._beside = beside
         self._first: list[_Look] = []
         self._waiting: deque[_Look] = deque()
         self._lock = threading.Lock()
         self._search: Future[None] | None = None
-        self._found: list[Found] = []
+        self._found: list[FoundPerson] = []
         self._failed, self._not_before = 0, -np.inf
 
-    def take(self) -> list[Found]:
+    def take(self) -> list[FoundPerson]:
         """Who has been found since this was asked last."""
         with self._lock:
             found, self._found = self._found, []
             if found:
-                self._search, self._first, self.phase = None, [], NOBODY
+                self._search, self._first, self.phase = None, [], STATE_EMPTY
                 self._failed, self._not_before = 0, -np.inf
         return found
 
@@ -115,7 +115,7 @@ class LiveSearch:
             return
         if not _somebody(look):
             if self._search is None:
-                self.phase, self._first = NOBODY, []
+                self.phase, self._first = STATE_EMPTY, []
             return
         if self._search is not None:
             if len(self._waiting) < SETTINGS.search_longest:
@@ -124,7 +124,7 @@ class LiveSearch:
         if self._first and frame.time - self._first[-1].frame.time > SETTINGS.search_gap_s:
             self._first = []
         self._first.append(look)
-        self.phase = LOOKING
+        self.phase = STATE_SEARCHING
         if len(self._first) == SETTINGS.search_decide:
             self._search = self._beside.submit(self._find, self._first, most, body or human(), height)
 
@@ -151,7 +151,7 @@ class LiveSearch:
                 ):
                     self._waiting.popleft()
                 if not self._waiting:
-                    self._found = [Found(m.tracker.body, m.state, last, step_s) for m in members]
+                    self._found = [FoundPerson(m.tracker.body, m.state, last, step_s) for m in members]
                     return
                 look = self._waiting.popleft()
             begin, before_s, step_s = time.monotonic(), step_s, look.frame.time - last
@@ -204,6 +204,6 @@ def _each_alone(looks: Sequence[_Look], most: int) -> list[list[Frame]]:
             near = [p for p in found if np.linalg.norm(p.axis - axis) < SETTINGS.search_stride]
             if near:
                 person = min(near, key=lambda p: float(np.linalg.norm(p.axis - axis)))
-                own[k].append(evidence_of(person, look.frame, look.others, found))
+                own[k].append(candidate_evidence(person, look.frame, look.others, found))
                 axes[k] = person.axis
     return [frames for frames in own if len(frames) > len(looks) // 2]

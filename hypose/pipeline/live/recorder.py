@@ -22,8 +22,8 @@ from hypose.io.file_names import folder_for
 from hypose.io.files import RecordingFolder
 from hypose.io.recordings.frames import mask_folder
 from hypose.io.recordings.recording import Recording, write_recording
-from hypose.io.recordings.recording_views import View
-from hypose.pipeline.live.engine import LiveStatus, Seen
+from hypose.io.recordings.recording_views import ViewSettings
+from hypose.pipeline.live.engine import LiveResult, LiveStatus
 from hypose.pipeline.live.eyes import LiveView, live_working_rig, stored
 from hypose.pipeline.settings import SETTINGS
 
@@ -54,14 +54,14 @@ class LiveRecorder:
         self._followed: list[bool] = []
         self._rows, self._described = 0, -np.inf
         self._last: list[bytes | None] = [None] * len(views)
-        self._waiting: queue.Queue[Seen | None] = queue.Queue(SETTINGS.recorder_waiting)
+        self._waiting: queue.Queue[LiveResult | None] = queue.Queue(SETTINGS.recorder_waiting)
         self._masks: list[Path] = []
         self._pictures: list[Path] = []
         self._empty: dict[int, Path] = {}
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
 
-    def seen(self, seen: Seen) -> None:
+    def seen(self, seen: LiveResult) -> None:
         """See `Listener`."""
         if self.failed:
             return
@@ -95,9 +95,9 @@ class LiveRecorder:
 
     def _describe(self) -> None:
         views = tuple(
-            View(v.name, depth=pictures, background=self._empty.get(c), image_shift=v.shift)
+            ViewSettings(v.name, depth=pictures, background=self._empty.get(c), image_shift=v.shift)
             if v.depth
-            else View(v.name, images=pictures, masks=masks, image_shift=v.shift, accept_scaled=v.stretched)
+            else ViewSettings(v.name, images=pictures, masks=masks, image_shift=v.shift, accept_scaled=v.stretched)
             for c, (v, pictures, masks) in enumerate(zip(self._views, self._pictures, self._masks, strict=True))
         )
         recording = Recording(
@@ -161,7 +161,7 @@ class LiveRecorder:
                 for k, data in enumerate(maps):
                     (folder / f"{k:06d}.png").write_bytes(data)
 
-    def _write(self, seen: Seen, poses: TextIO) -> None:
+    def _write(self, seen: LiveResult, poses: TextIO) -> None:
         number = self.written
         self._write_room(seen.sight.empty)
         for c, (view, jpeg) in enumerate(zip(seen.sight.views, seen.sight.jpegs, strict=True)):

@@ -15,7 +15,7 @@ from hypose.app.studio import live_topics
 from hypose.errors import InputError
 from hypose.io.recordings.frames import working_rig
 from hypose.io.recordings.recording import load_recording
-from hypose.io.videos.camera_sources import Shot
+from hypose.io.videos.camera_sources import CameraImage
 from hypose.pipeline.live.engine import LiveStatus
 from hypose.pipeline.live.eyes import EyesOptions
 from hypose.synthetic.write_recording import write_scene
@@ -79,7 +79,7 @@ def test_a_person_is_followed_recorded_and_shown(served_live, followed):
         status = until(socket, "status", lambda m: m["poses"] > 0)
         assert status["phase"] == "following" and all(s["alive"] for s in status["sensors"])
         pictures = until(socket, "pictures", lambda m: all(c["jpeg"] for c in m["cameras"]))["cameras"]
-        shown = Shot(0.0, None, base64.b64decode(pictures[0]["jpeg"])).picture()
+        shown = CameraImage(0.0, None, base64.b64decode(pictures[0]["jpeg"])).picture()
         assert shown is not None and shown.shape[1] == 320
         socket.send(json.dumps({"t": "start", "recording": recording}))
         while (message := json.loads(socket.recv(HANG_S)))["t"] != "error":

@@ -10,8 +10,8 @@ import pytest
 from scipy.stats import chi2
 
 from benchmarks.studio.long_results import long_result
-from hypose.app.cli import main
-from hypose.app.jobs.truth import compare
+from hypose.app.cli import run_cli
+from hypose.app.jobs.truth import compare_with_truth
 from hypose.app.reports.report import PLACE, drawn_of, report_html
 from hypose.app.reports.result_pictures import image_points
 from hypose.app.studio.view_result import load_view
@@ -99,7 +99,7 @@ def longer(tmp_path_factory):
     scene = make_scene("walk", "neutral", camera_rig("humaneva-4", distorted=True).scaled(0.5), seconds=1.6, seed=3)
     write_scene(scene, root / "walk", background_frames=10)
     with pytest.raises(SystemExit) as stopped:
-        main(["track", str(root / "walk"), "--formats", "csv", "--no-overlay"])
+        run_cli(["track", str(root / "walk"), "--formats", "csv", "--no-overlay"])
     assert stopped.value.code in (None, 0)
     return root
 
@@ -118,8 +118,11 @@ def test_a_spoilt_arm_is_seen_and_put_right(longer, page, tmp_path):
         go(WEB / "tests" / "correct.walk.mjs", client.address, root, tmp_path)
     corrected = load_motion(results.with_name("default-corrected") / "motion.npz")
     truth = root / "walk" / "truth.npz"
-    arm = [compare(truth, good, 0).names.index(n) for n in ARM]
-    off = {n: 1000 * compare(truth, m, 0).distances[ROWS][:, arm] for n, m in (("spoilt", spoilt), ("now", corrected))}
+    arm = [compare_with_truth(truth, good, 0).names.index(n) for n in ARM]
+    off = {
+        n: 1000 * compare_with_truth(truth, m, 0).distances[ROWS][:, arm]
+        for n, m in (("spoilt", spoilt), ("now", corrected))
+    }
     sys.stdout.write(
         f"\nArm, mm from the truth: spoilt {off['spoilt'].mean():.0f}, corrected {off['now'].mean():.0f}\n"
     )

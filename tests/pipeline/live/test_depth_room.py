@@ -14,8 +14,8 @@ from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import load_recording
 from hypose.io.sensors.depth import is_depth, open_depth_camera, write_depth_png
 from hypose.io.videos.camera_sources import StreamEnded
-from hypose.pipeline.live.background_work import KeptMasks
-from hypose.pipeline.live.engine import Seen
+from hypose.pipeline.live.background_work import PackedMasks
+from hypose.pipeline.live.engine import LiveResult
 from hypose.pipeline.live.eyes import EyesOptions, LiveView, Question
 from hypose.pipeline.live.recorder import LiveRecorder
 from hypose.pipeline.live.rooms import DepthRoom, depth_of
@@ -50,7 +50,7 @@ def test_depth_travels_beside_the_masks_and_is_kept_of_the_person(frame):
     assert depth is not None and depth.usable.tolist() == [True, False]
     assert not depth.person[1].any()
     assert depth_of(frame.silhouettes, [None, None]) is None
-    again = KeptMasks.of(frame).frame(3, frame.depth.rig).depth
+    again = PackedMasks.of(frame).frame(3, frame.depth.rig).depth
     person = frame.depth.person > 0
     assert np.array_equal(again.person, frame.depth.person)
     assert np.abs(again.maps - frame.depth.maps)[person].max() < 0.001
@@ -92,7 +92,7 @@ def test_what_is_recorded_keeps_the_empty_room(tmp_path, monkeypatch):
         eyes.ask(Question(pictures=True))
         while (sight := eyes.answer()) is not None:
             if np.isfinite(sight.time):
-                recorder.seen(Seen(sight, Frame(sight.time, recorder.written), ()))
+                recorder.seen(LiveResult(sight, Frame(sight.time, recorder.written), ()))
     finally:
         eyes.close()
     assert recorder.close()

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from hypose.evidence.background import from_frames
-from hypose.io.videos.camera_sources import Shot
+from hypose.io.videos.camera_sources import CameraImage
 from hypose.pipeline.live.eyes import EyesOptions, EyesProcess, LiveView, Question
 from hypose.synthetic.scenes import camera_rig
 from tests.conftest import HANG_S
@@ -124,8 +124,10 @@ def test_nobody_waits_for_cameras_that_are_being_opened_when_it_is_to_stop(camer
 
 
 def test_pictures_that_cannot_be_read_are_told(begun, cameras, tmp_path, rng, monkeypatch):
-    whole = Shot.picture
-    monkeypatch.setattr(Shot, "picture", lambda shot, least: whole(shot, least) if shot.size == (160, 120) else None)
+    whole = CameraImage.picture
+    monkeypatch.setattr(
+        CameraImage, "picture", lambda shot, least: whole(shot, least) if shot.size == (160, 120) else None
+    )
     sizes = {"cam1": (160, 120), "cam2": (320, 240)}
     views = [LiveView(c.name, folder(tmp_path / c.name, sizes[c.name], rng), background=room(c)) for c in cameras]
     eyes = begun(cameras, views, EyesOptions(RATE))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hypose.body.ready_bodies import human
-from hypose.pipeline.first_frame import Subject
+from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.live.live_people import LiveDoubt
 from hypose.pipeline.run import TrackOptions, tracker_of
 from hypose.pipeline.settings import SETTINGS
@@ -18,7 +18,7 @@ from tests.live_scenes import RATE
 def followed(walk, frames):
     """A tracker, and (frame, estimate) of one second."""
     body = scaled_to_height(human(), walk.subject.stature)
-    tracker = tracker_of(Subject(body, None, np.zeros(body.skeleton.dof), ()), TrackOptions(), RATE)
+    tracker = tracker_of(TrackedSubject(body, None, np.zeros(body.skeleton.dof), ()), TrackOptions(), RATE)
     start = start_in_pose(body, prepare(frames[0], body, np.zeros(body.skeleton.dof)), KNOWN_POSES).pose
     state, out = tracker.start(start), []
     for frame in frames[:25]:

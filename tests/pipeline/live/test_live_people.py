@@ -9,9 +9,9 @@ import pytest
 
 from hypose.body.ready_bodies import human
 from hypose.inference.hypotheses import BEFORE
-from hypose.pipeline.first_frame import Subject
-from hypose.pipeline.live.live_people import FOLLOWING, LOST
-from hypose.pipeline.live.live_search import LOOKING, NOBODY, paced
+from hypose.pipeline.first_frame import TrackedSubject
+from hypose.pipeline.live.live_people import STATE_LOST, STATE_TRACKING
+from hypose.pipeline.live.live_search import STATE_EMPTY, STATE_SEARCHING, paced
 from hypose.pipeline.run import TrackOptions, tracker_of
 from hypose.tracking.exchanged_sides import turned_around
 from hypose.tracking.subject import scaled_to_height
@@ -26,9 +26,9 @@ def errors(poses, walk):
 
 def test_somebody_is_found_without_a_pose_asked_and_followed(walk, frames, beside):
     people = people_for(frames, beside)
-    assert people.phase == NOBODY
+    assert people.phase == STATE_EMPTY
     poses = follow(people, frames, beside)
-    assert people.phase == FOLLOWING and len(poses) > 80
+    assert people.phase == STATE_TRACKING and len(poses) > 80
     assert [p.frame for p in poses] == list(range(poses[0].frame, 100))
     off = errors(poses, walk)
     assert off[5:].mean() < 0.06 and off[5:].max() < 0.15
@@ -44,7 +44,7 @@ def test_the_same_frames_give_the_same_poses(frames, beside):
 def test_an_empty_room_is_nobody(frames, beside):
     people = people_for(frames, beside)
     assert follow(people, [nobody(f) for f in frames[:30]], beside) == []
-    assert people.phase == NOBODY and not beside.waiting
+    assert people.phase == STATE_EMPTY and not beside.waiting
 
 
 @pytest.mark.slow
@@ -58,7 +58,7 @@ def test_masks_that_are_nobody_are_searched_and_left(frames, beside):
         return replace(frame, silhouettes=replace(s, masks=masks))
 
     assert follow(people, [noise(f) for f in frames[:40]], beside) == []
-    assert people.phase in (LOOKING, NOBODY)
+    assert people.phase in (STATE_SEARCHING, STATE_EMPTY)
     later = [at(f, f.time + 10, f.index) for f in frames[:40]]
     assert follow(people, later, beside)  # somebody who comes after that is found
 
@@ -71,14 +71,14 @@ def test_who_is_lost_is_told_and_looked_for_as_at_the_start(walk, frames, beside
     for frame in away:
         stepped = people.step(frame)
         phases.append(people.phase)
-        assert (not stepped) == (people.phase == NOBODY)
-        if stepped and people.phase == LOST:
+        assert (not stepped) == (people.phase == STATE_EMPTY)
+        if stepped and people.phase == STATE_LOST:
             told = stepped[0].told()
             assert told.lost and told.motion.doubtful_joints is not None and told.motion.doubtful_joints.all()
-    assert LOST in phases and phases[-1] == NOBODY
+    assert STATE_LOST in phases and phases[-1] == STATE_EMPTY
     back = [at(f, 20.0 + f.time) for f in frames[40:]]
     poses = follow(people, back, beside)
-    assert people.phase == FOLLOWING and errors(poses[5:], walk).mean() < 0.06
+    assert people.phase == STATE_TRACKING and errors(poses[5:], walk).mean() < 0.06
 
 
 def test_a_gap_in_the_pictures_is_survived(walk, frames, beside):
@@ -163,7 +163,7 @@ def test_the_duel_turns_a_body_that_was_started_back_to_front(walk, frames):
 @pytest.fixture
 def tracker(walk):
     body = scaled_to_height(human(), walk.subject.stature)
-    return tracker_of(Subject(body, None, np.zeros(body.skeleton.dof), ()), TrackOptions(), RATE)
+    return tracker_of(TrackedSubject(body, None, np.zeros(body.skeleton.dof), ()), TrackOptions(), RATE)
 
 
 def moving(tracker, step=0.02):

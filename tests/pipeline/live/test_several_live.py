@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.multiview.action_scenes import subject_of_seed
-from hypose.pipeline.live.live_people import FOLLOWING, LivePeople
+from hypose.pipeline.live.live_people import STATE_TRACKING, LivePeople
 from hypose.pipeline.live.live_search import LivePersonOptions
 from hypose.synthetic.motions import act
 from hypose.synthetic.performance import moved
@@ -47,7 +47,7 @@ def followed(scenes):
             beside.work()
         else:
             beside.waiting.clear()  # no duels here, and nobody more is searched
-    assert people.phase == FOLLOWING
+    assert people.phase == STATE_TRACKING
     return out
 
 
