@@ -9,8 +9,7 @@ import typer
 
 from hypose.app.cli import run_cli
 from hypose.app.commands.commands_track import set_threads
-from hypose.app.commands.console import Stages, say
-from hypose.app.commands.options import Threads, number
+from hypose.app.commands.console import Stages, Threads, number, say
 
 app = typer.Typer(name="benchmarks", add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 

@@ -36,12 +36,12 @@ from hypose.fusion.fuse import common_positions, fuse_clip
 from hypose.geometry import Array
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording
+from hypose.pipeline.assessment import GOOD, LOOK, UNTRUSTED
 from hypose.pipeline.first_frame import SubjectOptions, find_subject
 from hypose.pipeline.people_run import PeopleRun
 from hypose.pipeline.run import TrackOptions, TrackResult, track_source
 from hypose.pipeline.sensor_skeletons import fused_verdict
 from hypose.pipeline.track_loop import FrameList
-from hypose.pipeline.verdict import GOOD, LOOK, UNTRUSTED
 from hypose.synthetic.metrics import EVALUATED
 from hypose.synthetic.scenes import make_scene
 

@@ -42,7 +42,7 @@ class _Servers:
 
     def __init__(self) -> None:
         from hypose.app.live.live_server import FusionServerOptions, LiveServer
-        from hypose.app.studio.answers import NotNow
+        from hypose.app.studio.http import NotNow
         from hypose.app.studio.server import Studio, StudioOptions, make_server
 
         self._folder = tempfile.TemporaryDirectory()  # lives as long as the process

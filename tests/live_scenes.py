@@ -19,9 +19,9 @@ from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.io.videos import camera_sources
 from hypose.io.videos.camera_sources import CameraImage, StreamEnded
-from hypose.pipeline.live import engine, eyes, feeds
+from hypose.pipeline.live import capture, engine, feeds
+from hypose.pipeline.live.capture import Eyes, Question, Sight
 from hypose.pipeline.live.engine import LiveEngine, LiveResult
-from hypose.pipeline.live.eyes import Eyes, Question, Sight
 from hypose.pipeline.live.live_people import LivePeople, LivePose
 from hypose.pipeline.live.live_search import STATE_SEARCHING, LivePersonOptions
 from hypose.pipeline.settings import SETTINGS
@@ -237,13 +237,13 @@ def in_step(
             searches.append(super().submit(*given, **named))
             return searches[-1]
 
-    for module in (camera_sources, engine, eyes, feeds, *others):
+    for module in (camera_sources, capture, engine, feeds, *others):
         monkeypatch.setattr(module, "time", clock)
     monkeypatch.setattr(engine, "ThreadPoolExecutor", Pool)
     monkeypatch.setattr(engine, "EyesProcess", made := partial(EyesInStep, clock, searches, pause))
     monkeypatch.setattr(feeds, "SETTINGS", replace(SETTINGS, feeds_again_s=0.01, feeds_longest_s=0.02))
     if stage:
-        monkeypatch.setattr(eyes, "_opener", lambda view, *_: lambda: stage.open(view.name))
+        monkeypatch.setattr(capture, "_opener", lambda view, *_: lambda: stage.open(view.name))
     return made
 
 

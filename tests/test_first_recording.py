@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from hypose.app.cli import run_cli
-from hypose.app.jobs.truth import compare_with_truth
 from hypose.io.motions.results import load_motion
+from hypose.pipeline.comparison import compare_with_truth
 from tests import missing
 from tests.conftest import ROOT
 

@@ -9,7 +9,7 @@ from hypose.body.body import Body
 from hypose.calibration.diagnostics import Cured, PersonReport, examine_and_cure
 from hypose.geometry import Array
 from hypose.io.recordings.recording import Recording, load_recording
-from hypose.pipeline.examine import Refinement, cured_recording, observe_recording, refine_recording
+from hypose.pipeline.recording_diagnostics import Refinement, cured_recording, observe_recording, refine_recording
 
 POSE2SIM_LEFT_OUT_PX = 24.19
 """Median px of Pose2Sim 0.10.49 (filtered) in the view left out, on the shipped calibration, all frames; measured once,

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from hypose.errors import EvidenceError
+from hypose.pipeline.live.capture import EyesOptions
 from hypose.pipeline.live.engine import LiveEngine, LiveResult, LiveStatus, LiveTrackingOptions
-from hypose.pipeline.live.eyes import EyesOptions
 from hypose.pipeline.live.live_rig import live_rig
 from hypose.pipeline.live.live_search import LivePersonOptions
 from hypose.pipeline.run import TrackOptions

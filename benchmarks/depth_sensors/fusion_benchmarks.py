@@ -28,7 +28,7 @@ from hypose.fusion.register import common_joints, register
 from hypose.geometry import Array
 from hypose.io.motions.results import ResultsFolder
 from hypose.io.sensors.skeleton_files import read_kinect_csv
-from hypose.pipeline.verdict import GOOD, UNTRUSTED
+from hypose.pipeline.assessment import GOOD, UNTRUSTED
 
 
 def human4d(options: BenchOptions) -> BenchReport:

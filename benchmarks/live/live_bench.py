@@ -26,8 +26,8 @@ from hypose.geometry import Array
 from hypose.io.recordings.recording import Recording, load_recording
 from hypose.io.videos.camera_sources import CameraImage
 from hypose.io.videos.video import open_video
+from hypose.pipeline.live.capture import EyesOptions
 from hypose.pipeline.live.engine import LiveEngine, LiveResult, LiveStatus, LiveTrackingOptions
-from hypose.pipeline.live.eyes import EyesOptions
 from hypose.pipeline.live.live_people import LivePose
 from hypose.pipeline.live.live_rig import LiveRig, live_rig
 from hypose.pipeline.run import TrackOptions

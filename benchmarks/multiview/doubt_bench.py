@@ -41,11 +41,11 @@ from hypose.evidence.keypoints import BODY_25B
 from hypose.geometry import Array, se3
 from hypose.io.recordings.frames import FrameSettings, FrameStream
 from hypose.io.recordings.recording import Recording
-from hypose.pipeline.doubts import against_the_clip
-from hypose.pipeline.first_look import first_look
+from hypose.pipeline.assessment import GOOD, UNTRUSTED, verdict_of
+from hypose.pipeline.frame_anomalies import against_the_clip
+from hypose.pipeline.input_checks import first_look
 from hypose.pipeline.run import TrackOptions, TrackResult, track_source
 from hypose.pipeline.track_loop import FrameList
-from hypose.pipeline.verdict import GOOD, UNTRUSTED, verdict_of
 from hypose.synthetic.metrics import EVALUATED
 from hypose.tracking.audit import audit_frame
 from hypose.tracking.doubt import WRONG_M, doubt_models, worth_a_look

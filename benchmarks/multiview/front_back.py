@@ -13,7 +13,7 @@ from hypose.body.body import Body
 from hypose.body.ready_bodies import human
 from hypose.geometry import Array
 from hypose.pipeline.first_frame import SubjectOptions, TrackedSubject, find_subject
-from hypose.pipeline.mend_sides import FrameRange, mend_sides
+from hypose.pipeline.left_right import FrameRange, mend_sides
 from hypose.pipeline.run import TrackOptions, tracker_of
 from hypose.pipeline.track_loop import FrameList, track_frames
 from hypose.synthetic.metrics import joint_errors, population_offsets

@@ -14,9 +14,9 @@ from benchmarks.multiview.start_scenes import CHAIRED, POSTURES, RIGS, frames_of
 from hypose.body.ready_bodies import human
 from hypose.errors import HyposeError
 from hypose.evidence.frame import Frame
+from hypose.pipeline.assessment import GOOD
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.track_loop import FrameList
-from hypose.pipeline.verdict import GOOD
 from hypose.synthetic.metrics import EVALUATED
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.postures import postures as postures_of_body

@@ -20,11 +20,11 @@ from hypose.body.ready_bodies import human
 from hypose.calibration.synchronisation import Resampled, offsets_from_motion
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array
+from hypose.pipeline.assessment import verdict_of
 from hypose.pipeline.people_run import PeopleRun
 from hypose.pipeline.run import TrackOptions, TrackResult, track_source
 from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.tracked_people import TrackedPerson
-from hypose.pipeline.verdict import verdict_of
 from hypose.synthetic.metrics import joint_errors, population_offsets
 from hypose.synthetic.scenes import Scene
 

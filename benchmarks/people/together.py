@@ -26,8 +26,8 @@ from hypose.errors import HyposeError
 from hypose.evidence.association import people_of
 from hypose.evidence.keypoints import BODY_25, to_keypoints
 from hypose.geometry import Array
-from hypose.pipeline.people_points import KeypointPeople
 from hypose.pipeline.people_run import PeopleRun
+from hypose.pipeline.person_paths import KeypointPeople
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.tracked_people import TrackedPerson

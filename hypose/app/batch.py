@@ -23,7 +23,6 @@ from typing import TYPE_CHECKING, Any
 
 from hypose.app.commands.console import ProgressCall, Stages, ignore
 from hypose.app.jobs.job import TrackJob, choose_frames, compile_before, record_of, run_job
-from hypose.app.jobs.truth import compare_with
 from hypose.app.reports.summary import require_found, summarize
 from hypose.errors import HyposeError, InputError, extra
 from hypose.io.file_names import file_name
@@ -31,6 +30,7 @@ from hypose.io.files import check_writable, read_json, text_lines, write_text
 from hypose.io.motions.results import ResultsFolder, provenance_identity, to_json
 from hypose.io.recordings.pose2sim import is_project
 from hypose.io.recordings.recording import load_recording
+from hypose.pipeline.comparison import compare_with
 from hypose.pipeline.run import TrackOptions
 
 if TYPE_CHECKING:

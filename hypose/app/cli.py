@@ -26,7 +26,6 @@ from hypose.app.commands import (
     commands_gesture,
     commands_live,
     commands_results,
-    commands_studio,
     commands_track,
 )
 from hypose.errors import HyposeError
@@ -57,7 +56,7 @@ _COMMANDS = (
     ("fuse", commands_fuse.fuse, "One skeleton per person from several depth sensors."),
     ("live", commands_live.live, "Cameras in, poses out, while it happens."),
     ("batch", commands_batch.batch, "Many recordings, many settings, all cores or a cluster."),
-    ("view", commands_studio.view, "The studio in the browser: look at results, correct, set up."),
+    ("view", commands_live.view, "The studio in the browser: look at results, correct, set up."),
     ("export", commands_results.export, "Write TRC, C3D, BVH, GLB, CSV, MOT of a tracked motion."),
     ("play", commands_results.play, "Send a tracked motion to an avatar, as it was (VMC)."),
     ("gait", commands_results.gait, "Foot strikes, steps, cadence and speed of a tracked motion."),

@@ -40,8 +40,8 @@ from hypose.io.recordings.frames import FrameSettings, FrameStream, load_keypoin
 from hypose.io.recordings.recording import Recording
 from hypose.io.recordings.view_source import ViewSource
 from hypose.io.videos.video import open_video
-from hypose.pipeline.doubts import in_words
 from hypose.pipeline.first_frame import TrackedSubject
+from hypose.pipeline.frame_anomalies import in_words
 from hypose.pipeline.settings import SETTINGS
 from hypose.tracking.contacts import runs
 from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, keypoint_model

@@ -25,16 +25,15 @@ from hypose.io.motions.results import ResultsFolder, save_motion
 from hypose.io.recordings.frames import FrameSettings, FrameStream
 from hypose.io.recordings.recording import Recording
 from hypose.io.recordings.recording_people import load_person
-from hypose.pipeline.first_look import places_refuted
-from hypose.pipeline.hull_paths import count_people
-from hypose.pipeline.people_points import KeypointPeople
+from hypose.pipeline.assessment import other_people_note
+from hypose.pipeline.input_checks import places_refuted
 from hypose.pipeline.people_run import PeopleRun
+from hypose.pipeline.person_paths import KeypointPeople, count_people
 from hypose.pipeline.run import TrackOptions, TrackResult
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.subject_from_motion import load_subject
 from hypose.pipeline.track_loop import FrameSource, StageProgress
 from hypose.pipeline.tracked_people import Wanted, said_of_places
-from hypose.pipeline.verdict import other_people_note
 
 
 def several_apart(silhouettes: Sequence[Silhouettes], often: float = SETTINGS.several_often) -> bool:

@@ -25,26 +25,26 @@ from hypose.evidence.hull import common_view_bounds
 from hypose.evidence.hull_people import VIEWS, HullPerson
 from hypose.geometry import Array
 from hypose.io.motions.results import ResultsFolder, provenance_identity, save_motion
-from hypose.pipeline.bodies_again import fitted_again
-from hypose.pipeline.doubts import as_now, in_words, looked_at, mask_change
 from hypose.pipeline.first_frame import SubjectOptions, TrackedSubject, find_subject, keep_subject, kept_subject
-from hypose.pipeline.first_look import look_at_depth, sentences
-from hypose.pipeline.hull_paths import Path, follow_places, lasting
-from hypose.pipeline.newcomers import (
+from hypose.pipeline.frame_anomalies import as_now, in_words, looked_at, mask_change
+from hypose.pipeline.input_checks import look_at_depth, sentences
+from hypose.pipeline.person_paths import KeypointPeople, Path, PointFrames, follow_places, lasting, padded
+from hypose.pipeline.rough_bodies import RoughTrack, fitted_again, frame_of_person, least_hidden, rough_bodies
+from hypose.pipeline.run import TrackOptions, finish, track_source, tracker_of
+from hypose.pipeline.settings import SETTINGS
+from hypose.pipeline.track_loop import Deferred, FrameSource, StageProgress, Tracked
+from hypose.pipeline.track_management import (
     back_again,
     candidate_evidence,
+    exchange,
     explained_by,
+    look_at_clothes,
     not_parts,
     part_doubles,
     somebody_more,
     unfollowed,
     without_doubles,
 )
-from hypose.pipeline.people_points import KeypointPeople, PointFrames, padded
-from hypose.pipeline.rough_bodies import RoughTrack, frame_of_person, least_hidden, rough_bodies
-from hypose.pipeline.run import TrackOptions, finish, track_source, tracker_of
-from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.track_loop import Deferred, FrameSource, StageProgress, Tracked
 from hypose.pipeline.tracked_people import (
     Followed,
     OwnFrames,
@@ -60,7 +60,6 @@ from hypose.pipeline.tracked_people import (
     save_people,
     seen_by_themselves,
 )
-from hypose.pipeline.wardrobe import exchange, look_at_clothes
 from hypose.tracking.contacts import runs
 from hypose.tracking.several import Member, nobody_in, step_together, visible_share
 from hypose.tracking.tracker import Tracker

@@ -20,8 +20,8 @@ from hypose.inference.layer import Recipe
 from hypose.io.motions.results import ResultsFolder, provenance_identity, save_modes, save_motion
 from hypose.io.recordings.frames import FrameSettings, FrameStream
 from hypose.io.recordings.recording import Recording
-from hypose.pipeline.both_ways import both_ways_notes, look_both_ways
-from hypose.pipeline.doubts import against_the_clip, with_doubts, with_repeated_points
+from hypose.pipeline.assessment import Verdict, not_shown, other_people_note, verdict_of
+from hypose.pipeline.backward_pass import both_ways_notes, look_both_ways
 from hypose.pipeline.first_frame import (
     SUBJECT,
     SubjectOptions,
@@ -30,8 +30,9 @@ from hypose.pipeline.first_frame import (
     keep_subject,
     kept_subject,
 )
-from hypose.pipeline.first_look import first_look, of_measured, places_refuted, sentences
-from hypose.pipeline.mend_sides import look_back, look_back_notes, mend_sides, sides_notes
+from hypose.pipeline.frame_anomalies import against_the_clip, with_doubts, with_repeated_points
+from hypose.pipeline.input_checks import first_look, of_measured, places_refuted, sentences
+from hypose.pipeline.left_right import look_back, look_back_notes, mend_sides, sides_notes
 from hypose.pipeline.moved_sensors import PlacedSource, Places, moved_sensors
 from hypose.pipeline.one_camera import (
     against_the_picture,
@@ -54,7 +55,6 @@ from hypose.pipeline.track_loop import (
     track_frames,
     tracked_before,
 )
-from hypose.pipeline.verdict import Verdict, not_shown, other_people_note, verdict_of
 from hypose.tracking.audit import audit_frame
 from hypose.tracking.doubt import as_mixture, evidence_of, judged, not_in_set, worth_a_look
 from hypose.tracking.fitted_spread import (

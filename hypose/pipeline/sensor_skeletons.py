@@ -35,10 +35,10 @@ from hypose.io.sensors.skeleton_streams import (
     resample,
     shifted,
 )
+from hypose.pipeline.assessment import Verdict, verdict_of
 from hypose.pipeline.run import TrackOptions, TrackResult, track_source
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.track_loop import FrameSource, StageProgress
-from hypose.pipeline.verdict import Verdict, verdict_of
 from hypose.tracking.refinement import KEYPOINT_SHARE, anatomical_prior
 from hypose.tracking.subject import subject_from_keypoints
 

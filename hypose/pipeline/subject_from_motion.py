@@ -26,10 +26,9 @@ from hypose.fitting.articulated import SolveSettings
 from hypose.geometry import Array
 from hypose.io.files import write_text
 from hypose.io.motions.results import load_body, save_body
-from hypose.pipeline.mend_sides import mend_sides
+from hypose.pipeline.left_right import mend_sides
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.start_choice import best_ways, follow
-from hypose.pipeline.subject_checks import check_borders, check_person_size, no_two_views
+from hypose.pipeline.start_choice import best_ways, check_borders, check_person_size, follow, no_two_views
 from hypose.tracking.costs import mean_overlap, silhouette_iou
 from hypose.tracking.frame_evidence import PreparedFrame, prepare
 from hypose.tracking.recipes import default

@@ -14,8 +14,8 @@ from hypose.errors import HyposeError
 from hypose.evidence.ahead import look_ahead
 from hypose.evidence.frame import Frame
 from hypose.io.motions.results import Checkpoint
-from hypose.pipeline.doubts import looked_at
 from hypose.pipeline.first_frame import TrackedSubject
+from hypose.pipeline.frame_anomalies import looked_at
 from hypose.pipeline.one_camera import FrameSource, tracked_frames
 from hypose.tracking.tracker import (
     FrameEstimate,

@@ -17,12 +17,12 @@ from hypose.evidence.frame import Frame
 from hypose.evidence.shared_masks import SOLVED, Other
 from hypose.geometry import Array
 from hypose.io.motions.results import Checkpoint, ResultsFolder, provenance_identity
+from hypose.pipeline.assessment import Verdict, verdict_of
 from hypose.pipeline.first_frame import TrackedSubject, kept_subject
-from hypose.pipeline.people_points import KeypointPeople, per_frame
+from hypose.pipeline.person_paths import KeypointPeople, per_frame
 from hypose.pipeline.run import TrackResult
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.track_loop import FrameSource
-from hypose.pipeline.verdict import Verdict, verdict_of
 from hypose.tracking.clothes import Wardrobe
 from hypose.tracking.contacts import runs
 from hypose.tracking.several import Member, nobody_in, shape_of

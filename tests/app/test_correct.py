@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from hypose.app.jobs.correct import read_correction
-from hypose.app.jobs.truth import compare_with_truth
 from hypose.errors import InputError
 from hypose.io.motions.results import load_body, load_motion
+from hypose.pipeline.comparison import compare_with_truth
 
 FRAME = 3
 

@@ -200,8 +200,7 @@ def test_recordings_without_a_usable_gesture_are_refused(tmp_path, capsys):
 def test_websocket_listeners_get_scores_and_events():
     from websockets.sync.client import connect
 
-    from hypose.app.jobs.gesture_job import Watched
-    from hypose.app.live.gesture_outputs import WebSocketOut
+    from hypose.app.jobs.gesture_job import Watched, WebSocketOut
     from hypose.gestures.events import Event
     from hypose.gestures.localise import Localisation
 

@@ -15,9 +15,8 @@ import pytest
 
 from hypose.app.reports import report
 from hypose.app.reports.report import drawn_of, report_html
-from hypose.app.studio.view_bundle import view_bundle
+from hypose.app.studio.view_bundle import load_view, view_bundle
 from hypose.app.studio.view_pictures import ViewPictures
-from hypose.app.studio.view_result import load_view
 from hypose.body.joint_angles import ANGLE_NAMES
 from hypose.errors import InputError
 from hypose.geometry import so3_exp

@@ -10,7 +10,7 @@ from hypose.calibration.diagnostics import Observed, examine
 from hypose.calibration.findings import depth_findings, seen_past
 from hypose.cameras.camera import CameraRig
 from hypose.geometry import se3
-from hypose.pipeline.first_look import first_look
+from hypose.pipeline.input_checks import first_look
 from hypose.pipeline.track_loop import FrameList
 from hypose.synthetic.depth_scenes import depth_scene, to_profile, turning
 from hypose.synthetic.motions import act

@@ -13,10 +13,9 @@ from hypose.body.ready_bodies import human
 from hypose.errors import InputError
 from hypose.geometry import se3, so3_exp, transform
 from hypose.io.motions.c3d import write_c3d
-from hypose.io.motions.compared_files import OtherMotion, read_other
 from hypose.io.motions.marker_files import read_mot, write_mot, write_trc
 from hypose.io.motions.results import save_body, save_motion
-from hypose.pipeline.comparison import CompareOptions, compare_motions
+from hypose.pipeline.comparison import CompareOptions, OtherMotion, compare_motions, read_other
 
 NAMES = ("left_hip", "left_knee", "left_ankle", "right_knee", "left_elbow", "right_wrist")
 

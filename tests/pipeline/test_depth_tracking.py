@@ -14,13 +14,13 @@ from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.geometry import se3, se3_inverse, so3_exp, transform
+from hypose.pipeline.assessment import UNTRUSTED
 from hypose.pipeline.first_frame import TrackedSubject
-from hypose.pipeline.first_look import first_look
 from hypose.pipeline.import_depth import register_depth
+from hypose.pipeline.input_checks import first_look
 from hypose.pipeline.people_run import PeopleRun
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.track_loop import FrameList
-from hypose.pipeline.verdict import UNTRUSTED
 from hypose.synthetic.depth_scenes import depth_scene, to_profile, turning
 from hypose.synthetic.metrics import EVALUATED, population_offsets, with_offsets
 from hypose.synthetic.motions import act

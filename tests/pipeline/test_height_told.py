@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from hypose.body.ready_bodies import human
+from hypose.pipeline.assessment import UNTRUSTED
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.subject_from_motion import height_told
 from hypose.pipeline.track_loop import FrameList
-from hypose.pipeline.verdict import UNTRUSTED
 from hypose.synthetic.scenes import make_scene
 
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from hypose.evidence.frame import Frame
+from hypose.pipeline.assessment import GOOD, verdict_of
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.track_loop import FrameList
-from hypose.pipeline.verdict import GOOD, verdict_of
 from hypose.synthetic.metrics import EVALUATED, population_offsets, with_offsets
 from hypose.synthetic.performance import Angles, Stance, moved, perform
 from hypose.synthetic.scenes import make_scene

@@ -11,9 +11,8 @@ from hypose.errors import InputError
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.person_tracks import PersonTrack
 from hypose.io.motions.results import ResultsFolder
-from hypose.pipeline.hull_paths import count_people
-from hypose.pipeline.people_points import KeypointPeople
 from hypose.pipeline.people_run import PeopleRun
+from hypose.pipeline.person_paths import KeypointPeople, count_people
 from hypose.pipeline.run import TrackOptions
 from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.tracked_people import (

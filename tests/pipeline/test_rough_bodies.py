@@ -5,7 +5,7 @@ import pytest
 
 from hypose.body.ready_bodies import human
 from hypose.evidence.frame import Frame, Silhouettes
-from hypose.pipeline.hull_paths import follow_places
+from hypose.pipeline.person_paths import follow_places
 from hypose.pipeline.rough_bodies import RoughTrack, frame_of_person, rough_bodies
 from hypose.pipeline.start_choice import best_ways
 from hypose.synthetic.scenes import make_scene

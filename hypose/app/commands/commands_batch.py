@@ -10,8 +10,7 @@ from typing import Annotated
 import typer
 
 from hypose.app.commands.commands_track import split_names, stopping
-from hypose.app.commands.console import Stages, print_note, say
-from hypose.app.commands.options import number
+from hypose.app.commands.console import Stages, number, print_note, say
 from hypose.errors import InputError
 
 _GO_ON = "Stopped. Go on with the same command."

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hypose.app.commands.console import Stages, out, print_note, say
-from hypose.app.commands.options import HEIGHT, MOST_FRAMES, number
+from hypose.app.commands.console import HEIGHT, MOST_FRAMES, Stages, number, out, print_note, say
 from hypose.errors import CalibrationError, InputError
 
 if TYPE_CHECKING:
@@ -318,7 +317,7 @@ def print_table(table: object) -> None:
 
 def _write_sheet(views: Sequence[CameraViews], board: Board, result: BoardCalibration | None, path: Path) -> Path:
     from hypose.app.jobs.checking import write_image
-    from hypose.app.reports.calibration_sheet import draw_sheet
+    from hypose.app.reports.calibration_pages import draw_sheet
 
     write_image(path, draw_sheet(views, board, result))
     return path

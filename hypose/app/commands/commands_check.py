@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hypose.app.commands.console import Stages, out, say
-from hypose.app.commands.options import HEIGHT, number
+from hypose.app.commands.console import HEIGHT, Stages, number, out, say
 from hypose.errors import EvidenceError, InputError
 
 if TYPE_CHECKING:
@@ -18,7 +17,7 @@ if TYPE_CHECKING:
     from hypose.geometry import Array
     from hypose.io.recordings.recording import Recording
     from hypose.io.recordings.recording_people import RecordedPerson
-    from hypose.pipeline.examine import Refinement
+    from hypose.pipeline.recording_diagnostics import Refinement
 
 _REFINE = "Refine"
 
@@ -135,7 +134,7 @@ def _refine(
     far: bool,
 ) -> None:
     from hypose.io.calibrations.calibration_text import write_calibration
-    from hypose.pipeline.examine import cured_recording, refine_recording
+    from hypose.pipeline.recording_diagnostics import cured_recording, refine_recording
 
     method = using
     if using == "auto":
@@ -307,7 +306,7 @@ def _by_motion(
     from hypose.calibration.diagnose_points import undistorted
     from hypose.calibration.sync_motion import at_the_end, offsets_within
     from hypose.calibration.synchronisation import offsets_from_motion
-    from hypose.pipeline.examine import observe_recording
+    from hypose.pipeline.recording_diagnostics import observe_recording
 
     seen = observe_recording(recording, frames, progress)
     points = None if seen.keypoints is None else undistorted(seen.rig, seen.keypoints)
@@ -334,7 +333,7 @@ def _by_motion(
 
 def _by_sound(recording: Recording, largest: float) -> tuple[list[float], list[str]]:
     from hypose.calibration.synchronisation import offsets_from_sound
-    from hypose.io.videos.sound import read_sound
+    from hypose.io.videos.video import read_sound
 
     sounds = []
     for view in recording.views:
@@ -373,8 +372,8 @@ def _write(recording: Recording, late: list[float], folder: Path, progress: Prog
     from hypose.io.files import write_text
     from hypose.io.recordings.frames import mask_folder, write_frame_masks
     from hypose.io.recordings.recording import write_recording
-    from hypose.pipeline.examine import raw_person
     from hypose.pipeline.one_of_several import frames_to_examine
+    from hypose.pipeline.recording_diagnostics import raw_person
 
     progress("background", 0, 1)
     stream, _ = frames_to_examine(recording)

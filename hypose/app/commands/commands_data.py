@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hypose.app.commands.commands_track import detect, detected, open_network_asking, set_threads, stopping
-from hypose.app.commands.console import Stages, print_note, say
-from hypose.app.commands.options import Seconds, Seed, Threads, number
+from hypose.app.commands.console import Seconds, Seed, Stages, Threads, number, print_note, say
 from hypose.errors import EvidenceError, InputError
 
 if TYPE_CHECKING:

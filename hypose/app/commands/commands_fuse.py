@@ -15,8 +15,7 @@ from hypose.app.commands.commands_track import (
     stopping,
     tell_verdicts,
 )
-from hypose.app.commands.console import Stages, print_note, say
-from hypose.app.commands.options import Seed, Threads, number
+from hypose.app.commands.console import Seed, Stages, Threads, number, print_note, say
 from hypose.errors import InputError
 
 if TYPE_CHECKING:

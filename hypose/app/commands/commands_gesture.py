@@ -9,8 +9,7 @@ from typing import Annotated
 import typer
 
 from hypose.app.commands.commands_track import stopping
-from hypose.app.commands.console import Stages, print_note, say
-from hypose.app.commands.options import MOST_FRAMES, Seed, number
+from hypose.app.commands.console import MOST_FRAMES, Seed, Stages, number, print_note, say
 from hypose.errors import InputError
 
 gesture_app = typer.Typer(
@@ -125,8 +124,16 @@ def gesture_run(
     seed: Seed = 0,
 ) -> None:
     """Watch for gestures without a screen: events as JSON lines on stdout, and wherever the options say."""
-    from hypose.app.jobs.gesture_job import looking, thresholds, watch
-    from hypose.app.live.gesture_outputs import CommandOut, OscOut, Out, WebSocketOut, event_line
+    from hypose.app.jobs.gesture_job import (
+        CommandOut,
+        OscOut,
+        Out,
+        WebSocketOut,
+        event_line,
+        looking,
+        thresholds,
+        watch,
+    )
     from hypose.app.live.gesture_sources import open_source
     from hypose.gestures.events import EventSettings
     from hypose.pipeline.gesture_files import load_model

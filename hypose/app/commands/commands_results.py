@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hypose.app.commands.commands_track import set_threads, split_names, stopping
-from hypose.app.commands.console import Stages, print_note, say
-from hypose.app.commands.options import Threads, number
+from hypose.app.commands.console import Stages, Threads, number, print_note, say
 from hypose.errors import HyposeError, InputError
 
 if TYPE_CHECKING:
@@ -56,7 +55,7 @@ def report(
     """Write the report of a result again: one file that opens from disk and loads nothing."""
     set_threads(threads)
     from hypose.app.reports.report import write_report
-    from hypose.app.studio.view_result import find_recording, load_view
+    from hypose.app.studio.view_bundle import find_recording, load_view
     from hypose.io.files import check_writable
 
     folder = results if results.is_dir() else results.parent
@@ -318,7 +317,7 @@ def tell_untrusted(results: Path) -> None:
     from hypose.app.jobs.job import VERDICT
     from hypose.errors import InputError
     from hypose.io.files import read_json
-    from hypose.pipeline.verdict import UNTRUSTED, Verdict
+    from hypose.pipeline.assessment import UNTRUSTED, Verdict
 
     folder = results if results.is_dir() else results.parent
     try:

@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hypose.app.commands.console import Stages, print_note, say
-from hypose.app.commands.options import HEIGHT, MOST_FRAMES, Seconds, Seed, Threads, number
+from hypose.app.commands.console import HEIGHT, MOST_FRAMES, Seconds, Seed, Stages, Threads, number, print_note, say
 from hypose.errors import InputError
 
 if TYPE_CHECKING:
@@ -24,8 +23,8 @@ if TYPE_CHECKING:
     from hypose.evidence.detector import PoseDetector
     from hypose.io.keypoints.read_keypoints import DetectedKeypoints
     from hypose.io.recordings.recording import Recording
+    from hypose.pipeline.assessment import Verdict
     from hypose.pipeline.subject_from_motion import SubjectEstimate
-    from hypose.pipeline.verdict import Verdict
 
 
 def track_command(
@@ -156,10 +155,10 @@ def demo(
     """Make a synthetic four-camera recording, track it as `hypose track` would, and compare with the truth."""
     set_threads(threads)
     from hypose.app.jobs.job import TrackJob
-    from hypose.app.jobs.truth import compare_with
     from hypose.io.files import claimed
     from hypose.io.motions.results import ResultsFolder
     from hypose.io.recordings.recording import load_recording
+    from hypose.pipeline.comparison import compare_with
     from hypose.pipeline.run import TrackOptions
     from hypose.synthetic.scenes import make_scene
     from hypose.synthetic.write_recording import check_folder, write_scene
@@ -256,7 +255,7 @@ def report_outcome(job: TrackJob, finished: tuple[Outcome, dict[str, float]]) ->
 
 def tell_verdicts(verdicts: Mapping[str, Verdict]) -> None:
     """The verdict on everybody by their names (none of one person); exit code 3 when one is not to be trusted."""
-    from hypose.pipeline.verdict import EXIT_UNTRUSTED, UNTRUSTED
+    from hypose.pipeline.assessment import EXIT_UNTRUSTED, UNTRUSTED
 
     for name, verdict in verdicts.items():
         say(f"Verdict{' on ' if name else ''}{name}: {verdict.sentence}", "bold")
@@ -298,7 +297,7 @@ def correct(
     from hypose.app.jobs.correct import corrected_motion as track_again
     from hypose.app.jobs.correct import read_correction
     from hypose.app.reports.summary import require_found
-    from hypose.app.studio.view_result import find_recording
+    from hypose.app.studio.view_bundle import find_recording
     from hypose.io.files import claimed
     from hypose.io.motions.results import ResultsFolder
 

@@ -11,7 +11,7 @@ import numpy as np
 from rich.table import Table
 
 from hypose.app.commands.console import ProgressCall, ignore
-from hypose.app.reports.check_page import residual_picture, write_check_page
+from hypose.app.reports.calibration_pages import residual_picture, write_check_page
 from hypose.app.reports.result_pictures import (
     Drawing,
     draw_all,
@@ -28,8 +28,8 @@ from hypose.io.motions.results import to_json
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording, ViewSettings
 from hypose.io.recordings.recording_views import open_pictures
-from hypose.pipeline.examine import observe_recording
 from hypose.pipeline.one_of_several import frames_to_examine
+from hypose.pipeline.recording_diagnostics import observe_recording
 
 _LOW_IOU = 0.6  # hull against mask: below this a view contradicts the others
 _HEIGHTS = (0.5, 2.6)  # m: what a person's hull can measure

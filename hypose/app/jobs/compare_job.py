@@ -16,9 +16,8 @@ from hypose.app.reports.charts import RIGHT_COLOUR, Axes, chart, over_known
 from hypose.app.reports.summary import page
 from hypose.errors import InputError
 from hypose.io.files import write_text
-from hypose.io.motions.compared_files import read_other
 from hypose.io.motions.results import load_result
-from hypose.pipeline.comparison import Agreement, CompareOptions, Comparison, compare_motions
+from hypose.pipeline.comparison import Agreement, CompareOptions, Comparison, compare_motions, read_other
 from hypose.pipeline.settings import SETTINGS
 
 _AXES = ("x", "y", "z")

@@ -17,7 +17,7 @@ import numpy as np
 
 from hypose.app.commands.console import ProgressCall, ignore
 from hypose.app.jobs.job import compile_before
-from hypose.app.studio.view_result import load_view
+from hypose.app.studio.view_bundle import load_view
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.errors import InputError
@@ -30,7 +30,7 @@ from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording
 from hypose.pipeline.first_frame import GIVEN, SubjectOptions, TrackedSubject, find_subject
 from hypose.pipeline.one_camera import FrameSource
-from hypose.pipeline.people_points import per_frame
+from hypose.pipeline.person_paths import per_frame
 from hypose.pipeline.run import TrackOptions, frames_wanted, track_source
 
 _READ_AT_ONCE = 64

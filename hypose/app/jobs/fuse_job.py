@@ -35,8 +35,8 @@ from hypose.io.sensors.skeleton_streams import (
     resample,
     shifted,
 )
+from hypose.pipeline.assessment import Verdict
 from hypose.pipeline.sensor_skeletons import fused_verdict
-from hypose.pipeline.verdict import Verdict
 
 POINT_FORMATS = ("trc", "c3d", "csv")
 """Formats that need no poses."""

@@ -33,16 +33,16 @@ from hypose.io.motions.results import (
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording
 from hypose.io.sensors.skeleton_streams import SkeletonRecording
+from hypose.pipeline.assessment import Verdict
 from hypose.pipeline.first_frame import SubjectOptions
 from hypose.pipeline.one_camera import POINT_STARTS, clicks_of, depth_note
 from hypose.pipeline.run import MODES, TrackOptions, TrackResult, check_views, frames_wanted
 from hypose.pipeline.subject_from_motion import load_subject, subject_file
 from hypose.pipeline.track import track_person
-from hypose.pipeline.verdict import Verdict
 from hypose.tracking.recipes import RECIPES, citation_of
 
 if TYPE_CHECKING:
-    from hypose.app.jobs.truth import Truth
+    from hypose.pipeline.comparison import Truth
 
 VERDICT = "verdict.json"
 

@@ -31,12 +31,12 @@ from hypose.io.motions.c3d import write_c3d
 from hypose.io.motions.gltf import write_people_glb
 from hypose.io.motions.results import ResultsFolder, save_body
 from hypose.io.recordings.frames import FrameStream
-from hypose.pipeline.doubts import in_words
+from hypose.pipeline.assessment import UNTRUSTED, Verdict
+from hypose.pipeline.frame_anomalies import in_words
 from hypose.pipeline.one_of_several import chosen_people, keypoint_people, people_frames, wanted_of
 from hypose.pipeline.people_run import PeopleRun
 from hypose.pipeline.run import check_views
 from hypose.pipeline.tracked_people import TrackedPerson, Wanted, said_of_places
-from hypose.pipeline.verdict import UNTRUSTED, Verdict
 from hypose.tracking.contacts import runs
 from hypose.tracking.recipes import citation_of
 

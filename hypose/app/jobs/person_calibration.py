@@ -19,7 +19,7 @@ from hypose.evidence.keypoints import keypoint_names, person_size
 from hypose.geometry import Array
 from hypose.io.recordings.recording import Recording, load_recording
 from hypose.io.recordings.recording_people import candidates_of
-from hypose.pipeline.examine import window
+from hypose.pipeline.recording_diagnostics import window
 
 _MOST_SECONDS = 60
 

@@ -8,12 +8,12 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from hypose.app.jobs.truth import Truth
 from hypose.body.joint_angles import joint_angles
 from hypose.body.motion import Motion
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import visible
 from hypose.geometry import Array
+from hypose.pipeline.comparison import Truth
 from hypose.pipeline.gait import PERCENT, AngleCycle
 
 LEFT_COLOUR, RIGHT_COLOUR, INK, GREEN, VIOLET = "#d9731a", "#2679c0", "currentColor", "#2a9d6f", "#8e4ec6"

@@ -17,12 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose import compute
-from hypose.app.studio.answers import request_choice, request_number, whole
 from hypose.app.studio.catalog import Catalog, Item
+from hypose.app.studio.http import request_choice, request_number, whole
 from hypose.app.studio.job_kinds import is_name
 from hypose.app.studio.recordings import Recordings
-from hypose.app.studio.view_bundle import ViewResult, view_bundle
-from hypose.app.studio.view_result import first_frame
+from hypose.app.studio.view_bundle import ViewResult, first_frame, view_bundle
 from hypose.body.body import Body
 from hypose.body.motion import Motion, isotropic
 from hypose.body.ready_bodies import JOINT_NAMES, human

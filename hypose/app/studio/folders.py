@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from hypose.app.reports.result_pictures import jpeg
-from hypose.app.studio.answers import NotNow, text
 from hypose.app.studio.catalog import Catalog, is_recording
+from hypose.app.studio.http import NotNow, text
 from hypose.app.studio.job_kinds import CALIBRATION
 from hypose.calibration.views import find_sources
 from hypose.errors import HyposeError, InputError

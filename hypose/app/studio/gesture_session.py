@@ -19,7 +19,7 @@ from typing import Any
 from hypose.app.live.gesture_sources import Taken
 from hypose.app.studio.catalog import Catalog
 from hypose.app.studio.gesture_start import Controls, SessionRequest, change, open_feed, read_command, read_start, shut
-from hypose.app.studio.gesture_train import Training, Watching
+from hypose.app.studio.gesture_training import Training, Watching
 from hypose.app.studio.gesture_views import depth_jpeg, map_png
 from hypose.app.studio.hub import DEPTH, MAP, Hub, Message, Topic
 from hypose.app.studio.live_topics import recording_folder

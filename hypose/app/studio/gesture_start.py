@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from hypose.app.live.gesture_sources import GestureSource, Taken, open_source
-from hypose.app.studio.answers import digits, request_choice, request_number, text, whole
+from hypose.app.studio.http import digits, request_choice, request_number, text, whole
 from hypose.errors import InputError
 from hypose.gestures.model import check_gesture_name
 from hypose.gestures.session import COMMANDS, Command, SessionSettings

@@ -16,7 +16,7 @@ from typing import Any
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from hypose.app.studio.answers import object_of, whole
+from hypose.app.studio.http import object_of, whole
 from hypose.app.studio.view_bundle import json_values
 from hypose.errors import HyposeError, InputError
 

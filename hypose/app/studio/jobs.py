@@ -24,15 +24,15 @@ from pathlib import Path
 from typing import Any, Literal
 
 from hypose.app.commands.console import COUNTED_IN_FRAMES, JSON_PROGRESS
-from hypose.app.studio.answers import NotNow
 from hypose.app.studio.catalog import Catalog, NotFound
+from hypose.app.studio.http import NotNow
 from hypose.app.studio.hub import Hub, Message, Topic
 from hypose.app.studio.job_kinds import JOB_KINDS, Plan, plan_job, with_result_name
 from hypose.app.studio.view_bundle import json_values
 from hypose.errors import HyposeError
 from hypose.io.files import read_json, write_text
 from hypose.json_text import parse_json
-from hypose.pipeline.verdict import EXIT_UNTRUSTED
+from hypose.pipeline.assessment import EXIT_UNTRUSTED
 
 NAME = ".studio-jobs.json"
 JobState = Literal["queued", "running", "done", "failed", "cancelled"]

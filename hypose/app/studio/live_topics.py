@@ -21,8 +21,8 @@ from hypose.app.live import simulated_sensors
 from hypose.app.live.live_server import FusionServerOptions as FuseOptions
 from hypose.app.live.live_server import LiveServer
 from hypose.app.live.pose_outputs import PoseOutputs, pose_json, status_json
-from hypose.app.studio.answers import NotNow, request_number, text, whole
 from hypose.app.studio.catalog import Catalog
+from hypose.app.studio.http import NotNow, request_number, text, whole
 from hypose.app.studio.hub import Hub, Message, Topic
 from hypose.app.studio.job_kinds import free_folder
 from hypose.body.ready_bodies import human
@@ -31,8 +31,8 @@ from hypose.fusion.align import AlignSettings
 from hypose.fusion.joints import COMMON, PARENT
 from hypose.fusion.live import LiveSettings
 from hypose.io.videos.camera_sources import CameraImage, is_device
+from hypose.pipeline.live.capture import EyesOptions
 from hypose.pipeline.live.engine import LiveEngine, LiveResult, LiveStatus, LiveTrackingOptions
-from hypose.pipeline.live.eyes import EyesOptions
 from hypose.pipeline.live.live_rig import LiveRig, live_rig
 from hypose.pipeline.live.live_search import LivePersonOptions
 from hypose.pipeline.live.recorder import LiveRecorder

@@ -16,11 +16,10 @@ import numpy as np
 from hypose.app.reports.summary import DESCRIPTIONS
 from hypose.app.studio.catalog import Catalog, Item, NotFound
 from hypose.app.studio.job_kinds import Plan
-from hypose.app.studio.memory_cache import Kept
+from hypose.app.studio.lru_cache import Kept
 from hypose.app.studio.recordings import Recordings
-from hypose.app.studio.view_bundle import json_values, view_bundle
+from hypose.app.studio.view_bundle import first_frame, in_recording, json_values, load_view, quality_of, view_bundle
 from hypose.app.studio.view_pictures import ViewPictures
-from hypose.app.studio.view_result import first_frame, in_recording, load_view, quality_of
 from hypose.body.motion import Motion
 from hypose.body.skeleton import Skeleton
 from hypose.errors import HyposeError

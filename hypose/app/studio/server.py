@@ -26,7 +26,12 @@ from hypose import __version__
 from hypose.app.live.servers import quiet_logs
 from hypose.app.reports.summary import DESCRIPTIONS
 from hypose.app.studio import clicks
-from hypose.app.studio.answers import (
+from hypose.app.studio.catalog import Catalog, Item, Kind, NotFound, is_recording
+from hypose.app.studio.folders import first_picture, list_folder, make_recording
+from hypose.app.studio.gesture_session import GestureTopic
+from hypose.app.studio.gesture_views import gesture_thumbnail, models_shown, sessions_shown, sources_shown
+from hypose.app.studio.http import (
+    Guard,
     NotNow,
     block_answer,
     digits,
@@ -35,18 +40,13 @@ from hypose.app.studio.answers import (
     request_choice,
     route,
     text,
+    token_for,
 )
-from hypose.app.studio.catalog import Catalog, Item, Kind, NotFound, is_recording
-from hypose.app.studio.folders import first_picture, list_folder, make_recording
-from hypose.app.studio.gesture_session import GestureTopic
-from hypose.app.studio.gesture_views import gesture_thumbnail, models_shown, sessions_shown, sources_shown
-from hypose.app.studio.guard import Guard, token_for
 from hypose.app.studio.hub import MAX_MESSAGE, Hub
 from hypose.app.studio.job_kinds import fused_in, is_name
 from hypose.app.studio.jobs import Jobs
 from hypose.app.studio.live_topics import CameraTopic, FuseTopic
-from hypose.app.studio.mending import mend
-from hypose.app.studio.recordings import Recordings
+from hypose.app.studio.recordings import Recordings, mend
 from hypose.app.studio.results import Results
 from hypose.body.ready_bodies import human
 from hypose.errors import HyposeError, InputError

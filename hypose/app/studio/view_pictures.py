@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.app.reports.result_pictures import image_points, jpeg, mask_outline
-from hypose.app.studio.memory_cache import Kept
+from hypose.app.studio.lru_cache import Kept
 from hypose.errors import InputError
 from hypose.geometry import Array, Image
 from hypose.io.recordings.frames import FrameStream

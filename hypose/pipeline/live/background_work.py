@@ -24,8 +24,8 @@ from hypose.cameras.camera import CameraRig
 from hypose.errors import EvidenceError
 from hypose.evidence.frame import Expected, Frame, Silhouettes
 from hypose.geometry import Array
+from hypose.pipeline.live.background_models import KeptDepth
 from hypose.pipeline.live.processes import belong_to_parent, deaf_to_ctrl_c
-from hypose.pipeline.live.rooms import KeptDepth
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.subject_from_motion import AnthropometryOptions, estimate_subject
 

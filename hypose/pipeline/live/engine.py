@@ -20,8 +20,9 @@ from hypose.errors import InputError
 from hypose.evidence.ahead import make_ahead
 from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import flag_collapsed, make_silhouettes
+from hypose.pipeline.live.background_models import depth_of
 from hypose.pipeline.live.background_work import BackgroundWork
-from hypose.pipeline.live.eyes import (
+from hypose.pipeline.live.capture import (
     EyesOptions,
     EyesProcess,
     LiveView,
@@ -35,7 +36,6 @@ from hypose.pipeline.live.feeds import FeedStatus
 from hypose.pipeline.live.live_people import STATE_LOST, STATE_TRACKING, LivePeople, LivePose
 from hypose.pipeline.live.live_search import STATE_EMPTY, STATE_SEARCHING, LivePersonOptions
 from hypose.pipeline.live.processes import punctual
-from hypose.pipeline.live.rooms import depth_of
 from hypose.pipeline.settings import SETTINGS
 
 EMPTY_ROOM = "empty room"

@@ -21,7 +21,7 @@ from hypose.evidence.ahead import pack_once
 from hypose.evidence.frame import Frame
 from hypose.evidence.shared_masks import PREDICTED, SOLVED, Other, own_silhouettes
 from hypose.geometry import Array
-from hypose.pipeline.doubts import as_now, looked_at, mask_change
+from hypose.pipeline.frame_anomalies import as_now, looked_at, mask_change
 from hypose.pipeline.live.background_work import BackgroundWork, PackedMasks
 from hypose.pipeline.live.live_search import FoundPerson, LivePersonOptions, LiveSearch, paced
 from hypose.pipeline.settings import SETTINGS
@@ -178,7 +178,7 @@ class LiveTrack:
     def _fought(
         self, body: Body, pose: Array, first: Frame, frames: queue.SimpleQueue[tuple[Frame, float]]
     ) -> tuple[TrackerState, float] | None:
-        """In another thread; limits as for whole clips (`hypose.pipeline.mend_sides`), at half their rate."""
+        """In another thread; limits as for whole clips (`hypose.pipeline.left_right`), at half their rate."""
         slow, give_up = (
             self.options.tracker(body, SETTINGS.search_slowly_hz),
             SETTINGS.live_shared if self._shared else SETTINGS.live_give_up,

@@ -16,7 +16,7 @@ from hypose.io.recordings.recording_views import ViewSettings
 from hypose.io.recordings.view_source import DepthSource
 from hypose.io.sensors.depth import DEPTH_PREFIX, is_depth
 from hypose.io.videos.camera_sources import is_device, without_password
-from hypose.pipeline.live.eyes import LiveView
+from hypose.pipeline.live.capture import LiveView
 from hypose.pipeline.settings import SETTINGS
 
 

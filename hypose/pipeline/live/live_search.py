@@ -22,9 +22,9 @@ from hypose.evidence.shared_masks import Other
 from hypose.geometry import Array
 from hypose.inference.hypotheses import BEFORE
 from hypose.pipeline.first_frame import TrackedSubject
-from hypose.pipeline.newcomers import candidate_evidence, somebody_more
 from hypose.pipeline.run import TrackOptions, tracker_of
 from hypose.pipeline.settings import SETTINGS
+from hypose.pipeline.track_management import candidate_evidence, somebody_more
 from hypose.tracking.costs import mean_overlap
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.several import Member, step_together

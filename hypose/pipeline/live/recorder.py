@@ -23,8 +23,8 @@ from hypose.io.files import RecordingFolder
 from hypose.io.recordings.frames import mask_folder
 from hypose.io.recordings.recording import Recording, write_recording
 from hypose.io.recordings.recording_views import ViewSettings
+from hypose.pipeline.live.capture import LiveView, live_working_rig, stored
 from hypose.pipeline.live.engine import LiveResult, LiveStatus
-from hypose.pipeline.live.eyes import LiveView, live_working_rig, stored
 from hypose.pipeline.settings import SETTINGS
 
 _POSES = "poses.jsonl"

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from hypose.io.motions.results import load_motion, save_motion
-from hypose.pipeline.verdict import verdict_of
+from hypose.pipeline.assessment import verdict_of
 from hypose.tracking.contacts import runs
 
 ARM = ("left_elbow", "left_wrist")

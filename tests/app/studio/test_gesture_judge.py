@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from hypose.app.studio.gesture_judge import FalseAlarms, HeldBack
 from hypose.app.studio.gesture_start import Controls, change, read_command, read_start
+from hypose.app.studio.gesture_training import FalseAlarms, HeldBack
 from hypose.errors import InputError
 from hypose.gestures.depth_pictures import KINECT
 from hypose.gestures.localise import Localisation

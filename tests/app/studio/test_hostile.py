@@ -10,7 +10,7 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 
 from hypose.app.studio import recordings, results
-from hypose.app.studio.memory_cache import Kept
+from hypose.app.studio.lru_cache import Kept
 from tests.app.studio.conftest import serving
 from tests.conftest import HANG_S
 
@@ -167,7 +167,7 @@ def test_answers_to_a_page_that_has_broken_the_rules_go_nowhere(studio, log, pat
 
 
 def test_a_body_that_does_not_come_is_not_waited_for(studio, monkeypatch):
-    monkeypatch.setattr("hypose.app.studio.answers._BODY_S", 0.05)
+    monkeypatch.setattr("hypose.app.studio.http._BODY_S", 0.05)
     head = f"POST /api/jobs HTTP/1.1\r\nHost: 127.0.0.1:{studio.port}\r\nContent-Length: 100\r\n\r\n{{".encode()
     assert raw(studio.port, head).startswith(b"HTTP/1.1 408")
 

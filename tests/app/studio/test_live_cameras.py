@@ -16,8 +16,8 @@ from hypose.errors import InputError
 from hypose.io.recordings.frames import working_rig
 from hypose.io.recordings.recording import load_recording
 from hypose.io.videos.camera_sources import CameraImage
+from hypose.pipeline.live.capture import EyesOptions
 from hypose.pipeline.live.engine import LiveStatus
-from hypose.pipeline.live.eyes import EyesOptions
 from hypose.synthetic.write_recording import write_scene
 from tests.app.studio.browser import WEB, go
 from tests.app.studio.conftest import serving

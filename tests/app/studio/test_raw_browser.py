@@ -6,8 +6,8 @@ import sys
 import numpy as np
 import pytest
 
-from hypose.app.jobs.truth import compare_with_truth
 from hypose.io.motions.results import load_motion
+from hypose.pipeline.comparison import compare_with_truth
 from hypose.synthetic import write_recording
 from hypose.synthetic.scenes import camera_rig, make_scene
 from tests.app.studio.browser import WEB, go

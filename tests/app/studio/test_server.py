@@ -9,9 +9,9 @@ import socket
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
-from hypose.app.commands.commands_studio import view
+from hypose.app.commands.commands_live import view
 from hypose.app.studio import server as studio_server
-from hypose.app.studio.guard import token_for
+from hypose.app.studio.http import token_for
 from tests.app.studio.conftest import serving
 from tests.bundles import read_bundle
 from tests.conftest import HANG_S

@@ -11,13 +11,13 @@ from scipy.stats import chi2
 
 from benchmarks.studio.long_results import long_result
 from hypose.app.cli import run_cli
-from hypose.app.jobs.truth import compare_with_truth
 from hypose.app.reports.report import PLACE, drawn_of, report_html
 from hypose.app.reports.result_pictures import image_points
-from hypose.app.studio.view_result import load_view
+from hypose.app.studio.view_bundle import load_view
 from hypose.io.motions.results import load_body, load_motion, save_motion
 from hypose.io.recordings.recording import load_recording
-from hypose.pipeline.verdict import verdict_of
+from hypose.pipeline.assessment import verdict_of
+from hypose.pipeline.comparison import compare_with_truth
 from hypose.synthetic.scenes import camera_rig, make_scene
 from hypose.synthetic.write_recording import write_scene
 from tests.app.studio.browser import WEB, go

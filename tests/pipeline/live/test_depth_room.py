@@ -14,11 +14,11 @@ from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import load_recording
 from hypose.io.sensors.depth import is_depth, open_depth_camera, write_depth_png
 from hypose.io.videos.camera_sources import StreamEnded
+from hypose.pipeline.live.background_models import DepthRoom, depth_of
 from hypose.pipeline.live.background_work import PackedMasks
+from hypose.pipeline.live.capture import EyesOptions, LiveView, Question
 from hypose.pipeline.live.engine import LiveResult
-from hypose.pipeline.live.eyes import EyesOptions, LiveView, Question
 from hypose.pipeline.live.recorder import LiveRecorder
-from hypose.pipeline.live.rooms import DepthRoom, depth_of
 from hypose.tracking.starts import known_pose
 from tests.depth_pictures import WALL_M, frame_of, sensors
 from tests.live_scenes import in_step

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from hypose.errors import InputError
+from hypose.pipeline.live.capture import EyesOptions, LiveView
 from hypose.pipeline.live.engine import EMPTY_ROOM, LiveEngine, LiveTrackingOptions
-from hypose.pipeline.live.eyes import EyesOptions, LiveView
 from hypose.pipeline.live.live_people import STATE_TRACKING
 from hypose.synthetic.scenes import camera_rig
 from tests.conftest import HANG_S

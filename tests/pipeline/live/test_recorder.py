@@ -14,7 +14,7 @@ from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import load_recording
 from hypose.io.videos.video import open_video
 from hypose.pipeline.live import recorder as recorder_module
-from hypose.pipeline.live.eyes import LiveView
+from hypose.pipeline.live.capture import LiveView
 from hypose.pipeline.live.recorder import LiveRecorder
 from hypose.pipeline.settings import SETTINGS
 from tests.conftest import HANG_S

@@ -5,7 +5,7 @@ import pytest
 
 from hypose.cameras.camera import Camera
 from hypose.evidence.silhouettes import SilhouetteSettings
-from hypose.pipeline.live.rooms import ViewRoom
+from hypose.pipeline.live.background_models import ViewRoom
 from hypose.synthetic.scenes import camera_rig
 
 W, H = 160, 120

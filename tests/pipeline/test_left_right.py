@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.pipeline.doubts import what_was_seen
 from hypose.pipeline.first_frame import TrackedSubject
-from hypose.pipeline.mend_sides import look_back, look_back_notes, mend_sides, sides_notes
+from hypose.pipeline.frame_anomalies import what_was_seen
+from hypose.pipeline.left_right import look_back, look_back_notes, mend_sides, sides_notes
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.tracking.exchanged_sides import turned_around
 from hypose.tracking.starts import known_pose

@@ -24,8 +24,8 @@ from hypose.geometry import Array
 from hypose.inference.estimates import likeliest_path
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.layer import Memory
-from hypose.pipeline.doubts import looked_again
-from hypose.pipeline.mend_sides import FrameRange, pace_of, read_once, reversed_frames
+from hypose.pipeline.frame_anomalies import looked_again
+from hypose.pipeline.left_right import FrameRange, pace_of, read_once, reversed_frames
 from hypose.tracking.costs import agreement, silhouette_iou
 from hypose.tracking.frame_evidence import PreparedFrame
 from hypose.tracking.part_colours import ColourSettings, colour_scores

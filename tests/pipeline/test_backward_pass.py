@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.pipeline.both_ways import both_ways_notes, look_both_ways
+from hypose.pipeline.backward_pass import both_ways_notes, look_both_ways
 from tests.walking_clip import walking_clip
 
 N, LOST = 30, range(12, 18)

@@ -8,9 +8,9 @@ import pytest
 
 from hypose.body.ready_bodies import human
 from hypose.evidence.hull_people import HullPerson
-from hypose.pipeline import newcomers
+from hypose.pipeline import track_management
 from hypose.pipeline.first_frame import TrackedSubject
-from hypose.pipeline.newcomers import back_again, drawn_away
+from hypose.pipeline.track_management import back_again, drawn_away
 from hypose.pipeline.tracked_people import Followed
 from hypose.synthetic.scenes import make_scene
 from hypose.tracking.recipes import recipe
@@ -71,8 +71,8 @@ def test_who_moves_faster_than_anybody_from_where_somebody_is_found_was_drawn_aw
 
 def test_who_was_drawn_to_somebody_new_goes_on_where_they_had_stood(anna, monkeypatch):
     again = known_pose(human(), "standing")
-    monkeypatch.setattr(newcomers, "returned", lambda *_: None)
-    monkeypatch.setattr(newcomers, "found_again", lambda *_: (None, again))
+    monkeypatch.setattr(track_management, "returned", lambda *_: None)
+    monkeypatch.setattr(track_management, "found_again", lambda *_: (None, again))
     frame = next(iter(make_scene("walk", seconds=0.1).mask_frames(0.2)))
     back = back_again(found_at(0.05), frame, [anna], RATE)
     assert back is not None and back[0] is anna and back[1] is again

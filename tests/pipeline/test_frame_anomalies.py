@@ -9,7 +9,7 @@ from benchmarks.robustness.small_recordings import small_scene
 from hypose.body.motion import Motion, isotropic
 from hypose.body.ready_bodies import human
 from hypose.evidence.frame import Expected, Keypoints
-from hypose.pipeline.doubts import find_doubts, what_was_seen, with_repeated_points
+from hypose.pipeline.frame_anomalies import find_doubts, what_was_seen, with_repeated_points
 from hypose.tracking.pose_covariance import PoseUncertainty
 from hypose.tracking.tracker import FrameEstimate
 

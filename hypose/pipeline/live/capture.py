@@ -35,9 +35,9 @@ from hypose.geometry import Array, Mask
 from hypose.io.recordings.frames import working_rig
 from hypose.io.sensors.depth import DEPTH_PNG, open_depth_camera
 from hypose.io.videos.camera_sources import CameraImage, CameraSource, open_camera
+from hypose.pipeline.live.background_models import DepthRoom, ViewRoom
 from hypose.pipeline.live.feeds import CameraFeed, FeedStatus, newest_instant
 from hypose.pipeline.live.processes import belong_to_parent, deaf_to_ctrl_c, punctual
-from hypose.pipeline.live.rooms import DepthRoom, ViewRoom
 from hypose.pipeline.settings import SETTINGS
 
 

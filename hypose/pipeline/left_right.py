@@ -16,7 +16,7 @@ import numpy as np
 from hypose.body.body import Body
 from hypose.evidence.frame import Frame
 from hypose.inference.layer import Memory
-from hypose.pipeline.doubts import in_words, looked_again
+from hypose.pipeline.frame_anomalies import in_words, looked_again
 from hypose.pipeline.settings import SETTINGS
 from hypose.tracking.contacts import runs
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState

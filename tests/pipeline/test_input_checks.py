@@ -13,7 +13,7 @@ from hypose.cameras.camera import CameraRig, triangulate
 from hypose.evidence.frame import Keypoints, Silhouettes
 from hypose.evidence.keypoints import BODY_25, BODY_25B
 from hypose.geometry import se3
-from hypose.pipeline.first_look import first_look, sentences
+from hypose.pipeline.input_checks import first_look, sentences
 from hypose.pipeline.track_loop import FrameList
 from hypose.synthetic.scenes import make_scene
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from hypose.body.motion import Motion, isotropic
 from hypose.body.ready_bodies import human
-from hypose.pipeline.verdict import GOOD, LOOK, UNTRUSTED, Verdict, verdict_of
+from hypose.pipeline.assessment import GOOD, LOOK, UNTRUSTED, Verdict, verdict_of
 
 BODY = human()
 

@@ -8,7 +8,7 @@ import pytest
 
 import hypose as package
 from hypose.cameras.camera import CameraRig
-from hypose.pipeline.verdict import UNTRUSTED, Verdict
+from hypose.pipeline.assessment import UNTRUSTED, Verdict
 
 LIGHT = ("--evidence", "keypoints", "--no-overlay", "--formats", "csv")
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.body.motion import Motion
-from hypose.pipeline.doubts import in_words
+from hypose.pipeline.frame_anomalies import in_words
 from hypose.pipeline.settings import SETTINGS
 from hypose.tracking.contacts import runs
 from hypose.tracking.doubt import LOOK_P

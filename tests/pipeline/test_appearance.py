@@ -10,8 +10,8 @@ from hypose.evidence.colours import COLOURS
 from hypose.evidence.frame import Colours, Frame, Silhouettes
 from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.settings import SETTINGS
+from hypose.pipeline.track_management import exchange, look_at_clothes
 from hypose.pipeline.tracked_people import Followed
-from hypose.pipeline.wardrobe import exchange, look_at_clothes
 from hypose.synthetic.scenes import camera_rig as named_rig
 from hypose.tracking.clothes import Clothes, Wardrobe, clothes_in, nothing_seen
 from hypose.tracking.recipes import recipe
