@@ -20,7 +20,7 @@ from hypose.evidence.silhouettes import make_silhouettes
 from hypose.io.videos import camera_sources
 from hypose.io.videos.camera_sources import CameraImage, StreamEnded
 from hypose.pipeline.live import capture, engine, feeds
-from hypose.pipeline.live.capture import Eyes, Question, Sight
+from hypose.pipeline.live.capture import Capture, CaptureRequest, CaptureResult
 from hypose.pipeline.live.engine import LiveEngine, LiveResult
 from hypose.pipeline.live.live_people import LivePeople, LivePose
 from hypose.pipeline.live.live_search import STATE_SEARCHING, LivePersonOptions
@@ -94,7 +94,7 @@ def seen(frame: Frame, pose: LivePose | None, missing: tuple[int, ...] = (), gre
         views.append(None if gone else (np.packbits(s.masks[c, :h, :w], axis=1), None))
         picture = np.full((h, w, 3), grey, np.uint8)
         jpegs.append(None if gone else cv2.imencode(".jpg", picture)[1].tobytes())
-    sight = Sight(frame.time, frame.time + 0.01, tuple(views), tuple(jpegs), (), 1, (), False)
+    sight = CaptureResult(frame.time, frame.time + 0.01, tuple(views), tuple(jpegs), (), 1, (), False)
     return LiveResult(sight, frame, () if pose is None else (pose,))
 
 
@@ -201,12 +201,12 @@ class EyesInStep:
     def __init__(self, clock: Clock, searches: Sequence[Future[Any]], pause: float, *given: Any) -> None:
         self._clock, self._searches, self._pause = clock, searches, pause
         *more, self._stop = given
-        self._eyes, self._half = Eyes(*more), 0.5 / more[2].rate
+        self._eyes, self._half = Capture(*more), 0.5 / more[2].rate
 
-    def ask(self, question: Question) -> None:
+    def ask(self, question: CaptureRequest) -> None:
         self._question = question
 
-    def answer(self) -> Sight | None:
+    def answer(self) -> CaptureResult | None:
         wait(self._searches)
         self._clock.advance(self._half)
         while not self._stop.wait(self._pause) and not all(map(self._has_come, self._eyes._feeds)):
@@ -240,7 +240,7 @@ def in_step(
     for module in (camera_sources, capture, engine, feeds, *others):
         monkeypatch.setattr(module, "time", clock)
     monkeypatch.setattr(engine, "ThreadPoolExecutor", Pool)
-    monkeypatch.setattr(engine, "EyesProcess", made := partial(EyesInStep, clock, searches, pause))
+    monkeypatch.setattr(engine, "CaptureProcess", made := partial(EyesInStep, clock, searches, pause))
     monkeypatch.setattr(feeds, "SETTINGS", replace(SETTINGS, feeds_again_s=0.01, feeds_longest_s=0.02))
     if stage:
         monkeypatch.setattr(capture, "_opener", lambda view, *_: lambda: stage.open(view.name))

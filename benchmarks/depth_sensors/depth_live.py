@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from hypose.errors import EvidenceError
-from hypose.pipeline.live.capture import EyesOptions
+from hypose.pipeline.live.capture import CaptureOptions
 from hypose.pipeline.live.engine import LiveEngine, LiveResult, LiveStatus, LiveTrackingOptions
 from hypose.pipeline.live.live_rig import live_rig
 from hypose.pipeline.live.live_search import LivePersonOptions
@@ -45,7 +45,7 @@ def live_depth(seed: int, quick: bool) -> dict[str, Any]:
         write_depth_scene(scene, folder)
         found = live_rig(folder, {})
         person = LivePersonOptions(TrackOptions(seed=seed), None, None)
-        eyes = EyesOptions(found.rate, 0.0, found.silhouettes)
+        eyes = CaptureOptions(found.rate, 0.0, found.silhouettes)
         engine = LiveEngine(found.rig, found.views, LiveTrackingOptions(eyes, person), [listener])
         try:
             engine.start()

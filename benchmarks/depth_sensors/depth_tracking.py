@@ -229,7 +229,7 @@ def _errors(motion: Motion, scene: DepthScene) -> dict[str, Any]:
         "p95_mm": 1e3 * float(np.percentile(away, 95)),
         "error": np.round(error, 5),
         "covariance": np.asarray(motion.joint_covariance, dtype=np.float64)[:, EVALUATED],
-        "p_wrong": [] if motion.p_wrong is None else motion.p_wrong[:, EVALUATED],
+        "p_wrong": [] if motion.error_probability is None else motion.error_probability[:, EVALUATED],
     }
 
 

@@ -133,7 +133,7 @@ def _balancing(options: BenchOptions) -> list[Row]:
         rows.append(Row("loco_px", "both", float(np.median(np.concatenate(left_out))), "px"))
         shipped, _ = seen_by_detector(load_recording(folder), Path(place) / "shipped", n)
         result = track_source(in_memory(shipped, n), shipped.frame_rate, TrackOptions(evidence="both"))
-        word = VERDICTS.index(result.verdict.word)
+        word = VERDICTS.index(result.assessment.word)
         rows.append(Row("verdict", "both/shipped cameras", float(word), "1"))
     rows.append(Row("memory_mb", "all", resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, "MB"))
     return rows

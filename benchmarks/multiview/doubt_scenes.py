@@ -155,8 +155,8 @@ class Tracked:
         p, joints = self.judged()
         nothing = replace(
             self.motion,
-            p_wrong=p,
-            doubtful_joints=joints,
+            error_probability=p,
+            low_confidence_joints=joints,
             joint_covariance=np.zeros_like(self.motion.joint_covariance),
             angle_sd=np.zeros((len(p), len(ANGLE_NAMES)), np.float32),
         )

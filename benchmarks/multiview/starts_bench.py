@@ -75,7 +75,7 @@ def one(posture: str, seed: int) -> dict[str, Any]:
         "error_mm": error,
         "worst_mm": 1e3 * float(away.mean(0).max()),
         "heading": heading,
-        "word": result.verdict.word,
+        "word": result.assessment.word,
         "seconds": seconds,
         "chair": chair,
     }

@@ -315,7 +315,7 @@ def _judged(
         start_ok.append(bool(e[after - 3 : after + 3].mean() <= GOOD_MM))
         soon = round(SOON_S * RATE)
         born += [bool(one.present[t : t + soon + 1].any()) for t in comes]
-        flagged.append(one.verdict.word != "good")
+        flagged.append(one.assessment.word != "good")
     return {
         "errors": errors,
         "far": frames_far,

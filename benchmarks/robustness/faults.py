@@ -216,8 +216,8 @@ def aftermath(scene: Scene, spoilt: Spoilt, subject: TrackedSubject, seed: int) 
     inside = slice(spoilt.first, spoilt.stop)
     full = int(motion.n_views[: spoilt.first].max(initial=0))
     flags = motion.lost | motion.extrapolated | (motion.n_views < full)
-    if motion.doubtful is not None:
-        flags |= motion.doubtful
+    if motion.low_confidence is not None:
+        flags |= motion.low_confidence
     wrong = error[spoilt.first :] > limit
     tail = error[-round(_RATE) :]
     return Aftermath(

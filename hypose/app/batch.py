@@ -37,7 +37,18 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 COLUMNS = (
-    *("recording", "name", "state", "frames", "lost", "extrapolated", "doubtful", "verdict", "iou", "worst_iou"),
+    *(
+        "recording",
+        "name",
+        "state",
+        "frames",
+        "lost",
+        "extrapolated",
+        "low_confidence",
+        "assessment",
+        "iou",
+        "worst_iou",
+    ),
     *("sd_mm", "error_mm", "track_s", "key", "results", "message"),
 )
 """Columns of results.csv; empty where unknown."""
@@ -232,7 +243,7 @@ def run_task(task: Task, stop: Path, report: Callable[[int], None]) -> dict[str,
         return {"state": "failed", "message": str(error)}
     except KeyboardInterrupt:
         return _stopped("stopped; what was tracked is kept")
-    s, doubtful = summarize(outcome.motion), outcome.motion.doubtful
+    s, low_confidence = summarize(outcome.motion), outcome.motion.low_confidence
     figures = {
         "key": task.key,
         "state": "done",
@@ -244,8 +255,8 @@ def run_task(task: Task, stop: Path, report: Callable[[int], None]) -> dict[str,
         "frames": s.frames,
         "lost": s.lost,
         "extrapolated": s.extrapolated,
-        "doubtful": None if doubtful is None else int(doubtful.sum()),
-        "verdict": None if outcome.verdict is None else outcome.verdict.word,
+        "low_confidence": None if low_confidence is None else int(low_confidence.sum()),
+        "assessment": None if outcome.assessment is None else outcome.assessment.word,
         **{n: v if v == v else None for n, v in (("iou", s.iou), ("worst_iou", s.worst_iou), ("sd_mm", s.sd_mm))},
         "error_mm": None if outcome.truth is None else outcome.truth.mean_mm,
         "track_s": stages.seconds.get("track"),

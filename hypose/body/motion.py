@@ -72,9 +72,9 @@ class Motion:
     n_views: np.ndarray
     cost: Array
     provenance: Mapping[str, Any] = field(default_factory=dict)
-    doubtful: np.ndarray | None = None
-    p_wrong: NDArray[np.float32] | None = None
-    doubtful_joints: NDArray[np.bool_] | None = None
+    low_confidence: np.ndarray | None = None
+    error_probability: NDArray[np.float32] | None = None
+    low_confidence_joints: NDArray[np.bool_] | None = None
     angle_sd: NDArray[np.float32] | None = None
     systematic_covariance: NDArray[np.float32] | None = None
     rivals: NDArray[np.float32] | None = None
@@ -90,12 +90,12 @@ class Motion:
             "n_views": (t,),
             "cost": (t,),
         }
-        if self.doubtful is not None:
-            expected["doubtful"] = (t,)
-        if self.p_wrong is not None:
-            expected["p_wrong"] = (t, j)
-        if self.doubtful_joints is not None:
-            expected["doubtful_joints"] = (t, j)
+        if self.low_confidence is not None:
+            expected["low_confidence"] = (t,)
+        if self.error_probability is not None:
+            expected["error_probability"] = (t, j)
+        if self.low_confidence_joints is not None:
+            expected["low_confidence_joints"] = (t, j)
         if self.angle_sd is not None:
             expected["angle_sd"] = (t, len(ANGLE_NAMES))
         if self.systematic_covariance is not None:

@@ -39,7 +39,7 @@ _ENDS = ("left_elbow", "left_wrist", "right_elbow", "right_wrist")
 
 
 @dataclass(frozen=True)
-class BothWays:
+class BackwardPassSettings:
     """When and how it is looked back. Frames are those of 25 frames/s; at more they are more. jump: m, by which an
     elbow or a wrist must leave its straight line from one frame to the next; after: frames behind a jump at which
     tracking backwards begins; met, met_frames: m, how near all arms must be for so many frames, for both ways to be
@@ -69,18 +69,18 @@ class _Seen:
     costs: Array
 
 
-def look_both_ways(
+def backward_pass(
     tracker: Tracker,
     estimates: Sequence[FrameEstimate],
     frames: FrameRange,
     *,
     memory: Memory | None = None,
-    settings: BothWays | None = None,
+    settings: BackwardPassSettings | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> tuple[list[FrameEstimate], int]:
     """The estimates of frames 0, 1, ... with those replaced that are told better by what comes after them, and in how
     many an arm lies elsewhere now. memory: what has been remembered of the person; progress(done, total): frames."""
-    o, out = settings or BothWays(), list(estimates)
+    o, out = settings or BackwardPassSettings(), list(estimates)
     if not tracker.recipe.rivals or tracker.settings.evidence not in ("silhouettes", "both") or len(out) < 3:
         return out, 0
     jumps, pace, frames = _jumps(tracker.body, out, o.jump), pace_of(tracker), read_once(frames)
@@ -106,7 +106,7 @@ def look_both_ways(
     return out, moved
 
 
-def both_ways_notes(moved: int) -> tuple[str, ...]:
+def backward_pass_notes(moved: int) -> tuple[str, ...]:
     """A sentence for the user; none where nothing was."""
     return (f"arms were found elsewhere in {moved} frames by tracking backwards",) if moved else ()
 
@@ -144,7 +144,7 @@ def _looked_back(
     near: NDArray[np.bool_],
     frames: FrameRange,
     memory: Memory | None,
-    o: BothWays,
+    o: BackwardPassSettings,
 ) -> list[_Seen]:
     """What is seen in frame `stop` and those before it, last first, until both ways are one."""
     out, met, pace = list[_Seen](), 0, pace_of(tracker)
@@ -189,7 +189,12 @@ def _turned(tracker: Tracker, old: Sequence[FrameEstimate], stop: int, memory: M
 
 
 def _seen(
-    body: Body, old: FrameEstimate, back: FrameEstimate, prepared: PreparedFrame, last: Frame | None, o: BothWays
+    body: Body,
+    old: FrameEstimate,
+    back: FrameEstimate,
+    prepared: PreparedFrame,
+    last: Frame | None,
+    o: BackwardPassSettings,
 ) -> _Seen:
     """The poses of both estimates of a frame and their rivals, those that are much the same once, by what masks, and
     pictures where their colours are known, say of them."""
@@ -206,7 +211,7 @@ def _seen(
 
 
 def _chosen(
-    tracker: Tracker, old: Sequence[FrameEstimate], first: int, seen: Sequence[_Seen], o: BothWays
+    tracker: Tracker, old: Sequence[FrameEstimate], first: int, seen: Sequence[_Seen], o: BackwardPassSettings
 ) -> list[FrameEstimate]:
     """The estimates of the frames from the first one on, along the best path that begins and ends as it was."""
     s, stop = tracker.body.skeleton, first + len(seen)

@@ -40,7 +40,7 @@ def looked_at(
 ) -> FrameEstimate:
     """The estimate of a frame with what was seen in it and its audit; last: the frame before; change: `mask_change`
     where it is known (of the masks of several people)."""
-    seen = what_was_seen(estimate, tracker.body, frame, last, change)
+    seen = view_statistics(estimate, tracker.body, frame, last, change)
     pictures = frame.silhouettes or frame.keypoints
     if pictures is None or (
         len(pictures.rig) == 1 and frame.depth is None
@@ -66,7 +66,7 @@ def looked_again(
     return looked_at(tracker, estimate, frame, last, old.seen[:, 1] if len(old.seen) else None)
 
 
-def what_was_seen(
+def view_statistics(
     estimate: FrameEstimate, body: Body, frame: Frame, last: Frame | None, change: NDArray[np.float32] | None = None
 ) -> NDArray[np.float32]:
     """(C, 3) of a tracked frame, NaN where not known: the body's overlap with each view's mask; the difference of the
@@ -84,7 +84,7 @@ def what_was_seen(
     if before is not None and change is not None:
         out[:, 1] = change
         if not (estimate.lost or estimate.extrapolated):
-            out[:, 2] = strangers_share(silhouettes, before, body.skeleton, body.joints(estimate.pose))
+            out[:, 2] = unexplained_share(silhouettes, before, body.skeleton, body.joints(estimate.pose))
     return out
 
 
@@ -111,7 +111,7 @@ def as_now(own: Frame, before: Frame) -> Frame | None:
     return replace(before, silhouettes=replace(then, ignored=s.ignored, expected=s.expected))
 
 
-def with_doubts(motion: Motion, seen: Sequence[NDArray[np.float32]]) -> tuple[Motion, list[str]]:
+def with_anomalies(motion: Motion, seen: Sequence[NDArray[np.float32]]) -> tuple[Motion, list[str]]:
     """The motion with its doubtful frames marked, and sentences that say which and why. seen: of each frame, as
     `what_was_seen` gives it."""
     if not seen or any(len(s) == 0 for s in seen):
@@ -120,7 +120,7 @@ def with_doubts(motion: Motion, seen: Sequence[NDArray[np.float32]]) -> tuple[Mo
     known = ~(motion.lost | motion.extrapolated)
     views = motion.provenance.get("settings", {}).get("views", [])
     names = [f"camera {v}" for v in views] if len(views) == table.shape[1] else _numbered(table.shape[1])
-    return _marked(motion, find_doubts(table[..., 0], table[..., 1], table[..., 2], known, motion.frame_rate, names))
+    return _marked(motion, find_anomalies(table[..., 0], table[..., 1], table[..., 2], known, motion.frame_rate, names))
 
 
 def with_repeated_points(motion: Motion, keypoints: Sequence[Keypoints | None]) -> tuple[Motion, list[str]]:
@@ -146,16 +146,16 @@ def with_repeated_points(motion: Motion, keypoints: Sequence[Keypoints | None]) 
 
 def _marked(motion: Motion, found: Sequence[tuple[str, NDArray[np.bool_]]]) -> tuple[Motion, list[str]]:
     """The motion with its frames marked for what was found, and sentences."""
-    marked = np.zeros(len(motion), dtype=bool) if motion.doubtful is None else motion.doubtful.astype(bool)
+    marked = np.zeros(len(motion), dtype=bool) if motion.low_confidence is None else motion.low_confidence.astype(bool)
     for _, frames in found:
         marked |= frames
     notes = [f"{what} in {in_words(runs(frames))}" for what, frames in found]
     if found:
         notes.append(f"{int(marked.sum())} frames are marked as doubtful for that")
-    return replace(motion, doubtful=marked), notes
+    return replace(motion, low_confidence=marked), notes
 
 
-def find_doubts(
+def find_anomalies(
     overlap: ArrayLike,
     change: ArrayLike,
     others: ArrayLike,
@@ -319,7 +319,7 @@ def against_the_clip(audit: ArrayLike, n_views: ArrayLike, evidence: str) -> tup
     return tuple(wrong), tuple(look)
 
 
-def strangers_share(now: Silhouettes, before: Silhouettes, skeleton: Skeleton, joints: Array) -> NDArray[np.float32]:
+def unexplained_share(now: Silhouettes, before: Silhouettes, skeleton: Skeleton, joints: Array) -> NDArray[np.float32]:
     """(C,) area of the largest part of each view's mask that the body does not touch, over the area of what it touches;
     NaN where it touches nothing, or the mask is not usable. joints (J, 3): m, world, of the tracked body.
 

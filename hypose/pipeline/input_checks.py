@@ -29,7 +29,7 @@ from hypose.pipeline.track_loop import FrameList, FrameSource
 from hypose.tracking.subject import shape_from_keypoints
 
 
-def first_look(
+def check_inputs(
     source: FrameSource, evidence: str, height: float | None = None, frame_rate: float = 25.0
 ) -> tuple[Finding, ...]:
     """What is plainly wrong with the calibration, or the key points, of a source of frames that will be tracked from
@@ -54,7 +54,7 @@ def first_look(
     return (*found, *by_depth)
 
 
-def look_at_depth(source: FrameSource) -> tuple[Finding, ...]:
+def check_depth_inputs(source: FrameSource) -> tuple[Finding, ...]:
     """What the depth maps alone say, of frames with several people in them, too."""
     with contextlib.suppress(HyposeError):
         if source.frame(0).depth is None:  # frames from all over videos take long to read

@@ -27,7 +27,7 @@ FrameRange = Callable[[range], Iterable[Frame]]
 _LIMBS = ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
 
 
-def mend_sides(
+def correct_left_right(
     tracker: Tracker,
     estimates: Sequence[FrameEstimate],
     frames: FrameRange,
@@ -51,7 +51,7 @@ def mend_sides(
     return out, runs(replaced)
 
 
-def look_back(
+def retrack_start(
     tracker: Tracker, estimates: Sequence[FrameEstimate], frames: FrameRange, *, memory: Memory | None = None
 ) -> tuple[list[FrameEstimate], range]:
     """The estimates with those of the first frames replaced that tracking backwards explains better, from where it had
@@ -69,7 +69,7 @@ def look_back(
     return out, range(max(moved, default=-1) + 1)
 
 
-def sides_notes(replaced: Sequence[range]) -> tuple[str, ...]:
+def left_right_notes(replaced: Sequence[range]) -> tuple[str, ...]:
     """A sentence for the user; none where nothing was exchanged."""
     if not replaced:
         return ()
@@ -78,7 +78,7 @@ def sides_notes(replaced: Sequence[range]) -> tuple[str, ...]:
     )
 
 
-def look_back_notes(replaced: range) -> tuple[str, ...]:
+def start_notes(replaced: range) -> tuple[str, ...]:
     """A sentence for the user; none where nothing was replaced."""
     return (f"the start was wrong in {in_words([replaced])}; tracked again backwards",) if replaced else ()
 

@@ -513,7 +513,7 @@ def against_the_picture(share: Array) -> tuple[str, ...]:
 
 
 def doubt_of_depth(modes: Modes) -> str:
-    """A sentence for the verdict on what no picture contradicts."""
+    """A sentence for the assessment on what no picture contradicts."""
     return (
         f"one camera does not measure depth, which is known to +-{1e3 * float(np.nanmedian(modes.depth_sd)):.0f} mm (1 "
         "sd, median) as far as the lens and the person's size are right: see the notes"

@@ -27,7 +27,7 @@ from hypose.geometry import Array
 from hypose.io.motions.results import ResultsFolder, provenance_identity, save_motion
 from hypose.pipeline.first_frame import SubjectOptions, TrackedSubject, find_subject, keep_subject, kept_subject
 from hypose.pipeline.frame_anomalies import as_now, in_words, looked_at, mask_change
-from hypose.pipeline.input_checks import look_at_depth, sentences
+from hypose.pipeline.input_checks import check_depth_inputs, sentences
 from hypose.pipeline.person_paths import KeypointPeople, Path, PointFrames, follow_places, lasting, padded
 from hypose.pipeline.rough_bodies import RoughTrack, fitted_again, frame_of_person, least_hidden, rough_bodies
 from hypose.pipeline.run import TrackOptions, finish, track_source, tracker_of
@@ -35,14 +35,14 @@ from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.track_loop import Deferred, FrameSource, StageProgress, Tracked
 from hypose.pipeline.track_management import (
     back_again,
+    birth_candidates,
     candidate_evidence,
-    exchange,
     explained_by,
-    look_at_clothes,
     not_parts,
     part_doubles,
-    somebody_more,
+    swap_identities,
     unfollowed,
+    update_appearance,
     without_doubles,
 )
 from hypose.pipeline.tracked_people import (
@@ -168,7 +168,7 @@ class PeopleRun:
     @cached_property
     def looked(self) -> tuple[Finding, ...]:
         """What depth cameras say of their own places."""
-        return look_at_depth(self.source)
+        return check_depth_inputs(self.source)
 
     def _begun(self) -> list[Followed]:
         """The people of the first frames; when there are none, what is wrong with the cameras may be why."""
@@ -393,8 +393,8 @@ class PeopleRun:
             p.present.append(there)
             p.hidden.append(bool(there and len(shown) and (shown > SETTINGS.rough_hidden).sum() < least))
         if t % self._look_every == 0:
-            for p, q, since in look_at_clothes(people, seen):
-                exchange(p, q, since)
+            for p, q, since in update_appearance(people, seen):
+                swap_identities(p, q, since)
         part_doubles(people, max(2, round(SETTINGS.people_together_s * self.frame_rate)))
 
     @property
@@ -411,7 +411,7 @@ class PeopleRun:
         if silhouettes is None:
             return []
         known = explained_by(people, silhouettes)
-        if not somebody_more(known, silhouettes, VIEWS if frame.depth is None else 1):
+        if not birth_candidates(known, silhouettes, VIEWS if frame.depth is None else 1):
             return []
         found = not_parts(depth_people.people_seen(frame, known, floor=self.floor), people)
         coming = list[Array]()
@@ -478,7 +478,9 @@ class PeopleRun:
         out = finish(source, *given, *said, shared=shared)
         motion, notes = replace(out.motion, lost=out.motion.lost | ~present), [*out.notes, *p.said]
         if hidden.any():
-            motion = replace(motion, doubtful=hidden if motion.doubtful is None else motion.doubtful | hidden)
+            motion = replace(
+                motion, low_confidence=hidden if motion.low_confidence is None else motion.low_confidence | hidden
+            )
             notes.append(f"others hide this person from all views but one in {in_words(runs(hidden))}")
         if not present.all():
             notes.append(f"not there in {in_words(runs(~present))}")

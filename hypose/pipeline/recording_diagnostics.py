@@ -154,7 +154,7 @@ def _clip(view: ViewSettings) -> ViewFile:
 
 def raw_person(recording: Recording) -> RecordedPerson | None:
     """The person of a recording whose calibration is in doubt, in full-size pictures; None without key points."""
-    return load_person(recording, recording.rig.pinhole(), doubting=True)
+    return load_person(recording, recording.rig.pinhole(), keep_misfits=True)
 
 
 def cured_recording(recording: Recording, cured: Cured) -> Recording:

@@ -20,8 +20,8 @@ from hypose.inference.layer import Recipe
 from hypose.io.motions.results import ResultsFolder, provenance_identity, save_modes, save_motion
 from hypose.io.recordings.frames import FrameSettings, FrameStream
 from hypose.io.recordings.recording import Recording
-from hypose.pipeline.assessment import Verdict, not_shown, other_people_note, verdict_of
-from hypose.pipeline.backward_pass import both_ways_notes, look_both_ways
+from hypose.pipeline.assessment import Assessment, assess, not_shown, other_people_note
+from hypose.pipeline.backward_pass import backward_pass, backward_pass_notes
 from hypose.pipeline.first_frame import (
     SUBJECT,
     SubjectOptions,
@@ -30,9 +30,9 @@ from hypose.pipeline.first_frame import (
     keep_subject,
     kept_subject,
 )
-from hypose.pipeline.frame_anomalies import against_the_clip, with_doubts, with_repeated_points
-from hypose.pipeline.input_checks import first_look, of_measured, places_refuted, sentences
-from hypose.pipeline.left_right import look_back, look_back_notes, mend_sides, sides_notes
+from hypose.pipeline.frame_anomalies import against_the_clip, with_anomalies, with_repeated_points
+from hypose.pipeline.input_checks import check_inputs, of_measured, places_refuted, sentences
+from hypose.pipeline.left_right import correct_left_right, left_right_notes, retrack_start, start_notes
 from hypose.pipeline.moved_sensors import PlacedSource, Places, moved_sensors
 from hypose.pipeline.one_camera import (
     against_the_picture,
@@ -56,7 +56,7 @@ from hypose.pipeline.track_loop import (
     tracked_before,
 )
 from hypose.tracking.audit import audit_frame
-from hypose.tracking.doubt import as_mixture, evidence_of, judged, not_in_set, worth_a_look
+from hypose.tracking.doubt import as_mixture, evidence_of, judged, needs_review, not_in_set
 from hypose.tracking.fitted_spread import (
     beyond_usual,
     pose_covariance,
@@ -185,9 +185,9 @@ class TrackResult:
     unsure: Array | None = None
 
     @property
-    def verdict(self) -> Verdict:
+    def assessment(self) -> Assessment:
         """Whether the motion is to be trusted, in words."""
-        return replace(verdict_of(self.motion, self.faults, self.looks), beside=self.beside)
+        return replace(assess(self.motion, self.faults, self.looks), beside=self.beside)
 
 
 def track_source(
@@ -220,7 +220,7 @@ def track_source(
         raise InputError("The recording has no frame to track; check the frame range and the videos.")
     key = provenance_identity(record or {})
     report("look", 0, 1)
-    looked = () if options.of_picture else first_look(source, options.looks_at, options.height, frame_rate)
+    looked = () if options.of_picture else check_inputs(source, options.looks_at, options.height, frame_rate)
     faults, noticed = sentences(looked), sentences(looked, fault=False)
     more = 0 if places_refuted(looked) else getattr(source, "others", 0)  # of one person wrong cameras make two
     others = (other_people_note(more, "key points", "--people all"),) if more else ()
@@ -349,19 +349,19 @@ def finish(
 
     if done.complete:
         progress("sides", 0, 1)
-        estimates, exchanged = mend_sides(
+        estimates, exchanged = correct_left_right(
             tracker, estimates, seen, sure_start=options.sure_start, memory=done.state.memory
         )
-        notes = (*notes, *sides_notes(exchanged))
+        notes = (*notes, *left_right_notes(exchanged))
         if shared and not options.sure_start:
-            estimates, anew = look_back(tracker, estimates, seen, memory=done.state.memory)
-            notes = (*notes, *look_back_notes(anew))
+            estimates, anew = retrack_start(tracker, estimates, seen, memory=done.state.memory)
+            notes = (*notes, *start_notes(anew))
         progress("sides", 1, 1)
         if options.smooth and recipe.smooth is not None:
-            estimates, moved = look_both_ways(
+            estimates, moved = backward_pass(
                 tracker, estimates, seen, memory=done.state.memory, progress=partial(progress, "both ways")
             )
-            notes = (*notes, *both_ways_notes(moved))
+            notes = (*notes, *backward_pass_notes(moved))
             progress("both ways", len(estimates), len(estimates))
     tracked = _tracked(subject, estimates, tracker.settings.frame_rate, record)
     motion = tracked.motion
@@ -369,13 +369,16 @@ def finish(
         clip = Clip(tracker, motion, estimates, done.state, seen, partial(progress, "smooth"))
         motion, said = recipe.smooth(clip)
         notes = (*notes, *said)
-    motion, doubts = with_doubts(motion, [e.seen for e in estimates])
+    motion, doubts = with_anomalies(motion, [e.seen for e in estimates])
     notes = (*notes, *doubts, *tracked.notes[len(subject.notes) :])
     if tracked.modes is not None:  # one camera: its modes say what else may be
         assert motion.poses is not None
         beside = beside_the_picture(subject.body, motion.poses, seen(range(len(motion))))
-        doubtful = beside > SETTINGS.picture_beside_frame
-        motion = replace(motion, doubtful=doubtful if motion.doubtful is None else motion.doubtful | doubtful)
+        low_confidence = beside > SETTINGS.picture_beside_frame
+        motion = replace(
+            motion,
+            low_confidence=low_confidence if motion.low_confidence is None else motion.low_confidence | low_confidence,
+        )
         said = (*faults, *against_the_picture(beside)), (*noticed, doubt_of_depth(tracked.modes))
         out = replace(tracked, motion=motion, complete=done.complete, notes=notes, faults=said[0], looks=said[1])
         return _written(out, results)
@@ -412,9 +415,9 @@ def _doubted(
     p, joints = judged(motion, subject.body.joints(one_by_one), audit, subject.unsure, known)
     beyond = beyond_usual(audit, evidence)
     motion = with_fitted_angles(with_fitted_joints(motion, evidence, beyond), covariance, evidence, beyond)
-    look = worth_a_look(p, joints, evidence)
-    frames = look if motion.doubtful is None else motion.doubtful | look
-    told = replace(motion, p_wrong=p, doubtful_joints=joints, doubtful=frames)
+    look = needs_review(p, joints, evidence)
+    frames = look if motion.low_confidence is None else motion.low_confidence | look
+    told = replace(motion, error_probability=p, low_confidence_joints=joints, low_confidence=frames)
     return told if evidence == "depth" else as_mixture(told)  # regions of depth hold what is elsewhere, too
 
 

@@ -35,7 +35,7 @@ from hypose.io.sensors.skeleton_streams import (
     resample,
     shifted,
 )
-from hypose.pipeline.assessment import Verdict, verdict_of
+from hypose.pipeline.assessment import Assessment, assess
 from hypose.pipeline.run import TrackOptions, TrackResult, track_source
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.track_loop import FrameSource, StageProgress
@@ -227,9 +227,9 @@ _LEGS = ((jt.LEFT_HIP, jt.LEFT_KNEE, jt.LEFT_FOOT), (jt.RIGHT_HIP, jt.RIGHT_KNEE
 _CURE = "place the sensors so that one of them sees each side of the person, and nothing is in between"
 
 
-def fused_verdict(
+def assess_fused(
     motion: Motion, clip: Sequence[SensorJoints], registration: Registration, names: Sequence[str]
-) -> Verdict:
+) -> Assessment:
     """Of one person's fused motion; clip: what the sensors, with these names, reported of them at its times."""
     because, looks = list(_of_size(motion)), list[str]()
     late = list(_of_clocks(motion.times, clip, registration.reference, names))
@@ -245,8 +245,12 @@ def fused_verdict(
     # a sensor reports whom it sees: who is away is not there to be found
     if (away := float(motion.lost.mean())) > SETTINGS.verdict_lost_share:
         looks.append(f"no sensor saw the person in {100 * away:.0f} % of the frames")
-    there = motion if motion.doubtful is None else replace(motion, doubtful=motion.doubtful & ~motion.lost)
-    return verdict_of(there, because, looks, _CURE, 1.0)
+    there = (
+        motion
+        if motion.low_confidence is None
+        else replace(motion, low_confidence=motion.low_confidence & ~motion.lost)
+    )
+    return assess(there, because, looks, _CURE, 1.0)
 
 
 def _of_size(motion: Motion) -> Iterator[str]:
@@ -341,8 +345,8 @@ def pose_fused(fused: Motion, body: Body | None = None, smoothness: float = 1.0)
     known_of_joints = {
         "joint_covariance": np.nan,
         "systematic_covariance": np.nan,
-        "p_wrong": np.nan,
-        "doubtful_joints": False,
+        "error_probability": np.nan,
+        "low_confidence_joints": False,
     }
     arrays = {}
     for name, unknown in known_of_joints.items():

@@ -26,7 +26,7 @@ from hypose.fitting.articulated import SolveSettings
 from hypose.geometry import Array
 from hypose.io.files import write_text
 from hypose.io.motions.results import load_body, save_body
-from hypose.pipeline.left_right import mend_sides
+from hypose.pipeline.left_right import correct_left_right
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.start_choice import best_ways, check_borders, check_person_size, follow, no_two_views
 from hypose.tracking.costs import mean_overlap, silhouette_iou
@@ -211,7 +211,7 @@ def _both_ways(
     tracker = Tracker(body, recipe, TrackerSettings(seed=options.seed, frame_rate=rate))
     later = follow(tracker, start, frames[at:], tick)
     earlier = follow(tracker, later[0].pose, frames[at - 1 :: -1], tick) if at else []
-    tracked, _ = mend_sides(tracker, [*earlier[::-1], *later], lambda numbers: (frames[t] for t in numbers))
+    tracked, _ = correct_left_right(tracker, [*earlier[::-1], *later], lambda numbers: (frames[t] for t in numbers))
     return np.stack([e.pose for e in tracked]), np.array([1 - e.cost for e in tracked])
 
 

@@ -17,7 +17,7 @@ from hypose.geometry import Array
 from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.tracked_people import Followed
-from hypose.tracking.clothes import Clothes, clothes_in, nothing_seen
+from hypose.tracking.clothes import Appearance, appearance_in, no_appearance
 from hypose.tracking.costs import mean_overlap
 from hypose.tracking.frame_evidence import PreparedFrame, prepare
 from hypose.tracking.several import shape_of
@@ -31,20 +31,20 @@ def _apart(a: Followed, b: Followed, t: int = -1) -> float:
     return float(np.linalg.norm(a.estimates[t].pose[:2] - b.estimates[t].pose[:2]))
 
 
-def look_at_clothes(people: Sequence[Followed], seen: Sequence[Frame]) -> list[tuple[Followed, Followed, int]]:
+def update_appearance(people: Sequence[Followed], seen: Sequence[Frame]) -> list[tuple[Followed, Followed, int]]:
     """Looks at everybody in a frame that has just been tracked; seen: as each saw it. Returns who has been exchanged
     with whom, and from which frame on."""
     there = [p for p in people if p.member.sure]
     for p, frame in zip(people, seen, strict=True):
         if frame.colours is None or p not in there:
             continue
-        w, near = p.wardrobe, [q for q in there if q is not p and _apart(p, q) < SETTINGS.wardrobe_near_m]
+        w, near = p.appearance, [q for q in there if q is not p and _apart(p, q) < SETTINGS.wardrobe_near_m]
         for q in near:
             _remember(p, q)
         if near:
-            w.lately, w.looks = nothing_seen(), 0
+            w.lately, w.looks = no_appearance(), 0
             continue
-        w.lately, w.looks = w.lately + clothes_in(p.subject.body, p.estimates[-1].pose, frame), w.looks + 1
+        w.lately, w.looks = w.lately + appearance_in(p.subject.body, p.estimates[-1].pose, frame), w.looks + 1
         if not w.met:
             w.settle()
     return _exchanged(there)
@@ -52,7 +52,7 @@ def look_at_clothes(people: Sequence[Followed], seen: Sequence[Frame]) -> list[t
 
 def _remember(p: Followed, q: Followed) -> None:
     """That they have met, and where they were nearest so far."""
-    now, met = len(p.estimates) - 1, p.wardrobe.met
+    now, met = len(p.estimates) - 1, p.appearance.met
     if q.name not in met or _apart(p, q) <= _apart(p, q, met[q.name]):
         met[q.name] = now
 
@@ -60,9 +60,9 @@ def _remember(p: Followed, q: Followed) -> None:
 def _exchanged(there: Sequence[Followed]) -> list[tuple[Followed, Followed, int]]:
     out = []
     for i, p in enumerate(there):
-        a = p.wardrobe
+        a = p.appearance
         for q in there[:i]:
-            b = q.wardrobe
+            b = q.appearance
             if min(a.looks, b.looks) < SETTINGS.wardrobe_looks or not (q.name in a.met and p.name in b.met):
                 continue
             own = a.worn.likeness(a.lately) + b.worn.likeness(b.lately)
@@ -73,13 +73,13 @@ def _exchanged(there: Sequence[Followed]) -> list[tuple[Followed, Followed, int]
             del a.met[q.name], b.met[p.name]
     for p in there:  # whom they met and who has left since
         names = {q.name for q in there}
-        w = p.wardrobe
+        w = p.appearance
         if w.looks >= SETTINGS.wardrobe_looks and not names & set(w.met):
             w.settle()
     return out
 
 
-def exchange(p: Followed, q: Followed, since: int, told: str = "as their clothes told afterwards") -> None:
+def swap_identities(p: Followed, q: Followed, since: int, told: str = "as their clothes told afterwards") -> None:
     """Each goes on as the other, from a frame on; what was estimated since then is the other's, and doubtful. told: by
     what, in words."""
     now = len(p.estimates)
@@ -95,9 +95,9 @@ def exchange(p: Followed, q: Followed, since: int, told: str = "as their clothes
         one.said.append(f"taken for {other.name} from frame {since} to {now - 1}, {told}")
 
 
-def same_clothes(p: Followed, seen: Clothes) -> float:
+def appearance_likeness(p: Followed, seen: Appearance) -> float:
     """Likeness of somebody who comes with one who is away; 1 where nothing is known of either."""
-    like = (p.wardrobe.worn + p.wardrobe.lately if not p.wardrobe.met else p.wardrobe.worn).likeness(seen)
+    like = (p.appearance.worn + p.appearance.lately if not p.appearance.met else p.appearance.worn).likeness(seen)
     return like if np.isfinite(like) else 1.0
 
 
@@ -106,7 +106,7 @@ def explained_by(people: Sequence[Followed], silhouettes: Silhouettes) -> list[O
     return [Other(p.member.shape(silhouettes.rig, p.estimates[-1].pose)) for p in people if p.member.sure]
 
 
-def somebody_more(known: Sequence[Other], silhouettes: Silhouettes, least: int = VIEWS) -> bool:
+def birth_candidates(known: Sequence[Other], silhouettes: Silhouettes, least: int = VIEWS) -> bool:
     """Is enough of the masks unexplained, in `least` views or all, to look for a person? Every other pixel tells."""
     if not known:
         return True
@@ -210,7 +210,7 @@ def returned(
                 continue
         with contextlib.suppress(EvidenceError):
             prepared, pose = found_again(p, own)
-            like = same_clothes(p, clothes_in(p.subject.body, pose, own))
+            like = appearance_likeness(p, appearance_in(p.subject.body, pose, own))
             score = mean_overlap(p.subject.body, pose, prepared) + like
             if like > SETTINGS.wardrobe_unlike and (best is None or score > best[0]):
                 best = (score, p, pose)
@@ -220,7 +220,7 @@ def returned(
     return (best[1], best[2]) if -SETTINGS.newcomer_shorter_m < higher < SETTINGS.newcomer_taller_m else None
 
 
-def drawn_away(person: HullPerson, people: Sequence[Followed], frame_rate: float) -> tuple[Followed, int] | None:
+def identity_switches(person: HullPerson, people: Sequence[Followed], frame_rate: float) -> tuple[Followed, int] | None:
     """Who stood where somebody is found now, and the frame from which they were tracked elsewhere, faster than anybody
     walks: they stand there still, and were drawn to whoever came beside them before that one was found. None: nobody.
 
@@ -244,7 +244,7 @@ def back_again(
     """Who it is that `returned`, with their pose (D,); where another one stands there still, who was drawn to the one
     who came: that one, and both go on as who they are from where they were exchanged, or whoever is new there is found
     by the next looks."""
-    back, drawn = returned(person, own, people, frame_rate), drawn_away(person, people, frame_rate)
+    back, drawn = returned(person, own, people, frame_rate), identity_switches(person, people, frame_rate)
     if drawn is None:
         return back
     who, since = drawn
@@ -253,7 +253,7 @@ def back_again(
         if back is None:
             who.was_not(since, "as told by who was found where they had stood")
         else:
-            exchange(back[0], who, since, "as told by who was found where the other one had stood")
+            swap_identities(back[0], who, since, "as told by who was found where the other one had stood")
         return who, pose
     return back
 

@@ -17,13 +17,13 @@ from hypose.evidence.frame import Frame
 from hypose.evidence.shared_masks import SOLVED, Other
 from hypose.geometry import Array
 from hypose.io.motions.results import Checkpoint, ResultsFolder, provenance_identity
-from hypose.pipeline.assessment import Verdict, verdict_of
+from hypose.pipeline.assessment import Assessment, assess
 from hypose.pipeline.first_frame import TrackedSubject, kept_subject
 from hypose.pipeline.person_paths import KeypointPeople, per_frame
 from hypose.pipeline.run import TrackResult
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.track_loop import FrameSource
-from hypose.tracking.clothes import Wardrobe
+from hypose.tracking.clothes import AppearanceModel
 from hypose.tracking.contacts import runs
 from hypose.tracking.several import Member, nobody_in, shape_of
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState, estimates_from_arrays, estimates_to_arrays
@@ -64,9 +64,9 @@ class TrackedPerson:
     hidden: NDArray[np.bool_]
 
     @property
-    def verdict(self) -> Verdict:
+    def assessment(self) -> Assessment:
         """Of the frames in which the person is there; frames are counted as in the recording."""
-        found = verdict_of(while_present(self.result.motion, self.present), self.result.faults, self.result.looks)
+        found = assess(while_present(self.result.motion, self.present), self.result.faults, self.result.looks)
         at = np.flatnonzero(self.present)
         if self.present.all() or not len(at):
             return found
@@ -159,7 +159,7 @@ class Followed:
     hidden: list[bool] = field(default_factory=list)
     gone: int = 0
     track: int | None = None
-    wardrobe: Wardrobe = field(default_factory=Wardrobe)
+    appearance: AppearanceModel = field(default_factory=AppearanceModel)
     said: list[str] = field(default_factory=list)
 
     @property
@@ -220,7 +220,7 @@ def save_people(
         arrays |= {f"{k}_{n}": v for n, v in p.member.state.to_arrays().items()}
         arrays |= {f"{k}_done_{n}": v for n, v in estimates_to_arrays(p.estimates).items()}
         arrays |= {f"{k}_present": np.array(p.present), f"{k}_hidden": np.array(p.hidden)}
-        arrays |= {f"{k}_{n}": v for n, v in p.wardrobe.arrays().items()}
+        arrays |= {f"{k}_{n}": v for n, v in p.appearance.arrays().items()}
     meta = {
         "people": [
             {
@@ -229,7 +229,7 @@ def save_people(
                 "gone": p.gone,
                 "track": p.track,
                 "asked_for": p.asked_for,
-                "clothes": p.wardrobe.about,
+                "clothes": p.appearance.about,
                 "said": p.said,
             }
             for p in people
@@ -259,7 +259,7 @@ def kept_people(
         kept = Followed(about["name"], subject, member, own_results, about["asked_for"], estimates_from_arrays(done))
         kept.present, kept.hidden = flags
         kept.gone, kept.track = int(about["gone"]), about["track"]
-        kept.wardrobe, kept.said = Wardrobe.of_arrays(own, about["clothes"]), list(about["said"])
+        kept.appearance, kept.said = AppearanceModel.of_arrays(own, about["clothes"]), list(about["said"])
         people.append(kept)
     return people, list(saved.arrays.get("coming", ()))
 

@@ -67,7 +67,7 @@ def test_a_pose_in_json(followed):
     assert len(value["sd"]) == len(value["wrong"]) == J
     assert read_covariance(value["covariance"]) == pytest.approx(pose.motion.joint_covariance[0], rel=0.01, abs=1e-7)
     assert all(0 < s < 1 for s in value["sd"]) and all(0 <= w <= 1 for w in value["wrong"])
-    assert set(value["doubtful"]) <= set(JOINT_NAMES)
+    assert set(value["low_confidence"]) <= set(JOINT_NAMES)
 
 
 def read_covariance(upper):

@@ -44,7 +44,7 @@ def test_everybody_before_depth_cameras_has_a_folder(hypose, two, tmp_path):
     assert [p["name"] for p in people] == ["Anna", "Bert"]
     for name, place in PLACES.items():
         assert np.linalg.norm(where(tmp_path / name) - place) < 0.1
-        assert {"report.html", "motion.trc", "verdict.json"} <= {p.name for p in (tmp_path / name).iterdir()}
+        assert {"report.html", "motion.trc", "assessment.json"} <= {p.name for p in (tmp_path / name).iterdir()}
 
 
 @pytest.mark.slow
@@ -108,4 +108,4 @@ def test_a_depth_camera_that_measures_nothing_is_named_and_not_counted(hypose, t
         write_depth_png(file, np.zeros_like(read_depth_png(file)))
     code, out, err = hypose("track", tmp_path / "rec", "--out", tmp_path / "out", *LIGHT)
     assert code == 0 and "frames in 1 of 2 views" in out, out + err
-    assert "depth2 measures nothing in all frames that were looked at" in out and "Verdict: Look at" in out
+    assert "depth2 measures nothing in all frames that were looked at" in out and "Assessment: Look at" in out

@@ -208,11 +208,11 @@ def test_angles_are_degrees_and_metres(tmp_path, small_motion):
 def test_joints_have_sd_and_flags(tmp_path, small_motion):
     unknown = small_motion.joint_covariance.copy()
     unknown[7, 2] = np.nan
-    doubtful = np.arange(len(small_motion)) == 3
-    write_joints_csv(tmp_path / "j.csv", replace(small_motion, joint_covariance=unknown, doubtful=doubtful))
+    low_confidence = np.arange(len(small_motion)) == 3
+    write_joints_csv(tmp_path / "j.csv", replace(small_motion, joint_covariance=unknown, low_confidence=low_confidence))
     header, rows = _table(tmp_path / "j.csv")
-    assert header[:5] == ["time_s", "lost", "extrapolated", "n_views", "doubtful"]
-    assert [int(r["doubtful"]) for r in rows] == doubtful.astype(int).tolist()
+    assert header[:5] == ["time_s", "lost", "extrapolated", "n_views", "low_confidence"]
+    assert [int(r["low_confidence"]) for r in rows] == low_confidence.astype(int).tolist()
     assert [int(r["lost"]) for r in rows] == small_motion.lost.astype(int).tolist()
     assert [int(r["extrapolated"]) for r in rows] == small_motion.extrapolated.astype(int).tolist()
     knee = small_motion.skeleton.joint("left_knee")

@@ -20,10 +20,12 @@ def scene():
 @pytest.mark.parametrize("share", [1.0, 0.87])
 def test_a_height_that_the_masks_refute_makes_a_motion_not_to_be_trusted(scene, share):
     given = share * scene.subject.stature
-    verdict = track_source(FrameList(list(scene.mask_frames(0.5))), 25.0, TrackOptions(seed=1, height=given)).verdict
+    assessment = track_source(
+        FrameList(list(scene.mask_frames(0.5))), 25.0, TrackOptions(seed=1, height=given)
+    ).assessment
     said = f"the person is {scene.subject.stature:.2f} m tall by what the cameras see, not {given:.2f} m as given"
-    assert (said in verdict.sentence) == (share < 1)
-    assert verdict.word == UNTRUSTED or share == 1
+    assert (said in assessment.sentence) == (share < 1)
+    assert assessment.word == UNTRUSTED or share == 1
 
 
 def test_what_was_not_seen_tells_no_height(scene):

@@ -127,7 +127,7 @@ def test_who_leaves_and_returns_is_the_same_person(rig):
     away = np.linalg.norm(bert.result.motion.joints - joints, axis=-1).mean(1)
     assert away[:6].max() < 0.06 and away[-4:].max() < 0.08
     assert len(while_present(bert.result.motion, bert.present)) == bert.present.sum()
-    assert bert.verdict.word in ("good", "look", "not to be trusted")
+    assert bert.assessment.word in ("good", "look", "not to be trusted")
 
 
 @pytest.mark.slow

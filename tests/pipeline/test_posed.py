@@ -17,7 +17,7 @@ def test_the_body_follows_the_fused_limbs_and_keeps_its_bones(rng):
     fused = fused_points(rng, 20).motion
     body, motion = pose_fused(fused)
     assert motion.poses.shape == (20, 36)
-    judged = np.isfinite(motion.p_wrong).all(0)  # the spine and the clavicles are seen by no sensor
+    judged = np.isfinite(motion.error_probability).all(0)  # the spine and the clavicles are seen by no sensor
     assert judged[motion.skeleton.joint("left_wrist")]
     assert not judged[motion.skeleton.joint("spine")]
     limbs = [n for n in SENSOR_JOINT_NAMES if any(x in n for x in ("elbow", "wrist", "knee", "ankle"))]

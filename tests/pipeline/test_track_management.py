@@ -10,7 +10,7 @@ from hypose.body.ready_bodies import human
 from hypose.evidence.hull_people import HullPerson
 from hypose.pipeline import track_management
 from hypose.pipeline.first_frame import TrackedSubject
-from hypose.pipeline.track_management import back_again, drawn_away
+from hypose.pipeline.track_management import back_again, identity_switches
 from hypose.pipeline.tracked_people import Followed
 from hypose.synthetic.scenes import make_scene
 from hypose.tracking.recipes import recipe
@@ -63,10 +63,10 @@ def bert() -> Followed:
 
 
 def test_who_moves_faster_than_anybody_from_where_somebody_is_found_was_drawn_away(anna, bert):
-    assert drawn_away(found_at(0.05), [bert, anna], RATE) == (anna, SINCE)
-    assert drawn_away(found_at(1.2), [bert, anna], RATE) is None  # the one who came beside them
+    assert identity_switches(found_at(0.05), [bert, anna], RATE) == (anna, SINCE)
+    assert identity_switches(found_at(1.2), [bert, anna], RATE) is None  # the one who came beside them
     walks = followed("carl", np.linspace(-1.0, 0.8, FRAMES), np.ones(FRAMES, dtype=bool))
-    assert drawn_away(found_at(0.4), [walks], RATE) is None  # 1.2 m/s: came past there
+    assert identity_switches(found_at(0.4), [walks], RATE) is None  # 1.2 m/s: came past there
 
 
 def test_who_was_drawn_to_somebody_new_goes_on_where_they_had_stood(anna, monkeypatch):

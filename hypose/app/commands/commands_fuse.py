@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hypose.app.commands.commands_track import (
+    print_assessments,
     report_outcome,
     run_shown,
     set_threads,
     split_names,
     stopping,
-    tell_verdicts,
 )
 from hypose.app.commands.console import Seed, Stages, Threads, number, print_note, say
 from hypose.errors import InputError
@@ -94,7 +94,7 @@ def fuse(
     """Fuse the skeletons of several depth sensors, and what cameras saw beside: one skeleton per person with its
     uncertainty. See docs/fusion.md, docs/live.md.
 
-    It ends with a verdict: good, worth a look, or not to be trusted, and why; the last with exit code 3.
+    It ends with an assessment: good, worth a look, or not to be trusted, and why; the last with exit code 3.
     """
     set_threads(threads)
     if live:
@@ -162,7 +162,7 @@ def fuse(
     if all(p.motion.lost.all() for p in outcome.people):
         require_found(outcome.people[0].motion, loaded.name, results.path)
     names = [f"person-{n + 1}" if len(outcome.people) > 1 else "" for n in range(len(outcome.people))]
-    tell_verdicts({name: p.verdict for name, p in zip(names, outcome.people, strict=True)})
+    print_assessments({name: p.assessment for name, p in zip(names, outcome.people, strict=True)})
 
 
 def _closing(outcome: FuseOutcome, name: str, sensors: int, folder: Path) -> None:

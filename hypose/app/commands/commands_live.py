@@ -68,7 +68,7 @@ def live(
     with ended_by_signals(ended):  # an interrupt between two imports can be lost
         from hypose.app.jobs.job import compile_before
         from hypose.app.live.pose_outputs import PoseOutputs
-        from hypose.pipeline.live.capture import EyesOptions
+        from hypose.pipeline.live.capture import CaptureOptions
         from hypose.pipeline.live.engine import LiveEngine, LiveTrackingOptions
         from hypose.pipeline.live.live_rig import live_rig
         from hypose.pipeline.live.live_search import LivePersonOptions
@@ -83,7 +83,7 @@ def live(
         print_note(f"note: {text}")
     body = None if subject is None else load_subject(subject)
     person = LivePersonOptions(TrackOptions(seed=seed), height or cameras.height, body)
-    eyes = EyesOptions(cameras.rate, countdown, cameras.silhouettes)
+    eyes = CaptureOptions(cameras.rate, countdown, cameras.silhouettes)
     names = tuple(v.name for v in cameras.views)
     with Stages() as progress:  # the first time it takes a while, and Ctrl-C still ends it
         compile_before(progress)

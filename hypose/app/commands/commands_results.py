@@ -314,14 +314,14 @@ def cite(
 
 def tell_untrusted(results: Path) -> None:
     """One line when the result (a folder, or its motion.npz) is not to be trusted; what cannot be read says nothing."""
-    from hypose.app.jobs.job import VERDICT
+    from hypose.app.jobs.job import ASSESSMENT_FILE
     from hypose.errors import InputError
     from hypose.io.files import read_json
-    from hypose.pipeline.assessment import UNTRUSTED, Verdict
+    from hypose.pipeline.assessment import UNTRUSTED, Assessment
 
     folder = results if results.is_dir() else results.parent
     try:
-        kept = Verdict.of_document(read_json(folder / VERDICT, "a verdict"))
+        kept = Assessment.of_document(read_json(folder / ASSESSMENT_FILE, "an assessment"))
     except (InputError, ValueError, KeyError, TypeError):
         return
     if kept.word == UNTRUSTED:

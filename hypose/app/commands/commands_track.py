@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from hypose.evidence.detector import PoseDetector
     from hypose.io.keypoints.read_keypoints import DetectedKeypoints
     from hypose.io.recordings.recording import Recording
-    from hypose.pipeline.assessment import Verdict
+    from hypose.pipeline.assessment import Assessment
     from hypose.pipeline.subject_from_motion import SubjectEstimate
 
 
@@ -95,7 +95,7 @@ def track_command(
 ) -> None:
     """Track the person in a recording, or several: poses with uncertainty, motion files, overlay video, report.
 
-    It ends with a verdict: good, look at some frames, or not to be trusted, and why; the last with exit code 3.
+    It ends with an assessment: good, look at some frames, or not to be trusted, and why; the last with exit code 3.
     """
     set_threads(threads)
     from hypose.app.jobs.job import TrackJob, choose_frames, people_results
@@ -249,17 +249,17 @@ def report_outcome(job: TrackJob, finished: tuple[Outcome, dict[str, float]]) ->
     if job.report:
         say(f"Report:  {job.results.file('report.html')}")
     require_found(outcome.motion, job.recording.name, job.results.path)
-    if outcome.verdict is not None:
-        tell_verdicts({"": outcome.verdict})
+    if outcome.assessment is not None:
+        print_assessments({"": outcome.assessment})
 
 
-def tell_verdicts(verdicts: Mapping[str, Verdict]) -> None:
-    """The verdict on everybody by their names (none of one person); exit code 3 when one is not to be trusted."""
+def print_assessments(assessments: Mapping[str, Assessment]) -> None:
+    """The assessment on everybody by their names (none of one person); exit code 3 when one is not to be trusted."""
     from hypose.pipeline.assessment import EXIT_UNTRUSTED, UNTRUSTED
 
-    for name, verdict in verdicts.items():
-        say(f"Verdict{' on ' if name else ''}{name}: {verdict.sentence}", "bold")
-    if any(verdict.word == UNTRUSTED for verdict in verdicts.values()):
+    for name, assessment in assessments.items():
+        say(f"Assessment{' on ' if name else ''}{name}: {assessment.sentence}", "bold")
+    if any(assessment.word == UNTRUSTED for assessment in assessments.values()):
         raise typer.Exit(EXIT_UNTRUSTED)
 
 

@@ -151,7 +151,7 @@ def _time_reversed(motion: Motion) -> Motion:
 
 _UNKNOWN = {
     **dict.fromkeys(("poses", "joints", "joint_covariance", "lost", "extrapolated", "n_views", "cost"), np.nan),
-    **{"doubtful": False, "doubtful_joints": False, "p_wrong": np.nan, "angle_sd": np.nan},
+    **{"low_confidence": False, "low_confidence_joints": False, "error_probability": np.nan, "angle_sd": np.nan},
     **{"systematic_covariance": 0.0, "rivals": np.nan, "rival_weights": 0},
 }
 """What a motion has of each frame, and what stands there where a part does not tell."""
@@ -160,8 +160,8 @@ _UNKNOWN = {
 def join(old: Motion, new: Motion, row: int, record: Mapping[str, Any] | None) -> Motion:
     """The motion `old` with the rows from `row` on replaced by those of `new`, and `record` among its corrections."""
     series, stop = {}, row + len(new)
-    if old.doubtful is None and new.doubtful is not None:
-        old = replace(old, doubtful=np.zeros(len(old), dtype=bool))
+    if old.low_confidence is None and new.low_confidence is not None:
+        old = replace(old, low_confidence=np.zeros(len(old), dtype=bool))
     for name, unknown in _UNKNOWN.items():
         before, after = getattr(old, name), getattr(new, name)
         if before is not None:

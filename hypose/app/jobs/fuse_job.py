@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.app.commands.console import ProgressCall, ignore
-from hypose.app.jobs.job import VERDICT
+from hypose.app.jobs.job import ASSESSMENT_FILE
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.errors import InputError
@@ -35,8 +35,8 @@ from hypose.io.sensors.skeleton_streams import (
     resample,
     shifted,
 )
-from hypose.pipeline.assessment import Verdict
-from hypose.pipeline.sensor_skeletons import fused_verdict
+from hypose.pipeline.assessment import Assessment
+from hypose.pipeline.sensor_skeletons import assess_fused
 
 POINT_FORMATS = ("trc", "c3d", "csv")
 """Formats that need no poses."""
@@ -76,11 +76,11 @@ class FuseJob:
 
 @dataclass(frozen=True)
 class PersonResult:
-    """One person: motion (world, z up), the written files; verdict: whether it is to be trusted."""
+    """One person: motion (world, z up), the written files; assessment: whether it is to be trusted."""
 
     motion: Motion
     files: tuple[Path, ...]
-    verdict: Verdict
+    assessment: Assessment
 
 
 @dataclass(frozen=True)
@@ -134,8 +134,8 @@ def run_fuse(job: FuseJob, progress: ProgressCall = ignore) -> FuseOutcome:
             made = replace(made, motion=replace(made.motion, times=times[span]))
             if world is None:
                 world = world_from_sensor(made.motion, job.up)
-            verdict = fused_verdict(made.motion, clip, registration, names)
-            done.append(_write(job, made, world, folders[n], notes, verdict))
+            assessment = assess_fused(made.motion, clip, registration, names)
+            done.append(_write(job, made, world, folders[n], notes, assessment))
         progress("fuse", total, total)
         for n, person in enumerate(done):
             progress("export", n, len(done))
@@ -257,7 +257,7 @@ def world_from_sensor(motion: Motion, up: str) -> Array:
 
 
 def _write(
-    job: FuseJob, fused: Fused, world: Array, folder: ResultsFolder, notes: Sequence[str], verdict: Verdict
+    job: FuseJob, fused: Fused, world: Array, folder: ResultsFolder, notes: Sequence[str], assessment: Assessment
 ) -> PersonResult:
     settings = {
         "method": job.method,
@@ -273,9 +273,9 @@ def _write(
     motion = replace(fused.motion, joints=transform(world, fused.motion.joints), provenance=json.loads(to_json(record)))
     save_motion(motion, folder.motion)
     files = [folder.motion, folder.write_json("provenance.json", record)]
-    files.append(folder.write_json(VERDICT, verdict.document()))
+    files.append(folder.write_json(ASSESSMENT_FILE, assessment.document()))
     write_text(folder.file("sensors.csv"), sensors_csv(fused))
-    return PersonResult(motion, (*files, folder.file("sensors.csv")), verdict)
+    return PersonResult(motion, (*files, folder.file("sensors.csv")), assessment)
 
 
 def sensors_csv(fused: Fused) -> str:

@@ -33,7 +33,7 @@ from hypose.io.motions.results import (
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording
 from hypose.io.sensors.skeleton_streams import SkeletonRecording
-from hypose.pipeline.assessment import Verdict
+from hypose.pipeline.assessment import Assessment
 from hypose.pipeline.first_frame import SubjectOptions
 from hypose.pipeline.one_camera import POINT_STARTS, clicks_of, depth_note
 from hypose.pipeline.run import MODES, TrackOptions, TrackResult, check_views, frames_wanted
@@ -44,7 +44,7 @@ from hypose.tracking.recipes import RECIPES, citation_of
 if TYPE_CHECKING:
     from hypose.pipeline.comparison import Truth
 
-VERDICT = "verdict.json"
+ASSESSMENT_FILE = "assessment.json"
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class TrackJob:
 @dataclass(frozen=True)
 class Outcome:
     """What came out. files: written paths in order; notes: for the user; truth: the comparison, if there was one;
-    verdict: whether it is to be trusted, None where nobody has looked."""
+    assessment: whether it is to be trusted, None where nobody has looked."""
 
     motion: Motion
     body: Body
@@ -86,7 +86,7 @@ class Outcome:
     files: tuple[Path, ...]
     notes: tuple[str, ...]
     truth: Truth | None = None
-    verdict: Verdict | None = None
+    assessment: Assessment | None = None
 
 
 def choose_frames(recording: Recording, text: str | None) -> Recording:
@@ -137,19 +137,19 @@ def run_job(job: TrackJob, progress: ProgressCall = ignore, seconds: Mapping[str
             tracked = finished
         notes = (*recording.notes, *source.notes, *tracked.notes)
         files = [results.motion, results.file("body.npz"), results.file("provenance.json")]
-        verdict = _verdict(tracked, results, finished is not None)
-        files.append(results.file(VERDICT))
+        assessment = _assessment(tracked, results, finished is not None)
+        files.append(results.file(ASSESSMENT_FILE))
         if tracked.modes is not None:
             files.insert(1, results.file(MODES))
         truth = job.truth(tracked.motion, tracked.body) if job.truth is not None else None
         if not tracked.complete:
             return Outcome(tracked.motion, tracked.body, False, tuple(files), notes, truth)
         files += export_all(job, tracked.motion, tracked.body, progress)
-        said = (f"Verdict: {verdict.sentence}", *notes)
+        said = (f"Assessment: {assessment.sentence}", *notes)
         if job.overlay or job.report:
             files += _draw(job, options, tracked, source, said, truth, files, progress, seconds or {})
     remove_stale(results, files)
-    return Outcome(tracked.motion, tracked.body, True, tuple(files), notes, truth, verdict)
+    return Outcome(tracked.motion, tracked.body, True, tuple(files), notes, truth, assessment)
 
 
 def compile_before(progress: ProgressCall, *parts: str) -> None:
@@ -171,13 +171,13 @@ def _kernels(recording: Recording, options: TrackOptions) -> tuple[str, ...]:
     return masks if all(view.masks is not None for view in recording.views) else (*masks, "pictures")
 
 
-def _verdict(tracked: TrackResult, results: ResultsFolder, before: bool) -> Verdict:
-    """The verdict on what was tracked, written; or what was written before, when that can be read."""
+def _assessment(tracked: TrackResult, results: ResultsFolder, before: bool) -> Assessment:
+    """The assessment on what was tracked, written; or what was written before, when that can be read."""
     if before:
         with contextlib.suppress(InputError, ValueError, KeyError, TypeError):
-            return Verdict.of_document(read_json(results.file(VERDICT), "a verdict"))
-    results.write_json(VERDICT, tracked.verdict.with_joints(tracked.motion))
-    return tracked.verdict
+            return Assessment.of_document(read_json(results.file(ASSESSMENT_FILE), "an assessment"))
+    results.write_json(ASSESSMENT_FILE, tracked.assessment.with_joints(tracked.motion))
+    return tracked.assessment
 
 
 def _track(

@@ -12,7 +12,7 @@ import numpy as np
 
 from hypose.app.commands.console import ProgressCall, ignore
 from hypose.app.jobs.job import (
-    VERDICT,
+    ASSESSMENT_FILE,
     Outcome,
     TrackJob,
     check_job,
@@ -31,7 +31,7 @@ from hypose.io.motions.c3d import write_c3d
 from hypose.io.motions.gltf import write_people_glb
 from hypose.io.motions.results import ResultsFolder, save_body
 from hypose.io.recordings.frames import FrameStream
-from hypose.pipeline.assessment import UNTRUSTED, Verdict
+from hypose.pipeline.assessment import UNTRUSTED, Assessment
 from hypose.pipeline.frame_anomalies import in_words
 from hypose.pipeline.one_of_several import chosen_people, keypoint_people, people_frames, wanted_of
 from hypose.pipeline.people_run import PeopleRun
@@ -45,7 +45,7 @@ PEOPLE = "people.json"
 
 def run_people(job: TrackJob, people: str, progress: ProgressCall = ignore) -> Outcome:
     """Track several people, export, draw and report; as `run_job` for one. The outcome is that of the first person,
-    with everybody's files and the worst verdict."""
+    with everybody's files and the worst assessment."""
     recording, options, results = job.recording, job.options, job.results
     check_job(job)
     check_views(recording)
@@ -91,10 +91,10 @@ def run_people(job: TrackJob, people: str, progress: ProgressCall = ignore) -> O
             files += top
             remove_stale(results, [*top])
     first = shown[0]
-    verdict = Verdict(UNTRUSTED, (absent,)) if absent else worst_verdict(shown)
-    results.write_json(VERDICT, verdict.document())
+    assessment = Assessment(UNTRUSTED, (absent,)) if absent else worst_assessment(shown)
+    results.write_json(ASSESSMENT_FILE, assessment.document())
     said = (*notes, *(f"{p.name}: {n}" for p in shown for n in p.result.notes))
-    return Outcome(first.result.motion, first.result.body, found.complete, tuple(files), said, None, verdict)
+    return Outcome(first.result.motion, first.result.body, found.complete, tuple(files), said, None, assessment)
 
 
 def _nobody_called(name: str, wanted: Sequence[Wanted], people: Sequence[TrackedPerson]) -> str:
@@ -106,22 +106,22 @@ def _nobody_called(name: str, wanted: Sequence[Wanted], people: Sequence[Tracked
     )
 
 
-def worst_verdict(people: Sequence[TrackedPerson]) -> Verdict:
-    """Of several people: the worst word, and what each verdict says."""
-    verdicts = {p.name: p.verdict for p in people}
+def worst_assessment(people: Sequence[TrackedPerson]) -> Assessment:
+    """Of several people: the worst word, and what each assessment says."""
+    assessments = {p.name: p.assessment for p in people}
     order = ("good", "look", UNTRUSTED)
-    word = max((v.word for v in verdicts.values()), key=order.index)
-    because = [f"{name}: {v.sentence}" for name, v in verdicts.items() if v.word == word and v.because]
-    frames = tuple(r for v in verdicts.values() if v.word == word for r in v.frames)
-    return Verdict(word, tuple(because), () if word == UNTRUSTED else frames)
+    word = max((v.word for v in assessments.values()), key=order.index)
+    because = [f"{name}: {v.sentence}" for name, v in assessments.items() if v.word == word and v.because]
+    frames = tuple(r for v in assessments.values() if v.word == word for r in v.frames)
+    return Assessment(word, tuple(because), () if word == UNTRUSTED else frames)
 
 
 def _written(one: TrackedPerson, results: ResultsFolder) -> list[Path]:
     """What of one person there is before anything is drawn."""
     save_body(one.result.body, results.file("body.npz"))
     results.write_json("provenance.json", one.result.motion.provenance)
-    results.write_json(VERDICT, {**one.verdict.with_joints(one.result.motion), "there": _there(one)})
-    return [results.file(n) for n in ("motion.npz", "body.npz", "provenance.json", VERDICT)]
+    results.write_json(ASSESSMENT_FILE, {**one.assessment.with_joints(one.result.motion), "there": _there(one)})
+    return [results.file(n) for n in ("motion.npz", "body.npz", "provenance.json", ASSESSMENT_FILE)]
 
 
 def _there(one: TrackedPerson) -> list[list[int]]:
@@ -143,7 +143,7 @@ def _one_report(
         rig=job.recording.rig,
         image_shifts=[v.image_shift for v in job.recording.views],
         pictures=pictured(job.recording),
-        notes=(f"Verdict: {one.verdict.sentence}", *one.result.notes),
+        notes=(f"Assessment: {one.assessment.sentence}", *one.result.notes),
         citation=citation_of(job.options.recipe, job.options.refine),
         complete=one.result.complete,
         first_frame=job.recording.frames.start,
@@ -178,7 +178,7 @@ def _together(
         {
             "name": p.name,
             "folder": p.name,
-            "verdict": p.verdict.word,
+            "assessment": p.assessment.word,
             "there": _there(p),
             "stature": p.result.body.stature,
         }
@@ -187,7 +187,7 @@ def _together(
     files.append(results.write_json(PEOPLE, {"people": about, "notes": list(notes)}))
     if job.report:
         files.append(results.write_text("report.html", _index(job, people, notes)))
-    files.append(results.file(VERDICT))
+    files.append(results.file(ASSESSMENT_FILE))
     return files
 
 
@@ -217,11 +217,11 @@ def _index(job: TrackJob, people: Sequence[TrackedPerson], notes: Sequence[str])
             f'<a href="{html.escape(quote(p.name), quote=True)}/report.html">{html.escape(p.name)}</a>',
             f"{p.result.body.stature:.2f} m",
             html.escape(there),
-            html.escape(p.verdict.sentence),
+            html.escape(p.assessment.sentence),
         )
         rows.append("<tr>" + "".join(f"<td>{c}</td>" for c in cells) + "</tr>")
     film = '<p><video src="overlay.mp4" controls></video></p>' if job.overlay else ""
     said = "".join(f"<li>{html.escape(n)}</li>" for n in notes)
-    heads = "".join(f"<th>{h}</th>" for h in ("", "person", "height", "there", "verdict"))
+    heads = "".join(f"<th>{h}</th>" for h in ("", "person", "height", "there", "assessment"))
     body = f"<h1>{html.escape(job.recording.name)}</h1><table><tr>{heads}</tr>{''.join(rows)}</table>"
     return page(job.recording.name, f"{body}{film}<ul>{said}</ul>", policy=f"{CONTENT_POLICY}; media-src 'self'")

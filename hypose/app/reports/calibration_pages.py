@@ -1,4 +1,4 @@
-"""The doctor's page: verdicts, figures per camera, and pictures of where key points miss the other cameras' view."""
+"""The doctor's page: assessments, figures per camera, and pictures of where key points miss the other cameras' view."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def write_check_page(
 ) -> None:
     """One file with everything inside."""
     e = html.escape
-    verdict = (
+    assessment = (
         '<p class="good">No fault found.</p>'
         if report.healthy and not warnings
         else '<p class="bad">Something is wrong; see below.</p>'
@@ -124,11 +124,11 @@ def write_check_page(
         "silhouette (px)",
         "key points early by (frames)",
         "a refinement moves it by",
-        "verdict",
+        "assessment",
     )
     parts = [
         f"<h1>{e(title)}: is the calibration right?</h1>",
-        verdict,
+        assessment,
         "<h2>Findings</h2><ul>",
         *(f"<li>{'' if f.fault else 'Note: '}{e(f.sentence)}</li>" for f in report.findings),
         *(f"<li>{e(w)}</li>" for w in warnings),

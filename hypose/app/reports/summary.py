@@ -30,7 +30,7 @@ DESCRIPTIONS = {
     "joints.csv": "joint centres with their standard deviation (metres, z up) and flags per frame",
     "overlay.mp4": "the body on the recorded images",
     "provenance.json": "settings, versions, inputs with their hashes",
-    "verdict.json": "good, look at frames, or not to be trusted, and why; the frames in which each joint is doubtful",
+    "assessment.json": "good, look at frames, or not to be trusted, and why; low-confidence frames by joint",
     "report.html": "this report",
 }
 """What each file of a results folder is."""

@@ -40,7 +40,7 @@ ENDED: tuple[JobState, ...] = ("done", "failed", "cancelled")
 _KEPT_JOBS, _MOST_WAITING, _KEPT_LINES = 100, 20, 200
 _CODE_OF_INPUT = 2
 """What a command ends with when its input cannot be used."""
-_VERDICT = "Verdict: "
+_ASSESSMENT = "Assessment: "
 _NOTHING_WRITTEN = "nothing is written"
 """Part of what `check --refine` says when it has found no calibration to recommend."""
 _KILL_S = 20.0
@@ -278,7 +278,7 @@ class Jobs(Topic):
                 job.state = "done"  # a check that found something wrong has done its work
             elif code == EXIT_UNTRUSTED and not problem:
                 job.state = "done"  # all of it was tracked; what is to be thought of it is for who looks at it
-                job.error = said(_VERDICT).removeprefix(_VERDICT)
+                job.error = said(_ASSESSMENT).removeprefix(_ASSESSMENT)
             else:
                 job.state = "failed"
                 # a refinement says as its result why it wrote nothing, not as an error

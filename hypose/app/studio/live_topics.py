@@ -31,7 +31,7 @@ from hypose.fusion.align import AlignSettings
 from hypose.fusion.joints import COMMON, PARENT
 from hypose.fusion.live import LiveSettings
 from hypose.io.videos.camera_sources import CameraImage, is_device
-from hypose.pipeline.live.capture import EyesOptions
+from hypose.pipeline.live.capture import CaptureOptions
 from hypose.pipeline.live.engine import LiveEngine, LiveResult, LiveStatus, LiveTrackingOptions
 from hypose.pipeline.live.live_rig import LiveRig, live_rig
 from hypose.pipeline.live.live_search import LivePersonOptions
@@ -236,7 +236,7 @@ class CameraTopic(LiveTopic):
                 undone.push_async_callback(run_in_threadpool, recorder.close)
             pictures = _Pictures(self._hub, self.name, cameras)
             undone.callback(pictures.close)
-            eyes = EyesOptions(cameras.rate, countdown, cameras.silhouettes)
+            eyes = CaptureOptions(cameras.rate, countdown, cameras.silhouettes)
             how = LiveTrackingOptions(eyes, LivePersonOptions(height=cameras.height), people, pictures=True)
             listeners = [outputs, pictures, *([recorder] if recorder else [])]
             engine = LiveEngine(cameras.rig, cameras.views, how, listeners)

@@ -25,7 +25,7 @@ class _Entry(Generic[V]):
     making: threading.Lock = field(default_factory=threading.Lock)
 
 
-class Kept(Generic[V]):
+class LruCache(Generic[V]):
     """Values by key, for several threads. most: bytes of all together, as weigh(value) tells them; beyond, those that
     were not used for longest are let go, but never one that is being used. let_go(value) releases it; idle_s: after
     this time without use it is called anyway; one_more: the one used last stays, however large it is."""

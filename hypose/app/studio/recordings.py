@@ -20,7 +20,7 @@ from hypose.app.studio.catalog import Catalog, Item, NotFound
 from hypose.app.studio.http import request_choice, text, whole
 from hypose.app.studio.http import request_number as number_of
 from hypose.app.studio.job_kinds import CALIBRATION, board_files
-from hypose.app.studio.lru_cache import Kept
+from hypose.app.studio.lru_cache import LruCache
 from hypose.app.studio.view_pictures import AnyFrame
 from hypose.calibration.views import find_sources
 from hypose.cameras.camera import Camera
@@ -227,7 +227,7 @@ class Recordings:
     def __init__(self, catalog: Catalog) -> None:
         self._catalog = catalog
         # however large it is, the one that is worked on stays: its empty rooms take seconds to make
-        self._open: Kept[_Open] = Kept(_OPEN, lambda o: o.held, _Open.close, one_more=True)
+        self._open: LruCache[_Open] = LruCache(_OPEN, lambda o: o.held, _Open.close, one_more=True)
 
     def load(self, item: Item) -> Recording:
         """The recording of an item; an InputError says what is wrong with it."""

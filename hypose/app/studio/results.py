@@ -16,7 +16,7 @@ import numpy as np
 from hypose.app.reports.summary import DESCRIPTIONS
 from hypose.app.studio.catalog import Catalog, Item, NotFound
 from hypose.app.studio.job_kinds import Plan
-from hypose.app.studio.lru_cache import Kept
+from hypose.app.studio.lru_cache import LruCache
 from hypose.app.studio.recordings import Recordings
 from hypose.app.studio.view_bundle import first_frame, in_recording, json_values, load_view, quality_of, view_bundle
 from hypose.app.studio.view_pictures import ViewPictures
@@ -33,7 +33,7 @@ _BLOCKS, _PICTURES, _THUMBNAILS, _GAITS = 24 << 20, 64 << 20, 4 << 20, 4 << 20
 """Bytes of blocks, of open pictures, of thumbnails and of answers on gait that are kept."""
 _DESCRIBED = ("recording.toml", "Config.toml", "calibration.toml")
 _MOTION = ("motion.npz", "body.npz")
-_JUDGED = ("verdict.json", "modes.npz", "checkpoint.npz")
+_JUDGED = ("assessment.json", "modes.npz", "checkpoint.npz")
 """Files beside a motion that say how good it is, and whether it is all."""
 _SIZE = (192, 144)
 """px, width and height of a thumbnail."""
@@ -67,12 +67,14 @@ class Results:
 
     def __init__(self, catalog: Catalog) -> None:
         self._catalog = catalog
-        self._blocks: Kept[bytearray] = Kept(_BLOCKS, len, one_more=True)
+        self._blocks: LruCache[bytearray] = LruCache(_BLOCKS, len, one_more=True)
         # of four cameras of 1080p more is open than is kept of others: to open it for every picture would take seconds
-        self._pictures: Kept[ViewPictures] = Kept(_PICTURES, lambda p: p.held, ViewPictures.close, one_more=True)
-        self._thumbnails: Kept[bytes] = Kept(_THUMBNAILS, len)
+        self._pictures: LruCache[ViewPictures] = LruCache(
+            _PICTURES, lambda p: p.held, ViewPictures.close, one_more=True
+        )
+        self._thumbnails: LruCache[bytes] = LruCache(_THUMBNAILS, len)
         self._heads: dict[str, _Head] = {}
-        self._gaits: Kept[bytes] = Kept(_GAITS, len)
+        self._gaits: LruCache[bytes] = LruCache(_GAITS, len)
         self._one = threading.Lock()  # whole motions are held by one thread at a time: they are what is large here
 
     def block(self, item: Item) -> bytearray:

@@ -35,7 +35,7 @@ from hypose.io.files import read_json
 from hypose.io.motions.export import MOTION_FORMATS
 from hypose.io.motions.results import ResultsFolder, load_body, load_joints_of_modes, load_motion
 from hypose.io.recordings.recording import Recording, load_recording
-from hypose.pipeline.assessment import Verdict, verdict_of
+from hypose.pipeline.assessment import Assessment, assess
 from hypose.pipeline.comparison import Truth, compare_with_truth
 from hypose.tracking.recipes import citation_of
 
@@ -86,7 +86,7 @@ class Rivals:
 class ViewResult:
     """A result to look at. body, rig: None when not known (a fused skeleton has neither). image_shifts: (x, y) px per
     camera, as in recording.toml. first_frame: the recording's frame of row 0. pictures: names of the cameras whose
-    pictures can be had. files: (name, what it is, bytes). rivals: where the method keeps any. verdict: what is to be
+    pictures can be had. files: (name, what it is, bytes). rivals: where the method keeps any. assessment: what is to be
     thought of it, None when nothing has looked."""
 
     title: str
@@ -103,7 +103,7 @@ class ViewResult:
     truth: Truth | None = None
     complete: bool = True
     rivals: Rivals | None = None
-    verdict: Verdict | None = None
+    assessment: Assessment | None = None
 
 
 def pictured(recording: Recording) -> list[str]:
@@ -149,11 +149,11 @@ def _arrays(result: ViewResult) -> dict[str, np.ndarray]:
         if result.body is not None:
             out |= _mesh("fine", result.body.fine) | _mesh("coarse", result.body.coarse)
             out["rest_joints"] = m.skeleton.rest_joints.astype("<f4")
-    if m.doubtful_joints is not None:
-        out["doubtful_joints"] = m.doubtful_joints.astype("u1")
-    if m.p_wrong is not None:
-        percent = np.rint(100 * np.nan_to_num(m.p_wrong, nan=_UNKNOWN_PERCENT / 100))
-        out["p_wrong"] = percent.astype("u1")
+    if m.low_confidence_joints is not None:
+        out["low_confidence_joints"] = m.low_confidence_joints.astype("u1")
+    if m.error_probability is not None:
+        percent = np.rint(100 * np.nan_to_num(m.error_probability, nan=_UNKNOWN_PERCENT / 100))
+        out["error_probability"] = percent.astype("u1")
     if result.rivals is not None:
         out["rival_rows"] = result.rivals.rows.astype("<u4")
         out["rival_joints"] = result.rivals.joints.astype("<f4")
@@ -208,8 +208,8 @@ def _in_degrees(names: Sequence[str], values: Array | NDArray[np.float32]) -> np
 
 def _flags(motion: Motion) -> np.ndarray:
     """(T,) the gravest that is said of each frame; 0 = nothing."""
-    doubtful = np.zeros(len(motion), dtype=bool) if motion.doubtful is None else motion.doubtful
-    cases = [motion.lost.astype(bool), motion.extrapolated.astype(bool), doubtful]
+    low_confidence = np.zeros(len(motion), dtype=bool) if motion.low_confidence is None else motion.low_confidence
+    cases = [motion.lost.astype(bool), motion.extrapolated.astype(bool), low_confidence]
     return np.select(cases, [_LOST, _EXTRAPOLATED, _LOW_CONFIDENCE], 0).astype("u1")
 
 
@@ -252,7 +252,7 @@ def _header(result: ViewResult) -> dict[str, Any]:
         "notes": list(result.notes),
         "citation": result.citation,
         "seconds": dict(result.seconds),
-        "verdict": result.verdict and {"word": result.verdict.word, "sentence": result.verdict.sentence},
+        "assessment": result.assessment and {"word": result.assessment.word, "sentence": result.assessment.sentence},
         "truth": truth
         and {
             "names": list(truth.names),
@@ -361,7 +361,7 @@ def load_view(results: str | Path, recording: Recording | None = None) -> ViewRe
         truth=truth,
         complete=not folder.checkpoint.exists(),
         rivals=part("Other poses are not shown", lambda: _rivals(folder.file("modes.npz"), motion)),
-        verdict=_verdict(folder.file("verdict.json"), motion),
+        assessment=_assessment(folder.file("assessment.json"), motion),
     )
 
 
@@ -413,16 +413,15 @@ def _rivals(path: Path, motion: Motion) -> Rivals | None:
     return Rivals.of(joints, weights) if (len(joints), joints.shape[2]) == motion.joints.shape[:2] else None
 
 
-def _verdict(path: Path, motion: Motion) -> Verdict | None:
+def _assessment(path: Path, motion: Motion) -> Assessment | None:
     """As it was written when the motion was tracked, which knows what was found before; else from the motion."""
     with contextlib.suppress(InputError, ValueError, KeyError, TypeError):
-        return Verdict.of_document(read_json(path, "a verdict"))
-    return None if motion.doubtful is None else verdict_of(motion)
+        return Assessment.of_document(read_json(path, "an assessment"))
+    return None if motion.low_confidence is None else assess(motion)
 
 
 def quality_of(folder: Path, motion: Motion) -> dict[str, Any]:
-    """What a list says of how good a result is: verdict (a word, None when nothing has looked), iou, sd_mm, lost (share
-    of the frames)."""
-    told, s = _verdict(folder / "verdict.json", motion), summarize(motion)
+    """Summarize the quality of a result for a list: assessment (word or None), iou, sd_mm, lost (share of frames)."""
+    told, s = _assessment(folder / "assessment.json", motion), summarize(motion)
     lost = (s.lost + s.extrapolated) / max(1, s.frames)
-    return {"verdict": told and told.word, "iou": s.iou, "sd_mm": s.sd_mm, "lost": lost}
+    return {"assessment": told and told.word, "iou": s.iou, "sd_mm": s.sd_mm, "lost": lost}

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.app.reports.result_pictures import image_points, jpeg, mask_outline
-from hypose.app.studio.lru_cache import Kept
+from hypose.app.studio.lru_cache import LruCache
 from hypose.errors import InputError
 from hypose.geometry import Array, Image
 from hypose.io.recordings.frames import FrameStream
@@ -101,7 +101,7 @@ class ViewPictures:
         self._views = [AnyFrame(v) if v.source or v.masks else None for v in recording.views]
         self._stream: FrameStream | None = None
         self._lock, self._mask_lock = threading.Lock(), threading.Lock()
-        self._kept: Kept[bytes] = Kept(_CACHE_BYTES, len, one_more=True)
+        self._kept: LruCache[bytes] = LruCache(_CACHE_BYTES, len, one_more=True)
 
     @property
     def held(self) -> int:

@@ -271,17 +271,17 @@ def write_joints_csv(path: str | Path, motion: Motion) -> None:
     if motion.systematic_covariance is not None:
         columns.append("systematic_sd_m")
         series.append(sd_per_axis(motion.systematic_covariance)[..., None])
-    if motion.p_wrong is not None:
-        columns.append("p_wrong")
-        series.append(motion.p_wrong[..., None])
-    header = ["time_s", "lost", "extrapolated", "n_views", "doubtful"]
+    if motion.error_probability is not None:
+        columns.append("error_probability")
+        series.append(motion.error_probability[..., None])
+    header = ["time_s", "lost", "extrapolated", "n_views", "low_confidence"]
     header += [f"{n}_{c}" for n in motion.skeleton.joint_names for c in columns]
     data = np.concatenate(series, axis=2).reshape(len(motion), -1).tolist()
     flags = np.stack([motion.lost, motion.extrapolated, motion.n_views], axis=1).astype(int).tolist()
-    judged = [""] * len(motion) if motion.doubtful is None else [str(int(d)) for d in motion.doubtful]
+    judged = [""] * len(motion) if motion.low_confidence is None else [str(int(d)) for d in motion.low_confidence]
     rows = [
-        [*_cells([time]), *map(str, known), doubtful, *_cells(row)]
-        for time, known, doubtful, row in zip(motion.times.tolist(), flags, judged, data, strict=True)
+        [*_cells([time]), *map(str, known), low_confidence, *_cells(row)]
+        for time, known, low_confidence, row in zip(motion.times.tolist(), flags, judged, data, strict=True)
     ]
     _write(path, header, rows)
 

@@ -323,8 +323,8 @@ def write_ik_markers(path: str | Path, motion: Motion, body: Body) -> None:
     """Write the model's markers in every frame as TRC (m). The motion needs poses (T, D)."""
     assert motion.poses is not None
     points = np.concatenate([motion.joints, body.landmark_points(motion.poses)], axis=1)
-    if motion.p_wrong is not None:
-        wrong = np.nan_to_num(motion.p_wrong) > 0.5
+    if motion.error_probability is not None:
+        wrong = np.nan_to_num(motion.error_probability) > 0.5
         wrong[motion.lost.astype(bool)] = False  # nothing is known of the frame: OpenSim goes through the prediction
         points[wrong[:, _carriers(motion, body)]] = np.nan
     write_trc(path, marker_names(body), points, motion.frame_rate, start_time=float(motion.times[0]))

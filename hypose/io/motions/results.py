@@ -61,9 +61,9 @@ _SERIES: _Layout = {
 }
 _OPTIONAL: _Layout = {
     "poses": ("f", "<f8", 2),
-    "doubtful": ("b", "|b1", 1),
-    "p_wrong": ("f", "<f4", 2),
-    "doubtful_joints": ("b", "|b1", 2),
+    "low_confidence": ("b", "|b1", 1),
+    "error_probability": ("f", "<f4", 2),
+    "low_confidence_joints": ("b", "|b1", 2),
     "angle_sd": ("f", "<f4", 2),
     "systematic_covariance": ("f", "<f4", 4),
     "rivals": ("f", "<f4", 3),

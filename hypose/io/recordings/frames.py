@@ -363,7 +363,7 @@ class FrameStream:
         self.others = 0 if whose is None or self.options.people or whose.of_all else max(len(whose.people) - 1, 0)
         self.doubted = self.keypoints
         if person is not None and person.one.apart:
-            doubted = load_person(recording, self.rig, doubting=True)
+            doubted = load_person(recording, self.rig, keep_misfits=True)
             self.doubted = None if doubted is None else doubted.keypoints
         self._covers = covers
         banded = self.keypoints is not None and self.options.band
@@ -426,14 +426,14 @@ class FrameStream:
     def notes(self) -> tuple[str, ...]:
         """Sentences with the view's name about doubtful backgrounds, and frames that could not be read so far."""
         named = zip(self.recording.views, self.backgrounds, strict=False)
-        doubtful = [f"View {v.name}: {b.note}" for v, b in named if b is not None and b.note]
+        low_confidence = [f"View {v.name}: {b.note}" for v, b in named if b is not None and b.note]
         unread = (f"View {s.view.name} {s.note}" for s in self._sources if s.note)
         things = (
             f"View {s.view.name}: {area:.2f} m^2 of things that the empty room had not are left out"
             for s in self._sources
             if s.depth is not None and (area := s.depth.furnished[1]) > 0
         )
-        return (*self.people_notes, *doubtful, *unread, *things)
+        return (*self.people_notes, *low_confidence, *unread, *things)
 
     def __len__(self) -> int:
         return len(self.frames)

@@ -61,7 +61,7 @@ def candidates_of(recording: Recording, small: CameraRig) -> list[list[Array | N
     return [list(frame) for frame in zip(*views, strict=True)]
 
 
-def load_person(recording: Recording, small: CameraRig, *, doubting: bool = False) -> RecordedPerson | None:
+def load_person(recording: Recording, small: CameraRig, *, keep_misfits: bool = False) -> RecordedPerson | None:
     """The person of a recording, None when it has no key points. small, doubting: as in `candidates_of` and
     `hypose.evidence.one_person.one_person`. A frame in which the person is not seen has confidence 0."""
     candidates = candidates_of(recording, small)
@@ -70,7 +70,7 @@ def load_person(recording: Recording, small: CameraRig, *, doubting: bool = Fals
     names = keypoint_names(recording.keypoint_set)
     views = [without_held([frame[c] for frame in candidates], first=3) for c in range(len(small))]
     candidates = [list(frame) for frame in zip(*(column for column, _ in views), strict=True)]
-    one = one_person(candidates, names, small, recording.frame_rate, doubting=doubting)
+    one = one_person(candidates, names, small, recording.frame_rate, keep_misfits=keep_misfits)
     held = {name: count for name, (_, count) in zip(small.names, views, strict=True) if count}
     if held:
         said = (

@@ -31,7 +31,7 @@ from hypose.io.recordings.view_source import DepthPreparer, Preparer, mask_in
 from hypose.pipeline.settings import SETTINGS
 
 
-class ViewRoom:
+class ViewBackground:
     """One view. camera: as calibrated; small: pinhole, of the working size; background: where it is known already. Used
     by one thread at a time."""
 
@@ -111,7 +111,7 @@ def _around(mask: Mask) -> Mask:
 Millimetres = NDArray[np.uint16]
 
 
-class DepthRoom:
+class DepthViewBackground:
     """One depth view, in place of a `ViewRoom`. camera: as calibrated; small: pinhole, of the working size; background:
     where it is known already. The room does not change: light is nothing to it. Used by one thread at a time."""
 
@@ -147,7 +147,7 @@ class DepthRoom:
 
 
 @dataclass(frozen=True)
-class KeptDepth:
+class PackedDepth:
     """The person in the depth maps of one instant, so that seconds of it take little room: mm (C, h, w) in a box at
     corner (row, column), 0 elsewhere; usable (C,)."""
 
@@ -156,16 +156,16 @@ class KeptDepth:
     usable: NDArray[np.bool_]
 
     @staticmethod
-    def of(depth: Depth) -> KeptDepth:
+    def of(depth: Depth) -> PackedDepth:
         """Of a frame's depth."""
         someone = np.asarray(depth.person.any(0))
         rows, columns = np.flatnonzero(someone.any(1)), np.flatnonzero(someone.any(0))
         if not len(rows):
-            return KeptDepth(np.zeros((len(depth.maps), 0, 0), np.uint16), (0, 0), depth.usable)
+            return PackedDepth(np.zeros((len(depth.maps), 0, 0), np.uint16), (0, 0), depth.usable)
         y, x = int(rows[0]), int(columns[0])
         box = np.s_[:, y : int(rows[-1]) + 1, x : int(columns[-1]) + 1]
         kept = np.where(depth.person[box] > 0, depth.maps[box] * 1000 + 0.5, 0).astype(np.uint16)
-        return KeptDepth(kept, (y, x), depth.usable)
+        return PackedDepth(kept, (y, x), depth.usable)
 
     def depth(self, silhouettes: Silhouettes) -> Depth:
         """The depth again, beside the masks of the same instant."""

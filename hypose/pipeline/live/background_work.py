@@ -24,7 +24,7 @@ from hypose.cameras.camera import CameraRig
 from hypose.errors import EvidenceError
 from hypose.evidence.frame import Expected, Frame, Silhouettes
 from hypose.geometry import Array
-from hypose.pipeline.live.background_models import KeptDepth
+from hypose.pipeline.live.background_models import PackedDepth
 from hypose.pipeline.live.processes import belong_to_parent, deaf_to_ctrl_c
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.subject_from_motion import AnthropometryOptions, estimate_subject
@@ -44,7 +44,7 @@ class PackedMasks:
     reasons: tuple[str, ...]
     ignored: NDArray[np.uint8] | None = None
     expected: Expected | None = None
-    depth: KeptDepth | None = None
+    depth: PackedDepth | None = None
 
     @staticmethod
     def of(frame: Frame) -> PackedMasks:
@@ -52,7 +52,7 @@ class PackedMasks:
         s = frame.silhouettes
         assert s is not None
         ignored = None if s.ignored is None else np.packbits(s.ignored, axis=-1)
-        depth = None if frame.depth is None else KeptDepth.of(frame.depth)
+        depth = None if frame.depth is None else PackedDepth.of(frame.depth)
         return PackedMasks(frame.time, np.packbits(s.masks, axis=-1), s.usable, s.reasons, ignored, s.expected, depth)
 
     def frame(self, number: int, rig: CameraRig) -> Frame:

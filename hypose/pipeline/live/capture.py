@@ -35,7 +35,7 @@ from hypose.geometry import Array, Mask
 from hypose.io.recordings.frames import working_rig
 from hypose.io.sensors.depth import DEPTH_PNG, open_depth_camera
 from hypose.io.videos.camera_sources import CameraImage, CameraSource, open_camera
-from hypose.pipeline.live.background_models import DepthRoom, ViewRoom
+from hypose.pipeline.live.background_models import DepthViewBackground, ViewBackground
 from hypose.pipeline.live.feeds import CameraFeed, FeedStatus, newest_instant
 from hypose.pipeline.live.processes import belong_to_parent, deaf_to_ctrl_c, punctual
 from hypose.pipeline.settings import SETTINGS
@@ -57,7 +57,7 @@ class LiveView:
 
 
 @dataclass(frozen=True)
-class EyesOptions:
+class CaptureOptions:
     """rate Hz: of the cameras, asked of devices and taken for files that do not say; countdown s: before the empty room
     is learnt; silhouettes: how masks are made; adapt: what changes in the room is learnt."""
 
@@ -68,7 +68,7 @@ class EyesOptions:
 
 
 @dataclass(frozen=True)
-class Question:
+class CaptureRequest:
     """What is to be looked at. pause s: after the last instant before the next is wanted; bodies: vertices (V, 3) m and
     faces (F, 3) of those who are followed, none: not known where they are; following: somebody is; pictures: they are
     wanted too; room: learn the empty room anew; offsets (C,) s of the cameras, None: as before."""
@@ -82,7 +82,7 @@ class Question:
 
 
 @dataclass(frozen=True)
-class Sight:
+class CaptureResult:
     """An instant as the cameras showed it, or why there is none (time NaN). arrival s: of its last picture, on this
     computer's clock; views: packed mask (h, ceil(w / 8)) and outline of each camera, None without a picture; jpegs: its
     pictures as they were stored, where they are wanted; cameras: what they do; instants: how many there were until
@@ -102,11 +102,11 @@ class Sight:
     empty: tuple[tuple[bytes, ...], ...] = ()
 
 
-class Eyes:
+class Capture:
     """`look` again and again, and `keep_up` when what was seen is told; `close` at the end. An InputError when a camera
     cannot be opened."""
 
-    def __init__(self, rig: CameraRig, views: Sequence[LiveView], options: EyesOptions) -> None:
+    def __init__(self, rig: CameraRig, views: Sequence[LiveView], options: CaptureOptions) -> None:
         self._views, self._options, self.small = tuple(views), options, live_working_rig(rig, views)
         self._sizes, self._wrong, self._damaged = tuple(c.size for c in rig), [""] * len(views), [0] * len(views)
         self._arrived = threading.Condition()
@@ -117,9 +117,9 @@ class Eyes:
         ]
         shapes = zip(views, rig, self.small, strict=True)
         self._rooms = [
-            DepthRoom(c, small, v.shift, v.depth_room)
+            DepthViewBackground(c, small, v.shift, v.depth_room)
             if v.depth
-            else ViewRoom(c, small, v.shift, options.silhouettes, v.background)
+            else ViewBackground(c, small, v.shift, options.silhouettes, v.background)
             for v, c, small in shapes
         ]
         self._least = least_cameras(views)
@@ -129,7 +129,7 @@ class Eyes:
         self._pictures: list[list[NDArray[Any]]] = [[] for _ in views]
         self._moved: tuple[str, ...] = ()
         self._empty: tuple[list[NDArray[Any]], ...] = ()
-        self._to_follow: list[tuple[ViewRoom, int, NDArray[Any], float, Question]] = []
+        self._to_follow: list[tuple[ViewBackground, int, NDArray[Any], float, CaptureRequest]] = []
         opened: list[CameraFeed] = []
         try:
             for feed in self._feeds:
@@ -155,7 +155,7 @@ class Eyes:
         """All files are over."""
         return all(f.status().ended for f in self._feeds)
 
-    def look(self, question: Question, wait: float = 0.1) -> Sight:
+    def look(self, question: CaptureRequest, wait: float = 0.1) -> CaptureResult:
         """The newest instant; without one after so many seconds, how it goes."""
         if question.room:
             self._learn_room()
@@ -182,7 +182,7 @@ class Eyes:
         jpegs = tuple(None if shot is None or not question.pictures else _jpeg(shot) for shot in shots)
         arrival = max(s.arrival for s in shots if s is not None)
         depths = tuple(
-            r.seen if isinstance(r, DepthRoom) and v is not None else None
+            r.seen if isinstance(r, DepthViewBackground) and v is not None else None
             for r, v in zip(self._rooms, views, strict=True)
         )
         made = time.perf_counter() - begin
@@ -205,10 +205,10 @@ class Eyes:
         views: tuple[tuple[NDArray[np.uint8], ViewOutline | None] | None, ...] = (),
         jpegs: tuple[bytes | None, ...] = (),
         made: float = 0.0,
-    ) -> Sight:
+    ) -> CaptureResult:
         cameras, words = tuple(f.status() for f in self._feeds), self._words()
         room = self._room_from is not None
-        return Sight(at, arrival, views, jpegs, cameras, self._instants, words, room, made)
+        return CaptureResult(at, arrival, views, jpegs, cameras, self._instants, words, room, made)
 
     def _newest(self, pause: float, until: float) -> tuple[float, list[CameraImage | None]] | None:
         with self._arrived:
@@ -228,7 +228,7 @@ class Eyes:
         self._instants += max(1, round((at - self._last) / float(np.median(periods)))) if known else 1
 
     def _view(
-        self, view: int, shot: CameraImage, at: float, question: Question
+        self, view: int, shot: CameraImage, at: float, question: CaptureRequest
     ) -> tuple[NDArray[np.uint8], ViewOutline | None] | None:
         room, image = self._rooms[view], self._picture(view, shot)
         if image is None:
@@ -236,7 +236,7 @@ class Eyes:
         mask, outline = room.mask(image)
         turn = int(at * len(self._rooms)) % len(self._rooms) == view  # not all in one instant
         wanted = self._options.adapt and turn and (question.bodies or not question.following)
-        if wanted and isinstance(room, ViewRoom) and room.due(at):
+        if wanted and isinstance(room, ViewBackground) and room.due(at):
             self._to_follow.append((room, view, image, at, question))
         return np.packbits(mask, axis=1), outline
 
@@ -344,12 +344,12 @@ def _opener(view: LiveView, size: tuple[int, int], rate: float, begin: float) ->
 # ---- in a process of their own -------------------------------------------------------------------------------------
 
 
-class EyesProcess:
+class CaptureProcess:
     """Eyes in another process. `ask`, then `answer`; between the two there is time for other work. stop: nothing is
     waited for any more, also while cameras are being opened; then only `close` is of use."""
 
     def __init__(
-        self, rig: CameraRig, views: Sequence[LiveView], options: EyesOptions, stop: threading.Event | None = None
+        self, rig: CameraRig, views: Sequence[LiveView], options: CaptureOptions, stop: threading.Event | None = None
     ) -> None:
         context = multiprocessing.get_context("spawn")
         self._stop, self._closing_s = stop or threading.Event(), 0.0
@@ -365,12 +365,12 @@ class EyesProcess:
         if opened is not None:
             self._closing_s = SETTINGS.eyes_closing_s
 
-    def ask(self, question: Question) -> None:
+    def ask(self, question: CaptureRequest) -> None:
         """Have an instant looked at."""
         with contextlib.suppress(OSError):  # `answer` tells
             self._pipe.send(question)
 
-    def answer(self) -> Sight | None:
+    def answer(self) -> CaptureResult | None:
         """What was seen; None: files are over, or it is to stop."""
         found = self._received(10.0)
         if isinstance(found, HyposeError):
@@ -400,11 +400,11 @@ class EyesProcess:
         raise InputError(f"The process that looks at the cameras {what}; start again.")
 
 
-def _see(pipe: Connection, rig: CameraRig, views: tuple[LiveView, ...], options: EyesOptions) -> None:
+def _see(pipe: Connection, rig: CameraRig, views: tuple[LiveView, ...], options: CaptureOptions) -> None:
     belong_to_parent()
     compute.warm_up("outlines", "pictures")  # the first pictures are not late
     try:
-        eyes = Eyes(rig, views, options)
+        eyes = Capture(rig, views, options)
     except HyposeError as error:
         with contextlib.suppress(OSError):  # whoever asked is gone
             pipe.send(error)

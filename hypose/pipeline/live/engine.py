@@ -23,11 +23,11 @@ from hypose.evidence.silhouettes import flag_collapsed, make_silhouettes
 from hypose.pipeline.live.background_models import depth_of
 from hypose.pipeline.live.background_work import BackgroundWork
 from hypose.pipeline.live.capture import (
-    EyesOptions,
-    EyesProcess,
+    CaptureOptions,
+    CaptureProcess,
+    CaptureRequest,
+    CaptureResult,
     LiveView,
-    Question,
-    Sight,
     any_depth,
     least_cameras,
     live_working_rig,
@@ -47,7 +47,7 @@ class LiveTrackingOptions:
     """eyes: how cameras are looked at; person: see `LivePersonOptions`; people: as many are followed at most; measure:
     body and cameras' offsets are found in the background; pictures: listeners want them."""
 
-    eyes: EyesOptions = field(default_factory=EyesOptions)
+    eyes: CaptureOptions = field(default_factory=CaptureOptions)
     person: LivePersonOptions = LivePersonOptions()
     people: int = 1
     measure: bool = True
@@ -77,7 +77,7 @@ class LiveStatus:
 class LiveResult:
     """An instant: what the cameras showed, the frame that was tracked, and the pose of everybody who is followed."""
 
-    sight: Sight
+    sight: CaptureResult
     frame: Frame
     poses: tuple[LivePose, ...]
 
@@ -120,7 +120,7 @@ class LiveEngine:
         self.listeners = list(listeners)
         self.ended = threading.Event()
         self.failed: BaseException | None = None
-        self._eyes: EyesProcess | None = None
+        self._eyes: CaptureProcess | None = None
         self._beside = ThreadPoolExecutor(
             min(self.options.people, SETTINGS.engine_searches), thread_name_prefix="start"
         )
@@ -133,7 +133,7 @@ class LiveEngine:
         self._given: deque[float] = deque(maxlen=SETTINGS.engine_latencies)
         self._stages: dict[str, deque[float]] = {k: deque(maxlen=120) for k in ("masks", "track", "tell", "judge")}
         self._told = -np.inf
-        self._sight: Sight | None = None
+        self._sight: CaptureResult | None = None
         self._learn, self._learning = False, False
         self._poses_now: tuple[LivePose, ...] = ()
         self._offsets: tuple[float, ...] | None = None
@@ -151,7 +151,7 @@ class LiveEngine:
         parts = (*compute.TRACKING_KERNELS, *(("depth",) if any_depth(self.views) else ()))
         compute.warm_up(*parts, load=False)  # what is compiled here the other process finds
         warm = self._beside.submit(compute.warm_up, *parts)
-        self._eyes = EyesProcess(self.rig, self.views, self.options.eyes, self._stop)
+        self._eyes = CaptureProcess(self.rig, self.views, self.options.eyes, self._stop)
         if self._stop.is_set():
             self._eyes.close()
             return
@@ -198,7 +198,7 @@ class LiveEngine:
         finally:
             self.ended.set()
 
-    def _question(self) -> Question:
+    def _question(self) -> CaptureRequest:
         phase = self._people.phase
         bodies = tuple(
             (p.body.skin(p.motion.poses[0]), p.body.coarse.faces)
@@ -209,9 +209,11 @@ class LiveEngine:
         pause = 0.5 / SETTINGS.search_slowly_hz if phase in (STATE_EMPTY, STATE_SEARCHING) else 0.0
         room, self._learn = self._learn, False
         offsets, self._offsets = self._offsets, None
-        return Question(pause, bodies, phase in (STATE_TRACKING, STATE_LOST), self.options.pictures, room, offsets)
+        return CaptureRequest(
+            pause, bodies, phase in (STATE_TRACKING, STATE_LOST), self.options.pictures, room, offsets
+        )
 
-    def _one(self, sight: Sight) -> None:
+    def _one(self, sight: CaptureResult) -> None:
         frame = self._frame(sight)
         begin = time.perf_counter()
         stepped = self._people.step(frame)
@@ -234,7 +236,7 @@ class LiveEngine:
                 self._stages[name].append(seconds)
         self._take_offsets()
 
-    def _frame(self, sight: Sight) -> Frame:
+    def _frame(self, sight: CaptureResult) -> Frame:
         shapes = [c.size for c in self.small]
         masks = [
             None if v is None else np.unpackbits(v[0], axis=1, count=w)

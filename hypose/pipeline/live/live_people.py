@@ -64,7 +64,7 @@ class Stepped:
     whole: Frame
     estimate: FrameEstimate
     tracker: Tracker
-    doubt: LiveDoubt
+    doubt: LiveErrorModel
     shift: Array | None
 
     def told(self) -> LivePose:
@@ -113,7 +113,7 @@ class LiveTrack:
         self.offsets: Array | None = None
         self.tracker, self.state = options.tracker(found.body, rate), found.state
         self._beside, self._work, self._sync_wanted = beside, work, sync
-        self._doubt = LiveDoubt()
+        self._doubt = LiveErrorModel()
         self._time, self._step_s, self._usual_s = found.time, found.step_s, 1 / rate
         self._lost_since: float | None = None
         self._duel: _Duel | None = None
@@ -255,7 +255,7 @@ class LiveTrack:
         tracker = self.options.tracker(body, self.tracker.settings.frame_rate)
         state = replace(tracker.start(after, self.state.memory), frames=1, usual_iou=self.state.usual_iou)
         self._shift = old.joints(before) - body.joints(after)
-        self.body, self.tracker, self.state, self._doubt, self._duel = body, tracker, state, LiveDoubt(), None
+        self.body, self.tracker, self.state, self._doubt, self._duel = body, tracker, state, LiveErrorModel(), None
 
 
 def on_body(pose: Array, before: Body, body: Body) -> Array:
@@ -265,7 +265,7 @@ def on_body(pose: Array, before: Body, body: Body) -> Array:
     return moved
 
 
-class LiveDoubt:
+class LiveErrorModel:
     """Of one body: `told` of every frame what is known by then, and then `look` at it, in order. So a pose need not
     wait for what is found about it, which is told with the next."""
 
@@ -282,12 +282,12 @@ class LiveDoubt:
         is doubtful, as who is lost is."""
         now = motion_of(tracker.body, np.array([frame.time]), [estimate])
         count = now.joints.shape[:2]
-        p, doubtful = self._p, self._doubtful
-        if p is None or doubtful is None or estimate.lost:
+        p, low_confidence = self._p, self._doubtful
+        if p is None or low_confidence is None or estimate.lost:
             p = np.maximum(np.zeros(count, np.float32) if p is None else p, np.float32(0.5))
-            doubtful = np.ones(count, np.bool_)
+            low_confidence = np.ones(count, np.bool_)
         now = with_fitted_joints(now, "silhouettes" if frame.depth is None else "depth", self._beyond)
-        now = replace(now, p_wrong=p, doubtful_joints=doubtful)
+        now = replace(now, error_probability=p, low_confidence_joints=low_confidence)
         return as_mixture(now) if frame.depth is None else now  # regions of depth hold what is elsewhere, too
 
     def look(self, tracker: Tracker, estimate: FrameEstimate, frame: Frame, whole: Frame | None = None) -> None:

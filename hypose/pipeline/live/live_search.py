@@ -24,7 +24,7 @@ from hypose.inference.hypotheses import BEFORE
 from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.run import TrackOptions, tracker_of
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.track_management import candidate_evidence, somebody_more
+from hypose.pipeline.track_management import birth_candidates, candidate_evidence
 from hypose.tracking.costs import mean_overlap
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.several import Member, step_together
@@ -184,7 +184,7 @@ def _somebody(look: _Look) -> bool:
     if s is None:
         return False
     if look.others:
-        return somebody_more(look.others, s)
+        return birth_candidates(look.others, s)
     large = s.areas > SETTINGS.search_least_area * s.rig.sizes.prod(1)
     return int((large & s.usable).sum()) >= (2 if look.frame.depth is None else 1)
 

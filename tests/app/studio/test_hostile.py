@@ -10,7 +10,7 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 
 from hypose.app.studio import recordings, results
-from hypose.app.studio.lru_cache import Kept
+from hypose.app.studio.lru_cache import LruCache
 from tests.app.studio.conftest import serving
 from tests.conftest import HANG_S
 
@@ -205,7 +205,7 @@ def test_two_pages_that_start_the_fusion_at_once_start_one(own_studio):
 
 def test_what_is_kept_is_bounded_in_bytes():
     gone, now = [], [0.0]
-    kept = Kept(100, len, gone.append, idle_s=60, clock=lambda: now[0])
+    kept = LruCache(100, len, gone.append, idle_s=60, clock=lambda: now[0])
 
     def used(size):
         with kept.use(size, lambda: bytes(size)) as value:
@@ -255,7 +255,7 @@ def counted(call, calls, name):
 
 
 def test_what_is_made_at_once_by_many_is_made_once():
-    made, kept = [], Kept(100, len)
+    made, kept = [], LruCache(100, len)
     barrier = threading.Barrier(8)
 
     def ask():

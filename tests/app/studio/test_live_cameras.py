@@ -16,7 +16,7 @@ from hypose.errors import InputError
 from hypose.io.recordings.frames import working_rig
 from hypose.io.recordings.recording import load_recording
 from hypose.io.videos.camera_sources import CameraImage
-from hypose.pipeline.live.capture import EyesOptions
+from hypose.pipeline.live.capture import CaptureOptions
 from hypose.pipeline.live.engine import LiveStatus
 from hypose.synthetic.write_recording import write_scene
 from tests.app.studio.browser import WEB, go
@@ -204,5 +204,5 @@ def test_nothing_is_recorded_outside_of_the_served_folder(own_studio, tmp_path):
 
 def test_the_page_follows_a_person(served_live, followed, tmp_path, monkeypatch):
     # so long that the page shows it, however busy the computer is
-    monkeypatch.setattr(live_topics, "EyesOptions", lambda rate, _, masks: EyesOptions(rate, 600.0, masks))
+    monkeypatch.setattr(live_topics, "CaptureOptions", lambda rate, _, masks: CaptureOptions(rate, 600.0, masks))
     go(WEB / "tests" / "live_cameras.walk.mjs", served_live.address, served_live.studio.catalog.root, tmp_path)

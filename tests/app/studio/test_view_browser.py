@@ -16,7 +16,7 @@ from hypose.app.reports.result_pictures import image_points
 from hypose.app.studio.view_bundle import load_view
 from hypose.io.motions.results import load_body, load_motion, save_motion
 from hypose.io.recordings.recording import load_recording
-from hypose.pipeline.assessment import verdict_of
+from hypose.pipeline.assessment import assess
 from hypose.pipeline.comparison import compare_with_truth
 from hypose.synthetic.scenes import camera_rig, make_scene
 from hypose.synthetic.write_recording import write_scene
@@ -30,7 +30,7 @@ def flagged(source, target):
     motion = load_motion(source / "motion.npz")
     n = np.arange(len(motion))
     target.mkdir(parents=True)
-    sure = {"doubtful": n < 0, "doubtful_joints": np.zeros_like(motion.doubtful_joints)}
+    sure = {"low_confidence": n < 0, "low_confidence_joints": np.zeros_like(motion.low_confidence_joints)}
     save_motion(replace(motion, lost=(n == 6) | (n == 7), extrapolated=n == 3, **sure), target / "motion.npz")
     shutil.copy(source / "body.npz", target)
 
@@ -131,12 +131,12 @@ def test_a_spoilt_arm_is_seen_and_put_right(longer, page, tmp_path):
 
 @pytest.mark.slow
 def test_much_said_of_a_result_covers_nothing(served, page, tmp_path, monkeypatch):
-    """A long verdict and the button to the next doubt, in all sizes of the window."""
+    """A long assessment and the button to the next doubt, in all sizes of the window."""
     root = shutil.copytree(served, tmp_path / "root")
     results = root / "walk" / "results" / "default"
     spoilt = spoil_arm(results, slice(2, 6))
-    told = verdict_of(spoilt, looks=[f"camera {k} may be late by {k} frames" for k in range(8)])
-    (results / "verdict.json").write_text(json.dumps(told.document()))
+    told = assess(spoilt, looks=[f"camera {k} may be late by {k} frames" for k in range(8)])
+    (results / "assessment.json").write_text(json.dumps(told.document()))
     monkeypatch.setenv("ONLY", "view,view-quality")
     with serving(root) as client:
         go(WEB / "tests" / "layout.path.mjs", client.address, root, tmp_path)

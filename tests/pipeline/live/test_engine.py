@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hypose.errors import InputError
-from hypose.pipeline.live.capture import EyesOptions, LiveView
+from hypose.pipeline.live.capture import CaptureOptions, LiveView
 from hypose.pipeline.live.engine import EMPTY_ROOM, LiveEngine, LiveTrackingOptions
 from hypose.pipeline.live.live_people import STATE_TRACKING
 from hypose.synthetic.scenes import camera_rig
@@ -17,7 +17,7 @@ RATE = 8.0
 AWAY_S = 3.0
 
 
-class Kept:
+class LruCache:
     def __init__(self):
         self.poses, self.statuses, self.phases = [], [], []
 
@@ -32,9 +32,9 @@ class Kept:
 
 def test_cameras_in_and_poses_out_while_one_is_unplugged(monkeypatch):
     scene = slow_walk()
-    stage, kept, names = Stage(scene, RATE, 8), Kept(), scene.given_rig.names
+    stage, kept, names = Stage(scene, RATE, 8), LruCache(), scene.given_rig.names
     in_step(monkeypatch, stage)
-    options = LiveTrackingOptions(EyesOptions(RATE, countdown=0.0), measure=False)
+    options = LiveTrackingOptions(CaptureOptions(RATE, countdown=0.0), measure=False)
     engine = LiveEngine(scene.given_rig, [LiveView(n, "") for n in names], options, [kept])
     try:
         engine.start()

@@ -74,7 +74,9 @@ def test_who_is_lost_is_told_and_looked_for_as_at_the_start(walk, frames, beside
         assert (not stepped) == (people.phase == STATE_EMPTY)
         if stepped and people.phase == STATE_LOST:
             told = stepped[0].told()
-            assert told.lost and told.motion.doubtful_joints is not None and told.motion.doubtful_joints.all()
+            assert (
+                told.lost and told.motion.low_confidence_joints is not None and told.motion.low_confidence_joints.all()
+            )
     assert STATE_LOST in phases and phases[-1] == STATE_EMPTY
     back = [at(f, 20.0 + f.time) for f in frames[40:]]
     poses = follow(people, back, beside)
