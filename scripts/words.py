@@ -20,12 +20,14 @@ PHRASES = ("what is",)
 _TEXT = re.compile(rf"\b({'|'.join((*WORDS, *PHRASES))})\b", re.IGNORECASE)
 _NAME = re.compile(rf"(?:^|_)({'|'.join(WORDS)})(?=_|$)")
 DONE = (
+    "app",
     "body",
     "calibration",
     "cameras",
     "fusion",
     "gestures",
     "inference",
+    "io",
     "synthetic",
     "geometry.py",
 )

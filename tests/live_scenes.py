@@ -64,22 +64,22 @@ def at(frame: Frame, time: float, index: int | None = None) -> Frame:
     return replace(frame, time=time, index=frame.index if index is None else index)
 
 
-def people_for(frames: list[Frame], beside: Executor, most: int = 1, **options: Any) -> LivePeople:
+def people_for(frames: list[Frame], executor: Executor, most: int = 1, **options: Any) -> LivePeople:
     """Those who will be followed in the frames; nothing is measured."""
     assert frames[0].silhouettes is not None
-    return LivePeople(frames[0].silhouettes.rig, RATE, LivePersonOptions(**options), beside, None, most)
+    return LivePeople(frames[0].silhouettes.rig, RATE, LivePersonOptions(**options), executor, None, most)
 
 
-def follow(people: LivePeople, frames: Iterable[Frame], beside: Beside) -> list[LivePose]:
+def follow(people: LivePeople, frames: Iterable[Frame], executor: Beside) -> list[LivePose]:
     """The poses; what has to be searched is searched between two frames."""
     poses = []
     for frame in frames:
         stepped = people.step(frame)
         for one in stepped:
-            poses.append(one.told())
+            poses.append(one.reported())
             one.look()
         if not stepped and people.phase == STATE_SEARCHING:
-            beside.work()
+            executor.work()
     return poses
 
 

@@ -105,11 +105,11 @@ class Task:
         )
 
 
-# ---- what is to be done --------------------------------------------------------------------------------------
+# ---- the next step --------------------------------------------------------------------------------------
 
 
 def read_table(path: Path) -> list[Task]:
-    """The rows of a CSV table of recordings; an InputError names the line and what is allowed."""
+    """The rows of a CSV table of recordings; an InputError names the line and the allowed values."""
     reader = csv.DictReader(text_lines(path, "a table of recordings"), restkey="more", restval="")
     unknown = set(reader.fieldnames or ()) - {"recording", "name", *_OPTIONS}
     if unknown or "recording" not in (reader.fieldnames or ()):

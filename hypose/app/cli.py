@@ -116,7 +116,7 @@ def run_cli(arguments: Sequence[str] | None = None, command: typer.Typer = app, 
         try:
             command(given, prog_name=name, obj=given)
         finally:
-            sys.stdout.flush()  # a full disk shows here, while it can be told
+            sys.stdout.flush()  # a full disk shows here, while it can be reported
     except HyposeError as error:
         _fail(f"{error}{around[0] and f' It had {around[0]}.'}", debug)
         sys.exit(2)

@@ -20,7 +20,7 @@ GOOD, LOOK, UNTRUSTED = "good", "look", "not to be trusted"
 EXIT_UNTRUSTED = 3
 """The exit code of a command whose result is not to be trusted."""
 LIMB_S = 2 * AROUND_S
-"""s that a limb must be doubtful for it: a joint is judged by what is nearby in time, so that a few bad frames make
+"""s that a limb must be doubtful for it: a joint is judged by neighbouring frames, so that a few bad frames make
 all of a shorter clip doubtful; they are worth a look"""
 _ALONE = ("neck", "head")
 """joints on which no other depends: key points without a head leave the rest to be looked at"""
@@ -28,18 +28,18 @@ _ALONE = ("neck", "head")
 
 @dataclass(frozen=True)
 class Assessment:
-    """word: GOOD, LOOK or UNTRUSTED; because: sentences; frames: to look at, of what is good those that are doubtful
-    all the same; beside: sentences on what else is there."""
+    """word: GOOD, LOOK or UNTRUSTED; because: sentences; frames: to look at, of a good result those of low confidence;
+    remarks: sentences on what else is there."""
 
     word: str
     because: tuple[str, ...] = ()
     frames: tuple[range, ...] = ()
-    beside: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
 
     @property
     def sentence(self) -> str:
         """In one paragraph."""
-        return " ".join((self._judgement, *self.beside))
+        return " ".join((self._judgement, *self.remarks))
 
     @property
     def _judgement(self) -> str:
@@ -58,7 +58,7 @@ class Assessment:
             "because": list(self.because),
             "frames": [[r.start, r.stop] for r in self.frames],
             "sentence": self.sentence,
-            **({"beside": list(self.beside)} if self.beside else {}),
+            **({"remarks": list(self.remarks)} if self.remarks else {}),
         }
 
     def with_joints(self, motion: Motion) -> dict[str, Any]:
@@ -72,8 +72,8 @@ class Assessment:
     def of_document(kept: Mapping[str, Any]) -> Assessment:
         """What `document` gave."""
         frames = tuple(range(int(a), int(b)) for a, b in kept["frames"])
-        beside = tuple(str(b) for b in kept.get("beside", ()))
-        return Assessment(str(kept["assessment"]), tuple(str(b) for b in kept["because"]), frames, beside)
+        remarks = tuple(str(b) for b in kept.get("remarks", ()))
+        return Assessment(str(kept["assessment"]), tuple(str(b) for b in kept["because"]), frames, remarks)
 
 
 def not_shown(joints: Sequence[str]) -> str:

@@ -1,7 +1,7 @@
 """Arms of a tracked clip, looked for backwards in time where they have jumped: what was lost is known once it is found.
 
 Forwards, an arm that is lost stays so until the masks show it clearly, frames after it could have been seen. From there
-backwards it is followed from a good pose. So where an arm has jumped, tracking begins anew behind the jump and goes
+backwards it is followed from a good pose. So where an arm has jumped, tracking begins again behind the jump and goes
 back until both ways are one; the poses that are alive either way are compared in each frame, and the path through
 them that explains the masks best without jumping is the clip's. What else is likely stays as a rival.
 """
@@ -60,7 +60,7 @@ class BackwardPassSettings:
 
 @dataclass(frozen=True)
 class _Seen:
-    """What is known of one frame. prepared, last: it and the one before; poses (N, D): alive either way, best first;
+    """The known data of one frame. prepared, last: it and the one before; poses (N, D): alive either way, best first;
     costs (N,): their mismatches."""
 
     prepared: PreparedFrame
@@ -78,8 +78,9 @@ def backward_pass(
     settings: BackwardPassSettings | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> tuple[list[FrameEstimate], int]:
-    """The estimates of frames 0, 1, ... with those replaced that are told better by what comes after them, and in how
-    many an arm lies elsewhere now. memory: what has been remembered of the person; progress(done, total): frames."""
+    """The estimates of frames 0, 1, ... with those replaced that are reported better by what comes after them, and in
+    how many an arm lies elsewhere now. memory: what has been remembered of the person; progress(done, total):
+    frames."""
     o, out = settings or BackwardPassSettings(), list(estimates)
     if not tracker.recipe.rivals or tracker.settings.evidence not in ("silhouettes", "both") or len(out) < 3:
         return out, 0
@@ -146,7 +147,7 @@ def _looked_back(
     memory: Memory | None,
     o: BackwardPassSettings,
 ) -> list[_Seen]:
-    """What is seen in frame `stop` and those before it, last first, until both ways are one."""
+    """Evidence of frame `stop` and those before it, last first, until both ways are one."""
     out, met, pace = list[_Seen](), 0, pace_of(tracker)
     state = _turned(tracker, old, stop, memory)
     most = range(stop, max(-1, stop - round(o.longest * pace)), -1)

@@ -1,8 +1,8 @@
 """A motion held against another one of the same movement: in step, in the same place, and joint by joint.
 
-The other motion is resampled to our times, its clock and its place are found (or given), and what is left is told apart
-into a constant offset of every joint - two programs rarely mean the same point by a hip - and an error. Offsets are
-constant in the segment that carries the joint, so that they turn with the person.
+The other motion is resampled to our times, its clock and its place are found (or given), and the remaining difference
+is distinguished into a constant offset of every joint - two programs rarely mean the same point by a hip - and an
+error. Offsets are constant in the segment that carries the joint, so that they turn with the person.
 
 Sources: the rigid alignment is Umeyama's (1991) in iterated reweighting; limits of agreement are Bland and Altman's
 (1986): mean +- 1.96 standard deviations of the difference.
@@ -95,7 +95,7 @@ def angles_of(motion: Motion) -> dict[str, Array]:
 
 
 def _of_subject(path: Path, names: tuple[str, ...], subject: str | None) -> tuple[tuple[str, ...], list[int]]:
-    """The names that are one person's, or nobody's in particular, without the person's, and their numbers."""
+    """The names that are one person's, or no person's in particular, without the person's, and their numbers."""
     whose = {i: n.split(":")[0].strip() for i, n in enumerate(names) if ":" in n and not n.startswith("*")}
     people = list(dict.fromkeys(whose.values()))
     if subject is not None and subject not in people:
@@ -302,14 +302,14 @@ def _rigid(source: Array, target: Array) -> Array:
 
 
 def _unlike(mine: Array, moved: Array, o: CompareOptions, name: str) -> list[str]:
-    """A sentence when the joints (T, J, 3) m of both do not move alike beside each other: wherever people go, one
+    """A sentence when the joints (T, J, 3) m of both do not move alike side by side: wherever people go, one
     place and time never make another movement explain ours."""
     seen = np.isfinite(mine).all(-1) & np.isfinite(moved).all(-1)
     seen &= (seen.sum(1) >= SETTINGS.compare_least_joints)[:, None]
     if seen.any(1).sum() < SETTINGS.compare_least_frames:
         return []
 
-    def beside_each_other(points: Array) -> float:
+    def side_difference(points: Array) -> float:
         shown = np.where(seen[..., None], points, np.nan)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # frames and joints that are never seen
@@ -317,7 +317,7 @@ def _unlike(mine: Array, moved: Array, o: CompareOptions, name: str) -> list[str
             shown = shown - np.nanmedian(shown, 0)
         return float(np.sqrt((shown[seen] ** 2).sum(-1).mean()))
 
-    left, moves = beside_each_other(moved - mine), beside_each_other(mine)
+    left, moves = side_difference(moved - mine), side_difference(mine)
     if left <= SETTINGS.compare_apart_m or left**2 <= (1 - SETTINGS.compare_alike) * moves**2:
         return []
     tried = (

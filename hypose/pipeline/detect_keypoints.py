@@ -32,8 +32,8 @@ def wants_detector(recording: Recording) -> bool:
     """Whether a recording has pictures of several cameras and nothing that tells the person in them: neither key
     points, masks, a picture of the empty room nor depth."""
     views = recording.views
-    told = any(v.keypoints or v.masks or v.background or v.depth for v in views)
-    return len(views) > 1 and not told and all(v.source is not None for v in views)
+    reported = any(v.keypoints or v.masks or v.background or v.depth for v in views)
+    return len(views) > 1 and not reported and all(v.source is not None for v in views)
 
 
 def detect_keypoints(
@@ -50,9 +50,8 @@ def detect_keypoints(
 
     resume: frames that have a file are not looked at again. progress(done, total) is called after every picture;
     raising KeyboardInterrupt in it stops the run with its files kept. An InputError when a view has no pictures, or
-    the folder holds something else, or, with resume, another detector's points; an EvidenceError when nobody was found
-    in any picture.
-    """
+    the folder holds something else, or, with resume, another detector's points; an EvidenceError when no person was
+    found in any picture."""
     for view in recording.views:
         if view.source is None:
             raise InputError(
@@ -62,7 +61,7 @@ def detect_keypoints(
     wanted = frames or range(recording.n_frames)
     work = DetectedKeypoints(folder, detector.keypoint_set, detector.identity, False, wanted, detector.gives_masks)
     work = _make_room(work, resume)
-    total, done, somebody = len(wanted) * len(recording.views), 0, False
+    total, done, found_any = len(wanted) * len(recording.views), 0, False
     small = working_rig(recording.rig)
     with contextlib.ExitStack() as stack:
         lanes = [
@@ -75,13 +74,13 @@ def detect_keypoints(
         pool = stack.enter_context(ThreadPoolExecutor(default_threads() if detector.gives_masks else 1))
         for frame in wanted:
             for found in [pool.submit(lane.look, frame) for lane in lanes]:
-                somebody = found.result() or somebody
+                found_any = found.result() or found_any
                 done += 1
                 if progress is not None:
                     progress(done, total)
     finished = replace(work, complete=True)
     finished.save()
-    if not somebody:
+    if not found_any:
         raise EvidenceError(
             f"The detector found nobody in any picture of {recording.name}, so the files in {folder} are empty; see "
             "whether the videos show the person upright and large enough, or use another model."
@@ -110,7 +109,7 @@ class _Lane:
         self._stored = np.stack(camera.undistort_maps(small.size, self._reader.size), -1) - shift.astype(np.float32)
 
     def look(self, frame: int) -> bool:
-        """Look at a frame, unless its files are there; whether somebody is seen."""
+        """Look at a frame, unless its files are there; whether a person is seen."""
         name, work = self._view.name, self._work
         path = work.file(name, frame)
         if path.exists() and (not work.with_masks or work.mask(name, frame).exists()):
@@ -133,7 +132,7 @@ class _Lane:
         return bool(people)
 
     def _mask(self, people: Sequence[Sighting]) -> NDArray[np.uint8]:
-        """(h, w), 0 and 255, undistorted, at working size: everybody."""
+        """(h, w), 0 and 255, undistorted, at working size: all people."""
         out = np.zeros(self._stored.shape[:2], np.float32)
         for found in people:
             if found.crop is None or found.mask is None:

@@ -38,7 +38,7 @@ GIVEN = "the subject's body is given"
 @dataclass(frozen=True)
 class TrackedSubject:
     """body; where key points sit on it (None without key points); the start pose (D,) in the first frame; how it was
-    found, in words; the poses that the start allows beside that one, where one camera leaves several; unsure: that of
+    found, in words; the other poses that the start allows, where one camera leaves several; unsure: that of
     `Starts` (None: not known)."""
 
     body: Body

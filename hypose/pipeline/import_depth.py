@@ -257,7 +257,7 @@ def _recording(folder: Path, rig: CameraRig, views: Sequence[ViewSettings], rate
 
 
 def _clip(recording: Recording) -> list[Frame]:
-    """The first frames of a camera in which somebody is seen, without those at both ends that show little of them: who
+    """The first frames of a camera in which a person is seen, without those at both ends that show little of them: who
     starts the cameras has to walk in first."""
     found, areas = list[Frame](), list[int]()
     with FrameStream(recording) as frames:

@@ -2,7 +2,7 @@
 
 While a person is tracked, the body turned around and the body with its legs exchanged are compared with the tracked one
 twice a second (before depth cameras once), and a body that is lost is looked for (`FrameEstimate.exchanged`). Where one
-of them is better, tracking begins anew from it, forwards and backwards in time, as long as that explains the evidence
+of them is better, tracking begins again from it, forwards and backwards in time, as long as that explains the evidence
 better than before; frame by frame the better one is kept.
 """
 
@@ -41,13 +41,13 @@ def correct_left_right(
     out = list(estimates)
     tried, replaced = set[int](), np.zeros(len(out), dtype=bool)
     while (at := _most_suspicious(out, tried)) is not None:
-        anew = _tracked_anew(tracker, out, at, frames, memory)
-        if anew.won < SETTINGS.sides_least * pace_of(tracker) or (sure_start and anew.first == 0):
-            tried.update(anew.compared)  # what fits as well both ways is gone through once
+        retracked = _retracked_from(tracker, out, at, frames, memory)
+        if retracked.won < SETTINGS.sides_least * pace_of(tracker) or (sure_start and retracked.first == 0):
+            tried.update(retracked.compared)  # what fits as well both ways is gone through once
             continue
         tried.add(at)
-        out[anew.first : anew.first + len(anew.better)] = anew.better
-        replaced[anew.first : anew.first + len(anew.better)] = True
+        out[retracked.first : retracked.first + len(retracked.better)] = retracked.better
+        replaced[retracked.first : retracked.first + len(retracked.better)] = True
     return out, runs(replaced)
 
 
@@ -91,7 +91,7 @@ def _most_suspicious(estimates: Sequence[FrameEstimate], tried: set[int]) -> int
 
 
 @dataclass(frozen=True)
-class _Anew:
+class _Retracked:
     """won: sum over frames of 1 - IoU by which the estimates `better`, from frame `first` on, lie below the old ones;
     compared: all frames that were tracked for it."""
 
@@ -101,17 +101,17 @@ class _Anew:
     compared: range
 
 
-def _tracked_anew(
+def _retracked_from(
     tracker: Tracker, old: Sequence[FrameEstimate], at: int, frames: FrameRange, memory: Memory | None
-) -> _Anew:
-    """What is won over the old estimates around frame `at`, from the body with its sides exchanged there, or from where
-    it was found."""
+) -> _Retracked:
+    """Cost won over the old estimates around frame `at`, from the body with its sides exchanged there, or from
+    where it was found."""
     start = tracker.start(tracker.rival(old[at].pose, next(iter(frames(range(at, at + 1))))), memory)
     ahead, back = range(at, len(old)), range(at - 1, -1, -1)
     later, won, after = _while_better(tracker, start, old, ahead, _forwards(frames, at, len(old)))
     earlier, won_earlier, before = _while_better(tracker, start, old, back, reversed_frames(frames, at))
     compared = range(at - before, at + after)
-    return _Anew(at - len(earlier), [*earlier[::-1], *later], won + won_earlier, compared)
+    return _Retracked(at - len(earlier), [*earlier[::-1], *later], won + won_earlier, compared)
 
 
 def _while_better(
@@ -176,8 +176,8 @@ def read_once(frames: FrameRange) -> FrameRange:
     def of(numbers: range) -> Iterator[Frame]:
         missing = [t for t in numbers if t not in known]
         if missing:
-            anew = range(missing[0], missing[-1] + 1)
-            known.update(zip(anew, frames(anew), strict=True))
+            retracked = range(missing[0], missing[-1] + 1)
+            known.update(zip(retracked, frames(retracked), strict=True))
         for t in set(known) - set(numbers):
             del known[t]
         yield from [known[t] for t in numbers]

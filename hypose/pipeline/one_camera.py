@@ -75,7 +75,7 @@ def one_view(recording: Recording, camera: str | None) -> Recording:
 
 
 def working_side(recording: Recording, person_px: float, picture: tuple[int, int]) -> int:
-    """Longer side of the pictures to work on, px, so that somebody who is person_px tall in pictures of that size
+    """Longer side of the pictures to work on, px, so that a person who is person_px tall in pictures of that size
     (width, height) is about TARGET_PX tall."""
     longest = max(recording.rig[0].size)
     share = person_px / max(picture)
@@ -123,7 +123,7 @@ class FrameSource(Protocol):
 
 class PictureFrames:
     """The frames of a source with the picture of its one camera, undistorted, at working size; the mask is a part of
-    it, left out where it shows nobody. Frames that are in memory have their pictures already."""
+    it, left out where it shows no person. Frames that are in memory have their pictures already."""
 
     def __init__(self, source: FrameSource) -> None:
         self._source, self._pictures = source, None
@@ -219,7 +219,7 @@ class ColourDetections:
 
     The colours are the person's own, learnt in the first frame, whose pose (D,) is known. Every frame is a function of
     the recording and that pose alone, in whatever order frames are asked for. The pictures are read a second time,
-    beside the masks. An InputError when they are grey: there skin has no colour."""
+    next to the masks. An InputError when they are grey: there skin has no colour."""
 
     def __init__(self, source: FrameStream, body: Body, start: Array) -> None:
         self.source, self.body = source, body
@@ -284,7 +284,7 @@ Clicks = Mapping[str, tuple[float, float]]
 
 
 def load_clicks(path: str | Path, recording: Recording) -> Clicks:
-    """Read a file of clicks for the one camera of a recording; an InputError says what is wrong with it."""
+    """Read a file of clicks for the one camera of a recording; an InputError says the fault."""
     path = Path(path)
     view = recording.views[0]
     document = read_json(path, "a file of clicks")
@@ -396,12 +396,12 @@ def subject_in_picture(
         if start in POINT_STARTS:
             at, points, names = _first_keypoints(source, seen, frame_rate)
             frame = frames.frame(at)
-            told = f"the key points of frame {frame.index}"
+            reported = f"the key points of frame {frame.index}"
             points_on: PointsOn = partial(keypoints_on, names=names, keypoints=points)
         elif isinstance(source, FrameStream):
             at, frame = 0, frames.frame(0)
             clicks = load_clicks(start, source.recording)
-            told = f"{len(clicks)} clicked joints"
+            reported = f"{len(clicks)} clicked joints"
             pixels = clicked_pixels(clicks, source.recording, source.rig[0])
             scale = max(FEWEST_PX, SETTINGS.picture_click_share * _extent(np.array(list(pixels.values()))))
             points_on = partial(clicked_joints, clicks=pixels, scale_px=scale)
@@ -419,10 +419,10 @@ def subject_in_picture(
             floor=floor,
         )
     rivals = fit.hypotheses
-    notes.append(f"start from {told}: {rivals.count} rival poses, the best {fit.residual_px:.1f} px off")
+    notes.append(f"start from {reported}: {rivals.count} rival poses, the best {fit.residual_px:.1f} px off")
     if body is None:
         further = f", the key points of {len(later)} further frames" if later else ""
-        notes.append(f"body of {fit.body.stature:.2f} m from {told}{further} and the picture's contours")
+        notes.append(f"body of {fit.body.stature:.2f} m from {reported}{further} and the picture's contours")
     if floor is not None:
         notes.append(f"the lower foot is taken to stand on a floor at z = {floor:g} m (--floor)")
     if body is not None and height is not None:
@@ -483,10 +483,10 @@ def _first_keypoints(
 
 
 _LEAST, _LIMBS = 4, ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
-"""key points that tell, and of what: a face has many, beside which an arm would not count"""
+"""key points that tell, and of what: a face has many, next to which an arm would not count"""
 
 
-def beside_the_picture(body: Body, poses: Array, frames: Iterable[Frame]) -> Array:
+def image_deviation(body: Body, poses: Array, frames: Iterable[Frame]) -> Array:
     """(T,): the share of what one camera shows that poses (T, D) put elsewhere in the picture; NaN where it shows
     nothing."""
     out = np.full(len(poses), np.nan)
@@ -502,9 +502,9 @@ def beside_the_picture(body: Body, poses: Array, frames: Iterable[Frame]) -> Arr
 
 def against_the_picture(share: Array) -> tuple[str, ...]:
     """Sentences that make a motion not to be trusted, by `beside_the_picture`."""
-    if not np.isfinite(share).any() or np.nanmean(share) <= SETTINGS.picture_beside:
+    if not np.isfinite(share).any() or np.nanmean(share) <= SETTINGS.picture_deviation:
         return ()
-    where = in_words(runs(np.nan_to_num(share) > SETTINGS.picture_beside))
+    where = in_words(runs(np.nan_to_num(share) > SETTINGS.picture_deviation))
     return (
         f"{100 * np.nanmean(share):.0f} % of what the picture shows of the person lies elsewhere than on the body, "
         f"above all in {where}: look at the overlay, and whether key points and camera are those of this video; begin "

@@ -23,7 +23,7 @@ from hypose.pipeline.track_loop import FrameSource
 
 @dataclass(eq=False)
 class Path:
-    """Somebody in the hull over time. found: by frame number, what of the hull is theirs."""
+    """A person in the hull over time. found: by frame number, what of the hull is theirs."""
 
     found: dict[int, HullPerson] = field(default_factory=dict)
 
@@ -72,7 +72,7 @@ def follow_places(
         here = people_seen(frame, () if known is None else known(t), floor=floor)
         known_hulls = [(h.litres, h.hull.height) for p in paths for h in p.found.values()]
         litres, height = np.median(known_hulls, axis=0) if known_hulls else (0.0, 1.0)
-        # a rest of somebody is nobody's place; children have less, and are less tall
+        # a rest of a person is no person's place; children have less, and are less tall
         here = [h for h in here if h.litres > SETTINGS.path_part * litres * min(1.0, (h.hull.height / height) ** 3)]
         alive = [
             p
@@ -109,7 +109,7 @@ def _apart(people: Sequence[HullPerson]) -> int:
 
 def count_people(frame_at: Callable[[int], Frame], total: int, looks: int = 5) -> int:
     """How many people stand in the masks of a recording: the median over instants spread over it, without children
-    below a metre, whom a thing may look like. Fewer than three usable views tell of nobody, but depth cameras do."""
+    below a metre, whom a thing may look like. Fewer than three usable views tell of no person, but depth cameras do."""
     found = []
     for t in np.unique(np.linspace(0, total - 1, min(total, looks)).astype(int)).tolist():
         with contextlib.suppress(HyposeError):
@@ -121,7 +121,7 @@ def count_people(frame_at: Callable[[int], Frame], total: int, looks: int = 5) -
 
 
 # ---- people points -------------------------------------------------------------------------------------------------
-# Several people by their key points, which have been told apart (hypose.evidence.association).
+# Several people by their key points, which have been distinguished (hypose.evidence.association).
 
 
 @dataclass(frozen=True)
@@ -134,19 +134,19 @@ class KeypointPeople:
 
     @property
     def nothing(self) -> Keypoints:
-        """Of nobody."""
+        """Of no person."""
         return Keypoints(np.zeros((len(self.rig), len(self.names), 3)), self.names, self.rig)
 
     def lasting(self, total: int) -> list[int]:
-        """Who is followed through a good part of so many frames; whoever is followed longest at least."""
+        """Who is followed through a good part of so many frames; a person who is followed longest at least."""
         long = [k for k, t in enumerate(self.tracks) if len(t) >= max(5, SETTINGS.points_least_share * total)]
         return long or sorted(range(len(self.tracks)), key=lambda k: -len(self.tracks[k]))[:1]
 
     def at(
         self, frame: int, place: Array, taken: Sequence[int], so_far: int | None = None
     ) -> tuple[int, Keypoints] | None:
-        """Whose key points (the number of a track) are those of somebody at a place (2,) m, and these: of the one
-        `so_far`, while that is followed, else of the nearest who is not taken; None when there is nobody."""
+        """Whose key points (the number of a track) are those of a person at a place (2,) m, and these: of the one
+        `so_far`, while that is followed, else of the nearest who is not taken; None when there is no person."""
         away = [float(np.linalg.norm(t.place(frame)[:2] - place)) for t in self.tracks]
         free = [k for k in range(len(away)) if k not in taken and away[k] < SETTINGS.points_m]
         if not free:
@@ -181,7 +181,7 @@ class PointFrames:
 
 
 def padded(motion: Motion, first: int, total: int) -> Motion:
-    """The motion of frames first, first + 1, ... of so many: what lies beside them is its first and last frame, lost
+    """The motion of frames first, first + 1, ... of so many: what lies next to them is its first and last frame, lost
     and extrapolated."""
     rows = np.clip(np.arange(total) - first, 0, len(motion) - 1)
     outside = (np.arange(total) < first) | (np.arange(total) >= first + len(motion))

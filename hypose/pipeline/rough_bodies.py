@@ -1,7 +1,7 @@
 """Bodies, roughly, of people who are in each other's masks, so that each can be fitted to what the others leave.
 
-Hulls of people near each other run together: what of them hides somebody is a guess, and it is the arms and feet that
-tell front from back. So everybody is first tracked by the template in their size, on what the hulls leave, and then
+Hulls of people near each other run together: what of them hides a person is a guess, and it is the arms and feet that
+tell front from back. So all people are first tracked by the template in their size, on what the hulls leave, and then
 looked for again on what the others' bodies leave.
 """
 
@@ -34,7 +34,7 @@ from hypose.pipeline.tracked_people import Followed, Wanted
 from hypose.tracking.costs import mean_overlap
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.refinement import refine
-from hypose.tracking.several import nobody_in, shape_of, step_together, visible_share
+from hypose.tracking.several import shape_of, step_together, visible_share, without_people
 from hypose.tracking.shape_refinement import Known, refine_shape
 from hypose.tracking.start_search import Start
 from hypose.tracking.tracker import FrameEstimate
@@ -42,7 +42,7 @@ from hypose.tracking.tracker import FrameEstimate
 
 @dataclass(frozen=True)
 class RoughTrack:
-    """Somebody, roughly: the body, and their poses (D,) by frame number; rivals: other starts, with their frames'
+    """A person, roughly: the body, and their poses (D,) by frame number; rivals: other starts, with their frames'
     numbers."""
 
     body: Body
@@ -71,7 +71,7 @@ def frame_of_person(
         return frame
     here = paths[who].found.get(number)
     if here is None:
-        return nobody_in(frame)
+        return without_people(frame)
     others = [
         other
         for k, p in enumerate(paths)
@@ -112,7 +112,7 @@ def rough_bodies(
     templates: Sequence[tuple[Body, float | None]],
     seed: int = 0,
 ) -> list[RoughTrack | None]:
-    """Everybody on paths in the frames `numbers`, at `rate` Hz; None for whom no start explains. templates: of each,
+    """All people on paths in the frames `numbers`, at `rate` Hz; None for whom no start explains. templates: of each,
     with the height, m, where it is known."""
     return [
         _rough(frame_at, [t for t in numbers if t in p.found], k, paths, rate, *templates[k], seed)
@@ -149,16 +149,16 @@ def _rough(
 
 
 # ---- bodies again --------------------------------------------------------------------------------------------------
-# Bodies of people in each other's masks, fitted once more when everybody's body is known.
+# Bodies of people in each other's masks, fitted once more when all people's body is known.
 #
 # The first fit of each sees the others as hulls, or as bodies of the template's shape, and what these hide too much or
-# too little becomes arms and legs that are too long or too short. So everybody is tracked together through the same
+# too little becomes arms and legs that are too long or too short. So all people are tracked together through the same
 # frames, there and back, and each body is fitted to what the fitted bodies of the others leave of the masks.
 
 
 AGAIN = "the body was fitted again beside those of the others"
 _Trial = dict[int, tuple[FrameEstimate, NDArray[np.float64]]]
-"""By frame number, somebody's estimate and how much of them each view (C,) shows."""
+"""By frame number, a person's estimate and how much of them each view (C,) shows."""
 
 
 def fitted_again(
@@ -169,7 +169,7 @@ def fitted_again(
 ) -> dict[int, TrackedSubject]:
     """Of people who stand at their starts in the first of the frames `numbers`: the subjects of those whose bodies were
     fitted to shared masks once, by their place among the people, with bodies and starts fitted again; as they were but
-    for a note where that explains the masks no better. known: what is known of somebody of that name."""
+    for a note where that explains the masks no better. known: the known data of a person of that name."""
     once = [k for k, p in enumerate(people) if known(p.name).body is None and AGAIN not in p.subject.notes]
     if len(people) < 2 or not once:
         return {}

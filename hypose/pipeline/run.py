@@ -36,16 +36,16 @@ from hypose.pipeline.left_right import correct_left_right, left_right_notes, ret
 from hypose.pipeline.moved_sensors import PlacedSource, Places, moved_sensors
 from hypose.pipeline.one_camera import (
     against_the_picture,
-    beside_the_picture,
     depth_note,
     doubt_of_depth,
+    image_deviation,
     one_view,
     picture_options,
     subject_in_picture,
     tracked_frames,
 )
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.subject_from_motion import height_sentence, height_told
+from hypose.pipeline.subject_from_motion import height_sentence, measured_height
 from hypose.pipeline.track_loop import (
     FrameList,
     FrameSource,
@@ -102,7 +102,7 @@ class TrackOptions:
 
     @property
     def preset(self) -> Preset:
-        """Of the recipe; the usual one's where there is none of that name, which is told when it is asked for."""
+        """Of the recipe; the usual one's where there is none of that name, which is reported when it is asked for."""
         return RECIPES.get(self.recipe, RECIPES["default"])
 
     @property
@@ -168,7 +168,7 @@ class TrackResult:
     frame allows, where the recipe tells them. one_by_one (T, D): the poses as each frame was tracked, audit (T, J, A):
     what spoke for and against each joint (hypose.tracking.audit), None where that was not kept; faults: sentences on
     what was found wrong before tracking, or with the clip as a whole; looks: on what makes the whole clip worth a look;
-    beside: on who else is there; places: of depth cameras that stand elsewhere than the source says; unsure: of the
+    remarks: on who else is there; places: of depth cameras that stand elsewhere than the source says; unsure: of the
     `Subject`."""
 
     motion: Motion
@@ -180,14 +180,14 @@ class TrackResult:
     audit: NDArray[np.float32] | None = None
     faults: tuple[str, ...] = ()
     looks: tuple[str, ...] = ()
-    beside: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
     places: tuple[Places, ...] = ()
     unsure: Array | None = None
 
     @property
     def assessment(self) -> Assessment:
         """Whether the motion is to be trusted, in words."""
-        return replace(assess(self.motion, self.faults, self.looks), beside=self.beside)
+        return replace(assess(self.motion, self.faults, self.looks), remarks=self.remarks)
 
 
 def track_source(
@@ -209,11 +209,10 @@ def track_source(
 
     body: the subject's own, of which only the start is looked for (default: the human template, fitted); subject: a
     known subject and start, which skips both. method: a recipe of the caller's own instead of the options'; own:
-    evidence beside that of the frames. find_places: depth cameras that turn out to stand elsewhere than the source says
-    are put right, and everything is tracked again, where there is no such evidence. With `results` a checkpoint is
-    written every `checkpoint_every` frames (later every twentieth of what is done), and motion.npz at the end or when
-    interrupted. `record` is the provenance; its identity must match for `resume`.
-    """
+    evidence next to that of the frames. find_places: depth cameras that turn out to stand elsewhere than the source
+    says are put right, and everything is tracked again, where there is no such evidence. With `results` a checkpoint is
+    written every `checkpoint_every` frames (later every twentieth of the use), and motion.npz at the end or when
+    interrupted. `record` is the provenance; its identity must match for `resume`."""
     report = progress or (lambda stage, done, total: None)
     total = len(source)
     if total == 0:
@@ -237,7 +236,7 @@ def track_source(
                 raise
             raise type(error)(f"{' '.join(why)} That may be why: {error}") from error
     keep = None
-    if results is not None:  # before the motion, so that what is kept of an interrupted run can be looked at
+    if results is not None:  # before the motion, so that the kept part of an interrupted run can be looked at
         keep_subject(subject, results, key)
         keep = Keep(results.checkpoint, key, options.checkpoint_every)
     tracker = tracker_of(subject, options, frame_rate, method, own)
@@ -252,7 +251,7 @@ def track_source(
         wrong, looks = against_the_clip(audit, motion.n_views, evidence_of(audit))
         never = [n for n, gone in zip(subject.body.skeleton.joint_names, not_in_set(audit), strict=True) if gone]
         others = (*others, *([not_shown(never)] if never else []))
-        said = {"faults": (*faults, *wrong), "looks": (*noticed, *looks), "beside": others}
+        said = {"faults": (*faults, *wrong), "looks": (*noticed, *looks), "remarks": others}
         return _written(replace(result, one_by_one=solved.one_by_one, audit=audit, **said), results)
     before = tracked_before(results.checkpoint, key) if resume and results is not None else None
     begin = tracker.start(subject.start if subject.rivals is None else subject.rivals)
@@ -284,7 +283,7 @@ def track_source(
             wrong, doubted = _of_height(source, subject, done, asked, options)
             faults, noticed = (*faults, *wrong), (*noticed, *doubted)
         found = finish(source, subject, tracker, done, options, results, record, report, faults, noticed)
-        return replace(found, places=places, beside=others)
+        return replace(found, places=places, remarks=others)
     except KeyboardInterrupt:
         return _written(_tracked(subject, done.estimates, frame_rate, record), results)
 
@@ -296,11 +295,11 @@ def _of_height(
     if options.of_picture or options.looks_at == "keypoints":
         return (), ()
     poses, iou = np.stack([e.pose for e in done.estimates]), 1 - np.array([e.cost for e in done.estimates])
-    told = height_told(source.frame, subject.body, poses, iou)
-    off = 0.0 if told is None else abs(told / asked - 1)
-    if told is None or off <= SETTINGS.subject_height_doubt:
+    reported = measured_height(source.frame, subject.body, poses, iou)
+    off = 0.0 if reported is None else abs(reported / asked - 1)
+    if reported is None or off <= SETTINGS.subject_height_doubt:
         return (), ()
-    sentence = (height_sentence(told, asked),)
+    sentence = (height_sentence(reported, asked),)
     return (sentence, ()) if off > SETTINGS.subject_height_wrong else ((), sentence)
 
 
@@ -340,8 +339,8 @@ def finish(
     noticed: tuple[str, ...] = (),
     shared: bool = False,
 ) -> TrackResult:
-    """The motion of what was tracked, stretches with exchanged sides or lost arms mended, smoothed, judged and written.
-    faults, noticed: what the first look found; shared: others are in the masks, who make starts unsure."""
+    """The motion of what was tracked, stretches with exchanged sides or lost arms corrected, smoothed, judged and
+    written. faults, noticed: what the first look found; shared: others are in the masks, who make starts unsure."""
     estimates, notes, recipe = done.estimates, subject.notes, tracker.recipe
 
     def seen(frames: range) -> Iterator[Frame]:
@@ -354,8 +353,8 @@ def finish(
         )
         notes = (*notes, *left_right_notes(exchanged))
         if shared and not options.sure_start:
-            estimates, anew = retrack_start(tracker, estimates, seen, memory=done.state.memory)
-            notes = (*notes, *start_notes(anew))
+            estimates, retracked = retrack_start(tracker, estimates, seen, memory=done.state.memory)
+            notes = (*notes, *start_notes(retracked))
         progress("sides", 1, 1)
         if options.smooth and recipe.smooth is not None:
             estimates, moved = backward_pass(
@@ -373,13 +372,13 @@ def finish(
     notes = (*notes, *doubts, *tracked.notes[len(subject.notes) :])
     if tracked.modes is not None:  # one camera: its modes say what else may be
         assert motion.poses is not None
-        beside = beside_the_picture(subject.body, motion.poses, seen(range(len(motion))))
-        low_confidence = beside > SETTINGS.picture_beside_frame
+        deviation = image_deviation(subject.body, motion.poses, seen(range(len(motion))))
+        low_confidence = deviation > SETTINGS.picture_deviation_frame
         motion = replace(
             motion,
             low_confidence=low_confidence if motion.low_confidence is None else motion.low_confidence | low_confidence,
         )
-        said = (*faults, *against_the_picture(beside)), (*noticed, doubt_of_depth(tracked.modes))
+        said = (*faults, *against_the_picture(deviation)), (*noticed, doubt_of_depth(tracked.modes))
         out = replace(tracked, motion=motion, complete=done.complete, notes=notes, faults=said[0], looks=said[1])
         return _written(out, results)
     own, audit = np.stack([e.pose for e in estimates]), np.stack([e.audit for e in estimates])
@@ -403,9 +402,9 @@ def _doubted(
     known: str | None = None,
     points: Sequence[Keypoints | None] | None = None,
 ) -> Motion:
-    """The motion with the probability that a joint is wrong, what is doubtful for that, and standard deviations that
-    hold, of what is doubtful too; covariance (T, D, D) of the poses; known: what the evidence was, where the audit does
-    not tell; points: the key points of its frames, None where there are none in memory."""
+    """The motion with the probability that a joint is wrong, all that is doubtful for that, and standard deviations
+    that hold, of all that is doubtful too; covariance (T, D, D) of the poses; known: what the evidence was, where the
+    audit does not tell; points: the key points of its frames, None where there are none in memory."""
     evidence = known or evidence_of(audit)
     if points is not None and subject.keypoints is not None and any(k is not None for k in points):
         assert motion.poses is not None
@@ -417,8 +416,8 @@ def _doubted(
     motion = with_fitted_angles(with_fitted_joints(motion, evidence, beyond), covariance, evidence, beyond)
     look = needs_review(p, joints, evidence)
     frames = look if motion.low_confidence is None else motion.low_confidence | look
-    told = replace(motion, error_probability=p, low_confidence_joints=joints, low_confidence=frames)
-    return told if evidence == "depth" else as_mixture(told)  # regions of depth hold what is elsewhere, too
+    reported = replace(motion, error_probability=p, low_confidence_joints=joints, low_confidence=frames)
+    return reported if evidence == "depth" else as_mixture(reported)  # regions from depth include other places
 
 
 def _written(result: TrackResult, results: ResultsFolder | None) -> TrackResult:

@@ -2,7 +2,7 @@
 
 A single frame, and the half second after it, may not tell front from back, above all where others hide an arm or the
 feet. So where the masks are shared with others, the starts of several frames are each tracked through all of them;
-where nobody else is, the frame that its start explains best decides.
+where no other person is, the frame that its start explains best decides.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ def cut_edges(silhouettes: Silhouettes, view: int) -> tuple[str, ...]:
     mask = silhouettes.told[view, :height, :width]
     extent = int(np.ptp(np.flatnonzero(mask.any(1)))) if mask.any() else 0
     along = [int(line.sum()) for line in (mask[:, 0], mask[:, -1], mask[0], mask[-1])]
-    # a speck of noise at the border cuts nobody
+    # a speck of noise at the border cuts no person
     return tuple(e for e, n in zip(_EDGES, along, strict=True) if n > max(3, 0.02 * extent))
 
 
@@ -216,7 +216,7 @@ class BestWays:
 
     def check(self, frames: Sequence[Frame]) -> None:
         """An EvidenceError when the best one does not explain its frame, of those that it was looked for in. Where its
-        way is known, that tells: a start that was found in another frame stands beside, and is put right at once."""
+        way is known, that tells: a start that was found in another frame stands next to, and is put right at once."""
         best = self.starts.best
         if self.ways:
             best = replace(best, pose=self.ways[0].poses[self.at])

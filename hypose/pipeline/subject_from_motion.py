@@ -206,7 +206,7 @@ def _both_ways(
     tick: Callable[[], None],
 ) -> tuple[Array, Array]:
     """(T, D) poses and (T,) IoU of the frames, tracked with few particles forwards and backwards from frame `at`, in
-    the order of the frames; mended where left and right were exchanged."""
+    the order of the frames; corrected where left and right were exchanged."""
     recipe = default(body, particles=options.particles, frame_rate=rate)
     tracker = Tracker(body, recipe, TrackerSettings(seed=options.seed, frame_rate=rate))
     later = follow(tracker, start, frames[at:], tick)
@@ -252,7 +252,7 @@ def _ious(body: Body, poses: Array, frames: Sequence[PreparedFrame]) -> Array:
 
 
 def with_outlines(fitted: KeypointSubject, frames: Sequence[Frame]) -> tuple[Body, str] | None:
-    """The body of the key points of frames, with what the outlines of a few different poses tell beside its bones:
+    """The body of the key points of frames, with what the outlines of a few different poses tell next to its bones:
     girths, clothes, and the sizes that no key point shows; and a sentence. None where no frame has masks of that
     person."""
     solved = np.flatnonzero(np.isfinite(fitted.poses).all(1))
@@ -320,7 +320,7 @@ def subject_file(path: str | Path) -> Path:
 
 
 def load_subject(path: str | Path) -> Body:
-    """The body of a subject: its folder, subject.toml or body.npz. An InputError names what is missing."""
+    """The body of a subject: its folder, subject.toml or body.npz. An InputError names the missing part."""
     return load_body(subject_file(path))
 
 
@@ -335,7 +335,7 @@ def size_uncertainty(estimate: SubjectEstimate, template: Body, draws: int = 24)
     return {k: float(np.std([r[k] for r in rows])) / 100 for k in rows[0]}
 
 
-def height_told(frame_at: _FrameAt, body: Body, poses: Array, iou: Array) -> float | None:
+def measured_height(frame_at: _FrameAt, body: Body, poses: Array, iou: Array) -> float | None:
     """The height, m, by the silhouettes and depth of a motion (poses (T, D) of `body`, iou (T,)) that was tracked with
     a given height or body; None where they do not tell one."""
     known = np.flatnonzero(np.isfinite(iou))
@@ -357,9 +357,9 @@ def height_told(frame_at: _FrameAt, body: Body, poses: Array, iou: Array) -> flo
     return free.body.stature if 1 - after < SETTINGS.subject_no_worse * (1 - before) else None
 
 
-def height_sentence(told: float, given: float) -> str:
+def height_sentence(reported: float, given: float) -> str:
     """That masks tell another height than the given one, both in m."""
     return (
-        f"the person is {told:.2f} m tall by what the cameras see, not {given:.2f} m as given: leave the height out or "
-        "correct it, give the person's own body, or check the scale of the calibration (the board's square size)"
+        f"the person is {reported:.2f} m tall by what the cameras see, not {given:.2f} m as given: leave the height "
+        "out or correct it, give the person's own body, or check the scale of the calibration (the board's square size)"
     )

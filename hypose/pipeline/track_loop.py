@@ -46,7 +46,7 @@ StageProgress = Callable[[str, int, int], None]
 
 
 class Deferred:
-    """A progress call whose interruption waits until `settle`: what is begun is done before, and a run that goes on
+    """A progress call whose interruption waits until `settle`: all that is begun is done before, and a run that goes on
     later goes on to the same."""
 
     def __init__(self, progress: StageProgress) -> None:
@@ -99,7 +99,7 @@ def track_frames(
     """Tracks the frames of a source from the state `begin`, or behind what was done `before`. What was seen in each is
     found out by another thread while the next one is tracked: tracking does not ask.
 
-    KeyboardInterrupt, and with `keep` a HyposeError too, end it with what is done until then; they are passed on when
+    KeyboardInterrupt, and with `keep` a HyposeError too, end it with the use until then; they are passed on when
     that is nothing.
     """
     state, estimates = (before.state, list(before.estimates)) if before is not None else (begin, [])

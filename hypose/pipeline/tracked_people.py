@@ -1,4 +1,4 @@
-"""Several people of one recording: what is known of them before, what comes out, and what is kept while they are
+"""Several people of one recording: the known data of them before, what comes out, and the kept part while they are
 tracked."""
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.track_loop import FrameSource
 from hypose.tracking.clothes import AppearanceModel
 from hypose.tracking.contacts import runs
-from hypose.tracking.several import Member, nobody_in, shape_of
+from hypose.tracking.several import Member, shape_of, without_people
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState, estimates_from_arrays, estimates_to_arrays
 
 
 @dataclass(frozen=True)
 class Wanted:
-    """What is known of a person beforehand, [[person]] of recording.toml: height m; body: their own; place (2,) m:
+    """The known data of a person beforehand, [[person]] of recording.toml: height m; body: their own; place (2,) m:
     where they stand at `time`, s from the first frame that is tracked, negative before it."""
 
     name: str
@@ -47,7 +47,7 @@ class Wanted:
 
     @property
     def not_found(self) -> str:
-        """That nobody is them, in words."""
+        """That no person is them, in words."""
         at = self.place
         where = "" if at is None else f" at [{at[0]:g}, {at[1]:g}] m, {self.time:g} s from the first frame"
         return f"nobody was found who is {self.name}{where}"
@@ -119,8 +119,8 @@ def said_of_places(wanted: Sequence[Wanted], count: int) -> tuple[str, ...]:
 def names_at_places(
     wanted: Sequence[Wanted], count: int, place: Callable[[int, int], Array], frame_rate: float
 ) -> list[str | None]:
-    """Which of so many people are the wanted ones, None for somebody else; place(k, frame) (2,) m: where the k-th
-    stands, NaN where not known. Those who are wanted at no place, or an early one, are whoever is left, in their
+    """Which of so many people are the wanted ones, None for another person; place(k, frame) (2,) m: where the k-th
+    stands, NaN where not known. Those who are wanted at no place, or an early one, are a person who is left, in their
     order."""
     names: list[str | None] = [None] * count
     for one in wanted:
@@ -138,14 +138,14 @@ def names_at_places(
 
 
 def free_name(taken: Sequence[str], wanted: Sequence[Wanted]) -> str:
-    """The name of somebody of whom nothing is known."""
+    """The name of a person of whom nothing is known."""
     used = {*taken, *(w.name for w in wanted)}
     return next(n for n in (f"person-{k}" for k in range(1, 10_000)) if n not in used)
 
 
 @dataclass(eq=False)
 class Followed:
-    """Somebody who is tracked. results: where theirs are kept, None: nowhere; estimates, present, hidden: of each frame
+    """A person who is tracked. results: where theirs are kept, None: nowhere; estimates, present, hidden: of each frame
     so far, as in TrackedPerson; gone: frames since anything was seen of them; track: number of the track of
     key points that they have; wardrobe: their clothes; said: notes for their report."""
 
@@ -170,12 +170,12 @@ class Followed:
                 return estimate.pose, since
         return None
 
-    def was_not(self, since: int, told: str) -> None:
-        """From a frame on somebody else was tracked in their place; told: by what that is known."""
+    def was_not(self, since: int, reported: str) -> None:
+        """From a frame on another person was tracked in their place; reported: by what that is known."""
         last = len(self.estimates)
         self.estimates[since:] = [replace(e, lost=True) for e in self.estimates[since:]]
         self.hidden[since:] = [True] * (last - since)
-        self.said.append(f"somebody else was taken for them from frame {since} to {last - 1}, {told}")
+        self.said.append(f"somebody else was taken for them from frame {since} to {last - 1}, {reported}")
 
     def cut(self, frames: int) -> None:
         """Forgets what came after so many frames."""
@@ -183,7 +183,7 @@ class Followed:
 
 
 def makes_room(count: int | None, name: str | None, people: Sequence[Followed], wanted: Sequence[Wanted]) -> bool:
-    """Whether somebody new, who is wanted by that name or by none, is among so many at most who are asked for; for who
+    """Whether a new person, who is wanted by that name or by none, is among so many at most who are asked for; for who
     is wanted one who is not makes room, and is asked for no longer."""
     if count is None or len(people) < count:
         return True
@@ -196,8 +196,8 @@ def makes_room(count: int | None, name: str | None, people: Sequence[Followed], 
 
 
 def seen_by_themselves(p: Followed, people: Sequence[Followed], late: int) -> list[FrameEstimate]:
-    """The estimates of a person without what others do to the masks: where somebody comes, or leaves, the masks change
-    all at once, and time has not jumped. late: frames after which somebody who comes may have been found."""
+    """The estimates of a person without what others do to the masks: where a person comes, or leaves, the masks change
+    all at once, and time has not jumped. late: frames after which a person who comes may have been found."""
     comes = np.zeros(len(p.estimates), dtype=np.bool_)
     for q in people:
         for t in (np.flatnonzero(np.diff(np.array(q.present, dtype=np.int8))) + 1).tolist():
@@ -214,7 +214,7 @@ def seen_by_themselves(p: Followed, people: Sequence[Followed], late: int) -> li
 def save_people(
     results: ResultsFolder, record: Mapping[str, Any], people: Sequence[Followed], coming: Sequence[Array]
 ) -> None:
-    """Writes the checkpoint. coming: (4,) each, of somebody new who was seen at the last look."""
+    """Writes the checkpoint. coming: (4,) each, of a new person who was seen at the last look."""
     arrays: dict[str, np.ndarray] = {"coming": np.array(coming, dtype=np.float64).reshape(-1, 4)}
     for k, p in enumerate(people):
         arrays |= {f"{k}_{n}": v for n, v in p.member.state.to_arrays().items()}
@@ -241,7 +241,7 @@ def save_people(
 def kept_people(
     results: ResultsFolder, under: str, record: Mapping[str, Any], tracker_of: Callable[[TrackedSubject], Tracker]
 ) -> tuple[list[Followed], list[Array]]:
-    """What `save_people` wrote, and whose subjects lie in the folder `under`; nobody when there is none of the same
+    """What `save_people` wrote, and whose subjects lie in the folder `under`; no person when there is none of the same
     run, or a body is gone."""
     if not results.checkpoint.exists():
         return [], []
@@ -285,7 +285,7 @@ class OwnFrames:
         if s is None:
             return frame
         if not self._who.present[index]:
-            return nobody_in(frame)
+            return without_people(frame)
         own = shape_of(self._who.subject.body, self._who.estimates[index].pose, s.rig)
         others = [
             Other(shape_of(p.subject.body, p.estimates[index].pose, s.rig), SOLVED)

@@ -70,7 +70,7 @@ def step_together(
         m = after[i]
         own = replace(frame, keypoints=None if keypoints is None else keypoints[i])
         if not m.present:
-            own = nobody_in(own)
+            own = without_people(own)
         elif shapes is not None and frame.silhouettes is not None:
             beside = [
                 Other(shapes[j], SOLVED if done[j] else PREDICTED) for j in range(count) if j != i and after[j].sure
@@ -86,7 +86,7 @@ def step_together(
     return after, [e for e in estimates if e is not None], seen
 
 
-def nobody_in(frame: Frame) -> Frame:
+def without_people(frame: Frame) -> Frame:
     """The frame without any evidence."""
     s = frame.silhouettes
     if s is not None:

@@ -37,7 +37,7 @@ def test_who_goes_on_with_a_result_is_told_when_it_is_not_to_be_trusted(hypose, 
     for name in ("motion.npz", "body.npz"):
         (tmp_path / name).write_bytes((tracked / name).read_bytes())
     doubted = Assessment(UNTRUSTED, ("the cameras are exchanged",))
-    for kept, told in (
+    for kept, reported in (
         ("{", False),
         (json.dumps(Assessment("good").document()), False),
         (json.dumps(doubted.document()), True),
@@ -46,4 +46,4 @@ def test_who_goes_on_with_a_result_is_told_when_it_is_not_to_be_trusted(hypose, 
         for command in (("export", "--formats", "trc"), ("gait",), ("compare", tracked, "--out", tmp_path / "table")):
             code, _, err = hypose(command[0], tmp_path, *command[1:])
             assert code == 0, err
-            assert ("Not to be trusted, because: the cameras are exchanged." in " ".join(err.split())) == told
+            assert ("Not to be trusted, because: the cameras are exchanged." in " ".join(err.split())) == reported

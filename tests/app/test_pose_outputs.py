@@ -40,7 +40,7 @@ def outputs(**options):
     return PoseOutputs(CAMERAS, 25.0, clock=lambda: 5.0, **options)
 
 
-def told(out, followed):
+def reported(out, followed):
     for frame, pose in followed:
         out.seen(seen(frame, pose))
 
@@ -128,7 +128,7 @@ def test_the_receiver_of_the_documentation(followed, tmp_path, capsys):
     while not out.listeners.wanted("/out"):
         assert receiver.is_alive()
         time.sleep(0.01)
-    told(out, followed[:5])
+    reported(out, followed[:5])
     out.close()
     receiver.join(HANG_S)
     numbers = re.findall(r"^(\d+) 1 \[", capsys.readouterr().out, re.MULTILINE)
@@ -191,7 +191,7 @@ def received(followed, option):
         sink.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
         sink.bind(("127.0.0.1", 0))
         out = outputs(**{option: f"127.0.0.1:{sink.getsockname()[1]}"})
-        told(out, followed)
+        reported(out, followed)
         out.close()
         packets = []
         sink.setblocking(False)

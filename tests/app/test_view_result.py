@@ -270,5 +270,5 @@ def test_doubts_their_verdict_and_the_sd_of_angles_come_with_the_motion(folder):
     assert header["assessment"]["word"] == "look" and "left wrist may be wrong" in header["assessment"]["sentence"]
     kept = {"assessment": "not to be trusted", "because": ["the camera moved"], "frames": []}
     (folder / "assessment.json").write_text(json.dumps(kept))
-    told = read_bundle(view_bundle(load_view(folder)))[0]["assessment"]
-    assert told == {"word": "not to be trusted", "sentence": "Not to be trusted, because: the camera moved."}
+    reported = read_bundle(view_bundle(load_view(folder)))[0]["assessment"]
+    assert reported == {"word": "not to be trusted", "sentence": "Not to be trusted, because: the camera moved."}

@@ -115,8 +115,8 @@ def test_every_picture_of_a_stream_comes_with_and_without_its_length(length, kin
 
 
 def test_the_time_that_a_camera_tells_is_its_stamp_and_nonsense_is_none():
-    told = [b"12.5", b"12.533333", b"nan", b"inf", b"today"]
-    body = b"".join(part(p, b"X-Timestamp: " + t) for p, t in zip(PICTURES, told, strict=True)) + b"--frame--\r\n"
+    reported = [b"12.5", b"12.533333", b"nan", b"inf", b"today"]
+    body = b"".join(part(p, b"X-Timestamp: " + t) for p, t in zip(PICTURES, reported, strict=True)) + b"--frame--\r\n"
     with server(body) as address:
         shots, _ = all_of(address)
     assert [s.stamp for s in shots] == [12.5, 12.533333, None, None, None]
@@ -156,9 +156,9 @@ def test_a_camera_that_asks_for_a_digest_of_the_password_gets_one():
         asked.append(header)
         if not header.startswith("Digest "):
             return False
-        told = dict(re.findall(r'(\w+)="([^"]*)"', header))
-        first, second = (md5(t.encode()).hexdigest() for t in ("admin:room:p@ss", f"GET:{told['uri']}"))
-        return told["response"] == md5(f"{first}:abc:{second}".encode()).hexdigest()
+        reported = dict(re.findall(r'(\w+)="([^"]*)"', header))
+        first, second = (md5(t.encode()).hexdigest() for t in ("admin:room:p@ss", f"GET:{reported['uri']}"))
+        return reported["response"] == md5(f"{first}:abc:{second}".encode()).hexdigest()
 
     with server(body, secret=answered, asks='Digest realm="room", nonce="abc"') as address:
         shots, _ = all_of(address.replace("://", "://admin:p%40ss@") + "?size=1")

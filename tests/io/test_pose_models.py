@@ -73,8 +73,8 @@ def test_nothing_is_fetched_without_being_asked(command, said, tmp_path, monkeyp
     monkeypatch.setattr(pose_models, "runtime", lambda why: None)
     with pytest.raises(SystemExit) as caught:
         run_cli([command, str(folder)])
-    told = capsys.readouterr().err
-    assert caught.value.code == 2 and said in told and "again with --yes to agree" in told
+    reported = capsys.readouterr().err
+    assert caught.value.code == 2 and said in reported and "again with --yes to agree" in reported
     assert not (tmp_path / "models").exists()
 
 
@@ -83,8 +83,8 @@ def test_without_the_runtime_the_command_that_installs_it_is_named(tmp_path, mon
     monkeypatch.setitem(__import__("sys").modules, "ai_edge_litert.interpreter", None)
     with pytest.raises(SystemExit) as caught:
         run_cli(["track", str(folder)])
-    told = " ".join(capsys.readouterr().err.split())
-    assert caught.value.code == 2 and 'run: pip install "hypose[detector]"' in told
+    reported = " ".join(capsys.readouterr().err.split())
+    assert caught.value.code == 2 and 'run: pip install "hypose[detector]"' in reported
 
 
 @pytest.fixture

@@ -506,11 +506,13 @@ def test_a_recording_toml_beside_it_changes_what_it_says(tmp_path):
     plain = load_recording(project)
     toml = project / "recording.toml"
     toml.write_text('keypoint_lag = 1\n[[view]]\nname = "cam02"\nimage_shift = [7.3, 0]\n')
-    told = load_recording(project)
-    assert told.keypoint_lag == 1 and told.frame_rate == plain.frame_rate and told.rig.names == plain.rig.names
-    assert [v.image_shift for v in told.views] == [(0.0, 0.0), (7.3, 0.0)]
-    assert [v.video for v in told.views] == [v.video for v in plain.views]
-    assert [v.keypoints for v in told.views] == [v.keypoints for v in plain.views]
+    reported = load_recording(project)
+    assert (
+        reported.keypoint_lag == 1 and reported.frame_rate == plain.frame_rate and reported.rig.names == plain.rig.names
+    )
+    assert [v.image_shift for v in reported.views] == [(0.0, 0.0), (7.3, 0.0)]
+    assert [v.video for v in reported.views] == [v.video for v in plain.views]
+    assert [v.keypoints for v in reported.views] == [v.keypoints for v in plain.views]
     toml.write_text('[[view]]\nname = "cam9"\n')
     with pytest.raises(InputError, match=r"has no view 'cam9'"):
         load_recording(project)

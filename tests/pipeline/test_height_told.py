@@ -6,7 +6,7 @@ import pytest
 from hypose.body.ready_bodies import human
 from hypose.pipeline.assessment import UNTRUSTED
 from hypose.pipeline.run import TrackOptions, track_source
-from hypose.pipeline.subject_from_motion import height_told
+from hypose.pipeline.subject_from_motion import measured_height
 from hypose.pipeline.track_loop import FrameList
 from hypose.synthetic.scenes import make_scene
 
@@ -32,4 +32,4 @@ def test_what_was_not_seen_tells_no_height(scene):
     frames = list(scene.mask_frames(0.5))
     body = human()
     poses = np.zeros((len(frames), body.skeleton.dof))
-    assert height_told(lambda i: frames[i], body, poses, np.full(len(frames), np.nan)) is None
+    assert measured_height(lambda i: frames[i], body, poses, np.full(len(frames), np.nan)) is None

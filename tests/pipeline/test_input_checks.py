@@ -179,8 +179,8 @@ def test_all_focal_lengths_wrong_are_told_where_the_person_walks(evidence, facto
     zoomed = np.array([[factor, 1, 1], [1, factor, 1], [1, 1, 1]])
     wrong = with_rig(frames, lambda c: replace(c, K=c.K * zoomed))
     found = [f for f in check_inputs(FrameList(wrong), evidence) if f.kind == "focal"]
-    told = float(found[0].text.split("were ")[1].split(" times")[0])
-    assert len(found) == 1 and abs(told * factor - 1) < 0.06
+    reported = float(found[0].text.split("were ")[1].split(" times")[0])
+    assert len(found) == 1 and abs(reported * factor - 1) < 0.06
 
 
 def test_a_wrong_focal_length_of_two_views_cannot_be_told(frames):
@@ -220,12 +220,12 @@ def test_two_cameras_that_stand_side_by_side_or_face_each_other(frames):
         there = around @ np.linalg.inv(first.camera_from_world)
         return CameraRig((first, replace(first, name="other", camera_from_world=np.linalg.inv(there)))), points
 
-    for degrees, told in ((6.0, True), (90.0, False), (176.0, True)):
+    for degrees, reported in ((6.0, True), (90.0, False), (176.0, True)):
         two, points = of_angle(degrees)
         seen = np.stack([np.concatenate([c.project(points), np.ones((len(points), 1))], -1) for c in two])
         seen = np.where(np.isfinite(seen).all(-1, keepdims=True), seen, 0.0)
         shown = [replace(alone(f, seen), keypoints=Keypoints(seen, f.keypoints.names, two)) for f in frames]
-        assert ("parallel" in kinds(shown)) == told, degrees
+        assert ("parallel" in kinds(shown)) == reported, degrees
 
 
 @pytest.mark.slow

@@ -67,8 +67,8 @@ def test_a_forearm_that_its_masks_leave_bare_is_doubted(dancer):
         audit = audit_frame(result.body, q, Frame(0.0, 0, frame.silhouettes))[None]
         p, low_confidence = judged(m, joints, audit)
         found.append((float(p[0, wrist]), bool(low_confidence[0, wrist]), assess(_with(m, p, low_confidence))))
-    (right, _, _), (wrong, told, assessment) = found
-    assert wrong > 3 * right and wrong > 0.3 and told
+    (right, _, _), (wrong, reported, assessment) = found
+    assert wrong > 3 * right and wrong > 0.3 and reported
     assert assessment.word != GOOD
 
 

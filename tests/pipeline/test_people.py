@@ -135,9 +135,9 @@ def test_who_comes_later_is_not_taken_for_somebody_who_stands_elsewhere(rig, tmp
     frames, _ = two_people(rig, 24, away=range(12))
     given = [Wanted("anna", body=human(), place=(-0.45, -0.4)), Wanted("carl", body=human(), place=(9.0, 9.0))]
     given.append(Wanted("bert", body=human(), place=(0.05, 0.4), time=20 / RATE))
-    told: list[str] = []
-    found = replace(both(frames, progress=lambda stage, *_: told.append(stage)), wanted=tuple(given))()
-    assert "subject" in told[told.index("track") :]  # the start of who comes is told as a start
+    reported: list[str] = []
+    found = replace(both(frames, progress=lambda stage, *_: reported.append(stage)), wanted=tuple(given))()
+    assert "subject" in reported[reported.index("track") :]  # the start of who comes is told as a start
     assert [p.name for p in found.people] == ["anna", "bert"]
     assert not found.people[1].present[:10].any() and found.people[1].present[-4:].all()
 

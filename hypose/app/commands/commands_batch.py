@@ -35,7 +35,7 @@ def batch(
     overlay: Annotated[bool, typer.Option("--overlay", help="Write overlay.mp4 as well.")] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be done, and do nothing.")] = False,
 ) -> None:
-    """Track many recordings, each with options of its own; what is finished is skipped, what was begun goes on."""
+    """Track many recordings, each with options of its own; finished tasks are skipped, begun ones are resumed."""
     if scheduler is not None and (workers is not None or threads is not None):
         raise InputError("A running scheduler has its own workers; leave --workers and --threads out.")
     from hypose.app.batch import finished_metrics, ordered_tasks, require_dask, run_batch, wanted, write_table

@@ -62,7 +62,7 @@ def check(
         ),
     ] = None,
 ) -> None:
-    """Look whether the views agree, say what is wrong with which camera, and cure it with --refine.
+    """Look whether the views agree, say the fault of which camera, and cure it with --refine.
 
     Exit code 0: fine, or refined; 1: something is wrong.
     """
@@ -313,15 +313,15 @@ def _by_motion(
     found = offsets_from_motion(seen.rig.pinhole(), points, seen.silhouettes, largest=largest)
     if found.gain < 0:
         raise EvidenceError("The motion does not tell the offsets; use --by sound or --by flash.")
-    told = [s < largest for s in found.sd]  # what is less sure than all that was looked for is not known
-    if not any(told):
+    reported = [s < largest for s in found.sd]  # unknown where the deviation exceeds the search range
+    if not any(reported):
         raise EvidenceError(
             f"{recording.name}: the views have no motion in common that tells how late they are; film somebody who "
             "walks or waves, or use --by sound or --by flash."
         )
     words = [
         f"sd {s:.2f}" if known else "no motion in common with the others"
-        for s, known in zip(found.sd, told, strict=True)
+        for s, known in zip(found.sd, reported, strict=True)
     ]
     total = points[0].shape[1] if points is not None else len(seen.silhouettes or ())
     reach = offsets_within(largest, total)
@@ -447,7 +447,7 @@ def _depth_in_step(depth: Path, frames: range, late: float, folder: Path) -> Pat
 
 def _people(found: RecordedPerson | None) -> list[Array]:
     """(C, T, K, 3) px of the calibrated pictures: of the person whom the recording is about, then of the others whom
-    several views show; nobody without key points."""
+    several views show; no person without key points."""
     import numpy as np
 
     if found is None:

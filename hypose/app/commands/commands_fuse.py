@@ -91,7 +91,7 @@ def fuse(
     ] = None,
     threads: Threads = None,
 ) -> None:
-    """Fuse the skeletons of several depth sensors, and what cameras saw beside: one skeleton per person with its
+    """Fuse the skeletons of several depth sensors, and what cameras saw besides: one skeleton per person with its
     uncertainty. See docs/fusion.md, docs/live.md.
 
     It ends with an assessment: good, worth a look, or not to be trusted, and why; the last with exit code 3.

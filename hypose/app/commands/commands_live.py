@@ -95,7 +95,7 @@ def live(
             closing.callback(recorder.close)
         outputs = PoseOutputs(names, cameras.rate, ws=ws, udp=udp, osc=osc, vmc=vmc, clock=time.monotonic)
         closing.callback(outputs.close)
-        listeners = [outputs, _Told(recorder), *([] if recorder is None else [recorder])]
+        listeners = [outputs, _StatusReporter(recorder), *([] if recorder is None else [recorder])]
         options = LiveTrackingOptions(eyes, person, people, pictures=recorder is not None)
         engine = LiveEngine(cameras.rig, cameras.views, options, listeners, ended)
         closing.callback(engine.stop)
@@ -111,7 +111,9 @@ def live(
             ended.wait(0.1)
         status, interrupted = engine.status(), ended.is_set()
         engine.stop()
-        if recorder is not None:  # whoever is in a hurry and asks for an end again still gets all that was recorded
+        if (
+            recorder is not None
+        ):  # a person who is in a hurry and asks for an end again still gets all that was recorded
             kept = recorder.close()
             without = f", without {recorder.left_out} instants" if recorder.left_out else ""
             nothing = "Nothing was recorded: there were no pictures of two cameras."
@@ -133,7 +135,7 @@ def _sources(given: list[str]) -> dict[str, str]:
     return out
 
 
-class _Told:
+class _StatusReporter:
     """What changes is said at once, how it goes now and then; and when a recording ends before its time."""
 
     def __init__(self, recorder: LiveRecorder | None) -> None:

@@ -1,4 +1,4 @@
-"""`hypose export`, `report`, `gait`, `compare`, `play` and `cite`: what is done with results."""
+"""`hypose export`, `report`, `gait`, `compare`, `play` and `cite`: commands that use results."""
 
 from __future__ import annotations
 

@@ -193,7 +193,7 @@ def run_shown(job: TrackJob, arguments: list[str]) -> tuple[Outcome, dict[str, f
 
 @contextlib.contextmanager
 def stopping(text: str | Callable[[], str] = "") -> Iterator[None]:
-    """Within the block Ctrl-C, and SIGTERM likewise, end the command in order, with exit code 130; text: what is said
+    """Within the block Ctrl-C, and SIGTERM likewise, end the command in order, with exit code 130; text: the message
     then."""
 
     def interrupt(number: int, frame: FrameType | None) -> None:
@@ -233,8 +233,8 @@ def report_outcome(job: TrackJob, finished: tuple[Outcome, dict[str, float]]) ->
     s = summarize(outcome.motion)
     for text in outcome.notes:
         print_note(f"note: {text}")
-    views, told = len(job.recording.rig), int(outcome.motion.n_views.max(initial=0))
-    of = f"{told} of {views}" if 0 < told < views else f"{views}"  # as many as ever told anything at once
+    views, reported = len(job.recording.rig), int(outcome.motion.n_views.max(initial=0))
+    of = f"{reported} of {views}" if 0 < reported < views else f"{views}"  # as many as ever reported anything at once
     parts = [f"{s.frames} frames in {of} views", f"{s.lost} lost", f"{s.extrapolated} extrapolated"]
     if s.iou == s.iou:
         parts.append(f"mean IoU {s.iou:.3f}")
@@ -254,7 +254,7 @@ def report_outcome(job: TrackJob, finished: tuple[Outcome, dict[str, float]]) ->
 
 
 def print_assessments(assessments: Mapping[str, Assessment]) -> None:
-    """The assessment on everybody by their names (none of one person); exit code 3 when one is not to be trusted."""
+    """The assessment on all people by their names (none of one person); exit code 3 when one is not to be trusted."""
     from hypose.pipeline.assessment import EXIT_UNTRUSTED, UNTRUSTED
 
     for name, assessment in assessments.items():
@@ -490,8 +490,8 @@ def detect(
 
 
 def detected(loaded: Recording, frames: range, *, yes: bool, why: str) -> DetectedKeypoints:
-    """What the detector finds in frames of a recording, kept in its folder; of what is there already nothing is looked
-    at again. why: begins the sentence that says what is missing."""
+    """What the detector finds in frames of a recording, kept in its folder; of existing results nothing is looked
+    at again. why: begins the sentence that says the missing part."""
     from hypose.io.keypoints.read_keypoints import KEYPOINT_FOLDER, load_detected
 
     target = loaded.folder / KEYPOINT_FOLDER

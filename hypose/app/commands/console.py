@@ -60,7 +60,7 @@ JSON_PROGRESS = "HYPOSE_JSON_PROGRESS"
 
 
 def out() -> Console:
-    """For results; made anew so that a redirected stdout is respected."""
+    """For results; made again so that a redirected stdout is respected."""
     return _console(sys.stdout)
 
 
@@ -89,7 +89,7 @@ def say(text: str = "", style: str | None = None) -> None:
 
 
 def print_note(text: str) -> None:
-    """One line beside the results (stderr)."""
+    """One line next to the results (stderr)."""
     err().print(text, style="dim", markup=False)
 
 

@@ -97,7 +97,7 @@ def _stream_facts(view: ViewSettings) -> tuple[str, str, str]:
 
 def check_recording(recording: Recording, sheet: Path, samples: int, progress: ProgressCall = ignore) -> Findings:
     """Masks and visual hulls of `samples` frames spread over the recording; writes the contact sheet. An EvidenceError
-    when nobody is in any of them."""
+    when no person is in any of them."""
     facts: list[str] = []
     warnings: list[str] = []
     progress("background", 0, 1)

@@ -73,7 +73,7 @@ def mean_coverage(found: Comparison) -> float:
 
 
 def parse_joints(texts: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    """joint=MARKER+MARKER options -> markers by joint; an InputError for what is not understood."""
+    """joint=MARKER+MARKER options -> markers by joint; InputError for anything else."""
     from hypose.body.ready_bodies import JOINT_NAMES
 
     out = {}

@@ -125,7 +125,7 @@ def corrected_motion(
 
 class Backwards:
     """The frames of a stream from the last to the first, as if time ran on. The stream is read forwards, some at a
-    time, since videos are dear to read in any other order."""
+    time, since videos are slow to read in any other order."""
 
     def __init__(self, stream: FrameStream) -> None:
         self._stream = stream
@@ -166,8 +166,8 @@ def join(old: Motion, new: Motion, row: int, record: Mapping[str, Any] | None) -
         before, after = getattr(old, name), getattr(new, name)
         if before is not None:
             series[name] = before.copy()
-            told = after is not None and after.shape == before[row:stop].shape
-            series[name][row:stop] = after if told else unknown
+            reported = after is not None and after.shape == before[row:stop].shape
+            series[name][row:stop] = after if reported else unknown
     if row:  # one branch of the root's rotation, so that nothing between the two parts turns around
         poses = series["poses"]
         for t in range(row, stop):

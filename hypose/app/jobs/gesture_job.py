@@ -423,7 +423,7 @@ class OscOut:
 
 
 class WebSocketOut:
-    """Sends JSON text to whoever connects to ws://127.0.0.1:PORT: every event as on stdout, and every frame
+    """Sends JSON text to a person who connects to ws://127.0.0.1:PORT: every event as on stdout, and every frame
     {"time", "scores": {name: cm^2}}; see `SocketListeners`."""
 
     def __init__(self, port: int, names: Sequence[str]) -> None:
@@ -458,7 +458,7 @@ class CommandOut:
         if not self._words or shutil.which(self._words[0]) is None:
             raise InputError(f"--command {text!r}: there is no such program; give one that runs in this terminal.")
         self._names, self._ends = list(names), "{event}" in text
-        # the user's own program imports what lies beside it
+        # the user's own program imports what lies next to it
         self._environment = {k: v for k, v in os.environ.items() if k != "PYTHONSAFEPATH"}
         self._running: list[subprocess.Popen[bytes]] = []
 

@@ -49,13 +49,13 @@ ASSESSMENT_FILE = "assessment.json"
 
 @dataclass(frozen=True)
 class TrackJob:
-    """What is to be done with one recording.
+    """The task with one recording.
 
-    recording: its frame_range is what is tracked
+    recording: its frame_range is tracked
     results: where files go
     formats: of hypose.io.motions.export
     overlay, report: write overlay.mp4, report.html
-    resume: go on from a checkpoint, or fill in what is missing of a complete run
+    resume: go on from a checkpoint, or fill in the missing part of a complete run
     run: of the machine, for the record only
     truth: compares the motion with a known truth, for synthetic recordings
     people: None: one person; or 'all', how many at most, or a name (hypose.app.jobs.people_job)
@@ -78,7 +78,7 @@ class TrackJob:
 @dataclass(frozen=True)
 class Outcome:
     """What came out. files: written paths in order; notes: for the user; truth: the comparison, if there was one;
-    assessment: whether it is to be trusted, None where nobody has looked."""
+    assessment: whether it is to be trusted, None where no one has looked."""
 
     motion: Motion
     body: Body

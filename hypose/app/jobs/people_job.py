@@ -45,7 +45,7 @@ PEOPLE = "people.json"
 
 def run_people(job: TrackJob, people: str, progress: ProgressCall = ignore) -> Outcome:
     """Track several people, export, draw and report; as `run_job` for one. The outcome is that of the first person,
-    with everybody's files and the worst assessment."""
+    with all people's files and the worst assessment."""
     recording, options, results = job.recording, job.options, job.results
     check_job(job)
     check_views(recording)
@@ -76,7 +76,7 @@ def run_people(job: TrackJob, people: str, progress: ProgressCall = ignore) -> O
             keypoint_people(recording, source.rig) if options.looks_at != "silhouettes" else None,
         )()
         shown = [p for p in found.people if only is None or p.name == only]
-        absent = "" if shown else _nobody_called(str(only), wanted, found.people)
+        absent = "" if shown else _no_such_person(str(only), wanted, found.people)
         for why in said_of_places([w for w in wanted if w.name == only], len(found.people) + found.others):
             absent = f"who of several people is {only} is not known: {why}"
         shown = shown or list(found.people)
@@ -97,7 +97,7 @@ def run_people(job: TrackJob, people: str, progress: ProgressCall = ignore) -> O
     return Outcome(first.result.motion, first.result.body, found.complete, tuple(files), said, None, assessment)
 
 
-def _nobody_called(name: str, wanted: Sequence[Wanted], people: Sequence[TrackedPerson]) -> str:
+def _no_such_person(name: str, wanted: Sequence[Wanted], people: Sequence[TrackedPerson]) -> str:
     """That the one who was asked for is not there, and who is."""
     one = next(w for w in wanted if w.name == name)
     return (
@@ -162,7 +162,7 @@ def _one_report(
 def _together(
     job: TrackJob, people: Sequence[TrackedPerson], source: FrameStream, notes: Sequence[str], progress: ProgressCall
 ) -> list[Path]:
-    """Overlay, C3D, GLB and index with everybody."""
+    """Overlay, C3D, GLB and index with all people."""
     results, files = job.results, list[Path]()
     if job.overlay:
         path = results.file("overlay.mp4")
@@ -207,7 +207,7 @@ def write_people_c3d(path: Path, people: Sequence[TrackedPerson]) -> Path:
 
 
 def _index(job: TrackJob, people: Sequence[TrackedPerson], notes: Sequence[str]) -> str:
-    """A page that leads to everybody's report."""
+    """A page that leads to all people's report."""
     rows = []
     for k, p in enumerate(people):
         b, g, r = colour_of(k)

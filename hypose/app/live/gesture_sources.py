@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 PERSON_RATE = 15.0
 """Hz of the simulated person."""
 _TEST_S = 2.0
-"""The simulated person does the gesture every other so many seconds while it is not told what to do."""
+"""The simulated person does the gesture every other so many seconds while it is not given what to do."""
 
 
 @dataclass(frozen=True)

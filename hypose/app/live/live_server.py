@@ -52,8 +52,8 @@ _REPORT_S, _LOOK_S = 10.0, 0.1
 class FusionServerOptions:
     """host: address to listen on; udp, ws: ports (0 = any free one, None = none); osc: HOST:PORT or None; token:
     what senders and listeners must show (made when the host is not this computer alone); record: a new folder;
-    lines_per_s, burst: what is taken from outside; clients: WebSocket connections; waiting: messages kept for a slow
-    listener."""
+    lines_per_s, burst: limits of received lines; clients: WebSocket connections; waiting: messages kept for a
+    slow listener."""
 
     host: str = "127.0.0.1"
     udp: int | None = 9870
@@ -301,12 +301,12 @@ class LiveServer:
             self._connections -= 1
 
     async def _listen(self, connection: ServerConnection) -> None:
-        told = -math.inf
+        reported = -math.inf
         loop = asyncio.get_running_loop()
         async for message in connection:
             reasons = [r for ln in message.splitlines() if ln.strip() and (r := self.take(ln))]  # type: ignore[arg-type]
-            if reasons and loop.time() - told > 1:
-                told = loop.time()
+            if reasons and loop.time() - reported > 1:
+                reported = loop.time()
                 await connection.send(json.dumps({"type": "error", "reason": reasons[0], "lines": len(reasons)}))
 
     async def _serve(self, connection: ServerConnection) -> None:
@@ -326,7 +326,7 @@ class _Datagrams(asyncio.DatagramProtocol):
                 self._server.take(line)
 
     def error_received(self, exc: Exception) -> None:
-        """Somebody else's port was closed; nothing to do."""
+        """Another program's port was closed; nothing to do."""
 
 
 def frame_json(frame: LiveFrame, latency: float) -> str:

@@ -1,5 +1,5 @@
 """What the servers have in common: secrets are compared safely, strangers fill no log, listeners that are slow hold up
-nobody."""
+no one."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ FOREIGN = (
     "socket.send() raised",
     "unexpected internal",
 )
-"""How complaints begin that are about what somebody has sent, not about this program. websockets says the last one when
+"""How complaints begin that are about what a person has sent, not about this program. websockets says the last one when
 frames come with a request that it refuses."""
 
 
@@ -56,7 +56,7 @@ def quiet_logs() -> None:
 Post = str | bytes
 Queue = asyncio.Queue[Post | None]
 ORIGINS = [None, re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d{1,5})?")]
-"""Programs, and pages of this computer: a page of somebody else must not talk to a port behind the user's back."""
+"""Programs, and pages of this computer: a foreign page must not talk to a port behind the user's back."""
 
 
 def put_newest(queue: asyncio.Queue, what: object) -> bool:
@@ -85,7 +85,7 @@ class Outbox:
         return path in self._queues.values()
 
     def join(self, queue: asyncio.Queue, path: str = "") -> None:
-        """From now on the queue gets what is posted."""
+        """Subscribe the queue to posts."""
         self._queues[queue] = path
 
     def leave(self, queue: asyncio.Queue) -> None:
@@ -99,7 +99,7 @@ class Outbox:
                 self.dropped += put_newest(queue, what)
 
     async def serve(self, connection: ServerConnection, queue: Queue, path: str = "") -> None:
-        """Send what waits in the queue and what is posted, until there is nothing more or the listener is gone."""
+        """Send queued and new posts until the queue is closed or the listener is gone."""
         self.join(queue, path)
         reading = asyncio.ensure_future(_until_gone(connection, queue))
         try:
@@ -124,9 +124,9 @@ _MAX_PENDING = 16
 
 
 class SocketListeners:
-    """Listens on ws://127.0.0.1:PORT (0: any free one), to programs and to pages of this computer. What is posted goes
-    to the listeners of a path; hello: what those of a path get first, None: there is no such path. A listener that is
-    too slow loses the oldest of `waiting` posts. An InputError when the port cannot be used."""
+    """Listens on ws://127.0.0.1:PORT (0: any free one), to programs and to pages of this computer. Posts
+    go to the listeners of a path; hello: what those of a path get first, None: there is no such path. A listener that
+    is too slow loses the oldest of `waiting` posts. An InputError when the port cannot be used."""
 
     def __init__(self, port: int, waiting: int, hello: Callable[[str], Post | None] = lambda path: "") -> None:
         self._outbox = Outbox()

@@ -29,7 +29,7 @@ _TURN = 0.9
 """Radians to which the person turns to either side."""
 _HURRIES, _HASTE = 4, 0.85
 """How often the person walks faster and slower meanwhile, and by which share: a walk that is always the same tells
-nobody whose clock is how late."""
+no one whose clock is how late."""
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ class Axes:
     """One panel of a chart, to which lines, bands and dots are added in the units of its axes.
 
     title, x, y: texts
-    low, high: ends of the y axis (None: by what is drawn)
+    low, high: ends of the y axis (None: fitted to the data)
     least: length of the y axis
     equal: a unit is as long upwards as across
     """

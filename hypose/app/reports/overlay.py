@@ -67,7 +67,7 @@ def _film(
     wanted: PictureRows,
     progress: ProgressCall,
 ) -> OverlayRows:
-    """Read the recorded pictures once, and draw what is wanted of them. numbers: of the frames, by row."""
+    """Read the recorded pictures once, and draw the requested rows. numbers: of the frames, by row."""
     rows = range(len(numbers)) if wanted.video else sorted({*wanted.stills, *wanted.small})
     shown = OverlayRows({}, {})
     with ExitStack() as stack:

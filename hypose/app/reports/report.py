@@ -214,7 +214,7 @@ def _figure(svg: str, caption: str) -> str:
 
 
 def gait_section(motion: Motion, body: Body | None) -> str:
-    """HTML: means with their intervals and the cycle; "" where nobody walks two steps, or poses are not known."""
+    """HTML: means with their intervals and the cycle; "" where no person walks two steps, or poses are not known."""
     if motion.poses is None or body is None or not (found := gait_of(motion, body)).figures:
         return ""
     rows = "".join(

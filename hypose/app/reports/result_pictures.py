@@ -25,7 +25,7 @@ from hypose.io.recordings.recording import Recording, ViewSettings
 from hypose.io.recordings.recording_views import open_pictures
 from hypose.io.videos.video import VideoReader
 
-# BGR, told apart also by people who see red and green alike
+# BGR, distinguished also by people who see red and green alike
 _LEFT, _RIGHT, MIDDLE = (40, 130, 240), (225, 140, 40), (235, 235, 235)
 BODY, _MASK, ALARM = (200, 190, 60), (190, 90, 230), (40, 40, 230)
 MAX_TILE, MAX_WIDTH = 960, 1920
@@ -134,7 +134,7 @@ def mask_outline(
 def _outline(camera: Camera, working: Camera, mask: NDArray[np.uint8]) -> list[NDArray[np.int32]]:
     """The same in the pixels of a camera with the same place."""
     w, h = working.size
-    x, y, width, height = cv2.boundingRect(mask[:h, :w])  # what is empty costs OpenCV as much
+    x, y, width, height = cv2.boundingRect(mask[:h, :w])  # an empty mask costs OpenCV as much
     if not width:
         return []
     window = np.ascontiguousarray(mask[y : y + height, x : x + width])
@@ -213,7 +213,7 @@ def draw_skeleton(image: Image, camera: Camera, body: Body, joints: Array) -> No
 
 def put_text(image: Image, text: str, x: int, y: int, colour: tuple[int, int, int] = (255, 255, 255)) -> None:
     """White text with a dark rim; x, y: left end of the base line."""
-    font, size, text = cv2.FONT_HERSHEY_SIMPLEX, 0.5, visible(text)  # what is no UTF-8 would kill OpenCV
+    font, size, text = cv2.FONT_HERSHEY_SIMPLEX, 0.5, visible(text)  # invalid UTF-8 would kill OpenCV
     for dx, dy in ((-1, 0), (1, 0), (0, -1), (0, 1)):  # a thicker stroke would be wider in OpenCV 5, hence no rim
         cv2.putText(image, text, (x + dx, y + dy), font, size, (0, 0, 0), 1, cv2.LINE_AA)
     cv2.putText(image, text, (x, y), font, size, colour, 1, cv2.LINE_AA)
@@ -221,7 +221,7 @@ def put_text(image: Image, text: str, x: int, y: int, colour: tuple[int, int, in
 
 @dataclass(frozen=True)
 class Drawing:
-    """What is drawn into one frame: the body's vertices (V, 3) and joints (J, 3) m, world; its silhouettes, if any;
+    """Hold the content of one frame: the body's vertices (V, 3) and joints (J, 3) m, world; its silhouettes, if any;
     what the title bar says, in alarming red when `alarm`; others: bodies with vertices and the colour (BGR) in which
     they are drawn as well."""
 

@@ -1,7 +1,7 @@
 """Clicked joints to a pose, for the Click screen and for corrections, and clicks that are kept as a start of tracking.
 
 In one view with the rivals that look the same, in several by triangulation; the correction of a frame of a tracked
-motion leaves what is not clicked near its pose.
+motion leaves joints that were not clicked near its pose.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""Folders as they lie on this computer: what is in them, and the recording.toml that makes one of them a recording."""
+"""Folders as they lie on this computer: their content, and the recording.toml that makes one of them a
+recording."""
 
 from __future__ import annotations
 
@@ -105,7 +106,7 @@ def _placed(catalog: Catalog, folder: Path, view: Mapping[str, Any], role: str) 
 
 
 def _entries(folder: Path) -> list[Path]:
-    """What lies in a folder, in natural order, without what is hidden and without links."""
+    """What lies in a folder, in natural order, without hidden files and links."""
     try:
         found = [p for p in folder.iterdir() if not p.name.startswith(".") and not p.is_symlink()]
     except OSError as error:

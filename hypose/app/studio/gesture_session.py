@@ -181,7 +181,7 @@ class Run:
             "source": self._start.source,
             "title": a.feed.title,
             "size": list(a.feed.source.size),
-            **a.told,
+            **a.reported,
             "folder": None if a.folder is None else f"{a.folder.parent.name}/{a.folder.name}",
             "resumed": self._resumed,
             "then": list(self._start.then),
@@ -224,7 +224,7 @@ class Run:
             why = self._loop() or why
         except HyposeError as error:
             why = str(error)
-        except Exception as error:  # noqa: BLE001 - the thread's end must be told, and the work saved
+        except Exception as error:  # noqa: BLE001 - the thread's end must be reported, and the work saved
             why = f"The session broke off ({type(error).__name__}: {error}); what was recorded is kept."
         model = None
         try:

@@ -1,4 +1,4 @@
-"""What a page asks of a gesture session, checked: how it begins, where its pictures come from, and what is changed."""
+"""What a page asks of a gesture session, checked: how it begins, where its pictures come from, and its changes."""
 
 from __future__ import annotations
 

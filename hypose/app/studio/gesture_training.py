@@ -44,7 +44,7 @@ _KEPT = 40
 _WINDOW_S = 60.0
 """s of movement over which false alarms are counted."""
 _POINTS = 100
-"""At most so many points of a curve are told."""
+"""At most so many points of a curve are reported."""
 
 
 class _Seen(NamedTuple):
@@ -161,7 +161,7 @@ class FalseAlarms:
         self._state, events = detect_events(self._state, [found], self._clock, settings)
         self._starts += [self._clock for e in events if e.kind == "start"]
 
-    def told(self) -> dict[str, float | None]:
+    def reported(self) -> dict[str, float | None]:
         """false_per_min and tested_s."""
         seconds = min(self._clock, _WINDOW_S)
         recent = sum(t > self._clock - _WINDOW_S for t in self._starts)
@@ -192,9 +192,9 @@ class Training:
         self.trainer = Trainer(learner, start.settings)
         s = start.settings
         seconds = {name: getattr(s, f"{name}_s") for name in STUDIO_PHASES}
-        self.told = {"rounds": s.rounds, "seconds": seconds}
+        self.reported = {"rounds": s.rounds, "seconds": seconds}
         source = feed.source
-        self._writer = SessionWriter(folder, [start.gesture], source.lens, source.size, self.told)
+        self._writer = SessionWriter(folder, [start.gesture], source.lens, source.size, self.reported)
         self._held, self._alarms = HeldBack(source.lens), FalseAlarms()
         self._scratch, self._events = Scratch(), EventState()
         self._final: float | None = None  # the threshold that a saved model gets, found when the test begins
@@ -224,7 +224,7 @@ class Training:
         before = trainer.session
         session, instruction = peek(before, trainer.settings, taken.time, commands)
         kept = instruction.learn is not None and int(taken.time - session.entered) % _HELD_EVERY == _HELD_EVERY - 1
-        # where the source knows it, the picture must show what is to be learned
+        # where the source knows it, the picture must show the gesture to be learned
         sure = instruction.learn is None or not self.feed.knows
         usable = fresh and (sure or (taken.box is not None) == (instruction.learn == "gesture"))
         if session.segment != self._before[0]:
@@ -272,7 +272,7 @@ class Training:
     def _keep(
         self, taken: Taken, f: Feedback, found: Localisation, kept: bool, threshold: float | None, hold_s: float
     ) -> None:
-        """Count what was learned; put aside what is judged."""
+        """Count learned frames; put judged ones aside."""
         kind, phase = f.instruction.learn, f.instruction.phase
         if kind is not None and f.taught is not None:
             self._frames[kind] += 1
@@ -339,7 +339,7 @@ class Training:
         result = self._held.result(self._threshold(controls))
         if self.asks != "test" and not self.paused:
             self._held.begin(self.trainer.learner.forest.freeze())
-        return None if result is None else {"t": "judged", **result, **self._alarms.told()}
+        return None if result is None else {"t": "judged", **result, **self._alarms.reported()}
 
     def save(self, controls: Controls) -> Path | None:
         """Write the model; None when nothing has been learned yet."""
@@ -370,7 +370,7 @@ class Training:
 class Watching:
     """Looks for the gestures of all models; nothing is learned or written."""
 
-    told: dict[str, Any] = {"rounds": 0, "seconds": {}}
+    reported: dict[str, Any] = {"rounds": 0, "seconds": {}}
     folder = None
     asks = "free"
 

@@ -84,7 +84,7 @@ def error_response(status: int, sentence: str) -> JSONResponse:
 
 
 def route(path: str, call: Callable[..., Any], method: str = "GET", status: int = 200) -> Route:
-    """What is done at an address. call gets the request, of a POST also its JSON object, and gives a response or what
+    """The action at an address. call gets the request, of a POST also its JSON object, and gives a response or all that
     is to be one; it runs in a thread, unless it is asynchronous. Its errors become answers."""
 
     async def endpoint(request: Request) -> Response:
@@ -157,7 +157,7 @@ def whole(value: Any, what: str, low: int, high: int) -> int:
 
 
 def text(value: Any, what: str, longest: int, advice: str) -> str:
-    """A text that says something; advice: what is to be done when there is none."""
+    """A text that says something; advice: the next step when there is none."""
     if not isinstance(value, str) or not value.strip():
         raise InputError(f"There is no {what}; {advice}.")
     if len(value) > longest:
@@ -191,7 +191,7 @@ def _capital(what: str) -> str:
 # ---- guard ---------------------------------------------------------------------------------------------------------
 # Who may talk to the server: this computer's own pages, or who shows the token.
 #
-# A web page of somebody else can make a browser send requests to 127.0.0.1. So a WebSocket, and whatever changes
+# A web page of another person can make a browser send requests to 127.0.0.1. So a WebSocket, and whatever changes
 # something, must come from the page that this server served (its Origin is the host that was asked for); and the host
 # that was asked for must be one the server goes by, else a foreign name that was pointed to 127.0.0.1 would pass.
 

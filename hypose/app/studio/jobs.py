@@ -2,9 +2,8 @@
 
 They belong to the served folder, not to a page. A job that is stopped, or whose server ends, keeps what it has
 computed, as the command line does, and `resume` goes on, with the next server too: the list lies in a file of the
-folder, with what pages had asked for. A job that goes on is planned anew from that, so nobody who writes this file gets
-a command run that a page could not ask for.
-"""
+folder, with what pages had asked for. A job that goes on is planned again from that, so no one who writes this file
+gets a command run that a page could not ask for."""
 
 from __future__ import annotations
 
@@ -206,7 +205,7 @@ class Jobs(Topic):
             timer.start()
 
     def _changed(self, job: _StudioJob) -> None:
-        """A job is in another state: kept on disk, and told."""
+        """A job is in another state: kept on disk, and reported."""
         with self._keeping:
             write_jobs(self._catalog, self.every())
         self._tell(job)
@@ -277,7 +276,7 @@ class Jobs(Topic):
             elif code == 0 or (job.kind == "check" and code == 1 and not problem and job.stages):
                 job.state = "done"  # a check that found something wrong has done its work
             elif code == EXIT_UNTRUSTED and not problem:
-                job.state = "done"  # all of it was tracked; what is to be thought of it is for who looks at it
+                job.state = "done"  # all of it was tracked; the user judges the result
                 job.error = said(_ASSESSMENT).removeprefix(_ASSESSMENT)
             else:
                 job.state = "failed"

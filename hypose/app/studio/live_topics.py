@@ -41,7 +41,7 @@ from hypose.pipeline.settings import SETTINGS
 _FOLDER = "live"
 """Where recordings go, in the served folder."""
 _WAITING = 32
-"""Messages of the fusion that wait to be told."""
+"""Messages of the fusion that wait to be reported."""
 PICTURES_S = 0.25
 """s between two pictures of the cameras on the page"""
 _WIDTH, _QUALITY = 320, 70
@@ -63,7 +63,7 @@ def _target(message: Message, kind: str, port: int) -> str | None:
     return text(message[kind], "address to send to", 100, f"give HOST:PORT, for example 127.0.0.1:{port}").strip()
 
 
-def _told(path: Path | None) -> str | None:
+def _reported(path: Path | None) -> str | None:
     return None if path is None else f"{path.parent.name}/{path.name}"
 
 
@@ -95,7 +95,7 @@ class LiveTopic(Topic):
             raise InputError(f"There is nothing to {kind[:20]!r} here; {known} or stop.")
 
     async def stop(self, why: str = "") -> None:
-        """End, and tell it; why: what is said where nothing else is."""
+        """End, and tell it; why: the message where nothing else is."""
         async with self._changing:
             said = await self._stop() or why
         if said:
@@ -107,7 +107,7 @@ class LiveTopic(Topic):
         raise NotImplementedError
 
     async def _stop(self) -> str | None:
-        """End; what is to be said."""
+        """End; the message."""
         raise NotImplementedError
 
 
@@ -128,7 +128,7 @@ class FuseTopic(LiveTopic):
         if (s := self._server) is not None:
             o = s.options
             running = {"udp": s.udp_port, "ws": s.ws_port, "simulated": self._simulated, "osc": o.osc}
-            running |= {"record": _told(o.record)}
+            running |= {"record": _reported(o.record)}
         return {"t": "hello", "running": running, "joints": COMMON, "parents": PARENT.tolist()}
 
     async def _start(self, message: Message) -> None:
@@ -176,23 +176,23 @@ class FuseTopic(LiveTopic):
         if server is None:
             return None
         await server.stop()
-        record = _told(server.options.record)
+        record = _reported(server.options.record)
         return record and (server.unrecorded or f"Recorded as {record}.")
 
 
 @dataclass
 class _Following:
-    """Cameras that are followed: the engine, who listens to it, and what pages are told of it."""
+    """Cameras that are followed: the engine, who listens to it, and what pages are informed of it."""
 
     engine: LiveEngine
     outputs: PoseOutputs
     pictures: _Pictures
     recorder: LiveRecorder | None
-    told: Message
+    reported: Message
 
 
 class CameraTopic(LiveTopic):
-    """Calibrated cameras that are followed as they show somebody, with small pictures and masks."""
+    """Calibrated cameras that are followed as they show a person, with small pictures and masks."""
 
     name = "cameras"
     acts = ("room",)
@@ -206,7 +206,7 @@ class CameraTopic(LiveTopic):
         """See `Topic`."""
         s, f = human().skeleton, self._following
         joints = {"joints": s.joint_names, "parents": [int(p) for p in s.parents]}
-        return {"t": "hello", "running": False if f is None else f.told, **joints}
+        return {"t": "hello", "running": False if f is None else f.reported, **joints}
 
     def room(self) -> None:
         """Learn the empty room."""
@@ -244,18 +244,18 @@ class CameraTopic(LiveTopic):
             await run_in_threadpool(engine.start)
             undone.pop_all()
         port = outputs.listeners.port if outputs.listeners is not None else 0
-        told = {"recording": recording.id, "cameras": names, "ws": port, "osc": osc, "vmc": vmc}
-        told |= {"record": _told(record), "played": not sources}
-        self._following = _Following(engine, outputs, pictures, recorder, told)
+        reported = {"recording": recording.id, "cameras": names, "ws": port, "osc": osc, "vmc": vmc}
+        reported |= {"record": _reported(record), "played": not sources}
+        self._following = _Following(engine, outputs, pictures, recorder, reported)
         self._watching = asyncio.ensure_future(self._watch(self._following))
 
     async def _watch(self, following: _Following) -> None:
         """Files are over, or something has failed: it ends, and that is said."""
-        recorder, told = following.recorder, False
+        recorder, reported = following.recorder, False
         while not following.engine.ended.is_set():
             await asyncio.sleep(0.2)
-            if recorder is not None and recorder.failed and not told:
-                told = True
+            if recorder is not None and recorder.failed and not reported:
+                reported = True
                 self._hub.post(self.name, {"t": "said", "text": recorder.failed})
         if self._following is following:
             await self.stop("All videos are over.")
@@ -275,14 +275,14 @@ class CameraTopic(LiveTopic):
 
 
 def _recorded(recorder: LiveRecorder) -> str:
-    """End a recording; what is to be said."""
+    """End a recording; the message."""
     try:
         if not recorder.close():
             return "Nothing was recorded: no instant was seen after the empty room was known."
     except InputError as error:
         return str(error)
     without = f", without {recorder.left_out} instants" if recorder.left_out else ""
-    return f"Recorded as {_told(recorder.folder)}{without}."
+    return f"Recorded as {_reported(recorder.folder)}{without}."
 
 
 def _sources(value: Any) -> dict[str, str]:
@@ -327,13 +327,13 @@ class _Pictures:
 
     def status(self, status: LiveStatus) -> None:
         """See `Listener`."""
-        told: dict[str, Any] = json.loads(status_json(status))
-        del told["type"]
-        told |= {"t": "status", "sensors": told.pop("cameras")}
+        reported: dict[str, Any] = json.loads(status_json(status))
+        del reported["type"]
+        reported |= {"t": "status", "sensors": reported.pop("cameras")}
         alive = {c.name: not c.trouble for c in status.cameras}
-        for camera, place in zip(told["sensors"], self._places, strict=False):
+        for camera, place in zip(reported["sensors"], self._places, strict=False):
             camera |= {"alive": alive[camera["name"]], "registered": True, "residual": None, "place": place}
-        self._hub.post(self._topic, told, key="status")
+        self._hub.post(self._topic, reported, key="status")
 
     def close(self) -> None:
         """No more pictures."""

@@ -41,8 +41,8 @@ from hypose.io.recordings.recording import (
 from hypose.io.recordings.view_source import Preparer, ViewSource
 from hypose.json_text import parse_json
 
-# ---- mending -------------------------------------------------------------------------------------------------------
-# What a check has found, mended by a change of recording.toml, in whose other lines nothing changes.
+# ---- edits ---------------------------------------------------------------------------------------------------------
+# Faults that a check has found, corrected by a change of recording.toml, in whose other lines nothing changes.
 #
 # Every change is tried: where the recording cannot be read with it, the text is as it was, and the sentence says why.
 
@@ -56,10 +56,10 @@ _AWAY = "#left out# "
 _REFINED = "results/calibration_refined*.toml"
 
 
-def mend(folder: Path, recording: Recording | None, asked: dict[str, Any], catalog: Catalog) -> None:
-    """Do what is asked: {"what": one of KINDS, "view": name, "path": picture or video of an empty room, "frames": by
-    which key points come too early, "x", "y": px by which a view's pictures have to move}.
-    recording: as it is read now, None where it cannot be."""
+def edit_recording(folder: Path, recording: Recording | None, asked: dict[str, Any], catalog: Catalog) -> None:
+    """Apply an edit: {"what": one of KINDS, "view": name, "path": picture or video of an empty room, "frames":
+    by which key points come too early, "x", "y": px by which a view's pictures have to move}. recording: as it is read
+    now, None where it cannot be."""
     what = request_choice(asked.get("what"), "way to mend", _KINDS)
     path = folder / "recording.toml"
     if not path.is_file():
@@ -166,7 +166,7 @@ def _with_calibration(whole: str, name: str | None) -> str:
 
 
 _OPEN, _LENSES, _QUALITY = 128 << 20, 32 << 20, 85
-"""Bytes of what is kept open of all recordings, and of the maps that undistort the pictures of one."""
+"""Bytes of the kept part open of all recordings, and of the maps that undistort the pictures of one."""
 _PER_PIXEL, _PER_LENS_PIXEL, _PER_WORKING_PIXEL = 40, 8, 30
 """Bytes that an open video, such a map and a background hold per pixel, about."""
 _EDGE = (70, 60, 255)  # BGR; the same pink as in the report
@@ -222,7 +222,7 @@ class _Open:
 
 
 class Recordings:
-    """What is open of recordings; used by several threads."""
+    """Open files of recordings; used by several threads."""
 
     def __init__(self, catalog: Catalog) -> None:
         self._catalog = catalog
@@ -230,7 +230,7 @@ class Recordings:
         self._open: LruCache[_Open] = LruCache(_OPEN, lambda o: o.held, _Open.close, one_more=True)
 
     def load(self, item: Item) -> Recording:
-        """The recording of an item; an InputError says what is wrong with it."""
+        """The recording of an item; an InputError says the fault."""
         with self._opened(item) as opened:
             return opened.recording
 

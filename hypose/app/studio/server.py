@@ -46,7 +46,7 @@ from hypose.app.studio.hub import MAX_MESSAGE, Hub
 from hypose.app.studio.job_kinds import fused_in, is_name
 from hypose.app.studio.jobs import Jobs
 from hypose.app.studio.live_topics import CameraTopic, FuseTopic
-from hypose.app.studio.recordings import Recordings, mend
+from hypose.app.studio.recordings import Recordings, edit_recording
 from hypose.app.studio.results import Results
 from hypose.body.ready_bodies import human
 from hypose.errors import HyposeError, InputError
@@ -127,7 +127,7 @@ class Studio:
         await run_in_threadpool(self.close)
 
     def let_go(self) -> None:
-        """Close what is open of results and recordings: a file that is open cannot be moved everywhere."""
+        """Close open files of results and recordings: a file that is open cannot be moved everywhere."""
         self.results.drop()
         self.recordings.drop()
 
@@ -139,7 +139,7 @@ class Studio:
 
 
 def _warm() -> None:
-    """Load the kernels that a result is opened with, before somebody waits for them."""
+    """Load the kernels that a result is opened with, before a person waits for them."""
     skeleton = human().skeleton
     skeleton.forward(np.zeros((1, skeleton.dof)))
 
@@ -173,7 +173,7 @@ async def _nothing(request: Request, error: Exception) -> Response:
 
 def config(studio: Studio, host: str, port: int) -> uvicorn.Config:
     """How the application is served: so many connections at most, small messages only, nothing compressed (pictures
-    are), no signature, and who comes is told by the connection alone."""
+    are), no signature, and who comes follows from the connection alone."""
     made = uvicorn.Config(
         studio.app,
         http="h11",
@@ -360,13 +360,13 @@ def _of_recordings(studio: Studio, item_of: ItemOf) -> list[Route]:
     def settings(request: Request, body: _Body) -> Any:
         return recordings.save_settings(item_of("recording", request), body)
 
-    def mended(request: Request, body: _Body) -> Any:
+    def edited(request: Request, body: _Body) -> Any:
         item = item_of("recording", request)
         try:
             recording = recordings.load(item)
         except HyposeError:
             recording = None
-        mend(item.path, recording, body, catalog)
+        edit_recording(item.path, recording, body, catalog)
         return one(request)
 
     def folder(request: Request) -> Any:
@@ -389,7 +389,7 @@ def _of_recordings(studio: Studio, item_of: ItemOf) -> list[Route]:
         route("/api/folder/picture.jpg", first),
         route("/api/recordings", make, "POST", 201),
         route("/api/recordings/{id}", one),
-        route("/api/recordings/{id}/mend", mended, "POST"),
+        route("/api/recordings/{id}/mend", edited, "POST"),
         route("/api/recordings/{id}/image/{camera}/{frame}.jpg", picture),
         route("/api/recordings/{id}/file/{name:path}", file),
         route("/api/recordings/{id}/mask-settings", settings, "POST"),
@@ -401,7 +401,7 @@ def _of_results(studio: Studio, item_of: ItemOf) -> list[Route]:
     blocks, gaits = asyncio.Lock(), asyncio.Lock()  # of what takes long one at a time is made
 
     async def in_turn(turn: asyncio.Lock, request: Request, make: Callable[[Item], _T]) -> _T | None:
-        """None: it was looked at only briefly, and nobody waits for it any more."""
+        """None: it was looked at only briefly, and no client waits for it any more."""
         item = item_of("result", request)
         async with turn:
             return None if await request.is_disconnected() else await run_in_threadpool(make, item)

@@ -86,8 +86,8 @@ class Rivals:
 class ViewResult:
     """A result to look at. body, rig: None when not known (a fused skeleton has neither). image_shifts: (x, y) px per
     camera, as in recording.toml. first_frame: the recording's frame of row 0. pictures: names of the cameras whose
-    pictures can be had. files: (name, what it is, bytes). rivals: where the method keeps any. assessment: what is to be
-    thought of it, None when nothing has looked."""
+    pictures can be had. files: (name, what it is, bytes). rivals: where the method keeps any. assessment: all that is
+    to be thought of it, None when nothing has looked."""
 
     title: str
     motion: Motion
@@ -167,7 +167,7 @@ def _arrays(result: ViewResult) -> dict[str, np.ndarray]:
 
 def _turns(skeleton: Skeleton, poses: Array) -> dict[str, np.ndarray]:
     """How joints are turned in poses (T, D), and the anatomical angles where the skeleton has these. Some frames at a
-    time: what is made of them on the way is several times a long motion."""
+    time: intermediate arrays are several times a long motion."""
     known = np.flatnonzero(np.isfinite(poses).all(1))
     rotations = np.full((len(poses), len(skeleton.joint_names), 4), np.nan, "<f4")
     read = turns_reader(skeleton) if angles_known(skeleton) else None
@@ -299,7 +299,7 @@ def _floor(motion: Motion, body: Body | None) -> float:
 
 
 def json_values(value: Any) -> Any:
-    """Plain JSON values; what JSON cannot say (NaN, infinity) becomes null, what is no text in a name an escape."""
+    """Plain JSON values; what JSON cannot say (NaN, infinity) becomes null, invalid text in a name an escape."""
     if isinstance(value, np.ndarray | np.generic):
         return json_values(value.tolist())
     if isinstance(value, float):
@@ -405,7 +405,7 @@ def _body(folder: ResultsFolder, motion: Motion) -> Body | None:
 
 
 def _rivals(path: Path, motion: Motion) -> Rivals | None:
-    """Where the modes of a track with one camera lie beside its motion, which is their first; else what the motion
+    """Where the modes of a track with one camera lie next to its motion, which is their first; else what the motion
     has kept."""
     if not path.is_file():
         return Rivals.of_motion(motion)
@@ -422,6 +422,6 @@ def _assessment(path: Path, motion: Motion) -> Assessment | None:
 
 def quality_of(folder: Path, motion: Motion) -> dict[str, Any]:
     """Summarize the quality of a result for a list: assessment (word or None), iou, sd_mm, lost (share of frames)."""
-    told, s = _assessment(folder / "assessment.json", motion), summarize(motion)
+    reported, s = _assessment(folder / "assessment.json", motion), summarize(motion)
     lost = (s.lost + s.extrapolated) / max(1, s.frames)
-    return {"assessment": told and told.word, "iou": s.iou, "sd_mm": s.sd_mm, "lost": lost}
+    return {"assessment": reported and reported.word, "iou": s.iou, "sd_mm": s.sd_mm, "lost": lost}

@@ -1,7 +1,7 @@
 """Key points as tables: DeepLabCut, SLEAP and Caliscope CSV.
 
 Sources: DeepLabCut's CSV of analysed videos (three header lines scorer, bodyparts, coords; four with individuals),
-the ensemble Kalman smoother's in the same layout (eks: x_ens_var, x_posterior_var and so on beside x, y, likelihood);
+the ensemble Kalman smoother's in the same layout (eks: x_ens_var, x_posterior_var and so on next to x, y, likelihood);
 SLEAP's analysis CSV (track, frame_idx, instance.score, then node.x, node.y, node.score); Caliscope's xy_<tracker>.csv
 (sync_index, cam_id - port in old ones -, frame_index, frame_time, point_id - keypoint_id in new ones -, img_loc_x,
 img_loc_y, ...), one row per point that was found, pixels of the picture as the camera delivers it, no scores.
@@ -62,14 +62,14 @@ class KeypointTable:
     frame_rate: float | None = None
 
     def sample(self) -> Array:
-        """People (N, K, 3) of at most 60 frames with somebody, evenly spread; (0, 0, 3) when nobody is there."""
+        """People (N, K, 3) of at most 60 frames with a person, evenly spread; (0, 0, 3) when no person is there."""
         numbers = sorted(self.people)
         found: list[Array] = []
-        # every 60th part of the file gives one frame, its first with somebody
+        # every 60th part of the file gives one frame, its first with a person
         for part in np.array_split(np.array(numbers), min(_SAMPLED, max(1, len(numbers)))):
-            somebody = next((p for n in part.tolist()[:200] if len(p := self.people[n])), None)
-            if somebody is not None:
-                found.append(somebody)
+            with_person = next((p for n in part.tolist()[:200] if len(p := self.people[n])), None)
+            if with_person is not None:
+                found.append(with_person)
         if not found:
             return np.zeros((0, 0, 3))
         count = found[0].shape[1]
@@ -97,8 +97,9 @@ def checked_people(values: Any, where: str) -> Array:
 
 def scores_from_variance(points: Array, variance: Array) -> Array:
     """Points (..., 3) with a variance (..., 2) px^2 of each as those of which the score says how much they weigh: 1 for
-    a point as sure as the median one or surer, else its share of that one's information; not below WEIGHED, since what
-    is less sure is told from what is not there by the score that it has. Points without a variance stay as they are."""
+    a point as sure as the median one or surer, else its share of that one's information; not below WEIGHED, since all
+    that is less sure keeps a score that distinguishes it from absent points. Points without a variance stay as
+    they are."""
     given = np.isfinite(variance).all(-1) & (variance > 0).all(-1) & (points[..., 2] > _MIN_SCORE)
     if not given.any():
         return points
@@ -317,7 +318,7 @@ def _point_order(stem: str, ids: set[int]) -> list[int]:
 
 
 def clock_file(path: Path) -> Path | None:
-    """Caliscope's table of times beside its points, or one folder above; None when there is none."""
+    """Caliscope's table of times next to its points, or one folder above; None when there is none."""
     names = ("timestamps.csv", "frame_timestamps.csv", "frametimes.csv", "frame_time_history.csv")
     places = (folder / name for folder in (path.parent, path.parent.parent) for name in names)
     return next((p for p in places if p.is_file()), None)

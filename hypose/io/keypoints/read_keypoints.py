@@ -47,7 +47,7 @@ _CHECKED = 80  # frames that the agreement of the views looks at
 
 @dataclass(frozen=True)
 class ViewKeypoints:
-    """Key points of one view, told apart. path: of the file or folder. first: the file's number of the video's first
+    """Key points of one view, distinguished. path: of the file or folder. first: the file's number of the video's first
     frame. score_scale: what its scores are divided by."""
 
     path: Path
@@ -145,7 +145,7 @@ def keypoints_of_views(
             continue
         first = table.first if table.first is not None else min(unknown, default=0)
         try:
-            view, how = _told(path, table, first, sample, alike.get(sample.shape[1], []), stated)
+            view, how = _reported(path, table, first, sample, alike.get(sample.shape[1], []), stated)
         except InputError as problem:
             raise InputError(f"View {name}, key points {path}: {problem}") from None
         out.append(view)
@@ -186,7 +186,7 @@ def _of_view(
     )
 
 
-def _told(
+def _reported(
     path: Path,
     table: KeypointTable,
     first: int,

@@ -151,7 +151,7 @@ _KNOWN = {
     **MOTION_FORMATS,
     "rrd": _MotionFormat(lambda motion, body, path: write_rrd(path, motion, body), ("motion.rrd",)),
 }
-"""With those that need an extra to be installed, so that nobody gets them unasked."""
+"""With those that need an extra to be installed, so that no one gets them unasked."""
 
 
 def known_formats(asked: Sequence[str]) -> None:

@@ -51,8 +51,7 @@ def metres_per_unit(unit: str, where: str) -> float:
 def checked_markers(
     names: Sequence[str], points: ArrayLike, frame_rate: float, where: str
 ) -> tuple[tuple[str, ...], Array]:
-    """Names and points (T, M, 3) of a file to be written, or an InputError that says what is wrong with
-    them."""
+    """Names and points (T, M, 3) of a file to be written, or an InputError that says the fault."""
     p, n = np.asarray(points, dtype=np.float64), tuple(str(name) for name in names)
     if p.ndim != 3 or p.shape[1:] != (len(n), 3) or not p.size:
         raise InputError(
@@ -259,7 +258,7 @@ def write_angles_csv(
 
 
 def write_joints_csv(path: str | Path, motion: Motion) -> None:
-    """Write joint centres (world, z up, m) with their standard deviation, and what is known of each frame.
+    """Write joint centres (world, z up, m) with their standard deviation, and the known data of each frame.
 
     Columns: time_s, lost and extrapolated (0 or 1), n_views, doubtful (0 or 1; empty: not judged), then per joint x, y,
     z and sd; where it is known, systematic_sd, the part of sd that more frames and more views like these would not

@@ -7,7 +7,7 @@ pelvis.
 
 The clavicles move the shoulder's centre and nothing else (coordinates in metres): in OpenSim's full-body model, as in
 our angles, the upper arm is measured against the chest. Forearm and hand have OpenSim's coordinates for pronation and
-wrist, locked at zero: what is tracked says nothing of them. There are no muscles.
+wrist, locked at zero: they are not tracked. There are no muscles.
 
 Source of the joints' definitions: Rajagopal et al. 2016.
 """
@@ -277,8 +277,8 @@ def _completed(axes: list[Array]) -> list[Array]:
 def _axis(
     parent: Xml.Element, name: str, free: str | float | tuple[str, ...], axis: Array, law: float | Array = 0.0
 ) -> None:
-    """One axis of a transform: `free` is its coordinate, a fixed value, or two coordinates; law: what is added to the
-    one, the coefficients of a polynomial of the two."""
+    """One axis of a transform: `free` is its coordinate, a fixed value, or two coordinates; law: the term added to
+    the one, the coefficients of a polynomial of the two."""
     entry = put(parent, "TransformAxis", name=name)
     coordinates = (free,) if isinstance(free, str) else free if isinstance(free, tuple) else ()
     put(entry, "coordinates", " ".join(coordinates))
@@ -307,7 +307,7 @@ def _numbers(values: Sequence[float] | Array) -> str:
 
 
 # ---- opensim ik ----------------------------------------------------------------------------------------------------
-# What OpenSim's inverse kinematics needs beside the model: markers of the tracked body and a set-up with weights.
+# What OpenSim's inverse kinematics needs next to the model: markers of the tracked body and a set-up with weights.
 #
 # The markers are those of the model (`opensim_model.marker_names`): joint centres and the body's landmarks, in the
 # frames of the motion. A marker's weight is the inverse of its joint's variance over the clip, and in single frames
@@ -331,7 +331,7 @@ def write_ik_markers(path: str | Path, motion: Motion, body: Body) -> None:
 
 
 def write_ik_setup(path: str | Path, motion: Motion, body: Body, model: str, markers: str, output: str) -> None:
-    """Write the set-up of OpenSim's Inverse Kinematics tool: file names as they stand beside it."""
+    """Write the set-up of OpenSim's Inverse Kinematics tool: file names as they stand next to it."""
     root = Xml.Element("OpenSimDocument", Version="40000")
     tool = put(root, "InverseKinematicsTool", name=Path(output).stem)
     put(tool, "model_file", model)

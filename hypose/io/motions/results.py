@@ -74,8 +74,8 @@ _LIMITS = ("lower", "upper")
 
 
 def to_json(value: Any) -> str:
-    """Readable JSON with sorted keys; numpy numbers, arrays and paths become plain values; what is no UTF-8 in names
-    becomes JSON's escapes."""
+    """Readable JSON with sorted keys; numpy numbers, arrays and paths become plain values; invalid UTF-8 in
+    names becomes JSON's escapes."""
 
     def plain(v: Any) -> Any:
         if isinstance(v, np.ndarray | np.generic):
@@ -162,7 +162,7 @@ def open_archive(stream: BinaryIO) -> Iterator[zipfile.ZipFile]:
 
 
 def _read_archive(path: Path, what: str, only: Container[str] | None, packed: int) -> dict[str, np.ndarray]:
-    """`load_archive`, but a ValueError with a short reason for what is no such archive."""
+    """`load_archive`, but a ValueError with a short reason for a file that is no such archive."""
     out: dict[str, np.ndarray] = {}
     with open_file(path, what, _MAX_ARCHIVE_BYTES) as stream, open_archive(stream) as archive:
         entries = archive.infolist()
@@ -321,7 +321,7 @@ def save_motion(motion: Motion, path: str | Path) -> None:
 
 
 def load_motion(path: str | Path) -> Motion:
-    """Read a motion.npz; an InputError names the file and what is wrong (damaged, foreign or hostile
+    """Read a motion.npz; an InputError names the file and the fault (damaged, foreign or hostile
     archive)."""
     path = Path(path)
     arrays = _MOTION.load(path)
@@ -441,7 +441,7 @@ def _short(value: Any) -> str:
 
 
 # ---- bodies ------------------------------------------------------------------------------------------------
-# body.npz beside motion.npz, so that exports and pictures need neither the recording nor a new fit.
+# body.npz next to motion.npz, so that exports and pictures need neither the recording nor a new fit.
 
 _MESH: _Layout = {
     "vertices": ("f", "<f8", 2),
@@ -479,7 +479,7 @@ def save_body(body: Body, path: str | Path) -> None:
 
 
 def load_body(path: str | Path) -> Body:
-    """Read a body.npz; an InputError names the file and what is wrong (absent, damaged, foreign or hostile archive)."""
+    """Read a body.npz; an InputError names the file and the fault (absent, damaged, foreign or hostile archive)."""
     path = Path(path)
     arrays = _BODY.load(path)
     try:
@@ -504,7 +504,7 @@ def _mesh(arrays: Mapping[str, np.ndarray], level: str) -> Mesh:
 
 
 def load_result_body(results: Path) -> tuple[Motion, Body]:
-    """The motion of a results folder, or of its motion.npz, and the body beside it; an InputError when there is none,
+    """The motion of a results folder, or of its motion.npz, and the body next to it; an InputError when there is none,
     or they belong to different bodies."""
     motion = load_result(results)
     folder = results if results.is_dir() else results.parent
@@ -515,7 +515,7 @@ def load_result_body(results: Path) -> tuple[Motion, Body]:
 
 
 # ---- modes -------------------------------------------------------------------------------------------------
-# modes.npz beside motion.npz: every hypothesis of every frame of a monocular track.
+# modes.npz next to motion.npz: every hypothesis of every frame of a monocular track.
 #
 #     modes = load_modes("results/monocular/modes.npz")
 #     modes.joints[t, k]      # (19, 3) m of mode k of frame t, NaN when frame t has fewer modes
@@ -544,7 +544,7 @@ def save_modes(modes: Modes, path: str | Path) -> None:
 
 
 def load_modes(path: str | Path) -> Modes:
-    """Read a modes.npz; an InputError names the file and what is wrong."""
+    """Read a modes.npz; an InputError names the file and the fault."""
     return Modes(**_MODES.load(Path(path)))
 
 

@@ -182,12 +182,12 @@ def silhouette_options(where: str, table: Mapping[str, Any]) -> SilhouetteSettin
 
 
 # ---- person tables -------------------------------------------------------------------------------------------------
-# The [[person]] tables of recording.toml: what is known beforehand of the people in a recording.
+# The [[person]] tables of recording.toml: the data known beforehand of the people in a recording.
 
 
 _NAME = re.compile(r"[\w][\w .-]{0,59}")
 _FILE = re.compile(r".*\.[a-z0-9]{2,5}")
-"""what names a file, as those of everybody's results beside whom the folders lie"""
+"""what names a file, as those of all people's results in neighbouring folders"""
 
 
 @dataclass(frozen=True)
@@ -203,10 +203,10 @@ class PersonSettings:
 
 
 def people_of_tables(folder: Path, where: str, tables: Any) -> tuple[PersonSettings, ...]:
-    """The people that the tables tell of; an InputError names what is wrong."""
+    """The people that the tables tell of; an InputError names the fault."""
     found = [_person(folder, where, table, k) for k, table in enumerate(tables)]
     names = [p.name for p in found]
-    if len({_told_apart(n) for n in names}) < len(names):
+    if len({_distinguished(n) for n in names}) < len(names):
         raise InputError(
             f"{where}: the names of people must differ, got {', '.join(names)}, by more than capitals, spaces, dots "
             "and hyphens, which not all systems and files tell apart; rename one."
@@ -214,7 +214,7 @@ def people_of_tables(folder: Path, where: str, tables: Any) -> tuple[PersonSetti
     return tuple(found)
 
 
-def _told_apart(name: str) -> str:
+def _distinguished(name: str) -> str:
     """What of a name every file system and every C3D file keeps."""
     return re.sub(r"[ .-]+", "-", unicodedata.normalize("NFKC", name).casefold())
 
@@ -253,7 +253,7 @@ _UP = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1), "-x": (-1, 0, 0), "-y": (
 class Recording:
     """A checked recording. rig: the cameras in the order of `views`, world in metres, z up. frame_rate:
     frames/s. frame_range: (first, stop) as given, None = all. n_frames: frames that every view has.
-    keypoint_set None: there are no key points. subject_height m, subject_mass kg. people: what is known of several
+    keypoint_set None: there are no key points. subject_height m, subject_mass kg. people: the known data of several
     people. silhouettes: how masks are
     made. notes: sentences about accepted oddities, for the user."""
 
@@ -308,9 +308,8 @@ def load_recording(path: str | Path, calibration: str | Path | None = None, *, u
     """Load and check a recording folder, a recording.toml, or a Pose2Sim project or trial folder.
 
     calibration: a calibration file to use instead of the recording's own; uncalibrated: use none, the cameras are those
-    of `cameras_of_pictures`. An InputError (CalibrationError for the cameras) names the file or camera, what is allowed
-    and the next step.
-    """
+    of `cameras_of_pictures`. An InputError (CalibrationError for the cameras) names the file or camera, the allowed
+    values and the next step."""
     path = Path(path)
     if not path.exists():
         raise InputError(f"{path} does not exist; give a recording folder, its recording.toml, or a Pose2Sim project.")
@@ -452,9 +451,9 @@ def _build(folder: Path, origin: Path, settings: Mapping[str, Any], notes: list[
             "are; give the videos, or key points in pixels of the calibration."
         )
     stored = stored if pixels == "image" else [None] * len(views)
-    keypoint_set, keypoints = _told_keypoints(where, settings, views, rig, notes)
-    told = next((k.table.frame_rate for k in keypoints if k is not None and k.table.frame_rate is not None), None)
-    frame_rate = frame_rate_of(where, settings.get("frame_rate"), views, clips, told, notes)
+    keypoint_set, keypoints = _named_keypoints(where, settings, views, rig, notes)
+    reported = next((k.table.frame_rate for k in keypoints if k is not None and k.table.frame_rate is not None), None)
+    frame_rate = frame_rate_of(where, settings.get("frame_rate"), views, clips, reported, notes)
     if any(clips):
         n_frames = common_frames(views, clips, notes)
     else:
@@ -517,7 +516,7 @@ def stored_sizes(recording: Recording) -> list[tuple[int, int] | None]:
     return [None if v.source is None else frame_size(v.source) for v in recording.views]
 
 
-def _told_keypoints(
+def _named_keypoints(
     where: str, settings: Mapping[str, Any], views: Sequence[ViewSettings], rig: CameraRig, notes: list[str]
 ) -> tuple[str | None, list[ViewKeypoints | None]]:
     """The set of the key points, None without any, and those of every view."""

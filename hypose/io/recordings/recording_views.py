@@ -15,7 +15,7 @@ from hypose.io.recordings.object_masks import ObjectMasks, open_masks
 from hypose.io.videos.video import VideoReader, check_numbers, frame_size, open_video
 
 SIDECAR = "hypose-masks.json"
-"""lies beside masks that are undistorted already, which are found by their frames' numbers"""
+"""lies next to masks that are undistorted already, which are found by their frames' numbers"""
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ def look(view: ViewSettings) -> list[_ClipInfo]:
 
 def look_together(views: Sequence[ViewSettings], notes: list[str]) -> tuple[list[ViewSettings], list[list[_ClipInfo]]]:
     """The views, and what a look into each gave. Where files of one folder per object begin with different numbers,
-    these are the frames' of all views: whoever is not seen at first has no masks then."""
+    these are the frames' of all views: a person who is not seen at first has no masks then."""
     with ThreadPoolExecutor(len(views)) as pool:  # finding out how many frames can be decoded takes its time
         clips = list(pool.map(look, views))
     numbered = {k: c for k, found in enumerate(clips) for c in found if c.first is not None}
@@ -150,10 +150,10 @@ def frame_rate_of(
     given: float | None,
     views: Sequence[ViewSettings],
     clips: Sequence[list[_ClipInfo]],
-    told: float | None,
+    reported: float | None,
     notes: list[str],
 ) -> float:
-    """Frames per second: as given, else as the videos say, else as told by the key points' file."""
+    """Frames per second: as given, else as the videos say, else as given by the key points' file."""
     if given is not None and not 0.1 <= given <= 10_000:
         raise InputError(f"{where}: frame_rate = {given:g} is implausible; give frames per second (0.1 to 10000).")
     rates = {
@@ -169,7 +169,7 @@ def frame_rate_of(
             f"{where}: the videos have different frame rates ({said} frames/s); convert them to one rate, "
             "for example with: ffmpeg -i INPUT -r 30 OUTPUT.mp4."
         )
-    found = float(np.median(list(rates.values()))) if rates else told
+    found = float(np.median(list(rates.values()))) if rates else reported
     if given is None and found is None:
         what = "images" if any(clips) else "key points"
         raise InputError(f"{where}: {what} carry no frame rate; add frame_rate = ... (frames per second).")

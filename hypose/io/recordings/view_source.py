@@ -111,7 +111,7 @@ class DepthSource:
         return found
 
     def person(self, frame: int) -> NDArray[np.uint8]:
-        """(h, w) 0/1: who stands before the empty room, or on the floor where that is not known; everybody, if several
+        """(h, w) 0/1: who stands before the empty room, or on the floor where that is not known; all people, if several
         are to be seen."""
         room, camera = self.furnished[0], self._small
         depth = self.map(frame)
@@ -196,7 +196,7 @@ class Preparer:
         return self._lenses[stored]
 
     def differing_box(self, image: Image, glance: Glance) -> Box | None:
-        """The box of the working size that holds what is not the room; None when there is nothing."""
+        """Return the box of the working size that holds the foreground, None when it is empty."""
         image = self._enlarged(image)
         stored = (image.shape[1], image.shape[0])
         if stored not in self._pixels:
@@ -218,7 +218,7 @@ def mask_in(image: Image, prepare: Preparer, segment: Segmenter, band: Mask | No
         box = found or (0, 0, 0, 0)
     prepared = prepare.within(image, box)
     runs = segment.runs(prepared, band, box)
-    if box is not None and runs.area and not _holds(box, runs.box):  # what is closed or filled may reach beyond it
+    if box is not None and runs.area and not _holds(box, runs.box):  # closed or filled parts may reach beyond it
         prepared = prepare.within(image, None)
     return runs, prepared
 
@@ -269,13 +269,13 @@ class _MaskSource:
 
 class ViewSource:
     """Masks of one view by frame number; used by one thread at a time. people: of all in a depth camera's maps;
-    beside: how many videos are decoded at once, which share the cores: more threads cost more in all."""
+    parallel: number of videos decoded at once, which share the cores: more threads cost more in all."""
 
     def __init__(
-        self, view: ViewSettings, camera: Camera, small: Camera, people: bool = False, beside: int = 1
+        self, view: ViewSettings, camera: Camera, small: Camera, people: bool = False, parallel: int = 1
     ) -> None:
         self.view = view
-        self._threads = max(1, default_threads() // beside)
+        self._threads = max(1, default_threads() // parallel)
         self._prepare = Preparer(camera, small, view.image_shift)
         masks = view.masks
         self._masks = None if masks is None else _MaskSource(masks, self._prepare, small.size, view.first_mask)

@@ -34,14 +34,14 @@ from hypose.io.videos.video import PNG_SIGNATURE, is_cut_png, list_images
 from hypose.json_text import parse_json
 
 MAX_SIDE = 4096
-# Steps of a noisy depth picture are no better predicted from the pixel beside: without a filter files are a third
+# Steps of a noisy depth picture are no better predicted from the pixel next to: without a filter files are a third
 # smaller, and no slower to write.
 DEPTH_PNG = (cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_NONE, cv2.IMWRITE_PNG_COMPRESSION, 1)
 _MAX_BYTES = 64 * 2**20
 
 
 def write_depth_png(path: str | Path, depth: ArrayLike) -> None:
-    """Write a depth map (h, w) m as 16-bit PNG in whole millimetres; holes and what is beyond 65 m become 0."""
+    """Write a depth map (h, w) m as 16-bit PNG in whole millimetres; holes and depths beyond 65 m become 0."""
     mm = np.asarray(depth, dtype=np.float64) * 1000
     write_millimetres_png(path, np.where(np.isfinite(mm) & (mm > 0) & (mm < 65535.5), np.rint(mm), 0).astype(np.uint16))
 
@@ -218,7 +218,7 @@ def open_realsense(serial: str | None = None) -> RealSenseDepth:
 
 
 def _library() -> Any:
-    os.environ["RS2_RUM_CLOUD_ENABLED"] = "0"  # since 2.59 it counts what is used; nothing is sent
+    os.environ["RS2_RUM_CLOUD_ENABLED"] = "0"  # since 2.59 it counts uses; nothing is sent
     libusb = "install the system's libusb (Debian: apt install libusb-1.0-0)"
     return extra("pyrealsense2", "Depth of RealSense cameras and their recordings", "realsense", or_else=libusb)
 
@@ -286,14 +286,14 @@ def _short(error: Exception) -> str:
 # Recordings of depth cameras, of whatever make: their lens and their maps, one after the other.
 #
 # Azure Kinect (.mkv), RealSense (.bag, .db3), Record3D (.r3d), and a folder of 16-bit PNG in millimetres with a
-# calibration.toml beside them (Orbbec and others export such frames).
+# calibration.toml next to them (Orbbec and others export such frames).
 
 
 ENDINGS = (".mkv", ".bag", ".db3", ".r3d")
 _MODES = {(640, 576): (1024, 192, 180), (320, 288): (512, 96, 90), (512, 512): (512, 0, 0), (1024, 1024): (1024, 0, 0)}
 """Of the Azure Kinect: the size of the sensor's picture in pixels, and where the mode's picture begins in it."""
 FOLDER_RATE = 30.0
-"""Frames per second of a folder of maps of which nobody knows it."""
+"""Frames per second of a folder of maps of which no one knows it."""
 _DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, NotImplementedError)
 """What a zip raises that is none, is cut off, or is locked by a password."""
 _PACKED_BYTES = 64 * 2**20
@@ -530,7 +530,7 @@ class _RealSense:
 
 
 class _Maps:
-    """A folder of depth maps as what is played reads it."""
+    """Play a folder of depth maps."""
 
     frame_rate: float | None = None
 

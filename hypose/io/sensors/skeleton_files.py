@@ -7,7 +7,7 @@ session.json: {"format": "hypose-skeletons", "version": 1, "name": ..., "referen
 frames.csv: sensor,frame,time[,depth], one row per sensor frame: frame is a whole number of the sensor's own, time in
   seconds, depth the path of a 16-bit PNG in millimetres (0 = hole), relative to the folder.
 skeleton.csv: sensor,frame,person,joint,x,y,z,state, one row per joint; rows or coordinates that are absent are missing
-  joints. A frame without rows is one in which the sensor saw nobody.
+  joints. A frame without rows is one in which the sensor saw no person.
 """
 
 from __future__ import annotations
@@ -231,7 +231,8 @@ class FolderWriter:
         positions: Array,
         state: NDArray[np.uint8],
     ) -> None:
-        """One body (person None: the sensor saw nobody). Bodies of one sensor frame come together, with equal times."""
+        """One body (person None: the sensor saw no person). Bodies of one sensor frame come together, with equal
+        times."""
         with self._folder.writing():
             if sensor not in self._joints and person is not None:
                 self._joints[sensor] = tuple(joint_names)
@@ -263,7 +264,7 @@ class FolderWriter:
         self._folder.check()
 
     def close(self) -> None:
-        """Close the files; sensors that saw nobody are not in session.json, so their frames are taken out. An
+        """Close the files; sensors that saw no person are not in session.json, so their frames are taken out. An
         InputError when not all could be written, or the recording was removed meanwhile."""
         with self._folder.writing():
             for stream in (self._frames, self._skeleton):

@@ -1,8 +1,7 @@
 """Cameras as they deliver: devices, streams from the network, and files played at their own pace.
 
-A source gives shots one after the other, each with when it was taken; `picture` decodes only what is looked at, at a
-half, quarter or eighth of its size where that is enough: most of the work of a large picture is its decoding.
-"""
+A source gives shots one after the other, each with when it was taken; `picture` decodes only requested images, at
+a half, quarter or eighth of its size where that is enough: most of the work of a large picture is its decoding."""
 
 from __future__ import annotations
 
@@ -71,7 +70,7 @@ class CameraImage:
 
 
 class CameraSource(Protocol):
-    """live: the camera does not wait, and what is not taken is lost."""
+    """live: the camera does not wait; images not read are lost."""
 
     live: bool
 

@@ -65,7 +65,7 @@ def quiet() -> Iterator[None]:
 
 
 def read_image_file(path: Path) -> bytes:
-    """The bytes of an image file; an InputError for what is no file, is empty or too large."""
+    """The bytes of an image file; InputError for a missing, empty or too large file."""
     return read_bytes(path, "an image", _MAX_IMAGE_BYTES)  # cv2.imread fails on some names under Windows
 
 
@@ -130,7 +130,7 @@ def check_numbers(folder: Path) -> None:
         return
     missing = sorted(set(range(int(numbers[0]), int(numbers[-1]), usual)) - set(numbers.tolist()))
     if not missing:
-        return  # the step changes: nobody knows what is missing
+        return  # the step changes: no one knows the missing part
     named = ", ".join(str(n) for n in missing[:5]) + (f" and {len(missing) - 5} more" if len(missing) > 5 else "")
     raise InputError(
         f"The image sequence {folder} lacks number {named} ({images[0].name} to {images[-1].name}): all later images "
@@ -253,8 +253,8 @@ class VideoReader:
 
 
 def open_video(path: str | Path, threads: int | None = None, in_place: bool = False) -> VideoReader:
-    """Open a video file, a folder of images (natural order) or one image, as a `VideoReader`; an InputError names what
-    is wrong."""
+    """Open a video file, a folder of images (natural order) or one image, as a `VideoReader`; an InputError names the
+    fault."""
     path = Path(path)
     if not path.exists():
         raise InputError(f"{path} does not exist; check the file name in recording.toml.")
@@ -311,7 +311,7 @@ def _about(path: Path) -> _About:
     try:
         about = path.stat()
     except OSError:
-        return _looked_into(path, 0, 0, 0)  # says what is wrong
+        return _looked_into(path, 0, 0, 0)  # says the fault
     return _looked_into(path.absolute(), about.st_size, about.st_mtime_ns, about.st_ino)
 
 
@@ -482,7 +482,7 @@ class VideoWriter:
 
 
 # ---- sound ---------------------------------------------------------------------------------------------------------
-# The sound of a video: a WAV file beside it, or what ffmpeg decodes from it.
+# The sound of a video: a WAV file next to it, or what ffmpeg decodes from it.
 
 
 _RATE = 16000
@@ -498,10 +498,10 @@ class Sound:
 
 
 def read_sound(video: Path) -> Sound:
-    """The sound that was recorded with a video, all channels as one. An InputError says what is missing."""
-    beside = video.with_suffix(".wav")
-    if beside.is_file():
-        return _read_wav(beside)
+    """The sound that was recorded with a video, all channels as one. An InputError says the missing part."""
+    wav = video.with_suffix(".wav")
+    if wav.is_file():
+        return _read_wav(wav)
     ffmpeg = shutil.which("ffmpeg")
     if ffmpeg is not None:
         command = [
@@ -522,10 +522,10 @@ def read_sound(video: Path) -> Sound:
         done = subprocess.run(command, capture_output=True, check=False, cwd=Path(__file__).parent)
         if done.returncode == 0 and len(done.stdout) > 2:
             return Sound(_RATE, np.frombuffer(done.stdout, np.int16).astype(np.float64) / 32768)
-        raise InputError(f"{video} has no sound that ffmpeg can read; use --by motion, or put {beside.name} beside it.")
+        raise InputError(f"{video} has no sound that ffmpeg can read; use --by motion, or put {wav.name} beside it.")
     raise InputError(
         f"The sound of {video} cannot be read, since ffmpeg is not installed; install it, or write the sound to "
-        f"{beside.name} beside the video (mono or stereo WAV)."
+        f"{wav.name} beside the video (mono or stereo WAV)."
     )
 
 

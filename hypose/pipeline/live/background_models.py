@@ -1,4 +1,4 @@
-"""What one camera sees when nobody is there, and the person before it; of colour cameras and of depth cameras.
+"""What one camera sees when no person is there, and the person before it; of colour cameras and of depth cameras.
 
 The room is learnt from pictures of it without anybody. That of a colour camera then follows slowly what changes: the
 light, the camera's own exposure, a chair that was moved. Where the person is nothing is learnt.
@@ -53,7 +53,7 @@ class ViewBackground:
 
     @property
     def moved(self) -> bool:
-        """Something moved while the room was learnt: somebody has not left."""
+        """Something moved while the room was learnt: a person has not left."""
         room = self.background
         return (
             room is not None and float((room.sd.max(2) > SETTINGS.rooms_moved_grey).mean()) > SETTINGS.rooms_moved_share
@@ -64,8 +64,8 @@ class ViewBackground:
         self._take(from_frames([self._prepare(image) for image in images]))
 
     def mask(self, image: Image) -> tuple[Mask, ViewOutline | None]:
-        """What is not the room in a stored picture, (h, w), and its outline for tracking (None: it is empty). The room
-        must be known."""
+        """Foreground of a stored picture, (h, w), and its outline for tracking (None: it is empty). The
+        room must be known."""
         assert self._segment is not None
         runs, _ = mask_in(image, self._prepare, self._segment)
         return mask_runs.draw(runs), outline_of_runs(runs, OUTLINE_POINTS, WORKING_HEIGHT) if runs.area else None
@@ -100,7 +100,7 @@ class ViewBackground:
 
 
 def _around(mask: Mask) -> Mask:
-    """The mask and what is near it, 0 or 1."""
+    """The dilated mask, 0 or 1."""
     box = bounding_box(mask)
     if box is None:
         return mask
@@ -137,7 +137,7 @@ class DepthViewBackground:
         self.background = learn_background([self._prepare(m) for m in maps])
 
     def mask(self, depth: DepthMap) -> tuple[Mask, ViewOutline | None]:
-        """Who stands before the room in a stored map, (h, w), and the outline (None: nobody). The room must be
+        """Who stands before the room in a stored map, (h, w), and the outline (None: no person). The room must be
         known."""
         assert self.background is not None
         own = self._prepare(depth)
@@ -168,7 +168,7 @@ class PackedDepth:
         return PackedDepth(kept, (y, x), depth.usable)
 
     def depth(self, silhouettes: Silhouettes) -> Depth:
-        """The depth again, beside the masks of the same instant."""
+        """The depth again, next to the masks of the same instant."""
         maps = np.zeros(silhouettes.masks.shape, np.float32)
         (y, x), (h, w) = self.corner, self.millimetres.shape[1:]
         maps[:, y : y + h, x : x + w] = self.millimetres * np.float32(1e-3)

@@ -1,4 +1,5 @@
-"""Work that takes seconds, beside live tracking: in a process of its own, which yields to whoever must not be late."""
+"""Work that takes seconds, in parallel with live tracking: in a process of its own, which yields to processes that must
+not be late."""
 
 from __future__ import annotations
 
@@ -35,7 +36,7 @@ _T = TypeVar("_T")
 @dataclass(frozen=True)
 class PackedMasks:
     """Masks (C, h, w) of one instant, eight pixels to a byte, so that seconds of them take little room. time: s;
-    ignored: likewise what others hide, and expected, where somebody does;
+    ignored: likewise what others hide, and expected, where a person does;
     depth: where depth cameras see."""
 
     time: float
@@ -93,16 +94,16 @@ def offsets_of(kept: Sequence[PackedMasks], rig: CameraRig, rate: float) -> Arra
         )
     except EvidenceError:
         return None
-    told = np.isfinite(found.sd) & (found.sd < SETTINGS.background_sure)
-    if found.gain < SETTINGS.background_gain or not told.any() or np.abs(found.frames[told]).max() < 0.5:
+    reported = np.isfinite(found.sd) & (found.sd < SETTINGS.background_sure)
+    if found.gain < SETTINGS.background_gain or not reported.any() or np.abs(found.frames[reported]).max() < 0.5:
         return None
-    return np.where(told, found.frames, 0.0) / rate
+    return np.where(reported, found.frames, 0.0) / rate
 
 
 class BackgroundWork:
     """One process, while there is something to do: it takes as much memory as all the rest. `body` and `offsets` return
     at once, with a future; None of work whose process was ended meanwhile, as systems do that are out of memory:
-    whoever is followed goes on being followed.
+    a person who is followed goes on being followed.
 
     A thread and a pipe, not a pool of processes: in Python 3.11.2 the program never ends when a pool's process is ended
     while it is being sent masks."""
@@ -123,7 +124,7 @@ class BackgroundWork:
         return self._submit(offsets_of, list(kept), rig, rate)
 
     def close(self) -> None:
-        """End the process, whatever it does: a fit that nobody waits for takes seconds."""
+        """End the process, whatever it does: a fit takes seconds."""
         with self._changing:
             self._closed = True
             if self._process is not None:
@@ -160,7 +161,7 @@ class BackgroundWork:
         self._end()
 
     def _end(self) -> None:
-        """To be called where work is done, so that nobody uses the process."""
+        """To be called where work is done, so that the process stays idle."""
         with self._changing:
             ended, self._process = self._process, None
         if ended is not None:
@@ -181,17 +182,17 @@ def _begun() -> tuple[BaseProcess, Connection]:
 
 def _work(pipe: Connection) -> None:
     belong_to_parent()
-    os.environ["NUMBA_NUM_THREADS"] = "1"  # it has time, and whoever is followed needs the other cores
+    os.environ["NUMBA_NUM_THREADS"] = "1"  # it has time, and a person who is followed needs the other cores
     cv2.setNumThreads(1)
     if hasattr(os, "SCHED_IDLE"):  # gives way at once, where a nice process is given its slice to the end
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
     elif hasattr(os, "nice"):
         os.nice(15)
-    with contextlib.suppress(EOFError, OSError):  # nobody asks any more
+    with contextlib.suppress(EOFError, OSError):  # the parent has ended
         while True:
             work, arguments = pipe.recv()
             try:
                 found = work(*arguments)
-            except Exception as error:  # told by whoever asked
+            except Exception as error:  # given by a person who asked
                 found = error
             pipe.send(found)

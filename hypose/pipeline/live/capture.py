@@ -1,10 +1,9 @@
-"""The eyes of the live engine: cameras -> instants -> masks, in a process of their own, so that whoever follows the
-person has the interpreter to themselves.
+"""The eyes of the live engine: cameras -> instants -> masks, in a process of their own, so that a person who follows
+the person has the interpreter to themselves.
 
-`Eyes.look` gives the newest instant that has not been looked at; nothing queues up, so whoever is slow skips instants
-instead of falling behind. `EyesProcess` is the same in another process: what is asked for is made while the answer to
-the question before is being worked on.
-"""
+`Eyes.look` gives the newest instant that has not been looked at; nothing queues up, so a person who is slow skips
+instants instead of falling behind. `CaptureProcess` is the same in another process: requests are answered while
+the answer to the question before is being worked on."""
 
 from __future__ import annotations
 
@@ -69,9 +68,9 @@ class CaptureOptions:
 
 @dataclass(frozen=True)
 class CaptureRequest:
-    """What is to be looked at. pause s: after the last instant before the next is wanted; bodies: vertices (V, 3) m and
-    faces (F, 3) of those who are followed, none: not known where they are; following: somebody is; pictures: they are
-    wanted too; room: learn the empty room anew; offsets (C,) s of the cameras, None: as before."""
+    """Request one capture result. pause s: after the last instant before the next is wanted; bodies: vertices (V, 3) m
+    and faces (F, 3) of those who are followed, none: not known where they are; following: a person is; pictures: they
+    are wanted too; room: learn the empty room again; offsets (C,) s of the cameras, None: as before."""
 
     pause: float = 0.0
     bodies: tuple[tuple[Array, NDArray[np.int32]], ...] = ()
@@ -103,8 +102,8 @@ class CaptureResult:
 
 
 class Capture:
-    """`look` again and again, and `keep_up` when what was seen is told; `close` at the end. An InputError when a camera
-    cannot be opened."""
+    """`look` again and again, and `keep_up` when what was seen is reported; `close` at the end. An InputError when a
+    camera cannot be opened."""
 
     def __init__(self, rig: CameraRig, views: Sequence[LiveView], options: CaptureOptions) -> None:
         self._views, self._options, self.small = tuple(views), options, live_working_rig(rig, views)
@@ -193,7 +192,7 @@ class Capture:
         return replace(self._sight(at, arrival, views, jpegs, made), depths=depths, empty=encoded)
 
     def keep_up(self) -> None:
-        """Learn what has changed in the rooms, which nobody waits for."""
+        """Learn what has changed in the rooms, in the background."""
         for room, view, image, at, question in self._to_follow:
             room.follow(image, at, self._covered(view, question.bodies) if question.bodies else None)
         self._to_follow = []
@@ -213,12 +212,12 @@ class Capture:
     def _newest(self, pause: float, until: float) -> tuple[float, list[CameraImage | None]] | None:
         with self._arrived:
             now = time.monotonic()
-            told = [feed.delivered() for feed in self._feeds]
-            instant, wait = newest_instant([d for d, _ in told], self._last + pause, now, self._least)
+            reported = [feed.delivered() for feed in self._feeds]
+            instant, wait = newest_instant([d for d, _ in reported], self._last + pause, now, self._least)
             if instant is None:
                 self._arrived.wait(max(min(wait, until) - now, 0.0005))
                 return None
-            pairs = zip(told, instant.shots, strict=True)
+            pairs = zip(reported, instant.shots, strict=True)
             return instant.time, [None if k is None else shots[k] for (_, shots), k in pairs]
 
     def _count(self, at: float) -> None:
@@ -313,7 +312,7 @@ def live_working_rig(rig: CameraRig, views: Sequence[LiveView]) -> CameraRig:
 
 
 def least_cameras(views: Sequence[LiveView]) -> int:
-    """How many cameras somebody can be followed with: a depth camera is enough by itself."""
+    """How many cameras a person can be followed with: a depth camera is enough by itself."""
     return 1 if any_depth(views) else 2
 
 
@@ -379,7 +378,7 @@ class CaptureProcess:
 
     def close(self) -> None:
         """End."""
-        self._pipe.close()  # it may be about to send something large that nobody takes any more
+        self._pipe.close()  # it may be about to send something large that is not received any more
         self._process.join(self._closing_s)
         if self._process.is_alive():  # a camera that does not answer holds it up
             self._process.kill()
@@ -406,7 +405,7 @@ def _see(pipe: Connection, rig: CameraRig, views: tuple[LiveView, ...], options:
     try:
         eyes = Capture(rig, views, options)
     except HyposeError as error:
-        with contextlib.suppress(OSError):  # whoever asked is gone
+        with contextlib.suppress(OSError):  # a person who asked is gone
             pipe.send(error)
         return
     try:

@@ -1,4 +1,4 @@
-"""The live engine: what the eyes see is followed, judged and told, always at the newest instant."""
+"""The live engine: what the eyes see is followed, judged and reported, always at the newest instant."""
 
 from __future__ import annotations
 
@@ -56,10 +56,10 @@ class LiveTrackingOptions:
 
 @dataclass(frozen=True)
 class LiveStatus:
-    """How it goes. phase; words: sentences on what is wrong or has to be done; cameras; poses: given so far,
-    per_second: lately; skipped: share of the instants that nobody looked at, since somebody was first followed; latency
-    ms (p50, p99): from the last picture's arrival to the pose; stages ms: median time of masks (decoding included),
-    tracking, telling and judging; offsets s: of the cameras; fitted: people's bodies are their own."""
+    """How it goes. phase; words: sentences on the fault or has to be done; cameras; poses: given so far,
+    per_second: lately; skipped: share of the instants not processed, since a person was first followed;
+    latency ms (p50, p99): from the last picture's arrival to the pose; stages ms: median time of masks (decoding
+    included), tracking, telling and judging; offsets s: of the cameras; fitted: people's bodies are their own."""
 
     phase: str
     words: tuple[str, ...]
@@ -75,7 +75,7 @@ class LiveStatus:
 
 @dataclass(frozen=True)
 class LiveResult:
-    """An instant: what the cameras showed, the frame that was tracked, and the pose of everybody who is followed."""
+    """An instant: what the cameras showed, the frame that was tracked, and the pose of all people who are followed."""
 
     sight: CaptureResult
     frame: Frame
@@ -83,7 +83,7 @@ class LiveResult:
 
 
 class Listener(Protocol):
-    """Who is told; called by the engine's thread, so it must return at once."""
+    """Who is reported; called by the engine's thread, so it must return at once."""
 
     def seen(self, seen: LiveResult, /) -> None:
         """An instant, and the poses in it."""
@@ -121,7 +121,7 @@ class LiveEngine:
         self.ended = threading.Event()
         self.failed: BaseException | None = None
         self._eyes: CaptureProcess | None = None
-        self._beside = ThreadPoolExecutor(
+        self._executor = ThreadPoolExecutor(
             min(self.options.people, SETTINGS.engine_searches), thread_name_prefix="start"
         )
         self._work = BackgroundWork() if self.options.measure else None
@@ -132,7 +132,7 @@ class LiveEngine:
         self._latency: deque[float] = deque(maxlen=SETTINGS.engine_latencies)
         self._given: deque[float] = deque(maxlen=SETTINGS.engine_latencies)
         self._stages: dict[str, deque[float]] = {k: deque(maxlen=120) for k in ("masks", "track", "tell", "judge")}
-        self._told = -np.inf
+        self._reported = -np.inf
         self._sight: CaptureResult | None = None
         self._learn, self._learning = False, False
         self._poses_now: tuple[LivePose, ...] = ()
@@ -144,13 +144,13 @@ class LiveEngine:
 
     def _new_people(self) -> LivePeople:
         s = self.options
-        return LivePeople(self.small, s.eyes.rate, s.person, self._beside, self._work, s.people)
+        return LivePeople(self.small, s.eyes.rate, s.person, self._executor, self._work, s.people)
 
     def start(self) -> None:
         """Open the cameras and begin; an InputError when one cannot be opened."""
         parts = (*compute.TRACKING_KERNELS, *(("depth",) if any_depth(self.views) else ()))
-        compute.warm_up(*parts, load=False)  # what is compiled here the other process finds
-        warm = self._beside.submit(compute.warm_up, *parts)
+        compute.warm_up(*parts, load=False)  # the other process finds the compiled kernels
+        warm = self._executor.submit(compute.warm_up, *parts)
         self._eyes = CaptureProcess(self.rig, self.views, self.options.eyes, self._stop)
         if self._stop.is_set():
             self._eyes.close()
@@ -160,24 +160,24 @@ class LiveEngine:
         self._thread.start()
 
     def stop(self) -> None:
-        """End; nothing is told afterwards."""
+        """End; nothing is reported afterwards."""
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join(15)
         self._until_stop.close()
         if self._eyes is not None:
             self._eyes.close()
-        self._beside.shutdown(wait=False, cancel_futures=True)
+        self._executor.shutdown(wait=False, cancel_futures=True)
         if self._work is not None:
             self._work.close()
 
     def learn_room(self) -> None:
-        """Learn the empty room anew, after the countdown."""
+        """Learn the empty room again, after the countdown."""
         self._learn = True
 
     @property
     def phase(self) -> str:
-        """What is being done."""
+        """Name the phase."""
         return EMPTY_ROOM if self._learning else self._people.phase
 
     def _run(self) -> None:
@@ -193,7 +193,7 @@ class LiveEngine:
                 if np.isfinite(sight.time):
                     self._one(sight)
                 self._tell()
-        except BaseException as error:  # told by whoever started it
+        except BaseException as error:  # given by a person who started it
             self.failed = error
         finally:
             self.ended.set()
@@ -218,12 +218,12 @@ class LiveEngine:
         begin = time.perf_counter()
         stepped = self._people.step(frame)
         tracked = time.perf_counter()
-        self._poses_now = tuple(s.told() for s in stepped)
+        self._poses_now = tuple(s.reported() for s in stepped)
         seen = LiveResult(sight, frame, self._poses_now)
         for listener in self.listeners:
             listener.seen(seen)
         if stepped:
-            now, told = time.monotonic(), time.perf_counter()
+            now, reported = time.monotonic(), time.perf_counter()
             self._since = self._since or (sight.instants, self._frames)
             self._poses += 1
             self._latency.append(now - sight.arrival)
@@ -231,7 +231,12 @@ class LiveEngine:
             for one in stepped:
                 one.look()
             looked = time.perf_counter()
-            spent = {"masks": sight.made, "track": tracked - begin, "tell": told - tracked, "judge": looked - told}
+            spent = {
+                "masks": sight.made,
+                "track": tracked - begin,
+                "tell": reported - tracked,
+                "judge": looked - reported,
+            }
             for name, seconds in spent.items():
                 self._stages[name].append(seconds)
         self._take_offsets()
@@ -263,7 +268,7 @@ class LiveEngine:
         """Take over what the person's motion tells of the cameras' times, once."""
         found = self._people.offsets
         if found is not None and found.any():
-            # found beside those that were known already
+            # in addition to those that were known already
             self._offsets = self._late = tuple((np.array(self._late) + found).tolist())
             self._people.offsets = np.zeros(len(found))
             self._people.measure_again()
@@ -272,8 +277,8 @@ class LiveEngine:
 
     def _tell(self) -> None:
         now = time.monotonic()
-        if now - self._told >= 1.0:
-            self._told = now
+        if now - self._reported >= 1.0:
+            self._reported = now
             status = self.status()
             for listener in self.listeners:
                 listener.status(status)
@@ -307,7 +312,7 @@ def _words(cameras: Sequence[FeedStatus], least: int) -> list[str]:
         some = "Fewer than two cameras show" if least > 1 else "No camera shows"
         out.append(f"{some} anything, so nobody can be followed.")
     for c in cameras:
-        if c.received > 100 and c.loss > SETTINGS.engine_misses[0]:  # in steps: what changes is said anew
+        if c.received > 100 and c.loss > SETTINGS.engine_misses[0]:  # in steps: what changes is said again
             share = max(m for m in SETTINGS.engine_misses if c.loss > m)
             out.append(f"{c.name} loses more than {100 * share:.0f} % of its pictures.")
     return out

@@ -158,7 +158,8 @@ def _without_pauses(steps: Array) -> Array:
 
 
 def _usual(steps: Array) -> float:
-    """s from one picture to the next for half of the time, however many came at once when whoever reads was held up."""
+    """s from one picture to the next for half of the time, however many came at once when a person who reads was held
+    up."""
     ordered = np.sort(_without_pauses(steps))
     return float(ordered[np.searchsorted(np.cumsum(ordered), ordered.sum() / 2)])
 
@@ -184,10 +185,9 @@ class _Instant:
 def newest_instant(
     cameras: Sequence[Delivered], last: float, now: float, least: int = 2
 ) -> tuple[_Instant | None, float]:
-    """The newest instant after `last` (s, common clock) that every camera which is there has told of, or will not tell
-    of, by `now` (s, this computer's clock); and until when it is worth waiting for more. So many cameras at
-    least show it.
-    """
+    """The newest instant after `last` (s, common clock) that every camera which is there has reported of, or will not
+    tell of, by `now` (s, this computer's clock); and until when it is worth waiting for more. So many cameras at least
+    show it."""
     there = [c for c, d in enumerate(cameras) if is_there(d, now)]
     known = [cameras[c].period for c in there if np.isfinite(cameras[c].period)]
     if len(there) < least or not known:
@@ -196,12 +196,12 @@ def newest_instant(
     times = np.unique(np.concatenate([cameras[c].times for c in there]))
     times = times[times > last + SETTINGS.feeds_new * period]
     waits = [_still_to_come(cameras[c], period, now) for c in there]
-    told = times < min(begin for begin, _ in waits)
-    for at in times[told][::-1][: SETTINGS.feeds_candidates]:
+    reported = times < min(begin for begin, _ in waits)
+    for at in times[reported][::-1][: SETTINGS.feeds_candidates]:
         shots = [_nearest(d, float(at), period) if c in there else None for c, d in enumerate(cameras)]
         if sum(s is not None for s in shots) >= least:
             return _Instant(float(at), tuple(shots)), now
-    next_one = times[~told][:1]
+    next_one = times[~reported][:1]
     return None, min([now + period, *(max(until for begin, until in waits if begin <= t) for t in next_one)])
 
 

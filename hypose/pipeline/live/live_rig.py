@@ -38,7 +38,7 @@ def live_rig(path: str | Path, sources: Mapping[str, str], rate: float | None = 
 
     sources: where cameras are, by their names (see `open_camera`). With them only these cameras are used, and the empty
     room is learnt at the start; without, a recording's own videos are played, with the room they know. An InputError
-    names what is missing."""
+    names the missing part."""
     path = Path(path)
     if not path.exists():
         raise InputError(f"{path} does not exist; give a recording, or a calibration file.")
@@ -105,7 +105,7 @@ def _played(recording: Recording | None, rig: CameraRig, path: Path, rate: float
             f"View {without[0]} of {recording.name} has no video to play; give the camera with --source, or a "
             "recording with videos."
         )
-    # masks that were made elsewhere are none of what is to come
+    # masks that were made elsewhere are none of all that is to come
     shown = replace(recording, keypoint_set=None, views=tuple(replace(v, masks=None) for v in recording.views))
     small = working_rig(rig, depth=[v.depth is not None for v in recording.views])
     views = tuple(

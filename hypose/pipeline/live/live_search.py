@@ -50,7 +50,7 @@ class LivePersonOptions:
 
 @dataclass(frozen=True)
 class FoundPerson:
-    """Somebody followed to the present: the body, the state and when that was, s; the last step, s."""
+    """A person followed to the present: the body, the state and when that was, s; the last step, s."""
 
     body: Body
     state: TrackerState
@@ -60,20 +60,20 @@ class FoundPerson:
 
 @dataclass(frozen=True)
 class _Look:
-    """A frame in which somebody is looked for, and who is known to be in it."""
+    """A frame in which a person is looked for, and who is known to be in it."""
 
     frame: Frame
     others: Sequence[Other]
 
 
 class LiveSearch:
-    """`look` with every frame in which somebody may be whom nobody follows; it never waits. beside: runs the search;
-    several: there may be more than one person, so each is found in what the others leave of the masks."""
+    """`look` with every frame in which a person may be whom no person follows; it never waits. next to: runs the
+    search; several: there may be more than one person, so each is found in what the others leave of the masks."""
 
-    def __init__(self, options: LivePersonOptions, beside: Executor, several: bool) -> None:
+    def __init__(self, options: LivePersonOptions, executor: Executor, several: bool) -> None:
         self.options, self.several = options, several
         self.phase = STATE_EMPTY
-        self._beside = beside
+        self._executor = executor
         self._first: list[_Look] = []
         self._waiting: deque[_Look] = deque()
         self._lock = threading.Lock()
@@ -113,7 +113,7 @@ class LiveSearch:
         kept = self._waiting if self._search is not None else self._first
         if kept and frame.time - kept[-1].frame.time < 0.9 / SETTINGS.search_slowly_hz:
             return
-        if not _somebody(look):
+        if not _largest_person(look):
             if self._search is None:
                 self.phase, self._first = STATE_EMPTY, []
             return
@@ -126,7 +126,7 @@ class LiveSearch:
         self._first.append(look)
         self.phase = STATE_SEARCHING
         if len(self._first) == SETTINGS.search_decide:
-            self._search = self._beside.submit(self._find, self._first, most, body or human(), height)
+            self._search = self._executor.submit(self._find, self._first, most, body or human(), height)
 
     def _find(self, looks: list[_Look], most: int, template: Body, height: float | None) -> None:
         """In another thread: starts from the first frames, and what came since then."""
@@ -178,8 +178,8 @@ def paced(state: TrackerState, share: float, skeleton: Skeleton) -> TrackerState
     return replace(state, previous=state.pose - share * step, hypotheses=h)
 
 
-def _somebody(look: _Look) -> bool:
-    """Two views, or one depth camera, show something of the size of a person, beside those who are known."""
+def _largest_person(look: _Look) -> bool:
+    """Two views, or one depth camera, show something of the size of a person, next to those who are known."""
     s = look.frame.silhouettes
     if s is None:
         return False
@@ -190,13 +190,13 @@ def _somebody(look: _Look) -> bool:
 
 
 def _each_alone(looks: Sequence[_Look], most: int) -> list[list[Frame]]:
-    """What of the frames is evidence for each of those in the hull of the first whom nobody explains, the largest
+    """What of the frames is evidence for each of those in the hull of the first whom no person explains, the largest
     first, if they are in most of the frames."""
     axes, own = list[Array](), list[list[Frame]]()
     for look in looks:
         assert look.frame.silhouettes is not None
         found = people_in_hull(look.frame.silhouettes, look.others)
-        found = [p for p in found if p.tall or not look.others]  # beside somebody it may be a limb of theirs
+        found = [p for p in found if p.tall or not look.others]  # next to a person it may be a limb of theirs
         if not own:
             axes = [p.axis for p in found[:most]]
             own = [[] for _ in axes]

@@ -115,7 +115,7 @@ class LiveRecorder:
         write_recording(recording, self.folder)
 
     def _rate(self) -> float:
-        """Hz at which somebody was followed: before that instants are looked at more seldom, and while no two cameras
+        """Hz at which a person was followed: before that instants are looked at more seldom, and while no two cameras
         showed anything there were none."""
         steps, followed = np.diff(self._times), np.array(self._followed)
         known = followed[1:] & followed[:-1]
@@ -192,12 +192,12 @@ class LiveRecorder:
         self.written += 1
         if (
             self.written > 1 and time.monotonic() - self._described >= SETTINGS.recorder_describe_s
-        ):  # whoever is killed has recorded, too
+        ):  # a person who is killed has recorded, too
             self._describe()
             self._described = time.monotonic()
 
     def _forget(self) -> None:
-        """What is there of the instant that could not be written, which also makes room for recording.toml."""
+        """All that is there of the instant that could not be written, which also makes room for recording.toml."""
         with contextlib.suppress(OSError):
             os.truncate(self.folder / _POSES, self._rows)
         for folder in (*self._pictures, *self._masks):

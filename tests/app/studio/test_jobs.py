@@ -139,10 +139,10 @@ def test_an_export_runs_and_tells(own_studio, folder):
         assert json.loads(ws.recv(HANG_S))["t"] == "jobs"
         job = own_studio.get(f"/api/results/{result}/export", {"formats": ["trc"]}, status=201)
         assert job["state"] in ("queued", "running") and job["command"].endswith("--formats=trc")
-        told = []
-        while not told or told[-1]["t"] != "files":
-            told.append(json.loads(ws.recv(HANG_S)))
-    states = [m["job"]["state"] for m in told if m["t"] == "job"]
+        reported = []
+        while not reported or reported[-1]["t"] != "files":
+            reported.append(json.loads(ws.recv(HANG_S)))
+    states = [m["job"]["state"] for m in reported if m["t"] == "job"]
     assert states[-1] == "done" and "running" in states
     assert (folder / "walk/results/default/motion.trc").is_file()
     assert any("motion.trc" in line for line in own_studio.get(f"/api/jobs/{job['id']}")["lines"])

@@ -65,8 +65,8 @@ def test_what_lies_beside_a_motion_is_read_again_when_it_changes(own_studio, fol
     now = header()
     assert not now["complete"] and "motion.trc" not in {f["name"] for f in now["files"]}
     assert now["assessment"]["word"] == "not to be trusted" and now["cameras"][1]["image_shift"] == [3, -2]
-    told = result_of(own_studio)
-    assert told["assessment"] == "not to be trusted" and not told["complete"]
+    reported = result_of(own_studio)
+    assert reported["assessment"] == "not to be trusted" and not reported["complete"]
 
 
 def test_pages_of_the_folder_cannot_reach_the_server(studio):

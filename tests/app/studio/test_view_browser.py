@@ -135,8 +135,8 @@ def test_much_said_of_a_result_covers_nothing(served, page, tmp_path, monkeypatc
     root = shutil.copytree(served, tmp_path / "root")
     results = root / "walk" / "results" / "default"
     spoilt = spoil_arm(results, slice(2, 6))
-    told = assess(spoilt, looks=[f"camera {k} may be late by {k} frames" for k in range(8)])
-    (results / "assessment.json").write_text(json.dumps(told.document()))
+    reported = assess(spoilt, looks=[f"camera {k} may be late by {k} frames" for k in range(8)])
+    (results / "assessment.json").write_text(json.dumps(reported.document()))
     monkeypatch.setenv("ONLY", "view,view-quality")
     with serving(root) as client:
         go(WEB / "tests" / "layout.path.mjs", client.address, root, tmp_path)

@@ -80,9 +80,9 @@ def test_the_newest_pictures_are_kept_with_their_times():
     with feed(camera) as (made, arrived):
         play(camera, range(20))
         until(arrived, lambda: made.status().received == 20)
-        told, shots = made.delivered()
-        assert len(shots) == SETTINGS.feeds_kept and told.times == pytest.approx(BEGIN + np.arange(8, 20) / 20)
-        assert told.period == pytest.approx(0.05) and (told.arrivals == told.times).all()
+        reported, shots = made.delivered()
+        assert len(shots) == SETTINGS.feeds_kept and reported.times == pytest.approx(BEGIN + np.arange(8, 20) / 20)
+        assert reported.period == pytest.approx(0.05) and (reported.arrivals == reported.times).all()
         status = made.status()
         assert (status.lost, status.returns, status.ended) == (0, 0, False)
         made.offset = 0.25  # what it shows is older
@@ -115,8 +115,8 @@ def test_what_the_camera_tells_of_time_is_kept_to():
         for n in range(30):
             camera.shots.put(CameraImage(BEGIN + n / 20 + late[n], 7.0 + n / 20, PICTURE))
         until(arrived, lambda: made.status().received == 30)
-        told, _ = made.delivered()
-        assert np.abs(told.times - (BEGIN + np.arange(18, 30) / 20)).max() < 1e-6  # as if nothing came late
+        reported, _ = made.delivered()
+        assert np.abs(reported.times - (BEGIN + np.arange(18, 30) / 20)).max() < 1e-6  # as if nothing came late
 
 
 def test_a_camera_comes_back_and_its_absence_is_no_loss(monkeypatch):
@@ -136,8 +136,8 @@ def test_a_camera_comes_back_and_its_absence_is_no_loss(monkeypatch):
         until(arrived, lambda: made.status().received == 30)
         status = made.status()
         assert (status.lost, status.returns) == (0, 1)
-        told, _ = made.delivered()
-        assert told.times[-1] == pytest.approx(BEGIN + 129 / 20) and told.period == pytest.approx(0.05)
+        reported, _ = made.delivered()
+        assert reported.times[-1] == pytest.approx(BEGIN + 129 / 20) and reported.period == pytest.approx(0.05)
 
 
 def test_a_camera_that_is_opened_and_shows_nothing_has_not_come_back(monkeypatch):

@@ -29,18 +29,18 @@ def followed(walk, frames):
 
 def test_the_first_frame_is_doubtful_and_then_it_is_known(followed):
     tracker, known = followed
-    doubt, told = LiveErrorModel(), []
+    doubt, reported = LiveErrorModel(), []
     for frame, estimate in known:
-        told.append(doubt.told(tracker, estimate, frame))
+        reported.append(doubt.reported(tracker, estimate, frame))
         doubt.look(tracker, estimate, frame)
-    first, last = told[0], told[-1]
+    first, last = reported[0], reported[-1]
     assert (
         first.low_confidence_joints is not None
         and first.low_confidence_joints.all()
         and (first.error_probability >= 0.5).all()
     )
     assert not last.low_confidence_joints.all() and np.median(last.error_probability) < 0.3
-    for motion in told:
+    for motion in reported:
         assert len(motion) == 1 and motion.joints.shape[1] == motion.error_probability.shape[1]
         assert np.isfinite(motion.joint_sd).all() and (motion.joint_sd > 0).all()
         assert ((motion.error_probability >= 0) & (motion.error_probability <= 1)).all()
