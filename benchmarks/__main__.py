@@ -7,10 +7,9 @@ from typing import Annotated, Any
 
 import typer
 
-from hypose.app.cli import main
+from hypose.app.cli import run_cli
 from hypose.app.commands.commands_track import set_threads
-from hypose.app.commands.console import Stages, say
-from hypose.app.commands.options import Threads, number
+from hypose.app.commands.console import Stages, Threads, number, say
 
 app = typer.Typer(name="benchmarks", add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 
@@ -113,4 +112,4 @@ def _number(value: Any) -> str:
 
 
 if __name__ == "__main__":
-    main(command=app, name="benchmarks")
+    run_cli(command=app, name="benchmarks")

@@ -90,9 +90,9 @@ def figures(outcome: Outcome) -> dict[str, float]:
         "p95_mm": 1e3 * float(np.percentile(error, 95)),
         "wrong_100": float((error > 0.1).mean()),
         "wrong_150": float((error > 0.15).mean()),
-        "doubtful": float(outcome.doubtful.mean()),
+        "doubtful": float(outcome.low_confidence.mean()),
         "ece": ece(p, error > WRONG_M),
-        "verdict": float(outcome.verdict),
+        "verdict": float(outcome.assessment),
     }
 
 

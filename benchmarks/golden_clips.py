@@ -36,12 +36,12 @@ from hypose.fusion.fuse import common_positions, fuse_clip
 from hypose.geometry import Array
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording
+from hypose.pipeline.assessment import GOOD, LOOK, UNTRUSTED
 from hypose.pipeline.first_frame import SubjectOptions, find_subject
 from hypose.pipeline.people_run import PeopleRun
 from hypose.pipeline.run import TrackOptions, TrackResult, track_source
-from hypose.pipeline.sensor_skeletons import fused_verdict
+from hypose.pipeline.sensor_skeletons import assess_fused
 from hypose.pipeline.track_loop import FrameList
-from hypose.pipeline.verdict import GOOD, LOOK, UNTRUSTED
 from hypose.synthetic.metrics import EVALUATED
 from hypose.synthetic.scenes import make_scene
 
@@ -64,8 +64,8 @@ class Outcome:
 
     error: Array
     p: Array
-    doubtful: NDArray[np.bool_]
-    verdict: int
+    low_confidence: NDArray[np.bool_]
+    assessment: int
     seconds: float
 
 
@@ -88,12 +88,12 @@ def _body(seed: int) -> Body:
 
 
 def _outcome(
-    motion: Motion, error: Array, joints: Sequence[int] | NDArray[np.int64], verdict: str, seconds: float
+    motion: Motion, error: Array, joints: Sequence[int] | NDArray[np.int64], assessment: str, seconds: float
 ) -> Outcome:
     """joints: indices of the motion's joints that error (T, J) is of."""
-    assert motion.p_wrong is not None and motion.doubtful is not None
-    p = motion.p_wrong[-len(error) :][:, joints].astype(np.float64)
-    return Outcome(error, p, motion.doubtful, VERDICTS.index(verdict), seconds / len(motion))
+    assert motion.error_probability is not None and motion.low_confidence is not None
+    p = motion.error_probability[-len(error) :][:, joints].astype(np.float64)
+    return Outcome(error, p, motion.low_confidence, VERDICTS.index(assessment), seconds / len(motion))
 
 
 def _timed(call: Callable[[], T]) -> tuple[T, float]:
@@ -135,7 +135,7 @@ def _scene(name: str, evidence: str, exchanged: bool, seed: int, data: Path) -> 
 
     found, seconds = _timed(track)
     away = np.linalg.norm(aligned_joints(found.motion, scene) - scene.joints[: len(frames)], axis=-1)
-    yield "", _outcome(found.motion, away[:, EVALUATED], EVALUATED, found.verdict.word, seconds)
+    yield "", _outcome(found.motion, away[:, EVALUATED], EVALUATED, found.assessment.word, seconds)
 
 
 def _crossing(seed: int, data: Path) -> Iterator[tuple[str, Outcome]]:
@@ -159,15 +159,17 @@ def _crossing(seed: int, data: Path) -> Iterator[tuple[str, Outcome]]:
         tried = [np.linalg.norm(aligned_joints(p.result.motion, scene) - scene.joints[:count], axis=-1) for p in found]
         k = int(np.argmin([a.mean() for a in tried]))
         person = found[k]
-        outcomes.append(_outcome(person.result.motion, tried[k][:, EVALUATED], EVALUATED, person.verdict.word, seconds))
+        outcomes.append(
+            _outcome(person.result.motion, tried[k][:, EVALUATED], EVALUATED, person.assessment.word, seconds)
+        )
     a, b = outcomes
     yield (
         "",
         Outcome(
             np.concatenate([a.error, b.error]),
             np.concatenate([a.p, b.p]),
-            np.concatenate([a.doubtful, b.doubtful]),
-            max(a.verdict, b.verdict),
+            np.concatenate([a.low_confidence, b.low_confidence]),
+            max(a.assessment, b.assessment),
             a.seconds,
         ),
     )
@@ -179,7 +181,7 @@ def _depth(seed: int, data: Path) -> Iterator[tuple[str, Outcome]]:
     source = FrameList(list(depth_frames(scene)), RATE)
     found, seconds = _timed(lambda: track_source(source, RATE, TrackOptions(seed=seed)))
     away = np.linalg.norm(aligned(found.motion, scene) - scene.joints[: len(source)], axis=-1)
-    yield "", _outcome(found.motion, away[:, EVALUATED], EVALUATED, found.verdict.word, seconds)
+    yield "", _outcome(found.motion, away[:, EVALUATED], EVALUATED, found.assessment.word, seconds)
 
 
 def _first_of(recording: Recording, first: int, count: int) -> FrameList:
@@ -207,7 +209,7 @@ def _balancing(seed: int, data: Path) -> Iterator[tuple[str, Outcome]]:
         # key points and joints are defined differently: one offset per joint in its segment's frame
         local = np.einsum("tkba,tkb->tka", rotations[:, joints], reference - centres[:, joints])
         error = np.linalg.norm(local - np.nanmean(local, 0), axis=-1)
-        yield evidence, _outcome(motion, error, joints, found.verdict.word, seconds + found_in / 3)
+        yield evidence, _outcome(motion, error, joints, found.assessment.word, seconds + found_in / 3)
 
 
 def _uu4cam(seed: int, data: Path) -> Iterator[tuple[str, Outcome]]:
@@ -219,7 +221,7 @@ def _uu4cam(seed: int, data: Path) -> Iterator[tuple[str, Outcome]]:
     clicks = clicked_joints(recording.rig)
     joints = [found.motion.skeleton.joint(name) for name in clicks]
     error = np.linalg.norm(found.motion.joints[:, joints] - np.stack(list(clicks.values())), axis=-1)
-    yield "", _outcome(found.motion, error, joints, found.verdict.word, seconds)
+    yield "", _outcome(found.motion, error, joints, found.assessment.word, seconds)
 
 
 def _human4d(seed: int, data: Path) -> Iterator[tuple[str, Outcome]]:
@@ -229,8 +231,8 @@ def _human4d(seed: int, data: Path) -> Iterator[tuple[str, Outcome]]:
     fused, seconds = _timed(lambda: fuse_clip(frames))
     error = np.linalg.norm(common_positions(fused.motion) - recording.truth_in(0), axis=-1)
     joints = [fused.motion.skeleton.joint(n) for n in jt.COMMON]
-    verdict = fused_verdict(fused.motion, frames, fused.registration, fused.sensor_names)
-    yield "", _outcome(fused.motion, error, joints, verdict.word, seconds)
+    assessment = assess_fused(fused.motion, frames, fused.registration, fused.sensor_names)
+    yield "", _outcome(fused.motion, error, joints, assessment.word, seconds)
 
 
 CLIPS: Mapping[str, Clip] = {

@@ -41,8 +41,8 @@ class _Servers:
     """Both servers in one loop of a thread of its own. Made once per process."""
 
     def __init__(self) -> None:
-        from hypose.app.live.live_server import LiveOptions, LiveServer
-        from hypose.app.studio.answers import NotNow
+        from hypose.app.live.live_server import FusionServerOptions, LiveServer
+        from hypose.app.studio.http import NotNow
         from hypose.app.studio.server import Studio, StudioOptions, make_server
 
         self._folder = tempfile.TemporaryDirectory()  # lives as long as the process
@@ -55,7 +55,7 @@ class _Servers:
 
         studio.jobs.start = studio.jobs.resume = no_jobs  # type: ignore[method-assign]
         self.studio = studio
-        self.live = LiveServer(LiveOptions(udp=0, ws=0, token=_TOKEN, lines_per_s=1e6))
+        self.live = LiveServer(FusionServerOptions(udp=0, ws=0, token=_TOKEN, lines_per_s=1e6))
         listening, ports = threading.Event(), []
 
         def ready(port: int) -> None:

@@ -20,6 +20,7 @@ PHRASES = ("what is",)
 _TEXT = re.compile(rf"\b({'|'.join((*WORDS, *PHRASES))})\b", re.IGNORECASE)
 _NAME = re.compile(rf"(?:^|_)({'|'.join(WORDS)})(?=_|$)")
 DONE = (
+    "app",
     "body",
     "calibration",
     "cameras",
@@ -27,6 +28,7 @@ DONE = (
     "fusion",
     "gestures",
     "inference",
+    "io",
     "synthetic",
     "geometry.py",
 )

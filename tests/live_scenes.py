@@ -18,12 +18,12 @@ from hypose.errors import InputError
 from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.io.videos import camera_sources
-from hypose.io.videos.camera_sources import Shot, StreamEnded
-from hypose.pipeline.live import engine, eyes, feeds
-from hypose.pipeline.live.engine import LiveEngine, Seen
-from hypose.pipeline.live.eyes import Eyes, Question, Sight
+from hypose.io.videos.camera_sources import CameraImage, StreamEnded
+from hypose.pipeline.live import capture, engine, feeds
+from hypose.pipeline.live.capture import Capture, CaptureRequest, CaptureResult
+from hypose.pipeline.live.engine import LiveEngine, LiveResult
 from hypose.pipeline.live.live_people import LivePeople, LivePose
-from hypose.pipeline.live.live_search import LOOKING, LivePersonOptions
+from hypose.pipeline.live.live_search import STATE_SEARCHING, LivePersonOptions
 from hypose.pipeline.settings import SETTINGS
 from hypose.synthetic.scenes import Scene, camera_rig, make_scene
 from tests.conftest import HANG_S
@@ -64,26 +64,26 @@ def at(frame: Frame, time: float, index: int | None = None) -> Frame:
     return replace(frame, time=time, index=frame.index if index is None else index)
 
 
-def people_for(frames: list[Frame], beside: Executor, most: int = 1, **options: Any) -> LivePeople:
+def people_for(frames: list[Frame], executor: Executor, most: int = 1, **options: Any) -> LivePeople:
     """Those who will be followed in the frames; nothing is measured."""
     assert frames[0].silhouettes is not None
-    return LivePeople(frames[0].silhouettes.rig, RATE, LivePersonOptions(**options), beside, None, most)
+    return LivePeople(frames[0].silhouettes.rig, RATE, LivePersonOptions(**options), executor, None, most)
 
 
-def follow(people: LivePeople, frames: Iterable[Frame], beside: Beside) -> list[LivePose]:
+def follow(people: LivePeople, frames: Iterable[Frame], executor: Beside) -> list[LivePose]:
     """The poses; what has to be searched is searched between two frames."""
     poses = []
     for frame in frames:
         stepped = people.step(frame)
         for one in stepped:
-            poses.append(one.told())
+            poses.append(one.reported())
             one.look()
-        if not stepped and people.phase == LOOKING:
-            beside.work()
+        if not stepped and people.phase == STATE_SEARCHING:
+            executor.work()
     return poses
 
 
-def seen(frame: Frame, pose: LivePose | None, missing: tuple[int, ...] = (), grey: int = 90) -> Seen:
+def seen(frame: Frame, pose: LivePose | None, missing: tuple[int, ...] = (), grey: int = 90) -> LiveResult:
     """The frame as the engine tells it, with pictures of one grey; missing: cameras that showed nothing."""
     s = frame.silhouettes
     assert s is not None
@@ -94,8 +94,8 @@ def seen(frame: Frame, pose: LivePose | None, missing: tuple[int, ...] = (), gre
         views.append(None if gone else (np.packbits(s.masks[c, :h, :w], axis=1), None))
         picture = np.full((h, w, 3), grey, np.uint8)
         jpegs.append(None if gone else cv2.imencode(".jpg", picture)[1].tobytes())
-    sight = Sight(frame.time, frame.time + 0.01, tuple(views), tuple(jpegs), (), 1, (), False)
-    return Seen(sight, frame, () if pose is None else (pose,))
+    sight = CaptureResult(frame.time, frame.time + 0.01, tuple(views), tuple(jpegs), (), 1, (), False)
+    return LiveResult(sight, frame, () if pose is None else (pose,))
 
 
 # ---- the whole pipeline, whose clock waits for it -------------------------------------------------------------------
@@ -181,32 +181,32 @@ class StageCamera:
     def __init__(self, stage: Stage, name: str) -> None:
         self._stage, self._name = stage, name
 
-    def read(self) -> Shot:
+    def read(self) -> CameraImage:
         clock, rate = self._stage.clock, self._stage._rate
         number = int(clock.monotonic() * rate + 1.001)
         clock.sleep(number / rate - clock.monotonic())
         if self._stage.away(self._name):
             raise StreamEnded(f"Camera {self._name} was unplugged.")
-        return Shot(number / rate, None, self._stage.picture(self._name, number))
+        return CameraImage(number / rate, None, self._stage.picture(self._name, number))
 
     def close(self) -> None:
         pass
 
 
 class EyesInStep:
-    """In place of `EyesProcess`: in this process, and half a picture's time passes with each answer, when all that was
-    begun is done: searches, and what the cameras are about to show. Then looking at it takes a millisecond. pause s: of
+    """In place of `CaptureProcess`: in this process, and half a picture's time passes with each answer, when all that
+    was begun is done: searches, and what the cameras are about to show. Then looking at it takes a millisecond. pause s: of
     the true clock, for what listens."""
 
     def __init__(self, clock: Clock, searches: Sequence[Future[Any]], pause: float, *given: Any) -> None:
         self._clock, self._searches, self._pause = clock, searches, pause
         *more, self._stop = given
-        self._eyes, self._half = Eyes(*more), 0.5 / more[2].rate
+        self._eyes, self._half = Capture(*more), 0.5 / more[2].rate
 
-    def ask(self, question: Question) -> None:
+    def ask(self, question: CaptureRequest) -> None:
         self._question = question
 
-    def answer(self) -> Sight | None:
+    def answer(self) -> CaptureResult | None:
         wait(self._searches)
         self._clock.advance(self._half)
         while not self._stop.wait(self._pause) and not all(map(self._has_come, self._eyes._feeds)):
@@ -217,7 +217,7 @@ class EyesInStep:
         over = self._eyes.ended and not np.isfinite(sight.time)
         return None if over or self._stop.is_set() else sight
 
-    def _has_come(self, feed: feeds.Feed) -> bool:
+    def _has_come(self, feed: feeds.CameraFeed) -> bool:
         return self._clock.asleep(feed._thread) or bool(feed.status().trouble)
 
     def close(self) -> None:
@@ -229,7 +229,7 @@ def in_step(
     monkeypatch: pytest.MonkeyPatch, stage: Stage | None = None, others: Sequence[Any] = (), pause: float = 0.0
 ) -> Callable[..., EyesInStep]:
     """Every `LiveEngine` that is made from now on goes by a clock that waits for it, as do other modules; with a stage
-    its cameras are opened whatever their addresses. Returns what makes its eyes, of what `EyesProcess` takes."""
+    its cameras are opened whatever their addresses. Returns what makes its eyes, of what `CaptureProcess` takes."""
     clock, searches = stage.clock if stage else Clock(), list[Future[Any]]()
 
     class Pool(ThreadPoolExecutor):
@@ -237,13 +237,13 @@ def in_step(
             searches.append(super().submit(*given, **named))
             return searches[-1]
 
-    for module in (camera_sources, engine, eyes, feeds, *others):
+    for module in (camera_sources, capture, engine, feeds, *others):
         monkeypatch.setattr(module, "time", clock)
     monkeypatch.setattr(engine, "ThreadPoolExecutor", Pool)
-    monkeypatch.setattr(engine, "EyesProcess", made := partial(EyesInStep, clock, searches, pause))
+    monkeypatch.setattr(engine, "CaptureProcess", made := partial(EyesInStep, clock, searches, pause))
     monkeypatch.setattr(feeds, "SETTINGS", replace(SETTINGS, feeds_again_s=0.01, feeds_longest_s=0.02))
     if stage:
-        monkeypatch.setattr(eyes, "_opener", lambda view, *_: lambda: stage.open(view.name))
+        monkeypatch.setattr(capture, "_opener", lambda view, *_: lambda: stage.open(view.name))
     return made
 
 

@@ -146,10 +146,10 @@ def silhouette_xor(
         x0, x1, y0, y1 = (0, w, 0, h) if boxes is None else np.clip(boxes[c], 0, (w, w, h, h))
         mask = prepared.masks[c, y0:y1, x0:x1] != 0
         # pixels that say nothing are open, and not in the mask
-        told = ((prepared.open_masks[c, y0:y1, x0:x1] != 0) == mask) if prepared.hidden.size else True
+        reported = ((prepared.open_masks[c, y0:y1, x0:x1] != 0) == mask) if prepared.hidden.size else True
         for n in range(len(poses)):
             drawn = mesh.faces if faces is None else mesh.faces[faces]
             model = rasterize(vertices[n], drawn, prepared.projections[c], (w, h), one_sided=faces is not None)
-            model = model[y0:y1, x0:x1] & told
+            model = model[y0:y1, x0:x1] & reported
             out[n, c] = (model ^ mask).sum(), model.sum(), (model & mask).sum()
     return out

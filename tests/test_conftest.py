@@ -51,5 +51,5 @@ def test_what_is_left_behind_is_an_error(tmp_path):
     code, lines = run_of_tests(tmp_path, "def test_it(): pass", tmp_path)
     errors = [line for line in lines if line.startswith("E   ") and "of this module have" in line]
     assert code == 1 and len(errors) == 4 and "6 passed, 4 errors" in lines[-1]
-    assert all(told in error for told, error in zip(leaves, errors, strict=False))
+    assert all(reported in error for reported, error in zip(leaves, errors, strict=False))
     assert not (tmp_path / ".thing").exists()  # the home of whoever runs the tests is not theirs

@@ -67,8 +67,8 @@ def test_bearings_only():
 @pytest.mark.slow
 def test_live_fusion(tmp_path, rng):
     path, lines = example("live_fusion.py")
-    told = reports(rng, 1.5, epochs={k: [(0.0, 0.0)] for k in range(3)})
-    (tmp_path / "s.jsonl").write_text("\n".join(format_line(replace(r, arrival=None)) for r in told))
+    reported = reports(rng, 1.5, epochs={k: [(0.0, 0.0)] for k in range(3)})
+    (tmp_path / "s.jsonl").write_text("\n".join(format_line(replace(r, arrival=None)) for r in reported))
     said = run(path, tmp_path / "s.jsonl")
     assert said.count(" s:") > 20 and "by 3" in said and lines <= 6
 

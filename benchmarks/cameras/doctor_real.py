@@ -9,7 +9,7 @@ from hypose.body.body import Body
 from hypose.calibration.diagnostics import Cured, PersonReport, examine_and_cure
 from hypose.geometry import Array
 from hypose.io.recordings.recording import Recording, load_recording
-from hypose.pipeline.examine import Refinement, cured_recording, observe, refine_recording
+from hypose.pipeline.recording_diagnostics import Refinement, cured_recording, observe_recording, refine_recording
 
 POSE2SIM_LEFT_OUT_PX = 24.19
 """Median px of Pose2Sim 0.10.49 (filtered) in the view left out, on the shipped calibration, all frames; measured once,
@@ -35,7 +35,7 @@ def doctor_real(options: BenchOptions) -> BenchReport:
     poses from the key points), from start poses 140 mm off, from both. Left-out residuals against Pose2Sim's."""
     recording = load_recording(options.folder("pose2sim_balancing"))
     options.progress("doctor", 0, 5)
-    observed = observe(recording, 60 if options.quick else 100)
+    observed = observe_recording(recording, 60 if options.quick else 100)
     report, cured = examine_and_cure(observed)
     rows = [Row("found", case, value, "1") for case, value in _found(report, cured).items()]
     rows += [Row("findings", "all", float(len(report.findings)), "1")]

@@ -369,7 +369,7 @@ def with_bystander(fault: Planted, seed: int) -> Planted:
             found = np.concatenate([np.nan_to_num(uv), confidence[..., None], people[..., :2]], -1)
             frame.append(found[rng.permutation(len(found))])
         candidates.append(frame)
-    one = one_person(candidates, o.names, small, o.frame_rate, doubting=True)
+    one = one_person(candidates, o.names, small, o.frame_rate, keep_misfits=True)
     raw = one.points[..., [3, 4, 2]].transpose(1, 0, 2, 3)
     return replace(fault, observed=replace(o, keypoints=raw, people=one.notes))
 

@@ -10,7 +10,7 @@ from hypose.cameras.camera import CameraRig
 from hypose.evidence.frame import Silhouettes
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.geometry import Array
-from hypose.io.videos.sound import Sound
+from hypose.io.videos.video import Sound
 from hypose.synthetic.corruptions import CORRUPTIONS, corrupt_mask, keypoint_detections
 from hypose.synthetic.scenes import Scene, make_scene
 

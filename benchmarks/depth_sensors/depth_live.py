@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from hypose.errors import EvidenceError
-from hypose.pipeline.live.engine import LiveEngine, LiveOptions, LiveStatus, Seen
-from hypose.pipeline.live.eyes import EyesOptions
+from hypose.pipeline.live.capture import CaptureOptions
+from hypose.pipeline.live.engine import LiveEngine, LiveResult, LiveStatus, LiveTrackingOptions
 from hypose.pipeline.live.live_rig import live_rig
 from hypose.pipeline.live.live_search import LivePersonOptions
 from hypose.pipeline.run import TrackOptions
@@ -26,7 +26,7 @@ class _Late:
     def __init__(self) -> None:
         self.late: list[float] = []
 
-    def seen(self, seen: Seen) -> None:
+    def seen(self, seen: LiveResult) -> None:
         """See `Listener`."""
         if seen.poses:
             self.late.append(time.monotonic() - seen.sight.arrival)
@@ -45,8 +45,8 @@ def live_depth(seed: int, quick: bool) -> dict[str, Any]:
         write_depth_scene(scene, folder)
         found = live_rig(folder, {})
         person = LivePersonOptions(TrackOptions(seed=seed), None, None)
-        eyes = EyesOptions(found.rate, 0.0, found.silhouettes)
-        engine = LiveEngine(found.rig, found.views, LiveOptions(eyes, person), [listener])
+        eyes = CaptureOptions(found.rate, 0.0, found.silhouettes)
+        engine = LiveEngine(found.rig, found.views, LiveTrackingOptions(eyes, person), [listener])
         try:
             engine.start()
             engine.ended.wait(seconds + 10)

@@ -1,5 +1,5 @@
 """Fits the spread of depth (`hypose.tracking.covariance_calibration`) and how likely a joint is wrong before depth
-cameras (`hypose.tracking.error_model.DepthDoubt`) to errors on simulated recordings, and judges both.
+cameras (`hypose.tracking.error_model.DepthErrorModel`) to errors on simulated recordings, and judges both.
 
 Unlike with masks, what is far off counts too: an arm that the only sensor does not see is a guess, and its region has
 to say so. Clips before one, two and three sensors are families, none of which pays for another.
@@ -34,8 +34,8 @@ from hypose.tracking.error_model import (
     GROUPS,
     TRUNK,
     WRONG_M,
-    DepthDoubt,
-    doubt_models,
+    DepthErrorModel,
+    error_models,
     groups_of,
     probability,
 )
@@ -75,7 +75,7 @@ def collect(folder: Path, case: str, seed: int, data: Path, seconds: float = 2.0
     m = as_curved(result.motion, "depth")
     assert m.angle_sd is not None and result.audit is not None and result.one_by_one is not None
     features = clip_features(m, result.body.joints(result.one_by_one), result.audit)
-    odds = doubt_models()["depth"].log_odds(features, JOINT_NAMES)
+    odds = error_models()["depth"].log_odds(features, JOINT_NAMES)
     off = angles_of(m) - true_angles(scene)[: len(m)]
     off = (off + np.pi) % (2 * np.pi) - np.pi
     away = scene.joints[: len(m)] - aligned(m, scene)
@@ -152,7 +152,7 @@ def held_left_out(clips: Sequence[DepthClip], folds: int = 4) -> dict[str, tuple
     return {case: (float(np.mean(v, 0)[0]), float(np.mean(v, 0)[1])) for case, v in sorted(found.items())}
 
 
-def fit_doubt(clips: Sequence[DepthClip]) -> DepthDoubt:
+def fit_doubt(clips: Sequence[DepthClip]) -> DepthErrorModel:
     """Level of each case and group, and slope of each group, by maximum likelihood; every case weighs the same. Of
     joints of the trunk, of which hardly one is ever wrong, what silhouettes say is left as it is."""
     level, slope = np.zeros((len(CASES), len(GROUPS))), np.ones(len(GROUPS))
@@ -168,7 +168,7 @@ def fit_doubt(clips: Sequence[DepthClip]) -> DepthDoubt:
 
         found = minimize(unlikely, np.r_[np.zeros(len(CASES)), 1.0], method="BFGS").x
         level[:, g], slope[g] = found[:-1], found[-1]
-    return DepthDoubt(level, slope)
+    return DepthErrorModel(level, slope)
 
 
 def _odds_and_wrong(clips: Sequence[DepthClip], group: int) -> tuple[Array, Array]:
@@ -178,7 +178,7 @@ def _odds_and_wrong(clips: Sequence[DepthClip], group: int) -> tuple[Array, Arra
     return np.concatenate([c.odds[:, own].ravel() for c in clips]), np.concatenate(wrong).astype(np.float64)
 
 
-def told_and_true(clips: Sequence[DepthClip], fitted: DepthDoubt) -> dict[str, tuple[float, ...]]:
+def told_and_true(clips: Sequence[DepthClip], fitted: DepthErrorModel) -> dict[str, tuple[float, ...]]:
     """{case and group: (share of joints that are wrong, mean of what is told, expected calibration error in ten bins)},
     of what silhouettes say as well, after what the fit says."""
     out = {}

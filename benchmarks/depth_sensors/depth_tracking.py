@@ -134,7 +134,7 @@ def depth(options: BenchOptions) -> BenchReport:
                 keep(name, at, "ms", value)
         if "error" in part:
             away = np.linalg.norm(np.asarray(part["error"]), axis=-1)
-            told.setdefault(case, []).append((np.asarray(part["p_wrong"]).ravel(), (away > WRONG_M).ravel()))
+            told.setdefault(case, []).append((np.asarray(part["error_probability"]).ravel(), (away > WRONG_M).ravel()))
             inside.setdefault(case, []).append(float(_within(part).mean()))
     options.progress("done", len(jobs), len(jobs))
     rows: list[Row] = [row(metric, case, values, unit) for (metric, case, unit), values in found.items()]
@@ -228,7 +228,7 @@ def _errors(motion: Motion, scene: DepthScene) -> dict[str, Any]:
         "p95_mm": 1e3 * float(np.percentile(away, 95)),
         "error": np.round(error, 5),
         "covariance": np.asarray(motion.joint_covariance, dtype=np.float64)[:, EVALUATED],
-        "p_wrong": [] if motion.p_wrong is None else motion.p_wrong[:, EVALUATED],
+        "error_probability": [] if motion.error_probability is None else motion.error_probability[:, EVALUATED],
     }
 
 

@@ -28,7 +28,7 @@ from hypose.fusion.register import common_joints, register
 from hypose.geometry import Array
 from hypose.io.motions.results import ResultsFolder
 from hypose.io.sensors.skeleton_files import read_kinect_csv
-from hypose.pipeline.verdict import GOOD, UNTRUSTED
+from hypose.pipeline.assessment import GOOD, UNTRUSTED
 
 
 def human4d(options: BenchOptions) -> BenchReport:
@@ -72,8 +72,8 @@ def _trusted(motion: Motion, error: Array) -> dict[str, float]:
     order = [motion.skeleton.joint(n) for n in jt.COMMON]
     # 90 % of an isotropic normal error in 3D lie within 2.5003 sd per axis
     known, inside = np.isfinite(error), error < 2.5003 * motion.joint_sd[:, order]
-    p, wrong = np.asarray(motion.p_wrong)[:, order], error > LARGE_ERROR_M
-    out = {"coverage_90": inside, "wrong": wrong, "p_wrong": p}
+    p, wrong = np.asarray(motion.error_probability)[:, order], error > LARGE_ERROR_M
+    out = {"coverage_90": inside, "wrong": wrong, "error_probability": p}
     shares = {metric: float(value[known].mean()) for metric, value in out.items()}
     return shares | ({"wrong_auroc": auroc(p[known], wrong[known])} if wrong.any() else {})
 
@@ -163,7 +163,7 @@ def sensor_left_out(frames: list[SensorJoints], name: str, found: dict[tuple[str
     order = [motions[0].skeleton.joint(n) for n in jt.COMMON]
     for kept, motion in enumerate(motions):
         away = np.linalg.norm(common_positions(motion) - world[:, 1 - kept], axis=-1)
-        clear = ~np.asarray(motions[1 - kept].doubtful_joints)[:, order]
+        clear = ~np.asarray(motions[1 - kept].low_confidence_joints)[:, order]
         for more, counted in (("", away), ("/clear", np.where(clear, away, np.nan))):
             for metric, share in _trusted(motion, counted).items():
                 found.setdefault((metric, name + more, "share"), []).append(share)
@@ -174,12 +174,14 @@ def _verdicts(file: Path, frames: list[SensorJoints], found: dict[tuple[str, str
     hard = bool(set(_scenarios(file).values()) & {"4", "5", "6", "8"})
     with TemporaryDirectory() as folder:
         people = run_fuse(FuseJob(read_kinect_csv(file), ResultsFolder(Path(folder)), formats=())).people
-    words = [p.verdict.word for p in people]
+    words = [p.assessment.word for p in people]
     case = "occlusion or two people" if hard else "one person"
     found.setdefault(("not_good", case, "share"), []).append(float(any(w != GOOD for w in words)))
     found.setdefault(("untrusted", case, "share"), []).append(float(UNTRUSTED in words))
-    doubtful = [p.motion.doubtful[~p.motion.lost].mean() for p in people if p.motion.doubtful is not None]
-    found.setdefault(("doubtful_frames", case, "share"), []).append(float(np.mean(doubtful)))
+    low_confidence = [
+        p.motion.low_confidence[~p.motion.lost].mean() for p in people if p.motion.low_confidence is not None
+    ]
+    found.setdefault(("doubtful_frames", case, "share"), []).append(float(np.mean(low_confidence)))
 
 
 def main_person(file: Path) -> list[SensorJoints]:

@@ -24,10 +24,10 @@ from hypose.app.live.pose_outputs import PoseOutputs
 from hypose.cameras.camera import CameraRig
 from hypose.geometry import Array
 from hypose.io.recordings.recording import Recording, load_recording
-from hypose.io.videos.camera_sources import Shot
+from hypose.io.videos.camera_sources import CameraImage
 from hypose.io.videos.video import open_video
-from hypose.pipeline.live.engine import LiveEngine, LiveOptions, LiveStatus, Seen
-from hypose.pipeline.live.eyes import EyesOptions
+from hypose.pipeline.live.capture import CaptureOptions
+from hypose.pipeline.live.engine import LiveEngine, LiveResult, LiveStatus, LiveTrackingOptions
 from hypose.pipeline.live.live_people import LivePose
 from hypose.pipeline.live.live_rig import LiveRig, live_rig
 from hypose.pipeline.run import TrackOptions
@@ -135,7 +135,7 @@ class _Memory:
     def __init__(self) -> None:
         self.known: list[tuple[float, float]] = []
 
-    def seen(self, seen: Seen) -> None:
+    def seen(self, seen: LiveResult) -> None:
         """See `Listener`."""
 
     def status(self, status: LiveStatus) -> None:
@@ -183,11 +183,11 @@ def _jpeg(picture: np.ndarray) -> bytes:
 
 def _decoding(clips: Sequence[Sequence[bytes]]) -> float:
     """Instants a second when their pictures are decoded, whole, and nothing else is done."""
-    shots = [[Shot(0.0, None, data) for data in of_instant] for of_instant in zip(*clips, strict=True)][:60]
+    shots = [[CameraImage(0.0, None, data) for data in of_instant] for of_instant in zip(*clips, strict=True)][:60]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         begin = time.perf_counter()
         for of_instant in shots:
-            list(pool.map(Shot.picture, of_instant))
+            list(pool.map(CameraImage.picture, of_instant))
         return len(shots) / (time.perf_counter() - begin)
 
 
@@ -197,7 +197,7 @@ class _Kept:
     def __init__(self) -> None:
         self.poses: list[LivePose] = []
 
-    def seen(self, seen: Seen) -> None:
+    def seen(self, seen: LiveResult) -> None:
         """See `Listener`."""
         self.poses += seen.poses
 
@@ -224,7 +224,7 @@ def _run(
     addresses, begin = here.recv()
     views = tuple(replace(v, address=a) for v, a in zip(cameras.views, addresses, strict=True))
     kept = _Kept()
-    options = LiveOptions(EyesOptions(rate, silhouettes=cameras.silhouettes))
+    options = LiveTrackingOptions(CaptureOptions(rate, silhouettes=cameras.silhouettes))
     listeners = [x for x in (kept if keep else None, listener) if x is not None]
     engine = LiveEngine(cameras.rig, views, options, listeners)
     try:

@@ -14,7 +14,7 @@ from benchmarks.synthetic.retarget import retarget
 from hypose.body.body import Body
 from hypose.body.default_body import human
 from hypose.evidence.frame import Frame
-from hypose.pipeline.first_frame import Subject as TrackedSubject
+from hypose.pipeline.first_frame import TrackedSubject as TrackedSubject
 from hypose.synthetic.metrics import EVALUATED, JointErrors, carriers, joint_errors, population_offsets
 from hypose.synthetic.scenes import Scene, make_scene
 from hypose.synthetic.subjects import SyntheticSubject, load_subjects

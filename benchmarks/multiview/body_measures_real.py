@@ -9,7 +9,7 @@ from benchmarks.multiview.real_recordings import FirstFrames, against_keypoints,
 from hypose.body.default_body import human
 from hypose.evidence.keypoints import BODY_25B
 from hypose.io.recordings.frames import FrameStream
-from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject, first_start
+from hypose.pipeline.first_frame import SubjectOptions, TrackedSubject, find_subject, first_start
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.subject_from_motion import SubjectEstimate, estimate_subject, size_uncertainty
 from hypose.tracking.keypoint_evidence import keypoint_model
@@ -41,7 +41,7 @@ def subject_balancing(options: BenchOptions) -> BenchReport:
             options.progress(case, k + 1, 3)
             found = estimate_subject(without.frame, n, rate, template, None, start)
             model = keypoint_model(found.body, BODY_25B)
-            subject = Subject(found.body, model, found.start, found.notes)
+            subject = TrackedSubject(found.body, model, found.start, found.notes)
             result = track_source(FirstFrames(without, n), rate, TrackOptions(), subject=subject)
             assert result.motion.poses is not None
             # key-point file t belongs to video frame t + 1: frame 0 of the video has none

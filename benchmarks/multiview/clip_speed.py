@@ -5,13 +5,13 @@ from __future__ import annotations
 import time
 
 from benchmarks.bench_report import Row
-from hypose.pipeline.first_frame import Subject
+from hypose.pipeline.first_frame import TrackedSubject
 from hypose.synthetic.scenes import Scene
 from hypose.tracking.keypoint_clip import solve_keypoint_clip
 from hypose.tracking.keypoint_evidence import keypoint_model
 
 
-def keypoint_clip_rows(scene: Scene, subject: Subject, repeats: int) -> list[Row]:
+def keypoint_clip_rows(scene: Scene, subject: TrackedSubject, repeats: int) -> list[Row]:
     """frames_per_second and cpu_ms_per_frame of `solve_keypoint_clip` (key points in, poses of all frames out), the
     least of some runs; 25 key points in every view, half-size pictures."""
     seen = [f.keypoints for f in scene.mask_frames(0.5, keypoints=True)]

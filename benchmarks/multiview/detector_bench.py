@@ -24,12 +24,12 @@ from hypose.evidence.keypoints import BODY_25B
 from hypose.geometry import Array
 from hypose.io.keypoints.detectors import open_network
 from hypose.io.recordings.recording import Recording, load_recording, write_recording
+from hypose.pipeline.assessment import GOOD, LOOK, UNTRUSTED
 from hypose.pipeline.detect_keypoints import detect_keypoints
 from hypose.pipeline.first_frame import SubjectOptions, find_subject
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.track import track
 from hypose.pipeline.track_loop import FrameList
-from hypose.pipeline.verdict import GOOD, LOOK, UNTRUSTED
 from hypose.synthetic.metrics import EVALUATED
 from hypose.synthetic.scenes import Scene, make_scene
 from hypose.synthetic.write_recording import write_scene
@@ -136,7 +136,7 @@ def _balancing(options: BenchOptions) -> list[Row]:
             rows.append(Row("loco_px", whose, float(np.median(together)), "px", n=len(together)))
         shipped, _ = seen_by_detector(load_recording(folder), Path(place) / "shipped", n)
         result = track_source(in_memory(shipped, n), shipped.frame_rate, TrackOptions(evidence="both"))
-        word = VERDICTS.index(result.verdict.word)
+        word = VERDICTS.index(result.assessment.word)
         rows.append(Row("verdict", "both/shipped cameras", float(word), "1"))
     rows.append(Row("memory_mb", "all", resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024, "MB"))
     return rows

@@ -41,13 +41,13 @@ from hypose.evidence.keypoints import BODY_25B
 from hypose.geometry import Array, se3
 from hypose.io.recordings.frames import FrameSettings, FrameStream
 from hypose.io.recordings.recording import Recording
-from hypose.pipeline.doubts import against_the_clip
-from hypose.pipeline.first_look import first_look
+from hypose.pipeline.assessment import GOOD, UNTRUSTED, assess
+from hypose.pipeline.frame_anomalies import against_the_clip
+from hypose.pipeline.input_checks import check_inputs
 from hypose.pipeline.run import TrackOptions, TrackResult, track_source
 from hypose.pipeline.track_loop import FrameList
-from hypose.pipeline.verdict import GOOD, UNTRUSTED, verdict_of
 from hypose.synthetic.metrics import EVALUATED
-from hypose.tracking.error_model import WRONG_M, doubt_models, worth_a_look
+from hypose.tracking.error_model import WRONG_M, error_models, needs_review
 from hypose.tracking.joint_features import audit_frame
 from hypose.tracking.keypoint_evidence import keypoint_model
 from hypose.tracking.pose_covariance import joint_group
@@ -98,7 +98,7 @@ def _told(clips: Sequence[Tracked], judges: Sequence[Tracked]) -> list[Row]:
     sets = {"scenes": scenes, "scenes, usual": usual, "scenes, roughly right": [c for c in scenes if plain_enough(c)]}
     for name, own in sets.items():
         p, error = _told_of(own)
-        f = figures(p, error, doubt_models()["silhouettes"].threshold, "silhouettes")
+        f = figures(p, error, error_models()["silhouettes"].threshold, "silhouettes")
         sd = np.concatenate([c.motion.joint_sd[:, EVALUATED] for c in own])
         n = error.size
         rows += [
@@ -149,8 +149,13 @@ def _words(judges: Sequence[Tracked]) -> list[Row]:
             continue
         name = "nothing wrong" if case.usual else "things in the masks" if case.thing else "wrong cameras"
         p, joints = c.judged()
-        motion = replace(c.motion, p_wrong=p, doubtful_joints=joints, doubtful=worth_a_look(p, joints, c.evidence))
-        word = verdict_of(motion, *against_the_clip(c.audit, motion.n_views, c.evidence)).word
+        motion = replace(
+            c.motion,
+            error_probability=p,
+            low_confidence_joints=joints,
+            low_confidence=needs_review(p, joints, c.evidence),
+        )
+        word = assess(motion, *against_the_clip(c.audit, motion.n_views, c.evidence)).word
         families.setdefault(name, []).append(word != GOOD)
     return [Row("not_good", name, float(np.mean(some)), "1", n=len(some)) for name, some in families.items()]
 
@@ -238,7 +243,7 @@ def _faults() -> list[Row]:
     }
     rows = []
     for name, (kind, shown) in planted.items():
-        kinds = [f.kind for f in first_look(FrameList(shown), "keypoints") if f.fault]
+        kinds = [f.kind for f in check_inputs(FrameList(shown), "keypoints") if f.fault]
         rows.append(Row("said", name, float(kind in kinds if kind else not kinds), "1"))
     return rows
 
@@ -254,7 +259,7 @@ def _real(options: BenchOptions) -> list[Row]:
     for evidence in EVIDENCE:
         recording = balancing_recording(folder, keypoints=evidence != "silhouettes")
         result, frames, seconds = _tracked(recording, evidence)
-        rows.append(Row("said", f"balancing/{evidence}", float(result.verdict.word == GOOD), "1"))
+        rows.append(Row("said", f"balancing/{evidence}", float(result.assessment.word == GOOD), "1"))
         hips[evidence] = _hip_flexion(result.motion)
         rows += regions_of_balancing(result.motion, evidence, reference, errors if evidence == "silhouettes" else None)
         if evidence == "silhouettes":
@@ -272,7 +277,7 @@ def _real(options: BenchOptions) -> list[Row]:
     away = _from_clicks(result.motion, seated.rig)
     rows += [Row("off_clicks_mm", f"uu4cam/{part}", mm, "mm", n=len(result.motion)) for part, mm in away.items()]
     # what is wrong must be said; what is right need not be refused
-    told = result.verdict.word != GOOD if max(away.values()) > FAR_MM else result.verdict.word != UNTRUSTED
+    told = result.assessment.word != GOOD if max(away.values()) > FAR_MM else result.assessment.word != UNTRUSTED
     rows.append(Row("said", "uu4cam", float(told), "1"))
     return rows
 

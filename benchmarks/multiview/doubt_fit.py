@@ -27,13 +27,13 @@ from hypose.tracking.error_model import (
     BY_ITSELF,
     GROUPS,
     WRONG_M,
-    DoubtModel,
-    doubt_models,
+    ErrorModel,
     doubt_of_clip,
+    error_models,
     groups_of,
+    needs_review,
     probability,
     within_clip,
-    worth_a_look,
 )
 
 ASSET = Path(__file__).parents[2] / "hypose" / "assets" / "doubt.json"
@@ -146,7 +146,7 @@ def used_by(evidence: str) -> list[str]:
     ]
 
 
-def fit(rows: Rows, evidence: str, known: DoubtModel | None = None) -> DoubtModel:
+def fit(rows: Rows, evidence: str, known: ErrorModel | None = None) -> ErrorModel:
     """The model of an evidence, fitted to all rows given. known: weights that were found on other scenes, whose slope
     and level alone are fitted where the clips are few. Thresholds come from what is said of
     each seed when it is fitted to the others: of its own rows a fit is surer than it may be. They come from clips
@@ -171,7 +171,7 @@ def fit(rows: Rows, evidence: str, known: DoubtModel | None = None) -> DoubtMode
     return replace(model, threshold=np.array(threshold))
 
 
-def _weights(rows: Rows, evidence: str, known: DoubtModel | None) -> DoubtModel:
+def _weights(rows: Rows, evidence: str, known: ErrorModel | None) -> ErrorModel:
     on, flat = np.isin(FEATURES, used_by(evidence)), rows.x.reshape(-1, len(FEATURES))
     middle, scale = np.where(on, flat.mean(0), 0.0), np.where(on, np.maximum(flat.std(0), 1e-3), 1.0)
     few = len(np.unique(np.stack([rows.case, rows.seed.astype(str)]), axis=1).T) < _FEW
@@ -192,11 +192,11 @@ def _weights(rows: Rows, evidence: str, known: DoubtModel | None) -> DoubtModel:
             continue
         weights[g], offset[g] = _logistic(z, y, counts, on)
     alone = np.tile(BY_ITSELF, (len(GROUPS), 1))
-    model = DoubtModel(middle, scale, weights, offset, alone, np.full(len(GROUPS), LEAST_P[evidence]))
+    model = ErrorModel(middle, scale, weights, offset, alone, np.full(len(GROUPS), LEAST_P[evidence]))
     return replace(model, in_clip=in_clip(model, rows)) if evidence == "silhouettes" and not few else model
 
 
-def said(model: DoubtModel, rows: Rows) -> Array:
+def said(model: ErrorModel, rows: Rows) -> Array:
     """(N, J) P of joints in their clips."""
     odds = model.of_joints(rows.x, _NAMES)
     return probability(model.within(odds, _NAMES, _doubt_of_clips(odds, rows.clip)))
@@ -209,8 +209,8 @@ def _doubt_of_clips(odds: Array, clip: NDArray[np.int64]) -> Array:
     return np.repeat(found, np.diff(np.r_[begin, len(clip)]))
 
 
-def in_clip(model: DoubtModel, rows: Rows) -> Array:
-    """(G, 6) `DoubtModel.in_clip`, by likelihood of whole clips that all weigh the same: a slope that falls where a
+def in_clip(model: ErrorModel, rows: Rows) -> Array:
+    """(G, 6) `ErrorModel.in_clip`, by likelihood of whole clips that all weigh the same: a slope that falls where a
     clip is doubtful as a whole, and what the neighbours' say. From masks alone: with key points motions left out are
     told worse by it."""
     rows = rows.take(rows.whole)
@@ -224,7 +224,7 @@ def in_clip(model: DoubtModel, rows: Rows) -> Array:
 
 
 _IN_CLIP = [(-9.0, 9.0), (-9.0, 9.0), (0.1, 2.0), (-0.5, 0.0), (0.0, 2.0), (-0.3, 0.3)]
-"""Bounds of `DoubtModel.in_clip`."""
+"""Bounds of `ErrorModel.in_clip`."""
 
 
 def _wholly_wrong(rows: Rows) -> NDArray[np.bool_]:
@@ -297,7 +297,7 @@ def figures(p: Array, error: Array, threshold: Array, evidence: str) -> dict[str
     """What P (N, J) says of errors (N, J) m at the committed thresholds (G,) of an evidence."""
     wrong, flagged = error > WRONG_M, p > threshold[_GROUP]
     arm, far = _ARMS, error > 0.15
-    frame_wrong, frame_flagged = wrong[:, arm].any(1), worth_a_look(p, flagged, evidence)
+    frame_wrong, frame_flagged = wrong[:, arm].any(1), needs_review(p, flagged, evidence)
     good_frames = ~wrong.any(1)
 
     def share(of: ArrayLike, where: ArrayLike) -> float:
@@ -336,12 +336,12 @@ def left_out(rows: Rows, evidence: str) -> Array:
 def report_fit(clips: Sequence[Tracked], write: bool = True) -> None:
     """Fits every evidence on the seeds below JUDGES, prints how it does on the others, and writes the asset; an
     evidence without clips keeps what it has."""
-    models = dict(doubt_models())
+    models = dict(error_models())
     for evidence in (e for e in EVIDENCE if any(c.evidence == e for c in clips)):
         rows = rows_of(clips, evidence, ALONE)
         rows = rows.take((rows.seed < JUDGES) | rows.whole)
         train, judge = rows.take(rows.seed < JUDGES), rows.take(rows.seed >= JUDGES)
-        model = models[evidence] = fit(train, evidence, doubt_models()[evidence])
+        model = models[evidence] = fit(train, evidence, error_models()[evidence])
         print(f"\n{evidence}: {len(train.x)} frames trained on, {len(judge.x)} judge", model.threshold.round(3))
         for name, some in (("trained on", train), ("other seeds", judge)):
             if len(some.x):
@@ -358,8 +358,8 @@ def report_fit(clips: Sequence[Tracked], write: bool = True) -> None:
         ASSET.write_text(json.dumps(_document(models), indent=1) + "\n", encoding="utf-8")
 
 
-def _document(models: dict[str, DoubtModel]) -> dict[str, object]:
-    def plain(m: DoubtModel) -> dict[str, object]:
+def _document(models: dict[str, ErrorModel]) -> dict[str, object]:
+    def plain(m: ErrorModel) -> dict[str, object]:
         return {f.name: np.round(getattr(m, f.name), 4).tolist() for f in fields(m)}
 
     return {"features": FEATURES, "groups": GROUPS, "models": {e: plain(m) for e, m in models.items()}}

@@ -30,7 +30,7 @@ from hypose.errors import HyposeError
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.keypoints import BODY_25, to_keypoints
 from hypose.geometry import Array, procrustes, se3, transform
-from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
+from hypose.pipeline.first_frame import SubjectOptions, TrackedSubject, find_subject
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.track_loop import FrameList
 from hypose.synthetic.corruptions import keypoint_detections
@@ -155,8 +155,8 @@ class Tracked:
         p, joints = self.judged()
         nothing = replace(
             self.motion,
-            p_wrong=p,
-            doubtful_joints=joints,
+            error_probability=p,
+            low_confidence_joints=joints,
             joint_covariance=np.zeros_like(self.motion.joint_covariance),
             angle_sd=np.zeros((len(p), len(ANGLE_NAMES)), np.float32),
         )
@@ -303,7 +303,7 @@ def tracked(name: str, scene: Scene, frames: Sequence[Frame], seed: int, evidenc
     used = without_masks(used) if evidence == "keypoints" else used
     source, rate = FrameList(used, scene.frame_rate), scene.frame_rate
     options = TrackOptions(seed=seed, evidence=evidence)
-    subject: Subject | None = None
+    subject: TrackedSubject | None = None
     if not ALL[name].own:
         if evidence == "silhouettes":
             subject = known_subject(scene, _body(seed, "silhouettes"))

@@ -12,8 +12,8 @@ from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
 from hypose.body.body import Body
 from hypose.body.default_body import human
 from hypose.geometry import Array
-from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
-from hypose.pipeline.mend_sides import FrameRange, mend_sides
+from hypose.pipeline.first_frame import SubjectOptions, TrackedSubject, find_subject
+from hypose.pipeline.left_right import FrameRange, correct_left_right
 from hypose.pipeline.run import TrackOptions, tracker_of
 from hypose.pipeline.track_loop import FrameList, track_frames
 from hypose.synthetic.metrics import joint_errors, population_offsets
@@ -53,7 +53,7 @@ def front_back(options: BenchOptions) -> BenchReport:
             times.append((time.perf_counter() - clock) / len(source))
         for case, start in (("own start", subject.start), ("turned start", turned_around(subject.body, subject.start))):
             done = _tracked(source, tracker, start, subject)
-            mended, again = mend_sides(tracker, done, _reader(source))
+            mended, again = correct_left_right(tracker, done, _reader(source))
             touched += bool(again) and case == "own start"
             for how, estimates in (("as tracked", done), ("mended", mended)):
                 found.setdefault((case, how), []).append(_measured(scene, subject.body, estimates))
@@ -75,7 +75,7 @@ def front_back(options: BenchOptions) -> BenchReport:
     return BenchReport(tuple(rows), settings)
 
 
-def _tracked(source: FrameList, tracker: Tracker, start: Array, subject: Subject) -> list[FrameEstimate]:
+def _tracked(source: FrameList, tracker: Tracker, start: Array, subject: TrackedSubject) -> list[FrameEstimate]:
     def silent(stage: str, done: int, total: int) -> None:
         pass
 

@@ -18,7 +18,7 @@ from hypose.evidence.terms import contour_term
 from hypose.fitting import fit_pose
 from hypose.geometry import Array
 from hypose.io.motions.marker_files import read_trc
-from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
+from hypose.pipeline.first_frame import SubjectOptions, TrackedSubject, find_subject
 from hypose.tracking.keypoint_clip import solve_keypoint_clip
 from hypose.tracking.keypoint_evidence import keypoint_term
 from hypose.tracking.refinement import anatomical_prior
@@ -108,7 +108,7 @@ def _methods(frames: Sequence[Frame], rig: CameraRig, rate: float) -> dict[str, 
     }
 
 
-def solved_clip(frames: Sequence[Frame], rate: float) -> tuple[Subject, Array]:
+def solved_clip(frames: Sequence[Frame], rate: float) -> tuple[TrackedSubject, Array]:
     """The subject of key points alone and its poses (T, D), the clip solved as one."""
     subject = find_subject(lambda i: frames[i], len(frames), SubjectOptions("keypoints", frame_rate=rate, body=human()))
     assert subject.keypoints is not None
@@ -116,14 +116,16 @@ def solved_clip(frames: Sequence[Frame], rate: float) -> tuple[Subject, Array]:
     return subject, poses
 
 
-def body_points(subject: Subject, poses: Array) -> Array:
+def body_points(subject: TrackedSubject, poses: Array) -> Array:
     """(T, K, 3) m: where a subject's key points are; NaN for those that the body does not have."""
     assert subject.keypoints is not None
     model = subject.keypoints
     return np.where(model.known[:, None], model.positions(subject.body, poses), np.nan)
 
 
-def both_clip(subject: Subject, frames: Sequence[Frame], poses: Array, rate: float, weight: float = 0.05) -> Array:
+def both_clip(
+    subject: TrackedSubject, frames: Sequence[Frame], poses: Array, rate: float, weight: float = 0.05
+) -> Array:
     """Poses (T, D) of a whole clip from key points and contours together, from those of the key points."""
     s = subject.body.skeleton
     fits = []

@@ -29,7 +29,7 @@ from hypose.evidence.terms import contour_term
 from hypose.io.recordings.frames import FrameSettings, FrameStream, build_backgrounds
 from hypose.io.recordings.recording import Recording, load_recording
 from hypose.io.videos.video import VideoWriter, open_video
-from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
+from hypose.pipeline.first_frame import SubjectOptions, TrackedSubject, find_subject
 from hypose.synthetic.scenes import Scene
 from hypose.synthetic.write_recording import write_scene
 from hypose.tracking.recipes import recipe
@@ -94,7 +94,9 @@ def multiview_speed(options: BenchOptions) -> BenchReport:
     return BenchReport(tuple(rows), {"views": 4, "seconds": seconds, "repeats": repeats})
 
 
-def _masks_in(options: BenchOptions, scene: Scene, subject: Subject, frames: list[Frame], repeats: int) -> list[Row]:
+def _masks_in(
+    options: BenchOptions, scene: Scene, subject: TrackedSubject, frames: list[Frame], repeats: int
+) -> list[Row]:
     rows = []
     for preset in _PRESETS[:1] if options.quick else _PRESETS:
         options.progress(preset, 0, 1)
@@ -124,7 +126,7 @@ def _two_views(frame: Frame) -> Frame:
     return replace(frame, silhouettes=make_silhouettes(masks, rig))
 
 
-def follow(frames: Iterable[Frame], subject: Subject, rate: float, preset: str, particles: int = 1) -> int:
+def follow(frames: Iterable[Frame], subject: TrackedSubject, rate: float, preset: str, particles: int = 1) -> int:
     """Track the frames by a preset with so many times its particles; how many frames there were."""
     made = recipe(preset, subject.body, frame_rate=rate)
     made = replace(made, particles=particles * made.particles)
@@ -132,7 +134,7 @@ def follow(frames: Iterable[Frame], subject: Subject, rate: float, preset: str, 
     return sum(1 for _ in tracker.follow(tracker.start(subject.start), frames))
 
 
-def videos_in(case: str, recording: Recording, subject: Subject, repeats: int) -> list[Row]:
+def videos_in(case: str, recording: Recording, subject: TrackedSubject, repeats: int) -> list[Row]:
     """Rows of one recording: opening, decoding, evidence, and all of it with the tracker."""
     begin = time.perf_counter(), time.process_time()
     backgrounds = build_backgrounds(recording)
@@ -208,7 +210,7 @@ def enlarged(recording: Recording, folder: Path, factor: float) -> Recording:
     return replace(recording, views=tuple(views))
 
 
-def _twice_as_long(recording: Recording, folder: Path, subject: Subject) -> list[Row]:
+def _twice_as_long(recording: Recording, folder: Path, subject: TrackedSubject) -> list[Row]:
     """The clip forth and back and forth, and that again: time per frame and peak memory must not grow."""
     backgrounds = build_backgrounds(recording)
     costs, peaks = [], []

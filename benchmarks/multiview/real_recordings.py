@@ -21,7 +21,7 @@ from hypose.evidence.keypoints import BODY_25B
 from hypose.evidence.silhouettes import as_mask, biggest_parts, make_silhouettes
 from hypose.geometry import Array, se3, so3_exp
 from hypose.io.recordings.frames import FrameStream
-from hypose.io.recordings.recording import Recording, View, load_recording
+from hypose.io.recordings.recording import Recording, ViewSettings, load_recording
 from hypose.io.videos.video import open_video
 from hypose.pipeline.first_frame import SubjectOptions, find_subject
 from hypose.pipeline.run import TrackOptions, track_source
@@ -188,7 +188,7 @@ def uu4cam_recording(folder: Path) -> Recording:
         pose = se3(rotation, np.ravel(c["tvec"]) / 1000)
         cameras.append(Camera(f"cam{n}", np.array(c["K"]), np.ravel(c["D"]).astype(float), pose, (644, 486)))
         here = folder / f"cam{n}"
-        views.append(View(f"cam{n}", video=here / "video.avi", background=here / "background.avi"))
+        views.append(ViewSettings(f"cam{n}", video=here / "video.avi", background=here / "background.avi"))
     n = min(open_video(v.video).n_frames for v in views if v.video)
     return Recording(folder, "uu4cam", CameraRig(tuple(cameras)), tuple(views), 50.0, (0, n))
 

@@ -205,7 +205,7 @@ def as_told(c: Tracked) -> Motion:
     """The clip's motion with the covariances, and the sd of its angles, that a user is told."""
     p, joints = c.judged()
     beyond = beyond_usual(c.audit, c.evidence)
-    m = with_fitted_joints(replace(c.motion, p_wrong=p, doubtful_joints=joints), c.evidence, beyond)
+    m = with_fitted_joints(replace(c.motion, error_probability=p, low_confidence_joints=joints), c.evidence, beyond)
     if m.angle_sd is not None:
         m = with_angle_variance(m, m.angle_sd.astype(np.float64) ** 2, c.evidence, beyond)
     return as_mixture(m)

@@ -14,9 +14,9 @@ from benchmarks.multiview.start_scenes import CHAIRED, POSTURES, RIGS, frames_of
 from hypose.body.default_body import human
 from hypose.errors import HyposeError
 from hypose.evidence.frame import Frame
+from hypose.pipeline.assessment import GOOD
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.track_loop import FrameList
-from hypose.pipeline.verdict import GOOD
 from hypose.synthetic.metrics import EVALUATED
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.postures import postures as postures_of_body
@@ -75,7 +75,7 @@ def one(posture: str, seed: int) -> dict[str, Any]:
         "error_mm": error,
         "worst_mm": 1e3 * float(away.mean(0).max()),
         "heading": heading,
-        "word": result.verdict.word,
+        "word": result.assessment.word,
         "seconds": seconds,
         "chair": chair,
     }

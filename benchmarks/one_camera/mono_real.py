@@ -12,7 +12,7 @@ from hypose.evidence.keypoints import BODY_25B
 from hypose.geometry import Array
 from hypose.io.recordings.frames import FrameSettings, FrameStream
 from hypose.io.recordings.recording import Recording
-from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
+from hypose.pipeline.first_frame import SubjectOptions, TrackedSubject, find_subject
 from hypose.pipeline.one_camera import masks_of, one_view
 from hypose.pipeline.run import TrackOptions, TrackResult, track_source
 
@@ -63,7 +63,7 @@ def mono_real(options: BenchOptions) -> BenchReport:
     return BenchReport(tuple(rows), {"frames": n - 1, "camera": CAMERA, "joints": len(LIMBS), "frame_rate": 60})
 
 
-def _track(recording: Recording, case: str, subject: Subject) -> TrackResult:
+def _track(recording: Recording, case: str, subject: TrackedSubject) -> TrackResult:
     evidence, known = case.split("/")[0], "/one_view" not in case
     height = None if known else subject.body.stature
     options = TrackOptions("monocular", evidence=evidence, height=height, smooth=not case.endswith("/live"))
@@ -71,7 +71,7 @@ def _track(recording: Recording, case: str, subject: Subject) -> TrackResult:
         return track_source(stream, recording.frame_rate, options, body=subject.body if known else None)
 
 
-def _rows(case: str, found: TrackResult, subject: Subject, recording: Recording, reference: Array) -> list[Row]:
+def _rows(case: str, found: TrackResult, subject: TrackedSubject, recording: Recording, reference: Array) -> list[Row]:
     assert found.motion.poses is not None and found.modes is not None and subject.keypoints is not None
     model = subject.keypoints
     limbs = np.array(LIMBS)

@@ -22,7 +22,7 @@ from hypose.geometry import Array
 from hypose.pipeline.people_run import PeopleRun
 from hypose.pipeline.run import TrackOptions
 from hypose.pipeline.track_loop import FrameList
-from hypose.pipeline.tracked_people import OnePerson
+from hypose.pipeline.tracked_people import TrackedPerson
 from hypose.synthetic.motions import act
 from hypose.synthetic.performance import Performance
 from hypose.synthetic.scenes import Scene, make_scene
@@ -110,7 +110,7 @@ def _with_colours(scene: Scene, frame: Frame) -> Frame:
     return replace(frame, colours=Colours(shown, np.ones(len(s.rig), dtype=bool)))
 
 
-def _wrong(people: tuple[OnePerson, ...], roots: Array, there: NDArray[np.bool_]) -> int:
+def _wrong(people: tuple[TrackedPerson, ...], roots: Array, there: NDArray[np.bool_]) -> int:
     """How many of the two (roots (2, T, 2) m) nobody is at the end, or somebody who was the other one at first."""
     wrong, end = 0, len(roots[0]) - round(RATE / 3)
     for k, (root, when) in enumerate(zip(roots, there, strict=True)):
@@ -124,6 +124,6 @@ def _wrong(people: tuple[OnePerson, ...], roots: Array, there: NDArray[np.bool_]
     return wrong
 
 
-def _at(person: OnePerson, root: Array, frames: list[int]) -> bool:
+def _at(person: TrackedPerson, root: Array, frames: list[int]) -> bool:
     at = person.result.motion.joints[frames, 0, :2]
     return bool(np.median(np.linalg.norm(at - root[frames], axis=1)) < _HERE_M)

@@ -88,7 +88,9 @@ def _tracked(scene: Scene, frames: list[Frame], evidence: str, seed: int, noted:
     error = np.linalg.norm(aligned_joints(motion, scene) - scene.joints[: len(motion)], axis=-1)[:, EVALUATED]
     by_frame = 1e3 * error.mean(1)
     worst = int(by_frame.argmax())
-    doubted = any(x is not None and bool(np.any(x[worst])) for x in (motion.doubtful, motion.doubtful_joints))
+    doubted = any(
+        x is not None and bool(np.any(x[worst])) for x in (motion.low_confidence, motion.low_confidence_joints)
+    )
     return {
         "max": float(by_frame.max()),
         "mean": float(by_frame.mean()),

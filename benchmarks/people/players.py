@@ -20,11 +20,11 @@ from hypose.body.motion import Motion
 from hypose.calibration.synchronisation import Resampled, offsets_from_motion
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array
+from hypose.pipeline.assessment import assess
 from hypose.pipeline.people_run import PeopleRun
 from hypose.pipeline.run import TrackOptions, TrackResult, track_source
 from hypose.pipeline.track_loop import FrameList
-from hypose.pipeline.tracked_people import OnePerson
-from hypose.pipeline.verdict import verdict_of
+from hypose.pipeline.tracked_people import TrackedPerson
 from hypose.synthetic.metrics import joint_errors, population_offsets
 from hypose.synthetic.scenes import Scene
 
@@ -70,7 +70,7 @@ def run(seed: int, seconds: float) -> dict[str, Any]:
             who = min(people, key=lambda p: _away(p, s))
             mean = _mean_mm(who.result.motion, s, shift)
             out[f"{name}/{case}"] = mean
-            out[f"silent/{name}/{case}"] = mean > SILENT_MM and who.verdict.word == "good"
+            out[f"silent/{name}/{case}"] = mean > SILENT_MM and who.assessment.word == "good"
             alone = track_source(_in_step(tuple(s.mask_frames(1.0)), offsets), RATE, _OPTIONS)
             out[f"alone/{name}/{case}"] = mean_alone = _mean_mm(alone.motion, s, shift)
             out[f"silent alone/{name}/{case}"] = mean_alone > SILENT_MM and _word(alone) == "good"
@@ -78,7 +78,7 @@ def run(seed: int, seconds: float) -> dict[str, Any]:
 
 
 def _word(result: TrackResult) -> str:
-    return verdict_of(result.motion, result.faults, result.looks).word
+    return assess(result.motion, result.faults, result.looks).word
 
 
 def _in_step(frames: Sequence[Frame], late: Array) -> FrameList:
@@ -86,7 +86,7 @@ def _in_step(frames: Sequence[Frame], late: Array) -> FrameList:
     return FrameList([source.frame(i) for i in range(len(source))], RATE)
 
 
-def _away(person: OnePerson, scene: Scene) -> float:
+def _away(person: TrackedPerson, scene: Scene) -> float:
     """m: median distance from a player's true root."""
     away = np.linalg.norm((person.result.motion.joints - scene.joints)[:, 0], axis=-1)
     return float(np.median(away[person.present])) if person.present.any() else np.inf

@@ -26,11 +26,11 @@ from hypose.errors import HyposeError
 from hypose.evidence.association import people_of
 from hypose.evidence.keypoints import BODY_25, to_keypoints
 from hypose.geometry import Array
-from hypose.pipeline.people_points import KeypointPeople
 from hypose.pipeline.people_run import PeopleRun
+from hypose.pipeline.person_paths import KeypointPeople
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.track_loop import FrameList
-from hypose.pipeline.tracked_people import OnePerson
+from hypose.pipeline.tracked_people import TrackedPerson
 from hypose.synthetic.corruptions import keypoint_detections
 from hypose.synthetic.metrics import joint_errors, population_offsets
 from hypose.synthetic.motions import act
@@ -280,12 +280,12 @@ def _errors(motion: Motion, scene: Scene) -> Array:
 
 
 def _judged(
-    found: Sequence[OnePerson], scenes: Sequence[Scene], present: NDArray[np.bool_], setting: Setting
+    found: Sequence[TrackedPerson], scenes: Sequence[Scene], present: NDArray[np.bool_], setting: Setting
 ) -> dict[str, Any]:
     """Who was tracked how well. Everybody tracked is the true person whom they are nearest to in most frames; frames in
     which they are nearer to another one are exchanges of identity."""
     true = np.stack([s.joints[: present.shape[1], :1, :2].mean(1) for s in scenes])  # (P, T, 2)
-    mine: dict[int, OnePerson] = {}
+    mine: dict[int, TrackedPerson] = {}
     swaps = invented = 0
     for one in found:
         at = one.result.motion.joints[:, 0, :2]
@@ -315,7 +315,7 @@ def _judged(
         start_ok.append(bool(e[after - 3 : after + 3].mean() <= GOOD_MM))
         soon = round(SOON_S * RATE)
         born += [bool(one.present[t : t + soon + 1].any()) for t in comes]
-        flagged.append(one.verdict.word != "good")
+        flagged.append(one.assessment.word != "good")
     return {
         "errors": errors,
         "far": frames_far,

@@ -14,7 +14,7 @@ from hypose.body.default_body import human
 from hypose.body.motion import Motion
 from hypose.evidence.frame import Frame
 from hypose.geometry import Array
-from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject
+from hypose.pipeline.first_frame import SubjectOptions, TrackedSubject, find_subject
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.track_loop import FrameList
 from hypose.synthetic.metrics import joint_errors, population_offsets
@@ -185,7 +185,7 @@ class Aftermath:
     finite: bool
 
 
-def subject_of(scene: Scene, *, fitted: bool = True) -> Subject:
+def subject_of(scene: Scene, *, fitted: bool = True) -> TrackedSubject:
     """The subject's body as `hypose track` fits it, from the scene without its fault; or the template at the subject's
     height."""
     frames = FrameList(list(scene.mask_frames()))
@@ -196,7 +196,7 @@ def subject_of(scene: Scene, *, fitted: bool = True) -> Subject:
     return find_subject(frames.frame, len(frames), wanted)
 
 
-def aftermath(scene: Scene, spoilt: Spoilt, subject: Subject, seed: int) -> Aftermath:
+def aftermath(scene: Scene, spoilt: Spoilt, subject: TrackedSubject, seed: int) -> Aftermath:
     """Track the spoilt frames with a subject that is known, and measure."""
     options = TrackOptions(evidence=spoilt.evidence, seed=seed)
     motion = track_source(
@@ -216,8 +216,8 @@ def aftermath(scene: Scene, spoilt: Spoilt, subject: Subject, seed: int) -> Afte
     inside = slice(spoilt.first, spoilt.stop)
     full = int(motion.n_views[: spoilt.first].max(initial=0))
     flags = motion.lost | motion.extrapolated | (motion.n_views < full)
-    if motion.doubtful is not None:
-        flags |= motion.doubtful
+    if motion.low_confidence is not None:
+        flags |= motion.low_confidence
     wrong = error[spoilt.first :] > limit
     tail = error[-round(_RATE) :]
     return Aftermath(

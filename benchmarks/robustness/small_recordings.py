@@ -17,7 +17,7 @@ from hypose.fusion.joints import COMMON
 from hypose.gestures.depth_pictures import KINECT
 from hypose.io.calibrations.calibration_text import write_calibration
 from hypose.io.files import atomic_path
-from hypose.io.recordings.recording import Recording, View, write_recording
+from hypose.io.recordings.recording import Recording, ViewSettings, write_recording
 from hypose.io.sensors.skeleton_streams import SensorStream, SkeletonRecording
 from hypose.pipeline.gesture_files import SessionWriter
 from hypose.synthetic.scenes import Scene, camera_rig, make_scene
@@ -42,7 +42,7 @@ def write_masks(scene: Scene, folder: Path) -> Path:
         for c, camera in enumerate(cameras):
             mask = frame.silhouettes.masks[c, : camera.size[1], : camera.size[0]]
             _write_png(folder / camera.name / f"{t:05d}.png", 255 * mask)
-    views = tuple(View(c.name, masks=folder / c.name) for c in cameras)
+    views = tuple(ViewSettings(c.name, masks=folder / c.name) for c in cameras)
     write_recording(Recording(folder, folder.name, cameras, views, scene.frame_rate, None, keypoint_set=None), folder)
     return folder
 

@@ -19,7 +19,7 @@ from pathlib import Path
 from benchmarks.bench_origin import ROOT
 from benchmarks.bench_report import BenchOptions, BenchReport, Row
 from benchmarks.robustness.small_recordings import small_scene, write_masks
-from hypose.app.commands.console import note
+from hypose.app.commands.console import print_note
 from hypose.body.default_body import human
 from hypose.compute import VARIABLE
 from hypose.errors import InputError
@@ -126,7 +126,7 @@ def short_clip(options: BenchOptions) -> BenchReport:
         for command, where in commands.values():  # what is compiled by the first run
             _run(command, where)
         if find_spec("Pose2Sim") is None:
-            note("Pose2Sim is not installed here: the short clip has no baseline.")
+            print_note("Pose2Sim is not installed here: the short clip has no baseline.")
         else:
             shutil.copytree(folder, root / "project")
             commands["Pose2Sim"] = [sys.executable, "-c", _POSE2SIM], root / "project"

@@ -18,7 +18,15 @@ from hypose.pipeline.gesture_files import SessionWriter, save_model
 from hypose.synthetic.gesture_scenes import live_person
 
 _SERIES = ("poses", "joints", "joint_covariance", "lost", "extrapolated", "n_views", "cost")
-_SERIES += ("doubtful", "p_wrong", "doubtful_joints", "angle_sd", "systematic_covariance", "rivals", "rival_weights")
+_SERIES += (
+    "low_confidence",
+    "error_probability",
+    "low_confidence_joints",
+    "angle_sd",
+    "systematic_covariance",
+    "rivals",
+    "rival_weights",
+)
 _TAUGHT, _SESSION_S, _RATE = 60, 900, 30
 
 

@@ -16,7 +16,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.app.live.simulated_sensors import FRAME_RATE, turned
+from hypose.app.live.simulated_sensors import FRAME_RATE, rotated_about_vertical
 from hypose.evidence.frame import INFERRED, NOT_TRACKED, TRACKED, SensorJoints
 from hypose.fusion import joints as jt
 from hypose.geometry import Array, se3_inverse, transform
@@ -298,7 +298,7 @@ def _tracking_noise(
     out = _autoregressive(rng, frames, (15, 3), 0.5) * sd[..., None]
     out += _autoregressive(rng, frames, (15, 1), 0.5) * sd[..., None] * ray
     bias = np.broadcast_to(rng.normal(0, model.bias_m, (15, 3)), (frames, 15, 3))
-    return out + turned(bias, heading)
+    return out + rotated_about_vertical(bias, heading)
 
 
 def _infer_hidden(

@@ -9,7 +9,7 @@ import numpy as np
 from benchmarks.synthetic.asf import bone_ends, read_amc, read_asf
 from benchmarks.synthetic.human4d import read_human4d
 from benchmarks.synthetic.sensors import SensorModel, SensorRecording, simulate
-from hypose.app.live.simulated_sensors import builtin_joints, looped, on_treadmill, ring_sensors, turned
+from hypose.app.live.simulated_sensors import builtin_joints, looped, on_treadmill, ring_sensors, rotated_about_vertical
 from hypose.fusion import joints as jt
 from hypose.geometry import Array, se3, se3_inverse, transform
 
@@ -76,7 +76,7 @@ def turn_then_run(run: Array, walk: Array, frames: int) -> tuple[Array, Array]:
     for i in range(10):
         w = (i + 1) / 11
         out[k - 10 + i] = (1 - w) * out[k - 10 + i] + w * running[i]
-    return turned(out, heading), heading
+    return rotated_about_vertical(out, heading), heading
 
 
 def treadmill_recording(

@@ -17,7 +17,7 @@ def main() -> None:
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.open(os.devnull, flags), "r" if name == "stdin" else "w"))
     try:
-        from hypose.app.cli import main as run
+        from hypose.app.cli import run_cli as run
     except KeyboardInterrupt:
         sys.exit(130)
     run()

@@ -22,22 +22,33 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hypose.app.commands.console import ProgressCall, Stages, ignore
-from hypose.app.jobs.job import Job, choose_frames, compile_before, record_of, run_job
-from hypose.app.jobs.truth import compare_with
+from hypose.app.jobs.job import TrackJob, choose_frames, compile_before, record_of, run_job
 from hypose.app.reports.summary import require_found, summarize
 from hypose.errors import HyposeError, InputError, extra
 from hypose.io.file_names import file_name
 from hypose.io.files import check_writable, read_json, text_lines, write_text
-from hypose.io.motions.results import ResultsFolder, identity, to_json
+from hypose.io.motions.results import ResultsFolder, provenance_identity, to_json
 from hypose.io.recordings.pose2sim import is_project
 from hypose.io.recordings.recording import load_recording
+from hypose.pipeline.comparison import compare_with
 from hypose.pipeline.run import TrackOptions
 
 if TYPE_CHECKING:
     from distributed import Client, Future
 
 COLUMNS = (
-    *("recording", "name", "state", "frames", "lost", "extrapolated", "doubtful", "verdict", "iou", "worst_iou"),
+    *(
+        "recording",
+        "name",
+        "state",
+        "frames",
+        "lost",
+        "extrapolated",
+        "low_confidence",
+        "assessment",
+        "iou",
+        "worst_iou",
+    ),
     *("sd_mm", "error_mm", "track_s", "key", "results", "message"),
 )
 """Columns of results.csv; empty where unknown."""
@@ -78,12 +89,12 @@ class Task:
     results: Path = Path()
 
     @property
-    def job(self) -> Job:
+    def job(self) -> TrackJob:
         """The tracking job, which goes on where an earlier one stopped."""
         options = dict(self.options)
         recording = choose_frames(load_recording(self.path), options.pop("frames", None))
         truth = recording.folder / "truth.npz"
-        return Job(
+        return TrackJob(
             recording,
             TrackOptions(**{"height": recording.subject_height, **options}),
             ResultsFolder(self.results),
@@ -94,11 +105,11 @@ class Task:
         )
 
 
-# ---- what is to be done --------------------------------------------------------------------------------------
+# ---- the next step --------------------------------------------------------------------------------------
 
 
 def read_table(path: Path) -> list[Task]:
-    """The rows of a CSV table of recordings; an InputError names the line and what is allowed."""
+    """The rows of a CSV table of recordings; an InputError names the line and the allowed values."""
     reader = csv.DictReader(text_lines(path, "a table of recordings"), restkey="more", restval="")
     unknown = set(reader.fieldnames or ()) - {"recording", "name", *_OPTIONS}
     if unknown or "recording" not in (reader.fieldnames or ()):
@@ -138,7 +149,7 @@ def wanted(given: Sequence[Path]) -> list[Task]:
     return [Task(p) for p in folders]
 
 
-def plan(
+def ordered_tasks(
     drafts: Sequence[Task], results: Path, progress: ProgressCall = ignore
 ) -> tuple[list[Task], list[dict[str, Any]]]:
     """The tasks in their order, and a row of the table for each that cannot be one. Two recordings with the same
@@ -151,7 +162,7 @@ def plan(
             job = task.job
             name = job.recording.name
             # which recording it is decides where the results lie, so it is a part of the key
-            who = to_json({"recording": name, **identity(record_of(job))})
+            who = to_json({"recording": name, **provenance_identity(record_of(job))})
             key = hashlib.sha256(who.encode()).hexdigest()[:16]
             folder = results / file_name(name) / f"{file_name(task.name)}-{key[:8]}"
             tasks[key] = replace(task, key=key, recording=name, frames=len(job.recording.frames), results=folder)
@@ -161,7 +172,7 @@ def plan(
     return list(tasks.values()), refused
 
 
-def finished(task: Task) -> dict[str, Any] | None:
+def finished_metrics(task: Task) -> dict[str, Any] | None:
     """The figures of a task that is done: same key, same files to write, motion present."""
     try:
         found = read_json(task.results / "task.json", "the record of a task")
@@ -209,7 +220,7 @@ def run_task(task: Task, stop: Path, report: Callable[[int], None]) -> dict[str,
 
     An input that cannot be used gives state "failed", as a second attempt would; any other exception is the caller's.
     """
-    known = finished(task)
+    known = finished_metrics(task)
     if known is not None:
         return known
     stages = Stages(quiet=True)
@@ -232,7 +243,7 @@ def run_task(task: Task, stop: Path, report: Callable[[int], None]) -> dict[str,
         return {"state": "failed", "message": str(error)}
     except KeyboardInterrupt:
         return _stopped("stopped; what was tracked is kept")
-    s, doubtful = summarize(outcome.motion), outcome.motion.doubtful
+    s, low_confidence = summarize(outcome.motion), outcome.motion.low_confidence
     figures = {
         "key": task.key,
         "state": "done",
@@ -244,8 +255,8 @@ def run_task(task: Task, stop: Path, report: Callable[[int], None]) -> dict[str,
         "frames": s.frames,
         "lost": s.lost,
         "extrapolated": s.extrapolated,
-        "doubtful": None if doubtful is None else int(doubtful.sum()),
-        "verdict": None if outcome.verdict is None else outcome.verdict.word,
+        "low_confidence": None if low_confidence is None else int(low_confidence.sum()),
+        "assessment": None if outcome.assessment is None else outcome.assessment.word,
         **{n: v if v == v else None for n, v in (("iou", s.iou), ("worst_iou", s.worst_iou), ("sd_mm", s.sd_mm))},
         "error_mm": None if outcome.truth is None else outcome.truth.mean_mm,
         "track_s": stages.seconds.get("track"),
@@ -278,7 +289,7 @@ def run_batch(
 
     KeyboardInterrupt stops the tasks in order: each keeps what it has, and the call returns; a second one ends at once
     (checkpoints stay)."""
-    out = {task.key: {**known, "before": True} for task in tasks if (known := finished(task)) is not None}
+    out = {task.key: {**known, "before": True} for task in tasks if (known := finished_metrics(task)) is not None}
     left = [t for t in tasks if t.key not in out]
     if left:
         check_writable(results)

@@ -26,7 +26,6 @@ from hypose.app.commands import (
     commands_gesture,
     commands_live,
     commands_results,
-    commands_studio,
     commands_track,
 )
 from hypose.errors import HyposeError
@@ -51,13 +50,13 @@ _COMMANDS = (
     ("sync", commands_check.sync, "How many frames each view is late; cure it with --out."),
     ("silhouettes", commands_data.silhouettes, "Write the masks of the person, and a contact sheet."),
     ("keypoints", commands_data.keypoints, "Detect 2D key points and masks of people in the videos."),
-    ("track", commands_track.track, "Track the person: motion files, overlay video, report."),
+    ("track", commands_track.track_command, "Track the person: motion files, overlay video, report."),
     ("correct", commands_track.correct, "Track a result again from a frame corrected in the studio."),
     ("subject", commands_track.subject, "Measure a person: lengths, girths, a body for track."),
     ("fuse", commands_fuse.fuse, "One skeleton per person from several depth sensors."),
     ("live", commands_live.live, "Cameras in, poses out, while it happens."),
     ("batch", commands_batch.batch, "Many recordings, many settings, all cores or a cluster."),
-    ("view", commands_studio.view, "The studio in the browser: look at results, correct, set up."),
+    ("view", commands_live.view, "The studio in the browser: look at results, correct, set up."),
     ("export", commands_results.export, "Write TRC, C3D, BVH, GLB, CSV, MOT of a tracked motion."),
     ("play", commands_results.play, "Send a tracked motion to an avatar, as it was (VMC)."),
     ("gait", commands_results.gait, "Foot strikes, steps, cadence and speed of a tracked motion."),
@@ -70,7 +69,9 @@ _COMMANDS = (
 )
 for _name, _command, _line in _COMMANDS:
     app.command(_name, short_help=_line)(_command)
-app.add_typer(commands_gesture.app, name="gesture", short_help="Learn still gestures in minutes, and watch for them.")
+app.add_typer(
+    commands_gesture.gesture_app, name="gesture", short_help="Learn still gestures in minutes, and watch for them."
+)
 
 
 def _version(wanted: bool) -> None:
@@ -93,7 +94,7 @@ def _global(
     pass
 
 
-def main(arguments: Sequence[str] | None = None, command: typer.Typer = app, name: str = "hypose") -> None:
+def run_cli(arguments: Sequence[str] | None = None, command: typer.Typer = app, name: str = "hypose") -> None:
     """Entry point of the console script, or of another command line that shall end as this one does; arguments default
     to those of the process. Exits the process."""
     around = ("", "")
@@ -115,7 +116,7 @@ def main(arguments: Sequence[str] | None = None, command: typer.Typer = app, nam
         try:
             command(given, prog_name=name, obj=given)
         finally:
-            sys.stdout.flush()  # a full disk shows here, while it can be told
+            sys.stdout.flush()  # a full disk shows here, while it can be reported
     except HyposeError as error:
         _fail(f"{error}{around[0] and f' It had {around[0]}.'}", debug)
         sys.exit(2)

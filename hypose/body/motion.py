@@ -52,8 +52,8 @@ class Motion:
     provenance: recipe, versions, seed, hashes of the inputs: plain JSON values.
     doubtful (T,): the evidence contradicts itself (pictures that repeat or jump, views that disagree) or a joint; None:
         not judged.
-    p_wrong (T, J): probability that the joint is wrong by more than 100 mm; None: not judged.
-    doubtful_joints (T, J): where that is more than may be passed over; None: not judged.
+    error_probability (T, J): probability that the joint is wrong by more than 100 mm; None: not judged.
+    low_confidence_joints (T, J): where that is more than may be passed over; None: not judged.
     angle_sd (T, A): rad, of the joint angles (body.joint_angles; m for positions); None: not known.
     systematic_covariance (T, J, 3, 3): m^2, the part of joint_covariance that more views like these and more frames
         would not reduce: definition of the joint, errors common to all views, calibration; None: not known.
@@ -72,9 +72,9 @@ class Motion:
     n_views: np.ndarray
     cost: Array
     provenance: Mapping[str, Any] = field(default_factory=dict)
-    doubtful: np.ndarray | None = None
-    p_wrong: NDArray[np.float32] | None = None
-    doubtful_joints: NDArray[np.bool_] | None = None
+    low_confidence: np.ndarray | None = None
+    error_probability: NDArray[np.float32] | None = None
+    low_confidence_joints: NDArray[np.bool_] | None = None
     angle_sd: NDArray[np.float32] | None = None
     systematic_covariance: NDArray[np.float32] | None = None
     rivals: NDArray[np.float32] | None = None
@@ -90,12 +90,12 @@ class Motion:
             "n_views": (t,),
             "cost": (t,),
         }
-        if self.doubtful is not None:
-            expected["doubtful"] = (t,)
-        if self.p_wrong is not None:
-            expected["p_wrong"] = (t, j)
-        if self.doubtful_joints is not None:
-            expected["doubtful_joints"] = (t, j)
+        if self.low_confidence is not None:
+            expected["low_confidence"] = (t,)
+        if self.error_probability is not None:
+            expected["error_probability"] = (t, j)
+        if self.low_confidence_joints is not None:
+            expected["low_confidence_joints"] = (t, j)
         if self.angle_sd is not None:
             expected["angle_sd"] = (t, len(ANGLE_NAMES))
         if self.systematic_covariance is not None:

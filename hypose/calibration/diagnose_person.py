@@ -336,7 +336,7 @@ class PersonReport:
         """Return the findings about one camera, or about all."""
         return tuple(f for f in self.findings if view in f.views or not f.views)
 
-    def verdict(self, view: str) -> str:
+    def assessment(self, view: str) -> str:
         """Return one line about one camera."""
         found = self.of(view)
         if not found:

@@ -33,7 +33,7 @@ from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Frame, Keypoints, Silhouettes
 from hypose.geometry import Array, transform
-from hypose.io.videos.sound import Sound
+from hypose.io.videos.video import Sound
 
 WHOLE = 0.05
 """frames: offsets nearer than this to a whole number are taken as whole, and nothing is interpolated"""

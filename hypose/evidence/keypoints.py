@@ -288,20 +288,20 @@ def triangulate_keypoints(
     x, n = triangulate(rig, uv, w)
     distance = _reprojection(rig, x, uv, w)
     worst = distance.max(0, initial=0.0, where=w > 0)
-    doubtful = np.flatnonzero((worst > limit) & (n >= 3))
-    if len(doubtful):
-        best_worst = worst[doubtful].copy()
-        best_x, best_w = x[doubtful].copy(), w[:, doubtful].copy()
+    low_confidence = np.flatnonzero((worst > limit) & (n >= 3))
+    if len(low_confidence):
+        best_worst = worst[low_confidence].copy()
+        best_x, best_w = x[low_confidence].copy(), w[:, low_confidence].copy()
         for c in range(len(rig)):
-            less = w[:, doubtful].copy()
+            less = w[:, low_confidence].copy()
             had = less[c] > 0
             less[c] = 0.0
-            y, _ = triangulate(rig, uv[:, doubtful], less)
-            left = _reprojection(rig, y, uv[:, doubtful], less).max(0, initial=0.0, where=less > 0)
-            better = had & (left < 0.5 * worst[doubtful]) & (left < best_worst)
+            y, _ = triangulate(rig, uv[:, low_confidence], less)
+            left = _reprojection(rig, y, uv[:, low_confidence], less).max(0, initial=0.0, where=less > 0)
+            better = had & (left < 0.5 * worst[low_confidence]) & (left < best_worst)
             best_worst[better], best_x[better] = left[better], y[better]
             best_w[:, better] = less[:, better]
-        x[doubtful], w[:, doubtful], worst[doubtful] = best_x, best_w, best_worst
+        x[low_confidence], w[:, low_confidence], worst[low_confidence] = best_x, best_w, best_worst
     used = w > 0
     n = used.sum(0)
     distance = np.where(used, _reprojection(rig, x, uv, w), 0.0)

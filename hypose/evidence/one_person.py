@@ -55,13 +55,13 @@ def one_person(
     rig: CameraRig,
     frame_rate: float = 25.0,
     *,
-    doubting: bool = False,
+    keep_misfits: bool = False,
     settings: AssociationSettings | None = None,
 ) -> OnePerson:
     """The person seen in most frames and views.
 
-    candidates, names, rig, settings: as in `hypose.evidence.association.people_of`. doubting: the calibration itself is
-    in question, so that a view that does not fit keeps the person who moves like the one of the other views; else it is
+    candidates, names, rig, settings: as in `hypose.evidence.association.people_of`. keep_misfits: the calibration itself
+    is in question, so that a view that does not fit keeps the person who moves like the one of the other views; else it is
      left out."""
     frames, views = len(candidates), len(rig)
     columns = [[frame[c] for frame in candidates] for c in range(views)]
@@ -76,7 +76,7 @@ def one_person(
 
     width = max((p.shape[2] for column in columns for p in column if p is not None and len(p)), default=3)
     several = max((_how_many(p) for column in columns for p in column), default=0) > 1
-    if views == 1 or (doubting and not several):
+    if views == 1 or (keep_misfits and not several):
         return _by_motion(columns, of_view, names, width, ())
     tracks = joined(people_of(candidates, names, rig, frame_rate, settings), names, frame_rate)
     number = choose(tracks)
@@ -90,7 +90,7 @@ def one_person(
     there = slice(person.first, person.last + 1)
     seen, offered = person.seen.sum(0), shown[there].sum(0)
     absent = (offered > _PART * frames) & (seen < _FITS * offered)
-    nearby = absent if doubting else absent | _passes_by(person, rig, absent)
+    nearby = absent if keep_misfits else absent | _passes_by(person, rig, absent)
     apart = tuple(int(c) for c in np.flatnonzero(nearby))
     notes = []
     others = [t for i, t in enumerate(tracks) if i != number and len(t) >= max(5, _PART * frames)]
@@ -111,7 +111,7 @@ def one_person(
             f"in {int((person.seen.sum(1) > 1).sum())} of {frames} frames"
         )
     for c in apart:
-        if doubting:
+        if keep_misfits:
             points[:, c] = _alike(columns[c], of_view(c), np.delete(points, [*apart], 1), names, width)
             continue
         points[:, c] = 0.0  # what fits now and then does so by chance

@@ -501,8 +501,14 @@ def points_motion(
         return motion
     lasting = isotropic(systematic[:, order])
     p = np.nan_to_num(np.where(lost[:, None], np.fmax(wrong, 0.5), wrong)[:, order]).astype(np.float32)
-    doubtful = p > DOUBTFUL_P
-    return replace(motion, p_wrong=p, doubtful_joints=doubtful, doubtful=doubtful.any(1), systematic_covariance=lasting)
+    low_confidence = p > DOUBTFUL_P
+    return replace(
+        motion,
+        error_probability=p,
+        low_confidence_joints=low_confidence,
+        low_confidence=low_confidence.any(1),
+        systematic_covariance=lasting,
+    )
 
 
 def _topological(names: tuple[str, ...]) -> tuple[list[int], list[int]]:

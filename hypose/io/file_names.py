@@ -17,7 +17,7 @@ from typing import Any
 
 from hypose.errors import InputError, visible
 
-_MOST_BYTES = 100  # in UTF-8; what is added around a name (a frame's number, an ending) fits into 255, too
+_MOST_BYTES = 100  # in UTF-8; parts added around a name (a frame's number, an ending) fits into 255, too
 # separators and what Windows forbids, the ends it drops, and beginnings that hide a file or make it an option
 _FORBIDDEN = re.compile(r'[\x00-\x1f\x7f-\x9f\\/:*?"<>|\u2028-\u202e\u2066-\u2069\ud800-\udfff]')
 _ENDS = re.compile(r"^[\s.\-~]+|[\s.]+$")
@@ -26,8 +26,8 @@ _MADE = re.compile(r".*~[0-9a-f]{10}", re.DOTALL)
 
 
 def file_name(text: str) -> str:
-    """A name for a file or folder, made of any text: an ordinary name as it is; of others what is harmless, and a mark
-    (~ and ten hexadecimal digits) that tells different texts apart.
+    """A name for a file or folder, made of any text: an ordinary name as it is; of others the harmless characters, and
+    a mark (~ and ten hexadecimal digits) that tells different texts apart.
 
     The same text gives the same name everywhere. It means nothing else to any system: no separators, control
     characters, leading dots or dashes, no device of Windows; at most 112 bytes in UTF-8.

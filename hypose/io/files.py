@@ -86,8 +86,8 @@ def read_bytes(path: str | Path, kind: str, limit: int, least: int = 1) -> bytes
 
 
 def read_text(path: str | Path, kind: str, limit: int = MAX_TEXT_BYTES) -> str:
-    """The text of a file, which may be empty, its lines ended by \\n; an InputError as of `open_file`, and for what is
-    no UTF-8."""
+    """The text of a file, which may be empty, its lines ended by \\n; an InputError as of `open_file`, and for all that
+    is no UTF-8."""
     try:
         return read_bytes(path, kind, limit, 0).decode("utf-8-sig").replace("\r\n", "\n")
     except UnicodeDecodeError:
@@ -95,7 +95,7 @@ def read_text(path: str | Path, kind: str, limit: int = MAX_TEXT_BYTES) -> str:
 
 
 def text_lines(path: str | Path, kind: str, limit: int = MAX_TEXT_BYTES) -> list[str]:
-    """Lines of a text file, what is no UTF-8 as U+FFFD; an InputError as of `open_file`, and for a binary file."""
+    """Lines of a text file, invalid UTF-8 as U+FFFD; an InputError as of `open_file`, and for a binary file."""
     data = read_bytes(path, kind, limit)
     if b"\0" in data[:65536]:
         raise InputError(f"{path} is a binary file, not {kind}.")
@@ -141,7 +141,7 @@ def numbers_of(where: str) -> Iterator[None]:
 
 
 def read_json(path: str | Path, kind: str, limit: int = MAX_JSON_BYTES) -> Any:
-    """The value of a JSON file; an InputError as of `open_file`, and for what is no JSON."""
+    """The value of a JSON file; an InputError as of `open_file`, and for invalid JSON."""
     try:
         return parse_json(read_bytes(path, kind, limit))
     except (ValueError, RecursionError) as error:
@@ -149,7 +149,7 @@ def read_json(path: str | Path, kind: str, limit: int = MAX_JSON_BYTES) -> Any:
 
 
 def read_toml(path: str | Path, kind: str = "a TOML file") -> dict[str, Any]:
-    """The tables of a TOML file of at most 5 MB; an InputError names it, what is wrong in it and the next step."""
+    """The tables of a TOML file of at most 5 MB; an InputError names it, the fault in it and the next step."""
     text = read_text(path, kind, MAX_TOML_BYTES)
     try:
         return tomllib.loads(text)
@@ -178,7 +178,7 @@ def toml_key(key: str) -> str:
 
 
 def toml_lines(table: Mapping[str, Any]) -> list[str]:
-    """The lines of a table; what is None is left out."""
+    """The lines of a table; None values are left out."""
     return [f"{toml_key(key)} = {toml_value(value)}" for key, value in table.items() if value is not None]
 
 
@@ -284,7 +284,7 @@ class RecordingFolder:
 
     @contextmanager
     def writing(self) -> Iterator[None]:
-        """What is written within ends in a sentence when it fails."""
+        """Report a failed write within the block in one sentence."""
         try:
             yield
         except OSError as error:
@@ -301,7 +301,8 @@ class RecordingFolder:
         return stream
 
     def check(self) -> None:
-        """An InputError when a table was removed or replaced since it was opened, so that what is written is lost."""
+        """An InputError when a table was removed or replaced since it was opened, so that all that is written is
+        lost."""
         for name, opened in self._tables.items():
             try:
                 there = os.path.samestat(opened, os.stat(self.path / name))
@@ -391,7 +392,7 @@ def claimed(folder: str | Path, option: str = "--out") -> Iterator[None]:
     finally:
         if held is not None:
             with contextlib.suppress(OSError):
-                (path / LOCK).unlink()  # before it is let go of, so that nobody locks a file that is gone
+                (path / LOCK).unlink()  # before it is let go of, so that no process locks a file that is gone
             os.close(held)
 
 

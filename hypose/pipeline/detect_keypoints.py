@@ -22,7 +22,7 @@ from hypose.io.file_names import folder_for
 from hypose.io.files import read_json, write_bytes, write_text
 from hypose.io.keypoints.read_keypoints import MASKS, DetectedKeypoints, load_detected
 from hypose.io.recordings.frames import working_rig
-from hypose.io.recordings.recording import Recording, View
+from hypose.io.recordings.recording import Recording, ViewSettings
 from hypose.io.recordings.view_source import SIDECAR, places_in_stored
 from hypose.io.videos.video import open_video
 
@@ -31,8 +31,8 @@ def wants_detector(recording: Recording) -> bool:
     """Whether a recording has pictures of several cameras and nothing that tells the person in them: neither key
     points, masks, a picture of the empty room nor depth."""
     views = recording.views
-    told = any(v.keypoints or v.masks or v.background or v.depth for v in views)
-    return len(views) > 1 and not told and all(v.source is not None for v in views)
+    reported = any(v.keypoints or v.masks or v.background or v.depth for v in views)
+    return len(views) > 1 and not reported and all(v.source is not None for v in views)
 
 
 def detect_keypoints(
@@ -49,9 +49,8 @@ def detect_keypoints(
 
     resume: frames that have a file are not looked at again. progress(done, total) is called after every picture;
     raising KeyboardInterrupt in it stops the run with its files kept. An InputError when a view has no pictures, or
-    the folder holds something else, or, with resume, another detector's points; an EvidenceError when nobody was found
-    in any picture.
-    """
+    the folder holds something else, or, with resume, another detector's points; an EvidenceError when no person was
+    found in any picture."""
     for view in recording.views:
         if view.source is None:
             raise InputError(
@@ -61,7 +60,7 @@ def detect_keypoints(
     wanted = frames or range(recording.n_frames)
     work = DetectedKeypoints(folder, detector.keypoint_set, detector.identity, False, wanted, detector.gives_masks)
     work = _make_room(work, resume)
-    total, done, somebody = len(wanted) * len(recording.views), 0, False
+    total, done, found_any = len(wanted) * len(recording.views), 0, False
     small = working_rig(recording.rig)
     with contextlib.ExitStack() as stack:
         lanes = [
@@ -74,13 +73,13 @@ def detect_keypoints(
         pool = stack.enter_context(ThreadPoolExecutor(default_threads() if detector.gives_masks else 1))
         for frame in wanted:
             for found in [pool.submit(lane.look, frame) for lane in lanes]:
-                somebody = found.result() or somebody
+                found_any = found.result() or found_any
                 done += 1
                 if progress is not None:
                     progress(done, total)
     finished = replace(work, complete=True)
     finished.save()
-    if not somebody:
+    if not found_any:
         raise EvidenceError(
             f"The detector found nobody in any picture of {recording.name}, so the files in {folder} are empty; see "
             "whether the videos show the person upright and large enough, or use another model."
@@ -92,7 +91,7 @@ class _Lane:
     """The pictures of one view, looked at in their order."""
 
     def __init__(
-        self, work: DetectedKeypoints, detector: PoseDetector, view: View, camera: Camera, small: Camera
+        self, work: DetectedKeypoints, detector: PoseDetector, view: ViewSettings, camera: Camera, small: Camera
     ) -> None:
         assert view.source is not None
         self._work, self._detector, self._view, self._camera = work, detector, view, camera
@@ -107,7 +106,7 @@ class _Lane:
         self._places = places_in_stored(camera, small.size, view.image_shift, self._reader.size)
 
     def look(self, frame: int) -> bool:
-        """Look at a frame, unless its files are there; whether somebody is seen."""
+        """Look at a frame, unless its files are there; whether a person is seen."""
         name, work = self._view.name, self._work
         path = work.file(name, frame)
         if path.exists() and (not work.with_masks or work.mask(name, frame).exists()):
@@ -167,7 +166,7 @@ def _make_room(work: DetectedKeypoints, resume: bool) -> DetectedKeypoints:
     return work
 
 
-def _calibrated(people: Array, size: tuple[int, int], camera: Camera, view: View) -> Array:
+def _calibrated(people: Array, size: tuple[int, int], camera: Camera, view: ViewSettings) -> Array:
     """People (P, K, 3) in a stored picture of a size (width, height) -> pixels of the calibrated camera."""
     out = np.array(people, dtype=np.float64)
     if not out.size:

@@ -31,14 +31,14 @@ from hypose.tracking.starts import KNOWN_POSES, start_from_keypoints
 from hypose.tracking.subject import subject_from_keypoints
 from hypose.tracking.view_noise import view_factors
 
-FrameAt = Callable[[int], Frame]
+_FrameAt = Callable[[int], Frame]
 GIVEN = "the subject's body is given"
 
 
 @dataclass(frozen=True)
-class Subject:
+class TrackedSubject:
     """body; where key points sit on it (None without key points); the start pose (D,) in the first frame; how it was
-    found, in words; the poses that the start allows beside that one, where one camera leaves several; unsure: that of
+    found, in words; the other poses that the start allows, where one camera leaves several; unsure: that of
     `Starts` (None: not known)."""
 
     body: Body
@@ -72,7 +72,7 @@ class SubjectOptions:
             raise InputError(f"There is no start {self.start!r}; the starts are {', '.join(allowed)}.")
 
 
-def find_subject(frame_at: FrameAt, n_frames: int, options: SubjectOptions) -> Subject:
+def find_subject(frame_at: _FrameAt, n_frames: int, options: SubjectOptions) -> TrackedSubject:
     """Subject and start pose from the frames of a recording.
 
     With key points: lengths and start from their robust triangulation, girths from the silhouettes. Without: start from
@@ -94,9 +94,9 @@ def find_subject(frame_at: FrameAt, n_frames: int, options: SubjectOptions) -> S
             frames = [frame_at(k) for k in range(min(n_frames, SETTINGS.first_tracked))]
             known = {"height": template.stature, "seed": options.seed, "tried": options.tried}
             way = best_ways(template, frames, options.frame_rate, shared=options.shared, **known).ways[0]
-            return Subject(template, None, way.poses[0], (GIVEN,))
+            return TrackedSubject(template, None, way.poses[0], (GIVEN,))
         prepared = prepare(first, template, np.zeros(template.skeleton.dof))
-        return Subject(template, None, start_from_hull(template, prepared, poses).pose, (GIVEN,))
+        return TrackedSubject(template, None, start_from_hull(template, prepared, poses).pose, (GIVEN,))
     how = AnthropometryOptions(
         height=options.height,
         poses=poses,
@@ -109,12 +109,12 @@ def find_subject(frame_at: FrameAt, n_frames: int, options: SubjectOptions) -> S
     )
     estimate = estimate_subject(frame_at, n_frames, options.frame_rate, template, how)
     notes = [f"height {estimate.body.stature:.3f} m from the silhouettes"] if options.height is None else []
-    return Subject(estimate.body, None, estimate.start, (*notes, *estimate.notes), unsure=estimate.unsure)
+    return TrackedSubject(estimate.body, None, estimate.start, (*notes, *estimate.notes), unsure=estimate.unsure)
 
 
 def _by_points(
-    template: Body, frame_at: FrameAt, sampled: np.ndarray, n_frames: int, options: SubjectOptions
-) -> Subject:
+    template: Body, frame_at: _FrameAt, sampled: np.ndarray, n_frames: int, options: SubjectOptions
+) -> TrackedSubject:
     """The subject by key points, which also say where it stands; a body that is known stays as it is."""
     seen = [f for f in (frame_at(int(i)) for i in sampled) if f.keypoints is not None]
     if not seen:
@@ -141,10 +141,10 @@ def _by_points(
     start = start_with_masks(body, model, frame_at(at), start)
     if at:
         notes.append(f"the start is the pose of frame {at}, the first with enough key points")
-    return Subject(body, model, start, tuple(notes))
+    return TrackedSubject(body, model, start, tuple(notes))
 
 
-def first_start(body: Body, model: KeypointModel, frame_at: FrameAt, last: int) -> tuple[Array, int]:
+def first_start(body: Body, model: KeypointModel, frame_at: _FrameAt, last: int) -> tuple[Array, int]:
     """The pose in the first of the frames before `last` whose key points can be triangulated, and its number; it stands
     for the frames before it, which lie within a second.
 
@@ -197,7 +197,7 @@ _OPTIONAL = ("sd", "view", "beside")
 _MODEL = ("joint", "offset", "known", *_OPTIONAL)
 
 
-def keep_subject(subject: Subject, results: ResultsFolder, identity: Mapping[str, Any]) -> None:
+def keep_subject(subject: TrackedSubject, results: ResultsFolder, identity: Mapping[str, Any]) -> None:
     """Write body.npz, and subject.npz with everything else."""
     body = results.file("body.npz")
     save_body(subject.body, body)
@@ -214,7 +214,7 @@ def keep_subject(subject: Subject, results: ResultsFolder, identity: Mapping[str
     Checkpoint(0, arrays, meta, identity).save(results.file(SUBJECT))
 
 
-def kept_subject(results: ResultsFolder, identity: Mapping[str, Any]) -> Subject | None:
+def kept_subject(results: ResultsFolder, identity: Mapping[str, Any]) -> TrackedSubject | None:
     """The subject that the same run kept; None when there is none, or its body is gone or another one."""
     body = results.file("body.npz")
     try:
@@ -229,6 +229,6 @@ def kept_subject(results: ResultsFolder, identity: Mapping[str, Any]) -> Subject
         a, rivals = saved.arrays, None
         if "rivals" in a:
             rivals = Hypotheses(a["rivals"], a["rivals_weights"])
-        return Subject(load_body(body), model, a["start"], tuple(saved.meta["notes"]), rivals, a.get("unsure"))
+        return TrackedSubject(load_body(body), model, a["start"], tuple(saved.meta["notes"]), rivals, a.get("unsure"))
     except (HyposeError, KeyError, TypeError):
         return None

@@ -78,7 +78,7 @@ class Gait:
 
 
 def gait_of(motion: Motion, body: Body) -> Gait:
-    """The gait of a motion; no events where nobody walks. Frames that are lost or predicted, or next to such, give
+    """The gait of a motion; no events where no person walks. Frames that are lost or predicted, or next to such, give
     none. An InputError when the motion has no poses."""
     if motion.poses is None:
         raise InputError("The motion holds joint positions only, and gait needs poses; track again.")
@@ -272,12 +272,12 @@ def angle_cycles(events: Sequence[GaitEvent], motion: Motion) -> list[AngleCycle
     out = []
     for k, name in enumerate(ANGLE_NAMES):
         spans = whole["left" if name.endswith("_l") else "right"]
-        if is_length(name) or name == "pelvis_rotation" or not spans:  # where somebody walks is no cycle
+        if is_length(name) or name == "pelvis_rotation" or not spans:  # where a person walks is no cycle
             continue
         begin, end = np.array(spans).T[..., None]
         at = begin + PERCENT / 100 * (end - begin)
         curves, sds = (np.interp(at, motion.times, a[:, k]) for a in (values, given))
-        # strides lie farther apart than an error lasts, so each counts anew
+        # strides lie farther apart than an error lasts, so each counts again
         apart = min(1.0, SETTINGS.gait_correlation / np.mean([b - a for a, b in spans]))
         count = max(1.0, len(spans) * (1 - apart) + apart)
         sd = curves.std(axis=0, ddof=1) if len(spans) > 1 else np.full(len(PERCENT), np.nan)

@@ -32,8 +32,8 @@ from hypose.io.sensors.depth import read_depth_png, write_millimetres_png
 from hypose.io.videos.video import list_images
 from hypose.pipeline.settings import SETTINGS
 
-FORMAT = "hypose-gesture-session"
-PHASES = ("do_gesture", "positive", "release", "negative", "test", "free")
+_FORMAT = "hypose-gesture-session"
+SESSION_PHASES = ("do_gesture", "positive", "release", "negative", "test", "free")
 _FRAMES = ["frame", "time", "file", "phase", "segment", "gesture", "x", "y"]
 
 
@@ -43,7 +43,7 @@ def save_model(model: GestureModel, path: str | Path) -> None:
 
 
 def load_model(path: str | Path) -> GestureModel:
-    """Read a model file; an InputError says what is wrong with it. A growing forest goes on growing bit for bit."""
+    """Read a model file; an InputError says the fault. A growing forest goes on growing bit for bit."""
     path = Path(path)
     step = "give a model that `hypose gesture train` wrote"
     arrays = load_archive(path, "gesture model", step)
@@ -142,8 +142,8 @@ def read_recording(folder: str | Path) -> GestureRecording:
         raise InputError(f"{folder} is not a folder; give the folder of a recorded gesture session.")
     path = folder / "session.json"
     value = read_json(path, "a session.json")
-    if not isinstance(value, dict) or value.get("format") != FORMAT or value.get("version") != 1:
-        raise InputError(f'{path} is no gesture session; it must say "format": "{FORMAT}", "version": 1.')
+    if not isinstance(value, dict) or value.get("format") != _FORMAT or value.get("version") != 1:
+        raise InputError(f'{path} is no gesture session; it must say "format": "{_FORMAT}", "version": 1.')
     gestures, lens, size = value.get("gestures"), value.get("lens"), value.get("size")
     if (
         not isinstance(gestures, list)
@@ -193,10 +193,10 @@ def _read_frames(folder: Path, gestures: int) -> list[RecordedFrame]:
             raise InputError(f"{path}, line {number}: {line!r} is no frame; it must be {','.join(_FRAMES)}.") from None
         finite = all(math.isfinite(v) for v in (row.time, row.x, row.y))
         outside = Path(file).is_absolute() or ".." in Path(file).parts
-        if outside or phase not in PHASES or not 0 <= row.gesture <= gestures or not finite:
+        if outside or phase not in SESSION_PHASES or not 0 <= row.gesture <= gestures or not finite:
             raise InputError(
-                f"{path}, line {number}: {line!r} is no frame; files lie in the folder, phases are {', '.join(PHASES)},"
-                f" gestures 0 to {gestures}."
+                f"{path}, line {number}: {line!r} is no frame; files lie in the folder, phases are "
+                f"{', '.join(SESSION_PHASES)}, gestures 0 to {gestures}."
             )
         out.append(row)
     if not out:
@@ -232,7 +232,7 @@ class SessionWriter:
         self._folder = RecordingFolder(folder)
         self.folder = self._folder.path
         value = {
-            "format": FORMAT,
+            "format": _FORMAT,
             "version": 1,
             "gestures": list(gestures),
             "lens": [lens.fx, lens.fy, lens.cx, lens.cy],
@@ -290,32 +290,3 @@ class SessionWriter:
             self._frames.close()
             self._actions.close()
         self._folder.check()
-
-
-def export_model(model: GestureModel, folder: str | Path) -> list[Path]:
-    """forest.npz, forest.json and gesture_runtime.py: a finished forest and the plain numpy program that runs it."""
-    from importlib import resources
-
-    from hypose.gestures.forest import GrowingForest
-
-    forest = model.forest.freeze() if isinstance(model.forest, GrowingForest) else model.forest
-    packed, look = forest.packed, model.settings
-    description = {
-        "format": "hypose-forest",
-        "version": 1,
-        "gestures": list(model.names),
-        "clip_mm": forest.settings.clip,
-        "reach_mm": forest.settings.reach_mm,
-        "sigma_px": look.sigma_px,
-        "majority": look.majority,
-        "disc_mm": look.disc_mm,
-        "near_mm": look.plan.near_mm,
-        "far_mm": look.plan.far_mm,
-        "thresholds": list(model.thresholds),
-    }
-    out = [Path(folder) / name for name in ("forest.npz", "forest.json", "gesture_runtime.py")]
-    arrays = {"test": packed.records[..., :5], "left": packed.records[..., 5], "share": packed.shares}
-    write_archive(out[0], {k: np.ascontiguousarray(v) for k, v in arrays.items()})
-    write_text(out[1], to_json(description))
-    write_text(out[2], resources.files("hypose.gestures").joinpath("runtime.py").read_text("utf-8"))
-    return out

@@ -31,16 +31,16 @@ from hypose.evidence.silhouettes import make_silhouettes
 from hypose.geometry import Array, se3_inverse
 from hypose.io.file_names import file_name, text_of
 from hypose.io.recordings.frames import FrameSettings, FrameStream
-from hypose.io.recordings.recording import Recording, View, write_recording
+from hypose.io.recordings.recording import Recording, ViewSettings, write_recording
 from hypose.io.recordings.view_source import DepthSource
 from hypose.io.sensors.depth import FOLDER_RATE, DepthFile, open_depth, write_depth_png
 from hypose.io.videos.video import list_images
-from hypose.pipeline.first_frame import Subject
-from hypose.pipeline.hull_paths import count_people
+from hypose.pipeline.first_frame import TrackedSubject
+from hypose.pipeline.person_paths import count_people
 from hypose.pipeline.run import TrackOptions, TrackResult, track_source
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.subject_from_motion import AnthropometryOptions, different_poses, estimate_subject
-from hypose.pipeline.track_loop import FrameList, Progress
+from hypose.pipeline.track_loop import FrameList, StageProgress
 
 _MADE = ("read", "depth", "background", "calibration.toml", "recording.toml")
 
@@ -53,7 +53,7 @@ def import_depth(
     frame_rate: float | None = None,
     millimetres: float = 1.0,
     seed: int = 0,
-    progress: Progress | None = None,
+    progress: StageProgress | None = None,
 ) -> tuple[Path, tuple[str, ...]]:
     """Writes a recording folder; returns recording.toml's path and sentences for the user.
 
@@ -96,9 +96,9 @@ def _imported(
     frame_rate: float | None,
     millimetres: float,
     seed: int,
-    report: Progress,
+    report: StageProgress,
 ) -> tuple[Path, tuple[str, ...]]:
-    views, cameras, times, notes = list[View](), list[Camera](), list[Array](), list[str]()
+    views, cameras, times, notes = list[ViewSettings](), list[Camera](), list[Array](), list[str]()
     for n, source in enumerate(sources):
         report("read", n, len(sources))
         name = _free(file_name(Path(source).stem), [v.name for v in views])
@@ -115,7 +115,7 @@ def _imported(
                     f"{camera.size[1]} px; record both in the same mode."
                 )
         floor = _on_floor(source, room or folder / "read" / name, camera)
-        views.append(View(name, depth=folder / "depth" / name, background=room))
+        views.append(ViewSettings(name, depth=folder / "depth" / name, background=room))
         cameras.append(replace(camera, name=name, camera_from_world=floor))
         notes.append(f"{name}: {cameras[-1].position[2]:.2f} m above the floor.")
         times.append(seen)
@@ -187,7 +187,7 @@ def _written(source: str | Path, folder: Path, frame_rate: float | None, millime
 def _on_floor(source: str | Path, folder: Path, camera: Camera) -> Array:
     """camera_from_world (4, 4) by the floor in what a camera saw in most of its first maps, holes filled from others;
     an error names the source."""
-    maps = DepthSource(View(camera.name, depth=folder), camera, camera.pinhole())
+    maps = DepthSource(ViewSettings(camera.name, depth=folder), camera, camera.pinhole())
     first = np.stack([maps.map(k) for k in range(min(SETTINGS.placing_calm, len(list_images(folder))))])
     first[first <= 0] = np.nan
     known = np.isfinite(first).any(0)
@@ -250,14 +250,14 @@ def _moved(
             os.replace(files[n], target)
 
 
-def _recording(folder: Path, rig: CameraRig, views: Sequence[View], rate: float) -> Recording:
+def _recording(folder: Path, rig: CameraRig, views: Sequence[ViewSettings], rate: float) -> Recording:
     count = min(len(list_images(v.depth)) for v in views if v.depth is not None)
     name = text_of(folder.resolve().name)
     return Recording(folder, name, rig, tuple(views), rate, None, keypoint_set=None, n_frames=count)
 
 
 def _clip(recording: Recording) -> list[Frame]:
-    """The first frames of a camera in which somebody is seen, without those at both ends that show little of them: who
+    """The first frames of a camera in which a person is seen, without those at both ends that show little of them: who
     starts the cameras has to walk in first."""
     found, areas = list[Frame](), list[int]()
     with FrameStream(recording) as frames:
@@ -278,14 +278,14 @@ def _clip(recording: Recording) -> list[Frame]:
     return found[whole[0] : whole[-1] + 1]
 
 
-def _several(folder: Path, view: View, camera: Camera, rate: float) -> bool:
+def _several(folder: Path, view: ViewSettings, camera: Camera, rate: float) -> bool:
     """Do the frames by which a camera is placed show several people? The empty room is known."""
     recording = _recording(folder, CameraRig((camera,)), [view], rate)
     with FrameStream(recording, FrameSettings(silhouettes=recording.silhouettes, people=True)) as frames:
         return count_people(frames.frame, min(len(frames), SETTINGS.placing_looked_at)) > 1
 
 
-def _without_first(view: View, count: int) -> None:
+def _without_first(view: ViewSettings, count: int) -> None:
     """Takes the first maps of a view away, so that all views begin at the same instant."""
     assert view.depth is not None
     files = list_images(view.depth)
@@ -315,7 +315,7 @@ class RegisteredSensors:
 
 
 def register_depth(
-    clips: Sequence[Sequence[Frame]], frame_rate: float, *, seed: int = 0, progress: Progress | None = None
+    clips: Sequence[Sequence[Frame]], frame_rate: float, *, seed: int = 0, progress: StageProgress | None = None
 ) -> RegisteredSensors:
     """The places of depth cameras from what each alone saw of one person.
 
@@ -360,7 +360,7 @@ def register_depth(
         how = AnthropometryOptions(frames=8, tracked=24, passes=1, seed=seed)
         estimate = estimate_subject(lambda i, f=frames: f[i], len(frames), frame_rate, human(), how)
         body = estimate.body
-        subject = Subject(body, None, estimate.start, ())
+        subject = TrackedSubject(body, None, estimate.start, ())
         source = FrameList(frames, frame_rate)
         tracked = _whole(track_source(source, frame_rate, options, subject=subject, find_places=False))
         poses = tracked.poses

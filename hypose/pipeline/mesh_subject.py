@@ -35,7 +35,7 @@ from hypose.io.motions.results import save_body
 from hypose.pipeline.settings import SETTINGS
 from hypose.tracking.refinement import anatomical_prior
 
-UNITS = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
+_UNITS = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
 
 
 @dataclass(frozen=True)
@@ -64,9 +64,9 @@ def subject_from_mesh(
 def rig_mesh(mesh: str | Path | PersonMesh | Mesh, *, unit: str = "m", height: float | None = None) -> MeshSubject:
     """Rig a person's mesh: a file (OBJ, PLY, STL, GLB, SMPL npz), or one in memory; the joints and weights of a skinned
     file are kept. unit: of the coordinates, one of UNITS; height: m, scales the person to a known stature (arms down)
-    whatever the unit. InputErrors say what is wrong with it (open, in parts, unit, pose) and what to do."""
-    if unit not in UNITS:
-        raise InputError(f"There is no unit {unit!r}; the units are {', '.join(UNITS)}.")
+    whatever the unit. InputErrors say the fault (open, in parts, unit, pose) and what to do."""
+    if unit not in _UNITS:
+        raise InputError(f"There is no unit {unit!r}; the units are {', '.join(_UNITS)}.")
     least, most = SETTINGS.mesh_statures
     if height is not None and not least <= height <= most:
         raise InputError(f"A height of {height} m was given; it must lie between {least} and {most} m.")
@@ -142,11 +142,11 @@ def _metres(extent: float, source: str, unit: str, height: float | None) -> floa
         raise InputError(f"{source} is flat: its height is 0; export the scan again.")
     if height is not None:
         return height / extent
-    scale = UNITS[unit]
+    scale = _UNITS[unit]
     low, high = SETTINGS.mesh_statures
     if low <= extent * scale <= high:
         return scale
-    fitting = [u for u, s in UNITS.items() if low <= extent * s <= high]
+    fitting = [u for u, s in _UNITS.items() if low <= extent * s <= high]
     metric = [u for u in fitting if u in ("m", "dm", "cm", "mm")] or fitting
     tall = extent * scale
     shown = f"{tall:.3g} m" if tall >= 0.01 else f"{1e3 * tall:.3g} mm"

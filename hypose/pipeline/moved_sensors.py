@@ -1,5 +1,5 @@
-"""Depth cameras that stand elsewhere than is told, or are knocked while they record: the person tells, and they are put
-right.
+"""Depth cameras that stand elsewhere than is reported, or are knocked while they record: the person tells, and they are
+put right.
 
 Where a sensor stands shows in how what it measures fits the body that all of them see. The first one keeps its place,
 the others turn about the vertical and move along the floor, as when they are brought together at first
@@ -64,19 +64,20 @@ def moved_sensors(
     count, least = len(poses), max(round(SETTINGS.moved_least_s * frame_rate), 3)
     if depth is None or depth.usable.sum() < 2 or count < least:
         return (), ()
-    told = _cameras(depth)
+    reported = _cameras(depth)
 
     def places(frames: range, count: int = SETTINGS.moved_frames, iterations: int = 12) -> Array:
         known = np.flatnonzero(np.isfinite(iou[frames.start : frames.stop])) + frames.start
         if len(known) < least:
-            return told
+            return reported
         chosen = known[different_poses(body, poses[known], iou[known], count)]
-        return _refined(source, body, poses[chosen], chosen, told, iterations)
+        return _refined(source, body, poses[chosen], chosen, reported, iterations)
 
     third = max(count // 3, least)
     ends = range(third), range(count - third, count)
     if not any(
-        _off(told, places(end, *SETTINGS.moved_rough), poses[end[len(end) // 2]], SETTINGS.moved_sure) for end in ends
+        _off(reported, places(end, *SETTINGS.moved_rough), poses[end[len(end) // 2]], SETTINGS.moved_sure)
+        for end in ends
     ):
         return (), ()
     first, last = places(ends[0]), places(ends[1])
@@ -85,10 +86,10 @@ def moved_sensors(
         change = _changes(source, body, poses, first, last)
     stretches = [s for s in (range(change), range(change, count)) if len(s) >= least]
     found, said = list[Places](), list[str]()
-    before = told
+    before = reported
     for stretch in stretches:
         now = places(stretch)
-        off = _off(told, now, poses[stretch[len(stretch) // 2]])
+        off = _off(reported, now, poses[stretch[len(stretch) // 2]])
         for c, (degrees, metres) in off.items():
             when = "" if len(stretches) < 2 else f" from frame {stretch.start} to {stretch.stop - 1}"
             off_by = f"{1e3 * metres:.0f} mm off and turned by {degrees:.1f} degrees{when}"
@@ -96,7 +97,7 @@ def moved_sensors(
                 f"{depth.rig.names[c]} stood {off_by}, by the person before all depth cameras: its place was found "
                 "anew for this run, and is to be corrected in the calibration"
             )
-        now = np.where(np.isin(np.arange(len(told)), list(off))[:, None, None], now, told)
+        now = np.where(np.isin(np.arange(len(reported)), list(off))[:, None, None], now, reported)
         if not np.array_equal(now, before):
             found.append(Places(stretch.start if len(found) or stretch.start >= least else 0, now))
         before = now
@@ -116,10 +117,10 @@ def placed(frame: Frame, camera_from_world: Array) -> Frame:
     return replace(frame, silhouettes=replace(silhouettes, rig=rig), depth=replace(depth, rig=rig))
 
 
-def _off(told: Array, found: Array, pose: Array, share: float = 1.0) -> dict[int, tuple[float, float]]:
+def _off(reported: Array, found: Array, pose: Array, share: float = 1.0) -> dict[int, tuple[float, float]]:
     """Degrees, and m where the person stands (pose (D,)), by which cameras are off: those that are, by more than a
     share of what counts."""
-    errors = [place_error(f, t, pose[:3]) for f, t in zip(found, told, strict=True)]
+    errors = [place_error(f, t, pose[:3]) for f, t in zip(found, reported, strict=True)]
     return {
         c: e
         for c, e in enumerate(errors)
@@ -128,15 +129,15 @@ def _off(told: Array, found: Array, pose: Array, share: float = 1.0) -> dict[int
 
 
 def _refined(
-    source: FrameSource, body: Body, poses: Array, frames: NDArray[np.intp], told: Array, iterations: int
+    source: FrameSource, body: Body, poses: Array, frames: NDArray[np.intp], reported: Array, iterations: int
 ) -> Array:
     """The cameras' places (C, 4, 4) by some frames and the poses (F, D) in them."""
     depths = [source.frame(int(t)).depth for t in frames]
-    usable = np.stack([np.zeros(len(told), np.bool_) if d is None else d.usable for d in depths])
+    usable = np.stack([np.zeros(len(reported), np.bool_) if d is None else d.usable for d in depths])
     views = np.flatnonzero(usable.any(0))
-    seen = [[_surface(d, int(c), told[c]) for d in depths] for c in views]
-    out = told.copy()
-    out[views] = refine_registration(body, poses, seen, told[views], iterations).camera_from_world
+    seen = [[_surface(d, int(c), reported[c]) for d in depths] for c in views]
+    out = reported.copy()
+    out[views] = refine_registration(body, poses, seen, reported[views], iterations).camera_from_world
     return out
 
 

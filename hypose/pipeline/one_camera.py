@@ -40,8 +40,8 @@ from hypose.io.recordings.frames import FrameSettings, FrameStream, load_keypoin
 from hypose.io.recordings.recording import Recording
 from hypose.io.recordings.view_source import ViewSource
 from hypose.io.videos.video import open_video
-from hypose.pipeline.doubts import in_words
-from hypose.pipeline.first_frame import Subject
+from hypose.pipeline.first_frame import TrackedSubject
+from hypose.pipeline.frame_anomalies import in_words
 from hypose.pipeline.settings import SETTINGS
 from hypose.tracking.contacts import runs
 from hypose.tracking.keypoint_evidence import MIN_CONFIDENCE, keypoint_model
@@ -75,7 +75,7 @@ def one_view(recording: Recording, camera: str | None) -> Recording:
 
 
 def working_side(recording: Recording, person_px: float, picture: tuple[int, int]) -> int:
-    """Longer side of the pictures to work on, px, so that somebody who is person_px tall in pictures of that size
+    """Longer side of the pictures to work on, px, so that a person who is person_px tall in pictures of that size
     (width, height) is about TARGET_PX tall."""
     longest = max(recording.rig[0].size)
     share = person_px / max(picture)
@@ -123,7 +123,7 @@ class FrameSource(Protocol):
 
 class PictureFrames:
     """The frames of a source with the picture of its one camera, undistorted, at working size; the mask is a part of
-    it, left out where it shows nobody. Frames that are in memory have their pictures already."""
+    it, left out where it shows no person. Frames that are in memory have their pictures already."""
 
     def __init__(self, source: FrameSource) -> None:
         self._source, self._pictures = source, None
@@ -193,7 +193,9 @@ def depth_note(motion: Motion, modes: Modes) -> str:
     )
 
 
-def tracked_frames(source: FrameSource, indices: range, needs: Sequence[str], subject: Subject) -> Iterator[Frame]:
+def tracked_frames(
+    source: FrameSource, indices: range, needs: Sequence[str], subject: TrackedSubject
+) -> Iterator[Frame]:
     """The frames that a recipe is to track, with what it needs: the picture of one camera; detections by colour where
     it needs detections and the recording has neither key points nor anything else that detects ends, but pictures."""
     if "picture" in needs:
@@ -217,7 +219,7 @@ class ColourDetections:
 
     The colours are the person's own, learnt in the first frame, whose pose (D,) is known. Every frame is a function of
     the recording and that pose alone, in whatever order frames are asked for. The pictures are read a second time,
-    beside the masks. An InputError when they are grey: there skin has no colour."""
+    next to the masks. An InputError when they are grey: there skin has no colour."""
 
     def __init__(self, source: FrameStream, body: Body, start: Array) -> None:
         self.source, self.body = source, body
@@ -282,7 +284,7 @@ Clicks = Mapping[str, tuple[float, float]]
 
 
 def load_clicks(path: str | Path, recording: Recording) -> Clicks:
-    """Read a file of clicks for the one camera of a recording; an InputError says what is wrong with it."""
+    """Read a file of clicks for the one camera of a recording; an InputError says the fault."""
     path = Path(path)
     view = recording.views[0]
     document = read_json(path, "a file of clicks")
@@ -385,7 +387,7 @@ def subject_in_picture(
     body: Body | None = None,
     height: float | None = None,
     floor: float | None = None,
-) -> Subject:
+) -> TrackedSubject:
     """The person in the pictures of one camera, with rival starts. body: the person's own (then only poses are looked
     for); floor: height of the floor in the world, m, None when it is not known."""
     with contextlib.closing(PictureFrames(source)) as frames:
@@ -394,12 +396,12 @@ def subject_in_picture(
         if start in POINT_STARTS:
             at, points, names = _first_keypoints(source, seen, frame_rate)
             frame = frames.frame(at)
-            told = f"the key points of frame {frame.index}"
+            reported = f"the key points of frame {frame.index}"
             points_on: PointsOn = partial(keypoints_on, names=names, keypoints=points)
         elif isinstance(source, FrameStream):
             at, frame = 0, frames.frame(0)
             clicks = load_clicks(start, source.recording)
-            told = f"{len(clicks)} clicked joints"
+            reported = f"{len(clicks)} clicked joints"
             pixels = clicked_pixels(clicks, source.recording, source.rig[0])
             scale = max(FEWEST_PX, SETTINGS.picture_click_share * _extent(np.array(list(pixels.values()))))
             points_on = partial(clicked_joints, clicks=pixels, scale_px=scale)
@@ -417,10 +419,10 @@ def subject_in_picture(
             floor=floor,
         )
     rivals = fit.hypotheses
-    notes.append(f"start from {told}: {rivals.count} rival poses, the best {fit.residual_px:.1f} px off")
+    notes.append(f"start from {reported}: {rivals.count} rival poses, the best {fit.residual_px:.1f} px off")
     if body is None:
         further = f", the key points of {len(later)} further frames" if later else ""
-        notes.append(f"body of {fit.body.stature:.2f} m from {told}{further} and the picture's contours")
+        notes.append(f"body of {fit.body.stature:.2f} m from {reported}{further} and the picture's contours")
     if floor is not None:
         notes.append(f"the lower foot is taken to stand on a floor at z = {floor:g} m (--floor)")
     if body is not None and height is not None:
@@ -430,7 +432,7 @@ def subject_in_picture(
             "the height is not known, so distances and lengths are as uncertain as people's heights (about 5 %); give "
             "--height"
         )
-    return Subject(fit.body, None, rivals.best(), tuple(notes), rivals)
+    return TrackedSubject(fit.body, None, rivals.best(), tuple(notes), rivals)
 
 
 def _keypoints_of(source: FrameSource) -> list[Keypoints | None]:
@@ -481,10 +483,10 @@ def _first_keypoints(
 
 
 _LEAST_POINTS, _LIMBS = 4, ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
-"""key points that tell, and of what: a face has many, beside which an arm would not count"""
+"""key points that tell, and of what: a face has many, next to which an arm would not count"""
 
 
-def beside_the_picture(body: Body, poses: Array, frames: Iterable[Frame]) -> Array:
+def image_deviation(body: Body, poses: Array, frames: Iterable[Frame]) -> Array:
     """(T,): the share of what one camera shows that poses (T, D) put elsewhere in the picture; NaN where it shows
     nothing."""
     out = np.full(len(poses), np.nan)
@@ -500,9 +502,9 @@ def beside_the_picture(body: Body, poses: Array, frames: Iterable[Frame]) -> Arr
 
 def against_the_picture(share: Array) -> tuple[str, ...]:
     """Sentences that make a motion not to be trusted, by `beside_the_picture`."""
-    if not np.isfinite(share).any() or np.nanmean(share) <= SETTINGS.picture_beside:
+    if not np.isfinite(share).any() or np.nanmean(share) <= SETTINGS.picture_deviation:
         return ()
-    where = in_words(runs(np.nan_to_num(share) > SETTINGS.picture_beside))
+    where = in_words(runs(np.nan_to_num(share) > SETTINGS.picture_deviation))
     return (
         f"{100 * np.nanmean(share):.0f} % of what the picture shows of the person lies elsewhere than on the body, "
         f"above all in {where}: look at the overlay, and whether key points and camera are those of this video; begin "
@@ -511,7 +513,7 @@ def against_the_picture(share: Array) -> tuple[str, ...]:
 
 
 def doubt_of_depth(modes: Modes) -> str:
-    """A sentence for the verdict on what no picture contradicts."""
+    """A sentence for the assessment on what no picture contradicts."""
     return (
         f"one camera does not measure depth, which is known to +-{1e3 * float(np.nanmedian(modes.depth_sd)):.0f} mm (1 "
         "sd, median) as far as the lens and the person's size are right: see the notes"

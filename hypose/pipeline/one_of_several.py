@@ -2,7 +2,7 @@
 
 Never a mixture of both: what others cover is left out of the evidence for the one who was chosen.
 
-Do masks show several people? Told view by view, without any calibration: one may be what is looked for.
+Do masks show several people? Reported view by view, without any calibration: one may be all that is looked for.
 """
 
 from __future__ import annotations
@@ -25,30 +25,29 @@ from hypose.io.motions.results import ResultsFolder, save_motion
 from hypose.io.recordings.frames import FrameSettings, FrameStream
 from hypose.io.recordings.recording import Recording
 from hypose.io.recordings.recording_people import load_person
-from hypose.pipeline.first_look import places_refuted
-from hypose.pipeline.hull_paths import count_people
-from hypose.pipeline.people_points import KeypointPeople
+from hypose.pipeline.assessment import other_people_note
+from hypose.pipeline.input_checks import places_refuted
 from hypose.pipeline.people_run import PeopleRun
+from hypose.pipeline.person_paths import KeypointPeople, count_people
 from hypose.pipeline.run import TrackOptions, TrackResult
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.subject_from_motion import load_subject
-from hypose.pipeline.track_loop import FrameSource, Progress
+from hypose.pipeline.track_loop import FrameSource, StageProgress
 from hypose.pipeline.tracked_people import Wanted, said_of_places
-from hypose.pipeline.verdict import left_out
 
 
 def several_apart(silhouettes: Sequence[Silhouettes], often: float = SETTINGS.several_often) -> bool:
-    """Whether so many of these frames, a share of them, show people beside each other in two views or more."""
+    """Whether so many of these frames, a share of them, show people side by side in two views or more."""
     if not silhouettes:
         return False
     usable = np.array([s.usable for s in silhouettes])
-    shown = [[u and _beside(m) > 1 for m, u in zip(s.masks, s.usable, strict=True)] for s in silhouettes]
+    shown = [[u and _others_in_view(m) > 1 for m, u in zip(s.masks, s.usable, strict=True)] for s in silhouettes]
     views = np.array(shown).sum(0) > often * np.maximum(usable.sum(0), 1)
     return int(views.sum()) >= SETTINGS.several_views
 
 
-def _beside(mask: NDArray[np.uint8]) -> int:
-    """How many large parts of a mask (h, w) stand beside each other; what stands above another is the same one."""
+def _others_in_view(mask: NDArray[np.uint8]) -> int:
+    """How many large parts of a mask (h, w) stand side by side; what stands above another is the same one."""
     _, _, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
     parts = stats[1:]
     if not len(parts):
@@ -63,7 +62,7 @@ def _beside(mask: NDArray[np.uint8]) -> int:
     return count
 
 
-_EVERYBODY = "everybody"
+_ALL_PEOPLE = "everybody"
 _COUNT = re.compile(r"[1-9][0-9]?")
 
 
@@ -83,7 +82,7 @@ def wanted_of(recording: Recording) -> list[Wanted]:
 
 
 def wanted_first(recording: Recording, options: TrackOptions) -> list[Wanted]:
-    """What is known of the one person who is tracked: the first of recording.toml's people, with the body or height
+    """The known data of the one person who is tracked: the first of recording.toml's people, with the body or height
     that was asked for."""
     first = (wanted_of(recording) or [Wanted("person-1")])[0]
     body = first.body if options.subject is None else load_subject(options.subject)
@@ -115,7 +114,7 @@ def chosen_people(text: str, wanted: Sequence[Wanted]) -> tuple[int | None, str 
 
 
 def people_frames(recording: Recording, options: TrackOptions) -> FrameStream:
-    """The frames of a recording with all people in the masks, if masks are wanted. An InputError for key points beside
+    """The frames of a recording with all people in the masks, if masks are wanted. An InputError for key points next to
     depth cameras."""
     depth = [v.name for v in recording.views if v.depth is not None]
     if depth and options.looks_at != "silhouettes":
@@ -128,28 +127,28 @@ def people_frames(recording: Recording, options: TrackOptions) -> FrameStream:
 
 
 def frames_to_examine(recording: Recording) -> tuple[FrameStream, bool]:
-    """The frames of a recording whose calibration is in doubt, with all people in the masks when several stand beside
-    each other there, and whether they do: what a view shows of whom cannot be told before the calibration is right."""
+    """The frames of a recording whose calibration is in doubt, with all people in the masks when several stand side by
+    side there, and whether they do: what a view shows of whom cannot be reported before the calibration is right."""
     one = FrameStream(recording)
     depth = any(view.depth is not None for view in recording.views)
     alone = depth and len(recording.views) == 1
     if one.options.silhouettes is None or not recording.has_pictures or one.tells_apart or alone:
         return one, False
     whole = replace(one.options, people=True)
-    everybody = FrameStream(recording, whole, one.backgrounds or None)
-    if depth:  # each of which would show whoever is largest, or most like a person
-        several = count_people(everybody.frame, len(everybody)) > 1
-        (one if several else everybody).close()
-        return (everybody, True) if several else (one, False)
-    rows = np.unique(np.linspace(0, len(everybody) - 1, SETTINGS.several_looks).astype(int)).tolist()
-    masks = [s for i in rows if (s := everybody.frame(i).silhouettes) is not None]
+    all_people = FrameStream(recording, whole, one.backgrounds or None)
+    if depth:  # each of which would show a person who is largest, or most like a person
+        several = count_people(all_people.frame, len(all_people)) > 1
+        (one if several else all_people).close()
+        return (all_people, True) if several else (one, False)
+    rows = np.unique(np.linspace(0, len(all_people) - 1, SETTINGS.several_looks).astype(int)).tolist()
+    masks = [s for i in rows if (s := all_people.frame(i).silhouettes) is not None]
     several = several_apart(masks)
     if not several and several_apart(
         masks, SETTINGS.several_now_and_then
     ):  # who pass behind each other: if the cameras agree on it
-        several = count_people(everybody.frame, len(everybody)) > 1
-    (one if several else everybody).close()
-    return (everybody, True) if several else (one, False)
+        several = count_people(all_people.frame, len(all_people)) > 1
+    (one if several else all_people).close()
+    return (all_people, True) if several else (one, False)
 
 
 def several_seen(source: FrameSource, options: TrackOptions) -> bool:
@@ -158,25 +157,25 @@ def several_seen(source: FrameSource, options: TrackOptions) -> bool:
     return looked_at and count_people(source.frame, len(source)) > 1
 
 
-def with_everybody(source: FrameStream, options: TrackOptions) -> FrameStream | None:
+def with_all_people(source: FrameStream, options: TrackOptions) -> FrameStream | None:
     """The frames of a recording with all people in the masks, when these show several; None when they do not, or masks
-    are not what is looked at."""
+    are not all that is looked at."""
     settings = source.options
     views = source.recording.views
     if settings.silhouettes is None or options.of_picture or len(source.rig) < 2 or source.tells_apart:
         return None
     if any(view.depth is not None for view in views):
-        # one depth camera keeps whoever is largest; several, and pictures beside them, may show somebody else; masks
+        # one depth camera keeps the largest person; several, and pictures, may show other people; masks
         # that were made elsewhere may be of one person
         if any(view.masks is not None for view in views) or options.looks_at != "silhouettes":
             return None
     elif len(views) < 3:
         return None
     whole = FrameSettings(settings.longer_side, settings.factor, settings.silhouettes, people=True, colours=True)
-    everybody = FrameStream(source.recording, whole, source.backgrounds or None)
-    if several_seen(everybody, options):
-        return everybody
-    everybody.close()
+    all_people = FrameStream(source.recording, whole, source.backgrounds or None)
+    if several_seen(all_people, options):
+        return all_people
+    all_people.close()
     return None
 
 
@@ -190,11 +189,11 @@ def track_one_of(
     results: ResultsFolder | None = None,
     record: Mapping[str, Any] | None = None,
     resume: bool = False,
-    progress: Progress | None = None,
+    progress: StageProgress | None = None,
     command: str = "--people all",
 ) -> TrackResult:
     """The person who is wanted first, or stands nearest to where the cameras look; of the others it is said that they
-    are there, and that the `command` tracks them. Not to be trusted where nobody was found at the place of who is
+    are there, and that the `command` tracks them. Not to be trusted where no person was found at the place of who is
     wanted. Everything else as for `track_source`."""
     report = progress or (lambda stage, done, total: None)
     run = PeopleRun(
@@ -208,12 +207,12 @@ def track_one_of(
         resume,
         report,
         points,
-        under=_EVERYBODY,
+        under=_ALL_PEOPLE,
     )
     found = run()
     one = found.people[0]
     more = found.others
-    said = (left_out(more, "masks", command),) if more and not places_refuted(run.looked) else ()
+    said = (other_people_note(more, "masks", command),) if more and not places_refuted(run.looked) else ()
     said = (*said, *(f"Note: {n}." for n in said_of_places(wanted, 1 + more)))
     faults = one.result.faults
     if wanted and wanted[0].place is not None and one.name != wanted[0].name:
@@ -222,9 +221,9 @@ def track_one_of(
             f"{wanted[0].not_found}; the result is that of somebody else instead: correct place and time of the "
             "[[person]] in recording.toml",
         )
-    out = replace(one.result, faults=faults, beside=said, complete=found.complete)
+    out = replace(one.result, faults=faults, remarks=said, complete=found.complete)
     if results is not None:
         save_motion(out.motion, results.motion)
         if found.complete:
-            shutil.rmtree(results.path / _EVERYBODY, ignore_errors=True)
+            shutil.rmtree(results.path / _ALL_PEOPLE, ignore_errors=True)
     return out

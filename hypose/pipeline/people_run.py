@@ -1,7 +1,7 @@
 """Several people of one recording: found in the hull, fitted and tracked together, each with a result of their own.
 
 They are found where the hull stands without being explained (`hypose.evidence.hull_people`), at the first frames and
-again and again, for people come. Everybody is tracked by a tracker of their own (`hypose.tracking.several`), and
+again and again, for people come. All people are tracked by a tracker of their own (`hypose.tracking.several`), and
 finished as one person alone is, on what the final bodies of the others leave of the masks.
 """
 
@@ -24,32 +24,32 @@ from hypose.evidence.hull import common_view_bounds
 from hypose.evidence.hull_people import FEWEST_VIEWS, HullPerson
 from hypose.evidence.prefetch import pack_once
 from hypose.geometry import Array
-from hypose.io.motions.results import ResultsFolder, identity, save_motion
-from hypose.pipeline.bodies_again import fitted_again
-from hypose.pipeline.doubts import as_now, in_words, looked_at, mask_change
-from hypose.pipeline.first_frame import Subject, SubjectOptions, find_subject, keep_subject, kept_subject
-from hypose.pipeline.first_look import look_at_depth, sentences
-from hypose.pipeline.hull_paths import Path, follow_places, lasting
-from hypose.pipeline.newcomers import (
+from hypose.io.motions.results import ResultsFolder, provenance_identity, save_motion
+from hypose.pipeline.first_frame import SubjectOptions, TrackedSubject, find_subject, keep_subject, kept_subject
+from hypose.pipeline.frame_anomalies import as_now, in_words, looked_at, mask_change
+from hypose.pipeline.input_checks import check_depth_inputs, sentences
+from hypose.pipeline.person_paths import KeypointPeople, Path, PointFrames, follow_places, lasting, padded
+from hypose.pipeline.rough_bodies import RoughTrack, fitted_again, frame_of_person, least_hidden, rough_bodies
+from hypose.pipeline.run import TrackOptions, finish, track_source, tracker_of
+from hypose.pipeline.settings import SETTINGS
+from hypose.pipeline.track_loop import Deferred, FrameSource, StageProgress, Tracked
+from hypose.pipeline.track_management import (
     back_again,
-    evidence_of,
+    birth_candidates,
+    candidate_evidence,
     explained_by,
     not_parts,
     part_doubles,
-    somebody_more,
+    swap_identities,
     unfollowed,
+    update_appearance,
     without_doubles,
 )
-from hypose.pipeline.people_points import KeypointPeople, PointFrames, padded
-from hypose.pipeline.rough_bodies import Rough, least_hidden, own_frame, rough_bodies
-from hypose.pipeline.run import TrackOptions, finish, track_source, tracker_of
-from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.track_loop import Deferred, FrameSource, Progress, Tracked
 from hypose.pipeline.tracked_people import (
     Followed,
-    OnePerson,
     OwnFrames,
     PeopleResult,
+    TrackedPerson,
     Wanted,
     free_name,
     kept_people,
@@ -60,7 +60,6 @@ from hypose.pipeline.tracked_people import (
     save_people,
     seen_by_themselves,
 )
-from hypose.pipeline.wardrobe import exchange, look_at_clothes
 from hypose.tracking.contacts import runs
 from hypose.tracking.several import Member, no_person_in, step_together, visible_share
 from hypose.tracking.tracker import Tracker
@@ -68,11 +67,11 @@ from hypose.tracking.tracker import Tracker
 
 @dataclass(frozen=True)
 class PeopleRun:
-    """Tracks the people of a source. count: results of so many at most, None: of all there are; wanted: what is known
-    of some; points: key points that have been told apart, for the evidence 'keypoints' and 'both'; floor: m; under:
-    folder in the results that holds everybody's. Everything else as for `track_source`.
+    """Tracks the people of a source. count: results of so many at most, None: of all there are; wanted: the known data
+    of some; points: key points that have been distinguished, for the evidence 'keypoints' and 'both'; floor: m; under:
+    folder in the results that holds all people's. Everything else as for `track_source`.
 
-    Everybody is tracked who is there, also those beyond `count`: they hide the others all the same."""
+    All people are tracked who is there, also those beyond `count`: they hide the others all the same."""
 
     source: FrameSource
     frame_rate: float
@@ -82,13 +81,13 @@ class PeopleRun:
     results: ResultsFolder | None = None
     record: Mapping[str, Any] = field(default_factory=dict)
     resume: bool = False
-    progress: Progress = lambda stage, done, total: None
+    progress: StageProgress = lambda stage, done, total: None
     points: KeypointPeople | None = None
     floor: float = 0.0
     under: str = ""
 
     def __call__(self) -> PeopleResult:
-        """Everybody tracked and finished; incomplete when it was interrupted, with what was done kept."""
+        """All people tracked and finished; incomplete when it was interrupted, with what was done kept."""
         if self.options.of_picture:
             raise InputError("One camera alone cannot tell several people apart; leave out --people, or add cameras.")
         if len(self.source) == 0:
@@ -120,20 +119,20 @@ class PeopleRun:
         """Wanted people come first, in their order."""
         return next((k for k, w in enumerate(self.wanted) if w.name == name), len(self.wanted))
 
-    def _tracker(self, subject: Subject) -> Tracker:
+    def _tracker(self, subject: TrackedSubject) -> Tracker:
         return tracker_of(subject, self.options, self.frame_rate)
 
     # ---- key points alone --------------------------------------------------------------------------------------
 
     def _by_points(self) -> PeopleResult:
-        """Everybody tracked by their key points alone, one after the other."""
+        """All people tracked by their key points alone, one after the other."""
         points = self.points
         if points is None or not points.tracks:
             raise InputError(
                 "The evidence 'keypoints' needs key points of people on whom two cameras or more agree; check them "
                 "with `hypose check`, or use silhouettes."
             )
-        total, done, tracks = len(self.source), list[OnePerson](), points.lasting(len(self.source))
+        total, done, tracks = len(self.source), list[TrackedPerson](), points.lasting(len(self.source))
         where = [points.tracks[k] for k in tracks]
         names = names_at_places(self.wanted, len(where), lambda k, t: where[k].place(t)[:2], self.frame_rate)
         order = sorted(range(len(tracks)), key=lambda k: (self._rank(names[k]), k))
@@ -157,7 +156,7 @@ class PeopleRun:
             out = replace(out, motion=padded(out.motion, source.first, total))
             if results is not None:
                 save_motion(out.motion, results.motion)
-            done.append(OnePerson(name, out, present, np.zeros(total, dtype=np.bool_)))
+            done.append(TrackedPerson(name, out, present, np.zeros(total, dtype=np.bool_)))
             if not out.complete:
                 break
         complete = all(p.result.complete for p in done)
@@ -169,10 +168,10 @@ class PeopleRun:
     @cached_property
     def looked(self) -> tuple[Finding, ...]:
         """What depth cameras say of their own places."""
-        return look_at_depth(self.source)
+        return check_depth_inputs(self.source)
 
     def _begun(self) -> list[Followed]:
-        """The people of the first frames; when there are none, what is wrong with the cameras may be why."""
+        """The people of the first frames; when there are none, the fault of the cameras may be why."""
         try:
             return self._begin()
         except HyposeError as error:
@@ -182,8 +181,8 @@ class PeopleRun:
             raise type(error)(f"{' '.join(why)} That may be why: {error}") from error
 
     def _begin(self) -> list[Followed]:
-        """The people of the first frames: first those who are wanted, then whoever stands nearest to where the cameras
-        look."""
+        """The people of the first frames: first those who are wanted, then a person who stands nearest to where the
+        cameras look."""
         last = min(len(self.source), max(2, round(SETTINGS.people_start_s * self.frame_rate)))
         looks = np.unique(np.linspace(0, last - 1, min(last, 6)).astype(int)).tolist()
         paths = lasting(self._places([*looks, *range(last, self._named_at + 1, self._look_every)]), looks)
@@ -226,22 +225,22 @@ class PeopleRun:
         return people
 
     def _places(self, numbers: Sequence[int]) -> list[Path]:
-        """Everybody in the hull through the frames `numbers`."""
+        """All people in the hull through the frames `numbers`."""
         return follow_places(self.source.frame, numbers, self.frame_rate, floor=self.floor)
 
     @property
     def _named_at(self) -> int:
-        """The last frame for which somebody's place is given."""
+        """The last frame for which a person's place is given."""
         times = [w.time for w in self.wanted if w.place is not None]
         return min(round(max(times, default=0.0) * self.frame_rate), len(self.source) - 1)
 
     def _stood(self, path: Path, t: int) -> Array:
-        """(2,) m: where somebody stood in about a frame; NaN where that is not known."""
+        """(2,) m: where a person stood in about a frame; NaN where that is not known."""
         return path.axis(t, within=SETTINGS.people_start_s * self.frame_rate)
 
-    def _roughly(self, paths: Sequence[Path], names: Sequence[str], numbers: Sequence[int]) -> list[Rough | None]:
-        """Everybody's body and poses in the frames `numbers`, roughly; nobody's where key points tell who is where, and
-        where somebody is alone."""
+    def _roughly(self, paths: Sequence[Path], names: Sequence[str], numbers: Sequence[int]) -> list[RoughTrack | None]:
+        """All people's body and poses in the frames `numbers`, roughly; no person's where key points tell who is where,
+        and where a person is alone."""
         if len(paths) < 2 or self._points is not None:
             return [None] * len(paths)
         known = [self._known(n) for n in names]
@@ -285,15 +284,18 @@ class PeopleRun:
         paths: Sequence[Path],
         who: int,
         numbers: Sequence[int],
-        rough: Sequence[Rough | None] | None = None,
+        rough: Sequence[RoughTrack | None] | None = None,
         alone: bool = False,
     ) -> Followed:
-        """A person with a body fitted to what is theirs alone in the frames `numbers`; rough: what is known of all."""
+        """A person with a body fitted to all that is theirs alone in the frames `numbers`; rough: the known data of
+        all."""
         known = self._known(name)
-        o, key, results = self.options, identity(self.record), self._results_of(name)
+        o, key, results = self.options, provenance_identity(self.record), self._results_of(name)
         subject = kept_subject(results, key) if self.resume and results is not None else None
         if subject is None:
-            own = {t: own_frame(self.source.frame(t), t, who, paths, rough) for t in numbers if t in paths[who].found}
+            own = {
+                t: frame_of_person(self.source.frame(t), t, who, paths, rough) for t in numbers if t in paths[who].found
+            }
             seen = least_hidden(own)
 
             def frame_at(k: int) -> Frame:
@@ -315,17 +317,17 @@ class PeopleRun:
                 subject = replace(subject, start=state.pose)
         return self._placed(name, subject)
 
-    def _placed(self, name: str, subject: Subject, asked_for: bool = True) -> Followed:
+    def _placed(self, name: str, subject: TrackedSubject, asked_for: bool = True) -> Followed:
         """A person at their start, whose subject is kept."""
         tracker, results = self._tracker(subject), self._results_of(name)
         if results is not None:
-            keep_subject(subject, results, identity(self.record))
+            keep_subject(subject, results, provenance_identity(self.record))
         return Followed(name, subject, Member(tracker, tracker.start(subject.start)), results, asked_for)
 
     # ---- the loop ----------------------------------------------------------------------------------------------
 
     def _track(self, people: list[Followed], coming: list[Array]) -> bool:
-        """All frames that are not done; False when it was interrupted. coming: who may be somebody new, in place."""
+        """All frames that are not done; False when it was interrupted. coming: who may be a new person, in place."""
         total, look = len(self.source), self._look_every
         first = saved = len(people[0].estimates)
         before = self.source.frame(first - 1) if first else None
@@ -336,9 +338,9 @@ class PeopleRun:
                 self._step(people, frame, before, t)
                 before = frame
                 if t % look == 0:
-                    told = Deferred(self.progress)
-                    coming[:] = self._look(people, frame, t, coming, told)
-                    told.settle()
+                    reported = Deferred(self.progress)
+                    coming[:] = self._look(people, frame, t, coming, reported)
+                    reported.settle()
                 if self.results is not None and t + 1 - saved >= max(self.options.checkpoint_every, saved // 20):
                     save_people(self.results, self.record, people, coming)
                     saved = t + 1
@@ -357,7 +359,8 @@ class PeopleRun:
         return self.points if self.options.looks_at == "both" else None
 
     def _points_of(self, p: Followed, people: Sequence[Followed], t: int) -> Keypoints:
-        """The key points of a person at a frame: of whom they were so far, else of whoever stands where they do."""
+        """The key points of a person at a frame: of whom they were so far, else of a person who stands where they
+        do."""
         assert self._points is not None
         if not p.member.present:
             return self._points.nothing
@@ -373,8 +376,8 @@ class PeopleRun:
         members, estimates, seen = step_together([p.member for p in people], frame, points)
         if frame.silhouettes is not None:
             pack_once(frame.silhouettes)
-        least = 2 if frame.depth is None else 1  # a depth camera alone shows where somebody is
-        change = mask_change(frame, before)  # of the whole masks: what is ignored changes by itself
+        least = 2 if frame.depth is None else 1  # a depth camera alone shows where a person is
+        change = mask_change(frame, before)  # of the whole masks: all that is ignored changes by itself
         looked = [
             looked_at(m.tracker, estimate, own, None if before is None else as_now(own, before), change)
             for m, estimate, own in zip(members, estimates, seen, strict=True)
@@ -392,8 +395,8 @@ class PeopleRun:
             p.present.append(there)
             p.hidden.append(bool(there and len(shown) and (shown > SETTINGS.rough_hidden).sum() < least))
         if t % self._look_every == 0:
-            for p, q, since in look_at_clothes(people, seen):
-                exchange(p, q, since)
+            for p, q, since in update_appearance(people, seen):
+                swap_identities(p, q, since)
         part_doubles(people, max(2, round(SETTINGS.people_together_s * self.frame_rate)))
 
     @property
@@ -401,16 +404,16 @@ class PeopleRun:
         return max(1, round(SETTINGS.people_look_s * self.frame_rate))
 
     def _look(
-        self, people: list[Followed], frame: Frame, t: int, before: Sequence[Array], progress: Progress
+        self, people: list[Followed], frame: Frame, t: int, before: Sequence[Array], progress: StageProgress
     ) -> list[Array]:
-        """Looks for somebody whom nobody explains; who was there at the last look as well is tracked from now on.
-        Returns of everybody new (4,): where they stand, how often no body could be fitted, and the frame from which
+        """Looks for a person whom no person explains; who was there at the last look as well is tracked from now on.
+        Returns of all people new (4,): where they stand, how often no body could be fitted, and the frame from which
         that is tried again; before: of the last look."""
         silhouettes = frame.silhouettes
         if silhouettes is None:
             return []
         known = explained_by(people, silhouettes)
-        if not somebody_more(known, silhouettes, FEWEST_VIEWS if frame.depth is None else 1):
+        if not birth_candidates(known, silhouettes, FEWEST_VIEWS if frame.depth is None else 1):
             return []
         found = not_parts(depth_people.people_seen(frame, known, floor=self.floor), people)
         coming = list[Array]()
@@ -418,10 +421,10 @@ class PeopleRun:
             seen = next((b for b in before if np.linalg.norm(person.axis - b[:2]) < 0.5), None)
             tries, again = (0, t) if seen is None else (int(seen[2]), int(seen[3]))
             if seen is not None:
-                own = evidence_of(person, frame, known, found)
+                own = candidate_evidence(person, frame, known, found)
                 if self._back(people, person, own):
                     return []
-                if t >= again:  # a fit is dear, and who cannot be told now may not be for long
+                if t >= again:  # a fit is expensive, and who cannot be reported now may not be for long
                     progress("subject", 0, 1)
                     new = self._new(people, person, frame, t)
                     progress("subject", 1, 1)
@@ -432,7 +435,7 @@ class PeopleRun:
         return coming
 
     def _back(self, people: list[Followed], person: HullPerson, own: Frame) -> bool:
-        """Whether somebody who was away is back."""
+        """Whether a person who was away is back."""
         back = back_again(person, own, people, self.frame_rate)
         if back is None:
             return False
@@ -442,9 +445,9 @@ class PeopleRun:
         return True
 
     def _new(self, people: list[Followed], person: HullPerson, frame: Frame, t: int) -> bool:
-        """Whether somebody new is there; False when no body can be fitted."""
+        """Whether a new person is there; False when no body can be fitted."""
         numbers = self._fit_numbers(t)
-        # beyond this frame nobody has been tracked yet: all are told apart by the hull alone
+        # beyond this frame no person has been tracked yet: all are distinguished by the hull alone
         paths = self._places(numbers)
         mine = [k for k, q in enumerate(paths) if t in q.found and np.linalg.norm(q.found[t].axis - person.axis) < 0.4]
         if not mine or len(paths[mine[0]].found) < min(len(numbers), SETTINGS.people_fewest):
@@ -456,8 +459,8 @@ class PeopleRun:
             new = self._fitted(name or free_name(taken, self.wanted), paths, mine[0], numbers)
         except HyposeError:
             return False
-        nobody, done = no_person_in(frame), len(people[0].estimates)
-        blank = looked_at(new.member.tracker, new.member.tracker.step(new.member.state, nobody)[1], nobody, None)
+        empty, done = no_person_in(frame), len(people[0].estimates)
+        blank = looked_at(new.member.tracker, new.member.tracker.step(new.member.state, empty)[1], empty, None)
         new.estimates = [replace(blank, lost=True) for _ in range(done)]
         new.present, new.hidden = [False] * done, [False] * done
         new.asked_for = makes_room(self.count, name, people, self.wanted)
@@ -466,7 +469,7 @@ class PeopleRun:
 
     # ---- the end -----------------------------------------------------------------------------------------------
 
-    def _finished(self, p: Followed, people: Sequence[Followed], complete: bool) -> OnePerson:
+    def _finished(self, p: Followed, people: Sequence[Followed], complete: bool) -> TrackedPerson:
         found = seen_by_themselves(p, people, 3 * self._look_every)
         tracked = Tracked(found, p.member.state, complete)
         present, hidden = np.array(p.present, dtype=np.bool_), np.array(p.hidden, dtype=np.bool_)
@@ -477,10 +480,12 @@ class PeopleRun:
         out = finish(source, *given, *said, shared=shared)
         motion, notes = replace(out.motion, lost=out.motion.lost | ~present), [*out.notes, *p.said]
         if hidden.any():
-            motion = replace(motion, doubtful=hidden if motion.doubtful is None else motion.doubtful | hidden)
+            motion = replace(
+                motion, low_confidence=hidden if motion.low_confidence is None else motion.low_confidence | hidden
+            )
             notes.append(f"others hide this person from all views but one in {in_words(runs(hidden))}")
         if not present.all():
             notes.append(f"not there in {in_words(runs(~present))}")
         if p.results is not None:
             save_motion(motion, p.results.motion)
-        return OnePerson(p.name, replace(out, motion=motion, notes=tuple(notes)), present, hidden)
+        return TrackedPerson(p.name, replace(out, motion=motion, notes=tuple(notes)), present, hidden)

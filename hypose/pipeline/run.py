@@ -18,29 +18,44 @@ from hypose.evidence.cues import OwnEvidence
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.geometry import Array
 from hypose.inference.layer import Recipe
-from hypose.io.motions.results import ResultsFolder, identity, save_modes, save_motion
+from hypose.io.motions.results import ResultsFolder, provenance_identity, save_modes, save_motion
 from hypose.io.recordings.frames import FrameSettings, FrameStream
 from hypose.io.recordings.recording import Recording
-from hypose.pipeline.both_ways import both_ways_notes, look_both_ways
-from hypose.pipeline.doubts import against_the_clip, with_doubts, with_repeated_points
-from hypose.pipeline.first_frame import SUBJECT, Subject, SubjectOptions, find_subject, keep_subject, kept_subject
-from hypose.pipeline.first_look import first_look, of_measured, places_refuted, sentences
-from hypose.pipeline.mend_sides import look_back, look_back_notes, mend_sides, sides_notes
+from hypose.pipeline.assessment import Assessment, assess, not_shown, other_people_note
+from hypose.pipeline.backward_pass import backward_pass, backward_pass_notes
+from hypose.pipeline.first_frame import (
+    SUBJECT,
+    SubjectOptions,
+    TrackedSubject,
+    find_subject,
+    keep_subject,
+    kept_subject,
+)
+from hypose.pipeline.frame_anomalies import against_the_clip, with_anomalies, with_repeated_points
+from hypose.pipeline.input_checks import check_inputs, of_measured, places_refuted, sentences
+from hypose.pipeline.left_right import correct_left_right, left_right_notes, retrack_start, start_notes
 from hypose.pipeline.moved_sensors import PlacedSource, Places, moved_sensors
 from hypose.pipeline.one_camera import (
     against_the_picture,
-    beside_the_picture,
     depth_note,
     doubt_of_depth,
+    image_deviation,
     one_view,
     picture_options,
     subject_in_picture,
     tracked_frames,
 )
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.subject_from_motion import height_sentence, height_told
-from hypose.pipeline.track_loop import FrameList, FrameSource, Keep, Progress, Tracked, track_frames, tracked_before
-from hypose.pipeline.verdict import Verdict, left_out, not_shown, verdict_of
+from hypose.pipeline.subject_from_motion import height_sentence, measured_height
+from hypose.pipeline.track_loop import (
+    FrameList,
+    FrameSource,
+    Keep,
+    StageProgress,
+    Tracked,
+    track_frames,
+    tracked_before,
+)
 from hypose.tracking.covariance_calibration import (
     beyond_usual,
     pose_covariance,
@@ -48,7 +63,7 @@ from hypose.tracking.covariance_calibration import (
     with_fitted_angles,
     with_fitted_joints,
 )
-from hypose.tracking.error_model import as_mixture, evidence_of, judged, not_in_set, worth_a_look
+from hypose.tracking.error_model import as_mixture, evidence_of, judged, needs_review, not_in_set
 from hypose.tracking.joint_features import audit_frame
 from hypose.tracking.keypoint_clip import track_keypoint_clip
 from hypose.tracking.keypoint_evidence import keypoint_model
@@ -87,7 +102,7 @@ class TrackOptions:
 
     @property
     def preset(self) -> Preset:
-        """Of the recipe; the usual one's where there is none of that name, which is told when it is asked for."""
+        """Of the recipe; the usual one's where there is none of that name, which is reported when it is asked for."""
         return RECIPES.get(self.recipe, RECIPES["default"])
 
     @property
@@ -151,10 +166,9 @@ def check_views(recording: Recording, of_picture: bool = False) -> None:
 class TrackResult:
     """motion; the subject's body; complete: every frame was tracked; notes for the report; modes: the poses that each
     frame allows, where the recipe tells them. one_by_one (T, D): the poses as each frame was tracked, audit (T, J, A):
-    what spoke for and against each joint (hypose.tracking.joint_features), None where that was not kept; faults:
-    sentences on what was found wrong before tracking, or with the clip as a whole; looks: on what makes the whole clip
-    worth a look;
-    beside: on who else is there; places: of depth cameras that stand elsewhere than the source says; unsure: of the
+    what spoke for and against each joint (hypose.tracking.joint_features), None where that was not kept; faults: sentences
+    on what was found wrong before tracking, or with the clip as a whole; looks: on what makes the whole clip worth a look;
+    remarks: on who else is there; places: of depth cameras that stand elsewhere than the source says; unsure: of the
     `Subject`."""
 
     motion: Motion
@@ -166,14 +180,14 @@ class TrackResult:
     audit: NDArray[np.float32] | None = None
     faults: tuple[str, ...] = ()
     looks: tuple[str, ...] = ()
-    beside: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
     places: tuple[Places, ...] = ()
     unsure: Array | None = None
 
     @property
-    def verdict(self) -> Verdict:
+    def assessment(self) -> Assessment:
         """Whether the motion is to be trusted, in words."""
-        return replace(verdict_of(self.motion, self.faults, self.looks), beside=self.beside)
+        return replace(assess(self.motion, self.faults, self.looks), remarks=self.remarks)
 
 
 def track_source(
@@ -182,11 +196,11 @@ def track_source(
     options: TrackOptions,
     *,
     body: Body | None = None,
-    subject: Subject | None = None,
+    subject: TrackedSubject | None = None,
     results: ResultsFolder | None = None,
     record: Mapping[str, Any] | None = None,
     resume: bool = False,
-    progress: Progress | None = None,
+    progress: StageProgress | None = None,
     method: Recipe | None = None,
     own: Sequence[OwnEvidence] = (),
     find_places: bool = True,
@@ -195,8 +209,8 @@ def track_source(
 
     body: the subject's own, of which only the start is looked for (default: the human template, fitted); subject: a
     known subject and start, which skips both. method: a recipe of the caller's own instead of the options'; own:
-    evidence beside that of the frames. find_places: depth cameras that turn out to stand elsewhere than the source says
-    are put right, and everything is tracked again. With `results` a checkpoint is
+    evidence next to that of the frames. find_places: depth cameras that turn out to stand elsewhere than the source
+    says are put right, and everything is tracked again. With `results` a checkpoint is
     written every `checkpoint_every` frames (later every twentieth of what is done), and motion.npz at the end or when
     interrupted. `record` is the provenance; its identity must match for `resume`.
     """
@@ -204,12 +218,12 @@ def track_source(
     total = len(source)
     if total == 0:
         raise InputError("The recording has no frame to track; check the frame range and the videos.")
-    key = identity(record or {})
+    key = provenance_identity(record or {})
     report("look", 0, 1)
-    looked = () if options.of_picture else first_look(source, options.looks_at, options.height, frame_rate)
+    looked = () if options.of_picture else check_inputs(source, options.looks_at, options.height, frame_rate)
     faults, noticed = sentences(looked), sentences(looked, fault=False)
     more = 0 if places_refuted(looked) else getattr(source, "others", 0)  # of one person wrong cameras make two
-    others = (left_out(more, "key points", "--people all"),) if more else ()
+    others = (other_people_note(more, "key points", "--people all"),) if more else ()
     report("look", 1, 1)
     given = subject is not None
     if subject is None:
@@ -223,7 +237,7 @@ def track_source(
                 raise
             raise type(error)(f"{' '.join(why)} That may be why: {error}") from error
     keep = None
-    if results is not None:  # before the motion, so that what is kept of an interrupted run can be looked at
+    if results is not None:  # before the motion, so that the kept part of an interrupted run can be looked at
         keep_subject(subject, results, key)
         keep = Keep(results.checkpoint, key, options.checkpoint_every)
     tracker = tracker_of(subject, options, frame_rate, method, own)
@@ -238,7 +252,7 @@ def track_source(
         wrong, looks = against_the_clip(audit, motion.n_views, evidence_of(audit))
         never = [n for n, gone in zip(subject.body.skeleton.joint_names, not_in_set(audit), strict=True) if gone]
         others = (*others, *([not_shown(never)] if never else []))
-        said = {"faults": (*faults, *wrong), "looks": (*noticed, *looks), "beside": others}
+        said = {"faults": (*faults, *wrong), "looks": (*noticed, *looks), "remarks": others}
         return _written(replace(result, one_by_one=solved.one_by_one, audit=audit, **said), results)
     before = tracked_before(results.checkpoint, key) if resume and results is not None else None
     begin = tracker.start(subject.start if subject.rivals is None else subject.rivals)
@@ -270,23 +284,23 @@ def track_source(
             wrong, doubted = _of_height(source, subject, done, asked, options)
             faults, noticed = (*faults, *wrong), (*noticed, *doubted)
         found = finish(source, subject, tracker, done, options, results, record, report, faults, noticed)
-        return replace(found, places=places, beside=others)
+        return replace(found, places=places, remarks=others)
     except KeyboardInterrupt:
         return _written(_tracked(subject, done.estimates, frame_rate, record), results)
 
 
 def _of_height(
-    source: FrameSource, subject: Subject, done: Tracked, asked: float, options: TrackOptions
+    source: FrameSource, subject: TrackedSubject, done: Tracked, asked: float, options: TrackOptions
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """What makes a motion not to be trusted, or worth a look, when masks or depth tell another height than `asked`."""
     if options.of_picture or options.looks_at == "keypoints":
         return (), ()
     poses, iou = np.stack([e.pose for e in done.estimates]), 1 - np.array([e.cost for e in done.estimates])
-    told = height_told(source.frame, subject.body, poses, iou)
-    off = 0.0 if told is None else abs(told / asked - 1)
-    if told is None or off <= SETTINGS.subject_height_doubt:
+    reported = measured_height(source.frame, subject.body, poses, iou)
+    off = 0.0 if reported is None else abs(reported / asked - 1)
+    if reported is None or off <= SETTINGS.subject_height_doubt:
         return (), ()
-    sentence = (height_sentence(told, asked),)
+    sentence = (height_sentence(reported, asked),)
     return (sentence, ()) if off > SETTINGS.subject_height_wrong else ((), sentence)
 
 
@@ -297,8 +311,8 @@ def subject_of(
     body: Body | None,
     results: ResultsFolder | None,
     key: Mapping[str, Any],
-    progress: Progress,
-) -> Subject:
+    progress: StageProgress,
+) -> TrackedSubject:
     """The subject that the run of this identity (`key`) kept in `results`, or else found in the frames."""
     progress("subject", 0, 1)
     subject = None if results is None else kept_subject(results, key)
@@ -315,19 +329,19 @@ def subject_of(
 
 def finish(
     source: FrameSource,
-    subject: Subject,
+    subject: TrackedSubject,
     tracker: Tracker,
     done: Tracked,
     options: TrackOptions,
     results: ResultsFolder | None,
     record: Mapping[str, Any] | None,
-    progress: Progress,
+    progress: StageProgress,
     faults: tuple[str, ...] = (),
     noticed: tuple[str, ...] = (),
     shared: bool = False,
 ) -> TrackResult:
-    """The motion of what was tracked, stretches with exchanged sides or lost arms mended, smoothed, judged and written.
-    faults, noticed: what the first look found; shared: others are in the masks, who make starts unsure."""
+    """The motion of what was tracked, stretches with exchanged sides or lost arms corrected, smoothed, judged and
+    written. faults, noticed: what the first look found; shared: others are in the masks, who make starts unsure."""
     estimates, notes, recipe = done.estimates, subject.notes, tracker.recipe
 
     def seen(frames: range) -> Iterator[Frame]:
@@ -335,19 +349,19 @@ def finish(
 
     if done.complete:
         progress("sides", 0, 1)
-        estimates, exchanged = mend_sides(
+        estimates, exchanged = correct_left_right(
             tracker, estimates, seen, sure_start=options.sure_start, memory=done.state.memory
         )
-        notes = (*notes, *sides_notes(exchanged))
+        notes = (*notes, *left_right_notes(exchanged))
         if shared and not options.sure_start:
-            estimates, anew = look_back(tracker, estimates, seen, memory=done.state.memory)
-            notes = (*notes, *look_back_notes(anew))
+            estimates, retracked = retrack_start(tracker, estimates, seen, memory=done.state.memory)
+            notes = (*notes, *start_notes(retracked))
         progress("sides", 1, 1)
         if options.smooth and recipe.smooth is not None:
-            estimates, moved = look_both_ways(
+            estimates, moved = backward_pass(
                 tracker, estimates, seen, memory=done.state.memory, progress=partial(progress, "both ways")
             )
-            notes = (*notes, *both_ways_notes(moved))
+            notes = (*notes, *backward_pass_notes(moved))
             progress("both ways", len(estimates), len(estimates))
     tracked = _tracked(subject, estimates, tracker.settings.frame_rate, record)
     motion = tracked.motion
@@ -355,14 +369,17 @@ def finish(
         clip = Clip(tracker, motion, estimates, done.state, seen, partial(progress, "smooth"))
         motion, said = recipe.smooth(clip)
         notes = (*notes, *said)
-    motion, doubts = with_doubts(motion, [e.seen for e in estimates])
+    motion, doubts = with_anomalies(motion, [e.seen for e in estimates])
     notes = (*notes, *doubts, *tracked.notes[len(subject.notes) :])
     if tracked.modes is not None:  # one camera: its modes say what else may be
         assert motion.poses is not None
-        beside = beside_the_picture(subject.body, motion.poses, seen(range(len(motion))))
-        doubtful = beside > SETTINGS.picture_beside_frame
-        motion = replace(motion, doubtful=doubtful if motion.doubtful is None else motion.doubtful | doubtful)
-        said = (*faults, *against_the_picture(beside)), (*noticed, doubt_of_depth(tracked.modes))
+        deviation = image_deviation(subject.body, motion.poses, seen(range(len(motion))))
+        low_confidence = deviation > SETTINGS.picture_deviation_frame
+        motion = replace(
+            motion,
+            low_confidence=low_confidence if motion.low_confidence is None else motion.low_confidence | low_confidence,
+        )
+        said = (*faults, *against_the_picture(deviation)), (*noticed, doubt_of_depth(tracked.modes))
         out = replace(tracked, motion=motion, complete=done.complete, notes=notes, faults=said[0], looks=said[1])
         return _written(out, results)
     own, audit = np.stack([e.pose for e in estimates]), np.stack([e.audit for e in estimates])
@@ -379,16 +396,16 @@ def finish(
 
 def _doubted(
     motion: Motion,
-    subject: Subject,
+    subject: TrackedSubject,
     one_by_one: Array,
     audit: NDArray[np.float32],
     covariance: Array,
     known: str | None = None,
     points: Sequence[Keypoints | None] | None = None,
 ) -> Motion:
-    """The motion with the probability that a joint is wrong, what is doubtful for that, and standard deviations that
-    hold, of what is doubtful too; covariance (T, D, D) of the poses; known: what the evidence was, where the audit does
-    not tell; points: the key points of its frames, None where there are none in memory."""
+    """The motion with the probability that a joint is wrong, all that is doubtful for that, and standard deviations
+    that hold, of all that is doubtful too; covariance (T, D, D) of the poses; known: what the evidence was, where the
+    audit does not tell; points: the key points of its frames, None where there are none in memory."""
     evidence = known or evidence_of(audit)
     if points is not None and subject.keypoints is not None and any(k is not None for k in points):
         assert motion.poses is not None
@@ -398,10 +415,10 @@ def _doubted(
     p, joints = judged(motion, subject.body.joints(one_by_one), audit, subject.unsure, known)
     beyond = beyond_usual(audit, evidence)
     motion = with_fitted_angles(with_fitted_joints(motion, evidence, beyond), covariance, evidence, beyond)
-    look = worth_a_look(p, joints, evidence)
-    frames = look if motion.doubtful is None else motion.doubtful | look
-    told = replace(motion, p_wrong=p, doubtful_joints=joints, doubtful=frames)
-    return told if evidence == "depth" else as_mixture(told)  # regions of depth hold what is elsewhere, too
+    look = needs_review(p, joints, evidence)
+    frames = look if motion.low_confidence is None else motion.low_confidence | look
+    reported = replace(motion, error_probability=p, low_confidence_joints=joints, low_confidence=frames)
+    return reported if evidence == "depth" else as_mixture(reported)  # regions from depth include other places
 
 
 def _written(result: TrackResult, results: ResultsFolder | None) -> TrackResult:
@@ -417,7 +434,7 @@ def _written(result: TrackResult, results: ResultsFolder | None) -> TrackResult:
 
 
 def _tracked(
-    subject: Subject, estimates: Sequence[FrameEstimate], frame_rate: float, record: Mapping[str, Any] | None
+    subject: TrackedSubject, estimates: Sequence[FrameEstimate], frame_rate: float, record: Mapping[str, Any] | None
 ) -> TrackResult:
     """What the finished frames give as they are, not complete; time 0 is the first tracked frame."""
     motion = motion_of(subject.body, np.arange(len(estimates)) / frame_rate, estimates, record or {})
@@ -427,7 +444,7 @@ def _tracked(
 
 
 def tracker_of(
-    subject: Subject,
+    subject: TrackedSubject,
     options: TrackOptions,
     frame_rate: float,
     method: Recipe | None = None,
@@ -443,8 +460,8 @@ def tracker_of(
 def track_keypoints(
     source: FrameSource,
     frame_rate: float,
-    subject: Subject,
-    progress: Progress,
+    subject: TrackedSubject,
+    progress: StageProgress,
     own: Sequence[OwnEvidence] = (),
     *,
     sure_start: bool = False,

@@ -1,8 +1,8 @@
 """Skeletons that sensors' programs report: solved together with cameras, judged once they are fused, and given poses.
 
-Beside depth maps and silhouettes there is one solve on all of it. The cameras alone give a first motion and the body,
-which tell where each skeleton's sensor stands, on which side of the body it takes left for right, and where its joints
-sit on the body. Then everything is tracked once more, the skeletons' joints as points beside the other rows.
+In addition to depth maps and silhouettes there is one solve on all of it. The cameras alone give a first motion and the
+body, which tell where each skeleton's sensor stands, on which side of the body it takes left for right, and where its
+joints sit on the body. Then everything is tracked once more, the skeletons' joints as points next to the other rows.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ from hypose.io.motions.results import ResultsFolder
 from hypose.io.sensors.skeleton_streams import (
     SensorStream,
     SkeletonRecording,
-    one_person,
+    join_observations,
     resample,
     shifted,
 )
+from hypose.pipeline.assessment import Assessment, assess
 from hypose.pipeline.run import TrackOptions, TrackResult, track_source
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.track_loop import FrameSource, Progress
-from hypose.pipeline.verdict import Verdict, verdict_of
+from hypose.pipeline.track_loop import FrameSource, StageProgress
 from hypose.tracking.refinement import KEYPOINT_SHARE, anatomical_prior
 from hypose.tracking.subject import subject_from_keypoints
 
@@ -82,7 +82,7 @@ def fuse_mixture(
     skeletons: Sequence[SensorJoints] | Callable[[Motion], Sequence[SensorJoints]],
     options: TrackOptions,
     *,
-    progress: Progress | None = None,
+    progress: StageProgress | None = None,
     results: ResultsFolder | None = None,
     record: Mapping[str, Any] | None = None,
 ) -> TrackResult:
@@ -92,7 +92,7 @@ def fuse_mixture(
     of any set of joints that is known (`hypose.fusion.register.common_joints`), each in its own frame and at the
     frame's time; or what makes them of the motion that the cameras give alone. results, record: as for `track_source`.
     A sensor that moves otherwise than the person before the cameras is left out. An InputError when their
-    numbers differ, or when no sensor is left. What is interrupted gives the motion of the cameras until then."""
+    numbers differ, or when no sensor is left. All that is interrupted gives the motion of the cameras until then."""
     made = None if callable(skeletons) else _checked(skeletons, len(source))
     first = track_source(source, frame_rate, options, progress=progress, find_places=False)
     if not first.complete:
@@ -201,7 +201,7 @@ def skeletons_at_frames(recording: SkeletonRecording, motion: Motion) -> list[Se
         raise InputError(
             f"The sensors of {recording.name} report different sets of joints; give them one after the other."
         )
-    return one_person(synced, motion.times, columns)
+    return join_observations(synced, motion.times, columns)
 
 
 def _longest(state: NDArray[np.uint8]) -> int:
@@ -227,9 +227,9 @@ _LEGS = ((jt.LEFT_HIP, jt.LEFT_KNEE, jt.LEFT_FOOT), (jt.RIGHT_HIP, jt.RIGHT_KNEE
 _CURE = "place the sensors so that one of them sees each side of the person, and nothing is in between"
 
 
-def fused_verdict(
+def assess_fused(
     motion: Motion, clip: Sequence[SensorJoints], registration: Registration, names: Sequence[str]
-) -> Verdict:
+) -> Assessment:
     """Of one person's fused motion; clip: what the sensors, with these names, reported of them at its times."""
     because, looks = list(_of_size(motion)), list[str]()
     late = list(_of_clocks(motion.times, clip, registration.reference, names))
@@ -245,8 +245,12 @@ def fused_verdict(
     # a sensor reports whom it sees: who is away is not there to be found
     if (away := float(motion.lost.mean())) > SETTINGS.verdict_lost_share:
         looks.append(f"no sensor saw the person in {100 * away:.0f} % of the frames")
-    there = motion if motion.doubtful is None else replace(motion, doubtful=motion.doubtful & ~motion.lost)
-    return verdict_of(there, because, looks, _CURE, 1.0)
+    there = (
+        motion
+        if motion.low_confidence is None
+        else replace(motion, low_confidence=motion.low_confidence & ~motion.lost)
+    )
+    return assess(there, because, looks, _CURE, 1.0)
 
 
 def _of_size(motion: Motion) -> Iterator[str]:
@@ -294,8 +298,8 @@ def _apart(pair: Array, frames: int) -> float:
     return float(np.nan_to_num(register(both, np.where(np.isfinite(both[..., 0]), 2, 0)).residual[1], nan=np.inf))
 
 
-# the 15 common joints by the names of key points; the torso is no point of the body that could be told from the spine
-NAMES = (
+# the 15 common joints by the names of key points; the torso cannot be distinguished from the spine
+SENSOR_JOINT_NAMES = (
     "head",
     "neck",
     "left_shoulder",
@@ -324,7 +328,7 @@ def pose_fused(fused: Motion, body: Body | None = None, smoothness: float = 1.0)
     points[np.asarray(fused.lost)] = np.nan
     if np.isfinite(points).all(-1).sum(1).max(initial=0) < 8:
         raise InputError("No frame of the fused motion has 8 joints; poses cannot be found from so few.")
-    subject = subject_from_keypoints(body or human(), points, NAMES)
+    subject = subject_from_keypoints(body or human(), points, SENSOR_JOINT_NAMES)
     model = subject.keypoints
     known = np.flatnonzero(model.known)
     solved = np.flatnonzero(np.isfinite(subject.poses).all(1))
@@ -334,15 +338,15 @@ def pose_fused(fused: Motion, body: Body | None = None, smoothness: float = 1.0)
     poses = fit_clip(subject.body, subject.poses[nearest], terms, acceleration=smoothness, priors=(prior,))
     skeleton = subject.body.skeleton
     joints = subject.body.joints(poses)
-    names = [NAMES[k] for k in known if NAMES[k] in skeleton.joint_names]
+    names = [SENSOR_JOINT_NAMES[k] for k in known if SENSOR_JOINT_NAMES[k] in skeleton.joint_names]
     # the fused joints of a motion start at the torso; look each up by its name there
     own = [fused.skeleton.joint(n.replace("wrist", "hand").replace("ankle", "foot")) for n in names]
     there = [skeleton.joint(n) for n in names]
     known_of_joints = {
         "joint_covariance": np.nan,
         "systematic_covariance": np.nan,
-        "p_wrong": np.nan,
-        "doubtful_joints": False,
+        "error_probability": np.nan,
+        "low_confidence_joints": False,
     }
     arrays = {}
     for name, unknown in known_of_joints.items():

@@ -25,10 +25,9 @@ from hypose.fitting.articulated import SolveSettings
 from hypose.geometry import Array
 from hypose.io.files import write_text
 from hypose.io.motions.results import load_body, save_body
-from hypose.pipeline.mend_sides import mend_sides
+from hypose.pipeline.left_right import correct_left_right
 from hypose.pipeline.settings import SETTINGS
-from hypose.pipeline.start_choice import best_ways, follow
-from hypose.pipeline.subject_checks import check_borders, check_size, no_two_views
+from hypose.pipeline.start_choice import best_ways, check_borders, check_person_size, follow, no_two_views
 from hypose.tracking.costs import mean_overlap
 from hypose.tracking.frame_evidence import PreparedFrame, prepare
 from hypose.tracking.recipes import default
@@ -39,8 +38,8 @@ from hypose.tracking.starts import KNOWN_POSES
 from hypose.tracking.subject import KeypointSubject, scaled_to_height
 from hypose.tracking.tracker import Tracker, TrackerSettings
 
-FrameAt = Callable[[int], Frame]
-Progress = Callable[[int, int], None]
+_FrameAt = Callable[[int], Frame]
+_Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
@@ -98,13 +97,13 @@ class SubjectEstimate:
 
 
 def estimate_subject(
-    frame_at: FrameAt,
+    frame_at: _FrameAt,
     n_frames: int,
     frame_rate: float,
     template: Body,
     options: AnthropometryOptions | None = None,
     start: Array | None = None,
-    progress: Progress | None = None,
+    progress: _Progress | None = None,
 ) -> SubjectEstimate:
     """The subject of a recording from silhouettes alone. progress(done, total) is called for every frame looked at.
 
@@ -135,7 +134,7 @@ def estimate_subject(
     numbers = [i for i, ok in zip(indices, usable, strict=True) if ok]
     if not usable or not usable[0]:
         raise EvidenceError(no_two_views(frames[0]))
-    check_size(seen[0])
+    check_person_size(seen[0])
     border_notes = check_borders(seen, options.height)
     height, known = options.height, Known(options.height, options.mass)
     if start is None:
@@ -206,12 +205,12 @@ def _both_ways(
     tick: Callable[[], None],
 ) -> tuple[Array, Array]:
     """(T, D) poses and (T,) IoU of the frames, tracked with few particles forwards and backwards from frame `at`, in
-    the order of the frames; mended where left and right were exchanged."""
+    the order of the frames; corrected where left and right were exchanged."""
     recipe = default(body, particles=options.particles, frame_rate=rate)
     tracker = Tracker(body, recipe, TrackerSettings(seed=options.seed, frame_rate=rate))
     later = follow(tracker, start, frames[at:], tick)
     earlier = follow(tracker, later[0].pose, frames[at - 1 :: -1], tick) if at else []
-    tracked, _ = mend_sides(tracker, [*earlier[::-1], *later], lambda numbers: (frames[t] for t in numbers))
+    tracked, _ = correct_left_right(tracker, [*earlier[::-1], *later], lambda numbers: (frames[t] for t in numbers))
     return np.stack([e.pose for e in tracked]), np.array([1 - e.cost for e in tracked])
 
 
@@ -240,7 +239,7 @@ def _ious(body: Body, poses: Array, frames: Sequence[PreparedFrame]) -> Array:
 
 
 def with_outlines(fitted: KeypointSubject, frames: Sequence[Frame]) -> tuple[Body, str] | None:
-    """The body of the key points of frames, with what the outlines of a few different poses tell beside its bones:
+    """The body of the key points of frames, with what the outlines of a few different poses tell next to its bones:
     girths, clothes, and the sizes that no key point shows; and a sentence. None where no frame has masks of that
     person."""
     solved = np.flatnonzero(np.isfinite(fitted.poses).all(1))
@@ -307,7 +306,7 @@ def subject_file(path: str | Path) -> Path:
 
 
 def load_subject(path: str | Path) -> Body:
-    """The body of a subject: its folder, subject.toml or body.npz. An InputError names what is missing."""
+    """The body of a subject: its folder, subject.toml or body.npz. An InputError names the missing part."""
     return load_body(subject_file(path))
 
 
@@ -322,7 +321,7 @@ def size_uncertainty(estimate: SubjectEstimate, template: Body, draws: int = 24)
     return {k: float(np.std([r[k] for r in rows])) / 100 for k in rows[0]}
 
 
-def height_told(frame_at: FrameAt, body: Body, poses: Array, iou: Array) -> float | None:
+def measured_height(frame_at: _FrameAt, body: Body, poses: Array, iou: Array) -> float | None:
     """The height, m, by the silhouettes and depth of a motion (poses (T, D) of `body`, iou (T,)) that was tracked with
     a given height or body; None where they do not tell one."""
     known = np.flatnonzero(np.isfinite(iou))
@@ -344,9 +343,9 @@ def height_told(frame_at: FrameAt, body: Body, poses: Array, iou: Array) -> floa
     return free.body.stature if 1 - after < SETTINGS.subject_no_worse * (1 - before) else None
 
 
-def height_sentence(told: float, given: float) -> str:
+def height_sentence(reported: float, given: float) -> str:
     """That masks tell another height than the given one, both in m."""
     return (
-        f"the person is {told:.2f} m tall by what the cameras see, not {given:.2f} m as given: leave the height out or "
-        "correct it, give the person's own body, or check the scale of the calibration (the board's square size)"
+        f"the person is {reported:.2f} m tall by what the cameras see, not {given:.2f} m as given: leave the height "
+        "out or correct it, give the person's own body, or check the scale of the calibration (the board's square size)"
     )

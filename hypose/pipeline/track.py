@@ -21,12 +21,12 @@ from hypose.pipeline.one_of_several import (
     track_one_of,
     wanted_first,
     wanted_of,
-    with_everybody,
+    with_all_people,
 )
 from hypose.pipeline.people_run import PeopleRun
 from hypose.pipeline.run import TrackOptions, TrackResult, check_views, frames_wanted, track_source
 from hypose.pipeline.subject_from_motion import load_subject
-from hypose.pipeline.track_loop import FrameList, Progress
+from hypose.pipeline.track_loop import FrameList, StageProgress
 from hypose.pipeline.tracked_people import PeopleResult
 
 
@@ -38,7 +38,7 @@ def track(
     recipe: str | Recipe | None = None,
     own: Sequence[OwnEvidence] = (),
     body: Body | None = None,
-    progress: Progress | None = None,
+    progress: StageProgress | None = None,
     people: None = None,
 ) -> TrackResult: ...
 
@@ -51,7 +51,7 @@ def track(
     recipe: str | Recipe | None = None,
     own: Sequence[OwnEvidence] = (),
     body: Body | None = None,
-    progress: Progress | None = None,
+    progress: StageProgress | None = None,
     people: str | int,
 ) -> PeopleResult: ...
 
@@ -63,17 +63,16 @@ def track(
     recipe: str | Recipe | None = None,
     own: Sequence[OwnEvidence] = (),
     body: Body | None = None,
-    progress: Progress | None = None,
+    progress: StageProgress | None = None,
     people: str | int | None = None,
 ) -> TrackResult | PeopleResult:
     """The motion of the person in a recording (or the recording in a folder, or frames in memory), and the body.
 
     recipe: a preset's name, or a recipe of your own for the joints of `human()` (default: the options'). own: evidence
-    of your own beside that of the recording. body: the subject's own, which is kept as it is (default: fitted to the
-    recording). people: 'all', how many at most, or the name of one in recording.toml: everybody is tracked together, in
-    a PeopleResult; without it one person is tracked, also where several are seen. Nothing is written; `hypose track`
-    writes files and can be resumed. An InputError names what cannot be used.
-    """
+    of your own next to that of the recording. body: the subject's own, which is kept as it is (default: fitted to the
+    recording). people: 'all', how many at most, or the name of one in recording.toml: all people are tracked together,
+    in a PeopleResult; without it one person is tracked, also where several are seen. Nothing is written; `hypose track`
+    writes files and can be resumed. An InputError names what cannot be used."""
     loaded = recording if isinstance(recording, Recording | FrameList) else load_recording(recording)
     height = loaded.subject_height if isinstance(loaded, Recording) else None
     chosen = options or TrackOptions(height=height)
@@ -117,20 +116,20 @@ def track_person(
     """The motion of the person in the frames of a recording; where the masks show several, of one of them, and it is
     said that the `command` tracks all. kept, and everything else: as for `track_source`."""
     recording = source.recording
-    everybody = with_everybody(source, options) if method is None and not own and body is None else None
-    if everybody is None:
+    all_people = with_all_people(source, options) if method is None and not own and body is None else None
+    if all_people is None:
         body = body or given_body(options)
         return track_source(source, recording.frame_rate, options, body=body, method=method, own=own, **kept)
     points = keypoint_people(recording, source.rig) if options.looks_at == "both" else None
     wanted = wanted_first(recording, options)
-    with everybody:
+    with all_people:
         return track_one_of(
-            everybody, recording.frame_rate, options, wanted=wanted, points=points, command=command, **kept
+            all_people, recording.frame_rate, options, wanted=wanted, points=points, command=command, **kept
         )
 
 
 def _track_people(
-    loaded: Recording | FrameList, options: TrackOptions, people: str, progress: Progress | None
+    loaded: Recording | FrameList, options: TrackOptions, people: str, progress: StageProgress | None
 ) -> PeopleResult:
     wanted = wanted_of(loaded) if isinstance(loaded, Recording) else []
     count, only = chosen_people(people, wanted)

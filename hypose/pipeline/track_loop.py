@@ -14,8 +14,8 @@ from hypose.errors import HyposeError
 from hypose.evidence.frame import Frame
 from hypose.evidence.prefetch import look_ahead
 from hypose.io.motions.results import Checkpoint
-from hypose.pipeline.doubts import looked_at
-from hypose.pipeline.first_frame import Subject
+from hypose.pipeline.first_frame import TrackedSubject
+from hypose.pipeline.frame_anomalies import looked_at
 from hypose.pipeline.one_camera import FrameSource, tracked_frames
 from hypose.tracking.tracker import (
     FrameEstimate,
@@ -41,19 +41,19 @@ class FrameList:
         return self.frames[index]
 
 
-Progress = Callable[[str, int, int], None]
+StageProgress = Callable[[str, int, int], None]
 """progress(stage, done, total) is called often; raising KeyboardInterrupt in it stops the run with its work kept."""
 
 
 class Deferred:
-    """A progress call whose interruption waits until `settle`: what is begun is done before, and a run that goes on
+    """A progress call whose interruption waits until `settle`: all that is begun is done before, and a run that goes on
     later goes on to the same."""
 
-    def __init__(self, progress: Progress) -> None:
+    def __init__(self, progress: StageProgress) -> None:
         self._progress, self._stopped = progress, False
 
     def __call__(self, stage: str, done: int, total: int) -> None:
-        """The progress of a stage; see Progress."""
+        """The progress of a stage; see StageProgress."""
         try:
             self._progress(stage, done, total)
         except KeyboardInterrupt:
@@ -90,16 +90,16 @@ def track_frames(
     source: FrameSource,
     tracker: Tracker,
     begin: TrackerState,
-    subject: Subject,
+    subject: TrackedSubject,
     *,
     keep: Keep | None = None,
     before: Tracked | None = None,
-    progress: Progress,
+    progress: StageProgress,
 ) -> Tracked:
     """Tracks the frames of a source from the state `begin`, or behind what was done `before`. What was seen in each is
     found out by another thread while the next one is tracked: tracking does not ask.
 
-    KeyboardInterrupt, and with `keep` a HyposeError too, end it with what is done until then; they are passed on when
+    KeyboardInterrupt, and with `keep` a HyposeError too, end it with the use until then; they are passed on when
     that is nothing.
     """
     state, estimates = (before.state, list(before.estimates)) if before is not None else (begin, [])

@@ -1,4 +1,4 @@
-"""Several people of one recording: what is known of them before, what comes out, and what is kept while they are
+"""Several people of one recording: the known data of them before, what comes out, and the kept part while they are
 tracked."""
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from hypose.evidence import depth_people
 from hypose.evidence.frame import Frame
 from hypose.evidence.shared_masks import SOLVED_WIDENING, Other
 from hypose.geometry import Array
-from hypose.io.motions.results import Checkpoint, ResultsFolder, identity
-from hypose.pipeline.first_frame import Subject, kept_subject
-from hypose.pipeline.people_points import KeypointPeople, per_frame
+from hypose.io.motions.results import Checkpoint, ResultsFolder, provenance_identity
+from hypose.pipeline.assessment import Assessment, assess
+from hypose.pipeline.first_frame import TrackedSubject, kept_subject
+from hypose.pipeline.person_paths import KeypointPeople, per_frame
 from hypose.pipeline.run import TrackResult
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.track_loop import FrameSource
-from hypose.pipeline.verdict import Verdict, verdict_of
-from hypose.tracking.appearance import Wardrobe
+from hypose.tracking.appearance import AppearanceModel
 from hypose.tracking.contacts import runs
 from hypose.tracking.several import Member, no_person_in, shape_of
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState, estimates_from_arrays, estimates_to_arrays
@@ -31,7 +31,7 @@ from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState, estima
 
 @dataclass(frozen=True)
 class Wanted:
-    """What is known of a person beforehand, [[person]] of recording.toml: height m; body: their own; place (2,) m:
+    """The known data of a person beforehand, [[person]] of recording.toml: height m; body: their own; place (2,) m:
     where they stand at `time`, s from the first frame that is tracked, negative before it."""
 
     name: str
@@ -47,14 +47,14 @@ class Wanted:
 
     @property
     def not_found(self) -> str:
-        """That nobody is them, in words."""
+        """That no person is them, in words."""
         at = self.place
         where = "" if at is None else f" at [{at[0]:g}, {at[1]:g}] m, {self.time:g} s from the first frame"
         return f"nobody was found who is {self.name}{where}"
 
 
 @dataclass(frozen=True)
-class OnePerson:
+class TrackedPerson:
     """name; the result; present (T,): frames in which the person is there (before they come and after they leave the
     motion is filled up, and flagged); hidden (T,): frames in which others hide them from all views but one."""
 
@@ -64,9 +64,9 @@ class OnePerson:
     hidden: NDArray[np.bool_]
 
     @property
-    def verdict(self) -> Verdict:
+    def assessment(self) -> Assessment:
         """Of the frames in which the person is there; frames are counted as in the recording."""
-        found = verdict_of(while_present(self.result.motion, self.present), self.result.faults, self.result.looks)
+        found = assess(while_present(self.result.motion, self.present), self.result.faults, self.result.looks)
         at = np.flatnonzero(self.present)
         if self.present.all() or not len(at):
             return found
@@ -81,7 +81,7 @@ class PeopleResult:
     """people: in the order in which they were found; complete: all frames were tracked; notes for the report; others:
     how many more there are than were asked for."""
 
-    people: tuple[OnePerson, ...]
+    people: tuple[TrackedPerson, ...]
     complete: bool
     notes: tuple[str, ...] = ()
     others: int = 0
@@ -94,7 +94,7 @@ def while_present(motion: Motion, present: NDArray[np.bool_]) -> Motion:
     return replace(motion, **per_frame(motion, np.flatnonzero(present)))
 
 
-def said_of(people: Sequence[OnePerson], frame_rate: float) -> tuple[str, ...]:
+def said_of(people: Sequence[TrackedPerson], frame_rate: float) -> tuple[str, ...]:
     """Who was there, in words."""
     said = [f"{len(people)} {'people' if len(people) != 1 else 'person'}: {', '.join(p.name for p in people)}"]
     for p in people:
@@ -119,8 +119,8 @@ def said_of_places(wanted: Sequence[Wanted], count: int) -> tuple[str, ...]:
 def names_at_places(
     wanted: Sequence[Wanted], count: int, place: Callable[[int, int], Array], frame_rate: float
 ) -> list[str | None]:
-    """Which of so many people are the wanted ones, None for somebody else; place(k, frame) (2,) m: where the k-th
-    stands, NaN where not known. Those who are wanted at no place, or an early one, are whoever is left, in their
+    """Which of so many people are the wanted ones, None for another person; place(k, frame) (2,) m: where the k-th
+    stands, NaN where not known. Those who are wanted at no place, or an early one, are a person who is left, in their
     order."""
     names: list[str | None] = [None] * count
     for one in wanted:
@@ -138,19 +138,19 @@ def names_at_places(
 
 
 def free_name(taken: Sequence[str], wanted: Sequence[Wanted]) -> str:
-    """The name of somebody of whom nothing is known."""
+    """The name of a person of whom nothing is known."""
     used = {*taken, *(w.name for w in wanted)}
     return next(n for n in (f"person-{k}" for k in range(1, 10_000)) if n not in used)
 
 
 @dataclass(eq=False)
 class Followed:
-    """Somebody who is tracked. results: where theirs are kept, None: nowhere; estimates, present, hidden: of each frame
-    so far, the last two as in OnePerson; gone: frames since anything was seen of them; track: number of the track of
+    """A person who is tracked. results: where theirs are kept, None: nowhere; estimates, present, hidden: of each frame
+    so far, as in TrackedPerson; gone: frames since anything was seen of them; track: number of the track of
     key points that they have; wardrobe: their clothes; said: notes for their report."""
 
     name: str
-    subject: Subject
+    subject: TrackedSubject
     member: Member
     results: ResultsFolder | None = None
     asked_for: bool = True
@@ -159,7 +159,7 @@ class Followed:
     hidden: list[bool] = field(default_factory=list)
     gone: int = 0
     track: int | None = None
-    wardrobe: Wardrobe = field(default_factory=Wardrobe)
+    appearance: AppearanceModel = field(default_factory=AppearanceModel)
     said: list[str] = field(default_factory=list)
 
     @property
@@ -170,12 +170,12 @@ class Followed:
                 return estimate.pose, since
         return None
 
-    def was_not(self, since: int, told: str) -> None:
-        """From a frame on somebody else was tracked in their place; told: by what that is known."""
+    def was_not(self, since: int, reported: str) -> None:
+        """From a frame on another person was tracked in their place; reported: by what that is known."""
         last = len(self.estimates)
         self.estimates[since:] = [replace(e, lost=True) for e in self.estimates[since:]]
         self.hidden[since:] = [True] * (last - since)
-        self.said.append(f"somebody else was taken for them from frame {since} to {last - 1}, {told}")
+        self.said.append(f"somebody else was taken for them from frame {since} to {last - 1}, {reported}")
 
     def cut(self, frames: int) -> None:
         """Forgets what came after so many frames."""
@@ -183,7 +183,7 @@ class Followed:
 
 
 def makes_room(count: int | None, name: str | None, people: Sequence[Followed], wanted: Sequence[Wanted]) -> bool:
-    """Whether somebody new, who is wanted by that name or by none, is among so many at most who are asked for; for who
+    """Whether a new person, who is wanted by that name or by none, is among so many at most who are asked for; for who
     is wanted one who is not makes room, and is asked for no longer."""
     if count is None or len(people) < count:
         return True
@@ -196,8 +196,8 @@ def makes_room(count: int | None, name: str | None, people: Sequence[Followed], 
 
 
 def seen_by_themselves(p: Followed, people: Sequence[Followed], late: int) -> list[FrameEstimate]:
-    """The estimates of a person without what others do to the masks: where somebody comes, or leaves, the masks change
-    all at once, and time has not jumped. late: frames after which somebody who comes may have been found."""
+    """The estimates of a person without what others do to the masks: where a person comes, or leaves, the masks change
+    all at once, and time has not jumped. late: frames after which a person who comes may have been found."""
     comes = np.zeros(len(p.estimates), dtype=np.bool_)
     for q in people:
         for t in (np.flatnonzero(np.diff(np.array(q.present, dtype=np.int8))) + 1).tolist():
@@ -214,13 +214,13 @@ def seen_by_themselves(p: Followed, people: Sequence[Followed], late: int) -> li
 def save_people(
     results: ResultsFolder, record: Mapping[str, Any], people: Sequence[Followed], coming: Sequence[Array]
 ) -> None:
-    """Writes the checkpoint. coming: (4,) each, of somebody new who was seen at the last look."""
+    """Writes the checkpoint. coming: (4,) each, of a new person who was seen at the last look."""
     arrays: dict[str, np.ndarray] = {"coming": np.array(coming, dtype=np.float64).reshape(-1, 4)}
     for k, p in enumerate(people):
         arrays |= {f"{k}_{n}": v for n, v in p.member.state.to_arrays().items()}
         arrays |= {f"{k}_done_{n}": v for n, v in estimates_to_arrays(p.estimates).items()}
         arrays |= {f"{k}_present": np.array(p.present), f"{k}_hidden": np.array(p.hidden)}
-        arrays |= {f"{k}_{n}": v for n, v in p.wardrobe.arrays().items()}
+        arrays |= {f"{k}_{n}": v for n, v in p.appearance.arrays().items()}
     meta = {
         "people": [
             {
@@ -229,26 +229,26 @@ def save_people(
                 "gone": p.gone,
                 "track": p.track,
                 "asked_for": p.asked_for,
-                "clothes": p.wardrobe.about,
+                "clothes": p.appearance.about,
                 "said": p.said,
             }
             for p in people
         ]
     }
-    Checkpoint(len(people[0].estimates), arrays, meta, identity(record)).save(results.checkpoint)
+    Checkpoint(len(people[0].estimates), arrays, meta, provenance_identity(record)).save(results.checkpoint)
 
 
 def kept_people(
-    results: ResultsFolder, under: str, record: Mapping[str, Any], tracker_of: Callable[[Subject], Tracker]
+    results: ResultsFolder, under: str, record: Mapping[str, Any], tracker_of: Callable[[TrackedSubject], Tracker]
 ) -> tuple[list[Followed], list[Array]]:
-    """What `save_people` wrote, and whose subjects lie in the folder `under`; nobody when there is none of the same
+    """What `save_people` wrote, and whose subjects lie in the folder `under`; no person when there is none of the same
     run, or a body is gone."""
     if not results.checkpoint.exists():
         return [], []
-    saved, people = Checkpoint.load(results.checkpoint, identity(record)), list[Followed]()
+    saved, people = Checkpoint.load(results.checkpoint, provenance_identity(record)), list[Followed]()
     for k, about in enumerate(saved.meta.get("people", ())):
         own_results = ResultsFolder(results.path / under / about["name"])
-        subject = kept_subject(own_results, identity(record))
+        subject = kept_subject(own_results, provenance_identity(record))
         if subject is None:
             return [], []
         own = {n.removeprefix(f"{k}_"): v for n, v in saved.arrays.items() if n.startswith(f"{k}_")}
@@ -259,7 +259,7 @@ def kept_people(
         kept = Followed(about["name"], subject, member, own_results, about["asked_for"], estimates_from_arrays(done))
         kept.present, kept.hidden = flags
         kept.gone, kept.track = int(about["gone"]), about["track"]
-        kept.wardrobe, kept.said = Wardrobe.of_arrays(own, about["clothes"]), list(about["said"])
+        kept.appearance, kept.said = AppearanceModel.of_arrays(own, about["clothes"]), list(about["said"])
         people.append(kept)
     return people, list(saved.arrays.get("coming", ()))
 

@@ -22,7 +22,7 @@ from hypose.evidence.detector import openpose_document
 from hypose.geometry import Array, Image, se3, transform
 from hypose.io.file_names import file_name
 from hypose.io.files import atomic_path, write_text
-from hypose.io.recordings.recording import Recording, View, write_recording
+from hypose.io.recordings.recording import Recording, ViewSettings, write_recording
 from hypose.io.sensors.depth import write_depth_png
 from hypose.io.videos.video import VideoWriter
 from hypose.synthetic.corruptions import keypoint_detections
@@ -107,7 +107,7 @@ def write_scene(
             for t, people in enumerate(points):
                 document = openpose_document(people[None])
                 write_text(pose / f"{name}_{t:012d}_keypoints.json", json.dumps(document))
-        views.append(View(camera.name, video=video, background=background, keypoints=pose))
+        views.append(ViewSettings(camera.name, video=video, background=background, keypoints=pose))
     recording = Recording(
         folder,
         scene.name,
@@ -160,7 +160,7 @@ def write_depth_scene(
                 done += 1
                 if progress is not None:
                     progress(done, total)
-        views.append(View(camera.name, depth=depth, background=empty))
+        views.append(ViewSettings(camera.name, depth=depth, background=empty))
     recording = Recording(
         folder, scene.name, scene.rig, tuple(views), scene.frame_rate, None, keypoint_set=None, n_frames=len(scene)
     )

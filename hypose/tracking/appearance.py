@@ -27,7 +27,7 @@ FEW = 150.0
 
 
 @dataclass(frozen=True)
-class Clothes:
+class Appearance:
     """counts (Z, COLOURS): how often each zone showed each colour."""
 
     counts: NDArray[np.float32]
@@ -37,10 +37,10 @@ class Clothes:
         """(Z,) zones of which enough was seen."""
         return self.counts.sum(1) >= FEW
 
-    def __add__(self, other: Clothes) -> Clothes:
-        return Clothes(self.counts + other.counts)
+    def __add__(self, other: Appearance) -> Appearance:
+        return Appearance(self.counts + other.counts)
 
-    def likeness(self, other: Clothes) -> float:
+    def likeness(self, other: Appearance) -> float:
         """From 0 (no colour in common) to 1 (the same): mean over the zones of the Bhattacharyya coefficient of how the
         colours are distributed; NaN where no zone is known of both."""
         both = self.known & other.known
@@ -50,33 +50,33 @@ class Clothes:
         return float(np.sqrt(a * b).sum(1).mean())
 
 
-def nothing_seen() -> Clothes:
+def no_appearance() -> Appearance:
     """Of a person who has not been looked at."""
-    return Clothes(np.zeros((len(ZONES), COLOURS), np.float32))
+    return Appearance(np.zeros((len(ZONES), COLOURS), np.float32))
 
 
 @dataclass(eq=False)
-class Wardrobe:
+class AppearanceModel:
     """Of one person. worn: before others came near; lately, looks: since then, and how often; met: with whom, by name,
     from which frame on (where they were nearest)."""
 
-    worn: Clothes = field(default_factory=nothing_seen)
-    lately: Clothes = field(default_factory=nothing_seen)
+    worn: Appearance = field(default_factory=no_appearance)
+    lately: Appearance = field(default_factory=no_appearance)
     looks: int = 0
     met: dict[str, int] = field(default_factory=dict)
 
     def settle(self) -> None:
         """It is the same one: what was seen lately is theirs."""
-        self.worn, self.lately, self.looks, self.met = self.worn + self.lately, nothing_seen(), 0, {}
+        self.worn, self.lately, self.looks, self.met = self.worn + self.lately, no_appearance(), 0, {}
 
     def arrays(self) -> dict[str, np.ndarray]:
         """For a checkpoint; see `of_arrays`."""
         return {"worn": self.worn.counts, "lately": self.lately.counts}
 
     @classmethod
-    def of_arrays(cls, arrays: Mapping[str, np.ndarray], about: Mapping[str, Any]) -> Wardrobe:
+    def of_arrays(cls, arrays: Mapping[str, np.ndarray], about: Mapping[str, Any]) -> AppearanceModel:
         """What `arrays` and `about` gave."""
-        return cls(Clothes(arrays["worn"]), Clothes(arrays["lately"]), int(about["looks"]), dict(about["met"]))
+        return cls(Appearance(arrays["worn"]), Appearance(arrays["lately"]), int(about["looks"]), dict(about["met"]))
 
     @property
     def about(self) -> dict[str, Any]:
@@ -84,10 +84,10 @@ class Wardrobe:
         return {"looks": self.looks, "met": self.met}
 
 
-def clothes_in(body: Body, pose: Array, frame: Frame) -> Clothes:
+def appearance_in(body: Body, pose: Array, frame: Frame) -> Appearance:
     """What a frame shows of the clothes of a person at a pose (D,): in the person's mask, where no other person covers
     it; nothing where the frame has no pictures."""
-    out, s, colours = nothing_seen(), frame.silhouettes, frame.colours
+    out, s, colours = no_appearance(), frame.silhouettes, frame.colours
     if s is None or colours is None:
         return out
     vertices, (faces, part, _) = body.skin(pose), part_layout(body)
@@ -96,5 +96,5 @@ def clothes_in(body: Body, pose: Array, frame: Frame) -> Clothes:
         w, h = s.rig[c].size
         shown, box = compute.shown_parts(vertices, faces, part, s.rig.projections[c], (h, w))
         found = counted_colours(shown[box], given[c][box].astype(np.uint8), colours.codes[c][box])
-        out = out + Clothes(np.stack([found[list(zone)].sum(0) for zone in ZONES]))
+        out = out + Appearance(np.stack([found[list(zone)].sum(0) for zone in ZONES]))
     return out

@@ -68,7 +68,7 @@ def _nearby(names: tuple[str, ...]) -> Array:
 
 
 @dataclass(frozen=True)
-class DoubtModel:
+class ErrorModel:
     """Of one kind of evidence. middle, scale (F,) of the features; weights (G, F), offset (G,): log-odds of a group's
     joint by itself; in_clip (G, 6): what those in the clip are made of, a constant and `doubt_of_clip`, the joint's own
     and how they change with that, the mean of its neighbours' and how they change; threshold (G,): from which
@@ -98,12 +98,12 @@ class DoubtModel:
 
 
 BY_ITSELF = (0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-"""`DoubtModel.in_clip` of joints that are judged by themselves."""
+"""`ErrorModel.in_clip` of joints that are judged by themselves."""
 _SUREST = 9.0  # log-odds of a neighbour
 
 
 def within_clip(odds: Array, names: tuple[str, ...], clip: ArrayLike) -> Array:
-    """(T, J, 6) what `DoubtModel.in_clip` weighs, from log-odds (T, J) of joints by themselves and the clip's doubt."""
+    """(T, J, 6) what `ErrorModel.in_clip` weighs, from log-odds (T, J) of joints by themselves and the clip's doubt."""
     doubt = np.broadcast_to(np.asarray(clip)[..., None], odds.shape)
     near = np.clip(odds, -_SUREST, _SUREST) @ _nearby(names).T
     return np.stack([np.ones(odds.shape), doubt, odds, odds * doubt, near, near * doubt], -1)
@@ -122,13 +122,13 @@ def doubt_of_clip(odds: Array, names: tuple[str, ...]) -> float:
 
 
 @cache
-def doubt_models() -> Mapping[str, DoubtModel]:
-    """The fitted models by evidence; that of depth is what `DepthDoubt` was fitted to: masks' as they were then."""
+def error_models() -> Mapping[str, ErrorModel]:
+    """The fitted models by evidence; that of depth is the one of masks that `DepthErrorModel` was fitted to."""
     kept = json.loads(files("hypose.assets").joinpath("doubt.json").read_text(encoding="utf-8"))
     if kept["features"] != list(FEATURES) or kept["groups"] != list(GROUPS):
         raise ValueError("assets/doubt.json belongs to other features; run scripts/train_doubt.py")
     return {
-        evidence: DoubtModel(*(np.array(m[k]) for k in (f.name for f in fields(DoubtModel))))
+        evidence: ErrorModel(*(np.array(m[k]) for k in (f.name for f in fields(ErrorModel))))
         for evidence, m in kept["models"].items()
     }
 
@@ -153,11 +153,11 @@ def judged(
     0.5 at least, and doubtful."""
     names = motion.skeleton.joint_names
     groups, evidence = groups_of(names), evidence_of(audit)
-    model = doubt_models()[known if known == "depth" else evidence]
+    model = error_models()[known if known == "depth" else evidence]
     odds = model.log_odds(clip_features(motion, raw_joints, audit), names)
     threshold = model.threshold[groups]
     if known == "depth":
-        odds = depth_doubt().log_odds(odds, groups, motion.n_views)
+        odds = depth_error_model().log_odds(odds, groups, motion.n_views)
         threshold = np.full(len(groups), DEPTH_DOUBTFUL)
     p = probability(odds)
     p = np.maximum(p, _by_twisted_trunk(motion))
@@ -172,8 +172,8 @@ def judged(
         held = _as_at_start(motion)[:, None]
         p = 1 - (1 - p) * (1 - _open(audit) * turned * held) * (1 - _misfit(motion) * otherwise * held)
     p = np.where(motion.lost[:, None], np.maximum(p, 0.5), p)
-    doubtful = (p > threshold) & ~(not_in_set(audit) if evidence == "keypoints" else np.False_)
-    return p.astype(np.float32), np.asarray(doubtful | motion.lost[:, None])
+    low_confidence = (p > threshold) & ~(not_in_set(audit) if evidence == "keypoints" else np.False_)
+    return p.astype(np.float32), np.asarray(low_confidence | motion.lost[:, None])
 
 
 def not_in_set(audit: ArrayLike) -> NDArray[np.bool_]:
@@ -184,7 +184,7 @@ def not_in_set(audit: ArrayLike) -> NDArray[np.bool_]:
     return np.asarray(some & np.isnan(a[..., AUDITED.index("points_views")]).all(0))
 
 
-def worth_a_look(p: ArrayLike, joints: NDArray[np.bool_], evidence: str) -> NDArray[np.bool_]:
+def needs_review(p: ArrayLike, joints: NDArray[np.bool_], evidence: str) -> NDArray[np.bool_]:
     """(T,) the doubtful frames, of how likely joints are wrong (T, J) and which are doubtful (T, J): those with a
     doubtful joint; from masks alone, in which many joints are a little doubtful, those with LOOK_P wrong ones to be
     expected among them."""
@@ -206,7 +206,7 @@ def probability(odds: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class DepthDoubt:
+class DepthErrorModel:
     """What the log-odds of the model of depth, which is one of silhouettes, are worth where depth cameras saw, which
     keep little else wrong than what they do not see: level (S, G) of a group's joint before one sensor, two, S or more;
     slope (G,)."""
@@ -225,10 +225,10 @@ DEPTH_DOUBTFUL = 0.2
 
 
 @cache
-def depth_doubt() -> DepthDoubt:
+def depth_error_model() -> DepthErrorModel:
     """As scripts/train_depth_spread.py fitted it."""
     kept = json.loads(files("hypose.assets").joinpath("depth_doubt.json").read_text(encoding="utf-8"))
-    return DepthDoubt(np.array(kept["level"]), np.array(kept["slope"]))
+    return DepthErrorModel(np.array(kept["level"]), np.array(kept["slope"]))
 
 
 def as_mixture(motion: Motion) -> Motion:
@@ -244,9 +244,9 @@ def without_mixture(motion: Motion) -> Motion:
 
 
 def _with_other_case(motion: Motion, times: float) -> Motion:
-    p, doubtful = motion.p_wrong, motion.doubtful_joints
-    assert p is not None and doubtful is not None
-    wrong = times * np.where(doubtful, p, 0.0)
+    p, low_confidence = motion.error_probability, motion.low_confidence_joints
+    assert p is not None and low_confidence is not None
+    wrong = times * np.where(low_confidence, p, 0.0)
     around = motion.joint_covariance + (wrong * ELSEWHERE_M**2 / 3)[..., None, None] * np.eye(3)
     sd = motion.angle_sd
     if sd is not None:

@@ -71,7 +71,7 @@ class FrameEstimate:
     (C,): IoU of the body with each view's mask, NaN where that is not usable, empty when not looked at. exchanged: by
     how much a rival (the body with its sides exchanged) overlaps the masks better, or a body that was lost and found
     than where it was held to be, NaN when not looked at.
-    seen (C, 3): what hypose.pipeline.doubts keeps of each view, (0, 3) when nothing; audit (J, A): what speaks for and
+    seen (C, 3): what frame_anomalies keeps of each view, (0, 3) when nothing; audit (J, A): what speaks for and
     against each joint (hypose.tracking.joint_features), (0, 0) when not looked at. rivals (K, D), rival_weights (K,):
     other poses that the evidence allows, as in `Motion`."""
 

@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from hypose.app.cli import main
+from hypose.app.cli import run_cli
 from hypose.synthetic.scenes import camera_rig, make_scene
 from hypose.synthetic.write_recording import write_scene
 from tests.conftest import HANG_S
@@ -37,7 +37,7 @@ def hypose(capsys):
 
     def run(*arguments):
         with pytest.raises(SystemExit) as stopped:
-            main([str(a) for a in arguments])
+            run_cli([str(a) for a in arguments])
         printed = capsys.readouterr()
         code = stopped.value.code
         return (0 if code is None else code), printed.out, printed.err
@@ -61,7 +61,7 @@ def tracked(tiny, tmp_path_factory):
             time.sleep(0.1)
         return out
     with pytest.raises(SystemExit) as stopped:
-        main(["track", str(tiny), "--out", str(out)])
+        run_cli(["track", str(tiny), "--out", str(out)])
     assert stopped.value.code in (None, 0)
     done.touch()
     return out

@@ -15,7 +15,7 @@ import pytest
 
 from benchmarks.robustness.programs import workers_of
 from benchmarks.robustness.small_recordings import small_scene, write_masks
-from hypose.app.batch import COLUMNS, finished, plan, read_table, run_batch, run_task, write_table
+from hypose.app.batch import COLUMNS, finished_metrics, ordered_tasks, read_table, run_batch, run_task, write_table
 from hypose.errors import InputError
 from hypose.io.motions.results import load_motion
 from tests.conftest import HANG_S
@@ -39,7 +39,7 @@ def table(study, out, columns="", *rows):
 
 
 def tasks_of(path, out):
-    tasks, refused = plan(read_table(path), out)
+    tasks, refused = ordered_tasks(read_table(path), out)
     assert not refused
     return tasks
 
@@ -95,7 +95,7 @@ def test_tables_that_cannot_be(tmp_path, text, fragment):
 def test_a_bad_recording_does_not_stop_the_others(hypose, study, tmp_path):
     path = tmp_path / "study.csv"
     path.write_text(f"recording\n{study}/short\nnowhere\n")
-    tasks, refused = plan(read_table(path), tmp_path / "out")
+    tasks, refused = ordered_tasks(read_table(path), tmp_path / "out")
     assert [t.recording for t in tasks] == ["short"]
     assert refused[0]["recording"] == "nowhere" and "does not exist" in refused[0]["message"]
     code, out, err = hypose("batch", path, "--dry-run")  # ends as the batch would
@@ -143,12 +143,12 @@ def test_a_task_is_stopped_in_order_and_goes_on(study, tmp_path):
             stop.touch()
 
     assert "frames are kept" in run_task(task, stop, stop_soon)["message"]
-    assert finished(task) is None
+    assert finished_metrics(task) is None
     assert run_task(task, stop, stop_soon)["state"] == "stopped"
     stop.unlink()
     done = run_task(task, stop, lambda done: None)
     assert done["state"] == "done" and done["frames"] == 60
-    assert finished(task) == json.loads((task.results / "task.json").read_text()) == done
+    assert finished_metrics(task) == json.loads((task.results / "task.json").read_text()) == done
 
 
 @pytest.mark.slow

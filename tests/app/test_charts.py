@@ -5,7 +5,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from hypose.app.reports.charts import LEFT, Axes, _ticks, chart
+from hypose.app.reports.charts import LEFT_COLOUR, Axes, _ticks, chart
 
 
 def texts_of(picture):
@@ -15,7 +15,7 @@ def texts_of(picture):
 
 def test_any_name_may_stand_in_a_chart():
     axes = Axes("\x1b[31mMädchen 走る\x07 <b>", "a & b")
-    axes.line(np.array([0.0, 1.0]), np.array([0.0, 1.0]), LEFT, "\x1b<i>")
+    axes.line(np.array([0.0, 1.0]), np.array([0.0, 1.0]), LEFT_COLOUR, "\x1b<i>")
     texts = texts_of(chart([[axes]], 200))
     assert "\\x1b[31mMädchen 走る\\x07 <b>" in texts and "a & b" in texts and "■ \\x1b<i>" in texts
 
@@ -24,10 +24,10 @@ def test_any_name_may_stand_in_a_chart():
 def test_any_values_make_a_chart(values):
     y = np.array(values)
     axes = Axes(x="x", y="y", equal=len(values) == 3)
-    axes.line(np.arange(len(y)), y, LEFT)
-    axes.band(np.arange(len(y)), y - 1, y + 1, LEFT)
-    axes.dots(np.arange(len(y)), y, LEFT)
-    axes.stretch(0.2, 0.4, LEFT, "lost")
+    axes.line(np.arange(len(y)), y, LEFT_COLOUR)
+    axes.band(np.arange(len(y)), y - 1, y + 1, LEFT_COLOUR)
+    axes.dots(np.arange(len(y)), y, LEFT_COLOUR)
+    axes.stretch(0.2, 0.4, LEFT_COLOUR, "lost")
     picture = chart([[axes, Axes()]], 200)
     ElementTree.fromstring(picture)
     assert "nan" not in picture and "inf" not in picture
@@ -35,8 +35,8 @@ def test_any_values_make_a_chart(values):
 
 def test_a_line_is_interrupted_where_it_is_not_known():
     axes = Axes()
-    axes.line(np.arange(7.0), np.array([np.nan, 1, 2, np.nan, 3, 1, np.nan]), LEFT)
-    way = next(p for p in chart([[axes]], 200).split('d="') if LEFT in p)
+    axes.line(np.arange(7.0), np.array([np.nan, 1, 2, np.nan, 3, 1, np.nan]), LEFT_COLOUR)
+    way = next(p for p in chart([[axes]], 200).split('d="') if LEFT_COLOUR in p)
     assert way.count("M") == 2 and way.split('"')[0].count("L") == 2
 
 

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from hypose.app.cli import main
+from hypose.app.cli import run_cli
 from hypose.app.commands.commands_calibrate import parse_length
 from hypose.errors import InputError
 from hypose.io.calibrations.calibration_formats import read_any
@@ -15,7 +15,7 @@ from tests.calibration.test_from_boards import BOARD, board_poses, make_rig
 
 def run(capsys, *arguments):
     with pytest.raises(SystemExit) as end:
-        main([str(a) for a in ("calibrate", *arguments)])
+        run_cli([str(a) for a in ("calibrate", *arguments)])
     shown = capsys.readouterr()
     return end.value.code, " ".join(shown.out.split()), " ".join(shown.err.split())
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from hypose.app.jobs.correct import read_correction
-from hypose.app.jobs.truth import compare
 from hypose.errors import InputError
 from hypose.io.motions.results import load_body, load_motion
+from hypose.pipeline.comparison import compare_with_truth
 
 FRAME = 3
 
@@ -41,7 +41,7 @@ def test_the_rest_is_tracked_again_from_the_corrected_pose(result, recording, hy
     assert len(again) == len(motion)
     np.testing.assert_array_equal(again.poses[:FRAME], motion.poses[:FRAME])
     np.testing.assert_allclose(again.joints, body.joints(again.poses), atol=1e-9)
-    off, before = (compare(recording / "truth.npz", m, 0).distances[FRAME:].mean() for m in (again, motion))
+    off, before = (compare_with_truth(recording / "truth.npz", m, 0).distances[FRAME:].mean() for m in (again, motion))
     assert off < 1.2 * before, "tracked from a start that is 11 degrees off at one elbow it is as good as it was"
     assert not np.array_equal(again.poses[FRAME:], motion.poses[FRAME:])
     assert again.provenance["corrections"] == [{"clicks": "arm", "frame": FRAME, "of": "default", "until": 8}]

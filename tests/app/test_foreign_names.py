@@ -14,9 +14,9 @@ import pytest
 from benchmarks.robustness.small_recordings import small_scene, write_masks
 from hypose.app.commands import console
 from hypose.app.studio.catalog import Catalog
-from hypose.app.studio.job_kinds import plan
+from hypose.app.studio.job_kinds import plan_job
 from hypose.app.studio.recordings import Recordings
-from hypose.app.studio.view_bundle import plain
+from hypose.app.studio.view_bundle import json_values
 from hypose.errors import InputError
 from hypose.io.file_names import file_name
 from hypose.io.files import claimed
@@ -112,12 +112,12 @@ def test_converted_cameras_stay_in_the_folder(hypose, masks, tmp_path):
 def test_the_studio_begins_no_job_that_writes_outside(masks, tmp_path):
     catalog = Catalog(tmp_path / "a")
     id = catalog.items("recording")[0].id
-    assert plan("silhouettes", {"recording": id}, catalog).arguments[0] == "silhouettes"
+    assert plan_job("silhouettes", {"recording": id}, catalog).arguments[0] == "silhouettes"
     (tmp_path / "outside").mkdir()
     (masks / "results").symlink_to(tmp_path / "outside")
     for kind in ("silhouettes", "check", "track"):
         with pytest.raises(InputError, match="outside the served folder"):
-            plan(kind, {"recording": id}, catalog)
+            plan_job(kind, {"recording": id}, catalog)
 
 
 @on_linux
@@ -139,7 +139,7 @@ def test_the_studio_lists_what_is_no_utf8(masks, tmp_path):
     shutil.copytree(masks, tmp_path / "a" / STRANGE)
     catalog = Catalog(tmp_path / "a")
     items = catalog.items("recording")
-    shown = [plain(Recordings(catalog).shown(i, [])) for i in items]
+    shown = [json_values(Recordings(catalog).shown(i, [])) for i in items]
     assert sorted(s["path"] for s in shown) == ["b/walk", "b\\xff\\x1b[31m"]
     assert json.dumps(shown, ensure_ascii=False).encode()
 
@@ -163,7 +163,7 @@ def test_a_locale_that_knows_ascii_only(masks, tmp_path, name):
 def test_no_name_steers_the_terminal(hypose, tmp_path, capsys):
     text = "a\x1b[2J\x1b]0;x\x07\x9b31m\r\u202eb\udcff"
     console.say(text)
-    console.note(text)
+    console.print_note(text)
     console.error(text)
     code, _, err = hypose("track", tmp_path / text)
     printed = "".join(capsys.readouterr()) + err

@@ -48,7 +48,15 @@ def test_a_recording_becomes_a_motion_and_its_files(hypose, rng, tmp_path):
     code, out, err = hypose("fuse", tmp_path / "rec", "--diagnose")
     assert code == 0, err
     results = tmp_path / "rec" / "results" / "fuse-fit"
-    names = {"motion.npz", "motion.trc", "motion.c3d", "joints.csv", "sensors.csv", "provenance.json", "verdict.json"}
+    names = {
+        "motion.npz",
+        "motion.trc",
+        "motion.c3d",
+        "joints.csv",
+        "sensors.csv",
+        "provenance.json",
+        "assessment.json",
+    }
     assert {p.name for p in results.iterdir()} == names
     motion = load_motion(results / "motion.npz")
     assert len(motion) == 150 and motion.frame_rate == pytest.approx(30)
@@ -64,7 +72,7 @@ def test_a_recording_becomes_a_motion_and_its_files(hypose, rng, tmp_path):
     header = (results / "sensors.csv").read_text().splitlines()[0]
     assert "left_hand:s1" in header and "swarm:left_hand:s1" in header
     assert "150 frames of 3 sensors at 30 Hz" in out
-    assert "Verdict: Good" in out and json.loads((results / "verdict.json").read_text())["verdict"] == "good"
+    assert "Assessment: Good" in out and json.loads((results / "assessment.json").read_text())["assessment"] == "good"
 
 
 def changed(recording, number, change):
@@ -96,10 +104,10 @@ def test_an_arm_that_the_sensors_see_in_different_places_is_worth_a_look(hypose,
     write_folder(recording, tmp_path / "rec")
     assert hypose("fuse", tmp_path / "rec")[0] == 0
     results = tmp_path / "rec" / "results" / "fuse-fit"
-    kept, motion = json.loads((results / "verdict.json").read_text()), load_motion(results / "motion.npz")
-    assert kept["verdict"] == "look" and "left hand may be wrong there" in kept["sentence"]
+    kept, motion = json.loads((results / "assessment.json").read_text()), load_motion(results / "motion.npz")
+    assert kept["assessment"] == "look" and "left hand may be wrong there" in kept["sentence"]
     assert all(58 <= begin and end <= 95 for begin, end in kept["frames"])
-    hand = motion.p_wrong[:, motion.skeleton.joint("left_hand")]
+    hand = motion.error_probability[:, motion.skeleton.joint("left_hand")]
     assert hand[62:88].mean() > 3 * hand[:55].mean()
 
 
@@ -115,9 +123,9 @@ def test_what_is_no_person_or_not_the_same_is_not_to_be_trusted(hypose, rng, tmp
     write_folder(changed(recorded(rng, seconds=6), number, change), tmp_path / "rec")
     code, out, err = hypose("fuse", tmp_path / "rec", "--formats", "csv")
     assert code == 3, err
-    assert words in out.split("Verdict: Not to be trusted")[1]
-    kept = json.loads((tmp_path / "rec" / "results" / "fuse-fit" / "verdict.json").read_text())
-    assert kept["verdict"] == "not to be trusted"
+    assert words in out.split("Assessment: Not to be trusted")[1]
+    kept = json.loads((tmp_path / "rec" / "results" / "fuse-fit" / "assessment.json").read_text())
+    assert kept["assessment"] == "not to be trusted"
 
 
 @pytest.mark.parametrize("method", ["swarm", "published"])

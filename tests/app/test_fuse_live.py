@@ -13,7 +13,7 @@ import pytest
 from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
 
-from hypose.app.live.live_server import LiveOptions, LiveServer, is_loopback
+from hypose.app.live.live_server import FusionServerOptions, LiveServer, is_loopback
 from hypose.errors import InputError
 from hypose.evidence.frame import SensorReport
 from hypose.fusion.align import AlignSettings
@@ -76,7 +76,7 @@ def live(play, **options):
 
     async def run():
 
-        server = LiveServer(LiveOptions(**{**OPTIONS, **options}), notes.append, Clock())
+        server = LiveServer(FusionServerOptions(**{**OPTIONS, **options}), notes.append, Clock())
         await server.start()
         out = []
         try:
@@ -193,14 +193,14 @@ def test_other_hosts_get_a_token_made():
     assert [is_loopback(h) for h in ("127.0.0.1", "localhost", "::1", "0.0.0.0", "example.org")] == [True] * 3 + [
         False
     ] * 2
-    assert len(LiveServer(LiveOptions(host="0.0.0.0")).token) >= 20
-    assert LiveServer(LiveOptions()).token == ""
+    assert len(LiveServer(FusionServerOptions(host="0.0.0.0")).token) >= 20
+    assert LiveServer(FusionServerOptions()).token == ""
 
 
 def test_a_taken_port_is_named():
     async def play(server):
         with pytest.raises(InputError, match="cannot be opened .*--udp"):
-            await LiveServer(LiveOptions(udp=server.udp_port, ws=None)).start()
+            await LiveServer(FusionServerOptions(udp=server.udp_port, ws=None)).start()
 
     live(play)
 

@@ -8,7 +8,7 @@ import threading
 import numpy as np
 import pytest
 
-from hypose.app.cli import main
+from hypose.app.cli import run_cli
 from hypose.app.live.gesture_sources import open_source
 from hypose.errors import EvidenceError, InputError
 from hypose.gestures.forest import ForestSettings
@@ -21,7 +21,7 @@ from tests.conftest import HANG_S
 
 def hypose(*arguments):
     with pytest.raises(SystemExit) as stopped:
-        main([str(a) for a in arguments])
+        run_cli([str(a) for a in arguments])
     assert stopped.value.code in (None, 0)
 
 
@@ -71,12 +71,10 @@ def test_run_writes_json_lines_and_osc(folder, capsys):
     assert data.startswith(b"#bundle\0") and b"/gesture/pause\0" in data and b"/wek/outputs\0" in data
 
 
-def test_eval_and_export(folder, tmp_path, capsys):
+def test_eval(folder, capsys):
     hypose("gesture", "eval", folder / "pause.npz", folder / "session")
     values = json.loads(capsys.readouterr().out)
     assert values["positives"] > 0 and values["ap_5cm"] > 0.5
-    hypose("gesture", "export", folder / "pause.npz", tmp_path / "out")
-    assert {p.name for p in (tmp_path / "out").iterdir()} == {"forest.npz", "forest.json", "gesture_runtime.py"}
 
 
 def test_growing_goes_on(folder, tmp_path):
@@ -115,7 +113,7 @@ def test_a_model_that_is_replaced_is_told_and_that_of_another_gesture_refused(fo
 
 def refused(capsys, *arguments):
     with pytest.raises(SystemExit) as stopped:
-        main([str(a) for a in arguments])
+        run_cli([str(a) for a in arguments])
     assert stopped.value.code == 2
     text = capsys.readouterr().err
     assert "Traceback" not in text
@@ -150,7 +148,7 @@ def test_bad_input_ends_in_a_sentence(folder, tmp_path, capsys):
 
 def blank(depth_mm, frames=60):
     """A camera that sees one depth everywhere."""
-    from hypose.app.live.gesture_sources import Source, Taken
+    from hypose.app.live.gesture_sources import GestureSource, Taken
     from hypose.gestures.depth_pictures import DepthLens
 
     times = iter(range(frames))
@@ -160,7 +158,7 @@ def blank(depth_mm, frames=60):
         k = next(times, None)
         return None if k is None else Taken(0.1 * k, picture, None)
 
-    return Source("blank", DepthLens(100, 100, 31.5, 31.5), (64, 64), take)
+    return GestureSource("blank", DepthLens(100, 100, 31.5, 31.5), (64, 64), take)
 
 
 @pytest.mark.parametrize("depth_mm", [0, 8000])
@@ -202,8 +200,7 @@ def test_recordings_without_a_usable_gesture_are_refused(tmp_path, capsys):
 def test_websocket_listeners_get_scores_and_events():
     from websockets.sync.client import connect
 
-    from hypose.app.jobs.gesture_job import Watched
-    from hypose.app.live.gesture_outputs import WebSocketOut
+    from hypose.app.jobs.gesture_job import Watched, WebSocketOut
     from hypose.gestures.events import Event
     from hypose.gestures.localise import Localisation
 

@@ -4,8 +4,8 @@ import sys
 
 import pytest
 
+from hypose.app.jobs import gesture_job as actions
 from hypose.app.jobs.gesture_job import Watched
-from hypose.app.live import gesture_outputs as actions
 from hypose.errors import InputError
 from hypose.gestures.events import Event
 from hypose.gestures.localise import Localisation

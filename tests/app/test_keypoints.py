@@ -107,8 +107,8 @@ def test_an_interrupted_detection_goes_on(hypose, prepared):
     third = put()
     code, _, err = hypose("keypoints", recording, "--detector", "any")
     assert code == 0 and third.looked == 120
-    anew = load_keypoints(load_recording(recording))
-    assert all((a.points == b.points).all() for a, b in zip(resumed, anew, strict=True))
+    retracked = load_keypoints(load_recording(recording))
+    assert all((a.points == b.points).all() for a, b in zip(resumed, retracked, strict=True))
 
 
 def test_scaled_and_shifted_pictures_give_points_of_the_calibration(hypose, prepared):

@@ -53,11 +53,11 @@ def test_track_that_lost_all_frames(hypose, masks, tmp_path, monkeypatch):
 
 
 def test_batch_says_that_a_task_found_nobody(masks, tmp_path, monkeypatch):
-    from hypose.app.batch import plan, run_task, wanted
+    from hypose.app.batch import ordered_tasks, run_task, wanted
 
     whole = one_person.track_source
     monkeypatch.setattr(one_person, "track_source", lambda *a, **k: lost(whole(*a, **k)))
-    tasks, _ = plan(wanted([masks]), tmp_path / "out")
+    tasks, _ = ordered_tasks(wanted([masks]), tmp_path / "out")
     figures = run_task(tasks[0], tmp_path / "stop", lambda done: None)
     assert figures["state"] == "failed" and "found in none of 3 frames" in figures["message"]
 

@@ -40,7 +40,7 @@ def outputs(**options):
     return PoseOutputs(CAMERAS, 25.0, clock=lambda: 5.0, **options)
 
 
-def told(out, followed):
+def reported(out, followed):
     for frame, pose in followed:
         out.seen(seen(frame, pose))
 
@@ -67,7 +67,7 @@ def test_a_pose_in_json(followed):
     assert len(value["sd"]) == len(value["wrong"]) == J
     assert read_covariance(value["covariance"]) == pytest.approx(pose.motion.joint_covariance[0], rel=0.01, abs=1e-7)
     assert all(0 < s < 1 for s in value["sd"]) and all(0 <= w <= 1 for w in value["wrong"])
-    assert set(value["doubtful"]) <= set(JOINT_NAMES)
+    assert set(value["low_confidence"]) <= set(JOINT_NAMES)
 
 
 def read_covariance(upper):
@@ -128,7 +128,7 @@ def test_the_receiver_of_the_documentation(followed, tmp_path, capsys):
     while not out.listeners.wanted("/out"):
         assert receiver.is_alive()
         time.sleep(0.01)
-    told(out, followed[:5])
+    reported(out, followed[:5])
     out.close()
     receiver.join(HANG_S)
     numbers = re.findall(r"^(\d+) 1 \[", capsys.readouterr().out, re.MULTILINE)
@@ -191,7 +191,7 @@ def received(followed, option):
         sink.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
         sink.bind(("127.0.0.1", 0))
         out = outputs(**{option: f"127.0.0.1:{sink.getsockname()[1]}"})
-        told(out, followed)
+        reported(out, followed)
         out.close()
         packets = []
         sink.setblocking(False)

@@ -24,8 +24,25 @@ def test_milliseconds_are_not_taken_for_seconds(hypose, tmp_path):
 
 def test_a_result_of_no_frames_has_no_report(hypose, tracked, tmp_path):
     motion = load_motion(tracked / "motion.npz")
-    fields = ("times", "poses", "joints", "joint_covariance", "lost", "extrapolated", "n_views", "cost", "doubtful")
-    fields += ("p_wrong", "doubtful_joints", "angle_sd", "systematic_covariance", "rivals", "rival_weights")
+    fields = (
+        "times",
+        "poses",
+        "joints",
+        "joint_covariance",
+        "lost",
+        "extrapolated",
+        "n_views",
+        "cost",
+        "low_confidence",
+    )
+    fields += (
+        "error_probability",
+        "low_confidence_joints",
+        "angle_sd",
+        "systematic_covariance",
+        "rivals",
+        "rival_weights",
+    )
     none = {name: v[:0] for name in fields if (v := getattr(motion, name)) is not None}
     save_motion(replace(motion, **none), tmp_path / "motion.npz")
     assert "no frames" in said(hypose("report", tmp_path / "motion.npz"))

@@ -12,7 +12,7 @@ import pytest
 import hypose
 from hypose.compute import warming
 from hypose.io.keypoints import detectors
-from hypose.io.videos import sound
+from hypose.io.videos import video
 from tests.app.studio.conftest import serving
 
 HYPOSE = [sys.executable, "-m", "hypose.app"]
@@ -109,13 +109,13 @@ def test_every_process_of_the_package_has_a_safe_path_and_a_folder_of_ours(evil,
     monkeypatch.chdir(evil)
     monkeypatch.setattr(subprocess, "run", begin)
     monkeypatch.setattr(subprocess, "Popen", begin)
-    monkeypatch.setattr(sound.shutil, "which", lambda name: name)
+    monkeypatch.setattr(video.shutil, "which", lambda name: name)
     with pytest.raises(Began):
         detectors.fetch_models()
     with pytest.raises(Began):
         warming._in_another_process("solver", [])
     with pytest.raises(Began):
-        sound.read_sound(Path("clip.mp4"))
+        video.read_sound(Path("clip.mp4"))
     assert len(began) == 3
     for command, place in began:
         assert {"-P", "-I"} & set(command) or command[0] == "ffmpeg" and str(evil / "clip.mp4") in command

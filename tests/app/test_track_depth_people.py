@@ -12,7 +12,7 @@ from hypose.evidence.depth_people import people_seen
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import load_recording
 from hypose.io.sensors.depth import read_depth_png, write_depth_png
-from hypose.pipeline.one_of_several import frames_to_examine, people_frames, with_everybody
+from hypose.pipeline.one_of_several import frames_to_examine, people_frames, with_all_people
 from hypose.pipeline.run import TrackOptions
 from hypose.synthetic.depth_scenes import depth_scene
 from hypose.synthetic.motions import act
@@ -44,7 +44,7 @@ def test_everybody_before_depth_cameras_has_a_folder(hypose, two, tmp_path):
     assert [p["name"] for p in people] == ["Anna", "Bert"]
     for name, place in PLACES.items():
         assert np.linalg.norm(where(tmp_path / name) - place) < 0.1
-        assert {"report.html", "motion.trc", "verdict.json"} <= {p.name for p in (tmp_path / name).iterdir()}
+        assert {"report.html", "motion.trc", "assessment.json"} <= {p.name for p in (tmp_path / name).iterdir()}
 
 
 @pytest.mark.slow
@@ -75,9 +75,9 @@ def changed(two, tmp_path, *changes):
 def test_people_are_seen_where_the_empty_room_was_not_recorded(two, tmp_path):
     recording = load_recording(unknown_room(two, tmp_path))
     with FrameStream(recording) as one:
-        everybody = with_everybody(one, TrackOptions())
-        assert everybody is not None  # one of them is to be tracked, and not a mixture of both
-        everybody.close()
+        all_people = with_all_people(one, TrackOptions())
+        assert all_people is not None  # one of them is to be tracked, and not a mixture of both
+        all_people.close()
     with people_frames(recording, TrackOptions()) as frames:
         found = [person.axis for person in people_seen(frames.frame(2))]
     assert len(found) == 2
@@ -108,4 +108,4 @@ def test_a_depth_camera_that_measures_nothing_is_named_and_not_counted(hypose, t
         write_depth_png(file, np.zeros_like(read_depth_png(file)))
     code, out, err = hypose("track", tmp_path / "rec", "--out", tmp_path / "out", *LIGHT)
     assert code == 0 and "frames in 1 of 2 views" in out, out + err
-    assert "depth2 measures nothing in all frames that were looked at" in out and "Verdict: Look at" in out
+    assert "depth2 measures nothing in all frames that were looked at" in out and "Assessment: Look at" in out

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from hypose.app.cli import main
+from hypose.app.cli import run_cli
 from hypose.app.commands import console
 from hypose.app.jobs.job import DESCRIPTIONS
 from hypose.body.default_body import JOINT_NAMES, human
@@ -43,7 +43,7 @@ def one_camera(tiny, clicks, tracked, tmp_path_factory):
     """Results folder of a whole run with a given body."""
     out = tmp_path_factory.mktemp("mono") / "results"
     with pytest.raises(SystemExit) as stopped:
-        main(["track", str(tiny), *MONO, "--start", str(clicks), "--subject", str(tracked), "--out", str(out)])
+        run_cli(["track", str(tiny), *MONO, "--start", str(clicks), "--subject", str(tracked), "--out", str(out)])
     assert stopped.value.code in (None, 0)
     return out
 

@@ -41,7 +41,7 @@ def test_everybody_has_a_folder_by_the_name_of_who_stands_at_the_place(hypose, t
     assert people_in(tmp_path) == ["Anna", "Bert"] and "2 people: Anna, Bert" in out + err
     for name, place in PLACES.items():
         assert np.linalg.norm(where(tmp_path / name) - place) < 0.1
-        assert {"report.html", "motion.trc", "verdict.json"} <= {p.name for p in (tmp_path / name).iterdir()}
+        assert {"report.html", "motion.trc", "assessment.json"} <= {p.name for p in (tmp_path / name).iterdir()}
     assert (tmp_path / "report.html").read_text(encoding="utf-8").count("/report.html") == 2
 
 
@@ -89,8 +89,8 @@ def test_who_else_is_seen_is_said_at_the_end(hypose, two, tmp_path):
     (recording / "recording.toml").write_text('keypoint_set = "BODY_25"\n' + text, encoding="utf-8")
     code, out, err = hypose("track", recording, "--evidence", "keypoints", "--out", tmp_path / "out", *LIGHT)
     assert code in (0, 3), out + err
-    said = json.loads((tmp_path / "out" / "verdict.json").read_text(encoding="utf-8"))
-    assert "another person is in the" in said["beside"][0] and "--people all tracks everybody" in said["beside"][0]
+    said = json.loads((tmp_path / "out" / "assessment.json").read_text(encoding="utf-8"))
+    assert "another person is in the" in said["remarks"][0] and "--people all tracks everybody" in said["remarks"][0]
     assert "another person is in the key points" in out + err
 
 

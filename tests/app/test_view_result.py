@@ -15,9 +15,8 @@ import pytest
 
 from hypose.app.reports import report
 from hypose.app.reports.report import drawn_of, report_html
-from hypose.app.studio.view_bundle import view_bundle
+from hypose.app.studio.view_bundle import load_view, view_bundle
 from hypose.app.studio.view_pictures import ViewPictures
-from hypose.app.studio.view_result import load_view
 from hypose.body.joint_angles import ANGLE_NAMES
 from hypose.errors import InputError
 from hypose.geometry import so3_exp
@@ -52,7 +51,7 @@ def test_a_long_result_is_made_into_a_block_beside_little_else(folder):
     series = ("joints", "poses", "joint_covariance", "lost", "extrapolated", "n_views", "cost", "angle_sd")
     series = (*series, "systematic_covariance")
     long = {n: np.concatenate([getattr(motion, n)] * times) for n in series}
-    none = dict.fromkeys(("doubtful", "p_wrong", "doubtful_joints", "rivals", "rival_weights"))
+    none = dict.fromkeys(("low_confidence", "error_probability", "low_confidence_joints", "rivals", "rival_weights"))
     many = replace(motion, times=np.arange(8 * times) / 25, **long, **none)
     result = replace(load_view(folder), motion=many, rivals=None, truth=None)
     view_bundle(result)
@@ -204,7 +203,7 @@ def built(tmp_path, monkeypatch):
     static.mkdir()
     (static / "report.js").write_text('console.log("</script>")')
     (static / "report.css").write_text(".viewer { color: red }")
-    monkeypatch.setattr(report, "STATIC", static)
+    monkeypatch.setattr(report, "_STATIC", static)
     return static
 
 
@@ -246,24 +245,30 @@ def test_the_report_command_writes_where_it_is_told(folder, built, hypose, tmp_p
 def test_doubts_their_verdict_and_the_sd_of_angles_come_with_the_motion(folder):
     motion = load_motion(folder / "motion.npz")
     t, j = motion.joints.shape[:2]
-    doubtful = np.zeros((t, j), dtype=bool)
-    doubtful[2:6, motion.skeleton.joint("left_wrist")] = True
+    low_confidence = np.zeros((t, j), dtype=bool)
+    low_confidence[2:6, motion.skeleton.joint("left_wrist")] = True
     sd = np.full((t, len(ANGLE_NAMES)), np.radians(2), np.float32)
-    p_wrong = np.where(doubtful, np.float32(0.6), np.float32(0.01))
-    unknown = np.where(np.arange(t)[:, None] == 7, np.float32(np.nan), p_wrong)
-    marked = replace(motion, doubtful=doubtful.any(1), doubtful_joints=doubtful, p_wrong=unknown, angle_sd=sd)
+    error_probability = np.where(low_confidence, np.float32(0.6), np.float32(0.01))
+    unknown = np.where(np.arange(t)[:, None] == 7, np.float32(np.nan), error_probability)
+    marked = replace(
+        motion,
+        low_confidence=low_confidence.any(1),
+        low_confidence_joints=low_confidence,
+        error_probability=unknown,
+        angle_sd=sd,
+    )
     save_motion(marked, folder / "motion.npz")
-    (folder / "verdict.json").unlink(missing_ok=True)
+    (folder / "assessment.json").unlink(missing_ok=True)
     header, arrays = read_bundle(view_bundle(load_view(folder)))
-    np.testing.assert_array_equal(arrays["doubtful_joints"], doubtful)
-    percent = np.where(np.arange(t)[:, None] == 7, 255, np.where(doubtful, 60, 1))
-    np.testing.assert_array_equal(arrays["p_wrong"], percent)
+    np.testing.assert_array_equal(arrays["low_confidence_joints"], low_confidence)
+    percent = np.where(np.arange(t)[:, None] == 7, 255, np.where(low_confidence, 60, 1))
+    np.testing.assert_array_equal(arrays["error_probability"], percent)
     knee, tx = ANGLE_NAMES.index("knee_angle_l"), ANGLE_NAMES.index("pelvis_tx")
     assert arrays["angle_sd"].shape == arrays["angles"].shape
     np.testing.assert_allclose(arrays["angle_sd"][knee], 2, rtol=1e-6)  # degrees, as the angles are
     np.testing.assert_allclose(arrays["angle_sd"][tx], np.radians(2), rtol=1e-6)  # metres
-    assert header["verdict"]["word"] == "look" and "left wrist may be wrong" in header["verdict"]["sentence"]
-    kept = {"verdict": "not to be trusted", "because": ["the camera moved"], "frames": []}
-    (folder / "verdict.json").write_text(json.dumps(kept))
-    told = read_bundle(view_bundle(load_view(folder)))[0]["verdict"]
-    assert told == {"word": "not to be trusted", "sentence": "Not to be trusted, because: the camera moved."}
+    assert header["assessment"]["word"] == "look" and "left wrist may be wrong" in header["assessment"]["sentence"]
+    kept = {"assessment": "not to be trusted", "because": ["the camera moved"], "frames": []}
+    (folder / "assessment.json").write_text(json.dumps(kept))
+    reported = read_bundle(view_bundle(load_view(folder)))[0]["assessment"]
+    assert reported == {"word": "not to be trusted", "sentence": "Not to be trusted, because: the camera moved."}

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from hypose.app.cli import main
+from hypose.app.cli import run_cli
 from hypose.app.commands.commands_results import play_motion
 from hypose.app.live.osc import OscTarget, osc_bundles
-from hypose.app.live.vmc import BONES
+from hypose.app.live.vmc import VMC_BONES
 from hypose.body.default_body import human
 from hypose.body.motion import Motion, isotropic
 from hypose.errors import InputError
@@ -47,9 +47,9 @@ class Avatar:
         self.tracked, (self.seconds,) = one["/VMC/Ext/OK"][3], one["/VMC/Ext/T"]
         assert one["/VMC/Ext/OK"][:3] == [1, 3, 0]
         bones = [values for address, values in found if address == "/VMC/Ext/Bone/Pos"]
-        assert [b[0] for b in bones] == [n[0] for n in BONES]
+        assert [b[0] for b in bones] == [n[0] for n in VMC_BONES]
         self.place, self.turn = {}, {}
-        for (name, *values), (_, above, *_) in zip(bones, BONES, strict=True):
+        for (name, *values), (_, above, *_) in zip(bones, VMC_BONES, strict=True):
             turn = Rotation.from_quat(values[3:])
             self.place[name] = (self.place[above] + self.turn[above].apply(values[:3])) if above else values[:3]
             self.turn[name] = self.turn[above] * turn if above else turn
@@ -135,7 +135,7 @@ def test_an_address_that_is_none_is_refused(address):
 
 def run_play(capsys, *arguments):
     with pytest.raises(SystemExit) as ended:
-        main(["play", *map(str, arguments)])
+        run_cli(["play", *map(str, arguments)])
     return ended.value.code or 0, capsys.readouterr()
 
 

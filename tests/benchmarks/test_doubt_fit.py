@@ -12,7 +12,7 @@ from hypose.tracking.error_features import FEATURES
 from hypose.tracking.error_model import (
     BY_ITSELF,
     GROUPS,
-    DoubtModel,
+    ErrorModel,
 )
 from tests.tailed import tailed
 
@@ -36,7 +36,7 @@ def test_what_joints_are_worth_in_a_doubtful_clip_is_found():
     rows = Rows(x, np.where(wrong, 0.2, 0.0), np.full(len(x), "walk"), clip, clip, yes, yes)
     weights, shape = np.eye(len(FEATURES))[[0] * len(GROUPS)], (len(GROUPS), len(FEATURES))
     alone = np.tile(BY_ITSELF, (len(GROUPS), 1))
-    model = DoubtModel(
+    model = ErrorModel(
         np.zeros(shape[1]), np.ones(shape[1]), weights, np.zeros(shape[0]), alone, np.full(shape[0], 0.1)
     )
     found = replace(model, in_clip=in_clip(model, rows))

@@ -34,7 +34,7 @@ def walk():
 def test_a_healthy_recording_has_no_finding(walk):
     report = examine(walk.observed)
     assert report.healthy and not report.findings
-    assert report.verdict("cam1") == "cam1: no fault found"
+    assert report.assessment("cam1") == "cam1: no fault found"
     assert all(v.left_out_px < 10 for v in report.views)
 
 

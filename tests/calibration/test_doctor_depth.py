@@ -10,7 +10,7 @@ from hypose.calibration.diagnostics import Observed, examine
 from hypose.calibration.findings import depth_findings, seen_past
 from hypose.cameras.camera import CameraRig
 from hypose.geometry import se3
-from hypose.pipeline.first_look import first_look
+from hypose.pipeline.input_checks import check_inputs
 from hypose.pipeline.track_loop import FrameList
 from hypose.synthetic.depth_scenes import depth_scene, to_profile, turning
 from hypose.synthetic.motions import act
@@ -113,6 +113,6 @@ def test_maps_that_are_riddled_with_holes_are_told_and_their_cameras_not_accused
     rng, frames = np.random.default_rng(0), frames_of()
     holes = [replace(f, depth=replace(f.depth, maps=f.depth.maps * (rng.random(f.depth.maps.shape) > lost)))
              for f in frames]  # fmt: skip
-    found = first_look(FrameList(holes), "silhouettes")
+    found = check_inputs(FrameList(holes), "silhouettes")
     assert [(f.kind, f.views) for f in found] == ([("holes", ("depth1",)), ("holes", ("depth2",))] if told else [])
     assert all(f.fault and "holes all over its depth maps" in f.sentence for f in found)

@@ -17,7 +17,7 @@ from hypose.calibration.synchronisation import (
 from hypose.errors import EvidenceError, InputError
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.silhouettes import make_silhouettes
-from hypose.io.videos.sound import Sound, read_sound
+from hypose.io.videos.video import Sound, read_sound
 from hypose.synthetic.scenes import camera_rig as named_rig
 
 

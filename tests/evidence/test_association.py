@@ -183,7 +183,7 @@ def test_a_wrong_calibration_still_shows_one_person(views):
     wrong = RIG
     for n, c in enumerate(views):
         wrong = _moved(wrong, c, 25.0 + 9 * n)
-    found = one_person(frames, BODY_25, wrong, doubting=True)
+    found = one_person(frames, BODY_25, wrong, keep_misfits=True)
     for truth in (A, b):
         apart = [
             np.abs(found.points[:, c, :, :2] - camera.project_pinhole(truth)).max(-1).mean()

@@ -102,5 +102,5 @@ def test_a_motion_says_what_is_open(rng, method):
     assert (motion.joint_sd[5:] > 0.02).all()
     part = sd_per_axis(motion.systematic_covariance) / motion.joint_sd
     assert (part > 0.5).all() and (part < 1).all()
-    assert motion.p_wrong.shape == motion.joints.shape[:2] and (motion.p_wrong >= 0).all()
-    np.testing.assert_array_equal(motion.doubtful_joints, motion.p_wrong > trust.DOUBTFUL_P)
+    assert motion.error_probability.shape == motion.joints.shape[:2] and (motion.error_probability >= 0).all()
+    np.testing.assert_array_equal(motion.low_confidence_joints, motion.error_probability > trust.DOUBTFUL_P)

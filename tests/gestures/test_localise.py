@@ -5,11 +5,11 @@ import pytest
 
 from hypose.compute.forest_votes import ScanPlan
 from hypose.errors import InputError
-from hypose.gestures import runtime
 from hypose.gestures.depth_pictures import DepthLens, millimetres
 from hypose.gestures.forest import ForestSettings
 from hypose.gestures.localise import LocaliseSettings, Scratch, localise
 from hypose.gestures.online import Learner
+from tests import forest_reference as runtime
 
 from .test_forest import exported
 from .toys import LENS, SHAPE, grown, toy

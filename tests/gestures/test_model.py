@@ -12,7 +12,7 @@ from hypose.gestures.localise import LocaliseSettings
 from hypose.gestures.model import GestureModel, from_arrays, to_arrays
 from hypose.gestures.online import Example, Learner
 from hypose.gestures.trainer import OfflineSettings, collect, train_offline
-from hypose.pipeline.gesture_files import SessionWriter, export_model, load_model, read_recording, save_model
+from hypose.pipeline.gesture_files import SessionWriter, load_model, read_recording, save_model
 
 from .toys import LENS, SHAPE, toy
 
@@ -121,17 +121,6 @@ def test_settings_that_would_hang_or_crash_are_refused(taught, place, name, valu
 def test_names_that_could_be_paths_are_refused(taught):
     with pytest.raises(InputError, match="no name"):
         GestureModel(("../x",), taught.forest, (None,), LocaliseSettings())
-
-
-def test_export_runs_alone(taught, tmp_path):
-    files = export_model(model_of(taught), tmp_path / "out")
-    namespace: dict = {"__name__": "gesture_runtime"}
-    exec(compile(files[2].read_text(), "gesture_runtime.py", "exec"), namespace)  # noqa: S102
-    model = namespace["load_forest"](str(files[0]), str(files[1]))
-    depth, (x, y), _ = toy(np.random.default_rng(30), 1200, holes=False)
-    at = namespace["find"](model, depth, LENS.fx)[0]
-    assert np.hypot(at[0] - x, at[1] - y) < 8
-    assert model["gestures"] == ["disc"] and model["thresholds"] == [12.5]
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ import pytest
 
 from hypose.errors import InputError
 from hypose.io.videos import camera_sources
-from hypose.io.videos.camera_sources import Shot, StreamEnded, open_camera
+from hypose.io.videos.camera_sources import CameraImage, StreamEnded, open_camera
 
 SIZE = (64, 48)
 
@@ -115,8 +115,8 @@ def test_every_picture_of_a_stream_comes_with_and_without_its_length(length, kin
 
 
 def test_the_time_that_a_camera_tells_is_its_stamp_and_nonsense_is_none():
-    told = [b"12.5", b"12.533333", b"nan", b"inf", b"today"]
-    body = b"".join(part(p, b"X-Timestamp: " + t) for p, t in zip(PICTURES, told, strict=True)) + b"--frame--\r\n"
+    reported = [b"12.5", b"12.533333", b"nan", b"inf", b"today"]
+    body = b"".join(part(p, b"X-Timestamp: " + t) for p, t in zip(PICTURES, reported, strict=True)) + b"--frame--\r\n"
     with server(body) as address:
         shots, _ = all_of(address)
     assert [s.stamp for s in shots] == [12.5, 12.533333, None, None, None]
@@ -156,9 +156,9 @@ def test_a_camera_that_asks_for_a_digest_of_the_password_gets_one():
         asked.append(header)
         if not header.startswith("Digest "):
             return False
-        told = dict(re.findall(r'(\w+)="([^"]*)"', header))
-        first, second = (md5(t.encode()).hexdigest() for t in ("admin:room:p@ss", f"GET:{told['uri']}"))
-        return told["response"] == md5(f"{first}:abc:{second}".encode()).hexdigest()
+        reported = dict(re.findall(r'(\w+)="([^"]*)"', header))
+        first, second = (md5(t.encode()).hexdigest() for t in ("admin:room:p@ss", f"GET:{reported['uri']}"))
+        return reported["response"] == md5(f"{first}:abc:{second}".encode()).hexdigest()
 
     with server(body, secret=answered, asks='Digest realm="room", nonce="abc"') as address:
         shots, _ = all_of(address.replace("://", "://admin:p%40ss@") + "?size=1")
@@ -213,14 +213,14 @@ def test_a_device_that_is_not_there_is_one_sentence():
 
 def test_a_damaged_picture_is_none():
     for data in (b"", b"no picture", PICTURES[0][:40], b"\xff\xd8\xff", b"\xff\xd8" + b"\xff\xc0\x00\x02" * 3):
-        assert Shot(0.0, None, data).picture() is None
-        assert Shot(0.0, None, data).picture((8, 8)) is None
+        assert CameraImage(0.0, None, data).picture() is None
+        assert CameraImage(0.0, None, data).picture((8, 8)) is None
 
 
 @pytest.mark.parametrize("size", [(1920, 1080), (641, 479), (64, 48), (1000, 333)])
 @pytest.mark.parametrize("least", [(640, 480), (320, 240), (100, 30), (17, 13), (2000, 2000)])
 def test_a_picture_is_decoded_as_small_as_may_be_and_never_smaller(size, least):
-    picture = Shot(0.0, None, jpeg(99, size)).picture(least)
+    picture = CameraImage(0.0, None, jpeg(99, size)).picture(least)
     assert picture is not None
     h, w = picture.shape[:2]
     assert w >= min(least[0], size[0]) and h >= min(least[1], size[1])

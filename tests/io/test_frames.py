@@ -27,7 +27,7 @@ from hypose.io.recordings.frames import (
     working_rig,
     write_masks,
 )
-from hypose.io.recordings.recording import Recording, View, load_recording, write_recording
+from hypose.io.recordings.recording import Recording, ViewSettings, load_recording, write_recording
 from hypose.io.recordings.view_source import DepthSource, Preparer, mask_in
 from hypose.io.sensors.depth import write_depth_png
 from hypose.synthetic.scenes import look_at
@@ -56,7 +56,7 @@ def film(tmp_path_factory):
             for i, image in enumerate(images):
                 cv2.imwrite(str(path / f"{i:04d}.png"), image.astype(np.uint8))
         truth.append(masks)
-        views.append(View(name, images=folder / "images" / name, background=folder / "empty" / name))
+        views.append(ViewSettings(name, images=folder / "images" / name, background=folder / "empty" / name))
     rig = CameraRig(tuple(replace(c, name=v.name) for c, v in zip(ring(3), views, strict=True)))
     return Recording(folder, "film", rig, tuple(views), 25.0, None, None, n_frames=COUNT), np.array(truth)
 
@@ -169,7 +169,7 @@ def test_masks_written_are_read_back_exactly(film, tmp_path):
         seen = []
         write_masks(stream, tmp_path, lambda done, total: seen.append((done, total)))
     assert seen[-1] == (COUNT, COUNT)
-    views = tuple(View(v.name, masks=tmp_path / v.name) for v in recording.views)
+    views = tuple(ViewSettings(v.name, masks=tmp_path / v.name) for v in recording.views)
     with FrameStream(replace(recording, views=views), OPTIONS) as stream:
         assert stream.backgrounds == (None, None, None)
         for a, b in zip(stream, frames, strict=True):
@@ -185,7 +185,7 @@ def test_masks_from_elsewhere_are_undistorted_and_shifted(tmp_path):
     cv2.fillPoly(mask, [np.rint(outline).astype(np.int32)], 255)
     cv2.imwrite(str(tmp_path / "0.png"), mask)
     recording = Recording(
-        tmp_path, "m", rig, (View("c1", masks=tmp_path, image_shift=(5.0, 0.0)),), 25.0, None, None, n_frames=1
+        tmp_path, "m", rig, (ViewSettings("c1", masks=tmp_path, image_shift=(5.0, 0.0)),), 25.0, None, None, n_frames=1
     )
     with FrameStream(recording, OPTIONS) as stream:
         found = stream.frame(0).silhouettes.masks[0]
@@ -259,14 +259,14 @@ def uu4cam(folder):
         pose = se3(rotation, np.ravel(c["tvec"]) / 1000)
         cameras.append(Camera(f"cam{k}", np.array(c["K"]), np.ravel(c["D"]), pose, (644, 486)))
         sub = folder / f"cam{k}"
-        views.append(View(f"cam{k}", video=sub / "video.avi", background=sub / "background.avi"))
+        views.append(ViewSettings(f"cam{k}", video=sub / "video.avi", background=sub / "background.avi"))
     return Recording(folder, "uu4cam", CameraRig(tuple(cameras)), tuple(views), 50.0, (0, 426), None, n_frames=426)
 
 
 @pytest.mark.slow
 def test_uu4cam_masks_agree_with_the_students_and_the_hull_with_the_masks(shared_data):
     recording = uu4cam(shared_data("uu4cam"))
-    students = tuple(View(v.name, masks=v.video.with_name("foreground_mask.avi")) for v in recording.views)
+    students = tuple(ViewSettings(v.name, masks=v.video.with_name("foreground_mask.avi")) for v in recording.views)
     with FrameStream(recording) as ours, FrameStream(replace(recording, views=students)) as theirs:
         found, hulls = [], []
         for i in range(0, 426, 142):
@@ -300,7 +300,9 @@ def balancing(folder, keypoints):
         json_folder = folder / f"pose/{n}_json" if keypoints else None
         shift = (6.0 if i == 0 else 0.0, 0.0)
         views.append(
-            View(n, video=folder / f"videos/{n}.mp4", background=photo, keypoints=json_folder, image_shift=shift)
+            ViewSettings(
+                n, video=folder / f"videos/{n}.mp4", background=photo, keypoints=json_folder, image_shift=shift
+            )
         )
     names = "BODY_25B" if keypoints else None
     return Recording(folder, "b", CameraRig(tuple(cameras)), tuple(views), 60.0, (1, 100), names, 1, n_frames=100)
@@ -425,7 +427,7 @@ def written(folder, frames=6):
         (folder / name).mkdir()
         for k in range(frames):
             write_depth_png(folder / name / f"{k:03d}.png", seen_in_room(CAMERA, person))
-    view = View("d", depth=folder / "depth", background=folder / "room")
+    view = ViewSettings("d", depth=folder / "depth", background=folder / "room")
     rig = CameraRig((CAMERA,))
     return write_recording(Recording(folder, "r", rig, (view,), 25.0, None, keypoint_set=None, n_frames=frames), folder)
 
@@ -442,7 +444,7 @@ def test_one_damaged_map_costs_one_frame(tmp_path):
 def test_a_fisheye_lens_is_straightened_without_coefficients_too(tmp_path):
     bent = replace(CAMERA, distortion=np.zeros(4), fisheye=True)
     write_depth_png(tmp_path / "0.png", np.tile(np.linspace(1, 3, 160, dtype=np.float32), (120, 1)))
-    view = View("d", depth=tmp_path)
+    view = ViewSettings("d", depth=tmp_path)
     assert (
         np.abs(DepthSource(view, bent, bent.pinhole()).map(0) - DepthSource(view, CAMERA, CAMERA).map(0)).max() > 0.02
     )
@@ -460,7 +462,7 @@ def test_large_pictures_beside_them_make_maps_no_smaller(tmp_path):
     toml = written(tmp_path)
     alone = load_recording(toml)
     large = replace(CAMERA.scaled((1280, 960)), name="c")
-    beside = replace(alone, rig=CameraRig((CAMERA, large)), views=(alone.views[0], View("c")))
+    beside = replace(alone, rig=CameraRig((CAMERA, large)), views=(alone.views[0], ViewSettings("c")))
     with FrameStream(alone) as one, FrameStream(beside) as both:
         assert both.rig.sizes.tolist() == [[160, 120], [480, 360]]
         maps = both.frame(0).depth.maps

@@ -10,7 +10,7 @@ import pytest
 from hypose.body.joint_angles import ANGLE_NAMES, is_length, joint_angles
 from hypose.errors import InputError
 from hypose.io.motions.c3d import read_c3d
-from hypose.io.motions.export import FORMATS, export_motion
+from hypose.io.motions.export import MOTION_FORMATS, export_motion
 from hypose.io.motions.marker_files import read_trc, write_angles_csv, write_joints_csv, write_mot, write_trc
 
 NAMES = ("left_knee", "right_knee")
@@ -208,11 +208,11 @@ def test_angles_are_degrees_and_metres(tmp_path, small_motion):
 def test_joints_have_sd_and_flags(tmp_path, small_motion):
     unknown = small_motion.joint_covariance.copy()
     unknown[7, 2] = np.nan
-    doubtful = np.arange(len(small_motion)) == 3
-    write_joints_csv(tmp_path / "j.csv", replace(small_motion, joint_covariance=unknown, doubtful=doubtful))
+    low_confidence = np.arange(len(small_motion)) == 3
+    write_joints_csv(tmp_path / "j.csv", replace(small_motion, joint_covariance=unknown, low_confidence=low_confidence))
     header, rows = _table(tmp_path / "j.csv")
-    assert header[:5] == ["time_s", "lost", "extrapolated", "n_views", "doubtful"]
-    assert [int(r["doubtful"]) for r in rows] == doubtful.astype(int).tolist()
+    assert header[:5] == ["time_s", "lost", "extrapolated", "n_views", "low_confidence"]
+    assert [int(r["low_confidence"]) for r in rows] == low_confidence.astype(int).tolist()
     assert [int(r["lost"]) for r in rows] == small_motion.lost.astype(int).tolist()
     assert [int(r["extrapolated"]) for r in rows] == small_motion.extrapolated.astype(int).tolist()
     knee = small_motion.skeleton.joint("left_knee")
@@ -222,7 +222,7 @@ def test_joints_have_sd_and_flags(tmp_path, small_motion):
 
 
 def test_export_writes_every_format(tmp_path, small_motion, small_body):
-    paths = export_motion(small_motion, small_body, tmp_path / "out", tuple(FORMATS))
+    paths = export_motion(small_motion, small_body, tmp_path / "out", tuple(MOTION_FORMATS))
     names = {p.name for p in paths}
     assert names == {
         "motion.trc",
@@ -261,7 +261,7 @@ def test_positions_alone_can_be_written_as_points(tmp_path, small_motion, small_
 
 
 def test_unknown_format_is_one_sentence(tmp_path, small_motion, small_body):
-    with pytest.raises(InputError, match=f"no export format 'fbx'; the formats are {', '.join(FORMATS)}"):
+    with pytest.raises(InputError, match=f"no export format 'fbx'; the formats are {', '.join(MOTION_FORMATS)}"):
         export_motion(small_motion, small_body, tmp_path, ["fbx"])
     assert not list(tmp_path.iterdir())
 

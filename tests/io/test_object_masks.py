@@ -198,9 +198,9 @@ def test_which_object_is_whom_is_found(tmp_path):
             for c, camera in enumerate(rig):
                 labels = drawn(camera, [(-0.8 + 0.1 * t, 0.2), (0.9, -0.5)], numbers[c])
                 assert (masks[c] != (labels == numbers[c][0])).sum() < 0.03 * (labels > 0).sum()
-    with FrameStream(recording, FrameSettings(factor=1.0, people=True)) as everybody:
-        assert everybody.tells_apart and any("cam3 9" in n and "left out" in n for n in everybody.notes)
-        masks = everybody.frame(5).silhouettes.masks
+    with FrameStream(recording, FrameSettings(factor=1.0, people=True)) as all_people:
+        assert all_people.tells_apart and any("cam3 9" in n and "left out" in n for n in all_people.notes)
+        masks = all_people.frame(5).silhouettes.masks
         for c, camera in enumerate(rig):
             labels = drawn(camera, [(-0.3, 0.2), (0.9, -0.5)], numbers[c])
             shown = labels == numbers[c][0] if c == 3 else labels > 0

@@ -14,7 +14,8 @@ import pytest
 
 from benchmarks.multiview.detector_bench import bare
 from benchmarks.multiview.real_recordings import balancing_recording
-from hypose.app.cli import main
+from hypose.app.__main__ import main
+from hypose.app.cli import run_cli
 from hypose.errors import InputError
 from hypose.io.keypoints import detectors as pose_models
 from hypose.io.keypoints.detectors import fetch_models, have_models, models_folder, open_network
@@ -75,9 +76,9 @@ def test_nothing_is_fetched_without_being_asked(command, said, tmp_path, monkeyp
     monkeypatch.setattr(subprocess, "run", lambda *a, **more: pytest.fail("something was run"))
     monkeypatch.setattr(pose_models, "runtime", lambda why: None)
     with pytest.raises(SystemExit) as caught:
-        main([command, str(folder)])
-    told = capsys.readouterr().err
-    assert caught.value.code == 2 and said in told and "again with --yes to agree" in told
+        run_cli([command, str(folder)])
+    reported = capsys.readouterr().err
+    assert caught.value.code == 2 and said in reported and "again with --yes to agree" in reported
     assert not (tmp_path / "models").exists()
 
 
@@ -85,9 +86,9 @@ def test_without_the_runtime_the_command_that_installs_it_is_named(tmp_path, mon
     folder = make_recording(tmp_path / "rec")
     monkeypatch.setitem(__import__("sys").modules, "ai_edge_litert.interpreter", None)
     with pytest.raises(SystemExit) as caught:
-        main(["track", str(folder)])
-    told = " ".join(capsys.readouterr().err.split())
-    assert caught.value.code == 2 and 'run: pip install "hypose[detector]"' in told
+        run_cli(["track", str(folder)])
+    reported = " ".join(capsys.readouterr().err.split())
+    assert caught.value.code == 2 and 'run: pip install "hypose[detector]"' in reported
 
 
 @pytest.fixture

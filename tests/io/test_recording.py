@@ -14,7 +14,13 @@ from hypose.evidence.silhouettes import SilhouetteSettings
 from hypose.io.calibrations.calibration_formats import read_any
 from hypose.io.calibrations.calibration_text import write_calibration
 from hypose.io.recordings.frames import FrameSettings, FrameStream, load_keypoints
-from hypose.io.recordings.recording import Person, View, load_recording, people_of_tables, write_recording
+from hypose.io.recordings.recording import (
+    PersonSettings,
+    ViewSettings,
+    load_recording,
+    people_of_tables,
+    write_recording,
+)
 from tests.io.recordings import SIZE, frame, make_recording, make_rig, make_video
 
 
@@ -23,7 +29,7 @@ def test_minimal(tmp_path):
     assert recording.name == "walk" and recording.folder == tmp_path / "walk"
     assert recording.rig.names == ("cam_1", "cam_2")
     assert [v.name for v in recording.views] == ["cam_1", "cam_2"]
-    assert recording.views[0] == View("cam_1", video=tmp_path / "walk" / "cam_1.avi")
+    assert recording.views[0] == ViewSettings("cam_1", video=tmp_path / "walk" / "cam_1.avi")
     assert recording.frame_rate == pytest.approx(25) and recording.n_frames == 12
     assert recording.frame_range is None and recording.frames == range(12)
     assert recording.keypoint_set is None and recording.subject_height is None
@@ -423,8 +429,8 @@ def read(*tables):
 def test_what_is_left_out_is_not_known():
     given = {"name": "J. Smith", "height": 2, "body": "b.npz", "place": [1, 2.5], "time": 3}
     assert read({}, given) == (
-        Person("person-1"),
-        Person("J. Smith", 2.0, Path("here/b.npz"), (1.0, 2.5), 3.0),
+        PersonSettings("person-1"),
+        PersonSettings("J. Smith", 2.0, Path("here/b.npz"), (1.0, 2.5), 3.0),
     )
 
 
@@ -495,11 +501,13 @@ def test_a_recording_toml_beside_it_changes_what_it_says(tmp_path):
     plain = load_recording(project)
     toml = project / "recording.toml"
     toml.write_text('keypoint_lag = 1\n[[view]]\nname = "cam02"\nimage_shift = [7.3, 0]\n')
-    told = load_recording(project)
-    assert told.keypoint_lag == 1 and told.frame_rate == plain.frame_rate and told.rig.names == plain.rig.names
-    assert [v.image_shift for v in told.views] == [(0.0, 0.0), (7.3, 0.0)]
-    assert [v.video for v in told.views] == [v.video for v in plain.views]
-    assert [v.keypoints for v in told.views] == [v.keypoints for v in plain.views]
+    reported = load_recording(project)
+    assert (
+        reported.keypoint_lag == 1 and reported.frame_rate == plain.frame_rate and reported.rig.names == plain.rig.names
+    )
+    assert [v.image_shift for v in reported.views] == [(0.0, 0.0), (7.3, 0.0)]
+    assert [v.video for v in reported.views] == [v.video for v in plain.views]
+    assert [v.keypoints for v in reported.views] == [v.keypoints for v in plain.views]
     toml.write_text('[[view]]\nname = "cam9"\n')
     with pytest.raises(InputError, match=r"has no view 'cam9'"):
         load_recording(project)

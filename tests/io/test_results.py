@@ -21,12 +21,12 @@ from hypose.io.motions.results import (
     Checkpoint,
     ResultsFolder,
     file_identity,
-    identity,
     load_body,
     load_joints_of_modes,
     load_modes,
     load_motion,
     provenance,
+    provenance_identity,
     save_body,
     save_modes,
     save_motion,
@@ -283,7 +283,7 @@ def test_provenance_is_json_and_names_everything(tmp_path):
         "hashed": "all",
     }
     assert back["run"]["seconds"] == 2.0 and back["run"]["command"]
-    assert "run" not in identity(record) and identity(record)["seed"] == 7
+    assert "run" not in provenance_identity(record) and provenance_identity(record)["seed"] == 7
 
 
 def test_folders_are_hashed_by_names_and_contents(tmp_path):

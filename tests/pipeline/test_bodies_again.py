@@ -8,11 +8,11 @@ import pytest
 from hypose.body.anthropometry import SHAPE_FACTORS, body_of, entity
 from hypose.body.default_body import human
 from hypose.evidence.frame import Frame, Silhouettes
-from hypose.pipeline import bodies_again
-from hypose.pipeline.bodies_again import AGAIN, fitted_again
-from hypose.pipeline.first_frame import Subject
-from hypose.pipeline.newcomers import without_doubles
+from hypose.pipeline import rough_bodies
+from hypose.pipeline.first_frame import TrackedSubject
+from hypose.pipeline.rough_bodies import AGAIN, fitted_again
 from hypose.pipeline.run import TrackOptions, tracker_of
+from hypose.pipeline.track_management import without_doubles
 from hypose.pipeline.tracked_people import Followed, Wanted
 from hypose.synthetic.scenes import make_scene
 from hypose.tracking.several import Member, shape_of, step_together
@@ -51,7 +51,7 @@ def passing():
     x[[entity("upper arm length"), entity("forearm length")]] = 0.15
     wrong, people = body_of(true, x), []
     for name, way in zip(("a", "b"), poses, strict=True):
-        subject = Subject(wrong, None, way[0], ("fitted once",))
+        subject = TrackedSubject(wrong, None, way[0], ("fitted once",))
         tracker = tracker_of(subject, TrackOptions(evidence="silhouettes"), RATE)
         people.append(Followed(name, subject, Member(tracker, tracker.start(subject.start))))
     return people, frames
@@ -91,7 +91,7 @@ def test_a_limb_that_the_start_got_wrong_is_taken_from_the_way_back(passing, mon
     s = human().skeleton
     legs = [s.joint(f"{side}_{name}") for side in ("left", "right") for name in ("hip", "knee", "ankle")]
     left_leg = np.isin(s.joint_of_dof, legs[:2]).astype(float)
-    monkeypatch.setattr(bodies_again, "step_together", bent_at_first)
+    monkeypatch.setattr(rough_bodies, "step_together", bent_at_first)
     found = fitted_again(people, frames.__getitem__, range(FRAMES), Wanted)
     assert went == [*range(FRAMES), *reversed(range(FRAMES))]
     for k, subject in found.items():

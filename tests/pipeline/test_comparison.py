@@ -6,17 +6,16 @@ import numpy as np
 import pytest
 
 from benchmarks.robustness.keypoint_layouts import walker
-from hypose.app.cli import main
+from hypose.app.cli import run_cli
 from hypose.body.default_body import human
 from hypose.body.joint_angles import joint_angles
 from hypose.body.motion import Motion, isotropic
 from hypose.errors import InputError
 from hypose.geometry import se3, so3_exp, transform
 from hypose.io.motions.c3d import write_c3d
-from hypose.io.motions.compared_files import OtherMotion, read_other
 from hypose.io.motions.marker_files import read_mot, write_mot, write_trc
 from hypose.io.motions.results import save_body, save_motion
-from hypose.pipeline.comparison import CompareOptions, compare_motions
+from hypose.pipeline.comparison import CompareOptions, OtherMotion, compare_motions, read_other
 
 NAMES = ("left_hip", "left_knee", "left_ankle", "right_knee", "left_elbow", "right_wrist")
 
@@ -55,21 +54,21 @@ def test_another_movement_is_told_and_the_same_one_is_not(tmp_path, rng):
     """The same with 40 mm of noise, or much of it unseen; another one, and one in another world."""
     ours, names = motion(), motion().skeleton.joint_names
 
-    def told(joints, options=None):
+    def reported(joints, options=None):
         other = OtherMotion(tmp_path / "other.trc", ours.times, dict(zip(names, joints.swapaxes(0, 1), strict=True)))
         return [n for n in compare_motions(ours, other, options).notes if "hardly the same movement" in n]
 
     noisy = ours.joints + 0.04 * rng.standard_normal(ours.joints.shape)
     gaps = np.where(rng.random(noisy.shape[:2])[..., None] < 0.3, np.nan, noisy)
-    assert told(noisy) == told(gaps) == []
+    assert reported(noisy) == reported(gaps) == []
     body, still = human(), walker(150)
     still[:, 6:] = 0.3 * np.sin(np.arange(150)[:, None] / 7 + np.arange(still.shape[1] - 6))
     other = body.joints(body.skeleton.clamp(still))
-    (sentence,) = told(other)
+    (sentence,) = reported(other)
     assert sentence.startswith("At no offset within 5 s do the joints of other.trc move as ours do")
-    assert told(other, CompareOptions(0.0))[0].startswith("At the offset that was given")
+    assert reported(other, CompareOptions(0.0))[0].startswith("At the offset that was given")
     turned = ours.joints @ so3_exp([0, 0, np.pi / 2]).T
-    assert told(turned) == [] and "--no-align" in told(turned, CompareOptions(align=False))[0]
+    assert reported(turned) == [] and "--no-align" in reported(turned, CompareOptions(align=False))[0]
 
 
 def test_figures_are_those_of_an_independent_script(tmp_path, rng):
@@ -175,7 +174,7 @@ def test_bad_mot(tmp_path, text, message):
 
 def run(*arguments):
     with pytest.raises(SystemExit) as caught:
-        main([str(a) for a in arguments])
+        run_cli([str(a) for a in arguments])
     return caught.value.code or 0
 
 

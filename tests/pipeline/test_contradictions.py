@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hypose.pipeline.doubts import against_the_clip
+from hypose.pipeline.frame_anomalies import against_the_clip
 from hypose.pipeline.settings import SETTINGS
 from hypose.tracking.covariance_calibration import apart_factors
 from hypose.tracking.joint_features import AUDITED

@@ -14,13 +14,13 @@ from hypose.evidence.depth_evidence import Depth
 from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes
 from hypose.geometry import se3, se3_inverse, so3_exp, transform
-from hypose.pipeline.first_frame import Subject
-from hypose.pipeline.first_look import first_look
+from hypose.pipeline.assessment import UNTRUSTED
+from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.import_depth import register_depth
+from hypose.pipeline.input_checks import check_inputs
 from hypose.pipeline.people_run import PeopleRun
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.track_loop import FrameList
-from hypose.pipeline.verdict import UNTRUSTED
 from hypose.synthetic.depth_scenes import depth_scene, to_profile, turning
 from hypose.synthetic.metrics import EVALUATED, population_offsets, with_offsets
 from hypose.synthetic.motions import act
@@ -49,7 +49,7 @@ def test_one_depth_camera_gives_a_motion_without_a_given_start_or_body():
     assert error_mm(found.motion, scene) < 60
     assert found.body.stature == pytest.approx(scene.subject.stature, rel=0.06)
     assert found.motion.joint_covariance is not None and np.isfinite(found.motion.joint_covariance).all()
-    assert found.audit is not None and found.motion.p_wrong is not None
+    assert found.audit is not None and found.motion.error_probability is not None
 
 
 @pytest.mark.slow
@@ -64,7 +64,7 @@ def test_depth_finds_what_one_outline_leaves_open():
     forward[s.dofs_of("left_elbow")] = s.upper[s.dofs_of("left_elbow")] * 0.0 - 1.2
     forward = s.clamp(forward)
     frame = frame_of(body, forward, rig)
-    given = Subject(body, None, pose, ())
+    given = TrackedSubject(body, None, pose, ())
     wrist = s.joint("left_wrist")
     away = {}
     for name, own in (("outline", replace(frame, depth=None)), ("depth", frame)):
@@ -123,7 +123,7 @@ def test_maps_of_another_scale_and_moved_cameras_are_told_by_the_floor(scale, lo
         moved = rig[0].camera_from_world @ se3(np.eye(3), np.array([0, 0, lower]))
         rig = CameraRig((replace(rig[0], camera_from_world=moved),))
     rooms = [replace(r, depth=r.depth * np.float32(scale)) for r in empty_rooms(scene, 3)]
-    found = first_look(FrameList([seen_before(rooms, maps, rig, 0.0, 0)]), "silhouettes")
+    found = check_inputs(FrameList([seen_before(rooms, maps, rig, 0.0, 0)]), "silhouettes")
     assert [f.fault for f in found if f.kind == "floor"] == ([] if fault is None else [fault])
     assert all("sees the floor" in f.sentence and "depth-import" in f.sentence for f in found)
 
@@ -134,7 +134,7 @@ def test_a_camera_that_is_lowered_while_it_records_is_told_by_the_floor_of_the_e
     down = se3(np.eye(3), np.array([0, 0, 0.2]))
     lowered = CameraRig((replace(scene.rig[0], camera_from_world=scene.rig[0].camera_from_world @ down),))
     frames = [seen_before(rooms, maps, rig, k / 25, k) for k, rig in enumerate((scene.rig, scene.rig, lowered))]
-    found = first_look(FrameList(frames), "silhouettes")
+    found = check_inputs(FrameList(frames), "silhouettes")
     assert [f.kind for f in found] == ["floor"] and "sees the floor at the end" in found[0].sentence
 
 
@@ -154,8 +154,8 @@ def lowered(scene, lower, nobody=False):
 @pytest.mark.slow
 def test_where_everybody_is_tracked_the_floor_tells_the_same():
     frames = list(lowered(scene_of("walk", "depth-2", 0.2), 0.13))
-    verdict = PeopleRun(FrameList(frames), 25.0, TrackOptions(seed=1))().people[0].verdict
-    assert "depth1 sees the floor 1" in verdict.sentence and verdict.word == UNTRUSTED
+    assessment = PeopleRun(FrameList(frames), 25.0, TrackOptions(seed=1))().people[0].assessment
+    assert "depth1 sees the floor 1" in assessment.sentence and assessment.word == UNTRUSTED
 
 
 def test_where_nobody_is_found_the_floor_may_say_why():

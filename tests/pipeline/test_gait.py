@@ -4,7 +4,7 @@ import ezc3d
 import numpy as np
 import pytest
 
-from hypose.app.cli import main
+from hypose.app.cli import run_cli
 from hypose.app.reports.report import gait_section
 from hypose.body.default_body import human
 from hypose.body.motion import Motion, isotropic
@@ -122,7 +122,7 @@ def test_the_command_and_its_files(tmp_path, capsys):
     save_motion(motion, tmp_path / "motion.npz")
     save_body(body, tmp_path / "body.npz")
     with pytest.raises(SystemExit) as caught:
-        main(["gait", str(tmp_path)])
+        run_cli(["gait", str(tmp_path)])
     assert not caught.value.code
     said = capsys.readouterr().out
     assert "foot strikes" in said and "cadence: 10" in said

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from hypose.body.default_body import human
+from hypose.pipeline.assessment import UNTRUSTED
 from hypose.pipeline.run import TrackOptions, track_source
-from hypose.pipeline.subject_from_motion import height_told
+from hypose.pipeline.subject_from_motion import measured_height
 from hypose.pipeline.track_loop import FrameList
-from hypose.pipeline.verdict import UNTRUSTED
 from hypose.synthetic.scenes import make_scene
 
 
@@ -20,14 +20,16 @@ def scene():
 @pytest.mark.parametrize("share", [1.0, 0.87])
 def test_a_height_that_the_masks_refute_makes_a_motion_not_to_be_trusted(scene, share):
     given = share * scene.subject.stature
-    verdict = track_source(FrameList(list(scene.mask_frames(0.5))), 25.0, TrackOptions(seed=1, height=given)).verdict
+    assessment = track_source(
+        FrameList(list(scene.mask_frames(0.5))), 25.0, TrackOptions(seed=1, height=given)
+    ).assessment
     said = f"the person is {scene.subject.stature:.2f} m tall by what the cameras see, not {given:.2f} m as given"
-    assert (said in verdict.sentence) == (share < 1)
-    assert verdict.word == UNTRUSTED or share == 1
+    assert (said in assessment.sentence) == (share < 1)
+    assert assessment.word == UNTRUSTED or share == 1
 
 
 def test_what_was_not_seen_tells_no_height(scene):
     frames = list(scene.mask_frames(0.5))
     body = human()
     poses = np.zeros((len(frames), body.skeleton.dof))
-    assert height_told(lambda i: frames[i], body, poses, np.full(len(frames), np.nan)) is None
+    assert measured_height(lambda i: frames[i], body, poses, np.full(len(frames), np.nan)) is None

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from hypose.evidence.frame import Frame
+from hypose.pipeline.assessment import GOOD, assess
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.track_loop import FrameList
-from hypose.pipeline.verdict import GOOD, verdict_of
 from hypose.synthetic.metrics import EVALUATED, population_offsets, with_offsets
 from hypose.synthetic.performance import Angles, Stance, moved, perform
 from hypose.synthetic.scenes import make_scene
@@ -45,7 +45,7 @@ def test_one_frame_is_tracked(dancer):
     joints = with_offsets(motion.joints, rotations, population_offsets(result.body) * scene.subject.stature)
     error = np.linalg.norm(joints[0] - scene.joints[0], axis=-1)[EVALUATED]
     assert error.mean() < 0.06
-    assert np.isfinite(motion.joint_sd).all() and motion.p_wrong is not None
+    assert np.isfinite(motion.joint_sd).all() and motion.error_probability is not None
 
 
 def test_a_forearm_that_its_masks_leave_bare_is_doubted(dancer):
@@ -65,14 +65,16 @@ def test_a_forearm_that_its_masks_leave_bare_is_doubted(dancer):
             *(motion.n_views, motion.cost),
         )
         audit = audit_frame(result.body, q, Frame(0.0, 0, frame.silhouettes))[None]
-        p, doubtful = judged(m, joints, audit)
-        found.append((float(p[0, wrist]), bool(doubtful[0, wrist]), verdict_of(_with(m, p, doubtful))))
-    (right, _, _), (wrong, told, verdict) = found
-    assert wrong > 3 * right and wrong > 0.3 and told
-    assert verdict.word != GOOD
+        p, low_confidence = judged(m, joints, audit)
+        found.append((float(p[0, wrist]), bool(low_confidence[0, wrist]), assess(_with(m, p, low_confidence))))
+    (right, _, _), (wrong, reported, assessment) = found
+    assert wrong > 3 * right and wrong > 0.3 and reported
+    assert assessment.word != GOOD
 
 
-def _with(motion, p, doubtful):
+def _with(motion, p, low_confidence):
     from dataclasses import replace
 
-    return replace(motion, p_wrong=p, doubtful_joints=doubtful, doubtful=doubtful.any(1))
+    return replace(
+        motion, error_probability=p, low_confidence_joints=low_confidence, low_confidence=low_confidence.any(1)
+    )

@@ -7,7 +7,7 @@ from hypose.calibration.findings import Finding
 from hypose.pipeline import one_of_several
 from hypose.pipeline.one_of_several import track_one_of
 from hypose.pipeline.run import TrackOptions, TrackResult
-from hypose.pipeline.tracked_people import Followed, OnePerson, PeopleResult, Wanted, makes_room
+from hypose.pipeline.tracked_people import Followed, PeopleResult, TrackedPerson, Wanted, makes_room
 
 ANNA, BERT = Wanted("Anna", place=(1.0, 2.5), time=0.5), Wanted("Bert")
 
@@ -24,7 +24,7 @@ class Run:
 
 def found(name, monkeypatch, wanted, looked=()):
     there = np.ones(3, dtype=bool)
-    one = OnePerson(name, TrackResult(None, None, True, (), faults=("a fault",)), there, ~there)  # type: ignore[arg-type]
+    one = TrackedPerson(name, TrackResult(None, None, True, (), faults=("a fault",)), there, ~there)  # type: ignore[arg-type]
     monkeypatch.setattr(one_of_several, "PeopleRun", lambda *_, **__: Run(PeopleResult((one,), True, (), 1), looked))
     return track_one_of(None, 25.0, TrackOptions(), wanted=wanted)  # type: ignore[arg-type]
 
@@ -38,9 +38,9 @@ def test_who_is_found_in_place_of_the_one_at_a_place_is_not_to_be_trusted(monkey
 @pytest.mark.parametrize(
     ("kind", "fault", "told"), [("mirrored", True, False), ("floor", True, True), ("blank", False, True)]
 )
-def test_nobody_else_is_told_where_cameras_make_one_person_two(monkeypatch, kind, fault, told):
+def test_nobody_else_is_told_where_cameras_make_one_person_two(monkeypatch, kind, fault, reported):
     out = found("person-1", monkeypatch, [], (Finding(kind, (), "wrong", "correct it", 1.0, fault),))
-    assert any("another person" in text for text in out.beside) == told
+    assert any("another person" in text for text in out.remarks) == reported
 
 
 def followed(*names):

@@ -11,9 +11,8 @@ from hypose.errors import InputError
 from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.person_tracks import PersonTrack
 from hypose.io.motions.results import ResultsFolder
-from hypose.pipeline.hull_paths import count_people
-from hypose.pipeline.people_points import KeypointPeople
 from hypose.pipeline.people_run import PeopleRun
+from hypose.pipeline.person_paths import KeypointPeople, count_people
 from hypose.pipeline.run import TrackOptions
 from hypose.pipeline.track_loop import FrameList
 from hypose.pipeline.tracked_people import (
@@ -128,7 +127,7 @@ def test_who_leaves_and_returns_is_the_same_person(rig):
     away = np.linalg.norm(bert.result.motion.joints - joints, axis=-1).mean(1)
     assert away[:6].max() < 0.06 and away[-4:].max() < 0.08
     assert len(while_present(bert.result.motion, bert.present)) == bert.present.sum()
-    assert bert.verdict.word in ("good", "look", "not to be trusted")
+    assert bert.assessment.word in ("good", "look", "not to be trusted")
 
 
 @pytest.mark.slow
@@ -136,9 +135,9 @@ def test_who_comes_later_is_not_taken_for_somebody_who_stands_elsewhere(rig, tmp
     frames, _ = two_people(rig, 24, away=range(12))
     given = [Wanted("anna", body=human(), place=(-0.45, -0.4)), Wanted("carl", body=human(), place=(9.0, 9.0))]
     given.append(Wanted("bert", body=human(), place=(0.05, 0.4), time=20 / RATE))
-    told: list[str] = []
-    found = replace(both(frames, progress=lambda stage, *_: told.append(stage)), wanted=tuple(given))()
-    assert "subject" in told[told.index("track") :]  # the start of who comes is told as a start
+    reported: list[str] = []
+    found = replace(both(frames, progress=lambda stage, *_: reported.append(stage)), wanted=tuple(given))()
+    assert "subject" in reported[reported.index("track") :]  # the start of who comes is told as a start
     assert [p.name for p in found.people] == ["anna", "bert"]
     assert not found.people[1].present[:10].any() and found.people[1].present[-4:].all()
 

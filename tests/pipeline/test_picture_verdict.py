@@ -7,7 +7,7 @@ from hypose.body.default_body import human
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.frame import Frame, Keypoints
 from hypose.evidence.keypoints import BODY_25
-from hypose.pipeline.one_camera import against_the_picture, beside_the_picture
+from hypose.pipeline.one_camera import against_the_picture, image_deviation
 from hypose.pipeline.settings import SETTINGS
 from hypose.synthetic.scenes import camera_rig
 from hypose.tracking.keypoint_evidence import keypoint_model
@@ -44,15 +44,15 @@ def with_arms_elsewhere(poses):
 
 @pytest.mark.parametrize("noise", [0.0, 6.0])
 def test_a_body_that_lies_on_its_key_points_is_not_accused(noise):
-    share = beside_the_picture(BODY, poses(), frames_of(poses(), noise))
+    share = image_deviation(BODY, poses(), frames_of(poses(), noise))
     assert share.max() < 0.1 and against_the_picture(share) == ()
 
 
 def test_limbs_elsewhere_in_the_picture_are_told_with_their_frames():
     wrong = poses()
     wrong[2:] = with_arms_elsewhere(wrong[2:])
-    share = beside_the_picture(BODY, wrong, frames_of(poses()))
-    assert (share[:2] == 0).all() and (share[2:] > SETTINGS.picture_beside).all()
+    share = image_deviation(BODY, wrong, frames_of(poses()))
+    assert (share[:2] == 0).all() and (share[2:] > SETTINGS.picture_deviation).all()
     (sentence,) = against_the_picture(share)
     assert "frames 2-9" in sentence and "overlay" in sentence and "--start" in sentence
 
@@ -60,14 +60,14 @@ def test_limbs_elsewhere_in_the_picture_are_told_with_their_frames():
 def test_another_persons_key_points_make_every_frame_doubtful():
     moved = poses()
     moved[:, 0] += 0.8
-    share = beside_the_picture(BODY, poses(), frames_of(moved))
-    assert (share > SETTINGS.picture_beside_frame).all() and against_the_picture(share)
+    share = image_deviation(BODY, poses(), frames_of(moved))
+    assert (share > SETTINGS.picture_deviation_frame).all() and against_the_picture(share)
 
 
 def test_without_key_points_the_mask_tells():
     frames = [frame_of(BODY, pose, RIG, t) for t, pose in enumerate(poses(4))]
-    assert (beside_the_picture(BODY, poses(4), frames) == 0).all()
+    assert (image_deviation(BODY, poses(4), frames) == 0).all()
     moved = poses(4)
     moved[:, 1] += 0.8
-    share = beside_the_picture(BODY, moved, frames)
-    assert (share > SETTINGS.picture_beside_frame).all() and len(against_the_picture(share)) == 1
+    share = image_deviation(BODY, moved, frames)
+    assert (share > SETTINGS.picture_deviation_frame).all() and len(against_the_picture(share)) == 1

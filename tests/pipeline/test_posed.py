@@ -3,7 +3,7 @@ import pytest
 
 from hypose.errors import InputError
 from hypose.fusion.fuse import fuse_clip
-from hypose.pipeline.sensor_skeletons import NAMES, pose_fused
+from hypose.pipeline.sensor_skeletons import SENSOR_JOINT_NAMES, pose_fused
 from tests.fusion.people import moving_person, seen
 
 
@@ -17,10 +17,10 @@ def test_the_body_follows_the_fused_limbs_and_keeps_its_bones(rng):
     fused = fused_points(rng, 20).motion
     body, motion = pose_fused(fused)
     assert motion.poses.shape == (20, 36)
-    judged = np.isfinite(motion.p_wrong).all(0)  # the spine and the clavicles are seen by no sensor
+    judged = np.isfinite(motion.error_probability).all(0)  # the spine and the clavicles are seen by no sensor
     assert judged[motion.skeleton.joint("left_wrist")]
     assert not judged[motion.skeleton.joint("spine")]
-    limbs = [n for n in NAMES if any(x in n for x in ("elbow", "wrist", "knee", "ankle"))]
+    limbs = [n for n in SENSOR_JOINT_NAMES if any(x in n for x in ("elbow", "wrist", "knee", "ankle"))]
     for name in limbs:
         own = name.replace("wrist", "hand").replace("ankle", "foot")
         there = fused.joints[:, fused.skeleton.joint(own)]

@@ -5,8 +5,8 @@ import pytest
 
 from hypose.body.default_body import human
 from hypose.evidence.frame import Frame, Silhouettes
-from hypose.pipeline.hull_paths import follow_places
-from hypose.pipeline.rough_bodies import Rough, own_frame, rough_bodies
+from hypose.pipeline.person_paths import follow_places
+from hypose.pipeline.rough_bodies import RoughTrack, frame_of_person, rough_bodies
 from hypose.pipeline.start_choice import best_ways
 from hypose.synthetic.scenes import make_scene
 from hypose.tracking.several import shape_of, visible_share
@@ -44,9 +44,9 @@ def beside():
 
 def test_a_rough_body_hides_what_it_covers_and_hardly_more(beside):
     frames, truth, alone, paths = beside
-    rough = [Rough(human(), dict(enumerate(truth[:, k]))) for k in range(2)]
+    rough = [RoughTrack(human(), dict(enumerate(truth[:, k]))) for k in range(2)]
     for t in (0, FRAMES - 1):
-        by_hull, by_body = own_frame(frames[t], t, 0, paths), own_frame(frames[t], t, 0, paths, rough)
+        by_hull, by_body = frame_of_person(frames[t], t, 0, paths), frame_of_person(frames[t], t, 0, paths, rough)
         left = [f.silhouettes.informative for f in (by_hull, by_body)]
         own, other = alone[t, 0] > 0, alone[t, 1] > 0
         foreign = [int((m[other & ~own] > 0).sum()) for m in left]
@@ -66,6 +66,6 @@ def test_both_are_found_roughly_and_then_where_they_are(beside):
         true = human().joints(truth[:, k])
         joints = human().joints(np.stack(list(one.poses.values())))
         assert np.linalg.norm(joints[:, 0] - true[:, 0], axis=-1).mean() < 0.1
-        own = [own_frame(frames[t], t, k, paths, rough) for t in numbers]
+        own = [frame_of_person(frames[t], t, k, paths, rough) for t in numbers]
         found = best_ways(human(), own, RATE, height=height, shared=True, tried=one.starts(numbers)).ways[0]
         assert np.linalg.norm(human().joints(found.poses) - true, axis=-1).mean() < 0.03

@@ -7,7 +7,7 @@ from benchmarks.robustness.small_recordings import small_scene
 from hypose.body.default_body import human
 from hypose.errors import EvidenceError
 from hypose.evidence.frame import Frame
-from hypose.pipeline.start_choice import BestWays, Way, best_ways, way_of
+from hypose.pipeline.start_choice import BestWays, StartTrial, best_ways, way_of
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.left_right import turned_around
 from hypose.tracking.start_search import Start, by_their_ways
@@ -56,7 +56,7 @@ def test_a_start_of_another_frame_is_judged_by_where_its_way_has_it(walk):
     starts, _ = by_their_ways([moved], [good.poses], np.array([good.cost]))
     with pytest.raises(EvidenceError):
         BestWays(starts, 0).check(frames)
-    BestWays(starts, 0, (Way(moved, 0, good.poses, good.costs),)).check(frames)
+    BestWays(starts, 0, (StartTrial(moved, 0, good.poses, good.costs),)).check(frames)
 
 
 def test_frames_without_a_hull_have_no_start(walk):

@@ -11,7 +11,7 @@ from hypose.compute.parts import covered
 from hypose.errors import EvidenceError
 from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes
-from hypose.pipeline.subject_checks import apparent_height, check_borders, check_start, cut_edges
+from hypose.pipeline.start_choice import apparent_height, check_borders, check_start, cut_edges
 from hypose.pipeline.subject_from_motion import AnthropometryOptions, estimate_subject
 from hypose.synthetic.scenes import camera_rig
 from hypose.tracking.starts import known_pose

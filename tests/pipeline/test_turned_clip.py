@@ -51,6 +51,6 @@ def test_a_turned_clip_is_judged_alike(clip, facing_along_x, degrees):
     assert (np.abs(around - plain.motion.joint_covariance) <= limit).all()
     own = [not n.startswith("pelvis") for n in ANGLE_NAMES]  # those of the pelvis are about the axes of the world
     np.testing.assert_allclose(found.motion.angle_sd[:, own], plain.motion.angle_sd[:, own], rtol=0.05)
-    np.testing.assert_allclose(found.motion.p_wrong, plain.motion.p_wrong, rtol=0.05, atol=2e-3)
-    np.testing.assert_array_equal(found.motion.doubtful_joints, plain.motion.doubtful_joints)
-    assert found.verdict.word == plain.verdict.word
+    np.testing.assert_allclose(found.motion.error_probability, plain.motion.error_probability, rtol=0.05, atol=2e-3)
+    np.testing.assert_array_equal(found.motion.low_confidence_joints, plain.motion.low_confidence_joints)
+    assert found.assessment.word == plain.assessment.word

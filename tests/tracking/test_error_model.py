@@ -15,13 +15,13 @@ from hypose.tracking.error_model import (
     ELSEWHERE_M,
     GROUPS,
     as_mixture,
-    doubt_models,
     doubt_of_clip,
+    error_models,
     evidence_of,
     groups_of,
     judged,
+    needs_review,
     without_mixture,
-    worth_a_look,
 )
 from hypose.tracking.joint_features import AUDITED
 
@@ -54,9 +54,9 @@ def clip(frames=30, points=False, masks=True):
 def test_a_clean_clip_is_not_doubted_and_an_arm_that_disagrees_is(masks, points, evidence):
     motion, joints, audit = clip(points=points, masks=masks)
     assert evidence_of(audit) == evidence
-    p, doubtful = judged(motion, joints, audit)
-    assert p.shape == doubtful.shape == joints.shape[:2] and p.dtype == np.float32
-    assert not doubtful.any() and p.max() < 0.05
+    p, low_confidence = judged(motion, joints, audit)
+    assert p.shape == low_confidence.shape == joints.shape[:2] and p.dtype == np.float32
+    assert not low_confidence.any() and p.max() < 0.05
     wrist = NAMES.index("right_wrist")
     bad = audit.copy()
     shown = {"bare": 0.2, "bare_second": 0.08, "bare_reach": 0.4, "outside": 1.5}
@@ -99,12 +99,12 @@ def test_what_one_view_alone_shows_is_doubted_unless_a_second_one_is_near_in_tim
     motion, joints, audit = clip(points=True, masks=False)
     ankle, views = NAMES.index("left_ankle"), AUDITED.index("points_views")
     audit[:, ankle, views] = 1
-    p, doubtful = judged(motion, joints, audit)
-    assert doubtful[:, ankle].all() and p[:, ankle].min() >= 0.4 - 1e-6
-    assert not np.delete(doubtful, ankle, 1).any()
+    p, low_confidence = judged(motion, joints, audit)
+    assert low_confidence[:, ankle].all() and p[:, ankle].min() >= 0.4 - 1e-6
+    assert not np.delete(low_confidence, ankle, 1).any()
     audit[::6, ankle, views] = 2
-    p, doubtful = judged(motion, joints, audit)
-    assert doubtful[:, ankle].all() and np.allclose(p[:, ankle], 0.3)  # one of the two may have guessed it
+    p, low_confidence = judged(motion, joints, audit)
+    assert low_confidence[:, ankle].all() and np.allclose(p[:, ankle], 0.3)  # one of the two may have guessed it
     cut = audit.copy()
     cut[..., views] = np.minimum(cut[..., views], 2)  # two cameras see nobody's limbs more than twice
     assert not judged(motion, joints, cut)[1].any()
@@ -130,7 +130,7 @@ def test_in_a_clip_that_is_doubtful_as_a_whole_joints_are_told_less_surely_in_th
     sure[:, groups == GROUPS.index("wrists")] = 40.0  # every group counts the same, however many its joints are
     assert doubt_of_clip(sure, NAMES) == pytest.approx(np.log(1 / 7 / CALM_P), abs=0.02)
     odds = np.linspace(-6, 6, 25)[:, None] * np.ones(len(NAMES))
-    for evidence, model in doubt_models().items():
+    for evidence, model in error_models().items():
         calm, wrong = (model.within(odds, NAMES, clip) for clip in (0.0, np.log(1 / CALM_P)))
         assert (np.diff(calm, axis=0) > 0).all() and (np.diff(wrong, axis=0) > 0).all()
         if evidence == "silhouettes":
@@ -160,10 +160,10 @@ def test_who_is_turned_as_far_as_a_trunk_goes_has_limbs_on_the_wrong_side(masks,
     limbs = np.array([n.startswith(("left_", "right_")) for n in NAMES])
     poses = motion.poses.copy()
     poses[4:6, turn] = -motion.skeleton.upper[turn]
-    p, doubtful = judged(replace(motion, poses=poses), joints, audit)
+    p, low_confidence = judged(replace(motion, poses=poses), joints, audit)
     near = slice(0, 6 + int(AROUND_S * 25))
-    assert (p[near][:, limbs] >= 0.5).all() and doubtful[near][:, limbs].all()
-    assert not doubtful[:, ~limbs].any() and not doubtful[-8:].any()
+    assert (p[near][:, limbs] >= 0.5).all() and low_confidence[near][:, limbs].all()
+    assert not low_confidence[:, ~limbs].any() and not low_confidence[-8:].any()
     poses[4:6, turn] = np.radians(40)  # as a boxer may
     assert not judged(replace(motion, poses=poses), joints, audit)[1].any()
 
@@ -173,19 +173,19 @@ def test_a_frame_is_worth_a_look_where_wrong_joints_are_to_be_expected():
     joints = np.zeros(p.shape, bool)
     p[1, :3], p[2, 0], p[3, 0] = 0.1, 0.3, 0.1
     joints[1, :3] = joints[2, 0] = joints[3, 0] = True
-    assert worth_a_look(p, joints, "silhouettes").tolist() == [False, True, True, False]
-    assert worth_a_look(p, joints, "both").tolist() == [False, True, True, True]
+    assert needs_review(p, joints, "silhouettes").tolist() == [False, True, True, False]
+    assert needs_review(p, joints, "both").tolist() == [False, True, True, True]
 
 
 def test_who_is_lost_is_not_believed():
     motion, joints, audit = clip()
     motion.lost[5:8] = True
-    p, doubtful = judged(motion, joints, audit)
-    assert (p[5:8] >= 0.5).all() and doubtful[5:8].all() and not doubtful[10:].any()
+    p, low_confidence = judged(motion, joints, audit)
+    assert (p[5:8] >= 0.5).all() and low_confidence[5:8].all() and not low_confidence[10:].any()
 
 
 def test_a_joint_beside_wrong_ones_is_told_less_surely_right():
-    model = doubt_models()["silhouettes"]
+    model = error_models()["silhouettes"]
     odds = np.full((1, len(NAMES)), -4.0)
     near = odds.copy()
     near[0, [NAMES.index(f"right_{n}") for n in ("shoulder", "wrist")]] = 2.0
@@ -202,10 +202,10 @@ def test_a_doubtful_joint_may_be_elsewhere_and_its_sd_says_so():
     walk, _, _ = clip()
     names = walk.skeleton.joint_names
     ankle, shape = names.index("left_ankle"), walk.joints.shape[:2]
-    p, doubtful = np.full(shape, 0.02, np.float32), np.zeros(shape, bool)
-    p[:, ankle], doubtful[:, ankle] = 0.3, True
+    p, low_confidence = np.full(shape, 0.02, np.float32), np.zeros(shape, bool)
+    p[:, ankle], low_confidence[:, ankle] = 0.3, True
     sd = np.full((len(walk), len(ANGLE_NAMES)), 0.05, np.float32)
-    motion = replace(walk, p_wrong=p, doubtful_joints=doubtful, angle_sd=sd)
+    motion = replace(walk, error_probability=p, low_confidence_joints=low_confidence, angle_sd=sd)
     told = as_mixture(motion)
     others = np.arange(len(names)) != ankle
     np.testing.assert_allclose(told.joint_covariance[:, others], walk.joint_covariance[:, others], rtol=1e-6)
@@ -223,6 +223,6 @@ def test_nothing_is_surer_than_its_covariance():
     head = NAMES.index("head")
     wide = motion.joint_covariance.copy()
     wide[:, head] = np.diag([0.15**2, 0.01**2, 0.01**2])
-    p, doubtful = judged(replace(motion, joint_covariance=wide), joints, audit)
-    assert doubtful[:, head].all() and (p[:, head] > 0.3).all()
-    assert np.delete(p, head, 1).max() < 0.05 and not np.delete(doubtful, head, 1).any()
+    p, low_confidence = judged(replace(motion, joint_covariance=wide), joints, audit)
+    assert low_confidence[:, head].all() and (p[:, head] > 0.3).all()
+    assert np.delete(p, head, 1).max() < 0.05 and not np.delete(low_confidence, head, 1).any()

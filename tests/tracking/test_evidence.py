@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.body.ready_bodies import human
+from hypose.body.default_body import human
 from hypose.evidence.cues import NO_DEPTH, NO_KEYPOINTS, NO_SILHOUETTES
 from hypose.evidence.frame import Keypoints
 from hypose.evidence.terms import Evidence, PointTerm

@@ -12,8 +12,8 @@ await walk(
     const spoilt = results.find((r) => r.path.endsWith("results/default")).id;
     await page.evaluate((id) => (location.hash = `#/view/${id}`), spoilt);
     await page.waitForFunction(() => window.hypose?.pictureRow() === 0);
-    // the verdict is read first, in words
-    assert.match(await page.locator(".view-verdict").innerText(), /^Look at frames? .*left elbow, left wrist may be wrong there/s);
+    // the assessment is read first, in words
+    assert.match(await page.locator(".view-assessment").innerText(), /^Look at frames? .*left elbow, left wrist may be wrong there/s);
     assert.equal(await page.locator(".doubts").innerText(), "");
     const colours = () => page.evaluate(() => {
       const { space, data } = window.hypose.view;

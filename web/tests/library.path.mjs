@@ -1,4 +1,4 @@
-// The list of results: a picture and the verdict of each; searched, sorted, renamed, deleted.
+// The list of results: a picture and the assessment of each; searched, sorted, renamed, deleted.
 import assert from "node:assert/strict";
 import { cpSync, existsSync } from "node:fs";
 import { join } from "node:path";

@@ -56,7 +56,7 @@ await walk(
     // checked, with the findings in words
     await page.getByRole("button", { name: "Check the recording" }).click();
     await done("check");
-    await page.locator(".verdict").waitFor();
+    await page.locator(".assessment").waitFor();
     await picture("setup-checked");
 
     // masks follow the sliders, and are kept

@@ -10,8 +10,7 @@ from typing import Annotated
 import typer
 
 from hypose.app.commands.commands_track import split_names, stopping
-from hypose.app.commands.console import Stages, note, say
-from hypose.app.commands.options import number
+from hypose.app.commands.console import Stages, number, print_note, say
 from hypose.errors import InputError
 
 _GO_ON = "Stopped. Go on with the same command."
@@ -36,10 +35,10 @@ def batch(
     overlay: Annotated[bool, typer.Option("--overlay", help="Write overlay.mp4 as well.")] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be done, and do nothing.")] = False,
 ) -> None:
-    """Track many recordings, each with options of its own; what is finished is skipped, what was begun goes on."""
+    """Track many recordings, each with options of its own; finished tasks are skipped, begun ones are resumed."""
     if scheduler is not None and (workers is not None or threads is not None):
         raise InputError("A running scheduler has its own workers; leave --workers and --threads out.")
-    from hypose.app.batch import finished, plan, require_dask, run_batch, wanted, write_table
+    from hypose.app.batch import finished_metrics, ordered_tasks, require_dask, run_batch, wanted, write_table
     from hypose.io.files import claimed
     from hypose.io.motions.export import known_formats
 
@@ -52,10 +51,10 @@ def batch(
     if out is None and recordings[0].suffix.lower() != ".csv":
         results = Path("batch-results")
     with stopping(_GO_ON), Stages() as progress:
-        tasks, refused = plan(drafts, results, progress)
+        tasks, refused = ordered_tasks(drafts, results, progress)
         rows = refused
         if dry_run:
-            done = sum(finished(t) is not None for t in tasks)
+            done = sum(finished_metrics(t) is not None for t in tasks)
             say(f"{len(tasks)} tasks: {done} finished, {len(tasks) - done} to do, {len(refused)} refused")
         else:
             with claimed(results):
@@ -65,7 +64,7 @@ def batch(
                 write_table(rows, results)
     for row in rows:
         if row["state"] == "failed":
-            note(f"{row['recording']}, {row['name']}: {row['message']}")
+            print_note(f"{row['recording']}, {row['name']}: {row['message']}")
     if dry_run:
         raise typer.Exit(1 if refused else 0)  # as the batch itself would end
     states = [row["state"] for row in rows]

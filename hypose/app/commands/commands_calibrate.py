@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hypose.app.commands.console import Stages, note, print_table, say
-from hypose.app.commands.options import HEIGHT, MOST_FRAMES, number
+from hypose.app.commands.console import HEIGHT, MOST_FRAMES, Stages, number, print_note, print_table, say
 from hypose.errors import CalibrationError, InputError
 
 if TYPE_CHECKING:
@@ -116,7 +115,7 @@ def calibrate(
 
         rig, notes = read_any(convert, unit)
         for text in notes:
-            note(f"note: {text}")
+            print_note(f"note: {text}")
     elif points is not None:
         rig = _from_points(points, intrinsics)
     else:
@@ -310,7 +309,7 @@ def _show(result: BoardCalibration) -> None:
 
 def _write_sheet(views: Sequence[CameraViews], board: Board, result: BoardCalibration | None, path: Path) -> Path:
     from hypose.app.jobs.checking import write_image
-    from hypose.app.reports.calibration_sheet import draw_sheet
+    from hypose.app.reports.calibration_pages import draw_sheet
 
     write_image(path, draw_sheet(views, board, result))
     return path

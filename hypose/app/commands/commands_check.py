@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hypose.app.commands.console import Stages, out, say
-from hypose.app.commands.options import HEIGHT, number
+from hypose.app.commands.console import HEIGHT, Stages, number, out, say
 from hypose.errors import EvidenceError, InputError
 
 if TYPE_CHECKING:
@@ -18,7 +17,7 @@ if TYPE_CHECKING:
     from hypose.geometry import Array
     from hypose.io.recordings.recording import Recording
     from hypose.io.recordings.recording_people import RecordedPerson
-    from hypose.pipeline.examine import Refinement
+    from hypose.pipeline.recording_diagnostics import Refinement
 
 _REFINE = "Refine"
 
@@ -63,7 +62,7 @@ def check(
         ),
     ] = None,
 ) -> None:
-    """Look whether the views agree, say what is wrong with which camera, and cure it with --refine.
+    """Look whether the views agree, say the fault of which camera, and cure it with --refine.
 
     Exit code 0: fine, or refined; 1: something is wrong.
     """
@@ -135,7 +134,7 @@ def _refine(
     far: bool,
 ) -> None:
     from hypose.io.calibrations.calibration_text import write_calibration
-    from hypose.pipeline.examine import cured_recording, refine_recording
+    from hypose.pipeline.recording_diagnostics import cured_recording, refine_recording
 
     method = using
     if using == "auto":
@@ -307,22 +306,22 @@ def _by_motion(
     from hypose.calibration.diagnose_points import undistorted
     from hypose.calibration.sync_motion import at_the_end, offsets_within
     from hypose.calibration.synchronisation import offsets_from_motion
-    from hypose.pipeline.examine import observe
+    from hypose.pipeline.recording_diagnostics import observe_recording
 
-    seen = observe(recording, frames, progress)
+    seen = observe_recording(recording, frames, progress)
     points = None if seen.keypoints is None else undistorted(seen.rig, seen.keypoints)
     found = offsets_from_motion(seen.rig.pinhole(), points, seen.silhouettes, largest=largest)
     if found.gain < 0:
         raise EvidenceError("The motion does not tell the offsets; use --by sound or --by flash.")
-    told = [s < largest for s in found.sd]  # what is less sure than all that was looked for is not known
-    if not any(told):
+    reported = [s < largest for s in found.sd]  # unknown where the deviation exceeds the search range
+    if not any(reported):
         raise EvidenceError(
             f"{recording.name}: the views have no motion in common that tells how late they are; film somebody who "
             "walks or waves, or use --by sound or --by flash."
         )
     words = [
         f"sd {s:.2f}" if known else "no motion in common with the others"
-        for s, known in zip(found.sd, told, strict=True)
+        for s, known in zip(found.sd, reported, strict=True)
     ]
     total = points[0].shape[1] if points is not None else len(seen.silhouettes or ())
     reach = offsets_within(largest, total)
@@ -334,7 +333,7 @@ def _by_motion(
 
 def _by_sound(recording: Recording, largest: float) -> tuple[list[float], list[str]]:
     from hypose.calibration.synchronisation import offsets_from_sound
-    from hypose.io.videos.sound import read_sound
+    from hypose.io.videos.video import read_sound
 
     sounds = []
     for view in recording.views:
@@ -349,14 +348,14 @@ def _by_light(recording: Recording, progress: ProgressCall) -> tuple[list[float]
     import numpy as np
 
     from hypose.calibration.synchronisation import offsets_from_light
-    from hypose.io.recordings.recording_views import open_pictures
+    from hypose.io.videos.video import open_video
 
     levels = []
     for n, view in enumerate(recording.views):
         if view.source is None:
             raise InputError(f"View {view.name} has only masks, in which no light is seen; use --by motion.")
         progress("sync", n, len(recording.views))
-        with open_pictures(view) as reader:
+        with open_video(view.source, rate=view.rate) as reader:
             levels.append(np.array([float(image[::8, ::8].mean()) for image in reader]))
     progress("sync", len(recording.views), len(recording.views))
     late, kinds = offsets_from_light(levels, [v.name for v in recording.views])
@@ -373,8 +372,8 @@ def _write(recording: Recording, late: list[float], folder: Path, progress: Prog
     from hypose.io.files import write_text
     from hypose.io.recordings.frames import mask_folder, write_frame_masks
     from hypose.io.recordings.recording import write_recording
-    from hypose.pipeline.examine import raw_person
     from hypose.pipeline.one_of_several import frames_to_examine
+    from hypose.pipeline.recording_diagnostics import raw_person
 
     progress("background", 0, 1)
     stream, _ = frames_to_examine(recording)
@@ -448,7 +447,7 @@ def _depth_in_step(depth: Path, frames: range, late: float, folder: Path) -> Pat
 
 def _people(found: RecordedPerson | None) -> list[Array]:
     """(C, T, K, 3) px of the calibrated pictures: of the person whom the recording is about, then of the others whom
-    several views show; nobody without key points."""
+    several views show; no person without key points."""
     import numpy as np
 
     if found is None:

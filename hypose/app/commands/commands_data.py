@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hypose.app.commands.commands_track import detect, detected, open_network_asking, set_threads, stopping
-from hypose.app.commands.console import Stages, note, say
-from hypose.app.commands.options import Seconds, Seed, Threads, number
+from hypose.app.commands.console import Seconds, Seed, Stages, Threads, number, print_note, say
 from hypose.errors import EvidenceError, InputError
 
 if TYPE_CHECKING:
@@ -55,7 +54,7 @@ def silhouettes(
             notes = source.notes
             write_sheet(loaded, source, target / "sheet.jpg", 4)
     for text in (*loaded.notes, *notes):
-        note(f"note: {text}")
+        print_note(f"note: {text}")
     say(f"Masks: {target} (0 and 255, undistorted, one folder per view)")
     say(f"Contact sheet: {target / 'sheet.jpg'}")
     if not shown:
@@ -188,7 +187,7 @@ def depth_import(
             with contextlib.suppress(OSError):  # the recording is in it
                 out.rmdir()
     for text in notes:
-        note(f"note: {text}")
+        print_note(f"note: {text}")
     say(f"{path}: {len(sources)} depth cameras; track it with: hypose track {shlex.quote(str(out))}")
 
 
@@ -208,21 +207,21 @@ def keypoints(
     """Detect 2D key points and masks of people in the videos, which `hypose track` then uses."""
     set_threads(threads)
     from hypose.io.keypoints.detectors import open_own_detector
-    from hypose.io.keypoints.read_keypoints import FOLDER
+    from hypose.io.keypoints.read_keypoints import KEYPOINT_FOLDER
     from hypose.io.recordings.recording import load_recording
 
     loaded = load_recording(recording)
-    target = folder or loaded.folder / FOLDER
+    target = folder or loaded.folder / KEYPOINT_FOLDER
     chosen = open_network_asking(yes) if detector is None else open_own_detector(detector)
     found = detect(loaded, chosen, target, loaded.frames if chosen.gives_masks else None, resume=resume)
     what = "Key points and masks" if found.with_masks else "Key points"
     say(f"{what}: {found.folder} ({found.keypoint_set}, one folder per view)")
-    own = loaded.folder / FOLDER
+    own = loaded.folder / KEYPOINT_FOLDER
     named = any(v.keypoints is not None and own.absolute() not in v.keypoints.absolute().parents for v in loaded.views)
     if target.absolute() == own.absolute() and not named:
         say(f"To use them: hypose track {recording} --evidence both")
         return
-    note("note: recording.toml decides which key points are used; to use these, say there:")
+    print_note("note: recording.toml decides which key points are used; to use these, say there:")
     say(f'keypoint_set = "{found.keypoint_set}"')
     for view in loaded.views:
         say(f'keypoints = "{found.view(view.name).absolute()}"  # in the [[view]] of {view.name}')

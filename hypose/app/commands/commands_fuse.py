@@ -8,15 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hypose.app.commands.commands_track import (
+    print_assessments,
     report_outcome,
     run_shown,
     set_threads,
     split_names,
     stopping,
-    tell_verdicts,
 )
-from hypose.app.commands.console import Stages, note, say
-from hypose.app.commands.options import Seed, Threads, number
+from hypose.app.commands.console import Seed, Stages, Threads, number, print_note, say
 from hypose.errors import InputError
 
 if TYPE_CHECKING:
@@ -92,10 +91,10 @@ def fuse(
     ] = None,
     threads: Threads = None,
 ) -> None:
-    """Fuse the skeletons of several depth sensors, and what cameras saw beside: one skeleton per person with its
+    """Fuse the skeletons of several depth sensors, and what cameras saw besides: one skeleton per person with its
     uncertainty. See docs/fusion.md, docs/live.md.
 
-    It ends with a verdict: good, worth a look, or not to be trusted, and why; the last with exit code 3.
+    It ends with an assessment: good, worth a look, or not to be trusted, and why; the last with exit code 3.
     """
     set_threads(threads)
     if live:
@@ -103,15 +102,15 @@ def fuse(
             raise InputError("--live takes no recording; leave one of the two out.")
         import asyncio
 
-        from hypose.app.live.live_server import LiveOptions, run_live
+        from hypose.app.live.live_server import FusionServerOptions, run_live
         from hypose.fusion.align import AlignSettings
         from hypose.fusion.live import LiveSettings
 
         if udp is None and ws is None:
             udp, ws = 9870, 9871
         settings = LiveSettings(AlignSettings(rate=30.0 if rate is None else rate, wait=wait / 1000))
-        options = LiveOptions(host=host, udp=udp, ws=ws, osc=osc, token=token, record=record, settings=settings)
-        asyncio.run(run_live(options, say, note))
+        options = FusionServerOptions(host=host, udp=udp, ws=ws, osc=osc, token=token, record=record, settings=settings)
+        asyncio.run(run_live(options, say, print_note))
         return
     if recording is None:
         raise InputError("There is nothing to fuse; give a recording of skeletons, or --live.")
@@ -129,14 +128,14 @@ def fuse(
                 "With --cameras everything is one solve at the cameras' rate; leave --method, --reference, --rate "
                 "and --diagnose out."
             )
-        from hypose.app.jobs.job import Job
+        from hypose.app.jobs.job import TrackJob
         from hypose.io.recordings.recording import load_recording
         from hypose.pipeline.run import TrackOptions
 
         filmed = load_recording(cameras)
         results = ResultsFolder(out) if out is not None else ResultsFolder.of(filmed.folder, "fuse-cameras")
         about = {"formats": split_names(formats), "run": {"threads": threads}, "skeletons": loaded}
-        job = Job(filmed, TrackOptions(seed=seed), results, **about)
+        job = TrackJob(filmed, TrackOptions(seed=seed), results, **about)
         report_outcome(job, run_shown(job, []))
         return
     folder = recording if recording.is_dir() else recording.parent
@@ -163,14 +162,14 @@ def fuse(
     if all(p.motion.lost.all() for p in outcome.people):
         require_found(outcome.people[0].motion, loaded.name, results.path)
     names = [f"person-{n + 1}" if len(outcome.people) > 1 else "" for n in range(len(outcome.people))]
-    tell_verdicts({name: p.verdict for name, p in zip(names, outcome.people, strict=True)})
+    print_assessments({name: p.assessment for name, p in zip(names, outcome.people, strict=True)})
 
 
 def _closing(outcome: FuseOutcome, name: str, sensors: int, folder: Path) -> None:
     import numpy as np
 
     for text in outcome.notes:
-        note(f"note: {text}")
+        print_note(f"note: {text}")
     if not outcome.complete:
         kept = [str(f) for p in outcome.people for f in p.files]
         say(f"Stopped. Kept: {', '.join(kept) if kept else 'nothing'}. Start again with the same command.")

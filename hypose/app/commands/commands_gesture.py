@@ -9,11 +9,12 @@ from typing import Annotated
 import typer
 
 from hypose.app.commands.commands_track import stopping
-from hypose.app.commands.console import Stages, note, say
-from hypose.app.commands.options import MOST_FRAMES, Seed, number
+from hypose.app.commands.console import MOST_FRAMES, Seed, Stages, number, print_note, say
 from hypose.errors import InputError
 
-app = typer.Typer(no_args_is_help=True, help="Learn still gestures from a depth camera in minutes, and watch for them.")
+gesture_app = typer.Typer(
+    no_args_is_help=True, help="Learn still gestures from a depth camera in minutes, and watch for them."
+)
 
 SourceOption = Annotated[
     str,
@@ -22,10 +23,10 @@ SourceOption = Annotated[
 Gesture = Annotated[str, typer.Option(help="Name of the gesture.")]
 Rounds = Annotated[int, number("Rounds of gesture and other movement.", 1, 1000)]
 _LETTERS = "Commands (letter and Enter): n next, u undo, p pause, c continue, a again, t end with the test"
-Frames = Annotated[int, number("Stop after so many frames; 0 = never.", 0, MOST_FRAMES)]
+_Frames = Annotated[int, number("Stop after so many frames; 0 = never.", 0, MOST_FRAMES)]
 
 
-@app.command(short_help="Record a session with its prompts, to train from later.")
+@gesture_app.command(short_help="Record a session with its prompts, to train from later.")
 def record(
     out: Annotated[Path, typer.Argument(help="New folder to record to.")],
     gesture: Gesture,
@@ -41,13 +42,13 @@ def record(
 
     check_gesture_name(gesture)
     settings, opened = SessionSettings(rounds=rounds), open_source(source, gesture, seed)
-    note(_LETTERS)
-    record_session(opened, gesture, settings, record=out, commands=typed_commands(), say=note)
+    print_note(_LETTERS)
+    record_session(opened, gesture, settings, record=out, commands=typed_commands(), say=print_note)
     say(f"Recorded: {out}")
 
 
-@app.command(short_help="Teach a gesture, live or from recorded sessions.")
-def train(
+@gesture_app.command("train", short_help="Teach a gesture, live or from recorded sessions.")
+def gesture_train(
     out: Annotated[Path, typer.Argument(help="Model file to write (.npz).")],
     gesture: Gesture,
     recording: Annotated[
@@ -84,15 +85,15 @@ def train(
     check_gesture_name(gesture)
     old = growing_model(resume, gesture) if resume is not None else None
     if out.exists() and not (resume is not None and resume.exists() and out.samefile(resume)):
-        replaced_model(out, gesture, note)
+        replaced_model(out, gesture, print_note)
     learner = old.learner if old is not None and old.learner is not None else new_learner(seed)
     if recording:
         loaded = [read_recording(r) for r in recording]
-        model = learn_recordings(loaded, gesture, learner, passes, note, old)
+        model = learn_recordings(loaded, gesture, learner, passes, print_note, old)
     else:
         settings, opened = SessionSettings(rounds=rounds), open_source(source, gesture, seed)
-        note(_LETTERS)
-        about = {"record": record_to, "commands": typed_commands(), "say": note, "model": old}
+        print_note(_LETTERS)
+        about = {"record": record_to, "commands": typed_commands(), "say": print_note, "model": old}
         model = run_session(opened, gesture, learner, settings, **about)
     if old is not None and model.thresholds == (None,):  # only the gesture, or only movement, was seen this time
         model = model.with_thresholds(*old.thresholds)
@@ -102,8 +103,8 @@ def train(
     say(f"Model: {out}")
 
 
-@app.command(short_help="Watch for gestures: events as JSON lines, OSC, commands.")
-def run(
+@gesture_app.command("run", short_help="Watch for gestures: events as JSON lines, OSC, commands.")
+def gesture_run(
     models: Annotated[list[Path], typer.Argument(help="Model files, one per gesture.")],
     source: SourceOption = "simulated",
     osc: Annotated[str | None, typer.Option(help="HOST:PORT to send scores and events to by OSC.")] = None,
@@ -119,12 +120,20 @@ def run(
     ] = 0.8,
     hold: Annotated[float, number("Seconds a gesture must be held.", 0, 3600)] = 0.15,
     rest: Annotated[float, number("Seconds after its end in which it does not start again.", 0, 3600)] = 0.5,
-    frames: Frames = 0,
+    frames: _Frames = 0,
     seed: Seed = 0,
 ) -> None:
     """Watch for gestures without a screen: events as JSON lines on stdout, and wherever the options say."""
-    from hypose.app.jobs.gesture_job import looking, thresholds, watch
-    from hypose.app.live.gesture_outputs import CommandOut, OscOut, Out, WebSocketOut, event_line
+    from hypose.app.jobs.gesture_job import (
+        CommandOut,
+        OscOut,
+        Out,
+        WebSocketOut,
+        event_line,
+        looking,
+        thresholds,
+        watch,
+    )
     from hypose.app.live.gesture_sources import open_source
     from hypose.gestures.events import EventSettings
     from hypose.pipeline.gesture_files import load_model
@@ -141,7 +150,7 @@ def run(
         if command is not None:
             outs.append(opened.enter_context(contextlib.closing(CommandOut(command, names))))
         pictures = open_source(source, names[0], seed)
-        for k, watched in enumerate(watch(pictures, loaded, looking(loaded, adaptation_rate), limits, note), 1):
+        for k, watched in enumerate(watch(pictures, loaded, looking(loaded, adaptation_rate), limits, print_note), 1):
             for event in watched.events:
                 print(event_line(event, names), flush=True)
             for out in outs:
@@ -150,20 +159,8 @@ def run(
                 break
 
 
-@app.command(short_help="Write a forest as files that need no hypose.")
-def export(
-    model: Annotated[Path, typer.Argument(help="Model file.")],
-    out: Annotated[Path, typer.Argument(help="Folder to write to.")],
-) -> None:
-    """Write forest.npz, forest.json and a plain numpy program that runs them without hypose."""
-    from hypose.pipeline.gesture_files import export_model, load_model
-
-    for path in export_model(load_model(model), out):
-        say(str(path))
-
-
-@app.command("eval", short_help="Judge a model on a recorded session.")
-def evaluate(
+@gesture_app.command("eval", short_help="Judge a model on a recorded session.")
+def gesture_evaluate(
     model: Annotated[Path, typer.Argument(help="Model file.")],
     recording: Annotated[Path, typer.Argument(help="Recorded session that was not learned.")],
 ) -> None:
@@ -175,12 +172,12 @@ def evaluate(
 
     loaded, session = load_model(model), read_recording(recording)
     if loaded.learned(session.content):
-        note(
+        print_note(
             f"note: {model} has learned from {recording}: the figures say how well it remembers that, and not how well "
             "it finds the gesture elsewhere; give a session that was not learned."
         )
     with Stages() as progress:
         progress("check", 0, 1)
-        values = gesture_job.evaluate(loaded, session)
+        values = gesture_job.evaluate_model(loaded, session)
         progress("check", 1, 1)
     print(json.dumps({k: round(v, 4) for k, v in values.items()}, indent=2))

@@ -14,12 +14,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hypose.app.commands.commands_track import set_threads
-from hypose.app.commands.console import Stages, ended_by_signals, note, say
-from hypose.app.commands.options import HEIGHT, Seed, Threads, number
+from hypose.app.commands.console import HEIGHT, Seed, Stages, Threads, ended_by_signals, number, print_note, say
 from hypose.errors import InputError
 
 if TYPE_CHECKING:
-    from hypose.pipeline.live.engine import LiveStatus, Seen
+    from hypose.pipeline.live.engine import LiveResult, LiveStatus
     from hypose.pipeline.live.recorder import LiveRecorder
 
 _OUT = "Out"
@@ -78,8 +77,8 @@ def live(
     with ended_by_signals(ended):  # an interrupt between two imports can be lost
         from hypose.app.jobs.job import compile_before
         from hypose.app.live.pose_outputs import PoseOutputs
-        from hypose.pipeline.live.engine import LiveEngine, LiveOptions
-        from hypose.pipeline.live.eyes import EyesOptions
+        from hypose.pipeline.live.capture import CaptureOptions
+        from hypose.pipeline.live.engine import LiveEngine, LiveTrackingOptions
         from hypose.pipeline.live.live_rig import live_rig
         from hypose.pipeline.live.live_search import LivePersonOptions
         from hypose.pipeline.live.recorder import LiveRecorder
@@ -90,12 +89,12 @@ def live(
 
     cameras = live_rig(rig, _sources(source or []), rate)
     for text in cameras.notes:
-        note(f"note: {text}")
+        print_note(f"note: {text}")
     body = None if subject is None else load_subject(subject)
     person = LivePersonOptions(TrackOptions(seed=seed), height or cameras.height, body)
     network = people if _finds_people(detector, cameras.roomless) else 0
     views = tuple(replace(v, background=None) for v in cameras.views) if network else cameras.views
-    eyes = EyesOptions(cameras.rate, countdown, cameras.silhouettes, network=network)
+    eyes = CaptureOptions(cameras.rate, countdown, cameras.silhouettes, network=network)
     names = tuple(v.name for v in cameras.views)
     with Stages() as progress:  # the first time it takes a while, and Ctrl-C still ends it
         compile_before(progress)
@@ -107,8 +106,8 @@ def live(
             closing.callback(recorder.close)
         outputs = PoseOutputs(names, cameras.rate, ws=ws, udp=udp, osc=osc, vmc=vmc, clock=time.monotonic)
         closing.callback(outputs.close)
-        listeners = [outputs, _Told(recorder), *([] if recorder is None else [recorder])]
-        options = LiveOptions(eyes, person, people, pictures=recorder is not None)
+        listeners = [outputs, _StatusReporter(recorder), *([] if recorder is None else [recorder])]
+        options = LiveTrackingOptions(eyes, person, people, pictures=recorder is not None)
         engine = LiveEngine(cameras.rig, views, options, listeners, ended)
         closing.callback(engine.stop)
         engine.start()
@@ -123,7 +122,9 @@ def live(
             ended.wait(0.1)
         status, interrupted = engine.status(), ended.is_set()
         engine.stop()
-        if recorder is not None:  # whoever is in a hurry and asks for an end again still gets all that was recorded
+        if (
+            recorder is not None
+        ):  # a person who is in a hurry and asks for an end again still gets all that was recorded
             kept = recorder.close()
             without = f", without {recorder.left_out} instants" if recorder.left_out else ""
             nothing = "Nothing was recorded: there were no pictures of two cameras."
@@ -144,9 +145,9 @@ def _finds_people(wanted: bool | None, roomless: bool) -> bool:
     except InputError as error:
         if wanted:
             raise
-        note(f"note: the empty room is guessed from the videos. {error}")
+        print_note(f"note: the empty room is guessed from the videos. {error}")
         return False
-    note("note: the detector finds people; no empty room is needed.")
+    print_note("note: the detector finds people; no empty room is needed.")
     return True
 
 
@@ -162,33 +163,97 @@ def _sources(given: list[str]) -> dict[str, str]:
     return out
 
 
-class _Told:
+class _StatusReporter:
     """What changes is said at once, how it goes now and then; and when a recording ends before its time."""
 
     def __init__(self, recorder: LiveRecorder | None) -> None:
         self._phase, self._words, self._at = "", (), -math.inf
         self._recorder = recorder
 
-    def seen(self, seen: Seen) -> None:
+    def seen(self, seen: LiveResult) -> None:
         """See `Listener`."""
 
     def status(self, status: LiveStatus) -> None:
         """See `Listener`."""
         if status.phase != self._phase:
-            note(f"{status.phase.capitalize()}.")
+            print_note(f"{status.phase.capitalize()}.")
         failed = () if self._recorder is None or not self._recorder.failed else (self._recorder.failed,)
         words = (*status.words, *failed)
         known = {_SINCE.sub("", text) for text in self._words}
         for text in words:
             if _SINCE.sub("", text) not in known:
-                note(text)
+                print_note(text)
         self._phase, self._words = status.phase, words
         if time.monotonic() - self._at >= _REPORT_S and status.poses:
             self._at = time.monotonic()
-            note(_summary(status))
+            print_note(_summary(status))
 
 
 def _summary(status: LiveStatus) -> str:
     p50, p99 = status.latency
     late = "" if math.isnan(p50) else f", latency {p50:.0f} ms (p99 {p99:.0f} ms)"
     return f"{status.per_second:.1f} poses/s{late}, {100 * status.skipped:.0f} % of the instants skipped."
+
+
+# ---- commands studio -----------------------------------------------------------------------------------------------
+# `hypose view`: the studio, a page on this computer for results, clicked joints, gestures and new recordings.
+
+
+_NETWORK = "Network"
+
+
+def view(
+    what: Annotated[
+        Path, typer.Argument(help="Results folder, recording, or a folder that holds such.", show_default="this folder")
+    ] = Path(),
+    port: Annotated[int, number("Port to listen on; 0 takes any free one.", 0, 65535, rich_help_panel=_NETWORK)] = 8765,
+    host: Annotated[
+        str,
+        typer.Option(help="Address to listen on; others than this computer need the token.", rich_help_panel=_NETWORK),
+    ] = "127.0.0.1",
+    token: Annotated[
+        str | None,
+        typer.Option(
+            help="What pages must show. [default: none on this computer, else made]", rich_help_panel=_NETWORK
+        ),
+    ] = None,
+    no_browser: Annotated[bool, typer.Option("--no-browser", help="Do not open the page.")] = False,
+    threads: Threads = None,
+) -> None:
+    """Open the studio: results in 3D with their pictures, corrections by clicks, gestures, new recordings."""
+    set_threads(threads)
+    from hypose.app.studio.server import NOT_BUILT, STATIC_FOLDER, StudioOptions, run_server
+
+    if not what.exists():
+        raise InputError(f"{what} does not exist; give a results folder, a recording, or a folder that holds such.")
+    if not (STATIC_FOLDER / "index.html").is_file():
+        raise InputError(NOT_BUILT)
+    root, shown = _place(what)
+
+    def ready(address: str) -> None:
+        page = address + (f"#/{shown}" if shown else "")
+        say(f"Studio: {page}")
+        print_note(f"Shows {root}. Stop with Ctrl-C.")
+        if not no_browser:
+            import webbrowser
+
+            webbrowser.open(page)
+
+    run_server(StudioOptions(root, host, port, token), ready)
+
+
+def _place(what: Path) -> tuple[Path, str]:
+    """The folder to serve, and the screen that shows `what` in it."""
+    from hypose.app.studio.catalog import Catalog, is_recording, recording_above
+
+    folder = (what if what.is_dir() else what.parent).resolve()
+    if (folder / "motion.npz").is_file():
+        root = recording_above(folder) or folder
+        return root, f"view/{Catalog(root).id_of('result', folder)}"
+    if is_recording(folder):
+        catalog = Catalog(folder)
+        results = catalog.items("result")
+        if results:  # the last one of several, which are listed behind it
+            return folder, f"view/{results[0].id}"
+        return folder, f"setup/{catalog.id_of('recording', folder)}"
+    return folder, ""

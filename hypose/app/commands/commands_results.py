@@ -1,4 +1,4 @@
-"""`hypose export`, `report`, `gait`, `compare`, `play` and `cite`: what is done with results."""
+"""`hypose export`, `report`, `gait`, `compare`, `play` and `cite`: commands that use results."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hypose.app.commands.commands_track import set_threads, split_names, stopping
-from hypose.app.commands.console import Stages, note, say
-from hypose.app.commands.options import Threads, number
+from hypose.app.commands.console import Stages, Threads, number, print_note, say
 from hypose.errors import HyposeError, InputError
 
 if TYPE_CHECKING:
@@ -56,7 +55,7 @@ def report(
     """Write the report of a result again: one file that opens from disk and loads nothing."""
     set_threads(threads)
     from hypose.app.reports.report import write_report
-    from hypose.app.studio.view_result import find_recording, load_view
+    from hypose.app.studio.view_bundle import find_recording, load_view
     from hypose.io.files import check_writable
 
     folder = results if results.is_dir() else results.parent
@@ -74,7 +73,7 @@ def report(
         written = write_report(target, shown, recording)
         progress("report", 1, 1)
     for text in shown.notes:
-        note(f"note: {text}")
+        print_note(f"note: {text}")
     say(f"Report: {written}")
 
 
@@ -218,12 +217,12 @@ def compare(
         progress("compare", len(pairs), len(pairs))
     failed = compare_job.exceeded(compared, max_mm, max_degrees, min_coverage)
     compare_job.write_csv(folder / "compare.csv", compared)
-    compare_job.write_page(folder / "compare.html", compared, failed)
+    compare_job.write_comparison_page(folder / "compare.html", compared, failed)
     for file in dict.fromkeys(files):
         tell_untrusted(file)
     for c in compared:
         for text in c.found.notes:
-            note(f"note: {text}")
+            print_note(f"note: {text}")
         if c.found.joints:
             median, p95, rmse = c.found.left_mm
             share = compare_job.mean_coverage(c.found)
@@ -308,22 +307,22 @@ def cite(
     bibtex: Annotated[bool, typer.Option("--bibtex", help="As BibTeX.")] = False,
 ) -> None:
     """Print the papers behind the method that gave a result."""
-    from hypose.app.jobs.cite import listed, papers_of
+    from hypose.app.jobs.cite import formatted_papers, papers_of
 
-    say(listed(papers_of(method), bibtex))
+    say(formatted_papers(papers_of(method), bibtex))
 
 
 def tell_untrusted(results: Path) -> None:
     """One line when the result (a folder, or its motion.npz) is not to be trusted; what cannot be read says nothing."""
-    from hypose.app.jobs.job import VERDICT
+    from hypose.app.jobs.job import ASSESSMENT_FILE
     from hypose.errors import InputError
     from hypose.io.files import read_json
-    from hypose.pipeline.verdict import UNTRUSTED, Verdict
+    from hypose.pipeline.assessment import UNTRUSTED, Assessment
 
     folder = results if results.is_dir() else results.parent
     try:
-        kept = Verdict.of_document(read_json(folder / VERDICT, "a verdict"))
+        kept = Assessment.of_document(read_json(folder / ASSESSMENT_FILE, "an assessment"))
     except (InputError, ValueError, KeyError, TypeError):
         return
     if kept.word == UNTRUSTED:
-        note(f"note: {folder}: {kept.sentence}")
+        print_note(f"note: {folder}: {kept.sentence}")

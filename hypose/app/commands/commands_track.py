@@ -15,20 +15,19 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hypose.app.commands.console import Stages, note, say
-from hypose.app.commands.options import HEIGHT, MOST_FRAMES, Seconds, Seed, Threads, number
+from hypose.app.commands.console import HEIGHT, MOST_FRAMES, Seconds, Seed, Stages, Threads, number, print_note, say
 from hypose.errors import InputError
 
 if TYPE_CHECKING:
-    from hypose.app.jobs.job import Job, Outcome
+    from hypose.app.jobs.job import Outcome, TrackJob
     from hypose.evidence.detector import PoseDetector
     from hypose.io.keypoints.read_keypoints import DetectedKeypoints
     from hypose.io.recordings.recording import Recording
+    from hypose.pipeline.assessment import Assessment
     from hypose.pipeline.subject_from_motion import SubjectEstimate
-    from hypose.pipeline.verdict import Verdict
 
 
-def track(
+def track_command(
     context: typer.Context,
     recording: Annotated[Path, typer.Argument(help="Folder with recording.toml, that file, or a Pose2Sim project.")],
     recipe: Annotated[
@@ -96,10 +95,10 @@ def track(
 ) -> None:
     """Track the person in a recording, or several: poses with uncertainty, motion files, overlay video, report.
 
-    It ends with a verdict: good, look at some frames, or not to be trusted, and why; the last with exit code 3.
+    It ends with an assessment: good, look at some frames, or not to be trusted, and why; the last with exit code 3.
     """
     set_threads(threads)
-    from hypose.app.jobs.job import Job, choose_frames, people_results
+    from hypose.app.jobs.job import TrackJob, choose_frames, people_results
     from hypose.io.motions.results import ResultsFolder
     from hypose.io.recordings.recording import load_recording
     from hypose.pipeline.detect_keypoints import wants_detector
@@ -123,14 +122,16 @@ def track(
         loaded = one_view(loaded, camera)
     elif evidence != "silhouettes" and (loaded.detected or wants_detector(loaded)):
         if not loaded.detected:
-            note("note: neither key points, masks nor pictures of the empty room are given: the detector finds people.")
+            print_note(
+                "note: neither key points, masks nor pictures of the empty room are given: the detector finds people."
+            )
         detected(loaded, loaded.frames, yes=yes, why="Tracking videos alone")
         loaded = choose_frames(load_recording(recording, calibration), frames)
     options = options.suited_to(loaded)
     results = ResultsFolder(out) if out is not None else ResultsFolder.of(loaded.folder, options.recipe)
     if people is not None and out is None:
         results = people_results(loaded.folder, options.recipe)
-    job = Job(
+    job = TrackJob(
         loaded,
         options,
         results,
@@ -153,11 +154,11 @@ def demo(
 ) -> None:
     """Make a synthetic four-camera recording, track it as `hypose track` would, and compare with the truth."""
     set_threads(threads)
-    from hypose.app.jobs.job import Job
-    from hypose.app.jobs.truth import compare_with
+    from hypose.app.jobs.job import TrackJob
     from hypose.io.files import claimed
     from hypose.io.motions.results import ResultsFolder
     from hypose.io.recordings.recording import load_recording
+    from hypose.pipeline.comparison import compare_with
     from hypose.pipeline.run import TrackOptions
     from hypose.synthetic.scenes import make_scene
     from hypose.synthetic.write_recording import check_folder, write_scene
@@ -170,11 +171,11 @@ def demo(
     say(f"Tracking it as `hypose track {shlex.quote(str(out))}` would")
     recording = load_recording(out)
     results = ResultsFolder.of(recording.folder, "default")
-    job = Job(recording, TrackOptions(), results, run={"threads": threads}, truth=compare_with(out / "truth.npz"))
+    job = TrackJob(recording, TrackOptions(), results, run={"threads": threads}, truth=compare_with(out / "truth.npz"))
     report_outcome(job, run_shown(job, list(context.find_root().obj or [])))
 
 
-def run_shown(job: Job, arguments: list[str]) -> tuple[Outcome, dict[str, float]]:
+def run_shown(job: TrackJob, arguments: list[str]) -> tuple[Outcome, dict[str, float]]:
     """Run a job with progress; when it is interrupted, say what was kept and how to go on, and exit with code 130."""
     from hypose.app.jobs.job import run_job
     from hypose.app.jobs.people_job import run_people
@@ -192,7 +193,7 @@ def run_shown(job: Job, arguments: list[str]) -> tuple[Outcome, dict[str, float]
 
 @contextlib.contextmanager
 def stopping(text: str | Callable[[], str] = "") -> Iterator[None]:
-    """Within the block Ctrl-C, and SIGTERM likewise, end the command in order, with exit code 130; text: what is said
+    """Within the block Ctrl-C, and SIGTERM likewise, end the command in order, with exit code 130; text: the message
     then."""
 
     def interrupt(number: int, frame: FrameType | None) -> None:
@@ -209,7 +210,7 @@ def stopping(text: str | Callable[[], str] = "") -> Iterator[None]:
         signal.signal(signal.SIGTERM, previous)
 
 
-def _kept(job: Job, arguments: list[str]) -> str:
+def _kept(job: TrackJob, arguments: list[str]) -> str:
     """What an interrupted run has kept, and how to go on."""
     from hypose.io.motions.results import load_motion
 
@@ -224,16 +225,16 @@ def _kept(job: Job, arguments: list[str]) -> str:
     return f"Stopped before the first frame was tracked, so nothing was kept. Start again with: {command}"
 
 
-def report_outcome(job: Job, finished: tuple[Outcome, dict[str, float]]) -> None:
+def report_outcome(job: TrackJob, finished: tuple[Outcome, dict[str, float]]) -> None:
     """The closing lines."""
     from hypose.app.reports.summary import require_found, summarize
 
     outcome, seconds = finished
     s = summarize(outcome.motion)
     for text in outcome.notes:
-        note(f"note: {text}")
-    views, told = len(job.recording.rig), int(outcome.motion.n_views.max(initial=0))
-    of = f"{told} of {views}" if 0 < told < views else f"{views}"  # as many as ever told anything at once
+        print_note(f"note: {text}")
+    views, reported = len(job.recording.rig), int(outcome.motion.n_views.max(initial=0))
+    of = f"{reported} of {views}" if 0 < reported < views else f"{views}"  # as many as ever reported anything at once
     parts = [f"{s.frames} frames in {of} views", f"{s.lost} lost", f"{s.extrapolated} extrapolated"]
     if s.iou == s.iou:
         parts.append(f"mean IoU {s.iou:.3f}")
@@ -248,17 +249,17 @@ def report_outcome(job: Job, finished: tuple[Outcome, dict[str, float]]) -> None
     if job.report:
         say(f"Report:  {job.results.file('report.html')}")
     require_found(outcome.motion, job.recording.name, job.results.path)
-    if outcome.verdict is not None:
-        tell_verdicts({"": outcome.verdict})
+    if outcome.assessment is not None:
+        print_assessments({"": outcome.assessment})
 
 
-def tell_verdicts(verdicts: Mapping[str, Verdict]) -> None:
-    """The verdict on everybody by their names (none of one person); exit code 3 when one is not to be trusted."""
-    from hypose.pipeline.verdict import EXIT_UNTRUSTED, UNTRUSTED
+def print_assessments(assessments: Mapping[str, Assessment]) -> None:
+    """The assessment on all people by their names (none of one person); exit code 3 when one is not to be trusted."""
+    from hypose.pipeline.assessment import EXIT_UNTRUSTED, UNTRUSTED
 
-    for name, verdict in verdicts.items():
-        say(f"Verdict{' on ' if name else ''}{name}: {verdict.sentence}", "bold")
-    if any(verdict.word == UNTRUSTED for verdict in verdicts.values()):
+    for name, assessment in assessments.items():
+        say(f"Assessment{' on ' if name else ''}{name}: {assessment.sentence}", "bold")
+    if any(assessment.word == UNTRUSTED for assessment in assessments.values()):
         raise typer.Exit(EXIT_UNTRUSTED)
 
 
@@ -293,10 +294,10 @@ def correct(
 ) -> None:
     """Track a result again from a frame whose pose was corrected; the frames before stay as they are."""
     set_threads(threads)
-    from hypose.app.jobs.correct import correct as track_again
+    from hypose.app.jobs.correct import corrected_motion as track_again
     from hypose.app.jobs.correct import read_correction
     from hypose.app.reports.summary import require_found
-    from hypose.app.studio.view_result import find_recording
+    from hypose.app.studio.view_bundle import find_recording
     from hypose.io.files import claimed
     from hypose.io.motions.results import ResultsFolder
 
@@ -320,7 +321,7 @@ def warm_up(threads: Threads = None) -> None:
     again after an update. Ends with a third of a second of a made-up person tracked, report and all."""
     set_threads(threads)
     from hypose import compute
-    from hypose.app.jobs.job import Job, run_job
+    from hypose.app.jobs.job import TrackJob, run_job
     from hypose.fusion.live import LiveFuser
     from hypose.io.motions.results import ResultsFolder
     from hypose.io.recordings.recording import load_recording
@@ -339,7 +340,7 @@ def warm_up(threads: Threads = None) -> None:
         progress("compile", 1, 1)
         scene, place = make_scene("walk", rig="humaneva-4", seconds=0.32, seed=1), Path(temporary)
         write_scene(scene, place, progress=lambda done, total: progress("render", done, total))
-        run_job(Job(load_recording(place), TrackOptions(), ResultsFolder(place / "results")), progress)
+        run_job(TrackJob(load_recording(place), TrackOptions(), ResultsFolder(place / "results")), progress)
     if not compute.kept(*parts):
         raise InputError(
             f"What was compiled could not all be kept in {folder}; make space there, see that it can be written, or "
@@ -418,7 +419,7 @@ def subject(
             body, toml = save_subject(folder, found, human(), loaded.name)
             picture = _picture(folder / "subject.png", loaded, source, found)
     for text in (*loaded.notes, *source.notes, *found.notes):
-        note(f"note: {text}")
+        print_note(f"note: {text}")
     sizes = found.sizes.in_cm
     say(f"Stature {sizes['stature']:.1f} cm, shoulder height {sizes['shoulder height']:.1f} cm; all sizes: {toml}")
     say(f"Picture: {picture}")
@@ -432,7 +433,7 @@ def _from_mesh(mesh: Path, unit: str, height: float | None, folder: Path) -> Non
     with claimed(folder):
         made = subject_from_mesh(mesh, folder, unit=unit, height=height)
     for text in made.notes:
-        note(f"note: {text}")
+        print_note(f"note: {text}")
     say(f"Body: {folder / 'body.npz'}")
 
 
@@ -441,12 +442,12 @@ def _picture(path: Path, recording: Recording, source: object, found: SubjectEst
     import numpy as np
 
     from hypose.app.jobs.checking import write_image
-    from hypose.app.reports.result_pictures import Drawing, draw_all, layout, open_images
+    from hypose.app.reports.result_pictures import Drawing, draw_all, open_images, tile_layout
     from hypose.io.recordings.frames import FrameStream
 
     assert isinstance(source, FrameStream)
     images = open_images(recording)
-    plan = layout([v.size for v in images])
+    plan = tile_layout([v.size for v in images])
     rows = []
     for k in sorted({0, len(found.frames) // 2}):
         frame = source.frame(found.frames[k])
@@ -489,11 +490,11 @@ def detect(
 
 
 def detected(loaded: Recording, frames: range, *, yes: bool, why: str) -> DetectedKeypoints:
-    """What the detector finds in frames of a recording, kept in its folder; of what is there already nothing is looked
-    at again. why: begins the sentence that says what is missing."""
-    from hypose.io.keypoints.read_keypoints import FOLDER, load_detected
+    """What the detector finds in frames of a recording, kept in its folder; of existing results nothing is looked
+    at again. why: begins the sentence that says the missing part."""
+    from hypose.io.keypoints.read_keypoints import KEYPOINT_FOLDER, load_detected
 
-    target = loaded.folder / FOLDER
+    target = loaded.folder / KEYPOINT_FOLDER
     network = open_network_asking(yes, why)
     before = load_detected(target)
     same = before is not None and dict(before.identity) == network.identity

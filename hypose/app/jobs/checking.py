@@ -11,12 +11,12 @@ import numpy as np
 from rich.table import Table
 
 from hypose.app.commands.console import ProgressCall, ignore
-from hypose.app.reports.check_page import residual_picture, write_page
+from hypose.app.reports.calibration_pages import residual_picture, write_check_page
 from hypose.app.reports.result_pictures import (
     Drawing,
     draw_all,
-    layout,
     open_images,
+    tile_layout,
 )
 from hypose.calibration.diagnostics import Cured, PersonReport, examine_and_cure
 from hypose.errors import EvidenceError, InputError
@@ -26,10 +26,10 @@ from hypose.geometry import Image
 from hypose.io.files import write_bytes, write_text
 from hypose.io.motions.results import to_json
 from hypose.io.recordings.frames import FrameStream
-from hypose.io.recordings.recording import Recording, View
+from hypose.io.recordings.recording import Recording, ViewSettings
 from hypose.io.recordings.recording_views import open_pictures
-from hypose.pipeline.examine import observe
 from hypose.pipeline.one_of_several import frames_to_examine
+from hypose.pipeline.recording_diagnostics import observe_recording
 
 _LOW_IOU = 0.6  # hull against mask: below this a view contradicts the others
 _HEIGHTS = (0.5, 2.6)  # m: what a person's hull can measure
@@ -87,7 +87,7 @@ def _name(path: Path | None) -> str:
     return "-" if path is None else path.name
 
 
-def _stream_facts(view: View) -> tuple[str, str, str]:
+def _stream_facts(view: ViewSettings) -> tuple[str, str, str]:
     if view.source is None and view.masks is None:
         return "-", "-", "-"
     with open_pictures(view) as reader:
@@ -97,7 +97,7 @@ def _stream_facts(view: View) -> tuple[str, str, str]:
 
 def check_recording(recording: Recording, sheet: Path, samples: int, progress: ProgressCall = ignore) -> Findings:
     """Masks and visual hulls of `samples` frames spread over the recording; writes the contact sheet. An EvidenceError
-    when nobody is in any of them."""
+    when no person is in any of them."""
     facts: list[str] = []
     warnings: list[str] = []
     progress("background", 0, 1)
@@ -151,7 +151,7 @@ def examine_recording(
     """The doctor on `frames` consecutive frames; writes the page. None when there is nothing to examine."""
     if len(recording.views) < 2 and all(view.depth is None for view in recording.views):
         return None, None
-    observed = observe(recording, frames, progress)
+    observed = observe_recording(recording, frames, progress)
     progress("doctor", 0, 1)
     try:
         report, cured = examine_and_cure(observed)
@@ -160,7 +160,7 @@ def examine_recording(
     finally:
         progress("doctor", 1, 1)
     picture = residual_picture(recording, observed, cured)
-    write_page(page, recording.name, report, sheet, picture, (*recording.notes, *found.facts), found.warnings)
+    write_check_page(page, recording.name, report, sheet, picture, (*recording.notes, *found.facts), found.warnings)
     return report, cured
 
 
@@ -258,7 +258,7 @@ def write_sheet(recording: Recording, source: FrameStream, path: Path, count: in
     numbers = recording.frames
     images = open_images(recording)
     try:
-        plan = layout([v.size for v in images])
+        plan = tile_layout([v.size for v in images])
         pictures = []
         for row in rows:
             what = Drawing(None, None, source.frame(row).silhouettes, f"frame {numbers[row]}")

@@ -44,7 +44,7 @@ HYPOSE = Paper(
     "hypose: human motion from ordinary cameras",
     (("version", f"version {__version__}"),),
 )
-THESIS = Paper(
+_THESIS = Paper(
     "alcoverro2014",
     "phdthesis",
     "Alcoverro, M.",
@@ -76,7 +76,7 @@ PARTITIONED = Paper(
     "Partitioned sampling, articulated objects, and interface-quality hand tracking",
     (("booktitle", "European Conference on Computer Vision"), ("pages", "3-19")),
 )
-SWARM = Paper(
+_SWARM = Paper(
     "asteriadis2013",
     "inproceedings",
     "Asteriadis, S. and Chatzitofis, A. and Zarpalas, D. and Alexiadis, D. S. and Daras, P.",
@@ -103,18 +103,18 @@ FORESTS = Paper(
 
 _THESIS_RECIPES = ("hpf", "hpf+", "hpf-apo", "hpf-apo+", "dd-hpf", "dd-hpf+", "dd-hpf+5", "dd-hpf+rivals")
 PAPERS: dict[str, tuple[Paper, ...]] = {
-    "default": (THESIS,),
+    "default": (_THESIS,),
     "sir": (CONDENSATION,),
     "apf": (ANNEALED,),
     "partitioned": (PARTITIONED,),
-    **dict.fromkeys(_THESIS_RECIPES, (THESIS,)),
-    "subject": (THESIS,),
+    **dict.fromkeys(_THESIS_RECIPES, (_THESIS,)),
+    "subject": (_THESIS,),
     "monocular": (MONOCULAR,),
-    "fusion-fit": (SWARM,),
-    "fusion-swarm": (SWARM,),
-    "fusion-published": (SWARM,),
-    "fusion-published-window": (SWARM,),
-    "gesture": (THESIS, FORESTS),
+    "fusion-fit": (_SWARM,),
+    "fusion-swarm": (_SWARM,),
+    "fusion-published": (_SWARM,),
+    "fusion-published-window": (_SWARM,),
+    "gesture": (_THESIS, FORESTS),
 }
 """Works behind each method; hypose itself comes on top."""
 
@@ -141,6 +141,6 @@ def papers_of(name: str) -> tuple[Paper, ...]:
     return (HYPOSE, *PAPERS.get(method, ()))  # the baselines of fusion are textbook filters
 
 
-def listed(papers: Sequence[Paper], bibtex: bool) -> str:
+def formatted_papers(papers: Sequence[Paper], bibtex: bool) -> str:
     """The works as text for people, or as BibTeX."""
     return "\n\n".join(p.bibtex for p in papers) if bibtex else "\n".join(p.text for p in papers)

@@ -12,13 +12,12 @@ from pathlib import Path
 import numpy as np
 
 from hypose import __version__
-from hypose.app.reports.charts import RIGHT, Axes, chart, over_known
+from hypose.app.reports.charts import RIGHT_COLOUR, Axes, chart, over_known
 from hypose.app.reports.summary import page
 from hypose.errors import InputError
 from hypose.io.files import write_text
-from hypose.io.motions.compared_files import read_other
 from hypose.io.motions.results import load_result
-from hypose.pipeline.comparison import Agreement, CompareOptions, Comparison, compare_motions
+from hypose.pipeline.comparison import Agreement, CompareOptions, Comparison, compare_motions, read_other
 from hypose.pipeline.settings import SETTINGS
 
 _AXES = ("x", "y", "z")
@@ -74,7 +73,7 @@ def mean_coverage(found: Comparison) -> float:
 
 
 def parse_joints(texts: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    """joint=MARKER+MARKER options -> markers by joint; an InputError for what is not understood."""
+    """joint=MARKER+MARKER options -> markers by joint; InputError for anything else."""
     from hypose.body.default_body import JOINT_NAMES
 
     out = {}
@@ -108,7 +107,7 @@ def write_csv(path: Path, compared: Sequence[Compared]) -> None:
     write_text(path, table.getvalue())
 
 
-def write_page(path: Path, compared: Sequence[Compared], failed: Sequence[str]) -> None:
+def write_comparison_page(path: Path, compared: Sequence[Compared], failed: Sequence[str]) -> None:
     """One file that opens from disk and loads nothing."""
     e = html.escape
     parts = [
@@ -162,6 +161,6 @@ def _number(value: float) -> str:
 
 def _errors(found: Comparison) -> str:
     axes = Axes(x="time (s)", y="distance (mm)", low=0)
-    for of, colour, label in ((np.nanmax, "#999999", "worst joint"), (np.nanmedian, RIGHT, "median joint")):
+    for of, colour, label in ((np.nanmax, "#999999", "worst joint"), (np.nanmedian, RIGHT_COLOUR, "median joint")):
         axes.line(found.times, over_known(of, found.errors), colour, label)
     return chart([[axes]], 270)

@@ -17,7 +17,7 @@ import numpy as np
 
 from hypose.app.commands.console import ProgressCall, ignore
 from hypose.app.jobs.job import compile_before
-from hypose.app.studio.view_result import load_view
+from hypose.app.studio.view_bundle import load_view
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.errors import InputError
@@ -28,9 +28,9 @@ from hypose.io.motions.export import export_motion, known_formats
 from hypose.io.motions.results import ResultsFolder, load_body, load_motion, save_body, save_motion
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording
-from hypose.pipeline.first_frame import GIVEN, Subject, SubjectOptions, find_subject
+from hypose.pipeline.first_frame import GIVEN, SubjectOptions, TrackedSubject, find_subject
 from hypose.pipeline.one_camera import FrameSource
-from hypose.pipeline.people_points import per_frame
+from hypose.pipeline.person_paths import per_frame
 from hypose.pipeline.run import TrackOptions, frames_wanted, track_source
 
 _READ_AT_ONCE = 64
@@ -69,7 +69,7 @@ def _is_frame(value: Any) -> bool:
     return isinstance(value, int) and not isinstance(value, bool) and value >= 0
 
 
-def correct(
+def corrected_motion(
     recording: Recording,
     old: ResultsFolder,
     correction: Correction,
@@ -103,7 +103,7 @@ def correct(
             source = Backwards(stream) if turned else stream
             subject = _subject(source, part, options, body, correction.pose)
             found = track_source(source, motion.frame_rate, sure, subject=subject, progress=progress).motion
-        return backwards(found) if turned else found
+        return _time_reversed(found) if turned else found
 
     if start < row:
         record["since"] = first + start
@@ -125,7 +125,7 @@ def correct(
 
 class Backwards:
     """The frames of a stream from the last to the first, as if time ran on. The stream is read forwards, some at a
-    time, since videos are dear to read in any other order."""
+    time, since videos are slow to read in any other order."""
 
     def __init__(self, stream: FrameStream) -> None:
         self._stream = stream
@@ -144,14 +144,14 @@ class Backwards:
         return replace(self._kept[number], index=turned, time=turned / self._stream.recording.frame_rate)
 
 
-def backwards(motion: Motion) -> Motion:
+def _time_reversed(motion: Motion) -> Motion:
     """A motion with its frames in the opposite order, at the same times."""
     return replace(motion, **per_frame(motion, np.arange(len(motion))[::-1]) | {"times": motion.times})
 
 
 _UNKNOWN = {
     **dict.fromkeys(("poses", "joints", "joint_covariance", "lost", "extrapolated", "n_views", "cost"), np.nan),
-    **{"doubtful": False, "doubtful_joints": False, "p_wrong": np.nan, "angle_sd": np.nan},
+    **{"low_confidence": False, "low_confidence_joints": False, "error_probability": np.nan, "angle_sd": np.nan},
     **{"systematic_covariance": 0.0, "rivals": np.nan, "rival_weights": 0},
 }
 """What a motion has of each frame, and what stands there where a part does not tell."""
@@ -160,14 +160,14 @@ _UNKNOWN = {
 def join(old: Motion, new: Motion, row: int, record: Mapping[str, Any] | None) -> Motion:
     """The motion `old` with the rows from `row` on replaced by those of `new`, and `record` among its corrections."""
     series, stop = {}, row + len(new)
-    if old.doubtful is None and new.doubtful is not None:
-        old = replace(old, doubtful=np.zeros(len(old), dtype=bool))
+    if old.low_confidence is None and new.low_confidence is not None:
+        old = replace(old, low_confidence=np.zeros(len(old), dtype=bool))
     for name, unknown in _UNKNOWN.items():
         before, after = getattr(old, name), getattr(new, name)
         if before is not None:
             series[name] = before.copy()
-            told = after is not None and after.shape == before[row:stop].shape
-            series[name][row:stop] = after if told else unknown
+            reported = after is not None and after.shape == before[row:stop].shape
+            series[name][row:stop] = after if reported else unknown
     if row:  # one branch of the root's rotation, so that nothing between the two parts turns around
         poses = series["poses"]
         for t in range(row, stop):
@@ -203,9 +203,9 @@ def _rows(motion: Motion, correction: Correction, first: int, until: int | None)
     return since - first, correction.frame - first, stop - first
 
 
-def _subject(source: FrameSource, part: Recording, options: TrackOptions, body: Body, pose: Array) -> Subject:
+def _subject(source: FrameSource, part: Recording, options: TrackOptions, body: Body, pose: Array) -> TrackedSubject:
     """The body as it is, at the corrected pose; where key points sit on it when they are evidence."""
     if options.looks_at == "silhouettes":
-        return Subject(body, None, pose, (GIVEN, _FROM_HERE))
+        return TrackedSubject(body, None, pose, (GIVEN, _FROM_HERE))
     wanted = SubjectOptions("keypoints", None, False, body, part.frame_rate, options.seed, known=True)
     return replace(find_subject(source.frame, len(source), wanted), start=pose, notes=(GIVEN, _FROM_HERE))

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.app.commands.console import ProgressCall, ignore
-from hypose.app.jobs.job import VERDICT
+from hypose.app.jobs.job import ASSESSMENT_FILE
 from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.errors import InputError
@@ -31,12 +31,12 @@ from hypose.io.sensors.skeleton_streams import (
     SensorStream,
     SkeletonRecording,
     common_times,
-    one_person,
+    join_observations,
     resample,
     shifted,
 )
-from hypose.pipeline.sensor_skeletons import fused_verdict
-from hypose.pipeline.verdict import Verdict
+from hypose.pipeline.assessment import Assessment
+from hypose.pipeline.sensor_skeletons import assess_fused
 
 POINT_FORMATS = ("trc", "c3d", "csv")
 """Formats that need no poses."""
@@ -47,7 +47,7 @@ _FOOT_HEIGHT_M = 0.08  # of the ankle, which stands for the foot, above the floo
 class FuseJob:
     """recording; results; method: of fusion.fuse.FUSION_METHODS; rate Hz of the result (None: the reference sensor's);
     reference: name of a sensor (None: the recording's); formats: of POINT_FORMATS; up: "person" (the mean direction
-    from hips to neck) or "sensor" (the reference sensor's y axis); diagnose: the swarm's choice of sensors beside the
+    from hips to neck) or "sensor" (the reference sensor's y axis); diagnose: the swarm's choice of sensors next to the
     result; seed; run: for the record only."""
 
     recording: SkeletonRecording
@@ -76,11 +76,11 @@ class FuseJob:
 
 @dataclass(frozen=True)
 class PersonResult:
-    """One person: motion (world, z up), the written files; verdict: whether it is to be trusted."""
+    """One person: motion (world, z up), the written files; assessment: whether it is to be trusted."""
 
     motion: Motion
     files: tuple[Path, ...]
-    verdict: Verdict
+    assessment: Assessment
 
 
 @dataclass(frozen=True)
@@ -134,8 +134,8 @@ def run_fuse(job: FuseJob, progress: ProgressCall = ignore) -> FuseOutcome:
             made = replace(made, motion=replace(made.motion, times=times[span]))
             if world is None:
                 world = world_from_sensor(made.motion, job.up)
-            verdict = fused_verdict(made.motion, clip, registration, names)
-            done.append(_write(job, made, world, folders[n], notes, verdict))
+            assessment = assess_fused(made.motion, clip, registration, names)
+            done.append(_write(job, made, world, folders[n], notes, assessment))
         progress("fuse", total, total)
         for n, person in enumerate(done):
             progress("export", n, len(done))
@@ -194,7 +194,7 @@ def _on_one_clock(streams: Sequence[SensorStream], notes: list[str]) -> list[Sen
 def _people(synced: Sequence[SensorStream], times: Array, notes: list[str]) -> list[list[SensorJoints]]:
     """One clip per person."""
     if all(s.positions.shape[1] == 1 for s in synced):
-        return [one_person(synced, times, [np.where(s.person_ids[:, 0] >= 0, 0, -1) for s in synced])]
+        return [join_observations(synced, times, [np.where(s.person_ids[:, 0] >= 0, 0, -1) for s in synced])]
     picks = [joint_set(s.joint_names).common for s in synced]
     instants = [_instant(synced, picks, n, float(t)) for n, t in enumerate(times)]
     tracker = PeopleTracker()
@@ -216,7 +216,7 @@ def _people(synced: Sequence[SensorStream], times: Array, notes: list[str]) -> l
         raise InputError("No person is seen long enough by any sensor to be followed; check the recording.")
     if dropped := len(columns) - len(kept):
         notes.append(f"{dropped} persons were seen for less than {least} frames and are left out")
-    return [one_person(synced, times, c) for c in kept]
+    return [join_observations(synced, times, c) for c in kept]
 
 
 def _instant(synced: Sequence[SensorStream], picks: Sequence[NDArray[np.int64]], n: int, time: float) -> Instant:
@@ -257,7 +257,7 @@ def world_from_sensor(motion: Motion, up: str) -> Array:
 
 
 def _write(
-    job: FuseJob, fused: Fused, world: Array, folder: ResultsFolder, notes: Sequence[str], verdict: Verdict
+    job: FuseJob, fused: Fused, world: Array, folder: ResultsFolder, notes: Sequence[str], assessment: Assessment
 ) -> PersonResult:
     settings = {
         "method": job.method,
@@ -273,9 +273,9 @@ def _write(
     motion = replace(fused.motion, joints=transform(world, fused.motion.joints), provenance=json.loads(to_json(record)))
     save_motion(motion, folder.motion)
     files = [folder.motion, folder.write_json("provenance.json", record)]
-    files.append(folder.write_json(VERDICT, verdict.document()))
+    files.append(folder.write_json(ASSESSMENT_FILE, assessment.document()))
     write_text(folder.file("sensors.csv"), sensors_csv(fused))
-    return PersonResult(motion, (*files, folder.file("sensors.csv")), verdict)
+    return PersonResult(motion, (*files, folder.file("sensors.csv")), assessment)
 
 
 def sensors_csv(fused: Fused) -> str:

@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+import json
+import os
 import queue
+import shlex
+import shutil
+import subprocess
 import sys
 import threading
 import time as clock
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
-from hypose.app.live.gesture_sources import Source, Taken
+from hypose.app.live.gesture_sources import GestureSource, Taken
+from hypose.app.live.osc import OscTarget, osc_message
+from hypose.app.live.servers import SocketListeners
 from hypose.compute import ScanPlan
 from hypose.errors import EvidenceError, InputError
 from hypose.gestures.depth_pictures import surface_depth
@@ -25,7 +33,7 @@ from hypose.gestures.session import Command, Instruction, SessionSettings
 from hypose.gestures.trainer import Feedback, Trainer
 from hypose.pipeline.gesture_files import GestureRecording, SessionWriter, content_of, load_model
 
-Say = Callable[[str], None]
+_Say = Callable[[str], None]
 KEYS: dict[str, Command] = {
     "n": "next",
     "u": "undo",
@@ -71,7 +79,7 @@ def growing_model(path: Path, gesture: str) -> GestureModel:
     return model
 
 
-def replaced_model(path: Path, gesture: str, say: Say) -> None:
+def replaced_model(path: Path, gesture: str, say: _Say) -> None:
     """Say, before anything is learned, that a model will be replaced; an InputError when the file is another gesture's
     or no model."""
     try:
@@ -85,14 +93,14 @@ def replaced_model(path: Path, gesture: str, say: Say) -> None:
 
 
 def run_session(
-    source: Source,
+    source: GestureSource,
     gesture: str,
     learner: Learner,
     settings: SessionSettings,
     *,
     record: Path | None,
     commands: Callable[[], list[Command]] = list,
-    say: Say,
+    say: _Say,
     model: GestureModel | None = None,
 ) -> GestureModel:
     """An interactive session until its test begins or the source ends; the model it leaves. Everything is recorded."""
@@ -115,13 +123,13 @@ def run_session(
 
 
 def record_session(
-    source: Source,
+    source: GestureSource,
     gesture: str,
     settings: SessionSettings,
     *,
     record: Path,
     commands: Callable[[], list[Command]] = list,
-    say: Say,
+    say: _Say,
 ) -> None:
     """The same session with its prompts, recorded and not learned from."""
     _follow(source, gesture, Trainer(new_learner(0), settings), record=record, commands=commands, say=say, learn=False)
@@ -142,13 +150,13 @@ class _Counts:
 
 
 def _follow(
-    source: Source,
+    source: GestureSource,
     gesture: str,
     trainer: Trainer,
     *,
     record: Path | None,
     commands: Callable[[], list[Command]],
-    say: Say,
+    say: _Say,
     learn: bool,
 ) -> _Counts:
     """Lead through a session until its test begins or the source ends."""
@@ -208,7 +216,7 @@ def learn_recordings(
     gesture: str,
     learner: Learner,
     passes: int,
-    say: Say,
+    say: _Say,
     old: GestureModel | None = None,
 ) -> GestureModel:
     """A forest taught with recorded sessions in the order of time, as the live session would have; old: the model that
@@ -246,28 +254,28 @@ class Watched:
     events: list[Event]
 
 
-EMPTY = 30
+_EMPTY = 30
 """Frames in a row without usable depth after which it is said that there is nothing to see."""
 
 
 def watch(
-    source: Source,
+    source: GestureSource,
     models: Sequence[GestureModel],
     settings: LocaliseSettings,
     limits: Sequence[EventSettings],
-    say: Say = lambda text: None,
+    say: _Say = lambda text: None,
 ) -> Iterator[Watched]:
     """Look for the gestures of all models in every frame of a source; say: takes a sentence when nothing is near. An
     EvidenceError at the end of a source in which nothing ever was."""
-    forests, plan, empty, near = finished(models), settings.plan, 0, False
+    forests, plan, empty, near = loaded_forests(models), settings.plan, 0, False
     scratch, state = Scratch(), EventState()
     try:
         while (taken := source.take("free")) is not None:
             some = taken.depth[::8, ::8]
             empty = 0 if ((some >= plan.near_mm) & (some <= plan.far_mm)).any() else empty + 1
             near = near or not empty
-            if empty == EMPTY:
-                say(f"{source.name}: {EMPTY} frames have no depth {_range(plan)}, where gestures are looked for.")
+            if empty == _EMPTY:
+                say(f"{source.name}: {_EMPTY} frames have no depth {_range(plan)}, where gestures are looked for.")
             found = localise(taken.depth, source.lens, forests, settings, scratch)
             state, events = detect_events(state, found, taken.time, limits)
             yield Watched(taken.time, found, events)
@@ -280,7 +288,7 @@ def watch(
         source.close()
 
 
-def finished(models: Sequence[GestureModel]) -> list[Forest]:
+def loaded_forests(models: Sequence[GestureModel]) -> list[Forest]:
     """The models' forests; InputError when they cannot look together."""
     if len(models) > 1 and any(len(m.names) > 1 for m in models):
         raise InputError("A model of several gestures is used alone; give one model per gesture, or that one.")
@@ -314,12 +322,12 @@ def thresholds(models: Sequence[GestureModel], given: float | None) -> list[floa
     return out
 
 
-def evaluate(model: GestureModel, recording: GestureRecording) -> dict[str, float]:
+def evaluate_model(model: GestureModel, recording: GestureRecording) -> dict[str, float]:
     """AP at 10 px and 5 cm, hits at the threshold, false alarms, over the labelled frames of a recording."""
     name = model.names[0]
     if len(model.names) > 1:
         raise InputError("A model of several gestures cannot be judged here; give a model of one gesture.")
-    number, forest = recording.number(name), finished([model])[0]
+    number, forest = recording.number(name), loaded_forests([model])[0]
     scratch, plan = Scratch(), model.settings.plan
     scores, px, metres, measured = [], [], [], 0
     for f in recording.learned():
@@ -351,3 +359,118 @@ def evaluate(model: GestureModel, recording: GestureRecording) -> dict[str, floa
         out["found_share"] = float(((s >= t) & (m <= 0.05))[shown].mean()) if shown.any() else 0.0
         out["false_share"] = float((s >= t)[~shown].mean()) if (~shown).any() else 0.0
     return out
+
+
+# ---- gesture outputs -----------------------------------------------------------------------------------------------
+# Where the events of gestures go: JSON lines, OSC, WebSocket, commands of this computer.
+
+
+MOST_COMMANDS = 8
+"""That run at a time; what a gesture would set off beyond them is left out."""
+WAITING = 256
+"""Texts that wait for a slow listener."""
+
+
+def event_line(event: Event, names: Sequence[str]) -> str:
+    """One JSON line of an event."""
+    value = {
+        "event": event.kind,
+        "gesture": names[event.gesture - 1],
+        "time": round(event.time, 4),
+        "x": round(event.x, 1),
+        "y": round(event.y, 1),
+        "position": None if event.position is None else [round(float(v), 4) for v in event.position],
+        "score": round(event.score, 3),
+    }
+    return json.dumps(value)
+
+
+class Out(Protocol):
+    """Takes every frame that was looked at."""
+
+    def send(self, watched: Watched, /) -> None:
+        """One frame."""
+        ...
+
+    def close(self) -> None:
+        """The end."""
+        ...
+
+
+class OscOut:
+    """Sends every frame by OSC: /gesture/NAME score x y z, /gesture/NAME/start and /end, and Wekinator's /wek/outputs
+    (each gesture's score over its threshold, at most 1)."""
+
+    def __init__(self, target: str, names: Sequence[str], limits: Sequence[float]) -> None:
+        self._target = OscTarget(target)
+        self._names, self._limits = list(names), list(limits)
+
+    def send(self, watched: Watched) -> None:
+        """One frame."""
+        messages = []
+        for f in watched.found:
+            p = (0.0, 0.0, 0.0) if f.position is None else tuple(float(v) for v in f.position)
+            messages.append(osc_message(f"/gesture/{self._names[f.gesture - 1]}", float(f.score), *p))
+        for e in watched.events:
+            messages.append(osc_message(f"/gesture/{self._names[e.gesture - 1]}/{e.kind}", float(e.score)))
+        shares = [min(1.0, f.score / limit) for f, limit in zip(watched.found, self._limits, strict=True)]
+        messages.append(osc_message("/wek/outputs", *shares))
+        self._target.send(messages)
+
+    def close(self) -> None:
+        """Let go of the socket."""
+        self._target.close()
+
+
+class WebSocketOut:
+    """Sends JSON text to a person who connects to ws://127.0.0.1:PORT: every event as on stdout, and every frame
+    {"time", "scores": {name: cm^2}}; see `SocketListeners`."""
+
+    def __init__(self, port: int, names: Sequence[str]) -> None:
+        self._names, self._listeners = list(names), SocketListeners(port, WAITING)
+
+    @property
+    def port(self) -> int:
+        """The port that is listened on."""
+        return self._listeners.port
+
+    def send(self, watched: Watched) -> None:
+        """One frame."""
+        scores = {self._names[f.gesture - 1]: round(f.score, 3) for f in watched.found}
+        self._listeners.post(json.dumps({"time": round(watched.time, 4), "scores": scores}))
+        for e in watched.events:
+            self._listeners.post(event_line(e, self._names))
+
+    def close(self) -> None:
+        """Stop listening, after what was sent."""
+        self._listeners.close()
+
+
+class CommandOut:
+    """Runs a command when a gesture starts, {gesture} in it replaced by its name; with {event} in it, at ends too
+    (start, end). No shell reads it; it is not waited for."""
+
+    def __init__(self, text: str, names: Sequence[str]) -> None:
+        try:
+            self._words = shlex.split(text, posix=os.name != "nt")
+        except ValueError as error:
+            raise InputError(f"--command {text!r} cannot be read ({error}); close its quotes.") from None
+        if not self._words or shutil.which(self._words[0]) is None:
+            raise InputError(f"--command {text!r}: there is no such program; give one that runs in this terminal.")
+        self._names, self._ends = list(names), "{event}" in text
+        # the user's own program imports what lies next to it
+        self._environment = {k: v for k, v in os.environ.items() if k != "PYTHONSAFEPATH"}
+        self._running: list[subprocess.Popen[bytes]] = []
+
+    def send(self, watched: Watched) -> None:
+        """One frame."""
+        self._running = [p for p in self._running if p.poll() is None]
+        for e in watched.events:
+            if (e.kind == "start" or self._ends) and len(self._running) < MOST_COMMANDS:
+                name = self._names[e.gesture - 1]
+                words = [w.replace("{gesture}", name).replace("{event}", e.kind) for w in self._words]
+                nowhere = subprocess.DEVNULL
+                self._running.append(subprocess.Popen(words, stdin=nowhere, stdout=nowhere, env=self._environment))
+
+    def close(self) -> None:
+        """What still runs goes on by itself."""

@@ -19,43 +19,43 @@ from hypose.body.body import Body
 from hypose.body.motion import Motion
 from hypose.errors import InputError
 from hypose.io.files import check_writable, read_json
-from hypose.io.motions.export import FORMATS, export_motion, known_formats
+from hypose.io.motions.export import MOTION_FORMATS, export_motion, known_formats
 from hypose.io.motions.results import (
     ResultsFolder,
-    identity,
     load_body,
     load_modes,
     load_motion,
     provenance,
+    provenance_identity,
     save_body,
     to_json,
 )
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import Recording
 from hypose.io.sensors.skeleton_streams import SkeletonRecording
+from hypose.pipeline.assessment import Assessment
 from hypose.pipeline.first_frame import SubjectOptions
 from hypose.pipeline.one_camera import POINT_STARTS, clicks_of, depth_note
 from hypose.pipeline.run import MODES, TrackOptions, TrackResult, check_views, frames_wanted
 from hypose.pipeline.subject_from_motion import load_subject, subject_file
 from hypose.pipeline.track import track_person
-from hypose.pipeline.verdict import Verdict
 from hypose.tracking.recipes import RECIPES, citation_of
 
 if TYPE_CHECKING:
-    from hypose.app.jobs.truth import Truth
+    from hypose.pipeline.comparison import Truth
 
-VERDICT = "verdict.json"
+ASSESSMENT_FILE = "assessment.json"
 
 
 @dataclass(frozen=True)
-class Job:
-    """What is to be done with one recording.
+class TrackJob:
+    """The task with one recording.
 
-    recording: its frame_range is what is tracked
+    recording: its frame_range is tracked
     results: where files go
     formats: of hypose.io.motions.export
     overlay, report: write overlay.mp4, report.html
-    resume: go on from a checkpoint, or fill in what is missing of a complete run
+    resume: go on from a checkpoint, or fill in the missing part of a complete run
     run: of the machine, for the record only
     truth: compares the motion with a known truth, for synthetic recordings
     people: None: one person; or 'all', how many at most, or a name (hypose.app.jobs.people_job)
@@ -65,7 +65,7 @@ class Job:
     recording: Recording
     options: TrackOptions
     results: ResultsFolder
-    formats: Sequence[str] = tuple(FORMATS)
+    formats: Sequence[str] = tuple(MOTION_FORMATS)
     overlay: bool = True
     report: bool = True
     resume: bool = False
@@ -78,7 +78,7 @@ class Job:
 @dataclass(frozen=True)
 class Outcome:
     """What came out. files: written paths in order; notes: for the user; truth: the comparison, if there was one;
-    verdict: whether it is to be trusted, None where nobody has looked."""
+    assessment: whether it is to be trusted, None where no one has looked."""
 
     motion: Motion
     body: Body
@@ -86,7 +86,7 @@ class Outcome:
     files: tuple[Path, ...]
     notes: tuple[str, ...]
     truth: Truth | None = None
-    verdict: Verdict | None = None
+    assessment: Assessment | None = None
 
 
 def choose_frames(recording: Recording, text: str | None) -> Recording:
@@ -113,7 +113,7 @@ def people_results(recording_folder: Path, recipe: str) -> ResultsFolder:
     return ResultsFolder.of(recording_folder, "people" if recipe == "default" else f"{recipe}-people")
 
 
-def run_job(job: Job, progress: ProgressCall = ignore, seconds: Mapping[str, float] | None = None) -> Outcome:
+def run_job(job: TrackJob, progress: ProgressCall = ignore, seconds: Mapping[str, float] | None = None) -> Outcome:
     """Track, export, draw and report. seconds: filled by the progress while this runs, read for the report.
 
     KeyboardInterrupt while tracking gives an Outcome with complete=False (checkpoint and partial motion are on disk);
@@ -137,19 +137,19 @@ def run_job(job: Job, progress: ProgressCall = ignore, seconds: Mapping[str, flo
             tracked = finished
         notes = (*recording.notes, *source.notes, *tracked.notes)
         files = [results.motion, results.file("body.npz"), results.file("provenance.json")]
-        verdict = _verdict(tracked, results, finished is not None)
-        files.append(results.file(VERDICT))
+        assessment = _assessment(tracked, results, finished is not None)
+        files.append(results.file(ASSESSMENT_FILE))
         if tracked.modes is not None:
             files.insert(1, results.file(MODES))
         truth = job.truth(tracked.motion, tracked.body) if job.truth is not None else None
         if not tracked.complete:
             return Outcome(tracked.motion, tracked.body, False, tuple(files), notes, truth)
         files += export_all(job, tracked.motion, tracked.body, progress)
-        said = (f"Verdict: {verdict.sentence}", *notes)
+        said = (f"Assessment: {assessment.sentence}", *notes)
         if job.overlay or job.report:
             files += _draw(job, options, tracked, source, said, truth, files, progress, seconds or {})
     remove_stale(results, files)
-    return Outcome(tracked.motion, tracked.body, True, tuple(files), notes, truth, verdict)
+    return Outcome(tracked.motion, tracked.body, True, tuple(files), notes, truth, assessment)
 
 
 def compile_before(progress: ProgressCall, *parts: str) -> None:
@@ -171,17 +171,17 @@ def _kernels(recording: Recording, options: TrackOptions) -> tuple[str, ...]:
     return masks if all(view.masks is not None for view in recording.views) else (*masks, "pictures")
 
 
-def _verdict(tracked: TrackResult, results: ResultsFolder, before: bool) -> Verdict:
-    """The verdict on what was tracked, written; or what was written before, when that can be read."""
+def _assessment(tracked: TrackResult, results: ResultsFolder, before: bool) -> Assessment:
+    """The assessment on what was tracked, written; or what was written before, when that can be read."""
     if before:
         with contextlib.suppress(InputError, ValueError, KeyError, TypeError):
-            return Verdict.of_document(read_json(results.file(VERDICT), "a verdict"))
-    results.write_json(VERDICT, tracked.verdict.with_joints(tracked.motion))
-    return tracked.verdict
+            return Assessment.of_document(read_json(results.file(ASSESSMENT_FILE), "an assessment"))
+    results.write_json(ASSESSMENT_FILE, tracked.assessment.with_joints(tracked.motion))
+    return tracked.assessment
 
 
 def _track(
-    job: Job, options: TrackOptions, source: FrameStream, record: Mapping[str, Any], progress: ProgressCall
+    job: TrackJob, options: TrackOptions, source: FrameStream, record: Mapping[str, Any], progress: ProgressCall
 ) -> TrackResult:
     if (skeletons := job.skeletons) is not None:
         from hypose.pipeline.sensor_skeletons import fuse_mixture, skeletons_at_frames
@@ -206,7 +206,7 @@ def _track(
     )
 
 
-def check_job(job: Job) -> None:
+def check_job(job: TrackJob) -> None:
     """Refuse now what would be refused only after minutes of work."""
     options = job.options
     known_formats(job.formats)
@@ -232,7 +232,7 @@ def check_job(job: Job) -> None:
         )
 
 
-def record_of(job: Job) -> dict[str, Any]:
+def record_of(job: TrackJob) -> dict[str, Any]:
     """The provenance: everything that decides the result, and the run."""
     recording, options = job.recording, job.options
     frames = recording.frames
@@ -253,14 +253,16 @@ def record_of(job: Job) -> dict[str, Any]:
     return provenance(options.recipe, options.seed, settings, inputs, job.run)
 
 
-def finished_before(job: Job, record: Mapping[str, Any]) -> TrackResult | None:
+def finished_before(job: TrackJob, record: Mapping[str, Any]) -> TrackResult | None:
     """The complete motion of an earlier run with the same inputs and settings, when only later files may be missing."""
     results = job.results
     body = results.file("body.npz")
     if results.checkpoint.exists() or not results.motion.exists() or not body.exists():
         return None
     motion = load_motion(results.motion)
-    if to_json(identity(motion.provenance)) != to_json(identity(record)) or len(motion) != len(job.recording.frames):
+    if to_json(provenance_identity(motion.provenance)) != to_json(provenance_identity(record)) or len(motion) != len(
+        job.recording.frames
+    ):
         return None
     notes, modes = ("tracked in an earlier run with the same inputs and settings",), None
     if job.options.of_picture:
@@ -271,7 +273,7 @@ def finished_before(job: Job, record: Mapping[str, Any]) -> TrackResult | None:
     return TrackResult(motion, load_body(body), True, notes, modes)
 
 
-def export_all(job: Job, motion: Motion, body: Body, progress: ProgressCall) -> list[Path]:
+def export_all(job: TrackJob, motion: Motion, body: Body, progress: ProgressCall) -> list[Path]:
     """The motion in all the formats that are wanted."""
     written: list[Path] = []
     for done, name in enumerate(job.formats):
@@ -282,7 +284,7 @@ def export_all(job: Job, motion: Motion, body: Body, progress: ProgressCall) -> 
 
 
 def _draw(
-    job: Job,
+    job: TrackJob,
     options: TrackOptions,
     tracked: TrackResult,
     source: FrameStream,
@@ -293,8 +295,8 @@ def _draw(
     seconds: Mapping[str, float],
 ) -> list[Path]:
     """Overlay and report."""
-    from hypose.app.reports.overlay import PictureRows, Shown, write_overlay
-    from hypose.app.reports.report import draw
+    from hypose.app.reports.overlay import OverlayRows, PictureRows, write_overlay
+    from hypose.app.reports.report import report_pictures
     from hypose.app.studio.view_bundle import Rivals, ViewResult, pictured
 
     recording, motion, body, modes = job.recording, tracked.motion, tracked.body, tracked.modes
@@ -314,10 +316,10 @@ def _draw(
         rivals=Rivals.of_motion(motion) if modes is None else Rivals.of(modes.joints, modes.weights),
     )
 
-    def overlay(path: Path, wanted: PictureRows) -> Shown:
+    def overlay(path: Path, wanted: PictureRows) -> OverlayRows:
         return write_overlay(path, recording, source, motion, body, wanted, progress)
 
-    return draw(job.results, about, overlay, files, (job.overlay, job.report), progress)
+    return report_pictures(job.results, about, overlay, files, (job.overlay, job.report), progress)
 
 
 def remove_stale(results: ResultsFolder, written: Sequence[Path]) -> None:

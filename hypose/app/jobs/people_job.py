@@ -11,10 +11,19 @@ from urllib.parse import quote
 import numpy as np
 
 from hypose.app.commands.console import ProgressCall, ignore
-from hypose.app.jobs.job import VERDICT, Job, Outcome, check_job, compile_before, export_all, record_of, remove_stale
-from hypose.app.reports.overlay import PictureRows, Shown, colour_of, write_overlay, write_people_overlay
-from hypose.app.reports.report import draw
-from hypose.app.reports.summary import POLICY, page
+from hypose.app.jobs.job import (
+    ASSESSMENT_FILE,
+    Outcome,
+    TrackJob,
+    check_job,
+    compile_before,
+    export_all,
+    record_of,
+    remove_stale,
+)
+from hypose.app.reports.overlay import OverlayRows, PictureRows, colour_of, write_overlay, write_people_overlay
+from hypose.app.reports.report import report_pictures
+from hypose.app.reports.summary import CONTENT_POLICY, page
 from hypose.app.studio.view_bundle import Rivals, ViewResult, pictured
 from hypose.errors import InputError
 from hypose.io.files import check_writable
@@ -22,21 +31,21 @@ from hypose.io.motions.c3d import write_c3d
 from hypose.io.motions.gltf import write_people_glb
 from hypose.io.motions.results import ResultsFolder, save_body
 from hypose.io.recordings.frames import FrameStream
-from hypose.pipeline.doubts import in_words
+from hypose.pipeline.assessment import UNTRUSTED, Assessment
+from hypose.pipeline.frame_anomalies import in_words
 from hypose.pipeline.one_of_several import chosen_people, keypoint_people, people_frames, wanted_of
 from hypose.pipeline.people_run import PeopleRun
 from hypose.pipeline.run import check_views
-from hypose.pipeline.tracked_people import OnePerson, Wanted, said_of_places
-from hypose.pipeline.verdict import UNTRUSTED, Verdict
+from hypose.pipeline.tracked_people import TrackedPerson, Wanted, said_of_places
 from hypose.tracking.contacts import runs
 from hypose.tracking.recipes import citation_of
 
 PEOPLE = "people.json"
 
 
-def run_people(job: Job, people: str, progress: ProgressCall = ignore) -> Outcome:
+def run_people(job: TrackJob, people: str, progress: ProgressCall = ignore) -> Outcome:
     """Track several people, export, draw and report; as `run_job` for one. The outcome is that of the first person,
-    with everybody's files and the worst verdict."""
+    with all people's files and the worst assessment."""
     recording, options, results = job.recording, job.options, job.results
     check_job(job)
     check_views(recording)
@@ -67,7 +76,7 @@ def run_people(job: Job, people: str, progress: ProgressCall = ignore) -> Outcom
             keypoint_people(recording, source.rig) if options.looks_at != "silhouettes" else None,
         )()
         shown = [p for p in found.people if only is None or p.name == only]
-        absent = "" if shown else _nobody_called(str(only), wanted, found.people)
+        absent = "" if shown else _no_such_person(str(only), wanted, found.people)
         for why in said_of_places([w for w in wanted if w.name == only], len(found.people) + found.others):
             absent = f"who of several people is {only} is not known: {why}"
         shown = shown or list(found.people)
@@ -82,13 +91,13 @@ def run_people(job: Job, people: str, progress: ProgressCall = ignore) -> Outcom
             files += top
             remove_stale(results, [*top])
     first = shown[0]
-    verdict = Verdict(UNTRUSTED, (absent,)) if absent else worst_verdict(shown)
-    results.write_json(VERDICT, verdict.document())
+    assessment = Assessment(UNTRUSTED, (absent,)) if absent else worst_assessment(shown)
+    results.write_json(ASSESSMENT_FILE, assessment.document())
     said = (*notes, *(f"{p.name}: {n}" for p in shown for n in p.result.notes))
-    return Outcome(first.result.motion, first.result.body, found.complete, tuple(files), said, None, verdict)
+    return Outcome(first.result.motion, first.result.body, found.complete, tuple(files), said, None, assessment)
 
 
-def _nobody_called(name: str, wanted: Sequence[Wanted], people: Sequence[OnePerson]) -> str:
+def _no_such_person(name: str, wanted: Sequence[Wanted], people: Sequence[TrackedPerson]) -> str:
     """That the one who was asked for is not there, and who is."""
     one = next(w for w in wanted if w.name == name)
     return (
@@ -97,30 +106,30 @@ def _nobody_called(name: str, wanted: Sequence[Wanted], people: Sequence[OnePers
     )
 
 
-def worst_verdict(people: Sequence[OnePerson]) -> Verdict:
-    """Of several people: the worst word, and what each verdict says."""
-    verdicts = {p.name: p.verdict for p in people}
+def worst_assessment(people: Sequence[TrackedPerson]) -> Assessment:
+    """Of several people: the worst word, and what each assessment says."""
+    assessments = {p.name: p.assessment for p in people}
     order = ("good", "look", UNTRUSTED)
-    word = max((v.word for v in verdicts.values()), key=order.index)
-    because = [f"{name}: {v.sentence}" for name, v in verdicts.items() if v.word == word and v.because]
-    frames = tuple(r for v in verdicts.values() if v.word == word for r in v.frames)
-    return Verdict(word, tuple(because), () if word == UNTRUSTED else frames)
+    word = max((v.word for v in assessments.values()), key=order.index)
+    because = [f"{name}: {v.sentence}" for name, v in assessments.items() if v.word == word and v.because]
+    frames = tuple(r for v in assessments.values() if v.word == word for r in v.frames)
+    return Assessment(word, tuple(because), () if word == UNTRUSTED else frames)
 
 
-def _written(one: OnePerson, results: ResultsFolder) -> list[Path]:
+def _written(one: TrackedPerson, results: ResultsFolder) -> list[Path]:
     """What of one person there is before anything is drawn."""
     save_body(one.result.body, results.file("body.npz"))
     results.write_json("provenance.json", one.result.motion.provenance)
-    results.write_json(VERDICT, {**one.verdict.with_joints(one.result.motion), "there": _there(one)})
-    return [results.file(n) for n in ("motion.npz", "body.npz", "provenance.json", VERDICT)]
+    results.write_json(ASSESSMENT_FILE, {**one.assessment.with_joints(one.result.motion), "there": _there(one)})
+    return [results.file(n) for n in ("motion.npz", "body.npz", "provenance.json", ASSESSMENT_FILE)]
 
 
-def _there(one: OnePerson) -> list[list[int]]:
+def _there(one: TrackedPerson) -> list[list[int]]:
     return [[r.start, r.stop] for r in runs(one.present)]
 
 
 def _one_report(
-    job: Job, one: OnePerson, source: FrameStream, written: Sequence[Path], progress: ProgressCall
+    job: TrackJob, one: TrackedPerson, source: FrameStream, written: Sequence[Path], progress: ProgressCall
 ) -> list[Path]:
     """Motion files and report of one person."""
     own = replace(job, results=ResultsFolder(job.results.path / one.name), overlay=False)
@@ -134,26 +143,26 @@ def _one_report(
         rig=job.recording.rig,
         image_shifts=[v.image_shift for v in job.recording.views],
         pictures=pictured(job.recording),
-        notes=(f"Verdict: {one.verdict.sentence}", *one.result.notes),
+        notes=(f"Assessment: {one.assessment.sentence}", *one.result.notes),
         citation=citation_of(job.options.recipe, job.options.refine),
         complete=one.result.complete,
         first_frame=job.recording.frames.start,
         rivals=Rivals.of_motion(motion),
     )
 
-    def overlay(path: Path, wanted: PictureRows) -> Shown:
+    def overlay(path: Path, wanted: PictureRows) -> OverlayRows:
         return write_overlay(path, job.recording, source, motion, body, wanted, progress)
 
     if job.report:
-        files += draw(own.results, about, overlay, mine, (False, True), progress)
+        files += report_pictures(own.results, about, overlay, mine, (False, True), progress)
     remove_stale(own.results, [*mine, *files])
     return files
 
 
 def _together(
-    job: Job, people: Sequence[OnePerson], source: FrameStream, notes: Sequence[str], progress: ProgressCall
+    job: TrackJob, people: Sequence[TrackedPerson], source: FrameStream, notes: Sequence[str], progress: ProgressCall
 ) -> list[Path]:
-    """Overlay, C3D, GLB and index with everybody."""
+    """Overlay, C3D, GLB and index with all people."""
     results, files = job.results, list[Path]()
     if job.overlay:
         path = results.file("overlay.mp4")
@@ -169,7 +178,7 @@ def _together(
         {
             "name": p.name,
             "folder": p.name,
-            "verdict": p.verdict.word,
+            "assessment": p.assessment.word,
             "there": _there(p),
             "stature": p.result.body.stature,
         }
@@ -178,11 +187,11 @@ def _together(
     files.append(results.write_json(PEOPLE, {"people": about, "notes": list(notes)}))
     if job.report:
         files.append(results.write_text("report.html", _index(job, people, notes)))
-    files.append(results.file(VERDICT))
+    files.append(results.file(ASSESSMENT_FILE))
     return files
 
 
-def write_people_c3d(path: Path, people: Sequence[OnePerson]) -> Path:
+def write_people_c3d(path: Path, people: Sequence[TrackedPerson]) -> Path:
     """Joint centres of all, named NAME:JOINT, as one C3D with its subjects; points of who is not there are not seen."""
     subjects = [p.name.replace(" ", "-").replace(":", "-") for p in people]
     names = [f"{s}:{j}" for s, p in zip(subjects, people, strict=True) for j in p.result.motion.skeleton.joint_names]
@@ -197,8 +206,8 @@ def write_people_c3d(path: Path, people: Sequence[OnePerson]) -> Path:
     return path
 
 
-def _index(job: Job, people: Sequence[OnePerson], notes: Sequence[str]) -> str:
-    """A page that leads to everybody's report."""
+def _index(job: TrackJob, people: Sequence[TrackedPerson], notes: Sequence[str]) -> str:
+    """A page that leads to all people's report."""
     rows = []
     for k, p in enumerate(people):
         b, g, r = colour_of(k)
@@ -208,11 +217,11 @@ def _index(job: Job, people: Sequence[OnePerson], notes: Sequence[str]) -> str:
             f'<a href="{html.escape(quote(p.name), quote=True)}/report.html">{html.escape(p.name)}</a>',
             f"{p.result.body.stature:.2f} m",
             html.escape(there),
-            html.escape(p.verdict.sentence),
+            html.escape(p.assessment.sentence),
         )
         rows.append("<tr>" + "".join(f"<td>{c}</td>" for c in cells) + "</tr>")
     film = '<p><video src="overlay.mp4" controls></video></p>' if job.overlay else ""
     said = "".join(f"<li>{html.escape(n)}</li>" for n in notes)
-    heads = "".join(f"<th>{h}</th>" for h in ("", "person", "height", "there", "verdict"))
+    heads = "".join(f"<th>{h}</th>" for h in ("", "person", "height", "there", "assessment"))
     body = f"<h1>{html.escape(job.recording.name)}</h1><table><tr>{heads}</tr>{''.join(rows)}</table>"
-    return page(job.recording.name, f"{body}{film}<ul>{said}</ul>", policy=f"{POLICY}; media-src 'self'")
+    return page(job.recording.name, f"{body}{film}<ul>{said}</ul>", policy=f"{CONTENT_POLICY}; media-src 'self'")

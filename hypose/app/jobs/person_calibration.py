@@ -9,7 +9,7 @@ import numpy as np
 
 from hypose.app.commands.commands_check import keep_offsets
 from hypose.app.commands.commands_track import detected
-from hypose.app.commands.console import Stages, note, print_table, say
+from hypose.app.commands.console import Stages, print_note, print_table, say
 from hypose.calibration.from_person import PersonCalibration, calibrate_from_person
 from hypose.cameras.camera import CameraRig
 from hypose.errors import InputError
@@ -18,7 +18,7 @@ from hypose.evidence.keypoints import keypoint_names, person_size
 from hypose.geometry import Array
 from hypose.io.recordings.recording import Recording, load_recording
 from hypose.io.recordings.recording_people import candidates_of
-from hypose.pipeline.examine import window
+from hypose.pipeline.recording_diagnostics import window
 
 _MOST_SECONDS = 60
 
@@ -57,7 +57,7 @@ def calibrate_recording(
         raise InputError("Say how tall the person is, in metres: --height 1.72 (the height gives the scale).")
     points, names = person_of(loaded, lenses is not None, yes)
     for text in loaded.notes:
-        note(f"note: {text}")
+        print_note(f"note: {text}")
     with Stages() as progress:
         found = calibrate_from_person(
             points, names, loaded.rig, height, loaded.frame_rate,

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 PERSON_RATE = 15.0
 """Hz of the simulated person."""
 _TEST_S = 2.0
-"""The simulated person does the gesture every other so many seconds while it is not told what to do."""
+"""The simulated person does the gesture every other so many seconds while it is not given what to do."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Taken:
 
 
 @dataclass(frozen=True)
-class Source:
+class GestureSource:
     """lens and size (width, height); take(phase): the next picture, None at the end. phase: what the person is asked to
     do just now; the simulated person does it. close: lets go of the device; clear: whether the last picture shows the
     gesture or clearly does not, as far as the source knows."""
@@ -45,7 +45,7 @@ class Source:
     clear: Callable[[], bool] = lambda: False
 
 
-def open_source(text: str, gesture: str = "tee", seed: int = 0) -> Source:
+def open_source(text: str, gesture: str = "tee", seed: int = 0) -> GestureSource:
     """A source by its name: a recorded session's folder, FILE.mkv (Azure Kinect), FILE.bag or FILE.db3
     (RealSense), FILE.r3d (Record3D), "realsense", "simulated" or "simulated:PERSON"."""
     if text == "simulated" or text.startswith("simulated:"):
@@ -65,7 +65,7 @@ def open_source(text: str, gesture: str = "tee", seed: int = 0) -> Source:
     )
 
 
-def _recorded(folder: Path) -> Source:
+def _recorded(folder: Path) -> GestureSource:
     from hypose.pipeline.gesture_files import read_recording
 
     recording = read_recording(folder)
@@ -77,10 +77,10 @@ def _recorded(folder: Path) -> Source:
             return None
         return Taken(frame.time, depth, (frame.x, frame.y) if frame.gesture else None)
 
-    return Source(folder.name, recording.lens, recording.size, take)
+    return GestureSource(folder.name, recording.lens, recording.size, take)
 
 
-def _filmed(path: Path) -> Source:
+def _filmed(path: Path) -> GestureSource:
     from hypose.io.sensors.depth import open_depth
 
     opened = open_depth(path)
@@ -89,7 +89,7 @@ def _filmed(path: Path) -> Source:
     return _of_frames(path.name, lens, opened.camera.size, opened.frames)
 
 
-def _realsense(path: Path | None) -> Source:
+def _realsense(path: Path | None) -> GestureSource:
     from hypose.io.sensors.depth import open_realsense, read_realsense
 
     opened = open_realsense() if path is None else read_realsense(path)
@@ -97,15 +97,15 @@ def _realsense(path: Path | None) -> Source:
     return _of_frames(name, DepthLens(*opened.intrinsics), opened.size, opened.frames)
 
 
-def _of_frames(name: str, lens: DepthLens, size: tuple[int, int], frames: Iterator[DepthFrame]) -> Source:
+def _of_frames(name: str, lens: DepthLens, size: tuple[int, int], frames: Iterator[DepthFrame]) -> GestureSource:
     def take(phase: str) -> Taken | None:
         frame = next(frames, None)
         return None if frame is None else Taken(frame.time, millimetres(frame.depth, name))
 
-    return Source(name, lens, size, take, getattr(frames, "close", lambda: None))
+    return GestureSource(name, lens, size, take, getattr(frames, "close", lambda: None))
 
 
-def _simulated(who: str, gesture: str, seed: int) -> Source:
+def _simulated(who: str, gesture: str, seed: int) -> GestureSource:
     from hypose.synthetic.gesture_scenes import live_person
 
     if not who.isdigit():
@@ -122,4 +122,4 @@ def _simulated(who: str, gesture: str, seed: int) -> Source:
         count, clear = count + 1, frame.clear
         return Taken((count - 1) / PERSON_RATE, frame.depth, frame.point)
 
-    return Source(f"simulated:{who}", KINECT, (640, 480), take, clear=lambda: clear)
+    return GestureSource(f"simulated:{who}", KINECT, (640, 480), take, clear=lambda: clear)

@@ -31,7 +31,7 @@ from websockets.http11 import Request, Response
 
 from hypose.app.commands.console import ended_by_signals
 from hypose.app.live.osc import OscTarget, people_osc
-from hypose.app.live.servers import ORIGINS, Outbox, Queue, quiet_logs, refusal, same_secret, shows_secret
+from hypose.app.live.servers import ORIGINS, Outbox, Queue, listen_error, quiet_logs, same_secret, shows_secret
 from hypose.errors import InputError
 from hypose.fusion.joints import COMMON
 from hypose.fusion.live import LiveFrame, LiveFuser, LiveSettings
@@ -40,7 +40,7 @@ from hypose.io.sensors.skeleton_files import FolderWriter
 from hypose.io.sensors.skeleton_streams import MAX_SKELETON_LINE, parse_line
 from hypose.pipeline.live.processes import punctual
 
-Say = Callable[[str], None]
+_Say = Callable[[str], None]
 _TOKEN = re.compile(r"[A-Za-z0-9_.-]{8,128}")
 _COMPLAINT_S = 5.0
 _STATUS_S = 1.0
@@ -49,11 +49,11 @@ _REPORT_S, _LOOK_S = 10.0, 0.1
 
 
 @dataclass(frozen=True)
-class LiveOptions:
+class FusionServerOptions:
     """host: address to listen on; udp, ws: ports (0 = any free one, None = none); osc: HOST:PORT or None; token:
     what senders and listeners must show (made when the host is not this computer alone); record: a new folder;
-    lines_per_s, burst: what is taken from outside; clients: WebSocket connections; waiting: messages kept for a slow
-    listener."""
+    lines_per_s, burst: limits of received lines; clients: WebSocket connections; waiting: messages kept for a
+    slow listener."""
 
     host: str = "127.0.0.1"
     udp: int | None = 9870
@@ -89,7 +89,7 @@ class LiveServer:
     """
 
     def __init__(
-        self, options: LiveOptions, note: Say = lambda text: None, clock: Callable[[], float] | None = None
+        self, options: FusionServerOptions, note: _Say = lambda text: None, clock: Callable[[], float] | None = None
     ) -> None:
         self.options = options
         self.token = options.token or ("" if is_loopback(options.host) else secrets.token_urlsafe(16))
@@ -147,7 +147,7 @@ class LiveServer:
         except (OSError, OverflowError) as error:
             await self.stop()
             raise InputError(
-                f"The ports {o.udp} (UDP) and {o.ws} (WebSocket) on {o.host} cannot be opened ({refusal(error)}); "
+                f"The ports {o.udp} (UDP) and {o.ws} (WebSocket) on {o.host} cannot be opened ({listen_error(error)}); "
                 "choose others with --udp and --ws."
             ) from None
 
@@ -301,12 +301,12 @@ class LiveServer:
             self._connections -= 1
 
     async def _listen(self, connection: ServerConnection) -> None:
-        told = -math.inf
+        reported = -math.inf
         loop = asyncio.get_running_loop()
         async for message in connection:
             reasons = [r for ln in message.splitlines() if ln.strip() and (r := self.take(ln))]  # type: ignore[arg-type]
-            if reasons and loop.time() - told > 1:
-                told = loop.time()
+            if reasons and loop.time() - reported > 1:
+                reported = loop.time()
                 await connection.send(json.dumps({"type": "error", "reason": reasons[0], "lines": len(reasons)}))
 
     async def _serve(self, connection: ServerConnection) -> None:
@@ -326,7 +326,7 @@ class _Datagrams(asyncio.DatagramProtocol):
                 self._server.take(line)
 
     def error_received(self, exc: Exception) -> None:
-        """Somebody else's port was closed; nothing to do."""
+        """Another program's port was closed; nothing to do."""
 
 
 def frame_json(frame: LiveFrame, latency: float) -> str:
@@ -360,7 +360,7 @@ def _printable(text: str) -> str:
     return "".join(c if c.isprintable() else "?" for c in text)[:200]
 
 
-async def run_live(options: LiveOptions, say: Say, note: Say) -> None:
+async def run_live(options: FusionServerOptions, say: _Say, note: _Say) -> None:
     """Serve until Ctrl-C or SIGTERM, telling now and then how it goes."""
     server, ended = LiveServer(options, note), threading.Event()
     with ended_by_signals(ended):
@@ -379,7 +379,7 @@ async def run_live(options: LiveOptions, say: Say, note: Say) -> None:
         say(f"Recorded: {options.record}")
 
 
-def _say_where(server: LiveServer, say: Say) -> None:
+def _say_where(server: LiveServer, say: _Say) -> None:
     options = server.options
     host = f"[{options.host}]" if ":" in options.host else options.host
     if options.udp is not None:
@@ -394,7 +394,7 @@ def _say_where(server: LiveServer, say: Say) -> None:
     say("Stop with Ctrl-C.")
 
 
-async def _serve_until(ended: threading.Event, server: LiveServer, note: Say) -> None:
+async def _serve_until(ended: threading.Event, server: LiveServer, note: _Say) -> None:
     reported = time.monotonic()
     while not ended.is_set():
         await asyncio.sleep(_LOOK_S)

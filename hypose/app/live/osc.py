@@ -48,7 +48,7 @@ def people_osc(
 
 
 class OscTarget:
-    """A UDP address, HOST:PORT, that messages are sent to. Nothing waits: what nobody takes is lost, and the next frame
+    """A UDP address, HOST:PORT, that messages are sent to. Nothing waits: what no one takes is lost, and the next frame
     counts. An InputError when there is no such address; option: what the user gave it as."""
 
     def __init__(self, address: str, option: str = "--osc") -> None:
@@ -72,7 +72,7 @@ class OscTarget:
 
     def put(self, datagram: bytes) -> None:
         """Bytes as they are."""
-        with contextlib.suppress(OSError):  # nobody has to listen
+        with contextlib.suppress(OSError):  # no one has to listen
             self._socket.sendto(datagram, self._address)
 
     def close(self) -> None:

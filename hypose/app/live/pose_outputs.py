@@ -14,7 +14,7 @@ from hypose.app.live.vmc import vmc_messages
 from hypose.body.default_body import JOINT_NAMES
 from hypose.errors import InputError
 from hypose.geometry import Array
-from hypose.pipeline.live.engine import LiveStatus, Seen
+from hypose.pipeline.live.engine import LiveResult, LiveStatus
 from hypose.pipeline.live.live_people import LivePose
 
 _UPPER = np.triu_indices(3)
@@ -24,7 +24,7 @@ _WAITING = 8
 def pose_json(pose: LivePose, latency: float, cameras: tuple[str, ...]) -> str:
     """One pose as a line of JSON; latency s."""
     m = pose.motion
-    assert m.p_wrong is not None and m.doubtful_joints is not None
+    assert m.error_probability is not None and m.low_confidence_joints is not None
     names = np.array(m.skeleton.joint_names)
     value = {
         "type": "pose",
@@ -37,8 +37,8 @@ def pose_json(pose: LivePose, latency: float, cameras: tuple[str, ...]) -> str:
         "joints": pose.joints.round(5).tolist(),
         "sd": m.joint_sd[0].astype(np.float64).round(5).tolist(),
         "covariance": [[float(f"{v:.3g}") for v in row] for row in _covariance(pose).tolist()],
-        "wrong": m.p_wrong[0].astype(np.float64).round(3).tolist(),
-        "doubtful": names[m.doubtful_joints[0]].tolist(),
+        "wrong": m.error_probability[0].astype(np.float64).round(3).tolist(),
+        "low_confidence": names[m.low_confidence_joints[0]].tolist(),
     }
     return json.dumps(value, separators=(",", ":"))
 
@@ -129,7 +129,7 @@ class PoseOutputs:
         hello = {"type": "hello", "version": 1, "joints": JOINT_NAMES, "cameras": self._cameras, "rate": self._rate}
         return json.dumps(hello)
 
-    def seen(self, seen: Seen) -> None:
+    def seen(self, seen: LiveResult) -> None:
         """See `Listener`."""
         if not seen.poses:
             return

@@ -1,5 +1,5 @@
 """What the servers have in common: secrets are compared safely, strangers fill no log, listeners that are slow hold up
-nobody."""
+no one."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ FOREIGN = (
     "socket.send() raised",
     "unexpected internal",
 )
-"""How complaints begin that are about what somebody has sent, not about this program. websockets says the last one when
+"""How complaints begin that are about what a person has sent, not about this program. websockets says the last one when
 frames come with a request that it refuses."""
 
 
@@ -56,7 +56,7 @@ def quiet_logs() -> None:
 Post = str | bytes
 Queue = asyncio.Queue[Post | None]
 ORIGINS = [None, re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d{1,5})?")]
-"""Programs, and pages of this computer: a page of somebody else must not talk to a port behind the user's back."""
+"""Programs, and pages of this computer: a foreign page must not talk to a port behind the user's back."""
 
 
 def put_newest(queue: asyncio.Queue, what: object) -> bool:
@@ -85,7 +85,7 @@ class Outbox:
         return path in self._queues.values()
 
     def join(self, queue: asyncio.Queue, path: str = "") -> None:
-        """From now on the queue gets what is posted."""
+        """Subscribe the queue to posts."""
         self._queues[queue] = path
 
     def leave(self, queue: asyncio.Queue) -> None:
@@ -99,7 +99,7 @@ class Outbox:
                 self.dropped += put_newest(queue, what)
 
     async def serve(self, connection: ServerConnection, queue: Queue, path: str = "") -> None:
-        """Send what waits in the queue and what is posted, until there is nothing more or the listener is gone."""
+        """Send queued and new posts until the queue is closed or the listener is gone."""
         self.join(queue, path)
         reading = asyncio.ensure_future(_until_gone(connection, queue))
         try:
@@ -119,14 +119,14 @@ async def _until_gone(connection: ServerConnection, queue: Queue) -> None:
     put_newest(queue, None)
 
 
-T = TypeVar("T")
-MOST = 16
+_T = TypeVar("_T")
+_MAX_PENDING = 16
 
 
 class SocketListeners:
-    """Listens on ws://127.0.0.1:PORT (0: any free one), to programs and to pages of this computer. What is posted goes
-    to the listeners of a path; hello: what those of a path get first, None: there is no such path. A listener that is
-    too slow loses the oldest of `waiting` posts. An InputError when the port cannot be used."""
+    """Listens on ws://127.0.0.1:PORT (0: any free one), to programs and to pages of this computer. Posts
+    go to the listeners of a path; hello: what those of a path get first, None: there is no such path. A listener that
+    is too slow loses the oldest of `waiting` posts. An InputError when the port cannot be used."""
 
     def __init__(self, port: int, waiting: int, hello: Callable[[str], Post | None] = lambda path: "") -> None:
         self._outbox = Outbox()
@@ -140,7 +140,7 @@ class SocketListeners:
         except OSError as error:
             self._end_loop()
             raise InputError(
-                f"Port {port} cannot be used ({refusal(error)}); choose another with --ws, 0 takes any free one."
+                f"Port {port} cannot be used ({listen_error(error)}); choose another with --ws, 0 takes any free one."
             ) from None
 
     @property
@@ -167,7 +167,7 @@ class SocketListeners:
         self._in_loop(self._close())
         self._end_loop()
 
-    def _in_loop(self, work: Coroutine[Any, Any, T]) -> T:
+    def _in_loop(self, work: Coroutine[Any, Any, _T]) -> _T:
         return asyncio.run_coroutine_threadsafe(work, self._loop).result()
 
     def _end_loop(self) -> None:
@@ -200,7 +200,7 @@ class SocketListeners:
     async def _listen(self, connection: ServerConnection) -> None:
         path = connection.request.path.partition("?")[0] if connection.request is not None else "/"
         hello = self._hello(path)
-        if len(self._outbox) >= MOST or hello is None:
+        if len(self._outbox) >= _MAX_PENDING or hello is None:
             full = hello is not None
             await connection.close(1013 if full else 1008, "too many listeners" if full else "there is no such path")
             return
@@ -210,7 +210,7 @@ class SocketListeners:
         await self._outbox.serve(connection, queue, path)
 
 
-def refusal(error: OSError | OverflowError) -> str:
+def listen_error(error: OSError | OverflowError) -> str:
     """Why a port cannot be listened on, in the system's words alone."""
     number = getattr(error, "errno", None)
     return (str(error) if number is None else os.strerror(number)).lower()

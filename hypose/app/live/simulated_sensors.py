@@ -19,7 +19,7 @@ from hypose.synthetic.motions import act
 from hypose.synthetic.subjects import load_subjects
 
 FRAME_RATE = 30.0
-MOST = 4
+MAX_SIMULATED = 4
 _SECONDS = 16
 _ANGLES = {2: (0, 70), 3: (0, 65, -65), 4: (0, 80, -80, 180)}
 """Degrees around the person at which so many sensors stand; 0 = in front."""
@@ -29,7 +29,7 @@ _TURN = 0.9
 """Radians to which the person turns to either side."""
 _HURRIES, _HASTE = 4, 0.85
 """How often the person walks faster and slower meanwhile, and by which share: a walk that is always the same tells
-nobody whose clock is how late."""
+no one whose clock is how late."""
 
 
 @dataclass(frozen=True)
@@ -60,11 +60,13 @@ def simulated_sensors(sensors: int, rng: np.random.Generator) -> SensorRecording
     heading = _TURN * np.sin(share)
     ahead = _HASTE * frames / (2 * np.pi * _HURRIES) * np.sin(_HURRIES * share)
     step = np.rint(np.arange(frames) + ahead).astype(int) % frames
-    joints = turned(looped(walk, frames)[step], heading)
+    joints = rotated_about_vertical(looped(walk, frames)[step], heading)
     seen = []
     for camera in ring_sensors(_ANGLES[sensors]):
         bias = np.broadcast_to(rng.normal(0, _BIAS_M, joints.shape[1:]), joints.shape)
-        seen.append(transform(camera, joints + turned(bias, heading) + rng.normal(0, _JITTER_M, joints.shape)))
+        seen.append(
+            transform(camera, joints + rotated_about_vertical(bias, heading) + rng.normal(0, _JITTER_M, joints.shape))
+        )
     return SensorRecording(np.stack(seen, 1), joints)
 
 
@@ -153,7 +155,7 @@ def looped(joints: Array, frames: int, blend: int = 8) -> Array:
     return np.concatenate([segment] * (frames // len(segment) + 1))[:frames]
 
 
-def turned(joints: Array, heading: Array) -> Array:
+def rotated_about_vertical(joints: Array, heading: Array) -> Array:
     """Joints (T, 15, 3) turned about the vertical by heading (T,) rad."""
     r = so3_exp(heading[:, None] * np.array([0, 0, 1.0]))
     return np.einsum("tij,tnj->tni", r, joints)

@@ -40,7 +40,7 @@ _LIMBS = (
 _SIDED = [
     (*(text.format(S=side, s=side.lower()) for text in row[:5]), row[5]) for side in ("Left", "Right") for row in _LIMBS
 ]
-BONES: tuple[tuple[Any, ...], ...] = (*_TRUNK, *_SIDED)
+VMC_BONES: tuple[tuple[Any, ...], ...] = (*_TRUNK, *_SIDED)
 """Bones, parents first: name; parent; our joint whose place it has; our joint that turns it, and against which other
 one; the bone's share of that turn"""
 
@@ -59,11 +59,11 @@ def vmc_messages(body: Body, pose: Array, seconds: float, tracked: bool) -> list
     for j, parent in enumerate(skeleton.parents):
         if parent >= 0:
             places[j] = places[parent] + rest[names[parent]] @ skeleton.rest_offsets[j]
-    at = {name: places[skeleton.joint(joint)] for name, _, joint, *_ in BONES}
+    at = {name: places[skeleton.joint(joint)] for name, _, joint, *_ in VMC_BONES}
     rotations, joints = (a[0] for a in skeleton.forward(pose[None]))
     world = {name: rotations[skeleton.joint(name)] @ frame.T for name, frame in rest.items()}
     bones = []
-    for name, above, _, joint, against, share in BONES:
+    for name, above, _, joint, against, share in VMC_BONES:
         offset = at[name] - at[above] if above else Y_UP @ joints[skeleton.joint("pelvis")]
         turn = world[against].T @ world[joint] if against else Y_UP @ world[joint]
         w, x, y, z = quaternion_from_matrix(turn if share == 1 else so3_exp(share * so3_log(turn)))

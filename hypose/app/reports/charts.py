@@ -8,16 +8,16 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from hypose.app.jobs.truth import Truth
 from hypose.body.joint_angles import joint_angles
 from hypose.body.motion import Motion
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import visible
 from hypose.geometry import Array
+from hypose.pipeline.comparison import Truth
 from hypose.pipeline.gait import PERCENT, AngleCycle
 
-LEFT, RIGHT, INK, GREEN, VIOLET = "#d9731a", "#2679c0", "currentColor", "#2a9d6f", "#8e4ec6"
-LOST, EXTRAPOLATED = "#d62f2f", "#e0a800"
+LEFT_COLOUR, RIGHT_COLOUR, INK, GREEN, VIOLET = "#d9731a", "#2679c0", "currentColor", "#2a9d6f", "#8e4ec6"
+_LOST, _EXTRAPOLATED = "#d62f2f", "#e0a800"
 _LINE = 15.0  # px of a line of text
 _MAX_POINTS = 3000
 
@@ -26,7 +26,7 @@ class Axes:
     """One panel of a chart, to which lines, bands and dots are added in the units of its axes.
 
     title, x, y: texts
-    low, high: ends of the y axis (None: by what is drawn)
+    low, high: ends of the y axis (None: fitted to the data)
     least: length of the y axis
     equal: a unit is as long upwards as across
     """
@@ -187,8 +187,8 @@ def _add_flags(axes: Axes, motion: Motion) -> Axes:
     """Mark lost and extrapolated stretches."""
     step = 1 / motion.frame_rate
     for flags, colour, name in (
-        (motion.extrapolated & ~motion.lost, EXTRAPOLATED, "extrapolated"),
-        (motion.lost, LOST, "lost"),
+        (motion.extrapolated & ~motion.lost, _EXTRAPOLATED, "extrapolated"),
+        (motion.lost, _LOST, "lost"),
     ):
         edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
         for a, b in zip(edges[::2], edges[1::2], strict=True):
@@ -199,7 +199,7 @@ def _add_flags(axes: Axes, motion: Motion) -> Axes:
 def fit_chart(motion: Motion) -> str:
     """Draw the mean overlap of body and masks over time, and the number of views used."""
     fit = _add_flags(Axes(y="overlap with masks (IoU)", low=0, high=1), motion)
-    fit.line(motion.times, 1 - motion.cost, RIGHT)
+    fit.line(motion.times, 1 - motion.cost, RIGHT_COLOUR)
     views = Axes(x="time (s)", y="views", low=0, high=max(1, int(motion.n_views.max(initial=1))) + 0.5)
     views.line(motion.times, motion.n_views, INK)
     return chart([[fit], [views]], 310, shares=(0.68, 0.32))
@@ -255,7 +255,7 @@ def _angle_panels(
     panels = []
     for k, (title, key) in enumerate(kinds):
         axes = Axes(f"{title} (°)", across if k >= len(kinds) // 2 else "", least=_LEAST_ANGLE)
-        lines = [(f"{key}_l", LEFT, "left"), (f"{key}_r", RIGHT, "right")]
+        lines = [(f"{key}_l", LEFT_COLOUR, "left"), (f"{key}_r", RIGHT_COLOUR, "right")]
         if key in _TRUNK:
             lines = [(f"{key}_{p}", c, p) for p, c in zip(_TRUNK[key], (INK, GREEN, VIOLET), strict=False)]
         for name, colour, label in lines:
@@ -270,12 +270,16 @@ def _angle_panels(
 def top_chart(motion: Motion, rig: CameraRig | Sequence[Camera], truth: Truth | None = None) -> str:
     """Draw the paths of pelvis and feet from above, with the cameras."""
     axes, skeleton = Axes(x="x (m)", y="y (m)", equal=True), motion.skeleton
-    for name, colour, width in (("left_ankle", LEFT, 1.0), ("right_ankle", RIGHT, 1.0), ("pelvis", INK, 2.0)):
+    for name, colour, width in (
+        ("left_ankle", LEFT_COLOUR, 1.0),
+        ("right_ankle", RIGHT_COLOUR, 1.0),
+        ("pelvis", INK, 2.0),
+    ):
         if name in skeleton.joint_names:
             path = motion.joints[:, skeleton.joint(name)]
             axes.line(path[:, 0], path[:, 1], colour, name.replace("_", " "), width)
     if truth is not None:
-        axes.line(truth.pelvis[:, 0], truth.pelvis[:, 1], LOST, "true pelvis", 1.0, "4 3")
+        axes.line(truth.pelvis[:, 0], truth.pelvis[:, 1], _LOST, "true pelvis", 1.0, "4 3")
     axes.dots(motion.joints[:1, 0, 0], motion.joints[:1, 0, 1], INK)
     for camera in rig:
         way = np.array([camera.position[:2], camera.position[:2] + 0.5 * camera.camera_from_world[2, :2]])

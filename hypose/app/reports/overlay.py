@@ -18,8 +18,8 @@ from hypose.app.reports.result_pictures import (
     Drawing,
     draw_close_ups,
     jpeg,
-    layout,
     open_images,
+    tile_layout,
 )
 from hypose.body.body import Body
 from hypose.body.motion import Motion
@@ -28,7 +28,7 @@ from hypose.geometry import Array, Image
 from hypose.io.recordings.recording import Recording
 from hypose.io.videos.video import VideoWriter
 from hypose.pipeline.track_loop import FrameSource
-from hypose.pipeline.tracked_people import OnePerson
+from hypose.pipeline.tracked_people import TrackedPerson
 
 _AHEAD = 2  # frames that are drawn and not yet written
 _COLOURS = ((200, 190, 60), (70, 160, 240), (110, 200, 90), (220, 110, 200), (90, 210, 220), (230, 130, 80))
@@ -46,7 +46,7 @@ class PictureRows:
 
 
 @dataclass(frozen=True)
-class Shown:
+class OverlayRows:
     """Pictures by row. stills: close-ups; small: the recorded pictures of every view as JPEG, b"" where there is
     none."""
 
@@ -66,13 +66,13 @@ def _film(
     draw: Draw,
     wanted: PictureRows,
     progress: ProgressCall,
-) -> Shown:
-    """Read the recorded pictures once, and draw what is wanted of them. numbers: of the frames, by row."""
+) -> OverlayRows:
+    """Read the recorded pictures once, and draw the requested rows. numbers: of the frames, by row."""
     rows = range(len(numbers)) if wanted.video else sorted({*wanted.stills, *wanted.small})
-    shown = Shown({}, {})
+    shown = OverlayRows({}, {})
     with ExitStack() as stack:
         images = [stack.enter_context(closing(one)) for one in open_images(recording)]
-        plan = layout([v.size for v in images])
+        plan = tile_layout([v.size for v in images])
         video = VideoWriter(path, rate, plan.size) if wanted.video else None
         writer = stack.enter_context(video) if video is not None else None
         canvases = [Canvas(recording, plan) for _ in range(_AHEAD + 1)]
@@ -115,7 +115,7 @@ def write_overlay(
     body: Body | None,
     wanted: PictureRows,
     progress: ProgressCall = ignore,
-) -> Shown:
+) -> OverlayRows:
     """Draw a motion over its recording. source: gives the silhouettes; row i of the motion belongs to frame i of the
     source, and to recording.frames[i]. An InputError when something is to be drawn and there are no poses."""
     numbers = recording.frames[: len(motion)]
@@ -156,7 +156,11 @@ def colour_of(number: int) -> tuple[int, int, int]:
 
 
 def write_people_overlay(
-    path: Path, recording: Recording, source: FrameSource, people: Sequence[OnePerson], progress: ProgressCall = ignore
+    path: Path,
+    recording: Recording,
+    source: FrameSource,
+    people: Sequence[TrackedPerson],
+    progress: ProgressCall = ignore,
 ) -> None:
     """Draw all people over their recording, each in a colour of their own."""
     motion = people[0].result.motion
@@ -169,7 +173,7 @@ def write_people_overlay(
     _film(path, recording, numbers, motion.frame_rate, draw, PictureRows(), progress)
 
 
-def _drawing_of_people(source: FrameSource, people: Sequence[OnePerson], row: int, number: int) -> Drawing:
+def _drawing_of_people(source: FrameSource, people: Sequence[TrackedPerson], row: int, number: int) -> Drawing:
     others, parts, alarm = [], [f"frame {number}"], False
     for k, p in enumerate(people):
         m, body = p.result.motion, p.result.body

@@ -16,22 +16,20 @@ import numpy as np
 from hypose import __version__
 from hypose.app.commands.console import ProgressCall
 from hypose.app.reports import charts
-from hypose.app.reports.overlay import PictureRows, Shown, still_rows, write_overlay
+from hypose.app.reports.overlay import OverlayRows, PictureRows, still_rows, write_overlay
 from hypose.app.reports.result_pictures import jpeg
 from hypose.app.reports.summary import DESCRIPTIONS, page, picture_of, subject_rows, summarize
 from hypose.app.studio.view_bundle import ViewResult, view_bundle
 from hypose.body.body import Body
 from hypose.body.motion import Motion, sd_per_axis
-from hypose.cameras.camera import CameraRig
 from hypose.geometry import Image
 from hypose.io.files import write_text
 from hypose.io.motions.results import ResultsFolder, to_json
 from hypose.io.recordings.frames import FrameSettings, FrameStream
 from hypose.io.recordings.recording import Recording
-from hypose.pipeline.camera_worth import camera_worth
 from hypose.pipeline.gait import angle_cycles, gait_of
 
-STATIC = Path(__file__).parents[1] / "studio" / "static"
+_STATIC = Path(__file__).parents[1] / "studio" / "static"
 """Where the front end's build puts report.js and report.css, which show the result in 3D; without them a report has its
 charts and pictures only."""
 PLACE = '<div id="hypose-viewer" class="viewer"><noscript>The view in 3D needs JavaScript.</noscript></div>'
@@ -47,10 +45,10 @@ class Drawn:
     small: Mapping[int, list[bytes]] = field(default_factory=dict)
 
 
-def draw(
+def report_pictures(
     results: ResultsFolder,
     result: ViewResult,
-    overlay: Callable[[Path, PictureRows], Shown],
+    overlay: Callable[[Path, PictureRows], OverlayRows],
     written: Sequence[Path],
     wanted: tuple[bool, bool],
     progress: ProgressCall,
@@ -107,7 +105,7 @@ def stored_rows(motion: Motion, views: int) -> list[int]:
 
 
 def _built() -> bool:
-    return (STATIC / "report.js").is_file() and (STATIC / "report.css").is_file()
+    return (_STATIC / "report.js").is_file() and (_STATIC / "report.css").is_file()
 
 
 def report_html(result: ViewResult, drawn: Drawn = Drawn()) -> str:
@@ -122,9 +120,9 @@ def report_html(result: ViewResult, drawn: Drawn = Drawn()) -> str:
         files = [[base64.b64encode(f).decode("ascii") for f in views] for views in drawn.small.values()]
         stored = json.dumps({"rows": list(drawn.small), "files": files})
         scripts.append(f'<script type="application/json" id="hypose-pictures">{stored}</script>')
-    code = (STATIC / "report.js").read_text("utf-8").replace("</script", "<\\/script")
+    code = (_STATIC / "report.js").read_text("utf-8").replace("</script", "<\\/script")
     scripts.append(f"<script>{code}</script>")
-    style = (STATIC / "report.css").read_text("utf-8")
+    style = (_STATIC / "report.css").read_text("utf-8")
     return page(result.title, top + place + text, f"<style>{style}</style>", "\n".join(scripts))
 
 
@@ -174,8 +172,6 @@ def _text(what: ViewResult, drawn: Drawn) -> str:
         + "</div>"
     )
     parts.append(f"<div><h2>Subject</h2>{_subject(what.body)}</div></div>" if what.body is not None else "</div>")
-    if what.rig is not None:
-        parts.append(_cameras(m, what.rig))
     if what.files:
         rows = "".join(f"<tr><td>{html.escape(n)}</td><td>{html.escape(t)}</td></tr>" for n, t, _ in what.files)
         parts.append(f"<h2>Files</h2><table>{rows}</table>")
@@ -218,7 +214,7 @@ def _figure(svg: str, caption: str) -> str:
 
 
 def gait_section(motion: Motion, body: Body | None) -> str:
-    """HTML: means with their intervals and the cycle; "" where nobody walks two steps, or poses are not known."""
+    """HTML: means with their intervals and the cycle; "" where no person walks two steps, or poses are not known."""
     if motion.poses is None or body is None or not (found := gait_of(motion, body)).figures:
         return ""
     rows = "".join(
@@ -238,25 +234,6 @@ def gait_section(motion: Motion, body: Body | None) -> str:
 def _subject(body: Body) -> str:
     cells = "".join(f'<tr><td>{html.escape(n)}</td><td class="n">{v:.3f} m</td></tr>' for n, v in subject_rows(body))
     return f'<table>{cells}</table><p class="dim">Between joint centres; limbs: mean of both sides.</p>'
-
-
-def _cameras(motion: Motion, rig: CameraRig) -> str:
-    """What each camera adds; "" of one camera."""
-    worth, best = camera_worth(motion, rig)
-    if best is None:
-        return ""
-    rows = "".join(
-        f'<tr><td>{html.escape(w.name)}</td><td class="n">x {w.times:.2f}</td><td class="n">{w.thin:.0%}</td></tr>'
-        for w in worth
-    )
-    head = "<tr><th>without</th><th>standard deviations</th><th>joints with fewer than two left</th></tr>"
-    text = "Standard deviations are geometry: where the cameras stand and what is in their pictures; limbs that cover "
-    x, y, z = best.place.tolist()
-    text += (
-        f"each other are not counted. One more camera would help most at x = {x:.1f} m, y = {y:.1f} m, {z:.1f} m high: "
-    )
-    text += f"x {best.times:.2f}."
-    return f'<h2>What each camera adds</h2><table>{head}{rows}</table><p class="dim">{html.escape(text)}</p>'
 
 
 def _origin(what: ViewResult) -> str:

@@ -21,13 +21,13 @@ from hypose.errors import InputError, visible
 from hypose.evidence.frame import Silhouettes
 from hypose.geometry import Array, Image
 from hypose.io.recordings.object_masks import ObjectMasks
-from hypose.io.recordings.recording import Recording, View
+from hypose.io.recordings.recording import Recording, ViewSettings
 from hypose.io.recordings.recording_views import open_pictures
 from hypose.io.videos.video import VideoReader
 
-# BGR, told apart also by people who see red and green alike
-LEFT, RIGHT, MIDDLE = (40, 130, 240), (225, 140, 40), (235, 235, 235)
-BODY, MASK, ALARM = (200, 190, 60), (190, 90, 230), (40, 40, 230)
+# BGR, distinguished also by people who see red and green alike
+_LEFT, _RIGHT, MIDDLE = (40, 130, 240), (225, 140, 40), (235, 235, 235)
+BODY, _MASK, ALARM = (200, 190, 60), (190, 90, 230), (40, 40, 230)
 MAX_TILE, MAX_WIDTH = 960, 1920
 _BAR, _GREY = 26, 24
 _SMALL = 640 * 480
@@ -43,7 +43,7 @@ class Tile:
 
 
 @dataclass(frozen=True)
-class Layout:
+class _TileLayout:
     """The tiles of all views and the size (width, height) px of the whole picture with a title bar at the top."""
 
     tiles: tuple[Tile, ...]
@@ -56,7 +56,7 @@ class Layout:
         return tile.column * w + (w - tw) // 2, _BAR + tile.row * h + (h - th) // 2
 
 
-def layout(sizes: Sequence[tuple[int, int]]) -> Layout:
+def tile_layout(sizes: Sequence[tuple[int, int]]) -> _TileLayout:
     """Tiles for views of the given sizes (width, height) px: at most 960 px wide each and 1920 px together."""
     n = len(sizes)
     columns = math.ceil(math.sqrt(n)) if n != 3 else 3
@@ -69,13 +69,13 @@ def layout(sizes: Sequence[tuple[int, int]]) -> Layout:
     cell = (max(w for w, _ in shown), max(h for _, h in shown))
     tiles = tuple(Tile(i % columns, i // columns, s) for i, s in enumerate(shown))
     whole = (columns * cell[0] // 2 * 2, (_BAR + rows * cell[1]) // 2 * 2)
-    return Layout(tiles, cell, whole)
+    return _TileLayout(tiles, cell, whole)
 
 
 class ViewImages:
     """The recorded pictures of one view by frame number, read forwards. When only masks were given, a grey picture."""
 
-    def __init__(self, view: View, camera: Camera) -> None:
+    def __init__(self, view: ViewSettings, camera: Camera) -> None:
         self.view, self.camera = view, camera
         shown = view.source is not None or view.masks is not None
         # several threads are no faster with small pictures, and in the way of the one that writes a film
@@ -111,20 +111,20 @@ def open_images(recording: Recording) -> list[ViewImages]:
     return [ViewImages(v, c) for v, c in zip(recording.views, recording.rig, strict=True)]
 
 
-def as_shown(view: View, camera: Camera, size: tuple[int, int]) -> Camera:
+def as_shown(view: ViewSettings, camera: Camera, size: tuple[int, int]) -> Camera:
     """The camera, with its lens, whose pixels are those of the recorded image shown at `size`."""
     shown = camera.scaled(size)
     shown.K[:2, 2] -= np.asarray(view.image_shift) * size / camera.size
     return shown
 
 
-def image_points(view: View, camera: Camera, points_world: Array, size: tuple[int, int]) -> Array:
+def image_points(view: ViewSettings, camera: Camera, points_world: Array, size: tuple[int, int]) -> Array:
     """Pixels (..., 2) of points (..., 3) m in the recorded image shown at `size`; NaN behind the camera."""
     return as_shown(view, camera, size).project(points_world)
 
 
 def mask_outline(
-    view: View, camera: Camera, working: Camera, mask: NDArray[np.uint8], size: tuple[int, int]
+    view: ViewSettings, camera: Camera, working: Camera, mask: NDArray[np.uint8], size: tuple[int, int]
 ) -> list[NDArray[np.int32]]:
     """Outlines of a mask (h, w) as polygons in the recorded image at `size`; working: the camera, undistorted and at
     another size, whose pixels the mask has."""
@@ -134,7 +134,7 @@ def mask_outline(
 def _outline(camera: Camera, working: Camera, mask: NDArray[np.uint8]) -> list[NDArray[np.int32]]:
     """The same in the pixels of a camera with the same place."""
     w, h = working.size
-    x, y, width, height = cv2.boundingRect(mask[:h, :w])  # what is empty costs OpenCV as much
+    x, y, width, height = cv2.boundingRect(mask[:h, :w])  # an empty mask costs OpenCV as much
     if not width:
         return []
     window = np.ascontiguousarray(mask[y : y + height, x : x + width])
@@ -155,7 +155,7 @@ def _fixed(uv: Array) -> NDArray[np.int32]:
 
 def draw_mask(image: Image, outlines: Sequence[NDArray[np.int32]]) -> None:
     """The mask's edge as a thin line."""
-    cv2.polylines(image, list(outlines), True, MASK, 1, cv2.LINE_AA, _SHIFT)
+    cv2.polylines(image, list(outlines), True, _MASK, 1, cv2.LINE_AA, _SHIFT)
 
 
 def draw_body(image: Image, camera: Camera, vertices: Array, mesh: Mesh, colour: tuple[int, int, int] = BODY) -> None:
@@ -194,7 +194,7 @@ def bones(body: Body) -> Iterator[tuple[int, int, tuple[int, int, int]]]:
     for j, p in enumerate(body.skeleton.parents.tolist()):
         if p >= 0:
             name = body.skeleton.joint_names[j]
-            yield p, j, LEFT if name.startswith("left") else RIGHT if name.startswith("right") else MIDDLE
+            yield p, j, _LEFT if name.startswith("left") else _RIGHT if name.startswith("right") else MIDDLE
 
 
 def draw_skeleton(image: Image, camera: Camera, body: Body, joints: Array) -> None:
@@ -211,9 +211,9 @@ def draw_skeleton(image: Image, camera: Camera, body: Body, joints: Array) -> No
             cv2.line(image, at[a], at[b], colour, width, cv2.LINE_AA, _SHIFT)
 
 
-def write_text(image: Image, text: str, x: int, y: int, colour: tuple[int, int, int] = (255, 255, 255)) -> None:
+def put_text(image: Image, text: str, x: int, y: int, colour: tuple[int, int, int] = (255, 255, 255)) -> None:
     """White text with a dark rim; x, y: left end of the base line."""
-    font, size, text = cv2.FONT_HERSHEY_SIMPLEX, 0.5, visible(text)  # what is no UTF-8 would kill OpenCV
+    font, size, text = cv2.FONT_HERSHEY_SIMPLEX, 0.5, visible(text)  # invalid UTF-8 would kill OpenCV
     for dx, dy in ((-1, 0), (1, 0), (0, -1), (0, 1)):  # a thicker stroke would be wider in OpenCV 5, hence no rim
         cv2.putText(image, text, (x + dx, y + dy), font, size, (0, 0, 0), 1, cv2.LINE_AA)
     cv2.putText(image, text, (x, y), font, size, colour, 1, cv2.LINE_AA)
@@ -221,7 +221,7 @@ def write_text(image: Image, text: str, x: int, y: int, colour: tuple[int, int, 
 
 @dataclass(frozen=True)
 class Drawing:
-    """What is drawn into one frame: the body's vertices (V, 3) and joints (J, 3) m, world; its silhouettes, if any;
+    """Hold the content of one frame: the body's vertices (V, 3) and joints (J, 3) m, world; its silhouettes, if any;
     what the title bar says, in alarming red when `alarm`; others: bodies with vertices and the colour (BGR) in which
     they are drawn as well."""
 
@@ -234,7 +234,13 @@ class Drawing:
 
 
 def draw_view(
-    image: Image | None, view: View, camera: Camera, index: int, size: tuple[int, int], body: Body | None, what: Drawing
+    image: Image | None,
+    view: ViewSettings,
+    camera: Camera,
+    index: int,
+    size: tuple[int, int],
+    body: Body | None,
+    what: Drawing,
 ) -> Image:
     """One view at `size` with everything drawn on."""
     out = np.empty((size[1], size[0], 3), np.uint8)
@@ -246,7 +252,7 @@ def _draw_view(out: Image, image: Image | None, camera: Camera, index: int, body
     """Fills `out`, which may be the very image; the camera's pixels are those of `out`."""
     if image is None:
         out[:] = 40
-        write_text(out, "no image", 8, len(out) // 2)
+        put_text(out, "no image", 8, len(out) // 2)
     elif image.shape != out.shape:
         how = cv2.INTER_AREA if out.shape[1] < image.shape[1] else cv2.INTER_LINEAR
         cv2.resize(image, camera.size, out, interpolation=how)
@@ -263,18 +269,18 @@ def _draw_view(out: Image, image: Image | None, camera: Camera, index: int, body
         draw_skeleton(out, camera, body, what.joints)
 
 
-def _write_labels(shown: Image, view: View, index: int, what: Drawing) -> None:
-    write_text(shown, view.name, 6, 18)
+def _write_labels(shown: Image, view: ViewSettings, index: int, what: Drawing) -> None:
+    put_text(shown, view.name, 6, 18)
     s = what.silhouettes
     if s is not None and not s.usable[index]:
         reason = (s.reasons[index] or "no reason given").split(": ", 1)[-1].split(" (")[0]
-        write_text(shown, f"left out: {reason}"[:70], 6, shown.shape[0] - 8, (120, 140, 255))
+        put_text(shown, f"left out: {reason}"[:70], 6, shown.shape[0] - 8, (120, 140, 255))
 
 
 class Canvas:
     """Memory for a picture of all views, tiled under a title bar, which is good until the next one is drawn."""
 
-    def __init__(self, recording: Recording, plan: Layout) -> None:
+    def __init__(self, recording: Recording, plan: _TileLayout) -> None:
         views = list(zip(recording.views, recording.rig, plan.tiles, strict=True))
         self._views, self._size = recording.views, plan.size
         self._cameras = [as_shown(view, camera, tile.size) for view, camera, tile in views]
@@ -296,12 +302,12 @@ class Canvas:
             _draw_view(tile, image, camera, c, body, what)
             _write_labels(tile, self._views[c], c, what)
         self._whole[:_BAR] = (30, 30, 150) if what.alarm else _GREY
-        write_text(self._whole, what.title, 8, 18)
+        put_text(self._whole, what.title, 8, 18)
         return self._whole[: self._size[1], : self._size[0]]
 
 
 def draw_all(
-    images: Sequence[Image | None], recording: Recording, plan: Layout, body: Body | None, what: Drawing
+    images: Sequence[Image | None], recording: Recording, plan: _TileLayout, body: Body | None, what: Drawing
 ) -> Image:
     """All views of one frame, tiled, under a title bar."""
     return Canvas(recording, plan).draw(images, body, what)

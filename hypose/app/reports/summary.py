@@ -30,7 +30,7 @@ DESCRIPTIONS = {
     "joints.csv": "joint centres with their standard deviation (metres, z up) and flags per frame",
     "overlay.mp4": "the body on the recorded images",
     "provenance.json": "settings, versions, inputs with their hashes",
-    "verdict.json": "good, look at frames, or not to be trusted, and why; the frames in which each joint is doubtful",
+    "assessment.json": "good, look at frames, or not to be trusted, and why; low-confidence frames by joint",
     "report.html": "this report",
 }
 """What each file of a results folder is."""
@@ -115,10 +115,10 @@ body { margin: 0; background: var(--bg); color: var(--ink);
 .report .two { display: flex; flex-wrap: wrap; gap: 24px; align-items: flex-start; }
 """
 # A report can load nothing, whatever is in it.
-POLICY = "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
+CONTENT_POLICY = "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
 
 
-def page(title: str, body: str, style: str = "", scripts: str = "", policy: str = POLICY) -> str:
+def page(title: str, body: str, style: str = "", scripts: str = "", policy: str = CONTENT_POLICY) -> str:
     """An HTML page of the reports' looks; `body` is HTML, the title plain text. style, scripts: HTML of the viewer,
     whose place is in the body; policy: what it may load."""
     return (

@@ -139,8 +139,8 @@ def _changed(path: Path) -> float:
 
 
 def _search(catalog: Catalog) -> Iterator[tuple[Kind, Path]]:
-    """Breadth first, so that what is near is found though the folder be huge. What consists of files of hypose is found
-    only where they are files, and none is a link that leads out of the root."""
+    """Breadth first, so that near folders are found in a huge one. What consists of files of hypose is
+    found only where they are files, and none is a link that leads out of the root."""
     waiting, seen = [(catalog.root, 0)], 0
     while waiting and seen < _MOST_FOLDERS:
         folder, depth = waiting.pop(0)

@@ -1,7 +1,7 @@
 """Clicked joints to a pose, for the Click screen and for corrections, and clicks that are kept as a start of tracking.
 
 In one view with the rivals that look the same, in several by triangulation; the correction of a frame of a tracked
-motion leaves what is not clicked near its pose.
+motion leaves joints that were not clicked near its pose.
 """
 
 from __future__ import annotations
@@ -17,12 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose import compute
-from hypose.app.studio.answers import choice, number, whole
 from hypose.app.studio.catalog import Catalog, Item
+from hypose.app.studio.http import request_choice, request_number, whole
 from hypose.app.studio.job_kinds import is_name
 from hypose.app.studio.recordings import Recordings
-from hypose.app.studio.view_bundle import ViewResult, view_bundle
-from hypose.app.studio.view_result import first_frame
+from hypose.app.studio.view_bundle import ViewResult, first_frame, view_bundle
 from hypose.body.body import Body
 from hypose.body.default_body import JOINT_NAMES, human
 from hypose.body.motion import Motion, isotropic
@@ -64,7 +63,7 @@ CLICK_JOINTS: Mapping[str, str] = {
     "left_big_toe": "Tip of the left foot",
 }
 """What can be clicked, in the order in which the page asks for it."""
-LEAST = 4
+_MIN_CLICKS = 4
 _FORMAT = "hypose-clicks"
 _SD_OF_DIAGONAL = 0.004
 """How exactly people click, 1 sd as a share of the picture's diagonal (3.2 px at 640 x 480)."""
@@ -76,7 +75,7 @@ _STAY, _TRUNK_STAY, _LIMBS_STAY = 0.02, 0.07, 0.35
 """A correction leaves the root's place (m), the turns of the trunk (rad) and of the limbs (rad) as they were to these
 standard deviations: who moves a wrist means the arm."""
 _RIVALS = 4
-View = Mapping[str, Any]
+_View = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
@@ -92,7 +91,7 @@ class _Clicks:
     offset: Array
 
     @classmethod
-    def of(cls, views: Sequence[View], rig: CameraRig, body: Body) -> _Clicks:
+    def of(cls, views: Sequence[_View], rig: CameraRig, body: Body) -> _Clicks:
         """From checked views, for the cameras that have any clicks."""
         found = {v["camera"]: {p["joint"]: p for p in v["points"]} for v in views if v["points"]}
         cameras = [n for n in rig.names if n in found]
@@ -112,18 +111,18 @@ class _Clicks:
         return cls(rig.select(cameras).pinhole(), names, table[..., :2], table[..., 2], joint, offset)
 
 
-def checked_views(views: Any, recording: Recording) -> list[View]:
+def checked_views(views: Any, recording: Recording) -> list[_View]:
     """The views of a request, checked, with their points in undistorted pixels of K: those that were clicked in the
     picture as it was recorded ("recorded": true) have its lens taken out."""
     if not isinstance(views, list) or not all(isinstance(v, dict) for v in views):
         raise InputError("The clicks must be a list of views.")
     out = []
     for view in views:
-        name, points = choice(view.get("camera"), "camera", recording.rig.names), view.get("points")
+        name, points = request_choice(view.get("camera"), "camera", recording.rig.names), view.get("points")
         if not isinstance(points, list) or not all(isinstance(p, dict) for p in points):
             raise InputError(f"The clicks of {name} must be a list of points.")
-        joints = [choice(p.get("joint"), "joint to click", tuple(CLICK_JOINTS)) for p in points]
-        uv = [[number(p.get(k), f"{k} of a click (px)", -1e5, 1e5) for k in ("x", "y")] for p in points]
+        joints = [request_choice(p.get("joint"), "joint to click", tuple(CLICK_JOINTS)) for p in points]
+        uv = [[request_number(p.get(k), f"{k} of a click (px)", -1e5, 1e5) for k in ("x", "y")] for p in points]
         if view.get("recorded") is True and uv:
             k = recording.rig.names.index(name)
             uv = recording.rig[k].undistort_points(np.array(uv) + recording.views[k].image_shift).tolist()
@@ -133,7 +132,7 @@ def checked_views(views: Any, recording: Recording) -> list[View]:
     return out
 
 
-def fitted(value: Mapping[str, Any], catalog: Catalog, recordings: Recordings) -> dict[str, Any]:
+def fit_clicks(value: Mapping[str, Any], catalog: Catalog, recordings: Recordings) -> dict[str, Any]:
     """The pose that explains the clicks of a request (docs/studio-protocol.md)."""
     item = _recording(value, catalog)
     recording = recordings.load(item)
@@ -149,8 +148,8 @@ def _fit(body: Body, clicks: _Clicks, start: Array | None, known_height: bool, c
     """The pose of a body that explains clicks best, as the page gets it. start (D,): solve from there only (while a
     joint is dragged); correct: and stay near it. An InputError when there are too few clicks."""
     seen = int((clicks.weight > 0).any(0).sum())
-    if seen < LEAST and not correct:
-        raise InputError(f"{seen} joints are clicked; click at least {LEAST}, hips and shoulders first.")
+    if seen < _MIN_CLICKS and not correct:
+        raise InputError(f"{seen} joints are clicked; click at least {_MIN_CLICKS}, hips and shoulders first.")
     scale = _SD_OF_DIAGONAL * float(np.median(np.linalg.norm(clicks.rig.sizes, axis=1)))
     points = np.concatenate([clicks.uv, clicks.weight[..., None]], 2)
     term = KeypointTerm(points, clicks.rig.projections, clicks.joint, clicks.offset, scale, min_confidence=1e-6)
@@ -269,7 +268,7 @@ def _body(
     measured = item.path / "subject" / "body.npz"
     height = value.get("height")
     if height is not None:
-        height = number(height, "the height (m)", 0.4, 2.8)
+        height = request_number(height, "the height (m)", 0.4, 2.8)
     if isinstance(value.get("result"), str):
         folder = ResultsFolder(catalog.find("result", value["result"]).path)
         changed = folder.motion.stat().st_mtime_ns if folder.motion.is_file() else 0
@@ -294,7 +293,7 @@ def _corrected(folder: ResultsFolder, changed: int, frame: int) -> tuple[Body, A
 def _pose(value: Any, body: Body) -> Array:
     if not isinstance(value, list) or len(value) != body.skeleton.dof:
         raise InputError(f"A pose has {body.skeleton.dof} numbers.")
-    return body.skeleton.clamp(np.array([number(v, "a number of the pose", -1e6, 1e6) for v in value]))
+    return body.skeleton.clamp(np.array([request_number(v, "a number of the pose", -1e6, 1e6) for v in value]))
 
 
 def save(value: dict[str, Any], item: Item, catalog: Catalog, recordings: Recordings) -> dict[str, Any]:
@@ -309,7 +308,7 @@ def save(value: dict[str, Any], item: Item, catalog: Catalog, recordings: Record
         name = next(f"{name}{n}" for n in numbers if not (starts / f"{name}{n}.json").exists())
     recording = recordings.load(item)
     value = {**value, "recording": item.id, "views": checked_views(value.get("views"), recording)}
-    found = fitted(value, catalog, recordings)
+    found = fit_clicks(value, catalog, recordings)
     keep = {k: value[k] for k in ("frame", "views", "height", "result") if value.get(k) is not None}
     keep |= {k: whole(value[k], f"the frame {k}", 0, 10**9) for k in ("since", "until") if value.get(k) is not None}
     keep |= _for_one_camera(value["views"], value.get("camera"), recording)
@@ -336,7 +335,7 @@ def _for_one_camera(views: Sequence[Mapping[str, Any]], wanted: Any, recording: 
     return {"camera": source.name, "joints": {p["joint"]: stored[k] for k, p in enumerate(points)}}
 
 
-def load(item: Item, name: str) -> dict[str, Any]:
+def read_clicks(item: Item, name: str) -> dict[str, Any]:
     """Clicks as they were saved."""
     if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,79}", name):
         raise InputError(f"{name[:40]!r} is no name of a start.")

@@ -1,4 +1,5 @@
-"""Folders as they lie on this computer: what is in them, and the recording.toml that makes one of them a recording."""
+"""Folders as they lie on this computer: their content, and the recording.toml that makes one of them a
+recording."""
 
 from __future__ import annotations
 
@@ -8,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from hypose.app.reports.result_pictures import jpeg
-from hypose.app.studio.answers import NotNow, text
 from hypose.app.studio.catalog import Catalog, is_recording
+from hypose.app.studio.http import NotNow, text
 from hypose.app.studio.job_kinds import CALIBRATION
 from hypose.calibration.views import find_sources
 from hypose.errors import HyposeError, InputError
@@ -32,7 +33,7 @@ _SETTINGS = ("calibration_unit", "world_up", "frame_rate", "subject_height")
 _ROLES = ("video", "background", "masks", "keypoints", "board")
 
 
-def listed(catalog: Catalog, folder: Path, within: bool) -> dict[str, Any]:
+def list_folder(catalog: Catalog, folder: Path, within: bool) -> dict[str, Any]:
     """List a folder of the served one: its folders, and, where `within` is set, what in it and below it can be part of
     a recording, each with its path from there and what it is."""
     entries = _entries(folder)
@@ -104,7 +105,7 @@ def _placed(catalog: Catalog, folder: Path, view: Mapping[str, Any], role: str) 
 
 
 def _entries(folder: Path) -> list[Path]:
-    """What lies in a folder, in natural order, without what is hidden and without links."""
+    """What lies in a folder, in natural order, without hidden files and links."""
     try:
         found = [p for p in folder.iterdir() if not p.name.startswith(".") and not p.is_symlink()]
     except OSError as error:

@@ -18,8 +18,8 @@ from typing import Any
 
 from hypose.app.live.gesture_sources import Taken
 from hypose.app.studio.catalog import Catalog
-from hypose.app.studio.gesture_start import Controls, Start, change, open_feed, read_command, read_start, shut
-from hypose.app.studio.gesture_train import Training, Watching
+from hypose.app.studio.gesture_start import Controls, SessionRequest, change, open_feed, read_command, read_start, shut
+from hypose.app.studio.gesture_training import Training, Watching
 from hypose.app.studio.gesture_views import depth_jpeg, map_png
 from hypose.app.studio.hub import DEPTH, MAP, Hub, Message, Topic
 from hypose.app.studio.live_topics import recording_folder
@@ -28,7 +28,7 @@ from hypose.gestures.model import check_gesture_name
 from hypose.gestures.session import Command
 from hypose.pipeline.gesture_files import load_model
 
-FOLDER = "gestures"
+_FOLDER = "gestures"
 """Where sessions and models go, in the served folder."""
 ALONE_S = 5.0
 """s without a page after which a session is paused."""
@@ -85,7 +85,7 @@ class GestureTopic(Topic):
         else:
             self._run.post(message)
 
-    def _start(self, start: Start) -> None:
+    def _start(self, start: SessionRequest) -> None:
         with self._lock:
             if self.runs:
                 raise InputError("A session is running already; stop it first.")
@@ -99,7 +99,7 @@ class GestureTopic(Topic):
                     activity: Training | Watching = Watching(feed, models)
                 else:
                     check_gesture_name(gesture)
-                    folder = recording_folder(self._catalog, FOLDER, gesture)
+                    folder = recording_folder(self._catalog, _FOLDER, gesture)
                     activity = Training(start, feed, old, folder, old or _free_model(folder.parent, gesture))
             except Exception:
                 shut(feed)
@@ -112,7 +112,7 @@ class GestureTopic(Topic):
     def _model(self, id: str) -> Path:
         return self._catalog.find("model", id).path
 
-    def _go_on(self, start: Start, model: str) -> None:
+    def _go_on(self, start: SessionRequest, model: str) -> None:
         """A gesture of several is taught: the next one, or all of them tried. Called by the thread that has ended."""
         taught = (*start.taught, model)
         if self._closed:
@@ -145,7 +145,7 @@ class Run:
 
     def __init__(
         self,
-        start: Start,
+        start: SessionRequest,
         activity: Training | Watching,
         resumed: str | None,
         catalog: Catalog,
@@ -181,7 +181,7 @@ class Run:
             "source": self._start.source,
             "title": a.feed.title,
             "size": list(a.feed.source.size),
-            **a.told,
+            **a.reported,
             "folder": None if a.folder is None else f"{a.folder.parent.name}/{a.folder.name}",
             "resumed": self._resumed,
             "then": list(self._start.then),
@@ -224,7 +224,7 @@ class Run:
             why = self._loop() or why
         except HyposeError as error:
             why = str(error)
-        except Exception as error:  # noqa: BLE001 - the thread's end must be told, and the work saved
+        except Exception as error:  # noqa: BLE001 - the thread's end must be reported, and the work saved
             why = f"The session broke off ({type(error).__name__}: {error}); what was recorded is kept."
         model = None
         try:

@@ -1,4 +1,4 @@
-"""What a page asks of a gesture session, checked: how it begins, where its pictures come from, and what is changed."""
+"""What a page asks of a gesture session, checked: how it begins, where its pictures come from, and its changes."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
-from hypose.app.live.gesture_sources import Source, Taken, open_source
-from hypose.app.studio.answers import choice, digits, number, text, whole
+from hypose.app.live.gesture_sources import GestureSource, Taken, open_source
+from hypose.app.studio.http import digits, request_choice, request_number, text, whole
 from hypose.errors import InputError
 from hypose.gestures.model import check_gesture_name
 from hypose.gestures.session import COMMANDS, Command, SessionSettings
 
 MOST_GESTURES = 8
 """Gestures that are taught one after the other."""
-PHASES = ("do_gesture", "positive", "release", "negative")
+STUDIO_PHASES = ("do_gesture", "positive", "release", "negative")
 
 
 @dataclass(frozen=True)
-class Start:
+class SessionRequest:
     """mode: train or run. gesture, resume (id of a model), settings: of a training. then: gestures that are taught
     after it; taught: ids of the models before; all are tried in the end. models: ids of a run. source: a value of the
     state's sources; fast: recordings and the simulated person are not slowed down to their pace."""
@@ -49,19 +49,19 @@ class Controls:
 
 
 @dataclass(frozen=True)
-class Feed:
+class GestureFeed:
     """live: a camera, whose pictures come when they come; others are shown at the pace of their times. knows: the box
     of a picture says where the gesture really is, and None that it is not seen."""
 
-    source: Source
+    source: GestureSource
     title: str
     live: bool = False
     knows: bool = True
 
 
-def read_start(message: Mapping[str, Any]) -> Start:
+def read_start(message: Mapping[str, Any]) -> SessionRequest:
     """The start that a page asks for; an InputError says what cannot be."""
-    mode = choice(message.get("mode"), "mode", ("train", "run"))
+    mode = request_choice(message.get("mode"), "mode", ("train", "run"))
     source = text(message.get("source"), "source", 80, "choose the simulated person, a recorded session or a camera")
     seed = whole(message.get("seed", 0), "the seed", 0, 2**32 - 1)
     fast = message.get("fast", False) is True
@@ -69,7 +69,7 @@ def read_start(message: Mapping[str, Any]) -> Start:
         models = message.get("models")
         if not isinstance(models, list) or not 1 <= len(models) <= 16 or not all(isinstance(m, str) for m in models):
             raise InputError("Choose 1 to 16 gestures to watch for; teach one first if there is none.")
-        return Start("run", source, models=tuple(models), seed=seed, fast=fast)
+        return SessionRequest("run", source, models=tuple(models), seed=seed, fast=fast)
     gesture, resume = text(message.get("gesture"), "name of the gesture", 64, "type one, for example tee").strip(), None
     if message.get("resume") is not None:
         resume = text(message["resume"], "gesture to go on with", 64, "choose it from the list")
@@ -84,48 +84,52 @@ def read_start(message: Mapping[str, Any]) -> Start:
     seconds, rounds = message.get("seconds") or {}, whole(message.get("rounds", 10), "the number of rounds", 1, 1000)
     if not isinstance(seconds, dict):
         raise InputError("Every phase must be given a number of seconds.")
-    given = {f"{name}_s": number(seconds[name], f"the seconds of {name}", 0, 600) for name in PHASES if name in seconds}
+    given = {
+        f"{name}_s": request_number(seconds[name], f"the seconds of {name}", 0, 600)
+        for name in STUDIO_PHASES
+        if name in seconds
+    }
     settings = SessionSettings(rounds=rounds, **given)
-    return Start("train", source, gesture, resume, settings, then=tuple(names), seed=seed, fast=fast)
+    return SessionRequest("train", source, gesture, resume, settings, then=tuple(names), seed=seed, fast=fast)
 
 
 def read_command(message: Mapping[str, Any]) -> Command:
     """The command of a message; an InputError lists the commands."""
-    return cast(Command, choice(message.get("command"), "command", COMMANDS))
+    return cast(Command, request_choice(message.get("command"), "command", COMMANDS))
 
 
 def change(controls: Controls, message: Mapping[str, Any], size: tuple[int, int]) -> bool:
     """Take a change of box, threshold, hold or map; False when the message is none of these."""
     kind = message.get("t")
     if kind == "box":
-        x, y = (number(message.get(k), f"the box's {k}", -1e9, 1e9) for k in ("x", "y"))
+        x, y = (request_number(message.get(k), f"the box's {k}", -1e9, 1e9) for k in ("x", "y"))
         controls.box = (min(max(x, 0.0), size[0] - 1.0), min(max(y, 0.0), size[1] - 1.0))
     elif kind == "threshold":
         value = message.get("value")
-        controls.threshold = None if value is None else number(value, "the threshold (cm²)", 1e-3, 1e6)
+        controls.threshold = None if value is None else request_number(value, "the threshold (cm²)", 1e-3, 1e6)
     elif kind == "hold":
-        controls.hold_s = number(message.get("seconds"), "the time to hold (s)", 0, 10)
+        controls.hold_s = request_number(message.get("seconds"), "the time to hold (s)", 0, 10)
     elif kind == "map":
         controls.map = message.get("on") is True
     return kind in ("box", "threshold", "hold", "map")
 
 
-def open_feed(start: Start, gesture: str, session: Callable[[str], Path]) -> Feed:
+def open_feed(start: SessionRequest, gesture: str, session: Callable[[str], Path]) -> GestureFeed:
     """The feed of a start's source in the protocol: simulated:N, session:ID or realsense. InputError for any other:
     a page opens no paths."""
     kind, _, rest = start.source.partition(":")
     if kind == "simulated":
         person = digits(rest or "0", "the simulated person's number")
-        return Feed(open_source(f"simulated:{person}", gesture, start.seed), f"Simulated person {person + 1}")
+        return GestureFeed(open_source(f"simulated:{person}", gesture, start.seed), f"Simulated person {person + 1}")
     if kind == "session":
         path = session(rest)
-        return Feed(_from_zero(open_source(str(path), gesture)), f"Recorded session {path.name}")
+        return GestureFeed(_from_zero(open_source(str(path), gesture)), f"Recorded session {path.name}")
     if start.source == "realsense":
-        return Feed(_from_zero(open_source("realsense")), "RealSense camera", live=True, knows=False)
+        return GestureFeed(_from_zero(open_source("realsense")), "RealSense camera", live=True, knows=False)
     raise InputError(f"There is no source {start.source[:40]!r}; choose one of the list.")
 
 
-def _from_zero(source: Source) -> Source:
+def _from_zero(source: GestureSource) -> GestureSource:
     """The source with its times counted from its first picture on."""
     first: list[float] = []
 
@@ -139,7 +143,7 @@ def _from_zero(source: Source) -> Source:
     return replace(source, take=take)
 
 
-def shut(feed: Feed) -> None:
+def shut(feed: GestureFeed) -> None:
     """Let go of the source; a camera that has been unplugged is no reason to lose a session."""
     with contextlib.suppress(OSError, RuntimeError):
         feed.source.close()

@@ -25,9 +25,9 @@ _MOST_BYTES = 64 << 20
 _SIZE, _QUALITY = 96, 82
 """px, width and height of the picture."""
 _HALF_M = 0.22
-"""Half side of what is shown, at the surface where the gesture is done."""
+"""Half side of the shown square, at the surface where the gesture is done."""
 _NEAREST_MM, _FARTHEST_MM = 500, 4200
-"""mm: the colours' range; what is nearer or farther has the end's colour."""
+"""mm: the colours' range; nearer and farther depths have the end's colour."""
 _JPEG_QUALITY = 75
 # from near to far: BGR, light enough to stand out on both themes' stages
 _COLOURS = (
@@ -136,10 +136,10 @@ def _brief(folder: Path) -> tuple[list[str], int]:
 
 def gesture_thumbnail(model: Path) -> bytes | None:
     """A JPEG of the frame in the middle of those from which a model learned its gesture last; None where no session
-    that taught it lies beside the model."""
+    that taught it lies next to the model."""
     learned = load_model(model)
     for entry in reversed(learned.history):
-        folder = model.parent / Path(str(entry.get("session", ""))).name  # beside it, whatever the model says
+        folder = model.parent / Path(str(entry.get("session", ""))).name  # next to it, whatever the model says
         if folder == model.parent or not (folder / "session.json").is_file():
             continue
         recording = read_recording(folder)

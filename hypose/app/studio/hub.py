@@ -16,8 +16,8 @@ from typing import Any
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from hypose.app.studio.answers import object_of, whole
-from hypose.app.studio.view_bundle import plain
+from hypose.app.studio.http import object_of, whole
+from hypose.app.studio.view_bundle import json_values
 from hypose.errors import HyposeError, InputError
 
 MAX_MESSAGE = 1 << 16
@@ -181,4 +181,4 @@ def _message(received: str | None) -> dict[str, Any]:
 
 
 def _text(message: Message) -> str:
-    return json.dumps(plain(message), separators=(",", ":"))
+    return json.dumps(json_values(message), separators=(",", ":"))

@@ -57,7 +57,7 @@ _KINDS: Mapping[str, tuple[str, str]] = {
     "fuse": ("Fuse {}", ""),
 }
 """Title and options of each kind; an option is that of the command, unless `plan` does something else with it."""
-KINDS = tuple(_KINDS)
+JOB_KINDS = tuple(_KINDS)
 _CLICKS = "clicks:"
 """Begins the name under which the page has saved clicks, as a start."""
 
@@ -83,10 +83,10 @@ def _word(name: str, value: Any) -> str:
     return value
 
 
-def plan(kind: str, request: Mapping[str, Any], catalog: Catalog) -> Plan:
+def plan_job(kind: str, request: Mapping[str, Any], catalog: Catalog) -> Plan:
     """The command of a job that the page asks for: {"recording" or "result": id, "options": {...}}."""
-    if kind not in KINDS:
-        raise InputError(f"There is no job {str(kind)[:40]!r}; the jobs are {', '.join(KINDS)}.")
+    if kind not in JOB_KINDS:
+        raise InputError(f"There is no job {str(kind)[:40]!r}; the jobs are {', '.join(JOB_KINDS)}.")
     title, known = _KINDS[kind][0], _KINDS[kind][1].split()
     options = request.get("options") or {}
     if not isinstance(options, dict):
@@ -151,7 +151,7 @@ def board_files(folder: Path) -> list[Path]:
     return []
 
 
-def settled(kind: str, request: Mapping[str, Any], catalog: Catalog) -> Mapping[str, Any]:
+def with_result_name(kind: str, request: Mapping[str, Any], catalog: Catalog) -> Mapping[str, Any]:
     """A request with what it leaves open decided, so that it means the same when it is planned again: a new track takes
     a name under which nothing lies yet, since what was tracked before is not to be written over."""
     options = request.get("options") or {}

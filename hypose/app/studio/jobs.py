@@ -2,9 +2,8 @@
 
 They belong to the served folder, not to a page. A job that is stopped, or whose server ends, keeps what it has
 computed, as the command line does, and `resume` goes on, with the next server too: the list lies in a file of the
-folder, with what pages had asked for. A job that goes on is planned anew from that, so nobody who writes this file gets
-a command run that a page could not ask for.
-"""
+folder, with what pages had asked for. A job that goes on is planned again from that, so no one who writes this file
+gets a command run that a page could not ask for."""
 
 from __future__ import annotations
 
@@ -24,15 +23,15 @@ from pathlib import Path
 from typing import Any, Literal
 
 from hypose.app.commands.console import COUNTED_IN_FRAMES, JSON_PROGRESS
-from hypose.app.studio.answers import NotNow
 from hypose.app.studio.catalog import Catalog, NotFound
+from hypose.app.studio.http import NotNow
 from hypose.app.studio.hub import Hub, Message, Topic
-from hypose.app.studio.job_kinds import KINDS, Plan, plan, settled
-from hypose.app.studio.view_bundle import plain
+from hypose.app.studio.job_kinds import JOB_KINDS, Plan, plan_job, with_result_name
+from hypose.app.studio.view_bundle import json_values
 from hypose.errors import HyposeError
 from hypose.io.files import read_json, write_text
 from hypose.json_text import parse_json
-from hypose.pipeline.verdict import EXIT_UNTRUSTED
+from hypose.pipeline.assessment import EXIT_UNTRUSTED
 
 NAME = ".studio-jobs.json"
 JobState = Literal["queued", "running", "done", "failed", "cancelled"]
@@ -40,7 +39,7 @@ ENDED: tuple[JobState, ...] = ("done", "failed", "cancelled")
 _KEPT_JOBS, _MOST_WAITING, _KEPT_LINES = 100, 20, 200
 _CODE_OF_INPUT = 2
 """What a command ends with when its input cannot be used."""
-_VERDICT = "Verdict: "
+_ASSESSMENT = "Assessment: "
 _NOTHING_WRITTEN = "nothing is written"
 """Part of what `check --refine` says when it has found no calibration to recommend."""
 _KILL_S = 20.0
@@ -49,7 +48,7 @@ _INTERRUPTED = "The server ended while this job was under way; what it had compu
 
 
 @dataclass
-class Job:
+class _StudioJob:
     """One job. Changed under the lock of Jobs only. request: what the page asked for; stages: as the page gets them, by
     name, in order, and when they began; hopeless: to go on would end as it did."""
 
@@ -92,10 +91,10 @@ class Job:
         }
 
     @classmethod
-    def of(cls, record: Mapping[str, Any]) -> Job:
+    def of(cls, record: Mapping[str, Any]) -> _StudioJob:
         """A job of an earlier server, which is not running any more."""
         shown, interrupted = record["job"], record["job"]["state"] not in ENDED
-        if shown["kind"] not in KINDS:
+        if shown["kind"] not in JOB_KINDS:
             raise ValueError(shown["kind"])
         ids = shown["recording"], shown["result"]
         made = Plan((), str(shown["title"]), *ids, resumable=bool(record["resumable"]), makes=shown["makes"])
@@ -126,32 +125,32 @@ class Jobs(Topic):
         """See `Topic`."""
         return {"t": "jobs", "jobs": [j.shown() for j in self.every()]}
 
-    def every(self) -> list[Job]:
+    def every(self) -> list[_StudioJob]:
         """The newest first."""
         with self._lock:
             return sorted(self._jobs.values(), key=lambda j: -j.created)
 
-    def find(self, id: str) -> Job:
+    def find(self, id: str) -> _StudioJob:
         """A job by its id; NotFound when there is none."""
         with self._lock:
             if id not in self._jobs:
                 raise NotFound(f"There is no job {id[:40]!r}.")
             return self._jobs[id]
 
-    def start(self, kind: str, request: Mapping[str, Any]) -> Job:
+    def start(self, kind: str, request: Mapping[str, Any]) -> _StudioJob:
         """Queue a job; an InputError when its options cannot be."""
-        request = settled(kind, request, self._catalog)
-        return self._queue(kind, request, plan(kind, request, self._catalog))
+        request = with_result_name(kind, request, self._catalog)
+        return self._queue(kind, request, plan_job(kind, request, self._catalog))
 
-    def resume(self, id: str) -> Job:
+    def resume(self, id: str) -> _StudioJob:
         """Go on with a job that was stopped or failed, as a new job."""
         old = self.find(id)
         if not old.shown()["resumable"]:
             raise NotNow(f"The job {old.plan.title!r} is {old.state} and cannot be resumed; start it again.")
-        made = plan(old.kind, old.request, self._catalog)
+        made = plan_job(old.kind, old.request, self._catalog)
         return self._queue(old.kind, old.request, replace(made, arguments=(*made.arguments, "--resume")))
 
-    def cancel(self, id: str) -> Job:
+    def cancel(self, id: str) -> _StudioJob:
         """Stop a job with its work kept."""
         job = self.find(id)
         with self._lock:
@@ -176,8 +175,8 @@ class Jobs(Topic):
         self._worker.join(_KILL_S + 5)
         write_jobs(self._catalog, self.every())
 
-    def _queue(self, kind: str, request: Mapping[str, Any], made: Plan) -> Job:
-        job = Job(secrets.token_hex(6), kind, request, made, time.time(), "hypose " + shlex.join(made.arguments))
+    def _queue(self, kind: str, request: Mapping[str, Any], made: Plan) -> _StudioJob:
+        job = _StudioJob(secrets.token_hex(6), kind, request, made, time.time(), "hypose " + shlex.join(made.arguments))
         with self._lock:
             waiting = [j for j in self._jobs.values() if j.state not in ENDED]
             if len(waiting) >= _MOST_WAITING:
@@ -192,7 +191,7 @@ class Jobs(Topic):
         self._changed(job)
         return job
 
-    def _stop(self, job: Job) -> None:
+    def _stop(self, job: _StudioJob) -> None:
         """Take a job out of the queue, or ask its process to end, as Ctrl-C does; the lock is held."""
         if job.state == "queued":
             job.state, job.ended = "cancelled", time.time()
@@ -205,15 +204,15 @@ class Jobs(Topic):
             timer.daemon = True
             timer.start()
 
-    def _changed(self, job: Job) -> None:
-        """A job is in another state: kept on disk, and told."""
+    def _changed(self, job: _StudioJob) -> None:
+        """A job is in another state: kept on disk, and reported."""
         with self._keeping:
             write_jobs(self._catalog, self.every())
         self._tell(job)
         if job.state in ENDED:
             self._hub.post(self.name, {"t": "files"})
 
-    def _tell(self, job: Job) -> None:
+    def _tell(self, job: _StudioJob) -> None:
         self._hub.post(self.name, {"t": "job", "job": job.shown()}, key=job.id)
 
     # ---- the thread that runs them ----
@@ -230,11 +229,11 @@ class Jobs(Topic):
             self._run(job)
             self._changed(job)
 
-    def _next(self) -> Job | None:
+    def _next(self) -> _StudioJob | None:
         waiting = [j for j in self._jobs.values() if j.state == "queued"]
         return min(waiting, key=lambda j: j.created, default=None)
 
-    def _run(self, job: Job) -> None:
+    def _run(self, job: _StudioJob) -> None:
         try:
             process = subprocess.Popen(
                 # no module of the served folder is to be imported, nor settings of a library read there
@@ -266,7 +265,7 @@ class Jobs(Topic):
             self._tell(job)
         self._end(job, problem, process.wait())
 
-    def _end(self, job: Job, problem: str, code: int) -> None:
+    def _end(self, job: _StudioJob, problem: str, code: int) -> None:
         def said(what: str) -> str:
             return next((t for t in reversed(job.lines) if what in t), "")
 
@@ -277,8 +276,8 @@ class Jobs(Topic):
             elif code == 0 or (job.kind == "check" and code == 1 and not problem and job.stages):
                 job.state = "done"  # a check that found something wrong has done its work
             elif code == EXIT_UNTRUSTED and not problem:
-                job.state = "done"  # all of it was tracked; what is to be thought of it is for who looks at it
-                job.error = said(_VERDICT).removeprefix(_VERDICT)
+                job.state = "done"  # all of it was tracked; the user judges the result
+                job.error = said(_ASSESSMENT).removeprefix(_ASSESSMENT)
             else:
                 job.state = "failed"
                 # a refinement says as its result why it wrote nothing, not as an error
@@ -289,7 +288,7 @@ class Jobs(Topic):
                 job.hopeless = code == _CODE_OF_INPUT and not kept
 
 
-def _progress(job: Job, text: str) -> bool:
+def _progress(job: _StudioJob, text: str) -> bool:
     """Take a line of progress of a job's command; False when it is none."""
     try:
         value = parse_json(text)
@@ -305,22 +304,22 @@ def _progress(job: Job, text: str) -> bool:
     return True
 
 
-def read_jobs(catalog: Catalog) -> list[Job]:
+def read_jobs(catalog: Catalog) -> list[_StudioJob]:
     """The jobs that an earlier server has left, none of them running. What cannot be read is left out."""
-    path, found = catalog.root / NAME, list[Job]()
+    path, found = catalog.root / NAME, list[_StudioJob]()
     if not path.is_file() or not catalog.contains(path):
         return found
     with contextlib.suppress(HyposeError, TypeError):
         for record in read_json(path, "a list of jobs"):
             with contextlib.suppress(KeyError, TypeError, ValueError, AttributeError):
-                found.append(Job.of(record))
+                found.append(_StudioJob.of(record))
     return found
 
 
-def write_jobs(catalog: Catalog, jobs: Sequence[Job]) -> None:
+def write_jobs(catalog: Catalog, jobs: Sequence[_StudioJob]) -> None:
     """Keep the list. A folder that may not be written to keeps none, nor does one in which nothing was ever started."""
     path = catalog.root / NAME
     records = [{"job": j.shown(), "request": j.request, "resumable": j.plan.resumable and not j.hopeless} for j in jobs]
     with contextlib.suppress(OSError, HyposeError):
         if not path.is_symlink() and (records or path.exists()):
-            write_text(path, json.dumps(plain(records)))
+            write_text(path, json.dumps(json_values(records)))

@@ -18,11 +18,11 @@ import numpy as np
 from starlette.concurrency import run_in_threadpool
 
 from hypose.app.live import simulated_sensors
-from hypose.app.live.live_server import LiveOptions as FuseOptions
+from hypose.app.live.live_server import FusionServerOptions as FuseOptions
 from hypose.app.live.live_server import LiveServer
 from hypose.app.live.pose_outputs import PoseOutputs, pose_json, status_json
-from hypose.app.studio.answers import NotNow, number, text, whole
 from hypose.app.studio.catalog import Catalog
+from hypose.app.studio.http import NotNow, request_number, text, whole
 from hypose.app.studio.hub import Hub, Message, Topic
 from hypose.app.studio.job_kinds import free_folder
 from hypose.body.default_body import human
@@ -30,18 +30,18 @@ from hypose.errors import InputError
 from hypose.fusion.align import AlignSettings
 from hypose.fusion.joints import COMMON, PARENT
 from hypose.fusion.live import LiveSettings
-from hypose.io.videos.camera_sources import Shot, is_device
-from hypose.pipeline.live.engine import LiveEngine, LiveOptions, LiveStatus, Seen
-from hypose.pipeline.live.eyes import EyesOptions
+from hypose.io.videos.camera_sources import CameraImage, is_device
+from hypose.pipeline.live.capture import CaptureOptions
+from hypose.pipeline.live.engine import LiveEngine, LiveResult, LiveStatus, LiveTrackingOptions
 from hypose.pipeline.live.live_rig import LiveRig, live_rig
 from hypose.pipeline.live.live_search import LivePersonOptions
 from hypose.pipeline.live.recorder import LiveRecorder
 from hypose.pipeline.settings import SETTINGS
 
-FOLDER = "live"
+_FOLDER = "live"
 """Where recordings go, in the served folder."""
 _WAITING = 32
-"""Messages of the fusion that wait to be told."""
+"""Messages of the fusion that wait to be reported."""
 PICTURES_S = 0.25
 """s between two pictures of the cameras on the page"""
 _WIDTH, _QUALITY = 320, 70
@@ -63,7 +63,7 @@ def _target(message: Message, kind: str, port: int) -> str | None:
     return text(message[kind], "address to send to", 100, f"give HOST:PORT, for example 127.0.0.1:{port}").strip()
 
 
-def _told(path: Path | None) -> str | None:
+def _reported(path: Path | None) -> str | None:
     return None if path is None else f"{path.parent.name}/{path.name}"
 
 
@@ -95,7 +95,7 @@ class LiveTopic(Topic):
             raise InputError(f"There is nothing to {kind[:20]!r} here; {known} or stop.")
 
     async def stop(self, why: str = "") -> None:
-        """End, and tell it; why: what is said where nothing else is."""
+        """End, and tell it; why: the message where nothing else is."""
         async with self._changing:
             said = await self._stop() or why
         if said:
@@ -107,7 +107,7 @@ class LiveTopic(Topic):
         raise NotImplementedError
 
     async def _stop(self) -> str | None:
-        """End; what is to be said."""
+        """End; the message."""
         raise NotImplementedError
 
 
@@ -128,22 +128,22 @@ class FuseTopic(LiveTopic):
         if (s := self._server) is not None:
             o = s.options
             running = {"udp": s.udp_port, "ws": s.ws_port, "simulated": self._simulated, "osc": o.osc}
-            running |= {"record": _told(o.record)}
+            running |= {"record": _reported(o.record)}
         return {"t": "hello", "running": running, "joints": COMMON, "parents": PARENT.tolist()}
 
     async def _start(self, message: Message) -> None:
         """Open the ports on this computer, and the recording where one is wanted. With `simulated` so many made-up
         sensors send to it."""
         udp, ws = (whole(message.get(k, 0), f"the {k} port", 0, 65535) for k in ("udp", "ws"))
-        rate = number(message.get("rate", 30), "the rate", 1, 240)
+        rate = request_number(message.get("rate", 30), "the rate", 1, 240)
         made_up = message.get("simulated") or 0
         if made_up:
-            whole(made_up, "the number of simulated sensors", 2, simulated_sensors.MOST)
+            whole(made_up, "the number of simulated sensors", 2, simulated_sensors.MAX_SIMULATED)
         osc = _target(message, "osc", 9000)
         seen = None
         if made_up:
             seen = await run_in_threadpool(simulated_sensors.simulated_sensors, made_up, np.random.default_rng(0))
-        record = recording_folder(self._catalog, FOLDER, "live") if message.get("record") is True else None
+        record = recording_folder(self._catalog, _FOLDER, "live") if message.get("record") is True else None
         settings = LiveSettings(AlignSettings(rate=rate))
         server = LiveServer(FuseOptions(udp=udp, ws=ws, osc=osc, record=record, settings=settings))
         try:
@@ -176,23 +176,23 @@ class FuseTopic(LiveTopic):
         if server is None:
             return None
         await server.stop()
-        record = _told(server.options.record)
+        record = _reported(server.options.record)
         return record and (server.unrecorded or f"Recorded as {record}.")
 
 
 @dataclass
 class _Following:
-    """Cameras that are followed: the engine, who listens to it, and what pages are told of it."""
+    """Cameras that are followed: the engine, who listens to it, and what pages are informed of it."""
 
     engine: LiveEngine
     outputs: PoseOutputs
     pictures: _Pictures
     recorder: LiveRecorder | None
-    told: Message
+    reported: Message
 
 
 class CameraTopic(LiveTopic):
-    """Calibrated cameras that are followed as they show somebody, with small pictures and masks."""
+    """Calibrated cameras that are followed as they show a person, with small pictures and masks."""
 
     name = "cameras"
     acts = ("room",)
@@ -206,7 +206,7 @@ class CameraTopic(LiveTopic):
         """See `Topic`."""
         s, f = human().skeleton, self._following
         joints = {"joints": s.joint_names, "parents": [int(p) for p in s.parents]}
-        return {"t": "hello", "running": False if f is None else f.told, **joints}
+        return {"t": "hello", "running": False if f is None else f.reported, **joints}
 
     def room(self) -> None:
         """Learn the empty room."""
@@ -219,14 +219,14 @@ class CameraTopic(LiveTopic):
         played; countdown s; people: at most so many; record, osc, vmc as for the fusion."""
         recording = self._catalog.find("recording", text(message.get("recording"), "recording", 200, "choose one"))
         sources = _sources(message.get("sources") or {})
-        countdown = number(message.get("countdown", 5), "the countdown", 0, 600)
-        rate = number(message["rate"], "the rate", 1, 240) if message.get("rate") else None
+        countdown = request_number(message.get("countdown", 5), "the countdown", 0, 600)
+        rate = request_number(message["rate"], "the rate", 1, 240) if message.get("rate") else None
         ws = whole(message.get("ws", 0), "the ws port", 0, 65535)
         people = whole(message.get("people", 1), "the number of people", 1, SETTINGS.engine_most_people)
         osc, vmc = _target(message, "osc", 9000), _target(message, "vmc", 39539)
         cameras = await run_in_threadpool(live_rig, recording.path, sources, rate)
         names = tuple(v.name for v in cameras.views)
-        record = recording_folder(self._catalog, FOLDER, "cameras") if message.get("record") is True else None
+        record = recording_folder(self._catalog, _FOLDER, "cameras") if message.get("record") is True else None
         recorder = None
         async with contextlib.AsyncExitStack() as undone:  # what was begun, when the rest cannot be
             outputs = PoseOutputs(names, cameras.rate, ws=ws, osc=osc, vmc=vmc, clock=time.monotonic)
@@ -236,26 +236,26 @@ class CameraTopic(LiveTopic):
                 undone.push_async_callback(run_in_threadpool, recorder.close)
             pictures = _Pictures(self._hub, self.name, cameras)
             undone.callback(pictures.close)
-            eyes = EyesOptions(cameras.rate, countdown, cameras.silhouettes)
-            how = LiveOptions(eyes, LivePersonOptions(height=cameras.height), people, pictures=True)
+            eyes = CaptureOptions(cameras.rate, countdown, cameras.silhouettes)
+            how = LiveTrackingOptions(eyes, LivePersonOptions(height=cameras.height), people, pictures=True)
             listeners = [outputs, pictures, *([recorder] if recorder else [])]
             engine = LiveEngine(cameras.rig, cameras.views, how, listeners)
             undone.push_async_callback(run_in_threadpool, engine.stop)
             await run_in_threadpool(engine.start)
             undone.pop_all()
         port = outputs.listeners.port if outputs.listeners is not None else 0
-        told = {"recording": recording.id, "cameras": names, "ws": port, "osc": osc, "vmc": vmc}
-        told |= {"record": _told(record), "played": not sources}
-        self._following = _Following(engine, outputs, pictures, recorder, told)
+        reported = {"recording": recording.id, "cameras": names, "ws": port, "osc": osc, "vmc": vmc}
+        reported |= {"record": _reported(record), "played": not sources}
+        self._following = _Following(engine, outputs, pictures, recorder, reported)
         self._watching = asyncio.ensure_future(self._watch(self._following))
 
     async def _watch(self, following: _Following) -> None:
         """Files are over, or something has failed: it ends, and that is said."""
-        recorder, told = following.recorder, False
+        recorder, reported = following.recorder, False
         while not following.engine.ended.is_set():
             await asyncio.sleep(0.2)
-            if recorder is not None and recorder.failed and not told:
-                told = True
+            if recorder is not None and recorder.failed and not reported:
+                reported = True
                 self._hub.post(self.name, {"t": "said", "text": recorder.failed})
         if self._following is following:
             await self.stop("All videos are over.")
@@ -275,14 +275,14 @@ class CameraTopic(LiveTopic):
 
 
 def _recorded(recorder: LiveRecorder) -> str:
-    """End a recording; what is to be said."""
+    """End a recording; the message."""
     try:
         if not recorder.close():
             return "Nothing was recorded: no instant was seen after the empty room was known."
     except InputError as error:
         return str(error)
     without = f", without {recorder.left_out} instants" if recorder.left_out else ""
-    return f"Recorded as {_told(recorder.folder)}{without}."
+    return f"Recorded as {_reported(recorder.folder)}{without}."
 
 
 def _sources(value: Any) -> dict[str, str]:
@@ -306,13 +306,13 @@ class _Pictures:
         self._hub, self._topic = hub, topic
         self._cameras = tuple(v.name for v in cameras.views)
         self._places = [np.linalg.inv(c.camera_from_world).round(4).tolist() for c in cameras.rig]
-        self._newest: Seen | None = None
+        self._newest: LiveResult | None = None
         self._drawn = -np.inf
         self._wake, self._ended = threading.Event(), False
         self._thread = threading.Thread(target=self._draw, name="pictures", daemon=True)
         self._thread.start()
 
-    def seen(self, seen: Seen) -> None:
+    def seen(self, seen: LiveResult) -> None:
         """See `Listener`."""
         now, people = time.monotonic(), []
         for pose in seen.poses:
@@ -327,13 +327,13 @@ class _Pictures:
 
     def status(self, status: LiveStatus) -> None:
         """See `Listener`."""
-        told: dict[str, Any] = json.loads(status_json(status))
-        del told["type"]
-        told |= {"t": "status", "sensors": told.pop("cameras")}
+        reported: dict[str, Any] = json.loads(status_json(status))
+        del reported["type"]
+        reported |= {"t": "status", "sensors": reported.pop("cameras")}
         alive = {c.name: not c.trouble for c in status.cameras}
-        for camera, place in zip(told["sensors"], self._places, strict=False):
+        for camera, place in zip(reported["sensors"], self._places, strict=False):
             camera |= {"alive": alive[camera["name"]], "registered": True, "residual": None, "place": place}
-        self._hub.post(self._topic, told, key="status")
+        self._hub.post(self._topic, reported, key="status")
 
     def close(self) -> None:
         """No more pictures."""
@@ -353,7 +353,7 @@ class _Pictures:
 
 def _picture(jpeg: bytes | None, bits: np.ndarray | None) -> str | None:
     """A small picture with the mask as a tint, base64; None without a picture."""
-    image = None if jpeg is None else Shot(0.0, None, jpeg).picture((_WIDTH, 1))
+    image = None if jpeg is None else CameraImage(0.0, None, jpeg).picture((_WIDTH, 1))
     if image is None:
         return None
     size = _WIDTH, max(1, round(_WIDTH * image.shape[0] / image.shape[1]))

@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import contextlib
 import math
+import re
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from hypose.app.studio.catalog import Catalog, Item, NotFound
+from hypose.app.studio.http import request_choice, text, whole
+from hypose.app.studio.http import request_number as number_of
 from hypose.app.studio.job_kinds import CALIBRATION, board_files
-from hypose.app.studio.memory_cache import Kept
-from hypose.app.studio.mending import left_out, refined
+from hypose.app.studio.lru_cache import LruCache
 from hypose.app.studio.view_pictures import AnyFrame
 from hypose.calibration.views import find_sources
 from hypose.cameras.camera import Camera
@@ -27,7 +29,7 @@ from hypose.errors import HyposeError, InputError
 from hypose.evidence.background import BackgroundModel
 from hypose.evidence.silhouettes import SilhouetteSettings, make_segmenter
 from hypose.geometry import Image, Mask
-from hypose.io.files import read_json, read_text, read_toml, write_text
+from hypose.io.files import read_json, read_text, read_toml, toml_value, write_text
 from hypose.io.recordings.frames import build_backgrounds, working_rig
 from hypose.io.recordings.recording import (
     SILHOUETTE_KEYS,
@@ -39,8 +41,132 @@ from hypose.io.recordings.recording import (
 from hypose.io.recordings.view_source import Preparer, ViewSource
 from hypose.json_text import parse_json
 
+# ---- edits ---------------------------------------------------------------------------------------------------------
+# Faults that a check has found, corrected by a change of recording.toml, in whose other lines nothing changes.
+#
+# Every change is tried: where the recording cannot be read with it, the text is as it was, and the sentence says why.
+
+
+_KINDS = (
+    "accept_scaled", "leave_out", "take_back", "background", "use_refined", "keypoint_lag", "keypoint_pixels",
+    "image_shift",
+)  # fmt: skip
+_AWAY = "#left out# "
+"""Stands before every line of a view that is left out, so that it can be taken back."""
+_REFINED = "results/calibration_refined*.toml"
+
+
+def edit_recording(folder: Path, recording: Recording | None, asked: dict[str, Any], catalog: Catalog) -> None:
+    """Apply an edit: {"what": one of KINDS, "view": name, "path": picture or video of an empty room, "frames":
+    by which key points come too early, "x", "y": px by which a view's pictures have to move}. recording: as it is read
+    now, None where it cannot be."""
+    what = request_choice(asked.get("what"), "way to mend", _KINDS)
+    path = folder / "recording.toml"
+    if not path.is_file():
+        raise InputError(f"{folder.name} has no recording.toml to be changed; a Pose2Sim project is only read.")
+    before = read_text(path, "a recording.toml")
+    if what == "use_refined":
+        return _try(path, before, _with_calibration(before, newest_refined_calibration(folder)))
+    if what == "take_back":
+        return _try(path, before, "\n".join(line.removeprefix(_AWAY) for line in before.split("\n")))
+    if what == "keypoint_pixels":
+        return _try(path, before, _at_top(before, "keypoint_pixels", "image"))
+    if what == "keypoint_lag":
+        frames = whole(asked.get("frames"), "the frames by which the key points are moved", -10_000, 10_000)
+        lag = frames + (0 if recording is None else recording.keypoint_lag)
+        return _try(path, before, _at_top(before, "keypoint_lag", lag))
+    names = _names(path, recording)
+    name = request_choice(asked.get("view"), "view", names)
+    number, value = names.index(name), cast(Any, True)
+    if what == "leave_out":
+        if len(names) < 2:
+            raise InputError(f"{name} is the only view; a recording needs one.")
+        return _try(path, before, _changed(before, number, lambda b: [_AWAY + t if t.strip() else t for t in b]))
+    if what == "image_shift":
+        old = (0.0, 0.0) if recording is None else recording.views[number].image_shift
+        by = (number_of(asked.get(k), f"the shift of the pictures in {k} (px)", -1e4, 1e4) for k in ("x", "y"))
+        value = [round(a + b, 1) for a, b in zip(old, by, strict=True)]
+    if what == "background":
+        room = catalog.inside(text(asked.get("path"), "picture of the empty room", 1000, "choose one"), folder)
+        value = (room.relative_to(folder) if room.is_relative_to(folder) else room).as_posix()
+    line = f"{what} = {toml_value(value)}"
+    _try(path, before, _changed(before, number, lambda b: [*_set_aside(b, what), line]))
+
+
+def _names(path: Path, recording: Recording | None) -> list[str]:
+    """The names of the views, also of a recording that cannot be read as it is."""
+    if recording is not None:
+        return [v.name for v in recording.views]
+    tables = read_toml(path).get("view", [])
+    return [str(t.get("name", t.get("camera", k))) for k, t in enumerate(tables, 1) if isinstance(t, dict)]
+
+
+def excluded_views(folder: Path) -> list[str]:
+    """Names of the views that have been left out of a recording."""
+    try:
+        lines = read_text(folder / "recording.toml", "a recording.toml").split("\n")
+    except InputError:
+        return []
+    away = [line.removeprefix(_AWAY) for line in lines if line.startswith(_AWAY)]
+    found = [re.match(r"""\s*(?:name|camera)\s*=\s*["'](.+?)["']""", line) for line in away]
+    blocks = sum(line.strip() == "[[view]]" for line in away)
+    names = list(dict.fromkeys(m[1] for m in found if m))
+    return names if len(names) == blocks else [f"{blocks} views"] if blocks else []
+
+
+def newest_refined_calibration(folder: Path) -> str | None:
+    """The newest refined calibration of a recording, relative to it."""
+    files = sorted(folder.glob(_REFINED), key=lambda p: p.stat().st_mtime)
+    return files[-1].relative_to(folder).as_posix() if files else None
+
+
+def _try(path: Path, before: str, after: str) -> None:
+    write_text(path, after)
+    try:
+        load_recording(path.parent)
+    except HyposeError as error:
+        write_text(path, before)
+        raise InputError(f"That does not mend it: {error}") from None
+
+
+def _changed(whole: str, number: int, change: Callable[[list[str]], list[str]]) -> str:
+    """The text with the lines of its view `number` changed."""
+    lines = whole.split("\n")
+    heads = [i for i, line in enumerate(lines) if line.split("#")[0].strip() == "[[view]]"]
+    if number >= len(heads):
+        raise InputError("The views are not written as [[view]] in recording.toml; change it by hand.")
+    first = heads[number]
+    following = (i for i in range(first + 1, len(lines)) if lines[i].lstrip().startswith("["))
+    stop = next(following, len(lines))
+    while stop > first + 1 and not lines[stop - 1].strip():
+        stop -= 1
+    return "\n".join([*lines[:first], *change(lines[first:stop]), *lines[stop:]])
+
+
+def _at_top(whole: str, key: str, value: Any) -> str:
+    """The text with a key of the recording itself."""
+    lines = whole.split("\n")
+    end = next((i for i, line in enumerate(lines) if line.lstrip().startswith("[")), len(lines))
+    return "\n".join([f"{key} = {toml_value(value)}", *_set_aside(lines[:end], key), *lines[end:]])
+
+
+def _set_aside(lines: list[str], key: str) -> list[str]:
+    return [line for line in lines if not re.match(rf"\s*{key}\s*=", line)]
+
+
+def _with_calibration(whole: str, name: str | None) -> str:
+    """The text with another calibration, in metres and z up, and that of before behind a #."""
+    if name is None:
+        raise InputError("There is no refined calibration yet; refine it first.")
+    lines = whole.split("\n")
+    end = next((i for i, line in enumerate(lines) if line.lstrip().startswith("[")), len(lines))
+    old = re.compile(r"\s*(calibration|calibration_unit|world_up)\s*=")
+    head = [f"# before: {line.strip()}" if old.match(line) else line for line in lines[:end]]
+    return "\n".join([f"calibration = {toml_value(name)}", *head, *lines[end:]])
+
+
 _OPEN, _LENSES, _QUALITY = 128 << 20, 32 << 20, 85
-"""Bytes of what is kept open of all recordings, and of the maps that undistort the pictures of one."""
+"""Bytes of the kept part open of all recordings, and of the maps that undistort the pictures of one."""
 _PER_PIXEL, _PER_LENS_PIXEL, _PER_WORKING_PIXEL = 40, 8, 30
 """Bytes that an open video, such a map and a background hold per pixel, about."""
 _EDGE = (70, 60, 255)  # BGR; the same pink as in the report
@@ -96,15 +222,15 @@ class _Open:
 
 
 class Recordings:
-    """What is open of recordings; used by several threads."""
+    """Open files of recordings; used by several threads."""
 
     def __init__(self, catalog: Catalog) -> None:
         self._catalog = catalog
         # however large it is, the one that is worked on stays: its empty rooms take seconds to make
-        self._open: Kept[_Open] = Kept(_OPEN, lambda o: o.held, _Open.close, one_more=True)
+        self._open: LruCache[_Open] = LruCache(_OPEN, lambda o: o.held, _Open.close, one_more=True)
 
     def load(self, item: Item) -> Recording:
-        """The recording of an item; an InputError says what is wrong with it."""
+        """The recording of an item; an InputError says the fault."""
         with self._opened(item) as opened:
             return opened.recording
 
@@ -118,7 +244,7 @@ class Recordings:
             "sync": read_found(item.path, "sync.json"),
             "check": read_found(item.path, "check.json"),
             "subject": read_subject(item.path),
-            "left_out": left_out(item.path),
+            "left_out": excluded_views(item.path),
             "refined": _unused(item.path),
             "starts": sorted(p.stem for p in (item.path / "starts").glob("*.json")),
         }
@@ -176,7 +302,7 @@ class Recordings:
                 raise InputError(f"{r.name} has the frames 0 to {r.n_frames - 1}, there is no {frame}.")
             if not 32 <= width <= 4096:
                 raise InputError(f"Pictures cannot be {width} px wide; ask for 32 to 4096.")
-            view, options = r.rig.names.index(camera), changed(r.silhouettes, settings)
+            view, options = r.rig.names.index(camera), _with_query(r.silhouettes, settings)
             full = r.rig[view]
             w = min(width, full.size[0])
             small = full.scaled((w, max(1, round(full.size[1] * w / full.size[0])))).pinhole()
@@ -187,7 +313,7 @@ class Recordings:
             if mask is None:
                 raise NotFound(f"{camera} has masks only, no pictures.")
             image = np.full((*mask.shape, 3), 40, np.uint8)
-        picture = image if mask is None else draw(image, mask, shown)
+        picture = image if mask is None else _draw_mask(image, mask, shown)
         return cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()
 
     def save_settings(self, item: Item, settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -226,7 +352,7 @@ class Recordings:
         return mask_runs.draw(runs)
 
 
-def draw(image: Image, mask: Mask, shown: str) -> Image:
+def _draw_mask(image: Image, mask: Mask, shown: str) -> Image:
     """A picture with a mask of any size of the same shape."""
     h, w = image.shape[:2]
     whole = np.asarray(cv2.resize(mask * np.uint8(255), (w, h), interpolation=cv2.INTER_LINEAR) > 127, np.uint8)
@@ -240,15 +366,15 @@ def draw(image: Image, mask: Mask, shown: str) -> Image:
     return out
 
 
-def changed(options: SilhouetteSettings, settings: Mapping[str, str]) -> SilhouetteSettings:
+def _with_query(options: SilhouetteSettings, settings: Mapping[str, str]) -> SilhouetteSettings:
     """The options with settings out of a query: texts as in JSON, numbers of a list with commas between."""
     table: dict[str, Any] = {k: list(v) if isinstance(v, tuple) else v for k, v in asdict(options).items()}
-    for key, text in settings.items():
+    for key, value in settings.items():
         kind = SILHOUETTE_KEYS.get(key)
         try:
-            table[key] = text if kind is str else parse_json(f"[{text}]" if kind is list else text)
+            table[key] = value if kind is str else parse_json(f"[{value}]" if kind is list else value)
         except (ValueError, RecursionError):
-            raise InputError(f"The mask setting {key[:40]} cannot be {text[:40]!r}.") from None
+            raise InputError(f"The mask setting {key[:40]} cannot be {value[:40]!r}.") from None
     return silhouette_options("The settings", table)
 
 
@@ -286,7 +412,7 @@ def board_of(folder: Path) -> dict[str, Any] | None:
 
 def _unused(folder: Path) -> str | None:
     """A refined calibration that the recording does not use yet."""
-    found = refined(folder)
+    found = newest_refined_calibration(folder)
     with contextlib.suppress(HyposeError):
         return found if read_toml(folder / "recording.toml").get("calibration") != found else None
     return None

@@ -16,11 +16,10 @@ import numpy as np
 from hypose.app.reports.summary import DESCRIPTIONS
 from hypose.app.studio.catalog import Catalog, Item, NotFound
 from hypose.app.studio.job_kinds import Plan
-from hypose.app.studio.memory_cache import Kept
+from hypose.app.studio.lru_cache import LruCache
 from hypose.app.studio.recordings import Recordings
-from hypose.app.studio.view_bundle import plain, view_bundle
+from hypose.app.studio.view_bundle import first_frame, in_recording, json_values, load_view, quality_of, view_bundle
 from hypose.app.studio.view_pictures import ViewPictures
-from hypose.app.studio.view_result import first_frame, in_recording, load_view, quality_of
 from hypose.body.motion import Motion
 from hypose.body.skeleton import Skeleton
 from hypose.errors import HyposeError
@@ -34,8 +33,8 @@ _BLOCKS, _PICTURES, _THUMBNAILS, _GAITS = 24 << 20, 64 << 20, 4 << 20, 4 << 20
 """Bytes of blocks, of open pictures, of thumbnails and of answers on gait that are kept."""
 _DESCRIBED = ("recording.toml", "Config.toml", "calibration.toml")
 _MOTION = ("motion.npz", "body.npz")
-_JUDGED = ("verdict.json", "modes.npz", "checkpoint.npz")
-"""Files beside a motion that say how good it is, and whether it is all."""
+_JUDGED = ("assessment.json", "modes.npz", "checkpoint.npz")
+"""Files next to a motion that say how good it is, and whether it is all."""
 _SIZE = (192, 144)
 """px, width and height of a thumbnail."""
 _ROOM = 1.35
@@ -47,7 +46,7 @@ Stamp = tuple[float | None, ...]
 
 @dataclass(frozen=True)
 class Glimpse:
-    """What is kept of a motion for its picture: rows with their joints (J, 3) m, of which the first that has a picture
+    """The kept part of a motion for its picture: rows with their joints (J, 3) m, of which the first that has a picture
     is shown."""
 
     rows: tuple[tuple[int, Array], ...]
@@ -64,17 +63,19 @@ class _Head:
 
 
 class Results:
-    """What is open of results; used by several threads."""
+    """Open files of results; used by several threads."""
 
     def __init__(self, catalog: Catalog) -> None:
         self._catalog = catalog
-        self._blocks: Kept[bytearray] = Kept(_BLOCKS, len, one_more=True)
+        self._blocks: LruCache[bytearray] = LruCache(_BLOCKS, len, one_more=True)
         # of four cameras of 1080p more is open than is kept of others: to open it for every picture would take seconds
-        self._pictures: Kept[ViewPictures] = Kept(_PICTURES, lambda p: p.held, ViewPictures.close, one_more=True)
-        self._thumbnails: Kept[bytes] = Kept(_THUMBNAILS, len)
+        self._pictures: LruCache[ViewPictures] = LruCache(
+            _PICTURES, lambda p: p.held, ViewPictures.close, one_more=True
+        )
+        self._thumbnails: LruCache[bytes] = LruCache(_THUMBNAILS, len)
         self._heads: dict[str, _Head] = {}
-        self._gaits: Kept[bytes] = Kept(_GAITS, len)
-        self._one = threading.Lock()  # whole motions are held by one thread at a time: they are what is large here
+        self._gaits: LruCache[bytes] = LruCache(_GAITS, len)
+        self._one = threading.Lock()  # whole motions are held by one thread at a time: they are large
 
     def block(self, item: Item) -> bytearray:
         """The whole result; made again when its files have changed, or those of its recording."""
@@ -106,7 +107,7 @@ class Results:
 
     def _head(self, item: Item) -> _Head:
         stamp = _stamp(item.path, (*_MOTION, *_JUDGED))
-        known = self._heads.get(item.id)  # without waiting for whoever holds a motion
+        known = self._heads.get(item.id)  # without waiting for the thread that holds a motion
         if known is not None and known.stamp == stamp:
             return known
         with self._one:  # several that ask at once do not each read all
@@ -158,11 +159,11 @@ class Results:
             return thumbnail(glimpse, opened)
 
     def gait(self, item: Item) -> bytes:
-        """How somebody walks, as JSON."""
+        """How a person walks, as JSON."""
 
         def make() -> bytes:
             with self._one:
-                return json.dumps(plain(gait_view(item.path))).encode()
+                return json.dumps(json_values(gait_view(item.path))).encode()
 
         with self._gaits.use((item.id, _stamp(item.path)), make) as data:
             return data
@@ -192,7 +193,7 @@ class Results:
         return view_bundle(in_recording(recording, tracked, body, first_frame=first, complete=False))
 
     def drop(self) -> None:
-        """Release what is not in use."""
+        """Release values not in use."""
         for kept in (self._gaits, self._thumbnails, self._pictures, self._blocks):
             kept.drop()
 
@@ -251,19 +252,19 @@ def _drawn(image: Image, points: Array, skeleton: Skeleton) -> bytes:
     return cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()
 
 
-NOBODY_WALKS: dict[str, Any] = {"events": [], "figures": [], "cycles": []}
+NO_GAIT: dict[str, Any] = {"events": [], "figures": [], "cycles": []}
 
 
 def gait_view(results: Path) -> dict[str, Any]:
     """Of a results folder: events by time (s of the motion's times), figures, and the cycles in degrees at 0 to 100 %;
-    all empty where nobody walks, or where the motion has no poses or body."""
+    all empty where no person walks, or where the motion has no poses or body."""
     try:
         motion, body = load_motion(results / "motion.npz"), load_body(results / "body.npz")
         if motion.poses is None or body.skeleton.joint_names != motion.skeleton.joint_names:
-            return NOBODY_WALKS
+            return NO_GAIT
         found = gait_of(motion, body)
     except HyposeError:
-        return NOBODY_WALKS
+        return NO_GAIT
     return {
         "events": [{"time": e.time, "side": e.side, "kind": e.kind} for e in found.events],
         "figures": [

@@ -26,23 +26,32 @@ from hypose import __version__
 from hypose.app.live.servers import quiet_logs
 from hypose.app.reports.summary import DESCRIPTIONS
 from hypose.app.studio import clicks
-from hypose.app.studio.answers import NotNow, block_answer, choice, digits, jpeg_answer, refusal, route, text
 from hypose.app.studio.catalog import Catalog, Item, Kind, NotFound, is_recording
-from hypose.app.studio.folders import first_picture, listed, make_recording
+from hypose.app.studio.folders import first_picture, list_folder, make_recording
 from hypose.app.studio.gesture_session import GestureTopic
 from hypose.app.studio.gesture_views import gesture_thumbnail, models_shown, sessions_shown, sources_shown
-from hypose.app.studio.guard import Guard, token_for
+from hypose.app.studio.http import (
+    Guard,
+    NotNow,
+    block_answer,
+    digits,
+    error_response,
+    jpeg_answer,
+    request_choice,
+    route,
+    text,
+    token_for,
+)
 from hypose.app.studio.hub import MAX_MESSAGE, Hub
 from hypose.app.studio.job_kinds import fused_in, is_name
 from hypose.app.studio.jobs import Jobs
 from hypose.app.studio.live_topics import CameraTopic, FuseTopic
-from hypose.app.studio.mending import mend
-from hypose.app.studio.recordings import Recordings
+from hypose.app.studio.recordings import Recordings, edit_recording
 from hypose.app.studio.results import Results
 from hypose.body.default_body import human
 from hypose.errors import HyposeError, InputError
 
-STATIC = Path(__file__).parent / "static"
+STATIC_FOLDER = Path(__file__).parent / "static"
 """Where the built page lies."""
 MOST_CONNECTIONS = 256
 
@@ -118,7 +127,7 @@ class Studio:
         await run_in_threadpool(self.close)
 
     def let_go(self) -> None:
-        """Close what is open of results and recordings: a file that is open cannot be moved everywhere."""
+        """Close open files of results and recordings: a file that is open cannot be moved everywhere."""
         self.results.drop()
         self.recordings.drop()
 
@@ -130,20 +139,20 @@ class Studio:
 
 
 def _warm() -> None:
-    """Load the kernels that a result is opened with, before somebody waits for them."""
+    """Load the kernels that a result is opened with, before a person waits for them."""
     skeleton = human().skeleton
     skeleton.forward(np.zeros((1, skeleton.dof)))
 
 
 def _static() -> list[BaseRoute]:
     """An installation without the page has nothing there."""
-    return [Mount("/static", StaticFiles(directory=STATIC))] if STATIC.is_dir() else []
+    return [Mount("/static", StaticFiles(directory=STATIC_FOLDER))] if STATIC_FOLDER.is_dir() else []
 
 
 async def _page(request: Request) -> Response:
-    if not (STATIC / "index.html").is_file():
+    if not (STATIC_FOLDER / "index.html").is_file():
         return Response(NOT_BUILT + "\n", 503, media_type="text/plain")
-    return FileResponse(STATIC / "index.html", headers={"Cache-Control": "no-store"})
+    return FileResponse(STATIC_FOLDER / "index.html", headers={"Cache-Control": "no-store"})
 
 
 NOT_BUILT = (
@@ -153,16 +162,18 @@ NOT_BUILT = (
 
 
 async def _bug(request: Request, error: Exception) -> Response:
-    return refusal(500, f"This should not have happened ({type(error).__name__}); the server's terminal says more.")
+    return error_response(
+        500, f"This should not have happened ({type(error).__name__}); the server's terminal says more."
+    )
 
 
 async def _nothing(request: Request, error: Exception) -> Response:
-    return refusal(404, "There is nothing at this address.")
+    return error_response(404, "There is nothing at this address.")
 
 
 def config(studio: Studio, host: str, port: int) -> uvicorn.Config:
     """How the application is served: so many connections at most, small messages only, nothing compressed (pictures
-    are), no signature, and who comes is told by the connection alone."""
+    are), no signature, and who comes follows from the connection alone."""
     made = uvicorn.Config(
         studio.app,
         http="h11",
@@ -206,7 +217,7 @@ def make_server(
     return _Server(config(studio, host, port), ready)
 
 
-def run(options: StudioOptions, ready: Callable[[str], None]) -> None:
+def run_server(options: StudioOptions, ready: Callable[[str], None]) -> None:
     """Serve until Ctrl-C or SIGTERM; ready(address) is called when the page can be opened."""
     import socket
 
@@ -236,8 +247,8 @@ _UNTRUSTED = (
     "'unsafe-inline'; media-src data: blob:; worker-src blob:"
 )
 """For pages that lie in the served folder: they may show themselves, and reach neither the server nor anything else."""
-T = TypeVar("T")
-Body = dict[str, Any]
+_T = TypeVar("_T")
+_Body = dict[str, Any]
 
 
 def routes(studio: Studio) -> list[Route]:
@@ -289,7 +300,7 @@ def _of_folders(studio: Studio, item_of: ItemOf) -> list[Route]:
             shutil.rmtree(item.path)  # links in it are removed, not followed
         return {"name": item.path.name}
 
-    def rename(kind: Kind, request: Request, body: Body) -> Any:
+    def rename(kind: Kind, request: Request, body: _Body) -> Any:
         item, name = item_of(kind, request), body.get("name")
         if not isinstance(name, str) or not is_name(name):
             raise InputError(f"{str(name)[:40]!r} is no name; use letters, digits, -, _ and dots between.")
@@ -310,7 +321,7 @@ def _of_folders(studio: Studio, item_of: ItemOf) -> list[Route]:
 def _of_jobs(studio: Studio) -> list[Route]:
     jobs = studio.jobs
 
-    def start(request: Request, body: Body) -> Any:
+    def start(request: Request, body: _Body) -> Any:
         return jobs.start(text(body.get("kind"), "kind of job", 40, "say which is to be started"), body).shown()
 
     def view(request: Request) -> Response:
@@ -338,7 +349,7 @@ def _of_recordings(studio: Studio, item_of: ItemOf) -> list[Route]:
     def picture(request: Request) -> Response:
         query = {k: v for k, v in request.query_params.items() if k != "token"}
         frame, width = digits(request.path_params["frame"], "The frame"), digits(query.pop("width", "640"), "The width")
-        mask = choice(query.pop("mask", "none"), "way to show a mask", _MASKS)
+        mask = request_choice(query.pop("mask", "none"), "way to show a mask", _MASKS)
         item = item_of("recording", request)
         return jpeg_answer(recordings.picture(item, request.path_params["camera"], frame, width, mask, query), 60)
 
@@ -346,29 +357,29 @@ def _of_recordings(studio: Studio, item_of: ItemOf) -> list[Route]:
         folder = item_of("recording", request).path / "results"
         return _file(folder, request.path_params["name"], _RECORDING_FILES, catalog)
 
-    def settings(request: Request, body: Body) -> Any:
+    def settings(request: Request, body: _Body) -> Any:
         return recordings.save_settings(item_of("recording", request), body)
 
-    def mended(request: Request, body: Body) -> Any:
+    def edited(request: Request, body: _Body) -> Any:
         item = item_of("recording", request)
         try:
             recording = recordings.load(item)
         except HyposeError:
             recording = None
-        mend(item.path, recording, body, catalog)
+        edit_recording(item.path, recording, body, catalog)
         return one(request)
 
     def folder(request: Request) -> Any:
         query = request.query_params
         if "recording" in query:
-            return listed(catalog, catalog.find("recording", query["recording"]).path, True)
+            return list_folder(catalog, catalog.find("recording", query["recording"]).path, True)
         where = catalog.inside(query.get("path", ""))
-        return listed(catalog, where, "within" in query and not is_recording(where))
+        return list_folder(catalog, where, "within" in query and not is_recording(where))
 
     def first(request: Request) -> Response:
         return jpeg_answer(first_picture(catalog, request.query_params.get("path", "")), 60)
 
-    def make(request: Request, body: Body) -> Any:
+    def make(request: Request, body: _Body) -> Any:
         made = make_recording(catalog, body)
         catalog.items("recording", fresh=True)
         return recordings.shown(catalog.find("recording", catalog.id_of("recording", made)), [])
@@ -378,7 +389,7 @@ def _of_recordings(studio: Studio, item_of: ItemOf) -> list[Route]:
         route("/api/folder/picture.jpg", first),
         route("/api/recordings", make, "POST", 201),
         route("/api/recordings/{id}", one),
-        route("/api/recordings/{id}/mend", mended, "POST"),
+        route("/api/recordings/{id}/mend", edited, "POST"),
         route("/api/recordings/{id}/image/{camera}/{frame}.jpg", picture),
         route("/api/recordings/{id}/file/{name:path}", file),
         route("/api/recordings/{id}/mask-settings", settings, "POST"),
@@ -389,8 +400,8 @@ def _of_results(studio: Studio, item_of: ItemOf) -> list[Route]:
     catalog, results = studio.catalog, studio.results
     blocks, gaits = asyncio.Lock(), asyncio.Lock()  # of what takes long one at a time is made
 
-    async def in_turn(turn: asyncio.Lock, request: Request, make: Callable[[Item], T]) -> T | None:
-        """None: it was looked at only briefly, and nobody waits for it any more."""
+    async def in_turn(turn: asyncio.Lock, request: Request, make: Callable[[Item], _T]) -> _T | None:
+        """None: it was looked at only briefly, and no client waits for it any more."""
         item = item_of("result", request)
         async with turn:
             return None if await request.is_disconnected() else await run_in_threadpool(make, item)
@@ -422,7 +433,7 @@ def _of_results(studio: Studio, item_of: ItemOf) -> list[Route]:
     def file(request: Request) -> Response:
         return _file(item_of("result", request).path, request.path_params["name"], DESCRIPTIONS, catalog)
 
-    def export(request: Request, body: Body) -> Any:
+    def export(request: Request, body: _Body) -> Any:
         item = item_of("result", request)
         return studio.jobs.start("export", {"result": item.id, "options": {"formats": body.get("formats")}}).shown()
 
@@ -444,16 +455,16 @@ def _of_clicks(studio: Studio, item_of: ItemOf) -> list[Route]:
     def body(request: Request) -> Response:
         return block_answer(clicks.body_block(dict(request.query_params), catalog, recordings))
 
-    def save(request: Request, body: Body) -> Any:
+    def save(request: Request, body: _Body) -> Any:
         return clicks.save(body, item_of("recording", request), catalog, recordings)
 
     def one(request: Request) -> Any:
-        return clicks.load(item_of("recording", request), request.path_params["name"])
+        return clicks.read_clicks(item_of("recording", request), request.path_params["name"])
 
     return [
         route("/api/click-joints", lambda _: [{"joint": k, "title": v} for k, v in clicks.CLICK_JOINTS.items()]),
         route("/api/click-body", body),
-        route("/api/fit-clicks", lambda request, body: clicks.fitted(body, catalog, recordings), "POST"),
+        route("/api/fit-clicks", lambda request, body: clicks.fit_clicks(body, catalog, recordings), "POST"),
         route("/api/recordings/{id}/starts", save, "POST", 201),
         route("/api/recordings/{id}/starts/{name}", one),
     ]

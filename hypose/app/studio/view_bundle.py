@@ -8,33 +8,39 @@ copy. Metres, seconds, radians (angles: degrees), world z up.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hypose import __version__
-from hypose.app.jobs.truth import Truth
-from hypose.app.reports.summary import subject_rows, summarize
+from hypose.app.reports.summary import DESCRIPTIONS, subject_rows, summarize
+from hypose.app.studio.catalog import recording_above
 from hypose.body.body import Body, Mesh
 from hypose.body.joint_angles import ANGLE_NAMES, TURNS, angles_in_time, is_length, turns_reader
 from hypose.body.motion import Motion
 from hypose.body.skeleton import Skeleton
 from hypose.cameras.camera import CameraRig
-from hypose.errors import visible
+from hypose.errors import HyposeError, InputError, visible
 from hypose.geometry import Array, quaternion_from_matrix
-from hypose.io.motions.export import FORMATS
-from hypose.io.recordings.recording import Recording
-from hypose.pipeline.verdict import Verdict
+from hypose.io.files import read_json
+from hypose.io.motions.export import MOTION_FORMATS
+from hypose.io.motions.results import ResultsFolder, load_body, load_joints_of_modes, load_motion
+from hypose.io.recordings.recording import Recording, load_recording
+from hypose.pipeline.assessment import Assessment, assess
+from hypose.pipeline.comparison import Truth, compare_with_truth
+from hypose.tracking.recipes import citation_of
 
 MAGIC = b"HYPOSEV1"
-LOST, EXTRAPOLATED, DOUBTFUL = 1, 2, 3
+_LOST, _EXTRAPOLATED, _LOW_CONFIDENCE = 1, 2, 3
 MOST_RIVALS = 6
 _UNKNOWN_PERCENT = 255
 _AT_ONCE = 1 << 11
@@ -80,8 +86,8 @@ class Rivals:
 class ViewResult:
     """A result to look at. body, rig: None when not known (a fused skeleton has neither). image_shifts: (x, y) px per
     camera, as in recording.toml. first_frame: the recording's frame of row 0. pictures: names of the cameras whose
-    pictures can be had. files: (name, what it is, bytes). rivals: where the method keeps any. verdict: what is to be
-    thought of it, None when nothing has looked."""
+    pictures can be had. files: (name, what it is, bytes). rivals: where the method keeps any. assessment: all that is
+    to be thought of it, None when nothing has looked."""
 
     title: str
     motion: Motion
@@ -97,7 +103,7 @@ class ViewResult:
     truth: Truth | None = None
     complete: bool = True
     rivals: Rivals | None = None
-    verdict: Verdict | None = None
+    assessment: Assessment | None = None
 
 
 def pictured(recording: Recording) -> list[str]:
@@ -114,7 +120,7 @@ def view_bundle(result: ViewResult) -> bytearray:
         index[name] = {"dtype": a.dtype.str[1:], "shape": list(a.shape), "offset": offset}
         offset += -(-a.nbytes // 8) * 8
     header["arrays"] = index
-    text = json.dumps(plain(header), ensure_ascii=False, separators=(",", ":")).encode()
+    text = json.dumps(json_values(header), ensure_ascii=False, separators=(",", ":")).encode()
     start = -(-(len(MAGIC) + 4 + len(text)) // 8) * 8
     block = bytearray(start + offset)
     struct.pack_into(f"<{len(MAGIC)}sI{len(text)}s", block, 0, MAGIC, len(text), text)
@@ -143,11 +149,11 @@ def _arrays(result: ViewResult) -> dict[str, np.ndarray]:
         if result.body is not None:
             out |= _mesh("fine", result.body.fine) | _mesh("coarse", result.body.coarse)
             out["rest_joints"] = m.skeleton.rest_joints.astype("<f4")
-    if m.doubtful_joints is not None:
-        out["doubtful_joints"] = m.doubtful_joints.astype("u1")
-    if m.p_wrong is not None:
-        percent = np.rint(100 * np.nan_to_num(m.p_wrong, nan=_UNKNOWN_PERCENT / 100))
-        out["p_wrong"] = percent.astype("u1")
+    if m.low_confidence_joints is not None:
+        out["low_confidence_joints"] = m.low_confidence_joints.astype("u1")
+    if m.error_probability is not None:
+        percent = np.rint(100 * np.nan_to_num(m.error_probability, nan=_UNKNOWN_PERCENT / 100))
+        out["error_probability"] = percent.astype("u1")
     if result.rivals is not None:
         out["rival_rows"] = result.rivals.rows.astype("<u4")
         out["rival_joints"] = result.rivals.joints.astype("<f4")
@@ -161,7 +167,7 @@ def _arrays(result: ViewResult) -> dict[str, np.ndarray]:
 
 def _turns(skeleton: Skeleton, poses: Array) -> dict[str, np.ndarray]:
     """How joints are turned in poses (T, D), and the anatomical angles where the skeleton has these. Some frames at a
-    time: what is made of them on the way is several times a long motion."""
+    time: intermediate arrays are several times a long motion."""
     known = np.flatnonzero(np.isfinite(poses).all(1))
     rotations = np.full((len(poses), len(skeleton.joint_names), 4), np.nan, "<f4")
     read = turns_reader(skeleton) if angles_known(skeleton) else None
@@ -202,9 +208,9 @@ def _in_degrees(names: Sequence[str], values: Array | NDArray[np.float32]) -> np
 
 def _flags(motion: Motion) -> np.ndarray:
     """(T,) the gravest that is said of each frame; 0 = nothing."""
-    doubtful = np.zeros(len(motion), dtype=bool) if motion.doubtful is None else motion.doubtful
-    cases = [motion.lost.astype(bool), motion.extrapolated.astype(bool), doubtful]
-    return np.select(cases, [LOST, EXTRAPOLATED, DOUBTFUL], 0).astype("u1")
+    low_confidence = np.zeros(len(motion), dtype=bool) if motion.low_confidence is None else motion.low_confidence
+    cases = [motion.lost.astype(bool), motion.extrapolated.astype(bool), low_confidence]
+    return np.select(cases, [_LOST, _EXTRAPOLATED, _LOW_CONFIDENCE], 0).astype("u1")
 
 
 def _mesh(level: str, mesh: Mesh) -> dict[str, np.ndarray]:
@@ -238,7 +244,7 @@ def _header(result: ViewResult) -> dict[str, Any]:
         "joint_names": list(s.joint_names),
         "parents": s.parents,
         "floor": _floor(m, result.body),
-        "formats": list(FORMATS) if m.poses is not None else ["trc", "c3d", "csv"],
+        "formats": list(MOTION_FORMATS) if m.poses is not None else ["trc", "c3d", "csv"],
         "angles": [{"name": n, "unit": "m" if is_length(n) else "°"} for n in ANGLE_NAMES],
         "cameras": _cameras(result),
         "subject": subject_rows(result.body) if result.body is not None else [],
@@ -246,7 +252,7 @@ def _header(result: ViewResult) -> dict[str, Any]:
         "notes": list(result.notes),
         "citation": result.citation,
         "seconds": dict(result.seconds),
-        "verdict": result.verdict and {"word": result.verdict.word, "sentence": result.verdict.sentence},
+        "assessment": result.assessment and {"word": result.assessment.word, "sentence": result.assessment.sentence},
         "truth": truth
         and {
             "names": list(truth.names),
@@ -292,14 +298,130 @@ def _floor(motion: Motion, body: Body | None) -> float:
     return 0.0 if abs(standing) < 0.25 else standing
 
 
-def plain(value: Any) -> Any:
-    """Plain JSON values; what JSON cannot say (NaN, infinity) becomes null, what is no text in a name an escape."""
+def json_values(value: Any) -> Any:
+    """Plain JSON values; what JSON cannot say (NaN, infinity) becomes null, invalid text in a name an escape."""
     if isinstance(value, np.ndarray | np.generic):
-        return plain(value.tolist())
+        return json_values(value.tolist())
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, Mapping):
-        return {visible(str(k)): plain(v) for k, v in value.items()}
+        return {visible(str(k)): json_values(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(v) for v in value]
+        return [json_values(v) for v in value]
     return value if isinstance(value, int | bool) or value is None else visible(str(value))
+
+
+# ---- view result ---------------------------------------------------------------------------------------------------
+# A results folder as something to look at: the motion, and what lies around it (body, recording, truth).
+
+
+_T = TypeVar("_T")
+
+
+def load_view(results: str | Path, recording: Recording | None = None) -> ViewResult:
+    """What can be shown of a results folder, or of a motion.npz.
+
+    recording: by default that in whose folder the results lie. A body, recording or truth that is absent or cannot be
+    read leaves its part out, and a note says why; an InputError when there is no motion.
+    """
+    path = Path(results)
+    if not path.exists():
+        raise InputError(f"{path} does not exist; give the results folder that hypose track wrote.")
+    folder = ResultsFolder(path if path.is_dir() else path.parent)
+    motion = load_motion(folder.motion if path.is_dir() else path)
+    if len(motion) == 0:
+        raise InputError(f"{path} holds a motion of no frames, so there is nothing to show; track the recording again.")
+    notes: list[str] = []
+
+    def part(what: str, make: Callable[[], _T | None]) -> _T | None:
+        try:
+            return make()
+        except HyposeError as error:
+            notes.append(f"{what}: {error}")
+            return None
+
+    body = part("The body is not shown", lambda: _body(folder, motion))
+    if recording is None:
+        recording = part("The recording cannot be shown", lambda: find_recording(folder.path))
+    first, truth = first_frame(motion), None
+    if recording is not None:
+        notes += recording.notes
+        known = recording.folder / "truth.npz"
+        if known.is_file() and motion.poses is not None:
+            truth = part("The truth is not shown", lambda: compare_with_truth(known, motion, first))
+    return in_recording(
+        recording,
+        motion,
+        body,
+        title=recording.name if recording is not None else folder.path.resolve().name,
+        first_frame=first,
+        files=[(n, w, p.stat().st_size) for n, w in DESCRIPTIONS.items() if (p := folder.file(n)).is_file()],
+        notes=notes,
+        citation=_citation(motion),
+        truth=truth,
+        complete=not folder.checkpoint.exists(),
+        rivals=part("Other poses are not shown", lambda: _rivals(folder.file("modes.npz"), motion)),
+        assessment=_assessment(folder.file("assessment.json"), motion),
+    )
+
+
+def in_recording(recording: Recording | None, motion: Motion, body: Body | None, **more: Any) -> ViewResult:
+    """A motion with what its recording says of the cameras; more: other fields of a ViewResult."""
+    if recording is None:
+        return ViewResult(motion=motion, body=body, **more)
+    shifts = [v.image_shift for v in recording.views]
+    cameras = {"rig": recording.rig, "image_shifts": shifts, "pictures": pictured(recording)}
+    return ViewResult(**{"title": recording.name, **cameras, "motion": motion, "body": body, **more})
+
+
+def first_frame(motion: Motion) -> int:
+    """The recording's frame of row 0, as far as a motion tells; others than hypose may have written it."""
+    with contextlib.suppress(TypeError, KeyError, IndexError, ValueError, OverflowError):
+        return int(motion.provenance["settings"]["frames"][0])
+    return 0
+
+
+def find_recording(results: Path) -> Recording | None:
+    """The recording whose folder holds the results (results/RECIPE/ in it), None when there is none."""
+    folder = recording_above(results)
+    return None if folder is None else load_recording(folder)
+
+
+def _citation(motion: Motion) -> str:
+    """Where the method of a motion comes from, "" for one that is not known."""
+    settings = motion.provenance.get("settings")
+    refined = isinstance(settings, Mapping) and bool(settings.get("refine"))
+    return citation_of(str(motion.provenance.get("recipe")), refined)
+
+
+def _body(folder: ResultsFolder, motion: Motion) -> Body | None:
+    path = folder.file("body.npz")
+    if motion.poses is None or not path.is_file():
+        return None
+    body = load_body(path)
+    if body.skeleton.joint_names != motion.skeleton.joint_names:
+        raise InputError("body.npz and the motion belong to different bodies; track again.")
+    return body
+
+
+def _rivals(path: Path, motion: Motion) -> Rivals | None:
+    """Where the modes of a track with one camera lie next to its motion, which is their first; else what the motion
+    has kept."""
+    if not path.is_file():
+        return Rivals.of_motion(motion)
+    joints, weights = load_joints_of_modes(path)
+    return Rivals.of(joints, weights) if (len(joints), joints.shape[2]) == motion.joints.shape[:2] else None
+
+
+def _assessment(path: Path, motion: Motion) -> Assessment | None:
+    """As it was written when the motion was tracked, which knows what was found before; else from the motion."""
+    with contextlib.suppress(InputError, ValueError, KeyError, TypeError):
+        return Assessment.of_document(read_json(path, "an assessment"))
+    return None if motion.low_confidence is None else assess(motion)
+
+
+def quality_of(folder: Path, motion: Motion) -> dict[str, Any]:
+    """Summarize the quality of a result for a list: assessment (word or None), iou, sd_mm, lost (share of frames)."""
+    reported, s = _assessment(folder / "assessment.json", motion), summarize(motion)
+    lost = (s.lost + s.extrapolated) / max(1, s.frames)
+    return {"assessment": reported and reported.word, "iou": s.iou, "sd_mm": s.sd_mm, "lost": lost}

@@ -18,12 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hypose.app.reports.result_pictures import image_points, jpeg, mask_outline
-from hypose.app.studio.memory_cache import Kept
+from hypose.app.studio.lru_cache import LruCache
 from hypose.errors import InputError
 from hypose.geometry import Array, Image
 from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.object_masks import ObjectMasks
-from hypose.io.recordings.recording import Recording, View
+from hypose.io.recordings.recording import Recording, ViewSettings
 from hypose.io.recordings.recording_views import open_pictures
 from hypose.io.videos.video import VideoReader, open_capture, open_video
 
@@ -37,7 +37,7 @@ _PER_PIXEL, _PER_WORKING_PIXEL = 40, 60
 class AnyFrame:
     """Frames of one view in any order. A folder of images is read directly."""
 
-    def __init__(self, view: View) -> None:
+    def __init__(self, view: ViewSettings) -> None:
         source = view.source or view.masks
         assert source is not None
         self.only_masks = view.source is None
@@ -101,7 +101,7 @@ class ViewPictures:
         self._views = [AnyFrame(v) if v.source or v.masks else None for v in recording.views]
         self._stream: FrameStream | None = None
         self._lock, self._mask_lock = threading.Lock(), threading.Lock()
-        self._kept: Kept[bytes] = Kept(_CACHE_BYTES, len, one_more=True)
+        self._kept: LruCache[bytes] = LruCache(_CACHE_BYTES, len, one_more=True)
 
     @property
     def held(self) -> int:

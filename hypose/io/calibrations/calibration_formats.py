@@ -1,10 +1,9 @@
-"""Calibration files of other programs: which is which, what is read and what is written.
+"""Calibration files of other programs: how each is recognized, read and written.
 
 `FORMATS` lists them: the first whose endings a file's name has, and whose `holds` accepts it, reads it. The name tells
-what is written: camera_array.toml is Caliscope's (nested tables), a .toml with anipose or freemocap in its name theirs
-(millimetres), any other .toml in metres; .yml EasyMocap's intri.yml and extri.yml, .pickle OpenCap's (one file per
-camera), in the folder of the given name.
-"""
+all that is written: camera_array.toml is Caliscope's (nested tables), a .toml with anipose or freemocap in its name
+theirs (millimetres), any other .toml in metres; .yml EasyMocap's intri.yml and extri.yml, .pickle OpenCap's (one file
+per camera), in the folder of the given name."""
 
 from __future__ import annotations
 
@@ -74,7 +73,7 @@ def read_any(path: str | Path, unit: str = "auto") -> Found:
     assumed.
 
     unit: 'auto' (see `calibration_camera`), 'm', 'cm' or 'mm', the unit of the file's translations. A
-    CalibrationError names the file, the camera and what is wrong.
+    CalibrationError names the file, the camera and the fault.
     """
     path = Path(path)
     if unit != "auto" and unit not in UNITS:

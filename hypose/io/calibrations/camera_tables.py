@@ -103,7 +103,7 @@ def tables_of(document: Any, name: str) -> dict[str, Table]:
 
 
 def _own_name(table: Table) -> str:
-    """The name that a table gives its camera; of ROS topics what is no kind of picture."""
+    """The name that a table gives its camera; of ROS topics the part that is no kind of picture."""
     topic = [p for p in str(table.get("rostopic", "")).split("/") if p and not re.match(r"image|compressed", p)]
     name = table.get("name", table.get("camera", "_".join(topic)))
     return str(name) if isinstance(name, str | int) else ""
@@ -175,7 +175,7 @@ def _pose(where: str, table: Table, order: str = "") -> Array | None:
     for key in _AXES:
         if str(table.get(key, "opencv")).lower() not in ("opencv", "cv"):
             raise CalibrationError(f"{where}: {key} {table[key]!r} is not known; export with OpenCV's camera axes.")
-    outward = [told == want for k, want in _DIRECTION.items() if isinstance(told := table.get(k), bool)]
+    outward = [reported == want for k, want in _DIRECTION.items() if isinstance(reported := table.get(k), bool)]
     inverse = bool(outward) and not outward[0]
     matrix = numbers_if_any(where, table, _POSE, (3, 4), (4, 4))
     if matrix is None and (matrix := numbers_if_any(where, table, _INVERSE_POSE, (3, 4), (4, 4))) is not None:

@@ -1,7 +1,7 @@
 """Key points as tables: DeepLabCut, SLEAP and Caliscope CSV.
 
 Sources: DeepLabCut's CSV of analysed videos (three header lines scorer, bodyparts, coords; four with individuals),
-the ensemble Kalman smoother's in the same layout (eks: x_ens_var, x_posterior_var and so on beside x, y, likelihood);
+the ensemble Kalman smoother's in the same layout (eks: x_ens_var, x_posterior_var and so on next to x, y, likelihood);
 SLEAP's analysis CSV (track, frame_idx, instance.score, then node.x, node.y, node.score); Caliscope's xy_<tracker>.csv
 (sync_index, cam_id - port in old ones -, frame_index, frame_time, point_id - keypoint_id in new ones -, img_loc_x,
 img_loc_y, ...), one row per point that was found, pixels of the picture as the camera delivers it, no scores.
@@ -33,8 +33,8 @@ from hypose.io.motions.results import parse_array
 
 MAX_BYTES = 512 * 2**20
 MAX_POINTS = 1000
-MAX_FRAMES = 5_000_000
-SEEN = 0.3
+MAX_POINT_FRAMES = 5_000_000
+_MIN_SCORE = 0.3
 """Points of less score are not there for tracking."""
 WEIGHED = 0.31
 _SAMPLED = 60
@@ -63,14 +63,14 @@ class KeypointTable:
     timed: bool = False
 
     def sample(self) -> Array:
-        """People (N, K, 3) of at most 60 frames with somebody, evenly spread; (0, 0, 3) when nobody is there."""
+        """People (N, K, 3) of at most 60 frames with a person, evenly spread; (0, 0, 3) when no person is there."""
         numbers = sorted(self.people)
         found: list[Array] = []
-        # every 60th part of the file gives one frame, its first with somebody
+        # every 60th part of the file gives one frame, its first with a person
         for part in np.array_split(np.array(numbers), min(_SAMPLED, max(1, len(numbers)))):
-            somebody = next((p for n in part.tolist()[:200] if len(p := self.people[n])), None)
-            if somebody is not None:
-                found.append(somebody)
+            with_person = next((p for n in part.tolist()[:200] if len(p := self.people[n])), None)
+            if with_person is not None:
+                found.append(with_person)
         if not found:
             return np.zeros((0, 0, 3))
         count = found[0].shape[1]
@@ -96,11 +96,12 @@ def checked_people(values: Any, where: str) -> Array:
     return np.where(missing[..., None], 0.0, p)
 
 
-def weighed(points: Array, variance: Array) -> Array:
+def scores_from_variance(points: Array, variance: Array) -> Array:
     """Points (..., 3) with a variance (..., 2) px^2 of each as those of which the score says how much they weigh: 1 for
-    a point as sure as the median one or surer, else its share of that one's information; not below WEIGHED, since what
-    is less sure is told from what is not there by the score that it has. Points without a variance stay as they are."""
-    given = np.isfinite(variance).all(-1) & (variance > 0).all(-1) & (points[..., 2] > SEEN)
+    a point as sure as the median one or surer, else its share of that one's information; not below WEIGHED, since all
+    that is less sure keeps a score that distinguishes it from absent points. Points without a variance stay as
+    they are."""
+    given = np.isfinite(variance).all(-1) & (variance > 0).all(-1) & (points[..., 2] > _MIN_SCORE)
     if not given.any():
         return points
     spread = variance.mean(-1)
@@ -197,13 +198,13 @@ def deeplabcut_table(
 ) -> KeypointTable:
     """The table of DeepLabCut's columns (individual, body part, coordinate) and values (T, columns)."""
     people = by_individual(columns, where)
-    if not people or not 0 < len(numbers) <= MAX_FRAMES:
+    if not people or not 0 < len(numbers) <= MAX_POINT_FRAMES:
         raise InputError(f"{where} has {len(people)} individuals and {len(numbers)} frames; analyse the video again.")
     names = tuple(p for p, _ in next(iter(people.values())))
     places = np.array([[dict(parts)[n] for n in names] for parts in people.values()])  # (P, K, 3 or 5)
     whole = values[:, places]
     spread = places.shape[2] == 5
-    points = weighed(whole[..., :3], whole[..., 3:]) if spread else whole
+    points = scores_from_variance(whole[..., :3], whole[..., 3:]) if spread else whole
     found = {n: _seen(checked_people(row, f"{where}, frame {n}")) for n, row in zip(numbers, points, strict=True)}
     return KeypointTable("DeepLabCut", found, min(found), names, spread=spread)
 
@@ -318,7 +319,7 @@ def _point_order(stem: str, ids: set[int]) -> list[int]:
 
 
 def clock_file(path: Path) -> Path | None:
-    """Caliscope's table of times beside its points, or one folder above; None when there is none."""
+    """Caliscope's table of times next to its points, or one folder above; None when there is none."""
     names = ("timestamps.csv", "frame_timestamps.csv", "frametimes.csv", "frame_time_history.csv")
     places = (folder / name for folder in (path.parent, path.parent.parent) for name in names)
     return next((p for p in places if p.is_file()), None)

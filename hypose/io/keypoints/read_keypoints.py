@@ -31,7 +31,7 @@ from hypose.geometry import Array
 from hypose.io.file_names import file_name, match_names
 from hypose.io.files import read_json, write_text
 from hypose.io.keypoints.keypoint_files import (
-    MAX_FRAMES,
+    MAX_POINT_FRAMES,
     KeypointTable,
     clock_file,
     read_keypoint_csv,
@@ -48,7 +48,7 @@ _CHECKED = 80  # frames that the agreement of the views looks at
 
 @dataclass(frozen=True)
 class ViewKeypoints:
-    """Key points of one view, told apart. path: of the file or folder. first: the file's number of the video's first
+    """Key points of one view, distinguished. path: of the file or folder. first: the file's number of the video's first
     frame. score_scale: what its scores are divided by. frames: stored frame of each frame of a video that is read by
     its time stamps, None: the same."""
 
@@ -151,7 +151,7 @@ def keypoints_of_views(
             continue
         first = table.first if table.first is not None else min(unknown, default=0)
         try:
-            view, how = _told(path, table, first, sample, alike.get(sample.shape[1], []), stated)
+            view, how = _reported(path, table, first, sample, alike.get(sample.shape[1], []), stated)
         except InputError as problem:
             raise InputError(f"View {name}, key points {path}: {problem}") from None
         out.append(view)
@@ -192,7 +192,7 @@ def _of_view(
     )
 
 
-def _told(
+def _reported(
     path: Path,
     table: KeypointTable,
     first: int,
@@ -202,7 +202,7 @@ def _told(
 ) -> tuple[ViewKeypoints | None, str]:
     if len(sample) == 0:
         return None, ""
-    if (last := max(table.people)) - first > MAX_FRAMES:
+    if (last := max(table.people)) - first > MAX_POINT_FRAMES:
         raise InputError(f"a frame has the number {last}, the first {first}; the file is damaged: export it again.")
     if table.names is not None:
         kind, sample, left = arranged(table.names, sample)
@@ -292,7 +292,7 @@ def check_keypoints(
 # picture, numbered from the first frame of the video, and FOLDER/VIEW/masks the masks, if the detector gives any.
 
 
-FOLDER = "keypoints"
+KEYPOINT_FOLDER = "keypoints"
 """In the recording's folder."""
 MASKS = "masks"
 _SIDECAR = "detector.json"
@@ -374,7 +374,7 @@ def with_detected(folder: Path, settings: Mapping[str, Any], notes: list[str]) -
         return settings  # which the recording's own check tells
     if any("keypoints" in t for t in tables):
         return settings
-    found = load_detected(folder / FOLDER)
+    found = load_detected(folder / KEYPOINT_FOLDER)
     if found is None:
         return settings
     if not found.complete:

@@ -23,12 +23,12 @@ from hypose.errors import InputError
 from hypose.geometry import Array
 from hypose.io.file_names import utf8_path
 from hypose.io.files import atomic_path, open_file, unreadable
-from hypose.io.motions.marker_files import Markers, checked, metres_per_unit
+from hypose.io.motions.marker_files import Markers, checked_markers, metres_per_unit
 
 _KIND = "a C3D file"
 _BLOCK = 512
 _MAX_BYTES = 512 * 2**20
-MAX_FRAMES = 65_535  # the header counts frames in 16 bits
+_MAX_FRAMES = 65_535  # the header counts frames in 16 bits
 
 
 def write_c3d(
@@ -48,10 +48,12 @@ def write_c3d(
     context such as Left, label such as Foot Strike), at most 255, of the first subject. subjects: who is in the file;
     with several, each one's names begin with SUBJECT and a colon, as Vicon writes them.
     """
-    names, p = checked(names, points, frame_rate, str(path))
+    names, p = checked_markers(names, points, frame_rate, str(path))
     t, m = p.shape[:2]
-    if t > MAX_FRAMES:
-        raise InputError(f"{path}: C3D holds at most {MAX_FRAMES} frames, these are {t}; write TRC, or cut the motion.")
+    if t > _MAX_FRAMES:
+        raise InputError(
+            f"{path}: C3D holds at most {_MAX_FRAMES} frames, these are {t}; write TRC, or cut the motion."
+        )
     if m > 65_535:
         raise InputError(f"{path}: C3D holds at most 65535 points, these are {m}.")
     residuals = np.ones((t, m)) if residuals_mm is None else np.array(residuals_mm, dtype=np.float64)

@@ -129,7 +129,7 @@ def _osim(motion: Motion, body: Body, model: Path, markers: Path, setup: Path) -
 
 
 @dataclass(frozen=True)
-class Format:
+class _MotionFormat:
     """write(motion, body, *paths) writes files of these names, and returns which, where it is not all of them; poses:
     the format needs them."""
 
@@ -138,17 +138,20 @@ class Format:
     poses: bool = False
 
 
-FORMATS: Mapping[str, Format] = {
-    "trc": Format(_trc, ("motion.trc",)),
-    "c3d": Format(_c3d, ("motion.c3d",)),
-    "bvh": Format(_bvh, ("motion.bvh",), poses=True),
-    "glb": Format(_glb, ("motion.glb",), poses=True),
-    "csv": Format(_csv, ("joints.csv", "angles.csv")),
-    "mot": Format(_mot, ("motion.mot", "motion_sd.sto"), poses=True),
-    "osim": Format(_osim, ("motion.osim", "motion_markers.trc", "motion_ik.xml"), poses=True),
+MOTION_FORMATS: Mapping[str, _MotionFormat] = {
+    "trc": _MotionFormat(_trc, ("motion.trc",)),
+    "c3d": _MotionFormat(_c3d, ("motion.c3d",)),
+    "bvh": _MotionFormat(_bvh, ("motion.bvh",), poses=True),
+    "glb": _MotionFormat(_glb, ("motion.glb",), poses=True),
+    "csv": _MotionFormat(_csv, ("joints.csv", "angles.csv")),
+    "mot": _MotionFormat(_mot, ("motion.mot", "motion_sd.sto"), poses=True),
+    "osim": _MotionFormat(_osim, ("motion.osim", "motion_markers.trc", "motion_ik.xml"), poses=True),
 }
-_KNOWN = {**FORMATS, "rrd": Format(lambda motion, body, path: write_rrd(path, motion, body), ("motion.rrd",))}
-"""With those that need an extra to be installed, so that nobody gets them unasked."""
+_KNOWN = {
+    **MOTION_FORMATS,
+    "rrd": _MotionFormat(lambda motion, body, path: write_rrd(path, motion, body), ("motion.rrd",)),
+}
+"""With those that need an extra to be installed, so that no one gets them unasked."""
 
 
 def known_formats(asked: Sequence[str]) -> None:
@@ -160,7 +163,7 @@ def known_formats(asked: Sequence[str]) -> None:
 
 
 def export_motion(
-    motion: Motion, body: Body, folder: str | Path, formats: Sequence[str] = tuple(FORMATS)
+    motion: Motion, body: Body, folder: str | Path, formats: Sequence[str] = tuple(MOTION_FORMATS)
 ) -> list[Path]:
     """Write the motion into a folder in the named formats and return the paths.
 

@@ -48,9 +48,10 @@ def metres_per_unit(unit: str, where: str) -> float:
         raise InputError(f"{where} is in unit {unit!r}; known units are {', '.join(METRES)}.") from None
 
 
-def checked(names: Sequence[str], points: ArrayLike, frame_rate: float, where: str) -> tuple[tuple[str, ...], Array]:
-    """Names and points (T, M, 3) of a file to be written, or an InputError that says what is wrong with
-    them."""
+def checked_markers(
+    names: Sequence[str], points: ArrayLike, frame_rate: float, where: str
+) -> tuple[tuple[str, ...], Array]:
+    """Names and points (T, M, 3) of a file to be written, or an InputError that says the fault."""
     p, n = np.asarray(points, dtype=np.float64), tuple(str(name) for name in names)
     if p.ndim != 3 or p.shape[1:] != (len(n), 3) or not p.size:
         raise InputError(
@@ -88,7 +89,7 @@ def write_trc(
 
     Cells have 0.1 micrometre; the file appears whole or not at all.
     """
-    names, p = checked(names, points, frame_rate, str(path))
+    names, p = checked_markers(names, points, frame_rate, str(path))
     scale = metres_per_unit(unit, str(path))
     digits = 7 + round(math.log10(scale))
     rows = p[..., _WORLD].reshape(len(p), -1) / scale
@@ -257,29 +258,29 @@ def write_angles_csv(
 
 
 def write_joints_csv(path: str | Path, motion: Motion) -> None:
-    """Write joint centres (world, z up, m) with their standard deviation, and what is known of each frame.
+    """Write joint centres (world, z up, m) with their standard deviation, and the known data of each frame.
 
     Columns: time_s, lost and extrapolated (0 or 1), n_views, doubtful (0 or 1; empty: not judged), then per joint x, y,
     z and sd; where it is known, systematic_sd, the part of sd that more frames and more views like these would not
-    reduce; where it was judged, p_wrong, the probability that the joint is wrong by more than 100 mm. Standard
-    deviations are per axis (root mean square of the three). Lost and extrapolated frames keep the predicted positions.
+    reduce; where it was judged, error_probability, the probability that the joint is wrong by more than 100 mm.
+    Standard deviations are per axis (root mean square of the three). Lost and extrapolated frames keep the predicted positions.
     """
     columns = ["x_m", "y_m", "z_m", "sd_m"]
     series: list[np.ndarray] = [motion.joints, motion.joint_sd[..., None]]
     if motion.systematic_covariance is not None:
         columns.append("systematic_sd_m")
         series.append(sd_per_axis(motion.systematic_covariance)[..., None])
-    if motion.p_wrong is not None:
-        columns.append("p_wrong")
-        series.append(motion.p_wrong[..., None])
-    header = ["time_s", "lost", "extrapolated", "n_views", "doubtful"]
+    if motion.error_probability is not None:
+        columns.append("error_probability")
+        series.append(motion.error_probability[..., None])
+    header = ["time_s", "lost", "extrapolated", "n_views", "low_confidence"]
     header += [f"{n}_{c}" for n in motion.skeleton.joint_names for c in columns]
     data = np.concatenate(series, axis=2).reshape(len(motion), -1).tolist()
     flags = np.stack([motion.lost, motion.extrapolated, motion.n_views], axis=1).astype(int).tolist()
-    judged = [""] * len(motion) if motion.doubtful is None else [str(int(d)) for d in motion.doubtful]
+    judged = [""] * len(motion) if motion.low_confidence is None else [str(int(d)) for d in motion.low_confidence]
     rows = [
-        [*_cells([time]), *map(str, known), doubtful, *_cells(row)]
-        for time, known, doubtful, row in zip(motion.times.tolist(), flags, judged, data, strict=True)
+        [*_cells([time]), *map(str, known), low_confidence, *_cells(row)]
+        for time, known, low_confidence, row in zip(motion.times.tolist(), flags, judged, data, strict=True)
     ]
     _write(path, header, rows)
 

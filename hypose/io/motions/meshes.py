@@ -54,7 +54,7 @@ class PersonMesh:
 
 
 def read_person(path: str | Path) -> PersonMesh:
-    """Read a mesh of a person; an InputError names the file and what is wrong (absent, damaged, too large, no mesh)."""
+    """Read a mesh of a person; an InputError names the file and the fault (absent, damaged, too large, no mesh)."""
     p = Path(path)
     ending = p.suffix.lower()
     if ending == ".pkl":
@@ -157,7 +157,7 @@ def _checked(mesh: PersonMesh) -> PersonMesh:
 def closed_surface(mesh: PersonMesh) -> PersonMesh:
     """The mesh as one closed manifold that looks outward: equal vertices merged, specks left out, small holes closed.
 
-    An InputError says what is open or in pieces and what to do about it."""
+    An InputError names holes or loose parts and the next step."""
     v, f = mesh.vertices, mesh.faces.astype(np.int64)
     notes = list(mesh.notes)
     keep, index = _merged(v)

@@ -7,7 +7,7 @@ pelvis.
 
 The clavicles move the shoulder's centre and nothing else (coordinates in metres): in OpenSim's full-body model, as in
 our angles, the upper arm is measured against the chest. Forearm and hand have OpenSim's coordinates for pronation and
-wrist, locked at zero: what is tracked says nothing of them. There are no muscles.
+wrist, locked at zero: they are not tracked. There are no muscles.
 
 Source of the joints' definitions: Rajagopal et al. 2016.
 """
@@ -136,10 +136,10 @@ class _Writer:
         turn = BODY_AXES @ self.neutral[self.origin[name]]
         inertia = turn @ m.inertia @ turn.T
         entry = put(parent, "Body", name=name)
-        put(entry, "mass", numbers([m.mass]))
-        put(entry, "mass_center", numbers(self.local(name, m.centre[None])[0]))
+        put(entry, "mass", _numbers([m.mass]))
+        put(entry, "mass_center", _numbers(self.local(name, m.centre[None])[0]))
         six = [*np.diag(inertia), inertia[0, 1], inertia[0, 2], inertia[1, 2]]
-        put(entry, "inertia", numbers(six))
+        put(entry, "inertia", _numbers(six))
 
     def trunk(self, joints: Xml.Element) -> None:
         turn = [("pelvis_tilt", _Z), ("pelvis_list", _X), ("pelvis_rotation", _Y)]
@@ -220,7 +220,7 @@ class _Writer:
             segment = self.segment_of[s.joint_names[carrier]]
             entry = put(parent, "Marker", name=name)
             put(entry, "socket_parent_frame", f"/bodyset/{segment}")
-            put(entry, "location", numbers(self.local(segment, point[None])[0]))
+            put(entry, "location", _numbers(self.local(segment, point[None])[0]))
             put(entry, "fixed", "false")
 
 
@@ -246,14 +246,14 @@ def _joint(
         entry = put(coordinates, "Coordinate", name=coordinate)
         put(entry, "default_value", "0")
         low, high = (limits or {}).get(coordinate, (-10.0, 10.0) if is_length(coordinate) else (-2 * np.pi, 2 * np.pi))
-        put(entry, "range", numbers([low, high]))
+        put(entry, "range", _numbers([low, high]))
         put(entry, "clamped", "true" if coordinate in (limits or {}) else "false")
         put(entry, "locked", "true" if locked else "false")
     frames = put(joint, "frames")
     for suffix, frame, where in (("parent", above, place), ("child", f"/bodyset/{child}", np.zeros(3))):
         entry = put(frames, "PhysicalOffsetFrame", name=f"{name}_{suffix}")
         put(entry, "socket_parent", frame)
-        put(entry, "translation", numbers(where))
+        put(entry, "translation", _numbers(where))
         put(entry, "orientation", "0 0 0")
     transform = put(joint, "SpatialTransform")
     axes = _completed([axis for _, axis in turn])
@@ -277,21 +277,21 @@ def _completed(axes: list[Array]) -> list[Array]:
 def _axis(
     parent: Xml.Element, name: str, free: str | float | tuple[str, ...], axis: Array, law: float | Array = 0.0
 ) -> None:
-    """One axis of a transform: `free` is its coordinate, a fixed value, or two coordinates; law: what is added to the
-    one, the coefficients of a polynomial of the two."""
+    """One axis of a transform: `free` is its coordinate, a fixed value, or two coordinates; law: the term added to
+    the one, the coefficients of a polynomial of the two."""
     entry = put(parent, "TransformAxis", name=name)
     coordinates = (free,) if isinstance(free, str) else free if isinstance(free, tuple) else ()
     put(entry, "coordinates", " ".join(coordinates))
-    put(entry, "axis", numbers(axis))
+    put(entry, "axis", _numbers(axis))
     if isinstance(free, tuple):
         function = put(entry, "MultivariatePolynomialFunction", name="function")
-        put(function, "coefficients", numbers(np.asarray(law)))
+        put(function, "coefficients", _numbers(np.asarray(law)))
         put(function, "dimension", str(len(free)))
         put(function, "order", str(_ORDER))
     elif isinstance(free, str):
-        put(put(entry, "LinearFunction", name="function"), "coefficients", numbers([1, float(law)]))
+        put(put(entry, "LinearFunction", name="function"), "coefficients", _numbers([1, float(law)]))
     else:
-        put(put(entry, "Constant", name="function"), "value", numbers([free]))
+        put(put(entry, "Constant", name="function"), "value", _numbers([free]))
 
 
 def put(parent: Xml.Element, tag: str, text: str = "", **attributes: str) -> Xml.Element:
@@ -301,13 +301,13 @@ def put(parent: Xml.Element, tag: str, text: str = "", **attributes: str) -> Xml
     return entry
 
 
-def numbers(values: Sequence[float] | Array) -> str:
+def _numbers(values: Sequence[float] | Array) -> str:
     """Numbers as OpenSim's files have them."""
     return " ".join(f"{float(v):.9g}" for v in values)
 
 
 # ---- opensim ik ----------------------------------------------------------------------------------------------------
-# What OpenSim's inverse kinematics needs beside the model: markers of the tracked body and a set-up with weights.
+# What OpenSim's inverse kinematics needs next to the model: markers of the tracked body and a set-up with weights.
 #
 # The markers are those of the model (`opensim_model.marker_names`): joint centres and the body's landmarks, in the
 # frames of the motion. A marker's weight is the inverse of its joint's variance over the clip, and in single frames
@@ -323,15 +323,15 @@ def write_ik_markers(path: str | Path, motion: Motion, body: Body) -> None:
     """Write the model's markers in every frame as TRC (m). The motion needs poses (T, D)."""
     assert motion.poses is not None
     points = np.concatenate([motion.joints, body.landmark_points(motion.poses)], axis=1)
-    if motion.p_wrong is not None:
-        wrong = np.nan_to_num(motion.p_wrong) > 0.5
+    if motion.error_probability is not None:
+        wrong = np.nan_to_num(motion.error_probability) > 0.5
         wrong[motion.lost.astype(bool)] = False  # nothing is known of the frame: OpenSim goes through the prediction
         points[wrong[:, _carriers(motion, body)]] = np.nan
     write_trc(path, marker_names(body), points, motion.frame_rate, start_time=float(motion.times[0]))
 
 
 def write_ik_setup(path: str | Path, motion: Motion, body: Body, model: str, markers: str, output: str) -> None:
-    """Write the set-up of OpenSim's Inverse Kinematics tool: file names as they stand beside it."""
+    """Write the set-up of OpenSim's Inverse Kinematics tool: file names as they stand next to it."""
     root = Xml.Element("OpenSimDocument", Version="40000")
     tool = put(root, "InverseKinematicsTool", name=Path(output).stem)
     put(tool, "model_file", model)
@@ -343,7 +343,7 @@ def write_ik_setup(path: str | Path, motion: Motion, body: Body, model: str, mar
         put(task, "apply", "true")
         put(task, "weight", f"{weight:.4g}")
     put(tool, "marker_file", markers)
-    put(tool, "time_range", numbers([motion.times[0], motion.times[-1]]))
+    put(tool, "time_range", _numbers([motion.times[0], motion.times[-1]]))
     put(tool, "report_errors", "true")
     put(tool, "output_motion_file", output)
     Xml.indent(root, "\t")

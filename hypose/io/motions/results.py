@@ -37,9 +37,9 @@ _MOST_EMPTY = 1 << 20
 _ZIP_END, _ZIP_64, _MAX_LIST_BYTES = 22, 20, 4 << 20
 """Bytes of a zip archive's end, of what a large one has before it, and of the list of what it holds."""
 _FORMAT = 1
-Layout = Mapping[str, tuple[str, str, int]]
+_Layout = Mapping[str, tuple[str, str, int]]
 """Arrays of an archive by name: kind of dtype, stored dtype ("": any of the kind) and number of dimensions."""
-_SKELETON: Layout = {
+_SKELETON: _Layout = {
     "parents": ("i", "<i8", 1),
     "rest_offsets": ("f", "<f8", 2),
     "ball": ("b", "|b1", 1),
@@ -49,8 +49,8 @@ _SKELETON: Layout = {
     "upper": ("f", "<f8", 1),
     "sigma": ("f", "<f8", 1),
 }
-_NAMES: Layout = {"joint_names": ("U", "", 1), "dof_names": ("U", "", 1)}
-_SERIES: Layout = {
+_NAMES: _Layout = {"joint_names": ("U", "", 1), "dof_names": ("U", "", 1)}
+_SERIES: _Layout = {
     "times": ("f", "<f8", 1),
     "joints": ("f", "<f8", 3),
     "joint_covariance": ("f", "<f4", 4),
@@ -59,11 +59,11 @@ _SERIES: Layout = {
     "n_views": ("i", "<i8", 1),
     "cost": ("f", "<f8", 1),
 }
-_OPTIONAL: Layout = {
+_OPTIONAL: _Layout = {
     "poses": ("f", "<f8", 2),
-    "doubtful": ("b", "|b1", 1),
-    "p_wrong": ("f", "<f4", 2),
-    "doubtful_joints": ("b", "|b1", 2),
+    "low_confidence": ("b", "|b1", 1),
+    "error_probability": ("f", "<f4", 2),
+    "low_confidence_joints": ("b", "|b1", 2),
     "angle_sd": ("f", "<f4", 2),
     "systematic_covariance": ("f", "<f4", 4),
     "rivals": ("f", "<f4", 3),
@@ -74,8 +74,8 @@ _LIMITS = ("lower", "upper")
 
 
 def to_json(value: Any) -> str:
-    """Readable JSON with sorted keys; numpy numbers, arrays and paths become plain values; what is no UTF-8 in names
-    becomes JSON's escapes."""
+    """Readable JSON with sorted keys; numpy numbers, arrays and paths become plain values; invalid UTF-8 in
+    names becomes JSON's escapes."""
 
     def plain(v: Any) -> Any:
         if isinstance(v, np.ndarray | np.generic):
@@ -162,7 +162,7 @@ def open_archive(stream: BinaryIO) -> Iterator[zipfile.ZipFile]:
 
 
 def _read_archive(path: Path, what: str, only: Container[str] | None, packed: int) -> dict[str, np.ndarray]:
-    """`load_archive`, but a ValueError with a short reason for what is no such archive."""
+    """`load_archive`, but a ValueError with a short reason for a file that is no such archive."""
     out: dict[str, np.ndarray] = {}
     with open_file(path, what, _MAX_ARCHIVE_BYTES) as stream, open_archive(stream) as archive:
         entries = archive.infolist()
@@ -233,7 +233,7 @@ class Archive:
 
     what: str
     next_step: str
-    layout: Layout
+    layout: _Layout
     finite: Container[str] = ()
     optional: Container[str] = ()
 
@@ -267,7 +267,7 @@ class Archive:
             raise self.bad(path, f"it has format {version}, this version of hypose reads format {_FORMAT}")
 
 
-def _stored(values: Any, layout: Layout) -> dict[str, np.ndarray]:
+def _stored(values: Any, layout: _Layout) -> dict[str, np.ndarray]:
     """The attributes that a layout names, as they are stored; those that are None are left out."""
     found = {name: getattr(values, name) for name in layout}
     return {name: np.asarray(v).astype(layout[name][1]) for name, v in found.items() if v is not None}
@@ -321,7 +321,7 @@ def save_motion(motion: Motion, path: str | Path) -> None:
 
 
 def load_motion(path: str | Path) -> Motion:
-    """Read a motion.npz; an InputError names the file and what is wrong (damaged, foreign or hostile
+    """Read a motion.npz; an InputError names the file and the fault (damaged, foreign or hostile
     archive)."""
     path = Path(path)
     arrays = _MOTION.load(path)
@@ -441,17 +441,17 @@ def _short(value: Any) -> str:
 
 
 # ---- bodies ------------------------------------------------------------------------------------------------
-# body.npz beside motion.npz, so that exports and pictures need neither the recording nor a new fit.
+# body.npz next to motion.npz, so that exports and pictures need neither the recording nor a new fit.
 
-_MESH: Layout = {
+_MESH: _Layout = {
     "vertices": ("f", "<f8", 2),
     "faces": ("i", "<i4", 2),
     "skin_index": ("i", "<i4", 2),
     "skin_weight": ("f", "<f8", 2),
 }
-_MARKS: Layout = {"joint": ("i", "<i8", 1), "offset": ("f", "<f8", 2)}
+_MARKS: _Layout = {"joint": ("i", "<i8", 1), "offset": ("f", "<f8", 2)}
 _LEVELS = ("coarse", "fine")
-_BODY_LAYOUT: Layout = {
+_BODY_LAYOUT: _Layout = {
     **_SKELETON,
     **_NAMES,
     **{f"{level}_{k}": v for level in _LEVELS for k, v in _MESH.items()},
@@ -479,7 +479,7 @@ def save_body(body: Body, path: str | Path) -> None:
 
 
 def load_body(path: str | Path) -> Body:
-    """Read a body.npz; an InputError names the file and what is wrong (absent, damaged, foreign or hostile archive)."""
+    """Read a body.npz; an InputError names the file and the fault (absent, damaged, foreign or hostile archive)."""
     path = Path(path)
     arrays = _BODY.load(path)
     try:
@@ -504,7 +504,7 @@ def _mesh(arrays: Mapping[str, np.ndarray], level: str) -> Mesh:
 
 
 def load_result_body(results: Path) -> tuple[Motion, Body]:
-    """The motion of a results folder, or of its motion.npz, and the body beside it; an InputError when there is none,
+    """The motion of a results folder, or of its motion.npz, and the body next to it; an InputError when there is none,
     or they belong to different bodies."""
     motion = load_result(results)
     folder = results if results.is_dir() else results.parent
@@ -515,7 +515,7 @@ def load_result_body(results: Path) -> tuple[Motion, Body]:
 
 
 # ---- modes -------------------------------------------------------------------------------------------------
-# modes.npz beside motion.npz: every hypothesis of every frame of a monocular track.
+# modes.npz next to motion.npz: every hypothesis of every frame of a monocular track.
 #
 #     modes = load_modes("results/monocular/modes.npz")
 #     modes.joints[t, k]      # (19, 3) m of mode k of frame t, NaN when frame t has fewer modes
@@ -544,7 +544,7 @@ def save_modes(modes: Modes, path: str | Path) -> None:
 
 
 def load_modes(path: str | Path) -> Modes:
-    """Read a modes.npz; an InputError names the file and what is wrong."""
+    """Read a modes.npz; an InputError names the file and the fault."""
     return Modes(**_MODES.load(Path(path)))
 
 
@@ -594,7 +594,7 @@ def provenance(
     }
 
 
-def identity(record: Mapping[str, Any]) -> dict[str, Any]:
+def provenance_identity(record: Mapping[str, Any]) -> dict[str, Any]:
     """The part of a provenance that decides the result: all but "run"."""
     return {k: v for k, v in record.items() if k != "run"}
 

@@ -53,7 +53,7 @@ from hypose.io.recordings.view_source import SIDECAR, Preparer, ViewSource
 from hypose.io.videos.video import evenly_spread, open_video
 
 # ---- masks in work -------------------------------------------------------------------------------------------------
-# The masks of a stream's frames: packed, in the making, and kept for whoever asks for a frame again.
+# The masks of a stream's frames: packed, in the making, and kept for a caller that asks for a frame again.
 
 
 KEPT_BYTES = 64 << 20
@@ -78,7 +78,7 @@ class PackedMask:
         return None if self.runs is None else outline_of_runs(self.runs, OUTLINE_POINTS, WORKING_HEIGHT)
 
 
-class KeptMasks:
+class _MaskCache:
     """Masks that have been made once, by view and frame, as long as there is room; those with colours take too much."""
 
     def __init__(self) -> None:
@@ -142,7 +142,7 @@ class PendingMasks:
             return None
 
     def cancel(self) -> None:
-        """Nobody wants them any more."""
+        """No caller wants them any more."""
         for future in [*self._done, *self._outlines]:
             future.cancel()
 
@@ -188,7 +188,7 @@ class FrameSettings:
 
 def working_rig(rig: CameraRig, options: FrameSettings | None = None, depth: Sequence[bool] = ()) -> CameraRig:
     """The pinhole cameras of the working size. depth: which are depth cameras. These have a size of their own: made
-    smaller as large pictures beside it are, their maps would show arms that are a pixel wide."""
+    smaller as large pictures next to it are, their maps would show arms that are a pixel wide."""
     o = options or FrameSettings()
     small = rig.scaled(o.factor or min(1.0, o.longer_side / float(rig.sizes.max()))).pinhole()
     if not any(depth):
@@ -307,7 +307,7 @@ def build_backgrounds(
                 if reader.n_frames >= _CLIP:
                     return from_frames(images)
                 plate = from_plates(images)
-        source = ViewSource(view, recording.rig[c], small[c], beside=len(recording.views))
+        source = ViewSource(view, recording.rig[c], small[c], parallel=len(recording.views))
         try:
             frames, hidden = [], []
             for frame in evenly_spread(recording.frames.start, recording.frames.stop, o.background_frames):
@@ -359,11 +359,11 @@ class FrameStream:
         self.keypoints = None if person is None else person.keypoints
         whose = None if person is None else person.one
         self.people_notes = () if whose is None else whose.of_all if self.options.people else whose.notes
-        # whom key points show beside the one who is followed
+        # other people whom key points show
         self.others = 0 if whose is None or self.options.people or whose.of_all else max(len(whose.people) - 1, 0)
         self.doubted = self.keypoints
         if person is not None and person.one.apart:
-            doubted = load_person(recording, self.rig, doubting=True)
+            doubted = load_person(recording, self.rig, keep_misfits=True)
             self.doubted = None if doubted is None else doubted.keypoints
         self._covers = covers
         banded = self.keypoints is not None and self.options.band
@@ -373,7 +373,7 @@ class FrameStream:
         self._lanes: list[ThreadPoolExecutor] = []
         self._ahead: dict[int, PendingMasks] = {}
         self._given: PendingMasks | None = None
-        self._kept = KeptMasks()
+        self._kept = _MaskCache()
         self._last = -1
         self._areas: dict[int, NDArray[np.int64]] = {}
         if self.options.silhouettes is not None and recording.has_pictures:
@@ -426,14 +426,14 @@ class FrameStream:
     def notes(self) -> tuple[str, ...]:
         """Sentences with the view's name about doubtful backgrounds, and frames that could not be read so far."""
         named = zip(self.recording.views, self.backgrounds, strict=False)
-        doubtful = [f"View {v.name}: {b.note}" for v, b in named if b is not None and b.note]
+        low_confidence = [f"View {v.name}: {b.note}" for v, b in named if b is not None and b.note]
         unread = (f"View {s.view.name} {s.note}" for s in self._sources if s.note)
         things = (
             f"View {s.view.name}: {area:.2f} m^2 of things that the empty room had not are left out"
             for s in self._sources
             if s.depth is not None and (area := s.depth.furnished[1]) > 0
         )
-        return (*self.people_notes, *doubtful, *unread, *things)
+        return (*self.people_notes, *low_confidence, *unread, *things)
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -521,7 +521,8 @@ class FrameStream:
         return self._sources[view].mask(frame, band, widened)
 
     def _look(self, index: int) -> tuple[NDArray[np.int64], PendingMasks]:
-        """The areas (C, H) that say what is usual at this frame, and the frame's masks; and what comes next is begun.
+        """The areas (C, H) that give the usual values at this frame, and the frame's masks; and what comes next is
+        begun.
 
         The frames of the areas are a fixed choice, so that it does not matter where a run was resumed. At the start
         they lie ahead; the masks up to there are kept, packed, so that no video is read twice."""
@@ -572,7 +573,7 @@ def write_masks(stream: FrameStream, folder: str | Path, progress: Callable[[int
     """Write the stream's masks as PNG (0/255), undistorted, at working size: folder/VIEW/FRAME.png;
     returns how many of them show something.
 
-    A note beside them says that they are undistorted, so that a recording whose view names such a folder
+    A note next to them says that they are undistorted, so that a recording whose view names such a folder
     as `masks` reads them back exactly. progress(done, total) is called after every frame.
     """
     views = [mask_folder(folder, v.name, c) for v, c in zip(stream.recording.views, stream.rig, strict=True)]

@@ -44,8 +44,7 @@ def is_project(folder: Path) -> bool:
 
 
 def read_project(folder: Path) -> tuple[dict[str, Any], list[str]]:
-    """(settings, notes): the settings of recording.toml with absolute paths; an InputError names what is
-    missing."""
+    """(settings, notes): the settings of recording.toml with absolute paths; an InputError names the missing part."""
     folder = folder.absolute()
     config = _merged_config(folder)
     videos = _subfolder(folder, "videos")
@@ -112,8 +111,8 @@ def _is_number(value: Any) -> TypeGuard[float]:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def changed(project: Mapping[str, Any], given: Mapping[str, Any], source: Path) -> dict[str, Any]:
-    """The settings of a project with what a recording.toml beside it says otherwise; its views are those of the
+def with_overrides(project: Mapping[str, Any], given: Mapping[str, Any], source: Path) -> dict[str, Any]:
+    """The settings of a project with what a recording.toml next to it says otherwise; its views are those of the
     project, by name. An InputError names a view that the project does not have."""
     views = {v["name"]: dict(v) for v in project["view"]}
     for view in given.get("view", []):

@@ -75,9 +75,9 @@ from hypose.io.files import read_toml, toml_lines, write_text
 from hypose.io.keypoints.read_keypoints import ViewKeypoints, check_keypoints, keypoints_of_views, with_detected
 from hypose.io.recordings import pose2sim
 from hypose.io.recordings.recording_views import (
-    View,
+    ViewSettings,
     check_background,
-    check_size,
+    check_picture_size,
     common_frames,
     look_together,
     on_one_clock,
@@ -153,7 +153,7 @@ def check_keys(where: str, table: Mapping[str, Any], known: Mapping[str, type | 
             raise InputError(f"{where}: {key} must be a finite number, got {value!r}; correct it.")
 
 
-def numbers(where: str, key: str, value: Any, count: int, whole: bool) -> list[Any]:
+def _numbers(where: str, key: str, value: Any, count: int, whole: bool) -> list[Any]:
     """value, when it is a list of `count` finite (whole) numbers; else an InputError."""
     types = int if whole else (int, float)
     fine = len(value) == count and all(isinstance(v, types) and not isinstance(v, bool) for v in value)
@@ -163,7 +163,7 @@ def numbers(where: str, key: str, value: Any, count: int, whole: bool) -> list[A
     return value
 
 
-def choice(where: str, key: str, value: str, allowed: Sequence[str]) -> str:
+def _choice(where: str, key: str, value: str, allowed: Sequence[str]) -> str:
     """value, when it is one of the allowed words; else an InputError."""
     if value not in allowed:
         raise InputError(f"{where}: {key} must be {', '.join(allowed)}, got {value!r}; correct it.")
@@ -175,7 +175,7 @@ def silhouette_options(where: str, table: Mapping[str, Any]) -> SilhouetteSettin
     check_keys(f"{where}, silhouettes", table, SILHOUETTE_KEYS)
     values = dict(table)
     if "shadow_range" in values:
-        values["shadow_range"] = tuple(numbers(where, "shadow_range", values["shadow_range"], 2, whole=False))
+        values["shadow_range"] = tuple(_numbers(where, "shadow_range", values["shadow_range"], 2, whole=False))
     try:
         return SilhouetteSettings(**values)
     except InputError as error:
@@ -183,16 +183,16 @@ def silhouette_options(where: str, table: Mapping[str, Any]) -> SilhouetteSettin
 
 
 # ---- person tables -------------------------------------------------------------------------------------------------
-# The [[person]] tables of recording.toml: what is known beforehand of the people in a recording.
+# The [[person]] tables of recording.toml: the data known beforehand of the people in a recording.
 
 
 _NAME = re.compile(r"[\w][\w .-]{0,59}")
 _FILE = re.compile(r".*\.[a-z0-9]{2,5}")
-"""what names a file, as those of everybody's results beside whom the folders lie"""
+"""what names a file, as those of all people's results in neighbouring folders"""
 
 
 @dataclass(frozen=True)
-class Person:
+class PersonSettings:
     """name: of the folder of their results; height m; body: of their own, a path as `hypose subject` writes it; place
     (2,) m: where they stand at `time`, s from the first frame."""
 
@@ -203,11 +203,11 @@ class Person:
     time: float = 0.0
 
 
-def people_of_tables(folder: Path, where: str, tables: Any) -> tuple[Person, ...]:
-    """The people that the tables tell of; an InputError names what is wrong."""
+def people_of_tables(folder: Path, where: str, tables: Any) -> tuple[PersonSettings, ...]:
+    """The people that the tables tell of; an InputError names the fault."""
     found = [_person(folder, where, table, k) for k, table in enumerate(tables)]
     names = [p.name for p in found]
-    if len({_told_apart(n) for n in names}) < len(names):
+    if len({_distinguished(n) for n in names}) < len(names):
         raise InputError(
             f"{where}: the names of people must differ, got {', '.join(names)}, by more than capitals, spaces, dots "
             "and hyphens, which not all systems and files tell apart; rename one."
@@ -215,12 +215,12 @@ def people_of_tables(folder: Path, where: str, tables: Any) -> tuple[Person, ...
     return tuple(found)
 
 
-def _told_apart(name: str) -> str:
+def _distinguished(name: str) -> str:
     """What of a name every file system and every C3D file keeps."""
     return re.sub(r"[ .-]+", "-", unicodedata.normalize("NFKC", name).casefold())
 
 
-def _person(folder: Path, where: str, table: Any, index: int) -> Person:
+def _person(folder: Path, where: str, table: Any, index: int) -> PersonSettings:
     if not isinstance(table, Mapping):
         raise InputError(
             f"{where}: person must be [[person]] tables, got {table!r}; write [[person]] before each person."
@@ -241,10 +241,10 @@ def _person(folder: Path, where: str, table: Any, index: int) -> Person:
         raise InputError(f"{here}: time = {time:g} lies before the first frame; give seconds from there.")
     place = None
     if "place" in table:
-        x, y = numbers(here, "place", table["place"], 2, whole=False)
+        x, y = _numbers(here, "place", table["place"], 2, whole=False)
         place = (float(x), float(y))
     body = folder / table["body"] if "body" in table else None
-    return Person(name, None if height is None else float(height), body, place, time)
+    return PersonSettings(name, None if height is None else float(height), body, place, time)
 
 
 _UP = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1), "-x": (-1, 0, 0), "-y": (0, -1, 0), "-z": (0, 0, -1)}
@@ -254,14 +254,14 @@ _UP = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1), "-x": (-1, 0, 0), "-y": (
 class Recording:
     """A checked recording. rig: the cameras in the order of `views`, world in metres, z up. frame_rate:
     frames/s. frame_range: (first, stop) as given, None = all. n_frames: frames that every view has.
-    keypoint_set None: there are no key points. subject_height m, subject_mass kg. people: what is known of several
+    keypoint_set None: there are no key points. subject_height m, subject_mass kg. people: the known data of several
     people. silhouettes: how masks are
     made. notes: sentences about accepted oddities, for the user."""
 
     folder: Path
     name: str
     rig: CameraRig
-    views: tuple[View, ...]
+    views: tuple[ViewSettings, ...]
     frame_rate: float
     frame_range: tuple[int, int] | None
     keypoint_set: str | None = "BODY_25"
@@ -272,7 +272,7 @@ class Recording:
     n_frames: int = 0
     calibration: Path | None = None
     silhouettes: SilhouetteSettings = SilhouetteSettings()
-    people: tuple[Person, ...] = ()
+    people: tuple[PersonSettings, ...] = ()
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -309,9 +309,8 @@ def load_recording(path: str | Path, calibration: str | Path | None = None, *, u
     """Load and check a recording folder, a recording.toml, or a Pose2Sim project or trial folder.
 
     calibration: a calibration file to use instead of the recording's own; uncalibrated: use none, the cameras are those
-    of `cameras_of_pictures`. An InputError (CalibrationError for the cameras) names the file or camera, what is allowed
-    and the next step.
-    """
+    of `cameras_of_pictures`. An InputError (CalibrationError for the cameras) names the file or camera, the allowed
+    values and the next step."""
     path = Path(path)
     if not path.exists():
         raise InputError(f"{path} does not exist; give a recording folder, its recording.toml, or a Pose2Sim project.")
@@ -328,7 +327,7 @@ def load_recording(path: str | Path, calibration: str | Path | None = None, *, u
         given, notes = read_toml(toml), list[str]()
         if "calibration" not in given and not (path / "calibration.toml").exists() and pose2sim.is_project(path):
             project, notes = pose2sim.read_project(path)
-            given = pose2sim.changed(project, given, toml)
+            given = pose2sim.with_overrides(project, given, toml)
         return _build(path, toml, _with_calibration(given, calibration), notes, uncalibrated)
     if pose2sim.is_project(path):
         settings, notes = pose2sim.read_project(path)
@@ -441,10 +440,10 @@ def _build(folder: Path, origin: Path, settings: Mapping[str, Any], notes: list[
     views, clips = look_together(views, notes)
     for view, camera, found in zip(views, rig, clips, strict=True):
         for clip in found:
-            check_size(view, camera, clip.path, clip.size, notes)
+            check_picture_size(view, camera, clip.path, clip.size, notes)
         if view.background is not None:
             check_background(view, camera, found[0].size if found else None)
-    pixels = choice(where, "keypoint_pixels", settings.get("keypoint_pixels", "calibration"), ("calibration", "image"))
+    pixels = _choice(where, "keypoint_pixels", settings.get("keypoint_pixels", "calibration"), ("calibration", "image"))
     lag = settings.get("keypoint_lag", 0)
     stored = [found[0].size if found and view.source else None for view, found in zip(views, clips, strict=True)]
     if pixels == "image" and (blind := [v.name for v, s in zip(views, stored, strict=True) if v.keypoints and not s]):
@@ -453,9 +452,9 @@ def _build(folder: Path, origin: Path, settings: Mapping[str, Any], notes: list[
             "are; give the videos, or key points in pixels of the calibration."
         )
     stored = stored if pixels == "image" else [None] * len(views)
-    keypoint_set, keypoints = _told_keypoints(where, settings, views, rig, notes)
-    told = next((k.table.frame_rate for k in keypoints if k is not None and k.table.frame_rate is not None), None)
-    views, clips, frame_rate = on_one_clock(where, settings.get("frame_rate"), views, clips, told, notes)
+    keypoint_set, keypoints = _named_keypoints(where, settings, views, rig, notes)
+    reported = next((k.table.frame_rate for k in keypoints if k is not None and k.table.frame_rate is not None), None)
+    views, clips, frame_rate = on_one_clock(where, settings.get("frame_rate"), views, clips, reported, notes)
     keypoints = _by_stored_frames(keypoints, views)
     if any(clips):
         n_frames = common_frames(views, clips, notes)
@@ -466,7 +465,7 @@ def _build(folder: Path, origin: Path, settings: Mapping[str, Any], notes: list[
     check_keypoints(keypoints, names, rig, range(-lag, n_frames - lag), stored)
     frame_range = None
     if "frame_range" in settings:
-        first, stop = numbers(where, "frame_range", settings["frame_range"], 2, whole=True)
+        first, stop = _numbers(where, "frame_range", settings["frame_range"], 2, whole=True)
         if not 0 <= first < stop <= n_frames:
             raise InputError(
                 f"{where}: frame_range = [{first}, {stop}] lies outside the recording, which has the frames "
@@ -511,7 +510,9 @@ def keypoints_of_recording(recording: Recording) -> tuple[list[ViewKeypoints | N
     return _by_stored_frames(found, views), said
 
 
-def _by_stored_frames(keypoints: Sequence[ViewKeypoints | None], views: Sequence[View]) -> list[ViewKeypoints | None]:
+def _by_stored_frames(
+    keypoints: Sequence[ViewKeypoints | None], views: Sequence[ViewSettings]
+) -> list[ViewKeypoints | None]:
     """Key points of other programs are numbered by the stored frames of a video."""
     return [
         k if k is None or k.table.timed else replace(k, frames=stored_numbers(v))
@@ -526,8 +527,8 @@ def stored_sizes(recording: Recording) -> list[tuple[int, int] | None]:
     return [None if v.source is None else frame_size(v.source) for v in recording.views]
 
 
-def _told_keypoints(
-    where: str, settings: Mapping[str, Any], views: Sequence[View], rig: CameraRig, notes: list[str]
+def _named_keypoints(
+    where: str, settings: Mapping[str, Any], views: Sequence[ViewSettings], rig: CameraRig, notes: list[str]
 ) -> tuple[str | None, list[ViewKeypoints | None]]:
     """The set of the key points, None without any, and those of every view."""
     stated = settings.get("keypoint_set")
@@ -560,7 +561,7 @@ def _reason(problem: Exception) -> str:
     return problem.strerror if isinstance(problem, OSError) and problem.strerror else str(problem).rstrip(".")
 
 
-def _view(folder: Path, where: str, table: Mapping[str, Any], index: int) -> View:
+def _view(folder: Path, where: str, table: Mapping[str, Any], index: int) -> ViewSettings:
     name = table.get("name") or f"view{index + 1}"
     where = f"{where}, view {name}"
     paths: dict[str, Any] = {}
@@ -586,8 +587,8 @@ def _view(folder: Path, where: str, table: Mapping[str, Any], index: int) -> Vie
             f"{where}: neither video, images, depth, masks nor keypoints are given; add one of them, or remove the "
             "view."
         )
-    shift = numbers(where, "image_shift", table.get("image_shift", [0.0, 0.0]), 2, whole=False)
-    return View(
+    shift = _numbers(where, "image_shift", table.get("image_shift", [0.0, 0.0]), 2, whole=False)
+    return ViewSettings(
         name=name,
         image_shift=(float(shift[0]), float(shift[1])),
         accept_scaled=table.get("accept_scaled", False),
@@ -607,10 +608,10 @@ def _calibration(folder: Path, where: str, settings: Mapping[str, Any], notes: l
             "file with "
             'calibration = "...".'
         )
-    unit = choice(where, "calibration_unit", settings.get("calibration_unit", "auto"), ("auto", *UNITS))
+    unit = _choice(where, "calibration_unit", settings.get("calibration_unit", "auto"), ("auto", *UNITS))
     rig, found = read_any(path, unit)
     notes += found
-    up = choice(where, "world_up", settings.get("world_up", "z"), tuple(_UP))
+    up = _choice(where, "world_up", settings.get("world_up", "z"), tuple(_UP))
     if up != "z":
         turn = se3(rotation_between(_UP[up], _UP["z"]).T, np.zeros(3))
         rig = CameraRig(tuple(replace(c, camera_from_world=c.camera_from_world @ turn) for c in rig))
@@ -618,7 +619,7 @@ def _calibration(folder: Path, where: str, settings: Mapping[str, Any], notes: l
     return path, rig
 
 
-def cameras_of_pictures(where: str, views: Sequence[View]) -> CameraRig:
+def cameras_of_pictures(where: str, views: Sequence[ViewSettings]) -> CameraRig:
     """Cameras of which the size of the pictures alone is known: a focal length of the longer side, all in one place."""
     cameras = []
     for view in views:
@@ -635,7 +636,7 @@ def cameras_of_pictures(where: str, views: Sequence[View]) -> CameraRig:
 
 
 def _match_cameras(
-    rig: CameraRig, path: Path, views: Sequence[View], wanted: Sequence[str | None], notes: list[str]
+    rig: CameraRig, path: Path, views: Sequence[ViewSettings], wanted: Sequence[str | None], notes: list[str]
 ) -> CameraRig:
     """The rig in the order of the views."""
     names = [w or v.name for w, v in zip(wanted, views, strict=True)]

@@ -36,8 +36,9 @@ def candidates_of(recording: Recording, small: CameraRig) -> list[list[Array | N
     pinhole cameras `small`, confidence 0..1, and (u, v) px of the calibrated, distorted picture. None without key
     points.
 
-    What is read, and which frame of the file is the video's first, is told by `hypose.io.keypoints.read_keypoints`;
-    recording.keypoint_lag is added. An InputError names the file that cannot be read."""
+    The format, and which frame of the file is the video's first, follows from
+    `hypose.io.keypoints.read_keypoints`; recording.keypoint_lag is added. An InputError names the file that cannot be
+    read."""
     if recording.keypoint_set is None or not any(v.keypoints for v in recording.views):
         return None
     found, _ = keypoints_of_recording(recording)
@@ -61,8 +62,8 @@ def candidates_of(recording: Recording, small: CameraRig) -> list[list[Array | N
     return [list(frame) for frame in zip(*views, strict=True)]
 
 
-def load_person(recording: Recording, small: CameraRig, *, doubting: bool = False) -> RecordedPerson | None:
-    """The person of a recording, None when it has no key points. small, doubting: as in `candidates_of` and
+def load_person(recording: Recording, small: CameraRig, *, keep_misfits: bool = False) -> RecordedPerson | None:
+    """The person of a recording, None when it has no key points. small, keep_misfits: as in `candidates_of` and
     `hypose.evidence.one_person.one_person`. A frame in which the person is not seen has confidence 0."""
     candidates = candidates_of(recording, small)
     if candidates is None or recording.keypoint_set is None:
@@ -70,7 +71,7 @@ def load_person(recording: Recording, small: CameraRig, *, doubting: bool = Fals
     names = keypoint_names(recording.keypoint_set)
     views = [without_held([frame[c] for frame in candidates], first=3) for c in range(len(small))]
     candidates = [list(frame) for frame in zip(*(column for column, _ in views), strict=True)]
-    one = one_person(candidates, names, small, recording.frame_rate, doubting=doubting)
+    one = one_person(candidates, names, small, recording.frame_rate, keep_misfits=keep_misfits)
     held = {name: count for name, (_, count) in zip(small.names, views, strict=True) if count}
     if held:
         said = (
@@ -109,15 +110,15 @@ def persons_objects(
     small: CameraRig,
     masks: Sequence[ObjectMasks | None],
     keypoints: Sequence[Keypoints] | None,
-    everybody: bool = False,
+    all_people: bool = False,
 ) -> tuple[list[frozenset[str] | None], tuple[str, ...]]:
     """Per view the objects that are the recording's person (None: the view's masks know no objects), and a sentence
     when there are others: those in which the key points lie; without key points those that belong together across most
-    views and frames. everybody: all objects that another view shows as well."""
+    views and frames. all people: all objects that another view shows as well."""
     if not any(m is not None and len(m.objects) > 1 for m in masks):
         return [None if m is None else frozenset(m.objects) for m in masks], ()
     people = objects_of_people(recording, small, masks)
-    if everybody:
+    if all_people:
         return _everybodys(recording, masks, people)
     chosen: list[frozenset[str] | None] = []
     for c, view in enumerate(masks):

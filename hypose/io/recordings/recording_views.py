@@ -19,11 +19,11 @@ from hypose.io.videos.video import VideoReader, check_numbers, frame_size, frame
 _ALIKE = 1.005
 """29.97 against 30 frames/s is a rounding of the container."""
 SIDECAR = "hypose-masks.json"
-"""lies beside masks that are undistorted already, which are found by their frames' numbers"""
+"""lies next to masks that are undistorted already, which are found by their frames' numbers"""
 
 
 @dataclass(frozen=True)
-class View:
+class ViewSettings:
     """What one camera delivered. Paths exist; None = not given. See the module for the meaning of each. first_mask: the
     number of the first frame, of masks in one folder per object, None: the view's own least. rate: frames/s at which
     its video is read by its time stamps, None: frame by frame."""
@@ -47,7 +47,7 @@ class View:
 
 
 @dataclass(frozen=True)
-class Clip:
+class _ClipInfo:
     """What a look into one video, image folder or mask source gave; first: as ObjectMasks have it."""
 
     path: Path
@@ -58,7 +58,7 @@ class Clip:
     first: int | None = None
 
 
-def look(view: View) -> list[Clip]:
+def look(view: ViewSettings) -> list[_ClipInfo]:
     """Open what the view's frames come from (video or images, then masks)."""
     out = []
     for path in (view.source, view.masks):
@@ -72,13 +72,13 @@ def look(view: View) -> list[Clip]:
         of_masks = path == view.masks and not made_here
         with open_masks(path, view.first_mask) if of_masks else open_video(path) as reader:
             first = reader.first if isinstance(reader, ObjectMasks) else None
-            out.append(Clip(path, reader.size, reader.n_frames, reader.stated_frames, reader.frame_rate, first))
+            out.append(_ClipInfo(path, reader.size, reader.n_frames, reader.stated_frames, reader.frame_rate, first))
     return out
 
 
-def look_together(views: Sequence[View], notes: list[str]) -> tuple[list[View], list[list[Clip]]]:
+def look_together(views: Sequence[ViewSettings], notes: list[str]) -> tuple[list[ViewSettings], list[list[_ClipInfo]]]:
     """The views, and what a look into each gave. Where files of one folder per object begin with different numbers,
-    these are the frames' of all views: whoever is not seen at first has no masks then."""
+    these are the frames' of all views: a person who is not seen at first has no masks then."""
     with ThreadPoolExecutor(len(views)) as pool:  # finding out how many frames can be decoded takes its time
         clips = list(pool.map(look, views))
     numbered = {k: c for k, found in enumerate(clips) for c in found if c.first is not None}
@@ -95,7 +95,7 @@ def look_together(views: Sequence[View], notes: list[str]) -> tuple[list[View], 
     return same, [look(v) if k in numbered else clips[k] for k, v in enumerate(same)]
 
 
-def open_pictures(view: View, threads: int | None = None) -> VideoReader | ObjectMasks:
+def open_pictures(view: ViewSettings, threads: int | None = None) -> VideoReader | ObjectMasks:
     """What shows a view: its video or images, else its masks; an InputError when it has neither. threads: that may
     decode a video (None: all)."""
     if view.source is not None:
@@ -106,7 +106,9 @@ def open_pictures(view: View, threads: int | None = None) -> VideoReader | Objec
     return open_video(view.masks) if made_here else open_masks(view.masks, view.first_mask)
 
 
-def check_size(view: View, camera: Camera, path: Path, size: tuple[int, int], notes: list[str] | None) -> None:
+def check_picture_size(
+    view: ViewSettings, camera: Camera, path: Path, size: tuple[int, int], notes: list[str] | None
+) -> None:
     """An InputError when pictures of a size (width, height) cannot be the camera's; a note when they are scaled."""
     if size == camera.size:
         return
@@ -130,11 +132,11 @@ def check_size(view: View, camera: Camera, path: Path, size: tuple[int, int], no
         )
 
 
-def check_background(view: View, camera: Camera, size: tuple[int, int] | None) -> None:
+def check_background(view: ViewSettings, camera: Camera, size: tuple[int, int] | None) -> None:
     """An InputError when the background cannot be that of a view, whose pictures have this size."""
     assert view.background is not None
     if view.depth is None:
-        check_size(view, camera, view.background, frame_size(view.background), None)
+        check_picture_size(view, camera, view.background, frame_size(view.background), None)
         return
     if not view.background.is_dir():
         raise InputError(
@@ -149,7 +151,7 @@ def check_background(view: View, camera: Camera, size: tuple[int, int] | None) -
         )
 
 
-def stored_numbers(view: View) -> NDArray[np.int64] | None:
+def stored_numbers(view: ViewSettings) -> NDArray[np.int64] | None:
     """The stored frame of each frame of a view whose video is read by its time stamps; None: the same."""
     return None if view.video is None or view.rate is None else stored_frames(view.video, view.rate)
 
@@ -157,12 +159,12 @@ def stored_numbers(view: View) -> NDArray[np.int64] | None:
 def on_one_clock(
     where: str,
     given: float | None,
-    views: Sequence[View],
-    clips: Sequence[list[Clip]],
-    told: float | None,
+    views: Sequence[ViewSettings],
+    clips: Sequence[list[_ClipInfo]],
+    reported: float | None,
     notes: list[str],
-) -> tuple[list[View], list[list[Clip]], float]:
-    """Choose the recording's frames per second: as given, else as the videos say (the lowest), else as told by the key
+) -> tuple[list[ViewSettings], list[list[_ClipInfo]], float]:
+    """Choose the recording's frames per second: as given, else as the videos say (the lowest), else as given by the key
     points' file; and have videos that lost frames, or have another or a varying rate, read by their time stamps."""
     if given is not None and not 0.1 <= given <= 10_000:
         raise InputError(f"{where}: frame_rate = {given:g} is implausible; give frames per second (0.1 to 10000).")
@@ -174,7 +176,7 @@ def on_one_clock(
         if c.path == v.video and c.frame_rate is not None
     ]
     alike = not rates or max(rates) / min(rates) <= _ALIKE
-    found = (float(np.median(rates)) if alike else min(rates)) if rates else told
+    found = (float(np.median(rates)) if alike else min(rates)) if rates else reported
     if given is None and found is None:
         what = "images" if any(clips) else "key points"
         raise InputError(f"{where}: {what} carry no frame rate; add frame_rate = ... (frames per second).")
@@ -213,7 +215,7 @@ def _of_times(times: Array) -> str:
     return f"its video has {1 / step:.4g} frames/s"
 
 
-def common_frames(views: Sequence[View], clips: Sequence[list[Clip]], notes: list[str]) -> int:
+def common_frames(views: Sequence[ViewSettings], clips: Sequence[list[_ClipInfo]], notes: list[str]) -> int:
     """The number of frames that every view has; a note when they differ."""
     counts = {}
     for view, found in zip(views, clips, strict=True):

@@ -45,7 +45,7 @@ from hypose.evidence.silhouettes import (
 )
 from hypose.geometry import DepthMap, Image, Mask
 from hypose.io.recordings.object_masks import ObjectMasks, open_masks
-from hypose.io.recordings.recording_views import SIDECAR, View, stored_numbers
+from hypose.io.recordings.recording_views import SIDECAR, ViewSettings, stored_numbers
 from hypose.io.sensors.depth import read_depth_png
 from hypose.io.videos.video import VideoReader, evenly_spread, frame_size, list_images, open_video, read_image
 
@@ -90,7 +90,7 @@ class DepthSource:
     people: several are to be seen. Used by one thread at a time, but for maps that
     are kept."""
 
-    def __init__(self, view: View, camera: Camera, small: Camera, people: bool = False) -> None:
+    def __init__(self, view: ViewSettings, camera: Camera, small: Camera, people: bool = False) -> None:
         if view.depth is None:
             raise InputError(f"View {view.name} has no depth; give its folder of 16-bit PNG in millimetres.")
         self.view, self._small, self._people = view, small, people
@@ -111,7 +111,7 @@ class DepthSource:
         return found
 
     def person(self, frame: int) -> NDArray[np.uint8]:
-        """(h, w) 0/1: who stands before the empty room, or on the floor where that is not known; everybody, if several
+        """(h, w) 0/1: who stands before the empty room, or on the floor where that is not known; all people, if several
         are to be seen."""
         room, camera = self.furnished[0], self._small
         depth = self.map(frame)
@@ -205,7 +205,7 @@ class Preparer:
         return self._lenses[stored]
 
     def differing_box(self, image: Image, glance: Glance) -> Box | None:
-        """The box of the working size that holds what is not the room; None when there is nothing."""
+        """Return the box of the working size that holds the foreground, None when it is empty."""
         image = self._enlarged(image)
         stored = (image.shape[1], image.shape[0])
         if stored not in self._pixels:
@@ -227,7 +227,7 @@ def mask_in(image: Image, prepare: Preparer, segment: Segmenter, band: Mask | No
         box = found or (0, 0, 0, 0)
     prepared = prepare.within(image, box)
     runs = segment.runs(prepared, band, box)
-    if box is not None and runs.area and not _holds(box, runs.box):  # what is closed or filled may reach beyond it
+    if box is not None and runs.area and not _holds(box, runs.box):  # closed or filled parts may reach beyond it
         prepared = prepare.within(image, None)
     return runs, prepared
 
@@ -240,7 +240,7 @@ class _MaskSource:
     """Masks made elsewhere: a video, a folder of images in order, masks of several objects, or a folder written by
     write_masks. chosen: the objects that are the person, None: all."""
 
-    def __init__(self, view: View, path: Path, prepare: Preparer, size: tuple[int, int]) -> None:
+    def __init__(self, view: ViewSettings, path: Path, prepare: Preparer, size: tuple[int, int]) -> None:
         self.path, self._prepare, self._size = path, prepare, size
         self._stored = stored_numbers(view)
         self._numbered: dict[int, Path] | None = None
@@ -280,11 +280,13 @@ class _MaskSource:
 
 class ViewSource:
     """Masks of one view by frame number; used by one thread at a time. people: of all in a depth camera's maps;
-    beside: how many videos are decoded at once, which share the cores: more threads cost more in all."""
+    parallel: number of videos decoded at once, which share the cores: more threads cost more in all."""
 
-    def __init__(self, view: View, camera: Camera, small: Camera, people: bool = False, beside: int = 1) -> None:
+    def __init__(
+        self, view: ViewSettings, camera: Camera, small: Camera, people: bool = False, parallel: int = 1
+    ) -> None:
         self.view = view
-        self._threads = max(1, default_threads() // beside)
+        self._threads = max(1, default_threads() // parallel)
         self._prepare = Preparer(camera, small, view.image_shift)
         masks = view.masks
         self._masks = None if masks is None else _MaskSource(view, masks, self._prepare, small.size)

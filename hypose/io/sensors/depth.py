@@ -29,19 +29,19 @@ from hypose.geometry import Array, DepthMap
 from hypose.io.calibrations.calibration_formats import read_any
 from hypose.io.file_names import utf8_path
 from hypose.io.files import open_file, read_bytes, readable_size, unreadable, write_bytes
-from hypose.io.videos.camera_sources import CameraSource, Played, Shot, StreamEnded
+from hypose.io.videos.camera_sources import CameraImage, CameraSource, Played, StreamEnded
 from hypose.io.videos.video import PNG_SIGNATURE, is_cut_png, list_images
 from hypose.json_text import parse_json
 
 MAX_SIDE = 4096
-# Steps of a noisy depth picture are no better predicted from the pixel beside: without a filter files are a third
+# Steps of a noisy depth picture are no better predicted from the pixel next to: without a filter files are a third
 # smaller, and no slower to write.
 DEPTH_PNG = (cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_NONE, cv2.IMWRITE_PNG_COMPRESSION, 1)
 _MAX_BYTES = 64 * 2**20
 
 
 def write_depth_png(path: str | Path, depth: ArrayLike) -> None:
-    """Write a depth map (h, w) m as 16-bit PNG in whole millimetres; holes and what is beyond 65 m become 0."""
+    """Write a depth map (h, w) m as 16-bit PNG in whole millimetres; holes and depths beyond 65 m become 0."""
     mm = np.asarray(depth, dtype=np.float64) * 1000
     write_millimetres_png(path, np.where(np.isfinite(mm) & (mm > 0) & (mm < 65535.5), np.rint(mm), 0).astype(np.uint16))
 
@@ -77,7 +77,7 @@ def read_depth_png(path: str | Path) -> DepthMap:
     return np.where(image < _NOT_MEASURED, image, 0).astype(np.float32) / np.float32(1000)
 
 
-def depth_at_joints(
+def sample_depth(
     depth: DepthMap, positions: ArrayLike, intrinsics: tuple[float, float, float, float], y_up: bool = False
 ) -> Array:
     """Depth map's value (J,) m at the pixels of joints (J, 3) m in the sensor's frame; 0 where there is none.
@@ -218,7 +218,7 @@ def open_realsense(serial: str | None = None) -> RealSenseDepth:
 
 
 def _library() -> Any:
-    os.environ["RS2_RUM_CLOUD_ENABLED"] = "0"  # since 2.59 it counts what is used; nothing is sent
+    os.environ["RS2_RUM_CLOUD_ENABLED"] = "0"  # since 2.59 it counts uses; nothing is sent
     libusb = "install the system's libusb (Debian: apt install libusb-1.0-0)"
     return extra("pyrealsense2", "Depth of RealSense cameras and their recordings", "realsense", or_else=libusb)
 
@@ -286,14 +286,14 @@ def _short(error: Exception) -> str:
 # Recordings of depth cameras, of whatever make: their lens and their maps, one after the other.
 #
 # Azure Kinect (.mkv), RealSense (.bag, .db3), Record3D (.r3d), and a folder of 16-bit PNG in millimetres with a
-# calibration.toml beside them (Orbbec and others export such frames).
+# calibration.toml next to them (Orbbec and others export such frames).
 
 
 ENDINGS = (".mkv", ".bag", ".db3", ".r3d")
 _MODES = {(640, 576): (1024, 192, 180), (320, 288): (512, 96, 90), (512, 512): (512, 0, 0), (1024, 1024): (1024, 0, 0)}
 """Of the Azure Kinect: the size of the sensor's picture in pixels, and where the mode's picture begins in it."""
 FOLDER_RATE = 30.0
-"""Frames per second of a folder of maps of which nobody knows it."""
+"""Frames per second of a folder of maps of which no one knows it."""
 _DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, NotImplementedError)
 """What a zip raises that is none, is cut off, or is locked by a password."""
 _PACKED_BYTES = 64 * 2**20
@@ -482,23 +482,23 @@ def _unpacked(archive: zipfile.ZipFile, name: str) -> bytes:
 # Depth cameras as they deliver: a RealSense, and folders of depth maps played at their own pace.
 
 
-FOLDER, REALSENSE = "depth:", "realsense"
+DEPTH_PREFIX, REALSENSE = "depth:", "realsense"
 """How the address of a depth camera begins: a folder of maps, and a camera, whose serial number may follow"""
 
 
 def is_depth(address: str) -> bool:
     """Whether an address is that of a depth camera."""
-    return address.startswith(FOLDER) or address == REALSENSE or address.startswith(f"{REALSENSE}:")
+    return address.startswith(DEPTH_PREFIX) or address == REALSENSE or address.startswith(f"{REALSENSE}:")
 
 
 def open_depth_camera(address: str, rate: float, begin: float | None = None) -> CameraSource:
     """A depth camera by its address: `realsense`, `realsense:SERIAL`, or `depth:FOLDER` with 16-bit PNG in millimetres,
     which are played at `rate` Hz, the first at `begin` (s, monotonic). Its shots hold maps (h, w) float32 m. An
     InputError says what cannot be opened."""
-    if not address.startswith(FOLDER):
+    if not address.startswith(DEPTH_PREFIX):
         serial = address.partition(":")[2]
         return _RealSense(open_realsense(serial or None), address)
-    folder = Path(address.removeprefix(FOLDER))
+    folder = Path(address.removeprefix(DEPTH_PREFIX))
     if not folder.is_dir():
         raise InputError(f"There is no folder {folder}; a depth recording is a folder of 16-bit PNG in millimetres.")
     return Played(_Maps(folder), rate, time.monotonic() if begin is None else begin)
@@ -512,7 +512,7 @@ class _RealSense:
     def __init__(self, found: RealSenseDepth, what: str) -> None:
         self._what, self._frames = what, found.frames
 
-    def read(self) -> Shot:
+    def read(self) -> CameraImage:
         """See `CameraSource`."""
         try:
             frame = next(self._frames, None)
@@ -520,7 +520,7 @@ class _RealSense:
             raise StreamEnded(str(error)) from None
         if frame is None:
             raise StreamEnded(f"{self._what} delivers nothing more.")
-        return Shot(time.monotonic(), frame.time, frame.depth)
+        return CameraImage(time.monotonic(), frame.time, frame.depth)
 
     def close(self) -> None:
         """See `CameraSource`."""
@@ -530,7 +530,7 @@ class _RealSense:
 
 
 class _Maps:
-    """A folder of depth maps as what is played reads it."""
+    """Play a folder of depth maps."""
 
     frame_rate: float | None = None
 

@@ -7,7 +7,7 @@ session.json: {"format": "hypose-skeletons", "version": 1, "name": ..., "referen
 frames.csv: sensor,frame,time[,depth], one row per sensor frame: frame is a whole number of the sensor's own, time in
   seconds, depth the path of a 16-bit PNG in millimetres (0 = hole), relative to the folder.
 skeleton.csv: sensor,frame,person,joint,x,y,z,state, one row per joint; rows or coordinates that are absent are missing
-  joints. A frame without rows is one in which the sensor saw nobody.
+  joints. A frame without rows is one in which the sensor saw no person.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from hypose.io.files import (
     write_text,
 )
 from hypose.io.motions.results import to_json
-from hypose.io.sensors.depth import depth_at_joints, read_depth_png
+from hypose.io.sensors.depth import read_depth_png, sample_depth
 from hypose.io.sensors.skeleton_streams import (
     MAX_JOINTS,
     MAX_SENSORS,
@@ -47,7 +47,7 @@ from hypose.io.sensors.skeleton_streams import (
     read_lines,
 )
 
-FORMAT = "hypose-skeletons"
+_FORMAT = "hypose-skeletons"
 _FRAMES = ["sensor", "frame", "time"]
 _SKELETON = ["sensor", "frame", "person", "joint", "x", "y", "z", "state"]
 _SCALE = {"m": 1.0, "mm": 0.001}
@@ -88,8 +88,8 @@ def read_folder(folder: str | Path) -> SkeletonRecording:
 
 def _session(path: Path) -> dict[str, Any]:
     value = read_json(path, "a session.json")
-    if not isinstance(value, dict) or value.get("format") != FORMAT or value.get("version") != 1:
-        raise InputError(f'{path} is no session of skeletons; it must say "format": "{FORMAT}", "version": 1.')
+    if not isinstance(value, dict) or value.get("format") != _FORMAT or value.get("version") != 1:
+        raise InputError(f'{path} is no session of skeletons; it must say "format": "{_FORMAT}", "version": 1.')
     sensors = value.get("sensors")
     if not isinstance(sensors, list) or not 1 <= len(sensors) <= MAX_SENSORS:
         raise InputError(f"{path}: sensors must be a list of 1 to {MAX_SENSORS} sensors.")
@@ -195,7 +195,7 @@ def _fill(sensor: _Sensor, bodies: _Bodies, folder: Path) -> None:
         for person, positions, state in seen:
             sensor.rows.add(time, person, positions, state)
             if lens is not None:
-                found = None if image is None else depth_at_joints(image, positions, lens, sensor.y_up)
+                found = None if image is None else sample_depth(image, positions, lens, sensor.y_up)
                 sensor.rows.joint_depth.append(np.zeros(len(positions)) if found is None else found)
 
 
@@ -231,7 +231,8 @@ class FolderWriter:
         positions: Array,
         state: NDArray[np.uint8],
     ) -> None:
-        """One body (person None: the sensor saw nobody). Bodies of one sensor frame come together, with equal times."""
+        """One body (person None: the sensor saw no person). Bodies of one sensor frame come together, with equal
+        times."""
         with self._folder.writing():
             if sensor not in self._joints and person is not None:
                 self._joints[sensor] = tuple(joint_names)
@@ -252,7 +253,7 @@ class FolderWriter:
 
     def _session(self) -> None:
         sensors = [{"name": n, "joints": list(j)} for n, j in self._joints.items()]
-        value = {"format": FORMAT, "version": 1, "name": self._name, "clock": self._clock, "sensors": sensors}
+        value = {"format": _FORMAT, "version": 1, "name": self._name, "clock": self._clock, "sensors": sensors}
         write_text(self.folder / "session.json", to_json(value))
 
     def flush(self) -> None:
@@ -263,7 +264,7 @@ class FolderWriter:
         self._folder.check()
 
     def close(self) -> None:
-        """Close the files; sensors that saw nobody are not in session.json, so their frames are taken out. An
+        """Close the files; sensors that saw no person are not in session.json, so their frames are taken out. An
         InputError when not all could be written, or the recording was removed meanwhile."""
         with self._folder.writing():
             for stream in (self._frames, self._skeleton):

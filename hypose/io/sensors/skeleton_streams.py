@@ -41,10 +41,9 @@ class SensorStream:
     """What one sensor saw, or would have seen at given instants. T instants, P persons at most at a time, J joints.
 
     times (T,) s, increasing; positions (T, P, J, 3) m in the sensor's frame, NaN where missing; state (T, P, J) uint8
-    0 not tracked, 1 inferred, 2 tracked; person_ids (T, P) the sensor's number of the person, -1 for nobody (a person
-    keeps the column as long as it is seen); joint_names (J,); joint_depth (T, P, J) m, the depth map at the joint's
-    pixel, 0 = hole, or None.
-    """
+    0 not tracked, 1 inferred, 2 tracked; person_ids (T, P) the sensor's number of the person, -1 for no person (a
+    person keeps the column as long as it is seen); joint_names (J,); joint_depth (T, P, J) m, the depth map at the
+    joint's pixel, 0 = hole, or None."""
 
     name: str
     times: Array
@@ -113,7 +112,7 @@ class StreamRows:
     state: list[NDArray[np.uint8]] = field(default_factory=list)
     joint_depth: list[Array] = field(default_factory=list)
     empty: list[float] = field(default_factory=list)
-    """Times at which the sensor saw nobody."""
+    """Times at which the sensor saw no person."""
 
     def add(self, time: float, person: int, positions: ArrayLike, state: ArrayLike) -> None:
         """One body: positions (J, 3) m, state (J,)."""
@@ -310,7 +309,7 @@ def resample(stream: SensorStream, times: ArrayLike, max_gap: float | None = Non
     return SensorStream(stream.name, at, positions, state, ids, stream.joint_names, depth)
 
 
-def one_person(
+def join_observations(
     synced: Sequence[SensorStream], times: ArrayLike, columns: Sequence[NDArray[np.int64]]
 ) -> list[SensorJoints]:
     """SensorJoints at every instant from a column per sensor and instant (-1: not seen)."""
@@ -348,7 +347,7 @@ def checked_recording(
     reference: str | None = None,
     common_clock: bool = True,
 ) -> SkeletonRecording:
-    """A recording from the rows of its sensors, without those that saw nobody."""
+    """A recording from the rows of its sensors, without those that saw no person."""
     if len(rows) > MAX_SENSORS:
         raise InputError(f"{where} has {len(rows)} sensors, at most {MAX_SENSORS} are fused; split the recording.")
     streams, found = [], [f"{r.name}: nobody was seen, the sensor is left out" for r in rows if not r.times]
@@ -376,7 +375,7 @@ def checked_recording(
 # sensor: 1-32 of A-Z a-z 0-9 _ . -; time: s on the sensor's own clock; person: the sensor's number of the person (0
 # when left out); joints: every joint of the sensor's set by name, [x, y, z] or [x, y, z, state] in metres in the
 # sensor's frame (state 0 not tracked, 1 inferred, 2 tracked), null = missing. "joints": null says that the sensor
-# sees nobody. "unit": "mm" divides by 1000. "token" and "received" (s on the host's clock) are for the live server
+# sees no person. "unit": "mm" divides by 1000. "token" and "received" (s on the host's clock) are for the live server
 # and for what it records.
 
 
@@ -390,7 +389,7 @@ _NUMBERS = frozenset({float, int})
 
 
 def parse_line(data: bytes | str) -> tuple[SensorReport, str]:
-    """One line of the protocol, and the token in it (""); an InputError says what is wrong with it. Time and memory are
+    """One line of the protocol, and the token in it (""); an InputError says the fault. Time and memory are
     bounded by the line's 16 KiB."""
     if len(data) > MAX_SKELETON_LINE:
         raise InputError(
@@ -418,8 +417,8 @@ def parse_line(data: bytes | str) -> tuple[SensorReport, str]:
     if isinstance(person, bool) or not isinstance(person, int) or not 0 <= person < 2**63:
         _bad("person must be a whole number from 0")
     if joints is None:
-        nobody = np.zeros((0, 3))
-        return SensorReport(sensor, time, None, (), nobody, np.zeros(0, dtype=np.uint8), received), token
+        empty = np.zeros((0, 3))
+        return SensorReport(sensor, time, None, (), empty, np.zeros(0, dtype=np.uint8), received), token
     if not isinstance(joints, dict) or not 1 <= len(joints) <= MAX_JOINTS:
         _bad(f"joints must be an object with 1 to {MAX_JOINTS} joints, or null when nobody is seen")
     names, scale = tuple(joints), _SCALE[unit]
@@ -527,7 +526,7 @@ def read_lines(path: str | Path) -> SkeletonRecording:
         rows = sensors.get(line.sensor)
         if rows is None:
             if line.person is None:
-                continue  # nobody yet: its joints are not known
+                continue  # no person yet: its joints are not known
             if len(sensors) >= MAX_SENSORS:
                 raise InputError(f"{p}: line {number}: more than {MAX_SENSORS} sensors; split the recording.")
             rows = sensors[line.sensor] = StreamRows(line.sensor, line.joint_names)

@@ -1,8 +1,7 @@
 """Cameras as they deliver: devices, streams from the network, and files played at their own pace.
 
-A source gives shots one after the other, each with when it was taken; `picture` decodes only what is looked at, at a
-half, quarter or eighth of its size where that is enough: most of the work of a large picture is its decoding.
-"""
+A source gives shots one after the other, each with when it was taken; `picture` decodes only requested images, at
+a half, quarter or eighth of its size where that is enough: most of the work of a large picture is its decoding."""
 
 from __future__ import annotations
 
@@ -37,7 +36,7 @@ class StreamEnded(HyposeError):
 
 
 @dataclass(frozen=True)
-class Shot:
+class CameraImage:
     """What a camera showed at one instant. arrival: s of this computer's monotonic clock at which it was here; stamp: s
     of the camera's own clock, None where it tells none; data: the picture, the bytes of a JPEG, or a depth map (h, w)
     float32 m."""
@@ -71,11 +70,11 @@ class Shot:
 
 
 class CameraSource(Protocol):
-    """live: the camera does not wait, and what is not taken is lost."""
+    """live: the camera does not wait; images not read are lost."""
 
     live: bool
 
-    def read(self) -> Shot:
+    def read(self) -> CameraImage:
         """The next shot; waits for it, a few seconds at most. StreamEnded when there is none."""
         ...
 
@@ -124,7 +123,7 @@ class _Captured:
         if not self.capture.isOpened():
             raise InputError(f"{what} cannot be opened; {advice}")
 
-    def read(self) -> Shot:
+    def read(self) -> CameraImage:
         """See `CameraSource`."""
         image: NDArray[np.uint8] | None = None
         arrival = 0.0
@@ -136,7 +135,7 @@ class _Captured:
                 image = np.asarray(found, dtype=np.uint8) if ok else None
         if image is None:
             raise StreamEnded(f"{self._what} delivers nothing more.")
-        return Shot(arrival, None, image)
+        return CameraImage(arrival, None, image)
 
     def close(self) -> None:
         """See `CameraSource`."""
@@ -206,14 +205,14 @@ class _MotionJpeg:
             )
         self._boundary = (answer.headers.get_boundary("") or "").lstrip("-").encode()
 
-    def read(self) -> Shot:
+    def read(self) -> CameraImage:
         """See `CameraSource`."""
         try:
             length, stamp = self._head()
             data = self._body(length)
         except (OSError, ValueError, http.client.HTTPException) as error:
             raise StreamEnded(f"{self._what} broke off ({error}).") from None
-        return Shot(time.monotonic(), stamp, data)
+        return CameraImage(time.monotonic(), stamp, data)
 
     def _head(self) -> tuple[int | None, float | None]:
         """Length and time that the head of the next part tells."""
@@ -315,7 +314,7 @@ class Played:
     def __init__(self, reader: Film, rate: float, begin: float) -> None:
         self._reader, self._rate, self._begin = reader, reader.frame_rate or rate, begin
 
-    def read(self) -> Shot:
+    def read(self) -> CameraImage:
         """See `CameraSource`."""
         due = int((time.monotonic() - self._begin) * self._rate)
         number = max(self._reader.position, min(due, self._reader.n_frames - 1))
@@ -326,7 +325,7 @@ class Played:
         left = at - time.monotonic()
         if left > 0:
             time.sleep(left)
-        return Shot(time.monotonic(), at, image)
+        return CameraImage(time.monotonic(), at, image)
 
     def close(self) -> None:
         """See `CameraSource`."""

@@ -11,27 +11,29 @@ from __future__ import annotations
 import contextlib
 import os
 import re
+import shutil
 import struct
+import subprocess
+import wave
 from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple
-
-from hypose.geometry import Image
-from hypose.io.files import read_bytes
-
-# FFmpeg's own complaints would appear between our sentences; read by OpenCV when it first opens a video.
-os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from hypose.errors import InputError
-from hypose.geometry import Array
+from hypose.geometry import Array, Image
 from hypose.io.file_names import natural_key, utf8_path
-from hypose.io.files import atomic_path
+from hypose.io.files import atomic_path, open_file, read_bytes
+
+# FFmpeg's own complaints would appear between our sentences; read by OpenCV when it first opens a video.
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+
 
 VIDEO_ENDINGS = (".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm", ".mpg", ".mpeg", ".wmv", ".mts")
 IMAGE_ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
@@ -65,7 +67,7 @@ def quiet() -> Iterator[None]:
 
 
 def read_image_file(path: Path) -> bytes:
-    """The bytes of an image file; an InputError for what is no file, is empty or too large."""
+    """The bytes of an image file; InputError for a missing, empty or too large file."""
     return read_bytes(path, "an image", _MAX_IMAGE_BYTES)  # cv2.imread fails on some names under Windows
 
 
@@ -130,7 +132,7 @@ def check_numbers(folder: Path) -> None:
         return
     missing = sorted(set(range(int(numbers[0]), int(numbers[-1]), usual)) - set(numbers.tolist()))
     if not missing:
-        return  # the step changes: nobody knows what is missing
+        return  # the step changes: no one knows the missing part
     named = ", ".join(str(n) for n in missing[:5]) + (f" and {len(missing) - 5} more" if len(missing) > 5 else "")
     raise InputError(
         f"The image sequence {folder} lacks number {named} ({images[0].name} to {images[-1].name}): all later images "
@@ -275,8 +277,8 @@ class VideoReader:
 def open_video(
     path: str | Path, threads: int | None = None, in_place: bool = False, rate: float | None = None
 ) -> VideoReader:
-    """Open a video file, a folder of images (natural order) or one image, as a `VideoReader`; an InputError names what
-    is wrong."""
+    """Open a video file, a folder of images (natural order) or one image, as a `VideoReader`; an InputError names the
+    fault."""
     path = Path(path)
     if not path.exists():
         raise InputError(f"{path} does not exist; check the file name in recording.toml.")
@@ -370,7 +372,7 @@ def _about(path: Path) -> _About:
     try:
         about = path.stat()
     except OSError:
-        return _looked_into(path, 0, 0, 0)  # says what is wrong
+        return _looked_into(path, 0, 0, 0)  # says the fault
     return _looked_into(path.absolute(), about.st_size, about.st_mtime_ns, about.st_ino)
 
 
@@ -538,3 +540,66 @@ class VideoWriter:
                 f"{self.path} could not be completed: {written} of {self.n_frames} frames arrived on the "
                 "disk, which may be full; free some space and write it again."
             )
+
+
+# ---- sound ---------------------------------------------------------------------------------------------------------
+# The sound of a video: a WAV file next to it, or what ffmpeg decodes from it.
+
+
+_RATE = 16000
+_MAX_BYTES = 4 << 30
+
+
+@dataclass(frozen=True)
+class Sound:
+    """samples (N,) in -1..1 at rate Hz; the first belongs to the start of frame 0."""
+
+    rate: int
+    samples: Array
+
+
+def read_sound(video: Path) -> Sound:
+    """The sound that was recorded with a video, all channels as one. An InputError says the missing part."""
+    wav = video.with_suffix(".wav")
+    if wav.is_file():
+        return _read_wav(wav)
+    ffmpeg = shutil.which("ffmpeg")
+    if ffmpeg is not None:
+        command = [
+            ffmpeg,
+            "-v",
+            "error",
+            "-i",
+            str(video.absolute()),
+            "-vn",
+            "-ac",
+            "1",
+            "-ar",
+            str(_RATE),
+            "-f",
+            "s16le",
+            "-",
+        ]
+        done = subprocess.run(command, capture_output=True, check=False, cwd=Path(__file__).parent)
+        if done.returncode == 0 and len(done.stdout) > 2:
+            return Sound(_RATE, np.frombuffer(done.stdout, np.int16).astype(np.float64) / 32768)
+        raise InputError(f"{video} has no sound that ffmpeg can read; use --by motion, or put {wav.name} beside it.")
+    raise InputError(
+        f"The sound of {video} cannot be read, since ffmpeg is not installed; install it, or write the sound to "
+        f"{wav.name} beside the video (mono or stereo WAV)."
+    )
+
+
+def _read_wav(path: Path) -> Sound:
+    try:
+        with open_file(path, "a WAV file", _MAX_BYTES) as stream, wave.open(stream) as file:
+            width, channels, rate = file.getsampwidth(), file.getnchannels(), file.getframerate()
+            data = file.readframes(file.getnframes())
+    except (wave.Error, EOFError, OSError) as error:
+        raise InputError(f"{path} is no WAV file that can be read ({error}); export it as 16-bit PCM.") from None
+    if width not in (1, 2, 4) or channels < 1 or rate < 1000:
+        raise InputError(f"{path}: {8 * width} bits at {rate} Hz; export it as 16-bit PCM with at least 8000 Hz.")
+    kind = {1: np.uint8, 2: np.int16, 4: np.int32}[width]
+    samples = np.frombuffer(data[: len(data) // (width * channels) * width * channels], kind).astype(np.float64)
+    samples = (samples - 128) / 128 if width == 1 else samples / float(np.iinfo(kind).max)
+    return Sound(int(rate), samples.reshape(-1, channels).mean(1))

@@ -1,4 +1,5 @@
-"""Work that takes seconds, beside live tracking: in a process of its own, which yields to whoever must not be late."""
+"""Work that takes seconds, in parallel with live tracking: in a process of its own, which yields to processes that must
+not be late."""
 
 from __future__ import annotations
 
@@ -24,18 +25,18 @@ from hypose.cameras.camera import CameraRig
 from hypose.errors import EvidenceError
 from hypose.evidence.frame import Expected, Frame, Silhouettes
 from hypose.geometry import Array
+from hypose.pipeline.live.background_models import PackedDepth
 from hypose.pipeline.live.processes import belong_to_parent, deaf_to_ctrl_c
-from hypose.pipeline.live.rooms import KeptDepth
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.subject_from_motion import AnthropometryOptions, estimate_subject
 
-T = TypeVar("T")
+_T = TypeVar("_T")
 
 
 @dataclass(frozen=True)
-class KeptMasks:
+class PackedMasks:
     """Masks (C, h, w) of one instant, eight pixels to a byte, so that seconds of them take little room. time: s;
-    ignored: likewise what others hide, and expected, where somebody does;
+    ignored: likewise what others hide, and expected, where a person does;
     depth: where depth cameras see."""
 
     time: float
@@ -44,16 +45,16 @@ class KeptMasks:
     reasons: tuple[str, ...]
     ignored: NDArray[np.uint8] | None = None
     expected: Expected | None = None
-    depth: KeptDepth | None = None
+    depth: PackedDepth | None = None
 
     @staticmethod
-    def of(frame: Frame) -> KeptMasks:
+    def of(frame: Frame) -> PackedMasks:
         """The masks of a frame that has some."""
         s = frame.silhouettes
         assert s is not None
         ignored = None if s.ignored is None else np.packbits(s.ignored, axis=-1)
-        depth = None if frame.depth is None else KeptDepth.of(frame.depth)
-        return KeptMasks(frame.time, np.packbits(s.masks, axis=-1), s.usable, s.reasons, ignored, s.expected, depth)
+        depth = None if frame.depth is None else PackedDepth.of(frame.depth)
+        return PackedMasks(frame.time, np.packbits(s.masks, axis=-1), s.usable, s.reasons, ignored, s.expected, depth)
 
     def frame(self, number: int, rig: CameraRig) -> Frame:
         """The frame as it was, with this number."""
@@ -71,7 +72,9 @@ class KeptMasks:
         return Silhouettes(masks, rig, self.usable, self.reasons, ignored, self.expected)
 
 
-def fitted_body(kept: Sequence[KeptMasks], rig: CameraRig, rate: float, height: float | None, seed: int) -> Body | None:
+def fitted_body(
+    kept: Sequence[PackedMasks], rig: CameraRig, rate: float, height: float | None, seed: int
+) -> Body | None:
     """The body of who is in the masks, at `rate` Hz; None where they do not tell."""
     frames = [k.frame(i, rig) for i, k in enumerate(kept)]
     options = AnthropometryOptions(height=height, seed=seed, frames=8, tracked=len(frames), passes=1, rate=rate)
@@ -80,7 +83,7 @@ def fitted_body(kept: Sequence[KeptMasks], rig: CameraRig, rate: float, height: 
     return None
 
 
-def offsets_of(kept: Sequence[KeptMasks], rig: CameraRig, rate: float) -> Array | None:
+def offsets_of(kept: Sequence[PackedMasks], rig: CameraRig, rate: float) -> Array | None:
     """(C,) s by which each camera's pictures come late, from the masks of a moving person; None where they do not tell,
     or where no camera is late."""
     tracks = mask_tracks([k.silhouettes(rig) for k in kept])
@@ -91,16 +94,16 @@ def offsets_of(kept: Sequence[KeptMasks], rig: CameraRig, rate: float) -> Array 
         )
     except EvidenceError:
         return None
-    told = np.isfinite(found.sd) & (found.sd < SETTINGS.background_sure)
-    if found.gain < SETTINGS.background_gain or not told.any() or np.abs(found.frames[told]).max() < 0.5:
+    reported = np.isfinite(found.sd) & (found.sd < SETTINGS.background_sure)
+    if found.gain < SETTINGS.background_gain or not reported.any() or np.abs(found.frames[reported]).max() < 0.5:
         return None
-    return np.where(told, found.frames, 0.0) / rate
+    return np.where(reported, found.frames, 0.0) / rate
 
 
 class BackgroundWork:
     """One process, while there is something to do: it takes as much memory as all the rest. `body` and `offsets` return
     at once, with a future; None of work whose process was ended meanwhile, as systems do that are out of memory:
-    whoever is followed goes on being followed.
+    a person who is followed goes on being followed.
 
     A thread and a pipe, not a pool of processes: in Python 3.11.2 the program never ends when a pool's process is ended
     while it is being sent masks."""
@@ -111,31 +114,31 @@ class BackgroundWork:
         self._going, self._closed, self._changing = 0, False, threading.Lock()
 
     def body(
-        self, kept: Sequence[KeptMasks], rig: CameraRig, rate: float, height: float | None, seed: int
+        self, kept: Sequence[PackedMasks], rig: CameraRig, rate: float, height: float | None, seed: int
     ) -> Future[Body | None]:
         """See `fitted_body`."""
         return self._submit(fitted_body, list(kept), rig, rate, height, seed)
 
-    def offsets(self, kept: Sequence[KeptMasks], rig: CameraRig, rate: float) -> Future[Array | None]:
+    def offsets(self, kept: Sequence[PackedMasks], rig: CameraRig, rate: float) -> Future[Array | None]:
         """See `offsets_of`."""
         return self._submit(offsets_of, list(kept), rig, rate)
 
     def close(self) -> None:
-        """End the process, whatever it does: a fit that nobody waits for takes seconds."""
+        """End the process, whatever it does: a fit takes seconds."""
         with self._changing:
             self._closed = True
             if self._process is not None:
                 self._process[0].terminate()
         self._thread.shutdown(wait=False)
 
-    def _submit(self, work: Callable[..., T | None], *arguments: Any) -> Future[T | None]:
+    def _submit(self, work: Callable[..., _T | None], *arguments: Any) -> Future[_T | None]:
         with self._changing:
             self._going += 1
         future = self._thread.submit(self._elsewhere, work, *arguments)
         future.add_done_callback(self._done)
         return future
 
-    def _elsewhere(self, work: Callable[..., T | None], *arguments: Any) -> T | None:
+    def _elsewhere(self, work: Callable[..., _T | None], *arguments: Any) -> _T | None:
         with self._changing:
             if self._closed:
                 return None
@@ -158,7 +161,7 @@ class BackgroundWork:
         self._end()
 
     def _end(self) -> None:
-        """To be called where work is done, so that nobody uses the process."""
+        """To be called where work is done, so that the process stays idle."""
         with self._changing:
             ended, self._process = self._process, None
         if ended is not None:
@@ -179,17 +182,17 @@ def _begun() -> tuple[BaseProcess, Connection]:
 
 def _work(pipe: Connection) -> None:
     belong_to_parent()
-    os.environ["NUMBA_NUM_THREADS"] = "1"  # it has time, and whoever is followed needs the other cores
+    os.environ["NUMBA_NUM_THREADS"] = "1"  # it has time, and a person who is followed needs the other cores
     cv2.setNumThreads(1)
     if hasattr(os, "SCHED_IDLE"):  # gives way at once, where a nice process is given its slice to the end
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
     elif hasattr(os, "nice"):
         os.nice(15)
-    with contextlib.suppress(EOFError, OSError):  # nobody asks any more
+    with contextlib.suppress(EOFError, OSError):  # the parent has ended
         while True:
             work, arguments = pipe.recv()
             try:
                 found = work(*arguments)
-            except Exception as error:  # told by whoever asked
+            except Exception as error:  # given by a person who asked
                 found = error
             pipe.send(found)

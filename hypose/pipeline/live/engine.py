@@ -1,4 +1,4 @@
-"""The live engine: what the eyes see is followed, judged and told, always at the newest instant."""
+"""The live engine: what the eyes see is followed, judged and reported, always at the newest instant."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ from hypose.errors import InputError
 from hypose.evidence.frame import Frame
 from hypose.evidence.prefetch import make_ahead
 from hypose.evidence.silhouettes import flag_collapsed, make_silhouettes
+from hypose.pipeline.live.background_models import depth_of
 from hypose.pipeline.live.background_work import BackgroundWork
-from hypose.pipeline.live.eyes import (
-    EyesOptions,
-    EyesProcess,
+from hypose.pipeline.live.capture import (
+    CaptureOptions,
+    CaptureProcess,
+    CaptureRequest,
+    CaptureResult,
     LiveView,
-    Question,
-    Sight,
     any_depth,
     least_cameras,
     live_working_rig,
 )
 from hypose.pipeline.live.feeds import FeedStatus
-from hypose.pipeline.live.live_people import FOLLOWING, LOST, LivePeople, LivePose
-from hypose.pipeline.live.live_search import LOOKING, NOBODY, LivePersonOptions
+from hypose.pipeline.live.live_people import STATE_LOST, STATE_TRACKING, LivePeople, LivePose
+from hypose.pipeline.live.live_search import STATE_EMPTY, STATE_SEARCHING, LivePersonOptions
 from hypose.pipeline.live.processes import punctual
-from hypose.pipeline.live.rooms import depth_of
 from hypose.pipeline.settings import SETTINGS
 
 EMPTY_ROOM = "empty room"
@@ -43,11 +43,11 @@ EMPTY_ROOM = "empty room"
 
 
 @dataclass(frozen=True)
-class LiveOptions:
+class LiveTrackingOptions:
     """eyes: how cameras are looked at; person: see `LivePersonOptions`; people: as many are followed at most; measure:
     body and cameras' offsets are found in the background; pictures: listeners want them."""
 
-    eyes: EyesOptions = field(default_factory=EyesOptions)
+    eyes: CaptureOptions = field(default_factory=CaptureOptions)
     person: LivePersonOptions = LivePersonOptions()
     people: int = 1
     measure: bool = True
@@ -56,10 +56,10 @@ class LiveOptions:
 
 @dataclass(frozen=True)
 class LiveStatus:
-    """How it goes. phase; words: sentences on what is wrong or has to be done; cameras; poses: given so far,
-    per_second: lately; skipped: share of the instants that nobody looked at, since somebody was first followed; latency
-    ms (p50, p99): from the last picture's arrival to the pose; stages ms: median time of masks (decoding included),
-    tracking, telling and judging; offsets s: of the cameras; fitted: people's bodies are their own."""
+    """How it goes. phase; words: sentences on the fault or has to be done; cameras; poses: given so far,
+    per_second: lately; skipped: share of the instants not processed, since a person was first followed;
+    latency ms (p50, p99): from the last picture's arrival to the pose; stages ms: median time of masks (decoding
+    included), tracking, telling and judging; offsets s: of the cameras; fitted: people's bodies are their own."""
 
     phase: str
     words: tuple[str, ...]
@@ -74,18 +74,18 @@ class LiveStatus:
 
 
 @dataclass(frozen=True)
-class Seen:
-    """An instant: what the cameras showed, the frame that was tracked, and the pose of everybody who is followed."""
+class LiveResult:
+    """An instant: what the cameras showed, the frame that was tracked, and the pose of all people who are followed."""
 
-    sight: Sight
+    sight: CaptureResult
     frame: Frame
     poses: tuple[LivePose, ...]
 
 
 class Listener(Protocol):
-    """Who is told; called by the engine's thread, so it must return at once."""
+    """Who is reported; called by the engine's thread, so it must return at once."""
 
-    def seen(self, seen: Seen, /) -> None:
+    def seen(self, seen: LiveResult, /) -> None:
         """An instant, and the poses in it."""
         ...
 
@@ -102,7 +102,7 @@ class LiveEngine:
         self,
         rig: CameraRig,
         views: Sequence[LiveView],
-        options: LiveOptions | None = None,
+        options: LiveTrackingOptions | None = None,
         listeners: Sequence[Listener] = (),
         stop: threading.Event | None = None,
     ) -> None:
@@ -110,9 +110,9 @@ class LiveEngine:
             raise InputError(
                 f"Live tracking needs two cameras or more, or one depth camera, and {len(views)} is given."
             )
-        if any_depth(views) and (options or LiveOptions()).people > 1:
+        if any_depth(views) and (options or LiveTrackingOptions()).people > 1:
             raise InputError("Depth cameras follow one person; leave --people out.")
-        self.options, self.views, self.rig = options or LiveOptions(), tuple(views), rig
+        self.options, self.views, self.rig = options or LiveTrackingOptions(), tuple(views), rig
         if self.options.people > 1:
             eyes = replace(self.options.eyes, silhouettes=self.options.eyes.silhouettes.of_all_people)
             self.options = replace(self.options, eyes=eyes)
@@ -120,8 +120,8 @@ class LiveEngine:
         self.listeners = list(listeners)
         self.ended = threading.Event()
         self.failed: BaseException | None = None
-        self._eyes: EyesProcess | None = None
-        self._beside = ThreadPoolExecutor(
+        self._eyes: CaptureProcess | None = None
+        self._executor = ThreadPoolExecutor(
             min(self.options.people, SETTINGS.engine_searches), thread_name_prefix="start"
         )
         self._work = BackgroundWork() if self.options.measure else None
@@ -132,8 +132,8 @@ class LiveEngine:
         self._latency: deque[float] = deque(maxlen=SETTINGS.engine_latencies)
         self._given: deque[float] = deque(maxlen=SETTINGS.engine_latencies)
         self._stages: dict[str, deque[float]] = {k: deque(maxlen=120) for k in ("masks", "track", "tell", "judge")}
-        self._told = -np.inf
-        self._sight: Sight | None = None
+        self._reported = -np.inf
+        self._sight: CaptureResult | None = None
         self._learn, self._learning = False, False
         self._poses_now: tuple[LivePose, ...] = ()
         self._offsets: tuple[float, ...] | None = None
@@ -144,14 +144,14 @@ class LiveEngine:
 
     def _new_people(self) -> LivePeople:
         s = self.options
-        return LivePeople(self.small, s.eyes.rate, s.person, self._beside, self._work, s.people)
+        return LivePeople(self.small, s.eyes.rate, s.person, self._executor, self._work, s.people)
 
     def start(self) -> None:
         """Open the cameras and begin; an InputError when one cannot be opened."""
         parts = (*compute.TRACKING_KERNELS, *(("depth",) if any_depth(self.views) else ()))
-        compute.warm_up(*parts, load=False)  # what is compiled here the other process finds
-        warm = self._beside.submit(compute.warm_up, *parts)
-        self._eyes = EyesProcess(self.rig, self.views, self.options.eyes, self._stop)
+        compute.warm_up(*parts, load=False)  # the other process finds the compiled kernels
+        warm = self._executor.submit(compute.warm_up, *parts)
+        self._eyes = CaptureProcess(self.rig, self.views, self.options.eyes, self._stop)
         if self._stop.is_set():
             self._eyes.close()
             return
@@ -160,24 +160,24 @@ class LiveEngine:
         self._thread.start()
 
     def stop(self) -> None:
-        """End; nothing is told afterwards."""
+        """End; nothing is reported afterwards."""
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join(15)
         self._until_stop.close()
         if self._eyes is not None:
             self._eyes.close()
-        self._beside.shutdown(wait=False, cancel_futures=True)
+        self._executor.shutdown(wait=False, cancel_futures=True)
         if self._work is not None:
             self._work.close()
 
     def learn_room(self) -> None:
-        """Learn the empty room anew, after the countdown."""
+        """Learn the empty room again, after the countdown."""
         self._learn = True
 
     @property
     def phase(self) -> str:
-        """What is being done."""
+        """Name the phase."""
         return EMPTY_ROOM if self._learning else self._people.phase
 
     def _run(self) -> None:
@@ -193,35 +193,37 @@ class LiveEngine:
                 if np.isfinite(sight.time):
                     self._one(sight)
                 self._tell()
-        except BaseException as error:  # told by whoever started it
+        except BaseException as error:  # given by a person who started it
             self.failed = error
         finally:
             self.ended.set()
 
-    def _question(self) -> Question:
+    def _question(self) -> CaptureRequest:
         phase = self._people.phase
         bodies = tuple(
             (p.body.skin(p.motion.poses[0]), p.body.coarse.faces)
             for p in self._poses_now
-            if phase == FOLLOWING and p.motion.poses is not None
+            if phase == STATE_TRACKING and p.motion.poses is not None
         )
         # a search has the processor: more often than it looks nothing is made
-        pause = 0.5 / SETTINGS.search_slowly_hz if phase in (NOBODY, LOOKING) else 0.0
+        pause = 0.5 / SETTINGS.search_slowly_hz if phase in (STATE_EMPTY, STATE_SEARCHING) else 0.0
         room, self._learn = self._learn, False
         offsets, self._offsets = self._offsets, None
-        return Question(pause, bodies, phase in (FOLLOWING, LOST), self.options.pictures, room, offsets)
+        return CaptureRequest(
+            pause, bodies, phase in (STATE_TRACKING, STATE_LOST), self.options.pictures, room, offsets
+        )
 
-    def _one(self, sight: Sight) -> None:
+    def _one(self, sight: CaptureResult) -> None:
         frame = self._frame(sight)
         begin = time.perf_counter()
         stepped = self._people.step(frame)
         tracked = time.perf_counter()
-        self._poses_now = tuple(s.told() for s in stepped)
-        seen = Seen(sight, frame, self._poses_now)
+        self._poses_now = tuple(s.reported() for s in stepped)
+        seen = LiveResult(sight, frame, self._poses_now)
         for listener in self.listeners:
             listener.seen(seen)
         if stepped:
-            now, told = time.monotonic(), time.perf_counter()
+            now, reported = time.monotonic(), time.perf_counter()
             self._since = self._since or (sight.instants, self._frames)
             self._poses += 1
             self._latency.append(now - sight.arrival)
@@ -229,12 +231,17 @@ class LiveEngine:
             for one in stepped:
                 one.look()
             looked = time.perf_counter()
-            spent = {"masks": sight.made, "track": tracked - begin, "tell": told - tracked, "judge": looked - told}
+            spent = {
+                "masks": sight.made,
+                "track": tracked - begin,
+                "tell": reported - tracked,
+                "judge": looked - reported,
+            }
             for name, seconds in spent.items():
                 self._stages[name].append(seconds)
         self._take_offsets()
 
-    def _frame(self, sight: Sight) -> Frame:
+    def _frame(self, sight: CaptureResult) -> Frame:
         shapes = [c.size for c in self.small]
         masks = [
             None if v is None else np.unpackbits(v[0], axis=1, count=w)
@@ -242,7 +249,7 @@ class LiveEngine:
         ]
         areas = np.array([0 if m is None else int(np.count_nonzero(m)) for m in masks])
         history = np.stack(self._areas, 1) if self._areas else np.zeros((len(masks), 0), np.int64)
-        if self._people.phase not in (FOLLOWING, LOST) or self.options.people > 1:
+        if self._people.phase not in (STATE_TRACKING, STATE_LOST) or self.options.people > 1:
             history = history[:, :0]  # who comes into view changes the area, and nothing has collapsed
             self._areas.clear()
         elif self._frames % 5 == 0:
@@ -261,7 +268,7 @@ class LiveEngine:
         """Take over what the person's motion tells of the cameras' times, once."""
         found = self._people.offsets
         if found is not None and found.any():
-            # found beside those that were known already
+            # in addition to those that were known already
             self._offsets = self._late = tuple((np.array(self._late) + found).tolist())
             self._people.offsets = np.zeros(len(found))
             self._people.measure_again()
@@ -270,8 +277,8 @@ class LiveEngine:
 
     def _tell(self) -> None:
         now = time.monotonic()
-        if now - self._told >= 1.0:
-            self._told = now
+        if now - self._reported >= 1.0:
+            self._reported = now
             status = self.status()
             for listener in self.listeners:
                 listener.status(status)
@@ -305,7 +312,7 @@ def _words(cameras: Sequence[FeedStatus], least: int) -> list[str]:
         some = "Fewer than two cameras show" if least > 1 else "No camera shows"
         out.append(f"{some} anything, so nobody can be followed.")
     for c in cameras:
-        if c.received > 100 and c.loss > SETTINGS.engine_misses[0]:  # in steps: what changes is said anew
+        if c.received > 100 and c.loss > SETTINGS.engine_misses[0]:  # in steps: what changes is said again
             share = max(m for m in SETTINGS.engine_misses if c.loss > m)
             out.append(f"{c.name} loses more than {100 * share:.0f} % of its pictures.")
     return out

@@ -15,7 +15,7 @@ import numpy as np
 from hypose.errors import HyposeError, InputError
 from hypose.fusion.clocks import SensorClock
 from hypose.geometry import Array
-from hypose.io.videos.camera_sources import CameraSource, Shot
+from hypose.io.videos.camera_sources import CameraImage, CameraSource
 from hypose.pipeline.settings import SETTINGS
 
 
@@ -35,14 +35,14 @@ class FeedStatus:
     loss: float = 0.0
 
 
-class Feed:
+class CameraFeed:
     """One camera. `arrived` is notified at every picture. offset: s by which what it shows is older than what the
     others show at the same time; ahead: s by which others may be later than this one."""
 
     def __init__(self, name: str, opener: Callable[[], CameraSource], arrived: threading.Condition) -> None:
         self.name, self.offset, self.ahead = name, 0.0, 0.0
         self._opener, self._arrived = opener, arrived
-        self._shots: deque[tuple[float, Shot]] = deque()
+        self._shots: deque[tuple[float, CameraImage]] = deque()
         self._pace: deque[float] = deque(maxlen=SETTINGS.feeds_pace)
         self._clock, self._nonsense = SensorClock(), 0
         self._received = self._lost = self._returns = 0
@@ -71,7 +71,7 @@ class Feed:
         if self._thread.is_alive():
             self._thread.join(6)
 
-    def delivered(self) -> tuple[Delivered, list[Shot]]:
+    def delivered(self) -> tuple[Delivered, list[CameraImage]]:
         """The newest pictures and their times; to be called with `arrived` held."""
         times = np.array([t for t, _ in self._shots]) - self.offset
         arrivals = np.array([s.arrival for _, s in self._shots])
@@ -123,7 +123,7 @@ class Feed:
             with contextlib.suppress(HyposeError):
                 source.close()
 
-    def _when(self, shot: Shot) -> float | None:
+    def _when(self, shot: CameraImage) -> float | None:
         """When it was taken, on this computer's clock; None: that is not known. Many programs send a time that never
         changes, or in another unit."""
         if shot.stamp is None or self._nonsense >= SETTINGS.feeds_nonsense:
@@ -133,7 +133,7 @@ class Feed:
         self._nonsense = max(0, self._nonsense - 1) if known else self._nonsense + 1
         return at
 
-    def _take(self, shot: Shot) -> None:
+    def _take(self, shot: CameraImage) -> None:
         with self._arrived:
             at = self._when(shot)
             if at is None or (self._shots and at <= self._shots[-1][0]):
@@ -158,7 +158,8 @@ def _without_pauses(steps: Array) -> Array:
 
 
 def _usual(steps: Array) -> float:
-    """s from one picture to the next for half of the time, however many came at once when whoever reads was held up."""
+    """s from one picture to the next for half of the time, however many came at once when a person who reads was held
+    up."""
     ordered = np.sort(_without_pauses(steps))
     return float(ordered[np.searchsorted(np.cumsum(ordered), ordered.sum() / 2)])
 
@@ -174,7 +175,7 @@ class Delivered:
 
 
 @dataclass(frozen=True)
-class Instant:
+class _Instant:
     """time: s on the common clock; shots: of each camera the index of the picture that shows it, None: it has none."""
 
     time: float
@@ -183,11 +184,10 @@ class Instant:
 
 def newest_instant(
     cameras: Sequence[Delivered], last: float, now: float, least: int = 2
-) -> tuple[Instant | None, float]:
-    """The newest instant after `last` (s, common clock) that every camera which is there has told of, or will not tell
-    of, by `now` (s, this computer's clock); and until when it is worth waiting for more. So many cameras at
-    least show it.
-    """
+) -> tuple[_Instant | None, float]:
+    """The newest instant after `last` (s, common clock) that every camera which is there has reported of, or will not
+    tell of, by `now` (s, this computer's clock); and until when it is worth waiting for more. So many cameras at least
+    show it."""
     there = [c for c, d in enumerate(cameras) if is_there(d, now)]
     known = [cameras[c].period for c in there if np.isfinite(cameras[c].period)]
     if len(there) < least or not known:
@@ -196,12 +196,12 @@ def newest_instant(
     times = np.unique(np.concatenate([cameras[c].times for c in there]))
     times = times[times > last + SETTINGS.feeds_new * period]
     waits = [_still_to_come(cameras[c], period, now) for c in there]
-    told = times < min(begin for begin, _ in waits)
-    for at in times[told][::-1][: SETTINGS.feeds_candidates]:
+    reported = times < min(begin for begin, _ in waits)
+    for at in times[reported][::-1][: SETTINGS.feeds_candidates]:
         shots = [_nearest(d, float(at), period) if c in there else None for c, d in enumerate(cameras)]
         if sum(s is not None for s in shots) >= least:
-            return Instant(float(at), tuple(shots)), now
-    next_one = times[~told][:1]
+            return _Instant(float(at), tuple(shots)), now
+    next_one = times[~reported][:1]
     return None, min([now + period, *(max(until for begin, until in waits if begin <= t) for t in next_one)])
 
 

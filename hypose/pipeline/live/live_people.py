@@ -1,6 +1,6 @@
-"""People, live: found, each followed by a `LivePerson` in what the others leave of the masks, given up, found again.
+"""People, live: found, each followed by a `LiveTrack` in what the others leave of the masks, given up, found again.
 
-Left and right are fought out beside who is followed, and they are measured while they move. `step` never waits. The
+Left and right are compared in parallel with tracking, and they are measured while they move. `step` never waits. The
 body is fitted in a process of its own and taken over where it explains the masks as well as the one before.
 """
 
@@ -21,9 +21,9 @@ from hypose.evidence.frame import Frame
 from hypose.evidence.prefetch import pack_once
 from hypose.evidence.shared_masks import PREDICTED_WIDENING, SOLVED_WIDENING, Other, own_silhouettes
 from hypose.geometry import Array
-from hypose.pipeline.doubts import as_now, looked_at, mask_change
-from hypose.pipeline.live.background_work import BackgroundWork, KeptMasks
-from hypose.pipeline.live.live_search import Found, LivePersonOptions, LiveSearch, paced
+from hypose.pipeline.frame_anomalies import as_now, looked_at, mask_change
+from hypose.pipeline.live.background_work import BackgroundWork, PackedMasks
+from hypose.pipeline.live.live_search import FoundPerson, LivePersonOptions, LiveSearch, paced
 from hypose.pipeline.settings import SETTINGS
 from hypose.tracking.costs import mean_overlap
 from hypose.tracking.covariance_calibration import beyond_usual, with_fitted_joints
@@ -37,8 +37,8 @@ from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState, motion
 @dataclass(frozen=True)
 class LivePose:
     """One frame. person: from 1 on; frame: its number; time s; motion: of this frame alone, with pose, covariance,
-    probability of being wrong and what is doubtful; joints (J, 3) m, world: where a body takes over from another, they
-    go there smoothly; views (C,): which cameras were looked at."""
+    error probability and low-confidence joints; joints (J, 3) m, world: where a body takes over from another,
+    they go there smoothly; views (C,): which cameras were looked at."""
 
     person: int
     frame: int
@@ -56,20 +56,20 @@ class LivePose:
 
 @dataclass(frozen=True)
 class Stepped:
-    """A frame as it was tracked, before it is known what is doubtful about it. person, shift (J, 3) m: see `LivePose`;
-    frame: what of it is the person's, whole: with everybody in it."""
+    """A tracked frame before its error probabilities are known. person, shift (J, 3) m: see
+    `LivePose`; frame: what of it is the person's, whole: with all people in it."""
 
     person: int
     frame: Frame
     whole: Frame
     estimate: FrameEstimate
     tracker: Tracker
-    doubt: LiveDoubt
+    doubt: LiveErrorModel
     shift: Array | None
 
-    def told(self) -> LivePose:
-        """The pose, with what is known to be doubtful by now."""
-        motion = self.doubt.told(self.tracker, self.estimate, self.frame)
+    def reported(self) -> LivePose:
+        """The pose, with the error probabilities known by now."""
+        motion = self.doubt.reported(self.tracker, self.estimate, self.frame)
         joints = np.asarray(motion.joints[0], np.float64)
         views = np.zeros(0, np.bool_) if self.frame.silhouettes is None else self.frame.silhouettes.usable
         if self.shift is not None:
@@ -78,32 +78,32 @@ class Stepped:
         return LivePose(self.person, now.index, now.time, motion, body, joints, views)
 
     def look(self) -> None:
-        """What is doubtful about it; to be called in the order of the frames."""
+        """Update the error probabilities; to be called in the order of the frames."""
         self.doubt.look(self.tracker, self.estimate, self.frame, self.whole)
 
 
 @dataclass(frozen=True)
 class _Duel:
-    """The body with its sides exchanged, tracked beside: frames and what the tracked body costs in them; won: the state
-    to go on from, and its time, None where it lost."""
+    """The body with its sides exchanged, tracked in parallel: frames and what the tracked body costs in them; won: the
+    state to go on from, and its time, None where it lost."""
 
     frames: queue.SimpleQueue[tuple[Frame, float]]
     won: Future[tuple[TrackerState, float] | None]
 
 
-class LivePerson:
-    """`step` with every frame. number: see `LivePose`; rig: of the masks; rate: Hz of the frames; beside: runs duels;
+class LiveTrack:
+    """`step` with every frame. number: see `LivePose`; rig: of the masks; rate: Hz of the frames; executor: runs duels;
     work: fits body and offsets, None: neither is done; sync: the cameras' offsets are still to be found; shared: there
     may be others in the masks. body: their own, None: not known yet; offsets (C,) s: None: not known yet."""
 
     def __init__(
         self,
-        found: Found,
+        found: FoundPerson,
         number: int,
         rig: CameraRig,
         rate: float,
         options: LivePersonOptions,
-        beside: Executor,
+        executor: Executor,
         work: BackgroundWork | None,
         sync: bool = True,
         shared: bool = False,
@@ -112,14 +112,14 @@ class LivePerson:
         self.body: Body | None = options.body
         self.offsets: Array | None = None
         self.tracker, self.state = options.tracker(found.body, rate), found.state
-        self._beside, self._work, self._sync_wanted = beside, work, sync
-        self._doubt = LiveDoubt()
+        self._executor, self._work, self._sync_wanted = executor, work, sync
+        self._doubt = LiveErrorModel()
         self._time, self._step_s, self._usual_s = found.time, found.step_s, 1 / rate
         self._lost_since: float | None = None
         self._duel: _Duel | None = None
         self._fit: Future[Body | None] | None = None
         self._sync: Future[Array | None] | None = None
-        self._kept: list[KeptMasks] = []
+        self._kept: list[PackedMasks] = []
         self._shared = shared
         self._challenge, self._between = (found.time if shared else np.inf), SETTINGS.live_challenge_s
         self._shift: Array | None = None
@@ -164,7 +164,7 @@ class LivePerson:
         return Stepped(self.number, frame, whole or frame, estimate, self.tracker, self._doubt, self._shift)
 
     def _fight(self, frame: Frame, estimate: FrameEstimate) -> None:
-        """Where the body with its sides exchanged explains a frame better, it is tracked beside for a while."""
+        """Where the body with its sides exchanged explains a frame better, it is tracked in parallel for a while."""
         if self._duel is not None:
             self._duel.frames.put((frame, estimate.cost))
         elif not estimate.lost and (estimate.exchanged > 0 or frame.time >= self._challenge):
@@ -173,12 +173,12 @@ class LivePerson:
                 self._challenge = frame.time + self._between
             frames: queue.SimpleQueue[tuple[Frame, float]] = queue.SimpleQueue()
             body, pose = self.tracker.body, estimate.pose
-            self._duel = _Duel(frames, self._beside.submit(self._fought, body, pose, frame, frames))
+            self._duel = _Duel(frames, self._executor.submit(self._fought, body, pose, frame, frames))
 
     def _fought(
         self, body: Body, pose: Array, first: Frame, frames: queue.SimpleQueue[tuple[Frame, float]]
     ) -> tuple[TrackerState, float] | None:
-        """In another thread; limits as for whole clips (`hypose.pipeline.mend_sides`), at half their rate."""
+        """In another thread; limits as for whole clips (`hypose.pipeline.left_right`), at half their rate."""
         slow, give_up = (
             self.options.tracker(body, SETTINGS.search_slowly_hz),
             SETTINGS.live_shared if self._shared else SETTINGS.live_give_up,
@@ -221,7 +221,7 @@ class LivePerson:
         if not wants_body and not wants_sync:
             self._kept = []
             return
-        self._kept.append(KeptMasks.of(frame))
+        self._kept.append(PackedMasks.of(frame))
         passed = frame.time - self._kept[0].time
         rate = (len(self._kept) - 1) / max(passed, 1e-3)
         if wants_body and passed > SETTINGS.live_fitted_s:
@@ -255,7 +255,7 @@ class LivePerson:
         tracker = self.options.tracker(body, self.tracker.settings.frame_rate)
         state = replace(tracker.start(after, self.state.memory), frames=1, usual_iou=self.state.usual_iou)
         self._shift = old.joints(before) - body.joints(after)
-        self.body, self.tracker, self.state, self._doubt, self._duel = body, tracker, state, LiveDoubt(), None
+        self.body, self.tracker, self.state, self._doubt, self._duel = body, tracker, state, LiveErrorModel(), None
 
 
 def on_body(pose: Array, before: Body, body: Body) -> Array:
@@ -265,9 +265,9 @@ def on_body(pose: Array, before: Body, body: Body) -> Array:
     return moved
 
 
-class LiveDoubt:
-    """Of one body: `told` of every frame what is known by then, and then `look` at it, in order. So a pose need not
-    wait for what is found about it, which is told with the next."""
+class LiveErrorModel:
+    """Of one body: `reported` of every frame gives the values known by then, and then `look` at it, in order. So a pose
+    need not wait for its error probabilities, which come with the next."""
 
     def __init__(self) -> None:
         self._audited: deque[tuple[float, FrameEstimate]] = deque()
@@ -277,21 +277,21 @@ class LiveDoubt:
         self._p: NDArray[np.float32] | None = None
         self._doubtful: NDArray[np.bool_] | None = None
 
-    def told(self, tracker: Tracker, estimate: FrameEstimate, frame: Frame) -> Motion:
+    def reported(self, tracker: Tracker, estimate: FrameEstimate, frame: Frame) -> Motion:
         """The estimate as a motion of one frame. Of who has just been found nothing is known but where they are: that
         is doubtful, as who is lost is."""
         now = motion_of(tracker.body, np.array([frame.time]), [estimate])
         count = now.joints.shape[:2]
-        p, doubtful = self._p, self._doubtful
-        if p is None or doubtful is None or estimate.lost:
+        p, low_confidence = self._p, self._doubtful
+        if p is None or low_confidence is None or estimate.lost:
             p = np.maximum(np.zeros(count, np.float32) if p is None else p, np.float32(0.5))
-            doubtful = np.ones(count, np.bool_)
+            low_confidence = np.ones(count, np.bool_)
         now = with_fitted_joints(now, "silhouettes" if frame.depth is None else "depth", self._beyond)
-        now = replace(now, p_wrong=p, doubtful_joints=doubtful)
-        return as_mixture(now) if frame.depth is None else now  # regions of depth hold what is elsewhere, too
+        now = replace(now, error_probability=p, low_confidence_joints=low_confidence)
+        return as_mixture(now) if frame.depth is None else now  # regions from depth include other places
 
     def look(self, tracker: Tracker, estimate: FrameEstimate, frame: Frame, whole: Frame | None = None) -> None:
-        """Audit the frame, if it is time for that, and judge it by those of the last seconds. whole: with everybody in
+        """Audit the frame, if it is time for that, and judge it by those of the last seconds. whole: with all people in
         it."""
         known = self._audited
         look = self._p is None or frame.time - self._looked > 0.95 * SETTINGS.live_every_s
@@ -312,31 +312,31 @@ class LiveDoubt:
             self._p, self._doubtful = p[-1:], joints[-1:]
 
 
-FOLLOWING, LOST = "following", "lost"
-"""What `LivePeople.phase` can be beside what a search is doing."""
+STATE_TRACKING, STATE_LOST = "following", "lost"
+"""Values of `LivePeople.phase` in addition to those of a search."""
 
 
 class LivePeople:
     """`step` with every frame; it never waits. rig: of the masks; rate: Hz of the frames; options: height and body are
-    those of who comes while nobody is followed; beside: runs searches and duels; work: fits bodies and offsets, None:
-    neither is done; most: so many are followed at once; with one, all of the masks are theirs. offsets (C,) s: of the
-    cameras, None: not known yet."""
+    those of who comes while no person is followed; executor: runs searches and duels; work: fits bodies and offsets,
+    None: neither is done; most: so many are followed at once; with one, all of the masks are theirs. offsets (C,) s: of
+    the cameras, None: not known yet."""
 
     def __init__(
         self,
         rig: CameraRig,
         rate: float,
         options: LivePersonOptions,
-        beside: Executor,
+        executor: Executor,
         work: BackgroundWork | None,
         most: int = 1,
     ) -> None:
-        self._rig, self._rate, self._options, self._beside, self._work = rig, rate, options, beside, work
+        self._rig, self._rate, self._options, self._executor, self._work = rig, rate, options, executor, work
         self.most = most
-        self.people: list[LivePerson] = []
+        self.people: list[LiveTrack] = []
         self.offsets: Array | None = None
         self._known: Body | None = options.body
-        self._search = LiveSearch(options, beside, most > 1)
+        self._search = LiveSearch(options, executor, most > 1)
         self._near: dict[tuple[int, int], deque[tuple[float, float, float]]] = {}
 
     @property
@@ -344,21 +344,21 @@ class LivePeople:
         """Of those who are followed, else of the search."""
         if not self.people:
             return self._search.phase
-        return LOST if all(p.state.lost for p in self.people) else FOLLOWING
+        return STATE_LOST if all(p.state.lost for p in self.people) else STATE_TRACKING
 
     @property
     def fitted(self) -> bool:
-        """Has everybody who is followed a body of their own?"""
+        """Has all people who are followed a body of their own?"""
         return bool(self.people) and all(p.body is not None for p in self.people)
 
     def measure_again(self) -> None:
-        """See `LivePerson.measure_again`."""
+        """See `LiveTrack.measure_again`."""
         self._known = self._options.body
         for p in self.people:
             p.measure_again()
 
     def step(self, frame: Frame) -> list[Stepped]:
-        """Everybody who is followed, by their numbers."""
+        """All people who is followed, by their numbers."""
         for found in self._search.take():
             self._welcome(found)
         if self.most == 1 and self.people:
@@ -378,17 +378,19 @@ class LivePeople:
             self._look(frame, stepped)
         return stepped
 
-    def _welcome(self, found: Found) -> None:
+    def _welcome(self, found: FoundPerson) -> None:
         numbers = {p.number for p in self.people}
         number = next(n for n in range(1, self.most + 1) if n not in numbers)
         body = self._known if not self.people else None
         options = replace(self._options, body=body, height=None if self.people else self._options.height)
         wants = self.offsets is None
-        made = LivePerson(found, number, self._rig, self._rate, options, self._beside, self._work, wants, self.most > 1)
+        made = LiveTrack(
+            found, number, self._rig, self._rate, options, self._executor, self._work, wants, self.most > 1
+        )
         self.people = sorted([*self.people, made], key=lambda p: p.number)
 
     def _look(self, frame: Frame, stepped: list[Stepped]) -> None:
-        """Somebody more, in what those who are followed leave."""
+        """A person more, in what those who are followed leave."""
         s = frame.silhouettes
         known = {p.number for p in self.people if p.sure}
         others = (
@@ -423,7 +425,7 @@ class LivePeople:
         return [out[n] for n in sorted(out)]
 
     def _one_of_two(self, time: float, stepped: list[Stepped]) -> list[Stepped]:
-        """Of two bodies in one place for long, the one that explains less is nobody."""
+        """Of two bodies in one place for long, the one that explains less is no person."""
         cost = {s.person: float(np.nan_to_num(s.estimate.cost, nan=1.0)) for s in stepped}
         at: dict[int, Array] = {s.person: s.estimate.pose[:3] for s in stepped}
         self._near = {k: v for k, v in self._near.items() if at.keys() >= set(k)}

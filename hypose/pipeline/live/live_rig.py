@@ -12,11 +12,11 @@ from hypose.evidence.silhouettes import SilhouetteSettings
 from hypose.io.calibrations.calibration_formats import find_calibration, read_any
 from hypose.io.recordings.frames import build_backgrounds, working_rig
 from hypose.io.recordings.recording import Recording, load_recording
-from hypose.io.recordings.recording_views import View
+from hypose.io.recordings.recording_views import ViewSettings
 from hypose.io.recordings.view_source import DepthSource
-from hypose.io.sensors.depth import FOLDER, is_depth
+from hypose.io.sensors.depth import DEPTH_PREFIX, is_depth
 from hypose.io.videos.camera_sources import is_device, without_password
-from hypose.pipeline.live.eyes import LiveView
+from hypose.pipeline.live.capture import LiveView
 from hypose.pipeline.settings import SETTINGS
 
 
@@ -40,7 +40,7 @@ def live_rig(path: str | Path, sources: Mapping[str, str], rate: float | None = 
 
     sources: where cameras are, by their names (see `open_camera`). With them only these cameras are used, and the empty
     room is learnt at the start; without, a recording's own videos are played, with the room they know. An InputError
-    names what is missing."""
+    names the missing part."""
     path = Path(path)
     if not path.exists():
         raise InputError(f"{path} does not exist; give a recording, or a calibration file.")
@@ -60,7 +60,7 @@ def live_rig(path: str | Path, sources: Mapping[str, str], rate: float | None = 
     if unknown:
         raise InputError(f"There is no camera {unknown[0]}; the cameras are {', '.join(names)}.")
     _check_places(sources)
-    known = [View(name) for name in names] if recording is None else recording.views
+    known = [ViewSettings(name) for name in names] if recording is None else recording.views
     if len(sources) < 2:
         others = ", ".join(n for n in names if n not in sources)
         raise InputError(f"Live tracking needs two cameras or more; give the place of another with --source: {others}.")
@@ -79,10 +79,10 @@ def live_rig(path: str | Path, sources: Mapping[str, str], rate: float | None = 
     )
 
 
-def _address(view: View, sources: Mapping[str, str]) -> str:
+def _address(view: ViewSettings, sources: Mapping[str, str]) -> str:
     """Where a camera is; the folder of a depth view is one of depth maps."""
     where = sources[view.name]
-    return where if view.depth is None or is_depth(where) else f"{FOLDER}{where}"
+    return where if view.depth is None or is_depth(where) else f"{DEPTH_PREFIX}{where}"
 
 
 def _check_places(sources: Mapping[str, str]) -> None:
@@ -107,14 +107,14 @@ def _played(recording: Recording | None, rig: CameraRig, path: Path, rate: float
             f"View {without[0]} of {recording.name} has no video to play; give the camera with --source, or a "
             "recording with videos."
         )
-    # masks that were made elsewhere are none of what is to come
+    # masks that were made elsewhere are none of all that is to come
     shown = replace(recording, keypoint_set=None, views=tuple(replace(v, masks=None) for v in recording.views))
     small = working_rig(rig, depth=[v.depth is not None for v in recording.views])
     views = tuple(
         LiveView(v.name, str(v.source), v.image_shift, b, v.accept_scaled)
         if v.depth is None
         else LiveView(
-            v.name, f"{FOLDER}{v.depth}", v.image_shift, depth=True, depth_room=DepthSource(v, camera, own).room
+            v.name, f"{DEPTH_PREFIX}{v.depth}", v.image_shift, depth=True, depth_room=DepthSource(v, camera, own).room
         )
         for v, b, camera, own in zip(recording.views, build_backgrounds(shown), rig, small, strict=True)
     )

@@ -21,17 +21,17 @@ from hypose.evidence.hull_people import people_in_hull
 from hypose.evidence.shared_masks import Other
 from hypose.geometry import Array
 from hypose.inference.hypotheses import BEFORE
-from hypose.pipeline.first_frame import Subject
-from hypose.pipeline.newcomers import evidence_of, somebody_more
+from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.run import TrackOptions, tracker_of
 from hypose.pipeline.settings import SETTINGS
+from hypose.pipeline.track_management import birth_candidates, candidate_evidence
 from hypose.tracking.costs import mean_overlap
 from hypose.tracking.frame_evidence import prepare
 from hypose.tracking.several import Member, step_together
 from hypose.tracking.start_search import starts_in_frame, weigh_starts
 from hypose.tracking.tracker import Tracker, TrackerState
 
-NOBODY, LOOKING = "nobody", "looking"
+STATE_EMPTY, STATE_SEARCHING = "nobody", "looking"
 """What `LiveSearch.phase` can be."""
 
 
@@ -45,12 +45,12 @@ class LivePersonOptions:
 
     def tracker(self, body: Body, rate: float) -> Tracker:
         """Of a body, for frames of so many Hz."""
-        return tracker_of(Subject(body, None, np.zeros(body.skeleton.dof), ()), self.track, rate)
+        return tracker_of(TrackedSubject(body, None, np.zeros(body.skeleton.dof), ()), self.track, rate)
 
 
 @dataclass(frozen=True)
-class Found:
-    """Somebody followed to the present: the body, the state and when that was, s; the last step, s."""
+class FoundPerson:
+    """A person followed to the present: the body, the state and when that was, s; the last step, s."""
 
     body: Body
     state: TrackerState
@@ -60,33 +60,33 @@ class Found:
 
 @dataclass(frozen=True)
 class _Look:
-    """A frame in which somebody is looked for, and who is known to be in it."""
+    """A frame in which a person is looked for, and who is known to be in it."""
 
     frame: Frame
     others: Sequence[Other]
 
 
 class LiveSearch:
-    """`look` with every frame in which somebody may be whom nobody follows; it never waits. beside: runs the search;
-    several: there may be more than one person, so each is found in what the others leave of the masks."""
+    """`look` with every frame in which a person may be whom no person follows; it never waits. next to: runs the
+    search; several: there may be more than one person, so each is found in what the others leave of the masks."""
 
-    def __init__(self, options: LivePersonOptions, beside: Executor, several: bool) -> None:
+    def __init__(self, options: LivePersonOptions, executor: Executor, several: bool) -> None:
         self.options, self.several = options, several
-        self.phase = NOBODY
-        self._beside = beside
+        self.phase = STATE_EMPTY
+        self._executor = executor
         self._first: list[_Look] = []
         self._waiting: deque[_Look] = deque()
         self._lock = threading.Lock()
         self._search: Future[None] | None = None
-        self._found: list[Found] = []
+        self._found: list[FoundPerson] = []
         self._failed, self._not_before = 0, -np.inf
 
-    def take(self) -> list[Found]:
+    def take(self) -> list[FoundPerson]:
         """Who has been found since this was asked last."""
         with self._lock:
             found, self._found = self._found, []
             if found:
-                self._search, self._first, self.phase = None, [], NOBODY
+                self._search, self._first, self.phase = None, [], STATE_EMPTY
                 self._failed, self._not_before = 0, -np.inf
         return found
 
@@ -113,9 +113,9 @@ class LiveSearch:
         kept = self._waiting if self._search is not None else self._first
         if kept and frame.time - kept[-1].frame.time < 0.9 / SETTINGS.search_slowly_hz:
             return
-        if not _somebody(look):
+        if not _largest_person(look):
             if self._search is None:
-                self.phase, self._first = NOBODY, []
+                self.phase, self._first = STATE_EMPTY, []
             return
         if self._search is not None:
             if len(self._waiting) < SETTINGS.search_longest:
@@ -124,9 +124,9 @@ class LiveSearch:
         if self._first and frame.time - self._first[-1].frame.time > SETTINGS.search_gap_s:
             self._first = []
         self._first.append(look)
-        self.phase = LOOKING
+        self.phase = STATE_SEARCHING
         if len(self._first) == SETTINGS.search_decide:
-            self._search = self._beside.submit(self._find, self._first, most, body or human(), height)
+            self._search = self._executor.submit(self._find, self._first, most, body or human(), height)
 
     def _find(self, looks: list[_Look], most: int, template: Body, height: float | None) -> None:
         """In another thread: starts from the first frames, and what came since then."""
@@ -151,7 +151,7 @@ class LiveSearch:
                 ):
                     self._waiting.popleft()
                 if not self._waiting:
-                    self._found = [Found(m.tracker.body, m.state, last, step_s) for m in members]
+                    self._found = [FoundPerson(m.tracker.body, m.state, last, step_s) for m in members]
                     return
                 look = self._waiting.popleft()
             begin, before_s, step_s = time.monotonic(), step_s, look.frame.time - last
@@ -178,25 +178,25 @@ def paced(state: TrackerState, share: float, skeleton: Skeleton) -> TrackerState
     return replace(state, previous=state.pose - share * step, hypotheses=h)
 
 
-def _somebody(look: _Look) -> bool:
-    """Two views, or one depth camera, show something of the size of a person, beside those who are known."""
+def _largest_person(look: _Look) -> bool:
+    """Two views, or one depth camera, show something of the size of a person, next to those who are known."""
     s = look.frame.silhouettes
     if s is None:
         return False
     if look.others:
-        return somebody_more(look.others, s)
+        return birth_candidates(look.others, s)
     large = s.areas > SETTINGS.search_least_area * s.rig.sizes.prod(1)
     return int((large & s.usable).sum()) >= (2 if look.frame.depth is None else 1)
 
 
 def _each_alone(looks: Sequence[_Look], most: int) -> list[list[Frame]]:
-    """What of the frames is evidence for each of those in the hull of the first whom nobody explains, the largest
+    """What of the frames is evidence for each of those in the hull of the first whom no person explains, the largest
     first, if they are in most of the frames."""
     axes, own = list[Array](), list[list[Frame]]()
     for look in looks:
         assert look.frame.silhouettes is not None
         found = people_in_hull(look.frame.silhouettes, look.others)
-        found = [p for p in found if p.tall or not look.others]  # beside somebody it may be a limb of theirs
+        found = [p for p in found if p.tall or not look.others]  # next to a person it may be a limb of theirs
         if not own:
             axes = [p.axis for p in found[:most]]
             own = [[] for _ in axes]
@@ -204,6 +204,6 @@ def _each_alone(looks: Sequence[_Look], most: int) -> list[list[Frame]]:
             near = [p for p in found if np.linalg.norm(p.axis - axis) < SETTINGS.search_stride]
             if near:
                 person = min(near, key=lambda p: float(np.linalg.norm(p.axis - axis)))
-                own[k].append(evidence_of(person, look.frame, look.others, found))
+                own[k].append(candidate_evidence(person, look.frame, look.others, found))
                 axes[k] = person.axis
     return [frames for frames in own if len(frames) > len(looks) // 2]

@@ -17,7 +17,7 @@ from hypose.pipeline.settings import SETTINGS
 
 @contextlib.contextmanager
 def punctual() -> Iterator[None]:
-    """Meanwhile threads take turns often, and what is loaded now is never looked through for garbage."""
+    """Meanwhile threads take turns often, and all that is loaded now is never looked through for garbage."""
     before = sys.getswitchinterval()
     sys.setswitchinterval(SETTINGS.processes_switch_s)
     gc.collect()
@@ -32,7 +32,7 @@ def punctual() -> Iterator[None]:
 @contextlib.contextmanager
 def deaf_to_ctrl_c() -> Iterator[None]:
     """Processes that are started meanwhile do not hear Ctrl-C, which a terminal sends to all of its processes, from
-    their first moment on: while they are still importing nobody else could keep a traceback from the terminal."""
+    their first moment on: while they are still importing no other person could keep a traceback from the terminal."""
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
         return
@@ -44,7 +44,8 @@ def deaf_to_ctrl_c() -> Iterator[None]:
 
 
 def belong_to_parent() -> None:
-    """In a process that was started: Ctrl-C is for whoever started it, and it ends with them, however they ended."""
+    """In a process that was started: Ctrl-C is for a person who started it, and it ends with them, however they
+    ended."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
     if parent is not None:

@@ -22,9 +22,9 @@ from hypose.io.file_names import folder_for
 from hypose.io.files import RecordingFolder
 from hypose.io.recordings.frames import mask_folder
 from hypose.io.recordings.recording import Recording, write_recording
-from hypose.io.recordings.recording_views import View
-from hypose.pipeline.live.engine import LiveStatus, Seen
-from hypose.pipeline.live.eyes import LiveView, live_working_rig, stored
+from hypose.io.recordings.recording_views import ViewSettings
+from hypose.pipeline.live.capture import LiveView, live_working_rig, stored
+from hypose.pipeline.live.engine import LiveResult, LiveStatus
 from hypose.pipeline.settings import SETTINGS
 
 _POSES = "poses.jsonl"
@@ -54,14 +54,14 @@ class LiveRecorder:
         self._followed: list[bool] = []
         self._rows, self._described = 0, -np.inf
         self._last: list[bytes | None] = [None] * len(views)
-        self._waiting: queue.Queue[Seen | None] = queue.Queue(SETTINGS.recorder_waiting)
+        self._waiting: queue.Queue[LiveResult | None] = queue.Queue(SETTINGS.recorder_waiting)
         self._masks: list[Path] = []
         self._pictures: list[Path] = []
         self._empty: dict[int, Path] = {}
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
 
-    def seen(self, seen: Seen) -> None:
+    def seen(self, seen: LiveResult) -> None:
         """See `Listener`."""
         if self.failed:
             return
@@ -95,9 +95,9 @@ class LiveRecorder:
 
     def _describe(self) -> None:
         views = tuple(
-            View(v.name, depth=pictures, background=self._empty.get(c), image_shift=v.shift)
+            ViewSettings(v.name, depth=pictures, background=self._empty.get(c), image_shift=v.shift)
             if v.depth
-            else View(v.name, images=pictures, masks=masks, image_shift=v.shift, accept_scaled=v.stretched)
+            else ViewSettings(v.name, images=pictures, masks=masks, image_shift=v.shift, accept_scaled=v.stretched)
             for c, (v, pictures, masks) in enumerate(zip(self._views, self._pictures, self._masks, strict=True))
         )
         recording = Recording(
@@ -115,7 +115,7 @@ class LiveRecorder:
         write_recording(recording, self.folder)
 
     def _rate(self) -> float:
-        """Hz at which somebody was followed: before that instants are looked at more seldom, and while no two cameras
+        """Hz at which a person was followed: before that instants are looked at more seldom, and while no two cameras
         showed anything there were none."""
         steps, followed = np.diff(self._times), np.array(self._followed)
         known = followed[1:] & followed[:-1]
@@ -161,7 +161,7 @@ class LiveRecorder:
                 for k, data in enumerate(maps):
                     (folder / f"{k:06d}.png").write_bytes(data)
 
-    def _write(self, seen: Seen, poses: TextIO) -> None:
+    def _write(self, seen: LiveResult, poses: TextIO) -> None:
         number = self.written
         self._write_room(seen.sight.empty)
         for c, (view, jpeg) in enumerate(zip(seen.sight.views, seen.sight.jpegs, strict=True)):
@@ -192,12 +192,12 @@ class LiveRecorder:
         self.written += 1
         if (
             self.written > 1 and time.monotonic() - self._described >= SETTINGS.recorder_describe_s
-        ):  # whoever is killed has recorded, too
+        ):  # a person who is killed has recorded, too
             self._describe()
             self._described = time.monotonic()
 
     def _forget(self) -> None:
-        """What is there of the instant that could not be written, which also makes room for recording.toml."""
+        """All that is there of the instant that could not be written, which also makes room for recording.toml."""
         with contextlib.suppress(OSError):
             os.truncate(self.folder / _POSES, self._rows)
         for folder in (*self._pictures, *self._masks):

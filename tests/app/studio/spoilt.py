@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from hypose.io.motions.results import load_motion, save_motion
-from hypose.pipeline.verdict import verdict_of
+from hypose.pipeline.assessment import assess
 from hypose.tracking.contacts import runs
 
 ARM = ("left_elbow", "left_wrist")
@@ -19,13 +19,18 @@ def spoil_arm(results, rows=ROWS, turn=1.3):
     poses = motion.poses.copy()
     poses[rows, skeleton.dofs_of("left_shoulder")] += turn * np.array([0.0, 1.0, 0.3])
     _, joints = skeleton.forward(poses)
-    doubtful = np.zeros((len(motion), len(skeleton.joint_names)), dtype=bool)
-    doubtful[rows, [[skeleton.joint(n)] for n in ARM]] = True
-    p_wrong = np.where(doubtful, np.float32(0.7), np.float32(0.01))
+    low_confidence = np.zeros((len(motion), len(skeleton.joint_names)), dtype=bool)
+    low_confidence[rows, [[skeleton.joint(n)] for n in ARM]] = True
+    error_probability = np.where(low_confidence, np.float32(0.7), np.float32(0.01))
     spoilt = replace(
-        motion, poses=poses, joints=joints, doubtful=doubtful.any(1), doubtful_joints=doubtful, p_wrong=p_wrong
+        motion,
+        poses=poses,
+        joints=joints,
+        low_confidence=low_confidence.any(1),
+        low_confidence_joints=low_confidence,
+        error_probability=error_probability,
     )
     save_motion(spoilt, results / "motion.npz")
-    (results / "verdict.json").unlink(missing_ok=True)
-    assert verdict_of(spoilt).word == "look" and runs(doubtful.any(1)) == [range(rows.start, rows.stop)]
+    (results / "assessment.json").unlink(missing_ok=True)
+    assert assess(spoilt).word == "look" and runs(low_confidence.any(1)) == [range(rows.start, rows.stop)]
     return spoilt

@@ -7,7 +7,7 @@ import pytest
 
 from hypose.app.studio.catalog import Catalog
 from hypose.app.studio.clicks import _for_one_camera
-from hypose.app.studio.job_kinds import plan
+from hypose.app.studio.job_kinds import plan_job
 from hypose.errors import InputError
 from hypose.io.recordings.recording import load_recording
 from hypose.pipeline.one_camera import clicked_pixels, load_clicks, one_view
@@ -48,12 +48,12 @@ def test_a_job_takes_saved_clicks_by_name(tmp_path):
         "recording": catalog.id_of("recording", folder),
         "options": {"recipe": "monocular", "camera": "cam1", "start": "clicks:first"},
     }
-    arguments = plan("track", request, catalog).arguments
+    arguments = plan_job("track", request, catalog).arguments
     assert arguments[arguments.index("--start") + 1] == str(folder / "starts" / "first.json")
     for name in ("none", "../first", ""):
         request["options"]["start"] = f"clicks:{name}"
         with pytest.raises(InputError, match="save them first"):
-            plan("track", request, catalog)
+            plan_job("track", request, catalog)
 
 
 def test_the_person_is_found_in_the_videos_by_the_command(tmp_path):
@@ -61,7 +61,7 @@ def test_the_person_is_found_in_the_videos_by_the_command(tmp_path):
     (tmp_path / "walk" / "recording.toml").write_text("")
     catalog = Catalog(tmp_path)
     request = {"recording": catalog.id_of("recording", tmp_path / "walk"), "options": {"yes": True}}
-    made = plan("keypoints", request, catalog)
+    made = plan_job("keypoints", request, catalog)
     assert made.arguments == ("keypoints", str(tmp_path / "walk"), "--yes") and made.resumable
 
 
@@ -90,7 +90,7 @@ def test_a_correction_is_a_result_of_its_own(folder):
     starts.mkdir()
     (starts / "arm.json").write_text(json.dumps({"format": "hypose-clicks", "frame": 3, "pose": [0.0] * 36}))
     request = {"result": result.id, "options": {"start": "clicks:arm", "until": 6}}
-    made = plan("correct", request, catalog)
+    made = plan_job("correct", request, catalog)
     results = folder / "walk" / "results"
     assert made.arguments == (
         *("correct", str(results / "default"), str(starts / "arm.json"), "--until=6"),
@@ -101,7 +101,7 @@ def test_a_correction_is_a_result_of_its_own(folder):
         results / "default-corrected"
     )  # corrected once more, it is no default-corrected-corrected
     again = {**request, "result": catalog.id_of("result", results / "default-corrected")}
-    assert plan("correct", again, catalog).arguments[-1].endswith("default-corrected-2")
+    assert plan_job("correct", again, catalog).arguments[-1].endswith("default-corrected-2")
     for start in (None, "default", "clicks:none", "clicks:../arm"):
         with pytest.raises(InputError):
-            plan("correct", {**again, "options": {"start": start} if start else {}}, catalog)
+            plan_job("correct", {**again, "options": {"start": start} if start else {}}, catalog)

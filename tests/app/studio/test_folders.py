@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hypose.app.studio.catalog import Catalog
-from hypose.app.studio.job_kinds import plan
+from hypose.app.studio.job_kinds import plan_job
 from hypose.errors import InputError
 
 
@@ -121,7 +121,7 @@ def test_what_is_to_be_calibrated_is_a_recording_already(own_studio, folder, fil
     assert not made["board"]["calibrated"] and "no calibration" in made["problem"] and made["views"] == []
     boards = [str(filmed / "board" / f"cam{k}.mp4") for k in (1, 2)]
     ask = {"recording": made["id"], "options": {"square": "80mm"}}
-    assert plan("calibrate", ask, Catalog(folder)).arguments == (
+    assert plan_job("calibrate", ask, Catalog(folder)).arguments == (
         *("calibrate", *boards, "--square=80mm", "--out", str(filmed / "calibration.toml")),
         *("--sheet", str(filmed / "results" / "calibration.png")),
     )
@@ -145,21 +145,21 @@ def test_without_any_board_the_cameras_are_found_from_the_person(own_studio, fol
     made = own_studio.get("/api/recordings", ask, status=201)
     board = own_studio.get(f"/api/recordings/{made['id']}")["board"]
     assert board == {"cameras": [], "calibrated": False, "sheet": None}
-    planned = plan("calibrate", {"recording": made["id"], "options": {"height": 1.72}}, Catalog(folder))
+    planned = plan_job("calibrate", {"recording": made["id"], "options": {"height": 1.72}}, Catalog(folder))
     assert planned.arguments == ("calibrate", str(filmed), "--from-person", "--height=1.72")
 
 
 def test_offsets_give_a_recording_of_their_own(folder):
     catalog = Catalog(folder)
     (item,) = catalog.items("recording")
-    made = plan("in_step", {"recording": item.id, "options": {"offsets": [-1, 0.25, 0, 2]}}, catalog)
+    made = plan_job("in_step", {"recording": item.id, "options": {"offsets": [-1, 0.25, 0, 2]}}, catalog)
     target = folder / "walk-in-step"
     assert made.arguments == ("sync", str(item.path), "--offsets=-1,0.25,0,2", "--out", str(target))
     assert made.makes == catalog.id_of("recording", target) and made.recording == item.id
     for bad in ({}, {"offsets": []}, {"offsets": [float("nan")]}, {"offsets": ["/x"]}):
         with pytest.raises(InputError):
-            plan("in_step", {"recording": item.id, "options": bad}, catalog)
-    far = plan("refine", {"recording": item.id, "options": {"far": True}}, catalog)
+            plan_job("in_step", {"recording": item.id, "options": bad}, catalog)
+    far = plan_job("refine", {"recording": item.id, "options": {"far": True}}, catalog)
     assert far.arguments[2:] == ("--refine", "--far")
 
 

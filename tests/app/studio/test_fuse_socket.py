@@ -8,7 +8,7 @@ import pytest
 from hypose.app.live import simulated_sensors
 from hypose.app.live.simulated_sensors import FRAME_RATE
 from hypose.app.studio.catalog import Catalog
-from hypose.app.studio.job_kinds import plan
+from hypose.app.studio.job_kinds import plan_job
 from hypose.io.sensors.skeleton_files import read_skeletons
 from tests.conftest import HANG_S
 
@@ -57,7 +57,7 @@ def test_simulated_sensors_are_fused_recorded_and_told_where_they_stand(own_stud
     assert [s["name"] for s in state["skeletons"]] == ["live"] and state["sessions"] == []
     assert len(read_skeletons(own_studio.studio.catalog.root / "live" / "live").streams) == 2
     catalog = Catalog(own_studio.studio.catalog.root)
-    made = plan("fuse", {"skeletons": state["skeletons"][0]["id"]}, catalog)
+    made = plan_job("fuse", {"skeletons": state["skeletons"][0]["id"]}, catalog)
     assert made.arguments[0] == "fuse" and made.result
 
 

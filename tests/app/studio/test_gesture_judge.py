@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from hypose.app.studio.gesture_judge import FalseAlarms, HeldBack
 from hypose.app.studio.gesture_start import Controls, change, read_command, read_start
+from hypose.app.studio.gesture_training import FalseAlarms, HeldBack
 from hypose.errors import InputError
 from hypose.gestures.depth_pictures import KINECT
 from hypose.gestures.localise import Localisation
@@ -23,11 +23,11 @@ def test_a_test_with_known_truth_is_judged_by_place_and_score():
     held.test(DEPTH, None, found(6.0))
     held.test(DEPTH, (320.0, 240.0), found(8.0, x=360.0))  # 40 px at 2 m are 14 cm: another place
     held.test(DEPTH, (320.0, 240.0), found(7.0, x=330.0))
-    told = held.result(6.5)
-    assert told["on"] == "test" and (told["frames"], told["positives"]) == (4, 3)
+    reported = held.result(6.5)
+    assert reported["on"] == "test" and (reported["frames"], reported["positives"]) == (4, 3)
     # of three found at 9, 8, 7 the second is wrong: precision 1 and 2/3 at recall 1/3 and 2/3
-    assert told["ap"] == pytest.approx((1 + 2 / 3) / 3)
-    assert told["at"] == {"precision": pytest.approx(2 / 3, abs=1e-4), "recall": pytest.approx(2 / 3, abs=1e-4)}
+    assert reported["ap"] == pytest.approx((1 + 2 / 3) / 3)
+    assert reported["at"] == {"precision": pytest.approx(2 / 3, abs=1e-4), "recall": pytest.approx(2 / 3, abs=1e-4)}
     assert held.result(99.0)["at"] == {"precision": 1.0, "recall": 0.0}
 
 
@@ -35,10 +35,10 @@ def test_false_alarms_count_events_not_frames_of_movement():
     alarms = FalseAlarms()
     for k in range(100):
         alarms.see(0.1 * k, found(9.0 if 20 <= k < 40 else 0.0), 5.0, 0.15)
-    assert alarms.told() == {"false_per_min": pytest.approx(60 / 9.9, rel=1e-6), "tested_s": 9.9}
+    assert alarms.reported() == {"false_per_min": pytest.approx(60 / 9.9, rel=1e-6), "tested_s": 9.9}
     other = FalseAlarms()
     other.see(0.0, found(9.0), None, 0.15)  # no threshold yet
-    assert other.told() == {"false_per_min": None, "tested_s": 0.0}
+    assert other.reported() == {"false_per_min": None, "tested_s": 0.0}
 
 
 @pytest.mark.parametrize(

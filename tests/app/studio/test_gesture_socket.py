@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from hypose.app.jobs.gesture_job import evaluate
+from hypose.app.jobs.gesture_job import evaluate_model
 from hypose.app.studio import gesture_views
 from hypose.app.studio.hub import IN_FLIGHT, MAP
 from hypose.gestures.depth_pictures import KINECT
@@ -175,7 +175,7 @@ def test_a_gesture_is_taught_in_ten_rounds(root, tmp_path):
             shows = bool(rng.random() < 0.5) if k % 6 == 0 else shows
             frame = person.send(shows)
     writer.close()
-    judged = evaluate(model, read_recording(tmp_path / "unseen"))
+    judged = evaluate_model(model, read_recording(tmp_path / "unseen"))
     assert judged["positives"] >= 30 and judged["ap_5cm"] >= 0.75, judged
 
 

@@ -10,7 +10,7 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 
 from hypose.app.studio import recordings, results
-from hypose.app.studio.memory_cache import Kept
+from hypose.app.studio.lru_cache import LruCache
 from tests.app.studio.conftest import serving
 from tests.conftest import HANG_S
 
@@ -167,7 +167,7 @@ def test_answers_to_a_page_that_has_broken_the_rules_go_nowhere(studio, log, pat
 
 
 def test_a_body_that_does_not_come_is_not_waited_for(studio, monkeypatch):
-    monkeypatch.setattr("hypose.app.studio.answers._BODY_S", 0.05)
+    monkeypatch.setattr("hypose.app.studio.http._BODY_S", 0.05)
     head = f"POST /api/jobs HTTP/1.1\r\nHost: 127.0.0.1:{studio.port}\r\nContent-Length: 100\r\n\r\n{{".encode()
     assert raw(studio.port, head).startswith(b"HTTP/1.1 408")
 
@@ -205,7 +205,7 @@ def test_two_pages_that_start_the_fusion_at_once_start_one(own_studio):
 
 def test_what_is_kept_is_bounded_in_bytes():
     gone, now = [], [0.0]
-    kept = Kept(100, len, gone.append, idle_s=60, clock=lambda: now[0])
+    kept = LruCache(100, len, gone.append, idle_s=60, clock=lambda: now[0])
 
     def used(size):
         with kept.use(size, lambda: bytes(size)) as value:
@@ -255,7 +255,7 @@ def counted(call, calls, name):
 
 
 def test_what_is_made_at_once_by_many_is_made_once():
-    made, kept = [], Kept(100, len)
+    made, kept = [], LruCache(100, len)
     barrier = threading.Barrier(8)
 
     def ask():

@@ -8,7 +8,7 @@ import pytest
 
 from hypose.app.commands.console import JSON_PROGRESS, Stages
 from hypose.app.studio.catalog import Catalog
-from hypose.app.studio.job_kinds import KINDS, plan, settled
+from hypose.app.studio.job_kinds import JOB_KINDS, plan_job, with_result_name
 from hypose.app.studio.jobs import NAME, read_jobs, write_jobs
 from hypose.errors import InputError
 from hypose.io.motions.results import load_motion
@@ -34,30 +34,33 @@ def test_options_become_the_command(folder):
     catalog = Catalog(folder)
     (item,) = catalog.items("recording")
     options = {"recipe": "hpf", "refine": True, "frames": "0:4", "formats": ["trc", "bvh"], "overlay": False}
-    made = plan("track", {"recording": item.id, "options": {**options, "name": "try-1"}}, catalog)
+    made = plan_job("track", {"recording": item.id, "options": {**options, "name": "try-1"}}, catalog)
     path, out = str(item.path), str(item.path / "results" / "try-1")
     assert made.arguments == (
         *("track", path, "--recipe=hpf", "--refine", "--frames=0:4", "--formats=trc,bvh"),
         *("--out", out, "--no-overlay"),
     )
     assert made.resumable and made.result == catalog.id_of("result", item.path / "results" / "try-1")
-    assert plan("refine", {"recording": item.id}, catalog).arguments == ("check", path, "--refine")
-    assert plan("demo", {}, catalog).arguments == ("demo", "--out", str(folder / "demo"))
+    assert plan_job("refine", {"recording": item.id}, catalog).arguments == ("check", path, "--refine")
+    assert plan_job("demo", {}, catalog).arguments == ("demo", "--out", str(folder / "demo"))
 
 
 def test_a_track_takes_a_name_that_is_free_and_keeps_it(folder):
     """Nothing that was tracked is written over, and a track that is planned again (to be resumed) is the same."""
     catalog = Catalog(folder)
     (item,) = catalog.items("recording")
-    asked = settled("track", {"recording": item.id}, catalog)
+    asked = with_result_name("track", {"recording": item.id}, catalog)
     assert asked["options"]["name"] == "default-2"
-    again = settled("track", {"recording": item.id, "options": {"name": "default"}}, catalog)
+    again = with_result_name("track", {"recording": item.id, "options": {"name": "default"}}, catalog)
     assert again["options"]["name"] == "default-2"
-    made = plan("track", asked, catalog)
+    made = plan_job("track", asked, catalog)
     (item.path / "results" / "default-2").mkdir()
-    assert plan("track", asked, catalog) == made and made.folder == item.path / "results" / "default-2"
-    assert settled("track", asked, catalog)["options"]["name"] == "default-3"
-    assert settled("track", {"recording": item.id, "options": {"recipe": "hpf"}}, catalog)["options"]["name"] == "hpf"
+    assert plan_job("track", asked, catalog) == made and made.folder == item.path / "results" / "default-2"
+    assert with_result_name("track", asked, catalog)["options"]["name"] == "default-3"
+    assert (
+        with_result_name("track", {"recording": item.id, "options": {"recipe": "hpf"}}, catalog)["options"]["name"]
+        == "hpf"
+    )
 
 
 @pytest.mark.slow
@@ -77,7 +80,7 @@ def test_what_an_input_error_ends_is_not_to_be_gone_on_with(own_studio, folder):
     ("value", "text"), [(1234567, "1234567"), (4.0, "4"), (123456.75, "123456.75"), (0.1, "0.1"), (-3, "-3")]
 )
 def test_numbers_reach_the_command_as_they_are(folder, value, text):
-    assert plan("demo", {"options": {"seed": value}}, Catalog(folder)).arguments[-1] == f"--seed={text}"
+    assert plan_job("demo", {"options": {"seed": value}}, Catalog(folder)).arguments[-1] == f"--seed={text}"
 
 
 @pytest.mark.parametrize(
@@ -100,23 +103,23 @@ def test_options_that_cannot_be_are_refused(folder, kind, options):
     catalog = Catalog(folder)
     (item,) = catalog.items("recording")
     with pytest.raises(InputError):
-        plan(kind, {"recording": item.id, "options": options}, catalog)
+        plan_job(kind, {"recording": item.id, "options": options}, catalog)
 
 
 def test_what_a_page_gives_belongs_to_its_option_and_is_no_file(folder):
     catalog = Catalog(folder)
     (item,) = catalog.items("recording")
     options = {"far": "yes", "height": "--out=x", "using": "keypoints"}
-    made = plan("refine", {"recording": item.id, "options": options}, catalog).arguments
+    made = plan_job("refine", {"recording": item.id, "options": options}, catalog).arguments
     assert made == ("check", str(item.path), "--refine", "--far=yes", "--height=--out=x", "--from=keypoints")
 
 
 def test_every_kind_needs_something_that_is_there(folder):
     catalog = Catalog(folder)
-    for kind in KINDS:
+    for kind in JOB_KINDS:
         if kind != "demo":
             with pytest.raises(InputError):
-                plan(kind, {}, catalog)
+                plan_job(kind, {}, catalog)
 
 
 def test_progress_is_json_when_a_program_asks_for_it(monkeypatch, capsys):
@@ -136,10 +139,10 @@ def test_an_export_runs_and_tells(own_studio, folder):
         assert json.loads(ws.recv(HANG_S))["t"] == "jobs"
         job = own_studio.get(f"/api/results/{result}/export", {"formats": ["trc"]}, status=201)
         assert job["state"] in ("queued", "running") and job["command"].endswith("--formats=trc")
-        told = []
-        while not told or told[-1]["t"] != "files":
-            told.append(json.loads(ws.recv(HANG_S)))
-    states = [m["job"]["state"] for m in told if m["t"] == "job"]
+        reported = []
+        while not reported or reported[-1]["t"] != "files":
+            reported.append(json.loads(ws.recv(HANG_S)))
+    states = [m["job"]["state"] for m in reported if m["t"] == "job"]
     assert states[-1] == "done" and "running" in states
     assert (folder / "walk/results/default/motion.trc").is_file()
     assert any("motion.trc" in line for line in own_studio.get(f"/api/jobs/{job['id']}")["lines"])

@@ -15,9 +15,9 @@ from hypose.app.studio import live_topics
 from hypose.errors import InputError
 from hypose.io.recordings.frames import working_rig
 from hypose.io.recordings.recording import load_recording
-from hypose.io.videos.camera_sources import Shot
+from hypose.io.videos.camera_sources import CameraImage
+from hypose.pipeline.live.capture import CaptureOptions
 from hypose.pipeline.live.engine import LiveStatus
-from hypose.pipeline.live.eyes import EyesOptions
 from hypose.synthetic.write_recording import write_scene
 from tests.app.studio.browser import WEB, go
 from tests.app.studio.conftest import serving
@@ -79,7 +79,7 @@ def test_a_person_is_followed_recorded_and_shown(served_live, followed):
         status = until(socket, "status", lambda m: m["poses"] > 0)
         assert status["phase"] == "following" and all(s["alive"] for s in status["sensors"])
         pictures = until(socket, "pictures", lambda m: all(c["jpeg"] for c in m["cameras"]))["cameras"]
-        shown = Shot(0.0, None, base64.b64decode(pictures[0]["jpeg"])).picture()
+        shown = CameraImage(0.0, None, base64.b64decode(pictures[0]["jpeg"])).picture()
         assert shown is not None and shown.shape[1] == 320
         socket.send(json.dumps({"t": "start", "recording": recording}))
         while (message := json.loads(socket.recv(HANG_S)))["t"] != "error":
@@ -204,5 +204,5 @@ def test_nothing_is_recorded_outside_of_the_served_folder(own_studio, tmp_path):
 
 def test_the_page_follows_a_person(served_live, followed, tmp_path, monkeypatch):
     # so long that the page shows it, however busy the computer is
-    monkeypatch.setattr(live_topics, "EyesOptions", lambda rate, _, masks: EyesOptions(rate, 600.0, masks))
+    monkeypatch.setattr(live_topics, "CaptureOptions", lambda rate, _, masks: CaptureOptions(rate, 600.0, masks))
     go(WEB / "tests" / "live_cameras.walk.mjs", served_live.address, served_live.studio.catalog.root, tmp_path)

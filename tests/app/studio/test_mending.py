@@ -11,36 +11,36 @@ def asked(own_studio, folder):
     """mend(**wish) -> the recording as the page gets it; and its folder."""
     id = own_studio.get("/api/state")["recordings"][0]["id"]
 
-    def mend(status=200, **wish):
+    def edit_recording(status=200, **wish):
         return own_studio.get(f"/api/recordings/{id}/mend", wish, status=status)
 
-    return mend, folder / "walk", own_studio
+    return edit_recording, folder / "walk", own_studio
 
 
 def test_a_view_is_left_out_and_taken_back(asked):
-    mend, walk, _ = asked
+    edit_recording, walk, _ = asked
     before = (walk / "recording.toml").read_text()
-    left = mend(what="leave_out", view="cam2")
+    left = edit_recording(what="leave_out", view="cam2")
     assert [v["name"] for v in left["views"]] == ["cam1", "cam3", "cam4"] and left["left_out"] == ["cam2"]
     assert [v.name for v in load_recording(walk).views] == ["cam1", "cam3", "cam4"]
-    assert mend(what="leave_out", view="cam4")["left_out"] == ["cam2", "cam4"]
-    back = mend(what="take_back")
+    assert edit_recording(what="leave_out", view="cam4")["left_out"] == ["cam2", "cam4"]
+    back = edit_recording(what="take_back")
     assert len(back["views"]) == 4 and back["left_out"] == [] and (walk / "recording.toml").read_text() == before
     for name in ("cam1", "cam2", "cam3"):
-        mend(what="leave_out", view=name)
-    assert "only view" in mend(what="leave_out", view="cam4", status=400)["error"]
+        edit_recording(what="leave_out", view=name)
+    assert "only view" in edit_recording(what="leave_out", view="cam4", status=400)["error"]
 
 
 def test_a_stretched_video_is_accepted_for_its_view_alone(asked):
-    mend, walk, _ = asked
-    mend(what="accept_scaled", view="cam3")
-    mend(what="accept_scaled", view="cam3")
+    edit_recording, walk, _ = asked
+    edit_recording(what="accept_scaled", view="cam3")
+    edit_recording(what="accept_scaled", view="cam3")
     assert [v.accept_scaled for v in load_recording(walk).views] == [False, False, True, False]
     assert (walk / "recording.toml").read_text().count("accept_scaled") == 1
 
 
 def test_a_recording_that_a_stretched_video_makes_unusable_is_mended(asked):
-    mend, walk, client = asked
+    edit_recording, walk, client = asked
     text = (walk / "calibration.toml").read_text()
     first = text.replace("size = [160, 120]", "size = [160, 100]", 1).replace(
         "size = [160.0, 120.0]", "size = [160.0, 100.0]", 1
@@ -50,51 +50,51 @@ def test_a_recording_that_a_stretched_video_makes_unusable_is_mended(asked):
     id = client.get("/api/state")["recordings"][0]["id"]
     problem = client.get(f"/api/recordings/{id}")["problem"]
     assert problem.startswith("View cam1: ") and "accept_scaled" in problem
-    assert mend(what="accept_scaled", view="cam1")["problem"] is None
+    assert edit_recording(what="accept_scaled", view="cam1")["problem"] is None
 
 
 def test_an_empty_room_is_another_file_of_the_folder(asked):
-    mend, walk, _ = asked
-    shown = mend(what="background", view="cam1", path="background/cam4.mp4")
+    edit_recording, walk, _ = asked
+    shown = edit_recording(what="background", view="cam1", path="background/cam4.mp4")
     assert shown["views"][0]["background"] == "cam4.mp4"
     assert load_recording(walk).views[0].background == walk / "background" / "cam4.mp4"
     for path in ("background/none.mp4", "../../secret.mp4", "/etc/hostname", None):
-        assert mend(what="background", view="cam1", path=path, status=400)["error"].endswith(".")
+        assert edit_recording(what="background", view="cam1", path=path, status=400)["error"].endswith(".")
 
 
 def test_a_refined_calibration_is_used_when_that_is_said(asked):
-    mend, walk, _ = asked
-    assert "refine it first" in mend(what="use_refined", status=400)["error"]
+    edit_recording, walk, _ = asked
+    assert "refine it first" in edit_recording(what="use_refined", status=400)["error"]
     target = walk / "results" / "calibration_refined.toml"
     text = (walk / "calibration.toml").read_text()
     target.write_text(text)
     rig = load_recording(walk).rig
-    assert mend(what="take_back")["refined"] == "results/calibration_refined.toml"
-    assert mend(what="use_refined")["refined"] is None
+    assert edit_recording(what="take_back")["refined"] == "results/calibration_refined.toml"
+    assert edit_recording(what="use_refined")["refined"] is None
     made = (walk / "recording.toml").read_text()
     assert 'calibration = "results/calibration_refined.toml"' in made and "# before: calibration" in made
     np.testing.assert_allclose(load_recording(walk).rig[1].K, rig[1].K)
 
 
 def test_what_does_not_mend_it_changes_nothing(asked):
-    mend, walk, _ = asked
+    edit_recording, walk, _ = asked
     before = (walk / "recording.toml").read_text()
     (walk / "results" / "calibration_refined.toml").write_text("nonsense")
-    assert "does not mend" in mend(what="use_refined", status=400)["error"]
+    assert "does not mend" in edit_recording(what="use_refined", status=400)["error"]
     for wish in ({}, {"what": "burn"}, {"what": "leave_out"}, {"what": "leave_out", "view": "cam9"}):
-        assert mend(status=400, **wish)["error"].endswith(".")
+        assert edit_recording(status=400, **wish)["error"].endswith(".")
     assert (walk / "recording.toml").read_text() == before
 
 
 def test_key_points_and_pictures_are_moved_by_what_was_found(asked):
-    mend, walk, _ = asked
-    mend(what="keypoint_lag", frames=2)
-    mend(what="keypoint_lag", frames=-1)
+    edit_recording, walk, _ = asked
+    edit_recording(what="keypoint_lag", frames=2)
+    edit_recording(what="keypoint_lag", frames=-1)
     assert load_recording(walk).keypoint_lag == 1
-    mend(what="image_shift", view="cam3", x=2.5, y=-1)
-    mend(what="image_shift", view="cam3", x=1, y=0)
+    edit_recording(what="image_shift", view="cam3", x=2.5, y=-1)
+    edit_recording(what="image_shift", view="cam3", x=1, y=0)
     assert [v.image_shift for v in load_recording(walk).views] == [(0, 0), (0, 0), (3.5, -1), (0, 0)]
-    mend(what="keypoint_pixels")
+    edit_recording(what="keypoint_pixels")
     assert load_recording(walk).keypoint_pixels == "image"
-    assert "number" in mend(what="image_shift", view="cam3", x="left", status=400)["error"]
-    assert mend(what="keypoint_lag", frames=0.5, status=400)["error"]
+    assert "number" in edit_recording(what="image_shift", view="cam3", x="left", status=400)["error"]
+    assert edit_recording(what="keypoint_lag", frames=0.5, status=400)["error"]

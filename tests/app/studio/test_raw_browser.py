@@ -6,8 +6,8 @@ import sys
 import numpy as np
 import pytest
 
-from hypose.app.jobs.truth import compare
 from hypose.io.motions.results import load_motion
+from hypose.pipeline.comparison import compare_with_truth
 from hypose.synthetic import write_recording
 from hypose.synthetic.scenes import camera_rig, make_scene
 from tests.app.studio.browser import WEB, go
@@ -38,6 +38,6 @@ def test_raw_footage_becomes_a_result_in_fifteen_clicks(session, page, tmp_path)
         said = go(WEB / "tests" / "raw.walk.mjs", client.address, session, tmp_path)
     assert json.loads(said.strip().splitlines()[-1])["clicks"] <= MOST_CLICKS
     motion = load_motion(session / "session" / "results" / "default" / "motion.npz")
-    off = np.nanmean(compare(truth, motion, 0).distances)
+    off = np.nanmean(compare_with_truth(truth, motion, 0).distances)
     sys.stdout.write(f"\nRaw footage by the page: {1000 * off:.0f} mm from the truth\n")
     assert off < 0.06

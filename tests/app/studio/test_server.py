@@ -9,9 +9,9 @@ import socket
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
-from hypose.app.commands.commands_studio import view
+from hypose.app.commands.commands_live import view
 from hypose.app.studio import server as studio_server
-from hypose.app.studio.guard import token_for
+from hypose.app.studio.http import token_for
 from tests.app.studio.conftest import serving
 from tests.bundles import read_bundle
 from tests.conftest import HANG_S
@@ -47,7 +47,7 @@ def test_a_result_is_one_block_with_its_pictures_and_outlines(studio):
 
 
 def test_what_lies_beside_a_motion_is_read_again_when_it_changes(own_studio, folder):
-    """Its verdict, its files, whether it is all, and the cameras of its recording."""
+    """Its assessment, its files, whether it is all, and the cameras of its recording."""
     results = folder / "walk" / "results" / "default"
     id = result_of(own_studio)["id"]
 
@@ -57,16 +57,16 @@ def test_what_lies_beside_a_motion_is_read_again_when_it_changes(own_studio, fol
     before = header()
     assert before["complete"] and "motion.trc" in {f["name"] for f in before["files"]}
     (results / "motion.trc").unlink()
-    kept = {"verdict": "not to be trusted", "because": ["the camera moved"], "frames": []}
-    (results / "verdict.json").write_text(json.dumps(kept))
+    kept = {"assessment": "not to be trusted", "because": ["the camera moved"], "frames": []}
+    (results / "assessment.json").write_text(json.dumps(kept))
     (results / "checkpoint.npz").write_bytes(b"")
     toml = folder / "walk" / "recording.toml"
     toml.write_text(toml.read_text().replace('name = "cam2"', 'name = "cam2"\nimage_shift = [3.0, -2.0]', 1))
     now = header()
     assert not now["complete"] and "motion.trc" not in {f["name"] for f in now["files"]}
-    assert now["verdict"]["word"] == "not to be trusted" and now["cameras"][1]["image_shift"] == [3, -2]
-    told = result_of(own_studio)
-    assert told["verdict"] == "not to be trusted" and not told["complete"]
+    assert now["assessment"]["word"] == "not to be trusted" and now["cameras"][1]["image_shift"] == [3, -2]
+    reported = result_of(own_studio)
+    assert reported["assessment"] == "not to be trusted" and not reported["complete"]
 
 
 def test_pages_of_the_folder_cannot_reach_the_server(studio):
@@ -185,7 +185,7 @@ def test_others_than_this_computer_need_the_token(served):
 
 
 def test_without_a_page_the_server_says_what_to_do(served, monkeypatch, tmp_path):
-    monkeypatch.setattr(studio_server, "STATIC", tmp_path / "none")
+    monkeypatch.setattr(studio_server, "STATIC_FOLDER", tmp_path / "none")
     with serving(served) as client:
         status, _, body = client.ask("/")
         assert status == 503 and b"hatch_build.py" in body
@@ -197,7 +197,7 @@ def test_view_says_why_it_cannot_start(hypose, monkeypatch, served, tmp_path):
     assert code == 2 and "does not exist" in err
     code, _, err = hypose("view", served, "--port", 70000)
     assert code == 2 and "--port" in err
-    monkeypatch.setattr(studio_server, "STATIC", tmp_path)
+    monkeypatch.setattr(studio_server, "STATIC_FOLDER", tmp_path)
     code, _, err = hypose("view", served)
     assert code == 2 and "hatch_build.py" in err
     (tmp_path / "index.html").write_text("page")
@@ -212,8 +212,8 @@ def test_a_recording_with_results_opens_in_view(folder, monkeypatch, capsys):
     (folder / "index.html").write_text("the page, built or not")
 
     def opened(path):
-        monkeypatch.setattr(studio_server, "STATIC", folder)
-        monkeypatch.setattr(studio_server, "run", lambda options, ready: ready("http://here/"))
+        monkeypatch.setattr(studio_server, "STATIC_FOLDER", folder)
+        monkeypatch.setattr(studio_server, "run_server", lambda options, ready: ready("http://here/"))
         view(path, port=0, no_browser=True)
         return capsys.readouterr().out.split("#/")[1].split("/")[0].strip()
 

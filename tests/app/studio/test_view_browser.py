@@ -10,14 +10,14 @@ import pytest
 from scipy.stats import chi2
 
 from benchmarks.studio.long_results import long_result
-from hypose.app.cli import main
-from hypose.app.jobs.truth import compare
+from hypose.app.cli import run_cli
 from hypose.app.reports.report import PLACE, drawn_of, report_html
 from hypose.app.reports.result_pictures import image_points
-from hypose.app.studio.view_result import load_view
+from hypose.app.studio.view_bundle import load_view
 from hypose.io.motions.results import load_body, load_motion, save_motion
 from hypose.io.recordings.recording import load_recording
-from hypose.pipeline.verdict import verdict_of
+from hypose.pipeline.assessment import assess
+from hypose.pipeline.comparison import compare_with_truth
 from hypose.synthetic.scenes import camera_rig, make_scene
 from hypose.synthetic.write_recording import write_scene
 from tests.app.studio.browser import WEB, go
@@ -30,7 +30,7 @@ def flagged(source, target):
     motion = load_motion(source / "motion.npz")
     n = np.arange(len(motion))
     target.mkdir(parents=True)
-    sure = {"doubtful": n < 0, "doubtful_joints": np.zeros_like(motion.doubtful_joints)}
+    sure = {"low_confidence": n < 0, "low_confidence_joints": np.zeros_like(motion.low_confidence_joints)}
     save_motion(replace(motion, lost=(n == 6) | (n == 7), extrapolated=n == 3, **sure), target / "motion.npz")
     shutil.copy(source / "body.npz", target)
 
@@ -99,7 +99,7 @@ def longer(tmp_path_factory):
     scene = make_scene("walk", "neutral", camera_rig("humaneva-4", distorted=True).scaled(0.5), seconds=1.6, seed=3)
     write_scene(scene, root / "walk", background_frames=10)
     with pytest.raises(SystemExit) as stopped:
-        main(["track", str(root / "walk"), "--formats", "csv", "--no-overlay"])
+        run_cli(["track", str(root / "walk"), "--formats", "csv", "--no-overlay"])
     assert stopped.value.code in (None, 0)
     return root
 
@@ -118,8 +118,11 @@ def test_a_spoilt_arm_is_seen_and_put_right(longer, page, tmp_path):
         go(WEB / "tests" / "correct.walk.mjs", client.address, root, tmp_path)
     corrected = load_motion(results.with_name("default-corrected") / "motion.npz")
     truth = root / "walk" / "truth.npz"
-    arm = [compare(truth, good, 0).names.index(n) for n in ARM]
-    off = {n: 1000 * compare(truth, m, 0).distances[ROWS][:, arm] for n, m in (("spoilt", spoilt), ("now", corrected))}
+    arm = [compare_with_truth(truth, good, 0).names.index(n) for n in ARM]
+    off = {
+        n: 1000 * compare_with_truth(truth, m, 0).distances[ROWS][:, arm]
+        for n, m in (("spoilt", spoilt), ("now", corrected))
+    }
     sys.stdout.write(
         f"\nArm, mm from the truth: spoilt {off['spoilt'].mean():.0f}, corrected {off['now'].mean():.0f}\n"
     )
@@ -128,12 +131,12 @@ def test_a_spoilt_arm_is_seen_and_put_right(longer, page, tmp_path):
 
 @pytest.mark.slow
 def test_much_said_of_a_result_covers_nothing(served, page, tmp_path, monkeypatch):
-    """A long verdict and the button to the next doubt, in all sizes of the window."""
+    """A long assessment and the button to the next doubt, in all sizes of the window."""
     root = shutil.copytree(served, tmp_path / "root")
     results = root / "walk" / "results" / "default"
     spoilt = spoil_arm(results, slice(2, 6))
-    told = verdict_of(spoilt, looks=[f"camera {k} may be late by {k} frames" for k in range(8)])
-    (results / "verdict.json").write_text(json.dumps(told.document()))
+    reported = assess(spoilt, looks=[f"camera {k} may be late by {k} frames" for k in range(8)])
+    (results / "assessment.json").write_text(json.dumps(reported.document()))
     monkeypatch.setenv("ONLY", "view,view-quality")
     with serving(root) as client:
         go(WEB / "tests" / "layout.path.mjs", client.address, root, tmp_path)

@@ -9,7 +9,7 @@ from tests.live_scenes import Beside
 
 
 @pytest.fixture
-def beside() -> Beside:
+def executor() -> Beside:
     return Beside()
 
 

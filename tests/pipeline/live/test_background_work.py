@@ -12,7 +12,7 @@ import pytest
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.frame import Frame
 from hypose.evidence.silhouettes import make_silhouettes
-from hypose.pipeline.live.background_work import BackgroundWork, KeptMasks, fitted_body, offsets_of
+from hypose.pipeline.live.background_work import BackgroundWork, PackedMasks, fitted_body, offsets_of
 from hypose.synthetic.corruptions import Corruptions
 from hypose.synthetic.scenes import camera_rig, make_scene
 
@@ -24,7 +24,7 @@ def test_masks_are_kept_bit_for_bit(rng):
     )
     masks = [rng.integers(0, 2, c.size[::-1]).astype(np.uint8) for c in mixed]
     s = make_silhouettes([masks[0], np.zeros_like(masks[1]), None, masks[3]], mixed)
-    kept = KeptMasks.of(Frame(7.25, 3, s))
+    kept = PackedMasks.of(Frame(7.25, 3, s))
     back = kept.silhouettes(mixed)
     assert kept.time == 7.25 and (back.masks == s.masks).all() and back.masks.shape == s.masks.shape
     assert (back.usable == s.usable).all() and back.reasons == s.reasons
@@ -36,7 +36,7 @@ def kept_of(desync, seconds=6.0, seed=2):
     what = replace(Corruptions(), desync=desync)
     scene = make_scene("walk", "neutral", cameras, seconds=seconds, seed=seed, corruption=what)
     frames = list(scene.mask_frames())
-    return [KeptMasks.of(f) for f in frames], frames[0].silhouettes.rig, scene.frame_rate
+    return [PackedMasks.of(f) for f in frames], frames[0].silhouettes.rig, scene.frame_rate
 
 
 @pytest.mark.slow

@@ -14,11 +14,11 @@ from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import load_recording
 from hypose.io.sensors.depth import is_depth, open_depth_camera, write_depth_png
 from hypose.io.videos.camera_sources import StreamEnded
-from hypose.pipeline.live.background_work import KeptMasks
-from hypose.pipeline.live.engine import Seen
-from hypose.pipeline.live.eyes import EyesOptions, LiveView, Question
+from hypose.pipeline.live.background_models import DepthViewBackground, depth_of
+from hypose.pipeline.live.background_work import PackedMasks
+from hypose.pipeline.live.capture import CaptureOptions, CaptureRequest, LiveView
+from hypose.pipeline.live.engine import LiveResult
 from hypose.pipeline.live.recorder import LiveRecorder
-from hypose.pipeline.live.rooms import DepthRoom, depth_of
 from hypose.tracking.starts import known_pose
 from tests.depth_pictures import WALL_M, frame_of, sensors
 from tests.live_scenes import in_step
@@ -34,7 +34,7 @@ def frame():
 
 def test_the_person_stands_before_the_room_that_was_learnt(frame):
     camera = frame.depth.rig[0]
-    room = DepthRoom(camera, camera, (0.0, 0.0))
+    room = DepthViewBackground(camera, camera, (0.0, 0.0))
     room.learn([np.full(camera.size[::-1], WALL_M, np.float32)] * 3)
     assert not room.moved
     mask, outline = room.mask(frame.depth.maps[0])
@@ -50,7 +50,7 @@ def test_depth_travels_beside_the_masks_and_is_kept_of_the_person(frame):
     assert depth is not None and depth.usable.tolist() == [True, False]
     assert not depth.person[1].any()
     assert depth_of(frame.silhouettes, [None, None]) is None
-    again = KeptMasks.of(frame).frame(3, frame.depth.rig).depth
+    again = PackedMasks.of(frame).frame(3, frame.depth.rig).depth
     person = frame.depth.person > 0
     assert np.array_equal(again.person, frame.depth.person)
     assert np.abs(again.maps - frame.depth.maps)[person].max() < 0.001
@@ -86,13 +86,13 @@ def test_what_is_recorded_keeps_the_empty_room(tmp_path, monkeypatch):
     for k in range(90):
         write_depth_png(tmp_path / "maps" / f"{k:03d}.png", empty if k < 75 else someone)
     view = LiveView(rig.names[0], f"depth:{tmp_path / 'maps'}", depth=True)
-    eyes = in_step(monkeypatch)(rig, [view], EyesOptions(30.0, 0.0), threading.Event())
+    eyes = in_step(monkeypatch)(rig, [view], CaptureOptions(30.0, 0.0), threading.Event())
     recorder = LiveRecorder(tmp_path / "live", rig, [view], SilhouetteSettings())
     try:
-        eyes.ask(Question(pictures=True))
+        eyes.ask(CaptureRequest(pictures=True))
         while (sight := eyes.answer()) is not None:
             if np.isfinite(sight.time):
-                recorder.seen(Seen(sight, Frame(sight.time, recorder.written), ()))
+                recorder.seen(LiveResult(sight, Frame(sight.time, recorder.written), ()))
     finally:
         eyes.close()
     assert recorder.close()

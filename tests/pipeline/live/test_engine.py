@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from hypose.errors import InputError
-from hypose.pipeline.live.engine import EMPTY_ROOM, LiveEngine, LiveOptions
-from hypose.pipeline.live.eyes import EyesOptions, LiveView
-from hypose.pipeline.live.live_people import FOLLOWING
+from hypose.pipeline.live.capture import CaptureOptions, LiveView
+from hypose.pipeline.live.engine import EMPTY_ROOM, LiveEngine, LiveTrackingOptions
+from hypose.pipeline.live.live_people import STATE_TRACKING
 from hypose.synthetic.scenes import camera_rig
 from tests.conftest import HANG_S
 from tests.live_scenes import Stage, in_step, slow_walk, until
@@ -17,7 +17,7 @@ RATE = 8.0
 AWAY_S = 3.0
 
 
-class Kept:
+class LruCache:
     def __init__(self):
         self.poses, self.statuses, self.phases = [], [], []
 
@@ -32,9 +32,9 @@ class Kept:
 
 def test_cameras_in_and_poses_out_while_one_is_unplugged(monkeypatch):
     scene = slow_walk()
-    stage, kept, names = Stage(scene, RATE, 8), Kept(), scene.given_rig.names
+    stage, kept, names = Stage(scene, RATE, 8), LruCache(), scene.given_rig.names
     in_step(monkeypatch, stage)
-    options = LiveOptions(EyesOptions(RATE, countdown=0.0), measure=False)
+    options = LiveTrackingOptions(CaptureOptions(RATE, countdown=0.0), measure=False)
     engine = LiveEngine(scene.given_rig, [LiveView(n, "") for n in names], options, [kept])
     try:
         engine.start()
@@ -47,7 +47,7 @@ def test_cameras_in_and_poses_out_while_one_is_unplugged(monkeypatch):
         status = engine.status()
     finally:
         engine.stop()
-    assert engine.failed is None and kept.phases[0] == EMPTY_ROOM and kept.phases[-1] == FOLLOWING
+    assert engine.failed is None and kept.phases[0] == EMPTY_ROOM and kept.phases[-1] == STATE_TRACKING
 
     # where the person truly was
     off = [np.linalg.norm(p.joints - scene.joints[stage.shown(p.time)], axis=-1).mean() for p in kept.poses]
@@ -73,7 +73,7 @@ def test_one_camera_is_not_enough():
 def test_a_camera_that_cannot_be_opened_is_named_and_nothing_stays(tmp_path):
     cameras = camera_rig("humaneva-4")
     views = [LiveView(n, str(tmp_path / f"{n}.mp4")) for n in cameras.names]
-    engine = LiveEngine(cameras, views, LiveOptions(measure=False))
+    engine = LiveEngine(cameras, views, LiveTrackingOptions(measure=False))
     try:
         with pytest.raises(InputError, match=r"There is no file .*cam1\.mp4"):
             engine.start()

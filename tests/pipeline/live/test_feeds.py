@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from hypose.errors import InputError
-from hypose.io.videos.camera_sources import Shot, StreamEnded
+from hypose.io.videos.camera_sources import CameraImage, StreamEnded
 from hypose.pipeline.live import feeds
-from hypose.pipeline.live.feeds import Feed
+from hypose.pipeline.live.feeds import CameraFeed
 from hypose.pipeline.settings import SETTINGS
 from tests.conftest import HANG_S
 from tests.live_scenes import Clock
@@ -51,7 +51,7 @@ class Camera:
 @contextlib.contextmanager
 def feed(camera):
     arrived = threading.Condition()
-    made = Feed("left", camera.open, arrived)
+    made = CameraFeed("left", camera.open, arrived)
     made.start()
     try:
         yield made, arrived
@@ -72,7 +72,7 @@ def until(arrived, met):
 
 def play(camera, numbers, stamps=False, begin=BEGIN, rate=20.0):
     for n in numbers:
-        camera.shots.put(Shot(begin + n / rate, 7.0 + n / rate if stamps else None, PICTURE))
+        camera.shots.put(CameraImage(begin + n / rate, 7.0 + n / rate if stamps else None, PICTURE))
 
 
 def test_the_newest_pictures_are_kept_with_their_times():
@@ -80,9 +80,9 @@ def test_the_newest_pictures_are_kept_with_their_times():
     with feed(camera) as (made, arrived):
         play(camera, range(20))
         until(arrived, lambda: made.status().received == 20)
-        told, shots = made.delivered()
-        assert len(shots) == SETTINGS.feeds_kept and told.times == pytest.approx(BEGIN + np.arange(8, 20) / 20)
-        assert told.period == pytest.approx(0.05) and (told.arrivals == told.times).all()
+        reported, shots = made.delivered()
+        assert len(shots) == SETTINGS.feeds_kept and reported.times == pytest.approx(BEGIN + np.arange(8, 20) / 20)
+        assert reported.period == pytest.approx(0.05) and (reported.arrivals == reported.times).all()
         status = made.status()
         assert (status.lost, status.returns, status.ended) == (0, 0, False)
         made.offset = 0.25  # what it shows is older
@@ -102,7 +102,7 @@ def test_pictures_that_come_in_bunches_are_not_taken_for_lost():
     camera = Camera()
     with feed(camera) as (made, arrived):
         for n in range(90):
-            camera.shots.put(Shot(BEGIN + (n // 3) / 10 + 0.001 * (n % 3), None, PICTURE))
+            camera.shots.put(CameraImage(BEGIN + (n // 3) / 10 + 0.001 * (n % 3), None, PICTURE))
         until(arrived, lambda: made.status().received == 90)
         assert made.delivered()[0].period == pytest.approx(1 / 30, rel=0.1) and made.status().lost < 6
 
@@ -113,10 +113,10 @@ def test_what_the_camera_tells_of_time_is_kept_to():
         late = np.abs(np.random.default_rng(1).normal(0, 0.02, 30))
         late[0] = 0.0
         for n in range(30):
-            camera.shots.put(Shot(BEGIN + n / 20 + late[n], 7.0 + n / 20, PICTURE))
+            camera.shots.put(CameraImage(BEGIN + n / 20 + late[n], 7.0 + n / 20, PICTURE))
         until(arrived, lambda: made.status().received == 30)
-        told, _ = made.delivered()
-        assert np.abs(told.times - (BEGIN + np.arange(18, 30) / 20)).max() < 1e-6  # as if nothing came late
+        reported, _ = made.delivered()
+        assert np.abs(reported.times - (BEGIN + np.arange(18, 30) / 20)).max() < 1e-6  # as if nothing came late
 
 
 def test_a_camera_comes_back_and_its_absence_is_no_loss(monkeypatch):
@@ -136,8 +136,8 @@ def test_a_camera_comes_back_and_its_absence_is_no_loss(monkeypatch):
         until(arrived, lambda: made.status().received == 30)
         status = made.status()
         assert (status.lost, status.returns) == (0, 1)
-        told, _ = made.delivered()
-        assert told.times[-1] == pytest.approx(BEGIN + 129 / 20) and told.period == pytest.approx(0.05)
+        reported, _ = made.delivered()
+        assert reported.times[-1] == pytest.approx(BEGIN + 129 / 20) and reported.period == pytest.approx(0.05)
 
 
 def test_a_camera_that_is_opened_and_shows_nothing_has_not_come_back(monkeypatch):
@@ -170,7 +170,7 @@ def test_a_clock_that_is_set_back_or_begins_anew_costs_two_pictures(back):
     with feed(camera) as (made, arrived):
         play(camera, range(20), stamps=True)
         for n in range(20, 60):  # the pictures go on, and tell a time that has been
-            camera.shots.put(Shot(BEGIN + n / 20, 7.0 + n / 20 - back, PICTURE))
+            camera.shots.put(CameraImage(BEGIN + n / 20, 7.0 + n / 20 - back, PICTURE))
         until(arrived, lambda: made.status().received == 58)
         assert made.delivered()[0].times[-1] == pytest.approx(BEGIN + 59 / 20)
 
@@ -188,4 +188,4 @@ def test_a_camera_that_cannot_be_opened_at_the_start_is_an_error():
     camera = Camera()
     camera.refuse = "Camera 5 of this computer cannot be opened."
     with pytest.raises(InputError, match="Camera 5"):
-        Feed("left", camera.open, threading.Condition()).start()
+        CameraFeed("left", camera.open, threading.Condition()).start()

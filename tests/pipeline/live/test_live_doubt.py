@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from hypose.body.default_body import human
-from hypose.pipeline.first_frame import Subject
-from hypose.pipeline.live.live_people import LiveDoubt
+from hypose.pipeline.first_frame import TrackedSubject
+from hypose.pipeline.live.live_people import LiveErrorModel
 from hypose.pipeline.run import TrackOptions, tracker_of
 from hypose.pipeline.settings import SETTINGS
 from hypose.tracking.frame_evidence import prepare
@@ -18,7 +18,7 @@ from tests.live_scenes import RATE
 def followed(walk, frames):
     """A tracker, and (frame, estimate) of one second."""
     body = scaled_to_height(human(), walk.subject.stature)
-    tracker = tracker_of(Subject(body, None, np.zeros(body.skeleton.dof), ()), TrackOptions(), RATE)
+    tracker = tracker_of(TrackedSubject(body, None, np.zeros(body.skeleton.dof), ()), TrackOptions(), RATE)
     start = start_in_pose(body, prepare(frames[0], body, np.zeros(body.skeleton.dof)), KNOWN_POSES).pose
     state, out = tracker.start(start), []
     for frame in frames[:25]:
@@ -29,17 +29,21 @@ def followed(walk, frames):
 
 def test_the_first_frame_is_doubtful_and_then_it_is_known(followed):
     tracker, known = followed
-    doubt, told = LiveDoubt(), []
+    doubt, reported = LiveErrorModel(), []
     for frame, estimate in known:
-        told.append(doubt.told(tracker, estimate, frame))
+        reported.append(doubt.reported(tracker, estimate, frame))
         doubt.look(tracker, estimate, frame)
-    first, last = told[0], told[-1]
-    assert first.doubtful_joints is not None and first.doubtful_joints.all() and (first.p_wrong >= 0.5).all()
-    assert not last.doubtful_joints.all() and np.median(last.p_wrong) < 0.3
-    for motion in told:
-        assert len(motion) == 1 and motion.joints.shape[1] == motion.p_wrong.shape[1]
+    first, last = reported[0], reported[-1]
+    assert (
+        first.low_confidence_joints is not None
+        and first.low_confidence_joints.all()
+        and (first.error_probability >= 0.5).all()
+    )
+    assert not last.low_confidence_joints.all() and np.median(last.error_probability) < 0.3
+    for motion in reported:
+        assert len(motion) == 1 and motion.joints.shape[1] == motion.error_probability.shape[1]
         assert np.isfinite(motion.joint_sd).all() and (motion.joint_sd > 0).all()
-        assert ((motion.p_wrong >= 0) & (motion.p_wrong <= 1)).all()
+        assert ((motion.error_probability >= 0) & (motion.error_probability <= 1)).all()
 
 
 def test_frames_are_looked_at_a_few_times_a_second(followed, monkeypatch):
@@ -57,7 +61,7 @@ def test_frames_are_looked_at_a_few_times_a_second(followed, monkeypatch):
 
     monkeypatch.setattr(live_doubt, "looked_at", count("audited", live_doubt.looked_at))
     monkeypatch.setattr(live_doubt, "judged", count("judged", live_doubt.judged))
-    doubt = LiveDoubt()
+    doubt = LiveErrorModel()
     for frame, estimate in known:  # 25 frames in a second
         doubt.look(tracker, estimate, frame)
     assert abs(counted["judged"] - 1 / SETTINGS.live_every_s) <= 2

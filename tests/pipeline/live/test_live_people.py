@@ -9,9 +9,9 @@ import pytest
 
 from hypose.body.default_body import human
 from hypose.inference.hypotheses import BEFORE
-from hypose.pipeline.first_frame import Subject
-from hypose.pipeline.live.live_people import FOLLOWING, LOST
-from hypose.pipeline.live.live_search import LOOKING, NOBODY, paced
+from hypose.pipeline.first_frame import TrackedSubject
+from hypose.pipeline.live.live_people import STATE_LOST, STATE_TRACKING
+from hypose.pipeline.live.live_search import STATE_EMPTY, STATE_SEARCHING, paced
 from hypose.pipeline.run import TrackOptions, tracker_of
 from hypose.tracking.left_right import turned_around
 from hypose.tracking.subject import scaled_to_height
@@ -24,11 +24,11 @@ def errors(poses, walk):
     return np.array([np.linalg.norm(p.joints - walk.joints[p.frame], axis=-1).mean() for p in poses])
 
 
-def test_somebody_is_found_without_a_pose_asked_and_followed(walk, frames, beside):
-    people = people_for(frames, beside)
-    assert people.phase == NOBODY
-    poses = follow(people, frames, beside)
-    assert people.phase == FOLLOWING and len(poses) > 80
+def test_somebody_is_found_without_a_pose_asked_and_followed(walk, frames, executor):
+    people = people_for(frames, executor)
+    assert people.phase == STATE_EMPTY
+    poses = follow(people, frames, executor)
+    assert people.phase == STATE_TRACKING and len(poses) > 80
     assert [p.frame for p in poses] == list(range(poses[0].frame, 100))
     off = errors(poses, walk)
     assert off[5:].mean() < 0.06 and off[5:].max() < 0.15
@@ -36,20 +36,20 @@ def test_somebody_is_found_without_a_pose_asked_and_followed(walk, frames, besid
     assert not people.fitted  # nothing was measured
 
 
-def test_the_same_frames_give_the_same_poses(frames, beside):
-    first, second = (follow(people_for(frames, beside), frames[:30], beside) for _ in range(2))
+def test_the_same_frames_give_the_same_poses(frames, executor):
+    first, second = (follow(people_for(frames, executor), frames[:30], executor) for _ in range(2))
     assert first and all((a.joints == b.joints).all() for a, b in zip(first, second, strict=True))
 
 
-def test_an_empty_room_is_nobody(frames, beside):
-    people = people_for(frames, beside)
-    assert follow(people, [nobody(f) for f in frames[:30]], beside) == []
-    assert people.phase == NOBODY and not beside.waiting
+def test_an_empty_room_is_nobody(frames, executor):
+    people = people_for(frames, executor)
+    assert follow(people, [nobody(f) for f in frames[:30]], executor) == []
+    assert people.phase == STATE_EMPTY and not executor.waiting
 
 
 @pytest.mark.slow
-def test_masks_that_are_nobody_are_searched_and_left(frames, beside):
-    people = people_for(frames, beside)
+def test_masks_that_are_nobody_are_searched_and_left(frames, executor):
+    people = people_for(frames, executor)
 
     def noise(frame):
         s = frame.silhouettes
@@ -57,41 +57,45 @@ def test_masks_that_are_nobody_are_searched_and_left(frames, beside):
         masks[:, 10:110, 10:150] = 1
         return replace(frame, silhouettes=replace(s, masks=masks))
 
-    assert follow(people, [noise(f) for f in frames[:40]], beside) == []
-    assert people.phase in (LOOKING, NOBODY)
+    assert follow(people, [noise(f) for f in frames[:40]], executor) == []
+    assert people.phase in (STATE_SEARCHING, STATE_EMPTY)
     later = [at(f, f.time + 10, f.index) for f in frames[:40]]
-    assert follow(people, later, beside)  # somebody who comes after that is found
+    assert follow(people, later, executor)  # somebody who comes after that is found
 
 
-def test_who_is_lost_is_told_and_looked_for_as_at_the_start(walk, frames, beside):
-    people = people_for(frames, beside)
-    follow(people, frames[:30], beside)
+def test_who_is_lost_is_told_and_looked_for_as_at_the_start(walk, frames, executor):
+    people = people_for(frames, executor)
+    follow(people, frames[:30], executor)
     away = [at(nobody(frames[30 + k % 60]), 30 / RATE + k / RATE) for k in range(150)]
     phases = []
     for frame in away:
         stepped = people.step(frame)
         phases.append(people.phase)
-        assert (not stepped) == (people.phase == NOBODY)
-        if stepped and people.phase == LOST:
-            told = stepped[0].told()
-            assert told.lost and told.motion.doubtful_joints is not None and told.motion.doubtful_joints.all()
-    assert LOST in phases and phases[-1] == NOBODY
+        assert (not stepped) == (people.phase == STATE_EMPTY)
+        if stepped and people.phase == STATE_LOST:
+            reported = stepped[0].reported()
+            assert (
+                reported.lost
+                and reported.motion.low_confidence_joints is not None
+                and reported.motion.low_confidence_joints.all()
+            )
+    assert STATE_LOST in phases and phases[-1] == STATE_EMPTY
     back = [at(f, 20.0 + f.time) for f in frames[40:]]
-    poses = follow(people, back, beside)
-    assert people.phase == FOLLOWING and errors(poses[5:], walk).mean() < 0.06
+    poses = follow(people, back, executor)
+    assert people.phase == STATE_TRACKING and errors(poses[5:], walk).mean() < 0.06
 
 
-def test_a_gap_in_the_pictures_is_survived(walk, frames, beside):
-    people = people_for(frames, beside)
-    follow(people, frames[:40], beside)
-    poses = follow(people, [at(f, f.time + 0.2) for f in frames[46:]], beside)  # a moment without pictures
+def test_a_gap_in_the_pictures_is_survived(walk, frames, executor):
+    people = people_for(frames, executor)
+    follow(people, frames[:40], executor)
+    poses = follow(people, [at(f, f.time + 0.2) for f in frames[46:]], executor)  # a moment without pictures
     assert errors(poses[8:], walk).mean() < 0.07
 
 
 def test_frames_at_half_the_rate_are_followed_at_that_rate(walk, frames):
     with ThreadPoolExecutor(1) as pool:
         people = people_for(frames, pool)
-        poses = [s.told() for f in frames[::2] for s in step_with_duels(people, f)]
+        poses = [s.reported() for f in frames[::2] for s in step_with_duels(people, f)]
         assert people.people[0].tracker.settings.frame_rate == pytest.approx(12.5, rel=0.35)
         end_duel(people)
     # so few pictures of so few pixels may be taken for somebody who turns around: not for long
@@ -99,21 +103,21 @@ def test_frames_at_half_the_rate_are_followed_at_that_rate(walk, frames):
     assert len(poses) > 35 and np.median(off) < 0.04 and off[-8:].mean() < 0.06
 
 
-def test_a_missing_view_is_not_among_the_views(frames, beside):
-    people = people_for(frames, beside)
-    follow(people, frames[:30], beside)
+def test_a_missing_view_is_not_among_the_views(frames, executor):
+    people = people_for(frames, executor)
+    follow(people, frames[:30], executor)
     s = frames[30].silhouettes
     usable = s.usable.copy()
     usable[2] = False
     gone = replace(s, usable=usable, reasons=("", "", "no picture", ""))
-    (pose,) = follow(people, [replace(frames[30], silhouettes=gone)], beside)
+    (pose,) = follow(people, [replace(frames[30], silhouettes=gone)], executor)
     assert pose.views.tolist() == [True, True, False, True] and not pose.lost
 
 
-def test_a_known_body_is_followed_as_it_is(walk, frames, beside):
+def test_a_known_body_is_followed_as_it_is(walk, frames, executor):
     body = scaled_to_height(human(), walk.subject.stature)
-    people = people_for(frames, beside, body=body)
-    poses = follow(people, frames[:50], beside)
+    people = people_for(frames, executor, body=body)
+    poses = follow(people, frames[:50], executor)
     assert all(p.body.stature == pytest.approx(body.stature, rel=1e-6) for p in poses)
 
 
@@ -148,7 +152,7 @@ def test_the_duel_turns_a_body_that_was_started_back_to_front(walk, frames):
         turned, duels = [], 0
         for frame in frames[k + 1 :]:
             (stepped,) = step_with_duels(people, frame)
-            joints = stepped.told().joints
+            joints = stepped.reported().joints
             duels += person._duel is not None
             across = joints[left] - joints[right]
             true = walk.joints[frame.index, left] - walk.joints[frame.index, right]
@@ -163,7 +167,7 @@ def test_the_duel_turns_a_body_that_was_started_back_to_front(walk, frames):
 @pytest.fixture
 def tracker(walk):
     body = scaled_to_height(human(), walk.subject.stature)
-    return tracker_of(Subject(body, None, np.zeros(body.skeleton.dof), ()), TrackOptions(), RATE)
+    return tracker_of(TrackedSubject(body, None, np.zeros(body.skeleton.dof), ()), TrackOptions(), RATE)
 
 
 def moving(tracker, step=0.02):

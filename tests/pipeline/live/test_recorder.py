@@ -14,7 +14,7 @@ from hypose.io.recordings.frames import FrameStream
 from hypose.io.recordings.recording import load_recording
 from hypose.io.videos.video import open_video
 from hypose.pipeline.live import recorder as recorder_module
-from hypose.pipeline.live.eyes import LiveView
+from hypose.pipeline.live.capture import LiveView
 from hypose.pipeline.live.recorder import LiveRecorder
 from hypose.pipeline.settings import SETTINGS
 from tests.conftest import HANG_S
@@ -25,8 +25,8 @@ from tests.live_scenes import follow, people_for, seen
 def poses(frames):
     from tests.live_scenes import Beside
 
-    beside = Beside()
-    return follow(people_for(frames, beside), frames[:30], beside)
+    executor = Beside()
+    return follow(people_for(frames, executor), frames[:30], executor)
 
 
 def recorder(folder, walk, **of_views):
@@ -54,10 +54,10 @@ def test_what_is_recorded_is_loaded_with_the_masks_that_were_seen(tmp_path, walk
     rows = [json.loads(line) for line in (tmp_path / "live" / "poses.jsonl").read_text().splitlines()]
     assert [r["n"] for r in rows] == list(range(20))
     assert [r["time"] for r in rows] == pytest.approx([f.time for f in frames[:20]])
-    told = [{"n": r["n"], **p} for r in rows for p in r["people"]]
-    assert [p["id"] for p in told] == [1] * len(told)
-    assert len(told) == sum(n < 20 for n in by_frame) > 0
-    for row in told:
+    reported = [{"n": r["n"], **p} for r in rows for p in r["people"]]
+    assert [p["id"] for p in reported] == [1] * len(reported)
+    assert len(reported) == sum(n < 20 for n in by_frame) > 0
+    for row in reported:
         assert row["joints"] == pytest.approx(by_frame[row["n"]].joints, abs=1e-5) and row["lost"] is False
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.multiview.action_scenes import subject_of_seed
-from hypose.pipeline.live.live_people import FOLLOWING, LivePeople
+from hypose.pipeline.live.live_people import STATE_TRACKING, LivePeople
 from hypose.pipeline.live.live_search import LivePersonOptions
 from hypose.synthetic.motions import act
 from hypose.synthetic.performance import moved
@@ -35,19 +35,19 @@ def followed(scenes):
     """The poses of every frame, and how many were followed then."""
     both = replace(scenes[0], others=((scenes[1].subject, scenes[1].performance),))
     frames = [*list(both.mask_frames())[:TOGETHER], *list(scenes[0].mask_frames())[TOGETHER:]]
-    beside = Beside()
-    people = LivePeople(frames[0].silhouettes.rig, RATE, LivePersonOptions(), beside, None, 3)
+    executor = Beside()
+    people = LivePeople(frames[0].silhouettes.rig, RATE, LivePersonOptions(), executor, None, 3)
     out = []
     for frame in frames:
         stepped = people.step(at(frame, frame.index / RATE))
-        out.append([s.told() for s in stepped])
+        out.append([s.reported() for s in stepped])
         for s in stepped:
             s.look()
         if not people.people:
-            beside.work()
+            executor.work()
         else:
-            beside.waiting.clear()  # no duels here, and nobody more is searched
-    assert people.phase == FOLLOWING
+            executor.waiting.clear()  # no duels here, and nobody more is searched
+    assert people.phase == STATE_TRACKING
     return out
 
 

@@ -6,7 +6,7 @@ import pytest
 from hypose.cameras.camera import Camera
 from hypose.evidence.pose_network import CROP, Crop, Sighting
 from hypose.evidence.silhouettes import SilhouetteSettings
-from hypose.pipeline.live.rooms import NetworkRoom, ViewRoom
+from hypose.pipeline.live.background_models import NetworkRoom, ViewBackground
 from hypose.synthetic.scenes import camera_rig
 
 W, H = 160, 120
@@ -37,7 +37,7 @@ def picture(wall, rng, gain=1.0, *things):
 
 @pytest.fixture
 def room(camera, wall, rng):
-    made = ViewRoom(camera, camera, (0.0, 0.0), SilhouetteSettings())
+    made = ViewBackground(camera, camera, (0.0, 0.0), SilhouetteSettings())
     assert made.background is None
     made.learn([picture(wall, rng) for _ in range(12)])
     return made
@@ -96,7 +96,7 @@ def test_a_chair_that_was_moved_becomes_a_part_of_the_room_outside_the_person(ro
 
 
 def test_a_room_that_is_known_need_not_be_learnt(camera, room, wall, rng):
-    other = ViewRoom(camera, camera, (0.0, 0.0), SilhouetteSettings(), room.background)
+    other = ViewBackground(camera, camera, (0.0, 0.0), SilhouetteSettings(), room.background)
     seen = picture(wall, rng, 1.0, (PERSON, RED))
     assert (other.mask(seen)[0] == room.mask(seen)[0]).all()
 

@@ -42,7 +42,7 @@ export interface Header {
   citation: string;
   seconds: Record<string, number>;
   /** What is to be thought of it, in words; null when nothing has looked. */
-  verdict: { word: "good" | "look" | "not to be trusted"; sentence: string } | null;
+  assessment: { word: "good" | "look" | "not to be trusted"; sentence: string } | null;
   truth: { names: string[]; parents: number[]; mean_mm: number | null; note: string } | null;
   provenance: Record<string, unknown>;
 }
@@ -153,8 +153,8 @@ export function readBundle(buffer: ArrayBuffer): ViewData {
     covariance,
     rivals: rivals && rivalsOf(rivals, need("rival_rows"), need("rival_weights"), header.frames),
     flags: need("flags"),
-    doubtful: get("doubtful_joints"),
-    wrong: get("p_wrong"),
+    doubtful: get("low_confidence_joints"),
+    wrong: get("error_probability"),
     views: need("n_views"),
     cost: need("cost"),
     angles: get("angles"),

@@ -31,7 +31,7 @@ export interface CameraSensor extends SensorStatus {
 }
 export type CamerasMessage =
   | { t: "hello"; running: false | CamerasRunning; joints: string[]; parents: number[] }
-  | { t: "frame"; n: number; time: number; latency_ms: number; people: (Person & { doubtful: string[] })[] }
+  | { t: "frame"; n: number; time: number; latency_ms: number; people: (Person & { low_confidence: string[] })[] }
   | {
       t: "status"; phase: string; words: string[]; sensors: CameraSensor[]; poses: number; per_second: number; skipped: number;
       latency_ms: (number | null)[]; stages_ms: Record<string, number | null>; fitted: boolean;

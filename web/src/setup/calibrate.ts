@@ -121,8 +121,8 @@ function result(recording: Recording, job: Job | undefined): HTMLElement[] {
   const warnings = lines.filter((l) => l.startsWith("warning: "));
   if (job?.state === "done" && board.calibrated) {
     const good = rms < 1 && !warnings.length;
-    out.push(h("p", { class: `verdict ${good ? "good" : "warn"}` }, icon(good ? "done" : "warning"), Number.isFinite(rms) ? `The cameras are calibrated: the corners are ${rms.toFixed(2)} px off${rms < 1 ? ", which is good" : "; below 1 px would be good"}${warnings.length ? ", but look below" : ""}.` : "The cameras are calibrated."));
-  } else if (board.calibrated) out.push(h("p", { class: "verdict good" }, icon("done"), "The cameras are calibrated."));
+    out.push(h("p", { class: `assessment ${good ? "good" : "warn"}` }, icon(good ? "done" : "warning"), Number.isFinite(rms) ? `The cameras are calibrated: the corners are ${rms.toFixed(2)} px off${rms < 1 ? ", which is good" : "; below 1 px would be good"}${warnings.length ? ", but look below" : ""}.` : "The cameras are calibrated."));
+  } else if (board.calibrated) out.push(h("p", { class: "assessment good" }, icon("done"), "The cameras are calibrated."));
   for (const text of [...warnings, ...lines.filter((l) => l.startsWith("note: "))]) {
     const warn = text.startsWith("warning: ");
     out.push(h("div", { class: "finding" }, h("span", { class: warn ? "warn" : "dim" }, icon(warn ? "warning" : "help")), h("span", {}, text.replace(/^\w+: /, "").replace(/give --floor FRAME/, "say so above, at Floor"))));

@@ -52,7 +52,7 @@ function found(recording: Recording, check: Check): HTMLElement {
   return h(
     "div",
     { class: "found" },
-    h("p", { class: `verdict ${sure ? "good" : "warn"}` }, icon(sure ? "done" : "warning"), sure ? "Nothing speaks against this calibration." : `${faults.length || "Some"} ${faults.length === 1 ? "thing" : "things"} should be mended.`),
+    h("p", { class: `assessment ${sure ? "good" : "warn"}` }, icon(sure ? "done" : "warning"), sure ? "Nothing speaks against this calibration." : `${faults.length || "Some"} ${faults.length === 1 ? "thing" : "things"} should be mended.`),
     ...shown,
     ...folded(check.warnings.map((w) => sentence("warn", w, []))),
     faults.length && !offered ? h("div", { class: "row" }, refine) : null,

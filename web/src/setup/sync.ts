@@ -18,7 +18,7 @@ export class SyncStep {
   private readonly pictures: CameraPictures;
   private readonly numbers: HTMLElement[];
   private readonly sliders: HTMLInputElement[];
-  private readonly verdict = h("p", { class: "verdict" });
+  private readonly assessment = h("p", { class: "assessment" });
   private readonly write: HTMLButtonElement;
 
   constructor(private readonly recording: Recording) {
@@ -56,7 +56,7 @@ export class SyncStep {
         seconds,
         button(this.found ? "Find out again" : "Find out", () => void begin(this.recording, "sync", { by: this.by, largest: this.largest }), { icon: "follow", ...(this.found ? {} : { kind: "primary" as const }) }),
       ),
-      this.verdict,
+      this.assessment,
       h("div", { class: "row" }, ...this.pictures.chooser),
       h(
         "div",
@@ -92,9 +92,9 @@ export class SyncStep {
     this.late.forEach((x, k) => (this.numbers[k]!.textContent = words(x)));
     const apart = Math.max(...this.late) - Math.min(...this.late);
     const ready = apart < IN_STEP;
-    this.verdict.hidden = !this.found && apart === 0;
-    this.verdict.className = `verdict ${ready ? "good" : "warn"}`;
-    this.verdict.replaceChildren(
+    this.assessment.hidden = !this.found && apart === 0;
+    this.assessment.className = `assessment ${ready ? "good" : "warn"}`;
+    this.assessment.replaceChildren(
       icon(ready ? "done" : "warning"),
       ready ? `The cameras are in step: they differ by ${apart.toFixed(2)} frames at most.` : `The cameras differ by ${apart.toFixed(1)} frames (${(apart / Math.max(1, this.recording.frame_rate)).toFixed(2)} s). Bring the recording in step, and go on with that.`,
     );

@@ -15,7 +15,7 @@ const ORDERS: readonly { value: Order; label: string }[] = [
   { value: "worst", label: "most doubtful first" },
   { value: "longest", label: "longest first" },
 ];
-const VERDICTS = { good: ["good", "good"], look: ["warn", "look"], "not to be trusted": ["bad", "not to be trusted"] } as const;
+const ASSESSMENTS = { good: ["good", "good"], look: ["warn", "look"], "not to be trusted": ["bad", "not to be trusted"] } as const;
 const WORSE = ["good", "look", "not to be trusted"] as const;
 
 /** What there is to look at in the served folder: searched, sorted, renamed, deleted. */
@@ -69,7 +69,7 @@ class Library {
 
   private draw(): void {
     const words = this.wanted.toLowerCase().split(/\s+/).filter(Boolean);
-    const found = this.state.results.filter((r) => words.every((w) => `${r.path} ${r.recipe} ${r.verdict ?? ""}`.toLowerCase().includes(w)));
+    const found = this.state.results.filter((r) => words.every((w) => `${r.path} ${r.recipe} ${r.assessment ?? ""}`.toLowerCase().includes(w)));
     const by: Record<Order, (a: ResultEntry, b: ResultEntry) => number> = {
       newest: (a, b) => b.changed - a.changed,
       name: (a, b) => a.path.localeCompare(b.path, undefined, { numeric: true }),
@@ -121,12 +121,12 @@ function thumbnail(result: ResultEntry): HTMLElement {
 }
 
 function worse(result: ResultEntry): number {
-  return WORSE.indexOf(result.verdict ?? "good") + (result.lost ?? 0);
+  return WORSE.indexOf(result.assessment ?? "good") + (result.lost ?? 0);
 }
 
-/** How good a result is: the verdict, and the figures behind it. */
+/** How good a result is: the assessment, and the figures behind it. */
 function quality(result: ResultEntry): HTMLElement {
-  const [tone, word] = result.verdict ? VERDICTS[result.verdict] : ["", ""];
+  const [tone, word] = result.assessment ? ASSESSMENTS[result.assessment] : ["", ""];
   const figures = [
     result.iou ? `overlap ${result.iou.toFixed(2)}` : "",
     result.sd_mm ? `± ${result.sd_mm.toFixed(0)} mm` : "",

@@ -151,7 +151,7 @@ export class ResultView {
           h("span", { class: "grow" }),
           ...(options.tools ?? []),
           button("", keys.help, { icon: "help", title: "Keys", key: "?", kind: "quiet" }),
-          header.verdict ? verdict(header.verdict) : null,
+          header.assessment ? assessment(header.assessment) : null,
           this.corrector?.element ?? null,
         ),
         main,
@@ -356,9 +356,9 @@ function entry(tone: string, text: string): HTMLElement {
 const TONES = { good: ["good", "done"], look: ["warn", "warning"], "not to be trusted": ["bad", "warning"] } as const;
 
 /** What is to be thought of the result, in one line on top of it. */
-function verdict({ word, sentence }: NonNullable<ViewData["header"]["verdict"]>): HTMLElement {
+function assessment({ word, sentence }: NonNullable<ViewData["header"]["assessment"]>): HTMLElement {
   const [tone, sign] = TONES[word] ?? TONES.look;
-  return h("p", { class: `view-verdict ${tone}` }, icon(sign), h("span", {}, sentence));
+  return h("p", { class: `view-assessment ${tone}` }, icon(sign), h("span", {}, sentence));
 }
 
 function round(rate: number): string {

@@ -1,11 +1,10 @@
 """Where the evidence of a clip speaks against itself: pictures that repeat, jump or disagree with the other views, or
-show somebody else as well.
+show another person as well.
 
 A tracker explains whatever it is shown: frames that come twice, a camera that lags, a gap in the recording all give
 poses that fit their masks well enough. What gives them away is how masks change from frame to frame, how well the body
-overlaps one view beside the others, and what lies apart from it in them. Those frames are marked, and it is said why;
-nothing is corrected.
-"""
+overlaps one view, compared with the others, and what lies apart from it in them. Those frames are marked, and it is
+said why; nothing is corrected."""
 
 from __future__ import annotations
 
@@ -40,11 +39,11 @@ def looked_at(
 ) -> FrameEstimate:
     """The estimate of a frame with what was seen in it and its audit; last: the frame before; change: `mask_change`
     where it is known (of the masks of several people)."""
-    seen = what_was_seen(estimate, tracker.body, frame, last, change)
+    seen = view_statistics(estimate, tracker.body, frame, last, change)
     pictures = frame.silhouettes or frame.keypoints
     if pictures is None or (
         len(pictures.rig) == 1 and frame.depth is None
-    ):  # one camera's other poses are told otherwise
+    ):  # one camera's other poses are reported otherwise
         return replace(estimate, seen=seen)
     wanted = tracker.settings.evidence
     own = replace(
@@ -66,11 +65,11 @@ def looked_again(
     return looked_at(tracker, estimate, frame, last, old.seen[:, 1] if len(old.seen) else None)
 
 
-def what_was_seen(
+def view_statistics(
     estimate: FrameEstimate, body: Body, frame: Frame, last: Frame | None, change: NDArray[np.float32] | None = None
 ) -> NDArray[np.float32]:
     """(C, 3) of a tracked frame, NaN where not known: the body's overlap with each view's mask; the difference of the
-    mask from that of the frame before (XOR over the larger area; None: there is none); how much of it is somebody else
+    mask from that of the frame before (XOR over the larger area; None: there is none); how much of it is another person
     (`strangers_share`). (0, 3) without silhouettes."""
     silhouettes, before = frame.silhouettes, None if last is None else last.silhouettes
     if silhouettes is None:
@@ -78,13 +77,13 @@ def what_was_seen(
     out = np.full((len(silhouettes.masks), 3), np.nan, np.float32)
     seen = (
         visible_share(frame)[: len(estimate.overlap)] >= SETTINGS.doubts_shown
-    )  # an arm's breadth left beside others tells nothing
+    )  # an arm's breadth among others is not significant
     out[: len(estimate.overlap), 0] = np.where(seen, estimate.overlap, np.nan)
     change = mask_change(frame, last) if change is None else change
     if before is not None and change is not None:
         out[:, 1] = change
         if not (estimate.lost or estimate.extrapolated):
-            out[:, 2] = strangers_share(silhouettes, before, body.skeleton, body.joints(estimate.pose))
+            out[:, 2] = unexplained_share(silhouettes, before, body.skeleton, body.joints(estimate.pose))
     return out
 
 
@@ -103,7 +102,7 @@ def mask_change(frame: Frame, last: Frame | None) -> NDArray[np.float32] | None:
 
 
 def as_now(own: Frame, before: Frame) -> Frame | None:
-    """The frame before with what is ignored now: what was then may have been ignored otherwise. None without
+    """The frame before with the pixels ignored now: what was then may have been ignored otherwise. None without
     silhouettes of both."""
     s, then = own.silhouettes, before.silhouettes
     if s is None or then is None:
@@ -111,16 +110,16 @@ def as_now(own: Frame, before: Frame) -> Frame | None:
     return replace(before, silhouettes=replace(then, ignored=s.ignored, expected=s.expected))
 
 
-def with_doubts(motion: Motion, seen: Sequence[NDArray[np.float32]]) -> tuple[Motion, list[str]]:
+def with_anomalies(motion: Motion, seen: Sequence[NDArray[np.float32]]) -> tuple[Motion, list[str]]:
     """The motion with its doubtful frames marked, and sentences that say which and why. seen: of each frame, as
-    `what_was_seen` gives it."""
+    `view_statistics` gives it."""
     if not seen or any(len(s) == 0 for s in seen):
         return motion, []
     table = np.stack(seen).astype(np.float64)
     known = ~(motion.lost | motion.extrapolated)
     views = motion.provenance.get("settings", {}).get("views", [])
     names = [f"camera {v}" for v in views] if len(views) == table.shape[1] else _numbered(table.shape[1])
-    return _marked(motion, find_doubts(table[..., 0], table[..., 1], table[..., 2], known, motion.frame_rate, names))
+    return _marked(motion, find_anomalies(table[..., 0], table[..., 1], table[..., 2], known, motion.frame_rate, names))
 
 
 def with_repeated_points(motion: Motion, keypoints: Sequence[Keypoints | None]) -> tuple[Motion, list[str]]:
@@ -146,16 +145,16 @@ def with_repeated_points(motion: Motion, keypoints: Sequence[Keypoints | None]) 
 
 def _marked(motion: Motion, found: Sequence[tuple[str, NDArray[np.bool_]]]) -> tuple[Motion, list[str]]:
     """The motion with its frames marked for what was found, and sentences."""
-    marked = np.zeros(len(motion), dtype=bool) if motion.doubtful is None else motion.doubtful.astype(bool)
+    marked = np.zeros(len(motion), dtype=bool) if motion.low_confidence is None else motion.low_confidence.astype(bool)
     for _, frames in found:
         marked |= frames
     notes = [f"{what} in {in_words(runs(frames))}" for what, frames in found]
     if found:
         notes.append(f"{int(marked.sum())} frames are marked as doubtful for that")
-    return replace(motion, doubtful=marked), notes
+    return replace(motion, low_confidence=marked), notes
 
 
-def find_doubts(
+def find_anomalies(
     overlap: ArrayLike,
     change: ArrayLike,
     others: ArrayLike,
@@ -163,8 +162,8 @@ def find_doubts(
     frame_rate: float,
     names: Sequence[str],
 ) -> list[tuple[str, NDArray[np.bool_]]]:
-    """What is doubtful, in words, and in which frames (T,). overlap, change, others (T, C): see `what_was_seen`; known
-    (T,): frames in which the person was found."""
+    """Find anomalies: their names, and their frames (T,). overlap, change, others (T, C): see `view_statistics`;
+    known (T,): frames in which the person was found."""
     overlap, change = np.asarray(overlap, dtype=np.float64), np.asarray(change, dtype=np.float64)
     known = np.asarray(known, dtype=bool)
     if len(change) < round(frame_rate):
@@ -191,8 +190,8 @@ def _numbered(count: int) -> list[str]:
 
 
 def _repeats(change: Array, frame_rate: float, still: float = SETTINGS.doubts_still) -> NDArray[np.bool_]:
-    """(T, C): what is seen is that of the frame before, although the person moves; where nothing else is seen for
-    longer than a second, what is usual in the clip tells."""
+    """(T, C): the view repeats the frame before, although the person moves; where nothing else is seen for
+    longer than a second, the usual change of the clip decides."""
     some = np.where(change > 0, change, np.nan)
     usual, ever = _local(some, frame_rate), _local(some, len(change))
     return (change == 0) & (np.where(np.isfinite(usual), usual, ever) > still)
@@ -319,7 +318,7 @@ def against_the_clip(audit: ArrayLike, n_views: ArrayLike, evidence: str) -> tup
     return tuple(wrong), tuple(look)
 
 
-def strangers_share(now: Silhouettes, before: Silhouettes, skeleton: Skeleton, joints: Array) -> NDArray[np.float32]:
+def unexplained_share(now: Silhouettes, before: Silhouettes, skeleton: Skeleton, joints: Array) -> NDArray[np.float32]:
     """(C,) area of the largest part of each view's mask that the body does not touch, over the area of what it touches;
     NaN where it touches nothing, or the mask is not usable. joints (J, 3): m, world, of the tracked body.
 

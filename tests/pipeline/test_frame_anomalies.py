@@ -9,7 +9,7 @@ from benchmarks.robustness.small_recordings import small_scene
 from hypose.body.default_body import human
 from hypose.body.motion import Motion, isotropic
 from hypose.evidence.frame import Expected, Keypoints
-from hypose.pipeline.doubts import find_doubts, what_was_seen, with_repeated_points
+from hypose.pipeline.frame_anomalies import find_anomalies, view_statistics, with_repeated_points
 from hypose.tracking.pose_covariance import PoseUncertainty
 from hypose.tracking.tracker import FrameEstimate
 
@@ -30,7 +30,7 @@ def clean(rng):
 def find(overlap, change, known=None, others=None):
     known = np.ones(T, dtype=bool) if known is None else known
     others = np.zeros((T, C)) if others is None else others
-    return dict(find_doubts(overlap, change, others, known, RATE, NAMES))
+    return dict(find_anomalies(overlap, change, others, known, RATE, NAMES))
 
 
 def test_a_clean_clip_is_not_doubted(clean):
@@ -111,7 +111,7 @@ def test_views_and_frames_without_a_mask(clean):
     assert np.flatnonzero(found["somebody has just been found again"]).tolist() == list(range(60, 70))
     assert find(np.full((T, C), np.nan), np.full((T, C), np.nan)) == {}
     few = np.zeros((3, C))
-    assert find_doubts(few + 1, few, few, np.ones(3, bool), RATE, NAMES) == []
+    assert find_anomalies(few + 1, few, few, np.ones(3, bool), RATE, NAMES) == []
 
 
 def test_a_view_in_which_others_hide_the_person_is_not_compared_with_the_rest():
@@ -127,9 +127,9 @@ def test_a_view_in_which_others_hide_the_person_is_not_compared_with_the_rest():
     overlap = np.full(len(s.masks), 0.5)
     nothing = PoseUncertainty(np.zeros(1), np.zeros((1, 3, 3)))
     estimate = FrameEstimate(np.zeros(human().skeleton.dof), nothing, 0.1, False, False, 4, overlap)
-    seen = what_was_seen(estimate, human(), replace(frame, silhouettes=hidden), None)
+    seen = view_statistics(estimate, human(), replace(frame, silhouettes=hidden), None)
     assert np.isnan(seen[0, 0]) and np.allclose(seen[1:, 0], 0.5)
-    assert np.allclose(what_was_seen(estimate, human(), frame, None)[:, 0], 0.5)
+    assert np.allclose(view_statistics(estimate, human(), frame, None)[:, 0], 0.5)
 
 
 def points_that_move(rng, frames=75):
@@ -157,8 +157,8 @@ def test_key_points_that_come_twice_are_told_by_view_and_frames(rng):
     assert with_repeated_points(motion, seen)[1] == []
     frozen = [seen[30] if 30 <= t < 55 else k for t, k in enumerate(seen)]
     marked, notes = with_repeated_points(motion, frozen)
-    assert "all cameras repeat pictures in frames 31-" in notes[0] and marked.doubtful[31:55].all()
-    assert not marked.doubtful[:31].any()
+    assert "all cameras repeat pictures in frames 31-" in notes[0] and marked.low_confidence[31:55].all()
+    assert not marked.low_confidence[:31].any()
     one = [replace(k, points=np.r_[frozen[t].points[:1], k.points[1:]]) for t, k in enumerate(seen)]
     name = seen[0].rig.names[0]
     assert f"{name} repeats pictures while the others go on" in with_repeated_points(motion, one)[1][0]

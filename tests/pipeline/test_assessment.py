@@ -1,19 +1,19 @@
-"""The verdict in words: good, look at frames, not to be trusted, and what is kept of it."""
+"""The assessment in words: good, look at frames, not to be trusted, and what is kept of it."""
 
 import numpy as np
 
 from hypose.body.default_body import human
 from hypose.body.motion import Motion, isotropic
-from hypose.pipeline.verdict import GOOD, LOOK, UNTRUSTED, Verdict, verdict_of
+from hypose.pipeline.assessment import GOOD, LOOK, UNTRUSTED, Assessment, assess
 
 BODY = human()
 
 
-def motion(p=None, lost=0, frames=50, doubtful=0.2):
+def motion(p=None, lost=0, frames=50, low_confidence=0.2):
     joints = BODY.joints(np.zeros((frames, BODY.skeleton.dof)))
     p = np.zeros(joints.shape[:2], np.float32) if p is None else p
     gone = np.arange(frames) < lost
-    flagged = p > doubtful
+    flagged = p > low_confidence
     return Motion(
         *(BODY.skeleton, np.arange(frames) / 25, joints, None, isotropic(np.full(joints.shape[:2], 0.01))),
         *(gone, np.zeros(frames, bool), np.full(frames, 4), np.full(frames, 0.1), {}),
@@ -29,48 +29,48 @@ def probabilities(joints=(), rows=slice(None), value=0.6):
 
 
 def test_nothing_against_it_is_good():
-    found = verdict_of(motion(probabilities()))
+    found = assess(motion(probabilities()))
     assert found.word == GOOD and found.frames == () and found.sentence.startswith("Good")
 
 
 def test_some_frames_are_to_be_looked_at_and_the_joint_is_named():
-    found = verdict_of(motion(probabilities(["right_wrist"], slice(10, 20))))
+    found = assess(motion(probabilities(["right_wrist"], slice(10, 20))))
     assert found.word == LOOK and found.frames == (range(10, 20),)
     assert "frames 10-19" in found.sentence and "right wrist" in found.sentence
 
 
 def test_a_body_that_the_evidence_speaks_against_is_not_to_be_trusted():
     whole = [n for n in BODY.skeleton.joint_names if n.endswith(("knee", "ankle", "wrist", "elbow", "hip"))]
-    found = verdict_of(motion(probabilities(whole)))
+    found = assess(motion(probabilities(whole)))
     assert found.word == UNTRUSTED and "speaks against the body" in found.sentence and "knee" in found.sentence
 
 
 def test_one_limb_that_is_never_known_and_a_person_who_is_never_there():
-    found = verdict_of(motion(probabilities(["left_wrist"])))
+    found = assess(motion(probabilities(["left_wrist"])))
     assert found.word == UNTRUSTED and "left wrist" in found.sentence
-    found = verdict_of(motion(probabilities(["head"])))
+    found = assess(motion(probabilities(["head"])))
     assert found.word == LOOK and "head may be wrong" in found.sentence
-    found = verdict_of(motion(probabilities(), lost=25))
+    found = assess(motion(probabilities(), lost=25))
     assert found.word == UNTRUSTED and "not found in 50 %" in found.sentence
 
 
 def test_a_limb_doubtful_all_along_in_a_clip_worth_a_look_is_not_to_be_trusted():
     looks = ("the views contradict each other by 11 mm.",)
     limb = motion(probabilities(["left_wrist"], slice(0, 40), 0.25))
-    assert verdict_of(limb).word == verdict_of(motion(probabilities()), looks=looks).word == LOOK
-    found = verdict_of(limb, looks=looks)
+    assert assess(limb).word == assess(motion(probabilities()), looks=looks).word == LOOK
+    found = assess(limb, looks=looks)
     assert found.word == UNTRUSTED and "left wrist" in found.sentence and "11 mm" in found.sentence
     few = motion(probabilities(["left_wrist"], slice(0, 20), 0.25))
-    assert verdict_of(few, looks=looks).word == LOOK
+    assert assess(few, looks=looks).word == LOOK
 
 
 def test_what_was_found_before_tracking_decides():
-    found = verdict_of(motion(probabilities()), ("cam1: its images are mirrored. Next: mirror them back.",))
+    found = assess(motion(probabilities()), ("cam1: its images are mirrored. Next: mirror them back.",))
     assert found.word == UNTRUSTED and "mirrored" in found.sentence
 
 
 def test_a_verdict_comes_back_from_its_document():
     m = motion(probabilities(["right_wrist"], slice(10, 20)))
-    found = verdict_of(m)
-    assert Verdict.of_document(found.document()) == found
-    assert found.with_joints(m)["doubtful"] == {"right_wrist": [[10, 20]]}
+    found = assess(m)
+    assert Assessment.of_document(found.document()) == found
+    assert found.with_joints(m)["low_confidence"] == {"right_wrist": [[10, 20]]}

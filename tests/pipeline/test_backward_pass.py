@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.pipeline.both_ways import both_ways_notes, look_both_ways
+from hypose.pipeline.backward_pass import backward_pass, backward_pass_notes
 from tests.walking_clip import walking_clip
 
 N, LOST = 30, range(12, 18)
@@ -49,13 +49,13 @@ def test_an_arm_is_found_from_behind(clip):
     usual, off = (np.linalg.norm(wrists(tracker, e) - true[:N], axis=1) for e in (estimates, lost))
     assert off[LOST].min() > usual.max() + 0.1
     read = []
-    found, moved = look_both_ways(tracker, lost, reader(frames, read))
+    found, moved = backward_pass(tracker, lost, reader(frames, read))
     assert np.linalg.norm(wrists(tracker, found) - true[:N], axis=1).max() < usual.max() + 0.02
-    assert moved >= len(LOST) and f"{moved} frames" in both_ways_notes(moved)[0]
+    assert moved >= len(LOST) and f"{moved} frames" in backward_pass_notes(moved)[0]
     after = LOST.stop + 4
     assert all(a is b for a, b in zip(found[after:], lost[after:], strict=True)) and max(read) < after
     assert all(e.audit.size and np.isfinite(e.pose).all() for e in (found[t] for t in LOST))
-    again, _ = look_both_ways(tracker, lost, reader(frames, read))
+    again, _ = backward_pass(tracker, lost, reader(frames, read))
     np.testing.assert_array_equal([e.pose for e in again], [e.pose for e in found])
 
 
@@ -63,6 +63,6 @@ def test_arms_that_do_not_jump_are_left_alone(clip):
     frames, tracker, estimates, _ = clip
     still = [estimates[20]] * N
     read = []
-    found, moved = look_both_ways(tracker, still, reader(frames, read))
+    found, moved = backward_pass(tracker, still, reader(frames, read))
     assert moved == 0 and not read and all(a is b for a, b in zip(found, still, strict=True))
-    assert both_ways_notes(0) == ()
+    assert backward_pass_notes(0) == ()

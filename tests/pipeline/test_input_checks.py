@@ -13,7 +13,7 @@ from hypose.cameras.camera import CameraRig, triangulate
 from hypose.evidence.frame import Keypoints, Silhouettes
 from hypose.evidence.keypoints import BODY_25, BODY_25B
 from hypose.geometry import se3
-from hypose.pipeline.first_look import first_look, sentences
+from hypose.pipeline.input_checks import check_inputs, sentences
 from hypose.pipeline.track_loop import FrameList
 from hypose.synthetic.scenes import make_scene
 
@@ -54,7 +54,7 @@ def alone(frame, points):
 
 
 def kinds(frames, evidence="keypoints", height=None):
-    found = first_look(FrameList(frames), evidence, height)
+    found = check_inputs(FrameList(frames), evidence, height)
     assert all(s.count("Next: ") == 1 for s in sentences(found))
     return [f.kind for f in found if f.fault]
 
@@ -79,14 +79,14 @@ def test_points_in_the_order_of_another_set_are_named(frames):
         out[:, [k for k, n in enumerate(BODY_25B) if n not in BODY_25]] = 0.0
         return out
 
-    (found,) = first_look(FrameList(with_points(frames, as_25b)), "keypoints")
+    (found,) = check_inputs(FrameList(with_points(frames, as_25b)), "keypoints")
     assert found.kind == "keypoint_set" and "BODY_25B" in found.cure and "not BODY_25:" in found.text
-    (found,) = first_look(FrameList(with_points(frames, lambda p: p, BODY_25B)), "keypoints")
+    (found,) = check_inputs(FrameList(with_points(frames, lambda p: p, BODY_25B)), "keypoints")
     assert found.kind == "keypoint_set" and 'keypoint_set = "BODY_25"' in found.cure
 
 
 def test_exchanged_and_mirrored_cameras_are_named(frames):
-    (found,) = first_look(FrameList(with_points(frames, lambda p: p[[1, 0, 2, 3]])), "keypoints")
+    (found,) = check_inputs(FrameList(with_points(frames, lambda p: p[[1, 0, 2, 3]])), "keypoints")
     assert found.kind == "swapped" and found.views == ("cam1", "cam2")
     width = frames[0].keypoints.rig.sizes[2, 0]
 
@@ -95,7 +95,7 @@ def test_exchanged_and_mirrored_cameras_are_named(frames):
         points[2] = points[2, mirrored_names(BODY_25)]  # who looks into a mirror lifts the other hand
         return points
 
-    found = first_look(FrameList(with_points(frames, mirrored)), "keypoints")
+    found = check_inputs(FrameList(with_points(frames, mirrored)), "keypoints")
     assert [f.kind for f in found] == ["mirrored"] and found[0].views == ("cam3",)
 
 
@@ -124,7 +124,7 @@ def test_another_axis_up_is_told(frames):
     turn = se3(np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]]), np.zeros(3))
     turned = with_rig(frames, lambda c: replace(c, camera_from_world=c.camera_from_world @ turn))
     for evidence in ("silhouettes", "keypoints"):
-        (found,) = first_look(FrameList(turned), evidence)
+        (found,) = check_inputs(FrameList(turned), evidence)
         assert found.kind == "up" and " y points up" in found.cure, found.sentence
 
 
@@ -164,7 +164,7 @@ def test_a_real_recording_is_left_alone_and_told_when_its_set_is_wrong():
     with FrameStream(load_recording(BALANCING), FrameSettings(silhouettes=None)) as stream:
         real = [stream.frame(i) for i in range(len(stream))]
     assert kinds(real) == []
-    found = first_look(
+    found = check_inputs(
         FrameList([replace(f, keypoints=replace(f.keypoints, names=BODY_25)) for f in real]), "keypoints"
     )
     assert [f.kind for f in found] == ["keypoint_set"] and "BODY_25B" in found[0].cure
@@ -178,9 +178,9 @@ def test_all_focal_lengths_wrong_are_told_where_the_person_walks(evidence, facto
     assert kinds(frames, evidence) == []
     zoomed = np.array([[factor, 1, 1], [1, factor, 1], [1, 1, 1]])
     wrong = with_rig(frames, lambda c: replace(c, K=c.K * zoomed))
-    found = [f for f in first_look(FrameList(wrong), evidence) if f.kind == "focal"]
-    told = float(found[0].text.split("were ")[1].split(" times")[0])
-    assert len(found) == 1 and abs(told * factor - 1) < 0.06
+    found = [f for f in check_inputs(FrameList(wrong), evidence) if f.kind == "focal"]
+    reported = float(found[0].text.split("were ")[1].split(" times")[0])
+    assert len(found) == 1 and abs(reported * factor - 1) < 0.06
 
 
 def test_a_wrong_focal_length_of_two_views_cannot_be_told(frames):
@@ -193,12 +193,12 @@ def test_a_height_that_is_known_tells_what_the_views_do_not():
     scene = make_scene("walk", rig="humaneva-4", seconds=1.0, seed=40, corruption=("level-1",))
     tall = float(np.ptp(scene.subject.vertices[:, 2]))
     right = [replace(f, silhouettes=None) for f in scene.mask_frames(0.5, keypoints=True)]
-    assert first_look(FrameList(right), "keypoints", tall) == ()
+    assert check_inputs(FrameList(right), "keypoints", tall) == ()
     large = [replace(f, keypoints=replace(f.keypoints, rig=moved_away(f.keypoints.rig, 1.1))) for f in right]
-    found = first_look(FrameList(large), "keypoints", tall)
+    found = check_inputs(FrameList(large), "keypoints", tall)
     assert [(f.kind, f.fault) for f in found] == [("unit", False)] and "is known" in found[0].text
     huge = [replace(f, keypoints=replace(f.keypoints, rig=moved_away(f.keypoints.rig, 2.15 / tall))) for f in right]
-    found = first_look(FrameList(huge), "keypoints")
+    found = check_inputs(FrameList(huge), "keypoints")
     assert [(f.kind, f.fault) for f in found] == [("unit", False)] and "if it is right" in found[0].cure
 
 
@@ -220,12 +220,12 @@ def test_two_cameras_that_stand_side_by_side_or_face_each_other(frames):
         there = around @ np.linalg.inv(first.camera_from_world)
         return CameraRig((first, replace(first, name="other", camera_from_world=np.linalg.inv(there)))), points
 
-    for degrees, told in ((6.0, True), (90.0, False), (176.0, True)):
+    for degrees, reported in ((6.0, True), (90.0, False), (176.0, True)):
         two, points = of_angle(degrees)
         seen = np.stack([np.concatenate([c.project(points), np.ones((len(points), 1))], -1) for c in two])
         seen = np.where(np.isfinite(seen).all(-1, keepdims=True), seen, 0.0)
         shown = [replace(alone(f, seen), keypoints=Keypoints(seen, f.keypoints.names, two)) for f in frames]
-        assert ("parallel" in kinds(shown)) == told, degrees
+        assert ("parallel" in kinds(shown)) == reported, degrees
 
 
 @pytest.mark.slow
@@ -234,10 +234,10 @@ def test_views_that_are_late_are_told_before_tracking(late, fault):
     """As a fault, unless three others show where the person is."""
     scene = make_scene("walk", rig="humaneva-4", seconds=2.4, seed=41, corruption=())
     frames = list(scene.mask_frames(0.5, keypoints=True))
-    assert first_look(FrameList(frames), "keypoints", None, scene.frame_rate) == ()
+    assert check_inputs(FrameList(frames), "keypoints", None, scene.frame_rate) == ()
     points = np.stack([f.keypoints.points for f in frames])
     points[3:, late] = points[:-3, late]
     shifted = [alone(f, p) for f, p in zip(frames, points, strict=True)]
-    found = first_look(FrameList(shifted), "keypoints", None, scene.frame_rate)
+    found = check_inputs(FrameList(shifted), "keypoints", None, scene.frame_rate)
     assert {f.kind for f in found} == {"late"} and all(f.fault == fault for f in found)
     assert {scene.given_rig.names[c] for c in late} <= {v for f in found for v in f.views}

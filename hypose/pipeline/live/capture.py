@@ -1,10 +1,9 @@
-"""The eyes of the live engine: cameras -> instants -> masks, in a process of their own, so that whoever follows the
-person has the interpreter to themselves.
+"""The eyes of the live engine: cameras -> instants -> masks, in a process of their own, so that a person who follows
+the person has the interpreter to themselves.
 
-`Eyes.look` gives the newest instant that has not been looked at; nothing queues up, so whoever is slow skips instants
-instead of falling behind. `EyesProcess` is the same in another process: what is asked for is made while the answer to
-the question before is being worked on.
-"""
+`Eyes.look` gives the newest instant that has not been looked at; nothing queues up, so a person who is slow skips
+instants instead of falling behind. `CaptureProcess` is the same in another process: requests are answered while
+the answer to the question before is being worked on."""
 
 from __future__ import annotations
 
@@ -35,10 +34,10 @@ from hypose.geometry import Array, Mask
 from hypose.io.keypoints.detectors import open_network
 from hypose.io.recordings.frames import working_rig
 from hypose.io.sensors.depth import DEPTH_PNG, open_depth_camera
-from hypose.io.videos.camera_sources import CameraSource, Shot, open_camera
-from hypose.pipeline.live.feeds import Feed, FeedStatus, newest_instant
+from hypose.io.videos.camera_sources import CameraImage, CameraSource, open_camera
+from hypose.pipeline.live.background_models import DepthViewBackground, NetworkRoom, ViewBackground
+from hypose.pipeline.live.feeds import CameraFeed, FeedStatus, newest_instant
 from hypose.pipeline.live.processes import belong_to_parent, deaf_to_ctrl_c, punctual
-from hypose.pipeline.live.rooms import DepthRoom, NetworkRoom, ViewRoom
 from hypose.pipeline.settings import SETTINGS
 
 
@@ -58,7 +57,7 @@ class LiveView:
 
 
 @dataclass(frozen=True)
-class EyesOptions:
+class CaptureOptions:
     """rate Hz: of the cameras, asked of devices and taken for files that do not say; countdown s: before the empty room
     is learnt; silhouettes: how masks are made; adapt: what changes in the room is learnt; network: so many people are
     found by it where the room is not known, 0: the room is learnt."""
@@ -71,10 +70,10 @@ class EyesOptions:
 
 
 @dataclass(frozen=True)
-class Question:
-    """What is to be looked at. pause s: after the last instant before the next is wanted; bodies: vertices (V, 3) m and
-    faces (F, 3) of those who are followed, none: not known where they are; following: somebody is; pictures: they are
-    wanted too; room: learn the empty room anew; offsets (C,) s of the cameras, None: as before."""
+class CaptureRequest:
+    """Request one capture result. pause s: after the last instant before the next is wanted; bodies: vertices (V, 3) m
+    and faces (F, 3) of those who are followed, none: not known where they are; following: a person is; pictures: they
+    are wanted too; room: learn the empty room again; offsets (C,) s of the cameras, None: as before."""
 
     pause: float = 0.0
     bodies: tuple[tuple[Array, NDArray[np.int32]], ...] = ()
@@ -85,7 +84,7 @@ class Question:
 
 
 @dataclass(frozen=True)
-class Sight:
+class CaptureResult:
     """An instant as the cameras showed it, or why there is none (time NaN). arrival s: of its last picture, on this
     computer's clock; views: packed mask (h, ceil(w / 8)) and outline of each camera, None without a picture; jpegs: its
     pictures as they were stored, where they are wanted; cameras: what they do; instants: how many there were until
@@ -105,27 +104,27 @@ class Sight:
     empty: tuple[tuple[bytes, ...], ...] = ()
 
 
-class Eyes:
-    """`look` again and again, and `keep_up` when what was seen is told; `close` at the end. An InputError when a camera
-    cannot be opened."""
+class Capture:
+    """`look` again and again, and `keep_up` when what was seen is reported; `close` at the end. An InputError when a
+    camera cannot be opened."""
 
-    def __init__(self, rig: CameraRig, views: Sequence[LiveView], options: EyesOptions) -> None:
+    def __init__(self, rig: CameraRig, views: Sequence[LiveView], options: CaptureOptions) -> None:
         self._views, self._options, self.small = tuple(views), options, live_working_rig(rig, views)
         self._sizes, self._wrong, self._damaged = tuple(c.size for c in rig), [""] * len(views), [0] * len(views)
         self._arrived = threading.Condition()
         network = replace(open_network(), people=options.network) if options.network else None
         begin = time.monotonic() + 0.3
         self._feeds = [
-            Feed(v.name, _opener(v, c.size, options.rate, begin), self._arrived)
+            CameraFeed(v.name, _opener(v, c.size, options.rate, begin), self._arrived)
             for v, c in zip(views, rig, strict=True)
         ]
         shapes = zip(views, rig, self.small, strict=True)
         self._rooms = [
-            DepthRoom(c, small, v.shift, v.depth_room)
+            DepthViewBackground(c, small, v.shift, v.depth_room)
             if v.depth
             else NetworkRoom(c, small, v.shift, network)
             if v.background is None and network is not None
-            else ViewRoom(c, small, v.shift, options.silhouettes, v.background)
+            else ViewBackground(c, small, v.shift, options.silhouettes, v.background)
             for v, c, small in shapes
         ]
         self._least = least_cameras(views)
@@ -135,8 +134,8 @@ class Eyes:
         self._pictures: list[list[NDArray[Any]]] = [[] for _ in views]
         self._moved: tuple[str, ...] = ()
         self._empty: tuple[list[NDArray[Any]], ...] = ()
-        self._to_follow: list[tuple[ViewRoom, int, NDArray[Any], float, Question]] = []
-        opened: list[Feed] = []
+        self._to_follow: list[tuple[ViewBackground, int, NDArray[Any], float, CaptureRequest]] = []
+        opened: list[CameraFeed] = []
         try:
             for feed in self._feeds:
                 feed.start()
@@ -161,7 +160,7 @@ class Eyes:
         """All files are over."""
         return all(f.status().ended for f in self._feeds)
 
-    def look(self, question: Question, wait: float = 0.1) -> Sight:
+    def look(self, question: CaptureRequest, wait: float = 0.1) -> CaptureResult:
         """The newest instant; without one after so many seconds, how it goes."""
         if question.room:
             self._learn_room()
@@ -188,7 +187,7 @@ class Eyes:
         jpegs = tuple(None if shot is None or not question.pictures else _jpeg(shot) for shot in shots)
         arrival = max(s.arrival for s in shots if s is not None)
         depths = tuple(
-            r.seen if isinstance(r, DepthRoom) and v is not None else None
+            r.seen if isinstance(r, DepthViewBackground) and v is not None else None
             for r, v in zip(self._rooms, views, strict=True)
         )
         made = time.perf_counter() - begin
@@ -199,7 +198,7 @@ class Eyes:
         return replace(self._sight(at, arrival, views, jpegs, made), depths=depths, empty=encoded)
 
     def keep_up(self) -> None:
-        """Learn what has changed in the rooms, which nobody waits for."""
+        """Learn what has changed in the rooms, in the background."""
         for room, view, image, at, question in self._to_follow:
             room.follow(image, at, self._covered(view, question.bodies) if question.bodies else None)
         self._to_follow = []
@@ -211,20 +210,20 @@ class Eyes:
         views: tuple[tuple[NDArray[np.uint8], ViewOutline | None] | None, ...] = (),
         jpegs: tuple[bytes | None, ...] = (),
         made: float = 0.0,
-    ) -> Sight:
+    ) -> CaptureResult:
         cameras, words = tuple(f.status() for f in self._feeds), self._words()
         room = self._room_from is not None
-        return Sight(at, arrival, views, jpegs, cameras, self._instants, words, room, made)
+        return CaptureResult(at, arrival, views, jpegs, cameras, self._instants, words, room, made)
 
-    def _newest(self, pause: float, until: float) -> tuple[float, list[Shot | None]] | None:
+    def _newest(self, pause: float, until: float) -> tuple[float, list[CameraImage | None]] | None:
         with self._arrived:
             now = time.monotonic()
-            told = [feed.delivered() for feed in self._feeds]
-            instant, wait = newest_instant([d for d, _ in told], self._last + pause, now, self._least)
+            reported = [feed.delivered() for feed in self._feeds]
+            instant, wait = newest_instant([d for d, _ in reported], self._last + pause, now, self._least)
             if instant is None:
                 self._arrived.wait(max(min(wait, until) - now, 0.0005))
                 return None
-            pairs = zip(told, instant.shots, strict=True)
+            pairs = zip(reported, instant.shots, strict=True)
             return instant.time, [None if k is None else shots[k] for (_, shots), k in pairs]
 
     def _count(self, at: float) -> None:
@@ -234,7 +233,7 @@ class Eyes:
         self._instants += max(1, round((at - self._last) / float(np.median(periods)))) if known else 1
 
     def _view(
-        self, view: int, shot: Shot, at: float, question: Question
+        self, view: int, shot: CameraImage, at: float, question: CaptureRequest
     ) -> tuple[NDArray[np.uint8], ViewOutline | None] | None:
         room, image = self._rooms[view], self._picture(view, shot)
         if image is None:
@@ -242,11 +241,11 @@ class Eyes:
         mask, outline = room.mask(image)
         turn = int(at * len(self._rooms)) % len(self._rooms) == view  # not all in one instant
         wanted = self._options.adapt and turn and (question.bodies or not question.following)
-        if wanted and isinstance(room, ViewRoom) and room.due(at):
+        if wanted and isinstance(room, ViewBackground) and room.due(at):
             self._to_follow.append((room, view, image, at, question))
         return np.packbits(mask, axis=1), outline
 
-    def _picture(self, view: int, shot: Shot) -> NDArray[Any] | None:
+    def _picture(self, view: int, shot: CameraImage) -> NDArray[Any] | None:
         """None when it is damaged, or of another shape than calibrated: a telephone that was turned, a wide picture of
         a camera that was calibrated with a narrow one."""
         image, (cw, ch), name = shot.picture(self._rooms[view].size), self._sizes[view], self._views[view].name
@@ -281,7 +280,7 @@ class Eyes:
         self._room_from = time.monotonic() + self._options.countdown
         self._pictures = [[] for _ in self._views]
 
-    def _learn(self, shots: Sequence[Shot | None]) -> None:
+    def _learn(self, shots: Sequence[CameraImage | None]) -> None:
         assert self._room_from is not None
         passed = time.monotonic() - self._room_from
         if passed < 0:
@@ -319,7 +318,7 @@ def live_working_rig(rig: CameraRig, views: Sequence[LiveView]) -> CameraRig:
 
 
 def least_cameras(views: Sequence[LiveView]) -> int:
-    """How many cameras somebody can be followed with: a depth camera is enough by itself."""
+    """How many cameras a person can be followed with: a depth camera is enough by itself."""
     return 1 if any_depth(views) else 2
 
 
@@ -328,7 +327,7 @@ def any_depth(views: Sequence[LiveView]) -> bool:
     return any(v.depth for v in views)
 
 
-def _jpeg(shot: Shot) -> bytes | None:
+def _jpeg(shot: CameraImage) -> bytes | None:
     return shot.data if isinstance(shot.data, bytes) else stored(shot.data)
 
 
@@ -350,12 +349,12 @@ def _opener(view: LiveView, size: tuple[int, int], rate: float, begin: float) ->
 # ---- in a process of their own -------------------------------------------------------------------------------------
 
 
-class EyesProcess:
+class CaptureProcess:
     """Eyes in another process. `ask`, then `answer`; between the two there is time for other work. stop: nothing is
     waited for any more, also while cameras are being opened; then only `close` is of use."""
 
     def __init__(
-        self, rig: CameraRig, views: Sequence[LiveView], options: EyesOptions, stop: threading.Event | None = None
+        self, rig: CameraRig, views: Sequence[LiveView], options: CaptureOptions, stop: threading.Event | None = None
     ) -> None:
         context = multiprocessing.get_context("spawn")
         self._stop, self._closing_s = stop or threading.Event(), 0.0
@@ -371,12 +370,12 @@ class EyesProcess:
         if opened is not None:
             self._closing_s = SETTINGS.eyes_closing_s
 
-    def ask(self, question: Question) -> None:
+    def ask(self, question: CaptureRequest) -> None:
         """Have an instant looked at."""
         with contextlib.suppress(OSError):  # `answer` tells
             self._pipe.send(question)
 
-    def answer(self) -> Sight | None:
+    def answer(self) -> CaptureResult | None:
         """What was seen; None: files are over, or it is to stop."""
         found = self._received(10.0)
         if isinstance(found, HyposeError):
@@ -385,7 +384,7 @@ class EyesProcess:
 
     def close(self) -> None:
         """End."""
-        self._pipe.close()  # it may be about to send something large that nobody takes any more
+        self._pipe.close()  # it may be about to send something large that is not received any more
         self._process.join(self._closing_s)
         if self._process.is_alive():  # a camera that does not answer holds it up
             self._process.kill()
@@ -406,13 +405,13 @@ class EyesProcess:
         raise InputError(f"The process that looks at the cameras {what}; start again.")
 
 
-def _see(pipe: Connection, rig: CameraRig, views: tuple[LiveView, ...], options: EyesOptions) -> None:
+def _see(pipe: Connection, rig: CameraRig, views: tuple[LiveView, ...], options: CaptureOptions) -> None:
     belong_to_parent()
     compute.warm_up("outlines", "pictures")  # the first pictures are not late
     try:
-        eyes = Eyes(rig, views, options)
+        eyes = Capture(rig, views, options)
     except HyposeError as error:
-        with contextlib.suppress(OSError):  # whoever asked is gone
+        with contextlib.suppress(OSError):  # a person who asked is gone
             pipe.send(error)
         return
     try:

@@ -8,16 +8,22 @@ from __future__ import annotations
 import asyncio
 import inspect
 import re
+import secrets
 from collections.abc import AsyncIterator, Callable, Sequence
+from http import HTTPStatus
 from typing import Any
+from urllib.parse import urlsplit
 
 from starlette.concurrency import run_in_threadpool
+from starlette.datastructures import Headers
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.routing import Route
+from starlette.types import ASGIApp, Receive, Scope, Send
 
+from hypose.app.live.servers import shows_secret
 from hypose.app.studio.catalog import NotFound
-from hypose.app.studio.view_bundle import plain
+from hypose.app.studio.view_bundle import json_values
 from hypose.errors import HyposeError, InputError
 from hypose.json_text import parse_json
 
@@ -48,7 +54,7 @@ _STATUS: tuple[tuple[type[HyposeError], int], ...] = ((NotFound, 404), (NotNow, 
 
 def answer(value: Any, status: int = 200) -> JSONResponse:
     """JSON; numpy values become plain ones, NaN becomes null. Never kept by the browser: files change."""
-    return JSONResponse(plain(value), status, headers={"Cache-Control": "no-store"})
+    return JSONResponse(json_values(value), status, headers={"Cache-Control": "no-store"})
 
 
 def block_answer(block: bytes | bytearray | None) -> Response:
@@ -72,13 +78,13 @@ def jpeg_answer(data: bytes | None, seconds: int) -> Response:
     return Response(data, media_type="image/jpeg", headers={"Cache-Control": f"private, max-age={seconds}"})
 
 
-def refusal(status: int, sentence: str) -> JSONResponse:
+def error_response(status: int, sentence: str) -> JSONResponse:
     """An error as the page shows it."""
     return JSONResponse({"error": sentence}, status)
 
 
 def route(path: str, call: Callable[..., Any], method: str = "GET", status: int = 200) -> Route:
-    """What is done at an address. call gets the request, of a POST also its JSON object, and gives a response or what
+    """The action at an address. call gets the request, of a POST also its JSON object, and gives a response or all that
     is to be one; it runs in a thread, unless it is asynchronous. Its errors become answers."""
 
     async def endpoint(request: Request) -> Response:
@@ -86,7 +92,7 @@ def route(path: str, call: Callable[..., Any], method: str = "GET", status: int 
             given = (request, await _body_of(request)) if method == "POST" else (request,)
             value = await (call(*given) if inspect.iscoroutinefunction(call) else run_in_threadpool(call, *given))
         except HyposeError as error:
-            return refusal(next((code for kind, code in _STATUS if isinstance(error, kind)), 400), str(error))
+            return error_response(next((code for kind, code in _STATUS if isinstance(error, kind)), 400), str(error))
         return value if isinstance(value, Response) else answer(value, status)
 
     return Route(path, endpoint, methods=[method])
@@ -134,7 +140,7 @@ def _inside(value: dict[str, Any] | list[Any]) -> list[Any]:
     return value if isinstance(value, list) else [*value.keys(), *value.values()]
 
 
-def number(value: Any, what: str, low: float, high: float) -> float:
+def request_number(value: Any, what: str, low: float, high: float) -> float:
     """A number from low to high."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise InputError(f"There is no number for {what} in {_short(value)}; give {low:g} to {high:g}.")
@@ -151,7 +157,7 @@ def whole(value: Any, what: str, low: int, high: int) -> int:
 
 
 def text(value: Any, what: str, longest: int, advice: str) -> str:
-    """A text that says something; advice: what is to be done when there is none."""
+    """A text that says something; advice: the next step when there is none."""
     if not isinstance(value, str) or not value.strip():
         raise InputError(f"There is no {what}; {advice}.")
     if len(value) > longest:
@@ -159,7 +165,7 @@ def text(value: Any, what: str, longest: int, advice: str) -> str:
     return value
 
 
-def choice(value: Any, what: str, allowed: Sequence[str]) -> str:
+def request_choice(value: Any, what: str, allowed: Sequence[str]) -> str:
     """One of some words."""
     if not isinstance(value, str) or value not in allowed:
         words = f"{', '.join(allowed[:-1])} or {allowed[-1]}" if len(allowed) > 1 else "".join(allowed)
@@ -180,3 +186,83 @@ def _short(value: Any) -> str:
 
 def _capital(what: str) -> str:
     return what[:1].upper() + what[1:]
+
+
+# ---- guard ---------------------------------------------------------------------------------------------------------
+# Who may talk to the server: this computer's own pages, or who shows the token.
+#
+# A web page of another person can make a browser send requests to 127.0.0.1. So a WebSocket, and whatever changes
+# something, must come from the page that this server served (its Origin is the host that was asked for); and the host
+# that was asked for must be one the server goes by, else a foreign name that was pointed to 127.0.0.1 would pass.
+
+
+LOOPBACK = frozenset({"127.0.0.1", "localhost", "::1"})
+_CHANGING = frozenset({"POST", "PUT", "DELETE", "PATCH"})
+_POLICY = (
+    "default-src 'self'; img-src 'self' data: blob:; style-src 'self' 'unsafe-inline'; connect-src 'self'; "
+    "worker-src 'self' blob:; media-src 'self' data: blob:; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
+)
+"""Nothing from elsewhere is loaded, whatever a recording or a bug puts into the page."""
+
+
+def token_for(host: str, token: str | None = None) -> str | None:
+    """What pages must show to a server that listens on a host: a new one when others can reach it and none is given."""
+    return token or (None if host in LOOPBACK else secrets.token_urlsafe(16))
+
+
+class Guard:
+    """Refuses what may not talk to the server, before anything else sees it. token: None when it listens on this
+    computer alone."""
+
+    def __init__(self, app: ASGIApp, token: str | None) -> None:
+        self._app, self._token = app, token
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """One request or connection."""
+        if scope["type"] not in ("http", "websocket"):
+            return await self._app(scope, receive, send)
+        try:
+            problem = self._problem(scope)
+        except ValueError:  # an Origin or Host that is no address
+            problem = HTTPStatus.BAD_REQUEST, "The request names no proper host."
+        if problem is None:
+            await self._app(scope, receive, self._hardened(scope, send))
+        elif scope["type"] == "http":
+            await error_response(problem[0].value, problem[1])(scope, receive, send)
+        else:
+            await receive()
+            await send({"type": "websocket.close", "code": 1008, "reason": problem[1][:120]})
+
+    def _problem(self, scope: Scope) -> tuple[HTTPStatus, str] | None:
+        """Why a request is refused, None when it is not."""
+        headers = Headers(scope=scope)
+        asked = headers.get("host", "")
+        name = (urlsplit(f"//{asked}").hostname or "").lower() if asked.isprintable() else ""
+        if self._token is None and name not in LOOPBACK:
+            return HTTPStatus.FORBIDDEN, f"This server does not go by {asked[:80]!r}; open it as http://127.0.0.1."
+        changing = scope["type"] == "websocket" or scope["method"] in _CHANGING
+        origin = headers.get("origin")
+        foreign = origin is not None and urlsplit(origin).netloc.lower() != asked.lower()
+        if changing and (foreign or headers.get("sec-fetch-site") in ("cross-site", "same-site")):
+            return HTTPStatus.FORBIDDEN, "Pages of other sites may not talk to this server; open its own page."
+        query, bearer = scope["query_string"].decode("latin-1"), headers.get("authorization", "")
+        secret = self._token is not None and scope["path"].startswith(("/api/", "/ws/"))
+        if secret and not shows_secret(query, bearer, self._token or ""):
+            return HTTPStatus.UNAUTHORIZED, "The token is missing or wrong; use the address that `hypose view` printed."
+        return None
+
+    def _hardened(self, scope: Scope, send: Send) -> Send:
+        if scope["type"] != "http":
+            return send
+
+        async def sending(message) -> None:  # noqa: ANN001 - an ASGI message
+            if message["type"] == "http.response.start":
+                headers = Headers(raw=message["headers"])
+                extra = {"x-content-type-options": "nosniff", "referrer-policy": "no-referrer"}
+                extra["cross-origin-resource-policy"] = "same-origin"
+                if "content-security-policy" not in headers:
+                    extra["content-security-policy"] = _POLICY
+                message["headers"] = [*message["headers"], *((k.encode(), v.encode()) for k, v in extra.items())]
+            await send(message)
+
+        return sending

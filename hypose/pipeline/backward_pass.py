@@ -1,7 +1,7 @@
 """Arms of a tracked clip, looked for backwards in time where they have jumped: what was lost is known once it is found.
 
 Forwards, an arm that is lost stays so until the masks show it clearly, frames after it could have been seen. From there
-backwards it is followed from a good pose. So where an arm has jumped, tracking begins anew behind the jump and goes
+backwards it is followed from a good pose. So where an arm has jumped, tracking begins again behind the jump and goes
 back until both ways are one; the poses that are alive either way are compared in each frame, and the path through
 them that explains the masks best without jumping is the clip's. What else is likely stays as a rival.
 """
@@ -24,8 +24,8 @@ from hypose.geometry import Array
 from hypose.inference.estimates import likeliest_path
 from hypose.inference.hypotheses import Hypotheses
 from hypose.inference.layer import Memory
-from hypose.pipeline.doubts import looked_again
-from hypose.pipeline.mend_sides import FrameRange, backwards, pace_of, read_once
+from hypose.pipeline.frame_anomalies import looked_again
+from hypose.pipeline.left_right import FrameRange, pace_of, read_once, reversed_frames
 from hypose.tracking.costs import agreement
 from hypose.tracking.frame_evidence import PreparedFrame
 from hypose.tracking.part_colours import ColourSettings, colour_scores
@@ -38,7 +38,7 @@ _ENDS = ("left_elbow", "left_wrist", "right_elbow", "right_wrist")
 
 
 @dataclass(frozen=True)
-class BothWays:
+class BackwardPassSettings:
     """When and how it is looked back. Frames are those of 25 frames/s; at more they are more. jump: m, by which an
     elbow or a wrist must leave its straight line from one frame to the next; after: frames behind a jump at which
     tracking backwards begins; met, met_frames: m, how near all arms must be for so many frames, for both ways to be
@@ -59,7 +59,7 @@ class BothWays:
 
 @dataclass(frozen=True)
 class _Seen:
-    """What is known of one frame. prepared, last: it and the one before; poses (N, D): alive either way, best first;
+    """The known data of one frame. prepared, last: it and the one before; poses (N, D): alive either way, best first;
     costs (N,): their mismatches."""
 
     prepared: PreparedFrame
@@ -68,18 +68,19 @@ class _Seen:
     costs: Array
 
 
-def look_both_ways(
+def backward_pass(
     tracker: Tracker,
     estimates: Sequence[FrameEstimate],
     frames: FrameRange,
     *,
     memory: Memory | None = None,
-    settings: BothWays | None = None,
+    settings: BackwardPassSettings | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> tuple[list[FrameEstimate], int]:
-    """The estimates of frames 0, 1, ... with those replaced that are told better by what comes after them, and in how
-    many an arm lies elsewhere now. memory: what has been remembered of the person; progress(done, total): frames."""
-    o, out = settings or BothWays(), list(estimates)
+    """The estimates of frames 0, 1, ... with those replaced that are reported better by what comes after them, and in
+    how many an arm lies elsewhere now. memory: what has been remembered of the person; progress(done, total):
+    frames."""
+    o, out = settings or BackwardPassSettings(), list(estimates)
     if not tracker.recipe.rivals or tracker.settings.evidence not in ("silhouettes", "both") or len(out) < 3:
         return out, 0
     jumps, pace, frames = _jumps(tracker.body, out, o.jump), pace_of(tracker), read_once(frames)
@@ -105,7 +106,7 @@ def look_both_ways(
     return out, moved
 
 
-def both_ways_notes(moved: int) -> tuple[str, ...]:
+def backward_pass_notes(moved: int) -> tuple[str, ...]:
     """A sentence for the user; none where nothing was."""
     return (f"arms were found elsewhere in {moved} frames by tracking backwards",) if moved else ()
 
@@ -143,13 +144,13 @@ def _looked_back(
     near: NDArray[np.bool_],
     frames: FrameRange,
     memory: Memory | None,
-    o: BothWays,
+    o: BackwardPassSettings,
 ) -> list[_Seen]:
-    """What is seen in frame `stop` and those before it, last first, until both ways are one."""
+    """Evidence of frame `stop` and those before it, last first, until both ways are one."""
     out, met, pace = list[_Seen](), 0, pace_of(tracker)
     state = _turned(tracker, old, stop, memory)
     most = range(stop, max(-1, stop - round(o.longest * pace)), -1)
-    for t, (frame, last) in zip(most, _evidence_ahead(backwards(frames, stop + 1)), strict=False):
+    for t, (frame, last) in zip(most, _evidence_ahead(reversed_frames(frames, stop + 1)), strict=False):
         prepared = replace(tracker.prepare_frame(frame, old[t].pose), memory=memory or {})
         if not prepared.silhouettes.seen or frame.depth is not None or not _known(old[t]):
             break
@@ -188,7 +189,12 @@ def _turned(tracker: Tracker, old: Sequence[FrameEstimate], stop: int, memory: M
 
 
 def _seen(
-    body: Body, old: FrameEstimate, back: FrameEstimate, prepared: PreparedFrame, last: Frame | None, o: BothWays
+    body: Body,
+    old: FrameEstimate,
+    back: FrameEstimate,
+    prepared: PreparedFrame,
+    last: Frame | None,
+    o: BackwardPassSettings,
 ) -> _Seen:
     """The poses of both estimates of a frame and their rivals, those that are much the same once, by what masks, and
     pictures where their colours are known, say of them."""
@@ -205,7 +211,7 @@ def _seen(
 
 
 def _chosen(
-    tracker: Tracker, old: Sequence[FrameEstimate], first: int, seen: Sequence[_Seen], o: BothWays
+    tracker: Tracker, old: Sequence[FrameEstimate], first: int, seen: Sequence[_Seen], o: BackwardPassSettings
 ) -> list[FrameEstimate]:
     """The estimates of the frames from the first one on, along the best path that begins and ends as it was."""
     s, stop = tracker.body.skeleton, first + len(seen)

@@ -8,12 +8,12 @@ import pytest
 from hypose.body.default_body import human
 from hypose.evidence.colours import COLOURS
 from hypose.evidence.frame import Colours, Frame, Silhouettes
-from hypose.pipeline.first_frame import Subject
+from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.settings import SETTINGS
+from hypose.pipeline.track_management import swap_identities, update_appearance
 from hypose.pipeline.tracked_people import Followed
-from hypose.pipeline.wardrobe import exchange, look_at_clothes
 from hypose.synthetic.scenes import camera_rig as named_rig
-from hypose.tracking.appearance import Clothes, Wardrobe, clothes_in, nothing_seen
+from hypose.tracking.appearance import Appearance, AppearanceModel, appearance_in, no_appearance
 from hypose.tracking.recipes import recipe
 from hypose.tracking.several import Member, no_person_in, shape_of
 from hypose.tracking.starts import known_pose
@@ -21,7 +21,7 @@ from hypose.tracking.tracker import Tracker, TrackerSettings
 
 RIG = named_rig("ring-3").scaled(0.5).pinhole()
 BODY = human()
-RED, BLUE = (Clothes(np.eye(COLOURS, dtype=np.float32)[[k, k]] * 1000) for k in (40, 300))
+RED, BLUE = (Appearance(np.eye(COLOURS, dtype=np.float32)[[k, k]] * 1000) for k in (40, 300))
 
 
 def standing(x):
@@ -50,56 +50,56 @@ def followed(name, places):
     tracker = Tracker(BODY, recipe("default", BODY, frame_rate=25.0), TrackerSettings(frame_rate=25.0))
     state = tracker.start(standing(places[-1]))
     _, estimate = tracker.step(state, no_person_in(frame_of([])))
-    out = Followed(name, Subject(BODY, None, standing(places[0]), ()), Member(tracker, state))
+    out = Followed(name, TrackedSubject(BODY, None, standing(places[0]), ()), Member(tracker, state))
     out.estimates = [replace(estimate, pose=standing(x)) for x in places]
     out.present, out.hidden = [True] * len(places), [False] * len(places)
     return out
 
 
 def test_what_a_person_wears_is_what_the_pictures_show_where_the_body_is():
-    red, blue = (clothes_in(BODY, standing(0.0), frame_of([(0.0, code)])) for code in (40, 300))
+    red, blue = (appearance_in(BODY, standing(0.0), frame_of([(0.0, code)])) for code in (40, 300))
     assert red.known.all()
     assert red.likeness(red) == pytest.approx(1.0)
     assert red.likeness(blue) < 0.2
-    assert not clothes_in(BODY, standing(0.0), replace(frame_of([(0.0, 40)]), colours=None)).known.any()
-    assert np.isnan(red.likeness(nothing_seen()))
+    assert not appearance_in(BODY, standing(0.0), replace(frame_of([(0.0, 40)]), colours=None)).known.any()
+    assert np.isnan(red.likeness(no_appearance()))
 
 
 def met(anna, bert):
     """They were nearest in the frame before the last; since then both were looked at often enough."""
     since = len(anna.estimates) - 2
     for p, q in ((anna, bert), (bert, anna)):
-        p.wardrobe.met, p.wardrobe.looks = {q.name: since}, SETTINGS.wardrobe_looks
+        p.appearance.met, p.appearance.looks = {q.name: since}, SETTINGS.wardrobe_looks
 
 
 def test_two_who_wear_each_others_clothes_after_a_meeting_were_exchanged():
     anna, bert = followed("anna", [-1.0, -0.2, -1.0]), followed("bert", [1.0, 0.2, 1.0])
     met(anna, bert)
-    anna.wardrobe.worn, anna.wardrobe.lately = RED, BLUE
-    bert.wardrobe.worn, bert.wardrobe.lately = BLUE, RED
-    (found,) = look_at_clothes([anna, bert], [replace(frame_of([]), colours=None)] * 2)
+    anna.appearance.worn, anna.appearance.lately = RED, BLUE
+    bert.appearance.worn, bert.appearance.lately = BLUE, RED
+    (found,) = update_appearance([anna, bert], [replace(frame_of([]), colours=None)] * 2)
     assert {found[0].name, found[1].name} == {"anna", "bert"} and found[2] == 1
-    exchange(*found)
+    swap_identities(*found)
     assert [round(e.pose[0] - standing(0)[0], 1) for e in anna.estimates] == [-1.0, 0.2, 1.0]
     assert anna.member.state.pose[0] == pytest.approx(standing(1.0)[0])
     assert anna.hidden == bert.hidden == [False, True, True]
     assert "taken for bert from frame 1 to 2" in anna.said[0]
-    assert anna.wardrobe.worn.likeness(RED) > 0.99  # and they are not exchanged again
-    assert look_at_clothes([anna, bert], [replace(frame_of([]), colours=None)] * 2) == []
+    assert anna.appearance.worn.likeness(RED) > 0.99  # and they are not exchanged again
+    assert update_appearance([anna, bert], [replace(frame_of([]), colours=None)] * 2) == []
 
 
 def test_two_who_wear_their_own_or_the_same_clothes_stay_who_they_are():
     for worn, other in ((RED, BLUE), (RED, RED)):
         anna, bert = followed("anna", [-1.0, -0.2, -1.0]), followed("bert", [1.0, 0.2, 1.0])
         met(anna, bert)
-        anna.wardrobe.worn = anna.wardrobe.lately = worn
-        bert.wardrobe.worn = bert.wardrobe.lately = other
-        assert look_at_clothes([anna, bert], [replace(frame_of([]), colours=None)] * 2) == []
-        assert not anna.wardrobe.met and anna.wardrobe.worn.known.all()
+        anna.appearance.worn = anna.appearance.lately = worn
+        bert.appearance.worn = bert.appearance.lately = other
+        assert update_appearance([anna, bert], [replace(frame_of([]), colours=None)] * 2) == []
+        assert not anna.appearance.met and anna.appearance.worn.known.all()
 
 
 def test_a_wardrobe_is_kept_with_a_run_that_is_interrupted():
-    w = Wardrobe(RED, BLUE, 2, {"bert": 7})
-    again = Wardrobe.of_arrays(w.arrays(), w.about)
+    w = AppearanceModel(RED, BLUE, 2, {"bert": 7})
+    again = AppearanceModel.of_arrays(w.arrays(), w.about)
     assert again.worn.likeness(RED) > 0.99 and again.lately.likeness(BLUE) > 0.99
     assert (again.looks, again.met) == (2, {"bert": 7})

@@ -1,9 +1,8 @@
 """A look at some frames before tracking: is the calibration plainly not that of these pictures, or the key points'
 set another one?
 
-The doctor's checks of gross faults, on a dozen frames. What is found is said before the work begins and again at its
-end; nothing is changed, since the cure is the user's to choose.
-"""
+The doctor's checks of gross faults, on a dozen frames. Findings are printed before the work begins and again at
+its end; nothing is changed, since the cure is the user's to choose."""
 
 from __future__ import annotations
 
@@ -29,11 +28,11 @@ from hypose.pipeline.track_loop import FrameList, FrameSource
 from hypose.tracking.subject import shape_from_keypoints
 
 
-def first_look(
+def check_inputs(
     source: FrameSource, evidence: str, height: float | None = None, frame_rate: float = 25.0
 ) -> tuple[Finding, ...]:
-    """What is plainly wrong with the calibration, or the key points, of a source of frames that will be tracked from
-    `evidence`; height of the person, m, when known. Nothing of one camera."""
+    """Check the calibration and the key points of a source for gross faults, of a source of frames that will be tracked
+    from `evidence`; height of the person, m, when known. Nothing of one camera."""
     rows, frames = _rows(len(source)), _some(source)
     doubted: Sequence[Keypoints] | None = getattr(source, "doubted", None)  # those that did not fit are the question
     points = [f.keypoints for f in frames if f.keypoints is not None]
@@ -54,7 +53,7 @@ def first_look(
     return (*found, *by_depth)
 
 
-def look_at_depth(source: FrameSource) -> tuple[Finding, ...]:
+def check_depth_inputs(source: FrameSource) -> tuple[Finding, ...]:
     """What the depth maps alone say, of frames with several people in them, too."""
     with contextlib.suppress(HyposeError):
         if source.frame(0).depth is None:  # frames from all over videos take long to read
@@ -66,7 +65,7 @@ def _some(source: FrameSource) -> list[Frame]:
     """FRAMES frames from all over a source."""
     frames = list[Frame]()
     for i in _rows(len(source)).tolist():
-        with contextlib.suppress(HyposeError):  # what cannot be read is told when its turn comes
+        with contextlib.suppress(HyposeError):  # what cannot be read is reported when its turn comes
             frames.append(source.frame(i))
     return frames
 
@@ -81,7 +80,7 @@ def of_measured(stature: float) -> tuple[Finding, ...]:
 
 
 def places_refuted(found: Sequence[Finding]) -> bool:
-    """Do the cameras not stand where they are said to? Then nobody can be told from somebody else."""
+    """Do the cameras not stand where they are said to? Then people cannot be distinguished."""
     return any(f.fault and f.kind in REFUTED_PLACES for f in found)
 
 
@@ -116,7 +115,7 @@ def _by_points(keypoints: Sequence[Keypoints], height: float | None, o: Limits) 
         agreed = trial is not None and before > o.gross and after < o.gross_cured * before
         if trial is not None and agreed:
             yield gross_finding(rig, trial, before, after)
-            rig, pixels = trial.rig, trial.seen  # what else is wrong is told by points that agree
+            rig, pixels = trial.rig, trial.seen  # what else is wrong follows from points that agree
         else:
             text = f"All cameras: the views' key points disagree by {100 * apart:.0f} % of the person's size"
             yield Finding("scatter", (), text, "run hypose check, which looks for the cause camera by camera", apart)
@@ -136,7 +135,7 @@ def _by_points(keypoints: Sequence[Keypoints], height: float | None, o: Limits) 
     if other is not None and (agreed or "keypoint_set = " in other.cure):
         yield other
     if other is not None or not agreed:
-        return  # nothing else can be told of points with other names, or that lie anywhere
+        return  # nothing else can be reported of points with other names, or that lie anywhere
     yield from wrong_way_up(world, names, pixels, rig)
     if rig is keypoints[0].rig:  # nothing else was wrong
         yield from focal_findings(focal_by_points(rig, pixels))

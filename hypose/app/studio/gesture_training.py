@@ -3,27 +3,170 @@ of it out."""
 
 from __future__ import annotations
 
+import threading
 import time as clock
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hypose.app.jobs.gesture_job import finished, growing_model, new_learner, thresholds
+from hypose.app.jobs.gesture_job import growing_model, loaded_forests, new_learner, thresholds
 from hypose.app.live.gesture_sources import Taken
-from hypose.app.studio.gesture_judge import FalseAlarms, HeldBack
-from hypose.app.studio.gesture_start import PHASES, Controls, Feed, Start
-from hypose.gestures.depth_pictures import surface_depth
-from hypose.gestures.events import Event, EventSettings, EventState, detect_events
-from hypose.gestures.localise import Localisation, LocaliseSettings, Scratch, densities, settle
+from hypose.app.studio.gesture_start import STUDIO_PHASES, Controls, GestureFeed, SessionRequest
+from hypose.compute import DepthImage
+from hypose.gestures.depth_pictures import DepthLens, surface_depth
+from hypose.gestures.events import (
+    RADIUS_M,
+    Event,
+    EventSettings,
+    EventState,
+    average_precision,
+    detect_events,
+    precision_recall,
+)
+from hypose.gestures.forest import Forest
+from hypose.gestures.localise import Localisation, LocaliseSettings, Scratch, densities, localise, settle
 from hypose.gestures.model import GestureModel
 from hypose.gestures.session import Command
 from hypose.gestures.session import advance as peek
 from hypose.gestures.trainer import Feedback, Trainer
 from hypose.pipeline.gesture_files import SessionWriter, content_of, save_model
+
+# ---- gesture judge -------------------------------------------------------------------------------------------------
+# How good a forest is while it is taught: on frames that are kept from it, and on movement before it is learned.
+
+
+_KEPT = 40
+"""Frames of each kind that are kept; every frame has the same chance."""
+_WINDOW_S = 60.0
+"""s of movement over which false alarms are counted."""
+_POINTS = 100
+"""At most so many points of a curve are reported."""
+
+
+class _Seen(NamedTuple):
+    """score, error (m; inf where the gesture is not done) and whether it is done."""
+
+    score: float
+    error: float
+    shown: bool
+
+
+class HeldBack:
+    """Frames that are kept from a forest; judged in a thread of its own, so that the session does not wait."""
+
+    def __init__(self, lens: DepthLens) -> None:
+        self._lens, self._keep = lens, np.random.default_rng(0)
+        # by whether the gesture is done: depth, its pixel (None: it is not done), segment
+        self._frames: dict[bool, list[tuple[DepthImage, tuple[float, float] | None, int]]] = {True: [], False: []}
+        self._count = {True: 0, False: 0}
+        self._tested: list[_Seen] = []
+        self._busy: threading.Thread | None = None
+        self._result: dict[str, Any] | None = None
+
+    def keep(self, depth: DepthImage, at: tuple[float, float] | None, segment: int) -> None:
+        """A frame of a learning segment that is not learned; at: pixel of the gesture, None for other movement."""
+        kept, shown = self._frames[at is not None], at is not None
+        self._count[shown] += 1
+        if len(kept) < _KEPT:
+            kept.append((depth, at, segment))
+        elif (place := int(self._keep.integers(self._count[shown]))) < _KEPT:
+            kept[place] = depth, at, segment
+
+    def test(self, depth: DepthImage, at: tuple[float, float] | None, found: Localisation) -> None:
+        """A frame of the test whose truth is known."""
+        self._tested.append(_judged(depth, self._lens, at, found))
+
+    def drop(self, undone: tuple[int, ...]) -> None:
+        """Forget the frames of segments that were taken back."""
+        self._frames = {shown: [k for k in kept if k[2] not in undone] for shown, kept in self._frames.items()}
+
+    def begin(self, forest: Forest) -> None:
+        """Look at the kept frames again with the forest as it is now, unless that is still going on."""
+        if self._busy is None or not self._busy.is_alive():
+            frames = [*self._frames[True], *self._frames[False]]
+            self._busy = threading.Thread(target=self._look, args=(forest, frames), daemon=True)
+            self._busy.start()
+
+    def _look(self, forest: Forest, frames: list[tuple[DepthImage, tuple[float, float] | None, int]]) -> None:
+        scratch = Scratch()
+        found = [(d, at, localise(d, self._lens, [forest], None, scratch)[0]) for d, at, _ in frames]
+        self._result = _curve([_judged(d, self._lens, at, f) for d, at, f in found]) | {"on": "held-back"}
+
+    def result(self, threshold: float | None) -> dict[str, Any] | None:
+        """The newest judgement once, None when there is none that is new: of the test when it has both kinds of frame,
+        else of the kept frames."""
+        new, self._result = self._result, None
+        if {s.shown for s in self._tested} == {True, False}:
+            new = _curve(self._tested) | {"on": "test"}
+        return None if new is None else new | {"at": _at(new, threshold)}
+
+
+def _judged(depth: DepthImage, lens: DepthLens, at: tuple[float, float] | None, found: Localisation) -> _Seen:
+    z = None if at is None else surface_depth(depth, *at)
+    if at is None or z is None:
+        return _Seen(found.score, np.inf, at is not None)
+    return _Seen(found.score, float(np.hypot(found.x - at[0], found.y - at[1])) * z / 1000 / lens.fx, True)
+
+
+def _curve(seen: list[_Seen]) -> dict[str, Any]:
+    scores, correct = np.array([s.score for s in seen]), np.array([s.error for s in seen]) <= RADIUS_M
+    positives = sum(s.shown for s in seen)
+    out: dict[str, Any] = {"frames": len(seen), "positives": positives, "ap": None}
+    if not positives or positives == len(seen):
+        return out | {"precision": [], "recall": [], "scores": []}
+    precision, recall = precision_recall(scores, correct, positives)
+    ranked = scores[np.lexsort((correct, -scores))]
+    ranked = ranked[ranked > 0]
+    pick = np.unique(np.linspace(0, len(ranked) - 1, min(_POINTS, len(ranked))).astype(int))
+    return out | {
+        "ap": average_precision(scores, correct, positives),
+        "precision": precision[pick].round(4).tolist(),
+        "recall": recall[pick].round(4).tolist(),
+        "scores": ranked[pick].round(3).tolist(),
+    }
+
+
+def _at(curve: dict[str, Any], threshold: float | None) -> dict[str, float] | None:
+    """Precision and recall of the scores from the threshold on."""
+    if threshold is None or not curve["scores"]:
+        return None
+    passed = [k for k, s in enumerate(curve["scores"]) if s >= threshold]
+    if not passed:
+        return {"precision": 1.0, "recall": 0.0}
+    return {"precision": curve["precision"][passed[-1]], "recall": curve["recall"][passed[-1]]}
+
+
+class FalseAlarms:
+    """Events in movement that the forest has not learned yet, over the last minute of it."""
+
+    def __init__(self) -> None:
+        self._state, self._clock = EventState(), 0.0
+        self._last: float | None = None
+        self._starts: list[float] = []
+
+    def see(self, time: float, found: Localisation, threshold: float | None, hold_s: float) -> None:
+        """A frame of other movement, looked at before it is learned."""
+        if self._last is not None and 0 < time - self._last < 1:
+            self._clock += time - self._last
+        elif self._last is not None:  # another segment: what went on has ended meanwhile
+            self._state = EventState()
+        self._last = time
+        if threshold is None or threshold <= 0:
+            return
+        settings = [EventSettings(threshold, hold_s=hold_s)] * found.gesture
+        self._state, events = detect_events(self._state, [found], self._clock, settings)
+        self._starts += [self._clock for e in events if e.kind == "start"]
+
+    def reported(self) -> dict[str, float | None]:
+        """false_per_min and tested_s."""
+        seconds = min(self._clock, _WINDOW_S)
+        recent = sum(t > self._clock - _WINDOW_S for t in self._starts)
+        return {"false_per_min": recent * 60 / seconds if seconds > 5 else None, "tested_s": round(seconds, 1)}
+
 
 BOX_M = 0.1
 """Half side of the box that is shown, at the surface in it."""
@@ -33,14 +176,14 @@ _HELD_EVERY = 5
 """Every so many seconds of learning, one second is kept from the forest."""
 
 
-Shown = tuple[dict[str, Any], NDArray[np.float32] | None]
+_Shown = tuple[dict[str, Any], NDArray[np.float32] | None]
 """What a frame gives the page: the step message (without seq), the map of votes if it was wanted."""
 
 
 class Training:
     """Only the session's thread calls it, except `save` after that thread has ended."""
 
-    def __init__(self, start: Start, feed: Feed, old: Path | None, folder: Path, model: Path) -> None:
+    def __init__(self, start: SessionRequest, feed: GestureFeed, old: Path | None, folder: Path, model: Path) -> None:
         self.feed, self.folder, self.path, self.names = feed, folder, model, [start.gesture]
         self._old = growing_model(old, start.gesture) if old is not None else None
         # checks the name before anything is written
@@ -48,10 +191,10 @@ class Training:
         GestureModel((start.gesture,), learner.forest, (None,), LocaliseSettings(), learner)
         self.trainer = Trainer(learner, start.settings)
         s = start.settings
-        seconds = {name: getattr(s, f"{name}_s") for name in PHASES}
-        self.told = {"rounds": s.rounds, "seconds": seconds}
+        seconds = {name: getattr(s, f"{name}_s") for name in STUDIO_PHASES}
+        self.reported = {"rounds": s.rounds, "seconds": seconds}
         source = feed.source
-        self._writer = SessionWriter(folder, [start.gesture], source.lens, source.size, self.told)
+        self._writer = SessionWriter(folder, [start.gesture], source.lens, source.size, self.reported)
         self._held, self._alarms = HeldBack(source.lens), FalseAlarms()
         self._scratch, self._events = Scratch(), EventState()
         self._final: float | None = None  # the threshold that a saved model gets, found when the test begins
@@ -71,7 +214,7 @@ class Training:
         """Nothing goes on until the page says so."""
         return self.trainer.session.paused is not None
 
-    def frame(self, taken: Taken, controls: Controls, commands: Sequence[Command], fresh: bool) -> Shown:
+    def frame(self, taken: Taken, controls: Controls, commands: Sequence[Command], fresh: bool) -> _Shown:
         """Take a picture; fresh False: it was taken before, and only the commands are new."""
         source, trainer = self.feed.source, self.trainer
         if not self.feed.knows:
@@ -81,7 +224,7 @@ class Training:
         before = trainer.session
         session, instruction = peek(before, trainer.settings, taken.time, commands)
         kept = instruction.learn is not None and int(taken.time - session.entered) % _HELD_EVERY == _HELD_EVERY - 1
-        # where the source knows it, the picture must show what is to be learned
+        # where the source knows it, the picture must show the gesture to be learned
         sure = instruction.learn is None or not self.feed.knows
         usable = fresh and (sure or (taken.box is not None) == (instruction.learn == "gesture"))
         if session.segment != self._before[0]:
@@ -129,7 +272,7 @@ class Training:
     def _keep(
         self, taken: Taken, f: Feedback, found: Localisation, kept: bool, threshold: float | None, hold_s: float
     ) -> None:
-        """Count what was learned; put aside what is judged."""
+        """Count learned frames; put judged ones aside."""
         kind, phase = f.instruction.learn, f.instruction.phase
         if kind is not None and f.taught is not None:
             self._frames[kind] += 1
@@ -196,7 +339,7 @@ class Training:
         result = self._held.result(self._threshold(controls))
         if self.asks != "test" and not self.paused:
             self._held.begin(self.trainer.learner.forest.freeze())
-        return None if result is None else {"t": "judged", **result, **self._alarms.told()}
+        return None if result is None else {"t": "judged", **result, **self._alarms.reported()}
 
     def save(self, controls: Controls) -> Path | None:
         """Write the model; None when nothing has been learned yet."""
@@ -227,14 +370,14 @@ class Training:
 class Watching:
     """Looks for the gestures of all models; nothing is learned or written."""
 
-    told: dict[str, Any] = {"rounds": 0, "seconds": {}}
+    reported: dict[str, Any] = {"rounds": 0, "seconds": {}}
     folder = None
     asks = "free"
 
-    def __init__(self, feed: Feed, models: Sequence[GestureModel]) -> None:
+    def __init__(self, feed: GestureFeed, models: Sequence[GestureModel]) -> None:
         self.feed = feed
         self.names = [n for m in models for n in m.names]
-        self._forests, self._limits = finished(models), thresholds(models, None)
+        self._forests, self._limits = loaded_forests(models), thresholds(models, None)
         self._look = LocaliseSettings(adaptation_rate=_ADAPTATION_RATE)
         self._scratch, self._state, self._pause = Scratch(), EventState(), False
 
@@ -243,7 +386,7 @@ class Watching:
         """Nothing goes on until the page says so."""
         return self._pause
 
-    def frame(self, taken: Taken, controls: Controls, commands: Sequence[Command], fresh: bool) -> Shown:
+    def frame(self, taken: Taken, controls: Controls, commands: Sequence[Command], fresh: bool) -> _Shown:
         """Take a picture; fresh False: it was taken before, and only the commands are new."""
         for c in commands:
             self._pause = c == "pause" if c in ("pause", "continue") else self._pause

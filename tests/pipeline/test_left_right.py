@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hypose.pipeline.doubts import what_was_seen
-from hypose.pipeline.first_frame import Subject
-from hypose.pipeline.mend_sides import look_back, look_back_notes, mend_sides, sides_notes
+from hypose.pipeline.first_frame import TrackedSubject
+from hypose.pipeline.frame_anomalies import view_statistics
+from hypose.pipeline.left_right import correct_left_right, left_right_notes, retrack_start, start_notes
 from hypose.pipeline.run import TrackOptions, track_source
 from hypose.tracking.left_right import turned_around
 from hypose.tracking.starts import known_pose
@@ -27,7 +27,7 @@ def tracked(tracker, start, frames):
     state, out, last = tracker.start(start), [], None
     for frame in frames:
         state, estimate = tracker.step(state, frame)
-        out.append(replace(estimate, seen=what_was_seen(estimate, tracker.body, frame, last)))
+        out.append(replace(estimate, seen=view_statistics(estimate, tracker.body, frame, last)))
         last = frame
     return out
 
@@ -55,7 +55,7 @@ def turned_share(scene, tracker, estimates):
 def test_what_is_the_right_way_round_stays_as_it_is(clip):
     scene, frames, tracker, good = clip
     read = []
-    same, replaced = mend_sides(
+    same, replaced = correct_left_right(
         tracker,
         good,
         reader(frames, read),
@@ -73,27 +73,27 @@ def test_a_turned_stretch_is_tracked_again_and_only_that(clip, span):
     spoilt = [*good[:first], *tracked(tracker, start, frames[first:stop]), *good[stop:]]
     before = turned_share(scene, tracker, spoilt)
     assert before > 0.3, "the tracker finds the right way by itself: choose another scene"
-    mended, replaced = mend_sides(tracker, spoilt, reader(frames))
+    mended, replaced = correct_left_right(tracker, spoilt, reader(frames))
     assert turned_share(scene, tracker, mended) == 0
     assert len(replaced) == 1
     assert replaced[0].start >= first - 3 and replaced[0].stop <= stop + 3
     costs = [np.mean([e.cost for e in clip_]) for clip_ in (good, spoilt, mended)]
     assert costs[2] < costs[1] and costs[2] < costs[0] + 0.01
     assert [e.seen.shape for e in mended] == [e.seen.shape for e in good]
-    assert f"{replaced[0].start}-{replaced[0].stop - 1}" in sides_notes(replaced)[0]
+    assert f"{replaced[0].start}-{replaced[0].stop - 1}" in left_right_notes(replaced)[0]
 
 
 def test_the_same_again_gives_the_same(clip):
     _, frames, tracker, good = clip
     spoilt = tracked(tracker, turned_around(tracker.body, good[0].pose), frames)
-    a, b = (mend_sides(tracker, spoilt, reader(frames))[0] for _ in range(2))
+    a, b = (correct_left_right(tracker, spoilt, reader(frames))[0] for _ in range(2))
     assert all((x.pose == y.pose).all() for x, y in zip(a, b, strict=True))
 
 
 def test_a_start_that_a_person_has_corrected_is_not_turned(clip):
     _, frames, tracker, good = clip
     spoilt = tracked(tracker, turned_around(tracker.body, good[0].pose), frames)
-    same, replaced = mend_sides(tracker, spoilt, reader(frames), sure_start=True)
+    same, replaced = correct_left_right(tracker, spoilt, reader(frames), sure_start=True)
     assert same[0] is spoilt[0] and all(r.start > 0 for r in replaced)
 
 
@@ -108,7 +108,7 @@ def test_a_recording_tracked_from_a_turned_start_comes_out_the_right_way_round(c
             return frames[index]
 
     start = turned_around(tracker.body, good[0].pose)
-    result = track_source(Source(), 25.0, TrackOptions(), subject=Subject(tracker.body, None, start, ("given",)))
+    result = track_source(Source(), 25.0, TrackOptions(), subject=TrackedSubject(tracker.body, None, start, ("given",)))
     s = tracker.body.skeleton
     across = (result.motion.joints[:, s.joint(f"{side}_hip"), :2] for side in ("left", "right"))
     true = scene.joints[:N, s.joint("left_hip"), :2] - scene.joints[:N, s.joint("right_hip"), :2]
@@ -124,10 +124,10 @@ def test_what_the_start_got_wrong_is_tracked_again_from_what_came_after_it(clip)
         lost[s.dofs_of(arm)] = known_pose(tracker.body, "hands-up")[s.dofs_of(arm)]
     cost = good[0].cost + 0.1
     spoilt = [*(replace(e, pose=lost, cost=cost) for e in good[:6]), *good[6:]]
-    mended, replaced = look_back(tracker, spoilt, reader(frames))
+    mended, replaced = retrack_start(tracker, spoilt, reader(frames))
     # of the good frames behind them some may differ by more than counts as the same, and be as good
     assert replaced.start == 0 and 6 <= replaced.stop <= 25
-    assert look_back_notes(replaced)[0].endswith("tracked again backwards")
+    assert start_notes(replaced)[0].endswith("tracked again backwards")
     joints, before = (tracker.body.joints(np.stack([e.pose for e in es])) for es in (mended, good))
     assert np.linalg.norm(joints[:6] - before[:6], axis=-1).mean() < 0.02
     error, usual = (np.linalg.norm(j - scene.joints[:N], axis=-1).mean() for j in (joints, before))
@@ -135,7 +135,7 @@ def test_what_the_start_got_wrong_is_tracked_again_from_what_came_after_it(clip)
     assert all(a is b for a, b in zip(mended[25:], good[25:], strict=True))
 
     near = [good[0], *spoilt[:6], *good[7:]]  # that the very first frame is much the same spoils nothing
-    mended, replaced = look_back(tracker, near, reader(frames))
+    mended, replaced = retrack_start(tracker, near, reader(frames))
     assert replaced.start == 0 and 7 <= replaced.stop <= 25
     assert all(
         tracker.body.joints(m.pose) == pytest.approx(tracker.body.joints(g.pose), abs=0.1)

@@ -12,8 +12,8 @@ import pytest
 
 from hypose.evidence.background import from_frames
 from hypose.evidence.pose_network import CROP, DetectorOutput, LandmarkOutput, PoseNetwork
-from hypose.io.videos.camera_sources import Shot
-from hypose.pipeline.live.eyes import EyesOptions, EyesProcess, LiveView, Question
+from hypose.io.videos.camera_sources import CameraImage
+from hypose.pipeline.live.capture import CaptureOptions, CaptureProcess, CaptureRequest, LiveView
 from hypose.synthetic.scenes import camera_rig
 from tests.conftest import HANG_S
 from tests.live_scenes import in_step
@@ -60,7 +60,7 @@ def begun(monkeypatch):
 def looked(eyes, met):
     """The first sight of which that is so."""
     while True:
-        eyes.ask(Question())
+        eyes.ask(CaptureRequest())
         sight = eyes.answer()
         assert sight is not None, "the film is over"
         if met(sight):
@@ -84,28 +84,28 @@ def test_pictures_of_another_shape_are_not_used_and_named(begun, cameras, tmp_pa
     def views(stretched=False):
         return [LiveView(n, places[n], background=known[n], stretched=stretched) for n in cameras.names]
 
-    eyes = begun(cameras, views(), EyesOptions(RATE))
+    eyes = begun(cameras, views(), CaptureOptions(RATE))
     sight = looked(eyes, lambda s: np.isfinite(s.time))
     assert sight.views[0] is not None and sight.views[1] is None
     assert len(sight.words) == 1 and sight.words[0].startswith(why)
-    eyes = begun(cameras, views(stretched=True), EyesOptions(RATE))
+    eyes = begun(cameras, views(stretched=True), CaptureOptions(RATE))
     sight = looked(eyes, lambda s: np.isfinite(s.time))
     assert None not in sight.views and not sight.words
 
 
 def test_eyes_that_nobody_listens_to_any_more_end_by_themselves(cameras, tmp_path, rng, monkeypatch):
     """What they are about to say is more than waits in a pipe."""
-    monkeypatch.setattr("hypose.pipeline.live.eyes._CLOSING_S", HANG_S)
+    monkeypatch.setattr("hypose.pipeline.live.capture._CLOSING_S", HANG_S)
     views = [LiveView(c.name, folder(tmp_path / c.name, (1600, 1200), rng, 4000), background=room(c)) for c in cameras]
-    eyes = EyesProcess(cameras, views, EyesOptions(RATE))
+    eyes = CaptureProcess(cameras, views, CaptureOptions(RATE))
     while True:
-        eyes.ask(Question(pictures=True))
+        eyes.ask(CaptureRequest(pictures=True))
         sight = eyes.answer()
         assert sight is not None
         if np.isfinite(sight.time):
             break
     assert sum(len(jpeg) for jpeg in sight.jpegs) > 1 << 20
-    eyes.ask(Question(pictures=True))
+    eyes.ask(CaptureRequest(pictures=True))
     time.sleep(0.5)
     eyes.close()
     assert eyes._process.exitcode == 0
@@ -118,18 +118,20 @@ def test_nobody_waits_for_cameras_that_are_being_opened_when_it_is_to_stop(camer
         held = []
         asked = threading.Thread(target=lambda: (held.append(silent.accept()), stop.set()), daemon=True)
         asked.start()
-        eyes = EyesProcess(cameras, views, EyesOptions(RATE), stop)  # and it is no error
+        eyes = CaptureProcess(cameras, views, CaptureOptions(RATE), stop)  # and it is no error
         eyes.close()
         held[0][0].close()
     assert not eyes._process.is_alive()
 
 
 def test_pictures_that_cannot_be_read_are_told(begun, cameras, tmp_path, rng, monkeypatch):
-    whole = Shot.picture
-    monkeypatch.setattr(Shot, "picture", lambda shot, least: whole(shot, least) if shot.size == (160, 120) else None)
+    whole = CameraImage.picture
+    monkeypatch.setattr(
+        CameraImage, "picture", lambda shot, least: whole(shot, least) if shot.size == (160, 120) else None
+    )
     sizes = {"cam1": (160, 120), "cam2": (320, 240)}
     views = [LiveView(c.name, folder(tmp_path / c.name, sizes[c.name], rng), background=room(c)) for c in cameras]
-    eyes = begun(cameras, views, EyesOptions(RATE))
+    eyes = begun(cameras, views, CaptureOptions(RATE))
     assert looked(eyes, lambda s: s.words != ()).words == (
         "cam2 sends pictures that cannot be read; look what the address shows.",
     )
@@ -141,8 +143,8 @@ def test_where_a_network_finds_people_no_empty_room_is_learnt(begun, cameras, tm
     boxes, mask = np.zeros((2254, 12), np.float32), np.full((CROP, CROP), 9, np.float32)
     boxes[:, 7] = -60
     network = PoseNetwork(lambda _: DetectorOutput(boxes, scores), lambda _: LandmarkOutput(points, 0.9, mask), {})
-    monkeypatch.setattr("hypose.pipeline.live.eyes.open_network", lambda: network)
+    monkeypatch.setattr("hypose.pipeline.live.capture.open_network", lambda: network)
     views = [LiveView(c.name, folder(tmp_path / c.name, (160, 120), rng)) for c in cameras]
-    sight = looked(begun(cameras, views, EyesOptions(RATE, network=1)), lambda s: np.isfinite(s.time))
+    sight = looked(begun(cameras, views, CaptureOptions(RATE, network=1)), lambda s: np.isfinite(s.time))
     assert not sight.room and not sight.words
     assert all(view is not None and view[0].any() and view[1] is not None for view in sight.views)

@@ -37,7 +37,7 @@ from hypose.geometry import Array, transform
 from hypose.io.recordings.frames import FrameStream, load_keypoints
 from hypose.io.recordings.recording import Recording
 from hypose.io.recordings.recording_people import RecordedPerson, load_person
-from hypose.io.recordings.recording_views import View, open_pictures
+from hypose.io.recordings.recording_views import ViewSettings, open_pictures
 from hypose.pipeline.first_frame import SubjectOptions, find_subject
 from hypose.pipeline.one_of_several import frames_to_examine
 from hypose.pipeline.run import TrackOptions, track_source
@@ -46,8 +46,8 @@ from hypose.pipeline.subject_from_motion import with_outlines
 from hypose.tracking.keypoint_evidence import KeypointModel, keypoint_model, keypoint_term
 from hypose.tracking.subject import shape_from_keypoints, subject_from_keypoints
 
-Progress = Callable[[str, int, int], None]
-METHODS = ("keypoints", "silhouettes", "both")
+_Progress = Callable[[str, int, int], None]
+_METHODS = ("keypoints", "silhouettes", "both")
 
 
 def _ignore(stage: str, done: int, total: int) -> None:
@@ -89,7 +89,7 @@ def window(recording: Recording, most: int) -> Recording:
     return replace(recording, frame_range=(first, first + most))
 
 
-def observe(recording: Recording, most: int = 100, progress: Progress = _ignore) -> Observed:
+def observe_recording(recording: Recording, most: int = 100, progress: _Progress = _ignore) -> Observed:
     """The doctor's evidence of at most `most` consecutive frames: key points as stored, masks made without them."""
     few = window(recording, most)
     person = raw_person(few)
@@ -145,7 +145,7 @@ def _near(silhouettes: Silhouettes, keypoints: Keypoints) -> Silhouettes:
     return replace(silhouettes, masks=masks, usable=usable)
 
 
-def _clip(view: View) -> ViewFile:
+def _clip(view: ViewSettings) -> ViewFile:
     if view.source is None and view.masks is None:
         return ViewFile()
     with open_pictures(view) as reader:
@@ -154,7 +154,7 @@ def _clip(view: View) -> ViewFile:
 
 def raw_person(recording: Recording) -> RecordedPerson | None:
     """The person of a recording whose calibration is in doubt, in full-size pictures; None without key points."""
-    return load_person(recording, recording.rig.pinhole(), doubting=True)
+    return load_person(recording, recording.rig.pinhole(), keep_misfits=True)
 
 
 def cured_recording(recording: Recording, cured: Cured) -> Recording:
@@ -176,7 +176,7 @@ def refine_recording(
     height: float | None = None,
     most: int = 150,
     disturb: Callable[[Body, Array], Array] | None = None,
-    progress: Progress = _ignore,
+    progress: _Progress = _ignore,
 ) -> Refinement:
     """Refines the poses (and with `focal` the focal lengths) of a recording's cameras from the moving person.
 
@@ -184,9 +184,9 @@ def refine_recording(
     (bundle adjustment), silhouettes (contours of the tracked body; key points, if there are any, only give the start),
     both. fixed: names of cameras that stay. height: of the person, m: sets the scale, which else stays as it was (by
     the person's limbs). disturb(body, poses) changes the start poses, for tests. An EvidenceError or InputError says
-    what is missing."""
-    if method not in METHODS:
-        raise InputError(f"There is no refinement from {method!r}; choose {', '.join(METHODS)}.")
+    the missing part."""
+    if method not in _METHODS:
+        raise InputError(f"There is no refinement from {method!r}; choose {', '.join(_METHODS)}.")
     if len(recording.rig) < 2:
         raise InputError(
             "A calibration of one camera cannot be refined from the person; at least two views are needed."
@@ -287,7 +287,7 @@ def _by_body(
     focal: bool,
     free: NDArray[np.bool_],
     disturb: Callable[[Body, Array], Array] | None,
-    progress: Progress,
+    progress: _Progress,
 ) -> tuple[CameraRig, Array, list[Silhouettes | None], list[str]]:
     blind = recording
     if method == "silhouettes":  # masks that know nothing of the key points
@@ -366,7 +366,7 @@ def _start_from_points(frames: Sequence[Frame], keypoints: Sequence) -> tuple[Bo
 
 
 def _start_from_masks(
-    source: Resampled, recording: Recording, used: NDArray[np.int64], progress: Progress
+    source: Resampled, recording: Recording, used: NDArray[np.int64], progress: _Progress
 ) -> tuple[Body, Array, list[str]]:
     progress("subject", 0, 1)
     options = SubjectOptions(height=recording.subject_height, frame_rate=recording.frame_rate)

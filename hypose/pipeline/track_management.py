@@ -1,4 +1,4 @@
-"""Who comes: somebody in the masks whom nobody who is tracked explains, new or back again."""
+"""Who comes: a person in the masks whom no person who is tracked explains, new or back again."""
 
 from __future__ import annotations
 
@@ -14,15 +14,91 @@ from hypose.evidence.frame import Frame, Silhouettes
 from hypose.evidence.hull_people import FEWEST_VIEWS, HullPerson
 from hypose.evidence.shared_masks import Other, without
 from hypose.geometry import Array
-from hypose.pipeline.first_frame import Subject
+from hypose.pipeline.first_frame import TrackedSubject
 from hypose.pipeline.settings import SETTINGS
 from hypose.pipeline.tracked_people import Followed
-from hypose.pipeline.wardrobe import exchange, same_clothes
-from hypose.tracking.appearance import clothes_in
+from hypose.tracking.appearance import Appearance, appearance_in, no_appearance
 from hypose.tracking.costs import mean_overlap
 from hypose.tracking.frame_evidence import PreparedFrame, prepare
 from hypose.tracking.several import shape_of
 from hypose.tracking.start_search import start_from_hull
+
+# ---- wardrobe ------------------------------------------------------------------------------------------------------
+# Who is who after people were near each other, or away, by the clothes that they wore before.
+
+
+def _apart(a: Followed, b: Followed, t: int = -1) -> float:
+    return float(np.linalg.norm(a.estimates[t].pose[:2] - b.estimates[t].pose[:2]))
+
+
+def update_appearance(people: Sequence[Followed], seen: Sequence[Frame]) -> list[tuple[Followed, Followed, int]]:
+    """Looks at all people in a frame that has just been tracked; seen: as each saw it. Returns who has been exchanged
+    with whom, and from which frame on."""
+    there = [p for p in people if p.member.sure]
+    for p, frame in zip(people, seen, strict=True):
+        if frame.colours is None or p not in there:
+            continue
+        w, near = p.appearance, [q for q in there if q is not p and _apart(p, q) < SETTINGS.wardrobe_near_m]
+        for q in near:
+            _remember(p, q)
+        if near:
+            w.lately, w.looks = no_appearance(), 0
+            continue
+        w.lately, w.looks = w.lately + appearance_in(p.subject.body, p.estimates[-1].pose, frame), w.looks + 1
+        if not w.met:
+            w.settle()
+    return _exchanged(there)
+
+
+def _remember(p: Followed, q: Followed) -> None:
+    """That they have met, and where they were nearest so far."""
+    now, met = len(p.estimates) - 1, p.appearance.met
+    if q.name not in met or _apart(p, q) <= _apart(p, q, met[q.name]):
+        met[q.name] = now
+
+
+def _exchanged(there: Sequence[Followed]) -> list[tuple[Followed, Followed, int]]:
+    out = []
+    for i, p in enumerate(there):
+        a = p.appearance
+        for q in there[:i]:
+            b = q.appearance
+            if min(a.looks, b.looks) < SETTINGS.wardrobe_looks or not (q.name in a.met and p.name in b.met):
+                continue
+            own = a.worn.likeness(a.lately) + b.worn.likeness(b.lately)
+            other = a.worn.likeness(b.lately) + b.worn.likeness(a.lately)
+            if other > own + SETTINGS.wardrobe_clearly:  # not where one of them has not been seen
+                out.append((p, q, min(a.met[q.name], b.met[p.name])))
+                a.lately, b.lately = b.lately, a.lately
+            del a.met[q.name], b.met[p.name]
+    for p in there:  # whom they met and who has left since
+        names = {q.name for q in there}
+        w = p.appearance
+        if w.looks >= SETTINGS.wardrobe_looks and not names & set(w.met):
+            w.settle()
+    return out
+
+
+def swap_identities(p: Followed, q: Followed, since: int, reported: str = "as their clothes told afterwards") -> None:
+    """Each goes on as the other, from a frame on; what was estimated since then is the other's, and doubtful. reported:
+    by what, in words."""
+    now = len(p.estimates)
+    for name in ("estimates", "present"):
+        mine, theirs = getattr(p, name), getattr(q, name)
+        mine[since:], theirs[since:] = theirs[since:], mine[since:]
+    a, b = p.member, q.member
+    p.member = replace(a, state=a.tracker.start(b.state.pose), present=b.present)
+    q.member = replace(b, state=b.tracker.start(a.state.pose), present=a.present)
+    p.gone, q.gone, p.track, q.track = q.gone, p.gone, q.track, p.track
+    for one, other in ((p, q), (q, p)):
+        one.hidden[since:] = [True] * (now - since)
+        one.said.append(f"taken for {other.name} from frame {since} to {now - 1}, {reported}")
+
+
+def appearance_likeness(p: Followed, seen: Appearance) -> float:
+    """Likeness of a person who comes with one who is away; 1 where nothing is known of either."""
+    like = (p.appearance.worn + p.appearance.lately if not p.appearance.met else p.appearance.worn).likeness(seen)
+    return like if np.isfinite(like) else 1.0
 
 
 def explained_by(people: Sequence[Followed], silhouettes: Silhouettes) -> list[Other]:
@@ -30,7 +106,7 @@ def explained_by(people: Sequence[Followed], silhouettes: Silhouettes) -> list[O
     return [Other(p.member.shape(silhouettes.rig, p.estimates[-1].pose)) for p in people if p.member.sure]
 
 
-def somebody_more(known: Sequence[Other], silhouettes: Silhouettes, least: int = FEWEST_VIEWS) -> bool:
+def birth_candidates(known: Sequence[Other], silhouettes: Silhouettes, least: int = FEWEST_VIEWS) -> bool:
     """Is enough of the masks unexplained, in `least` views or all, to look for a person? Every other pixel tells."""
     if not known:
         return True
@@ -56,17 +132,17 @@ def part_doubles(people: Sequence[Followed], frames: int) -> None:
                 worse.member = replace(worse.member, present=False)
 
 
-def without_doubles(people: Sequence[Followed], frame: Frame) -> dict[str, Subject]:
+def without_doubles(people: Sequence[Followed], frame: Frame) -> dict[str, TrackedSubject]:
     """By name, people at their starts in a frame, of whom no two are one: a hull may fall into two parts. Of two in one
-    place, or beside each other where one explains nothing that all others leave, the one stays whose body explains
-    better what everybody else leaves of the masks, by the name of the first."""
+    place, or side by side where one explains nothing that all others leave, the one stays whose body explains
+    better what all others leaves of the masks, by the name of the first."""
     kept: dict[str, Followed] = {}
     for p in people:
         for name, q in kept.items():
             away, rest = _away(p, q), [o for o in people if o is not p and o is not q]
             alone = (
                 min(_explains(a, [*rest, b], frame) for a, b in ((p, q), (q, p)))
-                if away < SETTINGS.newcomer_beside
+                if away < SETTINGS.newcomer_reach
                 else 1.0
             )
             if away < SETTINGS.newcomer_one_place_m or alone < SETTINGS.newcomer_nothing:
@@ -92,22 +168,25 @@ def _explains(p: Followed, others: Sequence[Followed], frame: Frame) -> float:
 
 
 def not_parts(found: Sequence[HullPerson], people: Sequence[Followed]) -> list[HullPerson]:
-    """Those in the hull who are no limb of somebody who is tracked: whoever is no taller than a child stands apart."""
+    """Those in the hull who are no limb of a person who is tracked: a person who is no taller than a child stands
+    apart."""
     at = [p.estimates[-1].pose[:2] for p in people if p.member.sure]
-    return [h for h in found if h.tall or all(np.linalg.norm(h.axis - q) > SETTINGS.newcomer_beside for q in at)]
+    return [h for h in found if h.tall or all(np.linalg.norm(h.axis - q) > SETTINGS.newcomer_reach for q in at)]
 
 
-def evidence_of(person: HullPerson, frame: Frame, known: Sequence[Other], beside: Sequence[HullPerson] = ()) -> Frame:
-    """The frame as evidence for somebody in the hull; known: who is explained; beside: others in the hull."""
+def candidate_evidence(
+    person: HullPerson, frame: Frame, known: Sequence[Other], neighbours: Sequence[HullPerson] = ()
+) -> Frame:
+    """The frame as evidence for a person in the hull; known: who is explained; next to: others in the hull."""
     s = frame.silhouettes
     assert s is not None
-    rest = [Other(p.shape(s.rig), SETTINGS.path_others_widened) for p in beside if p is not person]
+    rest = [Other(p.shape(s.rig), SETTINGS.path_others_widened) for p in neighbours if p is not person]
     return own_frame(frame, person.shape(s.rig), [*known, *rest])
 
 
 def found_again(p: Followed, own: Frame) -> tuple[PreparedFrame, Array]:
-    """The evidence for somebody as their tracker sees it, and the pose (D,) that it shows; an EvidenceError where it
-    shows nobody."""
+    """The evidence for a person as their tracker sees it, and the pose (D,) that it shows; an EvidenceError where it
+    shows no person."""
     body = p.subject.body
     prepared = prepare(own, body, np.zeros(body.skeleton.dof))
     return prepared, start_from_hull(body, prepared).pose
@@ -116,9 +195,9 @@ def found_again(p: Followed, own: Frame) -> tuple[PreparedFrame, Array]:
 def returned(
     person: HullPerson, own: Frame, people: Sequence[Followed], frame_rate: float
 ) -> tuple[Followed, Array] | None:
-    """Which of those who are away this is, and the pose (D,) in which they are back; None: nobody of them.
+    """Which of those who are away this is, and the pose (D,) in which they are back; None: no person of them.
 
-    Place and motion: nobody walks faster than WALKING from where they were seen last. Clothes, where pictures show
+    Place and motion: no person walks faster than WALKING from where they were seen last. Clothes, where pictures show
     them: not too different. Body: of several the one whose clothes are most alike and whose body overlaps the masks
     best, if it is about as tall as their hull."""
     best: tuple[float, Followed, Array] | None = None
@@ -127,12 +206,12 @@ def returned(
             continue
         seen = p.last_seen
         if seen is not None:
-            reach = SETTINGS.newcomer_beside + SETTINGS.newcomer_walking * max(1, seen[1]) / frame_rate
+            reach = SETTINGS.newcomer_reach + SETTINGS.newcomer_walking * max(1, seen[1]) / frame_rate
             if np.linalg.norm(seen[0][:2] - person.axis) > reach:
                 continue
         with contextlib.suppress(EvidenceError):
             prepared, pose = found_again(p, own)
-            like = same_clothes(p, clothes_in(p.subject.body, pose, own))
+            like = appearance_likeness(p, appearance_in(p.subject.body, pose, own))
             score = mean_overlap(p.subject.body, pose, prepared) + like
             if like > SETTINGS.wardrobe_unlike and (best is None or score > best[0]):
                 best = (score, p, pose)
@@ -142,19 +221,20 @@ def returned(
     return (best[1], best[2]) if -SETTINGS.newcomer_shorter_m < higher < SETTINGS.newcomer_taller_m else None
 
 
-def drawn_away(person: HullPerson, people: Sequence[Followed], frame_rate: float) -> tuple[Followed, int] | None:
-    """Who stood where somebody is found now, and the frame from which they were tracked elsewhere, faster than anybody
-    walks: they stand there still, and were drawn to whoever came beside them before that one was found. None: nobody.
+def identity_switches(person: HullPerson, people: Sequence[Followed], frame_rate: float) -> tuple[Followed, int] | None:
+    """Who stood where a person is found now, and the frame from which they were tracked elsewhere, faster than anybody
+    walks: they stand there still, and were drawn to a person who came next to them before that one was found. None: no
+    person.
 
-    To solve who leaps in a frame again, without looking for them anew, puts that off by one frame only (seed 451)."""
+    To solve who leaps in a frame again, without looking for them again, puts that off by one frame only (seed 451)."""
     for q in people:
         if not q.member.sure:
             continue
         at = np.array([e.pose[:2] for e in q.estimates[-max(2, round(SETTINGS.newcomer_drawn_s * frame_rate)) :]])
-        near = np.flatnonzero(np.linalg.norm(at - person.axis, axis=1) < SETTINGS.newcomer_beside / 2)
+        near = np.flatnonzero(np.linalg.norm(at - person.axis, axis=1) < SETTINGS.newcomer_reach / 2)
         frames = len(at) - 1 - near[-1] if len(near) else 0
         if frames and np.linalg.norm(at[-1] - at[near[-1]]) > max(
-            SETTINGS.newcomer_beside, SETTINGS.newcomer_walking * frames / frame_rate
+            SETTINGS.newcomer_reach, SETTINGS.newcomer_walking * frames / frame_rate
         ):
             return q, len(q.estimates) - int(frames)
     return None
@@ -164,9 +244,9 @@ def back_again(
     person: HullPerson, own: Frame, people: Sequence[Followed], frame_rate: float
 ) -> tuple[Followed, Array] | None:
     """Who it is that `returned`, with their pose (D,); where another one stands there still, who was drawn to the one
-    who came: that one, and both go on as who they are from where they were exchanged, or whoever is new there is found
-    by the next looks."""
-    back, drawn = returned(person, own, people, frame_rate), drawn_away(person, people, frame_rate)
+    who came: that one, and both go on as who they are from where they were exchanged, or a person who is new there is
+    found by the next looks."""
+    back, drawn = returned(person, own, people, frame_rate), identity_switches(person, people, frame_rate)
     if drawn is None:
         return back
     who, since = drawn
@@ -175,7 +255,7 @@ def back_again(
         if back is None:
             who.was_not(since, "as told by who was found where they had stood")
         else:
-            exchange(back[0], who, since, "as told by who was found where the other one had stood")
+            swap_identities(back[0], who, since, "as told by who was found where the other one had stood")
         return who, pose
     return back
 

@@ -8,9 +8,9 @@ import pytest
 
 from hypose.body.default_body import human
 from hypose.evidence.hull_people import HullPerson
-from hypose.pipeline import newcomers
-from hypose.pipeline.first_frame import Subject
-from hypose.pipeline.newcomers import back_again, drawn_away
+from hypose.pipeline import track_management
+from hypose.pipeline.first_frame import TrackedSubject
+from hypose.pipeline.track_management import back_again, identity_switches
 from hypose.pipeline.tracked_people import Followed
 from hypose.synthetic.scenes import make_scene
 from hypose.tracking.recipes import recipe
@@ -44,7 +44,7 @@ def followed(name: str, x: np.ndarray, present: np.ndarray) -> Followed:
     poses = np.repeat(pose[None], len(x), 0)
     poses[:, 0] = x
     estimates = [replace(estimate, pose=p) for p in poses]
-    subject = Subject(body, None, pose, ())
+    subject = TrackedSubject(body, None, pose, ())
     return Followed(name, subject, member, None, True, estimates, present.tolist(), [False] * len(x))
 
 
@@ -63,16 +63,16 @@ def bert() -> Followed:
 
 
 def test_who_moves_faster_than_anybody_from_where_somebody_is_found_was_drawn_away(anna, bert):
-    assert drawn_away(found_at(0.05), [bert, anna], RATE) == (anna, SINCE)
-    assert drawn_away(found_at(1.2), [bert, anna], RATE) is None  # the one who came beside them
+    assert identity_switches(found_at(0.05), [bert, anna], RATE) == (anna, SINCE)
+    assert identity_switches(found_at(1.2), [bert, anna], RATE) is None  # the one who came beside them
     walks = followed("carl", np.linspace(-1.0, 0.8, FRAMES), np.ones(FRAMES, dtype=bool))
-    assert drawn_away(found_at(0.4), [walks], RATE) is None  # 1.2 m/s: came past there
+    assert identity_switches(found_at(0.4), [walks], RATE) is None  # 1.2 m/s: came past there
 
 
 def test_who_was_drawn_to_somebody_new_goes_on_where_they_had_stood(anna, monkeypatch):
     again = known_pose(human(), "standing")
-    monkeypatch.setattr(newcomers, "returned", lambda *_: None)
-    monkeypatch.setattr(newcomers, "found_again", lambda *_: (None, again))
+    monkeypatch.setattr(track_management, "returned", lambda *_: None)
+    monkeypatch.setattr(track_management, "found_again", lambda *_: (None, again))
     frame = next(iter(make_scene("walk", seconds=0.1).mask_frames(0.2)))
     back = back_again(found_at(0.05), frame, [anna], RATE)
     assert back is not None and back[0] is anna and back[1] is again

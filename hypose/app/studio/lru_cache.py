@@ -1,4 +1,4 @@
-"""Values that take long to make, kept for a while: bounded in bytes, and let go when nobody asks for them."""
+"""Values that take long to make, kept for a while: bounded in bytes, and let go when no one asks for them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
 IDLE_S = 300.0
-"""s after which what nobody has asked for is let go."""
+"""s after which what no one has asked for is let go."""
 V = TypeVar("V")
 
 
@@ -25,7 +25,7 @@ class _Entry(Generic[V]):
     making: threading.Lock = field(default_factory=threading.Lock)
 
 
-class Kept(Generic[V]):
+class LruCache(Generic[V]):
     """Values by key, for several threads. most: bytes of all together, as weigh(value) tells them; beyond, those that
     were not used for longest are let go, but never one that is being used. let_go(value) releases it; idle_s: after
     this time without use it is called anyway; one_more: the one used last stays, however large it is."""
@@ -74,7 +74,7 @@ class Kept(Generic[V]):
             return sum(map(self._weight, self._entries.values()))
 
     def tidy(self) -> None:
-        """Let go of what is too much, and of what has not been used for long."""
+        """Drop values beyond the limit and values not used for long."""
         with self._lock:
             self._shrink(self._most, next(reversed(self._entries), None) if self._one_more else None)
             if self._entries and (self._timer is None or not self._timer.is_alive()):
@@ -88,7 +88,7 @@ class Kept(Generic[V]):
             self.tidy()
 
     def _shrink(self, most: int, stays: Hashable = None) -> None:
-        """Let go until not more than so many bytes are there, and of what is idle."""
+        """Drop values until at most so many bytes are kept, and idle ones."""
         total = self.held
         for key, entry in [(k, e) for k, e in self._entries.items() if not e.users]:
             if (total > most and key != stays) or self._clock() - entry.used >= self._idle_s:

@@ -1,43 +1,29 @@
-"""An exported gesture forest in plain numpy: this file alone runs it, without the rest of hypose.
+"""Run a gesture forest in plain numpy: the definition that the compiled kernels are tested against.
 
-    model = load_forest("forest.npz", "forest.json")
-    x, y, score = find(model, depth_mm, focal_px=575.8)[0]      # one (x, y, score) per gesture
-
-forest.npz: test (T, N, 5) int16, left (T, N) int16, share (T, N, C) uint16; T trees of N nodes, C classes, class 0 is
-the background. forest.json: {"format": "hypose-forest", "version": 1, "gestures": [names], "clip_mm", "reach_mm",
-"sigma_px", "majority", "disc_mm", "near_mm", "far_mm", "thresholds": [cm^2 per gesture]}.
+model: test (T, N, 5) int16, left (T, N) int16, share (T, N, C) uint16; T trees of N nodes, C classes, class 0 is the
+background; gestures, clip_mm, reach_mm, sigma_px, majority, disc_mm, near_mm, far_mm, thresholds (cm^2 per gesture).
 
 A pixel with depth d walks down every tree from node 0. At a node with test (uy, ux, vy, vx, t) it goes to node `left`
 when c(u) - c(v) < t and to `left` + 1 otherwise; left = -1 is a leaf, whose share / 10000 are the class probabilities.
 c(u) is the depth, in mm, floor(u f / d + 0.5) pixels away (f = focal length, in pixels; y down, x right), clamped to
 d - clip_mm .. d + clip_mm; a hole, the outside of the picture and everything beyond 10 m count as 10 m. Probabilities
-are averaged over the trees. (Alcoverro 2014, eq. 3.1, 3.3, 3.6.) It is also the definition that the compiled version is
-tested against.
+are averaged over the trees. (Alcoverro 2014, eq. 3.1, 3.3, 3.6.)
 """
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-_OUTSIDE_DEPTH = 10000
-
-
-def load_forest(arrays: str, description: str) -> dict[str, Any]:
-    """Read forest.npz and forest.json."""
-    with open(description, encoding="utf-8") as file:
-        model = json.load(file)
-    with np.load(arrays, allow_pickle=False) as data:
-        return {**model, **{name: data[name] for name in ("test", "left", "share")}}
+FAR = 10000
 
 
 def shares(
     model: dict[str, Any], depth: NDArray[np.uint16], rows: NDArray, columns: NDArray, focal_px: float
 ) -> NDArray[np.float64]:
-    """Return (S, C) mean class probabilities at the pixels (rows, columns) of a depth picture (h, w) in mm."""
+    """(S, C) mean class probabilities at the pixels (rows, columns) of a depth picture (h, w) in mm."""
     d = depth[rows, columns].astype(np.int32)
     # the same order of single-precision operations as the compiled version, so that the same pixels are read
     scale = (float(focal_px) / np.maximum(d, 1)).astype(np.float32)
@@ -47,9 +33,9 @@ def shares(
         r = rows + (dy.astype(np.float32) * scale + np.float32(4096.5)).astype(np.int32) - 4096
         c = columns + (dx.astype(np.float32) * scale + np.float32(4096.5)).astype(np.int32) - 4096
         inside = (r >= 0) & (c >= 0) & (r < depth.shape[0]) & (c < depth.shape[1])
-        value = np.full(len(d), _OUTSIDE_DEPTH, np.int32)
+        value = np.full(len(d), FAR, np.int32)
         value[inside] = depth[r[inside], c[inside]]
-        value[(value == 0) | (value > _OUTSIDE_DEPTH)] = _OUTSIDE_DEPTH
+        value[(value == 0) | (value > FAR)] = FAR
         return np.clip(value, d - clip, d + clip)
 
     total = np.zeros((len(d), model["share"].shape[2]))
@@ -66,8 +52,7 @@ def shares(
 def find(
     model: dict[str, Any], depth: NDArray[np.uint16], focal_px: float, stride: int = 0
 ) -> list[tuple[float, float, float]]:
-    """Return (x, y, score) of the best place of each gesture; score in cm^2 of surface that votes within the disc (eq.
-    3.5).
+    """(x, y, score) of the best place of each gesture; score in cm^2 of surface that votes within the disc (eq. 3.5).
 
     stride: every how many pixels to look; 0: 4 at a focal length of 575.8 px, in proportion at others.
     """

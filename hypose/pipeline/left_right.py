@@ -2,7 +2,7 @@
 
 While a person is tracked, the body turned around and the body with its legs exchanged are compared with the tracked one
 twice a second (before depth cameras once), and a body that is lost is looked for (`FrameEstimate.exchanged`). Where one
-of them is better, tracking begins anew from it, forwards and backwards in time, as long as that explains the evidence
+of them is better, tracking begins again from it, forwards and backwards in time, as long as that explains the evidence
 better than before; frame by frame the better one is kept.
 """
 
@@ -16,7 +16,7 @@ import numpy as np
 from hypose.body.body import Body
 from hypose.evidence.frame import Frame
 from hypose.inference.layer import Memory
-from hypose.pipeline.doubts import in_words, looked_again
+from hypose.pipeline.frame_anomalies import in_words, looked_again
 from hypose.pipeline.settings import SETTINGS
 from hypose.tracking.contacts import runs
 from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState
@@ -27,7 +27,7 @@ FrameRange = Callable[[range], Iterable[Frame]]
 _LIMBS = ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
 
 
-def mend_sides(
+def correct_left_right(
     tracker: Tracker,
     estimates: Sequence[FrameEstimate],
     frames: FrameRange,
@@ -41,17 +41,17 @@ def mend_sides(
     out = list(estimates)
     tried, replaced = set[int](), np.zeros(len(out), dtype=bool)
     while (at := _most_suspicious(out, tried)) is not None:
-        anew = _tracked_anew(tracker, out, at, frames, memory)
-        if anew.won < SETTINGS.sides_least * pace_of(tracker) or (sure_start and anew.first == 0):
-            tried.update(anew.compared)  # what fits as well both ways is gone through once
+        retracked = _retracked_from(tracker, out, at, frames, memory)
+        if retracked.won < SETTINGS.sides_least * pace_of(tracker) or (sure_start and retracked.first == 0):
+            tried.update(retracked.compared)  # what fits as well both ways is gone through once
             continue
         tried.add(at)
-        out[anew.first : anew.first + len(anew.better)] = anew.better
-        replaced[anew.first : anew.first + len(anew.better)] = True
+        out[retracked.first : retracked.first + len(retracked.better)] = retracked.better
+        replaced[retracked.first : retracked.first + len(retracked.better)] = True
     return out, runs(replaced)
 
 
-def look_back(
+def retrack_start(
     tracker: Tracker, estimates: Sequence[FrameEstimate], frames: FrameRange, *, memory: Memory | None = None
 ) -> tuple[list[FrameEstimate], range]:
     """The estimates with those of the first frames replaced that tracking backwards explains better, from where it had
@@ -61,7 +61,7 @@ def look_back(
     if at < 1 or tracker.recipe.recover is None:
         return out, range(0)
     start = tracker.start(out[at].pose, memory)
-    better, won, _ = _while_better(tracker, start, out, range(at - 1, -1, -1), backwards(frames, at), False)
+    better, won, _ = _while_better(tracker, start, out, range(at - 1, -1, -1), reversed_frames(frames, at), False)
     if len(better) < at or won < SETTINGS.sides_least_back * pace:  # not as far as the first frame
         return out, range(0)
     moved = [t for t in range(at) if _apart(tracker.body, out[t], better[at - 1 - t]) > SETTINGS.sides_met_m]
@@ -69,7 +69,7 @@ def look_back(
     return out, range(max(moved, default=-1) + 1)
 
 
-def sides_notes(replaced: Sequence[range]) -> tuple[str, ...]:
+def left_right_notes(replaced: Sequence[range]) -> tuple[str, ...]:
     """A sentence for the user; none where nothing was exchanged."""
     if not replaced:
         return ()
@@ -78,7 +78,7 @@ def sides_notes(replaced: Sequence[range]) -> tuple[str, ...]:
     )
 
 
-def look_back_notes(replaced: range) -> tuple[str, ...]:
+def start_notes(replaced: range) -> tuple[str, ...]:
     """A sentence for the user; none where nothing was replaced."""
     return (f"the start was wrong in {in_words([replaced])}; tracked again backwards",) if replaced else ()
 
@@ -91,7 +91,7 @@ def _most_suspicious(estimates: Sequence[FrameEstimate], tried: set[int]) -> int
 
 
 @dataclass(frozen=True)
-class _Anew:
+class _Retracked:
     """won: sum over frames of 1 - IoU by which the estimates `better`, from frame `first` on, lie below the old ones;
     compared: all frames that were tracked for it."""
 
@@ -101,17 +101,17 @@ class _Anew:
     compared: range
 
 
-def _tracked_anew(
+def _retracked_from(
     tracker: Tracker, old: Sequence[FrameEstimate], at: int, frames: FrameRange, memory: Memory | None
-) -> _Anew:
-    """What is won over the old estimates around frame `at`, from the body with its sides exchanged there, or from where
-    it was found."""
+) -> _Retracked:
+    """Cost won over the old estimates around frame `at`, from the body with its sides exchanged there, or from
+    where it was found."""
     start = tracker.start(tracker.rival(old[at].pose, next(iter(frames(range(at, at + 1))))), memory)
     ahead, back = range(at, len(old)), range(at - 1, -1, -1)
     later, won, after = _while_better(tracker, start, old, ahead, _forwards(frames, at, len(old)))
-    earlier, won_earlier, before = _while_better(tracker, start, old, back, backwards(frames, at))
+    earlier, won_earlier, before = _while_better(tracker, start, old, back, reversed_frames(frames, at))
     compared = range(at - before, at + after)
-    return _Anew(at - len(earlier), [*earlier[::-1], *later], won + won_earlier, compared)
+    return _Retracked(at - len(earlier), [*earlier[::-1], *later], won + won_earlier, compared)
 
 
 def _while_better(
@@ -160,7 +160,7 @@ def _forwards(frames: FrameRange, first: int, stop: int) -> Iterator[tuple[Frame
         before = frame
 
 
-def backwards(frames: FrameRange, stop: int) -> Iterator[tuple[Frame, Frame | None]]:
+def reversed_frames(frames: FrameRange, stop: int) -> Iterator[tuple[Frame, Frame | None]]:
     """The frames stop - 1, stop - 2, ..., 0 with the one before each."""
     while stop > 0:
         begin = max(0, stop - SETTINGS.sides_block)
@@ -176,8 +176,8 @@ def read_once(frames: FrameRange) -> FrameRange:
     def of(numbers: range) -> Iterator[Frame]:
         missing = [t for t in numbers if t not in known]
         if missing:
-            anew = range(missing[0], missing[-1] + 1)
-            known.update(zip(anew, frames(anew), strict=True))
+            retracked = range(missing[0], missing[-1] + 1)
+            known.update(zip(retracked, frames(retracked), strict=True))
         for t in set(known) - set(numbers):
             del known[t]
         yield from [known[t] for t in numbers]

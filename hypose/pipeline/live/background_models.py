@@ -1,4 +1,4 @@
-"""What one camera sees when nobody is there, and the person before it; of colour cameras and of depth cameras.
+"""What one camera sees when no person is there, and the person before it; of colour cameras and of depth cameras.
 
 The room is learnt from pictures of it without anybody. That of a colour camera then follows slowly what changes: the
 light, the camera's own exposure, a chair that was moved. Where the person is nothing is learnt.
@@ -33,7 +33,7 @@ from hypose.io.recordings.view_source import DepthPreparer, Preparer, mask_in, p
 from hypose.pipeline.settings import SETTINGS
 
 
-class ViewRoom:
+class ViewBackground:
     """One view. camera: as calibrated; small: pinhole, of the working size; background: where it is known already. Used
     by one thread at a time."""
 
@@ -55,7 +55,7 @@ class ViewRoom:
 
     @property
     def moved(self) -> bool:
-        """Something moved while the room was learnt: somebody has not left."""
+        """Something moved while the room was learnt: a person has not left."""
         room = self.background
         return (
             room is not None and float((room.sd.max(2) > SETTINGS.rooms_moved_grey).mean()) > SETTINGS.rooms_moved_share
@@ -66,8 +66,8 @@ class ViewRoom:
         self._take(from_frames([self._prepare(image) for image in images]))
 
     def mask(self, image: Image) -> tuple[Mask, ViewOutline | None]:
-        """What is not the room in a stored picture, (h, w), and its outline for tracking (None: it is empty). The room
-        must be known."""
+        """Foreground of a stored picture, (h, w), and its outline for tracking (None: it is empty). The
+        room must be known."""
         assert self._segment is not None
         runs, _ = mask_in(image, self._prepare, self._segment)
         return mask_runs.draw(runs), outline_of_runs(runs, OUTLINE_POINTS, WORKING_HEIGHT) if runs.area else None
@@ -102,7 +102,7 @@ class ViewRoom:
 
 
 def _around(mask: Mask) -> Mask:
-    """The mask and what is near it, 0 or 1."""
+    """The dilated mask, 0 or 1."""
     box = bounding_box(mask)
     if box is None:
         return mask
@@ -140,7 +140,7 @@ class NetworkRoom:
 Millimetres = NDArray[np.uint16]
 
 
-class DepthRoom:
+class DepthViewBackground:
     """One depth view, in place of a `ViewRoom`. camera: as calibrated; small: pinhole, of the working size; background:
     where it is known already. The room does not change: light is nothing to it. Used by one thread at a time."""
 
@@ -166,7 +166,7 @@ class DepthRoom:
         self.background = learn_background([self._prepare(m) for m in maps])
 
     def mask(self, depth: DepthMap) -> tuple[Mask, ViewOutline | None]:
-        """Who stands before the room in a stored map, (h, w), and the outline (None: nobody). The room must be
+        """Who stands before the room in a stored map, (h, w), and the outline (None: no person). The room must be
         known."""
         assert self.background is not None
         own = self._prepare(depth)
@@ -176,7 +176,7 @@ class DepthRoom:
 
 
 @dataclass(frozen=True)
-class KeptDepth:
+class PackedDepth:
     """The person in the depth maps of one instant, so that seconds of it take little room: mm (C, h, w) in a box at
     corner (row, column), 0 elsewhere; usable (C,)."""
 
@@ -185,19 +185,19 @@ class KeptDepth:
     usable: NDArray[np.bool_]
 
     @staticmethod
-    def of(depth: Depth) -> KeptDepth:
+    def of(depth: Depth) -> PackedDepth:
         """Of a frame's depth."""
         someone = np.asarray(depth.person.any(0))
         rows, columns = np.flatnonzero(someone.any(1)), np.flatnonzero(someone.any(0))
         if not len(rows):
-            return KeptDepth(np.zeros((len(depth.maps), 0, 0), np.uint16), (0, 0), depth.usable)
+            return PackedDepth(np.zeros((len(depth.maps), 0, 0), np.uint16), (0, 0), depth.usable)
         y, x = int(rows[0]), int(columns[0])
         box = np.s_[:, y : int(rows[-1]) + 1, x : int(columns[-1]) + 1]
         kept = np.where(depth.person[box] > 0, depth.maps[box] * 1000 + 0.5, 0).astype(np.uint16)
-        return KeptDepth(kept, (y, x), depth.usable)
+        return PackedDepth(kept, (y, x), depth.usable)
 
     def depth(self, silhouettes: Silhouettes) -> Depth:
-        """The depth again, beside the masks of the same instant."""
+        """The depth again, next to the masks of the same instant."""
         maps = np.zeros(silhouettes.masks.shape, np.float32)
         (y, x), (h, w) = self.corner, self.millimetres.shape[1:]
         maps[:, y : y + h, x : x + w] = self.millimetres * np.float32(1e-3)
