@@ -64,7 +64,7 @@ _COMMANDS = (
     ("report", commands_results.report, "Write the report of a result again."),
     ("depth-import", commands_data.depth_import, "A recording from what depth cameras recorded."),
     ("synth", commands_data.synth, "Make a synthetic recording with known truth."),
-    ("warm-up", commands_track.warm_up, "Compile now what the first run would compile."),
+    ("warm-up", commands_track.warm_up_command, "Compile now what the first run would compile."),
     ("cite", commands_results.cite, "Print the papers behind the method that gave a result."),
 )
 for _name, _command, _line in _COMMANDS:

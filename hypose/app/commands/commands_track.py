@@ -316,7 +316,7 @@ def correct(
     require_found(motion, recording.name, folder.path)
 
 
-def warm_up(threads: Threads = None) -> None:
+def warm_up_command(threads: Threads = None) -> None:
     """Compile what tracking, fusing and live need, so that the first run of each begins at once; once per machine, and
     again after an update. Ends with a third of a second of a made-up person tracked, report and all."""
     set_threads(threads)

@@ -38,7 +38,7 @@ def filled_poses(motion: Motion, path: str | Path) -> Array:
     return motion.poses[np.where(index >= 0, index, int(good.argmax()))]
 
 
-def joint_rotations(skeleton: Skeleton, poses: Array) -> Array:
+def local_joint_rotations(skeleton: Skeleton, poses: Array) -> Array:
     """parent_from_joint rotations (T, J, 3, 3) in the file's axes; for the root world_from_joint."""
     world_from_joint, _ = skeleton.forward(poses)
     local = world_from_joint.copy()
@@ -123,7 +123,7 @@ def _end(skeleton: Skeleton, j: int) -> Array:
 
 
 def _channels(skeleton: Skeleton, poses: Array, order: list[int]) -> Array:
-    local = joint_rotations(skeleton, poses)[:, order]
+    local = local_joint_rotations(skeleton, poses)[:, order]
     # a body's heading is unbounded, so the root's branch is judged by its second angle and the others' by
     # their twist
     root = continuous_euler_zxy(local[:, :1], prior_axis=1)

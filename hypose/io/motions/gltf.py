@@ -24,7 +24,7 @@ from hypose.compute import FIXED
 from hypose.errors import InputError
 from hypose.geometry import Array, quaternion_from_matrix
 from hypose.io.files import write_bytes
-from hypose.io.motions.animation import Y_UP, children, filled_poses, joint_rotations, without_flips
+from hypose.io.motions.animation import Y_UP, children, filled_poses, local_joint_rotations, without_flips
 
 # numbers of the specification
 _ARRAY_BUFFER, _ELEMENT_ARRAY_BUFFER, _TRIANGLES = 34962, 34963, 4
@@ -170,7 +170,7 @@ def _animate(whole: dict[str, Any], store: _BinaryBuffer, motion: Motion, poses:
     # frames at equal steps: time stamps of real files may repeat, which glTF forbids
     times = np.arange(len(poses)) / motion.frame_rate
     clock = store.add(times, "SCALAR", limits=True)
-    local = joint_rotations(skeleton, poses)
+    local = local_joint_rotations(skeleton, poses)
 
     def channel(node: int, what: str, values: Array, kind: str) -> None:
         target = {"node": first + node, "path": what}
