@@ -108,6 +108,7 @@ def test_the_real_networks_find_nobody_in_grey(network, capfd, monkeypatch):
     assert capfd.readouterr().err == ""  # the runtime is quiet
 
 
+@pytest.mark.slow
 def test_four_videos_are_tracked_with_the_network_refused(network, shared_data, tmp_path, monkeypatch, capsys):
     folder = tmp_path / "rec"
     bare(balancing_recording(shared_data("pose2sim_balancing")), folder)
@@ -115,10 +116,10 @@ def test_four_videos_are_tracked_with_the_network_refused(network, shared_data, 
         monkeypatch.setattr(socket.socket, name, lambda *a: pytest.fail("the network was asked"))
     monkeypatch.setattr(socket, "getaddrinfo", lambda *a, **more: pytest.fail("the network was asked"))
     with pytest.raises(SystemExit) as stopped:
-        main(["track", str(folder), "--frames", "0:16", "--formats", "trc", "--no-overlay", "--no-report"])
+        main(["track", str(folder), "--frames", "0:8", "--formats", "trc", "--no-overlay", "--no-report"])
     told = capsys.readouterr()
     assert stopped.value.code in (0, None), told.err
     assert "the detector finds people" in told.err and "Verdict: Good" in told.out
-    assert len(list(folder.glob("keypoints/*/masks/*.png"))) == 4 * 16
+    assert len(list(folder.glob("keypoints/*/masks/*.png"))) == 4 * 8
     (results,) = folder.glob("results/*")
     assert (results / "motion.trc").exists() and json.loads((results / "verdict.json").read_text())["verdict"] == "good"
