@@ -24,10 +24,13 @@ DONE = (
     "calibration",
     "cameras",
     "compute",
+    "evidence",
+    "fitting",
     "fusion",
     "gestures",
     "inference",
     "synthetic",
+    "tracking",
     "geometry.py",
 )
 """Folders and files of hypose/ that are free of these words."""

@@ -175,7 +175,7 @@ class DetectorDriven:
     that drives the layer; others, tried in turn where it is missing. noise: m, sd of a detection per axis. swivel:
     rad, sd of the turn about the line to the end, far_swivel: that of a third of the members. sigma (D,): usual steps
     of the coordinates that the layer may move, for the head. step: share mutated per layer; least: smallest share of
-    either kind. limb: what is posed, which names its roles.
+    either kind. limb: the posed part, which names its roles.
 
     For limbs the ball and the hinge are posed by analytic inverse kinematics. The head is the end of no limb: its
     members take the least step, in units of sigma, that brings it to the detection (the gain of a Kalman update). The
