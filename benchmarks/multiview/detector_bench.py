@@ -50,9 +50,9 @@ def detector(options: BenchOptions) -> BenchReport:
 
     balancing: distance of 12 limb joints to triangulated key points of another detector, as in real-balancing, with
     refined cameras; loco_px: what three cameras say, in the fourth, to the detector's points there and to those of
-    another; verdict of the
-    cameras as shipped (0 good, 1 look, 2 not to be trusted). scenes: mean joint error on rendered people, baseline:
-    background subtraction with simulated key points (both). crossing: two rendered people."""
+    another; verdict of the cameras as shipped (0 good, 1 look, 2 not to be trusted). scenes: mean joint error on
+    rendered people, baseline: background subtraction with simulated key points (both). crossing: two rendered people.
+    """
     rows: list[Row] = []
     if options.data is not None:
         rows += _balancing(options)
@@ -129,12 +129,11 @@ def _balancing(options: BenchOptions) -> list[Row]:
             rows += regions_of_balancing(result.motion, evidence, reference, reference_error)
         others = in_memory(given, n).frames
         left_out = [_left_out(source.frames, others, c, recording.frame_rate) for c in range(len(recording.views))]
-        for k, whose in enumerate(("its own points", "another detector's")):
+        for k, whose in enumerate(("both", "both/another detector's")):
             for camera, found in zip(recording.rig.names, left_out, strict=True):
-                case = f"both/{whose}/{camera}"
-                rows.append(Row("loco_px", case, float(np.median(found[k])), "px", n=len(found[k])))
+                rows.append(Row("loco_px", f"{whose}/{camera}", float(np.median(found[k])), "px", n=len(found[k])))
             together = np.concatenate([found[k] for found in left_out])
-            rows.append(Row("loco_px", f"both/{whose}", float(np.median(together)), "px", n=len(together)))
+            rows.append(Row("loco_px", whose, float(np.median(together)), "px", n=len(together)))
         shipped, _ = seen_by_detector(load_recording(folder), Path(place) / "shipped", n)
         result = track_source(in_memory(shipped, n), shipped.frame_rate, TrackOptions(evidence="both"))
         word = VERDICTS.index(result.verdict.word)

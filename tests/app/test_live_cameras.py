@@ -49,6 +49,12 @@ def test_two_cameras_in_one_place(hypose, calibration):
     assert "secret" not in fails(hypose("live", calibration, *sources), "both at http://me:...@10.0.0.1/video;")
 
 
+def test_without_its_extra_the_detector_says_what_installs_it(hypose, calibration, monkeypatch):
+    monkeypatch.setitem(sys.modules, "ai_edge_litert.interpreter", None)
+    code, _, err = hypose("live", calibration, *TWO, "--detector")
+    assert code == 2 and 'pip install "hypose[detector]"' in " ".join(err.split())
+
+
 def test_a_rig_that_is_not_there_or_none(hypose, tmp_path):
     fails(hypose("live", tmp_path / "nothing"), "does not exist; give a recording, or a calibration file")
     fails(hypose("live", tmp_path), "holds neither a recording nor a calibration")

@@ -57,7 +57,7 @@ def first_picture(catalog: Catalog, where: str) -> bytes:
 def make_recording(catalog: Catalog, wanted: Mapping[str, Any]) -> Path:
     """Write the recording.toml that a page asks for (docs/studio-protocol.md) into a folder; the files in it stay where
     they are. Returns the folder. Nothing is left when it cannot be used; one that is to be calibrated by the clips of a
-    board is looked at no further."""
+    board, or by the person, is looked at no further."""
     folder = catalog.inside(text(wanted.get("folder"), "folder", 1000, "choose one"))
     target = folder / "recording.toml"
     if target.exists():
@@ -67,13 +67,12 @@ def make_recording(catalog: Catalog, wanted: Mapping[str, Any]) -> Path:
         raise InputError("A recording needs at least one video; choose a folder that holds one.")
     calibration, boards = wanted.get("calibration"), [v for v in views if v.get("board") is not None]
     cameras = [text(v.get("camera"), "camera of a video", 200, "choose it") for v in views]
-    if calibration is None:
+    if calibration is None and (boards or len(views) < 2):
         missing = [c for c, v in zip(cameras, views, strict=True) if v not in boards]
         if missing:
             raise InputError(f"There is no clip of the board of {missing[0]}; add it, or a calibration of all cameras.")
         cameras = [s.name for s in find_sources([_placed(catalog, folder, v, "board") for v in views])]
-        calibration = CALIBRATION
-    calibration = text(calibration, "calibration", 1000, "choose one")
+    calibration = text(CALIBRATION if calibration is None else calibration, "calibration", 1000, "choose one")
     said = {k: wanted[k] for k in _SETTINGS if isinstance(wanted.get(k), str | int | float)}
     head = {"name": text(wanted.get("name"), "name", 80, "give one"), "calibration": calibration, **said}
     lines = toml_lines(head)

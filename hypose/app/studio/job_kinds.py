@@ -20,7 +20,7 @@ from hypose.errors import HyposeError, InputError
 from hypose.io.files import read_toml
 
 CALIBRATION = "calibration.toml"
-"""Where a recording keeps the calibration that is made of clips of a board."""
+"""Where a recording keeps the calibration that is made of clips of a board, or of the person."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Plan:
 _KINDS: Mapping[str, tuple[str, str]] = {
     "calibrate": (
         "Calibrate the cameras of {}",
-        "chessboard charuco square marker dictionary inverted fisheye floor",
+        "chessboard charuco square marker dictionary inverted fisheye floor height yes",
     ),
     "sync": ("How late are the cameras of {}?", "by largest frames"),
     "in_step": ("Bring {} in step", "offsets"),
@@ -116,7 +116,7 @@ def plan(kind: str, request: Mapping[str, Any], catalog: Catalog) -> Plan:
     if kind == "calibrate":
         boards = [str(p) for p in board_files(item.path) if catalog.contains(p)]
         if not boards:
-            raise InputError(f"There are no clips of a board in {item.path.name}; make it a recording with them.")
+            return Plan(("calibrate", path, "--from-person", *_arguments(options)), title, item.id)
         made = ("--out", str(item.path / CALIBRATION), "--sheet", str(item.path / "results" / "calibration.png"))
         return Plan(("calibrate", *boards, *_arguments(options), *made), title, item.id)
     if kind == "in_step":

@@ -272,13 +272,16 @@ def read_found(folder: Path, name: str) -> dict[str, Any] | None:
 
 
 def board_of(folder: Path) -> dict[str, Any] | None:
-    """The cameras of which there are clips of a calibration board; whether they have been calibrated; when the picture
-    of what was seen was made, s, None without one."""
-    sheet, names = folder / "results" / "calibration.png", list[str]()
+    """The cameras of which there are clips of a calibration board, none where cameras are to be found from the person;
+    whether they have been calibrated; when the picture of what was seen was made, s, None without one."""
+    sheet, names, lost = folder / "results" / "calibration.png", list[str](), False
     with contextlib.suppress(HyposeError):
         names = [s.name for s in find_sources(board_files(folder))]
+    calibrated = (folder / CALIBRATION).is_file()
+    with contextlib.suppress(HyposeError):
+        lost = not calibrated and read_toml(folder / "recording.toml").get("calibration") == CALIBRATION
     made = sheet.stat().st_mtime if sheet.is_file() else None
-    return {"cameras": names, "calibrated": (folder / CALIBRATION).is_file(), "sheet": made} if names else None
+    return {"cameras": names, "calibrated": calibrated, "sheet": made} if names or lost else None
 
 
 def _unused(folder: Path) -> str | None:

@@ -135,8 +135,18 @@ def test_every_camera_needs_its_clip_of_the_board(own_studio, folder, filmed):
     del ask["views"][1]["board"]
     assert "no clip of the board of cam2" in own_studio.get("/api/recordings", ask, status=400)["error"]
     assert not (filmed / "recording.toml").exists()
-    with pytest.raises(InputError, match="no clips of a board"):
-        plan("calibrate", {"recording": own_studio.get("/api/state")["recordings"][0]["id"]}, Catalog(folder))
+
+
+def test_without_any_board_the_cameras_are_found_from_the_person(own_studio, folder, filmed):
+    ask = wish(VIDEO, BOARD)
+    for view in ask["views"]:
+        del view["board"]
+    (filmed / "calibration.toml").unlink()
+    made = own_studio.get("/api/recordings", ask, status=201)
+    board = own_studio.get(f"/api/recordings/{made['id']}")["board"]
+    assert board == {"cameras": [], "calibrated": False, "sheet": None}
+    planned = plan("calibrate", {"recording": made["id"], "options": {"height": 1.72}}, Catalog(folder))
+    assert planned.arguments == ("calibrate", str(filmed), "--from-person", "--height=1.72")
 
 
 def test_offsets_give_a_recording_of_their_own(folder):

@@ -27,6 +27,7 @@ export const usualBoard = (): BoardWish => ({ kind: "chessboard", square: null, 
 export function calibrateStep(recording: Recording, wish: BoardWish, jobs: readonly Job[]): HTMLElement {
   const board = recording.board!;
   const last = jobs.find((j) => j.kind === "calibrate");
+  if (!board.cameras.length) return fromPerson(recording, last);
   const go = button(board.calibrated ? "Calibrate again" : "Calibrate", () => void begin(recording, "calibrate", options(wish)), {
     icon: "fit", ...(board.calibrated ? {} : { kind: "primary" as const }),
   });
@@ -45,6 +46,23 @@ export function calibrateStep(recording: Recording, wish: BoardWish, jobs: reado
     h("p", { class: "dim" }, `Finds the lenses and places of ${board.cameras.join(", ")} from their clips of the board. Where the board lies still at last is the floor.`),
     fields,
     h("div", { class: "row wrap" }, go, first),
+    ...result(recording, last),
+  );
+}
+
+/** The cameras from the person who walks about; without a height the recording's is taken. */
+function fromPerson(recording: Recording, last: Job | undefined): HTMLElement {
+  const height = h("input", { type: "number", min: 40, max: 280, step: 0.5, placeholder: "as given", "aria-label": "Height of the person in cm" });
+  const go = button("Find the cameras", () => {
+    if (height.reportValidity()) void begin(recording, "calibrate", { yes: true, ...(height.value ? { height: Number(height.value) / 100 } : {}) });
+  }, { icon: "fit", kind: "primary" });
+  return h(
+    "div",
+    { class: "step" },
+    h("h2", {}, "Calibrate from the person"),
+    h("p", { class: "dim" }, "Finds places and lenses of the cameras, and how late each is, from the person. It must walk about irregularly for 10 s or more: turn both ways, raise an arm now and then. Without key points the detector finds the person first; its models are fetched once (36 MB)."),
+    h("div", { class: "fields" }, h("div", { class: "field" }, h("span", { class: "field-name" }, "Height"), h("div", { class: "row wrap" }, height, h("span", { class: "dim" }, "cm, of the person")))),
+    h("div", { class: "row wrap" }, go),
     ...result(recording, last),
   );
 }

@@ -49,6 +49,7 @@ export class NewRecordingForm {
 
   constructor(private readonly made: (recording: Recording) => void) {
     this.make.type = "submit";
+    this.height.addEventListener("input", () => this.draw());
     this.form.addEventListener("submit", (event) => {
       event.preventDefault();
       void this.submit();
@@ -62,7 +63,7 @@ export class NewRecordingForm {
       "section",
       { class: "card", "aria-label": "New recording" },
       h("h2", {}, "New recording"),
-      h("p", { class: "dim" }, "Choose the folder with what you have filmed: a video per camera; clips of a calibration board, or a calibration (Pose2Sim, anipose, OpenCV, Qualisys, …); the empty room, key points and masks if there are any. The files stay where they are."),
+      h("p", { class: "dim" }, "Choose the folder with what you have filmed: a video per camera; clips of a calibration board, or a calibration (Pose2Sim, anipose, OpenCV, Qualisys, …), or neither when a person whose height you know walks about; the empty room, key points and masks if there are any. The files stay where they are."),
       this.folders,
       where,
       this.list,
@@ -119,7 +120,7 @@ export class NewRecordingForm {
       ...folders.map((f) => row(f.name, f.path, "folder")),
     );
     this.list.replaceChildren(...this.files.map((f) => this.row(f)));
-    const missing = obstacle(this.files.filter((f) => f.kind !== "other").map((f) => ({ ...f, name: f.path })));
+    const missing = obstacle(this.files.filter((f) => f.kind !== "other").map((f) => ({ ...f, name: f.path })), this.height.value !== "");
     this.form.hidden = !this.files.length;
     this.world.hidden = !this.files.some((f) => f.role === "calibration");
     this.make.disabled = missing !== "";
