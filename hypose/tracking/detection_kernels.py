@@ -90,7 +90,7 @@ def found_ends(body: Body, ends: Ends, frame: PreparedFrame) -> dict[int, Array]
 
 
 @dataclass(frozen=True)
-class Limb:
+class DetectedLimb:
     """A ball, the hinge below it and the end it carries: what analytic inverse kinematics poses.
 
     joint, parent: indices of the ball and of the joint that carries it; ball, hinge: first coordinates; upper (3,) m:
@@ -107,7 +107,7 @@ class Limb:
     axis: Array
 
 
-def limb_to(body: Body, ends: Ends, end: int) -> Limb | None:
+def limb_to(body: Body, ends: Ends, end: int) -> DetectedLimb | None:
     """The limb that carries an end (index in END_NAMES); None for the head."""
     name = END_NAMES[end]
     if name == "head":
@@ -118,10 +118,12 @@ def limb_to(body: Body, ends: Ends, end: int) -> Limb | None:
     j, k = s.joint(ball), s.joint(hinge)
     dof = int(s.dofs_of(hinge)[0])
     tip = rest[ends.joint[end]] + ends.offset[end]
-    return Limb(j, int(s.parents[j]), int(s.dofs_of(ball)[0]), dof, rest[k] - rest[j], tip - rest[k], s.axes[dof])
+    return DetectedLimb(
+        j, int(s.parents[j]), int(s.dofs_of(ball)[0]), dof, rest[k] - rest[j], tip - rest[k], s.axes[dof]
+    )
 
 
-def pose_limb(body: Body, limb: Limb, poses: Array, targets: Array, swivel: Array) -> Array:
+def pose_limb(body: Body, limb: DetectedLimb, poses: Array, targets: Array, swivel: Array) -> Array:
     """Poses (N, D) with the limb's ball and hinge set so that its end lies at targets (N, 3) m, or as near as the
     limb's length and limits let it.
 
