@@ -25,11 +25,14 @@ DONE = (
     "calibration",
     "cameras",
     "compute",
+    "evidence",
+    "fitting",
     "fusion",
     "gestures",
     "inference",
     "io",
     "synthetic",
+    "tracking",
     "geometry.py",
 )
 """Folders and files of hypose/ that are free of these words."""

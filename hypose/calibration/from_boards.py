@@ -17,7 +17,7 @@ from hypose.calibration.synchronisation import estimate_lags
 from hypose.calibration.views import BoardFootage, BoardProgress, CameraViews, diagnose, look_for_board
 from hypose.cameras.camera import Camera, CameraRig
 from hypose.errors import CalibrationError
-from hypose.geometry import Array, rotation_between, se3, se3_inverse, so3_log, transform
+from hypose.geometry import Array, Image, rotation_between, se3, se3_inverse, so3_log, transform
 from hypose.io.videos.video import open_video
 
 # ---- surroundings --------------------------------------------------------------------------------------------------
@@ -26,8 +26,6 @@ from hypose.io.videos.video import open_video
 # opposite).
 
 
-Picture = NDArray[np.uint8]
-
 _REACH = 4.0  # board lengths around its middle
 _CELLS = 320
 _MIN_SHARE = 0.06  # of the square: less common floor says nothing
@@ -35,7 +33,7 @@ _LEAST_RISE = 0.12  # sine of the lowest viewing angle: floor seen flatter is a 
 
 
 def floor_likelihood(
-    images: Mapping[int, Picture],
+    images: Mapping[int, Image],
     cameras: Sequence[Camera],
     camera_from_board: Mapping[int, Array],
     board: Board,
@@ -61,7 +59,7 @@ def floor_likelihood(
     return float((1 - scores[1]) / max(1 - scores[0], 1e-6))
 
 
-def _from_above(image: Picture, camera: Camera, board: Board) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+def _from_above(image: Image, camera: Camera, board: Board) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Return the floor around the board as seen from above (n, n, 3), and where it is seen well. camera: in the board's
     frame."""
     low, high = board.points.min(0), board.points.max(0)
@@ -375,9 +373,9 @@ def _determined(fit: RigCalibration) -> None:
 
 def _chooser(views: Sequence[CameraViews], lenses: Sequence[CalibratedLens], board: Board) -> PoseComparison:
     """Compares the floor around a symmetric board, in the first frame that both cameras saw."""
-    pictures: dict[tuple[int, int], Picture] = {}
+    pictures: dict[tuple[int, int], Image] = {}
 
-    def picture(c: int, frame: int) -> Picture:
+    def picture(c: int, frame: int) -> Image:
         if (c, frame) not in pictures:
             with open_video(views[c].path) as reader:
                 pictures[c, frame] = np.asarray(reader.read(frame + views[c].lag), dtype=np.uint8)

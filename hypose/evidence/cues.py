@@ -42,7 +42,7 @@ Chosen on the seeds 0 to 15, and 0 to 29 (benchmark `depth`)."""
 ARM_M2, ARM_REACH_M, EXPLAINED_M = 0.055, 0.75, 0.08
 """m^2 of an arm that is seen from its side; m from the shoulder; m between what was drawn and seen"""
 LEAST_SHOWN, AGREED, NEARBY = 0.7, 0.8, 0.4
-"""shares of an arm: in sight; of what is in sight, where it was seen; seen in its reach, but no part of the body. An
+"""shares of an arm: in sight; of the part in sight, where it was seen; seen in its reach, but no part of the body. An
 arm that is so much in sight is looked for nowhere else. Chosen on the seeds 0 to 15 (benchmark `depth`)."""
 _REMEMBERED_POSES = 12
 """sets of no more poses are looked up, and remembered: the same pose is judged several times in a frame"""
@@ -66,14 +66,14 @@ class PoseMemory(Generic[_Found]):
         return found
 
     def same(self, body: Body, pose: Array, other: Array) -> None:
-        """What is kept of a pose (D,) is kept of another, too."""
+        """Keep the values of a pose (D,) for another one as well."""
         known = self.get(body, pose)
         if known is not None:
             self.keep(body, other, known)
 
     def all(self, body: Body, poses: Array, find: Callable[[Array], NDArray[Any]]) -> NDArray[Any]:
-        """What is kept of the poses (N, D), row by row; `find` finds it for those of which nothing is, and of many
-        poses for all."""
+        """Return the values kept of the poses (N, D), row by row; `find` finds it for those of which nothing is, and of
+        many poses for all."""
         if len(poses) > _REMEMBERED_POSES:
             return find(poses)
         found = [self.get(body, pose) for pose in poses]
@@ -129,7 +129,7 @@ class SilhouetteEvidence(Evidence):
             return self._overlaps.keep(body, pose, np.where(use, counts[:, 2] / union, np.nan))
 
     def same(self, body: Body, pose: Array, other: Array) -> None:
-        """Remember of the other pose what is remembered of the first."""
+        """Keep the first pose's values for the other pose as well."""
         self._counts.same(body, pose, other)
         self._overlaps.same(body, pose, other)
 
@@ -176,7 +176,7 @@ class DepthEvidence(Evidence):
         return self._costs.all(body, poses, measured)
 
     def same(self, body: Body, pose: Array, other: Array) -> None:
-        """Remember of the other pose what is remembered of the first."""
+        """Keep the first pose's values for the other pose as well."""
         self._costs.same(body, pose, other)
 
     def limb_energy(

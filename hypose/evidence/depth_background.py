@@ -108,7 +108,7 @@ def with_still_things(room: DepthBackground, maps: Sequence[DepthMap], camera: C
             area += float((middle[own] ** 2).sum() / (camera.K[0, 0] * camera.K[1, 1]))
     if not area:
         return room, 0.0
-    near = cv2.erode(things, np.ones((5, 5), np.uint8))  # at its edges values lie before what is behind the thing
+    near = cv2.erode(things, np.ones((5, 5), np.uint8))  # at its edges values lie before the background
     depth = np.where(np.isfinite(things), things, np.minimum(near, np.where(room.depth > 0, room.depth, np.inf)))
     return DepthBackground(np.where(np.isfinite(depth), depth, 0.0).astype(np.float32), spread), area
 
@@ -120,7 +120,7 @@ def _place(camera: Camera, own: NDArray[np.bool_], depth: DepthMap) -> NDArray[n
 
 
 def person_before(depth: DepthMap, background: DepthBackground, focal_px: float | None = None) -> Mask:
-    """(h, w) 0/1: what stands before the empty room, its holes filled; the largest thing and what is near it, also to
+    """(h, w) 0/1: what stands before the empty room, its holes filled; the largest thing and the parts near it, also to
     its sides, where the focal length is known: another person who stands next to the person is left out."""
     if depth.shape != background.depth.shape:
         raise InputError(
@@ -146,8 +146,8 @@ def people_before(depth: DepthMap, background: DepthBackground) -> Mask:
 
 
 def person_on_floor(depth: DepthMap, camera: Camera, room: DepthMap | None = None) -> Mask:
-    """(h, w) 0/1: of what stands on the floor (z = 0 in the world), cut apart at jumps of depth, what is most like a
-    person; no person when nothing is of a person's size. room (h, w) m: what is none, 0 = not known
+    """(h, w) 0/1: of what stands on the floor (z = 0 in the world), cut apart at jumps of depth, the piece most like a
+    person; no person when nothing is of a person's size. room (h, w) m: the empty room, 0 = not known
     (`unlike_people`)."""
     found = _standing(_without(depth, room), camera)
     best = max(found.pieces, key=lambda k: found.pieces[k].like, default=0)
@@ -165,7 +165,7 @@ def people_on_floor(depth: DepthMap, camera: Camera, room: DepthMap | None = Non
 
 def unlike_people(maps: Sequence[DepthMap], camera: Camera) -> DepthMap:
     """(h, w) m: what stands still in maps spread over a recording and is not like a person, 0 elsewhere: walls, also
-    where a person passes before them, what is small, and what is as wide at its top as a box. The person who stands
+    where a person passes before them, small things, and those as wide at their top as a box. The person who stands
     still the whole time is none of it."""
     stack = np.stack(maps)
     known = (stack > 0).mean(0) >= _SEEN_SHARE
@@ -209,7 +209,8 @@ class _Piece:
 
 @dataclass(frozen=True)
 class _Standing:
-    """What stands on the floor of a map: above (h, w), what is higher than the floor; labels (h, w) of the pieces."""
+    """What stands on the floor of a map: above (h, w), everything higher than the floor; labels (h, w) of the
+    pieces."""
 
     above: NDArray[np.bool_]
     labels: NDArray[np.int32]
@@ -313,8 +314,8 @@ def _calm(mask: Mask) -> Mask:
 
 
 def _one_thing(before: Mask, depth: DepthMap, solid: NDArray[np.bool_], focal_px: float | None) -> Mask:
-    """The largest thing of a mask and what is near it in space, its holes filled; solid (h, w): where the sensor would
-    see something behind it, so that a hole is the person's."""
+    """The largest thing of a mask and the parts near it in space, its holes filled; solid (h, w): where the sensor
+    would see something behind it, so that a hole is the person's."""
     n, found, stats, _ = cv2.connectedComponentsWithStats(before, connectivity=8)
     if n < 2:
         return np.zeros(depth.shape, np.uint8)

@@ -110,7 +110,7 @@ def people_in_depth(
 
 
 def _without_parts(found: Sequence[HullPerson]) -> list[HullPerson]:
-    """People, the largest first, with the pixels of what is only a part of them: an arm held out."""
+    """People, the largest first, with the pixels of their separate parts: an arm held out."""
     kept = list[HullPerson]()
     for person in found:
         near = [k for k, o in enumerate(kept) if np.linalg.norm(o.axis - person.axis) < PART_OF_LARGER_M]

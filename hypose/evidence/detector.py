@@ -31,7 +31,7 @@ class PoseDetector(Protocol):
 
     def look(self, image: NDArray[np.uint8], number: int, before: Sequence[Crop], /) -> list[Sighting]:
         """People in a picture (h, w, 3) BGR with its number in the video, pixel centres at integers; before: where the
-        people of the picture before it are expected. What is found depends on these alone, so that work can go on where
+        people of the picture before it are expected. The result depends on these alone, so that work can go on where
         it stopped."""
         ...
 

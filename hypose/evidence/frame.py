@@ -66,7 +66,7 @@ class Silhouettes:
 
     @property
     def informative(self) -> NDArray[np.uint8]:
-        """(C, h, w) the masks without what is ignored."""
+        """(C, h, w) the masks without ignored pixels."""
         return self.masks if self.ignored is None else np.greater(self.masks, self.ignored).view(np.uint8)
 
 

@@ -1,7 +1,7 @@
 """Key points that were held over gaps: a detector, or what filled its gaps, went on giving the last place it knew.
 
-Detections of a person who stands still differ in their last digits; what is the same to the last digit in several
-frames, while most other points of the same view move on, was not seen there.
+Detections of a person who stands still differ in their last digits; values that are the same to the last digit in
+several frames, while most other points of the same view move on, was not seen there.
 """
 
 from __future__ import annotations

@@ -155,7 +155,7 @@ def _axes(hull: Hull, floor: float, most: int, surface: float) -> list[tuple[Arr
         free[i + beyond - r : i + beyond + r + 1, j + beyond - r : j + beyond + r + 1] &= ~taken
     if not axes:
         return []
-    # judged again by what is nearest to each: knees and arms before a trunk are no person
+    # judged again by the nearest voxels of each: knees and arms before a trunk are no person
     while True:
         away = np.linalg.norm(points[:, None, :2] - np.array(axes), axis=2)
         nearest = away.argmin(1)

@@ -44,7 +44,7 @@ _SCALES = (0.25, 1 / 3, 0.375, 0.5, 2 / 3, 0.75, 4 / 3, 1.5, 2.0, 8 / 3, 3.0, 4.
 
 def misread(people: Sequence[Sequence[Array | None]], names: Sequence[str], rig: CameraRig) -> str | None:
     """people: per view and frame the people (P, K, 3) in px of the calibrated, distorted cameras (None: no file). A
-    sentence part that says what is certainly wrong with the points; None when nothing is, or it cannot be known."""
+    sentence part on the certain error of the points; None when nothing is, or it cannot be known."""
     points = _one_person(people, len(names), len(rig))
     if points is None:
         return None

@@ -61,8 +61,8 @@ _ENOUGH = 30  # seen bones that the judgement needs
 
 
 def common_name(name: str) -> str:
-    """A key point's name as hypose writes it (left_big_toe), of LBigToe, Left Foot Index, r_hip, hip_r, ...; what is
-    not known comes back in lower case with its own words."""
+    """A key point's name as hypose writes it (left_big_toe), of LBigToe, Left Foot Index, r_hip, hip_r, ...; names
+    not known come back in lower case with their own words."""
     text = re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=^[LR])(?=[A-Z][a-z])", "_", name.strip())
     words = [w for w in re.split(r"[^A-Za-z0-9]+", text.lower()) if w]
     if len(words) == 1 and (bare := re.fullmatch(r"(left|right)(\w+)|(\w+)(left|right)", words[0])):

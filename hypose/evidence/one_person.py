@@ -37,8 +37,8 @@ _COMPARED = 3  # people per view that are compared by their motion
 class OnePerson:
     """points (T, C, K, 3 or more): as they were given, confidence 0 where the person is not seen. several: another
      person is there for a good part of the clip. people: those seen by two views or more, the one meant first. by_rays:
-    whether rays stated who is who; else motion did. apart: views whose detections do not fit the person's place. notes:
-    sentences for the user; of_all: those of them that hold as well where all people is followed."""
+    whether rays decided who is who; else motion did. apart: views whose detections do not fit the person's place.
+    notes: sentences for the user; of_all: those of them that hold as well where all people is followed."""
 
     points: Array
     several: bool

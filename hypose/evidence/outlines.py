@@ -16,7 +16,7 @@ from hypose.evidence.silhouettes import bounding_box
 from hypose.geometry import Array, Mask
 
 OUTLINE_POINTS = 130
-"""Points per view, unless given otherwise: two pixels apart on a person 260 px tall are enough."""
+"""Points per view by default: two pixels apart on a person 260 px tall are enough."""
 SMALLEST = 8
 """px: masks no longer than this have no outline worth following"""
 WORKING_HEIGHT = 170

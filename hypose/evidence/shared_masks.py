@@ -74,7 +74,7 @@ class BodyShape:
 
 @dataclass(frozen=True)
 class DrawnShape:
-    """What is given as masks (C, h, w) of 0 and 1."""
+    """Set as masks (C, h, w) of 0 and 1."""
 
     masks: NDArray[np.uint8]
 

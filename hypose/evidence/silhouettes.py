@@ -177,7 +177,7 @@ def _room(background: BackgroundModel, options: SilhouetteSettings) -> picture_t
 
 
 _Differ = Callable[[Image, picture_to_mask.Box], mask_runs.Bits]
-"""Bits of what is not the room in a box of the image."""
+"""Return the foreground's bits in a box of the image."""
 
 
 def _mog2(background: BackgroundModel, options: SilhouetteSettings) -> _Differ:

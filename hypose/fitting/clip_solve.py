@@ -62,7 +62,7 @@ def fit_clip(
 
     evidence: of each frame; masks and depth are sooner known by a `Gaussian`. acceleration: strength a (times
     `default_acceleration`), or weights (D,), or (T - 2, D); velocity: weights v, (D,), (T - 1, D) or one for all:
-    without it what is extrapolated goes on for ever. priors act on every frame. Damped Gauss-Newton on all frames
+    without it an extrapolated motion goes on for ever. priors act on every frame. Damped Gauss-Newton on all frames
     together: the matrix couples each frame to the next two, so the cost is linear in T. Joint limits are kept by
     cutting the step off. A SolverError when a frame's cost at the start is not finite."""
     given = np.array(starts, dtype=np.float64)

@@ -4,7 +4,7 @@ A `Problem` says what a state costs, what its normal equations are and which ste
 to trust them. `SharedProblem`: groups of unknowns (poses of frames, points, boards) that meet only in unknowns which
 all of them share (shape, cameras); groups are eliminated (Schur complement), so the cost of a step grows linearly with
 them. `PoseProblem`: the groups are poses of a body, and the cues of a frame give `Rows`, residuals of points of the
-body, from which the derivatives by poses and by what is shared follow.
+body, from which the derivatives by poses and by the shared unknowns follow.
 Deviation: a skinned point turns about its blended place, where each of its joints carries an image of its own; over a
 body's vertices the derivatives by a pose are off by 0.2 % (rms).
 Sources: Levenberg 1944, Marquardt 1963, damping relative to the diagonal; Triggs et al. 2000, section 6.1.
@@ -106,7 +106,7 @@ class Problem(ABC, Generic[State, Equations]):
 
 
 class SharedProblem(Problem[tuple[Shared, Array], SharedEquations], Generic[Shared]):
-    """A problem over what is shared (any value, S unknowns) and groups (N, ...) that meet only there.
+    """A problem over shared unknowns (any value, S of them) and groups (N, ...) that meet only there.
 
     free (S,): shared unknowns that may change; largest: a step in which one of the unknowns `limited` (default: all)
     changes more is shortened."""
@@ -117,7 +117,7 @@ class SharedProblem(Problem[tuple[Shared, Array], SharedEquations], Generic[Shar
 
     @abstractmethod
     def moved(self, state: tuple[Shared, Array], step: Array, own: Array) -> tuple[tuple[Shared, Array], float]:
-        """The state after steps of what is shared (S,) and of the groups (N, n), and how far it moved."""
+        """The state after steps of the shared unknowns (S,) and of the groups (N, n), and how far it moved."""
 
     def propose(
         self, state: tuple[Shared, Array], equations: SharedEquations, damping: float
@@ -216,13 +216,13 @@ class Posed:
 
 
 Cue = Callable[[Posed, Shared, float], Iterable[Rows]]
-"""Rows of a cue of one frame on a body, with what is shared, at a factor of its robust scale"""
+"""Rows of a cue of one frame on a body, with the shared unknowns, at a factor of its robust scale"""
 
 
 class PoseProblem(SharedProblem[Shared]):
     """Poses (F, D) of one body, and what its frames share: shape or cameras. Subclasses say what that is.
 
-    frames: the cues of each frame; priors: quadratics on every pose, centre (D,) or (F, D). The state is (what is
+    frames: the cues of each frame; priors: quadratics on every pose, centre (D,) or (F, D). The state is (the
     shared, poses); rotation vectors are stepped as they are."""
 
     def __init__(self, body: Body, frames: Sequence[Sequence[Cue[Shared]]], priors: Sequence[Quadratic]) -> None:
@@ -234,7 +234,7 @@ class PoseProblem(SharedProblem[Shared]):
         self.moves = np.concatenate([body.coarse.dense_weights(len(moves)) @ moves, moves])
 
     def body(self, shared: Shared) -> Body:
-        """The body with what is shared."""
+        """Return the body with the shared unknowns."""
         return self.template
 
     @abstractmethod
@@ -245,11 +245,11 @@ class PoseProblem(SharedProblem[Shared]):
     def shared_rows(
         self, shared: Shared, posed: Sequence[Posed], rows: Sequence[Rows]
     ) -> tuple[Array, Array, Sequence[Array]]:
-        """Matrix (S, S) and gradient (S,) of `shared_cost`, and each frame's rows by what is shared (R, S)."""
+        """Matrix (S, S) and gradient (S,) of `shared_cost`, and each frame's rows by the shared unknowns (R, S)."""
 
     @abstractmethod
     def shared_moved(self, shared: Shared, step: Array) -> Shared:
-        """What is shared after a step (S,)."""
+        """Return the shared unknowns after a step (S,)."""
 
     def evaluate(self, state: tuple[Shared, Array]) -> tuple[float, Callable[[], SharedEquations]]:
         """See Problem; all cues are asked, and linearised where the equations are wanted."""

@@ -1,4 +1,4 @@
-"""Costs of hypotheses on the evidence of a frame: the silhouette XOR and what is read off it."""
+"""Costs of hypotheses on the evidence of a frame: the silhouette XOR and values derived from it."""
 
 from __future__ import annotations
 

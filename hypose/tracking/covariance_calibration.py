@@ -6,7 +6,7 @@ and the body, the same all along. a and b were fitted to errors on scenes (scrip
 kind of evidence, so that regions of 90 % hold 90 % of them, and others theirs (`hypose.body.motion`). What lasts in
 the residuals of key points is added to b^2 (`hypose.tracking.covariance_calibration`). Views that
 contradict each other as a whole (`hypose.tracking.joint_features`) by more than they do in such scenes add (c x)^2, x
-being what is beyond: calibrations, lags and bodies that are wrong are wrong in all frames.
+being the excess: calibrations, lags and bodies that are wrong are wrong in all frames.
 
 Systematic error of joints found from key points: what more frames, and more such views, would not average away.
 
@@ -179,7 +179,7 @@ def apart_factors(evidence: str) -> tuple[float, float, float]:
 
 
 def beyond_usual(audit: ArrayLike, evidence: str) -> float:
-    """m, by how much the views of a clip with this audit (T, J, A) contradict each other beyond what is usual."""
+    """m, by how much the views of a clip with this audit (T, J, A) contradict each other beyond the usual."""
     return float(np.sqrt(max(views_apart(audit) ** 2 - apart_factors(evidence)[0] ** 2, 0.0)))
 
 

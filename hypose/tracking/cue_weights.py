@@ -51,8 +51,8 @@ def weigh_against_masks(body: Body, model: KeypointModel, frames: Sequence[Frame
     than three of the frames (of one person) tell.
 
     Of the points of each part of the body, noise: variance per axis about the body that is solved for by them, which
-    takes up a part of it; away (C,): about the body that is solved for by the outlines. What is more of it in most
-    views, and no lasting error of the points, is the outlines' fault, what is clearly more of it in others is that of
+    takes up a part of it; away (C,): about the body that is solved for by the outlines. The excess in most
+    views, and no lasting error of the points, is the outlines' fault, a clear excess in others is that of
     the points there."""
     both = [f for f in frames if f.keypoints is not None and f.silhouettes is not None]
     count = min(_FRAMES * _times(model, both), len(both))

@@ -90,7 +90,7 @@ def found_ends(body: Body, ends: Ends, frame: PreparedFrame) -> dict[int, Array]
 
 
 @dataclass(frozen=True)
-class Limb:
+class DetectedLimb:
     """A ball, the hinge below it and the end it carries: what analytic inverse kinematics poses.
 
     joint, parent: indices of the ball and of the joint that carries it; ball, hinge: first coordinates; upper (3,) m:
@@ -107,7 +107,7 @@ class Limb:
     axis: Array
 
 
-def limb_to(body: Body, ends: Ends, end: int) -> Limb | None:
+def limb_to(body: Body, ends: Ends, end: int) -> DetectedLimb | None:
     """The limb that carries an end (index in END_NAMES); None for the head."""
     name = END_NAMES[end]
     if name == "head":
@@ -118,10 +118,12 @@ def limb_to(body: Body, ends: Ends, end: int) -> Limb | None:
     j, k = s.joint(ball), s.joint(hinge)
     dof = int(s.dofs_of(hinge)[0])
     tip = rest[ends.joint[end]] + ends.offset[end]
-    return Limb(j, int(s.parents[j]), int(s.dofs_of(ball)[0]), dof, rest[k] - rest[j], tip - rest[k], s.axes[dof])
+    return DetectedLimb(
+        j, int(s.parents[j]), int(s.dofs_of(ball)[0]), dof, rest[k] - rest[j], tip - rest[k], s.axes[dof]
+    )
 
 
-def pose_limb(body: Body, limb: Limb, poses: Array, targets: Array, swivel: Array) -> Array:
+def pose_limb(body: Body, limb: DetectedLimb, poses: Array, targets: Array, swivel: Array) -> Array:
     """Poses (N, D) with the limb's ball and hinge set so that its end lies at targets (N, 3) m, or as near as the
     limb's length and limits let it.
 
@@ -175,7 +177,7 @@ class DetectorDriven:
     that drives the layer; others, tried in turn where it is missing. noise: m, sd of a detection per axis. swivel:
     rad, sd of the turn about the line to the end, far_swivel: that of a third of the members. sigma (D,): usual steps
     of the coordinates that the layer may move, for the head. step: share mutated per layer; least: smallest share of
-    either kind. limb: what is posed, which names its roles.
+    either kind. limb: the posed part, which names its roles.
 
     For limbs the ball and the hinge are posed by analytic inverse kinematics. The head is the end of no limb: its
     members take the least step, in units of sigma, that brings it to the detection (the gain of a Kalman update). The

@@ -16,7 +16,7 @@ _HIDDEN_S = 1.0
 _CLEAR = 0.05
 """IoU by which the body turned around, or with its legs exchanged, is worse where there is no doubt about it"""
 _SLOW, _USUAL_PACE = 0.05, 0.35
-"""m/s about the pelvis: what is slower is at rest; the pace of limbs of which one frame alone is known"""
+"""m/s about the pelvis: slower limbs are at rest; the pace of limbs of which one frame alone is known"""
 _USUAL_LOOSE_M = 0.01  # of arms that were not looked at
 _LITTLE = 3e-4  # m^2 of bare mask
 _OF_BODIES_M2 = 0.0022  # m^2 of it about a joint in a view, median over a clip, that bodies alone in usual masks have
@@ -56,7 +56,7 @@ def clip_features(motion: Motion, raw_joints: Array, audit: ArrayLike) -> Array:
     log_sd: of the joint's sd; sd_around: its mean nearby in time; moved: largest distance of the frame's own joint from
     the clip's, nearby in time; accel: the largest of its accelerations nearby; still: how slowly it moves about the
     pelvis, since all frames of a limb at rest err alike and make each other too sure; bare*: of mask without body, near
-    the joint, beyond what is usual in the clip, in the second-barest view, there next to what is usual of all joints of
+    the joint, beyond the usual in the clip, in the second-barest view, there next to the usual of all joints of
     the clip (masks of one camera are worse than another's), in the limb's reach, over the whole body; exposed*: how
     much of its part nothing else covers, smoothed; hidden: s from when it was last seen, or to the next time; outside*:
     of the joint's part and of the body outside the masks; rival*: what else was believed; elsewhere*, loose: how far an
@@ -82,7 +82,7 @@ def clip_features(motion: Motion, raw_joints: Array, audit: ArrayLike) -> Array:
     cost = np.nan_to_num(motion.cost)[:, None] * np.ones(count)
     seen = np.where(masks, a["exposed_second"] > _EXPOSED_SHARE, False)
     two = a["points_views"] >= 2
-    # a frame that shows no point of a joint has no distance to it; what is nearby in time has
+    # a frame that shows no point of a joint has no distance to it; nearby frames have
     gone = (a["points_views"] == 0) & points & (seconds_away(a["points_views"] > 0, rate) <= AROUND_S)
     for n in ("points_median", "points_worst"):
         a[n] = np.where(gone, _carried(np.where(a["points_views"] > 0, a[n], np.nan)), a[n])

@@ -51,7 +51,7 @@ _NEXT: dict[str, tuple[str, ...]] = {
 
 @cache
 def groups_of(names: tuple[str, ...]) -> NDArray[np.int64]:
-    """(J,) indices in GROUPS of joints by their names; what is none of them is of the trunk."""
+    """(J,) indices in GROUPS of joints by their names; others are of the trunk."""
     parts = [name.rpartition("_")[2] for name in names]
     return np.array([next((g for g, own in enumerate(_PARTS) if part in own), TRUNK - 1) for part in parts])
 

@@ -113,7 +113,7 @@ def prepare(
     done: int = 0,
 ) -> PreparedFrame:
     """Prepares a frame for `body`; see PreparedFrame. Of a frame with the picture of one camera nothing is prepared,
-    but what is not wanted is left out. An EvidenceError when the frame has none of the wanted pieces."""
+    but unwanted pieces are left out. An EvidenceError when the frame has none of the wanted pieces."""
     if frame.picture is not None:
         picture = frame.picture if use_silhouettes else replace(frame.picture, mask=None)
         seen = replace(frame, picture=picture, keypoints=frame.keypoints if use_keypoints else None)

@@ -351,7 +351,7 @@ _RATIO, _SOFT = 0.15, 0.02
 
 @dataclass(frozen=True)
 class _Kept:
-    """What is made of a body once: its arms' tables of reach, and the part of each face (F,)."""
+    """Values computed once per body: its arms' tables of reach, and the part of each face (F,)."""
 
     body: Body
     arms: tuple[ArmReach, ...]

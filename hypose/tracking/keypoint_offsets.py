@@ -2,7 +2,7 @@
 
 What a detector calls a hip is not the joint's centre, and every detector has habits of its own. Offsets and poses are
 found in turn on the reprojection in all views, offsets with a prior about the body's landmarks and within limits, so
-that they cannot take over what is pose. The remaining distances are the noise that weighs key points against contours.
+that they cannot take over the pose. The remaining distances are the noise that weighs key points against contours.
 """
 
 from __future__ import annotations
@@ -172,5 +172,5 @@ def _noise(rows: OffsetResiduals) -> Array:
     middle = np.array(
         [(len(d) * np.median(d) + _SHRINK * usual) / (len(d) + _SHRINK) if len(d) else usual for d in by_point]
     )
-    # half way to what is usual: a point's own habits are partly taken up by its offset and the pose
+    # half way to the usual: a point's own habits are partly taken up by its offset and the pose
     return np.clip(TOGETHER * 1.4826 * np.sqrt(middle * usual), LEAST_SD, LARGEST_SD)

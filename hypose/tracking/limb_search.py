@@ -26,7 +26,7 @@ class LimbSearch:
     The hypothesis in the role SOLVED never moves, and the one in the role COMPOSITE is tried as it is, so that the
     search never loses its start. skeleton; joints: of the limb, by name; sigma (D,): sd of a step. With a budget of
     tens of hypotheses, resampling would leave most of them on values that are known to be worse. Shares are spread
-    evenly over the set. What is certainly worse than the first hypothesis is not measured.
+    evenly over the set. Poses that are certainly worse than the first hypothesis are not measured.
     """
 
     skeleton: Skeleton

@@ -2,7 +2,7 @@
 
 A detector exchanges left and right in one view or another for a while, so that each view's points are named again by
 where the body is expected (`hypose.tracking.keypoint_evidence.checked`). Where two limbs have met, that expectation may
-go on with the wrong one, and from then on renames all views for ever. What is called left is left more often than not:
+go on with the wrong one, and from then on renames all views for ever. Points called left are left more often than not:
 the names of all views and frames are counted together, and limbs that are apart do not change places.
 """
 

@@ -3,7 +3,7 @@
 An arm before the trunk or behind it, folded or hanging where another one hangs, leaves the same outline. Its hand and
 its sleeve seldom leave the same picture. So the pixels of each part that is in front are counted by colour in frames in
 which nothing is in doubt; of rival poses that is better whose parts lie where their colours are. What has the same
-colours as what is behind it says nothing, neither for nor against.
+colours as its background says nothing, neither for nor against.
 
 Arms where pictures show them: looked for about where they are held to be, before the trunk too.
 
@@ -99,7 +99,7 @@ _KERNEL = np.array([[1, 2, 1], [2, 4, 2], [1, 2, 1]], np.float32) / 16
 
 @dataclass(frozen=True)
 class ColourSettings:
-    """What is learnt, and what it weighs.
+    """Learnt colours and their weight.
 
     surely: weight among its rivals that a pose must have to be learnt from; elsewhere: m, a rival's arm that is farther
     off is not learnt from; memory: share of what was counted before that counts in the next frame; few: pixels that a

@@ -94,7 +94,7 @@ def from_neighbours(around: NDArray[np.float32], frame_rate: float) -> NDArray[n
     """(T, J, 3, 3) m^2: covariances of joints in a solved clip from those that each frame gives by itself (NaN: none).
 
     A joint that a frame hardly shows, or not at all, lies between where its neighbours show it: what they know, and how
-    far its path may bend until then (NEIGHBOUR_M_S2), bounds what is open."""
+    far its path may bend until then (NEIGHBOUR_M_S2), bounds the uncertainty."""
     given, out = around.astype(np.float64), around.astype(np.float64)
     least = np.trace(out, axis1=2, axis2=3)
     least[np.isnan(least)] = np.inf

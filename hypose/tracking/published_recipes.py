@@ -1,7 +1,7 @@
 """The published particle filters as data for the one search loop, and what improves them, as presets of their own.
 
-Every recipe is a function of the body and a few numbers. What is published starts from the pose that is given, neither
-predicts nor recovers, and states the spread of its set. Layer settings are the printed ones; the step sizes are half of
+Every recipe is a function of the body and a few numbers. The published ones start from the pose that is given, neither
+predict nor recover, and state the spread of their set. Layer settings are the printed ones; the step sizes are half of
 what one would first guess (too large is worse than too small: limbs jump) and beta is solved for a survival
 rate, because a fixed exponent <= 1 hardly selects on the flat energies of eq. 2.8.
 """

@@ -68,9 +68,9 @@ def default(
     lost one. A quarter of an arm's particles are drawn again over its whole reach, for a punch is faster than any
     diffusion. An arm is searched per frame, and a leg in every other one; all four when the first solve overlaps the
     masks worse than usual, and below 20 frames per second, where more happens between two frames. In the same frames an
-    arm's whole reach is looked up; of what is found there the best live on next to the estimate, `rivals` poses in all.
-    With `colours` it learns, where there are pictures, what colours the person's parts have, and asks them, and the
-    edges of sleeves, where arms are: it helps folded arms and costs half as much again, so it is asked for.
+    arm's whole reach is looked up; of the poses found there the best live on next to the estimate, `rivals` poses in
+    all. With `colours` it learns, where there are pictures, what colours the person's parts have, and asks them, and
+    the edges of sleeves, where arms are: it helps folded arms and costs half as much again, so it is asked for.
     """
     s = body.skeleton
     sigma = 2.0 * s.step_sigma(frame_rate)
@@ -205,7 +205,7 @@ def recipe(
         raise InputError(f"There is no recipe {name!r}; the recipes are {', '.join(RECIPES)}.")
     count = {} if particles is None else {"particles": particles}
     made = RECIPES[name].make(body, frame_rate=frame_rate, **count, **own)
-    if refine and made.smooth is None:  # what is solved has been refined
+    if refine and made.smooth is None:  # solved poses have been refined
         made = _refined(made)
     return replace(made, citation=citation_of(name, refine))
 

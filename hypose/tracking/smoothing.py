@@ -73,7 +73,7 @@ def pace_weights(pace: tuple[Array, Array], frame_rate: float) -> tuple[Array, A
 def own_pace(poses: Array, frame_rate: float, usual: tuple[Array, Array]) -> tuple[Array, Array]:
     """Accelerations (T - 2, D) and speeds (T - 1, D) that are usual nearby in time in a solved clip: the usual ones
     (D,) times one factor for the whole body, that of its fastest coordinate (root mean square nearby). A penalty with
-    one width for all motion flattens what is faster."""
+    one width for all motion flattens faster motion."""
     around, steps = 2 * max(1, round(_PACE_S * frame_rate)) + 1, pose_steps(poses)
 
     def nearby(values: Array, least: Array) -> Array:

@@ -27,7 +27,7 @@ from hypose.tracking.starts import KNOWN_POSES, hull_of, start_in_pose
 from hypose.tracking.subject import scaled_to_height
 
 BARE = 0.6
-"""What bare mask counts against as much body outside the masks. Chosen, as what is odd and soft, on scenes (benchmark
+"""Weight of bare mask against as much body outside the masks. Chosen, as the oddness and softness, on scenes (benchmark
 `starts`) of the seeds 700 to 702."""
 _HEADINGS = 24
 _YAWS = np.arange(_HEADINGS) * 2 * np.pi / _HEADINGS

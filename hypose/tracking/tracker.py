@@ -32,7 +32,7 @@ BETWEEN_FRAMES, RECOVERY, START = -1, -2, -3
 _NO_PERSON = 0.3
 """Share of the usual mean IoU below which the masks hold no person where the body is, or the rim of another person."""
 _LOOSE, FOUND, _LOOKS = 0.75, 0.1, 4
-"""Mean IoU below which a body may be lost whatever is usual, since who is wrong from the start sets what is usual; how
+"""Mean IoU below which a body may be lost whatever is usual, since an error from the start sets the usual; how
 much better it must lie elsewhere to have been lost: turning around costs no more; and how many looks for a rival there
 are to one of these, which takes longer."""
 RIVAL_WITH_DEPTH = 2

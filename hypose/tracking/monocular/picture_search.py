@@ -1,4 +1,4 @@
-"""What is done with one picture, layer by layer: predict, look for edges and flow, optimise, mirror, sample, prune.
+"""The search in one picture, layer by layer: predict, look for edges and flow, optimise, mirror, sample, prune.
 
 Source: Sminchisescu & Triggs 2001, figure 4; recipe.py puts the layers together.
 """
@@ -146,7 +146,7 @@ class PictureSearch:
         return pooled(*sets)
 
     def pruned(self, h: Hypotheses, rng: np.random.Generator, /) -> Hypotheses:
-        """What is followed into the next frame: the best distinct candidates, with their velocities."""
+        """Return the hypotheses followed into the next frame: the best distinct candidates, with their velocities."""
         kept = prune(h, self.body, self.settings.search)
         return replace(kept, columns={"velocity": kept.columns["velocity"]})
 

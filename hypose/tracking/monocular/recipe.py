@@ -146,7 +146,7 @@ TRIGGS = (
     "constant-velocity prediction, calibrated regions and mirrored limbs at the start."
 )
 PICTURE_CUES = ("auto", "edges", "silhouettes", "keypoints", "both")
-"""What is used besides edges and flow: all there is, nothing, masks, key points, or both."""
+"""Cues used in addition to edges and flow: all there is, nothing, masks, key points, or both."""
 
 
 def monocular(body: Body, particles: int = 7, frame_rate: float = 25.0, *, floor: float | None = None) -> Recipe:
