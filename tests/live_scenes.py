@@ -195,8 +195,8 @@ class StageCamera:
 
 class EyesInStep:
     """In place of `CaptureProcess`: in this process, and half a picture's time passes with each answer, when all that
-    was begun is done: searches, and what the cameras are about to show. Then looking at it takes a millisecond. pause s: of
-    the true clock, for what listens."""
+    was begun is done: searches, and what the cameras are about to show. Then looking at it takes a millisecond. pause
+    s: of the true clock, for what listens."""
 
     def __init__(self, clock: Clock, searches: Sequence[Future[Any]], pause: float, *given: Any) -> None:
         self._clock, self._searches, self._pause = clock, searches, pause

@@ -60,8 +60,9 @@ def one_person(
 ) -> OnePerson:
     """The person seen in most frames and views.
 
-    candidates, names, rig, settings: as in `hypose.evidence.association.people_of`. keep_misfits: the calibration itself
-    is in question, so that a view that does not fit keeps the person who moves like the one of the other views; else it is
+    candidates, names, rig, settings: as in `hypose.evidence.association.people_of`. keep_misfits: the calibration
+    itself is in question, so that a view that does not fit keeps the person who moves like the one of the other views;
+    else it is
      left out."""
     frames, views = len(candidates), len(rig)
     columns = [[frame[c] for frame in candidates] for c in range(views)]

@@ -166,10 +166,10 @@ def check_views(recording: Recording, of_picture: bool = False) -> None:
 class TrackResult:
     """motion; the subject's body; complete: every frame was tracked; notes for the report; modes: the poses that each
     frame allows, where the recipe tells them. one_by_one (T, D): the poses as each frame was tracked, audit (T, J, A):
-    what spoke for and against each joint (hypose.tracking.joint_features), None where that was not kept; faults: sentences
-    on what was found wrong before tracking, or with the clip as a whole; looks: on what makes the whole clip worth a look;
-    remarks: on who else is there; places: of depth cameras that stand elsewhere than the source says; unsure: of the
-    `Subject`."""
+    what spoke for and against each joint (hypose.tracking.joint_features), None where that was not kept; faults:
+    sentences on what was found wrong before tracking, or with the clip as a whole; looks: on what makes the whole clip
+    worth a look; remarks: on who else is there; places: of depth cameras that stand elsewhere than the source says;
+    unsure: of the `Subject`."""
 
     motion: Motion
     body: Body

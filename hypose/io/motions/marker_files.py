@@ -263,8 +263,8 @@ def write_joints_csv(path: str | Path, motion: Motion) -> None:
     Columns: time_s, lost and extrapolated (0 or 1), n_views, doubtful (0 or 1; empty: not judged), then per joint x, y,
     z and sd; where it is known, systematic_sd, the part of sd that more frames and more views like these would not
     reduce; where it was judged, error_probability, the probability that the joint is wrong by more than 100 mm.
-    Standard deviations are per axis (root mean square of the three). Lost and extrapolated frames keep the predicted positions.
-    """
+    Standard deviations are per axis (root mean square of the three). Lost and extrapolated frames keep the predicted
+    positions."""
     columns = ["x_m", "y_m", "z_m", "sd_m"]
     series: list[np.ndarray] = [motion.joints, motion.joint_sd[..., None]]
     if motion.systematic_covariance is not None:
