@@ -18,7 +18,7 @@ from hypose.gestures.events import EventSettings, EventState, detect_events
 from hypose.gestures.forest import Forest
 from hypose.gestures.localise import LocaliseSettings, Scratch, densities, localise, settle
 from hypose.gestures.online import Example, Learner
-from hypose.gestures.trainer import Trainer, half_way
+from hypose.gestures.trainer import Trainer
 from hypose.synthetic.gesture_people import Puppet, load_people
 from hypose.synthetic.gesture_poses import GESTURES, Keyframe, apply, movement
 from hypose.synthetic.gesture_scenes import Setting, live_person, make_gesture_room, make_view, render, stand_at
@@ -70,7 +70,7 @@ def _half_way(forest: Forest, shown: Sequence[Example]) -> float:
     kinds = [[e for e in shown if bool(e.gesture) == wanted] for wanted in (True, False)]
     kept = [several[:: max(1, len(several) // 12)][:12] for several in kinds]
     gestures, others = ([localise(e.depth, e.lens, [forest])[0].score for e in several] for several in kept)
-    return half_way(gestures, others)
+    return 0.5 * (float(np.quantile(gestures, 0.25)) + max(others, default=0.0))
 
 
 class _Watcher:

@@ -32,9 +32,9 @@ from benchmarks.depth_gestures.gesture_data import (
 )
 from benchmarks.depth_gestures.gesture_pictures import GestureFrame, Stage
 from benchmarks.depth_gestures.gesture_scores import THOROUGH, Judged, judge
+from benchmarks.papers.offline_forests import OfflineSettings, Pool, collect, train_offline
 from hypose.gestures.forest import Forest, ForestSettings
 from hypose.gestures.online import Example, Learner
-from hypose.gestures.trainer import OfflineSettings, Pool, collect, train_offline
 from hypose.synthetic.gesture_poses import GESTURES
 
 PASSES = 4

@@ -14,9 +14,10 @@ from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
 from benchmarks.depth_gestures.gesture_data import SEEDS, SHARE
 from benchmarks.depth_gestures.gesture_pictures import UNSEEN, GestureFrame, Stage, picture
 from benchmarks.depth_gestures.gesture_scores import Judged, judge
+from benchmarks.papers.offline_forests import OfflineSettings, collect, train_offline
 from hypose.gestures.depth_pictures import KINECT
 from hypose.gestures.online import Example, Learner
-from hypose.gestures.trainer import OfflineSettings, Trainer, collect, train_offline
+from hypose.gestures.trainer import Trainer
 from hypose.synthetic.gesture_poses import GESTURES
 from hypose.synthetic.gesture_scenes import Setting, make_gesture_room, make_view
 

@@ -15,12 +15,12 @@ from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
 from benchmarks.depth_gestures.gesture_data import Size, examples, for_gesture, teach, test_set, thinned, training_set
 from benchmarks.depth_gestures.gesture_pictures import GestureFrame
 from benchmarks.depth_gestures.gesture_scores import THOROUGH, judge
+from benchmarks.papers.offline_forests import OfflineSettings, Pool, collect, train_offline
 from benchmarks.short_calls import best
 from hypose.gestures.depth_pictures import KINECT
 from hypose.gestures.forest import Forest, ForestSettings
 from hypose.gestures.localise import Scratch, localise, pad
 from hypose.gestures.online import Example, Learner, LearnSettings
-from hypose.gestures.trainer import OfflineSettings, Pool, collect, train_offline
 from hypose.synthetic.gesture_poses import GESTURES
 
 

@@ -11,8 +11,8 @@ from benchmarks.bench_report import BenchOptions, BenchReport, Row, row
 from benchmarks.depth_gestures.gesture_benchmarks import learn_offline, learn_online, shoot
 from benchmarks.depth_gestures.gesture_data import FULL, QUICK, SEEDS, examples, for_gesture
 from benchmarks.depth_gestures.gesture_scores import Judged, judge
+from benchmarks.papers.offline_forests import collect
 from hypose.gestures.forest import Forest, ForestSettings
-from hypose.gestures.trainer import collect
 from hypose.synthetic.gesture_poses import GESTURES
 
 ALPHAS, BETAS = (50, 100, 300, 600, 1200), (0.0, 0.02, 0.05, 0.1)

@@ -49,7 +49,7 @@ from hypose.compute.depth_points import (
     things_before,
 )
 from hypose.compute.forest_votes import Packed, ScanPlan
-from hypose.compute.forests import DepthImage, GrowingArrays, PaddedDepth, TreeArraysOffline
+from hypose.compute.forests import DepthImage, GrowingArrays, PaddedDepth
 from hypose.compute.glance import Glance, differing_box, glance_at, stored_pixels
 from hypose.compute.kinematics import forward_kinematics, joint_covariances, joint_jacobians, skin
 from hypose.compute.linear import SharedEquations, frame_covariances, solve_coupled, weighted_squares
@@ -137,7 +137,6 @@ __all__ = [
     "Standing",
     "StandingDepth",
     "TreeArrays",
-    "TreeArraysOffline",
     "VARIABLE",
     "Workspace",
     "before_room",

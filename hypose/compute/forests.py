@@ -143,75 +143,11 @@ def grow(
     )
 
 
-def cut_patches(picture: PaddedDepth, cells: NDArray[np.int64], step_mm: int) -> NDArray[np.int16]:
-    """Return (S, P, P) depth relative to the centre's, mm, every step_mm over the square that tests may reach."""
-    side = 2 * (picture.reach_mm // step_mm) + 1
-    out = np.empty((len(cells), side, side), np.int16)
-    _cut_patches(picture.flat, picture.width, cells, picture.focal, step_mm, out)
-    return out
-
-
-class TreeArraysOffline(NamedTuple):
-    """One tree of `grow_tree`: test (N, 5) i2 (patch row and column of u and of v, threshold mm), left (N,) i2, seen
-    (N, C) u4, level (N,) u1."""
-
-    test: NDArray[np.int16]
-    left: NDArray[np.int16]
-    seen: NDArray[np.uint32]
-    level: NDArray[np.uint8]
-
-
-def grow_tree(
-    patches: NDArray[np.int16],
-    labels: NDArray[np.int8],
-    order: NDArray[np.int64],
-    classes: int,
-    rng: np.random.Generator,
-    *,
-    deepest: int,
-    tests: int,
-    thresholds: int,
-    clip_mm: int,
-    sample: int,
-    fewest: int = 4,
-) -> TreeArraysOffline:
-    """Return one tree from the patches named in `order` (with repetitions), by information gain (eq. 3.2)."""
-    room = min(MAX_NODES, 2 * len(order) + 1)
-    tree = TreeArraysOffline(
-        np.zeros((room, 5), np.int16),
-        np.full(room, -1, np.int16),
-        np.zeros((room, classes), np.uint32),
-        np.zeros(room, np.uint8),
-    )
-    state = rng.integers(0, 2**63, 1).astype(np.uint64)
-    n = _grow_tree(
-        patches,
-        labels,
-        order.copy(),
-        deepest,
-        tests,
-        thresholds,
-        clip_mm,
-        sample,
-        fewest,
-        state,
-        *tree,
-    )
-    return TreeArraysOffline(*(a[:n].copy() for a in tree))
-
-
-def patch_leaves(patches: NDArray[np.int16], tree: TreeArraysOffline, clip_mm: int) -> NDArray[np.int32]:
-    """Return (S,) the leaf that each patch reaches."""
-    out = np.empty(len(patches), np.int32)
-    _patch_leaves(patches, clip_mm, tree.test, tree.left, out)
-    return out
-
-
 f4 = np.float32
 u8 = np.uint64
 i4 = np.int32
-_SHIFT = 4096  # makes the truncation of a negative number a floor
-_HALF = f4(4096.5)
+SHIFT = 4096  # makes the truncation of a negative number a floor
+HALF = f4(4096.5)
 
 
 @kernel
@@ -228,14 +164,14 @@ def _pad(depth, border, out):
 def response(flat, width, c, d, s, lo, hi, uy, ux, vy, vx):
     """What the test of (uy, ux) against (vy, vx) mm reads at cell c of depth d, with s = focal length / d and depths
     clipped to lo..hi."""
-    y = i4(f4(uy) * s + _HALF) - _SHIFT
-    x = i4(f4(ux) * s + _HALF) - _SHIFT
+    y = i4(f4(uy) * s + HALF) - SHIFT
+    x = i4(f4(ux) * s + HALF) - SHIFT
     a = i4(flat[u8(np.int64(c) + y * width + x)])
     a = min(max(a, lo), hi)
     b = d
     if vy != 0 or vx != 0:
-        y = i4(f4(vy) * s + _HALF) - _SHIFT
-        x = i4(f4(vx) * s + _HALF) - _SHIFT
+        y = i4(f4(vy) * s + HALF) - SHIFT
+        x = i4(f4(vx) * s + HALF) - SHIFT
         b = i4(flat[u8(np.int64(c) + y * width + x)])
         b = min(max(b, lo), hi)
     return a - b
@@ -252,14 +188,15 @@ def _bits(state, t):
 
 
 @kernel(inline=True)
-def _uniform(state, t):
+def uniform(state, t):
+    """A random number from 0 on, below 1, of tree t."""
     return np.float64(_bits(state, t) >> u8(11)) * (1.0 / 9007199254740992.0)
 
 
 @kernel
 def _poisson(state, t, rate):
     k, p = 0, math.exp(-rate)
-    total, u = p, _uniform(state, t)
+    total, u = p, uniform(state, t)
     while u > total and k < 100:
         k += 1
         p *= rate / k
@@ -269,7 +206,7 @@ def _poisson(state, t, rate):
 
 @kernel(inline=True)
 def _offset(state, t, half):
-    return int(_uniform(state, t) * (2 * half + 1)) - half
+    return int(uniform(state, t) * (2 * half + 1)) - half
 
 
 @kernel
@@ -277,11 +214,11 @@ def draw_test(state, t, half, spread, test):
     """A random test (5,): offsets uniform in the square, half of them against the pixel itself; the threshold is a
     product of two uniform numbers, so that small differences are the most frequent."""
     test[0], test[1] = _offset(state, t, half), _offset(state, t, half)
-    if _uniform(state, t) < 0.5:
+    if uniform(state, t) < 0.5:
         test[2], test[3] = _offset(state, t, half), _offset(state, t, half)
     else:
         test[2], test[3] = 0, 0
-    test[4] = int((2 * _uniform(state, t) - 1) * spread * _uniform(state, t))
+    test[4] = int((2 * uniform(state, t) - 1) * spread * uniform(state, t))
 
 
 @kernel
@@ -421,119 +358,3 @@ def _grow(flat, width, cells, labels, focal, near, clip, half, spread, rate, alp
                 _split(g, t, n, slot, best)
             elif seen > 3 * alpha:
                 _close(g, t, n, slot)
-
-
-@kernel
-def _cut_patches(flat, width, cells, focal, step, out):
-    """out (S, P, P) i2: depth minus the centre's at multiples of `step` mm around each cell: what tests at those
-    offsets would read."""
-    side = out.shape[1]
-    for i in range(cells.shape[0]):
-        c = cells[i]
-        d = i4(flat[c])
-        s = f4(focal / d)
-        for a in range(side):
-            y = i4(f4((a - side // 2) * step) * s + _HALF) - _SHIFT
-            for b in range(side):
-                x = i4(f4((b - side // 2) * step) * s + _HALF) - _SHIFT
-                out[i, a, b] = flat[c + y * width + x] - d
-
-
-@kernel
-def _patch_response(patch, clip, e):
-    a = min(max(i4(patch[e[0], e[1]]), -clip), clip)
-    return a - min(max(i4(patch[e[2], e[3]]), -clip), clip)
-
-
-@kernel
-def _grow_tree(
-    patches, labels, order, deepest, tests, thresholds, clip, sample, fewest, state, test, left, count, level
-):
-    """One tree from all samples at once: at every node `tests` random pairs of patch pixels with `thresholds` cuts
-    each, drawn evenly from the range of what the node's samples read there; judged on at most `sample` samples.
-
-    order (n,) i8 is permuted.
-    test (N, 5) i2: patch indices and threshold.
-    left (N,) i2.
-    count (N, C) u4.
-
-    Returns the number of nodes.
-    """
-    classes, side = count.shape[1], patches.shape[1]
-    stack = np.empty((2 * deepest + 8, 3), np.int64)
-    stack[0, 0], stack[0, 1], stack[0, 2] = 0, order.shape[0], 0
-    waiting, nodes = 1, 1
-    level[0] = 0
-    pairs, cuts = np.empty((tests, 4), np.int64), np.empty((tests, thresholds), np.int64)
-    most = min(sample, order.shape[0])
-    read, who = np.empty((tests, most), np.int32), np.empty(most, np.int8)
-    lefts, total = np.empty((tests * thresholds, classes), np.int64), np.empty(classes, np.int64)
-    sides = np.empty((2, classes), np.int64)
-    while waiting > 0:
-        waiting -= 1
-        a, b, node = stack[waiting, 0], stack[waiting, 1], stack[waiting, 2]
-        n = b - a
-        count[node] = 0
-        for i in range(a, b):
-            count[node, labels[order[i]]] += 1
-        left[node] = -1
-        present = 0
-        for c in range(classes):
-            present += 1 if count[node, c] > 0 else 0
-        if level[node] >= deepest or n < fewest or present < 2 or nodes + 2 > left.shape[0]:
-            continue
-        for q in range(tests):
-            for k in range(4):
-                pairs[q, k] = int(_uniform(state, 0) * side)
-            if _uniform(state, 0) < 0.5:
-                pairs[q, 2], pairs[q, 3] = side // 2, side // 2
-        total[:] = 0
-        m = min(n, sample)
-        for i in range(m):
-            j = order[a + i] if m == n else order[a + int(_uniform(state, 0) * n)]
-            who[i] = labels[j]
-            total[who[i]] += 1
-            for q in range(tests):
-                read[q, i] = _patch_response(patches[j], clip, pairs[q])
-        lefts[:] = 0
-        for q in range(tests):
-            low, high = read[q, :m].min(), read[q, :m].max()
-            for k in range(thresholds):
-                cuts[q, k] = low + 1 + int(_uniform(state, 0) * (high - low))
-                for i in range(m):
-                    lefts[q * thresholds + k, who[i]] += 1 if read[q, i] < cuts[q, k] else 0
-        best, gain = best_test(lefts, total, sides)
-        if best < 0 or gain < 1e-6:
-            continue
-        q, cut = best // thresholds, cuts[best // thresholds, best % thresholds]
-        i, j = a, b
-        while i < j:
-            if _patch_response(patches[order[i]], clip, pairs[q]) < cut:
-                i += 1
-            else:
-                j -= 1
-                swap = order[i]
-                order[i] = order[j]
-                order[j] = swap
-        if i == a or i == b:
-            continue
-        for k in range(4):
-            test[node, k] = pairs[q, k]
-        test[node, 4] = cut
-        left[node] = nodes
-        level[nodes], level[nodes + 1] = level[node] + 1, level[node] + 1
-        stack[waiting, 0], stack[waiting, 1], stack[waiting, 2] = a, i, nodes
-        stack[waiting + 1, 0], stack[waiting + 1, 1], stack[waiting + 1, 2] = i, b, nodes + 1
-        waiting += 2
-        nodes += 2
-    return nodes
-
-
-@kernel
-def _patch_leaves(patches, clip, test, left, out):
-    """out (S,) i4: the leaf of a tree of `_grow_tree` that each patch reaches."""
-    for i in range(patches.shape[0]):
-        n = 0
-        while left[n] >= 0:
-            n = left[n] + (0 if _patch_response(patches[i], clip, test[n]) < test[n, 4] else 1)
-        out[i] = n

@@ -74,21 +74,6 @@ class PixelSampler:
     rng: np.random.Generator
     settings: LearnSettings
 
-    def choose(self, example: Example, positives: int, negatives: int) -> list[tuple[Pixels, int]]:
-        """Pixels to learn offline from an example with their classes, drawn as in online learning."""
-        e, s = example, self.settings
-        if not e.gesture:
-            return [(self.anywhere(e.depth, negatives, None), BACKGROUND)]
-        surface = self.surface(e.depth, e.x, e.y)
-        if surface is None:
-            return []
-        scale = e.lens.fx / surface
-        return [
-            (self.inside(e.depth, e.x, e.y, scale, surface, positives), e.gesture),
-            (self.anywhere(e.depth, negatives, (e.x, e.y, s.clear_mm * scale)), BACKGROUND),
-            (self.rim(e.depth, e.x, e.y, scale), BACKGROUND),
-        ]
-
     def inside(self, depth: DepthImage, x: float, y: float, scale: float, surface: float, n: int) -> Pixels:
         """Pixels of the gesture's own surface around the marked point; scale: px per mm there."""
         s = self.settings

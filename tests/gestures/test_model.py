@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from benchmarks.depth_gestures.gesture_data import teach
+from benchmarks.papers.offline_forests import OfflineSettings, collect, train_offline
 from hypose.errors import InputError
 from hypose.gestures.forest import ForestSettings
 from hypose.gestures.localise import LocaliseSettings
 from hypose.gestures.model import GestureModel, from_arrays, to_arrays
 from hypose.gestures.online import Example, Learner
-from hypose.gestures.trainer import OfflineSettings, collect, train_offline
 from hypose.pipeline.gesture_files import SessionWriter, load_model, read_recording, save_model
 
 from .toys import LENS, SHAPE, toy

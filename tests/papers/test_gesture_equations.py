@@ -6,12 +6,13 @@ import math
 import numpy as np
 import pytest
 
+from benchmarks.papers import offline_forests
+from benchmarks.papers.offline_forests import OfflineSettings, Pool, train_offline
 from hypose.compute import forest_votes, forests
 from hypose.compute.forests import UNCLIPPED_MM
 from hypose.gestures.forest import ForestSettings, GrowingForest
 from hypose.gestures.localise import LocaliseSettings, Scratch, pad, settle
 from hypose.gestures.session import Session, SessionSettings, advance, update_maximum
-from hypose.gestures.trainer import OfflineSettings, Pool, train_offline
 from tests.gestures.toys import LENS, grown, samples, toy
 
 FAR = 10000
@@ -197,14 +198,14 @@ def test_section_3_2_3_a_tree_learns_from_the_errors_of_the_one_before(monkeypat
     # a pool on which a shallow tree errs: the class hangs on two of the patch's depths at once
     patches = rng.integers(-200, 200, (600, 7, 7)).astype(np.int16)
     labels = ((patches[:, 1, 2] > 0) ^ (patches[:, 5, 4] > 0)).astype(np.int8)
-    drawn, grow_tree = [], forests.grow_tree
+    drawn, grow_tree = [], offline_forests.grow_tree
 
     def noted(patches, labels, order, *rest, **settings):
         tree = grow_tree(patches, labels, order.copy(), *rest, **settings)
         drawn.append((order.copy(), tree))
         return tree
 
-    monkeypatch.setattr(forests, "grow_tree", noted)
+    monkeypatch.setattr(offline_forests, "grow_tree", noted)
     settings = OfflineSettings(ForestSettings(trees=4, deepest=3), per_class=220, tests=20)
     train_offline(Pool(patches, labels), rng, settings)
     assert np.bincount(labels[drawn[0][0]]).tolist() == [220, 220]  # the first draw is balanced
