@@ -79,10 +79,9 @@ def _place(raster, i, j, stride):
 def _coarse_pass(raster, records, table, first, least, stride, wanted):
     """wanted (ceil(rows / stride), ...) u4: bit g is set where the mean of forest g's first trees' shares, at the cell
     or at a neighbour, reaches `least`. records (R, 8) i2 of all forests; table (G, 4) i8: first record, nodes per tree,
-    trees, clipping distance. Returns the number of tree descents."""
+    trees, clipping distance."""
     rows, columns = wanted.shape
     wanted[:] = 0
-    descents = 0
     for i in range(rows):
         for j in range(columns):
             c = _place(raster, i, j, stride)
@@ -98,12 +97,10 @@ def _coarse_pass(raster, records, table, first, least, stride, wanted):
                         _leaf(raster.flat, raster.width, u8(c), d, s, d - clip, d + clip, records, base), u8(6)
                     ]
                     base += nodes
-                descents += trees
                 if a >= least * PROBABILITY * trees:
                     for u in range(max(0, i - 1), min(rows, i + 2)):
                         for v in range(max(0, j - 1), min(columns, j + 2)):
                             wanted[u, v] |= np.uint32(1) << np.uint32(g)
-    return descents
 
 
 @kernel
@@ -111,10 +108,9 @@ def _scan(raster, records, table, first, least, stride, wanted, ratio, out):
     """out (G, ceil(rows / stride), ...) f4: mean share of class 1 of each forest on the grid; 0 where there is no
     depth, where its bit in wanted (coarse grid, `ratio` cells to one; used when ratio > 0) is 0, and where the mean
     over its first trees stays below `least`, over twice as many below 1.5 `least` (first = 0: no such rejection).
-    records and table as in `coarse_pass`. Returns the number of tree descents."""
+    records and table as in `coarse_pass`."""
     rows, columns = out.shape[1:]
     limit1, limit2 = least * PROBABILITY * first, 1.5 * least * PROBABILITY * 2 * first
-    descents = 0
     out[:] = 0
     for i in range(rows):
         for j in range(columns):
@@ -134,24 +130,21 @@ def _scan(raster, records, table, first, least, stride, wanted, ratio, out):
                 for t in range(trees):
                     a += records[_leaf(raster.flat, raster.width, u8(c), d, s, lo, hi, records, base), u8(6)]
                     base += nodes
-                    descents += 1
                     if (t + 1 == first and a < limit1) or (t + 1 == 2 * first and a < limit2):
                         a = 0
                         break
                 out[g, i, j] = a / f4(PROBABILITY * trees)
-    return descents
 
 
 @kernel
 def _scan_classes(raster, records, shares, trees, clip, first, least, stride, out):
     """out (C - 1, rows, columns) f4: mean share of the winning class where a gesture wins over the background and the
-    other gestures, else 0. Early rejection on the summed share of all gestures. Returns the number of descents."""
+    other gestures, else 0. Early rejection on the summed share of all gestures."""
     rows, columns = out.shape[1:]
     classes = shares.shape[1]
     nodes = u8(records.shape[0] // trees)
     limit1, limit2 = least * PROBABILITY * first, 1.5 * least * PROBABILITY * 2 * first
     sums, scale = np.empty(classes, np.int32), f4(1.0 / (PROBABILITY * trees))
-    descents = 0
     out[:] = 0
     for i in range(rows):
         for j in range(columns):
@@ -166,7 +159,6 @@ def _scan_classes(raster, records, shares, trees, clip, first, least, stride, ou
                 for k in range(classes):
                     sums[k] += shares[n, k]
                 base += nodes
-                descents += 1
                 a = PROBABILITY * (t + 1) - sums[0]
                 if (t + 1 == first and a < limit1) or (t + 1 == 2 * first and a < limit2):
                     kept = False
@@ -178,7 +170,6 @@ def _scan_classes(raster, records, shares, trees, clip, first, least, stride, ou
                         best = k
                 if best > 0:
                     out[best - 1, i, j] = sums[best] * scale
-    return descents
 
 
 @kernel
@@ -297,11 +288,10 @@ MOST_FORESTS = 32
 """Looked with at a time."""
 
 
-def scan(
-    picture: PaddedDepth, packed: Sequence[Packed], clip_mm: Sequence[int], plan: ScanPlan
-) -> tuple[NDArray[np.float32], int]:
-    """Return mean share (G, rows, columns) of class 1 of each of at most 32 forests on the grid (0 where rejected), and
-    the number of tree descents. All forests share one coarse pass and one walk over the picture."""
+def scan(picture: PaddedDepth, packed: Sequence[Packed], clip_mm: Sequence[int], plan: ScanPlan) -> NDArray[np.float32]:
+    """Return the mean share (G, rows, columns) of class 1 of each of at most 32 forests on the grid (0 where rejected).
+
+    All forests share one coarse pass and one walk over the picture."""
     raster = _raster(picture, plan.near_mm, plan.far_mm)
     records = [p.records.reshape(-1, 8) for p in packed]
     starts = np.cumsum([0, *(len(r) for r in records)])
@@ -310,24 +300,23 @@ def scan(
     )
     joined = records[0] if len(records) == 1 else np.concatenate(records)
     shape = grid_shape(picture.shape, plan.stride)
-    out, wanted, spent = np.empty((len(packed), *shape), np.float32), np.zeros((1, 1), np.uint32), 0
+    out, wanted = np.empty((len(packed), *shape), np.float32), np.zeros((1, 1), np.uint32)
     wide = plan.coarse if plan.first else 0
     if wide:
         wanted = np.empty(grid_shape(picture.shape, plan.stride * wide), np.uint32)
-        spent = _coarse_pass(raster, joined, table, plan.first, plan.least, plan.stride * wide, wanted)
-    spent += _scan(raster, joined, table, plan.first, plan.least, plan.stride, wanted, wide, out)
-    return out, int(spent)
+        _coarse_pass(raster, joined, table, plan.first, plan.least, plan.stride * wide, wanted)
+    _scan(raster, joined, table, plan.first, plan.least, plan.stride, wanted, wide, out)
+    return out
 
 
-def scan_classes(picture: PaddedDepth, packed: Packed, clip_mm: int, plan: ScanPlan) -> tuple[NDArray[np.float32], int]:
-    """Return (C - 1, rows, columns): mean share of each gesture where it wins, else 0; and the number of tree
-    descents."""
+def scan_classes(picture: PaddedDepth, packed: Packed, clip_mm: int, plan: ScanPlan) -> NDArray[np.float32]:
+    """Return (C - 1, rows, columns): the mean share of each gesture where it wins, else 0."""
     raster = _raster(picture, plan.near_mm, plan.far_mm)
     shares = packed.shares.reshape(-1, packed.shares.shape[2])
     out = np.empty((shares.shape[1] - 1, *grid_shape(picture.shape, plan.stride)), np.float32)
     records, trees = packed.records.reshape(-1, 8), len(packed.records)
-    spent = _scan_classes(raster, records, shares, trees, clip_mm, plan.first, plan.least, plan.stride, out)
-    return out, int(spent)
+    _scan_classes(raster, records, shares, trees, clip_mm, plan.first, plan.least, plan.stride, out)
+    return out
 
 
 def parzen(

@@ -186,11 +186,6 @@ class GrowingForest:
         a = self.arrays
         return forest_votes.pack(a.test, a.left, a.seen, a.size)
 
-    @property
-    def nbytes(self) -> int:
-        """Memory of the arrays."""
-        return sum(a.nbytes for a in self.arrays)
-
     def _make_room(self, nodes: int) -> None:
         a, s = self.arrays, self.settings
         have, need = a.left.shape[1], min(int(a.size.max()) + nodes, s.most_nodes)

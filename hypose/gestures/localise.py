@@ -87,7 +87,6 @@ class Scratch:
 
     picture: PaddedDepth | None = None
     densities: dict[int, NDArray[np.float32]] | None = None
-    descents: int = 0
 
 
 def pad(
@@ -141,11 +140,11 @@ def densities(
     picture = scratch.picture = pad(depth, lens, reach, s.plan.near_mm, scratch.picture)
     if len(forest_list) > 1 or forest_list[0].classes == 2:
         clips = [f.settings.clip for f in forest_list]
-        maps, scratch.descents = forest_votes.scan(picture, [f.packed for f in forest_list], clips, s.plan)
+        maps = forest_votes.scan(picture, [f.packed for f in forest_list], clips, s.plan)
         majority = s.majority
     else:
         forest, majority = forest_list[0], 0.0  # the scan has already asked which class wins
-        maps, scratch.descents = forest_votes.scan_classes(picture, forest.packed, forest.settings.clip, s.plan)
+        maps = forest_votes.scan_classes(picture, forest.packed, forest.settings.clip, s.plan)
     return [forest_votes.parzen(picture, m, s.plan.stride, majority, s.sigma_px) for m in maps]
 
 

@@ -65,10 +65,6 @@ class GestureModel:
         """Has it learned from the session with this content?"""
         return bool(content) and any(entry.get("content") == content for entry in self.history)
 
-    def with_thresholds(self, *thresholds: float | None) -> GestureModel:
-        """Return the model with other thresholds."""
-        return replace(self, thresholds=thresholds)
-
 
 def to_arrays(model: GestureModel) -> dict[str, NDArray]:
     """Arrays for an .npz: the forest's, and "description", one JSON text."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -96,7 +97,7 @@ def gesture_train(
         about = {"record": record_to, "commands": typed_commands(), "say": print_note, "model": old}
         model = run_session(opened, gesture, learner, settings, **about)
     if old is not None and model.thresholds == (None,):  # only the gesture, or only movement, was seen this time
-        model = model.with_thresholds(*old.thresholds)
+        model = replace(model, thresholds=old.thresholds)
     save_model(model, out)
     nodes = int(model.forest.size.sum())
     say(f"{gesture}: {nodes} nodes, threshold {in_cm2(model.thresholds[0])}")
