@@ -218,7 +218,8 @@ def grow_tree(
         state,
         *tree,
     )
-    return TreeArraysOffline(*(a[:n].copy() for a in tree))
+    kept = tree.test[:n], tree.left[:n], tree.seen[:n], tree.level[:n]
+    return TreeArraysOffline(kept[0].copy(), kept[1].copy(), kept[2].copy(), kept[3].copy())
 
 
 def patch_leaves(patches: NDArray[np.int16], tree: TreeArraysOffline, clip_mm: int) -> NDArray[np.int32]:
