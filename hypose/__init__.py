@@ -18,7 +18,7 @@ _PLACES = {
     "track": "hypose.pipeline.track",
     "TrackOptions": "hypose.pipeline.run",
     "TrackResult": "hypose.pipeline.run",
-    # a motion and what is made of it
+    # a motion and its files
     "Motion": "hypose.body.motion",
     "load_motion": "hypose.io.motions.results",
     "save_motion": "hypose.io.motions.results",

@@ -1,4 +1,4 @@
-"""The errors a user can meet. Each message is one sentence: what was given, what is allowed, the next step."""
+"""The errors a user can meet. Each message is one sentence: the given value, the allowed ones, the next step."""
 
 from __future__ import annotations
 

@@ -7,8 +7,8 @@ from typing import Any
 
 
 def parse_json(text: str | bytes | bytearray) -> Any:
-    """What json.loads gives, but integers beyond 64 bits are floats, infinite beyond 1.8e308, as 1e999 is in JSON: a
-    number nobody means must not overflow where it is counted with. ValueError or RecursionError, as json.loads."""
+    """Parse JSON as json.loads does, but read integers beyond 64 bits as floats, infinite beyond 1.8e308, as 1e999 is:
+    they must not overflow in later arithmetic. ValueError or RecursionError, as json.loads."""
     return json.loads(text, parse_int=_integer)
 
 

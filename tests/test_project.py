@@ -228,6 +228,7 @@ def test_every_imported_package_is_declared():
         "skimage": "scikit-image",
         "distributed": "dask",
         "pythonosc": "python-osc",
+        "yaml": "pyyaml",
     }
     extras = {k: v for k, v in PROJECT["optional-dependencies"].items() if k not in ("dev", "oracles")}
     requirements = PROJECT["dependencies"] + [line for lines in extras.values() for line in lines]

@@ -50,7 +50,7 @@ def draw_parts(
     faces: NDArray[np.int32],
     part: NDArray[np.uint8],
     n_parts: int,
-    shape: tuple[int, int],
+    shape: tuple[int, ...],
     closed: bool = False,
 ) -> Bits:
     """Return (n_parts, W, h) bits of what faces (F, 3) of the part (F,) cover of a picture of shape (h, w).
@@ -65,7 +65,7 @@ def draw_parts(
 
 
 def covered(
-    uv: ArrayLike, z: ArrayLike, faces: NDArray[np.int32], shape: tuple[int, int], closed: bool = False
+    uv: ArrayLike, z: ArrayLike, faces: NDArray[np.int32], shape: tuple[int, ...], closed: bool = False
 ) -> NDArray[np.uint8]:
     """Return (h, w) = shape: 1 where faces (F, 3) of any orientation cover a pixel's centre, else 0.
 

@@ -193,7 +193,7 @@ def _followed_back(
 
 
 SUBJECT = "subject.npz"
-_OPTIONAL = ("sd", "view", "beside")
+_OPTIONAL = ("sd", "view", "cue_weight")
 _MODEL = ("joint", "offset", "known", *_OPTIONAL)
 
 

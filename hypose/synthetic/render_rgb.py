@@ -290,7 +290,7 @@ def shadow_mask(camera: Camera, faces: NDArray[np.int32], vertices: Array) -> ND
     drawn)."""
     ground = vertices - LIGHT * (vertices[:, 2:] / LIGHT[2])
     ground[:, 2] = 0.0
-    return covered(camera.project(ground), _depth(camera, ground), faces, (camera.size[1], camera.size[0]))
+    return covered(camera.project(ground), _depth(camera, ground), faces, camera.size[::-1])
 
 
 def develop(picture: Floats, gain: Array, noise: NDArray[np.int16], rng: np.random.Generator) -> Image:

@@ -209,7 +209,7 @@ class Scene(OfPerformance):
     def _corrupted(self, view: int, index: int, camera: Camera, scale: float) -> NDArray[np.uint8]:
         s = self.shown(view, index)
         hidden = self._occluder_depth(view, scale)
-        mask = shadow = np.zeros((camera.size[1], camera.size[0]), np.uint8)
+        mask = shadow = np.zeros(camera.size[::-1], np.uint8)
         for subject, p in ((self.subject, self.performance), *self.others):
             k = min(s, len(p) - 1)
             v = subject.skin(p.rotations[k], p.root[k])
@@ -324,7 +324,7 @@ def _mask(
 ) -> NDArray[np.uint8]:
     uv, z = _projected(camera, vertices)
     if hidden is None:
-        return covered(uv, z, subject.faces, (camera.size[1], camera.size[0]))
+        return covered(uv, z, subject.faces, camera.size[::-1])
     depth = rasterize(uv, z, subject.faces, camera.size)[0]
     return (depth < hidden).astype(np.uint8)
 

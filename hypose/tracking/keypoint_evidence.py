@@ -41,8 +41,8 @@ _CHAINS = (
 class KeypointModel:
     """Where named key points sit on a body: joint (K,), offset (K, 3) m in that joint's frame, known (K,). sd (K,) m:
     noise of a detection at the body's distance, per axis, at confidence 1; None: not measured. view (C,): by how much
-    the noise of each view is larger (`hypose.tracking.view_noise`); None: all are alike. next to (C, K): the rest
-     of each point's weight in solves next to masks (`hypose.tracking.cue_weights`); None: all."""
+    the noise of each view is larger (`hypose.tracking.view_noise`); None: all are alike. cue_weight (C, K): the
+    share of each point's weight that is left in solves with masks (`hypose.tracking.cue_weights`); None: all."""
 
     names: tuple[str, ...]
     joint: NDArray[np.int64]

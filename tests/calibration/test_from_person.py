@@ -7,7 +7,6 @@ import pytest
 
 from benchmarks.cameras.boardless import errors, without_poses
 from benchmarks.synthetic.wandering import RATE, WanderingSettings, wandering
-from hypose.app.__main__ import main as command_line
 from hypose.app.cli import run_cli
 from hypose.calibration.from_person import calibrate_from_person
 from hypose.calibration.sync_motion import Curves
@@ -129,10 +128,10 @@ def test_nothing_in_common_gives_no_curve_and_no_start():
     assert start_rig(points, without_poses(wandering(0, WanderingSettings(seconds=1.0)).rig, True), 4.0) == []
 
 
-def main(arguments):
+def exit_code(arguments):
     """The exit code of a command."""
     with pytest.raises(SystemExit) as left:
-        command_line(arguments)
+        run_cli(arguments)
     return left.value.code or 0
 
 
@@ -162,8 +161,8 @@ def test_the_command_writes_calibration_and_offsets(tmp_path, capsys):
         "--intrinsics",
         str(folder / "lenses.toml"),
     ]
-    assert run_cli(command) == 2 and "--height 1.72" in capsys.readouterr().err
-    assert run_cli([*command, "--height", f"{scene.height:.3f}"]) == 0
+    assert exit_code(command) == 2 and "--height 1.72" in capsys.readouterr().err
+    assert exit_code([*command, "--height", f"{scene.height:.3f}"]) == 0
     said = capsys.readouterr().out
     assert "approximate: 4.0 s are short" in said and "hypose sync" in said
     rig, _ = read_any(folder / "calibration.toml")
@@ -172,12 +171,12 @@ def test_the_command_writes_calibration_and_offsets(tmp_path, capsys):
     late = np.array([v["late"] for v in views])
     assert np.abs(late - np.median(late) - scene.late + np.median(scene.late)).max() < 0.5
     before = (folder / "calibration.toml").read_bytes()
-    assert run_cli([*command, "--height", "1.7"]) == 2 and "never overwritten" in capsys.readouterr().err
+    assert exit_code([*command, "--height", "1.7"]) == 2 and "never overwritten" in capsys.readouterr().err
     assert (folder / "calibration.toml").read_bytes() == before
 
 
 def test_a_refusal_writes_nothing(tmp_path, capsys):
     scene = wandering(4, WanderingSettings(cameras=2, seconds=2.0, largest=0.0))
     folder = _recording(tmp_path / "two", scene)
-    assert run_cli(["calibrate", str(folder), "--from-person", "--height", "1.7"]) == 2
+    assert exit_code(["calibrate", str(folder), "--from-person", "--height", "1.7"]) == 2
     assert "no pictures" in capsys.readouterr().err and not (folder / "calibration.toml").exists()

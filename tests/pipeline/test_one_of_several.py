@@ -36,7 +36,7 @@ def test_who_is_found_in_place_of_the_one_at_a_place_is_not_to_be_trusted(monkey
 
 
 @pytest.mark.parametrize(
-    ("kind", "fault", "told"), [("mirrored", True, False), ("floor", True, True), ("blank", False, True)]
+    ("kind", "fault", "reported"), [("mirrored", True, False), ("floor", True, True), ("blank", False, True)]
 )
 def test_nobody_else_is_told_where_cameras_make_one_person_two(monkeypatch, kind, fault, reported):
     out = found("person-1", monkeypatch, [], (Finding(kind, (), "wrong", "correct it", 1.0, fault),))

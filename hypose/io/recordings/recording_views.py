@@ -204,7 +204,7 @@ def _step(times: Array) -> float:
 
 
 def _of_times(times: Array) -> str:
-    """What is unsteady in the time stamps of a video."""
+    """Describe the unsteadiness in the time stamps of a video."""
     steps, step = np.diff(times), _step(times)
     lost = np.round(steps / step) - 1
     if lost.any():

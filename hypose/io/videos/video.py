@@ -339,7 +339,7 @@ def _stamps(path: Path, size: int, changed: int) -> Array | None:
 
 def stored_frames(path: Path, rate: float) -> NDArray[np.int64] | None:
     """Choose for each moment of a steady rate (frames/s) the stored frame that is shown then; None where frames cannot
-    be told by time, or are steady at that rate."""
+    be placed by time, or are steady at that rate."""
     times = frame_times(path)
     if times is None or (np.abs(times * rate - np.arange(len(times))) < 0.5).all():
         return None

@@ -127,7 +127,7 @@ class NetworkRoom:
         self._before = []
 
     def mask(self, image: Image) -> tuple[Mask, ViewOutline | None]:
-        """The people in a stored picture, (h, w), and their outline for tracking (None: nobody is seen)."""
+        """The people in a stored picture, (h, w), and their outline for tracking (None: no person is seen)."""
         stored = (image.shape[1], image.shape[0])
         if stored not in self._places:
             self._places[stored] = places_in_stored(self._camera, self._small, self._shift, stored)

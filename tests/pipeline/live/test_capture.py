@@ -5,6 +5,7 @@ import os
 import socket
 import threading
 import time
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -14,6 +15,7 @@ from hypose.evidence.background import from_frames
 from hypose.evidence.pose_network import CROP, DetectorOutput, LandmarkOutput, PoseNetwork
 from hypose.io.videos.camera_sources import CameraImage
 from hypose.pipeline.live.capture import CaptureOptions, CaptureProcess, CaptureRequest, LiveView
+from hypose.pipeline.settings import SETTINGS
 from hypose.synthetic.scenes import camera_rig
 from tests.conftest import HANG_S
 from tests.live_scenes import in_step
@@ -95,7 +97,7 @@ def test_pictures_of_another_shape_are_not_used_and_named(begun, cameras, tmp_pa
 
 def test_eyes_that_nobody_listens_to_any_more_end_by_themselves(cameras, tmp_path, rng, monkeypatch):
     """What they are about to say is more than waits in a pipe."""
-    monkeypatch.setattr("hypose.pipeline.live.capture._CLOSING_S", HANG_S)
+    monkeypatch.setattr("hypose.pipeline.live.capture.SETTINGS", replace(SETTINGS, eyes_closing_s=HANG_S))
     views = [LiveView(c.name, folder(tmp_path / c.name, (1600, 1200), rng, 4000), background=room(c)) for c in cameras]
     eyes = CaptureProcess(cameras, views, CaptureOptions(RATE))
     while True:
