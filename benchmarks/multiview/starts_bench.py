@@ -19,7 +19,7 @@ from hypose.pipeline.run import TrackOptions, track_source
 from hypose.pipeline.track_loop import FrameList
 from hypose.synthetic.metrics import EVALUATED
 from hypose.tracking.frame_evidence import prepare
-from hypose.tracking.postures import postures as postures_of_body
+from hypose.tracking.start_search import postures as postures_of_body
 from hypose.tracking.start_search import starts_in_frame
 
 FIRST = 740

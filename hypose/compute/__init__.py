@@ -81,7 +81,6 @@ from hypose.compute.picture_to_mask import (
     order_statistic,
     shrink_undistort,
 )
-from hypose.compute.render import blend_shaded, darken, expose
 from hypose.compute.rows import outline_points
 from hypose.compute.scorer import limb_energies, silhouette_xor
 from hypose.compute.shape_rows import outline_rows
@@ -141,19 +140,16 @@ __all__ = [
     "Workspace",
     "before_room",
     "in_background",
-    "blend_shaded",
     "bounded_step",
     "cache_folder",
     "colour_sums",
     "covered",
-    "darken",
     "default_threads",
     "depth_energy",
     "depth_sensor",
     "differing_box",
     "draw_parts",
     "evaluate",
-    "expose",
     "forest_votes",
     "forests",
     "forward_kinematics",

@@ -212,7 +212,7 @@ def track_source(
     evidence next to that of the frames. find_places: depth cameras that turn out to stand elsewhere than the source
     says are put right, and everything is tracked again. With `results` a checkpoint is
     written every `checkpoint_every` frames (later every twentieth of the frames so far), and motion.npz at the end or
-    when interrupted. `record` is the provenance; its identity must match for `resume`. """
+    when interrupted. `record` is the provenance; its identity must match for `resume`."""
     report = progress or (lambda stage, done, total: None)
     total = len(source)
     if total == 0:

@@ -6,8 +6,7 @@ import pytest
 from hypose.cameras.camera import CameraRig
 from hypose.evidence.association import people_of
 from hypose.evidence.keypoints import BODY_25
-from hypose.evidence.one_person import one_person
-from hypose.evidence.view_tracks import moves_as, view_tracks
+from hypose.evidence.one_person import moves_as, one_person, view_tracks
 from hypose.geometry import se3, so3_exp
 from tests.evidence.scenes import ring
 

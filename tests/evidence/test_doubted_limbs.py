@@ -3,8 +3,8 @@
 import cv2
 import numpy as np
 
-from hypose.evidence.doubted_limbs import with_doubted_limbs
 from hypose.evidence.keypoints import COCO_17
+from hypose.evidence.silhouettes import with_doubted_limbs
 
 HEIGHT = 200.0
 PLACES = {

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from hypose.compute.parts import covered
-from hypose.compute.render import blend_shaded
 from hypose.compute.zbuffer import interpolate, rasterize
 from hypose.synthetic.motions import act
+from hypose.synthetic.render_rgb import blend_shaded
 from hypose.synthetic.scenes import camera_rig
 from tests import reference
 

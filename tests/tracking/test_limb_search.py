@@ -7,8 +7,8 @@ from hypose.inference.hypotheses import Hypotheses
 from hypose.tracking.arm_workspace import in_practice
 from hypose.tracking.costs import frame_energy, limb_energy
 from hypose.tracking.frame_evidence import prepare
-from hypose.tracking.limb_search import LimbSearch
 from hypose.tracking.published_recipes import LIMB_LAYERS
+from hypose.tracking.recipes import LimbSearch
 from hypose.tracking.refinement import COMPOSITE, SOLVED
 
 
@@ -49,7 +49,7 @@ def test_it_never_leaves_the_limits_and_draws_the_same_from_the_same_seed(
         seen.append(poses.copy())
         return limb_energy(poses, *given)
 
-    monkeypatch.setattr("hypose.tracking.limb_search.limb_energy", spy)
+    monkeypatch.setattr("hypose.tracking.recipes.limb_energy", spy)
     frame = prepare(frame_of(body, raised), body, standing)
     outs = [search(at(standing), frame, np.random.default_rng(5)).values for _ in range(2)]
     np.testing.assert_array_equal(outs[0], outs[1])

@@ -12,8 +12,7 @@ from hypose.evidence.frame import Frame, Silhouettes
 from hypose.geometry import so3_exp, so3_log
 from hypose.synthetic.scenes import camera_rig
 from hypose.tracking.frame_evidence import prepare
-from hypose.tracking.postures import posture_names, postures
-from hypose.tracking.start_search import starts_in_frame, weigh_starts
+from hypose.tracking.start_search import posture_names, postures, starts_in_frame, weigh_starts
 from hypose.tracking.starts import turn_pose
 
 

@@ -32,7 +32,6 @@ from hypose.evidence.background import (
 from hypose.evidence.colours import colour_codes, colour_edges
 from hypose.evidence.depth_background import behind_things
 from hypose.evidence.depth_evidence import Depth
-from hypose.evidence.doubted_limbs import with_doubted_limbs
 from hypose.evidence.frame import Colours, Frame, Keypoints, Silhouettes
 from hypose.evidence.keypoints import person_size, thick_skeleton
 from hypose.evidence.outlines import OUTLINE_POINTS, WORKING_HEIGHT, ViewOutline, outline_of_runs
@@ -43,6 +42,7 @@ from hypose.evidence.silhouettes import (
     flag_collapsed,
     make_segmenter,
     make_silhouettes,
+    with_doubted_limbs,
 )
 from hypose.geometry import Array, Image, Mask
 from hypose.io.file_names import folder_for
