@@ -284,7 +284,7 @@ Clicks = Mapping[str, tuple[float, float]]
 
 
 def load_clicks(path: str | Path, recording: Recording) -> Clicks:
-    """Read a file of clicks for the one camera of a recording; an InputError says the fault."""
+    """Read a file of clicks for the one camera of a recording; an InputError names the cause."""
     path = Path(path)
     view = recording.views[0]
     document = read_json(path, "a file of clicks")
@@ -501,7 +501,7 @@ def image_deviation(body: Body, poses: Array, frames: Iterable[Frame]) -> Array:
 
 
 def against_the_picture(share: Array) -> tuple[str, ...]:
-    """Sentences that make a motion not to be trusted, by `beside_the_picture`."""
+    """Sentences that make a motion not to be trusted, by the shares (T,) of `image_deviation`."""
     if not np.isfinite(share).any() or np.nanmean(share) <= SETTINGS.picture_deviation:
         return ()
     where = in_words(runs(np.nan_to_num(share) > SETTINGS.picture_deviation))

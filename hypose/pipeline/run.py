@@ -102,7 +102,8 @@ class TrackOptions:
 
     @property
     def preset(self) -> Preset:
-        """Of the recipe; the usual one's where there is none of that name, which is reported when it is asked for."""
+        """The preset of the recipe; that of the default recipe when no recipe has this name (the wrong name is refused
+        later)."""
         return RECIPES.get(self.recipe, RECIPES["default"])
 
     @property

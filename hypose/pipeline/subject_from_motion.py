@@ -306,7 +306,7 @@ def subject_file(path: str | Path) -> Path:
 
 
 def load_subject(path: str | Path) -> Body:
-    """The body of a subject: its folder, subject.toml or body.npz. An InputError names the missing part."""
+    """The body of a subject: its folder, subject.toml or body.npz. An InputError names the missing input."""
     return load_body(subject_file(path))
 
 

@@ -99,8 +99,8 @@ def track_frames(
     """Tracks the frames of a source from the state `begin`, or behind what was done `before`. What was seen in each is
     found out by another thread while the next one is tracked: tracking does not ask.
 
-    KeyboardInterrupt, and with `keep` a HyposeError too, end it with the use until then; they are passed on when
-    that is nothing.
+    KeyboardInterrupt, and with `keep` a HyposeError too, end it with the frames done until then; they are passed on
+    when there are none.
     """
     state, estimates = (before.state, list(before.estimates)) if before is not None else (begin, [])
     saved, total, context = len(estimates), len(source), copy_context()  # which back end to use is said there

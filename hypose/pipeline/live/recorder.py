@@ -192,7 +192,7 @@ class LiveRecorder:
         self.written += 1
         if (
             self.written > 1 and time.monotonic() - self._described >= SETTINGS.recorder_describe_s
-        ):  # a person who is killed has recorded, too
+        ):  # a killed process keeps its recording too
             self._describe()
             self._described = time.monotonic()
 
