@@ -114,8 +114,8 @@ def chosen_people(text: str, wanted: Sequence[Wanted]) -> tuple[int | None, str 
 
 
 def people_frames(recording: Recording, options: TrackOptions) -> FrameStream:
-    """The frames of a recording with all people in the masks, if masks are wanted. An InputError for key points next to
-    depth cameras."""
+    """The frames of a recording with all people in the masks, if masks are wanted. An InputError for key points
+    together with depth cameras."""
     depth = [v.name for v in recording.views if v.depth is not None]
     if depth and options.looks_at != "silhouettes":
         raise InputError(

@@ -376,7 +376,7 @@ class PeopleRun:
         if frame.silhouettes is not None:
             pack_once(frame.silhouettes)
         least = 2 if frame.depth is None else 1  # a depth camera alone shows where a person is
-        change = mask_change(frame, before)  # of the whole masks: all that is ignored changes by itself
+        change = mask_change(frame, before)  # of the whole masks: the ignored part changes by itself
         looked = [
             looked_at(m.tracker, estimate, own, None if before is None else as_now(own, before), change)
             for m, estimate, own in zip(members, estimates, seen, strict=True)

@@ -101,7 +101,7 @@ class PipelineSettings:
         offsets must be better than none
     background_scale_px: px: usual error of an outline when offsets are found
     engine_most_people: who can be followed at once: no computer keeps pace with more
-    engine_history: areas that say all that is usual, one every fifth instant
+    engine_history: areas that say which area is usual, one every fifth instant
     engine_latencies: instants whose latencies are kept
     engine_searches: searches and duels at one time
     engine_misses: shares of its pictures that a camera loses, from the one on that is worth a word
@@ -111,7 +111,7 @@ class PipelineSettings:
     eyes_quality: of the JPEG pictures that are passed on
     eyes_look_s: s after which a thread that waits for the other process checks whether to go on waiting
     eyes_closing_s: s in which it may let go of its cameras
-    feeds_kept: pictures of each camera that are kept, next to those that others have not come to yet
+    feeds_kept: pictures of each camera that are kept, in addition to those that others have not come to yet
     feeds_pace, feeds_known: pictures by which the rate is judged, and from which on it is
     feeds_recent: pictures by which it is judged how many are lost
     feeds_nonsense: pictures with times that cannot be, more than with others, after which a camera's own times are left
@@ -150,8 +150,8 @@ class PipelineSettings:
     recorder_pause_s: s from one instant to the next, at a usual pace: that is a pause, not the pace
     recorder_describe_s: s after which what has been written since is a part of the recording
     rooms_every_s: s between two looks at what has changed
-    rooms_light_s, rooms_thing_s: Time constants: of the room where it looks like the room, and of all that is not the
-        room and not the person
+    rooms_light_s, rooms_thing_s: Time constants: of the room where it looks like the room, and of things that are
+        neither the room nor the person
     rooms_sparse: px between two that tell how much brighter the light is
     rooms_margin: of the person's height in the picture, about the person, in which nothing is learnt
     rooms_moved_m, rooms_moved_grey, rooms_moved_share: m, grey levels, and share of the pixels, that change where a
@@ -218,7 +218,7 @@ class PipelineSettings:
     rough_hidden: A view shows a person when no more than this share of the body is hidden.
     rough_few_seen: frames from which a body is fitted, at least, if there are so many
     rough_tried: frames that decide on the rough start
-    rough_rivals: so many other starts are tried again next to the others' bodies
+    rough_rivals: so many other starts are tried again with the others' bodies known
     rough_lost: 1 - IoU from which on a rough body is nowhere
     sensor_scale_m, sensor_weight: m: sd of a reported joint; weight of one in units of the robust rows' cost, half of
         it where it was inferred
@@ -229,7 +229,7 @@ class PipelineSettings:
         too large 113, a second late 122, with left and right exchanged in every frame 240
     sensor_late_s, sensor_like: s by which a sensor's clock may be off, and the correlation of both movements from which
         on they tell: 0.12 s at most on the recordings above, where they tell
-    sensor_nearer: all that is left at most of the distance between two sensors' joints when a clock is put right: who
+    sensor_nearer: share left at most of the distance between two sensors' joints when a clock is put right: who
         walks moves alike half a step later, with arms or sides exchanged
     sensor_legs_m: m of thigh and shank together, of people 0.9 to 2.3 m tall: sensors say 0.64 to 0.86 of adults
     sensor_of_height: thigh and shank as sensors see them, as a share of the height

@@ -46,8 +46,8 @@ StageProgress = Callable[[str, int, int], None]
 
 
 class Deferred:
-    """A progress call whose interruption waits until `settle`: all that is begun is done before, and a run that goes on
-    later goes on to the same."""
+    """A progress call whose interruption waits until `settle`: work that has begun is finished first, and a run that
+    goes on later goes on to the same."""
 
     def __init__(self, progress: StageProgress) -> None:
         self._progress, self._stopped = progress, False

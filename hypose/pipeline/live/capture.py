@@ -105,7 +105,7 @@ class CaptureResult:
 
 
 class Capture:
-    """`look` again and again, and `keep_up` when what was seen is reported; `close` at the end. An InputError when a
+    """`look` again and again, and `keep_up` when the result has been sent; `close` at the end. An InputError when a
     camera cannot be opened."""
 
     def __init__(self, rig: CameraRig, views: Sequence[LiveView], options: CaptureOptions) -> None:

@@ -197,7 +197,7 @@ class LiveRecorder:
             self._described = time.monotonic()
 
     def _forget(self) -> None:
-        """All that is there of the instant that could not be written, which also makes room for recording.toml."""
+        """Remove what was written of the instant that failed, which also makes room for recording.toml."""
         with contextlib.suppress(OSError):
             os.truncate(self.folder / _POSES, self._rows)
         for folder in (*self._pictures, *self._masks):
