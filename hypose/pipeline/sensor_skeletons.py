@@ -299,7 +299,7 @@ def _apart(pair: Array, frames: int) -> float:
     return float(np.nan_to_num(register(both, np.where(np.isfinite(both[..., 0]), 2, 0)).residual[1], nan=np.inf))
 
 
-# the 15 common joints by the names of key points; the torso cannot be distinguished from the spine
+# the 15 common joints by the names of key points; the torso cannot be separated from the spine
 SENSOR_JOINT_NAMES = (
     "head",
     "neck",

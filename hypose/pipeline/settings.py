@@ -278,7 +278,7 @@ class PipelineSettings:
     verdict_few_s: s: doubtful stretches that are shorter are not worth a look by themselves: they are named as all that
         is not good
     wardrobe_near_m: m between two people in which they may be taken for each other, and are not learnt from.
-    wardrobe_looks: How often a person is looked at, apart from others, before it is reported who it is.
+    wardrobe_looks: How often a person is looked at, apart from others, before it is decided who it is.
     wardrobe_unlike, wardrobe_clearly: Likeness of clothes below which it is another person, and by which others must be
         more alike for two to have been exchanged. On walks past each other (seeds 20 to 23) one and the same had 0.98
         and more, two people 0.5 and less.
