@@ -59,8 +59,8 @@ class BackwardPassSettings:
 
 @dataclass(frozen=True)
 class _Seen:
-    """The known data of one frame. prepared, last: it and the one before; poses (N, D): alive either way, best first;
-    costs (N,): their mismatches."""
+    """One frame and its candidate poses. prepared, last: the frame and the one before; poses (N, D): alive either way,
+    best first; costs (N,): their mismatches."""
 
     prepared: PreparedFrame
     last: Frame | None
@@ -77,8 +77,8 @@ def backward_pass(
     settings: BackwardPassSettings | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> tuple[list[FrameEstimate], int]:
-    """The estimates of frames 0, 1, ... with those replaced that are reported better by what comes after them, and in
-    how many an arm lies elsewhere now. memory: what has been remembered of the person; progress(done, total):
+    """The estimates of frames 0, 1, ... with those replaced for which the later frames give a better one, and in how
+    many an arm has moved. memory: what has been remembered of the person; progress(done, total):
     frames."""
     o, out = settings or BackwardPassSettings(), list(estimates)
     if not tracker.recipe.rivals or tracker.settings.evidence not in ("silhouettes", "both") or len(out) < 3:

@@ -1,8 +1,8 @@
 """A motion held against another one of the same movement: in step, in the same place, and joint by joint.
 
 The other motion is resampled to our times, its clock and its place are found (or given), and the remaining difference
-is distinguished into a constant offset of every joint - two programs rarely mean the same point by a hip - and an
-error. Offsets are constant in the segment that carries the joint, so that they turn with the person.
+is split into a constant offset of every joint - two programs rarely mean the same point by a hip - and an error.
+Offsets are constant in the segment that carries the joint, so that they turn with the person.
 
 Sources: the rigid alignment is Umeyama's (1991) in iterated reweighting; limits of agreement are Bland and Altman's
 (1986): mean +- 1.96 standard deviations of the difference.
@@ -58,9 +58,11 @@ class OtherMotion:
 def read_other(
     path: Path, joints: Mapping[str, Sequence[str]] | None = None, subject: str | None = None
 ) -> OtherMotion:
-    """The motion of any file that can be compared with. joints: marker names whose mean is a joint, by joint name, for
-    what the names do not tell. subject: whose points, of a file in which several people's are named SUBJECT:POINT. An
-    InputError when nothing in the file is known, or not which of several people is meant."""
+    """Read another motion to compare with: results of hypose, .c3d, .trc, .mot or .sto.
+
+    joints: marker names by joint name; their mean is the joint. For markers whose names are not known.
+    subject: the person to read, where a file names points SUBJECT:POINT.
+    An InputError when no joint or angle is known, or when it is not clear which person is meant."""
     ending = path.suffix.lower()
     if path.is_dir() or ending == ".npz":
         motion = load_result(path)
@@ -95,7 +97,7 @@ def angles_of(motion: Motion) -> dict[str, Array]:
 
 
 def _of_subject(path: Path, names: tuple[str, ...], subject: str | None) -> tuple[tuple[str, ...], list[int]]:
-    """The names that are one person's, or no person's in particular, without the person's, and their numbers."""
+    """The point names of one person, or of a file without persons, without the person's prefix, and their indices."""
     whose = {i: n.split(":")[0].strip() for i, n in enumerate(names) if ":" in n and not n.startswith("*")}
     people = list(dict.fromkeys(whose.values()))
     if subject is not None and subject not in people:

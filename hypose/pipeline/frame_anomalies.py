@@ -43,7 +43,7 @@ def looked_at(
     pictures = frame.silhouettes or frame.keypoints
     if pictures is None or (
         len(pictures.rig) == 1 and frame.depth is None
-    ):  # one camera's other poses are reported otherwise
+    ):  # one camera's other poses are judged otherwise
         return replace(estimate, seen=seen)
     wanted = tracker.settings.evidence
     own = replace(

@@ -43,7 +43,7 @@ def save_model(model: GestureModel, path: str | Path) -> None:
 
 
 def load_model(path: str | Path) -> GestureModel:
-    """Read a model file; an InputError says the fault. A growing forest goes on growing bit for bit."""
+    """Read a model file; an InputError names the cause. A growing forest goes on growing bit for bit."""
     path = Path(path)
     step = "give a model that `hypose gesture train` wrote"
     arrays = load_archive(path, "gesture model", step)

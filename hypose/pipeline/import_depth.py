@@ -375,7 +375,7 @@ def register_depth(
 
 @contextmanager
 def _named(who: str) -> Iterator[None]:
-    """Errors within name whom they are about."""
+    """Errors within name the sensor that they are about."""
     try:
         yield
     except HyposeError as error:

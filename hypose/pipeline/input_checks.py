@@ -80,7 +80,7 @@ def of_measured(stature: float) -> tuple[Finding, ...]:
 
 
 def places_refuted(found: Sequence[Finding]) -> bool:
-    """Do the cameras not stand where they are said to? Then people cannot be distinguished."""
+    """Do the cameras not stand where they are said to? Then people cannot be separated."""
     return any(f.fault and f.kind in REFUTED_PLACES for f in found)
 
 
@@ -135,7 +135,7 @@ def _by_points(keypoints: Sequence[Keypoints], height: float | None, o: Limits) 
     if other is not None and (agreed or "keypoint_set = " in other.cure):
         yield other
     if other is not None or not agreed:
-        return  # nothing else can be reported of points with other names, or that lie anywhere
+        return  # nothing else can be checked of points with other names, or that lie anywhere
     yield from wrong_way_up(world, names, pixels, rig)
     if rig is keypoints[0].rig:  # nothing else was wrong
         yield from focal_findings(focal_by_points(rig, pixels))

@@ -64,7 +64,7 @@ def subject_from_mesh(
 def rig_mesh(mesh: str | Path | PersonMesh | Mesh, *, unit: str = "m", height: float | None = None) -> MeshSubject:
     """Rig a person's mesh: a file (OBJ, PLY, STL, GLB, SMPL npz), or one in memory; the joints and weights of a skinned
     file are kept. unit: of the coordinates, one of UNITS; height: m, scales the person to a known stature (arms down)
-    whatever the unit. InputErrors say the fault (open, in parts, unit, pose) and what to do."""
+    whatever the unit. An InputError names the cause (open, in parts, unit, pose) and the next step."""
     if unit not in _UNITS:
         raise InputError(f"There is no unit {unit!r}; the units are {', '.join(_UNITS)}.")
     least, most = SETTINGS.mesh_statures

@@ -1,5 +1,5 @@
-"""Depth cameras that stand elsewhere than is reported, or are knocked while they record: the person tells, and they are
-put right.
+"""Depth cameras that stand elsewhere than the calibration says, or are knocked while they record: found and corrected
+from the person's motion.
 
 Where a sensor stands shows in how what it measures fits the body that all of them see. The first one keeps its place,
 the others turn about the vertical and move along the floor, as when they are brought together at first

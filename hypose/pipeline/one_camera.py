@@ -218,8 +218,8 @@ class ColourDetections:
     """The frames of a recording with the ends that skin colour shows (`Frame.detections`, unnamed).
 
     The colours are the person's own, learnt in the first frame, whose pose (D,) is known. Every frame is a function of
-    the recording and that pose alone, in whatever order frames are asked for. The pictures are read a second time,
-    next to the masks. An InputError when they are grey: there skin has no colour."""
+    the recording and that pose alone, in whatever order frames are asked for. The pictures are read a second time, in
+    addition to the masks. An InputError when they are grey: there skin has no colour."""
 
     def __init__(self, source: FrameStream, body: Body, start: Array) -> None:
         self.source, self.body = source, body
@@ -284,7 +284,7 @@ Clicks = Mapping[str, tuple[float, float]]
 
 
 def load_clicks(path: str | Path, recording: Recording) -> Clicks:
-    """Read a file of clicks for the one camera of a recording; an InputError says the fault."""
+    """Read a file of clicks for the one camera of a recording; an InputError names the cause."""
     path = Path(path)
     view = recording.views[0]
     document = read_json(path, "a file of clicks")
@@ -483,7 +483,7 @@ def _first_keypoints(
 
 
 _LEAST_POINTS, _LIMBS = 4, ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
-"""key points that tell, and of what: a face has many, next to which an arm would not count"""
+"""key points that tell, and of what: a face has many, against which an arm would not count"""
 
 
 def image_deviation(body: Body, poses: Array, frames: Iterable[Frame]) -> Array:
@@ -501,7 +501,7 @@ def image_deviation(body: Body, poses: Array, frames: Iterable[Frame]) -> Array:
 
 
 def against_the_picture(share: Array) -> tuple[str, ...]:
-    """Sentences that make a motion not to be trusted, by `beside_the_picture`."""
+    """Sentences that make a motion not to be trusted, by the shares (T,) of `image_deviation`."""
     if not np.isfinite(share).any() or np.nanmean(share) <= SETTINGS.picture_deviation:
         return ()
     where = in_words(runs(np.nan_to_num(share) > SETTINGS.picture_deviation))

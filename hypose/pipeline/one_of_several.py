@@ -2,7 +2,7 @@
 
 Never a mixture of both: what others cover is left out of the evidence for the one who was chosen.
 
-Do masks show several people? Reported view by view, without any calibration: one may be all that is looked for.
+Whether masks show several people is decided view by view, without a calibration: the calibration may be under check.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def wanted_of(recording: Recording) -> list[Wanted]:
 
 
 def wanted_first(recording: Recording, options: TrackOptions) -> list[Wanted]:
-    """The known data of the one person who is tracked: the first of recording.toml's people, with the body or height
+    """Prior knowledge of the one person who is tracked: the first of recording.toml's people, with the body or height
     that was asked for."""
     first = (wanted_of(recording) or [Wanted("person-1")])[0]
     body = first.body if options.subject is None else load_subject(options.subject)
@@ -114,8 +114,8 @@ def chosen_people(text: str, wanted: Sequence[Wanted]) -> tuple[int | None, str 
 
 
 def people_frames(recording: Recording, options: TrackOptions) -> FrameStream:
-    """The frames of a recording with all people in the masks, if masks are wanted. An InputError for key points next to
-    depth cameras."""
+    """The frames of a recording with all people in the masks, if masks are wanted. An InputError for key points
+    together with depth cameras."""
     depth = [v.name for v in recording.views if v.depth is not None]
     if depth and options.looks_at != "silhouettes":
         raise InputError(
@@ -128,7 +128,7 @@ def people_frames(recording: Recording, options: TrackOptions) -> FrameStream:
 
 def frames_to_examine(recording: Recording) -> tuple[FrameStream, bool]:
     """The frames of a recording whose calibration is in doubt, with all people in the masks when several stand side by
-    side there, and whether they do: what a view shows of whom cannot be reported before the calibration is right."""
+    side there, and whether they do: which person a view shows is not known before the calibration is right."""
     one = FrameStream(recording)
     depth = any(view.depth is not None for view in recording.views)
     alone = depth and len(recording.views) == 1
@@ -136,7 +136,7 @@ def frames_to_examine(recording: Recording) -> tuple[FrameStream, bool]:
         return one, False
     whole = replace(one.options, people=True)
     all_people = FrameStream(recording, whole, one.backgrounds or None)
-    if depth:  # each of which would show a person who is largest, or most like a person
+    if depth:  # each alone keeps the largest part, or the one most like a person
         several = count_people(all_people.frame, len(all_people)) > 1
         (one if several else all_people).close()
         return (all_people, True) if several else (one, False)

@@ -1,7 +1,7 @@
 """Several people of one recording: found in the hull, fitted and tracked together, each with a result of their own.
 
 They are found where the hull stands without being explained (`hypose.evidence.hull_people`), at the first frames and
-again and again, for people come. All people are tracked by a tracker of their own (`hypose.tracking.several`), and
+again and again, for people come. Each is tracked by a tracker of their own (`hypose.tracking.several`), and
 finished as one person alone is, on what the final bodies of the others leave of the masks.
 """
 
@@ -67,11 +67,11 @@ from hypose.tracking.tracker import Tracker
 
 @dataclass(frozen=True)
 class PeopleRun:
-    """Tracks the people of a source. count: results of so many at most, None: of all there are; wanted: the known data
-    of some; points: key points that have been distinguished, for the evidence 'keypoints' and 'both'; floor: m; under:
-    folder in the results that holds all people's. Everything else as for `track_source`.
+    """Tracks the people of a source. count: results of so many at most, None: of all there are; wanted: prior
+    knowledge of some of them; points: key points sorted by person, for the evidence 'keypoints' and 'both'; floor: m;
+    under: folder in the results that holds all people's. Everything else as for `track_source`.
 
-    All people are tracked who is there, also those beyond `count`: they hide the others all the same."""
+    All people who are there are tracked, also those beyond `count`: they hide the others all the same."""
 
     source: FrameSource
     frame_rate: float
@@ -171,7 +171,7 @@ class PeopleRun:
         return check_depth_inputs(self.source)
 
     def _begun(self) -> list[Followed]:
-        """The people of the first frames; when there are none, the fault of the cameras may be why."""
+        """The people of the first frames; when there are none, wrong places of the cameras may be the cause."""
         try:
             return self._begin()
         except HyposeError as error:
@@ -181,8 +181,8 @@ class PeopleRun:
             raise type(error)(f"{' '.join(why)} That may be why: {error}") from error
 
     def _begin(self) -> list[Followed]:
-        """The people of the first frames: first those who are wanted, then a person who stands nearest to where the
-        cameras look."""
+        """The people of the first frames: first those who are wanted, then the others, nearest to where the cameras
+        look first."""
         last = min(len(self.source), max(2, round(SETTINGS.people_start_s * self.frame_rate)))
         looks = np.unique(np.linspace(0, last - 1, min(last, 6)).astype(int)).tolist()
         paths = lasting(self._places([*looks, *range(last, self._named_at + 1, self._look_every)]), looks)
@@ -239,8 +239,8 @@ class PeopleRun:
         return path.axis(t, within=SETTINGS.people_start_s * self.frame_rate)
 
     def _roughly(self, paths: Sequence[Path], names: Sequence[str], numbers: Sequence[int]) -> list[RoughTrack | None]:
-        """All people's body and poses in the frames `numbers`, roughly; no person's where key points tell who is where,
-        and where a person is alone."""
+        """Rough body and poses of every person in the frames `numbers`; None for each where key points tell who is
+        where, or one person is alone."""
         if len(paths) < 2 or self._points is not None:
             return [None] * len(paths)
         known = [self._known(n) for n in names]
@@ -287,7 +287,7 @@ class PeopleRun:
         rough: Sequence[RoughTrack | None] | None = None,
         alone: bool = False,
     ) -> Followed:
-        """A person with a body fitted to all that is theirs alone in the frames `numbers`; rough: the known data of
+        """A person with a body fitted to all that is theirs alone in the frames `numbers`; rough: the rough tracks of
         all."""
         known = self._known(name)
         o, key, results = self.options, provenance_identity(self.record), self._results_of(name)
@@ -359,8 +359,7 @@ class PeopleRun:
         return self.points if self.options.looks_at == "both" else None
 
     def _points_of(self, p: Followed, people: Sequence[Followed], t: int) -> Keypoints:
-        """The key points of a person at a frame: of whom they were so far, else of a person who stands where they
-        do."""
+        """The key points of a person at a frame: from the track used so far, else from the nearest free track."""
         assert self._points is not None
         if not p.member.present:
             return self._points.nothing
@@ -377,7 +376,7 @@ class PeopleRun:
         if frame.silhouettes is not None:
             pack_once(frame.silhouettes)
         least = 2 if frame.depth is None else 1  # a depth camera alone shows where a person is
-        change = mask_change(frame, before)  # of the whole masks: all that is ignored changes by itself
+        change = mask_change(frame, before)  # of the whole masks: the ignored part changes by itself
         looked = [
             looked_at(m.tracker, estimate, own, None if before is None else as_now(own, before), change)
             for m, estimate, own in zip(members, estimates, seen, strict=True)
@@ -406,9 +405,9 @@ class PeopleRun:
     def _look(
         self, people: list[Followed], frame: Frame, t: int, before: Sequence[Array], progress: StageProgress
     ) -> list[Array]:
-        """Looks for a person whom no person explains; who was there at the last look as well is tracked from now on.
-        Returns of all people new (4,): where they stand, how often no body could be fitted, and the frame from which
-        that is tried again; before: of the last look."""
+        """Look for people in the parts of the masks that no tracked body explains; those seen at the last look too are
+        tracked from now on. Returns of each new person (4,): where they stand, how often no body could be fitted, and
+        the frame from which that is tried again; before: of the last look."""
         silhouettes = frame.silhouettes
         if silhouettes is None:
             return []
@@ -424,7 +423,7 @@ class PeopleRun:
                 own = candidate_evidence(person, frame, known, found)
                 if self._back(people, person, own):
                     return []
-                if t >= again:  # a fit is expensive, and who cannot be reported now may not be for long
+                if t >= again:  # a fit is expensive, and a person who cannot be fitted now may be clear soon
                     progress("subject", 0, 1)
                     new = self._new(people, person, frame, t)
                     progress("subject", 1, 1)
@@ -447,7 +446,7 @@ class PeopleRun:
     def _new(self, people: list[Followed], person: HullPerson, frame: Frame, t: int) -> bool:
         """Whether a new person is there; False when no body can be fitted."""
         numbers = self._fit_numbers(t)
-        # beyond this frame no person has been tracked yet: all are distinguished by the hull alone
+        # beyond this frame no person has been tracked yet: people are separated by the hull alone
         paths = self._places(numbers)
         mine = [k for k, q in enumerate(paths) if t in q.found and np.linalg.norm(q.found[t].axis - person.axis) < 0.4]
         if not mine or len(paths[mine[0]].found) < min(len(numbers), SETTINGS.people_fewest):

@@ -1,4 +1,4 @@
-"""Where people stand in a recording before anybody is tracked: who is in the hull, instant after instant."""
+"""Where people stand in a recording before they are tracked: who is in the hull, instant after instant."""
 
 from __future__ import annotations
 
@@ -109,7 +109,8 @@ def _apart(people: Sequence[HullPerson]) -> int:
 
 def count_people(frame_at: Callable[[int], Frame], total: int, looks: int = 5) -> int:
     """How many people stand in the masks of a recording: the median over instants spread over it, without children
-    below a metre, whom a thing may look like. Fewer than three usable views tell of no person, but depth cameras do."""
+    below a metre, whom a thing may look like. Fewer than three usable views are not counted, unless there is a depth
+    camera."""
     found = []
     for t in np.unique(np.linspace(0, total - 1, min(total, looks)).astype(int)).tolist():
         with contextlib.suppress(HyposeError):
@@ -121,7 +122,7 @@ def count_people(frame_at: Callable[[int], Frame], total: int, looks: int = 5) -
 
 
 # ---- people points -------------------------------------------------------------------------------------------------
-# Several people by their key points, which have been distinguished (hypose.evidence.association).
+# Several people by their key points, sorted by person (hypose.evidence.association).
 
 
 @dataclass(frozen=True)
@@ -134,11 +135,11 @@ class KeypointPeople:
 
     @property
     def nothing(self) -> Keypoints:
-        """Of no person."""
+        """Key points of an empty frame: confidence 0."""
         return Keypoints(np.zeros((len(self.rig), len(self.names), 3)), self.names, self.rig)
 
     def lasting(self, total: int) -> list[int]:
-        """Who is followed through a good part of so many frames; a person who is followed longest at least."""
+        """The tracks that last a good part of `total` frames; at least the longest one."""
         long = [k for k, t in enumerate(self.tracks) if len(t) >= max(5, SETTINGS.points_least_share * total)]
         return long or sorted(range(len(self.tracks)), key=lambda k: -len(self.tracks[k]))[:1]
 
@@ -181,8 +182,8 @@ class PointFrames:
 
 
 def padded(motion: Motion, first: int, total: int) -> Motion:
-    """The motion of frames first, first + 1, ... of so many: what lies next to them is its first and last frame, lost
-    and extrapolated."""
+    """The motion of frames first, first + 1, ... of so many: what lies outside of them is its first and last frame,
+    lost and extrapolated."""
     rows = np.clip(np.arange(total) - first, 0, len(motion) - 1)
     outside = (np.arange(total) < first) | (np.arange(total) >= first + len(motion))
     arrays = per_frame(motion, rows) | {"times": np.arange(total) / motion.frame_rate}

@@ -183,8 +183,8 @@ def refine_recording(
     recording: lag and shift are cured (`cured_recording`); late (C,): frames by which views are late. method: keypoints
     (bundle adjustment), silhouettes (contours of the tracked body; key points, if there are any, only give the start),
     both. fixed: names of cameras that stay. height: of the person, m: sets the scale, which else stays as it was (by
-    the person's limbs). disturb(body, poses) changes the start poses, for tests. An EvidenceError or InputError says
-    the missing part."""
+    the person's limbs). disturb(body, poses) changes the start poses, for tests. An EvidenceError or InputError names
+    the missing input."""
     if method not in _METHODS:
         raise InputError(f"There is no refinement from {method!r}; choose {', '.join(_METHODS)}.")
     if len(recording.rig) < 2:

@@ -113,8 +113,8 @@ def rough_bodies(
     templates: Sequence[tuple[Body, float | None]],
     seed: int = 0,
 ) -> list[RoughTrack | None]:
-    """All people on paths in the frames `numbers`, at `rate` Hz; None for whom no start explains. templates: of each,
-    with the height, m, where it is known."""
+    """The rough tracks of all people on paths in the frames `numbers`, at `rate` Hz; None for whom no start explains.
+    templates: of each, with the height, m, where it is known."""
     return [
         _rough(frame_at, [t for t in numbers if t in p.found], k, paths, rate, *templates[k], seed)
         for k, p in enumerate(paths)
@@ -150,7 +150,7 @@ def _rough(
 
 
 # ---- bodies again --------------------------------------------------------------------------------------------------
-# Bodies of people in each other's masks, fitted once more when all people's body is known.
+# Bodies of people in each other's masks, fitted once more when the bodies of all people are known.
 #
 # The first fit of each sees the others as hulls, or as bodies of the template's shape, and what these hide too much or
 # too little becomes arms and legs that are too long or too short. So all people are tracked together through the same
@@ -170,7 +170,7 @@ def fitted_again(
 ) -> dict[int, TrackedSubject]:
     """Of people who stand at their starts in the first of the frames `numbers`: the subjects of those whose bodies were
     fitted to shared masks once, by their place among the people, with bodies and starts fitted again; as they were but
-    for a note where that explains the masks no better. known: the known data of a person of that name."""
+    for a note where that explains the masks no better. known: prior knowledge of a person by name."""
     once = [k for k, p in enumerate(people) if known(p.name).body is None and AGAIN not in p.subject.notes]
     if len(people) < 2 or not once:
         return {}

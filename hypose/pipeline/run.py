@@ -102,7 +102,8 @@ class TrackOptions:
 
     @property
     def preset(self) -> Preset:
-        """Of the recipe; the usual one's where there is none of that name, which is reported when it is asked for."""
+        """The preset of the recipe; that of the default recipe when no recipe has this name (the wrong name is refused
+        later)."""
         return RECIPES.get(self.recipe, RECIPES["default"])
 
     @property
@@ -209,8 +210,8 @@ def track_source(
 
     body: the subject's own, of which only the start is looked for (default: the human template, fitted); subject: a
     known subject and start, which skips both. method: a recipe of the caller's own instead of the options'; own:
-    evidence next to that of the frames. find_places: depth cameras that turn out to stand elsewhere than the source
-    says are put right, and everything is tracked again. With `results` a checkpoint is
+    evidence in addition to that of the frames. find_places: depth cameras that turn out to stand elsewhere than the
+    source says are put right, and everything is tracked again. With `results` a checkpoint is
     written every `checkpoint_every` frames (later every twentieth of the frames so far), and motion.npz at the end or
     when interrupted. `record` is the provenance; its identity must match for `resume`."""
     report = progress or (lambda stage, done, total: None)
@@ -402,9 +403,9 @@ def _doubted(
     known: str | None = None,
     points: Sequence[Keypoints | None] | None = None,
 ) -> Motion:
-    """The motion with the probability that a joint is wrong, all that is doubtful for that, and standard deviations
-    that hold, of all that is doubtful too; covariance (T, D, D) of the poses; known: what the evidence was, where the
-    audit does not tell; points: the key points of its frames, None where there are none in memory."""
+    """The motion with the probability that a joint is wrong, the joints that are doubtful for that, and standard
+    deviations that hold, of doubtful joints too; covariance (T, D, D) of the poses; known: what the evidence was,
+    where the audit does not tell; points: the key points of its frames, None where there are none in memory."""
     evidence = known or evidence_of(audit)
     if points is not None and subject.keypoints is not None and any(k is not None for k in points):
         assert motion.poses is not None

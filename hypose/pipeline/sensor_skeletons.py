@@ -2,7 +2,8 @@
 
 In addition to depth maps and silhouettes there is one solve on all of it. The cameras alone give a first motion and the
 body, which tell where each skeleton's sensor stands, on which side of the body it takes left for right, and where its
-joints sit on the body. Then everything is tracked once more, the skeletons' joints as points next to the other rows.
+joints sit on the body. Then everything is tracked once more, the skeletons' joints as points in addition to the other
+rows.
 """
 
 from __future__ import annotations
@@ -92,7 +93,7 @@ def fuse_mixture(
     of any set of joints that is known (`hypose.fusion.register.common_joints`), each in its own frame and at the
     frame's time; or what makes them of the motion that the cameras give alone. results, record: as for `track_source`.
     A sensor that moves otherwise than the person before the cameras is left out. An InputError when their
-    numbers differ, or when no sensor is left. All that is interrupted gives the motion of the cameras until then."""
+    numbers differ, or when no sensor is left. When interrupted, it gives the motion of the cameras until then."""
     made = None if callable(skeletons) else _checked(skeletons, len(source))
     first = track_source(source, frame_rate, options, progress=progress, find_places=False)
     if not first.complete:
@@ -298,7 +299,7 @@ def _apart(pair: Array, frames: int) -> float:
     return float(np.nan_to_num(register(both, np.where(np.isfinite(both[..., 0]), 2, 0)).residual[1], nan=np.inf))
 
 
-# the 15 common joints by the names of key points; the torso cannot be distinguished from the spine
+# the 15 common joints by the names of key points; the torso cannot be separated from the spine
 SENSOR_JOINT_NAMES = (
     "head",
     "neck",

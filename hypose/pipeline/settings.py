@@ -1,4 +1,4 @@
-"""Numbers of this room that were chosen, not derived."""
+"""Numbers of hypose.pipeline that were chosen, not derived."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class PipelineSettings:
     look_late_s: s by which views' key points may be out of step before the result is not to be trusted: a person who
         walks is 10 cm further by then
     look_outvote: views in step that show where the person is whatever another one says
-    look_in_step: frames, those in the middle, by which it is reported whether views are in step: .2 s of work
+    look_in_step: frames, those in the middle, by which it is checked whether views are in step: .2 s of work
     look_most_parallel: Share of the key points up to which all rays may be parallel.
     gait_correlation: s over which a smoothed motion errs alike.
     gait_heel_sd: m by which a heel is known less well than its ankle, per axis: the size of the foot and its turn.
@@ -80,7 +80,7 @@ class PipelineSettings:
     gesture_waiting: pictures of a session that may wait to be written
     gesture_telling: pictures by which a session is known
     path_surprise: m/s: by which a person moves otherwise than expected.
-    path_slack: m: by which the axis of a hull may jump besides.
+    path_slack: m: by which the axis of a hull may jump in addition.
     path_seen_share: Share of the looks in which a person must be found to be there: of two whose arms touch, the hull
         keeps one apart in every other look.
     path_others_widened: share of its longer side by which another's hull or rough body is widened
@@ -101,7 +101,7 @@ class PipelineSettings:
         offsets must be better than none
     background_scale_px: px: usual error of an outline when offsets are found
     engine_most_people: who can be followed at once: no computer keeps pace with more
-    engine_history: areas that say all that is usual, one every fifth instant
+    engine_history: areas that say which area is usual, one every fifth instant
     engine_latencies: instants whose latencies are kept
     engine_searches: searches and duels at one time
     engine_misses: shares of its pictures that a camera loses, from the one on that is worth a word
@@ -109,9 +109,9 @@ class PipelineSettings:
     eyes_other_shape: share by which width over height may differ from the calibration's
     eyes_damaged: pictures in a row that cannot be read before a word is said
     eyes_quality: of the JPEG pictures that are passed on
-    eyes_look_s: s after which a person who waits for the other process looks whether it is to go on waiting
+    eyes_look_s: s after which a thread that waits for the other process checks whether to go on waiting
     eyes_closing_s: s in which it may let go of its cameras
-    feeds_kept: pictures of each camera that are kept, next to those that others have not come to yet
+    feeds_kept: pictures of each camera that are kept, in addition to those that others have not come to yet
     feeds_pace, feeds_known: pictures by which the rate is judged, and from which on it is
     feeds_recent: pictures by which it is judged how many are lost
     feeds_nonsense: pictures with times that cannot be, more than with others, after which a camera's own times are left
@@ -133,7 +133,7 @@ class PipelineSettings:
         twice as long
     live_ease_s: time constant by which a step from one body to another is taken up
     live_window_s, live_every_s, live_audit_hz: s that a frame is judged with, and between two looks at all of them; how
-        many frames are audited. `hypose track` also knows what comes after; live no person does.
+        many frames are audited. `hypose track` also knows what comes after; live tracking does not.
     live_together_m, live_together_s: m, s: two bodies whose roots stay so near to each other for so long are one person
     live_rig_usual_rate: Hz of cameras that do not say
     search_slowly_hz: at which a start is looked for, and a body is fitted
@@ -144,14 +144,14 @@ class PipelineSettings:
     search_stride: m that a person goes between two frames in which they are looked for
     search_again_s, search_seldom_s: s until another person is looked for again where no person was found, doubled each
         time; at most
-    processes_switch_s: s that who takes or sends pictures waits at most for who computes; Python's own 5 ms are a share
-        of a frame's time
+    processes_switch_s: s that a thread which takes or sends pictures waits at most for one that computes; Python's own
+        5 ms are a share of a frame's time
     recorder_waiting: instants that may wait to be written; more are left out, and counted
     recorder_pause_s: s from one instant to the next, at a usual pace: that is a pause, not the pace
     recorder_describe_s: s after which what has been written since is a part of the recording
     rooms_every_s: s between two looks at what has changed
-    rooms_light_s, rooms_thing_s: Time constants: of the room where it looks like the room, and of all that is not the
-        room and not the person
+    rooms_light_s, rooms_thing_s: Time constants: of the room where it looks like the room, and of things that are
+        neither the room nor the person
     rooms_sparse: px between two that tell how much brighter the light is
     rooms_margin: of the person's height in the picture, about the person, in which nothing is learnt
     rooms_moved_m, rooms_moved_grey, rooms_moved_share: m, grey levels, and share of the pixels, that change where a
@@ -172,9 +172,9 @@ class PipelineSettings:
     mesh_most_far: a fit worse than this is no person in a known pose: share of samples farther than 5 % of the stature
         from the template (0.000 for 30 scans of ten people in three poses, 0.07 and more for people squeezed to half
         their width and less)
-    moved_off_degrees, moved_off_m: from which on a sensor stands elsewhere than is reported, m where the person is: how
-        it turns about a person who does not turn is hardly reported (2.4 degrees before right cameras, in 1 s), and
-        matters as little
+    moved_off_degrees, moved_off_m: from which on a sensor stands elsewhere than the calibration says, m where the
+        person is: how it turns about a person who does not turn hardly shows (2.4 degrees before right cameras, in 1
+        s), and matters as little
     moved_frames, moved_least_s: poses that tell where sensors stand; s of a stretch in which they are known to stand
         still, at least
     moved_rough, moved_sure: poses and steps of a rough look, and share of the two above that it must see before all is
@@ -185,8 +185,9 @@ class PipelineSettings:
         (arms up) than their body is tall.
     newcomer_one_place_m: m: two bodies whose roots are so near to each other are one person
     newcomer_nothing: Mean IoU below which a body explains nothing: a double had .01 (seed 450), people .78 and more
-        (431, 441 to 444) newcomer_walking, newcomer_beside: m/s, and m: how fast, and how much further, a person who
-        returns may have come from where they left.
+        (431, 441 to 444)
+    newcomer_walking, newcomer_reach: m/s, and m: how fast, and how much further, a person who returns may have come
+        from where they left.
     newcomer_drawn_s: s: a person who comes is found within that, by the next looks
     picture_target_px: The person's size in the pictures that are worked on: larger ones cost time, smaller ones limbs.
     picture_smallest_side: px: pictures are not made smaller than that
@@ -195,11 +196,11 @@ class PipelineSettings:
     picture_length_frames: So many further frames with key points decide the lengths of a person whose body is not
         known.
     picture_far, picture_outside: Share of the person's size by which a key point lies elsewhere than on the body, and a
-        joint outside of the mask: detectors put necks and hips up to 0.07 next to the body's picture_beside,
-        picture_beside_frame: Share of the key points, or joints, that are elsewhere from which on a motion is not to be
-        trusted, and a frame is doubtful. Motions that lay on the person had 0.00 to 0.04, and 0.18 at most in a frame
-        (four real cameras, four simulated), those with limbs elsewhere, or key points half a second late, 0.30 to 0.65
-        (simulated)
+        joint outside of the mask: detectors put necks and hips up to 0.07 from the body's
+    picture_deviation, picture_deviation_frame: Share of the key points, or joints, that are elsewhere from which on a
+        motion is not to be trusted, and a frame is doubtful. Motions that lay on the person had 0.00 to 0.04, and 0.18
+        at most in a frame (four real cameras, four simulated), those with limbs elsewhere, or key points half a second
+        late, 0.30 to 0.65 (simulated)
     several_large, several_tall: Share of the largest part's area, and of its height, from which a part of a mask is a
         person, too: a person who is nearly twice as far away.
     several_often, several_now_and_then, several_views: Share of the frames in which a view must show several, without
@@ -217,7 +218,7 @@ class PipelineSettings:
     rough_hidden: A view shows a person when no more than this share of the body is hidden.
     rough_few_seen: frames from which a body is fitted, at least, if there are so many
     rough_tried: frames that decide on the rough start
-    rough_rivals: so many other starts are tried again next to the others' bodies
+    rough_rivals: so many other starts are tried again with the others' bodies known
     rough_lost: 1 - IoU from which on a rough body is nowhere
     sensor_scale_m, sensor_weight: m: sd of a reported joint; weight of one in units of the robust rows' cost, half of
         it where it was inferred
@@ -228,7 +229,7 @@ class PipelineSettings:
         too large 113, a second late 122, with left and right exchanged in every frame 240
     sensor_late_s, sensor_like: s by which a sensor's clock may be off, and the correlation of both movements from which
         on they tell: 0.12 s at most on the recordings above, where they tell
-    sensor_nearer: all that is left at most of the distance between two sensors' joints when a clock is put right: who
+    sensor_nearer: share left at most of the distance between two sensors' joints when a clock is put right: who
         walks moves alike half a step later, with arms or sides exchanged
     sensor_legs_m: m of thigh and shank together, of people 0.9 to 2.3 m tall: sensors say 0.64 to 0.86 of adults
     sensor_of_height: thigh and shank as sensors see them, as a share of the height
@@ -259,7 +260,7 @@ class PipelineSettings:
         six scenes (seeds 6100 to 6107)
     subject_height_wrong, subject_height_doubt: share by which the height that masks or depth show may differ from the
         one that is given before a motion is not to be trusted, and before it is worth a look
-    subject_sure, subject_no_worse: sd of the height's logarithm up to which it is reported at all, and the share of the
+    subject_sure, subject_no_worse: sd of the height's logarithm up to which it is used at all, and the share of the
         mismatch that is left at most with it. Four people (seeds 50 to 53) whose height was given rightly came out
         within 0.5 %; given 13 % too small, 5 to 9 % below their own height at worst (poses were fitted to the wrong
         body), 8 to 15 % above the given one
@@ -277,7 +278,7 @@ class PipelineSettings:
     verdict_few_s: s: doubtful stretches that are shorter are not worth a look by themselves: they are named as all that
         is not good
     wardrobe_near_m: m between two people in which they may be taken for each other, and are not learnt from.
-    wardrobe_looks: How often a person is looked at, apart from others, before it is reported who it is.
+    wardrobe_looks: How often a person is looked at, apart from others, before it is decided who it is.
     wardrobe_unlike, wardrobe_clearly: Likeness of clothes below which it is another person, and by which others must be
         more alike for two to have been exchanged. On walks past each other (seeds 20 to 23) one and the same had 0.98
         and more, two people 0.5 and less.

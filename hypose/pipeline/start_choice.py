@@ -215,8 +215,8 @@ class BestWays:
     ways: tuple[StartTrial, ...] = ()
 
     def check(self, frames: Sequence[Frame]) -> None:
-        """An EvidenceError when the best one does not explain its frame, of those that it was looked for in. Where its
-        way is known, that tells: a start that was found in another frame stands next to, and is put right at once."""
+        """An EvidenceError when the best start does not explain its frame (of `frames`). Where its way is known, the
+        pose of the way in that frame is checked: the start itself may be off, and tracking corrects it at once."""
         best = self.starts.best
         if self.ways:
             best = replace(best, pose=self.ways[0].poses[self.at])

@@ -239,9 +239,9 @@ def _ious(body: Body, poses: Array, frames: Sequence[PreparedFrame]) -> Array:
 
 
 def with_outlines(fitted: KeypointSubject, frames: Sequence[Frame]) -> tuple[Body, str] | None:
-    """The body of the key points of frames, with what the outlines of a few different poses tell next to its bones:
-    girths, clothes, and the sizes that no key point shows; and a sentence. None where no frame has masks of that
-    person."""
+    """The body of the key points of frames, with what the outlines of a few different poses tell in addition to its
+    bones: girths, clothes, and the sizes that no key point shows; and a sentence. None where no frame has masks of
+    that person."""
     solved = np.flatnonzero(np.isfinite(fitted.poses).all(1))
     looked_at = solved[
         np.unique(np.linspace(0, len(solved) - 1, min(SETTINGS.subject_looked_at, len(solved))).astype(int))
@@ -306,7 +306,7 @@ def subject_file(path: str | Path) -> Path:
 
 
 def load_subject(path: str | Path) -> Body:
-    """The body of a subject: its folder, subject.toml or body.npz. An InputError names the missing part."""
+    """The body of a subject: its folder, subject.toml or body.npz. An InputError names the missing input."""
     return load_body(subject_file(path))
 
 

@@ -69,10 +69,10 @@ def track(
     """The motion of the person in a recording (or the recording in a folder, or frames in memory), and the body.
 
     recipe: a preset's name, or a recipe of your own for the joints of `human()` (default: the options'). own: evidence
-    of your own next to that of the recording. body: the subject's own, which is kept as it is (default: fitted to the
-    recording). people: 'all', how many at most, or the name of one in recording.toml: all people are tracked together,
-    in a PeopleResult; without it one person is tracked, also where several are seen. Nothing is written; `hypose track`
-    writes files and can be resumed. An InputError names what cannot be used."""
+    of your own in addition to that of the recording. body: the subject's own, which is kept as it is (default: fitted
+    to the recording). people: 'all', how many at most, or the name of one in recording.toml: all people are tracked
+    together, in a PeopleResult; without it one person is tracked, also where several are seen. Nothing is written;
+    `hypose track` writes files and can be resumed. An InputError names what cannot be used."""
     loaded = recording if isinstance(recording, Recording | FrameList) else load_recording(recording)
     height = loaded.subject_height if isinstance(loaded, Recording) else None
     chosen = options or TrackOptions(height=height)

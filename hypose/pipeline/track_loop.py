@@ -46,8 +46,8 @@ StageProgress = Callable[[str, int, int], None]
 
 
 class Deferred:
-    """A progress call whose interruption waits until `settle`: all that is begun is done before, and a run that goes on
-    later goes on to the same."""
+    """A progress call whose interruption waits until `settle`: work that has begun is finished first, and a run that
+    goes on later goes on to the same."""
 
     def __init__(self, progress: StageProgress) -> None:
         self._progress, self._stopped = progress, False
@@ -99,8 +99,8 @@ def track_frames(
     """Tracks the frames of a source from the state `begin`, or behind what was done `before`. What was seen in each is
     found out by another thread while the next one is tracked: tracking does not ask.
 
-    KeyboardInterrupt, and with `keep` a HyposeError too, end it with the use until then; they are passed on when
-    that is nothing.
+    KeyboardInterrupt, and with `keep` a HyposeError too, end it with the frames done until then; they are passed on
+    when there are none.
     """
     state, estimates = (before.state, list(before.estimates)) if before is not None else (begin, [])
     saved, total, context = len(estimates), len(source), copy_context()  # which back end to use is said there

@@ -1,4 +1,4 @@
-"""Who comes: a person in the masks whom no person who is tracked explains, new or back again."""
+"""New people: a person in the masks whom no tracked body explains, new or back again."""
 
 from __future__ import annotations
 
@@ -80,8 +80,8 @@ def _exchanged(there: Sequence[Followed]) -> list[tuple[Followed, Followed, int]
 
 
 def swap_identities(p: Followed, q: Followed, since: int, reported: str = "as their clothes told afterwards") -> None:
-    """Each goes on as the other, from a frame on; what was estimated since then is the other's, and doubtful. reported:
-    by what, in words."""
+    """Each goes on as the other, from a frame on; what was estimated since then is the other's, and doubtful.
+    reported: how that is known, as the end of a sentence."""
     now = len(p.estimates)
     for name in ("estimates", "present"):
         mine, theirs = getattr(p, name), getattr(q, name)
@@ -134,8 +134,8 @@ def part_doubles(people: Sequence[Followed], frames: int) -> None:
 
 def without_doubles(people: Sequence[Followed], frame: Frame) -> dict[str, TrackedSubject]:
     """By name, people at their starts in a frame, of whom no two are one: a hull may fall into two parts. Of two in one
-    place, or side by side where one explains nothing that all others leave, the one stays whose body explains
-    better what all others leaves of the masks, by the name of the first."""
+    place, or side by side where one explains nothing that all others leave, the one stays whose body explains better
+    what all others leave of the masks, by the name of the first."""
     kept: dict[str, Followed] = {}
     for p in people:
         for name, q in kept.items():
@@ -168,8 +168,7 @@ def _explains(p: Followed, others: Sequence[Followed], frame: Frame) -> float:
 
 
 def not_parts(found: Sequence[HullPerson], people: Sequence[Followed]) -> list[HullPerson]:
-    """Those in the hull who are no limb of a person who is tracked: a person who is no taller than a child stands
-    apart."""
+    """Those in the hull who are no limb of a tracked person: one who is no taller than a child must stand apart."""
     at = [p.estimates[-1].pose[:2] for p in people if p.member.sure]
     return [h for h in found if h.tall or all(np.linalg.norm(h.axis - q) > SETTINGS.newcomer_reach for q in at)]
 
@@ -177,7 +176,8 @@ def not_parts(found: Sequence[HullPerson], people: Sequence[Followed]) -> list[H
 def candidate_evidence(
     person: HullPerson, frame: Frame, known: Sequence[Other], neighbours: Sequence[HullPerson] = ()
 ) -> Frame:
-    """The frame as evidence for a person in the hull; known: who is explained; next to: others in the hull."""
+    """The frame as evidence for one person in the hull. known: people already explained; neighbours: other people in
+    the hull."""
     s = frame.silhouettes
     assert s is not None
     rest = [Other(p.shape(s.rig), SETTINGS.path_others_widened) for p in neighbours if p is not person]
@@ -195,7 +195,7 @@ def found_again(p: Followed, own: Frame) -> tuple[PreparedFrame, Array]:
 def returned(
     person: HullPerson, own: Frame, people: Sequence[Followed], frame_rate: float
 ) -> tuple[Followed, Array] | None:
-    """Which of those who are away this is, and the pose (D,) in which they are back; None: no person of them.
+    """Which of those who are away this is, and the pose (D,) in which they are back; None: none of them.
 
     Place and motion: no person walks faster than WALKING from where they were seen last. Clothes, where pictures show
     them: not too different. Body: of several the one whose clothes are most alike and whose body overlaps the masks
@@ -222,9 +222,9 @@ def returned(
 
 
 def identity_switches(person: HullPerson, people: Sequence[Followed], frame_rate: float) -> tuple[Followed, int] | None:
-    """Who stood where a person is found now, and the frame from which they were tracked elsewhere, faster than anybody
-    walks: they stand there still, and were drawn to a person who came next to them before that one was found. None: no
-    person.
+    """Who stood where a person is found now, and the frame from which they were tracked elsewhere, faster than a
+    person walks: they still stand there, and were drawn to a person who came near before that one was found. None:
+    there is no such person.
 
     To solve who leaps in a frame again, without looking for them again, puts that off by one frame only (seed 451)."""
     for q in people:
@@ -243,9 +243,9 @@ def identity_switches(person: HullPerson, people: Sequence[Followed], frame_rate
 def back_again(
     person: HullPerson, own: Frame, people: Sequence[Followed], frame_rate: float
 ) -> tuple[Followed, Array] | None:
-    """Who it is that `returned`, with their pose (D,); where another one stands there still, who was drawn to the one
-    who came: that one, and both go on as who they are from where they were exchanged, or a person who is new there is
-    found by the next looks."""
+    """The person that `returned` finds, with their pose (D,). Where another tracked person still stands there, and was
+    drawn to the one who came: that one; both are put right from the frame of the exchange on, or the next looks find
+    the new person."""
     back, drawn = returned(person, own, people, frame_rate), identity_switches(person, people, frame_rate)
     if drawn is None:
         return back

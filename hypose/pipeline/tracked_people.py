@@ -1,5 +1,4 @@
-"""Several people of one recording: the known data of them before, what comes out, and the kept part while they are
-tracked."""
+"""Several people of one recording: prior knowledge of them, the results, and the state while they are tracked."""
 
 from __future__ import annotations
 
@@ -31,7 +30,7 @@ from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState, estima
 
 @dataclass(frozen=True)
 class Wanted:
-    """The known data of a person beforehand, [[person]] of recording.toml: height m; body: their own; place (2,) m:
+    """Prior knowledge of a person, [[person]] of recording.toml: height m; body: their own; place (2,) m:
     where they stand at `time`, s from the first frame that is tracked, negative before it."""
 
     name: str
@@ -47,7 +46,7 @@ class Wanted:
 
     @property
     def not_found(self) -> str:
-        """That no person is them, in words."""
+        """The sentence that this person was not found."""
         at = self.place
         where = "" if at is None else f" at [{at[0]:g}, {at[1]:g}] m, {self.time:g} s from the first frame"
         return f"nobody was found who is {self.name}{where}"
@@ -120,8 +119,8 @@ def names_at_places(
     wanted: Sequence[Wanted], count: int, place: Callable[[int, int], Array], frame_rate: float
 ) -> list[str | None]:
     """Which of so many people are the wanted ones, None for another person; place(k, frame) (2,) m: where the k-th
-    stands, NaN where not known. Those who are wanted at no place, or an early one, are a person who is left, in their
-    order."""
+    stands, NaN where not known. Those who are wanted at no place, or at too early a one, take the people who are left,
+    in their order."""
     names: list[str | None] = [None] * count
     for one in wanted:
         if one.place is not None and not one.early:
@@ -171,7 +170,7 @@ class Followed:
         return None
 
     def was_not(self, since: int, reported: str) -> None:
-        """From a frame on another person was tracked in their place; reported: by what that is known."""
+        """Mark that from frame `since` on another person was tracked in their place. reported: how that is known."""
         last = len(self.estimates)
         self.estimates[since:] = [replace(e, lost=True) for e in self.estimates[since:]]
         self.hidden[since:] = [True] * (last - since)
@@ -241,8 +240,8 @@ def save_people(
 def kept_people(
     results: ResultsFolder, under: str, record: Mapping[str, Any], tracker_of: Callable[[TrackedSubject], Tracker]
 ) -> tuple[list[Followed], list[Array]]:
-    """What `save_people` wrote, and whose subjects lie in the folder `under`; no person when there is none of the same
-    run, or a body is gone."""
+    """What `save_people` wrote, with the subjects in the folder `under`; empty lists when nothing of the same run is
+    there, or a body is missing."""
     if not results.checkpoint.exists():
         return [], []
     saved, people = Checkpoint.load(results.checkpoint, provenance_identity(record)), list[Followed]()

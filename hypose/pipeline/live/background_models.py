@@ -1,6 +1,6 @@
-"""What one camera sees when no person is there, and the person before it; of colour cameras and of depth cameras.
+"""What one camera sees when no person is there, and the person in front of it; of colour cameras and of depth cameras.
 
-The room is learnt from pictures of it without anybody. That of a colour camera then follows slowly what changes: the
+The room is learnt from pictures of it without people. That of a colour camera then follows slowly what changes: the
 light, the camera's own exposure, a chair that was moved. Where the person is nothing is learnt.
 """
 
@@ -111,7 +111,7 @@ def _around(mask: Mask) -> Mask:
 
 
 class NetworkRoom:
-    """One view in whose pictures a network finds people, in place of a `ViewRoom`: no empty room has to be known.
+    """One view in whose pictures a network finds people, in place of a `ViewBackground`: no empty room has to be known.
     camera: as calibrated; small: pinhole, of the working size. Used by one thread at a time."""
 
     background, moved = "not needed", False
@@ -141,8 +141,9 @@ Millimetres = NDArray[np.uint16]
 
 
 class DepthViewBackground:
-    """One depth view, in place of a `ViewRoom`. camera: as calibrated; small: pinhole, of the working size; background:
-    where it is known already. The room does not change: light is nothing to it. Used by one thread at a time."""
+    """One depth view, in place of a `ViewBackground`. camera: as calibrated; small: pinhole, of the working size;
+    background: where it is known already. The room does not change: light is nothing to it. Used by one thread at a
+    time."""
 
     def __init__(
         self, camera: Camera, small: Camera, shift: tuple[float, float], background: DepthBackground | None = None
@@ -166,8 +167,8 @@ class DepthViewBackground:
         self.background = learn_background([self._prepare(m) for m in maps])
 
     def mask(self, depth: DepthMap) -> tuple[Mask, ViewOutline | None]:
-        """Who stands before the room in a stored map, (h, w), and the outline (None: no person). The room must be
-        known."""
+        """The person who stands in front of the room in a stored map, (h, w), and the outline (None: no person). The
+        room must be known."""
         assert self.background is not None
         own = self._prepare(depth)
         self.seen = np.minimum(own * 1000 + 0.5, 65535).astype(np.uint16)
@@ -197,7 +198,7 @@ class PackedDepth:
         return PackedDepth(kept, (y, x), depth.usable)
 
     def depth(self, silhouettes: Silhouettes) -> Depth:
-        """The depth again, next to the masks of the same instant."""
+        """The depth again, with the masks of the same instant."""
         maps = np.zeros(silhouettes.masks.shape, np.float32)
         (y, x), (h, w) = self.corner, self.millimetres.shape[1:]
         maps[:, y : y + h, x : x + w] = self.millimetres * np.float32(1e-3)
@@ -206,7 +207,9 @@ class PackedDepth:
 
 
 def depth_of(silhouettes: Silhouettes, maps: Sequence[Millimetres | None]) -> Depth | None:
-    """What depth cameras measured of who is in the silhouettes; maps: of each view, None where it has none."""
+    """Return the depth (m) inside the silhouettes; None when no usable view has a depth map.
+
+    maps: of each view (h, w) mm, or None."""
     usable = silhouettes.usable & np.array([m is not None for m in maps])
     if not usable.any():
         return None

@@ -36,8 +36,7 @@ _T = TypeVar("_T")
 @dataclass(frozen=True)
 class PackedMasks:
     """Masks (C, h, w) of one instant, eight pixels to a byte, so that seconds of them take little room. time: s;
-    ignored: likewise what others hide, and expected, where a person does;
-    depth: where depth cameras see."""
+    ignored, expected: what other people hide, as in `Silhouettes`; depth: where depth cameras see."""
 
     time: float
     bits: NDArray[np.uint8]
@@ -176,13 +175,13 @@ def _begun() -> tuple[BaseProcess, Connection]:
     process = context.Process(target=_work, args=(there,), daemon=True)
     with deaf_to_ctrl_c():
         process.start()
-    there.close()  # so that who sends or waits hears of its end
+    there.close()  # so that a thread that sends or waits notices its end
     return process, here
 
 
 def _work(pipe: Connection) -> None:
     belong_to_parent()
-    os.environ["NUMBA_NUM_THREADS"] = "1"  # it has time, and a person who is followed needs the other cores
+    os.environ["NUMBA_NUM_THREADS"] = "1"  # it has time, and live tracking needs the other cores
     cv2.setNumThreads(1)
     if hasattr(os, "SCHED_IDLE"):  # gives way at once, where a nice process is given its slice to the end
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
@@ -193,6 +192,6 @@ def _work(pipe: Connection) -> None:
             work, arguments = pipe.recv()
             try:
                 found = work(*arguments)
-            except Exception as error:  # given by a person who asked
+            except Exception as error:  # passed on to the caller
                 found = error
             pipe.send(found)

@@ -1,9 +1,9 @@
-"""The eyes of the live engine: cameras -> instants -> masks, in a process of their own, so that a person who follows
-the person has the interpreter to themselves.
+"""Capture for live tracking: cameras -> instants -> masks, in a process of its own, so that tracking has the
+interpreter to itself.
 
-`Eyes.look` gives the newest instant that has not been looked at; nothing queues up, so a person who is slow skips
-instants instead of falling behind. `CaptureProcess` is the same in another process: requests are answered while
-the answer to the question before is being worked on."""
+`Capture.look` gives the newest instant not processed yet; nothing queues up, so a slow tracker skips instants instead
+of falling behind. `CaptureProcess` is the same in another process: requests are answered while the answer to the
+question before is being worked on."""
 
 from __future__ import annotations
 
@@ -88,8 +88,8 @@ class CaptureResult:
     """An instant as the cameras showed it, or why there is none (time NaN). arrival s: of its last picture, on this
     computer's clock; views: packed mask (h, ceil(w / 8)) and outline of each camera, None without a picture; jpegs: its
     pictures as they were stored, where they are wanted; cameras: what they do; instants: how many there were until
-    now; words: what has to be done, or is wrong; room: that is being learnt; made s: spent on the masks; depths: mm,
-    what each depth camera measured."""
+    now; words: the next step, or the cause of a failure; room: that is being learnt; made s: spent on the masks;
+    depths: mm, what each depth camera measured."""
 
     time: float
     arrival: float
@@ -105,7 +105,7 @@ class CaptureResult:
 
 
 class Capture:
-    """`look` again and again, and `keep_up` when what was seen is reported; `close` at the end. An InputError when a
+    """`look` again and again, and `keep_up` when the result has been sent; `close` at the end. An InputError when a
     camera cannot be opened."""
 
     def __init__(self, rig: CameraRig, views: Sequence[LiveView], options: CaptureOptions) -> None:
@@ -350,7 +350,7 @@ def _opener(view: LiveView, size: tuple[int, int], rate: float, begin: float) ->
 
 
 class CaptureProcess:
-    """Eyes in another process. `ask`, then `answer`; between the two there is time for other work. stop: nothing is
+    """Capture in another process. `ask`, then `answer`; between the two there is time for other work. stop: nothing is
     waited for any more, also while cameras are being opened; then only `close` is of use."""
 
     def __init__(
@@ -393,7 +393,7 @@ class CaptureProcess:
     def _received(self, wait: float):  # noqa: ANN202 - what the other side sends
         waited = 0.0
         try:
-            while waited < wait:  # counted, not by the clock: who was stopped and goes on has not waited
+            while waited < wait:  # counted, not by the clock: a process that was stopped and goes on has not waited
                 if self._pipe.poll(SETTINGS.eyes_look_s):
                     return self._pipe.recv()
                 if self._stop.is_set():
@@ -411,7 +411,7 @@ def _see(pipe: Connection, rig: CameraRig, views: tuple[LiveView, ...], options:
     try:
         eyes = Capture(rig, views, options)
     except HyposeError as error:
-        with contextlib.suppress(OSError):  # a person who asked is gone
+        with contextlib.suppress(OSError):  # the asking process is gone
             pipe.send(error)
         return
     try:

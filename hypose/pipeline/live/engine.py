@@ -1,4 +1,4 @@
-"""The live engine: what the eyes see is followed, judged and reported, always at the newest instant."""
+"""The live engine: the person in the pictures is tracked, judged and reported, always at the newest instant."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from hypose.pipeline.live.processes import punctual
 from hypose.pipeline.settings import SETTINGS
 
 EMPTY_ROOM = "empty room"
-"""What `LiveEngine.phase` is while the room is learnt; then it is the person's."""
+"""What `LiveEngine.phase` is while the room is learnt; then it is that of `LivePeople`."""
 
 
 @dataclass(frozen=True)
@@ -56,10 +56,10 @@ class LiveTrackingOptions:
 
 @dataclass(frozen=True)
 class LiveStatus:
-    """How it goes. phase; words: sentences on the fault or has to be done; cameras; poses: given so far,
+    """How it goes. phase; words: sentences on the cause or the next step; cameras; poses: given so far,
     per_second: lately; skipped: share of the instants not processed, since a person was first followed;
     latency ms (p50, p99): from the last picture's arrival to the pose; stages ms: median time of masks (decoding
-    included), tracking, telling and judging; offsets s: of the cameras; fitted: people's bodies are their own."""
+    included), tracking, reporting and judging; offsets s: of the cameras; fitted: people's bodies are their own."""
 
     phase: str
     words: tuple[str, ...]
@@ -83,7 +83,7 @@ class LiveResult:
 
 
 class Listener(Protocol):
-    """Who is reported; called by the engine's thread, so it must return at once."""
+    """Receives the results; called by the engine's thread, so it must return at once."""
 
     def seen(self, seen: LiveResult, /) -> None:
         """An instant, and the poses in it."""
@@ -193,7 +193,7 @@ class LiveEngine:
                 if np.isfinite(sight.time):
                     self._one(sight)
                 self._tell()
-        except BaseException as error:  # given by a person who started it
+        except BaseException as error:  # passed on to the caller
             self.failed = error
         finally:
             self.ended.set()

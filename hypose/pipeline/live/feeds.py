@@ -158,8 +158,8 @@ def _without_pauses(steps: Array) -> Array:
 
 
 def _usual(steps: Array) -> float:
-    """s from one picture to the next for half of the time, however many came at once when a person who reads was held
-    up."""
+    """Usual time (s) between two pictures: half of the recorded time has steps no longer. Pictures that arrive in one
+    burst after a delay of the reader do not disturb it."""
     ordered = np.sort(_without_pauses(steps))
     return float(ordered[np.searchsorted(np.cumsum(ordered), ordered.sum() / 2)])
 
@@ -185,9 +185,9 @@ class _Instant:
 def newest_instant(
     cameras: Sequence[Delivered], last: float, now: float, least: int = 2
 ) -> tuple[_Instant | None, float]:
-    """The newest instant after `last` (s, common clock) that every camera which is there has reported of, or will not
-    tell of, by `now` (s, this computer's clock); and until when it is worth waiting for more. So many cameras at least
-    show it."""
+    """The newest instant after `last` (s, common clock) for which every present camera has sent its picture, or will
+    send none, by `now` (s, this computer's clock); and until when it is worth waiting for more. So many cameras at
+    least show it."""
     there = [c for c, d in enumerate(cameras) if is_there(d, now)]
     known = [cameras[c].period for c in there if np.isfinite(cameras[c].period)]
     if len(there) < least or not known:

@@ -36,9 +36,16 @@ from hypose.tracking.tracker import FrameEstimate, Tracker, TrackerState, motion
 
 @dataclass(frozen=True)
 class LivePose:
-    """One frame. person: from 1 on; frame: its number; time s; motion: of this frame alone, with pose, covariance,
-    error probability and low-confidence joints; joints (J, 3) m, world: where a body takes over from another,
-    they go there smoothly; views (C,): which cameras were looked at."""
+    """One person in one live frame.
+
+    person: number, from 1.
+    frame: number of the frame.
+    time: s.
+    motion: this frame alone, with pose, covariance, error probability and low-confidence joints.
+    body: the body of the pose.
+    joints (J, 3): m, world; when a new body replaces the old one, they move to the new place smoothly.
+    views (C,): True for the cameras that were used.
+    """
 
     person: int
     frame: int
@@ -50,7 +57,7 @@ class LivePose:
 
     @property
     def lost(self) -> bool:
-        """The person is not where the pose is, for all that is known."""
+        """The person was lost in this frame: the pose is only a guess."""
         return bool(self.motion.lost[0])
 
 
@@ -266,8 +273,8 @@ def on_body(pose: Array, before: Body, body: Body) -> Array:
 
 
 class LiveErrorModel:
-    """Of one body: `reported` of every frame gives the values known by then, and then `look` at it, in order. So a pose
-    need not wait for its error probabilities, which come with the next."""
+    """For one body: call `reported` for every frame in order, then `look`. `reported` uses the newest error
+    probabilities; `look` computes the next."""
 
     def __init__(self) -> None:
         self._audited: deque[tuple[float, FrameEstimate]] = deque()
@@ -278,8 +285,8 @@ class LiveErrorModel:
         self._doubtful: NDArray[np.bool_] | None = None
 
     def reported(self, tracker: Tracker, estimate: FrameEstimate, frame: Frame) -> Motion:
-        """The estimate as a motion of one frame. Of who has just been found nothing is known but where they are: that
-        is doubtful, as who is lost is."""
+        """The estimate as a motion of one frame. Of a person just found only the place is known: all joints are
+        doubtful, as those of a lost person are."""
         now = motion_of(tracker.body, np.array([frame.time]), [estimate])
         count = now.joints.shape[:2]
         p, low_confidence = self._p, self._doubtful
@@ -348,7 +355,7 @@ class LivePeople:
 
     @property
     def fitted(self) -> bool:
-        """Has all people who are followed a body of their own?"""
+        """Have all people who are followed a body of their own?"""
         return bool(self.people) and all(p.body is not None for p in self.people)
 
     def measure_again(self) -> None:
@@ -358,7 +365,7 @@ class LivePeople:
             p.measure_again()
 
     def step(self, frame: Frame) -> list[Stepped]:
-        """All people who is followed, by their numbers."""
+        """The frames of all people who are followed, by their numbers."""
         for found in self._search.take():
             self._welcome(found)
         if self.most == 1 and self.people:
@@ -425,7 +432,7 @@ class LivePeople:
         return [out[n] for n in sorted(out)]
 
     def _one_of_two(self, time: float, stepped: list[Stepped]) -> list[Stepped]:
-        """Of two bodies in one place for long, the one that explains less is no person."""
+        """Of two bodies in one place for long, the one that explains less is given up."""
         cost = {s.person: float(np.nan_to_num(s.estimate.cost, nan=1.0)) for s in stepped}
         at: dict[int, Array] = {s.person: s.estimate.pose[:3] for s in stepped}
         self._near = {k: v for k, v in self._near.items() if at.keys() >= set(k)}

@@ -40,7 +40,7 @@ def live_rig(path: str | Path, sources: Mapping[str, str], rate: float | None = 
 
     sources: where cameras are, by their names (see `open_camera`). With them only these cameras are used, and the empty
     room is learnt at the start; without, a recording's own videos are played, with the room they know. An InputError
-    names the missing part."""
+    names the missing input."""
     path = Path(path)
     if not path.exists():
         raise InputError(f"{path} does not exist; give a recording, or a calibration file.")
@@ -107,7 +107,7 @@ def _played(recording: Recording | None, rig: CameraRig, path: Path, rate: float
             f"View {without[0]} of {recording.name} has no video to play; give the camera with --source, or a "
             "recording with videos."
         )
-    # masks that were made elsewhere are none of all that is to come
+    # masks that were made elsewhere do not exist for pictures still to come
     shown = replace(recording, keypoint_set=None, views=tuple(replace(v, masks=None) for v in recording.views))
     small = working_rig(rig, depth=[v.depth is not None for v in recording.views])
     views = tuple(

@@ -67,8 +67,10 @@ class _Look:
 
 
 class LiveSearch:
-    """`look` with every frame in which a person may be whom no person follows; it never waits. next to: runs the
-    search; several: there may be more than one person, so each is found in what the others leave of the masks."""
+    """Call `look` with every frame that may show a person who is not tracked yet; it never waits.
+
+    executor: runs the search; several: there may be more than one person, so each is searched in the mask that the
+    others leave."""
 
     def __init__(self, options: LivePersonOptions, executor: Executor, several: bool) -> None:
         self.options, self.several = options, several
@@ -179,7 +181,7 @@ def paced(state: TrackerState, share: float, skeleton: Skeleton) -> TrackerState
 
 
 def _largest_person(look: _Look) -> bool:
-    """Two views, or one depth camera, show something of the size of a person, next to those who are known."""
+    """Two views, or one depth camera, show something of the size of a person, apart from those who are known."""
     s = look.frame.silhouettes
     if s is None:
         return False
@@ -190,8 +192,8 @@ def _largest_person(look: _Look) -> bool:
 
 
 def _each_alone(looks: Sequence[_Look], most: int) -> list[list[Frame]]:
-    """What of the frames is evidence for each of those in the hull of the first whom no person explains, the largest
-    first, if they are in most of the frames."""
+    """What of the frames is evidence for each of those in the hull of the first whom no tracked body explains, the
+    largest first, if they are in most of the frames."""
     axes, own = list[Array](), list[list[Frame]]()
     for look in looks:
         assert look.frame.silhouettes is not None

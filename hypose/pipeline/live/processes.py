@@ -1,4 +1,4 @@
-"""Threads and processes of live tracking: punctual ones, and ones that never outlive who started them."""
+"""Threads and processes of live tracking: punctual ones, and ones that never outlive the process that started them."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def punctual() -> Iterator[None]:
 @contextlib.contextmanager
 def deaf_to_ctrl_c() -> Iterator[None]:
     """Processes that are started meanwhile do not hear Ctrl-C, which a terminal sends to all of its processes, from
-    their first moment on: while they are still importing no other person could keep a traceback from the terminal."""
+    their first moment on: while they are still importing, nothing else keeps a traceback from the terminal."""
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
         return
@@ -44,8 +44,8 @@ def deaf_to_ctrl_c() -> Iterator[None]:
 
 
 def belong_to_parent() -> None:
-    """In a process that was started: Ctrl-C is for a person who started it, and it ends with them, however they
-    ended."""
+    """In a process that was started: Ctrl-C is left to the parent process, and this one ends with the parent, however
+    that ended."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
     if parent is not None:

@@ -192,12 +192,12 @@ class LiveRecorder:
         self.written += 1
         if (
             self.written > 1 and time.monotonic() - self._described >= SETTINGS.recorder_describe_s
-        ):  # a person who is killed has recorded, too
+        ):  # a killed process keeps its recording too
             self._describe()
             self._described = time.monotonic()
 
     def _forget(self) -> None:
-        """All that is there of the instant that could not be written, which also makes room for recording.toml."""
+        """Remove what was written of the instant that failed, which also makes room for recording.toml."""
         with contextlib.suppress(OSError):
             os.truncate(self.folder / _POSES, self._rows)
         for folder in (*self._pictures, *self._masks):
