@@ -212,7 +212,7 @@ def with_angle_variance(motion: Motion, variance: Array, evidence: str, beyond: 
 
 
 def pose_covariance(information: Array) -> Array:
-    """(T, D, D) from the information on poses (T, D, D): inverse, with the little that anatomy knows."""
+    """Invert the information (T, D, D) of poses, with a weak prior, to covariances (T, D, D)."""
     least = np.diag(np.r_[np.zeros(3) + 1e-2, np.full(information.shape[-1] - 3, _PRIOR_INFORMATION)])
     return np.asarray(np.linalg.inv(information + least), dtype=np.float64)
 

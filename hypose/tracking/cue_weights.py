@@ -47,8 +47,8 @@ _SOLVE = SolveSettings(iterations=12, coarse_iterations=4)
 
 
 def weigh_against_masks(body: Body, model: KeypointModel, frames: Sequence[Frame]) -> KeypointModel:
-    """The model with the rest of its points' weights next to masks (`KeypointModel.next to`); as it is when fewer
-    than three of the frames (of one person) tell.
+    """Return the model with the weights that its points keep in solves with masks (`KeypointModel.cue_weight`);
+    unchanged when fewer than three of the frames (of one person) tell.
 
     Of the points of each part of the body, noise: variance per axis about the body that is solved for by them, which
     takes up a part of it; away (C,): about the body that is solved for by the outlines. The excess in most

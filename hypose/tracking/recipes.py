@@ -151,7 +151,7 @@ def _solving(base: Recipe) -> Recipe:
 
 @dataclass(frozen=True)
 class Preset:
-    """The information on a recipe before there is a body. make(body, frame_rate=Hz): the recipe for a body, whose other
+    """Prior knowledge of a recipe before there is a body. make(body, frame_rate=Hz): the recipe for a body, whose other
     parameters are the options that only this method has; citation; whole_clip: key points alone are enough, and are
     solved in all frames together instead of frame by frame; needs: as those of the recipe, as far as they decide which
     recordings it can be used on; likes: those that are looked at where they are at hand; evidence: the choices, the

@@ -98,7 +98,7 @@ class FrameEstimate:
 class TrackerState:
     """What the next frame needs. frames: frames done; pose, previous (D,); joint_covariance (J, 3, 3) m^2;
     usual_iou: running mean of the IoU while not lost (NaN before the first); blind: frames since the last evidence;
-    lost: in the last frame; memory: what the recipe remembers next to."""
+    lost: in the last frame; memory: additional state that the recipe remembers."""
 
     frames: int
     hypotheses: Hypotheses

@@ -144,7 +144,9 @@ def grouped(rows: Sequence[tuple[int, Array]], where: str) -> dict[int, Array]:
 
 
 def whole_number(value: Any, where: str, what: str) -> int:
-    """A frame's number; an InputError for anything that cannot be one."""
+    """Check that `value` is a frame's number and return it; InputError otherwise.
+
+    where, what: file and name of the value, for the sentence."""
     fine = isinstance(value, int | float) and not isinstance(value, bool) and float(value).is_integer()
     if not fine or not 0 <= value < 2**40:
         raise InputError(f"{where}: {what} is {str(value)[:40]!r}, a whole number is needed; export it again.")
@@ -600,7 +602,7 @@ def _row_reader(count: int, per_point: int) -> Callable[[Path], Array]:
 
 
 # ---- keypoint arrays -----------------------------------------------------------------------------------------------
-# Key points as arrays: FreeMoCap's npy, npz of RTMLib's arrays, HDF5 of DeepLabCut and SLEAP.
+# Key points as arrays: FreeMoCap's npy, HDF5 of DeepLabCut and SLEAP.
 #
 # Sources: FreeMoCap 1.x (mediapipe_2dData_numCams_numFrames_numTrackedPoints_pixelXY.npy: (cameras, frames, points, 2
 # or 3), the body's 33 BlazePose points first, NaN where nothing was found, cameras in the order of their videos'
