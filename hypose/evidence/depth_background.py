@@ -189,7 +189,7 @@ def _tolerance(depth: DepthMap) -> DepthMap:
 
 
 def _without(depth: DepthMap, room: DepthMap | None) -> DepthMap:
-    """The map without the known part to be of the room."""
+    """The map with 0 where a pixel is known to be of the room."""
     if room is None:
         return depth
     return np.where((room > 0) & (depth > room - _tolerance(room)), 0, depth).astype(np.float32)

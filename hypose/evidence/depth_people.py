@@ -70,7 +70,7 @@ _EDGE = np.ones((5, 5), np.uint8)
 
 
 def people_seen(frame: Frame, known: Sequence[Other] = (), *, floor: float = 0.0) -> list[HullPerson]:
-    """Who stands before the cameras of a frame next to those that are known, the largest first: by depth where there is
+    """Who stands before the cameras of a frame besides those that are known, the largest first: by depth where there is
     depth, else by the visual hull. floor: m, its height."""
     if frame.depth is not None:
         return people_in_depth(frame.depth, known, floor=floor)
@@ -80,7 +80,7 @@ def people_seen(frame: Frame, known: Sequence[Other] = (), *, floor: float = 0.0
 def people_in_depth(
     depth: Depth, known: Sequence[Other] = (), *, floor: float = 0.0, most: int = 8
 ) -> list[HullPerson]:
-    """Who is in the maps next to those that are known, the largest first; a pixel belongs to whose axis it is nearest
+    """Who is in the maps besides those that are known, the largest first; a pixel belongs to whose axis it is nearest
     to. Values between both sides of an edge are no person."""
     at, points = depth.pixels
     calm = np.stack([cv2.dilate(m, _EDGE[:3, :3]) - cv2.erode(m, _EDGE[:3, :3]) < 2 * JUMP_M for m in depth.maps])

@@ -102,7 +102,7 @@ def people_in_hull(
     floor: float = 0.0,
     most: int = 8,
 ) -> list[HullPerson]:
-    """Who stands in the masks next to those that are known, the largest first; none when too few views are usable.
+    """Who stands in the masks besides those that are known, the largest first; none when too few views are usable.
 
     floor: m, height of the floor. The space searched is the cameras' common view, between the floor and what a person
     reaches. A voxel belongs to whose axis it is nearest to."""

@@ -127,7 +127,7 @@ class ColourSettings:
 
 @dataclass(frozen=True)
 class KnownColours:
-    """The information on a person's colours, and what a frame shows of them. codes (C, h, w); table (C, P, COLOURS):
+    """Prior knowledge of a person's colours, and what a frame shows of them. codes (C, h, w); table (C, P, COLOURS):
     log-likelihood ratios of each colour, in a part against anywhere on the person; masks: usable where there is a
     picture; edges: of `compute.rim_edges`."""
 

@@ -304,7 +304,7 @@ class Tracker:
         return Hypotheses.uniform(s.clamp(pose + noise * s.step_sigma(self.settings.frame_rate)))
 
     def _rivals(self, h: Hypotheses | None) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """The hypotheses next to the best, and their weights, as an estimate has them."""
+        """The hypotheses other than the best, and their weights, as an estimate has them."""
         count = max(self.recipe.rivals - 1, 0)
         poses = np.full((count, self.body.skeleton.dof), np.nan, np.float32)
         weights = np.zeros(count, np.float32)

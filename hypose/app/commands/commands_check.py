@@ -265,7 +265,7 @@ def sync(
 
 
 def keep_offsets(recording: Recording, by: str, late: list[float], words: list[str]) -> None:
-    """results/sync.json, for the studio; where it cannot be written, what was said has to do."""
+    """results/sync.json, for the studio; where it cannot be written, the printed text has to do."""
     import contextlib
 
     from hypose.io.files import write_text

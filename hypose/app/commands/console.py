@@ -89,7 +89,7 @@ def say(text: str = "", style: str | None = None) -> None:
 
 
 def print_note(text: str) -> None:
-    """One line next to the results (stderr)."""
+    """Print one line on stderr, apart from the results."""
     err().print(text, style="dim", markup=False)
 
 

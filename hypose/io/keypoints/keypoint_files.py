@@ -1,6 +1,12 @@
-"""Key points as tables: DeepLabCut, SLEAP and Caliscope CSV.
+"""Read files of key points as tables: one reader per ending, which finds the program by the content.
 
-Sources: DeepLabCut's CSV of analysed videos (three header lines scorer, bodyparts, coords; four with individuals),
+`read_keypoint_csv`: DeepLabCut, SLEAP, Caliscope.
+`read_keypoint_json`: MMPose, COCO, AlphaPose.
+`read_keypoint_folder`: OpenPose, EasyMocap, Ultralytics, one file per frame.
+`read_keypoint_npy`: FreeMoCap.
+`read_keypoint_h5`: DeepLabCut, SLEAP.
+
+Sources of the CSV layouts (those of the others stand above their readers): DeepLabCut's CSV of analysed videos (three header lines scorer, bodyparts, coords; four with individuals),
 the ensemble Kalman smoother's in the same layout (eks: x_ens_var, x_posterior_var and so on next to x, y, likelihood);
 SLEAP's analysis CSV (track, frame_idx, instance.score, then node.x, node.y, node.score); Caliscope's xy_<tracker>.csv
 (sync_index, cam_id - port in old ones -, frame_index, frame_time, point_id - keypoint_id in new ones -, img_loc_x,
