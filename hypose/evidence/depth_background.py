@@ -147,7 +147,7 @@ def people_before(depth: DepthMap, background: DepthBackground) -> Mask:
 
 def person_on_floor(depth: DepthMap, camera: Camera, room: DepthMap | None = None) -> Mask:
     """(h, w) 0/1: of what stands on the floor (z = 0 in the world), cut apart at jumps of depth, the piece most like a
-    person; no person when nothing is of a person's size. room (h, w) m: the empty room, 0 = not known
+    person; all 0 when nothing is of a person's size. room (h, w) m: the empty room, 0 = not known
     (`unlike_people`)."""
     found = _standing(_without(depth, room), camera)
     best = max(found.pieces, key=lambda k: found.pieces[k].like, default=0)

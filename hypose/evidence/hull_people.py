@@ -185,7 +185,7 @@ def _within(filled: NDArray[np.integer], i: int, j: int, disc: NDArray[np.bool_]
 
 
 def _stands(near: Array, nearby: float, litre: float, floor: float, surface: float) -> bool:
-    """Do the voxels (M, 3) m about an axis make a person? next to: litres as near as PART_OF_LARGER_M, of whomever: a
+    """Do the voxels (M, 3) m about an axis make a person? nearby: litres as near as PART_OF_LARGER_M, of whomever: a
     part of something wide is no child; a child's surface alone is no more than a piece of furniture shows."""
     if not len(near) or near[:, 2].min() - floor > FROM_FLOOR:
         return False

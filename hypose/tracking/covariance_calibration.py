@@ -9,9 +9,9 @@ contradict each other as a whole (`hypose.tracking.joint_features`) by more than
 being the excess: calibrations, lags and bodies that are wrong are wrong in all frames.
 
 The systematic error of joints found from key points is the part that more frames and more such views would not average
-away. A detector's errors last. Those that differ between views, and those of a wrong calibration, stay in the residuals of
-single views over the whole clip, where they are measured. Those that all views share (where the detector puts the joint
-of this person) leave no residual: they are taken to be in proportion to what the views show.
+away. A detector's errors last. Those that differ between views, and those of a wrong calibration, stay in the residuals
+of single views over the whole clip, where they are measured. Those that all views share (where the detector puts the
+joint of this person) leave no residual: they are taken to be in proportion to what the views show.
 """
 
 from __future__ import annotations

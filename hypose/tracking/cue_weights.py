@@ -1,9 +1,9 @@
 """The weight of key points in solves that use masks too: measured on a few frames of the clip, limb by limb.
 
 Outlines know where they are right to about a centimetre, but their cost hardly grows beyond that: points that scatter
-by more pull a limb out of its outline, and are not averaged against it as two measurements would be. So next to masks
+by more pull a limb out of its outline, and are not averaged against it as two measurements would be. So with masks
 points weigh as if they knew no better than outlines that hold, and in full where outlines do not. Whether they do is
- shown by the points: a body that is fitted to the outlines alone lies as near to them as they scatter, or else further
+shown by the points: a body that is fitted to the outlines alone lies as near to them as they scatter, or else further
 (a skirt, a bag, a chair, another person, shadows).
 """
 

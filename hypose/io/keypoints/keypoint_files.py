@@ -6,11 +6,12 @@
 `read_keypoint_npy`: FreeMoCap.
 `read_keypoint_h5`: DeepLabCut, SLEAP.
 
-Sources of the CSV layouts (those of the others stand above their readers): DeepLabCut's CSV of analysed videos (three header lines scorer, bodyparts, coords; four with individuals),
-the ensemble Kalman smoother's in the same layout (eks: x_ens_var, x_posterior_var and so on next to x, y, likelihood);
-SLEAP's analysis CSV (track, frame_idx, instance.score, then node.x, node.y, node.score); Caliscope's xy_<tracker>.csv
-(sync_index, cam_id - port in old ones -, frame_index, frame_time, point_id - keypoint_id in new ones -, img_loc_x,
-img_loc_y, ...), one row per point that was found, pixels of the picture as the camera delivers it, no scores.
+Sources of the CSV layouts (those of the others stand above their readers): DeepLabCut's CSV of analysed videos (three
+header lines scorer, bodyparts, coords; four with individuals), the ensemble Kalman smoother's in the same layout (eks:
+x_ens_var, x_posterior_var and so on next to x, y, likelihood); SLEAP's analysis CSV (track, frame_idx, instance.score,
+then node.x, node.y, node.score); Caliscope's xy_<tracker>.csv (sync_index, cam_id - port in old ones -, frame_index,
+frame_time, point_id - keypoint_id in new ones -, img_loc_x, img_loc_y, ...), one row per point that was found, pixels
+of the picture as the camera delivers it, no scores.
 """
 
 from __future__ import annotations
