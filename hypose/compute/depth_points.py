@@ -90,8 +90,10 @@ def middle(values: NDArray[np.float32]) -> float:
 
 
 def holes_filled(mask: NDArray[np.uint8], depth: NDArray[np.float32], solid: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Return (h, w) 0/1: a mask (h, w) with the holes of a depth map (h, w) m that it closes over (a morphological
-    closing of 5 px where solid (h, w), else of 3 px)."""
+    """Return the mask (h, w) 0/1 with its holes filled where the depth map has no value.
+
+    A hole is filled if a morphological closing covers it: of 5 px where solid (h, w) is True, of 3 px elsewhere.
+    depth (h, w): m, 0 = no value."""
     own = (mask != 0).view(np.uint8)
     five, three = (cv2.morphologyEx(own, cv2.MORPH_CLOSE, np.ones((n, n), np.uint8)) for n in (5, 3))
     return own | (np.where(solid, five, three) & (depth <= 0))

@@ -346,7 +346,11 @@ def least_energies(poses, first, last, tree, mesh, turning, prepared, boxes, dra
 
 @kernel
 def view_that_tells(cells, norm, left):
-    """The view among those left (C,) bool in which most is uncovered; -1 when none is left."""
+    """Return the index of the view, among `left`, with the largest share of mask that is not drawn yet; -1 if none.
+
+    cells (C, R + 1, B + 1): pixels of the mask that are not drawn, summed by `uncovered`.
+    norm (C,): divisor of each view's pixel count.
+    left (C,) bool: views that are still open."""
     best, found = -1.0, -1
     for c in range(norm.shape[0]):
         if left[c] and cells[c, -1, -1] / norm[c] > best:

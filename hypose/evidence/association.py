@@ -1,7 +1,7 @@
 """Which detections of all views belong to which person, through a whole clip: candidates -> people with 3D points.
 
 Frame by frame: those who are followed take their detections first, view by view (an assignment problem, solved exactly,
-on the distance in metres between detection and prediction); the rest may be a person new, when its rays meet in
+on the distance in metres between detection and prediction); the rest may be a new person, when its rays meet in
 points whose bones a body can have. What one view alone sees is no person. A person dies after a while with fewer than
 two views. Left and right of arms, legs or face are exchanged where that, and only that, explains a view.
 
@@ -49,10 +49,10 @@ _BONES = (
 @dataclass(frozen=True)
 class AssociationSettings:
     """gate: m, mean distance from the prediction up to which a detection is the person's. birth: m, mean distance of
-    the rays of two detections of a person new; all others of that person may pass each other 1.5 times as far. near:
+    the rays of two detections of a new person; all others of that person may pass each other 1.5 times as far. near:
     m, of a ray that counts for a point. complete: m, up to which a single point that no person has completes a person.
     limit: m, at which distances end. merge: m, nearer than which two people are one; apart: m, nearer than which
-    no person new is born. patience: s without two views after which a person is no longer followed; stale: s for which
+    no new person is born. patience: s without two views after which a person is no longer followed; stale: s for which
     a point that is not seen is expected with the others; trial: s for which a person seen by two views has to be
     followed to be believed; three views are believed at once. exchanged: share of the distance that may be left where
     left and right are exchanged; exchanged_m: m that it has to win. plausible: share of bones that have a body's
@@ -387,8 +387,10 @@ class Association:
         which: NDArray[np.int64],
         expected: Array,
     ) -> None:
-        """Points that no person has, near to where a person's missing one is expected; the person who is a person, but
-        no person's detection, only completes a person whom that view sees (who was detected in two pieces)."""
+        """Fill missing points in `seen` from free detections that have one near to where it is expected.
+
+        A free detection that is no part (it has points enough for a person) only completes a person whom that view sees
+        already (who was detected in two pieces)."""
         if not free.any():
             return
         left = np.where(free[..., None, None], found, 0.0)

@@ -147,7 +147,7 @@ def people_before(depth: DepthMap, background: DepthBackground) -> Mask:
 
 def person_on_floor(depth: DepthMap, camera: Camera, room: DepthMap | None = None) -> Mask:
     """(h, w) 0/1: of what stands on the floor (z = 0 in the world), cut apart at jumps of depth, the piece most like a
-    person; no person when nothing is of a person's size. room (h, w) m: the empty room, 0 = not known
+    person; all 0 when nothing is of a person's size. room (h, w) m: the empty room, 0 = not known
     (`unlike_people`)."""
     found = _standing(_without(depth, room), camera)
     best = max(found.pieces, key=lambda k: found.pieces[k].like, default=0)
@@ -189,7 +189,7 @@ def _tolerance(depth: DepthMap) -> DepthMap:
 
 
 def _without(depth: DepthMap, room: DepthMap | None) -> DepthMap:
-    """The map without the known part to be of the room."""
+    """The map with 0 where a pixel is known to be of the room."""
     if room is None:
         return depth
     return np.where((room > 0) & (depth > room - _tolerance(room)), 0, depth).astype(np.float32)

@@ -1,10 +1,10 @@
 """People before depth cameras: clusters of the points that all sensors measure, and which pixels are whose.
 
-A measured pixel is a place in the world, so that it belongs to whose body, or cluster, it is nearest to: no person has
-to be distinguished in the picture. Pixels of others say nothing of a person who may be hidden behind them; of others
+A measured pixel is a place in the world, so that it belongs to whose body, or cluster, it is nearest to: people need
+not be separated in the picture. Pixels of others say nothing of a person who may be hidden behind them; of others
 who stand behind the person they say that the person is not there.
 
-Where a person whom depth cameras see may be: the seen surface and what lies behind it.
+The module also gives the space in which a person seen by depth cameras may be: the seen surface and all behind it.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ _EDGE = np.ones((5, 5), np.uint8)
 
 
 def people_seen(frame: Frame, known: Sequence[Other] = (), *, floor: float = 0.0) -> list[HullPerson]:
-    """Who stands before the cameras of a frame next to those that are known, the largest first: by depth where there is
+    """Who stands before the cameras of a frame besides those that are known, the largest first: by depth where there is
     depth, else by the visual hull. floor: m, its height."""
     if frame.depth is not None:
         return people_in_depth(frame.depth, known, floor=floor)
@@ -80,7 +80,7 @@ def people_seen(frame: Frame, known: Sequence[Other] = (), *, floor: float = 0.0
 def people_in_depth(
     depth: Depth, known: Sequence[Other] = (), *, floor: float = 0.0, most: int = 8
 ) -> list[HullPerson]:
-    """Who is in the maps next to those that are known, the largest first; a pixel belongs to whose axis it is nearest
+    """Who is in the maps besides those that are known, the largest first; a pixel belongs to whose axis it is nearest
     to. Values between both sides of an edge are no person."""
     at, points = depth.pixels
     calm = np.stack([cv2.dilate(m, _EDGE[:3, :3]) - cv2.erode(m, _EDGE[:3, :3]) < 2 * JUMP_M for m in depth.maps])
@@ -180,7 +180,7 @@ def own_depth(
             body[:] = 0
             continue
         whole, last = depth.person[c] > 0, float(np.percentile(seen[body > 0], 98)) + _BEHIND_M
-        # what lies between both sides of an edge, and holes, are of the person who is next to, as for one person alone
+        # what lies between both sides of an edge, and holes, are of the nearest person, as for one person alone
         body[whole & (taken[c] == 0) & (cv2.dilate(body, _EDGE) > 0)] = 1
         near = (taken[c] > 0) & (seen < last)
         rim = cv2.dilate(near.astype(np.uint8), _EDGE) > 0

@@ -107,7 +107,7 @@ def visual_hull(
     biggest connected body. Works coarse to fine: a cell is refined unless more than `miss` views are free
     of person all over the circle around its image. Raises EvidenceError when fewer than min_views views
     are usable or nothing is left. Source: shape from inconsistent silhouettes, Landabaso, Pardas & Casas
-    2008; Alcoverro 2014, section 2.3.4, places the body by such a hull. Pixels that are ignored have a person or not,
+    2008; Alcoverro 2014, section 2.3.4, places the body by such a hull. Ignored pixels may show a person or not,
     and at least `surely` views must show one in pixels that are not ignored (default: three, or all there are; two
     where it is known where the person is expected: masks end there, and others hide a leg from two of four views).
     """

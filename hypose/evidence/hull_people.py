@@ -102,7 +102,7 @@ def people_in_hull(
     floor: float = 0.0,
     most: int = 8,
 ) -> list[HullPerson]:
-    """Who stands in the masks next to those that are known, the largest first; none when too few views are usable.
+    """Who stands in the masks besides those that are known, the largest first; none when too few views are usable.
 
     floor: m, height of the floor. The space searched is the cameras' common view, between the floor and what a person
     reaches. A voxel belongs to whose axis it is nearest to."""
@@ -185,7 +185,7 @@ def _within(filled: NDArray[np.integer], i: int, j: int, disc: NDArray[np.bool_]
 
 
 def _stands(near: Array, nearby: float, litre: float, floor: float, surface: float) -> bool:
-    """Do the voxels (M, 3) m about an axis make a person? next to: litres as near as PART_OF_LARGER_M, of whomever: a
+    """Do the voxels (M, 3) m about an axis make a person? nearby: litres as near as PART_OF_LARGER_M, of whomever: a
     part of something wide is no child; a child's surface alone is no more than a piece of furniture shows."""
     if not len(near) or near[:, 2].min() - floor > FROM_FLOOR:
         return False

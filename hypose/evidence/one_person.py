@@ -1,6 +1,6 @@
 """The one person that a recording is about, of all whom its views' key points show.
 
-Where the cameras' rays agree, people are distinguished by them (`hypose.evidence.association`). Where they do not,
+Where the cameras' rays agree, people are separated by them (`hypose.evidence.association`). Where they do not,
 because there is one camera or the calibration is wrong, each view follows people by itself, and who is who across views
  is decided by how they move (`hypose.evidence.one_person`): a calibration can then still be examined, on one person.
 """

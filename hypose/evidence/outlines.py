@@ -72,7 +72,7 @@ def view_outline(mask: Mask, count: int = OUTLINE_POINTS, working_height: int | 
 def outline_in_box(
     part: Mask, box: tuple[int, int, int, int], shape: tuple[int, ...], count: int, working_height: int
 ) -> ViewOutline:
-    """Outline of a mask (h, w) = shape that is the part in the box (y0, y1, x0, x1), and zero next to it, for tracking:
+    """Outline of a mask (h, w) = shape that is the part in the box (y0, y1, x0, x1), and zero around it, for tracking:
     one that is taller than working_height px is shrunk by the largest multiple of 1/2 that leaves it at least as tall,
     and distances are made around the person only (a sixth of its size, at least 32 px): further out rows weigh
     nothing."""

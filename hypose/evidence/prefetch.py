@@ -1,6 +1,6 @@
 """What the tracker wants of a frame's masks, made by other threads while the frame before is being tracked.
 
-It depends on the masks alone, so the person who has the masks may make it: `make_ahead` tells that a person does,
+It depends on the masks alone, so the code that holds the masks may make it: `make_ahead` tells that it does,
 `look_ahead` does so for the frames to come, and `outlines` and `prepared_masks` take it from there or make it.
 """
 
@@ -76,7 +76,7 @@ def _next(source: Iterator[Frame]) -> Frame | None:
 
 
 def make_now(silhouettes: Silhouettes) -> None:
-    """Makes all that tracking wants of these masks, and keeps it with them for the person who tracks them more than
+    """Makes all that tracking wants of these masks, and keeps it with them for code that tracks them more than
     once."""
     made = outlines(silhouettes, OUTLINE_POINTS, WORKING_HEIGHT)
     _keep(silhouettes, _Made(None, made, prepared_masks(silhouettes)))
@@ -111,7 +111,7 @@ def _outline(
 
 
 def pack_once(silhouettes: Silhouettes) -> None:
-    """Makes the masks for the scorer now, and keeps them with the silhouettes for the person who wants them."""
+    """Makes the masks for the scorer now, and keeps them with the silhouettes for later use."""
     known: _Made = silhouettes.ahead or _NOTHING
     if known.masks is None:
         _keep(silhouettes, replace(known, masks=prepared_masks(silhouettes)))

@@ -384,9 +384,13 @@ _LIMBS = tuple(
 def with_doubted_limbs(
     band: NDArray[np.uint8], mask: NDArray[np.uint8], points: ArrayLike, names: Sequence[str], height: float
 ) -> NDArray[np.uint8] | None:
-    """The band (h, w) with the reach of all limbs that the mask (h, w), made within it, does not confirm; None when it
-    confirms all. points (K, 3) px; height of the person, px. A limb whose root is not known is left alone. Where most
-    of the limbs that are seen whole lie outside the mask it is not cut at all: the skeleton is somewhere else."""
+    """Widen the band (h, w) around every limb that the mask (h, w) does not confirm; None if it confirms all.
+
+    band: pixels near the 2D skeleton, to which the mask was cut.
+    points (K, 3): px and confidence; names: of the points.
+    height: of the person, px.
+    A limb without its root point is left alone. If most complete limbs lie outside the mask, return a band of ones:
+    the skeleton is in the wrong place."""
     p = np.asarray(points, dtype=np.float64)
     at = {n: p[k] for k, n in enumerate(names) if p[k, 2] > _MIN_CONFIDENCE}
     out = band.copy()

@@ -105,7 +105,7 @@ class SurvivalRate:
 
 @dataclass(frozen=True)
 class SmoothedWeight:
-    """A weighing function w^beta out of an energy: log-weights -beta (E - min E), beta by the selectivity.
+    """Log-weights -beta (E - min E) of an energy; `rate` chooses beta.
 
     The minimum is taken off because weights only count up to a factor, and a large beta would otherwise eat
     the digits in which energies differ. Non-finite energies get weight 0 (log-weight -inf). Source:

@@ -17,13 +17,11 @@ from hypose.inference.hypotheses import FloatArray, Hypotheses
 
 @dataclass(frozen=True)
 class TangentMean:
-    """Weighted mean with the rotation vectors at columns ``rotations`` .. +2 averaged on SO(3) (Karcher
-    mean).
+    """Weighted mean with the rotation vectors at columns ``rotations`` .. +2 averaged on SO(3) (Karcher mean).
 
     An Estimate for states (*B, N, D) whose listed blocks are rotation vectors (rad); every other coordinate
-    is averaged as it is. The rotation vectors of the result are on the branch next to the hypothesis of
-    largest weight. With sets spread
-    over more than half a turn the mean is a local one, next to that hypothesis.
+    is averaged as it is. The rotation vectors lie on the branch nearest to the hypothesis of largest weight.
+    With sets spread over more than half a turn the mean is a local one, near that hypothesis.
     """
 
     rotations: tuple[int, ...] = ()

@@ -149,7 +149,7 @@ def read_json(path: str | Path, kind: str, limit: int = MAX_JSON_BYTES) -> Any:
 
 
 def read_toml(path: str | Path, kind: str = "a TOML file") -> dict[str, Any]:
-    """The tables of a TOML file of at most 5 MB; an InputError names it, the fault in it and the next step."""
+    """The tables of a TOML file of at most 5 MB; an InputError names it, the cause and the next step."""
     text = read_text(path, kind, MAX_TOML_BYTES)
     try:
         return tomllib.loads(text)

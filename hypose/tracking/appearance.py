@@ -1,4 +1,4 @@
-"""Whom one sees by the colours of their clothes: people of one size at one place are distinguished by nothing else.
+"""The colours of people's clothes: nothing else separates people of one size at one place.
 
 What covers trunk and legs where the body is in front is counted by colour, all views together: who turns round shows
 the same shirt to another camera.

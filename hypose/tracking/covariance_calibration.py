@@ -4,15 +4,14 @@ The curvature of a cost tells how well the evidence fixes a pose, not how far th
 anatomical one. So the variance is a^2 V + b^2: V from the curvature, a because rows err together, b for the definition
 and the body, the same all along. a and b were fitted to errors on scenes (scripts/train_doubt.py), per joint, angle and
 kind of evidence, so that regions of 90 % hold 90 % of them, and others theirs (`hypose.body.motion`). What lasts in
-the residuals of key points is added to b^2 (`hypose.tracking.covariance_calibration`). Views that
+the residuals of key points is added to b^2 (`systematic_covariance`). Views that
 contradict each other as a whole (`hypose.tracking.joint_features`) by more than they do in such scenes add (c x)^2, x
 being the excess: calibrations, lags and bodies that are wrong are wrong in all frames.
 
-Systematic error of joints found from key points: what more frames, and more such views, would not average away.
-
-A detector's errors last. Those that differ between views, and those of a wrong calibration, stay in the residuals of
-single views over the whole clip, where they are measured. Those that all views share (where the detector puts the joint
-of this person) leave no residual: they are taken to be in proportion to what the views show.
+The systematic error of joints found from key points is the part that more frames and more such views would not average
+away. A detector's errors last. Those that differ between views, and those of a wrong calibration, stay in the residuals
+of single views over the whole clip, where they are measured. Those that all views share (where the detector puts the
+joint of this person) leave no residual: they are taken to be in proportion to what the views show.
 """
 
 from __future__ import annotations
@@ -99,7 +98,7 @@ def systematic_covariance(
     body: Body, model: KeypointModel, keypoints: Sequence[Keypoints | None], poses: Array, frame_rate: float
 ) -> Array:
     """(T, J, 3, 3) m^2: systematic error of the joints of a clip solved on its key points, of which less is left where
-    BlazePose's, which are seldom right to the centimetre, weigh less next to masks.
+    BlazePose's, which are seldom right to the centimetre, weigh less when there are masks too.
 
     That of single views goes through the triangulation of the views that see the point in the frame, weighted as the
     solve weighs them; the shared one (SHARED) is the same in all directions. Joints without a key point of their own
@@ -185,7 +184,7 @@ def beyond_usual(audit: ArrayLike, evidence: str) -> float:
 
 def with_fitted_joints(motion: Motion, evidence: str, beyond: float = 0.0) -> Motion:
     """The motion with covariances a^2 V + S + (b^2 + c^2 beyond^2) I, all but the first of which is systematic; its own
-    systematic_covariance is S, the information on it besides (None: nothing); beyond: m, see `beyond_usual`."""
+    systematic_covariance is S (None: zero); beyond: m, see `beyond_usual`."""
     own = fitted_spread_table()["joints"][evidence]
     pairs = np.array([own.get(kind_of(n), (1.0, 0.0)) for n in motion.skeleton.joint_names])
     a, b = pairs[:, 0], pairs[:, 1]
@@ -212,7 +211,7 @@ def with_angle_variance(motion: Motion, variance: Array, evidence: str, beyond: 
 
 
 def pose_covariance(information: Array) -> Array:
-    """(T, D, D) from the information on poses (T, D, D): inverse, with the little that anatomy knows."""
+    """Invert the information (T, D, D) of poses, with a weak prior, to covariances (T, D, D)."""
     least = np.diag(np.r_[np.zeros(3) + 1e-2, np.full(information.shape[-1] - 3, _PRIOR_INFORMATION)])
     return np.asarray(np.linalg.inv(information + least), dtype=np.float64)
 

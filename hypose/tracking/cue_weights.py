@@ -1,9 +1,9 @@
-"""How much key points may say next to masks: measured on a few frames of the clip, limb by limb.
+"""The weight of key points in solves that use masks too: measured on a few frames of the clip, limb by limb.
 
 Outlines know where they are right to about a centimetre, but their cost hardly grows beyond that: points that scatter
-by more pull a limb out of its outline, and are not averaged against it as two measurements would be. So next to masks
+by more pull a limb out of its outline, and are not averaged against it as two measurements would be. So with masks
 points weigh as if they knew no better than outlines that hold, and in full where outlines do not. Whether they do is
- known by the points: a body that is fitted to the outlines alone lies as near to them as they scatter, or else further
+shown by the points: a body that is fitted to the outlines alone lies as near to them as they scatter, or else further
 (a skirt, a bag, a chair, another person, shadows).
 """
 
@@ -47,8 +47,8 @@ _SOLVE = SolveSettings(iterations=12, coarse_iterations=4)
 
 
 def weigh_against_masks(body: Body, model: KeypointModel, frames: Sequence[Frame]) -> KeypointModel:
-    """The model with the rest of its points' weights next to masks (`KeypointModel.next to`); as it is when fewer
-    than three of the frames (of one person) tell.
+    """Return the model with the weights that its points keep in solves with masks (`KeypointModel.cue_weight`);
+    unchanged when fewer than three of the frames (of one person) tell.
 
     Of the points of each part of the body, noise: variance per axis about the body that is solved for by them, which
     takes up a part of it; away (C,): about the body that is solved for by the outlines. The excess in most

@@ -56,7 +56,7 @@ def clip_features(motion: Motion, raw_joints: Array, audit: ArrayLike) -> Array:
     log_sd: of the joint's sd; sd_around: its mean nearby in time; moved: largest distance of the frame's own joint from
     the clip's, nearby in time; accel: the largest of its accelerations nearby; still: how slowly it moves about the
     pelvis, since all frames of a limb at rest err alike and make each other too sure; bare*: of mask without body, near
-    the joint, beyond the usual in the clip, in the second-barest view, there next to the usual of all joints of
+    the joint, beyond the usual in the clip, in the second-barest view, there relative to the usual of all joints of
     the clip (masks of one camera are worse than another's), in the limb's reach, over the whole body; exposed*: how
     much of its part nothing else covers, smoothed; hidden: s from when it was last seen, or to the next time; outside*:
     of the joint's part and of the body outside the masks; rival*: what else was believed; elsewhere*, loose: how far an

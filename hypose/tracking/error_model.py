@@ -1,8 +1,8 @@
 """How likely each joint of each frame is wrong by more than 100 mm: a logistic of what a clip's audit found.
 
 The covariance of a joint is that of the pose that is believed; no Gaussian covers the arm that is elsewhere. So this
-number is distinguished from it. Its weights were fitted to scenes (scripts/train_doubt.py), one set per kind of
-evidence and group of joints.
+probability is kept apart from the covariance. Its weights were fitted to scenes (scripts/train_doubt.py), one set per
+kind of evidence and group of joints.
 """
 
 from __future__ import annotations
@@ -165,7 +165,7 @@ def judged(
         p = np.maximum(p, _by_few_views(motion, audit))
     if (known or evidence) in ("keypoints", "both"):  # sets without some joints; masks show the whole body
         p = np.maximum(p, _by_spread(with_fitted_joints(motion, evidence, beyond_usual(audit, evidence))))
-    if (known or evidence) == "silhouettes":  # the person who sees more than outlines sees which leg is which
+    if (known or evidence) == "silhouettes":  # evidence beyond outlines shows which leg is which
         p = np.maximum(p, _by_crossed_legs(motion))
     if unsure is not None:
         turned, otherwise = unsure
@@ -335,7 +335,8 @@ _TURNED = {"hip": "knee", "knee": "ankle", "arm": "elbow", "elbow": "wrist"}
 
 def _open(audit: ArrayLike) -> float:
     """How far the whole clip leaves open which way round the body is: 0 where the body with its sides exchanged, which
-    is looked at while tracking, is plainly worse in most frames, 1 where it fits as well, or no person looked."""
+    is looked at while tracking, is plainly worse in most frames, 1 where it fits as well, or where it
+    was never checked."""
     gain = np.asarray(audit, dtype=np.float64)[..., AUDITED.index("exchanged")]
     known = gain[np.isfinite(gain)]
     return float(np.clip(1 + np.median(known) / _DECIDED, 0.0, 1.0)) if len(known) else 1.0

@@ -1,13 +1,14 @@
-"""What speaks for and against every joint of a tracked frame: bare mask, body outside the masks, key points, rivals.
+"""Features of a tracked clip that show errors: of every joint in a frame, and of each view's mask as a whole.
+
+Of a joint: bare mask, body outside the masks, key points, rivals.
 
 A wrong limb nearly always leaves a trace in the evidence: the true one stands uncovered in a mask, the wrong one sticks
 out of it, key points lie elsewhere, another pose fits as well. None of them tells alone; `hypose.tracking.error_model`
 weighs them.
 
-How far each view's mask lies from the body as a whole: the rest of a wrong calibration, a lag, a wrong body.
-
-A solve halves the difference between views that contradict each other; the rest points one way in each of them and
-stays, while the noise of outlines points everywhere. It tells errors that no curvature of a cost knows.
+The other topic is how far each view's mask lies from the body as a whole, after a wrong calibration, a lag or a wrong
+body. A solve halves the difference between views that contradict each other; the rest points one way in each of them
+and stays, while the noise of outlines points everywhere. It shows errors that the curvature of a cost does not.
 """
 
 from __future__ import annotations

@@ -124,7 +124,7 @@ def shows_another_person(keypoints: Keypoints, body: Body, model: KeypointModel,
     fast.
 
     Where two views agree with the expectation the others are `checked`'s matter. Judged by the median over the
-    triangulated points, or, of fewer than four, by the view with the larger median; no person is no person."""
+    triangulated points, or, of fewer than four, by the view with the larger median; False when nothing is seen."""
     points, expected_points = np.nan_to_num(keypoints.points), model.positions(body, expected)
     uv = np.stack([camera.project_pinhole(expected_points) for camera in keypoints.rig])
     seen = (points[..., 2] > MIN_CONFIDENCE) & model.known & np.isfinite(uv).all(-1)

@@ -147,7 +147,7 @@ def _offsets(base: KeypointModel, model: KeypointModel, rows: OffsetResiduals) -
     weight = lorentzian_weight(0.25 * square, rows.confidence / sd_px**2)
     hessian = np.einsum("tck,tckia,tckib->kab", weight, rows.slope, rows.slope)
     gradient = np.einsum("tck,tckia,tcki->ka", weight, rows.slope, rows.residual)
-    # frames of a clip err alike: their number is no measure of the known part
+    # frames of a clip err alike: their number is no measure of how much they tell
     prior = len(rows.residual) * (2 / limit) ** 2 * 0.1
     shift = model.offset - base.offset
     hessian += prior[:, None, None] * np.eye(3)

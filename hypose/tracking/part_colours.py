@@ -104,9 +104,10 @@ class ColourSettings:
     surely: weight among its rivals that a pose must have to be learnt from; elsewhere: m, a rival's arm that is farther
     off is not learnt from; memory: share of what was counted before that counts in the next frame; few: pixels that a
     part must have shown to be half known; most: log-likelihood ratio of one pixel, at most. weight: of the pictures'
-    score next to the mismatch of rivals; edges: of the rims of arms in it, next to the colours. tried: rivals whose
-    arms are looked for nearby, with so many draws at each of the steps (rad, sd); ratio: of their energy to that of
-    where they are held to be, at most; hold, strength: m (one sd) and weight of the points that hold them in a solve.
+    score relative to the mismatch of rivals; edges: of the rims of arms in it, relative to the colours. tried: rivals
+    whose arms are looked for nearby, with so many draws at each of the steps (rad, sd); ratio: of their energy to that
+    of where they are held to be, at most; hold, strength: m (one sd) and weight of the points that hold them in a
+    solve.
 
     Chosen on folded arms of the seeds 503 and 505."""
 
@@ -127,7 +128,7 @@ class ColourSettings:
 
 @dataclass(frozen=True)
 class KnownColours:
-    """The information on a person's colours, and what a frame shows of them. codes (C, h, w); table (C, P, COLOURS):
+    """Prior knowledge of a person's colours, and what a frame shows of them. codes (C, h, w); table (C, P, COLOURS):
     log-likelihood ratios of each colour, in a part against anywhere on the person; masks: usable where there is a
     picture; edges: of `compute.rim_edges`."""
 

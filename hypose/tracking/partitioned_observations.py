@@ -1,14 +1,14 @@
-"""Approximate partitioning of observations: each layer is weighed only where its body parts are likely to be seen.
+"""Partitioned observations (APO) and steps of a limb in its own directions, both for layered filters.
 
-A layer's box in space stands around the joints it places (by the mean of the set so far), its picture in every view is
-a box too, and the silhouette cost is counted inside; parts of later layers are not drawn.
+Partitioned observations weigh each layer only where its body parts are likely to be seen. A layer's box in space stands
+around the joints it places (by the mean of the set so far), its picture in every view is a box too, and the silhouette
+cost is counted inside; parts of later layers are not drawn.
 Source: Alcoverro 2014, section 2.4.1, eq. 2.15.
 
-Steps of a limb in its own directions: the swing of a ball joint apart from the twist about the bone.
-
-A shoulder's twist is not seen before the forearm is drawn, so a layered filter searches the swing with the upper arm
-and the twist with the forearm. Balls are rotation vectors, in which neither is a coordinate; here both are turns in
-the bone's own frame.
+Steps of a limb in its own directions draw the swing of a ball joint apart from the twist about the bone. A shoulder's
+twist is not seen before the forearm is drawn, so a layered filter searches the swing with the upper arm and the twist
+with the forearm. Balls are rotation vectors, in which neither is a coordinate; here both are turns in the bone's own
+frame.
 """
 
 from __future__ import annotations

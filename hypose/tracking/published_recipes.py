@@ -60,7 +60,7 @@ LIMB_LAYERS: tuple[tuple[str, tuple[str, ...]], ...] = (
 
 
 def partitions_of(skeleton: Skeleton, layers: Sequence[tuple[str, tuple[str, ...]]]) -> list[NDArray[np.int64]]:
-    """The coordinate subset Psi_l of every layer."""
+    """Return, per layer, the indices of the coordinates that it moves (Psi_l)."""
     return [skeleton.dofs_of(*joints) for _, joints in layers]
 
 

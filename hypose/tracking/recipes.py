@@ -79,7 +79,7 @@ def default(
     lost one. A quarter of an arm's particles are drawn again over its whole reach, for a punch is faster than any
     diffusion. An arm is searched per frame, and a leg in every other one; all four when the first solve overlaps the
     masks worse than usual, and below 20 frames per second, where more happens between two frames. In the same frames an
-    arm's whole reach is looked up; of the poses found there the best live on next to the estimate, `rivals` poses in
+    arm's whole reach is looked up; of the poses found there the best live on besides the estimate, `rivals` poses in
     all. With `colours` it learns, where there are pictures, what colours the person's parts have, and asks them, and
     the edges of sleeves, where arms are: it helps folded arms and costs half as much again, so it is asked for.
     """
@@ -151,7 +151,7 @@ def _solving(base: Recipe) -> Recipe:
 
 @dataclass(frozen=True)
 class Preset:
-    """The information on a recipe before there is a body. make(body, frame_rate=Hz): the recipe for a body, whose other
+    """Prior knowledge of a recipe before there is a body. make(body, frame_rate=Hz): the recipe for a body, whose other
     parameters are the options that only this method has; citation; whole_clip: key points alone are enough, and are
     solved in all frames together instead of frame by frame; needs: as those of the recipe, as far as they decide which
     recordings it can be used on; likes: those that are looked at where they are at hand; evidence: the choices, the

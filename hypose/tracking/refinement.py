@@ -103,7 +103,7 @@ class ContourRefinement:
 
 
 class LaterLayer(Protocol):
-    """A layer that can begin with parts of its work before its turn, next to the others."""
+    """A layer that can begin with parts of its work before its turn, in parallel with the others."""
 
     def before_solve(self, frame: PreparedFrame, /) -> None:
         """Begins with what depends on the last frame alone."""
@@ -119,7 +119,7 @@ class SolvePrediction:
     """Kernel: solves from the prediction and puts all hypotheses there: where a search of single limbs wants to start.
 
     One of them is in the role SOLVED, and one in the role COMPOSITE, to which the search adds limb by limb. later: a
-    layer that may begin next to this one and the next ones.
+    layer that may run in parallel with this one and the next ones.
     """
 
     options: SolveSettings = SolveSettings()

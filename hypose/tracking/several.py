@@ -56,10 +56,11 @@ def step_together(
     keypoints: Sequence[Keypoints | None] | None = None,
     others: Sequence[Other] = (),
 ) -> tuple[list[Member], list[FrameEstimate], list[Frame]]:
-    """One frame: all people's next state and estimate, and the frame as each saw it, without what others hide.
+    """Track one frame: the next state and estimate of all people, and the frame as each saw it, without what others
+    hide.
 
-    keypoints: those of each person, already distinguished; None: the frame's are no person's. others: who else is
-        there."""
+    keypoints: those of each person, already assigned; None: the frame's key points are not used.
+    others: people who are there as well."""
     count, after = len(members), list(members)
     estimates: list[FrameEstimate | None] = [None] * count
     seen = [frame] * count
@@ -81,7 +82,7 @@ def step_together(
             lost = m.state.lost or m.state.blind > BLIND
             own = own_frame(own, shapes[i], [*others, *nearby], anywhere=lost)
             assert own.silhouettes is not None
-            pack_once(own.silhouettes)  # the tracker wants them, and the person who judges what it has found
+            pack_once(own.silhouettes)  # the tracker wants them, and the code that judges the result
         state, estimate = m.tracker.step(m.state, own)
         after[i], estimates[i], seen[i], done[i] = replace(m, state=state), estimate, own, True
         if shapes is not None and rig is not None and not done.all():

@@ -45,7 +45,7 @@ _BONES = (
 
 @dataclass(frozen=True)
 class Known:
-    """The information on the subject: height m (sd 1 cm), mass kg (sd 6 %: the mesh is not the body); bones: the _BONES
+    """Prior knowledge of the subject: height m (sd 1 cm), mass kg (sd 6 %: the mesh is not the body); bones: the _BONES
     of the body given, by what share they may differ (1 sd). None = unknown."""
 
     height: float | None = None
@@ -170,7 +170,7 @@ class _ShapeProblem(PoseProblem[Array]):
         return shared + step
 
     def prior(self, x: Array) -> tuple[Array, Array, list[Body]]:
-        """Matrix (K, K) and gradient (K,) of the information on the shape without the views, and the body with each
+        """Matrix (K, K) and gradient (K,) of the prior on the shape without the views, and the body with each
         factor changed by a step."""
         varied = [self.body(x + self._STEP * e) for e in np.eye(len(x))]
         hessian, gradient = self.precision.copy(), self.precision @ (x - self.mean)

@@ -179,7 +179,7 @@ def by_their_ways(starts: Sequence[Start], ways: Sequence[Array], costs: Array) 
     joints = np.stack([starts[k].body.joints(ways[k]) for k in order])
     away = np.linalg.norm(joints - joints[0], axis=-1)
     arm = np.array([n.endswith(("elbow", "wrist")) for n in starts[0].body.skeleton.joint_names])
-    other = away[..., ~arm].mean((1, 2)) > _APART_M  # arms that alone differ are found by the person who tracks
+    other = away[..., ~arm].mean((1, 2)) > _APART_M  # arms that alone differ are found by the tracker
     far = weights[:, None] * (away > _FAR_M).mean(1) * other[:, None]
     left, right = (starts[0].body.skeleton.joint(f"{side}_hip") for side in ("left", "right"))
     across = joints[:, :, right] - joints[:, :, left]

@@ -98,7 +98,7 @@ class FrameEstimate:
 class TrackerState:
     """What the next frame needs. frames: frames done; pose, previous (D,); joint_covariance (J, 3, 3) m^2;
     usual_iou: running mean of the IoU while not lost (NaN before the first); blind: frames since the last evidence;
-    lost: in the last frame; memory: what the recipe remembers next to."""
+    lost: in the last frame; memory: additional state that the recipe remembers."""
 
     frames: int
     hypotheses: Hypotheses
@@ -304,7 +304,7 @@ class Tracker:
         return Hypotheses.uniform(s.clamp(pose + noise * s.step_sigma(self.settings.frame_rate)))
 
     def _rivals(self, h: Hypotheses | None) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """The hypotheses next to the best, and their weights, as an estimate has them."""
+        """The hypotheses other than the best, and their weights, as an estimate has them."""
         count = max(self.recipe.rivals - 1, 0)
         poses = np.full((count, self.body.skeleton.dof), np.nan, np.float32)
         weights = np.zeros(count, np.float32)

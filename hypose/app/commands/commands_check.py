@@ -62,7 +62,7 @@ def check(
         ),
     ] = None,
 ) -> None:
-    """Look whether the views agree, say the fault of which camera, and cure it with --refine.
+    """Check whether the views agree, name the cause and the camera, and correct it with --refine.
 
     Exit code 0: fine, or refined; 1: something is wrong.
     """
@@ -265,7 +265,7 @@ def sync(
 
 
 def keep_offsets(recording: Recording, by: str, late: list[float], words: list[str]) -> None:
-    """results/sync.json, for the studio; where it cannot be written, what was said has to do."""
+    """results/sync.json, for the studio; where it cannot be written, the printed text has to do."""
     import contextlib
 
     from hypose.io.files import write_text
@@ -447,7 +447,7 @@ def _depth_in_step(depth: Path, frames: range, late: float, folder: Path) -> Pat
 
 def _people(found: RecordedPerson | None) -> list[Array]:
     """(C, T, K, 3) px of the calibrated pictures: of the person whom the recording is about, then of the others whom
-    several views show; no person without key points."""
+    several views show; empty where there are no key points."""
     import numpy as np
 
     if found is None:

@@ -122,9 +122,7 @@ def live(
             ended.wait(0.1)
         status, interrupted = engine.status(), ended.is_set()
         engine.stop()
-        if (
-            recorder is not None
-        ):  # a person who is in a hurry and asks for an end again still gets all that was recorded
+        if recorder is not None:  # a second stop request still keeps all that was recorded
             kept = recorder.close()
             without = f", without {recorder.left_out} instants" if recorder.left_out else ""
             nothing = "Nothing was recorded: there were no pictures of two cameras."

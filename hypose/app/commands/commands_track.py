@@ -193,8 +193,9 @@ def run_shown(job: TrackJob, arguments: list[str]) -> tuple[Outcome, dict[str, f
 
 @contextlib.contextmanager
 def stopping(text: str | Callable[[], str] = "") -> Iterator[None]:
-    """Within the block Ctrl-C, and SIGTERM likewise, end the command in order, with exit code 130; text: the message
-    then."""
+    """Within the block Ctrl-C, and SIGTERM likewise, end the command in order, with exit code 130.
+
+    text: the sentence printed then."""
 
     def interrupt(number: int, frame: FrameType | None) -> None:
         raise KeyboardInterrupt
@@ -490,8 +491,9 @@ def detect(
 
 
 def detected(loaded: Recording, frames: range, *, yes: bool, why: str) -> DetectedKeypoints:
-    """What the detector finds in frames of a recording, kept in its folder; of existing results nothing is looked
-    at again. why: begins the sentence that says the missing part."""
+    """Detect key points in frames of a recording and keep them in its folder; frames already detected are skipped.
+
+    why: first words of the sentence on the missing input."""
     from hypose.io.keypoints.read_keypoints import KEYPOINT_FOLDER, load_detected
 
     target = loaded.folder / KEYPOINT_FOLDER

@@ -60,12 +60,12 @@ JSON_PROGRESS = "HYPOSE_JSON_PROGRESS"
 
 
 def out() -> Console:
-    """For results; made again so that a redirected stdout is respected."""
+    """The console for results; a new one each time, so that a redirected stdout is used."""
     return _console(sys.stdout)
 
 
 def err() -> Console:
-    """For progress and errors."""
+    """The console for progress and errors."""
     return _console(sys.stderr)
 
 
@@ -89,7 +89,7 @@ def say(text: str = "", style: str | None = None) -> None:
 
 
 def print_note(text: str) -> None:
-    """One line next to the results (stderr)."""
+    """Print one line on stderr, apart from the results."""
     err().print(text, style="dim", markup=False)
 
 

@@ -47,7 +47,7 @@ _FOOT_HEIGHT_M = 0.08  # of the ankle, which stands for the foot, above the floo
 class FuseJob:
     """recording; results; method: of fusion.fuse.FUSION_METHODS; rate Hz of the result (None: the reference sensor's);
     reference: name of a sensor (None: the recording's); formats: of POINT_FORMATS; up: "person" (the mean direction
-    from hips to neck) or "sensor" (the reference sensor's y axis); diagnose: the swarm's choice of sensors next to the
+    from hips to neck) or "sensor" (the reference sensor's y axis); diagnose: the swarm's choice of sensors besides the
     result; seed; run: for the record only."""
 
     recording: SkeletonRecording

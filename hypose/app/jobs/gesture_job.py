@@ -423,7 +423,7 @@ class OscOut:
 
 
 class WebSocketOut:
-    """Sends JSON text to a person who connects to ws://127.0.0.1:PORT: every event as on stdout, and every frame
+    """Send JSON text to every client that connects to ws://127.0.0.1:PORT: every event as on stdout, and every frame
     {"time", "scores": {name: cm^2}}; see `SocketListeners`."""
 
     def __init__(self, port: int, names: Sequence[str]) -> None:

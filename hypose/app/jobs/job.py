@@ -55,7 +55,7 @@ class TrackJob:
     results: where files go
     formats: of hypose.io.motions.export
     overlay, report: write overlay.mp4, report.html
-    resume: go on from a checkpoint, or fill in the missing part of a complete run
+    resume: go on from a checkpoint, or write the files that a complete run lacks
     run: of the machine, for the record only
     truth: compares the motion with a known truth, for synthetic recordings
     people: None: one person; or 'all', how many at most, or a name (hypose.app.jobs.people_job)
@@ -78,7 +78,7 @@ class TrackJob:
 @dataclass(frozen=True)
 class Outcome:
     """What came out. files: written paths in order; notes: for the user; truth: the comparison, if there was one;
-    assessment: whether it is to be trusted, None where no one has looked."""
+    assessment: whether it is to be trusted, None where nothing has judged it."""
 
     motion: Motion
     body: Body

@@ -191,7 +191,7 @@ def _capital(what: str) -> str:
 # ---- guard ---------------------------------------------------------------------------------------------------------
 # Who may talk to the server: this computer's own pages, or who shows the token.
 #
-# A web page of another person can make a browser send requests to 127.0.0.1. So a WebSocket, and whatever changes
+# A web page of another site can make a browser send requests to 127.0.0.1. So a WebSocket, and whatever changes
 # something, must come from the page that this server served (its Origin is the host that was asked for); and the host
 # that was asked for must be one the server goes by, else a foreign name that was pointed to 127.0.0.1 would pass.
 

@@ -95,7 +95,7 @@ class LiveTopic(Topic):
             raise InputError(f"There is nothing to {kind[:20]!r} here; {known} or stop.")
 
     async def stop(self, why: str = "") -> None:
-        """End, and tell it; why: the message where nothing else is."""
+        """End, and tell it; why: the sentence that is sent where `_stop` returns none."""
         async with self._changing:
             said = await self._stop() or why
         if said:
@@ -107,7 +107,7 @@ class LiveTopic(Topic):
         raise NotImplementedError
 
     async def _stop(self) -> str | None:
-        """End; the message."""
+        """End; returns the sentence for the page, or None."""
         raise NotImplementedError
 
 
@@ -275,7 +275,7 @@ class CameraTopic(LiveTopic):
 
 
 def _recorded(recorder: LiveRecorder) -> str:
-    """End a recording; the message."""
+    """End a recording; returns the sentence for the page."""
     try:
         if not recorder.close():
             return "Nothing was recorded: no instant was seen after the empty room was known."

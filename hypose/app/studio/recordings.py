@@ -230,7 +230,7 @@ class Recordings:
         self._open: LruCache[_Open] = LruCache(_OPEN, lambda o: o.held, _Open.close, one_more=True)
 
     def load(self, item: Item) -> Recording:
-        """The recording of an item; an InputError says the fault."""
+        """The recording of an item; an InputError names the cause."""
         with self._opened(item) as opened:
             return opened.recording
 
@@ -390,7 +390,7 @@ def without_table(text: str, name: str) -> str:
 
 
 def read_found(folder: Path, name: str) -> dict[str, Any] | None:
-    """What a command found last time, results/NAME."""
+    """Read the JSON object that `hypose check` or `hypose sync` last wrote to results/`name`; None if there is none."""
     with contextlib.suppress(InputError):
         value = read_json(folder / "results" / name, "what a command found")
         return value if isinstance(value, dict) else None
@@ -419,7 +419,7 @@ def _unused(folder: Path) -> str | None:
 
 
 def read_subject(folder: Path) -> dict[str, Any] | None:
-    """The measured person's sizes."""
+    """Read stature_m (m) and sizes_cm (cm by name) of the measured person; None if nothing usable was measured."""
     with contextlib.suppress(HyposeError, TypeError, ValueError, KeyError, AttributeError):
         in_cm = {str(k): float(v["cm"]) for k, v in read_toml(folder / "subject" / "subject.toml")["sizes"].items()}
         return {"stature_m": in_cm.get("stature", float("nan")) / 100, "sizes_cm": in_cm}

@@ -139,7 +139,7 @@ class Studio:
 
 
 def _warm() -> None:
-    """Load the kernels that a result is opened with, before a person waits for them."""
+    """Load the kernels that a result is opened with, before a page waits for them."""
     skeleton = human().skeleton
     skeleton.forward(np.zeros((1, skeleton.dof)))
 

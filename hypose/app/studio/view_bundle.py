@@ -86,8 +86,8 @@ class Rivals:
 class ViewResult:
     """A result to look at. body, rig: None when not known (a fused skeleton has neither). image_shifts: (x, y) px per
     camera, as in recording.toml. first_frame: the recording's frame of row 0. pictures: names of the cameras whose
-    pictures can be had. files: (name, what it is, bytes). rivals: where the method keeps any. assessment: all that is
-    to be thought of it, None when nothing has looked."""
+    pictures can be had. files: (name, meaning, bytes). rivals: where the method keeps any. assessment: of the
+    result, None when nothing has judged it."""
 
     title: str
     motion: Motion

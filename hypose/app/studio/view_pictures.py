@@ -1,6 +1,6 @@
 """The recorded pictures and masks of any frame of a result, for the View screen.
 
-A person who drags along the timeline asks for frames in any order, and decoding a long video from its start for each
+A user who drags along the timeline asks for frames in any order, and decoding a long video from its start for each
 would take seconds. So a video is jumped in where its jumps have been found to land exactly, and read through otherwise.
 """
 

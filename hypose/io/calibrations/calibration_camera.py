@@ -46,7 +46,7 @@ def numbers(where: str, table: Mapping[str, Any], keys: tuple[str, ...], *shapes
     """The finite numbers of a table's first known key, in one of the shapes (any, as a row, without shapes).
 
     A row of numbers serves as a matrix, and a matrix of one row or column as a row. A CalibrationError, beginning with
-    `where`, says the missing part or wrong.
+    `where`, names the missing or wrong value.
     """
     array = numbers_if_any(where, table, keys, *shapes)
     if array is None:

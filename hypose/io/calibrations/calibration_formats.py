@@ -73,7 +73,7 @@ def read_any(path: str | Path, unit: str = "auto") -> Found:
     assumed.
 
     unit: 'auto' (see `calibration_camera`), 'm', 'cm' or 'mm', the unit of the file's translations. A
-    CalibrationError names the file, the camera and the fault.
+    CalibrationError names the file, the camera and the cause.
     """
     path = Path(path)
     if unit != "auto" and unit not in UNITS:

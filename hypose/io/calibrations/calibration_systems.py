@@ -285,7 +285,7 @@ class _ArraysOnly(pickle.Unpickler):
 
 
 def read_plain_pickle(data: bytes) -> Any:
-    """The value of a pickle of numbers, text, tuples, lists, dictionaries and arrays; a ValueError says the fault.
+    """The value of a pickle of numbers, text, tuples, lists, dictionaries and arrays; a ValueError names the cause.
     Nothing that the file names is imported."""
     try:
         return _plain(_ArraysOnly(io.BytesIO(data)).load())
@@ -310,7 +310,7 @@ def opencap_files(folder: Path) -> list[Path]:
 
 def read_opencap(path: Path, unit: str = "auto") -> Found:
     """Rig of one OpenCap pickle or of a folder of them (also Videos/Cam0/cameraIntrinsicsExtrinsics.pickle), z up. A
-    CalibrationError names the file and the fault or refused."""
+    CalibrationError names the file and the cause."""
     files = opencap_files(path) if path.is_dir() else [path]
     if len(files) > 100:
         raise CalibrationError(f"{path} holds {len(files)} .pickle files; give the folder of the camera files only.")

@@ -233,7 +233,7 @@ _Loader.add_implicit_resolver(
 
 
 def parse_yaml(text: str) -> dict[str, Any]:
-    """Parse a YAML document; matrices come as arrays. A ValueError says the fault."""
+    """Parse a YAML document; matrices come as arrays. A ValueError names the cause."""
     lines = [line for line in text.splitlines() if not line.startswith("%")]
     if any(re.search(r"(^|[\s\[,])[&*]\w", line.split(" #")[0]) for line in lines if '"' not in line):
         raise ValueError("it has references, which can make a file huge")
@@ -256,7 +256,7 @@ def _with_arrays(value: Any) -> Any:
 
 
 def parse_xml(text: str) -> dict[str, Any]:
-    """Parse OpenCV's storage in XML; matrices come as arrays. A ValueError says the fault."""
+    """Parse OpenCV's storage in XML; matrices come as arrays. A ValueError names the cause."""
     if "<!DOCTYPE" in text or "<!ENTITY" in text:  # OpenCV writes none; entities can make a file huge
         raise ValueError("it has a DOCTYPE")
     try:

@@ -129,7 +129,7 @@ def runtime(needed_by: str = "Finding people in pictures") -> Any:  # noqa: ANN4
 
 
 def open_network() -> PoseNetwork:
-    """The network, ready for any number of threads. An InputError names the command that installs the missing part."""
+    """The network, ready for any number of threads. An InputError names the command that installs it."""
     module = runtime()
     folder, data = models_folder(), dict[str, bytes]()
     if not have_models():

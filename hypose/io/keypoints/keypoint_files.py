@@ -1,10 +1,17 @@
-"""Key points as tables: DeepLabCut, SLEAP and Caliscope CSV.
+"""Read files of key points as tables: one reader per ending, which finds the program by the content.
 
-Sources: DeepLabCut's CSV of analysed videos (three header lines scorer, bodyparts, coords; four with individuals),
-the ensemble Kalman smoother's in the same layout (eks: x_ens_var, x_posterior_var and so on next to x, y, likelihood);
-SLEAP's analysis CSV (track, frame_idx, instance.score, then node.x, node.y, node.score); Caliscope's xy_<tracker>.csv
-(sync_index, cam_id - port in old ones -, frame_index, frame_time, point_id - keypoint_id in new ones -, img_loc_x,
-img_loc_y, ...), one row per point that was found, pixels of the picture as the camera delivers it, no scores.
+`read_keypoint_csv`: DeepLabCut, SLEAP, Caliscope.
+`read_keypoint_json`: MMPose, COCO, AlphaPose.
+`read_keypoint_folder`: OpenPose, EasyMocap, Ultralytics, one file per frame.
+`read_keypoint_npy`: FreeMoCap.
+`read_keypoint_h5`: DeepLabCut, SLEAP.
+
+Sources of the CSV layouts (those of the others stand above their readers): DeepLabCut's CSV of analysed videos (three
+header lines scorer, bodyparts, coords; four with individuals), the ensemble Kalman smoother's in the same layout (eks:
+x_ens_var, x_posterior_var and so on next to x, y, likelihood); SLEAP's analysis CSV (track, frame_idx, instance.score,
+then node.x, node.y, node.score); Caliscope's xy_<tracker>.csv (sync_index, cam_id - port in old ones -, frame_index,
+frame_time, point_id - keypoint_id in new ones -, img_loc_x, img_loc_y, ...), one row per point that was found, pixels
+of the picture as the camera delivers it, no scores.
 """
 
 from __future__ import annotations
@@ -144,7 +151,9 @@ def grouped(rows: Sequence[tuple[int, Array]], where: str) -> dict[int, Array]:
 
 
 def whole_number(value: Any, where: str, what: str) -> int:
-    """A frame's number; an InputError for anything that cannot be one."""
+    """Check that `value` is a frame's number and return it; InputError otherwise.
+
+    where, what: file and name of the value, for the sentence."""
     fine = isinstance(value, int | float) and not isinstance(value, bool) and float(value).is_integer()
     if not fine or not 0 <= value < 2**40:
         raise InputError(f"{where}: {what} is {str(value)[:40]!r}, a whole number is needed; export it again.")
@@ -600,7 +609,7 @@ def _row_reader(count: int, per_point: int) -> Callable[[Path], Array]:
 
 
 # ---- keypoint arrays -----------------------------------------------------------------------------------------------
-# Key points as arrays: FreeMoCap's npy, npz of RTMLib's arrays, HDF5 of DeepLabCut and SLEAP.
+# Key points as arrays: FreeMoCap's npy, HDF5 of DeepLabCut and SLEAP.
 #
 # Sources: FreeMoCap 1.x (mediapipe_2dData_numCams_numFrames_numTrackedPoints_pixelXY.npy: (cameras, frames, points, 2
 # or 3), the body's 33 BlazePose points first, NaN where nothing was found, cameras in the order of their videos'

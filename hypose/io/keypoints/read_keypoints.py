@@ -8,6 +8,11 @@
 | .csv | DeepLabCut, SLEAP, Caliscope (all cameras) |
 | .h5 | DeepLabCut, SLEAP |
 | .npy | FreeMoCap (all cameras) |
+
+To add a reader, write reader(path) -> KeypointTable, or a dict of them by camera. Register its ending in `_READERS`; if
+the ending is taken, add a branch to read_keypoint_json, read_keypoint_csv, read_keypoint_h5, read_keypoint_npy or
+read_keypoint_folder. Add it to `_ENDINGS` and to the table above.
+New points need a set in `hypose.evidence.keypoints.KEYPOINT_SETS`.
 """
 
 from __future__ import annotations
@@ -48,9 +53,14 @@ _CHECKED = 80  # frames that the agreement of the views looks at
 
 @dataclass(frozen=True)
 class ViewKeypoints:
-    """Key points of one view, distinguished. path: of the file or folder. first: the file's number of the video's first
-    frame. score_scale: what its scores are divided by. frames: stored frame of each frame of a video that is read by
-    its time stamps, None: the same."""
+    """Key points of one view with the set they belong to.
+
+    path: of the file or folder.
+    table: the key points that were read.
+    keypoint_set: name of their set.
+    first: the file's number of the video's first frame.
+    score_scale: divisor of its scores.
+    frames: stored frame of each frame of a video that is read by its time stamps; None: the same."""
 
     path: Path
     table: KeypointTable

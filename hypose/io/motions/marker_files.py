@@ -51,7 +51,7 @@ def metres_per_unit(unit: str, where: str) -> float:
 def checked_markers(
     names: Sequence[str], points: ArrayLike, frame_rate: float, where: str
 ) -> tuple[tuple[str, ...], Array]:
-    """Names and points (T, M, 3) of a file to be written, or an InputError that says the fault."""
+    """Names and points (T, M, 3) of a file to be written, or an InputError that names the cause."""
     p, n = np.asarray(points, dtype=np.float64), tuple(str(name) for name in names)
     if p.ndim != 3 or p.shape[1:] != (len(n), 3) or not p.size:
         raise InputError(

@@ -54,7 +54,7 @@ class PersonMesh:
 
 
 def read_person(path: str | Path) -> PersonMesh:
-    """Read a mesh of a person; an InputError names the file and the fault (absent, damaged, too large, no mesh)."""
+    """Read a mesh of a person; an InputError names the file and the cause (absent, damaged, too large, no mesh)."""
     p = Path(path)
     ending = p.suffix.lower()
     if ending == ".pkl":

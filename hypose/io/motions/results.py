@@ -321,7 +321,7 @@ def save_motion(motion: Motion, path: str | Path) -> None:
 
 
 def load_motion(path: str | Path) -> Motion:
-    """Read a motion.npz; an InputError names the file and the fault (damaged, foreign or hostile
+    """Read a motion.npz; an InputError names the file and the cause (damaged, foreign or hostile
     archive)."""
     path = Path(path)
     arrays = _MOTION.load(path)
@@ -479,7 +479,7 @@ def save_body(body: Body, path: str | Path) -> None:
 
 
 def load_body(path: str | Path) -> Body:
-    """Read a body.npz; an InputError names the file and the fault (absent, damaged, foreign or hostile archive)."""
+    """Read a body.npz; an InputError names the file and the cause (absent, damaged, foreign or hostile archive)."""
     path = Path(path)
     arrays = _BODY.load(path)
     try:
@@ -544,7 +544,7 @@ def save_modes(modes: Modes, path: str | Path) -> None:
 
 
 def load_modes(path: str | Path) -> Modes:
-    """Read a modes.npz; an InputError names the file and the fault."""
+    """Read a modes.npz; an InputError names the file and the cause."""
     return Modes(**_MODES.load(Path(path)))
 
 

@@ -91,7 +91,7 @@ class ObjectMasks:
 
 
 def open_masks(path: Path, first: int | None = None) -> ObjectMasks | VideoReader:
-    """Masks of objects, or a video or images of one kind of mask; an InputError says the fault. first: the number
+    """Masks of objects, or a video or images of one kind of mask; an InputError names the cause. first: the number
     of the first frame, of files of one folder per object; None: the least there is."""
     if path.is_file() and path.suffix.lower() == ".json":
         return _of_coco(path)

@@ -44,7 +44,7 @@ def is_project(folder: Path) -> bool:
 
 
 def read_project(folder: Path) -> tuple[dict[str, Any], list[str]]:
-    """(settings, notes): the settings of recording.toml with absolute paths; an InputError names the missing part."""
+    """(settings, notes): the settings of recording.toml with absolute paths; an InputError names the missing input."""
     folder = folder.absolute()
     config = _merged_config(folder)
     videos = _subfolder(folder, "videos")

@@ -204,7 +204,7 @@ class PersonSettings:
 
 
 def people_of_tables(folder: Path, where: str, tables: Any) -> tuple[PersonSettings, ...]:
-    """The people that the tables tell of; an InputError names the fault."""
+    """The people that the tables tell of; an InputError names the cause."""
     found = [_person(folder, where, table, k) for k, table in enumerate(tables)]
     names = [p.name for p in found]
     if len({_distinguished(n) for n in names}) < len(names):
@@ -216,7 +216,7 @@ def people_of_tables(folder: Path, where: str, tables: Any) -> tuple[PersonSetti
 
 
 def _distinguished(name: str) -> str:
-    """What of a name every file system and every C3D file keeps."""
+    """The part of a name that every file system and every C3D file keeps."""
     return re.sub(r"[ .-]+", "-", unicodedata.normalize("NFKC", name).casefold())
 
 

@@ -389,7 +389,7 @@ _NUMBERS = frozenset({float, int})
 
 
 def parse_line(data: bytes | str) -> tuple[SensorReport, str]:
-    """One line of the protocol, and the token in it (""); an InputError says the fault. Time and memory are
+    """One line of the protocol, and the token in it (""); an InputError names the cause. Time and memory are
     bounded by the line's 16 KiB."""
     if len(data) > MAX_SKELETON_LINE:
         raise InputError(

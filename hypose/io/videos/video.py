@@ -132,7 +132,7 @@ def check_numbers(folder: Path) -> None:
         return
     missing = sorted(set(range(int(numbers[0]), int(numbers[-1]), usual)) - set(numbers.tolist()))
     if not missing:
-        return  # the step changes: no one knows the missing part
+        return  # the step changes: which number is missing is not known
     named = ", ".join(str(n) for n in missing[:5]) + (f" and {len(missing) - 5} more" if len(missing) > 5 else "")
     raise InputError(
         f"The image sequence {folder} lacks number {named} ({images[0].name} to {images[-1].name}): all later images "
@@ -372,7 +372,7 @@ def _about(path: Path) -> _About:
     try:
         about = path.stat()
     except OSError:
-        return _looked_into(path, 0, 0, 0)  # says the fault
+        return _looked_into(path, 0, 0, 0)  # raises the error that names the cause
     return _looked_into(path.absolute(), about.st_size, about.st_mtime_ns, about.st_ino)
 
 
@@ -559,7 +559,7 @@ class Sound:
 
 
 def read_sound(video: Path) -> Sound:
-    """The sound that was recorded with a video, all channels as one. An InputError says the missing part."""
+    """The sound that was recorded with a video, all channels as one. An InputError names the missing input."""
     wav = video.with_suffix(".wav")
     if wav.is_file():
         return _read_wav(wav)

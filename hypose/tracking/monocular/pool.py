@@ -114,7 +114,7 @@ def prune(pool: Hypotheses, body: Body, settings: SearchSettings) -> Hypotheses:
 
 
 def landmark_places(body: Body, poses: Array) -> Array:
-    """(N, L, 3) m: joint centres and landmarks, by which poses are distinguished."""
+    """(N, L, 3) m: joint centres and landmarks, by which poses are compared."""
     return np.concatenate([body.joints(poses), body.landmark_points(poses)], axis=1)
 
 

@@ -1,6 +1,7 @@
 """What one search looks at, put together: the body's moving parts, a frame's evidence, the priors.
 
-Spheres inside a body's parts, and which of them must keep apart: limbs from the trunk and from each other.
+The prior against interpenetration puts spheres inside the body's parts and says which of them must keep apart: limbs
+from the trunk and from each other.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
-"""One camera, several hypotheses: the recipe of Sminchisescu & Triggs 2001.
+"""One camera, several hypotheses: the recipe of Sminchisescu & Triggs 2001, and the solve of a whole clip.
 
-Whole clips of one camera: tracked backwards as well, both passes summed up frame by frame, and smoothed.
-
-A tracker that looks at one frame after the other decides early which way a limb leans, and stays with it. The way back
+Whole clips of one camera are tracked backwards as well, both passes are summed up frame by frame, and smoothed. A
+tracker that looks at one frame after the other decides early which way a limb leans, and stays with it. The way back
 comes from the other side and errs elsewhere, so the two together are nearer to the truth than either. Then the frames
 are solved together, coupled by what bodies do (hypose.tracking.smoothing); errors last longer than a frame, so what
 each frame says counts less than it claims.

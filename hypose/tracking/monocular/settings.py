@@ -1,6 +1,6 @@
-"""What a monocular tracker is known: every ablation of the method is one of these settings.
+"""Settings of a monocular tracker, and the degrees of freedom that a single view can estimate.
 
-Which degrees of freedom a single view can estimate: the body's 30, and an arm's 7.
+Every ablation of the method is one of these settings. A single view can estimate 30 degrees of freedom of a body.
 """
 
 from __future__ import annotations
