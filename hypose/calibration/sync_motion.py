@@ -40,9 +40,9 @@ BINS = 8
 _SPAN = 2  # frames to either side between which a change is looked for
 _STEP = 0.25  # of the offsets at which the curves are sampled, frames
 _TOGETHER = 2.0  # sd of a detection within which points share their error
-_LASTING = 20.0
-"""frames, sd: what lasts longer is an error, of a point or of the calibration, and has no information on time. With 12 a
-person who stands and waves makes a camera late."""
+_LASTING = 16.0
+"""frames, sd: what lasts longer is an error, of a point or of the calibration, and has no information on time. With 14
+a person who stands and waves makes a camera late, with 20 a balancing one."""
 _SMOOTH_POINTS, _SMOOTH_MASKS = 2.0, 1.0  # frames: so that interpolation smooths no more than the frames are already
 
 
