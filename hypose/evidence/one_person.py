@@ -122,7 +122,7 @@ def one_person(
             )
     strangers = [rig.names[c] for c in range(views) if c not in apart and _stranger(columns[c], tracks, c, frames)]
     if strangers and not others:
-        notes.append(f"somebody whom only one view sees is left out ({', '.join(strangers)})")
+        notes.append(f"a person whom only one view sees is left out ({', '.join(strangers)})")
     return OnePerson(points, bool(others or strangers), (person, *others), True, apart, tuple(notes), of_all)
 
 
