@@ -275,8 +275,15 @@ _PART = 0.62
 
 
 def late_views(rig: CameraRig, pixels: Array, o: Limits) -> tuple[Array, Array]:
-    """Return (C,) frames by which each view is late, 0 where that is not certain, and its sd, infinite where the clip
-    is too short to tell how much more it is. pixels (C, T, K, 3) distorted px of consecutive frames."""
+    """Estimate the delay of each view against the others; with two views, against the first one.
+
+    pixels (C, T, K, 3): key points of consecutive frames: x, y in distorted px, and confidence.
+    o: limits of the test.
+    Return two arrays:
+    late (C,): delay, frames, positive = late; 0 where it is not certain.
+    sd (C,): standard deviation of the delay, frames; infinite where the true delay may be larger than the range
+        searched; 0 for all views where no delay was estimated.
+    """
     n, frames = pixels.shape[:2]
     late, sd = np.zeros(n), np.zeros(n)
     if n < 2 or frames < _LEAST_FRAMES:

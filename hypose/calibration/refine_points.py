@@ -183,8 +183,15 @@ def pinhole_derivative(camera: Camera, points: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class PointAdjustment:
-    """rig (in the gauge of the weak pull); points (N, 3) m, NaN where fewer than two views see it; radial (C,) and its
-    sd (C,), zero unless asked for; before, after: median residual px over all confident detections."""
+    """Hold the result of `adjust`.
+
+    rig: the refined cameras; its world frame is fixed by a weak prior on the start cameras (`HOLD`).
+    points (N, 3): 3D key points, m; NaN where fewer than two views see the point.
+    radial (C,): radial distortion term of each camera; 0 unless it was estimated.
+    radial_sd (C,): standard deviation of radial; 0 unless it was estimated.
+    before: median reprojection error at the start, px, over the detections used.
+    after: the same after the adjustment, px.
+    """
 
     rig: CameraRig
     points: Array

@@ -349,8 +349,16 @@ def workspace(tree: TreeArrays, mesh: MeshArrays, height: int, width: int) -> Wo
 
 
 class Evaluation(NamedTuple):
-    """Cost (half the weighted robust squares), its gradient (D,), Gauss-Newton matrix (D, D), rows per cue (C + 3,
-    2)."""
+    """Hold the cost at one pose and its derivatives.
+
+    cost: half the weighted sum of robust squared residuals.
+    gradient (D,): gradient of the cost.
+    hessian (D, D): Gauss-Newton approximation of the Hessian.
+    counts (C + 3, 2): number of residual rows per cue; one more line is appended where further terms are used.
+        Lines 0 to C - 1, views: forward and reverse contour rows.
+        Line C, 2D key points, and line C + 1, 3D points: rows, 0.
+        Line C + 2, depth: rows of surface points, rows of body in front of the measured surface.
+    """
 
     cost: float
     gradient: Array

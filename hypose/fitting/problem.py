@@ -36,11 +36,17 @@ _LARGEST_TURN = 0.3
 
 @dataclass(frozen=True)
 class Rule:
-    """How a descent is damped and when it ends.
+    """Set the damping and the stopping rule of a descent.
 
-    damping: at the start; harder, easier: factors after a refused and a taken step; least, most: its bounds; tries: of
-    one iteration; slack: a step may raise the cost by this factor (contour costs jump when the outline changes); moved:
-    it ends with a step that moves less; gain: or lowers the cost by a smaller share."""
+    damping: damping at the start.
+    harder: factor that multiplies the damping after a rejected step.
+    easier: factor that divides the damping after an accepted step.
+    least, most: lower and upper bound of the damping.
+    tries: largest number of steps tried in one iteration.
+    slack: a step is accepted if new cost < slack * old cost; above 1 where the cost jumps, as that of contours does.
+    moved: stop when a step is smaller than this, in the units of the problem.
+    gain: stop when a step changes the cost by less than this fraction of it.
+    """
 
     damping: float = 1e-2
     harder: float = 6.0

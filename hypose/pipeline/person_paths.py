@@ -127,7 +127,12 @@ def count_people(frame_at: Callable[[int], Frame], total: int, looks: int = 5) -
 
 @dataclass(frozen=True)
 class KeypointPeople:
-    """tracks: the people; names: of the K points; rig: the pinhole cameras of their pixels."""
+    """Hold the key points of several people, sorted by person.
+
+    tracks: one track per person.
+    names (K): names of the key points.
+    rig: pinhole cameras; the pixels of the key points are in their images.
+    """
 
     tracks: Sequence[PersonTrack]
     names: tuple[str, ...]

@@ -256,8 +256,6 @@ class PipelineSettings:
         of the squared median distance of key points from the body fitted to them, for what scatter does to a length
         grows so; and between which shares. Chosen on bodies from plain, detector-like and thinned out key points
         (combo, seeds 1248 to 1253)
-    subject_bone_m: length of a bone between two points whose errors last; outlines tell more of it: 14.1 -> 12.5 mm on
-        six scenes (seeds 6100 to 6107)
     subject_height_wrong, subject_height_doubt: share by which the height that masks or depth show may differ from the
         one that is given before a motion is not to be trusted, and before it is worth a look
     subject_sure, subject_no_worse: sd of the height's logarithm up to which it is used at all, and the share of the
@@ -514,7 +512,6 @@ class PipelineSettings:
     subject_the_person: float = 0.3
     subject_bones: float = 50.0
     subject_sure_bones: tuple[float, float] = (0.005, 0.05)
-    subject_bone_m: float = 0.3
     subject_height_wrong: float = 0.12
     subject_height_doubt: float = 0.07
     subject_sure: float = 0.03

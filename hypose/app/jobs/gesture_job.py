@@ -386,7 +386,11 @@ def event_line(event: Event, names: Sequence[str]) -> str:
 
 
 class Out(Protocol):
-    """Takes every frame that was looked at."""
+    """Define an output for gesture results, such as OSC, a WebSocket or a command.
+
+    send: called once per processed frame, with its time, scores and events.
+    close: called once at the end.
+    """
 
     def send(self, watched: Watched, /) -> None:
         """One frame."""

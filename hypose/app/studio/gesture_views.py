@@ -135,8 +135,12 @@ def _brief(folder: Path) -> tuple[list[str], int]:
 
 
 def gesture_thumbnail(model: Path) -> bytes | None:
-    """A JPEG of the frame in the middle of those from which a model learned its gesture last; None where no session
-    that taught it lies next to the model."""
+    """Return a JPEG thumbnail of a gesture, made from a frame of a training session of the model.
+
+    model: path of the model file; the session folders are searched in the same folder, the latest first.
+    The frame is the middle one of the session's training frames that show the gesture.
+    Return None when no such session or frame is found.
+    """
     learned = load_model(model)
     for entry in reversed(learned.history):
         folder = model.parent / Path(str(entry.get("session", ""))).name  # next to it, whatever the model says

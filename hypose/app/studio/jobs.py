@@ -138,7 +138,12 @@ class Jobs(Topic):
             return self._jobs[id]
 
     def start(self, kind: str, request: Mapping[str, Any]) -> _StudioJob:
-        """Queue a job; an InputError when its options cannot be."""
+        """Add a job to the queue and return it.
+
+        kind: kind of the job, a key of `JOB_KINDS`.
+        request: recording or result id, and the options of the job.
+        An InputError for an unknown kind or invalid options. NotNow when the queue is full, or when the same job for
+        the same result is waiting or running."""
         request = with_result_name(kind, request, self._catalog)
         return self._queue(kind, request, plan_job(kind, request, self._catalog))
 

@@ -67,8 +67,13 @@ _PAIRS = (("intri.yml", "extri.yml"), ("Intrinsic.yml", "Extrinsic.yml"))
 
 
 def read_tables(path: Path, unit: str) -> Found:
-    """Read the rig of a file of tables, one per camera, or of a folder with one such file per camera, named like the
-    files. A CalibrationError names file, camera and key."""
+    """Read a rig from TOML, JSON, YAML or XML tables, one table per camera.
+
+    path: a file with all cameras, or a folder with one XML or YAML file per camera, or EasyMocap's pair of files. A
+        camera file without a camera name gets the name of the file (of its folder, if the file name is a common one).
+    unit: unit of length of the translations; "auto": as the file states, if it does.
+    A CalibrationError names the file, the camera and the key where a value is missing or wrong.
+    """
     pair = easymocap_pair(path if path.is_dir() else path.parent)
     if pair is not None and (path.is_dir() or path in pair):
         return _read_easymocap(*pair, unit)

@@ -56,7 +56,11 @@ class PackedMasks:
         return PackedMasks(frame.time, np.packbits(s.masks, axis=-1), s.usable, s.reasons, ignored, s.expected, depth)
 
     def frame(self, number: int, rig: CameraRig) -> Frame:
-        """The frame as it was, with this number."""
+        """Unpack the masks, and the depth if there is any, into a frame; other evidence is not restored.
+
+        number: frame number (index) of the new frame.
+        rig: cameras of the masks.
+        """
         silhouettes = self.silhouettes(rig)
         depth = None if self.depth is None else self.depth.depth(silhouettes)
         return Frame(self.time, number, silhouettes, depth=depth)

@@ -28,7 +28,12 @@ LEAST_CURVATURE = 1e-6
 
 
 def candidates(role: str, poses: Array, **columns: NDArray[Any]) -> Hypotheses:
-    """Candidates (N, D) of one role, not yet weighed."""
+    """Make a set of N candidates from poses; all log-weights are 0.
+
+    role: origin of all candidates: "optimised", "sampled" or "mirrored".
+    poses (N, D): one pose per candidate.
+    columns (N, ...): further values per candidate, by name.
+    """
     bit = np.full(len(poses), 1 << _ROLES.index(role), dtype=np.int32)
     return Hypotheses(poses, np.zeros(len(poses)), role=bit, role_names=_ROLES, columns=columns)
 
