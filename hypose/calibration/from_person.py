@@ -41,7 +41,7 @@ from hypose.evidence.keypoints import landmark_of
 from hypose.geometry import Array, rotation_between, se3, skew
 from hypose.tracking.subject import shape_from_keypoints
 
-WALK = "film somebody who walks about irregularly, turns both ways and raises an arm now and then, for 20 s"
+WALK = "film a person who walks about irregularly, turns both ways and raises an arm now and then, for 20 s"
 _MOMENTS, _STEP = 120, 2.0  # frames that are looked at; over how many frames a point's speed is taken
 _WIDER = 6  # times that offsets are looked for, each time twice as far as before
 _CLEAR, _CLOSE, _DUEL = 0.65, 0.3, 0.1  # depth of a clear minimum; rivals that are so near are tried, and must be worse

@@ -82,7 +82,7 @@ def one_person(
     number = choose(tracks)
     together = int((shown.sum(1) > 1).sum())
     if number is None or (tracks[number].seen.sum(1) > 1).sum() < _AGREED * together:
-        said = ("the views' key points agree on nobody's place: who is who was told by motion alone",)
+        said = ("the views' key points agree on no person's place: motion alone decided who is who",)
         return _by_motion(columns, of_view, names, width, said if several and together else ())
     person = tracks[number]
     points = np.zeros((frames, views, len(names), width))

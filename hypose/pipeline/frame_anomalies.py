@@ -310,7 +310,7 @@ def against_the_clip(audit: ArrayLike, n_views: ArrayLike, evidence: str) -> tup
         (wrong if beyond > SETTINGS.contradiction_wrong_apart_m else look).append(said)
     if more_than_body(audit, n_views) > SETTINGS.contradiction_look_more_m2:
         look.append(
-            "the masks show more than the body from beginning to end (a chair, wide clothes, a bag, somebody else?), "
+            "the masks show more than the body from beginning to end (a chair, wide clothes, a bag, another person?), "
             "and limbs may have been put there: compare the overlay with the images"
         )
     if len(look) > 1:  # things in the masks do not set views apart; late or wrong cameras do both (seeds 600 to 617)

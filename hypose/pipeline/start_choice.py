@@ -43,7 +43,7 @@ def no_two_views(frame: Frame) -> str:
     first = f" ({why[0].rstrip('.')})" if why else ""
     if frame.depth is not None:
         return (
-            f"No depth camera shows a person in frame {frame.index}{first}; begin with --frames where somebody stands "
+            f"No depth camera shows a person in frame {frame.index}{first}; begin with --frames where a person stands "
             "on the floor without holes in the maps (sunlight, dark clothes), and record the empty room."
         )
     return (

@@ -79,7 +79,7 @@ def _exchanged(there: Sequence[Followed]) -> list[tuple[Followed, Followed, int]
     return out
 
 
-def swap_identities(p: Followed, q: Followed, since: int, reported: str = "as their clothes told afterwards") -> None:
+def swap_identities(p: Followed, q: Followed, since: int, reported: str = "as their clothes showed afterwards") -> None:
     """Each goes on as the other, from a frame on; what was estimated since then is the other's, and doubtful.
     reported: how that is known, as the end of a sentence."""
     now = len(p.estimates)
@@ -253,9 +253,9 @@ def back_again(
     with contextlib.suppress(EvidenceError):
         pose = found_again(who, own)[1]
         if back is None:
-            who.was_not(since, "as told by who was found where they had stood")
+            who.was_not(since, "because another person was found where they had stood")
         else:
-            swap_identities(back[0], who, since, "as told by who was found where the other one had stood")
+            swap_identities(back[0], who, since, "because this one was found where the other had stood")
         return who, pose
     return back
 

@@ -174,7 +174,7 @@ class Followed:
         last = len(self.estimates)
         self.estimates[since:] = [replace(e, lost=True) for e in self.estimates[since:]]
         self.hidden[since:] = [True] * (last - since)
-        self.said.append(f"somebody else was taken for them from frame {since} to {last - 1}, {reported}")
+        self.said.append(f"another person was taken for them from frame {since} to {last - 1}, {reported}")
 
     def cut(self, frames: int) -> None:
         """Forgets what came after so many frames."""

@@ -78,5 +78,5 @@ def test_who_was_drawn_to_somebody_new_goes_on_where_they_had_stood(anna, monkey
     assert back is not None and back[0] is anna and back[1] is again
     assert all(e.lost for e in anna.estimates[SINCE:]) and not any(e.lost for e in anna.estimates[:SINCE])
     assert all(anna.present) and all(anna.hidden[SINCE:]) and not any(anna.hidden[:SINCE])
-    assert "somebody else was taken for them from frame 34 to 39" in anna.said[0]
+    assert "another person was taken for them from frame 34 to 39" in anna.said[0]
     assert back_again(found_at(-2.0), frame, [anna], RATE) is None

@@ -316,7 +316,7 @@ def _by_motion(
     reported = [s < largest for s in found.sd]  # unknown where the deviation exceeds the search range
     if not any(reported):
         raise EvidenceError(
-            f"{recording.name}: the views have no motion in common that tells how late they are; film somebody who "
+            f"{recording.name}: the views have no motion in common that tells how late they are; film a person who "
             "walks or waves, or use --by sound or --by flash."
         )
     words = [

@@ -48,7 +48,7 @@ def live(
         bool | None,
         typer.Option(
             "--detector/--no-detector",
-            help="Find people by hypose's detector: nobody has to leave the view. [default: where a recording is "
+            help="Find people by hypose's detector: no person has to leave the view. [default: where a recording is "
             "played that shows no empty room]",
         ),
     ] = None,

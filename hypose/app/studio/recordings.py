@@ -60,7 +60,7 @@ def edit_recording(folder: Path, recording: Recording | None, asked: dict[str, A
     """Apply an edit: {"what": one of KINDS, "view": name, "path": picture or video of an empty room, "frames":
     by which key points come too early, "x", "y": px by which a view's pictures have to move}. recording: as it is read
     now, None where it cannot be."""
-    what = request_choice(asked.get("what"), "way to mend", _KINDS)
+    what = request_choice(asked.get("what"), "way to repair", _KINDS)
     path = folder / "recording.toml"
     if not path.is_file():
         raise InputError(f"{folder.name} has no recording.toml to be changed; a Pose2Sim project is only read.")
@@ -126,7 +126,7 @@ def _try(path: Path, before: str, after: str) -> None:
         load_recording(path.parent)
     except HyposeError as error:
         write_text(path, before)
-        raise InputError(f"That does not mend it: {error}") from None
+        raise InputError(f"That does not repair it: {error}") from None
 
 
 def _changed(whole: str, number: int, change: Callable[[list[str]], list[str]]) -> str:

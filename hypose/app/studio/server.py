@@ -389,7 +389,7 @@ def _of_recordings(studio: Studio, item_of: ItemOf) -> list[Route]:
         route("/api/folder/picture.jpg", first),
         route("/api/recordings", make, "POST", 201),
         route("/api/recordings/{id}", one),
-        route("/api/recordings/{id}/mend", edited, "POST"),
+        route("/api/recordings/{id}/repair", edited, "POST"),
         route("/api/recordings/{id}/image/{camera}/{frame}.jpg", picture),
         route("/api/recordings/{id}/file/{name:path}", file),
         route("/api/recordings/{id}/mask-settings", settings, "POST"),

@@ -49,7 +49,7 @@ _PROJECTION = ("P", "projection", "projection_matrix", "proj")
 _CHAINED = "T_cn_cnm1"
 _CLEAR = 0.5
 """The axes of quaternions in the right order pass each other by less than this share of those in the wrong one."""
-_DIRECTION = {"world2cam": True, "world_to_cam": True, "cam2world": False, "cam_to_world_pose": False}
+_DIRECTION = {"world2cam": True, "world_to_cam": True, "cam2world": False}
 _AXES = ("convention", "coordinate_system", "camera_convention")
 _MODEL = ("fisheye", "fisheye_model", "is_fisheye", "distortion_model", "distortion_type", "lens_model", "camera_model")
 _FISHEYE = {"fisheye", "equidistant", "kannala_brandt", "kannalabrandt", "kb4", "opencv_fisheye", "true", "1"}
@@ -67,9 +67,7 @@ _PASSED_OVER = {
         "center",
         "centre",
         "rotation_EulerAngles",
-        "stamped",
         "frame_rate",
-        "fisheye_rotation",
     ),
 }
 _UNDERSTOOD = {

@@ -12,7 +12,7 @@ def asked(own_studio, folder):
     id = own_studio.get("/api/state")["recordings"][0]["id"]
 
     def edit_recording(status=200, **wish):
-        return own_studio.get(f"/api/recordings/{id}/mend", wish, status=status)
+        return own_studio.get(f"/api/recordings/{id}/repair", wish, status=status)
 
     return edit_recording, folder / "walk", own_studio
 
@@ -80,7 +80,7 @@ def test_what_does_not_mend_it_changes_nothing(asked):
     edit_recording, walk, _ = asked
     before = (walk / "recording.toml").read_text()
     (walk / "results" / "calibration_refined.toml").write_text("nonsense")
-    assert "does not mend" in edit_recording(what="use_refined", status=400)["error"]
+    assert "does not repair" in edit_recording(what="use_refined", status=400)["error"]
     for wish in ({}, {"what": "burn"}, {"what": "leave_out"}, {"what": "leave_out", "view": "cam9"}):
         assert edit_recording(status=400, **wish)["error"].endswith(".")
     assert (walk / "recording.toml").read_text() == before

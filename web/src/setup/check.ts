@@ -120,7 +120,7 @@ function cures(recording: Recording, finding: Finding): HTMLElement[] {
 /** Changes recording.toml; the page reads it again. */
 async function mend(recording: Recording, wish: Record<string, string | number>, said: string): Promise<void> {
   try {
-    await post(`/api/recordings/${recording.id}/mend`, wish);
+    await post(`/api/recordings/${recording.id}/repair`, wish);
     toast(`${said} Check again to see what it changes.`, "done");
     document.dispatchEvent(new CustomEvent("hypose-mended"));
   } catch (error) {
