@@ -2,8 +2,8 @@
 
 numba's own cache takes its files on trust: a damaged file ends the process, and after an edit of a kernel that another
 file calls the caller goes on running the old one. Here a cache that cannot be written, read or trusted costs time,
-never a run. Files are named by the sources of the kernel and of all it imports, by numba and by the processor, and are
-read only when their checksum holds.
+never a run. Files are named by the sources of the kernel and of all it imports, by their loaded bytecode, by numba and
+by the processor, and are read only when their checksum holds.
 
 The folder of the cache (compiled kernels, the list of fonts) is chosen once per process: the folder named by
 HYPOSE_CACHE_DIR; the user's cache (XDG_CACHE_HOME or ~/.cache, on macOS ~/Library/Caches, on Windows %LOCALAPPDATA%); a
@@ -27,6 +27,7 @@ from collections.abc import Callable, Iterator
 from functools import cache, partial
 from pathlib import Path
 from pickle import loads
+from types import CodeType
 from typing import Any
 
 # Intel's vector mathematics is there on some machines only, and its last digits differ from the C library's
@@ -36,6 +37,7 @@ import llvmlite  # noqa: E402
 import numba  # noqa: E402
 from numba.core.caching import NullCache  # noqa: E402
 from numba.core.compiler import CompileResult  # noqa: E402
+from numba.core.dispatcher import Dispatcher  # noqa: E402
 from numba.core.registry import cpu_target  # noqa: E402
 from numba.core.runtime.nrt import rtsys  # noqa: E402
 from numba.core.serialize import dumps  # noqa: E402
@@ -205,6 +207,14 @@ def cache_file(name: str, kind: str, *key: Any) -> Path | None:
     return None if folder is None else folder / "kernels" / f"{name}-{digest}.{kind}"
 
 
+def _bytecode(module: str) -> bytes:
+    """Return what Python has loaded of a module's kernels: after an edit within a second it may run the older code."""
+    values = vars(sys.modules[module]).values() if module in sys.modules else ()
+    codes = [v.py_func.__code__ for v in values if isinstance(v, Dispatcher)]
+    plain = [[c for c in code.co_consts if not isinstance(c, CodeType)] for code in codes]
+    return b"".join(code.co_code + repr(consts).encode() for code, consts in zip(codes, plain, strict=True))
+
+
 @cache
 def _digest_of_sources(module: str) -> str | None:
     """Of a module of kernels and all modules of this room that it imports, directly or not; None without a source."""
@@ -215,5 +225,5 @@ def _digest_of_sources(module: str) -> str | None:
         path = _ROOM.parents[1] / (name.replace(".", "/") + ".py")
         texts[name] = path.read_bytes() if path.exists() else b""  # a package, which holds no kernels
         left += [m for m in _IMPORT.findall(texts[name].decode()) if m not in texts]
-    text = b"\0".join(name.encode() + b"\0" + texts[name] for name in sorted(texts))
+    text = b"\0".join(name.encode() + b"\0" + texts[name] + _bytecode(name) for name in sorted(texts))
     return hashlib.sha256(text).hexdigest() if texts[module] else None

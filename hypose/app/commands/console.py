@@ -94,10 +94,13 @@ def print_note(text: str) -> None:
 
 
 def error(text: str) -> None:
-    """The sentence that ends a failed command."""
-    from rich.text import Text
+    """Print the sentence that ends a failed command; without colours where memory does not suffice for them."""
+    try:
+        from rich.text import Text
 
-    err().print(Text.assemble(("error: ", "bold red"), text))
+        err().print(Text.assemble(("error: ", "bold red"), text))
+    except MemoryError:
+        sys.stderr.write(f"error: {visible(text)}\n")
 
 
 def _bars(console: Console) -> Progress:
